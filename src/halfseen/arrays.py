@@ -1,0 +1,31 @@
+"""Axis letters and array types, defined once.
+
+Axis letters, as they stand in shapes all over the package:
+
+========  ==========================================================================================================
+``N``     objects of a scene, padded to the largest scene of a batch; padding is masked and may hold anything
+``T``     stages of a path, at most; the horizon
+``n``     rows: paths or observations
+``m``     rows asked about: query times, states to decide
+``B``     members of a batch that one compiled call handles
+``F``     features of one verb
+``H W``   rows and columns of a depth image [px]
+========  ==========================================================================================================
+
+Shapes are executed: the test run checks every annotated signature (`jaxtyping` with `beartype`).
+"""
+
+from typing import TypeAlias
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+Rows: TypeAlias = Float[np.ndarray, " n"]
+RowMask: TypeAlias = Bool[np.ndarray, " n"]
+RowIds: TypeAlias = Int[np.ndarray, " n"]
+Points: TypeAlias = Float[np.ndarray, "n 3"]
+Image: TypeAlias = Float[np.ndarray, "H W"]
+Intrinsics: TypeAlias = Float[np.ndarray, "3 3"]
+Hides: TypeAlias = Float[np.ndarray, "N N"]
+PerObject: TypeAlias = Float[np.ndarray, " N"]
+ObjectMask: TypeAlias = Bool[np.ndarray, " N"]

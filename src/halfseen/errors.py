@@ -1,0 +1,41 @@
+"""What can go wrong, as one tree of exceptions.
+
+::
+
+    HalfseenError              everything below; the command line prints it in one line and exits with status 2
+    ├── CloudError             a point cloud that cannot be read, or that shows no table
+    ├── LogError               a log that breaks an invariant; names the path and the stage
+    ├── PositivityError        a weight that the data do not identify; names the path, the stage and the time
+    ├── SceneError             a scene whose numbers contradict one another
+    └── ArgumentError          a value that an option or parameter cannot take
+
+Every message says what is wrong, where, the value, and the remedy. Warnings are `HalfseenWarning`.
+"""
+
+
+class HalfseenError(Exception):
+    """Base of all errors that a user of halfseen can cause and mend."""
+
+
+class CloudError(HalfseenError):
+    """A point cloud cannot be read, or shows no table."""
+
+
+class LogError(HalfseenError):
+    """A log breaks an invariant."""
+
+
+class PositivityError(HalfseenError):
+    """An inverse-probability weight is not identified: nothing was ever seen beyond some time."""
+
+
+class SceneError(HalfseenError):
+    """A scene's numbers contradict one another."""
+
+
+class ArgumentError(HalfseenError, ValueError):
+    """An option or parameter has a value that it cannot take."""
+
+
+class HalfseenWarning(UserWarning):
+    """Something is legal and probably not meant."""

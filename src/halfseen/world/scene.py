@@ -1,0 +1,58 @@
+"""What the world needs to know of a table: which object hides which.
+
+A `Scene` is what perception hands over and what an episode starts from. It holds what can be seen and nothing hidden:
+whether an object is dirty, and how well it can be gripped, are drawn when an episode begins.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from halfseen.arrays import Hides, PerObject
+from halfseen.errors import SceneError
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A table of N objects, half hidden behind one another.
+
+    Parameters
+    ----------
+    hides
+        ``hides[i, j]`` is the share of object i's silhouette that is hidden by object j alone, in [0, 1]; the diagonal
+        is 0.
+    name
+        Where the scene comes from, for reports.
+
+    Raises
+    ------
+    SceneError
+        `hides` is not square, leaves [0, 1], is not finite, or lets an object hide itself.
+    """
+
+    hides: Hides
+    name: str = "scene"
+
+    def __post_init__(self) -> None:
+        hides = np.array(self.hides, dtype=np.float64)
+        if hides.ndim != 2 or hides.shape[0] != hides.shape[1]:
+            raise SceneError(f"{self.name}: hides has shape {hides.shape}; it must be square, (N, N)")
+        wrong = np.argwhere(~((hides >= 0) & (hides <= 1)))
+        if len(wrong):
+            i, j = wrong[0]
+            raise SceneError(f"{self.name}: hides[{i}, {j}] is {hides[i, j]}; a hidden share lies in [0, 1]")
+        if np.any(np.diag(hides) != 0):
+            i = int(np.argmax(np.diag(hides) != 0))
+            raise SceneError(f"{self.name}: hides[{i}, {i}] is {hides[i, i]}; an object does not hide itself: set it to 0")
+        hides.setflags(write=False)
+        object.__setattr__(self, "hides", hides)
+
+    @property
+    def num_objects(self) -> int:
+        """Number of objects on the table."""
+        return len(self.hides)
+
+    @property
+    def occlusion(self) -> PerObject:
+        """Hidden share of each object while all stand on the table: 1 − Π_j (1 − hides[i, j])."""
+        return 1.0 - np.prod(1.0 - self.hides, axis=1)
