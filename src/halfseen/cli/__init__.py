@@ -1,0 +1,58 @@
+"""The command line: one file a verb, and heavy imports only inside a verb."""
+
+import sys
+from importlib import import_module
+
+import click
+
+from halfseen import __version__
+from halfseen.errors import HalfseenError
+
+VERBS = {
+    "study": "Regenerate the study: Figure 1, Table 1, Figure 4 and the report.",
+    "simulate": "Record logs of a policy in the simulated world, some of them cut.",
+    "inspect": "Say what a folder of logs holds: paths, endings, causes, weights.",
+    "look": "Say what a depth camera sees on a table, and who hides whom.",
+}
+
+
+class _VerbGroup(click.Group):
+    """A group that imports a verb's file when that verb is called, so that ``--help`` stays instant."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(VERBS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in VERBS:
+            return None
+        return getattr(import_module(f"halfseen.cli.{cmd_name}"), cmd_name)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl(list(VERBS.items()))
+
+
+@click.group(cls=_VerbGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="halfseen")
+def halfseen() -> None:
+    """Learn when to pick, when to look and when to stop, from cut logs and half-hidden views."""
+
+
+def main() -> None:
+    """Run the command line; bad input is told in one line and ends with exit status 2."""
+    try:
+        halfseen(standalone_mode=False)
+    except HalfseenError as error:
+        _refuse(str(error))
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.format_message())
+    except click.ClickException as error:
+        _refuse(error.format_message())
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("halfseen: stopped", err=True)
+        sys.exit(130)
+
+
+def _refuse(message: str) -> None:
+    click.echo("halfseen: " + " ".join(message.split()), err=True)
+    sys.exit(2)
