@@ -1,0 +1,55 @@
+"""The physical table: cups that stand or lie, and the depth camera that half sees them.
+
+Data go this way: `cups` (shapes) → `layout` (where they start) → `settle` (physics) → `draw` (which tables are kept) →
+`view` (what an ideal camera sees) → `xtion` (what the sensor makes of it) → `record` (cloud and truth) → `shipped`
+(the ten tables that come with the package).
+
+MuJoCo loads when a table is drawn or seen, never when this package is imported.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from halfseen.scene.camera import Camera
+    from halfseen.scene.cups import Cup
+    from halfseen.scene.draw import random_table
+    from halfseen.scene.poses import Pose
+    from halfseen.scene.record import Capture, capture
+    from halfseen.scene.shipped import read_table, read_truth, table_paths
+    from halfseen.scene.table import Table
+    from halfseen.scene.truth import Truth
+
+__all__ = [
+    "Camera",
+    "Capture",
+    "Cup",
+    "Pose",
+    "Table",
+    "Truth",
+    "capture",
+    "random_table",
+    "read_table",
+    "read_truth",
+    "table_paths",
+]
+
+_MODULE_OF = {
+    "Camera": "camera",
+    "Capture": "record",
+    "Cup": "cups",
+    "Pose": "poses",
+    "Table": "table",
+    "Truth": "truth",
+    "capture": "record",
+    "random_table": "draw",
+    "read_table": "shipped",
+    "read_truth": "shipped",
+    "table_paths": "shipped",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}; it has {', '.join(__all__)}")
+    return getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)

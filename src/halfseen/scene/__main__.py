@@ -1,0 +1,32 @@
+"""Make the ten tables that come with the package anew: ``python -m halfseen.scene [--out DIR]``."""
+
+from pathlib import Path
+
+import click
+from tqdm import tqdm
+
+from halfseen.errors import HalfseenError
+from halfseen.scene.shipped import NUM_TABLES, write_shipped
+
+
+@click.command()
+@click.option(
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path(__file__).parent,
+    help="Folder that gets tables/ and truth/; by default the package itself.",
+)
+def main(out: Path) -> None:
+    """Make the ten tables anew, clouds and truth; the same versions give the same bytes.
+
+    Example: python -m halfseen.scene --out fresh
+    """
+    try:
+        for k in tqdm(range(NUM_TABLES), desc="tables", unit="table", disable=None):
+            write_shipped(out, [k])
+    except HalfseenError as error:
+        raise SystemExit(f"halfseen.scene: {error}") from error
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,97 @@
+"""Rigid poses: where a thing is and how it is turned."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from halfseen.arrays import Points
+from halfseen.errors import SceneError
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A rigid transform ``to_from_frame``: `position_m` is the frame's origin, `quaternion` turns the frame's axes.
+
+    Parameters
+    ----------
+    position_m
+        Origin of the frame [m].
+    quaternion
+        Unit quaternion, scalar first (w, x, y, z).
+
+    Raises
+    ------
+    SceneError
+        A number is not finite, or the quaternion does not have length 1.
+    """
+
+    position_m: tuple[float, float, float]
+    quaternion: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        numbers = (*self.position_m, *self.quaternion)
+        if not np.all(np.isfinite(numbers)):
+            raise SceneError(f"pose: {numbers} holds a number that is not finite; a pose has seven finite numbers")
+        length = float(np.linalg.norm(self.quaternion))
+        if abs(length - 1.0) > 1e-4:
+            raise SceneError(f"pose: the quaternion {self.quaternion} has length {length:.6g}; divide it by its length")
+
+    @property
+    def rotation(self) -> Float[np.ndarray, "3 3"]:
+        """Rotation matrix; its columns are the frame's axes."""
+        w, x, y, z = np.asarray(self.quaternion) / np.linalg.norm(self.quaternion)
+        return np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+
+    def apply(self, points_m: Points) -> Points:
+        """Carry points of the frame over: rotate, then shift [m]."""
+        return points_m @ self.rotation.T + np.asarray(self.position_m)
+
+    def apply_inverse(self, points_m: Points) -> Points:
+        """Carry points into the frame: shift back, then rotate back [m]."""
+        return (points_m - np.asarray(self.position_m)) @ self.rotation
+
+    def rounded(self) -> "Pose":
+        """The same pose to a micrometre, and the quaternion to 1e-7, so that a file holds it exactly."""
+        x_m, y_m, z_m = (round(float(value), 6) for value in self.position_m)
+        w, x, y, z = (round(float(value), 7) for value in self.quaternion)
+        return Pose((x_m, y_m, z_m), (w, x, y, z))
+
+
+def about_axis(axis: tuple[float, float, float], angle_rad: float) -> tuple[float, float, float, float]:
+    """Quaternion that turns by an angle about a unit axis.
+
+    Parameters
+    ----------
+    axis
+        Unit axis.
+    angle_rad
+        Angle [rad], right-handed.
+
+    Returns
+    -------
+    tuple
+        (w, x, y, z).
+    """
+    half_sine = float(np.sin(angle_rad / 2))
+    return (float(np.cos(angle_rad / 2)), axis[0] * half_sine, axis[1] * half_sine, axis[2] * half_sine)
+
+
+def compose(
+    first: tuple[float, float, float, float], then: tuple[float, float, float, float]
+) -> tuple[float, float, float, float]:
+    """Quaternion that turns by `first`, and `then` by the second, both about fixed axes."""
+    w1, x1, y1, z1 = then
+    w2, x2, y2, z2 = first
+    return (
+        w1 * w2 - x1 * x2 - y1 * y2 - z1 * z2,
+        w1 * x2 + x1 * w2 + y1 * z2 - z1 * y2,
+        w1 * y2 - x1 * z2 + y1 * w2 + z1 * x2,
+        w1 * z2 + x1 * y2 - y1 * x2 + z1 * w2,
+    )

@@ -1,0 +1,63 @@
+"""Ray casting: what a ray from one point meets first."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from jaxtyping import Float, Int
+
+Directions = Float[np.ndarray, "rays 3"]
+
+
+@dataclass(frozen=True)
+class Hits:
+    """What each ray met first.
+
+    Parameters
+    ----------
+    distance_m
+        Way along the ray [m]; NaN where it met nothing.
+    body
+        Body that was met; −1 where none was.
+    normal
+        Unit normal of the surface; NaN where nothing was met.
+    """
+
+    distance_m: Float[np.ndarray, " rays"]
+    body: Int[np.ndarray, " rays"]
+    normal: Float[np.ndarray, "rays 3"]
+
+
+def cast(model: mujoco.MjModel, origin_m: Float[np.ndarray, " 3"], unit_directions: Directions, reach_m: float) -> Hits:
+    """Cast rays from one point into a model whose bodies do not move.
+
+    Parameters
+    ----------
+    model
+        The world; it is not changed.
+    origin_m
+        Where all rays start [m].
+    unit_directions
+        Directions of length 1.
+    reach_m
+        Bodies beyond this distance are left out [m].
+
+    Returns
+    -------
+    Hits
+        One entry for each ray.
+    """
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    num_rays = len(unit_directions)
+    geom = np.full(num_rays, -1, dtype=np.int32)
+    distance_m = np.full(num_rays, -1.0)
+    normal = np.zeros(3 * num_rays)
+    directions = np.ascontiguousarray(unit_directions, dtype=np.float64).ravel()
+    mujoco.mj_multiRay(
+        model, data, origin_m, directions, None, True, -1, geom, distance_m, normal, num_rays, reach_m
+    )
+    is_hit = geom >= 0
+    body = np.where(is_hit, model.geom_bodyid[np.maximum(geom, 0)], -1).astype(np.int64)
+    normal = normal.reshape(-1, 3)
+    return Hits(np.where(is_hit, distance_m, np.nan), body, np.where(is_hit[:, None], normal, np.nan))

@@ -1,0 +1,54 @@
+"""Take a picture of a table: the cloud that the sensor returns, and the truth beside it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from halfseen.arrays import Image
+from halfseen.perception.clouds import Cloud
+from halfseen.scene.table import Table
+from halfseen.scene.truth import Truth, truth_of
+from halfseen.scene.view import lone_depths_m, table_view
+from halfseen.scene.xtion import BASELINE_M, sense
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """A picture of a table.
+
+    Parameters
+    ----------
+    cloud
+        Organised cloud in the camera's frame; coordinates are float32 numbers, so that a file holds them exactly.
+    depth_m
+        The depth image that the cloud was made from [m]; NaN where nothing returned.
+    truth
+        What is true of the table. Perception must not see it.
+    """
+
+    cloud: Cloud
+    depth_m: Image
+    truth: Truth
+
+
+def capture(table: Table, seed: int) -> Capture:
+    """Look at a table with the depth camera.
+
+    Parameters
+    ----------
+    table
+        The table.
+    seed
+        Seed of the sensor's noise.
+
+    Returns
+    -------
+    Capture
+        The same table and seed give the same bytes.
+    """
+    view = table_view(table, BASELINE_M)
+    depth_m = sense(view, table.camera.focal_px[0], np.random.default_rng(seed))
+    lifted = Cloud.from_depth(depth_m, table.camera.intrinsics, table.name)
+    points_m = lifted.points_m.astype(np.float32).astype(np.float64)
+    cloud = Cloud(points_m, lifted.shape, lifted.intrinsics, table.name)
+    return Capture(cloud, depth_m, truth_of(table, lone_depths_m(table)))

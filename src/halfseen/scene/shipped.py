@@ -1,0 +1,209 @@
+"""The ten tables that come with the package: clouds for everyone, truth for tests.
+
+A cloud is an organised PCD file in the camera's frame, with its intrinsics in the header. To keep the ten small, returns
+beyond 1.8 m (the room behind the table) are left out of the files; `capture` keeps them. The truth of each table is a
+JSON file beside them: cups, poses, camera, labels (as run lengths), occlusion.
+"""
+
+import json
+import os
+from collections.abc import Callable, Iterable
+from dataclasses import asdict
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Int
+
+from halfseen.errors import ArgumentError, SceneError
+from halfseen.perception.clouds import Cloud, write_pcd
+from halfseen.scene.camera import Camera
+from halfseen.scene.cups import Cup
+from halfseen.scene.poses import Pose
+from halfseen.scene.table import Table
+from halfseen.scene.truth import Truth
+
+SEEDS = tuple(range(10))  # table k and its noise are drawn with seed SEEDS[k]
+KEPT_WITHIN_M = 1.8
+NUM_TABLES = len(SEEDS)
+
+
+def table_paths() -> list[Path]:
+    """Files of the ten clouds, in order.
+
+    Returns
+    -------
+    list of Path
+        ``table_00.pcd`` … ``table_09.pcd``, to be read with `halfseen.perception.read_cloud`.
+    """
+    return [cloud_path(_package_folder(), k) for k in range(NUM_TABLES)]
+
+
+def read_truth(k: int) -> Truth:
+    """Truth of a table that comes with the package.
+
+    Parameters
+    ----------
+    k
+        Which table, from 0 to 9.
+
+    Returns
+    -------
+    Truth
+        Labels, occlusion and the rest; perception must not see it.
+
+    Raises
+    ------
+    ArgumentError
+        There is no such table.
+    """
+    return _truth_from(_read_json(k)["truth"])
+
+
+def read_table(k: int) -> Table:
+    """Table that comes with the package: its cups, their poses and the camera. Parameters and errors as `read_truth`."""
+    return _table_from(_read_json(k)["table"])
+
+
+def write_shipped(folder: Path, which: Iterable[int]) -> None:
+    """Make tables anew, cloud and truth; each file appears whole or not at all.
+
+    Parameters
+    ----------
+    folder
+        Where to; ``tables`` and ``truth`` are made in it.
+    which
+        Numbers of the tables, from 0 to 9.
+
+    Raises
+    ------
+    SceneError
+        A file cannot be written there.
+    """
+    # Only making tables needs MuJoCo; reading them does not.
+    from halfseen.scene.draw import random_table
+    from halfseen.scene.record import capture
+
+    for k in which:
+        table = random_table(SEEDS[_checked(k)])
+        picture = capture(table, SEEDS[k])
+        path = cloud_path(folder, k)
+        _make_folder(path.parent)
+        write_pcd(within(picture.cloud, KEPT_WITHIN_M), path)
+        _write_json({"table": asdict(table), "truth": _truth_as_json(picture.truth)}, truth_path(folder, k))
+
+
+def within(cloud: Cloud, reach_m: float) -> Cloud:
+    """The cloud without the returns whose depth is beyond a reach [m]; the rays stay, as NaN."""
+    points_m = np.where(cloud.points_m[:, 2:] <= reach_m, cloud.points_m, np.nan)
+    return Cloud(points_m, cloud.shape, cloud.intrinsics, cloud.name)
+
+
+def cloud_path(folder: Path, k: int) -> Path:
+    """Where the cloud of table k is."""
+    return folder / "tables" / f"table_{k:02d}.pcd"
+
+
+def truth_path(folder: Path, k: int) -> Path:
+    """Where the truth of table k is."""
+    return folder / "truth" / f"table_{k:02d}.json"
+
+
+def run_lengths(labels: Int[np.ndarray, "H W"]) -> list[list[int]]:
+    """Labels row by row as [label, how many pixels] pairs."""
+    flat = labels.ravel()
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(flat)) + 1])
+    counts = np.diff(np.concatenate([starts, [len(flat)]]))
+    return [[int(label), int(count)] for label, count in zip(flat[starts], counts, strict=True)]
+
+
+def labels_of(runs: list[list[int]], shape: tuple[int, int]) -> Int[np.ndarray, "H W"]:
+    """Labels of run lengths; the inverse of `run_lengths`."""
+    label, count = np.array(runs, dtype=np.int64).T
+    return np.repeat(label, count).reshape(shape)
+
+
+def _package_folder() -> Path:
+    return Path(str(files("halfseen.scene")))
+
+
+def _checked(k: int) -> int:
+    if not 0 <= k < NUM_TABLES:
+        raise ArgumentError(f"table {k}: there are {NUM_TABLES} tables, numbered from 0 to {NUM_TABLES - 1}")
+    return k
+
+
+def _read_json(k: int) -> dict[str, Any]:
+    path = truth_path(_package_folder(), _checked(k))
+    if not path.is_file():
+        raise SceneError(f"{path}: no such file; make it with `python -m halfseen.scene`")
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def _make_folder(folder: Path) -> None:
+    _or_scene_error(lambda: folder.mkdir(parents=True, exist_ok=True), folder)
+
+
+def _write_json(content: dict[str, Any], path: Path) -> None:
+    _make_folder(path.parent)
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    text = json.dumps(content, separators=(",", ":")) + "\n"
+    try:
+        _or_scene_error(lambda: partial.write_text(text, encoding="utf-8"), path)
+        _or_scene_error(lambda: partial.replace(path), path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _or_scene_error(write: Callable[[], object], path: Path) -> None:
+    try:
+        write()
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be written: {error.strerror or error}; choose another folder") from error
+
+
+def _truth_as_json(truth: Truth) -> dict[str, Any]:
+    return {
+        "shape": list(truth.labels.shape),
+        "label_runs": run_lengths(truth.labels),
+        "occlusion": truth.occlusion.tolist(),
+        "hides": truth.hides.tolist(),
+        "silhouette_px": truth.silhouette_px.tolist(),
+        "centroid_m": truth.centroid_m.tolist(),
+        "is_fallen": truth.is_fallen.tolist(),
+        "height_m": truth.height_m.tolist(),
+    }
+
+
+def _truth_from(content: dict[str, Any]) -> Truth:
+    num_rows, num_columns = content["shape"]
+    return Truth(
+        labels=labels_of(content["label_runs"], (num_rows, num_columns)),
+        occlusion=np.array(content["occlusion"]),
+        hides=np.array(content["hides"]),
+        silhouette_px=np.array(content["silhouette_px"]),
+        centroid_m=np.array(content["centroid_m"]),
+        is_fallen=np.array(content["is_fallen"]),
+        height_m=np.array(content["height_m"]),
+    )
+
+
+def _table_from(content: dict[str, Any]) -> Table:
+    camera = content["camera"]
+    return Table(
+        cups=tuple(Cup(**cup) for cup in content["cups"]),
+        world_from_cup=tuple(_pose_from(pose) for pose in content["world_from_cup"]),
+        camera=Camera(
+            _pose_from(camera["world_from_camera"]),
+            tuple(camera["focal_px"]),
+            tuple(camera["centre_px"]),
+            camera["num_rows"],
+            camera["num_columns"],
+        ),
+        name=content["name"],
+    )
+
+
+def _pose_from(content: dict[str, Any]) -> Pose:
+    return Pose(tuple(content["position_m"]), tuple(content["quaternion"]))

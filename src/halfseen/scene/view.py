@@ -1,0 +1,133 @@
+"""What an ideal camera sees: depth, labels, and the silhouette of each cup as if it stood alone."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from halfseen.arrays import Image
+from halfseen.scene.camera import Camera
+from halfseen.scene.cups import Cup, outline
+from halfseen.scene.poses import Pose
+from halfseen.scene.rays import Hits, cast
+from halfseen.scene.room import lone_cup_model, room_model
+from halfseen.scene.table import Table
+
+_LIT_TOLERANCE_M = 0.002  # a ray from the projector may stop this much before the point and still light it
+_REACH_M = 8.0
+
+
+@dataclass(frozen=True)
+class IdealView:
+    """A view without noise.
+
+    Parameters
+    ----------
+    depth_m
+        Distance along the camera's z axis [m]; NaN where nothing is met.
+    body
+        Body of each pixel: 0 is the room, i + 1 is cup i, −1 is nothing.
+    incidence_cosine
+        Cosine of the angle between ray and surface normal; NaN where nothing is met.
+    is_lit
+        True where a projector beside the camera reaches the point that the camera sees.
+    """
+
+    depth_m: Image
+    body: Int[np.ndarray, "H W"]
+    incidence_cosine: Image
+    is_lit: Bool[np.ndarray, "H W"]
+
+    @property
+    def labels(self) -> Int[np.ndarray, "H W"]:
+        """Cup of each pixel; −1 where there is none."""
+        return np.where(self.body > 0, self.body - 1, -1)
+
+
+def ideal_view(model, camera: Camera, baseline_m: float) -> IdealView:
+    """See a model with an ideal camera, and from a projector beside it.
+
+    Parameters
+    ----------
+    model
+        A compiled MuJoCo model whose bodies do not move.
+    camera
+        The camera.
+    baseline_m
+        The projector stands this far to the camera's right [m].
+
+    Returns
+    -------
+    IdealView
+        The view.
+    """
+    rays = camera.pixel_rays().reshape(-1, 3)
+    lengths = np.linalg.norm(rays, axis=1)
+    rotation = camera.world_from_camera.rotation
+    origin_m = np.asarray(camera.world_from_camera.position_m)
+    directions = (rays / lengths[:, None]) @ rotation.T
+    hits = cast(model, origin_m, directions, _REACH_M)
+    points_m = origin_m + hits.distance_m[:, None] * directions
+    shape = (camera.num_rows, camera.num_columns)
+    return IdealView(
+        depth_m=(hits.distance_m / lengths).reshape(shape),
+        body=hits.body.reshape(shape),
+        incidence_cosine=np.abs(np.sum(hits.normal * directions, axis=1)).reshape(shape),
+        is_lit=_is_lit(model, origin_m + baseline_m * rotation[:, 0], points_m).reshape(shape),
+    )
+
+
+def table_view(table: Table, baseline_m: float) -> IdealView:
+    """See a table, with everything on it, with its own camera. Parameters as for `ideal_view`."""
+    return ideal_view(room_model(table.cups, table.world_from_cup, is_free=False), table.camera, baseline_m)
+
+
+def lone_depths_m(table: Table) -> Float[np.ndarray, "N H W"]:
+    """Depth image of every cup as if it stood alone in the world [m]; infinite where it is not.
+
+    Only pixels inside the box around the cup's outline are cast, so that ten cups cost less than one full picture.
+    """
+    depths_m = np.full((table.num_cups, table.camera.num_rows, table.camera.num_columns), np.inf)
+    for index, (cup, pose) in enumerate(zip(table.cups, table.world_from_cup, strict=True)):
+        window = _window(table.camera, cup, pose)
+        rays = table.camera.pixel_rays()[window]
+        lengths = np.linalg.norm(rays, axis=2)
+        directions = (rays / lengths[..., None]).reshape(-1, 3) @ table.camera.world_from_camera.rotation.T
+        origin_m = np.asarray(table.camera.world_from_camera.position_m)
+        hits: Hits = cast(lone_cup_model(cup, pose), origin_m, directions, _REACH_M)
+        depth_m = hits.distance_m.reshape(lengths.shape) / lengths
+        depths_m[index][window] = np.where(np.isnan(depth_m), np.inf, depth_m)
+    return depths_m
+
+
+def is_whole_in_picture(table: Table, margin_px: float = 8.0) -> bool:
+    """Whether every cup lies inside the picture, away from its border by a margin [px]."""
+    size_px = np.array([table.camera.num_columns, table.camera.num_rows]) - 1.0
+    for cup, pose in zip(table.cups, table.world_from_cup, strict=True):
+        pixels = table.camera.project(pose.apply(outline(cup)))
+        if np.any(pixels < margin_px) or np.any(pixels > size_px - margin_px):
+            return False
+    return True
+
+
+def _is_lit(model, projector_m: Float[np.ndarray, " 3"], points_m: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+    """Which points the projector reaches: the first thing on the way to a point is the point itself."""
+    is_point = np.isfinite(points_m[:, 0])
+    ways_m = points_m[is_point] - projector_m
+    lengths_m = np.linalg.norm(ways_m, axis=1)
+    first = cast(model, projector_m, ways_m / lengths_m[:, None], _REACH_M + 1.0)
+    # A ray that meets nothing passed by the edge of the very surface it was aimed at: the point is lit.
+    reached = np.isnan(first.distance_m) | (first.distance_m >= lengths_m - _LIT_TOLERANCE_M)
+    is_lit = np.zeros(len(points_m), dtype=bool)
+    is_lit[is_point] = reached
+    return is_lit
+
+
+def _window(camera: Camera, cup: Cup, world_from_cup: Pose) -> tuple[slice, slice]:
+    """Rows and columns of the box around a cup's outline, inside the picture."""
+    pixels = camera.project(world_from_cup.apply(outline(cup)))
+    low = np.floor(pixels.min(axis=0)).astype(int)
+    high = np.ceil(pixels.max(axis=0)).astype(int) + 1
+    columns = slice(max(int(low[0]), 0), min(int(high[0]), camera.num_columns))
+    rows = slice(max(int(low[1]), 0), min(int(high[1]), camera.num_rows))
+    return rows, columns
