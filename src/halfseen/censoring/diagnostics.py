@@ -1,0 +1,83 @@
+"""What a set of weights is worth: how many paths' worth of evidence it leaves, and who carries it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from halfseen.censoring.inputs import checked_truncation
+from halfseen.errors import ArgumentError
+
+
+@dataclass(frozen=True)
+class WeightDiagnostics:
+    """A summary of inverse-probability weights.
+
+    Parameters
+    ----------
+    num_weights
+        Number of weights, those of cut paths included.
+    num_seen
+        Number of weights above 0.
+    effective_sample_size
+        (Σ w)² / Σ w²: that many equal weights would give the same variance; 0 where nothing was seen.
+    largest_weight
+        The largest weight; 0 where nothing was seen.
+    largest_at
+        Its index, one integer an axis; None where nothing was seen.
+    share_truncated
+        Share of Σ w that stands on weights at the bound, in [0, 1].
+    """
+
+    num_weights: int
+    num_seen: int
+    effective_sample_size: float
+    largest_weight: float
+    largest_at: tuple[int, ...] | None
+    share_truncated: float
+
+    def __str__(self) -> str:
+        if self.num_seen == 0:
+            return f"None of {self.num_weights} were seen, so there is nothing to weigh."
+        truncated = f", and {self.share_truncated:.1%} of the weight is truncated" if self.share_truncated else ""
+        return (
+            f"{self.num_seen} of {self.num_weights} were seen and are worth {self.effective_sample_size:.1f} equally "
+            f"weighted ones; the largest weight is {self.largest_weight:.3g}{truncated}."
+        )
+
+
+def weight_diagnostics(weights: ArrayLike, truncate_at: float | None = None) -> WeightDiagnostics:
+    """Summarise weights as they are used.
+
+    Parameters
+    ----------
+    weights
+        Weights ≥ 0 of any shape, 0 where nothing was seen.
+    truncate_at
+        The bound that the weights were truncated at, if any; weights at the bound count as truncated.
+
+    Raises
+    ------
+    ArgumentError
+        A weight is negative or not finite.
+    """
+    bound = checked_truncation(truncate_at)
+    values = np.asarray(weights, dtype=np.float64)
+    wrong = np.argwhere(~((values >= 0) & np.isfinite(values)))
+    if len(wrong):
+        at = tuple(wrong[0].tolist())
+        raise ArgumentError(f"weights{list(at)} is {values[at]}; a weight is finite and ≥ 0")
+    if not values.any():
+        return WeightDiagnostics(values.size, 0, 0.0, 0.0, None, 0.0)
+    total = values.sum()
+    largest_at = np.unravel_index(int(values.argmax()), values.shape)
+    # 1/(1/bound) may miss the bound by one unit in the last place.
+    truncated = 0.0 if bound is None else values[values >= bound * (1 - 1e-12)].sum() / total
+    return WeightDiagnostics(
+        num_weights=values.size,
+        num_seen=int(np.count_nonzero(values)),
+        effective_sample_size=float(total**2 / np.square(values).sum()),
+        largest_weight=float(values.max()),
+        largest_at=tuple(int(index) for index in largest_at),
+        share_truncated=float(truncated),
+    )

@@ -1,0 +1,142 @@
+"""Kaplan–Meier for the time of the cut, with completions before cuts at equal times (design, §2).
+
+========  ========================================================
+symbol    here
+========  ========================================================
+X_i       ``time``: the observed end of path i [s]
+δ_i       ``is_finished``: False = cut
+s         ``times_``: the distinct times at which paths were cut [s]
+Ĝ(s)      ``survival_``: just after the cuts at s
+Ĝ(u⁻)     ``survival(u)``: just before the cuts at u, P(C ≥ u)
+========  ========================================================
+"""
+
+from typing import Any, Self
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from halfseen.arrays import RowMask, Rows
+from halfseen.censoring.inputs import checked_ends
+from halfseen.errors import ArgumentError
+
+
+class KaplanMeier:
+    """Product-limit estimate of how long paths are watched, the same for all paths.
+
+    Ĝ(u⁻) = Π_{s<u} (1 − cuts(s) / (at_risk(s) − finished(s))), where a path that finishes at s leaves before those that
+    are cut at s [KaplanMeier1958]_. Beyond the last observed end Ĝ keeps its last value: 0 when the last paths were
+    cut, and otherwise a value that no path speaks for, so ask no further than ``last_time_``.
+
+    Attributes
+    ----------
+    times_ : Float[ndarray, "k"]
+        Distinct times at which paths were cut [s], increasing.
+    survival_ : Float[ndarray, "k"]
+        Ĝ just after each of `times_`: the steps of the right-continuous curve.
+    num_paths_ : int
+        Number of paths that the curve was fitted to.
+    num_cut_ : int
+        Number of those that were cut.
+    last_time_ : float
+        The last observed end [s]; nothing was seen beyond it.
+
+    Examples
+    --------
+    >>> KaplanMeier().fit([1.0, 2.0, 2.0, 3.0], [True, False, True, True]).survival([2.0, 2.5])
+    array([1. , 0.5])
+    """
+
+    times_: Float[np.ndarray, " k"]
+    survival_: Float[np.ndarray, " k"]
+    num_paths_: int
+    num_cut_: int
+    last_time_: float
+
+    def __repr__(self) -> str:
+        return "KaplanMeier()"
+
+    def get_params(self, deep: bool = True) -> dict[str, Any]:
+        """Parameters of the constructor: none."""
+        return {}
+
+    def set_params(self, **params: Any) -> Self:
+        """Refuse every parameter: there are none."""
+        if params:
+            raise ArgumentError(f"KaplanMeier has no parameter {sorted(params)[0]!r}; it has none at all")
+        return self
+
+    def fit(self, time: ArrayLike, is_finished: ArrayLike, covariates: None = None) -> Self:
+        """Fit the curve.
+
+        Parameters
+        ----------
+        time
+            Observed end of each path [s], shape (n,).
+        is_finished
+            False where the path was cut, shape (n,).
+        covariates
+            None: the curve is the same for all paths, and a covariate that changes nothing would be a false promise.
+
+        Raises
+        ------
+        ArgumentError
+            A time is not finite and positive, the lengths differ, or covariates were given.
+        """
+        _refuse_covariates(covariates)
+        ends, finished = checked_ends(time, is_finished)
+        self.times_, self.survival_ = _steps(ends, finished)
+        self.num_paths_ = len(ends)
+        self.num_cut_ = int(len(ends) - np.count_nonzero(finished))
+        self.last_time_ = float(ends.max())
+        return self
+
+    def survival(self, u: ArrayLike, covariates: None = None) -> Float[np.ndarray, "..."]:
+        """Ĝ(u⁻) = P(C ≥ u).
+
+        Parameters
+        ----------
+        u
+            Times asked about [s], any shape.
+        covariates
+            None.
+
+        Returns
+        -------
+        Float[ndarray, "..."]
+            The left limits, in the shape of `u`.
+
+        Raises
+        ------
+        ArgumentError
+            The model is not fitted, or a time is NaN.
+        """
+        _refuse_covariates(covariates)
+        if not hasattr(self, "times_"):
+            raise ArgumentError("this KaplanMeier is not fitted; call fit(time, is_finished) first")
+        times = np.asarray(u, dtype=np.float64)
+        if np.isnan(times).any():
+            row = int(np.argmax(np.isnan(times.ravel())))
+            raise ArgumentError(f"u, row {row}: nan is no time; leave out the stages that were not completed")
+        levels = np.concatenate(([1.0], self.survival_))
+        # Searching in the order of the times is several times faster than jumping about in a long curve.
+        order = np.argsort(times, axis=None)
+        seen = np.empty(times.size)
+        seen[order] = levels[np.searchsorted(self.times_, times.ravel()[order], side="left")]
+        return seen.reshape(times.shape)
+
+
+def _steps(ends: Rows, finished: RowMask) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """Find the times of the cuts and Ĝ after each: those still watched at s end in a cut ≥ s or finish > s."""
+    cut_ends, own_ends = np.sort(ends[~finished]), np.sort(ends[finished])
+    first = np.flatnonzero(np.diff(cut_ends, prepend=-np.inf))
+    times = cut_ends[first]
+    cuts = np.diff(first, append=len(cut_ends))
+    num_watched = (len(cut_ends) - first) + (len(own_ends) - np.searchsorted(own_ends, times, side="right"))
+    return times, np.cumprod((num_watched - cuts) / num_watched)
+
+
+def _refuse_covariates(covariates: object) -> None:
+    if covariates is not None:
+        raise ArgumentError("KaplanMeier takes no covariates; leave them out, or choose a model that uses them")

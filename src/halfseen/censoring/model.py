@@ -1,0 +1,23 @@
+"""What a censoring model is: anything that, once fitted to the ends of paths, tells P(C ≥ u | z)."""
+
+from typing import Any, Protocol, Self, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+
+@runtime_checkable
+class CensoringModel(Protocol):
+    """Estimates how long a path is watched before something outside the task cuts it.
+
+    The cut time C is itself censored, by the path's own end. At equal times completions come before cuts.
+    """
+
+    def fit(self, time: ArrayLike, is_finished: ArrayLike, covariates: Any = None) -> Self:
+        """Fit to the observed ends of paths `time` [s], shape (n,), False in `is_finished` where a path was cut."""
+        ...
+
+    def survival(self, u: ArrayLike, covariates: Any = None) -> Float[np.ndarray, "..."]:
+        """Ĝ(u⁻ | z) = P(C ≥ u | z), the left limit, at the times `u` [s]; `covariates` has one row for each of `u`."""
+        ...

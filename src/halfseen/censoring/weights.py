@@ -1,0 +1,175 @@
+"""Inverse-probability-of-censoring weights: w = δ / Ĝ(U⁻), for paths and their stages (design, §2; paper, eqs. 2, 3).
+
+A stage that was completed at U stands for all that would have been completed then, had nothing been cut
+[Robins1992]_ [GoldbergKosorok2012]_ [GoldbergKosorok2017]_.
+"""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
+
+from halfseen.arrays import Rows
+from halfseen.censoring.inputs import checked_ends, checked_floats, checked_truncation
+from halfseen.censoring.kaplan_meier import KaplanMeier
+from halfseen.censoring.model import CensoringModel
+from halfseen.errors import ArgumentError, PositivityError
+
+
+def censoring_weights(
+    time: ArrayLike,
+    is_finished: ArrayLike,
+    model: CensoringModel | None = None,
+    *,
+    covariates: ArrayLike | None = None,
+    truncate_at: float | None = None,
+    path_ids: ArrayLike | None = None,
+) -> Rows:
+    """Weight of each path's own end: is_finished / Ĝ(time⁻ | z).
+
+    Parameters
+    ----------
+    time
+        Observed end of each path [s], shape (n,).
+    is_finished
+        False where the path was cut, shape (n,).
+    model
+        A fitted model of the cuts; None fits `KaplanMeier` to these paths.
+    covariates
+        What `model` conditions on, one row for each path.
+    truncate_at
+        Largest weight allowed, ≥ 1; None truncates nothing.
+    path_ids
+        Names of the paths for messages; their rows by default.
+
+    Returns
+    -------
+    Float[ndarray, "n"]
+        The weights, 0 where cut.
+
+    Raises
+    ------
+    PositivityError
+        Ĝ is 0 at an observed end, and no truncation was asked for.
+    ArgumentError
+        A value is none that a path can have; the row is named.
+    """
+    ends, finished = checked_ends(time, is_finished)
+    model = KaplanMeier().fit(ends, finished) if model is None else model
+    rows = np.flatnonzero(finished)
+    seen = _survival(model, ends[rows], covariates, rows, len(ends))
+    names = _names(path_ids, len(ends))
+    weights = np.zeros(len(ends))
+    weights[rows] = _inverse(seen, truncate_at, lambda k: (f"path {names[rows[k]]}", "finished", ends[rows[k]]))
+    return weights
+
+
+def stage_weights(
+    elapsed_s: ArrayLike,
+    end_s: ArrayLike,
+    is_finished: ArrayLike,
+    model: CensoringModel | None = None,
+    truncate_at: float | None = None,
+    *,
+    covariates: ArrayLike | None = None,
+    path_ids: ArrayLike | None = None,
+) -> Float[np.ndarray, "n T"]:
+    """Weight of each completed stage: w_it = δ_it / Ĝ(U_it⁻ | z_i).
+
+    Parameters
+    ----------
+    elapsed_s
+        Clock at the end of each stage [s], NaN where the stage was not completed, shape (n, T).
+    end_s
+        Observed end of each path [s], shape (n,).
+    is_finished
+        False where the path was cut, shape (n,).
+    model
+        A fitted model of the cuts; None fits `KaplanMeier` to the ends of these paths.
+    truncate_at
+        Largest weight allowed, ≥ 1; None truncates nothing.
+    covariates
+        What `model` conditions on, one row for each path.
+    path_ids
+        Names of the paths for messages; their rows by default.
+
+    Returns
+    -------
+    Float[ndarray, "n T"]
+        The weights, 0 where the stage was not completed.
+
+    Raises
+    ------
+    PositivityError
+        Ĝ is 0 at an observed completion, and no truncation was asked for.
+    ArgumentError
+        A value is none that a path can have; the row and the stage are named.
+    """
+    ends, finished = checked_ends(end_s, is_finished, "end_s")
+    clock = checked_floats(elapsed_s, "elapsed_s", ndim=2)
+    names = _names(path_ids, len(ends))
+    _check_clock(clock, ends, names)
+    model = KaplanMeier().fit(ends, finished) if model is None else model
+    rows, columns = np.nonzero(~np.isnan(clock))
+    times = clock[rows, columns]
+    seen = _survival(model, times, covariates, rows, len(ends))
+    weights = np.zeros(clock.shape)
+    weights[rows, columns] = _inverse(
+        seen, truncate_at, lambda k: (f"path {names[rows[k]]}, stage {columns[k] + 1}", "completed", times[k])
+    )
+    return weights
+
+
+def _survival(
+    model: CensoringModel, times: Float[np.ndarray, " k"], covariates: Any, rows: Int[np.ndarray, " k"], num_paths: int
+) -> Float[np.ndarray, " k"]:
+    """Ĝ(times⁻ | z of each row)."""
+    if covariates is None:
+        return np.asarray(model.survival(times), dtype=np.float64)
+    covariates = np.asarray(covariates)
+    if len(covariates) != num_paths:
+        raise ArgumentError(f"covariates has {len(covariates)} rows for {num_paths} paths; give one row per path")
+    return np.asarray(model.survival(times, covariates[rows]), dtype=np.float64)
+
+
+def _inverse(seen: Float[np.ndarray, " k"], truncate_at: float | None, describe: Any) -> Float[np.ndarray, " k"]:
+    """1/Ĝ, bounded; `describe(k)` tells where, what and when entry k was seen."""
+    bound = checked_truncation(truncate_at)
+    wrong = ~((seen >= 0) & (seen <= 1))
+    if wrong.any():
+        k = int(np.argmax(wrong))
+        where, what, when = describe(k)
+        raise ArgumentError(
+            f"{where}: the censoring model gives P(C ≥ {when:g} s) = {seen[k]}; a probability lies in [0, 1]"
+        )
+    unseen = seen == 0
+    if bound is None and unseen.any():
+        where, what, when = describe(int(np.argmax(unseen)))
+        raise PositivityError(
+            f"{where}: {what} at {when:g} s, where the censoring model leaves no path uncut (Ĝ = 0), so its weight "
+            f"is not identified; shorten the horizon so that it ends before {when:g} s, fit the model to paths "
+            "that were watched longer, or truncate the weights knowingly with truncate_at=…"
+        )
+    if bound is None:
+        return 1.0 / seen
+    return 1.0 / np.maximum(seen, 1.0 / bound)
+
+
+def _check_clock(clock: Float[np.ndarray, "n T"], ends: Rows, names: np.ndarray) -> None:
+    if len(clock) != len(ends):
+        raise ArgumentError(f"elapsed_s has {len(clock)} rows and end_s has {len(ends)}; give one of each per path")
+    wrong = np.argwhere((clock <= 0) | (clock > ends[:, None]))
+    if len(wrong):
+        row, column = wrong[0]
+        raise ArgumentError(
+            f"path {names[row]}, stage {column + 1}: elapsed_s {clock[row, column]} is not in (0, {ends[row]}], so not "
+            "between the path's beginning and its end_s; fix the clock, or put NaN where the stage was not completed"
+        )
+
+
+def _names(path_ids: ArrayLike | None, num_paths: int) -> np.ndarray:
+    names = np.arange(num_paths) if path_ids is None else np.asarray(path_ids)
+    if names.shape != (num_paths,):
+        raise ArgumentError(f"path_ids has shape {names.shape} for {num_paths} paths; give one name per path")
+    return names
