@@ -1,0 +1,11 @@
+"""What was recorded: stages, endings and their causes; checked once, kept on disk.
+
+Read down: `frames` (what is accepted) → `refusal` (how a broken log is told) → `columns` (which columns, of which
+types) → `path_checks`, `stage_checks`, `object_checks` (the invariants) → `summary` → `folder` (on disk) → `logs` (the
+record).
+"""
+
+from halfseen.logs.logs import Logs, read_logs
+from halfseen.logs.summary import LogsSummary
+
+__all__ = ["Logs", "LogsSummary", "read_logs"]

@@ -1,0 +1,107 @@
+"""Which columns each table has, and of which types."""
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+from jaxtyping import Bool
+
+from halfseen.errors import LogError
+from halfseen.logs.refusal import place, shown, value_at
+
+STAGE_COLUMNS = ("path", "stage", "elapsed_s", "action", "object", "reward", "probability")
+PATH_COLUMNS = ("path", "end_s", "ending", "cause")
+OBJECT_COLUMNS = ("path", "stage", "object")
+
+FINISHED, CUT = "finished", "cut"
+UNKNOWN_CAUSE = "unknown"
+
+
+def require_columns(name: str, frame: pd.DataFrame, needed: Iterable[str]) -> None:
+    """Refuse a table that lacks a column; the message names those there and the closest match."""
+    there = list(frame.columns)
+    for column in needed:
+        if column not in there:
+            close = get_close_matches(column, there, n=1)
+            remedy = f"rename {close[0]!r}?" if close else "add it"
+            raise LogError(f"{name}: there is no column {column!r} among {', '.join(there) or 'none'}; {remedy}")
+
+
+def as_floats(name: str, frame: pd.DataFrame, column: str) -> pd.Series:
+    """Turn a column into float64 with NaN where null; text is refused rather than parsed."""
+    values: Any = frame[column]
+    if values.isna().all():
+        return pd.Series(np.nan, index=frame.index, dtype="float64")
+    kind = pd.api.types.infer_dtype(values, skipna=True)
+    if kind not in {"integer", "floating", "mixed-integer-float", "decimal"}:
+        raise LogError(f"{name}: column {column!r} holds {kind}, not numbers; convert it")
+    return pd.Series(values.to_numpy(dtype=np.float64, na_value=np.nan), index=frame.index)
+
+
+def as_counts(name: str, frame: pd.DataFrame, column: str) -> pd.Series:
+    """Turn a column of whole numbers into int64."""
+    numbers = as_floats(name, frame, column).to_numpy()
+    wrong = ~(np.isfinite(numbers) & (numbers == np.floor(numbers)))
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise LogError(
+            f"{name}, row {row}, {place(frame, row, ('path',))}: {column} {numbers[row]} is no whole number; number "
+            "the stages of a path 1, 2, 3, …"
+        )
+    return pd.Series(numbers.astype(np.int64), index=frame.index)
+
+
+def as_labels(name: str, frame: pd.DataFrame, column: str, *, is_null_allowed: bool) -> pd.Series:
+    """Turn a column of names into whole numbers or text, whatever null did to its type on the way."""
+    values: Any = frame[column]
+    if isinstance(values.dtype, pd.CategoricalDtype):
+        values = values.astype(values.cat.categories.dtype)
+    is_null = values.isna().to_numpy()
+    if is_null.any() and not is_null_allowed:
+        raise LogError(f"{name}, row {int(np.argmax(is_null))}: {column} is null; every row needs its {column}")
+    if not pd.api.types.is_float_dtype(values.dtype) or is_null.all():
+        return values
+    numbers = values.to_numpy(dtype=np.float64, na_value=np.nan)
+    wrong = ~is_null & ~(np.isfinite(numbers) & (numbers == np.floor(numbers)))
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise LogError(f"{name}, row {row}: {column} {numbers[row]} is no name; give whole numbers or text")
+    return values.astype("Int64" if is_null.any() else "int64")
+
+
+def check_covariates(name: str, frame: pd.DataFrame, known: tuple[str, ...]) -> None:
+    """Refuse null and NaN among numeric covariates, those in lists included."""
+    columns = ("path", "stage", "object") if name == "objects" else ("path", "stage")
+    for column in frame.columns:
+        missing = _missing_numbers(frame[column]) if column not in known else np.zeros(0, dtype=bool)
+        if missing.any():
+            row = int(np.argmax(missing))
+            raise LogError(
+                f"{place(frame, row, columns)}: covariate {column} is {shown(value_at(frame, column, row))}; give the "
+                f"number that the policy saw, or leave column {column!r} of {name} out"
+            )
+
+
+def _missing_numbers(values: Any) -> Bool[np.ndarray, " rows"]:
+    """Rows that lack a number, in a numeric column or inside a list of numbers."""
+    if pd.api.types.is_numeric_dtype(values.dtype):
+        return values.isna().to_numpy()
+    if values.dtype == object and pd.api.types.infer_dtype(values, skipna=True) == "mixed":
+        return _missing_in_lists(pa.array(values, from_pandas=True))
+    return np.zeros(len(values), dtype=bool)
+
+
+def _missing_in_lists(lists: Any) -> Bool[np.ndarray, " rows"]:
+    if not pa.types.is_list(lists.type) or not _holds_numbers(lists.type.value_type):
+        return np.zeros(len(lists), dtype=bool)
+    missing = np.array(lists.is_null())
+    is_nan = np.array(lists.flatten().is_null(nan_is_null=True), dtype=bool)
+    missing[np.array(lists.value_parent_indices(), dtype=np.int64)[is_nan]] = True
+    return missing
+
+
+def _holds_numbers(kind: pa.DataType) -> bool:
+    return pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_null(kind)

@@ -1,0 +1,78 @@
+"""What a table may come as, and the one form in which it is kept: a pandas frame that survives Parquet unchanged."""
+
+from collections.abc import Mapping
+from typing import Any, Protocol, TypeAlias, runtime_checkable
+
+import pandas as pd
+import pyarrow as pa
+
+from halfseen.errors import LogError
+
+
+@runtime_checkable
+class ArrowStream(Protocol):
+    """Any table that speaks Arrow's C stream interface: pyarrow, polars, DuckDB, …."""
+
+    def __arrow_c_stream__(self, requested_schema: object | None = None) -> object:
+        """Hand the table over."""
+        ...
+
+
+FrameLike: TypeAlias = pd.DataFrame | ArrowStream | Mapping[str, Any]
+
+
+def as_frame(name: str, data: object) -> pd.DataFrame:
+    """Copy a table into the form in which it is kept.
+
+    The copy goes through Arrow, so that what is kept in memory and what comes back from disk are the same to the last
+    type: lists become arrays, and text is text.
+
+    Parameters
+    ----------
+    name
+        What the table is called, for messages.
+    data
+        A pandas frame, an Arrow table or a dict of arrays.
+
+    Raises
+    ------
+    LogError
+        The data are no table, or a column mixes types.
+    """
+    try:
+        frame = data if isinstance(data, pd.DataFrame) else _from_other(data)
+    except (ValueError, TypeError, pa.ArrowException) as error:
+        raise LogError(
+            f"{name}: not a table ({error}); give a pandas frame, an Arrow table or a dict of arrays"
+        ) from error
+    labels = [label for label in frame.columns if not isinstance(label, str)]
+    if labels:
+        raise LogError(f"{name}: column {labels[0]!r} has a name that is not text; rename it")
+    repeated = frame.columns[frame.columns.duplicated()]
+    if len(repeated):
+        raise LogError(f"{name}: there are two columns {repeated[0]!r}; drop or rename one")
+    return through_arrow(name, frame)
+
+
+def through_arrow(name: str, frame: pd.DataFrame) -> pd.DataFrame:
+    """Copy a frame to Arrow and back, after which doing so again changes nothing."""
+    plain = frame.reset_index(drop=True)
+    plain.attrs = {}
+    try:
+        table = pa.Table.from_pandas(plain, preserve_index=False)
+    except (pa.ArrowException, TypeError, ValueError) as error:
+        reason = "; ".join(str(part) for part in error.args)
+        raise LogError(f"{name}: a column cannot be stored ({reason}); give each column one type") from error
+    return table.to_pandas().copy()
+
+
+def _from_other(data: object) -> pd.DataFrame:
+    if isinstance(data, Mapping):
+        return pd.DataFrame({key: _column(values) for key, values in data.items()})
+    if isinstance(data, ArrowStream):
+        return pa.table(data).to_pandas()
+    raise TypeError(f"it is a {type(data).__name__}")
+
+
+def _column(values: Any) -> Any:
+    return values.to_pandas() if isinstance(values, pa.Array | pa.ChunkedArray) else values

@@ -1,0 +1,223 @@
+"""The record of what happened: paths, their stages, and the objects that stood there."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
+
+from halfseen.arrays import RowMask, Rows
+from halfseen.errors import LogError
+from halfseen.logs.columns import FINISHED, PATH_COLUMNS, STAGE_COLUMNS, require_columns
+from halfseen.logs.folder import read_tables, write_tables
+from halfseen.logs.frames import FrameLike, as_frame, through_arrow
+from halfseen.logs.object_checks import checked_objects
+from halfseen.logs.path_checks import checked_paths
+from halfseen.logs.refusal import shown
+from halfseen.logs.stage_checks import checked_stages
+from halfseen.logs.summary import LogsSummary, summarise
+
+
+class Logs:
+    """Paths of a robot, each finished or cut, checked once when it is made.
+
+    The tables are copied and sorted; do not change them in place. What they must satisfy is in `path_checks`,
+    `stage_checks` and `object_checks`.
+
+    Parameters
+    ----------
+    stages
+        One row a stage: path, stage (from 1), elapsed_s (clock at the end of the stage [s], null if not completed),
+        action, object (null where the action has none; may be left out), reward (null if not completed), probability
+        (of the logged action; may be left out), and covariates.
+    paths
+        One row a path: path, end_s [s], ending ("finished" | "cut"), cause (null unless cut; may be left out), and
+        whatever else is known of the path.
+    objects
+        One row an object of a stage: path, stage, object, and covariates of the object, lists included; None where
+        the stages have no objects.
+
+    Raises
+    ------
+    LogError
+        The tables break an invariant; the path, the stage, the value and the remedy are named.
+
+    Examples
+    --------
+    >>> logs = Logs(
+    ...     stages={
+    ...         "path": [0, 0, 1],
+    ...         "stage": [1, 2, 1],
+    ...         "elapsed_s": [1.5, 4.0, None],
+    ...         "action": ["A", "B", "A"],
+    ...         "reward": [0.0, 1.0, None],
+    ...         "x": [0.1, 0.2, 0.3],
+    ...     },
+    ...     paths={"path": [0, 1], "end_s": [4.0, 2.5], "ending": ["finished", "cut"], "cause": [None, "battery"]},
+    ... )
+    >>> logs.elapsed_s()
+    array([[1.5, 4. ],
+           [nan, nan]])
+    """
+
+    def __init__(self, stages: FrameLike, paths: FrameLike, objects: FrameLike | None = None) -> None:
+        paths_frame = checked_paths(as_frame("paths", paths))
+        stages_frame, layout = checked_stages(as_frame("stages", stages), paths_frame)
+        self._layout = layout
+        self._paths = through_arrow("paths", paths_frame)
+        self._stages = through_arrow("stages", stages_frame)
+        self._objects = None
+        if objects is not None:
+            objects_frame = checked_objects(as_frame("objects", objects), stages_frame, paths_frame, layout)
+            self._objects = through_arrow("objects", objects_frame)
+
+    def __repr__(self) -> str:
+        return f"<Logs: {self.summary()}>"
+
+    @property
+    def paths(self) -> pd.DataFrame:
+        """One row a path, sorted by path: path, end_s [s], ending, cause, and what else was given."""
+        return self._paths
+
+    @property
+    def stages(self) -> pd.DataFrame:
+        """One row a stage, sorted by path and stage."""
+        return self._stages
+
+    @property
+    def objects(self) -> pd.DataFrame | None:
+        """One row an object of a stage, sorted by path, stage and object; None where there are none."""
+        return self._objects
+
+    @property
+    def num_paths(self) -> int:
+        """Number of paths n."""
+        return len(self._paths)
+
+    @property
+    def num_stages(self) -> int:
+        """Number of stages of all paths together, those in which a cut fell included."""
+        return len(self._stages)
+
+    @property
+    def horizon(self) -> int:
+        """Number of stages T of the longest path."""
+        return int(self._layout.num_stages.max())
+
+    @property
+    def path_ids(self) -> np.ndarray:
+        """Names of the paths, shape (n,): the order of every array below."""
+        return self._paths["path"].to_numpy()
+
+    @property
+    def end_s(self) -> Rows:
+        """Observed end of each path [s]."""
+        return self._paths["end_s"].to_numpy()
+
+    @property
+    def is_finished(self) -> RowMask:
+        """True where the path reached its own end, False where it was cut."""
+        return (self._paths["ending"] == FINISHED).to_numpy(dtype=bool)
+
+    @property
+    def cut_share(self) -> float:
+        """Share of the paths that were cut, in [0, 1]."""
+        return float(np.mean(~self.is_finished))
+
+    @property
+    def stage_covariates(self) -> list[str]:
+        """Names of the stages' covariates."""
+        return [column for column in self._stages.columns if column not in STAGE_COLUMNS]
+
+    @property
+    def path_columns(self) -> list[str]:
+        """Names of what else is known of the paths, such as the scene."""
+        return [column for column in self._paths.columns if column not in PATH_COLUMNS]
+
+    def elapsed_s(self) -> Float[np.ndarray, "n T"]:
+        """Clock at the end of each stage [s], NaN where the stage was not completed or the path has no such stage."""
+        return self.stage_values("elapsed_s")
+
+    def stage_values(self, column: str) -> Float[np.ndarray, "n T"]:
+        """Spread a numeric column of `stages` over paths and stages; NaN where a path has no such stage.
+
+        Raises
+        ------
+        LogError
+            There is no such column, or it holds no numbers.
+        """
+        require_columns("stages", self._stages, (column,))
+        if not pd.api.types.is_numeric_dtype(self._stages[column].dtype):
+            raise LogError(f"stages: column {column!r} holds no numbers; ask for a numeric column")
+        values = np.full((self.num_paths, self.horizon), np.nan)
+        rows = self._layout.path_row, self._stages["stage"].to_numpy() - 1
+        values[rows] = self._stages[column].to_numpy(dtype=np.float64, na_value=np.nan)
+        return values
+
+    def select(self, paths: Any) -> "Logs":
+        """Keep some of the paths, for folds and bootstraps without repetition.
+
+        Parameters
+        ----------
+        paths
+            Names of the paths to keep, as in `path_ids`.
+
+        Raises
+        ------
+        LogError
+            A name is unknown, or none is given.
+        """
+        wanted = pd.Index(paths)
+        unknown = wanted[~wanted.isin(self.path_ids)]
+        if len(unknown):
+            raise LogError(f"path {shown(unknown[0])}: there is no such path; choose among path_ids")
+
+        def kept(frame: pd.DataFrame) -> Any:
+            return frame[pd.Index(frame["path"]).isin(wanted)]
+
+        return Logs(kept(self._stages), kept(self._paths), None if self._objects is None else kept(self._objects))
+
+    def summary(self) -> LogsSummary:
+        """Count what is there: paths, endings and causes, stages, clock, actions."""
+        return summarise(self._paths, self._stages, self._objects)
+
+    def write(self, folder: str | Path, *, overwrite: bool = False) -> None:
+        """Write the tables as Parquet into a folder of their own, all or nothing.
+
+        Parameters
+        ----------
+        folder
+            Where to; missing parents are made.
+        overwrite
+            Replace logs that are already there.
+
+        Raises
+        ------
+        ArgumentError
+            The folder exists, or cannot be written.
+        """
+        write_tables(Path(folder), self._tables(), overwrite=overwrite)
+
+    def _tables(self) -> dict[str, pd.DataFrame | None]:
+        return {"stages": self._stages, "paths": self._paths, "objects": self._objects}
+
+
+def read_logs(folder: str | Path) -> Logs:
+    """Read a folder that `Logs.write` wrote, and check it again.
+
+    Parameters
+    ----------
+    folder
+        The folder.
+
+    Raises
+    ------
+    LogError
+        The folder or one of its files is missing, broken or of another version, or the tables break an invariant.
+    """
+    tables = read_tables(Path(folder))
+    try:
+        return Logs(**tables)
+    except LogError as error:
+        raise LogError(f"{folder}: {error}") from error

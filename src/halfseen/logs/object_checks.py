@@ -1,0 +1,91 @@
+"""What must hold for objects: each belongs to a stage, once, and what was acted on is among them."""
+
+from typing import NoReturn
+
+import numpy as np
+import pandas as pd
+
+from halfseen.logs.columns import OBJECT_COLUMNS, as_counts, as_labels, check_covariates, require_columns
+from halfseen.logs.refusal import refuse, shown, value_at
+from halfseen.logs.stage_checks import Layout
+
+
+def checked_objects(frame: pd.DataFrame, stages: pd.DataFrame, paths: pd.DataFrame, layout: Layout) -> pd.DataFrame:
+    """Bring the objects into order and check them against their stages.
+
+    Parameters
+    ----------
+    frame
+        Columns path, stage, object, plus covariates of each object.
+    stages, paths, layout
+        Checked stages and paths, and where they stand.
+
+    Returns
+    -------
+    DataFrame
+        Sorted by path, stage and object.
+
+    Raises
+    ------
+    LogError
+        An invariant is broken; the path, the stage, the object and the remedy are named.
+    """
+    require_columns("objects", frame, OBJECT_COLUMNS)
+    objects = frame.copy()
+    objects["path"] = as_labels("objects", objects, "path", is_null_allowed=False)
+    objects["stage"] = as_counts("objects", objects, "stage")
+    objects["object"] = as_labels("objects", objects, "object", is_null_allowed=False)
+    stage_row = _stage_rows(objects, paths, layout)
+    names = pd.Index(objects["object"]).unique().sort_values()
+    name = names.get_indexer(pd.Index(objects["object"]))
+    order = np.lexsort((name, stage_row))
+    if not (order[1:] > order[:-1]).all():
+        objects, stage_row, name = objects.iloc[order].reset_index(drop=True), stage_row[order], name[order]
+    _check_once(objects, stage_row, name)
+    _check_every_stage(stages, stage_row)
+    _check_acted_on(stages, stage_row, name, names)
+    check_covariates("objects", objects, OBJECT_COLUMNS)
+    return objects
+
+
+def _stage_rows(objects: pd.DataFrame, paths: pd.DataFrame, layout: Layout) -> np.ndarray:
+    """Find the row of stages that each object belongs to."""
+    path_row = pd.Index(paths["path"]).get_indexer(pd.Index(objects["path"]))
+    if (path_row < 0).any():
+        _refuse(objects, path_row < 0, "paths has no such path; add its row to paths, or drop its objects")
+    number = objects["stage"].to_numpy()
+    unknown = (number < 1) | (number > layout.num_stages[path_row])
+    if unknown.any():
+        last = layout.num_stages[path_row[np.argmax(unknown)]]
+        _refuse(objects, unknown, f"the path has stages 1 to {last}; add the stage to stages, or drop its objects")
+    return layout.first_row[path_row] + number - 1
+
+
+def _check_once(objects: pd.DataFrame, stage_row: np.ndarray, name: np.ndarray) -> None:
+    repeated = np.zeros(len(objects), dtype=bool)
+    repeated[1:] = (stage_row[1:] == stage_row[:-1]) & (name[1:] == name[:-1])
+    if repeated.any():
+        _refuse(objects, repeated, "the object is there twice; give each object of a stage one row")
+
+
+def _check_every_stage(stages: pd.DataFrame, stage_row: np.ndarray) -> None:
+    empty = np.bincount(stage_row, minlength=len(stages)) == 0
+    if empty.any():
+        what = "it has no row in objects"
+        refuse(stages, empty, f"{what}; give the objects that stood there, or leave objects out altogether")
+
+
+def _check_acted_on(stages: pd.DataFrame, stage_row: np.ndarray, name: np.ndarray, names: pd.Index) -> None:
+    acted_on = stages["object"].notna().to_numpy()
+    acted_name = names.get_indexer(pd.Index(stages["object"]))
+    there = stage_row * len(names) + name
+    absent = acted_on & ((acted_name < 0) | ~np.isin(np.arange(len(stages)) * len(names) + acted_name, there))
+    if absent.any():
+        row = int(np.argmax(absent))
+        others = ", ".join(shown(other) for other in names[name[stage_row == row]])
+        what = f"object {shown(value_at(stages, 'object', row))} of the action is not among the objects of that stage"
+        refuse(stages, absent, f"{what} ({others}); add its row, or fix the action's object")
+
+
+def _refuse(objects: pd.DataFrame, wrong: np.ndarray, trouble: str) -> NoReturn:
+    refuse(objects, wrong, trouble, OBJECT_COLUMNS)

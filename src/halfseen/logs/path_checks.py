@@ -1,0 +1,92 @@
+"""What must hold for paths: each ends once, at a time, finished or cut."""
+
+from typing import NoReturn
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Bool
+
+from halfseen.errors import LogError
+from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, as_floats, as_labels, require_columns
+from halfseen.logs.refusal import refuse, shown, value_at
+
+
+def checked_paths(frame: pd.DataFrame) -> pd.DataFrame:
+    """Bring the paths into order and check them.
+
+    Parameters
+    ----------
+    frame
+        Columns path, end_s [s], ending, and, if any path has one, cause.
+
+    Returns
+    -------
+    DataFrame
+        Sorted by path; a cut without a cause has the cause "unknown".
+
+    Raises
+    ------
+    LogError
+        A column is missing, a path is there twice, or its end is no end.
+    """
+    require_columns("paths", frame, ("path", "end_s", "ending"))
+    if len(frame) == 0:
+        raise LogError("paths: there are none; a log has at least one path")
+    paths = frame.copy()
+    paths["path"] = as_labels("paths", paths, "path", is_null_allowed=False)
+    paths["end_s"] = as_floats("paths", paths, "end_s")
+    paths = paths.sort_values("path", kind="stable", ignore_index=True)
+    _check_ids(paths)
+    _check_ends(paths)
+    is_cut = _checked_endings(paths)
+    paths["cause"] = _checked_causes(paths, is_cut)
+    return paths
+
+
+def _check_ids(paths: pd.DataFrame) -> None:
+    repeated = paths["path"].duplicated().to_numpy()
+    if repeated.any():
+        _refuse(paths, repeated, "it is in paths twice; give each path one row and a name of its own")
+
+
+def _check_ends(paths: pd.DataFrame) -> None:
+    end_s = paths["end_s"].to_numpy()
+    wrong = ~((end_s > 0) & np.isfinite(end_s))
+    if wrong.any():
+        value = end_s[np.argmax(wrong)]
+        _refuse(paths, wrong, f"end_s {value} is no end; give the finite time from its beginning to its end, > 0 s")
+
+
+def _checked_endings(paths: pd.DataFrame) -> Bool[np.ndarray, " n"]:
+    endings = paths["ending"].to_numpy(dtype=object)
+    is_cut, is_finished = (pd.Series(endings).eq(word).to_numpy(dtype=bool) for word in (CUT, FINISHED))
+    wrong = ~(is_cut | is_finished)
+    if wrong.any():
+        value = shown(endings[np.argmax(wrong)])
+        _refuse(
+            paths,
+            wrong,
+            f"ending {value} is unknown; say {FINISHED!r} where the path reached its own end, and {CUT!r} where "
+            "something outside the task ended it",
+        )
+    return is_cut
+
+
+def _checked_causes(paths: pd.DataFrame, is_cut: Bool[np.ndarray, " n"]) -> pd.Series:
+    if "cause" not in paths.columns:
+        paths["cause"] = pd.Series(None, index=paths.index, dtype=object)
+    causes = as_labels("paths", paths, "cause", is_null_allowed=True).astype(object)
+    is_null = causes.isna().to_numpy()
+    wrong = ~is_cut & ~is_null
+    if wrong.any():
+        value = shown(value_at(paths, "cause", int(np.argmax(wrong))))
+        _refuse(
+            paths,
+            wrong,
+            f"it finished, yet has the cause {value}; only a cut has one: leave it null, or make the ending {CUT!r}",
+        )
+    return causes.mask(pd.Series(is_cut & is_null, index=causes.index), UNKNOWN_CAUSE)
+
+
+def _refuse(paths: pd.DataFrame, wrong: Bool[np.ndarray, " n"], trouble: str) -> NoReturn:
+    refuse(paths, wrong, trouble, ("path",))

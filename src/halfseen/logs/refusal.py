@@ -1,0 +1,30 @@
+"""How a broken log is refused: where, what, the value, the remedy."""
+
+from typing import Any, NoReturn
+
+import numpy as np
+import pandas as pd
+
+from halfseen.errors import LogError
+
+
+def shown(value: object) -> str:
+    """Write a value as it stands in the table: 17, but '17' for text."""
+    return repr(value.item() if isinstance(value, np.generic) else value)
+
+
+def value_at(frame: pd.DataFrame, column: str, row: int) -> Any:
+    """Read one value with the type of its column; a whole row would turn its integers to floats."""
+    return frame[column].iloc[row]
+
+
+def place(frame: pd.DataFrame, row: int, columns: tuple[str, ...] = ("path", "stage")) -> str:
+    """Name a row: path 17, stage 4."""
+    return ", ".join(f"{column} {shown(value_at(frame, column, row))}" for column in columns)
+
+
+def refuse(
+    frame: pd.DataFrame, wrong: np.ndarray, trouble: str, columns: tuple[str, ...] = ("path", "stage")
+) -> NoReturn:
+    """Raise for the first row that is wrong."""
+    raise LogError(f"{place(frame, int(np.argmax(wrong)), columns)}: {trouble}")
