@@ -1,5 +1,7 @@
 """What a depth camera sees on a table: cloud → table plane → objects → who hides whom."""
 
 from halfseen.perception.clouds import Cloud, read_cloud, write_pcd
+from halfseen.perception.plane import Plane
+from halfseen.perception.view import SeenObject, View, perceive
 
-__all__ = ["Cloud", "read_cloud", "write_pcd"]
+__all__ = ["Cloud", "Plane", "SeenObject", "View", "perceive", "read_cloud", "write_pcd"]

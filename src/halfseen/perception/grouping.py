@@ -1,0 +1,182 @@
+"""From sheets to objects: a vessel shows its outer and its inner wall as two sheets, an occluder cuts a wall in two."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from halfseen.arrays import Points
+from halfseen.perception.objects import Labels
+from halfseen.perception.plane import Plane
+from halfseen.perception.range_image import PixelMask, RangeImage
+from halfseen.perception.silhouette import covered, middle_depth_m
+from halfseen.perception.solids import Hull, Vessel, fit_lying, fit_standing, thinned
+
+# A fit whose mean cost is worse is no vessel: residuals of 8 mm everywhere.
+WORST_VESSEL_MISFIT = 3.2
+# Pieces farther apart than a wide cup are not tried together [m].
+FARTHEST_PIECES_M = 0.08
+# Two pieces are walls of one vessel if the points of each lie this near to one common wall: mean robust cost.
+JOINT_MISFIT = 1.3
+# ... and no more than this share of the vessel's picture shows something behind it.
+LARGEST_CONTRADICTION = 0.12
+# A piece is inside a solid if this share of its points is no farther outside than the noise [m].
+INSIDE_SHARE = 0.7
+INSIDE_M = 0.006
+# A handle starts at the wall, reaches no farther than this [m], and is smaller than this share of the body.
+HANDLE_START_M = 0.012
+HANDLE_REACH_M = 0.055
+HANDLE_SHARE = 0.25
+# Smaller patches are flying pixels [m²]: a cup shows 4 cm² when five sixths of it are hidden.
+SMALLEST_OBJECT_M2 = 2.0e-4
+# Lower things are print, cloth or cards [m].
+LOWEST_TOP_M = 0.011
+# An object whose contact with the image border is longer than this share of the root of its area is cut [1].
+CUT_SHARE = 0.5
+BORDER_PX = 3
+
+
+@dataclass(frozen=True, eq=False)
+class _Piece:
+    sheets: tuple[int, ...]
+    points_m: Points
+    solid: Vessel | Hull
+
+
+def objects_of_sheets(sheets: Labels, plane: Plane, image: RangeImage) -> tuple[Labels, tuple[Vessel | Hull, ...], int]:
+    """Group sheets into objects and complete the shape of each.
+
+    Parameters
+    ----------
+    sheets
+        Sheet of each pixel; −1 where there is none.
+    plane, image
+        The table and what the camera sees.
+
+    Returns
+    -------
+    labels
+        Object of each pixel, largest first; −1 where there is none.
+    solids
+        Completed shape of each object.
+    num_cut
+        Objects left out because the border of the image cuts them.
+    """
+    table_points = plane.table_points(image.points_m)
+    pieces = []
+    for sheet in range(int(sheets.max()) + 1):
+        points = _spread(table_points[sheets == sheet])
+        pieces.append(_Piece((sheet,), points, completed(points)))
+    pieces = _merged(pieces, sheets, plane, image)
+    kept, num_cut = [], 0
+    for piece in pieces:
+        mask = np.isin(sheets, piece.sheets)
+        if not _is_object(mask, piece, image):
+            continue
+        if _is_cut(mask):
+            num_cut += 1
+        else:
+            kept.append((int(mask.sum()), piece))
+    kept.sort(key=lambda pair: -pair[0])
+    table = np.full(int(sheets.max()) + 2, -1)
+    for index, (_, piece) in enumerate(kept):
+        table[list(piece.sheets)] = index
+    return table[sheets], tuple(piece.solid for _, piece in kept), num_cut
+
+
+def completed(points_m: Points) -> Vessel | Hull:
+    """Complete what is seen of an object: the vessel that fits best, or the hull if none fits.
+
+    Parameters
+    ----------
+    points_m
+        Points of the object as (right, away, height) [m].
+    """
+    if len(points_m) < 8:
+        return Hull(points_m)
+    vessel = min((fit_standing(points_m), fit_lying(points_m)), key=lambda one: one.misfit)
+    return vessel if vessel.misfit < WORST_VESSEL_MISFIT else Hull(thinned(points_m, 2000))
+
+
+def _spread(points_m: Points) -> Points:
+    """The same points in a fixed order that spreads them, so that every thinning covers all of them."""
+    return points_m[np.random.default_rng(0).permutation(len(points_m))]
+
+
+def _merged(pieces: list[_Piece], sheets: Labels, plane: Plane, image: RangeImage) -> list[_Piece]:
+    """Merge pairs until none belongs together; the largest pieces take first."""
+    pieces = sorted(pieces, key=lambda piece: -len(piece.points_m))
+    i = 0
+    while i < len(pieces):
+        for j in range(i + 1, len(pieces)):
+            joint = _joined(pieces[i], pieces[j], sheets, plane, image)
+            if joint is not None:
+                pieces = [joint, *(piece for k, piece in enumerate(pieces) if k not in (i, j))]
+                pieces.sort(key=lambda piece: -len(piece.points_m))
+                i = -1
+                break
+        i += 1
+    return pieces
+
+
+def _joined(large: _Piece, small: _Piece, sheets: Labels, plane: Plane, image: RangeImage) -> _Piece | None:
+    """The two as one object, or None if they are two."""
+    gap, _ = cKDTree(thinned(large.points_m)).query(thinned(small.points_m))
+    if gap.min() > FARTHEST_PIECES_M:
+        return None
+    names = large.sheets + small.sheets
+    points = _spread(np.concatenate([large.points_m, small.points_m]))
+    if isinstance(large.solid, Vessel) and (_is_inside(small, large.solid) or _is_handle(small, large)):
+        return _Piece(names, points, large.solid if _is_handle(small, large) else completed(points))
+    if isinstance(small.solid, Vessel) and _is_inside(large, small.solid):
+        return _Piece(names, points, completed(points))
+    solid = completed(points)
+    if not isinstance(solid, Vessel) or max(_cost(solid, large), _cost(solid, small)) > JOINT_MISFIT:
+        return None
+    if _contradiction(solid, np.isin(sheets, names), plane, image) > LARGEST_CONTRADICTION:
+        return None
+    return _Piece(names, points, solid)
+
+
+def _cost(vessel: Vessel, piece: _Piece) -> float:
+    scaled = vessel.outside_m(thinned(piece.points_m)) / 0.003
+    return float(np.mean(2 * (np.sqrt(1 + scaled**2) - 1)))
+
+
+def _is_inside(piece: _Piece, vessel: Vessel) -> bool:
+    points = thinned(piece.points_m)
+    along = vessel.along_m(points)
+    low, high = vessel.ends_m
+    is_between = (along > low - INSIDE_M) & (along < high + INSIDE_M)
+    return bool(np.mean((vessel.outside_m(points) < INSIDE_M) & is_between) > INSIDE_SHARE)
+
+
+def _is_handle(small: _Piece, large: _Piece) -> bool:
+    if not isinstance(large.solid, Vessel) or len(small.points_m) > HANDLE_SHARE * len(large.points_m):
+        return False
+    points = thinned(small.points_m)
+    outside, along = large.solid.outside_m(points), large.solid.along_m(points)
+    low, high = large.solid.ends_m
+    starts = np.percentile(np.abs(outside), 5) < HANDLE_START_M
+    is_near = outside.max() < HANDLE_REACH_M and along.min() > low + INSIDE_M and along.max() < high + INSIDE_M
+    return bool(starts and is_near)
+
+
+def _contradiction(solid: Vessel, own: PixelMask, plane: Plane, image: RangeImage) -> float:
+    """Share of a solid's picture at which something behind it is seen."""
+    is_covered = covered(solid, plane, image) & ~own
+    with np.errstate(invalid="ignore"):
+        is_farther = image.depth_m > middle_depth_m(solid, plane, image)
+    return float((is_covered & is_farther).sum() / max(1, (is_covered | own).sum()))
+
+
+def _is_object(mask: PixelMask, piece: _Piece, image: RangeImage) -> bool:
+    K = image.intrinsics
+    area = float(np.sum(image.depth_m[mask] ** 2) / (K[0, 0] * K[1, 1]))
+    return area > SMALLEST_OBJECT_M2 and float(np.percentile(piece.points_m[:, 2], 98)) > LOWEST_TOP_M
+
+
+def _is_cut(mask: PixelMask) -> bool:
+    frame = np.ones_like(mask)
+    frame[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX] = False
+    return float((mask & frame).sum()) / BORDER_PX > CUT_SHARE * float(np.sqrt(mask.sum()))

@@ -1,0 +1,224 @@
+"""The table: which of the planes in view it is, and how far it reaches."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from halfseen.arrays import Points, Rows
+from halfseen.errors import CloudError
+from halfseen.perception.clouds import Vector
+from halfseen.perception.noise import depth_noise_m
+from halfseen.perception.range_image import PixelMask, RangeImage
+
+# RANSAC over a thinned image with a fixed generator: one input gives one plane.
+RANSAC_SEED = 7
+NUM_HYPOTHESES = 300
+NUM_POINTS_THINNED = 4000
+# Points of a hypothesis come from one neighbourhood of this radius, relative to the image's longer side: a plane
+# through three far points is mostly a plane through nothing.
+NEIGHBOURHOOD_SHARE = 0.12
+# Distance at which a point still belongs to a plane: this many standard deviations, and warps of cheap lenses [m].
+INLIER_SIGMAS = 2.0
+SMALLEST_TOLERANCE_M = 0.005
+# Planes are peeled off until one holds less than this share of the returns.
+SMALLEST_PLANE_SHARE = 0.04
+MOST_PLANES = 6
+# Cosine above which two planes are parallel (8°).
+PARALLEL_COSINE = 0.99
+# A level or downward-looking camera sees a table's normal point up in the image; walls seen from above point down.
+# Normals whose upward share is smaller than this may be a table seen from straight above, or a wall.
+CLEARLY_UP = 0.2
+LARGEST_DOWN = 0.15
+DOUBTFUL_WEIGHT = 0.3
+# Smallest top of a table [m²]; a lying cereal box is 0.034.
+SMALLEST_TABLE_M2 = 0.045
+
+
+@dataclass(frozen=True, eq=False)
+class Plane:
+    """A plane ``normal · x = offset_m``; the normal points to the side of the camera, which is up for a table.
+
+    Parameters
+    ----------
+    normal
+        Unit normal in the camera frame.
+    offset_m
+        Signed distance of the plane from the origin along the normal [m]; negative as the camera is above it.
+    """
+
+    normal: Vector
+    offset_m: float
+
+    def height_m(self, points_m: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "..."]:
+        """Height of points above the plane [m].
+
+        Parameters
+        ----------
+        points_m
+            Points in the camera frame [m].
+        """
+        return points_m @ self.normal - self.offset_m
+
+    def axes(self) -> Float[np.ndarray, "2 3"]:
+        """Two unit vectors in the plane: to the camera's right, and away from the camera."""
+        right = np.array([1.0, 0.0, 0.0]) - self.normal[0] * self.normal
+        if np.linalg.norm(right) < 0.1:
+            right = np.array([0.0, 0.0, 1.0]) - self.normal[2] * self.normal
+        right /= np.linalg.norm(right)
+        return np.stack([right, np.cross(self.normal, right)])
+
+    def table_points(self, points_m: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
+        """Points as (right, away, height) over the plane [m].
+
+        Parameters
+        ----------
+        points_m
+            Points in the camera frame [m].
+        """
+        across = points_m @ self.axes().T
+        return np.concatenate([across, self.height_m(points_m)[..., None]], axis=-1)
+
+    def camera_points(self, table_m: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
+        """Inverse of `table_points`.
+
+        Parameters
+        ----------
+        table_m
+            Points as (right, away, height) over the plane [m].
+        """
+        return table_m[..., :2] @ self.axes() + (table_m[..., 2:] + self.offset_m) * self.normal
+
+
+def find_table(image: RangeImage) -> Plane:
+    """Find the plane of the table.
+
+    Planes are peeled off one after the other. The family of parallel planes with the most returns that point up is
+    the horizontal one; its highest member that is large enough for a table is the table, so that a floor below with
+    more pixels does not win.
+
+    Parameters
+    ----------
+    image
+        What the camera sees.
+
+    Raises
+    ------
+    CloudError
+        No plane is large enough.
+    """
+    points = _thinned(image)
+    planes = _peel(points, max(image.depth_m.shape))
+    families = [_support(plane, planes) for plane, _ in planes]
+    if not families or max(families) <= 0:
+        raise CloudError(
+            f"{image.name}: no table plane: no plane that faces up holds {SMALLEST_PLANE_SHARE:.0%} of the "
+            f"{int(image.is_return.sum())} returns; point the camera at the table from above"
+        )
+    lead, _ = planes[int(np.argmax(families))]
+    members = [
+        plane
+        for plane, is_inlier in planes
+        if plane.normal @ lead.normal > PARALLEL_COSINE
+        and _area_m2(plane, points[is_inlier][:, :3]) > SMALLEST_TABLE_M2
+    ]
+    if not members:
+        raise CloudError(
+            f"{image.name}: no table plane: the largest level plane covers less than {SMALLEST_TABLE_M2} m²; "
+            "point the camera at the table from above"
+        )
+    return _refined(max(members, key=lambda plane: plane.offset_m), image)
+
+
+def _thinned(image: RangeImage) -> Float[np.ndarray, "n 5"]:
+    """Points on a coarse grid of pixels, with their column and row."""
+    step = max(1, int(np.sqrt(image.is_return.sum() / NUM_POINTS_THINNED)))
+    rows, columns = np.nonzero(image.is_return[::step, ::step])
+    points = image.points_m[::step, ::step][rows, columns]
+    return np.column_stack([points, columns * step, rows * step]).astype(np.float64)
+
+
+def _peel(points: Float[np.ndarray, "n 5"], side_px: int) -> list[tuple[Plane, Bool[np.ndarray, " n"]]]:
+    generator = np.random.default_rng(RANSAC_SEED)
+    left = np.ones(len(points), dtype=bool)
+    planes: list[tuple[Plane, Bool[np.ndarray, " n"]]] = []
+    while len(planes) < MOST_PLANES and left.sum() > max(10, SMALLEST_PLANE_SHARE * len(points)):
+        plane = _best_plane(points[left], side_px, generator)
+        if plane is None:
+            break
+        is_inlier = left & (np.abs(plane.height_m(points[:, :3])) < _tolerance_m(points[:, 2]))
+        if is_inlier.sum() < SMALLEST_PLANE_SHARE * len(points):
+            break
+        planes.append((plane, is_inlier))
+        left &= ~is_inlier
+    return planes
+
+
+def _best_plane(points: Float[np.ndarray, "n 5"], side_px: int, generator: np.random.Generator) -> Plane | None:
+    first = generator.integers(len(points), size=NUM_HYPOTHESES)
+    radius = NEIGHBOURHOOD_SHARE * side_px
+    best, best_support = None, 0
+    for seed in first:
+        near = np.flatnonzero(np.abs(points[:, 3:] - points[seed, 3:]).max(axis=1) < radius)
+        a, b, c = points[generator.choice(near, size=3), :3]
+        normal = np.cross(b - a, c - a)
+        length = np.linalg.norm(normal)
+        if length < 1e-9:
+            continue
+        plane = _facing(normal / length, a)
+        support = int((np.abs(plane.height_m(points[:, :3])) < _tolerance_m(points[:, 2])).sum())
+        if support > best_support:
+            best, best_support = plane, support
+    return best if best is None else _fitted(points[:, :3], best)
+
+
+def _facing(normal: Vector, point: Vector) -> Plane:
+    sign = -1.0 if normal @ point > 0 else 1.0
+    return Plane(sign * normal, float(sign * (normal @ point)))
+
+
+def _tolerance_m(depth_m: Rows) -> Rows:
+    return np.maximum(SMALLEST_TOLERANCE_M, INLIER_SIGMAS * depth_noise_m(depth_m))
+
+
+def _fitted(points: Points, plane: Plane, num_rounds: int = 3) -> Plane:
+    """Total least squares over the inliers, weighted by the noise of each."""
+    for _ in range(num_rounds):
+        inliers = points[np.abs(plane.height_m(points)) < _tolerance_m(points[:, 2])]
+        if len(inliers) < 3:
+            return plane
+        weight = 1.0 / depth_noise_m(inliers[:, 2]) ** 2
+        middle = np.average(inliers, axis=0, weights=weight)
+        spread = (inliers - middle) * np.sqrt(weight)[:, None]
+        plane = _facing(np.linalg.eigh(spread.T @ spread)[1][:, 0], middle)
+    return plane
+
+
+def _support(plane: Plane, planes: list[tuple[Plane, Bool[np.ndarray, " n"]]]) -> float:
+    up = -float(plane.normal[1])
+    weight = 1.0 if up > CLEARLY_UP else DOUBTFUL_WEIGHT if up > -LARGEST_DOWN else 0.0
+    return weight * sum(int(mask.sum()) for other, mask in planes if other.normal @ plane.normal > PARALLEL_COSINE)
+
+
+def _area_m2(plane: Plane, points: Points) -> float:
+    """Area of the plane that points cover, in cells as wide as their typical spacing [m²]."""
+    across = points @ plane.axes().T
+    cell_m = 0.02
+    return len(np.unique(np.floor(across / cell_m), axis=0)) * cell_m**2
+
+
+def _refined(plane: Plane, image: RangeImage) -> Plane:
+    points = image.points_m[image.is_return]
+    return _fitted(points[:: max(1, len(points) // 40_000)], plane)
+
+
+def is_on_plane(plane: Plane, image: RangeImage) -> PixelMask:
+    """Pixels whose points belong to a plane.
+
+    Parameters
+    ----------
+    plane, image
+        The plane and what the camera sees.
+    """
+    with np.errstate(invalid="ignore"):
+        return np.abs(plane.height_m(image.points_m)) < _tolerance_m(image.depth_m.ravel()).reshape(image.depth_m.shape)

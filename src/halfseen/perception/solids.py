@@ -1,0 +1,231 @@
+"""Solids that complete what is seen of an object: a vessel (cone frustum, standing or lying), or a convex hull.
+
+Coordinates of this file are those of the table: right, away from the camera, height over the plane.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import least_squares
+
+from halfseen.arrays import Points, Rows
+from halfseen.perception.clouds import Vector
+
+# Residuals of a fit are counted in units of this noise across a wall [m]; larger ones (handle, bottom) count linearly.
+WALL_NOISE_M = 0.003
+# What is usual for a vessel, so that a narrow stripe of wall does not become a barrel: mean and spread of the radius
+# [m] and of the slope of the wall.
+USUAL_RADIUS_M, RADIUS_SPREAD_M = 0.040, 0.020
+USUAL_SLOPE, SLOPE_SPREAD = 0.10, 0.12
+SMALLEST_RADIUS_M, LARGEST_RADIUS_M = 0.008, 0.15
+STEEPEST_SLOPE = 1.5
+# Points that take part in a fit: enough for noise of half a millimetre in the radius.
+NUM_POINTS_FITTED = 250
+# Directions from which the fit of a lying vessel starts, and how many of the best are followed.
+NUM_DIRECTIONS, NUM_FOLLOWED = 8, 2
+# Ends of the axis are where the outermost percents of the inliers are [%].
+END_PERCENT = 2.0
+# Points this near to the wall belong to the vessel [m].
+INLIER_M = 0.008
+NUM_AROUND = 40
+
+
+@dataclass(frozen=True, eq=False)
+class Vessel:
+    """A cone frustum on the table.
+
+    Parameters
+    ----------
+    centre_m
+        Point of the axis at which `radius_m` holds: (right, away, height) [m].
+    axis
+        Unit vector along the axis; up for a standing vessel, towards the wider end for a lying one.
+    radius_m
+        Outer radius at `centre_m` [m].
+    slope
+        Growth of the radius along the axis.
+    ends_m
+        Where the vessel begins and ends along the axis, from `centre_m` [m].
+    misfit
+        Mean robust cost of a point; 1 is a residual of one and a half noises.
+    """
+
+    centre_m: Vector
+    axis: Vector
+    radius_m: float
+    slope: float
+    ends_m: tuple[float, float]
+    misfit: float
+
+    @property
+    def is_upright(self) -> bool:
+        """True if the axis is vertical."""
+        return bool(self.axis[2] > 0.9)
+
+    @property
+    def middle_m(self) -> Vector:
+        """Middle of the axis [m]."""
+        return self.centre_m + sum(self.ends_m) / 2 * self.axis
+
+    def along_m(self, points_m: Points) -> Rows:
+        """Position of points along the axis [m]."""
+        return (points_m - self.centre_m) @ self.axis
+
+    def outside_m(self, points_m: Points) -> Rows:
+        """Distance of points from the wall, square to the axis [m]; negative inside."""
+        along = self.along_m(points_m)
+        across = np.linalg.norm(points_m - self.centre_m - along[:, None] * self.axis, axis=1)
+        return across - np.maximum(self.radius_m + self.slope * along, 0.0)
+
+    def outline_m(self) -> Points:
+        """Points of the two end circles [m]; their hull is the vessel."""
+        side, other = _square_to(self.axis)
+        angle = 2 * np.pi * np.arange(NUM_AROUND) / NUM_AROUND
+        ring = np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * other
+        ends = [
+            self.centre_m + end * self.axis + max(self.radius_m + self.slope * end, 0.0) * ring for end in self.ends_m
+        ]
+        return np.concatenate(ends)
+
+
+@dataclass(frozen=True, eq=False)
+class Hull:
+    """The convex hull of what is seen of an object, carried down to the table.
+
+    Parameters
+    ----------
+    points_m
+        Points as (right, away, height) [m].
+    """
+
+    points_m: Points
+
+    @property
+    def axis(self) -> Vector:
+        """The vertical."""
+        return np.array([0.0, 0.0, 1.0])
+
+    @property
+    def middle_m(self) -> Vector:
+        """Middle of the box around the points [m]."""
+        return (self.points_m.min(axis=0) + self.points_m.max(axis=0)) / 2 * [1, 1, 1]
+
+    def outline_m(self) -> Points:
+        """The points, and their shadows on the table [m]."""
+        return np.concatenate([self.points_m, self.points_m * [1.0, 1.0, 0.0]])
+
+
+def fit_standing(points_m: Points) -> Vessel:
+    """Fit a standing vessel.
+
+    Parameters
+    ----------
+    points_m
+        Points of its walls as (right, away, height) [m].
+    """
+    points = thinned(points_m)
+    middle_height = float(np.median(points[:, 2]))
+    middle, radius = _circle(points[:, :2])
+
+    def residuals(p: Rows) -> Rows:
+        wall = p[2] + p[3] * (points[:, 2] - middle_height)
+        return np.hypot(points[:, 0] - p[0], points[:, 1] - p[1]) - wall
+
+    p, misfit = _solve(residuals, np.array([*middle, radius, USUAL_SLOPE]))
+    centre = np.array([p[0], p[1], middle_height])
+    axis = np.array([0.0, 0.0, 1.0])
+    vessel = Vessel(centre, axis, float(p[2]), float(p[3]), (-middle_height, 0.0), misfit)
+    top = _ends(vessel, points_m)[1]
+    return Vessel(centre, axis, vessel.radius_m, vessel.slope, (-middle_height, top), misfit)
+
+
+def fit_lying(points_m: Points) -> Vessel:
+    """Fit a vessel that lies with its wall on the table.
+
+    Parameters
+    ----------
+    points_m
+        Points of its walls as (right, away, height) [m].
+    """
+    points = thinned(points_m)
+    start = np.median(points, axis=0)
+
+    def residuals(p: Rows) -> Rows:
+        return _lying(p).outside_m(points)
+
+    starts = []
+    for direction in 2 * np.pi * np.arange(NUM_DIRECTIONS) / NUM_DIRECTIONS:
+        radius = float(np.clip(points[:, 2].max() / 2, 0.015, 0.08))
+        away = np.array([start[0], start[1] + radius / 2])
+        starts.append(np.array([*away, radius, USUAL_SLOPE, direction]))
+    costs = [np.abs(residuals(p)).mean() for p in starts]
+    solved = [_solve(residuals, starts[k]) for k in np.argsort(costs, kind="stable")[:NUM_FOLLOWED]]
+    p, misfit = min(solved, key=lambda pair: pair[1])
+    if p[3] < 0:
+        p = np.array([p[0], p[1], p[2], -p[3], p[4] + np.pi])
+    vessel = _lying(p)
+    return Vessel(vessel.centre_m, vessel.axis, vessel.radius_m, vessel.slope, _ends(vessel, points_m), misfit)
+
+
+def thinned(points_m: Points, num_points: int = NUM_POINTS_FITTED) -> Points:
+    """Every so manyth point, so that at most twice `num_points` remain.
+
+    Parameters
+    ----------
+    points_m
+        Points, in an order that spreads them over the surface.
+    num_points
+        How many to keep, about.
+    """
+    return points_m[:: max(1, len(points_m) // num_points)]
+
+
+def _lying(p: Rows) -> Vessel:
+    """Vessel of (right, away, radius, slope, direction) whose lowest line is on the table."""
+    tilt = np.arctan(p[3])
+    axis = np.array([np.cos(tilt) * np.cos(p[4]), np.cos(tilt) * np.sin(p[4]), np.sin(tilt)])
+    centre = np.array([p[0], p[1], p[2] * np.cos(tilt)])
+    return Vessel(centre, axis, float(p[2]), float(p[3]), (0.0, 0.0), 0.0)
+
+
+def _solve(residuals: Callable[[Rows], Rows], start: Rows) -> tuple[Rows, float]:
+    def with_prior(p: Rows) -> Rows:
+        prior = [(p[2] - USUAL_RADIUS_M) / RADIUS_SPREAD_M, (p[3] - USUAL_SLOPE) / SLOPE_SPREAD]
+        return np.concatenate([residuals(p) / WALL_NOISE_M, prior])
+
+    low, high = np.full(len(start), -np.inf), np.full(len(start), np.inf)
+    low[2], high[2] = SMALLEST_RADIUS_M, LARGEST_RADIUS_M
+    low[3], high[3] = -STEEPEST_SLOPE, STEEPEST_SLOPE
+    found = least_squares(
+        with_prior, np.clip(start, low + 1e-6, high - 1e-6), bounds=(low, high), loss="soft_l1", max_nfev=30
+    )
+    scaled = residuals(found.x) / WALL_NOISE_M
+    return found.x, float(np.mean(2 * (np.sqrt(1 + scaled**2) - 1)))
+
+
+def _circle(across_m: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "2"], float]:
+    """Centre and radius by algebraic least squares (Kåsa), held to radii of vessels."""
+    middle = across_m.mean(axis=0)
+    offset = across_m - middle
+    design = np.column_stack([2 * offset, np.ones(len(offset))])
+    solution, *_ = np.linalg.lstsq(design, (offset**2).sum(axis=1), rcond=None)
+    radius = float(np.sqrt(max(solution[2] + solution[:2] @ solution[:2], 0.0)))
+    if not 0.5 * USUAL_RADIUS_M < radius < LARGEST_RADIUS_M / 2:
+        return middle + [0.0, USUAL_RADIUS_M / 2], USUAL_RADIUS_M
+    return middle + solution[:2], radius
+
+
+def _ends(vessel: Vessel, points_m: Points) -> tuple[float, float]:
+    along = vessel.along_m(points_m)
+    is_inlier = np.abs(vessel.outside_m(points_m)) < INLIER_M
+    low, high = np.percentile(along[is_inlier] if is_inlier.sum() > 10 else along, [END_PERCENT, 100 - END_PERCENT])
+    return float(low), float(high)
+
+
+def _square_to(axis: Vector) -> tuple[Vector, Vector]:
+    aside = np.array([1.0, 0.0, 0.0]) if abs(axis[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    side = np.cross(axis, aside)
+    side /= np.linalg.norm(side)
+    return side, np.cross(axis, side)

@@ -1,0 +1,171 @@
+"""From a cloud to a view: the table, what stands on it, and who hides whom."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool
+
+from halfseen.arrays import Hides
+from halfseen.perception.clouds import Cloud, Vector
+from halfseen.perception.grouping import objects_of_sheets
+from halfseen.perception.objects import Labels, sheets_on_table
+from halfseen.perception.occlusion import Occlusion, occlusions
+from halfseen.perception.plane import Plane, find_table
+from halfseen.perception.range_image import RangeImage, range_image
+from halfseen.perception.solids import Hull, Vessel
+from halfseen.world.scene import Scene
+
+# Part of an object's height over the table that counts as its extent, from below and above [%]: single points err.
+EXTENT_PERCENT = 1.0
+# A shape without a vertical axis stands upright if it is higher than this times its width.
+UPRIGHT_ASPECT = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class SeenObject:
+    """An object on the table.
+
+    Parameters
+    ----------
+    id
+        Its number, from 0; row and column of `View.hides`.
+    centroid_m
+        Middle of its completed shape, in the frame of the cloud [m].
+    height_m
+        How high it reaches over the table [m].
+    size_m
+        Extent of what is seen of it: to the camera's right, away from the camera, and up [m].
+    occlusion
+        Share of its silhouette that is hidden behind nearer objects, in [0, 1].
+    num_points
+        Points of the cloud that are seen of it.
+    is_upright
+        False if it lies.
+    pixels
+        Flat indices of its pixels in the range image.
+    """
+
+    id: int
+    centroid_m: Vector
+    height_m: float
+    size_m: Vector
+    occlusion: float
+    num_points: int
+    is_upright: bool
+    pixels: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What a camera sees on a table.
+
+    Parameters
+    ----------
+    table
+        Plane of the table, in the frame of the cloud; its normal points up.
+    objects
+        What stands or lies on it, largest in the image first.
+    hides
+        ``hides[i, j]`` is the share of object i's silhouette that is hidden by object j alone.
+    labels
+        Object of each pixel of the range image; −1 where there is none.
+    silhouettes
+        What each object would fill of the image if it stood there alone.
+    image
+        The range image that all this was seen in.
+    num_cut
+        Objects left out because the border of the image cuts them: nobody knows how much of them is hidden.
+    name
+        Where the cloud comes from.
+    """
+
+    table: Plane
+    objects: tuple[SeenObject, ...]
+    hides: Hides
+    labels: Labels
+    silhouettes: Bool[np.ndarray, "N H W"]
+    image: RangeImage
+    num_cut: int
+    name: str
+
+    def scene(self) -> Scene:
+        """Return what the world needs to know of this view."""
+        return Scene(self.hides, self.name)
+
+
+def perceive(cloud: Cloud) -> View:
+    """Find the table in a cloud, what stands on it, and who hides whom.
+
+    Parameters
+    ----------
+    cloud
+        What one depth camera returned.
+
+    Returns
+    -------
+    View
+        Without objects if the table is empty. One cloud gives one view, to the last bit.
+
+    Raises
+    ------
+    CloudError
+        There are too few points, or no table.
+    """
+    image = range_image(cloud)
+    plane = find_table(image)
+    labels, solids, num_cut = objects_of_sheets(sheets_on_table(image, plane), plane, image)
+    found = occlusions(labels, solids, plane, image)
+    counts = _points_of_pixels(image)
+    objects = tuple(_seen(i, solid, labels, found, plane, image, counts, cloud) for i, solid in enumerate(solids))
+    normal = image.cloud_from_camera @ plane.normal
+    table = Plane(normal, float(plane.offset_m + normal @ cloud.eye_m))
+    return View(table, objects, found.hides, labels, found.silhouettes, image, num_cut, cloud.name)
+
+
+def _points_of_pixels(image: RangeImage) -> np.ndarray:
+    seen = image.pixel_of_point[image.pixel_of_point >= 0]
+    return np.bincount(seen, minlength=image.depth_m.size)
+
+
+def _seen(
+    i: int,
+    solid: Vessel | Hull,
+    labels: Labels,
+    found: Occlusion,
+    plane: Plane,
+    image: RangeImage,
+    counts: np.ndarray,
+    cloud: Cloud,
+) -> SeenObject:
+    pixels = np.flatnonzero(labels == i)
+    points = plane.table_points(image.points_m.reshape(-1, 3)[pixels])
+    low, high = np.percentile(points, [EXTENT_PERCENT, 100 - EXTENT_PERCENT], axis=0)
+    middle = plane.camera_points(solid.middle_m[None])[0]
+    return SeenObject(
+        id=i,
+        centroid_m=image.cloud_from_camera @ middle + cloud.eye_m,
+        height_m=float(high[2]),
+        size_m=np.array([high[0] - low[0], high[1] - low[1], high[2]]),
+        occlusion=float(found.occlusion[i]),
+        num_points=int(counts[pixels].sum()),
+        is_upright=_is_upright(solid, high - low, float(high[2])),
+        pixels=pixels,
+    )
+
+
+def _is_upright(solid: Vessel | Hull, extent_m: Vector, height_m: float) -> bool:
+    if isinstance(solid, Vessel):
+        return solid.is_upright
+    return bool(height_m > UPRIGHT_ASPECT * max(extent_m[:2]))
+
+
+def most_hidden(objects: Sequence[SeenObject]) -> SeenObject:
+    """Return the object that is hidden most; the first of equals.
+
+    Parameters
+    ----------
+    objects
+        At least one object.
+    """
+    return max(objects, key=lambda seen: (seen.occlusion, -seen.id))
