@@ -46,7 +46,7 @@ class WeightDiagnostics:
         )
 
 
-def weight_diagnostics(weights: ArrayLike, truncate_at: float | None = None) -> WeightDiagnostics:
+def weight_diagnostics(weights: ArrayLike, truncate_at: float | int | None = None) -> WeightDiagnostics:
     """Summarise weights as they are used.
 
     Parameters

@@ -1,6 +1,7 @@
 """What every fit and every weight accepts: array-likes in, checked float64 and bool out, bad values named."""
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike
 
 from halfseen.arrays import RowMask, Rows
@@ -52,7 +53,7 @@ def checked_floats(values: ArrayLike, name: str, ndim: int = 1) -> np.ndarray:
     return floats
 
 
-def checked_truncation(truncate_at: float | None) -> float | None:
+def checked_truncation(truncate_at: float | int | None) -> float | int | None:
     """Refuse a bound on the weights that none could meet: every weight 1/Ĝ is at least 1."""
     if truncate_at is not None and not 1.0 <= truncate_at < np.inf:
         raise ArgumentError(
@@ -67,10 +68,10 @@ def _checked_bools(values: ArrayLike, name: str) -> RowMask:
         raise ArgumentError(f"{name} has shape {flags.shape}; give one axis")
     if flags.dtype == np.bool_:
         return flags
-    # A masked or nullable boolean arrives as objects, an indicator as 0 and 1; anything else is no answer to yes or no.
-    for row, flag in enumerate(flags.tolist()):
-        if flag not in (0, 1):
-            raise ArgumentError(
-                f"{name}, row {row}: {flag!r} is neither true nor false; give True (finished) or False (cut)"
-            )
+    # A nullable boolean arrives as objects, an indicator as 0 and 1; anything else is no answer to yes or no.
+    wrong = ~pd.Series(flags).isin([0, 1]).to_numpy(dtype=bool)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        value = flags[row : row + 1].tolist()[0]
+        raise ArgumentError(f"{name}, row {row}: {value!r} is neither; give True where finished and False where cut")
     return flags.astype(np.bool_)

@@ -11,7 +11,7 @@ s         ``times_``: the distinct times at which paths were cut [s]
 ========  ========================================================
 """
 
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -61,13 +61,13 @@ class KaplanMeier:
         """Parameters of the constructor: none."""
         return {}
 
-    def set_params(self, **params: Any) -> Self:
+    def set_params(self, **params: Any) -> "KaplanMeier":
         """Refuse every parameter: there are none."""
         if params:
             raise ArgumentError(f"KaplanMeier has no parameter {sorted(params)[0]!r}; it has none at all")
         return self
 
-    def fit(self, time: ArrayLike, is_finished: ArrayLike, covariates: None = None) -> Self:
+    def fit(self, time: ArrayLike, is_finished: ArrayLike, covariates: object = None) -> "KaplanMeier":
         """Fit the curve.
 
         Parameters
@@ -92,7 +92,7 @@ class KaplanMeier:
         self.last_time_ = float(ends.max())
         return self
 
-    def survival(self, u: ArrayLike, covariates: None = None) -> Float[np.ndarray, "..."]:
+    def survival(self, u: ArrayLike, covariates: object = None) -> Float[np.ndarray, "..."]:
         """Ĝ(u⁻) = P(C ≥ u).
 
         Parameters

@@ -1,6 +1,6 @@
 """What a censoring model is: anything that, once fitted to the ends of paths, tells P(C ≥ u | z)."""
 
-from typing import Any, Protocol, Self, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -14,7 +14,7 @@ class CensoringModel(Protocol):
     The cut time C is itself censored, by the path's own end. At equal times completions come before cuts.
     """
 
-    def fit(self, time: ArrayLike, is_finished: ArrayLike, covariates: Any = None) -> Self:
+    def fit(self, time: ArrayLike, is_finished: ArrayLike, covariates: Any = None) -> "CensoringModel":
         """Fit to the observed ends of paths `time` [s], shape (n,), False in `is_finished` where a path was cut."""
         ...
 

@@ -23,7 +23,7 @@ def censoring_weights(
     model: CensoringModel | None = None,
     *,
     covariates: ArrayLike | None = None,
-    truncate_at: float | None = None,
+    truncate_at: float | int | None = None,
     path_ids: ArrayLike | None = None,
 ) -> Rows:
     """Weight of each path's own end: is_finished / Ĝ(time⁻ | z).
@@ -70,7 +70,7 @@ def stage_weights(
     end_s: ArrayLike,
     is_finished: ArrayLike,
     model: CensoringModel | None = None,
-    truncate_at: float | None = None,
+    truncate_at: float | int | None = None,
     *,
     covariates: ArrayLike | None = None,
     path_ids: ArrayLike | None = None,
@@ -133,7 +133,7 @@ def _survival(
     return np.asarray(model.survival(times, covariates[rows]), dtype=np.float64)
 
 
-def _inverse(seen: Float[np.ndarray, " k"], truncate_at: float | None, describe: Any) -> Float[np.ndarray, " k"]:
+def _inverse(seen: Float[np.ndarray, " k"], truncate_at: float | int | None, describe: Any) -> Float[np.ndarray, " k"]:
     """1/Ĝ, bounded; `describe(k)` tells where, what and when entry k was seen."""
     bound = checked_truncation(truncate_at)
     wrong = ~((seen >= 0) & (seen <= 1))
@@ -156,7 +156,7 @@ def _inverse(seen: Float[np.ndarray, " k"], truncate_at: float | None, describe:
     return 1.0 / np.maximum(seen, 1.0 / bound)
 
 
-def _check_clock(clock: Float[np.ndarray, "n T"], ends: Rows, names: np.ndarray) -> None:
+def _check_clock(clock: Float[np.ndarray, "rows T"], ends: Rows, names: np.ndarray) -> None:
     if len(clock) != len(ends):
         raise ArgumentError(f"elapsed_s has {len(clock)} rows and end_s has {len(ends)}; give one of each per path")
     wrong = np.argwhere((clock <= 0) | (clock > ends[:, None]))
