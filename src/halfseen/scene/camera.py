@@ -43,7 +43,9 @@ class Camera:
 
     def __post_init__(self) -> None:
         if self.num_rows < 1 or self.num_columns < 1:
-            raise SceneError(f"camera: {self.num_rows} rows by {self.num_columns} columns; an image has at least 1 by 1")
+            raise SceneError(
+                f"camera: {self.num_rows} rows by {self.num_columns} columns; an image has at least 1 by 1"
+            )
         if not min(self.focal_px) > 0:
             raise SceneError(f"camera: focal_px is {self.focal_px}; focal lengths are positive")
 
@@ -70,7 +72,9 @@ class Camera:
         """
         seen_m = self.world_from_camera.apply_inverse(points_m)
         if np.any(seen_m[:, 2] <= 0):
-            raise SceneError(f"camera: a point lies {seen_m[:, 2].min():.3g} m before the camera; turn the camera to it")
+            raise SceneError(
+                f"camera: a point has depth {seen_m[:, 2].min():.3g} m, behind the lens; turn the camera to it"
+            )
         return seen_m[:, :2] / seen_m[:, 2:] * np.asarray(self.focal_px) + np.asarray(self.centre_px)
 
 
@@ -96,7 +100,7 @@ def look_at(position_m: Float[np.ndarray, " 3"], target_m: Float[np.ndarray, " 3
 
 
 def _quaternion_of(rotation: Float[np.ndarray, "3 3"]) -> tuple[float, float, float, float]:
-    """Unit quaternion of a rotation matrix, as the leading eigenvector of Bar-Itzhack's symmetric matrix."""
+    """Turn a rotation matrix into its unit quaternion, the leading eigenvector of Bar-Itzhack's symmetric matrix."""
     xx, xy, xz, yx, yy, yz, zx, zy, zz = rotation.ravel()
     symmetric = np.array(
         [

@@ -65,7 +65,7 @@ class Cup:
 
 
 def body_mesh(cup: Cup) -> tuple[Vertices, Faces]:
-    """Closed surface of the vessel: outside, rim, inside and bottom.
+    """Build the closed surface of the vessel: outside, rim, inside and bottom.
 
     Parameters
     ----------
@@ -84,13 +84,15 @@ def body_mesh(cup: Cup) -> tuple[Vertices, Faces]:
         (cup.radius_at(cup.bottom_m) - cup.wall_m, cup.bottom_m),
     ]
     angles = 2 * np.pi * np.arange(NUM_AROUND) / NUM_AROUND
-    rings = np.array([np.stack([r * np.cos(angles), r * np.sin(angles), np.full(NUM_AROUND, z)], 1) for r, z in profile_m])
+    rings = np.array(
+        [np.stack([r * np.cos(angles), r * np.sin(angles), np.full(NUM_AROUND, z)], 1) for r, z in profile_m]
+    )
     poles = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, cup.bottom_m]])
     return _tube(rings, poles)
 
 
 def handle_mesh(cup: Cup) -> tuple[Vertices, Faces]:
-    """Closed surface of the handle: a bent round bar whose ends sit in the wall.
+    """Build the closed surface of the handle: a bent round bar whose ends sit in the wall.
 
     Parameters
     ----------
@@ -120,7 +122,7 @@ def handle_mesh(cup: Cup) -> tuple[Vertices, Faces]:
 
 
 def outline(cup: Cup) -> Vertices:
-    """Vertices of the whole cup, handle included, in its own frame [m]."""
+    """List the vertices of the whole cup, handle included, in its own frame [m]."""
     vertices = body_mesh(cup)[0]
     return vertices if cup.handle_m == 0 else np.concatenate([vertices, handle_mesh(cup)[0]])
 

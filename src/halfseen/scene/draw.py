@@ -13,12 +13,13 @@ from halfseen.scene.settle import settle, smallest_gap_m
 from halfseen.scene.table import TABLE_SIZE_M, TABLE_TOP_M, Table
 from halfseen.scene.truth import Truth, truth_of
 from halfseen.scene.view import is_whole_in_picture, lone_depths_m, table_view
-from halfseen.scene.xtion import BASELINE_M, loss_probability, xtion_at
+from halfseen.scene.xtion import BASELINE_M, RANGE_M, loss_probability, xtion_at
 
 NUM_CUPS = (5, 10)
 MAX_OCCLUSION = 0.85
 MIN_RETURNS_PX = 150
 _NUM_PROPOSALS = 500
+_RANGE_MARGIN_M = 0.1  # over three times the noise at the far end, where it is 3 cm
 _EDGE_M = 0.04  # a cup's middle stays this far inside the table's edge
 
 
@@ -65,9 +66,9 @@ def _propose(num_cups: int, name: str, rng: np.random.Generator) -> Table | None
 
 
 def _draw_camera_pose(rng: np.random.Generator) -> Pose:
-    """A robot's head before the table: about 0.95 m from its middle, 27° to 34° below the horizontal."""
+    """Put a robot's head before the table: about 0.95 m from its middle, 25° to 32° below the horizontal."""
     target_m = np.array([rng.uniform(-0.02, 0.02), rng.uniform(-0.02, 0.02), TABLE_TOP_M + 0.03])
-    distance_m, down_rad, aside_rad = rng.uniform(0.92, 1.0), np.deg2rad(rng.uniform(27, 34)), rng.normal(0, 0.05)
+    distance_m, down_rad, aside_rad = rng.uniform(0.92, 1.0), np.deg2rad(rng.uniform(25, 32)), rng.normal(0, 0.05)
     back = np.array([np.sin(aside_rad) * np.cos(down_rad), -np.cos(aside_rad) * np.cos(down_rad), np.sin(down_rad)])
     return look_at(target_m + distance_m * back, target_m)
 
@@ -113,4 +114,5 @@ def sure_returns_px(table: Table, truth: Truth) -> np.ndarray:
     """
     view = table_view(table, BASELINE_M)
     is_sure = view.is_lit & (loss_probability(view.incidence_cosine) == 0)
+    is_sure &= (view.depth_m > RANGE_M[0] + _RANGE_MARGIN_M) & (view.depth_m < RANGE_M[1] - _RANGE_MARGIN_M)
     return np.array([np.sum(is_sure & (truth.labels == index)) for index in range(table.num_cups)])

@@ -10,7 +10,7 @@ from halfseen.scene.poses import Pose, about_axis, compose
 from halfseen.scene.table import TABLE_TOP_M
 
 GAP_M = 0.01  # cups nearer than this might be one thing to the eye
-_FREE_AREA_M = ((-0.30, 0.30), (-0.20, 0.20))  # where cups stand, from the table's middle
+_FREE_AREA_M = ((-0.27, 0.27), (-0.20, 0.20))  # where cups stand, from the table's middle
 _DROP_M = 0.004
 _FALLEN_SHARE = 0.3
 _BEHIND_SHARE = 0.85  # of the cups are put behind or before another, along the line of sight
@@ -75,15 +75,13 @@ def _draw_place(poses: Sequence[Pose], rng: np.random.Generator) -> tuple[float,
     (left_m, right_m), (near_m, far_m) = _FREE_AREA_M
     if not poses or rng.random() >= _BEHIND_SHARE:
         return rng.uniform(left_m, right_m), rng.uniform(near_m, far_m)
-    x_m, y_m, _ = poses[rng.integers(len(poses))].position_m
+    x_m, y_m, _ = poses[int(rng.integers(len(poses)))].position_m
     side = 1.0 if rng.random() < 0.5 else -1.0
-    return x_m + rng.normal(0.0, 0.03), y_m + side * rng.uniform(0.08, 0.15)
+    return x_m + rng.normal(0.0, 0.022), y_m + side * rng.uniform(0.075, 0.125)
 
 
-def _just_above_table(
-    cup: Cup, place_m: tuple[float, float], quaternion: tuple[float, float, float, float]
-) -> Pose:
-    """Pose whose lowest point is a few millimetres above the table, and whose axis is centred over a place."""
+def _just_above_table(cup: Cup, place_m: tuple[float, float], quaternion: tuple[float, float, float, float]) -> Pose:
+    """Find the pose whose lowest point is a few millimetres above the table, and whose axis is centred over a place."""
     turned = Pose((0.0, 0.0, 0.0), quaternion)
     lowest_m = float(turned.apply(outline(cup))[:, 2].min())
     middle_m = turned.apply(np.array([[0.0, 0.0, cup.height_m / 2]]))[0]
@@ -93,7 +91,7 @@ def _just_above_table(
 
 
 def _footprint(cup: Cup, pose: Pose) -> list[Disc]:
-    """Discs that cover the cup as seen from above."""
+    """List discs that cover the cup as seen from above."""
     spots: Float[np.ndarray, "n 3"] = np.array([[0.0, 0.0, share * cup.height_m] for share in (0.1, 0.5, 0.9)])
     radii_m = [cup.radius_at(float(z_m)) for z_m in spots[:, 2]]
     if cup.handle_m > 0:

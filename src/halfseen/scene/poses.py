@@ -58,14 +58,14 @@ class Pose:
         return (points_m - np.asarray(self.position_m)) @ self.rotation
 
     def rounded(self) -> "Pose":
-        """The same pose to a micrometre, and the quaternion to 1e-7, so that a file holds it exactly."""
+        """Round to a micrometre, and the quaternion to 1e-7, so that a file holds the pose exactly."""
         x_m, y_m, z_m = (round(float(value), 6) for value in self.position_m)
         w, x, y, z = (round(float(value), 7) for value in self.quaternion)
         return Pose((x_m, y_m, z_m), (w, x, y, z))
 
 
 def about_axis(axis: tuple[float, float, float], angle_rad: float) -> tuple[float, float, float, float]:
-    """Quaternion that turns by an angle about a unit axis.
+    """Make the quaternion that turns by an angle about a unit axis.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def about_axis(axis: tuple[float, float, float], angle_rad: float) -> tuple[floa
 def compose(
     first: tuple[float, float, float, float], then: tuple[float, float, float, float]
 ) -> tuple[float, float, float, float]:
-    """Quaternion that turns by `first`, and `then` by the second, both about fixed axes."""
+    """Make the quaternion that turns by `first` and afterwards by `then`, both about fixed axes."""
     w1, x1, y1, z1 = then
     w2, x2, y2, z2 = first
     return (

@@ -1,5 +1,8 @@
 """Ray casting: what a ray from one point meets first."""
 
+# MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
+# pyright: reportAttributeAccessIssue=false
+
 from dataclasses import dataclass
 
 import mujoco
@@ -54,9 +57,7 @@ def cast(model: mujoco.MjModel, origin_m: Float[np.ndarray, " 3"], unit_directio
     distance_m = np.full(num_rays, -1.0)
     normal = np.zeros(3 * num_rays)
     directions = np.ascontiguousarray(unit_directions, dtype=np.float64).ravel()
-    mujoco.mj_multiRay(
-        model, data, origin_m, directions, None, True, -1, geom, distance_m, normal, num_rays, reach_m
-    )
+    mujoco.mj_multiRay(model, data, origin_m, directions, None, True, -1, geom, distance_m, normal, num_rays, reach_m)
     is_hit = geom >= 0
     body = np.where(is_hit, model.geom_bodyid[np.maximum(geom, 0)], -1).astype(np.int64)
     normal = normal.reshape(-1, 3)

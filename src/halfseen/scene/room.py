@@ -1,9 +1,11 @@
 """The room as MuJoCo sees it: a floor, a wall, a table, and the cups on it, free to move or fixed."""
 
+# MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
+# pyright: reportAttributeAccessIssue=false
+
 from collections.abc import Sequence
 
 import mujoco
-import numpy as np
 
 from halfseen.scene.cups import Cup, Faces, Vertices, body_mesh, handle_mesh
 from halfseen.scene.poses import Pose
@@ -19,7 +21,7 @@ _FRICTION = (0.6, 0.004, 0.0015)
 _STIFF_CONTACT = (0.006, 1.0)  # time constant [s] and damping ratio: a cup sinks in by less than 0.1 mm
 
 
-def cup_prefix(index: int) -> str:
+def cup_name(index: int) -> str:
     """Name of a cup's body in the model."""
     return f"cup_{index}"
 
@@ -101,15 +103,15 @@ def _add_furniture(spec: mujoco.MjSpec) -> None:
 
 
 def _add_cup(spec: mujoco.MjSpec, index: int, cup: Cup, pose: Pose, *, is_free: bool) -> None:
-    """Add a cup. Rays meet the hollow mesh; contacts use its convex hull, which is exact as long as nothing is inside."""
-    body = spec.worldbody.add_body(name=cup_prefix(index), pos=list(pose.position_m), quat=list(pose.quaternion))
+    """Add a cup: rays meet the hollow mesh, contacts its convex hull, which is exact while nothing is inside."""
+    body = spec.worldbody.add_body(name=cup_name(index), pos=list(pose.position_m), quat=list(pose.quaternion))
     if is_free:
         body.add_freejoint()
     meshes = {"vessel": body_mesh(cup)}
     if cup.handle_m > 0:
         meshes["handle"] = handle_mesh(cup)
     for part, (vertices, faces) in meshes.items():
-        name = f"{cup_prefix(index)}_{part}"
+        name = f"{cup_name(index)}_{part}"
         _add_mesh(spec, name, vertices, faces)
         body.add_geom(
             type=mujoco.mjtGeom.mjGEOM_MESH,
@@ -124,8 +126,3 @@ def _add_cup(spec: mujoco.MjSpec, index: int, cup: Cup, pose: Pose, *, is_free: 
 def _add_mesh(spec: mujoco.MjSpec, name: str, vertices: Vertices, faces: Faces) -> None:
     mesh = spec.add_mesh(name=name, uservert=vertices.ravel().tolist(), userface=faces.ravel().tolist())
     mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_EXACT
-
-
-def body_of_geom(model: mujoco.MjModel) -> np.ndarray:
-    """Body of each geom, as a plain array that outlives the model."""
-    return np.array(model.geom_bodyid, dtype=np.int64)

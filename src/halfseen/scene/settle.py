@@ -1,5 +1,8 @@
 """Physics: let cups drop onto the table and wait until they rest."""
 
+# MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
+# pyright: reportAttributeAccessIssue=false
+
 from collections.abc import Sequence
 
 import mujoco
@@ -8,7 +11,7 @@ import numpy as np
 from halfseen.errors import SceneError
 from halfseen.scene.cups import Cup
 from halfseen.scene.poses import Pose
-from halfseen.scene.room import TIMESTEP_S, cup_prefix, room_model
+from halfseen.scene.room import TIMESTEP_S, cup_name, room_model
 
 REST_SPEED = 2e-3  # largest speed of a cup at rest [m/s, rad/s]
 _QUIET_S = 0.2  # how long a cup must have been that slow: a cup that turns back while rocking is slow for an instant
@@ -85,7 +88,7 @@ def smallest_gap_m(cups: Sequence[Cup], world_from_cup: Sequence[Pose], beyond_m
     model = room_model(cups, world_from_cup, is_free=False)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    geoms = [np.flatnonzero(model.geom_bodyid == model.body(cup_prefix(index)).id) for index in range(len(cups))]
+    geoms = [np.flatnonzero(model.geom_bodyid == model.body(cup_name(index)).id) for index in range(len(cups))]
     gap_m = beyond_m
     for i in range(len(cups)):
         for j in range(i):
@@ -96,7 +99,7 @@ def smallest_gap_m(cups: Sequence[Cup], world_from_cup: Sequence[Pose], beyond_m
 
 
 def _pose_of(data: mujoco.MjData, index: int) -> Pose:
-    body = data.body(cup_prefix(index))
+    body = data.body(cup_name(index))
     x_m, y_m, z_m = (float(value) for value in body.xpos)
     w, x, y, z = (float(value) for value in body.xquat)
     return Pose((x_m, y_m, z_m), (w, x, y, z)).rounded()

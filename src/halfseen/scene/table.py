@@ -17,7 +17,9 @@ _FALLEN_COSINE = 0.5  # an axis more than 60° off the vertical: neither standin
 
 @dataclass(frozen=True)
 class Table:
-    """Cups at rest on a table. The world's origin is on the floor under the table's middle, y away from the camera, z up.
+    """Cups at rest on a table.
+
+    The world's origin is on the floor under the table's middle, y points away from the camera, z up.
 
     Parameters
     ----------

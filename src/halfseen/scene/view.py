@@ -1,7 +1,11 @@
 """What an ideal camera sees: depth, labels, and the silhouette of each cup as if it stood alone."""
 
+# MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
+# pyright: reportAttributeAccessIssue=false
+
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -44,7 +48,7 @@ class IdealView:
         return np.where(self.body > 0, self.body - 1, -1)
 
 
-def ideal_view(model, camera: Camera, baseline_m: float) -> IdealView:
+def ideal_view(model: mujoco.MjModel, camera: Camera, baseline_m: float) -> IdealView:
     """See a model with an ideal camera, and from a projector beside it.
 
     Parameters
@@ -83,9 +87,19 @@ def table_view(table: Table, baseline_m: float) -> IdealView:
 
 
 def lone_depths_m(table: Table) -> Float[np.ndarray, "N H W"]:
-    """Depth image of every cup as if it stood alone in the world [m]; infinite where it is not.
+    """See every cup as if it stood alone in the world.
 
     Only pixels inside the box around the cup's outline are cast, so that ten cups cost less than one full picture.
+
+    Parameters
+    ----------
+    table
+        The table.
+
+    Returns
+    -------
+    numpy.ndarray
+        Depth [m] of each cup; infinite where the cup is not.
     """
     depths_m = np.full((table.num_cups, table.camera.num_rows, table.camera.num_columns), np.inf)
     for index, (cup, pose) in enumerate(zip(table.cups, table.world_from_cup, strict=True)):
@@ -110,7 +124,9 @@ def is_whole_in_picture(table: Table, margin_px: float = 8.0) -> bool:
     return True
 
 
-def _is_lit(model, projector_m: Float[np.ndarray, " 3"], points_m: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+def _is_lit(
+    model: mujoco.MjModel, projector_m: Float[np.ndarray, " 3"], points_m: Float[np.ndarray, "n 3"]
+) -> Bool[np.ndarray, " n"]:
     """Which points the projector reaches: the first thing on the way to a point is the point itself."""
     is_point = np.isfinite(points_m[:, 0])
     ways_m = points_m[is_point] - projector_m

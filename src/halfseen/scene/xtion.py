@@ -29,7 +29,7 @@ GRAZING_RAD = (np.deg2rad(78.0), np.deg2rad(85.0))
 
 
 def xtion_at(world_from_camera: Pose) -> Camera:
-    """The sensor's camera: fx = 577.3 px and fy = 579.4 px follow from the field of view.
+    """Put the sensor's camera somewhere; fx = 577.3 px and fy = 579.4 px follow from the field of view.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def xtion_at(world_from_camera: Pose) -> Camera:
 
 
 def sense(view: IdealView, focal_px: float, rng: np.random.Generator) -> Image:
-    """What the sensor returns of an ideal view.
+    """Turn an ideal view into what the sensor returns.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def sense(view: IdealView, focal_px: float, rng: np.random.Generator) -> Image:
 
 
 def disparity_noise_px(shape: tuple[int, ...], rng: np.random.Generator) -> Image:
-    """Noise of the disparity, partly shared between neighbours; its standard deviation is 0.1 px.
+    """Draw the noise of the disparity, partly shared between neighbours; its standard deviation is 0.1 px.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def disparity_noise_px(shape: tuple[int, ...], rng: np.random.Generator) -> Imag
 
 
 def noisy_disparity_px(depth_m: Image, noise_px: Image, focal_px: float) -> Image:
-    """Measured disparity, in steps of 1/8 px: round(8·(f·b/z + noise))/8.
+    """Measure the disparity, in steps of 1/8 px: round(8·(f·b/z + noise))/8.
 
     Parameters
     ----------
@@ -115,13 +115,13 @@ def noisy_disparity_px(depth_m: Image, noise_px: Image, focal_px: float) -> Imag
 
 
 def depth_from_disparity_m(disparity_px: Image, focal_px: float) -> Image:
-    """Depth of a disparity, z = f·b/d [m]; NaN where the disparity is not positive."""
+    """Turn a disparity into depth, z = f·b/d [m]; NaN where the disparity is not positive."""
     is_finite_depth = disparity_px > 0
     return np.where(is_finite_depth, focal_px * BASELINE_M / np.where(is_finite_depth, disparity_px, 1.0), np.nan)
 
 
 def loss_probability(incidence_cosine: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-    """Probability that a ray is lost because it grazes the surface: 0 up to 78°, 1 from 85° on, a ramp between.
+    """Give the probability that a ray is lost at a grazing angle: 0 up to 78°, 1 from 85° on, a ramp between.
 
     Parameters
     ----------
