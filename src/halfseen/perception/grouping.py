@@ -3,17 +3,21 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from halfseen.arrays import Points
 from halfseen.perception.objects import Labels
 from halfseen.perception.plane import Plane
 from halfseen.perception.range_image import PixelMask, RangeImage
 from halfseen.perception.silhouette import covered, middle_depth_m
-from halfseen.perception.solids import Hull, Vessel, fit_lying, fit_standing, thinned
+from halfseen.perception.solids import Hull, Vessel, fit_lying, fit_standing, robust_cost, thinned
 
 # A fit whose mean cost is worse is no vessel: residuals of 8 mm everywhere.
 WORST_VESSEL_MISFIT = 3.2
+# A fit that is worse than this may be that of a vessel on its handle, if that halves the cost.
+HANDLE_MISFIT, HANDLE_GAIN = 1.6, 0.5
+# A vessel whose fit is better is sure enough to claim what lies inside it.
+SURE_VESSEL_MISFIT = 1.5
 # Pieces farther apart than a wide cup are not tried together [m].
 FARTHEST_PIECES_M = 0.08
 # Two pieces are walls of one vessel if the points of each lie this near to one common wall: mean robust cost.
@@ -23,9 +27,13 @@ LARGEST_CONTRADICTION = 0.12
 # A piece is inside a solid if this share of its points is no farther outside than the noise [m].
 INSIDE_SHARE = 0.7
 INSIDE_M = 0.006
-# A handle starts at the wall, reaches no farther than this [m], and is smaller than this share of the body.
-HANDLE_START_M = 0.012
+# ... and this near to the wall or the bottom [m]: what is deep inside a vessel, above its bottom, is another thing.
+AT_WALL_M = 0.012
+# What is seen of a handle starts near the wall, reaches no farther than this, and is no wider, noise included [m]; it
+# is smaller than this share of the body.
+HANDLE_START_M = 0.025
 HANDLE_REACH_M = 0.055
+HANDLE_WIDTH_M = 0.025
 HANDLE_SHARE = 0.25
 # Smaller patches are flying pixels [m²]: a cup shows 4 cm² when five sixths of it are hidden.
 SMALLEST_OBJECT_M2 = 2.0e-4
@@ -95,11 +103,14 @@ def completed(points_m: Points) -> Vessel | Hull:
     if len(points_m) < 8:
         return Hull(points_m)
     vessel = min((fit_standing(points_m), fit_lying(points_m)), key=lambda one: one.misfit)
+    if vessel.misfit > HANDLE_MISFIT:
+        on_handle = fit_lying(points_m, is_on_wall=False)
+        vessel = on_handle if on_handle.misfit < HANDLE_GAIN * vessel.misfit else vessel
     return vessel if vessel.misfit < WORST_VESSEL_MISFIT else Hull(thinned(points_m, 2000))
 
 
 def _spread(points_m: Points) -> Points:
-    """The same points in a fixed order that spreads them, so that every thinning covers all of them."""
+    """Put points into a fixed order that spreads them, so that every thinning covers all of them."""
     return points_m[np.random.default_rng(0).permutation(len(points_m))]
 
 
@@ -120,15 +131,15 @@ def _merged(pieces: list[_Piece], sheets: Labels, plane: Plane, image: RangeImag
 
 
 def _joined(large: _Piece, small: _Piece, sheets: Labels, plane: Plane, image: RangeImage) -> _Piece | None:
-    """The two as one object, or None if they are two."""
-    gap, _ = cKDTree(thinned(large.points_m)).query(thinned(small.points_m))
+    """Make one object of two pieces, or None if they are two objects."""
+    gap, _ = KDTree(thinned(large.points_m)).query(thinned(small.points_m))
     if gap.min() > FARTHEST_PIECES_M:
         return None
     names = large.sheets + small.sheets
     points = _spread(np.concatenate([large.points_m, small.points_m]))
-    if isinstance(large.solid, Vessel) and (_is_inside(small, large.solid) or _is_handle(small, large)):
-        return _Piece(names, points, large.solid if _is_handle(small, large) else completed(points))
-    if isinstance(small.solid, Vessel) and _is_inside(large, small.solid):
+    if _is_handle(small, large):
+        return _Piece(names, points, large.solid)
+    if _is_inside(small, large) or _is_inside(large, small):
         return _Piece(names, points, completed(points))
     solid = completed(points)
     if not isinstance(solid, Vessel) or max(_cost(solid, large), _cost(solid, small)) > JOINT_MISFIT:
@@ -139,27 +150,36 @@ def _joined(large: _Piece, small: _Piece, sheets: Labels, plane: Plane, image: R
 
 
 def _cost(vessel: Vessel, piece: _Piece) -> float:
-    scaled = vessel.outside_m(thinned(piece.points_m)) / 0.003
-    return float(np.mean(2 * (np.sqrt(1 + scaled**2) - 1)))
+    return robust_cost(vessel.outside_m(thinned(piece.points_m)))
 
 
-def _is_inside(piece: _Piece, vessel: Vessel) -> bool:
+def _is_inside(piece: _Piece, other: _Piece) -> bool:
+    """Whether a piece is the inner wall or the bottom of another: solids never share room."""
+    vessel = other.solid
+    if not isinstance(vessel, Vessel) or vessel.misfit > SURE_VESSEL_MISFIT:
+        return False
     points = thinned(piece.points_m)
-    along = vessel.along_m(points)
+    outside, along = vessel.outside_m(points), vessel.along_m(points)
     low, high = vessel.ends_m
     is_between = (along > low - INSIDE_M) & (along < high + INSIDE_M)
-    return bool(np.mean((vessel.outside_m(points) < INSIDE_M) & is_between) > INSIDE_SHARE)
+    is_at_wall = (np.abs(outside) < AT_WALL_M) | (along < low + AT_WALL_M)
+    return bool(np.mean((outside < INSIDE_M) & is_between & is_at_wall) > INSIDE_SHARE)
 
 
 def _is_handle(small: _Piece, large: _Piece) -> bool:
-    if not isinstance(large.solid, Vessel) or len(small.points_m) > HANDLE_SHARE * len(large.points_m):
+    """Whether a piece sticks out of a vessel's wall, in a plane through its axis."""
+    vessel = large.solid
+    if not isinstance(vessel, Vessel) or len(small.points_m) > HANDLE_SHARE * len(large.points_m):
         return False
     points = thinned(small.points_m)
-    outside, along = large.solid.outside_m(points), large.solid.along_m(points)
-    low, high = large.solid.ends_m
+    outside, along = vessel.outside_m(points), vessel.along_m(points)
+    low, high = vessel.ends_m
     starts = np.percentile(np.abs(outside), 5) < HANDLE_START_M
     is_near = outside.max() < HANDLE_REACH_M and along.min() > low + INSIDE_M and along.max() < high + INSIDE_M
-    return bool(starts and is_near)
+    across = points - vessel.centre_m - along[:, None] * vessel.axis
+    way = across.mean(axis=0)
+    aside = across @ np.cross(vessel.axis, way / max(float(np.linalg.norm(way)), 1e-9))
+    return bool(starts and is_near and np.ptp(np.percentile(aside, [5, 95])) < HANDLE_WIDTH_M)
 
 
 def _contradiction(solid: Vessel, own: PixelMask, plane: Plane, image: RangeImage) -> float:

@@ -10,7 +10,7 @@ SMALLEST_NOISE_M = 0.001
 
 
 def depth_noise_m(depth_m: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-    """Standard deviation of a depth [m].
+    """Return the standard deviation of a depth [m].
 
     Parameters
     ----------

@@ -59,7 +59,7 @@ def sheets_on_table(image: RangeImage, plane: Plane) -> Labels:
 
 
 def relabelled(labels: Labels, kept: list[int]) -> Labels:
-    """Number the labels that are kept from 0, in the order given; the others become −1.
+    """Give the labels that are kept the numbers from 0, in the order given; the others become −1.
 
     Parameters
     ----------
@@ -117,5 +117,5 @@ def _table_outline(image: RangeImage, plane: Plane) -> Float[np.ndarray, "edges 
     sizes = np.bincount(pieces[tuple((cell - low).T)], minlength=num_pieces + 1)
     sizes[0] = 0
     corners = np.argwhere(pieces == int(sizes.argmax())) + low
-    corners = np.concatenate([corners, corners + 1, corners + [0, 1], corners + [1, 0]]) * TABLE_CELL_M
+    corners = np.concatenate([corners + np.array(shift) for shift in ((0, 0), (0, 1), (1, 0), (1, 1))]) * TABLE_CELL_M
     return ConvexHull(corners).equations

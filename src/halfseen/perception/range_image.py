@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from halfseen.arrays import Intrinsics, Points
 from halfseen.errors import CloudError
@@ -142,7 +142,7 @@ def _virtual(cloud: Cloud) -> RangeImage:
 
 
 def _virtual_rotation(points: Points) -> Float[np.ndarray, "3 3"]:
-    """The camera frame itself if all points lie before it, else a frame that looks at their middle."""
+    """Take the camera frame itself if all points lie before it, else a frame that looks at their middle."""
     finite = points[np.isfinite(points[:, 2])]
     if (finite[:, 2] > 0).all():
         return np.eye(3)
@@ -160,5 +160,5 @@ def _ray_pitch(slope: Float[np.ndarray, "n 2"]) -> float:
     """Median distance from a ray to its nearest neighbour, as tangents."""
     ordered = np.unique(slope, axis=0)
     asked = ordered[:: max(1, len(ordered) // NUM_RAYS_MEASURED)]
-    distance, _ = cKDTree(ordered).query(asked, k=2)
+    distance, _ = KDTree(ordered).query(asked, k=2)
     return max(float(np.median(distance[:, 1])), 1e-5)

@@ -4,7 +4,7 @@ Coordinates of this file are those of the table: right, away from the camera, he
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -19,8 +19,12 @@ WALL_NOISE_M = 0.003
 # [m] and of the slope of the wall.
 USUAL_RADIUS_M, RADIUS_SPREAD_M = 0.040, 0.020
 USUAL_SLOPE, SLOPE_SPREAD = 0.10, 0.12
-SMALLEST_RADIUS_M, LARGEST_RADIUS_M = 0.008, 0.15
+SMALLEST_RADIUS_M, LARGEST_RADIUS_M = 0.008, 0.13
 STEEPEST_SLOPE = 1.5
+# How far the axis of a lying vessel is from where it is when the wall touches the table: in height [m], tilt [rad].
+# Neighbouring points err together, so that the spreads are given a fifth of what they are.
+WALL_REST = (0.0005, 0.005)
+HANDLE_REST = (0.002, 0.03)
 # Points that take part in a fit: enough for noise of half a millimetre in the radius.
 NUM_POINTS_FITTED = 250
 # Directions from which the fit of a lying vessel starts, and how many of the best are followed.
@@ -49,7 +53,7 @@ class Vessel:
     ends_m
         Where the vessel begins and ends along the axis, from `centre_m` [m].
     misfit
-        Mean robust cost of a point; 1 is a residual of one and a half noises.
+        Mean robust cost of a point; 1 is a residual of one noise, infinite is a radius or slope of no vessel.
     """
 
     centre_m: Vector
@@ -110,10 +114,10 @@ class Hull:
     @property
     def middle_m(self) -> Vector:
         """Middle of the box around the points [m]."""
-        return (self.points_m.min(axis=0) + self.points_m.max(axis=0)) / 2 * [1, 1, 1]
+        return (self.points_m.min(axis=0) + self.points_m.max(axis=0)) / 2
 
     def outline_m(self) -> Points:
-        """The points, and their shadows on the table [m]."""
+        """Return the points, and their shadows on the table [m]."""
         return np.concatenate([self.points_m, self.points_m * [1.0, 1.0, 0.0]])
 
 
@@ -137,36 +141,41 @@ def fit_standing(points_m: Points) -> Vessel:
     centre = np.array([p[0], p[1], middle_height])
     axis = np.array([0.0, 0.0, 1.0])
     vessel = Vessel(centre, axis, float(p[2]), float(p[3]), (-middle_height, 0.0), misfit)
-    top = _ends(vessel, points_m)[1]
-    return Vessel(centre, axis, vessel.radius_m, vessel.slope, (-middle_height, top), misfit)
+    return replace(vessel, ends_m=(-middle_height, _ends(vessel, points_m)[1]))
 
 
-def fit_lying(points_m: Points) -> Vessel:
-    """Fit a vessel that lies with its wall on the table.
+def fit_lying(points_m: Points, *, is_on_wall: bool = True) -> Vessel:
+    """Fit a vessel that lies on the table.
 
     Parameters
     ----------
     points_m
         Points of its walls as (right, away, height) [m].
+    is_on_wall
+        False lets it rest on a handle, too: raised and tilted.
     """
     points = thinned(points_m)
-    start = np.median(points, axis=0)
+    middle = np.median(points, axis=0)
+    rest_spread_m, tilt_spread_rad = WALL_REST if is_on_wall else HANDLE_REST
 
     def residuals(p: Rows) -> Rows:
-        return _lying(p).outside_m(points)
+        return _lying(p, middle).outside_m(points)
 
-    starts = []
-    for direction in 2 * np.pi * np.arange(NUM_DIRECTIONS) / NUM_DIRECTIONS:
-        radius = float(np.clip(points[:, 2].max() / 2, 0.015, 0.08))
-        away = np.array([start[0], start[1] + radius / 2])
-        starts.append(np.array([*away, radius, USUAL_SLOPE, direction]))
+    def prior(p: Rows) -> Rows:
+        tilt = np.arctan(p[3])
+        return np.array([(p[1] - p[2] * np.cos(tilt)) / rest_spread_m, (p[5] - tilt) / tilt_spread_rad])
+
+    radius = float(np.clip(points[:, 2].max() / 2, 0.015, 0.08))
+    directions = 2 * np.pi * np.arange(NUM_DIRECTIONS) / NUM_DIRECTIONS
+    # What is seen is the near side: the axis is half a radius behind its middle.
+    starts = [np.array([radius / 2 * np.cos(way), radius, radius, USUAL_SLOPE, way, 0.0]) for way in directions]
     costs = [np.abs(residuals(p)).mean() for p in starts]
-    solved = [_solve(residuals, starts[k]) for k in np.argsort(costs, kind="stable")[:NUM_FOLLOWED]]
+    solved = [_solve(residuals, starts[k], prior) for k in np.argsort(costs, kind="stable")[:NUM_FOLLOWED]]
     p, misfit = min(solved, key=lambda pair: pair[1])
     if p[3] < 0:
-        p = np.array([p[0], p[1], p[2], -p[3], p[4] + np.pi])
-    vessel = _lying(p)
-    return Vessel(vessel.centre_m, vessel.axis, vessel.radius_m, vessel.slope, _ends(vessel, points_m), misfit)
+        p = np.array([-p[0], p[1], p[2], -p[3], p[4] + np.pi, -p[5]])
+    vessel = _lying(p, middle)
+    return replace(vessel, ends_m=_ends(vessel, points_m), misfit=misfit)
 
 
 def thinned(points_m: Points, num_points: int = NUM_POINTS_FITTED) -> Points:
@@ -182,27 +191,40 @@ def thinned(points_m: Points, num_points: int = NUM_POINTS_FITTED) -> Points:
     return points_m[:: max(1, len(points_m) // num_points)]
 
 
-def _lying(p: Rows) -> Vessel:
-    """Vessel of (right, away, radius, slope, direction) whose lowest line is on the table."""
-    tilt = np.arctan(p[3])
-    axis = np.array([np.cos(tilt) * np.cos(p[4]), np.cos(tilt) * np.sin(p[4]), np.sin(tilt)])
-    centre = np.array([p[0], p[1], p[2] * np.cos(tilt)])
+def _lying(p: Rows, middle: Vector) -> Vessel:
+    """Vessel of (aside, height, radius, slope, direction, tilt), whose centre is beside `middle`."""
+    axis = np.array([np.cos(p[5]) * np.cos(p[4]), np.cos(p[5]) * np.sin(p[4]), np.sin(p[5])])
+    centre = np.array([middle[0] - p[0] * np.sin(p[4]), middle[1] + p[0] * np.cos(p[4]), p[1]])
     return Vessel(centre, axis, float(p[2]), float(p[3]), (0.0, 0.0), 0.0)
 
 
-def _solve(residuals: Callable[[Rows], Rows], start: Rows) -> tuple[Rows, float]:
+def _solve(
+    residuals: Callable[[Rows], Rows], start: Rows, more_prior: Callable[[Rows], Rows] | None = None
+) -> tuple[Rows, float]:
+    """Parameters that fit best, of which the third is a radius and the fourth a slope, and their mean robust cost."""
+
     def with_prior(p: Rows) -> Rows:
-        prior = [(p[2] - USUAL_RADIUS_M) / RADIUS_SPREAD_M, (p[3] - USUAL_SLOPE) / SLOPE_SPREAD]
-        return np.concatenate([residuals(p) / WALL_NOISE_M, prior])
+        usual = np.array([(p[2] - USUAL_RADIUS_M) / RADIUS_SPREAD_M, (p[3] - USUAL_SLOPE) / SLOPE_SPREAD])
+        more = more_prior(p) if more_prior else usual[:0]
+        return np.concatenate([residuals(p) / WALL_NOISE_M, usual, more])
 
     low, high = np.full(len(start), -np.inf), np.full(len(start), np.inf)
-    low[2], high[2] = SMALLEST_RADIUS_M, LARGEST_RADIUS_M
-    low[3], high[3] = -STEEPEST_SLOPE, STEEPEST_SLOPE
-    found = least_squares(
-        with_prior, np.clip(start, low + 1e-6, high - 1e-6), bounds=(low, high), loss="soft_l1", max_nfev=30
-    )
-    scaled = residuals(found.x) / WALL_NOISE_M
-    return found.x, float(np.mean(2 * (np.sqrt(1 + scaled**2) - 1)))
+    low[2:4], high[2:4] = (SMALLEST_RADIUS_M, -STEEPEST_SLOPE), (LARGEST_RADIUS_M, STEEPEST_SLOPE)
+    inside = np.clip(start, low + 1e-6, high - 1e-6)
+    found = least_squares(with_prior, inside, bounds=(low, high), loss="soft_l1", max_nfev=30)
+    at_bound = bool(np.any(found.x[2:4] < low[2:4] + 1e-4) or np.any(found.x[2:4] > high[2:4] - 1e-4))
+    return found.x, np.inf if at_bound else robust_cost(residuals(found.x))
+
+
+def robust_cost(residuals_m: Rows) -> float:
+    """Mean cost of residuals: square where small against the noise, linear where large.
+
+    Parameters
+    ----------
+    residuals_m
+        Distances from a wall [m].
+    """
+    return float(np.mean(2 * (np.sqrt(1 + (residuals_m / WALL_NOISE_M) ** 2) - 1)))
 
 
 def _circle(across_m: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "2"], float]:
@@ -213,7 +235,7 @@ def _circle(across_m: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "2"],
     solution, *_ = np.linalg.lstsq(design, (offset**2).sum(axis=1), rcond=None)
     radius = float(np.sqrt(max(solution[2] + solution[:2] @ solution[:2], 0.0)))
     if not 0.5 * USUAL_RADIUS_M < radius < LARGEST_RADIUS_M / 2:
-        return middle + [0.0, USUAL_RADIUS_M / 2], USUAL_RADIUS_M
+        return middle + np.array([0.0, USUAL_RADIUS_M / 2]), USUAL_RADIUS_M
     return middle + solution[:2], radius
 
 

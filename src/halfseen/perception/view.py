@@ -8,6 +8,7 @@ from jaxtyping import Bool
 
 from halfseen.arrays import Hides
 from halfseen.perception.clouds import Cloud, Vector
+from halfseen.perception.extension import extended
 from halfseen.perception.grouping import objects_of_sheets
 from halfseen.perception.objects import Labels, sheets_on_table
 from halfseen.perception.occlusion import Occlusion, occlusions
@@ -115,6 +116,10 @@ def perceive(cloud: Cloud) -> View:
     image = range_image(cloud)
     plane = find_table(image)
     labels, solids, num_cut = objects_of_sheets(sheets_on_table(image, plane), plane, image)
+    solids = tuple(
+        extended(i, solid, labels, plane, image) if isinstance(solid, Vessel) else solid
+        for i, solid in enumerate(solids)
+    )
     found = occlusions(labels, solids, plane, image)
     counts = _points_of_pixels(image)
     objects = tuple(_seen(i, solid, labels, found, plane, image, counts, cloud) for i, solid in enumerate(solids))
