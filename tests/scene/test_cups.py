@@ -36,7 +36,7 @@ def test_volume_of_a_straight_cup_is_that_of_the_prism():
 def test_cup_is_hollow():
     model = lone_cup_model(MUG, Pose((0.0, 0.0, 0.0)))
     down = cast(model, np.array([0.003, 0.001, 1.0]), np.array([[0.0, 0.0, -1.0]]), 5.0)
-    assert 1.0 - down.distance_m[0] == pytest.approx(MUG.bottom_m, abs=1e-9)
+    assert 1.0 - down.distance_m[0] == pytest.approx(MUG.bottom_m, abs=1e-7)  # meshes are float32
 
 
 def test_handle_has_a_hole():

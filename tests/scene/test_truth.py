@@ -60,7 +60,7 @@ def test_pairs_agree_with_pictures_of_pairs(table, picture):
 
 
 def test_labels_agree_with_the_full_picture(table, picture):
-    """But for a pixel or two: contact lets a cup sink into the table by some 0.01 mm, and the full picture shows that."""
+    """But for a pixel or two: contact lets a cup sink into the table by some 0.01 mm, which the full picture shows."""
     view = table_view(table, BASELINE_M)
     differs = picture.truth.labels != view.labels
     assert differs.sum() <= 3

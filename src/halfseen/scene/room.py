@@ -14,7 +14,7 @@ from halfseen.scene.table import TABLE_SIZE_M, TABLE_TOP_M
 TIMESTEP_S = 0.002
 _TOP_THICKNESS_M = 0.03
 _LEG_RADIUS_M = 0.025
-_WALL_BEHIND_M = 1.1  # from the table's middle
+_WALL_BEHIND_M = 1.4  # from the table's middle
 _DENSITY = 2300.0  # stoneware [kg/m³]
 # Sliding [-], spinning [m] and rolling [m] friction; a cup that lies must stop rolling as it does on wood.
 _FRICTION = (0.6, 0.004, 0.0015)
@@ -49,7 +49,18 @@ def room_model(cups: Sequence[Cup], world_from_cup: Sequence[Pose], *, is_free: 
 
 
 def lone_cup_model(cup: Cup, world_from_cup: Pose) -> mujoco.MjModel:
-    """Compile a world that holds nothing but one cup, fixed."""
+    """Compile a world that holds nothing but one cup, fixed.
+
+    Parameters
+    ----------
+    cup, world_from_cup
+        The cup and its pose.
+
+    Returns
+    -------
+    mujoco.MjModel
+        Body 1 is the cup.
+    """
     spec = _empty_spec()
     _add_cup(spec, 0, cup, world_from_cup, is_free=False)
     return spec.compile()

@@ -15,6 +15,9 @@ Depths = Float[np.ndarray, "N H W"]
 class Truth:
     """What a perfect observer knows of a table with N cups.
 
+    Only cups hide cups here: the table top, into which contact lets a cup sink by some 0.01 mm, hides nothing. Parts of
+    a silhouette that only the sensor loses (shadow, grazing angles) are not hidden.
+
     Parameters
     ----------
     labels

@@ -82,7 +82,20 @@ def ideal_view(model: mujoco.MjModel, camera: Camera, baseline_m: float) -> Idea
 
 
 def table_view(table: Table, baseline_m: float) -> IdealView:
-    """See a table, with everything on it, with its own camera. Parameters as for `ideal_view`."""
+    """See a table, with everything on it, with its own camera.
+
+    Parameters
+    ----------
+    table
+        The table.
+    baseline_m
+        The projector stands this far to the camera's right [m].
+
+    Returns
+    -------
+    IdealView
+        The view.
+    """
     return ideal_view(room_model(table.cups, table.world_from_cup, is_free=False), table.camera, baseline_m)
 
 
@@ -115,7 +128,20 @@ def lone_depths_m(table: Table) -> Float[np.ndarray, "N H W"]:
 
 
 def is_whole_in_picture(table: Table, margin_px: float = 8.0) -> bool:
-    """Whether every cup lies inside the picture, away from its border by a margin [px]."""
+    """Whether every cup lies inside the picture.
+
+    Parameters
+    ----------
+    table
+        The table.
+    margin_px
+        Least distance from the picture's border [px].
+
+    Returns
+    -------
+    bool
+        False if any cup is cut off.
+    """
     size_px = np.array([table.camera.num_columns, table.camera.num_rows]) - 1.0
     for cup, pose in zip(table.cups, table.world_from_cup, strict=True):
         pixels = table.camera.project(pose.apply(outline(cup)))

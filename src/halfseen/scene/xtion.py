@@ -1,8 +1,9 @@
 """The depth camera: a structured-light sensor like the Asus Xtion PRO.
 
-The maker states the field of view (58° × 45°), the picture (640 × 480) and the range. The projector beside the camera
-makes a triangle of baseline b, so depth is z = f·b/d with the disparity d [px]; an error of d grows with z² in depth.
-Marked "ours" below: numbers chosen here, in the range that is commonly measured on this family of sensors.
+The field of view (58° × 45°), the picture (640 × 480) and the far end of the range are the maker's figures. The
+projector beside the camera makes a triangle of baseline b, so depth is z = f·b/d with the disparity d [px], and an
+error of d becomes an error of z that grows with z². Numbers marked "ours" are chosen here, to be like this family of
+sensors.
 """
 
 import numpy as np
@@ -16,9 +17,9 @@ from halfseen.scene.view import IdealView
 
 NUM_ROWS, NUM_COLUMNS = 480, 640
 FIELD_OF_VIEW_RAD = (np.deg2rad(58.0), np.deg2rad(45.0))
-BASELINE_M = 0.075
-DISPARITY_STEP_PX = 1 / 8
-RANGE_M = (0.5, 3.5)
+BASELINE_M = 0.075  # ours, as is the side: the projector stands to the camera's right, so shadows fall to the left
+DISPARITY_STEP_PX = 1 / 8  # ours
+RANGE_M = (0.5, 3.5)  # the near end is ours
 # Ours: the disparity's noise, in a part that neighbouring pixels share (they are matched by overlapping windows) and
 # a part of each pixel's own; together 0.1 px.
 SHARED_NOISE_PX = 0.09
