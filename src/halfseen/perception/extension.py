@@ -2,8 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
-
 from halfseen.perception.objects import Labels
 from halfseen.perception.plane import Plane
 from halfseen.perception.range_image import PixelMask, RangeImage
@@ -43,8 +41,7 @@ def extended(i: int, vessel: Vessel, labels: Labels, plane: Plane, image: RangeI
     num_steps = int((probable - seen) / STEP_M)
     if num_steps < 1:
         return vessel
-    with np.errstate(invalid="ignore"):
-        is_hiding = (labels >= 0) & (labels != i) & (image.depth_m < middle_depth_m(vessel, plane, image))
+    is_other = (labels >= 0) & (labels != i)
     # The foot of a standing vessel is on the table and is never prolonged.
     is_open = [not vessel.is_upright, True]
     is_known = labels == i
@@ -52,7 +49,7 @@ def extended(i: int, vessel: Vessel, labels: Labels, plane: Plane, image: RangeI
         ends = [end for end in (0, 1) if is_open[end]]
         for end in sorted(ends, key=lambda end: end != step % 2):
             longer = _prolonged(vessel, end)
-            is_open[end] = _is_behind(longer, vessel, is_hiding, is_known, plane, image)
+            is_open[end] = _is_behind(longer, vessel, is_other, is_known, plane, image)
             if is_open[end]:
                 vessel = longer
                 break
@@ -65,8 +62,11 @@ def _prolonged(vessel: Vessel, end: int) -> Vessel:
 
 
 def _is_behind(
-    longer: Vessel, vessel: Vessel, is_hiding: PixelMask, is_known: PixelMask, plane: Plane, image: RangeImage
+    longer: Vessel, vessel: Vessel, is_other: PixelMask, is_known: PixelMask, plane: Plane, image: RangeImage
 ) -> bool:
     """Whether what a step adds to the picture is behind something nearer."""
     added = covered(longer, plane, image) & ~covered(vessel, plane, image) & ~is_known
-    return bool(added.any() and is_hiding[added].mean() >= HIDDEN_SHARE)
+    if not added.any():
+        return False
+    is_hiding = added & is_other & (image.depth_m < middle_depth_m(longer, plane, image, added))
+    return bool(is_hiding[added].mean() >= HIDDEN_SHARE)

@@ -14,6 +14,8 @@ from halfseen.perception.solids import Hull, Vessel, fit_lying, fit_standing, ro
 
 # A fit whose mean cost is worse is no vessel: residuals of 8 mm everywhere.
 WORST_VESSEL_MISFIT = 3.2
+# A standing vessel that fits so well leaves nothing to ask.
+STANDING_MISFIT = 0.35
 # A fit that is worse than this may be that of a vessel on its handle, if that halves the cost.
 HANDLE_MISFIT, HANDLE_GAIN = 1.6, 0.5
 # A vessel whose fit is better is sure enough to claim what lies inside it.
@@ -22,6 +24,8 @@ SURE_VESSEL_MISFIT = 1.5
 FARTHEST_PIECES_M = 0.08
 # Two pieces are walls of one vessel if the points of each lie this near to one common wall: mean robust cost.
 JOINT_MISFIT = 1.3
+# ... which is tried only if half of one is this near to the wall that the other shows [m]; a fit takes time.
+SAME_WALL_M = 0.02
 # ... and no more than this share of the vessel's picture shows something behind it.
 LARGEST_CONTRADICTION = 0.12
 # A piece is inside a solid if this share of its points is no farther outside than the noise [m].
@@ -102,7 +106,10 @@ def completed(points_m: Points) -> Vessel | Hull:
     """
     if len(points_m) < 8:
         return Hull(points_m)
-    vessel = min((fit_standing(points_m), fit_lying(points_m)), key=lambda one: one.misfit)
+    vessel = fit_standing(points_m)
+    if vessel.misfit < STANDING_MISFIT:
+        return vessel
+    vessel = min((vessel, fit_lying(points_m)), key=lambda one: one.misfit)
     if vessel.misfit > HANDLE_MISFIT:
         on_handle = fit_lying(points_m, is_on_wall=False)
         vessel = on_handle if on_handle.misfit < HANDLE_GAIN * vessel.misfit else vessel
@@ -141,6 +148,8 @@ def _joined(large: _Piece, small: _Piece, sheets: Labels, plane: Plane, image: R
         return _Piece(names, points, large.solid)
     if _is_inside(small, large) or _is_inside(large, small):
         return _Piece(names, points, completed(points))
+    if not (_is_near_wall(small, large) or _is_near_wall(large, small)):
+        return None
     solid = completed(points)
     if not isinstance(solid, Vessel) or max(_cost(solid, large), _cost(solid, small)) > JOINT_MISFIT:
         return None
@@ -151,6 +160,13 @@ def _joined(large: _Piece, small: _Piece, sheets: Labels, plane: Plane, image: R
 
 def _cost(vessel: Vessel, piece: _Piece) -> float:
     return robust_cost(vessel.outside_m(thinned(piece.points_m)))
+
+
+def _is_near_wall(piece: _Piece, other: _Piece) -> bool:
+    vessel = other.solid
+    if not isinstance(vessel, Vessel):
+        return False
+    return bool(np.median(np.abs(vessel.outside_m(thinned(piece.points_m)))) < SAME_WALL_M)
 
 
 def _is_inside(piece: _Piece, other: _Piece) -> bool:
@@ -185,9 +201,8 @@ def _is_handle(small: _Piece, large: _Piece) -> bool:
 def _contradiction(solid: Vessel, own: PixelMask, plane: Plane, image: RangeImage) -> float:
     """Share of a solid's picture at which something behind it is seen."""
     is_covered = covered(solid, plane, image) & ~own
-    with np.errstate(invalid="ignore"):
-        is_farther = image.depth_m > middle_depth_m(solid, plane, image)
-    return float((is_covered & is_farther).sum() / max(1, (is_covered | own).sum()))
+    is_farther = image.depth_m > middle_depth_m(solid, plane, image, is_covered)
+    return float(is_farther.sum() / max(1, (is_covered | own).sum()))
 
 
 def _is_object(mask: PixelMask, piece: _Piece, image: RangeImage) -> bool:

@@ -59,8 +59,10 @@ def occlusions(labels: Labels, solids: Sequence[Vessel | Hull], plane: Plane, im
     is_behind = np.zeros((num_objects, *shape), dtype=bool)
     middles = np.empty((num_objects, *shape))
     for i, solid in enumerate(solids):
-        middles[i] = middle_depth_m(solid, plane, image)
-        own, hidden = _parts(i, solid, middles[i], labels, plane, image)
+        # NaN depths, where nothing returned, are not nearer.
+        is_covered = covered(solid, plane, image)
+        middles[i] = middle_depth_m(solid, plane, image, is_covered)
+        own, hidden = _parts(i, solid, is_covered & (image.depth_m < middles[i]), is_covered, labels, plane, image)
         silhouettes[i] = own | hidden
         is_behind[i] = hidden
     size = np.maximum(silhouettes.sum(axis=(1, 2)), 1)
@@ -69,13 +71,16 @@ def occlusions(labels: Labels, solids: Sequence[Vessel | Hull], plane: Plane, im
 
 
 def _parts(
-    i: int, solid: Vessel | Hull, middle_m: Float[np.ndarray, "H W"], labels: Labels, plane: Plane, image: RangeImage
+    i: int,
+    solid: Vessel | Hull,
+    is_nearer: PixelMask,
+    is_covered: PixelMask,
+    labels: Labels,
+    plane: Plane,
+    image: RangeImage,
 ) -> tuple[PixelMask, PixelMask]:
     """Pixels of an object's silhouette that nothing hides, and those that a nearer object hides."""
-    is_covered = covered(solid, plane, image)
-    with np.errstate(invalid="ignore"):
-        is_nearer = image.depth_m < middle_m
-    hidden = is_covered & (labels >= 0) & (labels != i) & is_nearer
+    hidden = is_nearer & (labels >= 0) & (labels != i)
     own = labels == i
     own |= is_covered & ~image.is_return
     if isinstance(solid, Vessel):

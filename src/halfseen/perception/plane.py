@@ -13,8 +13,8 @@ from halfseen.perception.range_image import PixelMask, RangeImage
 
 # RANSAC over a thinned image with a fixed generator: one input gives one plane.
 RANSAC_SEED = 7
-NUM_HYPOTHESES = 300
-NUM_POINTS_THINNED = 4000
+NUM_HYPOTHESES = 150
+NUM_POINTS_THINNED = 3000
 # Points of a hypothesis come from one neighbourhood of this radius, relative to the image's longer side: a plane
 # through three far points is mostly a plane through nothing.
 NEIGHBOURHOOD_SHARE = 0.12
@@ -33,6 +33,9 @@ LARGEST_DOWN = 0.15
 DOUBTFUL_WEIGHT = 0.3
 # Smallest top of a table [m²]; a lying cereal box is 0.034.
 SMALLEST_TABLE_M2 = 0.045
+# A level plane less than this above another one that is larger by this factor is the top of a box on a table [m].
+HIGHEST_BOX_M = 0.2
+BOX_AREA_RATIO = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,17 +120,26 @@ def find_table(image: RangeImage) -> Plane:
         )
     lead, _ = planes[int(np.argmax(families))]
     members = [
-        plane
+        (plane, area)
         for plane, is_inlier in planes
         if plane.normal @ lead.normal > PARALLEL_COSINE
-        and _area_m2(plane, points[is_inlier][:, :3]) > SMALLEST_TABLE_M2
+        and (area := _area_m2(plane, points[is_inlier][:, :3])) > SMALLEST_TABLE_M2
     ]
-    if not members:
+    tables = [plane for plane, area in members if not _is_on_another(plane, area, members)]
+    if not tables:
         raise CloudError(
             f"{image.name}: no table plane: the largest level plane covers less than {SMALLEST_TABLE_M2} m²; "
             "point the camera at the table from above"
         )
-    return _refined(max(members, key=lambda plane: plane.offset_m), image)
+    return _refined(max(tables, key=lambda plane: plane.offset_m), image)
+
+
+def _is_on_another(plane: Plane, area_m2: float, members: list[tuple[Plane, float]]) -> bool:
+    """Whether a plane is the top of a box: a larger one is less than a box's height below."""
+    return any(
+        0 < plane.offset_m - other.offset_m < HIGHEST_BOX_M and other_area_m2 > BOX_AREA_RATIO * area_m2
+        for other, other_area_m2 in members
+    )
 
 
 def _thinned(image: RangeImage) -> Float[np.ndarray, "n 5"]:

@@ -48,21 +48,32 @@ def projected(points_m: Points, image: RangeImage) -> Float[np.ndarray, "m 2"]:
     return seen[:, :2] / seen[:, 2:] * [K[0, 0], K[1, 1]] + K[:2, 2]
 
 
-def middle_depth_m(solid: Vessel | Hull, plane: Plane, image: RangeImage) -> Float[np.ndarray, "H W"]:
-    """Depth at which each pixel's ray passes the middle of a solid [m].
+def middle_depth_m(solid: Vessel | Hull, plane: Plane, image: RangeImage, asked: PixelMask) -> Float[np.ndarray, "H W"]:
+    """Depth at which each pixel's ray passes the axis of a solid [m]; infinite where not asked.
 
-    It is the plane through the axis that faces the camera most: what is seen before it hides the solid, what is seen
-    behind it does not.
+    What is seen nearer than that hides the solid, what is seen farther does not.
 
     Parameters
     ----------
     solid, plane, image
         The solid, the table that it stands on, and the image.
+    asked
+        Pixels to work out.
     """
-    middle = plane.camera_points(solid.middle_m[None])[0]
-    axis = solid.axis[:2] @ plane.axes() + solid.axis[2] * plane.normal
-    facing = middle - (middle @ axis) * axis
+    rows, columns = np.nonzero(asked)
     K = image.intrinsics
-    rows, columns = np.ogrid[: image.depth_m.shape[0], : image.depth_m.shape[1]]
-    closing = facing[0] * (columns - K[0, 2]) / K[0, 0] + facing[1] * (rows - K[1, 2]) / K[1, 1] + facing[2]
-    return np.where(closing > 1e-6, (facing @ middle) / np.maximum(closing, 1e-6), np.inf)
+    across, down = (columns - K[0, 2]) / K[0, 0], (rows - K[1, 2]) / K[1, 1]
+    ray = np.stack([across, down, np.ones(len(rows))], axis=1)
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    start, end = plane.camera_points(solid.axis_ends_m())
+    axis = end - start
+    length = max(float(np.linalg.norm(axis)), 1e-9)
+    axis = axis / length
+    # The point of the axis nearest to a ray through the origin, held between the ends.
+    cosine = ray @ axis
+    apart = np.maximum(1.0 - cosine**2, 1e-6)
+    along = np.clip((cosine * (ray @ start) - start @ axis) / apart, 0.0, length)
+    nearest = start + along[:, None] * axis
+    depth = np.full(asked.shape, np.inf)
+    depth[rows, columns] = (nearest * ray).sum(axis=1) * ray[:, 2]
+    return depth

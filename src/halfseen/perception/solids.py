@@ -73,6 +73,10 @@ class Vessel:
         """Middle of the axis [m]."""
         return self.centre_m + sum(self.ends_m) / 2 * self.axis
 
+    def axis_ends_m(self) -> Points:
+        """Return the ends of the axis [m]."""
+        return np.stack([self.centre_m + end * self.axis for end in self.ends_m])
+
     def along_m(self, points_m: Points) -> Rows:
         """Position of points along the axis [m]."""
         return (points_m - self.centre_m) @ self.axis
@@ -107,14 +111,13 @@ class Hull:
     points_m: Points
 
     @property
-    def axis(self) -> Vector:
-        """The vertical."""
-        return np.array([0.0, 0.0, 1.0])
-
-    @property
     def middle_m(self) -> Vector:
         """Middle of the box around the points [m]."""
         return (self.points_m.min(axis=0) + self.points_m.max(axis=0)) / 2
+
+    def axis_ends_m(self) -> Points:
+        """Foot and top of the vertical through the middle [m]."""
+        return np.stack([self.middle_m * [1.0, 1.0, 0.0], self.middle_m * [1.0, 1.0, 2.0]])
 
     def outline_m(self) -> Points:
         """Return the points, and their shadows on the table [m]."""
