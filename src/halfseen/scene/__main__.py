@@ -1,5 +1,6 @@
 """Make the ten tables that come with the package anew: ``python -m halfseen.scene [--out DIR]``."""
 
+import sys
 from pathlib import Path
 
 import click
@@ -25,7 +26,8 @@ def main(out: Path) -> None:
         for k in tqdm(range(NUM_TABLES), desc="tables", unit="table", disable=None):
             write_shipped(out, [k])
     except HalfseenError as error:
-        raise SystemExit(f"halfseen.scene: {error}") from error
+        click.echo(f"halfseen.scene: {error}", err=True)
+        sys.exit(2)
 
 
 if __name__ == "__main__":

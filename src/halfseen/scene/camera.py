@@ -63,7 +63,17 @@ class Camera:
         return np.stack([x, y, np.ones_like(x)], axis=2)
 
     def project(self, points_m: Points) -> Float[np.ndarray, "n 2"]:
-        """Pixels (column, row) at which world points appear [px]; points must lie before the camera.
+        """Find where world points appear in the picture.
+
+        Parameters
+        ----------
+        points_m
+            Points in the world [m].
+
+        Returns
+        -------
+        numpy.ndarray
+            Column and row of each point [px]; they may lie outside the picture.
 
         Raises
         ------

@@ -20,7 +20,18 @@ Disc = tuple[float, float, float]  # centre x, y and radius [m]
 
 
 def draw_cup(rng: np.random.Generator) -> Cup:
-    """Draw a tumbler or a mug of ordinary size: 7 to 15 cm high, 6 to 10 cm wide at the mouth."""
+    """Draw a tumbler or a mug of ordinary size.
+
+    Parameters
+    ----------
+    rng
+        Source of chance.
+
+    Returns
+    -------
+    Cup
+        7 to 15 cm high, 6 to 10 cm wide at the mouth; a mug has a handle.
+    """
     rim_radius_m = rng.uniform(0.030, 0.050)
     is_mug = rng.random() < 0.35
     height_m = rng.uniform(0.075, 0.115) if is_mug else rng.uniform(0.07, min(0.15, 3.6 * rim_radius_m))

@@ -86,7 +86,18 @@ def about_axis(axis: tuple[float, float, float], angle_rad: float) -> tuple[floa
 def compose(
     first: tuple[float, float, float, float], then: tuple[float, float, float, float]
 ) -> tuple[float, float, float, float]:
-    """Make the quaternion that turns by `first` and afterwards by `then`, both about fixed axes."""
+    """Make the quaternion that turns first one way, then another, both about the axes of the outer frame.
+
+    Parameters
+    ----------
+    first, then
+        Unit quaternions (w, x, y, z).
+
+    Returns
+    -------
+    tuple
+        (w, x, y, z).
+    """
     w1, x1, y1, z1 = then
     w2, x2, y2, z2 = first
     return (

@@ -64,7 +64,23 @@ def read_truth(k: int) -> Truth:
 
 
 def read_table(k: int) -> Table:
-    """Read a shipped table: cups, poses and camera. Parameters and errors are those of `read_truth`."""
+    """Read a table that comes with the package: cups, poses and camera.
+
+    Parameters
+    ----------
+    k
+        Which table, from 0 to 9.
+
+    Returns
+    -------
+    Table
+        The table; `capture` with the seed ``SEEDS[k]`` takes its picture again.
+
+    Raises
+    ------
+    ArgumentError
+        There is no such table.
+    """
     return _table_from(_read_json(k)["table"])
 
 
@@ -103,12 +119,36 @@ def versions() -> dict[str, str]:
 
 
 def made_with(k: int) -> dict[str, str]:
-    """Versions with which a shipped table was made. Parameters and errors are those of `read_truth`."""
+    """Read with which versions a shipped table was made.
+
+    Parameters
+    ----------
+    k
+        Which table, from 0 to 9.
+
+    Returns
+    -------
+    dict
+        Version of each package on which the bytes depend.
+    """
     return _read_json(k)["made_with"]
 
 
 def within(cloud: Cloud, reach_m: float) -> Cloud:
-    """Leave out the returns whose depth is beyond a reach [m]; the rays stay, as NaN."""
+    """Leave out the returns beyond a reach; their rays stay, as NaN.
+
+    Parameters
+    ----------
+    cloud
+        The cloud.
+    reach_m
+        Largest depth that is kept [m].
+
+    Returns
+    -------
+    Cloud
+        Organised as before.
+    """
     points_m = np.where(cloud.points_m[:, 2:] <= reach_m, cloud.points_m, np.nan)
     return Cloud(points_m, cloud.shape, cloud.intrinsics, cloud.name)
 

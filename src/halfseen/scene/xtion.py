@@ -116,7 +116,20 @@ def noisy_disparity_px(depth_m: Image, noise_px: Image, focal_px: float) -> Imag
 
 
 def depth_from_disparity_m(disparity_px: Image, focal_px: float) -> Image:
-    """Turn a disparity into depth, z = f·b/d [m]; NaN where the disparity is not positive."""
+    """Turn a disparity into depth, z = f·b/d [m]; NaN where the disparity is not positive.
+
+    Parameters
+    ----------
+    disparity_px
+        Disparity d [px].
+    focal_px
+        Focal length f [px].
+
+    Returns
+    -------
+    Image
+        Depth [m].
+    """
     is_finite_depth = disparity_px > 0
     return np.where(is_finite_depth, focal_px * BASELINE_M / np.where(is_finite_depth, disparity_px, 1.0), np.nan)
 
@@ -127,7 +140,12 @@ def loss_probability(incidence_cosine: Float[np.ndarray, "..."]) -> Float[np.nda
     Parameters
     ----------
     incidence_cosine
-        Cosine of the angle between ray and normal; NaN where nothing is met, which is lost for certain.
+        Cosine of the angle between ray and normal; NaN where nothing is met.
+
+    Returns
+    -------
+    numpy.ndarray
+        Probability; 1 where nothing is met.
     """
     angle_rad = np.arccos(np.clip(incidence_cosine, 0.0, 1.0))
     low_rad, high_rad = GRAZING_RAD
