@@ -2,9 +2,11 @@
 
 from dataclasses import replace
 
+import numpy as np
+
 from halfseen.perception.objects import Labels
 from halfseen.perception.plane import Plane
-from halfseen.perception.range_image import PixelMask, RangeImage
+from halfseen.perception.range_image import RangeImage
 from halfseen.perception.silhouette import covered, middle_depth_m
 from halfseen.perception.solids import Vessel
 
@@ -13,8 +15,10 @@ SHORTEST_M, LONGEST_M = 0.07, 0.15
 LONGEST_IN_RADII = 3.6
 # An end is prolonged in steps of this length [m] ...
 STEP_M = 0.005
-# ... while at least this share of what a step adds to the picture lies behind a nearer object.
-HIDDEN_SHARE = 0.6
+# ... until this share of what a step adds to the picture shows something behind it.
+CONTRADICTION_SHARE = 0.4
+# Shadow beside an end is no evidence of its own: this share of all that is added must lie behind a nearer object.
+HIDDEN_SHARE = 0.3
 
 
 def extended(i: int, vessel: Vessel, labels: Labels, plane: Plane, image: RangeImage) -> Vessel:
@@ -41,32 +45,34 @@ def extended(i: int, vessel: Vessel, labels: Labels, plane: Plane, image: RangeI
     num_steps = int((probable - seen) / STEP_M)
     if num_steps < 1:
         return vessel
-    is_other = (labels >= 0) & (labels != i)
-    # The foot of a standing vessel is on the table and is never prolonged.
-    is_open = [not vessel.is_upright, True]
-    is_known = labels == i
-    for step in range(num_steps):
-        ends = [end for end in (0, 1) if is_open[end]]
-        for end in sorted(ends, key=lambda end: end != step % 2):
-            longer = _prolonged(vessel, end)
-            is_open[end] = _is_behind(longer, vessel, is_other, is_known, plane, image)
-            if is_open[end]:
-                vessel = longer
-                break
-    return vessel
+    rooms = [
+        0 if vessel.is_upright else _room(i, vessel, 0, num_steps, labels, plane, image),
+        _room(i, vessel, 1, num_steps, labels, plane, image),
+    ]
+    # Both ends share what is missing; what one has no room for, the other takes.
+    first = min(rooms[0], max(num_steps // 2, num_steps - rooms[1]))
+    return _prolonged(_prolonged(vessel, 0, first), 1, min(rooms[1], num_steps - first))
 
 
-def _prolonged(vessel: Vessel, end: int) -> Vessel:
+def _prolonged(vessel: Vessel, end: int, num_steps: int) -> Vessel:
     low, high = vessel.ends_m
-    return replace(vessel, ends_m=(low, high + STEP_M) if end else (low - STEP_M, high))
+    more = num_steps * STEP_M
+    return replace(vessel, ends_m=(low, high + more) if end else (low - more, high))
 
 
-def _is_behind(
-    longer: Vessel, vessel: Vessel, is_other: PixelMask, is_known: PixelMask, plane: Plane, image: RangeImage
-) -> bool:
-    """Whether what a step adds to the picture is behind something nearer."""
-    added = covered(longer, plane, image) & ~covered(vessel, plane, image) & ~is_known
-    if not added.any():
-        return False
-    is_hiding = added & is_other & (image.depth_m < middle_depth_m(longer, plane, image, added))
-    return bool(is_hiding[added].mean() >= HIDDEN_SHARE)
+def _room(i: int, vessel: Vessel, end: int, num_steps: int, labels: Labels, plane: Plane, image: RangeImage) -> int:
+    """How many steps an end can go on; the foot of a standing vessel is on the table and never does."""
+    longest = _prolonged(vessel, end, num_steps)
+    asked = covered(longest, plane, image)
+    depth = middle_depth_m(longest, plane, image, asked)
+    before = covered(vessel, plane, image)
+    is_hiding = asked & (labels >= 0) & (labels != i) & (image.depth_m < depth)
+    is_against = asked & image.is_return & (labels != i) & ~is_hiding
+    room, is_added = 0, np.zeros_like(before)
+    for step in range(1, num_steps + 1):
+        after = covered(_prolonged(vessel, end, step), plane, image)
+        added = after & ~before
+        if added.any() and is_against[added].mean() > CONTRADICTION_SHARE:
+            break
+        room, before, is_added = step, after, is_added | (added & (labels != i))
+    return room if is_added.any() and is_hiding[is_added].mean() > HIDDEN_SHARE else 0
