@@ -63,7 +63,15 @@ def through_arrow(name: str, frame: pd.DataFrame) -> pd.DataFrame:
     except (pa.ArrowException, TypeError, ValueError) as error:
         reason = "; ".join(str(part) for part in error.args)
         raise LogError(f"{name}: a column cannot be stored ({reason}); give each column one type") from error
-    return table.to_pandas().copy()
+    return table.cast(_stored_schema(table.schema)).to_pandas().copy()
+
+
+def _stored_schema(schema: pa.Schema) -> pa.Schema:
+    """Parquet has no time stamps of whole seconds and keeps them as milliseconds; so do we from the start."""
+    for i, field in enumerate(schema):
+        if pa.types.is_timestamp(field.type) and field.type.unit == "s":
+            schema = schema.set(i, field.with_type(pa.timestamp("ms", field.type.tz)))
+    return schema
 
 
 def _from_other(data: object) -> pd.DataFrame:

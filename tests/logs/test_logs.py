@@ -1,0 +1,157 @@
+import copy
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from valid_logs import small_tables, valid_tables
+
+from halfseen.errors import LogError
+from halfseen.logs import Logs
+
+
+@pytest.fixture
+def logs():
+    return Logs(**small_tables())
+
+
+def assert_same(left, right):
+    for name in ("stages", "paths", "objects"):
+        ours, theirs = getattr(left, name), getattr(right, name)
+        if ours is None:
+            assert theirs is None
+        else:
+            pd.testing.assert_frame_equal(ours, theirs)
+
+
+def test_knows_its_size(logs):
+    assert (logs.num_paths, logs.num_stages, logs.horizon) == (3, 5, 2)
+    assert logs.cut_share == pytest.approx(2 / 3)
+    assert logs.stage_covariates == ["steps_to_go"]
+    assert logs.path_columns == ["scene"]
+    np.testing.assert_array_equal(logs.path_ids, [1, 2, 3])
+
+
+def test_arrays_are_in_the_order_of_the_paths(logs):
+    np.testing.assert_array_equal(logs.end_s, [4.0, 3.5, 0.5])
+    np.testing.assert_array_equal(logs.is_finished, [True, False, False])
+    np.testing.assert_array_equal(logs.elapsed_s(), [[1.5, 4.0], [2.0, np.nan], [np.nan, np.nan]])
+    np.testing.assert_array_equal(logs.stage_values("steps_to_go"), [[10, 9], [10, 9], [10, np.nan]])
+
+
+def test_stage_values_are_numbers_of_a_column_that_is_there(logs):
+    with pytest.raises(LogError, match=r"'rewards' among .*; rename 'reward'\?"):
+        logs.stage_values("rewards")
+    with pytest.raises(LogError, match="'action' holds no numbers"):
+        logs.stage_values("action")
+
+
+def test_summary_counts(logs):
+    summary = logs.summary()
+    assert str(summary) == "3 paths of up to 2 stages and 4 s: 1 finished, 2 cut (67%)."
+    assert repr(logs) == f"<Logs: {summary}>"
+    assert summary.causes == {"battery": 1, "operator": 1}
+    assert summary.actions == {"FINISH": 1, "LIFT": 1, "WASH": 1}
+    assert (summary.num_stages, summary.num_completed, summary.num_objects) == (5, 3, 2)
+    assert (summary.shortest_s, summary.longest_s) == (0.5, 4.0)
+
+
+@pytest.mark.parametrize("wrap", [pa.Table.from_pandas, lambda frame: frame.to_dict("list"), pd.DataFrame.copy])
+def test_takes_pandas_arrow_and_dicts(wrap, logs):
+    assert_same(Logs(**{name: wrap(frame) for name, frame in small_tables().items()}), logs)
+
+
+def test_takes_dicts_of_arrow_arrays(logs):
+    tables = {name: pa.Table.from_pandas(frame) for name, frame in small_tables().items()}
+    columns = {name: dict(zip(table.column_names, table.columns, strict=True)) for name, table in tables.items()}
+    assert_same(Logs(**columns), logs)
+
+
+def test_optional_columns_are_added_as_null():
+    tables = small_tables()
+    del tables["objects"]
+    tables["stages"] = tables["stages"].drop(columns=["object", "probability"])
+    tables["paths"] = tables["paths"].drop(columns="cause")
+    logs = Logs(**tables)
+    assert logs.objects is None
+    assert logs.stages["object"].isna().all()
+    assert "probability" not in logs.stages
+    assert logs.paths["cause"].tolist() == [None, "unknown", "unknown"]
+
+
+def test_a_log_in_which_nothing_is_completed_is_legal():
+    stages = {"path": ["a"], "stage": [1], "elapsed_s": [None], "action": [None], "reward": [None]}
+    logs = Logs(stages=stages, paths={"path": ["a"], "end_s": [1], "ending": ["cut"]})
+    assert logs.stages["reward"].dtype == logs.stages["elapsed_s"].dtype == np.float64
+    assert logs.end_s.dtype == np.float64
+    assert np.isnan(logs.elapsed_s()).all()
+
+
+def test_integers_stay_integers_beside_null():
+    tables = small_tables()
+    for name in ("stages", "objects"):
+        tables[name]["object"] = tables[name]["object"].map({"cup": 0, "mug": 1})
+    tables["stages"]["action"] = [0, 1, 2, 2, None]
+    logs = Logs(**tables)
+    assert logs.stages["object"].dtype == logs.stages["action"].dtype == "Int64"
+    assert logs.objects["object"].dtype == "int64"
+
+
+def test_categories_become_plain_names():
+    tables = small_tables()
+    tables["stages"]["action"] = tables["stages"]["action"].astype("category")
+    tables["paths"]["cause"] = tables["paths"]["cause"].astype("category")
+    assert_same(Logs(**tables), Logs(**small_tables()))
+
+
+@given(valid_tables())
+def test_frames_are_sorted_and_the_order_of_rows_is_irrelevant(tables):
+    logs = Logs(**tables)
+    for name, keys in (("paths", ["path"]), ("stages", ["path", "stage"]), ("objects", ["path", "stage", "object"])):
+        frame = getattr(logs, name)
+        if frame is not None:
+            pd.testing.assert_frame_equal(frame, frame.sort_values(keys, ignore_index=True))
+    assert_same(logs, Logs(**{name: None if frame is None else frame[::-1] for name, frame in tables.items()}))
+
+
+@given(valid_tables())
+def test_making_logs_of_logs_changes_nothing(tables):
+    logs = Logs(**tables)
+    assert_same(logs, Logs(logs.stages, logs.paths, logs.objects))
+
+
+@given(valid_tables())
+def test_stage_values_put_every_stage_in_its_place(tables):
+    logs = Logs(**tables)
+    expected = np.full((logs.num_paths, logs.horizon), np.nan)
+    rows = {path: row for row, path in enumerate(logs.path_ids)}
+    for path, stage, elapsed_s in logs.stages[["path", "stage", "elapsed_s"]].itertuples(index=False):
+        expected[rows[path], stage - 1] = elapsed_s
+    np.testing.assert_array_equal(logs.elapsed_s(), expected)
+
+
+def test_does_not_touch_what_it_is_given():
+    tables = small_tables()
+    before = copy.deepcopy(tables)
+    logs = Logs(**tables)
+    logs.stages.loc[0, "steps_to_go"] = 99
+    logs.paths.loc[0, "end_s"] = 99.0
+    for name, frame in before.items():
+        pd.testing.assert_frame_equal(tables[name], frame)
+
+
+@given(valid_tables(), st.data())
+def test_select_keeps_whole_paths(tables, data):
+    logs = Logs(**tables)
+    kept = data.draw(st.sets(st.sampled_from(logs.path_ids.tolist()), min_size=1))
+    part = logs.select(sorted(kept))
+    assert set(part.path_ids.tolist()) == kept
+    assert part.num_stages == logs.stages["path"].isin(kept).sum()
+    assert_same(part, part.select(part.path_ids))
+
+
+def test_select_refuses_a_path_that_is_not_there(logs):
+    with pytest.raises(LogError, match="path 7: there is no such path"):
+        logs.select([1, 7])
