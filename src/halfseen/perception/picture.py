@@ -1,0 +1,147 @@
+"""A picture of a view: the depth image, the objects in colour, and arrows from who hides to who is hidden."""
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from halfseen.errors import CloudError
+from halfseen.perception.view import View, most_hidden
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+# Colours that stay apart for colour-blind eyes (Okabe and Ito 2008), without black and grey: the depth image is grey.
+COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#8C6BB1", "#66A61E", "#A6761D")
+MASK_OPACITY = 0.75
+# Smaller shares would cover the picture with arrows that say nothing.
+SMALLEST_ARROW_SHARE = 0.02
+DOTS_PER_INCH = 150
+WIDTH_INCHES = 9.0
+
+
+def sentence(view: View) -> str:
+    """Say in plain words what stands on the table and what is hidden most.
+
+    Parameters
+    ----------
+    view
+        What a camera sees.
+    """
+    if not view.objects:
+        return "No objects on the table."
+    num = len(view.objects)
+    start = f"{num} object{'s' if num > 1 else ''} on the table"
+    worst = most_hidden(view.objects)
+    if worst.occlusion < SMALLEST_ARROW_SHARE:
+        return f"{start}; nothing hides {'another' if num > 1 else 'it'}."
+    hider = int(np.argmax(view.hides[worst.id]))
+    return f"{start}; object {worst.id} is hidden most, by object {hider} ({worst.occlusion:.2f})."
+
+
+def draw(view: View, path: str | os.PathLike[str]) -> None:
+    """Draw a view as a PNG file.
+
+    Parameters
+    ----------
+    view
+        What a camera sees.
+    path
+        Where to; the file appears whole or not at all.
+
+    Raises
+    ------
+    CloudError
+        The file cannot be written there.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    num_rows, num_columns = view.labels.shape
+    figure = Figure(figsize=(WIDTH_INCHES, WIDTH_INCHES * num_rows / num_columns + 1.1), dpi=DOTS_PER_INCH)
+    FigureCanvasAgg(figure)
+    axes = figure.add_axes((0.0, 0.06, 1.0, 0.86))
+    axes.imshow(_coloured(view), interpolation="nearest")
+    axes.set_axis_off()
+    for seen in view.objects:
+        colour = COLOURS[seen.id % len(COLOURS)]
+        axes.contour(view.silhouettes[seen.id].astype(float), levels=[0.5], colors=[colour], linewidths=1.2)
+    _add_arrows(axes, view)
+    _add_numbers(axes, view)
+    figure.text(0.5, 0.985, sentence(view), ha="center", va="top", fontsize=13)
+    figure.text(0.5, 0.02, _legend(view), ha="center", va="bottom", fontsize=9)
+    _save(figure, Path(path))
+
+
+def _coloured(view: View) -> Float[np.ndarray, "H W 3"]:
+    """Depth in grey, near bright; no return white; objects in their colours."""
+    from matplotlib.colors import to_rgb
+
+    depth = view.image.depth_m
+    near, far = np.nanpercentile(depth, [1, 90])
+    grey = np.clip((far - depth) / max(float(far - near), 1e-6), 0.0, 1.0) * 0.5 + 0.25
+    picture = np.repeat(np.where(view.image.is_return, grey, 1.0)[..., None], 3, axis=2)
+    for seen in view.objects:
+        mask = view.labels == seen.id
+        colour = np.array(to_rgb(COLOURS[seen.id % len(COLOURS)]))
+        picture[mask] = (1 - MASK_OPACITY) * picture[mask] + MASK_OPACITY * colour
+    return picture
+
+
+def _middle_px(view: View, index: int) -> tuple[float, float]:
+    """Pixel (column, row) in the middle of what is seen of an object."""
+    rows, columns = np.nonzero(view.labels == index)
+    nearest = np.argmin((rows - rows.mean()) ** 2 + (columns - columns.mean()) ** 2)
+    return float(columns[nearest]), float(rows[nearest])
+
+
+def _add_arrows(axes: "Axes", view: View) -> None:
+    for hidden, hider in np.argwhere(view.hides >= SMALLEST_ARROW_SHARE):
+        axes.annotate(
+            "",
+            xy=_middle_px(view, int(hidden)),
+            xytext=_middle_px(view, int(hider)),
+            arrowprops={
+                "arrowstyle": "-|>",
+                "color": "black",
+                "linewidth": 0.8 + 3.0 * float(view.hides[hidden, hider]),
+                "mutation_scale": 14,
+                "shrinkA": 9,
+                "shrinkB": 9,
+            },
+        )
+
+
+def _add_numbers(axes: "Axes", view: View) -> None:
+    for seen in view.objects:
+        box = {"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": "none", "alpha": 0.85}
+        axes.text(
+            *_middle_px(view, seen.id),
+            f"{seen.id}: {seen.occlusion:.2f}",
+            ha="center",
+            va="center",
+            fontsize=8,
+            bbox=box,
+        )
+
+
+def _legend(view: View) -> str:
+    parts = ["number: hidden share of the silhouette", "line: completed silhouette"]
+    if np.any(view.hides >= SMALLEST_ARROW_SHARE):
+        parts.append("arrow: from what hides to what is hidden")
+    parts.append("white: no return")
+    return "   |   ".join(parts)
+
+
+def _save(figure: Any, path: Path) -> None:
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        figure.savefig(partial, format="png")
+        partial.replace(path)
+    except OSError as error:
+        raise CloudError(f"{path}: cannot be written: {error.strerror or error}; choose another folder") from error
+    finally:
+        if partial.exists():
+            partial.unlink()
