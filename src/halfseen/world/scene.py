@@ -43,7 +43,9 @@ class Scene:
             raise SceneError(f"{self.name}: hides[{i}, {j}] is {hides[i, j]}; a hidden share lies in [0, 1]")
         if np.any(np.diag(hides) != 0):
             i = int(np.argmax(np.diag(hides) != 0))
-            raise SceneError(f"{self.name}: hides[{i}, {i}] is {hides[i, i]}; an object does not hide itself: set it to 0")
+            raise SceneError(
+                f"{self.name}: hides[{i}, {i}] is {hides[i, i]}; an object does not hide itself: set it to 0"
+            )
         hides.setflags(write=False)
         object.__setattr__(self, "hides", hides)
 

@@ -1,0 +1,38 @@
+"""A learned linear Q as a policy: coefficients, and nothing of the learner."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from halfseen.learners.recursion import q_values
+from halfseen.learners.table_features import block_of_action, table_features
+from halfseen.world.actions import possible_actions
+from halfseen.world.policy import Decision, surely
+from halfseen.world.state import TableState
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class LinearTablePolicy:
+    """argmax over possible actions of Q̂_h(S, a), with h the steps to go.
+
+    Parameters
+    ----------
+    coefficients
+        Of Q_1 … Q_T, by steps to go, verb and feature (offset first).
+    """
+
+    coefficients: Float[Array, "*B T K F"]
+
+    def q_values(self, state: TableState) -> Float[Array, " A"]:
+        """Q of every action of one table; −∞ where an action is not possible."""
+        q = q_values(
+            self.coefficients[state.steps_to_go - 1], table_features(state), block_of_action(state.num_objects)
+        )
+        return jnp.where(possible_actions(state), q, -jnp.inf)
+
+    def decide(self, state: TableState, key: Array) -> Decision:
+        """Choose for one table; there is no chance in it."""
+        return surely(jnp.argmax(self.q_values(state)).astype(jnp.int32))

@@ -1,0 +1,115 @@
+"""What ends an episode from outside the task: hazards, their calibration to a wanted share, and the cut itself.
+
+The hazard of a cut is ``rate · intensity``. Three intensities are known, all integrated stage by stage:
+
+``independent``
+    1: the cut comes at C ~ Exp(rate), whatever happens on the table.
+``occlusion``
+    exp(3·mean occlusion of what stands on the table): the camera loses track where much is hidden.
+``attempt``
+    the age of the action in progress [s]: the operator's hand comes when an attempt drags on.
+
+The rate is calibrated so that the wanted share of the paths that a policy makes is cut, in expectation.
+"""
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.optimize import brentq
+
+from halfseen.errors import ArgumentError
+from halfseen.world.episodes import Episodes
+from halfseen.world.state import TableState, occlusion
+
+CutKind = Literal["independent", "occlusion", "attempt"]
+CUT_KINDS: tuple[str, ...] = get_args(CutKind)
+CAUSES = {"independent": "operator", "occlusion": "sensor-lost", "attempt": "operator"}
+_OCCLUSION_GAIN = 3.0
+
+
+@dataclass(frozen=True)
+class CutEpisodes:
+    """Episodes of which some were cut: what a recorder would have kept.
+
+    A cut path keeps the stages that it completed and S_t of the stage in which it was cut.
+    """
+
+    episodes: Episodes
+    end_s: Float[np.ndarray, " n"]
+    """Observed end of each path on its clock [s]."""
+    is_finished: Bool[np.ndarray, " n"]
+    """True where the path came to its own end, False where it was cut."""
+    is_completed: Bool[np.ndarray, "n T"]
+    """Stages whose reward was seen."""
+    is_begun: Bool[np.ndarray, "n T"]
+    """Stages whose S_t was seen: those completed and, on a cut path, the one in which it was cut."""
+
+
+def unit_hazards(episodes: Episodes, kind: CutKind) -> Float[np.ndarray, "n T"]:
+    """Hazard that each stage adds up at rate 1."""
+    if kind not in CUT_KINDS:
+        raise ArgumentError(f"cut kind is {kind!r}; it is one of {', '.join(CUT_KINDS)}")
+    duration_s = np.asarray(episodes.duration_s, dtype=np.float64)
+    if kind == "independent":
+        hazard = duration_s
+    elif kind == "attempt":
+        hazard = duration_s**2 / 2.0
+    else:
+        hazard = duration_s * np.asarray(_occlusion_intensity(episodes.states), dtype=np.float64)
+    return np.where(np.asarray(episodes.is_taken), hazard, 0.0)
+
+
+@jax.jit
+def _occlusion_intensity(states: TableState) -> Float[np.ndarray, "*B T"]:
+    def intensity(state: TableState):
+        num_left = jnp.maximum(jnp.sum(state.is_on_table), 1)
+        return jnp.exp(_OCCLUSION_GAIN * jnp.sum(jnp.where(state.is_on_table, occlusion(state), 0.0)) / num_left)
+
+    return jax.vmap(jax.vmap(intensity))(states)
+
+
+def cut_rate(pilot: Episodes, cut_share: float, kind: CutKind) -> float:
+    """Rate at which the wanted share of paths like those of `pilot` is cut, in expectation.
+
+    Raises
+    ------
+    ArgumentError
+        `cut_share` is outside [0, 1).
+    """
+    if not 0.0 <= cut_share < 1.0:
+        raise ArgumentError(f"cut share is {cut_share}; give the wanted share of cut paths, in [0, 1)")
+    if cut_share == 0.0:
+        return 0.0
+    total = unit_hazards(pilot, kind).sum(axis=1)
+
+    def excess(log_rate: float) -> float:
+        return float(np.mean(-np.expm1(-np.exp(log_rate) * total))) - cut_share
+
+    return float(np.exp(brentq(excess, -40.0, 40.0)))
+
+
+def cut(episodes: Episodes, rate: float, kind: CutKind, rng: np.random.Generator) -> CutEpisodes:
+    """Cut episodes at hazard `rate` times the intensity of `kind`.
+
+    A path is cut where the accumulated hazard passes an Exp(1) draw; a stage that ends at that very moment counts as
+    completed (completions come before cuts).
+    """
+    is_taken = np.asarray(episodes.is_taken)
+    duration_s = np.asarray(episodes.duration_s, dtype=np.float64)
+    hazard = rate * unit_hazards(episodes, kind)
+    after = np.cumsum(hazard, axis=1)
+    budget = rng.exponential(size=len(hazard))
+    is_completed = is_taken & (after <= budget[:, None])
+    is_finished = is_completed.sum(axis=1) == is_taken.sum(axis=1)
+    stage = np.minimum(is_completed.sum(axis=1), hazard.shape[1] - 1)
+    rows = np.arange(len(hazard))
+    begun_s = np.where(is_completed, duration_s, 0.0).sum(axis=1)
+    spent = (budget - (after - hazard)[rows, stage]) / np.where(hazard[rows, stage] > 0, hazard[rows, stage], np.inf)
+    age_share = np.sqrt(spent) if kind == "attempt" else spent
+    end_s = begun_s + np.where(is_finished, 0.0, age_share * duration_s[rows, stage])
+    is_cut_stage = (np.arange(hazard.shape[1]) == stage[:, None]) & ~is_finished[:, None]
+    return CutEpisodes(episodes, end_s, is_finished, is_completed, is_completed | is_cut_stage)

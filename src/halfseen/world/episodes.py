@@ -1,0 +1,99 @@
+"""Many tables played to their end in one compiled call."""
+
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from halfseen.world.config import WorldConfig
+from halfseen.world.dynamics import Outcome, start, step
+from halfseen.world.policy import Decision, Policy
+from halfseen.world.state import HiddenState, Layout, TableState
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Episodes:
+    """Paths that nothing cut, stage by stage; `is_taken` is False after the path's own end."""
+
+    states: TableState
+    """S_t, axes (B, T)."""
+    action: Int[Array, "*B T"]
+    probability: Float[Array, "*B T"]
+    """Of the logged action, under the policy that took it."""
+    reward: Float[Array, "*B T"]
+    duration_s: Float[Array, "*B T"]
+    is_taken: Bool[Array, "*B T"]
+    hidden: HiddenState
+    """For tests and oracles; it never reaches a log."""
+
+    @property
+    def elapsed_s(self) -> Float[Array, "*B T"]:
+        """U_t, the clock at the end of each stage [s]."""
+        return jnp.cumsum(jnp.where(self.is_taken, self.duration_s, 0.0), axis=-1)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Totals:
+    """What a policy earned on each of B tables."""
+
+    reward: Float[Array, "*B"]
+    robot_s: Float[Array, "*B"]
+    """Robot time until the path's own end [s]."""
+    num_steps: Int[Array, "*B"]
+
+
+def _play(config: WorldConfig, layout: Layout, policy: Policy, key: Array, record: bool):
+    """Play one table to its end. World and policy draw from separate keys, so that policies meet the same world."""
+    start_key, world_key, policy_key = jax.random.split(key, 3)
+    state, hidden = start(config, layout, start_key)
+
+    def advance(carry, t):
+        state, is_active = carry
+        decision = policy.decide(state, jax.random.fold_in(policy_key, t))
+        after, outcome = step(config, state, hidden, decision.action, jax.random.fold_in(world_key, t))
+        after = jax.tree.map(lambda new, old: jnp.where(is_active, new, old), after, state)
+        kept = (state, decision, outcome, is_active) if record else (outcome.reward, outcome.duration_s, is_active)
+        return (after, is_active & ~outcome.is_over), kept
+
+    _, kept = jax.lax.scan(advance, (state, jnp.asarray(True)), jnp.arange(config.horizon))
+    return kept, hidden
+
+
+@partial(jax.jit, static_argnames="num_episodes")
+def play(config: WorldConfig, layouts: Layout, policy: Policy, key: Array, num_episodes: int) -> Episodes:
+    """Play `num_episodes` tables and record every stage; episode k uses layout k modulo their number."""
+    layout, keys = _spread(layouts, key, num_episodes)
+    play_one = partial(_play, record=True)
+    kept, hidden = jax.vmap(play_one, in_axes=(None, 0, None, 0))(config, layout, policy, keys)
+    states, decision, outcome, is_taken = kept
+    return _episodes(states, decision, outcome, is_taken, hidden)
+
+
+def _episodes(
+    states: TableState, decision: Decision, outcome: Outcome, is_taken: Bool[Array, "*B T"], hidden: HiddenState
+) -> Episodes:
+    return Episodes(states, decision.action, decision.probability, outcome.reward, outcome.duration_s, is_taken, hidden)
+
+
+@partial(jax.jit, static_argnames="num_episodes")
+def evaluate(config: WorldConfig, layouts: Layout, policy: Policy, key: Array, num_episodes: int) -> Totals:
+    """Play `num_episodes` tables and keep only the totals."""
+    layout, keys = _spread(layouts, key, num_episodes)
+    play_one = partial(_play, record=False)
+    (reward, duration_s, is_taken), _ = jax.vmap(play_one, in_axes=(None, 0, None, 0))(config, layout, policy, keys)
+    return Totals(
+        reward=jnp.sum(jnp.where(is_taken, reward, 0.0), axis=-1),
+        robot_s=jnp.sum(jnp.where(is_taken, duration_s, 0.0), axis=-1),
+        num_steps=jnp.sum(is_taken, axis=-1),
+    )
+
+
+def _spread(layouts: Layout, key: Array, num_episodes: int) -> tuple[Layout, Array]:
+    num_layouts = layouts.is_object.shape[0]
+    which = jnp.arange(num_episodes) % num_layouts
+    layout = jax.tree.map(lambda leaf: leaf[which], layouts)
+    return layout, jax.vmap(partial(jax.random.fold_in, key))(jnp.arange(num_episodes))

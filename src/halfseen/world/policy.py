@@ -1,0 +1,74 @@
+"""What decides: one interface for heuristics, planners and what was learned."""
+
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from halfseen.world.actions import possible_actions
+from halfseen.world.state import TableState
+
+
+class Decision(NamedTuple):
+    """An action and how likely the policy was to take it (NaN where it cannot say)."""
+
+    action: Int[Array, "*B"]
+    probability: Float[Array, "*B"]
+
+
+class Policy(Protocol):
+    """Decides for one table from what is seen of it.
+
+    A policy is a pytree (its parameters are leaves), so that one compiled simulation serves all policies of a kind and
+    `jax.vmap` runs many at once.
+    """
+
+    def decide(self, state: TableState, key: Array) -> Decision:
+        """Choose a possible action for one table; `key` is the only source of chance."""
+        ...
+
+
+def surely(action: Int[Array, ""]) -> Decision:
+    """A decision that was taken without chance."""
+    return Decision(action, jnp.ones((), dtype=jnp.float32))
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class UniformPolicy:
+    """Takes each possible action with the same probability."""
+
+    def decide(self, state: TableState, key: Array) -> Decision:
+        """Choose by lot."""
+        is_possible = possible_actions(state)
+        action = jax.random.categorical(key, jnp.where(is_possible, 0.0, -jnp.inf))
+        return Decision(action.astype(jnp.int32), 1.0 / jnp.sum(is_possible))
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class ExploringPolicy:
+    """Follows a deterministic policy, but draws the action by lot in a share of the steps: what fills the logs.
+
+    Parameters
+    ----------
+    base
+        The policy that is followed.
+    random_share
+        Probability that a step is drawn uniformly from the possible actions instead.
+    """
+
+    base: Policy
+    random_share: float = 0.5
+
+    def decide(self, state: TableState, key: Array) -> Decision:
+        """Choose, and report the probability of that choice under the mixture."""
+        base_key, coin_key, uniform_key = jax.random.split(key, 3)
+        base = self.base.decide(state, base_key)
+        uniform = UniformPolicy().decide(state, uniform_key)
+        is_random = jax.random.uniform(coin_key) < self.random_share
+        action = jnp.where(is_random, uniform.action, base.action)
+        by_base = jnp.where(action == base.action, base.probability, 0.0)
+        return Decision(action, self.random_share * uniform.probability + (1.0 - self.random_share) * by_base)

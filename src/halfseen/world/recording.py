@@ -1,0 +1,211 @@
+"""From cut episodes to `Logs`, and from the logs of tables back to the states that a policy saw.
+
+Per object and stage a log holds: location ("TABLE" or "DISHWASHER"), occlusion, log_odds (of DIRTY), successes and
+failures (of past grasps), lifts, and three lists: hidden_by (the share of it that each object of the scene hides alone,
+in the order of the objects), attempt_occlusions and attempt_succeeded (its past attempts, oldest first).
+"""
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+from jaxtyping import Bool, Float, Int
+
+from halfseen.errors import LogError
+from halfseen.logs import Logs
+from halfseen.world.actions import Verb, target_of, verb_of
+from halfseen.world.cuts import CAUSES, CutEpisodes, CutKind
+from halfseen.world.scene import Scene
+from halfseen.world.state import NO_ATTEMPT, TableState, attempt_counts, occlusion
+
+TABLE, DISHWASHER = "TABLE", "DISHWASHER"
+OBJECT_COLUMNS = ("location", "occlusion", "log_odds", "lifts", "hidden_by", "attempt_occlusions", "attempt_succeeded")
+_VERB_NAMES = np.array([verb.name for verb in Verb])
+
+
+def to_logs(cuts: CutEpisodes, kind: CutKind, scenes: Sequence[Scene]) -> Logs:
+    """Write down what a recorder would have kept of these episodes; path k began from scene k modulo their number."""
+    begun = np.argwhere(cuts.is_begun)
+    return Logs(stages=_stages(cuts, begun), paths=_paths(cuts, kind, scenes), objects=_objects(cuts, begun))
+
+
+def elapsed_s(cuts: CutEpisodes) -> Float[np.ndarray, "n T"]:
+    """U_t of each completed stage [s], NaN elsewhere."""
+    duration_s = np.asarray(cuts.episodes.duration_s, dtype=np.float64)
+    return np.where(cuts.is_completed, np.cumsum(np.where(cuts.is_completed, duration_s, 0.0), axis=1), np.nan)
+
+
+def _paths(cuts: CutEpisodes, kind: CutKind, scenes: Sequence[Scene]) -> pd.DataFrame:
+    num_paths = len(cuts.end_s)
+    return pd.DataFrame(
+        {
+            "path": np.arange(num_paths),
+            "end_s": cuts.end_s,
+            "ending": np.where(cuts.is_finished, "finished", "cut"),
+            "cause": np.where(cuts.is_finished, None, CAUSES[kind]),
+            "scene": [scenes[k % len(scenes)].name for k in range(num_paths)],
+        }
+    )
+
+
+def _stages(cuts: CutEpisodes, begun: Int[np.ndarray, "rows 2"]) -> pd.DataFrame:
+    path, stage = begun.T
+    episodes, num_objects = cuts.episodes, cuts.episodes.states.num_objects
+    action = np.asarray(episodes.action)[path, stage]
+    verb = np.asarray(verb_of(action, num_objects))
+    is_completed = cuts.is_completed[path, stage]
+    reward = np.asarray(episodes.reward, dtype=np.float64)[path, stage]
+    return pd.DataFrame(
+        {
+            "path": path,
+            "stage": stage + 1,
+            "elapsed_s": elapsed_s(cuts)[path, stage],
+            "action": _VERB_NAMES[verb],
+            "object": pd.Series(target_of(action, num_objects), dtype="Int64").mask(verb == Verb.FINISH),
+            "reward": np.where(is_completed, reward, np.nan),
+            "probability": np.asarray(episodes.probability, dtype=np.float64)[path, stage],
+        }
+    )
+
+
+@jax.jit
+def _seen(states: TableState):
+    def one(state: TableState):
+        return (occlusion(state), *attempt_counts(state))
+
+    return jax.vmap(jax.vmap(one))(states)
+
+
+def _objects(cuts: CutEpisodes, begun: Int[np.ndarray, "rows 2"]) -> pa.Table:
+    states = cuts.episodes.states
+    occluded, successes, failures = (np.asarray(leaf) for leaf in _seen(states))
+    is_object = np.asarray(states.is_object)[:, 0]
+    stage_row, target = np.nonzero(is_object[begun[:, 0]])
+    path, stage = begun[stage_row].T
+    at = path, stage, target
+    hides = np.asarray(states.hides)[:, 0]
+    is_attempt = np.asarray(states.attempt_object)[path, stage] == target[:, None]
+    tried_at = np.asarray(states.attempt_occlusion, dtype=np.float64)[path, stage]
+    succeeded = np.asarray(states.attempt_succeeded)[path, stage]
+    return pa.table(
+        {
+            "path": path,
+            "stage": stage + 1,
+            "object": target,
+            "location": np.where(np.asarray(states.is_on_table)[at], TABLE, DISHWASHER).tolist(),
+            "occlusion": occluded[at].astype(np.float64),
+            "log_odds": np.asarray(states.log_odds)[at].astype(np.float64),
+            "successes": successes[at].astype(np.int64),
+            "failures": failures[at].astype(np.int64),
+            "lifts": np.asarray(states.lifts)[at].astype(np.int64),
+            "hidden_by": _lists(hides[path, target].astype(np.float64), is_object[path]),
+            "attempt_occlusions": _lists(tried_at, is_attempt),
+            "attempt_succeeded": _lists(succeeded, is_attempt),
+        }
+    )
+
+
+def _lists(values: np.ndarray, is_kept: Bool[np.ndarray, "rows k"]) -> pa.ListArray:
+    offsets = np.concatenate([[0], np.cumsum(is_kept.sum(axis=1))]).astype(np.int32)
+    return pa.ListArray.from_arrays(pa.array(offsets), pa.array(values[is_kept]))
+
+
+def states_of(logs: Logs, horizon: int) -> TableState:
+    """Rebuild S_t of every stage of a log of tables, axes (n, T); what has no row is an empty table.
+
+    Raises
+    ------
+    LogError
+        The log has no objects, lacks one of their columns, is longer than `horizon`, or the number of objects changes
+        along a path.
+    """
+    frame = _checked_objects(logs, horizon)
+    path = pd.Index(logs.path_ids).get_indexer(frame["path"])
+    stage = frame["stage"].to_numpy() - 1
+    target = frame.groupby(["path", "stage"]).cumcount().to_numpy()
+    num_objects = int(target.max()) + 1
+    shape = (logs.num_paths, horizon, num_objects)
+    at = path, stage, target
+    is_object, is_on_table = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
+    log_odds, lifts = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.int32)
+    is_object[at] = True
+    is_on_table[at] = frame["location"].to_numpy() == TABLE
+    log_odds[at] = frame["log_odds"]
+    lifts[at] = frame["lifts"]
+    attempts = _attempts(frame, at, shape, horizon)
+    steps_to_go = np.broadcast_to(horizon - np.arange(horizon, dtype=np.int32), shape[:2])
+    leaves = (_hides(frame, at, shape), is_object, is_on_table, log_odds, lifts, *attempts, steps_to_go)
+    return TableState(*(jnp.asarray(leaf) for leaf in leaves))
+
+
+def _checked_objects(logs: Logs, horizon: int) -> pd.DataFrame:
+    if logs.objects is None:
+        raise LogError("objects: the log has none; a table is learned from logs with an objects table")
+    missing = [column for column in OBJECT_COLUMNS if column not in logs.objects.columns]
+    if missing:
+        raise LogError(f"objects: column {missing[0]!r} is missing; there are {', '.join(logs.objects.columns)}")
+    if logs.horizon > horizon:
+        raise LogError(f"stages: a path has {logs.horizon} stages, more than horizon={horizon}; raise horizon")
+    counts = logs.objects.groupby(["path", "stage"]).size()
+    first = counts.groupby(level="path").transform("first")
+    if (counts != first).any():
+        path, stage = counts.index[np.argmax(counts != first)]
+        raise LogError(
+            f"path {path}, stage {stage}: {counts[path, stage]} objects where stage 1 has {first[path, stage]}; list "
+            "every object of the scene at every stage, those in the dishwasher too"
+        )
+    return logs.objects
+
+
+def _hides(frame: pd.DataFrame, at: tuple, shape: tuple[int, int, int]) -> Float[np.ndarray, "n T N N"]:
+    hides = np.zeros((*shape, shape[-1]), dtype=np.float32)
+    row, column, values = _ragged(frame, "hidden_by")
+    if len(column) and column.max() >= shape[-1]:
+        wrong = row[np.argmax(column)]
+        where = frame.iloc[wrong]
+        raise LogError(
+            f"path {where['path']}, stage {where['stage']}: hidden_by of object {where['object']} has "
+            f"{column.max() + 1} entries for {shape[-1]} objects; give one share for each object of the scene"
+        )
+    hides[at[0][row], at[1][row], at[2][row], column] = values
+    return hides
+
+
+def _attempts(
+    frame: pd.DataFrame, at: tuple, shape: tuple[int, int, int], horizon: int
+) -> tuple[Int[np.ndarray, "n T T"], Float[np.ndarray, "n T T"], Bool[np.ndarray, "n T T"]]:
+    """Attempts of each stage's history, gathered from the objects; their order across objects carries nothing."""
+    tried = np.full((*shape[:2], horizon), NO_ATTEMPT, dtype=np.int32)
+    occluded = np.zeros(tried.shape, dtype=np.float32)
+    succeeded = np.zeros(tried.shape, dtype=bool)
+    row, _, occlusions = _ragged(frame, "attempt_occlusions")
+    slot = pd.Series(row).groupby([at[0][row], at[1][row]]).cumcount().to_numpy()
+    if len(slot) and slot.max() >= horizon:
+        where = frame.iloc[row[np.argmax(slot)]]
+        raise LogError(
+            f"path {where['path']}, stage {where['stage']}: {slot.max() + 1} past attempts, more than the horizon of "
+            f"{horizon} stages allows; raise horizon or mend attempt_occlusions"
+        )
+    cell = at[0][row], at[1][row], slot
+    tried[cell] = at[2][row]
+    occluded[cell] = occlusions
+    results = _ragged(frame, "attempt_succeeded")[2]
+    if len(results) != len(occlusions):
+        raise LogError(
+            f"objects: attempt_succeeded has {len(results)} entries in all and attempt_occlusions {len(occlusions)}; "
+            "give one of each for every past attempt"
+        )
+    succeeded[cell] = results.astype(bool)
+    return tried, occluded, succeeded
+
+
+def _ragged(frame: pd.DataFrame, column: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Row, position in the row's list, and value of every entry of a list column."""
+    lengths = frame[column].map(len).to_numpy(dtype=np.int64)
+    row = np.repeat(np.arange(len(frame)), lengths)
+    position = np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths)
+    values = np.concatenate([np.zeros(0), *(np.asarray(entry) for entry in frame[column] if len(entry))])
+    return row, position, values

@@ -1,0 +1,139 @@
+"""What the policy sees of a table, and what it does not."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from halfseen.errors import SceneError
+from halfseen.world.config import WorldConfig
+from halfseen.world.scene import Scene
+
+NO_ATTEMPT = -1
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class TableState:
+    """S_t: all that a policy may look at (a pytree; `jax.vmap` adds batch axes).
+
+    Objects are padded to N with `is_object` False; their other entries mean nothing.
+    """
+
+    hides: Float[Array, "*B N N"]
+    """Share of object i's silhouette that object j alone hides."""
+    is_object: Bool[Array, "*B N"]
+    """False for padding."""
+    is_on_table: Bool[Array, "*B N"]
+    """Location: TABLE if True, else DISHWASHER (or padding)."""
+    log_odds: Float[Array, "*B N"]
+    """Log-odds of DIRTY given all labels so far, the prior included."""
+    lifts: Int[Array, "*B N"]
+    """Number of LIFT attempts that succeeded."""
+    attempt_object: Int[Array, "*B T"]
+    """Object that the k-th step tried to grasp, or -1 if none (yet)."""
+    attempt_occlusion: Float[Array, "*B T"]
+    """Its occlusion at that time."""
+    attempt_succeeded: Bool[Array, "*B T"]
+    """Whether it was grasped."""
+    steps_to_go: Int[Array, "*B"]
+    """Actions left, this one included."""
+
+    @property
+    def num_objects(self) -> int:
+        """N, padding included."""
+        return self.is_object.shape[-1]
+
+    @property
+    def horizon(self) -> int:
+        """T, the number of steps that a path may have."""
+        return self.attempt_object.shape[-1]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class HiddenState:
+    """What no policy sees: the attribute and the grip offset of each object."""
+
+    is_dirty: Bool[Array, "*B N"]
+    grip_offset: Float[Array, "*B N"]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Layout:
+    """Scenes padded to a common number of objects."""
+
+    hides: Float[Array, "*B N N"]
+    is_object: Bool[Array, "*B N"]
+
+
+def pad_scenes(scenes: Sequence[Scene], num_objects: int | None = None) -> Layout:
+    """Stack scenes of different sizes into one batch, padded with NaN and masked.
+
+    Raises
+    ------
+    SceneError
+        There is no scene, or one has more objects than `num_objects`.
+    """
+    if not scenes:
+        raise SceneError("no scenes: give at least one")
+    largest = max(scene.num_objects for scene in scenes)
+    size = largest if num_objects is None else num_objects
+    if size < largest:
+        raise SceneError(f"a scene has {largest} objects, more than num_objects={size}; raise num_objects")
+    hides = np.full((len(scenes), size, size), np.nan, dtype=np.float32)
+    is_object = np.zeros((len(scenes), size), dtype=bool)
+    for k, scene in enumerate(scenes):
+        hides[k, : scene.num_objects, : scene.num_objects] = scene.hides
+        is_object[k, : scene.num_objects] = True
+    return Layout(jnp.asarray(hides), jnp.asarray(is_object))
+
+
+def initial_state(config: WorldConfig, layout: Layout) -> TableState:
+    """State before anything was seen: all objects on the table, all labels at the prior; one table."""
+    num_objects = layout.is_object.shape[-1]
+    is_pair = layout.is_object[:, None] & layout.is_object[None, :]
+    prior = jnp.log(config.dirty_share) - jnp.log1p(-config.dirty_share)
+    return TableState(
+        hides=jnp.where(is_pair, layout.hides, 0.0),
+        is_object=layout.is_object,
+        is_on_table=layout.is_object,
+        log_odds=jnp.full(num_objects, prior, dtype=jnp.float32),
+        lifts=jnp.zeros(num_objects, dtype=jnp.int32),
+        attempt_object=jnp.full(config.horizon, NO_ATTEMPT, dtype=jnp.int32),
+        attempt_occlusion=jnp.zeros(config.horizon, dtype=jnp.float32),
+        attempt_succeeded=jnp.zeros(config.horizon, dtype=bool),
+        steps_to_go=jnp.asarray(config.horizon, dtype=jnp.int32),
+    )
+
+
+def draw_hidden(config: WorldConfig, num_objects: int, key: Array) -> HiddenState:
+    """Draw attributes and grip offsets of one table from the prior."""
+    dirty_key, grip_key = jax.random.split(key)
+    return HiddenState(
+        is_dirty=jax.random.uniform(dirty_key, (num_objects,)) < config.dirty_share,
+        grip_offset=config.grip_offset_std * jax.random.normal(grip_key, (num_objects,)),
+    )
+
+
+def occlusion(state: TableState) -> Float[Array, " N"]:
+    """Hidden share of each object now: 1 − Π_j (1 − hides[i, j]·present_j); one table."""
+    return occlusion_without(state, jnp.zeros_like(state.is_on_table))
+
+
+def occlusion_without(state: TableState, is_taken: Bool[Array, " N"]) -> Float[Array, " N"]:
+    """Occlusion if the objects in `is_taken` were not there to hide anything; one table."""
+    is_hiding = state.is_on_table & ~is_taken
+    return 1.0 - jnp.prod(jnp.where(is_hiding[None, :], 1.0 - state.hides, 1.0), axis=1)
+
+
+def attempt_counts(state: TableState) -> tuple[Float[Array, " N"], Float[Array, " N"]]:
+    """Past grasp successes and failures of each object; one table."""
+    is_mine = state.attempt_object[None, :] == jnp.arange(state.num_objects)[:, None]
+    successes = jnp.sum(is_mine & state.attempt_succeeded[None, :], axis=1)
+    failures = jnp.sum(is_mine & ~state.attempt_succeeded[None, :], axis=1)
+    return successes.astype(jnp.float32), failures.astype(jnp.float32)
