@@ -105,13 +105,13 @@ BREAKS = {
     ),
     "covariate null": (
         put("stages", "steps_to_go", 4, None),
-        "path 3, stage 1: covariate steps_to_go is nan; give the number",
+        "path 3, stage 1: covariate steps_to_go is null; give the number",
     ),
     "end zero": (put("paths", "end_s", 0, 0.0), "path 1: end_s 0.0 is no end"),
     "end null": (put("paths", "end_s", 1, None), "path 2: end_s nan is no end"),
     "end infinite": (put("paths", "end_s", 1, np.inf), "path 2: end_s inf is no end"),
     "ending unknown": (put("paths", "ending", 1, "done"), "path 2: ending 'done' is unknown; say 'finished'"),
-    "ending null": (put("paths", "ending", 0, None), "path 1: ending None is unknown"),
+    "ending null": (put("paths", "ending", 0, None), "path 1: ending null is unknown"),
     "cause of a finish": (put("paths", "cause", 0, "battery"), "path 1: it finished, yet has the cause 'battery'"),
     "object of an unknown path": (
         put("objects", "path", 0, 9),
@@ -134,13 +134,13 @@ BREAKS = {
     "stage without objects": (drop("objects", [2, 3]), "path 1, stage 2: it has no row in objects"),
     "object's covariate null": (
         put("objects", "occlusion", 4, np.nan),
-        "path 2, stage 1, object 'cup': covariate occlusion is nan",
+        "path 2, stage 1, object 'cup': covariate occlusion is null",
     ),
     "NaN in a list": (
         put("objects", "hidden_by", 7, [0.1, np.nan]),
         "path 2, stage 2, object 'mug': covariate hidden_by is array([0.1, nan])",
     ),
-    "list null": (put("objects", "hidden_by", 7, None), "path 2, stage 2, object 'mug': covariate hidden_by is None"),
+    "list null": (put("objects", "hidden_by", 7, None), "path 2, stage 2, object 'mug': covariate hidden_by is null"),
 }
 
 

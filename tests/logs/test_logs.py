@@ -78,7 +78,8 @@ def test_optional_columns_are_added_as_null():
     assert logs.objects is None
     assert logs.stages["object"].isna().all()
     assert "probability" not in logs.stages
-    assert logs.paths["cause"].tolist() == [None, "unknown", "unknown"]
+    assert logs.paths["cause"].isna().tolist() == [True, False, False]
+    assert logs.paths["cause"].tolist()[1:] == ["unknown", "unknown"]
 
 
 def test_a_log_in_which_nothing_is_completed_is_legal():
