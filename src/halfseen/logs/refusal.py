@@ -10,7 +10,7 @@ from halfseen.errors import LogError
 
 def shown(value: object) -> str:
     """Write a value as it stands in the table: 17, but '17' for text, and null whatever stands for it."""
-    if pd.api.types.is_scalar(value) and pd.isna(value):
+    if pd.api.types.is_scalar(value) and bool(np.asarray(pd.isna(value))):
         return "null"
     return repr(value.item() if isinstance(value, np.generic) else value)
 
