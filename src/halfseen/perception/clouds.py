@@ -159,7 +159,7 @@ def read_cloud(path: str | os.PathLike[str]) -> Cloud:
 
 def _read_npz(path: Path) -> Cloud:
     try:
-        with np.load(path, allow_pickle=False) as arrays:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
             missing = {"depth_m", "K"} - set(arrays.files)
             if missing:
                 raise CloudError(
@@ -283,16 +283,22 @@ def write_pcd(cloud: Cloud, path: str | os.PathLike[str]) -> None:
     parsed.metadata = parsed.metadata.derive(width=num_columns, height=num_rows, viewpoint=viewpoint)
     path = Path(path)
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    # Into memory first: pypcd4 rewinds the file, over our comments, when points do not compress and stay binary.
+    body = io.BytesIO()
+    parsed.save(body, Encoding.BINARY_COMPRESSED)
     try:
-        with partial.open("wb") as file:
-            file.write(b"# .PCD v0.7 - Point Cloud Data file format\n")
-            if cloud.intrinsics is not None:
-                K = cloud.intrinsics
-                numbers = " ".join(repr(float(value)) for value in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
-                file.write(f"{INTRINSICS_COMMENT} {numbers}\n".encode())
-            parsed.save(file, Encoding.BINARY_COMPRESSED)
+        partial.write_bytes(_comments(cloud).encode() + body.getvalue())
         partial.replace(path)
     except OSError as error:
         raise CloudError(f"{path}: cannot be written: {error.strerror or error}; choose another folder") from error
     finally:
         partial.unlink(missing_ok=True)
+
+
+def _comments(cloud: Cloud) -> str:
+    title = "# .PCD v0.7 - Point Cloud Data file format\n"
+    if cloud.intrinsics is None:
+        return title
+    K = cloud.intrinsics
+    numbers = " ".join(repr(float(value)) for value in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
+    return f"{title}{INTRINSICS_COMMENT} {numbers}\n"

@@ -2,10 +2,11 @@
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.ndimage import binary_closing, label
+from scipy.ndimage import binary_closing
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull
+from skimage.measure import label as measure_label
 
 from halfseen.perception.noise import depth_noise_m
 from halfseen.perception.plane import Plane, is_on_plane
@@ -111,7 +112,8 @@ def _table_outline(image: RangeImage, plane: Plane) -> Float[np.ndarray, "edges 
     occupied: Bool[np.ndarray, "cells cells"] = np.zeros(span, dtype=bool)
     occupied[tuple((cell - low).T)] = True
     closed = binary_closing(occupied, np.ones((2 * TABLE_GAP_CELLS + 1,) * 2))
-    pieces, num_pieces = label(closed)
+    pieces = np.asarray(measure_label(closed, connectivity=1))
+    num_pieces = int(pieces.max())
     if not num_pieces:
         return None
     sizes = np.bincount(pieces[tuple((cell - low).T)], minlength=num_pieces + 1)

@@ -61,7 +61,7 @@ class Plane:
         points_m
             Points in the camera frame [m].
         """
-        return points_m @ self.normal - self.offset_m
+        return np.asarray(points_m @ self.normal - self.offset_m)
 
     def axes(self) -> Float[np.ndarray, "2 3"]:
         """Two unit vectors in the plane: to the camera's right, and away from the camera."""

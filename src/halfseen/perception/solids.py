@@ -5,6 +5,7 @@ Coordinates of this file are those of the table: right, away from the camera, he
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -34,6 +35,9 @@ END_PERCENT = 2.0
 # Points this near to the wall belong to the vessel [m].
 INLIER_M = 0.008
 NUM_AROUND = 40
+
+# Free parameters of a fit: two of place, a radius [m], a slope, and those of direction if it has one.
+Free: TypeAlias = Float[np.ndarray, " p"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +140,7 @@ def fit_standing(points_m: Points) -> Vessel:
     middle_height = float(np.median(points[:, 2]))
     middle, radius = _circle(points[:, :2])
 
-    def residuals(p: Rows) -> Rows:
+    def residuals(p: Free) -> Rows:
         wall = p[2] + p[3] * (points[:, 2] - middle_height)
         return np.hypot(points[:, 0] - p[0], points[:, 1] - p[1]) - wall
 
@@ -161,10 +165,10 @@ def fit_lying(points_m: Points, *, is_on_wall: bool = True) -> Vessel:
     middle = np.median(points, axis=0)
     rest_spread_m, tilt_spread_rad = WALL_REST if is_on_wall else HANDLE_REST
 
-    def residuals(p: Rows) -> Rows:
+    def residuals(p: Free) -> Rows:
         return _lying(p, middle).outside_m(points)
 
-    def prior(p: Rows) -> Rows:
+    def prior(p: Free) -> Rows:
         tilt = np.arctan(p[3])
         return np.array([(p[1] - p[2] * np.cos(tilt)) / rest_spread_m, (p[5] - tilt) / tilt_spread_rad])
 
@@ -181,7 +185,7 @@ def fit_lying(points_m: Points, *, is_on_wall: bool = True) -> Vessel:
     return replace(vessel, ends_m=_ends(vessel, points_m), misfit=misfit)
 
 
-def thinned(points_m: Points, num_points: int = NUM_POINTS_FITTED) -> Points:
+def thinned(points_m: Points, num_points: int = NUM_POINTS_FITTED) -> Float[np.ndarray, "m 3"]:
     """Every so manyth point, so that at most twice `num_points` remain.
 
     Parameters
@@ -194,7 +198,7 @@ def thinned(points_m: Points, num_points: int = NUM_POINTS_FITTED) -> Points:
     return points_m[:: max(1, len(points_m) // num_points)]
 
 
-def _lying(p: Rows, middle: Vector) -> Vessel:
+def _lying(p: Free, middle: Vector) -> Vessel:
     """Vessel of (aside, height, radius, slope, direction, tilt), whose centre is beside `middle`."""
     axis = np.array([np.cos(p[5]) * np.cos(p[4]), np.cos(p[5]) * np.sin(p[4]), np.sin(p[5])])
     centre = np.array([middle[0] - p[0] * np.sin(p[4]), middle[1] + p[0] * np.cos(p[4]), p[1]])
@@ -202,11 +206,11 @@ def _lying(p: Rows, middle: Vector) -> Vessel:
 
 
 def _solve(
-    residuals: Callable[[Rows], Rows], start: Rows, more_prior: Callable[[Rows], Rows] | None = None
-) -> tuple[Rows, float]:
+    residuals: Callable[[Free], Rows], start: Free, more_prior: Callable[[Free], Rows] | None = None
+) -> tuple[Free, float]:
     """Parameters that fit best, of which the third is a radius and the fourth a slope, and their mean robust cost."""
 
-    def with_prior(p: Rows) -> Rows:
+    def with_prior(p: Free) -> Rows:
         usual = np.array([(p[2] - USUAL_RADIUS_M) / RADIUS_SPREAD_M, (p[3] - USUAL_SLOPE) / SLOPE_SPREAD])
         more = more_prior(p) if more_prior else usual[:0]
         return np.concatenate([residuals(p) / WALL_NOISE_M, usual, more])

@@ -1,0 +1,227 @@
+import io
+import struct
+
+import lzf
+import numpy as np
+import pytest
+from drawn_tables import NUM_COLUMNS, NUM_ROWS, Can, K, draw
+from plyfile import PlyData, PlyElement
+
+from halfseen.errors import CloudError
+from halfseen.perception import Cloud, read_cloud, write_pcd
+
+ROWS, COLUMNS = 4, 5
+
+
+@pytest.fixture
+def points() -> np.ndarray:
+    points = np.random.default_rng(3).uniform(0.2, 1.5, size=(ROWS * COLUMNS, 3)).astype(np.float32).astype(np.float64)
+    points[7] = np.nan
+    return points
+
+
+def pcd_header(width: int, height: int, data: str, fields: str = "x y z", extra: str = "") -> bytes:
+    num = len(fields.split())
+    lines = [
+        "# .PCD v0.7 - Point Cloud Data file format",
+        *([extra] if extra else []),
+        "VERSION 0.7",
+        f"FIELDS {fields}",
+        "SIZE " + " ".join(["4"] * num),
+        "TYPE " + " ".join(["F"] * num),
+        "COUNT " + " ".join(["1"] * num),
+        f"WIDTH {width}",
+        f"HEIGHT {height}",
+        "VIEWPOINT 0 0 0 1 0 0 0",
+        f"POINTS {width * height}",
+        f"DATA {data}",
+    ]
+    return ("\n".join(lines) + "\n").encode()
+
+
+def pcd_body(points: np.ndarray, data: str) -> bytes:
+    rows = points.astype("<f4")
+    if data == "ascii":
+        text = io.StringIO()
+        np.savetxt(text, rows, fmt="%.9g")
+        return text.getvalue().encode()
+    if data == "binary":
+        return rows.tobytes()
+    plain = rows.T.tobytes()
+    packed = lzf.compress(plain) or b""
+    return struct.pack("<II", len(packed), len(plain)) + packed
+
+
+@pytest.mark.parametrize("data", ["ascii", "binary", "binary_compressed"])
+@pytest.mark.parametrize("is_organised", [True, False])
+def test_every_kind_of_pcd_is_read(tmp_path, data, is_organised):
+    points = np.tile(np.arange(1.0, 61.0).reshape(20, 3), (1, 1))
+    points[7] = np.nan
+    width, height = (COLUMNS, ROWS) if is_organised else (COLUMNS * ROWS, 1)
+    path = tmp_path / "cloud.pcd"
+    path.write_bytes(pcd_header(width, height, data) + pcd_body(points, data))
+    cloud = read_cloud(path)
+    assert cloud.shape == ((ROWS, COLUMNS) if is_organised else None)
+    np.testing.assert_array_equal(cloud.points_m, points)
+    assert cloud.num_returns == 19
+
+
+def test_ascii_pcd_with_more_fields_and_loose_spacing(tmp_path):
+    path = tmp_path / "cloud.pcd"
+    body = b"9 1.5  2.5 3.5 \n9 4.5 5.5\t6.5\n"
+    path.write_bytes(pcd_header(2, 1, "ascii", fields="rgb x y z") + body)
+    np.testing.assert_array_equal(read_cloud(path).points_m, [[1.5, 2.5, 3.5], [4.5, 5.5, 6.5]])
+
+
+@pytest.mark.parametrize("is_text", [True, False])
+def test_every_kind_of_ply_is_read(tmp_path, points, is_text):
+    vertex = np.empty(len(points), dtype=[("x", "f4"), ("y", "f4"), ("z", "f4"), ("red", "u1")])
+    for k, axis in enumerate("xyz"):
+        vertex[axis] = points[:, k]
+    vertex["red"] = 200
+    path = tmp_path / "cloud.ply"
+    PlyData([PlyElement.describe(vertex, "vertex")], text=is_text).write(str(path))
+    cloud = read_cloud(path)
+    np.testing.assert_allclose(cloud.points_m, points, rtol=1e-6)
+    assert cloud.shape is None
+
+
+@pytest.mark.parametrize("empty", [0.0, np.nan, -1.0, np.inf])
+def test_npz_depth_without_return(tmp_path, empty):
+    depth = np.full((ROWS, COLUMNS), 2.0, dtype=np.float32)
+    depth[1, 2] = empty
+    path = tmp_path / "cloud.npz"
+    np.savez(path, depth_m=depth, K=K)
+    cloud = read_cloud(path)
+    assert cloud.shape == (ROWS, COLUMNS)
+    np.testing.assert_array_equal(cloud.intrinsics, K)
+    image = cloud.points_m.reshape(ROWS, COLUMNS, 3)
+    assert np.isnan(image[1, 2]).all()
+    np.testing.assert_allclose(image[3, 4], [(4 - K[0, 2]) / K[0, 0] * 2, (3 - K[1, 2]) / K[1, 1] * 2, 2.0])
+
+
+@pytest.mark.parametrize("shape", [(ROWS, COLUMNS), None])
+@pytest.mark.parametrize("intrinsics", [K, None])
+def test_write_then_read_is_the_same_cloud(tmp_path, points, shape, intrinsics):
+    written = Cloud(points, shape, intrinsics, "a cloud", np.array([0.0, 0.5, 0.0]))
+    write_pcd(written, tmp_path / "cloud.pcd")
+    read = read_cloud(tmp_path / "cloud.pcd")
+    np.testing.assert_array_equal(read.points_m, points)
+    assert read.shape == shape
+    np.testing.assert_array_equal(read.eye_m, [0.0, 0.5, 0.0])
+    if intrinsics is None:
+        assert read.intrinsics is None
+    else:
+        np.testing.assert_array_equal(read.intrinsics, intrinsics)
+    assert [path.name for path in tmp_path.iterdir()] == ["cloud.pcd"]
+
+
+def test_writing_twice_gives_the_same_bytes(tmp_path):
+    cloud = draw(Can(0.0, 0.0)).cloud
+    write_pcd(cloud, tmp_path / "one.pcd")
+    write_pcd(cloud, tmp_path / "two.pcd")
+    assert (tmp_path / "one.pcd").read_bytes() == (tmp_path / "two.pcd").read_bytes()
+    assert read_cloud(tmp_path / "one.pcd").shape == (NUM_ROWS, NUM_COLUMNS)
+
+
+def test_rows_at_the_origin_or_not_finite_are_no_return():
+    cloud = Cloud(np.array([[0.0, 0.0, 0.0], [1.0, np.inf, 1.0], [0.1, 0.2, 0.3]]))
+    assert cloud.num_returns == 1
+    assert np.isnan(cloud.points_m[:2]).all()
+
+
+def test_a_cloud_cannot_be_changed(points):
+    cloud = Cloud(points)
+    points[0] = 9.0
+    assert cloud.points_m[0, 0] != 9.0
+    with pytest.raises(ValueError, match="read-only"):
+        cloud.points_m[0] = 1.0
+
+
+class Evil:
+    def __reduce__(self):
+        return (print, ("never unpickled",))
+
+
+def bad_files() -> dict[str, tuple[str, bytes, str]]:
+    def npz(**arrays) -> bytes:
+        file = io.BytesIO()
+        np.savez(file, **arrays)
+        return file.getvalue()
+
+    points = np.arange(1.0, 61.0).reshape(20, 3)
+    good = npz(depth_m=np.ones((4, 5), np.float32), K=K)
+    ascii_pcd = pcd_header(20, 1, "ascii") + pcd_body(points, "ascii")
+    ply = b"ply\nformat binary_little_endian 1.0\nelement vertex 20\n"
+    ply += b"property float x\nproperty float y\nproperty float z\nend_header\n" + b"\x00" * 100
+    return {
+        "suffix": ("cloud.xyz", b"1 2 3", r"'.xyz'.*\.pcd, \.ply, \.npz"),
+        "keys": ("cloud.npz", npz(depth=np.ones((4, 5))), r"lacks \['K', 'depth_m'\]"),
+        "pickle": ("cloud.npz", npz(depth_m=np.array([Evil()], dtype=object), K=K), "never pickled"),
+        "K shape": ("cloud.npz", npz(depth_m=np.ones((4, 5)), K=np.eye(2)), "3 by 3 and finite"),
+        "K not finite": ("cloud.npz", npz(depth_m=np.ones((4, 5)), K=K * np.nan), "3 by 3 and finite"),
+        "K negative": ("cloud.npz", npz(depth_m=np.ones((4, 5)), K=-K), "must be positive"),
+        "K text": ("cloud.npz", npz(depth_m=np.ones((4, 5)), K=np.full((3, 3), "a")), "3 by 3 and finite"),
+        "whole numbers": ("cloud.npz", npz(depth_m=np.ones((4, 5), int), K=K), "floats in metres"),
+        "flat": ("cloud.npz", npz(depth_m=np.ones(20), K=K), "image of floats"),
+        "millimetres": ("cloud.npz", npz(depth_m=np.full((4, 5), 900.0), K=K), "divide millimetres by 1000"),
+        "nothing": ("cloud.npz", npz(depth_m=np.full((4, 5), np.nan), K=K), "not one of 20 points"),
+        "cut npz": ("cloud.npz", good[: len(good) // 2], "cut short"),
+        "empty npz": ("cloud.npz", b"", "cut short|not a whole|never pickled"),
+        "text as npz": ("cloud.npz", b"hello there", "never pickled|cut short"),
+        "cut ascii": ("cloud.pcd", ascii_pcd[: len(ascii_pcd) // 2 + 110], "cut short|not a whole"),
+        "cut binary": (
+            "cloud.pcd",
+            pcd_header(20, 1, "binary") + pcd_body(points, "binary")[:-24],
+            "cut short|not a whole",
+        ),
+        "cut packed": (
+            "cloud.pcd",
+            pcd_header(20, 1, "binary_compressed") + pcd_body(points, "binary_compressed")[:-9],
+            "cut short|not a whole",
+        ),
+        "cut header": ("cloud.pcd", pcd_header(20, 1, "ascii")[:60], "no DATA line"),
+        "no z": ("cloud.pcd", pcd_header(2, 1, "ascii", fields="x y") + b"1 2\n3 4\n", "needs x, y and z"),
+        "intrinsics": (
+            "cloud.pcd",
+            pcd_header(20, 1, "ascii", extra="# intrinsics 1 2") + pcd_body(points, "ascii"),
+            "fx fy cx cy",
+        ),
+        "shape": (
+            "cloud.pcd",
+            pcd_header(5, 4, "ascii").replace(b"WIDTH 5", b"WIDTH 6") + pcd_body(points, "ascii"),
+            "do not fill",
+        ),
+        "cut ply": ("cloud.ply", ply, "not a whole"),
+        "no ply": ("cloud.ply", b"solid nonsense", "not a whole"),
+        "ply of faces": (
+            "cloud.ply",
+            b"ply\nformat ascii 1.0\nelement face 1\nproperty float a\nend_header\n1\n",
+            "no element 'vertex'",
+        ),
+    }
+
+
+@pytest.mark.parametrize("case", bad_files())
+def test_bad_files_are_refused_in_one_line(tmp_path, case, capsys):
+    name, content, message = bad_files()[case]
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(CloudError, match=message) as caught:
+        read_cloud(path)
+    assert name in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert capsys.readouterr().out == ""
+
+
+def test_a_missing_file_and_a_folder_are_refused(tmp_path):
+    with pytest.raises(CloudError, match="no such file"):
+        read_cloud(tmp_path / "none.pcd")
+    (tmp_path / "folder.pcd").mkdir()
+    with pytest.raises(CloudError, match="no such file"):
+        read_cloud(tmp_path / "folder.pcd")
+
+
+def test_writing_into_a_missing_folder_is_refused(tmp_path, points):
+    with pytest.raises(CloudError, match="cannot be written"):
+        write_pcd(Cloud(points), tmp_path / "none" / "cloud.pcd")

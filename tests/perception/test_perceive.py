@@ -1,0 +1,232 @@
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from drawn_tables import DOWN_RAD, EYE_M, TABLE_FROM_CAMERA, Can, Drawn, camera_point, draw
+
+from halfseen.errors import CloudError
+from halfseen.perception import Cloud, View, perceive
+from halfseen.world.scene import Scene
+
+
+def owner_of(view: View, drawn: Drawn) -> list[int]:
+    """Which can each seen object is, by the pixels it claims."""
+    return [int(np.bincount(drawn.labels.ravel()[seen.pixels] + 1).argmax()) - 1 for seen in view.objects]
+
+
+def shuffled(cloud: Cloud, seed: int) -> Cloud:
+    points = cloud.points_m[np.isfinite(cloud.points_m[:, 2])]
+    return Cloud(np.random.default_rng(seed).permutation(points), None, None, cloud.name)
+
+
+PAIR = (Can(0.0, -0.05, 0.035, 0.09), Can(0.02, 0.10, 0.04, 0.11))
+
+
+@pytest.fixture(scope="module")
+def pair() -> tuple[Drawn, View]:
+    drawn = draw(*PAIR)
+    return drawn, perceive(drawn.cloud)
+
+
+def test_the_plane_is_that_of_the_table_and_points_up(pair):
+    plane = pair[1].table
+    np.testing.assert_allclose(plane.normal, TABLE_FROM_CAMERA[2], atol=2e-3)
+    assert plane.offset_m == pytest.approx(-EYE_M[2], abs=2e-3)
+    point = np.array([0.1, 0.2, 0.7])
+    np.testing.assert_allclose(plane.camera_points(plane.table_points(point)), point, atol=1e-12)
+
+
+def test_two_cups_are_two_objects_with_the_truth(pair):
+    drawn, view = pair
+    owner = owner_of(view, drawn)
+    assert sorted(owner) == [0, 1]
+    for seen, index in zip(view.objects, owner, strict=True):
+        can = PAIR[index]
+        assert seen.occlusion == pytest.approx(drawn.occlusion[index], abs=0.02)
+        middle = camera_point(np.array([can.x_m, can.y_m, can.height_m / 2]))
+        assert np.linalg.norm(seen.centroid_m - middle) < 0.004
+        assert seen.height_m == pytest.approx(can.height_m, abs=0.003)
+        assert seen.is_upright
+        assert seen.num_points == len(seen.pixels)
+
+
+def test_completed_silhouettes_are_those_of_the_cups_alone(pair):
+    drawn, view = pair
+    for seen, index in zip(view.objects, owner_of(view, drawn), strict=True):
+        ours, truth = view.silhouettes[seen.id], drawn.silhouettes[index]
+        assert (ours & truth).sum() / (ours | truth).sum() > 0.96
+
+
+def test_hides_is_the_occlusion_where_one_hides_one(pair):
+    drawn, view = pair
+    owner = owner_of(view, drawn)
+    front, back = owner.index(0), owner.index(1)
+    assert view.hides[back, front] == pytest.approx(drawn.occlusion[1], abs=0.02)
+    assert view.hides[front, back] == 0
+    assert (np.diag(view.hides) == 0).all()
+    assert isinstance(view.scene(), Scene)
+    np.testing.assert_array_equal(view.scene().hides, view.hides)
+
+
+def test_a_hidden_hider_still_hides():
+    # The last cup is behind the middle one, and the first one hides part of where the middle one hides it.
+    cans = (Can(0.0, -0.12, 0.04, 0.10), Can(0.0, 0.0, 0.04, 0.11), Can(0.0, 0.12, 0.04, 0.14))
+    drawn = draw(*cans)
+    view = perceive(drawn.cloud)
+    owner = owner_of(view, drawn)
+    first, middle, last = (owner.index(k) for k in range(3))
+    alone = draw(cans[1], cans[2])
+    assert view.hides[last, middle] == pytest.approx(alone.occlusion[1], abs=0.03)
+    assert view.objects[last].occlusion == pytest.approx(drawn.occlusion[2], abs=0.03)
+    assert view.hides[middle, first] == pytest.approx(draw(cans[0], cans[1]).occlusion[1], abs=0.03)
+
+
+@pytest.mark.parametrize("is_open", [True, False])
+def test_one_can_is_one_object_open_or_closed(is_open):
+    drawn = draw(Can(0.05, 0.02, 0.045, 0.08, is_open=is_open))
+    view = perceive(drawn.cloud)
+    assert len(view.objects) == 1
+    np.testing.assert_array_equal(view.hides, [[0.0]])
+    assert view.objects[0].occlusion == 0
+    claimed = set(view.objects[0].pixels) & set(np.flatnonzero(drawn.labels == 0))
+    assert len(claimed) > 0.85 * (drawn.labels == 0).sum()
+
+
+def test_inner_and_outer_wall_are_two_sheets_of_one_cup():
+    drawn = draw(Can(0.0, 0.0, 0.05, 0.10))
+    depth = drawn.depth_m.copy()
+    columns = np.nonzero(drawn.labels == 0)[1]
+    # Without returns at the sides, nothing in the image links the inner wall to the outer one.
+    depth[:, columns.min() : columns.min() + 8] = np.nan
+    depth[:, columns.max() - 8 : columns.max() + 1] = np.nan
+    assert len(perceive(Cloud.from_depth(depth, drawn.cloud.intrinsics)).objects) == 1
+
+
+def test_a_cup_cut_in_two_by_a_thin_one_is_one_object():
+    cans = (Can(0.0, -0.08, 0.015, 0.16, is_open=False), Can(0.0, 0.08, 0.05, 0.09))
+    drawn = draw(*cans)
+    view = perceive(drawn.cloud)
+    assert sorted(owner_of(view, drawn)) == [0, 1]
+    back = owner_of(view, drawn).index(1)
+    assert view.objects[back].occlusion == pytest.approx(drawn.occlusion[1], abs=0.03)
+
+
+def test_shadow_neither_splits_the_table_nor_loses_a_cup():
+    cans = (*PAIR, Can(-0.16, 0.05, 0.04, 0.12), Can(0.2, 0.1, 0.03, 0.07))
+    drawn = draw(*cans, has_shadow=True)
+    assert np.isnan(drawn.depth_m).sum() > np.isnan(draw(*cans).depth_m).sum() + 300
+    view = perceive(drawn.cloud)
+    owner = owner_of(view, drawn)
+    assert sorted(owner) == [0, 1, 2, 3]
+    found = [seen.occlusion for seen in view.objects]
+    np.testing.assert_allclose(found, drawn.occlusion[owner], atol=0.04)
+
+
+def test_noise_does_not_matter():
+    drawn = draw(*PAIR, noise_m=0.002)
+    view = perceive(drawn.cloud)
+    owner = owner_of(view, drawn)
+    assert sorted(owner) == [0, 1]
+    np.testing.assert_allclose([seen.occlusion for seen in view.objects], drawn.occlusion[owner], atol=0.04)
+
+
+def test_a_table_without_its_room_is_the_same_table():
+    whole, bare = perceive(draw(*PAIR).cloud), perceive(draw(*PAIR, is_bare=True).cloud)
+    np.testing.assert_allclose(bare.table.normal, whole.table.normal, atol=1e-3)
+    np.testing.assert_allclose(bare.hides, whole.hides, atol=0.01)
+
+
+def test_zero_and_nan_are_the_same_no_return():
+    drawn = draw(*PAIR, has_shadow=True)
+    zero = Cloud.from_depth(np.nan_to_num(drawn.depth_m), drawn.cloud.intrinsics)
+    np.testing.assert_array_equal(perceive(zero).hides, perceive(drawn.cloud).hides)
+
+
+def test_one_cloud_gives_one_view_whatever_the_global_seed(pair):
+    np.random.seed(1)  # noqa: NPY002 - it must not matter
+    again = perceive(pair[0].cloud)
+    np.testing.assert_array_equal(again.hides, pair[1].hides)
+    np.testing.assert_array_equal(again.labels, pair[1].labels)
+    for one, other in zip(again.objects, pair[1].objects, strict=True):
+        assert one.centroid_m.tobytes() == other.centroid_m.tobytes()
+
+
+def test_points_in_any_order_give_the_same_view():
+    cloud = draw(*PAIR).cloud
+    one, other = perceive(shuffled(cloud, 1)), perceive(shuffled(cloud, 2))
+    assert one.image.is_virtual
+    assert one.hides.tobytes() == other.hides.tobytes()
+    assert [seen.num_points for seen in one.objects] == [seen.num_points for seen in other.objects]
+
+
+def test_an_unorganised_cloud_is_seen_as_the_organised_one(pair):
+    drawn, view = pair
+    loose = perceive(shuffled(drawn.cloud, 0))
+    assert len(loose.objects) == len(view.objects)
+    for one, other in zip(loose.objects, view.objects, strict=True):
+        np.testing.assert_allclose(one.centroid_m, other.centroid_m, atol=0.004)
+        assert one.occlusion == pytest.approx(other.occlusion, abs=0.03)
+        assert one.num_points == pytest.approx(other.num_points, rel=0.05)
+
+
+def test_a_cloud_in_another_frame_is_seen_from_its_viewpoint(pair):
+    drawn, view = pair
+    points = drawn.cloud.points_m[np.isfinite(drawn.cloud.points_m[:, 2])]
+    world = Cloud(points @ TABLE_FROM_CAMERA.T + EYE_M, None, None, "world", EYE_M)
+    seen = perceive(world)
+    np.testing.assert_allclose(seen.table.normal, [0.0, 0.0, 1.0], atol=3e-3)
+    assert seen.table.offset_m == pytest.approx(0.0, abs=2e-3)
+    assert len(seen.objects) == 2
+    for one, other in zip(seen.objects, view.objects, strict=True):
+        expected = TABLE_FROM_CAMERA @ other.centroid_m + EYE_M
+        np.testing.assert_allclose(one.centroid_m, expected, atol=0.005)
+
+
+def test_organised_clouds_need_no_intrinsics(pair):
+    drawn, view = pair
+    bare = Cloud(drawn.cloud.points_m, drawn.cloud.shape)
+    seen = perceive(bare)
+    np.testing.assert_allclose(seen.image.intrinsics, drawn.cloud.intrinsics, atol=1e-6)
+    np.testing.assert_allclose(seen.hides, view.hides, atol=1e-6)
+
+
+def test_an_empty_table_has_no_objects():
+    view = perceive(draw().cloud)
+    assert view.objects == ()
+    assert view.hides.shape == (0, 0)
+    assert view.scene().num_objects == 0
+
+
+def test_what_the_border_cuts_is_counted_and_left_out():
+    drawn = draw(Can(0.0, 0.0), Can(-0.40, -0.10, 0.05, 0.10))
+    assert (drawn.labels[:, 0] == 1).any()
+    view = perceive(drawn.cloud)
+    assert owner_of(view, drawn) == [0]
+    assert view.num_cut == 1
+
+
+def test_no_returns_at_all_is_an_error():
+    with pytest.raises(CloudError, match="0 of 76800 points"):
+        perceive(Cloud.from_depth(np.full((240, 320), np.nan), draw().cloud.intrinsics, "dark"))
+
+
+def test_a_ball_of_points_is_no_table():
+    way = np.random.default_rng(0).standard_normal((4000, 3))
+    ball = way / np.linalg.norm(way, axis=1, keepdims=True) * 0.2 + [0.0, 0.0, 1.0]
+    with pytest.raises(CloudError, match="ball: no table plane"):
+        perceive(Cloud(ball, name="ball"))
+
+
+def test_a_wall_is_no_table():
+    # Seen by a camera that looks down, a wall is farther where it is lower.
+    way = (np.arange(240) - 119.5) / 290.0
+    depth = np.repeat((1.0 / (np.cos(DOWN_RAD) - np.sin(DOWN_RAD) * way))[:, None], 320, axis=1)
+    with pytest.raises(CloudError, match="wall: no table plane"):
+        perceive(Cloud.from_depth(depth, draw().cloud.intrinsics, "wall"))
+
+
+def test_perception_loads_neither_jax_nor_mujoco():
+    code = "import halfseen.perception, sys; print([m for m in ('jax', 'mujoco', 'matplotlib') if m in sys.modules])"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "[]"
