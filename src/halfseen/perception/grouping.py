@@ -10,7 +10,7 @@ from halfseen.perception.objects import Labels
 from halfseen.perception.plane import Plane
 from halfseen.perception.range_image import PixelMask, RangeImage
 from halfseen.perception.silhouette import covered, middle_depth_m
-from halfseen.perception.solids import Hull, Vessel, fit_lying, fit_standing, robust_cost, thinned
+from halfseen.perception.solids import Hull, Vessel, fit_lying, fit_standing, flat_misfit, robust_cost, thinned
 
 # A fit whose mean cost is worse is no vessel: residuals of 8 mm everywhere.
 WORST_VESSEL_MISFIT = 3.2
@@ -18,10 +18,14 @@ WORST_VESSEL_MISFIT = 3.2
 STANDING_MISFIT = 0.35
 # A fit that is worse than this may be that of a vessel on its handle, if that halves the cost.
 HANDLE_MISFIT, HANDLE_GAIN = 1.6, 0.5
+# What a plane fits this much better than a vessel is the face of a box.
+FLAT_GAIN = 0.5
+# Points that carry a hull; more change no pixel of it.
+NUM_HULL_POINTS = 2000
 # A vessel whose fit is better is sure enough to claim what lies inside it.
 SURE_VESSEL_MISFIT = 1.5
-# Pieces farther apart than a wide cup are not tried together [m].
-FARTHEST_PIECES_M = 0.08
+# Pieces farther apart than the walls of a wide cup are not tried together [m].
+FARTHEST_PIECES_M = 0.12
 # Two pieces are walls of one vessel if the points of each lie this near to one common wall: mean robust cost.
 JOINT_MISFIT = 1.3
 # ... which is tried only if half of one is this near to the wall that the other shows [m]; a fit takes time.
@@ -109,11 +113,19 @@ def completed(points_m: Points) -> Vessel | Hull:
     vessel = fit_standing(points_m)
     if vessel.misfit < STANDING_MISFIT:
         return vessel
-    vessel = min((vessel, fit_lying(points_m)), key=lambda one: one.misfit)
+    lying = fit_lying(points_m)
+    vessel = lying if lying.misfit < vessel.misfit and _is_low(lying, points_m) else vessel
     if vessel.misfit > HANDLE_MISFIT:
-        on_handle = fit_lying(points_m, is_on_wall=False)
-        vessel = on_handle if on_handle.misfit < HANDLE_GAIN * vessel.misfit else vessel
-    return vessel if vessel.misfit < WORST_VESSEL_MISFIT else Hull(thinned(points_m, 2000))
+        lying = fit_lying(points_m, is_on_wall=False)
+        vessel = lying if lying.misfit < HANDLE_GAIN * vessel.misfit and _is_low(lying, points_m) else vessel
+    is_vessel = vessel.misfit < WORST_VESSEL_MISFIT and flat_misfit(points_m) > FLAT_GAIN * vessel.misfit
+    return vessel if is_vessel else Hull(thinned(points_m, NUM_HULL_POINTS))
+
+
+def _is_low(lying: Vessel, points_m: Points) -> bool:
+    """Whether nothing is higher than a lying vessel can be: a tall bottle is none, however well its face fits."""
+    widest = lying.radius_m + abs(lying.slope) * max(np.abs(lying.ends_m))
+    return bool(np.percentile(points_m[:, 2], 98) < 2 * widest + HANDLE_REACH_M)
 
 
 def _spread(points_m: Points) -> Points:
@@ -153,7 +165,7 @@ def _joined(large: _Piece, small: _Piece, sheets: Labels, plane: Plane, image: R
     solid = completed(points)
     if not isinstance(solid, Vessel) or max(_cost(solid, large), _cost(solid, small)) > JOINT_MISFIT:
         return None
-    if _contradiction(solid, np.isin(sheets, names), plane, image) > LARGEST_CONTRADICTION:
+    if _contradiction(solid, np.isin(sheets, names), sheets, plane, image) > LARGEST_CONTRADICTION:
         return None
     return _Piece(names, points, solid)
 
@@ -198,11 +210,13 @@ def _is_handle(small: _Piece, large: _Piece) -> bool:
     return bool(starts and is_near and np.ptp(np.percentile(aside, [5, 95])) < HANDLE_WIDTH_M)
 
 
-def _contradiction(solid: Vessel, own: PixelMask, plane: Plane, image: RangeImage) -> float:
-    """Share of a solid's picture at which something behind it is seen."""
-    is_covered = covered(solid, plane, image) & ~own
-    is_farther = image.depth_m > middle_depth_m(solid, plane, image, is_covered)
-    return float(is_farther.sum() / max(1, (is_covered | own).sum()))
+def _contradiction(vessel: Vessel, own: PixelMask, sheets: Labels, plane: Plane, image: RangeImage) -> float:
+    """Share of a vessel's picture at which something behind it is seen, or the table where its wall should be."""
+    is_covered = covered(vessel, plane, image) & ~own
+    is_farther = image.depth_m > middle_depth_m(vessel, plane, image, is_covered)
+    is_room = is_covered & ~is_farther & image.is_return & (sheets < 0)
+    is_room[is_room] = np.abs(vessel.outside_m(plane.table_points(image.points_m[is_room]))) > AT_WALL_M
+    return float((is_farther | is_room).sum() / max(1, (is_covered | own).sum()))
 
 
 def _is_object(mask: PixelMask, piece: _Piece, image: RangeImage) -> bool:

@@ -185,6 +185,20 @@ def fit_lying(points_m: Points, *, is_on_wall: bool = True) -> Vessel:
     return replace(vessel, ends_m=_ends(vessel, points_m), misfit=misfit)
 
 
+def flat_misfit(points_m: Points) -> float:
+    """Mean robust cost of the plane that fits points best, on the scale of `Vessel.misfit`.
+
+    Parameters
+    ----------
+    points_m
+        Points of an object [m].
+    """
+    points = thinned(points_m)
+    offset = points - points.mean(axis=0)
+    across = np.linalg.svd(offset, full_matrices=False)[2][-1]
+    return robust_cost(offset @ across)
+
+
 def thinned(points_m: Points, num_points: int = NUM_POINTS_FITTED) -> Float[np.ndarray, "m 3"]:
     """Every so manyth point, so that at most twice `num_points` remain.
 

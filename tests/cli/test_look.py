@@ -1,0 +1,125 @@
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from halfseen.cli.look import look
+from halfseen.errors import CloudError
+from halfseen.perception import Cloud, write_pcd
+
+K = np.array([[290.0, 0.0, 159.5], [0.0, 290.0, 119.5], [0.0, 0.0, 1.0]])
+
+
+def depth_of_boxes(*boxes: tuple[float, float, float]) -> np.ndarray:
+    """Depth of a table 0.6 m under a level-headed camera, with upright cards (left, right, depth) of 12 cm on it."""
+    row, column = np.mgrid[:240, :320]
+    down, across = (row - K[1, 2]) / K[1, 1], (column - K[0, 2]) / K[0, 0]
+    down = np.tan(np.arctan(down) + 0.6)
+    scale = np.cos(0.6) - np.sin(0.6) * (row - K[1, 2]) / K[1, 1]
+    forward = np.where(down > 0.01, 0.6 / np.maximum(down, 0.01), np.inf)
+    forward[(forward > 1.6) | (forward < 0.3)] = np.nan
+    for left, right, ahead in boxes:
+        aside = across / scale * ahead
+        drop = down * ahead
+        is_card = (aside > left) & (aside < right) & (drop > 0.48) & (drop < 0.6)
+        forward = np.where(is_card & ~(forward < ahead), ahead, forward)
+    return np.where(np.isfinite(forward), forward / scale, np.nan)
+
+
+@pytest.fixture
+def table(tmp_path) -> Path:
+    depth = depth_of_boxes((-0.05, 0.06, 0.8), (0.0, 0.12, 0.95))
+    write_pcd(Cloud.from_depth(depth, K, "table"), tmp_path / "table.pcd")
+    return tmp_path / "table.pcd"
+
+
+def run(*arguments: object) -> Result:
+    return CliRunner().invoke(look, [str(argument) for argument in arguments])
+
+
+def status_of(*arguments: object) -> tuple[int, str]:
+    command = [sys.executable, "-m", "halfseen.cli", "look", *(str(argument) for argument in arguments)]
+    result = subprocess.run(command, capture_output=True, text=True)
+    return result.returncode, result.stderr
+
+
+def test_the_first_line_is_a_plain_sentence_and_the_table_is_aligned(table):
+    result = run(table)
+    assert result.exit_code == 0
+    lines = result.output.splitlines()
+    assert lines[0].startswith("2 objects on the table; object 1 is hidden most, by object 0 (0.")
+    assert "height [m]" in lines[2]
+    assert len(lines) == 5
+    end = lines[2].index("height [m]") + len("height [m]")
+    assert [line[end - 5 : end - 2] for line in lines[3:]] == ["0.1", "0.1"]
+
+
+def test_json_has_exactly_the_promised_keys(table):
+    result = run(table, "--json")
+    assert result.exit_code == 0
+    told = json.loads(result.output)
+    assert list(told) == ["table", "objects", "hides"]
+    assert list(told["table"]) == ["normal", "offset_m"]
+    assert np.linalg.norm(told["table"]["normal"]) == pytest.approx(1.0)
+    assert told["table"]["offset_m"] == pytest.approx(-0.6, abs=0.01)
+    for number, seen in enumerate(told["objects"]):
+        assert list(seen) == ["id", "centroid_m", "height_m", "occlusion", "num_points", "is_upright"]
+        assert seen["id"] == number
+        assert [type(value) for value in seen["centroid_m"]] == [float, float, float]
+        assert isinstance(seen["num_points"], int)
+        assert isinstance(seen["is_upright"], bool)
+        assert seen["height_m"] == pytest.approx(0.12, abs=0.01)
+        assert 0 <= seen["occlusion"] <= 1
+    assert np.array(told["hides"]).shape == (2, 2)
+    assert told["hides"][1][0] == pytest.approx(0.125, abs=0.02)  # counted in the image of the rear card alone
+
+
+def test_two_runs_print_the_same_bytes(table):
+    assert run(table, "--json").output == run(table, "--json").output
+
+
+def test_the_picture_is_a_png_and_nothing_else_is_left(table, tmp_path):
+    folder = tmp_path / "pictures"
+    folder.mkdir()
+    assert run(table, "--picture", folder / "table.png").exit_code == 0
+    assert (folder / "table.png").read_bytes().startswith(b"\x89PNG")
+    assert [path.name for path in folder.iterdir()] == ["table.png"]
+
+
+def test_an_empty_table_is_refused_with_status_2(tmp_path):
+    write_pcd(Cloud.from_depth(depth_of_boxes(), K, "empty"), tmp_path / "empty.pcd")
+    status, message = status_of(tmp_path / "empty.pcd", "--json")
+    assert status == 2
+    assert "no objects on the table" in message
+    assert message.count("\n") == 1
+
+
+def test_an_unwritable_picture_is_refused(table, tmp_path):
+    result = run(table, "--picture", tmp_path / "none" / "table.png")
+    assert isinstance(result.exception, CloudError)
+    assert "cannot be written" in str(result.exception)
+    assert result.output == ""
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [("cloud.xyz", b"", "not read"), ("cloud.npz", b"nonsense", "cloud.npz"), ("missing.pcd", None, "no such file")],
+)
+def test_bad_input_is_one_line_and_status_2(tmp_path, name, content, message):
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    status, told = status_of(tmp_path / name)
+    assert status == 2
+    assert message in told
+    assert told.count("\n") == 1
+    assert "Traceback" not in told
+
+
+def test_help_has_an_example():
+    result = run("--help")
+    assert result.exit_code == 0
+    assert "Example: halfseen look" in result.output
