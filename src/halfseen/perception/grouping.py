@@ -29,7 +29,7 @@ FARTHEST_PIECES_M = 0.12
 # Two pieces are walls of one vessel if the points of each lie this near to one common wall: mean robust cost.
 JOINT_MISFIT = 1.3
 # ... which is tried only if half of one is this near to the wall that the other shows [m]; a fit takes time.
-SAME_WALL_M = 0.02
+SAME_WALL_M = 0.035
 # ... and no more than this share of the vessel's picture shows something behind it.
 LARGEST_CONTRADICTION = 0.12
 # A piece is inside a solid if this share of its points is no farther outside than the noise [m].
@@ -158,20 +158,21 @@ def _joined(large: _Piece, small: _Piece, sheets: Labels, plane: Plane, image: R
     points = _spread(np.concatenate([large.points_m, small.points_m]))
     if _is_handle(small, large):
         return _Piece(names, points, large.solid)
-    if _is_inside(small, large) or _is_inside(large, small):
+    if _is_claimed(small, large) or _is_claimed(large, small):
         return _Piece(names, points, completed(points))
     if not (_is_near_wall(small, large) or _is_near_wall(large, small)):
         return None
     solid = completed(points)
-    if not isinstance(solid, Vessel) or max(_cost(solid, large), _cost(solid, small)) > JOINT_MISFIT:
+    if not isinstance(solid, Vessel) or not (_is_part(large, solid) and _is_part(small, solid)):
         return None
     if _contradiction(solid, np.isin(sheets, names), sheets, plane, image) > LARGEST_CONTRADICTION:
         return None
     return _Piece(names, points, solid)
 
 
-def _cost(vessel: Vessel, piece: _Piece) -> float:
-    return robust_cost(vessel.outside_m(thinned(piece.points_m)))
+def _is_part(piece: _Piece, vessel: Vessel) -> bool:
+    misfit = robust_cost(vessel.outside_m(thinned(piece.points_m)))
+    return misfit < JOINT_MISFIT or (misfit < WORST_VESSEL_MISFIT and _is_inside(piece, vessel))
 
 
 def _is_near_wall(piece: _Piece, other: _Piece) -> bool:
@@ -181,16 +182,22 @@ def _is_near_wall(piece: _Piece, other: _Piece) -> bool:
     return bool(np.median(np.abs(vessel.outside_m(thinned(piece.points_m)))) < SAME_WALL_M)
 
 
-def _is_inside(piece: _Piece, other: _Piece) -> bool:
-    """Whether a piece is the inner wall or the bottom of another: solids never share room."""
+def _is_claimed(piece: _Piece, other: _Piece) -> bool:
+    """Whether a piece is inside the vessel that another piece shows, if that is sure."""
     vessel = other.solid
-    if not isinstance(vessel, Vessel) or vessel.misfit > SURE_VESSEL_MISFIT:
-        return False
+    return isinstance(vessel, Vessel) and vessel.misfit < SURE_VESSEL_MISFIT and _is_inside(piece, vessel)
+
+
+def _is_inside(piece: _Piece, vessel: Vessel) -> bool:
+    """Whether a piece is the inner wall or an end of a vessel: solids never share room."""
     points = thinned(piece.points_m)
     outside, along = vessel.outside_m(points), vessel.along_m(points)
     low, high = vessel.ends_m
     is_between = (along > low - INSIDE_M) & (along < high + INSIDE_M)
-    is_at_wall = (np.abs(outside) < AT_WALL_M) | (along < low + AT_WALL_M)
+    is_at_end = along < low + AT_WALL_M
+    if not vessel.is_upright:
+        is_at_end |= along > high - AT_WALL_M
+    is_at_wall = (np.abs(outside) < AT_WALL_M) | is_at_end
     return bool(np.mean((outside < INSIDE_M) & is_between & is_at_wall) > INSIDE_SHARE)
 
 

@@ -31,8 +31,8 @@ PARALLEL_COSINE = 0.99
 CLEARLY_UP = 0.2
 LARGEST_DOWN = 0.15
 DOUBTFUL_WEIGHT = 0.3
-# Smallest top of a table [m²]; a lying cereal box is 0.034.
-SMALLEST_TABLE_M2 = 0.045
+# Smallest piece of a table that is seen [m²]; the top of a pitcher is 0.016.
+SMALLEST_TABLE_M2 = 0.02
 # A level plane less than this above another one that is larger by this factor is the top of a box on a table [m].
 HIGHEST_BOX_M = 0.2
 BOX_AREA_RATIO = 1.5
