@@ -1,46 +1,121 @@
-"""What can be known of a grip: the posterior of each object's offset, given its past attempts.
+"""What can be known of a table, and how it changes: the belief over attributes and grips.
 
-Labels and grips are independent given what is seen, and so are objects, so the belief factors: log-odds of DIRTY stand
-in the state, and each grip offset has a posterior in one dimension, held here by quadrature.
+Given what is seen, objects are independent of one another, and an object's label history is independent of its grip.
+So the belief factors, and is held exactly: log-odds of DIRTY, and for each grip offset a posterior in one dimension by
+Gauss–Hermite quadrature. Particles are drawn from it where a future is sampled.
 """
+
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
+from halfseen.world.actions import Verb, target_of, verb_of
 from halfseen.world.config import WorldConfig
-from halfseen.world.dynamics import grasp_probability, grasp_scale_s
+from halfseen.world.dynamics import grasp_scale_s, label_accuracy
 from halfseen.world.state import TableState
 
-_NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(15)
+NUM_NODES = 7
+_NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(NUM_NODES)
 
 
-def offset_grid(config: WorldConfig) -> tuple[Float[Array, " G"], Float[Array, " G"]]:
-    """Nodes and log weights that integrate over the prior N(0, std²) of a grip offset (Gauss–Hermite)."""
-    nodes = config.grip_offset_std * jnp.asarray(_NODES, dtype=jnp.float32)
-    return nodes, jnp.log(jnp.asarray(_WEIGHTS / _WEIGHTS.sum(), dtype=jnp.float32))
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Belief:
+    """Belief over one table."""
+
+    hides: Float[Array, "N N"]
+    is_on_table: Bool[Array, " N"]
+    log_odds: Float[Array, " N"]
+    grip: Float[Array, "N G"]
+    """Log posterior weights of each grip offset on `offset_nodes`, not normalised."""
+    steps_to_go: Int[Array, ""]
 
 
-def attempt_log_likelihood(
-    config: WorldConfig, occluded: Float[Array, "*S"], succeeded: Array, nodes: Float[Array, " G"]
-) -> Float[Array, "*S G"]:
-    """Log-probability of each attempt's result at each grip offset."""
-    log_failure = -config.attempt_limit_s / grasp_scale_s(config, occluded[..., None], nodes)
-    return jnp.where(succeeded[..., None], jnp.log(-jnp.expm1(log_failure)), log_failure)
+def offset_nodes(config: WorldConfig) -> Float[Array, " G"]:
+    """Grip offsets at which posteriors are held."""
+    return config.grip_offset_std * jnp.asarray(_NODES, dtype=jnp.float32)
+
+
+def prior_grip() -> Float[Array, " G"]:
+    """Log weights of the prior N(0, std²) on `offset_nodes`."""
+    return jnp.log(jnp.asarray(_WEIGHTS / _WEIGHTS.sum(), dtype=jnp.float32))
+
+
+def failure_log_chance(config: WorldConfig, occluded: Float[Array, "*S"]) -> Float[Array, "*S G"]:
+    """log P(T > τ | occ, u) = −τ / scale at each grip offset."""
+    return -config.attempt_limit_s / grasp_scale_s(config, occluded[..., None], offset_nodes(config))
+
+
+def attempt_evidence(config: WorldConfig, occluded: Float[Array, "*S"], succeeded: Array) -> Float[Array, "*S G"]:
+    """Log-likelihood of an attempt's result at each grip offset."""
+    failed = failure_log_chance(config, occluded)
+    return jnp.where(succeeded[..., None], jnp.log(-jnp.expm1(failed)), failed)
 
 
 def grip_posterior(config: WorldConfig, state: TableState) -> Float[Array, "N G"]:
-    """Log posterior weights (not normalised) of each object's grip offset on `offset_grid`; one table."""
-    nodes, log_prior = offset_grid(config)
-    attempts = attempt_log_likelihood(config, state.attempt_occlusion, state.attempt_succeeded, nodes)
-    is_mine = jax.nn.one_hot(state.attempt_object, state.num_objects, dtype=attempts.dtype)
-    return log_prior + is_mine.T @ attempts
+    """Log posterior weights of each object's grip offset, given all its attempts; one table."""
+    evidence = attempt_evidence(config, state.attempt_occlusion, state.attempt_succeeded)
+    is_mine = jax.nn.one_hot(state.attempt_object, state.num_objects, dtype=evidence.dtype)
+    return prior_grip() + is_mine.T @ evidence
 
 
-def grasp_chance(
-    config: WorldConfig, occluded: Float[Array, " N"], log_weights: Float[Array, "*N G"]
-) -> Float[Array, " N"]:
-    """P(an attempt succeeds now) of each object, the offset integrated out."""
-    nodes, _ = offset_grid(config)
-    return jnp.sum(jax.nn.softmax(log_weights, axis=-1) * grasp_probability(config, occluded[:, None], nodes), axis=-1)
+def belief_of(config: WorldConfig, state: TableState) -> Belief:
+    """What the state of one table says."""
+    grip = grip_posterior(config, state)
+    return Belief(state.hides, state.is_on_table, state.log_odds, grip, state.steps_to_go)
+
+
+def grasp_chance(config: WorldConfig, occluded: Float[Array, "*S"], grip: Float[Array, "*S G"]) -> Float[Array, "*S"]:
+    """P(an attempt succeeds), the grip offset integrated out."""
+    return -jnp.sum(jax.nn.softmax(grip, axis=-1) * jnp.expm1(failure_log_chance(config, occluded)), axis=-1)
+
+
+def expected_attempt_s(
+    config: WorldConfig, occluded: Float[Array, "*S"], grip: Float[Array, "*S G"]
+) -> Float[Array, "*S"]:
+    """E min(T, τ) + transport [s], the grip offset integrated out."""
+    scale_s = grasp_scale_s(config, occluded[..., None], offset_nodes(config))
+    attempt_s = -scale_s * jnp.expm1(failure_log_chance(config, occluded))
+    return config.transport_s + jnp.sum(jax.nn.softmax(grip, axis=-1) * attempt_s, axis=-1)
+
+
+def occlusion_without(belief: Belief, is_taken: Bool[Array, " N"]) -> Float[Array, " N"]:
+    """Occlusion if the objects in `is_taken` hid nothing."""
+    is_hiding = belief.is_on_table & ~is_taken
+    return 1.0 - jnp.prod(jnp.where(is_hiding, 1.0 - belief.hides, 1.0), axis=1)
+
+
+def dirty_after_label(
+    config: WorldConfig, is_dirty: Float[Array, "*S"], occluded: Float[Array, "*S"]
+) -> tuple[Float[Array, "*S"], Float[Array, "*S"], Float[Array, "*S"]]:
+    """P(the next label says dirty), and P(DIRTY) after either label."""
+    right = label_accuracy(config, occluded)
+    says_dirty = is_dirty * right + (1.0 - is_dirty) * (1.0 - right)
+    return says_dirty, is_dirty * right / says_dirty, is_dirty * (1.0 - right) / (1.0 - says_dirty)
+
+
+def sample_successor(config: WorldConfig, belief: Belief, action: Int[Array, ""], key: Array) -> Belief:
+    """Draw what would be believed after an attempt to WASH or LIFT: one particle's future."""
+    grasp_key, label_key = jax.random.split(key)
+    num_objects = belief.is_on_table.shape[0]
+    verb, target = verb_of(action, num_objects), target_of(action, num_objects)
+    is_target = jnp.arange(num_objects) == target
+    occluded = occlusion_without(belief, jnp.zeros_like(is_target))[target]
+    is_grasped = jax.random.uniform(grasp_key) < grasp_chance(config, occluded, belief.grip[target])
+    evidence = attempt_evidence(config, occluded, is_grasped)
+    after = replace(
+        belief,
+        is_on_table=belief.is_on_table & ~(is_target & is_grasped & (verb == Verb.WASH)),
+        grip=belief.grip + jnp.where(is_target[:, None], evidence, 0.0),
+        steps_to_go=belief.steps_to_go - 1,
+    )
+    is_held = is_target & is_grasped & (verb == Verb.LIFT)
+    seen_at = jnp.where(is_held, 0.0, occlusion_without(after, is_held))
+    right = label_accuracy(config, seen_at)
+    says_dirty, _, _ = dirty_after_label(config, jax.nn.sigmoid(belief.log_odds), seen_at)
+    sign = jnp.where(jax.random.uniform(label_key, right.shape) < says_dirty, 1.0, -1.0)
+    update = sign * (jnp.log(right) - jnp.log1p(-right))
+    return replace(after, log_odds=belief.log_odds + jnp.where(after.is_on_table, update, 0.0))

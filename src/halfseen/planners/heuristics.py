@@ -1,4 +1,4 @@
-"""Rules of thumb: wash what promises most now, stop when nothing promises anything. They never look twice."""
+"""Rules of thumb: wash what promises most now, stop when nothing promises anything. They never lift to look."""
 
 from dataclasses import dataclass, field
 
@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from halfseen.planners.belief import grasp_chance, grip_posterior, offset_grid
+from halfseen.planners.belief import grasp_chance, grip_posterior, prior_grip
 from halfseen.world.actions import FINISH
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Decision, surely
@@ -14,13 +14,12 @@ from halfseen.world.state import TableState, occlusion
 
 
 def wash_worth(
-    config: WorldConfig, state: TableState, chance: Float[Array, " N"], counts_penalty: bool
-) -> Float[Array, " N"]:
-    """Expected reward of one attempt to WASH each object.
+    config: WorldConfig, is_dirty: Float[Array, "*S"], chance: Float[Array, "*S"], counts_penalty: bool
+) -> Float[Array, "*S"]:
+    """Expected reward of one attempt to WASH an object that is dirty with probability `is_dirty`.
 
     With `counts_penalty` the price of a dirty object left behind, which a success avoids, counts too.
     """
-    is_dirty = jax.nn.sigmoid(state.log_odds)
     reward_dirty = config.reward_wash_dirty - (config.reward_dirty_left if counts_penalty else 0.0)
     washed = is_dirty * reward_dirty + (1.0 - is_dirty) * config.reward_wash_clean
     return chance * washed + (1.0 - chance) * config.reward_wash_failed
@@ -47,11 +46,13 @@ class GreedyPolicy:
 
     def decide(self, state: TableState, key: Array) -> Decision:
         """Choose for one table; there is no chance in it."""
+        occluded = occlusion(state)
         if self.uses_history:
-            log_weights = grip_posterior(self.config, state)
+            grip = grip_posterior(self.config, state)
         else:
-            log_weights = offset_grid(self.config)[1]
-        chance = grasp_chance(self.config, occlusion(state), log_weights)
-        worth = jnp.where(state.is_on_table, wash_worth(self.config, state, chance, self.counts_penalty), -jnp.inf)
+            grip = jnp.broadcast_to(prior_grip(), (state.num_objects, prior_grip().shape[0]))
+        chance = grasp_chance(self.config, occluded, grip)
+        worth = wash_worth(self.config, jax.nn.sigmoid(state.log_odds), chance, self.counts_penalty)
+        worth = jnp.where(state.is_on_table, worth, -jnp.inf)
         best = jnp.argmax(worth)
         return surely(jnp.where(worth[best] > 0.0, 1 + best, FINISH).astype(jnp.int32))

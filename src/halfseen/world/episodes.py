@@ -79,12 +79,20 @@ def _episodes(
     return Episodes(states, decision.action, decision.probability, outcome.reward, outcome.duration_s, is_taken, hidden)
 
 
-@partial(jax.jit, static_argnames="num_episodes")
-def evaluate(config: WorldConfig, layouts: Layout, policy: Policy, key: Array, num_episodes: int) -> Totals:
-    """Play `num_episodes` tables and keep only the totals."""
-    layout, keys = _spread(layouts, key, num_episodes)
-    play_one = partial(_play, record=False)
-    (reward, duration_s, is_taken), _ = jax.vmap(play_one, in_axes=(None, 0, None, 0))(config, layout, policy, keys)
+@partial(jax.jit, static_argnames=("num_episodes", "batch_size"))
+def evaluate(
+    config: WorldConfig, layouts: Layout, policy: Policy, key: Array, num_episodes: int, batch_size: int | None = None
+) -> Totals:
+    """Play the tables that `play` would and keep only the totals.
+
+    A policy that plans holds a tree for each table at once: `batch_size` bounds how many, and changes nothing else.
+    """
+    inputs = _spread(layouts, key, num_episodes)
+
+    def totals(layout_and_key: tuple[Layout, Array]):
+        return _play(config, layout_and_key[0], policy, layout_and_key[1], record=False)[0]
+
+    reward, duration_s, is_taken = jax.lax.map(totals, inputs, batch_size=batch_size or num_episodes)
     return Totals(
         reward=jnp.sum(jnp.where(is_taken, reward, 0.0), axis=-1),
         robot_s=jnp.sum(jnp.where(is_taken, duration_s, 0.0), axis=-1),

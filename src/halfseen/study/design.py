@@ -1,0 +1,62 @@
+"""What the study does, fixed before it runs."""
+
+from dataclasses import asdict, dataclass, field
+
+from halfseen.errors import ArgumentError
+from halfseen.world.config import WorldConfig
+from halfseen.world.cuts import CutKind
+
+LOG_RANDOM_SHARE = 0.5
+"""Share of the logged actions that were drawn by lot; the others follow the best heuristic."""
+
+TREATMENTS = ("weighted", "unweighted", "dropped", "failures")
+
+
+@dataclass(frozen=True)
+class StudyDesign:
+    """Design of the study.
+
+    Parameters
+    ----------
+    repetitions
+        Fresh logs, each with a fresh block of evaluation episodes that all policies share.
+    num_paths
+        Sizes of the logs; within a repetition a smaller log is the beginning of a larger one.
+    cut_shares
+        Expected shares of cut paths.
+    episodes_per_scene
+        Evaluation episodes of each scene in a block.
+    planning_horizons
+        Of the POMDP planner.
+    treatment_cut_share, treatment_cut_kinds
+        Where the treatments of cut paths are compared (Figure 4).
+    table_num_paths, table_cut_share
+        The learned policy that Table 1 compares.
+    alpha
+        Level of the tests.
+    seed
+        Everything follows from it, but for measured decision times.
+    world
+        The numbers of the world.
+    """
+
+    repetitions: int = 40
+    num_paths: tuple[int, ...] = (25, 50, 100, 200, 400, 800)
+    cut_shares: tuple[float, ...] = (0.0, 1 / 6, 1 / 3, 1 / 2)
+    episodes_per_scene: int = 2
+    planning_horizons: tuple[int, ...] = (1, 2, 3, 4)
+    treatment_cut_share: float = 1 / 2
+    treatment_cut_kinds: tuple[CutKind, ...] = ("independent", "attempt")
+    table_num_paths: int = 800
+    table_cut_share: float = 1 / 2
+    alpha: float = 0.01
+    seed: int = 0
+    world: WorldConfig = field(default_factory=WorldConfig)
+
+    def __post_init__(self) -> None:
+        if self.repetitions < 2:
+            raise ArgumentError(f"repetitions is {self.repetitions}; bands and tests need at least 2")
+
+    def as_dict(self) -> dict:
+        """Plain numbers, for study.json and the report."""
+        return asdict(self)
