@@ -57,7 +57,8 @@ class Scores:
 
 
 def _matched(view: View, truth: Truth) -> list[tuple[int, int]]:
-    labels = truth.labels.ravel()
+    # A pixel without return, in shadow for instance, cannot be claimed by anyone.
+    labels = np.where(view.image.is_return, truth.labels, -1).ravel()
     overlap = np.zeros((truth.num_cups, len(view.objects)))
     for seen in view.objects:
         hits = labels[seen.pixels]

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 from scipy.spatial import KDTree
 
 from halfseen.arrays import Points
@@ -11,6 +12,7 @@ from halfseen.perception.plane import Plane
 from halfseen.perception.range_image import PixelMask, RangeImage
 from halfseen.perception.silhouette import covered, middle_depth_m
 from halfseen.perception.solids import Hull, Vessel, fit_lying, fit_standing, flat_misfit, robust_cost, thinned
+from halfseen.perception.splitting import divided
 
 # A fit whose mean cost is worse is no vessel: residuals of 8 mm everywhere.
 WORST_VESSEL_MISFIT = 3.2
@@ -22,6 +24,8 @@ HANDLE_MISFIT, HANDLE_GAIN = 1.6, 0.5
 FLAT_GAIN = 0.5
 # Points that carry a hull; more change no pixel of it.
 NUM_HULL_POINTS = 2000
+# A sheet whose vessel fits worse may show two.
+DOUBTFUL_VESSEL_MISFIT = 2.0
 # A vessel whose fit is better is sure enough to claim what lies inside it.
 SURE_VESSEL_MISFIT = 1.5
 # Pieces farther apart than the walls of a wide cup are not tried together [m].
@@ -44,7 +48,7 @@ HANDLE_REACH_M = 0.055
 HANDLE_WIDTH_M = 0.025
 HANDLE_SHARE = 0.25
 # Smaller patches are flying pixels [m²]: a cup shows 4 cm² when five sixths of it are hidden.
-SMALLEST_OBJECT_M2 = 2.0e-4
+SMALLEST_OBJECT_M2 = 3.5e-4
 # Lower things are print, cloth or cards [m].
 LOWEST_TOP_M = 0.011
 # An object whose contact with the image border is longer than this share of the root of its area is cut [1].
@@ -78,11 +82,7 @@ def objects_of_sheets(sheets: Labels, plane: Plane, image: RangeImage) -> tuple[
     num_cut
         Objects left out because the border of the image cuts them.
     """
-    table_points = plane.table_points(image.points_m)
-    pieces = []
-    for sheet in range(int(sheets.max()) + 1):
-        points = _spread(table_points[sheets == sheet])
-        pieces.append(_Piece((sheet,), points, completed(points)))
+    sheets, pieces = _pieces(sheets, plane.table_points(image.points_m))
     pieces = _merged(pieces, sheets, plane, image)
     kept, num_cut = [], 0
     for piece in pieces:
@@ -98,6 +98,27 @@ def objects_of_sheets(sheets: Labels, plane: Plane, image: RangeImage) -> tuple[
     for index, (_, piece) in enumerate(kept):
         table[list(piece.sheets)] = index
     return table[sheets], tuple(piece.solid for _, piece in kept), num_cut
+
+
+def _pieces(sheets: Labels, table_points: Float[np.ndarray, "H W 3"]) -> tuple[Labels, list[_Piece]]:
+    """Complete each sheet; one that is no vessel and shows two is divided."""
+    sheets = sheets.copy()
+    pieces = []
+    for sheet in range(int(sheets.max()) + 1):
+        rows, columns = np.nonzero(sheets == sheet)
+        points = table_points[rows, columns]
+        solid = completed(_spread(points))
+        is_first = None
+        if isinstance(solid, Hull) or solid.misfit > DOUBTFUL_VESSEL_MISFIT:
+            is_first = divided(points)
+        if is_first is None or is_first.all() or not is_first.any():
+            pieces.append(_Piece((sheet,), _spread(points), solid))
+            continue
+        new = int(sheets.max()) + 1
+        sheets[rows[~is_first], columns[~is_first]] = new
+        for name, part in ((sheet, points[is_first]), (new, points[~is_first])):
+            pieces.append(_Piece((name,), _spread(part), completed(_spread(part))))
+    return sheets, pieces
 
 
 def completed(points_m: Points) -> Vessel | Hull:
@@ -163,7 +184,9 @@ def _joined(large: _Piece, small: _Piece, sheets: Labels, plane: Plane, image: R
     if not (_is_near_wall(small, large) or _is_near_wall(large, small)):
         return None
     solid = completed(points)
-    if not isinstance(solid, Vessel) or not (_is_part(large, solid) and _is_part(small, solid)):
+    if not isinstance(solid, Vessel) or solid.misfit > SURE_VESSEL_MISFIT:
+        return None
+    if not (_is_part(large, solid) and _is_part(small, solid)):
         return None
     if _contradiction(solid, np.isin(sheets, names), sheets, plane, image) > LARGEST_CONTRADICTION:
         return None
