@@ -46,7 +46,7 @@ AT_WALL_M = 0.012
 HANDLE_START_M = 0.025
 HANDLE_REACH_M = 0.055
 HANDLE_WIDTH_M = 0.025
-HANDLE_SHARE = 0.25
+HANDLE_SHARE = 0.4
 # Smaller patches are flying pixels [m²]: a cup shows 4 cm² when five sixths of it are hidden.
 SMALLEST_OBJECT_M2 = 3.5e-4
 # Lower things are print, cloth or cards [m].
@@ -195,7 +195,7 @@ def _joined(large: _Piece, small: _Piece, sheets: Labels, plane: Plane, image: R
 
 def _is_part(piece: _Piece, vessel: Vessel) -> bool:
     misfit = robust_cost(vessel.outside_m(thinned(piece.points_m)))
-    return misfit < JOINT_MISFIT or (misfit < WORST_VESSEL_MISFIT and _is_inside(piece, vessel))
+    return misfit < JOINT_MISFIT or _is_inside(piece, vessel)
 
 
 def _is_near_wall(piece: _Piece, other: _Piece) -> bool:
