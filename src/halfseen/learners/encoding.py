@@ -2,7 +2,7 @@
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
 import numpy as np
@@ -25,11 +25,19 @@ class Encoded(NamedTuple):
     action: Int[np.ndarray, "n T"]
 
 
+@runtime_checkable
 class Encoding(Protocol):
     """How states and actions become features."""
 
-    num_blocks: int
-    end_action: int | None
+    @property
+    def num_blocks(self) -> int:
+        """K, blocks of coefficients."""
+        ...
+
+    @property
+    def end_action(self) -> int | None:
+        """Action that ends a path wherever it is taken, if there is one."""
+        ...
 
     def encode(self, logs: Logs) -> Encoded:
         """Encode every stage of a log; stages that a path does not have hold zeros."""
@@ -58,6 +66,12 @@ class FlatEncoding:
     actions: Sequence[Hashable] | Mapping[int, Sequence[Hashable]]
     covariates: Sequence[str]
     end_action: int | None = None
+
+    def __post_init__(self) -> None:
+        lists = self.actions if isinstance(self.actions, Mapping) else {"any": self.actions}
+        for stage, names in lists.items():
+            if len(names) == 0 or len(set(names)) < len(names):
+                raise ArgumentError(f"actions of stage {stage} are {list(names)}; name at least one, and none twice")
 
     @property
     def names(self) -> list[Hashable]:
@@ -88,17 +102,22 @@ class FlatEncoding:
         missing = [name for name in self.covariates if name not in frame.columns]
         if missing:
             raise LogError(f"covariate {missing[0]!r} is missing; there are {', '.join(map(str, frame.columns))}")
-        values = frame[list(self.covariates)].to_numpy(dtype=np.float64)
+        texts = [name for name in self.covariates if not pd.api.types.is_numeric_dtype(frame[name].dtype)]
+        if texts:
+            raise LogError(f"covariate {texts[0]!r} holds no numbers; give one indicator column for each of its values")
+        values = frame[list(self.covariates)].to_numpy(dtype=np.float64, na_value=np.nan)
         wrong = np.argwhere(~np.isfinite(values))
         if len(wrong):
             row, column = wrong[0]
-            raise LogError(f"row {row}: covariate {self.covariates[column]!r} is {values[row, column]}; give a number")
+            where = ", ".join(f"{name} {frame[name].iloc[row]}" for name in ("path", "stage") if name in frame.columns)
+            what = f"covariate {self.covariates[column]!r} is {values[row, column]}"
+            raise LogError(f"{where or f'row {row}'}: {what}; give a finite number")
         return np.repeat(values[:, None, :], self.num_blocks, axis=1)
 
     def encode(self, logs: Logs) -> Encoded:
         """Encode every stage of a log of flat actions."""
         shape = (logs.num_paths, self.horizon, self.num_blocks)
-        at = pd.Index(logs.path_ids).get_indexer(logs.stages["path"]), logs.stages["stage"].to_numpy() - 1
+        at = _place(logs)
         features = np.zeros((*shape, len(self.covariates)))
         features[at] = self.features(logs.stages)
         is_possible = np.broadcast_to([self.possible(stage + 1) for stage in range(self.horizon)], shape)
@@ -114,15 +133,15 @@ class FlatEncoding:
         if (is_given & ~is_allowed).any():
             row = stages.iloc[int(np.argmax(is_given & ~is_allowed))]
             raise LogError(
-                f"path {row['path']}, stage {row['stage']}: action {row['action']!r} was not possible there; the actions "
-                f"given to the learner are {', '.join(map(repr, self.names))}"
+                f"path {row['path']}, stage {row['stage']}: action {row['action']!r} was not possible there; the "
+                f"learner was given {', '.join(map(repr, self.names))}"
             )
         return np.where(is_given, codes, 0)
 
 
 @jax.jit
 def encode_states(states: TableState) -> tuple[jax.Array, jax.Array]:
-    """Features and possible actions of tables, axes (n, T); nothing is possible where there is no table."""
+    """Features and possible actions of tables, axes (n, T); FINISH is possible even where there is no table."""
     each = jax.vmap(jax.vmap(table_features)), jax.vmap(jax.vmap(possible_actions))
     return each[0](states), each[1](states)
 
@@ -148,10 +167,10 @@ class TableEncoding:
     def encode(self, logs: Logs) -> Encoded:
         """Encode every stage of a log of tables."""
         states = states_of(logs, self.horizon)
-        features, is_possible = encode_states(states)
-        return Encoded(
-            np.asarray(features, dtype=np.float64), np.asarray(is_possible), self._codes(logs, states.num_objects)
-        )
+        features, is_possible = (np.asarray(leaf) for leaf in encode_states(states))
+        action = self._codes(logs, states.num_objects)
+        _check_possible(logs, is_possible, action)
+        return Encoded(features.astype(np.float64), is_possible, action)
 
     def _codes(self, logs: Logs, num_objects: int) -> Int[np.ndarray, "n T"]:
         stages = logs.stages
@@ -165,11 +184,26 @@ class TableEncoding:
                 f"path {row['path']}, stage {row['stage']}: action {row['action']!r} of object {row['object']} is none "
                 "that a table knows; give WASH or LIFT with an object, or FINISH"
             )
-        at = pd.Index(logs.path_ids).get_indexer(stages["path"]), stages["stage"].to_numpy() - 1
         action = np.zeros((logs.num_paths, self.horizon), dtype=np.int64)
         target = _rank_of_target(logs)
-        action[at] = np.where(needs_object, 1 + (verbs - 1) * num_objects + target, FINISH)
+        action[_place(logs)] = np.where(needs_object, 1 + (verbs - 1) * num_objects + target, FINISH)
         return action
+
+
+def _place(logs: Logs) -> tuple[Int[np.ndarray, " rows"], Int[np.ndarray, " rows"]]:
+    """Row of each stage's path, and its column."""
+    return pd.Index(logs.path_ids).get_indexer(logs.stages["path"]), logs.stages["stage"].to_numpy() - 1
+
+
+def _check_possible(logs: Logs, is_possible: Bool[np.ndarray, "n T A"], action: Int[np.ndarray, "n T"]) -> None:
+    path, stage = _place(logs)
+    wrong = ~is_possible[path, stage, action[path, stage]]
+    if wrong.any():
+        row = logs.stages.iloc[int(np.argmax(wrong))]
+        raise LogError(
+            f"path {row['path']}, stage {row['stage']}: {row['action']} of object {row['object']}, which is not on the "
+            "table; fix the action's object or the object's location"
+        )
 
 
 def _rank_of_target(logs: Logs) -> Int[np.ndarray, " rows"]:

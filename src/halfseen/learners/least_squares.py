@@ -72,7 +72,7 @@ def factorise(rows: Rows, num_blocks: int, num_folds: int) -> Factor:
     return Factor(design, membership, gram, train_gram, scale, eigenvalues, eigenvectors)
 
 
-def solve(factor: Factor, target: Float[Array, " R"], regs: Float[Array, " L"], num_paths: Float[Array, ""]) -> Fit:
+def solve(factor: Factor, target: Float[Array, " R"], regs: Float[Array, " L"], num_paths: int) -> Fit:
     """Regress a target on the rows of a factor; with more than one λ, the best held-out one serves each block."""
     cross = jnp.einsum("vkr,r,rf->vkf", factor.membership, target, factor.design)
     train_cross = _leave_one_out(cross)

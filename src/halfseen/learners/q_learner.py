@@ -1,13 +1,15 @@
 """Censored Q-learning behind scikit-learn's habits: parameters in, `fit`, fitted names that end in ``_``."""
 
 from collections.abc import Hashable, Mapping, Sequence
+from copy import deepcopy
+from numbers import Real
 from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from sklearn.base import BaseEstimator
 from sklearn.utils.validation import check_is_fitted
 
@@ -95,12 +97,12 @@ class CensoredQLearner(BaseEstimator):
         actions: Sequence[Hashable] | Mapping[int, Sequence[Hashable]] | str = TABLE,
         covariates: Sequence[str] = (),
         *,
-        q_function: Literal["linear"] = "linear",
+        q_function: str = "linear",
         censoring: str | CensoringModel = "kaplan-meier",
-        stages: StageMode = "separate",
-        reg: float | Literal["cv"] = "cv",
+        stages: StageMode | str = "separate",
+        reg: float | int | Literal["cv"] | str = "cv",
         num_folds: int = 5,
-        truncate_at: float | None = None,
+        truncate_at: float | int | None = None,
         random_state: int = 0,
     ) -> None:
         self.horizon = horizon
@@ -115,7 +117,9 @@ class CensoredQLearner(BaseEstimator):
         self.random_state = random_state
 
     @classmethod
-    def for_table(cls, horizon: int = 10, *, stages: StageMode = "pooled", **parameters: Any) -> "CensoredQLearner":
+    def for_table(
+        cls, horizon: int = 10, *, stages: StageMode | str = "pooled", **parameters: Any
+    ) -> "CensoredQLearner":
         """Make a learner for logs of tables; it learns `policy_`."""
         return cls(horizon, TABLE, stages=stages, **parameters)
 
@@ -131,6 +135,7 @@ class CensoredQLearner(BaseEstimator):
         PositivityError
             All paths were cut, or a weight is not identified.
         """
+        stages = self._checked_stages()
         self._check_parameters()
         encoding = self._encoding()
         if logs.horizon > self.horizon:
@@ -139,7 +144,7 @@ class CensoredQLearner(BaseEstimator):
         self.weights_ = self._weights(logs)
         self.diagnostics_ = weight_diagnostics(self.weights_, self.truncate_at)
         reward = _padded(logs.stage_values("reward"), self.horizon)
-        num_folds = min(self.num_folds, logs.num_paths) if self.reg == "cv" else 1
+        num_folds = self._num_folds(logs)
         log = Transitions(
             features=encoded.features,
             is_possible=encoded.is_possible,
@@ -149,9 +154,9 @@ class CensoredQLearner(BaseEstimator):
             is_last=_last_stages(logs, self.horizon),
             fold=np.random.default_rng(self.random_state).permutation(logs.num_paths) % num_folds,
         )
-        self.q_functions_ = fit_q_functions(log, encoding, self._regs(), self.stages, num_folds)
+        self.q_functions_ = fit_q_functions(log, encoding, self._regs(), stages, num_folds)
         if self._is_table:
-            self.policy_ = as_policy(self.q_functions_, self.stages)
+            self.policy_ = as_policy(self.q_functions_, stages)
         return self
 
     def q_values(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
@@ -191,6 +196,18 @@ class CensoredQLearner(BaseEstimator):
     def _regs(self) -> Float[np.ndarray, " L"]:
         return REGS if self.reg == "cv" else np.array([float(self.reg)])
 
+    def _num_folds(self, logs: Logs) -> int:
+        """Folds that the paths are dealt into; one where nothing is chosen."""
+        if self.reg != "cv":
+            return 1
+        num_seen = int((self.weights_ > 0).any(axis=1).sum())
+        if num_seen < 2:
+            raise ArgumentError(
+                f"reg is 'cv', which holds out paths, but {num_seen} of {logs.num_paths} completed a stage; give a "
+                "number for reg, or record more paths"
+            )
+        return min(self.num_folds, logs.num_paths)
+
     def _weights(self, logs: Logs) -> Float[np.ndarray, "n T"]:
         if not logs.is_finished.any():
             raise PositivityError(
@@ -201,20 +218,24 @@ class CensoredQLearner(BaseEstimator):
         if isinstance(self.censoring, str) and self.censoring == "none":
             return (~np.isnan(elapsed_s)).astype(np.float64)
         model = KaplanMeier() if isinstance(self.censoring, str) else self.censoring
-        if not hasattr(model, "survival_"):
-            model = model.fit(logs.end_s, logs.is_finished)
+        if not _is_fitted(model):
+            model = deepcopy(model).fit(logs.end_s, logs.is_finished)
         return stage_weights(elapsed_s, logs.end_s, logs.is_finished, model, self.truncate_at, path_ids=logs.path_ids)
+
+    def _checked_stages(self) -> StageMode:
+        if self.stages not in ("separate", "pooled"):
+            raise ArgumentError(f"stages is {self.stages!r}; it is 'separate' or 'pooled'")
+        return self.stages
 
     def _check_parameters(self) -> None:
         if self.horizon < 1:
             raise ArgumentError(f"horizon is {self.horizon}; a path has at least 1 stage")
         if self.q_function != "linear":
             raise ArgumentError(f"q_function is {self.q_function!r}; it can be 'linear'")
-        if self.stages not in ("separate", "pooled"):
-            raise ArgumentError(f"stages is {self.stages!r}; it is 'separate' or 'pooled'")
         if isinstance(self.censoring, str) and self.censoring not in ("kaplan-meier", "none"):
             raise ArgumentError(f"censoring is {self.censoring!r}; it is 'kaplan-meier', 'none' or a CensoringModel")
-        if self.reg != "cv" and not (np.isreal(self.reg) and np.isfinite(self.reg) and self.reg >= 0):
+        is_number = isinstance(self.reg, Real) and not isinstance(self.reg, bool)
+        if self.reg != "cv" and not (is_number and 0 <= float(self.reg) < np.inf):
             raise ArgumentError(f"reg is {self.reg!r}; it is a λ ≥ 0, or 'cv'")
         if self.reg == "cv" and self.num_folds < 2:
             raise ArgumentError(f"num_folds is {self.num_folds}; cross-validation needs at least 2")
@@ -248,6 +269,10 @@ def as_policy(q_functions: QFunctions, stages: StageMode) -> LinearTablePolicy:
     """Turn the Q-functions of a table (or of a batch of logs) into policies, indexed by steps to go."""
     coefficients = np.asarray(q_functions.coefficients, dtype=np.float32)
     return LinearTablePolicy(jnp.asarray(coefficients if stages == "pooled" else coefficients[..., ::-1, :, :]))
+
+
+def _is_fitted(model: CensoringModel) -> bool:
+    return any(name.endswith("_") and not name.startswith("_") for name in vars(model))
 
 
 def _padded(values: Float[np.ndarray, "n L"], horizon: int) -> Float[np.ndarray, "n T"]:

@@ -16,41 +16,45 @@ from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from halfseen.learners.least_squares import Factor, Fit, Rows, factorise, solve
 
 StageMode = Literal["separate", "pooled"]
+AnyArray = Array | np.ndarray
 
 
 class Transitions(NamedTuple):
     """One log as dense arrays, padded to T stages; `jax.vmap` adds an axis of logs."""
 
-    features: Float[Array, "n T A F"]
+    features: Float[AnyArray, "*B n T A F"]
     """φ(S_t, a) of every action, without the constant; zeros where S_t was not seen."""
-    is_possible: Bool[Array, "n T A"]
-    action: Int[Array, "n T"]
-    reward: Float[Array, "n T"]
+    is_possible: Bool[AnyArray, "*B n T A"]
+    action: Int[AnyArray, "*B n T"]
+    reward: Float[AnyArray, "*B n T"]
     """0 where not completed."""
-    weight: Float[Array, "n T"]
+    weight: Float[AnyArray, "*B n T"]
     """δ_t / Ĝ(U_t⁻): 0 where the stage was not completed."""
-    is_last: Bool[Array, "n T"]
+    is_last: Bool[AnyArray, "*B n T"]
     """Completed stages after which the path had come to its own end."""
-    fold: Int[Array, " n"]
+    fold: Int[AnyArray, "*B n"]
     """Fold of each path for cross-validation."""
 
 
 class QFunctions(NamedTuple):
     """Q of every stage (separate) or of every number of steps to go (pooled); index 0 is stage 1, or one step to go."""
 
-    coefficients: Float[Array, "T K F"]
+    coefficients: Float[AnyArray, "*B T K F"]
     """The offset first."""
-    reg: Float[Array, "T K"]
+    reg: Float[AnyArray, "*B T K"]
     """The λ that was used."""
 
 
 def q_values(
-    coefficients: Float[Array, "K F"], features: Float[Array, "*S A F1"], block_of_action: Int[Array, " A"]
+    coefficients: Float[AnyArray, "K F"],
+    features: Float[AnyArray, "*S A F1"],
+    block_of_action: Int[AnyArray, " A"],
 ) -> Float[Array, "*S A"]:
     """Q of every action: the offset of its block plus βᵀφ."""
     per_action = coefficients[block_of_action]
@@ -97,14 +101,14 @@ def backward(
         factor: Factor = jax.tree.map(lambda leaf: leaf[index], factors)
         target = (log.reward + jnp.where(log.is_last, 0.0, successor)).ravel()
         expected = jnp.sum(factor.design * centre[taken_block], axis=-1)
-        fit = solve(factor, target - expected, regs, log.action.shape[0])
+        fit = solve(factor, jnp.asarray(target) - expected, regs, log.action.shape[0])
         return Fit(fit.coefficients + centre, fit.reg)
 
     def step(carry: tuple[Float[Array, "n T"], Float[Array, "K F"]], index: Int[Array, ""]):
         value, centre = carry
         fit = regress(index, _of_successor(value), centre)
         q = q_values(fit.coefficients, log.features, block_of_action)
-        value = jnp.max(jnp.where(log.is_possible, q, -jnp.inf), axis=-1)
+        value = _largest_possible(q, log.is_possible)
         return (value, fit.coefficients if stages == "pooled" else centre), fit
 
     value = jnp.zeros_like(log.reward)
@@ -117,6 +121,12 @@ def backward(
     if stages == "separate":
         fits = jax.tree.map(lambda leaf: leaf[::-1], fits)
     return QFunctions(fits.coefficients, fits.reg)
+
+
+def _largest_possible(q: Float[Array, "n T A"], is_possible: Bool[AnyArray, "n T A"]) -> Float[Array, "n T"]:
+    """Find max_a Q over the possible actions, 0 where none is: such a row is padding, and must stay finite."""
+    largest = jnp.max(jnp.where(is_possible, q, -jnp.inf), axis=-1)
+    return jnp.where(jnp.any(is_possible, axis=-1), largest, 0.0)
 
 
 def _masks(

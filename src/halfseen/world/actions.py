@@ -6,6 +6,7 @@
 from enum import IntEnum
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Int
 
 from halfseen.world.state import TableState
@@ -31,12 +32,12 @@ def encode(verb: Verb, target: int, num_objects: int) -> int:
     return FINISH if verb is Verb.FINISH else 1 + (verb - 1) * num_objects + target
 
 
-def verb_of(action: Int[Array, "*B"], num_objects: int) -> Int[Array, "*B"]:
+def verb_of(action: Int[Array | np.ndarray, "*B"], num_objects: int) -> Int[Array, "*B"]:
     """Verb of each action, as in `Verb`."""
     return jnp.where(action == FINISH, 0, 1 + (action - 1) // num_objects)
 
 
-def target_of(action: Int[Array, "*B"], num_objects: int) -> Int[Array, "*B"]:
+def target_of(action: Int[Array | np.ndarray, "*B"], num_objects: int) -> Int[Array, "*B"]:
     """Object of each action; 0 for FINISH, which has none."""
     return jnp.where(action == FINISH, 0, (action - 1) % num_objects)
 

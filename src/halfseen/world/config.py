@@ -5,10 +5,15 @@ prints it.
 """
 
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
 import jax
+from jax import Array
 
 HORIZON = 10
+
+Number: TypeAlias = float | int | Array
+"""A plain number, or what JAX makes of it inside a compiled call."""
 
 
 @jax.tree_util.register_dataclass
@@ -40,18 +45,18 @@ class WorldConfig:
         A label is right with probability floor + gain·(1 − occ)^power.
     """
 
-    dirty_share: float = 0.6
-    grip_offset_std: float = 1.0
-    grasp_log_time: float = 0.6
-    grasp_log_time_per_occlusion: float = 2.2
-    attempt_limit_s: float = 6.0
-    transport_s: float = 1.0
-    reward_wash_dirty: float = 5.0
-    reward_wash_clean: float = -10.0
-    reward_wash_failed: float = -1.0
-    reward_lift_per_s: float = -0.1
-    reward_dirty_left: float = -5.0
-    label_floor: float = 0.5
-    label_gain: float = 0.3
-    label_power: float = 1.5
+    dirty_share: Number = 0.6
+    grip_offset_std: Number = 1.0
+    grasp_log_time: Number = 0.6
+    grasp_log_time_per_occlusion: Number = 2.2
+    attempt_limit_s: Number = 6.0
+    transport_s: Number = 1.0
+    reward_wash_dirty: Number = 5.0
+    reward_wash_clean: Number = -10.0
+    reward_wash_failed: Number = -1.0
+    reward_lift_per_s: Number = -0.1
+    reward_dirty_left: Number = -5.0
+    label_floor: Number = 0.5
+    label_gain: Number = 0.3
+    label_power: Number = 1.5
     horizon: int = field(default=HORIZON, metadata={"static": True})

@@ -18,8 +18,8 @@ from typing import Literal, get_args
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
-from scipy.optimize import brentq
+from jaxtyping import Array, Bool, Float
+from scipy.optimize import root_scalar
 
 from halfseen.errors import ArgumentError
 from halfseen.world.episodes import Episodes
@@ -49,7 +49,7 @@ class CutEpisodes:
     """Stages whose S_t was seen: those completed and, on a cut path, the one in which it was cut."""
 
 
-def unit_hazards(episodes: Episodes, kind: CutKind) -> Float[np.ndarray, "n T"]:
+def unit_hazards(episodes: Episodes, kind: CutKind | str) -> Float[np.ndarray, "n T"]:
     """Hazard that each stage adds up at rate 1."""
     if kind not in CUT_KINDS:
         raise ArgumentError(f"cut kind is {kind!r}; it is one of {', '.join(CUT_KINDS)}")
@@ -64,7 +64,7 @@ def unit_hazards(episodes: Episodes, kind: CutKind) -> Float[np.ndarray, "n T"]:
 
 
 @jax.jit
-def _occlusion_intensity(states: TableState) -> Float[np.ndarray, "*B T"]:
+def _occlusion_intensity(states: TableState) -> Float[Array, "B T"]:
     def intensity(state: TableState):
         num_left = jnp.maximum(jnp.sum(state.is_on_table), 1)
         return jnp.exp(_OCCLUSION_GAIN * jnp.sum(jnp.where(state.is_on_table, occlusion(state), 0.0)) / num_left)
@@ -72,7 +72,7 @@ def _occlusion_intensity(states: TableState) -> Float[np.ndarray, "*B T"]:
     return jax.vmap(jax.vmap(intensity))(states)
 
 
-def cut_rate(pilot: Episodes, cut_share: float, kind: CutKind) -> float:
+def cut_rate(pilot: Episodes, cut_share: float, kind: CutKind | str) -> float:
     """Rate at which the wanted share of paths like those of `pilot` is cut, in expectation.
 
     Raises
@@ -89,10 +89,10 @@ def cut_rate(pilot: Episodes, cut_share: float, kind: CutKind) -> float:
     def excess(log_rate: float) -> float:
         return float(np.mean(-np.expm1(-np.exp(log_rate) * total))) - cut_share
 
-    return float(np.exp(brentq(excess, -40.0, 40.0)))
+    return float(np.exp(root_scalar(excess, bracket=(-40.0, 40.0), method="brentq").root))
 
 
-def cut(episodes: Episodes, rate: float, kind: CutKind, rng: np.random.Generator) -> CutEpisodes:
+def cut(episodes: Episodes, rate: float, kind: CutKind | str, rng: np.random.Generator) -> CutEpisodes:
     """Cut episodes at hazard `rate` times the intensity of `kind`.
 
     A path is cut where the accumulated hazard passes an Exp(1) draw; a stage that ends at that very moment counts as
@@ -109,7 +109,7 @@ def cut(episodes: Episodes, rate: float, kind: CutKind, rng: np.random.Generator
     rows = np.arange(len(hazard))
     begun_s = np.where(is_completed, duration_s, 0.0).sum(axis=1)
     spent = (budget - (after - hazard)[rows, stage]) / np.where(hazard[rows, stage] > 0, hazard[rows, stage], np.inf)
-    age_share = np.sqrt(spent) if kind == "attempt" else spent
+    age_share = np.sqrt(np.maximum(spent, 0.0)) if kind == "attempt" else spent
     end_s = begun_s + np.where(is_finished, 0.0, age_share * duration_s[rows, stage])
     is_cut_stage = (np.arange(hazard.shape[1]) == stage[:, None]) & ~is_finished[:, None]
     return CutEpisodes(episodes, end_s, is_finished, is_completed, is_completed | is_cut_stage)

@@ -31,12 +31,12 @@ class Outcome(NamedTuple):
     """Whether the path has come to its own end."""
 
 
-def grasp_scale_s(config: WorldConfig, occluded: Float[Array, "*S"], grip_offset: Float[Array, "*S"]) -> Array:
+def grasp_scale_s(config: WorldConfig, occluded: Float[Array, "*#S"], grip_offset: Float[Array, "*#S"]) -> Array:
     """Mean time to grasp: exp(a + b·occ − u) [s]."""
     return jnp.exp(config.grasp_log_time + config.grasp_log_time_per_occlusion * occluded - grip_offset)
 
 
-def grasp_probability(config: WorldConfig, occluded: Float[Array, "*S"], grip_offset: Float[Array, "*S"]) -> Array:
+def grasp_probability(config: WorldConfig, occluded: Float[Array, "*#S"], grip_offset: Float[Array, "*#S"]) -> Array:
     """P(T ≤ τ | occ, u) = 1 − exp(−τ / scale)."""
     return -jnp.expm1(-config.attempt_limit_s / grasp_scale_s(config, occluded, grip_offset))
 

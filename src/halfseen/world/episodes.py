@@ -1,7 +1,9 @@
 """Many tables played to their end in one compiled call."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +13,8 @@ from halfseen.world.config import WorldConfig
 from halfseen.world.dynamics import Outcome, start, step
 from halfseen.world.policy import Decision, Policy
 from halfseen.world.state import HiddenState, Layout, TableState
+
+Kept = TypeVar("Kept")
 
 
 @jax.tree_util.register_dataclass
@@ -46,18 +50,28 @@ class Totals:
     num_steps: Int[Array, "*B"]
 
 
-def _play(config: WorldConfig, layout: Layout, policy: Policy, key: Array, record: bool):
+class _Stage(NamedTuple):
+    """What happened in a stage, whether or not the path was already over."""
+
+    state: TableState
+    decision: Decision
+    outcome: Outcome
+    is_taken: Bool[Array, "*B"]
+
+
+def _play(
+    config: WorldConfig, layout: Layout, policy: Policy, key: Array, keep: Callable[[_Stage], Kept]
+) -> tuple[Kept, HiddenState]:
     """Play one table to its end. World and policy draw from separate keys, so that policies meet the same world."""
     start_key, world_key, policy_key = jax.random.split(key, 3)
     state, hidden = start(config, layout, start_key)
 
-    def advance(carry, t):
+    def advance(carry: tuple[TableState, Array], t: Array) -> tuple[tuple[TableState, Array], Kept]:
         state, is_active = carry
         decision = policy.decide(state, jax.random.fold_in(policy_key, t))
         after, outcome = step(config, state, hidden, decision.action, jax.random.fold_in(world_key, t))
         after = jax.tree.map(lambda new, old: jnp.where(is_active, new, old), after, state)
-        kept = (state, decision, outcome, is_active) if record else (outcome.reward, outcome.duration_s, is_active)
-        return (after, is_active & ~outcome.is_over), kept
+        return (after, is_active & ~outcome.is_over), keep(_Stage(state, decision, outcome, is_active))
 
     _, kept = jax.lax.scan(advance, (state, jnp.asarray(True)), jnp.arange(config.horizon))
     return kept, hidden
@@ -67,16 +81,17 @@ def _play(config: WorldConfig, layout: Layout, policy: Policy, key: Array, recor
 def play(config: WorldConfig, layouts: Layout, policy: Policy, key: Array, num_episodes: int) -> Episodes:
     """Play `num_episodes` tables and record every stage; episode k uses layout k modulo their number."""
     layout, keys = _spread(layouts, key, num_episodes)
-    play_one = partial(_play, record=True)
-    kept, hidden = jax.vmap(play_one, in_axes=(None, 0, None, 0))(config, layout, policy, keys)
-    states, decision, outcome, is_taken = kept
-    return _episodes(states, decision, outcome, is_taken, hidden)
-
-
-def _episodes(
-    states: TableState, decision: Decision, outcome: Outcome, is_taken: Bool[Array, "*B T"], hidden: HiddenState
-) -> Episodes:
-    return Episodes(states, decision.action, decision.probability, outcome.reward, outcome.duration_s, is_taken, hidden)
+    play_one = partial(_play, keep=lambda stage: stage)
+    stages, hidden = jax.vmap(play_one, in_axes=(None, 0, None, 0))(config, layout, policy, keys)
+    return Episodes(
+        states=stages.state,
+        action=stages.decision.action,
+        probability=stages.decision.probability,
+        reward=stages.outcome.reward,
+        duration_s=stages.outcome.duration_s,
+        is_taken=stages.is_taken,
+        hidden=hidden,
+    )
 
 
 @partial(jax.jit, static_argnames=("num_episodes", "batch_size"))
@@ -89,8 +104,8 @@ def evaluate(
     """
     inputs = _spread(layouts, key, num_episodes)
 
-    def totals(layout_and_key: tuple[Layout, Array]):
-        return _play(config, layout_and_key[0], policy, layout_and_key[1], record=False)[0]
+    def totals(layout_and_key: tuple[Layout, Array]) -> tuple[Array, Array, Array]:
+        return _play(config, layout_and_key[0], policy, layout_and_key[1], _earned)[0]
 
     reward, duration_s, is_taken = jax.lax.map(totals, inputs, batch_size=batch_size or num_episodes)
     return Totals(
@@ -98,6 +113,10 @@ def evaluate(
         robot_s=jnp.sum(jnp.where(is_taken, duration_s, 0.0), axis=-1),
         num_steps=jnp.sum(is_taken, axis=-1),
     )
+
+
+def _earned(stage: _Stage) -> tuple[Array, Array, Array]:
+    return stage.outcome.reward, stage.outcome.duration_s, stage.is_taken
 
 
 def _spread(layouts: Layout, key: Array, num_episodes: int) -> tuple[Layout, Array]:

@@ -1,13 +1,14 @@
 """What decides: one interface for heuristics, planners and what was learned."""
 
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from halfseen.world.actions import possible_actions
+from halfseen.world.config import Number
 from halfseen.world.state import TableState
 
 
@@ -18,6 +19,7 @@ class Decision(NamedTuple):
     probability: Float[Array, "*B"]
 
 
+@runtime_checkable
 class Policy(Protocol):
     """Decides for one table from what is seen of it.
 
@@ -61,7 +63,7 @@ class ExploringPolicy:
     """
 
     base: Policy
-    random_share: float = 0.5
+    random_share: Number = 0.5
 
     def decide(self, state: TableState, key: Array) -> Decision:
         """Choose, and report the probability of that choice under the mixture."""

@@ -26,7 +26,7 @@ OBJECT_COLUMNS = ("location", "occlusion", "log_odds", "lifts", "hidden_by", "at
 _VERB_NAMES = np.array([verb.name for verb in Verb])
 
 
-def to_logs(cuts: CutEpisodes, kind: CutKind, scenes: Sequence[Scene]) -> Logs:
+def to_logs(cuts: CutEpisodes, kind: CutKind | str, scenes: Sequence[Scene]) -> Logs:
     """Write down what a recorder would have kept of these episodes; path k began from scene k modulo their number."""
     begun = np.argwhere(cuts.is_begun)
     return Logs(stages=_stages(cuts, begun), paths=_paths(cuts, kind, scenes), objects=_objects(cuts, begun))
@@ -38,14 +38,16 @@ def elapsed_s(cuts: CutEpisodes) -> Float[np.ndarray, "n T"]:
     return np.where(cuts.is_completed, np.cumsum(np.where(cuts.is_completed, duration_s, 0.0), axis=1), np.nan)
 
 
-def _paths(cuts: CutEpisodes, kind: CutKind, scenes: Sequence[Scene]) -> pd.DataFrame:
+def _paths(cuts: CutEpisodes, kind: CutKind | str, scenes: Sequence[Scene]) -> pd.DataFrame:
     num_paths = len(cuts.end_s)
+    cause = np.full(num_paths, CAUSES[kind], dtype=object)
+    cause[cuts.is_finished] = None
     return pd.DataFrame(
         {
             "path": np.arange(num_paths),
             "end_s": cuts.end_s,
             "ending": np.where(cuts.is_finished, "finished", "cut"),
-            "cause": np.where(cuts.is_finished, None, CAUSES[kind]),
+            "cause": cause,
             "scene": [scenes[k % len(scenes)].name for k in range(num_paths)],
         }
     )
@@ -119,8 +121,8 @@ def states_of(logs: Logs, horizon: int) -> TableState:
     Raises
     ------
     LogError
-        The log has no objects, lacks one of their columns, is longer than `horizon`, or the number of objects changes
-        along a path.
+        The log has no objects, lacks one of their columns, is longer than `horizon`, the number of objects changes
+        along a path, or a list has a wrong length.
     """
     frame = _checked_objects(logs, horizon)
     path = pd.Index(logs.path_ids).get_indexer(frame["path"])
@@ -149,27 +151,28 @@ def _checked_objects(logs: Logs, horizon: int) -> pd.DataFrame:
         raise LogError(f"objects: column {missing[0]!r} is missing; there are {', '.join(logs.objects.columns)}")
     if logs.horizon > horizon:
         raise LogError(f"stages: a path has {logs.horizon} stages, more than horizon={horizon}; raise horizon")
-    counts = logs.objects.groupby(["path", "stage"]).size()
-    first = counts.groupby(level="path").transform("first")
-    if (counts != first).any():
-        path, stage = counts.index[np.argmax(counts != first)]
-        raise LogError(
-            f"path {path}, stage {stage}: {counts[path, stage]} objects where stage 1 has {first[path, stage]}; list "
-            "every object of the scene at every stage, those in the dishwasher too"
-        )
-    return logs.objects
+    frame = logs.objects
+    counts = frame.groupby(["path", "stage"])["object"].transform("size").to_numpy()
+    first = frame["path"].map(frame.groupby("path")["stage"].agg(lambda stage: int((stage == 1).sum()))).to_numpy()
+    location = ~frame["location"].isin([TABLE, DISHWASHER]).to_numpy(dtype=bool)
+    _refuse(frame, location, f"location is neither {TABLE} nor {DISHWASHER}")
+    _refuse(frame, counts != first, "the stage lists more or fewer objects than stage 1; list all, those washed too")
+    lengths = {name: frame[name].map(len).to_numpy() for name in ("hidden_by", *OBJECT_COLUMNS[-2:])}
+    _refuse(frame, lengths["hidden_by"] != counts, "hidden_by does not give one share for each object of the scene")
+    different = lengths["attempt_occlusions"] != lengths["attempt_succeeded"]
+    _refuse(frame, different, "attempt_occlusions and attempt_succeeded differ in length; give one of each per attempt")
+    return frame
+
+
+def _refuse(frame: pd.DataFrame, wrong: Bool[np.ndarray, " rows"], trouble: str) -> None:
+    if wrong.any():
+        row = frame.iloc[int(np.argmax(wrong))]
+        raise LogError(f"path {row['path']}, stage {row['stage']}, object {row['object']}: {trouble}")
 
 
 def _hides(frame: pd.DataFrame, at: tuple, shape: tuple[int, int, int]) -> Float[np.ndarray, "n T N N"]:
     hides = np.zeros((*shape, shape[-1]), dtype=np.float32)
     row, column, values = _ragged(frame, "hidden_by")
-    if len(column) and column.max() >= shape[-1]:
-        wrong = row[np.argmax(column)]
-        where = frame.iloc[wrong]
-        raise LogError(
-            f"path {where['path']}, stage {where['stage']}: hidden_by of object {where['object']} has "
-            f"{column.max() + 1} entries for {shape[-1]} objects; give one share for each object of the scene"
-        )
     hides[at[0][row], at[1][row], at[2][row], column] = values
     return hides
 
@@ -192,13 +195,7 @@ def _attempts(
     cell = at[0][row], at[1][row], slot
     tried[cell] = at[2][row]
     occluded[cell] = occlusions
-    results = _ragged(frame, "attempt_succeeded")[2]
-    if len(results) != len(occlusions):
-        raise LogError(
-            f"objects: attempt_succeeded has {len(results)} entries in all and attempt_occlusions {len(occlusions)}; "
-            "give one of each for every past attempt"
-        )
-    succeeded[cell] = results.astype(bool)
+    succeeded[cell] = _ragged(frame, "attempt_succeeded")[2].astype(bool)
     return tried, occluded, succeeded
 
 

@@ -48,7 +48,7 @@ class TableWorld:
         episodes: int,
         seed: int,
         cut_share: float = 0.0,
-        cut_kind: CutKind = "independent",
+        cut_kind: CutKind | str = "independent",
     ) -> Logs:
         """Play episodes, cut some, and write down what was seen.
 
@@ -82,7 +82,7 @@ class TableWorld:
         episodes: int,
         seed: int,
         cut_share: float = 0.0,
-        cut_kind: CutKind = "independent",
+        cut_kind: CutKind | str = "independent",
     ) -> CutEpisodes:
         """Do as `simulate`, but keep the arrays as they are."""
         if episodes < 1:
