@@ -44,7 +44,9 @@ LABEL_GAP_INCHES = 0.175
 
 PATHS_AXIS = "logged paths that the policy was learned from (log scale)"
 REWARD_AXIS = "mean reward of a path, on fresh episodes"
-GAIN_AXIS = "reward that weighting adds over each other treatment (below 0: it costs)"
+GAIN_AXIS = "reward that weighting adds, over each other treatment"
+TITLE_TOP = 0.98
+TITLE_POINTS = 11.5
 PANEL_TITLE: dict[str, Any] = {"loc": "left", "fontsize": 9.0, "pad": 8.0}
 
 STYLE: Any = {
@@ -130,8 +132,8 @@ def figure1_of(results: StudyResults) -> Figure:
     """Figure 1, not yet written anywhere."""
     figure = Figure(figsize=FIGURE1_INCHES)
     rivals = (results.best_planner, results.best_heuristic)
-    _write_title(figure, figure1_title(results.figure1, results.table1, results.design, rivals), 92)
-    axes = figure.add_axes((0.07, 0.10, 0.60, 0.73))
+    top = _write_title(figure, figure1_title(results.figure1, results.table1, results.design, rivals), 92) - 0.08
+    axes = figure.add_axes((0.07, 0.10, 0.60, top - 0.10))
     labels = _draw_baselines(axes, results) + _draw_learned(axes, results)
     _mark_sizes(axes, results.design.num_paths)
     axes.set_xlim(min(results.design.num_paths) / 1.08, max(results.design.num_paths) * 1.05)
@@ -145,23 +147,25 @@ def figure4_of(results: StudyResults) -> Figure:
     """Figure 4, not yet written anywhere."""
     kinds = results.design.treatment_cut_kinds
     figure = Figure(figsize=(0.9 + 4.0 * len(kinds), 7.2))
-    _write_title(figure, figure4_title(results.figure4, results.design), 42 * len(kinds) + 6)
-    grid = figure.add_gridspec(2, len(kinds), left=0.055, right=0.985, bottom=0.07, top=0.745, hspace=0.40, wspace=0.10)
+    top = _write_title(figure, figure4_title(results.figure4, results.design), 42 * len(kinds) + 6)
+    grid = figure.add_gridspec(
+        2, len(kinds), left=0.065, right=0.985, bottom=0.07, top=top - 0.18, hspace=0.36, wspace=0.10
+    )
     panels: Any = grid.subplots(sharex=True, sharey="row", squeeze=False)
     for column, kind in enumerate(kinds):
         rows = pd.DataFrame(results.figure4[results.figure4["cut_kind"] == kind])
         upper, lower = panels[0, column], panels[1, column]
         _draw_treatments(upper, rows)
         _draw_gains(lower, rows)
-        name = CUT_KIND_NAMES[kind]
-        upper.set_title(f"{name[0].upper()}{name[1:]}: {CUT_KIND_NOTES[kind]}\n\n{REWARD_AXIS}", **PANEL_TITLE)
+        _head_panel(upper, CUT_KIND_NAMES[kind], CUT_KIND_NOTES[kind])
+        upper.set_title(REWARD_AXIS, **PANEL_TITLE)
         lower.set_title(GAIN_AXIS, **PANEL_TITLE)
         lower.set_xlabel(PATHS_AXIS)
         upper.tick_params(labelbottom=True)
         _mark_sizes(upper, results.design.num_paths)
         _mark_sizes(lower, results.design.num_paths)
     handles, names = panels[0, 0].get_legend_handles_labels()
-    figure.legend(handles, names, loc="upper left", bbox_to_anchor=(0.045, 0.905), ncols=len(names), frameon=False)
+    figure.legend(handles, names, loc="upper left", bbox_to_anchor=(0.05, top - 0.012), ncols=len(names), frameon=False)
     return figure
 
 
@@ -241,8 +245,24 @@ def _mark_sizes(axes: Axes, num_paths: Sequence[int]) -> None:
     axes.set_axisbelow(True)
 
 
-def _write_title(figure: Figure, title: str, width: int) -> None:
-    figure.text(0.012, 0.98, textwrap.fill(title, width), fontsize=11.5, fontweight="bold", va="top", linespacing=1.3)
+def _head_panel(axes: Axes, name: str, note: str) -> None:
+    lines = ((f"{name[0].upper()}{name[1:]}", "bold", 45), (note, "normal", 31))
+    for text, weight, height_points in lines:
+        axes.annotate(
+            text,
+            (0.0, 1.0),
+            xytext=(0.0, height_points),
+            xycoords="axes fraction",
+            textcoords="offset points",
+            fontweight=weight,
+        )
+
+
+def _write_title(figure: Figure, title: str, width: int) -> float:
+    """Write the title; return the height of its lower end as a share of the figure's."""
+    lines = textwrap.wrap(title, width)
+    figure.text(0.012, TITLE_TOP, "\n".join(lines), fontsize=TITLE_POINTS, fontweight="bold", va="top", linespacing=1.3)
+    return TITLE_TOP - len(lines) * 1.3 * TITLE_POINTS / 72 / figure.get_size_inches()[1]
 
 
 def _write_end_labels(axes: Axes, labels: Sequence[EndLabel]) -> None:

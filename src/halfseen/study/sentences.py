@@ -70,8 +70,12 @@ def figure1_title(figure1: pd.DataFrame, table1: pd.DataFrame, design: StudyDesi
 def figure4_title(figure4: pd.DataFrame, design: StudyDesign) -> str:
     """Say in one sentence what Figure 4 shows."""
     num_paths = compared_num_paths(figure4, design)
+    found = purchases(figure4, num_paths)
+    if all(bought.gain.sign == 0 for bought in found):
+        kinds = [f"under {CUT_KIND_NAMES[kind]}" for kind in dict.fromkeys(bought.cut_kind for bought in found)]
+        return f"From {num_paths} paths, weights buy nothing beyond noise, {listed(kinds, 'or')}"
     parts = []
-    for kind, group in groupby(purchases(figure4, num_paths), key=lambda bought: bought.cut_kind):
+    for kind, group in groupby(found, key=lambda bought: bought.cut_kind):
         bought = list(group)
         won = [SHORT_TREATMENTS[each.treatment] for each in bought if each.gain.sign > 0]
         lost = [SHORT_TREATMENTS[each.treatment] for each in bought if each.gain.sign < 0]
@@ -136,9 +140,8 @@ def _how_few_paths(figure1: pd.DataFrame, design: StudyDesign, heuristic: str) -
     if len(sizes) == 1:
         (size,) = sizes
         note = ", the smallest log that was tried," if size == smallest else ""
-        return (
-            f"To beat {beat}, {size} logged paths{note} suffice at every share of cut paths, up to {_largest(design)}."
-        )
+        most = share_in_words(max(design.cut_shares))
+        return f"To beat {beat}, {size} logged paths{note} suffice at every share of cut paths, up to {most}."
     parts = []
     for size, cut_shares in groupby(found, key=lambda cut_share: found[cut_share]):
         enough = f"even {largest} logged paths do not suffice" if size is None else f"{size} logged paths suffice"

@@ -1,0 +1,246 @@
+"""The report: one page that opens with the answer and stands alone, without scripts or anything to load."""
+
+import base64
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, fields
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+import pandas as pd
+from markupsafe import Markup
+from matplotlib.figure import Figure
+
+from halfseen.errors import ArgumentError
+from halfseen.study import figures, wording
+from halfseen.study.design import LOG_RANDOM_SHARE, StudyDesign
+from halfseen.study.findings import WEIGHTED, Estimate, learned
+from halfseen.study.results import BASELINE_NAMES, MEASURES, TREATMENT_NAMES, StudyResults
+from halfseen.study.sentences import figure1_title, figure4_title
+from halfseen.world.scene import Scene
+
+CLAIMS = {"reward": "learned earns more", "decision_ms": "learned decides faster", "robot_s": "learned ends sooner"}
+
+WORLD_WORDS = {
+    "dirty_share": "share of dirty objects",
+    "grip_offset_std": "spread of the hidden grip offset",
+    "grasp_log_time": "log time to grasp, unhidden [log s]",
+    "grasp_log_time_per_occlusion": "log time to grasp, added when wholly hidden [log s]",
+    "attempt_limit_s": "an attempt is given up after [s]",
+    "transport_s": "transport after each attempt [s]",
+    "reward_wash_dirty": "reward of washing a dirty object",
+    "reward_wash_clean": "reward of washing a clean object",
+    "reward_wash_failed": "reward of a failed attempt to wash",
+    "reward_lift_per_s": "reward of lifting, a second [1/s]",
+    "reward_dirty_left": "reward for each dirty object left",
+    "label_floor": "a label is right with probability at least",
+    "label_gain": "added to that for an object in full view",
+    "label_power": "how steeply this falls with occlusion (power)",
+    "horizon": "steps of a path at most",
+}
+DESIGN_WORDS = {
+    "repetitions": "repetitions",
+    "num_paths": "logged paths",
+    "cut_shares": "shares of cut paths",
+    "episodes_per_scene": "evaluation episodes of each table and repetition",
+    "planning_horizons": "steps that the planner looks ahead",
+    "treatment_cut_share": "share of cut paths in Figure 4",
+    "treatment_cut_kinds": "kinds of cuts in Figure 4",
+    "table_num_paths": "logged paths in Table 1",
+    "table_cut_share": "share of cut paths in Table 1",
+    "alpha": "level of the tests",
+    "seed": "seed",
+}
+# Smaller shares are within what perception errs.
+SMALLEST_HIDDEN_SHARE = 0.02
+
+
+def write_report(results: StudyResults, pictures: Mapping[str, bytes], folder: Path) -> None:
+    """Write ``report.html``.
+
+    Parameters
+    ----------
+    results
+        What the study found.
+    pictures
+        PNG of each scene, by its name; a scene without one is described in words alone.
+    folder
+        Where to; made if it is not there.
+
+    Raises
+    ------
+    ArgumentError
+        A picture belongs to no scene.
+    """
+    names = [scene.name for scene in results.scenes]
+    for name in pictures:
+        if name not in names:
+            raise ArgumentError(
+                f"a picture of {name!r}, but the scenes are {', '.join(names)}; name it after its scene"
+            )
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.globals.update(amount=wording.amount, measured=wording.measured, interval=wording.interval)
+    environment.globals.update(p_value=wording.p_value, share=wording.share)
+    template = environment.from_string(files("halfseen.study").joinpath("report.html.j2").read_text(encoding="utf-8"))
+    page = template.render(_content(results, pictures))
+    figures.write_whole(folder / "report.html", page.encode())
+
+
+def _content(results: StudyResults, pictures: Mapping[str, bytes]) -> dict[str, Any]:
+    """Everything that the template names."""
+    design = results.design
+    rivals = (results.best_planner, results.best_heuristic)
+    return {
+        "sentences": results.sentences,
+        "design": design,
+        "log_random_share": wording.share_in_words(LOG_RANDOM_SHARE),
+        "figure1": inline_svg(figures.figure1_of, results, "f1"),
+        "figure1_title": figure1_title(results.figure1, results.table1, design, rivals),
+        "figure1_numbers": _figure1_numbers(results),
+        "figure4": inline_svg(figures.figure4_of, results, "f4"),
+        "figure4_title": figure4_title(results.figure4, design),
+        "figure4_counts": _count_intervals(results.figure4),
+        "figure4_numbers": _figure4_numbers(results.figure4),
+        "best_planner": BASELINE_NAMES.get(results.best_planner, results.best_planner),
+        "best_heuristic": BASELINE_NAMES.get(results.best_heuristic, results.best_heuristic),
+        "table1": _table1(results.table1),
+        "num_adjusted": int(results.table1["p_holm"].notna().sum()),
+        "table_share": wording.share_in_words(design.table_cut_share),
+        "treatment_share": wording.share_in_words(design.treatment_cut_share),
+        "weights": _weights(results.weights, design),
+        "scenes": [_scene(scene, pictures.get(scene.name)) for scene in results.scenes],
+        "world": _in_words(asdict(design.world), WORLD_WORDS),
+        "parameters": _in_words(_without_world(design), DESIGN_WORDS),
+        "changed": _changed(design),
+        "versions": dict(sorted(results.versions.items())),
+    }
+
+
+def inline_svg(figure_of: Callable[[StudyResults], Figure], results: StudyResults, prefix: str) -> Markup:
+    """Draw a figure as an SVG element to stand in a page beside others.
+
+    Parameters
+    ----------
+    figure_of
+        `halfseen.study.figures.figure1_of` or `figure4_of`.
+    results
+        What the study found.
+    prefix
+        Put before every id, which must be unique in a page.
+    """
+    text = figures.svg(figure_of, results).decode()
+    text = text[text.index("<svg") :]
+    text = re.sub(r'\s(?:xmlns(?::xlink)?|version)="[^"]*"', "", text)
+    text = re.sub(r"<!--.*?-->\s*", "", text, flags=re.DOTALL).replace("xlink:href", "href")
+    # A page's style sheet reaches all of the page, so this one is bound to its figure.
+    text = text.replace("*{stroke-linejoin", f"#{prefix} *{{stroke-linejoin", 1)
+    text = re.sub(r'\bid="', f'id="{prefix}-', text)
+    text = re.sub(r'(href="#|url\(#)', rf"\g<1>{prefix}-", text)
+    text = re.sub(
+        r'(<svg)\swidth="[^"]*"\sheight="[^"]*"', rf'\1 id="{prefix}" role="img" aria-labelledby="{prefix}-title"', text
+    )
+    return Markup(text.strip())
+
+
+def _table1(table1: pd.DataFrame) -> list[dict[str, Any]]:
+    """Rows of Table 1, a group for each measure."""
+    groups = []
+    for measure, name in MEASURES.items():
+        rows = [
+            {**row, "name": BASELINE_NAMES.get(row["baseline"], row["baseline"]), "supported": bool(row["supported"])}
+            for row in table1.to_dict("records")
+            if row["measure"] == measure
+        ]
+        if rows:
+            groups.append({"measure": measure, "name": name, "claim": CLAIMS[measure], "rows": rows})
+    return groups
+
+
+def _figure1_numbers(results: StudyResults) -> list[dict[str, Any]]:
+    """Learned policy: for each size of log, an estimate at each share of cut paths."""
+    design = results.design
+    return [
+        {"num_paths": size, "estimates": [learned(results.figure1, size, cut_share) for cut_share in design.cut_shares]}
+        for size in design.num_paths
+    ]
+
+
+def _figure4_numbers(figure4: pd.DataFrame) -> list[dict[str, Any]]:
+    return [
+        {
+            "cut_kind": wording.CUT_KIND_NAMES[row["cut_kind"]],
+            "treatment": TREATMENT_NAMES[row["treatment"]],
+            "num_paths": int(row["num_paths"]),
+            "reward": Estimate(row["mean_reward"], row["se"]),
+            "gain": None if row["treatment"] == WEIGHTED else Estimate(row["behind_weighted"], row["se_behind"]),
+        }
+        for row in figure4.to_dict("records")
+    ]
+
+
+def _count_intervals(figure4: pd.DataFrame) -> dict[str, int]:
+    """How many intervals of the paired differences lie above 0 and below 0."""
+    others = figure4[figure4["treatment"] != WEIGHTED]
+    pairs = zip(others["behind_weighted"], others["se_behind"], strict=True)
+    signs = [Estimate(float(mean), float(se)).sign for mean, se in pairs]
+    return {"all": len(signs), "above": signs.count(1), "below": signs.count(-1)}
+
+
+def _weights(weights: pd.DataFrame, design: StudyDesign) -> list[dict[str, Any]]:
+    """Weights of each size of log at each share of cut paths; None where the study has none."""
+    table = []
+    for size in design.num_paths:
+        cells = []
+        for cut_share in design.cut_shares:
+            is_here = (weights["num_paths"] == size) & np.isclose(np.asarray(weights["cut_share"], float), cut_share)
+            rows = pd.DataFrame(weights[is_here]).to_dict("records")
+            cells.append(rows[0] if rows else None)
+        table.append({"num_paths": size, "cells": cells})
+    return table
+
+
+def _scene(scene: Scene, picture: bytes | None) -> dict[str, Any]:
+    occlusion = scene.occlusion
+    pairs = np.argwhere(scene.hides >= SMALLEST_HIDDEN_SHARE)
+    hidden = {int(i): [(int(j), float(scene.hides[i, j])) for k, j in pairs if k == i] for i in np.unique(pairs[:, 0])}
+    return {
+        "name": Path(scene.name).stem.replace("_", " "),
+        "picture": None if picture is None else base64.b64encode(picture).decode(),
+        "num_objects": scene.num_objects,
+        "mean": float(np.mean(occlusion)) if len(occlusion) else 0.0,
+        "max": float(np.max(occlusion)) if len(occlusion) else 0.0,
+        "hidden": [
+            {"object": i, "occlusion": float(occlusion[i]), "by": sorted(by, key=lambda pair: (-pair[1], pair[0]))}
+            for i, by in sorted(hidden.items(), key=lambda item: (-occlusion[item[0]], item[0]))
+        ],
+    }
+
+
+def _without_world(design: StudyDesign) -> dict[str, Any]:
+    return {name: value for name, value in design.as_dict().items() if name != "world"}
+
+
+def _in_words(values: Mapping[str, Any], words: Mapping[str, str]) -> list[tuple[str, str, str]]:
+    """Parameters as (name for people, name in the code, value)."""
+    return [(words.get(name, name.replace("_", " ")), name, _written(name, value)) for name, value in values.items()]
+
+
+def _written(name: str, value: Any) -> str:
+    if isinstance(value, (tuple, list)):
+        return ", ".join(_written(name, each) for each in value)
+    if isinstance(value, str):
+        return wording.CUT_KIND_NAMES.get(value, value)
+    is_cut_share = name in ("cut_shares", "treatment_cut_share", "table_cut_share")
+    return wording.share(value) if is_cut_share else f"{value:g}".replace("-", "−")
+
+
+def _changed(design: StudyDesign) -> list[str]:
+    """Parameters beyond repetitions and seed that are not the default: the command does not set them."""
+    default = StudyDesign()
+    own = [field.name for field in fields(design) if field.name not in ("repetitions", "seed")]
+    return [name for name in own if getattr(design, name) != getattr(default, name)]
