@@ -3,15 +3,16 @@
 Every feature is a sum over the objects on the table or concerns the target alone, so it depends neither on N nor on
 the order of the objects, and none uses a parameter of the world.
 
-The first five features describe the table and mean the same for every verb:
+The first nine features describe the table and mean the same for every verb:
 
-====================  ================================================================================================
-Σ p                   dirty objects expected on the table, p = P(DIRTY)
-Σ 1                   objects on the table
-Σ (p − ½)₊            how much there is to win
-Σ (p − ½)₊ · ease     how much of it is within reach
-Σ 4 p (1 − p)         how much is not known
-====================  ================================================================================================
+===========================  =========================================================================================
+Σ p                          dirty objects expected on the table, p = P(DIRTY)
+Σ 1                          objects on the table
+Σ win, Σ sure                how much there is to win, win = (p − ½)₊, and to win almost surely, sure = (p − ¾)₊
+Σ win·ease, Σ sure·ease      how much of it is within reach
+Σ doubt, Σ doubt·ease        how much is not known, doubt = 4 p (1 − p), and how much of that is within reach
+Σ ease                       how much is within reach
+===========================  =========================================================================================
 
 with ease = (1 − occlusion) · (1 + successes) / (1 + attempts), the share in sight times Laplace's guess of a grip. What
 follows concerns the target; `unhides` is what it would lay bare: Σ_j (occlusion of j that target i alone causes) · (…).
@@ -25,20 +26,22 @@ from jaxtyping import Array, Float, Int
 from halfseen.world.actions import Verb
 from halfseen.world.state import TableState, attempt_counts, occlusion, occlusion_without
 
-NUM_FEATURES = 11
+NUM_FEATURES = 17
 
 
 def table_features(state: TableState) -> Float[Array, "A F"]:
-    """φ(S, a) of every action of one table, in the order of the actions, padded with zeros to F = 11."""
+    """φ(S, a) of every action of one table, in the order of the actions, padded with zeros to F = 17."""
     is_dirty = jax.nn.sigmoid(state.log_odds)
-    win = jax.nn.relu(is_dirty - 0.5)
+    win, sure = jax.nn.relu(is_dirty - 0.5), jax.nn.relu(is_dirty - 0.75)
     doubt = 4.0 * is_dirty * (1.0 - is_dirty)
     ease = _ease(state)
     unhides = _unhides(state)
     there = state.is_on_table.astype(jnp.float32)
-    table = [jnp.sum(there * value) for value in (is_dirty, jnp.ones_like(there), win, win * ease, doubt)]
-    wash = [unhides @ win, is_dirty, win, is_dirty * ease, win * ease, ease]
-    lift = [unhides @ doubt, doubt, ease, doubt * ease]
+    in_doubt = [doubt, ease, doubt * ease]
+    at_stake = [win, win * ease, sure, sure * ease]
+    table = [jnp.sum(there * value) for value in (is_dirty, jnp.ones_like(there), *at_stake, *in_doubt)]
+    wash = [unhides @ win, is_dirty, is_dirty * ease, ease, *at_stake]
+    lift = [unhides @ doubt, *in_doubt]
     return jnp.concatenate(
         [_stack([table[0][None]]), _stack(_each(table, there) + wash), _stack(_each(table, there) + lift)]
     )

@@ -1,0 +1,19 @@
+"""Design → run → compare → report: Figure 1, Table 1, Figure 4.
+
+Read down: `design` → `policies` (who takes part) → `scenes` (the captured tables) → `treatments` (of cut paths) →
+`learning` → `repetition` (one of many) → `timing` → `store` (what is done stays done) → `statistics` → `tables` →
+`results` → `figures`, `sentences`, `report` → `run` (all of it).
+"""
+
+from typing import TYPE_CHECKING
+
+from halfseen.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from halfseen.study.design import StudyDesign
+    from halfseen.study.results import StudyResults
+    from halfseen.study.run import run_study
+
+__all__ = ["StudyDesign", "StudyResults", "run_study"]
+
+__getattr__ = lazy_names(__name__, {"StudyDesign": "design", "StudyResults": "results", "run_study": "run"})

@@ -43,7 +43,7 @@ class StudyDesign:
     repetitions: int = 40
     num_paths: tuple[int, ...] = (25, 50, 100, 200, 400, 800)
     cut_shares: tuple[float, ...] = (0.0, 1 / 6, 1 / 3, 1 / 2)
-    episodes_per_scene: int = 2
+    episodes_per_scene: int = 5
     planning_horizons: tuple[int, ...] = (1, 2, 3, 4)
     treatment_cut_share: float = 1 / 2
     treatment_cut_kinds: tuple[CutKind, ...] = ("independent", "attempt")

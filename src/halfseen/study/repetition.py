@@ -1,0 +1,142 @@
+"""One repetition: fresh logs, cut in every way; policies learned from them; all policies on the same fresh episodes."""
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from halfseen.censoring import weight_diagnostics
+from halfseen.learners.encoding import Encoded, encode_states
+from halfseen.learners.linear_policy import LinearTablePolicy
+from halfseen.study.design import TREATMENTS, StudyDesign
+from halfseen.study.learning import NUM_FOLDS, learn
+from halfseen.study.policies import heuristics, logging_policy, planners
+from halfseen.study.treatments import treat
+from halfseen.world.config import WorldConfig
+from halfseen.world.cuts import CutEpisodes, CutKind, cut, cut_rate
+from halfseen.world.episodes import Episodes, Totals, evaluate, play
+from halfseen.world.state import Layout
+from halfseen.world.table_world import NUM_PILOT_PATHS
+
+_PILOT, _LOGS, _EVALUATION = range(3)
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One way to come by a learned policy."""
+
+    treatment: str
+    cut_kind: CutKind
+    cut_share: float
+
+
+def arms(design: StudyDesign) -> list[Arm]:
+    """All ways that the study compares: weighted at every share, and each treatment where Figure 4 wants it."""
+    shares = [Arm("weighted", "independent", share) for share in design.cut_shares]
+    treated = [
+        Arm(treatment, kind, design.treatment_cut_share)
+        for kind in design.treatment_cut_kinds
+        for treatment in TREATMENTS
+    ]
+    return list(dict.fromkeys(shares + treated))
+
+
+def cut_rates(design: StudyDesign, layouts: Layout) -> dict[tuple[str, float], float]:
+    """Rate of cuts for each kind and share that the study needs, from one pilot."""
+    pilot = play(design.world, layouts, logging_policy(design), _key(design, _PILOT), NUM_PILOT_PATHS)
+    return {(arm.cut_kind, arm.cut_share): cut_rate(pilot, arm.cut_share, arm.cut_kind) for arm in arms(design)}
+
+
+def run_repetition(
+    design: StudyDesign, layouts: Layout, rates: dict[tuple[str, float], float], repetition: int
+) -> dict[str, Any]:
+    """Learn and evaluate; return plain numbers, means over the repetition's block of episodes."""
+    key = _key(design, _EVALUATION, repetition)
+    num_episodes = design.episodes_per_scene * layouts.is_object.shape[0]
+    played = evaluate_each(design, layouts, key, num_episodes)
+    return {
+        "repetition": repetition,
+        "baselines": {name: _means(totals) for name, totals in played.items()},
+        "learned": _learned(design, layouts, rates, repetition, key, num_episodes),
+    }
+
+
+def evaluate_each(design: StudyDesign, layouts: Layout, key: jax.Array, num_episodes: int) -> dict[str, Totals]:
+    """Play every baseline on the same episodes."""
+    policies = heuristics(design) | planners(design)
+    return {name: evaluate(design.world, layouts, policy, key, num_episodes) for name, policy in policies.items()}
+
+
+def _learned(
+    design: StudyDesign,
+    layouts: Layout,
+    rates: dict[tuple[str, float], float],
+    repetition: int,
+    key: jax.Array,
+    num_episodes: int,
+) -> list[dict[str, Any]]:
+    longest = max(design.num_paths)
+    episodes = play(design.world, layouts, logging_policy(design), _key(design, _LOGS, repetition), longest)
+    features, is_possible = encode_states(episodes.states)
+    encoded = Encoded(np.asarray(features), np.asarray(is_possible), np.asarray(episodes.action))
+    fold = np.random.default_rng([design.seed, repetition]).permutation(longest) % NUM_FOLDS
+    logs = {(kind, share): _cut(design, episodes, rate, kind, repetition) for (kind, share), rate in rates.items()}
+    rows: list[dict[str, Any]] = []
+    policies: list[LinearTablePolicy] = []
+    for num_paths in design.num_paths:
+        treated = []
+        for arm in arms(design):
+            log = _first_paths(logs[arm.cut_kind, arm.cut_share], num_paths)
+            treated.append(treat(log, arm.treatment, design.world))
+            diagnostics = weight_diagnostics(treated[-1].weight)
+            rows.append(
+                {
+                    "treatment": arm.treatment,
+                    "cut_kind": arm.cut_kind,
+                    "cut_share": arm.cut_share,
+                    "num_paths": num_paths,
+                    "effective_sample_size": diagnostics.effective_sample_size,
+                    "largest_weight": diagnostics.largest_weight,
+                }
+            )
+        policies.append(learn(Encoded(*(leaf[:num_paths] for leaf in encoded)), treated, fold[:num_paths]))
+    together = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *policies)
+    totals = _evaluate_batch(design.world, layouts, together, key, num_episodes)
+    means = [_means(jax.tree.map(lambda leaf, k=k: leaf[k], totals)) for k in range(len(rows))]
+    return [row | mean for row, mean in zip(rows, means, strict=True)]
+
+
+@partial(jax.jit, static_argnames="num_episodes")
+def _evaluate_batch(
+    config: WorldConfig, layouts: Layout, policies: LinearTablePolicy, key: jax.Array, num_episodes: int
+) -> Totals:
+    return jax.vmap(lambda policy: evaluate(config, layouts, policy, key, num_episodes))(policies)
+
+
+def _cut(design: StudyDesign, episodes: Episodes, rate: float, kind: CutKind, repetition: int) -> CutEpisodes:
+    # The same draws for every share and kind: a path that is cut at a small share is cut earlier at a large one.
+    return cut(episodes, rate, kind, np.random.default_rng([design.seed, repetition, 1]))
+
+
+def _first_paths(cuts: CutEpisodes, num_paths: int) -> CutEpisodes:
+    return CutEpisodes(
+        jax.tree.map(lambda leaf: leaf[:num_paths], cuts.episodes),
+        cuts.end_s[:num_paths],
+        cuts.is_finished[:num_paths],
+        cuts.is_completed[:num_paths],
+        cuts.is_begun[:num_paths],
+    )
+
+
+def _means(totals: Totals) -> dict[str, float]:
+    return {
+        "reward": float(np.mean(np.asarray(totals.reward, dtype=np.float64))),
+        "robot_s": float(np.mean(np.asarray(totals.robot_s, dtype=np.float64))),
+    }
+
+
+def _key(design: StudyDesign, purpose: int, repetition: int = 0) -> jax.Array:
+    return jax.random.fold_in(jax.random.fold_in(jax.random.key(design.seed), purpose), repetition)

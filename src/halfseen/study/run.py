@@ -1,0 +1,190 @@
+"""The study from end to end: look, measure decision times, repeat, tabulate, draw, report."""
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from importlib.metadata import version
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+from tqdm import tqdm
+
+from halfseen.learners.linear_policy import LinearTablePolicy
+from halfseen.learners.table_features import NUM_FEATURES
+from halfseen.perception import View
+from halfseen.perception.picture import draw
+from halfseen.study.design import StudyDesign
+from halfseen.study.figures import draw_figure1, draw_figure4
+from halfseen.study.policies import HEURISTICS, heuristics, logging_policy, planners
+from halfseen.study.repetition import cut_rates, run_repetition
+from halfseen.study.report import write_report
+from halfseen.study.results import StudyResults
+from halfseen.study.scenes import look_at, scenes_of
+from halfseen.study.sentences import plain_sentences
+from halfseen.study.store import Store, as_json, write_text
+from halfseen.study.tables import LEARNED, baseline_frame, figure1, figure4, learned_frame, strongest, table1, weights
+from halfseen.study.timing import decision_times_ms
+from halfseen.world.actions import Verb
+from halfseen.world.episodes import play
+from halfseen.world.scene import Scene
+from halfseen.world.state import Layout, TableState, pad_scenes
+
+NUM_TIMED_STATES = 60
+PACKAGES = ("halfseen", "jax", "jaxlib", "mujoco", "numpy", "pandas", "scipy")
+
+
+def run_study(design: StudyDesign, clouds: Sequence[Path], folder: Path, *, is_resumed: bool = False) -> StudyResults:
+    """Run the study and write all that it makes into a folder.
+
+    Parameters
+    ----------
+    design
+        What to do.
+    clouds
+        Captured tables.
+    folder
+        Where to write: report.html, figure1.csv, figure4.csv, table1.csv, figures as .svg and .png, study.json; and
+        ``progress/``, from which a killed study is resumed.
+    is_resumed
+        Go on where a killed study stopped.
+
+    Raises
+    ------
+    ArgumentError
+        The folder cannot be written, or holds another study that is to be resumed.
+    """
+    store = Store(folder, _fingerprint(design, clouds), is_resumed)
+    views = look_at(clouds)
+    scenes = scenes_of(views, clouds)
+    layouts = pad_scenes(scenes)
+    times_ms = _decision_times(design, layouts, store)
+    pieces = _repetitions(design, layouts, store)
+    results = tabulate(design, scenes, pieces, times_ms)
+    write_results(results, _pictures(views, scenes), folder)
+    return results
+
+
+def _fingerprint(design: StudyDesign, clouds: Sequence[Path]) -> dict[str, Any]:
+    """All that a piece depends on; more repetitions add pieces and change none."""
+    fixed = {key: value for key, value in design.as_dict().items() if key != "repetitions"}
+    return {"design": fixed, "clouds": [path.name for path in clouds], "versions": versions()}
+
+
+def versions() -> dict[str, str]:
+    """Versions of the packages that the numbers depend on."""
+    return {name: version(name) for name in PACKAGES}
+
+
+def _decision_times(design: StudyDesign, layouts: Layout, store: Store) -> dict[str, np.ndarray]:
+    """Measured once, first, and kept: a resumed study reports what the killed one measured."""
+    kept = store.get("decision_times_ms")
+    if kept is None:
+        # The time of a learned decision does not depend on what was learned.
+        unlearned = jnp.zeros((design.world.horizon, len(Verb), NUM_FEATURES + 1), dtype=jnp.float32)
+        policies = {LEARNED: LinearTablePolicy(unlearned)} | heuristics(design) | planners(design)
+        times = decision_times_ms(policies, _states_along_the_way(design, layouts), NUM_TIMED_STATES)
+        kept = store.put("decision_times_ms", {name: values.tolist() for name, values in times.items()})
+    return {name: np.array(values) for name, values in kept.items()}
+
+
+def _states_along_the_way(design: StudyDesign, layouts: Layout) -> TableState:
+    """One state from each of many paths, early and late ones in turn."""
+    episodes = play(design.world, layouts, logging_policy(design), jax.random.key(design.seed), NUM_TIMED_STATES)
+    num_stages = np.asarray(episodes.is_taken).sum(axis=1)
+    paths = np.arange(NUM_TIMED_STATES)
+    return jax.tree.map(lambda leaf: leaf[paths, paths % num_stages], episodes.states)
+
+
+def _repetitions(design: StudyDesign, layouts: Layout, store: Store) -> list[dict[str, Any]]:
+    """All repetitions, those already kept read back. JAX leaves Python's lock, so threads fill the cores."""
+    rates = cut_rates(design, layouts)
+
+    def piece(repetition: int) -> dict[str, Any]:
+        name = f"repetition-{repetition:05d}"
+        kept = store.get(name)
+        return store.put(name, run_repetition(design, layouts, rates, repetition)) if kept is None else kept
+
+    pieces: dict[int, dict[str, Any]] = {}
+    with tqdm(total=design.repetitions, desc="repetitions", unit="rep", disable=None) as bar:
+        # The first one alone: it compiles what the others share.
+        pieces[0] = piece(0)
+        bar.update()
+        with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
+            running = {pool.submit(piece, k): k for k in range(1, design.repetitions)}
+            try:
+                for done in as_completed(running):
+                    pieces[running[done]] = done.result()
+                    bar.update()
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
+    return [pieces[k] for k in range(design.repetitions)]
+
+
+def tabulate(
+    design: StudyDesign,
+    scenes: tuple[Scene, ...],
+    pieces: Sequence[dict[str, Any]],
+    times_ms: dict[str, np.ndarray],
+) -> StudyResults:
+    """Make the tables and the answer in words."""
+    learned, baselines = learned_frame(pieces), baseline_frame(pieces)
+    planner = strongest(baselines, [f"pomdp-{h}" for h in design.planning_horizons])
+    heuristic = strongest(baselines, HEURISTICS)
+    tables = figure1(learned, baselines), table1(learned, baselines, times_ms, design), figure4(learned, design)
+    return StudyResults(
+        design=design,
+        scenes=scenes,
+        figure1=tables[0],
+        table1=tables[1],
+        figure4=tables[2],
+        weights=weights(learned),
+        best_planner=planner,
+        best_heuristic=heuristic,
+        sentences=plain_sentences(*tables, design, planner, heuristic),
+        versions=versions(),
+    )
+
+
+def write_results(results: StudyResults, pictures: dict[str, bytes], folder: Path) -> None:
+    """Write tables, figures and report, each whole or not at all."""
+    for name in ("figure1", "figure4", "table1"):
+        frame: pd.DataFrame = getattr(results, name)
+        write_text(folder / f"{name}.csv", frame.to_csv(index=False, lineterminator="\n"))
+    draw_figure1(results, folder)
+    draw_figure4(results, folder)
+    write_text(folder / "study.json", as_json(_as_dict(results)))
+    write_report(results, pictures, folder)
+
+
+def _as_dict(results: StudyResults) -> dict[str, Any]:
+    tables = {name: _records(getattr(results, name)) for name in ("figure1", "figure4", "table1", "weights")}
+    return {
+        "answer": results.sentences,
+        "best_heuristic": results.best_heuristic,
+        "best_planner": results.best_planner,
+        "design": results.design.as_dict(),
+        "scenes": [{"name": scene.name, "hides": scene.hides.tolist()} for scene in results.scenes],
+        "versions": results.versions,
+        **tables,
+    }
+
+
+def _records(frame: pd.DataFrame) -> list[dict[str, Any]]:
+    return frame.astype(object).where(frame.notna(), None).to_dict(orient="records")
+
+
+def _pictures(views: Sequence[View], scenes: Sequence[Scene]) -> dict[str, bytes]:
+    """What perception saw, as PNG, by scene."""
+    pictures = {}
+    with TemporaryDirectory() as folder:
+        for view, scene in zip(views, scenes, strict=True):
+            path = Path(folder) / f"{scene.name}.png"
+            draw(view, path)
+            pictures[scene.name] = path.read_bytes()
+    return pictures
