@@ -153,7 +153,7 @@ def _checked_objects(logs: Logs, horizon: int) -> pd.DataFrame:
         raise LogError(f"stages: a path has {logs.horizon} stages, more than horizon={horizon}; raise horizon")
     frame = logs.objects
     counts = frame.groupby(["path", "stage"])["object"].transform("size").to_numpy()
-    first = frame["path"].map(frame.groupby("path")["stage"].agg(lambda stage: int((stage == 1).sum()))).to_numpy()
+    first = pd.Series(counts).groupby(frame["path"].to_numpy()).transform("first").to_numpy()
     location = ~frame["location"].isin([TABLE, DISHWASHER]).to_numpy(dtype=bool)
     _refuse(frame, location, f"location is neither {TABLE} nor {DISHWASHER}")
     _refuse(frame, counts != first, "the stage lists more or fewer objects than stage 1; list all, those washed too")

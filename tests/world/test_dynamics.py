@@ -1,0 +1,205 @@
+from dataclasses import fields, replace
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from naive_world import accuracy, hidden_share, mean_grasp_s, naive_step
+
+from halfseen.world import Scene, WorldConfig
+from halfseen.world.actions import Verb, encode, num_actions, possible_actions, target_of, verb_of
+from halfseen.world.dynamics import Outcome, grasp_probability, label_accuracy, see, start, step
+from halfseen.world.state import HiddenState, Layout, TableState, attempt_counts, occlusion, pad_scenes
+
+CONFIG = WorldConfig()
+NUM_OBJECTS = 5
+
+
+def table_of(state):
+    """One table as plain lists, padding left out."""
+    num = int(np.sum(state.is_object))
+    attempts = zip(state.attempt_object, state.attempt_occlusion, state.attempt_succeeded, strict=True)
+    return {
+        "hides": np.asarray(state.hides, dtype=float)[:num, :num].tolist(),
+        "on_table": np.asarray(state.is_on_table)[:num].tolist(),
+        "log_odds": np.asarray(state.log_odds, dtype=float)[:num].tolist(),
+        "lifts": np.asarray(state.lifts)[:num].tolist(),
+        "attempts": [(int(i), float(occ), bool(ok)) for i, occ, ok in attempts if i >= 0],
+        "steps_to_go": int(state.steps_to_go),
+        "dirty": np.asarray(state.is_dirty)[:num].tolist(),
+        "offset": np.asarray(state.grip_offset, dtype=float)[:num].tolist(),
+    }
+
+
+def draws(key):
+    grasp_key, see_key = jax.random.split(key)
+    return jax.random.exponential(grasp_key), jax.random.uniform(see_key, (NUM_OBJECTS,))
+
+
+@pytest.fixture(scope="module")
+def steps(played):
+    """A few hundred states of all kinds, with the action taken there and one step from each."""
+    path, stage = np.nonzero(np.asarray(played.is_taken)[:150])
+    states = jax.tree.map(lambda leaf: leaf[path, stage], played.states)
+    hidden = jax.tree.map(lambda leaf: leaf[path], played.hidden)
+    action = played.action[path, stage]
+    keys = jax.random.split(jax.random.key(11), len(path))
+    after, outcome = jax.jit(jax.vmap(step, in_axes=(None, 0, 0, 0, 0)))(CONFIG, states, hidden, action, keys)
+    exponential, uniforms = jax.vmap(draws)(keys)
+    return states, hidden, np.asarray(action), np.asarray(exponential), np.asarray(uniforms), after, outcome
+
+
+def row(tree, k):
+    return jax.tree.map(lambda leaf: leaf[k], tree)
+
+
+def tables_of(states, hidden):
+    """Each row of a batch as plain lists."""
+    values = {field.name: np.asarray(getattr(states, field.name)) for field in fields(states)}
+    values |= {field.name: np.asarray(getattr(hidden, field.name)) for field in fields(hidden)}
+    return [
+        table_of(SimpleNamespace(**{name: leaf[k] for name, leaf in values.items()}))
+        for k in range(len(hidden.is_dirty))
+    ]
+
+
+def test_a_step_is_the_step_of_the_text(steps):
+    states, hidden, action, exponential, uniforms, after, outcome = steps
+    kinds = set()
+    verbs, targets = np.asarray(verb_of(action, NUM_OBJECTS)), np.asarray(target_of(action, NUM_OBJECTS))
+    outcome = Outcome(*(np.asarray(leaf) for leaf in outcome))
+    tables, tables_after = tables_of(states, hidden), tables_of(after, hidden)
+    for k, (table, got) in enumerate(zip(tables, tables_after, strict=True)):
+        verb, target = Verb(verbs[k]).name, int(targets[k])
+        reward, duration_s, is_over, then = naive_step(table, verb, target, exponential[k], uniforms[k])
+        assert outcome.reward[k] == pytest.approx(reward, abs=1e-4)
+        assert outcome.duration_s[k] == pytest.approx(duration_s, rel=1e-5)
+        assert outcome.is_over[k] == is_over
+        for name in ("on_table", "lifts", "steps_to_go", "dirty", "offset", "hides"):
+            assert got[name] == then[name], name
+        assert got["log_odds"] == pytest.approx(then["log_odds"], abs=1e-5)
+        assert len(got["attempts"]) == len(then["attempts"])
+        for (i, occ, ok), (j, occ_then, ok_then) in zip(got["attempts"], then["attempts"], strict=True):
+            assert (i, ok) == (j, ok_then)
+            assert occ == pytest.approx(occ_then, abs=1e-6)
+        held = verb == "LIFT" and then["lifts"] != table["lifts"]
+        kinds.add((verb, held, then["on_table"] != table["on_table"], is_over, any(then["on_table"])))
+    # Washed and not, lifted and not, cleared tables, horizons: a sample without them would prove little.
+    assert {
+        ("WASH", False, True, True, False),
+        ("WASH", False, True, False, True),
+        ("WASH", False, False, False, True),
+        ("LIFT", True, False, False, True),
+        ("LIFT", False, False, False, True),
+        ("FINISH", False, False, True, True),
+    } <= kinds
+
+
+def test_the_horizon_costs_what_finish_costs():
+    scene = Scene(np.zeros((3, 3)))
+    layout = row(pad_scenes([scene]), 0)
+    state, _ = start(CONFIG, layout, jax.random.key(0))
+    state = replace(state, steps_to_go=jnp.asarray(1, dtype=jnp.int32))
+    hidden = HiddenState(jnp.array([True, True, False]), jnp.array([-20.0, 0.0, 0.0]))
+    lift = jnp.asarray(encode(Verb.LIFT, 0, 3))
+    _, lifted = step(CONFIG, state, hidden, lift, jax.random.key(1))
+    _, finished = step(CONFIG, state, hidden, jnp.asarray(0), jax.random.key(1))
+    assert bool(lifted.is_over)
+    assert float(finished.reward) == -10.0
+    assert float(lifted.reward) == pytest.approx(-10.0 - 0.1 * 7.0)
+
+
+def test_occlusion_is_one_minus_the_product(steps):
+    states, hidden, *_ = steps
+    seen = np.asarray(jax.vmap(occlusion)(states))
+    for k, table in enumerate(tables_of(states, hidden)):
+        expected = [hidden_share(table["hides"], table["on_table"], i) for i in range(len(table["on_table"]))]
+        assert seen[k, : len(expected)] == pytest.approx(expected, abs=1e-6)
+    assert (seen > 0.3).any()
+
+
+@pytest.mark.parametrize(("occluded", "offset"), [(0.0, 0.0), (0.5, -1.0), (0.9, 0.5)])
+def test_grasps_succeed_as_often_as_one_minus_exp(occluded, offset):
+    chance = float(grasp_probability(CONFIG, jnp.asarray(occluded), jnp.asarray(offset)))
+    assert chance == pytest.approx(1.0 - np.exp(-6.0 / mean_grasp_s(occluded, offset)), rel=1e-5)
+    scene = Scene(np.array([[0.0, occluded], [0.0, 0.0]]))
+    layout = row(pad_scenes([scene]), 0)
+    state, _ = start(CONFIG, layout, jax.random.key(0))
+    hidden = HiddenState(jnp.array([True, True]), jnp.array([offset, 0.0]))
+    keys = jax.random.split(jax.random.key(3), 20_000)
+    action = jnp.asarray(encode(Verb.WASH, 0, 2))
+    after, _ = jax.vmap(step, in_axes=(None, None, None, None, 0))(CONFIG, state, hidden, action, keys)
+    frequency = 1.0 - np.asarray(after.is_on_table)[:, 0].mean()
+    assert abs(frequency - chance) < 4.0 * np.sqrt(chance * (1.0 - chance) / len(keys))
+
+
+def test_labels_are_right_as_often_as_the_accuracy_says():
+    scene = Scene(np.array([[0.0, 0.0, 0.3], [0.0, 0.0, 0.7], [0.0, 0.0, 0.0]]))
+    layout = row(pad_scenes([scene]), 0)
+    state, _ = start(CONFIG, layout, jax.random.key(0))
+    hidden = HiddenState(jnp.array([True, False, True]), jnp.zeros(3))
+    keys = jax.random.split(jax.random.key(5), 20_000)
+    log_odds = jax.vmap(lambda key: see(CONFIG, state, hidden, jnp.zeros(3, dtype=bool), key))(keys)
+    says_dirty = np.asarray(log_odds) > np.asarray(state.log_odds)
+    frequency = (says_dirty == np.asarray(hidden.is_dirty)).mean(axis=0)
+    expected = np.array([accuracy(0.3), accuracy(0.7), accuracy(0.0)])
+    assert np.asarray(label_accuracy(CONFIG, jnp.array([0.3, 0.7, 0.0]))) == pytest.approx(expected, rel=1e-6)
+    assert np.all(np.abs(frequency - expected) < 4.0 * np.sqrt(expected * (1.0 - expected) / len(keys)))
+
+
+def test_actions_are_encoded_one_to_one():
+    pairs = [(Verb.FINISH, 0), *((verb, i) for verb in (Verb.WASH, Verb.LIFT) for i in range(4))]
+    codes = np.array([encode(verb, target, 4) for verb, target in pairs])
+    assert codes.tolist() == list(range(num_actions(4)))
+    assert np.asarray(verb_of(codes, 4)).tolist() == [verb for verb, _ in pairs]
+    assert np.asarray(target_of(codes, 4)).tolist() == [target for _, target in pairs]
+
+
+def test_only_what_stands_on_the_table_can_be_acted_on(steps):
+    states, *_ = steps
+    possible = np.asarray(jax.vmap(possible_actions)(states))
+    on_table = np.asarray(states.is_on_table)
+    assert possible[:, 0].all()
+    assert (possible[:, 1:] == np.concatenate([on_table, on_table], axis=1)).all()
+
+
+def test_attempts_are_counted_by_object(steps):
+    states, hidden, *_ = steps
+    successes, failures = (np.asarray(count) for count in jax.vmap(attempt_counts)(states))
+    for k, table in enumerate(tables_of(states, hidden)):
+        attempts = table["attempts"]
+        for i in range(NUM_OBJECTS):
+            assert successes[k, i] == sum(ok for j, _, ok in attempts if j == i)
+            assert failures[k, i] == sum(not ok for j, _, ok in attempts if j == i)
+    assert successes.max() > 1
+    assert failures.max() > 1
+
+
+def test_a_policy_sees_nothing_hidden(scenes):
+    names = {field.name for field in fields(TableState)}
+    assert names == {
+        "hides",
+        "is_object",
+        "is_on_table",
+        "log_odds",
+        "lifts",
+        "attempt_object",
+        "attempt_occlusion",
+        "attempt_succeeded",
+        "steps_to_go",
+    }
+    # The same labels, other grips: the state at the start is the same to the last bit.
+    layout = row(pad_scenes(scenes), 2)
+    gripping = start(replace(CONFIG, grip_offset_std=0.0), layout, jax.random.key(0))
+    slipping = start(replace(CONFIG, grip_offset_std=9.0), layout, jax.random.key(0))
+    assert not np.array_equal(gripping[1].grip_offset, slipping[1].grip_offset)
+    for left, right in zip(jax.tree.leaves(gripping[0]), jax.tree.leaves(slipping[0]), strict=True):
+        assert np.array_equal(left, right)
+
+
+def test_layout_is_padded_with_nan(scenes):
+    layout = pad_scenes(scenes, num_objects=8)
+    assert isinstance(layout, Layout)
+    assert np.asarray(layout.is_object).sum(axis=1).tolist() == [1, 3, 5]
+    assert np.isnan(np.asarray(layout.hides)[1, 3:]).all()
