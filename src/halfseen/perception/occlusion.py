@@ -54,40 +54,37 @@ def occlusions(labels: Labels, solids: Sequence[Vessel | Hull], plane: Plane, im
     plane, image
         The table and what the camera sees.
     """
-    num_objects, shape = len(solids), labels.shape
-    silhouettes = np.zeros((num_objects, *shape), dtype=bool)
-    is_behind = np.zeros((num_objects, *shape), dtype=bool)
-    middles = np.empty((num_objects, *shape))
+    shape = (len(solids), *labels.shape)
+    covers, middles = np.zeros(shape, dtype=bool), np.empty(shape)
     for i, solid in enumerate(solids):
-        # NaN depths, where nothing returned, are not nearer.
-        is_covered = covered(solid, plane, image)
-        middles[i] = middle_depth_m(solid, plane, image, is_covered)
-        own, hidden = _parts(i, solid, is_covered & (image.depth_m < middles[i]), is_covered, labels, plane, image)
-        silhouettes[i] = own | hidden
-        is_behind[i] = hidden
+        covers[i] = covered(solid, plane, image)
+        middles[i] = middle_depth_m(solid, plane, image, covers[i])
+    silhouettes, is_behind = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
+    for i, solid in enumerate(solids):
+        is_behind[i] = _hidden(i, covers, middles, labels, image)
+        silhouettes[i] = is_behind[i] | _own(i, solid, covers[i], labels, plane, image)
     size = np.maximum(silhouettes.sum(axis=(1, 2)), 1)
     hides = _hides(silhouettes, is_behind, middles, labels)
     return Occlusion(silhouettes, is_behind.sum(axis=(1, 2)) / size, hides)
 
 
-def _parts(
-    i: int,
-    solid: Vessel | Hull,
-    is_nearer: PixelMask,
-    is_covered: PixelMask,
-    labels: Labels,
-    plane: Plane,
-    image: RangeImage,
-) -> tuple[PixelMask, PixelMask]:
-    """Pixels of an object's silhouette that nothing hides, and those that a nearer object hides."""
-    hidden = is_nearer & (labels >= 0) & (labels != i)
-    own = labels == i
-    own |= is_covered & ~image.is_return
+def _hidden(i: int, covers: Masks, middles: Float[np.ndarray, "N H W"], labels: Labels, image: RangeImage) -> PixelMask:
+    """Pixels of a solid at which a nearer object is seen, or would be had anything returned."""
+    seen = (labels >= 0) & (labels != i) & (image.depth_m < middles[i])
+    missed = ~image.is_return & (covers & (middles < middles[i])).any(axis=0)
+    return covers[i] & (seen | missed)
+
+
+def _own(
+    i: int, solid: Vessel | Hull, is_covered: PixelMask, labels: Labels, plane: Plane, image: RangeImage
+) -> PixelMask:
+    """Pixels of an object that are seen, or that nothing returned from."""
+    own = (labels == i) | (is_covered & ~image.is_return)
     if isinstance(solid, Vessel):
         low = is_covered & (labels < 0) & image.is_return
         points = plane.table_points(image.points_m[low])
         own[low] = np.abs(solid.outside_m(points)) < OWN_M
-    return own, hidden
+    return own
 
 
 def _hides(silhouettes: Masks, is_behind: Masks, middles: Float[np.ndarray, "N H W"], labels: Labels) -> Hides:

@@ -158,7 +158,8 @@ def _unit(vector: Vector) -> Vector:
 
 def _ray_pitch(slope: Float[np.ndarray, "n 2"]) -> float:
     """Median distance from a ray to its nearest neighbour, as tangents."""
-    ordered = np.unique(slope, axis=0)
+    ordered = slope[np.lexsort((slope[:, 1], slope[:, 0]))]
+    ordered = ordered[np.concatenate([[True], (np.diff(ordered, axis=0) != 0).any(axis=1)])]
     asked = ordered[:: max(1, len(ordered) // NUM_RAYS_MEASURED)]
     distance, _ = KDTree(ordered).query(asked, k=2)
     return max(float(np.median(distance[:, 1])), 1e-5)

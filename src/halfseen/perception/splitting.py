@@ -6,8 +6,10 @@ from jaxtyping import Float
 from halfseen.arrays import Points, RowMask, Rows
 from halfseen.perception.solids import Vessel, fit_lying, fit_standing, thinned
 
-# Rounds of fitting two vessels and giving each point to the nearer one; they settle in three.
+# Rounds of fitting two vessels and giving each point to the nearer one; they settle in three. A misfit that is worse
+# after the first is given up: most sheets that are no vessel are no two either.
 NUM_ROUNDS = 4
+HOPELESS_MISFIT = 5.0
 # Both vessels must fit this well, hold this share of the points, and be no wider than a cup [m]: a lone object that
 # is no vessel must never be split because its halves might be bent.
 WORST_MISFIT = 1.0
@@ -41,6 +43,8 @@ def divided(points_m: Points) -> RowMask | None:
         if not SMALLEST_SHARE < is_first.mean() < 1 - SMALLEST_SHARE:
             return None
         pair = (_fitted(sample[is_first]), _fitted(sample[~is_first]))
+        if max(one.misfit for one in pair) > HOPELESS_MISFIT:
+            return None
         is_first = _distance_m(pair[0], sample) < _distance_m(pair[1], sample)
     return _distance_m(pair[0], points_m) < _distance_m(pair[1], points_m) if _are_two(*pair) else None
 
