@@ -129,7 +129,7 @@ def test_grasps_succeed_as_often_as_one_minus_exp(occluded, offset):
     hidden = HiddenState(jnp.array([True, True]), jnp.array([offset, 0.0]))
     keys = jax.random.split(jax.random.key(3), 20_000)
     action = jnp.asarray(encode(Verb.WASH, 0, 2))
-    after, _ = jax.vmap(step, in_axes=(None, None, None, None, 0))(CONFIG, state, hidden, action, keys)
+    after, _ = jax.jit(jax.vmap(step, in_axes=(None, None, None, None, 0)))(CONFIG, state, hidden, action, keys)
     frequency = 1.0 - np.asarray(after.is_on_table)[:, 0].mean()
     assert abs(frequency - chance) < 4.0 * np.sqrt(chance * (1.0 - chance) / len(keys))
 

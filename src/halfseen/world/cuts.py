@@ -72,7 +72,13 @@ def _occlusion_intensity(states: TableState) -> Float[Array, "B T"]:
     return jax.vmap(jax.vmap(intensity))(states)
 
 
-def cut_rate(pilot: Episodes, cut_share: float, kind: CutKind | str) -> float:
+def check_share(cut_share: float | int) -> None:
+    """Refuse a share of cut paths outside [0, 1)."""
+    if not 0.0 <= cut_share < 1.0:
+        raise ArgumentError(f"cut share is {cut_share}; give the wanted share of cut paths, in [0, 1)")
+
+
+def cut_rate(pilot: Episodes, cut_share: float | int, kind: CutKind | str) -> float:
     """Rate at which the wanted share of paths like those of `pilot` is cut, in expectation.
 
     Raises
@@ -80,8 +86,7 @@ def cut_rate(pilot: Episodes, cut_share: float, kind: CutKind | str) -> float:
     ArgumentError
         `cut_share` is outside [0, 1).
     """
-    if not 0.0 <= cut_share < 1.0:
-        raise ArgumentError(f"cut share is {cut_share}; give the wanted share of cut paths, in [0, 1)")
+    check_share(cut_share)
     if cut_share == 0.0:
         return 0.0
     total = unit_hazards(pilot, kind).sum(axis=1)

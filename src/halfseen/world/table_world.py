@@ -9,7 +9,7 @@ import numpy as np
 from halfseen.errors import ArgumentError
 from halfseen.logs import Logs
 from halfseen.world.config import WorldConfig
-from halfseen.world.cuts import CutEpisodes, CutKind, cut, cut_rate
+from halfseen.world.cuts import CutEpisodes, CutKind, check_share, cut, cut_rate
 from halfseen.world.episodes import play
 from halfseen.world.policy import Policy
 from halfseen.world.recording import to_logs
@@ -47,7 +47,7 @@ class TableWorld:
         policy: Policy,
         episodes: int,
         seed: int,
-        cut_share: float = 0.0,
+        cut_share: float | int = 0.0,
         cut_kind: CutKind | str = "independent",
     ) -> Logs:
         """Play episodes, cut some, and write down what was seen.
@@ -81,12 +81,13 @@ class TableWorld:
         policy: Policy,
         episodes: int,
         seed: int,
-        cut_share: float = 0.0,
+        cut_share: float | int = 0.0,
         cut_kind: CutKind | str = "independent",
     ) -> CutEpisodes:
         """Do as `simulate`, but keep the arrays as they are."""
         if episodes < 1:
             raise ArgumentError(f"episodes is {episodes}; simulate at least 1")
+        check_share(cut_share)
         layouts = pad_scenes(scenes)
         pilot_key, play_key = jax.random.split(jax.random.key(seed))
         rate = 0.0
