@@ -128,11 +128,12 @@ def png(figure_of: Callable[[StudyResults], Figure], results: StudyResults) -> b
     return _drawn(figure_of, results, "png", {"Software": None})
 
 
-def figure1_of(results: StudyResults) -> Figure:
-    """Figure 1, not yet written anywhere."""
+def figure1_of(results: StudyResults, is_titled: bool = True) -> Figure:
+    """Figure 1, to be made and drawn within `style`."""
     figure = Figure(figsize=FIGURE1_INCHES)
     rivals = (results.best_planner, results.best_heuristic)
-    top = _write_title(figure, figure1_title(results.figure1, results.table1, results.design, rivals), 92) - 0.08
+    title = figure1_title(results.figure1, results.table1, results.design, rivals)
+    top = _write_title(figure, title if is_titled else "", 92) - 0.08
     axes = figure.add_axes((0.07, 0.10, 0.60, top - 0.10))
     labels = _draw_baselines(axes, results) + _draw_learned(axes, results)
     _mark_sizes(axes, results.design.num_paths)
@@ -143,11 +144,12 @@ def figure1_of(results: StudyResults) -> Figure:
     return figure
 
 
-def figure4_of(results: StudyResults) -> Figure:
-    """Figure 4, not yet written anywhere."""
+def figure4_of(results: StudyResults, is_titled: bool = True) -> Figure:
+    """Figure 4, to be made and drawn within `style`."""
     kinds = results.design.treatment_cut_kinds
     figure = Figure(figsize=(0.9 + 4.0 * len(kinds), 7.2))
-    top = _write_title(figure, figure4_title(results.figure4, results.design), 42 * len(kinds) + 6)
+    title = figure4_title(results.figure4, results.design)
+    top = _write_title(figure, title if is_titled else "", 42 * len(kinds) + 6)
     grid = figure.add_gridspec(
         2, len(kinds), left=0.065, right=0.985, bottom=0.07, top=top - 0.18, hspace=0.36, wspace=0.10
     )
@@ -259,8 +261,12 @@ def _head_panel(axes: Axes, name: str, note: str) -> None:
 
 
 def _write_title(figure: Figure, title: str, width: int) -> float:
-    """Write the title; return the height of its lower end as a share of the figure's."""
-    lines = textwrap.wrap(title, width)
+    """Write the title in lines of even length; return the height of its lower end as a share of the figure's."""
+    if not title:
+        return 1.0
+    num_lines = len(textwrap.wrap(title, width))
+    balanced = next(narrow for narrow in range(1, width + 1) if len(textwrap.wrap(title, narrow)) <= num_lines)
+    lines = textwrap.wrap(title, balanced)
     figure.text(0.012, TITLE_TOP, "\n".join(lines), fontsize=TITLE_POINTS, fontweight="bold", va="top", linespacing=1.3)
     return TITLE_TOP - len(lines) * 1.3 * TITLE_POINTS / 72 / figure.get_size_inches()[1]
 
@@ -313,7 +319,7 @@ def spread(heights: Sequence[float], gap: float, low: float, high: float) -> lis
 
 
 @contextmanager
-def _style() -> Iterator[None]:
+def style() -> Iterator[None]:
     """Draw alike whatever the user's own style is, and leave that as it was."""
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
@@ -323,7 +329,7 @@ def _style() -> Iterator[None]:
 
 def _drawn(figure_of: Callable[..., Figure], results: StudyResults, kind: str, metadata: dict[str, Any]) -> bytes:
     buffer = io.BytesIO()
-    with _style():
+    with style():
         figure = figure_of(results)
         FigureCanvasAgg(figure)
         figure.savefig(buffer, format=kind, dpi=DOTS_PER_INCH, metadata=metadata)

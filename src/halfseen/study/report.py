@@ -4,6 +4,7 @@ import base64
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from typing import Any
 import jinja2
 import numpy as np
 import pandas as pd
-from markupsafe import Markup
+from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
 from halfseen.errors import ArgumentError
@@ -85,7 +86,7 @@ def write_report(results: StudyResults, pictures: Mapping[str, bytes], folder: P
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.globals.update(amount=wording.amount, measured=wording.measured, interval=wording.interval)
-    environment.globals.update(p_value=wording.p_value, share=wording.share)
+    environment.globals.update(p_value=wording.p_value, share=wording.share, difference=wording.difference)
     template = environment.from_string(files("halfseen.study").joinpath("report.html.j2").read_text(encoding="utf-8"))
     page = template.render(_content(results, pictures))
     figures.write_whole(folder / "report.html", page.encode())
@@ -95,15 +96,16 @@ def _content(results: StudyResults, pictures: Mapping[str, bytes]) -> dict[str, 
     """Everything that the template names."""
     design = results.design
     rivals = (results.best_planner, results.best_heuristic)
+    titles = figure1_title(results.figure1, results.table1, design, rivals), figure4_title(results.figure4, design)
     return {
         "sentences": results.sentences,
+        "titles": titles,
         "design": design,
         "log_random_share": wording.share_in_words(LOG_RANDOM_SHARE),
-        "figure1": inline_svg(figures.figure1_of, results, "f1"),
-        "figure1_title": figure1_title(results.figure1, results.table1, design, rivals),
+        "logging_heuristic": BASELINE_NAMES["history-penalty"],
+        "figure1": inline_svg(partial(figures.figure1_of, is_titled=False), results, "f1", titles[0]),
         "figure1_numbers": _figure1_numbers(results),
-        "figure4": inline_svg(figures.figure4_of, results, "f4"),
-        "figure4_title": figure4_title(results.figure4, design),
+        "figure4": inline_svg(partial(figures.figure4_of, is_titled=False), results, "f4", titles[1]),
         "figure4_counts": _count_intervals(results.figure4),
         "figure4_numbers": _figure4_numbers(results.figure4),
         "best_planner": BASELINE_NAMES.get(results.best_planner, results.best_planner),
@@ -121,7 +123,7 @@ def _content(results: StudyResults, pictures: Mapping[str, bytes]) -> dict[str, 
     }
 
 
-def inline_svg(figure_of: Callable[[StudyResults], Figure], results: StudyResults, prefix: str) -> Markup:
+def inline_svg(figure_of: Callable[[StudyResults], Figure], results: StudyResults, prefix: str, title: str) -> Markup:
     """Draw a figure as an SVG element to stand in a page beside others.
 
     Parameters
@@ -132,6 +134,8 @@ def inline_svg(figure_of: Callable[[StudyResults], Figure], results: StudyResult
         What the study found.
     prefix
         Put before every id, which must be unique in a page.
+    title
+        What it shows, for those who do not see it.
     """
     text = figures.svg(figure_of, results).decode()
     text = text[text.index("<svg") :]
@@ -142,8 +146,9 @@ def inline_svg(figure_of: Callable[[StudyResults], Figure], results: StudyResult
     text = re.sub(r'\bid="', f'id="{prefix}-', text)
     text = re.sub(r'(href="#|url\(#)', rf"\g<1>{prefix}-", text)
     text = re.sub(
-        r'(<svg)\swidth="[^"]*"\sheight="[^"]*"', rf'\1 id="{prefix}" role="img" aria-labelledby="{prefix}-title"', text
+        r'(<svg)\swidth="[^"]*"\sheight="[^"]*"([^>]*>)', rf'\1 id="{prefix}" role="img"\2TITLE', text, count=1
     )
+    text = text.replace("TITLE", f"<title>{escape(title)}</title>", 1)
     return Markup(text.strip())
 
 

@@ -63,8 +63,8 @@ def figure1_title(figure1: pd.DataFrame, table1: pd.DataFrame, design: StudyDesi
     planner, heuristic = rivals
     gap, _ = _gap(figure1, table1, design, planner)
     standing = {1: "earns more than", 0: "is not told apart from", -1: "earns less than"}[gap.sign]
-    at = f"{design.table_num_paths} paths{_of_which_cut(design.table_cut_share)}"
-    return f"{_beats(figure1, design, heuristic)}; from {at}, it {standing} the best planner"
+    cut = f"{share_in_words(design.table_cut_share)} of them cut"
+    return f"{_beats(figure1, design, heuristic)}; from {design.table_num_paths}, {cut}, it {standing} the best planner"
 
 
 def figure4_title(figure4: pd.DataFrame, design: StudyDesign) -> str:
@@ -105,7 +105,8 @@ def _against(figure1: pd.DataFrame, table1: pd.DataFrame, design: StudyDesign, r
     elif is_supported:
         verdict = "a lead that the test supports"
     elif gap.sign == 0:
-        verdict = "which is within noise, so that a lead is not supported"
+        noise = "" if abs(gap.mean) < _DIGIT else "a difference within noise, "
+        verdict = f"{noise}so that a lead is not supported"
     else:
         verdict = "a lead that the test does not support" if gap.mean > 0 else "so that a lead is not supported"
     name, reward = BASELINE_NAMES.get(rival, rival), amount(baseline(figure1, rival).mean)

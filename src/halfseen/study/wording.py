@@ -6,6 +6,7 @@ from fractions import Fraction
 
 MISSING = "–"
 _LARGEST_DENOMINATOR = 12
+_MOST_DECIMALS = 6
 _SMALLEST_PLAIN_P = 1e-4
 _SMALLEST_P = 1e-300
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -53,17 +54,37 @@ def amount(value: float, decimals: int = 2) -> str:
 
 def measured(value: float, measure: str) -> str:
     """Write a value of one of `halfseen.study.results.MEASURES`: two decimals of reward, three digits of a time."""
-    if measure == "reward" or not math.isfinite(value):
-        return amount(value)
-    digits_before = math.floor(math.log10(abs(value))) + 1 if value else 1
-    return amount(value, min(max(3 - digits_before, 0), 6))
+    return amount(value, 2 if measure == "reward" else _decimals(value, 3))
 
 
-def interval(low: float, high: float, measure: str = "reward") -> str:
-    """Write an interval: ``0.12 to 0.34``; a dash where there is none."""
+def interval(low: float, high: float) -> str:
+    """Write an interval of rewards: ``0.12 to 0.34``; a dash where there is none."""
+    return _interval(low, high, 2)
+
+
+def difference(mean: float, low: float, high: float, measure: str) -> tuple[str, str]:
+    """Write a difference and its interval alike: of times, as many digits as the interval's width makes worthwhile.
+
+    Returns
+    -------
+    tuple of str
+        The difference; its interval.
+    """
+    decimals = 2 if measure == "reward" else min(_decimals(high - low, 2), _decimals(mean, 4))
+    return amount(mean, decimals), _interval(low, high, decimals)
+
+
+def _interval(low: float, high: float, decimals: int) -> str:
     if not (math.isfinite(low) and math.isfinite(high)):
         return MISSING
-    return f"{measured(low, measure)} to {measured(high, measure)}"
+    return f"{amount(low, decimals)} to {amount(high, decimals)}"
+
+
+def _decimals(value: float, num_digits: int) -> int:
+    """Decimals that show so many digits of a value."""
+    if value == 0 or not math.isfinite(value):
+        return num_digits
+    return min(max(num_digits - 1 - math.floor(math.log10(abs(value))), 0), _MOST_DECIMALS)
 
 
 def p_value(value: float) -> str:
