@@ -76,7 +76,8 @@ def _figure1(design: StudyDesign, lead: float) -> pd.DataFrame:
         for size in design.num_paths
     ]
     rows += [(name, np.nan, np.nan, design.repetitions, reward, SE) for name, reward in BASELINE_REWARDS.items()]
-    return pd.DataFrame(rows, columns=["policy", "num_paths", "cut_share", "repetitions", "mean_reward", "se"])
+    table = pd.DataFrame(rows, columns=["policy", "num_paths", "cut_share", "repetitions", "mean_reward", "se"])
+    return table.astype({"num_paths": "Int64", "cut_share": "Float64"})
 
 
 def _figure4(design: StudyDesign, lead: float, gain: float) -> pd.DataFrame:
@@ -97,7 +98,7 @@ def _figure4(design: StudyDesign, lead: float, gain: float) -> pd.DataFrame:
 def _table1(design: StudyDesign, lead: float) -> pd.DataFrame:
     own = _reward(design, design.table_num_paths, design.table_cut_share, lead)
     rows = []
-    for name in ("pomdp-4", "greedy", "history", "history-penalty"):
+    for name in ("pomdp-4", "greedy", "history", "greedy-penalty", "history-penalty"):
         gap = own - BASELINE_REWARDS[name]
         p = 1e-7 if gap > 3 * SE else 0.8 if gap < 0 else 0.03
         rows.append((name, "reward", own, own - gap, p, min(1.0, 9 * p), gap, gap > 3 * SE, gap - 2 * SE, gap + 2 * SE))

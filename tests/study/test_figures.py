@@ -88,11 +88,12 @@ def test_nothing_written_overlaps_or_leaves_the_figure(lead):
                 assert min(across, along) < 2
 
 
-def test_baselines_may_have_null_instead_of_nan(tmp_path):
+@pytest.mark.parametrize("null", [None, np.nan])
+def test_any_null_serves_for_the_baselines(null):
     results = example_results()
     figure1 = results.figure1
     for column in ("num_paths", "cut_share"):
-        figure1[column] = figure1[column].astype(object).where(figure1[column].notna(), None)
+        figure1[column] = figure1[column].astype(object).where(figure1[column].notna(), null)
     assert words(figure1_of(results)) == words(figure1_of(example_results()))
 
 

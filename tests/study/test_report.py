@@ -121,7 +121,7 @@ def test_numbers_of_the_tables_are_there(text):
         "α = 0.01",
     ):
         assert words in text
-    assert "adjusted the 12 p-values" in text
+    assert "adjusted the 15 p-values" in text
 
 
 def test_missing_numbers_are_dashes(results, tmp_path):

@@ -49,6 +49,13 @@ def test_noise_is_called_noise():
     assert "is not told apart from" in figure1_title(results.figure1, results.table1, results.design, RIVALS)
 
 
+def test_kinds_of_cuts_stay_together_however_the_rows_come():
+    results = example_results()
+    shuffled = results.figure4.sample(frac=1.0, random_state=0)
+    *_, third = plain_sentences(results.figure1, results.table1, shuffled, results.design, *RIVALS)
+    assert third.count("under independent cuts") == third.count("under the operator's hand") == 1
+
+
 def test_a_clear_gap_that_the_test_does_not_support():
     results = example_results(lead=1.2)
     table1 = results.table1.assign(supported=False)

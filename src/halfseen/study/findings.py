@@ -121,9 +121,9 @@ def compared_num_paths(figure4: pd.DataFrame, design: StudyDesign) -> int:
 
 
 def purchases(figure4: pd.DataFrame, num_paths: int) -> list[Purchase]:
-    """What weights buy at one size of log, against every other treatment under every kind of cut."""
+    """What weights buy at one size of log against every other treatment, one kind of cut after the other."""
     rows = figure4[(figure4["num_paths"] == num_paths) & (figure4["treatment"] != WEIGHTED)]
-    return [
+    found = [
         Purchase(
             str(row["treatment"]),
             str(row["cut_kind"]),
@@ -131,6 +131,8 @@ def purchases(figure4: pd.DataFrame, num_paths: int) -> list[Purchase]:
         )
         for _, row in rows.iterrows()
     ]
+    kinds = list(dict.fromkeys(bought.cut_kind for bought in found))
+    return sorted(found, key=lambda bought: kinds.index(bought.cut_kind))
 
 
 def _estimate(row: pd.Series) -> Estimate:

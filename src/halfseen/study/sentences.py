@@ -6,6 +6,7 @@ import pandas as pd
 
 from halfseen.study.design import StudyDesign
 from halfseen.study.findings import (
+    Z_95,
     Estimate,
     Purchase,
     baseline,
@@ -126,7 +127,7 @@ def _gap(figure1: pd.DataFrame, table1: pd.DataFrame, design: StudyDesign, rival
         own, other = learned(figure1, design.table_num_paths, design.table_cut_share), baseline(figure1, rival)
         return Estimate(own.mean - other.mean, (own.se**2 + other.se**2) ** 0.5), None
     effect, low, high = (float(row[name]) for name in ("effect", "effect_low", "effect_high"))
-    return Estimate(effect, (high - low) / (2 * 1.96)), bool(row["supported"])
+    return Estimate(effect, (high - low) / (2 * Z_95)), bool(row["supported"])
 
 
 def _how_few_paths(figure1: pd.DataFrame, design: StudyDesign, heuristic: str) -> str:
