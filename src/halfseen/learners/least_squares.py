@@ -18,6 +18,9 @@ from jaxtyping import Array, Float, Int
 RANK_TOLERANCE = 1e-11
 """Eigenvalues below this share of the largest count as zero: that direction was never seen, and β is 0 along it."""
 
+TIE_TOLERANCE = 1e-9
+"""Held-out errors that differ by less than this share of the largest are equal."""
+
 
 class Rows(NamedTuple):
     """Rows of one log; what does not count has weight 0 and may hold any finite number."""
@@ -73,16 +76,26 @@ def factorise(rows: Rows, num_blocks: int, num_folds: int) -> Factor:
 
 
 def solve(factor: Factor, target: Float[Array, " R"], regs: Float[Array, " L"], num_paths: int) -> Fit:
-    """Regress a target on the rows of a factor; with more than one λ, the best held-out one serves each block."""
+    """Regress a target on the rows of a factor; with more than one λ, the best held-out one serves each block.
+
+    Where several serve equally well, as in a block too small to tell, it is the last of them: list them increasing.
+    """
     cross = jnp.einsum("vkr,r,rf->vkf", factor.membership, target, factor.design)
     train_cross = _leave_one_out(cross)
     num_folds = cross.shape[0]
     train_paths = jnp.append(jnp.full(num_folds, num_paths * (num_folds - 1) / num_folds), num_paths)
     coefficients = jax.vmap(_ridge, in_axes=(None, None, 0, None))(factor, train_cross, regs, train_paths)
     held_out = jax.vmap(_squared_error, in_axes=(0, None, None))(coefficients[:, :-1], factor.gram, cross)
-    best = jnp.argmin(jnp.sum(held_out, axis=1), axis=0)
+    best = _last_smallest(jnp.sum(held_out, axis=1))
     blocks = jnp.arange(cross.shape[1])
     return Fit(coefficients[best, -1, blocks], regs[best])
+
+
+def _last_smallest(errors: Float[Array, "L K"]) -> Int[Array, " K"]:
+    # Equal errors differ by rounding, and that must not choose.
+    slack = TIE_TOLERANCE * jnp.max(jnp.abs(errors), axis=0)
+    is_smallest = errors <= jnp.min(errors, axis=0) + slack
+    return errors.shape[0] - 1 - jnp.argmax(is_smallest[::-1], axis=0)
 
 
 def _leave_one_out(sums: Float[Array, "V *S"]) -> Float[Array, "V1 *S"]:

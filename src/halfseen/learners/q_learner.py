@@ -244,7 +244,16 @@ class CensoredQLearner(BaseEstimator):
 def fit_q_functions(
     log: Transitions, encoding: Encoding, regs: Float[np.ndarray, " L"], stages: StageMode, num_folds: int
 ) -> QFunctions:
-    """Run the recursion in float64 on one log, or on a batch of logs if the arrays have a leading axis for it."""
+    """Run the recursion in float64 on one log, or on a batch of logs if the arrays have a leading axis for it.
+
+    Raises
+    ------
+    ArgumentError
+        A path is in a fold that does not exist, and would count for nothing.
+    """
+    largest = int(np.max(log.fold))
+    if largest >= num_folds:
+        raise ArgumentError(f"fold {largest} of {num_folds}: folds are 0 to {num_folds - 1}; deal the paths anew")
     blocks = encoding.block_of_action(log.is_possible.shape[-1])
     options = {
         "num_blocks": encoding.num_blocks,

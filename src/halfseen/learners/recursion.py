@@ -39,7 +39,7 @@ class Transitions(NamedTuple):
     is_last: Bool[AnyArray, "*B n T"]
     """Completed stages after which the path had come to its own end."""
     fold: Int[AnyArray, "*B n"]
-    """Fold of each path for cross-validation."""
+    """Fold of each path for cross-validation, from 0; below the number of folds."""
 
 
 class QFunctions(NamedTuple):

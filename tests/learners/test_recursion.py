@@ -1,0 +1,117 @@
+import jax
+import numpy as np
+import pytest
+from naive_q_learning import naive_backward, naive_q
+from random_logs import PlainEncoding, random_log
+
+from halfseen.errors import ArgumentError
+from halfseen.learners.q_learner import fit_q_functions
+
+BLOCKS = (0, 1, 1, 2)
+FLAT, ENDING = PlainEncoding(BLOCKS), PlainEncoding(BLOCKS, end_action=0)
+MODES = [("separate", FLAT), ("pooled", FLAT), ("pooled", ENDING)]
+
+
+def fit(log, encoding, stages, reg=0.1, num_folds=1):
+    log = log._replace(fold=log.fold % num_folds)
+    return fit_q_functions(log, encoding, np.atleast_1d(np.asarray(reg, dtype=float)), stages, num_folds)
+
+
+def log_for(encoding, seed=0, **options):
+    return random_log(seed, blocks=BLOCKS, ends_with=encoding.end_action, **options)
+
+
+@pytest.mark.parametrize("reg", [0.0, 0.1])
+@pytest.mark.parametrize(("stages", "encoding"), MODES)
+def test_equation_three_by_loops(stages, encoding, reg):
+    log = log_for(encoding)
+    expected = naive_backward(log, BLOCKS, 3, reg, stages, encoding.end_action)
+    fitted = fit(log, encoding, stages, reg)
+    assert fitted.coefficients == pytest.approx(expected, abs=1e-8)
+    assert (fitted.reg == reg).all()
+    assert np.ptp(expected, axis=0).max() > 0.1, "the stages differ, or the test shows nothing"
+
+
+@pytest.mark.parametrize(("stages", "encoding"), MODES)
+def test_cross_validation_by_loops(stages, encoding):
+    regs = np.array([1e-3, 0.03, 0.3, 3.0])
+    log = log_for(encoding, seed=2)
+    expected = naive_backward(log, BLOCKS, 3, regs, stages, encoding.end_action, num_folds=4)
+    fitted = fit(log, encoding, stages, regs, num_folds=4)
+    assert fitted.coefficients == pytest.approx(expected, abs=1e-8)
+    assert len(np.unique(fitted.reg)) > 1
+
+
+def test_without_cuts_it_is_ordinary_q_learning():
+    log = random_log(3, num_paths=60, blocks=(0, 1), num_features=2, is_cut=False)
+    assert (log.weight[log.weight > 0] == 1.0).all()
+    fitted = fit(log, PlainEncoding((0, 1)), "separate", 0.0).coefficients
+    after = None
+    for t in (2, 1, 0):
+        seen = log.weight[:, t] > 0
+        beta = np.zeros((2, 3))
+        for action in (0, 1):
+            rows = np.flatnonzero(seen & (log.action[:, t] == action))
+            target = log.reward[rows, t].copy()
+            for k, i in enumerate(rows):
+                if not log.is_last[i, t]:
+                    q = naive_q(after, log.features[i, t + 1], (0, 1))
+                    target[k] += q[log.is_possible[i, t + 1]].max()
+            design = np.column_stack([np.ones(len(rows)), log.features[rows, t, action]])
+            beta[action] = np.linalg.lstsq(design, target, rcond=None)[0]
+        assert fitted[t] == pytest.approx(beta, abs=1e-10)
+        after = beta
+
+
+@pytest.mark.parametrize(("stages", "encoding"), MODES)
+def test_a_batch_of_logs_is_a_loop(stages, encoding):
+    logs = [log_for(encoding, seed) for seed in range(3)]
+    batch = fit(jax.tree.map(lambda *leaves: np.stack(leaves), *logs), encoding, stages)
+    for k, log in enumerate(logs):
+        assert batch.coefficients[k] == pytest.approx(fit(log, encoding, stages).coefficients, abs=1e-10)
+
+
+@pytest.mark.parametrize(("stages", "encoding"), MODES)
+def test_what_does_not_count_may_hold_anything(stages, encoding):
+    log = log_for(encoding)
+    is_seen = (np.abs(log.features).sum(axis=(2, 3)) > 0)[..., None, None]
+    is_completed = log.weight > 0
+    poisoned = log._replace(
+        features=np.where(is_seen, log.features, 1e6),
+        is_possible=log.is_possible & is_seen[..., 0],
+        reward=np.where(is_completed, log.reward, 1e6),
+        action=np.where(is_completed, log.action, 3),
+    )
+    clean = fit(log, encoding, stages).coefficients
+    assert fit(poisoned, encoding, stages).coefficients == pytest.approx(clean, abs=1e-9)
+    unused = jax.tree.map(lambda leaf: np.concatenate([leaf, leaf[:5]]), poisoned)
+    unused.weight[-5:] = 0.0
+    unused.reward[-5:] = -1e6
+    at_zero = fit(log, encoding, stages, 0.0).coefficients
+    assert fit(unused, encoding, stages, 0.0).coefficients == pytest.approx(at_zero, abs=1e-8)
+
+
+@pytest.mark.parametrize(("stages", "encoding"), MODES)
+def test_the_order_of_paths_is_irrelevant(stages, encoding):
+    log = log_for(encoding)
+    order = np.random.default_rng(5).permutation(len(log.action))
+    shuffled = jax.tree.map(lambda leaf: leaf[order], log)
+    clean = fit(log, encoding, stages).coefficients
+    assert fit(shuffled, encoding, stages).coefficients == pytest.approx(clean, abs=1e-10)
+
+
+def test_a_path_in_no_fold_is_refused():
+    with pytest.raises(ArgumentError, match="fold 3 of 2: folds are 0 to 1"):
+        fit_q_functions(log_for(FLAT), FLAT, np.ones(1), "separate", 2)
+
+
+def test_the_weights_matter():
+    log = log_for(FLAT)
+    flat = log._replace(weight=(log.weight > 0).astype(float))
+    assert np.abs(fit(log, FLAT, "separate").coefficients - fit(flat, FLAT, "separate").coefficients).max() > 0.01
+
+
+def test_the_maximum_runs_over_possible_actions_only():
+    log = log_for(FLAT)
+    everything = log._replace(is_possible=np.ones_like(log.is_possible))
+    assert np.abs(fit(log, FLAT, "separate").coefficients - fit(everything, FLAT, "separate").coefficients).max() > 0.01
