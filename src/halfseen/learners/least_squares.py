@@ -61,7 +61,7 @@ class Fit(NamedTuple):
 
 def factorise(rows: Rows, num_blocks: int, num_folds: int) -> Factor:
     """Sum and factorise the normal equations of one log."""
-    design = jnp.concatenate([jnp.ones_like(rows.features[:, :1]), rows.features], axis=1)
+    design = jnp.concatenate([jnp.ones_like(rows.weight)[:, None], rows.features], axis=1)
     in_fold = rows.fold == jnp.arange(num_folds)[:, None]
     in_block = rows.block == jnp.arange(num_blocks)[:, None]
     membership = (in_fold[:, None, :] & in_block[None, :, :]) * rows.weight
@@ -71,7 +71,9 @@ def factorise(rows: Rows, num_blocks: int, num_folds: int) -> Factor:
     variance = jnp.diagonal(centred[-1], axis1=-2, axis2=-1)
     scale = jnp.sqrt(jnp.where(variance > RANK_TOLERANCE * _diagonal(gram.sum(axis=0)), variance, jnp.inf))
     scale = scale / jnp.sqrt(jnp.maximum(gram.sum(axis=0)[:, :1, 0], jnp.finfo(gram.dtype).tiny))
-    eigenvalues, eigenvectors = jnp.linalg.eigh(centred / (scale[:, :, None] * scale[:, None, :]))
+    scaled = centred / (scale[:, :, None] * scale[:, None, :])
+    # LAPACK takes no empty matrix, and a Q without covariates has one.
+    eigenvalues, eigenvectors = jnp.linalg.eigh(scaled) if scaled.size else (scaled.sum(axis=-1), scaled)
     return Factor(design, membership, gram, train_gram, scale, eigenvalues, eigenvectors)
 
 
@@ -122,7 +124,7 @@ def _ridge(
 ) -> Float[Array, "V1 K F"]:
     mean, mass = _mean(factor.train_gram), factor.train_gram[..., 0, 0]
     centred = (train_cross[..., 1:] - mean * train_cross[..., :1]) / factor.scale
-    is_seen = factor.eigenvalues > RANK_TOLERANCE * jnp.max(factor.eigenvalues, axis=-1, keepdims=True)
+    is_seen = factor.eigenvalues > RANK_TOLERANCE * jnp.max(factor.eigenvalues, axis=-1, keepdims=True, initial=0.0)
     penalised = factor.eigenvalues + (reg * train_paths)[:, None, None]
     inverse = jnp.where(is_seen, 1.0 / jnp.where(is_seen, penalised, 1.0), 0.0)
     along = jnp.einsum("vkfe,vkf->vke", factor.eigenvectors, centred) * inverse

@@ -147,7 +147,7 @@ def _masks(
 def _rows(log: Transitions, block_of_action: Int[Array, " A"], mask: Bool[Array, "n T"]) -> Rows:
     taken = jnp.take_along_axis(log.features, log.action[..., None, None], axis=2)[:, :, 0]
     return Rows(
-        features=taken.reshape(-1, taken.shape[-1]),
+        features=taken.reshape(log.action.size, taken.shape[-1]),
         block=block_of_action[log.action].ravel(),
         weight=jnp.where(mask, log.weight, 0.0).ravel(),
         fold=jnp.repeat(log.fold, log.action.shape[1]),

@@ -1,0 +1,200 @@
+import doctest
+
+import numpy as np
+import pandas as pd
+import pytest
+from sklearn.base import clone
+from sklearn.exceptions import NotFittedError
+from trials import ACTIONS, FULL, REDUCED, cell_means, indicators, two_stage_trial
+
+from halfseen.censoring import KaplanMeier
+from halfseen.errors import ArgumentError, LogError, PositivityError
+from halfseen.learners import CensoredQLearner, q_learner
+from halfseen.logs import Logs
+
+
+@pytest.fixture(scope="module")
+def logs():
+    return two_stage_trial()
+
+
+def learner(**changed):
+    return CensoredQLearner(**{"horizon": 2, "actions": ACTIONS, "covariates": FULL, "reg": 0, **changed})
+
+
+def states_of(stage):
+    return pd.DataFrame([indicators(stage, state) for state in range(4 - stage)])
+
+
+@pytest.mark.parametrize("covariates", [FULL, REDUCED])
+def test_a_saturated_q_is_the_weighted_mean_of_each_cell(logs, covariates):
+    fitted = learner(covariates=covariates).fit(logs)
+    for stage, means in enumerate(cell_means(logs), start=1):
+        assert fitted.q_values(states_of(stage), stage) == pytest.approx(means.to_numpy(), abs=1e-8)
+        assert fitted.decide(states_of(stage), stage).tolist() == means.idxmax(axis=1).tolist()
+
+
+def test_the_trial_has_ties_and_cuts_in_both_stages(logs):
+    last = logs.stages.groupby("path").tail(1)
+    cut = last[last["elapsed_s"].isna()]
+    assert set(cut["stage"]) == {1, 2}
+    assert set(logs.stages[logs.stages["stage"] == 1]["path"]) != set(logs.stages[logs.stages["stage"] == 2]["path"])
+    assert set(logs.end_s[logs.is_finished]) & set(logs.end_s[~logs.is_finished])
+    assert logs.stages["action"].isna().any()
+
+
+def test_weights_change_the_answer(logs):
+    weighted, unweighted = learner().fit(logs), learner(censoring="none").fit(logs)
+    assert set(np.unique(unweighted.weights_)) == {0.0, 1.0}
+    difference = weighted.q_values(states_of(2), 2) - unweighted.q_values(states_of(2), 2)
+    assert np.abs(difference).max() > 0.01
+
+
+def test_a_model_given_is_used_and_not_changed(logs):
+    unfitted, fitted = KaplanMeier(), KaplanMeier().fit([1.0, 9.5], [False, True])
+    assert learner(censoring=unfitted).fit(logs).weights_ == pytest.approx(learner().fit(logs).weights_)
+    assert not hasattr(unfitted, "times_")
+    weights = learner(censoring=fitted).fit(logs).weights_
+    assert set(np.unique(weights)) == {0.0, 1.0, 2.0}
+
+
+def test_diagnostics_are_kept(logs):
+    fitted = learner(truncate_at=1.5).fit(logs)
+    assert fitted.diagnostics_.largest_weight <= 1.5 + 1e-12
+    assert fitted.diagnostics_.share_truncated > 0
+    assert fitted.weights_.shape == (400, 2)
+
+
+def test_all_cut_is_not_identified(logs):
+    cut = Logs(
+        logs.stages.groupby("path").head(1).assign(elapsed_s=None, reward=None),
+        logs.paths.assign(ending="cut", cause=None),
+    )
+    with pytest.raises(PositivityError, match="all 400 paths were cut"):
+        learner().fit(cut)
+
+
+def test_a_weight_that_is_not_identified_names_path_and_stage():
+    # The last cut comes before path 1 finishes, and path 1 stands for nobody else who was watched that long.
+    stages = {"path": [0, 1, 2], "stage": [1, 1, 1], "elapsed_s": [1.0, 3.0, None], "reward": [1.0, 1.0, None]}
+    paths = {"path": [0, 1, 2], "end_s": [1.0, 3.0, 3.5], "ending": ["finished", "finished", "cut"]}
+    logs = Logs({**stages, "action": ["A", "A", "A"]}, paths)
+    gone = KaplanMeier().fit([0.5, 2.0], [True, False])
+    with pytest.raises(PositivityError, match=r"path 1, stage 1: completed at 3 s"):
+        learner(horizon=1, covariates=[], censoring=gone).fit(logs)
+
+
+def test_an_unknown_action_is_named(logs):
+    strange = logs.stages.assign(action=logs.stages["action"].where(logs.stages.index != 5, "C"))
+    row = strange.iloc[5]
+    with pytest.raises(LogError, match=f"path {row['path']}, stage {row['stage']}: action 'C' was not possible"):
+        learner().fit(Logs(strange, logs.paths))
+
+
+@pytest.mark.parametrize(
+    ("changed", "error", "message"),
+    [
+        ({"covariates": ["weight_kg"]}, LogError, "covariate 'weight_kg' is missing; there are path, stage"),
+        ({"covariates": ["action"]}, LogError, "covariate 'action' holds no numbers"),
+        ({"horizon": 1}, ArgumentError, "horizon is 1, but a path has 2 stages; raise horizon"),
+        ({"horizon": 0}, ArgumentError, "horizon is 0"),
+        ({"reg": -1.0}, ArgumentError, "reg is -1.0; it is a λ ≥ 0, or 'cv'"),
+        ({"reg": float("nan")}, ArgumentError, "reg is nan"),
+        ({"reg": "ridge"}, ArgumentError, "reg is 'ridge'"),
+        ({"reg": "cv", "num_folds": 1}, ArgumentError, "num_folds is 1"),
+        ({"q_function": "forest"}, ArgumentError, "q_function is 'forest'"),
+        ({"stages": "merged"}, ArgumentError, "stages is 'merged'; it is 'separate' or 'pooled'"),
+        ({"censoring": "cox"}, ArgumentError, "censoring is 'cox'"),
+        ({"truncate_at": 0.5}, ArgumentError, "truncate_at is 0.5"),
+        ({"actions": "tables"}, ArgumentError, "actions is 'tables'"),
+        ({"actions": []}, ArgumentError, "name at least one"),
+        ({"actions": ["A", "A"]}, ArgumentError, "none twice"),
+        ({"actions": {1: ["A", "B"]}}, ArgumentError, "actions: none for stage 2"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_words(logs, changed, error, message):
+    with pytest.raises(error) as refusal:
+        learner(**changed).fit(logs)
+    assert message in str(refusal.value)
+
+
+def test_one_path_cannot_be_held_out():
+    stages = {"path": [0], "stage": [1], "elapsed_s": [1.0], "action": ["A"], "reward": [2.0]}
+    logs = Logs(stages, {"path": [0], "end_s": [1.0], "ending": ["finished"]})
+    one = learner(horizon=1, covariates=[], reg="cv")
+    with pytest.raises(ArgumentError, match="1 of 1 completed a stage; give a number for reg"):
+        one.fit(logs)
+    fitted = learner(horizon=1, covariates=[]).fit(logs)
+    assert fitted.q_values(pd.DataFrame(index=[0]), 1)[0, 0] == pytest.approx(2.0)
+
+
+def test_only_possible_actions_are_chosen_and_maximised_over(logs):
+    # B pays in stage 2 where s2_1, so forbidding it there lowers what stage 1 is worth.
+    no_b = logs.stages[(logs.stages["stage"] == 1) | (logs.stages["action"] != "B")]
+    kept = no_b.groupby("path")["stage"].size()
+    paths = logs.paths[logs.paths["path"].isin(kept.index[kept == logs.stages.groupby("path")["stage"].size()])]
+    part = Logs(no_b[no_b["path"].isin(paths["path"])], paths)
+    by_stage = learner(actions={1: ["A", "B"], 2: ["A"]}).fit(part)
+    assert set(by_stage.decide(states_of(2), 2)) == {"A"}
+    assert set(by_stage.decide(states_of(1), 1)) <= {"A", "B"}
+    first, second = cell_means(part)
+    assert by_stage.q_values(states_of(2), 2)[:, 0] == pytest.approx(second["A"].to_numpy(), abs=1e-8)
+    assert by_stage.q_values(states_of(1), 1) == pytest.approx(first.to_numpy(), abs=1e-8)
+    with pytest.raises(LogError, match="stage 2: action 'B' was not possible there"):
+        learner(actions={1: ["A", "B"], 2: ["A"]}).fit(logs)
+
+
+def test_an_impossible_action_that_looks_best_is_not_in_the_maximum(logs):
+    # C is possible in stage 1 only; its Q in stage 2 would be 0, above a stage 2 that costs 100.
+    dear = logs.stages.assign(
+        reward=logs.stages["reward"].where(logs.stages["stage"] == 1, logs.stages["reward"] - 100)
+    )
+    dear = Logs(dear.assign(reward=dear["reward"].where(dear["elapsed_s"].notna())), logs.paths)
+    fitted = learner(actions={1: ["A", "B", "C"], 2: ["A", "B"]}).fit(dear)
+    first, _ = cell_means(dear)
+    assert fitted.q_values(states_of(1), 1)[:, :2] == pytest.approx(first.to_numpy(), abs=1e-8)
+    assert set(fitted.decide(states_of(2), 2)) <= {"A", "B"}
+
+
+def test_it_follows_scikit_learn(logs):
+    original = learner(reg="cv", num_folds=3)
+    copy = clone(original)
+    assert copy.get_params() == original.get_params()
+    assert copy.set_params(reg=0.5).reg == 0.5
+    assert original.fit(logs) is original
+    with pytest.raises(NotFittedError):
+        clone(original).q_values(states_of(1), 1)
+    with pytest.raises(ArgumentError, match="stage is 3; it lies in 1 to the horizon, 2"):
+        original.q_values(states_of(1), 3)
+
+
+def test_the_random_state_deals_the_folds_and_nothing_else_does(logs):
+    few = logs.select(range(30))
+    first = learner(reg="cv", random_state=1).fit(few).q_functions_
+    np.random.seed(99)  # noqa: NPY002
+    again = learner(reg="cv", random_state=1).fit(few).q_functions_
+    assert np.array_equal(first.coefficients, again.coefficients)
+    others = [learner(reg="cv", random_state=seed).fit(few).q_functions_.reg for seed in range(2, 6)]
+    assert any(not np.array_equal(first.reg, reg) for reg in others)
+
+
+def test_the_order_of_rows_is_irrelevant(logs):
+    shuffled = Logs(logs.stages.sample(frac=1.0, random_state=0), logs.paths.sample(frac=1.0, random_state=1))
+    assert learner(reg=0.1).fit(shuffled).q_functions_.coefficients == pytest.approx(
+        learner(reg=0.1).fit(logs).q_functions_.coefficients, abs=1e-12
+    )
+
+
+def test_pooled_stages_index_by_steps_to_go(logs):
+    fitted = learner(stages="pooled", covariates=["s1_1"]).fit(logs)
+    frame = states_of(1)
+    assert fitted.q_values(frame, 2) == pytest.approx(
+        fitted.q_functions_.coefficients[0][:, 0]
+        + frame[["s1_1"]].to_numpy() * fitted.q_functions_.coefficients[0][:, 1]
+    )
+    assert not np.allclose(fitted.q_values(frame, 1), fitted.q_values(frame, 2))
+
+
+def test_the_examples_run():
+    assert doctest.testmod(q_learner).failed == 0
+    assert doctest.testmod(q_learner).attempted > 3

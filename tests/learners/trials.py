@@ -1,0 +1,78 @@
+"""A trial of two stages with few kinds of state, so that Q is a table and every estimate a weighted mean."""
+
+import numpy as np
+import pandas as pd
+
+from halfseen.logs import Logs
+
+FULL = ["s1_0", "s1_1", "s1_2", "s2_0", "s2_1"]
+REDUCED = ["s1_1", "s1_2", "s2_1"]
+ACTIONS = ["A", "B"]
+
+
+def indicators(stage, state):
+    return {name: float(name == f"s{stage}_{state}") for name in FULL}
+
+
+def two_stage_trial(seed=0, num_paths=400, last_cut=9, cut_from=1):
+    """Paths of one or two stages on a clock of whole seconds, cut at a whole second: ties abound."""
+    rng = np.random.default_rng(seed)
+    stages, paths = [], []
+    for path in range(num_paths):
+        states = rng.integers(0, 3), rng.integers(0, 2)
+        actions = rng.integers(0, 2, size=2)
+        clock = np.cumsum(rng.integers(1, 4, size=2))
+        num_stages = 1 if states[0] == 2 and actions[0] == 1 else 2
+        cut_s = int(rng.integers(cut_from, last_cut + 1))
+        rewards = np.array([states[0] * 0.5 - actions[0], (2 * states[1] - 1) * (2 * actions[1] - 1) + clock[1] / 4])
+        rewards = rewards + rng.normal(size=2)
+        completed = [t for t in range(num_stages) if clock[t] <= cut_s]
+        is_cut = len(completed) < num_stages
+        for t in range(len(completed) + is_cut):
+            is_seen = t in completed
+            stages.append(
+                {
+                    "path": path,
+                    "stage": t + 1,
+                    "elapsed_s": float(clock[t]) if is_seen else None,
+                    "action": ACTIONS[actions[t]] if is_seen or rng.random() < 0.5 else None,
+                    "reward": rewards[t] if is_seen else None,
+                    "state": int(states[t]),
+                    **indicators(t + 1, states[t]),
+                }
+            )
+        end_s = float(cut_s if is_cut else clock[num_stages - 1])
+        paths.append({"path": path, "end_s": end_s, "ending": "cut" if is_cut else "finished"})
+    return Logs(pd.DataFrame(stages), pd.DataFrame(paths))
+
+
+def naive_survival(ends, is_finished, u):
+    """Π over s < u of 1 − cuts(s) / (at risk(s) − finished(s)): the formula of the text, as a loop."""
+    survival = 1.0
+    for s in sorted(set(ends)):
+        if s < u:
+            at_risk = sum(end >= s for end in ends)
+            cuts = sum(end == s and not own for end, own in zip(ends, is_finished, strict=True))
+            finished = sum(end == s and own for end, own in zip(ends, is_finished, strict=True))
+            survival *= 1.0 - (cuts / (at_risk - finished) if cuts else 0.0)
+    return survival
+
+
+def cell_means(logs):
+    """Eq. (3) for saturated Q: weighted means by state and action, as frames indexed by state, columns by action."""
+    ends, own = logs.end_s.tolist(), logs.is_finished.tolist()
+    survival = {u: naive_survival(ends, own, u) for u in logs.stages["elapsed_s"].dropna().unique()}
+    rows = logs.stages.assign(weight=(1.0 / logs.stages["elapsed_s"].map(survival)).fillna(0.0))
+    completed = rows[rows["weight"] > 0]
+
+    def means(stage, target):
+        part = completed[completed["stage"] == stage].assign(target=target)
+        part = part.assign(mass=part["weight"] * part["target"])
+        sums = part.groupby(["state", "action"])[["mass", "weight"]].sum()
+        return (sums["mass"] / sums["weight"]).unstack("action")
+
+    second = means(2, completed.loc[completed["stage"] == 2, "reward"])
+    state_after = rows[rows["stage"] == 2].set_index("path")["state"]
+    first = completed[completed["stage"] == 1]
+    value = first["path"].map(state_after).map(second.max(axis=1)).fillna(0.0)
+    return means(1, first["reward"] + value), second
