@@ -1,0 +1,194 @@
+"""Learning on tables: features that know neither N nor order, and a policy that earns more than what it watched."""
+
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from halfseen.errors import LogError
+from halfseen.learners import CensoredQLearner, LinearTablePolicy
+from halfseen.learners.encoding import encode_states
+from halfseen.learners.table_features import NUM_FEATURES, block_of_action, table_features
+from halfseen.logs import Logs
+from halfseen.world import ExploringPolicy, Scene, UniformPolicy, WorldConfig
+from halfseen.world.actions import Verb, possible_actions, verb_of
+from halfseen.world.cuts import cut, cut_rate
+from halfseen.world.episodes import evaluate, play
+from halfseen.world.policy import surely
+from halfseen.world.recording import to_logs
+from halfseen.world.state import pad_scenes
+
+CONFIG = WorldConfig()
+NUM_OBJECTS = 4
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Hasty:
+    """WASH what looks dirtiest, FINISH when all looks clean; hidden things and grips are nothing to it."""
+
+    def decide(self, state, key):
+        worth = jnp.where(state.is_on_table, state.log_odds, -jnp.inf)
+        worst = jnp.argmax(worth)
+        return surely(jnp.where(worth[worst] > 0, 1 + worst, 0).astype(jnp.int32))
+
+
+@pytest.fixture(scope="module")
+def scene():
+    hides = np.zeros((NUM_OBJECTS, NUM_OBJECTS))
+    hides[2, 0], hides[3, 1], hides[3, 2] = 0.7, 0.5, 0.4
+    return Scene(hides, name="four")
+
+
+@pytest.fixture(scope="module")
+def watched(scene):
+    logger = ExploringPolicy(Hasty(), 0.5)
+    return play(CONFIG, pad_scenes([scene]), logger, jax.random.key(0), 400)
+
+
+@pytest.fixture(scope="module")
+def logs(watched, scene):
+    cuts = cut(watched, cut_rate(watched, 0.3, "independent"), "independent", np.random.default_rng(0))
+    return to_logs(cuts, "independent", [scene])
+
+
+@pytest.fixture(scope="module")
+def learner(logs):
+    return CensoredQLearner.for_table(horizon=10).fit(logs)
+
+
+def states_in(watched):
+    path, stage = np.nonzero(np.asarray(watched.is_taken)[:60])
+    return jax.tree.map(lambda leaf: leaf[path, stage], watched.states)
+
+
+def permuted(states, order):
+    """Object k of the result is object order[k] of the given states."""
+    rank = jnp.argsort(jnp.asarray(order))
+    tried = states.attempt_object
+    return replace(
+        states,
+        hides=states.hides[:, order][:, :, order],
+        **{name: getattr(states, name)[:, order] for name in ("is_object", "is_on_table", "log_odds", "lifts")},
+        attempt_object=jnp.where(tried < 0, tried, rank[tried]),
+    )
+
+
+def padded(states, num_objects):
+    more = num_objects - states.num_objects
+    extra = {"is_object": False, "is_on_table": False, "log_odds": 7.0, "lifts": 3}
+    grown = {
+        name: jnp.pad(getattr(states, name), ((0, 0), (0, more)), constant_values=value)
+        for name, value in extra.items()
+    }
+    return replace(states, hides=jnp.pad(states.hides, ((0, 0), (0, more), (0, more)), constant_values=0.9), **grown)
+
+
+def by_verb(values, num_objects):
+    """Values of WASH and LIFT by object, and of FINISH."""
+    values = np.asarray(values)
+    return values[:, 1 : 1 + num_objects], values[:, 1 + num_objects :], values[:, :1]
+
+
+def random_policy():
+    coefficients = np.random.default_rng(3).normal(size=(10, 3, NUM_FEATURES + 1))
+    return LinearTablePolicy(jnp.asarray(coefficients, dtype=jnp.float32))
+
+
+def test_q_follows_the_objects_when_they_change_places(watched):
+    states, order = states_in(watched), np.array([2, 0, 3, 1])
+    q = jax.jit(jax.vmap(random_policy().q_values))
+    before = by_verb(q(states), NUM_OBJECTS)
+    after = by_verb(q(permuted(states, order)), NUM_OBJECTS)
+    for k in (0, 1):
+        np.testing.assert_allclose(after[k], before[k][:, order], rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(after[2], before[2], rtol=1e-4, atol=1e-4)
+    assert (np.ptp(np.where(np.isfinite(before[0]), before[0], 0.0), axis=1) > 0.1).any()
+
+
+def test_q_does_not_see_padding(watched):
+    states = states_in(watched)
+    q = jax.vmap(random_policy().q_values)
+    before, after = by_verb(q(states), NUM_OBJECTS), by_verb(q(padded(states, 7)), 7)
+    for left, right in zip(before, after, strict=True):
+        np.testing.assert_allclose(right[:, : left.shape[1]], left, rtol=1e-4, atol=1e-4)
+        assert (right[:, left.shape[1] :] == -np.inf).all()
+
+
+def test_a_block_is_a_verb():
+    actions = np.arange(1 + 2 * NUM_OBJECTS)
+    assert np.array_equal(block_of_action(NUM_OBJECTS), verb_of(actions, NUM_OBJECTS))
+    assert set(np.asarray(block_of_action(NUM_OBJECTS)).tolist()) == {Verb.FINISH, Verb.WASH, Verb.LIFT}
+
+
+def test_features_are_finite_whatever_happened(watched):
+    features = np.asarray(jax.vmap(table_features)(states_in(watched)))
+    assert features.shape[1:] == (1 + 2 * NUM_OBJECTS, NUM_FEATURES)
+    assert np.isfinite(features).all()
+
+
+def test_the_policy_takes_the_best_possible_action(watched):
+    states = states_in(watched)
+    policy = random_policy()
+    action = np.asarray(jax.vmap(lambda state: policy.decide(state, jax.random.key(0)).action)(states))
+    q, possible = np.asarray(jax.vmap(policy.q_values)(states)), np.asarray(jax.vmap(possible_actions)(states))
+    assert possible[np.arange(len(action)), action].all()
+    assert (q[np.arange(len(action)), action] == np.where(possible, q, -np.inf).max(axis=1)).all()
+    assert not possible.all()
+
+
+def test_what_was_learned_beats_chance_and_what_it_watched(learner, scene):
+    key, layouts = jax.random.key(9), pad_scenes([scene])
+    earned = {
+        name: np.asarray(evaluate(CONFIG, layouts, policy, key, 1500).reward, dtype=float)
+        for name, policy in (
+            ("learned", learner.policy_),
+            ("watched", ExploringPolicy(Hasty(), 0.5)),
+            ("uniform", UniformPolicy()),
+        )
+    }
+    for other in ("watched", "uniform"):
+        gain = earned["learned"] - earned[other]
+        assert gain.mean() > 3.0 * gain.std() / np.sqrt(len(gain)), other
+
+
+def test_it_learns_the_same_from_the_same_log(learner, logs):
+    again = CensoredQLearner.for_table(horizon=10).fit(logs)
+    assert np.array_equal(again.q_functions_.coefficients, learner.q_functions_.coefficients)
+    assert again.policy_.coefficients.dtype == jnp.float32
+    assert jnp.ones(1).dtype == jnp.float32, "double precision stays inside the fit"
+
+
+def test_the_names_of_objects_do_not_matter(learner, logs):
+    names = {k: f"cup {k}" for k in range(NUM_OBJECTS)}
+    named = Logs(
+        logs.stages.assign(object=logs.stages["object"].map(names)),
+        logs.paths,
+        logs.objects.assign(object=logs.objects["object"].map(names)),
+    )
+    again = CensoredQLearner.for_table(horizon=10).fit(named)
+    assert np.array_equal(again.q_functions_.coefficients, learner.q_functions_.coefficients)
+
+
+def test_an_action_on_what_is_gone_is_named(logs):
+    objects = logs.objects.copy()
+    row = logs.stages[logs.stages["object"].notna()].iloc[0]
+    acted = objects[["path", "stage", "object"]].eq(row[["path", "stage", "object"]]).all(axis=1)
+    objects.loc[acted, "location"] = "DISHWASHER"
+    spoilt = Logs(logs.stages, logs.paths, objects)
+    with pytest.raises(LogError, match=f"path {row['path']}, stage {row['stage']}: .* is not on the table"):
+        CensoredQLearner.for_table(horizon=10).fit(spoilt)
+
+
+def test_a_verb_that_no_table_knows_is_named(logs):
+    stages = logs.stages.assign(action=logs.stages["action"].replace("LIFT", "DROP"))
+    row = stages[stages["action"] == "DROP"].iloc[0]
+    with pytest.raises(LogError, match=f"path {row['path']}, stage {row['stage']}: action 'DROP'"):
+        CensoredQLearner.for_table(horizon=10).fit(Logs(stages, logs.paths, logs.objects))
+
+
+def test_finish_is_possible_even_on_an_empty_table(watched):
+    _, possible = encode_states(jax.tree.map(lambda leaf: leaf[:5], watched.states))
+    assert np.asarray(possible)[..., 0].all()

@@ -1,0 +1,43 @@
+import subprocess
+import sys
+
+import pytest
+
+
+def run(code):
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
+
+
+def loaded_after(statement):
+    return set(run(f"import sys\n{statement}\nprint(' '.join(sys.modules))").split())
+
+
+def test_import_halfseen_is_instant():
+    code = "import time; t = time.perf_counter(); import halfseen; print(time.perf_counter() - t)"
+    assert min(float(run(code)) for _ in range(3)) < 0.3
+
+
+@pytest.mark.parametrize("package", ["halfseen", "halfseen.world", "halfseen.learners", "halfseen.planners"])
+def test_a_package_loads_nothing_heavy(package):
+    heavy = {"jax", "mujoco", "pandas", "pyarrow", "sklearn", "scipy"}
+    assert not loaded_after(f"import {package}") & heavy
+
+
+def test_lazy_names_are_listed_and_unknown_ones_are_told():
+    code = "import halfseen.world as world\n[getattr(world, name) for name in world.__all__]\nworld.Wrold"
+    failed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert "has no attribute 'Wrold'; it has Decision, ExploringPolicy, Policy, Scene" in failed.stderr
+
+
+def test_no_import_touches_jax_or_numpy_settings():
+    code = """
+import importlib, pkgutil
+import jax, numpy as np
+import halfseen
+settings, state = dict(jax.config.values), np.random.get_state()[1].copy()
+for module in pkgutil.walk_packages(halfseen.__path__, "halfseen."):
+    if not module.name.endswith("__main__"):
+        importlib.import_module(module.name)
+print(dict(jax.config.values) == settings, (np.random.get_state()[1] == state).all(), jax.numpy.ones(1).dtype)
+"""
+    assert run(code) == "True True float32"
