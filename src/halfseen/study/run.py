@@ -1,8 +1,6 @@
 """The study from end to end: look, measure decision times, repeat, tabulate, draw, report."""
 
-import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
 from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -101,7 +99,7 @@ def _states_along_the_way(design: StudyDesign, layouts: Layout) -> TableState:
 
 
 def _repetitions(design: StudyDesign, layouts: Layout, store: Store) -> list[dict[str, Any]]:
-    """All repetitions, those already kept read back. JAX leaves Python's lock, so threads fill the cores."""
+    """All repetitions, those already kept read back."""
     rates = cut_rates(design, layouts)
 
     def piece(repetition: int) -> dict[str, Any]:
@@ -109,21 +107,8 @@ def _repetitions(design: StudyDesign, layouts: Layout, store: Store) -> list[dic
         kept = store.get(name)
         return store.put(name, run_repetition(design, layouts, rates, repetition)) if kept is None else kept
 
-    pieces: dict[int, dict[str, Any]] = {}
-    with tqdm(total=design.repetitions, desc="repetitions", unit="rep", disable=None) as bar:
-        # The first one alone: it compiles what the others share.
-        pieces[0] = piece(0)
-        bar.update()
-        with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
-            running = {pool.submit(piece, k): k for k in range(1, design.repetitions)}
-            try:
-                for done in as_completed(running):
-                    pieces[running[done]] = done.result()
-                    bar.update()
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
-    return [pieces[k] for k in range(design.repetitions)]
+    # In turn: two threads that execute compiled code at once can wait for one another for ever (seen with jaxlib 0.10).
+    return [piece(k) for k in tqdm(range(design.repetitions), desc="repetitions", unit="rep", disable=None)]
 
 
 def tabulate(

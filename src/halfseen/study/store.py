@@ -58,8 +58,8 @@ class Store:
         path = self._pieces / FINGERPRINT
         if path.exists() and path.read_text(encoding="utf-8") != fingerprint:
             raise ArgumentError(
-                f"--resume: {self._pieces} belongs to a study of another design, seed or version; leave --resume out to "
-                "begin anew, or name another --out"
+                f"--resume: {self._pieces} belongs to a study of another design, seed or version; leave --resume out "
+                "to begin anew, or name another --out"
             )
         write_text(path, fingerprint)
 
