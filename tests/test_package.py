@@ -41,3 +41,16 @@ for module in pkgutil.walk_packages(halfseen.__path__, "halfseen."):
 print(dict(jax.config.values) == settings, (np.random.get_state()[1] == state).all(), jax.numpy.ones(1).dtype)
 """
     assert run(code) == "True True float32"
+
+
+@pytest.mark.parametrize(
+    ("first", "env_id"),
+    [
+        ("import gymnasium; import halfseen", "halfseen/Cups-v0"),
+        ("import halfseen; import gymnasium", "halfseen.gym_registration:halfseen/Cups-v0"),
+        ("import gymnasium", "halfseen.gym_registration:halfseen/Cups-v0"),
+    ],
+)
+def test_gymnasium_knows_the_tables_and_loads_jax_only_to_make_one(first, env_id):
+    code = f"import sys\n{first}\nprint('jax' in sys.modules, gymnasium.make('{env_id}').spec.id)"
+    assert run(code) == "False halfseen/Cups-v0"

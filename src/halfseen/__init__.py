@@ -4,4 +4,9 @@ The folders are the way that data takes: ``scene`` → ``perception`` → ``worl
 ``learners`` | ``planners`` → ``study``. Importing this package loads none of them.
 """
 
+import sys
+
 __version__ = "0.1.0"
+
+if "gymnasium" in sys.modules:
+    import halfseen.gym_registration  # noqa: F401
