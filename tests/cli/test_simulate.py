@@ -1,0 +1,112 @@
+import json
+import subprocess
+import sys
+
+import pytest
+from click.testing import CliRunner
+
+from halfseen import cli
+from halfseen.cli.simulate import simulate
+from halfseen.logs import read_logs
+from halfseen.scene import table_paths
+
+TABLES = [str(path) for path in table_paths()[5:8:2]]
+FEW = ["--episodes", "12", "--policy", "uniform", "--cut-share", "0.4", "--seed", "3"]
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("simulate") / "logs"
+    result = CliRunner().invoke(simulate, ["--out", str(folder), *TABLES, *FEW], catch_exceptions=False)
+    return folder, result
+
+
+def run(arguments, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["halfseen", "simulate", *arguments])
+    cli.main()
+
+
+def test_says_one_plain_sentence_first_then_the_numbers(recorded):
+    folder, result = recorded
+    lines = result.stdout.splitlines()
+    assert result.exit_code == 0
+    assert lines[0].startswith(f"{folder}: 12 paths of up to ")
+    assert any(line.startswith("tables          2, with 5 to 5 objects") for line in lines)
+    assert result.stderr == ""
+
+
+def test_the_logs_are_there_and_whole(recorded):
+    logs = read_logs(recorded[0])
+    assert logs.num_paths == 12
+    assert set(logs.paths["scene"]) == {"table_05.pcd", "table_07.pcd"}
+    assert logs.objects is not None
+    assert 0.0 < logs.cut_share < 1.0
+
+
+def test_one_seed_same_logs_and_json_for_programs(recorded, tmp_path):
+    arguments = ["--out", str(tmp_path / "again"), *TABLES, *FEW, "--json"]
+    result = CliRunner().invoke(simulate, arguments, catch_exceptions=False)
+    report = json.loads(result.stdout)
+    assert (report["num_paths"], report["policy"], report["seed"]) == (12, "uniform", 3)
+    assert report["scenes"] == {"table_05.pcd": 5, "table_07.pcd": 5}
+    assert read_logs(tmp_path / "again").stages.equals(read_logs(recorded[0]).stages)
+
+
+def test_what_is_there_is_only_replaced_when_asked(recorded, monkeypatch, capsys):
+    folder, _ = recorded
+    before = read_logs(folder).stages
+    with pytest.raises(SystemExit) as stop:
+        run(["--out", str(folder), *TABLES, *FEW], monkeypatch)
+    assert stop.value.code == 2
+    assert "pass --overwrite to replace it" in capsys.readouterr().err
+    assert read_logs(folder).stages.equals(before)
+    run(["--out", str(folder), *TABLES, *FEW, "--overwrite"], monkeypatch)
+    assert read_logs(folder).stages.equals(before)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--episodes", "0"], "--episodes"),
+        (["--cut-share", "1"], "--cut-share"),
+        (["--random-share", "2"], "--random-share"),
+        (["--policy", "lazy"], "--policy"),
+        (["--horizon", "0"], "--horizon"),
+        (["nowhere.pcd"], "nowhere.pcd"),
+        (["broken.pcd"], "broken.pcd"),
+    ],
+)
+def test_bad_input_is_told_in_one_line_with_status_two(arguments, message, monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "broken.pcd").write_text("no cloud at all")
+    with pytest.raises(SystemExit) as stop:
+        run(["--out", "logs", *arguments], monkeypatch)
+    assert stop.value.code == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert len(told.err.splitlines()) == 1
+    assert message in told.err
+    assert not (tmp_path / "logs").exists()
+
+
+def test_a_folder_that_cannot_be_is_refused(monkeypatch, capsys, tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(SystemExit) as stop:
+        run(["--out", str(tmp_path / "file" / "logs"), *TABLES, *FEW], monkeypatch)
+    assert stop.value.code == 2
+    assert "cannot be written" in capsys.readouterr().err
+
+
+def test_help_has_an_example():
+    assert "halfseen simulate --out logs" in CliRunner().invoke(simulate, ["--help"]).output
+
+
+def test_from_the_shell(tmp_path):
+    command = [sys.executable, "-m", "halfseen.cli", "simulate", "--out", str(tmp_path / "logs"), TABLES[0]]
+    options = ["--episodes", "6", "--policy", "history-penalty", "--cut-share", "0", "--horizon", "4"]
+    good = subprocess.run([*command, *options], capture_output=True, text=True, check=True)
+    assert "6 paths of up to 4 stages" in good.stdout
+    assert good.stderr == ""
+    again = subprocess.run([*command, *options], capture_output=True, text=True, check=False)
+    assert (again.returncode, again.stdout) == (2, "")
+    assert len(again.stderr.splitlines()) == 1
