@@ -7,6 +7,7 @@ from sklearn.linear_model import Ridge
 from halfseen.learners.least_squares import Rows, factorise, solve
 
 NUM_PATHS, NUM_FOLDS = 50, 5
+FACTORISE, SOLVE = jax.jit(factorise, static_argnums=(1, 2)), jax.jit(solve, static_argnums=3)
 REGS = np.logspace(-3, 2, 11)
 
 
@@ -31,8 +32,8 @@ def target_of(rows):
 def fitted(rows, target, regs, num_folds=1):
     with jax.enable_x64(True):
         given = dict(rows) if num_folds > 1 else {**rows, "fold": np.zeros_like(rows["fold"])}
-        factor = factorise(Rows(**jax.tree.map(jax.numpy.asarray, given)), 3, num_folds)
-        fit = solve(factor, jax.numpy.asarray(target), jax.numpy.asarray(regs, dtype=float), NUM_PATHS)
+        factor = FACTORISE(Rows(**jax.tree.map(jax.numpy.asarray, given)), 3, num_folds)
+        fit = SOLVE(factor, jax.numpy.asarray(target), jax.numpy.asarray(regs, dtype=float), NUM_PATHS)
         return np.asarray(fit.coefficients), np.asarray(fit.reg)
 
 

@@ -12,7 +12,7 @@ from halfseen.learners import CensoredQLearner, LinearTablePolicy
 from halfseen.learners.encoding import encode_states
 from halfseen.learners.table_features import NUM_FEATURES, block_of_action, table_features
 from halfseen.logs import Logs
-from halfseen.world import ExploringPolicy, Scene, UniformPolicy, WorldConfig
+from halfseen.world import ExploringPolicy, Scene, WorldConfig
 from halfseen.world.actions import Verb, possible_actions, verb_of
 from halfseen.world.cuts import cut, cut_rate
 from halfseen.world.episodes import evaluate, play
@@ -110,7 +110,7 @@ def test_q_follows_the_objects_when_they_change_places(watched):
 
 def test_q_does_not_see_padding(watched):
     states = states_in(watched)
-    q = jax.vmap(random_policy().q_values)
+    q = jax.jit(jax.vmap(random_policy().q_values))
     before, after = by_verb(q(states), NUM_OBJECTS), by_verb(q(padded(states, 7)), 7)
     for left, right in zip(before, after, strict=True):
         np.testing.assert_allclose(right[:, : left.shape[1]], left, rtol=1e-4, atol=1e-4)
@@ -124,7 +124,7 @@ def test_a_block_is_a_verb():
 
 
 def test_features_are_finite_whatever_happened(watched):
-    features = np.asarray(jax.vmap(table_features)(states_in(watched)))
+    features = np.asarray(jax.jit(jax.vmap(table_features))(states_in(watched)))
     assert features.shape[1:] == (1 + 2 * NUM_OBJECTS, NUM_FEATURES)
     assert np.isfinite(features).all()
 
@@ -132,8 +132,8 @@ def test_features_are_finite_whatever_happened(watched):
 def test_the_policy_takes_the_best_possible_action(watched):
     states = states_in(watched)
     policy = random_policy()
-    action = np.asarray(jax.vmap(lambda state: policy.decide(state, jax.random.key(0)).action)(states))
-    q, possible = np.asarray(jax.vmap(policy.q_values)(states)), np.asarray(jax.vmap(possible_actions)(states))
+    action = np.asarray(jax.jit(jax.vmap(lambda state: policy.decide(state, jax.random.key(0)).action))(states))
+    q, possible = np.asarray(jax.jit(jax.vmap(policy.q_values))(states)), np.asarray(jax.vmap(possible_actions)(states))
     assert possible[np.arange(len(action)), action].all()
     assert (q[np.arange(len(action)), action] == np.where(possible, q, -np.inf).max(axis=1)).all()
     assert not possible.all()
@@ -146,7 +146,7 @@ def test_what_was_learned_beats_chance_and_what_it_watched(learner, scene):
         for name, policy in (
             ("learned", learner.policy_),
             ("watched", ExploringPolicy(Hasty(), 0.5)),
-            ("uniform", UniformPolicy()),
+            ("uniform", ExploringPolicy(Hasty(), 1.0)),
         )
     }
     for other in ("watched", "uniform"):

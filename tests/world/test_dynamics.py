@@ -14,6 +14,7 @@ from halfseen.world.state import HiddenState, Layout, TableState, attempt_counts
 
 CONFIG = WorldConfig()
 NUM_OBJECTS = 5
+START, STEP = jax.jit(start), jax.jit(step)
 
 
 def table_of(state):
@@ -99,12 +100,12 @@ def test_a_step_is_the_step_of_the_text(steps):
 def test_the_horizon_costs_what_finish_costs():
     scene = Scene(np.zeros((3, 3)))
     layout = row(pad_scenes([scene]), 0)
-    state, _ = start(CONFIG, layout, jax.random.key(0))
+    state, _ = START(CONFIG, layout, jax.random.key(0))
     state = replace(state, steps_to_go=jnp.asarray(1, dtype=jnp.int32))
     hidden = HiddenState(jnp.array([True, True, False]), jnp.array([-20.0, 0.0, 0.0]))
     lift = jnp.asarray(encode(Verb.LIFT, 0, 3))
-    _, lifted = step(CONFIG, state, hidden, lift, jax.random.key(1))
-    _, finished = step(CONFIG, state, hidden, jnp.asarray(0), jax.random.key(1))
+    _, lifted = STEP(CONFIG, state, hidden, lift, jax.random.key(1))
+    _, finished = STEP(CONFIG, state, hidden, jnp.asarray(0), jax.random.key(1))
     assert bool(lifted.is_over)
     assert float(finished.reward) == -10.0
     assert float(lifted.reward) == pytest.approx(-10.0 - 0.1 * 7.0)
@@ -125,7 +126,7 @@ def test_grasps_succeed_as_often_as_one_minus_exp(occluded, offset):
     assert chance == pytest.approx(1.0 - np.exp(-6.0 / mean_grasp_s(occluded, offset)), rel=1e-5)
     scene = Scene(np.array([[0.0, occluded], [0.0, 0.0]]))
     layout = row(pad_scenes([scene]), 0)
-    state, _ = start(CONFIG, layout, jax.random.key(0))
+    state, _ = START(CONFIG, layout, jax.random.key(0))
     hidden = HiddenState(jnp.array([True, True]), jnp.array([offset, 0.0]))
     keys = jax.random.split(jax.random.key(3), 20_000)
     action = jnp.asarray(encode(Verb.WASH, 0, 2))
@@ -137,10 +138,10 @@ def test_grasps_succeed_as_often_as_one_minus_exp(occluded, offset):
 def test_labels_are_right_as_often_as_the_accuracy_says():
     scene = Scene(np.array([[0.0, 0.0, 0.3], [0.0, 0.0, 0.7], [0.0, 0.0, 0.0]]))
     layout = row(pad_scenes([scene]), 0)
-    state, _ = start(CONFIG, layout, jax.random.key(0))
+    state, _ = START(CONFIG, layout, jax.random.key(0))
     hidden = HiddenState(jnp.array([True, False, True]), jnp.zeros(3))
     keys = jax.random.split(jax.random.key(5), 20_000)
-    log_odds = jax.vmap(lambda key: see(CONFIG, state, hidden, jnp.zeros(3, dtype=bool), key))(keys)
+    log_odds = jax.jit(jax.vmap(lambda key: see(CONFIG, state, hidden, jnp.zeros(3, dtype=bool), key)))(keys)
     says_dirty = np.asarray(log_odds) > np.asarray(state.log_odds)
     frequency = (says_dirty == np.asarray(hidden.is_dirty)).mean(axis=0)
     expected = np.array([accuracy(0.3), accuracy(0.7), accuracy(0.0)])
@@ -191,8 +192,8 @@ def test_a_policy_sees_nothing_hidden(scenes):
     }
     # The same labels, other grips: the state at the start is the same to the last bit.
     layout = row(pad_scenes(scenes), 2)
-    gripping = start(replace(CONFIG, grip_offset_std=0.0), layout, jax.random.key(0))
-    slipping = start(replace(CONFIG, grip_offset_std=9.0), layout, jax.random.key(0))
+    gripping = START(replace(CONFIG, grip_offset_std=0.0), layout, jax.random.key(0))
+    slipping = START(replace(CONFIG, grip_offset_std=9.0), layout, jax.random.key(0))
     assert not np.array_equal(gripping[1].grip_offset, slipping[1].grip_offset)
     for left, right in zip(jax.tree.leaves(gripping[0]), jax.tree.leaves(slipping[0]), strict=True):
         assert np.array_equal(left, right)

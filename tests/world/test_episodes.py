@@ -148,7 +148,7 @@ def test_the_clock_runs_and_a_path_ends_once(played):
 
 
 def test_the_logged_probability_is_that_of_the_action(scenes):
-    state, _ = start(CONFIG, jax.tree.map(lambda leaf: leaf[1], pad_scenes(scenes)), jax.random.key(0))
+    state, _ = jax.jit(start)(CONFIG, jax.tree.map(lambda leaf: leaf[1], pad_scenes(scenes)), jax.random.key(0))
     num_draws = 20_000
     policy = ExploringPolicy(Suspicious(), random_share=0.3)
     keys = jax.random.split(jax.random.key(2), num_draws)
@@ -167,10 +167,11 @@ def test_the_logged_probability_is_that_of_the_action(scenes):
 
 @pytest.mark.parametrize("share", [0.0, 1.0])
 def test_the_ends_of_exploring(scenes, share):
-    state, _ = start(CONFIG, jax.tree.map(lambda leaf: leaf[1], pad_scenes(scenes)), jax.random.key(0))
+    state, _ = jax.jit(start)(CONFIG, jax.tree.map(lambda leaf: leaf[1], pad_scenes(scenes)), jax.random.key(0))
     base = Suspicious().decide(state, jax.random.key(0))
     keys = jax.random.split(jax.random.key(2), 200)
-    decisions = jax.vmap(ExploringPolicy(Suspicious(), share).decide, in_axes=(None, 0))(state, keys)
+    decide = jax.jit(jax.vmap(ExploringPolicy(Suspicious(), share).decide, in_axes=(None, 0)))
+    decisions = decide(state, keys)
     if share == 0.0:
         assert (np.asarray(decisions.action) == int(base.action)).all()
         assert (np.asarray(decisions.probability) == 1.0).all()

@@ -17,7 +17,7 @@ CUT_KINDS = ("independent", "occlusion", "attempt")
 _HORIZON = 10
 
 
-@click.command()
+@click.command(epilog="Example: halfseen simulate --out logs --episodes 500 --seed 1")
 @click.argument("clouds", type=click.Path(path_type=Path), nargs=-1)
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder that the logs are written to.")
 @click.option("--episodes", type=click.IntRange(min=1), default=1000, show_default=True, help="Number of paths.")
@@ -44,16 +44,12 @@ _HORIZON = 10
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object for programs.")
 @click.option("--overwrite", is_flag=True, help="Replace logs that are already there.")
 def simulate(clouds: tuple[Path, ...], out: Path, seed: int, as_json: bool, overwrite: bool, **options: Any) -> None:
-    r"""Record logs of a policy on the tables of CLOUDS, by default the ten that come with halfseen.
+    """Record logs of a policy on the tables of CLOUDS, by default the ten that come with halfseen.
 
     Every policy starts from the tables as the camera sees them; what is dirty and how well it can be gripped is drawn
     anew for each path. "greedy" washes what promises most now; "history" also learns from failed grasps; "-penalty"
     counts what leaving dirty things behind will cost. Cuts come at any time alike (independent), sooner where much is
     hidden (occlusion), or when an attempt drags on (attempt).
-
-    \b
-    Example:
-      halfseen simulate --out logs --episodes 500 --cut-share 0.33 --seed 1
     """
     from tqdm import tqdm
 
