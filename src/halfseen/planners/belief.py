@@ -24,14 +24,14 @@ _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(NUM_NODES)
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Belief:
-    """Belief over one table."""
+    """Belief over one table (`jax.vmap` adds batch axes)."""
 
-    hides: Float[Array, "N N"]
-    is_on_table: Bool[Array, " N"]
-    log_odds: Float[Array, " N"]
-    grip: Float[Array, "N G"]
+    hides: Float[Array, "*B N N"]
+    is_on_table: Bool[Array, "*B N"]
+    log_odds: Float[Array, "*B N"]
+    grip: Float[Array, "*B N G"]
     """Log posterior weights of each grip offset on `offset_nodes`, not normalised."""
-    steps_to_go: Int[Array, ""]
+    steps_to_go: Int[Array, "*B"]
 
 
 def offset_nodes(config: WorldConfig) -> Float[Array, " G"]:
@@ -45,8 +45,10 @@ def prior_grip() -> Float[Array, " G"]:
 
 
 def failure_log_chance(config: WorldConfig, occluded: Float[Array, "*S"]) -> Float[Array, "*S G"]:
-    """log P(T > τ | occ, u) = −τ / scale at each grip offset."""
-    return -config.attempt_limit_s / grasp_scale_s(config, occluded[..., None], offset_nodes(config))
+    """Log P(T > τ | occ, u) = −τ / scale at each grip offset."""
+    # The scale is a product of occlusion and offset: no exponential for every pair of them.
+    per_offset = jnp.exp(offset_nodes(config))
+    return -config.attempt_limit_s / grasp_scale_s(config, occluded[..., None], jnp.zeros(())) * per_offset
 
 
 def attempt_evidence(config: WorldConfig, occluded: Float[Array, "*S"], succeeded: Array) -> Float[Array, "*S G"]:
@@ -68,9 +70,9 @@ def belief_of(config: WorldConfig, state: TableState) -> Belief:
     return Belief(state.hides, state.is_on_table, state.log_odds, grip, state.steps_to_go)
 
 
-def grasp_chance(config: WorldConfig, occluded: Float[Array, "*S"], grip: Float[Array, "*S G"]) -> Float[Array, "*S"]:
+def grasp_chance(config: WorldConfig, occluded: Float[Array, "*S"], grip: Float[Array, "*#S G"]) -> Float[Array, "*S"]:
     """P(an attempt succeeds), the grip offset integrated out."""
-    return -jnp.sum(jax.nn.softmax(grip, axis=-1) * jnp.expm1(failure_log_chance(config, occluded)), axis=-1)
+    return 1.0 - jnp.sum(jax.nn.softmax(grip, axis=-1) * jnp.exp(failure_log_chance(config, occluded)), axis=-1)
 
 
 def expected_attempt_s(

@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from halfseen.errors import ArgumentError
 from halfseen.planners.belief import (
     Belief,
     attempt_evidence,
@@ -29,7 +30,7 @@ from halfseen.planners.belief import (
 from halfseen.planners.heuristics import wash_worth
 from halfseen.world.actions import FINISH
 from halfseen.world.config import WorldConfig
-from halfseen.world.policy import Decision, surely
+from halfseen.world.policy import Decision
 from halfseen.world.state import TableState
 
 WIDTHS = {1: (), 2: ((8, 8),), 3: ((6, 6), (3, 3)), 4: ((4, 3), (3, 2), (2, 2))}
@@ -47,10 +48,20 @@ class POMDPPolicy:
         The world that it believes in.
     planning_horizon
         h, from 1 to 4.
+
+    Raises
+    ------
+    ArgumentError
+        There are no widths for `planning_horizon`.
     """
 
     config: WorldConfig
     planning_horizon: int = field(default=2, metadata={"static": True})
+
+    def __post_init__(self) -> None:
+        if self.planning_horizon not in WIDTHS:
+            known = ", ".join(map(str, WIDTHS))
+            raise ArgumentError(f"planning_horizon is {self.planning_horizon}; it is one of {known}")
 
     def decide(self, state: TableState, key: Array) -> Decision:
         """Choose for one table; `key` samples futures (the probability of a choice is not known)."""
@@ -95,7 +106,7 @@ def leaf_value(config: WorldConfig, belief: Belief) -> Float[Array, ""]:
 def _left_or_tried(
     config: WorldConfig,
     is_on_table: Bool[Array, "*S N"],
-    is_dirty: Float[Array, "*S N"],
+    is_dirty: Float[Array, "*#S N"],
     gain: Float[Array, "*S N"],
     steps_to_go: Int[Array, ""],
 ) -> Float[Array, "*S"]:

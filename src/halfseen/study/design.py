@@ -56,6 +56,12 @@ class StudyDesign:
     def __post_init__(self) -> None:
         if self.repetitions < 2:
             raise ArgumentError(f"repetitions is {self.repetitions}; bands and tests need at least 2")
+        if self.table_num_paths not in self.num_paths:
+            raise ArgumentError(f"table_num_paths is {self.table_num_paths}; it is one of num_paths, {self.num_paths}")
+        if self.table_cut_share not in self.cut_shares:
+            raise ArgumentError(
+                f"table_cut_share is {self.table_cut_share}; it is one of cut_shares, {self.cut_shares}"
+            )
 
     def as_dict(self) -> dict:
         """Plain numbers, for study.json and the report."""

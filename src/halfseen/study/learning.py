@@ -11,11 +11,10 @@ from jaxtyping import Float, Int
 from halfseen.learners.encoding import Encoded, TableEncoding
 from halfseen.learners.linear_policy import LinearTablePolicy
 from halfseen.learners.q_learner import REGS
-from halfseen.learners.recursion import QFunctions, Transitions, backward
+from halfseen.learners.recursion import AnyArray, QFunctions, Transitions, backward
 from halfseen.study.treatments import Treated
 
 NUM_FOLDS = 5
-_BATCHED = Transitions(features=None, is_possible=None, action=None, reward=0, weight=0, is_last=0, fold=None)
 
 
 def learn(encoded: Encoded, treated: Sequence[Treated], fold: Int[np.ndarray, " n"]) -> LinearTablePolicy:
@@ -39,5 +38,10 @@ def learn(encoded: Encoded, treated: Sequence[Treated], fold: Int[np.ndarray, " 
 
 @partial(jax.jit, static_argnames=("num_blocks", "end_action"))
 def _fit(log: Transitions, blocks: jax.Array, regs: jax.Array, num_blocks: int, end_action: int | None) -> QFunctions:
+    # The paths are shared by all treatments, and so held once.
     fit = partial(backward, num_blocks=num_blocks, stages="pooled", num_folds=NUM_FOLDS, end_action=end_action)
-    return jax.vmap(fit, in_axes=(_BATCHED, None, None))(log, blocks, regs)
+
+    def fit_one(reward: AnyArray, weight: AnyArray, is_last: AnyArray) -> QFunctions:
+        return fit(log._replace(reward=reward, weight=weight, is_last=is_last), blocks, regs)
+
+    return jax.vmap(fit_one)(log.reward, log.weight, log.is_last)

@@ -44,14 +44,14 @@ def arms(design: StudyDesign) -> list[Arm]:
     return list(dict.fromkeys(shares + treated))
 
 
-def cut_rates(design: StudyDesign, layouts: Layout) -> dict[tuple[str, float], float]:
+def cut_rates(design: StudyDesign, layouts: Layout) -> dict[tuple[CutKind, float], float]:
     """Rate of cuts for each kind and share that the study needs, from one pilot."""
     pilot = play(design.world, layouts, logging_policy(design), _key(design, _PILOT), NUM_PILOT_PATHS)
     return {(arm.cut_kind, arm.cut_share): cut_rate(pilot, arm.cut_share, arm.cut_kind) for arm in arms(design)}
 
 
 def run_repetition(
-    design: StudyDesign, layouts: Layout, rates: dict[tuple[str, float], float], repetition: int
+    design: StudyDesign, layouts: Layout, rates: dict[tuple[CutKind, float], float], repetition: int
 ) -> dict[str, Any]:
     """Learn and evaluate; return plain numbers, means over the repetition's block of episodes."""
     key = _key(design, _EVALUATION, repetition)
@@ -73,7 +73,7 @@ def evaluate_each(design: StudyDesign, layouts: Layout, key: jax.Array, num_epis
 def _learned(
     design: StudyDesign,
     layouts: Layout,
-    rates: dict[tuple[str, float], float],
+    rates: dict[tuple[CutKind, float], float],
     repetition: int,
     key: jax.Array,
     num_episodes: int,

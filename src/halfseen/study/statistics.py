@@ -1,6 +1,6 @@
 """Means with their errors, and one-sided paired tests that are adjusted for their number."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -33,7 +33,7 @@ def paired_test(ours: Float[np.ndarray, " R"], other: Float[np.ndarray, " R"], i
         return PairedTest(1.0, effect, effect, effect)
     alternative = "greater" if is_more_better else "less"
     # The normal approximation, with its correction for ties: block means of a few dozen replicates do tie.
-    test = stats.wilcoxon(difference, alternative=alternative, method="approx")
+    test: Any = stats.wilcoxon(difference, alternative=alternative, method="approx")
     return PairedTest(float(test.pvalue), effect, effect - reach, effect + reach)
 
 

@@ -1,7 +1,7 @@
 """From the pieces of the study to its tables."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
@@ -35,12 +35,14 @@ def figure1(learned: pd.DataFrame, baselines: pd.DataFrame) -> pd.DataFrame:
     """Mean reward of every policy: policy, num_paths, cut_share, repetitions, mean_reward, se."""
     rows = []
     shown = learned[learned["cut_kind"] == "independent"]
-    for (treatment, share, num_paths), group in shown.groupby(["treatment", "cut_share", "num_paths"], sort=False):
+    for key, group in shown.groupby(["treatment", "cut_share", "num_paths"], sort=False):
+        treatment, share, num_paths = cast(tuple[str, float, int], key)
         name = LEARNED if treatment == "weighted" else f"{LEARNED}-{treatment}"
         rows.append((name, num_paths, share, len(group), *mean_and_error(group["reward"].to_numpy())))
     for name, group in baselines.groupby("policy", sort=False):
         rows.append((name, None, None, len(group), *mean_and_error(group["reward"].to_numpy())))
-    table = pd.DataFrame(rows, columns=["policy", "num_paths", "cut_share", "repetitions", "mean_reward", "se"])
+    columns = ["policy", "num_paths", "cut_share", "repetitions", "mean_reward", "se"]
+    table = pd.DataFrame(rows, columns=pd.Index(columns))
     return table.astype({"num_paths": "Int64", "cut_share": "Float64"})
 
 
@@ -48,14 +50,15 @@ def figure4(learned: pd.DataFrame, design: StudyDesign) -> pd.DataFrame:
     """Mean reward of each treatment, and how far it stays behind weighting, repetition by repetition."""
     rows = []
     at_share = learned[learned["cut_share"] == design.treatment_cut_share]
-    for (kind, num_paths), group in at_share.groupby(["cut_kind", "num_paths"], sort=False):
+    for key, group in at_share.groupby(["cut_kind", "num_paths"], sort=False):
+        kind, num_paths = cast(tuple[str, int], key)
         reward = group.pivot(index="repetition", columns="treatment", values="reward")
         for treatment in group["treatment"].drop_duplicates():
             behind = mean_and_error((reward["weighted"] - reward[treatment]).to_numpy())
             mean = mean_and_error(reward[treatment].to_numpy())
             rows.append((treatment, kind, num_paths, design.treatment_cut_share, len(reward), *mean, *behind))
     columns = ["treatment", "cut_kind", "num_paths", "cut_share", "repetitions", "mean_reward", "se"]
-    return pd.DataFrame(rows, columns=[*columns, "behind_weighted", "se_behind"])
+    return pd.DataFrame(rows, columns=pd.Index([*columns, "behind_weighted", "se_behind"]))
 
 
 def weights(learned: pd.DataFrame) -> pd.DataFrame:
@@ -82,21 +85,21 @@ def table1(
     ours = _replicates(_headline(learned, design)) | {"decision_ms": np.asarray(times_ms[LEARNED])}
     rows = []
     for baseline in (strongest(baselines, planners), *HEURISTICS):
-        other = _replicates(baselines[baselines["policy"] == baseline])
+        other = _replicates(baselines.loc[baselines["policy"] == baseline])
         other["decision_ms"] = np.asarray(times_ms[baseline])
         for measure in MEASURES:
             test = paired_test(ours[measure], other[measure], is_more_better=measure == "reward")
             means = float(np.mean(ours[measure])), float(np.mean(other[measure]))
             rows.append((baseline, measure, *means, test.p_value, test.effect, test.effect_low, test.effect_high))
     columns = ["baseline", "measure", "cql", "other", "p_value", "effect", "effect_low", "effect_high"]
-    table = pd.DataFrame(rows, columns=columns)
+    table = pd.DataFrame(rows, columns=pd.Index(columns))
     table["p_holm"] = holm(table["p_value"].to_numpy())
     table["supported"] = table["p_holm"] < design.alpha
-    return table[[*columns[:5], "p_holm", "effect", "supported", "effect_low", "effect_high"]]
+    return table.loc[:, [*columns[:5], "p_holm", "effect", "supported", "effect_low", "effect_high"]]
 
 
 def _headline(learned: pd.DataFrame, design: StudyDesign) -> pd.DataFrame:
-    return learned[
+    return learned.loc[
         (learned["treatment"] == "weighted")
         & (learned["cut_kind"] == "independent")
         & (learned["num_paths"] == design.table_num_paths)

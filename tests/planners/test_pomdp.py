@@ -1,0 +1,144 @@
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import naive_planner
+import numpy as np
+import pytest
+from naive_planner import CONFIG, Cup
+from tables import state_of
+
+from halfseen.errors import ArgumentError
+from halfseen.planners import POMDPPolicy
+from halfseen.planners.belief import Belief, belief_of
+from halfseen.planners.pomdp import WIDTHS, leaf_value, one_step_q, planned_q
+from halfseen.world.actions import FINISH, possible_actions
+
+HIDES = np.array([[0.0, 0.6], [0.1, 0.0]])
+TWO_CUPS = {
+    "nothing was tried": [Cup(0.6), Cup(0.75)],
+    "both were tried": [Cup(0.85, ((0.6, False), (0.6, True))), Cup(0.4, ((0.1, False),))],
+    "one is washed": [Cup(0.9, ((0.6, False),)), Cup(0.6, ((0.1, True),), is_on_table=False)],
+    "all are clean": [Cup(0.02), Cup(0.01)],
+}
+by_table = pytest.mark.parametrize("cups", TWO_CUPS.values(), ids=TWO_CUPS.keys())
+fast_q = jax.jit(one_step_q)
+fast_leaf_value = jax.jit(leaf_value)
+decide = jax.jit(lambda policy, state, key: policy.decide(state, key).action)
+
+
+def random_belief(num_objects, seed, steps_to_go=9):
+    rng = np.random.default_rng(seed)
+    hides = rng.uniform(0.0, 0.6, (num_objects, num_objects)) * ~np.eye(num_objects, dtype=bool)
+    is_on_table = np.arange(num_objects) != 1
+    log_odds, grip = rng.normal(1.0, 1.0, num_objects), rng.normal(size=(num_objects, 7))
+    leaves = (jnp.asarray(leaf, dtype=jnp.float32) for leaf in (log_odds, grip))
+    hides = jnp.asarray(hides, dtype=jnp.float32)
+    return Belief(hides, jnp.asarray(is_on_table), *leaves, jnp.asarray(steps_to_go, dtype=jnp.int32))
+
+
+@by_table
+@pytest.mark.parametrize("steps_to_go", [0, 1, 2, 5])
+def test_the_leaf_value_is_that_of_plain_python(cups, steps_to_go):
+    belief = belief_of(CONFIG, state_of(cups, HIDES, steps_to_go))
+
+    expected = naive_planner.leaf_value(cups, HIDES, steps_to_go)
+    assert float(fast_leaf_value(CONFIG, belief)) == pytest.approx(expected, abs=1e-4)
+
+
+@by_table
+@pytest.mark.parametrize("steps_to_go", [1, 3, 10])
+def test_one_step_ahead_every_outcome_counts_as_often_as_it_happens(cups, steps_to_go):
+    q = fast_q(CONFIG, belief_of(CONFIG, state_of(cups, HIDES, steps_to_go)))
+
+    np.testing.assert_allclose(q, naive_planner.q_values(cups, HIDES, steps_to_go, depth=1), atol=2e-4)
+
+
+@pytest.mark.parametrize("cups", [TWO_CUPS["nothing was tried"], TWO_CUPS["both were tried"]])
+def test_two_steps_ahead_sampled_futures_agree_with_all_futures(cups):
+    belief = belief_of(CONFIG, state_of(cups, HIDES, 4))
+    widths = ((5, 3000),)
+
+    q = jax.jit(planned_q, static_argnums=2)(CONFIG, belief, widths, jax.random.key(0))
+
+    expected = np.array(naive_planner.q_values(cups, HIDES, 4, depth=2))
+    np.testing.assert_allclose(q, expected, atol=0.06)
+    assert np.max(np.abs(expected - fast_q(CONFIG, belief))) > 0.25
+
+
+def test_q_does_not_depend_on_the_order_of_the_cups():
+    belief, order = random_belief(4, 0), np.array([2, 0, 3, 1])
+    shuffled = Belief(
+        belief.hides[order][:, order],
+        belief.is_on_table[order],
+        belief.log_odds[order],
+        belief.grip[order],
+        belief.steps_to_go,
+    )
+    of_action = np.concatenate([[0], 1 + order, 5 + order])
+
+    np.testing.assert_allclose(fast_q(CONFIG, shuffled), fast_q(CONFIG, belief)[of_action], rtol=1e-5)
+    assert float(fast_leaf_value(CONFIG, shuffled)) == pytest.approx(float(fast_leaf_value(CONFIG, belief)), rel=1e-5)
+
+
+def test_padding_changes_nothing():
+    belief = random_belief(3, 1, steps_to_go=2)
+    pad = ((0, 2),)
+    nan = {"constant_values": np.nan}
+    padded = Belief(
+        jnp.pad(belief.hides, pad * 2, **nan),
+        jnp.pad(belief.is_on_table, pad),
+        jnp.pad(belief.log_odds, pad, **nan),
+        jnp.pad(belief.grip, (*pad, (0, 0)), **nan),
+        belief.steps_to_go,
+    )
+    is_real = np.array([True] + 2 * ([True] * 3 + [False] * 2))
+    q = np.asarray(fast_q(CONFIG, padded))
+
+    np.testing.assert_allclose(q[is_real], fast_q(CONFIG, belief), rtol=1e-5)
+    assert np.all(q[~is_real] == -np.inf)
+    assert float(fast_leaf_value(CONFIG, padded)) == pytest.approx(float(fast_leaf_value(CONFIG, belief)), rel=1e-5)
+
+
+@pytest.mark.parametrize("planning_horizon", [1, 2])
+def test_padding_changes_no_decision(planning_horizon):
+    policy, key = POMDPPolicy(CONFIG, planning_horizon), jax.random.key(0)
+    for cups in TWO_CUPS.values():
+        plain, padded = (decide(policy, state_of(cups, HIDES, num_padding=k), key) for k in (0, 2))
+        verb, target = divmod(int(plain) - 1, 2)
+        assert int(padded) == (FINISH if plain == FINISH else 1 + 4 * verb + target)
+
+
+@pytest.mark.parametrize("planning_horizon", [1, 2])
+def test_it_finishes_a_table_that_is_surely_clean(planning_horizon):
+    state = state_of([Cup(1e-4), Cup(1e-4)], HIDES)
+
+    assert decide(POMDPPolicy(CONFIG, planning_horizon), state, jax.random.key(0)) == FINISH
+
+
+@pytest.mark.parametrize("planning_horizon", [1, 2])
+def test_it_washes_what_is_surely_dirty_and_looks_before_it_washes_what_is_not(planning_horizon):
+    policy = POMDPPolicy(CONFIG, planning_horizon)
+    in_doubt = state_of([Cup(0.5)], np.zeros((1, 1)))
+
+    assert decide(policy, state_of([Cup(0.999)], np.zeros((1, 1))), jax.random.key(0)) == 1
+    assert decide(policy, in_doubt, jax.random.key(0)) == 2
+    # With one step to go there is nothing to look for.
+    assert decide(policy, replace(in_doubt, steps_to_go=jnp.asarray(1, dtype=jnp.int32)), jax.random.key(0)) != 2
+
+
+def test_it_never_takes_a_cup_that_is_gone():
+    cups = [Cup(0.99, is_on_table=False), Cup(0.99, is_on_table=False), Cup(0.7)]
+    state = state_of(cups, np.zeros((3, 3)))
+    for planning_horizon in (1, 2):
+        actions = [decide(POMDPPolicy(CONFIG, planning_horizon), state, jax.random.key(k)) for k in range(5)]
+        assert all(possible_actions(state)[action] for action in actions)
+
+
+def test_a_planning_horizon_without_widths_is_refused():
+    with pytest.raises(ArgumentError, match=r"planning_horizon is 5; it is one of 1, 2, 3, 4"):
+        POMDPPolicy(CONFIG, planning_horizon=5)
+
+
+def test_the_widths_look_as_deep_as_the_planning_horizon_says():
+    assert {horizon: 1 + len(widths) for horizon, widths in WIDTHS.items()} == {1: 1, 2: 2, 3: 3, 4: 4}

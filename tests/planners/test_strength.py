@@ -1,0 +1,34 @@
+import jax
+import numpy as np
+import pytest
+
+from halfseen.planners import GreedyPolicy, POMDPPolicy
+from halfseen.world import Scene, WorldConfig
+from halfseen.world.episodes import evaluate
+from halfseen.world.state import pad_scenes
+
+CONFIG = WorldConfig()
+NUM_EPISODES = 3000
+
+
+@pytest.mark.slow
+def test_looking_further_ahead_earns_more_on_the_same_tables():
+    rng = np.random.default_rng(0)
+    scenes = [Scene(rng.uniform(0, 0.5, (n, n)) * (rng.random((n, n)) < 0.4) * ~np.eye(n, dtype=bool)) for n in (4, 6)]
+    layouts = pad_scenes(scenes)
+
+    def rewards(policy):
+        return np.asarray(evaluate(CONFIG, layouts, policy, jax.random.key(0), NUM_EPISODES, 250).reward)
+
+    heuristics = [
+        rewards(GreedyPolicy(CONFIG, uses_history=h, counts_penalty=p)) for h in (False, True) for p in (False, True)
+    ]
+    best = max(heuristics, key=np.mean)
+    one, two = rewards(POMDPPolicy(CONFIG, 1)), rewards(POMDPPolicy(CONFIG, 2))
+
+    assert np.mean(one - best) > 3 * standard_error(one - best)
+    assert np.mean(two - one) > -2 * standard_error(two - one)
+
+
+def standard_error(values):
+    return np.std(values) / np.sqrt(len(values))

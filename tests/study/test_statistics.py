@@ -1,0 +1,56 @@
+import numpy as np
+import pytest
+from scipy import stats
+
+from halfseen.study.statistics import holm, mean_and_error, paired_test
+
+
+def naive_holm(p_values):
+    """By definition: the k-th smallest times how many are not smaller, never below one before it."""
+    ranked = sorted(range(len(p_values)), key=lambda i: p_values[i])
+    adjusted, largest = [0.0] * len(p_values), 0.0
+    for rank, i in enumerate(ranked):
+        largest = max(largest, min(1.0, (len(p_values) - rank) * p_values[i]))
+        adjusted[i] = largest
+    return adjusted
+
+
+def test_holm_by_hand():
+    np.testing.assert_allclose(holm(np.array([0.01, 0.04, 0.03, 0.005])), [0.03, 0.06, 0.06, 0.02])
+    np.testing.assert_allclose(holm(np.array([0.9, 0.8])), [1.0, 1.0])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_holm_by_its_definition(seed):
+    p_values = np.round(np.random.default_rng(seed).random(12) ** 3, 2)  # rounded, so that some tie
+
+    np.testing.assert_allclose(holm(p_values), naive_holm(p_values))
+
+
+def test_a_mean_comes_with_its_standard_error():
+    assert mean_and_error(np.array([1.0, 2.0, 3.0, 6.0])) == pytest.approx((3.0, np.sqrt(14 / 3 / 4)))
+
+
+def test_more_is_better_or_less_is():
+    rng = np.random.default_rng(0)
+    other = rng.normal(size=40)
+    ours = other + 0.5 + 0.3 * rng.normal(size=40)
+
+    assert paired_test(ours, other, is_more_better=True).p_value < 1e-4
+    assert paired_test(ours, other, is_more_better=False).p_value > 0.99
+    assert paired_test(other, ours, is_more_better=False).p_value < 1e-4
+
+
+def test_the_effect_is_the_mean_difference_and_its_interval_is_that_of_t():
+    rng = np.random.default_rng(1)
+    ours, other = rng.normal(1.0, 1.0, 20), rng.normal(size=20)
+    test = paired_test(ours, other, is_more_better=True)
+    low, high = stats.ttest_rel(ours, other).confidence_interval(0.95)
+
+    assert (test.effect, test.effect_low, test.effect_high) == pytest.approx((np.mean(ours - other), low, high))
+
+
+def test_where_nothing_differs_nothing_is_claimed():
+    same = np.array([1.0, 2.0, 3.0])
+
+    assert paired_test(same, same, is_more_better=True) == (1.0, 0.0, 0.0, 0.0)

@@ -1,0 +1,53 @@
+import pytest
+
+from halfseen.errors import ArgumentError
+from halfseen.study.store import Store, as_json, write_text
+
+DESIGN = {"seed": 0}
+
+
+def test_a_piece_comes_back_as_it_was_put(tmp_path):
+    store = Store(tmp_path / "new" / "study", DESIGN, is_resumed=False)
+    piece = {"values": [0.1, 1 / 3, 1e-300], "names": ["ö"]}
+
+    assert store.get("piece") is None
+    assert store.put("piece", piece) == store.get("piece") == piece
+
+
+def test_resuming_keeps_pieces_and_beginning_anew_drops_them(tmp_path):
+    Store(tmp_path, DESIGN, is_resumed=False).put("piece", [1])
+
+    assert Store(tmp_path, DESIGN, is_resumed=True).get("piece") == [1]
+    assert Store(tmp_path, DESIGN, is_resumed=False).get("piece") is None
+
+
+def test_pieces_of_another_design_are_never_mixed_in(tmp_path):
+    Store(tmp_path, DESIGN, is_resumed=False).put("piece", [1])
+
+    with pytest.raises(ArgumentError, match=r"--resume: .*belongs to a study of another design, seed or version"):
+        Store(tmp_path, {"seed": 1}, is_resumed=True)
+    assert Store(tmp_path, DESIGN, is_resumed=True).get("piece") == [1]
+
+
+def test_a_folder_below_a_file_is_refused(tmp_path):
+    (tmp_path / "file").write_text("")
+
+    with pytest.raises(ArgumentError, match=r"--out .*file/study: cannot be written \(.*\); name a folder"):
+        Store(tmp_path / "file" / "study", DESIGN, is_resumed=False)
+
+
+def test_a_file_is_never_half_there(tmp_path, monkeypatch):
+    path = tmp_path / "table.csv"
+    write_text(path, "old")
+    # Killed before the rename.
+    monkeypatch.setattr(type(path), "replace", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    with pytest.raises(KeyboardInterrupt):
+        write_text(path, "new")
+
+    assert path.read_text() == "old"
+
+
+def test_the_same_value_gives_the_same_bytes_and_nan_is_refused():
+    assert as_json({"a": 1, "b": 2}) == as_json({"b": 2, "a": 1})
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        as_json(float("nan"))
