@@ -43,7 +43,8 @@ def grasp_probability(config: WorldConfig, occluded: Float[Array, "*#S"], grip_o
 
 def label_accuracy(config: WorldConfig, occluded: Float[Array, "*S"]) -> Float[Array, "*S"]:
     """Probability that a label is right."""
-    return config.label_floor + config.label_gain * (1.0 - occluded) ** config.label_power
+    # exp and log, not a power: several times as fast where the planner asks for millions.
+    return config.label_floor + config.label_gain * jnp.exp(config.label_power * jnp.log1p(-occluded))
 
 
 def see(
