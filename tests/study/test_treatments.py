@@ -1,6 +1,7 @@
 from dataclasses import replace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -23,14 +24,15 @@ def cut_by_hand(is_cut=True):
     there = np.ones((5, 3, 2), dtype=bool)
     there[0, 1:, 0] = there[3, 1:, 0] = False
     action = np.array([[WASH_0, LIFT_1, FINISH], [WASH_0] * 3, [WASH_0, LIFT_1, FINISH], [WASH_0, FINISH, 0], [4] * 3])
+    reward = [[5, -0.2, -5], [9, 9, 9], [-1, 9, 9], [5, 9, 9], [9, 9, 9]]
     episodes = replace(
         episodes,
-        states=replace(episodes.states, is_on_table=there),
-        action=action,
-        reward=np.array([[5, -0.2, -5], [9, 9, 9], [-1, 9, 9], [5, 9, 9], [9, 9, 9]], dtype=np.float32),
-        duration_s=np.full((5, 3), 2.0, dtype=np.float32),
-        is_taken=np.ones((5, 3), dtype=bool),
-        hidden=replace(episodes.hidden, is_dirty=np.ones((5, 2), dtype=bool)),
+        states=replace(episodes.states, is_on_table=jnp.asarray(there)),
+        action=jnp.asarray(action),
+        reward=jnp.asarray(reward, dtype=jnp.float32),
+        duration_s=jnp.full((5, 3), 2.0),
+        is_taken=jnp.ones((5, 3), dtype=bool),
+        hidden=replace(episodes.hidden, is_dirty=jnp.ones((5, 2), dtype=bool)),
     )
     num_completed = np.array([3, 0, 1, 1, 0]) if is_cut else np.full(5, 3)
     stage = np.arange(3)
