@@ -1,12 +1,14 @@
 """halfseen learns when to pick, when to look and when to stop, from cut logs and half-hidden views.
 
 The folders are the way that data takes: ``scene`` → ``perception`` → ``world`` → ``logs`` → ``censoring`` →
-``learners`` | ``planners`` → ``study``. Importing this package loads none of them.
+``learners`` | ``planners`` → ``study``. Importing this package loads none of them;
+it only tells Gymnasium, where that is installed, of ``halfseen/Cups-v0``.
 """
 
-import sys
+from importlib.util import find_spec
 
 __version__ = "0.1.0"
 
-if "gymnasium" in sys.modules:
+if find_spec("gymnasium"):
+    # Gymnasium 1 no longer asks installed packages for their environments, so that some import has to tell it.
     import halfseen.gym_registration  # noqa: F401

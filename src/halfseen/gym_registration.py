@@ -1,9 +1,4 @@
-"""Tells Gymnasium of the tables; importing this module is enough.
-
-Gymnasium 1 no longer asks installed packages for their environments, so some import has to. ``import halfseen`` does
-where Gymnasium was imported before it; else name this module, in the id or by itself::
-
-    gymnasium.make("halfseen.gym_registration:halfseen/Cups-v0")
+"""Tells Gymnasium of the tables; ``import halfseen`` does it.
 
 It loads neither JAX nor the world; those load when a table is made.
 """

@@ -11,19 +11,15 @@ if TYPE_CHECKING:
     from halfseen.logs import Logs
 
 
-@click.command()
+@click.command(epilog="Example: halfseen inspect logs --json")
 @click.argument("logs", type=click.Path(path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object for programs.")
 @click.option("--seed", type=int, default=0, help="Accepted by every verb; nothing here is random.")
 def inspect(logs: Path, as_json: bool, seed: int) -> None:
-    r"""Say what the folder LOGS holds: paths, endings, causes, weights.
+    """Say what the folder LOGS holds: paths, endings, causes, weights.
 
     The effective sample size tells how many equally weighted stages would say as much as those that were seen, once
     each stands for those that were cut.
-
-    \b
-    Example:
-      halfseen inspect logs
     """
     from halfseen.logs import read_logs
 

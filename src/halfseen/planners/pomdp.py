@@ -2,7 +2,8 @@
 
 What lies beyond the planning horizon is valued by a rule of thumb V_0: each object is left, or tried once, whichever is
 worth more, as far as the steps allow. One step ahead, Q_1(b, a) = E[R + V_0(b')] is computed in closed form: the grasp
-succeeds or not, and each label says one thing or the other, object by object. Deeper,
+succeeds or not, and each label says one thing or the other, object by object (exact unless more tries are wanted than
+steps remain: then the expected number of tries stands for their number). Deeper,
 
     Q_h(b, a) = Q_1(b, a) + E[ V_{h−1}(b') − V_0(b') ],   V_h(b) = max_a Q_h(b, a),
 
@@ -100,7 +101,9 @@ def leaf_value(config: WorldConfig, belief: Belief) -> Float[Array, ""]:
     chance = grasp_chance(config, occluded, belief.grip)
     is_dirty = jax.nn.sigmoid(belief.log_odds)
     gain = jax.nn.relu(wash_worth(config, is_dirty, chance, counts_penalty=True))
-    return _left_or_tried(config, belief.is_on_table, is_dirty, gain, belief.steps_to_go)
+    return _left_or_tried(
+        config, belief.is_on_table, is_dirty, gain, jnp.where(gain > 0.0, 1.0, 0.0), belief.steps_to_go
+    )
 
 
 def _left_or_tried(
@@ -108,14 +111,17 @@ def _left_or_tried(
     is_on_table: Bool[Array, "*S N"],
     is_dirty: Float[Array, "*#S N"],
     gain: Float[Array, "*S N"],
+    is_tried: Float[Array, "*S N"],
     steps_to_go: Int[Array, ""],
 ) -> Float[Array, "*S"]:
-    """Value of leaving all, plus the gains of as many tries as there are steps (their mean stands for the best)."""
-    gain = jnp.where(is_on_table, gain, 0.0)
-    num_tries = jnp.sum(gain > 0.0, axis=-1)
-    share_tried = jnp.minimum(1.0, steps_to_go / jnp.maximum(num_tries, 1))
+    """Value of leaving all, plus the gains of as many tries as there are steps (their mean stands for the best).
+
+    `is_tried` is the probability that an object is worth a try.
+    """
+    num_tries = jnp.sum(jnp.where(is_on_table, is_tried, 0.0), axis=-1)
+    share_tried = jnp.minimum(1.0, steps_to_go / jnp.maximum(num_tries, 1.0))
     left = config.reward_dirty_left * jnp.sum(jnp.where(is_on_table, is_dirty, 0.0), axis=-1)
-    return left + share_tried * jnp.sum(gain, axis=-1)
+    return left + share_tried * jnp.sum(jnp.where(is_on_table, gain, 0.0), axis=-1)
 
 
 def one_step_q(config: WorldConfig, belief: Belief) -> Float[Array, " A"]:
@@ -136,8 +142,8 @@ def one_step_q(config: WorldConfig, belief: Belief) -> Float[Array, " A"]:
 
     def value(is_on_table: Array, seen_at: Array, chances: Array) -> Float[Array, " N"]:
         """E V_0 after the labels, one row for each target."""
-        gain = _expected_gain(config, is_dirty, seen_at, chances)
-        return _left_or_tried(config, is_on_table, is_dirty, gain, belief.steps_to_go - 1)
+        gain, is_tried = _expected_gain(config, is_dirty, seen_at, chances)
+        return _left_or_tried(config, is_on_table, is_dirty, gain, is_tried, belief.steps_to_go - 1)
 
     there = jnp.broadcast_to(belief.is_on_table, target.shape)
     washed = value(there & ~target, occluded_without, chance_cleared)
@@ -154,9 +160,11 @@ def one_step_q(config: WorldConfig, belief: Belief) -> Float[Array, " A"]:
 
 def _expected_gain(
     config: WorldConfig, is_dirty: Float[Array, " N"], seen_at: Float[Array, "*S N"], chance: Float[Array, "*S N"]
-) -> Float[Array, "*S N"]:
-    """E (worth of one more try)₊ over the next label."""
+) -> tuple[Float[Array, "*S N"], Float[Array, "*S N"]]:
+    """E (worth of one more try)₊ over the next label, and P(it is positive)."""
     says_dirty, if_dirty, if_clean = dirty_after_label(config, jnp.broadcast_to(is_dirty, seen_at.shape), seen_at)
-    gain_dirty = jax.nn.relu(wash_worth(config, if_dirty, chance, counts_penalty=True))
-    gain_clean = jax.nn.relu(wash_worth(config, if_clean, chance, counts_penalty=True))
-    return says_dirty * gain_dirty + (1.0 - says_dirty) * gain_clean
+    worth_dirty = wash_worth(config, if_dirty, chance, counts_penalty=True)
+    worth_clean = wash_worth(config, if_clean, chance, counts_penalty=True)
+    gain = says_dirty * jax.nn.relu(worth_dirty) + (1.0 - says_dirty) * jax.nn.relu(worth_clean)
+    is_tried = jnp.where(worth_dirty > 0.0, says_dirty, 0.0) + jnp.where(worth_clean > 0.0, 1.0 - says_dirty, 0.0)
+    return gain, is_tried

@@ -1,6 +1,6 @@
 """One repetition: fresh logs, cut in every way; policies learned from them; all policies on the same fresh episodes."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
 
@@ -14,7 +14,7 @@ from halfseen.learners.linear_policy import LinearTablePolicy
 from halfseen.study.design import TREATMENTS, StudyDesign
 from halfseen.study.learning import NUM_FOLDS, learn
 from halfseen.study.policies import heuristics, logging_policy, planners
-from halfseen.study.treatments import treat
+from halfseen.study.treatments import Treated, treat
 from halfseen.world.config import WorldConfig
 from halfseen.world.cuts import CutEpisodes, CutKind, cut, cut_rate
 from halfseen.world.episodes import Episodes, Totals, evaluate, play
@@ -87,26 +87,23 @@ def _learned(
     rows: list[dict[str, Any]] = []
     policies: list[LinearTablePolicy] = []
     for num_paths in design.num_paths:
-        treated = []
-        for arm in arms(design):
-            log = _first_paths(logs[arm.cut_kind, arm.cut_share], num_paths)
-            treated.append(treat(log, arm.treatment, design.world))
-            diagnostics = weight_diagnostics(treated[-1].weight)
-            rows.append(
-                {
-                    "treatment": arm.treatment,
-                    "cut_kind": arm.cut_kind,
-                    "cut_share": arm.cut_share,
-                    "num_paths": num_paths,
-                    "effective_sample_size": diagnostics.effective_sample_size,
-                    "largest_weight": diagnostics.largest_weight,
-                }
-            )
+        first = {which: _first_paths(log, num_paths) for which, log in logs.items()}
+        treated = [treat(first[arm.cut_kind, arm.cut_share], arm.treatment, design.world) for arm in arms(design)]
         policies.append(learn(Encoded(*(leaf[:num_paths] for leaf in encoded)), treated, fold[:num_paths]))
+        rows += [_described(arm, num_paths, one) for arm, one in zip(arms(design), treated, strict=True)]
     together = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *policies)
     totals = _evaluate_batch(design.world, layouts, together, key, num_episodes)
     means = [_means(jax.tree.map(lambda leaf, k=k: leaf[k], totals)) for k in range(len(rows))]
     return [row | mean for row, mean in zip(rows, means, strict=True)]
+
+
+def _described(arm: Arm, num_paths: int, treated: Treated) -> dict[str, Any]:
+    diagnostics = weight_diagnostics(treated.weight)
+    return asdict(arm) | {
+        "num_paths": num_paths,
+        "effective_sample_size": diagnostics.effective_sample_size,
+        "largest_weight": diagnostics.largest_weight,
+    }
 
 
 @partial(jax.jit, static_argnames="num_episodes")

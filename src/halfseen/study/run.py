@@ -56,9 +56,9 @@ def run_study(design: StudyDesign, clouds: Sequence[Path], folder: Path, *, is_r
     ArgumentError
         The folder cannot be written, or holds another study that is to be resumed.
     """
-    store = Store(folder, _fingerprint(design, clouds), is_resumed)
     views = look_at(clouds)
     scenes = scenes_of(views, clouds)
+    store = Store(folder, _fingerprint(design, clouds), is_resumed)
     layouts = pad_scenes(scenes)
     times_ms = _decision_times(design, layouts, store)
     pieces = _repetitions(design, layouts, store)

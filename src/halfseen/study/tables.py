@@ -38,7 +38,7 @@ def figure1(learned: pd.DataFrame, baselines: pd.DataFrame) -> pd.DataFrame:
     for key, group in shown.groupby(["treatment", "cut_share", "num_paths"], sort=False):
         treatment, share, num_paths = cast(tuple[str, float, int], key)
         name = LEARNED if treatment == "weighted" else f"{LEARNED}-{treatment}"
-        rows.append((name, num_paths, share, len(group), *mean_and_error(group["reward"].to_numpy())))
+        rows.append((name, num_paths, share, len(group), *mean_and_error(np.asarray(group["reward"]))))
     for name, group in baselines.groupby("policy", sort=False):
         rows.append((name, None, None, len(group), *mean_and_error(group["reward"].to_numpy())))
     columns = ["policy", "num_paths", "cut_share", "repetitions", "mean_reward", "se"]
@@ -53,7 +53,7 @@ def figure4(learned: pd.DataFrame, design: StudyDesign) -> pd.DataFrame:
     for key, group in at_share.groupby(["cut_kind", "num_paths"], sort=False):
         kind, num_paths = cast(tuple[str, int], key)
         reward = group.pivot(index="repetition", columns="treatment", values="reward")
-        for treatment in group["treatment"].drop_duplicates():
+        for treatment in dict.fromkeys(group["treatment"]):
             behind = mean_and_error((reward["weighted"] - reward[treatment]).to_numpy())
             mean = mean_and_error(reward[treatment].to_numpy())
             rows.append((treatment, kind, num_paths, design.treatment_cut_share, len(reward), *mean, *behind))
