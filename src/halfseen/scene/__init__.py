@@ -7,8 +7,9 @@ Data go this way: `cups` (shapes) → `layout` (where they start) → `settle` (
 MuJoCo loads when a table is drawn or seen, never when this package is imported.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
     from halfseen.scene.camera import Camera
@@ -34,22 +35,19 @@ __all__ = [
     "table_paths",
 ]
 
-_MODULE_OF = {
-    "Camera": "camera",
-    "Capture": "record",
-    "Cup": "cups",
-    "Pose": "poses",
-    "Table": "table",
-    "Truth": "truth",
-    "capture": "record",
-    "random_table": "draw",
-    "read_table": "shipped",
-    "read_truth": "shipped",
-    "table_paths": "shipped",
-}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}; it has {', '.join(__all__)}")
-    return getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+__getattr__ = lazy_names(
+    __name__,
+    {
+        "Camera": "camera",
+        "Capture": "record",
+        "Cup": "cups",
+        "Pose": "poses",
+        "Table": "table",
+        "Truth": "truth",
+        "capture": "record",
+        "random_table": "draw",
+        "read_table": "shipped",
+        "read_truth": "shipped",
+        "table_paths": "shipped",
+    },
+)

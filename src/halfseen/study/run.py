@@ -18,6 +18,7 @@ from halfseen.perception import View
 from halfseen.perception.picture import draw
 from halfseen.study.design import StudyDesign
 from halfseen.study.figures import draw_figure1, draw_figure4
+from halfseen.study.findings import LEARNED
 from halfseen.study.policies import HEURISTICS, heuristics, logging_policy, planners
 from halfseen.study.repetition import cut_rates, run_repetition
 from halfseen.study.report import write_report
@@ -25,7 +26,7 @@ from halfseen.study.results import StudyResults
 from halfseen.study.scenes import look_at, scenes_of
 from halfseen.study.sentences import plain_sentences
 from halfseen.study.store import Store, as_json, write_text
-from halfseen.study.tables import LEARNED, baseline_frame, figure1, figure4, learned_frame, strongest, table1, weights
+from halfseen.study.tables import baseline_frame, figure1, figure4, learned_frame, strongest, table1, weights
 from halfseen.study.timing import decision_times_ms
 from halfseen.world.actions import Verb
 from halfseen.world.episodes import play

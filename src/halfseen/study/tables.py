@@ -8,11 +8,10 @@ import pandas as pd
 from jaxtyping import Float
 
 from halfseen.study.design import StudyDesign
+from halfseen.study.findings import LEARNED
 from halfseen.study.policies import HEURISTICS
 from halfseen.study.results import MEASURES
 from halfseen.study.statistics import holm, mean_and_error, paired_test
-
-LEARNED = "cql"
 
 
 def learned_frame(pieces: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
