@@ -22,6 +22,9 @@ check: .venv/.installed
 clouds: .venv/.installed
 	$(BIN)/python -m halfseen.scene
 
+benchmarks: .venv/.installed
+	$(BIN)/python benchmarks/censoring_weights.py
+
 clean:
 	rm -rf .venv runs
 
