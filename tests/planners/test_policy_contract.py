@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from halfseen.learners.linear_policy import LinearTablePolicy
-from halfseen.learners.table_features import NUM_FEATURES
+from halfseen.learners.q_learning.linear_policy import LinearTablePolicy
+from halfseen.learners.q_learning.table_features import NUM_FEATURES
 from halfseen.planners import GreedyPolicy, POMDPPolicy
 from halfseen.world import Scene, UniformPolicy, WorldConfig
 from halfseen.world.actions import Verb, possible_actions

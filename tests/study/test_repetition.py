@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from halfseen.learners import CensoredQLearner
-from halfseen.learners.encoding import Encoded, encode_states
+from halfseen.learners.q_learning.encoding import Encoded, encode_states
 from halfseen.study.learning import learn
 from halfseen.study.policies import logging_policy
 from halfseen.study.repetition import cut_rates

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from halfseen.errors import LogError
-from halfseen.learners.encoding import encode_states
+from halfseen.learners.q_learning.encoding import encode_states
 from halfseen.logs import Logs, read_logs
 from halfseen.world import TableWorld, UniformPolicy, table_world
 from halfseen.world.cuts import cut, cut_rate

@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from halfseen.learners.encoding import Encoded, TableEncoding
-from halfseen.learners.linear_policy import LinearTablePolicy
-from halfseen.learners.q_learner import REGS
-from halfseen.learners.recursion import AnyArray, QFunctions, Transitions, backward
+from halfseen.learners.q_learning.encoding import Encoded, TableEncoding
+from halfseen.learners.q_learning.linear_policy import LinearTablePolicy
+from halfseen.learners.q_learning.q_learner import REGS
+from halfseen.learners.q_learning.recursion import AnyArray, QFunctions, Transitions, backward
 from halfseen.study.treatments import Treated
 
 NUM_FOLDS = 5

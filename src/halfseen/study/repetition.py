@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from halfseen.censoring import weight_diagnostics
-from halfseen.learners.encoding import Encoded, encode_states
-from halfseen.learners.linear_policy import LinearTablePolicy
+from halfseen.learners.q_learning.encoding import Encoded, encode_states
+from halfseen.learners.q_learning.linear_policy import LinearTablePolicy
 from halfseen.study.design import TREATMENTS, StudyDesign
 from halfseen.study.learning import NUM_FOLDS, learn
 from halfseen.study.policies import heuristics, logging_policy, planners

@@ -12,8 +12,8 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
-from halfseen.learners.linear_policy import LinearTablePolicy
-from halfseen.learners.table_features import NUM_FEATURES
+from halfseen.learners.q_learning.linear_policy import LinearTablePolicy
+from halfseen.learners.q_learning.table_features import NUM_FEATURES
 from halfseen.perception import View
 from halfseen.perception.picture import draw
 from halfseen.study.design import StudyDesign

@@ -9,8 +9,8 @@ import pytest
 
 from halfseen.errors import LogError
 from halfseen.learners import CensoredQLearner, LinearTablePolicy
-from halfseen.learners.encoding import encode_states
-from halfseen.learners.table_features import NUM_FEATURES, block_of_action, table_features
+from halfseen.learners.q_learning.encoding import encode_states
+from halfseen.learners.q_learning.table_features import NUM_FEATURES, block_of_action, table_features
 from halfseen.logs import Logs
 from halfseen.world import ExploringPolicy, Scene, WorldConfig
 from halfseen.world.actions import Verb, possible_actions, verb_of

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from halfseen.learners.least_squares import Factor, Fit, Rows, factorise, solve
+from halfseen.learners.q_learning.least_squares import Factor, Fit, Rows, factorise, solve
 
 StageMode = Literal["separate", "pooled"]
 AnyArray = Array | np.ndarray

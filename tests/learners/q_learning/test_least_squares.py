@@ -4,7 +4,7 @@ import pytest
 from naive_q_learning import naive_choice
 from sklearn.linear_model import Ridge
 
-from halfseen.learners.least_squares import Rows, factorise, solve
+from halfseen.learners.q_learning.least_squares import Rows, factorise, solve
 
 NUM_PATHS, NUM_FOLDS = 50, 5
 FACTORISE, SOLVE = jax.jit(factorise, static_argnums=(1, 2)), jax.jit(solve, static_argnums=3)

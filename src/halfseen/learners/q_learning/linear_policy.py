@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from halfseen.learners.recursion import q_values
-from halfseen.learners.table_features import block_of_action, table_features
+from halfseen.learners.q_learning.recursion import q_values
+from halfseen.learners.q_learning.table_features import block_of_action, table_features
 from halfseen.world.actions import possible_actions
 from halfseen.world.policy import Decision, surely
 from halfseen.world.state import TableState

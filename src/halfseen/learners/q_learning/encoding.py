@@ -10,7 +10,7 @@ import pandas as pd
 from jaxtyping import Bool, Float, Int
 
 from halfseen.errors import ArgumentError, LogError
-from halfseen.learners.table_features import block_of_action, table_features
+from halfseen.learners.q_learning.table_features import block_of_action, table_features
 from halfseen.logs import Logs
 from halfseen.world.actions import FINISH, Verb, possible_actions
 from halfseen.world.recording import states_of

@@ -15,9 +15,9 @@ from sklearn.utils.validation import check_is_fitted
 
 from halfseen.censoring import CensoringModel, KaplanMeier, WeightDiagnostics, stage_weights, weight_diagnostics
 from halfseen.errors import ArgumentError, PositivityError
-from halfseen.learners.encoding import Encoding, FlatEncoding, TableEncoding
-from halfseen.learners.linear_policy import LinearTablePolicy
-from halfseen.learners.recursion import QFunctions, StageMode, Transitions, backward, q_values
+from halfseen.learners.q_learning.encoding import Encoding, FlatEncoding, TableEncoding
+from halfseen.learners.q_learning.linear_policy import LinearTablePolicy
+from halfseen.learners.q_learning.recursion import QFunctions, StageMode, Transitions, backward, q_values
 from halfseen.logs import Logs
 
 REGS = np.logspace(-3, 2, 11)

@@ -9,7 +9,8 @@ from trials import ACTIONS, FULL, REDUCED, cell_means, indicators, two_stage_tri
 
 from halfseen.censoring import KaplanMeier
 from halfseen.errors import ArgumentError, LogError, PositivityError
-from halfseen.learners import CensoredQLearner, q_learner
+from halfseen.learners import CensoredQLearner
+from halfseen.learners.q_learning import q_learner
 from halfseen.logs import Logs
 
 
