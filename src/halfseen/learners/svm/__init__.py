@@ -1,0 +1,1 @@
+"""Censored support vector machines (paper, eqs. 1 and 2)."""
