@@ -1,19 +1,28 @@
 """How long a path was likely to be watched: Ĝ, and the weights that it gives.
 
-Read down: `inputs` (what every fit accepts) → `model` (what a censoring model is) → `kaplan_meier` → `weights` →
-`diagnostics`.
+Read down: `inputs`, `covariates` (what every fit accepts) → `model` (what a censoring model is) → the models:
+`kaplan_meier`; `partial_likelihood` → `cox_checks` → `cox`; `local_curve` → `bandwidth` → `kernel_kaplan_meier` →
+`named` (models by name) → `weights` → `diagnostics`.
 """
 
+from halfseen.censoring.cox import Cox
 from halfseen.censoring.diagnostics import WeightDiagnostics, weight_diagnostics
 from halfseen.censoring.kaplan_meier import KaplanMeier
+from halfseen.censoring.kernel_kaplan_meier import KernelKaplanMeier
 from halfseen.censoring.model import CensoringModel
+from halfseen.censoring.named import is_fitted, named_model, uses_covariates
 from halfseen.censoring.weights import censoring_weights, stage_weights
 
 __all__ = [
     "CensoringModel",
+    "Cox",
     "KaplanMeier",
+    "KernelKaplanMeier",
     "WeightDiagnostics",
     "censoring_weights",
+    "is_fitted",
+    "named_model",
     "stage_weights",
+    "uses_covariates",
     "weight_diagnostics",
 ]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pandas as pd
+from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from halfseen.arrays import RowMask, Rows
@@ -51,6 +52,21 @@ def checked_floats(values: ArrayLike, name: str, ndim: int = 1) -> np.ndarray:
     if floats.ndim != ndim:
         raise ArgumentError(f"{name} has shape {floats.shape}; give {ndim} ax{'e' if ndim > 1 else 'i'}s")
     return floats
+
+
+def checked_times(u: ArrayLike) -> Float[np.ndarray, "..."]:
+    """Times asked about as float64; NaN is none.
+
+    Raises
+    ------
+    ArgumentError
+        A time is NaN; its row is named.
+    """
+    times = np.asarray(u, dtype=np.float64)
+    if np.isnan(times).any():
+        row = int(np.argmax(np.isnan(times.ravel())))
+        raise ArgumentError(f"u, row {row}: nan is no time; leave out the stages that were not completed")
+    return times
 
 
 def checked_truncation(truncate_at: float | int | None) -> float | int | None:

@@ -11,18 +11,17 @@ s         ``times_``: the distinct times at which paths were cut [s]
 ========  ========================================================
 """
 
-from typing import Any
-
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from halfseen.arrays import RowMask, Rows
-from halfseen.censoring.inputs import checked_ends
+from halfseen.censoring.inputs import checked_ends, checked_times
+from halfseen.censoring.parameters import Parameters
 from halfseen.errors import ArgumentError
 
 
-class KaplanMeier:
+class KaplanMeier(Parameters):
     """Product-limit estimate of how long paths are watched, the same for all paths.
 
     Ĝ(u⁻) = Π_{s<u} (1 − cuts(s) / (at_risk(s) − finished(s))), where a path that finishes at s leaves before those that
@@ -48,24 +47,13 @@ class KaplanMeier:
     array([1. , 0.5])
     """
 
+    uses_covariates = False
+
     times_: Float[np.ndarray, " k"]
     survival_: Float[np.ndarray, " k"]
     num_paths_: int
     num_cut_: int
     last_time_: float
-
-    def __repr__(self) -> str:
-        return "KaplanMeier()"
-
-    def get_params(self, deep: bool = True) -> dict[str, Any]:
-        """Parameters of the constructor: none."""
-        return {}
-
-    def set_params(self, **params: Any) -> "KaplanMeier":
-        """Refuse every parameter: there are none."""
-        if params:
-            raise ArgumentError(f"KaplanMeier has no parameter {sorted(params)[0]!r}; it has none at all")
-        return self
 
     def fit(self, time: ArrayLike, is_finished: ArrayLike, covariates: object = None) -> "KaplanMeier":
         """Fit the curve.
@@ -115,10 +103,7 @@ class KaplanMeier:
         _refuse_covariates(covariates)
         if not hasattr(self, "times_"):
             raise ArgumentError("this KaplanMeier is not fitted; call fit(time, is_finished) first")
-        times = np.asarray(u, dtype=np.float64)
-        if np.isnan(times).any():
-            row = int(np.argmax(np.isnan(times.ravel())))
-            raise ArgumentError(f"u, row {row}: nan is no time; leave out the stages that were not completed")
+        times = checked_times(u)
         levels = np.concatenate(([1.0], self.survival_))
         # Searching in the order of the times is several times faster than jumping about in a long curve.
         order = np.argsort(times, axis=None)

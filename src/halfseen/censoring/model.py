@@ -12,6 +12,10 @@ class CensoringModel(Protocol):
     """Estimates how long a path is watched before something outside the task cuts it.
 
     The cut time C is itself censored, by the path's own end. At equal times completions come before cuts.
+
+    A model that was fitted has an attribute whose name ends in ``_``, as in scikit-learn; one without is fitted, on a
+    copy, by whoever needs it. A model that conditions on covariates says ``uses_covariates = True``; one that does not
+    say so is taken not to (`uses_covariates`).
     """
 
     def fit(self, time: ArrayLike, is_finished: ArrayLike, covariates: Any = None) -> "CensoringModel":

@@ -11,18 +11,19 @@ from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
 from halfseen.arrays import Rows
+from halfseen.censoring.covariates import rows_of
 from halfseen.censoring.inputs import checked_ends, checked_floats, checked_truncation
-from halfseen.censoring.kaplan_meier import KaplanMeier
 from halfseen.censoring.model import CensoringModel
+from halfseen.censoring.named import fitted_model
 from halfseen.errors import ArgumentError, PositivityError
 
 
 def censoring_weights(
     time: ArrayLike,
     is_finished: ArrayLike,
-    model: CensoringModel | None = None,
+    model: str | CensoringModel | None = None,
     *,
-    covariates: ArrayLike | None = None,
+    covariates: Any = None,
     truncate_at: float | int | None = None,
     path_ids: ArrayLike | None = None,
 ) -> Rows:
@@ -35,7 +36,8 @@ def censoring_weights(
     is_finished
         False where the path was cut, shape (n,).
     model
-        A fitted model of the cuts; None fits `KaplanMeier` to these paths.
+        A fitted model of the cuts; or ``"kaplan-meier"`` (None means the same), ``"cox"``, ``"kernel"`` or an unfitted
+        model, which is fitted to these paths on a copy.
     covariates
         What `model` conditions on, one row for each path.
     truncate_at
@@ -56,7 +58,7 @@ def censoring_weights(
         A value is none that a path can have; the row is named.
     """
     ends, finished = checked_ends(time, is_finished)
-    model = KaplanMeier().fit(ends, finished) if model is None else model
+    model = fitted_model(model, ends, finished, covariates)
     rows = np.flatnonzero(finished)
     seen = _survival(model, ends[rows], covariates, rows, len(ends))
     names = _names(path_ids, len(ends))
@@ -69,10 +71,10 @@ def stage_weights(
     elapsed_s: ArrayLike,
     end_s: ArrayLike,
     is_finished: ArrayLike,
-    model: CensoringModel | None = None,
+    model: str | CensoringModel | None = None,
     truncate_at: float | int | None = None,
     *,
-    covariates: ArrayLike | None = None,
+    covariates: Any = None,
     path_ids: ArrayLike | None = None,
 ) -> Float[np.ndarray, "n T"]:
     """Weight of each completed stage: w_it = δ_it / Ĝ(U_it⁻ | z_i).
@@ -86,7 +88,8 @@ def stage_weights(
     is_finished
         False where the path was cut, shape (n,).
     model
-        A fitted model of the cuts; None fits `KaplanMeier` to the ends of these paths.
+        A fitted model of the cuts; or ``"kaplan-meier"`` (None means the same), ``"cox"``, ``"kernel"`` or an unfitted
+        model, which is fitted to the ends of these paths on a copy.
     truncate_at
         Largest weight allowed, ≥ 1; None truncates nothing.
     covariates
@@ -110,7 +113,7 @@ def stage_weights(
     clock = checked_floats(elapsed_s, "elapsed_s", ndim=2)
     names = _names(path_ids, len(ends))
     _check_clock(clock, ends, names)
-    model = KaplanMeier().fit(ends, finished) if model is None else model
+    model = fitted_model(model, ends, finished, covariates)
     rows, columns = np.nonzero(~np.isnan(clock))
     times = clock[rows, columns]
     seen = _survival(model, times, covariates, rows, len(ends))
@@ -125,12 +128,7 @@ def _survival(
     model: CensoringModel, times: Float[np.ndarray, " k"], covariates: Any, rows: Int[np.ndarray, " k"], num_paths: int
 ) -> Float[np.ndarray, " k"]:
     """Ĝ(times⁻ | z of each row)."""
-    if covariates is None:
-        return np.asarray(model.survival(times), dtype=np.float64)
-    covariates = np.asarray(covariates)
-    if len(covariates) != num_paths:
-        raise ArgumentError(f"covariates has {len(covariates)} rows for {num_paths} paths; give one row per path")
-    return np.asarray(model.survival(times, covariates[rows]), dtype=np.float64)
+    return np.asarray(model.survival(times, rows_of(covariates, rows, num_paths)), dtype=np.float64)
 
 
 def _inverse(seen: Float[np.ndarray, " k"], truncate_at: float | int | None, describe: Any) -> Float[np.ndarray, " k"]:

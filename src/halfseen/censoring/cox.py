@@ -1,0 +1,220 @@
+"""Cox's proportional hazards for the time of the cut (design, §2): covariates may hasten the cut.
+
+========  =======================================================================
+symbol    here
+========  =======================================================================
+z_i       ``covariates``: row i
+β         ``coefficients_``: log hazard ratio for one unit of each covariate
+Λ̂0(s)     ``cumulative_hazard_``: just after the cuts at s, at the mean covariates
+Ĝ(u⁻|z)   ``survival(u, z)`` = exp(−Λ̂0(u⁻) exp((z − z̄)β))
+========  =======================================================================
+"""
+
+from numbers import Real
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from halfseen.censoring.covariates import checked_covariates, checked_question
+from halfseen.censoring.cox_checks import (
+    refuse_constant,
+    refuse_separation,
+    refuse_too_few_cuts,
+    refuse_unidentified,
+    separation_message,
+)
+from halfseen.censoring.inputs import checked_ends
+from halfseen.censoring.parameters import Parameters
+from halfseen.censoring.partial_likelihood import CutOrder, PartialLikelihood, cut_order, partial_likelihood
+from halfseen.errors import ArgumentError
+
+MAX_ITERATIONS = 60
+MAX_HALVINGS = 30
+# In standard deviations; Newton doubles the digits, so the step after this one would be at the rounding.
+STEP_TOLERANCE = 1e-8
+
+
+class Cox(Parameters):
+    """Proportional hazards of being cut, P(C ≥ u | z) = exp(−Λ0(u⁻) exp((z − z̄)β)) [Cox1972]_.
+
+    β maximises the partial likelihood of the cuts; a path that finishes at s leaves before those that are cut at s.
+    Λ0 is Breslow's baseline [Breslow1974]_ for ``ties="breslow"``, and Efron's [Efron1977]_, which spreads the cuts of
+    one time, for ``ties="efron"``. Unlike `KaplanMeier`, Ĝ never reaches 0, not even where the last paths were cut:
+    beyond ``last_time_`` it keeps its last value, which no path speaks for.
+
+    Parameters
+    ----------
+    ties
+        How cuts at equal times count: ``"efron"`` or ``"breslow"``.
+    ridge
+        Penalty ridge/2 · Σ_j (β_j · sd_j)² on the log partial likelihood, ≥ 0; above 0 it also settles collinear
+        covariates, and those that tell the cut paths apart perfectly.
+
+    Attributes
+    ----------
+    coefficients_ : Float[ndarray, "p"]
+        β, one for each covariate in its own unit; 0 where no path was cut.
+    standard_errors_ : Float[ndarray, "p"]
+        Their standard errors, from the inverse information; infinite where no path was cut and ridge is 0.
+    covariates_ : list of str
+        What the columns are called.
+    means_ : Float[ndarray, "p"]
+        z̄: the mean of each covariate.
+    times_ : Float[ndarray, "k"]
+        Distinct times at which paths were cut [s], increasing.
+    cumulative_hazard_ : Float[ndarray, "k"]
+        Λ0 just after each of `times_`, for a path at `means_`.
+    log_likelihood_ : float
+        Log partial likelihood at β, without the penalty.
+    num_iterations_ : int
+        Newton steps taken.
+    num_paths_ : int
+        Number of paths that the model was fitted to.
+    num_cut_ : int
+        Number of those that were cut.
+    last_time_ : float
+        The last observed end [s]; nothing was seen beyond it.
+
+    Examples
+    --------
+    Paths with more clutter are cut sooner:
+
+    >>> clutter = [[0.1], [0.9], [0.4], [0.8], [0.2], [0.6]]
+    >>> cox = Cox().fit([9.0, 2.0, 5.0, 4.0, 6.0, 7.0], [True, False, False, True, False, False], clutter)
+    >>> cox.survival([5.0, 5.0], [[0.1], [0.9]]).round(2)
+    array([0.96, 0.68])
+    """
+
+    uses_covariates = True
+
+    coefficients_: Float[np.ndarray, " p"]
+    standard_errors_: Float[np.ndarray, " p"]
+    covariates_: list[str]
+    means_: Float[np.ndarray, " p"]
+    times_: Float[np.ndarray, " k"]
+    cumulative_hazard_: Float[np.ndarray, " k"]
+    log_likelihood_: float
+    num_iterations_: int
+    num_paths_: int
+    num_cut_: int
+    last_time_: float
+
+    def __init__(self, ties: Literal["efron", "breslow"] = "efron", ridge: float | int = 0.0) -> None:
+        self.ties = ties
+        self.ridge = ridge
+
+    def fit(self, time: ArrayLike, is_finished: ArrayLike, covariates: Any = None) -> "Cox":
+        """Maximise the partial likelihood by Newton's method, with step halving.
+
+        Parameters
+        ----------
+        time
+            Observed end of each path [s], shape (n,).
+        is_finished
+            False where the path was cut, shape (n,).
+        covariates
+            One row for each path, shape (n, p): array-like, or a table, whose names are kept for messages.
+
+        Raises
+        ------
+        ArgumentError
+            A time is not finite and positive, the lengths differ, a covariate is missing, constant or a combination of
+            others, fewer paths were cut than there are covariates, or a covariate tells the cut paths apart so well
+            that its coefficient has no end.
+        """
+        self._check_parameters()
+        ends, finished = checked_ends(time, is_finished)
+        values, names = checked_covariates(covariates, len(ends), "Cox")
+        paths = cut_order(ends, finished)
+        means, scales = values.mean(axis=0), values.std(axis=0)
+        if len(paths.times):
+            refuse_too_few_cuts(len(paths.cuts), names, self.ridge)
+            refuse_constant(values, names)
+            scaled = ((values - means) / scales)[paths.order]
+            beta, best, self.num_iterations_ = _maximise(scaled, paths, self.ties == "efron", float(self.ridge), names)
+            covariance = np.linalg.inv(best.information + self.ridge * np.eye(len(beta)))
+            self.coefficients_, self.standard_errors_ = beta / scales, np.sqrt(np.diag(covariance)) / scales
+            self.cumulative_hazard_, self.log_likelihood_ = np.cumsum(best.hazard), best.value
+        else:
+            self._fit_nothing(len(names))
+        self.covariates_, self.means_ = names, means
+        self.times_, self.num_paths_, self.num_cut_ = paths.times, len(ends), len(paths.cuts)
+        self.last_time_ = float(ends.max())
+        return self
+
+    def survival(self, u: ArrayLike, covariates: Any = None) -> Float[np.ndarray, "..."]:
+        """Ĝ(u⁻ | z) = P(C ≥ u | z).
+
+        Parameters
+        ----------
+        u
+            Times asked about [s], any shape.
+        covariates
+            One row for each entry of the first axis of `u`, or a single row for all of `u`; columns as in the fit.
+
+        Returns
+        -------
+        Float[ndarray, "..."]
+            The left limits, in the shape of `u`.
+
+        Raises
+        ------
+        ArgumentError
+            The model is not fitted, a time is NaN, or the covariates do not match.
+        """
+        if not hasattr(self, "times_"):
+            raise ArgumentError("this Cox is not fitted; call fit(time, is_finished, covariates) first")
+        times, values = checked_question(u, covariates, "Cox", self.covariates_)
+        scores = (values - self.means_) @ self.coefficients_
+        levels = np.concatenate(([0.0], self.cumulative_hazard_))
+        hazard = levels[np.searchsorted(self.times_, times, side="left")]
+        # A far-off row has no hazard that a float could hold; at times before all cuts its survival is still 1.
+        ratio = np.exp(np.minimum(scores, 700.0)).reshape((-1,) + (1,) * max(times.ndim - 1, 0))
+        with np.errstate(over="ignore"):
+            return np.exp(-hazard * ratio).reshape(times.shape)
+
+    def _fit_nothing(self, num_covariates: int) -> None:
+        """No path was cut, so Ĝ is 1 and the data say nothing about β."""
+        self.coefficients_ = np.zeros(num_covariates)
+        self.standard_errors_ = np.full(num_covariates, np.inf)
+        self.cumulative_hazard_ = np.empty(0)
+        self.log_likelihood_, self.num_iterations_ = 0.0, 0
+
+    def _check_parameters(self) -> None:
+        if self.ties not in ("efron", "breslow"):
+            raise ArgumentError(f"ties is {self.ties!r}; it is 'efron' or 'breslow'")
+        if not (isinstance(self.ridge, Real) and 0 <= float(self.ridge) < np.inf):
+            raise ArgumentError(f"ridge is {self.ridge!r}; it is a finite number ≥ 0")
+
+
+def _maximise(
+    covariates: Float[np.ndarray, "n p"], paths: CutOrder, is_efron: bool, ridge: float, names: list[str]
+) -> tuple[Float[np.ndarray, " p"], PartialLikelihood, int]:
+    """Find β, the partial likelihood there, and the number of Newton steps; covariates are standardised."""
+    beta = np.zeros(covariates.shape[1])
+    now = partial_likelihood(beta, covariates, paths, is_efron)
+    initial = now.information
+    if ridge == 0:
+        refuse_unidentified(initial, len(paths.cuts), names)
+    for iteration in range(1, MAX_ITERATIONS + 1):
+        step = np.linalg.solve(now.information + ridge * np.eye(len(beta)), now.gradient - ridge * beta)
+        floor = _penalised(now, beta, ridge)
+        for _ in range(MAX_HALVINGS):
+            now = partial_likelihood(beta + step, covariates, paths, is_efron)
+            if _penalised(now, beta + step, ridge) >= floor - 1e-12 * abs(floor):
+                break
+            step = step / 2
+        beta = beta + step
+        if ridge == 0:
+            refuse_separation(now.information, initial, names)
+        if np.abs(step).max() <= STEP_TOLERANCE:
+            return beta, now, iteration
+    raise ArgumentError(separation_message(names[int(np.argmax(np.abs(beta)))]))
+
+
+def _penalised(likelihood: PartialLikelihood, beta: Float[np.ndarray, " p"], ridge: float) -> float:
+    """Log partial likelihood less the penalty; −∞ where it has left the range of floats."""
+    value = likelihood.value - ridge / 2 * float(beta @ beta)
+    return value if np.isfinite(value) and np.isfinite(likelihood.information).all() else -np.inf

@@ -1,0 +1,75 @@
+"""Censoring models by name, and what else may stand for one."""
+
+from copy import deepcopy
+from types import NoneType
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from halfseen.censoring.cox import Cox
+from halfseen.censoring.kaplan_meier import KaplanMeier
+from halfseen.censoring.kernel_kaplan_meier import KernelKaplanMeier
+from halfseen.censoring.model import CensoringModel
+from halfseen.errors import ArgumentError
+
+MODELS = {"kaplan-meier": KaplanMeier, "cox": Cox, "kernel": KernelKaplanMeier}
+
+
+def named_model(censoring: str | CensoringModel) -> CensoringModel:
+    """Make a model of one's own to fit.
+
+    Parameters
+    ----------
+    censoring
+        ``"kaplan-meier"``, ``"cox"`` or ``"kernel"``; or a model, which is copied, with what it was fitted to.
+
+    Raises
+    ------
+    ArgumentError
+        There is no such name, or the object is no model.
+    """
+    if isinstance(censoring, str) and censoring in MODELS:
+        return MODELS[censoring]()
+    if isinstance(censoring, (str, type)) or not isinstance(censoring, CensoringModel):
+        names = ", ".join(repr(name) for name in MODELS)
+        raise ArgumentError(f"censoring is {censoring!r}; it is {names}, or a model with fit and survival")
+    return deepcopy(censoring)
+
+
+def is_fitted(model: CensoringModel) -> bool:
+    """Tell whether a model was fitted, as scikit-learn does: by an attribute that ends in ``_``."""
+    own_word = getattr(model, "__sklearn_is_fitted__", None)
+    if own_word is not None:
+        return bool(own_word())
+    return any(name.endswith("_") and not name.startswith("_") for name in vars(model))
+
+
+def uses_covariates(model: CensoringModel) -> bool:
+    """Tell whether a model conditions on covariates; a model that does not say so does not."""
+    return bool(getattr(model, "uses_covariates", False))
+
+
+def fitted_model(
+    model: str | CensoringModel | None, time: ArrayLike, is_finished: ArrayLike, covariates: Any
+) -> CensoringModel:
+    """Take a fitted model as it is; fit a name, or a copy of an unfitted model, to these paths.
+
+    Parameters
+    ----------
+    model
+        A name, a model, or None for Kaplan–Meier.
+    time
+        Observed end of each path [s], shape (n,).
+    is_finished
+        False where the path was cut, shape (n,).
+    covariates
+        One row for each path, or None.
+
+    Raises
+    ------
+    ArgumentError
+        There is no such model, or it cannot be fitted.
+    """
+    if not isinstance(model, (str, type, NoneType)) and is_fitted(model):
+        return model
+    return named_model("kaplan-meier" if model is None else model).fit(time, is_finished, covariates)
