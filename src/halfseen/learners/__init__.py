@@ -1,6 +1,7 @@
 """From weighted logs to predictions and policies.
 
-Each folder is one learner; read them down: `q_learning` (policies, paper, eq. 3).
+Each folder is one learner; read them down: `svm` (targets that may be cut, paper, eqs. 1 and 2) → `grasp` (does a grasp
+succeed?) → `q_learning` (policies, eq. 3).
 """
 
 from typing import TYPE_CHECKING
@@ -10,10 +11,21 @@ from halfseen.lazy import lazy_names
 if TYPE_CHECKING:
     from halfseen.learners.q_learning.linear_policy import LinearTablePolicy
     from halfseen.learners.q_learning.q_learner import CensoredQLearner
+    from halfseen.learners.svm.classifier import CensoredSVC
+    from halfseen.learners.svm.regressor import CensoredSVR
+    from halfseen.learners.svm.set_kernel import SetKernel
+    from halfseen.learners.svm.targets import survival_array
 
-__all__ = ["CensoredQLearner", "LinearTablePolicy"]
+__all__ = ["CensoredQLearner", "CensoredSVC", "CensoredSVR", "LinearTablePolicy", "SetKernel", "survival_array"]
 
 __getattr__ = lazy_names(
     __name__,
-    {"CensoredQLearner": "q_learning.q_learner", "LinearTablePolicy": "q_learning.linear_policy"},
+    {
+        "CensoredQLearner": "q_learning.q_learner",
+        "CensoredSVC": "svm.classifier",
+        "CensoredSVR": "svm.regressor",
+        "LinearTablePolicy": "q_learning.linear_policy",
+        "SetKernel": "svm.set_kernel",
+        "survival_array": "svm.targets",
+    },
 )

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from halfseen.arrays import Rows
 from halfseen.errors import ArgumentError
 from halfseen.learners.svm.set_kernel import SetKernel, all_objects
 from halfseen.learners.svm.vector_kernels import VECTOR_KERNELS, Kernel, row_blocks, vector_kernel
@@ -125,45 +126,46 @@ def kernel_diagonal(kernel: Kernel, rows: Sequence[Any] | np.ndarray) -> Float[n
     return diagonal
 
 
-def scale_gamma(rows: Sequence[Any] | np.ndarray) -> float:
+def scale_gamma(rows: Sequence[Any] | np.ndarray, counts: Rows | None = None) -> float:
     """γ = 1/(F·variance of all values), scikit-learn's "scale"; 1 where nothing varies.
 
     Parameters
     ----------
     rows
         An array of shape (n, F), or sets, whose objects count one by one.
+    counts
+        How many rows each one stands for; one by default. Sets count once each.
 
     Returns
     -------
     float
         γ [1 / squared unit of the rows].
-
-    Raises
-    ------
-    ArgumentError
-        A value, or the variance, is not finite.
     """
-    values = rows if isinstance(rows, np.ndarray) and rows.dtype != object and rows.ndim == 2 else all_objects(rows)
+    is_matrix = isinstance(rows, np.ndarray) and rows.dtype != object and rows.ndim == 2
+    values = rows if is_matrix else all_objects(rows)
     if values.size == 0:
         return 1.0
-    with np.errstate(over="ignore", invalid="ignore"):
-        variance = float(np.var(values))
-    if not np.isfinite(variance):
-        raise ArgumentError(f"the rows have the variance {variance}; give finite values whose squares are finite")
+    share = np.ones(len(values)) if counts is None or not is_matrix else counts
+    mean = float(np.average(values.mean(axis=1), weights=share))
+    variance = float(np.average(np.square(values - mean).mean(axis=1), weights=share))
     # The mean of equal values is rounded, and their variance with it.
     rounding = float(8.0 * np.finfo(np.float64).eps * np.abs(values).max()) ** 2
-    return 1.0 / (values.shape[1] * variance) if variance > max(rounding, SMALLEST_VARIANCE) else 1.0
+    if not max(rounding, np.finfo(np.float64).tiny) < variance < np.inf:
+        return 1.0
+    return 1.0 / (values.shape[1] * variance)
 
 
-def candidate_gammas(rows: Sequence[Any] | np.ndarray) -> Float[np.ndarray, "5"]:
+def candidate_gammas(rows: Sequence[Any] | np.ndarray, counts: Rows | None = None) -> Float[np.ndarray, "5"]:
     """Widths to choose from by cross-validation: `scale_gamma(rows)` · 4^{−2, …, 2}, increasing.
 
     Parameters
     ----------
     rows
         An array of shape (n, F), or sets.
+    counts
+        How many rows each one stands for; one by default.
     """
-    return scale_gamma(rows) * 4.0 ** np.arange(-2, 3)
+    return scale_gamma(rows, counts) * 4.0 ** np.arange(-2, 3)
 
 
 def _check_finite(gram: Float[np.ndarray, "n m"], rows: slice) -> None:

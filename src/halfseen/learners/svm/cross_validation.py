@@ -1,0 +1,116 @@
+"""Choose λ and the kernel's width by the weighted loss on rows that were held out."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from tqdm import tqdm
+
+from halfseen.arrays import RowIds, Rows
+from halfseen.learners.svm.designs import Design
+from halfseen.learners.svm.losses import ConvexLoss
+from halfseen.learners.svm.solver import Problem, Solution, solve
+
+_TOLERANCE = 1e-4
+_LEAST_OBJECTIVE = 1e-2
+"""Relative duality gap of fits that are only compared, and the share of the loss of f = 0 that it is at least of."""
+
+Fold = tuple[RowIds, RowIds]
+"""Rows fitted to, rows held out."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is fitted, whatever the design and λ; row k of these is a row that was seen."""
+
+    y: Rows
+    weight: Rows
+    """w > 0."""
+    loss: ConvexLoss
+    has_offset: bool
+
+    def problem(self, design: Design, rows: RowIds, num_rows: float, reg: float) -> Problem:
+        """The problem on some of the rows, as a share of `num_rows`, the unseen ones included."""
+        return Problem(design.space(rows), self.y[rows], self.weight[rows] / num_rows, self.loss, reg, self.has_offset)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What cross-validation chose."""
+
+    gamma: float
+    reg: float
+    held_out: Rows
+    """f of each row by fits that did not see it, NaN where no fold held the row out."""
+    losses: Float[np.ndarray, "G L"]
+    """Weighted mean loss of each width and λ."""
+
+
+def choose(
+    task: Task,
+    design_of: Callable[[float], Design],
+    gammas: Sequence[float],
+    regs: Rows,
+    folds: Sequence[Fold],
+    num_rows: float,
+    seen: RowIds,
+) -> Choice:
+    """Try every width and every λ; the larger λ wins a tie.
+
+    Parameters
+    ----------
+    task
+        What is fitted to the rows that were seen.
+    design_of
+        Makes the design of a width; only one is held at a time.
+    gammas, regs
+        Candidates.
+    folds
+        Rows fitted to and held out, among all rows.
+    num_rows
+        n of the objective.
+    seen
+        Where the rows of `task` stand among all rows.
+    """
+    falling = np.sort(regs)[::-1]
+    held_out = np.full((len(gammas), len(falling), len(task.y)), np.nan)
+    bar = tqdm(total=len(gammas) * len(folds), desc="cross-validation", unit="fold", delay=2, disable=None, leave=False)
+    for g, gamma in enumerate(gammas):
+        design = design_of(gamma)
+        for fitted, held in _folds_of_seen(folds, seen):
+            share = len(fitted) / len(seen)
+            path = _path(task, design, fitted, share * num_rows, falling)
+            for k, solution in enumerate(path):
+                held_out[g, k, held] = design.values(solution.coefficients, fitted, held) + solution.offset
+            bar.update()
+    bar.close()
+    losses = np.array([[_mean_loss(task, f) for f in of_gamma] for of_gamma in held_out])
+    g, k = np.unravel_index(int(np.argmin(losses)), losses.shape)
+    return Choice(float(gammas[g]), float(falling[k]), held_out[g, k], losses)
+
+
+def hold_out(task: Task, design: Design, reg: float, folds: Sequence[Fold], num_rows: float, seen: RowIds) -> Rows:
+    """F of each row by a fit that did not see it, NaN where no fold held the row out."""
+    return choose(task, lambda _: design, [1.0], np.array([reg]), folds, num_rows, seen).held_out
+
+
+def _path(task: Task, design: Design, rows: RowIds, num_rows: float, falling: Rows) -> Iterator[Solution]:
+    """Fits from the largest λ down, each from the one before."""
+    solution = None
+    whole = task.problem(design, rows, num_rows, falling[0])
+    for reg in falling:
+        problem = Problem(whole.space, whole.y, whole.mass, whole.loss, reg, whole.has_offset)
+        solution = solve(problem, _TOLERANCE, solution, _LEAST_OBJECTIVE)
+        yield solution
+
+
+def _folds_of_seen(folds: Sequence[Fold], seen: RowIds) -> Iterator[Fold]:
+    """The folds, as positions among the rows that were seen."""
+    for fitted, held in folds:
+        yield np.flatnonzero(np.isin(seen, fitted)), np.flatnonzero(np.isin(seen, held))
+
+
+def _mean_loss(task: Task, f: Rows) -> float:
+    held = ~np.isnan(f)
+    return float(task.weight[held] @ task.loss.value(task.y[held], f[held]) / task.weight[held].sum())

@@ -1,0 +1,247 @@
+"""Convex losses L(y, s) of a target y and a value s = f(z), each with what the solver and its certificate need.
+
+===========================  ==========================================================================================
+``squared``                  (y − s)²
+``absolute``                 |y − s|
+``pinball``                  max(q (y − s), (1 − q) (s − y)), q the quantile
+``epsilon-insensitive``      max(|y − s| − ε, 0)
+``huber``                    ½ (y − s)² where |y − s| ≤ δ, and δ (|y − s| − ½ δ) beyond
+``hinge``                    max(1 − y s, 0), y = ±1
+``squared-hinge``            max(1 − y s, 0)²
+``logistic``                 log(1 + exp(−y s))
+===========================  ==========================================================================================
+
+A loss is either *smooth*, with a derivative and a curvature in s, or it has a proximal step. All functions work row by
+row. The conjugate is L*(y, t) = sup_s (t s − L(y, s)), and ∞ where t is no slope that the loss can have.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import expit, xlogy
+
+from halfseen.arrays import Rows
+from halfseen.errors import ArgumentError
+
+REGRESSION = ("squared", "absolute", "pinball", "epsilon-insensitive", "huber")
+CLASSIFICATION = ("hinge", "squared-hinge", "logistic")
+
+_ON_THE_EDGE = 1e-9
+"""Slopes that leave the domain of a conjugate by less than this are taken to lie on its edge."""
+
+
+class ConvexLoss(ABC):
+    """A convex loss, row by row."""
+
+    @abstractmethod
+    def value(self, y: Rows, s: Rows) -> Rows:
+        """L(y, s)."""
+
+    @abstractmethod
+    def conjugate(self, y: Rows, t: Rows) -> Rows:
+        """L*(y, t)."""
+
+
+class SmoothLoss(ConvexLoss):
+    """A loss with a continuous derivative in s."""
+
+    @abstractmethod
+    def derivative(self, y: Rows, s: Rows) -> Rows:
+        """∂L/∂s."""
+
+    @abstractmethod
+    def curvature(self, y: Rows, s: Rows) -> Rows:
+        """∂²L/∂s², one of its one-sided values where the derivative has a kink."""
+
+
+class ProximalLoss(ConvexLoss):
+    """A loss with a proximal step."""
+
+    @abstractmethod
+    def proximal(self, y: Rows, v: Rows, step: float) -> Rows:
+        """argmin_s L(y, s) + (s − v)² / (2 step)."""
+
+    @abstractmethod
+    def proximal_slope(self, y: Rows, v: Rows, step: float) -> Rows:
+        """∂ proximal / ∂v, in [0, 1]."""
+
+
+@dataclass(frozen=True)
+class Squared(SmoothLoss):
+    """(y − s)²."""
+
+    def value(self, y: Rows, s: Rows) -> Rows:
+        return np.square(y - s)
+
+    def derivative(self, y: Rows, s: Rows) -> Rows:
+        return 2.0 * (s - y)
+
+    def curvature(self, y: Rows, s: Rows) -> Rows:
+        return np.full_like(s, 2.0)
+
+    def conjugate(self, y: Rows, t: Rows) -> Rows:
+        return t * y + 0.25 * t**2
+
+
+@dataclass(frozen=True)
+class Huber(SmoothLoss):
+    """½ (y − s)² where |y − s| ≤ δ, and δ (|y − s| − ½ δ) beyond."""
+
+    delta: float = 1.0
+
+    def value(self, y: Rows, s: Rows) -> Rows:
+        inner = np.clip(s - y, -self.delta, self.delta)
+        return inner * (s - y - 0.5 * inner)
+
+    def derivative(self, y: Rows, s: Rows) -> Rows:
+        return np.clip(s - y, -self.delta, self.delta)
+
+    def curvature(self, y: Rows, s: Rows) -> Rows:
+        return (np.abs(s - y) <= self.delta).astype(np.float64)
+
+    def conjugate(self, y: Rows, t: Rows) -> Rows:
+        return _within(t * y + 0.5 * t**2, t, -self.delta, self.delta)
+
+
+@dataclass(frozen=True)
+class SquaredHinge(SmoothLoss):
+    """max(1 − y s, 0)², y = ±1."""
+
+    def value(self, y: Rows, s: Rows) -> Rows:
+        return np.square(np.maximum(1.0 - y * s, 0.0))
+
+    def derivative(self, y: Rows, s: Rows) -> Rows:
+        return -2.0 * y * np.maximum(1.0 - y * s, 0.0)
+
+    def curvature(self, y: Rows, s: Rows) -> Rows:
+        return 2.0 * (y * s < 1.0)
+
+    def conjugate(self, y: Rows, t: Rows) -> Rows:
+        slope = t * y
+        return _within(slope + 0.25 * slope**2, slope, -np.inf, 0.0)
+
+
+@dataclass(frozen=True)
+class Logistic(SmoothLoss):
+    """log(1 + exp(−y s)), y = ±1."""
+
+    def value(self, y: Rows, s: Rows) -> Rows:
+        return np.logaddexp(0.0, -y * s)
+
+    def derivative(self, y: Rows, s: Rows) -> Rows:
+        return -y * expit(-y * s)
+
+    def curvature(self, y: Rows, s: Rows) -> Rows:
+        return expit(s) * expit(-s)
+
+    def conjugate(self, y: Rows, t: Rows) -> Rows:
+        chance = np.clip(-t * y, 0.0, 1.0)
+        return _within(xlogy(chance, chance) + xlogy(1.0 - chance, 1.0 - chance), -t * y, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class DeadZone(ProximalLoss):
+    """max(0, up (s − high), down (low − s)): nothing between low and high, slopes `up` and `down` outside.
+
+    Parameters
+    ----------
+    up, down
+        Slopes ≥ 0 above and below the dead zone.
+    """
+
+    up: float = 1.0
+    down: float = 1.0
+
+    def edges(self, y: Rows) -> tuple[Rows, Rows]:
+        """Low and high end of each row's dead zone."""
+        return y, y
+
+    def value(self, y: Rows, s: Rows) -> Rows:
+        low, high = self.edges(y)
+        return self.up * np.maximum(s - high, 0.0) + self.down * np.maximum(low - s, 0.0)
+
+    def proximal(self, y: Rows, v: Rows, step: float) -> Rows:
+        low, high = self.edges(y)
+        return v - np.clip(v - high, 0.0, step * self.up) + np.clip(low - v, 0.0, step * self.down)
+
+    def proximal_slope(self, y: Rows, v: Rows, step: float) -> Rows:
+        low, high = self.edges(y)
+        is_held = ((v > high) & (v < high + step * self.up)) | ((v < low) & (v > low - step * self.down))
+        return (~is_held).astype(np.float64)
+
+    def conjugate(self, y: Rows, t: Rows) -> Rows:
+        low, high = self.edges(y)
+        # 0 · ∞ is 0 here: an edge at infinity has no slope.
+        rising = np.where(t > 0, t, 0.0) * np.where(np.isfinite(high), high, 0.0)
+        falling = np.where(t < 0, t, 0.0) * np.where(np.isfinite(low), low, 0.0)
+        return _within(
+            rising + falling, t, np.where(np.isfinite(low), -self.down, 0.0), np.where(np.isfinite(high), self.up, 0.0)
+        )
+
+
+@dataclass(frozen=True)
+class Absolute(DeadZone):
+    """|y − s|."""
+
+
+@dataclass(frozen=True)
+class Pinball(DeadZone):
+    """max(q (y − s), (1 − q) (s − y)): its minimiser is the q-quantile. Make it with `pinball(q)`."""
+
+
+@dataclass(frozen=True)
+class EpsilonInsensitive(DeadZone):
+    """max(|y − s| − ε, 0)."""
+
+    epsilon: float = 0.1
+
+    def edges(self, y: Rows) -> tuple[Rows, Rows]:
+        return y - self.epsilon, y + self.epsilon
+
+
+@dataclass(frozen=True)
+class Hinge(DeadZone):
+    """max(1 − y s, 0), y = ±1."""
+
+    def edges(self, y: Rows) -> tuple[Rows, Rows]:
+        return np.where(y > 0, 1.0, -np.inf), np.where(y > 0, np.inf, -1.0)
+
+
+def pinball(quantile: float) -> Pinball:
+    """The loss whose minimiser is the `quantile`, in (0, 1)."""
+    return Pinball(up=1.0 - quantile, down=quantile)
+
+
+def named_loss(name: str, *, epsilon: float = 0.1, quantile: float = 0.5, delta: float = 1.0) -> ConvexLoss:
+    """The loss of this name.
+
+    Raises
+    ------
+    ArgumentError
+        There is no such loss, or its parameter is out of range.
+    """
+    if name == "pinball" and not 0.0 < quantile < 1.0:
+        raise ArgumentError(f"quantile is {quantile}; it lies in (0, 1), and 0.5 is the median")
+    if name == "epsilon-insensitive" and not 0.0 <= epsilon < np.inf:
+        raise ArgumentError(f"epsilon is {epsilon}; it is a distance ≥ 0 in the target's units")
+    if name == "huber" and not 0.0 < delta < np.inf:
+        raise ArgumentError(f"delta is {delta}; it is a distance > 0 in the target's units")
+    losses: dict[str, ConvexLoss] = {
+        "squared": Squared(),
+        "absolute": Absolute(),
+        "pinball": pinball(quantile),
+        "epsilon-insensitive": EpsilonInsensitive(epsilon=epsilon),
+        "huber": Huber(delta),
+        "hinge": Hinge(),
+        "squared-hinge": SquaredHinge(),
+        "logistic": Logistic(),
+    }
+    if name not in losses:
+        raise ArgumentError(f"there is no loss {name!r}; there are {', '.join(losses)}, or give a loss of your own")
+    return losses[name]
+
+
+def _within(values: Rows, t: Rows, low: Rows | float, high: Rows | float) -> Rows:
+    """`values` where low ≤ t ≤ high, ∞ elsewhere."""
+    return np.where((t >= low - _ON_THE_EDGE) & (t <= high + _ON_THE_EDGE), values, np.inf)

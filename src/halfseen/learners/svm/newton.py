@@ -1,0 +1,120 @@
+"""Minimise λ‖g‖² + Σ_i φ_i(g_i + b) over g in H and an offset b, φ convex with a (semismooth) derivative.
+
+Newton steps with an exact search along each: where φ is piecewise quadratic, as it is for all losses here but the
+logistic one, the last step is exact and few are needed [QiSun1993]_.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+from halfseen.arrays import Rows
+from halfseen.learners.svm.spaces import Coefficients, Space
+
+MAX_STEPS = 200
+
+
+class SmoothSum(Protocol):
+    """Σ_i φ_i(f_i)."""
+
+    def pull(self, f: Rows) -> Rows:
+        """−∂φ_i/∂f_i: how hard each row pulls its value up."""
+        ...
+
+    def curvature(self, f: Rows) -> Rows:
+        """∂²φ_i/∂f_i²."""
+        ...
+
+
+@dataclass(frozen=True)
+class Point:
+    """A candidate: the coefficients of g, the values g_i, and the offset b."""
+
+    coefficients: Coefficients
+    values: Rows
+    offset: float
+
+    @property
+    def f(self) -> Rows:
+        """G + b on the rows."""
+        return self.values + self.offset
+
+
+def minimise(
+    space: Space, total: SmoothSum, reg: float, has_offset: bool, start: Point, tolerance: float
+) -> tuple[Point, int]:
+    """Minimise from `start`; stop when a Newton step promises less than `tolerance`.
+
+    Returns
+    -------
+    tuple
+        The minimiser and the number of steps taken.
+    """
+    point = start
+    for step in range(MAX_STEPS):
+        pull, curvature = total.pull(point.f), total.curvature(point.f)
+        if has_offset and not curvature.any():
+            point = replace(point, offset=balanced_offset(total, point))
+            pull, curvature = total.pull(point.f), total.curvature(point.f)
+        move = _newton_move(space, point, pull, curvature, reg, has_offset)
+        line = _Line(space, total, reg, point, move)
+        if -line.slope(0.0) <= tolerance:
+            return point, step
+        point = line.at(line.lowest())
+    return point, MAX_STEPS
+
+
+def balanced_offset(total: SmoothSum, point: Point) -> float:
+    """Find the offset at which the rows' pulls cancel, the other coefficients held."""
+
+    def excess(offset: float) -> float:
+        return float(total.pull(point.values + offset).sum())
+
+    low = high = point.offset
+    width = 1.0 + abs(point.offset)
+    while excess(low) < 0.0 and width < 1e12:
+        low, width = low - width, 2.0 * width
+    while excess(high) > 0.0 and width < 1e12:
+        high, width = high + width, 2.0 * width
+    return _bisect(lambda offset: -excess(offset), low, high, 0.0)
+
+
+def _newton_move(space: Space, point: Point, pull: Rows, curvature: Rows, reg: float, has_offset: bool) -> Point:
+    coefficients, offset = space.newton_step(point.coefficients, pull, curvature, reg, has_offset)
+    return Point(coefficients, space.values(coefficients), offset)
+
+
+class _Line:
+    """The objective along a move; its slope only rises."""
+
+    def __init__(self, space: Space, total: SmoothSum, reg: float, point: Point, move: Point) -> None:
+        self.total, self.point, self.move = total, point, move
+        self.linear = 2.0 * reg * space.inner(point.coefficients, move.coefficients, move.values)
+        self.quadratic = 2.0 * reg * space.inner(move.coefficients, move.coefficients, move.values)
+
+    def at(self, share: float) -> Point:
+        return Point(
+            self.point.coefficients + share * self.move.coefficients,
+            self.point.values + share * self.move.values,
+            self.point.offset + share * self.move.offset,
+        )
+
+    def slope(self, share: float) -> float:
+        pull = self.total.pull(self.point.f + share * self.move.f)
+        return self.linear + share * self.quadratic - float(pull @ self.move.f)
+
+    def lowest(self) -> float:
+        """The whole move unless it overshoots, then the share at which the slope is all but gone."""
+        enough = 0.1 * abs(self.slope(0.0))
+        return 1.0 if self.slope(1.0) <= enough else _bisect(self.slope, 0.0, 1.0, enough)
+
+
+def _bisect(rising, low: float, high: float, enough: float) -> float:
+    """Zero of a rising function between `low` and `high`."""
+    middle = 0.5 * (low + high)
+    for _ in range(100):
+        value = rising(middle)
+        if abs(value) <= enough or not low < middle < high:
+            break
+        low, high = (middle, high) if value < 0.0 else (low, middle)
+        middle = 0.5 * (low + high)
+    return middle

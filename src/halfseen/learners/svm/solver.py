@@ -1,0 +1,204 @@
+"""The censored SVM's optimum: min over f = g + b of λ‖g‖² + Σ_i c_i L(y_i, f_i), c_i = w_i / n (paper, eqs. 1 and 2).
+
+A smooth loss is minimised by Newton steps. Any other is smoothed by its Moreau envelope around the last multipliers,
+which is the augmented Lagrangian of the constraint s = f: each round minimises a smooth function and updates the
+multipliers, and only the rows near a kink carry curvature, so that the linear systems stay small [LiSunToh2018]_.
+
+With u_i = −L'(y_i, f_i), the pull of row i, the dual of the problem is to maximise
+
+    −λ‖g_u‖² − Σ_i c_i L*(y_i, −u_i),   2 λ g_u = Σ_i c_i u_i k(z_i, ·),   Σ_i c_i u_i = 0 if b is free.
+
+Where λ = 0 nothing is penalised, and Σ_i c_i u_i z_i = 0 as well.
+
+The distance between the two objectives, the *duality gap*, bounds how far the solution is from the optimum.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from halfseen.arrays import RowMask, Rows
+from halfseen.learners.svm.losses import ConvexLoss, SmoothLoss
+from halfseen.learners.svm.newton import Point, minimise
+from halfseen.learners.svm.spaces import Coefficients, FeatureSpace, Space
+
+MAX_ROUNDS = 60
+_SHRINK = 0.2
+_NEWTON_TOLERANCE = 1e-15
+_ROOM = 1e-7
+"""A pull that can move this far either way is inside its range."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is minimised; all rows count, so leave out those of weight 0."""
+
+    space: Space
+    y: Rows
+    mass: Rows
+    """c_i = w_i / n, > 0."""
+    loss: ConvexLoss
+    reg: float
+    """λ; 0 needs features of full rank."""
+    has_offset: bool
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A minimiser and its certificate."""
+
+    coefficients: Coefficients
+    offset: float
+    pull: Rows
+    """u: minus the slope of the loss at each row."""
+    objective: float
+    gap: float
+    """Objective minus dual objective: the optimum is at most this far below."""
+    num_steps: int
+    """Newton steps taken."""
+
+    @property
+    def relative_gap(self) -> float:
+        """The gap as a share of the objective."""
+        return self.gap / max(abs(self.objective), np.finfo(float).tiny)
+
+
+def solve(
+    problem: Problem, tolerance: float = 1e-8, start: "Solution | None" = None, least_objective: float = 0.0
+) -> Solution:
+    """Solve to a relative duality gap of `tolerance`, or as near as rounding allows.
+
+    Parameters
+    ----------
+    problem
+        What is minimised.
+    tolerance
+        Largest gap, as a share of the objective.
+    start
+        The solution of a problem on the same rows, for example with another λ.
+    least_objective
+        An objective below this share of the loss of f = 0 is taken for that share when gaps are compared.
+    """
+    point = _first_point(problem, start)
+    if isinstance(problem.loss, SmoothLoss):
+        return _solve_smooth(problem, point)
+    return _solve_by_rounds(problem, point, start, tolerance, least_objective)
+
+
+def best_constant(y: Rows, weight: Rows, loss: ConvexLoss) -> float:
+    """Find the constant that minimises Σ w L(y, c)."""
+    nothing = FeatureSpace(np.zeros((len(y), 0)))
+    return solve(Problem(nothing, y, weight / weight.sum(), loss, 1.0, True)).offset
+
+
+def _first_point(problem: Problem, start: "Solution | None") -> Point:
+    if start is None:
+        size = problem.space.num_coefficients()
+        return Point(np.zeros(size), np.zeros(len(problem.y)), 0.0)
+    return Point(start.coefficients, problem.space.values(start.coefficients), start.offset)
+
+
+def _solve_smooth(problem: Problem, start: Point) -> Solution:
+    total = _Smooth(problem)
+    tolerance = _NEWTON_TOLERANCE * _scale(problem)
+    point, num_steps = minimise(problem.space, total, problem.reg, problem.has_offset, start, tolerance)
+    return certify(problem, point, -problem.loss.derivative(problem.y, point.f), num_steps)
+
+
+def _solve_by_rounds(
+    problem: Problem, point: Point, start: "Solution | None", tolerance: float, least_objective: float
+) -> Solution:
+    scale = _scale(problem)
+    envelope = _Envelope(problem, np.zeros(len(problem.y)), _spread(problem.y))
+    if start is not None:
+        envelope = replace(envelope, pulls=start.pull)
+    best: Solution | None = None
+    num_steps = 0
+    inner = 1e-3 * scale
+    for _ in range(MAX_ROUNDS):
+        point, steps = minimise(problem.space, envelope, problem.reg, problem.has_offset, point, inner)
+        num_steps += steps
+        found = certify(problem, point, envelope.pulls_at(point.f), num_steps)
+        best = found if best is None or found.gap < best.gap else best
+        if best.gap <= tolerance * max(best.objective, least_objective * scale):
+            break
+        inner = max(min(0.1 * inner, 1e-2 * found.gap), _NEWTON_TOLERANCE * scale)
+        envelope = replace(envelope, pulls=envelope.pulls_at(point.f), step=_SHRINK * envelope.step)
+    assert best is not None
+    return best
+
+
+def certify(problem: Problem, point: Point, pulls: Rows, num_steps: int) -> Solution:
+    """Take the better of two candidates and the dual bound that the pulls give."""
+    pulls = _balanced(problem, pulls)
+    mass, loss, space = problem.mass, problem.loss, problem.space
+    dual_coefficients = space.of_pull(mass * pulls, problem.reg)
+    dual_values = space.values(dual_coefficients)
+    dual_norm = space.inner(dual_coefficients, dual_coefficients, dual_values)
+    dual = -problem.reg * dual_norm - float(mass @ loss.conjugate(problem.y, -pulls))
+    norm = space.inner(point.coefficients, point.coefficients, point.values)
+    objective = problem.reg * norm + float(mass @ loss.value(problem.y, point.f))
+    return Solution(point.coefficients, point.offset, pulls, objective, max(objective - dual, 0.0), num_steps)
+
+
+def _balanced(problem: Problem, pulls: Rows) -> Rows:
+    """Make Σ c u z exactly 0 for what costs nothing (z = 1 for the offset) by moving the pulls that have room."""
+    columns = problem.space.unpenalised(problem.reg)
+    if problem.has_offset:
+        columns = np.column_stack([columns, np.ones(len(pulls))])
+    if columns.shape[1] == 0:
+        return pulls
+    has_room = _is_slope(problem, pulls - _ROOM) & _is_slope(problem, pulls + _ROOM)
+    movable = columns[has_room]
+    excess = columns.T @ (problem.mass * pulls)
+    moved = pulls.copy()
+    system = movable.T @ (problem.mass[has_room, None] * movable)
+    moved[has_room] -= movable @ np.linalg.lstsq(system, excess)[0]
+    return moved
+
+
+def _is_slope(problem: Problem, pulls: Rows) -> RowMask:
+    return np.isfinite(problem.loss.conjugate(problem.y, -pulls))
+
+
+def _scale(problem: Problem) -> float:
+    """Loss of f = 0, the size of the numbers that are compared."""
+    return float(problem.mass @ np.abs(problem.loss.value(problem.y, np.zeros(len(problem.y))))) or 1.0
+
+
+def _spread(y: Rows) -> float:
+    return float(np.std(y)) or 1.0
+
+
+@dataclass(frozen=True)
+class _Smooth:
+    """Σ c_i L(y_i, f_i)."""
+
+    problem: Problem
+
+    def pull(self, f: Rows) -> Rows:
+        return -self.problem.mass * self.problem.loss.derivative(self.problem.y, f)
+
+    def curvature(self, f: Rows) -> Rows:
+        return self.problem.mass * self.problem.loss.curvature(self.problem.y, f)
+
+
+@dataclass(frozen=True)
+class _Envelope:
+    """Σ c_i min_s L(y_i, s) + (s − v_i)² / (2 step), v = f − step · u."""
+
+    problem: Problem
+    pulls: Rows
+    step: float
+
+    def pulls_at(self, f: Rows) -> Rows:
+        """(s − v) / step: minus a slope of L at s, whatever v."""
+        v = f - self.step * self.pulls
+        return (self.problem.loss.proximal(self.problem.y, v, self.step) - v) / self.step
+
+    def pull(self, f: Rows) -> Rows:
+        return self.problem.mass * self.pulls_at(f)
+
+    def curvature(self, f: Rows) -> Rows:
+        v = f - self.step * self.pulls
+        return self.problem.mass * (1.0 - self.problem.loss.proximal_slope(self.problem.y, v, self.step)) / self.step

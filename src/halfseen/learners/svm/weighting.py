@@ -1,0 +1,85 @@
+"""How much each row counts: w = δ / Ĝ(min(T, τ)⁻ | z), and a word of warning where little is left."""
+
+import warnings
+
+import numpy as np
+
+from halfseen.arrays import Rows
+from halfseen.censoring import CensoringModel, WeightDiagnostics, censoring_weights, named_model
+from halfseen.errors import ArgumentError, HalfseenWarning, PositivityError
+from halfseen.learners.svm.targets import Ends
+
+FEW = 10.0
+"""An effective sample size below this is warned of."""
+
+
+def row_weights(
+    ends: Ends | None,
+    rows: np.ndarray,
+    counts: Rows,
+    censoring: str | CensoringModel,
+    tau: float | None,
+    truncate_at: float | int | None,
+) -> tuple[Rows, CensoringModel | None]:
+    """Weight of each row, and the model of the cuts that gave it.
+
+    Parameters
+    ----------
+    ends
+        Times and whether they were seen; None if nothing could be cut.
+    rows
+        Covariates, for models that use them, shape (n, F), or sets.
+    counts
+        How many rows each one stands for; rows of 0 do not enter Ĝ.
+    censoring
+        Name of a model, a model to fit anew, or ``"none"``: rows that were seen count alike.
+    tau
+        τ [s], if times are restricted.
+    truncate_at
+        Largest 1/Ĝ allowed, if any.
+
+    Raises
+    ------
+    ArgumentError
+        The numbers of rows differ, or the model needs covariates and the rows are sets.
+    PositivityError
+        Nothing was seen, or Ĝ is 0 where something was.
+    """
+    if ends is None:
+        return counts, None
+    if len(rows) != len(ends.time):
+        raise ArgumentError(f"X has {len(rows)} rows and y has {len(ends.time)}; give one target a row")
+    seen, counted = ends.restricted(tau), counts > 0
+    if not seen.is_finished[counted].any():
+        raise PositivityError(
+            f"all {len(rows)} paths were cut before their target was seen; record until some finish, or give a tau "
+            "that some outlived"
+        )
+    if isinstance(censoring, str) and censoring == "none":
+        return counts * seen.is_finished, None
+    model = named_model(censoring)
+    covariates = _covariates(model, rows)
+    model.fit(ends.time[counted], ends.is_finished[counted], None if covariates is None else covariates[counted])
+    weights = censoring_weights(
+        seen.time, seen.is_finished & counted, model, covariates=covariates, truncate_at=truncate_at
+    )
+    return counts * weights, model
+
+
+def warn_of_few(diagnostics: WeightDiagnostics, stacklevel: int) -> None:
+    """Warn where the weights leave too little to learn from."""
+    if diagnostics.effective_sample_size < FEW:
+        warnings.warn(
+            f"{diagnostics} That is too little to learn from: record longer, give tau, or truncate the weights "
+            "knowingly with truncate_at",
+            HalfseenWarning,
+            stacklevel=stacklevel + 1,
+        )
+
+
+def _covariates(model: CensoringModel, rows: np.ndarray) -> np.ndarray | None:
+    if not getattr(model, "uses_covariates", False):
+        return None
+    if rows.dtype == object:
+        raise ArgumentError("censoring uses covariates, and X holds sets; choose 'kaplan-meier'")
+    return rows
