@@ -140,17 +140,25 @@ def scale_gamma(rows: Sequence[Any] | np.ndarray, counts: Rows | None = None) ->
     -------
     float
         γ [1 / squared unit of the rows].
+
+    Raises
+    ------
+    ArgumentError
+        A value, or the variance, is not finite.
     """
     is_matrix = isinstance(rows, np.ndarray) and rows.dtype != object and rows.ndim == 2
     values = rows if is_matrix else all_objects(rows)
     if values.size == 0:
         return 1.0
     share = np.ones(len(values)) if counts is None or not is_matrix else counts
-    mean = float(np.average(values.mean(axis=1), weights=share))
-    variance = float(np.average(np.square(values - mean).mean(axis=1), weights=share))
+    with np.errstate(over="ignore", invalid="ignore"):
+        mean = float(np.average(values.mean(axis=1), weights=share))
+        variance = float(np.average(np.square(values - mean).mean(axis=1), weights=share))
+    if not np.isfinite(variance):
+        raise ArgumentError(f"the rows have the variance {variance}; give finite values whose squares are finite")
     # The mean of equal values is rounded, and their variance with it.
     rounding = float(8.0 * np.finfo(np.float64).eps * np.abs(values).max()) ** 2
-    if not max(rounding, np.finfo(np.float64).tiny) < variance < np.inf:
+    if variance <= max(rounding, SMALLEST_VARIANCE):
         return 1.0
     return 1.0 / (values.shape[1] * variance)
 
