@@ -20,7 +20,7 @@ from halfseen.learners.svm.cross_validation import Choice, Fold, Task, choose
 from halfseen.learners.svm.designs import Design, Function, GramDesign, LinearDesign, LowRankDesign, RootDesign
 from halfseen.learners.svm.folds import dealt
 from halfseen.learners.svm.kernels import candidate_gammas, checked_gram, named_kernel, scale_gamma
-from halfseen.learners.svm.losses import CLASSIFICATION, ConvexLoss, named_loss
+from halfseen.learners.svm.losses import CLASSIFICATION, ProximalLoss, SmoothLoss, named_loss
 from halfseen.learners.svm.memory import check_gram_fits
 from halfseen.learners.svm.nystrom import fit_nystrom
 from halfseen.learners.svm.set_kernel import SetKernel, as_sets
@@ -82,7 +82,7 @@ class CensoredSVM(BaseEstimator):
     def _checked_rows(self, X: Any, is_fit: bool) -> np.ndarray:
         if self._takes_sets:
             return as_sets(X)
-        rows = validate_data(
+        rows: Any = validate_data(
             self, X, reset=is_fit, dtype=np.float64, ensure_all_finite=False, ensure_min_samples=int(is_fit)
         )
         wrong = np.argwhere(~np.isfinite(rows))
@@ -174,7 +174,7 @@ class CensoredSVM(BaseEstimator):
             return candidate_gammas(rows, counts)
         return np.array([scale_gamma(rows, counts) if self.gamma == "scale" else float(self.gamma)])
 
-    def _checked_loss(self, y: Rows) -> ConvexLoss:
+    def _checked_loss(self, y: Rows) -> SmoothLoss | ProximalLoss:
         if not isinstance(self.loss, str):
             return own_loss(self.loss, y)
         if self.loss not in self._losses:

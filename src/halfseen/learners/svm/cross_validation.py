@@ -9,7 +9,7 @@ from tqdm import tqdm
 
 from halfseen.arrays import RowIds, Rows
 from halfseen.learners.svm.designs import Design
-from halfseen.learners.svm.losses import ConvexLoss
+from halfseen.learners.svm.losses import ProximalLoss, SmoothLoss
 from halfseen.learners.svm.solver import Problem, Solution, solve
 
 _TOLERANCE = 1e-4
@@ -27,7 +27,7 @@ class Task:
     y: Rows
     weight: Rows
     """w > 0."""
-    loss: ConvexLoss
+    loss: SmoothLoss | ProximalLoss
     has_offset: bool
 
     def problem(self, design: Design, rows: RowIds, num_rows: float, reg: float) -> Problem:
@@ -50,7 +50,7 @@ class Choice:
 def choose(
     task: Task,
     design_of: Callable[[float], Design],
-    gammas: Sequence[float],
+    gammas: Rows,
     regs: Rows,
     folds: Sequence[Fold],
     num_rows: float,
@@ -86,13 +86,13 @@ def choose(
             bar.update()
     bar.close()
     losses = np.array([[_mean_loss(task, f) for f in of_gamma] for of_gamma in held_out])
-    g, k = np.unravel_index(int(np.argmin(losses)), losses.shape)
+    g, k = divmod(int(np.argmin(losses)), len(falling))
     return Choice(float(gammas[g]), float(falling[k]), held_out[g, k], losses)
 
 
 def hold_out(task: Task, design: Design, reg: float, folds: Sequence[Fold], num_rows: float, seen: RowIds) -> Rows:
     """F of each row by a fit that did not see it, NaN where no fold held the row out."""
-    return choose(task, lambda _: design, [1.0], np.array([reg]), folds, num_rows, seen).held_out
+    return choose(task, lambda _: design, np.ones(1), np.array([reg]), folds, num_rows, seen).held_out
 
 
 def _path(task: Task, design: Design, rows: RowIds, num_rows: float, falling: Rows) -> Iterator[Solution]:

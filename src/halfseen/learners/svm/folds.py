@@ -32,7 +32,8 @@ def dealt(cv: Any, seen: RowIds, num_rows: int, rng: np.random.Generator, classe
         There are fewer than two folds or rows.
     """
     if not isinstance(cv, (int, np.integer)):
-        return list(check_cv(cv).split(np.zeros(num_rows)))
+        splitter: Any = check_cv(cv)
+        return list(splitter.split(np.zeros(num_rows)))
     if cv < 2:
         raise ArgumentError(f"cv is {cv}; cross-validation needs at least 2 folds")
     if len(seen) < 2:

@@ -147,7 +147,7 @@ def scale_gamma(rows: Sequence[Any] | np.ndarray, counts: Rows | None = None) ->
         A value, or the variance, is not finite.
     """
     is_matrix = isinstance(rows, np.ndarray) and rows.dtype != object and rows.ndim == 2
-    values = rows if is_matrix else all_objects(rows)
+    values = np.asarray(rows) if is_matrix else all_objects(rows)
     if values.size == 0:
         return 1.0
     share = np.ones(len(values)) if counts is None or not is_matrix else counts

@@ -213,7 +213,9 @@ def pinball(quantile: float) -> Pinball:
     return Pinball(up=1.0 - quantile, down=quantile)
 
 
-def named_loss(name: str, *, epsilon: float = 0.1, quantile: float = 0.5, delta: float = 1.0) -> ConvexLoss:
+def named_loss(
+    name: str, *, epsilon: float = 0.1, quantile: float = 0.5, delta: float = 1.0
+) -> SmoothLoss | ProximalLoss:
     """The loss of this name.
 
     Raises
@@ -227,7 +229,7 @@ def named_loss(name: str, *, epsilon: float = 0.1, quantile: float = 0.5, delta:
         raise ArgumentError(f"epsilon is {epsilon}; it is a distance ≥ 0 in the target's units")
     if name == "huber" and not 0.0 < delta < np.inf:
         raise ArgumentError(f"delta is {delta}; it is a distance > 0 in the target's units")
-    losses: dict[str, ConvexLoss] = {
+    losses: dict[str, SmoothLoss | ProximalLoss] = {
         "squared": Squared(),
         "absolute": Absolute(),
         "pinball": pinball(quantile),

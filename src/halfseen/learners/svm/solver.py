@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from halfseen.arrays import RowMask, Rows
-from halfseen.learners.svm.losses import ConvexLoss, SmoothLoss
+from halfseen.learners.svm.losses import ProximalLoss, SmoothLoss
 from halfseen.learners.svm.newton import Point, minimise
 from halfseen.learners.svm.spaces import Coefficients, FeatureSpace, Space
 
@@ -37,7 +37,7 @@ class Problem:
     y: Rows
     mass: Rows
     """c_i = w_i / n, > 0."""
-    loss: ConvexLoss
+    loss: SmoothLoss | ProximalLoss
     reg: float
     """λ; 0 needs features of full rank."""
     has_offset: bool
@@ -81,11 +81,14 @@ def solve(
     """
     point = _first_point(problem, start)
     if isinstance(problem.loss, SmoothLoss):
-        return _solve_smooth(problem, point)
-    return _solve_by_rounds(problem, point, start, tolerance, least_objective)
+        return _solve_smooth(problem, problem.loss, point)
+    envelope = _Envelope(
+        problem.loss, problem.y, problem.mass, start.pull if start else np.zeros(len(problem.y)), _spread(problem.y)
+    )
+    return _solve_by_rounds(problem, envelope, point, tolerance, least_objective)
 
 
-def best_constant(y: Rows, weight: Rows, loss: ConvexLoss) -> float:
+def best_constant(y: Rows, weight: Rows, loss: SmoothLoss | ProximalLoss) -> float:
     """Find the constant that minimises Σ w L(y, c)."""
     nothing = FeatureSpace(np.zeros((len(y), 0)))
     return solve(Problem(nothing, y, weight / weight.sum(), loss, 1.0, True)).offset
@@ -98,20 +101,17 @@ def _first_point(problem: Problem, start: "Solution | None") -> Point:
     return Point(start.coefficients, problem.space.values(start.coefficients), start.offset)
 
 
-def _solve_smooth(problem: Problem, start: Point) -> Solution:
-    total = _Smooth(problem)
+def _solve_smooth(problem: Problem, loss: SmoothLoss, start: Point) -> Solution:
+    total = _Smooth(loss, problem.y, problem.mass)
     tolerance = _NEWTON_TOLERANCE * _scale(problem)
     point, num_steps = minimise(problem.space, total, problem.reg, problem.has_offset, start, tolerance)
-    return certify(problem, point, -problem.loss.derivative(problem.y, point.f), num_steps)
+    return certify(problem, point, -loss.derivative(problem.y, point.f), num_steps)
 
 
 def _solve_by_rounds(
-    problem: Problem, point: Point, start: "Solution | None", tolerance: float, least_objective: float
+    problem: Problem, envelope: "_Envelope", point: Point, tolerance: float, least_objective: float
 ) -> Solution:
     scale = _scale(problem)
-    envelope = _Envelope(problem, np.zeros(len(problem.y)), _spread(problem.y))
-    if start is not None:
-        envelope = replace(envelope, pulls=start.pull)
     best: Solution | None = None
     num_steps = 0
     inner = 1e-3 * scale
@@ -174,31 +174,35 @@ def _spread(y: Rows) -> float:
 class _Smooth:
     """Σ c_i L(y_i, f_i)."""
 
-    problem: Problem
+    loss: SmoothLoss
+    y: Rows
+    mass: Rows
 
     def pull(self, f: Rows) -> Rows:
-        return -self.problem.mass * self.problem.loss.derivative(self.problem.y, f)
+        return -self.mass * self.loss.derivative(self.y, f)
 
     def curvature(self, f: Rows) -> Rows:
-        return self.problem.mass * self.problem.loss.curvature(self.problem.y, f)
+        return self.mass * self.loss.curvature(self.y, f)
 
 
 @dataclass(frozen=True)
 class _Envelope:
-    """Σ c_i min_s L(y_i, s) + (s − v_i)² / (2 step), v = f − step · u."""
+    """Σ c_i min_s L(y_i, s) + (s − v_i)² / (2 step), v = f − step · u, with u the pulls of the round before."""
 
-    problem: Problem
+    loss: ProximalLoss
+    y: Rows
+    mass: Rows
     pulls: Rows
     step: float
 
     def pulls_at(self, f: Rows) -> Rows:
         """(s − v) / step: minus a slope of L at s, whatever v."""
         v = f - self.step * self.pulls
-        return (self.problem.loss.proximal(self.problem.y, v, self.step) - v) / self.step
+        return (self.loss.proximal(self.y, v, self.step) - v) / self.step
 
     def pull(self, f: Rows) -> Rows:
-        return self.problem.mass * self.pulls_at(f)
+        return self.mass * self.pulls_at(f)
 
     def curvature(self, f: Rows) -> Rows:
         v = f - self.step * self.pulls
-        return self.problem.mass * (1.0 - self.problem.loss.proximal_slope(self.problem.y, v, self.step)) / self.step
+        return self.mass * (1.0 - self.loss.proximal_slope(self.y, v, self.step)) / self.step

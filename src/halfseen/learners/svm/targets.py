@@ -79,7 +79,7 @@ def as_ends(y: Any) -> Ends | None:
     return None
 
 
-def _of_frame(y: pd.DataFrame) -> tuple[pd.Series, pd.Series]:
+def _of_frame(y: pd.DataFrame) -> tuple[Any, Any]:
     times = [name for name in TIME_COLUMNS if name in y.columns]
     if len(times) != 1 or FINISHED_COLUMN not in y.columns:
         raise ArgumentError(

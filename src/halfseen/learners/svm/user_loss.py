@@ -16,7 +16,7 @@ import numpy as np
 
 from halfseen.arrays import Rows
 from halfseen.errors import ArgumentError
-from halfseen.learners.svm.losses import ConvexLoss, ProximalLoss
+from halfseen.learners.svm.losses import ProximalLoss, SmoothLoss
 
 _BISECTIONS = 80
 _ASCENTS = 60
@@ -67,7 +67,7 @@ class UserLoss(ProximalLoss):
         return 0.5 * (low + high)
 
 
-def own_loss(own: Any, y: Rows) -> ConvexLoss:
+def own_loss(own: Any, y: Rows) -> SmoothLoss | ProximalLoss:
     """Take a loss of the library as it is, and a user's after a trial on the targets.
 
     Raises
@@ -75,7 +75,7 @@ def own_loss(own: Any, y: Rows) -> ConvexLoss:
     ArgumentError
         The object lacks a method, returns something else than one finite number a row, or is not convex.
     """
-    if isinstance(own, ConvexLoss):
+    if isinstance(own, SmoothLoss | ProximalLoss):
         return own
     if not hasattr(own, "value") or not (hasattr(own, "proximal") or hasattr(own, "derivative")):
         raise ArgumentError(
