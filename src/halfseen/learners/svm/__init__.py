@@ -1,1 +1,8 @@
-"""Censored support vector machines (paper, eqs. 1 and 2)."""
+"""The censored SVM (paper, eqs. 1 and 2): min over f of λ‖f‖² + (1/n) Σ_i w_i L(Y(T_i), f(Z_i)).
+
+Read down, in the order of the work. What is minimised: `targets` (Y, from times that may be cut) → `weighting` (w) →
+`losses`, `user_loss` (L) → `vector_kernels`, `set_kernel`, `kernels` (‖f‖), `nystrom` and `memory` (when there are many
+rows) → `designs` (rows as the solver sees them). How: `spaces` (f by a Gram matrix or by features) → `newton` (smooth
+losses) → `solver` (all losses, and the duality gap). The estimators: `folds`, `cross_validation` (λ and γ) →
+`censored_svm` (what both share) → `regressor`, `calibration`, `classifier`.
+"""

@@ -139,7 +139,8 @@ class FeatureSpace:
         system[np.arange(size), np.arange(size)] += 2.0 * reg
         used = size + (has_offset and system[size, size] > 0.0)
         step = np.zeros(size + 1)
-        step[:used] = _solve(system[:used, :used], gradient[:used])
+        if used:
+            step[:used] = _solve(system[:used, :used], gradient[:used])
         return step[:size], float(step[size])
 
 
