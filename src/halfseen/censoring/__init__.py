@@ -2,15 +2,17 @@
 
 Read down: `inputs`, `covariates` (what every fit accepts) → `model` (what a censoring model is) → the models:
 `kaplan_meier`; `partial_likelihood` → `cox_checks` → `cox`; `local_curve` → `bandwidth` → `kernel_kaplan_meier` →
-`named` (models by name) → `weights` → `diagnostics`.
+`named` (models by name) → `weights` → `diagnostics` →
+`positivity` (the report) → `positivity_text`, `positivity_figure`.
 """
 
 from halfseen.censoring.cox import Cox
-from halfseen.censoring.diagnostics import WeightDiagnostics, weight_diagnostics
+from halfseen.censoring.diagnostics import WeightDiagnostics, warn_if_few, weight_diagnostics
 from halfseen.censoring.kaplan_meier import KaplanMeier
 from halfseen.censoring.kernel_kaplan_meier import KernelKaplanMeier
 from halfseen.censoring.model import CensoringModel
 from halfseen.censoring.named import is_fitted, named_model, uses_covariates
+from halfseen.censoring.positivity import PositivityReport, positivity_report
 from halfseen.censoring.weights import censoring_weights, stage_weights
 
 __all__ = [
@@ -18,11 +20,14 @@ __all__ = [
     "Cox",
     "KaplanMeier",
     "KernelKaplanMeier",
+    "PositivityReport",
     "WeightDiagnostics",
     "censoring_weights",
     "is_fitted",
     "named_model",
+    "positivity_report",
     "stage_weights",
     "uses_covariates",
+    "warn_if_few",
     "weight_diagnostics",
 ]

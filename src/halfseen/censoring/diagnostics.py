@@ -1,12 +1,16 @@
 """What a set of weights is worth: how many paths' worth of evidence it leaves, and who carries it."""
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from halfseen.censoring.inputs import checked_truncation
-from halfseen.errors import ArgumentError
+from halfseen.errors import ArgumentError, HalfseenWarning
+
+# Fewer equally weighted observations than this carry no average.
+FEWEST_EFFECTIVE = 10.0
 
 
 @dataclass(frozen=True)
@@ -20,7 +24,7 @@ class WeightDiagnostics:
     num_seen
         Number of weights above 0.
     effective_sample_size
-        (Σ w)² / Σ w²: that many equal weights would give the same variance; 0 where nothing was seen.
+        (Σ w)² / Σ w² [Kish1965]_: that many equal weights would give the same variance; 0 where nothing was seen.
     largest_weight
         The largest weight; 0 where nothing was seen.
     largest_at
@@ -81,3 +85,27 @@ def weight_diagnostics(weights: ArrayLike, truncate_at: float | int | None = Non
         largest_at=tuple(int(index) for index in largest_at),
         share_truncated=float(truncated),
     )
+
+
+def warn_if_few(diagnostics: WeightDiagnostics, stacklevel: int = 2) -> None:
+    """Warn where weights are worth fewer than ten equally weighted observations.
+
+    Parameters
+    ----------
+    diagnostics
+        What the weights are worth.
+    stacklevel
+        As in `warnings.warn`: 2 blames the caller of this function.
+
+    Warns
+    -----
+    HalfseenWarning
+        The effective sample size is below 10.
+    """
+    if diagnostics.effective_sample_size < FEWEST_EFFECTIVE:
+        warnings.warn(
+            f"{diagnostics} That is too few to trust an average; record more paths, shorten the horizon, or truncate "
+            "the weights knowingly with truncate_at=…",
+            HalfseenWarning,
+            stacklevel=stacklevel + 1,
+        )

@@ -60,8 +60,8 @@ def censoring_weights(
     ends, finished = checked_ends(time, is_finished)
     model = fitted_model(model, ends, finished, covariates)
     rows = np.flatnonzero(finished)
-    seen = _survival(model, ends[rows], covariates, rows, len(ends))
-    names = _names(path_ids, len(ends))
+    seen = survival_of_rows(model, ends[rows], covariates, rows, len(ends))
+    names = path_names(path_ids, len(ends))
     weights = np.zeros(len(ends))
     weights[rows] = _inverse(seen, truncate_at, lambda k: (f"path {names[rows[k]]}", "finished", ends[rows[k]]))
     return weights
@@ -111,12 +111,12 @@ def stage_weights(
     """
     ends, finished = checked_ends(end_s, is_finished, "end_s")
     clock = checked_floats(elapsed_s, "elapsed_s", ndim=2)
-    names = _names(path_ids, len(ends))
+    names = path_names(path_ids, len(ends))
     _check_clock(clock, ends, names)
     model = fitted_model(model, ends, finished, covariates)
     rows, columns = np.nonzero(~np.isnan(clock))
     times = clock[rows, columns]
-    seen = _survival(model, times, covariates, rows, len(ends))
+    seen = survival_of_rows(model, times, covariates, rows, len(ends))
     weights = np.zeros(clock.shape)
     weights[rows, columns] = _inverse(
         seen, truncate_at, lambda k: (f"path {names[rows[k]]}, stage {columns[k] + 1}", "completed", times[k])
@@ -124,23 +124,17 @@ def stage_weights(
     return weights
 
 
-def _survival(
+def survival_of_rows(
     model: CensoringModel, times: Float[np.ndarray, " k"], covariates: Any, rows: Int[np.ndarray, " k"], num_paths: int
 ) -> Float[np.ndarray, " k"]:
-    """Ĝ(times⁻ | z of each row)."""
+    """Ĝ(times⁻ | z) at one time for each of `rows`, which may repeat; covariates has a row for each path."""
     return np.asarray(model.survival(times, rows_of(covariates, rows, num_paths)), dtype=np.float64)
 
 
 def _inverse(seen: Float[np.ndarray, " k"], truncate_at: float | int | None, describe: Any) -> Float[np.ndarray, " k"]:
     """1/Ĝ, bounded; `describe(k)` tells where, what and when entry k was seen."""
     bound = checked_truncation(truncate_at)
-    wrong = ~((seen >= 0) & (seen <= 1))
-    if wrong.any():
-        k = int(np.argmax(wrong))
-        where, what, when = describe(k)
-        raise ArgumentError(
-            f"{where}: the censoring model gives P(C ≥ {when:g} s) = {seen[k]}; a probability lies in [0, 1]"
-        )
+    refuse_improbable(seen, describe)
     unseen = seen == 0
     if bound is None and unseen.any():
         where, what, when = describe(int(np.argmax(unseen)))
@@ -152,6 +146,17 @@ def _inverse(seen: Float[np.ndarray, " k"], truncate_at: float | int | None, des
     if bound is None:
         return 1.0 / seen
     return 1.0 / np.maximum(seen, 1.0 / bound)
+
+
+def refuse_improbable(seen: Float[np.ndarray, " k"], describe: Any) -> None:
+    """Refuse what a censoring model gives as a probability and is none; `describe(k)` tells where, what and when."""
+    wrong = ~((seen >= 0) & (seen <= 1))
+    if wrong.any():
+        k = int(np.argmax(wrong))
+        where, _, when = describe(k)
+        raise ArgumentError(
+            f"{where}: the censoring model gives P(C ≥ {when:g} s) = {seen[k]}; a probability lies in [0, 1]"
+        )
 
 
 def _check_clock(clock: Float[np.ndarray, "rows T"], ends: Rows, names: np.ndarray) -> None:
@@ -166,7 +171,8 @@ def _check_clock(clock: Float[np.ndarray, "rows T"], ends: Rows, names: np.ndarr
         )
 
 
-def _names(path_ids: ArrayLike | None, num_paths: int) -> np.ndarray:
+def path_names(path_ids: ArrayLike | None, num_paths: int) -> np.ndarray:
+    """Names of the paths for messages: `path_ids`, or their rows."""
     names = np.arange(num_paths) if path_ids is None else np.asarray(path_ids)
     if names.shape != (num_paths,):
         raise ArgumentError(f"path_ids has shape {names.shape} for {num_paths} paths; give one name per path")

@@ -1,0 +1,156 @@
+"""The positivity report as a figure: weights over time, and what bounding them would change."""
+
+import textwrap
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+
+from halfseen.censoring.diagnostics import FEWEST_EFFECTIVE
+from halfseen.censoring.positivity import PositivityReport
+from halfseen.censoring.positivity_text import verdict
+
+INK, FAINT, TAIL_COLOUR = "#222222", "#8a8a8a", "#f3e3d3"
+# Okabe and Ito (2008).
+WEIGHT_COLOUR, CUT_COLOUR = "#0072B2", "#D55E00"
+SIZE_INCHES = (12.0, 4.2)
+
+
+def draw(report: PositivityReport) -> Figure:
+    """Draw three panels: weights over time, the mean against the bound, and the effective size against the bound."""
+    figure = Figure(figsize=SIZE_INCHES, layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(verdict(report), x=0.01, ha="left", fontsize=11.5, fontweight="bold", color=INK)
+    weights, mean, worth = figure.subplots(1, 3, width_ratios=[1.5, 1.0, 1.0])
+    _draw_weights(weights, report)
+    figure.legend(loc="outside lower left", ncols=4, fontsize=8.5, frameon=False)
+    _draw_means(mean, report)
+    _draw_worth(worth, report)
+    for axes in (weights, mean, worth):
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.tick_params(labelsize=8.5)
+    return figure
+
+
+def _draw_weights(axes: Axes, report: PositivityReport) -> None:
+    """Draw each finish at its weight, and each cut below."""
+    is_finite = np.isfinite(report.weights)
+    time_s, weight = report.finish_s[is_finite], report.weights[is_finite]
+    if report.num_finished:
+        end_s = max(report.identified_until_s, float(report.finish_s.max()))
+        if end_s > report.tail_from_s:
+            axes.axvspan(report.tail_from_s, end_s, color=TAIL_COLOUR, lw=0, label="last quarter of the finishes")
+        axes.plot(time_s, weight, "o", ms=4, mew=0, alpha=0.6, color=WEIGHT_COLOUR, label="finished, at its weight")
+    if len(weight) and weight.max() > 10:
+        axes.set_yscale("log")
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    # Below the smallest weight, which is 1, there is room for the cuts.
+    low = 0.75
+    if len(report.cut_s):
+        axes.plot(report.cut_s, np.full(len(report.cut_s), low), "|", ms=7, mew=0.8, color=CUT_COLOUR, label="cut")
+    gone = report.finish_s[~is_finite]
+    if len(gone):
+        top = axes.get_ylim()[1]
+        axes.plot(gone, np.full(len(gone), top), "x", ms=6, color=INK, clip_on=False, label="finished, no weight")
+    axes.axvline(report.identified_until_s, color=INK, lw=1.0, ls=(0, (4, 3)))
+    axes.margins(x=0.04, y=0.08)
+    if len(weight) == 0 or weight.max() == 1:
+        axes.set_ylim(0.7, 1.5)
+    if report.heaviest and report.heaviest[0].weight > 1:
+        heavy = report.heaviest[0]
+        is_late = heavy.time_s > np.mean(axes.get_xlim())
+        axes.annotate(
+            f"path {heavy.path}: {heavy.weight:.3g}",
+            (heavy.time_s, heavy.weight),
+            xytext=(-7 if is_late else 7, 0),
+            textcoords="offset points",
+            ha="right" if is_late else "left",
+            va="center",
+            fontsize=8.5,
+        )
+    axes.set_xlabel("time [s]; dashed: last time that anything is known of")
+    axes.set_ylabel("weight, 1/Ĝ")
+    _title(axes, _weights_title(report), width=66)
+
+
+def _draw_means(axes: Axes, report: PositivityReport) -> None:
+    rows = report.truncations
+    if not rows:
+        _leave_empty(axes, "no path finished")
+        return
+    bounds, means = _bounds(report), [row.mean for row in rows]
+    axes.axhline(means[0], color=FAINT, lw=0.9)
+    axes.plot(bounds, means, "o-", ms=5, color=WEIGHT_COLOUR)
+    _bound_axis(axes, bounds)
+    axes.set_ylabel(f"weighted mean {report.quantity}")
+    first, last = rows[0].mean, rows[-1].mean
+    if len(rows) == 1:
+        _title(axes, f"All weigh the same, and put the mean at {first:.4g}", width=40)
+        return
+    begin = "Unbounded weights" if rows[0].truncate_at is None else f"Weights up to {rows[0].truncate_at:g}"
+    _title(axes, f"{begin} put the mean at {first:.4g}, equal weights at {last:.4g}", width=40)
+
+
+def _draw_worth(axes: Axes, report: PositivityReport) -> None:
+    rows = report.truncations
+    if not rows:
+        _leave_empty(axes, "no path finished")
+        return
+    bounds, worth = _bounds(report), [row.effective_sample_size for row in rows]
+    axes.axhline(FEWEST_EFFECTIVE, color=CUT_COLOUR, lw=0.9)
+    axes.plot(bounds, worth, "o-", ms=5, color=WEIGHT_COLOUR)
+    for bound, size, row in zip(bounds, worth, rows, strict=True):
+        if row.share_removed is None:
+            continue
+        axes.annotate(
+            f"{row.share_removed:.0%}",
+            (bound, size),
+            xytext=(0, 7),
+            textcoords="offset points",
+            ha="center",
+            fontsize=8,
+        )
+    axes.set_ylim(0, 1.15 * max(*worth, FEWEST_EFFECTIVE, report.num_finished))
+    axes.text(bounds[-1], FEWEST_EFFECTIVE, "below 10: too few", ha="left", va="bottom", fontsize=8, color=CUT_COLOUR)
+    _bound_axis(axes, bounds)
+    axes.set_ylabel("effective sample size [paths]")
+    _title(axes, "What the finishes are worth; in per cent, the weight that the bound takes away", width=42)
+
+
+def _bounds(report: PositivityReport) -> list[float]:
+    """Where on the axis each truncation stands: no bound stands at the largest weight, where it begins to bite."""
+    largest = report.heaviest[0].weight if report.heaviest else 1.0
+    return [largest if row.truncate_at is None else row.truncate_at for row in report.truncations]
+
+
+def _bound_axis(axes: Axes, bounds: list[float]) -> None:
+    axes.set_xscale("log")
+    axes.xaxis.set_major_locator(FixedLocator(bounds))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.2g}" if value < 100 else f"{value:.0f}"))
+    if len(bounds) > 1:
+        axes.set_xlim(bounds[0] ** -0.07, bounds[0] ** 1.07)
+    axes.set_xlabel("largest weight allowed (log scale)")
+
+
+def _weights_title(report: PositivityReport) -> str:
+    if not report.heaviest:
+        return f"{report.num_paths} paths, of which none has a weight"
+    shown = f"{report.num_finished} of {report.num_paths} paths finished"
+    if report.heaviest[0].weight == 1:
+        return f"{shown}, and all weigh 1"
+    mass = report.weights[np.isfinite(report.weights)]
+    share = sum(heavy.weight for heavy in report.heaviest) / mass.sum()
+    few = "the heaviest" if len(report.heaviest) == 1 else f"the heaviest {len(report.heaviest)}"
+    return f"{shown}; {few} carry {share:.0%} of the weight"
+
+
+def _leave_empty(axes: Axes, why: str) -> None:
+    axes.set_axis_off()
+    axes.text(0.5, 0.5, why, ha="center", va="center", color=FAINT, transform=axes.transAxes)
+
+
+def _title(axes: Axes, sentence: str, width: int) -> None:
+    axes.set_title("\n".join(textwrap.wrap(sentence, width)), loc="left", fontsize=9.5, color=INK)
