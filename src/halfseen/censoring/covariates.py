@@ -96,6 +96,23 @@ def checked_question(
     return times, values
 
 
+def refuse_constant(covariates: Float[np.ndarray, "n p"], names: list[str]) -> None:
+    """Refuse a covariate that is the same for all paths.
+
+    Raises
+    ------
+    ArgumentError
+        A covariate is constant; it is named with its value.
+    """
+    constant = covariates.min(axis=0) == covariates.max(axis=0)
+    if constant.any():
+        column = int(np.argmax(constant))
+        raise ArgumentError(
+            f"covariates, {names[column]}: {covariates[0, column]:g} in every row, which tells no path from another; "
+            "leave it out"
+        )
+
+
 def _known(covariates: Any) -> pd.DataFrame | np.ndarray:
     table = _as_table(covariates)
     return np.atleast_1d(np.asarray(covariates)) if table is None else table

@@ -17,9 +17,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from halfseen.censoring.covariates import checked_covariates, checked_question
+from halfseen.censoring.covariates import checked_covariates, checked_question, refuse_constant
 from halfseen.censoring.cox_checks import (
-    refuse_constant,
     refuse_separation,
     refuse_too_few_cuts,
     refuse_unidentified,
@@ -201,12 +200,14 @@ def _maximise(
     for iteration in range(1, MAX_ITERATIONS + 1):
         step = np.linalg.solve(now.information + ridge * np.eye(len(beta)), now.gradient - ridge * beta)
         floor = _penalised(now, beta, ridge)
-        for _ in range(MAX_HALVINGS):
-            now = partial_likelihood(beta + step, covariates, paths, is_efron)
-            if _penalised(now, beta + step, ridge) >= floor - 1e-12 * abs(floor):
+        floor -= 1e-12 * max(1.0, abs(floor))
+        for halving in range(MAX_HALVINGS):
+            now = partial_likelihood(beta + step / 2**halving, covariates, paths, is_efron)
+            if _penalised(now, beta + step / 2**halving, ridge) >= floor:
+                beta = beta + step / 2**halving
                 break
-            step = step / 2
-        beta = beta + step
+        else:
+            break
         if ridge == 0:
             refuse_separation(now.information, initial, names)
         if np.abs(step).max() <= STEP_TOLERANCE:

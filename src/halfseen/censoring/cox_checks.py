@@ -27,23 +27,6 @@ def refuse_too_few_cuts(num_cuts: int, names: list[str], ridge: float | int) -> 
         )
 
 
-def refuse_constant(covariates: Float[np.ndarray, "n p"], names: list[str]) -> None:
-    """Refuse a covariate that is the same for all paths.
-
-    Raises
-    ------
-    ArgumentError
-        A covariate is constant; it is named with its value.
-    """
-    constant = covariates.min(axis=0) == covariates.max(axis=0)
-    if constant.any():
-        column = int(np.argmax(constant))
-        raise ArgumentError(
-            f"covariates, {names[column]}: {covariates[0, column]:g} in every row, which tells no path from another; "
-            "leave it out"
-        )
-
-
 def refuse_unidentified(information: Float[np.ndarray, "p p"], num_cuts: int, names: list[str]) -> None:
     """Refuse covariates whose effects cannot be told apart, from the information at β = 0 in standard deviations.
 

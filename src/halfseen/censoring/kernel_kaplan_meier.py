@@ -19,8 +19,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from halfseen.censoring.bandwidth import BANDWIDTHS, cross_validated
-from halfseen.censoring.covariates import checked_covariates, checked_question
-from halfseen.censoring.cox_checks import refuse_constant
+from halfseen.censoring.covariates import checked_covariates, checked_question, refuse_constant
 from halfseen.censoring.inputs import checked_ends
 from halfseen.censoring.local_curve import KERNELS, LocalCurve
 from halfseen.censoring.parameters import Parameters

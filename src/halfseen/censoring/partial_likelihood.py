@@ -22,6 +22,9 @@ from jaxtyping import Float, Int
 
 from halfseen.arrays import RowMask, Rows
 
+# Relative to the largest risk; the inverse and its sums still are floats.
+SMALLEST_RISK = 1e-290
+
 
 @dataclass(frozen=True)
 class CutOrder:
@@ -122,7 +125,7 @@ def partial_likelihood(
         at_risk = at_risk - phi * _group_sums(risk[cuts], paths)[group]
         cut_slope = _group_sums(risk[cuts, None] * covariates[cuts], paths)[group]
         at_risk_slope = at_risk_slope - phi[:, None] * cut_slope
-    if not at_risk.all():
+    if at_risk.min() < SMALLEST_RISK:
         return _nowhere(len(beta), len(paths.times))
     mean = at_risk_slope / at_risk[:, None]
     hazard = _group_sums(1.0 / at_risk, paths)

@@ -107,9 +107,9 @@ def _draw_worth(axes: Axes, report: PositivityReport) -> None:
         axes.annotate(
             f"{row.share_removed:.0%}",
             (bound, size),
-            xytext=(0, 7),
+            xytext=(4, 4),
             textcoords="offset points",
-            ha="center",
+            ha="left",
             fontsize=8,
         )
     axes.set_ylim(0, 1.15 * max(*worth, FEWEST_EFFECTIVE, report.num_finished))

@@ -1,0 +1,242 @@
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pytest
+from lifelines import CoxPHFitter
+from oracles import naive_cox
+from scipy.optimize import minimize
+from sklearn.base import clone
+from sksurv.linear_model import CoxPHSurvivalAnalysis
+
+from halfseen.censoring import CensoringModel, Cox, censoring_weights
+from halfseen.errors import ArgumentError
+
+TIES = pytest.mark.parametrize("ties", ["efron", "breslow"])
+SEEDS = pytest.mark.parametrize("seed", range(5))
+
+
+def drawn(seed, n=400, p=3, clock=None):
+    """Paths whose covariates hasten or delay the cut; `clock` rounds their ends up, so that they tie."""
+    rng = np.random.default_rng(seed)
+    covariates = rng.normal(size=(n, p))
+    own, cut = rng.exponential(1.0, n), rng.exponential(1.5 * np.exp(covariates @ np.linspace(-0.8, 0.6, p)))
+    if clock is not None:
+        own, cut = np.ceil(own / clock), np.ceil(cut / clock)
+    return np.minimum(own, cut), own <= cut, covariates
+
+
+def cuts_after_finishes(time, is_finished):
+    """The same order of whole-numbered ends for a package that lets a finish at s still be at risk of a cut at s."""
+    return np.where(is_finished, time, time + 0.5)
+
+
+def structured(time, is_finished):
+    return np.array(list(zip(~is_finished, time, strict=True)), dtype=[("event", bool), ("time", float)])
+
+
+def scikit_survival(time, is_finished, covariates, ties):
+    return CoxPHSurvivalAnalysis(ties=ties, tol=1e-15, n_iter=200).fit(covariates, structured(time, is_finished))
+
+
+def lifelines(time, is_finished, covariates):
+    frame = pd.DataFrame(covariates).assign(time=time, is_cut=~is_finished)
+    return CoxPHFitter().fit(frame, "time", "is_cut", fit_options={"precision": 1e-12})
+
+
+@TIES
+@SEEDS
+def test_coefficients_equal_scikit_survivals_on_untied_ends(ties, seed):
+    time, is_finished, covariates = drawn(seed)
+    reference = scikit_survival(time, is_finished, covariates, ties)
+    fitted = Cox(ties).fit(time, is_finished, covariates)
+    np.testing.assert_allclose(fitted.coefficients_, reference.coef_, rtol=0, atol=1e-10)
+
+
+@TIES
+@SEEDS
+def test_coefficients_equal_scikit_survivals_on_tied_ends_once_cuts_stand_after_finishes(ties, seed):
+    time, is_finished, covariates = drawn(seed, clock=0.3)
+    reference = scikit_survival(cuts_after_finishes(time, is_finished), is_finished, covariates, ties)
+    fitted = Cox(ties).fit(time, is_finished, covariates)
+    np.testing.assert_allclose(fitted.coefficients_, reference.coef_, rtol=0, atol=1e-10)
+
+
+def test_ties_between_finish_and_cut_matter():
+    time, is_finished, covariates = drawn(0, clock=0.3)
+    wrong = scikit_survival(time, is_finished, covariates, "efron")
+    assert np.abs(Cox().fit(time, is_finished, covariates).coefficients_ - wrong.coef_).max() > 1e-3
+
+
+@pytest.mark.parametrize("clock", [None, 0.3])
+def test_coefficients_standard_errors_and_likelihood_equal_lifelines(clock):
+    time, is_finished, covariates = drawn(7, clock=clock)
+    reference = lifelines(cuts_after_finishes(time, is_finished), is_finished, covariates)
+    fitted = Cox().fit(cuts_after_finishes(time, is_finished), is_finished, covariates)
+    np.testing.assert_allclose(fitted.coefficients_, reference.params_, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(fitted.standard_errors_, reference.standard_errors_, rtol=1e-6)
+    assert fitted.log_likelihood_ == pytest.approx(reference.log_likelihood_, rel=1e-10)
+
+
+@TIES
+@SEEDS
+def test_likelihood_and_baseline_equal_the_loops_on_ties_of_both_kinds(ties, seed):
+    time, is_finished, covariates = drawn(seed, n=60, p=2, clock=0.4)
+    fitted = Cox(ties).fit(time, is_finished, covariates)
+    log_likelihood, steps = naive_cox(time, is_finished, covariates, fitted.coefficients_, ties)
+    assert fitted.log_likelihood_ == pytest.approx(log_likelihood, rel=1e-12)
+    np.testing.assert_array_equal(fitted.times_, list(steps))
+    at_zero = fitted.cumulative_hazard_ * np.exp(-fitted.means_ @ fitted.coefficients_)
+    np.testing.assert_allclose(at_zero, np.cumsum(list(steps.values())), rtol=1e-12)
+
+
+@TIES
+@SEEDS
+def test_coefficients_maximise_the_loops_on_ties_of_both_kinds(ties, seed):
+    time, is_finished, covariates = drawn(seed, n=40, p=2, clock=0.4)
+    best = minimize(lambda beta: -naive_cox(time, is_finished, covariates, beta, ties)[0], np.zeros(2), tol=1e-10)
+    np.testing.assert_allclose(Cox(ties).fit(time, is_finished, covariates).coefficients_, best.x, rtol=0, atol=1e-5)
+
+
+def test_ridge_maximises_the_penalised_loops():
+    time, is_finished, covariates = drawn(2, n=40, p=2, clock=0.4)
+    scales = covariates.std(axis=0)
+
+    def loss(beta):
+        penalty = 3.0 / 2 * np.square(beta * scales).sum()
+        return penalty - naive_cox(time, is_finished, covariates, beta, "efron")[0]
+
+    best = minimize(loss, np.zeros(2), tol=1e-10)
+    fitted = Cox(ridge=3.0).fit(time, is_finished, covariates)
+    np.testing.assert_allclose(fitted.coefficients_, best.x, rtol=0, atol=1e-5)
+
+
+@TIES
+def test_survival_equals_the_loops_and_is_the_left_limit(ties):
+    time, is_finished, covariates = drawn(4, n=60, p=2, clock=0.4)
+    fitted = Cox(ties).fit(time, is_finished, covariates)
+    _, steps = naive_cox(time, is_finished, covariates, fitted.coefficients_, ties)
+    u = np.arange(0.5, 8.5, 0.5)
+    for z in covariates[:5]:
+        risk = np.exp(z @ fitted.coefficients_)
+        expected = [np.exp(-risk * sum(step for s, step in steps.items() if s < v)) for v in u]
+        np.testing.assert_allclose(fitted.survival(u, [z]), expected, rtol=1e-12)
+    first = fitted.times_[0]
+    assert fitted.survival([first], covariates[:1]) == 1.0
+    assert fitted.survival([np.nextafter(first, np.inf)], covariates[:1]) < 1.0
+
+
+def test_survival_equals_scikit_survivals_just_before_each_end():
+    time, is_finished, covariates = drawn(5)
+    reference = scikit_survival(time, is_finished, covariates, "breslow").predict_survival_function(covariates)
+    before = np.maximum(np.nextafter(time, 0.0), time.min())
+    expected = [1.0 if t == time.min() else curve(b) for curve, b, t in zip(reference, before, time, strict=True)]
+    ours = Cox("breslow").fit(time, is_finished, covariates).survival(time, covariates)
+    np.testing.assert_allclose(ours, expected, rtol=0, atol=1e-10)
+
+
+def test_units_and_origin_of_a_covariate_change_nothing():
+    time, is_finished, covariates = drawn(6)
+    plain = Cox().fit(time, is_finished, covariates)
+    moved = covariates * [1e-6, 1.0, 1e6] + [100.0, 1e4, -1e9]
+    fitted = Cox().fit(time, is_finished, moved)
+    np.testing.assert_allclose(fitted.coefficients_ * [1e-6, 1.0, 1e6], plain.coefficients_, rtol=1e-6)
+    np.testing.assert_allclose(fitted.survival(time, moved), plain.survival(time, covariates), rtol=0, atol=1e-7)
+
+
+def test_order_of_paths_is_irrelevant():
+    time, is_finished, covariates = drawn(8, clock=0.4)
+    order = np.random.default_rng(0).permutation(len(time))
+    forward = Cox().fit(time, is_finished, covariates)
+    shuffled = Cox().fit(time[order], is_finished[order], covariates[order])
+    np.testing.assert_allclose(forward.coefficients_, shuffled.coefficients_, rtol=0, atol=1e-12)
+
+
+def test_weights_recover_a_mean_where_cuts_depend_on_what_delays_the_finish():
+    rng = np.random.default_rng(0)
+    clutter = rng.binomial(1, 0.5, 40_000).astype(float)
+    own, cut = rng.uniform(1.0, 2.0 + 2 * clutter), rng.exponential(4.0 * np.exp(-1.0 * clutter))
+    time, is_finished = np.minimum(own, cut), own <= cut
+    by_cox = censoring_weights(time, is_finished, "cox", covariates=clutter[:, None])
+    alike = censoring_weights(time, is_finished)
+    means = [np.average(time, weights=weights) for weights in (by_cox, alike)]
+    # A finish is at 1.5 s or at 2.5 s, each half of the time.
+    assert means[0] == pytest.approx(2.0, abs=0.03)
+    assert abs(means[1] - 2.0) > 0.1
+
+
+def test_a_strong_effect_is_no_separation():
+    rng = np.random.default_rng(1)
+    z = rng.normal(size=(2000, 1))
+    cut = rng.exponential(np.exp(-6.0 * z[:, 0]))
+    fitted = Cox().fit(cut, np.zeros(2000, dtype=bool), z)
+    assert fitted.coefficients_[0] == pytest.approx(6.0, abs=0.4)
+
+
+def test_nothing_cut_gives_survival_one_and_no_coefficients():
+    fitted = Cox().fit([1.0, 2.0], [True, True], [[1.0], [1.0]])
+    np.testing.assert_array_equal(fitted.coefficients_, [0.0])
+    np.testing.assert_array_equal(fitted.survival([1.0, 9.0], [[5.0], [-1e9]]), [1.0, 1.0])
+    assert (fitted.num_paths_, fitted.num_cut_, fitted.last_time_, fitted.log_likelihood_) == (2, 0, 2.0, 0.0)
+
+
+def test_all_cut_is_an_ordinary_fit():
+    time, _, covariates = drawn(3)
+    fitted = Cox().fit(time, np.zeros(400, dtype=bool), covariates)
+    assert fitted.num_cut_ == 400
+    reference = scikit_survival(time, np.zeros(400, dtype=bool), covariates, "efron")
+    np.testing.assert_allclose(fitted.coefficients_, reference.coef_, rtol=0, atol=1e-10)
+
+
+def test_a_far_off_row_has_survival_zero_or_one_and_never_nan():
+    time, is_finished, covariates = drawn(3, p=1)
+    fitted = Cox().fit(time, is_finished, covariates)
+    extreme = fitted.survival([time.min() / 2, time.max(), time.max()], [[1e9], [1e9], [-1e9]])
+    np.testing.assert_array_equal(extreme, [1.0, 0.0, 1.0])
+
+
+def test_one_row_of_covariates_answers_for_all_times_and_one_per_row_for_a_clock():
+    time, is_finished, covariates = drawn(3)
+    fitted = Cox().fit(time, is_finished, covariates)
+    assert fitted.survival(np.array(0.7), covariates[:1]).shape == ()
+    clock = np.stack([time / 2, time], axis=1)
+    both = fitted.survival(clock, covariates)
+    np.testing.assert_array_equal(both[:, 1], fitted.survival(time, covariates))
+    np.testing.assert_array_equal(
+        fitted.survival(time, covariates[:1])[3], fitted.survival(time[3:4], covariates[:1])[0]
+    )
+
+
+@pytest.mark.parametrize("wrap", [pd.DataFrame, lambda table: pa.table(table)])
+def test_a_table_keeps_its_names_and_its_order_is_irrelevant(wrap):
+    time, is_finished, covariates = drawn(3, p=2)
+    table = {"clutter": covariates[:, 0], "speed": covariates[:, 1]}
+    turned = {name: table[name] for name in ["speed", "clutter"]}
+    fitted = Cox().fit(time, is_finished, wrap(table))
+    assert fitted.covariates_ == ["clutter", "speed"]
+    np.testing.assert_array_equal(fitted.survival(time, wrap(turned)), fitted.survival(time, covariates))
+    with pytest.raises(ArgumentError, match="covariates lacks 'speed'; give the columns of the fit: clutter, speed"):
+        fitted.survival(time, wrap({"clutter": covariates[:, 0]}))
+    with pytest.raises(ArgumentError, match="covariates has 'age', unknown to the fit"):
+        fitted.survival(time, wrap(table | {"age": covariates[:, 0]}))
+
+
+def test_keeps_scikit_learns_habits():
+    fitted = Cox("breslow", ridge=0.5).fit(*drawn(3))
+    assert isinstance(fitted, CensoringModel)
+    copy = clone(fitted)
+    assert copy.get_params() == {"ties": "breslow", "ridge": 0.5}
+    assert not hasattr(copy, "coefficients_")
+    assert repr(copy.set_params(ties="efron")) == "Cox(ridge=0.5)"
+    with pytest.raises(ArgumentError, match="Cox has no parameter 'alpha'; it has ridge, ties"):
+        copy.set_params(alpha=1.0)
+
+
+def test_a_large_fit_needs_no_matrix_for_each_path():
+    import tracemalloc
+
+    time, is_finished, covariates = drawn(0, n=20_000, p=20)
+    tracemalloc.start()
+    Cox().fit(time, is_finished, covariates)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 15 * covariates.nbytes
