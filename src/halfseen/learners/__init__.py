@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING
 from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from halfseen.learners.grasp.attempts import attempts
+    from halfseen.learners.grasp.beta_grasp import BetaGrasp
+    from halfseen.learners.grasp.svm_grasp import SVMGrasp
     from halfseen.learners.q_learning.linear_policy import LinearTablePolicy
     from halfseen.learners.q_learning.q_learner import CensoredQLearner
     from halfseen.learners.svm.classifier import CensoredSVC
@@ -16,16 +19,29 @@ if TYPE_CHECKING:
     from halfseen.learners.svm.set_kernel import SetKernel
     from halfseen.learners.svm.targets import survival_array
 
-__all__ = ["CensoredQLearner", "CensoredSVC", "CensoredSVR", "LinearTablePolicy", "SetKernel", "survival_array"]
+__all__ = [
+    "BetaGrasp",
+    "CensoredQLearner",
+    "CensoredSVC",
+    "CensoredSVR",
+    "LinearTablePolicy",
+    "SVMGrasp",
+    "SetKernel",
+    "attempts",
+    "survival_array",
+]
 
 __getattr__ = lazy_names(
     __name__,
     {
+        "BetaGrasp": "grasp.beta_grasp",
         "CensoredQLearner": "q_learning.q_learner",
         "CensoredSVC": "svm.classifier",
         "CensoredSVR": "svm.regressor",
         "LinearTablePolicy": "q_learning.linear_policy",
+        "SVMGrasp": "grasp.svm_grasp",
         "SetKernel": "svm.set_kernel",
+        "attempts": "grasp.attempts",
         "survival_array": "svm.targets",
     },
 )

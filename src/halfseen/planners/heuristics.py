@@ -6,9 +6,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from halfseen.errors import ArgumentError
 from halfseen.planners.belief import grasp_chance, grip_posterior, prior_grip
 from halfseen.world.actions import FINISH
 from halfseen.world.config import WorldConfig
+from halfseen.world.grasp_model import GraspModel
 from halfseen.world.policy import Decision, surely
 from halfseen.world.state import TableState, occlusion
 
@@ -27,6 +29,31 @@ def wash_worth(
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
+class TrueGrasp:
+    """The true model's chance of a grasp, the hidden grip offset integrated out: a `GraspModel` that knows the world.
+
+    Parameters
+    ----------
+    config
+        The world.
+    uses_history
+        Whether the grip offset's distribution is the posterior given the object's past attempts, or the prior.
+    """
+
+    config: WorldConfig
+    uses_history: bool = field(default=True, metadata={"static": True})
+
+    def chance(self, state: TableState) -> Float[Array, " N"]:
+        """P(an attempt succeeds) for each object of one table."""
+        if self.uses_history:
+            grip = grip_posterior(self.config, state)
+        else:
+            grip = jnp.broadcast_to(prior_grip(), (state.num_objects, prior_grip().shape[0]))
+        return grasp_chance(self.config, occlusion(state), grip)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
 class GreedyPolicy:
     """WASH the object with the largest expected reward; FINISH when none is positive.
 
@@ -38,20 +65,28 @@ class GreedyPolicy:
         Whether the chance of a grasp is updated by the object's past attempts, or is the prior's at its occlusion.
     counts_penalty
         Whether the FINISH penalty that a successful WASH avoids is counted; that makes the rule much stronger.
+    grasp
+        What tells the chance of a grasp in place of the true model; it needs `uses_history`.
+
+    Raises
+    ------
+    ArgumentError
+        `grasp` is given and `uses_history` is False.
     """
 
     config: WorldConfig
     uses_history: bool = field(default=False, metadata={"static": True})
     counts_penalty: bool = field(default=False, metadata={"static": True})
+    grasp: GraspModel | None = None
+
+    def __post_init__(self) -> None:
+        if self.grasp is not None and not self.uses_history:
+            raise ArgumentError("grasp is given and uses_history is False; a grasp model looks at the history")
 
     def decide(self, state: TableState, key: Array) -> Decision:
         """Choose for one table; there is no chance in it."""
-        occluded = occlusion(state)
-        if self.uses_history:
-            grip = grip_posterior(self.config, state)
-        else:
-            grip = jnp.broadcast_to(prior_grip(), (state.num_objects, prior_grip().shape[0]))
-        chance = grasp_chance(self.config, occluded, grip)
+        grasp = TrueGrasp(self.config, self.uses_history) if self.grasp is None else self.grasp
+        chance = grasp.chance(state)
         worth = wash_worth(self.config, jax.nn.sigmoid(state.log_odds), chance, self.counts_penalty)
         worth = jnp.where(state.is_on_table, worth, -jnp.inf)
         best = jnp.argmax(worth)

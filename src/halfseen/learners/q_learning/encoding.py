@@ -2,6 +2,7 @@
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
@@ -13,6 +14,7 @@ from halfseen.errors import ArgumentError, LogError
 from halfseen.learners.q_learning.table_features import block_of_action, table_features
 from halfseen.logs import Logs
 from halfseen.world.actions import FINISH, Verb, possible_actions
+from halfseen.world.grasp_model import GraspModel
 from halfseen.world.recording import states_of
 from halfseen.world.state import TableState
 
@@ -140,9 +142,9 @@ class FlatEncoding:
 
 
 @jax.jit
-def encode_states(states: TableState) -> tuple[jax.Array, jax.Array]:
+def encode_states(states: TableState, grasp: GraspModel | None = None) -> tuple[jax.Array, jax.Array]:
     """Features and possible actions of tables, axes (n, T); FINISH is possible even where there is no table."""
-    each = jax.vmap(jax.vmap(table_features)), jax.vmap(jax.vmap(possible_actions))
+    each = jax.vmap(jax.vmap(partial(table_features, grasp=grasp))), jax.vmap(jax.vmap(possible_actions))
     return each[0](states), each[1](states)
 
 
@@ -154,9 +156,12 @@ class TableEncoding:
     ----------
     horizon
         T.
+    grasp
+        What tells the chance of a grasp in the features; None for Laplace's guess.
     """
 
     horizon: int
+    grasp: GraspModel | None = None
     num_blocks: int = len(Verb)
     end_action: int | None = FINISH
 
@@ -167,7 +172,7 @@ class TableEncoding:
     def encode(self, logs: Logs) -> Encoded:
         """Encode every stage of a log of tables."""
         states = states_of(logs, self.horizon)
-        features, is_possible = (np.asarray(leaf) for leaf in encode_states(states))
+        features, is_possible = (np.asarray(leaf) for leaf in encode_states(states, self.grasp))
         action = self._codes(logs, states.num_objects)
         _check_possible(logs, is_possible, action)
         return Encoded(features.astype(np.float64), is_possible, action)

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 from halfseen.learners.q_learning.recursion import q_values
 from halfseen.learners.q_learning.table_features import block_of_action, table_features
 from halfseen.world.actions import possible_actions
+from halfseen.world.grasp_model import GraspModel
 from halfseen.world.policy import Decision, surely
 from halfseen.world.state import TableState
 
@@ -22,15 +23,17 @@ class LinearTablePolicy:
     ----------
     coefficients
         Of Q_1 … Q_T, by steps to go, verb and feature (offset first).
+    grasp
+        What tells the chance of a grasp in the features; None for Laplace's guess.
     """
 
     coefficients: Float[Array, "*B T K F"]
+    grasp: GraspModel | None = None
 
     def q_values(self, state: TableState) -> Float[Array, " A"]:
         """Q of every action of one table; −∞ where an action is not possible."""
-        q = q_values(
-            self.coefficients[state.steps_to_go - 1], table_features(state), block_of_action(state.num_objects)
-        )
+        features = table_features(state, self.grasp)
+        q = q_values(self.coefficients[state.steps_to_go - 1], features, block_of_action(state.num_objects))
         return jnp.where(possible_actions(state), q, -jnp.inf)
 
     def decide(self, state: TableState, key: Array) -> Decision:

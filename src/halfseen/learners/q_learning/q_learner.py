@@ -2,6 +2,7 @@
 
 from collections.abc import Hashable, Mapping, Sequence
 from copy import deepcopy
+from dataclasses import replace
 from numbers import Real
 from typing import Any, Literal
 
@@ -15,10 +16,12 @@ from sklearn.utils.validation import check_is_fitted
 
 from halfseen.censoring import CensoringModel, KaplanMeier, WeightDiagnostics, stage_weights, weight_diagnostics
 from halfseen.errors import ArgumentError, PositivityError
+from halfseen.learners.grasp.grasp_table import grasp_model_of
 from halfseen.learners.q_learning.encoding import Encoding, FlatEncoding, TableEncoding
 from halfseen.learners.q_learning.linear_policy import LinearTablePolicy
 from halfseen.learners.q_learning.recursion import QFunctions, StageMode, Transitions, backward, q_values
 from halfseen.logs import Logs
+from halfseen.world.grasp_model import GraspModel
 
 REGS = np.logspace(-3, 2, 11)
 """The λ that ``reg="cv"`` chooses from; features are scaled to unit variance, so they need no other unit."""
@@ -56,6 +59,9 @@ class CensoredQLearner(BaseEstimator):
         Largest weight allowed, if any.
     random_state
         Seed that deals paths into folds.
+    grasp
+        For a table, what tells the chance of a grasp: None for Laplace's guess; `BetaGrasp` or `SVMGrasp`, which is
+        fitted to the attempts of the log unless it is fitted already; or any `GraspModel`.
 
     Attributes
     ----------
@@ -65,8 +71,10 @@ class CensoredQLearner(BaseEstimator):
         Weight of every stage.
     diagnostics_ : WeightDiagnostics
         Effective sample size, largest weight, share truncated.
+    grasp_ : GraspModel or None
+        For a table: what tells the chance of a grasp.
     policy_ : LinearTablePolicy
-        For a table: the policy that was learned.
+        For a table: the policy that was learned, with its grasp model.
 
     Examples
     --------
@@ -89,6 +97,7 @@ class CensoredQLearner(BaseEstimator):
     q_functions_: QFunctions
     weights_: Float[np.ndarray, "n T"]
     diagnostics_: WeightDiagnostics
+    grasp_: GraspModel | None
     policy_: LinearTablePolicy
 
     def __init__(
@@ -104,6 +113,7 @@ class CensoredQLearner(BaseEstimator):
         num_folds: int = 5,
         truncate_at: float | int | None = None,
         random_state: int = 0,
+        grasp: Any = None,
     ) -> None:
         self.horizon = horizon
         self.actions = actions
@@ -115,6 +125,7 @@ class CensoredQLearner(BaseEstimator):
         self.num_folds = num_folds
         self.truncate_at = truncate_at
         self.random_state = random_state
+        self.grasp = grasp
 
     @classmethod
     def for_table(
@@ -137,9 +148,9 @@ class CensoredQLearner(BaseEstimator):
         """
         stages = self._checked_stages()
         self._check_parameters()
-        encoding = self._encoding()
         if logs.horizon > self.horizon:
             raise ArgumentError(f"horizon is {self.horizon}, but a path has {logs.horizon} stages; raise horizon")
+        encoding = self._encoding(logs)
         encoded = encoding.encode(logs)
         self.weights_ = self._weights(logs)
         self.diagnostics_ = weight_diagnostics(self.weights_, self.truncate_at)
@@ -156,7 +167,7 @@ class CensoredQLearner(BaseEstimator):
         )
         self.q_functions_ = fit_q_functions(log, encoding, self._regs(), stages, num_folds)
         if self._is_table:
-            self.policy_ = as_policy(self.q_functions_, stages)
+            self.policy_ = replace(as_policy(self.q_functions_, stages), grasp=self.grasp_)
         return self
 
     def q_values(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
@@ -183,8 +194,11 @@ class CensoredQLearner(BaseEstimator):
     def _is_table(self) -> bool:
         return isinstance(self.actions, str) and self.actions == TABLE
 
-    def _encoding(self) -> Encoding:
-        return TableEncoding(self.horizon) if self._is_table else self._flat_encoding()
+    def _encoding(self, logs: Logs) -> Encoding:
+        if not self._is_table:
+            return self._flat_encoding()
+        self.grasp_ = grasp_model_of(self.grasp, logs, self.horizon)
+        return TableEncoding(self.horizon, self.grasp_)
 
     def _flat_encoding(self) -> FlatEncoding:
         if isinstance(self.actions, str):
@@ -237,6 +251,8 @@ class CensoredQLearner(BaseEstimator):
         is_number = isinstance(self.reg, Real) and not isinstance(self.reg, bool)
         if self.reg != "cv" and not (is_number and 0 <= float(self.reg) < np.inf):
             raise ArgumentError(f"reg is {self.reg!r}; it is a λ ≥ 0, or 'cv'")
+        if self.grasp is not None and not self._is_table:
+            raise ArgumentError("grasp is given, but actions are named ones; only a table's objects are grasped")
         if self.reg == "cv" and self.num_folds < 2:
             raise ArgumentError(f"num_folds is {self.num_folds}; cross-validation needs at least 2")
 

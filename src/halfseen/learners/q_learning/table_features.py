@@ -14,9 +14,9 @@ The first nine features describe the table and mean the same for every verb:
 Σ ease                       how much is within reach
 ===========================  =========================================================================================
 
-with ease = (1 − occlusion) · (1 + successes) / (1 + attempts), the share in sight times Laplace's guess of a grip. What
-follows concerns the target; `unhides` is what it would lay bare: Σ_j (occlusion of j that target i alone causes) · (…).
-FINISH looks at Σ p alone.
+with ease = (1 − occlusion) · (1 + successes) / (1 + attempts), the share in sight times Laplace's guess of a grip; or,
+given a grasp model, the chance of a grasp that it tells. What follows concerns the target; `unhides` is what it would
+lay bare: Σ_j (occlusion of j that target i alone causes) · (…). FINISH looks at Σ p alone.
 """
 
 import jax
@@ -24,17 +24,18 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from halfseen.world.actions import Verb
+from halfseen.world.grasp_model import GraspModel
 from halfseen.world.state import TableState, attempt_counts, occlusion, occlusion_without
 
 NUM_FEATURES = 17
 
 
-def table_features(state: TableState) -> Float[Array, "A F"]:
+def table_features(state: TableState, grasp: GraspModel | None = None) -> Float[Array, "A F"]:
     """φ(S, a) of every action of one table, in the order of the actions, padded with zeros to F = 17."""
     is_dirty = jax.nn.sigmoid(state.log_odds)
     win, sure = jax.nn.relu(is_dirty - 0.5), jax.nn.relu(is_dirty - 0.75)
     doubt = 4.0 * is_dirty * (1.0 - is_dirty)
-    ease = _ease(state)
+    ease = _ease(state) if grasp is None else grasp.chance(state)
     unhides = _unhides(state)
     there = state.is_on_table.astype(jnp.float32)
     in_doubt = [doubt, ease, doubt * ease]

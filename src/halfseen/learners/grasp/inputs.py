@@ -1,0 +1,182 @@
+"""What a fit to attempts accepts: tables in, checked float64 and bool out, bad values named."""
+
+import warnings
+from difflib import get_close_matches
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Bool, Float, Int
+
+from halfseen.arrays import RowMask, Rows
+from halfseen.censoring import (
+    CensoringModel,
+    WeightDiagnostics,
+    censoring_weights,
+    named_model,
+    uses_covariates,
+    weight_diagnostics,
+)
+from halfseen.errors import ArgumentError, HalfseenWarning, LogError
+from halfseen.logs.frames import FrameLike, as_frame
+
+NAME = "attempts"
+FEW = 10
+"""Effective attempts below which a fit warns."""
+
+
+class History(NamedTuple):
+    """What is known of an object before an attempt."""
+
+    occlusion: Rows
+    """Hidden share in [0, 1]."""
+    successes: Rows
+    """Past attempts that succeeded."""
+    failures: Rows
+    """Past attempts that failed."""
+
+    def only(self, rows: RowMask | Int[np.ndarray, " k"]) -> "History":
+        """Keep some rows."""
+        return History(*(values[rows] for values in self))
+
+
+class Decided(NamedTuple):
+    """Attempts that came to their own end, weighted for those that did not."""
+
+    history: History
+    succeeded: RowMask
+    weight: Rows
+    """1/Ĝ(time_s⁻); 1 where nothing says that anything was cut."""
+    group: Int[np.ndarray, " n"]
+    """Number of the object; attempts of one object are never split."""
+    diagnostics: WeightDiagnostics
+
+
+def checked_history(data: FrameLike) -> History:
+    """Read the columns that a prediction needs.
+
+    Raises
+    ------
+    ArgumentError
+        A column is missing, an occlusion lies outside [0, 1], a count is negative, or a value is NaN.
+    """
+    return _history(_frame(data))
+
+
+def checked_attempts(
+    data: FrameLike,
+    censoring: str | CensoringModel = "kaplan-meier",
+    truncate_at: float | int | None = None,
+) -> Decided:
+    """Read attempts and weigh those that were decided.
+
+    Parameters
+    ----------
+    data
+        Columns occlusion, successes, failures and succeeded; optionally time_s and is_finished, and object.
+    censoring
+        ``"kaplan-meier"``, ``"cox"`` or ``"kernel"`` (both on the history), ``"none"`` to count decided attempts alike,
+        or a fitted or unfitted `CensoringModel`.
+    truncate_at
+        Largest weight allowed, if any.
+
+    Raises
+    ------
+    ArgumentError
+        A column or value is none that attempts can have, or none was decided.
+    PositivityError
+        A weight is not identified.
+    """
+    frame = _frame(data)
+    history = _history(frame)
+    weight, is_decided = _weights(frame, history, censoring, truncate_at)
+    succeeded = _outcomes(frame, is_decided)
+    diagnostics = weight_diagnostics(weight, truncate_at)
+    if diagnostics.effective_sample_size < FEW:
+        size = diagnostics.effective_sample_size
+        warnings.warn(
+            f"the decided attempts are worth only {size:.1f} equally weighted ones; the fit leans on its prior",
+            HalfseenWarning,
+            stacklevel=4,
+        )
+    group = pd.factorize(frame["object"])[0] if "object" in frame.columns else np.arange(len(frame))
+    kept = np.flatnonzero(is_decided)
+    return Decided(history.only(kept), succeeded[kept], weight[kept], group[kept].astype(np.int64), diagnostics)
+
+
+def _frame(data: FrameLike) -> pd.DataFrame:
+    try:
+        return as_frame(NAME, data)
+    except LogError as error:
+        raise ArgumentError(str(error)) from error
+
+
+def _history(frame: pd.DataFrame) -> History:
+    history = History(*(_numbers(frame, column) for column in History._fields))
+    outside = ~((history.occlusion >= 0) & (history.occlusion <= 1))
+    _refuse(frame, "occlusion", outside, "a hidden share lies in [0, 1]")
+    for column in ("successes", "failures"):
+        counts = getattr(history, column)
+        _refuse(frame, column, (counts < 0) | (counts != np.floor(counts)), "give a count, 0 or more")
+    return history
+
+
+def _weights(
+    frame: pd.DataFrame, history: History, censoring: str | CensoringModel, truncate_at: float | int | None
+) -> tuple[Rows, RowMask]:
+    """Weight of each attempt, and whether it was decided."""
+    is_weighted = not (isinstance(censoring, str) and censoring == "none")
+    model = named_model(censoring) if is_weighted else None
+    for column, other in (("time_s", "is_finished"), ("is_finished", "time_s")):
+        if column in frame.columns and other not in frame.columns:
+            raise ArgumentError(f"{NAME}: there is {column} without {other}; add {other}, or leave out {column}")
+    if len(frame) == 0:
+        raise ArgumentError(f"{NAME} has no rows; give at least one decided attempt")
+    if "time_s" not in frame.columns:
+        return np.ones(len(frame)), np.ones(len(frame), dtype=bool)
+    is_finished = _flags(frame, "is_finished", np.ones(len(frame), dtype=bool))
+    if not is_finished.any():
+        raise ArgumentError(f"{NAME}: all {len(frame)} were cut before they were decided; record until some are")
+    if model is None:
+        return is_finished.astype(np.float64), is_finished
+    covariates = np.column_stack(history) if uses_covariates(model) else None
+    time_s = _numbers(frame, "time_s")
+    weight = censoring_weights(time_s, is_finished, model, covariates=covariates, truncate_at=truncate_at)
+    return weight, is_finished
+
+
+def _outcomes(frame: pd.DataFrame, is_decided: RowMask) -> RowMask:
+    """`succeeded` where decided; False, which nothing reads, elsewhere."""
+    return _flags(frame, "succeeded", is_decided) & is_decided
+
+
+def _flags(frame: pd.DataFrame, column: str, is_read: RowMask) -> RowMask:
+    _require(frame, column)
+    values = frame[column]
+    is_true, is_false = (values.isin([flag]).to_numpy(dtype=bool) for flag in (True, False))
+    _refuse(frame, column, is_read & ~is_true & ~is_false, "give True or False")
+    return is_true
+
+
+def _numbers(frame: pd.DataFrame, column: str) -> Float[np.ndarray, " rows"]:
+    _require(frame, column)
+    values = frame[column]
+    if not pd.api.types.is_numeric_dtype(values.dtype) or pd.api.types.is_complex_dtype(values.dtype):
+        raise ArgumentError(f"{NAME}: column {column!r} holds {values.dtype}, not numbers; convert it")
+    numbers = values.to_numpy(dtype=np.float64, na_value=np.nan)
+    _refuse(frame, column, ~np.isfinite(numbers), "give a finite number")
+    return numbers
+
+
+def _require(frame: pd.DataFrame, column: str) -> None:
+    if column not in frame.columns:
+        close = get_close_matches(column, frame.columns, n=1)
+        remedy = f"rename {close[0]!r}?" if close else "add it"
+        there = ", ".join(frame.columns) or "none"
+        raise ArgumentError(f"{NAME}: there is no column {column!r} among {there}; {remedy}")
+
+
+def _refuse(frame: pd.DataFrame, column: str, wrong: Bool[np.ndarray, " rows"], remedy: str) -> None:
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise ArgumentError(f"{NAME}, row {row}: {column} is {frame[column].iloc[row]}; {remedy}")
