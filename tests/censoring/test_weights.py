@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from oracles import naive_event_survival, naive_survival, tied_ends
-from sksurv import datasets
-from sksurv.nonparametric import ipc_weights, kaplan_meier_estimator
+from sksurv.nonparametric import ipc_weights
 
 from halfseen.censoring import KaplanMeier, censoring_weights, stage_weights
 from halfseen.errors import ArgumentError, PositivityError
@@ -66,17 +65,6 @@ def test_equals_scikit_survival_on_untied_ends():
     own, cut = rng.exponential(10.0, 500), rng.exponential(15.0, 500)
     time, is_finished = np.minimum(own, cut), own <= cut
     np.testing.assert_allclose(censoring_weights(time, is_finished), ipc_weights(is_finished, time), rtol=1e-12)
-
-
-@pytest.mark.parametrize("load", [datasets.load_whas500, datasets.load_gbsg2, datasets.load_veterans_lung_cancer])
-def test_weights_add_up_to_one_minus_kaplan_meier_on_real_data(load):
-    _, y = load()
-    is_finished, time = (np.array(y[field]) for field in y.dtype.names)
-    time = time.astype(float)
-    weights = censoring_weights(time, is_finished)
-    times, survival = kaplan_meier_estimator(is_finished, time)
-    seen_by = [weights[time <= t].sum() / len(time) for t in times]
-    np.testing.assert_allclose(seen_by, 1.0 - survival, rtol=0, atol=1e-12)
 
 
 @given(tied_ends())

@@ -87,7 +87,7 @@ def weight_diagnostics(weights: ArrayLike, truncate_at: float | int | None = Non
     )
 
 
-def warn_if_few(diagnostics: WeightDiagnostics, stacklevel: int = 2) -> None:
+def warn_if_few(diagnostics: WeightDiagnostics, stacklevel: int = 3) -> None:
     """Warn where weights are worth fewer than ten equally weighted observations.
 
     Parameters
@@ -95,7 +95,7 @@ def warn_if_few(diagnostics: WeightDiagnostics, stacklevel: int = 2) -> None:
     diagnostics
         What the weights are worth.
     stacklevel
-        As in `warnings.warn`: 2 blames the caller of this function.
+        As in `warnings.warn`: 2 blames the caller of this function, 3 whoever called that caller.
 
     Warns
     -----
@@ -107,5 +107,5 @@ def warn_if_few(diagnostics: WeightDiagnostics, stacklevel: int = 2) -> None:
             f"{diagnostics} That is too few to trust an average; record more paths, shorten the horizon, or truncate "
             "the weights knowingly with truncate_at=…",
             HalfseenWarning,
-            stacklevel=stacklevel + 1,
+            stacklevel=stacklevel,
         )

@@ -217,8 +217,9 @@ def positivity_report(
     # Without a bound the paths that have no weight stand outside; the report says so first.
     in_use[rows] = np.where(np.isinf(weights), 0.0, weights) if bound is None else np.minimum(weights, bound)
     tail_from_s = float(np.quantile(ends[rows], 1 - TAIL_SHARE, method="higher")) if len(rows) else np.nan
+    path = names.tolist()
     order = np.lexsort((ends[rows], -weights))
-    named = [WeightedPath(names[rows[k]], float(ends[rows[k]]), float(weights[k])) for k in order]
+    named = [WeightedPath(path[rows[k]], float(ends[rows[k]]), float(weights[k])) for k in order]
     return PositivityReport(
         num_paths=len(ends),
         num_finished=len(rows),

@@ -1,0 +1,34 @@
+import doctest
+import importlib
+import pkgutil
+import subprocess
+import sys
+
+import pytest
+
+from halfseen import censoring
+
+MODULES = [module.name for module in pkgutil.iter_modules(censoring.__path__, "halfseen.censoring.")]
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_examples_in_docstrings_run(name):
+    assert doctest.testmod(importlib.import_module(name)).failed == 0
+
+
+@pytest.mark.parametrize("name", ["KaplanMeier", "Cox", "KernelKaplanMeier"])
+def test_every_model_has_an_example(name):
+    assert doctest.DocTestFinder().find(getattr(censoring, name))[0].examples
+
+
+def test_import_loads_neither_jax_nor_matplotlib_nor_scikit_learn():
+    code = (
+        "import sys; import halfseen.censoring as c; [getattr(c, n) for n in c.__all__]; print(' '.join(sys.modules))"
+    )
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert not {"jax", "matplotlib", "sklearn"} & set(loaded)
+
+
+def test_public_names_are_listed():
+    assert all(hasattr(censoring, name) for name in censoring.__all__)
+    assert list(censoring.__all__) == sorted(censoring.__all__, key=lambda name: (name[0].islower(), name))

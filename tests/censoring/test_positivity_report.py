@@ -1,0 +1,207 @@
+import dataclasses
+import io
+
+import numpy as np
+import pytest
+
+from halfseen.censoring import (
+    KaplanMeier,
+    PositivityReport,
+    censoring_weights,
+    positivity_report,
+    warn_if_few,
+    weight_diagnostics,
+)
+from halfseen.errors import ArgumentError, HalfseenWarning
+
+
+def drawn(n=400, seed=0, scale=3.0):
+    rng = np.random.default_rng(seed)
+    own, cut = rng.integers(1, 30, n).astype(float), np.ceil(rng.exponential(10.0 * scale, n))
+    return np.minimum(own, cut), own <= cut
+
+
+SHORT = KaplanMeier().fit([1.0, 2.0, 5.0], [True, False, False])
+
+
+def test_counts_and_worth_are_those_of_the_weights():
+    time, is_finished = drawn()
+    weights = censoring_weights(time, is_finished)
+    report = positivity_report(time, is_finished)
+    assert (report.num_paths, report.num_finished) == (400, is_finished.sum())
+    assert report.overall == weight_diagnostics(weights)
+    assert report.mean_weight == pytest.approx(weights.mean())
+    np.testing.assert_array_equal(report.weights, weights[is_finished])
+    np.testing.assert_array_equal(report.cut_s, time[~is_finished])
+
+
+def test_tail_is_the_last_quarter_of_the_finishes():
+    report = positivity_report(np.arange(1.0, 102.0), np.ones(101, dtype=bool))
+    assert (report.tail_from_s, report.tail.num_seen) == (76.0, 26)
+    time, is_finished = drawn()
+    report = positivity_report(time, is_finished)
+    in_tail = time[is_finished] >= report.tail_from_s
+    assert in_tail.sum() >= is_finished.sum() / 4 > (time[is_finished] > report.tail_from_s).sum()
+    tail = weight_diagnostics(censoring_weights(time, is_finished)[is_finished][in_tail])
+    assert report.tail.effective_sample_size == pytest.approx(tail.effective_sample_size)
+
+
+def test_heaviest_paths_are_named_with_time_and_weight():
+    time, is_finished = [1.0, 2.0, 2.0, 3.0, 4.0], [True, False, True, False, True]
+    report = positivity_report(time, is_finished, path_ids=["a", "b", "c", "d", "e"])
+    found = [(heavy.path, heavy.time_s, pytest.approx(heavy.weight)) for heavy in report.heaviest]
+    assert found == [("e", 4.0, 3.0), ("a", 1.0, 1.0), ("c", 2.0, 1.0)]
+    assert len(positivity_report(*drawn()).heaviest) == 5
+
+
+def test_paths_without_a_weight_are_named_and_the_bound_gives_them_one():
+    report = positivity_report([1.0, 3.0, 6.0, 7.0], [True] * 4, SHORT)
+    assert [(path.path, path.time_s, path.weight) for path in report.unidentified] == [
+        (2, 6.0, np.inf),
+        (3, 7.0, np.inf),
+    ]
+    assert report.identified_until_s == 5.0
+    assert all(row.truncate_at is not None and np.isfinite(row.mean) for row in report.truncations)
+    assert str(report).startswith("Not identified: 2 paths finished where no path is left uncut (Ĝ = 0), first path 2")
+    assert "Shorten the horizon so that it ends before 5 s" in str(report)
+    bounded = positivity_report([1.0, 3.0, 6.0, 7.0], [True] * 4, SHORT, truncate_at=10)
+    assert bounded.overall == weight_diagnostics([1.0, 2.0, 10.0, 10.0], 10)
+    assert "Not identified" not in str(bounded)
+    assert "90.9%" not in str(report)
+    assert "87.0% of the weight is truncated" in str(bounded)
+
+
+def test_what_is_known_ends_with_the_last_end_or_the_models():
+    assert positivity_report([1.0, 4.0], [True, False]).identified_until_s == 4.0
+    watched = KaplanMeier().fit([1.0, 2.0, 3.0], [False, True, True])
+    report = positivity_report([1.0, 4.0], [True, True], watched)
+    assert (report.identified_until_s, report.num_extrapolated) == (3.0, 1)
+    assert "1 path finished later, on the model's word alone" in str(report)
+
+
+def test_missing_mass_is_told_where_the_last_path_is_cut():
+    report = positivity_report([1.0, 2.0, 3.0, 4.0], [True, True, True, False])
+    assert report.ends_in_cut
+    assert report.mean_weight == pytest.approx(0.75)
+    assert "The mean weight is 0.750, so some 25.0% of paths finish later than that." in str(report)
+
+
+def test_truncation_moves_from_the_weighted_mean_to_the_plain_one():
+    time, is_finished = drawn(scale=1.0)
+    weights = censoring_weights(time, is_finished)
+    rows = positivity_report(time, is_finished).truncations
+    assert rows[0].truncate_at is None
+    assert rows[0].mean == pytest.approx(np.average(time, weights=weights))
+    assert (rows[0].share_removed, rows[-1].truncate_at) == (0.0, 1.0)
+    assert rows[-1].mean == pytest.approx(time[is_finished].mean())
+    assert rows[-1].effective_sample_size == pytest.approx(is_finished.sum())
+    for row in rows[1:]:
+        bounded = censoring_weights(time, is_finished, truncate_at=row.truncate_at)
+        assert row.mean == pytest.approx(np.average(time, weights=bounded))
+        assert row.share_removed == pytest.approx(1 - bounded.sum() / weights.sum())
+        assert row.effective_sample_size == pytest.approx(weight_diagnostics(bounded).effective_sample_size)
+    assert np.all(np.diff([row.effective_sample_size for row in rows]) > 0)
+
+
+def test_the_mean_may_be_of_another_quantity():
+    time, is_finished = drawn()
+    target = np.where(is_finished, (time <= 10).astype(float), np.nan)
+    report = positivity_report(time, is_finished, target=target, target_name="finished by 10 s [share]")
+    weights = censoring_weights(time, is_finished)
+    assert report.truncations[0].mean == pytest.approx(weights[time <= 10].sum() / weights.sum())
+    assert "mean finished by 10 s [share]" in str(report)
+
+
+def thin_report():
+    """Fifty paths finish early; fifty are cut before the last ten finish, eight of them just before the very last."""
+    time = np.concatenate([np.linspace(1.0, 2.0, 50), np.full(50, 3.0), np.arange(4.0, 14.0)])
+    is_finished = np.concatenate([np.ones(50), np.zeros(50), np.ones(10)]).astype(bool)
+    time[50:58] = 12.5
+    return positivity_report(time, is_finished)
+
+
+def test_verdicts():
+    assert str(positivity_report(*drawn())).startswith("Sound: ")
+    assert positivity_report(*drawn()).is_sound
+    few = positivity_report(*drawn(n=12))
+    assert not few.is_sound
+    assert str(few).startswith("Too little: ")
+    assert "Record more paths, shorten the horizon to before" in str(few)
+    thin = thin_report()
+    assert thin.overall.effective_sample_size > 10 > thin.tail.effective_sample_size
+    assert str(thin).startswith("Thin at the end: ")
+
+
+def test_all_cut_none_cut_and_one_path():
+    all_cut = positivity_report([1.0, 2.0], [False, False])
+    assert str(all_cut).startswith("Nothing to weigh: all 2 paths were cut.\nRecord until some paths finish")
+    assert (all_cut.heaviest, all_cut.truncations, all_cut.mean_weight) == ((), (), 0.0)
+    none_cut = positivity_report(np.arange(1.0, 51.0), np.ones(50, dtype=bool))
+    assert str(none_cut).startswith("Sound: 50 finishes are worth 50.0 equally weighted ones.")
+    assert len(none_cut.truncations) == 1
+    assert "the weights are not what makes them few" in str(positivity_report([1.0], [True]))
+    assert str(positivity_report([1.0], [False])).startswith("Nothing to weigh: the only path was cut.")
+
+
+@pytest.mark.parametrize("model", ["kaplan-meier", "cox", "kernel"])
+def test_reports_on_every_model(model):
+    time, is_finished = drawn(n=150)
+    covariates = None if model == "kaplan-meier" else np.random.default_rng(1).normal(size=(150, 2))
+    report = positivity_report(time, is_finished, model, covariates=covariates)
+    weights = censoring_weights(time, is_finished, model, covariates=covariates)
+    assert report.overall == weight_diagnostics(weights)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"target": [1.0]}, "target has 1 rows for 2 paths"),
+        ({"target": [np.nan, 1.0]}, "target, row 0: nan, but the path finished"),
+        ({"truncate_at": 0.5}, "weights are at least 1"),
+        ({"path_ids": [1]}, "path_ids has shape"),
+    ],
+)
+def test_refuses_what_does_not_match(options, message):
+    with pytest.raises(ArgumentError, match=message):
+        positivity_report([1.0, 2.0], [True, False], **options)
+
+
+def reports():
+    return {
+        "sound": positivity_report(*drawn()),
+        "thin": thin_report(),
+        "not identified": positivity_report([1.0, 3.0, 6.0], [True] * 3, SHORT),
+        "all cut": positivity_report([1.0, 2.0], [False, False]),
+        "none cut": positivity_report([1.0, 2.0], [True, True]),
+        "one path": positivity_report([1.0], [True]),
+    }
+
+
+@pytest.mark.parametrize("name", ["sound", "thin", "not identified", "all cut", "none cut", "one path"])
+def test_the_figure_says_the_verdict_and_shows_every_path(name):
+    report = reports()[name]
+    figure = report.plot()
+    figure.savefig(io.BytesIO(), dpi=40)
+    assert figure.get_suptitle() == str(report).splitlines()[0]
+    shown = {line.get_label(): len(line.get_xdata()) for line in figure.axes[0].lines}
+    assert shown.get("cut", 0) == len(report.cut_s)
+    gone = shown.get("finished, no weight", 0)
+    assert shown.get("finished, at its weight", 0) + gone == report.num_finished
+    if report.truncations:
+        assert all(axes.get_xlabel() and axes.get_ylabel() and axes.get_title("left") for axes in figure.axes)
+        drawn_means = figure.axes[1].lines[-1].get_ydata()
+        np.testing.assert_array_equal(drawn_means, [row.mean for row in report.truncations])
+
+
+def test_cannot_be_changed():
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        positivity_report([1.0], [True]).num_paths = 2
+    assert isinstance(positivity_report([1.0], [True]), PositivityReport)
+
+
+def test_few_effective_weights_warn_with_a_remedy_and_enough_do_not():
+    with pytest.warns(HalfseenWarning, match=r"worth 9.0 equally weighted.*record more paths.*truncate_at"):
+        warn_if_few(weight_diagnostics(np.ones(9)))
+    with pytest.warns(HalfseenWarning, match="None of 3 were seen"):
+        warn_if_few(weight_diagnostics(np.zeros(3)))
+    warn_if_few(weight_diagnostics(np.ones(10)))
