@@ -1,3 +1,5 @@
+import tracemalloc
+
 import numpy as np
 import pandas as pd
 import pyarrow as pa
@@ -232,8 +234,6 @@ def test_keeps_scikit_learns_habits():
 
 
 def test_a_large_fit_needs_no_matrix_for_each_path():
-    import tracemalloc
-
     time, is_finished, covariates = drawn(0, n=20_000, p=20)
     tracemalloc.start()
     Cox().fit(time, is_finished, covariates)

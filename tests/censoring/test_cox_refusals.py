@@ -1,6 +1,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.optimize import linprog
 
 from halfseen.censoring import Cox, KernelKaplanMeier
 from halfseen.errors import ArgumentError
@@ -141,3 +142,37 @@ def test_refuses_a_coefficient_without_end_unless_penalised(kind, ties):
     with pytest.raises(ArgumentError, match=r"covariates, column 1: its coefficient runs off to infinity.*ridge > 0"):
         Cox(ties).fit(time, is_finished, covariates)
     assert np.isfinite(Cox(ties, ridge=1.0).fit(time, is_finished, covariates).coefficients_).all()
+
+
+def is_separated(time, is_finished, covariates):
+    """Whether some direction puts every cut path first among those watched, by linear programming."""
+    leads = [
+        covariates[i] - covariates[j]
+        for i in np.flatnonzero(~is_finished)
+        for j in range(len(time))
+        if j != i and (time[j] > time[i] or (time[j] == time[i] and not is_finished[j]))
+    ]
+    if not leads:
+        return False
+    best = linprog(-np.sum(leads, axis=0), A_ub=-np.array(leads), b_ub=np.zeros(len(leads)), bounds=(-1, 1))
+    return -best.fun > 1e-9
+
+
+@pytest.mark.parametrize("ties", ["efron", "breslow"])
+def test_refuses_exactly_those_whose_likelihood_has_no_maximum(ties):
+    rng = np.random.default_rng(0)
+    found = {True: 0, False: 0}
+    for _ in range(300):
+        n, p = rng.integers(6, 20), rng.integers(1, 3)
+        time, is_finished = rng.integers(1, 12, n).astype(float), rng.random(n) < 0.7
+        covariates = rng.integers(0, 3, (n, p)).astype(float) if rng.random() < 0.5 else rng.normal(size=(n, p))
+        try:
+            Cox(ties).fit(time, is_finished, covariates)
+            refused = False
+        except ArgumentError as error:
+            if "runs off to infinity" not in str(error):
+                continue
+            refused = True
+        assert refused == is_separated(time, is_finished, covariates)
+        found[refused] += 1
+    assert min(found.values()) > 20

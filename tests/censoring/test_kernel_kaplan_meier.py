@@ -1,3 +1,5 @@
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -179,3 +181,32 @@ def test_keeps_scikit_learns_habits():
     assert copy.get_params() == {"bandwidth": 2.0, "kernel": "gaussian", "num_folds": 5, "random_state": 4}
     assert not hasattr(copy, "bandwidth_")
     assert repr(copy) == "KernelKaplanMeier(bandwidth=2.0, random_state=4)"
+
+
+def test_weights_recover_a_mean_that_a_line_cannot():
+    """Cuts come sooner in the middle, and finishes later: no log-linear hazard says so."""
+    rng = np.random.default_rng(0)
+    z = rng.uniform(-1.0, 1.0, (3000, 1))
+    is_middle = np.abs(z[:, 0]) < 0.5
+    own, cut = rng.uniform(1.0, np.where(is_middle, 4.0, 2.0)), rng.exponential(np.where(is_middle, 2.5, 10.0))
+    time, is_finished = np.minimum(own, cut), own <= cut
+    means = {
+        model: np.average(time, weights=censoring_weights(time, is_finished, model, covariates=z))
+        for model in ("kernel", "cox")
+    }
+    # A finish is at 1.5 s or at 2.5 s, each half of the time.
+    assert means["kernel"] == pytest.approx(2.0, abs=0.06)
+    assert abs(means["cox"] - 2.0) > 0.1
+
+
+def test_memory_stays_bounded():
+    time, is_finished, covariates = drawn(0, n=3000)
+    local = KernelKaplanMeier(0.5).fit(time, is_finished, covariates)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(local_curve_module, "BLOCK_SIZE", 100_000)
+        tracemalloc.start()
+        local.survival(time, covariates)
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    # All questions by all paths would take 72 MB.
+    assert peak < 10e6
