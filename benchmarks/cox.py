@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 from sksurv.linear_model import CoxPHSurvivalAnalysis
+from sksurv.util import Surv
 
 from halfseen.censoring import Cox
 
@@ -44,7 +45,7 @@ def drawn(is_tied: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def compare(is_tied: bool) -> dict[str, Any]:
     end, is_finished, covariates = drawn(is_tied)
     shifted = np.where(is_finished, end, end + 0.005) if is_tied else end
-    target = np.rec.fromarrays([~is_finished, shifted], names="event,time")
+    target = Surv.from_arrays(~is_finished, shifted)
 
     def ours() -> Cox:
         return Cox().fit(end, is_finished, covariates)
