@@ -1,11 +1,16 @@
+from dataclasses import dataclass
+
 import jax
+import jax.numpy as jnp
 import naive_planner
 import numpy as np
 import pytest
 from naive_planner import CONFIG, Cup
 from tables import state_of
 
+from halfseen.errors import ArgumentError
 from halfseen.planners import GreedyPolicy
+from halfseen.planners.heuristics import TrueGrasp
 from halfseen.world.actions import FINISH
 
 OPEN = np.zeros((2, 2))
@@ -68,3 +73,49 @@ def _worth(policy, cups, hides, i):
 @pytest.mark.parametrize("policy", ALL)
 def test_a_table_that_looks_clean_is_left(policy):
     assert chosen(policy, [Cup(0.2), Cup(0.3)]) == FINISH
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Fixed:
+    """A grasp model that says what it was told."""
+
+    chances: jax.Array
+
+    def chance(self, state):
+        return self.chances
+
+
+def test_the_true_model_in_place_of_itself_changes_nothing():
+    rng = np.random.default_rng(1)
+    own = GreedyPolicy(CONFIG, uses_history=True, grasp=TrueGrasp(CONFIG))
+    for _ in range(10):
+        cups = [Cup(p, ((0.3, bool(rng.integers(2))),) * 2) for p in rng.uniform(0.3, 1, 4)]
+        hides = rng.uniform(0, 0.5, (4, 4)) * ~np.eye(4, dtype=bool)
+        assert chosen(own, cups, hides) == chosen(HISTORY, cups, hides)
+
+
+@pytest.mark.parametrize("hidden", [0.0, 0.5])
+def test_the_true_chance_is_that_of_plain_python(hidden):
+    cups, hides = [Cup(0.9, ((0.2, False), (0.6, True))), Cup(0.9)], np.array([[0.0, hidden], [0.0, 0.0]])
+    for uses_history in (True, False):
+        known = TrueGrasp(CONFIG, uses_history).chance(state_of(cups, hides))
+        expected = [
+            naive_planner.chance(cup if uses_history else Cup(0.9), naive_planner.occlusion(cups, hides, i))
+            for i, cup in enumerate(cups)
+        ]
+        np.testing.assert_allclose(known, expected, rtol=1e-5)
+
+
+def test_another_grasp_model_replaces_the_true_chance():
+    cups = [Cup(0.95), Cup(0.95)]
+    for best in (0, 1):
+        believed = Fixed(jnp.where(jnp.arange(2) == best, 0.9, 0.1))
+        assert chosen(GreedyPolicy(CONFIG, uses_history=True, grasp=believed), cups) == 1 + best
+    hopeless = Fixed(jnp.full(2, 0.01))
+    assert chosen(GreedyPolicy(CONFIG, uses_history=True, grasp=hopeless), cups) == FINISH
+
+
+def test_a_grasp_model_without_history_is_refused():
+    with pytest.raises(ArgumentError, match="uses_history is False"):
+        GreedyPolicy(CONFIG, grasp=Fixed(jnp.ones(2)))

@@ -68,7 +68,7 @@ class BetaGrasp(BaseEstimator):
     >>> tried = {"occlusion": [0.0] * 6 + [0.9] * 6, "successes": [0] * 12, "failures": [0, 1] * 6}
     >>> model = BetaGrasp().fit(tried | {"succeeded": [True] * 5 + [False] * 6 + [True]})
     >>> model.predict_proba({"occlusion": [0.0, 0.9], "successes": [0, 0], "failures": [0, 0]})[:, 1].round(1)
-    array([0.8, 0.3])
+    array([0.9, 0.2])
     """
 
     intercept_: float
@@ -139,10 +139,12 @@ def negative_log_posterior(theta: Theta, decided: Decided) -> tuple[float, Theta
     """What `BetaGrasp` minimises, and its gradient."""
     history, strength = decided.history, np.exp(theta[2])
     tries = history.successes + history.failures
-    mean, chance = _prior_mean(theta, history), predictive(theta, history)
-    shift = (theta - CENTRE) / SPREAD
-    likelihood = decided.weight @ np.log(np.where(decided.succeeded, chance, 1.0 - chance))
-    per_chance = decided.weight * np.where(decided.succeeded, 1.0 / chance, -1.0 / (1.0 - chance))
+    mean, shift = _prior_mean(theta, history), (theta - CENTRE) / SPREAD
+    # Of the outcome that was seen: 1 − chance would round to 0 where a success is all but sure.
+    prior = np.where(decided.succeeded, mean, _prior_mean(-theta, history))
+    seen = (strength * prior + np.where(decided.succeeded, history.successes, history.failures)) / (strength + tries)
+    likelihood = decided.weight @ np.log(seen)
+    per_chance = np.where(decided.succeeded, decided.weight, -decided.weight) / seen
     per_logit = per_chance * strength / (strength + tries) * mean * (1.0 - mean)
     per_log_strength = per_chance * strength * (mean * tries - history.successes) / (strength + tries) ** 2
     gradient = np.array([per_logit.sum(), per_logit @ history.occlusion, per_log_strength.sum()])

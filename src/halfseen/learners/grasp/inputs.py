@@ -97,7 +97,7 @@ def checked_attempts(
         warnings.warn(
             f"the decided attempts are worth only {size:.1f} equally weighted ones; the fit leans on its prior",
             HalfseenWarning,
-            stacklevel=4,
+            stacklevel=3,
         )
     group = pd.factorize(frame["object"])[0] if "object" in frame.columns else np.arange(len(frame))
     kept = np.flatnonzero(is_decided)

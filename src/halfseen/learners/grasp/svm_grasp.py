@@ -151,18 +151,15 @@ class SVMGrasp(BaseEstimator):
         """Attempts fitted to and held out; an object's attempts stay together."""
         if self.num_folds < 2:
             raise ArgumentError(f"num_folds is {self.num_folds}; cross-validation needs at least 2")
-        rarest = int(min(decided.succeeded.sum(), (~decided.succeeded).sum()))
-        num_folds = min(self.num_folds, len(np.unique(decided.group)), rarest)
-        if num_folds < 2:
-            raise ArgumentError(
-                "attempts are to be held out, and one outcome was seen once, or all are of one object; give more"
-            )
+        num_objects = [len(np.unique(decided.group[decided.succeeded == outcome])) for outcome in (False, True)]
+        if min(num_objects) < 2:
+            word = "failures" if num_objects[0] < 2 else "successes"
+            raise ArgumentError(f"{word} were seen of one object alone, so none can be held out; record more objects")
+        num_folds = min(self.num_folds, *num_objects)
         folds = StratifiedGroupKFold(num_folds, shuffle=True, random_state=self.random_state)
-        splits = list(folds.split(decided.succeeded, decided.succeeded, decided.group))
-        kept = [(fitted, held) for fitted, held in splits if len(held) and len(set(decided.succeeded[fitted])) == 2]
-        if not kept:
-            raise ArgumentError("no attempt can be held out: one outcome was seen for one object alone; give more")
-        return kept
+        splits = folds.split(decided.succeeded, decided.succeeded, decided.group)
+        # Where one outcome is rare, a fold may hold out all of it: nothing is fitted to the rest.
+        return [(fitted, held) for fitted, held in splits if len(set(decided.succeeded[fitted])) == 2]
 
 
 def linear_and_gaussian(X: Float[np.ndarray, "n 3"], Z: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "n m"]:
