@@ -205,3 +205,26 @@ def test_few_effective_weights_warn_with_a_remedy_and_enough_do_not():
     with pytest.warns(HalfseenWarning, match="None of 3 were seen"):
         warn_if_few(weight_diagnostics(np.zeros(3)))
     warn_if_few(weight_diagnostics(np.ones(10)))
+
+
+def test_weights_that_stand_for_few_of_the_paths_are_not_called_sound():
+    time, is_finished = np.arange(1.0, 41.0), np.arange(40) < 20
+    report = positivity_report(time, is_finished)
+    assert report.mean_weight == pytest.approx(0.5)
+    assert report.is_off
+    assert not report.is_sound
+    assert str(report).startswith("Incomplete: 20 finishes are worth 20.0 equally weighted ones, but stand for 50%")
+    assert "finish after 20 s: restrict times" in str(report)
+
+
+def test_weights_that_stand_for_more_than_the_paths_blame_the_model():
+    class TooWary:
+        def fit(self, time, is_finished, covariates=None):
+            return self
+
+        def survival(self, u, covariates=None):
+            return np.full(np.shape(u), 0.5)
+
+    report = positivity_report(np.arange(1.0, 41.0), np.ones(40, dtype=bool), TooWary())
+    assert report.mean_weight == pytest.approx(2.0)
+    assert "takes cuts for likelier than they were" in str(report)

@@ -66,6 +66,10 @@ class Truncation:
     share_removed: float | None
 
 
+MEAN_WEIGHT_MARGIN = 0.1
+"""Weights whose mean is this far from 1 do not stand for all paths."""
+
+
 @dataclass(frozen=True, eq=False)
 class PositivityReport:
     """What weights rest on; print it, or `plot` it.
@@ -131,12 +135,18 @@ class PositivityReport:
 
     @property
     def is_sound(self) -> bool:
-        """True where every finish has a weight, and weights and tail are worth enough."""
+        """True where every finish has a weight, weights and tail are worth enough, and the weights add up."""
         return (
             (not self.unidentified or self.truncate_at is not None)
             and self.overall.effective_sample_size >= FEWEST_EFFECTIVE
             and not self.is_thin
+            and not self.is_off
         )
+
+    @property
+    def is_off(self) -> bool:
+        """True where unbounded weights add up to less or more than the paths, within a tenth."""
+        return self.truncate_at is None and abs(self.mean_weight - 1.0) > MEAN_WEIGHT_MARGIN
 
     @property
     def is_thin(self) -> bool:

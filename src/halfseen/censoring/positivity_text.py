@@ -33,6 +33,11 @@ def verdict(report: PositivityReport) -> str:
             f"Thin at the end: {finishes} worth {worth:.1f} equally weighted ones, but the last "
             f"{tail.num_seen}, from {report.tail_from_s:.4g} s on, only {tail.effective_sample_size:.1f}."
         )
+    if report.is_off:
+        return (
+            f"Incomplete: {finishes} worth {worth:.1f} equally weighted ones, but stand for {report.mean_weight:.0%} "
+            "of the paths, not for all."
+        )
     return f"Sound: {finishes} worth {worth:.1f} equally weighted ones."
 
 
@@ -47,12 +52,21 @@ def remedy(report: PositivityReport) -> str:
         )
     worth = report.overall.effective_sample_size
     if worth >= FEWEST_EFFECTIVE and not report.is_thin:
-        return ""
+        return _completion(report) if report.is_off else ""
     if worth > 0.9 * report.num_finished:
         return "Record more paths; the weights are not what makes them few."
     return (
         f"Record more paths, shorten the horizon to before {report.tail_from_s:.4g} s, or truncate the weights "
         "knowingly with truncate_at=…; the table shows what that changes."
+    )
+
+
+def _completion(report: PositivityReport) -> str:
+    if report.mean_weight > 1.0:
+        return "The model takes cuts for likelier than they were; try another."
+    return (
+        f"Either the rest finish after {report.identified_until_s:.4g} s: restrict times to an earlier one (a path "
+        "that outlives it then counts as seen). Or the model takes cuts for rarer than they were: try another."
     )
 
 

@@ -14,7 +14,7 @@ from sklearn.base import BaseEstimator
 from sklearn.utils.validation import _check_sample_weight, check_is_fitted, validate_data
 
 from halfseen.arrays import RowIds, Rows
-from halfseen.censoring import CensoringModel, WeightDiagnostics, weight_diagnostics
+from halfseen.censoring import CensoringModel, WeightDiagnostics, warn_if_few, weight_diagnostics
 from halfseen.errors import ArgumentError, HalfseenWarning
 from halfseen.learners.svm.cross_validation import Choice, Fold, Task, choose
 from halfseen.learners.svm.designs import Design, Function, GramDesign, LinearDesign, LowRankDesign, RootDesign
@@ -27,7 +27,7 @@ from halfseen.learners.svm.set_kernel import SetKernel, as_sets
 from halfseen.learners.svm.solver import Solution, solve
 from halfseen.learners.svm.targets import Ends, checked_tau
 from halfseen.learners.svm.user_loss import own_loss
-from halfseen.learners.svm.weighting import row_weights, warn_of_few
+from halfseen.learners.svm.weighting import row_weights
 
 REGS = np.logspace(-7, 0, 8)
 """The λ that ``reg="cv"`` chooses from, in units in which the target's scale does not matter (`_reg_unit`)."""
@@ -105,7 +105,7 @@ class CensoredSVM(BaseEstimator):
         )
         self.diagnostics_ = weight_diagnostics(self.weights_, self.truncate_at)
         if ends is not None:
-            warn_of_few(self.diagnostics_, stacklevel=3)
+            warn_if_few(self.diagnostics_, stacklevel=4)
 
     def _fit_function(self, rows: np.ndarray, y: Rows, counts: Rows) -> "Fitted":
         """Choose λ and γ, fit f to the rows of positive weight, and keep the certificate."""

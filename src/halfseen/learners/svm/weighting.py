@@ -1,16 +1,11 @@
-"""How much each row counts: w = δ / Ĝ(min(T, τ)⁻ | z), and a word of warning where little is left."""
-
-import warnings
+"""How much each row counts: w = δ / Ĝ(min(T, τ)⁻ | z)."""
 
 import numpy as np
 
 from halfseen.arrays import Rows
-from halfseen.censoring import CensoringModel, WeightDiagnostics, censoring_weights, named_model
-from halfseen.errors import ArgumentError, HalfseenWarning, PositivityError
+from halfseen.censoring import CensoringModel, censoring_weights, named_model, uses_covariates
+from halfseen.errors import ArgumentError, PositivityError
 from halfseen.learners.svm.targets import Ends
-
-FEW = 10.0
-"""An effective sample size below this is warned of."""
 
 
 def row_weights(
@@ -66,19 +61,8 @@ def row_weights(
     return counts * weights, model
 
 
-def warn_of_few(diagnostics: WeightDiagnostics, stacklevel: int) -> None:
-    """Warn where the weights leave too little to learn from."""
-    if diagnostics.effective_sample_size < FEW:
-        warnings.warn(
-            f"{diagnostics} That is too little to learn from: record longer, give tau, or truncate the weights "
-            "knowingly with truncate_at",
-            HalfseenWarning,
-            stacklevel=stacklevel + 1,
-        )
-
-
 def _covariates(model: CensoringModel, rows: np.ndarray) -> np.ndarray | None:
-    if not getattr(model, "uses_covariates", False):
+    if not uses_covariates(model):
         return None
     if rows.dtype == object:
         raise ArgumentError("censoring uses covariates, and X holds sets; choose 'kaplan-meier'")
