@@ -214,7 +214,7 @@ def test_weights_that_stand_for_few_of_the_paths_are_not_called_sound():
     assert report.is_off
     assert not report.is_sound
     assert str(report).startswith("Incomplete: 20 finishes are worth 20.0 equally weighted ones, but stand for 50%")
-    assert "finish after 20 s: restrict times" in str(report)
+    assert "finish after 40 s: restrict times" in str(report)
 
 
 def test_weights_that_stand_for_more_than_the_paths_blame_the_model():
