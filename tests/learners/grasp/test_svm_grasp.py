@@ -81,6 +81,17 @@ def test_the_attempts_of_an_object_are_never_split():
     assert set(np.diff(np.sort(held))) - {4}, "without objects, attempts are dealt one by one"
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_every_fold_holds_both_outcomes_however_rare_one_is(seed):
+    rng = np.random.default_rng(seed)
+    frame = beta_attempts(40, seed=seed)
+    decided = checked_attempts(frame.assign(succeeded=frame["object"].isin(rng.choice(40, 3, replace=False))))
+    splits = SVMGrasp(random_state=seed)._splits(decided)
+    assert len(splits) == 3
+    for rows in (rows for split in splits for rows in split):
+        assert set(decided.succeeded[rows]) == {False, True}
+
+
 def test_the_kernel_is_as_stated():
     rng = np.random.default_rng(0)
     x, z = rng.normal(size=(4, 3)), rng.normal(size=(5, 3))

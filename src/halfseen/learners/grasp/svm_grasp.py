@@ -3,10 +3,9 @@
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.spatial.distance import cdist
 from sklearn.base import BaseEstimator
-from sklearn.model_selection import StratifiedGroupKFold
 from sklearn.utils.validation import check_is_fitted
 
 from halfseen.censoring import CensoringModel, WeightDiagnostics
@@ -155,11 +154,21 @@ class SVMGrasp(BaseEstimator):
         if min(num_objects) < 2:
             word = "failures" if num_objects[0] < 2 else "successes"
             raise ArgumentError(f"{word} were seen of one object alone, so none can be held out; record more objects")
-        num_folds = min(self.num_folds, *num_objects)
-        folds = StratifiedGroupKFold(num_folds, shuffle=True, random_state=self.random_state)
-        splits = folds.split(decided.succeeded, decided.succeeded, decided.group)
-        # Where one outcome is rare, a fold may hold out all of it: nothing is fitted to the rest.
-        return [(fitted, held) for fitted, held in splits if len(set(decided.succeeded[fitted])) == 2]
+        fold = _dealt(decided, min(self.num_folds, *num_objects), np.random.default_rng(self.random_state))
+        return [(np.flatnonzero(fold != k), np.flatnonzero(fold == k)) for k in range(int(fold.max()) + 1)]
+
+
+def _dealt(decided: Decided, num_folds: int, rng: np.random.Generator) -> Int[np.ndarray, " n"]:
+    """Fold of each attempt. Objects are dealt in the order of their success, so that both outcomes are in every fold.
+
+    That holds because at least `num_folds` objects have either outcome, and in this order they are neighbours.
+    """
+    objects, place = np.unique(decided.group, return_inverse=True)
+    share = np.bincount(place, decided.succeeded) / np.bincount(place)
+    order = np.lexsort((rng.permutation(len(objects)), share))
+    fold = np.empty(len(objects), dtype=np.int64)
+    fold[order] = np.arange(len(objects)) % num_folds
+    return fold[place]
 
 
 def linear_and_gaussian(X: Float[np.ndarray, "n 3"], Z: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "n m"]:
