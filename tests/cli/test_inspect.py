@@ -39,6 +39,12 @@ def test_says_one_plain_sentence_first_then_the_numbers(folder):
     ]
 
 
+def test_says_what_the_weights_rest_on(folder):
+    output = CliRunner().invoke(inspect, [str(folder)], catch_exceptions=False).output
+    assert "Too little: 2 finishes are worth 1.8 equally weighted ones." in output
+    assert "Largest weights: 2 (path 1, 5 s), 1 (path 3, 2 s)." in output
+
+
 def test_json_carries_the_same_numbers(folder):
     result = CliRunner().invoke(inspect, [str(folder), "--json"], catch_exceptions=False)
     report = json.loads(result.output)
@@ -49,6 +55,13 @@ def test_json_carries_the_same_numbers(folder):
         "effective_sample_size": 1.0,
         "largest_weight": 2.0,
     }
+
+
+def test_json_tells_whose_the_largest_weights_are(folder):
+    result = CliRunner().invoke(inspect, [str(folder), "--json"], catch_exceptions=False)
+    positivity = json.loads(result.output)["positivity"]
+    assert not positivity["is_sound"]
+    assert positivity["heaviest"][0] == {"path": "1", "time_s": 5.0, "weight": 2.0}
 
 
 def test_help_has_an_example():

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object for programs.")
 @click.option("--seed", type=int, default=0, help="Accepted by every verb; nothing here is random.")
 def inspect(logs: Path, as_json: bool, seed: int) -> None:
-    """Say what the folder LOGS holds: paths, endings, causes, weights.
+    """Say what the folder LOGS holds: paths, endings, causes, and what their weights rest on.
 
     The effective sample size tells how many equally weighted stages would say as much as those that were seen, once
     each stands for those that were cut.
@@ -29,15 +29,27 @@ def inspect(logs: Path, as_json: bool, seed: int) -> None:
 
 def describe(logs: "Logs") -> dict[str, Any]:
     """Collect what there is to say, ready for JSON; times in seconds."""
-    from halfseen.censoring import stage_weights, weight_diagnostics
+    from halfseen.censoring import positivity_report, stage_weights, weight_diagnostics
 
     summary = logs.summary()
+    positivity = positivity_report(logs.end_s, logs.is_finished, path_ids=logs.path_ids)
     weights = stage_weights(logs.elapsed_s(), logs.end_s, logs.is_finished, path_ids=logs.path_ids)
     stages = [weight_diagnostics(column) for column in weights.T]
     return {
         "sentence": str(summary),
         **asdict(summary),
         "nothing_seen_beyond_s": summary.longest_s,
+        "positivity": {
+            "text": str(positivity),
+            "is_sound": positivity.is_sound,
+            "effective_sample_size": positivity.overall.effective_sample_size,
+            "mean_weight": positivity.mean_weight,
+            "identified_until_s": positivity.identified_until_s,
+            "heaviest": [
+                {"path": str(heavy.path), "time_s": heavy.time_s, "weight": heavy.weight}
+                for heavy in positivity.heaviest
+            ],
+        },
         "weights": [
             {
                 "stage": stage,
@@ -72,6 +84,8 @@ def lines(report: dict[str, Any]) -> list[str]:
         report["sentence"],
         "",
         *(f"{name:<16}{text}" for name, text in rows),
+        "",
+        *report["positivity"]["text"].splitlines(),
         "",
         "stage  completed  effective sample size  largest weight",
         *(
