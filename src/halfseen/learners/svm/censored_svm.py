@@ -130,7 +130,9 @@ class CensoredSVM(BaseEstimator):
         self._keep(solution, design, every)
         return Fitted(task, design, seen, num_rows, held_out)
 
-    def _choose(self, task: Task, kept: np.ndarray, gammas: Rows, num_rows: float, seen: RowIds) -> Choice:
+    def _choose(
+        self, task: Task, kept: np.ndarray, gammas: Float[np.ndarray, " G"], num_rows: float, seen: RowIds
+    ) -> Choice:
         regs = REGS * _reg_unit(task) if self.reg == "cv" else np.array([float(self.reg)])
         folds = self._folds(task, seen)
         return choose(task, lambda gamma: self._design(kept, task.weight, gamma), gammas, regs, folds, num_rows, seen)
@@ -155,7 +157,7 @@ class CensoredSVM(BaseEstimator):
         self.function_ = design.function(solution.coefficients, rows)
         self.intercept_ = solution.offset
         self.objective_, self.duality_gap_ = solution.objective, solution.gap
-        if solution.relative_gap > self.tol:
+        if not solution.relative_gap <= self.tol:
             warnings.warn(
                 f"the duality gap is {solution.gap:.2g}, {solution.relative_gap:.1g} of the objective and above "
                 f"tol={self.tol:g}, so f is near the optimum but not at it; raise reg from {self.reg_:.2g}, scale the "
@@ -169,7 +171,7 @@ class CensoredSVM(BaseEstimator):
         check_is_fitted(self, "function_")
         return self.function_(self._checked_rows(X, is_fit=False)) + self.intercept_
 
-    def _gammas(self, rows: np.ndarray, counts: Rows) -> Rows:
+    def _gammas(self, rows: np.ndarray, counts: Rows) -> Float[np.ndarray, " G"]:
         if self.gamma == "cv":
             return candidate_gammas(rows, counts)
         return np.array([scale_gamma(rows, counts) if self.gamma == "scale" else float(self.gamma)])

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from tqdm import tqdm
 
 from halfseen.arrays import RowIds, Rows
@@ -16,7 +16,7 @@ _TOLERANCE = 1e-4
 _LEAST_OBJECTIVE = 1e-2
 """Relative duality gap of fits that are only compared, and the share of the loss of f = 0 that it is at least of."""
 
-Fold = tuple[RowIds, RowIds]
+Fold = tuple[Int[np.ndarray, "_"], Int[np.ndarray, "_"]]
 """Rows fitted to, rows held out."""
 
 
@@ -50,8 +50,8 @@ class Choice:
 def choose(
     task: Task,
     design_of: Callable[[float], Design],
-    gammas: Rows,
-    regs: Rows,
+    gammas: Float[np.ndarray, " G"],
+    regs: Float[np.ndarray, " L"],
     folds: Sequence[Fold],
     num_rows: float,
     seen: RowIds,
@@ -95,7 +95,9 @@ def hold_out(task: Task, design: Design, reg: float, folds: Sequence[Fold], num_
     return choose(task, lambda _: design, np.ones(1), np.array([reg]), folds, num_rows, seen).held_out
 
 
-def _path(task: Task, design: Design, rows: RowIds, num_rows: float, falling: Rows) -> Iterator[Solution]:
+def _path(
+    task: Task, design: Design, rows: RowIds, num_rows: float, falling: Float[np.ndarray, " L"]
+) -> Iterator[Solution]:
     """Fits from the largest λ down, each from the one before."""
     solution = None
     whole = task.problem(design, rows, num_rows, falling[0])

@@ -4,7 +4,7 @@ A design holds what was computed once from all rows, so that cross-validation on
 """
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import scipy.linalg
@@ -20,6 +20,7 @@ _PREDICTED_AT_ONCE = 2**22
 _SINGULAR = 1e-12
 
 
+@runtime_checkable
 class Function(Protocol):
     """A fitted g, without its offset."""
 
@@ -28,6 +29,7 @@ class Function(Protocol):
         ...
 
 
+@runtime_checkable
 class Design(Protocol):
     """All rows, as the solver sees them."""
 
@@ -35,7 +37,7 @@ class Design(Protocol):
         """The space that these rows span."""
         ...
 
-    def values(self, coefficients: Coefficients, rows: RowIds, at: RowIds) -> Rows:
+    def values(self, coefficients: Coefficients, rows: RowIds, at: Int[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
         """At the rows `at`, g whose coefficients were fitted to `rows`."""
         ...
 
@@ -98,7 +100,7 @@ class GramDesign:
         """Part of the Gram matrix."""
         return GramSpace(self._part(rows, rows))
 
-    def values(self, coefficients: Coefficients, rows: RowIds, at: RowIds) -> Rows:
+    def values(self, coefficients: Coefficients, rows: RowIds, at: Int[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
         """G at other rows."""
         return self._part(at, rows) @ coefficients
 
@@ -107,7 +109,7 @@ class GramDesign:
         support = np.flatnonzero(coefficients)
         return KernelFunction(self.kernel, self.rows[rows[support]], coefficients[support])
 
-    def _part(self, rows: RowIds, columns: RowIds) -> Float[np.ndarray, "r c"]:
+    def _part(self, rows: Int[np.ndarray, " r"], columns: Int[np.ndarray, " c"]) -> Float[np.ndarray, "r c"]:
         is_whole = len(rows) == len(columns) == len(self.gram) and (rows == columns).all()
         return self.gram if is_whole and (rows == np.arange(len(rows))).all() else self.gram[np.ix_(rows, columns)]
 
@@ -145,7 +147,7 @@ class RootDesign:
         """Rows of the root."""
         return FeatureSpace(self.root[rows])
 
-    def values(self, coefficients: Coefficients, rows: RowIds, at: RowIds) -> Rows:
+    def values(self, coefficients: Coefficients, rows: RowIds, at: Int[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
         """G at other rows."""
         return self.root[at] @ coefficients
 
@@ -164,7 +166,7 @@ class LinearDesign:
         """Some of the rows."""
         return FeatureSpace(_part(self.features, rows))
 
-    def values(self, coefficients: Coefficients, rows: RowIds, at: RowIds) -> Rows:
+    def values(self, coefficients: Coefficients, rows: RowIds, at: Int[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
         """G at other rows."""
         return self.features[at] @ coefficients
 
@@ -184,7 +186,7 @@ class LowRankDesign:
         """Some of the rows."""
         return FeatureSpace(_part(self.features, rows))
 
-    def values(self, coefficients: Coefficients, rows: RowIds, at: RowIds) -> Rows:
+    def values(self, coefficients: Coefficients, rows: RowIds, at: Int[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
         """G at other rows."""
         return self.features[at] @ coefficients
 
