@@ -17,6 +17,7 @@ row. The conjugate is L*(y, t) = sup_s (t s − L(y, s)), and ∞ where t is no 
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from scipy.special import expit, xlogy
@@ -33,6 +34,9 @@ _ON_THE_EDGE = 1e-9
 
 class ConvexLoss(ABC):
     """A convex loss, row by row."""
+
+    is_of_difference: ClassVar[bool] = False
+    """Whether L(y, s) depends on y − s only."""
 
     @abstractmethod
     def value(self, y: Rows, s: Rows) -> Rows:
@@ -71,6 +75,8 @@ class ProximalLoss(ConvexLoss):
 class Squared(SmoothLoss):
     """(y − s)²."""
 
+    is_of_difference = True
+
     def value(self, y: Rows, s: Rows) -> Rows:
         return np.square(y - s)
 
@@ -87,6 +93,8 @@ class Squared(SmoothLoss):
 @dataclass(frozen=True)
 class Huber(SmoothLoss):
     """½ (y − s)² where |y − s| ≤ δ, and δ (|y − s| − ½ δ) beyond."""
+
+    is_of_difference = True
 
     delta: float = 1.0
 
@@ -184,15 +192,21 @@ class DeadZone(ProximalLoss):
 class Absolute(DeadZone):
     """|y − s|."""
 
+    is_of_difference = True
+
 
 @dataclass(frozen=True)
 class Pinball(DeadZone):
     """max(q (y − s), (1 − q) (s − y)): its minimiser is the q-quantile. Make it with `pinball(q)`."""
 
+    is_of_difference = True
+
 
 @dataclass(frozen=True)
 class EpsilonInsensitive(DeadZone):
     """max(|y − s| − ε, 0)."""
+
+    is_of_difference = True
 
     epsilon: float = 0.1
 

@@ -5,14 +5,19 @@ logistic one, the last step is exact and few are needed [QiSun1993]_.
 """
 
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, runtime_checkable
+
+import numpy as np
 
 from halfseen.arrays import Rows
 from halfseen.learners.svm.spaces import Coefficients, Space
 
 MAX_STEPS = 200
+PATIENCE = 20
+"""Steps without a smaller promise after which rounding is taken to have the last word."""
 
 
+@runtime_checkable
 class SmoothSum(Protocol):
     """Σ_i φ_i(f_i)."""
 
@@ -49,7 +54,7 @@ def minimise(
     tuple
         The minimiser and the number of steps taken.
     """
-    point = start
+    point, least, in_vain = start, np.inf, 0
     for step in range(MAX_STEPS):
         pull, curvature = total.pull(point.f), total.curvature(point.f)
         if has_offset and not curvature.any():
@@ -57,7 +62,9 @@ def minimise(
             pull, curvature = total.pull(point.f), total.curvature(point.f)
         move = _newton_move(space, point, pull, curvature, reg, has_offset)
         line = _Line(space, total, reg, point, move)
-        if -line.slope(0.0) <= tolerance:
+        promise = -line.slope(0.0)
+        least, in_vain = (promise, 0) if promise < least else (least, in_vain + 1)
+        if promise <= tolerance or in_vain == PATIENCE:
             return point, step
         point = line.at(line.lowest())
     return point, MAX_STEPS

@@ -16,6 +16,7 @@ The distance between the two objectives, the *duality gap*, bounds how far the s
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.learners.svm.losses import ProximalLoss, SmoothLoss
@@ -23,8 +24,15 @@ from halfseen.learners.svm.newton import Point, minimise
 from halfseen.learners.svm.spaces import Coefficients, FeatureSpace, Space
 
 MAX_ROUNDS = 60
+_PATIENCE = 8
+"""Rounds without a smaller gap after which rounding is taken to have the last word."""
 _SHRINK = 0.2
+_ENOUGH = 0.1
+"""A round that leaves less than this share of the gap needs no smaller step."""
 _NEWTON_TOLERANCE = 1e-15
+_ROUNDING = 1e-15
+_IMBALANCE = 1e-11
+"""Pulls that cancel but for this share of their sum do cancel."""
 _ROOM = 1e-7
 """A pull that can move this far either way is inside its range."""
 
@@ -56,11 +64,13 @@ class Solution:
     """Objective minus dual objective: the optimum is at most this far below."""
     num_steps: int
     """Newton steps taken."""
+    rounding: float
+    """A gap that is no larger tells nothing: some units in the last place of the loss of f = 0."""
 
     @property
     def relative_gap(self) -> float:
-        """The gap as a share of the objective."""
-        return self.gap / max(abs(self.objective), np.finfo(float).tiny)
+        """The gap as a share of the objective; 0 where it is no more than rounding."""
+        return 0.0 if self.gap <= self.rounding else self.gap / max(abs(self.objective), np.finfo(float).tiny)
 
 
 def solve(
@@ -79,6 +89,12 @@ def solve(
     least_objective
         An objective below this share of the loss of f = 0 is taken for that share when gaps are compared.
     """
+    centre = _centre(problem)
+    if centre != 0.0:
+        # Far from 0, f and its rounding would be large beside what the loss sees.
+        shifted = replace(start, offset=start.offset - centre) if start else None
+        solution = solve(replace(problem, y=problem.y - centre), tolerance, shifted, least_objective)
+        return replace(solution, offset=solution.offset + centre)
     point = _first_point(problem, start)
     if isinstance(problem.loss, SmoothLoss):
         return _solve_smooth(problem, problem.loss, point)
@@ -92,6 +108,13 @@ def best_constant(y: Rows, weight: Rows, loss: SmoothLoss | ProximalLoss) -> flo
     """Find the constant that minimises Σ w L(y, c)."""
     nothing = FeatureSpace(np.zeros((len(y), 0)))
     return solve(Problem(nothing, y, weight / weight.sum(), loss, 1.0, True)).offset
+
+
+def _centre(problem: Problem) -> float:
+    """A target in the middle, where an offset can take it up and the loss does not notice; else 0."""
+    return (
+        float(np.sort(problem.y)[len(problem.y) // 2]) if problem.has_offset and problem.loss.is_of_difference else 0.0
+    )
 
 
 def _first_point(problem: Problem, start: "Solution | None") -> Point:
@@ -113,17 +136,22 @@ def _solve_by_rounds(
 ) -> Solution:
     scale = _scale(problem)
     best: Solution | None = None
-    num_steps = 0
+    num_steps = rounds_in_vain = 0
+    last = np.inf
     inner = 1e-3 * scale
     for _ in range(MAX_ROUNDS):
         point, steps = minimise(problem.space, envelope, problem.reg, problem.has_offset, point, inner)
         num_steps += steps
         found = certify(problem, point, envelope.pulls_at(point.f), num_steps)
-        best = found if best is None or found.gap < best.gap else best
-        if best.gap <= tolerance * max(best.objective, least_objective * scale):
+        best = found if best is None or (found.gap, found.objective) < (best.gap, best.objective) else best
+        if best.gap <= max(tolerance * max(best.objective, least_objective * scale), best.rounding):
             break
-        inner = max(min(0.1 * inner, 1e-2 * found.gap), _NEWTON_TOLERANCE * scale)
-        envelope = replace(envelope, pulls=envelope.pulls_at(point.f), step=_SHRINK * envelope.step)
+        rounds_in_vain = 0 if found is best else rounds_in_vain + 1
+        if rounds_in_vain == _PATIENCE:
+            break
+        inner = max(min(0.1 * inner, 1e-2 * found.gap), _NEWTON_TOLERANCE * min(scale, best.objective))
+        shrink = 1.0 if found.gap < _ENOUGH * last else _SHRINK
+        envelope, last = replace(envelope, pulls=envelope.pulls_at(point.f), step=shrink * envelope.step), found.gap
     assert best is not None
     return best
 
@@ -136,16 +164,18 @@ def certify(problem: Problem, point: Point, pulls: Rows, num_steps: int) -> Solu
     dual_values = space.values(dual_coefficients)
     dual_norm = space.inner(dual_coefficients, dual_coefficients, dual_values)
     dual = -problem.reg * dual_norm - float(mass @ loss.conjugate(problem.y, -pulls))
+    # Pulls of 0 are balanced whatever the others are, and their bound is that no loss is below its least.
+    least = -float(mass @ loss.conjugate(problem.y, np.zeros(len(pulls))))
+    dual = max(dual, least) if _is_balanced(problem, pulls) else least
     norm = space.inner(point.coefficients, point.coefficients, point.values)
     objective = problem.reg * norm + float(mass @ loss.value(problem.y, point.f))
-    return Solution(point.coefficients, point.offset, pulls, objective, max(objective - dual, 0.0), num_steps)
+    rounding = _ROUNDING * _scale(problem)
+    return Solution(point.coefficients, point.offset, pulls, objective, max(objective - dual, 0.0), num_steps, rounding)
 
 
 def _balanced(problem: Problem, pulls: Rows) -> Rows:
     """Make Σ c u z exactly 0 for what costs nothing (z = 1 for the offset) by moving the pulls that have room."""
-    columns = problem.space.unpenalised(problem.reg)
-    if problem.has_offset:
-        columns = np.column_stack([columns, np.ones(len(pulls))])
+    columns = _free_columns(problem)
     if columns.shape[1] == 0:
         return pulls
     has_room = _is_slope(problem, pulls - _ROOM) & _is_slope(problem, pulls + _ROOM)
@@ -154,7 +184,26 @@ def _balanced(problem: Problem, pulls: Rows) -> Rows:
     moved = pulls.copy()
     system = movable.T @ (problem.mass[has_room, None] * movable)
     moved[has_room] -= movable @ np.linalg.lstsq(system, excess)[0]
-    return moved
+    return moved if problem.reg == 0.0 else _shrunk(problem, moved)
+
+
+def _shrunk(problem: Problem, pulls: Rows) -> Rows:
+    """Let up and down cancel exactly, by shrinking the side that has more; smaller pulls are slopes, too."""
+    forces = problem.mass * pulls
+    up, down = forces[forces > 0.0].sum(), -forces[forces < 0.0].sum()
+    return np.where(pulls > 0.0, min(down / up, 1.0) if up else 1.0, min(up / down, 1.0) if down else 1.0) * pulls
+
+
+def _is_balanced(problem: Problem, pulls: Rows) -> bool:
+    columns = _free_columns(problem)
+    forces = problem.mass * pulls
+    return bool((np.abs(columns.T @ forces) <= _IMBALANCE * (np.abs(columns.T) @ np.abs(forces))).all())
+
+
+def _free_columns(problem: Problem) -> Float[np.ndarray, "n k"]:
+    """What f may add at no cost: 1 for the offset, and the features where λ = 0."""
+    columns = problem.space.unpenalised(problem.reg)
+    return np.column_stack([columns, np.ones(len(problem.y))]) if problem.has_offset else columns
 
 
 def _is_slope(problem: Problem, pulls: Rows) -> RowMask:

@@ -5,7 +5,7 @@ step of λ‖g‖² + Σ φ_i(g_i + b), where φ has slopes −p and curvatures 
 """
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import scipy.linalg
@@ -19,6 +19,7 @@ _NO_CURVATURE = 1e-12
 _JITTER = 1e-13
 
 
+@runtime_checkable
 class Space(Protocol):
     """Where g lives."""
 
@@ -156,6 +157,8 @@ def _blocks(rows: np.ndarray, num_columns: int) -> list[np.ndarray]:
 def _solve(system: Float[np.ndarray, "k k"], right: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
     """Solve a positive semidefinite system; a direction that it does not see gets as much curvature as rounding has."""
     jitter = _JITTER * system.diagonal().max(initial=0.0)
+    if not jitter > 0.0:
+        return np.zeros_like(right)
     while True:
         try:
             factor = scipy.linalg.cho_factor(system, lower=True, overwrite_a=False, check_finite=False)
