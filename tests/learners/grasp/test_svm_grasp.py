@@ -66,6 +66,7 @@ def test_it_is_the_censored_svm_on_scaled_features_with_weights_by_kaplan_meier(
     rows = np.column_stack([asked["occlusion"], np.log1p(asked["successes"]), np.log1p(asked["failures"])])
     f = svc.decision_function((rows - centre) / scale)
     expected = 1.0 / (1.0 + np.exp(-(model.svc_.sigmoid_.slope * f + model.svc_.sigmoid_.offset)))
+    assert 1 / 100 < expected.min() < expected.max() < 1 - 1 / 100
     np.testing.assert_allclose(model.predict_proba(asked)[:, 1], expected, rtol=1e-5)
 
 
@@ -79,6 +80,28 @@ def test_the_attempts_of_an_object_are_never_split():
     alone = checked_attempts(beta_attempts(60).drop(columns="object"))
     _, held = SVMGrasp()._splits(alone)[0]
     assert set(np.diff(np.sort(held))) - {4}, "without objects, attempts are dealt one by one"
+
+
+def test_of_about_equal_losses_the_smoothest_is_taken():
+    frame = beta_attempts(100)
+    decided = checked_attempts(frame)
+    model = SVMGrasp().fit(frame)
+    features = np.column_stack([frame["occlusion"], np.log1p(frame["successes"]), np.log1p(frame["failures"])])
+    scaled = (features - model.centre_) / model.scale_
+    svc = CensoredSVC("logistic", kernel=linear_and_gaussian, num_landmarks=50, cv=SVMGrasp()._splits(decided))
+    losses = svc.fit(scaled, frame["succeeded"], sample_weight=decided.weight).cv_losses_[0]
+    regs = svc.reg_ * 10.0 ** (np.argmin(losses) - np.arange(len(losses)))
+
+    assert model.svc_.reg_ == pytest.approx(max(regs[losses <= 1.01 * losses.min()]))
+
+
+def test_no_chance_is_surer_than_the_log_allows():
+    learned = beta_attempts(30, num_tries=1)
+    learned["succeeded"] = learned["occlusion"] < 0.5
+    extreme = {"occlusion": [0.0, 1.0], "successes": [40, 0], "failures": [0, 40]}
+    chances = SVMGrasp(reg=1e-7).fit(learned).predict_proba(extreme)
+    assert chances.min() >= 1 / 32
+    np.testing.assert_allclose(chances.sum(axis=1), 1.0)
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -11,10 +11,13 @@ from sklearn.utils.validation import check_is_fitted
 from halfseen.censoring import CensoringModel, WeightDiagnostics
 from halfseen.errors import ArgumentError
 from halfseen.learners.grasp.inputs import Decided, History, checked_attempts, checked_history
+from halfseen.learners.svm.censored_svm import REGS
 from halfseen.learners.svm.classifier import CensoredSVC
 from halfseen.logs.frames import FrameLike
 
 LINEAR_AND_GAUSSIAN = "linear+gaussian"
+SLACK = 0.01
+"""Held-out losses that differ by less than this share of the least are taken as equal."""
 
 
 class SVMGrasp(BaseEstimator):
@@ -26,7 +29,9 @@ class SVMGrasp(BaseEstimator):
     says that much from few attempts, and the Gaussian part adds what departs from it.
 
     Cut attempts weigh nothing, and decided ones 1/Ĝ(time_s⁻). λ is chosen by the weighted loss on attempts that were
-    held out, never splitting the attempts of one object; the same held-out values calibrate the chances [Platt1999]_.
+    held out, never splitting the attempts of one object: the largest λ whose loss is within 1 % of the least, because
+    below it f changes most where no attempt was made. Values of held-out attempts calibrate the chances [Platt1999]_.
+    No chance is surer than Laplace's rule after as many attempts, all alike, as the log is worth.
 
     Parameters
     ----------
@@ -117,7 +122,7 @@ class SVMGrasp(BaseEstimator):
         variance = share @ np.square(features - self.centre_)
         self.scale_ = np.where(variance > 0.0, np.sqrt(variance), 1.0)
         num_landmarks = None if self.num_landmarks is None else min(self.num_landmarks, len(features))
-        self.svc_ = CensoredSVC(
+        svc = CensoredSVC(
             "logistic",
             kernel=linear_and_gaussian if self.kernel == LINEAR_AND_GAUSSIAN else self.kernel,
             gamma=self.gamma,
@@ -125,7 +130,12 @@ class SVMGrasp(BaseEstimator):
             num_landmarks=num_landmarks,
             cv=self._splits(decided),
             random_state=self.random_state,
-        ).fit((features - self.centre_) / self.scale_, decided.succeeded, sample_weight=decided.weight)
+        )
+        scaled = (features - self.centre_) / self.scale_
+        self.svc_ = svc.fit(scaled, decided.succeeded, sample_weight=decided.weight)
+        if self.reg == "cv" and _smoothest(svc) > svc.reg_:
+            svc.set_params(gamma=svc.gamma_, reg=_smoothest(svc))
+            svc.fit(scaled, decided.succeeded, sample_weight=decided.weight)
         self.classes_ = self.svc_.classes_
         self.diagnostics_ = decided.diagnostics
         return self
@@ -144,7 +154,9 @@ class SVMGrasp(BaseEstimator):
             A column or value is none that an attempt can have; the row is named.
         """
         check_is_fitted(self, "svc_")
-        return self.svc_.predict_proba((_features(checked_history(frame)) - self.centre_) / self.scale_)
+        chances = self.svc_.predict_proba((_features(checked_history(frame)) - self.centre_) / self.scale_)
+        surest = 1.0 / (2.0 + self.diagnostics_.effective_sample_size)
+        return np.clip(chances, surest, 1.0 - surest)
 
     def _splits(self, decided: Decided) -> list[tuple[np.ndarray, np.ndarray]]:
         """Attempts fitted to and held out; an object's attempts stay together."""
@@ -169,6 +181,13 @@ def _dealt(decided: Decided, num_folds: int, rng: np.random.Generator) -> Int[np
     fold = np.empty(len(objects), dtype=np.int64)
     fold[order] = np.arange(len(objects)) % num_folds
     return fold[place]
+
+
+def _smoothest(svc: CensoredSVC) -> float:
+    """The largest λ whose held-out loss is about the least."""
+    falling = np.sort(REGS)[::-1]
+    losses = svc.cv_losses_.min(axis=0)
+    return float(svc.reg_ * falling[np.argmax(losses <= (1.0 + SLACK) * losses.min())] / falling[np.argmin(losses)])
 
 
 def linear_and_gaussian(X: Float[np.ndarray, "n 3"], Z: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "n m"]:
