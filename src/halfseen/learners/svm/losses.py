@@ -96,7 +96,7 @@ class Huber(SmoothLoss):
 
     is_of_difference = True
 
-    delta: float = 1.0
+    delta: float | int = 1.0
 
     def value(self, y: Rows, s: Rows) -> Rows:
         inner = np.clip(s - y, -self.delta, self.delta)
@@ -175,7 +175,7 @@ class DeadZone(ProximalLoss):
 
     def proximal_slope(self, y: Rows, v: Rows, step: float) -> Rows:
         low, high = self.edges(y)
-        is_held = ((v > high) & (v < high + step * self.up)) | ((v < low) & (v > low - step * self.down))
+        is_held = ((v >= high) & (v < high + step * self.up)) | ((v <= low) & (v > low - step * self.down))
         return (~is_held).astype(np.float64)
 
     def conjugate(self, y: Rows, t: Rows) -> Rows:
@@ -208,7 +208,7 @@ class EpsilonInsensitive(DeadZone):
 
     is_of_difference = True
 
-    epsilon: float = 0.1
+    epsilon: float | int = 0.1
 
     def edges(self, y: Rows) -> tuple[Rows, Rows]:
         return y - self.epsilon, y + self.epsilon
@@ -228,7 +228,7 @@ def pinball(quantile: float) -> Pinball:
 
 
 def named_loss(
-    name: str, *, epsilon: float = 0.1, quantile: float = 0.5, delta: float = 1.0
+    name: str, *, epsilon: float | int = 0.1, quantile: float | int = 0.5, delta: float | int = 1.0
 ) -> SmoothLoss | ProximalLoss:
     """The loss of this name.
 

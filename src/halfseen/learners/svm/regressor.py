@@ -220,6 +220,6 @@ class CensoredSVR(RegressorMixin, CensoredSVM):
 
     def _targets(self, y: Any, ends: Ends | None) -> Rows:
         """Y of every row; what was cut gets a value that no weight will touch."""
-        plain = Ends(column_or_1d(y, dtype=np.float64, warn=True), np.array([])) if ends is None else ends
+        time = column_or_1d(y, dtype=np.float64, warn=True) if ends is None else ends.time
         tau = checked_tau(self.tau)
-        return target_values(plain.time if tau is None else np.minimum(plain.time, tau), self.target)
+        return target_values(time if tau is None else np.minimum(time, tau), self.target)

@@ -51,9 +51,11 @@ class UserLoss(ProximalLoss):
     def conjugate(self, y: Rows, t: Rows) -> Rows:
         # sup_s t s − L(y, s), by proximal steps that double: they run off where there is no finite one.
         s, step = np.zeros_like(t), 1.0
-        for _ in range(_ASCENTS):
-            s, step = self.proximal(y, s + step * t, step), min(2.0 * step, 1e8)
-        gain = t * s - self.value(y, s)
+        # Out there a user's exponentials may overflow.
+        with np.errstate(over="ignore", invalid="ignore"):
+            for _ in range(_ASCENTS):
+                s, step = self.proximal(y, s + step * t, step), min(2.0 * step, 1e8)
+            gain = t * s - self.value(y, s)
         return np.where(np.abs(s) < 1e6 * (1.0 + np.abs(y)), gain, np.inf)
 
     def _proximal_by_bisection(self, y: Rows, v: Rows, step: float) -> Rows:
@@ -102,7 +104,7 @@ def _check_convex(loss: UserLoss, y: Rows) -> None:
 
 
 def _checked(loss: UserLoss, y: Rows, s: Rows) -> Rows:
-    values = loss.value(y, s)
+    values = np.asarray(loss.own.value(y, s), dtype=np.float64)
     if values.shape != y.shape or not np.isfinite(values).all():
         raise ArgumentError(
             f"loss is {loss.own!r}, whose value(y, s) gives shape {values.shape} for {len(y)} rows, or numbers that "
