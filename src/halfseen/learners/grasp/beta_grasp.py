@@ -38,9 +38,9 @@ class BetaGrasp(BaseEstimator):
 
     The object's past attempts update a prior Beta(s·m, s·(1 − m)) whose mean m falls or rises with occlusion.
     Intercept, slope and log s maximise Σ_i w_i log P(outcome_i | occ_i, k_i, l_i) plus a weak normal prior. At constant
-    occlusion the product of the predictive chances along an object's attempts is its Beta-binomial likelihood [Skellam1948]_,
-    exactly; where occlusion changes between them it is what the model means by its predictive. Cut attempts weigh
-    nothing, and decided ones 1/Ĝ(time_s⁻) (paper, eq. 2).
+    occlusion the product of the predictive chances along an object's attempts is its Beta-binomial likelihood
+    [Skellam1948]_, exactly; where occlusion changes between them it is what the model means by its predictive. Cut
+    attempts weigh nothing, and decided ones 1/Ĝ(time_s⁻) (paper, eq. 2).
 
     Without history in the data s is not identified, and stays at 2, the strength of Laplace's rule.
 
