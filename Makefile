@@ -23,7 +23,7 @@ clouds: .venv/.installed
 	$(BIN)/python -m halfseen.scene
 
 benchmarks: .venv/.installed
-	$(BIN)/python benchmarks/censoring_weights.py
+	for benchmark in benchmarks/*.py; do $(BIN)/python $$benchmark || exit 1; done
 
 clean:
 	rm -rf .venv runs

@@ -4,9 +4,18 @@ from pathlib import Path
 README = Path(__file__).parent.parent / "README.md"
 
 
-def test_the_python_example_runs(capsys):
-    (example,) = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), flags=re.DOTALL)
-    exec(compile(example, str(README), "exec"), {})
-    printed = capsys.readouterr().out.splitlines()
-    logged, learned = (float(line.split()[-1]) for line in printed[-2:])
+def printed_by_examples(capsys):
+    for example in re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), flags=re.DOTALL):
+        exec(compile(example, str(README), "exec"), {})
+        yield capsys.readouterr().out.splitlines()
+
+
+def test_the_python_examples_run_and_show_what_is_said_of_them(capsys):
+    policies, times = printed_by_examples(capsys)
+    logged, learned = (float(line.split()[-1]) for line in policies[-2:])
     assert learned > logged
+
+    late_s = {line.split()[0]: float(re.findall(r"[\d.]+", line)[1]) for line in times[-4:]}
+    error_s = {censoring: abs(late - 6.7) for censoring, late in late_s.items()}
+    assert error_s["cox"] < error_s["kaplan-meier"] < error_s["none"]
+    assert error_s["kernel"] < error_s["kaplan-meier"]
