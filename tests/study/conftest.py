@@ -10,6 +10,7 @@ TINY = StudyDesign(
     cut_shares=(0.0, 1 / 2),
     planning_horizons=(1, 2),
     table_num_paths=50,
+    grasp_num_paths=(25, 50),
     episodes_per_scene=1,
 )
 

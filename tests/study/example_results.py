@@ -4,7 +4,8 @@ import numpy as np
 import pandas as pd
 
 from halfseen.study.design import TREATMENTS, StudyDesign
-from halfseen.study.results import BASELINE_NAMES, MEASURES, StudyResults
+from halfseen.study.grasp_tables import calibration, grasp_frame, grasp_table, grasp_tests
+from halfseen.study.results import BASELINE_NAMES, GRASP_NAMES, MEASURES, StudyResults
 from halfseen.study.sentences import plain_sentences
 from halfseen.world.scene import Scene
 
@@ -12,7 +13,9 @@ BASELINE_REWARDS = dict(zip(BASELINE_NAMES, (3.1, 3.6, 6.2, 6.4, 7.9, 8.9, 9.1, 
 SE = 0.09
 
 
-def example_results(lead: float = 0.0, gain: float = 0.4, design: StudyDesign | None = None) -> StudyResults:
+def example_results(
+    lead: float = 0.0, gain: float = 0.4, design: StudyDesign | None = None, svm_lead: float = 0.0
+) -> StudyResults:
     """Make results in which the learned policy ends `lead` away from the best planner.
 
     Parameters
@@ -23,10 +26,13 @@ def example_results(lead: float = 0.0, gain: float = 0.4, design: StudyDesign | 
         What weights buy over the other treatments under independent cuts; nothing under other cuts.
     design
         The default design if not given.
+    svm_lead
+        By how much the SVM's scores are better than the Beta mean's.
     """
     design = design or StudyDesign()
     figure1, figure4 = _figure1(design, lead), _figure4(design, lead, gain)
     table1 = _table1(design, lead)
+    grasp = grasp_frame(_grasp_pieces(design, svm_lead))
     return StudyResults(
         design=design,
         scenes=example_scenes(),
@@ -34,6 +40,9 @@ def example_results(lead: float = 0.0, gain: float = 0.4, design: StudyDesign | 
         figure4=figure4,
         table1=table1,
         weights=_weights(design),
+        grasp=grasp_table(grasp, design),
+        grasp_tests=grasp_tests(grasp, design),
+        figure5=calibration(grasp),
         best_planner="pomdp-4",
         best_heuristic="history-penalty",
         sentences=plain_sentences(figure1, table1, figure4, design, "pomdp-4", "history-penalty"),
@@ -142,3 +151,34 @@ def _weights(design: StudyDesign) -> pd.DataFrame:
         for size in design.num_paths
     ]
     return pd.DataFrame(rows, columns=["num_paths", "cut_share", "effective_sample_size", "largest_weight"])
+
+
+def _grasp_pieces(design: StudyDesign, svm_lead: float) -> list[dict]:
+    rng = np.random.default_rng(0)
+    pieces = []
+    for repetition in range(min(design.repetitions, design.grasp_repetitions)):
+        luck = rng.normal(size=2)
+        rows = []
+        for size in design.grasp_num_paths:
+            for k, model in enumerate(GRASP_NAMES):
+                above = {"laplace": 0.2, "oracle": 0.0, "svm": 0.01 - svm_lead}.get(model, 0.01)
+                noise = rng.normal(size=4) * 0.001
+                attempts = rng.integers(100, 300, size=10)
+                chances = attempts * (np.arange(10) + 0.5) / 10
+                rows.append(
+                    {
+                        "model": model,
+                        "num_paths": size,
+                        "log_loss": 0.5 + above + 0.01 * luck[0] + noise[0],
+                        "brier": 0.15 + above / 3 + 0.01 * luck[0] + noise[1],
+                        "learned_reward": 9.0 + luck[1] - above + 0.1 * k + noise[2],
+                        "heuristic_reward": 6.0 + luck[1] - above + noise[3],
+                        "bins": {
+                            "attempts": attempts.tolist(),
+                            "chances": chances.tolist(),
+                            "successes": rng.binomial(attempts, chances / attempts).tolist(),
+                        },
+                    }
+                )
+        pieces.append({"repetition": repetition, "grasp": rows})
+    return pieces

@@ -9,6 +9,8 @@ from matplotlib.text import Text
 
 from halfseen.study.design import StudyDesign
 from halfseen.study.figures import draw_figure1, draw_figure4, figure1_of, figure4_of, spread, style
+from halfseen.study.grasp_figure import draw_figure5, figure5_of
+from halfseen.study.results import GRASP_NAMES
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -35,7 +37,9 @@ def within_style():
         yield
 
 
-@pytest.mark.parametrize(("draw", "name"), [(draw_figure1, "figure1"), (draw_figure4, "figure4")])
+@pytest.mark.parametrize(
+    ("draw", "name"), [(draw_figure1, "figure1"), (draw_figure4, "figure4"), (draw_figure5, "figure5")]
+)
 def test_files_are_whole_and_the_same_again(tmp_path, draw, name):
     results = example_results()
     for folder in ("first", "second"):
@@ -75,7 +79,7 @@ def test_figure1_names_every_line():
 @pytest.mark.parametrize("lead", [-6.0, 0.0, 3.0])
 def test_nothing_written_overlaps_or_leaves_the_figure(lead):
     results = example_results(lead=lead)
-    for figure in (figure1_of(results), figure4_of(results)):
+    for figure in (figure1_of(results), figure4_of(results), figure5_of(results)):
         renderer = FigureCanvasAgg(figure).get_renderer()
         boxes = [text.get_window_extent(renderer) for text in texts(figure)]
         frame = figure.bbox
@@ -120,6 +124,15 @@ def test_figure4_has_a_panel_and_differences_for_each_kind_of_cut():
     assert "cuts whose hazard grows while an attempt drags on" in written
     for name in ("weighted by 1/Ĝ", "completed stages, no weights", "cut paths dropped", "cuts counted as failures"):
         assert name in written
+
+
+def test_figure5_names_every_model_and_says_where_laplace_is():
+    figure = figure5_of(example_results())
+    written = words(figure)
+    assert len(figure.axes) == 4
+    assert set(GRASP_NAMES.values()) <= set(written)
+    assert "Laplace's rule, which looks at no occlusion, lies 0.20 above" in written
+    assert {"50", "200", "800"} <= set(written)
 
 
 def test_spread_moves_as_little_as_it_must():

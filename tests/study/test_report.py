@@ -69,7 +69,7 @@ def written(results, tmp_path):
 def test_page_is_whole(text):
     page = Page(text)
     assert page.tags.count("main") == page.tags.count("h1") == 1
-    assert page.tags.count("svg") == 2
+    assert page.tags.count("svg") == 3
     assert page.tags.count("img") == 10
 
 
@@ -104,11 +104,16 @@ def test_answer_comes_first(results, text):
 
 
 def test_unsupported_claims_are_called_so_and_no_others(results, tmp_path, text):
-    assert text.count(">not supported<") == int((~results.table1["supported"]).sum())
-    assert text.count(">supported<") == int(results.table1["supported"].sum())
-    none = replace(results, table1=results.table1.assign(supported=False))
-    assert written(none, tmp_path).count(">not supported<") == len(results.table1)
-    every = replace(results, table1=results.table1.assign(supported=True))
+    claims = [*results.table1["supported"], *results.grasp_tests["supported"]]
+    assert text.count(">not supported<") == claims.count(False)
+    assert text.count(">supported<") == claims.count(True)
+
+    def all_are(supported):
+        tables = {name: getattr(results, name).assign(supported=supported) for name in ("table1", "grasp_tests")}
+        return replace(results, **tables)
+
+    assert written(all_are(False), tmp_path).count(">not supported<") == len(claims)
+    every = all_are(True)
     assert ">not supported<" not in written(every, tmp_path)
 
 

@@ -17,6 +17,8 @@ from halfseen.study.run import run_study
 COLUMNS = {
     "figure1": "policy num_paths cut_share repetitions mean_reward se",
     "figure4": "treatment cut_kind num_paths cut_share repetitions mean_reward se behind_weighted se_behind",
+    "figure5": "model num_paths bin_from attempts mean_chance share_succeeded se",
+    "grasp_tests": "measure num_paths svm beta p_value p_holm effect supported effect_low effect_high",
     "table1": "baseline measure cql other p_value p_holm effect supported effect_low effect_high",
 }
 
@@ -27,9 +29,14 @@ def outputs(folder):
 
 
 def test_everything_is_written_and_nothing_else(study_folder):
-    figures = {f"figure{k}.{kind}" for k in (1, 4) for kind in ("csv", "png", "svg")}
+    figures = {f"figure{k}.{kind}" for k in (1, 4, 5) for kind in ("csv", "png", "svg")}
     progress = {"design", "decision_times_ms", "repetition-00000", "repetition-00001"}
-    expected = figures | {"table1.csv", "study.json", "report.html"} | {f"progress/{name}.json" for name in progress}
+    progress |= {"grasp-00000", "grasp-00001"}
+    expected = (
+        figures
+        | {"table1.csv", "grasp.csv", "grasp_tests.csv", "study.json", "report.html"}
+        | {f"progress/{name}.json" for name in progress}
+    )
 
     assert set(outputs(study_folder)) == expected
 
@@ -59,7 +66,8 @@ def test_resuming_a_finished_study_writes_the_same_bytes(study_folder, tiny_desi
 
 def test_resuming_a_killed_study_writes_the_same_bytes(study_folder, tiny_design, two_clouds, tmp_path):
     shutil.copytree(study_folder / "progress", tmp_path / "progress")
-    (tmp_path / "progress" / "repetition-00001.json").unlink()
+    for name in ("repetition-00001", "grasp-00000"):
+        (tmp_path / "progress" / f"{name}.json").unlink()
     run_study(tiny_design, two_clouds, tmp_path, is_resumed=True)
 
     assert outputs(tmp_path) == outputs(study_folder)
@@ -68,7 +76,7 @@ def test_resuming_a_killed_study_writes_the_same_bytes(study_folder, tiny_design
 def test_beginning_anew_finds_the_same_rewards(study_folder, tiny_design, two_clouds, tmp_path):
     run_study(tiny_design, two_clouds, tmp_path)
 
-    for name in ("figure1.csv", "figure4.csv", "progress/repetition-00001.json"):
+    for name in ("figure1.csv", "figure4.csv", "grasp.csv", "progress/repetition-00001.json"):
         assert (tmp_path / name).read_bytes() == (study_folder / name).read_bytes()
 
 

@@ -32,6 +32,9 @@ class StudyDesign:
         Where the treatments of cut paths are compared (Figure 4).
     table_num_paths, table_cut_share
         The learned policy that Table 1 compares.
+    grasp_num_paths, grasp_repetitions
+        Sizes of the logs from which grasp models are learned, cut as in Table 1 (Figure 5), and in how many of the
+        repetitions at most: an SVM takes its time.
     alpha
         Level of the tests.
     seed
@@ -49,6 +52,8 @@ class StudyDesign:
     treatment_cut_kinds: tuple[CutKind, ...] = ("independent", "attempt")
     table_num_paths: int = 800
     table_cut_share: float = 1 / 2
+    grasp_num_paths: tuple[int, ...] = (50, 200, 800)
+    grasp_repetitions: int = 20
     alpha: float = 0.01
     seed: int = 0
     world: WorldConfig = field(default_factory=WorldConfig)
@@ -56,6 +61,8 @@ class StudyDesign:
     def __post_init__(self) -> None:
         if self.repetitions < 2:
             raise ArgumentError(f"repetitions is {self.repetitions}; bands and tests need at least 2")
+        if self.grasp_repetitions < 2:
+            raise ArgumentError(f"grasp_repetitions is {self.grasp_repetitions}; bands and tests need at least 2")
         if self.table_num_paths not in self.num_paths:
             raise ArgumentError(f"table_num_paths is {self.table_num_paths}; it is one of num_paths, {self.num_paths}")
         if self.table_cut_share not in self.cut_shares:

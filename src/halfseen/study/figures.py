@@ -86,7 +86,7 @@ def draw_figure1(results: StudyResults, folder: Path) -> None:
     folder
         Where to; made if it is not there.
     """
-    _write(figure1_of, results, folder, "figure1")
+    write_figure(figure1_of, results, folder, "figure1")
 
 
 def draw_figure4(results: StudyResults, folder: Path) -> None:
@@ -99,7 +99,7 @@ def draw_figure4(results: StudyResults, folder: Path) -> None:
     folder
         Where to; made if it is not there.
     """
-    _write(figure4_of, results, folder, "figure4")
+    write_figure(figure4_of, results, folder, "figure4")
 
 
 def svg(figure_of: Callable[[StudyResults], Figure], results: StudyResults) -> bytes:
@@ -133,10 +133,10 @@ def figure1_of(results: StudyResults, is_titled: bool = True) -> Figure:
     figure = Figure(figsize=FIGURE1_INCHES)
     rivals = (results.best_planner, results.best_heuristic)
     title = figure1_title(results.figure1, results.table1, results.design, rivals)
-    top = _write_title(figure, title if is_titled else "", 92) - 0.08
+    top = write_title(figure, title if is_titled else "", 92) - 0.08
     axes = figure.add_axes((0.07, 0.10, 0.60, top - 0.10))
     labels = _draw_baselines(axes, results) + _draw_learned(axes, results)
-    _mark_sizes(axes, results.design.num_paths)
+    mark_sizes(axes, results.design.num_paths)
     axes.set_xlim(min(results.design.num_paths) / 1.08, max(results.design.num_paths) * 1.05)
     axes.set_xlabel(PATHS_AXIS)
     axes.set_title(REWARD_AXIS, **PANEL_TITLE)
@@ -149,7 +149,7 @@ def figure4_of(results: StudyResults, is_titled: bool = True) -> Figure:
     kinds = results.design.treatment_cut_kinds
     figure = Figure(figsize=(0.9 + 4.0 * len(kinds), 7.2))
     title = figure4_title(results.figure4, results.design)
-    top = _write_title(figure, title if is_titled else "", 42 * len(kinds) + 6)
+    top = write_title(figure, title if is_titled else "", 42 * len(kinds) + 6)
     grid = figure.add_gridspec(
         2, len(kinds), left=0.065, right=0.985, bottom=0.07, top=top - 0.18, hspace=0.36, wspace=0.10
     )
@@ -164,8 +164,8 @@ def figure4_of(results: StudyResults, is_titled: bool = True) -> Figure:
         lower.set_title(GAIN_AXIS, **PANEL_TITLE)
         lower.set_xlabel(PATHS_AXIS)
         upper.tick_params(labelbottom=True)
-        _mark_sizes(upper, results.design.num_paths)
-        _mark_sizes(lower, results.design.num_paths)
+        mark_sizes(upper, results.design.num_paths)
+        mark_sizes(lower, results.design.num_paths)
     handles, names = panels[0, 0].get_legend_handles_labels()
     figure.legend(handles, names, loc="upper left", bbox_to_anchor=(0.05, top - 0.012), ncols=len(names), frameon=False)
     return figure
@@ -238,7 +238,8 @@ def _draw_curve(axes: Axes, rows: pd.DataFrame, value: str, se: str, colour: Any
     return axes.plot(num_paths, mean, color=colour, marker=MARKERS[k % len(MARKERS)], zorder=2.5)[0]
 
 
-def _mark_sizes(axes: Axes, num_paths: Sequence[int]) -> None:
+def mark_sizes(axes: Axes, num_paths: Sequence[int]) -> None:
+    """Mark sizes of logs on a logarithmic axis."""
     axes.set_xscale("log")
     axes.xaxis.set_major_locator(FixedLocator([float(size) for size in num_paths]))
     axes.xaxis.set_minor_locator(NullLocator())
@@ -260,7 +261,7 @@ def _head_panel(axes: Axes, name: str, note: str) -> None:
         )
 
 
-def _write_title(figure: Figure, title: str, width: int) -> float:
+def write_title(figure: Figure, title: str, width: int) -> float:
     """Write the title in lines of even length; return the height of its lower end as a share of the figure's."""
     if not title:
         return 1.0
@@ -336,7 +337,20 @@ def _drawn(figure_of: Callable[..., Figure], results: StudyResults, kind: str, m
     return buffer.getvalue()
 
 
-def _write(figure_of: Callable[..., Figure], results: StudyResults, folder: Path, name: str) -> None:
+def write_figure(figure_of: Callable[..., Figure], results: StudyResults, folder: Path, name: str) -> None:
+    """Write a figure as SVG and PNG.
+
+    Parameters
+    ----------
+    figure_of
+        Makes it from the results.
+    results
+        What the study found.
+    folder
+        Where to; made if it is not there.
+    name
+        Of the files, without a suffix.
+    """
     write_whole(folder / f"{name}.svg", svg(figure_of, results))
     write_whole(folder / f"{name}.png", png(figure_of, results))
 

@@ -19,7 +19,9 @@ from halfseen.errors import ArgumentError
 from halfseen.study import figures, wording
 from halfseen.study.design import LOG_RANDOM_SHARE, StudyDesign
 from halfseen.study.findings import WEIGHTED, Estimate, learned
-from halfseen.study.results import BASELINE_NAMES, MEASURES, TREATMENT_NAMES, StudyResults
+from halfseen.study.grasp_figure import figure5_of
+from halfseen.study.grasp_words import figure5_title, grasp_sentence
+from halfseen.study.results import BASELINE_NAMES, GRASP_MEASURES, GRASP_NAMES, MEASURES, TREATMENT_NAMES, StudyResults
 from halfseen.study.sentences import figure1_title, figure4_title
 from halfseen.world.scene import Scene
 
@@ -52,6 +54,8 @@ DESIGN_WORDS = {
     "treatment_cut_kinds": "kinds of cuts in Figure 4",
     "table_num_paths": "logged paths in Table 1",
     "table_cut_share": "share of cut paths in Table 1",
+    "grasp_num_paths": "logged paths in Figure 5",
+    "grasp_repetitions": "repetitions in Figure 5 at most",
     "alpha": "level of the tests",
     "seed": "seed",
 }
@@ -96,7 +100,11 @@ def _content(results: StudyResults, pictures: Mapping[str, bytes]) -> dict[str, 
     """Everything that the template names."""
     design = results.design
     rivals = (results.best_planner, results.best_heuristic)
-    titles = figure1_title(results.figure1, results.table1, design, rivals), figure4_title(results.figure4, design)
+    titles = (
+        figure1_title(results.figure1, results.table1, design, rivals),
+        figure4_title(results.figure4, design),
+        figure5_title(results.grasp_tests),
+    )
     return {
         "sentences": results.sentences,
         "titles": titles,
@@ -108,6 +116,11 @@ def _content(results: StudyResults, pictures: Mapping[str, bytes]) -> dict[str, 
         "figure4": inline_svg(partial(figures.figure4_of, is_titled=False), results, "f4", titles[1]),
         "figure4_counts": _count_intervals(results.figure4),
         "figure4_numbers": _figure4_numbers(results.figure4),
+        "figure5": inline_svg(partial(figure5_of, is_titled=False), results, "f5", titles[2]),
+        "grasp_sentence": grasp_sentence(results.grasp_tests, design),
+        "grasp_numbers": _grasp_numbers(results.grasp),
+        "grasp_repetitions": int(results.grasp["repetitions"].iloc[0]),
+        "grasp_tests": _grasp_tests(results.grasp_tests),
         "best_planner": BASELINE_NAMES.get(results.best_planner, results.best_planner),
         "best_heuristic": BASELINE_NAMES.get(results.best_heuristic, results.best_heuristic),
         "table1": _table1(results.table1),
@@ -129,7 +142,7 @@ def inline_svg(figure_of: Callable[[StudyResults], Figure], results: StudyResult
     Parameters
     ----------
     figure_of
-        `halfseen.study.figures.figure1_of` or `figure4_of`.
+        `figure1_of`, `figure4_of` or `figure5_of`.
     results
         What the study found.
     prefix
@@ -164,6 +177,36 @@ def _table1(table1: pd.DataFrame) -> list[dict[str, Any]]:
         if rows:
             groups.append({"measure": measure, "name": name, "claim": CLAIMS[measure], "rows": rows})
     return groups
+
+
+def _grasp_tests(tests: pd.DataFrame) -> list[dict[str, Any]]:
+    """Rows of Table 3, a group for each measure."""
+    rows = [{str(name): value for name, value in row.items()} for row in tests.to_dict("records")]
+    return [
+        {
+            "name": name,
+            "decimals": _decimals(measure),
+            "rows": [row | {"supported": bool(row["supported"])} for row in rows if row["measure"] == measure],
+        }
+        for measure, name in GRASP_MEASURES.items()
+    ]
+
+
+def _grasp_numbers(grasp: pd.DataFrame) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": GRASP_NAMES[row["model"]],
+            "num_paths": int(row["num_paths"]),
+            "estimates": [
+                (Estimate(row[measure], row[f"{measure}_se"]), _decimals(measure)) for measure in GRASP_MEASURES
+            ],
+        }
+        for row in grasp.to_dict("records")
+    ]
+
+
+def _decimals(grasp_measure: str) -> int:
+    return 2 if grasp_measure.endswith("reward") else 4
 
 
 def _figure1_numbers(results: StudyResults) -> list[dict[str, Any]]:

@@ -32,6 +32,23 @@ MEASURES = {
     "robot_s": "robot time until a path ends [s]",
 }
 
+GRASP_NAMES = {
+    "laplace": "Laplace's rule",
+    "beta": "Beta mean",
+    "beta-dropped": "Beta mean, cut attempts dropped",
+    "svm": "SVM",
+    "oracle": "true model",
+}
+"""Model of the chance of a grasp → name for people."""
+
+GRASP_MEASURES = {
+    "log_loss": "log-loss on held-out attempts",
+    "brier": "Brier score on held-out attempts",
+    "learned_reward": "reward of the learned policy",
+    "heuristic_reward": "reward of the heuristic",
+}
+"""What grasp models are judged by; the scores are better the smaller they are, the rewards the larger."""
+
 
 @dataclass(frozen=True)
 class StudyResults:
@@ -54,6 +71,15 @@ class StudyResults:
         baseline, measure, cql, other, p_value, p_holm, effect, supported, effect_low, effect_high: one-sided paired
         tests that the learned policy is better (more reward, less time); the effect is the mean paired difference
         cql − other with its 95 % interval.
+    grasp
+        model, num_paths, cut_share, repetitions; and of each measure in `GRASP_MEASURES` its mean, standard error
+        (``…_se``), paired mean difference from the true model (``…_over_oracle``) and the error of that.
+    grasp_tests
+        measure, num_paths, svm, beta, p_value, p_holm, effect, supported, effect_low, effect_high: as in `table1`, for
+        the claim that the SVM is better than the Beta mean; the effect is svm − beta.
+    figure5
+        model, num_paths, bin_from, attempts, mean_chance, share_succeeded, se: calibration; se is of the difference of
+        the two before it.
     best_planner
         The baseline ``pomdp-h`` with the largest mean reward.
     best_heuristic
@@ -72,6 +98,9 @@ class StudyResults:
     figure4: pd.DataFrame
     table1: pd.DataFrame
     weights: pd.DataFrame
+    grasp: pd.DataFrame
+    grasp_tests: pd.DataFrame
+    figure5: pd.DataFrame
     best_planner: str
     best_heuristic: str
     sentences: tuple[str, ...] = ()

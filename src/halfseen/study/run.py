@@ -1,6 +1,6 @@
 """The study from end to end: look, measure decision times, repeat, tabulate, draw, report."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,8 +19,11 @@ from halfseen.perception.picture import draw
 from halfseen.study.design import StudyDesign
 from halfseen.study.figures import draw_figure1, draw_figure4
 from halfseen.study.findings import LEARNED
+from halfseen.study.grasp import run_grasp_repetition
+from halfseen.study.grasp_figure import draw_figure5
+from halfseen.study.grasp_tables import calibration, grasp_frame, grasp_table, grasp_tests
 from halfseen.study.policies import HEURISTICS, heuristics, logging_policy, planners
-from halfseen.study.repetition import cut_rates, run_repetition
+from halfseen.study.repetition import CutRates, cut_rates, run_repetition
 from halfseen.study.report import write_report
 from halfseen.study.results import StudyResults
 from halfseen.study.scenes import look_at, scenes_of
@@ -34,6 +37,7 @@ from halfseen.world.scene import Scene
 from halfseen.world.state import Layout, TableState, pad_scenes
 
 NUM_TIMED_STATES = 60
+TABLES = ("figure1", "figure4", "figure5", "table1", "grasp", "grasp_tests")
 PACKAGES = ("halfseen", "jax", "jaxlib", "mujoco", "numpy", "pandas", "scipy")
 
 
@@ -47,8 +51,8 @@ def run_study(design: StudyDesign, clouds: Sequence[Path], folder: Path, *, is_r
     clouds
         Captured tables.
     folder
-        Where to write: report.html, figure1.csv, figure4.csv, table1.csv, figures as .svg and .png, study.json; and
-        ``progress/``, from which a killed study is resumed.
+        Where to write: report.html, figure1.csv, figure4.csv, figure5.csv, table1.csv, grasp.csv, grasp_tests.csv,
+        figures as .svg and .png, study.json; and ``progress/``, from which a killed study is resumed.
     is_resumed
         Go on where a killed study stopped.
 
@@ -62,15 +66,17 @@ def run_study(design: StudyDesign, clouds: Sequence[Path], folder: Path, *, is_r
     store = Store(folder, _fingerprint(design, clouds), is_resumed)
     layouts = pad_scenes(scenes)
     times_ms = _decision_times(design, layouts, store)
-    pieces = _repetitions(design, layouts, store)
-    results = tabulate(design, scenes, pieces, times_ms)
+    rates = cut_rates(design, layouts)
+    pieces = _repetitions(design, layouts, rates, store)
+    grasp_pieces = _grasp_repetitions(design, scenes, layouts, rates, store)
+    results = tabulate(design, scenes, pieces, grasp_pieces, times_ms)
     write_results(results, _pictures(views, scenes), folder)
     return results
 
 
 def _fingerprint(design: StudyDesign, clouds: Sequence[Path]) -> dict[str, Any]:
     """All that a piece depends on; more repetitions add pieces and change none."""
-    fixed = {key: value for key, value in design.as_dict().items() if key != "repetitions"}
+    fixed = {key: value for key, value in design.as_dict().items() if not key.endswith("repetitions")}
     return {"design": fixed, "clouds": [path.name for path in clouds], "versions": versions()}
 
 
@@ -99,29 +105,44 @@ def _states_along_the_way(design: StudyDesign, layouts: Layout) -> TableState:
     return jax.tree.map(lambda leaf: leaf[paths, paths % num_stages], episodes.states)
 
 
-def _repetitions(design: StudyDesign, layouts: Layout, store: Store) -> list[dict[str, Any]]:
+def _repetitions(design: StudyDesign, layouts: Layout, rates: CutRates, store: Store) -> list[dict[str, Any]]:
     """All repetitions, those already kept read back."""
-    rates = cut_rates(design, layouts)
-
-    def piece(repetition: int) -> dict[str, Any]:
-        name = f"repetition-{repetition:05d}"
-        kept = store.get(name)
-        return store.put(name, run_repetition(design, layouts, rates, repetition)) if kept is None else kept
-
     # In turn: two threads that execute compiled code at once can wait for one another for ever (seen with jaxlib 0.10).
-    return [piece(k) for k in tqdm(range(design.repetitions), desc="repetitions", unit="rep", disable=None)]
+    return [
+        _kept(store, f"repetition-{k:05d}", lambda k=k: run_repetition(design, layouts, rates, k))
+        for k in tqdm(range(design.repetitions), desc="repetitions", unit="rep", disable=None)
+    ]
+
+
+def _grasp_repetitions(
+    design: StudyDesign, scenes: Sequence[Scene], layouts: Layout, rates: CutRates, store: Store
+) -> list[dict[str, Any]]:
+    """The repetitions of the grasp ablation, those already kept read back."""
+    num_repetitions = min(design.repetitions, design.grasp_repetitions)
+    return [
+        _kept(store, f"grasp-{k:05d}", lambda k=k: run_grasp_repetition(design, scenes, layouts, rates, k))
+        for k in tqdm(range(num_repetitions), desc="grasp models", unit="rep", disable=None)
+    ]
+
+
+def _kept(store: Store, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """A piece of the study, made if it is not there."""
+    kept = store.get(name)
+    return store.put(name, make()) if kept is None else kept
 
 
 def tabulate(
     design: StudyDesign,
     scenes: tuple[Scene, ...],
     pieces: Sequence[dict[str, Any]],
+    grasp_pieces: Sequence[dict[str, Any]],
     times_ms: dict[str, np.ndarray],
 ) -> StudyResults:
     """Make the tables and the answer in words."""
     learned, baselines = learned_frame(pieces), baseline_frame(pieces)
     planner = strongest(baselines, [f"pomdp-{h}" for h in design.planning_horizons])
     heuristic = strongest(baselines, HEURISTICS)
+    grasp = grasp_frame(grasp_pieces)
     tables = figure1(learned, baselines), table1(learned, baselines, times_ms, design), figure4(learned, design)
     return StudyResults(
         design=design,
@@ -130,6 +151,9 @@ def tabulate(
         table1=tables[1],
         figure4=tables[2],
         weights=weights(learned),
+        grasp=grasp_table(grasp, design),
+        grasp_tests=grasp_tests(grasp, design),
+        figure5=calibration(grasp),
         best_planner=planner,
         best_heuristic=heuristic,
         sentences=plain_sentences(*tables, design, planner, heuristic),
@@ -139,17 +163,18 @@ def tabulate(
 
 def write_results(results: StudyResults, pictures: dict[str, bytes], folder: Path) -> None:
     """Write tables, figures and report, each whole or not at all."""
-    for name in ("figure1", "figure4", "table1"):
+    for name in TABLES:
         frame: pd.DataFrame = getattr(results, name)
         write_text(folder / f"{name}.csv", frame.to_csv(index=False, lineterminator="\n"))
     draw_figure1(results, folder)
     draw_figure4(results, folder)
+    draw_figure5(results, folder)
     write_text(folder / "study.json", as_json(_as_dict(results)))
     write_report(results, pictures, folder)
 
 
 def _as_dict(results: StudyResults) -> dict[str, Any]:
-    tables = {name: _records(getattr(results, name)) for name in ("figure1", "figure4", "table1", "weights")}
+    tables = {name: _records(getattr(results, name)) for name in (*TABLES, "weights")}
     return {
         "answer": results.sentences,
         "best_heuristic": results.best_heuristic,
