@@ -190,7 +190,7 @@ class CensoredSVM(BaseEstimator):
         raise NotImplementedError
 
     @property
-    def _loss_parameters(self) -> dict[str, float]:
+    def _loss_parameters(self) -> dict[str, float | int]:
         """Parameters of the named losses."""
         return {}
 

@@ -60,6 +60,12 @@ class CensoredSVC(ClassifierMixin, CensoredSVM):
     intercept_, function_, reg_, gamma_, weights_, diagnostics_, censoring_, objective_, duality_gap_, cv_losses_
         As in `CensoredSVR`.
 
+    Notes
+    -----
+    scikit-learn asks that a row of weight 2 do what the same row does twice. That holds where nothing is dealt into
+    folds; with ``reg="cv"``, ``gamma="cv"`` or ``calibrate=True`` rows are dealt one by one, and a row that is there twice may be dealt
+    to two folds.
+
     Examples
     --------
     >>> rng = np.random.default_rng(0)

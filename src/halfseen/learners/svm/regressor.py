@@ -90,6 +90,12 @@ class CensoredSVR(RegressorMixin, CensoredSVM):
     cv_losses_ : Float[ndarray, "G L"]
         Weighted mean loss of each γ tried and each λ, from the largest, if they were chosen.
 
+    Notes
+    -----
+    scikit-learn asks that a row of weight 2 do what the same row does twice. That holds where nothing is dealt into
+    folds; with ``reg="cv"`` or ``gamma="cv"`` rows are dealt one by one, and a row that is there twice may be dealt
+    to two folds.
+
     Examples
     --------
     >>> from halfseen.learners import survival_array
@@ -215,7 +221,7 @@ class CensoredSVR(RegressorMixin, CensoredSVM):
         return REGRESSION
 
     @property
-    def _loss_parameters(self) -> dict[str, float]:
+    def _loss_parameters(self) -> dict[str, float | int]:
         return {"epsilon": self.epsilon, "quantile": self.quantile, "delta": self.delta}
 
     def _targets(self, y: Any, ends: Ends | None) -> Rows:
