@@ -63,8 +63,8 @@ class CensoredSVC(ClassifierMixin, CensoredSVM):
     Notes
     -----
     scikit-learn asks that a row of weight 2 do what the same row does twice. That holds where nothing is dealt into
-    folds; with ``reg="cv"``, ``gamma="cv"`` or ``calibrate=True`` rows are dealt one by one, and a row that is there twice may be dealt
-    to two folds.
+    folds; with ``reg="cv"``, ``gamma="cv"`` or ``calibrate=True`` rows are dealt one by one, and a row that is there
+    twice may be dealt to two folds.
 
     Examples
     --------
