@@ -5,6 +5,7 @@ of fresh paths that nothing cut, and serves in the features of the learned polic
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
@@ -20,10 +21,10 @@ from halfseen.learners.grasp.svm_grasp import SVMGrasp
 from halfseen.learners.q_learning.encoding import Encoded, encode_states
 from halfseen.learners.q_learning.linear_policy import LinearTablePolicy
 from halfseen.logs.frames import FrameLike, as_frame
-from halfseen.planners.heuristics import GreedyPolicy, TrueGrasp
+from halfseen.planners.heuristics import TrueGrasp
 from halfseen.study.design import StudyDesign
 from halfseen.study.learning import learn
-from halfseen.study.policies import logging_policy
+from halfseen.study.policies import heuristics, logging_policy
 from halfseen.study.repetition import (
     EVALUATION,
     HELD_OUT,
@@ -38,7 +39,7 @@ from halfseen.study.repetition import (
 )
 from halfseen.study.treatments import treat
 from halfseen.world.cuts import CutEpisodes, CutKind, cut
-from halfseen.world.episodes import Totals, play
+from halfseen.world.episodes import Totals, evaluate, play
 from halfseen.world.grasp_model import GraspModel
 from halfseen.world.policy import Policy
 from halfseen.world.recording import to_logs
@@ -46,10 +47,13 @@ from halfseen.world.scene import Scene
 from halfseen.world.state import Layout, TableState
 
 LAPLACE, ORACLE = "laplace", "oracle"
+HEURISTIC = "history-penalty"
+"""The rule of thumb that grasp models serve in; with the true model it is that baseline."""
 GRASP_MODELS = (LAPLACE, "beta", "beta-dropped", "svm", ORACLE)
 CUT_KIND: CutKind = "independent"
-HELD_OUT_PATHS = 400
-"""Fresh paths of each repetition, some six attempts each, on which all models are scored."""
+MOST_HELD_OUT = 400
+"""Fresh paths of each repetition, some six attempts each, on which all models are scored; no more than were learned
+from."""
 NUM_BINS = 10
 """Of predicted chances, evenly over [0, 1]."""
 
@@ -92,7 +96,8 @@ def run_grasp_repetition(
     held_out = _held_out(design, scenes, layouts, repetition)
     rows: list[dict[str, Any]] = []
     learners: list[LinearTablePolicy] = []
-    rules: list[GreedyPolicy] = []
+    rules: list[Policy] = []
+    knowing = heuristics(design)[HEURISTIC]
     for num_paths in design.grasp_num_paths:
         estimators = _fitted(pd.DataFrame(tried[tried["path"] < num_paths]))
         for name in GRASP_MODELS:
@@ -102,7 +107,7 @@ def run_grasp_repetition(
             grasp = _inside(design, estimators, name)
             features_grasp = None if name == LAPLACE else grasp
             learners.append(_learned(design, log, num_paths, features_grasp, repetition))
-            rules.append(GreedyPolicy(design.world, uses_history=True, counts_penalty=True, grasp=grasp))
+            rules.append(knowing if name == ORACLE else replace(knowing, grasp=grasp))
     for word, policies in (("learned", learners), ("heuristic", rules)):
         for row, totals in zip(rows, _played(design, layouts, policies, repetition), strict=True):
             row[f"{word}_reward"] = means(totals)["reward"]
@@ -140,8 +145,8 @@ def _inside(design: StudyDesign, estimators: Mapping[str, GraspEstimator], name:
 def _held_out(design: StudyDesign, scenes: Sequence[Scene], layouts: Layout, repetition: int) -> HeldOut:
     key = random_key(design, HELD_OUT, repetition)
     # Played at the size of the log, for which the call is compiled already.
-    played = play(design.world, layouts, logging_policy(design), key, max(HELD_OUT_PATHS, *design.grasp_num_paths))
-    episodes = jax.tree.map(lambda leaf: leaf[:HELD_OUT_PATHS], played)
+    played = play(design.world, layouts, logging_policy(design), key, max(design.grasp_num_paths))
+    episodes = jax.tree.map(lambda leaf: leaf[:MOST_HELD_OUT], played)
     uncut = cut(episodes, 0.0, CUT_KIND, np.random.default_rng(0))
     table = attempts(to_logs(uncut, CUT_KIND, scenes), design.world.horizon)
     at = table["path"].to_numpy(), table["stage"].to_numpy() - 1
@@ -176,6 +181,11 @@ def _played(design: StudyDesign, layouts: Layout, policies: Sequence[Policy], re
     kinds = [jax.tree.structure(policy) for policy in policies]
     for kind in dict.fromkeys(kinds):
         members = [k for k, other in enumerate(kinds) if other == kind]
+        if all(policies[k] is policies[members[0]] for k in members):
+            once: Totals = evaluate(design.world, layouts, policies[members[0]], key, num_episodes)
+            for k in members:
+                totals[k] = once
+            continue
         batch = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(policies[k] for k in members))
         played = evaluate_batch(design.world, layouts, batch, key, num_episodes)
         totals |= {k: jax.tree.map(lambda leaf, j=j: leaf[j], played) for j, k in enumerate(members)}

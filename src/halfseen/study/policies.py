@@ -8,7 +8,7 @@ from halfseen.world.policy import ExploringPolicy, Policy
 HEURISTICS = ("greedy", "history", "greedy-penalty", "history-penalty")
 
 
-def heuristics(design: StudyDesign) -> dict[str, Policy]:
+def heuristics(design: StudyDesign) -> dict[str, GreedyPolicy]:
     """The four rules of thumb, by name."""
     return {
         name: GreedyPolicy(
