@@ -79,6 +79,7 @@ def test_the_claim_is_said_to_hold_only_where_it_does(svm_lead, verdict, title, 
     sentence = grasp_sentence(results.grasp_tests, results.design)
     assert verdict in sentence
     assert side in sentence
+    assert "p = >" not in sentence
     assert "from 800 logged paths of which about half were cut" in sentence
     assert figure5_title(results.grasp_tests).startswith(title)
 

@@ -48,7 +48,9 @@ def _compared(row: dict[str, Any], below: str, above: str, decimals: int) -> str
     else:
         size, interval, word = -effect, (-high, -low), below
     shown = f"{amount(interval[0], decimals)} to {amount(interval[1], decimals)}"
-    return f"{amount(size, decimals)} (95 % interval {shown}; p = {p_value(float(row['p_holm']))}) {word}"
+    adjusted = p_value(float(row["p_holm"]))
+    p = f"p {adjusted}" if adjusted[0] in "<>" else f"p = {adjusted}"
+    return f"{amount(size, decimals)} (95 % interval {shown}; {p}) {word}"
 
 
 def _of(grasp_tests: pd.DataFrame, measure: str) -> pd.DataFrame:

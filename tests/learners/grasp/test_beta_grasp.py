@@ -192,7 +192,7 @@ GOOD = cut_some(beta_attempts(40))
         (lambda f: f.assign(succeeded=None), "succeeded is None; give True or False"),
         (lambda f: f.drop(columns="time_s"), "there is is_finished without time_s"),
         (lambda f: f.drop(columns="is_finished"), "there is time_s without is_finished"),
-        (lambda f: f.assign(time_s=0.0), "time, row 0: 0.0 is no end"),
+        (lambda f: f.assign(time_s=0.0), "row 0: time_s is 0.0; give the time that"),
         (lambda f: f.assign(is_finished=False), "all 160 were cut before they were decided"),
         (lambda f: f.iloc[:0], "has no rows"),
         (lambda f: pd.concat([f, f["occlusion"]], axis=1), "two columns 'occlusion'"),

@@ -141,6 +141,7 @@ def _weights(
         return is_finished.astype(np.float64), is_finished
     covariates = np.column_stack(history) if uses_covariates(model) else None
     time_s = _numbers(frame, "time_s")
+    _refuse(frame, "time_s", ~(time_s > 0), "give the time that the attempt was watched, > 0 s")
     weight = censoring_weights(time_s, is_finished, model, covariates=covariates, truncate_at=truncate_at)
     return weight, is_finished
 
