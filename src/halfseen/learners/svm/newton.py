@@ -13,6 +13,7 @@ from halfseen.arrays import Rows
 from halfseen.learners.svm.spaces import Coefficients, Space
 
 MAX_STEPS = 200
+_FORESEEN = 1e-12
 PATIENCE = 20
 """Steps without a smaller promise after which rounding is taken to have the last word."""
 
@@ -66,8 +67,17 @@ def minimise(
         least, in_vain = (promise, 0) if promise < least else (least, in_vain + 1)
         if promise <= tolerance or in_vain == PATIENCE:
             return point, step
-        point = line.at(line.lowest())
+        share = line.lowest()
+        point = line.at(share)
+        if share == 1.0 and _was_foreseen(pull, total.pull(point.f), curvature, move):
+            return point, step + 1
     return point, MAX_STEPS
+
+
+def _was_foreseen(before: Rows, after: Rows, curvature: Rows, move: Point) -> bool:
+    """Tell whether the pulls changed as their curvatures said, so that the step went all the way to the minimum."""
+    surprise = np.abs(after - before + curvature * move.f).max(initial=0.0)
+    return bool(surprise <= _FORESEEN * np.abs(before).max(initial=0.0))
 
 
 def balanced_offset(total: SmoothSum, point: Point) -> float:
