@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
+from threadpoolctl import threadpool_limits
 
 from halfseen.learners.grasp.attempts import attempts
 from halfseen.learners.grasp.beta_grasp import BetaGrasp
@@ -129,12 +130,15 @@ def scored(chance: Float[np.ndarray, " m"], succeeded: np.ndarray) -> dict[str, 
 
 
 def _fitted(tried: pd.DataFrame) -> dict[str, GraspEstimator]:
-    return {
-        LAPLACE: LaplaceGrasp(),
-        "beta": BetaGrasp().fit(tried),
-        "beta-dropped": BetaGrasp(censoring="none").fit(tried),
-        "svm": SVMGrasp().fit(tried),
-    }
+    # Threads gain nothing on matrices this small, wait for one another on a busy machine (a fit was seen to take 21 s
+    # in place of 0.2), and add up in an order that depends on their number.
+    with threadpool_limits(1):
+        return {
+            LAPLACE: LaplaceGrasp(),
+            "beta": BetaGrasp().fit(tried),
+            "beta-dropped": BetaGrasp(censoring="none").fit(tried),
+            "svm": SVMGrasp().fit(tried),
+        }
 
 
 def _inside(design: StudyDesign, estimators: Mapping[str, GraspEstimator], name: str) -> GraspModel:
