@@ -15,7 +15,7 @@ EPILOG = "Example: halfseen study --out runs/study --repetitions 200 --resume"
 @click.option("--json", "is_json", is_flag=True, help="Print study.json instead of the answer.")
 @click.argument("clouds", nargs=-1, type=click.Path(path_type=Path))
 def study(out: Path, repetitions: int | None, seed: int, resume: bool, is_json: bool, clouds: tuple[Path, ...]) -> None:
-    """Regenerate Figure 1, Table 1 and Figure 4 from ten captured tables, or from CLOUDS of your own."""
+    """Regenerate Figures 1, 4 and 5 and Tables 1 and 3 from ten captured tables, or from CLOUDS of your own."""
     from halfseen.scene import table_paths
     from halfseen.study.design import StudyDesign
     from halfseen.study.run import run_study

@@ -1,7 +1,7 @@
-"""Design → run → compare → report: Figure 1, Table 1, Figure 4.
+"""Design → run → compare → report: Figures 1, 4 and 5, Tables 1 and 3.
 
 Read down: `design` → `policies` (who takes part) → `scenes` (the captured tables) → `treatments` (of cut paths) →
-`learning` → `repetition` (one of many) → `timing` → `store` (what is done stays done) → `statistics` → `tables` →
+`learning` → `repetition` (one of many) → `grasp` (the grasp models' ablation, with its tables, figure and words) → `timing` → `store` (what is done stays done) → `statistics` → `tables` →
 `results` → `figures`, `sentences`, `report` → `run` (all of it).
 """
 

@@ -88,7 +88,7 @@ INPUTS = [
     (X, (but(TIME, 5, np.inf), IS_FINISHED), "time, row 5: inf"),
     (X, (TIME, but(IS_FINISHED, 2, 7)), "is_finished, row 2: 7.0 is neither"),
     (X, (TIME[:-1], IS_FINISHED), "time has 79 rows and is_finished has 80"),
-    (X[:-1], Y, None),
+    (X[:-1], Y, "X has 79 rows and y has 80; give one target a row"),
     (but(X, (4, 1), np.nan), Y, "X, row 4, column 1 is NaN; fill it in"),
     (but(X, (4, 2), -np.inf), Y, "X, row 4, column 2 is infinity"),
     (SETS, Y, None),
@@ -192,3 +192,13 @@ def test_sample_weights_that_are_none(weights):
 def test_score_of_targets_that_a_constant_fits():
     model = CensoredSVR(reg=1e-2).fit(X, Y)
     assert "a constant fits" in refusal(lambda: model.score(X[:3], np.ones(3)), ArgumentError)
+
+
+def test_dependent_columns_without_a_penalty_are_refused():
+    twice = np.column_stack([X, X[:, 0] + X[:, 1]])
+    with pytest.raises(ArgumentError, match=r"reg is 0 and the \d+ columns of X, the intercept counted, have rank \d+"):
+        CensoredSVR("squared", kernel="linear", reg=0).fit(twice, Y)
+    constant = np.column_stack([X, np.ones(len(X))])
+    with pytest.raises(ArgumentError, match="many functions fit alike; leave columns out, or give reg > 0"):
+        CensoredSVR("absolute", kernel="linear", reg=0).fit(constant, Y)
+    CensoredSVR("squared", kernel="linear", reg=0, fit_intercept=False).fit(constant, Y)

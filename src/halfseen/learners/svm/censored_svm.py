@@ -17,7 +17,15 @@ from halfseen.arrays import RowIds, Rows
 from halfseen.censoring import CensoringModel, WeightDiagnostics, warn_if_few, weight_diagnostics
 from halfseen.errors import ArgumentError, HalfseenWarning
 from halfseen.learners.svm.cross_validation import Choice, Fold, Task, choose
-from halfseen.learners.svm.designs import Design, Function, GramDesign, LinearDesign, LowRankDesign, RootDesign
+from halfseen.learners.svm.designs import (
+    Design,
+    Function,
+    GramDesign,
+    LinearDesign,
+    LowRankDesign,
+    RootDesign,
+    refuse_dependent,
+)
 from halfseen.learners.svm.folds import dealt
 from halfseen.learners.svm.kernels import candidate_gammas, checked_gram, named_kernel, scale_gamma
 from halfseen.learners.svm.losses import CLASSIFICATION, ProximalLoss, SmoothLoss, named_loss
@@ -148,6 +156,8 @@ class CensoredSVM(BaseEstimator):
             nystrom = fit_nystrom(kernel, kept, self.num_landmarks, rng, weight)
             return LowRankDesign(nystrom, nystrom.transform(kept))
         if self.kernel == "linear" and kept.shape[1] <= len(kept):
+            if self.reg == 0:
+                refuse_dependent(kept, bool(self.fit_intercept))
             return LinearDesign(kept)
         check_gram_fits(len(kept))
         design = GramDesign(kernel, kept, checked_gram(kernel, kept, kept))

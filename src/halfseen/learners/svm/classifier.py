@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from sklearn.base import ClassifierMixin
 from sklearn.utils.metaestimators import available_if
 from sklearn.utils.multiclass import check_classification_targets
-from sklearn.utils.validation import check_consistent_length, check_is_fitted, column_or_1d
+from sklearn.utils.validation import check_is_fitted, column_or_1d
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.censoring import CensoringModel
@@ -18,7 +18,7 @@ from halfseen.learners.svm.censored_svm import CensoredSVM, Fitted
 from halfseen.learners.svm.cross_validation import hold_out
 from halfseen.learners.svm.losses import CLASSIFICATION
 from halfseen.learners.svm.targets import Ends, as_ends, checked_tau
-from halfseen.learners.svm.weighting import row_weights
+from halfseen.learners.svm.weighting import check_lengths, row_weights
 
 
 def _gives_chances(estimator: "CensoredSVC") -> bool:
@@ -125,7 +125,7 @@ class CensoredSVC(ClassifierMixin, CensoredSVM):
             With `tau`: times and whether they were seen, as in `CensoredSVR.fit`, or plain times. Without: two kinds of
             labels.
         sample_weight
-            How many rows each one stands for, ≥ 0.
+            How many rows each one stands for in the objective, ≥ 0. Ĝ is fitted to those above 0, each once.
 
         Raises
         ------
@@ -138,7 +138,7 @@ class CensoredSVC(ClassifierMixin, CensoredSVM):
         counts = self._checked_sample_weight(sample_weight, rows)
         ends = self._ends(y)
         is_second = self._fit_classes(y, ends)
-        check_consistent_length(rows, is_second)
+        check_lengths(rows, is_second)
         self._fit_weights(ends, rows, counts)
         self._check_both_seen(is_second)
         fitted = self._fit_function(rows, np.where(is_second, 1.0, -1.0), counts)
@@ -169,7 +169,7 @@ class CensoredSVC(ClassifierMixin, CensoredSVM):
         counts, ends = self._checked_sample_weight(sample_weight, rows), self._ends(y)
         weights, _ = row_weights(ends, rows, counts, self.censoring, checked_tau(self.tau), self.truncate_at)
         truth = column_or_1d(y) if ends is None else self.classes_[self._is_early(ends).astype(int)]
-        check_consistent_length(rows, truth)
+        check_lengths(rows, truth)
         return float(weights @ (truth == self.predict(X)) / weights.sum())
 
     def __sklearn_tags__(self) -> Any:

@@ -195,6 +195,24 @@ class LowRankDesign:
         return LowRankFunction(self.nystrom, coefficients)
 
 
+def refuse_dependent(features: Float[np.ndarray, "n c"], has_offset: bool) -> None:
+    """Refuse columns that are combinations of one another, where λ = 0 would leave many functions alike.
+
+    Raises
+    ------
+    ArgumentError
+        The columns, with that of the intercept, are not of full rank.
+    """
+    columns = np.column_stack([features, np.ones(len(features))]) if has_offset else features
+    lengths = np.linalg.norm(columns, axis=0)
+    rank = int(np.linalg.matrix_rank(columns / np.where(lengths > 0.0, lengths, 1.0)))
+    if rank < columns.shape[1]:
+        raise ArgumentError(
+            f"reg is 0 and the {columns.shape[1]} columns of X{', the intercept counted,' if has_offset else ''} have "
+            f"rank {rank}, so that many functions fit alike; leave columns out, or give reg > 0, for example 1e-6"
+        )
+
+
 def _part(features: Float[np.ndarray, "n c"], rows: Int[np.ndarray, " r"]) -> Float[np.ndarray, "r c"]:
     # Low-rank features of a large log are not copied for nothing.
     return features if len(rows) == len(features) else features[rows]

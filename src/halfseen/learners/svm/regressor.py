@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.base import RegressorMixin
-from sklearn.utils.validation import check_consistent_length, check_is_fitted, column_or_1d
+from sklearn.utils.validation import check_is_fitted, column_or_1d
 
 from halfseen.arrays import Rows
 from halfseen.censoring import CensoringModel
@@ -15,7 +15,7 @@ from halfseen.learners.svm.censored_svm import CensoredSVM
 from halfseen.learners.svm.losses import REGRESSION
 from halfseen.learners.svm.solver import best_constant
 from halfseen.learners.svm.targets import Ends, as_ends, checked_tau, target_values
-from halfseen.learners.svm.weighting import row_weights
+from halfseen.learners.svm.weighting import check_lengths, row_weights
 
 
 class CensoredSVR(RegressorMixin, CensoredSVM):
@@ -161,7 +161,7 @@ class CensoredSVR(RegressorMixin, CensoredSVM):
             a frame with ``is_finished`` and ``time`` or ``time_s`` [s], or a tuple (time, is_finished). A plain column
             of numbers is a target of which nothing was cut.
         sample_weight
-            How many rows each one stands for, ≥ 0.
+            How many rows each one stands for in the objective, ≥ 0. Ĝ is fitted to those above 0, each once.
 
         Raises
         ------
@@ -174,7 +174,7 @@ class CensoredSVR(RegressorMixin, CensoredSVM):
         counts = self._checked_sample_weight(sample_weight, rows)
         ends = as_ends(y)
         values = self._targets(y, ends)
-        check_consistent_length(rows, values)
+        check_lengths(rows, values)
         self._fit_weights(ends, rows, counts)
         self._fit_function(rows, values, counts)
         return self
@@ -204,6 +204,7 @@ class CensoredSVR(RegressorMixin, CensoredSVM):
         rows = self._checked_rows(X, is_fit=False)
         counts, ends = self._checked_sample_weight(sample_weight, rows), as_ends(y)
         values = self._targets(y, ends)
+        check_lengths(rows, values)
         weights, _ = row_weights(ends, rows, counts, self.censoring, checked_tau(self.tau), self.truncate_at)
         seen = weights > 0
         loss = self._checked_loss(values)

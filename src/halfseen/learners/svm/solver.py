@@ -22,6 +22,7 @@ from halfseen.arrays import RowMask, Rows
 from halfseen.learners.svm.losses import ProximalLoss, SmoothLoss
 from halfseen.learners.svm.newton import Point, minimise
 from halfseen.learners.svm.spaces import Coefficients, FeatureSpace, Space
+from halfseen.learners.svm.threads import fitting_threads
 
 MAX_ROUNDS = 60
 _PATIENCE = 8
@@ -89,18 +90,24 @@ def solve(
     least_objective
         An objective below this share of the loss of f = 0 is taken for that share when gaps are compared.
     """
+    with fitting_threads(len(problem.y)):
+        return _solve_centred(problem, tolerance, start, least_objective)
+
+
+def _solve_centred(problem: Problem, tolerance: float, start: "Solution | None", least_objective: float) -> Solution:
+    """Solve with a middle target as 0, where the offset can take it up: far from 0, f is large beside its rounding."""
     centre = _centre(problem)
-    if centre != 0.0:
-        # Far from 0, f and its rounding would be large beside what the loss sees.
-        shifted = replace(start, offset=start.offset - centre) if start else None
-        solution = solve(replace(problem, y=problem.y - centre), tolerance, shifted, least_objective)
-        return replace(solution, offset=solution.offset + centre)
+    shifted = replace(start, offset=start.offset - centre) if start else None
+    solution = _solve(replace(problem, y=problem.y - centre), tolerance, shifted, least_objective)
+    return replace(solution, offset=solution.offset + centre)
+
+
+def _solve(problem: Problem, tolerance: float, start: "Solution | None", least_objective: float) -> Solution:
     point = _first_point(problem, start)
     if isinstance(problem.loss, SmoothLoss):
         return _solve_smooth(problem, problem.loss, point)
-    envelope = _Envelope(
-        problem.loss, problem.y, problem.mass, start.pull if start else np.zeros(len(problem.y)), _spread(problem.y)
-    )
+    first_pulls = start.pull if start else np.zeros(len(problem.y))
+    envelope = _Envelope(problem.loss, problem.y, problem.mass, first_pulls, _spread(problem.y))
     return _solve_by_rounds(problem, envelope, point, tolerance, least_objective)
 
 
@@ -111,10 +118,10 @@ def best_constant(y: Rows, weight: Rows, loss: SmoothLoss | ProximalLoss) -> flo
 
 
 def _centre(problem: Problem) -> float:
-    """A target in the middle, where an offset can take it up and the loss does not notice; else 0."""
-    return (
-        float(np.sort(problem.y)[len(problem.y) // 2]) if problem.has_offset and problem.loss.is_of_difference else 0.0
-    )
+    """A target in the middle, if the loss looks at differences only and there is an offset; else 0."""
+    if not (problem.has_offset and problem.loss.is_of_difference):
+        return 0.0
+    return float(np.sort(problem.y)[len(problem.y) // 2])
 
 
 def _first_point(problem: Problem, start: "Solution | None") -> Point:

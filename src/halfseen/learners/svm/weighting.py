@@ -8,6 +8,18 @@ from halfseen.errors import ArgumentError, PositivityError
 from halfseen.learners.svm.targets import Ends
 
 
+def check_lengths(rows: np.ndarray, targets: np.ndarray) -> None:
+    """Refuse rows and targets that do not pair.
+
+    Raises
+    ------
+    ArgumentError
+        Their numbers differ.
+    """
+    if len(rows) != len(targets):
+        raise ArgumentError(f"X has {len(rows)} rows and y has {len(targets)}; give one target a row")
+
+
 def row_weights(
     ends: Ends | None,
     rows: np.ndarray,
@@ -25,7 +37,7 @@ def row_weights(
     rows
         Covariates, for models that use them, shape (n, F), or sets.
     counts
-        How many rows each one stands for; rows of 0 do not enter Ĝ.
+        How many rows each one stands for. Ĝ is fitted to the rows above 0, each once.
     censoring
         Name of a model, a model to fit anew, or ``"none"``: rows that were seen count alike.
     tau
@@ -36,14 +48,12 @@ def row_weights(
     Raises
     ------
     ArgumentError
-        The numbers of rows differ, or the model needs covariates and the rows are sets.
+        The model needs covariates, and the rows are sets.
     PositivityError
         Nothing was seen, or Ĝ is 0 where something was.
     """
     if ends is None:
         return counts, None
-    if len(rows) != len(ends.time):
-        raise ArgumentError(f"X has {len(rows)} rows and y has {len(ends.time)}; give one target a row")
     seen, counted = ends.restricted(tau), counts > 0
     if not seen.is_finished[counted].any():
         raise PositivityError(
