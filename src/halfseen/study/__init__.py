@@ -1,8 +1,9 @@
 """Design → run → compare → report: Figures 1, 4 and 5, Tables 1 and 3.
 
 Read down: `design` → `policies` (who takes part) → `scenes` (the captured tables) → `treatments` (of cut paths) →
-`learning` → `repetition` (one of many) → `grasp` (the grasp models' ablation, with its tables, figure and words) → `timing` → `store` (what is done stays done) → `statistics` → `tables` →
-`results` → `figures`, `sentences`, `report` → `run` (all of it).
+`learning` → `repetition` (one of many) → `grasp` (the ablation of grasp models, with its tables, figure and words) →
+`timing` → `store` (what is done stays done) → `statistics` → `tables` → `results` → `figures`, `sentences`, `report` →
+`run` (all of it).
 """
 
 from typing import TYPE_CHECKING
