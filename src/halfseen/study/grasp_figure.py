@@ -82,8 +82,8 @@ def figure5_of(results: StudyResults, is_titled: bool = True) -> Figure:
 def _draw_scores(axes: Axes, results: StudyResults) -> None:
     _draw_differences(axes, results, "log_loss", _LEARNED)
     axes.set_title("log-loss on held-out attempts, above the true model's", **PANEL_TITLE)
-    laplace = results.grasp[results.grasp["model"] == "laplace"]["log_loss_over_oracle"]
-    note = f"Laplace's rule, which looks at no occlusion, lies {amount(float(laplace.iloc[0]))} above"
+    laplace = np.asarray(results.grasp.loc[results.grasp["model"] == "laplace", "log_loss_over_oracle"])
+    note = f"Laplace's rule, which looks at no occlusion, lies {amount(float(laplace[0]))} above"
     axes.annotate(
         note, (0.98, 0.96), xycoords="axes fraction", ha="right", va="top", color=GRASP_COLOURS["laplace"], fontsize=8.0
     )

@@ -93,5 +93,5 @@ def _values(frame: pd.DataFrame) -> dict[tuple[str, int, str], np.ndarray]:
         num_paths, model = int(row[0]), str(row[1])
         group = ordered[(ordered["num_paths"] == num_paths) & (ordered["model"] == model)]
         for measure in GRASP_MEASURES:
-            values[measure, num_paths, model] = group[measure].to_numpy(dtype=np.float64)
+            values[measure, num_paths, model] = np.asarray(group[measure], dtype=np.float64)
     return values
