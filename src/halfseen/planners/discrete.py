@@ -1,0 +1,247 @@
+"""A POMDP given as arrays, solved exactly over a finite horizon by alpha vectors [SmallwoodSondik1973]_.
+
+The value of a belief b with h steps to go is max over α ∈ Γ_h of α·b, where Γ_0 = {0} and, with ⊕ the sums of all
+pairs,
+
+    Γ_h = ⋃_a  R_a + γ ⊕_o { T_a (O_{a·o} ∘ α) : α ∈ Γ_{h−1} },
+
+pruned after every sum to the vectors that are best at some belief [CassandraLittmanZhang1997]_.
+
+=========  =======================================================
+symbol     here
+=========  =======================================================
+T_a        ``transition[a]``, shape (s, s'): P(s' | s, a)
+O_a        ``observation[a]``, shape (s', o): P(o | a, s')
+R_a        ``reward[a]``, shape (s,): expected reward
+γ          ``discount``
+Γ_h        ``stages[h - 1]``: the vectors and the action of each
+=========  =======================================================
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
+from scipy.optimize import linprog
+
+from halfseen.errors import ArgumentError
+
+_ROW_SUM = 1e-8
+_SAME = 1e-10
+
+Belief = Float[np.ndarray, " S"]
+Vectors = Float[np.ndarray, "v S"]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Γ_h: what is worth knowing with h steps to go."""
+
+    vectors: Vectors
+    actions: Int[np.ndarray, " v"]
+
+
+@dataclass(frozen=True)
+class DiscreteSolution:
+    """The exact optimum over a finite horizon.
+
+    Attributes
+    ----------
+    value
+        Expected discounted reward of the best policy from the initial belief.
+    action
+        Its first action.
+    stages
+        Γ_1, …, Γ_horizon.
+    """
+
+    value: float
+    action: int
+    stages: tuple[Stage, ...]
+
+    def value_of(self, belief: ArrayLike, steps_to_go: int | None = None) -> float:
+        """Value of a belief, by default with the whole horizon to go."""
+        stage, beliefs = self._stage(steps_to_go), np.asarray(belief, dtype=np.float64)
+        return float((stage.vectors @ beliefs).max())
+
+    def action_of(self, belief: ArrayLike, steps_to_go: int | None = None) -> int:
+        """Best action at a belief; the lowest in a tie."""
+        stage, beliefs = self._stage(steps_to_go), np.asarray(belief, dtype=np.float64)
+        values = stage.vectors @ beliefs
+        return int(stage.actions[values >= values.max() - _SAME].min())
+
+    def _stage(self, steps_to_go: int | None) -> Stage:
+        steps = len(self.stages) if steps_to_go is None else steps_to_go
+        if not 1 <= steps <= len(self.stages):
+            raise ArgumentError(f"steps_to_go is {steps}; it lies in 1 to the horizon, {len(self.stages)}")
+        return self.stages[steps - 1]
+
+
+def solve_discrete(
+    T: ArrayLike,
+    O: ArrayLike,  # noqa: E741 the field's letter for observations
+    R: ArrayLike,
+    discount: float,
+    horizon: int,
+    initial_belief: ArrayLike,
+) -> DiscreteSolution:
+    """Solve a POMDP exactly by value iteration over alpha vectors.
+
+    The number of vectors can grow beyond all bounds with the horizon: meant for small problems.
+
+    Parameters
+    ----------
+    T
+        P(s' | s, a), shape (A, S, S); every row sums to 1.
+    O
+        P(o | a, s'), shape (A, S, Z); every row sums to 1.
+    R
+        Expected reward of an action in a state, shape (A, S).
+    discount
+        γ in (0, 1].
+    horizon
+        Number of actions, ≥ 1.
+    initial_belief
+        P(s) before the first action, shape (S,).
+
+    Returns
+    -------
+    DiscreteSolution
+        Its `value` and first `action`, and both for any belief.
+
+    Raises
+    ------
+    ArgumentError
+        A shape does not fit, a number is not finite, or probabilities do not sum to 1; the place is named.
+
+    Examples
+    --------
+    The tiger: listen, open left, open right [KaelblingLittmanCassandra1998]_.
+
+    >>> T = [[[1, 0], [0, 1]], [[0.5, 0.5]] * 2, [[0.5, 0.5]] * 2]
+    >>> O = [[[0.85, 0.15], [0.15, 0.85]], [[0.5, 0.5]] * 2, [[0.5, 0.5]] * 2]
+    >>> R = [[-1, -1], [-100, 10], [10, -100]]
+    >>> [round(solve_discrete(T, O, R, 0.95, h, [0.5, 0.5]).value, 4) for h in (1, 2, 3)]
+    [-1.0, -1.95, 2.3098]
+    """
+    transition, observation, reward, belief = _checked(T, O, R, initial_belief)
+    if not 0.0 < discount <= 1.0:
+        raise ArgumentError(f"discount is {discount}; it lies in (0, 1]")
+    if horizon < 1:
+        raise ArgumentError(f"horizon is {horizon}; at least one action is taken")
+    vectors = np.zeros((1, transition.shape[1]))
+    stages = []
+    for _ in range(horizon):
+        stages.append(_backed_up(vectors, transition, observation, reward, discount))
+        vectors = stages[-1].vectors
+    solution = DiscreteSolution(0.0, 0, tuple(stages))
+    return DiscreteSolution(solution.value_of(belief), solution.action_of(belief), tuple(stages))
+
+
+def _backed_up(
+    vectors: Vectors,
+    transition: Float[np.ndarray, "A S S"],
+    observation: Float[np.ndarray, "A S Z"],
+    reward: Float[np.ndarray, "A S"],
+    discount: float,
+) -> Stage:
+    """One step of value iteration."""
+    found, actions = [], []
+    for action in range(len(reward)):
+        total = reward[action][None]
+        for seen in observation[action].T:
+            after = discount * (seen * vectors) @ transition[action].T
+            total = pruned((total[:, None] + pruned(after)[None]).reshape(-1, reward.shape[1]))
+        found.append(total)
+        actions.append(np.full(len(total), action))
+    every, of_action = np.concatenate(found), np.concatenate(actions)
+    kept = _best_somewhere(every)
+    return Stage(every[kept], of_action[kept])
+
+
+def pruned(vectors: Vectors) -> Float[np.ndarray, "k S"]:
+    """Keep the vectors that are best at some belief."""
+    return vectors[_best_somewhere(vectors)]
+
+
+def _best_somewhere(vectors: Vectors) -> Int[np.ndarray, " k"]:
+    """Indices of the vectors that are best at some belief, found by witnesses [CassandraLittmanZhang1997]_."""
+    waiting = list(_undominated(vectors))
+    kept: list[int] = []
+    while waiting:
+        witness = _witness(vectors[waiting[-1]], vectors[kept])
+        if witness is None:
+            waiting.pop()
+            continue
+        best = max(waiting, key=lambda index: float(vectors[index] @ witness))
+        kept.append(best)
+        waiting.remove(best)
+    return np.sort(np.array(kept, dtype=np.int64))
+
+
+def _undominated(vectors: Vectors) -> Int[np.ndarray, " k"]:
+    """Indices of the vectors that no other is at least as good as in every state; the first of equal ones."""
+    _, first = np.unique(np.round(vectors / _SAME), axis=0, return_index=True)
+    distinct = vectors[np.sort(first)]
+    num_as_good = np.count_nonzero(np.all(distinct[None] >= distinct[:, None], axis=2), axis=1)
+    return np.sort(first)[num_as_good == 1]
+
+
+def _witness(vector: Belief, others: Float[np.ndarray, "k S"]) -> Belief | None:
+    """Find a belief at which `vector` beats all others, or None: maximise d with b·(vector − other) ≥ d."""
+    size = len(vector)
+    if len(others) == 0:
+        return np.full(size, 1.0 / size)
+    found = linprog(
+        c=np.append(np.zeros(size), -1.0),
+        A_ub=np.column_stack([others - vector, np.ones(len(others))]),
+        b_ub=np.zeros(len(others)),
+        A_eq=np.append(np.ones(size), 0.0)[None],
+        b_eq=[1.0],
+        bounds=[(0.0, 1.0)] * size + [(None, None)],
+        method="highs",
+    )
+    return found.x[:size] if found.status == 0 and -found.fun > _SAME else None
+
+
+def _checked(
+    T: ArrayLike,
+    O: ArrayLike,  # noqa: E741
+    R: ArrayLike,
+    initial_belief: ArrayLike,
+) -> tuple[Float[np.ndarray, "A S S"], Float[np.ndarray, "A S Z"], Float[np.ndarray, "A S"], Float[np.ndarray, " S"]]:
+    reward = _numbers(R, "R", 2)
+    num_actions, num_states = reward.shape
+    transition, observation = _numbers(T, "T", 3), _numbers(O, "O", 3)
+    belief = _numbers(initial_belief, "initial_belief", 1)
+    for name, values, wanted in (
+        ("T", transition, (num_actions, num_states, num_states)),
+        ("O", observation, (num_actions, num_states, observation.shape[2])),
+        ("initial_belief", belief, (num_states,)),
+    ):
+        if values.shape != wanted:
+            raise ArgumentError(f"{name} has shape {values.shape}; R of shape {reward.shape} asks for {wanted}")
+        _check_chances(values, name)
+    return transition, observation, reward, belief
+
+
+def _numbers(values: ArrayLike, name: str, ndim: int) -> np.ndarray:
+    array = np.asarray(values, dtype=np.float64)
+    if array.ndim != ndim or array.size == 0:
+        raise ArgumentError(f"{name} has shape {array.shape}; give {ndim} axes, none of them empty")
+    wrong = np.argwhere(~np.isfinite(array))
+    if len(wrong):
+        raise ArgumentError(f"{name}{wrong[0].tolist()} is {array[tuple(wrong[0])]}; give a finite number")
+    return array
+
+
+def _check_chances(values: np.ndarray, name: str) -> None:
+    wrong = np.argwhere(values < 0.0)
+    if len(wrong):
+        raise ArgumentError(f"{name}{wrong[0].tolist()} is {values[tuple(wrong[0])]}; a probability is ≥ 0")
+    sums = values.sum(axis=-1)
+    wrong = np.argwhere(np.abs(np.atleast_1d(sums) - 1.0) > _ROW_SUM)
+    if len(wrong):
+        where = wrong[0].tolist() if values.ndim > 1 else ""
+        raise ArgumentError(f"{name}{where} sums to {np.atleast_1d(sums)[tuple(wrong[0])]:g}; probabilities sum to 1")
