@@ -1,8 +1,9 @@
 """A known model → policies: what learning is compared with.
 
 Read down: `belief` (what can be known) → `heuristics` (greedy, with and without history, with and without the penalty
-that a WASH avoids) → `pomdp` (looking h steps ahead). `discrete` stands apart: any POMDP given as arrays, solved
-exactly.
+that a WASH avoids) → `pomdp` (looking h steps ahead). Any problem that can be drawn from: `generative` (the protocol) →
+`pomcp` (search until the time is up) → `table_problem` (the table as such a problem). `discrete` stands apart: any POMDP
+given as arrays, solved exactly.
 """
 
 from typing import TYPE_CHECKING
@@ -11,17 +12,37 @@ from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
     from halfseen.planners.discrete import DiscreteSolution, solve_discrete
+    from halfseen.planners.generative import GenerativeProblem, Step, updated_particles
     from halfseen.planners.heuristics import GreedyPolicy
+    from halfseen.planners.pomcp import Plan, plan
     from halfseen.planners.pomdp import POMDPPolicy
+    from halfseen.planners.table_problem import TableProblem
 
-__all__ = ["DiscreteSolution", "GreedyPolicy", "POMDPPolicy", "solve_discrete"]
+__all__ = [
+    "DiscreteSolution",
+    "GenerativeProblem",
+    "GreedyPolicy",
+    "POMDPPolicy",
+    "Plan",
+    "Step",
+    "TableProblem",
+    "plan",
+    "solve_discrete",
+    "updated_particles",
+]
 
 __getattr__ = lazy_names(
     __name__,
     {
         "DiscreteSolution": "discrete",
+        "GenerativeProblem": "generative",
         "GreedyPolicy": "heuristics",
         "POMDPPolicy": "pomdp",
+        "Plan": "pomcp",
+        "Step": "generative",
+        "TableProblem": "table_problem",
+        "plan": "pomcp",
         "solve_discrete": "discrete",
+        "updated_particles": "generative",
     },
 )
