@@ -1,9 +1,9 @@
 """A known model → policies: what learning is compared with.
 
 Read down: `belief` (what can be known) → `heuristics` (greedy, with and without history, with and without the penalty
-that a WASH avoids) → `pomdp` (looking h steps ahead). Any problem that can be drawn from: `generative` (the protocol) →
-`pomcp` (search until the time is up) → `table_problem` (the table as such a problem). `discrete` stands apart: any POMDP
-given as arrays, solved exactly.
+that a WASH avoids) → `pomdp` (looking h steps ahead) → `optimum` (the best there is, on small tables). Any problem that
+can be drawn from: `generative` (the protocol) → `pomcp` (search until the time is up) → `table_problem` (the table as
+such a problem). `discrete` stands apart: any POMDP given as arrays, solved exactly.
 """
 
 from typing import TYPE_CHECKING
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from halfseen.planners.discrete import DiscreteSolution, solve_discrete
     from halfseen.planners.generative import GenerativeProblem, Step, updated_particles
     from halfseen.planners.heuristics import GreedyPolicy
+    from halfseen.planners.optimum import TableOptimum, solve_table
     from halfseen.planners.pomcp import Plan, plan
     from halfseen.planners.pomdp import POMDPPolicy
     from halfseen.planners.table_problem import TableProblem
@@ -25,9 +26,11 @@ __all__ = [
     "POMDPPolicy",
     "Plan",
     "Step",
+    "TableOptimum",
     "TableProblem",
     "plan",
     "solve_discrete",
+    "solve_table",
     "updated_particles",
 ]
 
@@ -40,9 +43,11 @@ __getattr__ = lazy_names(
         "POMDPPolicy": "pomdp",
         "Plan": "pomcp",
         "Step": "generative",
+        "TableOptimum": "optimum",
         "TableProblem": "table_problem",
         "plan": "pomcp",
         "solve_discrete": "discrete",
+        "solve_table": "optimum",
         "updated_particles": "generative",
     },
 )

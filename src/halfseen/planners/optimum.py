@@ -1,0 +1,214 @@
+"""The exact optimum of a small table, and the exact value of any policy on it.
+
+Backwards over the steps to go h, on the grids of `optimum_model`, with n for a tally and d for a cell of its grid
+(dynamic programming [Bellman1957]_ over sufficient statistics [SmallwoodSondik1973]_):
+
+    V_h(n, d) = max_a  R(n, d, a) + Σ_x P(x | n, a) E_labels V_{h−1}(n', d'),    V_0(n, d) = price of what is left,
+
+where x says whether the grasp succeeds. The expectation over labels is taken along one axis after the other: given the
+past, the labels of different objects are independent. Everything is exact in float64, in the world whose grip
+offsets lie on a grid; the nodes are those by which the planners' beliefs integrate.
+"""
+
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+from jax import Array
+from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
+
+from halfseen.errors import ArgumentError
+from halfseen.planners.belief import NUM_NODES
+from halfseen.planners.optimum_bellman import (
+    Grid,
+    Layer,
+    Node,
+    NodeModel,
+    expected_over_labels,
+    layers_of,
+    spread_over_labels,
+)
+from halfseen.planners.optimum_decisions import actions_in, place_of
+from halfseen.planners.optimum_model import GridWorld, Result, first_tally, looks_of
+from halfseen.world.actions import FINISH
+from halfseen.world.config import WorldConfig
+from halfseen.world.policy import Policy
+from halfseen.world.scene import Scene
+from halfseen.world.state import TableState
+
+MAX_CELLS = 150_000_000
+"""States that `solve_table` takes on unless told otherwise: 1.2 GB of values."""
+
+
+@dataclass(frozen=True, eq=False)
+class TableOptimum:
+    """The best that can be done on one table.
+
+    Attributes
+    ----------
+    value
+        Expected reward of the best policy, before the first look.
+    horizon
+        Steps that a path may have.
+    num_states
+        Number of different states that were valued.
+    """
+
+    value: float
+    horizon: int
+    num_states: int
+    _world: GridWorld
+    _layers: list[Layer]
+    _values: list[list[Grid]]
+
+    def q_values(self, state: TableState) -> Float[np.ndarray, " A"]:
+        """Expected reward of every action of one reachable state, the best policy following; −∞ where impossible.
+
+        Raises
+        ------
+        ArgumentError
+            `state` is not one of this table within this horizon.
+        """
+        layer, node, cell = place_of(self._world, self._layers, state)
+        return self._grid_of_q(layer, self._layers[layer][node])[:, *cell]
+
+    def action(self, state: TableState) -> int:
+        """Best action in one reachable state; the lowest in a tie.
+
+        Raises
+        ------
+        ArgumentError
+            `state` is not one of this table within this horizon.
+        """
+        return int(np.argmax(self.q_values(state)))
+
+    def policy_value(self, policy: Policy, key: Array | None = None) -> float:
+        """Exact expected reward of a policy, before the first look.
+
+        The policy is asked once in every state that it can reach, with a key of its own: a policy that draws its
+        actions by lot, or samples futures, is valued for the draws of `key`. Paths that differ only in the order of
+        what happened, or in what is known of an object that has left, are one state; the policy is shown one of them.
+        The heuristics and the planners cannot tell them apart.
+
+        Parameters
+        ----------
+        policy
+            Any policy of the world.
+        key
+            What it draws from, by default ``jax.random.key(0)``.
+
+        Raises
+        ------
+        ArgumentError
+            The policy chose an action that is not possible.
+        """
+        key = jax.random.key(0) if key is None else key
+        total, masses = 0.0, {0: self._first_mass()}
+        for index, layer in enumerate(self._layers):
+            actions = actions_in(
+                self._world, self.horizon, index, layer, masses, policy, jax.random.fold_in(key, index)
+            )
+            following: dict[int, Grid] = {}
+            for place, mass in masses.items():
+                total += self._follow(index, layer[place], mass, actions[place], following)
+            masses = following
+        return total
+
+    def regret(self, policy: Policy, key: Array | None = None) -> float:
+        """What a policy earns less than the best one, without simulation noise; see `policy_value`."""
+        return self.value - self.policy_value(policy, key)
+
+    def _first_mass(self) -> Grid:
+        world, before = self._world, first_tally(self._world)
+        shape = self._values[0][0].shape
+        return spread_over_labels(np.ones((1,) * world.num_objects), looks_of(world, before), shape)
+
+    def _follow(
+        self, index: int, node: Node, mass: Grid, actions: Int[np.ndarray, "..."], following: dict[int, Grid]
+    ) -> float:
+        """Reward of the step that starts in one node with `mass`; where it leads is added to `following`."""
+        model, total = NodeModel(self._world, node.tally), 0.0
+        for action in np.unique(actions[mass > 0.0]).tolist():
+            taken = np.where(actions == action, mass, 0.0)
+            total += float(np.sum(taken * model.reward(action)))
+            for chance, attempt in model.outcomes(action) if action != FINISH else []:
+                place = node.successors.get(attempt)
+                if place is None:
+                    total += chance * float(np.sum(taken * model.future(attempt, None)))
+                    continue
+                target, result = attempt
+                moved = taken.sum(axis=target, keepdims=True) if result is Result.WASHED else taken
+                shape = self._values[index + 1][place].shape
+                arrived = chance * spread_over_labels(moved, model.looks(attempt), shape)
+                following[place] = following[place] + arrived if place in following else arrived
+        return total
+
+    def _grid_of_q(self, index: int, node: Node) -> Float[np.ndarray, "A ..."]:
+        after = self._values[index + 1] if index + 1 < self.horizon else []
+        return _grid_of_q(self._world, node, after)
+
+
+def solve_table(
+    scene: Scene | ArrayLike,
+    config: WorldConfig,
+    horizon: int | None = None,
+    num_grip_nodes: int = NUM_NODES,
+    max_states: int = MAX_CELLS,
+) -> TableOptimum:
+    """Find the best that can be done on a small table, exactly.
+
+    Parameters
+    ----------
+    scene
+        The table, or its ``hides``, shape (N, N).
+    config
+        The world.
+    horizon
+        Steps that a path may have, by default the world's.
+    num_grip_nodes
+        Grip offsets lie on this many Gauss–Hermite nodes; by default on those of the planners' beliefs.
+    max_states
+        Refuse what has more states than this; each takes 8 bytes.
+
+    Returns
+    -------
+    TableOptimum
+        Its `value`; Q, the best action, and the exact value of any policy.
+
+    Raises
+    ------
+    ArgumentError
+        A number is below 1, there is no object, or there are more than `max_states` states.
+
+    Examples
+    --------
+    Two cups, one behind the other, and three steps. The plain rule forgets what a dirty cup left behind costs.
+
+    >>> from halfseen.planners import GreedyPolicy
+    >>> from halfseen.world import WorldConfig
+    >>> optimum = solve_table([[0.0, 0.6], [0.1, 0.0]], WorldConfig(), horizon=3)
+    >>> greedy = [GreedyPolicy(WorldConfig(), counts_penalty=counts) for counts in (False, True)]
+    >>> round(optimum.value, 3), [round(optimum.policy_value(policy), 3) for policy in greedy]
+    (0.898, [-0.872, -0.023])
+    """
+    table = scene if isinstance(scene, Scene) else Scene(np.asarray(scene, dtype=np.float64))
+    steps = config.horizon if horizon is None else horizon
+    for name, number in (("horizon", steps), ("num_grip_nodes", num_grip_nodes), ("objects", table.num_objects)):
+        if number < 1:
+            raise ArgumentError(f"{name} is {number}; at least 1 is needed")
+    world = GridWorld(table.hides, config, num_grip_nodes)
+    layers = layers_of(world, steps, max_states)
+    values: list[list[Grid]] = [[]]
+    for layer in reversed(layers):
+        values.insert(0, [_grid_of_q(world, node, values[0]).max(axis=0) for node in layer])
+    values.pop()
+    first = expected_over_labels(values[0][0], looks_of(world, first_tally(world)))
+    num_states = sum(grid.size for grids in values for grid in grids)
+    return TableOptimum(float(first.item()), steps, num_states, world, layers, values)
+
+
+def _grid_of_q(world: GridWorld, node: Node, after: list[Grid]) -> Float[np.ndarray, "A ..."]:
+    """Q of every action in every cell of a node, given the next layer's values."""
+    following = {attempt: after[place] for attempt, place in node.successors.items()}
+    return NodeModel(world, node.tally).q_values(following)
