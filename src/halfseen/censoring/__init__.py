@@ -11,11 +11,12 @@ from halfseen.censoring.diagnostics import WeightDiagnostics, warn_if_few, weigh
 from halfseen.censoring.kaplan_meier import KaplanMeier
 from halfseen.censoring.kernel_kaplan_meier import KernelKaplanMeier
 from halfseen.censoring.model import CensoringModel
-from halfseen.censoring.named import is_fitted, named_model, uses_covariates
+from halfseen.censoring.named import CENSORING_NAMES, is_fitted, named_model, uses_covariates
 from halfseen.censoring.positivity import PositivityReport, positivity_report
 from halfseen.censoring.weights import censoring_weights, stage_weights
 
 __all__ = [
+    "CENSORING_NAMES",
     "CensoringModel",
     "Cox",
     "KaplanMeier",

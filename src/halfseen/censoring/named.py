@@ -13,6 +13,8 @@ from halfseen.censoring.model import CensoringModel
 from halfseen.errors import ArgumentError
 
 MODELS = {"kaplan-meier": KaplanMeier, "cox": Cox, "kernel": KernelKaplanMeier}
+CENSORING_NAMES = tuple(MODELS)
+"""Names that `named_model` takes."""
 
 
 def named_model(censoring: str | CensoringModel) -> CensoringModel:

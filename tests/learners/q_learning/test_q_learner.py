@@ -7,10 +7,11 @@ from sklearn.base import clone
 from sklearn.exceptions import NotFittedError
 from trials import ACTIONS, FULL, REDUCED, cell_means, indicators, two_stage_trial
 
-from halfseen.censoring import KaplanMeier
+from halfseen.censoring import KaplanMeier, stage_weights
 from halfseen.errors import ArgumentError, LogError, PositivityError
 from halfseen.learners import CensoredQLearner
 from halfseen.learners.q_learning import q_learner
+from halfseen.learners.q_learning.path_covariates import first_covariates
 from halfseen.logs import Logs
 
 
@@ -59,6 +60,23 @@ def test_a_model_given_is_used_and_not_changed(logs):
     assert set(np.unique(weights)) == {0.0, 1.0, 2.0}
 
 
+@pytest.mark.parametrize("name", ["cox", "kernel"])
+def test_cuts_may_depend_on_what_a_path_begins_with(logs, name):
+    first = logs.stages[logs.stages["stage"] == 1].set_index("path").loc[logs.path_ids, ["s1_1", "s1_2"]]
+    elapsed_s = logs.elapsed_s()
+    weights = stage_weights(elapsed_s, logs.end_s, logs.is_finished, name, covariates=first.reset_index(drop=True))
+    fitted = learner(covariates=REDUCED, censoring=name).fit(logs)
+    assert fitted.weights_ == pytest.approx(weights)
+    assert not np.allclose(fitted.weights_, learner(covariates=REDUCED).fit(logs).weights_)
+
+
+def test_cuts_that_may_depend_on_nothing_are_refused(logs):
+    with pytest.raises(ArgumentError, match="none of those of a path's first stage differs between paths"):
+        learner(covariates=["s2_1"], censoring="cox").fit(logs)
+    with pytest.raises(LogError, match="the stages have no column 'weather'"):
+        first_covariates(logs, ["weather"])
+
+
 def test_diagnostics_are_kept(logs):
     fitted = learner(truncate_at=1.5).fit(logs)
     assert fitted.diagnostics_.largest_weight <= 1.5 + 1e-12
@@ -105,7 +123,11 @@ def test_an_unknown_action_is_named(logs):
         ({"reg": "cv", "num_folds": 1}, ArgumentError, "num_folds is 1"),
         ({"q_function": "forest"}, ArgumentError, "q_function is 'forest'"),
         ({"stages": "merged"}, ArgumentError, "stages is 'merged'; it is 'separate' or 'pooled'"),
-        ({"censoring": "cox"}, ArgumentError, "censoring is 'cox'"),
+        (
+            {"censoring": "weibull"},
+            ArgumentError,
+            "censoring is 'weibull'; it is 'kaplan-meier', 'cox', 'kernel', 'none' or",
+        ),
         ({"truncate_at": 0.5}, ArgumentError, "truncate_at is 0.5"),
         ({"actions": "tables"}, ArgumentError, "actions is 'tables'"),
         ({"actions": []}, ArgumentError, "name at least one"),

@@ -7,12 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from halfseen.censoring import Cox, stage_weights
 from halfseen.errors import LogError
 from halfseen.learners import CensoredQLearner, LinearTablePolicy
 from halfseen.learners.q_learning.encoding import encode_states
+from halfseen.learners.q_learning.path_covariates import first_table
 from halfseen.learners.q_learning.table_features import NUM_FEATURES, block_of_action, table_features
 from halfseen.logs import Logs
-from halfseen.world import ExploringPolicy, Scene, WorldConfig
+from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, WorldConfig
 from halfseen.world.actions import Verb, possible_actions, verb_of
 from halfseen.world.cuts import cut, cut_rate
 from halfseen.world.episodes import evaluate, play
@@ -192,3 +194,17 @@ def test_a_verb_that_no_table_knows_is_named(logs):
 def test_finish_is_possible_even_on_an_empty_table(watched):
     _, possible = encode_states(jax.tree.map(lambda leaf: leaf[:5], watched.states))
     assert np.asarray(possible)[..., 0].all()
+
+
+def test_cuts_may_depend_on_the_first_table(scene):
+    open_table = Scene(np.zeros((NUM_OBJECTS + 1, NUM_OBJECTS + 1)), name="open")
+    logs = TableWorld().simulate([scene, open_table], UniformPolicy(), episodes=200, seed=0, cut_share=0.4)
+    table = first_table(logs)
+    objects = logs.objects[logs.objects["stage"] == 1]
+    for row, path in enumerate(logs.path_ids[:20]):
+        mine = objects[objects["path"] == path]
+        assert table.loc[row, "num_objects"] == len(mine)
+        assert table.loc[row, "mean_occlusion"] == pytest.approx(mine["occlusion"].mean())
+    learner = CensoredQLearner.for_table(horizon=10, censoring=Cox(ridge=1.0), reg=1.0).fit(logs)
+    expected = stage_weights(logs.elapsed_s(), logs.end_s, logs.is_finished, Cox(ridge=1.0), covariates=table)
+    np.testing.assert_allclose(learner.weights_[:, : expected.shape[1]], expected)

@@ -1,7 +1,6 @@
 """Censored Q-learning behind scikit-learn's habits: parameters in, `fit`, fitted names that end in ``_``."""
 
 from collections.abc import Hashable, Mapping, Sequence
-from copy import deepcopy
 from dataclasses import replace
 from numbers import Real
 from typing import Any, Literal
@@ -14,11 +13,20 @@ from jaxtyping import Bool, Float
 from sklearn.base import BaseEstimator
 from sklearn.utils.validation import check_is_fitted
 
-from halfseen.censoring import CensoringModel, KaplanMeier, WeightDiagnostics, stage_weights, weight_diagnostics
+from halfseen.censoring import (
+    CENSORING_NAMES,
+    CensoringModel,
+    WeightDiagnostics,
+    named_model,
+    stage_weights,
+    uses_covariates,
+    weight_diagnostics,
+)
 from halfseen.errors import ArgumentError, PositivityError
 from halfseen.learners.grasp.grasp_table import grasp_model_of
 from halfseen.learners.q_learning.encoding import Encoding, FlatEncoding, TableEncoding
 from halfseen.learners.q_learning.linear_policy import LinearTablePolicy
+from halfseen.learners.q_learning.path_covariates import first_covariates, first_table
 from halfseen.learners.q_learning.recursion import QFunctions, StageMode, Transitions, backward, q_values
 from halfseen.logs import Logs
 from halfseen.world.grasp_model import GraspModel
@@ -47,8 +55,9 @@ class CensoredQLearner(BaseEstimator):
     q_function
         ``"linear"``.
     censoring
-        ``"kaplan-meier"``; ``"none"`` to leave the weights out (completed stages count alike); or a fitted or unfitted
-        `CensoringModel`.
+        ``"kaplan-meier"``; ``"cox"`` or ``"kernel"``, on the covariates of a path's first stage (for a table: number of
+        objects and mean occlusion); ``"none"`` to leave the weights out (completed stages count alike); or a fitted or
+        unfitted `CensoringModel`.
     stages
         ``"separate"``: one Q a stage; ``"pooled"``: one Q for each number of steps to go, on the rows of all stages.
     reg
@@ -231,10 +240,19 @@ class CensoredQLearner(BaseEstimator):
         elapsed_s = _padded(logs.elapsed_s(), self.horizon)
         if isinstance(self.censoring, str) and self.censoring == "none":
             return (~np.isnan(elapsed_s)).astype(np.float64)
-        model = KaplanMeier() if isinstance(self.censoring, str) else self.censoring
-        if not _is_fitted(model):
-            model = deepcopy(model).fit(logs.end_s, logs.is_finished)
-        return stage_weights(elapsed_s, logs.end_s, logs.is_finished, model, self.truncate_at, path_ids=logs.path_ids)
+        covariates = self._path_covariates(logs) if uses_covariates(named_model(self.censoring)) else None
+        return stage_weights(
+            elapsed_s,
+            logs.end_s,
+            logs.is_finished,
+            self.censoring,
+            self.truncate_at,
+            covariates=covariates,
+            path_ids=logs.path_ids,
+        )
+
+    def _path_covariates(self, logs: Logs) -> pd.DataFrame:
+        return first_table(logs) if self._is_table else first_covariates(logs, self.covariates)
 
     def _checked_stages(self) -> StageMode:
         if self.stages not in ("separate", "pooled"):
@@ -246,8 +264,9 @@ class CensoredQLearner(BaseEstimator):
             raise ArgumentError(f"horizon is {self.horizon}; a path has at least 1 stage")
         if self.q_function != "linear":
             raise ArgumentError(f"q_function is {self.q_function!r}; it can be 'linear'")
-        if isinstance(self.censoring, str) and self.censoring not in ("kaplan-meier", "none"):
-            raise ArgumentError(f"censoring is {self.censoring!r}; it is 'kaplan-meier', 'none' or a CensoringModel")
+        if isinstance(self.censoring, str) and self.censoring not in (*CENSORING_NAMES, "none"):
+            names = ", ".join(repr(name) for name in CENSORING_NAMES)
+            raise ArgumentError(f"censoring is {self.censoring!r}; it is {names}, 'none' or a CensoringModel")
         is_number = isinstance(self.reg, Real) and not isinstance(self.reg, bool)
         if self.reg != "cv" and not (is_number and 0 <= float(self.reg) < np.inf):
             raise ArgumentError(f"reg is {self.reg!r}; it is a λ ≥ 0, or 'cv'")
@@ -294,10 +313,6 @@ def as_policy(q_functions: QFunctions, stages: StageMode) -> LinearTablePolicy:
     """Turn the Q-functions of a table (or of a batch of logs) into policies, indexed by steps to go."""
     coefficients = np.asarray(q_functions.coefficients, dtype=np.float32)
     return LinearTablePolicy(jnp.asarray(coefficients if stages == "pooled" else coefficients[..., ::-1, :, :]))
-
-
-def _is_fitted(model: CensoringModel) -> bool:
-    return any(name.endswith("_") and not name.startswith("_") for name in vars(model))
 
 
 def _padded(values: Float[np.ndarray, "n L"], horizon: int) -> Float[np.ndarray, "n T"]:
