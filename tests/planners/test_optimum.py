@@ -1,12 +1,22 @@
+from dataclasses import dataclass, replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import naive_planner
 import numpy as np
 import pytest
 from naive_optimum import BruteForce, hermite
-from naive_planner import CONFIG
+from naive_planner import CONFIG, Cup
+from tables import state_of
 
 from halfseen.errors import ArgumentError
-from halfseen.planners import GreedyPolicy
-from halfseen.planners.optimum import solve_table
-from halfseen.world import Scene, WorldConfig
+from halfseen.planners import GreedyPolicy, POMDPPolicy, information_relaxation_bound, optimum_bound, solve_table
+from halfseen.world import Scene, UniformPolicy, WorldConfig
+from halfseen.world.dynamics import start, step
+from halfseen.world.episodes import play
+from halfseen.world.policy import surely
+from halfseen.world.state import pad_scenes
 
 TWO = np.array([[0.0, 0.6], [0.1, 0.0]])
 ALIKE = np.array([[0.0, 0.3], [0.3, 0.0]])
@@ -73,3 +83,200 @@ def test_a_scene_is_as_good_as_its_hides_and_the_horizon_is_the_worlds():
 def test_what_cannot_be_solved_is_refused(arguments, message):
     with pytest.raises(ArgumentError, match=message):
         solve_table(TWO, CONFIG, **arguments)
+
+
+@pytest.fixture(scope="module")
+def played():
+    """States along the way of somebody who acts by lot, on two cups over four steps."""
+    config = WorldConfig(horizon=4)
+    episodes = play(config, pad_scenes([Scene(TWO)]), UniformPolicy(), jax.random.key(0), 16)
+    states = jax.tree.map(lambda leaf: leaf[np.asarray(episodes.is_taken)], episodes.states)
+    return [jax.tree.map(lambda leaf, k=k: leaf[k], states) for k in range(len(states.steps_to_go))]
+
+
+def cups_of(state):
+    tried = zip(*map(np.asarray, (state.attempt_object, state.attempt_occlusion, state.attempt_succeeded)), strict=True)
+    attempts = [(int(i), float(occluded), bool(is_grasped)) for i, occluded, is_grasped in tried]
+    return [
+        Cup(float(1 / (1 + np.exp(-log_odds))), tuple(one[1:] for one in attempts if one[0] == i), bool(is_there))
+        for i, (log_odds, is_there) in enumerate(
+            zip(np.asarray(state.log_odds), np.asarray(state.is_on_table), strict=True)
+        )
+    ]
+
+
+def test_in_every_state_of_the_world_q_is_what_all_futures_say(played):
+    optimum = solve_table(TWO, CONFIG, 4)
+    states = [state for state in played if state.steps_to_go <= 2]
+
+    assert len(states) > 10
+    assert any(state.lifts.any() for state in states)
+    assert any(not state.is_on_table.all() for state in states)
+    for state in states:
+        steps = int(state.steps_to_go)
+        expected = naive_planner.q_values(cups_of(state), TWO, steps, depth=steps)
+        np.testing.assert_allclose(optimum.q_values(state), expected, atol=2e-5)
+        assert optimum.action(state) == np.argmax(optimum.q_values(state))
+
+
+def test_a_state_of_another_table_or_another_horizon_is_refused(played):
+    optimum = solve_table(TWO, CONFIG, 4)
+
+    with pytest.raises(ArgumentError, match="5 steps to go; give one of 2 objects with 1 to 4 steps"):
+        optimum.q_values(replace(played[0], steps_to_go=jnp.asarray(5)))
+    with pytest.raises(ArgumentError, match="attempt 1, on object -1, is not possible"):
+        optimum.q_values(replace(played[0], steps_to_go=jnp.asarray(3)))
+    with pytest.raises(ArgumentError, match=r"log-odds of object 0 are 0\.5; .* away"):
+        optimum.q_values(replace(played[0], log_odds=jnp.full(2, 0.5)))
+
+
+@pytest.mark.parametrize("policy", GREEDY, ids=lambda policy: f"history {policy.uses_history}")
+def test_the_value_of_a_rule_is_what_brute_force_finds(policy):
+    decide = jax.jit(lambda state: policy.decide(state, jax.random.key(0)).action)
+
+    def choose(is_dirty, there, attempts, steps):
+        cups = [Cup(p, tuple(one[1:] for one in attempts if one[0] == i), i in there) for i, p in enumerate(is_dirty)]
+        return int(decide(state_of(cups, TWO, steps)))
+
+    expected = BruteForce(CONFIG, TWO, 3, choose).value(3)
+
+    assert solve_table(TWO, CONFIG, 3, num_grip_nodes=3).policy_value(policy) == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize("hides", [TWO, THREE], ids=["two", "three"])
+def test_rules_and_planners_are_below_the_optimum_and_that_below_every_bound(hides):
+    optimum = solve_table(hides, CONFIG, 4)
+    earned = [optimum.policy_value(policy) for policy in (*GREEDY, POMDPPolicy(CONFIG, 1))]
+    bound = partial(information_relaxation_bound, hides, CONFIG, 4, num_grip_nodes=3)
+    by_looks, by_hidden = bound().value, bound(reveals="hidden").value
+
+    assert max(earned) < optimum.value < by_looks < by_hidden
+    assert optimum.regret(GREEDY[0]) == pytest.approx(optimum.value - earned[0], abs=1e-12)
+    assert earned[-1] > max(earned[:-1])
+
+
+def test_who_draws_by_lot_is_valued_for_the_draws_of_the_key():
+    optimum = solve_table(TWO, CONFIG, 3)
+    values = [optimum.policy_value(UniformPolicy(), jax.random.key(seed)) for seed in (0, 0, 1)]
+
+    assert values[0] == values[1] != values[2]
+    assert max(values) < optimum.value
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class AlwaysWashTheFirst:
+    def decide(self, state, key):
+        return surely(jnp.ones((), dtype=jnp.int32))
+
+
+def test_a_policy_that_does_the_impossible_is_refused():
+    with pytest.raises(ArgumentError, match=r"policy chose action 1 with objects \[1\] on the table"):
+        solve_table(TWO, CONFIG, 2).policy_value(AlwaysWashTheFirst())
+
+
+def enumerated_hidden_bound(hides, horizon, num_nodes):
+    """Mean over everything hidden of what one who knows it earns, by plain recursion."""
+    brute = BruteForce(CONFIG, hides, num_nodes)
+
+    def value(dirty, grip, there, steps):
+        left = sum(CONFIG.reward_dirty_left for i in there if dirty[i])
+        if steps == 0:
+            return left
+        q = [left]
+        for i in there:
+            caught = 1 - naive_planner.failure(brute.occlusion(there, i), grip[i])
+            won = (5 if dirty[i] else -10) + value(dirty, grip, there - {i}, steps - 1)
+            q.append(caught * won + (1 - caught) * (-1 + value(dirty, grip, there, steps - 1)))
+        return max(q)
+
+    everyone = frozenset(range(len(hides)))
+    return sum(
+        weight * value(dirty, grip, everyone, horizon)
+        for (dirty, grip), weight in zip(brute.every, brute.prior, strict=True)
+    )
+
+
+@pytest.mark.parametrize(("hides", "horizon"), [(TWO, 4), (THREE, 3)], ids=["two", "three"])
+def test_who_knows_what_is_hidden_earns_what_plain_recursion_finds(hides, horizon):
+    bound = information_relaxation_bound(hides, CONFIG, horizon, num_grip_nodes=3, reveals="hidden")
+
+    assert bound == (pytest.approx(enumerated_hidden_bound(hides, horizon, 3), abs=1e-9), 0.0)
+
+
+@pytest.mark.parametrize("reveals", ["looks", "hidden"])
+def test_a_bound_from_draws_agrees_with_the_exact_one(monkeypatch, reveals):
+    bound = partial(information_relaxation_bound, TWO, CONFIG, 4, num_grip_nodes=3, reveals=reveals)
+    exact = bound()
+    monkeypatch.setattr(optimum_bound, "MAX_ENUMERATED", 0)
+    drawn = bound(num_samples=40_000)
+
+    assert exact.standard_error == 0.0
+    assert 0.0 < drawn.standard_error < 0.03
+    assert drawn.value == pytest.approx(exact.value, abs=4 * drawn.standard_error)
+
+
+def test_who_knows_the_times_of_grasps_too_earns_more():
+    bound = partial(information_relaxation_bound, TWO, CONFIG, 4, num_samples=40_000)
+    by_looks, by_hidden, by_everything = (bound(reveals=reveals) for reveals in ("looks", "hidden", "everything"))
+
+    assert by_looks.value < by_hidden.value < by_everything.value
+    assert bound() == by_looks != bound(seed=1)
+
+
+def test_with_one_label_that_is_all_there_is_and_a_sure_grasp_the_bound_by_looks_is_the_optimum():
+    """In full view, with one step, the look that is told is the look that is taken."""
+    config, table = WorldConfig(grip_offset_std=0.0), np.zeros((2, 2))
+
+    bound = information_relaxation_bound(table, config, 1, num_grip_nodes=1)
+    assert bound.value == pytest.approx(solve_table(table, config, 1, num_grip_nodes=1).value, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"horizon": 0}, "horizon is 0"),
+        ({"num_samples": 1}, "num_samples is 1; at least 2"),
+        ({"num_grip_nodes": 0}, "num_grip_nodes is 0"),
+        ({"reveals": "nothing"}, "reveals is 'nothing'; it is one of looks, hidden, everything"),
+        ({"scene": np.zeros((13, 13))}, "13 objects; the bound takes 1 to 12"),
+    ],
+)
+def test_what_cannot_be_bounded_is_refused(arguments, message):
+    with pytest.raises(ArgumentError, match=message):
+        information_relaxation_bound(**{"scene": TWO, "config": CONFIG} | arguments)
+
+
+def simulated(policy, hides, horizon, num_nodes, num_episodes):
+    """What a policy earns on many tables of the world whose grip offsets are drawn from the grid."""
+    config, layout = WorldConfig(horizon=horizon), jax.tree.map(lambda leaf: leaf[0], pad_scenes([Scene(hides)]))
+    nodes, weights = (jnp.asarray(column) for column in zip(*hermite(config, num_nodes), strict=True))
+
+    def earn(key):
+        start_key, grip_key, world_key, policy_key = jax.random.split(key, 4)
+        state, hidden = start(config, layout, start_key)
+        grips = jax.random.choice(grip_key, nodes.astype(jnp.float32), (len(hides),), p=weights)
+        hidden, total, is_active = replace(hidden, grip_offset=grips), 0.0, jnp.asarray(True)
+        for t in range(horizon):
+            action = policy.decide(state, jax.random.fold_in(policy_key, t)).action
+            state, outcome = step(config, state, hidden, action, jax.random.fold_in(world_key, t))
+            total += jnp.where(is_active, outcome.reward, 0.0)
+            is_active &= ~outcome.is_over
+        return total
+
+    return np.asarray(jax.jit(jax.vmap(earn))(jax.random.split(jax.random.key(0), num_episodes)), dtype=np.float64)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "policy", [GREEDY[1], GREEDY[3], POMDPPolicy(CONFIG, 1), UniformPolicy()], ids=["greedy", "history", "pomdp", "lot"]
+)
+def test_a_policy_earns_in_simulation_what_it_is_worth(policy):
+    rewards = simulated(policy, THREE, 4, 7, 400_000)
+    optimum = solve_table(THREE, CONFIG, 4)
+    by_lot = isinstance(policy, UniformPolicy)
+    worth = [optimum.policy_value(policy, jax.random.key(seed)) for seed in range(100 if by_lot else 1)]
+
+    error = np.hypot(rewards.std() / np.sqrt(len(rewards)), np.std(worth) / np.sqrt(len(worth)))
+    assert rewards.mean() == pytest.approx(np.mean(worth), abs=4 * error)
+    assert error < 0.03

@@ -1,9 +1,10 @@
 """A known model → policies: what learning is compared with.
 
 Read down: `belief` (what can be known) → `heuristics` (greedy, with and without history, with and without the penalty
-that a WASH avoids) → `pomdp` (looking h steps ahead) → `optimum` (the best there is, on small tables). Any problem that
-can be drawn from: `generative` (the protocol) → `pomcp` (search until the time is up) → `table_problem` (the table as
-such a problem). `discrete` stands apart: any POMDP given as arrays, solved exactly.
+that a WASH avoids) → `pomdp` (looking h steps ahead) → `optimum` (the best there is, on small tables) and `optimum_bound`
+(what nobody can beat, on any). Any problem that can be drawn from: `generative` (the protocol) → `pomcp` (search until
+the time is up) → `table_problem` (the table as such a problem). `discrete` stands apart: any POMDP given as arrays,
+solved exactly.
 """
 
 from typing import TYPE_CHECKING
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from halfseen.planners.generative import GenerativeProblem, Step, updated_particles
     from halfseen.planners.heuristics import GreedyPolicy
     from halfseen.planners.optimum import TableOptimum, solve_table
+    from halfseen.planners.optimum_bound import RelaxationBound, information_relaxation_bound
     from halfseen.planners.pomcp import Plan, plan
     from halfseen.planners.pomdp import POMDPPolicy
     from halfseen.planners.table_problem import TableProblem
@@ -25,9 +27,11 @@ __all__ = [
     "GreedyPolicy",
     "POMDPPolicy",
     "Plan",
+    "RelaxationBound",
     "Step",
     "TableOptimum",
     "TableProblem",
+    "information_relaxation_bound",
     "plan",
     "solve_discrete",
     "solve_table",
@@ -42,9 +46,11 @@ __getattr__ = lazy_names(
         "GreedyPolicy": "heuristics",
         "POMDPPolicy": "pomdp",
         "Plan": "pomcp",
+        "RelaxationBound": "optimum_bound",
         "Step": "generative",
         "TableOptimum": "optimum",
         "TableProblem": "table_problem",
+        "information_relaxation_bound": "optimum_bound",
         "plan": "pomcp",
         "solve_discrete": "discrete",
         "solve_table": "optimum",

@@ -21,7 +21,9 @@ from halfseen.world.actions import num_actions
 from halfseen.world.policy import Policy
 from halfseen.world.state import NO_ATTEMPT, TableState
 
-BATCH_SIZE = 4096
+BATCH_SIZES = (64, 1024)
+"""Numbers of states for which a policy is compiled: the smallest that holds all, or else the largest."""
+
 _SAME_LOG_ODDS = 1e-3
 
 
@@ -64,7 +66,7 @@ def actions_in(
 def _decided(policy: Policy, states: dict[str, np.ndarray], key: Array) -> Int[np.ndarray, " n"]:
     """Ask in batches, the last one filled up, so that few sizes are compiled."""
     num_states = len(states["steps_to_go"])
-    size = min(BATCH_SIZE, 1 << (num_states - 1).bit_length())
+    size = next((size for size in BATCH_SIZES if size >= num_states), BATCH_SIZES[-1])
     decided = []
     for start in range(0, num_states, size):
         rows = np.minimum(np.arange(start, start + size), num_states - 1)
