@@ -279,4 +279,4 @@ def test_a_policy_earns_in_simulation_what_it_is_worth(policy):
 
     error = np.hypot(rewards.std() / np.sqrt(len(rewards)), np.std(worth) / np.sqrt(len(worth)))
     assert rewards.mean() == pytest.approx(np.mean(worth), abs=4 * error)
-    assert error < 0.03
+    assert error < (0.06 if by_lot else 0.03)

@@ -1,7 +1,7 @@
 """A known model → policies: what learning is compared with.
 
 Read down: `belief` (what can be known) → `heuristics` (greedy, with and without history, with and without the penalty
-that a WASH avoids) → `pomdp` (looking h steps ahead) → `optimum` (the best there is, on small tables) and `optimum_bound`
+that a WASH avoids) → `pomdp` (looking h steps ahead) → `optimum` (the best there is, on small tables), `optimum_bound`
 (what nobody can beat, on any). Any problem that can be drawn from: `generative` (the protocol) → `pomcp` (search until
 the time is up) → `table_problem` (the table as such a problem). `discrete` stands apart: any POMDP given as arrays,
 solved exactly.
