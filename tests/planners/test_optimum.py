@@ -6,6 +6,9 @@ import jax.numpy as jnp
 import naive_planner
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from naive_optimum import BruteForce, hermite
 from naive_planner import CONFIG, Cup
 from tables import state_of
@@ -53,11 +56,30 @@ def test_one_cup_in_full_view_and_one_step():
     assert solve_table([[0.0]], CONFIG, 1).value == pytest.approx(expected, abs=1e-12)
 
 
-def test_the_order_of_the_cups_changes_nothing():
-    order = [2, 0, 1]
-    shuffled = THREE[np.ix_(order, order)]
+@st.composite
+def tables(draw, num_objects=3):
+    shares = st.one_of(st.just(0.0), st.just(1.0), st.just(0.5), st.floats(0.0, 1.0))
+    hides = draw(arrays(np.float64, (num_objects, num_objects), elements=shares))
+    return hides * ~np.eye(num_objects, dtype=bool)
 
-    assert solve_table(shuffled, CONFIG, 3).value == pytest.approx(solve_table(THREE, CONFIG, 3).value, abs=1e-12)
+
+@settings(max_examples=20, deadline=None, derandomize=True)
+@given(hides=tables(), order=st.permutations(range(3)))
+def test_the_order_of_the_cups_changes_nothing_and_nobody_beats_the_bound(hides, order):
+    value = solve_table(hides, CONFIG, 2).value
+    bound = information_relaxation_bound(hides, CONFIG, 2, num_grip_nodes=7)
+
+    assert solve_table(hides[np.ix_(order, order)], CONFIG, 2).value == pytest.approx(value, abs=1e-9)
+    assert value <= bound.value + 1e-9
+    assert bound.standard_error == 0.0
+
+
+def test_cups_apart_have_fewer_states_and_are_worth_more():
+    """Each is seen at one occlusion only, so there is less to count."""
+    apart, close = solve_table(np.zeros((3, 3)), CONFIG, 4), solve_table(THREE, CONFIG, 4)
+
+    assert apart.num_states < close.num_states / 2
+    assert apart.value > close.value
 
 
 def test_a_step_more_is_never_a_loss():
@@ -77,12 +99,14 @@ def test_a_scene_is_as_good_as_its_hides_and_the_horizon_is_the_worlds():
     [
         ({"horizon": 0}, "horizon is 0"),
         ({"horizon": 2, "num_grip_nodes": 0}, "num_grip_nodes is 0"),
+        ({"config": WorldConfig(dirty_share=1.0)}, "dirty_share is 1; it lies between"),
+        ({"config": WorldConfig(label_floor=0.7)}, "label accuracy of object 0 is 1; it lies between"),
         ({"horizon": 10, "max_states": 1000}, "2 objects over 10 steps have more than 1,000 states .* shorten"),
     ],
 )
 def test_what_cannot_be_solved_is_refused(arguments, message):
     with pytest.raises(ArgumentError, match=message):
-        solve_table(TWO, CONFIG, **arguments)
+        solve_table(**{"scene": TWO, "config": CONFIG} | arguments)
 
 
 @pytest.fixture(scope="module")
@@ -280,3 +304,13 @@ def test_a_policy_earns_in_simulation_what_it_is_worth(policy):
     error = np.hypot(rewards.std() / np.sqrt(len(rewards)), np.std(worth) / np.sqrt(len(worth)))
     assert rewards.mean() == pytest.approx(np.mean(worth), abs=4 * error)
     assert error < (0.06 if by_lot else 0.03)
+
+
+@pytest.mark.slow
+def test_three_cups_over_eight_steps_fit_and_no_planner_is_better_on_six():
+    longest, six = solve_table(THREE, CONFIG, 8), solve_table(THREE, CONFIG, 6)
+    planned = [six.policy_value(POMDPPolicy(CONFIG, horizon)) for horizon in (1, 2)]
+
+    assert longest.num_states < 150_000_000
+    assert planned[0] < planned[1] < six.value < longest.value
+    assert six.value < information_relaxation_bound(THREE, CONFIG, 6, num_grip_nodes=7).value

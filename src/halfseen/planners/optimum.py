@@ -30,7 +30,7 @@ from halfseen.planners.optimum_bellman import (
     spread_over_labels,
 )
 from halfseen.planners.optimum_decisions import actions_in, place_of
-from halfseen.planners.optimum_model import GridWorld, Result, first_tally, looks_of
+from halfseen.planners.optimum_model import GridWorld, Result, first_tally, label_accuracy, looks_of
 from halfseen.world.actions import FINISH
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Policy
@@ -179,7 +179,14 @@ def solve_table(
     Raises
     ------
     ArgumentError
-        A number is below 1, there is no object, or there are more than `max_states` states.
+        A number is below 1, there is no object, the prior or a label leaves nothing in doubt, or there are more than
+        `max_states` states.
+
+    Notes
+    -----
+    States grow fastest where every object hides every other a little. Then two objects over 10 steps have 0.6 million
+    (half a second on one core), three over 6 steps 4.4 million (one second), over 8 steps 118 million (some ten
+    seconds, 1.2 GB), and four over 4 steps 2.1 million; three over 9 steps are refused.
 
     Examples
     --------
@@ -198,6 +205,7 @@ def solve_table(
         if number < 1:
             raise ArgumentError(f"{name} is {number}; at least 1 is needed")
     world = GridWorld(table.hides, config, num_grip_nodes)
+    _check_doubt(world)
     layers = layers_of(world, steps, max_states)
     values: list[list[Grid]] = [[]]
     for layer in reversed(layers):
@@ -206,6 +214,16 @@ def solve_table(
     first = expected_over_labels(values[0][0], looks_of(world, first_tally(world)))
     num_states = sum(grid.size for grids in values for grid in grids)
     return TableOptimum(float(first.item()), steps, num_states, world, layers, values)
+
+
+def _check_doubt(world: GridWorld) -> None:
+    """Log-odds must be finite."""
+    told = {"dirty_share": np.array([world.config.dirty_share], dtype=np.float64)}
+    told |= {f"label accuracy of object {i}": label_accuracy(world.config, at) for i, at in enumerate(world.occlusions)}
+    for name, chances in told.items():
+        wrong = chances[~((chances > 0.0) & (chances < 1.0))]
+        if len(wrong):
+            raise ArgumentError(f"{name} is {wrong[0]:g}; it lies between 0 and 1 and is neither: change config")
 
 
 def _grid_of_q(world: GridWorld, node: Node, after: list[Grid]) -> Float[np.ndarray, "A ..."]:
