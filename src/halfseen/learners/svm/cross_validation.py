@@ -16,6 +16,10 @@ _TOLERANCE = 1e-4
 _LEAST_OBJECTIVE = 1e-2
 """Relative duality gap of fits that are only compared, and the share of the loss of f = 0 that it is at least of."""
 
+_TELLING = 30
+_HOPELESS = 1.2
+"""Held-out rows whose loss tells something, and the share of the least loss above which a fold gives up."""
+
 Fold = tuple[Int[np.ndarray, "_"], Int[np.ndarray, "_"]]
 """Rows fitted to, rows held out."""
 
@@ -44,7 +48,7 @@ class Choice:
     held_out: Rows
     """f of each row by fits that did not see it, NaN where no fold held the row out."""
     losses: Float[np.ndarray, "G L"]
-    """Weighted mean loss of each width and λ."""
+    """Weighted mean loss of each width and λ, from the largest; ∞ where some fold gave up before."""
 
 
 def choose(
@@ -57,6 +61,9 @@ def choose(
     seen: RowIds,
 ) -> Choice:
     """Try every width and every λ; the larger λ wins a tie.
+
+    From the largest λ down, a fold of 30 rows or more gives up where its loss is a fifth above the least that it has
+    seen: what comes then fits ever closer, costs most, and is not chosen.
 
     Parameters
     ----------
@@ -75,17 +82,20 @@ def choose(
     """
     falling = np.sort(regs)[::-1]
     held_out = np.full((len(gammas), len(falling), len(task.y)), np.nan)
+    is_tried = np.ones((len(gammas), len(falling)), dtype=bool)
     bar = tqdm(total=len(gammas) * len(folds), desc="cross-validation", unit="fold", delay=2, disable=None, leave=False)
     for g, gamma in enumerate(gammas):
         design = design_of(gamma)
         for fitted, held in _folds_of_seen(folds, seen):
-            share = len(fitted) / len(seen)
-            path = _path(task, design, fitted, share * num_rows, falling)
-            for k, solution in enumerate(path):
-                held_out[g, k, held] = design.values(solution.coefficients, fitted, held) + solution.offset
+            values = _held_out(task, design, (fitted, held), num_rows * len(fitted) / len(seen), falling)
+            held_out[g][:, held] = values
+            is_tried[g] &= ~np.isnan(values).any(axis=1)
             bar.update()
     bar.close()
-    losses = np.array([[_mean_loss(task, f) for f in of_gamma] for of_gamma in held_out])
+    every = np.flatnonzero(~np.isnan(held_out[0, 0]))
+    losses = np.full(is_tried.shape, np.inf)
+    for g, k in np.argwhere(is_tried):
+        losses[g, k] = _mean_loss(task, held_out[g, k, every], every)
     g, k = divmod(int(np.argmin(losses)), len(falling))
     return Choice(float(gammas[g]), float(falling[k]), held_out[g, k], losses)
 
@@ -93,6 +103,21 @@ def choose(
 def hold_out(task: Task, design: Design, reg: float, folds: Sequence[Fold], num_rows: float, seen: RowIds) -> Rows:
     """F of each row by a fit that did not see it, NaN where no fold held the row out."""
     return choose(task, lambda _: design, np.ones(1), np.array([reg]), folds, num_rows, seen).held_out
+
+
+def _held_out(
+    task: Task, design: Design, fold: Fold, num_rows: float, falling: Float[np.ndarray, " L"]
+) -> Float[np.ndarray, "L h"]:
+    """F of the rows held out, a row for each λ; NaN where the fold had given up."""
+    fitted, held = fold
+    values, least = np.full((len(falling), len(held)), np.nan), np.inf
+    for k, solution in enumerate(_path(task, design, fitted, num_rows, falling)):
+        values[k] = design.values(solution.coefficients, fitted, held) + solution.offset
+        loss = _mean_loss(task, values[k], held)
+        least = min(least, loss)
+        if len(held) >= _TELLING and loss > _HOPELESS * least:
+            break
+    return values
 
 
 def _path(
@@ -113,6 +138,6 @@ def _folds_of_seen(folds: Sequence[Fold], seen: RowIds) -> Iterator[Fold]:
         yield np.flatnonzero(np.isin(seen, fitted)), np.flatnonzero(np.isin(seen, held))
 
 
-def _mean_loss(task: Task, f: Rows) -> float:
-    held = ~np.isnan(f)
-    return float(task.weight[held] @ task.loss.value(task.y[held], f[held]) / task.weight[held].sum())
+def _mean_loss(task: Task, f: Float[np.ndarray, " h"], rows: Int[np.ndarray, " h"]) -> float:
+    """Weighted mean loss of some rows, by their f."""
+    return float(task.weight[rows] @ task.loss.value(task.y[rows], f) / task.weight[rows].sum())

@@ -88,7 +88,8 @@ class CensoredSVR(RegressorMixin, CensoredSVM):
         The objective, and the certificate: the optimum lies at most `duality_gap_` below. A `HalfseenWarning` says so
         if that is more than `tol` of it.
     cv_losses_ : Float[ndarray, "G L"]
-        Weighted mean loss of each γ tried and each λ, from the largest, if they were chosen.
+        Weighted mean loss of each γ tried and each λ, from the largest, if they were chosen; ∞ where a fold had given
+        up: its loss had risen a fifth above its least.
 
     Notes
     -----

@@ -1,0 +1,68 @@
+import numpy as np
+import pytest
+from sklearn.model_selection import KFold
+
+from halfseen.learners import CensoredSVR, survival_array
+from halfseen.learners.svm import cross_validation
+from halfseen.learners.svm.losses import named_loss
+from halfseen.learners.svm.solver import Problem, solve
+from halfseen.learners.svm.spaces import GramSpace
+from halfseen.learners.svm.vector_kernels import RbfKernel
+
+GAMMA = 2.0
+
+
+@pytest.fixture(scope="module")
+def log():
+    rng = np.random.default_rng(5)
+    rows = rng.uniform(size=(240, 2))
+    time = np.exp(np.sin(5 * rows[:, 0]) + 0.4 * rng.normal(size=240))
+    cut = rng.exponential(4.0, size=240)
+    return rows, survival_array(np.minimum(time, cut), time <= cut)
+
+
+def naive_losses(rows, y, weights, loss, regs, splits):
+    """A fit for every fold and λ, each from nothing."""
+    kernel, seen = RbfKernel(GAMMA), weights > 0
+    losses = np.zeros(len(regs))
+    for fitted, held in splits:
+        fitted, held = fitted[seen[fitted]], held[seen[held]]
+        num_rows = len(rows) * len(fitted) / seen.sum()
+        for k, reg in enumerate(regs):
+            space = GramSpace(kernel(rows[fitted], rows[fitted]))
+            found = solve(Problem(space, y[fitted], weights[fitted] / num_rows, loss, float(reg), True))
+            f = kernel(rows[held], rows[fitted]) @ found.coefficients + found.offset
+            losses[k] += weights[held] @ loss.value(y[held], f)
+    return losses / weights[seen].sum()
+
+
+@pytest.mark.parametrize("loss", ["squared", "absolute", "huber"])
+def test_losses_are_those_of_a_naive_loop_and_the_least_is_chosen(log, loss):
+    rows, y = log
+    splits = list(KFold(4, shuffle=True, random_state=3).split(rows))
+    model = CensoredSVR(loss, gamma=GAMMA, cv=splits).fit(rows, y)
+    falling = model.reg_ * 10.0 ** (int(np.argmin(model.cv_losses_[0])) - np.arange(model.cv_losses_.shape[1]))
+    naive = naive_losses(rows, y["time"], model.weights_, named_loss(loss), falling, splits)
+    tried = np.isfinite(model.cv_losses_[0])
+    np.testing.assert_allclose(model.cv_losses_[0][tried], naive[tried], rtol=2e-3)
+    assert model.reg_ == pytest.approx(falling[np.argmin(naive)])
+
+
+@pytest.mark.parametrize("loss", ["absolute", "epsilon-insensitive"])
+def test_giving_up_spares_work_and_changes_no_choice(log, loss, monkeypatch):
+    rows, y = log
+    quick = CensoredSVR(loss, gamma="cv").fit(rows, y)
+    monkeypatch.setattr(cross_validation, "_HOPELESS", np.inf)
+    patient = CensoredSVR(loss, gamma="cv").fit(rows, y)
+    assert np.isinf(quick.cv_losses_).any()
+    assert np.isfinite(patient.cv_losses_).all()
+    assert (quick.reg_, quick.gamma_) == (patient.reg_, patient.gamma_)
+    np.testing.assert_array_equal(quick.predict(rows), patient.predict(rows))
+
+
+def test_rows_that_no_fold_holds_out_do_not_count(log):
+    rows, y = log
+    half = np.arange(120)
+    splits = [(np.arange(120, 240), half[:60]), (np.arange(60, 240), half[:60])]
+    model = CensoredSVR("squared", gamma=GAMMA, cv=splits).fit(rows, y)
+    assert np.isfinite(model.cv_losses_).any()
