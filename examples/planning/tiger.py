@@ -4,7 +4,6 @@ python examples/planning/tiger.py
 """
 
 from dataclasses import dataclass, field
-from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -23,15 +22,18 @@ class TigerProblem:
     left_chance: float | Array = 0.5
     discount: float | Array = 0.95
     horizon: int = field(default=3, metadata={"static": True})
-    num_actions: ClassVar[int] = 3
+    num_actions: int = field(default=3, metadata={"static": True})
 
     def initial_state(self, key: Array) -> Array:
+        """Hide the tiger."""
         return (jax.random.uniform(key) >= self.left_chance).astype(jnp.int32)
 
     def is_possible(self, state: Array) -> Array:
+        """Everything, always."""
         return jnp.ones(3, dtype=bool)
 
     def step(self, state: Array, action: Array, key: Array) -> Step:
+        """Listen, or open and start anew."""
         draw = jax.random.uniform(key)
         heard = jnp.where(draw < 0.85, state, 1 - state)
         anew = (draw < 0.5).astype(jnp.int32)
@@ -41,11 +43,13 @@ class TigerProblem:
         return Step(state, observation, jnp.where(is_listening, -1.0, opened), jnp.asarray(False))
 
     def log_likelihood(self, observation: Array, state_after: Array, action: Array) -> Array:
+        """How well a sound fits to where the tiger is."""
         heard = jnp.log(jnp.where(observation == state_after, 0.85, 0.15))
         return jnp.where(action == LISTEN, heard, jnp.where(observation == 0, 0.0, -jnp.inf))
 
     def rule_values(self, state: Array) -> Array:
-        return jnp.array([-1.0, -45.0, -45.0])  # of one action where nothing is known
+        """Earn what one action brings where nothing is known."""
+        return jnp.array([-1.0, -45.0, -45.0])
 
 
 def main() -> None:
@@ -56,7 +60,8 @@ def main() -> None:
     for budget_s in (0.001, 0.01, 0.1, 1.0):
         found = plan(problem, key, budget_s=budget_s, exploration=100.0, rule_weight=0.01)
         name = ("listen", "open left", "open right")[found.action]
-        print(f"{budget_s:5.3f} s: {found.num_simulations:7d} simulations, {name}, value {found.value:.3f}")
+        note = "" if found.was_searched else " (not searched)"
+        print(f"{budget_s:5.3f} s: {found.num_simulations:7d} simulations, {name}, value {found.value:.3f}{note}")
 
 
 if __name__ == "__main__":

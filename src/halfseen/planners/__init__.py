@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from halfseen.planners.optimum_bound import RelaxationBound, information_relaxation_bound
     from halfseen.planners.pomcp import Plan, plan
     from halfseen.planners.pomdp import POMDPPolicy
-    from halfseen.planners.table_problem import TableProblem
+    from halfseen.planners.table_problem import SearchPolicy, TableProblem
 
 __all__ = [
     "DiscreteSolution",
@@ -28,6 +28,7 @@ __all__ = [
     "POMDPPolicy",
     "Plan",
     "RelaxationBound",
+    "SearchPolicy",
     "Step",
     "TableOptimum",
     "TableProblem",
@@ -47,6 +48,7 @@ __getattr__ = lazy_names(
         "POMDPPolicy": "pomdp",
         "Plan": "pomcp",
         "RelaxationBound": "optimum_bound",
+        "SearchPolicy": "table_problem",
         "Step": "generative",
         "TableOptimum": "optimum",
         "TableProblem": "table_problem",

@@ -24,9 +24,11 @@ from halfseen.errors import ArgumentError
 from halfseen.planners.belief import belief_of
 from halfseen.planners.generative import Step
 from halfseen.planners.pomdp import leaf_value, one_step_q
+from halfseen.planners.search_tree import grown, root, summary
 from halfseen.world.actions import Verb, num_actions, possible_actions, target_of, verb_of
 from halfseen.world.config import WorldConfig
 from halfseen.world.dynamics import grasp_probability, label_accuracy, step
+from halfseen.world.policy import Decision
 from halfseen.world.state import HiddenState, TableState, occlusion_without
 
 MAX_OBJECTS = 30
@@ -135,6 +137,42 @@ class TableProblem:
     ) -> Float[Array, ""]:
         now = one_step_q(self.config, belief_of(self.config, seen))[action]
         return now - jnp.where(is_over, 0.0, leaf_value(self.config, belief_of(self.config, after)))
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class SearchPolicy:
+    """The best action of a tree search with a fixed number of simulations: `plan` inside a compiled simulation.
+
+    A batch of tables searches as long as its slowest: evaluate with ``batch_size=1`` on a CPU.
+
+    Parameters
+    ----------
+    config
+        The world that it believes in.
+    num_simulations
+        Simulations a decision, ≥ 1.
+
+    Raises
+    ------
+    ArgumentError
+        `num_simulations` is below 1.
+    """
+
+    config: WorldConfig
+    num_simulations: int = field(default=256, metadata={"static": True})
+
+    def __post_init__(self) -> None:
+        if self.num_simulations < 1:
+            raise ArgumentError(f"num_simulations is {self.num_simulations}; it is at least 1")
+
+    def decide(self, state: TableState, key: Array) -> Decision:
+        """Choose for one table; `key` is the simulations' (the probability of a choice is not known)."""
+        problem = TableProblem(self.config, state)
+        tree, depth = root(problem, None, key, 1.0, self.num_simulations + 1), jnp.zeros((), dtype=jnp.int32)
+        tree, _ = grown(problem, None, key, 1.0, tree, depth, 0, self.num_simulations)
+        action = jnp.argmax(summary(tree)[0]).astype(jnp.int32)
+        return Decision(action, jnp.full((), jnp.nan, dtype=jnp.float32))
 
 
 def _drawn_grip(config: WorldConfig, seen: TableState, key: Array) -> Float[Array, " N"]:
