@@ -16,8 +16,7 @@ from tables import state_of
 from halfseen.errors import ArgumentError
 from halfseen.planners import GreedyPolicy, POMDPPolicy, information_relaxation_bound, optimum_bound, solve_table
 from halfseen.world import Scene, UniformPolicy, WorldConfig
-from halfseen.world.dynamics import start, step
-from halfseen.world.episodes import play
+from halfseen.world.episodes import evaluate, play
 from halfseen.world.policy import surely
 from halfseen.world.state import pad_scenes
 
@@ -271,46 +270,34 @@ def test_what_cannot_be_bounded_is_refused(arguments, message):
         information_relaxation_bound(**{"scene": TWO, "config": CONFIG} | arguments)
 
 
-def simulated(policy, hides, horizon, num_nodes, num_episodes):
-    """What a policy earns on many tables of the world whose grip offsets are drawn from the grid."""
-    config, layout = WorldConfig(horizon=horizon), jax.tree.map(lambda leaf: leaf[0], pad_scenes([Scene(hides)]))
-    nodes, weights = (jnp.asarray(column) for column in zip(*hermite(config, num_nodes), strict=True))
+def test_the_more_grip_offsets_the_nearer_is_the_world_whose_offsets_are_normal():
+    values = [solve_table(TWO, CONFIG, 5, num_nodes).value for num_nodes in (3, 7, 15, 31, 63)]
 
-    def earn(key):
-        start_key, grip_key, world_key, policy_key = jax.random.split(key, 4)
-        state, hidden = start(config, layout, start_key)
-        grips = jax.random.choice(grip_key, nodes.astype(jnp.float32), (len(hides),), p=weights)
-        hidden, total, is_active = replace(hidden, grip_offset=grips), 0.0, jnp.asarray(True)
-        for t in range(horizon):
-            action = policy.decide(state, jax.random.fold_in(policy_key, t)).action
-            state, outcome = step(config, state, hidden, action, jax.random.fold_in(world_key, t))
-            total += jnp.where(is_active, outcome.reward, 0.0)
-            is_active &= ~outcome.is_over
-        return total
-
-    return np.asarray(jax.jit(jax.vmap(earn))(jax.random.split(jax.random.key(0), num_episodes)), dtype=np.float64)
+    assert values[2:4] == pytest.approx([values[4]] * 2, abs=1e-4)
+    assert 0.02 > abs(values[1] - values[4]) > 1e-3
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "policy", [GREEDY[1], GREEDY[3], POMDPPolicy(CONFIG, 1), UniformPolicy()], ids=["greedy", "history", "pomdp", "lot"]
 )
-def test_a_policy_earns_in_simulation_what_it_is_worth(policy):
-    rewards = simulated(policy, THREE, 4, 7, 400_000)
-    optimum = solve_table(THREE, CONFIG, 4)
+def test_a_policy_earns_in_the_world_what_it_is_worth(policy):
+    config, layouts = WorldConfig(horizon=4), pad_scenes([Scene(THREE)])
+    rewards = np.asarray(evaluate(config, layouts, policy, jax.random.key(0), 400_000).reward, dtype=np.float64)
+    optimum = solve_table(THREE, CONFIG, 4, num_grip_nodes=31)
     by_lot = isinstance(policy, UniformPolicy)
-    worth = [optimum.policy_value(policy, jax.random.key(seed)) for seed in range(100 if by_lot else 1)]
+    worth = [optimum.policy_value(policy, jax.random.key(seed)) for seed in range(50 if by_lot else 1)]
 
     error = np.hypot(rewards.std() / np.sqrt(len(rewards)), np.std(worth) / np.sqrt(len(worth)))
     assert rewards.mean() == pytest.approx(np.mean(worth), abs=4 * error)
-    assert error < (0.06 if by_lot else 0.03)
+    assert error < (0.08 if by_lot else 0.03)
 
 
 @pytest.mark.slow
-def test_three_cups_over_eight_steps_fit_and_no_planner_is_better_on_six():
-    longest, six = solve_table(THREE, CONFIG, 8), solve_table(THREE, CONFIG, 6)
+def test_three_cups_over_seven_steps_fit_and_no_planner_is_better_on_six():
+    longest, six = solve_table(THREE, CONFIG, 7), solve_table(THREE, CONFIG, 6)
     planned = [six.policy_value(POMDPPolicy(CONFIG, horizon)) for horizon in (1, 2)]
 
-    assert longest.num_states < 150_000_000
+    assert longest.num_states < 30_000_000
     assert planned[0] < planned[1] < six.value < longest.value
     assert six.value < information_relaxation_bound(THREE, CONFIG, 6, num_grip_nodes=7).value

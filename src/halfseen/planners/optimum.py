@@ -7,7 +7,8 @@ Backwards over the steps to go h, on the grids of `optimum_model`, with n for a 
 
 where x says whether the grasp succeeds. The expectation over labels is taken along one axis after the other: given the
 past, the labels of different objects are independent. Everything is exact in float64, in the world whose grip
-offsets lie on a grid; the nodes are those by which the planners' beliefs integrate.
+offsets lie on a grid; the nodes are those by which the planners' beliefs integrate. More nodes cost no states: with 15
+the value is that of the world with normal offsets to some 1e-5, with the 7 of the planners to some 1e-2.
 """
 
 from dataclasses import dataclass
