@@ -247,6 +247,15 @@ def test_who_knows_the_times_of_grasps_too_earns_more():
     assert bound() == by_looks != bound(seed=1)
 
 
+def test_who_knows_that_a_grasp_will_fail_lifts_to_wait_where_that_is_free():
+    config = WorldConfig(attempt_limit_s=1.0, reward_lift_per_s=0.0)
+    bound = information_relaxation_bound([[0.0]], config, 2, 40_000, num_grip_nodes=1, reveals="everything")
+    both_fail = np.exp(-2.0 / np.exp(0.6))
+
+    assert bound.value == pytest.approx(0.6 * (5 - 10 * both_fail), abs=4 * bound.standard_error)
+    assert bound.standard_error < 0.025
+
+
 def test_with_one_label_that_is_all_there_is_and_a_sure_grasp_the_bound_by_looks_is_the_optimum():
     """In full view, with one step, the look that is told is the look that is taken."""
     config, table = WorldConfig(grip_offset_std=0.0), np.zeros((2, 2))
