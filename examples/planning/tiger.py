@@ -58,7 +58,7 @@ def main() -> None:
     plan(problem, key, num_simulations=1)  # compiles
     print("The tiger, three actions: the optimum listens and is worth 2.310.")
     for budget_s in (0.001, 0.01, 0.1, 1.0):
-        found = plan(problem, key, budget_s=budget_s, exploration=100.0, rule_weight=0.01)
+        found = plan(problem, key, budget_s=budget_s, exploration=100.0)
         name = ("listen", "open left", "open right")[found.action]
         note = "" if found.was_searched else " (not searched)"
         print(f"{budget_s:5.3f} s: {found.num_simulations:7d} simulations, {name}, value {found.value:.3f}{note}")

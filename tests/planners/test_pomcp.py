@@ -31,20 +31,21 @@ KEY = jax.random.key(0)
 
 def plan_tiger(problem, num_simulations, seed=0, **options):
     key = jax.random.key(seed)
-    return plan(problem, key, num_simulations=num_simulations, exploration=100.0, rule_weight=0.01, **options)
+    return plan(problem, key, num_simulations=num_simulations, exploration=100.0, **options)
 
 
 @pytest.mark.parametrize("horizon", [2, 3, 4])
-@pytest.mark.parametrize("left_chance", [0.5, 0.15, 0.97])
+@pytest.mark.parametrize("left_chance", [0.5, 0.15, 0.999])
 def test_the_tiger_is_planned_as_the_exact_optimum_is(horizon, left_chance):
     belief = [left_chance, 1 - left_chance]
     exact = solve_discrete(T, O, R, 0.95, horizon, belief)
-    found = plan_tiger(TigerProblem(left_chance, horizon=horizon), 40_000)
+    found = plan_tiger(TigerProblem(left_chance, horizon=horizon), 20_000)
 
     assert found.was_searched
     assert found.depth == horizon
     assert found.action == exact.action
-    assert found.value == pytest.approx(exact.value, abs=max(4 * found.standard_errors[found.action], 0.3))
+    assert found.value == pytest.approx(exact.value, abs=4 * found.standard_errors[found.action] + 0.05)
+    assert found.standard_errors[found.action] < 0.3
 
 
 def test_more_simulations_come_closer_to_the_optimum():
@@ -60,7 +61,8 @@ def test_particles_stand_for_the_belief():
     known_left = jnp.zeros(50, dtype=jnp.int32)
     found = plan_tiger(TigerProblem(horizon=1), 1000, particles=known_left)
     assert found.action == 2
-    assert found.value == pytest.approx(10.0, abs=0.1)
+    # The rule's −45 still counts as one of some five hundred tries.
+    assert found.value == pytest.approx(10.0, abs=0.2)
 
 
 @pytest.mark.parametrize("problem", [TigerProblem(), TABLE], ids=["tiger", "table"])
@@ -106,9 +108,9 @@ def test_counts_add_up_and_impossible_actions_are_left_out():
 
 
 def test_a_full_tree_is_refined_and_grows_no_further():
-    found = plan(TABLE, KEY, num_simulations=500, max_nodes=20)
-    assert found.num_nodes == 20
-    assert plan(TABLE, KEY, num_simulations=500).num_nodes > 20
+    found = plan(TABLE, KEY, num_simulations=500, max_nodes=101)
+    assert found.num_nodes == 101
+    assert plan(TABLE, KEY, num_simulations=500).num_nodes > 101
     assert found.num_tries.sum() == 500
 
 
