@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
-from sklearn.model_selection import KFold
+from sklearn.model_selection import KFold, RepeatedKFold
 
+from halfseen.errors import ArgumentError
 from halfseen.learners import CensoredSVR, survival_array
 from halfseen.learners.svm import cross_validation
 from halfseen.learners.svm.losses import named_loss
@@ -33,7 +34,7 @@ def naive_losses(rows, y, weights, loss, regs, splits):
             found = solve(Problem(space, y[fitted], weights[fitted] / num_rows, loss, float(reg), True))
             f = kernel(rows[held], rows[fitted]) @ found.coefficients + found.offset
             losses[k] += weights[held] @ loss.value(y[held], f)
-    return losses / weights[seen].sum()
+    return losses / sum(weights[held].sum() for _, held in splits)
 
 
 @pytest.mark.parametrize("loss", ["squared", "absolute", "huber"])
@@ -41,11 +42,10 @@ def test_losses_are_those_of_a_naive_loop_and_the_least_is_chosen(log, loss):
     rows, y = log
     splits = list(KFold(4, shuffle=True, random_state=3).split(rows))
     model = CensoredSVR(loss, gamma=GAMMA, cv=splits).fit(rows, y)
-    falling = model.reg_ * 10.0 ** (int(np.argmin(model.cv_losses_[0])) - np.arange(model.cv_losses_.shape[1]))
-    naive = naive_losses(rows, y["time"], model.weights_, named_loss(loss), falling, splits)
+    naive = naive_losses(rows, y["time"], model.weights_, named_loss(loss), model.cv_regs_, splits)
     tried = np.isfinite(model.cv_losses_[0])
     np.testing.assert_allclose(model.cv_losses_[0][tried], naive[tried], rtol=2e-3)
-    assert model.reg_ == pytest.approx(falling[np.argmin(naive)])
+    assert model.reg_ == model.cv_regs_[np.argmin(naive)]
 
 
 @pytest.mark.parametrize("loss", ["absolute", "epsilon-insensitive"])
@@ -60,9 +60,32 @@ def test_giving_up_spares_work_and_changes_no_choice(log, loss, monkeypatch):
     np.testing.assert_array_equal(quick.predict(rows), patient.predict(rows))
 
 
-def test_rows_that_no_fold_holds_out_do_not_count(log):
+@pytest.mark.parametrize(
+    "splits",
+    [
+        pytest.param(
+            lambda rows: list(RepeatedKFold(n_splits=3, n_repeats=2, random_state=0).split(rows)), id="repeated"
+        ),
+        pytest.param(lambda rows: [(np.arange(120, 240), np.arange(60))], id="some are never held out"),
+    ],
+)
+def test_every_split_counts_and_rows_that_none_holds_out_do_not(log, splits):
     rows, y = log
-    half = np.arange(120)
-    splits = [(np.arange(120, 240), half[:60]), (np.arange(60, 240), half[:60])]
-    model = CensoredSVR("squared", gamma=GAMMA, cv=splits).fit(rows, y)
-    assert np.isfinite(model.cv_losses_).any()
+    chosen = splits(rows)
+    model = CensoredSVR("squared", gamma=GAMMA, cv=chosen).fit(rows, y)
+    naive = naive_losses(rows, y["time"], model.weights_, named_loss("squared"), model.cv_regs_, chosen)
+    tried = np.isfinite(model.cv_losses_[0])
+    np.testing.assert_allclose(model.cv_losses_[0][tried], naive[tried], rtol=1e-6)
+
+
+def test_splits_without_rows_that_were_seen(log):
+    rows, y = log
+    cut, seen = np.flatnonzero(~y["is_finished"]), np.flatnonzero(y["is_finished"])
+    telling = [(seen[:80], seen[80:])]
+    alone = CensoredSVR("squared", gamma=GAMMA, cv=telling).fit(rows, y)
+    beside = CensoredSVR("squared", gamma=GAMMA, cv=[(seen, cut), *telling]).fit(rows, y)
+    np.testing.assert_array_equal(beside.cv_losses_, alone.cv_losses_)
+    with pytest.raises(ArgumentError, match="cv: split 1 fits to no row that was seen"):
+        CensoredSVR("squared", gamma=GAMMA, cv=[*telling, (cut, seen)]).fit(rows, y)
+    with pytest.raises(ArgumentError, match="cv: no split holds out a row that was seen"):
+        CensoredSVR("squared", gamma=GAMMA, cv=[(seen, cut)]).fit(rows, y)

@@ -11,7 +11,6 @@ from sklearn.utils.validation import check_is_fitted
 from halfseen.censoring import CensoringModel, WeightDiagnostics
 from halfseen.errors import ArgumentError
 from halfseen.learners.grasp.inputs import Decided, History, checked_attempts, checked_history
-from halfseen.learners.svm.censored_svm import REGS
 from halfseen.learners.svm.classifier import CensoredSVC
 from halfseen.logs.frames import FrameLike
 
@@ -184,10 +183,9 @@ def _dealt(decided: Decided, num_folds: int, rng: np.random.Generator) -> Int[np
 
 
 def _smoothest(svc: CensoredSVC) -> float:
-    """The largest λ whose held-out loss is about the least."""
-    falling = np.sort(REGS)[::-1]
-    losses = svc.cv_losses_.min(axis=0)
-    return float(svc.reg_ * falling[np.argmax(losses <= (1.0 + SLACK) * losses.min())] / falling[np.argmin(losses)])
+    """The largest λ whose held-out loss is about the least, of those with the γ that was chosen."""
+    losses = svc.cv_losses_[np.argmax(svc.cv_gammas_ == svc.gamma_)]
+    return float(svc.cv_regs_[np.argmax(losses <= (1.0 + SLACK) * losses.min())])
 
 
 def linear_and_gaussian(X: Float[np.ndarray, "n 3"], Z: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "n m"]:

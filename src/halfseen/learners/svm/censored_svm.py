@@ -64,6 +64,8 @@ class CensoredSVM(BaseEstimator):
     censoring_: CensoringModel | None
     objective_: float
     duality_gap_: float
+    cv_gammas_: Float[np.ndarray, " G"]
+    cv_regs_: Float[np.ndarray, " L"]
     cv_losses_: Float[np.ndarray, "G L"]
     function_: Function
     n_features_in_: int
@@ -128,7 +130,8 @@ class CensoredSVM(BaseEstimator):
         held_out = None
         if self.reg == "cv" or len(gammas) > 1:
             choice = self._choose(task, kept, gammas, num_rows, seen)
-            self.gamma_, self.reg_, self.cv_losses_ = choice.gamma, choice.reg, choice.losses
+            self.gamma_, self.reg_ = choice.gamma, choice.reg
+            self.cv_gammas_, self.cv_regs_, self.cv_losses_ = gammas, choice.regs, choice.losses
             held_out = choice.held_out
         else:
             self.gamma_, self.reg_ = float(gammas[0]), float(self.reg)
@@ -177,7 +180,7 @@ class CensoredSVM(BaseEstimator):
             )
 
     def _values(self, X: Any) -> Rows:
-        """F at new rows."""
+        """Values of f at new rows."""
         check_is_fitted(self, "function_")
         return self.function_(self._checked_rows(X, is_fit=False)) + self.intercept_
 

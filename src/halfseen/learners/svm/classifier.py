@@ -57,7 +57,8 @@ class CensoredSVC(ClassifierMixin, CensoredSVM):
         The two classes; [False, True] for T ≤ τ. A value f > 0 speaks for the second.
     sigmoid_ : Sigmoid
         The calibration.
-    intercept_, function_, reg_, gamma_, weights_, diagnostics_, censoring_, objective_, duality_gap_, cv_losses_
+    intercept_, function_, reg_, gamma_, weights_, diagnostics_, censoring_, objective_, duality_gap_, cv_gammas_, \
+    cv_regs_, cv_losses_
         As in `CensoredSVR`.
 
     Notes

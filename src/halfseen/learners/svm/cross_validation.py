@@ -8,6 +8,7 @@ from jaxtyping import Float, Int
 from tqdm import tqdm
 
 from halfseen.arrays import RowIds, Rows
+from halfseen.errors import ArgumentError
 from halfseen.learners.svm.designs import Design
 from halfseen.learners.svm.losses import ProximalLoss, SmoothLoss
 from halfseen.learners.svm.solver import Problem, Solution, solve
@@ -47,8 +48,10 @@ class Choice:
     reg: float
     held_out: Rows
     """f of each row by fits that did not see it, NaN where no fold held the row out."""
+    regs: Float[np.ndarray, " L"]
+    """Every λ tried, from the largest."""
     losses: Float[np.ndarray, "G L"]
-    """Weighted mean loss of each width and λ, from the largest; ∞ where some fold gave up before."""
+    """Weighted mean loss of each width and λ; ∞ where some fold gave up before."""
 
 
 def choose(
@@ -79,41 +82,45 @@ def choose(
         n of the objective.
     seen
         Where the rows of `task` stand among all rows.
+
+    Raises
+    ------
+    ArgumentError
+        A split fits to no row that was seen, or none holds one out.
     """
-    falling = np.sort(regs)[::-1]
+    falling, splits = np.sort(regs)[::-1], _splits_of_seen(folds, seen)
     held_out = np.full((len(gammas), len(falling), len(task.y)), np.nan)
-    is_tried = np.ones((len(gammas), len(falling)), dtype=bool)
-    bar = tqdm(total=len(gammas) * len(folds), desc="cross-validation", unit="fold", delay=2, disable=None, leave=False)
+    lost = np.zeros((len(gammas), len(falling)))
+    bar = tqdm(
+        total=len(gammas) * len(splits), desc="cross-validation", unit="fold", delay=2, disable=None, leave=False
+    )
     for g, gamma in enumerate(gammas):
         design = design_of(gamma)
-        for fitted, held in _folds_of_seen(folds, seen):
+        for fitted, held in splits:
             values = _held_out(task, design, (fitted, held), num_rows * len(fitted) / len(seen), falling)
             held_out[g][:, held] = values
-            is_tried[g] &= ~np.isnan(values).any(axis=1)
+            lost[g] += [_loss(task, f, held) for f in values]
             bar.update()
     bar.close()
-    every = np.flatnonzero(~np.isnan(held_out[0, 0]))
-    losses = np.full(is_tried.shape, np.inf)
-    for g, k in np.argwhere(is_tried):
-        losses[g, k] = _mean_loss(task, held_out[g, k, every], every)
+    losses = np.where(np.isnan(lost), np.inf, lost) / sum(task.weight[held].sum() for _, held in splits)
     g, k = divmod(int(np.argmin(losses)), len(falling))
-    return Choice(float(gammas[g]), float(falling[k]), held_out[g, k], losses)
+    return Choice(float(gammas[g]), float(falling[k]), held_out[g, k], falling, losses)
 
 
 def hold_out(task: Task, design: Design, reg: float, folds: Sequence[Fold], num_rows: float, seen: RowIds) -> Rows:
-    """F of each row by a fit that did not see it, NaN where no fold held the row out."""
+    """Values of f by fits that did not see the row, NaN where no fold held it out."""
     return choose(task, lambda _: design, np.ones(1), np.array([reg]), folds, num_rows, seen).held_out
 
 
 def _held_out(
     task: Task, design: Design, fold: Fold, num_rows: float, falling: Float[np.ndarray, " L"]
 ) -> Float[np.ndarray, "L h"]:
-    """F of the rows held out, a row for each λ; NaN where the fold had given up."""
+    """Values of f at the rows held out, a row for each λ; NaN where the fold had given up."""
     fitted, held = fold
     values, least = np.full((len(falling), len(held)), np.nan), np.inf
     for k, solution in enumerate(_path(task, design, fitted, num_rows, falling)):
         values[k] = design.values(solution.coefficients, fitted, held) + solution.offset
-        loss = _mean_loss(task, values[k], held)
+        loss = _loss(task, values[k], held)
         least = min(least, loss)
         if len(held) >= _TELLING and loss > _HOPELESS * least:
             break
@@ -132,12 +139,22 @@ def _path(
         yield solution
 
 
-def _folds_of_seen(folds: Sequence[Fold], seen: RowIds) -> Iterator[Fold]:
-    """The folds, as positions among the rows that were seen."""
-    for fitted, held in folds:
-        yield np.flatnonzero(np.isin(seen, fitted)), np.flatnonzero(np.isin(seen, held))
+def _splits_of_seen(folds: Sequence[Fold], seen: RowIds) -> list[Fold]:
+    """The folds, as positions among the rows that were seen; those that hold none of them out tell nothing."""
+    splits = [(np.flatnonzero(np.isin(seen, fitted)), np.flatnonzero(np.isin(seen, held))) for fitted, held in folds]
+    for place, (fitted, _) in enumerate(splits):
+        if len(fitted) == 0:
+            raise ArgumentError(
+                f"cv: split {place} fits to no row that was seen; give each split rows that were not cut"
+            )
+    telling = [split for split in splits if len(split[1])]
+    if not telling:
+        raise ArgumentError("cv: no split holds out a row that was seen; hold out rows that were not cut")
+    return telling
 
 
-def _mean_loss(task: Task, f: Float[np.ndarray, " h"], rows: Int[np.ndarray, " h"]) -> float:
-    """Weighted mean loss of some rows, by their f."""
-    return float(task.weight[rows] @ task.loss.value(task.y[rows], f) / task.weight[rows].sum())
+def _loss(task: Task, f: Float[np.ndarray, " h"], rows: Int[np.ndarray, " h"]) -> float:
+    """Weighted loss of some rows, by their f; NaN where f is."""
+    if np.isnan(f).any():
+        return np.nan
+    return float(task.weight[rows] @ task.loss.value(task.y[rows], f))

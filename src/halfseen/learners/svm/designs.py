@@ -25,7 +25,7 @@ class Function(Protocol):
     """A fitted g, without its offset."""
 
     def __call__(self, rows: Any) -> Rows:
-        """G at new rows."""
+        """Values of g at new rows."""
         ...
 
 
@@ -55,7 +55,7 @@ class KernelFunction:
     coefficients: Coefficients
 
     def __call__(self, rows: Any) -> Rows:
-        """G at new rows, some at a time."""
+        """Values of g at new rows, some at a time."""
         g = np.zeros(len(rows))
         for some in row_blocks(len(rows), len(self.coefficients), _PREDICTED_AT_ONCE):
             g[some] = self.kernel(rows[some], self.support) @ self.coefficients
@@ -69,7 +69,7 @@ class LinearFunction:
     coefficients: Coefficients
 
     def __call__(self, rows: Float[np.ndarray, "m c"]) -> Rows:
-        """G at new rows."""
+        """Values of g at new rows."""
         return rows @ self.coefficients
 
 
@@ -81,7 +81,7 @@ class LowRankFunction:
     coefficients: Coefficients
 
     def __call__(self, rows: Any) -> Rows:
-        """G at new rows, some at a time."""
+        """Values of g at new rows, some at a time."""
         g = np.zeros(len(rows))
         for some in row_blocks(len(rows), len(self.coefficients), _PREDICTED_AT_ONCE):
             g[some] = self.nystrom.transform(rows[some]) @ self.coefficients
@@ -101,7 +101,7 @@ class GramDesign:
         return GramSpace(self._part(rows, rows))
 
     def values(self, coefficients: Coefficients, rows: RowIds, at: Int[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-        """G at other rows."""
+        """Values of g at other rows."""
         return self._part(at, rows) @ coefficients
 
     def function(self, coefficients: Coefficients, rows: RowIds) -> KernelFunction:
@@ -148,11 +148,11 @@ class RootDesign:
         return FeatureSpace(self.root[rows])
 
     def values(self, coefficients: Coefficients, rows: RowIds, at: Int[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-        """G at other rows."""
+        """Values of g at other rows."""
         return self.root[at] @ coefficients
 
     def function(self, coefficients: Coefficients, rows: RowIds) -> KernelFunction:
-        """G by the kernel again: Φ θ = K α."""
+        """Write g by the kernel again: Φ θ = K α."""
         return KernelFunction(self.kernel, self.rows, scipy.linalg.solve_triangular(self.root.T, coefficients))
 
 
@@ -167,7 +167,7 @@ class LinearDesign:
         return FeatureSpace(_part(self.features, rows))
 
     def values(self, coefficients: Coefficients, rows: RowIds, at: Int[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-        """G at other rows."""
+        """Values of g at other rows."""
         return self.features[at] @ coefficients
 
     def function(self, coefficients: Coefficients, rows: RowIds) -> LinearFunction:
@@ -187,7 +187,7 @@ class LowRankDesign:
         return FeatureSpace(_part(self.features, rows))
 
     def values(self, coefficients: Coefficients, rows: RowIds, at: Int[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-        """G at other rows."""
+        """Values of g at other rows."""
         return self.features[at] @ coefficients
 
     def function(self, coefficients: Coefficients, rows: RowIds) -> LowRankFunction:

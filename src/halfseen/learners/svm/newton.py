@@ -41,7 +41,7 @@ class Point:
 
     @property
     def f(self) -> Rows:
-        """G + b on the rows."""
+        """Values of f = g + b on the rows."""
         return self.values + self.offset
 
 

@@ -87,9 +87,11 @@ class CensoredSVR(RegressorMixin, CensoredSVM):
     objective_, duality_gap_ : float
         The objective, and the certificate: the optimum lies at most `duality_gap_` below. A `HalfseenWarning` says so
         if that is more than `tol` of it.
+    cv_gammas_, cv_regs_ : Float[ndarray, "G"], Float[ndarray, "L"]
+        Every γ and every λ tried, if they were chosen.
     cv_losses_ : Float[ndarray, "G L"]
-        Weighted mean loss of each γ tried and each λ, from the largest, if they were chosen; ∞ where a fold had given
-        up: its loss had risen a fifth above its least.
+        Their weighted mean losses on held-out rows; ∞ where a fold had given up: its loss had risen a fifth above its
+        least.
 
     Notes
     -----

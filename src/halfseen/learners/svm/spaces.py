@@ -28,7 +28,7 @@ class Space(Protocol):
         ...
 
     def values(self, coefficients: Coefficients) -> Rows:
-        """G on the rows."""
+        """Values of g on the rows."""
         ...
 
     def inner(self, coefficients: Coefficients, others: Coefficients, other_values: Rows) -> float:
