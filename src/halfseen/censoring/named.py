@@ -38,8 +38,8 @@ def named_model(censoring: str | CensoringModel) -> CensoringModel:
     return deepcopy(censoring)
 
 
-def is_fitted(model: CensoringModel) -> bool:
-    """Tell whether a model was fitted, as scikit-learn does: by an attribute that ends in ``_``."""
+def is_fitted(model: Any) -> bool:
+    """Tell whether a model, or any estimator, was fitted, as scikit-learn does: by an attribute that ends in ``_``."""
     own_word = getattr(model, "__sklearn_is_fitted__", None)
     if own_word is not None:
         return bool(own_word())

@@ -221,7 +221,7 @@ def test_what_a_cut_attempt_says_of_its_outcome_is_not_read():
 
 
 def test_few_attempts_warn():
-    with pytest.warns(HalfseenWarning, match="worth only 8.0 equally weighted"):
+    with pytest.warns(HalfseenWarning, match="are worth 8.0 equally weighted"):
         BetaGrasp().fit(beta_attempts(2))
 
 

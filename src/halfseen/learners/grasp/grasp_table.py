@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from sklearn.base import clone
 
+from halfseen.censoring import is_fitted
 from halfseen.errors import ArgumentError
 from halfseen.learners.grasp.attempts import attempts
 from halfseen.logs import Logs
@@ -105,8 +106,7 @@ def grasp_model_of(grasp: Any, logs: Logs, horizon: int) -> GraspModel | None:
             f"grasp is {grasp!r}; it is None, BetaGrasp(), SVMGrasp(), either of them fitted, or a GraspTable"
         )
     estimator: Any = grasp
-    # scikit-learn's sign of a fit, without asking that it be one of its estimators.
-    if not any(name.endswith("_") and not name.startswith("_") for name in vars(estimator)):
+    if not is_fitted(estimator):
         estimator = clone(estimator)
         estimator.fit(attempts(logs, horizon))
     return tabulate(estimator, horizon)

@@ -1,6 +1,5 @@
 """What a fit to attempts accepts: tables in, checked float64 and bool out, bad values named."""
 
-import warnings
 from difflib import get_close_matches
 from typing import NamedTuple
 
@@ -15,14 +14,13 @@ from halfseen.censoring import (
     censoring_weights,
     named_model,
     uses_covariates,
+    warn_if_few,
     weight_diagnostics,
 )
-from halfseen.errors import ArgumentError, HalfseenWarning, LogError
+from halfseen.errors import ArgumentError, LogError
 from halfseen.logs.frames import FrameLike, as_frame
 
 NAME = "attempts"
-FEW = 10
-"""Effective attempts below which a fit warns."""
 
 
 class History(NamedTuple):
@@ -92,13 +90,7 @@ def checked_attempts(
     weight, is_decided = _weights(frame, history, censoring, truncate_at)
     succeeded = _outcomes(frame, is_decided)
     diagnostics = weight_diagnostics(weight, truncate_at)
-    if diagnostics.effective_sample_size < FEW:
-        size = diagnostics.effective_sample_size
-        warnings.warn(
-            f"the decided attempts are worth only {size:.1f} equally weighted ones; the fit leans on its prior",
-            HalfseenWarning,
-            stacklevel=3,
-        )
+    warn_if_few(diagnostics, stacklevel=4)
     group = pd.factorize(frame["object"])[0] if "object" in frame.columns else np.arange(len(frame))
     kept = np.flatnonzero(is_decided)
     return Decided(history.only(kept), succeeded[kept], weight[kept], group[kept].astype(np.int64), diagnostics)
