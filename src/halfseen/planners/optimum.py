@@ -7,8 +7,8 @@ Backwards over the steps to go h, on the grids of `optimum_model`, with n for a 
 
 where x says whether the grasp succeeds. The expectation over labels is taken along one axis after the other: given the
 past, the labels of different objects are independent. Everything is exact in float64, in the world whose grip
-offsets lie on a grid; the nodes are those by which the planners' beliefs integrate. More nodes cost no states: with 15
-the value is that of the world with normal offsets to some 1e-5, with the 7 of the planners to some 1e-2.
+offsets lie on a grid; the nodes are those by which the planners' beliefs integrate. More nodes come nearer to
+normal offsets, and cost no states.
 """
 
 from dataclasses import dataclass
@@ -185,9 +185,9 @@ def solve_table(
 
     Notes
     -----
-    States grow fastest where every object hides every other a little. Then two objects over 10 steps have 0.6 million
-    (half a second on one core), three over 6 steps 4.4 million (one second), over 8 steps 118 million (some ten
-    seconds, 1.2 GB), and four over 4 steps 2.1 million; three over 9 steps are refused.
+    States grow fastest where every object hides every other a little. Then two objects over 10 steps have 0.6 million,
+    three over 6 steps 4.4 million, over 8 steps 118 million, and four over 4 steps 2.1 million; three over 9 steps are
+    refused.
 
     Examples
     --------

@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from halfseen.errors import ArgumentError
@@ -33,7 +34,8 @@ from halfseen.world.state import HiddenState, TableState, occlusion_without
 
 MAX_OBJECTS = 30
 """Labels and the grasp are the bits of one 32-bit observation."""
-_GRID = jnp.linspace(-5.0, 5.0, 101)
+# Made by NumPy: an array of JAX would start its backend on import.
+_GRID = np.linspace(-5.0, 5.0, 101, dtype=np.float32)
 
 
 class TableSituation(NamedTuple):
@@ -177,14 +179,15 @@ class SearchPolicy:
 
 def _drawn_grip(config: WorldConfig, seen: TableState, key: Array) -> Float[Array, " N"]:
     """Draw each grip offset from its posterior given all attempts."""
-    held = jnp.log(grasp_probability(config, seen.attempt_occlusion[:, None], config.grip_offset_std * _GRID))
-    missed = jnp.log1p(-grasp_probability(config, seen.attempt_occlusion[:, None], config.grip_offset_std * _GRID))
+    grid = jnp.asarray(_GRID)
+    held = jnp.log(grasp_probability(config, seen.attempt_occlusion[:, None], config.grip_offset_std * grid))
+    missed = jnp.log1p(-grasp_probability(config, seen.attempt_occlusion[:, None], config.grip_offset_std * grid))
     evidence = jnp.where(seen.attempt_succeeded[:, None], held, missed)
     is_mine = seen.attempt_object[None, :] == jnp.arange(seen.num_objects)[:, None]
-    log_density = -0.5 * _GRID**2 + jnp.sum(jnp.where(is_mine[..., None], evidence[None], 0.0), axis=1)
+    log_density = -0.5 * grid**2 + jnp.sum(jnp.where(is_mine[..., None], evidence[None], 0.0), axis=1)
     share = jnp.cumsum(jax.nn.softmax(log_density, axis=-1), axis=-1)
     draw_key, within_key = jax.random.split(key)
     rank = jnp.sum(share < jax.random.uniform(draw_key, (seen.num_objects, 1)), axis=-1)
     within = jax.random.uniform(within_key, (seen.num_objects,), minval=-0.5, maxval=0.5)
-    drawn = _GRID[jnp.minimum(rank, len(_GRID) - 1)] + within * (_GRID[1] - _GRID[0])
+    drawn = grid[jnp.minimum(rank, len(grid) - 1)] + within * (grid[1] - grid[0])
     return config.grip_offset_std * drawn
