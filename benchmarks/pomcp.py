@@ -24,7 +24,7 @@ from halfseen.world.dynamics import start
 from halfseen.world.state import pad_scenes
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
-from planning.tiger import LISTEN, OPEN_LEFT, TigerProblem
+from tiger import LISTEN, OPEN_LEFT, TigerProblem
 
 try:
     import pomdp_py

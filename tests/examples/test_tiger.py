@@ -4,11 +4,11 @@ import subprocess
 import sys
 from pathlib import Path
 
-from planning.tiger import TigerProblem
+from tiger import TigerProblem
 
 from halfseen.planners import GenerativeProblem
 
-SCRIPT = Path(__file__).parents[2] / "examples" / "planning" / "tiger.py"
+SCRIPT = Path(__file__).parents[2] / "examples" / "tiger.py"
 
 
 def test_the_script_searches_more_with_more_time_and_says_what_it_did_not_search():

@@ -1,5 +1,3 @@
-import doctest
-
 import numpy as np
 import pytest
 
@@ -35,10 +33,6 @@ def by_enumeration(T, O, R, discount, horizon, belief):  # noqa: E741
                 value += discount * joint.sum() * after
         values.append(value)
     return max(values), int(np.argmax(values))
-
-
-def test_doctests():
-    assert doctest.testmod(discrete).failed == 0
 
 
 def test_tiger_has_its_published_values():

@@ -16,7 +16,7 @@ from halfseen.planners.pomdp import one_step_q
 from halfseen.world.state import occlusion
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "examples"))
-from planning.tiger import LISTEN, OPEN_LEFT, TigerProblem
+from tiger import LISTEN, OPEN_LEFT, TigerProblem
 
 HIDES = np.array([[0.0, 0.6], [0.1, 0.0]])
 CUPS = [Cup(0.85, ((0.6, False), (0.6, True))), Cup(0.4, ((0.1, False),))]

@@ -18,7 +18,7 @@ from halfseen.world.policy import Policy
 from halfseen.world.state import pad_scenes
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "examples"))
-from planning.tiger import TigerProblem
+from tiger import TigerProblem
 
 T = [[[1, 0], [0, 1]], [[0.5, 0.5]] * 2, [[0.5, 0.5]] * 2]
 O = [[[0.85, 0.15], [0.15, 0.85]], [[1.0, 0.0]] * 2, [[1.0, 0.0]] * 2]  # noqa: E741

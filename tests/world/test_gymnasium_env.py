@@ -1,5 +1,3 @@
-import doctest
-
 import gymnasium
 import jax
 import numpy as np
@@ -9,7 +7,7 @@ from random_scenes import random_scene
 
 from halfseen import gym_registration
 from halfseen.errors import ArgumentError, SceneError
-from halfseen.world import Scene, WorldConfig, gymnasium_env
+from halfseen.world import Scene, WorldConfig
 from halfseen.world.episodes import play
 from halfseen.world.gymnasium_env import CupsEnv, default_scene
 from halfseen.world.policy import UniformPolicy
@@ -204,7 +202,3 @@ def test_steps_out_of_turn_are_refused():
     env.reset(seed=0)
     with pytest.raises(ArgumentError, match="action is 13; it lies in 0 to 12"):
         env.step(13)
-
-
-def test_the_example_runs():
-    assert doctest.testmod(gymnasium_env) == (0, 4)

@@ -1,5 +1,3 @@
-import doctest
-
 import jax
 import numpy as np
 import pytest
@@ -147,11 +145,6 @@ def test_the_door_gives_the_same_logs_for_the_same_seed(scenes, monkeypatch):
     assert not first.paths.equals(other.paths)
     assert 0.2 < first.cut_share < 0.8
     assert set(first.paths["cause"].dropna()) == {"operator"}
-
-
-def test_the_example_runs(monkeypatch):
-    monkeypatch.setattr(table_world, "NUM_PILOT_PATHS", 20)
-    assert doctest.testmod(table_world) == (0, 5)
 
 
 @pytest.mark.parametrize(

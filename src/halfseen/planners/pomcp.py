@@ -109,7 +109,7 @@ def plan(
 
     Examples
     --------
-    ``examples/planning/tiger.py`` states a problem and plans for it.
+    ``examples/tiger.py`` states a problem and plans for it.
     """
     begin_s = time.perf_counter()
     _check(budget_s, num_simulations, exploration, rule_weight, max_nodes, problem.horizon)

@@ -1,6 +1,5 @@
 """The Beta grasp model against closed forms, scipy's Beta-binomial, brute force and simulated parameters."""
 
-import doctest
 import itertools
 
 import numpy as np
@@ -17,7 +16,6 @@ from tried import beta_attempts, cut_some
 from halfseen.censoring import KaplanMeier, censoring_weights
 from halfseen.errors import ArgumentError, HalfseenWarning, PositivityError
 from halfseen.learners import BetaGrasp
-from halfseen.learners.grasp import beta_grasp
 from halfseen.learners.grasp.beta_grasp import CENTRE, SPREAD, negative_log_posterior, predictive
 from halfseen.learners.grasp.inputs import checked_attempts, checked_history
 
@@ -223,11 +221,6 @@ def test_what_a_cut_attempt_says_of_its_outcome_is_not_read():
 def test_few_attempts_warn():
     with pytest.warns(HalfseenWarning, match="are worth 8.0 equally weighted"):
         BetaGrasp().fit(beta_attempts(2))
-
-
-def test_the_example_runs():
-    assert doctest.testmod(beta_grasp).attempted > 0
-    assert doctest.testmod(beta_grasp).failed == 0
 
 
 def test_the_prior_counts_as_stated():

@@ -1,7 +1,5 @@
 """The SVM grasp model: better than the Beta mean where that is wrong, folds by object, and scikit-learn's habits."""
 
-import doctest
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -11,7 +9,6 @@ from tried import beta_attempts, cut_some
 
 from halfseen.errors import ArgumentError
 from halfseen.learners import BetaGrasp, CensoredSVC, SVMGrasp
-from halfseen.learners.grasp import svm_grasp
 from halfseen.learners.grasp.inputs import checked_attempts
 from halfseen.learners.grasp.svm_grasp import linear_and_gaussian
 
@@ -168,8 +165,3 @@ def test_attempts_that_teach_nothing_are_refused(frame, message):
 def test_too_few_folds_are_refused():
     with pytest.raises(ArgumentError, match="num_folds is 1"):
         SVMGrasp(num_folds=1).fit(beta_attempts(20))
-
-
-def test_the_example_runs():
-    assert doctest.testmod(svm_grasp).attempted > 0
-    assert doctest.testmod(svm_grasp).failed == 0

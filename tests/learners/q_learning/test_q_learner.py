@@ -1,5 +1,3 @@
-import doctest
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -10,7 +8,6 @@ from trials import ACTIONS, FULL, REDUCED, cell_means, indicators, two_stage_tri
 from halfseen.censoring import KaplanMeier, stage_weights
 from halfseen.errors import ArgumentError, LogError, PositivityError
 from halfseen.learners import CensoredQLearner
-from halfseen.learners.q_learning import q_learner
 from halfseen.learners.q_learning.path_covariates import first_covariates
 from halfseen.logs import Logs
 
@@ -216,8 +213,3 @@ def test_pooled_stages_index_by_steps_to_go(logs):
         + frame[["s1_1"]].to_numpy() * fitted.q_functions_.coefficients[0][:, 1]
     )
     assert not np.allclose(fitted.q_values(frame, 1), fitted.q_values(frame, 2))
-
-
-def test_the_examples_run():
-    assert doctest.testmod(q_learner).failed == 0
-    assert doctest.testmod(q_learner).attempted > 3

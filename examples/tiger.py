@@ -1,6 +1,6 @@
 """A problem of one's own in thirty lines: the tiger behind one of two doors, planned at several budgets.
 
-python examples/planning/tiger.py
+python examples/tiger.py
 """
 
 from dataclasses import dataclass, field
