@@ -12,6 +12,7 @@ normal offsets, and cost no states.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import jax
 import numpy as np
@@ -30,7 +31,16 @@ from halfseen.planners.optimum_bellman import (
     layers_of,
     spread_over_labels,
 )
-from halfseen.planners.optimum_decisions import actions_in, place_of
+from halfseen.planners.optimum_decisions import (
+    Histories,
+    Reached,
+    actions_in,
+    drawn,
+    histories_of,
+    place_of,
+    reached_in,
+    rows_by_place,
+)
 from halfseen.planners.optimum_model import GridWorld, Result, first_tally, label_accuracy, looks_of
 from halfseen.world.actions import FINISH
 from halfseen.world.config import WorldConfig
@@ -84,13 +94,13 @@ class TableOptimum:
         """
         return int(np.argmax(self.q_values(state)))
 
-    def policy_value(self, policy: Policy, key: Array | None = None) -> float:
+    def policy_value(self, policy: Policy, key: Array | None = None, max_states: int | None = None) -> float:
         """Exact expected reward of a policy, before the first look.
 
         The policy is asked once in every state that it can reach, with a key of its own: a policy that draws its
         actions by lot, or samples futures, is valued for the draws of `key`. Paths that differ only in the order of
         what happened, or in what is known of an object that has left, are one state; the policy is shown one of them.
-        The heuristics and the planners cannot tell them apart.
+        Heuristics, planners and learned policies cannot tell them apart.
 
         Parameters
         ----------
@@ -98,52 +108,78 @@ class TableOptimum:
             Any policy of the world.
         key
             What it draws from, by default ``jax.random.key(0)``.
+        max_states
+            Ask in this many states of each step at most: in the likely ones, and in some of the others, drawn by lot,
+            that stand for the rest. The value is then an unbiased estimate, whose error shows over several keys: for
+            a policy that takes its time. By default, all.
 
         Raises
         ------
         ArgumentError
-            The policy chose an action that is not possible.
+            The policy chose an action that is not possible, or `max_states` is below 1.
         """
+        if max_states is not None and max_states < 1:
+            raise ArgumentError(f"max_states is {max_states}; at least 1 is needed, or None for all")
         key = jax.random.key(0) if key is None else key
         total, masses = 0.0, {0: self._first_mass()}
         for index, layer in enumerate(self._layers):
+            if not masses:
+                break
+            step_key = jax.random.fold_in(key, index)
+            reached = every = reached_in(masses)
+            if max_states is not None:
+                reached = drawn(every, max_states, jax.random.fold_in(step_key, 0))
+                # What the lot changed is known under the best policy: only by how much this one is worse stays noisy.
+                total += self._worth(index, every) - self._worth(index, reached)
             actions = actions_in(
-                self._world, self.horizon, index, layer, masses, policy, jax.random.fold_in(key, index)
+                self._world, self.horizon - index, layer, self._histories[index], reached, policy, step_key
             )
-            following: dict[int, Grid] = {}
-            for place, mass in masses.items():
-                total += self._follow(index, layer[place], mass, actions[place], following)
-            masses = following
+            earned, masses = self._follow(index, reached, actions)
+            total += earned
         return total
 
-    def regret(self, policy: Policy, key: Array | None = None) -> float:
+    def regret(self, policy: Policy, key: Array | None = None, max_states: int | None = None) -> float:
         """What a policy earns less than the best one, without simulation noise; see `policy_value`."""
-        return self.value - self.policy_value(policy, key)
+        return self.value - self.policy_value(policy, key, max_states)
+
+    @cached_property
+    def _histories(self) -> list[Histories]:
+        return histories_of(self._world, self._layers)
 
     def _first_mass(self) -> Grid:
         world, before = self._world, first_tally(self._world)
         shape = self._values[0][0].shape
         return spread_over_labels(np.ones((1,) * world.num_objects), looks_of(world, before), shape)
 
-    def _follow(
-        self, index: int, node: Node, mass: Grid, actions: Int[np.ndarray, "..."], following: dict[int, Grid]
-    ) -> float:
-        """Reward of the step that starts in one node with `mass`; where it leads is added to `following`."""
-        model, total = NodeModel(self._world, node.tally), 0.0
-        for action in np.unique(actions[mass > 0.0]).tolist():
-            taken = np.where(actions == action, mass, 0.0)
-            total += float(np.sum(taken * model.reward(action)))
-            for chance, attempt in model.outcomes(action) if action != FINISH else []:
-                place = node.successors.get(attempt)
-                if place is None:
-                    total += chance * float(np.sum(taken * model.future(attempt, None)))
-                    continue
-                target, result = attempt
-                moved = taken.sum(axis=target, keepdims=True) if result is Result.WASHED else taken
-                shape = self._values[index + 1][place].shape
-                arrived = chance * spread_over_labels(moved, model.looks(attempt), shape)
-                following[place] = following[place] + arrived if place in following else arrived
-        return total
+    def _worth(self, index: int, reached: Reached) -> float:
+        """What the best policy earns from here on, weighted by mass."""
+        values = self._values[index]
+        parts = [
+            reached.mass[rows] @ values[place].ravel()[reached.cell[rows]] for place, rows in rows_by_place(reached)
+        ]
+        return float(sum(parts))
+
+    def _follow(self, index: int, reached: Reached, actions: Int[np.ndarray, " n"]) -> tuple[float, dict[int, Grid]]:
+        """Reward of one step, and the masses of the next layer."""
+        total, following = 0.0, {}
+        for place, rows in rows_by_place(reached):
+            node = self._layers[index][place]
+            model = NodeModel(self._world, node.tally)
+            for action in np.unique(actions[rows]).tolist():
+                taken = np.zeros(model.shape)
+                taken.ravel()[reached.cell[rows]] = np.where(actions[rows] == action, reached.mass[rows], 0.0)
+                total += float(np.sum(taken * model.reward(action)))
+                for chance, attempt in model.outcomes(action) if action != FINISH else []:
+                    to = node.successors.get(attempt)
+                    if to is None:
+                        total += chance * float(np.sum(taken * model.future(attempt, None)))
+                        continue
+                    target, result = attempt
+                    moved = taken.sum(axis=target, keepdims=True) if result is Result.WASHED else taken
+                    shape = self._values[index + 1][to].shape
+                    arrived = chance * spread_over_labels(moved, model.looks(attempt), shape)
+                    following[to] = following[to] + arrived if to in following else arrived
+        return total, following
 
     def _grid_of_q(self, index: int, node: Node) -> Float[np.ndarray, "A ..."]:
         after = self._values[index + 1] if index + 1 < self.horizon else []

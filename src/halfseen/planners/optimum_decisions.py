@@ -1,22 +1,17 @@
 """Between the states of the world and the cells of a small table: what a policy is shown, and where a state lies."""
 
+from collections.abc import Iterator
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 
 from halfseen.errors import ArgumentError
 from halfseen.planners.optimum_bellman import Attempt, Grid, Layer, Node, grid_shape
-from halfseen.planners.optimum_model import (
-    GridWorld,
-    Result,
-    after_attempt,
-    after_look,
-    current_levels,
-    first_tally,
-    is_there,
-)
+from halfseen.planners.optimum_model import GridWorld, Result, current_levels
 from halfseen.world.actions import num_actions
 from halfseen.world.policy import Policy
 from halfseen.world.state import NO_ATTEMPT, TableState
@@ -27,53 +22,149 @@ BATCH_SIZES = (64, 1024)
 _SAME_LOG_ODDS = 1e-3
 
 
-@jax.jit
-def _decide_each(policy: Policy, states: TableState, keys: Array) -> Array:
-    return jax.vmap(policy.decide)(states, keys).action
+class Histories(NamedTuple):
+    """What the states of each node of a layer share of what a policy is shown: a row for each node."""
+
+    is_on_table: Bool[np.ndarray, "nodes N"]
+    lifts: Int[np.ndarray, "nodes N"]
+    attempt_object: Int[np.ndarray, "nodes T"]
+    attempt_occlusion: Float[np.ndarray, "nodes T"]
+    attempt_succeeded: Bool[np.ndarray, "nodes T"]
+
+
+class Reached(NamedTuple):
+    """States of a layer that are reached with some probability: a row for each, those of a node side by side."""
+
+    place: Int[np.ndarray, " n"]
+    """Of its node in the layer."""
+    cell: Int[np.ndarray, " n"]
+    """In the node's grid."""
+    mass: Float[np.ndarray, " n"]
+    """Probability that a path comes here."""
+
+
+def histories_of(world: GridWorld, layers: list[Layer]) -> list[Histories]:
+    """Return what led to each node of each layer, along the path that the node names."""
+    histories: list[Histories] = []
+    occluded: list[tuple[float, ...]] = [()]
+    for layer, following in zip(layers, [*layers[1:], []], strict=True):
+        histories.append(_histories(world.num_objects, len(layers), layer, occluded))
+        behind: list[tuple[float, ...]] = [()] * len(following)
+        for node, before in zip(layer, occluded, strict=True):
+            levels = current_levels(world, node.tally)
+            for attempt, place in node.successors.items():
+                if following[place].path == (*node.path, attempt):
+                    behind[place] = (*before, world.occlusions[attempt[0]][levels[attempt[0]]])
+        occluded = behind
+    return histories
+
+
+def _histories(num_objects: int, horizon: int, layer: Layer, occluded: list[tuple[float, ...]]) -> Histories:
+    attempts = np.array([node.path for node in layer], dtype=np.int32).reshape(len(layer), -1, 2)
+    num_done = attempts.shape[1]
+    tried = np.full((len(layer), horizon), NO_ATTEMPT, dtype=np.int32)
+    seen_at, succeeded = np.zeros(tried.shape, dtype=np.float32), np.zeros(tried.shape, dtype=bool)
+    tried[:, :num_done], succeeded[:, :num_done] = attempts[..., 0], attempts[..., 1] != Result.FAILED
+    seen_at[:, :num_done] = np.reshape(occluded, (len(layer), num_done))
+    is_lift = (attempts[..., :1] == np.arange(num_objects)) & (attempts[..., 1:] == Result.LIFTED)
+    there = np.array([[told is not None for told in node.tally] for node in layer])
+    return Histories(there, is_lift.sum(axis=1, dtype=np.int32), tried, seen_at, succeeded)
+
+
+def reached_in(masses: dict[int, Grid]) -> Reached:
+    """Return the cells of a layer's grids that have some mass."""
+    cells = [np.flatnonzero(mass > 0.0) for mass in masses.values()]
+    place = np.repeat(np.fromiter(masses, dtype=np.int64), [len(cell) for cell in cells])
+    mass = [grid.ravel()[cell] for grid, cell in zip(masses.values(), cells, strict=True)]
+    return Reached(place, np.concatenate(cells), np.concatenate(mass))
+
+
+def rows_by_place(reached: Reached) -> Iterator[tuple[int, slice]]:
+    """Go through the nodes that are reached: place in the layer, and rows of `reached`."""
+    starts = np.flatnonzero(np.diff(reached.place, prepend=-1)).tolist()
+    for start, end in zip(starts, [*starts[1:], len(reached.place)], strict=True):
+        yield int(reached.place[start]), slice(start, end)
+
+
+def drawn(reached: Reached, max_states: int, key: Array) -> Reached:
+    """Keep at most so many states: the likely ones, and by lot some of the others, which then stand for the rest.
+
+    No expectation changes [FearnheadClifford2003]_: a mass m < c becomes c with probability m/c, or else 0, and c is
+    such that as many states are left as are wanted.
+    """
+    mass = reached.mass
+    if len(mass) <= max_states:
+        return reached
+    ordered = np.sort(mass)[::-1]
+    others = np.cumsum(ordered[::-1])[::-1][:max_states]
+    share = others / np.arange(max_states, 0, -1)
+    num_likely = int(np.argmax(ordered[:max_states] < share))
+    is_likely = mass >= share[num_likely]
+    rest = np.flatnonzero(~is_likely)
+    ladder = np.cumsum(mass[rest]) / share[num_likely]
+    # Evenly spaced draws add less noise than independent ones.
+    steps = float(jax.random.uniform(key)) + np.arange(max_states - num_likely)
+    lucky = rest[np.unique(np.minimum(np.searchsorted(ladder, steps, side="right"), len(rest) - 1))]
+    kept = np.sort(np.concatenate([np.flatnonzero(is_likely), lucky]))
+    return Reached(reached.place[kept], reached.cell[kept], np.maximum(mass, share[num_likely])[kept])
+
+
+def log_odds_in(world: GridWorld, layer: Layer, reached: Reached) -> Float[np.ndarray, "n N"]:
+    """Log-odds of DIRTY in states of a layer; 0 for what has left."""
+    log_odds = np.zeros((len(reached.place), world.num_objects))
+    for place, rows in rows_by_place(reached):
+        tally = layer[place].tally
+        axes = np.unravel_index(reached.cell[rows], grid_shape(world, tally))
+        for cup, told in enumerate(tally):
+            if told is not None:
+                log_odds[rows, cup] = world.log_odds(cup, told.looks)[axes[cup]]
+    return log_odds
 
 
 def actions_in(
-    world: GridWorld,
-    horizon: int,
-    index: int,
-    layer: Layer,
-    masses: dict[int, Grid],
-    policy: Policy,
-    key: Array,
-) -> dict[int, Int[np.ndarray, "..."]]:
-    """What a policy does in each cell of a layer that has some mass; 0 in the others.
+    world: GridWorld, steps_to_go: int, layer: Layer, histories: Histories, reached: Reached, policy: Policy, key: Array
+) -> Int[np.ndarray, " n"]:
+    """What a policy does in states of a layer, each with a key of its own.
 
     Raises
     ------
     ArgumentError
         It chose an action that is not possible.
     """
-    if not masses:
-        return {}
-    cells = {place: np.flatnonzero(mass > 0.0) for place, mass in masses.items()}
-    parts = [states_in(world, horizon, index, layer[place], cells[place]) for place in masses]
-    states = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    decided = _decided(policy, states, key)
-    _check_possible(decided, states["is_on_table"])
-    actions, start = {}, 0
-    for place, mass in masses.items():
-        actions[place] = np.zeros(mass.shape, dtype=np.int64)
-        actions[place].flat[cells[place]] = decided[start : start + len(cells[place])]
-        start += len(cells[place])
+    shown = _Shown(log_odds_in(world, layer, reached).astype(np.float32), *(rows[reached.place] for rows in histories))
+    num_states = len(reached.place)
+    size = next((size for size in BATCH_SIZES if size >= num_states), BATCH_SIZES[-1])
+    hides, decided = jnp.asarray(world.hides, dtype=jnp.float32), []
+    for start in range(0, num_states, size):
+        # The last batch is filled up, so that few sizes are compiled.
+        rows = np.minimum(np.arange(start, start + size), num_states - 1)
+        batch = _Shown(*(values[rows] for values in shown))
+        decided.append(np.asarray(_decide_each(policy, hides, np.int32(steps_to_go), batch, key, rows)))
+    actions = np.concatenate(decided)[:num_states].astype(np.int64)
+    _check_possible(actions, histories.is_on_table[reached.place])
     return actions
 
 
-def _decided(policy: Policy, states: dict[str, np.ndarray], key: Array) -> Int[np.ndarray, " n"]:
-    """Ask in batches, the last one filled up, so that few sizes are compiled."""
-    num_states = len(states["steps_to_go"])
-    size = next((size for size in BATCH_SIZES if size >= num_states), BATCH_SIZES[-1])
-    decided = []
-    for start in range(0, num_states, size):
-        rows = np.minimum(np.arange(start, start + size), num_states - 1)
-        batch = TableState(**{name: jnp.asarray(values[rows]) for name, values in states.items()})
-        keys = jax.vmap(jax.random.fold_in, in_axes=(None, 0))(key, rows)
-        decided.append(np.asarray(_decide_each(policy, batch, keys)))
-    return np.concatenate(decided)[:num_states].astype(np.int64)
+class _Shown(NamedTuple):
+    """What differs between the states of a layer, a row for each."""
+
+    log_odds: Float[Array | np.ndarray, "n N"]
+    is_on_table: Bool[Array | np.ndarray, "n N"]
+    lifts: Int[Array | np.ndarray, "n N"]
+    attempt_object: Int[Array | np.ndarray, "n T"]
+    attempt_occlusion: Float[Array | np.ndarray, "n T"]
+    attempt_succeeded: Bool[Array | np.ndarray, "n T"]
+
+
+@jax.jit
+def _decide_each(policy: Policy, hides: Array, steps_to_go: Array, shown: _Shown, key: Array, rows: Array) -> Array:
+    is_object = jnp.ones(hides.shape[0], dtype=bool)
+
+    def decide(shown: _Shown, row: Array) -> Array:
+        state = TableState(hides=hides, is_object=is_object, steps_to_go=steps_to_go, **shown._asdict())
+        return policy.decide(state, jax.random.fold_in(key, row)).action
+
+    return jax.vmap(decide)(shown, rows)
 
 
 def _check_possible(actions: Int[np.ndarray, " n"], there: Bool[np.ndarray, "n N"]) -> None:
@@ -85,42 +176,6 @@ def _check_possible(actions: Int[np.ndarray, " n"], there: Bool[np.ndarray, "n N
             f"policy chose action {actions[wrong[0]]} with objects {np.flatnonzero(there[wrong[0]]).tolist()} on the "
             "table; it must choose a possible one"
         )
-
-
-def states_in(
-    world: GridWorld, horizon: int, index: int, node: Node, cells: Int[np.ndarray, " n"]
-) -> dict[str, np.ndarray]:
-    """Return what a policy is shown in some cells of a node: the fields of a `TableState`, a row for each cell."""
-    num_objects, there = world.num_objects, is_there(node.tally)
-    axes = np.unravel_index(cells, grid_shape(world, node.tally))
-    log_odds = np.zeros((len(cells), num_objects), dtype=np.float32)
-    for cup, told in enumerate(node.tally):
-        if told is not None:
-            log_odds[:, cup] = world.log_odds(cup, told.looks)[axes[cup]]
-    tried = np.full(horizon, NO_ATTEMPT, dtype=np.int32)
-    occluded, succeeded = np.zeros(horizon, dtype=np.float32), np.zeros(horizon, dtype=bool)
-    lifts = np.zeros(num_objects, dtype=np.int32)
-    tally = after_look(world, first_tally(world))
-    for step, (target, result) in enumerate(node.path):
-        tried[step], succeeded[step] = target, result is not Result.FAILED
-        occluded[step] = world.occlusions[target][current_levels(world, tally)[target]]
-        lifts[target] += result is Result.LIFTED
-        tally = after_attempt(world, tally, target, result)
-
-    def each(values: np.ndarray) -> np.ndarray:
-        return np.broadcast_to(values, (len(cells), *values.shape))
-
-    return {
-        "hides": each(world.hides.astype(np.float32)),
-        "is_object": each(np.ones(num_objects, dtype=bool)),
-        "is_on_table": each(np.isin(np.arange(num_objects), there)),
-        "log_odds": log_odds,
-        "lifts": each(lifts),
-        "attempt_object": each(tried),
-        "attempt_occlusion": each(occluded),
-        "attempt_succeeded": each(succeeded),
-        "steps_to_go": each(np.asarray(horizon - index, dtype=np.int32)),
-    }
 
 
 def place_of(world: GridWorld, layers: list[Layer], state: TableState) -> tuple[int, int, tuple[int, ...]]:
