@@ -1,148 +1,280 @@
-"""The search and pomdp-py's POMCP on the tiger, at equal wall-clock budgets in turn: reward, simulations a second.
+"""Ours and pomdp-py's POMCP at equal wall-clock budgets, in turn, on a table of six objects and on the tiger.
 
-python benchmarks/pomcp.py [--out runs/benchmarks/pomcp.json] [--episodes 60]
+python benchmarks/pomcp.py [--out runs/benchmarks/pomcp.json] [--episodes 40] [--long] [--tune]
 
-Both play the same tigers for three actions, with the exact posterior as belief, and are asked anew at each. Ours is
-given a rough value of each action (`rule_values`), the peer random roll-outs and the exploration of its example.
-Ours is then asked for one decision at a random table of six objects, for which the peer has no models. The peer is
-optional: `pip install pomdp-py`; without it, ours is run alone.
+Both meet the same tables, hidden parts and chances of the world, and draw from the exact posterior at every decision,
+so that planning alone is compared. Bars: ours earns at least as much, and simulates at least 30 times as fast. The
+peer has lean models (`peers`), the settings below, which were the best of ``--tune`` at each budget, and no garbage
+collection, which would cost it two simulations of three; its belief is drawn, and let go, off the clock. ``--long``
+adds one second, for a quarter of the episodes. The peer is optional: pip install pomdp-py; without it, ours runs alone.
 """
 
 import argparse
+import gc
 import json
 import random
 import sys
 import time
+from collections.abc import Callable, Mapping
+from functools import cache, partial
+from itertools import product
 from pathlib import Path
+from typing import NamedTuple
 
 import jax
 import numpy as np
 
 from halfseen.planners import TableProblem, plan
-from halfseen.world import Scene, WorldConfig
-from halfseen.world.dynamics import start
-from halfseen.world.state import pad_scenes
+from halfseen.world import Scene, TableState, WorldConfig
+from halfseen.world.dynamics import start, step
+from halfseen.world.state import HiddenState, pad_scenes
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
-from tiger import LISTEN, OPEN_LEFT, TigerProblem
+from tiger import LISTEN, OPEN_LEFT, TigerProblem  # pyright: ignore[reportMissingImports]
 
 try:
-    import pomdp_py
-    from pomdp_py.problems.tiger import tiger_problem as peer
+    from peers import table as peer_table
+    from peers import tiger as peer_tiger
+
+    HAS_PEER = True
 except ImportError:
-    pomdp_py = peer = None
+    HAS_PEER = False
 
-BUDGETS_S = (0.001, 0.01, 0.1)
-HORIZON, DISCOUNT, RIGHT, OPTIMUM = 3, 0.95, 0.85, 2.3098
+BUDGETS_S, LONG_S = (0.001, 0.01, 0.1), 1.0
+RATIO_BAR = 30.0
+WARM_UP, TUNING = 20_000, 10_000
+"""Episodes that are not compared: the first, and where the peer's settings are tried from."""
+
+CONFIG = WorldConfig()
+NUM_OBJECTS, NUM_TABLES = 6, 5
+TABLE_SETTINGS = {
+    budget_s: {"rollouts": "heuristic", "exploration": 10.0, "visits": 3} for budget_s in (*BUDGETS_S, LONG_S)
+}
+TABLE_GRID = {"rollouts": ("random", "heuristic"), "exploration": (1.0, 3.0, 10.0, 30.0), "visits": (0, 1, 10)}
+
+HORIZON, DISCOUNT, RIGHT, TIGER_OPTIMUM = 3, 0.95, 0.85, 2.3098
+TIGER_SETTINGS = {budget_s: {"rollouts": "random", "exploration": 100.0} for budget_s in (*BUDGETS_S, LONG_S)}
+TIGER_GRID = {"rollouts": ("random", "listening"), "exploration": (3.0, 10.0, 30.0, 100.0, 300.0)}
 
 
-def ours(left_chance: float, steps_to_go: int, budget_s: float, seed: int) -> tuple[int, float]:
+class Decision(NamedTuple):
+    action: int
+    num_simulations: int
+    elapsed_s: float
+
+
+Played = tuple[float, list[Decision]]
+"""Reward of an episode, and how its decisions were made."""
+
+
+def our_decision(
+    problem: TableProblem | TigerProblem, budget_s: float, key: jax.Array, exploration: float = 1.0
+) -> Decision:
+    if budget_s > 0.0:
+        found = plan(problem, key, budget_s=budget_s, exploration=exploration)
+    else:
+        # Asked for nothing, the planner takes what its rule says.
+        found = plan(problem, key, num_simulations=0)
+    return Decision(found.action, found.num_simulations, found.elapsed_s)
+
+
+# The table
+
+
+@cache
+def hides(table: int) -> np.ndarray:
+    rng = np.random.default_rng(table)
+    shape = (NUM_OBJECTS, NUM_OBJECTS)
+    return rng.uniform(0.0, 0.5, shape) * (rng.random(shape) < 0.4) * ~np.eye(NUM_OBJECTS, dtype=bool)
+
+
+@cache
+def peer_model(table: int):
+    return peer_table.TableModel(CONFIG, hides(table))
+
+
+_start, _step = jax.jit(start), jax.jit(step)
+
+
+@partial(jax.jit, static_argnames="num_draws")
+def posterior_draws(seen: TableState, key: jax.Array, num_draws: int) -> HiddenState:
+    problem = TableProblem(CONFIG, seen)
+    return jax.vmap(lambda key: problem.initial_state(key).hidden)(jax.random.split(key, num_draws))
+
+
+def our_table(seen: TableState, table: int, budget_s: float, key: jax.Array) -> Decision:
+    return our_decision(TableProblem(CONFIG, seen), budget_s, key)
+
+
+def peers_table(seen: TableState, table: int, budget_s: float, key: jax.Array, settings: Mapping) -> Decision:
+    model = peer_model(table)
+    states = model.states(seen, posterior_draws(seen, key, 500 + int(50_000 * budget_s)))
+    return Decision(*peer_table.decided(model, states, budget_s=budget_s, **settings[budget_s]))
+
+
+def table_episode(decide: Callable[..., Decision], budget_s: float, episode: int) -> Played:
+    start_key, world_key, plan_key = jax.random.split(jax.random.key(episode), 3)
+    table, reward, decisions = episode % NUM_TABLES, 0.0, []
+    layout = jax.tree.map(lambda leaf: leaf[0], pad_scenes([Scene(hides(table))]))
+    seen, hidden = _start(CONFIG, layout, start_key)
+    for t in range(CONFIG.horizon):
+        decisions.append(decide(seen, table, budget_s, jax.random.fold_in(plan_key, t)))
+        seen, outcome = _step(CONFIG, seen, hidden, decisions[-1].action, jax.random.fold_in(world_key, t))
+        reward += float(outcome.reward)
+        if outcome.is_over:
+            break
+    return reward, decisions
+
+
+# The tiger
+
+
+def our_tiger(left_chance: float, steps_to_go: int, budget_s: float, seed: int) -> Decision:
     problem = TigerProblem(left_chance, horizon=steps_to_go)
-    found = plan(problem, jax.random.key(seed), budget_s=budget_s, exploration=100.0)
-    return found.action, found.num_simulations / found.elapsed_s
+    return our_decision(problem, budget_s, jax.random.key(seed), exploration=100.0)
 
 
-def theirs(left_chance: float, steps_to_go: int, budget_s: float, seed: int) -> tuple[int, float]:
-    random.seed(seed)
-    lefts = round(1000 * left_chance)
-    states = [peer.TigerState("tiger-left")] * lefts + [peer.TigerState("tiger-right")] * (1000 - lefts)
-    agent = pomdp_py.Agent(
-        pomdp_py.Particles(states),
-        peer.PolicyModel(),
-        peer.TransitionModel(),
-        peer.ObservationModel(1.0 - RIGHT),
-        peer.RewardModel(),
-    )
-    planner = pomdp_py.POMCP(
-        max_depth=steps_to_go,
-        discount_factor=DISCOUNT,
-        planning_time=budget_s,
-        exploration_const=110,
-        rollout_policy=agent.policy_model,
-    )
-    action = planner.plan(agent)
-    names = {"listen": LISTEN, "open-left": OPEN_LEFT, "open-right": OPEN_LEFT + 1}
-    return names[action.name], planner.last_num_sims / max(planner.last_planning_time, 1e-9)
+def peers_tiger(left_chance: float, steps_to_go: int, budget_s: float, seed: int, settings: Mapping) -> Decision:
+    return Decision(*peer_tiger.decided(left_chance, steps_to_go, budget_s=budget_s, **settings[budget_s]))
 
 
-def played(decide, budget_s: float, seed: int) -> tuple[float, float]:
-    """Discounted reward of one episode, and simulations a second."""
-    rng = np.random.default_rng(seed)
-    tiger, left_chance, reward, rates = rng.integers(2), 0.5, 0.0, []
-    for step in range(HORIZON):
-        action, rate = decide(left_chance, HORIZON - step, budget_s, 100 * seed + step)
-        draw, tiger_anew = rng.random(), rng.integers(2)
-        rates.append(rate)
+def tiger_episode(decide: Callable[..., Decision], budget_s: float, episode: int) -> Played:
+    rng = np.random.default_rng(episode)
+    tiger, left_chance, reward, decisions = rng.integers(2), 0.5, 0.0, []
+    for t in range(HORIZON):
+        decisions.append(decide(left_chance, HORIZON - t, budget_s, 100 * episode + t))
+        action, draw, tiger_anew = decisions[-1].action, rng.random(), rng.integers(2)
         if action == LISTEN:
-            reward -= DISCOUNT**step
+            reward -= DISCOUNT**t
             heard = tiger if draw < RIGHT else 1 - tiger
             odds = left_chance / (1.0 - left_chance) * (RIGHT / (1.0 - RIGHT)) ** (1 - 2 * heard)
             left_chance = odds / (1.0 + odds)
         else:
-            reward += DISCOUNT**step * (-100.0 if action == OPEN_LEFT + tiger else 10.0)
+            reward += DISCOUNT**t * (-100.0 if action == OPEN_LEFT + tiger else 10.0)
             tiger, left_chance = tiger_anew, 0.5
-    return reward, float(np.mean(rates))
+    return reward, decisions
 
 
-def compared(num_episodes: int) -> dict:
-    planners = {"halfseen": ours} | ({} if peer is None else {"pomdp-py": theirs})
+# The comparison
+
+
+def mean_and_error(values: list[float]) -> tuple[float, float]:
+    return float(np.mean(values)), float(np.std(values, ddof=1) / np.sqrt(len(values)))
+
+
+def row(played: list[Played]) -> dict[str, float]:
+    reward, error = mean_and_error([reward for reward, _ in played])
+    decisions = [decision for _, decisions in played for decision in decisions]
+    return {
+        "reward": reward,
+        "standard_error": error,
+        "simulations_per_s": float(np.median([of.num_simulations / of.elapsed_s for of in decisions])),
+        "simulations": float(np.median([of.num_simulations for of in decisions])),
+        "decision_s": float(np.median([of.elapsed_s for of in decisions])),
+    }
+
+
+def verdict(played: Mapping[str, list[Played]], rows: Mapping[str, Mapping[str, float]]) -> dict[str, object]:
+    pairs = zip(played["halfseen"], played["pomdp-py"], strict=True)
+    difference, error = mean_and_error([ours[0] - theirs[0] for ours, theirs in pairs])
+    ratio = rows["halfseen"]["simulations_per_s"] / rows["pomdp-py"]["simulations_per_s"]
+    return {
+        "difference": difference,
+        "difference_error": error,
+        "ratio": ratio,
+        "reward_bar_holds": difference >= 0.0,
+        "ratio_bar_holds": ratio >= RATIO_BAR,
+    }
+
+
+def compared(
+    game: str,
+    play: Callable[[Callable[..., Decision], float, int], Played],
+    planners: Mapping[str, Callable[..., Decision]],
+    episodes: Mapping[float, int],
+) -> dict[str, object]:
+    begin = time.perf_counter()
     for decide in planners.values():
-        for steps_to_go in range(1, HORIZON + 1):
-            decide(0.5, steps_to_go, 0.01, 0)
-    results = {}
-    for budget_s in BUDGETS_S:
-        rows = {name: [] for name in planners}
-        for seed in range(num_episodes):
+        play(decide, min(episodes), WARM_UP)
+    print(f"\n{game}: first use of all planners took {time.perf_counter() - begin:.1f} s (compilation)")
+    rule = [play(planners["halfseen"], 0.0, episode)[0] for episode in range(max(episodes.values()))]
+    results: dict[str, object] = {
+        "rule_alone": dict(zip(("reward", "standard_error"), mean_and_error(rule), strict=True))
+    }
+    print("{}: our rule without search earns {:.2f} ± {:.2f}".format(game, *mean_and_error(rule)))
+    for budget_s, num_episodes in episodes.items():
+        played: dict[str, list[Played]] = {name: [] for name in planners}
+        for episode in range(num_episodes):
+            gc.collect()
             for name, decide in planners.items():
-                rows[name].append(played(decide, budget_s, seed))
-        results[str(budget_s)] = {}
-        for name, values in rows.items():
-            rewards, rates = np.array(values).T
-            results[str(budget_s)][name] = {
-                "reward": rewards.mean(),
-                "standard_error": rewards.std() / np.sqrt(num_episodes),
-                "simulations_per_s": float(np.median(rates)),
-            }
-            error = rewards.std() / np.sqrt(num_episodes)
+                random.seed(episode)
+                played[name].append(play(decide, budget_s, episode))
+        rows = {name: row(of) for name, of in played.items()}
+        for name, of in rows.items():
             print(
-                f"{budget_s:5.3f} s {name:9s} reward {rewards.mean():7.2f} ± {error:5.2f}"
-                f" (optimum {OPTIMUM:.2f})  {np.median(rates):9.0f} simulations/s"
+                f"{game} {budget_s:5.3f} s {name:9s} reward {of['reward']:7.2f} ± {of['standard_error']:5.2f}"
+                f"  {of['simulations_per_s']:9.0f} simulations/s  {of['simulations']:8.0f} in {of['decision_s']:.4f} s"
             )
-        if peer is not None:
-            rates = [results[str(budget_s)][name]["simulations_per_s"] for name in ("halfseen", "pomdp-py")]
-            print(f"{budget_s:5.3f} s ratio of simulations/s, ours to theirs: {rates[0] / rates[1]:.2f}")
+        results[str(budget_s)] = rows
+        if "pomdp-py" in played:
+            bars = verdict(played, rows)
+            results[str(budget_s)] = rows | bars
+            print_bars(f"{game} {budget_s:5.3f} s", bars, num_episodes)
     return results
 
 
-def table_decision() -> dict:
-    """Simulations a second at a table of six objects."""
-    rng, config = np.random.default_rng(0), WorldConfig()
-    hides = rng.uniform(0.0, 0.5, (6, 6)) * (rng.random((6, 6)) < 0.4) * ~np.eye(6, dtype=bool)
-    layout = jax.tree.map(lambda leaf: leaf[0], pad_scenes([Scene(hides)]))
-    problem = TableProblem(config, start(config, layout, jax.random.key(0))[0])
-    begin = time.perf_counter()
-    plan(problem, jax.random.key(0), num_simulations=1)
-    print(f"table: compiled in {time.perf_counter() - begin:.1f} s")
-    plan(problem, jax.random.key(0), budget_s=0.01)
-    rows = {}
-    for budget_s in (*BUDGETS_S, 1.0):
-        found = plan(problem, jax.random.key(0), budget_s=budget_s)
-        rows[str(budget_s)] = {"simulations": found.num_simulations, "elapsed_s": found.elapsed_s}
-        print(
-            f"table {budget_s:5.3f} s: {found.num_simulations:6d} simulations, depth {found.depth}, "
-            f"took {found.elapsed_s:.4f} s, {'searched' if found.was_searched else 'not searched'}"
-        )
-    return rows
+def print_bars(head: str, bars: Mapping, num_episodes: int) -> None:
+    holds = {True: "holds", False: "does not hold"}
+    told = "" if abs(bars["difference"]) > 2.0 * bars["difference_error"] else "; not told apart"
+    print(
+        f"{head} bar: reward at least the peer's: {holds[bars['reward_bar_holds']]} (difference "
+        f"{bars['difference']:.2f} ± {bars['difference_error']:.2f}, {num_episodes} episodes{told})\n"
+        f"{head} bar: simulations/s at least {RATIO_BAR:.0f} times the peer's: {holds[bars['ratio_bar_holds']]} "
+        f"({bars['ratio']:.2f} times)"
+    )
+
+
+def tune(game: str, play: Callable, peers: Callable, grid: Mapping[str, tuple], episodes: Mapping[float, int]) -> None:
+    """Print the peer's reward on other episodes for each of its settings, the best first."""
+    for budget_s, num_episodes in episodes.items():
+        tried = []
+        for values in product(*grid.values()):
+            setting = dict(zip(grid, values, strict=True))
+            decide = partial(peers, settings={budget_s: setting})
+            rewards = [play(decide, budget_s, TUNING + episode)[0] for episode in range(num_episodes)]
+            tried.append((*mean_and_error(rewards), setting))
+            gc.collect()
+        for reward, error, setting in sorted(tried, key=lambda one: -one[0]):
+            print(f"{game} {budget_s:5.3f} s pomdp-py reward {reward:7.2f} ± {error:5.2f}  {setting}", flush=True)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("runs/benchmarks/pomcp.json"))
-    parser.add_argument("--episodes", type=int, default=60)
+    parser.add_argument("--episodes", type=int, default=40, help="of the table; the tiger has twice as many")
+    parser.add_argument("--long", action="store_true", help="a budget of one second too, a quarter of the episodes")
+    parser.add_argument("--tune", action="store_true", help="try the peer's settings instead, and print the rewards")
     args = parser.parse_args()
-    if peer is None:
-        print("pomdp-py is not installed (pip install pomdp-py): ours is run alone")
-    results = {"tiger": compared(args.episodes), "table": table_decision()}
+    episodes: dict[float, int] = {budget_s: args.episodes for budget_s in BUDGETS_S}
+    if args.long:
+        episodes[LONG_S] = max(2, args.episodes // 4)
+    twice = {budget_s: 2 * number for budget_s, number in episodes.items()}
+    gc.disable()
+    if not HAS_PEER:
+        print("pomdp-py is not installed (pip install pomdp-py): ours runs alone")
+    elif args.tune:
+        tune("tiger", tiger_episode, peers_tiger, TIGER_GRID, twice)
+        tune("table", table_episode, peers_table, TABLE_GRID, episodes)
+        return
+    tables, tigers = {"halfseen": our_table}, {"halfseen": our_tiger}
+    if HAS_PEER:
+        tables["pomdp-py"] = partial(peers_table, settings=TABLE_SETTINGS)
+        tigers["pomdp-py"] = partial(peers_tiger, settings=TIGER_SETTINGS)
+    results = {
+        "tiger": compared("tiger", tiger_episode, tigers, twice),
+        "table": compared("table", table_episode, tables, episodes),
+    }
+    print(f"\nThe optimum of the tiger is {TIGER_OPTIMUM:.2f}.")
     args.out.parent.mkdir(parents=True, exist_ok=True)
     args.out.write_text(json.dumps(results, indent=2), encoding="utf-8")
     print(f"Results: {args.out}")

@@ -1,0 +1,69 @@
+"""One decision of each policy of the study: compiled, one table of six objects, one core, in turn; medians and JSON.
+
+python benchmarks/decisions.py [--out runs/benchmarks/decisions.json] [--states 40]
+
+Bar: the learned policy is no slower than the heuristic that looks at the history. What it has learned does not matter
+to the time that it takes, so its coefficients are zeros here.
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from halfseen.learners.q_learning.linear_policy import LinearTablePolicy
+from halfseen.learners.q_learning.table_features import NUM_FEATURES
+from halfseen.study.design import StudyDesign
+from halfseen.study.policies import heuristics, planners
+from halfseen.study.timing import decision_times_ms
+from halfseen.world import Scene, TableState, UniformPolicy
+from halfseen.world.actions import Verb
+from halfseen.world.episodes import play
+from halfseen.world.state import pad_scenes
+
+NUM_OBJECTS = 6
+LEARNED, HISTORY = "learned", "history"
+
+
+def states_along_the_way(design: StudyDesign, num_states: int) -> TableState:
+    """One state of each of many random tables, early and late ones in turn."""
+    rng, shape = np.random.default_rng(0), (NUM_OBJECTS, NUM_OBJECTS)
+    scenes = [
+        Scene(rng.uniform(0.0, 0.5, shape) * (rng.random(shape) < 0.4) * ~np.eye(NUM_OBJECTS, dtype=bool))
+        for _ in range(num_states)
+    ]
+    episodes = play(design.world, pad_scenes(scenes), UniformPolicy(), jax.random.key(0), num_states)
+    lengths = np.asarray(episodes.is_taken.sum(axis=1))
+    each = np.arange(num_states)
+    return jax.tree.map(lambda leaf: leaf[each, each % lengths], episodes.states)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=Path("runs/benchmarks/decisions.json"))
+    parser.add_argument("--states", type=int, default=40)
+    args = parser.parse_args()
+    design = StudyDesign()
+    unlearned = LinearTablePolicy(jnp.zeros((design.world.horizon, len(Verb), NUM_FEATURES + 1)))
+    policies = {LEARNED: unlearned, **heuristics(design), **planners(design)}
+    times_ms = decision_times_ms(policies, states_along_the_way(design, args.states), args.states)
+
+    medians_ms = {name: float(np.median(of)) for name, of in times_ms.items()}
+    for name, median_ms in medians_ms.items():
+        # The median of the states' own ratios: what slows the machine for a while slows both alike.
+        ratio = np.median(times_ms[name] / times_ms[HISTORY])
+        print(f"{name:16s} {median_ms:8.3f} ms  {ratio:7.2f} times {HISTORY}")
+    ratio = float(np.median(times_ms[LEARNED] / times_ms[HISTORY]))
+    holds = "holds" if ratio <= 1.0 else "does not hold"
+    print(f"bar: the learned policy is no slower than the {HISTORY} heuristic: {holds} ({ratio:.2f} times)")
+    results = {"median_ms": medians_ms, "learned_to_history": ratio, "bar_holds": ratio <= 1.0}
+    args.out.parent.mkdir(parents=True, exist_ok=True)
+    args.out.write_text(json.dumps(results, indent=2), encoding="utf-8")
+    print(f"Results: {args.out}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,148 @@
+"""The peer's models against ours: it must meet the same world."""
+
+import random
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from tiger import TigerProblem  # pyright: ignore[reportMissingImports]
+
+from halfseen.planners import GreedyPolicy, TableProblem
+from halfseen.world import Scene, UniformPolicy, WorldConfig
+from halfseen.world.dynamics import start, step
+from halfseen.world.episodes import play
+from halfseen.world.state import pad_scenes
+
+# They need pomdp-py, which is optional.
+table, tiger = pytest.importorskip("peers.table"), pytest.importorskip("peers.tiger")
+CONFIG = WorldConfig()
+HIDES = np.array([[0.0, 0.6, 0.1], [0.3, 0.0, 0.0], [0.0, 0.5, 0.0]])
+MODEL = table.TableModel(CONFIG, HIDES)
+BEST = GreedyPolicy(CONFIG, uses_history=True, counts_penalty=True)
+FINISH, WASH_0, WASH_1, WASH_2, LIFT_0, LIFT_1, LIFT_2 = range(7)
+NUM = 8_000
+
+
+@pytest.fixture(scope="module")
+def states():
+    """States along random paths, past attempts included."""
+    episodes = play(CONFIG, pad_scenes([Scene(HIDES)]), UniformPolicy(), jax.random.key(0), 60)
+    return jax.tree.map(lambda leaf: leaf[np.asarray(episodes.is_taken)], episodes.states)
+
+
+def one_of(states, k):
+    return jax.tree.map(lambda leaf: leaf[k], states)
+
+
+@partial(jax.jit, static_argnames="num_draws")
+def drawn(seen, num_draws=NUM):
+    problem = TableProblem(CONFIG, seen)
+    return jax.vmap(lambda key: problem.initial_state(key).hidden)(jax.random.split(jax.random.key(1), num_draws))
+
+
+@jax.jit
+def ours(seen, hidden, actions):
+    """Rewards, labels and grasps of each step, and what the best heuristic would do then; zeros once it is over."""
+
+    def run(hidden, key):
+        def advance(carry, t):
+            seen, is_over = carry
+            after, outcome = step(CONFIG, seen, hidden, actions[t], jax.random.fold_in(key, t))
+            now = CONFIG.horizon - seen.steps_to_go
+            bits = jnp.append(after.log_odds > seen.log_odds, after.attempt_succeeded[now])
+            choice = jax.nn.one_hot(BEST.decide(after, key).action, 7)
+            is_last = is_over | outcome.is_over
+            shown = jnp.where(is_last, 0.0, jnp.concatenate([bits, choice]))
+            return (after, is_last), jnp.append(shown, jnp.where(is_over, 0.0, outcome.reward))
+
+        return jax.lax.scan(advance, (seen, jnp.asarray(False)), jnp.arange(len(actions)))[1]
+
+    return jax.vmap(run)(hidden, jax.random.split(jax.random.key(2), NUM))
+
+
+def theirs(seen, hidden, actions):
+    named = {action.number: action for action in MODEL.actions[7]}
+    policy, result = table.HeuristicPolicy(MODEL), np.zeros((NUM, len(actions), 12))
+    for row, state in zip(result, MODEL.states(seen, hidden), strict=True):
+        for t, action in enumerate(actions):
+            state, observation, reward, num_steps = MODEL.sample(state, named[action])
+            row[t, 11] = reward
+            if num_steps == table.OVER:
+                break
+            row[t, :4] = [observation.bits >> bit & 1 for bit in range(4)]
+            row[t, 4 + policy.rollout(state).number] = 1.0
+    return result
+
+
+def assert_same_means(one, other):
+    error = np.sqrt((one.var(axis=0) + other.var(axis=0)) / NUM)
+    assert np.all(np.abs(one.mean(axis=0) - other.mean(axis=0)) <= 4.0 * error + 1e-6)
+
+
+@pytest.mark.parametrize(
+    "actions",
+    [
+        (LIFT_0, WASH_1, LIFT_2, FINISH),
+        (WASH_0, WASH_1, WASH_2, FINISH),
+        (LIFT_1, LIFT_0, LIFT_1, WASH_1),
+    ],
+)
+@pytest.mark.parametrize("steps_to_go", [10, 4])
+def test_the_table_is_the_same_world(actions, steps_to_go):
+    layout = one_of(pad_scenes([Scene(HIDES)]), 0)
+    seen, hidden = jax.jit(start)(CONFIG, layout, jax.random.key(3))
+    for t, action in enumerate((LIFT_1, LIFT_1, LIFT_0, LIFT_2, LIFT_1, LIFT_2)[: CONFIG.horizon - steps_to_go]):
+        seen, _ = jax.jit(step)(CONFIG, seen, hidden, action, jax.random.key(t))
+    random.seed(0)
+
+    assert_same_means(
+        np.asarray(ours(seen, drawn(seen), jnp.array(actions)), dtype=float), theirs(seen, drawn(seen), actions)
+    )
+
+
+def test_roll_outs_are_our_best_heuristic(states):
+    policy, decide = table.HeuristicPolicy(MODEL), jax.jit(BEST.decide)
+    for k in range(len(states.steps_to_go)):
+        seen = one_of(states, k)
+        (state,) = MODEL.states(seen, drawn(seen, num_draws=1))
+        assert policy.rollout(state).number == decide(seen, jax.random.key(0)).action
+
+
+@pytest.mark.parametrize(("rollouts", "visits"), [("random", 0), ("heuristic", 3)])
+def test_it_takes_possible_actions_only(states, rollouts, visits):
+    for k in range(0, len(states.steps_to_go), 20):
+        seen = one_of(states, k)
+        drawn_states = MODEL.states(seen, drawn(seen, num_draws=100))
+        action, num_simulations, elapsed_s = table.decided(
+            MODEL, drawn_states, budget_s=0.002, rollouts=rollouts, exploration=10.0, visits=visits
+        )
+        assert action == FINISH or seen.is_on_table[(action - 1) % 3]
+        assert num_simulations > 0
+        assert 0.002 <= elapsed_s < 0.5
+
+
+@pytest.mark.parametrize("actions", [(0, 0, 1), (1, 2, 0), (2, 0, 2)])
+def test_the_tiger_is_the_same_problem(actions):
+    problem, model, policy = TigerProblem(), tiger.TigerModel(3), tiger.RandomPolicy()
+    random.seed(0)
+    result = np.zeros((NUM, 3, 2))
+    for row in result:
+        state = model.states[3][random.random() >= 0.7]
+        for t, action in enumerate(actions):
+            state, observation, reward, _ = model.sample(state, policy.actions[action])
+            row[t] = reward, observation is model.heard[1]
+
+    def run(key):
+        state, rows = (jax.random.uniform(key) >= 0.7).astype(jnp.int32), []
+        for t, action in enumerate(actions):
+            state, observation, reward, _ = problem.step(state, jnp.asarray(action), jax.random.fold_in(key, t))
+            rows.append(jnp.stack([reward, observation]))
+        return jnp.stack(rows)
+
+    assert_same_means(np.asarray(jax.jit(jax.vmap(run))(jax.random.split(jax.random.key(0), NUM)), float), result)
+
+
+def test_the_tiger_is_listened_to_first():
+    assert tiger.decided(0.5, 3, budget_s=0.05, rollouts="listening", exploration=100.0)[0] == tiger.LISTEN
