@@ -4,9 +4,9 @@ python benchmarks/pomcp.py [--out runs/benchmarks/pomcp.json] [--episodes 40] [-
 
 Both meet the same tables, hidden parts and chances of the world, and draw from the exact posterior at every decision,
 so that planning alone is compared. Bars: ours earns at least as much, and simulates at least 30 times as fast. The
-peer has lean models (`peers`), the settings below, which were the best of ``--tune`` at each budget, and no garbage
-collection, which would cost it two simulations of three; its belief is drawn, and let go, off the clock. ``--long``
-adds one second, for a quarter of the episodes. The peer is optional: pip install pomdp-py; without it, ours runs alone.
+peer has lean models (`peers`), the settings below, which were the best of ``--tune`` at each budget up to 0.1 s, and
+no garbage collection, which would cost it two simulations of three; its belief is drawn, and let go, off the clock.
+``--long`` adds one second. The peer is optional: pip install pomdp-py; without it, ours runs alone.
 """
 
 import argparse
@@ -41,6 +41,8 @@ except ImportError:
     HAS_PEER = False
 
 BUDGETS_S, LONG_S = (0.001, 0.01, 0.1), 1.0
+SHARE = {0.001: 4.0, 0.01: 4.0, 0.1: 1.0, LONG_S: 0.25}
+"""Of the episodes, by budget: a short decision may be asked for more often."""
 RATIO_BAR = 30.0
 WARM_UP, TUNING = 20_000, 10_000
 """Episodes that are not compared: the first, and where the peer's settings are tried from."""
@@ -48,12 +50,15 @@ WARM_UP, TUNING = 20_000, 10_000
 CONFIG = WorldConfig()
 NUM_OBJECTS, NUM_TABLES = 6, 5
 TABLE_SETTINGS = {
-    budget_s: {"rollouts": "heuristic", "exploration": 10.0, "visits": 3} for budget_s in (*BUDGETS_S, LONG_S)
+    0.001: {"rollouts": "heuristic", "exploration": 3.0, "visits": 10},
+    0.01: {"rollouts": "heuristic", "exploration": 3.0, "visits": 0},
+    0.1: {"rollouts": "heuristic", "exploration": 30.0, "visits": 0},
 }
-TABLE_GRID = {"rollouts": ("random", "heuristic"), "exploration": (1.0, 3.0, 10.0, 30.0), "visits": (0, 1, 10)}
+TABLE_SETTINGS[LONG_S] = TABLE_SETTINGS[0.1]
+TABLE_GRID = {"rollouts": ("random", "heuristic"), "exploration": (3.0, 10.0, 30.0), "visits": (0, 1, 10)}
 
 HORIZON, DISCOUNT, RIGHT, TIGER_OPTIMUM = 3, 0.95, 0.85, 2.3098
-TIGER_SETTINGS = {budget_s: {"rollouts": "random", "exploration": 100.0} for budget_s in (*BUDGETS_S, LONG_S)}
+TIGER_SETTINGS = {budget_s: {"rollouts": "listening", "exploration": 100.0} for budget_s in (*BUDGETS_S, LONG_S)}
 TIGER_GRID = {"rollouts": ("random", "listening"), "exploration": (3.0, 10.0, 30.0, 100.0, 300.0)}
 
 
@@ -251,19 +256,17 @@ def tune(game: str, play: Callable, peers: Callable, grid: Mapping[str, tuple], 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("runs/benchmarks/pomcp.json"))
-    parser.add_argument("--episodes", type=int, default=40, help="of the table; the tiger has twice as many")
-    parser.add_argument("--long", action="store_true", help="a budget of one second too, a quarter of the episodes")
+    parser.add_argument("--episodes", type=int, default=40, help="of 0.1 s; four times as many of less")
+    parser.add_argument("--long", action="store_true", help="a budget of one second too")
     parser.add_argument("--tune", action="store_true", help="try the peer's settings instead, and print the rewards")
     args = parser.parse_args()
-    episodes: dict[float, int] = {budget_s: args.episodes for budget_s in BUDGETS_S}
-    if args.long:
-        episodes[LONG_S] = max(2, args.episodes // 4)
-    twice = {budget_s: 2 * number for budget_s, number in episodes.items()}
+    long = (LONG_S,) if args.long else ()
+    episodes = {budget_s: max(2, int(SHARE[budget_s] * args.episodes)) for budget_s in (*BUDGETS_S, *long)}
     gc.disable()
     if not HAS_PEER:
         print("pomdp-py is not installed (pip install pomdp-py): ours runs alone")
     elif args.tune:
-        tune("tiger", tiger_episode, peers_tiger, TIGER_GRID, twice)
+        tune("tiger", tiger_episode, peers_tiger, TIGER_GRID, episodes)
         tune("table", table_episode, peers_table, TABLE_GRID, episodes)
         return
     tables, tigers = {"halfseen": our_table}, {"halfseen": our_tiger}
@@ -271,7 +274,7 @@ def main() -> None:
         tables["pomdp-py"] = partial(peers_table, settings=TABLE_SETTINGS)
         tigers["pomdp-py"] = partial(peers_tiger, settings=TIGER_SETTINGS)
     results = {
-        "tiger": compared("tiger", tiger_episode, tigers, twice),
+        "tiger": compared("tiger", tiger_episode, tigers, episodes),
         "table": compared("table", table_episode, tables, episodes),
     }
     print(f"\nThe optimum of the tiger is {TIGER_OPTIMUM:.2f}.")
