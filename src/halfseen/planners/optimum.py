@@ -11,7 +11,7 @@ offsets lie on a grid; the nodes are those by which the planners' beliefs integr
 normal offsets, and cost no states.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import jax
@@ -23,11 +23,13 @@ from numpy.typing import ArrayLike
 from halfseen.errors import ArgumentError
 from halfseen.planners.belief import NUM_NODES
 from halfseen.planners.optimum_bellman import (
+    Attempt,
     Grid,
     Layer,
     Node,
     NodeModel,
     expected_over_labels,
+    held_after,
     layers_of,
     spread_over_labels,
 )
@@ -37,12 +39,22 @@ from halfseen.planners.optimum_decisions import (
     actions_in,
     drawn,
     histories_of,
+    log_odds_in,
     place_of,
     reached_in,
+    rewards_in,
     rows_by_place,
 )
-from halfseen.planners.optimum_model import GridWorld, Result, first_tally, label_accuracy, looks_of
-from halfseen.world.actions import FINISH
+from halfseen.planners.optimum_model import (
+    GridWorld,
+    Look,
+    Result,
+    after_attempt,
+    first_tally,
+    label_accuracy,
+    looks_of,
+)
+from halfseen.world.actions import Verb, encode
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Policy
 from halfseen.world.scene import Scene
@@ -72,6 +84,7 @@ class TableOptimum:
     _world: GridWorld
     _layers: list[Layer]
     _values: list[list[Grid]]
+    _known_looks: dict[tuple[int, int, Attempt], tuple[Look | None, ...]] = field(default_factory=dict, repr=False)
 
     def q_values(self, state: TableState) -> Float[np.ndarray, " A"]:
         """Expected reward of every action of one reachable state, the best policy following; −∞ where impossible.
@@ -131,11 +144,12 @@ class TableOptimum:
                 reached = drawn(every, max_states, jax.random.fold_in(step_key, 0))
                 # What the lot changed is known under the best policy: only by how much this one is worse stays noisy.
                 total += self._worth(index, every) - self._worth(index, reached)
-            actions = actions_in(
-                self._world, self.horizon - index, layer, self._histories[index], reached, policy, step_key
-            )
-            earned, masses = self._follow(index, reached, actions)
-            total += earned
+            histories, log_odds = self._histories[index], log_odds_in(self._world, layer, reached)
+            steps_to_go = self.horizon - index
+            actions = actions_in(self._world, steps_to_go, histories, reached, log_odds, policy, step_key)
+            rewards = rewards_in(self._world.config, histories, reached, log_odds, actions, steps_to_go == 1)
+            total += float(reached.mass @ rewards)
+            masses = self._moved(index, reached, actions) if steps_to_go > 1 else {}
         return total
 
     def regret(self, policy: Policy, key: Array | None = None, max_states: int | None = None) -> float:
@@ -159,27 +173,41 @@ class TableOptimum:
         ]
         return float(sum(parts))
 
-    def _follow(self, index: int, reached: Reached, actions: Int[np.ndarray, " n"]) -> tuple[float, dict[int, Grid]]:
-        """Reward of one step, and the masses of the next layer."""
-        total, following = 0.0, {}
+    def _moved(self, index: int, reached: Reached, actions: Int[np.ndarray, " n"]) -> dict[int, Grid]:
+        """Masses of the next layer after the actions of this one."""
+        masses: dict[int, Grid] = {}
         for place, rows in rows_by_place(reached):
-            node = self._layers[index][place]
-            model = NodeModel(self._world, node.tally)
+            node, shape = self._layers[index][place], self._values[index][place].shape
+            taken: dict[int, Grid] = {}
             for action in np.unique(actions[rows]).tolist():
-                taken = np.zeros(model.shape)
-                taken.ravel()[reached.cell[rows]] = np.where(actions[rows] == action, reached.mass[rows], 0.0)
-                total += float(np.sum(taken * model.reward(action)))
-                for chance, attempt in model.outcomes(action) if action != FINISH else []:
-                    to = node.successors.get(attempt)
-                    if to is None:
-                        total += chance * float(np.sum(taken * model.future(attempt, None)))
-                        continue
-                    target, result = attempt
-                    moved = taken.sum(axis=target, keepdims=True) if result is Result.WASHED else taken
-                    shape = self._values[index + 1][to].shape
-                    arrived = chance * spread_over_labels(moved, model.looks(attempt), shape)
-                    following[to] = following[to] + arrived if to in following else arrived
-        return total, following
+                taken[action] = np.zeros(shape)
+                taken[action].ravel()[reached.cell[rows]] = np.where(actions[rows] == action, reached.mass[rows], 0.0)
+            # An attempt that clears the table has no successor.
+            for attempt, to in node.successors.items():
+                target, result = attempt
+                tried = [taken[action] for action in self._leading_to(attempt) if action in taken]
+                if tried:
+                    chance = self._histories[index].chance[place, target]
+                    moved = sum(tried) * (1.0 - chance if result is Result.FAILED else chance)
+                    moved = moved.sum(axis=target, keepdims=True) if result is Result.WASHED else moved
+                    looks = self._looks_after(index, place, attempt)
+                    arrived = spread_over_labels(moved, looks, self._values[index + 1][to].shape)
+                    masses[to] = masses[to] + arrived if to in masses else arrived
+        return masses
+
+    def _leading_to(self, attempt: Attempt) -> list[int]:
+        """Actions that an attempt with this result can be."""
+        target, result = attempt
+        verbs = {Result.FAILED: (Verb.WASH, Verb.LIFT), Result.LIFTED: (Verb.LIFT,), Result.WASHED: (Verb.WASH,)}
+        return [encode(verb, target, self._world.num_objects) for verb in verbs[result]]
+
+    def _looks_after(self, index: int, place: int, attempt: Attempt) -> tuple[Look | None, ...]:
+        """What the look after an attempt does; kept, as every policy asks for it."""
+        known = self._known_looks.get((index, place, attempt))
+        if known is None:
+            after = after_attempt(self._world, self._layers[index][place].tally, *attempt)
+            known = self._known_looks[index, place, attempt] = looks_of(self._world, after, held_after(attempt))
+        return known
 
     def _grid_of_q(self, index: int, node: Node) -> Float[np.ndarray, "A ..."]:
         after = self._values[index + 1] if index + 1 < self.horizon else []

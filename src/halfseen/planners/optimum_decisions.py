@@ -12,24 +12,29 @@ from jaxtyping import Bool, Float, Int
 from halfseen.errors import ArgumentError
 from halfseen.planners.optimum_bellman import Attempt, Grid, Layer, Node, grid_shape
 from halfseen.planners.optimum_model import GridWorld, Result, current_levels
-from halfseen.world.actions import num_actions
+from halfseen.world.actions import FINISH, num_actions
+from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Policy
 from halfseen.world.state import NO_ATTEMPT, TableState
 
-BATCH_SIZES = (64, 1024)
+BATCH_SIZES = (32, 1024)
 """Numbers of states for which a policy is compiled: the smallest that holds all, or else the largest."""
 
 _SAME_LOG_ODDS = 1e-3
 
 
 class Histories(NamedTuple):
-    """What the states of each node of a layer share of what a policy is shown: a row for each node."""
+    """What the states of each node of a layer share: a row for each node."""
 
     is_on_table: Bool[np.ndarray, "nodes N"]
     lifts: Int[np.ndarray, "nodes N"]
     attempt_object: Int[np.ndarray, "nodes T"]
     attempt_occlusion: Float[np.ndarray, "nodes T"]
     attempt_succeeded: Bool[np.ndarray, "nodes T"]
+    chance: Float[np.ndarray, "nodes N"]
+    """P(an attempt made now succeeds); 0 for what has left."""
+    attempt_s: Float[np.ndarray, "nodes N"]
+    """Its expected time [s]."""
 
 
 class Reached(NamedTuple):
@@ -48,18 +53,25 @@ def histories_of(world: GridWorld, layers: list[Layer]) -> list[Histories]:
     histories: list[Histories] = []
     occluded: list[tuple[float, ...]] = [()]
     for layer, following in zip(layers, [*layers[1:], []], strict=True):
-        histories.append(_histories(world.num_objects, len(layers), layer, occluded))
         behind: list[tuple[float, ...]] = [()] * len(following)
-        for node, before in zip(layer, occluded, strict=True):
+        grasps = np.zeros((2, len(layer), world.num_objects))
+        for row, (node, before) in enumerate(zip(layer, occluded, strict=True)):
             levels = current_levels(world, node.tally)
+            for cup, told in enumerate(node.tally):
+                if told is not None:
+                    grasps[:, row, cup] = world.attempt(cup, told.failures, told.successes, levels[cup])
             for attempt, place in node.successors.items():
                 if following[place].path == (*node.path, attempt):
                     behind[place] = (*before, world.occlusions[attempt[0]][levels[attempt[0]]])
+        histories.append(Histories(*_shown_histories(world.num_objects, len(layers), layer, occluded), *grasps))
         occluded = behind
     return histories
 
 
-def _histories(num_objects: int, horizon: int, layer: Layer, occluded: list[tuple[float, ...]]) -> Histories:
+def _shown_histories(
+    num_objects: int, horizon: int, layer: Layer, occluded: list[tuple[float, ...]]
+) -> tuple[np.ndarray, ...]:
+    """What a policy is shown of the history of each node."""
     attempts = np.array([node.path for node in layer], dtype=np.int32).reshape(len(layer), -1, 2)
     num_done = attempts.shape[1]
     tried = np.full((len(layer), horizon), NO_ATTEMPT, dtype=np.int32)
@@ -68,7 +80,7 @@ def _histories(num_objects: int, horizon: int, layer: Layer, occluded: list[tupl
     seen_at[:, :num_done] = np.reshape(occluded, (len(layer), num_done))
     is_lift = (attempts[..., :1] == np.arange(num_objects)) & (attempts[..., 1:] == Result.LIFTED)
     there = np.array([[told is not None for told in node.tally] for node in layer])
-    return Histories(there, is_lift.sum(axis=1, dtype=np.int32), tried, seen_at, succeeded)
+    return there, is_lift.sum(axis=1, dtype=np.int32), tried, seen_at, succeeded
 
 
 def reached_in(masses: dict[int, Grid]) -> Reached:
@@ -122,7 +134,13 @@ def log_odds_in(world: GridWorld, layer: Layer, reached: Reached) -> Float[np.nd
 
 
 def actions_in(
-    world: GridWorld, steps_to_go: int, layer: Layer, histories: Histories, reached: Reached, policy: Policy, key: Array
+    world: GridWorld,
+    steps_to_go: int,
+    histories: Histories,
+    reached: Reached,
+    log_odds: Float[np.ndarray, "n N"],
+    policy: Policy,
+    key: Array,
 ) -> Int[np.ndarray, " n"]:
     """What a policy does in states of a layer, each with a key of its own.
 
@@ -131,7 +149,7 @@ def actions_in(
     ArgumentError
         It chose an action that is not possible.
     """
-    shown = _Shown(log_odds_in(world, layer, reached).astype(np.float32), *(rows[reached.place] for rows in histories))
+    shown = _Shown(log_odds.astype(np.float32), *(rows[reached.place] for rows in histories[:-2]))
     num_states = len(reached.place)
     size = next((size for size in BATCH_SIZES if size >= num_states), BATCH_SIZES[-1])
     hides, decided = jnp.asarray(world.hides, dtype=jnp.float32), []
@@ -143,6 +161,29 @@ def actions_in(
     actions = np.concatenate(decided)[:num_states].astype(np.int64)
     _check_possible(actions, histories.is_on_table[reached.place])
     return actions
+
+
+def rewards_in(
+    config: WorldConfig,
+    histories: Histories,
+    reached: Reached,
+    log_odds: Float[np.ndarray, "n N"],
+    actions: Int[np.ndarray, " n"],
+    is_last: bool,
+) -> Float[np.ndarray, " n"]:
+    """Expected reward of an action in states of a layer, with the price of what is left if the path ends by it."""
+    there, rows = histories.is_on_table[reached.place], np.arange(len(actions))
+    num_objects = there.shape[1]
+    target = (actions - 1) % num_objects
+    chance, attempt_s = histories.chance[reached.place, target], histories.attempt_s[reached.place, target]
+    is_dirty = np.where(there, 1.0 / (1.0 + np.exp(-log_odds)), 0.0)
+    dirty, left = is_dirty[rows, target], float(config.reward_dirty_left) * is_dirty.sum(axis=1)
+    washed = dirty * float(config.reward_wash_dirty) + (1.0 - dirty) * float(config.reward_wash_clean)
+    wash = chance * washed + (1.0 - chance) * float(config.reward_wash_failed)
+    lift = float(config.reward_lift_per_s) * attempt_s
+    if is_last:
+        wash, lift = wash + left - chance * float(config.reward_dirty_left) * dirty, lift + left
+    return np.select([actions == FINISH, actions <= num_objects], [left, wash], lift)
 
 
 class _Shown(NamedTuple):
