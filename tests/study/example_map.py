@@ -9,6 +9,17 @@ from halfseen.study.map_table import map_table
 from halfseen.world.config import WorldConfig
 
 WORLD = WorldConfig()
+TINY_MAP = MapDesign(
+    num_objects=(2, 3),
+    occlusions=(0.2,),
+    label_gains=(0.3,),
+    wash_clean_rewards=(-10.0,),
+    grip_offset_stds=(0.5,),
+    num_paths=30,
+    num_tables=4,
+    episodes_per_table=5,
+)
+"""Quick to draw up."""
 
 
 def example_pieces(gain_share, map_design=None, repetitions=5, noise=0.01):

@@ -6,8 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from example_map import TINY_MAP
 
-from halfseen.study.map_cells import MapDesign, random_tables
+from halfseen.study.map_cells import random_tables
 from halfseen.study.map_repetition import map_cut_rates, run_map_cell, run_map_repetition
 from halfseen.study.map_table import finish_reward
 from halfseen.study.policies import HEURISTICS
@@ -15,17 +16,6 @@ from halfseen.world.actions import FINISH
 from halfseen.world.episodes import evaluate
 from halfseen.world.policy import surely
 from halfseen.world.state import pad_scenes
-
-SMALL = MapDesign(
-    num_objects=(2, 3),
-    occlusions=(0.2,),
-    label_gains=(0.3,),
-    wash_clean_rewards=(-10.0,),
-    grip_offset_stds=(0.5,),
-    num_paths=30,
-    num_tables=4,
-    episodes_per_table=5,
-)
 
 
 @jax.tree_util.register_dataclass
@@ -37,12 +27,12 @@ class FinishPolicy:
 
 @pytest.fixture(scope="module")
 def rates(tiny_design):
-    return map_cut_rates(tiny_design, SMALL)
+    return map_cut_rates(tiny_design, TINY_MAP)
 
 
 @pytest.fixture(scope="module")
 def piece(tiny_design, rates):
-    return run_map_repetition(tiny_design, SMALL, rates, 0)
+    return run_map_repetition(tiny_design, TINY_MAP, rates, 0)
 
 
 def test_every_place_has_the_reward_of_every_policy(piece):
@@ -60,17 +50,17 @@ def test_every_place_has_the_reward_of_every_policy(piece):
 
 
 def test_a_place_is_the_same_again_and_knows_nothing_of_the_others(tiny_design, rates, piece):
-    backwards = run_map_repetition(tiny_design, SMALL, dict(reversed(rates.items())), 0)
+    backwards = run_map_repetition(tiny_design, TINY_MAP, dict(reversed(rates.items())), 0)
     assert backwards["map"][::-1] == piece["map"]
     cell = list(rates)[2]
-    fewer = replace(SMALL, num_objects=(3, 2), grip_offset_stds=(0.5, 2.0))
-    assert run_map_cell(tiny_design, fewer, cell, map_cut_rates(tiny_design, SMALL)[cell], 0) == piece["map"][2]
+    fewer = replace(TINY_MAP, num_objects=(3, 2), grip_offset_stds=(0.5, 2.0))
+    assert run_map_cell(tiny_design, fewer, cell, map_cut_rates(tiny_design, TINY_MAP)[cell], 0) == piece["map"][2]
 
 
 def test_repetitions_and_seeds_differ(tiny_design, rates, piece):
     cell, rate = next(iter(rates.items()))
-    other = run_map_cell(tiny_design, SMALL, cell, rate, 1)
-    reseeded = run_map_cell(replace(tiny_design, seed=1), SMALL, cell, rate, 0)
+    other = run_map_cell(tiny_design, TINY_MAP, cell, rate, 1)
+    reseeded = run_map_cell(replace(tiny_design, seed=1), TINY_MAP, cell, rate, 0)
     rewards = [row["rewards"] for row in (piece["map"][0], other, reseeded)]
     assert all(rewards[j] != rewards[k] for j, k in [(0, 1), (0, 2), (1, 2)])
 
