@@ -1,0 +1,238 @@
+"""Why an action: what each one is worth, how sure that is, and which is likely the best.
+
+Whoever can draw from what Q may be (a planner whose error is known, a learner by the bootstrap) explains a state by it;
+this is the part that they share.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from halfseen.errors import ArgumentError
+from halfseen.world.actions import FINISH, Verb
+from halfseen.world.state import TableState
+
+SAME_VALUE = 1e-6
+"""Actions whose values in a draw differ by less are tied there [reward]: more than float32 can tell apart."""
+
+_SAME_LOG_ODDS = 1e-4
+_NUM_SHOWN = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """What is known of the actions of one table; all worths are expected rewards to the end of the path.
+
+    Attributes
+    ----------
+    actions
+        Their names: FINISH, then WASH 0 …, then LIFT 0 ….
+    values
+        Q of each action [reward]; −∞ where it is impossible, as in all that follows but the chances, which are 0.
+    low, high
+        Interval that holds the true Q with probability `level`.
+    chance_best
+        Probability that no action is better. Actions that are equally good are all the best, so that over the actions
+        it sums to 1 or more.
+    lift_worth
+        Q(LIFT i) less the best of the actions that are not a LIFT, for each object [reward].
+    lift_low, lift_high
+        Its interval.
+    level
+        Probability that an interval holds.
+    """
+
+    actions: tuple[str, ...]
+    values: Float[np.ndarray, " A"]
+    low: Float[np.ndarray, " A"]
+    high: Float[np.ndarray, " A"]
+    chance_best: Float[np.ndarray, " A"]
+    lift_worth: Float[np.ndarray, " N"]
+    lift_low: Float[np.ndarray, " N"]
+    lift_high: Float[np.ndarray, " N"]
+    level: float
+
+    @property
+    def best(self) -> int:
+        """Action of the largest value; the lowest in a tie."""
+        return int(np.argmax(self.values))
+
+    @property
+    def chance_stop_is_right(self) -> float:
+        """Probability that nothing is better than to FINISH now."""
+        return float(self.chance_best[FINISH])
+
+    def as_dict(self) -> dict:
+        """Plain numbers for JSON; None where an action is impossible."""
+        return {
+            name: [float(number) if np.isfinite(number) else None for number in value]
+            if isinstance(value, np.ndarray)
+            else value
+            for name, value in asdict(self).items()
+        } | {
+            "actions": list(self.actions),
+            "best": self.actions[self.best],
+            "chance_stop_is_right": self.chance_stop_is_right,
+        }
+
+    def __str__(self) -> str:
+        possible = np.flatnonzero(np.isfinite(self.values))
+        order = possible[np.argsort(-self.values[possible], kind="stable")]
+        lines = [f"{'action':10}{'value':>8}  {f'{self.level:.0%} interval':>16}{'best':>7}"]
+        lines += [self._row(action) for action in order[:_NUM_SHOWN]]
+        if len(order) > _NUM_SHOWN:
+            lines.append(f"and {len(order) - _NUM_SHOWN} that are worth less")
+        return "\n".join([*lines, self._sentence()])
+
+    def _row(self, action: int) -> str:
+        interval = f"{self.low[action]:+.2f} to {self.high[action]:+.2f}"
+        return f"{self.actions[action]:10}{self.values[action]:+8.2f}  {interval:>16}{self.chance_best[action]:7.2f}"
+
+    def _sentence(self) -> str:
+        num_objects, best = len(self.lift_worth), self.best
+        parts = [f"{self.actions[best]}: best with probability {self.chance_best[best]:.2f}"]
+        lift = int(np.argmax(self.lift_worth))
+        if np.isfinite(self.lift_worth[lift]):
+            other = self.actions[int(np.argmax(self.values[: 1 + num_objects]))]
+            subject = "worth" if best > num_objects else f"LIFT {lift} is worth"
+            low, high = self.lift_low[lift], self.lift_high[lift]
+            parts.append(f"{subject} {self.lift_worth[lift]:+.2f} ({low:+.2f} to {high:+.2f}) over {other} now")
+        parts.append(f"stopping now is right with probability {self.chance_stop_is_right:.2f}")
+        return "; ".join(parts) + "."
+
+
+def explained(
+    values: Float[np.ndarray, " A"],
+    draws: Float[np.ndarray, "B A"],
+    is_possible: Bool[np.ndarray, " A"],
+    level: float = 0.9,
+) -> Explanation:
+    """Explain one state of a table by draws of what Q may be.
+
+    Parameters
+    ----------
+    values
+        Q of each action; it may hold anything where the action is impossible.
+    draws
+        Draws from what Q may be, all actions together: what is common to them is no reason to doubt which is best.
+    is_possible
+        Which actions the state allows; FINISH is among them.
+    level
+        Probability that an interval is to hold, in (0, 1).
+
+    Returns
+    -------
+    Explanation
+        Intervals are central quantiles of the draws; an action is best in a draw where none is better by 1e-6.
+
+    Raises
+    ------
+    ArgumentError
+        The actions are not those of a table, FINISH is impossible, a number is not finite, there is no draw, or
+        `level` is out of range.
+
+    Examples
+    --------
+    One object; in three of four draws a look at it is best.
+
+    >>> draws = np.array([[0.0, 1.0, 2.0], [0.0, 1.0, 1.5], [0.0, 2.0, 1.5], [0.0, 1.0, 3.0]])
+    >>> print(explained(draws.mean(axis=0), draws, np.ones(3, dtype=bool)))
+    action       value      90% interval   best
+    LIFT 0       +2.00    +1.50 to +2.85   0.75
+    WASH 0       +1.25    +1.00 to +1.85   0.25
+    FINISH       +0.00    +0.00 to +0.00   0.00
+    LIFT 0: best with probability 0.75; worth +0.75 (-0.35 to +1.85) over WASH 0 now; stopping now is right with \
+probability 0.00.
+    """
+    _check(values, draws, is_possible, level)
+    num_objects = (len(values) - 1) // 2
+    values = np.where(is_possible, values, -np.inf)
+    draws = np.where(is_possible, draws, -np.inf)
+    is_best = draws >= draws.max(axis=1, keepdims=True) - SAME_VALUE
+    low, high = _interval(draws, is_possible, level)
+    is_liftable = is_possible[1 + num_objects :]
+    lift_low, lift_high = _interval(_lift_worth(draws), is_liftable, level)
+    return Explanation(
+        actions=action_names(num_objects),
+        values=values,
+        low=low,
+        high=high,
+        chance_best=np.where(is_possible, is_best.mean(axis=0), 0.0),
+        lift_worth=_lift_worth(values),
+        lift_low=lift_low,
+        lift_high=lift_high,
+        level=float(level),
+    )
+
+
+def action_names(num_objects: int) -> tuple[str, ...]:
+    """Names of the actions of a table, in their order."""
+    verbs = (Verb.WASH, Verb.LIFT)
+    return (Verb.FINISH.name, *(f"{verb.name} {target}" for verb in verbs for target in range(num_objects)))
+
+
+def alike(state: TableState) -> Int[np.ndarray, " A"]:
+    """For each action, the lowest one that only the numbering of the objects tells from it.
+
+    Two objects are interchangeable if all that is seen stays the same when they trade places: location, log-odds, past
+    attempts, and who hides whom. WASH, or LIFT, of either is then worth the same, whatever estimates say.
+
+    Parameters
+    ----------
+    state
+        One table.
+    """
+    there, log_odds = np.asarray(state.is_on_table), np.asarray(state.log_odds, dtype=np.float64)
+    hides = np.where(there[:, None] & there[None, :], np.asarray(state.hides), 0.0)
+    tried = [_attempts(state, target) for target in range(state.num_objects)]
+    first = np.arange(state.num_objects)
+    for i in np.flatnonzero(there):
+        for j in np.flatnonzero(there[:i]):
+            order = np.arange(state.num_objects)
+            order[[i, j]] = j, i
+            is_same = abs(log_odds[i] - log_odds[j]) < _SAME_LOG_ODDS and tried[i] == tried[j]
+            if is_same and np.array_equal(hides[np.ix_(order, order)], hides):
+                first[i] = j
+                break
+    return np.concatenate([[FINISH], 1 + first, 1 + state.num_objects + first])
+
+
+def _attempts(state: TableState, target: int) -> Sequence[tuple[float, bool]]:
+    is_mine = np.asarray(state.attempt_object) == target
+    occluded = np.asarray(state.attempt_occlusion)[is_mine].tolist()
+    return sorted(zip(occluded, np.asarray(state.attempt_succeeded)[is_mine].tolist(), strict=True))
+
+
+def _lift_worth(values: Float[np.ndarray, "*S A"]) -> Float[np.ndarray, "*S N"]:
+    num_objects = (values.shape[-1] - 1) // 2
+    return values[..., 1 + num_objects :] - values[..., : 1 + num_objects].max(axis=-1, keepdims=True)
+
+
+def _interval(
+    draws: Float[np.ndarray, "B k"], is_possible: Bool[np.ndarray, " k"], level: float
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """Central quantiles, −∞ where impossible."""
+    ends = np.full((2, len(is_possible)), -np.inf)
+    ends[:, is_possible] = np.quantile(draws[:, is_possible], [(1.0 - level) / 2.0, (1.0 + level) / 2.0], axis=0)
+    return ends[0], ends[1]
+
+
+def _check(
+    values: Float[np.ndarray, " A"], draws: Float[np.ndarray, "B A"], is_possible: Bool[np.ndarray, " A"], level: float
+) -> None:
+    if len(values) % 2 == 0 or not is_possible[FINISH]:
+        raise ArgumentError(
+            f"there are {len(values)} actions and FINISH is {'' if is_possible[FINISH] else 'im'}possible; a table has "
+            "FINISH, which is always possible, and a WASH and a LIFT of each object"
+        )
+    if len(draws) == 0:
+        raise ArgumentError("there is no draw of Q; give at least one")
+    if not 0.0 < level < 1.0:
+        raise ArgumentError(f"level is {level}; it lies between 0 and 1")
+    wrong = is_possible & ~(np.isfinite(values) & np.isfinite(draws).all(axis=0))
+    if wrong.any():
+        action = int(np.argmax(wrong))
+        name = action_names((len(values) - 1) // 2)[action]
+        raise ArgumentError(f"Q of {name} is not finite, and the action is possible; give finite values and draws")
