@@ -198,16 +198,16 @@ def compared(
     planners: Mapping[str, Callable[..., Decision]],
     episodes: Mapping[float, int],
 ) -> dict[str, object]:
-    begin = time.perf_counter()
-    for decide in planners.values():
-        play(decide, min(episodes), WARM_UP)
-    print(f"\n{game}: first use of all planners took {time.perf_counter() - begin:.1f} s (compilation)")
     rule = [play(planners["halfseen"], 0.0, episode)[0] for episode in range(max(episodes.values()))]
     results: dict[str, object] = {
         "rule_alone": dict(zip(("reward", "standard_error"), mean_and_error(rule), strict=True))
     }
-    print("{}: our rule without search earns {:.2f} ± {:.2f}".format(game, *mean_and_error(rule)))
+    print("\n{}: our rule without search earns {:.2f} ± {:.2f}".format(game, *mean_and_error(rule)))
     for budget_s, num_episodes in episodes.items():
+        begin = time.perf_counter()
+        for decide in planners.values():
+            play(decide, budget_s, WARM_UP)
+        print(f"{game} {budget_s:5.3f} s first episode, compilation included: {time.perf_counter() - begin:.1f} s")
         played: dict[str, list[Played]] = {name: [] for name in planners}
         for episode in range(num_episodes):
             gc.collect()
