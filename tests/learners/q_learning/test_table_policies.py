@@ -12,6 +12,7 @@ from halfseen.errors import LogError
 from halfseen.learners import CensoredQLearner, LinearTablePolicy
 from halfseen.learners.q_learning.encoding import encode_states
 from halfseen.learners.q_learning.path_covariates import first_table
+from halfseen.learners.q_learning.recursion import q_values
 from halfseen.learners.q_learning.table_features import NUM_FEATURES, block_of_action, table_features
 from halfseen.logs import Logs
 from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, WorldConfig
@@ -20,7 +21,7 @@ from halfseen.world.cuts import cut, cut_rate
 from halfseen.world.episodes import evaluate, play
 from halfseen.world.policy import surely
 from halfseen.world.recording import to_logs
-from halfseen.world.state import pad_scenes
+from halfseen.world.state import occlusion_without, pad_scenes
 
 CONFIG = WorldConfig()
 NUM_OBJECTS = 4
@@ -131,6 +132,32 @@ def test_features_are_finite_whatever_happened(watched):
     assert np.isfinite(features).all()
 
 
+def test_a_policy_values_what_was_regressed_on(watched):
+    states, policy = states_in(watched), random_policy()
+    by_policy = np.asarray(jax.jit(jax.vmap(policy.q_values))(states))
+    features = jax.jit(jax.vmap(table_features))(states)
+    blocks, possible = block_of_action(NUM_OBJECTS), np.asarray(jax.vmap(possible_actions)(states))
+    by_features = jax.vmap(q_values, in_axes=(0, 0, None))(
+        policy.coefficients[states.steps_to_go - 1], features, blocks
+    )
+    np.testing.assert_allclose(by_policy[possible], np.asarray(by_features)[possible], rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("hidden", [0.7, 1.0])
+def test_what_is_laid_bare_is_the_occlusion_that_goes(watched, hidden):
+    states = replace(states_in(watched), hides=states_in(watched).hides.at[:, 2, 0].set(hidden))
+    target = jnp.eye(NUM_OBJECTS, dtype=bool)
+    for k in range(20):
+        state = jax.tree.map(lambda leaf, k=k: leaf[k], states)
+        there = np.asarray(state.is_on_table)
+        is_dirty = 1.0 / (1.0 + np.exp(-np.asarray(state.log_odds, dtype=float)))
+        now = np.asarray(occlusion_without(state, jnp.zeros(NUM_OBJECTS, dtype=bool)))
+        without = np.asarray(jax.vmap(occlusion_without, in_axes=(None, 0))(state, target))
+        gone = (now - without) * (there[:, None] & there) * ~np.eye(NUM_OBJECTS, dtype=bool)
+        laid_bare = np.asarray(table_features(state))[1 : 1 + NUM_OBJECTS, 9]
+        np.testing.assert_allclose(laid_bare[there], (gone @ np.maximum(is_dirty - 0.5, 0.0))[there], atol=1e-5)
+
+
 def test_the_policy_takes_the_best_possible_action(watched):
     states = states_in(watched)
     policy = random_policy()
@@ -200,6 +227,7 @@ def test_cuts_may_depend_on_the_first_table(scene):
     open_table = Scene(np.zeros((NUM_OBJECTS + 1, NUM_OBJECTS + 1)), name="open")
     logs = TableWorld().simulate([scene, open_table], UniformPolicy(), episodes=200, seed=0, cut_share=0.4)
     table = first_table(logs)
+    assert logs.objects is not None
     objects = logs.objects[logs.objects["stage"] == 1]
     for row, path in enumerate(logs.path_ids[:20]):
         mine = objects[objects["path"] == path]

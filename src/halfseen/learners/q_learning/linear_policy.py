@@ -6,8 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from halfseen.learners.q_learning.recursion import q_values
-from halfseen.learners.q_learning.table_features import block_of_action, table_features
+from halfseen.learners.q_learning.table_features import table_q
 from halfseen.world.actions import possible_actions
 from halfseen.world.grasp_model import GraspModel
 from halfseen.world.policy import Decision, surely
@@ -32,8 +31,7 @@ class LinearTablePolicy:
 
     def q_values(self, state: TableState) -> Float[Array, " A"]:
         """Q of every action of one table; −∞ where an action is not possible."""
-        features = table_features(state, self.grasp)
-        q = q_values(self.coefficients[state.steps_to_go - 1], features, block_of_action(state.num_objects))
+        q = table_q(self.coefficients[state.steps_to_go - 1], state, self.grasp)
         return jnp.where(possible_actions(state), q, -jnp.inf)
 
     def decide(self, state: TableState, key: Array) -> Decision:

@@ -19,33 +19,81 @@ given a grasp model, the chance of a grasp that it tells. What follows concerns 
 lay bare: Σ_j (occlusion of j that target i alone causes) · (…). FINISH looks at Σ p alone.
 """
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from halfseen.world.actions import Verb
 from halfseen.world.grasp_model import GraspModel
-from halfseen.world.state import TableState, attempt_counts, occlusion, occlusion_without
+from halfseen.world.state import TableState, attempt_counts
 
 NUM_FEATURES = 17
+NUM_TABLE_FEATURES = 9
+
+WASH_DIRTY = NUM_TABLE_FEATURES + 1
+"""Where the features of WASH hold P(DIRTY) of the target."""
+
+LEAST_IN_SIGHT = 1e-6
+"""Share that one object leaves of another's silhouette at least: what is in sight without it follows by division."""
+
+
+class Columns(NamedTuple):
+    """What the features are made of, one number an object."""
+
+    is_there: Bool[Array, " N"]
+    table: list[Float[Array, " N"]]
+    """To be summed over the objects on the table."""
+    wash: list[Float[Array, " N"]]
+    """Of each object as a target of WASH."""
+    lift: list[Float[Array, " N"]]
+    """Of each object as a target of LIFT."""
+
+
+def table_columns(state: TableState, grasp: GraspModel | None = None) -> Columns:
+    """Find what the features of one table are made of."""
+    is_dirty = jax.nn.sigmoid(state.log_odds)
+    win, sure = jax.nn.relu(is_dirty - 0.5), jax.nn.relu(is_dirty - 0.75)
+    doubt = 4.0 * is_dirty * (1.0 - is_dirty)
+    in_sight, laid_bare = _sight(state)
+    ease = in_sight * _grip(state) if grasp is None else grasp.chance(state)
+    in_doubt = [doubt, ease, doubt * ease]
+    at_stake = [win, win * ease, sure, sure * ease]
+    return Columns(
+        is_there=state.is_on_table,
+        table=[is_dirty, jnp.ones_like(is_dirty), *at_stake, *in_doubt],
+        wash=[jnp.sum(laid_bare * win, axis=1), is_dirty, is_dirty * ease, ease, *at_stake],
+        lift=[jnp.sum(laid_bare * doubt, axis=1), *in_doubt],
+    )
 
 
 def table_features(state: TableState, grasp: GraspModel | None = None) -> Float[Array, "A F"]:
     """φ(S, a) of every action of one table, in the order of the actions, padded with zeros to F = 17."""
-    is_dirty = jax.nn.sigmoid(state.log_odds)
-    win, sure = jax.nn.relu(is_dirty - 0.5), jax.nn.relu(is_dirty - 0.75)
-    doubt = 4.0 * is_dirty * (1.0 - is_dirty)
-    ease = _ease(state) if grasp is None else grasp.chance(state)
-    unhides = _unhides(state)
-    there = state.is_on_table.astype(jnp.float32)
-    in_doubt = [doubt, ease, doubt * ease]
-    at_stake = [win, win * ease, sure, sure * ease]
-    table = [jnp.sum(there * value) for value in (is_dirty, jnp.ones_like(there), *at_stake, *in_doubt)]
-    wash = [unhides @ win, is_dirty, is_dirty * ease, ease, *at_stake]
-    lift = [unhides @ doubt, *in_doubt]
-    return jnp.concatenate(
-        [_stack([table[0][None]]), _stack(_each(table, there) + wash), _stack(_each(table, there) + lift)]
-    )
+    columns = table_columns(state, grasp)
+    table = jnp.sum(jnp.where(columns.is_there[:, None], jnp.stack(columns.table, axis=-1), 0.0), axis=0)
+    of_verb = [jnp.stack(values, axis=-1) for values in (columns.wash, columns.lift)]
+    each = [jnp.concatenate([jnp.broadcast_to(table, (len(one), len(table))), one], axis=1) for one in of_verb]
+    return jnp.concatenate([_padded(table[None, :1]), *map(_padded, each)])
+
+
+def table_q(
+    coefficients: Float[Array, "K F"], state: TableState, grasp: GraspModel | None = None
+) -> Float[Array, " A"]:
+    """Q of every action of one table, with the offset first in `coefficients`: what `q_values` makes of the features.
+
+    The features are never put together: each sum runs over objects and features at once, and a decision takes half
+    the time.
+    """
+    columns = table_columns(state, grasp)
+    offset, shared, own = jnp.split(coefficients, [1, 1 + NUM_TABLE_FEATURES], axis=1)
+    # FINISH looks at the first alone.
+    shared = shared.at[Verb.FINISH, 1:].set(0.0)
+    per_object = sum(value[:, None] * shared[None, :, f] for f, value in enumerate(columns.table))
+    table = offset[:, 0] + jnp.sum(jnp.where(columns.is_there[:, None], per_object, 0.0), axis=0)
+    wash = table[Verb.WASH] + sum(value * own[Verb.WASH, f] for f, value in enumerate(columns.wash))
+    lift = table[Verb.LIFT] + sum(value * own[Verb.LIFT, f] for f, value in enumerate(columns.lift))
+    return jnp.concatenate([table[None, Verb.FINISH], wash, lift])
 
 
 def block_of_action(num_objects: int) -> Int[Array, " A"]:
@@ -54,22 +102,18 @@ def block_of_action(num_objects: int) -> Int[Array, " A"]:
     return jnp.repeat(verbs, jnp.array([1, num_objects, num_objects]), total_repeat_length=1 + 2 * num_objects)
 
 
-def _each(values: list[Float[Array, ""]], like: Float[Array, " N"]) -> list[Float[Array, " N"]]:
-    return [jnp.broadcast_to(value, like.shape) for value in values]
+def _padded(features: Float[Array, "M f"]) -> Float[Array, "M F"]:
+    return jnp.pad(features, ((0, 0), (0, NUM_FEATURES - features.shape[1])))
 
 
-def _stack(columns: list[Float[Array, " N"]]) -> Float[Array, "N F"]:
-    stacked = jnp.stack(columns, axis=-1)
-    return jnp.pad(stacked, ((0, 0), (0, NUM_FEATURES - len(columns))))
-
-
-def _ease(state: TableState) -> Float[Array, " N"]:
+def _grip(state: TableState) -> Float[Array, " N"]:
     successes, failures = attempt_counts(state)
-    return (1.0 - occlusion(state)) * (1.0 + successes) / (1.0 + successes + failures)
+    return (1.0 + successes) / (1.0 + successes + failures)
 
 
-def _unhides(state: TableState) -> Float[Array, "N N"]:
-    """[i, j]: by how much the occlusion of j falls when i is taken away; 0 for what is not on the table."""
-    taken = jnp.eye(state.num_objects, dtype=bool)
-    without = jax.vmap(occlusion_without, in_axes=(None, 0))(state, taken)
-    return jnp.where(state.is_on_table[None, :] & ~taken, occlusion(state)[None, :] - without, 0.0)
+def _sight(state: TableState) -> tuple[Float[Array, " N"], Float[Array, "N N"]]:
+    """Share of each object in sight; and [i, j], how much more of j would be without i, 0 for what is not there."""
+    left = jnp.where(state.is_on_table[None, :], jnp.maximum(1.0 - state.hides, LEAST_IN_SIGHT), 1.0)
+    in_sight = jnp.prod(left, axis=1)
+    more = jnp.where(state.is_on_table[:, None], in_sight[:, None] * (1.0 / left - 1.0), 0.0)
+    return in_sight, more.T
