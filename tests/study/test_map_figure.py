@@ -87,4 +87,4 @@ def test_other_designs_are_drawn():
     design = MapDesign((2, 4), (0.1, 0.4), (0.2, 0.4), (-8.0,), (0.7,))
     figure = map_of(example_table(lambda cell: 0.1, design), design, WORLD)
     assert len(fields(figure)) == (2 * 1 + 1) * 4
-    assert "labels 70 % right, cost 8" in [axes.get_title(loc="left") for axes in figure.axes]
+    assert "labels 70 %, cost 8" in [axes.get_title(loc="left") for axes in figure.axes]

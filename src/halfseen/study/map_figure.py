@@ -28,7 +28,7 @@ STEPS = np.array([-0.25, -0.15, -0.10, -0.05, 0.0, 0.05, 0.10, 0.15, 0.25])
 DARK = 0.15
 """Distance from which on a field is so dark that its number is written in white."""
 MARKS = {LEARN: "▲", UNDECIDED: "?", ENOUGH: "", NO_SCALE: ""}
-HEADS = ("quality of labels (down) and cost of washing a clean cup (across)", "spread of grip offsets")
+HEADS = ("share of right labels (down) and cost of washing a clean cup (across)", "spread of grip offsets")
 HIDDEN_AXIS, OBJECTS_AXIS = "mean hidden share [%]", "objects N"
 SCALE_AXIS = "gain of the learned policy [% of what the best heuristic earns above FINISH at once]"
 SMALL = 8.0
@@ -94,7 +94,7 @@ def _panels(map_design: MapDesign, world: WorldConfig) -> list[Panel]:
     for row, gain in enumerate(sorted(map_design.label_gains)):
         for column, reward in enumerate(costs):
             cell = replace(own, label_gain=gain, reward_wash_clean=reward)
-            words = f"labels {_percent(float(world.label_floor) + gain)} % right, cost {amount(-reward, 0)}"
+            words = f"labels {_percent(float(world.label_floor) + gain)} %, cost {amount(-reward, 0)}"
             panels.append(Panel(row, column, cell, words))
     for row, spread in enumerate(sorted(map_design.grip_offset_stds)):
         panels.append(Panel(row, len(costs), replace(own, grip_offset_std=spread), f"spread {spread:g}"))
