@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from halfseen.learners.q_learning.encoding import Encoded, TableEncoding
+from halfseen.learners.q_learning.expected_reward import expected_rewards, wash_outcomes
 from halfseen.learners.q_learning.linear_policy import LinearTablePolicy
 from halfseen.learners.q_learning.q_learner import REGS
 from halfseen.learners.q_learning.recursion import AnyArray, QFunctions, Transitions, backward
@@ -21,12 +22,14 @@ def learn(encoded: Encoded, treated: Sequence[Treated], fold: Int[np.ndarray, " 
     """Learn one policy for each treatment of the same paths; the policies come as one batch."""
     encoding = TableEncoding(horizon=encoded.action.shape[1])
     blocks = encoding.block_of_action(encoded.is_possible.shape[-1])
+    outcomes = wash_outcomes(encoded)
+    rewards = [expected_rewards(one.reward, one.weight, one.is_last, outcomes) for one in treated]
     with jax.enable_x64(True):
         log = Transitions(
             features=jnp.asarray(encoded.features, dtype=jnp.float64),
             is_possible=jnp.asarray(encoded.is_possible),
             action=jnp.asarray(encoded.action),
-            reward=jnp.asarray(np.stack([one.reward for one in treated])),
+            reward=jnp.asarray(np.stack(rewards)),
             weight=jnp.asarray(np.stack([one.weight for one in treated])),
             is_last=jnp.asarray(np.stack([one.is_last for one in treated])),
             fold=jnp.asarray(fold),

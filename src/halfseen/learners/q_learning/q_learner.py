@@ -25,6 +25,7 @@ from halfseen.censoring import (
 from halfseen.errors import ArgumentError, PositivityError
 from halfseen.learners.grasp.grasp_table import grasp_model_of
 from halfseen.learners.q_learning.encoding import Encoding, FlatEncoding, TableEncoding
+from halfseen.learners.q_learning.expected_reward import expected_rewards, wash_outcomes
 from halfseen.learners.q_learning.linear_policy import LinearTablePolicy
 from halfseen.learners.q_learning.path_covariates import first_covariates, first_table
 from halfseen.learners.q_learning.recursion import QFunctions, StageMode, Transitions, backward, q_values
@@ -71,6 +72,9 @@ class CensoredQLearner(BaseEstimator):
     grasp
         For a table, what tells the chance of a grasp: None for Laplace's guess; `BetaGrasp` or `SVMGrasp`, which is
         fitted to the attempts of the log unless it is fitted already; or any `GraspModel`.
+    rewards
+        ``"observed"``: R_t as in eq. 3; ``"expected"``: for a table, the reward of a WASH is replaced by its regression
+        on what came of it (see `expected_rewards`), which takes most of the noise out of the targets.
 
     Attributes
     ----------
@@ -123,6 +127,7 @@ class CensoredQLearner(BaseEstimator):
         truncate_at: float | int | None = None,
         random_state: int = 0,
         grasp: Any = None,
+        rewards: Literal["observed", "expected"] | str = "observed",
     ) -> None:
         self.horizon = horizon
         self.actions = actions
@@ -135,13 +140,19 @@ class CensoredQLearner(BaseEstimator):
         self.truncate_at = truncate_at
         self.random_state = random_state
         self.grasp = grasp
+        self.rewards = rewards
 
     @classmethod
     def for_table(
-        cls, horizon: int = 10, *, stages: StageMode | str = "pooled", **parameters: Any
+        cls,
+        horizon: int = 10,
+        *,
+        stages: StageMode | str = "pooled",
+        rewards: Literal["observed", "expected"] | str = "expected",
+        **parameters: Any,
     ) -> "CensoredQLearner":
         """Make a learner for logs of tables; it learns `policy_`."""
-        return cls(horizon, TABLE, stages=stages, **parameters)
+        return cls(horizon, TABLE, stages=stages, rewards=rewards, **parameters)
 
     def fit(self, logs: Logs) -> "CensoredQLearner":
         """Learn from a log.
@@ -160,24 +171,32 @@ class CensoredQLearner(BaseEstimator):
         if logs.horizon > self.horizon:
             raise ArgumentError(f"horizon is {self.horizon}, but a path has {logs.horizon} stages; raise horizon")
         encoding = self._encoding(logs)
-        encoded = encoding.encode(logs)
         self.weights_ = self._weights(logs)
         self.diagnostics_ = weight_diagnostics(self.weights_, self.truncate_at)
-        reward = _padded(logs.stage_values("reward"), self.horizon)
         num_folds = self._num_folds(logs)
-        log = Transitions(
-            features=encoded.features,
-            is_possible=encoded.is_possible,
-            action=encoded.action,
-            reward=np.where(np.isnan(reward), 0.0, reward),
-            weight=self.weights_,
-            is_last=_last_stages(logs, self.horizon),
-            fold=np.random.default_rng(self.random_state).permutation(logs.num_paths) % num_folds,
-        )
+        log = self.transitions(logs, encoding, num_folds)
         self.q_functions_ = fit_q_functions(log, encoding, self._regs(), stages, num_folds)
         if self._is_table:
             self.policy_ = replace(as_policy(self.q_functions_, stages), grasp=self.grasp_)
         return self
+
+    def transitions(self, logs: Logs, encoding: Encoding, num_folds: int) -> Transitions:
+        """Lay out the arrays that Q is fitted to, with the weights of the log that was learned from."""
+        encoded = encoding.encode(logs)
+        reward = _padded(logs.stage_values("reward"), self.horizon)
+        reward = np.where(np.isnan(reward), 0.0, reward)
+        is_last = _last_stages(logs, self.horizon)
+        if self.rewards == "expected":
+            reward = expected_rewards(reward, self.weights_, is_last, wash_outcomes(encoded))
+        return Transitions(
+            features=encoded.features,
+            is_possible=encoded.is_possible,
+            action=encoded.action,
+            reward=reward,
+            weight=self.weights_,
+            is_last=is_last,
+            fold=np.random.default_rng(self.random_state).permutation(logs.num_paths) % num_folds,
+        )
 
     def q_values(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
         """Q̂ of every action in a stage (from 1), for each row of covariates; flat actions only."""
@@ -272,6 +291,10 @@ class CensoredQLearner(BaseEstimator):
             raise ArgumentError(f"reg is {self.reg!r}; it is a λ ≥ 0, or 'cv'")
         if self.grasp is not None and not self._is_table:
             raise ArgumentError("grasp is given, but actions are named ones; only a table's objects are grasped")
+        if self.rewards not in ("observed", "expected"):
+            raise ArgumentError(f"rewards is {self.rewards!r}; it is 'observed' or 'expected'")
+        if self.rewards == "expected" and not self._is_table:
+            raise ArgumentError("rewards is 'expected', but actions are named ones; only a WASH has a known outcome")
         if self.reg == "cv" and self.num_folds < 2:
             raise ArgumentError(f"num_folds is {self.num_folds}; cross-validation needs at least 2")
 
