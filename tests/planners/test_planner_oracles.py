@@ -1,0 +1,268 @@
+"""Three solvers that share no code agree, nobody beats the optimum, and the names of the cups do not matter."""
+
+import sys
+from dataclasses import replace
+from functools import partial
+from itertools import product
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from table_as_arrays import TableArrays
+
+from halfseen.errors import ArgumentError
+from halfseen.planners import (
+    GreedyPolicy,
+    POMDPPolicy,
+    SearchPolicy,
+    TableProblem,
+    information_relaxation_bound,
+    plan,
+    solve_discrete,
+    solve_table,
+)
+from halfseen.planners.optimum_decisions import Reached, drawn
+from halfseen.world import Scene, UniformPolicy, WorldConfig
+from halfseen.world.episodes import play
+from halfseen.world.state import TableState, initial_state, pad_scenes
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "examples"))
+from tiger import TigerProblem
+
+CONFIG = WorldConfig(horizon=2)
+ONE, TWO = np.zeros((1, 1)), np.array([[0.0, 0.6], [0.1, 0.0]])
+# One cup wholly hidden: until the other is moved, its labels say nothing, which keeps the alpha vectors few.
+HIDDEN = np.array([[0.0, 1.0], [0.0, 0.0]])
+THREE = np.array([[0.0, 0.6, 0.3], [0.1, 0.0, 0.2], [0.4, 0.05, 0.0]])
+GREEDY = [GreedyPolicy(CONFIG, uses_history=h, counts_penalty=p) for h in (False, True) for p in (False, True)]
+TIGER = (
+    [np.eye(2), np.full((2, 2), 0.5), np.full((2, 2), 0.5)],
+    [[[0.85, 0.15], [0.15, 0.85]], [[1.0, 0.0]] * 2, [[1.0, 0.0]] * 2],
+    [[-1, -1], [-100, 10], [10, -100]],
+)
+KEY = jax.random.key(0)
+
+
+def labels_of(num_cups):
+    return list(product([False, True], repeat=num_cups))
+
+
+def state_after_first_look(config, hides, labels):
+    """What a policy is shown once each cup was labelled."""
+    layouts = pad_scenes([Scene(hides)])
+    fresh = initial_state(config, jax.tree.map(lambda leaf: leaf[0], layouts))
+    right = config.label_floor + config.label_gain * (1 - Scene(hides).occlusion) ** config.label_power
+    update = np.where(labels, 1.0, -1.0) * (np.log(right) - np.log1p(-right))
+    return replace(fresh, log_odds=fresh.log_odds + jnp.asarray(update, dtype=jnp.float32))
+
+
+def agree(hides, num_nodes, num_steps=2):
+    """Alpha vectors over arrays and counting of looks find the same values and the same best actions."""
+    arrays = TableArrays(CONFIG, hides, num_nodes)
+    config = replace(CONFIG, horizon=num_steps)
+    optimum = solve_table(hides, config, num_grip_nodes=num_nodes)
+    looks = [arrays.after_first_look(labels) for labels in labels_of(len(hides))]
+    solution = solve_discrete(arrays.T, arrays.O, arrays.R, 1.0, num_steps, looks[0][0])
+
+    values = [solution.value_of(belief) + arrays.owed(belief) for belief, _ in looks]
+    assert sum(chance for _, chance in looks) == pytest.approx(1.0, abs=1e-12)
+    assert np.dot(values, [chance for _, chance in looks]) == pytest.approx(optimum.value, abs=1e-9)
+    for labels, value, (belief, _) in zip(labels_of(len(hides)), values, looks, strict=True):
+        q = optimum.q_values(state_after_first_look(config, hides, labels))
+        assert q.max() == pytest.approx(value, abs=1e-9)
+        assert solution.action_of(belief) == np.argmax(q)
+
+
+@pytest.mark.parametrize(
+    ("hides", "num_nodes", "num_steps"),
+    [(ONE, 3, 2), (TWO, 3, 1), (HIDDEN, 1, 2)],
+    ids=["one cup", "two cups, one step", "two cups"],
+)
+def test_alpha_vectors_over_arrays_find_the_optimum_of_the_table(hides, num_nodes, num_steps):
+    agree(hides, num_nodes, num_steps)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("hides", "num_nodes"), [(TWO, 1), (HIDDEN, 2)], ids=["all in sight", "grips in doubt"])
+def test_alpha_vectors_over_more_arrays_find_the_optimum_of_the_table(hides, num_nodes):
+    agree(hides, num_nodes)
+
+
+# Where more cups are worth a try than steps remain, Q_1 is not E[R + V_0], and then the search's rewards are not R.
+_TOO_FEW_STEPS = pytest.mark.xfail(strict=True, reason="the search's rewards are biased where Q_1 is not exact")
+
+
+@pytest.mark.parametrize(
+    "labels",
+    [
+        pytest.param((False, False), marks=_TOO_FEW_STEPS),
+        (False, True),
+        pytest.param((True, False), marks=_TOO_FEW_STEPS),
+        (True, True),
+    ],
+    ids=str,
+)
+def test_the_anytime_planner_finds_the_optimum_of_two_cups(labels):
+    """Grip offsets are normal for the one and on a fine grid for the other."""
+    state = state_after_first_look(CONFIG, TWO, labels)
+    exact = solve_table(TWO, CONFIG, num_grip_nodes=31).q_values(state)
+    found = plan(TableProblem(CONFIG, state), KEY, num_simulations=20_000)
+
+    assert found.action == np.argmax(exact)
+    assert found.depth == 2
+    error = found.standard_errors[found.action]
+    assert found.value == pytest.approx(exact.max(), abs=4 * error + 0.05)
+    assert error < 0.03
+
+
+@pytest.mark.parametrize("num_left", [-2, -1, 0, 1])
+def test_the_anytime_planner_follows_the_tiger_along_its_growls(num_left):
+    """After one growl more from the left than from the right, and so on: Bayes' odds are powers of 17/3."""
+    left_chance = float(1 / (1 + (3 / 17) ** num_left))
+    exact = solve_discrete(*TIGER, 0.95, 4, [left_chance, 1 - left_chance])
+    found = plan(TigerProblem(left_chance, horizon=4), KEY, num_simulations=30_000, exploration=100.0)
+
+    assert found.action == exact.action
+    assert found.value == pytest.approx(exact.value, abs=4 * found.standard_errors[found.action] + 0.05)
+    assert found.standard_errors[found.action] < 0.3
+
+
+def relabelled(states, order):
+    """The same tables, their cups in another order."""
+    place = np.argsort(order)
+    tried = np.asarray(states.attempt_object)
+    return TableState(
+        hides=states.hides[:, order][:, :, order],
+        is_object=states.is_object[:, order],
+        is_on_table=states.is_on_table[:, order],
+        log_odds=states.log_odds[:, order],
+        lifts=states.lifts[:, order],
+        attempt_object=jnp.asarray(np.where(tried < 0, tried, place[tried]), dtype=jnp.int32),
+        attempt_occlusion=states.attempt_occlusion,
+        attempt_succeeded=states.attempt_succeeded,
+        steps_to_go=states.steps_to_go,
+    )
+
+
+@pytest.fixture(scope="module")
+def states():
+    """Along the way of somebody who acts by lot on three cups, over four steps."""
+    config = replace(CONFIG, horizon=4)
+    played = play(config, pad_scenes([Scene(THREE)]), UniformPolicy(), jax.random.key(3), 12)
+    return jax.tree.map(lambda leaf: leaf[np.asarray(played.is_taken)], played.states)
+
+
+@pytest.mark.parametrize("order", [[2, 0, 1], [1, 0, 2]])
+def test_names_of_cups_do_not_matter_to_optimum_and_bound(states, order):
+    config = replace(CONFIG, horizon=4)
+    plain, renamed = (solve_table(hides, config, num_grip_nodes=3) for hides in (THREE, THREE[np.ix_(order, order)]))
+    of_action = [0, *(1 + np.array(order)), *(4 + np.array(order))]
+
+    assert renamed.value == pytest.approx(plain.value, abs=1e-10)
+    assert renamed.num_states == plain.num_states
+    other = relabelled(states, order)
+    for k in range(len(states.steps_to_go)):
+        q, q_renamed = (
+            optimum.q_values(jax.tree.map(lambda leaf, k=k: leaf[k], of))
+            for optimum, of in ((plain, states), (renamed, other))
+        )
+        np.testing.assert_allclose(q_renamed, q[of_action], atol=1e-9)
+    for reveals in ("looks", "hidden"):
+        bounds = [
+            information_relaxation_bound(hides, config, num_grip_nodes=3, reveals=reveals)
+            for hides in (THREE, THREE[np.ix_(order, order)])
+        ]
+        assert bounds[0].standard_error == bounds[1].standard_error == 0.0
+        assert bounds[0].value == pytest.approx(bounds[1].value, abs=1e-10)
+
+
+@pytest.mark.parametrize(
+    "policy", [GREEDY[0], GREEDY[3], POMDPPolicy(CONFIG, 1)], ids=["greedy", "history", "one step ahead"]
+)
+def test_names_of_cups_do_not_matter_to_who_plans_without_chance(states, policy):
+    decide = jax.jit(jax.vmap(lambda state: policy.decide(state, KEY).action))
+    order = np.array([2, 0, 1])
+    plain, renamed = (np.asarray(decide(of)) for of in (states, relabelled(states, order)))
+
+    of_action = np.array([0, *(1 + np.argsort(order)), *(4 + np.argsort(order))])
+    np.testing.assert_array_equal(renamed, of_action[plain])
+    assert len(set(plain.tolist())) > 2
+
+
+@pytest.mark.slow
+def test_names_of_cups_do_not_matter_to_what_a_plan_with_chance_is_worth():
+    """Draws differ with the names, so values agree within their noise."""
+    config = replace(CONFIG, horizon=3)
+    optima = [solve_table(hides, config) for hides in (THREE, THREE[::-1, ::-1])]
+    values = np.array(
+        [[one.policy_value(POMDPPolicy(config, 2), jax.random.key(k)) for k in range(6)] for one in optima]
+    )
+
+    error = np.hypot(*(values.std(axis=1, ddof=1) / np.sqrt(6)))
+    assert values[0].mean() == pytest.approx(values[1].mean(), abs=float(4 * error))
+    assert error < 0.05
+
+
+def ordered(seed, policies_of, horizon=3):
+    """What policies earn on a random table in a random world, its optimum and a bound on that."""
+    rng = np.random.default_rng(seed)
+    hides = rng.uniform(0.0, 0.9, (3, 3)) * (rng.random((3, 3)) < 0.6) * ~np.eye(3, dtype=bool)
+    dirty_share, wash_clean = rng.uniform(0.3, 0.8), rng.uniform(-12.0, -2.0)
+    config = replace(CONFIG, horizon=horizon, dirty_share=dirty_share, reward_wash_clean=wash_clean)
+    optimum = solve_table(hides, config)
+    bound = information_relaxation_bound(hides, config, num_samples=4000, seed=seed, num_grip_nodes=7)
+    return [optimum.policy_value(policy) for policy in policies_of(config)], optimum.value, bound
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_nobody_is_above_the_optimum_and_that_is_below_the_bound(seed):
+    earned, optimum, bound = ordered(seed, lambda config: [replace(GREEDY[3], config=config), POMDPPolicy(config, 1)])
+
+    assert max(earned) <= optimum + 1e-9
+    assert optimum <= bound.value + 3 * bound.standard_error
+    # Nor are they in that order only because they are far apart.
+    assert max(earned) > optimum - 1.0
+
+
+@pytest.mark.slow
+def test_not_even_who_looks_far_ahead_is_above_the_optimum():
+    earned, optimum, _ = ordered(
+        0, lambda config: [*(POMDPPolicy(config, h) for h in (2, 3)), SearchPolicy(config, 64)]
+    )
+
+    assert max(earned) <= optimum + 1e-9
+    assert min(earned) > optimum - 0.3
+
+
+def test_some_states_stand_for_all_on_average():
+    reached = Reached(
+        np.repeat([0, 3], [40, 60]), np.arange(100), np.random.default_rng(0).dirichlet(np.full(100, 0.3))
+    )
+    worth = np.random.default_rng(1).normal(size=100)
+    lots = [drawn(reached, 20, jax.random.key(seed)) for seed in range(400)]
+
+    values = [lot.mass @ worth[lot.cell] for lot in lots]
+    assert {len(lot.cell) for lot in lots} == {20}
+    np.testing.assert_allclose([lot.mass.sum() for lot in lots], 1.0, atol=1e-9)
+    assert all(np.all(lot.place == np.where(lot.cell < 40, 0, 3)) for lot in lots)
+    assert np.mean(values) == pytest.approx(reached.mass @ worth, abs=float(4 * np.std(values) / 20))
+    # The likely ones are always there, with their own mass.
+    likely = np.flatnonzero(reached.mass > 1 / 20)
+    assert len(likely) >= 3
+    for lot in lots:
+        assert np.isin(likely, lot.cell).all()
+        np.testing.assert_array_equal(lot.mass[np.isin(lot.cell, likely)], reached.mass[likely])
+
+
+def test_a_policy_asked_in_some_states_is_valued_right_on_average():
+    optimum = solve_table(THREE, CONFIG, 4)
+    policy = partial(optimum.policy_value, GREEDY[1])
+    exact, lots = policy(), [policy(jax.random.key(seed), 24) for seed in range(60)]
+
+    assert policy(max_states=10**6) == pytest.approx(exact, abs=1e-12)
+    assert np.mean(lots) == pytest.approx(exact, abs=float(4 * np.std(lots) / np.sqrt(60)))
+    assert 0.0 < np.std(lots) < 0.2
+    with pytest.raises(ArgumentError, match="max_states is 0; at least 1"):
+        policy(max_states=0)
