@@ -50,7 +50,7 @@ def sampled_values(config: WorldConfig, state: TableState, key: Array, num_futur
     """
     belief, keys = belief_of(config, state), jax.random.split(key, num_futures)
     is_last = belief.steps_to_go == 1
-    first = jnp.where(is_last, one_step_q(config, belief), one_step_q(config, _with_steps(belief, _UNLIMITED)))
+    first = jnp.where(is_last, *_rule_and_baseline(config, belief))
 
     def futures(action: Int[Array, ""]) -> Float[Array, " S"]:
         return jax.vmap(lambda key: _surplus(config, belief, action, key))(keys)
@@ -73,11 +73,11 @@ def _surplus(config: WorldConfig, belief: Belief, action: Int[Array, ""], key: A
     def follow(carry: tuple[Belief, Array, Array, Array]) -> tuple[Belief, Array, Array, Array]:
         belief, _, total, key = carry
         key, step_key = jax.random.split(key)
-        unlimited, is_last = _with_steps(belief, _UNLIMITED), belief.steps_to_go == 1
-        q = one_step_q(config, belief)
+        is_last = belief.steps_to_go == 1
+        q, baseline = _rule_and_baseline(config, belief)
         action = jnp.argmax(q)
-        worth = jnp.where(is_last, q[action], one_step_q(config, unlimited)[action])
-        total = total + worth - leaf_value(config, unlimited)
+        worth = jnp.where(is_last, q[action], baseline[action])
+        total = total + worth - leaf_value(config, _with_steps(belief, _UNLIMITED))
         return sample_successor(config, belief, action, step_key), (action != FINISH) & ~is_last, total, key
 
     key, step_key = jax.random.split(key)
@@ -85,5 +85,12 @@ def _surplus(config: WorldConfig, belief: Belief, action: Int[Array, ""], key: A
     return jax.lax.while_loop(goes_on, follow, (reached, jnp.asarray(True), jnp.zeros(()), key))[2]
 
 
-def _with_steps(belief: Belief, num_steps: int) -> Belief:
+def _rule_and_baseline(config: WorldConfig, belief: Belief) -> tuple[Float[Array, " A"], Float[Array, " A"]]:
+    """Q_1 and Q°; what does not depend on the steps is computed once."""
+    steps = jnp.stack([belief.steps_to_go, jnp.asarray(_UNLIMITED, dtype=jnp.int32)])
+    both = jax.vmap(lambda num_steps: one_step_q(config, _with_steps(belief, num_steps)))(steps)
+    return both[0], both[1]
+
+
+def _with_steps(belief: Belief, num_steps: Int[Array, ""] | int) -> Belief:
     return replace(belief, steps_to_go=jnp.asarray(num_steps, dtype=jnp.int32))
