@@ -11,7 +11,7 @@ import pytest
 from halfseen.learners.q_learning.linear_policy import LinearTablePolicy
 from halfseen.learners.q_learning.table_features import NUM_FEATURES
 from halfseen.planners.optimum_decisions import _decide_each
-from halfseen.study.policies import HEURISTICS, heuristics
+from halfseen.study.policies import HEURISTICS
 from halfseen.study.regret import run_regret_baselines, run_regret_repetition, small_tables
 from halfseen.study.regret_table import COLUMNS, regret_table
 from halfseen.world.actions import Verb
@@ -67,15 +67,14 @@ def test_a_repetition_is_the_same_again_and_another_is_another(tables, pieces):
 
 
 def test_the_exact_regret_is_that_of_simulated_episodes(tables):
-    drawn = jax.random.normal(jax.random.key(5), (3, len(Verb), NUM_FEATURES + 1))
-    for policy in (LinearTablePolicy(drawn), heuristics(tables.design)["history-penalty"]):
-        for scene, optimum in zip(tables.scenes, tables.optima, strict=True):
-            layouts, key = pad_scenes([scene]), jax.random.key(1)
-            rewards = np.asarray(evaluate(tables.design.world, layouts, policy, key, 40_000).reward, dtype=np.float64)
+    policy = LinearTablePolicy(jax.random.normal(jax.random.key(5), (3, len(Verb), NUM_FEATURES + 1)))
+    for scene, optimum in zip(tables.scenes, tables.optima, strict=True):
+        layouts, key = pad_scenes([scene]), jax.random.key(1)
+        rewards = np.asarray(evaluate(tables.design.world, layouts, policy, key, 20_000).reward, dtype=np.float64)
 
-            error = rewards.std() / np.sqrt(len(rewards))
-            assert optimum.regret(policy) == pytest.approx(optimum.value - rewards.mean(), abs=float(4 * error))
-            assert 0.0 < error < 0.06
+        error = rewards.std() / np.sqrt(len(rewards))
+        assert optimum.regret(policy) == pytest.approx(optimum.value - rewards.mean(), abs=float(4 * error))
+        assert 0.0 < error < 0.08
 
 
 def test_learned_policies_share_one_compilation(tables):
