@@ -51,6 +51,9 @@ class TigerProblem:
         """Earn what one action brings where nothing is known."""
         return jnp.array([-1.0, -45.0, -45.0])
 
+    def rule_base(self, state: Array) -> None:
+        """Nothing is assumed of what comes after."""
+
 
 def main() -> None:
     """Plan three actions at each budget and print what was found."""

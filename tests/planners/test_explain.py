@@ -11,7 +11,8 @@ from halfseen.errors import ArgumentError
 from halfseen.planners import GreedyPolicy, solve_table
 from halfseen.planners.belief import belief_of
 from halfseen.planners.explain import FITTED_ERROR, Futures, PlannerError, drawn_q, expected_q, explain
-from halfseen.planners.pomdp import POMDPPolicy, one_step_q
+from halfseen.planners.one_step import one_step_q
+from halfseen.planners.pomdp import POMDPPolicy
 from halfseen.planners.rollout import sampled_values
 from halfseen.world import ExploringPolicy, Scene, WorldConfig
 from halfseen.world.episodes import evaluate, play

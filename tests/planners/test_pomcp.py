@@ -3,15 +3,16 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+import naive_planner
 import numpy as np
 import pytest
 from naive_planner import CONFIG, Cup
 from tables import state_of
 
 from halfseen.errors import ArgumentError
-from halfseen.planners import GreedyPolicy, POMDPPolicy, SearchPolicy, TableProblem, plan, solve_discrete
+from halfseen.planners import GreedyPolicy, POMDPPolicy, TableProblem, plan, solve_discrete
 from halfseen.planners.belief import belief_of
-from halfseen.planners.pomdp import one_step_q
+from halfseen.planners.one_step import one_step_q
 from halfseen.world import Scene
 from halfseen.world.episodes import evaluate
 from halfseen.world.policy import Policy
@@ -155,12 +156,20 @@ def test_a_wrong_number_is_refused(options, said):
 
 
 def test_a_search_inside_a_simulation_is_the_plan():
-    policy = SearchPolicy(CONFIG, 100)
+    policy = POMDPPolicy(CONFIG, planning_horizon=4, num_simulations=100)
     assert isinstance(policy, Policy)
-    chosen = jax.jit(policy.decide)(TABLE.seen, KEY)
-    assert int(chosen.action) == plan(TABLE, KEY, num_simulations=100, max_nodes=101).action
-    with pytest.raises(ArgumentError, match="num_simulations is 0"):
-        SearchPolicy(CONFIG, 0)
+    found = plan(TABLE, KEY, num_simulations=100, max_nodes=101, max_depth=3)
+    np.testing.assert_allclose(jax.jit(policy.q_values)(TABLE.seen, KEY), found.values, rtol=1e-5)
+    assert int(jax.jit(policy.decide)(TABLE.seen, KEY).action) == found.action
+    assert found.depth == 3
+
+
+def test_simulations_as_deep_as_allowed_are_worth_the_rule_there():
+    found = plan(TABLE, KEY, num_simulations=20_000, max_depth=1)
+    expected = naive_planner.q_values(CUPS, HIDES, int(TABLE.seen.steps_to_go), depth=2)
+    np.testing.assert_allclose(found.values, expected, atol=0.06)
+    assert found.depth == 1
+    assert found.num_tries.sum() == 20_000
 
 
 @pytest.mark.slow
@@ -170,7 +179,7 @@ def test_on_two_cups_the_search_earns_no_less_than_heuristics():
     def rewards(policy):
         return np.asarray(evaluate(CONFIG, layouts, policy, KEY, num, 1).reward, dtype=float)
 
-    found = rewards(SearchPolicy(CONFIG, 128))
+    found = rewards(POMDPPolicy(CONFIG, CONFIG.horizon, 128))
     greedy = found - rewards(GreedyPolicy(CONFIG, uses_history=True, counts_penalty=True))
     one_step = found - rewards(POMDPPolicy(CONFIG, 1))
     assert greedy.mean() > 0

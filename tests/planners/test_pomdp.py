@@ -11,7 +11,7 @@ from tables import state_of
 from halfseen.errors import ArgumentError
 from halfseen.planners import POMDPPolicy
 from halfseen.planners.belief import Belief, belief_of
-from halfseen.planners.pomdp import WIDTHS, leaf_value, one_step_q, planned_q
+from halfseen.planners.one_step import leaf_value, one_step_q
 from halfseen.world.actions import FINISH, possible_actions
 
 HIDES = np.array([[0.0, 0.6], [0.1, 0.0]])
@@ -56,14 +56,13 @@ def test_one_step_ahead_every_outcome_counts_as_often_as_it_happens(cups, steps_
 
 @pytest.mark.parametrize("cups", [TWO_CUPS["nothing was tried"], TWO_CUPS["both were tried"]])
 def test_two_steps_ahead_sampled_futures_agree_with_all_futures(cups):
-    belief = belief_of(CONFIG, state_of(cups, HIDES, 4))
-    widths = ((5, 3000),)
+    state, policy = state_of(cups, HIDES, 4), POMDPPolicy(CONFIG, 2, num_simulations=20_000)
 
-    q = jax.jit(planned_q, static_argnums=2)(CONFIG, belief, widths, jax.random.key(0))
+    q = jax.jit(policy.q_values)(state, jax.random.key(0))
 
     expected = np.array(naive_planner.q_values(cups, HIDES, 4, depth=2))
     np.testing.assert_allclose(q, expected, atol=0.06)
-    assert np.max(np.abs(expected - fast_q(CONFIG, belief))) > 0.25
+    assert np.max(np.abs(expected - fast_q(CONFIG, belief_of(CONFIG, state)))) > 0.25
 
 
 def test_q_does_not_depend_on_the_order_of_the_cups():
@@ -135,10 +134,7 @@ def test_it_never_takes_a_cup_that_is_gone():
         assert all(possible_actions(state)[action] for action in actions)
 
 
-def test_a_planning_horizon_without_widths_is_refused():
-    with pytest.raises(ArgumentError, match=r"planning_horizon is 5; it is one of 1, 2, 3, 4"):
-        POMDPPolicy(CONFIG, planning_horizon=5)
-
-
-def test_the_widths_look_as_deep_as_the_planning_horizon_says():
-    assert {horizon: 1 + len(widths) for horizon, widths in WIDTHS.items()} == {1: 1, 2: 2, 3: 3, 4: 4}
+@pytest.mark.parametrize("name", ["planning_horizon", "num_simulations"])
+def test_numbers_below_one_are_refused(name):
+    with pytest.raises(ArgumentError, match=f"{name} is 0; it is at least 1"):
+        POMDPPolicy(CONFIG, **{name: 0})

@@ -1,10 +1,10 @@
 """A known model → policies: what learning is compared with.
 
 Read down: `belief` (what can be known) → `heuristics` (greedy, with and without history, with and without the penalty
-that a WASH avoids) → `pomdp` (looking h steps ahead) → `optimum` (the best there is, on small tables), `optimum_bound`
-(what nobody can beat, on any). Any problem that can be drawn from: `generative` (the protocol) → `pomcp` (search until
-the time is up) → `table_problem` (the table as such a problem). `discrete` stands apart: any POMDP given as arrays,
-solved exactly.
+that a WASH avoids) → `one_step` (a closed look one step ahead). Any problem that can be drawn from: `generative` (the
+protocol) → `search_tree`, `pomcp` (search until the time is up) → `table_problem` (the table as such a problem) →
+`pomdp` (looking h steps ahead). What they are measured by: `optimum` (the best there is, on small tables),
+`optimum_bound` (what nobody can beat, on any). `discrete` stands apart: any POMDP given as arrays, solved exactly.
 """
 
 from typing import TYPE_CHECKING
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from halfseen.planners.optimum_bound import RelaxationBound, information_relaxation_bound
     from halfseen.planners.pomcp import Plan, plan
     from halfseen.planners.pomdp import POMDPPolicy
-    from halfseen.planners.table_problem import SearchPolicy, TableProblem
+    from halfseen.planners.table_problem import TableProblem
 
 __all__ = [
     "DiscreteSolution",
@@ -28,7 +28,6 @@ __all__ = [
     "POMDPPolicy",
     "Plan",
     "RelaxationBound",
-    "SearchPolicy",
     "Step",
     "TableOptimum",
     "TableProblem",
@@ -48,7 +47,6 @@ __getattr__ = lazy_names(
         "POMDPPolicy": "pomdp",
         "Plan": "pomcp",
         "RelaxationBound": "optimum_bound",
-        "SearchPolicy": "table_problem",
         "Step": "generative",
         "TableOptimum": "optimum",
         "TableProblem": "table_problem",

@@ -11,12 +11,14 @@ A(s)           ``is_possible(state)``, shape (A,): the same in all states that l
 s', o, r       ``step(state, action, key)``: a draw from P(s', o | s, a), its reward, and whether it ended
 ln P(o|s', a)  ``log_likelihood(observation, state_after, action)``: what turns a belief into the next
 q_0(s, a)      ``rule_values(state)``, shape (A,): the stated rule for what lies beyond the search
+V_0(s)         ``rule_base(state)``: what q_0 assumes of where it leads, or None
 γ, H           ``discount`` in (0, 1]; ``horizon``: actions left from the first, at least 1
 =============  =====================================================================================
 
 The rule q_0 is a rough value of each action, all that comes after included. It reads only what can be seen in
 `state`, as `is_possible` does; a planner that was told the truth would wait for it. The best of it values a situation
-that the search has just reached, and decides where nothing was searched.
+that the search has just reached, and decides where nothing was searched. If it is one exact step, followed by a rougher
+value V_0 of the next situation, q_0(s, a) = E[r + γ V_0(s')], the problem may say so, and the search has less noise.
 
 An observation is an integer ≥ 0; two different ones are two different branches of a search.
 """
@@ -77,6 +79,10 @@ class GenerativeProblem(Protocol):
 
     def rule_values(self, state: State) -> Float[Array, " A"]:
         """Rough value of each action by the stated rule, read from what is seen."""
+        ...
+
+    def rule_base(self, state: State) -> Float[Array, ""] | None:
+        """V_0, if q_0(s, a) = E[r + γ V_0(s')], 0 where the path is over; None if the rule is no such expectation."""
         ...
 
 

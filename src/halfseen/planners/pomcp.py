@@ -12,10 +12,11 @@ from jaxtyping import Array, Float, Int
 
 from halfseen.errors import ArgumentError
 from halfseen.planners.generative import GenerativeProblem, State
-from halfseen.planners.search_tree import NUM_NODES, Tree, grown, root, summary
+from halfseen.planners.search_tree import Tree, grown, root, summary
 
-_FIRST = 4
+_FIRST = 16
 _SHARE_OF_TIME_LEFT = 0.5
+_NUM_NODES = 2**14
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,8 @@ def plan(
     particles: State = None,
     exploration: float = 1.0,
     rule_weight: float = 1.0,
-    max_nodes: int = NUM_NODES,
+    max_nodes: int = _NUM_NODES,
+    max_depth: int | None = None,
 ) -> Plan:
     """Search for the best action until time or simulations are used up.
 
@@ -96,6 +98,8 @@ def plan(
         w: how many simulations the rule's word is worth, above 0.
     max_nodes
         Bound on the size of the tree.
+    max_depth
+        Most actions that a simulation takes before the rule stands for the rest; None for the problem's horizon.
 
     Returns
     -------
@@ -112,9 +116,9 @@ def plan(
     ``examples/tiger.py`` states a problem and plans for it.
     """
     begin_s = time.perf_counter()
-    _check(budget_s, num_simulations, exploration, rule_weight, max_nodes, problem.horizon)
+    _check(budget_s, num_simulations, exploration, rule_weight, max_nodes, max_depth, problem.horizon)
     tree, depth = root(problem, particles, key, float(rule_weight), max_nodes), jnp.zeros((), dtype=jnp.int32)
-    grow = partial(grown, problem, particles, key, float(exploration))
+    grow = partial(grown, problem, particles, key, float(exploration), max_depth=max_depth or problem.horizon)
     num_done = 0
     if budget_s is None:
         num_done = num_simulations or 0
@@ -156,6 +160,7 @@ def _check(
     exploration: float,
     rule_weight: float,
     max_nodes: int,
+    max_depth: int | None,
     horizon: int,
 ) -> None:
     if (budget_s is None) == (num_simulations is None):
@@ -168,5 +173,6 @@ def _check(
         raise ArgumentError(f"exploration is {exploration}; it is a finite number of at least 0")
     if not 0.0 < rule_weight < math.inf:
         raise ArgumentError(f"rule_weight is {rule_weight}; it is a finite number above 0")
-    if max_nodes < 1 or horizon < 1:
-        raise ArgumentError(f"max_nodes is {max_nodes} and the problem's horizon {horizon}; both are at least 1")
+    for name, number in (("max_nodes", max_nodes), ("max_depth", max_depth), ("the problem's horizon", horizon)):
+        if number is not None and number < 1:
+            raise ArgumentError(f"{name} is {number}; it is at least 1")

@@ -1,41 +1,30 @@
-"""Planning with a known model, h steps ahead in the space of beliefs.
+"""Planning with a known model, h steps ahead in the space of beliefs: the planner of the table as a policy.
 
-What lies beyond the planning horizon is valued by a rule of thumb V_0: each object is left, or tried once, whichever is
-worth more, as far as the steps allow. One step ahead, Q_1(b, a) = E[R + V_0(b')] is computed in closed form: the grasp
-succeeds or not, and each label says one thing or the other, object by object (exact unless more tries are wanted than
-steps remain: then the expected number of tries stands for their number). Deeper,
+Q_1 is the closed look of `one_step`. Further ahead,
 
-    Q_h(b, a) = Q_1(b, a) + E[ V_{h−1}(b') − V_0(b') ],   V_h(b) = max_a Q_h(b, a),
+    Q_h(b, a) = E[ R + V_{h−1}(b') ],   V_h(b) = max_a Q_h(b, a),
 
-with the expectation over sampled futures: only what planning adds is left to chance, which is little. Below the root
-the most promising actions by Q_1 are followed (sparse sampling, [KearnsMansourNg2002]_).
+by a tree of h − 1 actions (`search_tree`) at whose leaves stands V_1. With h as long as the path, the number of
+simulations is all that bounds it.
 """
 
 from dataclasses import dataclass, field
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float
 
 from halfseen.errors import ArgumentError
-from halfseen.planners.belief import (
-    Belief,
-    attempt_evidence,
-    belief_of,
-    dirty_after_label,
-    expected_attempt_s,
-    grasp_chance,
-    occlusion_without,
-    sample_successor,
-)
-from halfseen.planners.heuristics import wash_worth
-from halfseen.world.actions import FINISH
+from halfseen.planners.belief import belief_of
+from halfseen.planners.one_step import one_step_q
+from halfseen.planners.search_tree import grown, root, summary
+from halfseen.planners.table_problem import TableProblem
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Decision
 from halfseen.world.state import TableState
 
-WIDTHS = {1: (), 2: ((8, 8),), 3: ((6, 6), (3, 3)), 4: ((4, 3), (3, 2), (2, 2))}
-"""For each planning horizon, from the root down: (actions followed, futures sampled of each)."""
+NUM_SIMULATIONS = 256
+_EXPLORATION = _RULE_WEIGHT = 1.0
 
 
 @jax.tree_util.register_dataclass
@@ -48,123 +37,36 @@ class POMDPPolicy:
     config
         The world that it believes in.
     planning_horizon
-        h, from 1 to 4.
+        h, ≥ 1.
+    num_simulations
+        Simulations a decision, ≥ 1; a look of one step needs none.
 
     Raises
     ------
     ArgumentError
-        There are no widths for `planning_horizon`.
+        A number is below 1.
     """
 
     config: WorldConfig
     planning_horizon: int = field(default=2, metadata={"static": True})
+    num_simulations: int = field(default=NUM_SIMULATIONS, metadata={"static": True})
 
     def __post_init__(self) -> None:
-        if self.planning_horizon not in WIDTHS:
-            known = ", ".join(map(str, WIDTHS))
-            raise ArgumentError(f"planning_horizon is {self.planning_horizon}; it is one of {known}")
+        for name in ("planning_horizon", "num_simulations"):
+            if getattr(self, name) < 1:
+                raise ArgumentError(f"{name} is {getattr(self, name)}; it is at least 1")
 
     def decide(self, state: TableState, key: Array) -> Decision:
-        """Choose for one table; `key` samples futures (the probability of a choice is not known)."""
-        q = planned_q(self.config, belief_of(self.config, state), WIDTHS[self.planning_horizon], key)
+        """Choose for one table; `key` is the simulations' (the probability of a choice is not known)."""
+        q = self.q_values(state, key)
         return Decision(jnp.argmax(q).astype(jnp.int32), jnp.full((), jnp.nan, dtype=jnp.float32))
 
-
-def planned_q(
-    config: WorldConfig, belief: Belief, widths: tuple[tuple[int, int], ...], key: Array
-) -> Float[Array, " A"]:
-    """Q_h of every action of one table; −∞ where an action is impossible or was not followed."""
-    q = one_step_q(config, belief)
-    if not widths:
-        return q
-    (num_actions, num_samples), deeper = widths[0], widths[1:]
-    _, actions = jax.lax.top_k(q, min(num_actions, q.shape[0]))
-    # All actions meet the same draws, so that their differences are not noise.
-    keys = jax.random.split(key, num_samples)
-
-    def surplus(action: Int[Array, ""], key: Array) -> Float[Array, ""]:
-        """V_{h−1}(b') − V_0(b') of one sampled future."""
-        successor_key, deeper_key = jax.random.split(key)
-        successor = sample_successor(config, belief, action, successor_key)
-        base = leaf_value(config, successor)
-        value = jnp.max(planned_q(config, successor, deeper, deeper_key))
-        goes_on = (successor.steps_to_go > 0) & jnp.any(successor.is_on_table) & (action != FINISH)
-        return jnp.where(goes_on, value - base, 0.0)
-
-    added = jax.vmap(lambda action: jnp.mean(jax.vmap(lambda key: surplus(action, key))(keys)))(actions)
-    return jnp.full_like(q, -jnp.inf).at[actions].set(q[actions] + added)
-
-
-def leaf_value(config: WorldConfig, belief: Belief) -> Float[Array, ""]:
-    """V_0: every object is left where it stands, or tried once if that is worth more."""
-    occluded = occlusion_without(belief, jnp.zeros_like(belief.is_on_table))
-    chance = grasp_chance(config, occluded, belief.grip)
-    is_dirty = jax.nn.sigmoid(belief.log_odds)
-    gain = jax.nn.relu(wash_worth(config, is_dirty, chance, counts_penalty=True))
-    return _left_or_tried(
-        config, belief.is_on_table, is_dirty, gain, jnp.where(gain > 0.0, 1.0, 0.0), belief.steps_to_go
-    )
-
-
-def _left_or_tried(
-    config: WorldConfig,
-    is_on_table: Bool[Array, "*S N"],
-    is_dirty: Float[Array, "*#S N"],
-    gain: Float[Array, "*S N"],
-    is_tried: Float[Array, "*S N"],
-    steps_to_go: Int[Array, ""],
-) -> Float[Array, "*S"]:
-    """Value of leaving all, plus the gains of as many tries as there are steps (their mean stands for the best).
-
-    `is_tried` is the probability that an object is worth a try.
-    """
-    num_tries = jnp.sum(jnp.where(is_on_table, is_tried, 0.0), axis=-1)
-    share_tried = jnp.minimum(1.0, steps_to_go / jnp.maximum(num_tries, 1.0))
-    left = config.reward_dirty_left * jnp.sum(jnp.where(is_on_table, is_dirty, 0.0), axis=-1)
-    return left + share_tried * jnp.sum(jnp.where(is_on_table, gain, 0.0), axis=-1)
-
-
-def one_step_q(config: WorldConfig, belief: Belief) -> Float[Array, " A"]:
-    """Q_1 of every action of one table, in closed form; −∞ where an action is impossible."""
-    num_objects = belief.is_on_table.shape[0]
-    is_dirty = jax.nn.sigmoid(belief.log_odds)
-    target = jnp.eye(num_objects, dtype=bool)
-    nothing = jnp.zeros(num_objects, dtype=bool)
-    occluded = occlusion_without(belief, nothing)
-    occluded_without = jax.vmap(lambda taken: occlusion_without(belief, taken))(target)
-    chance = grasp_chance(config, occluded, belief.grip)
-    grip_held, grip_missed = (
-        belief.grip + attempt_evidence(config, occluded, jnp.full(num_objects, result)) for result in (True, False)
-    )
-    chance_held = grasp_chance(config, occluded, grip_held)
-    chance_missed = grasp_chance(config, occluded, grip_missed)
-    chance_cleared = grasp_chance(config, occluded_without, belief.grip)
-
-    def value(is_on_table: Array, seen_at: Array, chances: Array) -> Float[Array, " N"]:
-        """E V_0 after the labels, one row for each target."""
-        gain, is_tried = _expected_gain(config, is_dirty, seen_at, chances)
-        return _left_or_tried(config, is_on_table, is_dirty, gain, is_tried, belief.steps_to_go - 1)
-
-    there = jnp.broadcast_to(belief.is_on_table, target.shape)
-    washed = value(there & ~target, occluded_without, chance_cleared)
-    lifted = value(there, jnp.where(target, 0.0, occluded_without), jnp.where(target, chance_held, chance))
-    missed = value(there, jnp.broadcast_to(occluded, target.shape), jnp.where(target, chance_missed, chance))
-    worth = wash_worth(config, is_dirty, chance, counts_penalty=False)
-    wash = worth + chance * washed + (1.0 - chance) * missed
-    look = config.reward_lift_per_s * expected_attempt_s(config, occluded, belief.grip)
-    lift = look + chance * lifted + (1.0 - chance) * missed
-    finish = config.reward_dirty_left * jnp.sum(jnp.where(belief.is_on_table, is_dirty, 0.0))
-    attempts = jnp.where(jnp.tile(belief.is_on_table, 2), jnp.concatenate([wash, lift]), -jnp.inf)
-    return jnp.concatenate([finish[None], attempts])
-
-
-def _expected_gain(
-    config: WorldConfig, is_dirty: Float[Array, " N"], seen_at: Float[Array, "*S N"], chance: Float[Array, "*S N"]
-) -> tuple[Float[Array, "*S N"], Float[Array, "*S N"]]:
-    """E (worth of one more try)₊ over the next label, and P(it is positive)."""
-    says_dirty, if_dirty, if_clean = dirty_after_label(config, jnp.broadcast_to(is_dirty, seen_at.shape), seen_at)
-    worth_dirty = wash_worth(config, if_dirty, chance, counts_penalty=True)
-    worth_clean = wash_worth(config, if_clean, chance, counts_penalty=True)
-    gain = says_dirty * jax.nn.relu(worth_dirty) + (1.0 - says_dirty) * jax.nn.relu(worth_clean)
-    is_tried = jnp.where(worth_dirty > 0.0, says_dirty, 0.0) + jnp.where(worth_clean > 0.0, 1.0 - says_dirty, 0.0)
-    return gain, is_tried
+    def q_values(self, state: TableState, key: Array) -> Float[Array, " A"]:
+        """Q_h of every action of one table; −∞ where an action is impossible."""
+        if self.planning_horizon == 1:
+            return one_step_q(self.config, belief_of(self.config, state))
+        problem, nothing = TableProblem(self.config, state), jnp.zeros((), dtype=jnp.int32)
+        tree = root(problem, None, key, _RULE_WEIGHT, self.num_simulations + 1)
+        max_depth = self.planning_horizon - 1
+        tree, _ = grown(problem, None, key, _EXPLORATION, tree, nothing, 0, self.num_simulations, max_depth)
+        return summary(tree)[0]

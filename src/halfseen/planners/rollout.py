@@ -1,6 +1,6 @@
 """What an action is worth if a stated rule decides ever after, by sampled futures.
 
-The rule is the closed look one step ahead of `pomdp`, π(b) = argmax Q_1(b, ·). The best action by Q^π is
+The rule is the closed look one step ahead of `one_step`, π(b) = argmax Q_1(b, ·). The best action by Q^π is
 far better than π itself: one improvement of a rule is most of what there is to gain [BertsekasCastanon1999]_.
 
 A future is a path of beliefs b_0, b_1, … from action a_0 on, and is worth
@@ -20,7 +20,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from halfseen.planners.belief import Belief, belief_of, sample_successor
-from halfseen.planners.pomdp import leaf_value, one_step_q
+from halfseen.planners.one_step import leaf_value, one_step_q
 from halfseen.world.actions import FINISH, possible_actions
 from halfseen.world.config import WorldConfig
 from halfseen.world.state import TableState

@@ -9,7 +9,7 @@ and walks down the tree; at a node h (a history of actions and observations) it 
 where q_0 is the problem's stated rule, which counts as w visits, and u is by how much it was wrong so far: a rule that
 promises too little would else keep every action but the first from being tried. At the root the k-th best
 action by Q⁺ gets a share of the visits in proportion to 1/k: none is left out, and no constant decides. Where it leaves
-the tree it adds one node, of value V = max_a q_0. Going back up,
+the tree it adds one node, of value V = max_a q_0; at the depth limit it stops. Going back up,
 
     G(h, a) = Σ over visits of  r  +  γ Σ_o n(h a o) V(h a o),   V(h) = max_a Q(h, a),
 
@@ -17,13 +17,16 @@ with Q = Q⁺ for u = 0. V is the best action's value, not the mean over all tha
 parents nothing, but the best of noisy numbers is too large, the more so the fewer the simulations.
 An action's error at the root is that of the mean of all returns that began with it.
 
+Where the problem says of its rule that q_0(h, a) = E[r + γ V_0(h a o)], the reward of a visit is not the one that was
+drawn but q_0(h, a) − γ V_0(h a o). Its expectation is the same and it knows neither the hidden state nor its noise: a
+few simulations do where drawn rewards take hundreds.
+
 =============  =============================================================
 symbol         here
 =============  =============================================================
 h, h a o       a row of the arrays of `Tree`; its row of ``parent, via, seen``
-n(h), V(h)     ``visits``, ``value``
-n(h, a), G     ``tries``, ``total``
-q_0            ``rule``; −∞ where an action is impossible
+n(h, a), G     ``tries``, ``total``; n(h) = 1 + Σ_a n(h, a) is not kept, nor is V(h)
+q_0, V_0       ``rule``; −∞ where an action is impossible; ``base``
 c              ``exploration``, in units of reward
 w              ``rule_weight``
 γ, H           ``problem.discount``, ``problem.horizon``
@@ -42,7 +45,6 @@ from jaxtyping import Array, Bool, Float, Int
 from halfseen.planners.generative import GenerativeProblem, State
 from halfseen.world.config import Number
 
-NUM_NODES = 8192
 _FREE = -1
 
 
@@ -57,9 +59,8 @@ class Tree:
     parent: Int[Array, " M"]
     via: Int[Array, " M"]
     seen: Int[Array, " M"]
-    visits: Float[Array, " M"]
-    value: Float[Array, " M"]
     rule: Float[Array, "M A"]
+    base: Float[Array, " M"]
     rule_weight: Float[Array, ""]
     tries: Float[Array, "M A"]
     total: Float[Array, "M A"]
@@ -77,7 +78,7 @@ def summary(tree: Tree) -> tuple[Array, Array, Array, Array, Array]:
 @partial(jax.jit, static_argnames="max_nodes")
 def root(problem: GenerativeProblem, particles: State, key: Array, rule_weight: Number, max_nodes: int) -> Tree:
     """A tree of the root alone."""
-    rule = _rule(problem, _drawn(problem, particles, key))
+    rule, base = _rule(problem, _drawn(problem, particles, key))
     size, num_slots = (max_nodes, problem.num_actions), 2 ** math.ceil(math.log2(2 * max_nodes))
     return Tree(
         num_nodes=jnp.ones((), dtype=jnp.int32),
@@ -85,9 +86,8 @@ def root(problem: GenerativeProblem, particles: State, key: Array, rule_weight: 
         parent=jnp.zeros(max_nodes, dtype=jnp.int32),
         via=jnp.zeros(max_nodes, dtype=jnp.int32),
         seen=jnp.zeros(max_nodes, dtype=jnp.int32),
-        visits=jnp.zeros(max_nodes).at[0].set(1.0),
-        value=jnp.zeros(max_nodes).at[0].set(jnp.max(rule)),
         rule=jnp.zeros(size).at[0].set(rule),
+        base=jnp.zeros(max_nodes).at[0].set(base),
         rule_weight=jnp.asarray(rule_weight, dtype=jnp.float32),
         tries=jnp.zeros(size),
         total=jnp.zeros(size),
@@ -106,18 +106,28 @@ def grown(
     depth: Int[Array, ""],
     begin: Number,
     end: Number,
+    max_depth: Number,
 ) -> tuple[Tree, Int[Array, ""]]:
-    """The tree after simulations `begin` to `end`, and the actions of the longest one; one draw each of `key`."""
+    """The tree after simulations `begin` to `end`, and the actions of the longest one; one draw each of `key`.
+
+    None takes more than `max_depth` actions: the rule stands for what lies beyond.
+    """
 
     def simulate(k: Array, tree_and_depth: tuple[Tree, Array]) -> tuple[Tree, Array]:
         tree, depth = tree_and_depth
         state_key, walk_key = jax.random.split(jax.random.fold_in(key, k))
-        walk = _descent(problem, tree, exploration, _drawn(problem, particles, state_key), walk_key)
+        walk = _descent(problem, tree, exploration, _drawn(problem, particles, state_key), walk_key, max_depth)
         # What is over is worth nothing more, and asking the rule is the dearest part of a simulation.
-        rule = jax.lax.cond(walk.is_over, lambda: jnp.zeros(problem.num_actions), lambda: _rule(problem, walk.state))
-        return _backed_up(problem.discount, _with_leaf(tree, walk, rule), walk, jnp.max(rule)), jnp.maximum(
-            depth, walk.length
+        rule, base = jax.lax.cond(
+            walk.is_over,
+            lambda: (jnp.zeros(problem.num_actions), jnp.zeros(())),
+            lambda: _rule(problem, walk.state),
         )
+        if problem.rule_base(walk.state) is not None:
+            unknown = jnp.where(walk.node == _FREE, problem.discount * base, 0.0)
+            walk = walk._replace(rewards=walk.rewards.at[walk.length - 1].add(-unknown))
+        tree = _backed_up(problem.discount, _with_leaf(tree, walk, rule, base), walk, jnp.max(rule))
+        return tree, jnp.maximum(depth, walk.length)
 
     return jax.lax.fori_loop(begin, end, simulate, (tree, depth))
 
@@ -130,6 +140,9 @@ class _Walk(NamedTuple):
     nodes: Int[Array, " H"]
     actions: Int[Array, " H"]
     rewards: Float[Array, " H"]
+    visits: Float[Array, " H"]
+    values: Float[Array, " H"]
+    """n and V of each node. Read on the way down: in a loop that also writes, the tree's arrays would be copied."""
     length: Int[Array, ""]
     node: Int[Array, ""]
     """Where it stands, −1 outside the tree."""
@@ -138,13 +151,15 @@ class _Walk(NamedTuple):
     is_over: Bool[Array, ""]
 
 
-def _descent(problem: GenerativeProblem, tree: Tree, exploration: Number, state: State, key: Array) -> _Walk:
-    """Walk down until the tree or the path ends."""
+def _descent(
+    problem: GenerativeProblem, tree: Tree, exploration: Number, state: State, key: Array, max_depth: Number
+) -> _Walk:
+    """Walk down until the tree or the path ends, or for `max_depth` actions."""
     zero, path = jnp.zeros((), dtype=jnp.int32), jnp.zeros(problem.horizon, dtype=jnp.int32)
-    rewards = jnp.zeros(problem.horizon)
+    nothing = jnp.zeros(problem.horizon)
 
     def goes_on(walk: _Walk) -> Array:
-        return (walk.node != _FREE) & ~walk.is_over
+        return (walk.node != _FREE) & ~walk.is_over & (walk.length < max_depth)
 
     def one_step_down(walk: _Walk) -> _Walk:
         key, step_key = jax.random.split(walk.key)
@@ -152,12 +167,18 @@ def _descent(problem: GenerativeProblem, tree: Tree, exploration: Number, state:
         after, seen, reward, is_over = problem.step(walk.state, action, step_key)
         seen = seen.astype(jnp.int32)
         slot, node = _found(tree, walk.node, action, seen)
+        if problem.rule_base(after) is not None:
+            # What lies outside of the tree is not known yet.
+            base = jnp.where((node != _FREE) & ~is_over, tree.base[node], 0.0)
+            reward = tree.rule[walk.node, action] - problem.discount * base
         return _Walk(
             state=after,
             key=key,
             nodes=walk.nodes.at[walk.length].set(walk.node),
             actions=walk.actions.at[walk.length].set(action),
             rewards=walk.rewards.at[walk.length].set(reward),
+            visits=walk.visits.at[walk.length].set(1.0 + jnp.sum(tree.tries[walk.node])),
+            values=walk.values.at[walk.length].set(jnp.max(_q(tree, walk.node))),
             length=walk.length + 1,
             node=node,
             slot=slot,
@@ -165,7 +186,7 @@ def _descent(problem: GenerativeProblem, tree: Tree, exploration: Number, state:
             is_over=is_over | (walk.length + 1 == problem.horizon),
         )
 
-    start = _Walk(state, key, path, path, rewards, zero, zero, zero, zero, jnp.asarray(False))
+    start = _Walk(state, key, path, path, nothing, nothing, nothing, zero, zero, zero, zero, jnp.asarray(False))
     return jax.lax.while_loop(goes_on, one_step_down, start)
 
 
@@ -203,10 +224,10 @@ def _mixed(number: Array) -> Array:
     return number ^ (number >> 16)
 
 
-def _with_leaf(tree: Tree, walk: _Walk, rule: Float[Array, " A"]) -> Tree:
+def _with_leaf(tree: Tree, walk: _Walk, rule: Float[Array, " A"], base: Float[Array, ""]) -> Tree:
     """The tree with the node that the walk reached outside of it, if there is room."""
     max_nodes = tree.parent.shape[0]
-    is_new = ~walk.is_over & (tree.num_nodes < max_nodes)
+    is_new = ~walk.is_over & (walk.node == _FREE) & (tree.num_nodes < max_nodes)
     # Writing out of range is dropped: a branch would copy the arrays.
     row = jnp.where(is_new, tree.num_nodes, max_nodes)
     slot = jnp.where(is_new, walk.slot, tree.slots.shape[0])
@@ -217,16 +238,15 @@ def _with_leaf(tree: Tree, walk: _Walk, rule: Float[Array, " A"]) -> Tree:
         parent=tree.parent.at[row].set(walk.nodes[walk.length - 1], mode="drop"),
         via=tree.via.at[row].set(walk.actions[walk.length - 1], mode="drop"),
         seen=tree.seen.at[row].set(walk.seen, mode="drop"),
-        visits=tree.visits.at[row].set(1.0, mode="drop"),
-        value=tree.value.at[row].set(jnp.max(rule), mode="drop"),
         rule=tree.rule.at[row].set(rule, mode="drop"),
+        base=tree.base.at[row].set(base, mode="drop"),
     )
 
 
 def _backed_up(discount: Number, tree: Tree, walk: _Walk, leaf_value: Float[Array, ""]) -> Tree:
     """The tree with what the walk brought, from its end up to the root.
 
-    `gain` is what n V of the child has grown by, `earned` the walk's own return.
+    `gain` is by how much n V of the child has grown, `earned` the walk's own return.
     """
 
     def up(back: Array, carry: tuple[Tree, Array, Array]) -> tuple[Tree, Array, Array]:
@@ -238,9 +258,8 @@ def _backed_up(discount: Number, tree: Tree, walk: _Walk, leaf_value: Float[Arra
             tries=tree.tries.at[node, action].add(1.0),
             total=tree.total.at[node, action].add(reward + discount * gain),
         )
-        visits, before, now = tree.visits[node], tree.value[node], jnp.max(_q(tree, node))
-        tree = replace(tree, visits=tree.visits.at[node].add(1.0), value=tree.value.at[node].set(now))
-        return tree, (visits + 1.0) * now - visits * before, reward + discount * earned
+        now = jnp.max(_q(tree, node))
+        return tree, now + walk.visits[at] * (now - walk.values[at]), reward + discount * earned
 
     tree, _, earned = jax.lax.fori_loop(0, walk.length, up, (tree, leaf_value, leaf_value))
     first = walk.actions[0]
@@ -256,9 +275,11 @@ def _q(tree: Tree, node: Array | int) -> Float[Array, " A"]:
     return (tree.rule_weight * tree.rule[node] + tree.total[node]) / (tree.rule_weight + tree.tries[node])
 
 
-def _rule(problem: GenerativeProblem, state: State) -> Float[Array, " A"]:
-    """q_0, −∞ where an action is impossible."""
-    return jnp.where(problem.is_possible(state), problem.rule_values(state), -jnp.inf).astype(jnp.float32)
+def _rule(problem: GenerativeProblem, state: State) -> tuple[Float[Array, " A"], Float[Array, ""]]:
+    """q_0, −∞ where an action is impossible, and V_0, 0 where the problem has none."""
+    rule = jnp.where(problem.is_possible(state), problem.rule_values(state), -jnp.inf)
+    base = problem.rule_base(state)
+    return rule.astype(jnp.float32), jnp.asarray(0.0 if base is None else base, dtype=jnp.float32)
 
 
 def _drawn(problem: GenerativeProblem, particles: State, key: Array) -> State:

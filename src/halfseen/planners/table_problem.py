@@ -4,16 +4,11 @@ A state is what is seen (`TableState`) and what is not (`HiddenState`); the beli
 exact: attributes by their log-odds, and each grip offset by its posterior, on a fine grid. What an action lets the
 policy observe is which labels said DIRTY and whether the grasp held.
 
-The rule is the closed look one step ahead of `pomdp`: q_0 = Q_1, and V_0 beyond. The reward handed to the planner is
-
-    r(b, a, b') = Q_1(b, a) − V_0(b'),   V_0 = 0 where the path is over,
-
-whose expectation is that of the world's own reward R, since Q_1(b, a) = E[R + V_0(b')] (exact as far as Q_1 is, see
-`pomdp`), but which knows neither the hidden parts nor their noise: a few simulations do where R takes hundreds. With
-``has_expected_rewards=False`` it is R itself.
+The rule is the closed look one step ahead of `one_step`: q_0 = Q_1, and V_0 beyond, so that q_0(b, a) = E[r + V_0(b')]
+(exact as far as Q_1 is).
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax
@@ -24,18 +19,17 @@ from jaxtyping import Array, Bool, Float, Int
 from halfseen.errors import ArgumentError
 from halfseen.planners.belief import belief_of
 from halfseen.planners.generative import Step
-from halfseen.planners.pomdp import leaf_value, one_step_q
-from halfseen.planners.search_tree import grown, root, summary
+from halfseen.planners.one_step import leaf_value, one_step_q
 from halfseen.world.actions import Verb, num_actions, possible_actions, target_of, verb_of
 from halfseen.world.config import WorldConfig
 from halfseen.world.dynamics import grasp_probability, label_accuracy, step
-from halfseen.world.policy import Decision
 from halfseen.world.state import HiddenState, TableState, occlusion_without
 
 MAX_OBJECTS = 30
 """Labels and the grasp are the bits of one 32-bit observation."""
+_LEAST_LOG = -80.0
 # Made by NumPy: an array of JAX would start its backend on import.
-_GRID = np.linspace(-5.0, 5.0, 101, dtype=np.float32)
+_GRID = np.linspace(-5.0, 5.0, 51, dtype=np.float32)
 
 
 class TableSituation(NamedTuple):
@@ -56,8 +50,6 @@ class TableProblem:
         The world that is believed in.
     seen
         The state in which the decision is made; one table.
-    has_expected_rewards
-        Whether rewards are expected ones, given what is seen, or the world's own draws.
 
     Raises
     ------
@@ -67,7 +59,6 @@ class TableProblem:
 
     config: WorldConfig
     seen: TableState
-    has_expected_rewards: bool = field(default=True, metadata={"static": True})
 
     def __post_init__(self) -> None:
         # Under a transformation the fields may be placeholders without a shape.
@@ -108,13 +99,7 @@ class TableProblem:
         says_dirty = after.log_odds > state.seen.log_odds
         bits = jnp.append(says_dirty, after.attempt_succeeded[now]).astype(jnp.int32)
         observation = jnp.sum(bits << jnp.arange(bits.shape[0]))
-        reward = self._expected(state.seen, action, after, outcome.is_over) if self.has_expected_rewards else None
-        return Step(
-            TableSituation(after, state.hidden),
-            observation,
-            outcome.reward if reward is None else reward,
-            outcome.is_over,
-        )
+        return Step(TableSituation(after, state.hidden), observation, outcome.reward, outcome.is_over)
 
     def log_likelihood(self, observation: Int[Array, ""], state_after: TableSituation, action: Int[Array, ""]) -> Array:
         """Log probability of the labels, and of the grasp, which `state_after` itself says: 0 or −∞."""
@@ -134,47 +119,9 @@ class TableProblem:
         """Q_1 of what is seen; −∞ where an action is impossible."""
         return one_step_q(self.config, belief_of(self.config, state.seen))
 
-    def _expected(
-        self, seen: TableState, action: Int[Array, ""], after: TableState, is_over: Bool[Array, ""]
-    ) -> Float[Array, ""]:
-        now = one_step_q(self.config, belief_of(self.config, seen))[action]
-        return now - jnp.where(is_over, 0.0, leaf_value(self.config, belief_of(self.config, after)))
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class SearchPolicy:
-    """The best action of a tree search with a fixed number of simulations: `plan` inside a compiled simulation.
-
-    A batch of tables searches as long as its slowest: evaluate with ``batch_size=1`` on a CPU.
-
-    Parameters
-    ----------
-    config
-        The world that it believes in.
-    num_simulations
-        Simulations a decision, ≥ 1.
-
-    Raises
-    ------
-    ArgumentError
-        `num_simulations` is below 1.
-    """
-
-    config: WorldConfig
-    num_simulations: int = field(default=256, metadata={"static": True})
-
-    def __post_init__(self) -> None:
-        if self.num_simulations < 1:
-            raise ArgumentError(f"num_simulations is {self.num_simulations}; it is at least 1")
-
-    def decide(self, state: TableState, key: Array) -> Decision:
-        """Choose for one table; `key` is the simulations' (the probability of a choice is not known)."""
-        problem = TableProblem(self.config, state)
-        tree, depth = root(problem, None, key, 1.0, self.num_simulations + 1), jnp.zeros((), dtype=jnp.int32)
-        tree, _ = grown(problem, None, key, 1.0, tree, depth, 0, self.num_simulations)
-        action = jnp.argmax(summary(tree)[0]).astype(jnp.int32)
-        return Decision(action, jnp.full((), jnp.nan, dtype=jnp.float32))
+    def rule_base(self, state: TableSituation) -> Float[Array, ""]:
+        """V_0 of what is seen."""
+        return leaf_value(self.config, belief_of(self.config, state.seen))
 
 
 def _drawn_grip(config: WorldConfig, seen: TableState, key: Array) -> Float[Array, " N"]:
@@ -182,9 +129,10 @@ def _drawn_grip(config: WorldConfig, seen: TableState, key: Array) -> Float[Arra
     grid = jnp.asarray(_GRID)
     held = jnp.log(grasp_probability(config, seen.attempt_occlusion[:, None], config.grip_offset_std * grid))
     missed = jnp.log1p(-grasp_probability(config, seen.attempt_occlusion[:, None], config.grip_offset_std * grid))
-    evidence = jnp.where(seen.attempt_succeeded[:, None], held, missed)
-    is_mine = seen.attempt_object[None, :] == jnp.arange(seen.num_objects)[:, None]
-    log_density = -0.5 * grid**2 + jnp.sum(jnp.where(is_mine[..., None], evidence[None], 0.0), axis=1)
+    # What is impossible must stay finite: 0 · ∞ is no number.
+    evidence = jnp.maximum(jnp.where(seen.attempt_succeeded[:, None], held, missed), _LEAST_LOG)
+    is_mine = jax.nn.one_hot(seen.attempt_object, seen.num_objects, dtype=evidence.dtype)
+    log_density = -0.5 * grid**2 + is_mine.T @ evidence
     share = jnp.cumsum(jax.nn.softmax(log_density, axis=-1), axis=-1)
     draw_key, within_key = jax.random.split(key)
     rank = jnp.sum(share < jax.random.uniform(draw_key, (seen.num_objects, 1)), axis=-1)
