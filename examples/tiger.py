@@ -51,8 +51,8 @@ class TigerProblem:
         """Earn what one action brings where nothing is known."""
         return jnp.array([-1.0, -45.0, -45.0])
 
-    def rule_base(self, state: Array) -> None:
-        """Nothing is assumed of what comes after."""
+    def control(self, state: Array) -> None:
+        """No noise is taken away."""
 
 
 def main() -> None:

@@ -89,20 +89,7 @@ def test_alpha_vectors_over_more_arrays_find_the_optimum_of_the_table(hides, num
     agree(hides, num_nodes)
 
 
-# Where more cups are worth a try than steps remain, Q_1 is not E[R + V_0], and then the search's rewards are not R.
-_TOO_FEW_STEPS = pytest.mark.xfail(strict=True, reason="the search's rewards are biased where Q_1 is not exact")
-
-
-@pytest.mark.parametrize(
-    "labels",
-    [
-        pytest.param((False, False), marks=_TOO_FEW_STEPS),
-        (False, True),
-        pytest.param((True, False), marks=_TOO_FEW_STEPS),
-        (True, True),
-    ],
-    ids=str,
-)
+@pytest.mark.parametrize("labels", list(product((False, True), repeat=2)), ids=str)
 def test_the_anytime_planner_finds_the_optimum_of_two_cups(labels):
     """Grip offsets are normal for the one and on a fine grid for the other."""
     state = state_after_first_look(CONFIG, TWO, labels)

@@ -10,13 +10,9 @@ from naive_planner import CONFIG, Cup
 from tables import state_of
 
 from halfseen.errors import ArgumentError
-from halfseen.planners import GreedyPolicy, POMDPPolicy, TableProblem, plan, solve_discrete
+from halfseen.planners import TableProblem, plan, solve_discrete
 from halfseen.planners.belief import belief_of
 from halfseen.planners.one_step import one_step_q
-from halfseen.world import Scene
-from halfseen.world.episodes import evaluate
-from halfseen.world.policy import Policy
-from halfseen.world.state import pad_scenes
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "examples"))
 from tiger import TigerProblem
@@ -155,32 +151,9 @@ def test_a_wrong_number_is_refused(options, said):
         plan(TigerProblem(), KEY, **options)
 
 
-def test_a_search_inside_a_simulation_is_the_plan():
-    policy = POMDPPolicy(CONFIG, planning_horizon=4, num_simulations=100)
-    assert isinstance(policy, Policy)
-    found = plan(TABLE, KEY, num_simulations=100, max_nodes=101, max_depth=3)
-    np.testing.assert_allclose(jax.jit(policy.q_values)(TABLE.seen, KEY), found.values, rtol=1e-5)
-    assert int(jax.jit(policy.decide)(TABLE.seen, KEY).action) == found.action
-    assert found.depth == 3
-
-
 def test_simulations_as_deep_as_allowed_are_worth_the_rule_there():
     found = plan(TABLE, KEY, num_simulations=20_000, max_depth=1)
     expected = naive_planner.q_values(CUPS, HIDES, int(TABLE.seen.steps_to_go), depth=2)
     np.testing.assert_allclose(found.values, expected, atol=0.06)
     assert found.depth == 1
     assert found.num_tries.sum() == 20_000
-
-
-@pytest.mark.slow
-def test_on_two_cups_the_search_earns_no_less_than_heuristics():
-    layouts, num = pad_scenes([Scene(HIDES)]), 400
-
-    def rewards(policy):
-        return np.asarray(evaluate(CONFIG, layouts, policy, KEY, num, 1).reward, dtype=float)
-
-    found = rewards(POMDPPolicy(CONFIG, CONFIG.horizon, 128))
-    greedy = found - rewards(GreedyPolicy(CONFIG, uses_history=True, counts_penalty=True))
-    one_step = found - rewards(POMDPPolicy(CONFIG, 1))
-    assert greedy.mean() > 0
-    assert one_step.mean() > -2 * one_step.std() / np.sqrt(num)

@@ -9,10 +9,13 @@ from naive_planner import CONFIG, Cup
 from tables import state_of
 
 from halfseen.errors import ArgumentError
-from halfseen.planners import POMDPPolicy
+from halfseen.planners import GreedyPolicy, POMDPPolicy
 from halfseen.planners.belief import Belief, belief_of
 from halfseen.planners.one_step import leaf_value, one_step_q
+from halfseen.world import Scene
 from halfseen.world.actions import FINISH, possible_actions
+from halfseen.world.episodes import evaluate
+from halfseen.world.state import pad_scenes
 
 HIDES = np.array([[0.0, 0.6], [0.1, 0.0]])
 TWO_CUPS = {
@@ -138,3 +141,17 @@ def test_it_never_takes_a_cup_that_is_gone():
 def test_numbers_below_one_are_refused(name):
     with pytest.raises(ArgumentError, match=f"{name} is 0; it is at least 1"):
         POMDPPolicy(CONFIG, **{name: 0})
+
+
+@pytest.mark.slow
+def test_on_two_cups_a_long_look_earns_no_less_than_heuristics():
+    layouts, num = pad_scenes([Scene(HIDES)]), 400
+
+    def rewards(policy):
+        return np.asarray(evaluate(CONFIG, layouts, policy, jax.random.key(0), num).reward, dtype=float)
+
+    found = rewards(POMDPPolicy(CONFIG, CONFIG.horizon))
+    greedy = found - rewards(GreedyPolicy(CONFIG, uses_history=True, counts_penalty=True))
+    one_step = found - rewards(POMDPPolicy(CONFIG, 1))
+    assert greedy.mean() > 0
+    assert one_step.mean() > -2 * one_step.std() / np.sqrt(num)

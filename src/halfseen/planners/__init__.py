@@ -1,10 +1,11 @@
 """A known model → policies: what learning is compared with.
 
 Read down: `belief` (what can be known) → `heuristics` (greedy, with and without history, with and without the penalty
-that a WASH avoids) → `one_step` (a closed look one step ahead). Any problem that can be drawn from: `generative` (the
-protocol) → `search_tree`, `pomcp` (search until the time is up) → `table_problem` (the table as such a problem) →
-`pomdp` (looking h steps ahead). What they are measured by: `optimum` (the best there is, on small tables),
-`optimum_bound` (what nobody can beat, on any). `discrete` stands apart: any POMDP given as arrays, solved exactly.
+that a WASH avoids) → `one_step` (a closed look one step ahead) → `rollout` (sampled futures under that look) → `pomdp`
+(looking h steps ahead), `explain` (what each action is worth, and how sure that is). What they are measured by:
+`optimum` (the best there is, on small tables), `optimum_bound` (what nobody can beat, on any). Any problem that can be
+drawn from: `generative` (the protocol) → `search_tree`, `pomcp` (search until the time is up) → `table_problem` (the
+table as such a problem). `discrete` stands apart: any POMDP given as arrays, solved exactly.
 """
 
 from typing import TYPE_CHECKING

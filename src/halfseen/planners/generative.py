@@ -11,14 +11,17 @@ A(s)           ``is_possible(state)``, shape (A,): the same in all states that l
 s', o, r       ``step(state, action, key)``: a draw from P(s', o | s, a), its reward, and whether it ended
 ln P(o|s', a)  ``log_likelihood(observation, state_after, action)``: what turns a belief into the next
 q_0(s, a)      ``rule_values(state)``, shape (A,): the stated rule for what lies beyond the search
-V_0(s)         ``rule_base(state)``: what q_0 assumes of where it leads, or None
+q°, V°         ``control(state)``: any pair with q°(s, a) = E[r + γ V°(s')], or None
 γ, H           ``discount`` in (0, 1]; ``horizon``: actions left from the first, at least 1
 =============  =====================================================================================
 
 The rule q_0 is a rough value of each action, all that comes after included. It reads only what can be seen in
 `state`, as `is_possible` does; a planner that was told the truth would wait for it. The best of it values a situation
-that the search has just reached, and decides where nothing was searched. If it is one exact step, followed by a rougher
-value V_0 of the next situation, q_0(s, a) = E[r + γ V_0(s')], the problem may say so, and the search has less noise.
+that the search has just reached, and decides where nothing was searched.
+
+The control takes noise away: with q°(s, a) − γ V°(s') in place of the reward that was drawn, the search learns only by
+how much things turn out better or worse than V°, some rough value that can be averaged in closed form. It too reads
+only what can be seen, and V° is 0 where the path is over.
 
 An observation is an integer ≥ 0; two different ones are two different branches of a search.
 """
@@ -40,6 +43,15 @@ class Step(NamedTuple):
     observation: Int[Array, "*B"]
     reward: Float[Array, "*B"]
     is_over: Bool[Array, "*B"]
+
+
+class Control(NamedTuple):
+    """A value of situations, and its exact expectation one action earlier."""
+
+    action_values: Float[Array, "*B A"]
+    """q°, the reward of the action included."""
+    value: Float[Array, "*B"]
+    """V°."""
 
 
 @runtime_checkable
@@ -81,8 +93,8 @@ class GenerativeProblem(Protocol):
         """Rough value of each action by the stated rule, read from what is seen."""
         ...
 
-    def rule_base(self, state: State) -> Float[Array, ""] | None:
-        """V_0, if q_0(s, a) = E[r + γ V_0(s')], 0 where the path is over; None if the rule is no such expectation."""
+    def control(self, state: State) -> Control | None:
+        """Values q° and V° with q°(s, a) = E[r + γ V°(s')], exactly; None if there are none in closed form."""
         ...
 
 

@@ -4,7 +4,13 @@ What lies beyond the step is valued by a rule of thumb V_0: each object is left,
 as far as the steps allow. Q_1(b, a) = E[R + V_0(b')] is computed in closed form: the grasp succeeds or not, and each
 label says one thing or the other, object by object (exact unless more tries are wanted than steps remain: then the
 expected number of tries stands for their number).
+
+With unlimited steps that exception falls away: V° is V_0 with more steps than any try could want, and
+Q°(b, a) = E[R + V°(b')] is exact, for any steps to go but the last. It is no good rule near the end, but takes noise
+out of sampled futures (`rollout`, `search_tree`).
 """
+
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +26,9 @@ from halfseen.planners.belief import (
 )
 from halfseen.planners.heuristics import wash_worth
 from halfseen.world.config import WorldConfig
+
+UNLIMITED = 1_000_000
+"""Steps to go that never run out."""
 
 
 def leaf_value(config: WorldConfig, belief: Belief) -> Float[Array, ""]:
@@ -83,6 +92,22 @@ def one_step_q(config: WorldConfig, belief: Belief) -> Float[Array, " A"]:
     finish = config.reward_dirty_left * jnp.sum(jnp.where(belief.is_on_table, is_dirty, 0.0))
     attempts = jnp.where(jnp.tile(belief.is_on_table, 2), jnp.concatenate([wash, lift]), -jnp.inf)
     return jnp.concatenate([finish[None], attempts])
+
+
+def rule_and_control(config: WorldConfig, belief: Belief) -> tuple[Float[Array, " A"], Float[Array, " A"]]:
+    """Q_1 and Q°; with one step to go, both are Q_1, which is exact there."""
+    steps = jnp.stack([belief.steps_to_go, jnp.where(belief.steps_to_go == 1, 1, UNLIMITED)])
+    both = jax.vmap(lambda num_steps: one_step_q(config, _with_steps(belief, num_steps)))(steps)
+    return both[0], both[1]
+
+
+def control_value(config: WorldConfig, belief: Belief) -> Float[Array, ""]:
+    """V°: every object is left where it stands, or tried once if that is worth more, however few steps remain."""
+    return leaf_value(config, _with_steps(belief, jnp.asarray(UNLIMITED, dtype=jnp.int32)))
+
+
+def _with_steps(belief: Belief, num_steps: Int[Array, ""]) -> Belief:
+    return replace(belief, steps_to_go=num_steps)
 
 
 def _expected_gain(

@@ -12,7 +12,6 @@ closed form, so the mean is Q^π(b_0, a_0) whatever V° is; and as V° is near V
 step to go Q_1 is exact and nothing is drawn. All actions meet the same draws.
 """
 
-from dataclasses import replace
 from functools import partial
 
 import jax
@@ -20,12 +19,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from halfseen.planners.belief import Belief, belief_of, sample_successor
-from halfseen.planners.one_step import leaf_value, one_step_q
+from halfseen.planners.one_step import UNLIMITED, control_value, rule_and_control
 from halfseen.world.actions import FINISH, possible_actions
 from halfseen.world.config import WorldConfig
 from halfseen.world.state import TableState
 
-_UNLIMITED = 1_000_000
+SHRINKAGE = 8.0
+"""Futures that the mean surplus of all actions counts for in that of one."""
 
 
 @partial(jax.jit, static_argnames="num_futures")
@@ -50,7 +50,7 @@ def sampled_values(config: WorldConfig, state: TableState, key: Array, num_futur
     """
     belief, keys = belief_of(config, state), jax.random.split(key, num_futures)
     is_last = belief.steps_to_go == 1
-    first = jnp.where(is_last, *_rule_and_baseline(config, belief))
+    first = jnp.where(is_last, *rule_and_control(config, belief))
 
     def futures(action: Int[Array, ""]) -> Float[Array, " S"]:
         return jax.vmap(lambda key: _surplus(config, belief, action, key))(keys)
@@ -63,8 +63,66 @@ def sampled_values(config: WorldConfig, state: TableState, key: Array, num_futur
     return first + jax.lax.map(added, jnp.arange(first.shape[0])).T
 
 
-def _surplus(config: WorldConfig, belief: Belief, action: Int[Array, ""], key: Array) -> Float[Array, ""]:
+def searched_values(
+    config: WorldConfig, state: TableState, key: Array, num_futures: int, planning_horizon: int
+) -> Float[Array, " A"]:
+    """Q of each action of one table from a number of futures, most of them spent on the actions that promise most.
+
+    Sequential halving [KarninKorenSomekh2013]_: each round draws equally many futures of every action that is left,
+    and the better half stays. An action's surplus over Q° is shrunk towards that of all actions, as far as
+    `SHRINKAGE` futures would.
+
+    Parameters
+    ----------
+    config
+        The world that is believed in.
+    state
+        One table.
+    key
+        The only source of chance.
+    num_futures
+        Of all actions together; about so many.
+    planning_horizon
+        Actions of a future, ≥ 2, the first included; the last one is worth Q_1.
+
+    Returns
+    -------
+    Float[Array, " A"]
+        −∞ where an action is impossible.
+    """
+    belief = belief_of(config, state)
+    first = jnp.where(belief.steps_to_go == 1, *rule_and_control(config, belief))
+    num_left = min(first.shape[0] - 1, max(2, num_futures // 4))
+    sizes = [num_left]
+    while sizes[-1] > 2:
+        sizes.append((sizes[-1] + 1) // 2)
+    total, count = jnp.zeros_like(first), jnp.zeros_like(first)
+    for size, round_key in zip(sizes, jax.random.split(key, len(sizes)), strict=True):
+        # FINISH has one future, and is known.
+        _, left = jax.lax.top_k(_shrunk(first, total, count)[1:], size)
+        keys = jax.random.split(round_key, max(1, round(num_futures / len(sizes) / size)))
+        drawn = jax.vmap(
+            lambda action, keys=keys: jax.vmap(lambda key: _surplus(config, belief, action, key, planning_horizon))(
+                keys
+            )
+        )(1 + left)
+        total = total.at[1 + left].add(jnp.sum(drawn, axis=1))
+        count = count.at[1 + left].add(len(keys))
+    return jnp.where(belief.steps_to_go == 1, first, _shrunk(first, total, count))
+
+
+def _shrunk(first: Float[Array, " A"], total: Float[Array, " A"], count: Float[Array, " A"]) -> Float[Array, " A"]:
+    is_counted = (jnp.arange(first.shape[0]) != FINISH) & (first > -jnp.inf)
+    mean = jnp.sum(jnp.where(is_counted, total, 0.0)) / jnp.maximum(jnp.sum(jnp.where(is_counted, count, 0.0)), 1.0)
+    added = (total + SHRINKAGE * mean) / (count + SHRINKAGE)
+    return first + jnp.where(is_counted, added, 0.0)
+
+
+def _surplus(
+    config: WorldConfig, belief: Belief, action: Int[Array, ""], key: Array, planning_horizon: int = UNLIMITED
+) -> Float[Array, ""]:
     """Worth of one future less Q° of its first action; at least two steps are to go."""
+    last_step = belief.steps_to_go - planning_horizon + 1
 
     def goes_on(carry: tuple[Belief, Array, Array, Array]) -> Array:
         belief, is_open, _, _ = carry
@@ -73,24 +131,13 @@ def _surplus(config: WorldConfig, belief: Belief, action: Int[Array, ""], key: A
     def follow(carry: tuple[Belief, Array, Array, Array]) -> tuple[Belief, Array, Array, Array]:
         belief, _, total, key = carry
         key, step_key = jax.random.split(key)
-        is_last = belief.steps_to_go == 1
-        q, baseline = _rule_and_baseline(config, belief)
+        is_last = (belief.steps_to_go == 1) | (belief.steps_to_go == last_step)
+        q, control = rule_and_control(config, belief)
         action = jnp.argmax(q)
-        worth = jnp.where(is_last, q[action], baseline[action])
-        total = total + worth - leaf_value(config, _with_steps(belief, _UNLIMITED))
+        worth = jnp.where(is_last, q[action], control[action])
+        total = total + worth - control_value(config, belief)
         return sample_successor(config, belief, action, step_key), (action != FINISH) & ~is_last, total, key
 
     key, step_key = jax.random.split(key)
     reached = sample_successor(config, belief, action, step_key)
     return jax.lax.while_loop(goes_on, follow, (reached, jnp.asarray(True), jnp.zeros(()), key))[2]
-
-
-def _rule_and_baseline(config: WorldConfig, belief: Belief) -> tuple[Float[Array, " A"], Float[Array, " A"]]:
-    """Q_1 and Q°; what does not depend on the steps is computed once."""
-    steps = jnp.stack([belief.steps_to_go, jnp.asarray(_UNLIMITED, dtype=jnp.int32)])
-    both = jax.vmap(lambda num_steps: one_step_q(config, _with_steps(belief, num_steps)))(steps)
-    return both[0], both[1]
-
-
-def _with_steps(belief: Belief, num_steps: Int[Array, ""] | int) -> Belief:
-    return replace(belief, steps_to_go=jnp.asarray(num_steps, dtype=jnp.int32))

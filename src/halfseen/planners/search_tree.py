@@ -17,16 +17,17 @@ with Q = Q⁺ for u = 0. V is the best action's value, not the mean over all tha
 parents nothing, but the best of noisy numbers is too large, the more so the fewer the simulations.
 An action's error at the root is that of the mean of all returns that began with it.
 
-Where the problem says of its rule that q_0(h, a) = E[r + γ V_0(h a o)], the reward of a visit is not the one that was
-drawn but q_0(h, a) − γ V_0(h a o). Its expectation is the same and it knows neither the hidden state nor its noise: a
-few simulations do where drawn rewards take hundreds.
+Where the problem knows a control, q°(h, a) = E[r + γ V°(h a o)], the reward of a visit is not the one that was drawn
+but q°(h, a) − γ V°(h a o). Its expectation is the same and it knows neither the hidden state nor its noise: a few
+simulations do where drawn rewards take hundreds.
 
 =============  =============================================================
 symbol         here
 =============  =============================================================
 h, h a o       a row of the arrays of `Tree`; its row of ``parent, via, seen``
 n(h, a), G     ``tries``, ``total``; n(h) = 1 + Σ_a n(h, a) is not kept, nor is V(h)
-q_0, V_0       ``rule``; −∞ where an action is impossible; ``base``
+q_0            ``rule``; −∞ where an action is impossible
+q°, V°         ``control``, ``base``
 c              ``exploration``, in units of reward
 w              ``rule_weight``
 γ, H           ``problem.discount``, ``problem.horizon``
@@ -60,6 +61,7 @@ class Tree:
     via: Int[Array, " M"]
     seen: Int[Array, " M"]
     rule: Float[Array, "M A"]
+    control: Float[Array, "M A"]
     base: Float[Array, " M"]
     rule_weight: Float[Array, ""]
     tries: Float[Array, "M A"]
@@ -78,7 +80,7 @@ def summary(tree: Tree) -> tuple[Array, Array, Array, Array, Array]:
 @partial(jax.jit, static_argnames="max_nodes")
 def root(problem: GenerativeProblem, particles: State, key: Array, rule_weight: Number, max_nodes: int) -> Tree:
     """A tree of the root alone."""
-    rule, base = _rule(problem, _drawn(problem, particles, key))
+    rule, control, base = _known(problem, _drawn(problem, particles, key))
     size, num_slots = (max_nodes, problem.num_actions), 2 ** math.ceil(math.log2(2 * max_nodes))
     return Tree(
         num_nodes=jnp.ones((), dtype=jnp.int32),
@@ -87,6 +89,7 @@ def root(problem: GenerativeProblem, particles: State, key: Array, rule_weight: 
         via=jnp.zeros(max_nodes, dtype=jnp.int32),
         seen=jnp.zeros(max_nodes, dtype=jnp.int32),
         rule=jnp.zeros(size).at[0].set(rule),
+        control=jnp.zeros(size).at[0].set(control),
         base=jnp.zeros(max_nodes).at[0].set(base),
         rule_weight=jnp.asarray(rule_weight, dtype=jnp.float32),
         tries=jnp.zeros(size),
@@ -118,15 +121,14 @@ def grown(
         state_key, walk_key = jax.random.split(jax.random.fold_in(key, k))
         walk = _descent(problem, tree, exploration, _drawn(problem, particles, state_key), walk_key, max_depth)
         # What is over is worth nothing more, and asking the rule is the dearest part of a simulation.
-        rule, base = jax.lax.cond(
-            walk.is_over,
-            lambda: (jnp.zeros(problem.num_actions), jnp.zeros(())),
-            lambda: _rule(problem, walk.state),
+        nothing = jnp.zeros(problem.num_actions)
+        rule, control, base = jax.lax.cond(
+            walk.is_over, lambda: (nothing, nothing, jnp.zeros(())), lambda: _known(problem, walk.state)
         )
-        if problem.rule_base(walk.state) is not None:
+        if problem.control(walk.state) is not None:
             unknown = jnp.where(walk.node == _FREE, problem.discount * base, 0.0)
             walk = walk._replace(rewards=walk.rewards.at[walk.length - 1].add(-unknown))
-        tree = _backed_up(problem.discount, _with_leaf(tree, walk, rule, base), walk, jnp.max(rule))
+        tree = _backed_up(problem.discount, _with_leaf(tree, walk, rule, control, base), walk, jnp.max(rule))
         return tree, jnp.maximum(depth, walk.length)
 
     return jax.lax.fori_loop(begin, end, simulate, (tree, depth))
@@ -167,10 +169,10 @@ def _descent(
         after, seen, reward, is_over = problem.step(walk.state, action, step_key)
         seen = seen.astype(jnp.int32)
         slot, node = _found(tree, walk.node, action, seen)
-        if problem.rule_base(after) is not None:
+        if problem.control(after) is not None:
             # What lies outside of the tree is not known yet.
             base = jnp.where((node != _FREE) & ~is_over, tree.base[node], 0.0)
-            reward = tree.rule[walk.node, action] - problem.discount * base
+            reward = tree.control[walk.node, action] - problem.discount * base
         return _Walk(
             state=after,
             key=key,
@@ -224,7 +226,9 @@ def _mixed(number: Array) -> Array:
     return number ^ (number >> 16)
 
 
-def _with_leaf(tree: Tree, walk: _Walk, rule: Float[Array, " A"], base: Float[Array, ""]) -> Tree:
+def _with_leaf(
+    tree: Tree, walk: _Walk, rule: Float[Array, " A"], control: Float[Array, " A"], base: Float[Array, ""]
+) -> Tree:
     """The tree with the node that the walk reached outside of it, if there is room."""
     max_nodes = tree.parent.shape[0]
     is_new = ~walk.is_over & (walk.node == _FREE) & (tree.num_nodes < max_nodes)
@@ -239,6 +243,7 @@ def _with_leaf(tree: Tree, walk: _Walk, rule: Float[Array, " A"], base: Float[Ar
         via=tree.via.at[row].set(walk.actions[walk.length - 1], mode="drop"),
         seen=tree.seen.at[row].set(walk.seen, mode="drop"),
         rule=tree.rule.at[row].set(rule, mode="drop"),
+        control=tree.control.at[row].set(control, mode="drop"),
         base=tree.base.at[row].set(base, mode="drop"),
     )
 
@@ -275,11 +280,13 @@ def _q(tree: Tree, node: Array | int) -> Float[Array, " A"]:
     return (tree.rule_weight * tree.rule[node] + tree.total[node]) / (tree.rule_weight + tree.tries[node])
 
 
-def _rule(problem: GenerativeProblem, state: State) -> tuple[Float[Array, " A"], Float[Array, ""]]:
-    """q_0, −∞ where an action is impossible, and V_0, 0 where the problem has none."""
-    rule = jnp.where(problem.is_possible(state), problem.rule_values(state), -jnp.inf)
-    base = problem.rule_base(state)
-    return rule.astype(jnp.float32), jnp.asarray(0.0 if base is None else base, dtype=jnp.float32)
+def _known(problem: GenerativeProblem, state: State) -> tuple[Float[Array, " A"], Float[Array, " A"], Float[Array, ""]]:
+    """q_0, −∞ where an action is impossible; q° and V°, 0 where the problem has no control."""
+    rule = jnp.where(problem.is_possible(state), problem.rule_values(state), -jnp.inf).astype(jnp.float32)
+    control = problem.control(state)
+    if control is None:
+        return rule, jnp.zeros_like(rule), jnp.zeros(())
+    return rule, control.action_values.astype(jnp.float32), control.value.astype(jnp.float32)
 
 
 def _drawn(problem: GenerativeProblem, particles: State, key: Array) -> State:

@@ -4,8 +4,7 @@ A state is what is seen (`TableState`) and what is not (`HiddenState`); the beli
 exact: attributes by their log-odds, and each grip offset by its posterior, on a fine grid. What an action lets the
 policy observe is which labels said DIRTY and whether the grasp held.
 
-The rule is the closed look one step ahead of `one_step`: q_0 = Q_1, and V_0 beyond, so that q_0(b, a) = E[r + V_0(b')]
-(exact as far as Q_1 is).
+The rule is the closed look one step ahead of `one_step`, and so is the control.
 """
 
 from dataclasses import dataclass
@@ -18,8 +17,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from halfseen.errors import ArgumentError
 from halfseen.planners.belief import belief_of
-from halfseen.planners.generative import Step
-from halfseen.planners.one_step import leaf_value, one_step_q
+from halfseen.planners.generative import Control, Step
+from halfseen.planners.one_step import control_value, one_step_q, rule_and_control
 from halfseen.world.actions import Verb, num_actions, possible_actions, target_of, verb_of
 from halfseen.world.config import WorldConfig
 from halfseen.world.dynamics import grasp_probability, label_accuracy, step
@@ -119,9 +118,10 @@ class TableProblem:
         """Q_1 of what is seen; −∞ where an action is impossible."""
         return one_step_q(self.config, belief_of(self.config, state.seen))
 
-    def rule_base(self, state: TableSituation) -> Float[Array, ""]:
-        """V_0 of what is seen."""
-        return leaf_value(self.config, belief_of(self.config, state.seen))
+    def control(self, state: TableSituation) -> Control:
+        """Q° and V° of what is seen."""
+        belief = belief_of(self.config, state.seen)
+        return Control(rule_and_control(self.config, belief)[1], control_value(self.config, belief))
 
 
 def _drawn_grip(config: WorldConfig, seen: TableState, key: Array) -> Float[Array, " N"]:
