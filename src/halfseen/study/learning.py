@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from halfseen.learners.q_learning.encoding import Encoded, TableEncoding
-from halfseen.learners.q_learning.expected_reward import expected_rewards, wash_outcomes
 from halfseen.learners.q_learning.linear_policy import LinearTablePolicy
 from halfseen.learners.q_learning.q_learner import REGS
 from halfseen.learners.q_learning.recursion import AnyArray, QFunctions, Transitions, backward
+from halfseen.learners.q_learning.variance_reduction import expected_rewards, label_surprises, wash_outcomes
 from halfseen.study.treatments import Treated
 
 NUM_FOLDS = 5
@@ -33,6 +33,7 @@ def learn(encoded: Encoded, treated: Sequence[Treated], fold: Int[np.ndarray, " 
             weight=jnp.asarray(np.stack([one.weight for one in treated])),
             is_last=jnp.asarray(np.stack([one.is_last for one in treated])),
             fold=jnp.asarray(fold),
+            surprises=jnp.asarray(label_surprises(encoded)),
         )
         fitted = _fit(log, jnp.asarray(blocks), jnp.asarray(REGS), encoding.num_blocks, encoding.end_action)
         coefficients: Float[np.ndarray, "B T K F"] = np.asarray(fitted.coefficients, dtype=np.float32)

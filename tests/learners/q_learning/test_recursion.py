@@ -115,3 +115,18 @@ def test_the_maximum_runs_over_possible_actions_only():
     log = log_for(FLAT)
     everything = log._replace(is_possible=np.ones_like(log.is_possible))
     assert np.abs(fit(log, FLAT, "separate").coefficients - fit(everything, FLAT, "separate").coefficients).max() > 0.01
+
+
+@pytest.mark.parametrize(("stages", "encoding"), MODES)
+def test_what_a_surprise_adds_to_a_reward_changes_nothing(stages, encoding):
+    log = log_for(encoding, num_paths=150)
+    surprises = np.random.default_rng(7).normal(size=(*log.action.shape, 2))
+    told = np.where(log.is_last[..., None], 0.0, surprises)
+    noisy = log._replace(reward=log.reward + told @ np.array([3.0, -5.0]))
+    calm, quiet = (fit(one._replace(surprises=surprises), encoding, stages, 0.0) for one in (log, noisy))
+    if stages == "separate":
+        assert quiet.coefficients[-1] == pytest.approx(calm.coefficients[-1], abs=1e-8)
+    loud, plain = fit(noisy, encoding, stages, 0.0), fit(log, encoding, stages, 0.0)
+    assert loud.coefficients.shape == quiet.coefficients.shape
+    error = [np.abs(one.coefficients - plain.coefficients).mean() for one in (quiet, loud)]
+    assert error[0] < 0.5 * error[1]

@@ -13,7 +13,12 @@ from halfseen.learners import CensoredQLearner, LinearTablePolicy
 from halfseen.learners.q_learning.encoding import encode_states
 from halfseen.learners.q_learning.path_covariates import first_table
 from halfseen.learners.q_learning.recursion import q_values
-from halfseen.learners.q_learning.table_features import NUM_FEATURES, block_of_action, table_features
+from halfseen.learners.q_learning.table_features import (
+    NUM_FEATURES,
+    NUM_TABLE_FEATURES,
+    block_of_action,
+    table_features,
+)
 from halfseen.logs import Logs
 from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, WorldConfig
 from halfseen.world.actions import Verb, possible_actions, verb_of
@@ -154,7 +159,7 @@ def test_what_is_laid_bare_is_the_occlusion_that_goes(watched, hidden):
         now = np.asarray(occlusion_without(state, jnp.zeros(NUM_OBJECTS, dtype=bool)))
         without = np.asarray(jax.vmap(occlusion_without, in_axes=(None, 0))(state, target))
         gone = (now - without) * (there[:, None] & there) * ~np.eye(NUM_OBJECTS, dtype=bool)
-        laid_bare = np.asarray(table_features(state))[1 : 1 + NUM_OBJECTS, 9]
+        laid_bare = np.asarray(table_features(state))[1 : 1 + NUM_OBJECTS, NUM_TABLE_FEATURES]
         np.testing.assert_allclose(laid_bare[there], (gone @ np.maximum(is_dirty - 0.5, 0.0))[there], atol=1e-5)
 
 

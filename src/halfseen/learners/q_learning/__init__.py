@@ -1,6 +1,6 @@
 """Censored Q-learning (paper, eq. 3): from weighted logs to policies.
 
 Read down: `least_squares` (one weighted regression) → `recursion` (eq. 3, backwards) → `table_features` (what Q looks
-at on a table) → `encoding` (logs → arrays) → `expected_reward` (less noise in the targets) → `path_covariates` (what
+at on a table) → `encoding` (logs → arrays) → `variance_reduction` (less noise in the targets) → `path_covariates` (what
 cuts may depend on) → `linear_policy` (what was learned) → `q_learner` (the estimator).
 """

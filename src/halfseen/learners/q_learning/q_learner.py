@@ -25,10 +25,10 @@ from halfseen.censoring import (
 from halfseen.errors import ArgumentError, PositivityError
 from halfseen.learners.grasp.grasp_table import grasp_model_of
 from halfseen.learners.q_learning.encoding import Encoding, FlatEncoding, TableEncoding
-from halfseen.learners.q_learning.expected_reward import expected_rewards, wash_outcomes
 from halfseen.learners.q_learning.linear_policy import LinearTablePolicy
 from halfseen.learners.q_learning.path_covariates import first_covariates, first_table
 from halfseen.learners.q_learning.recursion import QFunctions, StageMode, Transitions, backward, q_values
+from halfseen.learners.q_learning.variance_reduction import expected_rewards, label_surprises, wash_outcomes
 from halfseen.logs import Logs
 from halfseen.world.grasp_model import GraspModel
 
@@ -72,9 +72,9 @@ class CensoredQLearner(BaseEstimator):
     grasp
         For a table, what tells the chance of a grasp: None for Laplace's guess; `BetaGrasp` or `SVMGrasp`, which is
         fitted to the attempts of the log unless it is fitted already; or any `GraspModel`.
-    rewards
-        ``"observed"``: R_t as in eq. 3; ``"expected"``: for a table, the reward of a WASH is replaced by its regression
-        on what came of it (see `expected_rewards`), which takes most of the noise out of the targets.
+    reduces_variance
+        For a table, takes the noise of dirty or clean and that of the labels out of the targets of eq. 3; it rests on
+        the log-odds of DIRTY being right (see `variance_reduction`).
 
     Attributes
     ----------
@@ -127,7 +127,7 @@ class CensoredQLearner(BaseEstimator):
         truncate_at: float | int | None = None,
         random_state: int = 0,
         grasp: Any = None,
-        rewards: Literal["observed", "expected"] | str = "observed",
+        reduces_variance: bool = False,
     ) -> None:
         self.horizon = horizon
         self.actions = actions
@@ -140,7 +140,7 @@ class CensoredQLearner(BaseEstimator):
         self.truncate_at = truncate_at
         self.random_state = random_state
         self.grasp = grasp
-        self.rewards = rewards
+        self.reduces_variance = reduces_variance
 
     @classmethod
     def for_table(
@@ -148,11 +148,11 @@ class CensoredQLearner(BaseEstimator):
         horizon: int = 10,
         *,
         stages: StageMode | str = "pooled",
-        rewards: Literal["observed", "expected"] | str = "expected",
+        reduces_variance: bool = True,
         **parameters: Any,
     ) -> "CensoredQLearner":
         """Make a learner for logs of tables; it learns `policy_`."""
-        return cls(horizon, TABLE, stages=stages, rewards=rewards, **parameters)
+        return cls(horizon, TABLE, stages=stages, reduces_variance=reduces_variance, **parameters)
 
     def fit(self, logs: Logs) -> "CensoredQLearner":
         """Learn from a log.
@@ -186,7 +186,7 @@ class CensoredQLearner(BaseEstimator):
         reward = _padded(logs.stage_values("reward"), self.horizon)
         reward = np.where(np.isnan(reward), 0.0, reward)
         is_last = _last_stages(logs, self.horizon)
-        if self.rewards == "expected":
+        if self.reduces_variance:
             reward = expected_rewards(reward, self.weights_, is_last, wash_outcomes(encoded))
         return Transitions(
             features=encoded.features,
@@ -196,6 +196,7 @@ class CensoredQLearner(BaseEstimator):
             weight=self.weights_,
             is_last=is_last,
             fold=np.random.default_rng(self.random_state).permutation(logs.num_paths) % num_folds,
+            surprises=label_surprises(encoded) if self.reduces_variance else None,
         )
 
     def q_values(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
@@ -291,10 +292,8 @@ class CensoredQLearner(BaseEstimator):
             raise ArgumentError(f"reg is {self.reg!r}; it is a λ ≥ 0, or 'cv'")
         if self.grasp is not None and not self._is_table:
             raise ArgumentError("grasp is given, but actions are named ones; only a table's objects are grasped")
-        if self.rewards not in ("observed", "expected"):
-            raise ArgumentError(f"rewards is {self.rewards!r}; it is 'observed' or 'expected'")
-        if self.rewards == "expected" and not self._is_table:
-            raise ArgumentError("rewards is 'expected', but actions are named ones; only a WASH has a known outcome")
+        if self.reduces_variance and not self._is_table:
+            raise ArgumentError("reduces_variance is True, but actions are named ones; only a table's noise is known")
         if self.reg == "cv" and self.num_folds < 2:
             raise ArgumentError(f"num_folds is {self.num_folds}; cross-validation needs at least 2")
 

@@ -9,6 +9,9 @@ A linear Q is α_k + β_kᵀ φ(S, a) with k the block of the action, and each s
 *Pooled* stages, for worlds whose dynamics do not depend on t: Q_h is indexed by the steps to go, h = 1..T, and fitted
 on the rows of all stages; a row that the horizon ended says nothing of a longer future, so it serves Q_1 alone. One
 more step to go changes little, so Q_h is shrunk towards Q_{h−1}. With λ = 0 nothing is shrunk, and eq. 3 is exact.
+
+*Surprises* are control variates [Glasserman2003]_: numbers that S_{t+1} tells and whose mean given (S_t, A_t) is 0.
+Each regression runs on them too, and Q leaves them out: what they explain of the target is noise that Q is spared.
 """
 
 from functools import partial
@@ -40,6 +43,8 @@ class Transitions(NamedTuple):
     """Completed stages after which the path had come to its own end."""
     fold: Int[AnyArray, "*B n"]
     """Fold of each path for cross-validation, from 0; below the number of folds."""
+    surprises: Float[AnyArray, "*B n T Z"] | None = None
+    """Of mean 0 given (S_t, A_t), if any are known; what they hold at a path's end does not count."""
 
 
 class QFunctions(NamedTuple):
@@ -96,6 +101,7 @@ def backward(
     masks, which = _masks(log, stages, end_action)
     factors = jax.vmap(lambda mask: factorise(_rows(log, block_of_action, mask), num_blocks, num_folds))(masks)
     taken_block = block_of_action[log.action].ravel()
+    num_coefficients = log.features.shape[-1] + 1
 
     def regress(index: Int[Array, ""], successor: Float[Array, "n T"], centre: Float[Array, "K F"]) -> Fit:
         factor: Factor = jax.tree.map(lambda leaf: leaf[index], factors)
@@ -107,15 +113,15 @@ def backward(
     def step(carry: tuple[Float[Array, "n T"], Float[Array, "K F"]], index: Int[Array, ""]):
         value, centre = carry
         fit = regress(index, _of_successor(value), centre)
-        q = q_values(fit.coefficients, log.features, block_of_action)
-        value = _largest_possible(q, log.is_possible)
-        return (value, fit.coefficients if stages == "pooled" else centre), fit
+        of_q = fit.coefficients[:, :num_coefficients]
+        value = _largest_possible(q_values(of_q, log.features, block_of_action), log.is_possible)
+        return (value, fit.coefficients if stages == "pooled" else centre), Fit(of_q, fit.reg)
 
     value = jnp.zeros_like(log.reward)
-    centre = jnp.zeros((num_blocks, log.features.shape[-1] + 1), log.reward.dtype)
+    centre = jnp.zeros((num_blocks, factors.design.shape[-1]), log.reward.dtype)
     if stages == "pooled" and end_action is not None:
         ended = regress(which[0], value, centre).coefficients
-        value = q_values(ended, log.features, block_of_action)[..., end_action]
+        value = q_values(ended[:, :num_coefficients], log.features, block_of_action)[..., end_action]
         centre = jnp.broadcast_to(ended[block_of_action[end_action]], centre.shape)
     _, fits = jax.lax.scan(step, (value, centre), which)
     if stages == "separate":
@@ -146,6 +152,8 @@ def _masks(
 
 def _rows(log: Transitions, block_of_action: Int[Array, " A"], mask: Bool[Array, "n T"]) -> Rows:
     taken = jnp.take_along_axis(log.features, log.action[..., None, None], axis=2)[:, :, 0]
+    if log.surprises is not None:
+        taken = jnp.concatenate([taken, jnp.where(log.is_last[..., None], 0.0, log.surprises)], axis=-1)
     return Rows(
         features=taken.reshape(log.action.size, taken.shape[-1]),
         block=block_of_action[log.action].ravel(),

@@ -1,9 +1,9 @@
 """What a linear Q looks at on a table: a few numbers for each verb, whatever the number of objects.
 
-Every feature is a sum over the objects on the table or concerns the target alone, so it depends neither on N nor on
-the order of the objects, and none uses a parameter of the world.
+Every feature is a sum or the largest over the objects on the table or concerns the target alone, so it depends neither
+on N nor on the order of the objects, and none uses a parameter of the world.
 
-The first nine features describe the table and mean the same for every verb:
+The first eleven features describe the table and mean the same for every verb:
 
 ===========================  =========================================================================================
 Σ p                          dirty objects expected on the table, p = P(DIRTY)
@@ -12,11 +12,20 @@ The first nine features describe the table and mean the same for every verb:
 Σ win·ease, Σ sure·ease      how much of it is within reach
 Σ doubt, Σ doubt·ease        how much is not known, doubt = 4 p (1 − p), and how much of that is within reach
 Σ ease                       how much is within reach
+Σ soon, max soon             how much is within reach after one more look, of all and of the best: while steps are
+                             few the best counts, and with many the sum
 ===========================  =========================================================================================
 
 with ease = (1 − occlusion) · (1 + successes) / (1 + attempts), the share in sight times Laplace's guess of a grip; or,
-given a grasp model, the chance of a grasp that it tells. What follows concerns the target; `unhides` is what it would
-lay bare: Σ_j (occlusion of j that target i alone causes) · (…). FINISH looks at Σ p alone.
+given a grasp model, the chance of a grasp that it tells. One more look at an object of which the share v is in sight
+leaves win(v) = ½ (p − ½ + v/4)₊ + ½ (p − ½ − v/4)₊ to be won on average, were its label right with probability
+½ + v/4, and soon = ease · win(1 − occlusion).
+
+What follows concerns the target; `unhides` is what it would lay bare: Σ_j (occlusion of j that target i alone causes) ·
+(…); and LIFT gains ease · (win(1) − win(1 − occlusion)) by the better look. FINISH looks at Σ p alone.
+
+Whatever differs between targets decides between them. So the largest `soon` stands in the features of the table, where
+it is the same for all: the largest of the *others* tells as much of the table, and is least for the best target.
 """
 
 from typing import NamedTuple
@@ -29,11 +38,11 @@ from halfseen.world.actions import Verb
 from halfseen.world.grasp_model import GraspModel
 from halfseen.world.state import TableState, attempt_counts
 
-NUM_FEATURES = 17
-NUM_TABLE_FEATURES = 9
+NUM_FEATURES = 21
+NUM_TABLE_FEATURES = 11
 
-WASH_DIRTY = NUM_TABLE_FEATURES + 1
-"""Where the features of WASH hold P(DIRTY) of the target."""
+WASH_DIRTY, WASH_EASE = NUM_TABLE_FEATURES + 1, NUM_TABLE_FEATURES + 3
+"""Where the features of WASH hold P(DIRTY) and the ease of the target."""
 
 LEAST_IN_SIGHT = 1e-6
 """Share that one object leaves of another's silhouette at least: what is in sight without it follows by division."""
@@ -45,6 +54,8 @@ class Columns(NamedTuple):
     is_there: Bool[Array, " N"]
     table: list[Float[Array, " N"]]
     """To be summed over the objects on the table."""
+    best: Float[Array, ""]
+    """The largest `soon`, after the sums."""
     wash: list[Float[Array, " N"]]
     """Of each object as a target of WASH."""
     lift: list[Float[Array, " N"]]
@@ -58,20 +69,23 @@ def table_columns(state: TableState, grasp: GraspModel | None = None) -> Columns
     doubt = 4.0 * is_dirty * (1.0 - is_dirty)
     in_sight, laid_bare = _sight(state)
     ease = in_sight * _grip(state) if grasp is None else grasp.chance(state)
+    soon = ease * _win_after_look(is_dirty, in_sight)
     in_doubt = [doubt, ease, doubt * ease]
     at_stake = [win, win * ease, sure, sure * ease]
     return Columns(
         is_there=state.is_on_table,
-        table=[is_dirty, jnp.ones_like(is_dirty), *at_stake, *in_doubt],
-        wash=[jnp.sum(laid_bare * win, axis=1), is_dirty, is_dirty * ease, ease, *at_stake],
-        lift=[jnp.sum(laid_bare * doubt, axis=1), *in_doubt],
+        table=[is_dirty, jnp.ones_like(is_dirty), *at_stake, *in_doubt, soon],
+        best=jnp.max(jnp.where(state.is_on_table, soon, 0.0), initial=0.0),
+        wash=[jnp.sum(laid_bare * win, axis=1), is_dirty, is_dirty * ease, ease, *at_stake, soon, soon * ease],
+        lift=[jnp.sum(laid_bare * doubt, axis=1), *in_doubt, ease * (ease * _win_after_look(is_dirty, 1.0) - soon)],
     )
 
 
 def table_features(state: TableState, grasp: GraspModel | None = None) -> Float[Array, "A F"]:
-    """φ(S, a) of every action of one table, in the order of the actions, padded with zeros to F = 17."""
+    """φ(S, a) of every action of one table, in the order of the actions, padded with zeros to F = 21."""
     columns = table_columns(state, grasp)
-    table = jnp.sum(jnp.where(columns.is_there[:, None], jnp.stack(columns.table, axis=-1), 0.0), axis=0)
+    sums = jnp.sum(jnp.where(columns.is_there[:, None], jnp.stack(columns.table, axis=-1), 0.0), axis=0)
+    table = jnp.append(sums, columns.best)
     of_verb = [jnp.stack(values, axis=-1) for values in (columns.wash, columns.lift)]
     each = [jnp.concatenate([jnp.broadcast_to(table, (len(one), len(table))), one], axis=1) for one in of_verb]
     return jnp.concatenate([_padded(table[None, :1]), *map(_padded, each)])
@@ -90,7 +104,8 @@ def table_q(
     # FINISH looks at the first alone.
     shared = shared.at[Verb.FINISH, 1:].set(0.0)
     per_object = sum(value[:, None] * shared[None, :, f] for f, value in enumerate(columns.table))
-    table = offset[:, 0] + jnp.sum(jnp.where(columns.is_there[:, None], per_object, 0.0), axis=0)
+    sums = jnp.sum(jnp.where(columns.is_there[:, None], per_object, 0.0), axis=0)
+    table = offset[:, 0] + sums + columns.best * shared[:, -1]
     wash = table[Verb.WASH] + sum(value * own[Verb.WASH, f] for f, value in enumerate(columns.wash))
     lift = table[Verb.LIFT] + sum(value * own[Verb.LIFT, f] for f, value in enumerate(columns.lift))
     return jnp.concatenate([table[None, Verb.FINISH], wash, lift])
@@ -104,6 +119,11 @@ def block_of_action(num_objects: int) -> Int[Array, " A"]:
 
 def _padded(features: Float[Array, "M f"]) -> Float[Array, "M F"]:
     return jnp.pad(features, ((0, 0), (0, NUM_FEATURES - features.shape[1])))
+
+
+def _win_after_look(is_dirty: Float[Array, " N"], in_sight: Float[Array, " N"] | float) -> Float[Array, " N"]:
+    step = in_sight / 4.0
+    return (jax.nn.relu(is_dirty - 0.5 + step) + jax.nn.relu(is_dirty - 0.5 - step)) / 2.0
 
 
 def _grip(state: TableState) -> Float[Array, " N"]:
