@@ -17,7 +17,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pandas as pd
 from jaxtyping import Float
 
 from halfseen.errors import ArgumentError
@@ -177,19 +176,6 @@ def _fitted_log(learner: CensoredQLearner, logs: Logs) -> tuple[Transitions, Enc
             f"the log has {logs.num_paths} paths, but the learner was fitted to {learner.weights_.shape[0]}; give it "
             "the log that it was fitted to"
         )
-    encoding, horizon = TableEncoding(learner.horizon, learner.grasp_), learner.horizon
-    encoded = encoding.encode(logs)
-    reward = logs.stage_values("reward")
-    reward = np.pad(reward, ((0, 0), (0, horizon - reward.shape[1])), constant_values=np.nan)
-    num_stages = np.bincount(pd.Index(logs.path_ids).get_indexer(logs.stages["path"]), minlength=logs.num_paths)
+    encoding = TableEncoding(learner.horizon, learner.grasp_)
     num_folds = min(learner.num_folds, logs.num_paths) if learner.reg == "cv" else 1
-    log = Transitions(
-        features=encoded.features,
-        is_possible=encoded.is_possible,
-        action=encoded.action,
-        reward=np.where(np.isnan(reward), 0.0, reward),
-        weight=learner.weights_,
-        is_last=(np.arange(horizon) == num_stages[:, None] - 1) & logs.is_finished[:, None],
-        fold=np.random.default_rng(learner.random_state).permutation(logs.num_paths) % num_folds,
-    )
-    return log, encoding, num_folds
+    return learner.transitions(logs, encoding, num_folds), encoding, num_folds
