@@ -1,4 +1,5 @@
 import pytest
+from example_map import TINY_MAP
 
 from halfseen.scene import table_paths
 from halfseen.study.design import StudyDesign
@@ -8,10 +9,16 @@ TINY = StudyDesign(
     repetitions=2,
     num_paths=(25, 50),
     cut_shares=(0.0, 1 / 2),
-    planning_horizons=(1, 2),
     table_num_paths=50,
     grasp_num_paths=(25, 50),
     episodes_per_scene=1,
+    planning_horizons=(1, 2),
+    planning_simulations=8,
+    search_simulations=(("1 ms", 8, 2),),
+    regret_tables=2,
+    regret_horizon=3,
+    regret_num_paths=(25, 50),
+    clutter_map=TINY_MAP,
 )
 
 

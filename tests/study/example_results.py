@@ -2,14 +2,19 @@
 
 import numpy as np
 import pandas as pd
+from example_map import example_table
+from example_planning import example_pieces, example_times
+from example_regret import example_regret
 
 from halfseen.study.design import TREATMENTS, StudyDesign
 from halfseen.study.grasp_tables import calibration, grasp_frame, grasp_table, grasp_tests
-from halfseen.study.results import BASELINE_NAMES, GRASP_NAMES, MEASURES, StudyResults
+from halfseen.study.planning_table import figure2, figure3, planning_frames
+from halfseen.study.policies import HEURISTICS
+from halfseen.study.results import BUDGETS_MS, GRASP_NAMES, MEASURES, StudyResults
 from halfseen.study.sentences import plain_sentences
 from halfseen.world.scene import Scene
 
-BASELINE_REWARDS = dict(zip(BASELINE_NAMES, (3.1, 3.6, 6.2, 6.4, 7.9, 8.9, 9.1, 9.15), strict=True))
+BASELINE_REWARDS = dict(zip((*HEURISTICS, *BUDGETS_MS), (3.1, 3.6, 6.2, 6.4, 9.1, 9.15), strict=True))
 SE = 0.09
 
 
@@ -33,19 +38,27 @@ def example_results(
     figure1, figure4 = _figure1(design, lead), _figure4(design, lead, gain)
     table1 = _table1(design, lead)
     grasp = grasp_frame(_grasp_pieces(design, svm_lead))
+    planned, times_ms = planning_frames(example_pieces(lead)), example_times()
+    by_time = figure2(planned, times_ms)
     return StudyResults(
         design=design,
         scenes=example_scenes(),
         figure1=figure1,
+        figure2=by_time,
+        figure3=figure3(planned, times_ms, design.planning_simulations),
+        learning_s=0.3,
         figure4=figure4,
         table1=table1,
         weights=_weights(design),
         grasp=grasp_table(grasp, design),
         grasp_tests=grasp_tests(grasp, design),
         figure5=calibration(grasp),
-        best_planner="pomdp-4",
+        map=example_table(lambda cell: 0.3 if cell.reward_wash_clean == -20 else 0.0, design.clutter_map),
+        regret=example_regret(),
+        strongest_planners={"planner-100ms": "search-5000", "planner-1s": "search-50000"},
+        best_planner="planner-1s",
         best_heuristic="history-penalty",
-        sentences=plain_sentences(figure1, table1, figure4, design, "pomdp-4", "history-penalty"),
+        sentences=plain_sentences(figure1, table1, figure4, design, "planner-1s", "history-penalty"),
         versions={"numpy": "2.3.0", "halfseen": "0.1.0", "jax": "0.7.0"},
     )
 
@@ -107,11 +120,11 @@ def _figure4(design: StudyDesign, lead: float, gain: float) -> pd.DataFrame:
 def _table1(design: StudyDesign, lead: float) -> pd.DataFrame:
     own = _reward(design, design.table_num_paths, design.table_cut_share, lead)
     rows = []
-    for name in ("pomdp-4", "greedy", "history", "greedy-penalty", "history-penalty"):
+    for name in ("planner-1s", "greedy", "history", "greedy-penalty", "history-penalty"):
         gap = own - BASELINE_REWARDS[name]
         p = 1e-7 if gap > 3 * SE else 0.8 if gap < 0 else 0.03
         rows.append((name, "reward", own, own - gap, p, min(1.0, 9 * p), gap, gap > 3 * SE, gap - 2 * SE, gap + 2 * SE))
-        other = 130.0 if name.startswith("pomdp") else 0.004
+        other = 130.0 if name.startswith("planner") else 0.004
         p = 4.757e-7 if other > 1 else 1.0
         rows.append(
             (

@@ -10,6 +10,7 @@ from matplotlib.text import Text
 from halfseen.study.design import StudyDesign
 from halfseen.study.figures import draw_figure1, draw_figure4, figure1_of, figure4_of, spread, style
 from halfseen.study.grasp_figure import draw_figure5, figure5_of
+from halfseen.study.map_figure import draw_map
 from halfseen.study.results import GRASP_NAMES
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -38,7 +39,8 @@ def within_style():
 
 
 @pytest.mark.parametrize(
-    ("draw", "name"), [(draw_figure1, "figure1"), (draw_figure4, "figure4"), (draw_figure5, "figure5")]
+    ("draw", "name"),
+    [(draw_figure1, "figure1"), (draw_figure4, "figure4"), (draw_figure5, "figure5"), (draw_map, "map")],
 )
 def test_files_are_whole_and_the_same_again(tmp_path, draw, name):
     results = example_results()
@@ -67,8 +69,8 @@ def test_figure1_names_every_line():
     for name in (
         "greedy  3.10",
         "greedy with history  3.60",
-        "POMDP, 1 step ahead  7.90",
-        "POMDP, 4 steps ahead  9.15",
+        "strongest planner within 100 ms  9.10",
+        "strongest planner within 1 s  9.15",
     ):
         assert name in written
     for cut in ("no path cut", "1/6 of the paths cut", "1/3 of the paths cut", "1/2 of the paths cut"):

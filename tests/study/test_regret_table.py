@@ -5,42 +5,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from example_regret import BASELINES, example_regret
 
 from halfseen.study.figures import style
 from halfseen.study.regret_figure import regret_figure_of
-from halfseen.study.regret_table import regret_table
 from halfseen.study.regret_words import best, regret_sentence, regret_title
-
-BASELINES = {
-    "optimum": [4.0, 6.0],
-    "finish": [-9.0, -9.0],
-    "regrets": {
-        "greedy": [3.0, 5.0],
-        "history": [3.0, 4.0],
-        "greedy-penalty": [2.0, 3.0],
-        "history-penalty": [2.0, 2.5],
-    },
-}
-
-
-def piece(repetition, end=1.0):
-    noise = 0.1 * repetition
-    learned = [
-        {
-            "policy": "cql",
-            "num_paths": size,
-            "cut_share": share,
-            "regrets": [end * 100 / size + noise, 2.0 * share + noise],
-        }
-        for size in (50, 200)
-        for share in (0.0, 0.5)
-    ]
-    planned = [{"policy": f"pomdp-{h}", "regrets": [0.5 / h, 0.7 / h + noise]} for h in (1, 2)]
-    return {"repetition": repetition, "rows": planned + learned}
-
-
-def made_up(end=1.0):
-    return regret_table(BASELINES, [piece(k, end) for k in range(3)])
 
 
 def row_of(table, policy, num_paths=None, cut_share=None):
@@ -52,7 +21,7 @@ def row_of(table, policy, num_paths=None, cut_share=None):
 
 
 def test_regrets_are_means_over_tables_with_errors_over_repetitions():
-    table = made_up()
+    table = example_regret()
     learned, heuristic, planner, optimum = (
         row_of(table, *which) for which in (("cql", 200, 0.5), ("history-penalty",), ("pomdp-2",), ("optimum",))
     )
@@ -68,7 +37,7 @@ def test_regrets_are_means_over_tables_with_errors_over_repetitions():
 
 
 def test_nulls_stand_where_nothing_was_learned_or_repeated_and_nowhere_else():
-    table = made_up()
+    table = example_regret()
     is_learned = table["policy"] == "cql"
 
     assert (table["num_paths"].isna() == ~is_learned).all()
@@ -76,7 +45,7 @@ def test_nulls_stand_where_nothing_was_learned_or_repeated_and_nowhere_else():
     is_exact = table["policy"].isin([*BASELINES["regrets"], "optimum"])
     assert (table["repetitions"].isna() == is_exact).all()
     assert np.isfinite(table[["regret", "se", "regret_share", "optimum"]].to_numpy(dtype=float)).all()
-    assert made_up().to_csv(index=False) == table.to_csv(index=False)
+    assert example_regret().to_csv(index=False) == table.to_csv(index=False)
     assert is_learned[: is_learned.sum()].all()
 
 
@@ -84,7 +53,7 @@ def test_nulls_stand_where_nothing_was_learned_or_repeated_and_nowhere_else():
     ("end", "said"), [(1.0, "earns 0.85 less"), (3.0, "earns 1.35 less"), (0.0, "earns 0.60 less")]
 )
 def test_the_words_say_what_the_table_says(end, said):
-    table = made_up(end)
+    table = example_regret(end)
     sentence = regret_sentence(table, 0.5, num_tables=2, horizon=6)
 
     assert sentence.startswith("On 2 small tables, of three cups and 6 steps each, the best of all policies is known")
@@ -101,7 +70,7 @@ def test_the_words_say_what_the_table_says(end, said):
 
 
 def test_one_size_of_log_and_no_cuts_read_well():
-    table = made_up()
+    table = example_regret()
     table = pd.DataFrame(table[(table["num_paths"].isna()) | (table["num_paths"] == 200)])
     sentence = regret_sentence(table, 0.0, 2, 6)
     assert "none of them cut" in sentence
@@ -110,7 +79,7 @@ def test_one_size_of_log_and_no_cuts_read_well():
 
 
 def test_the_figure_draws_every_policy_at_its_regret():
-    table = made_up()
+    table = example_regret()
     with style():
         figure = regret_figure_of(table, 0.5)
         axes = figure.axes[0]

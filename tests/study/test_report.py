@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 
 from halfseen.errors import ArgumentError
 from halfseen.study.design import StudyDesign
-from halfseen.study.report import DESIGN_WORDS, WORLD_WORDS, write_report
+from halfseen.study.map_cells import MapDesign
+from halfseen.study.report import DESIGN_WORDS, MAP_WORDS, WORLD_WORDS, write_report
 from halfseen.world.config import WorldConfig
 from halfseen.world.scene import Scene
 
@@ -69,7 +70,7 @@ def written(results, tmp_path):
 def test_page_is_whole(text):
     page = Page(text)
     assert page.tags.count("main") == page.tags.count("h1") == 1
-    assert page.tags.count("svg") == 3
+    assert page.tags.count("svg") == 7
     assert page.tags.count("img") == 10
 
 
@@ -138,8 +139,9 @@ def test_missing_numbers_are_dashes(results, tmp_path):
 
 def test_every_parameter_has_words_and_a_value(text):
     assert set(WORLD_WORDS) == {field.name for field in fields(WorldConfig)}
-    assert set(DESIGN_WORDS) == {field.name for field in fields(StudyDesign)} - {"world"}
-    for words in [*WORLD_WORDS.values(), *DESIGN_WORDS.values()]:
+    assert set(DESIGN_WORDS) == {field.name for field in fields(StudyDesign)} - {"world", "clutter_map"}
+    assert set(MAP_WORDS) == {field.name for field in fields(MapDesign)}
+    for words in [*WORLD_WORDS.values(), *DESIGN_WORDS.values(), *MAP_WORDS.values()]:
         assert f">{words}</th>" in text
 
 

@@ -16,7 +16,14 @@ from halfseen.study.run import run_study
 
 COLUMNS = {
     "figure1": "policy num_paths cut_share repetitions mean_reward se",
+    "figure2": "policy kind simulations decision_ms mean_reward se low high over_cql se_over over_low over_high "
+    "repetitions episodes",
+    "figure3": "planning_horizon simulations decision_ms mean_reward se low high over_previous se_over_previous "
+    "over_previous_low over_previous_high over_first se_over_first over_first_low over_first_high repetitions episodes",
+    "regret": "policy num_paths cut_share regret se regret_share optimum repetitions",
     "figure4": "treatment cut_kind num_paths cut_share repetitions mean_reward se behind_weighted se_behind",
+    "map": "num_objects occlusion label_gain reward_wash_clean grip_offset_std num_paths cut_share repetitions cql "
+    "best_heuristic heuristic_reward finish_reward gain gain_se gain_share gain_share_low gain_share_high verdict",
     "figure5": "model num_paths bin_from attempts mean_chance share_succeeded se",
     "grasp_tests": "measure num_paths svm beta p_value p_holm effect supported effect_low effect_high",
     "table1": "baseline measure cql other p_value p_holm effect supported effect_low effect_high",
@@ -29,9 +36,11 @@ def outputs(folder):
 
 
 def test_everything_is_written_and_nothing_else(study_folder):
-    figures = {f"figure{k}.{kind}" for k in (1, 4, 5) for kind in ("csv", "png", "svg")}
+    figures = {f"figure{k}.{kind}" for k in range(1, 6) for kind in ("csv", "png", "svg")}
+    figures |= {f"{name}.{kind}" for name in ("map", "regret") for kind in ("csv", "png", "svg")}
     progress = {"design", "decision_times_ms", "repetition-00000", "repetition-00001"}
-    progress |= {"grasp-00000", "grasp-00001"}
+    progress |= {f"{part}-0000{k}" for part in ("grasp", "map", "planning", "regret") for k in (0, 1)}
+    progress |= {"learning_s", "regret-baselines"}
     expected = (
         figures
         | {"table1.csv", "grasp.csv", "grasp_tests.csv", "study.json", "report.html"}
@@ -50,7 +59,7 @@ def test_the_numbers_are_those_of_the_pieces(study_folder):
     pieces = [json.loads((study_folder / f"progress/repetition-0000{k}.json").read_text()) for k in (0, 1)]
     figure1 = pd.read_csv(study_folder / "figure1.csv").set_index("policy")
 
-    for name in ("greedy", "pomdp-2"):
+    for name in ("greedy", "history-penalty"):
         expected = np.mean([piece["baselines"][name]["reward"] for piece in pieces])
         assert figure1.loc[name, "mean_reward"] == pytest.approx(expected)
     times = json.loads((study_folder / "progress/decision_times_ms.json").read_text())
@@ -66,7 +75,7 @@ def test_resuming_a_finished_study_writes_the_same_bytes(study_folder, tiny_desi
 
 def test_resuming_a_killed_study_writes_the_same_bytes(study_folder, tiny_design, two_clouds, tmp_path):
     shutil.copytree(study_folder / "progress", tmp_path / "progress")
-    for name in ("repetition-00001", "grasp-00000"):
+    for name in ("repetition-00001", "grasp-00000", "planning-00001", "regret-00000"):
         (tmp_path / "progress" / f"{name}.json").unlink()
     run_study(tiny_design, two_clouds, tmp_path, is_resumed=True)
 
@@ -76,7 +85,7 @@ def test_resuming_a_killed_study_writes_the_same_bytes(study_folder, tiny_design
 def test_beginning_anew_finds_the_same_rewards(study_folder, tiny_design, two_clouds, tmp_path):
     run_study(tiny_design, two_clouds, tmp_path)
 
-    for name in ("figure1.csv", "figure4.csv", "grasp.csv", "progress/repetition-00001.json"):
+    for name in ("figure4.csv", "grasp.csv", "regret.csv", "map.csv", "progress/repetition-00001.json"):
         assert (tmp_path / name).read_bytes() == (study_folder / name).read_bytes()
 
 
@@ -106,8 +115,12 @@ SCRIPT = """
 import json, sys
 from pathlib import Path
 from halfseen.study import StudyDesign, run_study
-design = {k: tuple(v) if isinstance(v, list) else v for k, v in json.loads(sys.argv[2]).items()}
-run_study(StudyDesign(**design), [Path(cloud) for cloud in sys.argv[3:]], Path(sys.argv[1]), is_resumed=True)
+from halfseen.study.map_cells import MapDesign
+tuples = lambda values: {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+design = tuples(json.loads(sys.argv[2]))
+clutter_map = MapDesign(**tuples(design.pop("clutter_map")))
+design = StudyDesign(**design, clutter_map=clutter_map)
+run_study(design, [Path(cloud) for cloud in sys.argv[3:]], Path(sys.argv[1]), is_resumed=True)
 """
 
 

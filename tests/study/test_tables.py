@@ -4,13 +4,25 @@ import pytest
 
 from halfseen.study.design import TREATMENTS, StudyDesign
 from halfseen.study.policies import HEURISTICS
+from halfseen.study.results import MEASURES
 from halfseen.study.statistics import holm
 from halfseen.study.tables import baseline_frame, figure1, figure4, learned_frame, strongest, table1, weights
 
-DESIGN = StudyDesign(
-    repetitions=3, num_paths=(10, 20), cut_shares=(0.0, 1 / 2), table_num_paths=20, planning_horizons=(1, 2)
+DESIGN = StudyDesign(repetitions=3, num_paths=(10, 20), cut_shares=(0.0, 1 / 2), table_num_paths=20)
+TIMES_MS = {name: np.full(4, 0.1 * (k + 1)) for k, name in enumerate(("cql", *HEURISTICS))}
+FIGURE2 = pd.DataFrame({"policy": ["pomdp-1", "search-9"], "repetitions": 3, "mean_reward": [9.0, 9.5], "se": 0.5})
+AGAINST = pd.DataFrame(
+    {
+        "baseline": "planner-1s",
+        "measure": list(MEASURES),
+        "cql": 9.0,
+        "other": 8.0,
+        "p_value": [0.001, 1.0, 0.5],
+        "effect": 1.0,
+        "effect_low": 0.5,
+        "effect_high": 1.5,
+    }
 )
-TIMES_MS = {name: np.full(4, 0.1 * (k + 1)) for k, name in enumerate(("cql", "pomdp-1", "pomdp-2", *HEURISTICS))}
 
 
 def pieces():
@@ -32,8 +44,7 @@ def pieces():
             for kind, share in (("independent", 0.0), ("independent", 0.5), ("attempt", 0.5))
             for rank, treatment in enumerate(TREATMENTS if share else TREATMENTS[:1])
         ]
-        names = ("pomdp-1", "pomdp-2", *HEURISTICS)
-        baselines = {name: {"reward": 7.0 - k + 2.0 * repetition, "robot_s": 31.0} for k, name in enumerate(names)}
+        baselines = {name: {"reward": 6.0 - k + 2.0 * repetition, "robot_s": 31.0} for k, name in enumerate(HEURISTICS)}
         made.append({"repetition": repetition, "baselines": baselines, "learned": learned})
     return made
 
@@ -44,13 +55,17 @@ def frames():
 
 
 def test_figure1_has_a_row_for_each_policy_with_its_mean_and_error(frames):
-    table = figure1(*frames).set_index(["policy", "num_paths", "cut_share"])
+    planners = {"planner-1s": "search-9"}
+    whole = figure1(frames[0], frames[1], FIGURE2, planners)
+    table = whole.set_index(["policy", "num_paths", "cut_share"])
 
-    assert len(table) == 2 * (2 + 3) + 6
+    assert len(table) == 2 * (2 + 3) + 5
     row = table.loc[("cql", 20, 0.5)]
     assert (row["mean_reward"], row["se"], row["repetitions"]) == pytest.approx((9.0, 1 / np.sqrt(3), 3))
     assert table.loc[("cql-dropped", 10, 0.5), "mean_reward"] == pytest.approx(7.0)
-    assert set(figure1(*frames).query("num_paths.isna()")["policy"]) == {"pomdp-1", "pomdp-2", *HEURISTICS}
+    baselines = whole[whole["num_paths"].isna()].set_index("policy")
+    assert set(baselines.index) == {"planner-1s", *HEURISTICS}
+    assert tuple(baselines.loc["planner-1s", ["repetitions", "mean_reward", "se"]]) == (3, 9.5, 0.5)
 
 
 def test_figure4_says_how_far_each_treatment_stays_behind_in_pairs(frames):
@@ -64,17 +79,17 @@ def test_figure4_says_how_far_each_treatment_stays_behind_in_pairs(frames):
 
 
 def test_table1_compares_repetition_with_repetition_and_adjusts_for_all_tests(frames):
-    table = table1(*frames, TIMES_MS, DESIGN)
+    table = table1(frames[0], frames[1], TIMES_MS, AGAINST, DESIGN)
     reward = table[table["measure"] == "reward"].set_index("baseline")
 
-    assert list(table["baseline"].unique()) == ["pomdp-1", *HEURISTICS]
+    assert list(table["baseline"].unique()) == ["planner-1s", *HEURISTICS]
     assert len(table) == 15
-    np.testing.assert_allclose(reward["effect"], [0.0, 2.0, 3.0, 4.0, 5.0])
+    np.testing.assert_allclose(reward["effect"], [1.0, 1.0, 2.0, 3.0, 4.0])
     np.testing.assert_allclose(reward["cql"] - reward["other"], reward["effect"])
     np.testing.assert_allclose(table["p_holm"], holm(table["p_value"].to_numpy()))
     assert (table["supported"] == (table["p_holm"] < DESIGN.alpha)).all()
     times = table[table["measure"] == "decision_ms"]
-    assert (times["effect"] < 0).all()
+    assert (times["effect"][1:] < 0).all()
 
 
 def test_weights_are_means_of_weighted_fits(frames):

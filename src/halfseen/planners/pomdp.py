@@ -15,7 +15,7 @@ from halfseen.errors import ArgumentError
 from halfseen.planners.belief import belief_of
 from halfseen.planners.one_step import one_step_q
 from halfseen.planners.rollout import searched_values
-from halfseen.world.config import WorldConfig
+from halfseen.world.config import Number, WorldConfig
 from halfseen.world.policy import Decision
 from halfseen.world.state import TableState
 
@@ -34,7 +34,7 @@ class POMDPPolicy:
     planning_horizon
         h, ≥ 1.
     num_simulations
-        Sampled futures a decision, about, ≥ 1; a look of one step needs none.
+        Sampled futures a decision, about, ≥ 1; a look of one step takes none, whatever is given.
 
     Raises
     ------
@@ -43,10 +43,16 @@ class POMDPPolicy:
     """
 
     config: WorldConfig
-    planning_horizon: int = field(default=2, metadata={"static": True})
+    planning_horizon: Number = 2
     num_simulations: int = field(default=NUM_SIMULATIONS, metadata={"static": True})
 
     def __post_init__(self) -> None:
+        # Under a transformation the horizon may be a placeholder without a value.
+        if not isinstance(self.planning_horizon, int):
+            return
+        if self.planning_horizon == 1:
+            object.__setattr__(self, "num_simulations", 0)
+            return
         for name in ("planning_horizon", "num_simulations"):
             if getattr(self, name) < 1:
                 raise ArgumentError(f"{name} is {getattr(self, name)}; it is at least 1")
@@ -58,6 +64,6 @@ class POMDPPolicy:
 
     def q_values(self, state: TableState, key: Array) -> Float[Array, " A"]:
         """Q_h of every action of one table; −∞ where an action is impossible."""
-        if self.planning_horizon == 1:
+        if self.num_simulations == 0:
             return one_step_q(self.config, belief_of(self.config, state))
         return searched_values(self.config, state, key, self.num_simulations, self.planning_horizon)

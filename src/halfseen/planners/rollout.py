@@ -21,7 +21,7 @@ from jaxtyping import Array, Float, Int
 from halfseen.planners.belief import Belief, belief_of, sample_successor
 from halfseen.planners.one_step import UNLIMITED, control_value, rule_and_control
 from halfseen.world.actions import FINISH, possible_actions
-from halfseen.world.config import WorldConfig
+from halfseen.world.config import Number, WorldConfig
 from halfseen.world.state import TableState
 
 SHRINKAGE = 8.0
@@ -64,7 +64,7 @@ def sampled_values(config: WorldConfig, state: TableState, key: Array, num_futur
 
 
 def searched_values(
-    config: WorldConfig, state: TableState, key: Array, num_futures: int, planning_horizon: int
+    config: WorldConfig, state: TableState, key: Array, num_futures: int, planning_horizon: Number
 ) -> Float[Array, " A"]:
     """Q of each action of one table from a number of futures, most of them spent on the actions that promise most.
 
@@ -92,23 +92,33 @@ def searched_values(
     """
     belief = belief_of(config, state)
     first = jnp.where(belief.steps_to_go == 1, *rule_and_control(config, belief))
-    num_left = min(first.shape[0] - 1, max(2, num_futures // 4))
-    sizes = [num_left]
+    sizes = _halved(min(first.shape[0] - 1, max(2, num_futures // 4)))
+    lane = jnp.arange(max(sizes[0], round(num_futures / len(sizes))))
+    # FINISH has one future, and is known.
+    num_open = jnp.maximum(jnp.sum(first[1:] > -jnp.inf), 1)
+
+    def draw(carry: tuple[Array, Array], of_round: tuple[Array, Array]) -> tuple[tuple[Array, Array], None]:
+        total, count = carry
+        num_left, key = jnp.minimum(of_round[0], num_open), of_round[1]
+        promising = 1 + jnp.argsort(-_shrunk(first, total, count)[1:])
+        action = promising[lane % num_left]
+        # All actions meet the same draws.
+        keys = jax.vmap(partial(jax.random.fold_in, key))(lane // num_left)
+        drawn = jax.vmap(lambda action, key: _surplus(config, belief, action, key, planning_horizon))(action, keys)
+        return (total.at[action].add(drawn), count.at[action].add(1.0)), None
+
+    nothing = jnp.zeros_like(first)
+    rounds = jnp.array(sizes), jax.random.split(key, len(sizes))
+    (total, count), _ = jax.lax.scan(draw, (nothing, nothing), rounds)
+    return jnp.where(belief.steps_to_go == 1, first, _shrunk(first, total, count))
+
+
+def _halved(size: int) -> list[int]:
+    """Halves of a number, itself the first, down to 2."""
+    sizes = [size]
     while sizes[-1] > 2:
         sizes.append((sizes[-1] + 1) // 2)
-    total, count = jnp.zeros_like(first), jnp.zeros_like(first)
-    for size, round_key in zip(sizes, jax.random.split(key, len(sizes)), strict=True):
-        # FINISH has one future, and is known.
-        _, left = jax.lax.top_k(_shrunk(first, total, count)[1:], size)
-        keys = jax.random.split(round_key, max(1, round(num_futures / len(sizes) / size)))
-        drawn = jax.vmap(
-            lambda action, keys=keys: jax.vmap(lambda key: _surplus(config, belief, action, key, planning_horizon))(
-                keys
-            )
-        )(1 + left)
-        total = total.at[1 + left].add(jnp.sum(drawn, axis=1))
-        count = count.at[1 + left].add(len(keys))
-    return jnp.where(belief.steps_to_go == 1, first, _shrunk(first, total, count))
+    return sizes
 
 
 def _shrunk(first: Float[Array, " A"], total: Float[Array, " A"], count: Float[Array, " A"]) -> Float[Array, " A"]:
@@ -119,7 +129,7 @@ def _shrunk(first: Float[Array, " A"], total: Float[Array, " A"], count: Float[A
 
 
 def _surplus(
-    config: WorldConfig, belief: Belief, action: Int[Array, ""], key: Array, planning_horizon: int = UNLIMITED
+    config: WorldConfig, belief: Belief, action: Int[Array, ""], key: Array, planning_horizon: Number = UNLIMITED
 ) -> Float[Array, ""]:
     """Worth of one future less Q° of its first action; at least two steps are to go."""
     last_step = belief.steps_to_go - planning_horizon + 1

@@ -140,7 +140,7 @@ def figure1_of(results: StudyResults, is_titled: bool = True) -> Figure:
     axes.set_xlim(min(results.design.num_paths) / 1.08, max(results.design.num_paths) * 1.05)
     axes.set_xlabel(PATHS_AXIS)
     axes.set_title(REWARD_AXIS, **PANEL_TITLE)
-    _write_end_labels(axes, labels)
+    write_end_labels(axes, labels)
     return figure
 
 
@@ -272,7 +272,7 @@ def write_title(figure: Figure, title: str, width: int) -> float:
     return TITLE_TOP - len(lines) * 1.3 * TITLE_POINTS / 72 / figure.get_size_inches()[1]
 
 
-def _write_end_labels(axes: Axes, labels: Sequence[EndLabel]) -> None:
+def write_end_labels(axes: Axes, labels: Sequence[EndLabel]) -> None:
     """Name lines at the right edge, moved apart as little as needed and tied to their ends."""
     low, high = axes.get_ylim()
     height_inches = FIGURE1_INCHES[1] * axes.get_position().height

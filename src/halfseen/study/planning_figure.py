@@ -1,6 +1,7 @@
 """Figures 2 and 3: reward against the time of a decision, and by planning horizon."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,14 +17,16 @@ from halfseen.study.figures import (
     PANEL_TITLE,
     PLANNER_COLOUR,
     EndLabel,
-    _write_end_labels,
     spread,
+    write_end_labels,
+    write_figure,
     write_title,
 )
 from halfseen.study.findings import LEARNED
 from halfseen.study.planning import HORIZON_PREFIX, SEARCH_PREFIX
 from halfseen.study.planning_table import HEURISTIC_KIND, PLANNER_KIND
 from halfseen.study.planning_words import figure2_title, figure3_title, milliseconds, policy_name
+from halfseen.study.results import StudyResults
 from halfseen.study.wording import amount
 
 FIGURE2_INCHES = (9.0, 7.6)
@@ -37,6 +40,42 @@ SIDE_BY_SIDE = 0.07
 """Least distance of the looks ahead, which take much the same time, in powers of ten."""
 ROOM = 0.16
 """Left free at the foot of the axes for what is told of learning, as a share of their height."""
+
+
+def draw_figure2(results: StudyResults, folder: Path) -> None:
+    """Write ``figure2.svg`` and ``figure2.png``: reward against the time of a decision.
+
+    Parameters
+    ----------
+    results
+        What the study found.
+    folder
+        Where to; made if it is not there.
+    """
+    write_figure(figure2_for, results, folder, "figure2")
+
+
+def draw_figure3(results: StudyResults, folder: Path) -> None:
+    """Write ``figure3.svg`` and ``figure3.png``: reward by planning horizon.
+
+    Parameters
+    ----------
+    results
+        What the study found.
+    folder
+        Where to; made if it is not there.
+    """
+    write_figure(figure3_for, results, folder, "figure3")
+
+
+def figure2_for(results: StudyResults, is_titled: bool = True) -> Figure:
+    """`figure2_of` for the results of a study."""
+    return figure2_of(results.figure2, results.learning_s, results.design.table_num_paths, is_titled)
+
+
+def figure3_for(results: StudyResults, is_titled: bool = True) -> Figure:
+    """`figure3_of` for the results of a study."""
+    return figure3_of(results.figure3, results.figure2, is_titled)
 
 
 def figure2_of(figure2: pd.DataFrame, learning_s: float, num_paths: int, is_titled: bool = True) -> Figure:
@@ -69,7 +108,7 @@ def figure2_of(figure2: pd.DataFrame, learning_s: float, num_paths: int, is_titl
     _mark_times(upper, figure2, learning_s)
     upper.tick_params(labelbottom=True)
     _tell_learning(upper, learning_s, num_paths)
-    _write_end_labels(upper, labels)
+    write_end_labels(upper, labels)
     handles, names = upper.get_legend_handles_labels()
     figure.legend(handles, names, loc="upper left", bbox_to_anchor=(0.05, top + 0.07), ncols=2, frameon=False)
     return figure

@@ -169,7 +169,7 @@ def planner_rows(
     frames, figure2, times_ms
         The pieces, the table made of them, and decision times.
     budgets_ms
-        What a budget is called → time of a decision [ms].
+        Baseline in Table 1 → time of a decision [ms].
 
     Returns
     -------
@@ -178,30 +178,16 @@ def planner_rows(
         both played; of decision times, the states that both decided.
     """
     rows = []
-    for called, budget_ms in budgets_ms.items():
+    for name, budget_ms in budgets_ms.items():
         planner = strongest_within(figure2, budget_ms)
         if planner is None:
             continue
-        name = budget_name(called, planner)
         for measure in MEASURES:
             ours, other = _pairs(frames, times_ms, planner, measure)
             test = paired_test(ours, other, is_more_better=measure == "reward")
             means = float(np.mean(ours)), float(np.mean(other))
             rows.append((name, measure, *means, test.p_value, test.effect, test.effect_low, test.effect_high))
     return pd.DataFrame(rows, columns=pd.Index(TABLE1_COLUMNS))
-
-
-def budget_name(called: str, planner: str) -> str:
-    """What the strongest planner within a budget is called in Table 1.
-
-    Parameters
-    ----------
-    called
-        The budget.
-    planner
-        Its name in the tables.
-    """
-    return f"strongest planner within {called} ({planner})"
 
 
 def _pairs(

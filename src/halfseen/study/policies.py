@@ -20,7 +20,7 @@ def heuristics(design: StudyDesign) -> dict[str, GreedyPolicy]:
 
 def planners(design: StudyDesign) -> dict[str, Policy]:
     """The POMDP planner at each planning horizon, by name."""
-    return {f"pomdp-{h}": POMDPPolicy(design.world, planning_horizon=h) for h in design.planning_horizons}
+    return {f"pomdp-{h}": POMDPPolicy(design.world, h, design.planning_simulations) for h in design.planning_horizons}
 
 
 def logging_policy(design: StudyDesign) -> ExploringPolicy:

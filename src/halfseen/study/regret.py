@@ -36,7 +36,7 @@ HIDING_SHARE, MOST_HIDDEN = 0.75, 0.8
 NUM_GRIP_NODES = 31
 """Of the grid of grip offsets in the exact world: with so many it is the simulated world, in which logs are made, to
 1e-4 of reward; they cost no states."""
-PLANNER_STATES = 32
+PLANNER_STATES = 8
 """States of each step in which a planner is asked, in each repetition."""
 CUT_KIND: CutKind = "independent"
 

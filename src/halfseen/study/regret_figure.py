@@ -1,5 +1,6 @@
 """The figure of regrets: how far below the exact optimum policies stay, against the size of the log."""
 
+from pathlib import Path
 from typing import Any
 
 import matplotlib
@@ -20,18 +21,37 @@ from halfseen.study.figures import (
     PLANNER_COLOUR,
     SHARE_COLOURS,
     EndLabel,
-    _write_end_labels,
     mark_sizes,
+    write_end_labels,
+    write_figure,
     write_title,
 )
 from halfseen.study.findings import LEARNED, Z_95, learned_curve
 from halfseen.study.policies import HEURISTICS
 from halfseen.study.regret_table import OPTIMUM
 from halfseen.study.regret_words import best, regret_title
-from halfseen.study.results import BASELINE_NAMES
+from halfseen.study.results import BASELINE_NAMES, StudyResults
 from halfseen.study.wording import amount, share
 
 REGRET_AXIS = "reward of a path below that of the best of all policies, mean over the small tables"
+
+
+def draw_regret(results: StudyResults, folder: Path) -> None:
+    """Write ``regret.svg`` and ``regret.png``: how far policies stay below the best of all, on small tables.
+
+    Parameters
+    ----------
+    results
+        What the study found.
+    folder
+        Where to; made if it is not there.
+    """
+    write_figure(regret_figure_for, results, folder, "regret")
+
+
+def regret_figure_for(results: StudyResults, is_titled: bool = True) -> Figure:
+    """`regret_figure_of` for the results of a study."""
+    return regret_figure_of(results.regret, results.design.table_cut_share, is_titled)
 
 
 def regret_figure_of(table: pd.DataFrame, cut_share: float, is_titled: bool = True) -> Figure:
@@ -56,7 +76,7 @@ def regret_figure_of(table: pd.DataFrame, cut_share: float, is_titled: bool = Tr
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel(PATHS_AXIS)
     axes.set_title(REGRET_AXIS, **PANEL_TITLE)
-    _write_end_labels(axes, labels)
+    write_end_labels(axes, labels)
     return figure
 
 

@@ -14,7 +14,7 @@ from halfseen.learners.q_learning.encoding import Encoded, encode_states
 from halfseen.learners.q_learning.linear_policy import LinearTablePolicy
 from halfseen.study.design import TREATMENTS, StudyDesign
 from halfseen.study.learning import NUM_FOLDS, learn
-from halfseen.study.policies import heuristics, logging_policy, planners
+from halfseen.study.policies import heuristics, logging_policy
 from halfseen.study.treatments import Treated, treat
 from halfseen.world.config import WorldConfig
 from halfseen.world.cuts import CutEpisodes, CutKind, cut, cut_rate
@@ -69,8 +69,8 @@ def run_repetition(design: StudyDesign, layouts: Layout, rates: CutRates, repeti
 
 
 def evaluate_each(design: StudyDesign, layouts: Layout, key: jax.Array, num_episodes: int) -> dict[str, Totals]:
-    """Play every baseline on the same episodes."""
-    policies = heuristics(design) | planners(design)
+    """Play every heuristic on the same episodes."""
+    policies = heuristics(design)
     return {name: evaluate(design.world, layouts, policy, key, num_episodes) for name, policy in policies.items()}
 
 

@@ -21,6 +21,12 @@ from halfseen.study.design import LOG_RANDOM_SHARE, StudyDesign
 from halfseen.study.findings import WEIGHTED, Estimate, learned
 from halfseen.study.grasp_figure import figure5_of
 from halfseen.study.grasp_words import figure5_title, grasp_sentence
+from halfseen.study.map_figure import map_figure_of
+from halfseen.study.map_words import map_sentence, map_title
+from halfseen.study.planning_figure import figure2_for, figure3_for
+from halfseen.study.planning_words import figure2_title, figure3_title, horizon_sentence, planning_sentence, policy_name
+from halfseen.study.regret_figure import regret_figure_for
+from halfseen.study.regret_words import regret_sentence, regret_title
 from halfseen.study.results import BASELINE_NAMES, GRASP_MEASURES, GRASP_NAMES, MEASURES, TREATMENT_NAMES, StudyResults
 from halfseen.study.sentences import figure1_title, figure4_title
 from halfseen.world.scene import Scene
@@ -56,8 +62,28 @@ DESIGN_WORDS = {
     "table_cut_share": "share of cut paths in Table 1",
     "grasp_num_paths": "logged paths in Figure 5",
     "grasp_repetitions": "repetitions in Figure 5 at most",
+    "map_repetitions": "repetitions of the map at most",
+    "planning_simulations": "simulations a decision, at each planning horizon",
+    "search_simulations": "decision budgets: aim, simulations, episodes of a repetition",
+    "planning_repetitions": "repetitions of the planners at most",
+    "regret_tables": "small tables",
+    "regret_horizon": "steps of a path on small tables",
+    "regret_num_paths": "logged paths on small tables",
+    "regret_repetitions": "repetitions on small tables at most",
     "alpha": "level of the tests",
     "seed": "seed",
+}
+MAP_WORDS = {
+    "num_objects": "map: objects",
+    "occlusions": "map: mean hidden share of an object",
+    "label_gains": "map: added to the chance of a right label in full view",
+    "wash_clean_rewards": "map: reward of washing a clean object",
+    "grip_offset_stds": "map: spread of the hidden grip offset",
+    "num_paths": "map: logged paths",
+    "cut_share": "map: share of cut paths",
+    "num_tables": "map: random tables of each repetition",
+    "episodes_per_table": "map: evaluation episodes of each table and repetition",
+    "worthwhile_share": "map: gain from which on learning is worth it",
 }
 # Smaller shares are within what perception errs.
 SMALLEST_HIDDEN_SHARE = 0.02
@@ -104,6 +130,10 @@ def _content(results: StudyResults, pictures: Mapping[str, bytes]) -> dict[str, 
         figure1_title(results.figure1, results.table1, design, rivals),
         figure4_title(results.figure4, design),
         figure5_title(results.grasp_tests),
+        map_title(results.map, design.world),
+        figure2_title(results.figure2),
+        figure3_title(results.figure3),
+        regret_title(results.regret, design.table_cut_share),
     )
     return {
         "sentences": results.sentences,
@@ -121,6 +151,24 @@ def _content(results: StudyResults, pictures: Mapping[str, bytes]) -> dict[str, 
         "grasp_numbers": _grasp_numbers(results.grasp),
         "grasp_repetitions": int(results.grasp["repetitions"].iloc[0]),
         "grasp_tests": _grasp_tests(results.grasp_tests),
+        "figure2": inline_svg(partial(figure2_for, is_titled=False), results, "f2", titles[4]),
+        "figure3": inline_svg(partial(figure3_for, is_titled=False), results, "f3", titles[5]),
+        "planning_sentence": planning_sentence(results.figure2),
+        "horizon_sentence": horizon_sentence(results.figure3),
+        "planning_rows": _planning_rows(results.figure2),
+        "strongest": {BASELINE_NAMES[name]: policy_name(of) for name, of in results.strongest_planners.items()},
+        "learning_s": results.learning_s,
+        "regret_figure": inline_svg(partial(regret_figure_for, is_titled=False), results, "f7", titles[6]),
+        "regret_sentence": regret_sentence(
+            results.regret, design.table_cut_share, design.regret_tables, design.regret_horizon
+        ),
+        "regret_rows": _regret_rows(results.regret),
+        "map_figure": inline_svg(partial(map_figure_of, is_titled=False), results, "map-figure", titles[3]),
+        "map_sentence": map_sentence(results.map, design.clutter_map, design.world),
+        "map_rows": [row | {"best": BASELINE_NAMES[row["best_heuristic"]]} for row in results.map.to_dict("records")],
+        "map_repetitions": int(results.map["repetitions"].iloc[0]),
+        "clutter_map": design.clutter_map,
+        "map_share": wording.share_in_words(design.clutter_map.cut_share),
         "best_planner": BASELINE_NAMES.get(results.best_planner, results.best_planner),
         "best_heuristic": BASELINE_NAMES.get(results.best_heuristic, results.best_heuristic),
         "table1": _table1(results.table1),
@@ -130,7 +178,7 @@ def _content(results: StudyResults, pictures: Mapping[str, bytes]) -> dict[str, 
         "weights": _weights(results.weights, design),
         "scenes": [_scene(scene, pictures.get(scene.name)) for scene in results.scenes],
         "world": _in_words(asdict(design.world), WORLD_WORDS),
-        "parameters": _in_words(_without_world(design), DESIGN_WORDS),
+        "parameters": _in_words(_own_numbers(design), DESIGN_WORDS) + _in_words(asdict(design.clutter_map), MAP_WORDS),
         "changed": _changed(design),
         "versions": dict(sorted(results.versions.items())),
     }
@@ -177,6 +225,24 @@ def _table1(table1: pd.DataFrame) -> list[dict[str, Any]]:
         if rows:
             groups.append({"measure": measure, "name": name, "claim": CLAIMS[measure], "rows": rows})
     return groups
+
+
+def _planning_rows(figure2: pd.DataFrame) -> list[dict[str, Any]]:
+    return [row | {"name": policy_name(row["policy"])} for row in figure2.to_dict("records")]
+
+
+def _regret_rows(regret: pd.DataFrame) -> list[dict[str, Any]]:
+    """Rows of the table of regrets, with names for people and an interval where something was repeated."""
+    return [
+        {
+            "name": policy_name(row["policy"]),
+            "num_paths": None if pd.isna(row["num_paths"]) else int(row["num_paths"]),
+            "cut": None if pd.isna(row["cut_share"]) else wording.share(float(row["cut_share"])),
+            "regret": Estimate(float(row["regret"]), float(row["se"])),
+            "percent": 100 * float(row["regret_share"]),
+        }
+        for row in regret.to_dict("records")
+    ]
 
 
 def _grasp_tests(tests: pd.DataFrame) -> list[dict[str, Any]]:
@@ -269,8 +335,9 @@ def _scene(scene: Scene, picture: bytes | None) -> dict[str, Any]:
     }
 
 
-def _without_world(design: StudyDesign) -> dict[str, Any]:
-    return {name: value for name, value in design.as_dict().items() if name != "world"}
+def _own_numbers(design: StudyDesign) -> dict[str, Any]:
+    """The design without the world and the places of the map, which have words of their own."""
+    return {name: value for name, value in design.as_dict().items() if name not in ("world", "clutter_map")}
 
 
 def _in_words(values: Mapping[str, Any], words: Mapping[str, str]) -> list[tuple[str, str, str]]:
@@ -283,7 +350,7 @@ def _written(name: str, value: Any) -> str:
         return ", ".join(_written(name, each) for each in value)
     if isinstance(value, str):
         return wording.CUT_KIND_NAMES.get(value, value)
-    is_cut_share = name in ("cut_shares", "treatment_cut_share", "table_cut_share")
+    is_cut_share = name in ("cut_shares", "treatment_cut_share", "table_cut_share", "cut_share")
     return wording.share(value) if is_cut_share else f"{value:g}".replace("-", "−")
 
 

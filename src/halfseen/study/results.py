@@ -16,8 +16,15 @@ BASELINE_NAMES = {
     "pomdp-2": "POMDP, 2 steps ahead",
     "pomdp-3": "POMDP, 3 steps ahead",
     "pomdp-4": "POMDP, 4 steps ahead",
+    "pomdp-5": "POMDP, 5 steps ahead",
+    "pomdp-6": "POMDP, 6 steps ahead",
+    "planner-100ms": "strongest planner within 100 ms",
+    "planner-1s": "strongest planner within 1 s",
 }
 """Name in the tables → name for people."""
+
+BUDGETS_MS = {"planner-100ms": 100.0, "planner-1s": 1000.0}
+"""Baseline that stands for the strongest planner → time that its decision may take [ms]."""
 
 TREATMENT_NAMES = {
     "weighted": "weighted by 1/Ĝ",
@@ -63,7 +70,15 @@ class StudyResults:
     figure1
         policy, num_paths, cut_share, repetitions, mean_reward, se. Policies are ``cql`` (weighted), the other
         treatments ``cql-unweighted``, ``cql-dropped``, ``cql-failures`` (independent cuts, at one cut share), and the
-        baselines, whose num_paths and cut_share are null.
+        heuristics and the strongest planners, whose num_paths and cut_share are null.
+    figure2
+        policy, kind, simulations, decision_ms, mean_reward, se, low, high, over_cql, se_over, over_low, over_high,
+        repetitions, episodes: see `halfseen.study.planning_table.figure2`.
+    figure3
+        planning_horizon, simulations, decision_ms, mean_reward, se, low, high, and differences from shorter horizons:
+        see `halfseen.study.planning_table.figure3`.
+    learning_s
+        Time that learning the headline policy took, once [s].
     figure4
         treatment, cut_kind, num_paths, cut_share, repetitions, mean_reward, se, behind_weighted, se_behind: the last
         two are the paired mean difference (weighted − this treatment) and its standard error.
@@ -80,8 +95,18 @@ class StudyResults:
     figure5
         model, num_paths, bin_from, attempts, mean_chance, share_succeeded, se: calibration; se is of the difference of
         the two before it.
+    map
+        num_objects, occlusion, label_gain, reward_wash_clean, grip_offset_std, num_paths, cut_share, repetitions, cql,
+        best_heuristic, heuristic_reward, finish_reward, gain, gain_se, gain_share, gain_share_low, gain_share_high,
+        verdict: see `halfseen.study.map_table.map_table`.
+    regret
+        policy, num_paths, cut_share, regret, se, regret_share, optimum, repetitions. se is over repetitions (of learned
+        policies: logs; of planners: the states in which they were asked, and their own draws); heuristics and the
+        optimum are exact, their se 0 and repetitions null; how tables differ is in no se.
+    strongest_planners
+        Baseline of `BUDGETS_MS` → the planner of `figure2` that it stands for.
     best_planner
-        The baseline ``pomdp-h`` with the largest mean reward.
+        The baseline that stands for the strongest planner of all.
     best_heuristic
         The strongest of the four heuristics.
     weights
@@ -95,12 +120,18 @@ class StudyResults:
     design: StudyDesign
     scenes: tuple[Scene, ...]
     figure1: pd.DataFrame
+    figure2: pd.DataFrame
+    figure3: pd.DataFrame
+    learning_s: float
     figure4: pd.DataFrame
     table1: pd.DataFrame
     weights: pd.DataFrame
     grasp: pd.DataFrame
     grasp_tests: pd.DataFrame
     figure5: pd.DataFrame
+    map: pd.DataFrame
+    regret: pd.DataFrame
+    strongest_planners: dict[str, str]
     best_planner: str
     best_heuristic: str
     sentences: tuple[str, ...] = ()

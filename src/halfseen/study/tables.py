@@ -30,8 +30,13 @@ def baseline_frame(pieces: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
     )
 
 
-def figure1(learned: pd.DataFrame, baselines: pd.DataFrame) -> pd.DataFrame:
-    """Mean reward of every policy: policy, num_paths, cut_share, repetitions, mean_reward, se."""
+def figure1(
+    learned: pd.DataFrame, baselines: pd.DataFrame, figure2: pd.DataFrame, strongest_planners: Mapping[str, str]
+) -> pd.DataFrame:
+    """Mean reward of every policy: policy, num_paths, cut_share, repetitions, mean_reward, se.
+
+    Of the planners, the strongest, as Figure 2 has them.
+    """
     rows = []
     shown = learned[learned["cut_kind"] == "independent"]
     for key, group in shown.groupby(["treatment", "cut_share", "num_paths"], sort=False):
@@ -40,9 +45,11 @@ def figure1(learned: pd.DataFrame, baselines: pd.DataFrame) -> pd.DataFrame:
         rows.append((name, num_paths, share, len(group), *mean_and_error(np.asarray(group["reward"]))))
     for name, group in baselines.groupby("policy", sort=False):
         rows.append((name, None, None, len(group), *mean_and_error(group["reward"].to_numpy())))
+    of_planner = figure2.set_index("policy")[["repetitions", "mean_reward", "se"]]
+    rows += [(name, None, None, *of_planner.loc[planner]) for name, planner in strongest_planners.items()]
     columns = ["policy", "num_paths", "cut_share", "repetitions", "mean_reward", "se"]
     table = pd.DataFrame(rows, columns=pd.Index(columns))
-    return table.astype({"num_paths": "Int64", "cut_share": "Float64"})
+    return table.astype({"num_paths": "Int64", "cut_share": "Float64", "repetitions": int})
 
 
 def figure4(learned: pd.DataFrame, design: StudyDesign) -> pd.DataFrame:
@@ -77,13 +84,16 @@ def table1(
     learned: pd.DataFrame,
     baselines: pd.DataFrame,
     times_ms: Mapping[str, Float[np.ndarray, " S"]],
+    against_planners: pd.DataFrame,
     design: StudyDesign,
 ) -> pd.DataFrame:
-    """Test the learned policy against the best planner and each heuristic, on every measure."""
-    planners = [f"pomdp-{h}" for h in design.planning_horizons]
+    """Test the learned policy against the strongest planners and each heuristic, on every measure.
+
+    The rows against planners come from `halfseen.study.planning_table.planner_rows`.
+    """
     ours = _replicates(_headline(learned, design)) | {"decision_ms": np.asarray(times_ms[LEARNED])}
     rows = []
-    for baseline in (strongest(baselines, planners), *HEURISTICS):
+    for baseline in HEURISTICS:
         other = _replicates(baselines.loc[baselines["policy"] == baseline])
         other["decision_ms"] = np.asarray(times_ms[baseline])
         for measure in MEASURES:
@@ -91,7 +101,7 @@ def table1(
             means = float(np.mean(ours[measure])), float(np.mean(other[measure]))
             rows.append((baseline, measure, *means, test.p_value, test.effect, test.effect_low, test.effect_high))
     columns = ["baseline", "measure", "cql", "other", "p_value", "effect", "effect_low", "effect_high"]
-    table = pd.DataFrame(rows, columns=pd.Index(columns))
+    table = pd.concat([against_planners, pd.DataFrame(rows, columns=pd.Index(columns))], ignore_index=True)
     table["p_holm"] = holm(table["p_value"].to_numpy())
     table["supported"] = table["p_holm"] < design.alpha
     return table.loc[:, [*columns[:5], "p_holm", "effect", "supported", "effect_low", "effect_high"]]
