@@ -48,6 +48,10 @@ LEAST_IN_SIGHT = 1e-6
 """Share that one object leaves of another's silhouette at least: what is in sight without it follows by division."""
 
 
+ROUNDING = 1e-6
+"""Differences of float32 numbers below this are 0."""
+
+
 class Columns(NamedTuple):
     """What the features are made of, one number an object."""
 
@@ -70,6 +74,7 @@ def table_columns(state: TableState, grasp: GraspModel | None = None) -> Columns
     in_sight, laid_bare = _sight(state)
     ease = in_sight * _grip(state) if grasp is None else grasp.chance(state)
     soon = ease * _win_after_look(is_dirty, in_sight)
+    clearer = ease * (ease * _win_after_look(is_dirty, 1.0) - soon)
     in_doubt = [doubt, ease, doubt * ease]
     at_stake = [win, win * ease, sure, sure * ease]
     return Columns(
@@ -77,7 +82,8 @@ def table_columns(state: TableState, grasp: GraspModel | None = None) -> Columns
         table=[is_dirty, jnp.ones_like(is_dirty), *at_stake, *in_doubt, soon],
         best=jnp.max(jnp.where(state.is_on_table, soon, 0.0), initial=0.0),
         wash=[jnp.sum(laid_bare * win, axis=1), is_dirty, is_dirty * ease, ease, *at_stake, soon, soon * ease],
-        lift=[jnp.sum(laid_bare * doubt, axis=1), *in_doubt, ease * (ease * _win_after_look(is_dirty, 1.0) - soon)],
+        # Rounding is no variance: where nothing else varies, a regression would scale it up.
+        lift=[jnp.sum(laid_bare * doubt, axis=1), *in_doubt, jnp.where(clearer > ROUNDING, clearer, 0.0)],
     )
 
 
