@@ -5,7 +5,7 @@ python benchmarks/calibration.py --fit
 
 States are those that the logging policy reaches on random small tables; the truth is the exact optimum. An action is
 best where its exact Q is within 1e-9 of the largest: of actions that are worth the same, all are. `--fit` prints the
-constants of ``halfseen.planners.explain``, fitted on tables that the check never sees. The learned policy is measured
+constants of ``planners.explanation``, fitted on tables that the check never sees. The learned policy is measured
 twice: against the optimum, and against what it learns from very many paths, which is all that a bootstrap can know.
 """
 
@@ -20,9 +20,9 @@ from scipy.optimize import minimize
 from scipy.special import gammaln
 
 from halfseen.learners import CensoredQLearner
-from halfseen.learners.q_learning.explain import LearnedExplainer
+from halfseen.learners.q_learning.explanation import LearnedExplainer
 from halfseen.planners import GreedyPolicy, solve_table
-from halfseen.planners.explain import DEGREES_OF_FREEDOM, PlannerError, expected_q, explain, futures_of, own_error
+from halfseen.planners.explanation import DEGREES_OF_FREEDOM, PlannerError, expected_q, explain, futures_of, own_error
 from halfseen.world import ExploringPolicy, Scene, TableWorld, WorldConfig
 from halfseen.world.episodes import play
 from halfseen.world.state import pad_scenes

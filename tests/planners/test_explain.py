@@ -10,7 +10,7 @@ from tables import state_of
 from halfseen.errors import ArgumentError
 from halfseen.planners import GreedyPolicy, solve_table
 from halfseen.planners.belief import belief_of
-from halfseen.planners.explain import FITTED_ERROR, Futures, PlannerError, drawn_q, expected_q, explain
+from halfseen.planners.explanation import FITTED_ERROR, Futures, PlannerError, drawn_q, expected_q, explain
 from halfseen.planners.one_step import one_step_q
 from halfseen.planners.pomdp import POMDPPolicy
 from halfseen.planners.rollout import sampled_values

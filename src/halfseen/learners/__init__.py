@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from halfseen.learners.grasp.attempts import attempts
     from halfseen.learners.grasp.beta_grasp import BetaGrasp
     from halfseen.learners.grasp.svm_grasp import SVMGrasp
+    from halfseen.learners.q_learning.explanation import LearnedExplainer
     from halfseen.learners.q_learning.linear_policy import LinearTablePolicy
     from halfseen.learners.q_learning.q_learner import CensoredQLearner
     from halfseen.learners.svm.classifier import CensoredSVC
@@ -24,6 +25,7 @@ __all__ = [
     "CensoredQLearner",
     "CensoredSVC",
     "CensoredSVR",
+    "LearnedExplainer",
     "LinearTablePolicy",
     "SVMGrasp",
     "SetKernel",
@@ -38,6 +40,7 @@ __getattr__ = lazy_names(
         "CensoredQLearner": "q_learning.q_learner",
         "CensoredSVC": "svm.classifier",
         "CensoredSVR": "svm.regressor",
+        "LearnedExplainer": "q_learning.explanation",
         "LinearTablePolicy": "q_learning.linear_policy",
         "SVMGrasp": "grasp.svm_grasp",
         "SetKernel": "svm.set_kernel",

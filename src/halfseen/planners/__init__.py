@@ -2,7 +2,7 @@
 
 Read down: `belief` (what can be known) → `heuristics` (greedy, with and without history, with and without the penalty
 that a WASH avoids) → `one_step` (a closed look one step ahead) → `rollout` (sampled futures under that look) → `pomdp`
-(looking h steps ahead), `explain` (what each action is worth, and how sure that is). What they are measured by:
+(looking h steps ahead), `explanation` (what each action is worth, and how sure that is). What they are measured by:
 `optimum` (the best there is, on small tables), `optimum_bound` (what nobody can beat, on any). Any problem that can be
 drawn from: `generative` (the protocol) → `search_tree`, `pomcp` (search until the time is up) → `table_problem` (the
 table as such a problem). `discrete` stands apart: any POMDP given as arrays, solved exactly.
@@ -14,7 +14,8 @@ from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
     from halfseen.planners.discrete import DiscreteSolution, solve_discrete
-    from halfseen.planners.generative import GenerativeProblem, Step, updated_particles
+    from halfseen.planners.explanation import explain
+    from halfseen.planners.generative import Control, GenerativeProblem, Step, updated_particles
     from halfseen.planners.heuristics import GreedyPolicy
     from halfseen.planners.optimum import TableOptimum, solve_table
     from halfseen.planners.optimum_bound import RelaxationBound, information_relaxation_bound
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from halfseen.planners.table_problem import TableProblem
 
 __all__ = [
+    "Control",
     "DiscreteSolution",
     "GenerativeProblem",
     "GreedyPolicy",
@@ -32,6 +34,7 @@ __all__ = [
     "Step",
     "TableOptimum",
     "TableProblem",
+    "explain",
     "information_relaxation_bound",
     "plan",
     "solve_discrete",
@@ -42,6 +45,7 @@ __all__ = [
 __getattr__ = lazy_names(
     __name__,
     {
+        "Control": "generative",
         "DiscreteSolution": "discrete",
         "GenerativeProblem": "generative",
         "GreedyPolicy": "heuristics",
@@ -51,6 +55,7 @@ __getattr__ = lazy_names(
         "Step": "generative",
         "TableOptimum": "optimum",
         "TableProblem": "table_problem",
+        "explain": "explanation",
         "information_relaxation_bound": "optimum_bound",
         "plan": "pomcp",
         "solve_discrete": "discrete",

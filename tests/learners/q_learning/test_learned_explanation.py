@@ -8,7 +8,7 @@ from random_logs import PlainEncoding, random_log
 
 from halfseen.errors import ArgumentError
 from halfseen.learners import CensoredQLearner
-from halfseen.learners.q_learning.explain import LearnedExplainer, bootstrap
+from halfseen.learners.q_learning.explanation import LearnedExplainer, bootstrap
 from halfseen.learners.q_learning.q_learner import fit_q_functions
 from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, WorldConfig
 from halfseen.world.dynamics import start

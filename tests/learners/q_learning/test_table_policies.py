@@ -16,6 +16,8 @@ from halfseen.learners.q_learning.recursion import q_values
 from halfseen.learners.q_learning.table_features import (
     NUM_FEATURES,
     NUM_TABLE_FEATURES,
+    WASH_DIRTY,
+    WASH_EASE,
     block_of_action,
     table_features,
 )
@@ -159,8 +161,10 @@ def test_what_is_laid_bare_is_the_occlusion_that_goes(watched, hidden):
         now = np.asarray(occlusion_without(state, jnp.zeros(NUM_OBJECTS, dtype=bool)))
         without = np.asarray(jax.vmap(occlusion_without, in_axes=(None, 0))(state, target))
         gone = (now - without) * (there[:, None] & there) * ~np.eye(NUM_OBJECTS, dtype=bool)
-        laid_bare = np.asarray(table_features(state))[1 : 1 + NUM_OBJECTS, NUM_TABLE_FEATURES]
-        np.testing.assert_allclose(laid_bare[there], (gone @ np.maximum(is_dirty - 0.5, 0.0))[there], atol=1e-5)
+        washed = np.asarray(table_features(state))[1 : 1 + NUM_OBJECTS]
+        laid_bare = washed[:, WASH_EASE] * (gone @ np.maximum(is_dirty - 0.5, 0.0))
+        np.testing.assert_allclose(washed[there, NUM_TABLE_FEATURES], laid_bare[there], atol=1e-5)
+        np.testing.assert_allclose(washed[there, WASH_DIRTY], is_dirty[there], atol=1e-5)
 
 
 def test_the_policy_takes_the_best_possible_action(watched):

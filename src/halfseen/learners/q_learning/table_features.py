@@ -1,7 +1,7 @@
 """What a linear Q looks at on a table: a few numbers for each verb, whatever the number of objects.
 
-Every feature is a sum or the largest over the objects on the table or concerns the target alone, so it depends neither
-on N nor on the order of the objects, and none uses a parameter of the world.
+Every feature is a sum over the objects on the table, or the largest of them, or concerns the target alone, so it
+depends neither on N nor on the order of the objects, and none uses a parameter of the world.
 
 The first eleven features describe the table and mean the same for every verb:
 
@@ -12,8 +12,8 @@ The first eleven features describe the table and mean the same for every verb:
 Σ win·ease, Σ sure·ease      how much of it is within reach
 Σ doubt, Σ doubt·ease        how much is not known, doubt = 4 p (1 − p), and how much of that is within reach
 Σ ease                       how much is within reach
-Σ soon, max soon             how much is within reach after one more look, of all and of the best: while steps are
-                             few the best counts, and with many the sum
+Σ soon                       how much of what there is to win after one more look is within reach
+idle = exp(−8 · max soon)    1 where no object is worth another step, and soon 0 where one is
 ===========================  =========================================================================================
 
 with ease = (1 − occlusion) · (1 + successes) / (1 + attempts), the share in sight times Laplace's guess of a grip; or,
@@ -21,11 +21,12 @@ given a grasp model, the chance of a grasp that it tells. One more look at an ob
 leaves win(v) = ½ (p − ½ + v/4)₊ + ½ (p − ½ − v/4)₊ to be won on average, were its label right with probability
 ½ + v/4, and soon = ease · win(1 − occlusion).
 
-What follows concerns the target; `unhides` is what it would lay bare: Σ_j (occlusion of j that target i alone causes) ·
-(…); and LIFT gains ease · (win(1) − win(1 − occlusion)) by the better look. FINISH looks at Σ p alone.
+What follows concerns the target; `laid bare` is what it would show if it were grasped: ease · Σ_j (occlusion of j that
+target i alone causes) · (…); and LIFT gains ease · (win(1) − win(1 − occlusion)) by the better look. FINISH looks at
+Σ p alone.
 
-Whatever differs between targets decides between them. So the largest `soon` stands in the features of the table, where
-it is the same for all: the largest of the *others* tells as much of the table, and is least for the best target.
+What differs between targets decides between them. So the largest `soon` stands in a feature of the table, the same for
+all: the largest of the *others* tells as much of the table, but is least for the best target, and turned Q against it.
 """
 
 from typing import NamedTuple
@@ -38,10 +39,10 @@ from halfseen.world.actions import Verb
 from halfseen.world.grasp_model import GraspModel
 from halfseen.world.state import TableState, attempt_counts
 
-NUM_FEATURES = 21
+NUM_FEATURES = 22
 NUM_TABLE_FEATURES = 11
 
-WASH_DIRTY, WASH_EASE = NUM_TABLE_FEATURES + 1, NUM_TABLE_FEATURES + 3
+WASH_DIRTY, WASH_EASE = NUM_TABLE_FEATURES + 2, NUM_TABLE_FEATURES + 4
 """Where the features of WASH hold P(DIRTY) and the ease of the target."""
 
 LEAST_IN_SIGHT = 1e-6
@@ -58,8 +59,8 @@ class Columns(NamedTuple):
     is_there: Bool[Array, " N"]
     table: list[Float[Array, " N"]]
     """To be summed over the objects on the table."""
-    best: Float[Array, ""]
-    """The largest `soon`, after the sums."""
+    idle: Float[Array, ""]
+    """What follows the sums."""
     wash: list[Float[Array, " N"]]
     """Of each object as a target of WASH."""
     lift: list[Float[Array, " N"]]
@@ -75,23 +76,33 @@ def table_columns(state: TableState, grasp: GraspModel | None = None) -> Columns
     ease = in_sight * _grip(state) if grasp is None else grasp.chance(state)
     soon = ease * _win_after_look(is_dirty, in_sight)
     clearer = ease * (ease * _win_after_look(is_dirty, 1.0) - soon)
+    best = jnp.max(jnp.where(state.is_on_table, soon, 0.0), initial=0.0)
+    laid_bare_doubt = ease * jnp.sum(laid_bare * doubt, axis=1)
     in_doubt = [doubt, ease, doubt * ease]
     at_stake = [win, win * ease, sure, sure * ease]
     return Columns(
         is_there=state.is_on_table,
         table=[is_dirty, jnp.ones_like(is_dirty), *at_stake, *in_doubt, soon],
-        best=jnp.max(jnp.where(state.is_on_table, soon, 0.0), initial=0.0),
-        wash=[jnp.sum(laid_bare * win, axis=1), is_dirty, is_dirty * ease, ease, *at_stake, soon, soon * ease],
-        # Rounding is no variance: where nothing else varies, a regression would scale it up.
-        lift=[jnp.sum(laid_bare * doubt, axis=1), *in_doubt, jnp.where(clearer > ROUNDING, clearer, 0.0)],
+        idle=jnp.exp(-8.0 * best),
+        wash=[
+            ease * jnp.sum(laid_bare * win, axis=1),
+            laid_bare_doubt,
+            is_dirty,
+            is_dirty * ease,
+            ease,
+            *at_stake,
+            soon,
+            soon * ease,
+        ],
+        lift=[laid_bare_doubt, *in_doubt, ease * (ease * _win_after_look(is_dirty, 1.0) - soon)],
     )
 
 
 def table_features(state: TableState, grasp: GraspModel | None = None) -> Float[Array, "A F"]:
-    """φ(S, a) of every action of one table, in the order of the actions, padded with zeros to F = 21."""
+    """φ(S, a) of every action of one table, in the order of the actions, padded with zeros to F = 22."""
     columns = table_columns(state, grasp)
     sums = jnp.sum(jnp.where(columns.is_there[:, None], jnp.stack(columns.table, axis=-1), 0.0), axis=0)
-    table = jnp.append(sums, columns.best)
+    table = jnp.append(sums, columns.idle)
     of_verb = [jnp.stack(values, axis=-1) for values in (columns.wash, columns.lift)]
     each = [jnp.concatenate([jnp.broadcast_to(table, (len(one), len(table))), one], axis=1) for one in of_verb]
     return jnp.concatenate([_padded(table[None, :1]), *map(_padded, each)])
@@ -111,7 +122,7 @@ def table_q(
     shared = shared.at[Verb.FINISH, 1:].set(0.0)
     per_object = sum(value[:, None] * shared[None, :, f] for f, value in enumerate(columns.table))
     sums = jnp.sum(jnp.where(columns.is_there[:, None], per_object, 0.0), axis=0)
-    table = offset[:, 0] + sums + columns.best * shared[:, -1]
+    table = offset[:, 0] + sums + columns.idle * shared[:, -1]
     wash = table[Verb.WASH] + sum(value * own[Verb.WASH, f] for f, value in enumerate(columns.wash))
     lift = table[Verb.LIFT] + sum(value * own[Verb.LIFT, f] for f, value in enumerate(columns.lift))
     return jnp.concatenate([table[None, Verb.FINISH], wash, lift])
