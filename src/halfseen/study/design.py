@@ -67,7 +67,7 @@ class StudyDesign:
         ("1 ms", 8, 50),
         ("10 ms", 100, 50),
         ("100 ms", 1500, 15),
-        ("1 s", 25000, 3),
+        ("1 s", 15000, 3),
     )
     planning_repetitions: int = 6
     treatment_cut_share: float = 1 / 2
