@@ -21,7 +21,7 @@ from halfseen.study.findings import LEARNED
 from halfseen.study.learning import learn
 from halfseen.study.policies import heuristics, logging_policy
 from halfseen.study.repetition import EVALUATION, LOGS, CutRates, cut_log, first_paths, folds, random_key
-from halfseen.study.timing import _decide, one_core
+from halfseen.study.timing import decided, one_core
 from halfseen.study.treatments import treat
 from halfseen.world.config import Number, WorldConfig
 from halfseen.world.cuts import CutKind
@@ -138,14 +138,14 @@ def play_singly(
 ) -> Played:
     """Play single episodes of those that `halfseen.world.episodes.evaluate` plays many at once.
 
-    A planner's tree is copied again and again where many are grown at once, and here no decision is made after the end.
+    Here no decision is made after the end, and a planner is compiled for one table alone, as it is timed.
     """
     reward, robot_s = [], []
     for episode in episodes:
         state, hidden, world_key, policy_key = _begun(config, layouts, key, episode)
         earned, taken_s = 0.0, 0.0
         for t in range(config.horizon):
-            action = _decide(policy, state, jax.random.fold_in(policy_key, t))
+            action = decided(policy, state, jax.random.fold_in(policy_key, t))
             state, gained, duration_s, is_over = _stepped(config, state, hidden, action, world_key, t)
             earned, taken_s = earned + float(gained), taken_s + float(duration_s)
             if is_over:
@@ -214,7 +214,7 @@ def planner_times_ms(planners: Mapping[str, Planner], states: TableState) -> dic
     key = jax.random.key(0)
     singles = [jax.tree.map(lambda leaf, k=k: leaf[k], states) for k in range(states.is_object.shape[0])]
     for planner in planners.values():
-        _decide(planner.policy, singles[0], key).block_until_ready()
+        decided(planner.policy, singles[0], key).block_until_ready()
     with one_core():
         return {name: _times_ms(planner.policy, singles, key) for name, planner in planners.items()}
 
@@ -224,7 +224,7 @@ def _times_ms(policy: Policy, states: Sequence[TableState], key: jax.Array) -> F
     for state in states:
         if sum(taken_s) > MOST_TIMED_S and len(taken_s) >= FEWEST_TIMED:
             break
-        taken_s.append(_seconds(lambda state=state: _decide(policy, state, key).block_until_ready()))
+        taken_s.append(_seconds(lambda state=state: decided(policy, state, key).block_until_ready()))
     return 1e3 * np.array(taken_s)
 
 

@@ -22,7 +22,8 @@ NUM_CALLS = 15
 
 
 @jax.jit
-def _decide(policy: Policy, state: TableState, key: jax.Array) -> jax.Array:
+def decided(policy: Policy, state: TableState, key: jax.Array) -> jax.Array:
+    """Decide for one table, compiled once for all policies of a kind."""
     return policy.decide(state, key).action
 
 
@@ -33,7 +34,7 @@ def decision_times_ms(
     key = jax.random.key(0)
     singles = [jax.tree.map(lambda leaf, k=k: leaf[k], states) for k in range(num_states)]
     for policy in tqdm(policies.values(), desc="compile decisions", disable=None, leave=False):
-        _decide(policy, singles[0], key).block_until_ready()
+        decided(policy, singles[0], key).block_until_ready()
     with one_core():
         times = [
             {name: _median_ms(policy, state, key) for name, policy in policies.items()}
@@ -43,11 +44,11 @@ def decision_times_ms(
 
 
 def _median_ms(policy: Policy, state: TableState, key: jax.Array) -> float:
-    _decide(policy, state, key).block_until_ready()
+    decided(policy, state, key).block_until_ready()
     taken = []
     for _ in range(NUM_CALLS):
         begin = time.perf_counter()
-        _decide(policy, state, key).block_until_ready()
+        decided(policy, state, key).block_until_ready()
         taken.append(time.perf_counter() - begin)
     return 1e3 * float(np.median(taken))
 
