@@ -82,6 +82,7 @@ def test_resuming_a_killed_study_writes_the_same_bytes(study_folder, tiny_design
     assert outputs(tmp_path) == outputs(study_folder)
 
 
+@pytest.mark.slow
 def test_beginning_anew_finds_the_same_rewards(study_folder, tiny_design, two_clouds, tmp_path):
     run_study(tiny_design, two_clouds, tmp_path)
 
