@@ -155,3 +155,9 @@ def test_on_two_cups_a_long_look_earns_no_less_than_heuristics():
     one_step = found - rewards(POMDPPolicy(CONFIG, 1))
     assert greedy.mean() > 0
     assert one_step.mean() > -2 * one_step.std() / np.sqrt(num)
+
+
+@pytest.mark.parametrize("horizon", [1.5, float("nan"), float("inf")])
+def test_a_horizon_between_steps_is_refused(horizon):
+    with pytest.raises(ArgumentError, match=f"planning_horizon is {horizon}; it is a whole number"):
+        POMDPPolicy(CONFIG, horizon)

@@ -8,10 +8,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Text
 
 from halfseen.study.design import StudyDesign
-from halfseen.study.figures import draw_figure1, draw_figure4, figure1_of, figure4_of, spread, style
-from halfseen.study.grasp_figure import draw_figure5, figure5_of
-from halfseen.study.map_figure import draw_map
+from halfseen.study.figures import figure1_of, figure4_of, spread, style, write_figure
+from halfseen.study.grasp_figure import figure5_of
 from halfseen.study.results import GRASP_NAMES
+from halfseen.study.run import FIGURES
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -38,14 +38,11 @@ def within_style():
         yield
 
 
-@pytest.mark.parametrize(
-    ("draw", "name"),
-    [(draw_figure1, "figure1"), (draw_figure4, "figure4"), (draw_figure5, "figure5"), (draw_map, "map")],
-)
-def test_files_are_whole_and_the_same_again(tmp_path, draw, name):
+@pytest.mark.parametrize("name", FIGURES)
+def test_files_are_whole_and_the_same_again(tmp_path, name):
     results = example_results()
     for folder in ("first", "second"):
-        draw(results, tmp_path / folder)
+        write_figure(FIGURES[name], results, tmp_path / folder, name)
     files = sorted(path.name for path in (tmp_path / "first").iterdir())
     assert files == [f"{name}.png", f"{name}.svg"]
     for file in files:
@@ -56,9 +53,9 @@ def test_files_are_whole_and_the_same_again(tmp_path, draw, name):
 
 def test_the_users_style_changes_nothing_and_stays(tmp_path):
     results = example_results()
-    draw_figure1(results, tmp_path / "plain")
+    write_figure(figure1_of, results, tmp_path / "plain", "figure1")
     with matplotlib.rc_context({"font.size": 20.0, "svg.hashsalt": "other", "axes.facecolor": "red"}):
-        draw_figure1(results, tmp_path / "styled")
+        write_figure(figure1_of, results, tmp_path / "styled", "figure1")
         assert matplotlib.rcParams["font.size"] == 20.0
     assert (tmp_path / "plain/figure1.svg").read_bytes() == (tmp_path / "styled/figure1.svg").read_bytes()
 

@@ -103,6 +103,7 @@ def test_another_seed_is_not_resumed(study_folder, tiny_design, two_clouds, tmp_
     ("wrong", "message"),
     [
         ({"repetitions": 1}, "repetitions is 1; "),
+        ({"planning_horizons": (2, 3)}, "planning_horizons is .2, 3.; it holds 1"),
         ({"table_num_paths": 30}, "table_num_paths is 30; it is one of num_paths"),
         ({"table_cut_share": 0.3}, "table_cut_share is 0.3; it is one of cut_shares"),
     ],

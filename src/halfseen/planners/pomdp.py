@@ -39,7 +39,7 @@ class POMDPPolicy:
     Raises
     ------
     ArgumentError
-        A number is below 1.
+        A number is below 1, or the horizon is no whole number.
     """
 
     config: WorldConfig
@@ -48,8 +48,10 @@ class POMDPPolicy:
 
     def __post_init__(self) -> None:
         # Under a transformation the horizon may be a placeholder without a value.
-        if not isinstance(self.planning_horizon, int):
+        if not isinstance(self.planning_horizon, (int, float)):
             return
+        if not float(self.planning_horizon).is_integer():
+            raise ArgumentError(f"planning_horizon is {self.planning_horizon}; it is a whole number")
         if self.planning_horizon == 1:
             object.__setattr__(self, "num_simulations", 0)
             return

@@ -96,6 +96,10 @@ class StudyDesign:
         ):
             if getattr(self, name) < 2:
                 raise ArgumentError(f"{name} is {getattr(self, name)}; bands and tests need at least 2")
+        if 1 not in self.planning_horizons:
+            raise ArgumentError(
+                f"planning_horizons is {self.planning_horizons}; it holds 1, for which every machine has the time"
+            )
         if self.table_num_paths not in self.num_paths:
             raise ArgumentError(f"table_num_paths is {self.table_num_paths}; it is one of num_paths, {self.num_paths}")
         if self.table_cut_share not in self.cut_shares:

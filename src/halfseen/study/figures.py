@@ -76,32 +76,6 @@ class EndLabel:
     is_bold: bool = False
 
 
-def draw_figure1(results: StudyResults, folder: Path) -> None:
-    """Write ``figure1.svg`` and ``figure1.png``: reward against logged paths, a line for each share of cut paths.
-
-    Parameters
-    ----------
-    results
-        What the study found.
-    folder
-        Where to; made if it is not there.
-    """
-    write_figure(figure1_of, results, folder, "figure1")
-
-
-def draw_figure4(results: StudyResults, folder: Path) -> None:
-    """Write ``figure4.svg`` and ``figure4.png``: four treatments of cut paths, and what the weights buy.
-
-    Parameters
-    ----------
-    results
-        What the study found.
-    folder
-        Where to; made if it is not there.
-    """
-    write_figure(figure4_of, results, folder, "figure4")
-
-
 def svg(figure_of: Callable[[StudyResults], Figure], results: StudyResults) -> bytes:
     """Draw a figure as SVG.
 

@@ -1,6 +1,5 @@
 """Figure 5: what a grasp estimate is worth, as differences from the true model."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,6 @@ from halfseen.study.figures import (
     MARKERS,
     PANEL_TITLE,
     mark_sizes,
-    write_figure,
     write_title,
 )
 from halfseen.study.findings import Z_95
@@ -38,19 +36,6 @@ FEWEST_SHOWN = 100
 SIZES_AXIS = "logged paths that the estimate was learned from (log scale)"
 CHANCE_AXIS = "predicted chance of a grasp"
 _LEARNED = ("beta", "beta-dropped", "svm")
-
-
-def draw_figure5(results: StudyResults, folder: Path) -> None:
-    """Write ``figure5.svg`` and ``figure5.png``: scores, calibration and rewards of grasp models.
-
-    Parameters
-    ----------
-    results
-        What the study found.
-    folder
-        Where to; made if it is not there.
-    """
-    write_figure(figure5_of, results, folder, "figure5")
 
 
 def figure5_of(results: StudyResults, is_titled: bool = True) -> Figure:

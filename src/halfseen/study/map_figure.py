@@ -1,7 +1,6 @@
 """The map as a figure: how much learning gains over the best heuristic, over clutter, in each world."""
 
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import matplotlib
@@ -12,7 +11,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import Figure
 
-from halfseen.study.figures import INK, write_figure, write_title
+from halfseen.study.figures import INK, write_title
 from halfseen.study.map_cells import MapCell, MapDesign
 from halfseen.study.map_table import ENOUGH, FACTORS, LEARN, NO_SCALE, UNDECIDED
 from halfseen.study.map_words import map_title
@@ -44,19 +43,6 @@ class Panel(NamedTuple):
     cell: MapCell
     """Its world; its clutter means nothing."""
     title: str
-
-
-def draw_map(results: StudyResults, folder: Path) -> None:
-    """Write ``map.svg`` and ``map.png``: where learning beats the best heuristic, and by how much.
-
-    Parameters
-    ----------
-    results
-        What the study found.
-    folder
-        Where to; made if it is not there.
-    """
-    write_figure(map_figure_of, results, folder, "map")
 
 
 def map_figure_of(results: StudyResults, is_titled: bool = True) -> Figure:

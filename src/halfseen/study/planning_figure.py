@@ -1,7 +1,6 @@
 """Figures 2 and 3: reward against the time of a decision, and by planning horizon."""
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,6 @@ from halfseen.study.figures import (
     EndLabel,
     spread,
     write_end_labels,
-    write_figure,
     write_title,
 )
 from halfseen.study.findings import LEARNED
@@ -40,32 +38,6 @@ SIDE_BY_SIDE = 0.07
 """Least distance of the looks ahead, which take much the same time, in powers of ten."""
 ROOM = 0.16
 """Left free at the foot of the axes for what is told of learning, as a share of their height."""
-
-
-def draw_figure2(results: StudyResults, folder: Path) -> None:
-    """Write ``figure2.svg`` and ``figure2.png``: reward against the time of a decision.
-
-    Parameters
-    ----------
-    results
-        What the study found.
-    folder
-        Where to; made if it is not there.
-    """
-    write_figure(figure2_for, results, folder, "figure2")
-
-
-def draw_figure3(results: StudyResults, folder: Path) -> None:
-    """Write ``figure3.svg`` and ``figure3.png``: reward by planning horizon.
-
-    Parameters
-    ----------
-    results
-        What the study found.
-    folder
-        Where to; made if it is not there.
-    """
-    write_figure(figure3_for, results, folder, "figure3")
 
 
 def figure2_for(results: StudyResults, is_titled: bool = True) -> Figure:

@@ -1,6 +1,5 @@
 """The figure of regrets: how far below the exact optimum policies stay, against the size of the log."""
 
-from pathlib import Path
 from typing import Any
 
 import matplotlib
@@ -23,7 +22,6 @@ from halfseen.study.figures import (
     EndLabel,
     mark_sizes,
     write_end_labels,
-    write_figure,
     write_title,
 )
 from halfseen.study.findings import LEARNED, Z_95, learned_curve
@@ -34,19 +32,6 @@ from halfseen.study.results import BASELINE_NAMES, StudyResults
 from halfseen.study.wording import amount, share
 
 REGRET_AXIS = "reward of a path below that of the best of all policies, mean over the small tables"
-
-
-def draw_regret(results: StudyResults, folder: Path) -> None:
-    """Write ``regret.svg`` and ``regret.png``: how far policies stay below the best of all, on small tables.
-
-    Parameters
-    ----------
-    results
-        What the study found.
-    folder
-        Where to; made if it is not there.
-    """
-    write_figure(regret_figure_for, results, folder, "regret")
 
 
 def regret_figure_for(results: StudyResults, is_titled: bool = True) -> Figure:

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
+from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from halfseen.learners.q_learning.linear_policy import LinearTablePolicy
@@ -17,12 +18,12 @@ from halfseen.learners.q_learning.table_features import NUM_FEATURES
 from halfseen.perception import View
 from halfseen.perception.picture import draw
 from halfseen.study.design import StudyDesign
-from halfseen.study.figures import draw_figure1, draw_figure4
+from halfseen.study.figures import figure1_of, figure4_of, write_figure
 from halfseen.study.findings import LEARNED
 from halfseen.study.grasp import run_grasp_repetition
-from halfseen.study.grasp_figure import draw_figure5
+from halfseen.study.grasp_figure import figure5_of
 from halfseen.study.grasp_tables import calibration, grasp_frame, grasp_table, grasp_tests
-from halfseen.study.map_figure import draw_map
+from halfseen.study.map_figure import map_figure_of
 from halfseen.study.map_repetition import map_cut_rates, run_map_repetition
 from halfseen.study.map_table import map_table
 from halfseen.study.planning import (
@@ -32,11 +33,11 @@ from halfseen.study.planning import (
     planning_contenders,
     run_planning_repetition,
 )
-from halfseen.study.planning_figure import draw_figure2, draw_figure3
+from halfseen.study.planning_figure import figure2_for, figure3_for
 from halfseen.study.planning_table import figure2, figure3, planner_rows, planning_frames, strongest_within
 from halfseen.study.policies import HEURISTICS, heuristics, logging_policy
 from halfseen.study.regret import SmallTables, run_regret_baselines, run_regret_repetition, small_tables
-from halfseen.study.regret_figure import draw_regret
+from halfseen.study.regret_figure import regret_figure_for
 from halfseen.study.regret_table import regret_table
 from halfseen.study.repetition import CutRates, cut_rates, run_repetition
 from halfseen.study.report import write_report
@@ -53,6 +54,15 @@ from halfseen.world.state import Layout, TableState, pad_scenes
 
 NUM_TIMED_STATES = 60
 TABLES = ("figure1", "figure2", "figure3", "figure4", "figure5", "table1", "grasp", "grasp_tests", "map", "regret")
+FIGURES: dict[str, Callable[..., Figure]] = {
+    "figure1": figure1_of,
+    "figure2": figure2_for,
+    "figure3": figure3_for,
+    "figure4": figure4_of,
+    "figure5": figure5_of,
+    "map": map_figure_of,
+    "regret": regret_figure_for,
+}
 PACKAGES = ("halfseen", "jax", "jaxlib", "mujoco", "numpy", "pandas", "scipy")
 
 
@@ -253,13 +263,8 @@ def write_results(results: StudyResults, pictures: dict[str, bytes], folder: Pat
     for name in TABLES:
         frame: pd.DataFrame = getattr(results, name)
         write_text(folder / f"{name}.csv", frame.to_csv(index=False, lineterminator="\n"))
-    draw_figure1(results, folder)
-    draw_figure2(results, folder)
-    draw_figure3(results, folder)
-    draw_figure4(results, folder)
-    draw_figure5(results, folder)
-    draw_map(results, folder)
-    draw_regret(results, folder)
+    for name, figure_of in FIGURES.items():
+        write_figure(figure_of, results, folder, name)
     write_text(folder / "study.json", as_json(_as_dict(results)))
     write_report(results, pictures, folder)
 
