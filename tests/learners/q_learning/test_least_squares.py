@@ -4,10 +4,11 @@ import pytest
 from naive_q_learning import naive_choice
 from sklearn.linear_model import Ridge
 
-from halfseen.learners.q_learning.least_squares import Rows, factorise, solve
+from halfseen.learners.q_learning.least_squares import Rows, cross_of, design_of, factorise, gram_of, solve
 
 NUM_PATHS, NUM_FOLDS = 50, 5
-FACTORISE, SOLVE = jax.jit(factorise, static_argnums=(1, 2)), jax.jit(solve, static_argnums=3)
+DESIGN, FACTORISE = jax.jit(design_of, static_argnums=(1, 2)), jax.jit(factorise, static_argnums=1)
+SOLVE = jax.jit(solve, static_argnums=3)
 REGS = np.logspace(-3, 2, 11)
 
 
@@ -32,8 +33,9 @@ def target_of(rows):
 def fitted(rows, target, regs, num_folds=1):
     with jax.enable_x64(True):
         given = dict(rows) if num_folds > 1 else {**rows, "fold": np.zeros_like(rows["fold"])}
-        factor = FACTORISE(Rows(**jax.tree.map(jax.numpy.asarray, given)), 3, num_folds)
-        fit = SOLVE(factor, jax.numpy.asarray(target), jax.numpy.asarray(regs, dtype=float), NUM_PATHS)
+        design = DESIGN(Rows(**jax.tree.map(jax.numpy.asarray, given)), 3, num_folds)
+        cross = cross_of(design, jax.numpy.asarray(target))
+        fit = SOLVE(FACTORISE(gram_of(design)), cross, jax.numpy.asarray(regs, dtype=float), NUM_PATHS)
         return np.asarray(fit.coefficients), np.asarray(fit.reg)
 
 

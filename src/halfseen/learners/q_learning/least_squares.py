@@ -6,7 +6,8 @@ For each block (a verb, or an action)
 
 with n the number of *paths*, x scaled to unit weighted variance in its block, and the offset α left free. Everything
 runs on sums over rows, by fold and block: held-out errors follow from them, so that trying all λ costs no second pass
-over the rows. One call fits one log; `jax.vmap` fits thousands.
+over the rows, and the sums of parts of a log add up to those of the whole. One call fits one log; `jax.vmap` fits
+thousands. In an RKHS, where x are features of the kernel, x keeps its scale, and ‖β‖² is the norm of the function.
 """
 
 from typing import NamedTuple
@@ -33,16 +34,21 @@ class Rows(NamedTuple):
     """Fold of the row's path."""
 
 
-class Factor(NamedTuple):
-    """Normal equations by block (K), factorised without each of V folds and, last, with all of them.
+class Design(NamedTuple):
+    """Rows ready to be summed, by V folds and K blocks."""
 
-    The Gram matrices depend on the rows alone, so one factorisation serves every target.
-    """
-
-    design: Float[Array, "R F"]
-    """Features, the constant first."""
+    features: Float[Array, "R F"]
+    """The constant first."""
     membership: Float[Array, "V K R"]
     """Weight of each row in its fold and block."""
+
+
+class Factor(NamedTuple):
+    """Normal equations by block, factorised without each fold and, last, with all of them.
+
+    They depend on the Gram matrices alone, so one factorisation serves every target.
+    """
+
     gram: Float[Array, "V K F F"]
     train_gram: Float[Array, "V1 K F F"]
     scale: Float[Array, "K F1"]
@@ -59,30 +65,43 @@ class Fit(NamedTuple):
     """The λ that was used."""
 
 
-def factorise(rows: Rows, num_blocks: int, num_folds: int) -> Factor:
-    """Sum and factorise the normal equations of one log."""
-    design = jnp.concatenate([jnp.ones_like(rows.weight)[:, None], rows.features], axis=1)
+def design_of(rows: Rows, num_blocks: int, num_folds: int) -> Design:
+    """Put the constant first, and deal the weights to folds and blocks."""
+    features = jnp.concatenate([jnp.ones_like(rows.weight)[:, None], rows.features], axis=1)
     in_fold = rows.fold == jnp.arange(num_folds)[:, None]
     in_block = rows.block == jnp.arange(num_blocks)[:, None]
-    membership = (in_fold[:, None, :] & in_block[None, :, :]) * rows.weight
-    gram = jnp.einsum("vkr,rf,rg->vkfg", membership, design, design)
+    return Design(features, (in_fold[:, None, :] & in_block[None, :, :]) * rows.weight)
+
+
+def gram_of(design: Design) -> Float[Array, "V K F F"]:
+    """Σ w x xᵀ by fold and block; those of parts of a log add up."""
+    return jnp.einsum("vkr,rf,rg->vkfg", design.membership, design.features, design.features)
+
+
+def cross_of(design: Design, target: Float[Array, " R"]) -> Float[Array, "V K F"]:
+    """Σ w x y by fold and block; those of parts of a log add up."""
+    return jnp.einsum("vkr,r,rf->vkf", design.membership, target, design.features)
+
+
+def factorise(gram: Float[Array, "V K F F"], is_scaled: bool = True) -> Factor:
+    """Factorise the normal equations; `is_scaled` brings the features of each block to unit weighted variance."""
     train_gram = _leave_one_out(gram)
     centred = _centred_gram(train_gram)
     variance = jnp.diagonal(centred[-1], axis1=-2, axis2=-1)
-    scale = jnp.sqrt(jnp.where(variance > RANK_TOLERANCE * _diagonal(gram.sum(axis=0)), variance, jnp.inf))
-    scale = scale / jnp.sqrt(jnp.maximum(gram.sum(axis=0)[:, :1, 0], jnp.finfo(gram.dtype).tiny))
+    is_varied = variance > RANK_TOLERANCE * _diagonal(gram.sum(axis=0))
+    mass = jnp.maximum(gram.sum(axis=0)[:, :1, 0], jnp.finfo(gram.dtype).tiny)
+    scale = jnp.sqrt(jnp.where(is_varied, variance / mass if is_scaled else 1.0, jnp.inf))
     scaled = centred / (scale[:, :, None] * scale[:, None, :])
     # LAPACK takes no empty matrix, and a Q without covariates has one.
     eigenvalues, eigenvectors = jnp.linalg.eigh(scaled) if scaled.size else (scaled.sum(axis=-1), scaled)
-    return Factor(design, membership, gram, train_gram, scale, eigenvalues, eigenvectors)
+    return Factor(gram, train_gram, scale, eigenvalues, eigenvectors)
 
 
-def solve(factor: Factor, target: Float[Array, " R"], regs: Float[Array, " L"], num_paths: int) -> Fit:
-    """Regress a target on the rows of a factor; with more than one λ, the best held-out one serves each block.
+def solve(factor: Factor, cross: Float[Array, "V K F"], regs: Float[Array, " L"], num_paths: int) -> Fit:
+    """Regress on the rows of a factor, given Σ w x y; with more than one λ, the best held-out one serves each block.
 
     Where several serve equally well, as in a block too small to tell, it is the last of them: list them increasing.
     """
-    cross = jnp.einsum("vkr,r,rf->vkf", factor.membership, target, factor.design)
     train_cross = _leave_one_out(cross)
     num_folds = cross.shape[0]
     train_paths = jnp.append(jnp.full(num_folds, num_paths * (num_folds - 1) / num_folds), num_paths)

@@ -12,20 +12,55 @@ more step to go changes little, so Q_h is shrunk towards Q_{h−1}. With λ = 0 
 
 *Surprises* are control variates [Glasserman2003]_: numbers that S_{t+1} tells and whose mean given (S_t, A_t) is 0.
 Each regression runs on them too, and Q leaves them out: what they explain of the target is noise that Q is spared.
+
+Where a policy is *given*, the maximum gives way to Σ_a π(a | S_{t+1}) Q̂_{t+1}(S_{t+1}, a): Q̂ is then what that policy
+is worth (fitted Q evaluation), and nothing is chosen.
+
+Where targets are *imputed*, the stage in which a path was cut has one, too; see `imputation`.
 """
 
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from halfseen.learners.q_learning.least_squares import Factor, Fit, Rows, factorise, solve
+from halfseen.learners.q_learning.least_squares import (
+    Design,
+    Factor,
+    Fit,
+    Rows,
+    cross_of,
+    design_of,
+    factorise,
+    gram_of,
+    solve,
+)
 
 StageMode = Literal["separate", "pooled"]
 AnyArray = Array | np.ndarray
+
+
+class Imputation(NamedTuple):
+    """How a begun stage gets a target Y whether or not its end was seen (see the module `imputation`).
+
+    With X = R_t + V̂(S_{t+1}) and its regression α + βᵀφ + γᵀg on the completed stages, g terms of the duration,
+
+        Y = share·X + (1 − share)·(α + βᵀφ) + γᵀexpected.
+    """
+
+    share: Float[AnyArray, "*B n T"]
+    """Of X; 0 where the stage was not completed."""
+    terms: Float[AnyArray, "*B n T G"]
+    """g of each completed stage."""
+    expected: Float[AnyArray, "*B n T G"]
+    """What stands for g·(1 − share)."""
+    is_told: Float[AnyArray, "*B n T"]
+    """Weight of each stage in the regression of X: 1 where completed."""
+    is_used: Float[AnyArray, "*B F"]
+    """1 for each feature that this regression looks at, 0 for the others."""
 
 
 class Transitions(NamedTuple):
@@ -38,13 +73,16 @@ class Transitions(NamedTuple):
     reward: Float[AnyArray, "*B n T"]
     """0 where not completed."""
     weight: Float[AnyArray, "*B n T"]
-    """δ_t / Ĝ(U_t⁻): 0 where the stage was not completed."""
+    """δ_t / Ĝ(U_t⁻): 0 where the stage was not completed. Where targets are imputed, that of a begun stage."""
     is_last: Bool[AnyArray, "*B n T"]
     """Completed stages after which the path had come to its own end."""
     fold: Int[AnyArray, "*B n"]
     """Fold of each path for cross-validation, from 0; below the number of folds."""
     surprises: Float[AnyArray, "*B n T Z"] | None = None
     """Of mean 0 given (S_t, A_t), if any are known; what they hold at a path's end does not count."""
+    policy: Float[AnyArray, "*B n T A"] | None = None
+    """π(a | S_t), where Q of a given policy is wanted and not that of the best one."""
+    imputation: Imputation | None = None
 
 
 class QFunctions(NamedTuple):
@@ -66,7 +104,7 @@ def q_values(
     return per_action[:, 0] + jnp.einsum("...af,af->...a", features, per_action[:, 1:])
 
 
-@partial(jax.jit, static_argnames=("num_blocks", "stages", "num_folds", "end_action"))
+@partial(jax.jit, static_argnames=("num_blocks", "stages", "num_folds", "end_action", "is_scaled"))
 def backward(
     log: Transitions,
     block_of_action: Int[Array, " A"],
@@ -76,6 +114,7 @@ def backward(
     stages: StageMode,
     num_folds: int,
     end_action: int | None = None,
+    is_scaled: bool = True,
 ) -> QFunctions:
     """Fit all Q-functions of one log.
 
@@ -97,69 +136,156 @@ def backward(
         For pooled stages: the action that the horizon forces upon a path, so that Q_0(S) = Q(S, end_action); every Q
         is shrunk towards it. It must end a path wherever it is taken, and a feature must mean the same in all blocks
         or be 0 for it. None if reaching the horizon costs nothing, Q_0 ≡ 0.
+    is_scaled
+        Whether λ weighs features as if each had unit variance; False for features of a kernel.
     """
-    masks, which = _masks(log, stages, end_action)
-    factors = jax.vmap(lambda mask: factorise(_rows(log, block_of_action, mask), num_blocks, num_folds))(masks)
-    taken_block = block_of_action[log.action].ravel()
-    num_coefficients = log.features.shape[-1] + 1
+    regression = _Regression(block_of_action, regs, num_blocks, num_folds, log.action.shape[0], is_scaled)
+    if stages == "separate":
+        return _backward_separate(log, regression)
+    return _backward_pooled(log, regression, end_action)
 
-    def regress(index: Int[Array, ""], successor: Float[Array, "n T"], centre: Float[Array, "K F"]) -> Fit:
-        factor: Factor = jax.tree.map(lambda leaf: leaf[index], factors)
+
+class _Regression(NamedTuple):
+    """What all regressions of one log share."""
+
+    block_of_action: Int[Array, " A"]
+    regs: Float[Array, " L"]
+    num_blocks: int
+    num_folds: int
+    num_paths: int
+    is_scaled: bool
+
+    def prepare(self, log: Transitions, weight: Any) -> "_Prepared":
+        """Sum and factorise what no target changes; rows of `weight` 0 do not count."""
+        taken = jnp.take_along_axis(log.features, log.action[..., None, None], axis=2)[:, :, 0]
+        design = self._design(log, weight, taken, _seen_surprises(log))
+        main = _Sums(design, factorise(gram_of(design), self.is_scaled))
+        if log.imputation is None:
+            return _Prepared(main, None)
+        given, used = log.imputation, taken * log.imputation.is_used
+        told = self._design(log, jnp.where(weight > 0, given.is_told, 0.0), used, given.terms)
+        return _Prepared(main, _Sums(told, factorise(gram_of(told), self.is_scaled)))
+
+    def fit(
+        self, prepared: "_Prepared", log: Transitions, successor: Float[Array, "n T"], centre: Float[Array, "K F"]
+    ) -> Fit:
+        """Regress R_t + V̂(S_{t+1}), shrunk towards `centre`."""
         target = (log.reward + jnp.where(log.is_last, 0.0, successor)).ravel()
-        expected = jnp.sum(factor.design * centre[taken_block], axis=-1)
-        fit = solve(factor, jnp.asarray(target) - expected, regs, log.action.shape[0])
+        if prepared.told is not None and log.imputation is not None:
+            target = self._imputed(prepared.told, log.imputation, jnp.asarray(target), self.blocks(log))
+        expected = jnp.sum(prepared.main.design.features * centre[self.blocks(log)], axis=-1)
+        cross = cross_of(prepared.main.design, jnp.asarray(target) - expected)
+        fit = solve(prepared.main.factor, cross, self.regs, self.num_paths)
         return Fit(fit.coefficients + centre, fit.reg)
 
-    def step(carry: tuple[Float[Array, "n T"], Float[Array, "K F"]], index: Int[Array, ""]):
-        value, centre = carry
-        fit = regress(index, _of_successor(value), centre)
-        of_q = fit.coefficients[:, :num_coefficients]
-        value = _largest_possible(q_values(of_q, log.features, block_of_action), log.is_possible)
-        return (value, fit.coefficients if stages == "pooled" else centre), Fit(of_q, fit.reg)
+    def blocks(self, log: Transitions) -> Int[Array, " R"]:
+        return self.block_of_action[log.action].ravel()
 
-    value = jnp.zeros_like(log.reward)
-    centre = jnp.zeros((num_blocks, factors.design.shape[-1]), log.reward.dtype)
-    if stages == "pooled" and end_action is not None:
-        ended = regress(which[0], value, centre).coefficients
-        value = q_values(ended[:, :num_coefficients], log.features, block_of_action)[..., end_action]
-        centre = jnp.broadcast_to(ended[block_of_action[end_action]], centre.shape)
-    _, fits = jax.lax.scan(step, (value, centre), which)
-    if stages == "separate":
-        fits = jax.tree.map(lambda leaf: leaf[::-1], fits)
+    def _design(self, log: Transitions, weight: Any, taken: Any, more: Any) -> Design:
+        features = taken if more is None else jnp.concatenate([taken, more], axis=-1)
+        rows = Rows(
+            features=features.reshape(log.action.size, features.shape[-1]),
+            block=self.blocks(log),
+            weight=weight.ravel(),
+            fold=jnp.repeat(log.fold, log.action.shape[1]),
+        )
+        return design_of(rows, self.num_blocks, self.num_folds)
+
+    def _imputed(
+        self, told: "_Sums", given: Imputation, target: Float[Array, " R"], blocks: Int[Array, " R"]
+    ) -> Float[Array, " R"]:
+        fit = solve(told.factor, cross_of(told.design, target), self.regs, self.num_paths)
+        each, num_terms = fit.coefficients[blocks], given.terms.shape[-1]
+        at_state = jnp.sum(told.design.features[:, :-num_terms] * each[:, :-num_terms], axis=-1)
+        of_time = jnp.sum(given.expected.reshape(-1, num_terms) * each[:, -num_terms:], axis=-1)
+        share = given.share.ravel()
+        return share * target + (1.0 - share) * at_state + of_time
+
+
+class _Sums(NamedTuple):
+    design: Design
+    factor: Factor
+
+
+class _Prepared(NamedTuple):
+    main: _Sums
+    told: _Sums | None
+
+
+def _backward_separate(log: Transitions, regression: _Regression) -> QFunctions:
+    """Each stage on its own rows, the last one first."""
+    shared = log._replace(
+        fold=None, imputation=None if log.imputation is None else log.imputation._replace(is_used=None)
+    )
+    by_stage = jax.tree.map(lambda leaf: jnp.moveaxis(jnp.asarray(leaf), 1, 0)[:, :, None], shared)
+
+    def step(after: Float[Array, " n"], stage: Transitions):
+        given = stage.imputation
+        if given is not None and log.imputation is not None:
+            given = given._replace(is_used=log.imputation.is_used)
+        rows = stage._replace(fold=log.fold, imputation=given)
+        prepared = regression.prepare(rows, rows.weight)
+        width = prepared.main.design.features.shape[-1]
+        centre = jnp.zeros((regression.num_blocks, width), log.reward.dtype)
+        fit = regression.fit(prepared, rows, after[:, None], centre)
+        of_q = fit.coefficients[:, : log.features.shape[-1] + 1]
+        return _value(of_q, rows, regression.block_of_action)[:, 0], Fit(of_q, fit.reg)
+
+    _, fits = jax.lax.scan(step, jnp.zeros_like(log.reward[:, 0]), by_stage, reverse=True)
     return QFunctions(fits.coefficients, fits.reg)
 
 
-def _largest_possible(q: Float[Array, "n T A"], is_possible: Bool[AnyArray, "n T A"]) -> Float[Array, "n T"]:
-    """Find max_a Q over the possible actions, 0 where none is: such a row is padding, and must stay finite."""
-    largest = jnp.max(jnp.where(is_possible, q, -jnp.inf), axis=-1)
-    return jnp.where(jnp.any(is_possible, axis=-1), largest, 0.0)
-
-
-def _masks(
-    log: Transitions, stages: StageMode, end_action: int | None
-) -> tuple[Bool[Array, "M n T"], Int[Array, " T"]]:
-    """Rows that serve each distinct regression, and which of these each backward step uses."""
-    num_stages = log.action.shape[1]
-    stage = jnp.arange(num_stages)
-    if stages == "separate":
-        masks = jnp.broadcast_to(stage[:, None, None] == stage, (num_stages, *log.action.shape))
-        return masks, stage[::-1]
-    goes_on = jnp.broadcast_to(stage < num_stages - 1, log.action.shape)
+def _backward_pooled(log: Transitions, regression: _Regression, end_action: int | None) -> QFunctions:
+    """All stages' rows at each number of steps to go, one step first."""
+    goes_on = jnp.broadcast_to(jnp.arange(log.action.shape[1]) < log.action.shape[1] - 1, log.action.shape)
     if end_action is not None:
         goes_on = goes_on | (log.action == end_action)
-    return jnp.stack([jnp.ones_like(goes_on), goes_on]), jnp.minimum(stage, 1)
+    everything = regression.prepare(log, log.weight)
+    num_coefficients = log.features.shape[-1] + 1
+
+    def step(prepared: _Prepared, value: Float[Array, "n T"], centre: Float[Array, "K F"]):
+        fit = regression.fit(prepared, log, _of_successor(value), centre)
+        of_q = fit.coefficients[:, :num_coefficients]
+        return _value(of_q, log, regression.block_of_action), fit.coefficients, Fit(of_q, fit.reg)
+
+    value = jnp.zeros_like(log.reward)
+    centre = jnp.zeros((regression.num_blocks, everything.main.design.features.shape[-1]), log.reward.dtype)
+    if end_action is not None:
+        ended = regression.fit(everything, log, value, centre).coefficients
+        value = q_values(ended[:, :num_coefficients], log.features, regression.block_of_action)[..., end_action]
+        centre = jnp.broadcast_to(ended[regression.block_of_action[end_action]], centre.shape)
+    value, centre, first = step(everything, value, centre)
+    later = regression.prepare(log, jnp.where(goes_on, log.weight, 0.0))
+
+    def advance(carry: tuple[Float[Array, "n T"], Float[Array, "K F"]], _: None):
+        value, centre, fit = step(later, *carry)
+        return (value, centre), fit
+
+    _, rest = jax.lax.scan(advance, (value, centre), length=log.action.shape[1] - 1)
+    fits = jax.tree.map(lambda one, others: jnp.concatenate([one[None], others]), first, rest)
+    return QFunctions(fits.coefficients, fits.reg)
 
 
-def _rows(log: Transitions, block_of_action: Int[Array, " A"], mask: Bool[Array, "n T"]) -> Rows:
-    taken = jnp.take_along_axis(log.features, log.action[..., None, None], axis=2)[:, :, 0]
-    if log.surprises is not None:
-        taken = jnp.concatenate([taken, jnp.where(log.is_last[..., None], 0.0, log.surprises)], axis=-1)
-    return Rows(
-        features=taken.reshape(log.action.size, taken.shape[-1]),
-        block=block_of_action[log.action].ravel(),
-        weight=jnp.where(mask, log.weight, 0.0).ravel(),
-        fold=jnp.repeat(log.fold, log.action.shape[1]),
-    )
+def _value(
+    coefficients: Float[Array, "K F"], log: Transitions, block_of_action: Int[Array, " A"]
+) -> Float[Array, "n T"]:
+    """V̂ of every state: max_a Q over the possible actions, or Σ_a π(a) Q of the policy that is given.
+
+    Where no action is possible it is 0: such a row is padding, and must stay finite.
+    """
+    q = q_values(coefficients, log.features, block_of_action)
+    if log.policy is not None:
+        return jnp.sum(jnp.where(log.policy > 0, log.policy * q, 0.0), axis=-1)
+    largest = jnp.max(jnp.where(log.is_possible, q, -jnp.inf), axis=-1)
+    return jnp.where(jnp.any(log.is_possible, axis=-1), largest, 0.0)
+
+
+def _seen_surprises(log: Transitions) -> Any:
+    """Surprises of completed stages that went on; imputed targets hold only a share of each."""
+    if log.surprises is None:
+        return None
+    seen = jnp.where(log.is_last[..., None], 0.0, log.surprises)
+    return seen if log.imputation is None else seen * log.imputation.share[..., None]
 
 
 def _of_successor(value: Float[Array, "n T"]) -> Float[Array, "n T"]:
