@@ -32,10 +32,10 @@ class CensoredSVR(RegressorMixin, CensoredSVM):
     Parameters
     ----------
     loss
-        ``"squared"``: (y − f)²; ``"absolute"``: abs(y − f), for the median; ``"pinball"``: max(q (y − f), (1 − q)(f − y)),
-        for the `quantile` q; ``"epsilon-insensitive"``: max(abs(y − f) − ε, 0); ``"huber"``: ½ (y − f)² up to `delta` and
-        linear beyond; or an object with ``value(y, s)`` and ``proximal(y, v, step)`` or ``derivative(y, s)``, convex
-        in s.
+        ``"squared"``: (y − f)²; ``"absolute"``: abs(y − f), for the median; ``"pinball"``: max(q (y − f),
+        (1 − q)(f − y)), for the `quantile` q; ``"epsilon-insensitive"``: max(abs(y − f) − ε, 0); ``"huber"``:
+        ½ (y − f)² up to `delta` and linear beyond; or an object with ``value(y, s)`` and ``proximal(y, v, step)`` or
+        ``derivative(y, s)``, convex in s.
     epsilon, delta
         ε ≥ 0 and δ > 0 of the losses [unit of the target].
     quantile
