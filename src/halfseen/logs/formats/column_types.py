@@ -1,0 +1,124 @@
+"""What a column is, told in words that fit into JSON, and its cells as text that come back as they were."""
+
+import json
+import re
+from collections.abc import Mapping
+from typing import Any, TypeAlias
+
+import pandas as pd
+import pyarrow as pa
+
+from halfseen.errors import LogError
+
+ColumnType: TypeAlias = str | Mapping[str, Any]
+"""Name of a type, such as ``"double"`` or ``"list<int64>"``; for categories ``{"categories": …, …}``."""
+
+_NUMBERS = [pa.int8(), pa.int16(), pa.int32(), pa.int64(), pa.uint8(), pa.uint16(), pa.uint32(), pa.uint64()]
+_PLAIN = {str(kind): kind for kind in [*_NUMBERS, pa.float32(), pa.float64(), pa.bool_(), pa.string(), pa.null()]}
+_TIMES = {str(pa.date32()): pa.date32()}
+# Whole numbers that may be null, as pandas calls them; text of pandas' own has a name that no type of Arrow has.
+_NULLABLE = re.compile(r"U?Int(8|16|32|64)|Float(32|64)|boolean")
+_PANDAS_TEXT = "String"
+
+
+def column_type(table: str, frame: pd.DataFrame, column: str) -> ColumnType:
+    """Name the type of a column of checked logs.
+
+    Raises
+    ------
+    LogError
+        The column is of a type that has no text of its own.
+    """
+    values = frame[column]
+    if isinstance(values.dtype, pd.CategoricalDtype):
+        categories = values.dtype.categories.to_series(name=column)
+        kind = column_type(table, categories.to_frame(), column)
+        cells = texts(categories, kind)
+        return {"categories": cells, "type": kind, "is_ordered": bool(values.dtype.ordered)}
+    if _NULLABLE.fullmatch(str(values.dtype)):
+        return str(values.dtype)
+    if str(values.dtype) == "string":
+        return _PANDAS_TEXT
+    kind = _name(pa.array(values, from_pandas=True).type)
+    if kind is None:
+        raise LogError(
+            f"{table}: column {column!r} holds {pa.array(values, from_pandas=True).type}, which has no form as text; "
+            "drop it or turn it into numbers, text, times or lists of these"
+        )
+    return kind
+
+
+def as_cells(values: pd.Series, kind: ColumnType) -> pa.Array:
+    """Bring a column into the form in which it is written: lists as JSON, times as ISO 8601, the rest as it is."""
+    if isinstance(kind, Mapping):
+        values = values.astype(object)
+    cells: Any = pa.array(values, from_pandas=True)
+    if pa.types.is_list(cells.type):
+        lists = cells.to_pylist()
+        return pa.array([None if items is None else json.dumps(items) for items in lists], pa.string())
+    if _is_time(cells.type):
+        return cells.cast(pa.string())
+    return cells
+
+
+def texts(values: pd.Series, kind: ColumnType) -> list[str | None]:
+    """Write the cells of a column as text, null as None."""
+    return as_cells(values, kind).cast(pa.string()).to_pylist()
+
+
+def from_texts(cells: Any, kind: ColumnType) -> Any:
+    """Read the cells of a column, an array or a list of text and None, as values of a type.
+
+    Raises
+    ------
+    ValueError
+        A cell is of another type (`pyarrow.ArrowInvalid` and `json.JSONDecodeError` are such), or the type is unknown.
+    """
+    texts = cells if isinstance(cells, pa.Array | pa.ChunkedArray) else pa.array(cells, pa.string())
+    if isinstance(kind, Mapping):
+        categories = from_texts(list(kind["categories"]), kind["type"])
+        return pd.Categorical(from_texts(texts, kind["type"]), list(categories), bool(kind["is_ordered"]))
+    values = _parsed(texts, arrow_type(kind))
+    if _NULLABLE.fullmatch(kind) or kind == _PANDAS_TEXT:
+        dtype: Any = pd.api.types.pandas_dtype("string" if kind == _PANDAS_TEXT else kind)
+        return pd.Series(dtype.__from_arrow__(values))
+    return values.to_pandas()
+
+
+def arrow_type(name: str) -> pa.DataType:
+    """Find the type of a name that `column_type` gave.
+
+    Raises
+    ------
+    ValueError
+        There is no such type.
+    """
+    if name == _PANDAS_TEXT:
+        return pa.string()
+    if _NULLABLE.fullmatch(name):
+        return pa.type_for_alias(name.lower())
+    if found := re.fullmatch(r"list<(.+)>", name):
+        return pa.list_(arrow_type(found[1]))
+    if found := re.fullmatch(r"timestamp\[(ms|us|ns)(?:, tz=(.+))?\]", name):
+        return pa.timestamp(found[1], found[2])
+    if kind := (_PLAIN | _TIMES).get(name):
+        return kind
+    raise ValueError(f"type {name!r} is unknown; there are {', '.join([*_PLAIN, *_TIMES, 'timestamp[us]', 'list<…>'])}")
+
+
+def _name(kind: pa.DataType) -> str | None:
+    if pa.types.is_list(kind):
+        item = kind.value_type
+        inner = None if _is_time(item) else _name(item)
+        return inner and f"list<{inner}>"
+    return str(kind) if _is_time(kind) or str(kind) in _PLAIN else None
+
+
+def _is_time(kind: pa.DataType) -> bool:
+    return pa.types.is_timestamp(kind) or str(kind) in _TIMES
+
+
+def _parsed(cells: Any, kind: pa.DataType) -> Any:
+    if not pa.types.is_list(kind):
+        return cells.cast(kind)
+    return pa.array([None if cell is None else json.loads(cell) for cell in cells.to_pylist()], kind)

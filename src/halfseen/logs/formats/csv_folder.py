@@ -1,0 +1,202 @@
+"""Logs as a folder of CSV files, for spreadsheets and other programs.
+
+::
+
+    FOLDER/
+      stages.csv     one row a stage
+      paths.csv      one row a path
+      objects.csv    where the stages have objects
+      columns.json   the type of each column; may be missing, or name only some of the columns
+
+The files are UTF-8 with commas, and the first row names the columns. An empty cell is null; an empty text stands in
+quotes. Lists are JSON (``[0.1, 0.2]``), times ISO 8601. Columns that ``columns.json`` does not name are read by these
+rules, in this order:
+
+1. ``stage`` holds whole numbers; ``elapsed_s``, ``reward``, ``probability`` and ``end_s`` hold numbers; ``ending``
+   and ``cause`` hold text.
+2. A column whose every cell is a whole number holds whole numbers. Cells like ``007`` are text.
+3. Every cell a number: numbers. Every cell ``true`` or ``false``: booleans. Every cell a JSON list: lists.
+4. Else it holds text; but a column of covariates that begins with a number and goes on with text is refused, since
+   that is more often a slip than a name. To keep it as text, say ``"string"`` in ``columns.json``.
+"""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.csv as arrow_csv
+
+from halfseen.errors import LogError
+from halfseen.logs.columns import OBJECT_COLUMNS, PATH_COLUMNS, STAGE_COLUMNS
+from halfseen.logs.formats.column_types import ColumnType, as_cells, column_type, from_texts
+from halfseen.logs.formats.placing import placed
+from halfseen.logs.logs import Logs
+
+TYPES_FILE = "columns.json"
+FORMAT, VERSION = "halfseen-csv", 1
+
+_KNOWN_TYPES = {"stage": "int64", "ending": "string", "cause": "string"}
+_KNOWN_TYPES |= dict.fromkeys(("elapsed_s", "reward", "probability", "end_s"), "double")
+_NAMES = {*STAGE_COLUMNS, *PATH_COLUMNS, *OBJECT_COLUMNS}
+
+_INTEGER = r"^-?(0|[1-9][0-9]{0,17})$"
+_NUMBER = r"^[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?$"
+_SHAPES = {"int64": _INTEGER, "double": _NUMBER, "bool": r"^(true|false)$"}
+
+
+def write_csv(logs: Logs, folder: str | Path) -> None:
+    """Write logs as CSV files, all or nothing; `read_csv` gives them back to the last bit.
+
+    Parameters
+    ----------
+    logs
+        What to write.
+    folder
+        Where to; nothing may be there yet.
+
+    Raises
+    ------
+    ArgumentError
+        Something is there already, or the folder cannot be written.
+    LogError
+        A column holds what has no form as text, such as records or bytes.
+    """
+    frames = {"stages": logs.stages, "paths": logs.paths, "objects": logs.objects}
+    tables = {name: frame for name, frame in frames.items() if frame is not None}
+    types = {name: {column: column_type(name, frame, column) for column in frame} for name, frame in tables.items()}
+    with placed(Path(folder)) as fresh:
+        for name, frame in tables.items():
+            cells = {column: as_cells(frame[column], kind) for column, kind in types[name].items()}
+            arrow_csv.write_csv(pa.table(cells), fresh / f"{name}.csv")
+        manifest = {"format": FORMAT, "version": VERSION, "tables": types}
+        (fresh / TYPES_FILE).write_text(json.dumps(manifest, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+def read_csv(folder: str | Path) -> Logs:
+    """Read a folder of CSV files that `write_csv`, a spreadsheet or a script wrote.
+
+    Parameters
+    ----------
+    folder
+        Holds ``stages.csv``, ``paths.csv`` and, where the stages have objects, ``objects.csv``.
+
+    Raises
+    ------
+    LogError
+        A file is missing or broken, a cell is of another type than its column (the file, the row, counted from 1
+        with the heading, and the column are named), or the tables break an invariant.
+    """
+    folder = Path(folder)
+    types = _read_types(folder / TYPES_FILE)
+    names = ["stages", "paths", "objects"] if (folder / "objects.csv").exists() else ["stages", "paths"]
+    tables = {name: _read_table(folder / f"{name}.csv", types.get(name, {})) for name in names}
+    try:
+        return Logs(**tables)
+    except LogError as error:
+        raise LogError(f"{folder}: {error}") from error
+
+
+def _read_types(file: Path) -> dict[str, dict[str, ColumnType]]:
+    if not file.exists():
+        return {}
+    try:
+        manifest: Any = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise LogError(f"{file}: it cannot be read ({error}); mend it, or remove it and let types be guessed") from error
+    if not isinstance(manifest, dict) or (manifest.get("format"), manifest.get("version")) != (FORMAT, VERSION):
+        raise LogError(f"{file}: it is not of format {FORMAT!r}, version {VERSION}; remove it and let types be guessed")
+    tables = manifest.get("tables")
+    if not isinstance(tables, dict) or not all(isinstance(types, dict) for types in tables.values()):
+        raise LogError(f"{file}: tables does not name the columns of each table; remove it and let types be guessed")
+    return tables
+
+
+def _read_table(file: Path, types: dict[str, ColumnType]) -> pd.DataFrame:
+    cells = _read_cells(file)
+    columns = {name: _column(file, name, cells[name], types.get(name)) for name in cells.column_names}
+    return pd.DataFrame(columns)
+
+
+def _read_cells(file: Path) -> pa.Table:
+    """Read every cell as text; only an empty cell without quotes is null."""
+    try:
+        header = arrow_csv.open_csv(file).schema.names if file.stat().st_size else []
+        repeated = [name for i, name in enumerate(header) if name in header[:i]]
+        if repeated:
+            raise LogError(f"{file}: there are two columns {repeated[0]!r}; drop or rename one")
+        return arrow_csv.read_csv(
+            file,
+            read_options=arrow_csv.ReadOptions(use_threads=False),  # with threads, errors do not tell the row
+            parse_options=arrow_csv.ParseOptions(newlines_in_values=True),
+            convert_options=arrow_csv.ConvertOptions(
+                column_types=dict.fromkeys(header, pa.string()),
+                null_values=[""],
+                strings_can_be_null=True,
+                quoted_strings_can_be_null=False,
+            ),
+        )
+    except FileNotFoundError as error:
+        raise LogError(f"{file}: it is missing; logs as CSV need stages.csv and paths.csv") from error
+    except (OSError, pa.ArrowException) as error:
+        reason = str(error).splitlines()[0]
+        raise LogError(f"{file}: it is no CSV file of one table ({reason}); mend or export it again") from error
+
+
+def _column(file: Path, name: str, cells: Any, kind: ColumnType | None) -> Any:
+    kind = kind or _KNOWN_TYPES.get(name) or _guessed_type(file, name, cells)
+    try:
+        return from_texts(cells, kind)
+    except (ValueError, TypeError, KeyError, pa.ArrowException) as error:
+        row = _first_wrong(cells, kind)
+        if row is None:
+            raise LogError(f"{file}: column {name!r} cannot be read as {kind!r} ({error}); mend {TYPES_FILE}") from error
+        raise LogError(
+            f"{_place(file, name, row)}: {cells[row].as_py()!r} is no {kind}; mend the cell, or leave it empty if there "
+            "is no value"
+        ) from error
+
+
+def _first_wrong(cells: Any, kind: ColumnType) -> int | None:
+    for row, cell in enumerate(cells.to_pylist()):
+        try:
+            from_texts([cell], kind)
+        except (ValueError, TypeError, KeyError, pa.ArrowException):
+            if cell is not None:
+                return row
+    return None
+
+
+def _guessed_type(file: Path, name: str, cells: Any) -> ColumnType:
+    there = cells.drop_null()
+    if len(there) == 0:
+        return "null"
+    for kind, shape in _SHAPES.items():
+        if pc.all(pc.match_substring_regex(there, shape)).as_py():
+            return kind
+    if pc.all(pc.match_substring_regex(there, r"^\[.*\]$")).as_py():
+        return _list_type(there)
+    if name not in _NAMES and re.match(_NUMBER, there[0].as_py()):
+        is_number = pc.match_substring_regex(cells, _NUMBER)
+        row = pc.index(is_number, pa.scalar(False)).as_py()
+        raise LogError(
+            f"{_place(file, name, row)}: {cells[row].as_py()!r} is no number, though the column begins with one; mend "
+            f'the cell, leave it empty if there is no value, or say "string" for the column in {TYPES_FILE}'
+        )
+    return "string"
+
+
+def _list_type(cells: Any) -> ColumnType:
+    """Type of a column of JSON lists; text if they are none after all."""
+    try:
+        kind = pa.array([json.loads(cell) for cell in cells.to_pylist()]).type
+    except (ValueError, pa.ArrowException):
+        return "string"
+    return f"list<{kind.value_type}>"
+
+
+def _place(file: Path, name: str, row: int) -> str:
+    return f"{file}, row {row + 2}, column {name!r}"
