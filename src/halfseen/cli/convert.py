@@ -1,0 +1,176 @@
+"""``halfseen convert``: logs from one form into another."""
+
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, nullcontext
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import numpy as np
+
+if TYPE_CHECKING:
+    from halfseen.logs import Logs
+
+CSV, MINARI = "csv:", "minari:"
+
+
+def _print_template(ctx: click.Context, _: click.Parameter, is_asked: bool) -> None:
+    if not is_asked or ctx.resilient_parsing:
+        return
+    from halfseen.logs.formats import MAPPING_TEMPLATE
+
+    click.echo(MAPPING_TEMPLATE, nl=False)
+    ctx.exit()
+
+
+@click.command(epilog="Example: halfseen convert recording.mcap --mapping cell.toml --out logs")
+@click.argument("source")
+@click.option("--out", "target", required=True, help="FOLDER of Parquet, csv:FOLDER, or minari:NAME-v0.")
+@click.option("--mapping", type=click.Path(path_type=Path), help="Of a bag: which topic carries what (TOML).")
+@click.option(
+    "--mapping-template",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_print_template,
+    help="Print a mapping file to start from.",
+)
+@click.option("--clouds", type=click.Path(path_type=Path), help="Of a bag: write each stage's cloud there as .pcd.")
+@click.option("--see", is_flag=True, help="Of a bag: what each stage's cloud shows becomes its objects.")
+@click.option("--clock", help="Of another's Minari dataset: the info that holds the time [s].")
+@click.option("--step-s", type=float, help="Of another's Minari dataset: how long a step lasts [s].")
+@click.option("--seed", type=int, default=0, help="Accepted by every verb; nothing here is random.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object for programs.")
+def convert(source: str, target: str, seed: int, as_json: bool, clouds: Path | None, **options: Any) -> None:
+    """Read the logs of SOURCE and write them to another form, all or nothing.
+
+    SOURCE is a folder of logs (Parquet or CSV), a ROS bag (its folder, its .mcap, .db3 or .bag file, or a folder of
+    bags), a folder of a Minari dataset, or minari:NAME-v0.
+    """
+    from halfseen.errors import ArgumentError
+
+    kind = _kind(source)
+    _check_options(kind, {**options, "clouds": clouds})
+    place = Path(target.removeprefix(CSV))
+    if not target.startswith(MINARI) and place.exists():
+        raise ArgumentError(f"{place}: it is there already; choose another folder, or move it away first")
+    with _clouds_folder(clouds) as cloud_folder:
+        logs = _read(kind, source, cloud_folder, **options)
+        _write(logs, target)
+    report = {"source": source, "format": kind, "target": target, "sentence": str(logs.summary())}
+    report |= asdict(logs.summary())
+    click.echo(json.dumps(report, indent=2) if as_json else f"{target}: {report['sentence']}")
+
+
+def _kind(source: str) -> str:
+    """What a source is, by what stands there."""
+    from halfseen.errors import LogError
+
+    path = Path(source)
+    if source.startswith(MINARI) or (path / "data" / "metadata.json").is_file():
+        return "minari"
+    if not path.exists():
+        raise LogError(f"{source}: there is no such file or folder; a Minari dataset is called {MINARI}NAME-v0")
+    if (path / "stages.csv").exists() or (path / "paths.csv").exists():
+        return "csv"
+    return "bag" if _bags(path) else "parquet"
+
+
+def _bags(path: Path) -> list[Path]:
+    """The bags of a path: itself, or those that lie in it side by side."""
+    if _is_bag(path):
+        return [path]
+    return sorted(entry for entry in path.iterdir() if _is_bag(entry)) if path.is_dir() else []
+
+
+def _is_bag(path: Path) -> bool:
+    if path.is_dir():
+        return (path / "metadata.yaml").exists() or any(file.suffix == ".db3" for file in path.iterdir())
+    return path.suffix in (".mcap", ".db3", ".bag")
+
+
+def _check_options(kind: str, options: Mapping[str, Any]) -> None:
+    from halfseen.errors import ArgumentError
+
+    belongs_to = dict.fromkeys(("mapping", "clouds", "see"), "bag") | dict.fromkeys(("clock", "step_s"), "minari")
+    for name, owner in belongs_to.items():
+        if options[name] and owner != kind:
+            raise ArgumentError(f"--{name.replace('_', '-')} is for a source of kind {owner}; this is {kind}: leave it out")
+    if kind == "bag" and options["mapping"] is None:
+        raise ArgumentError(
+            "a bag needs --mapping FILE, which says what its topics carry; --mapping-template prints one to start from"
+        )
+
+
+def _read(
+    kind: str,
+    source: str,
+    clouds: Path | None,
+    mapping: Path | None,
+    see: bool,
+    clock: str | None,
+    step_s: float | None,
+) -> "Logs":
+    from halfseen.logs import formats, read_logs
+
+    if kind == "csv":
+        return formats.read_csv(source)
+    if kind == "minari":
+        return formats.read_minari(source.removeprefix(MINARI), clock=clock, step_s=step_s)
+    if kind == "bag":
+        keep = None if clouds is None else _keeper(clouds)
+        return formats.read_bag(_bags(Path(source)), mapping, see=_see if see else None, keep=keep)
+    return read_logs(source)
+
+
+def _write(logs: "Logs", target: str) -> None:
+    from halfseen.logs import formats
+
+    if target.startswith(MINARI):
+        formats.write_minari(logs, target.removeprefix(MINARI))
+    elif target.startswith(CSV):
+        formats.write_csv(logs, target.removeprefix(CSV))
+    else:
+        logs.write(target)
+
+
+@contextmanager
+def _clouds_folder(clouds: Path | None) -> Iterator[Path | None]:
+    """Where clouds are written; the folder appears only once the logs are written too."""
+    from halfseen.logs.formats.placing import placed
+
+    with nullcontext() if clouds is None else placed(clouds) as fresh:
+        yield fresh
+
+
+def _keeper(folder: Path) -> Any:
+    from halfseen.perception import Cloud, write_pcd
+
+    def keep(points_m: np.ndarray, shape: tuple[int, int], name: str) -> str:
+        write_pcd(Cloud(points_m, _image_shape(shape), name=name), folder / f"{name}.pcd")
+        return f"{name}.pcd"
+
+    return keep
+
+
+def _see(points_m: np.ndarray, shape: tuple[int, int], name: str) -> dict[str, list[Any]]:
+    """Objects that a cloud shows, as columns; numbered anew in each cloud, the largest first."""
+    from halfseen.perception import Cloud, perceive
+
+    view = perceive(Cloud(points_m, _image_shape(shape), name=name))
+    centroids = np.array([seen.centroid_m for seen in view.objects]).reshape(-1, 3)
+    return {
+        "object": [seen.id for seen in view.objects],
+        "occlusion": [seen.occlusion for seen in view.objects],
+        **{f"{axis}_m": centroids[:, k].tolist() for k, axis in enumerate("xyz")},
+        "height_m": [seen.height_m for seen in view.objects],
+        "is_upright": [seen.is_upright for seen in view.objects],
+        "num_points": [seen.num_points for seen in view.objects],
+        "hidden_by": view.hides.tolist(),
+    }
+
+
+def _image_shape(shape: tuple[int, int]) -> tuple[int, int] | None:
+    return shape if shape[0] > 1 else None

@@ -1,0 +1,222 @@
+"""The small file that says which topic of a ROS bag carries what."""
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NoReturn
+
+from halfseen.errors import ArgumentError
+from halfseen.logs.columns import FINISHED, STAGE_COLUMNS
+
+MAPPING_TEMPLATE = """\
+# Which topic of a bag carries what, for `halfseen convert BAG --mapping THIS --out LOGS`.
+# A field is a path into the message: "data", "pose.position.x", "data.2" (the third number of an array).
+# [action], [reward] and [ending] are needed; leave out what you do not record.
+
+# "log": the time at which the recorder got a message. "header": header.stamp, which every topic below must then have.
+clock = "log"
+
+# A message that begins a path, and its name (leave field out to number the paths). Without this table a bag is one
+# path that begins with its first message.
+[path]
+topic = "/episode/begin"
+field = "data"
+
+# What the policy saw: the last value before the action. One table a covariate.
+[covariates.occlusion]
+topic = "/camera/occlusion"
+field = "data"
+
+# The action of a stage, as text or a whole number; then what it acted on and how probable it was, which may come at
+# any time between the previous reward and this one.
+[action]
+topic = "/pick/action"
+field = "data"
+
+[object]
+topic = "/pick/object"
+field = "data"
+
+[probability]
+topic = "/pick/probability"
+field = "data"
+
+# A reward completes the stage: its time is the clock of the stage.
+[reward]
+topic = "/pick/reward"
+field = "data"
+
+# How a path ended: one of the values in finished, or else the cause of a cut, such as "operator" or "battery".
+# A path without such a message was cut by "crash" when its last message came.
+[ending]
+topic = "/episode/end"
+field = "data"
+finished = ["finished"]
+
+# sensor_msgs/PointCloud2 in the camera frame [m]: the last cloud before the action belongs to the stage.
+[cloud]
+topic = "/camera/points"
+"""
+"""A whole mapping file, with comments."""
+
+_CLOCKS = ("log", "header")
+_NEEDED = ("action", "reward", "ending")
+_FIELDS = ("object", "probability")
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a value comes from.
+
+    Parameters
+    ----------
+    key
+        Its table in the mapping file, such as ``reward`` or ``covariates.occlusion``.
+    topic
+        Topic of the messages.
+    field
+        Path into the message; None where the message itself is meant.
+    """
+
+    key: str
+    topic: str
+    field: str | None
+
+
+@dataclass(frozen=True)
+class BagMapping:
+    """Which topic carries what; made by `read_mapping`.
+
+    Parameters
+    ----------
+    file
+        Where it was read, for messages.
+    action, reward, ending
+        What every bag has.
+    finished
+        Values of the ending that mean finished.
+    clock
+        "log" or "header".
+    path, object, probability, cloud
+        What a bag may have.
+    covariates
+        Source of each covariate of the stages.
+    """
+
+    file: str
+    action: Source
+    reward: Source
+    ending: Source
+    finished: tuple[Any, ...] = (FINISHED,)
+    clock: str = "log"
+    path: Source | None = None
+    object: Source | None = None
+    probability: Source | None = None
+    cloud: Source | None = None
+    covariates: Mapping[str, Source] = field(default_factory=dict)
+
+    @property
+    def sources(self) -> list[Source]:
+        """All that is mapped."""
+        named = [self.path, *self.covariates.values(), self.cloud, self.action, self.object, self.probability]
+        return [source for source in (*named, self.reward, self.ending) if source is not None]
+
+
+def read_mapping(file: str | Path) -> BagMapping:
+    """Read a mapping file (TOML); `MAPPING_TEMPLATE` is one, and says what each table means.
+
+    Parameters
+    ----------
+    file
+        The file.
+
+    Raises
+    ------
+    ArgumentError
+        It is missing or no TOML, a table is missing, or something in it is unknown or of the wrong type; the file and
+        the key are named.
+
+    Examples
+    --------
+    The smallest mapping::
+
+        [action]
+        topic = "/pick/action"
+        field = "data"
+
+        [reward]
+        topic = "/pick/reward"
+        field = "data"
+
+        [ending]
+        topic = "/episode/end"
+        field = "data"
+    """
+    try:
+        tables = tomllib.loads(Path(file).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ArgumentError(
+            f"{file}: it cannot be read ({error.strerror}); `halfseen convert --mapping-template` prints one to start from"
+        ) from error
+    except ValueError as error:
+        raise ArgumentError(f"{file}: it is no TOML ({error}); mend it") from error
+    return _mapping(str(file), tables)
+
+
+def _mapping(file: str, tables: dict[str, Any]) -> BagMapping:
+    known = ("clock", "path", "covariates", "cloud", *_NEEDED, *_FIELDS)
+    _check_keys(file, "", tables, known)
+    for key in _NEEDED:
+        if key not in tables:
+            _refuse(file, key, "it is missing; say which topic and field carry it")
+    clock = tables.get("clock", "log")
+    if clock not in _CLOCKS:
+        _refuse(file, "clock", f"{clock!r} is none of {', '.join(map(repr, _CLOCKS))}; choose one")
+    covariates = tables.get("covariates", {})
+    if not isinstance(covariates, dict):
+        _refuse(file, "covariates", f"{covariates!r} is no table; give each covariate a table [covariates.NAME]")
+    taken = [name for name in covariates if name in (*STAGE_COLUMNS, "cloud")]
+    if taken:
+        _refuse(file, f"covariates.{taken[0]}", "stages have such a column already; give the covariate another name")
+    sources = {key: _source(file, key, tables[key]) for key in ("path", "cloud", *_NEEDED, *_FIELDS) if key in tables}
+    return BagMapping(
+        file=file,
+        clock=clock,
+        finished=_finished(file, tables["ending"]),
+        covariates={name: _source(file, f"covariates.{name}", table) for name, table in covariates.items()},
+        **sources,
+    )
+
+
+def _source(file: str, key: str, table: Any) -> Source:
+    if not isinstance(table, dict):
+        _refuse(file, key, f"{table!r} is no table; write [{key}] with topic and field below it")
+    may_lack_field = key in ("path", "cloud")
+    known = {"path": ("topic", "field"), "cloud": ("topic",), "ending": ("topic", "field", "finished")}
+    _check_keys(file, f"{key}.", table, known.get(key, ("topic", "field")))
+    for entry in ("topic", "field"):
+        value = table.get(entry)
+        if value is None and (entry == "topic" or not may_lack_field):
+            _refuse(file, f"{key}.{entry}", "it is missing; add it")
+        if value is not None and not (isinstance(value, str) and value):
+            _refuse(file, f"{key}.{entry}", f"{value!r} is no text; give the {entry}'s name")
+    return Source(key, table["topic"], table.get("field"))
+
+
+def _finished(file: str, table: dict[str, Any]) -> tuple[Any, ...]:
+    values = table.get("finished", [FINISHED])
+    is_right = isinstance(values, list) and values and all(isinstance(value, str | int | bool) for value in values)
+    if not is_right:
+        _refuse(file, "ending.finished", f"{values!r} is no list of values; say for example ['finished']")
+    return tuple(values)
+
+
+def _check_keys(file: str, prefix: str, table: dict[str, Any], known: tuple[str, ...]) -> None:
+    for key in table:
+        if key not in known:
+            _refuse(file, f"{prefix}{key}", f"it is unknown; there are {', '.join(known)}")
+
+
+def _refuse(file: str, key: str, trouble: str) -> NoReturn:
+    raise ArgumentError(f"{file}, {key}: {trouble}")

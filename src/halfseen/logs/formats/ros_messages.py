@@ -1,0 +1,249 @@
+"""Messages of ROS bags: opened with rosbags, brought into the order of one clock, their fields read by path."""
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from halfseen.errors import ArgumentError, LogError
+from halfseen.logs.formats.extras import extra
+from halfseen.logs.formats.ros_mapping import BagMapping, Source
+
+POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
+STORAGES = (".mcap", ".db3", ".bag")
+
+# Types of a PointCloud2's fields [ROS's numbers]; coordinates are one of these.
+_FLOATS = {7: "f4", 8: "f8"}
+
+
+@dataclass(frozen=True)
+class Event:
+    """One value that a message carries.
+
+    Parameters
+    ----------
+    stamp_ns
+        When, on the clock of the mapping [ns].
+    source
+        What the mapping says of it.
+    value
+        Text, a number or a boolean; of a cloud its number among the bag's clouds, to be read by `read_clouds`.
+    """
+
+    stamp_ns: int
+    source: Source
+    value: Any
+
+
+def _storage_files(bag: Path) -> list[Path]:
+    """What rosbags opens: the bag, or, where the recorder died before its metadata, the storage files in it."""
+    if bag.is_dir() and not (bag / "metadata.yaml").exists():
+        return sorted(file for file in bag.iterdir() if file.suffix in STORAGES)
+    return [bag]
+
+
+def read_events(bag: Path, mapping: BagMapping) -> list[Event]:
+    """Read all that the mapping names, in the order of its clock; equal stamps keep the order of the recording.
+
+    Parameters
+    ----------
+    bag
+        Folder or storage file of a bag.
+    mapping
+        Which topic carries what.
+
+    Raises
+    ------
+    ArgumentError
+        rosbags is not installed, or the mapping names a topic or field that is not there, or one of a wrong type.
+    LogError
+        The bag is missing or broken.
+    """
+    by_topic: dict[str, list[Source]] = {}
+    for source in mapping.sources:
+        by_topic.setdefault(source.topic, []).append(source)
+    events = []
+    with _opened(bag) as reader:
+        _check_topics(bag, mapping, {connection.topic: connection.msgtype for connection in reader.connections})
+        wanted = [connection for connection in reader.connections if connection.topic in by_topic]
+        num_clouds = 0
+        for connection, log_ns, raw in _messages(bag, reader, wanted):
+            message = _deserialised(bag, reader, connection, raw)
+            stamp_ns = _stamp(message, connection, log_ns, mapping)
+            for source in by_topic[connection.topic]:
+                if source.key == "cloud":
+                    value, num_clouds = num_clouds, num_clouds + 1
+                else:
+                    value = _value(message, connection.msgtype, source, mapping)
+                events.append(Event(stamp_ns, source, value))
+    return sorted(events, key=lambda event: event.stamp_ns)
+
+
+def read_clouds(bag: Path, topic: str, wanted: set[int]) -> Iterator[tuple[int, Any]]:
+    """Read some of a bag's clouds, one after the other: a recording of clouds is often larger than memory.
+
+    Parameters
+    ----------
+    bag
+        Folder or storage file of a bag.
+    topic
+        Topic of the clouds.
+    wanted
+        Their numbers, as in `Event`.
+
+    Raises
+    ------
+    LogError
+        The bag is broken.
+    """
+    with _opened(bag) as reader:
+        connections = [connection for connection in reader.connections if connection.topic == topic]
+        for number, (connection, _, raw) in enumerate(_messages(bag, reader, connections)):
+            if number in wanted:
+                yield number, _deserialised(bag, reader, connection, raw)
+
+
+def points_of(message: Any, where: str) -> tuple[Float[np.ndarray, "n 3"], tuple[int, int]]:
+    """Points of a PointCloud2 [m], and its rows and columns.
+
+    Raises
+    ------
+    LogError
+        It has no coordinates, or fewer bytes than it announces.
+    """
+    fields = {entry.name: entry for entry in message.fields}
+    kinds = {axis: _FLOATS.get(fields[axis].datatype) for axis in "xyz" if axis in fields}
+    if len(kinds) < 3 or None in kinds.values():
+        raise LogError(f"{where}: its fields {', '.join(fields)} have no x, y and z of floats; record coordinates [m]")
+    rows, columns = int(message.height), int(message.width)
+    data = np.asarray(message.data, dtype=np.uint8)
+    if len(data) != rows * message.row_step or columns * message.point_step > message.row_step:
+        raise LogError(f"{where}: {len(data)} bytes are not the {rows} × {message.row_step} announced; it was cut short")
+    order = ">" if message.is_bigendian else "<"
+    layout = np.dtype(
+        {
+            "names": list("xyz"),
+            "formats": [order + str(kinds[axis]) for axis in "xyz"],
+            "offsets": [fields[axis].offset for axis in "xyz"],
+            "itemsize": int(message.point_step),
+        }
+    )
+    lines = data.reshape(rows, message.row_step)[:, : columns * message.point_step]
+    points = np.frombuffer(lines.tobytes(), dtype=layout)
+    return np.stack([points[axis].astype(np.float64) for axis in "xyz"], axis=1), (rows, columns)
+
+
+@contextmanager
+def _opened(bag: Path) -> Iterator[Any]:
+    highlevel, typesys = extra("rosbags.highlevel", "ros"), extra("rosbags.typesys", "ros")
+    if not bag.exists():
+        raise LogError(f"{bag}: there is no such bag; give the folder that `ros2 bag record` wrote, or its .mcap file")
+    files = _storage_files(bag)
+    if not files:
+        raise LogError(f"{bag}: it holds no bag ({', '.join(STORAGES)}); give the folder that `ros2 bag record` wrote")
+    try:
+        reader = highlevel.AnyReader(files, default_typestore=typesys.get_typestore(typesys.Stores.LATEST))
+        reader.open()
+    except Exception as error:  # a broken bag raises nearly anything
+        _refuse_bag(bag, error)
+    try:
+        yield reader
+    finally:
+        reader.close()
+
+
+def _messages(bag: Path, reader: Any, connections: list[Any]) -> Iterator[tuple[Any, int, bytes]]:
+    if not connections:
+        return
+    try:
+        yield from reader.messages(connections=connections)
+    except Exception as error:
+        _refuse_bag(bag, error)
+
+
+def _deserialised(bag: Path, reader: Any, connection: Any, raw: bytes) -> Any:
+    try:
+        return reader.deserialize(raw, connection.msgtype)
+    except Exception as error:
+        _refuse_bag(bag, error)
+
+
+def _refuse_bag(bag: Path, error: Exception) -> Any:
+    reason = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
+    raise LogError(
+        f"{bag}: it is no whole bag ({reason}); mend it with `ros2 bag reindex` or `mcap recover`, then convert again"
+    ) from error
+
+
+def _check_topics(bag: Path, mapping: BagMapping, types: dict[str, str]) -> None:
+    for source in mapping.sources:
+        if source.topic not in types:
+            there = ", ".join(sorted(types)) or "none"
+            raise ArgumentError(
+                f"{mapping.file}, {source.key}.topic: there is no topic {source.topic!r} in {bag}; there are {there}"
+            )
+    cloud = mapping.cloud
+    if cloud is not None and types[cloud.topic] != POINT_CLOUD:
+        raise ArgumentError(
+            f"{mapping.file}, cloud.topic: {cloud.topic} carries {types[cloud.topic]}, not {POINT_CLOUD}; name another"
+        )
+
+
+def _stamp(message: Any, connection: Any, log_ns: int, mapping: BagMapping) -> int:
+    if mapping.clock == "log":
+        return log_ns
+    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    if stamp is None:
+        raise ArgumentError(
+            f"{mapping.file}, clock: {connection.topic} ({connection.msgtype}) has no header.stamp; say clock = \"log\""
+        )
+    return int(stamp.sec) * 10**9 + int(stamp.nanosec)
+
+
+def _value(message: Any, msgtype: str, source: Source, mapping: BagMapping) -> Any:
+    if source.field is None:  # a path's beginning without a name
+        return None
+    where = f"{mapping.file}, {source.key}.field: {source.topic} ({msgtype})"
+    value = message
+    for step in source.field.split("."):
+        value = _entered(value, step, source.field, where)
+    value = value.item() if isinstance(value, np.generic) else value
+    if not isinstance(value, str | bool | int | float):
+        raise ArgumentError(f"{where}, field {source.field!r} is no single value; name {_inside(value, source.field)}")
+    _check_kind(value, source, where)
+    return value
+
+
+def _entered(value: Any, step: str, path: str, where: str) -> Any:
+    if re.fullmatch(r"[0-9]+", step) and isinstance(value, list | np.ndarray):
+        if int(step) >= len(value):
+            raise ArgumentError(f"{where}, field {path!r}: there are {len(value)} entries, counted from 0; name one")
+        return value[int(step)]
+    if step.startswith("_") or step not in getattr(value, "__dataclass_fields__", {}):
+        raise ArgumentError(f"{where} has no field {path!r}; name {_inside(value, '')}")
+    return getattr(value, step)
+
+
+def _inside(value: Any, path: str) -> str:
+    """What a path could go on with."""
+    prefix = f"{path}." if path else ""
+    if isinstance(value, list | np.ndarray):
+        return f"one of its {len(value)} entries, {prefix}0 to {prefix}{len(value) - 1}" if len(value) else "another"
+    names = [name for name in getattr(value, "__dataclass_fields__", {}) if not name.startswith("_")]
+    return ", ".join(prefix + name for name in names) or "a field above it"
+
+
+def _check_kind(value: Any, source: Source, where: str) -> None:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if source.key in ("reward", "probability") and not is_number:
+        raise ArgumentError(f"{where}, field {source.field!r} is {value!r}, no number; name another field")
+    is_name = isinstance(value, str) or (isinstance(value, int) and not isinstance(value, bool))
+    if source.key in ("action", "object", "path") and not is_name:
+        raise ArgumentError(
+            f"{where}, field {source.field!r} is {value!r}, neither text nor a whole number; name another field"
+        )
