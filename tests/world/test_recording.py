@@ -126,7 +126,7 @@ def test_a_log_without_objects_or_with_too_many_stages_is_refused(recorded):
     stages = logs.stages.drop(columns="object")
     with pytest.raises(LogError, match="the log has none"):
         states_of(Logs(stages, logs.paths), 10)
-    with pytest.raises(LogError, match="column 'lifts' is missing"):
+    with pytest.raises(LogError, match="there is no column 'lifts' among"):
         states_of(Logs(logs.stages, logs.paths, logs.objects.drop(columns="lifts")), 10)
     with pytest.raises(LogError, match="more than horizon=2"):
         states_of(logs, 2)

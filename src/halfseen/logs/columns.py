@@ -16,6 +16,8 @@ STAGE_COLUMNS = ("path", "stage", "elapsed_s", "action", "object", "reward", "pr
 PATH_COLUMNS = ("path", "end_s", "ending", "cause")
 OBJECT_COLUMNS = ("path", "stage", "object")
 
+_OWN = {"stages": STAGE_COLUMNS, "paths": PATH_COLUMNS, "objects": OBJECT_COLUMNS}
+
 FINISHED, CUT = "finished", "cut"
 UNKNOWN_CAUSE = "unknown"
 
@@ -28,6 +30,21 @@ def require_columns(name: str, frame: pd.DataFrame, needed: Iterable[str]) -> No
             close = get_close_matches(column, there, n=1)
             remedy = f"rename {close[0]!r}?" if close else "add it"
             raise LogError(f"{name}: there is no column {column!r} among {', '.join(there) or 'none'}; {remedy}")
+
+
+def refuse_misnamed(name: str, frame: pd.DataFrame) -> None:
+    """Refuse an extra column that belongs to another table, or whose name is nearly one that has a meaning.
+
+    Either would be taken for a covariate, and what it says would be lost.
+    """
+    own = _OWN[name]
+    for column in frame.columns:
+        meant = column.strip().lower()
+        if column not in own and meant in own:
+            raise LogError(f"{name}: column {column!r} reads like {meant!r} and is none; rename it {meant!r}")
+        owner = next((table for table, columns in _OWN.items() if meant in columns), name)
+        if column not in own and owner != name:
+            raise LogError(f"{name}: column {column!r} belongs to {owner}; put it there, or rename it")
 
 
 def as_floats(name: str, frame: pd.DataFrame, column: str) -> pd.Series:
@@ -73,7 +90,7 @@ def as_labels(name: str, frame: pd.DataFrame, column: str, *, is_null_allowed: b
 
 
 def check_covariates(name: str, frame: pd.DataFrame, known: tuple[str, ...]) -> None:
-    """Refuse null and NaN among numeric covariates, those in lists included."""
+    """Refuse null, NaN and infinity among numeric covariates, those in lists included."""
     columns = ("path", "stage", "object") if name == "objects" else ("path", "stage")
     for column in frame.columns:
         missing = _missing_numbers(frame[column]) if column not in known else np.zeros(0, dtype=bool)
@@ -86,9 +103,10 @@ def check_covariates(name: str, frame: pd.DataFrame, known: tuple[str, ...]) -> 
 
 
 def _missing_numbers(values: Any) -> Bool[np.ndarray, " rows"]:
-    """Rows that lack a number, in a numeric column or inside a list of numbers."""
+    """Rows that lack a finite number, in a numeric column or inside a list of numbers."""
     if pd.api.types.is_numeric_dtype(values.dtype):
-        return values.isna().to_numpy()
+        missing = values.isna().to_numpy()
+        return missing | np.isinf(values.to_numpy(dtype=np.float64, na_value=np.nan))
     if values.dtype == object and pd.api.types.infer_dtype(values, skipna=True) == "mixed":
         return _missing_in_lists(pa.array(values, from_pandas=True))
     return np.zeros(len(values), dtype=bool)
@@ -98,8 +116,8 @@ def _missing_in_lists(lists: Any) -> Bool[np.ndarray, " rows"]:
     if not pa.types.is_list(lists.type) or not _holds_numbers(lists.type.value_type):
         return np.zeros(len(lists), dtype=bool)
     missing = np.array(lists.is_null())
-    is_nan = np.array(lists.flatten().is_null(nan_is_null=True), dtype=bool)
-    missing[np.array(lists.value_parent_indices(), dtype=np.int64)[is_nan]] = True
+    is_wrong = ~np.isfinite(lists.flatten().cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False))
+    missing[np.array(lists.value_parent_indices(), dtype=np.int64)[is_wrong]] = True
     return missing
 
 

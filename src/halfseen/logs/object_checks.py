@@ -5,7 +5,14 @@ from typing import NoReturn
 import numpy as np
 import pandas as pd
 
-from halfseen.logs.columns import OBJECT_COLUMNS, as_counts, as_labels, check_covariates, require_columns
+from halfseen.logs.columns import (
+    OBJECT_COLUMNS,
+    as_counts,
+    as_labels,
+    check_covariates,
+    refuse_misnamed,
+    require_columns,
+)
 from halfseen.logs.refusal import refuse, shown, value_at
 from halfseen.logs.stage_checks import Layout
 
@@ -31,6 +38,7 @@ def checked_objects(frame: pd.DataFrame, stages: pd.DataFrame, paths: pd.DataFra
         An invariant is broken; the path, the stage, the object and the remedy are named.
     """
     require_columns("objects", frame, OBJECT_COLUMNS)
+    refuse_misnamed("objects", frame)
     objects = frame.copy()
     objects["path"] = as_labels("objects", objects, "path", is_null_allowed=False)
     objects["stage"] = as_counts("objects", objects, "stage")

@@ -7,8 +7,11 @@ import pandas as pd
 from jaxtyping import Bool
 
 from halfseen.errors import LogError
-from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, as_floats, as_labels, require_columns
+from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, as_floats, as_labels, refuse_misnamed, require_columns
 from halfseen.logs.refusal import refuse, shown, value_at
+
+EARLIEST_DATE_S = 1e9
+"""What is longer is no path but a date, or counted in milliseconds or less [s]; 32 years."""
 
 
 def checked_paths(frame: pd.DataFrame) -> pd.DataFrame:
@@ -30,6 +33,7 @@ def checked_paths(frame: pd.DataFrame) -> pd.DataFrame:
         A column is missing, a path is there twice, or its end is no end.
     """
     require_columns("paths", frame, ("path", "end_s", "ending"))
+    refuse_misnamed("paths", frame)
     if len(frame) == 0:
         raise LogError("paths: there are none; a log has at least one path")
     paths = frame.copy()
@@ -55,6 +59,11 @@ def _check_ends(paths: pd.DataFrame) -> None:
     if wrong.any():
         value = end_s[np.argmax(wrong)]
         _refuse(paths, wrong, f"end_s {value} is no end; give the finite time from its beginning to its end, > 0 s")
+
+    dated = end_s >= EARLIEST_DATE_S
+    if dated.any():
+        value = end_s[np.argmax(dated)]
+        _refuse(paths, dated, f"end_s {value} is a date or no seconds; give the seconds since the path's beginning")
 
 
 def _checked_endings(paths: pd.DataFrame) -> Bool[np.ndarray, " n"]:

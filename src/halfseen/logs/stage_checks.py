@@ -14,9 +14,13 @@ from halfseen.logs.columns import (
     as_floats,
     as_labels,
     check_covariates,
+    refuse_misnamed,
     require_columns,
 )
 from halfseen.logs.refusal import refuse, shown, value_at
+
+UNIT_TOLERANCE = 1e-6
+"""How near to a power of 1,000 the ratio of a path's end to its last stage must be to look like another unit."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +94,7 @@ def checked_stages(frame: pd.DataFrame, paths: pd.DataFrame) -> tuple[pd.DataFra
 
 def _typed_stages(frame: pd.DataFrame) -> pd.DataFrame:
     require_columns("stages", frame, ("path", "stage", "elapsed_s", "action", "reward"))
+    refuse_misnamed("stages", frame)
     stages = frame.copy()
     if "object" not in stages.columns:
         stages["object"] = pd.Series(None, index=stages.index, dtype=object)
@@ -179,6 +184,20 @@ def _check_clock(stages: pd.DataFrame, is_completed: np.ndarray, layout: Layout,
         row = int(np.argmax(late))
         what = f"elapsed_s {clock[row]} is after the path's end_s {ends[row]}"
         refuse(stages, late, f"{what}; fix end_s, or make this the stage in which the path was cut")
+    _check_units(stages, layout, clock, ends)
+
+
+def _check_units(stages: pd.DataFrame, layout: Layout, clock: np.ndarray, ends: np.ndarray) -> None:
+    """Refuse a path whose end is exactly a thousand, or a power of it, times its last stage's clock."""
+    with np.errstate(invalid="ignore"):
+        thousands = np.log(ends / clock) / np.log(1000.0)
+    is_power = (np.abs(thousands - np.round(thousands)) < UNIT_TOLERANCE) & (np.round(thousands) > 0)
+    mixed = layout.is_last & is_power
+    if mixed.any():
+        row = int(np.argmax(mixed))
+        times = f"{1000.0 ** np.round(thousands[row]):.0e}"
+        what = f"end_s {ends[row]} is {times} times the elapsed_s {clock[row]} of the last stage"
+        refuse(stages, mixed, f"{what}, as if units were mixed; give both in seconds")
 
 
 def _check_actions(stages: pd.DataFrame, is_completed: np.ndarray) -> None:

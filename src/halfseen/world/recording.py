@@ -20,9 +20,8 @@ from halfseen.world.actions import Verb, target_of, verb_of
 from halfseen.world.cuts import CAUSES, CutEpisodes, CutKind
 from halfseen.world.scene import Scene
 from halfseen.world.state import NO_ATTEMPT, TableState, attempt_counts, occlusion
+from halfseen.world.table_checks import DISHWASHER, TABLE, checked_objects
 
-TABLE, DISHWASHER = "TABLE", "DISHWASHER"
-OBJECT_COLUMNS = ("location", "occlusion", "log_odds", "lifts", "hidden_by", "attempt_occlusions", "attempt_succeeded")
 _VERB_NAMES = np.array([verb.name for verb in Verb])
 
 
@@ -121,10 +120,9 @@ def states_of(logs: Logs, horizon: int) -> TableState:
     Raises
     ------
     LogError
-        The log has no objects, lacks one of their columns, is longer than `horizon`, the number of objects changes
-        along a path, or a list has a wrong length.
+        The log breaks a rule of tables; see `halfseen.world.table_checks`.
     """
-    frame = _checked_objects(logs, horizon)
+    frame = checked_objects(logs, horizon)
     path = pd.Index(logs.path_ids).get_indexer(frame["path"])
     stage = frame["stage"].to_numpy() - 1
     target = frame.groupby(["path", "stage"]).cumcount().to_numpy()
@@ -141,33 +139,6 @@ def states_of(logs: Logs, horizon: int) -> TableState:
     steps_to_go = np.broadcast_to(horizon - np.arange(horizon, dtype=np.int32), shape[:2])
     leaves = (_hides(frame, at, shape), is_object, is_on_table, log_odds, lifts, *attempts, steps_to_go)
     return TableState(*(jnp.asarray(leaf) for leaf in leaves))
-
-
-def _checked_objects(logs: Logs, horizon: int) -> pd.DataFrame:
-    if logs.objects is None:
-        raise LogError("objects: the log has none; a table is learned from logs with an objects table")
-    missing = [column for column in OBJECT_COLUMNS if column not in logs.objects.columns]
-    if missing:
-        raise LogError(f"objects: column {missing[0]!r} is missing; there are {', '.join(logs.objects.columns)}")
-    if logs.horizon > horizon:
-        raise LogError(f"stages: a path has {logs.horizon} stages, more than horizon={horizon}; raise horizon")
-    frame = logs.objects
-    counts = frame.groupby(["path", "stage"])["object"].transform("size").to_numpy()
-    first = pd.Series(counts).groupby(frame["path"].to_numpy()).transform("first").to_numpy()
-    location = ~frame["location"].isin([TABLE, DISHWASHER]).to_numpy(dtype=bool)
-    _refuse(frame, location, f"location is neither {TABLE} nor {DISHWASHER}")
-    _refuse(frame, counts != first, "the stage lists more or fewer objects than stage 1; list all, those washed too")
-    lengths = {name: frame[name].map(len).to_numpy() for name in ("hidden_by", *OBJECT_COLUMNS[-2:])}
-    _refuse(frame, lengths["hidden_by"] != counts, "hidden_by does not give one share for each object of the scene")
-    different = lengths["attempt_occlusions"] != lengths["attempt_succeeded"]
-    _refuse(frame, different, "attempt_occlusions and attempt_succeeded differ in length; give one of each per attempt")
-    return frame
-
-
-def _refuse(frame: pd.DataFrame, wrong: Bool[np.ndarray, " rows"], trouble: str) -> None:
-    if wrong.any():
-        row = frame.iloc[int(np.argmax(wrong))]
-        raise LogError(f"path {row['path']}, stage {row['stage']}, object {row['object']}: {trouble}")
 
 
 def _hides(frame: pd.DataFrame, at: tuple, shape: tuple[int, int, int]) -> Float[np.ndarray, "n T N N"]:

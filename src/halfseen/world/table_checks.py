@@ -1,0 +1,169 @@
+"""What must hold for a log of tables, on top of what every log must hold."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+from jaxtyping import Bool, Float, Int
+
+from halfseen.errors import LogError
+from halfseen.logs import Logs
+from halfseen.logs.columns import as_floats, require_columns
+from halfseen.logs.refusal import place, refuse, shown, value_at
+from halfseen.world.actions import Verb
+
+TABLE, DISHWASHER = "TABLE", "DISHWASHER"
+LIST_COLUMNS = ("hidden_by", "attempt_occlusions", "attempt_succeeded")
+OBJECT_COLUMNS = ("location", "occlusion", "log_odds", "lifts", *LIST_COLUMNS)
+_ROW = ("path", "stage", "object")
+
+
+def checked_objects(logs: Logs, horizon: int) -> pd.DataFrame:
+    """Check a log of tables and give its objects.
+
+    Raises
+    ------
+    LogError
+        A rule is broken; the path, the stage, the object, the value and the remedy are named.
+    """
+    if logs.objects is None:
+        raise LogError("objects: the log has none; a table is learned from logs with an objects table")
+    require_columns("objects", logs.objects, OBJECT_COLUMNS)
+    if logs.horizon > horizon:
+        raise LogError(f"stages: a path has {logs.horizon} stages, more than horizon={horizon}; raise horizon")
+    frame = logs.objects
+    _check_after_finish(logs.stages)
+    in_stage = frame.groupby(["path", "stage"])
+    counts, rank = in_stage["object"].transform("size").to_numpy(), in_stage.cumcount().to_numpy()
+    _check_locations(frame)
+    _check_same_objects(frame, counts, rank)
+    _check_acted_on(logs.stages, frame, rank)
+    _check_return(frame, rank)
+    _check_numbers(frame)
+    lists = {column: _lists(frame, column) for column in LIST_COLUMNS}
+    _check_hidden_by(frame, lists["hidden_by"], counts, rank)
+    _check_attempts(frame, lists)
+    return frame
+
+
+@dataclass(frozen=True)
+class _Lists:
+    """The entries of a list column one after the other, the row of each, and the length of each row's list."""
+
+    row: Int[np.ndarray, " entries"]
+    values: Float[np.ndarray, " entries"]
+    lengths: Int[np.ndarray, " rows"]
+
+    def rows_with(self, wrong: Bool[np.ndarray, " entries"]) -> Bool[np.ndarray, " rows"]:
+        return np.bincount(self.row[wrong], minlength=len(self.lengths)) > 0
+
+
+def _lists(frame: pd.DataFrame, column: str) -> _Lists:
+    lists = pa.array(frame[column], from_pandas=True)
+    if not (pa.types.is_list(lists.type) and _is_number(lists.type.value_type)):
+        raise LogError(f"objects: column {column!r} holds {lists.type}, not lists of numbers; give each object a list")
+    row, flat = np.array(lists.value_parent_indices(), dtype=np.int64), lists.flatten()
+    missing = np.array(lists.is_null(), dtype=bool)
+    missing[row[np.array(flat.is_null(), dtype=bool)]] = True
+    _refuse(frame, missing, column, "is null or holds one; give each object a list, empty where there is nothing")
+    return _Lists(row, np.array(flat, dtype=np.float64), np.bincount(row, minlength=len(frame)))
+
+
+def _is_number(kind: pa.DataType) -> bool:
+    tests = (pa.types.is_floating, pa.types.is_integer, pa.types.is_boolean, pa.types.is_null)
+    return any(test(kind) for test in tests)
+
+
+def _check_after_finish(stages: pd.DataFrame) -> None:
+    path, is_finish = stages["path"].to_numpy(), stages["action"].eq(Verb.FINISH.name).to_numpy(dtype=bool)
+    late = np.zeros(len(stages), dtype=bool)
+    late[1:] = is_finish[:-1] & (path[1:] == path[:-1])
+    if late.any():
+        refuse(stages, late, "it comes after FINISH, which ends a path; drop the stage, or begin a new path with it")
+
+
+def _check_locations(frame: pd.DataFrame) -> None:
+    wrong = ~frame["location"].isin([TABLE, DISHWASHER]).to_numpy(dtype=bool)
+    _refuse(frame, wrong, "location", f"is neither {TABLE} nor {DISHWASHER}; say in which of them the object is")
+
+
+def _check_same_objects(frame: pd.DataFrame, counts: Int[np.ndarray, " rows"], rank: Int[np.ndarray, " rows"]) -> None:
+    first_count = pd.Series(counts).groupby(frame["path"].to_numpy()).transform("first").to_numpy()
+    if (counts != first_count).any():
+        refuse(
+            frame,
+            counts != first_count,
+            "the stage lists more or fewer objects than stage 1; list all, those washed too",
+            _ROW,
+        )
+    first = frame.groupby(["path", rank])["object"].transform("first")
+    other = (frame["object"] != first).to_numpy(dtype=bool)
+    if other.any():
+        refuse(frame, other, "it was not there in stage 1; a table keeps its objects under the same names", _ROW)
+
+
+def _check_acted_on(stages: pd.DataFrame, frame: pd.DataFrame, rank: Int[np.ndarray, " rows"]) -> None:
+    stage_row = np.cumsum(rank == 0) - 1
+    acted_on = stages["object"].to_numpy(dtype=object, na_value=None)[stage_row]
+    is_acted_on = np.asarray(frame["object"].to_numpy(dtype=object) == acted_on, dtype=bool)
+    gone = is_acted_on & (frame["location"] == DISHWASHER).to_numpy(dtype=bool)
+    wrong = np.bincount(stage_row[gone], minlength=len(stages)) > 0
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        what = f"{value_at(stages, 'action', row)} of object {shown(value_at(stages, 'object', row))}"
+        refuse(stages, wrong, f"{what}, which is not on the table; fix the action's object or the object's location")
+
+
+def _check_return(frame: pd.DataFrame, rank: Int[np.ndarray, " rows"]) -> None:
+    is_on_table = frame["location"].eq(TABLE)
+    was_there = is_on_table.astype(np.int8).groupby([frame["path"], rank]).shift(fill_value=1).to_numpy(dtype=bool)
+    back = is_on_table.to_numpy(dtype=bool) & ~was_there
+    _refuse(frame, back, "location", f"follows {DISHWASHER}, from where nothing returns; fix one, or begin a new path")
+
+
+def _check_numbers(frame: pd.DataFrame) -> None:
+    numbers = {name: as_floats("objects", frame, name).to_numpy() for name in ("occlusion", "log_odds", "lifts")}
+    _refuse(frame, _is_no_share(numbers["occlusion"]), "occlusion", "is outside [0, 1]; give a share, not percent")
+    lifts = numbers["lifts"]
+    _refuse(frame, (lifts < 0) | (lifts != np.floor(lifts)), "lifts", "is no count; give the number of past lifts")
+
+
+def _check_hidden_by(
+    frame: pd.DataFrame, hidden_by: _Lists, counts: Int[np.ndarray, " rows"], rank: Int[np.ndarray, " rows"]
+) -> None:
+    wrong = hidden_by.lengths != counts
+    _refuse(frame, wrong, "hidden_by", "does not give one share for each object of the scene; give one, 0 for itself")
+    wrong = hidden_by.rows_with(_is_no_share(hidden_by.values))
+    _refuse(frame, wrong, "hidden_by", "leaves [0, 1]; give shares, not percent")
+    own = np.cumsum(counts) - counts + rank
+    wrong = hidden_by.values[own] != 0
+    _refuse(frame, wrong, "hidden_by", "lets the object hide itself; its own entry is 0")
+
+
+def _check_attempts(frame: pd.DataFrame, lists: Mapping[str, _Lists]) -> None:
+    occluded, succeeded = lists["attempt_occlusions"], lists["attempt_succeeded"]
+    if (occluded.lengths != succeeded.lengths).any():
+        refuse(
+            frame,
+            occluded.lengths != succeeded.lengths,
+            "attempt_occlusions and attempt_succeeded differ in length; give one of each per attempt",
+            _ROW,
+        )
+    wrong = occluded.rows_with(_is_no_share(occluded.values))
+    _refuse(frame, wrong, "attempt_occlusions", "leaves [0, 1]; give shares, not percent")
+    wrong = succeeded.rows_with((succeeded.values != 0) & (succeeded.values != 1))
+    _refuse(frame, wrong, "attempt_succeeded", "holds other than true and false; say of each attempt whether it held")
+
+
+def _is_no_share(values: Float[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
+    return ~((values >= 0) & (values <= 1))
+
+
+def _refuse(frame: pd.DataFrame, wrong: Bool[np.ndarray, " rows"], column: str, trouble: str) -> None:
+    """Refuse the first row that is wrong, and show what its column holds."""
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        value = shown(value_at(frame, column, row))
+        raise LogError(f"{place(frame, row, _ROW)}: {column} {trouble} (it is {value})")
