@@ -9,6 +9,7 @@ from typing import Any
 from docutils import nodes
 from numpy.typing import ArrayLike
 from sphinx.application import Sphinx
+from sphinx.ext import autosummary
 from sphinx.pycode import ModuleAnalyzer
 from sphinx.util.docutils import SphinxDirective
 from sphinx.util.typing import stringify_annotation
@@ -16,8 +17,8 @@ from sphinx.util.typing import stringify_annotation
 # What these bases bring is Python's or scikit-learn's.
 BASES = "BaseEstimator, Parameters, object, tuple, dict, Exception, Protocol"
 ROUTING = re.compile(r"get_metadata_routing|set_\w+_request")
-# NumPy's alias has no name of its own once it is written out.
-LONG_NAMES = {stringify_annotation(ArrayLike, "smart"): "ArrayLike"}
+# NumPy's alias has no name of its own once it is written out, and JAX's array has one that nobody imports it by.
+LONG_NAMES = {stringify_annotation(ArrayLike, "smart"): "ArrayLike", "jaxlib._jax.Array": "Array"}
 
 
 def documented(package: str) -> str:
@@ -60,6 +61,12 @@ def _short(written: str | None) -> str | None:
     return written
 
 
+def without_field_numbers(app: Sphinx, what: str, name: str, value: Any, options: Any, lines: list[str]) -> None:
+    """Drop what Python writes below the fields of a named tuple."""
+    if lines and lines[0].startswith("Alias for field number"):
+        lines.clear()
+
+
 class PublicNames(SphinxDirective):
     """``.. public-names:: halfseen.logs`` documents every public name of the package."""
 
@@ -74,4 +81,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     """Tell Sphinx of the directive."""
     app.add_directive("public-names", PublicNames)
     app.connect("autodoc-process-signature", shortened)
+    app.connect("autodoc-process-docstring", without_field_numbers)
+    # A summary ends at the first full stop; that of "eq. 3" is none.
+    autosummary.WELL_KNOWN_ABBREVIATIONS += ("eq.", "eqs.")
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,79 @@
+import importlib
+import pkgutil
+import re
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import halfseen
+
+DOCS = Path(__file__).parent.parent.parent / "docs"
+# What is run, not imported, has no public names.
+PACKAGES = sorted({module.name for module in pkgutil.iter_modules(halfseen.__path__) if module.ispkg} - {"cli"})
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    out = tmp_path_factory.mktemp("docs")
+    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", "-d", out / "trees", DOCS, out]
+    run = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    return out
+
+
+def test_every_package_has_a_page_of_the_reference():
+    pages = {page.stem: page.read_text(encoding="utf-8") for page in (DOCS / "reference").glob("*.md")}
+    for package in PACKAGES:
+        assert f"public-names:: halfseen.{package}\n" in pages[package]
+        assert f"\n{package}\n" in pages["index"]
+
+
+def test_every_citation_of_a_docstring_is_in_the_bibliography():
+    keys = set(re.findall(r"^@\w+\{(\w+),", (DOCS / "references.bib").read_text(encoding="utf-8"), flags=re.MULTILINE))
+    source = DOCS.parent / "src"
+    cited = {
+        key for path in source.rglob("*.py") for key in re.findall(r"\[(\w+)\]_", path.read_text(encoding="utf-8"))
+    }
+    assert cited
+    assert cited <= keys
+
+
+def test_bibtex_becomes_plain_text():
+    citations = runpy.run_path(str(DOCS / "extensions" / "citations.py"))
+    bibtex = r"""@article{Aachen1999,
+  author  = {G{\"a}rtner, Thomas and Hern{\'a}n, Miguel A.},
+  title   = {On the {Kaplan--Meier} curve},
+  journal = {Biometrics},
+  volume  = {3},
+  number  = {2},
+  pages   = {1--20},
+  year    = {1999},
+}"""
+    entry = citations["entries"](bibtex)["Aachen1999"]
+    told = "Thomas Gärtner and Miguel A. Hernán (1999). On the Kaplan–Meier curve. *Biometrics*, 3(2), 1–20."
+    assert citations["cited"](entry) == told
+
+
+def test_the_whole_bibliography_is_read():
+    citations = runpy.run_path(str(DOCS / "extensions" / "citations.py"))
+    bibtex = (DOCS / "references.bib").read_text(encoding="utf-8")
+    lines = [citations["cited"](entry) for entry in citations["entries"](bibtex).values()]
+    assert len(lines) == len(re.findall(r"^@", bibtex, flags=re.MULTILINE))
+    assert not [line for line in lines if re.search(r"[{}\\]|\(\)", line)]
+
+
+def test_the_docs_build_without_warnings_and_hold_every_public_name(built):
+    for package in PACKAGES:
+        page = (built / "reference" / f"{package}.html").read_text(encoding="utf-8")
+        names = importlib.import_module(f"halfseen.{package}").__all__
+        assert [name for name in names if f'id="halfseen.{package}.{name}"' not in page] == []
+
+
+def test_no_page_loads_anything_from_elsewhere(built):
+    loads = re.compile(r"<(?:script|img|iframe)[^>]*\ssrc=\"(?:https?:)?//|<link[^>]*\shref=\"(?:https?:)?//")
+    pages = list(built.rglob("*.html"))
+    assert len(pages) > len(PACKAGES)
+    assert [page.name for page in pages if loads.search(page.read_text(encoding="utf-8"))] == []
