@@ -1,11 +1,12 @@
 """What was recorded: stages, endings and their causes; checked once, kept on disk.
 
 Read down: `frames` (what is accepted) → `refusal` (how a broken log is told) → `columns` (which columns, of which
-types) → `path_checks`, `stage_checks`, `object_checks` (the invariants) → `summary` → `folder` (on disk) → `logs` (the
-record).
+types) → `path_checks`, `stage_checks`, `object_checks` (the invariants) → `summary` → `journal`, `journal_tables`
+(what a recorder wrote) → `folder` (on disk) → `logs` (the record). `recorder` writes while a robot runs.
 """
 
 from halfseen.logs.logs import Logs, read_logs
+from halfseen.logs.recorder import CAUSES, LogRecorder, PathRecorder
 from halfseen.logs.summary import LogsSummary
 
-__all__ = ["Logs", "LogsSummary", "read_logs"]
+__all__ = ["CAUSES", "LogRecorder", "Logs", "LogsSummary", "PathRecorder", "read_logs"]

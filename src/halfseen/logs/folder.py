@@ -1,4 +1,4 @@
-"""Logs on disk: a folder of Parquet files that is there whole or not at all.
+"""Logs on disk: a folder of Parquet files that is there whole or not at all, or the journal of a recorder.
 
 ::
 
@@ -21,20 +21,24 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from halfseen.errors import ArgumentError, LogError
+from halfseen.logs.journal import JOURNAL
+from halfseen.logs.journal_tables import journal_tables
 
 MANIFEST = "logs.json"
 FORMAT, VERSION = "halfseen-logs", 1
 TABLES = ("stages", "paths", "objects")
 
 
-def read_tables(folder: Path) -> dict[str, pd.DataFrame]:
-    """Read the tables of a folder, by name.
+def read_tables(folder: Path) -> Mapping[str, pd.DataFrame | pa.Table]:
+    """Read the tables of a folder, by name, whether `Logs.write` or a `LogRecorder` wrote it.
 
     Raises
     ------
     LogError
         The folder or one of its files is missing, broken or of another version.
     """
+    if (folder / JOURNAL).is_file() and not (folder / MANIFEST).exists():
+        return journal_tables(folder / JOURNAL)
     return {name: _read_table(folder / f"{name}.parquet", count) for name, count in _read_manifest(folder).items()}
 
 

@@ -1,0 +1,201 @@
+"""From a journal to the tables of `Logs`: where stages end, and where a path that nobody ended was cut.
+
+A stage of a path on the recorder's own clock lasts until the next one begins, or the path finishes: only then is it
+known what the stage led to, and only then can anything be learned from it. So a path that ends between two stages is
+cut in the stage before, which it was seen to complete without being seen to reach the next. Nothing is biased by that:
+all stages of all paths are completed by the same rule, at a time until which the path was watched, and the weights
+count the path as at risk until its cut. Were the stage kept as completed, what follows it would have to be made up.
+
+Where clocks are given, no time passes between two stages. Such a cut then stands just before the completion that it
+takes back: at equal times completions come before cuts, and a cut that stood at that time would leave the completion
+of this path unseen and unaccounted for.
+
+A torn path is cut at the last time at which it was known to run. That is earlier than the crash, by less than a stage,
+or by less than the time between two calls of `PathRecorder.still_running`.
+"""
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from halfseen.errors import LogError
+from halfseen.logs.columns import CUT, FINISHED
+from halfseen.logs.journal import JournalEvents
+from halfseen.logs.journal_writer import is_being_recorded
+
+CRASH, STILL_RUNNING = "crash", "still-running"
+RESOLUTION_S = 1e-9
+"""What a clock can tell apart [s]; a path that was torn before its clock moved ends there."""
+
+ROWS_A_CHUNK = 20_000
+_TYPES = {
+    "elapsed_s": pa.float64(),
+    "reward": pa.float64(),
+    "probability": pa.float64(),
+    "end_s": pa.float64(),
+    "cause": pa.string(),
+}
+
+
+def journal_tables(file: Path) -> dict[str, pa.Table]:
+    """Read the journal of a recorder, finished, torn or at work, as the tables of `Logs`.
+
+    Rows go to Arrow in chunks, so that no more than a few thousand of them are Python objects at a time.
+
+    Raises
+    ------
+    LogError
+        The journal cannot be read, is corrupted, or holds no stage.
+    """
+    was_recorded = is_being_recorded(file)
+    tables = {"stages": _Table(), "paths": _Table(), "objects": _Table()}
+    path = None
+    for path in recorded_paths(JournalEvents(file)):
+        if path.ending is None:
+            is_live = was_recorded or is_being_recorded(file)
+            path.end(CUT, None, STILL_RUNNING if is_live else CRASH)
+        for name, table in tables.items():
+            table.add(path.rows[name])
+    if path is None:
+        raise LogError(f"{file}: no stage is recorded yet; record one first")
+    built = {name: table.build() for name, table in tables.items() if table}
+    stages = built["stages"]
+    if "probability" in stages.column_names and stages["probability"].null_count == stages.num_rows:
+        built["stages"] = stages.drop_columns(["probability"])
+    return built
+
+
+def recorded_paths(events: JournalEvents) -> Iterator["RecordedPath"]:
+    """Put the events of a journal together into paths; one that was never ended has no ending, and is the last."""
+    path = None
+    for event in events:
+        try:
+            if event["event"] == "session" and path is not None:
+                path.end(CUT, None, CRASH)
+            elif event["event"] == "stage" and event["stage"] == 1:
+                _check_new(path, event)
+                path = RecordedPath(event)
+            elif path is not None:
+                path.add(event)
+        except (KeyError, TypeError) as error:
+            raise events.refusal(
+                f"it cannot follow the lines above ({error}); delete from this line on to keep them"
+            ) from error
+        if path is not None and path.ending is not None:
+            yield path
+            path = None
+    if path is not None:
+        yield path
+
+
+def _check_new(path: "RecordedPath | None", event: dict[str, Any]) -> None:
+    """A first stage is given twice where Ctrl-C came before the recorder knew of the first."""
+    if path is not None and path.name != event["path"]:
+        raise KeyError(f"path {event['path']!r} begins before path {path.name!r} ended")
+
+
+class RecordedPath:
+    """A path as its events tell it.
+
+    Parameters
+    ----------
+    event
+        The beginning of its first stage.
+
+    Attributes
+    ----------
+    name
+        What it is called.
+    rows
+        Its rows of each table.
+    ending
+        "finished" or "cut"; None as long as it was not ended.
+    """
+
+    def __init__(self, event: dict[str, Any]) -> None:
+        self.ending: str | None = None
+        self.rows: dict[str, list[dict[str, Any]]] = {"stages": [], "paths": [], "objects": []}
+        self.name = event["path"]
+        self._path = {"path": self.name, **event["columns"]}
+        self._clock_s = 0.0
+        self._done: dict[str, Any] | None = None
+        self._begin(event)
+
+    def add(self, event: dict[str, Any]) -> None:
+        """Take the next event."""
+        match event["event"]:
+            case "stage":
+                if event["stage"] == len(self.rows["stages"]):
+                    self._forget_stage()
+                else:
+                    self._complete(event.get("at_s"))
+                self._begin(event)
+            case "done":
+                self._done = event
+                self._clock_s = event["at_s"]
+            case "running":
+                self._clock_s = event["at_s"]
+            case "finished" | "cut" as ending:
+                self.end(ending, event["at_s"], event.get("cause"))
+
+    def end(self, ending: str, at_s: float | None, cause: str | None) -> None:
+        """End the path, at the last known clock where there is no other."""
+        end_s = self._clock_s if at_s is None else at_s
+        if ending == FINISHED:
+            self._complete(end_s)
+        elif self._done is not None and self._done.get("is_given"):
+            end_s = float(np.nextafter(self._done["at_s"], 0.0))
+        self.ending = ending
+        self.rows["paths"] = [{**self._path, "end_s": max(end_s, RESOLUTION_S), "ending": ending, "cause": cause}]
+
+    def _begin(self, event: dict[str, Any]) -> None:
+        key = {"path": event["path"], "stage": event["stage"]}
+        row = {**key, "elapsed_s": None, "action": None, "object": None, "reward": None, "probability": None}
+        row |= {name: event[name] for name in ("action", "object", "probability") if name in event}
+        self.rows["stages"].append(row | event["covariates"])
+        self.rows["objects"] += [{**key, **seen} for seen in event.get("objects", ())]
+
+    def _forget_stage(self) -> None:
+        """Ctrl-C came before the recorder knew that the stage had begun, and it was given again."""
+        number = self.rows["stages"].pop()["stage"]
+        self.rows["objects"] = [row for row in self.rows["objects"] if row["stage"] != number]
+
+    def _complete(self, next_s: float | None) -> None:
+        """Complete the stage in progress, by its own clock if that was given, else when the next one begins."""
+        if self._done is None:
+            raise KeyError("the stage before is not completed")
+        at_s = self._done["at_s"] if self._done.get("is_given") or next_s is None else next_s
+        self.rows["stages"][-1] |= {"elapsed_s": at_s, "reward": self._done["reward"]}
+        self._clock_s = at_s
+        self._done = None
+
+
+class _Table:
+    """Rows on their way to Arrow."""
+
+    def __init__(self) -> None:
+        self._rows: list[dict[str, Any]] = []
+        self._chunks: list[pa.Table] = []
+
+    def __bool__(self) -> bool:
+        return bool(self._rows or self._chunks)
+
+    def add(self, rows: Iterable[dict[str, Any]]) -> None:
+        self._rows.extend(rows)
+        if len(self._rows) >= ROWS_A_CHUNK:
+            self._pack()
+
+    def build(self) -> pa.Table:
+        if self._rows:
+            self._pack()
+        # A column may be whole numbers in one chunk and fractions in the next, or lists that are all empty at first.
+        return pa.concat_tables(self._chunks, promote_options="permissive")
+
+    def _pack(self) -> None:
+        names = dict.fromkeys(name for row in self._rows for name in row)
+        columns = {name: pa.array([row.get(name) for row in self._rows], _TYPES.get(name)) for name in names}
+        self._chunks.append(pa.table(columns))
+        self._rows = []

@@ -1,0 +1,233 @@
+"""What a journal takes: plain values, in columns that keep their names and kinds from the first row on.
+
+`Logs` refuses a covariate that is missing from some stages or is now a number and now text. That must be told when the
+value is given: after hours of recording it would be too late.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from math import isfinite
+from typing import Any
+
+import numpy as np
+
+from halfseen.errors import LogError
+from halfseen.logs.columns import OBJECT_COLUMNS, PATH_COLUMNS, STAGE_COLUMNS
+from halfseen.logs.refusal import shown
+
+Kinds = Mapping[str, str]
+
+_LARGEST_WHOLE = 2**63
+_EMPTY_LIST = "list"
+
+
+@dataclass(frozen=True)
+class Schema:
+    """Names and kinds of what was recorded so far; a kind is number, truth value, text, or a list of one of these.
+
+    Parameters
+    ----------
+    labels
+        Kind of the names of paths, actions and objects, where there are any.
+    paths
+        Kind of each column of the paths.
+    covariates
+        Kind of each covariate of the stages; None before the first stage.
+    objects
+        Kind of each column of the objects; None before the first stage, empty where stages have none.
+    has_probability
+        Whether actions come with their probability; None before the first action.
+    """
+
+    labels: Kinds = field(default_factory=dict)
+    paths: Kinds = field(default_factory=dict)
+    covariates: Kinds | None = None
+    objects: Kinds | None = None
+    has_probability: bool | None = None
+
+    def with_path(self, name: Any, columns: Mapping[str, Any]) -> tuple["Schema", Any, dict[str, Any]]:
+        """Check a path's name and columns; columns may differ between paths, and None leaves one out."""
+        where = f"path {shown(name)}"
+        labels, name = self._with_label("path", name, where)
+        reserved = [column for column in columns if column in PATH_COLUMNS]
+        if reserved:
+            raise LogError(f"{where}: column {reserved[0]!r} is the recorder's own; choose another name")
+        given = {column: value for column, value in columns.items() if value is not None}
+        row, kinds = _row(given, self.paths, where, "column")
+        return replace(self, labels=labels, paths={**self.paths, **kinds}), name, row
+
+    def with_stage(
+        self,
+        covariates: Any,
+        objects: Any,
+        chosen: Mapping[str, Any],
+        where: str,
+    ) -> tuple["Schema", dict[str, Any]]:
+        """Check what is known when a stage begins, and make its event.
+
+        Parameters
+        ----------
+        covariates, objects
+            What was seen.
+        chosen
+            action, object and probability, None where there is none.
+        where
+            The path and the stage, for messages.
+        """
+        _refuse_names(covariates, STAGE_COLUMNS, where)
+        seen, kinds = _row(covariates, self.covariates, where, "covariate")
+        schema = replace(self, covariates=_checked_names(kinds, self.covariates, where, "covariate"))
+        schema, rows = schema._with_objects(objects, where)
+        schema, choice = schema._with_choice(chosen, where)
+        _refuse_absent(choice.get("object"), rows, where)
+        event = {"covariates": seen, **choice}
+        return schema, event if rows is None else {**event, "objects": rows}
+
+    def _with_objects(self, objects: Any, where: str) -> tuple["Schema", list[dict[str, Any]] | None]:
+        if objects is None or len(objects) == 0:
+            if self.objects:
+                raise LogError(f"{where}: it has no objects, though stages before it have; give those that stood there")
+            if objects is not None:
+                raise LogError(f"{where}: objects is empty; give those that stood there, or None in every stage")
+            return replace(self, objects={}), None
+        if self.objects is not None and not self.objects:
+            raise LogError(f"{where}: it has objects, though stages before it have none; give them always or never")
+        schema, rows = self, []
+        for given in objects:
+            schema, row = schema._with_object(given, where)
+            rows.append(row)
+        names = [row["object"] for row in rows]
+        repeated = next((name for k, name in enumerate(names) if name in names[:k]), None)
+        if repeated is not None:
+            raise LogError(f"{where}, object {shown(repeated)}: it is there twice; give each object one row")
+        return schema, rows
+
+    def _with_object(self, given: Any, where: str) -> tuple["Schema", dict[str, Any]]:
+        if not isinstance(given, Mapping) or "object" not in given:
+            raise LogError(f"{where}: object {given!r} has no name; give a dict with 'object' and its covariates")
+        _refuse_names(given, ("path", "stage"), where)
+        labels, name = self._with_label("object", given["object"], where)
+        where = f"{where}, object {shown(name)}"
+        values = {column: value for column, value in given.items() if column != "object"}
+        row, kinds = _row(values, self.objects, where, "covariate")
+        names = _checked_names({"object": "name", **kinds}, self.objects, where, "covariate")
+        return replace(self, labels=labels, objects=names), {"object": name, **row}
+
+    def _with_choice(self, chosen: Mapping[str, Any], where: str) -> tuple["Schema", dict[str, Any]]:
+        action, acted_on, probability = (chosen.get(name) for name in ("action", "object", "probability"))
+        if action is None:
+            if acted_on is not None or probability is not None:
+                raise LogError(f"{where}: object or probability is given without action; give the action as well")
+            return self, {}
+        labels, action = self._with_label("action", action, where)
+        schema, choice = replace(self, labels=labels), {"action": action}
+        if acted_on is not None:
+            labels, choice["object"] = schema._with_label("object", acted_on, where)
+            schema = replace(schema, labels=labels)
+        if self.has_probability not in (None, probability is not None):
+            word = "missing" if self.has_probability else "given"
+            raise LogError(f"{where}: probability is {word}, unlike in stages before; give it always or never")
+        if probability is not None:
+            choice["probability"] = _probability(probability, where)
+        return replace(schema, has_probability=probability is not None), choice
+
+    def _with_label(self, what: str, value: Any, where: str) -> tuple[Kinds, Any]:
+        label, kind = _plain(value, where, what)
+        if not isinstance(label, int | str) or isinstance(label, bool):
+            raise LogError(f"{where}: {what} {label!r} is no name; give a whole number or text")
+        known = self.labels.get(what, kind)
+        if known != kind:
+            raise LogError(f"{where}: {what} {label!r} is a {kind}, those before are {known}; give names of one kind")
+        return {**self.labels, what: kind}, label
+
+
+def checked_number(value: Any, what: str, where: str, remedy: str) -> float:
+    """Turn a number of any kind into a float; NaN and infinity are refused."""
+    plain = value.item() if isinstance(value, np.generic | np.ndarray) and np.size(value) == 1 else value
+    if isinstance(plain, str | bytes) or not hasattr(plain, "__float__") or not isfinite(plain):
+        raise LogError(f"{where}: {what} is {plain!r}; {remedy}")
+    return float(plain)
+
+
+def _probability(value: Any, where: str) -> float:
+    remedy = "give the chance in (0, 1] with which the action was chosen, or leave it out everywhere"
+    probability = checked_number(value, "probability", where, remedy)
+    if not 0 < probability <= 1:
+        raise LogError(f"{where}: probability is {probability}; {remedy}")
+    return probability
+
+
+def _row(
+    values: Mapping[str, Any], known: Kinds | None, where: str, word: str
+) -> tuple[dict[str, Any], dict[str, str]]:
+    row: dict[str, Any] = {}
+    kinds: dict[str, str] = {}
+    for name, value in values.items():
+        if not isinstance(name, str):
+            raise LogError(f"{where}: {word} {name!r} has a name that is not text; rename it")
+        row[name], kind = _plain(value, where, f"{word} {name}")
+        before = kind if known is None else known.get(name, kind)
+        if before != kind and not (before.startswith(_EMPTY_LIST) and kind == _EMPTY_LIST):
+            if not (before == _EMPTY_LIST and kind.startswith(_EMPTY_LIST)):
+                raise LogError(f"{where}: {word} {name} is a {kind}, before it was a {before}; give it one type")
+            before = kind
+        kinds[name] = before
+    return row, kinds
+
+
+def _plain(value: Any, where: str, what: str) -> tuple[Any, str]:
+    """Turn a value into what JSON holds, and tell its kind."""
+    if isinstance(value, np.generic | np.ndarray):
+        value = value.tolist()
+    if isinstance(value, bool):
+        return value, "truth value"
+    if isinstance(value, int | float):
+        if not isfinite(value) or (isinstance(value, int) and not -_LARGEST_WHOLE <= value < _LARGEST_WHOLE):
+            raise LogError(f"{where}: {what} is {value}; give the finite number that the policy saw")
+        return value, "number"
+    if isinstance(value, str):
+        return _text(value, where, what), "text"
+    if isinstance(value, list | tuple):
+        return _plain_list(value, where, what)
+    raise LogError(f"{where}: {what} is {value!r}; give a number, text, or a flat list of these")
+
+
+def _plain_list(values: list | tuple, where: str, what: str) -> tuple[list[Any], str]:
+    pairs = [_plain(value, where, what) for value in values]
+    kinds = {kind for _, kind in pairs}
+    if len(kinds) > 1 or any(kind.startswith(_EMPTY_LIST) for kind in kinds):
+        raise LogError(f"{where}: {what} is no flat list of one type; give numbers or text, side by side")
+    return [plain for plain, _ in pairs], f"list of {kinds.pop()}s" if kinds else _EMPTY_LIST
+
+
+def _text(value: str, where: str, what: str) -> str:
+    try:
+        value.encode()
+    except UnicodeEncodeError as error:
+        raise LogError(f"{where}: {what} {value!r} is no Unicode text; decode it") from error
+    return value
+
+
+def _checked_names(kinds: dict[str, str], known: Kinds | None, where: str, word: str) -> Kinds:
+    if known is None:
+        return kinds
+    for name in known.keys() - kinds.keys():
+        raise LogError(f"{where}: {word} {name} is missing, though it was there before; give it in every row")
+    for name in kinds.keys() - known.keys():
+        raise LogError(f"{where}: {word} {name} was not there before; give the same in every row")
+    return kinds
+
+
+def _refuse_names(values: Any, reserved: tuple[str, ...], where: str) -> None:
+    if not isinstance(values, Mapping):
+        raise LogError(f"{where}: covariates are a {type(values).__name__}; give a dict of names and values")
+    for name in reserved:
+        if name in values:
+            raise LogError(f"{where}: covariate {name!r} has a name of the recorder's own; choose another")
+
+
+def _refuse_absent(name: Any, objects: list[dict[str, Any]] | None, where: str) -> None:
+    names = [row[OBJECT_COLUMNS[-1]] for row in objects or ()]
+    if name is not None and objects is not None and name not in names:
+        others = ", ".join(shown(other) for other in names)
+        raise LogError(f"{where}: object {shown(name)} of the action is not among the objects of the stage ({others})")

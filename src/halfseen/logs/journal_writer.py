@@ -1,0 +1,153 @@
+"""The writing end of a journal: one process, one line at a time, and nothing half-written left behind."""
+
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from halfseen.errors import ArgumentError, LogError
+from halfseen.logs.journal import HEADER, JOURNAL, JournalEvents, journal_line
+
+LOCK_TRIES, LOCK_PAUSE_S = 3, 0.02
+
+
+def is_being_recorded(file: Path) -> bool:
+    """Tell whether some process has this journal open for writing."""
+    descriptor = os.open(file, os.O_RDONLY)
+    try:
+        return not _is_locked(descriptor, is_shared=True)
+    finally:
+        os.close(descriptor)
+
+
+class JournalWriter:
+    """A journal open for appending, locked for as long as the process lives.
+
+    Parameters
+    ----------
+    folder
+        Where the journal lies or shall lie; missing parents are made.
+    is_synced
+        Force each line to the disk.
+    restore
+        Called with each event that the journal already holds.
+
+    Raises
+    ------
+    ArgumentError
+        Another recorder has the folder, or it cannot be written.
+    LogError
+        The journal is corrupted.
+    """
+
+    def __init__(self, folder: Path, is_synced: bool, restore: Callable[[dict[str, Any]], None]) -> None:
+        self.file = folder / JOURNAL
+        self._is_synced = is_synced
+        self._process = os.getpid()
+        self._is_interrupted = False
+        self._descriptor: int | None = _open(folder, self.file)
+        try:
+            events = JournalEvents(self.file)
+            for event in events:
+                restore(event)
+            self._end = events.num_bytes, events.checksum
+            # What a kill tore.
+            os.ftruncate(self._descriptor, events.num_bytes)
+            if events.num_bytes == 0:
+                self.append(HEADER)
+            self.append({"event": "session"})
+            if is_synced:
+                _sync_folder(folder)
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def is_closed(self) -> bool:
+        """True once it takes no more events."""
+        return self._descriptor is None
+
+    def append(self, event: dict[str, Any]) -> None:
+        """Hand one event to the operating system, whole or not at all.
+
+        Raises
+        ------
+        LogError
+            The journal is closed, belongs to another process, or the disk is full.
+        """
+        if self._descriptor is None:
+            raise LogError(f"{self.file}: the recorder is closed; open a new one on the folder, which goes on")
+        if os.getpid() != self._process:
+            raise LogError(
+                f"{self.file}: the recorder belongs to process {self._process}, and this is its fork {os.getpid()}; "
+                "record in the process that opened it"
+            )
+        num_bytes, checksum = self._end
+        if self._is_interrupted:
+            # Ctrl-C came between the write and its return: the caller does not know of the event.
+            os.ftruncate(self._descriptor, num_bytes)
+        line, checksum = journal_line(event, checksum)
+        self._is_interrupted = True
+        try:
+            self._write(line)
+        except OSError as error:
+            os.ftruncate(self._descriptor, num_bytes)
+            raise LogError(
+                f"{self.file}: the event cannot be written ({error.strerror}); make room and give it again; all before "
+                "it is kept"
+            ) from error
+        self._end = num_bytes + len(line), checksum
+        self._is_interrupted = False
+
+    def close(self) -> None:
+        """Let the journal go; closing twice is no harm."""
+        if self._descriptor is not None:
+            # Not unlocked: in a fork that would take the lock from the process that records.
+            os.close(self._descriptor)
+            self._descriptor = None
+
+    def _write(self, line: bytes) -> None:
+        assert self._descriptor is not None
+        num_written = os.write(self._descriptor, line)
+        if num_written != len(line):
+            raise OSError(0, f"{num_written} of {len(line)} bytes fitted")
+        if self._is_synced:
+            os.fsync(self._descriptor)
+
+
+def _open(folder: Path, file: Path) -> int:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(file, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+    except OSError as error:
+        raise ArgumentError(f"{folder}: cannot be written ({error.strerror}); choose another folder") from error
+    for _ in range(LOCK_TRIES):
+        if _is_locked(descriptor, is_shared=False):
+            return descriptor
+        # A reader that asks who records holds the lock for a moment.
+        time.sleep(LOCK_PAUSE_S)
+    os.close(descriptor)
+    raise ArgumentError(
+        f"{folder}: another recorder, of this or another process, is recording into it; close that one, or choose "
+        "another folder (the lock goes with its process: there is nothing to remove after a crash)"
+    )
+
+
+def _is_locked(descriptor: int, *, is_shared: bool) -> bool:
+    """Take the lock, which the kernel gives back when the descriptor is closed or its process dies."""
+    import fcntl
+
+    try:
+        fcntl.flock(descriptor, (fcntl.LOCK_SH if is_shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def _sync_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

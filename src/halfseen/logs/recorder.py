@@ -1,0 +1,333 @@
+"""Recording paths as they happen, so that a kill at any moment loses at most the stage in progress.
+
+::
+
+    with LogRecorder("logs") as recorder:
+        path = recorder.begin_path(scene="cell 3")
+        while not is_over:
+            path.begin_stage(covariates=seen, action=action, probability=chance)
+            ...                                      # the robot acts
+            path.complete_stage(reward=1.0)
+        path.finish()                                # or path.cut("operator")
+
+`halfseen.logs.read_logs` reads the folder at any time, also while it is being recorded. A path that a crash tore is
+told as cut by ``crash`` at the last time at which it was known to run; `journal_tables` says how, and why that is fair.
+"""
+
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from halfseen.errors import ArgumentError, LogError
+from halfseen.logs.columns import UNKNOWN_CAUSE
+from halfseen.logs.folder import MANIFEST
+from halfseen.logs.journal_tables import CRASH
+from halfseen.logs.journal_values import Schema, checked_number
+from halfseen.logs.journal_writer import JournalWriter
+from halfseen.logs.refusal import shown
+
+CAUSES = ("operator", "emergency-stop", "time-out", "battery", "sensor-lost", CRASH)
+"""Usual causes of cuts; any other text will do."""
+
+STILL_RUNNING_EVERY_S = 0.5
+
+
+class LogRecorder:
+    """Record paths into a folder, stage by stage.
+
+    One recorder at a time has a folder; a folder that was recorded before is gone on with. Each call is checked and
+    then handed to the operating system in one write before it returns. What is refused leaves no trace, and the path
+    goes on.
+
+    Parameters
+    ----------
+    folder
+        Where to; it is made where it is not there.
+    fsync
+        Force each event to the disk. Without it, nothing that was written is lost when the process dies, but a power
+        cut or a crash of the operating system may lose the last seconds. With it, they are not, as far as the disk
+        keeps its word; an event then takes as long as the disk does, commonly 0.1 to 20 ms.
+
+    Raises
+    ------
+    ArgumentError
+        Another recorder has the folder, it holds finished logs, or it cannot be written.
+    LogError
+        What was recorded there before is corrupted.
+
+    Examples
+    --------
+    >>> from tempfile import mkdtemp
+    >>> folder = mkdtemp()
+    >>> with LogRecorder(folder) as recorder:
+    ...     path = recorder.begin_path(scene="cell 3")
+    ...     path.begin_stage(covariates={"x": 0.1}, action="PICK")
+    ...     path.complete_stage(reward=1.0, elapsed_s=2.5)
+    ...     path.finish()
+    >>> from halfseen.logs import read_logs
+    >>> print(read_logs(folder).summary())
+    1 path of up to 1 stage and 2.5 s: 1 finished, 0 cut (0%).
+    """
+
+    def __init__(self, folder: str | Path, *, fsync: bool = False) -> None:
+        folder = Path(folder)
+        if (folder / MANIFEST).exists():
+            raise ArgumentError(f"{folder}: it holds logs that are written for good; record into another folder")
+        self._schema = Schema()
+        self._names: set[int | str] = set()
+        self._path: PathRecorder | None = None
+        self._journal = JournalWriter(folder, fsync, self._restore)
+
+    def __enter__(self) -> "LogRecorder":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close(UNKNOWN_CAUSE if kind is None else "operator" if kind is KeyboardInterrupt else CRASH)
+
+    def begin_path(self, name: Any = None, /, **columns: Any) -> "PathRecorder":
+        """Begin a path; its clock starts with its first stage, and before that nothing of it is on disk.
+
+        Parameters
+        ----------
+        name
+            What it is called, once in the folder: always a whole number or always text; counted on if left out.
+        **columns
+            What else is known of it, such as the scene.
+
+        Raises
+        ------
+        LogError
+            A path is in progress, or the name is taken.
+        """
+        if self._path is not None and not self._path.is_ended:
+            raise LogError(
+                f"path {shown(self._path.name)}: it is in progress; finish() or cut() it before the next one begins"
+            )
+        wanted = self._next_name() if name is None else name
+        schema, label, row = self._schema.with_path(wanted, columns)
+        if label in self._names:
+            raise LogError(f"path {shown(label)}: it is in the folder already; choose another name, or give none")
+        self._path = PathRecorder(self, label, row, schema)
+        return self._path
+
+    def close(self, cause: str = UNKNOWN_CAUSE) -> None:
+        """Cut the path in progress, if there is one, and let the folder go.
+
+        Leaving a ``with`` block does the same, with the cause "operator" after Ctrl-C and "crash" after an error.
+        """
+        try:
+            if self._path is not None and not self._path.is_ended and not self._journal.is_closed:
+                self._path.cut(cause)
+        finally:
+            self._journal.close()
+
+    def _next_name(self) -> int | str:
+        is_text = self._schema.labels.get("path") == "text"
+        number = len(self._names) + 1
+        while (str(number) if is_text else number) in self._names:
+            number += 1
+        return str(number) if is_text else number
+
+    def _restore(self, event: dict[str, Any]) -> None:
+        """Learn names and columns from what the folder holds."""
+        if event["event"] != "stage":
+            return
+        where = f"path {shown(event['path'])}, stage {event['stage']}"
+        if event["stage"] == 1:
+            self._schema, name, _ = self._schema.with_path(event["path"], event["columns"])
+            self._names.add(name)
+        self._schema, _ = self._schema.with_stage(event["covariates"], event.get("objects"), event, where)
+
+    def _write(self, event: dict[str, Any], schema: Schema | None = None) -> None:
+        self._journal.append(event)
+        if schema is not None:
+            self._schema = schema
+            self._names.add(event["path"])
+
+
+class PathRecorder:
+    """A path that is being recorded; `LogRecorder.begin_path` makes it.
+
+    Its clock is read from `time.monotonic`, and each stage then lasts until the next begins. Or it is given as
+    ``elapsed_s``, always, and each stage then lasts as long as is said.
+    """
+
+    def __init__(self, recorder: LogRecorder, name: int | str, columns: dict[str, Any], schema: Schema) -> None:
+        self.name = name
+        self.is_ended = False
+        self._recorder = recorder
+        self._columns = columns
+        self._path_schema = schema
+        self._stage = 0
+        self._is_in_stage = False
+        self._has_action = False
+        self._is_clock_given: bool | None = None
+        self._began_s = 0.0
+        self._clock_s = 0.0
+        self._noted_s = 0.0
+
+    def begin_stage(
+        self,
+        covariates: Any = None,
+        objects: Any = None,
+        action: Any = None,
+        object: Any = None,  # noqa: A002
+        probability: Any = None,
+    ) -> None:
+        """Begin a stage: what was seen, and what is done about it.
+
+        Parameters
+        ----------
+        covariates
+            What the policy saw, by name: numbers, text or flat lists, of Python or NumPy; the same names in every stage.
+        objects
+            A list with a dict for each object that stood there, with its name as "object" and its covariates; None where
+            stages have no objects.
+        action
+            What is done, as a whole number or text. It may be left out only in a stage in which the path is then cut.
+        object
+            What it is done to, if anything.
+        probability
+            The chance in (0, 1] with which the policy chose it; always or never.
+
+        Raises
+        ------
+        LogError
+            A stage is in progress, or a value is none that a log takes.
+        """
+        self._check_running()
+        where = self._where(self._stage + 1)
+        if self._is_in_stage:
+            raise LogError(f"{self._where(self._stage)}: it is in progress; complete_stage() it before the next begins")
+        schema = self._recorder._schema if self._stage else self._path_schema
+        chosen = {"action": action, "object": object, "probability": probability}
+        schema, seen = schema.with_stage(covariates or {}, objects, chosen, where)
+        event: dict[str, Any] = {"event": "stage", "path": self.name, "stage": self._stage + 1}
+        began_s = time.monotonic()
+        if self._stage == 0:
+            self._began_s = began_s
+            event |= {"at_s": 0.0, "columns": self._columns}
+        elif not self._is_clock_given:
+            event["at_s"] = self._now()
+        self._recorder._write(event | seen, schema)
+        self._stage += 1
+        self._is_in_stage, self._has_action = True, action is not None
+        self._clock_s = self._noted_s = event.get("at_s", self._clock_s)
+
+    def complete_stage(self, reward: Any, *, elapsed_s: Any = None) -> None:
+        """Complete the stage in progress.
+
+        Parameters
+        ----------
+        reward
+            What it earned.
+        elapsed_s
+            Time since the path began [s], where the recorder shall not read it from its own clock.
+
+        Raises
+        ------
+        LogError
+            No stage is in progress, the reward is no number, or the clock does not run forward.
+        """
+        self._check_running()
+        where = self._where(self._stage)
+        if not self._is_in_stage:
+            what = "no stage has begun" if self._stage == 0 else f"stage {self._stage} is completed already"
+            raise LogError(f"path {shown(self.name)}: {what}; begin_stage() first")
+        if not self._has_action:
+            raise LogError(f"{where}: it began without an action; a stage without one can only be cut")
+        earned = checked_number(reward, "reward", where, "give the finite reward that it earned")
+        at_s = self._at(elapsed_s, where, is_later=True)
+        event = {"event": "done", "at_s": at_s, "reward": earned}
+        self._recorder._write(event if elapsed_s is None else event | {"is_given": True})
+        self._is_in_stage = False
+        self._commit(at_s, elapsed_s)
+
+    def still_running(self, *, elapsed_s: Any = None) -> None:
+        """Note that the path is in progress, at most twice a second; call it from the control loop.
+
+        After a crash the path is then known to have run until the last call, not only until its last stage began.
+        """
+        self._check_running()
+        if self._stage == 0:
+            return
+        at_s = self._at(elapsed_s, self._where(self._stage), is_later=False)
+        if at_s >= self._noted_s + STILL_RUNNING_EVERY_S:
+            self._recorder._write({"event": "running", "at_s": at_s})
+            self._noted_s = at_s
+        self._commit(at_s, elapsed_s)
+
+    def finish(self, *, elapsed_s: Any = None) -> None:
+        """End the path where the task ended: it was finished, the table is cleared, the horizon is reached.
+
+        Raises
+        ------
+        LogError
+            A stage is in progress, or none was completed.
+        """
+        self._check_running()
+        if self._stage == 0 or self._is_in_stage:
+            what = "it has no stage" if self._stage == 0 else f"stage {self._stage} is in progress"
+            raise LogError(f"path {shown(self.name)}: {what}; complete it before finish(), or cut() the path")
+        self._end({"event": "finished"}, elapsed_s)
+
+    def cut(self, cause: str, *, elapsed_s: Any = None) -> None:
+        """End the path where something outside the task ended it.
+
+        Between two stages, the cut falls into the stage before: what that led to was not seen. If it was, begin the
+        next stage with its covariates first. Before the first stage nothing was seen, and nothing is written.
+
+        Parameters
+        ----------
+        cause
+            Why: "operator", "emergency-stop", "time-out", "battery", "sensor-lost", "crash", or free text.
+        elapsed_s
+            Time since the path began [s], as in `complete_stage`.
+
+        Raises
+        ------
+        LogError
+            The cause is no text, or the clock goes back.
+        """
+        self._check_running()
+        if not isinstance(cause, str) or not cause.strip():
+            raise LogError(f"path {shown(self.name)}: cause {cause!r} is no cause; say {', '.join(CAUSES)}, or why")
+        self._end({"event": "cut", "cause": cause}, elapsed_s)
+
+    def _end(self, event: dict[str, Any], elapsed_s: Any) -> None:
+        if self._stage:
+            where = self._where(self._stage)
+            is_known = self._is_clock_given and elapsed_s is None
+            at_s = self._clock_s if is_known else self._at(elapsed_s, where, is_later=False)
+            self._recorder._write({**event, "at_s": at_s})
+        self.is_ended = True
+
+    def _at(self, elapsed_s: Any, where: str, *, is_later: bool) -> float:
+        """Clock of an event [s], read or given, and checked against the last."""
+        if self._is_clock_given not in (None, elapsed_s is not None):
+            word = "missing" if elapsed_s is None else "given"
+            raise LogError(f"{where}: elapsed_s is {word}, unlike before in this path; give it always or never")
+        if elapsed_s is None:
+            return self._now()
+        remedy = "give the time since the path began [s]"
+        at_s = checked_number(elapsed_s, "elapsed_s", where, remedy)
+        if at_s < self._clock_s or (is_later and at_s == self._clock_s):
+            word = "is before" if at_s < self._clock_s else "is still"
+            raise LogError(f"{where}: elapsed_s {at_s} {word} the {self._clock_s} of the event before; {remedy}")
+        return at_s
+
+    def _now(self) -> float:
+        # Nanoseconds, and never the same twice, however coarse the system's clock is.
+        return max(round(time.monotonic() - self._began_s, 9), round(self._clock_s + 1e-9, 9))
+
+    def _commit(self, at_s: float, elapsed_s: Any) -> None:
+        self._clock_s = at_s
+        self._is_clock_given = elapsed_s is not None
+
+    def _check_running(self) -> None:
+        if self.is_ended:
+            raise LogError(f"path {shown(self.name)}: it has ended; begin another")
+
+    def _where(self, stage: int) -> str:
+        return f"path {shown(self.name)}, stage {stage}"
