@@ -12,7 +12,9 @@ if TYPE_CHECKING:
     from halfseen.learners.grasp.attempts import attempts
     from halfseen.learners.grasp.beta_grasp import BetaGrasp
     from halfseen.learners.grasp.svm_grasp import SVMGrasp
+    from halfseen.learners.q_learning.bootstrap import QBootstrap, bootstrap
     from halfseen.learners.q_learning.explanation import LearnedExplainer
+    from halfseen.learners.q_learning.flat_policy import FlatPolicy
     from halfseen.learners.q_learning.linear_policy import LinearTablePolicy
     from halfseen.learners.q_learning.q_learner import CensoredQLearner
     from halfseen.learners.svm.classifier import CensoredSVC
@@ -25,11 +27,14 @@ __all__ = [
     "CensoredQLearner",
     "CensoredSVC",
     "CensoredSVR",
+    "FlatPolicy",
     "LearnedExplainer",
     "LinearTablePolicy",
+    "QBootstrap",
     "SVMGrasp",
     "SetKernel",
     "attempts",
+    "bootstrap",
     "survival_array",
 ]
 
@@ -40,11 +45,14 @@ __getattr__ = lazy_names(
         "CensoredQLearner": "q_learning.q_learner",
         "CensoredSVC": "svm.classifier",
         "CensoredSVR": "svm.regressor",
+        "FlatPolicy": "q_learning.flat_policy",
         "LearnedExplainer": "q_learning.explanation",
         "LinearTablePolicy": "q_learning.linear_policy",
+        "QBootstrap": "q_learning.bootstrap",
         "SVMGrasp": "grasp.svm_grasp",
         "SetKernel": "svm.set_kernel",
         "attempts": "grasp.attempts",
+        "bootstrap": "q_learning.bootstrap",
         "survival_array": "svm.targets",
     },
 )

@@ -4,12 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from random_logs import PlainEncoding, random_log
 
 from halfseen.errors import ArgumentError
 from halfseen.learners import CensoredQLearner
-from halfseen.learners.q_learning.explanation import LearnedExplainer, bootstrap
-from halfseen.learners.q_learning.q_learner import fit_q_functions
+from halfseen.learners.q_learning.explanation import LearnedExplainer
 from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, WorldConfig
 from halfseen.world.dynamics import start
 from halfseen.world.state import pad_scenes
@@ -50,20 +48,6 @@ def test_what_was_learned_is_what_is_explained(learner, explainer, state):
     np.testing.assert_allclose(told.values, learner.policy_.q_values(state), rtol=1e-5)
     assert told.best == int(learner.policy_.decide(state, jax.random.key(0)).action)
     assert told.chance_best.sum() == pytest.approx(1.0, abs=0.1)
-
-
-def test_one_replicate_is_a_fit_to_the_paths_that_were_drawn():
-    """A path drawn k times counts as k paths that are the same."""
-    log, encoding, regs = random_log(0), PlainEncoding((0, 1, 1, 2)), np.array([0.01, 1.0])
-    replicates = bootstrap(log, encoding, regs, "pooled", 4, num_replicates=3, seed=5)
-
-    num_paths = len(log.action)
-    counts = np.random.default_rng(5).multinomial(num_paths, np.full(num_paths, 1 / num_paths), size=3)
-    for k in range(3):
-        drawn = jax.tree.map(lambda leaf, k=k: np.repeat(leaf, counts[k], axis=0), log)
-        expected = fit_q_functions(drawn, encoding, regs, "pooled", 4)
-        np.testing.assert_allclose(replicates.coefficients[k], expected.coefficients, rtol=1e-6, atol=1e-8)
-        np.testing.assert_array_equal(replicates.reg[k], expected.reg)
 
 
 def test_the_more_paths_the_less_doubt(explainer, state):

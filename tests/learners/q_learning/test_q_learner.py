@@ -8,7 +8,6 @@ from trials import ACTIONS, FULL, REDUCED, cell_means, indicators, two_stage_tri
 from halfseen.censoring import KaplanMeier, stage_weights
 from halfseen.errors import ArgumentError, LogError, PositivityError
 from halfseen.learners import CensoredQLearner
-from halfseen.learners.q_learning.path_covariates import first_covariates
 from halfseen.logs import Logs
 
 
@@ -71,7 +70,7 @@ def test_cuts_that_may_depend_on_nothing_are_refused(logs):
     with pytest.raises(ArgumentError, match="none of those of a path's first stage differs between paths"):
         learner(covariates=["s2_1"], censoring="cox").fit(logs)
     with pytest.raises(LogError, match="the stages have no column 'weather'"):
-        first_covariates(logs, ["weather"])
+        learner(censoring="cox", censoring_covariates=["weather"]).fit(logs)
 
 
 def test_diagnostics_are_kept(logs):
@@ -123,7 +122,7 @@ def test_an_unknown_action_is_named(logs):
         (
             {"censoring": "weibull"},
             ArgumentError,
-            "censoring is 'weibull'; it is 'kaplan-meier', 'cox', 'kernel', 'none' or",
+            "censoring is 'weibull'; it is 'kaplan-meier', 'cox', 'kernel', 'none', 'buckley-james' or",
         ),
         ({"truncate_at": 0.5}, ArgumentError, "truncate_at is 0.5"),
         ({"actions": "tables"}, ArgumentError, "actions is 'tables'"),

@@ -10,8 +10,8 @@ import pytest
 from halfseen.censoring import Cox, stage_weights
 from halfseen.errors import LogError
 from halfseen.learners import CensoredQLearner, LinearTablePolicy
+from halfseen.learners.q_learning.cut_covariates import table_covariates
 from halfseen.learners.q_learning.encoding import encode_states
-from halfseen.learners.q_learning.path_covariates import first_table
 from halfseen.learners.q_learning.recursion import q_values
 from halfseen.learners.q_learning.table_features import (
     NUM_FEATURES,
@@ -235,7 +235,8 @@ def test_finish_is_possible_even_on_an_empty_table(watched):
 def test_cuts_may_depend_on_the_first_table(scene):
     open_table = Scene(np.zeros((NUM_OBJECTS + 1, NUM_OBJECTS + 1)), name="open")
     logs = TableWorld().simulate([scene, open_table], UniformPolicy(), episodes=200, seed=0, cut_share=0.4)
-    table = first_table(logs)
+    columns = ("num_objects", "mean_occlusion")
+    table = table_covariates(logs, columns)[(logs.stages["stage"] == 1).to_numpy()].reset_index(drop=True)
     assert logs.objects is not None
     objects = logs.objects[logs.objects["stage"] == 1]
     for row, path in enumerate(logs.path_ids[:20]):

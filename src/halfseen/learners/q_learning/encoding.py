@@ -11,6 +11,7 @@ import pandas as pd
 from jaxtyping import Bool, Float, Int
 
 from halfseen.errors import ArgumentError, LogError
+from halfseen.learners.q_learning.flat_policy import covariate_values
 from halfseen.learners.q_learning.table_features import block_of_action, table_features
 from halfseen.logs import Logs
 from halfseen.world.actions import FINISH, Verb, possible_actions
@@ -101,19 +102,7 @@ class FlatEncoding:
 
     def features(self, frame: pd.DataFrame) -> Float[np.ndarray, "rows A F"]:
         """Covariates of each row, the same for every action."""
-        missing = [name for name in self.covariates if name not in frame.columns]
-        if missing:
-            raise LogError(f"covariate {missing[0]!r} is missing; there are {', '.join(map(str, frame.columns))}")
-        texts = [name for name in self.covariates if not pd.api.types.is_numeric_dtype(frame[name].dtype)]
-        if texts:
-            raise LogError(f"covariate {texts[0]!r} holds no numbers; give one indicator column for each of its values")
-        values = frame[list(self.covariates)].to_numpy(dtype=np.float64, na_value=np.nan)
-        wrong = np.argwhere(~np.isfinite(values))
-        if len(wrong):
-            row, column = wrong[0]
-            where = ", ".join(f"{name} {frame[name].iloc[row]}" for name in ("path", "stage") if name in frame.columns)
-            what = f"covariate {self.covariates[column]!r} is {values[row, column]}"
-            raise LogError(f"{where or f'row {row}'}: {what}; give a finite number")
+        values = covariate_values(frame, tuple(self.covariates))
         return np.repeat(values[:, None, :], self.num_blocks, axis=1)
 
     def encode(self, logs: Logs) -> Encoded:

@@ -2,38 +2,38 @@
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import replace
-from numbers import Real
 from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from sklearn.base import BaseEstimator
 from sklearn.utils.validation import check_is_fitted
 
-from halfseen.censoring import (
-    CENSORING_NAMES,
-    CensoringModel,
-    WeightDiagnostics,
-    named_model,
-    stage_weights,
-    uses_covariates,
-    weight_diagnostics,
-)
+from halfseen.censoring import CensoringModel, WeightDiagnostics, named_model, uses_covariates, weight_diagnostics
 from halfseen.errors import ArgumentError, PositivityError
 from halfseen.learners.grasp.grasp_table import grasp_model_of
+from halfseen.learners.q_learning.checks import BUCKLEY_JAMES, NONE, check_parameters
+from halfseen.learners.q_learning.cut_covariates import ACTION, TABLE_COVARIATES, flat_covariates, table_covariates
+from halfseen.learners.q_learning.cut_model import CensoringBy, CutModel, fit_cut_model
 from halfseen.learners.q_learning.encoding import Encoding, FlatEncoding, TableEncoding
+from halfseen.learners.q_learning.flat_policy import FlatPolicy
+from halfseen.learners.q_learning.imputation import imputation
+from halfseen.learners.q_learning.kernel_map import KernelMap, fit_kernel_map
 from halfseen.learners.q_learning.linear_policy import LinearTablePolicy
-from halfseen.learners.q_learning.path_covariates import first_covariates, first_table
-from halfseen.learners.q_learning.recursion import QFunctions, StageMode, Transitions, backward, q_values
+from halfseen.learners.q_learning.path_arrays import PathArrays, path_arrays
+from halfseen.learners.q_learning.recursion import Imputation, QFunctions, StageMode, Transitions, backward
 from halfseen.learners.q_learning.variance_reduction import expected_rewards, label_surprises, wash_outcomes
 from halfseen.logs import Logs
 from halfseen.world.grasp_model import GraspModel
 
 REGS = np.logspace(-3, 2, 11)
 """The λ that ``reg="cv"`` chooses from; features are scaled to unit variance, so they need no other unit."""
+
+KERNEL_REGS = np.logspace(-6, 1, 15)
+"""The same for the norm of an RKHS."""
 
 TABLE = "table"
 
@@ -54,15 +54,32 @@ class CensoredQLearner(BaseEstimator):
     covariates
         Columns of the stages that Q looks at; none for a table.
     q_function
-        ``"linear"``.
+        ``"linear"``: Q is linear in the covariates (on a table, in its features); ``"kernel"``: Q is in the RKHS of a
+        Gaussian kernel on them.
     censoring
-        ``"kaplan-meier"``; ``"cox"`` or ``"kernel"``, on the covariates of a path's first stage (for a table: number of
-        objects and mean occlusion); ``"none"`` to leave the weights out (completed stages count alike); or a fitted or
-        unfitted `CensoringModel`.
+        ``"kaplan-meier"``, ``"cox"``, ``"kernel"``, or a fitted or unfitted `CensoringModel`: what Ĝ is;
+        ``"buckley-james"``: no weights, what a cut stage would have brought is imputed instead (see `imputation`);
+        ``"none"``: neither, completed stages count alike.
+    censoring_by
+        ``"path"``: Ĝ on the clock of the path, given how it began; ``"stage"``: a model for each stage, on the clock of
+        the stage; ``"pooled"``: one such model for all stages (see `cut_model`).
+    censoring_covariates
+        What a model that uses covariates is given: columns of the stages, and ``"action"`` for the action; for a table
+        ``"num_objects"``, ``"mean_occlusion"``, ``"action"``, ``"target_occlusion"``. By default all, the action by
+        stage only, and of a path's first table the first two.
+    augmented
+        Doubly robust: every begun stage counts, with a target that is right if Ĝ is, or if the regression of the
+        target on covariates and durations is (see `imputation`).
+    outcome_covariates
+        For the regression that ``augmented`` and ``"buckley-james"`` use: some of `covariates`; all by default.
     stages
         ``"separate"``: one Q a stage; ``"pooled"``: one Q for each number of steps to go, on the rows of all stages.
     reg
         λ, or ``"cv"`` to choose it for each regression and block by weighted cross-validation over paths.
+    num_landmarks
+        For a kernel: rows whose span Q lies in, at most; with as many as there are different rows, it is exact.
+    gamma
+        For a kernel exp(−γ‖x − z‖²) on covariates of unit variance: γ; 1/F by default.
     num_folds
         Folds of that cross-validation.
     truncate_at
@@ -81,13 +98,17 @@ class CensoredQLearner(BaseEstimator):
     q_functions_ : QFunctions
         Coefficients and λ of every Q.
     weights_ : Float[ndarray, "n T"]
-        Weight of every stage.
+        Weight of every stage in eq. 3.
     diagnostics_ : WeightDiagnostics
         Effective sample size, largest weight, share truncated.
+    cut_model_ : CutModel or None
+        Ĝ; None without one.
+    kernel_map_ : KernelMap or None
+        Features of the kernel; None for a linear Q.
     grasp_ : GraspModel or None
         For a table: what tells the chance of a grasp.
-    policy_ : LinearTablePolicy
-        For a table: the policy that was learned, with its grasp model.
+    policy_ : FlatPolicy or LinearTablePolicy
+        The policy that was learned, with nothing of the learner; the latter for a table.
 
     Examples
     --------
@@ -110,8 +131,10 @@ class CensoredQLearner(BaseEstimator):
     q_functions_: QFunctions
     weights_: Float[np.ndarray, "n T"]
     diagnostics_: WeightDiagnostics
+    cut_model_: CutModel | None
+    kernel_map_: KernelMap | None
     grasp_: GraspModel | None
-    policy_: LinearTablePolicy
+    policy_: Any
 
     def __init__(
         self,
@@ -119,10 +142,16 @@ class CensoredQLearner(BaseEstimator):
         actions: Sequence[Hashable] | Mapping[int, Sequence[Hashable]] | str = TABLE,
         covariates: Sequence[str] = (),
         *,
-        q_function: str = "linear",
+        q_function: Literal["linear", "kernel"] | str = "linear",
         censoring: str | CensoringModel = "kaplan-meier",
+        censoring_by: CensoringBy | str = "path",
+        censoring_covariates: Sequence[str] | None = None,
+        augmented: bool = False,
+        outcome_covariates: Sequence[str] | None = None,
         stages: StageMode | str = "separate",
         reg: float | int | Literal["cv"] | str = "cv",
+        num_landmarks: int = 200,
+        gamma: float | int | None = None,
         num_folds: int = 5,
         truncate_at: float | int | None = None,
         random_state: int = 0,
@@ -134,8 +163,14 @@ class CensoredQLearner(BaseEstimator):
         self.covariates = covariates
         self.q_function = q_function
         self.censoring = censoring
+        self.censoring_by = censoring_by
+        self.censoring_covariates = censoring_covariates
+        self.augmented = augmented
+        self.outcome_covariates = outcome_covariates
         self.stages = stages
         self.reg = reg
+        self.num_landmarks = num_landmarks
+        self.gamma = gamma
         self.num_folds = num_folds
         self.truncate_at = truncate_at
         self.random_state = random_state
@@ -166,68 +201,132 @@ class CensoredQLearner(BaseEstimator):
         PositivityError
             All paths were cut, or a weight is not identified.
         """
-        stages = self._checked_stages()
-        self._check_parameters()
+        check_parameters(self, self._is_table)
         if logs.horizon > self.horizon:
             raise ArgumentError(f"horizon is {self.horizon}, but a path has {logs.horizon} stages; raise horizon")
-        encoding = self._encoding(logs)
-        self.weights_ = self._weights(logs)
+        self.grasp_ = grasp_model_of(self.grasp, logs, self.horizon) if self._is_table else None
+        paths = self.lay_out(logs)
+        if not paths.is_finished.any():
+            raise PositivityError(
+                f"all {paths.num_paths} paths were cut, so how a path ends was never seen; record until some finish, "
+                "or shorten the horizon so that reaching it counts as finished"
+            )
+        self.cut_model_ = self.fit_cuts(paths)
+        self.kernel_map_ = self._kernel_map(paths)
+        log = self.transitions(paths, self.cut_model_)
+        self.weights_ = np.asarray(log.weight)
         self.diagnostics_ = weight_diagnostics(self.weights_, self.truncate_at)
-        num_folds = self._num_folds(logs)
-        log = self.transitions(logs, encoding, num_folds)
-        self.q_functions_ = fit_q_functions(log, encoding, self._regs(), stages, num_folds)
-        if self._is_table:
-            self.policy_ = replace(as_policy(self.q_functions_, stages), grasp=self.grasp_)
+        self.q_functions_ = self.fit_transitions(log)
+        self.policy_ = self.as_policy(self.q_functions_)
         return self
 
-    def transitions(self, logs: Logs, encoding: Encoding, num_folds: int) -> Transitions:
-        """Lay out the arrays that Q is fitted to, with the weights of the log that was learned from."""
-        encoded = encoding.encode(logs)
-        reward = _padded(logs.stage_values("reward"), self.horizon)
-        reward = np.where(np.isnan(reward), 0.0, reward)
-        is_last = _last_stages(logs, self.horizon)
+    def lay_out(self, logs: Logs) -> PathArrays:
+        """Lay out a log as the arrays that this learner looks at."""
+        return path_arrays(logs, self.encoding.encode(logs), self._cut_covariates(logs))
+
+    def transitions(self, paths: PathArrays, cut_model: CutModel | None) -> Transitions:
+        """Make the rows of eq. 3 of a log, with the weights and targets that a model of its cuts gives."""
+        weight, imputed = self.weights_and_imputation(paths, cut_model)
+        reward, surprises = paths.reward, None
         if self.reduces_variance:
-            reward = expected_rewards(reward, self.weights_, is_last, wash_outcomes(encoded))
+            seen = np.where(paths.is_completed, weight, 0.0)
+            reward = expected_rewards(reward, seen, paths.is_last, wash_outcomes(paths.encoded))
+            surprises = label_surprises(paths.encoded)
+        num_folds = self.num_folds_for(paths.num_paths)
         return Transitions(
-            features=encoded.features,
-            is_possible=encoded.is_possible,
-            action=encoded.action,
+            features=self._features(paths),
+            is_possible=paths.is_possible,
+            action=paths.action,
             reward=reward,
-            weight=self.weights_,
-            is_last=is_last,
-            fold=np.random.default_rng(self.random_state).permutation(logs.num_paths) % num_folds,
-            surprises=label_surprises(encoded) if self.reduces_variance else None,
+            weight=weight,
+            is_last=paths.is_last,
+            fold=np.random.default_rng(self.random_state).permutation(paths.num_paths) % num_folds,
+            surprises=surprises,
+            imputation=imputed,
+        )
+
+    def fit_cuts(self, paths: PathArrays) -> CutModel | None:
+        """Fit Ĝ as the parameters say; None where nothing is weighted."""
+        if self._is_unweighted:
+            return None
+        by: Any = self.censoring_by
+        return fit_cut_model(paths, self.censoring, by, self.truncate_at)
+
+    def weights_and_imputation(
+        self, paths: PathArrays, cut_model: CutModel | None
+    ) -> tuple[Float[np.ndarray, "n T"], Imputation | None]:
+        """Weight of each stage in eq. 3; and what its target is imputed from, if it is."""
+        imputed = self._imputation(paths, cut_model)
+        if cut_model is not None:
+            return cut_model.begun_weights(paths) if self.augmented else cut_model.weights(paths), imputed
+        return (paths.is_completed if imputed is None else paths.is_begun).astype(np.float64), imputed
+
+    def fit_transitions(self, log: Transitions) -> QFunctions:
+        """Run eq. 3 on one log, or on a batch of logs."""
+        if self.reg == "cv":
+            num_seen = int((np.asarray(log.weight) > 0).any(axis=-1).sum())
+            if num_seen < 2:
+                raise ArgumentError(
+                    f"reg is 'cv', which holds out paths, but {num_seen} of {log.weight.shape[-2]} completed a stage; "
+                    "give a number for reg, or record more paths"
+                )
+        num_folds = self.num_folds_for(log.weight.shape[-2])
+        return fit_q_functions(log, self.encoding, self.regs, self._stage_mode, num_folds, self.q_function == "linear")
+
+    def as_policy(self, q_functions: QFunctions) -> Any:
+        """Turn Q-functions, or a batch of them, into the policy that follows them."""
+        if self._is_table:
+            policy = as_policy(q_functions, self._stage_mode)
+            return replace(policy, grasp=self.grasp_, kernel_map=_single_precision(self.kernel_map_))
+        encoding = self._flat_encoding()
+        by_stage = q_functions.coefficients
+        return FlatPolicy(
+            actions=tuple(encoding.names),
+            covariates=tuple(self.covariates),
+            is_possible=np.stack([encoding.possible(stage) for stage in range(1, self.horizon + 1)]),
+            coefficients=np.asarray(by_stage if self.stages == "separate" else by_stage[..., ::-1, :, :]),
+            kernel_map=self.kernel_map_,
         )
 
     def q_values(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
         """Q̂ of every action in a stage (from 1), for each row of covariates; flat actions only."""
-        check_is_fitted(self, "q_functions_")
-        encoding = self._flat_encoding()
-        if not 1 <= stage <= self.horizon:
-            raise ArgumentError(f"stage is {stage}; it lies in 1 to the horizon, {self.horizon}")
-        index = stage - 1 if self.stages == "separate" else self.horizon - stage
-        with jax.enable_x64(True):
-            blocks = jnp.asarray(encoding.block_of_action(encoding.num_blocks))
-            q = q_values(jnp.asarray(self.q_functions_.coefficients[index]), encoding.features(frame), blocks)
-            return np.asarray(q)
+        self._flat_encoding()
+        check_is_fitted(self, "policy_")
+        return self.policy_.q_values(frame, stage)
 
     def decide(self, frame: pd.DataFrame, stage: int) -> np.ndarray:
         """Name the possible action with the largest Q̂, for each row of covariates; flat actions only."""
-        encoding = self._flat_encoding()
-        q = np.where(encoding.possible(stage), self.q_values(frame, stage), -np.inf)
-        names = np.empty(encoding.num_blocks, dtype=object)
-        names[:] = encoding.names
-        return names[np.argmax(q, axis=1)]
+        self._flat_encoding()
+        check_is_fitted(self, "policy_")
+        return self.policy_.decide(frame, stage)
+
+    @property
+    def encoding(self) -> Encoding:
+        """How states and actions become features; for a table, with the grasp model that was fitted."""
+        return TableEncoding(self.horizon, self.grasp_) if self._is_table else self._flat_encoding()
+
+    @property
+    def regs(self) -> Float[np.ndarray, " L"]:
+        """The λ to choose from."""
+        if self.reg != "cv":
+            return np.array([float(self.reg)])
+        return REGS if self.q_function == "linear" else KERNEL_REGS
+
+    def num_folds_for(self, num_paths: int) -> int:
+        """Folds that so many paths are dealt into; one where nothing is chosen."""
+        return min(self.num_folds, num_paths) if self.reg == "cv" else 1
 
     @property
     def _is_table(self) -> bool:
         return isinstance(self.actions, str) and self.actions == TABLE
 
-    def _encoding(self, logs: Logs) -> Encoding:
-        if not self._is_table:
-            return self._flat_encoding()
-        self.grasp_ = grasp_model_of(self.grasp, logs, self.horizon)
-        return TableEncoding(self.horizon, self.grasp_)
+    @property
+    def _is_unweighted(self) -> bool:
+        return isinstance(self.censoring, str) and self.censoring in (NONE, BUCKLEY_JAMES)
+
+    @property
+    def _stage_mode(self) -> StageMode:
+        return "pooled" if self.stages == "pooled" else "separate"
 
     def _flat_encoding(self) -> FlatEncoding:
         if isinstance(self.actions, str):
@@ -236,70 +335,52 @@ class CensoredQLearner(BaseEstimator):
             )
         return FlatEncoding(self.horizon, self.actions, self.covariates)
 
-    def _regs(self) -> Float[np.ndarray, " L"]:
-        return REGS if self.reg == "cv" else np.array([float(self.reg)])
+    def _cut_covariates(self, logs: Logs) -> pd.DataFrame | None:
+        if self._is_unweighted or not uses_covariates(named_model(self.censoring)):
+            return None
+        by_path = self.censoring_by == "path"
+        chosen = self.censoring_covariates
+        if self._is_table:
+            return table_covariates(logs, chosen or TABLE_COVARIATES[: 2 if by_path else None])
+        chosen = chosen or [*self.covariates, *([] if by_path else [ACTION])]
+        return flat_covariates(logs, chosen, self._flat_encoding().names)
 
-    def _num_folds(self, logs: Logs) -> int:
-        """Folds that the paths are dealt into; one where nothing is chosen."""
-        if self.reg != "cv":
-            return 1
-        num_seen = int((self.weights_ > 0).any(axis=1).sum())
-        if num_seen < 2:
-            raise ArgumentError(
-                f"reg is 'cv', which holds out paths, but {num_seen} of {logs.num_paths} completed a stage; give a "
-                "number for reg, or record more paths"
-            )
-        return min(self.num_folds, logs.num_paths)
+    def _imputation(self, paths: PathArrays, cut_model: CutModel | None) -> Imputation | None:
+        is_buckley_james = isinstance(self.censoring, str) and self.censoring == BUCKLEY_JAMES
+        if not self.augmented and not is_buckley_james:
+            return None
+        blocks = self.encoding.block_of_action(paths.is_possible.shape[-1])
+        is_used = np.ones(paths.features.shape[-1])
+        if self.outcome_covariates is not None:
+            is_used = np.isin(np.array(self.covariates), list(self.outcome_covariates)).astype(np.float64)
+        kind = "augmented" if self.augmented else "buckley-james"
+        imputed = imputation(paths, kind, cut_model, self._stage_mode, is_used, blocks)
+        if self.kernel_map_ is None:
+            return imputed
+        return imputed._replace(is_used=np.ones(self.kernel_map_.projection.shape[1]))
 
-    def _weights(self, logs: Logs) -> Float[np.ndarray, "n T"]:
-        if not logs.is_finished.any():
-            raise PositivityError(
-                f"all {logs.num_paths} paths were cut, so how a path ends was never seen; record until some finish, or "
-                "shorten the horizon so that reaching it counts as finished"
-            )
-        elapsed_s = _padded(logs.elapsed_s(), self.horizon)
-        if isinstance(self.censoring, str) and self.censoring == "none":
-            return (~np.isnan(elapsed_s)).astype(np.float64)
-        covariates = self._path_covariates(logs) if uses_covariates(named_model(self.censoring)) else None
-        return stage_weights(
-            elapsed_s,
-            logs.end_s,
-            logs.is_finished,
-            self.censoring,
-            self.truncate_at,
-            covariates=covariates,
-            path_ids=logs.path_ids,
-        )
+    def _kernel_map(self, paths: PathArrays) -> KernelMap | None:
+        if self.q_function == "linear":
+            return None
+        taken = np.take_along_axis(paths.features, paths.action[..., None, None], axis=2)[:, :, 0]
+        rng = np.random.default_rng(self.random_state)
+        return fit_kernel_map(taken[paths.is_completed], self.num_landmarks, self.gamma, rng)
 
-    def _path_covariates(self, logs: Logs) -> pd.DataFrame:
-        return first_table(logs) if self._is_table else first_covariates(logs, self.covariates)
-
-    def _checked_stages(self) -> StageMode:
-        if self.stages not in ("separate", "pooled"):
-            raise ArgumentError(f"stages is {self.stages!r}; it is 'separate' or 'pooled'")
-        return self.stages
-
-    def _check_parameters(self) -> None:
-        if self.horizon < 1:
-            raise ArgumentError(f"horizon is {self.horizon}; a path has at least 1 stage")
-        if self.q_function != "linear":
-            raise ArgumentError(f"q_function is {self.q_function!r}; it can be 'linear'")
-        if isinstance(self.censoring, str) and self.censoring not in (*CENSORING_NAMES, "none"):
-            names = ", ".join(repr(name) for name in CENSORING_NAMES)
-            raise ArgumentError(f"censoring is {self.censoring!r}; it is {names}, 'none' or a CensoringModel")
-        is_number = isinstance(self.reg, Real) and not isinstance(self.reg, bool)
-        if self.reg != "cv" and not (is_number and 0 <= float(self.reg) < np.inf):
-            raise ArgumentError(f"reg is {self.reg!r}; it is a λ ≥ 0, or 'cv'")
-        if self.grasp is not None and not self._is_table:
-            raise ArgumentError("grasp is given, but actions are named ones; only a table's objects are grasped")
-        if self.reduces_variance and not self._is_table:
-            raise ArgumentError("reduces_variance is True, but actions are named ones; only a table's noise is known")
-        if self.reg == "cv" and self.num_folds < 2:
-            raise ArgumentError(f"num_folds is {self.num_folds}; cross-validation needs at least 2")
+    def _features(self, paths: PathArrays) -> Float[np.ndarray, "n T A F"]:
+        if self.kernel_map_ is None:
+            return paths.features
+        if self._is_table:
+            return np.asarray(self.kernel_map_(paths.features))
+        return np.repeat(self.kernel_map_(paths.features[:, :, :1]), paths.features.shape[2], axis=2)
 
 
 def fit_q_functions(
-    log: Transitions, encoding: Encoding, regs: Float[np.ndarray, " L"], stages: StageMode, num_folds: int
+    log: Transitions,
+    encoding: Encoding,
+    regs: Float[np.ndarray, " L"],
+    stages: StageMode,
+    num_folds: int,
+    is_scaled: bool = True,
 ) -> QFunctions:
     """Run the recursion in float64 on one log, or on a batch of logs if the arrays have a leading axis for it.
 
@@ -317,6 +398,7 @@ def fit_q_functions(
         "stages": stages,
         "num_folds": num_folds,
         "end_action": encoding.end_action if stages == "pooled" else None,
+        "is_scaled": is_scaled,
     }
     with jax.enable_x64(True):
         arrays = jax.tree.map(jnp.asarray, log)
@@ -337,11 +419,5 @@ def as_policy(q_functions: QFunctions, stages: StageMode) -> LinearTablePolicy:
     return LinearTablePolicy(jnp.asarray(coefficients if stages == "pooled" else coefficients[..., ::-1, :, :]))
 
 
-def _padded(values: Float[np.ndarray, "n L"], horizon: int) -> Float[np.ndarray, "n T"]:
-    return np.pad(values, ((0, 0), (0, horizon - values.shape[1])), constant_values=np.nan)
-
-
-def _last_stages(logs: Logs, horizon: int) -> Bool[np.ndarray, "n T"]:
-    """Completed stages after which a path had come to its own end."""
-    num_stages = np.bincount(pd.Index(logs.path_ids).get_indexer(logs.stages["path"]), minlength=logs.num_paths)
-    return (np.arange(horizon) == num_stages[:, None] - 1) & logs.is_finished[:, None]
+def _single_precision(kernel_map: KernelMap | None) -> KernelMap | None:
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=jnp.float32), kernel_map)

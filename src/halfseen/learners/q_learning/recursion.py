@@ -170,11 +170,11 @@ class _Regression(NamedTuple):
         self, prepared: "_Prepared", log: Transitions, successor: Float[Array, "n T"], centre: Float[Array, "K F"]
     ) -> Fit:
         """Regress R_t + V̂(S_{t+1}), shrunk towards `centre`."""
-        target = (log.reward + jnp.where(log.is_last, 0.0, successor)).ravel()
+        target = jnp.asarray(log.reward + jnp.where(log.is_last, 0.0, successor)).ravel()
         if prepared.told is not None and log.imputation is not None:
-            target = self._imputed(prepared.told, log.imputation, jnp.asarray(target), self.blocks(log))
+            target = self._imputed(prepared.told, log.imputation, target, self.blocks(log))
         expected = jnp.sum(prepared.main.design.features * centre[self.blocks(log)], axis=-1)
-        cross = cross_of(prepared.main.design, jnp.asarray(target) - expected)
+        cross = cross_of(prepared.main.design, target - expected)
         fit = solve(prepared.main.factor, cross, self.regs, self.num_paths)
         return Fit(fit.coefficients + centre, fit.reg)
 
@@ -199,7 +199,7 @@ class _Regression(NamedTuple):
         at_state = jnp.sum(told.design.features[:, :-num_terms] * each[:, :-num_terms], axis=-1)
         of_time = jnp.sum(given.expected.reshape(-1, num_terms) * each[:, -num_terms:], axis=-1)
         share = given.share.ravel()
-        return share * target + (1.0 - share) * at_state + of_time
+        return jnp.asarray(share * target + (1.0 - share) * at_state + of_time)
 
 
 class _Sums(NamedTuple):

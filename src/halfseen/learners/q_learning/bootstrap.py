@@ -1,0 +1,175 @@
+"""How much what was learned hangs on which paths happened to be logged: the bootstrap over paths [Efron1979]_.
+
+Paths are drawn anew from the log with replacement. Ĝ, the weights and, where targets are imputed, the durations are
+estimated again from each such draw, and Q is fitted to it as it was to the log; features and λ's grid stay.
+"""
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+from jaxtyping import Float, Int
+from tqdm import tqdm
+
+from halfseen.errors import ArgumentError
+from halfseen.learners.q_learning.flat_policy import FlatPolicy
+from halfseen.learners.q_learning.path_arrays import PathArrays
+from halfseen.learners.q_learning.q_learner import CensoredQLearner
+from halfseen.learners.q_learning.recursion import QFunctions, Transitions, backward
+from halfseen.logs import Logs
+
+BATCH_SIZE = 10
+"""Replicates that are fitted at once."""
+
+
+@dataclass(frozen=True, eq=False)
+class QBootstrap:
+    """What was learned, and what would have been learned from paths drawn anew.
+
+    Parameters
+    ----------
+    policy
+        What was learned.
+    replicates
+        The same for each draw; its coefficients have a leading axis of B.
+    """
+
+    policy: Any
+    replicates: Any
+
+    def q_interval(
+        self, frame: pd.DataFrame, stage: int, level: float = 0.95
+    ) -> tuple[Float[np.ndarray, "m A"], Float[np.ndarray, "m A"]]:
+        """Central interval of Q for each row of covariates and action; flat actions only.
+
+        Raises
+        ------
+        ArgumentError
+            `level` is not between 0 and 1, or this is a table's policy, which `LearnedExplainer` explains.
+        """
+        if not 0.0 < level < 1.0:
+            raise ArgumentError(f"level is {level}; it lies between 0 and 1")
+        draws = self._draws(frame, stage)
+        low, high = np.quantile(draws, [(1.0 - level) / 2.0, (1.0 + level) / 2.0], axis=0)
+        return low, high
+
+    def decision_shares(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
+        """Share of the draws in which each action is the best possible one; flat actions only."""
+        possible = np.where(self._flat.is_possible[stage - 1], self._draws(frame, stage), -np.inf)
+        best = np.argmax(possible, axis=-1)
+        return (best[..., None] == np.arange(possible.shape[-1])).mean(axis=0)
+
+    @property
+    def _flat(self) -> FlatPolicy:
+        if not isinstance(self.policy, FlatPolicy):
+            raise ArgumentError("this is a policy of tables; LearnedExplainer tells its intervals")
+        return self.policy
+
+    def _draws(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "B m A"]:
+        each = self.replicates.coefficients
+        return np.stack([replace(self._flat, coefficients=one).q_values(frame, stage) for one in each])
+
+
+def bootstrap(
+    learner: CensoredQLearner,
+    logs: Logs,
+    num_replicates: int = 100,
+    random_state: int = 0,
+    is_quiet: bool = True,
+) -> QBootstrap:
+    """Learn again from paths drawn anew with replacement, in float64.
+
+    Parameters
+    ----------
+    learner
+        Fitted to `logs`.
+    logs
+        The log that it was fitted to.
+    num_replicates
+        B, draws of as many paths as the log has.
+    random_state
+        Seed of the draws.
+    is_quiet
+        Shows no progress; else a bar, where the output is a terminal.
+
+    Raises
+    ------
+    ArgumentError
+        The learner has not been fitted to this log, or `num_replicates` is below 2.
+    """
+    if num_replicates < 2:
+        raise ArgumentError(f"num_replicates is {num_replicates}; at least 2 are needed")
+    if not hasattr(learner, "policy_"):
+        raise ArgumentError("the learner has no policy_; fit it to this log first")
+    if learner.weights_.shape[0] != logs.num_paths:
+        raise ArgumentError(
+            f"the log has {logs.num_paths} paths, but the learner was fitted to {learner.weights_.shape[0]}; give it "
+            "the log that it was fitted to"
+        )
+    paths = learner.lay_out(logs)
+    log = learner.transitions(paths, learner.cut_model_)
+    rng = np.random.default_rng(random_state)
+    share = np.full(paths.num_paths, 1.0 / paths.num_paths)
+    fits = []
+    with tqdm(total=num_replicates, desc="bootstrap", disable=True if is_quiet else None, leave=False) as progress:
+        for start in range(0, num_replicates, BATCH_SIZE):
+            size = min(BATCH_SIZE, num_replicates - start)
+            drawn = [_redrawn(learner, paths, counts) for counts in rng.multinomial(paths.num_paths, share, size=size)]
+            fits.append(_fit_each(learner, log, jax.tree.map(lambda *leaves: np.stack(leaves), *drawn)))
+            progress.update(size)
+    q_functions = jax.tree.map(lambda *parts: np.concatenate(parts), *fits)
+    return QBootstrap(learner.policy_, learner.as_policy(QFunctions(*q_functions)))
+
+
+def _redrawn(learner: CensoredQLearner, paths: PathArrays, counts: Int[np.ndarray, " n"]) -> tuple[Any, Any]:
+    """Weights and imputation of each path in a draw, estimated from that draw; 0 where it was not drawn."""
+    rows = np.repeat(np.arange(paths.num_paths), counts)
+    drawn = paths.take(rows)
+    cut_model = learner.fit_cuts(drawn)
+    weight, imputed = learner.weights_and_imputation(drawn, cut_model)
+    first = np.cumsum(counts) - counts
+    was_drawn = counts > 0
+
+    def back(leaf: np.ndarray) -> np.ndarray:
+        spread = np.zeros((paths.num_paths, *leaf.shape[1:]))
+        spread[was_drawn] = leaf[first[was_drawn]]
+        return spread
+
+    if imputed is not None:
+        imputed = imputed._replace(**{name: back(getattr(imputed, name)) for name in _OF_PATHS})
+        imputed = imputed._replace(is_told=imputed.is_told * counts[:, None])
+    return back(weight) * counts[:, None], imputed
+
+
+_OF_PATHS = ("share", "terms", "expected", "is_told")
+
+
+def _fit_each(learner: CensoredQLearner, log: Transitions, drawn: tuple[Any, Any]) -> QFunctions:
+    encoding = learner.encoding
+    options = {
+        "num_blocks": encoding.num_blocks,
+        "stages": learner.stages,
+        "num_folds": learner.num_folds_for(len(log.action)),
+        "end_action": encoding.end_action if learner.stages == "pooled" else None,
+        "is_scaled": learner.q_function == "linear",
+    }
+    with jax.enable_x64(True):
+        blocks = jnp.asarray(encoding.block_of_action(log.is_possible.shape[-1]))
+        arrays, replicates = jax.tree.map(jnp.asarray, (log, drawn))
+        fits = _fit_drawn(arrays, replicates, blocks, jnp.asarray(learner.regs), tuple(options.items()))
+        return QFunctions(*(np.asarray(leaf) for leaf in fits))
+
+
+@partial(jax.jit, static_argnames="options")
+def _fit_drawn(
+    log: Transitions, drawn: tuple[Any, Any], blocks: jax.Array, regs: jax.Array, options: tuple[tuple[str, Any], ...]
+) -> QFunctions:
+    def fit(one: tuple[Any, Any]) -> QFunctions:
+        weight, imputed = one
+        return backward(log._replace(weight=weight, imputation=imputed), blocks, regs, **dict(options))
+
+    return jax.vmap(fit)(drawn)

@@ -1,0 +1,100 @@
+"""A learned Q of named actions as a policy: numbers, and nothing of the learner."""
+
+from collections.abc import Hashable
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Bool, Float
+
+from halfseen.errors import ArgumentError, LogError
+from halfseen.learners.q_learning.kernel_map import KernelMap
+
+
+@dataclass(frozen=True, eq=False)
+class FlatPolicy:
+    """argmax over the possible actions of Q̂_t(S, a).
+
+    Parameters
+    ----------
+    actions
+        Names, in the order of the columns of Q.
+    covariates
+        Columns that Q looks at.
+    is_possible
+        Which actions each stage allows.
+    coefficients
+        Of Q_1 … Q_T by stage, action and feature, the offset first (with axes in front for a batch of policies).
+    kernel_map
+        Features of the RKHS; None where Q is linear in the covariates.
+    """
+
+    actions: tuple[Hashable, ...]
+    covariates: tuple[str, ...]
+    is_possible: Bool[np.ndarray, "T A"]
+    coefficients: Float[np.ndarray, "*B T A F"]
+    kernel_map: KernelMap | None = None
+
+    @property
+    def horizon(self) -> int:
+        """Number T of stages."""
+        return len(self.is_possible)
+
+    def q_values(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
+        """Q̂ of every action in a stage (from 1), for each row of covariates; of impossible ones, too.
+
+        Raises
+        ------
+        ArgumentError
+            There is no such stage.
+        LogError
+            A covariate is missing or no finite number.
+        """
+        self._check_stage(stage)
+        values = covariate_values(frame, self.covariates)
+        features = values if self.kernel_map is None else np.asarray(self.kernel_map(values))
+        each = self.coefficients[stage - 1]
+        return each[:, 0] + features @ each[:, 1:].T
+
+    def decide(self, frame: pd.DataFrame, stage: int) -> np.ndarray:
+        """Name the possible action with the largest Q̂, for each row of covariates; shape (m,)."""
+        names = np.empty(len(self.actions), dtype=object)
+        names[:] = self.actions
+        return names[self._best(frame, stage)]
+
+    def probabilities(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
+        """π(a | S): 1 for the action that it takes."""
+        best = self._best(frame, stage)
+        return (best[:, None] == np.arange(len(self.actions))).astype(np.float64)
+
+    def _best(self, frame: pd.DataFrame, stage: int) -> np.ndarray:
+        q = self.q_values(frame, stage)
+        return np.argmax(np.where(self.is_possible[stage - 1], q, -np.inf), axis=1)
+
+    def _check_stage(self, stage: int) -> None:
+        if not 1 <= stage <= self.horizon:
+            raise ArgumentError(f"stage is {stage}; it lies in 1 to the horizon, {self.horizon}")
+
+
+def covariate_values(frame: pd.DataFrame, covariates: tuple[str, ...]) -> Float[np.ndarray, "m F"]:
+    """Covariates of each row as numbers.
+
+    Raises
+    ------
+    LogError
+        A column is missing, holds no numbers, or a number that is not finite; the place is named.
+    """
+    missing = [name for name in covariates if name not in frame.columns]
+    if missing:
+        raise LogError(f"covariate {missing[0]!r} is missing; there are {', '.join(map(str, frame.columns))}")
+    texts = [name for name in covariates if not pd.api.types.is_numeric_dtype(frame[name].dtype)]
+    if texts:
+        raise LogError(f"covariate {texts[0]!r} holds no numbers; give one indicator column for each of its values")
+    values = frame[list(covariates)].to_numpy(dtype=np.float64, na_value=np.nan)
+    wrong = np.argwhere(~np.isfinite(values))
+    if len(wrong):
+        row, column = wrong[0]
+        where = ", ".join(f"{name} {frame[name].iloc[row]}" for name in ("path", "stage") if name in frame.columns)
+        what = f"covariate {covariates[column]!r} is {values[row, column]}"
+        raise LogError(f"{where or f'row {row}'}: {what}; give a finite number")
+    return values

@@ -1,0 +1,238 @@
+"""Targets for stages whose end was cut: doubly robust, or by Buckley and James.
+
+Write X = R_t + V̂(S_{t+1}) for the target of eq. 3, D for the duration of the stage, and m(u) = E[X | S_t, A_t, D ≥ u]
+for what a stage that is still going at age u is worth. Both ways replace X by a Y that every begun stage has.
+
+*Augmented* [Robins1992]_: with K̂ the chance that the stage is not cut before an age, given that it began,
+
+    Y = δ X / K̂(D⁻) + (1 − δ) m(c) / K̂(c) − ∫_0^{min(D, c)} m(u) d(1/K̂(u)),
+
+for a cut at age c. The last two terms have mean 0 if K̂ is right, whatever m is; and E[Y | S_t, A_t] = E[X | S_t, A_t]
+if m is right, whatever K̂ is. m is a step function of the age, so the integral is a sum without error.
+
+*Buckley–James* [BuckleyJames1979]_: Y = X where it was seen, m(c) where the stage was cut at c. No K̂ is needed; m must
+be right.
+
+m comes from two regressions, on the completed stages: of X on φ(S_t, A_t) and terms g(D) of the duration, by block and
+anew at each step of eq. 3 (`recursion`); and of D on (S_t, A_t), by proportional hazards, which says what g(D) is to be
+expected. A stage that is completed is not a fair draw of all, but given its duration it is, if cuts depend on
+(S_t, A_t) alone; so no weights are needed here.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from halfseen.censoring.cox import Cox
+from halfseen.errors import ArgumentError
+from halfseen.learners.q_learning.cut_model import CutModel
+from halfseen.learners.q_learning.path_arrays import SMALLEST_AGE_S, PathArrays
+from halfseen.learners.q_learning.recursion import Imputation, StageMode
+
+NUM_AGES = 24
+"""Steps of m: between quantiles of the ages at which stages ended."""
+
+NUM_DURATIONS = 96
+"""Durations that the distribution of D is put on, at most."""
+
+KNOTS = (0.25, 0.5, 0.75)
+"""Quantiles of D at which its effect on X may bend."""
+
+DURATION_RIDGE = 1.0
+"""Penalty of the proportional hazards of D: a prior of one event, so that separation has an end."""
+
+SMALLEST_CHANCE = 1e-12
+
+ImputationKind = Literal["augmented", "buckley-james"]
+
+
+@dataclass(frozen=True)
+class Durations:
+    """The distribution of D given (S_t, A_t), on few durations.
+
+    Parameters
+    ----------
+    model
+        Proportional hazards; None where no covariate tells stages apart.
+    columns
+        Columns of the features that it uses.
+    at_s
+        Durations that carry mass, increasing [s].
+    hazard
+        Cumulative hazard just after each of them, at the mean features.
+    """
+
+    model: Cox | None
+    columns: np.ndarray
+    at_s: Float[np.ndarray, " J"]
+    hazard: Float[np.ndarray, " J"]
+
+    def expected(
+        self, features: Float[np.ndarray, "k P"], age_s: Float[np.ndarray, "k L"], terms: Float[np.ndarray, "J G"]
+    ) -> Float[np.ndarray, "k L G"]:
+        """E[g(D) | D > age] of each row, for several ages; `terms` holds g of each duration."""
+        ratio = np.ones(len(features))
+        if self.model is not None:
+            score = (features[:, self.columns] - self.model.means_) @ self.model.coefficients_
+            ratio = np.exp(np.clip(score, -50.0, 50.0))
+        # What outlives the last duration ends there: the mass adds up to 1.
+        survival = np.exp(-ratio[:, None] * np.concatenate([[0.0], self.hazard[:-1], [np.inf]]))
+        mass = -np.diff(survival, axis=1)
+        later = np.cumsum(mass[:, ::-1], axis=1)[:, ::-1]
+        first = np.minimum(np.searchsorted(self.at_s, age_s, side="right"), len(self.at_s) - 1)
+        row = np.arange(len(features))[:, None]
+        answer = np.empty((*age_s.shape, terms.shape[1]))
+        for g in range(terms.shape[1]):
+            sums = np.cumsum((mass * terms[:, g])[:, ::-1], axis=1)[:, ::-1]
+            known = later[row, first]
+            answer[..., g] = np.where(known > 1e-300, sums[row, first] / np.maximum(known, 1e-300), terms[first, g])
+        return answer
+
+
+def fit_durations(
+    watched_s: Float[np.ndarray, " k"], is_completed: Bool[np.ndarray, " k"], features: Float[np.ndarray, "k P"]
+) -> Durations:
+    """Fit D to begun stages, of which some were cut.
+
+    Parameters
+    ----------
+    watched_s
+        Until the stage was completed or cut [s].
+    is_completed
+        False where it was cut.
+    features
+        What D may depend on.
+    """
+    # Here completion is the event, and at equal times it comes before the cut.
+    ends = np.where(is_completed, watched_s, np.nextafter(watched_s, np.inf))
+    columns = np.flatnonzero(np.ptp(features, axis=0) > 0)
+    if len(columns):
+        model = Cox(ridge=DURATION_RIDGE).fit(ends, ~is_completed, features[:, columns])
+        times, hazard = model.times_, model.cumulative_hazard_
+    else:
+        model = None
+        times, events = np.unique(ends[is_completed], return_counts=True)
+        at_risk = len(ends) - np.searchsorted(np.sort(ends), times)
+        with np.errstate(divide="ignore"):
+            hazard = np.cumsum(-np.log1p(-events / at_risk))
+    kept = np.unique(np.linspace(0, len(times) - 1, min(NUM_DURATIONS, len(times))).astype(int))
+    return Durations(model, columns, times[kept], hazard[kept])
+
+
+def imputation(
+    paths: PathArrays,
+    kind: ImputationKind,
+    cut_model: CutModel | None,
+    stages: StageMode,
+    is_used: Float[np.ndarray, " F"],
+    block_of_action: Int[np.ndarray, " A"],
+) -> Imputation:
+    """Work out what `recursion` needs to make Y of X.
+
+    Parameters
+    ----------
+    paths
+        The log.
+    kind
+        ``"augmented"`` or ``"buckley-james"``.
+    cut_model
+        Ĝ; not needed by Buckley and James.
+    stages
+        One distribution of durations for each stage (``"separate"``), or one for all (``"pooled"``).
+    is_used
+        1 for each feature of the taken action that m may look at, 0 for the others.
+    block_of_action
+        Which block of coefficients each action uses.
+
+    Raises
+    ------
+    ArgumentError
+        The action of a stage in which a path was cut was not logged.
+    """
+    _refuse_unknown_actions(paths, kind)
+    features = _by_block(paths, is_used, block_of_action)
+    completed_s = paths.watched_s[paths.is_completed]
+    knots = np.unique(np.quantile(completed_s, KNOTS))
+    spread = max(float(completed_s.std()), 1e-12)
+    shape = (*paths.action.shape, 1 + len(knots))
+    expected, share = np.zeros(shape), paths.is_completed.astype(np.float64)
+    num_stages = paths.action.shape[1]
+    for t in range(num_stages) if stages == "separate" else [slice(None)]:
+        where = np.zeros(paths.action.shape, dtype=bool)
+        where[:, t] = True
+        rows = paths.is_begun & where
+        if not (rows & paths.is_completed).any():
+            continue
+        durations = fit_durations(paths.watched_s[rows], paths.is_completed[rows], features[rows])
+        terms = _terms(durations.at_s, knots, spread)
+        if kind == "buckley-james":
+            told = durations.expected(features[rows], paths.watched_s[rows][:, None], terms)[:, 0]
+            expected[rows] = np.where(paths.is_completed[rows][:, None], 0.0, told)
+        else:
+            assert cut_model is not None
+            share[rows], expected[rows] = _augmented(paths, cut_model, rows, durations, features, terms)
+    return Imputation(
+        share=share,
+        terms=np.where(paths.is_completed[..., None], _terms(paths.watched_s, knots, spread), 0.0),
+        expected=expected,
+        is_told=paths.is_completed.astype(np.float64),
+        is_used=is_used,
+    )
+
+
+def _augmented(
+    paths: PathArrays,
+    cut_model: CutModel,
+    rows: Bool[np.ndarray, "n T"],
+    durations: Durations,
+    features: Float[np.ndarray, "n T P"],
+    terms: Float[np.ndarray, "J G"],
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k G"]]:
+    """Share δ/K̂(D⁻), and the two sums over m with g in its place."""
+    ended_s, is_completed = paths.watched_s, paths.is_completed[rows]
+    ages = np.unique(np.quantile(ended_s[rows], np.linspace(0.0, 1.0, NUM_AGES + 1)))
+    ages = np.concatenate([[0.0], ages[:-1], [np.inf]])
+    middle = np.append((ages[:-2] + ages[1:-1]) / 2.0, ages[-2])
+    # A stage that was cut at c was at risk until just after c.
+    at_risk_s = np.where(paths.is_completed, ended_s, ended_s + 2.0 * SMALLEST_AGE_S)
+    within = cut_model.survival(paths, np.minimum(ages, at_risk_s[..., None]), rows)[rows]
+    share = np.where(is_completed, cut_model.weights(paths)[rows] / cut_model.begun_weights(paths)[rows], 0.0)
+    # Where K̂ falls to 0 with the last cut itself, the nearest that can be divided by is just before it.
+    before_cut = cut_model.survival(paths, ended_s, rows)[rows]
+    most = np.where(is_completed, share, 1.0 / np.maximum(before_cut, SMALLEST_CHANCE))
+    least = np.where(within > 0, within, 1.0 / most[:, None])
+    inverse = np.minimum(1.0 / least, np.where(is_completed, most, np.inf)[:, None])
+    inverse[:, -1] = np.where(is_completed, share, inverse[:, -1])
+    steps = -np.diff(inverse, axis=1)
+    cut_in = np.searchsorted(ages, ended_s[rows], side="right") - 1
+    steps[np.arange(len(steps)), cut_in] += np.where(is_completed, 0.0, inverse[:, -1])
+    told = durations.expected(features[rows], np.broadcast_to(middle, (len(steps), len(middle))), terms)
+    return share, np.einsum("kl,klg->kg", steps, told)
+
+
+def _terms(duration_s: Float[np.ndarray, "*S"], knots: Float[np.ndarray, " k"], spread: float) -> np.ndarray:
+    """g(D): the duration, and how far it is beyond each knot, in standard deviations."""
+    bends = [np.maximum(duration_s - knot, 0.0) for knot in knots]
+    return np.stack([duration_s, *bends], axis=-1) / spread
+
+
+def _by_block(
+    paths: PathArrays, is_used: Float[np.ndarray, " F"], block_of_action: Int[np.ndarray, " A"]
+) -> Float[np.ndarray, "n T P"]:
+    """A constant and the features of the action that was taken, in columns of its block's own."""
+    taken = np.take_along_axis(paths.features, paths.action[..., None, None], axis=2)[:, :, 0] * is_used
+    own = np.insert(taken, 0, 1.0, axis=-1)
+    blocks = block_of_action[paths.action]
+    return np.concatenate([own * (blocks == block)[..., None] for block in np.unique(block_of_action)], axis=-1)
+
+
+def _refuse_unknown_actions(paths: PathArrays, kind: ImputationKind) -> None:
+    unknown = paths.is_begun & ~paths.has_action
+    if unknown.any():
+        path, stage = np.argwhere(unknown)[0]
+        raise ArgumentError(
+            f"path {paths.path_ids[path]}, stage {stage + 1}: its action is null, and {kind} learning needs the "
+            "action of the stage in which a path was cut; log it when the stage begins, or use weights alone"
+        )

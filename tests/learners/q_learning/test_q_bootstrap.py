@@ -1,0 +1,74 @@
+import numpy as np
+import pandas as pd
+import pytest
+from trials import ACTIONS, FULL, indicators, two_stage_trial
+
+from halfseen.errors import ArgumentError
+from halfseen.learners import CensoredQLearner
+from halfseen.learners.q_learning.bootstrap import bootstrap
+from halfseen.logs import Logs
+
+NUM_PATHS = 60
+
+
+@pytest.fixture(scope="module")
+def logs():
+    trial = two_stage_trial(num_paths=NUM_PATHS)
+    by_lot = pd.Series(np.random.default_rng(0).choice(ACTIONS, trial.num_stages))
+    return Logs(trial.stages.assign(action=trial.stages["action"].fillna(by_lot)), trial.paths)
+
+
+def repeated(logs, counts):
+    """A log in which path i is there `counts[i]` times, under other names."""
+    rows = np.repeat(logs.path_ids, counts)
+    names = pd.DataFrame({"path": rows, "name": np.arange(len(rows))})
+    frames = [names.merge(frame, on="path").drop(columns="path") for frame in (logs.stages, logs.paths)]
+    return Logs(*(frame.rename(columns={"name": "path"}) for frame in frames))
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"censoring": "cox", "censoring_by": "pooled"}, {"augmented": True}, {"censoring": "buckley-james"}],
+    ids=str,
+)
+def test_a_replicate_is_what_is_learned_from_the_paths_that_were_drawn(logs, options):
+    """A path drawn k times counts as k paths that are the same, in the weights and the targets, too."""
+    learner = CensoredQLearner(2, ACTIONS, ["s1_1", "s2_1"], reg=0.1, **options).fit(logs)
+    told = bootstrap(learner, logs, num_replicates=3, random_state=5)
+
+    share = np.full(NUM_PATHS, 1 / NUM_PATHS)
+    counts = np.random.default_rng(5).multinomial(NUM_PATHS, share, size=3)
+    for k in range(3):
+        again = CensoredQLearner(2, ACTIONS, ["s1_1", "s2_1"], reg=0.1, **options).fit(repeated(logs, counts[k]))
+        np.testing.assert_allclose(
+            told.replicates.coefficients[k], again.q_functions_.coefficients, rtol=1e-6, atol=1e-8
+        )
+
+
+def test_intervals_and_shares(logs):
+    learner = CensoredQLearner(2, ACTIONS, FULL, reg=1.0).fit(logs)
+    told = bootstrap(learner, logs, num_replicates=40)
+    frame = pd.DataFrame([indicators(1, state) for state in range(3)])
+    low, high = told.q_interval(frame, 1, level=0.9)
+    wide_low, wide_high = told.q_interval(frame, 1, level=0.99)
+    q = learner.q_values(frame, 1)
+    assert (low < q).mean() > 0.8
+    assert (q < high).mean() > 0.8
+    assert (wide_low <= low).all()
+    assert (wide_high >= high).all()
+    shares = told.decision_shares(frame, 1)
+    assert shares.sum(axis=1) == pytest.approx(1.0)
+    assert (shares[np.arange(3), np.argmax(q, axis=1)] > 0.5).all()
+
+
+def test_what_cannot_be_asked_is_refused(logs):
+    learner = CensoredQLearner(2, ACTIONS, FULL, reg=1.0)
+    with pytest.raises(ArgumentError, match="fit it to this log first"):
+        bootstrap(learner, logs)
+    learner.fit(logs)
+    with pytest.raises(ArgumentError, match="num_replicates is 1"):
+        bootstrap(learner, logs, num_replicates=1)
+    with pytest.raises(ArgumentError, match="the log has 10 paths, but the learner was fitted to 60"):
+        bootstrap(learner, logs.select(range(10)))
+    with pytest.raises(ArgumentError, match=r"level is 1\.0"):
+        bootstrap(learner, logs, num_replicates=2).q_interval(pd.DataFrame([indicators(1, 0)]), 1, level=1.0)
