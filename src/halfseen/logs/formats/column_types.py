@@ -39,7 +39,7 @@ def column_type(table: str, frame: pd.DataFrame, column: str) -> ColumnType:
         return str(values.dtype)
     if str(values.dtype) == "string":
         return _PANDAS_TEXT
-    kind = _name(pa.array(values, from_pandas=True).type)
+    kind = type_name(pa.array(values, from_pandas=True).type)
     if kind is None:
         raise LogError(
             f"{table}: column {column!r} holds {pa.array(values, from_pandas=True).type}, which has no form as text; "
@@ -48,7 +48,7 @@ def column_type(table: str, frame: pd.DataFrame, column: str) -> ColumnType:
     return kind
 
 
-def as_cells(values: pd.Series, kind: ColumnType) -> pa.Array:
+def as_cells(values: Any, kind: ColumnType) -> pa.Array:
     """Bring a column into the form in which it is written: lists as JSON, times as ISO 8601, the rest as it is."""
     if isinstance(kind, Mapping):
         values = values.astype(object)
@@ -61,7 +61,7 @@ def as_cells(values: pd.Series, kind: ColumnType) -> pa.Array:
     return cells
 
 
-def texts(values: pd.Series, kind: ColumnType) -> list[str | None]:
+def texts(values: Any, kind: ColumnType) -> list[str | None]:
     """Write the cells of a column as text, null as None."""
     return as_cells(values, kind).cast(pa.string()).to_pylist()
 
@@ -106,10 +106,11 @@ def arrow_type(name: str) -> pa.DataType:
     raise ValueError(f"type {name!r} is unknown; there are {', '.join([*_PLAIN, *_TIMES, 'timestamp[us]', 'list<…>'])}")
 
 
-def _name(kind: pa.DataType) -> str | None:
+def type_name(kind: pa.DataType) -> str | None:
+    """Name a type of Arrow; None where it has no text of its own."""
     if pa.types.is_list(kind):
         item = kind.value_type
-        inner = None if _is_time(item) else _name(item)
+        inner = None if _is_time(item) else type_name(item)
         return inner and f"list<{inner}>"
     return str(kind) if _is_time(kind) or str(kind) in _PLAIN else None
 
@@ -119,6 +120,10 @@ def _is_time(kind: pa.DataType) -> bool:
 
 
 def _parsed(cells: Any, kind: pa.DataType) -> Any:
+    if pa.types.is_null(kind):
+        if cells.null_count < len(cells):
+            raise ValueError("there are values where all should be null")
+        return pa.nulls(len(cells))
     if not pa.types.is_list(kind):
         return cells.cast(kind)
     return pa.array([None if cell is None else json.loads(cell) for cell in cells.to_pylist()], kind)

@@ -14,12 +14,14 @@ rules, in this order:
 
 1. ``stage`` holds whole numbers; ``elapsed_s``, ``reward``, ``probability`` and ``end_s`` hold numbers; ``ending``
    and ``cause`` hold text.
-2. A column whose every cell is a whole number holds whole numbers. Cells like ``007`` are text.
-3. Every cell a number: numbers. Every cell ``true`` or ``false``: booleans. Every cell a JSON list: lists.
+2. A column whose every cell is a whole number holds whole numbers; but names such as ``007`` are text.
+3. Every cell a number: numbers. Every cell ``true`` or ``false``: booleans. Every cell a JSON list: lists. Names of
+   paths, actions and objects are never any of these.
 4. Else it holds text; but a column of covariates that begins with a number and goes on with text is refused, since
    that is more often a slip than a name. To keep it as text, say ``"string"`` in ``columns.json``.
 """
 
+import csv
 import json
 import re
 from pathlib import Path
@@ -27,12 +29,11 @@ from typing import Any
 
 import pandas as pd
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.csv as arrow_csv
 
 from halfseen.errors import LogError
 from halfseen.logs.columns import OBJECT_COLUMNS, PATH_COLUMNS, STAGE_COLUMNS
-from halfseen.logs.formats.column_types import ColumnType, as_cells, column_type, from_texts
+from halfseen.logs.formats.column_types import ColumnType, as_cells, column_type, from_texts, type_name
 from halfseen.logs.formats.placing import placed
 from halfseen.logs.logs import Logs
 
@@ -43,9 +44,10 @@ _KNOWN_TYPES = {"stage": "int64", "ending": "string", "cause": "string"}
 _KNOWN_TYPES |= dict.fromkeys(("elapsed_s", "reward", "probability", "end_s"), "double")
 _NAMES = {*STAGE_COLUMNS, *PATH_COLUMNS, *OBJECT_COLUMNS}
 
-_INTEGER = r"^-?(0|[1-9][0-9]{0,17})$"
-_NUMBER = r"^[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?$"
-_SHAPES = {"int64": _INTEGER, "double": _NUMBER, "bool": r"^(true|false)$"}
+_WRONG = (ValueError, TypeError, KeyError, AttributeError, pa.ArrowException)
+_INTEGER = r"-?(0|[1-9][0-9]{0,17})"
+_NUMBER = r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?"
+_SHAPES = {"int64": _INTEGER, "double": _NUMBER, "bool": r"true|false"}
 
 
 def write_csv(logs: Logs, folder: str | Path) -> None:
@@ -106,13 +108,27 @@ def _read_types(file: Path) -> dict[str, dict[str, ColumnType]]:
     try:
         manifest: Any = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise LogError(f"{file}: it cannot be read ({error}); mend it, or remove it and let types be guessed") from error
+        raise LogError(
+            f"{file}: it cannot be read ({error}); mend it, or remove it and let types be guessed"
+        ) from error
     if not isinstance(manifest, dict) or (manifest.get("format"), manifest.get("version")) != (FORMAT, VERSION):
         raise LogError(f"{file}: it is not of format {FORMAT!r}, version {VERSION}; remove it and let types be guessed")
     tables = manifest.get("tables")
     if not isinstance(tables, dict) or not all(isinstance(types, dict) for types in tables.values()):
         raise LogError(f"{file}: tables does not name the columns of each table; remove it and let types be guessed")
+    for table, types in tables.items():
+        for column, kind in types.items():
+            _check_type(f"{file}: tables.{table}.{column}", kind)
     return tables
+
+
+def _check_type(place: str, kind: Any) -> None:
+    try:
+        if not isinstance(kind, str | dict):
+            raise TypeError("it is neither text nor a table of categories")
+        from_texts([], kind)
+    except _WRONG as error:
+        raise LogError(f"{place} is {kind!r}, which is no type ({error}); mend it, or leave the column out") from error
 
 
 def _read_table(file: Path, types: dict[str, ColumnType]) -> pd.DataFrame:
@@ -124,7 +140,8 @@ def _read_table(file: Path, types: dict[str, ColumnType]) -> pd.DataFrame:
 def _read_cells(file: Path) -> pa.Table:
     """Read every cell as text; only an empty cell without quotes is null."""
     try:
-        header = arrow_csv.open_csv(file).schema.names if file.stat().st_size else []
+        with file.open(encoding="utf-8-sig", newline="") as lines:
+            header = next(csv.reader(lines), [])
         repeated = [name for i, name in enumerate(header) if name in header[:i]]
         if repeated:
             raise LogError(f"{file}: there are two columns {repeated[0]!r}; drop or rename one")
@@ -141,7 +158,7 @@ def _read_cells(file: Path) -> pa.Table:
         )
     except FileNotFoundError as error:
         raise LogError(f"{file}: it is missing; logs as CSV need stages.csv and paths.csv") from error
-    except (OSError, pa.ArrowException) as error:
+    except (OSError, UnicodeDecodeError, csv.Error, pa.ArrowException) as error:
         reason = str(error).splitlines()[0]
         raise LogError(f"{file}: it is no CSV file of one table ({reason}); mend or export it again") from error
 
@@ -150,52 +167,49 @@ def _column(file: Path, name: str, cells: Any, kind: ColumnType | None) -> Any:
     kind = kind or _KNOWN_TYPES.get(name) or _guessed_type(file, name, cells)
     try:
         return from_texts(cells, kind)
-    except (ValueError, TypeError, KeyError, pa.ArrowException) as error:
+    except _WRONG as error:
         row = _first_wrong(cells, kind)
-        if row is None:
-            raise LogError(f"{file}: column {name!r} cannot be read as {kind!r} ({error}); mend {TYPES_FILE}") from error
         raise LogError(
-            f"{_place(file, name, row)}: {cells[row].as_py()!r} is no {kind}; mend the cell, or leave it empty if there "
-            "is no value"
+            f"{_place(file, name, row)}: {cells[row].as_py()!r} is no {kind}; mend the cell, or leave it empty if "
+            "there is no value"
         ) from error
 
 
-def _first_wrong(cells: Any, kind: ColumnType) -> int | None:
-    for row, cell in enumerate(cells.to_pylist()):
+def _first_wrong(cells: Any, kind: ColumnType) -> int:
+    for row in range(len(cells)):
         try:
-            from_texts([cell], kind)
-        except (ValueError, TypeError, KeyError, pa.ArrowException):
-            if cell is not None:
-                return row
-    return None
+            from_texts(cells[row : row + 1], kind)
+        except _WRONG:
+            return row
+    return 0
 
 
 def _guessed_type(file: Path, name: str, cells: Any) -> ColumnType:
     there = cells.drop_null()
     if len(there) == 0:
         return "null"
+    different = there.unique().to_pylist()
     for kind, shape in _SHAPES.items():
-        if pc.all(pc.match_substring_regex(there, shape)).as_py():
+        if all(re.fullmatch(shape, cell) for cell in different) and (kind == "int64" or name not in _NAMES):
             return kind
-    if pc.all(pc.match_substring_regex(there, r"^\[.*\]$")).as_py():
-        return _list_type(there)
-    if name not in _NAMES and re.match(_NUMBER, there[0].as_py()):
-        is_number = pc.match_substring_regex(cells, _NUMBER)
-        row = pc.index(is_number, pa.scalar(False)).as_py()
+    if all(cell.startswith("[") for cell in different):
+        return _list_type(different)
+    if name not in _NAMES and re.fullmatch(_NUMBER, different[0]):
+        wrong = next(cell for cell in different if not re.fullmatch(_NUMBER, cell))
         raise LogError(
-            f"{_place(file, name, row)}: {cells[row].as_py()!r} is no number, though the column begins with one; mend "
-            f'the cell, leave it empty if there is no value, or say "string" for the column in {TYPES_FILE}'
+            f"{_place(file, name, cells.to_pylist().index(wrong))}: {wrong!r} is no number, though the column begins "
+            f"with one; mend the cell, leave it empty if there is no value, or say 'string' for the column in "
+            f"{TYPES_FILE}"
         )
     return "string"
 
 
-def _list_type(cells: Any) -> ColumnType:
+def _list_type(cells: list[str]) -> ColumnType:
     """Type of a column of JSON lists; text if they are none after all."""
     try:
-        kind = pa.array([json.loads(cell) for cell in cells.to_pylist()]).type
+        return type_name(pa.array([json.loads(cell) for cell in cells]).type) or "string"
     except (ValueError, pa.ArrowException):
         return "string"
-    return f"list<{kind.value_type}>"
 
 
 def _place(file: Path, name: str, row: int) -> str:

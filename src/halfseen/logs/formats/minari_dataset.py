@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from halfseen.errors import ArgumentError, LogError
+from halfseen.errors import ArgumentError, HalfseenError, LogError
 from halfseen.logs.formats.extras import extra
 from halfseen.logs.formats.minari_foreign import read_foreign
 from halfseen.logs.formats.minari_steps import Schema, Steps, logs_of, schema_of, steps_of
@@ -55,7 +55,11 @@ def write_minari(logs: Logs, dataset_id: str) -> None:
         raise LogError("stages: none was completed, so that Minari would have no step; record longer, or write Parquet")
     target = _target(dataset_id)
     episodes = list(steps_of(logs, schema))
-    metadata = {"version": VERSION, **asdict(schema), "without_steps": [asdict(p) for p in episodes if not len(p.actions)]}
+    metadata = {
+        "version": VERSION,
+        **asdict(schema),
+        "without_steps": [asdict(p) for p in episodes if not len(p.actions)],
+    }
     with placed(target) as fresh, _datasets_in(fresh), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Minari misses an author, a licence and an environment
         _create(minari, dataset_id, schema, [path for path in episodes if len(path.actions)], metadata)
@@ -95,15 +99,17 @@ def read_minari(dataset: Any, *, clock: str | None = None, step_s: float | None 
     dataset = _loaded(dataset)
     metadata = dataset.storage.metadata
     name = metadata.get("dataset_id", dataset.storage.data_path)
-    if KEY not in metadata:
-        return read_foreign(dataset, f"dataset {name}", clock, step_s)
-    if clock is not None or step_s is not None:
+    if KEY in metadata and (clock is not None or step_s is not None):
         raise ArgumentError(f"dataset {name}: halfseen wrote it with its own clock; leave clock and step_s out")
     try:
-        return _read_own(dataset, json.loads(metadata[KEY]))
-    except (KeyError, ValueError, TypeError, IndexError) as error:
+        if KEY in metadata:
+            return _read_own(dataset, json.loads(metadata[KEY]))
+        return read_foreign(dataset, f"dataset {name}", clock, step_s)
+    except HalfseenError:
+        raise
+    except (KeyError, ValueError, TypeError, IndexError, OSError) as error:
         raise LogError(
-            f"dataset {name}: what halfseen noted in it is broken ({type(error).__name__}: {error}); write it again"
+            f"dataset {name}: it is broken ({type(error).__name__}: {error}); write or download it again"
         ) from error
 
 

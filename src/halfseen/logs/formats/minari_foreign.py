@@ -117,7 +117,7 @@ def _ending(episode: Any, place: str) -> tuple[str, str | None]:
     early = (terminated | truncated)[:-1]
     if early.any():
         raise LogError(
-            f"{place}: step {int(np.argmax(early))} ends it, yet {len(terminated)} steps follow one another; split it"
+            f"{place}: step {int(np.argmax(early)) + 1} of {len(terminated)} ends it; make two episodes of it"
         )
     if terminated[-1]:
         return FINISHED, None

@@ -99,18 +99,20 @@ def schema_of(logs: Logs) -> Schema:
         for name, frame in frames.items()
         if frame is not None
     }
-    taken = logs.stages["action"][logs.stages["elapsed_s"].notna()]
+    taken: Any = logs.stages["action"][logs.stages["elapsed_s"].notna()]
     names = pd.Series(sorted(taken.unique()), dtype=taken.dtype)
     actions = [str(name) for name in texts(names, types["stages"]["action"])]
     numeric = [column for column in logs.stage_covariates if _is_exact(logs.stages[column])]
     return Schema(actions, numeric, types)
 
 
-def _is_exact(values: pd.Series) -> bool:
+def _is_exact(values: Any) -> bool:
     """Whether float64 carries the numbers of a column to the last bit."""
     if not pd.api.types.is_numeric_dtype(values.dtype):
         return False
-    return not pd.api.types.is_integer_dtype(values.dtype) or bool(values.between(-_LARGEST_EXACT, _LARGEST_EXACT).all())
+    return not pd.api.types.is_integer_dtype(values.dtype) or bool(
+        values.between(-_LARGEST_EXACT, _LARGEST_EXACT).all()
+    )
 
 
 def steps_of(logs: Logs, schema: Schema) -> Iterator[Steps]:
@@ -222,5 +224,3 @@ def _typed_numbers(values: list[float], kind: ColumnType) -> pd.Series:
 
 def _frame(rows: list[Cells], types: dict[str, ColumnType]) -> pd.DataFrame:
     return pd.DataFrame({name: from_texts([row[name] for row in rows], kind) for name, kind in types.items()})
-
-

@@ -87,7 +87,9 @@ def read_bag(
             paths.append({**row, "bag": bag.name})
             stages += [{"path": path.name, "stage": t, **stage} for t, stage in enumerate(path.stages, start=1)]
     if not paths:
-        raise LogError(f"{', '.join(map(str, files))}: no path with a stage was found; look at [path] in {mapping.file}")
+        raise LogError(
+            f"{', '.join(map(str, files))}: no path with a stage was found; look at [path] in {mapping.file}"
+        )
     return _checked(files, stages, paths, objects)
 
 

@@ -157,7 +157,7 @@ def read_mapping(file: str | Path) -> BagMapping:
         tables = tomllib.loads(Path(file).read_text(encoding="utf-8"))
     except OSError as error:
         raise ArgumentError(
-            f"{file}: it cannot be read ({error.strerror}); `halfseen convert --mapping-template` prints one to start from"
+            f"{file}: it cannot be read ({error.strerror}); `halfseen convert --mapping-template` prints one"
         ) from error
     except ValueError as error:
         raise ArgumentError(f"{file}: it is no TOML ({error}); mend it") from error

@@ -123,7 +123,9 @@ def points_of(message: Any, where: str) -> tuple[Float[np.ndarray, "n 3"], tuple
     rows, columns = int(message.height), int(message.width)
     data = np.asarray(message.data, dtype=np.uint8)
     if len(data) != rows * message.row_step or columns * message.point_step > message.row_step:
-        raise LogError(f"{where}: {len(data)} bytes are not the {rows} × {message.row_step} announced; it was cut short")
+        raise LogError(
+            f"{where}: {len(data)} bytes are not the {rows} × {message.row_step} announced; it was cut short"
+        )
     order = ">" if message.is_bigendian else "<"
     layout = np.dtype(
         {
@@ -200,7 +202,7 @@ def _stamp(message: Any, connection: Any, log_ns: int, mapping: BagMapping) -> i
     stamp = getattr(getattr(message, "header", None), "stamp", None)
     if stamp is None:
         raise ArgumentError(
-            f"{mapping.file}, clock: {connection.topic} ({connection.msgtype}) has no header.stamp; say clock = \"log\""
+            f'{mapping.file}, clock: {connection.topic} ({connection.msgtype}) has no header.stamp; say clock = "log"'
         )
     return int(stamp.sec) * 10**9 + int(stamp.nanosec)
 

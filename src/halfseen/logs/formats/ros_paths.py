@@ -96,8 +96,8 @@ def _begin(path: BagPath, stage: dict[str, Any], seen: dict[str, Any], event: Ev
     if "action" in stage:
         _refuse(
             path,
-            f"action {shown(event.value)} comes at {clock_s:g} s, yet {shown(stage['action'])} before it has no reward; "
-            "record a reward after every action",
+            f"action {shown(event.value)} comes at {clock_s:g} s, yet {shown(stage['action'])} before it has no "
+            "reward; record a reward after every action",
         )
     stage |= {"action": event.value, "seen": dict(seen)}
 

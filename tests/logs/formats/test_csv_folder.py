@@ -1,0 +1,184 @@
+import datetime
+import json
+import os
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from test_logs import assert_same
+from valid_logs import small_tables, valid_tables
+
+from halfseen.errors import ArgumentError, LogError
+from halfseen.logs import Logs
+from halfseen.logs.formats import csv_folder, read_csv, write_csv
+
+
+@pytest.fixture
+def folder(tmp_path):
+    write_csv(Logs(**small_tables()), tmp_path / "logs")
+    return tmp_path / "logs"
+
+
+def replace(file, old, new):
+    text = file.read_text(encoding="utf-8")
+    assert old in text
+    file.write_text(text.replace(old, new, 1), encoding="utf-8")
+
+
+@given(valid_tables())
+@settings(max_examples=40)
+def test_any_log_comes_back_to_the_last_bit(tmp_path_factory, tables):
+    logs, folder = Logs(**tables), tmp_path_factory.mktemp("csv") / "a"
+    write_csv(logs, folder)
+    assert_same(logs, read_csv(folder))
+
+
+def test_every_type_comes_back(tmp_path):
+    tables = small_tables()
+    stages, paths, objects = tables["stages"], tables["paths"], tables["objects"]
+    stages["action"] = [0, 1, 2, 2, None]
+    stages["step"] = np.array([10, -9, 8, 7, 6], dtype="int8")
+    stages["tiny"] = [5e-324, 0.1, -0.0, 1e308, 7.0]
+    stages["single"] = np.float32([0.1, 1 / 3, 3e38, 1e-45, 7])
+    stages["kind"] = pd.Categorical(["a", "b", "a", "b", "a"], ["z", "b", "a"], ordered=True)
+    stages["level"] = pd.Categorical([1, 2, 1, 2, 1])
+    stages["text"] = ["1", "", 'q"uo,te', "two\nlines", None]
+    stages["own_text"] = pd.array(["1", "", "null", "NaN", None], dtype="string")
+    paths["path"] = stages["path"] = objects["path"] = None
+    paths["path"] = ["1", "02", "3"]
+    stages["path"] = ["1", "1", "02", "02", "3"]
+    objects["path"] = np.repeat(stages["path"].to_numpy(), 2)
+    paths["is_good"] = pd.array([True, False, None], dtype="boolean")
+    paths["is_odd"] = [True, False, None]
+    paths["large"] = pd.array([2**62 + 1, None, -(2**62) - 1], dtype="Int64")
+    paths["recorded"] = pd.Timestamp("2024-05-01 12:00", tz="Europe/Berlin")
+    paths["precise"] = pd.Timestamp("2024-05-01 00:00:00.123456789")
+    paths["day"] = [datetime.date(2024, 2, 29), None, None]
+    paths["tags"] = [["a", "b,c"], None, []]
+    objects["grasps"] = [[1, 2], [], [3], *[[]] * 7]
+    objects["deep"] = [[[0.1], []]] * 10
+    logs = Logs(**tables)
+    write_csv(logs, tmp_path / "logs")
+    back = read_csv(tmp_path / "logs")
+    assert_same(logs, back)
+    assert np.signbit(back.stages["tiny"].to_numpy()).sum() == 1
+    assert back.paths["path"].tolist() == ["02", "1", "3"]
+
+
+def test_a_column_without_text_of_its_own_is_refused_and_nothing_is_written(tmp_path):
+    tables = small_tables()
+    tables["paths"]["arm"] = [{"joint": 1}] * 3
+    with pytest.raises(LogError, match=r"paths: column 'arm' holds struct.*drop it or turn it"):
+        write_csv(Logs(**tables), tmp_path / "logs")
+    assert os.listdir(tmp_path) == []
+
+
+def test_by_hand_without_types_the_rules_decide(tmp_path):
+    (tmp_path / "paths.csv").write_bytes(
+        b"\xef\xbb\xbfpath,end_s,ending,cause,room\r\n007,4,finished,,1\r\n8,3.5,cut,battery,2\r\n"
+    )
+    (tmp_path / "stages.csv").write_text(
+        "path,stage,elapsed_s,action,reward,x,is_held,shares,note,empty\n"
+        '007,1,1.5,1,0,1e-1,true,"[1, 2.5]",a,\n007,2,4,B,1,-2,false,[],"",\n8,1,,,,3,true,[3],,\n'
+    )
+    logs = read_csv(tmp_path)
+    assert logs.path_ids.tolist() == ["007", "8"]
+    assert logs.paths["cause"].tolist() == [None, "battery"]
+    assert logs.paths["room"].dtype == np.int64
+    assert logs.stages["action"].tolist() == ["1", "B", None]
+    assert logs.stages["x"].tolist() == [0.1, -2.0, 3.0]
+    assert logs.stages["is_held"].dtype == bool
+    assert [shares.tolist() for shares in logs.stages["shares"]] == [[1.0, 2.5], [], [3.0]]
+    assert logs.stages["note"].tolist() == ["a", "", None]
+    assert logs.stages["empty"].isna().all()
+
+
+def test_types_may_name_only_some_columns(folder):
+    types = json.loads((folder / "columns.json").read_text())
+    types["tables"] = {"stages": {"path": "string"}, "paths": {"path": "string"}, "objects": {"path": "string"}}
+    (folder / "columns.json").write_text(json.dumps(types))
+    logs = read_csv(folder)
+    assert logs.path_ids.tolist() == ["1", "2", "3"]
+    assert logs.objects["hidden_by"][0].tolist() == [0.0, 0.0]
+
+
+@pytest.mark.parametrize("has_types", [True, False])
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("1,1,1.5", "1,1,soon", r"stages\.csv, row 2, column 'elapsed_s': 'soon' is no double"),
+        ("2,1,2,", "2,one,2,", r"stages\.csv, row 4, column 'stage': 'one' is no int64"),
+        ("-0.1,0.5,10", "-0.1,0.5", r"stages\.csv: it is no CSV file of one table .*Row #2: Expected 8 columns, got 7"),
+        ("-5,1,9", "-5,1,NA", r"stages\.csv, row 3, column 'steps_to_go': 'NA' is no (int64|number)"),
+        ('"stage"', '"path"', r"stages\.csv: there are two columns 'path'"),
+        ('"stage"', '"stag"', r"there is no column 'stage' among .* rename 'stag'\?"),
+        ("1,1,1.5", "9,1,1.5", r"paths has no such path"),
+        ("1,1,1.5", "1,1,-1.5", r"path 1, stage 1: elapsed_s -1.5"),
+    ],
+)
+def test_a_wrong_cell_is_told_with_file_row_and_column(folder, old, new, message, has_types):
+    if not has_types:
+        (folder / "columns.json").unlink()
+    replace(folder / "stages.csv", old, new)
+    with pytest.raises(LogError, match=message) as told:
+        read_csv(folder)
+    assert "\n" not in str(told.value)
+
+
+def test_broken_lists_and_times_are_told(folder):
+    replace(folder / "objects.csv", '"[0.0, 0.0]"', '"[0.0, 0.0"')
+    with pytest.raises(LogError, match=r"objects\.csv, row 2, column 'hidden_by': '\[0\.0, 0\.0' is no list<double>"):
+        read_csv(folder)
+
+
+@pytest.mark.parametrize("name", ["stages", "paths"])
+def test_a_missing_or_empty_file_is_named(folder, name):
+    (folder / f"{name}.csv").write_bytes(b"")
+    with pytest.raises(LogError, match=rf"{name}\.csv: it is no CSV file of one table"):
+        read_csv(folder)
+    (folder / f"{name}.csv").unlink()
+    with pytest.raises(LogError, match=rf"{name}\.csv: it is missing"):
+        read_csv(folder)
+
+
+def test_what_is_no_utf8_is_told(folder):
+    file = folder / "paths.csv"
+    file.write_bytes(file.read_bytes().replace(b"battery", b"b\xe4ttery"))
+    with pytest.raises(LogError, match=r"paths\.csv: it is no CSV file.*(utf-8|UTF8)"):
+        read_csv(folder)
+
+
+@pytest.mark.parametrize(
+    ("types", "message"),
+    [
+        ("{", "it cannot be read"),
+        ("[]", "it is not of format"),
+        ('{"format": "halfseen-csv", "version": 2}', "it is not of format 'halfseen-csv', version 1"),
+        ('{"format": "halfseen-csv", "version": 1, "tables": []}', "tables does not name"),
+        ('{"format": "halfseen-csv", "version": 1, "tables": {"paths": {"end_s": "metres"}}}', "'metres' is unknown"),
+        ('{"format": "halfseen-csv", "version": 1, "tables": {"paths": {"end_s": 3}}}', "tables.paths.end_s is 3, which is no type"),
+        ('{"format": "halfseen-csv", "version": 1, "tables": {"paths": {"end_s": {"type": 1}}}}', "which is no type"),
+    ],
+)
+def test_wrong_types_are_told(folder, types, message):
+    (folder / "columns.json").write_text(types)
+    with pytest.raises(LogError, match=message):
+        read_csv(folder)
+
+
+def test_what_is_there_is_never_replaced(folder):
+    before = {file.name: file.read_bytes() for file in folder.iterdir()}
+    with pytest.raises(ArgumentError, match="it is there already"):
+        write_csv(Logs(**small_tables()), folder)
+    assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
+
+
+def test_a_write_that_fails_leaves_nothing(tmp_path, monkeypatch):
+    def full_disk(*args, **kwargs):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(csv_folder.arrow_csv, "write_csv", full_disk)
+    with pytest.raises(ArgumentError, match=r"cannot be written .No space left on device"):
+        write_csv(Logs(**small_tables()), tmp_path / "logs")
+    assert os.listdir(tmp_path) == []

@@ -1,0 +1,301 @@
+import json
+import os
+
+import gymnasium
+import minari
+import numpy as np
+import pandas as pd
+import pytest
+from gymnasium import spaces
+from hypothesis import HealthCheck, given, settings
+from minari.data_collector import EpisodeBuffer
+from minari.dataset._storages import hdf5_storage
+from test_logs import assert_same
+from valid_logs import small_tables, valid_tables
+
+from halfseen.errors import ArgumentError, HalfseenWarning, LogError
+from halfseen.logs import Logs
+from halfseen.logs.formats import extras, read_minari, write_minari
+
+
+@pytest.fixture(autouse=True)
+def root(tmp_path, monkeypatch):
+    """A folder of datasets of its own."""
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "datasets"))
+    (tmp_path / "datasets").mkdir()
+    return tmp_path / "datasets"
+
+
+@pytest.fixture
+def flat():
+    """Path 1 finishes in two stages, path 2 is cut in its second, path 3 in its first."""
+    tables = small_tables()
+    del tables["stages"]["object"]
+    tables["stages"]["height_m"] = np.float32([0.1, 0.2, 0.3, 0.4, 0.5])
+    return Logs(tables["stages"], tables["paths"])
+
+
+def episodes_of(dataset_id):
+    return list(minari.load_dataset(dataset_id))
+
+
+# Written by halfseen.
+
+
+def test_steps_are_completed_stages_and_the_cut_stage_is_the_last_observation(flat):
+    write_minari(flat, "cell/pick-v0")
+    finished, cut = episodes_of("cell/pick-v0")
+    names = json.loads(minari.load_dataset("cell/pick-v0").storage.metadata["halfseen"])["actions"]
+    assert names == ["FINISH", "LIFT", "WASH"]
+    assert finished.actions.tolist() == [1, 0]
+    assert finished.rewards.tolist() == [-0.1, -5.0]
+    assert (finished.terminations.tolist(), finished.truncations.tolist()) == ([False, True], [False, False])
+    assert finished.infos["elapsed_s"].tolist() == [0.0, 1.5, 4.0]
+    assert finished.observations[:, 0].tolist() == [10.0, 9.0, 9.0]
+    assert (cut.actions.tolist(), cut.rewards.tolist()) == ([2], [5.0])
+    assert (cut.terminations.tolist(), cut.truncations.tolist()) == ([False], [True])
+    assert cut.observations.tolist() == [[10.0, np.float32(0.3)], [9.0, np.float32(0.4)]]
+
+
+def test_minari_knows_the_dataset_and_its_namespaces(flat):
+    write_minari(flat, "cell/arm/pick-v0")
+    assert list(minari.list_local_datasets()) == ["cell/arm/pick-v0"]
+    assert minari.load_dataset("cell/arm/pick-v0").total_steps == 3
+    samples = minari.load_dataset("cell/arm/pick-v0").sample_episodes(1)
+    assert len(samples) == 1
+
+
+@given(valid_tables())
+@settings(max_examples=10, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_any_log_comes_back_exactly(tmp_path_factory, tables):
+    logs = Logs(**tables)
+    os.environ["MINARI_DATASETS_PATH"] = str(tmp_path_factory.mktemp("datasets"))
+    if logs.summary().num_completed:
+        write_minari(logs, "pick-v0")
+        assert_same(logs, read_minari("pick-v0"))
+    else:
+        with pytest.raises(LogError, match="none was completed"):
+            write_minari(logs, "pick-v0")
+
+
+def test_types_that_float64_does_not_carry_come_back(root):
+    tables = small_tables()
+    stages, paths = tables["stages"], tables["paths"]
+    stages["action"] = [0, 7, 2, 2, None]
+    stages["serial"] = [2**60 + 1, -(2**63), 3, 4, 5]
+    stages["is_held"] = [True, False, True, False, True]
+    stages["count"] = pd.array([1, 2, 3, 4, 5], dtype="Int32")
+    stages["kind"] = pd.Categorical(["a", "b", "a", "b", "a"], ["z", "b", "a"])
+    stages["note"] = ["ä", "", None, '"', "{}"]
+    paths["recorded"] = pd.Timestamp("2024-05-01", tz="UTC")
+    logs = Logs(**tables)
+    write_minari(logs, "pick-v0")
+    assert_same(logs, read_minari("pick-v0"))
+    assert_same(logs, read_minari(root / "pick-v0"))
+
+
+def test_a_log_without_numeric_covariates_shows_the_stage(root):
+    tables = small_tables()
+    logs = Logs(tables["stages"].drop(columns="steps_to_go"), tables["paths"], tables["objects"])
+    write_minari(logs, "pick-v0")
+    assert episodes_of("pick-v0")[0].observations.tolist() == [[1.0], [2.0], [3.0]]
+    assert_same(logs, read_minari("pick-v0"))
+
+
+def test_some_episodes_alone_are_read_without_those_that_have_no_step(flat):
+    write_minari(flat, "pick-v0")
+    dataset = minari.load_dataset("pick-v0").filter_episodes(lambda episode: bool(episode.truncations[-1]))
+    assert_same(flat.select([2]), read_minari(dataset))
+
+
+def test_a_taken_or_wrong_name_is_refused(flat, root):
+    write_minari(flat, "pick-v0")
+    before = (root / "pick-v0" / "data" / "main_data.hdf5").read_bytes()
+    with pytest.raises(ArgumentError, match="it is there already"):
+        write_minari(flat.select([1]), "pick-v0")
+    assert (root / "pick-v0" / "data" / "main_data.hdf5").read_bytes() == before
+    with pytest.raises(ArgumentError, match=r"'my pick': it is no name of a dataset; call it .namespace/.name-v0"):
+        write_minari(flat, "my pick")
+
+
+def test_a_write_that_fails_leaves_nothing(flat, root, monkeypatch):
+    def full_disk(*args, **kwargs):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(hdf5_storage.HDF5Storage, "update_episode_metadata", full_disk)
+    with pytest.raises(ArgumentError, match="No space left on device"):
+        write_minari(flat, "pick-v0")
+    assert os.listdir(root) == []
+    assert os.environ["MINARI_DATASETS_PATH"] == str(root)
+
+
+def test_what_halfseen_noted_is_checked(flat):
+    write_minari(flat, "pick-v0")
+    storage = minari.load_dataset("pick-v0").storage
+    noted = json.loads(storage.metadata["halfseen"])
+    for broken in ({}, {**noted, "version": 9}, {**noted, "observations": ["x"]}, {**noted, "actions": ["FINISH"]}):
+        storage.update_metadata({"halfseen": json.dumps(broken)})
+        with pytest.raises(LogError, match=r"dataset pick-v0: (it is broken|path)"):
+            read_minari("pick-v0")
+
+
+def test_a_clock_is_refused_where_halfseen_wrote_its_own(flat):
+    write_minari(flat, "pick-v0")
+    with pytest.raises(ArgumentError, match="leave clock and step_s out"):
+        read_minari("pick-v0", step_s=2.0)
+
+
+# Written by others.
+
+
+def cartpole(seeds, max_steps=12):
+    env = minari.DataCollector(gymnasium.make("CartPole-v1", max_episode_steps=max_steps), record_infos=False)
+    for seed in seeds:
+        env.reset(seed=seed)
+        env.action_space.seed(seed)
+        is_over = False
+        while not is_over:
+            *_, terminated, truncated, _ = env.step(env.action_space.sample())
+            is_over = terminated or truncated
+    with pytest.warns(UserWarning):
+        dataset = env.create_dataset("cartpole/test-v0", eval_env=None)
+    env.close()
+    return dataset
+
+
+@pytest.fixture
+def by_hand():
+    """Make a dataset of one episode for each ending, with its own clock."""
+
+    def make(
+        endings, *, action_space=None, observation_space=None, actions=None, observations=None, infos=None, name="hand-v0"
+    ):
+        buffers = [
+            EpisodeBuffer(
+                observations=np.arange(8.0).reshape(4, 2) if observations is None else observations,
+                actions=np.array([0, 1, 0]) if actions is None else actions,
+                rewards=[1.0, 2.0, 3.0],
+                terminations=terminated,
+                truncations=truncated,
+                infos=infos or {"t": np.array([5.0, 5.5, 7.0, 9.0]), "note": ["a", "b", "c", "d"]},
+            )
+            for terminated, truncated in endings
+        ]
+        with pytest.warns(UserWarning):
+            return minari.create_dataset_from_buffers(
+                name,
+                buffers,
+                action_space=action_space or spaces.Discrete(2),
+                observation_space=observation_space or spaces.Box(-9, 9, (2,), np.float64),
+            )
+
+    return make
+
+
+NO, LAST = [False, False, False], [False, False, True]
+
+
+@pytest.mark.filterwarnings("ignore:Implicitly cleaning up:ResourceWarning")  # Minari's own temporary folders
+def test_episodes_of_a_data_collector_are_read_with_steps_as_seconds():
+    dataset = cartpole(range(6))
+    with pytest.warns(HalfseenWarning, match="every step counts as 1 s; name the info that holds it as clock"):
+        logs = read_minari(dataset)
+    episodes = list(dataset)
+    assert logs.num_paths == 6
+    assert logs.is_finished.tolist() == [bool(episode.terminations[-1]) for episode in episodes]
+    assert 0 < logs.cut_share < 1
+    assert set(logs.paths["cause"].dropna()) == {"truncated"}
+    for path, episode in enumerate(episodes):
+        stages = logs.stages[logs.stages["path"] == path]
+        num_steps = len(episode)
+        assert stages["elapsed_s"].dropna().tolist() == list(range(1, num_steps + 1))
+        assert stages["action"].dropna().tolist() == episode.actions.tolist()
+        seen = stages[["obs_0", "obs_1", "obs_2", "obs_3"]].to_numpy()
+        assert np.array_equal(seen, episode.observations[: len(stages)])
+        assert len(stages) == num_steps + (0 if episode.terminations[-1] else 1)
+
+
+def test_each_ending_has_its_meaning(by_hand):
+    logs = read_minari(by_hand([(LAST, NO), (NO, LAST), (LAST, LAST), (NO, NO)]), step_s=0.5)
+    assert logs.paths["ending"].tolist() == ["finished", "cut", "finished", "cut"]
+    assert logs.paths["cause"].tolist() == [None, "truncated", None, "unknown"]
+    assert logs.end_s.tolist() == [1.5] * 4
+    assert logs.stages.groupby("path").size().tolist() == [3, 4, 3, 4]
+
+
+def test_a_named_info_is_the_clock(by_hand):
+    dataset = by_hand([(LAST, NO)])
+    assert read_minari(dataset, clock="t").elapsed_s().tolist() == [[0.5, 2.0, 4.0]]
+    ends = by_hand([(LAST, NO)], infos={"t": np.array([1.0, 2.5, 4.0])}, name="ends-v0")
+    assert read_minari(ends, clock="t").elapsed_s().tolist() == [[1.0, 2.5, 4.0]]
+    with pytest.raises(LogError, match=r"dataset hand-v0, episode 0: there is no info 'time' among note, t"):
+        read_minari(dataset, clock="time")
+    with pytest.raises(LogError, match="info 'note' is object"):
+        read_minari(dataset, clock="note")
+    with pytest.raises(ArgumentError, match="step_s -1.0"):
+        read_minari(dataset, step_s=-1.0)
+
+
+def test_a_clock_that_stands_is_told_with_the_dataset(by_hand):
+    still = by_hand([(LAST, NO)], infos={"t": np.array([1.0, 1.0, 4.0])})
+    with pytest.raises(LogError, match=r"dataset hand-v0: path 0, stage 2: elapsed_s 1\.0 is also the 1\.0"):
+        read_minari(still, clock="t")
+
+
+def test_parts_of_an_observation_become_columns(by_hand):
+    space = spaces.Dict({"pose": spaces.Box(-9, 9, (1, 2), np.float64), "mode": spaces.Discrete(3)})
+    seen = {"pose": np.arange(8.0).reshape(4, 1, 2), "mode": np.array([0, 1, 2, 0])}
+    logs = read_minari(by_hand([(NO, LAST)], observation_space=space, observations=seen), step_s=1.0)
+    assert sorted(logs.stage_covariates) == ["mode_0", "pose_0", "pose_1"]
+    assert logs.stages["mode_0"].tolist() == [0, 1, 2, 0]
+
+
+def test_actions_without_number_are_refused(by_hand):
+    torque = spaces.Box(-1, 1, (1,), np.float64)
+    dataset = by_hand([(LAST, NO)], action_space=torque, actions=np.zeros((3, 1)))
+    with pytest.raises(ArgumentError, match=r"hand-v0: actions are Box.*discretise them"):
+        read_minari(dataset, step_s=1.0)
+
+
+def test_observations_that_are_no_numbers_are_refused(by_hand):
+    space = spaces.Text(4)
+    dataset = by_hand([(LAST, NO)], observation_space=space, observations=["a", "b", "c", "d"])
+    with pytest.raises(ArgumentError, match=r"hand-v0: observations are Text.*flatten them"):
+        read_minari(dataset, step_s=1.0)
+
+
+def test_an_episode_that_goes_on_after_its_end_is_refused(by_hand):
+    with pytest.raises(LogError, match=r"hand-v0, episode 0: step 2 of 3 ends it; make two episodes of it"):
+        read_minari(by_hand([([False, True, False], LAST)]), step_s=1.0)
+
+
+def test_a_missing_observation_is_refused(by_hand):
+    dataset = by_hand([(LAST, NO)], observations=np.zeros((3, 2)))
+    with pytest.raises(LogError, match="3 observations for 3 steps"):
+        read_minari(dataset, step_s=1.0)
+
+
+def test_what_is_not_there_is_told(root):
+    with pytest.raises(ArgumentError, match=r"dataset nowhere-v0: it cannot be loaded .*`minari list local`"):
+        read_minari("nowhere-v0")
+    (root / "broken-v0" / "data").mkdir(parents=True)
+    with pytest.raises(ArgumentError, match="broken-v0: it cannot be loaded"):
+        read_minari("broken-v0")
+
+
+def test_a_truncated_file_is_told(flat, root):
+    write_minari(flat, "pick-v0")
+    file = root / "pick-v0" / "data" / "main_data.hdf5"
+    file.write_bytes(file.read_bytes()[:3000])
+    with pytest.raises(LogError, match="dataset pick-v0: "):
+        read_minari("pick-v0")
+
+
+def test_without_minari_the_remedy_is_named(flat, monkeypatch):
+    def missing(module):
+        raise ModuleNotFoundError(f"No module named {module!r}")
+
+    monkeypatch.setattr(extras, "import_module", missing)
+    for call in (lambda: write_minari(flat, "pick-v0"), lambda: read_minari("pick-v0")):
+        with pytest.raises(ArgumentError, match=r"minari cannot be imported .*; run: pip install 'halfseen\[minari\]'"):
+            call()
