@@ -43,8 +43,9 @@ class References(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         """Parse the citations where the directive stands."""
         self.env.note_dependency(str(BIBLIOGRAPHY))
+        # The backslash keeps an author's initial from being read as the number of a list.
         found = entries(BIBLIOGRAPHY.read_text(encoding="utf-8"))
-        return self.parse_text_to_nodes("\n".join(f".. [{key}] {cited(found[key])}" for key in sorted(found)))
+        return self.parse_text_to_nodes("\n".join(rf".. [{key}] \{cited(found[key])}" for key in sorted(found)))
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
