@@ -213,9 +213,13 @@ def test_finished_logs_are_not_recorded_over(tmp_path):
 
 @pytest.mark.parametrize(("error", "cause"), [(KeyboardInterrupt, "operator"), (ZeroDivisionError, "crash")])
 def test_leaving_by_an_error_cuts_the_path(tmp_path, error, cause):
-    with pytest.raises(error), LogRecorder(tmp_path) as recorder:
-        recorder.begin_path().begin_stage({"x": 1.0}, action="A")
-        raise error
+    def fail():
+        with LogRecorder(tmp_path) as recorder:
+            recorder.begin_path().begin_stage({"x": 1.0}, action="A")
+            raise error
+
+    with pytest.raises(error):
+        fail()
     assert read_logs(tmp_path).paths["cause"].tolist() == [cause]
 
 
@@ -342,7 +346,7 @@ def test_a_journal_of_another_version_is_refused(tmp_path):
     from halfseen.logs.journal import HEADER, journal_line
 
     (tmp_path / JOURNAL).write_bytes(journal_line(HEADER | {"version": 9}, 0)[0])
-    with pytest.raises(LogError, match="line 1:.*read it with the halfseen that wrote it"):
+    with pytest.raises(LogError, match=r"line 1:.*read it with the halfseen that wrote it"):
         read_logs(tmp_path)
 
 

@@ -211,9 +211,9 @@ def _text(value: str, where: str, what: str) -> str:
 def _checked_names(kinds: dict[str, str], known: Kinds | None, where: str, word: str) -> Kinds:
     if known is None:
         return kinds
-    for name in known.keys() - kinds.keys():
+    for name in (name for name in known if name not in kinds):
         raise LogError(f"{where}: {word} {name} is missing, though it was there before; give it in every row")
-    for name in kinds.keys() - known.keys():
+    for name in (name for name in kinds if name not in known):
         raise LogError(f"{where}: {word} {name} was not there before; give the same in every row")
     return kinds
 

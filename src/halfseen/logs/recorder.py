@@ -180,10 +180,11 @@ class PathRecorder:
         Parameters
         ----------
         covariates
-            What the policy saw, by name: numbers, text or flat lists, of Python or NumPy; the same names in every stage.
+            What the policy saw, by name: numbers, text or flat lists, of Python or NumPy; the same names in every
+            stage.
         objects
-            A list with a dict for each object that stood there, with its name as "object" and its covariates; None where
-            stages have no objects.
+            A list with a dict for each object that stood there, with its name as "object" and its covariates; None
+            where stages have no objects.
         action
             What is done, as a whole number or text. It may be left out only in a stage in which the path is then cut.
         object

@@ -1,0 +1,154 @@
+"""A recorder that is killed at random moments, and what is left of what it recorded."""
+
+import os
+import random
+import signal
+import struct
+import time
+
+import numpy as np
+import pytest
+
+from halfseen.errors import ArgumentError, LogError
+from halfseen.logs import LogRecorder, read_logs
+
+STAGES_A_PATH = 4
+BEGUN, COMPLETED, FINISHED = range(3)
+REPORT = struct.Struct("<BII")
+
+
+def record_at_full_speed(folder, pipe):
+    """Record without end, and report each event once it is returned from."""
+    recorder = LogRecorder(folder)
+    while True:
+        path = recorder.begin_path()
+        for stage in range(1, STAGES_A_PATH + 1):
+            path.begin_stage(covariates_of(path.name, stage), [{"object": 1, "x": 1.0}], "PICK", 1, 0.5)
+            os.write(pipe, REPORT.pack(BEGUN, path.name, stage))
+            path.complete_stage(reward_of(path.name, stage))
+            os.write(pipe, REPORT.pack(COMPLETED, path.name, stage))
+        path.finish()
+        os.write(pipe, REPORT.pack(FINISHED, path.name, STAGES_A_PATH))
+
+
+def covariates_of(path, stage):
+    return {"x": path + stage / 10}
+
+
+def reward_of(path, stage):
+    return float(path * stage)
+
+
+def recording_child(folder):
+    reading, writing = os.pipe()
+    child = os.fork()
+    if child == 0:
+        try:
+            record_at_full_speed(folder, writing)
+        finally:
+            os._exit(1)
+    os.close(writing)
+    return child, os.fdopen(reading, "rb")
+
+
+def kill_one(folder, seconds):
+    """Let a child record for a while, kill it, and return what it reported, as (kind, path, stage)."""
+    child, pipe = recording_child(folder)
+    time.sleep(seconds)
+    os.kill(child, signal.SIGKILL)
+    with pipe:
+        told = pipe.read()
+    _, status = os.waitpid(child, 0)
+    assert os.WTERMSIG(status) == signal.SIGKILL
+    whole = len(told) // REPORT.size * REPORT.size
+    return list(REPORT.iter_unpack(told[:whole]))
+
+
+def events_after(reports):
+    """The event that follows: it may have reached the disk without being reported."""
+    if not reports:
+        return (BEGUN, 1, 1)
+    kind, path, stage = reports[-1]
+    if kind == BEGUN:
+        return (COMPLETED, path, stage)
+    if kind == FINISHED:
+        return (BEGUN, path + 1, 1)
+    return (BEGUN, path, stage + 1) if stage < STAGES_A_PATH else (FINISHED, path, stage)
+
+
+def expected(reports):
+    """Number of stages of each path that are completed for good, and whether the path finished."""
+    paths = {}
+    for kind, path, stage in reports:
+        # A stage is completed for good when the next begins, or the path finishes.
+        paths[path] = (stage if kind == FINISHED else stage - 1, kind == FINISHED)
+    return paths
+
+
+def recovered(folder):
+    try:
+        logs = read_logs(folder)
+    except LogError as error:
+        # Nothing was recorded: the folder, the journal or its first stage is missing.
+        told = ("there is no such folder", "holds no logs", "no stage is recorded yet")
+        assert any(words in str(error) for words in told)  # noqa: PT017
+        return {}
+    cut = ~logs.is_finished
+    assert logs.paths["cause"][cut].tolist() == ["crash"] * cut.sum()
+    completed = logs.stages[logs.stages["elapsed_s"].notna()]
+    np.testing.assert_array_equal(logs.stages["x"], logs.stages["path"] + logs.stages["stage"] / 10)
+    np.testing.assert_array_equal(completed["reward"], completed["path"] * completed["stage"])
+    count = completed.groupby("path").size()
+    return {
+        path: (int(count.get(path, 0)), bool(done)) for path, done in zip(logs.path_ids, logs.is_finished, strict=True)
+    }
+
+
+def check_kills(folder, num_kills, longest_s, seed):
+    rng = random.Random(seed)
+    num_torn = 0
+    for kill in range(num_kills):
+        logs = folder / str(kill)
+        reports = kill_one(logs, rng.uniform(0.0, longest_s))
+        there = recovered(logs)
+        assert there in (expected(reports), expected([*reports, events_after(reports)]))
+        num_torn += any(not is_finished for _, is_finished in there.values())
+    return num_torn
+
+
+def test_kills_lose_at_most_the_stage_in_progress(tmp_path):
+    assert check_kills(tmp_path, 150, 0.03, 1) > 75
+
+
+@pytest.mark.slow
+def test_a_thousand_kills_lose_at_most_the_stage_in_progress(tmp_path):
+    assert check_kills(tmp_path, 1000, 0.05, 2) > 500
+
+
+def test_one_folder_outlives_many_kills(tmp_path):
+    rng = random.Random(3)
+    num_paths = 0
+    for _ in range(15):
+        child, pipe = recording_child(tmp_path)
+        with pipe:
+            pipe.read(REPORT.size * 20)
+            time.sleep(rng.uniform(0.0, 0.005))
+            os.kill(child, signal.SIGKILL)
+            os.waitpid(child, 0)
+        there = recovered(tmp_path)
+        assert len(there) > num_paths
+        num_paths = len(there)
+    assert 5 <= sum(not is_finished for _, is_finished in there.values()) <= 15
+
+
+def test_another_process_is_refused_until_the_first_is_killed(tmp_path):
+    child, pipe = recording_child(tmp_path)
+    with pipe:
+        pipe.read(REPORT.size * 20)
+        with pytest.raises(ArgumentError, match="another recorder"):
+            LogRecorder(tmp_path)
+        assert read_logs(tmp_path).paths["cause"].dropna().isin(["still-running"]).all()
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+    with LogRecorder(tmp_path) as recorder:
+        assert recorder.begin_path().name > 1
