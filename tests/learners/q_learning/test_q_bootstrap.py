@@ -3,6 +3,7 @@ import pandas as pd
 import pytest
 from trials import ACTIONS, FULL, indicators, two_stage_trial
 
+from halfseen.censoring import Cox
 from halfseen.errors import ArgumentError
 from halfseen.learners import CensoredQLearner
 from halfseen.learners.q_learning.bootstrap import bootstrap
@@ -28,8 +29,8 @@ def repeated(logs, counts):
 
 @pytest.mark.parametrize(
     "options",
-    [{}, {"censoring": "cox", "censoring_by": "pooled"}, {"augmented": True}, {"censoring": "buckley-james"}],
-    ids=str,
+    [{}, {"censoring": Cox(ridge=1.0), "censoring_by": "pooled"}, {"augmented": True}, {"censoring": "buckley-james"}],
+    ids=["weights", "cox by stage", "augmented", "imputed"],
 )
 def test_a_replicate_is_what_is_learned_from_the_paths_that_were_drawn(logs, options):
     """A path drawn k times counts as k paths that are the same, in the weights and the targets, too."""
