@@ -97,7 +97,9 @@ def _check_options(kind: str, options: Mapping[str, Any]) -> None:
     belongs_to = dict.fromkeys(("mapping", "clouds", "see"), "bag") | dict.fromkeys(("clock", "step_s"), "minari")
     for name, owner in belongs_to.items():
         if options[name] and owner != kind:
-            raise ArgumentError(f"--{name.replace('_', '-')} is for a source of kind {owner}; this is {kind}: leave it out")
+            raise ArgumentError(
+                f"--{name.replace('_', '-')} is for a source of kind {owner}; this is {kind}: leave it out"
+            )
     if kind == "bag" and options["mapping"] is None:
         raise ArgumentError(
             "a bag needs --mapping FILE, which says what its topics carry; --mapping-template prints one to start from"
@@ -119,7 +121,7 @@ def _read(
         return formats.read_csv(source)
     if kind == "minari":
         return formats.read_minari(source.removeprefix(MINARI), clock=clock, step_s=step_s)
-    if kind == "bag":
+    if kind == "bag" and mapping is not None:
         keep = None if clouds is None else _keeper(clouds)
         return formats.read_bag(_bags(Path(source)), mapping, see=_see if see else None, keep=keep)
     return read_logs(source)

@@ -157,7 +157,10 @@ def test_what_is_no_utf8_is_told(folder):
         ('{"format": "halfseen-csv", "version": 2}', "it is not of format 'halfseen-csv', version 1"),
         ('{"format": "halfseen-csv", "version": 1, "tables": []}', "tables does not name"),
         ('{"format": "halfseen-csv", "version": 1, "tables": {"paths": {"end_s": "metres"}}}', "'metres' is unknown"),
-        ('{"format": "halfseen-csv", "version": 1, "tables": {"paths": {"end_s": 3}}}', "tables.paths.end_s is 3, which is no type"),
+        (
+            '{"format": "halfseen-csv", "version": 1, "tables": {"paths": {"end_s": 3}}}',
+            "tables.paths.end_s is 3, which is no type",
+        ),
         ('{"format": "halfseen-csv", "version": 1, "tables": {"paths": {"end_s": {"type": 1}}}}', "which is no type"),
     ],
 )

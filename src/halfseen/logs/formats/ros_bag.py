@@ -12,6 +12,7 @@ How messages become stages:
   policy saw. A reward message completes the stage.
 - An ending message finishes the path or names the cause of its cut. A path without one was cut by ``crash`` at its
   last message. A cut path keeps the stage in which it was cut, with what had been seen.
+- Every topic of the mapping must be in one of the bags that are read together; one that broke off early may lack some.
 - A path that was cut before anything of it was seen has no stage; it is left out with a warning.
 """
 
@@ -25,7 +26,7 @@ import pandas as pd
 
 from halfseen.errors import HalfseenWarning, LogError
 from halfseen.logs.formats.ros_mapping import BagMapping, read_mapping
-from halfseen.logs.formats.ros_messages import points_of, read_clouds, read_events
+from halfseen.logs.formats.ros_messages import check_topics, points_of, read_clouds, read_events
 from halfseen.logs.formats.ros_paths import BagPath, follow, missing, split
 from halfseen.logs.logs import Logs
 from halfseen.logs.refusal import shown
@@ -75,6 +76,7 @@ def read_bag(
     stages: list[dict[str, Any]] = []
     objects: list[pd.DataFrame] = []
     num_begun = 0
+    check_topics(files, mapping)
     for bag in files:
         found = []
         for name, events in split(read_events(bag, mapping), mapping):

@@ -47,6 +47,34 @@ def _storage_files(bag: Path) -> list[Path]:
     return [bag]
 
 
+def check_topics(bags: list[Path], mapping: BagMapping) -> None:
+    """Refuse a mapping that names a topic which none of the bags has; one that broke off early may lack some.
+
+    Raises
+    ------
+    ArgumentError
+        There is no such topic, or that of the clouds carries something else.
+    LogError
+        A bag is missing or broken.
+    """
+    types: dict[str, str] = {}
+    for bag in bags:
+        with _opened(bag) as reader:
+            types |= {connection.topic: connection.msgtype for connection in reader.connections}
+    for source in mapping.sources:
+        if source.topic not in types:
+            there = ", ".join(sorted(types)) or "none"
+            raise ArgumentError(
+                f"{mapping.file}, {source.key}.topic: there is no topic {source.topic!r} in "
+                f"{', '.join(map(str, bags))}; there are {there}; give a bag that broke off early together with others"
+            )
+    cloud = mapping.cloud
+    if cloud is not None and types[cloud.topic] != POINT_CLOUD:
+        raise ArgumentError(
+            f"{mapping.file}, cloud.topic: {cloud.topic} carries {types[cloud.topic]}, not {POINT_CLOUD}; name another"
+        )
+
+
 def read_events(bag: Path, mapping: BagMapping) -> list[Event]:
     """Read all that the mapping names, in the order of its clock; equal stamps keep the order of the recording.
 
@@ -69,7 +97,6 @@ def read_events(bag: Path, mapping: BagMapping) -> list[Event]:
         by_topic.setdefault(source.topic, []).append(source)
     events = []
     with _opened(bag) as reader:
-        _check_topics(bag, mapping, {connection.topic: connection.msgtype for connection in reader.connections})
         wanted = [connection for connection in reader.connections if connection.topic in by_topic]
         num_clouds = 0
         for connection, log_ns, raw in _messages(bag, reader, wanted):
@@ -180,20 +207,6 @@ def _refuse_bag(bag: Path, error: Exception) -> Any:
     raise LogError(
         f"{bag}: it is no whole bag ({reason}); mend it with `ros2 bag reindex` or `mcap recover`, then convert again"
     ) from error
-
-
-def _check_topics(bag: Path, mapping: BagMapping, types: dict[str, str]) -> None:
-    for source in mapping.sources:
-        if source.topic not in types:
-            there = ", ".join(sorted(types)) or "none"
-            raise ArgumentError(
-                f"{mapping.file}, {source.key}.topic: there is no topic {source.topic!r} in {bag}; there are {there}"
-            )
-    cloud = mapping.cloud
-    if cloud is not None and types[cloud.topic] != POINT_CLOUD:
-        raise ArgumentError(
-            f"{mapping.file}, cloud.topic: {cloud.topic} carries {types[cloud.topic]}, not {POINT_CLOUD}; name another"
-        )
 
 
 def _stamp(message: Any, connection: Any, log_ns: int, mapping: BagMapping) -> int:
