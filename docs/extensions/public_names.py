@@ -17,8 +17,10 @@ from sphinx.util.typing import stringify_annotation
 # What these bases bring is Python's or scikit-learn's.
 BASES = "BaseEstimator, Parameters, object, tuple, dict, Exception, Protocol"
 ROUTING = re.compile(r"get_metadata_routing|set_\w+_request")
-# NumPy's alias has no name of its own once it is written out, and JAX's array has one that nobody imports it by.
-LONG_NAMES = {stringify_annotation(ArrayLike, "smart"): "ArrayLike", "jaxlib._jax.Array": "Array"}
+# NumPy's alias has no name of its own once it is written out.
+WRITTEN_OUT = stringify_annotation(ArrayLike, "smart")
+# Where JAX's array comes from is no affair of whoever reads its shape.
+JAX_ARRAY = "jaxlib._jax.Array"
 
 
 def documented(package: str) -> str:
@@ -56,15 +58,19 @@ def shortened(
 
 
 def _short(written: str | None) -> str | None:
-    for long, short in LONG_NAMES.items():
-        written = written and written.replace(long, short)
-    return written
+    return written and written.replace(WRITTEN_OUT, "ArrayLike")
+
+
+def with_short_arrays(app: Sphinx, page: nodes.document) -> None:
+    """Write JAX's array by its name alone, in signatures and in the types of fields."""
+    for text in list(page.findall(nodes.Text)):
+        if JAX_ARRAY in text:
+            text.parent.replace(text, nodes.Text(text.replace(JAX_ARRAY, "Array")))
 
 
 def without_field_numbers(app: Sphinx, what: str, name: str, value: Any, options: Any, lines: list[str]) -> None:
     """Drop what Python writes below the fields of a named tuple."""
-    if lines and lines[0].startswith("Alias for field number"):
-        lines.clear()
+    lines[:] = [line for line in lines if not line.startswith("Alias for field number")]
 
 
 class PublicNames(SphinxDirective):
@@ -82,6 +88,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.add_directive("public-names", PublicNames)
     app.connect("autodoc-process-signature", shortened)
     app.connect("autodoc-process-docstring", without_field_numbers)
+    app.connect("doctree-read", with_short_arrays)
     # A summary ends at the first full stop; that of "eq. 3" is none.
     autosummary.WELL_KNOWN_ABBREVIATIONS += ("eq.", "eqs.")
     return {"parallel_read_safe": True, "parallel_write_safe": True}

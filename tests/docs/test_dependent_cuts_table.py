@@ -35,5 +35,7 @@ def test_the_table_is_what_the_benchmark_prints(situation):
     measured = runpy.run_path(str(ROOT / "benchmarks" / "dependent_cuts.py"))["measured"]
     written = rows(situation)
     for row in measured(situation, 200, ("drop", "kaplan-meier", "cox", "cox, z and z²")):
-        made = [row["bias_s"], row["bias_error_s"], 100 * row["coverage"]]
-        assert made == pytest.approx(written[row["share"], row["model"]], abs=0.51e-3 + 0.5 * (made[2] % 0.5 > 0))
+        bias, error, covers = written[row["share"], row["model"]]
+        assert [row["bias_s"], row["bias_error_s"]] == pytest.approx([bias, error], abs=1e-3)
+        # One interval of 200 may end so near the truth that rounding decides.
+        assert 100 * row["coverage"] == pytest.approx(covers, abs=0.51)
