@@ -58,9 +58,8 @@ def calibrated(situation: str) -> tuple[float, dict[str, float]]:
     def excess(kappa: float, share: float) -> float:
         return float(1.0 - np.exp(-kappa * exposure).mean()) - share
 
-    return float(time_s.mean()), {
-        name: float(brentq(excess, 1e-6, 10.0, args=(share,))) for name, share in CUT_SHARES.items()
-    }
+    kappas = {name: float(np.asarray(brentq(excess, 1e-6, 10.0, args=(share,)))) for name, share in CUT_SHARES.items()}
+    return float(time_s.mean()), kappas
 
 
 def drawn(situation: str, kappa: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

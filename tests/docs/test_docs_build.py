@@ -75,7 +75,7 @@ def test_the_docs_build_without_warnings_and_hold_every_public_name(built):
 def test_a_citation_is_a_link_to_its_entry(built):
     citing = (built / "reference" / "censoring.html").read_text(encoding="utf-8")
     page = (built / "references.html").read_text(encoding="utf-8")
-    anchor = re.search(r'references\.html#([^"]+)"[^>]*><span>\[Cox1972\]', citing)[1]
+    anchor = re.findall(r'references\.html#([^"]+)"[^>]*><span>\[Cox1972\]', citing)[0]
     entry = page.split(f'id="{anchor}"')[1].split("</div>")[0]
     assert "D. R. Cox (1972). Regression models and life-tables." in entry
 
