@@ -152,7 +152,7 @@ def test_what_fits_not_together_is_refused(logs):
     assert "a: it is there already" in refused("a", "--out", "csv:a")
     assert "bag needs --mapping FILE" in refused("bag", "--out", "b")
     assert "--see is for a source of kind bag; this is parquet" in refused("a", "--out", "b", "--see")
-    assert "--step-s is for a source of kind minari" in refused("a", "--out", "b", "--step-s", "1")
+    assert "--step-s is for a source of kind minari" in refused("a", "--out", "b", "--step-s", "0")
     assert "cell.toml: it cannot be read" in refused("bag", "--mapping", "cell.toml", "--out", "b")
     Path("empty").mkdir()
     assert "empty" in refused("empty", "--out", "b")

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-import numpy as np
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from halfseen.logs import Logs
 
 CSV, MINARI = "csv:", "minari:"
@@ -96,7 +97,8 @@ def _check_options(kind: str, options: Mapping[str, Any]) -> None:
 
     belongs_to = dict.fromkeys(("mapping", "clouds", "see"), "bag") | dict.fromkeys(("clock", "step_s"), "minari")
     for name, owner in belongs_to.items():
-        if options[name] and owner != kind:
+        is_given = options[name] is not None and options[name] is not False
+        if is_given and owner != kind:
             raise ArgumentError(
                 f"--{name.replace('_', '-')} is for a source of kind {owner}; this is {kind}: leave it out"
             )
@@ -150,15 +152,17 @@ def _clouds_folder(clouds: Path | None) -> Iterator[Path | None]:
 def _keeper(folder: Path) -> Any:
     from halfseen.perception import Cloud, write_pcd
 
-    def keep(points_m: np.ndarray, shape: tuple[int, int], name: str) -> str:
+    def keep(points_m: "np.ndarray", shape: tuple[int, int], name: str) -> str:
         write_pcd(Cloud(points_m, _image_shape(shape), name=name), folder / f"{name}.pcd")
         return f"{name}.pcd"
 
     return keep
 
 
-def _see(points_m: np.ndarray, shape: tuple[int, int], name: str) -> dict[str, list[Any]]:
+def _see(points_m: "np.ndarray", shape: tuple[int, int], name: str) -> dict[str, list[Any]]:
     """Objects that a cloud shows, as columns; numbered anew in each cloud, the largest first."""
+    import numpy as np
+
     from halfseen.perception import Cloud, perceive
 
     view = perceive(Cloud(points_m, _image_shape(shape), name=name))

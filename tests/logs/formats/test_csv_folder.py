@@ -142,6 +142,13 @@ def test_a_missing_or_empty_file_is_named(folder, name):
         read_csv(folder)
 
 
+def test_a_spreadsheet_of_another_country_is_told(folder):
+    file = folder / "paths.csv"
+    file.write_text(file.read_text().replace(",", ";"))
+    with pytest.raises(LogError, match=r"paths\.csv: its cells are separated by ';'; export it with commas"):
+        read_csv(folder)
+
+
 def test_what_is_no_utf8_is_told(folder):
     file = folder / "paths.csv"
     file.write_bytes(file.read_bytes().replace(b"battery", b"b\xe4ttery"))

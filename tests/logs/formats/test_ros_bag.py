@@ -67,6 +67,22 @@ def test_a_bag_whose_recorder_died_is_read_from_its_storage(bag, mapping, storag
     assert read_bag(file, mapping()).stages.equals(whole_logs.stages)
 
 
+def test_bags_of_ros_1_are_read_too(tmp_path, mapping):
+    from rosbags.rosbag1 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC)
+    with Writer(tmp_path / "old.bag") as writer:
+        connections = {}
+        for seconds, topic, kind, message in one_path():
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=store)
+            writer.write(connections[topic], int(seconds * 1e9), store.serialize_ros1(message, kind))
+    logs = read_bag(tmp_path / "old.bag", mapping(SMALL))
+    assert logs.elapsed_s().tolist() == [[1.0]]
+    assert logs.stages["action"].tolist() == ["A"]
+
+
 def test_messages_recorded_out_of_order_are_put_in_order(bag, mapping):
     messages = two_paths()
     mixed = [messages[i] for i in np.random.default_rng(3).permutation(len(messages))]

@@ -1,3 +1,5 @@
+import inspect
+
 import pytest
 
 from halfseen.errors import ArgumentError
@@ -28,6 +30,11 @@ def test_the_template_is_a_whole_mapping(tmp_path):
     ]
     assert (mapping.action.topic, mapping.action.field) == ("/pick/action", "data")
     assert mapping.finished == ("finished",)
+
+
+def test_the_example_of_the_documentation_says_the_same_as_the_template(tmp_path):
+    example = inspect.cleandoc(read_mapping.__doc__ or "").partition("are needed::")[2]
+    assert read(tmp_path, example) == read(tmp_path, MAPPING_TEMPLATE)
 
 
 def test_the_smallest_mapping_has_three_tables(tmp_path):

@@ -142,6 +142,8 @@ def _read_cells(file: Path) -> pa.Table:
     try:
         with file.open(encoding="utf-8-sig", newline="") as lines:
             header = next(csv.reader(lines), [])
+        if len(header) == 1 and ";" in header[0]:
+            raise LogError(f"{file}: its cells are separated by ';'; export it with commas, and points in numbers")
         repeated = [name for i, name in enumerate(header) if name in header[:i]]
         if repeated:
             raise LogError(f"{file}: there are two columns {repeated[0]!r}; drop or rename one")

@@ -50,6 +50,7 @@ def write_minari(logs: Logs, dataset_id: str) -> None:
         No stage was completed, or a column has no form as text.
     """
     minari = extra("minari", "minari")
+    extra("h5py", "minari")
     schema = schema_of(logs)
     if not schema.actions:
         raise LogError("stages: none was completed, so that Minari would have no step; record longer, or write Parquet")

@@ -139,19 +139,20 @@ def read_mapping(file: str | Path) -> BagMapping:
 
     Examples
     --------
-    The smallest mapping::
+    All that a mapping may hold; the first three tables are needed::
 
-        [action]
-        topic = "/pick/action"
-        field = "data"
+        action = {topic = "/pick/action", field = "data"}
+        reward = {topic = "/pick/reward", field = "data"}
+        ending = {topic = "/episode/end", field = "data", finished = ["finished"]}
 
-        [reward]
-        topic = "/pick/reward"
-        field = "data"
+        clock = "log"
+        path = {topic = "/episode/begin", field = "data"}
+        object = {topic = "/pick/object", field = "data"}
+        probability = {topic = "/pick/probability", field = "data"}
+        cloud = {topic = "/camera/points"}
 
-        [ending]
-        topic = "/episode/end"
-        field = "data"
+        [covariates]
+        occlusion = {topic = "/camera/occlusion", field = "data"}
     """
     try:
         tables = tomllib.loads(Path(file).read_text(encoding="utf-8"))
