@@ -111,6 +111,7 @@ def test_types_may_name_only_some_columns(folder):
         ("2,1,2,", "2,one,2,", r"stages\.csv, row 4, column 'stage': 'one' is no int64"),
         ("-0.1,0.5,10", "-0.1,0.5", r"stages\.csv: it is no CSV file of one table .*Row #2: Expected 8 columns, got 7"),
         ("-5,1,9", "-5,1,NA", r"stages\.csv, row 3, column 'steps_to_go': 'NA' is no (int64|number)"),
+        ('"stage"', '"sta\nge"', r"stages\.csv: the column 'sta\\nge' has a name of two lines"),
         ('"stage"', '"path"', r"stages\.csv: there are two columns 'path'"),
         ('"stage"', '"stag"', r"there is no column 'stage' among .* rename 'stag'\?"),
         ("1,1,1.5", "9,1,1.5", r"paths has no such path"),

@@ -236,14 +236,14 @@ def test_a_path_cut_before_anything_was_seen_is_left_out_with_a_warning(bag, map
     assert logs.num_paths == 2
 
 
-def test_a_bag_without_a_path_is_refused(bag, mapping):
+def test_bags_without_a_path_are_refused(bag, mapping):
     messages = [message for message in two_paths() if message[1] != "/episode/begin"]
-    folder = bag([*messages, text(99.0, "/episode/begin", "late")])
+    bags = [bag(messages, "without"), bag([text(0.0, "/episode/begin", "late")], "late")]
     with (
         pytest.warns(HalfseenWarning, match="'late' was cut"),
         pytest.raises(LogError, match=r"no path with a stage was found; look at \[path\] in .*cell\.toml"),
     ):
-        read_bag(folder, mapping())
+        read_bag(bags, mapping())
 
 
 @pytest.mark.parametrize("storage", ["sqlite3", "mcap"])

@@ -144,6 +144,9 @@ def _read_cells(file: Path) -> pa.Table:
             header = next(csv.reader(lines), [])
         if len(header) == 1 and ";" in header[0]:
             raise LogError(f"{file}: its cells are separated by ';'; export it with commas, and points in numbers")
+        broken = [name for name in header if len(name.splitlines()) > 1]
+        if broken:
+            raise LogError(f"{file}: the column {broken[0]!r} has a name of two lines; give it one")
         repeated = [name for i, name in enumerate(header) if name in header[:i]]
         if repeated:
             raise LogError(f"{file}: there are two columns {repeated[0]!r}; drop or rename one")

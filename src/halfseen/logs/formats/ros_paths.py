@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 from halfseen.errors import LogError
@@ -47,7 +48,7 @@ def split(events: list[Event], mapping: BagMapping) -> Iterator[tuple[Any, list[
             yield None, events
         return
     begins = [i for i, event in enumerate(events) if event.source.key == "path"]
-    for begin, end in zip(begins, [*begins[1:], len(events)], strict=True):
+    for begin, end in pairwise([*begins, len(events)]):
         yield events[begin].value, events[begin:end]
 
 
