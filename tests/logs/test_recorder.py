@@ -14,6 +14,9 @@ from halfseen.errors import ArgumentError, LogError
 from halfseen.logs import LogRecorder, Logs, read_logs
 from halfseen.logs.journal import JOURNAL
 
+# JAX warns of forks where other tests have loaded it; the children here do not touch it.
+pytestmark = pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning")
+
 
 class HandClock:
     """Stands in for `time.monotonic`, and moves when told."""
@@ -255,12 +258,15 @@ STEPS = {
     "covariate x is no flat list": lambda path: begin(path, covariates={"x": np.zeros((2, 2))}),
     "covariate x is missing": lambda path: begin(path, covariates={}),
     "covariate y was not there": lambda path: begin(path, covariates={"x": 1.0, "y": 1.0}),
-    "'reward' has a name of the recorder": lambda path: begin(path, covariates={"x": 1.0, "reward": 1.0}),
+    "'reward' is a name of the log's own": lambda path: begin(path, covariates={"x": 1.0, "reward": 1.0}),
+    "' Cause' is a name of the log's own": lambda path: begin(path, covariates={"x": 1.0, " Cause": 1.0}),
+    "is a date or no seconds": lambda path: (begin(path), path.complete_stage(0.0, elapsed_s=1.7e9)),
     "covariates are a list": lambda path: begin(path, covariates=[1.0]),
     "it has objects, though": lambda path: begin(path, objects=[{"object": 1}]),
     "objects is empty": lambda path: begin(path, objects=[]),
     "action 1 is a number": lambda path: begin(path, action=1),
     "action True is no name": lambda path: begin(path, action=True),
+    "as if units were mixed": lambda path: path.finish(elapsed_s=1000.0),
     "cause '' is no cause": lambda path: path.cut(""),
     "is no Unicode": lambda path: begin(path, action="\ud800"),
 }
@@ -305,8 +311,8 @@ def test_objects_that_no_log_takes_are_refused(recorder, tmp_path):
 
 
 def test_paths_that_no_log_takes_are_refused(recorder):
-    with pytest.raises(LogError, match="'cause' is the recorder's own"):
-        recorder.begin_path(cause="x")
+    with pytest.raises(LogError, match="'Object' is a name of the log's own"):
+        recorder.begin_path(Object="cup")
     path = recorder.begin_path("a")
     with pytest.raises(LogError, match="it has no stage"):
         path.finish()

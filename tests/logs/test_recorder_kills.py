@@ -12,6 +12,9 @@ import pytest
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs import LogRecorder, read_logs
 
+# JAX warns of forks where other tests have loaded it; the children here do not touch it.
+pytestmark = pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning")
+
 STAGES_A_PATH = 4
 BEGUN, COMPLETED, FINISHED = range(3)
 REPORT = struct.Struct("<BII")

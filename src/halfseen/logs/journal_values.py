@@ -17,6 +17,7 @@ from halfseen.logs.refusal import shown
 
 Kinds = Mapping[str, str]
 
+_OWN_NAMES = {*STAGE_COLUMNS, *PATH_COLUMNS, *OBJECT_COLUMNS}
 _LARGEST_WHOLE = 2**63
 _EMPTY_LIST = "list"
 
@@ -49,9 +50,7 @@ class Schema:
         """Check a path's name and columns; columns may differ between paths, and None leaves one out."""
         where = f"path {shown(name)}"
         labels, name = self._with_label("path", name, where)
-        reserved = [column for column in columns if column in PATH_COLUMNS]
-        if reserved:
-            raise LogError(f"{where}: column {reserved[0]!r} is the recorder's own; choose another name")
+        _refuse_names(columns, where)
         given = {column: value for column, value in columns.items() if value is not None}
         row, kinds = _row(given, self.paths, where, "column")
         return replace(self, labels=labels, paths={**self.paths, **kinds}), name, row
@@ -74,7 +73,7 @@ class Schema:
         where
             The path and the stage, for messages.
         """
-        _refuse_names(covariates, STAGE_COLUMNS, where)
+        _refuse_names(covariates, where)
         seen, kinds = _row(covariates, self.covariates, where, "covariate")
         schema = replace(self, covariates=_checked_names(kinds, self.covariates, where, "covariate"))
         schema, rows = schema._with_objects(objects, where)
@@ -105,10 +104,10 @@ class Schema:
     def _with_object(self, given: Any, where: str) -> tuple["Schema", dict[str, Any]]:
         if not isinstance(given, Mapping) or "object" not in given:
             raise LogError(f"{where}: object {given!r} has no name; give a dict with 'object' and its covariates")
-        _refuse_names(given, ("path", "stage"), where)
         labels, name = self._with_label("object", given["object"], where)
         where = f"{where}, object {shown(name)}"
         values = {column: value for column, value in given.items() if column != "object"}
+        _refuse_names(values, where)
         row, kinds = _row(values, self.objects, where, "covariate")
         names = _checked_names({"object": "name", **kinds}, self.objects, where, "covariate")
         return replace(self, labels=labels, objects=names), {"object": name, **row}
@@ -218,16 +217,16 @@ def _checked_names(kinds: dict[str, str], known: Kinds | None, where: str, word:
     return kinds
 
 
-def _refuse_names(values: Any, reserved: tuple[str, ...], where: str) -> None:
+def _refuse_names(values: Any, where: str) -> None:
     if not isinstance(values, Mapping):
         raise LogError(f"{where}: covariates are a {type(values).__name__}; give a dict of names and values")
-    for name in reserved:
-        if name in values:
-            raise LogError(f"{where}: covariate {name!r} has a name of the recorder's own; choose another")
+    for name in values:
+        if isinstance(name, str) and name.strip().lower() in _OWN_NAMES:
+            raise LogError(f"{where}: {name!r} is a name of the log's own; choose another for what you add")
 
 
 def _refuse_absent(name: Any, objects: list[dict[str, Any]] | None, where: str) -> None:
-    names = [row[OBJECT_COLUMNS[-1]] for row in objects or ()]
+    names = [row["object"] for row in objects or ()]
     if name is not None and objects is not None and name not in names:
         others = ", ".join(shown(other) for other in names)
         raise LogError(f"{where}: object {shown(name)} of the action is not among the objects of the stage ({others})")

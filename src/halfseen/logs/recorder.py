@@ -15,6 +15,7 @@ told as cut by ``crash`` at the last time at which it was known to run; `journal
 """
 
 import time
+from math import log
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -25,7 +26,9 @@ from halfseen.logs.folder import MANIFEST
 from halfseen.logs.journal_tables import CRASH
 from halfseen.logs.journal_values import Schema, checked_number
 from halfseen.logs.journal_writer import JournalWriter
+from halfseen.logs.path_checks import EARLIEST_DATE_S
 from halfseen.logs.refusal import shown
+from halfseen.logs.stage_checks import UNIT_TOLERANCE
 
 CAUSES = ("operator", "emergency-stop", "time-out", "battery", "sensor-lost", CRASH)
 """Usual causes of cuts; any other text will do."""
@@ -166,6 +169,7 @@ class PathRecorder:
         self._began_s = 0.0
         self._clock_s = 0.0
         self._noted_s = 0.0
+        self._completed_s = 0.0
 
     def begin_stage(
         self,
@@ -243,6 +247,7 @@ class PathRecorder:
         event = {"event": "done", "at_s": at_s, "reward": earned}
         self._recorder._write(event if elapsed_s is None else event | {"is_given": True})
         self._is_in_stage = False
+        self._completed_s = at_s
         self._commit(at_s, elapsed_s)
 
     def still_running(self, *, elapsed_s: Any = None) -> None:
@@ -271,6 +276,7 @@ class PathRecorder:
         if self._stage == 0 or self._is_in_stage:
             what = "it has no stage" if self._stage == 0 else f"stage {self._stage} is in progress"
             raise LogError(f"path {shown(self.name)}: {what}; complete it before finish(), or cut() the path")
+        self._check_units(elapsed_s)
         self._end({"event": "finished"}, elapsed_s)
 
     def cut(self, cause: str, *, elapsed_s: Any = None) -> None:
@@ -296,6 +302,19 @@ class PathRecorder:
             raise LogError(f"path {shown(self.name)}: cause {cause!r} is no cause; say {', '.join(CAUSES)}, or why")
         self._end({"event": "cut", "cause": cause}, elapsed_s)
 
+    def _check_units(self, elapsed_s: Any) -> None:
+        """`Logs` takes an end at a power of a thousand times the last stage's clock for another unit; so do we."""
+        if elapsed_s is None or not self._is_clock_given:
+            return
+        where = self._where(self._stage)
+        at_s = self._at(elapsed_s, where, is_later=False)
+        thousands = log(at_s / self._completed_s) / log(1000.0)
+        if round(thousands) > 0 and abs(thousands - round(thousands)) < 2 * UNIT_TOLERANCE:
+            raise LogError(
+                f"{where}: elapsed_s {at_s} is {1000.0 ** round(thousands):.0e} times the {self._completed_s} of the "
+                "completed stage, as if units were mixed; give both in seconds"
+            )
+
     def _end(self, event: dict[str, Any], elapsed_s: Any) -> None:
         if self._stage:
             where = self._where(self._stage)
@@ -316,6 +335,8 @@ class PathRecorder:
         if at_s < self._clock_s or (is_later and at_s == self._clock_s):
             word = "is before" if at_s < self._clock_s else "is still"
             raise LogError(f"{where}: elapsed_s {at_s} {word} the {self._clock_s} of the event before; {remedy}")
+        if at_s >= EARLIEST_DATE_S:
+            raise LogError(f"{where}: elapsed_s {at_s} is a date or no seconds; {remedy}")
         return at_s
 
     def _now(self) -> float:

@@ -1,0 +1,83 @@
+"""Units that look mixed: some paths in seconds and others in milliseconds, metres beside millimetres.
+
+The sign of it is a gap: two groups of paths, far apart, with nothing in between.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from halfseen.arrays import RowMask, Rows
+from halfseen.logs.logs import Logs
+from halfseen.logs.refusal import shown
+
+FEWEST_PATHS, FEWEST_SHARE = 3, 0.01
+GAP, RATIO = 30.0, 300.0
+
+
+def mixed_clocks(logs: Logs) -> Iterator[str]:
+    """Tell of paths whose stages last some thousand times as long as those of others."""
+    # The mean of a path, not its shortest stages: some actions take hardly any time.
+    clocks = logs.stages.groupby("path")["elapsed_s"]
+    duration_s = _per_path(logs, clocks.max() / clocks.count())
+    is_long = far_apart(duration_s)
+    if is_long is not None:
+        yield _told(logs, "stages last", duration_s, is_long, " s") + ": are some clocks in milliseconds?"
+
+
+def mixed_covariates(logs: Logs) -> Iterator[str]:
+    """Tell of covariates that are some thousand times as large in some paths as in others."""
+    tables = [("covariate", logs.stages, logs.stage_covariates)]
+    if logs.objects is not None:
+        names = logs.objects.columns.difference(["path", "stage", "object"], sort=False)
+        tables.append(("object covariate", logs.objects, list(names)))
+    for word, frame, names in tables:
+        for name in names:
+            if pd.api.types.is_bool_dtype(frame[name].dtype) or not pd.api.types.is_numeric_dtype(frame[name].dtype):
+                continue
+            size = _per_path(logs, frame[name].astype(float).abs().groupby(frame["path"]).median())
+            is_large = far_apart(size)
+            if is_large is not None:
+                yield _told(logs, f"{word} {name} is around", size, is_large, "") + ": are its units mixed?"
+
+
+def far_apart(sizes: Rows) -> RowMask | None:
+    """Split sizes at their widest gap on the logarithmic scale, if it is wide enough that units may be mixed.
+
+    Parameters
+    ----------
+    sizes
+        One positive size a path; others are left aside.
+
+    Returns
+    -------
+    RowMask or None
+        True for those above the gap; None where there is no such gap.
+    """
+    usable = np.isfinite(sizes) & (sizes > 0)
+    logs = np.sort(np.log(sizes[usable]))
+    fewest = max(FEWEST_PATHS, int(np.ceil(FEWEST_SHARE * len(logs))))
+    if len(logs) < 2 * fewest:
+        return None
+    gaps = np.diff(logs)[fewest - 1 : len(logs) - fewest]
+    split = int(np.argmax(gaps)) + fewest
+    ratio = np.median(logs[split:]) - np.median(logs[:split])
+    if gaps.max() < np.log(GAP) or ratio < np.log(RATIO):
+        return None
+    return usable & (sizes >= np.exp((logs[split] + logs[split - 1]) / 2))
+
+
+def _per_path(logs: Logs, values: Any) -> Rows:
+    return values.reindex(logs.path_ids).to_numpy(dtype=np.float64)
+
+
+def _told(logs: Logs, what: str, sizes: Rows, is_large: RowMask, unit: str) -> str:
+    is_small = ~is_large & np.isfinite(sizes) & (sizes > 0)
+    small, large = (f"{np.median(sizes[rows]):.3g}{unit}" for rows in (is_small, is_large))
+    first = int(np.argmax(is_small if is_small.sum() <= is_large.sum() else is_large))
+    return (
+        f"{what} {small} in {is_small.sum()} paths and {large} in {is_large.sum()} (path "
+        f"{shown(logs.path_ids[first])} is of the fewer), with none in between"
+    )

@@ -1,0 +1,171 @@
+"""Sound logs raise no suspicion; each way of being legal and probably not meant raises its own."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from valid_logs import small_tables
+
+from halfseen.logs import Logs
+from halfseen.logs.suspicions import suspicions
+
+
+def sound_tables(num_paths=120, num_stages=4, seed=0):
+    """Paths of an exploring policy, a third of them cut at any time."""
+    rng = np.random.default_rng(seed)
+    stages, paths, objects = [], [], []
+    for path in range(num_paths):
+        clock_s = np.cumsum(rng.exponential(3.0, num_stages))
+        cut_s = rng.exponential(25.0)
+        is_cut = cut_s < clock_s[-1]
+        cause = rng.choice(["operator", "battery"]) if is_cut else None
+        end_s = min(cut_s, clock_s[-1])
+        paths.append({"path": path, "end_s": end_s, "ending": "cut" if is_cut else "finished", "cause": cause})
+        for stage in range(1, int((clock_s <= end_s).sum()) + 1 + int(is_cut)):
+            is_completed = clock_s[stage - 1] <= end_s
+            seen = {"distance": rng.lognormal(), "offset": rng.normal(), "is_wet": rng.random() < 0.5}
+            row = {"path": path, "stage": stage, "elapsed_s": clock_s[stage - 1] if is_completed else None, **seen}
+            reward = rng.normal() if is_completed else None
+            stages.append(row | {"action": rng.choice(["PICK", "LOOK"]), "reward": reward, "probability": 0.5})
+            objects.append({"path": path, "stage": stage, "object": 0, "occlusion": rng.random(), "lifts": 0})
+    return {"stages": pd.DataFrame(stages), "paths": pd.DataFrame(paths), "objects": pd.DataFrame(objects)}
+
+
+def found(tables):
+    return {suspicion.kind: suspicion.sentence for suspicion in suspicions(Logs(**tables))}
+
+
+@pytest.fixture
+def tables():
+    return sound_tables()
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_sound_logs_raise_none(seed):
+    assert found(sound_tables(seed=seed)) == {}
+    assert found(sound_tables(num_paths=12, seed=seed)) == {}
+    assert found(small_tables()) == {}
+
+
+@pytest.mark.parametrize("cut_kind", ["independent", "occlusion", "attempt"])
+def test_simulated_logs_raise_none(cut_kind):
+    from halfseen.planners.heuristics import GreedyPolicy
+    from halfseen.world import ExploringPolicy, Scene, TableWorld, WorldConfig
+
+    scene = Scene(np.array([[0.0, 0.4], [0.0, 0.0]]))
+    policy = ExploringPolicy(GreedyPolicy(WorldConfig(), True, True), 0.5)
+    logs = TableWorld().simulate([scene], policy, 300, 1, 0.33, cut_kind)
+    assert suspicions(logs) == ()
+
+
+def test_cuts_at_one_time_look_like_a_horizon(tables):
+    is_cut = tables["paths"]["ending"] == "cut"
+    late_s = tables["paths"]["end_s"].max() + 1
+    tables["paths"].loc[is_cut, "cause"] = "time-out"
+    tables["paths"].loc[is_cut, "end_s"] = np.linspace(late_s, late_s * 1.001, is_cut.sum())
+    told = found(tables)
+    assert set(told) == {"horizon-as-cut"}
+    assert f"{is_cut.sum()} of {is_cut.sum()} cuts by time-out fall at" in told["horizon-as-cut"]
+
+
+def test_cuts_in_one_stage(tables):
+    cut = tables["paths"].loc[tables["paths"]["ending"] == "cut", "path"]
+    keep = ~tables["stages"]["path"].isin(cut) | (tables["stages"]["stage"] == 1)
+    tables = {"stages": tables["stages"][keep].copy(), "paths": tables["paths"], "objects": None}
+    tables["stages"].loc[tables["stages"]["path"].isin(cut), ["elapsed_s", "reward"]] = np.nan
+    assert found(tables) == {
+        "cuts-in-one-stage": f"all {len(cut)} cuts fall in stage 1: does something of the task itself end paths there?"
+    }
+
+
+def in_milliseconds(tables, paths):
+    tables["stages"].loc[tables["stages"]["path"].isin(paths), "elapsed_s"] *= 1000
+    tables["paths"].loc[tables["paths"]["path"].isin(paths), "end_s"] *= 1000
+
+
+def test_clocks_in_seconds_and_milliseconds(tables):
+    in_milliseconds(tables, range(10))
+    told = found(tables)
+    assert set(told) == {"mixed-clock-units"}
+    assert "in 10 " in told["mixed-clock-units"] or "in 9 " in told["mixed-clock-units"]
+    assert "are some clocks in milliseconds?" in told["mixed-clock-units"]
+
+
+@pytest.mark.parametrize("name", ["distance", "offset"])
+def test_covariates_in_metres_and_millimetres(tables, name):
+    late = tables["stages"]["path"] >= 60
+    tables["stages"].loc[late, name] *= 1e6
+    told = found(tables)
+    assert set(told) == {"mixed-covariate-units"}
+    assert told["mixed-covariate-units"].startswith(f"covariate {name} is around")
+
+
+def test_object_covariates_of_mixed_units(tables):
+    tables["objects"]["occlusion"] += 0.1
+    tables["objects"].loc[tables["objects"]["path"] < 20, "occlusion"] *= 1e3
+    assert "object covariate occlusion is around" in found(tables)["mixed-covariate-units"]
+
+
+def test_names_that_differ_in_spelling(tables):
+    tables["paths"]["cause"] = tables["paths"]["cause"].where(
+        tables["paths"].index % 2 == 0, tables["paths"]["cause"].str.upper()
+    )
+    tables["stages"].loc[::3, "action"] = tables["stages"]["action"].str.title() + " "
+    spelling = [s.sentence for s in suspicions(Logs(**tables)) if s.kind == "spelling"]
+    assert spelling[0] == "causes 'BATTERY', 'battery' differ only in their spelling: count them as one"
+    assert "actions 'PICK', 'Pick ' differ only in their spelling: count them as one" in spelling
+
+
+def test_an_action_hardly_ever_taken(tables):
+    tables["stages"].loc[0, "action"] = "WASH"
+    total = tables["stages"]["elapsed_s"].notna().sum()
+    assert found(tables) == {
+        "rare-action": f"action WASH (1) was taken in less than 1 % of {total} stages: too few to learn from"
+    }
+
+
+def test_an_action_never_completed(tables):
+    tables["stages"].loc[tables["stages"]["elapsed_s"].isna(), "action"] = "WASH"
+    assert found(tables) == {
+        "rare-action": "action WASH was begun and never completed: nothing can be learned from that"
+    }
+
+
+def test_no_exploration(tables):
+    tables["stages"]["probability"] = 1.0
+    assert set(found(tables)) == {"no-exploration"}
+    tables["stages"]["action"] = "PICK"
+    assert found(tables) == {}
+
+
+def test_equal_rewards(tables):
+    tables["stages"]["reward"] = tables["stages"]["reward"] * 0 + 1
+    total = tables["stages"]["reward"].notna().sum()
+    assert found(tables) == {"equal-rewards": f"all {total} rewards are 1: no action is better than another"}
+
+
+@pytest.mark.parametrize(("name", "value"), [("distance", 0.0), ("offset", 7), ("is_wet", True)])
+def test_constant_covariates(tables, name, value):
+    tables["stages"][name] = value
+    told = found(tables)
+    assert set(told) == {"constant-covariate"}
+    assert told["constant-covariate"].startswith(f"covariate {name} is {value!r} in all {len(tables['stages'])} rows")
+
+
+def test_copied_paths(tables):
+    again = {name: frame[frame["path"].isin([3, 5, 8])].copy() for name, frame in tables.items()}
+    for frame in again.values():
+        frame["path"] += 1000
+    told = found({name: pd.concat([frame, again[name]]) for name, frame in tables.items()})
+    assert set(told) == {"duplicated-paths"}
+    assert "(such as 3 and 1003)" in told["duplicated-paths"] or "(such as 5 and 1005)" in told["duplicated-paths"]
+
+
+def test_paths_of_whole_steps_may_agree(tables):
+    tables["stages"]["elapsed_s"] = tables["stages"]["stage"].where(tables["stages"]["elapsed_s"].notna()).astype(float)
+    tables["stages"]["reward"] = (
+        (tables["stages"]["reward"] > 0).where(tables["stages"]["elapsed_s"].notna()).astype(float)
+    )
+    tables["paths"]["end_s"] = tables["stages"].groupby("path")["stage"].max().to_numpy() - 0.5 * (
+        tables["paths"]["ending"] == "cut"
+    )
+    assert found(tables) == {}
