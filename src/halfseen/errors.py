@@ -5,6 +5,7 @@
     HalfseenError              everything below; the command line prints it in one line and exits with status 2
     ├── CloudError             a point cloud that cannot be read, or that shows no table
     ├── LogError               a log that breaks an invariant; names the path and the stage
+    ├── PolicyError            a policy folder that cannot be read, or a policy that does not fit what it is shown
     ├── PositivityError        a weight that the data do not identify; names the path, the stage and the time
     ├── SceneError             a scene whose numbers contradict one another
     └── ArgumentError          a value that an option or parameter cannot take
@@ -23,6 +24,10 @@ class CloudError(HalfseenError):
 
 class LogError(HalfseenError):
     """A log breaks an invariant."""
+
+
+class PolicyError(HalfseenError):
+    """A policy folder cannot be read, or the policy does not fit what it is shown."""
 
 
 class PositivityError(HalfseenError):
