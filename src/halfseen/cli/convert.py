@@ -1,9 +1,10 @@
 """``halfseen convert``: logs from one form into another."""
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -124,9 +125,26 @@ def _read(
     if kind == "minari":
         return formats.read_minari(source.removeprefix(MINARI), clock=clock, step_s=step_s)
     if kind == "bag" and mapping is not None:
-        keep = None if clouds is None else _keeper(clouds)
-        return formats.read_bag(_bags(Path(source)), mapping, see=_see if see else None, keep=keep)
+        return _read_bags(_bags(Path(source)), mapping, see, clouds)
     return read_logs(source)
+
+
+def _read_bags(bags: list[Path], mapping: Path, see: bool, clouds: Path | None) -> "Logs":
+    from tqdm import tqdm
+
+    from halfseen.logs.formats import read_bag
+
+    with tqdm(desc="clouds", unit=" steps", disable=None, leave=False) as progress:
+
+        def counted(work: Callable[..., Any]) -> Callable[..., Any]:
+            def count(*cloud: Any) -> Any:
+                progress.update()
+                return work(*cloud)
+
+            return count
+
+        keep = None if clouds is None else counted(partial(_kept, clouds))
+        return read_bag(bags, mapping, see=counted(_see) if see else None, keep=keep)
 
 
 def _write(logs: "Logs", target: str) -> None:
@@ -149,14 +167,12 @@ def _clouds_folder(clouds: Path | None) -> Iterator[Path | None]:
         yield fresh
 
 
-def _keeper(folder: Path) -> Any:
+def _kept(folder: Path, points_m: "np.ndarray", shape: tuple[int, int], name: str) -> str:
+    """Write a cloud; its file is called like it."""
     from halfseen.perception import Cloud, write_pcd
 
-    def keep(points_m: "np.ndarray", shape: tuple[int, int], name: str) -> str:
-        write_pcd(Cloud(points_m, _image_shape(shape), name=name), folder / f"{name}.pcd")
-        return f"{name}.pcd"
-
-    return keep
+    write_pcd(Cloud(points_m, _image_shape(shape), name=name), folder / f"{name}.pcd")
+    return f"{name}.pcd"
 
 
 def _see(points_m: "np.ndarray", shape: tuple[int, int], name: str) -> dict[str, list[Any]]:

@@ -108,7 +108,15 @@ def read_minari(dataset: Any, *, clock: str | None = None, step_s: float | None 
         return read_foreign(dataset, f"dataset {name}", clock, step_s)
     except HalfseenError:
         raise
-    except (KeyError, ValueError, TypeError, IndexError, OSError) as error:
+    except (
+        KeyError,
+        ValueError,
+        TypeError,
+        IndexError,
+        AttributeError,
+        OSError,
+        RuntimeError,
+    ) as error:  # as h5py raises
         raise LogError(
             f"dataset {name}: it is broken ({type(error).__name__}: {error}); write or download it again"
         ) from error
