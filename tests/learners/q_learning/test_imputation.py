@@ -1,0 +1,156 @@
+import numpy as np
+import pandas as pd
+import pytest
+from trials import ACTIONS, FULL, two_stage_trial
+
+from halfseen.censoring import Cox
+from halfseen.errors import ArgumentError
+from halfseen.learners import CensoredQLearner
+from halfseen.learners.q_learning.imputation import fit_durations, imputation
+from halfseen.logs import Logs
+
+NUM_PATIENTS, NUM_LOGS = 600, 16
+ASKED = pd.DataFrame({"x": [-1.0, 0.0, 1.0]})
+
+
+@pytest.fixture(scope="module")
+def logs():
+    trial = two_stage_trial()
+    by_lot = pd.Series(np.random.default_rng(0).choice(ACTIONS, trial.num_stages))
+    return Logs(trial.stages.assign(action=trial.stages["action"].fillna(by_lot)), trial.paths)
+
+
+def one_stage(seed, gain=1.2):
+    """The longer it takes the more it brings, and x hastens both the end and the cut."""
+    rng = np.random.default_rng(seed)
+    x = rng.normal(size=NUM_PATIENTS)
+    action = rng.choice(["A", "B"], NUM_PATIENTS)
+    duration = rng.exponential(np.exp(-0.5 * x + 0.3 * (action == "B")))
+    cut = rng.exponential(1.2 * np.exp(-gain * x))
+    reward = 2.0 * duration + x + (action == "B") + 0.3 * rng.normal(size=NUM_PATIENTS)
+    is_seen = duration <= cut
+    path = np.arange(NUM_PATIENTS)
+    stages = {"path": path, "stage": 1, "elapsed_s": np.where(is_seen, duration, np.nan), "action": action, "x": x}
+    stages["reward"] = np.where(is_seen, reward, np.nan)
+    ending = np.where(is_seen, "finished", "cut")
+    return Logs(pd.DataFrame(stages), {"path": path, "end_s": np.minimum(duration, cut), "ending": ending})
+
+
+def truth(x, is_b):
+    return 2.0 * np.exp(-0.5 * x + 0.3 * is_b) + x + is_b
+
+
+def best_line():
+    """What a Q that is linear in x converges to at `ASKED` when nothing is cut, x standard normal."""
+    x, weight = np.polynomial.hermite_e.hermegauss(30)
+    lines = [np.polyfit(x, truth(x, is_b), 1, w=np.sqrt(weight)) for is_b in (0.0, 1.0)]
+    return np.column_stack([np.polyval(line, ASKED["x"]) for line in lines])
+
+
+def errors(**options):
+    """Mean error of Q over logs in standard errors, for each x and action."""
+    told = []
+    for seed in range(NUM_LOGS):
+        learner = CensoredQLearner(1, ["A", "B"], ["x"], reg=0.0, **options)
+        told.append(learner.fit(one_stage(seed)).q_values(ASKED, 1) - best_line())
+    return np.mean(told, axis=0) / (np.std(told, axis=0, ddof=1) / np.sqrt(NUM_LOGS))
+
+
+def test_the_wrong_weights_alone_are_biased():
+    assert np.abs(errors()).max() > 5.0
+    assert np.abs(errors(censoring="none")).max() > 5.0
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"augmented": True},
+        {"augmented": True, "censoring": "cox", "outcome_covariates": []},
+        {"augmented": True, "censoring": "cox"},
+        {"censoring": "buckley-james"},
+    ],
+    ids=["wrong Ĝ, right m", "right Ĝ, wrong m", "both right", "Buckley–James, right m"],
+)
+def test_one_right_model_is_enough(options):
+    assert np.abs(errors(**options)).max() < 3.5
+
+
+def test_with_both_wrong_nothing_helps():
+    assert np.abs(errors(augmented=True, outcome_covariates=[])).max() > 3.5
+    assert np.abs(errors(censoring="buckley-james", outcome_covariates=[])).max() > 5.0
+
+
+def test_augmenting_narrows_what_weights_leave_wide():
+    spread = {}
+    for augmented in (False, True):
+        learner = CensoredQLearner(1, ["A", "B"], ["x"], reg=0.0, censoring="cox", augmented=augmented)
+        told = [learner.fit(one_stage(seed)).q_values(ASKED, 1) for seed in range(NUM_LOGS)]
+        spread[augmented] = np.std(told, axis=0).mean()
+    assert spread[True] < spread[False]
+
+
+@pytest.mark.parametrize("options", [{"augmented": True}, {"censoring": "buckley-james"}], ids=str)
+def test_without_cuts_nothing_is_imputed(options):
+    trial = two_stage_trial(last_cut=40, cut_from=20)
+    assert trial.is_finished.all()
+    plain = CensoredQLearner(2, ACTIONS, FULL, reg=0.0).fit(trial).q_functions_.coefficients
+    told = CensoredQLearner(2, ACTIONS, FULL, reg=0.0, **options).fit(trial).q_functions_.coefficients
+    np.testing.assert_allclose(told, plain, atol=1e-8)
+
+
+@pytest.mark.parametrize("by", ["path", "stage", "pooled"])
+def test_what_a_constant_is_worth_adds_up_to_it(logs, by, monkeypatch):
+    """With g = 1 the sums telescope: Y of a target that is always 1 is 1, ties and all."""
+    module = "halfseen.learners.q_learning.imputation._terms"
+    monkeypatch.setattr(module, lambda duration_s, knots, spread: np.ones((*np.shape(duration_s), 1)))
+    learner = CensoredQLearner(2, ACTIONS, ["s1_1", "s2_1"], censoring_by=by, reg=0.0).fit(logs)
+    paths = learner.lay_out(logs)
+    told = imputation(paths, "augmented", learner.cut_model_, "separate", np.ones(2), np.arange(2))
+    begun = paths.is_begun
+    np.testing.assert_allclose(told.share[begun] + told.expected[begun][:, 0], 1.0, atol=1e-9)
+    assert (told.share[~paths.is_completed] == 0.0).all()
+
+
+def test_the_share_of_a_seen_target_is_what_the_stage_adds_to_the_weight(logs):
+    learner = CensoredQLearner(2, ACTIONS, ["s1_1", "s2_1"], reg=0.0).fit(logs)
+    paths = learner.lay_out(logs)
+    told = imputation(paths, "augmented", learner.cut_model_, "separate", np.ones(2), np.arange(2))
+    weights, begun = learner.cut_model_.weights(paths), learner.cut_model_.begun_weights(paths)
+    seen = paths.is_completed
+    np.testing.assert_allclose(told.share[seen] * begun[seen], weights[seen])
+
+
+def test_what_durations_are_to_be_expected_by_a_loop():
+    """Without covariates: the Kaplan–Meier curve of durations beyond an age, completions before cuts."""
+    watched = np.array([1.0, 2.0, 2.0, 3.0, 3.0, 5.0])
+    is_completed = np.array([True, True, False, True, False, True])
+    durations = fit_durations(watched, is_completed, np.zeros((6, 1)))
+    mass, survival = {}, 1.0
+    for at in (1.0, 2.0, 3.0, 5.0):
+        at_risk = np.sum(watched >= at)
+        hazard = np.sum((watched == at) & is_completed) / at_risk
+        mass[at], survival = survival * hazard, survival * (1.0 - hazard)
+    terms = durations.at_s[:, None]
+    for age in (0.0, 1.0, 1.5, 2.0, 4.9):
+        beyond = {at: share for at, share in mass.items() if at > age}
+        expected = sum(at * share for at, share in beyond.items()) / sum(beyond.values())
+        assert durations.expected(np.zeros((1, 1)), np.array([[age]]), terms)[0, 0, 0] == pytest.approx(expected)
+    assert durations.expected(np.zeros((1, 1)), np.array([[9.0]]), terms)[0, 0, 0] == pytest.approx(5.0)
+
+
+def test_what_cannot_be_imputed_is_refused(logs):
+    unknown = Logs(logs.stages.assign(action=logs.stages["action"].where(logs.stages["elapsed_s"].notna())), logs.paths)
+    for options in ({"augmented": True}, {"censoring": "buckley-james"}):
+        with pytest.raises(ArgumentError, match=r"path \d+, stage \d: its action is null, and .* learning needs"):
+            CensoredQLearner(2, ACTIONS, FULL, **options).fit(unknown)
+    with pytest.raises(ArgumentError, match="augmented weights need a model of the cuts, but censoring is 'none'"):
+        CensoredQLearner(2, ACTIONS, FULL, augmented=True, censoring="none").fit(logs)
+    with pytest.raises(ArgumentError, match="outcome_covariates names 'age'"):
+        CensoredQLearner(2, ACTIONS, FULL, augmented=True, outcome_covariates=["age"]).fit(logs)
+
+
+def test_a_model_of_ones_own_is_augmented_too(logs):
+    told = CensoredQLearner(
+        2, ACTIONS, FULL, augmented=True, censoring=Cox(ridge=1.0), censoring_by="pooled", stages="pooled", reg=0.1
+    ).fit(logs)
+    assert np.isfinite(told.q_functions_.coefficients).all()
