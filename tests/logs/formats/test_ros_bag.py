@@ -342,6 +342,11 @@ def test_broken_clouds_are_told(bag, mapping, options, message):
         read_bag(folder, mapping(CLOUD), keep=lambda *_: "file")
 
 
+def test_seeing_without_a_topic_of_clouds_is_refused(bag, mapping):
+    with pytest.raises(ArgumentError, match=r"cell\.toml, cloud: it is missing, so that no cloud is seen"):
+        read_bag(bag(one_path()), mapping(SMALL), see=lambda *_: {})
+
+
 def test_a_topic_without_clouds_is_told(bag, mapping):
     content = CLOUD.replace("/points", "/reward")
     with pytest.raises(ArgumentError, match=r"cloud\.topic: /reward carries std_msgs/msg/Float64, not sensor_msgs"):

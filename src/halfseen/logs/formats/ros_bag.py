@@ -24,7 +24,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import pandas as pd
 
-from halfseen.errors import HalfseenWarning, LogError
+from halfseen.errors import ArgumentError, HalfseenWarning, LogError
 from halfseen.logs.formats.ros_mapping import BagMapping, read_mapping
 from halfseen.logs.formats.ros_messages import check_topics, points_of, read_clouds, read_events
 from halfseen.logs.formats.ros_paths import BagPath, follow, missing, split
@@ -71,6 +71,8 @@ def read_bag(
         A bag is missing or broken, or its messages make no stages.
     """
     mapping = mapping if isinstance(mapping, BagMapping) else read_mapping(mapping)
+    if mapping.cloud is None and (see is not None or keep is not None):
+        raise ArgumentError(f"{mapping.file}, cloud: it is missing, so that no cloud is seen or kept; name its topic")
     files = [Path(bags)] if isinstance(bags, str | Path) else [Path(bag) for bag in bags]
     paths: list[dict[str, Any]] = []
     stages: list[dict[str, Any]] = []
