@@ -1,0 +1,111 @@
+"""A folder of a policy that is there whole or not at all, and in which no byte has changed."""
+
+import hashlib
+import shutil
+import uuid
+from pathlib import Path
+
+from halfseen.errors import ArgumentError, PolicyError
+
+RECORD, ARRAYS, DIGESTS = "policy.json", "policy.safetensors", "policy.sha256"
+
+
+def check_target(folder: Path, overwrite: bool) -> None:
+    """Refuse a folder that a policy cannot be written to; call it before long work.
+
+    Raises
+    ------
+    ArgumentError
+        Something is there and shall not be replaced, or is no policy.
+    """
+    try:
+        is_there, is_policy = folder.exists() or folder.is_symlink(), (folder / RECORD).exists()
+    except OSError as error:
+        raise ArgumentError(f"{folder}: cannot be written ({error.strerror}); choose another folder") from error
+    if is_there and not overwrite:
+        raise ArgumentError(
+            f"{folder}: it is there already; choose another folder, or pass --overwrite (overwrite=True) to replace it"
+        )
+    if is_there and not is_policy:
+        raise ArgumentError(
+            f"{folder}: it holds no policy ({RECORD} is missing), so it is not replaced; choose another folder"
+        )
+
+
+def write_files(folder: Path, record: bytes, arrays: bytes, *, overwrite: bool) -> None:
+    """Write the files beside `folder`, then put them in its place by renaming.
+
+    Raises
+    ------
+    ArgumentError
+        The folder is there already, holds something other than a policy, or cannot be written.
+    """
+    check_target(folder, overwrite)
+    target = folder.resolve()
+    tag = uuid.uuid4().hex
+    fresh, old = target.with_name(f".{target.name}.{tag}.new"), target.with_name(f".{target.name}.{tag}.old")
+    try:
+        fresh.mkdir(parents=True)
+        (fresh / ARRAYS).write_bytes(arrays)
+        (fresh / RECORD).write_bytes(record)
+        (fresh / DIGESTS).write_bytes(_digests(record, arrays))
+        _swap(fresh, target, old)
+    except OSError as error:
+        raise ArgumentError(
+            f"{folder}: cannot be written ({error.strerror or error}); choose another folder"
+        ) from error
+    finally:
+        shutil.rmtree(fresh, ignore_errors=True)
+
+
+def read_files(folder: Path) -> tuple[bytes, bytes]:
+    """Read policy.json and policy.safetensors.
+
+    Raises
+    ------
+    PolicyError
+        The folder or a file is missing or cannot be read, or a byte of a file is not what it was.
+    """
+    if not folder.is_dir():
+        raise PolicyError(f"{folder}: there is no such folder; give the folder that `halfseen learn` wrote")
+    record, arrays, digests = (_read(folder / name) for name in (RECORD, ARRAYS, DIGESTS))
+    if digests == _digests(record, arrays):
+        return record, arrays
+    changed = [name for name, data in ((RECORD, record), (ARRAYS, arrays)) if _line(name, data) not in digests]
+    raise PolicyError(
+        f"{folder / (changed or [DIGESTS])[0]}: it is not as it was written (its SHA-256 does not agree with "
+        f"{DIGESTS}); copy the whole folder again, or learn anew"
+    )
+
+
+def _digests(record: bytes, arrays: bytes) -> bytes:
+    return _line(RECORD, record) + _line(ARRAYS, arrays)
+
+
+def _line(name: str, data: bytes) -> bytes:
+    return f"{hashlib.sha256(data).hexdigest()}  {name}\n".encode()
+
+
+def _read(file: Path) -> bytes:
+    try:
+        return file.read_bytes()
+    except FileNotFoundError as error:
+        raise PolicyError(
+            f"{file}: it is missing, so {file.parent} is no whole policy; copy the whole folder again, or learn anew"
+        ) from error
+    except OSError as error:
+        raise PolicyError(f"{file}: it cannot be read ({error.strerror}); copy the whole folder again") from error
+
+
+def _swap(fresh: Path, target: Path, old: Path) -> None:
+    """Put `fresh` in the place of `target`; what was there comes back if that fails."""
+    if not target.exists():
+        fresh.rename(target)
+        return
+    target.rename(old)
+    try:
+        fresh.rename(target)
+    except OSError:
+        old.rename(target)
+        raise
+    shutil.rmtree(old, ignore_errors=True)

@@ -1,0 +1,42 @@
+"""One digest for a log: the same paths have the same, in memory and from any form on disk."""
+
+import hashlib
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+
+from halfseen.logs import Logs
+
+
+def log_digest(logs: Logs) -> str:
+    """Give the SHA-256 of what a log says: names of tables and columns, and every value, row by row."""
+    told = hashlib.sha256()
+    for name, table in (("stages", logs.stages), ("paths", logs.paths), ("objects", logs.objects)):
+        if table is None:
+            continue
+        for column in sorted(table.columns):
+            told.update(f"{name}.{column}:{len(table)}\n".encode())
+            for part in _parts(table[column]):
+                told.update(part)
+    return told.hexdigest()
+
+
+def _parts(values: Any) -> Iterator[bytes]:
+    if pd.api.types.is_numeric_dtype(values.dtype):
+        yield _number_bytes(values.to_numpy(dtype=np.float64, na_value=np.nan))
+        return
+    arrow = pa.array(values, from_pandas=True)
+    if pa.types.is_list(arrow.type):
+        yield _number_bytes(np.asarray(arrow.value_lengths().fill_null(-1), dtype=np.float64))
+        yield from _parts(arrow.flatten().to_pandas())
+        return
+    texts = values.map(lambda value: repr(str(value)), na_action="ignore").fillna("null")
+    yield "\n".join(texts).encode()
+
+
+def _number_bytes(values: np.ndarray) -> bytes:
+    # One NaN and one zero, whatever bits they came in.
+    return np.where(np.isnan(values), np.nan, values + 0.0).astype("<f8").tobytes()

@@ -1,0 +1,54 @@
+"""What the states of a log looked like: beyond these ranges a policy was taught nothing."""
+
+from typing import Any
+
+import pandas as pd
+
+from halfseen.logs import Logs
+from halfseen.world.table_checks import TABLE
+
+TABLE_RANGES = ("num_objects", "occlusion", "log_odds", "num_attempts")
+"""Of a table: objects on it; and of each, its occlusion, its log-odds of DIRTY and its past attempts."""
+
+
+def seen_states(logs: Logs, covariates: tuple[str, ...], is_by_stage: bool) -> list[dict[str, Any]]:
+    """Give the least and the largest value of each covariate of flat actions, by stage or over all stages.
+
+    Parameters
+    ----------
+    logs
+        The log.
+    covariates
+        Columns of its stages.
+    is_by_stage
+        One entry a stage; else one for all.
+
+    Returns
+    -------
+    list
+        For each entry the ``stages`` that it is for, from and to; how many states there were; and their ``ranges``.
+    """
+    frame: Any = logs.stages
+    if not is_by_stage:
+        return [_entry(1, logs.horizon, len(frame), _ranges(frame, covariates))]
+    parts = [(stage, frame[frame["stage"] == stage]) for stage in range(1, logs.horizon + 1)]
+    return [_entry(stage, stage, len(part), _ranges(part, covariates)) for stage, part in parts]
+
+
+def seen_tables(logs: Logs) -> list[dict[str, Any]]:
+    """Do the same for tables, over all stages: they are alike in every stage."""
+    objects: Any = logs.objects
+    there = objects[objects["location"] == TABLE]
+    tried = there["attempt_occlusions"].map(len)
+    each = there[["occlusion", "log_odds"]].assign(num_attempts=tried)
+    counts = pd.DataFrame({"num_objects": there.groupby(["path", "stage"]).size()})
+    ranges = _ranges(counts, TABLE_RANGES[:1]) | _ranges(each, TABLE_RANGES[1:])
+    return [_entry(1, logs.horizon, logs.num_stages, ranges)]
+
+
+def _entry(first: int, last: int, num_states: int, ranges: dict[str, list[float]]) -> dict[str, Any]:
+    return {"stages": [first, last], "num_states": num_states, "ranges": ranges}
+
+
+def _ranges(frame: pd.DataFrame, names: tuple[str, ...]) -> dict[str, list[float]]:
+    return {name: [float(frame[name].min()), float(frame[name].max())] for name in names}
