@@ -2,12 +2,14 @@ import json
 import subprocess
 import sys
 
+import numpy as np
+import pandas as pd
 import pytest
 from click.testing import CliRunner
 
 from halfseen import cli
 from halfseen.cli.inspect import inspect
-from halfseen.logs import Logs
+from halfseen.logs import LogRecorder, Logs
 
 
 @pytest.fixture
@@ -26,28 +28,90 @@ def folder(tmp_path):
     return tmp_path / "logs"
 
 
-def test_says_one_plain_sentence_first_then_the_numbers(folder):
-    result = CliRunner().invoke(inspect, [str(folder)], catch_exceptions=False)
-    lines = result.output.splitlines()
+def run(*arguments):
+    return CliRunner().invoke(inspect, [str(argument) for argument in arguments], catch_exceptions=False).output
+
+
+def test_says_one_plain_sentence_first_then_what_looks_wrong_then_aligned_numbers(folder):
+    lines = run(folder).splitlines()
     assert lines[0] == "3 paths of up to 2 stages and 5 s: 2 finished, 1 cut (33%)."
-    assert "causes of cuts  unknown 1" in lines
-    assert "actions         WASH 2, FINISH 1, LIFT 1" in lines
-    assert "nothing seen    beyond 5 s" in lines
-    assert lines[-2:] == [
-        "    1          3                    3.0            1.00",
-        "    2          1                    1.0            2.00",
+    assert lines[1] == "Nothing looks wrong."
+    assert "stages     5, of which 4 completed" in lines
+    for table in (
+        """
+cause of cut  paths  share  first [s]  median [s]  last [s]  in stages
+unknown           1   100%          3           3         3     2 to 2
+""",
+        """
+action  stages  share  median [s]  mean reward
+WASH         2    50%         2.5            2
+FINISH       1    25%           2            0
+LIFT         1    25%           2         -0.1
+""",
+        """
+stage  begun  completed  cut  5 % [s]  median [s]  95 % [s]  worth  largest weight
+1          3          3    0        2           2         2    3.0            1.00
+2          2          1    1        3           3         3    1.0            2.00
+""",
+    ):
+        first = lines.index(table.splitlines()[1])
+        assert lines[first : first + len(table.splitlines()) - 1] == table.splitlines()[1:]
+
+
+def test_what_looks_wrong_is_told_near_the_top_and_in_json(tmp_path):
+    stages = {"path": range(20), "stage": 1, "elapsed_s": np.linspace(1.1, 3.3, 20), "action": ["A", "B"] * 10}
+    chances = {"reward": 2.0, "probability": 1.0, "lamp": "on"}
+    paths = {"path": range(20), "end_s": np.linspace(1.1, 3.3, 20), "ending": "finished"}
+    Logs(pd.DataFrame(stages | chances), pd.DataFrame(paths)).write(tmp_path / "logs")
+    assert run(tmp_path / "logs").splitlines()[1:5] == [
+        "What looks wrong:",
+        "- All probabilities are 1: the policy never explored, so nothing can be learned of other actions.",
+        "- All 20 rewards are 2: no action is better than another.",
+        "- Covariate lamp is 'on' in all 20 rows: a dead sensor, or a column to leave out.",
     ]
+    report = json.loads(run(tmp_path / "logs", "--json"))
+    assert [doubt["kind"] for doubt in report["suspicions"]] == [
+        "no-exploration",
+        "equal-rewards",
+        "constant-covariate",
+    ]
+    assert report["covariates"] == ["lamp"]
+
+
+def test_a_long_table_is_cut_short_and_json_is_not(tmp_path):
+    actions = [f"go {k:02d}" for k in range(30)]
+    stages = {"path": 1, "stage": range(1, 31), "elapsed_s": np.arange(1.0, 31.0), "action": actions, "reward": 1.0}
+    paths = {"path": [1], "end_s": [30.0], "ending": ["finished"]}
+    Logs(pd.DataFrame(stages), pd.DataFrame(paths)).write(tmp_path / "logs")
+    output = run(tmp_path / "logs")
+    assert "go 19" in output
+    assert "go 20" not in output
+    assert output.count("and 10 more (--json has all)") == 2
+    report = json.loads(run(tmp_path / "logs", "--json"))
+    assert (len(report["choices"]), len(report["clock"])) == (30, 30)
+
+
+def test_reads_what_a_recorder_is_writing(tmp_path):
+    with LogRecorder(tmp_path) as recorder:
+        path = recorder.begin_path()
+        path.begin_stage({"x": 0.5}, action="PICK", probability=0.5)
+        path.complete_stage(1.0)
+        path.begin_stage({"x": 0.7})
+        report = json.loads(run(tmp_path, "--json"))
+        assert report["cuts"][0]["cause"] == "still-running"
+        assert report["choices"][0]["smallest_probability"] == 0.5
+        assert report["clock"][1]["median_s"] is None
+        assert "still-running      1   100%" in run(tmp_path)
 
 
 def test_says_what_the_weights_rest_on(folder):
-    output = CliRunner().invoke(inspect, [str(folder)], catch_exceptions=False).output
+    output = run(folder)
     assert "Too little: 2 finishes are worth 1.8 equally weighted ones." in output
     assert "Largest weights: 2 (path 1, 5 s), 1 (path 3, 2 s)." in output
 
 
 def test_json_carries_the_same_numbers(folder):
-    result = CliRunner().invoke(inspect, [str(folder), "--json"], catch_exceptions=False)
-    report = json.loads(result.output)
+    report = json.loads(run(folder, "--json"))
     assert (report["num_paths"], report["num_cut"], report["causes"]) == (3, 1, {"unknown": 1})
     assert report["weights"][1] == {
         "stage": 2,
@@ -58,8 +122,7 @@ def test_json_carries_the_same_numbers(folder):
 
 
 def test_json_tells_whose_the_largest_weights_are(folder):
-    result = CliRunner().invoke(inspect, [str(folder), "--json"], catch_exceptions=False)
-    positivity = json.loads(result.output)["positivity"]
+    positivity = json.loads(run(folder, "--json"))["positivity"]
     assert not positivity["is_sound"]
     assert positivity["heaviest"][0] == {"path": "1", "time_s": 5.0, "weight": 2.0}
 

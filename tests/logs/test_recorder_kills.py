@@ -4,7 +4,10 @@ import os
 import random
 import signal
 import struct
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -119,13 +122,21 @@ def check_kills(folder, num_kills, longest_s, seed):
     return num_torn
 
 
+def kills_in_a_process_of_their_own(folder, num_kills, longest_s, seed):
+    """A process with no more loaded than the recorder forks fast, whatever other tests have loaded here."""
+    command = [sys.executable, __file__, str(folder), str(num_kills), str(longest_s), str(seed)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return int(done.stdout)
+
+
 def test_kills_lose_at_most_the_stage_in_progress(tmp_path):
-    assert check_kills(tmp_path, 150, 0.03, 1) > 75
+    assert kills_in_a_process_of_their_own(tmp_path, 200, 0.02, 1) > 100
 
 
 @pytest.mark.slow
 def test_a_thousand_kills_lose_at_most_the_stage_in_progress(tmp_path):
-    assert check_kills(tmp_path, 1000, 0.05, 2) > 500
+    assert kills_in_a_process_of_their_own(tmp_path, 1000, 0.05, 2) > 500
 
 
 def test_one_folder_outlives_many_kills(tmp_path):
@@ -155,3 +166,7 @@ def test_another_process_is_refused_until_the_first_is_killed(tmp_path):
         os.waitpid(child, 0)
     with LogRecorder(tmp_path) as recorder:
         assert recorder.begin_path().name > 1
+
+
+if __name__ == "__main__":
+    print(check_kills(Path(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3]), int(sys.argv[4])))

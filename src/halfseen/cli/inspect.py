@@ -1,6 +1,7 @@
-"""``halfseen inspect``: what a folder of logs holds, and what its weights are worth."""
+"""``halfseen inspect``: what a folder of logs holds, what its weights are worth, and what looks wrong."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,16 +11,21 @@ import click
 if TYPE_CHECKING:
     from halfseen.logs import Logs
 
+MOST_ROWS = 20
+
 
 @click.command(epilog="Example: halfseen inspect logs --json")
 @click.argument("logs", type=click.Path(path_type=Path))
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object for programs.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object for programs, with every row.")
 @click.option("--seed", type=int, default=0, help="Accepted by every verb; nothing here is random.")
 def inspect(logs: Path, as_json: bool, seed: int) -> None:
-    """Say what the folder LOGS holds: paths, endings, causes, and what their weights rest on.
+    """Say what the folder LOGS holds: paths, endings and causes, stages, actions, and what their weights rest on.
 
-    The effective sample size tells how many equally weighted stages would say as much as those that were seen, once
-    each stands for those that were cut.
+    LOGS may be finished, or what a recorder has written so far, torn by a crash or at work. What breaks no rule and
+    looks wrong all the same is told first.
+
+    The effective sample size (worth) tells how many equally weighted stages would say as much as those that were seen,
+    once each stands for those that were cut.
     """
     from halfseen.logs import read_logs
 
@@ -30,6 +36,8 @@ def inspect(logs: Path, as_json: bool, seed: int) -> None:
 def describe(logs: "Logs") -> dict[str, Any]:
     """Collect what there is to say, ready for JSON; times in seconds."""
     from halfseen.censoring import positivity_report, stage_weights, weight_diagnostics
+    from halfseen.logs.breakdown import by_action, by_cause, by_stage
+    from halfseen.logs.suspicions import suspicions
 
     summary = logs.summary()
     positivity = positivity_report(logs.end_s, logs.is_finished, path_ids=logs.path_ids)
@@ -38,6 +46,13 @@ def describe(logs: "Logs") -> dict[str, Any]:
     return {
         "sentence": str(summary),
         **asdict(summary),
+        "covariates": logs.stage_covariates,
+        "object_covariates": [] if logs.objects is None else [*logs.objects.columns.drop(["path", "stage", "object"])],
+        "path_columns": logs.path_columns,
+        "suspicions": [asdict(suspicion) for suspicion in suspicions(logs)],
+        "cuts": by_cause(logs),
+        "choices": by_action(logs),
+        "clock": by_stage(logs),
         "nothing_seen_beyond_s": summary.longest_s,
         "positivity": {
             "text": str(positivity),
@@ -63,37 +78,109 @@ def describe(logs: "Logs") -> dict[str, Any]:
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """Write a report for people: one sentence, then the numbers."""
-    rows = [
-        (
-            "paths",
-            f"{report['num_paths']}, of which {report['num_finished']} finished and {report['num_cut']} were cut",
-        ),
-        ("share cut", f"{report['cut_share']:.1%}"),
-        ("causes of cuts", _counts(report["causes"])),
-        (
-            "stages",
-            f"{report['num_stages']}, of which {report['num_completed']} completed; at most {report['horizon']} a path",
-        ),
-        ("paths end", f"{report['shortest_s']:.4g} s to {report['longest_s']:.4g} s after they begin"),
-        ("actions", _counts(report["actions"])),
-        ("objects", str(report["num_objects"]) if report["num_objects"] else "none"),
-        ("nothing seen", f"beyond {report['nothing_seen_beyond_s']:.4g} s"),
-    ]
+    """Write a report for people: one sentence, what looks wrong, then the numbers."""
+    doubts = [f"- {_sentence(doubt['sentence'])}" for doubt in report["suspicions"]]
+    tables = [_facts(report), _cuts(report), _actions(report), _stages(report)]
+    body = [line for table in tables if table for line in ["", *table]]
     return [
         report["sentence"],
+        *(["What looks wrong:", *doubts] if doubts else ["Nothing looks wrong."]),
+        *body,
         "",
-        *(f"{name:<16}{text}" for name, text in rows),
-        "",
+        "Positivity: what the weights rest on",
         *report["positivity"]["text"].splitlines(),
-        "",
-        "stage  completed  effective sample size  largest weight",
-        *(
-            f"{row['stage']:>5}{row['num_completed']:>11}{row['effective_sample_size']:>23.1f}{row['largest_weight']:>16.2f}"
-            for row in report["weights"]
-        ),
     ]
 
 
-def _counts(counts: dict[str, int]) -> str:
-    return ", ".join(f"{name} {count}" for name, count in counts.items()) or "none"
+def _facts(report: dict[str, Any]) -> list[str]:
+    rows = [
+        ("share cut", f"{report['cut_share']:.1%}"),
+        ("paths end", f"{report['shortest_s']:.4g} s to {report['longest_s']:.4g} s after they begin"),
+        ("stages", f"{report['num_stages']}, of which {report['num_completed']} completed"),
+        ("covariates", _named(report["covariates"])),
+        ("objects", str(report["num_objects"] or "none")),
+        ("covariates of objects", _named(report["object_covariates"])),
+        ("known of paths", _named(report["path_columns"])),
+    ]
+    told = [(name, text) for name, text in rows if text != "none" or name == "objects"]
+    width = max(len(name) for name, _ in told) + 2
+    return [f"{name:<{width}}{text}" for name, text in told]
+
+
+def _cuts(report: dict[str, Any]) -> list[str]:
+    rows = [
+        (
+            row["cause"],
+            str(row["num_paths"]),
+            f"{row['share']:.0%}",
+            f"{row['earliest_s']:.3g}",
+            f"{row['median_s']:.3g}",
+            f"{row['latest_s']:.3g}",
+            f"{row['first_stage']} to {row['last_stage']}",
+        )
+        for row in report["cuts"]
+    ]
+    return _table(("cause of cut", "paths", "share", "first [s]", "median [s]", "last [s]", "in stages"), rows)
+
+
+def _actions(report: dict[str, Any]) -> list[str]:
+    rows = [
+        (
+            row["action"],
+            str(row["num_stages"]),
+            f"{row['share']:.0%}",
+            f"{row['median_s']:.3g}",
+            f"{row['mean_reward']:.3g}",
+            *([] if row["mean_probability"] is None else [f"{row['smallest_probability']:.2g}"]),
+        )
+        for row in report["choices"]
+    ]
+    head = ("action", "stages", "share", "median [s]", "mean reward", "least probability")
+    return _table(head[: len(rows[0])] if rows else head, rows)
+
+
+def _stages(report: dict[str, Any]) -> list[str]:
+    rows = [
+        (
+            str(row["stage"]),
+            str(row["num_begun"]),
+            str(row["num_completed"]),
+            str(row["num_cut"]),
+            *(
+                "-" if row[name] is None else f"{row[name]:.3g}"
+                for name in ("duration_5_s", "median_s", "duration_95_s")
+            ),
+            f"{weight['effective_sample_size']:.1f}",
+            f"{weight['largest_weight']:.2f}",
+        )
+        for row, weight in zip(report["clock"], report["weights"], strict=True)
+    ]
+    head = ("stage", "begun", "completed", "cut", "5 % [s]", "median [s]", "95 % [s]", "worth", "largest weight")
+    return _table(head, rows)
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Align columns: the first to the left, numbers to the right; empty where there are no rows."""
+    if not rows:
+        return []
+    shown = [head, *rows[:MOST_ROWS]]
+    widths = [max(len(row[k]) for row in shown) for k in range(len(head))]
+    left_out = len(rows) - MOST_ROWS
+    return [
+        *(
+            "  ".join(
+                cell.rjust(width) if k else cell.ljust(width)
+                for k, (cell, width) in enumerate(zip(row, widths, strict=True))
+            )
+            for row in shown
+        ),
+        *([f"and {left_out} more (--json has all)"] if left_out > 0 else []),
+    ]
+
+
+def _sentence(words: str) -> str:
+    return words[0].upper() + words[1:] + ("" if words.endswith("?") else ".")
+
+
+def _named(names: Sequence[str]) -> str:
+    return ", ".join(names) or "none"
