@@ -9,7 +9,7 @@ from halfseen.learners import CensoredQLearner
 from halfseen.learners.q_learning.imputation import fit_durations, imputation
 from halfseen.logs import Logs
 
-NUM_PATIENTS, NUM_LOGS = 600, 16
+NUM_PATIENTS, NUM_LOGS = 600, 24
 ASKED = pd.DataFrame({"x": [-1.0, 0.0, 1.0]})
 
 
@@ -76,8 +76,8 @@ def test_one_right_model_is_enough(options):
 
 
 def test_with_both_wrong_nothing_helps():
-    assert np.abs(errors(augmented=True, outcome_covariates=[])).max() > 3.5
-    assert np.abs(errors(censoring="buckley-james", outcome_covariates=[])).max() > 5.0
+    assert np.abs(errors(augmented=True, outcome_covariates=[])).max() > 4.0
+    assert np.abs(errors(censoring="buckley-james", outcome_covariates=[])).max() > 4.0
 
 
 def test_augmenting_narrows_what_weights_leave_wide():
