@@ -10,8 +10,10 @@ Where clocks are given, no time passes between two stages. Such a cut then stand
 takes back: at equal times completions come before cuts, and a cut that stood at that time would leave the completion
 of this path unseen and unaccounted for.
 
-A torn path is cut at the last time at which it was known to run. That is earlier than the crash, by less than a stage,
-or by less than the time between two calls of `PathRecorder.still_running`.
+A torn path is cut at the last time at which it was known to run. That is up to a stage earlier than the crash, so that
+Ĝ falls a little early and weights come out too large: where stages of 5 s are torn so often that two paths in five
+crash, by up to 7 %. Call `PathRecorder.still_running` from the control loop and the time is known to half a second;
+the same weights are then within 1 %. Where crashes are few, neither matters.
 """
 
 from collections.abc import Iterable, Iterator

@@ -204,7 +204,10 @@ class Logs:
 
 
 def read_logs(folder: str | Path) -> Logs:
-    """Read a folder that `Logs.write` wrote, and check it again.
+    """Read a folder that `Logs.write` or a `LogRecorder` wrote, and check it again.
+
+    A recorder's folder can be read at any time. A path that a crash tore has the cause "crash"; one that is being
+    recorded has the cause "still-running".
 
     Parameters
     ----------

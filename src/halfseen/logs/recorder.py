@@ -254,6 +254,7 @@ class PathRecorder:
         """Note that the path is in progress, at most twice a second; call it from the control loop.
 
         After a crash the path is then known to have run until the last call, not only until its last stage began.
+        Worth it where crashes are many and stages long: see `journal_tables`.
         """
         self._check_running()
         if self._stage == 0:
