@@ -1,0 +1,27 @@
+"""What a policy is worth before it runs: off-policy evaluation of logs of which paths were cut.
+
+Read it down: `targets` (what the policy would do) → `propensity` (what the logging policy did) → `ratios` (what each
+path stands for) → `fitted_q` (Q of the policy) → `doubly_robust` → `verdict`; `off_policy` puts them together.
+"""
+
+from typing import TYPE_CHECKING
+
+from halfseen.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from halfseen.evaluation.estimate import Estimate
+    from halfseen.evaluation.evaluation import Evaluation
+    from halfseen.evaluation.off_policy import evaluate
+    from halfseen.evaluation.targets import FixedSequence
+
+__all__ = ["Estimate", "Evaluation", "FixedSequence", "evaluate"]
+
+__getattr__ = lazy_names(
+    __name__,
+    {
+        "Estimate": "estimate",
+        "Evaluation": "evaluation",
+        "FixedSequence": "targets",
+        "evaluate": "off_policy",
+    },
+)

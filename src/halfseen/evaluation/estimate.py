@@ -1,0 +1,64 @@
+"""A number with its interval, from what each path adds to it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy import stats
+
+from halfseen.errors import ArgumentError
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A value and how well it is known.
+
+    Parameters
+    ----------
+    value
+        The estimate, in units of the reward.
+    low, high
+        Ends of the interval at the level that was asked for.
+    standard_error
+        Of `value`.
+    effective_sample_size
+        Paths of equal weight that would say as much.
+    """
+
+    value: float
+    low: float
+    high: float
+    standard_error: float
+    effective_sample_size: float
+
+
+def estimate_of(influence: Float[np.ndarray, " n"], effective_sample_size: float | int, level: float) -> Estimate:
+    """Mean of what paths add, with a t interval of as many degrees of freedom as there are effective paths, less one.
+
+    Heavy weights make few paths carry the mean, and the spread is then known no better than from those few.
+
+    Parameters
+    ----------
+    influence
+        What each path adds; the estimate is the mean.
+    effective_sample_size
+        Paths of equal weight that would say as much.
+    level
+        Of the interval.
+    """
+    num_paths = len(influence)
+    error = float(np.std(influence, ddof=1) / np.sqrt(num_paths)) if num_paths > 1 else np.inf
+    return around(float(np.mean(influence)), error, effective_sample_size, level)
+
+
+def around(value: float, standard_error: float, effective_sample_size: float | int, level: float) -> Estimate:
+    """A t interval around a value whose standard error is known from so many effective paths."""
+    freedom = max(float(effective_sample_size) - 1.0, 1.0)
+    reach = float(stats.t.ppf((1.0 + level) / 2.0, freedom)) * standard_error if standard_error > 0 else 0.0
+    return Estimate(value, value - reach, value + reach, standard_error, float(effective_sample_size))
+
+
+def check_level(level: float) -> None:
+    """Refuse a level that is not between 0 and 1."""
+    if not 0.0 < level < 1.0:
+        raise ArgumentError(f"level is {level}; it lies between 0 and 1")

@@ -1,0 +1,218 @@
+"""Fitted Q evaluation under censoring [Le2019]_: eq. 3 with the policy's own action in place of the best one.
+
+One compiled call fits Q to many weightings of the same log: to all paths, to all but each fold in turn
+(*cross-fitting*: no path is judged by a Q that it shaped), and to draws of paths with replacement (the bootstrap
+[Efron1979]_). Ĝ, and the distribution of durations behind imputed targets, are those of the whole log: they have few
+parameters.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from halfseen.learners.q_learning.encoding import Encoding
+from halfseen.learners.q_learning.least_squares import Rows, cross_of, design_of, factorise, gram_of, solve
+from halfseen.learners.q_learning.q_learner import CensoredQLearner
+from halfseen.learners.q_learning.recursion import Transitions, backward, q_values
+
+BATCH_SIZE = 8
+"""Weightings that are fitted at once."""
+
+
+class Judged(NamedTuple):
+    """What a Q says of every stage of a log, for one weighting or for each of B."""
+
+    value: Float[Any, "*B n T"]
+    """V̂_t(S_t) = Σ_a π(a | S_t) Q̂_t(S_t, a)."""
+    taken: Float[Any, "*B n T"]
+    """Q̂_t(S_t, A_t)."""
+    target: Float[Any, "*B n T"]
+    """X_t = R_t + V̂_{t+1}(S_{t+1}), or Y_t where targets are imputed; 0 where there is none."""
+
+
+@dataclass(frozen=True)
+class Fitting:
+    """How Q is fitted; what does not change between weightings.
+
+    Parameters
+    ----------
+    options
+        Of `backward`.
+    regs
+        The λ to choose from.
+    blocks
+        Block of coefficients of each action.
+    """
+
+    options: tuple[tuple[str, Any], ...]
+    regs: Float[np.ndarray, " L"]
+    blocks: Int[np.ndarray, " A"]
+
+    def judge(
+        self, log: Transitions, reward: Float[np.ndarray, "n T"], multiplicity: Float[np.ndarray, "B n"]
+    ) -> Judged:
+        """Fit Q to each weighting, and let it judge every path.
+
+        Parameters
+        ----------
+        log
+            The log, with the policy.
+        reward
+            As logged; those of `log` may have had noise taken out of them.
+        multiplicity
+            How often each path counts.
+        """
+        with jax.enable_x64(True):
+            arrays = jax.tree.map(jnp.asarray, (log, reward, self.blocks, self.regs, multiplicity))
+            judged = _judge(*arrays, options=self.options)
+            return Judged(*(np.asarray(leaf) for leaf in judged))
+
+    def first_values(self, log: Transitions, multiplicity: Float[np.ndarray, "B n"]) -> Float[np.ndarray, "B n"]:
+        """V̂_1(S_1) of every path, for each weighting."""
+        with jax.enable_x64(True):
+            arrays = jax.tree.map(jnp.asarray, (log, self.blocks, self.regs, multiplicity))
+            return np.asarray(_first_values(*arrays, options=self.options))
+
+
+def fitting_of(model: CensoredQLearner, num_paths: int, num_actions: int) -> Fitting:
+    """Read from a learner how it fits Q to a log of so many paths."""
+    encoding: Encoding = model.encoding
+    options = {
+        "num_blocks": encoding.num_blocks,
+        "stages": model.stages,
+        "num_folds": model.num_folds_for(num_paths),
+        "end_action": encoding.end_action if model.stages == "pooled" else None,
+        "is_scaled": model.q_function == "linear",
+    }
+    return Fitting(tuple(options.items()), model.regs, encoding.block_of_action(num_actions))
+
+
+@partial(jax.jit, static_argnames="options")
+def _judge(
+    log: Transitions,
+    reward: Float[Array, "n T"],
+    blocks: Int[Array, " A"],
+    regs: Float[Array, " L"],
+    multiplicity: Float[Array, "B n"],
+    *,
+    options: tuple[tuple[str, Any], ...],
+) -> Judged:
+    settings = dict(options)
+
+    def one(counts: Float[Array, " n"]) -> Judged:
+        weighted = _counted(log, counts)
+        by_stage = _by_stage(weighted, blocks, regs, settings)
+        q = _q_of_stages(by_stage, log, blocks)
+        value = _mean_over_actions(log, q)
+        taken = jnp.take_along_axis(q, log.action[..., None], axis=2)[..., 0]
+        target = _goes_on_with(log, reward, _successor(value))
+        if log.imputation is not None:
+            target = _imputed(weighted, by_stage, target, blocks, regs, settings)
+        return Judged(value, taken, target)
+
+    return jax.lax.map(one, multiplicity, batch_size=min(BATCH_SIZE, multiplicity.shape[0]))
+
+
+@partial(jax.jit, static_argnames="options")
+def _first_values(
+    log: Transitions,
+    blocks: Int[Array, " A"],
+    regs: Float[Array, " L"],
+    multiplicity: Float[Array, "B n"],
+    *,
+    options: tuple[tuple[str, Any], ...],
+) -> Float[Array, "B n"]:
+    assert log.policy is not None
+    policy, features = log.policy[:, 0], log.features[:, 0]
+
+    def one(counts: Float[Array, " n"]) -> Float[Array, " n"]:
+        first = _by_stage(_counted(log, counts), blocks, regs, dict(options))[0]
+        return jnp.sum(policy * q_values(first, features, blocks), axis=-1)
+
+    return jax.lax.map(one, multiplicity, batch_size=min(BATCH_SIZE, multiplicity.shape[0]))
+
+
+def _counted(log: Transitions, counts: Float[Array, " n"]) -> Transitions:
+    imputed = log.imputation
+    if imputed is not None:
+        imputed = imputed._replace(is_told=imputed.is_told * counts[:, None])
+    return log._replace(weight=log.weight * counts[:, None], imputation=imputed)
+
+
+def _by_stage(
+    log: Transitions, blocks: Int[Array, " A"], regs: Float[Array, " L"], settings: dict[str, Any]
+) -> Float[Array, "T K F"]:
+    fitted = jnp.asarray(backward(log, blocks, regs, **settings).coefficients)
+    return fitted if settings["stages"] == "separate" else fitted[::-1]
+
+
+def _q_of_stages(by_stage: Float[Array, "T K F"], log: Transitions, blocks: Int[Array, " A"]) -> Float[Array, "n T A"]:
+    return jax.vmap(q_values, in_axes=(0, 1, None), out_axes=1)(by_stage, jnp.asarray(log.features), blocks)
+
+
+def _mean_over_actions(log: Transitions, q: Float[Array, "n T A"]) -> Float[Array, "n T"]:
+    assert log.policy is not None
+    return jnp.sum(log.policy * q, axis=-1)
+
+
+def _successor(value: Float[Array, "n T"]) -> Float[Array, "n T"]:
+    return jnp.concatenate([value[:, 1:], jnp.zeros_like(value[:, :1])], axis=1)
+
+
+def _goes_on_with(log: Transitions, reward: Any, after: Float[Array, "n T"]) -> Float[Array, "n T"]:
+    return jnp.asarray(reward) + jnp.where(log.is_last, 0.0, after)
+
+
+def _imputed(
+    log: Transitions,
+    by_stage: Float[Array, "T K F"],
+    target: Float[Array, "n T"],
+    blocks: Int[Array, " A"],
+    regs: Float[Array, " L"],
+    settings: dict[str, Any],
+) -> Float[Array, "n T"]:
+    """Y_t of every begun stage, with m of the rows that count (see `learners.q_learning.imputation`)."""
+    given = log.imputation
+    assert given is not None
+    num_paths, horizon = log.action.shape
+    is_pooled, end_action = settings["stages"] == "pooled", settings["end_action"]
+    taken = jnp.take_along_axis(log.features, log.action[..., None, None], axis=2)[:, :, 0]
+    columns = jnp.concatenate([taken * given.is_used, given.terms], axis=-1)
+    rows = Rows(
+        features=columns.reshape(num_paths * horizon, columns.shape[-1]),
+        block=blocks[log.action].ravel(),
+        weight=jnp.zeros(num_paths * horizon),
+        fold=jnp.repeat(jnp.asarray(log.fold), horizon),
+    )
+    stage = jnp.arange(horizon)
+
+    def of_stage(t: Int[Array, ""]) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+        is_final = t == horizon - 1
+        if is_pooled:
+            goes_on = stage < horizon - 1
+            used = is_final | goes_on if end_action is None else is_final | goes_on | (log.action == end_action)
+        else:
+            used = stage == t
+        q = q_values(by_stage[jnp.minimum(t + 1, horizon - 1)], jnp.asarray(log.features), blocks)
+        forced = jnp.zeros_like(q[..., 0]) if end_action is None else q[..., end_action]
+        after = jnp.where(is_final, forced, _mean_over_actions(log, q))
+        x = _goes_on_with(log, log.reward, _successor(after)).ravel()
+        design = design_of(
+            rows._replace(weight=jnp.where(used, given.is_told, 0.0).ravel()),
+            settings["num_blocks"],
+            settings["num_folds"],
+        )
+        fit = solve(factorise(gram_of(design), settings["is_scaled"]), cross_of(design, x), regs, num_paths)
+        each = fit.coefficients[blocks[log.action[:, t]]]
+        num_terms = given.terms.shape[-1]
+        at_state = each[:, 0] + jnp.sum(each[:, 1:-num_terms] * (taken * given.is_used)[:, t], axis=-1)
+        of_time = jnp.sum(each[:, -num_terms:] * given.expected[:, t], axis=-1)
+        return at_state, of_time
+
+    at_state, of_time = (leaf.T for leaf in jax.lax.map(of_stage, stage))
+    return given.share * target + (1.0 - given.share) * at_state + of_time

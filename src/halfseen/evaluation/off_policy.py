@@ -1,0 +1,183 @@
+"""From a policy and a log to an `Evaluation`."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from sklearn.base import clone
+
+from halfseen.errors import ArgumentError
+from halfseen.evaluation.doubly_robust import doubly_robust, held_out
+from halfseen.evaluation.estimate import Estimate, around, check_level, estimate_of
+from halfseen.evaluation.evaluation import Evaluation
+from halfseen.evaluation.fitted_q import Fitting, fitting_of
+from halfseen.evaluation.propensity import Propensity, check_propensity, estimated_propensity, logged_propensity
+from halfseen.evaluation.ratios import StageWeights, begun_weights, completed_weights, likelihood_ratios
+from halfseen.evaluation.targets import target_probabilities
+from halfseen.evaluation.verdict import verdict_of
+from halfseen.learners.q_learning.path_arrays import PathArrays
+from halfseen.learners.q_learning.q_learner import CensoredQLearner
+from halfseen.learners.q_learning.recursion import Transitions
+from halfseen.logs import Logs
+
+
+def evaluate(
+    policy: Any,
+    logs: Logs,
+    model: CensoredQLearner,
+    *,
+    propensity: Propensity | str = "logged",
+    level: float = 0.95,
+    random_state: int = 0,
+    num_folds: int = 5,
+    num_replicates: int = 100,
+) -> Evaluation:
+    """Say what a policy is worth, from a log of another one of which paths were cut.
+
+    Parameters
+    ----------
+    policy
+        For named actions anything with `actions`, `horizon` and `probabilities`, such as `FlatPolicy` and
+        `FixedSequence`; for tables any `halfseen.world.Policy` without chance, or mixed with `UniformPolicy`.
+    logs
+        The log.
+    model
+        How Q is fitted and what cuts depend on; only its parameters count. With ``augmented=True`` the value is doubly
+        robust towards cuts, too; that needs the action of the stage in which a path was cut.
+    propensity
+        ``"logged"``: the column probability; ``"estimated"``: by a conditional logit on what Q looks at.
+    level
+        Of the intervals.
+    random_state
+        Seed of the folds and of the bootstrap.
+    num_folds
+        Folds of the cross-fitting; no path is judged by a Q that it shaped.
+    num_replicates
+        Draws of paths behind the interval of fitted Q.
+
+    Raises
+    ------
+    ArgumentError
+        An argument has a value that it cannot take, or policy, log and model do not fit together.
+    LogError
+        A probability that is needed was not logged.
+    PositivityError
+        A weight is not identified.
+    """
+    check_level(level)
+    check_propensity(propensity)
+    if num_folds < 2 or num_replicates < 2:
+        raise ArgumentError(
+            f"num_folds is {num_folds} and num_replicates {num_replicates}; at least 2 of each are needed"
+        )
+    if logs.num_paths < 2 * num_folds:
+        raise ArgumentError(f"the log has {logs.num_paths} paths; {num_folds} folds need at least {2 * num_folds}")
+    problem = _problem(policy, logs, model, propensity, np.random.default_rng([random_state, 1]), num_folds)
+    size = problem.weights.effective_sample_size
+    own_size = problem.logging_weights.effective_sample_size
+    by_ratio = estimate_of(problem.completed.influence(problem.paths.reward), problem.completed_size, level)
+    values = _doubly_robust(problem, problem.log, problem.weights)
+    own = _logging_values(problem)
+    difference = estimate_of(values - own, size, level)
+    verdict, reason = verdict_of(difference, problem.support, logs.horizon)
+    return Evaluation(
+        importance_sampling=by_ratio,
+        fitted_q=_fitted_q(problem, num_replicates, level),
+        doubly_robust=estimate_of(values, size, level),
+        logging=estimate_of(own, own_size, level),
+        difference=difference,
+        verdict=verdict,
+        reason=reason,
+        support=tuple(map(float, problem.support[: logs.horizon])),
+        num_paths=logs.num_paths,
+        level=level,
+    )
+
+
+class _Problem(NamedTuple):
+    """A log, the policy's chances in it, and all weights."""
+
+    paths: PathArrays
+    log: Transitions
+    fitting: Fitting
+    fold: np.ndarray
+    weights: StageWeights
+    """Of the stages that have a target: begun ones if targets are imputed, else completed ones."""
+    completed: StageWeights
+    logging_weights: StageWeights
+    support: Float[np.ndarray, " T"]
+    rng: np.random.Generator
+
+    @property
+    def completed_size(self) -> float:
+        return self.completed.effective_sample_size
+
+
+def _problem(
+    policy: Any, logs: Logs, model: CensoredQLearner, propensity: str, rng: np.random.Generator, num_folds: int
+) -> _Problem:
+    fresh: Any = clone(model)
+    learner: CensoredQLearner = fresh.fit(logs)
+    if learner.cut_model_ is None and not logs.is_finished.all():
+        raise ArgumentError(
+            f"censoring is {model.censoring!r}, which gives no weights, but {int((~logs.is_finished).sum())} paths "
+            "were cut; choose 'kaplan-meier', 'cox' or 'kernel'"
+        )
+    paths = learner.lay_out(logs)
+    chances = target_probabilities(policy, logs, paths, learner)
+    log = learner.transitions(paths, learner.cut_model_)._replace(policy=chances)
+    fitting = fitting_of(learner, paths.num_paths, chances.shape[-1])
+    needed = (paths.is_begun if learner.augmented else paths.is_completed) & paths.has_action
+    if propensity == "logged":
+        likely = logged_propensity(paths, needed)
+    else:
+        likely = estimated_propensity(paths, needed, fitting.blocks, learner.stages == "pooled")
+    ratio = likelihood_ratios(chances, likely, paths)
+    uncut = paths.is_completed.astype(float) if learner.cut_model_ is None else learner.cut_model_.weights(paths)
+    stage_weights = begun_weights if learner.augmented else completed_weights
+    return _Problem(
+        paths=paths,
+        log=log,
+        fitting=fitting,
+        fold=rng.permutation(paths.num_paths) % num_folds,
+        weights=stage_weights(ratio, uncut, paths),
+        completed=completed_weights(ratio, uncut, paths),
+        logging_weights=stage_weights(np.ones_like(ratio), uncut, paths),
+        support=_support(chances, paths),
+        rng=rng,
+    )
+
+
+def _support(chances: Float[np.ndarray, "n T A"], paths: PathArrays) -> Float[np.ndarray, " T"]:
+    """Share of the known actions of each stage that the policy would take; 1 where the log has no such stage."""
+    known = paths.is_begun & paths.has_action
+    taken = np.take_along_axis(chances, paths.action[..., None], axis=2)[..., 0] > 0
+    return np.where(known.any(axis=0), (known & taken).sum(axis=0) / np.maximum(known.sum(axis=0), 1), 1.0)
+
+
+def _doubly_robust(problem: _Problem, log: Transitions, weights: StageWeights) -> Float[np.ndarray, " n"]:
+    without = (problem.fold != np.arange(problem.fold.max() + 1)[:, None]).astype(np.float64)
+    judged = held_out(problem.fitting.judge(log, problem.paths.reward, without), problem.fold)
+    return doubly_robust(judged, weights)
+
+
+def _logging_values(problem: _Problem) -> Float[np.ndarray, " n"]:
+    """What each path adds to the value of the logging policy.
+
+    Where targets are imputed, that is doubly robust, too: with the logged action for a policy, ρ is 1, and no
+    propensity is needed.
+    """
+    if problem.log.imputation is None:
+        return problem.logging_weights.influence(problem.paths.reward)
+    actions = np.arange(problem.log.is_possible.shape[-1])
+    logged = (problem.paths.action[..., None] == actions) & problem.paths.is_begun[..., None]
+    return _doubly_robust(problem, problem.log._replace(policy=logged.astype(np.float64)), problem.logging_weights)
+
+
+def _fitted_q(problem: _Problem, num_replicates: int, level: float) -> Estimate:
+    num_paths = problem.paths.num_paths
+    share = np.full(num_paths, 1.0 / num_paths)
+    draws = problem.rng.multinomial(num_paths, share, size=num_replicates)
+    counts = np.concatenate([np.ones((1, num_paths)), draws.astype(np.float64)])
+    values = (counts * problem.fitting.first_values(problem.log, counts)).mean(axis=1)
+    return around(float(values[0]), float(np.std(values[1:], ddof=1)), num_paths, level)

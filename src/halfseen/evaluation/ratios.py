@@ -1,0 +1,96 @@
+"""What each path stands for, stage by stage, under the policy that is evaluated and had nothing been cut.
+
+With ρ_t = Π_{s≤t} π(A_s | S_s) / b(A_s | S_s), a stage that was completed weighs ρ_t δ_t / Ĝ(U_t⁻), and one that was
+begun ρ_t / Ĝ(U_{t−1}⁻). A path that has come to its own end stays in the sums with its last weight, for a cut would not
+have changed what comes after: nothing. So the weights of every stage have mean 1, and dividing by their mean takes out
+much of their noise (self-normalised, or weighted, importance sampling).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from halfseen.learners.q_learning.path_arrays import PathArrays
+
+
+@dataclass(frozen=True)
+class StageWeights:
+    """Weights of the stages of a log.
+
+    Parameters
+    ----------
+    weight
+        Of each stage that counts, 0 elsewhere.
+    standing
+        The same, and of a path that has ended, its last weight.
+    """
+
+    weight: Float[np.ndarray, "n T"]
+    standing: Float[np.ndarray, "n T"]
+
+    @property
+    def normalised(self) -> Float[np.ndarray, "n T"]:
+        """Weights by their mean over paths; 0 in a stage that no path stands for."""
+        mean = self.standing.mean(axis=0)
+        return np.where(mean > 0, self.weight / np.where(mean > 0, mean, 1.0), 0.0)
+
+    @property
+    def effective_sample_size(self) -> float:
+        """Paths of equal weight that would say as much, in the stage where they are fewest [Kish1965]_."""
+        squares = (self.standing**2).sum(axis=0)
+        each = np.where(squares > 0, self.standing.sum(axis=0) ** 2 / np.where(squares > 0, squares, 1.0), 0.0)
+        return float(each.min())
+
+    def influence(self, of_stage: Float[np.ndarray, "n T"]) -> Float[np.ndarray, " n"]:
+        """What each path adds to the sum over stages of the weighted means of `of_stage`; its mean is that sum.
+
+        The noise of the weights' means is part of it, so that its standard deviation over √n is the standard error.
+        """
+        mean = self.standing.mean(axis=0)
+        scale = np.where(mean > 0, mean, 1.0)
+        average = (self.weight * of_stage).mean(axis=0) / scale
+        centred = (self.weight * of_stage - self.standing * average) / scale
+        return centred.sum(axis=1) + average.sum()
+
+
+def likelihood_ratios(
+    chances: Float[np.ndarray, "n T A"], propensity: Float[np.ndarray, "n T"], paths: PathArrays
+) -> Float[np.ndarray, "n T"]:
+    """ρ_t of each begun stage whose action is known; 0 elsewhere.
+
+    Parameters
+    ----------
+    chances
+        π(a | S_t).
+    propensity
+        b(A_t | S_t).
+    paths
+        The log.
+    """
+    taken = np.take_along_axis(chances, paths.action[..., None], axis=2)[..., 0]
+    known = paths.is_begun & paths.has_action
+    ratio = np.cumprod(np.where(known, taken / propensity, 1.0), axis=1)
+    return np.where(known, ratio, 0.0)
+
+
+def completed_weights(
+    ratio: Float[np.ndarray, "n T"], uncut: Float[np.ndarray, "n T"], paths: PathArrays
+) -> StageWeights:
+    """ρ_t δ_t / Ĝ(U_t⁻), given the last factors in `uncut`."""
+    weight = np.where(paths.is_completed, ratio * uncut, 0.0)
+    return StageWeights(weight, _stand_on(weight, paths))
+
+
+def begun_weights(ratio: Float[np.ndarray, "n T"], uncut: Float[np.ndarray, "n T"], paths: PathArrays) -> StageWeights:
+    """ρ_t / Ĝ(U_{t−1}⁻) of begun stages; once a path has ended, ρ_L / Ĝ(U_L⁻) stands for it."""
+    before = np.concatenate([np.ones((paths.num_paths, 1)), uncut[:, :-1]], axis=1)
+    weight = np.where(paths.is_begun, ratio * before, 0.0)
+    ended = _stand_on(np.where(paths.is_completed, ratio * uncut, 0.0), paths)
+    return StageWeights(weight, np.where(paths.is_begun, weight, ended))
+
+
+def _stand_on(weight: Float[np.ndarray, "n T"], paths: PathArrays) -> Float[np.ndarray, "n T"]:
+    last = paths.is_begun.sum(axis=1) - 1
+    has_ended = paths.is_finished[:, None] & (np.arange(weight.shape[1]) > last[:, None])
+    return np.where(has_ended, weight[np.arange(len(weight)), last][:, None], weight)
