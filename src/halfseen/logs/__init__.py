@@ -2,11 +2,13 @@
 
 Read down: `frames` (what is accepted) → `refusal` (how a broken log is told) → `columns` (which columns, of which
 types) → `path_checks`, `stage_checks`, `object_checks` (the invariants) → `summary` → `journal`, `journal_tables`
-(what a recorder wrote) → `folder` (on disk) → `logs` (the record). `recorder` writes while a robot runs.
+(what a recorder wrote) → `folder` (on disk) → `logs` (the record) → `stream` (a log that need
+not fit in memory). `recorder` writes while a robot runs.
 """
 
 from halfseen.logs.logs import Logs, read_logs
 from halfseen.logs.recorder import CAUSES, LogRecorder, PathRecorder
+from halfseen.logs.stream import LogStream, write_stream
 from halfseen.logs.summary import LogsSummary
 
-__all__ = ["CAUSES", "LogRecorder", "Logs", "LogsSummary", "PathRecorder", "read_logs"]
+__all__ = ["CAUSES", "LogRecorder", "LogStream", "Logs", "LogsSummary", "PathRecorder", "read_logs", "write_stream"]

@@ -10,8 +10,6 @@
 """
 
 import json
-import shutil
-import uuid
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -20,9 +18,10 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from halfseen.errors import ArgumentError, LogError
+from halfseen.errors import LogError
 from halfseen.logs.journal import JOURNAL
 from halfseen.logs.journal_tables import journal_tables
+from halfseen.placing import placed
 
 MANIFEST = "logs.json"
 FORMAT, VERSION = "halfseen-logs", 1
@@ -39,7 +38,7 @@ def read_tables(folder: Path) -> Mapping[str, pd.DataFrame | pa.Table]:
     """
     if (folder / JOURNAL).is_file() and not (folder / MANIFEST).exists():
         return journal_tables(folder / JOURNAL)
-    return {name: _read_table(folder / f"{name}.parquet", count) for name, count in _read_manifest(folder).items()}
+    return {name: _read_table(folder, name, count) for name, count in read_manifest(folder).items()}
 
 
 def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame | None], *, overwrite: bool) -> None:
@@ -59,60 +58,28 @@ def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame | None], *, ove
     ArgumentError
         The folder exists, holds something other than logs, or cannot be written.
     """
-    _check_target(folder, overwrite)
-    target = folder.resolve()
-    tag = uuid.uuid4().hex
-    fresh, old = target.with_name(f".{target.name}.{tag}.new"), target.with_name(f".{target.name}.{tag}.old")
-    try:
-        fresh.mkdir(parents=True)
-        _write_files(fresh, {name: table for name, table in tables.items() if table is not None})
-        _swap(fresh, target, old)
-    except OSError as error:
-        raise ArgumentError(
-            f"{folder}: cannot be written ({error.strerror or error}); choose another folder"
-        ) from error
-    finally:
-        shutil.rmtree(fresh, ignore_errors=True)
+    with placed(folder, overwrite=overwrite, marker=MANIFEST) as fresh:
+        for name, table in tables.items():
+            if table is not None:
+                arrow = pa.Table.from_pandas(table, preserve_index=False)
+                pq.write_table(arrow, fresh / f"{name}.parquet", compression="zstd")
+        write_manifest(fresh, {name: len(table) for name, table in tables.items() if table is not None})
 
 
-def _check_target(folder: Path, overwrite: bool) -> None:
-    try:
-        is_there, is_logs = folder.exists(), (folder / MANIFEST).exists()
-    except OSError as error:
-        raise ArgumentError(f"{folder}: cannot be written ({error.strerror}); choose another folder") from error
-    if is_there and not overwrite:
-        raise ArgumentError(
-            f"{folder}: it is there already; choose another folder, or pass overwrite=True to replace it"
-        )
-    if is_there and not is_logs:
-        raise ArgumentError(
-            f"{folder}: it holds no logs ({MANIFEST} is missing), so it is not replaced; choose another folder"
-        )
-
-
-def _write_files(folder: Path, tables: Mapping[str, pd.DataFrame]) -> None:
-    for name, table in tables.items():
-        arrow = pa.Table.from_pandas(table, preserve_index=False)
-        pq.write_table(arrow, folder / f"{name}.parquet", compression="zstd")
-    manifest = {"format": FORMAT, "version": VERSION, "rows": {name: len(table) for name, table in tables.items()}}
+def write_manifest(folder: Path, rows: Mapping[str, int]) -> None:
+    """Write down how many rows each table of a folder has."""
+    manifest = {"format": FORMAT, "version": VERSION, "rows": dict(rows)}
     (folder / MANIFEST).write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
 
 
-def _swap(fresh: Path, target: Path, old: Path) -> None:
-    """Put `fresh` in the place of `target`; what was there comes back if that fails."""
-    if not target.exists():
-        fresh.rename(target)
-        return
-    target.rename(old)
-    try:
-        fresh.rename(target)
-    except OSError:
-        old.rename(target)
-        raise
-    shutil.rmtree(old, ignore_errors=True)
+def read_manifest(folder: Path) -> dict[str, int]:
+    """Read how many rows each table of a folder has.
 
-
-def _read_manifest(folder: Path) -> dict[str, int]:
+    Raises
+    ------
+    LogError
+        The folder holds no logs, or those of another version.
+    """
     file = folder / MANIFEST
     if not folder.is_dir():
         raise LogError(
@@ -143,20 +110,37 @@ def _checked_rows(file: Path, rows: Any) -> dict[str, int]:
     return rows
 
 
-def _read_table(file: Path, num_rows: int) -> pd.DataFrame:
+def opened_table(folder: Path, name: str, num_rows: int) -> pq.ParquetFile:
+    """Open a table of a folder, which the manifest says to have so many rows.
+
+    Raises
+    ------
+    LogError
+        The file is missing, broken, or has another number of rows.
+    """
+    file = folder / f"{name}.parquet"
     try:
         # Not read_table, which makes columns of a folder that is called a=b.
-        table = pq.ParquetFile(file).read()
+        opened = pq.ParquetFile(file)
     except FileNotFoundError as error:
         raise LogError(f"{file}: it is missing; copy the whole folder, or write the logs again") from error
     except (OSError, pa.ArrowException) as error:
-        reason = str(error).splitlines()[0]
+        raise _broken(file, error) from error
+    if opened.metadata.num_rows != num_rows:
         raise LogError(
-            f"{file}: it is no whole Parquet file ({reason}); copy it again, or write the logs again"
-        ) from error
-    if table.num_rows != num_rows:
-        raise LogError(
-            f"{file}: it has {table.num_rows} rows where {MANIFEST} counts {num_rows}; files of two logs are mixed: "
-            "write the logs again"
+            f"{file}: it has {opened.metadata.num_rows} rows where {MANIFEST} counts {num_rows}; files of two logs are "
+            "mixed: write the logs again"
         )
-    return table.to_pandas()
+    return opened
+
+
+def _read_table(folder: Path, name: str, num_rows: int) -> pd.DataFrame:
+    try:
+        return opened_table(folder, name, num_rows).read().to_pandas()
+    except (OSError, pa.ArrowException) as error:
+        raise _broken(folder / f"{name}.parquet", error) from error
+
+
+def _broken(file: Path, error: Exception) -> LogError:
+    reason = str(error).splitlines()[0]
+    return LogError(f"{file}: it is no whole Parquet file ({reason}); copy it again, or write the logs again")

@@ -5,7 +5,7 @@ from naive_q_learning import naive_backward, naive_q
 from random_logs import PlainEncoding, random_log
 
 from halfseen.errors import ArgumentError
-from halfseen.learners.q_learning.q_learner import fit_q_functions
+from halfseen.learners.q_learning.fitting import fit_q_functions
 
 BLOCKS = (0, 1, 1, 2)
 FLAT, ENDING = PlainEncoding(BLOCKS), PlainEncoding(BLOCKS, end_action=0)

@@ -46,6 +46,28 @@ def check_parameters(learner: "CensoredQLearner", is_table: bool) -> None:
     _check_imputation(learner, is_table)
 
 
+def check_streamable(learner: "CensoredQLearner") -> None:
+    """Refuse what needs the whole log at once.
+
+    Raises
+    ------
+    ArgumentError
+        The parameter is named.
+    """
+    wrong = {
+        "censoring_by": learner.censoring_by != "path",
+        "augmented": learner.augmented,
+        "censoring": isinstance(learner.censoring, str) and learner.censoring == BUCKLEY_JAMES,
+        "reduces_variance": learner.reduces_variance,
+    }
+    for name, is_wrong in wrong.items():
+        if is_wrong:
+            raise ArgumentError(
+                f"{name} is {getattr(learner, name)!r}, which needs the whole log in memory, and a stream was given; "
+                "learn from read_logs(folder), or choose censoring_by='path', weights, and reduces_variance=False"
+            )
+
+
 def _check_table_only(learner: "CensoredQLearner", is_table: bool) -> None:
     if learner.grasp is not None and not is_table:
         raise ArgumentError("grasp is given, but actions are named ones; only a table's objects are grasped")

@@ -19,6 +19,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float, Int
 
+from halfseen.arrays import RowMask, Rows
 from halfseen.censoring import CensoringModel, is_fitted, named_model, stage_weights, uses_covariates
 from halfseen.errors import ArgumentError, HalfseenError, PositivityError
 from halfseen.learners.q_learning.path_arrays import PathArrays
@@ -153,7 +154,7 @@ def fit_cut_model(
     if by == "path":
         _refuse_unknown(paths, np.broadcast_to(np.arange(paths.action.shape[1]) == 0, paths.action.shape))
         rows = paths.end_s, paths.is_finished, paths.covariates[:, 0]
-        return CutModel(by, (_fit(censoring, *rows, paths.covariate_names, "a path's first stage"),), truncate_at)
+        return fit_path_cuts(*rows, paths.covariate_names, censoring, truncate_at)
     fitted = []
     for t in range(paths.action.shape[1]) if by == "stage" else [None]:
         wanted = paths.is_begun if t is None else paths.is_begun & (np.arange(paths.action.shape[1]) == t)
@@ -166,6 +167,22 @@ def fit_cut_model(
         where = "all stages" if t is None else f"stage {t + 1}"
         fitted.append(_fit(censoring, *rows, paths.covariate_names, where))
     return CutModel(by, tuple(fitted), truncate_at)
+
+
+def fit_path_cuts(
+    end_s: Rows,
+    is_finished: RowMask,
+    covariates: Float[np.ndarray, "n P"],
+    names: tuple[str, ...],
+    censoring: str | CensoringModel,
+    truncate_at: float | int | None = None,
+) -> CutModel:
+    """Fit Ĝ on the clock of paths, given the covariates with which each began."""
+    if not isinstance(censoring, str) and is_fitted(censoring):
+        columns = np.arange(len(names) if uses_covariates(censoring) else 0)
+        return CutModel("path", (FittedRows(censoring, columns),), truncate_at)
+    fitted = _fit(censoring, end_s, is_finished, covariates, names, "a path's first stage")
+    return CutModel("path", (fitted,), truncate_at)
 
 
 def _fit(

@@ -1,39 +1,34 @@
 """Censored Q-learning behind scikit-learn's habits: parameters in, `fit`, fitted names that end in ``_``."""
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Literal
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from sklearn.base import BaseEstimator
 from sklearn.utils.validation import check_is_fitted
 
+from halfseen.arrays import RowMask
 from halfseen.censoring import CensoringModel, WeightDiagnostics, named_model, uses_covariates, weight_diagnostics
 from halfseen.errors import ArgumentError, PositivityError
 from halfseen.learners.grasp.grasp_table import grasp_model_of
-from halfseen.learners.q_learning.checks import BUCKLEY_JAMES, NONE, check_parameters
+from halfseen.learners.q_learning.checks import BUCKLEY_JAMES, NONE, check_parameters, check_streamable
 from halfseen.learners.q_learning.cut_covariates import ACTION, TABLE_COVARIATES, flat_covariates, table_covariates
-from halfseen.learners.q_learning.cut_model import CensoringBy, CutModel, fit_cut_model
+from halfseen.learners.q_learning.cut_model import CensoringBy, CutModel, fit_cut_model, fit_path_cuts
 from halfseen.learners.q_learning.encoding import Encoding, FlatEncoding, TableEncoding
+from halfseen.learners.q_learning.fitting import KERNEL_REGS, REGS, as_policy, fit_q_functions, single_precision
 from halfseen.learners.q_learning.flat_policy import FlatPolicy
 from halfseen.learners.q_learning.imputation import imputation
 from halfseen.learners.q_learning.kernel_map import KernelMap, fit_kernel_map
-from halfseen.learners.q_learning.linear_policy import LinearTablePolicy
 from halfseen.learners.q_learning.path_arrays import PathArrays, path_arrays
-from halfseen.learners.q_learning.recursion import Imputation, QFunctions, StageMode, Transitions, backward
+from halfseen.learners.q_learning.recursion import Imputation, QFunctions, StageMode, Transitions
+from halfseen.learners.q_learning.streaming import fit_stream
 from halfseen.learners.q_learning.variance_reduction import expected_rewards, label_surprises, wash_outcomes
-from halfseen.logs import Logs
+from halfseen.logs import Logs, LogStream
+from halfseen.logs.columns import FINISHED
 from halfseen.world.grasp_model import GraspModel
-
-REGS = np.logspace(-3, 2, 11)
-"""The λ that ``reg="cv"`` chooses from; features are scaled to unit variance, so they need no other unit."""
-
-KERNEL_REGS = np.logspace(-6, 1, 15)
-"""The same for the norm of an RKHS."""
 
 TABLE = "table"
 
@@ -112,7 +107,8 @@ class CensoredQLearner(BaseEstimator):
 
     Examples
     --------
-    >>> from halfseen.logs import Logs
+    >>> from halfseen.logs import Logs, LogStream
+    from halfseen.logs.columns import FINISHED
     >>> logs = Logs(
     ...     stages={
     ...         "path": [0, 1, 2, 3],
@@ -189,8 +185,14 @@ class CensoredQLearner(BaseEstimator):
         """Make a learner for logs of tables; it learns `policy_`."""
         return cls(horizon, TABLE, stages=stages, reduces_variance=reduces_variance, **parameters)
 
-    def fit(self, logs: Logs) -> "CensoredQLearner":
+    def fit(self, logs: Logs | LogStream) -> "CensoredQLearner":
         """Learn from a log.
+
+        Parameters
+        ----------
+        logs
+            The log. A `LogStream` is read in T passes and never held whole; what is learned is the same, but Ĝ must be
+            on the clock of paths (``censoring_by="path"``), targets weighted, and no variance reduced.
 
         Raises
         ------
@@ -202,21 +204,58 @@ class CensoredQLearner(BaseEstimator):
             All paths were cut, or a weight is not identified.
         """
         check_parameters(self, self._is_table)
+        if isinstance(logs, LogStream):
+            return self._fit_stream(logs)
         if logs.horizon > self.horizon:
             raise ArgumentError(f"horizon is {self.horizon}, but a path has {logs.horizon} stages; raise horizon")
         self.grasp_ = grasp_model_of(self.grasp, logs, self.horizon) if self._is_table else None
         paths = self.lay_out(logs)
-        if not paths.is_finished.any():
-            raise PositivityError(
-                f"all {paths.num_paths} paths were cut, so how a path ends was never seen; record until some finish, "
-                "or shorten the horizon so that reaching it counts as finished"
-            )
+        _refuse_all_cut(paths.is_finished)
         self.cut_model_ = self.fit_cuts(paths)
         self.kernel_map_ = self._kernel_map(paths)
         log = self.transitions(paths, self.cut_model_)
         self.weights_ = np.asarray(log.weight)
         self.diagnostics_ = weight_diagnostics(self.weights_, self.truncate_at)
         self.q_functions_ = self.fit_transitions(log)
+        self.policy_ = self.as_policy(self.q_functions_)
+        return self
+
+    def _fit_stream(self, stream: LogStream) -> "CensoredQLearner":
+        """Learn in passes; the first one also gathers what Ĝ and the kernel need."""
+        check_streamable(self)
+        finished = (stream.paths["ending"] == FINISHED).to_numpy(dtype=bool)
+        _refuse_all_cut(finished)
+        self.grasp_, self.kernel_map_, self.cut_model_ = None, None, None
+        if self._is_table:
+            self.grasp_ = grasp_model_of(self.grasp, next(iter(stream)), self.horizon)
+        first, names = [], ()
+        for part in stream:
+            if part.horizon > self.horizon:
+                raise ArgumentError(f"horizon is {self.horizon}, but a path has {part.horizon} stages; raise horizon")
+            paths = self.lay_out(part)
+            self.kernel_map_ = self.kernel_map_ or self._kernel_map(paths)
+            first.append(paths.covariates[:, 0])
+            names = paths.covariate_names
+        if not self._is_unweighted:
+            ends = stream.paths["end_s"].to_numpy(), finished
+            cuts = fit_path_cuts(*ends, np.concatenate(first), names, self.censoring, self.truncate_at)
+            self.cut_model_ = cuts
+        fold, weights = self._folds(stream.num_paths), []
+
+        def parts() -> Iterator[Transitions]:
+            start, weights[:] = 0, []
+            for part in stream:
+                paths = self.lay_out(part)
+                weight, _ = self.weights_and_imputation(paths, self.cut_model_)
+                weights.append(weight)
+                yield self._weighted(paths, weight, None, fold[start : start + paths.num_paths])
+                start += paths.num_paths
+
+        setting = self.regs, self._stage_mode, self.num_folds_for(stream.num_paths), self.horizon
+        is_scaled = self.q_function == "linear"
+        self.q_functions_ = fit_stream(parts, stream.num_paths, self.encoding, *setting, is_scaled)
+        self.weights_ = np.concatenate(weights)
+        self.diagnostics_ = weight_diagnostics(self.weights_, self.truncate_at)
         self.policy_ = self.as_policy(self.q_functions_)
         return self
 
@@ -227,12 +266,21 @@ class CensoredQLearner(BaseEstimator):
     def transitions(self, paths: PathArrays, cut_model: CutModel | None) -> Transitions:
         """Make the rows of eq. 3 of a log, with the weights and targets that a model of its cuts gives."""
         weight, imputed = self.weights_and_imputation(paths, cut_model)
+        fold = self._folds(paths.num_paths)
+        return self._weighted(paths, weight, imputed, fold)
+
+    def _weighted(
+        self,
+        paths: PathArrays,
+        weight: Float[np.ndarray, "n T"],
+        imputed: Imputation | None,
+        fold: Int[np.ndarray, " n"],
+    ) -> Transitions:
         reward, surprises = paths.reward, None
         if self.reduces_variance:
             seen = np.where(paths.is_completed, weight, 0.0)
             reward = expected_rewards(reward, seen, paths.is_last, wash_outcomes(paths.encoded))
             surprises = label_surprises(paths.encoded)
-        num_folds = self.num_folds_for(paths.num_paths)
         return Transitions(
             features=self._features(paths),
             is_possible=paths.is_possible,
@@ -240,7 +288,7 @@ class CensoredQLearner(BaseEstimator):
             reward=reward,
             weight=weight,
             is_last=paths.is_last,
-            fold=np.random.default_rng(self.random_state).permutation(paths.num_paths) % num_folds,
+            fold=fold,
             surprises=surprises,
             imputation=imputed,
         )
@@ -261,15 +309,13 @@ class CensoredQLearner(BaseEstimator):
             return cut_model.begun_weights(paths) if self.augmented else cut_model.weights(paths), imputed
         return (paths.is_completed if imputed is None else paths.is_begun).astype(np.float64), imputed
 
+    def _folds(self, num_paths: int) -> Int[np.ndarray, " n"]:
+        return np.random.default_rng(self.random_state).permutation(num_paths) % self.num_folds_for(num_paths)
+
     def fit_transitions(self, log: Transitions) -> QFunctions:
         """Run eq. 3 on one log, or on a batch of logs."""
         if self.reg == "cv":
-            num_seen = int((np.asarray(log.weight) > 0).any(axis=-1).sum())
-            if num_seen < 2:
-                raise ArgumentError(
-                    f"reg is 'cv', which holds out paths, but {num_seen} of {log.weight.shape[-2]} completed a stage; "
-                    "give a number for reg, or record more paths"
-                )
+            _refuse_too_few(np.asarray(log.weight))
         num_folds = self.num_folds_for(log.weight.shape[-2])
         return fit_q_functions(log, self.encoding, self.regs, self._stage_mode, num_folds, self.q_function == "linear")
 
@@ -277,7 +323,7 @@ class CensoredQLearner(BaseEstimator):
         """Turn Q-functions, or a batch of them, into the policy that follows them."""
         if self._is_table:
             policy = as_policy(q_functions, self._stage_mode)
-            return replace(policy, grasp=self.grasp_, kernel_map=_single_precision(self.kernel_map_))
+            return replace(policy, grasp=self.grasp_, kernel_map=single_precision(self.kernel_map_))
         encoding = self._flat_encoding()
         by_stage = q_functions.coefficients
         return FlatPolicy(
@@ -374,50 +420,18 @@ class CensoredQLearner(BaseEstimator):
         return np.repeat(self.kernel_map_(paths.features[:, :, :1]), paths.features.shape[2], axis=2)
 
 
-def fit_q_functions(
-    log: Transitions,
-    encoding: Encoding,
-    regs: Float[np.ndarray, " L"],
-    stages: StageMode,
-    num_folds: int,
-    is_scaled: bool = True,
-) -> QFunctions:
-    """Run the recursion in float64 on one log, or on a batch of logs if the arrays have a leading axis for it.
-
-    Raises
-    ------
-    ArgumentError
-        A path is in a fold that does not exist, and would count for nothing.
-    """
-    largest = int(np.max(log.fold))
-    if largest >= num_folds:
-        raise ArgumentError(f"fold {largest} of {num_folds}: folds are 0 to {num_folds - 1}; deal the paths anew")
-    blocks = encoding.block_of_action(log.is_possible.shape[-1])
-    options = {
-        "num_blocks": encoding.num_blocks,
-        "stages": stages,
-        "num_folds": num_folds,
-        "end_action": encoding.end_action if stages == "pooled" else None,
-        "is_scaled": is_scaled,
-    }
-    with jax.enable_x64(True):
-        arrays = jax.tree.map(jnp.asarray, log)
-        is_batch = log.action.ndim == 3
-        fit = backward_batch if is_batch else backward
-        fitted = fit(arrays, jnp.asarray(blocks), jnp.asarray(regs), **options)
-        return QFunctions(*(np.asarray(leaf) for leaf in fitted))
+def _refuse_all_cut(is_finished: RowMask) -> None:
+    if not is_finished.any():
+        raise PositivityError(
+            f"all {len(is_finished)} paths were cut, so how a path ends was never seen; record until some finish, or "
+            "shorten the horizon so that reaching it counts as finished"
+        )
 
 
-def backward_batch(log: Transitions, blocks: jax.Array, regs: jax.Array, **options: Any) -> QFunctions:
-    """Fit a batch of logs in one compiled call."""
-    return jax.vmap(lambda one: backward(one, blocks, regs, **options))(log)
-
-
-def as_policy(q_functions: QFunctions, stages: StageMode) -> LinearTablePolicy:
-    """Turn the Q-functions of a table (or of a batch of logs) into policies, indexed by steps to go."""
-    coefficients = np.asarray(q_functions.coefficients, dtype=np.float32)
-    return LinearTablePolicy(jnp.asarray(coefficients if stages == "pooled" else coefficients[..., ::-1, :, :]))
-
-
-def _single_precision(kernel_map: KernelMap | None) -> KernelMap | None:
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=jnp.float32), kernel_map)
+def _refuse_too_few(weight: Float[np.ndarray, "*B n T"]) -> None:
+    num_seen = int((weight > 0).any(axis=-1).sum())
+    if num_seen < 2:
+        raise ArgumentError(
+            f"reg is 'cv', which holds out paths, but {num_seen} of {weight.shape[-2]} completed a stage; give a "
+            "number for reg, or record more paths"
+        )

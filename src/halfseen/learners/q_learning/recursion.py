@@ -139,13 +139,13 @@ def backward(
     is_scaled
         Whether λ weighs features as if each had unit variance; False for features of a kernel.
     """
-    regression = _Regression(block_of_action, regs, num_blocks, num_folds, log.action.shape[0], is_scaled)
+    regression = Regression(block_of_action, regs, num_blocks, num_folds, log.action.shape[0], is_scaled)
     if stages == "separate":
         return _backward_separate(log, regression)
     return _backward_pooled(log, regression, end_action)
 
 
-class _Regression(NamedTuple):
+class Regression(NamedTuple):
     """What all regressions of one log share."""
 
     block_of_action: Int[Array, " A"]
@@ -157,8 +157,7 @@ class _Regression(NamedTuple):
 
     def prepare(self, log: Transitions, weight: Any) -> "_Prepared":
         """Sum and factorise what no target changes; rows of `weight` 0 do not count."""
-        taken = jnp.take_along_axis(log.features, log.action[..., None, None], axis=2)[:, :, 0]
-        design = self._design(log, weight, taken, _seen_surprises(log))
+        design, taken = self.design(log, weight), _taken(log)
         main = _Sums(design, factorise(gram_of(design), self.is_scaled))
         if log.imputation is None:
             return _Prepared(main, None)
@@ -170,15 +169,26 @@ class _Regression(NamedTuple):
         self, prepared: "_Prepared", log: Transitions, successor: Float[Array, "n T"], centre: Float[Array, "K F"]
     ) -> Fit:
         """Regress R_t + V̂(S_{t+1}), shrunk towards `centre`."""
-        target = jnp.asarray(log.reward + jnp.where(log.is_last, 0.0, successor)).ravel()
+        target = target_of(log, successor)
         if prepared.told is not None and log.imputation is not None:
             target = self._imputed(prepared.told, log.imputation, target, self.blocks(log))
-        expected = jnp.sum(prepared.main.design.features * centre[self.blocks(log)], axis=-1)
-        cross = cross_of(prepared.main.design, target - expected)
+        cross = self.cross(prepared.main.design, log, target, centre)
         fit = solve(prepared.main.factor, cross, self.regs, self.num_paths)
         return Fit(fit.coefficients + centre, fit.reg)
 
+    def design(self, log: Transitions, weight: Any) -> Design:
+        """Rows of eq. 3, with the surprises that its targets hold."""
+        return self._design(log, weight, _taken(log), _seen_surprises(log))
+
+    def cross(
+        self, design: Design, log: Transitions, target: Float[Array, " R"], centre: Float[Array, "K F"]
+    ) -> Float[Array, "V K F"]:
+        """Σ w x y of a target, less what `centre` says of it."""
+        expected = jnp.sum(design.features * centre[self.blocks(log)], axis=-1)
+        return cross_of(design, target - expected)
+
     def blocks(self, log: Transitions) -> Int[Array, " R"]:
+        """Block of the action of every row."""
         return self.block_of_action[log.action].ravel()
 
     def _design(self, log: Transitions, weight: Any, taken: Any, more: Any) -> Design:
@@ -212,7 +222,7 @@ class _Prepared(NamedTuple):
     told: _Sums | None
 
 
-def _backward_separate(log: Transitions, regression: _Regression) -> QFunctions:
+def _backward_separate(log: Transitions, regression: Regression) -> QFunctions:
     """Each stage on its own rows, the last one first."""
     shared = log._replace(
         fold=None, imputation=None if log.imputation is None else log.imputation._replace(is_used=None)
@@ -229,24 +239,21 @@ def _backward_separate(log: Transitions, regression: _Regression) -> QFunctions:
         centre = jnp.zeros((regression.num_blocks, width), log.reward.dtype)
         fit = regression.fit(prepared, rows, after[:, None], centre)
         of_q = fit.coefficients[:, : log.features.shape[-1] + 1]
-        return _value(of_q, rows, regression.block_of_action)[:, 0], Fit(of_q, fit.reg)
+        return state_values(of_q, rows, regression.block_of_action)[:, 0], Fit(of_q, fit.reg)
 
     _, fits = jax.lax.scan(step, jnp.zeros_like(log.reward[:, 0]), by_stage, reverse=True)
     return QFunctions(fits.coefficients, fits.reg)
 
 
-def _backward_pooled(log: Transitions, regression: _Regression, end_action: int | None) -> QFunctions:
+def _backward_pooled(log: Transitions, regression: Regression, end_action: int | None) -> QFunctions:
     """All stages' rows at each number of steps to go, one step first."""
-    goes_on = jnp.broadcast_to(jnp.arange(log.action.shape[1]) < log.action.shape[1] - 1, log.action.shape)
-    if end_action is not None:
-        goes_on = goes_on | (log.action == end_action)
     everything = regression.prepare(log, log.weight)
     num_coefficients = log.features.shape[-1] + 1
 
     def step(prepared: _Prepared, value: Float[Array, "n T"], centre: Float[Array, "K F"]):
-        fit = regression.fit(prepared, log, _of_successor(value), centre)
+        fit = regression.fit(prepared, log, of_successor(value), centre)
         of_q = fit.coefficients[:, :num_coefficients]
-        return _value(of_q, log, regression.block_of_action), fit.coefficients, Fit(of_q, fit.reg)
+        return state_values(of_q, log, regression.block_of_action), fit.coefficients, Fit(of_q, fit.reg)
 
     value = jnp.zeros_like(log.reward)
     centre = jnp.zeros((regression.num_blocks, everything.main.design.features.shape[-1]), log.reward.dtype)
@@ -255,7 +262,7 @@ def _backward_pooled(log: Transitions, regression: _Regression, end_action: int 
         value = q_values(ended[:, :num_coefficients], log.features, regression.block_of_action)[..., end_action]
         centre = jnp.broadcast_to(ended[regression.block_of_action[end_action]], centre.shape)
     value, centre, first = step(everything, value, centre)
-    later = regression.prepare(log, jnp.where(goes_on, log.weight, 0.0))
+    later = regression.prepare(log, jnp.where(goes_on(log, end_action), log.weight, 0.0))
 
     def advance(carry: tuple[Float[Array, "n T"], Float[Array, "K F"]], _: None):
         value, centre, fit = step(later, *carry)
@@ -266,7 +273,22 @@ def _backward_pooled(log: Transitions, regression: _Regression, end_action: int 
     return QFunctions(fits.coefficients, fits.reg)
 
 
-def _value(
+def target_of(log: Transitions, successor: Float[Array, "n T"]) -> Float[Array, " R"]:
+    """R_t + V̂(S_{t+1}) of every row; after a path's own end V̂ is 0."""
+    return jnp.asarray(log.reward + jnp.where(log.is_last, 0.0, successor)).ravel()
+
+
+def _taken(log: Transitions) -> Float[Array, "n T F"]:
+    return jnp.take_along_axis(jnp.asarray(log.features), log.action[..., None, None], axis=2)[:, :, 0]
+
+
+def goes_on(log: Transitions, end_action: int | None) -> Bool[Array, "n T"]:
+    """Tell which rows speak of more than one step to go: the horizon did not end them."""
+    before_last = jnp.broadcast_to(jnp.arange(log.action.shape[1]) < log.action.shape[1] - 1, log.action.shape)
+    return before_last if end_action is None else before_last | (log.action == end_action)
+
+
+def state_values(
     coefficients: Float[Array, "K F"], log: Transitions, block_of_action: Int[Array, " A"]
 ) -> Float[Array, "n T"]:
     """V̂ of every state: max_a Q over the possible actions, or Σ_a π(a) Q of the policy that is given.
@@ -288,5 +310,6 @@ def _seen_surprises(log: Transitions) -> Any:
     return seen if log.imputation is None else seen * log.imputation.share[..., None]
 
 
-def _of_successor(value: Float[Array, "n T"]) -> Float[Array, "n T"]:
+def of_successor(value: Float[Array, "n T"]) -> Float[Array, "n T"]:
+    """V̂(S_{t+1}) of each stage, 0 for the last."""
     return jnp.concatenate([value[:, 1:], jnp.zeros_like(value[:, :1])], axis=1)

@@ -34,8 +34,8 @@ import pyarrow.csv as arrow_csv
 from halfseen.errors import LogError
 from halfseen.logs.columns import OBJECT_COLUMNS, PATH_COLUMNS, STAGE_COLUMNS
 from halfseen.logs.formats.column_types import ColumnType, as_cells, column_type, from_texts, type_name
-from halfseen.logs.formats.placing import placed
 from halfseen.logs.logs import Logs
+from halfseen.placing import placed
 
 TYPES_FILE = "columns.json"
 FORMAT, VERSION = "halfseen-csv", 1

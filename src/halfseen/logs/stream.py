@@ -1,0 +1,195 @@
+"""A log that need not fit in memory: read and written a few thousand whole paths at a time."""
+
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from halfseen.errors import ArgumentError, LogError
+from halfseen.logs.folder import MANIFEST, opened_table, read_manifest, write_manifest
+from halfseen.logs.frames import as_frame
+from halfseen.logs.logs import Logs
+from halfseen.logs.path_checks import checked_paths
+from halfseen.logs.refusal import shown
+from halfseen.placing import placed
+
+PATHS_AT_ONCE = 5_000
+"""Paths that are held in memory at once."""
+
+_ROWS_AT_ONCE = 65_536
+
+
+class LogStream:
+    """A folder of logs, read in parts of whole paths; every part is checked as `Logs` are.
+
+    Only the table of paths is held. Stages and objects must stand in the order of paths, as `Logs.write` and
+    `write_stream` leave them.
+
+    Parameters
+    ----------
+    folder
+        A folder of Parquet files.
+    paths_at_once
+        Paths of each part.
+
+    Raises
+    ------
+    LogError
+        The folder or one of its files is missing or broken, or the paths are.
+    ArgumentError
+        `paths_at_once` is below 1.
+    """
+
+    def __init__(self, folder: str | Path, paths_at_once: int = PATHS_AT_ONCE) -> None:
+        if paths_at_once < 1:
+            raise ArgumentError(f"paths_at_once is {paths_at_once}; read at least 1")
+        self.folder = Path(folder)
+        self.paths_at_once = paths_at_once
+        self._rows = read_manifest(self.folder)
+        paths = opened_table(self.folder, "paths", self._rows["paths"]).read()
+        try:
+            self._paths = checked_paths(as_frame("paths", paths))
+        except LogError as error:
+            raise LogError(f"{folder}: {error}") from error
+
+    @property
+    def paths(self) -> pd.DataFrame:
+        """One row a path, sorted by path."""
+        return self._paths
+
+    @property
+    def num_paths(self) -> int:
+        """Number n of paths."""
+        return len(self._paths)
+
+    @property
+    def num_stages(self) -> int:
+        """Number of stages of all paths together."""
+        return self._rows["stages"]
+
+    @property
+    def has_objects(self) -> bool:
+        """Whether the stages have objects."""
+        return "objects" in self._rows
+
+    def __iter__(self) -> Iterator[Logs]:
+        """Read the parts, one after the other, from the beginning."""
+        names = ["stages", *(["objects"] if self.has_objects else [])]
+        readers = {name: _PathReader(self.folder, name, self._rows[name]) for name in names}
+        for start in range(0, self.num_paths, self.paths_at_once):
+            part = self._paths.iloc[start : start + self.paths_at_once]
+            tables: dict[str, Any] = {name: reader.upto(part["path"]) for name, reader in readers.items()}
+            try:
+                yield Logs(paths=part, **tables)
+            except LogError as error:
+                raise LogError(f"{self.folder}: {error}") from error
+        for reader in readers.values():
+            reader.refuse_leftover()
+
+
+class _PathReader:
+    """Hands out the rows of a table path by path; the rows of a path stand together, in the order of paths."""
+
+    def __init__(self, folder: Path, name: str, num_rows: int) -> None:
+        self._where = f"{folder / name}.parquet"
+        self._batches = opened_table(folder, name, num_rows).iter_batches(batch_size=_ROWS_AT_ONCE)
+        self._held: list[pa.Table] = []
+
+    def upto(self, paths: pd.Series) -> pa.Table:
+        """Take the rows of these paths, which are the next ones."""
+        taken = []
+        while True:
+            if not self._held and not self._read():
+                break
+            table = self._held.pop()
+            others = np.flatnonzero(~table["path"].to_pandas().isin(paths).to_numpy())
+            end = int(others[0]) if len(others) else len(table)
+            if end:
+                taken.append(table.slice(0, end))
+            if end < len(table):
+                self._held.append(table.slice(end))
+                break
+        if not taken:
+            raise LogError(
+                f"{self._where}: no row of path {shown(paths.iloc[0])} comes next, as paths.parquet has it; write the "
+                "logs by Logs.write or write_stream, which sort them"
+            )
+        return pa.concat_tables(taken)
+
+    def refuse_leftover(self) -> None:
+        """Refuse rows that belong to no path, or stand out of order."""
+        if self._held or self._read():
+            path = self._held[0]["path"][0].as_py()
+            raise LogError(
+                f"{self._where}: rows of path {shown(path)} stand where paths.parquet has none; write the logs by "
+                "Logs.write or write_stream, which sort them"
+            )
+
+    def _read(self) -> bool:
+        try:
+            batch = next(self._batches, None)
+        except (OSError, pa.ArrowException) as error:
+            raise LogError(f"{self._where}: it is no whole Parquet file ({error}); write the logs again") from error
+        if batch is None:
+            return False
+        self._held.append(pa.Table.from_batches([batch]))
+        return True
+
+
+def write_stream(parts: Iterable[Logs], folder: str | Path, *, overwrite: bool = False) -> None:
+    """Write a log that comes in parts, all or nothing; no more than one part is in memory.
+
+    Parameters
+    ----------
+    parts
+        Logs of different paths; the names increase from part to part, as they do within one.
+    folder
+        Where to.
+    overwrite
+        Replace logs that are already there.
+
+    Raises
+    ------
+    ArgumentError
+        The folder exists or cannot be written, or there is no part.
+    LogError
+        A path comes before one of an earlier part.
+    """
+    with placed(Path(folder), overwrite=overwrite, marker=MANIFEST) as fresh, ExitStack() as stack:
+        writers: dict[str, pq.ParquetWriter] = {}
+        rows: dict[str, int] = {}
+        last: Any = None
+        for part in parts:
+            if last is not None and not part.path_ids[0] > last:
+                raise LogError(f"path {shown(part.path_ids[0])}: it comes after path {shown(last)}; sort the parts")
+            last = part.path_ids[-1]
+            for name, table in (("stages", part.stages), ("paths", part.paths), ("objects", part.objects)):
+                if table is None:
+                    continue
+                if name not in writers:
+                    schema = pa.Schema.from_pandas(table, preserve_index=False)
+                    writers[name] = stack.enter_context(
+                        pq.ParquetWriter(fresh / f"{name}.parquet", _without_nulls(schema), compression="zstd")
+                    )
+                    rows[name] = 0
+                writers[name].write_table(
+                    pa.Table.from_pandas(table, schema=writers[name].schema, preserve_index=False)
+                )
+                rows[name] += len(table)
+        if not writers:
+            raise ArgumentError("there is no part; give at least one log")
+        stack.close()
+        write_manifest(fresh, rows)
+
+
+def _without_nulls(schema: pa.Schema) -> pa.Schema:
+    """A column that is empty in the first part, such as the causes of cuts, may be text in a later one."""
+    for i, field in enumerate(schema):
+        if pa.types.is_null(field.type):
+            schema = schema.set(i, field.with_type(pa.string()))
+    return schema
