@@ -1,18 +1,25 @@
 """The command line: one file a verb, and heavy imports only inside a verb."""
 
 import sys
+import warnings
 from importlib import import_module
+from typing import Any
 
 import click
 
 from halfseen import __version__
-from halfseen.errors import HalfseenError
+from halfseen.errors import HalfseenError, HalfseenWarning
 
 VERBS = {
-    "study": "Regenerate the study: Figure 1, Table 1, Figure 4 and the report.",
-    "simulate": "Record logs of a policy in the simulated world, some of them cut.",
-    "inspect": "Say what a folder of logs holds: paths, endings, causes, weights.",
+    "inspect": "Say what a folder of logs holds: paths, endings, causes, weights, and what looks wrong.",
+    "learn": "Learn a policy from a folder of logs.",
+    "evaluate": "Say what a policy is worth, from logs of another one, before it runs.",
+    "act": "Decide at one table, and say why.",
+    "report": "Write one page about a folder of logs and a policy.",
+    "convert": "Convert logs between Parquet, CSV, Minari datasets and ROS bags.",
     "look": "Say what a depth camera sees on a table, and who hides whom.",
+    "simulate": "Record logs of a policy in the simulated world, some of them cut.",
+    "study": "Regenerate the study: Figure 1, Table 1, Figure 4 and the report.",
 }
 
 
@@ -41,7 +48,9 @@ def halfseen() -> None:
 def main() -> None:
     """Run the command line; bad input is told in one line and ends with exit status 2."""
     try:
-        halfseen(standalone_mode=False)
+        with warnings.catch_warnings():
+            _say_in_one_line()
+            halfseen(standalone_mode=False)
     except HalfseenError as error:
         _refuse(str(error))
     except click.exceptions.NoArgsIsHelpError as error:
@@ -51,6 +60,19 @@ def main() -> None:
     except (click.Abort, KeyboardInterrupt):
         click.echo("halfseen: stopped", err=True)
         sys.exit(130)
+
+
+def _say_in_one_line() -> None:
+    """Let warnings that are meant for users read like all else; others stay as Python prints them."""
+    usual = warnings.showwarning
+
+    def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+        if issubclass(category, HalfseenWarning):
+            click.echo("halfseen: " + " ".join(str(message).split()), err=True)
+        else:
+            usual(message, category, *where, **more)
+
+    warnings.showwarning = show
 
 
 def _refuse(message: str) -> None:

@@ -2,11 +2,13 @@
 
 Read down: `frames` (what is accepted) → `refusal` (how a broken log is told) → `columns` (which columns, of which
 types) → `path_checks`, `stage_checks`, `object_checks` (the invariants) → `summary` → `journal`, `journal_tables`
-(what a recorder wrote) → `folder` (on disk) → `logs` (the record) → `stream` (a log that need
-not fit in memory). `recorder` writes while a robot runs.
+(what a recorder wrote) → `folder` (on disk) → `logs` (the record) → `reading` (whatever wrote it) → `stream` (a log
+that need not fit in memory). `recorder` writes while a robot runs; `breakdown` and `suspicions` are what `halfseen
+inspect` tells.
 """
 
-from halfseen.logs.logs import Logs, read_logs
+from halfseen.logs.logs import Logs
+from halfseen.logs.reading import read_logs
 from halfseen.logs.recorder import CAUSES, LogRecorder, PathRecorder
 from halfseen.logs.stream import LogStream, write_stream
 from halfseen.logs.summary import LogsSummary

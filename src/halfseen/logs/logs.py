@@ -10,7 +10,7 @@ from jaxtyping import Float
 from halfseen.arrays import RowMask, Rows
 from halfseen.errors import LogError
 from halfseen.logs.columns import FINISHED, PATH_COLUMNS, STAGE_COLUMNS, require_columns
-from halfseen.logs.folder import read_tables, write_tables
+from halfseen.logs.folder import write_tables
 from halfseen.logs.frames import FrameLike, as_frame, through_arrow
 from halfseen.logs.object_checks import checked_objects
 from halfseen.logs.path_checks import checked_paths
@@ -201,26 +201,3 @@ class Logs:
 
     def _tables(self) -> dict[str, pd.DataFrame | None]:
         return {"stages": self._stages, "paths": self._paths, "objects": self._objects}
-
-
-def read_logs(folder: str | Path) -> Logs:
-    """Read a folder that `Logs.write` or a `LogRecorder` wrote, and check it again.
-
-    A recorder's folder can be read at any time. A path that a crash tore has the cause "crash"; one that is being
-    recorded has the cause "still-running".
-
-    Parameters
-    ----------
-    folder
-        The folder.
-
-    Raises
-    ------
-    LogError
-        The folder or one of its files is missing, broken or of another version, or the tables break an invariant.
-    """
-    tables = read_tables(Path(folder))
-    try:
-        return Logs(**tables)
-    except LogError as error:
-        raise LogError(f"{folder}: {error}") from error

@@ -1,8 +1,8 @@
 """Logs in other forms: CSV folders, Minari datasets, ROS bags.
 
 Read down: `column_types` (what a column is, and its cells as text) → `csv_folder` → `minari_steps`, `minari_foreign`,
-`minari_dataset` → `ros_mapping`, `ros_messages`, `ros_paths`, `ros_bag`. Minari and rosbags are `extras`; they load when
-they are used.
+`minari_dataset` → `ros_mapping`, `ros_messages`, `ros_paths`, `ros_bag`. Minari and rosbags are `extras`; they load
+when they are used.
 """
 
 from halfseen.logs.formats.csv_folder import read_csv, write_csv

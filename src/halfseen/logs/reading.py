@@ -1,0 +1,36 @@
+"""Logs from a folder, whatever wrote it."""
+
+from pathlib import Path
+
+from halfseen.errors import LogError
+from halfseen.logs.folder import MANIFEST, read_tables
+from halfseen.logs.logs import Logs
+
+
+def read_logs(folder: str | Path) -> Logs:
+    """Read a folder that `Logs.write` or a `LogRecorder` wrote, or one of CSV files, and check it again.
+
+    A recorder's folder can be read at any time. A path that a crash tore has the cause "crash"; one that is being
+    recorded has the cause "still-running".
+
+    Parameters
+    ----------
+    folder
+        The folder.
+
+    Raises
+    ------
+    LogError
+        The folder or one of its files is missing, broken or of another version, or the tables break an invariant.
+    """
+    folder = Path(folder)
+    if (folder / "stages.csv").is_file() and not (folder / MANIFEST).exists():
+        # Formats know logs, not the other way round.
+        from halfseen.logs.formats.csv_folder import read_csv
+
+        return read_csv(folder)
+    tables = read_tables(folder)
+    try:
+        return Logs(**tables)
+    except LogError as error:
+        raise LogError(f"{folder}: {error}") from error
