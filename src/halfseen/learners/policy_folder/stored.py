@@ -117,7 +117,7 @@ def read_policy(folder: str | Path) -> StoredPolicy:
     except (safetensors.SafetensorError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise PolicyError(f"{folder / ARRAYS}: it is no safetensors file ({error}); learn the policy anew") from error
     try:
-        return StoredPolicy(_policy_of(record, {name: array.copy() for name, array in arrays.items()}), record)
+        return StoredPolicy(_policy_of(record, laid_out(arrays, record["column_major"])), record)
     except PolicyError as error:
         raise PolicyError(f"{folder}: {error}") from error
 

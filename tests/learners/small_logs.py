@@ -1,0 +1,88 @@
+"""Small logs, some paths cut, made without the simulated world, whose compilation takes longer than they are worth."""
+
+import numpy as np
+import pandas as pd
+
+from halfseen.logs import Logs
+
+HIDES = np.array([[0.0, 0.4], [0.1, 0.0]])
+
+
+def flat_log(num_paths=40, horizon=2, seed=0):
+    """Actions A and B at stage 1, A and C at stage 2; one covariate in words."""
+    rng = np.random.default_rng(seed)
+    stages, paths = [], []
+    for path in range(num_paths):
+        clock, cut_s = 0.0, rng.exponential(6.0) + 0.1
+        for stage in range(1, horizon + 1):
+            x1, x2 = rng.normal(), rng.integers(0, 3)
+            action = rng.choice(["A", "B" if stage == 1 else "C"])
+            clock += rng.uniform(0.5, 2.0)
+            is_seen = clock <= cut_s
+            row = {"path": path, "stage": stage, "action": action, "x1": x1, "x2": x2, "colour": "red"}
+            reward = x1 * (1 if action == "A" else -1) + 0.1 * rng.normal() if is_seen else None
+            stages.append({**row, "elapsed_s": clock if is_seen else None, "reward": reward})
+            if not is_seen:
+                break
+        paths.append({"path": path, "end_s": min(clock, cut_s), "ending": "finished" if is_seen else "cut"})
+    return Logs(pd.DataFrame(stages), pd.DataFrame(paths))
+
+
+def table_log(num_paths=24, horizon=3, num_objects=2, seed=0, hides=HIDES):
+    """Tables of which each action grasps one object more often than not; FINISH is rare."""
+    rng = np.random.default_rng(seed)
+    tables = [_table_path(path, horizon, num_objects, hides, rng) for path in range(num_paths)]
+    stages, ends, objects = zip(*tables, strict=True)
+    return Logs(*(pd.DataFrame([row for part in rows for row in part]) for rows in (stages, ends, objects)))
+
+
+def _table_path(path, horizon, num_objects, hides, rng):
+    there, tried, lifts = np.ones(num_objects, dtype=bool), [[] for _ in range(num_objects)], [0] * num_objects
+    log_odds = rng.normal(0.4, 1.0, num_objects)
+    stages, objects = [], []
+    clock, cut_s = 0.0, rng.exponential(25.0) + 0.1
+    for stage in range(1, horizon + 1):
+        occluded = 1.0 - np.prod(np.where(there, 1.0 - hides, 1.0), axis=1)
+        objects += [
+            {
+                "path": path,
+                "stage": stage,
+                "object": k,
+                "location": "TABLE" if there[k] else "DISHWASHER",
+                "occlusion": occluded[k],
+                "log_odds": log_odds[k],
+                "successes": sum(held for _, held in tried[k]),
+                "failures": sum(not held for _, held in tried[k]),
+                "lifts": lifts[k],
+                "hidden_by": hides[k].tolist(),
+                "attempt_occlusions": [at for at, _ in tried[k]],
+                "attempt_succeeded": [held for _, held in tried[k]],
+            }
+            for k in range(num_objects)
+        ]
+        verb = rng.choice(["WASH", "LIFT", "FINISH"], p=[0.55, 0.35, 0.1])
+        target = int(rng.choice(np.flatnonzero(there)))
+        clock += rng.uniform(1.0, 6.0)
+        is_seen = clock <= cut_s
+        held = bool(rng.random() < 0.7 * (1.0 - occluded[target]))
+        reward = {"WASH": 2.0 * log_odds[target] if held else -1.0, "LIFT": -0.4, "FINISH": -2.0 * there.sum()}[verb]
+        stages.append(
+            {
+                "path": path,
+                "stage": stage,
+                "elapsed_s": clock if is_seen else None,
+                "action": verb,
+                "object": None if verb == "FINISH" else target,
+                "reward": reward if is_seen else None,
+                "probability": 0.25,
+            }
+        )
+        if verb != "FINISH":
+            tried[target].append((occluded[target], held))
+            lifts[target] += verb == "LIFT" and held
+            there[target] &= not (verb == "WASH" and held)
+            log_odds = log_odds + rng.normal(0.0, 0.5, num_objects)
+        if not is_seen or verb == "FINISH" or not there.any():
+            break
+    ending = "finished" if is_seen else "cut"
+    return stages, [{"path": path, "end_s": min(clock, cut_s), "ending": ending}], objects
