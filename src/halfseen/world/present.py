@@ -1,9 +1,9 @@
 """From what a camera sees now, and what was logged of the path so far, to the state that a policy decides in."""
 
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
@@ -106,8 +106,9 @@ class _Done(NamedTuple):
 
 
 def _last_table(path: Logs, horizon: int) -> Any:
-    states = states_of(path, max(horizon, path.horizon))
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[0, path.horizon - 1], states)
+    """The fields of the last state of a path, as NumPy arrays."""
+    states = vars(states_of(path, max(horizon, path.horizon)))
+    return SimpleNamespace(**{name: np.asarray(leaf)[0, path.horizon - 1] for name, leaf in states.items()})
 
 
 def _last_action(path: Logs) -> _Done | None:

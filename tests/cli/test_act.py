@@ -1,0 +1,172 @@
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from click.testing import CliRunner
+
+from halfseen.cli.act import act
+from halfseen.errors import ArgumentError, CloudError, HalfseenError, LogError, PolicyError
+from halfseen.learners import CensoredQLearner
+from halfseen.learners.policy_folder import write_policy
+from halfseen.logs import Logs
+from halfseen.perception import Cloud, perceive, read_cloud, write_pcd
+from halfseen.scene import table_paths
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "learners"))
+from small_logs import flat_log, table_log
+
+TABLE = table_paths()[7]
+
+
+@pytest.fixture(scope="module")
+def flat(tmp_path_factory):
+    folder, logs = tmp_path_factory.mktemp("act") / "flat", flat_log()
+    learner = CensoredQLearner(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=0.1).fit(logs)
+    write_policy(learner, logs, folder)
+    return folder, learner
+
+
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory):
+    folder, logs = tmp_path_factory.mktemp("act") / "tables", table_log()
+    write_policy(CensoredQLearner.for_table(3, reg=0.1).fit(logs), logs, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def begun(tmp_path_factory):
+    """Logs of this table: three paths, and a last one that has come to its first stage without an action."""
+    scene = perceive(read_cloud(TABLE)).scene()
+    logs = table_log(num_paths=4, num_objects=scene.num_objects, hides=scene.hides, seed=1)
+    stages, objects, paths = (frame.copy() for frame in (logs.stages, logs.objects, logs.paths))
+    stages = stages[(stages["path"] < 3) | (stages["stage"] == 1)]
+    objects = objects[(objects["path"] < 3) | (objects["stage"] == 1)]
+    now = stages["path"] == 3
+    stages.loc[now, ["elapsed_s", "reward"]] = np.nan
+    stages.loc[now, ["action", "object"]] = None
+    paths.loc[paths["path"] == 3, ["end_s", "ending", "cause"]] = [1.0, "cut", "crash"]
+    folder = tmp_path_factory.mktemp("act") / "history"
+    Logs(stages, paths, objects).write(folder)
+    return folder, scene
+
+
+def run(*arguments):
+    return CliRunner().invoke(act, [str(argument) for argument in arguments], catch_exceptions=False)
+
+
+def refused(*arguments):
+    result = CliRunner().invoke(act, [str(argument) for argument in arguments])
+    assert isinstance(result.exception, HalfseenError), result.output
+    assert "\n" not in str(result.exception)
+    assert result.output == ""
+    return result.exception
+
+
+def state(folder, name="state.json", text='{"x1": 0.4, "x2": 1}'):
+    (folder / name).write_text(text)
+    return folder / name
+
+
+def test_named_actions_are_decided_as_the_learner_does(flat, tmp_path):
+    folder, learner = flat
+    for stage, x1 in ((1, 0.4), (1, -0.9), (2, 0.3)):
+        report = json.loads(
+            run(folder, state(tmp_path, text=f'{{"x1": {x1}, "x2": 1, "stage": {stage}}}'), "--json").output
+        )
+        row = pd.DataFrame({"x1": [x1], "x2": [1]})
+        assert report["action"] == learner.decide(row, stage)[0]
+        q = dict(zip("ABC", learner.q_values(row, stage)[0].tolist(), strict=True))
+        assert report["q_values"] == {**q, ("C" if stage == 1 else "B"): None}
+        assert report["reason"].startswith(f"{report['action']}: worth ")
+        assert (report["stage"], report["horizon"], report["warnings"]) == (stage, 2, [])
+
+
+def test_csv_and_json_say_the_same_and_people_get_the_reason_first(flat, tmp_path):
+    as_json = run(flat[0], state(tmp_path), "--stage", 2).output
+    assert run(flat[0], state(tmp_path, "s.csv", "x2,x1\n1,0.4\n"), "--stage", 2).output == as_json
+    lines = as_json.splitlines()
+    assert lines[0].startswith(("A: worth ", "C: worth "))
+    assert lines[2] == "stage 2 of 2"
+    assert [line.split()[0] for line in lines[4:]] in (["A", "C"], ["C", "A"])
+    assert lines[4].split()[0] == lines[0][0]
+
+
+def test_what_lies_outside_the_logs_is_told(flat, tmp_path):
+    result = run(flat[0], state(tmp_path, text='{"x1": 40, "x2": 1}'))
+    assert "warning: x1 40 is outside the logs (" in result.output
+    told = json.loads(run(flat[0], state(tmp_path, text='{"x1": 40, "x2": 1}'), "--json").output)
+    assert len(told["warnings"]) == 1
+
+
+def test_a_table_is_decided_from_its_cloud(tables):
+    report = json.loads(run(tables, TABLE, "--json").output)
+    assert list(report["q_values"]) == ["FINISH", *(f"{verb} {k}" for verb in ("WASH", "LIFT") for k in range(5))]
+    assert report["action"] == max(report["q_values"], key=report["q_values"].get)
+    assert report["reason"].startswith(f"{report['action']}: worth ")
+    assert "num_objects 5 is outside the logs (1 to 2); Q is extrapolated" in report["warnings"]
+
+
+def test_a_history_tells_what_was_seen_before(tables, begun):
+    folder, _ = begun
+    report = json.loads(run(tables, TABLE, "--history", folder, "--json").output)
+    fresh = json.loads(run(tables, TABLE, "--json").output)
+    assert report["stage"] == 1
+    assert report["q_values"]["FINISH"] != fresh["q_values"]["FINISH"]
+    assert "leave it out" in str(refused(tables, TABLE, "--history", folder, "--stage", 2))
+
+
+def test_a_history_of_other_objects_is_refused(tables, begun):
+    error = refused(tables, table_paths()[9], "--history", begun[0])
+    assert isinstance(error, PolicyError)
+    assert "5 objects are on the table, and the cloud shows 6: the history is of other objects" in str(error)
+
+
+def test_a_history_without_objects_is_refused(tables, tmp_path):
+    flat_log().write(tmp_path / "logs")
+    error = refused(tables, TABLE, "--history", tmp_path / "logs")
+    assert isinstance(error, LogError)
+    assert "the log has none" in str(error)
+
+
+def test_a_table_without_objects_is_refused(tables, tmp_path):
+    row, _ = np.mgrid[:120, :160]
+    depth = np.where(row > 60, 60.0 / np.maximum(row - 60, 1), np.nan)
+    depth[(depth > 3.0) | (depth < 0.5)] = np.nan
+    K = np.array([[100.0, 0.0, 79.5], [0.0, 100.0, 59.5], [0.0, 0.0, 1.0]])
+    write_pcd(Cloud.from_depth(depth, K, "empty"), tmp_path / "empty.pcd")
+    error = refused(tables, tmp_path / "empty.pcd")
+    assert isinstance(error, CloudError)
+    assert "no objects on the table" in str(error)
+
+
+def test_a_policy_that_does_not_fit_what_it_is_shown_is_refused(flat, tables, tmp_path):
+    cases = [
+        ((flat[0], TABLE), PolicyError, "looks at x1, x2, not at clouds"),
+        ((tables, state(tmp_path)), PolicyError, "the policy is of tables"),
+        ((flat[0], state(tmp_path, "a.json", '{"x1": 1, "y": 2}')), PolicyError, "there is no 'x2' among x1, y"),
+        ((flat[0], state(tmp_path, "b.json", '{"x1": 1, "x2": NaN}')), PolicyError, "'x2' is nan"),
+        ((flat[0], state(tmp_path, "c.json", '{"x1": 1, "x2": "many"}')), PolicyError, "holds no numbers"),
+        ((flat[0], state(tmp_path, "d.json", "[1, 2]")), PolicyError, "it holds 0 states"),
+        ((flat[0], state(tmp_path, "e.json", "{")), PolicyError, "it cannot be read"),
+        ((flat[0], state(tmp_path, "f.csv", "x1,x2\n1,2\n3,4\n")), PolicyError, "it holds 2 states"),
+        ((flat[0], state(tmp_path, "g.csv", "")), PolicyError, "it cannot be read"),
+        ((flat[0], tmp_path / "none.json"), PolicyError, "No such file"),
+        ((flat[0], state(tmp_path, "h.json", '{"x1": 1, "x2": 2, "stage": 3}')), PolicyError, "stage is 3"),
+        ((flat[0], state(tmp_path, "i.json", '{"x1": 1, "x2": 2, "stage": "two"}')), PolicyError, "stage is two"),
+        ((flat[0], state(tmp_path, "j.json", '{"x1": 1, "x2": 2, "stage": 1}'), "--stage", 2), ArgumentError, "says 1"),
+        ((flat[0], state(tmp_path), "--stage", 3), PolicyError, "stage is 3"),
+        ((flat[0], state(tmp_path), "--history", tmp_path), ArgumentError, "--history is for tables"),
+        ((tables, TABLE, "--stage", 4), PolicyError, "beyond the policy's horizon of 3 stages"),
+        ((tmp_path, TABLE), PolicyError, "policy.json: it is missing"),
+    ]
+    for arguments, kind, message in cases:
+        error = refused(*arguments)
+        assert isinstance(error, kind), (arguments, error)
+        assert message in str(error)
+
+
+def test_help_has_an_example():
+    assert "Example: halfseen act policy table.pcd" in run("--help").output

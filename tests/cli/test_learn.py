@@ -1,0 +1,142 @@
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from halfseen.cli.learn import learn
+from halfseen.errors import ArgumentError, HalfseenError, LogError, PositivityError
+from halfseen.learners import CensoredQLearner
+from halfseen.learners.policy_folder import read_policy
+from halfseen.logs import Logs
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "learners"))
+from small_logs import flat_log, table_log
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("learn")
+    flat_log().write(folder / "flat")
+    table_log().write(folder / "tables")
+    return folder
+
+
+def run(*arguments):
+    return CliRunner().invoke(learn, [str(argument) for argument in arguments], catch_exceptions=False)
+
+
+def refused(*arguments):
+    result = CliRunner().invoke(learn, [str(argument) for argument in arguments])
+    assert isinstance(result.exception, HalfseenError), result.output
+    assert "\n" not in str(result.exception)
+    assert result.output == ""
+    return result.exception
+
+
+def shares_by_hand(learner, logs, stage):
+    rows = logs.stages[logs.stages["stage"] == stage]
+    taken = learner.decide(rows, stage)
+    return {name: float(np.mean(taken == name)) for name in ("A", "B", "C")}, float(np.mean(taken == rows["action"]))
+
+
+def test_a_flat_log_is_learned_with_its_actions_by_stage_and_its_numeric_covariates(folder, tmp_path):
+    result = run(folder / "flat", "--out", tmp_path / "policy", "--reg", 0.1, "--seed", 4, "--json")
+    report = json.loads(result.stdout)
+    policy = read_policy(tmp_path / "policy")
+    assert policy.policy.covariates == ("x1", "x2")
+    assert report["schema"]["possible"] == [["A", "B"], ["A", "C"]]
+    assert (report["seed"], report["learner"]["reg"], report["learner"]["stages"]) == (4, 0.1, "separate")
+    assert report["notes"] == [
+        "it does not look at colour, which holds no numbers: give an indicator column for each value"
+    ]
+    logs = flat_log()
+    by_hand = CensoredQLearner(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=0.1, random_state=4).fit(logs)
+    for stage in (1, 2):
+        told = report["actions"][stage - 1]
+        assert told["num_states"] == (logs.stages["stage"] == stage).sum()
+        shares, as_logged = shares_by_hand(by_hand, logs, stage)
+        assert told["shares"] == pytest.approx(shares)
+        assert told["as_logged"] == pytest.approx(as_logged)
+
+
+def test_says_what_was_learned_from_and_what_to_do_next(folder, tmp_path):
+    out = tmp_path / "policy"
+    result = run(folder / "flat", "--out", out, "--covariates", "x1", "--reg", 0.1, "--stages", "pooled")
+    lines = result.stdout.splitlines()
+    assert lines[0].startswith(f"{out}: learned from 40 paths of up to 2 stages and ")
+    assert "looks at    x1" in lines
+    assert "Q           linear, stages pooled, horizon 2" in lines
+    assert any(line.startswith("weights     ") and "the largest weight is" in line for line in lines)
+    assert lines[-1] == f"Next: halfseen evaluate {out} --logs {folder / 'flat'}"
+    header = next(k for k, line in enumerate(lines) if line.startswith("stage  states"))
+    assert len(lines[header]) == len(lines[header + 1]) == len(lines[header + 2])
+    assert result.stderr == ""
+
+
+def test_a_table_log_is_learned_as_tables(folder, tmp_path):
+    result = run(folder / "tables", "--out", tmp_path / "policy", "--horizon", 3, "--reg", 0.1, "--json")
+    report = json.loads(result.stdout)
+    policy = read_policy(tmp_path / "policy")
+    assert policy.is_table
+    assert (policy.horizon, report["learner"]["stages"], report["notes"]) == (3, "pooled", [])
+    assert set(policy.ranges(3)) == {"num_objects", "occlusion", "log_odds", "num_attempts"}
+    assert policy.ranges(3)["num_objects"] == (1.0, 2.0)
+    for row in report["actions"]:
+        assert sum(row["shares"].values()) == pytest.approx(1.0)
+        assert 0.0 <= row["as_logged"] <= 1.0
+
+
+def test_one_seed_same_policy_and_what_is_there_stays(folder, tmp_path):
+    arguments = [
+        folder / "flat",
+        "--out",
+        tmp_path / "policy",
+        "--covariates",
+        "x1",
+        "--reg",
+        0.1,
+        "--stages",
+        "pooled",
+    ]
+    run(*arguments)
+    before = {file.name: file.read_bytes() for file in (tmp_path / "policy").iterdir()}
+    assert "it is there already" in str(refused(*arguments))
+    run(*arguments, "--overwrite")
+    assert {file.name: file.read_bytes() for file in (tmp_path / "policy").iterdir()} == before
+
+
+def test_bad_input_leaves_nothing_behind(folder, tmp_path):
+    out = tmp_path / "policy"
+    everyone_cut = Logs(
+        {"path": [0, 1], "stage": [1, 1], "elapsed_s": [None, None], "action": ["A", "B"], "reward": [None, None]},
+        {"path": [0, 1], "end_s": [1.0, 2.0], "ending": ["cut", "cut"]},
+    )
+    everyone_cut.write(tmp_path / "cut")
+    cases = [
+        ((tmp_path / "none", "--out", out), LogError, "there is no such folder"),
+        ((tmp_path / "cut", "--out", out), PositivityError, "all 2 paths were cut"),
+        ((folder / "flat", "--out", out, "--covariates", "x1,x9"), ArgumentError, "names 'x9'"),
+        ((folder / "flat", "--out", out, "--covariates", "colour"), LogError, "holds no numbers"),
+        ((folder / "flat", "--out", out, "--horizon", 1), ArgumentError, "horizon is 1"),
+        ((folder / "flat", "--out", out, "--reg", -1), ArgumentError, "reg is -1"),
+        ((folder / "flat", "--out", out, "--grasp", "beta"), ArgumentError, "--grasp is for logs of tables"),
+        ((folder / "flat", "--out", folder / "flat", "--overwrite"), ArgumentError, "it holds no policy"),
+    ]
+    for arguments, kind, message in cases:
+        error = refused(*arguments)
+        assert isinstance(error, kind)
+        assert message in str(error)
+    assert [path.name for path in tmp_path.iterdir()] == ["cut"]
+
+
+def test_reg_is_cv_or_a_number(folder, tmp_path):
+    result = CliRunner().invoke(learn, [str(folder / "flat"), "--out", str(tmp_path / "p"), "--reg", "much"])
+    assert result.exit_code == 2
+    assert "'much' is not a valid float" in result.output
+
+
+def test_help_has_an_example():
+    assert "Example: halfseen learn logs" in run("--help").output
