@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-HORIZON, PATHS_AT_ONCE = 10, 5_000
+HORIZON, PATHS_AT_ONCE = 10, 2_000
 OUT = Path("runs/benchmarks/streaming.json")
 
 

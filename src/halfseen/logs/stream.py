@@ -18,7 +18,7 @@ from halfseen.logs.path_checks import checked_paths
 from halfseen.logs.refusal import shown
 from halfseen.placing import placed
 
-PATHS_AT_ONCE = 5_000
+PATHS_AT_ONCE = 2_000
 """Paths that are held in memory at once."""
 
 _ROWS_AT_ONCE = 65_536

@@ -44,7 +44,7 @@ class Design(NamedTuple):
 
 
 class Factor(NamedTuple):
-    """Normal equations by block, factorised without each fold and, last, with all of them.
+    """Normal equations by block, factorised without each fold (if there are several) and, last, with all of them.
 
     They depend on the Gram matrices alone, so one factorisation serves every target.
     """
@@ -104,9 +104,13 @@ def solve(factor: Factor, cross: Float[Array, "V K F"], regs: Float[Array, " L"]
     """
     train_cross = _leave_one_out(cross)
     num_folds = cross.shape[0]
-    train_paths = jnp.append(jnp.full(num_folds, num_paths * (num_folds - 1) / num_folds), num_paths)
+    shares = [(num_folds - 1) / num_folds] * (len(train_cross) - 1)
+    train_paths = num_paths * jnp.array([*shares, 1.0], dtype=cross.dtype)
     coefficients = jax.vmap(_ridge, in_axes=(None, None, 0, None))(factor, train_cross, regs, train_paths)
-    held_out = jax.vmap(_squared_error, in_axes=(0, None, None))(coefficients[:, :-1], factor.gram, cross)
+    num_held_out = len(train_cross) - 1
+    held_out = jax.vmap(_squared_error, in_axes=(0, None, None))(
+        coefficients[:, :-1], factor.gram[:num_held_out], cross[:num_held_out]
+    )
     best = _last_smallest(jnp.sum(held_out, axis=1))
     blocks = jnp.arange(cross.shape[1])
     return Fit(coefficients[best, -1, blocks], regs[best])
@@ -121,7 +125,8 @@ def _last_smallest(errors: Float[Array, "L K"]) -> Int[Array, " K"]:
 
 def _leave_one_out(sums: Float[Array, "V *S"]) -> Float[Array, "V1 *S"]:
     total = sums.sum(axis=0, keepdims=True)
-    return jnp.concatenate([total - sums, total])
+    # Without folds nothing is held out.
+    return jnp.concatenate([total - sums, total]) if len(sums) > 1 else total
 
 
 def _diagonal(gram: Float[Array, "K F F"]) -> Float[Array, "K F1"]:

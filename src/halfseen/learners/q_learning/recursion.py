@@ -224,25 +224,26 @@ class _Prepared(NamedTuple):
 
 def _backward_separate(log: Transitions, regression: Regression) -> QFunctions:
     """Each stage on its own rows, the last one first."""
-    shared = log._replace(
-        fold=None, imputation=None if log.imputation is None else log.imputation._replace(is_used=None)
-    )
-    by_stage = jax.tree.map(lambda leaf: jnp.moveaxis(jnp.asarray(leaf), 1, 0)[:, :, None], shared)
+    width = log.features.shape[-1] + 1
 
-    def step(after: Float[Array, " n"], stage: Transitions):
-        given = stage.imputation
-        if given is not None and log.imputation is not None:
-            given = given._replace(is_used=log.imputation.is_used)
-        rows = stage._replace(fold=log.fold, imputation=given)
+    def step(after: Float[Array, " n"], stage: Int[Array, ""]):
+        rows = stage_of(log, stage)
         prepared = regression.prepare(rows, rows.weight)
-        width = prepared.main.design.features.shape[-1]
-        centre = jnp.zeros((regression.num_blocks, width), log.reward.dtype)
+        centre = jnp.zeros((regression.num_blocks, prepared.main.design.features.shape[-1]), log.reward.dtype)
         fit = regression.fit(prepared, rows, after[:, None], centre)
-        of_q = fit.coefficients[:, : log.features.shape[-1] + 1]
+        of_q = fit.coefficients[:, :width]
         return state_values(of_q, rows, regression.block_of_action)[:, 0], Fit(of_q, fit.reg)
 
-    _, fits = jax.lax.scan(step, jnp.zeros_like(log.reward[:, 0]), by_stage, reverse=True)
+    _, fits = jax.lax.scan(step, jnp.zeros_like(log.reward[:, 0]), jnp.arange(log.action.shape[1]), reverse=True)
     return QFunctions(fits.coefficients, fits.reg)
+
+
+def stage_of(log: Transitions, stage: Int[Array, ""]) -> Transitions:
+    """Keep the rows of one stage."""
+    is_used = None if log.imputation is None else log.imputation.is_used
+    by_stage = log._replace(fold=None, imputation=log.imputation and log.imputation._replace(is_used=None))
+    rows = jax.tree.map(lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, stage, 1, axis=1), by_stage)
+    return rows._replace(fold=log.fold, imputation=rows.imputation and rows.imputation._replace(is_used=is_used))
 
 
 def _backward_pooled(log: Transitions, regression: Regression, end_action: int | None) -> QFunctions:

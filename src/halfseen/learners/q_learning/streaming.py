@@ -24,6 +24,7 @@ from halfseen.learners.q_learning.recursion import (
     goes_on,
     of_successor,
     q_values,
+    stage_of,
     state_values,
     target_of,
 )
@@ -150,7 +151,7 @@ def _sums(
     rows = log._replace(weight=jnp.where(goes_on(log, setting.end_action), log.weight, 0.0))
     rows = rows if setting.only_going_on else log
     if setting.stages == "separate":
-        rows, successor = _stage_of(log, step.stage), jax.lax.dynamic_slice_in_dim(successor, step.stage, 1, axis=1)
+        rows, successor = stage_of(log, step.stage), jax.lax.dynamic_slice_in_dim(successor, step.stage, 1, axis=1)
     design = regression.design(rows, rows.weight)
     return gram_of(design), regression.cross(design, rows, target_of(rows, successor), step.centre)
 
@@ -164,9 +165,3 @@ def _solved(
     is_scaled: bool,
 ) -> Fit:
     return solve(factorise(gram, is_scaled), cross, regs, num_paths)
-
-
-def _stage_of(log: Transitions, stage: Int[Array, ""]) -> Transitions:
-    shared = log._replace(fold=None)
-    rows = jax.tree.map(lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, stage, 1, axis=1), shared)
-    return rows._replace(fold=log.fold)
