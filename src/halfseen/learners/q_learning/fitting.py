@@ -35,7 +35,7 @@ def fit_q_functions(
     ArgumentError
         A path is in a fold that does not exist, and would count for nothing.
     """
-    largest = int(np.max(log.fold))
+    largest = int(np.asarray(log.fold).max())
     if largest >= num_folds:
         raise ArgumentError(f"fold {largest} of {num_folds}: folds are 0 to {num_folds - 1}; deal the paths anew")
     blocks = encoding.block_of_action(log.is_possible.shape[-1])
