@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 from click.testing import CliRunner
 
+from halfseen import cli
 from halfseen.cli.act import act
 from halfseen.errors import ArgumentError, CloudError, HalfseenError, LogError, PolicyError
 from halfseen.learners import CensoredQLearner
@@ -96,7 +97,7 @@ def test_csv_and_json_say_the_same_and_people_get_the_reason_first(flat, tmp_pat
 
 def test_what_lies_outside_the_logs_is_told(flat, tmp_path):
     result = run(flat[0], state(tmp_path, text='{"x1": 40, "x2": 1}'))
-    assert "warning: x1 40 is outside the logs (" in result.output
+    assert "warning: x1 is 40, outside the logs (" in result.output
     told = json.loads(run(flat[0], state(tmp_path, text='{"x1": 40, "x2": 1}'), "--json").output)
     assert len(told["warnings"]) == 1
 
@@ -106,7 +107,8 @@ def test_a_table_is_decided_from_its_cloud(tables):
     assert list(report["q_values"]) == ["FINISH", *(f"{verb} {k}" for verb in ("WASH", "LIFT") for k in range(5))]
     assert report["action"] == max(report["q_values"], key=report["q_values"].get)
     assert report["reason"].startswith(f"{report['action']}: worth ")
-    assert "num_objects 5 is outside the logs (1 to 2); Q is extrapolated" in report["warnings"]
+    assert report["warnings"][0] == "num_objects is 5, outside the logs (1 to 2); Q is extrapolated"
+    assert report["warnings"][1].startswith("occlusion of object ")
 
 
 def test_a_history_tells_what_was_seen_before(tables, begun):
@@ -166,6 +168,15 @@ def test_a_policy_that_does_not_fit_what_it_is_shown_is_refused(flat, tables, tm
         error = refused(*arguments)
         assert isinstance(error, kind), (arguments, error)
         assert message in str(error)
+
+
+def test_from_the_shell_bad_input_is_one_line_and_status_2(flat, monkeypatch, capsys):
+    monkeypatch.setitem(cli.VERBS, "act", "")
+    monkeypatch.setattr(sys, "argv", ["halfseen", "act", str(flat[0]), str(TABLE)])
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
+    told = capsys.readouterr()
+    assert (stop.value.code, told.out, told.err.count("\n")) == (2, "", 1)
 
 
 def test_help_has_an_example():

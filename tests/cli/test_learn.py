@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from halfseen import cli
 from halfseen.cli.learn import learn
 from halfseen.errors import ArgumentError, HalfseenError, LogError, PositivityError
 from halfseen.learners import CensoredQLearner
@@ -136,6 +137,17 @@ def test_reg_is_cv_or_a_number(folder, tmp_path):
     result = CliRunner().invoke(learn, [str(folder / "flat"), "--out", str(tmp_path / "p"), "--reg", "much"])
     assert result.exit_code == 2
     assert "'much' is not a valid float" in result.output
+
+
+def test_from_the_shell_bad_input_is_one_line_and_status_2(folder, tmp_path, monkeypatch, capsys):
+    (tmp_path / "there").mkdir()
+    monkeypatch.setitem(cli.VERBS, "learn", "")
+    monkeypatch.setattr(sys, "argv", ["halfseen", "learn", str(folder / "flat"), "--out", str(tmp_path / "there")])
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
+    told = capsys.readouterr()
+    assert (stop.value.code, told.out, told.err.count("\n")) == (2, "", 1)
+    assert list((tmp_path / "there").iterdir()) == []
 
 
 def test_help_has_an_example():

@@ -1,3 +1,4 @@
+import contextlib
 import hashlib
 import json
 from dataclasses import replace
@@ -206,8 +207,9 @@ def test_no_folder_and_a_folder_of_something_else_are_refused(tmp_path):
         (lambda r: r.update(version=2), "version 2 is not the 1 that halfseen"),
         (lambda r: r.update(format="pickle"), "describes no policy"),
         (lambda r: r.update(kind="tree"), "kind is 'tree'"),
-        (lambda r: r.pop("seen"), "seen does not give ranges"),
-        (lambda r: r["seen"][0].update(ranges={"x1": [2.0, 1.0]}), "ends before it begins"),
+        (lambda r: r.pop("seen"), "seen does not give the range of x1, x2"),
+        (lambda r: r["seen"][0]["ranges"].update(x1=[2.0, 1.0]), "ends before it begins"),
+        (lambda r: r["seen"][0]["ranges"].pop("x1"), "a range is missing"),
         (lambda r: r["seen"][0].update(ranges={"x1": [float("nan"), 1.0]}), "NaN is no number of JSON"),
         (lambda r: r.pop("schema"), "schema is None"),
         (lambda r: r["schema"].update(horizon=True), "horizon is True"),
@@ -229,6 +231,29 @@ def test_a_record_that_is_none_is_refused(written, text):
     (written / RECORD).write_bytes(text)
     sign(written)
     assert RECORD in told(written)
+
+
+def places(record, at=()):
+    """Every place in a record, as the keys that lead to it."""
+    keys = record if isinstance(record, dict) else range(len(record)) if isinstance(record, list) else ()
+    return [place for key in keys for place in [(*at, key), *places(record[key], (*at, key))]]
+
+
+def test_nonsense_anywhere_in_the_schema_is_refused_or_harmless(written):
+    """No other error than a PolicyError comes of it, whatever stands where."""
+    whole = json.loads((written / RECORD).read_text())
+    wanted = [place for place in places(whole) if place[0] not in ("learner", "diagnostics", "log", "versions")]
+    for place in wanted:
+        for nonsense in (None, -1, 0.5, "x", [], {}, [None], True, 10**30):
+            record = json.loads(json.dumps(whole))
+            parent = record
+            for key in place[:-1]:
+                parent = parent[key]
+            parent[place[-1]] = nonsense
+            (written / RECORD).write_text(json.dumps(record))
+            sign(written)
+            with contextlib.suppress(PolicyError):
+                read_policy(written).ranges(2)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])

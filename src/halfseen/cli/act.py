@@ -122,18 +122,18 @@ def _table_q(policy: "LinearTablePolicy", state: "TableState") -> Any:
     return np.asarray(jax.jit(type(policy).q_values)(policy, state), dtype=np.float64)
 
 
-def _table_values(state: "TableState") -> dict[str, Any]:
-    """What the ranges of a policy of tables are of."""
+def _table_values(state: "TableState") -> dict[str, dict[str, float]]:
+    """What the ranges of a policy of tables are of, and whose value each is."""
     import numpy as np
 
-    there = np.asarray(state.hides, dtype=np.float64)
     tried = np.asarray(state.attempt_object)[:, None] == np.arange(state.num_objects)
-    return {
-        "num_objects": [state.num_objects],
-        "occlusion": 1.0 - np.prod(1.0 - there, axis=1),
+    each = {
+        "occlusion": 1.0 - np.prod(1.0 - np.asarray(state.hides, dtype=np.float64), axis=1),
         "log_odds": np.asarray(state.log_odds, dtype=np.float64),
         "num_attempts": tried.sum(axis=0),
     }
+    by_object = {name: {f"{name} of object {k}": float(v) for k, v in enumerate(each[name])} for name in each}
+    return {"num_objects": {"num_objects": float(state.num_objects)}, **by_object}
 
 
 def _decide_flat(stored: "StoredPolicy", file: Path, history: Path | None, stage: int | None) -> Told:
@@ -153,7 +153,7 @@ def _decide_flat(stored: "StoredPolicy", file: Path, history: Path | None, stage
         raise PolicyError(f"{file}: {error}") from error
     possible = np.where(policy.is_possible[number - 1], q, -np.inf)
     ranges = stored.ranges(number)
-    values = {name: row[name].to_numpy(dtype=np.float64) for name in policy.covariates}
+    values = {name: {name: float(row[name].iloc[0])} for name in policy.covariates}
     return Told(
         action=policy.actions[int(np.argmax(possible))],
         stage=number,
@@ -213,16 +213,16 @@ def _by_name(names: Any, q: Any) -> dict[str, float | None]:
     return {name: float(value) if isfinite(value) else None for name, value in zip(names, q, strict=True)}
 
 
-def _beyond(ranges: Mapping[str, tuple[float, float]] | None, values: Mapping[str, Any]) -> list[str]:
-    """Say which values lie outside what the logs showed: there Q is extrapolated."""
+def _beyond(ranges: Mapping[str, tuple[float, float]] | None, values: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """Say what lies outside what the logs showed, the first of each kind: there Q is extrapolated."""
     if ranges is None:
         return ["no path of the logs came to this stage; Q is extrapolated"]
     told = []
     for name, (low, high) in ranges.items():
         slack = 1e-6 * max(1.0, abs(low), abs(high))
-        outside = [float(value) for value in values[name] if not low - slack <= value <= high + slack]
-        if outside:
-            told.append(f"{name} {outside[0]:.4g} is outside the logs ({low:.4g} to {high:.4g}); Q is extrapolated")
+        outside = [(whose, value) for whose, value in values[name].items() if not low - slack <= value <= high + slack]
+        for whose, value in outside[:1]:
+            told.append(f"{whose} is {value:.4g}, outside the logs ({low:.4g} to {high:.4g}); Q is extrapolated")
     return told
 
 

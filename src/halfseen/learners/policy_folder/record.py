@@ -93,8 +93,7 @@ def from_json(data: bytes) -> dict[str, Any]:
         )
     if record.get("kind") not in (FLAT, TABLE):
         raise PolicyError(f"kind is {record.get('kind')!r}; it is {FLAT!r} or {TABLE!r}: learn the policy anew")
-    _check_seen(record.get("seen"))
-    _typed(record, "column_major", list, "a list")
+    _names(record, "column_major", (str,))
     for name in ("schema", "learner", "log", "diagnostics", "reg", "versions"):
         _typed(record, name, dict, "an object")
     return record
@@ -220,16 +219,3 @@ def _names(schema: Mapping[str, Any], name: str, kinds: tuple[type, ...]) -> tup
 
 def _refuse_constant(name: str) -> None:
     raise ValueError(f"{name} is no number of JSON")
-
-
-def _check_seen(seen: Any) -> None:
-    try:
-        for entry in seen:
-            first, last = entry["stages"]
-            is_right = first <= last and all(low <= high for low, high in entry["ranges"].values())
-            if not is_right:
-                raise ValueError("a range ends before it begins")
-    except (TypeError, ValueError, KeyError, AttributeError) as error:
-        raise PolicyError(
-            f"seen does not give ranges of what the logs held ({error}); learn the policy anew"
-        ) from error

@@ -1,9 +1,11 @@
 """What the states of a log looked like: beyond these ranges a policy was taught nothing."""
 
+from operator import index
 from typing import Any
 
 import pandas as pd
 
+from halfseen.errors import PolicyError
 from halfseen.logs import Logs
 from halfseen.world.table_checks import TABLE
 
@@ -44,6 +46,27 @@ def seen_tables(logs: Logs) -> list[dict[str, Any]]:
     counts = pd.DataFrame({"num_objects": there.groupby(["path", "stage"]).size()})
     ranges = _ranges(counts, TABLE_RANGES[:1]) | _ranges(each, TABLE_RANGES[1:])
     return [_entry(1, logs.horizon, logs.num_stages, ranges)]
+
+
+def check_seen(seen: Any, names: tuple[str, ...]) -> None:
+    """Refuse what does not give a range of each of these names.
+
+    Raises
+    ------
+    PolicyError
+        It does not.
+    """
+    try:
+        for entry in seen:
+            first, last = (index(stage) for stage in entry["stages"])
+            ranges = entry["ranges"]
+            is_right = first <= last and set(ranges) == set(names)
+            if not (is_right and all(float(low) <= float(high) for low, high in ranges.values())):
+                raise ValueError("a range is missing, of something else, or ends before it begins")
+    except (TypeError, ValueError, KeyError, AttributeError, OverflowError) as error:
+        raise PolicyError(
+            f"seen does not give the range of {', '.join(names) or 'nothing'} in the log ({error}); learn anew"
+        ) from error
 
 
 def _entry(first: int, last: int, num_states: int, ranges: dict[str, list[float]]) -> dict[str, Any]:

@@ -21,6 +21,7 @@ from halfseen.learners.policy_folder.record import (
     names_of,
     record_of,
 )
+from halfseen.learners.policy_folder.seen import TABLE_RANGES, check_seen
 from halfseen.learners.q_learning.flat_policy import FlatPolicy
 from halfseen.learners.q_learning.linear_policy import LinearTablePolicy
 from halfseen.learners.q_learning.q_learner import CensoredQLearner
@@ -58,7 +59,7 @@ class StoredPolicy:
         for entry in self.record["seen"]:
             first, last = entry["stages"]
             if first <= stage <= last or not is_by_stage:
-                return {name: (low, high) for name, (low, high) in entry["ranges"].items()}
+                return {name: (float(low), float(high)) for name, (low, high) in entry["ranges"].items()}
         return None
 
 
@@ -125,5 +126,9 @@ def read_policy(folder: str | Path) -> StoredPolicy:
 def _policy_of(record: Mapping[str, Any], arrays: Any) -> FlatPolicy | LinearTablePolicy:
     if record["kind"] == TABLE:
         check_features(record)
-        return table_policy_of(arrays, horizon_of(record))
-    return flat_policy_of(arrays, *names_of(record))
+        policy, names = table_policy_of(arrays, horizon_of(record)), TABLE_RANGES
+    else:
+        policy = flat_policy_of(arrays, *names_of(record))
+        names = policy.covariates
+    check_seen(record.get("seen"), names)
+    return policy
