@@ -2,22 +2,25 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: study test test-slow check clouds benchmarks clean
+.PHONY: study test test-slow check docs clouds benchmarks clean
 
 study: .venv/.installed
 	$(BIN)/halfseen study --out runs/study
 
 test: .venv/.installed
-	$(BIN)/pytest
+	$(BIN)/pytest -n auto --dist loadgroup
 
 test-slow: .venv/.installed
-	$(BIN)/pytest -m slow
+	$(BIN)/pytest -m slow -n auto --dist loadgroup
 
 check: .venv/.installed
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/pyright
 	$(BIN)/lint-imports
+
+docs: .venv/.installed
+	$(BIN)/python -m sphinx -W --keep-going -q -E -a -b html docs runs/docs
 
 clouds: .venv/.installed
 	$(BIN)/python -m halfseen.scene

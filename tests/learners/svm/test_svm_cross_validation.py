@@ -48,6 +48,7 @@ def test_losses_are_those_of_a_naive_loop_and_the_least_is_chosen(log, loss):
     assert model.reg_ == model.cv_regs_[np.argmin(naive)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loss", ["absolute", "epsilon-insensitive"])
 def test_giving_up_spares_work_and_changes_no_choice(log, loss, monkeypatch):
     rows, y = log
