@@ -18,6 +18,9 @@ from halfseen.learners.svm.vector_kernels import RbfKernel
 
 AnyArray = jax.Array | np.ndarray
 
+RANK_STEP = 32
+"""The number of features is a multiple of this."""
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
@@ -72,4 +75,7 @@ def fit_kernel_map(
     num_varied = max(int(np.isfinite(scale).sum()), 1)
     width = 1.0 / num_varied if gamma is None else float(gamma)
     found = fit_nystrom(RbfKernel(width), (rows - centre) / scale, num_landmarks, rng)
-    return KernelMap(centre, scale, found.landmarks, found.projection, np.asarray(width))
+    # Features that are 0 change nothing, and logs of about the same rank share one compiled fit.
+    padding = -found.num_features % RANK_STEP
+    projection = np.pad(found.projection, ((0, 0), (0, padding)))
+    return KernelMap(centre, scale, found.landmarks, projection, np.asarray(width))
