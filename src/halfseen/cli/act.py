@@ -227,13 +227,13 @@ def _beyond(ranges: Mapping[str, tuple[float, float]] | None, values: Mapping[st
 
 
 def _lines(told: Told) -> list[str]:
-    known = sorted(((q, name) for name, q in told.q_values.items() if q is not None), reverse=True)
-    width = max(len("action"), *(len(name) for _, name in known))
+    known = sorted(((name, q) for name, q in told.q_values.items() if q is not None), key=lambda one: -one[1])
+    width = max(len("action"), *(len(name) for name, _ in known))
     return [
         told.reason,
         *(f"warning: {one}" for one in told.warnings),
         "",
         f"stage {told.stage} of {told.horizon}",
         f"{'action':<{width}}  {'value':>9}",
-        *(f"{name:<{width}}  {q:>+9.2f}" for q, name in known),
+        *(f"{name:<{width}}  {q:>+9.2f}" for name, q in known),
     ]

@@ -20,7 +20,7 @@ _TABLE_HORIZON = 10
 class _Reg(click.ParamType):
     """``cv`` or a number."""
 
-    name = "cv|λ"
+    name = "cv|number"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         return value if value == "cv" else click.FLOAT.convert(value, param, ctx)
@@ -30,7 +30,9 @@ class _Reg(click.ParamType):
 @click.argument("logs", type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder that the policy is written to.")
 @click.option("--covariates", help="Columns of the stages to look at, as x1,x2; by default all that hold numbers.")
-@click.option("--q-function", type=click.Choice(["linear", "kernel"]), default="linear", show_default=True, help="Q.")
+@click.option(
+    "--q-function", type=click.Choice(["linear", "kernel"]), default="linear", show_default=True, help="What Q may be."
+)
 @click.option(
     "--censoring", type=click.Choice(CENSORING), default="kaplan-meier", show_default=True, help="Model of the cuts."
 )
