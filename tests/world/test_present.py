@@ -118,6 +118,25 @@ def test_a_path_that_is_over_is_refused():
         present_state(SCENE, 4, history("FINISH", None))
 
 
+@pytest.mark.parametrize(("action", "target"), [("WASH", None), ("PICK", "mug")])
+def test_an_action_that_no_table_knows_is_refused(action, target):
+    with pytest.raises(LogError, match=f"path 2, stage 2: action '{action}' of object .* is none that the table knows"):
+        present_state(SCENE, 4, history(action, target))
+
+
+def test_objects_that_are_numbers_are_refused_where_missing():
+    logs = history("WASH", None)
+    numbers = {"bowl": 0, "cup": 1, "mug": 2}
+    stages, objects = logs.stages, logs.objects
+    logs = Logs(
+        stages.assign(object=stages["object"].map(numbers).astype("Int64")),
+        logs.paths,
+        objects.assign(object=objects["object"].map(numbers)),
+    )
+    with pytest.raises(LogError, match="action 'WASH' of object null"):
+        present_state(SCENE, 4, logs)
+
+
 def test_no_step_left_is_refused():
     with pytest.raises(PolicyError, match="beyond the policy's horizon of 2 stages"):
         present_state(SCENE, 2, history("WASH", "mug"))

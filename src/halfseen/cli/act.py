@@ -191,7 +191,7 @@ def _state_row(file: Path, covariates: tuple[str, ...]) -> "pd.DataFrame":
     if missing:
         raise PolicyError(
             f"{file}: the policy looks at {looks_at}, and there is no {missing[0]!r} among "
-            f"{', '.join(map(str, row.columns))}; give what the policy was learned from"
+            f"{', '.join(map(str, row.columns)) or 'nothing'}; give what the policy was learned from"
         )
     return row
 

@@ -122,8 +122,11 @@ def _last_action(path: Logs) -> _Done | None:
         return None
     objects: Any = path.objects
     listed = objects[objects["stage"] == path.horizon]["object"].tolist()
-    if name not in listed:
-        raise LogError(f"{place(path.stages, -1)}: {verb} of object {shown(name)}, which is none of the stage's")
+    if verb not in Verb.__members__ or pd.isna(name) or name not in listed:
+        raise LogError(
+            f"{place(path.stages, -1)}: action {shown(verb)} of object {shown(name)} is none that the table knows; "
+            "give WASH or LIFT with an object of the stage, or null where nothing was done yet"
+        )
     return _Done(verb, listed.index(name))
 
 
