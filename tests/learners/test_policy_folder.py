@@ -2,6 +2,7 @@ import contextlib
 import hashlib
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -330,6 +331,20 @@ def test_a_failure_on_the_way_leaves_what_was_there(written, flat, flat_fitted, 
         write_policy(flat_fitted, flat, written, overwrite=True)
     assert (written / RECORD).read_bytes() == before
     assert [path.name for path in written.parent.iterdir()] == ["policy"]
+
+
+def test_what_a_kill_between_two_renames_left_aside_is_told_of(written, flat, flat_fitted, monkeypatch):
+    def killed(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pathlib.Path.rename", lambda path, to, rename=Path.rename: (rename(path, to), killed()))
+    with pytest.raises(KeyboardInterrupt):
+        write_policy(flat_fitted, flat, written, overwrite=True)
+    monkeypatch.undo()
+    (aside,) = written.parent.iterdir()
+    assert f"what was there is {aside}: rename it back" in told(written)
+    aside.rename(written)
+    read_policy(written)
 
 
 def test_what_no_folder_can_hold_is_refused(flat, flat_fitted, tables, tmp_path):

@@ -3,6 +3,7 @@
 import hashlib
 import shutil
 import uuid
+from glob import escape
 from pathlib import Path
 
 from halfseen.errors import ArgumentError, PolicyError
@@ -67,7 +68,7 @@ def read_files(folder: Path) -> tuple[bytes, bytes]:
         The folder or a file is missing or cannot be read, or a byte of a file is not what it was.
     """
     if not folder.is_dir():
-        raise PolicyError(f"{folder}: there is no such folder; give the folder that `halfseen learn` wrote")
+        raise PolicyError(f"{folder}: there is no such folder; {_remedy(folder)}")
     record, arrays, digests = (_read(folder / name) for name in (RECORD, ARRAYS, DIGESTS))
     if digests == _digests(record, arrays):
         return record, arrays
@@ -76,6 +77,14 @@ def read_files(folder: Path) -> tuple[bytes, bytes]:
         f"{folder / (changed or [DIGESTS])[0]}: it is not as it was written (its SHA-256 does not agree with "
         f"{DIGESTS}); copy the whole folder again, or learn anew"
     )
+
+
+def _remedy(folder: Path) -> str:
+    """What to do where no folder is: between the two renames of `_swap` a kill leaves the old one aside."""
+    aside = sorted(folder.absolute().parent.glob(f".{escape(folder.name)}.*.old"))
+    if aside:
+        return f"replacing it was interrupted, and what was there is {aside[-1]}: rename it back"
+    return "give the folder that `halfseen learn` wrote"
 
 
 def _digests(record: bytes, arrays: bytes) -> bytes:
