@@ -1,0 +1,80 @@
+"""Learners on the same logs of the cell: what their policies are worth, next to the optimum and to plain rules."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from cell_optimum import policy_value
+from cell_parts import ACTIONS, ACTIONS_ALL, COVARIATES, HORIZON, Decision
+from cell_paths import simulate
+from jaxtyping import Int
+from threadpoolctl import threadpool_limits
+from tqdm import tqdm
+
+from halfseen.learners import CensoredQLearner
+from halfseen.logs import Logs
+
+
+def learner(**parameters: Any) -> CensoredQLearner:
+    """Make a learner of this cell with a kernel; all that is not said stays at its default."""
+    return CensoredQLearner(HORIZON, ACTIONS, COVARIATES, q_function="kernel", **parameters)
+
+
+def cox_learner(**parameters: Any) -> CensoredQLearner:
+    """Make the learner whose model of the cuts is right: hazards on the clock of a stage, given clutter and action."""
+    return learner(censoring="cox", censoring_by="pooled", **parameters)
+
+
+def uncut_only(logs: Logs) -> Logs:
+    """Keep paths that came to their own end, as if there were no others."""
+    return logs.select(logs.path_ids[logs.is_finished])
+
+
+METHODS: dict[str, Callable[[Logs], CensoredQLearner]] = {
+    "Cox": lambda logs: cox_learner().fit(logs),
+    "Cox, augmented": lambda logs: cox_learner(augmented=True).fit(logs),
+    "Kaplan–Meier": lambda logs: learner().fit(logs),
+    "uncut only": lambda logs: learner().fit(uncut_only(logs)),
+}
+
+
+def decision_of(fitted: CensoredQLearner) -> Decision:
+    """Turn a learned policy into indices of actions."""
+
+    def decide(covariates: pd.DataFrame, stage: int) -> Int[np.ndarray, " m"]:
+        return pd.Index(ACTIONS_ALL).get_indexer(fitted.decide(covariates, stage)).astype(np.int64)
+
+    return decide
+
+
+def compare(num_paths: int, num_logs: int, seed: int = 0, methods: Sequence[str] = tuple(METHODS)) -> pd.DataFrame:
+    """Learn from logs with each method.
+
+    Parameters
+    ----------
+    num_paths
+        Of each log.
+    num_logs
+        Logs; all methods learn from the same.
+    seed
+        Log r draws from `seed` + r.
+    methods
+        What is compared.
+
+    Returns
+    -------
+    DataFrame
+        One row a log and method: ``log``, ``method``, ``value`` (expected reward of a path under the learned policy)
+        and ``cut_share``.
+    """
+    rows = []
+    for r in tqdm(range(num_logs), desc="logs", delay=2, disable=None, leave=False):
+        logs = simulate(num_paths, seed + r)
+        for method in methods:
+            # The matrices are small: more threads than one wait for one another.
+            with threadpool_limits(1):
+                fitted = METHODS[method](logs)
+            value = policy_value(decision_of(fitted))
+            rows.append({"log": r, "method": method, "value": value, "cut_share": logs.cut_share})
+    return pd.DataFrame(rows)
