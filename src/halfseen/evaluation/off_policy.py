@@ -4,6 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.stats import norm
 from sklearn.base import clone
 
 from halfseen.errors import ArgumentError
@@ -180,4 +181,6 @@ def _fitted_q(problem: _Problem, num_replicates: int, level: float) -> Estimate:
     draws = problem.rng.multinomial(num_paths, share, size=num_replicates)
     counts = np.concatenate([np.ones((1, num_paths)), draws.astype(np.float64)])
     values = (counts * problem.fitting.first_values(problem.log, counts)).mean(axis=1)
-    return around(float(values[0]), float(np.std(values[1:], ddof=1)), num_paths, level)
+    # Half of what the middle 68 % span: one draw in which a regression is nearly singular does not count for more.
+    low, high = np.quantile(values[1:], [norm.cdf(-1.0), norm.cdf(1.0)])
+    return around(float(values[0]), float(high - low) / 2.0, num_paths, level)

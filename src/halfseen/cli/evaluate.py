@@ -1,0 +1,167 @@
+"""``halfseen evaluate``: what a policy is worth, from logs of another one or in the simulated world."""
+
+import json
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from halfseen.learners.policy_folder import StoredPolicy
+
+CENSORING = ("kaplan-meier", "cox", "kernel")
+
+
+@click.command(epilog="Example: halfseen evaluate policy --logs logs --seed 1")
+@click.argument("policy", type=click.Path(path_type=Path))
+@click.argument("clouds", type=click.Path(path_type=Path), nargs=-1)
+@click.option("--logs", type=click.Path(path_type=Path), help="Folder of logs that another policy made.")
+@click.option("--world", "in_world", is_flag=True, help="Play the tables of CLOUDS in the simulated world instead.")
+@click.option("--censoring", type=click.Choice(CENSORING), help="Model of the cuts; by default the policy's own.")
+@click.option(
+    "--censoring-by",
+    type=click.Choice(["path", "stage", "pooled"]),
+    help="Clock of the cuts: of the path, of each stage, of all stages alike; by default the policy's own.",
+)
+@click.option("--censoring-covariates", help="What cuts may depend on, as x1,action; by default the policy's own.")
+@click.option(
+    "--augmented/--simple",
+    default=None,
+    help="Doubly robust towards cuts, or by weights alone; by default the first, if every action was logged.",
+)
+@click.option(
+    "--propensity",
+    type=click.Choice(["logged", "estimated"]),
+    default="logged",
+    show_default=True,
+    help="How likely the logged actions were: as the log says, or estimated.",
+)
+@click.option("--truncate-at", type=float, help="Largest weight allowed; by default the policy's own.")
+@click.option(
+    "--level",
+    type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True),
+    default=0.95,
+    show_default=True,
+    help="Level of the intervals.",
+)
+@click.option(
+    "--episodes", type=click.IntRange(min=2), default=10_000, show_default=True, help="Of --world: how many to play."
+)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Same seed, same numbers.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object for programs.")
+def evaluate(
+    policy: Path,
+    clouds: tuple[Path, ...],
+    logs: Path | None,
+    in_world: bool,
+    level: float,
+    episodes: int,
+    seed: int,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Say what the policy in the folder POLICY is worth before it runs.
+
+    With --logs, from what another policy did, of which paths were cut: by importance sampling, by fitted Q evaluation
+    and doubly robust, and whether it is better than the policy that made the logs. With --world, by playing the tables
+    of CLOUDS, by default the ten that come with halfseen.
+    """
+    from halfseen.errors import ArgumentError
+    from halfseen.learners.policy_folder import read_policy
+
+    if in_world == (logs is not None):
+        raise ArgumentError("give either --logs with a folder of logs, or --world to play in the simulated world")
+    if clouds and not in_world:
+        raise ArgumentError(f"{clouds[0]}: clouds are tables to play with --world, and --logs is given; leave one out")
+    stored = read_policy(policy)
+    if logs is None:
+        report, lines = _by_world(stored, clouds, episodes, seed, level)
+    else:
+        report, lines = _by_logs(stored, logs, seed, level, **options)
+    report = {"policy": str(policy), "seed": seed, **report}
+    click.echo(json.dumps(report, indent=2) if as_json else "\n".join(lines))
+
+
+def _by_logs(
+    stored: "StoredPolicy",
+    folder: Path,
+    seed: int,
+    level: float,
+    *,
+    propensity: str,
+    censoring_covariates: str | None,
+    **chosen: Any,
+) -> tuple[dict[str, Any], list[str]]:
+    from halfseen.errors import HalfseenWarning
+    from halfseen.evaluation import evaluate as evaluated
+    from halfseen.evaluation.stored_model import model_of
+    from halfseen.learners.policy_folder import log_digest
+    from halfseen.logs import read_logs
+
+    depends_on = None if censoring_covariates is None else [name.strip() for name in censoring_covariates.split(",")]
+    with _progress(2, "read") as progress, warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always", HalfseenWarning)
+        logs = read_logs(folder)
+        progress.update()
+        progress.set_description("evaluate")
+        model = model_of(stored, logs, censoring_covariates=depends_on, **chosen)
+        answer = evaluated(stored.policy, logs, model, propensity=propensity, level=level, random_state=seed)
+        progress.update()
+    notes = [str(one.message) for one in told if issubclass(one.category, HalfseenWarning)]
+    is_own = log_digest(logs) == stored.record["log"].get("sha256")
+    if is_own:
+        notes.insert(
+            0, "it was learned from these very logs, which flatters it; give logs that were kept aside for the test"
+        )
+    report = {"logs": str(folder), "propensity": propensity, "is_learned_from_these_logs": is_own}
+    report |= {"augmented": model.augmented, "censoring": model.censoring, "censoring_by": model.censoring_by}
+    report |= {"sentence": answer.sentence, **answer.as_dict(), "notes": notes}
+    return report, [*str(answer).splitlines(), *([""] if notes else []), *(f"note: {note}" for note in notes)]
+
+
+def _by_world(
+    stored: "StoredPolicy", clouds: Sequence[Path], episodes: int, seed: int, level: float
+) -> tuple[dict[str, Any], list[str]]:
+    from halfseen.errors import ArgumentError
+    from halfseen.evaluation.simulation import evaluate_in_world
+    from halfseen.world import WorldConfig
+
+    if not stored.is_table:
+        raise ArgumentError("the policy takes named actions, and the simulated world is one of tables; give --logs")
+    with _progress(episodes, "play") as progress:
+        scenes = _scenes(clouds)
+        config = WorldConfig(horizon=stored.horizon)
+        played: Callable[[int], object] = progress.update
+        answer = evaluate_in_world(
+            stored.policy, scenes, config, episodes=episodes, seed=seed, level=level, on_progress=played
+        )
+    value = answer.value
+    sentence = (
+        f"It earns {value.value:.3g} an episode, {value.low:.3g} to {value.high:.3g} ({level:.0%} interval), in "
+        f"{answer.steps.value:.1f} steps and {answer.robot_s.value:.0f} s."
+    )
+    report = {"tables": [scene.name for scene in scenes], "episodes": episodes, "sentence": sentence, **asdict(answer)}
+    return report, [sentence, "", f"{episodes} episodes on {len(scenes)} tables of the simulated world"]
+
+
+def _scenes(clouds: Sequence[Path]) -> list[Any]:
+    from halfseen.errors import CloudError
+    from halfseen.perception import perceive, read_cloud
+    from halfseen.scene import table_paths
+
+    scenes = []
+    for cloud in clouds or table_paths():
+        scene = perceive(read_cloud(cloud)).scene()
+        if scene.num_objects == 0:
+            raise CloudError(f"{cloud}: no objects on the table; put the table with its objects whole into the view")
+        scenes.append(scene)
+    return scenes
+
+
+def _progress(total: int, what: str) -> Any:
+    from tqdm import tqdm
+
+    return tqdm(total=total, desc=what, disable=None, leave=False)
