@@ -1,7 +1,9 @@
 import json
 import sys
+from operator import itemgetter
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -12,6 +14,7 @@ from halfseen.errors import ArgumentError, HalfseenError, LogError, PositivityEr
 from halfseen.learners import CensoredQLearner
 from halfseen.learners.policy_folder import read_policy
 from halfseen.logs import Logs
+from halfseen.world.recording import states_of
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "learners"))
 from small_logs import flat_log, table_log
@@ -85,9 +88,22 @@ def test_a_table_log_is_learned_as_tables(folder, tmp_path):
     assert (policy.horizon, report["learner"]["stages"], report["notes"]) == (3, "pooled", [])
     assert set(policy.ranges(3)) == {"num_objects", "occlusion", "log_odds", "num_attempts"}
     assert policy.ranges(3)["num_objects"] == (1.0, 2.0)
+    logs = table_log()
+    states, decide = states_of(logs, 3), jax.jit(policy.policy.q_values)
     for row in report["actions"]:
-        assert sum(row["shares"].values()) == pytest.approx(1.0)
-        assert 0.0 <= row["as_logged"] <= 1.0
+        stages = logs.stages[logs.stages["stage"] == row["stage"]]
+        taken = []
+        for path in stages["path"]:
+            one = jax.tree.map(itemgetter((path, row["stage"] - 1)), states)
+            taken.append(int(np.asarray(decide(one)).argmax()))
+        verbs = ["FINISH", "WASH", "WASH", "LIFT", "LIFT"]
+        told = {verb: np.mean([verbs[action] == verb for action in taken]) for verb in ("FINISH", "WASH", "LIFT")}
+        assert row["shares"] == pytest.approx(told)
+        logged = [
+            verbs.index(verb) + (0 if verb == "FINISH" else int(target))
+            for verb, target in zip(stages["action"], stages["object"], strict=True)
+        ]
+        assert row["as_logged"] == pytest.approx(np.mean(np.array(taken) == logged))
 
 
 def test_one_seed_same_policy_and_what_is_there_stays(folder, tmp_path):
