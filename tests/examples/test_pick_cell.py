@@ -1,0 +1,122 @@
+"""The cell, what policies of it are worth, its recorded logs, and what its script prints; under slow, the learners."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+
+FOLDER = Path(__file__).parents[2] / "examples" / "pick_cell"
+sys.path.insert(0, str(FOLDER))
+
+import cell_paths  # noqa: E402
+import pick_cell  # noqa: E402
+import record  # noqa: E402
+from cell_comparison import compare  # noqa: E402
+from cell_optimum import AXES, best_order, optimum, policy_value  # noqa: E402
+from cell_parts import ACTIONS, ACTIONS_ALL, CLUTTER, COVARIATES, HORIZON, attempt, new_parts  # noqa: E402
+from cell_paths import RULE_SHARE, logging_chances, rule_of_thumb, simulate  # noqa: E402
+
+from halfseen.censoring import Cox  # noqa: E402
+from halfseen.logs import read_logs  # noqa: E402
+
+
+def optimal(parts, stage):
+    """The optimum's action at the nearest grid point."""
+    at = tuple(np.rint((parts[n] - a[0]) / (a[1] - a[0])).astype(int) for n, a in zip(COVARIATES, AXES, strict=True))
+    return optimum()[1][stage - 1][at].argmax(axis=-1)
+
+
+def simulated(decide, num_parts=40_000):
+    """Mean reward of a path that nobody cuts, and its standard error."""
+    rng = np.random.default_rng(4)
+    parts, part, total = new_parts(num_parts, rng), np.arange(num_parts), np.zeros(num_parts)
+    for stage in range(1, HORIZON + 1):
+        outcome = attempt(parts, decide(parts, stage), rng)
+        total[part] += outcome.reward
+        goes_on = ~outcome.is_over
+        parts, part = parts.assign(clutter=outcome.clutter).loc[goes_on].reset_index(drop=True), part[goes_on]
+    return total.mean(), stats.sem(total)
+
+
+def test_values_are_those_of_simulated_parts():
+    def ordered(parts, stage):
+        return np.full(len(parts), ACTIONS_ALL.index((*best_order()[1], "stop", "stop", "stop")[stage - 1]))
+
+    for decide, value in ((rule_of_thumb, policy_value(rule_of_thumb)), (optimal, optimum()[0])):
+        mean, error = simulated(decide)
+        assert abs(mean - value) < 4 * error < 0.02
+    mean, error = simulated(ordered)
+    assert abs(mean - best_order()[0]) < 4 * error
+    assert optimum()[0] > policy_value(rule_of_thumb) + 0.05 > best_order()[0] + 0.1
+    assert optimum()[0] == pytest.approx(policy_value(optimal), abs=1e-9)
+
+
+def test_logged_probabilities_are_the_shares_of_the_actions():
+    parts = new_parts(1, np.random.default_rng(1)).loc[np.zeros(40_000, dtype=int)].reset_index(drop=True)
+    for stage in (1, 2, 3):
+        chances = logging_chances(parts, stage)
+        assert chances.sum(axis=1) == pytest.approx(1.0)
+        assert set(np.array(ACTIONS_ALL)[chances[0] > 0]) == set(ACTIONS[stage])
+        assert chances.max() == pytest.approx(RULE_SHARE + (1 - RULE_SHARE) / len(ACTIONS[stage]))
+        action, chance = cell_paths.draw_action(parts, stage, np.random.default_rng(2))
+        assert np.bincount(action, minlength=5) / len(parts) == pytest.approx(chances[0], abs=0.012)
+        assert (chance == chances[0][action]).all()
+
+
+def test_cuts_come_with_clutter_at_the_hazard_that_is_told():
+    logs = simulate(20_000, seed=3)
+    assert logs.cut_share == pytest.approx(0.35, abs=0.02)
+    first = logs.stages[logs.stages["stage"] == 1]
+    is_completed = first["elapsed_s"].notna().to_numpy()
+    watched_s = first["elapsed_s"].fillna(pd.Series(logs.end_s, index=first.index)).to_numpy()
+    cox = Cox().fit(watched_s, is_completed, first[COVARIATES])
+    assert cox.coefficients_ == pytest.approx([0.0, 0.0, CLUTTER], abs=0.15)
+    assert simulate(200, seed=3, is_cut=False).is_finished.all()
+
+
+def test_the_shipped_logs_are_those_that_record_writes(tmp_path, capsys):
+    record.main(["--out", str(tmp_path / "logs")])
+    again, shipped = read_logs(tmp_path / "logs"), read_logs(record.LOGS)
+    pd.testing.assert_frame_equal(again.stages, shipped.stages, rtol=1e-9)
+    pd.testing.assert_frame_equal(again.paths, shipped.paths, rtol=1e-9)
+    assert str(shipped.summary()) in capsys.readouterr().out
+    assert sum(path.stat().st_size for path in record.LOGS.iterdir()) < 100_000
+    assert (shipped.num_paths, shipped.horizon) == (record.NUM_PATHS, HORIZON)
+    assert shipped.cut_share == pytest.approx(0.35, abs=0.07)
+    assert shipped.stages["probability"].between(0.05, 1.0).all()
+
+
+def test_paths_recorded_one_by_one_are_like_those_simulated_at_once(tmp_path):
+    cell_paths.record(tmp_path / "logs", 1000, seed=5)
+    one_by_one, at_once = read_logs(tmp_path / "logs"), simulate(20_000, seed=6)
+    assert one_by_one.cut_share == pytest.approx(at_once.cut_share, abs=0.05)
+    for column in ("reward", *COVARIATES):
+        pair = [logs.stages[column].dropna() for logs in (one_by_one, at_once)]
+        assert stats.ks_2samp(*pair).pvalue > 1e-3
+    assert stats.ks_2samp(one_by_one.end_s, at_once.end_s).pvalue > 1e-3
+
+
+def test_the_script_prints_values_and_intervals(capsys):
+    pick_cell.main(["--paths", "200", "--repetitions", "2", "--replicates", "3"])
+    text = capsys.readouterr().out
+    assert text.startswith("Expected reward of a part: optimum 0.706; rule of thumb 0.641; best fixed order (parallel")
+    lines = [line.split() for line in text.splitlines()]
+    values = {
+        words[0]: float(words[-6 if words[0] != "Cox" else -2]) for words in lines if words[:1] == ["Kaplan–Meier"]
+    }
+    assert 0.2 < values["Kaplan–Meier"] < 0.706
+    assert "Q of the first stage, with 95 % intervals over 3 draws of the paths" in text
+    assert text.count("best in") == 9
+
+
+@pytest.mark.slow
+def test_cox_by_stage_beats_kaplan_meier_and_that_beats_uncut_paths():
+    found = compare(1000, 10, seed=100, methods=("Cox", "Kaplan–Meier", "uncut only"))
+    values = found.pivot_table(index="log", columns="method", values="value")
+    print((values / optimum()[0]).agg(["mean", "sem"]))
+    for better, worse in (("Cox", "Kaplan–Meier"), ("Kaplan–Meier", "uncut only")):
+        difference = values[better] - values[worse]
+        assert difference.mean() > 2 * difference.sem()
