@@ -245,7 +245,7 @@ def test_nonsense_anywhere_in_the_schema_is_refused_or_harmless(written):
     whole = json.loads((written / RECORD).read_text())
     wanted = [place for place in places(whole) if place[0] not in ("learner", "diagnostics", "log", "versions")]
     for place in wanted:
-        for nonsense in (None, -1, 0.5, "x", [], {}, [None], True, 10**30):
+        for nonsense in (None, -1, "x", [None], 10**400):
             record = json.loads(json.dumps(whole))
             parent = record
             for key in place[:-1]:
