@@ -47,14 +47,15 @@ def estimate_of(influence: Float[np.ndarray, " n"], effective_sample_size: float
         Of the interval.
     """
     num_paths = len(influence)
-    error = float(np.std(influence, ddof=1) / np.sqrt(num_paths)) if num_paths > 1 else np.inf
-    return around(float(np.mean(influence)), error, effective_sample_size, level)
+    error = float(np.std(influence, ddof=1) / np.sqrt(num_paths))
+    return around(float(np.mean(influence)), error, effective_sample_size, effective_sample_size - 1.0, level)
 
 
-def around(value: float, standard_error: float, effective_sample_size: float | int, level: float) -> Estimate:
-    """A t interval around a value whose standard error is known from so many effective paths."""
-    freedom = max(float(effective_sample_size) - 1.0, 1.0)
-    reach = float(stats.t.ppf((1.0 + level) / 2.0, freedom)) * standard_error if standard_error > 0 else 0.0
+def around(
+    value: float, standard_error: float, effective_sample_size: float | int, freedom: float | int, level: float
+) -> Estimate:
+    """A t interval around a value; `freedom`, the degrees of freedom of its standard error, is taken to be at least 1."""
+    reach = float(stats.t.ppf((1.0 + level) / 2.0, max(float(freedom), 1.0))) * standard_error
     return Estimate(value, value - reach, value + reach, standard_error, float(effective_sample_size))
 
 

@@ -1,9 +1,9 @@
 """Fitted Q evaluation under censoring [Le2019]_: eq. 3 with the policy's own action in place of the best one.
 
-One compiled call fits Q to many weightings of the same log: to all paths, to all but each fold in turn
-(*cross-fitting*: no path is judged by a Q that it shaped), and to draws of paths with replacement (the bootstrap
-[Efron1979]_). Ĝ, and the distribution of durations behind imputed targets, are those of the whole log: they have few
-parameters.
+One compiled call fits Q to many weightings of the same log: to all paths, and to all but each fold in turn. So no path
+is judged by a Q that it shaped (*cross-fitting*), and how much the value changes from fold to fold tells its standard
+error (the delete-a-group jackknife [Kott2001]_). Ĝ, and the distribution of durations behind imputed targets, are those
+of the whole log: they have few parameters.
 """
 
 from dataclasses import dataclass
@@ -72,12 +72,6 @@ class Fitting:
             judged = _judge(*arrays, options=self.options)
             return Judged(*(np.asarray(leaf) for leaf in judged))
 
-    def first_values(self, log: Transitions, multiplicity: Float[np.ndarray, "B n"]) -> Float[np.ndarray, "B n"]:
-        """V̂_1(S_1) of every path, for each weighting."""
-        with jax.enable_x64(True):
-            arrays = jax.tree.map(jnp.asarray, (log, self.blocks, self.regs, multiplicity))
-            return np.asarray(_first_values(*arrays, options=self.options))
-
 
 def fitting_of(model: CensoredQLearner, num_paths: int, num_actions: int) -> Fitting:
     """Read from a learner how it fits Q to a log of so many paths."""
@@ -114,25 +108,6 @@ def _judge(
         if log.imputation is not None:
             target = _imputed(weighted, by_stage, target, blocks, regs, settings)
         return Judged(value, taken, target)
-
-    return jax.lax.map(one, multiplicity, batch_size=min(BATCH_SIZE, multiplicity.shape[0]))
-
-
-@partial(jax.jit, static_argnames="options")
-def _first_values(
-    log: Transitions,
-    blocks: Int[Array, " A"],
-    regs: Float[Array, " L"],
-    multiplicity: Float[Array, "B n"],
-    *,
-    options: tuple[tuple[str, Any], ...],
-) -> Float[Array, "B n"]:
-    assert log.policy is not None
-    policy, features = log.policy[:, 0], log.features[:, 0]
-
-    def one(counts: Float[Array, " n"]) -> Float[Array, " n"]:
-        first = _by_stage(_counted(log, counts), blocks, regs, dict(options))[0]
-        return jnp.sum(policy * q_values(first, features, blocks), axis=-1)
 
     return jax.lax.map(one, multiplicity, batch_size=min(BATCH_SIZE, multiplicity.shape[0]))
 
@@ -216,3 +191,19 @@ def _imputed(
 
     at_state, of_time = (leaf.T for leaf in jax.lax.map(of_stage, stage))
     return given.share * target + (1.0 - given.share) * at_state + of_time
+
+
+def jackknifed(value: Float[np.ndarray, "B n"], fold: Int[np.ndarray, " n"]) -> tuple[float, float]:
+    """Value of the policy by Q̂ alone, and its standard error.
+
+    Parameters
+    ----------
+    value
+        V̂_1(S_1) of every path: by the Qs that were fitted without each fold, and last by that of all paths.
+    fold
+        Of each path.
+    """
+    num_folds = len(value) - 1
+    without = np.array([value[k, fold != k].mean() for k in range(num_folds)])
+    error = np.sqrt((num_folds - 1.0) / num_folds * np.sum((without - without.mean()) ** 2))
+    return float(value[-1].mean()), float(error)

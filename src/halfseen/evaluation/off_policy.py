@@ -4,14 +4,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import norm
 from sklearn.base import clone
 
 from halfseen.errors import ArgumentError
 from halfseen.evaluation.doubly_robust import doubly_robust, held_out
-from halfseen.evaluation.estimate import Estimate, around, check_level, estimate_of
+from halfseen.evaluation.estimate import around, check_level, estimate_of
 from halfseen.evaluation.evaluation import Evaluation
-from halfseen.evaluation.fitted_q import Fitting, fitting_of
+from halfseen.evaluation.fitted_q import Fitting, Judged, fitting_of, jackknifed
 from halfseen.evaluation.propensity import Propensity, check_propensity, estimated_propensity, logged_propensity
 from halfseen.evaluation.ratios import StageWeights, begun_weights, completed_weights, likelihood_ratios
 from halfseen.evaluation.targets import target_probabilities
@@ -30,8 +29,7 @@ def evaluate(
     propensity: Propensity | str = "logged",
     level: float = 0.95,
     random_state: int = 0,
-    num_folds: int = 5,
-    num_replicates: int = 100,
+    num_folds: int = 10,
 ) -> Evaluation:
     """Say what a policy is worth, from a log of another one of which paths were cut.
 
@@ -50,11 +48,9 @@ def evaluate(
     level
         Of the intervals.
     random_state
-        Seed of the folds and of the bootstrap.
+        Seed that deals paths into folds.
     num_folds
-        Folds of the cross-fitting; no path is judged by a Q that it shaped.
-    num_replicates
-        Draws of paths behind the interval of fitted Q.
+        Folds of the cross-fitting, and of the jackknife behind the interval of fitted Q.
 
     Raises
     ------
@@ -67,23 +63,24 @@ def evaluate(
     """
     check_level(level)
     check_propensity(propensity)
-    if num_folds < 2 or num_replicates < 2:
-        raise ArgumentError(
-            f"num_folds is {num_folds} and num_replicates {num_replicates}; at least 2 of each are needed"
-        )
+    if num_folds < 2:
+        raise ArgumentError(f"num_folds is {num_folds}; at least 2 are needed")
     if logs.num_paths < 2 * num_folds:
         raise ArgumentError(f"the log has {logs.num_paths} paths; {num_folds} folds need at least {2 * num_folds}")
     problem = _problem(policy, logs, model, propensity, np.random.default_rng([random_state, 1]), num_folds)
     size = problem.weights.effective_sample_size
     own_size = problem.logging_weights.effective_sample_size
-    by_ratio = estimate_of(problem.completed.influence(problem.paths.reward), problem.completed_size, level)
-    values = _doubly_robust(problem, problem.log, problem.weights)
+    by_ratio = estimate_of(
+        problem.completed.influence(problem.paths.reward), problem.completed.effective_sample_size, level
+    )
+    judged = _judged(problem, problem.log)
+    values = doubly_robust(held_out(judged, problem.fold), problem.weights)
     own = _logging_values(problem)
     difference = estimate_of(values - own, size, level)
     verdict, reason = verdict_of(difference, problem.support, logs.horizon)
     return Evaluation(
         importance_sampling=by_ratio,
-        fitted_q=_fitted_q(problem, num_replicates, level),
+        fitted_q=around(*jackknifed(judged.value[..., 0], problem.fold), logs.num_paths, num_folds - 1, level),
         doubly_robust=estimate_of(values, size, level),
         logging=estimate_of(own, own_size, level),
         difference=difference,
@@ -107,11 +104,6 @@ class _Problem(NamedTuple):
     completed: StageWeights
     logging_weights: StageWeights
     support: Float[np.ndarray, " T"]
-    rng: np.random.Generator
-
-    @property
-    def completed_size(self) -> float:
-        return self.completed.effective_sample_size
 
 
 def _problem(
@@ -145,7 +137,6 @@ def _problem(
         completed=completed_weights(ratio, uncut, paths),
         logging_weights=stage_weights(np.ones_like(ratio), uncut, paths),
         support=_support(chances, paths),
-        rng=rng,
     )
 
 
@@ -156,10 +147,10 @@ def _support(chances: Float[np.ndarray, "n T A"], paths: PathArrays) -> Float[np
     return np.where(known.any(axis=0), (known & taken).sum(axis=0) / np.maximum(known.sum(axis=0), 1), 1.0)
 
 
-def _doubly_robust(problem: _Problem, log: Transitions, weights: StageWeights) -> Float[np.ndarray, " n"]:
-    without = (problem.fold != np.arange(problem.fold.max() + 1)[:, None]).astype(np.float64)
-    judged = held_out(problem.fitting.judge(log, problem.paths.reward, without), problem.fold)
-    return doubly_robust(judged, weights)
+def _judged(problem: _Problem, log: Transitions) -> Judged:
+    """By the Qs that were fitted without each fold, and last by that of all paths."""
+    without = problem.fold != np.arange(problem.fold.max() + 2)[:, None]
+    return problem.fitting.judge(log, problem.paths.reward, without.astype(np.float64))
 
 
 def _logging_values(problem: _Problem) -> Float[np.ndarray, " n"]:
@@ -172,15 +163,5 @@ def _logging_values(problem: _Problem) -> Float[np.ndarray, " n"]:
         return problem.logging_weights.influence(problem.paths.reward)
     actions = np.arange(problem.log.is_possible.shape[-1])
     logged = (problem.paths.action[..., None] == actions) & problem.paths.is_begun[..., None]
-    return _doubly_robust(problem, problem.log._replace(policy=logged.astype(np.float64)), problem.logging_weights)
-
-
-def _fitted_q(problem: _Problem, num_replicates: int, level: float) -> Estimate:
-    num_paths = problem.paths.num_paths
-    share = np.full(num_paths, 1.0 / num_paths)
-    draws = problem.rng.multinomial(num_paths, share, size=num_replicates)
-    counts = np.concatenate([np.ones((1, num_paths)), draws.astype(np.float64)])
-    values = (counts * problem.fitting.first_values(problem.log, counts)).mean(axis=1)
-    # Half of what the middle 68 % span: one draw in which a regression is nearly singular does not count for more.
-    low, high = np.quantile(values[1:], [norm.cdf(-1.0), norm.cdf(1.0)])
-    return around(float(values[0]), float(high - low) / 2.0, num_paths, level)
+    judged = _judged(problem, problem.log._replace(policy=logged.astype(np.float64)))
+    return doubly_robust(held_out(judged, problem.fold), problem.logging_weights)
