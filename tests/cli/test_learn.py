@@ -68,11 +68,11 @@ def test_a_flat_log_is_learned_with_its_actions_by_stage_and_its_numeric_covaria
 
 def test_says_what_was_learned_from_and_what_to_do_next(folder, tmp_path):
     out = tmp_path / "policy"
-    result = run(folder / "flat", "--out", out, "--covariates", "x1", "--reg", 0.1, "--stages", "pooled")
+    result = run(folder / "flat", "--out", out, "--covariates", "x2, x1", "--reg", 0.1)
     lines = result.stdout.splitlines()
     assert lines[0].startswith(f"{out}: learned from 40 paths of up to 2 stages and ")
-    assert "looks at    x1" in lines
-    assert "Q           linear, stages pooled, horizon 2" in lines
+    assert "looks at    x2, x1" in lines
+    assert "Q           linear, stages separate, horizon 2" in lines
     assert any(line.startswith("weights     ") and "the largest weight is" in line for line in lines)
     assert lines[-1] == f"Next: halfseen evaluate {out} --logs {folder / 'flat'}"
     header = next(k for k, line in enumerate(lines) if line.startswith("stage  states"))

@@ -1,6 +1,7 @@
 import contextlib
 import hashlib
 import json
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 
@@ -46,6 +47,11 @@ def tables():
 @pytest.fixture(scope="module")
 def flat_fitted(flat):
     return flat_learner().fit(flat)
+
+
+@pytest.fixture(scope="module")
+def tables_fitted(tables):
+    return CensoredQLearner.for_table(3, reg=0.1).fit(tables)
 
 
 @pytest.fixture
@@ -285,8 +291,8 @@ def test_what_is_no_safetensors_file_is_refused(written):
     assert "it is no safetensors file" in told(written)
 
 
-def test_other_features_of_tables_are_refused(tables, tmp_path):
-    write_policy(CensoredQLearner.for_table(3, reg=0.1).fit(tables), tables, tmp_path / "policy")
+def test_other_features_of_tables_are_refused(tables, tables_fitted, tmp_path):
+    write_policy(tables_fitted, tables, tmp_path / "policy")
     edit(tmp_path / "policy", lambda record: record["schema"]["features"].update(version=0))
     assert "the policy looks at features" in told(tmp_path / "policy")
 
@@ -347,16 +353,17 @@ def test_what_a_kill_between_two_renames_left_aside_is_told_of(written, flat, fl
     read_policy(written)
 
 
-def test_what_no_folder_can_hold_is_refused(flat, flat_fitted, tables, tmp_path):
+def test_what_no_folder_can_hold_is_refused(flat, flat_fitted, tables, tables_fitted, tmp_path):
     class Mine:
         def chance(self, state):
             return jnp.full(state.num_objects, 0.5)
 
     jax.tree_util.register_static(Mine)
-    own = CensoredQLearner.for_table(3, reg=0.1, grasp=Mine()).fit(tables)
+    own = copy(tables_fitted)
+    own.policy_ = replace(own.policy_, grasp=Mine())
     with pytest.raises(ArgumentError, match="grasp is a Mine"):
         write_policy(own, tables, tmp_path / "policy")
-    learner = flat_learner().fit(flat)
+    learner = copy(flat_fitted)
     learner.policy_ = replace(flat_fitted.policy_, coefficients=flat_fitted.policy_.coefficients * np.nan)
     with pytest.raises(PolicyError, match="it is finite"):
         write_policy(learner, flat, tmp_path / "policy")
