@@ -12,6 +12,7 @@ from jaxtyping import Int
 from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
+from halfseen.censoring import Cox
 from halfseen.learners import CensoredQLearner
 from halfseen.logs import Logs
 
@@ -22,8 +23,12 @@ def learner(**parameters: Any) -> CensoredQLearner:
 
 
 def cox_learner(**parameters: Any) -> CensoredQLearner:
-    """Make the learner whose model of the cuts is right: hazards on the clock of a stage, given clutter and action."""
-    return learner(censoring="cox", censoring_by="pooled", **parameters)
+    """Make the learner whose model of the cuts is right: hazards on the clock of a stage, given clutter and action.
+
+    A stage that stops the cell is short and hardly ever cut; where a draw of the log has no such cut, the coefficient
+    of that action would have no end without a ridge.
+    """
+    return learner(censoring=Cox(ridge=1.0), censoring_by="pooled", **parameters)
 
 
 def uncut_only(logs: Logs) -> Logs:

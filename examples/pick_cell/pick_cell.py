@@ -80,13 +80,11 @@ def intervals(logs: Logs, num_replicates: int, seed: int) -> str:
     for row, part in enumerate(ASKED.to_dict("records")):
         line = {name: f"{value:.1f}" for name, value in part.items()}
         for column, name in enumerate(ACTIONS[1]):
-            interval = f"{q[row, column]:.2f} ({low[row, column]:.2f} to {high[row, column]:.2f})"
-            lines_of = f"{interval}, best in {shares[row, column]:.0%}"
-            line[name] = lines_of
+            interval = f"{low[row, column]:.2f} to {high[row, column]:.2f}"
+            line[name] = f"{q[row, column]:.2f} ({interval}), best in {shares[row, column]:.0%}"
         lines.append(line)
-    return f"Q of the first stage, with 95 % intervals over {num_replicates} draws of the paths\n" + pd.DataFrame(
-        lines
-    ).to_string(index=False)
+    head = f"Q of the first stage, with 95 % intervals over {num_replicates} draws of the paths"
+    return f"{head}\n{pd.DataFrame(lines).to_string(index=False)}"
 
 
 def _at_least(least: int):

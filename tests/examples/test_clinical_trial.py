@@ -15,7 +15,7 @@ sys.path.insert(0, str(FOLDER))
 from trial_comparison import compare  # noqa: E402
 from trial_optimum import GRID, best_sequence, optimum, policy_value, random_value  # noqa: E402
 from trial_patients import ACTIONS, TREATMENTS, YEAR_S, follow, trial  # noqa: E402
-from trial_words import standard_error  # noqa: E402
+from trial_words import standard_error, table  # noqa: E402
 
 NUM_FOLLOWED = 40_000
 
@@ -75,6 +75,19 @@ def test_the_same_patients_are_followed_under_all_cuts():
     assert there["reward"].to_numpy() == pytest.approx(cut.stages.loc[kept, "reward"].to_numpy())
 
 
+def test_a_policy_is_learned_and_told():
+    found = compare(100, 1, seed=4, cut_shares=(0.5,), methods=("kernel",))
+    assert found["ratio"].item() > 0.8
+    assert table(found).split()[-5:] == [
+        "50%",
+        f"{found['measured_share'].item():.1%}",
+        f"{found['ratio'].item():.1%}",
+        "(one",
+        "trial)",
+    ]
+
+
+@pytest.mark.slow
 def test_the_script_prints_and_draws(tmp_path):
     options = ["--patients", "80", "--trials", "1", "--seed", "4", "--out", str(tmp_path)]
     done = subprocess.run(

@@ -1,7 +1,9 @@
 """The cell, what policies of it are worth, its recorded logs, and what its script prints; under slow, the learners."""
 
+import re
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,7 +16,7 @@ sys.path.insert(0, str(FOLDER))
 import cell_paths  # noqa: E402
 import pick_cell  # noqa: E402
 import record  # noqa: E402
-from cell_comparison import compare  # noqa: E402
+from cell_comparison import METHODS, compare  # noqa: E402
 from cell_optimum import AXES, best_order, optimum, policy_value  # noqa: E402
 from cell_parts import ACTIONS, ACTIONS_ALL, CLUTTER, COVARIATES, HORIZON, attempt, new_parts  # noqa: E402
 from cell_paths import RULE_SHARE, logging_chances, rule_of_thumb, simulate  # noqa: E402
@@ -39,6 +41,11 @@ def simulated(decide, num_parts=40_000):
         goes_on = ~outcome.is_over
         parts, part = parts.assign(clutter=outcome.clutter).loc[goes_on].reset_index(drop=True), part[goes_on]
     return total.mean(), stats.sem(total)
+
+
+def is_alike(one, other):
+    found: Any = stats.ks_2samp(one, other)
+    return found.pvalue > 1e-3
 
 
 def test_values_are_those_of_simulated_parts():
@@ -94,21 +101,43 @@ def test_paths_recorded_one_by_one_are_like_those_simulated_at_once(tmp_path):
     one_by_one, at_once = read_logs(tmp_path / "logs"), simulate(20_000, seed=6)
     assert one_by_one.cut_share == pytest.approx(at_once.cut_share, abs=0.05)
     for column in ("reward", *COVARIATES):
-        pair = [logs.stages[column].dropna() for logs in (one_by_one, at_once)]
-        assert stats.ks_2samp(*pair).pvalue > 1e-3
-    assert stats.ks_2samp(one_by_one.end_s, at_once.end_s).pvalue > 1e-3
+        assert is_alike(one_by_one.stages[column].dropna(), at_once.stages[column].dropna())
+    assert is_alike(one_by_one.end_s, at_once.end_s)
 
 
+def test_values_and_differences_are_told():
+    assert pick_cell.plain_policies() == (
+        "Expected reward of a part: optimum 0.706; rule of thumb 0.641; best fixed order (parallel, suction, hand "
+        "over) 0.535."
+    )
+    values = {"Cox": [0.60, 0.64], "uncut only": [0.50, 0.56]}
+    rows = [
+        {"log": r, "method": m, "value": v, "cut_share": 0.35} for m, vs in values.items() for r, v in enumerate(vs)
+    ]
+    lines = [line.split() for line in pick_cell.table(pd.DataFrame(rows)).splitlines()]
+    assert lines[1] == ["Cox", "0.620", "87.8%"]
+    # Differences 0.10 and 0.08: mean 0.09, standard error 0.01, and t(0.975, 1) = 12.706.
+    assert lines[2] == ["uncut", "only", "0.530", "75.0%", "+0.090", "±", "0.127"]
+
+
+def test_the_recorded_logs_give_intervals():
+    text = pick_cell.intervals(read_logs(record.LOGS), num_replicates=4, seed=0)
+    head, _, *rows = text.splitlines()
+    assert head == "Q of the first stage, with 95 % intervals over 4 draws of the paths"
+    found = [re.findall(r"(-?\d\.\d\d) \((-?\d\.\d\d) to (-?\d\.\d\d)\), best in (\d+)%", row) for row in rows]
+    assert [len(each) for each in found] == [3, 3, 3]
+    for each in found:
+        assert sum(int(share) for *_, share in each) == 100
+        assert all(float(low) < float(high) for _, low, high, _ in each)
+        assert all(-1.0 < float(q) < 1.5 for q, *_ in each)
+
+
+@pytest.mark.slow
 def test_the_script_prints_values_and_intervals(capsys):
     pick_cell.main(["--paths", "200", "--repetitions", "2", "--replicates", "3"])
     text = capsys.readouterr().out
-    assert text.startswith("Expected reward of a part: optimum 0.706; rule of thumb 0.641; best fixed order (parallel")
-    lines = [line.split() for line in text.splitlines()]
-    values = {
-        words[0]: float(words[-6 if words[0] != "Cox" else -2]) for words in lines if words[:1] == ["Kaplan–Meier"]
-    }
-    assert 0.2 < values["Kaplan–Meier"] < 0.706
-    assert "Q of the first stage, with 95 % intervals over 3 draws of the paths" in text
+    names = re.findall(r"^ *(Cox|Cox, augmented|Kaplan–Meier|uncut only) +0\.\d{3} +[\d.]+%", text, flags=re.MULTILINE)
+    assert names == list(METHODS)
     assert text.count("best in") == 9
 
 
