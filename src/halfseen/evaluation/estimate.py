@@ -54,7 +54,7 @@ def estimate_of(influence: Float[np.ndarray, " n"], effective_sample_size: float
 def around(
     value: float, standard_error: float, effective_sample_size: float | int, freedom: float | int, level: float
 ) -> Estimate:
-    """A t interval around a value; `freedom`, the degrees of freedom of its standard error, is taken to be at least 1."""
+    """A t interval around a value; its standard error has `freedom` degrees of freedom, at least 1."""
     reach = float(stats.t.ppf((1.0 + level) / 2.0, max(float(freedom), 1.0))) * standard_error
     return Estimate(value, value - reach, value + reach, standard_error, float(effective_sample_size))
 

@@ -104,9 +104,12 @@ def _judge(
         q = _q_of_stages(by_stage, log, blocks)
         value = _mean_over_actions(log, q)
         taken = jnp.take_along_axis(q, log.action[..., None], axis=2)[..., 0]
-        target = _goes_on_with(log, reward, _successor(value))
+        after = _successor(value)
+        target = _goes_on_with(log, reward, after)
         if log.imputation is not None:
-            target = _imputed(weighted, by_stage, target, blocks, regs, settings)
+            regress = _regressions_pooled if settings["stages"] == "pooled" else _regressions_by_stage
+            fits = regress(weighted, by_stage, after, blocks, regs, settings)
+            target = _imputed(log, fits, target, blocks)
         return Judged(value, taken, target)
 
     return jax.lax.map(one, multiplicity, batch_size=min(BATCH_SIZE, multiplicity.shape[0]))
@@ -143,54 +146,81 @@ def _goes_on_with(log: Transitions, reward: Any, after: Float[Array, "n T"]) -> 
     return jnp.asarray(reward) + jnp.where(log.is_last, 0.0, after)
 
 
-def _imputed(
+def _regressions_by_stage(
     log: Transitions,
     by_stage: Float[Array, "T K F"],
-    target: Float[Array, "n T"],
+    after: Float[Array, "n T"],
     blocks: Int[Array, " A"],
     regs: Float[Array, " L"],
     settings: dict[str, Any],
-) -> Float[Array, "n T"]:
-    """Y_t of every begun stage, with m of the rows that count (see `learners.q_learning.imputation`)."""
-    given = log.imputation
-    assert given is not None
+) -> Float[Array, "T K M"]:
+    """M of each stage, from its own rows (see `learners.q_learning.imputation`)."""
+    assert log.imputation is not None
+    is_told = jnp.asarray(log.imputation.is_told)
+    x, columns = _goes_on_with(log, log.reward, after), _columns(log)
+
+    def of_stage(t: Int[Array, ""]) -> Float[Array, "K M"]:
+        rows = Rows(columns[:, t], blocks[log.action[:, t]], is_told[:, t], jnp.asarray(log.fold))
+        design = design_of(rows, settings["num_blocks"], settings["num_folds"])
+        factor = factorise(gram_of(design), settings["is_scaled"])
+        return solve(factor, cross_of(design, x[:, t]), regs, len(log.action)).coefficients
+
+    return jax.lax.map(of_stage, jnp.arange(log.action.shape[1]))
+
+
+def _regressions_pooled(
+    log: Transitions,
+    by_stage: Float[Array, "T K F"],
+    after: Float[Array, "n T"],
+    blocks: Int[Array, " A"],
+    regs: Float[Array, " L"],
+    settings: dict[str, Any],
+) -> Float[Array, "T K M"]:
+    """M for each number of steps to go, from the rows that the horizon did not end."""
+    assert log.imputation is not None
     num_paths, horizon = log.action.shape
-    is_pooled, end_action = settings["stages"] == "pooled", settings["end_action"]
-    taken = jnp.take_along_axis(log.features, log.action[..., None, None], axis=2)[:, :, 0]
-    columns = jnp.concatenate([taken * given.is_used, given.terms], axis=-1)
+    end_action = settings["end_action"]
+    goes_on = jnp.broadcast_to((jnp.arange(horizon) < horizon - 1) | (horizon == 1), log.action.shape)
+    if end_action is not None:
+        goes_on = goes_on | (log.action == end_action)
     rows = Rows(
-        features=columns.reshape(num_paths * horizon, columns.shape[-1]),
+        features=_columns(log).reshape(num_paths * horizon, -1),
         block=blocks[log.action].ravel(),
-        weight=jnp.zeros(num_paths * horizon),
+        weight=jnp.where(goes_on, log.imputation.is_told, 0.0).ravel(),
         fold=jnp.repeat(jnp.asarray(log.fold), horizon),
     )
-    stage = jnp.arange(horizon)
+    design = design_of(rows, settings["num_blocks"], settings["num_folds"])
+    factor = factorise(gram_of(design), settings["is_scaled"])
 
-    def of_stage(t: Int[Array, ""]) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-        is_final = t == horizon - 1
-        if is_pooled:
-            goes_on = stage < horizon - 1
-            used = is_final | goes_on if end_action is None else is_final | goes_on | (log.action == end_action)
-        else:
-            used = stage == t
+    def of_stage(t: Int[Array, ""]) -> Float[Array, "K M"]:
+        # With no step to go, what is left to come is what the forced end costs: Q_1 of the action that ends a path.
         q = q_values(by_stage[jnp.minimum(t + 1, horizon - 1)], jnp.asarray(log.features), blocks)
         forced = jnp.zeros_like(q[..., 0]) if end_action is None else q[..., end_action]
-        after = jnp.where(is_final, forced, _mean_over_actions(log, q))
-        x = _goes_on_with(log, log.reward, _successor(after)).ravel()
-        design = design_of(
-            rows._replace(weight=jnp.where(used, given.is_told, 0.0).ravel()),
-            settings["num_blocks"],
-            settings["num_folds"],
-        )
-        fit = solve(factorise(gram_of(design), settings["is_scaled"]), cross_of(design, x), regs, num_paths)
-        each = fit.coefficients[blocks[log.action[:, t]]]
-        num_terms = given.terms.shape[-1]
-        at_state = each[:, 0] + jnp.sum(each[:, 1:-num_terms] * (taken * given.is_used)[:, t], axis=-1)
-        of_time = jnp.sum(each[:, -num_terms:] * given.expected[:, t], axis=-1)
-        return at_state, of_time
+        value = jnp.where(t == horizon - 1, forced, _mean_over_actions(log, q))
+        x = _goes_on_with(log, log.reward, _successor(value)).ravel()
+        return solve(factor, cross_of(design, x), regs, num_paths).coefficients
 
-    at_state, of_time = (leaf.T for leaf in jax.lax.map(of_stage, stage))
-    return given.share * target + (1.0 - given.share) * at_state + of_time
+    return jax.lax.map(of_stage, jnp.arange(horizon))
+
+
+def _columns(log: Transitions) -> Float[Array, "n T P"]:
+    """What m looks at: features of the action that was taken, and terms of the duration."""
+    assert log.imputation is not None
+    taken = jnp.take_along_axis(log.features, log.action[..., None, None], axis=2)[:, :, 0]
+    return jnp.concatenate([taken * log.imputation.is_used, log.imputation.terms], axis=-1)
+
+
+def _imputed(
+    log: Transitions, fits: Float[Array, "T K M"], target: Float[Array, "n T"], blocks: Int[Array, " A"]
+) -> Float[Array, "n T"]:
+    """Y_t of every begun stage."""
+    given = log.imputation
+    assert given is not None
+    num_terms = given.terms.shape[-1]
+    each = fits[jnp.arange(log.action.shape[1]), blocks[log.action]]
+    at_state = each[..., 0] + jnp.sum(each[..., 1:-num_terms] * _columns(log)[..., :-num_terms], axis=-1)
+    of_time = jnp.sum(each[..., -num_terms:] * given.expected, axis=-1)
+    return jnp.asarray(given.share * target + (1.0 - given.share) * at_state + of_time)
 
 
 def jackknifed(value: Float[np.ndarray, "B n"], fold: Int[np.ndarray, " n"]) -> tuple[float, float]:
