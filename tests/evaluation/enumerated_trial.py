@@ -63,7 +63,7 @@ def trial(seed, num_paths=200, cut_rate=0.0, has_probability=True, knows_last_ac
                     "elapsed_s": None if is_cut else float(clock + duration),
                     "action": ACTIONS[action] if knows else None,
                     "reward": None if is_cut else pays(state, action, duration) + rng.normal(),
-                    "probability": chance if knows and has_probability else None,
+                    "probability": chance if knows else None,
                     "x": float(state),
                 }
             )
@@ -72,6 +72,7 @@ def trial(seed, num_paths=200, cut_rate=0.0, has_probability=True, knows_last_ac
                 break
         paths.append({"path": path, "end_s": float(clock), "ending": "cut" if is_cut else "finished"})
     frame = pd.DataFrame(stages).astype({"elapsed_s": float, "reward": float, "probability": float})
+    frame = frame if has_probability else frame.drop(columns="probability")
     return Logs(frame, pd.DataFrame(paths))
 
 

@@ -112,7 +112,7 @@ def test_estimated_propensity_needs_no_column_and_is_as_good():
     logs = trial(8, num_paths=2000, cut_rate=0.1, has_probability=False)
     told = evaluate(TARGET, logs, model(), propensity="estimated")
     assert abs(told.doubly_robust.value - truth(TARGET.chance_b)) < 3.0 * told.doubly_robust.standard_error
-    with pytest.raises(LogError, match="path 0, stage 1: probability is null"):
+    with pytest.raises(LogError, match="path 0, stage 1: its probability was not logged"):
         evaluate(TARGET, logs, model())
 
 

@@ -1,10 +1,10 @@
 """From a policy and a log to an `Evaluation`."""
 
+from copy import copy
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from sklearn.base import clone
 
 from halfseen.errors import ArgumentError
 from halfseen.evaluation.doubly_robust import doubly_robust, held_out
@@ -109,8 +109,8 @@ class _Problem(NamedTuple):
 def _problem(
     policy: Any, logs: Logs, model: CensoredQLearner, propensity: str, rng: np.random.Generator, num_folds: int
 ) -> _Problem:
-    fresh: Any = clone(model)
-    learner: CensoredQLearner = fresh.fit(logs)
+    # A copy and no clone: a model of the cuts that is fitted already is to stay so.
+    learner = copy(model).fit(logs)
     if learner.cut_model_ is None and not logs.is_finished.all():
         raise ArgumentError(
             f"censoring is {model.censoring!r}, which gives no weights, but {int((~logs.is_finished).sum())} paths "

@@ -42,8 +42,8 @@ def logged_propensity(paths: PathArrays, is_needed: Bool[np.ndarray, "n T"]) -> 
     if missing.any():
         path, stage = np.argwhere(missing)[0]
         raise LogError(
-            f"path {paths.path_ids[path]}, stage {stage + 1}: probability is null, so how likely the logging policy "
-            "was to take this action is not known; log it, or estimate it with propensity 'estimated'"
+            f"path {paths.path_ids[path]}, stage {stage + 1}: its probability was not logged, so how likely its "
+            "action was is not known; log it, or estimate it with propensity 'estimated'"
         )
     return np.where(is_needed, paths.probability, 1.0)
 
