@@ -1,0 +1,40 @@
+"""Q of named actions along each covariate, one row of panels for each stage."""
+
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from halfseen.report.drawing import COLOURS, WIDTH_INCHES
+from halfseen.report.policy_findings import QCurve
+
+MOST_ACTIONS = len(COLOURS)
+
+
+def draw_curves(curves: list[QCurve]) -> Figure:
+    """Draw Q along each covariate, others at their medians, with a band where there is one."""
+    stages = sorted({curve.stage for curve in curves})
+    names = list(dict.fromkeys(curve.covariate for curve in curves))
+    actions = list(dict.fromkeys(name for curve in curves for name in curve.q))[:MOST_ACTIONS]
+    colour = dict(zip(actions, COLOURS, strict=False))
+    height = 2.1 * len(stages) + 0.85
+    figure = Figure(figsize=(WIDTH_INCHES, height))
+    panels = figure.subplots(len(stages), len(names), sharex="col", sharey="row", squeeze=False)
+    figure.subplots_adjust(left=0.1, right=0.985, top=1 - 0.42 / height, bottom=0.52 / height, hspace=0.18, wspace=0.1)
+    for curve in curves:
+        axes = panels[stages.index(curve.stage), names.index(curve.covariate)]
+        for action, q in curve.q.items():
+            if action not in colour:
+                continue
+            axes.plot(curve.values, q, color=colour[action], lw=1.6)
+            if curve.low is not None and curve.high is not None:
+                low, high = curve.low[action], curve.high[action]
+                axes.fill_between(curve.values, low, high, color=colour[action], alpha=0.14, lw=0)
+        axes.xaxis.set_major_locator(MaxNLocator(4))
+    for row, stage in zip(panels, stages, strict=True):
+        row[0].set_ylabel(f"stage {stage}: Q [reward]")
+    for axes, name in zip(panels[-1], names, strict=True):
+        axes.set_xlabel(name, parse_math=False)
+    handles = [panels[0, 0].plot([], [], color=colour[action], label=action)[0] for action in actions]
+    legend = figure.legend(handles, actions, loc="upper left", ncols=len(actions), frameon=False, fontsize=9.5)
+    for text in legend.get_texts():
+        text.set_parse_math(False)
+    return figure

@@ -1,0 +1,168 @@
+"""All that the page tells, as numbers."""
+
+import platform
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+import halfseen
+from halfseen.censoring.positivity import PositivityReport
+from halfseen.errors import HalfseenWarning
+from halfseen.evaluation import Evaluation, evaluate
+from halfseen.evaluation.stored_model import model_of
+from halfseen.learners.policy_folder import StoredPolicy, log_digest
+from halfseen.logs import Logs
+from halfseen.report.log_findings import Watched, log_findings, positivity_of, watched
+from halfseen.report.policy_findings import QCurve, choices, q_curves
+
+LIBRARIES = ("jax", "matplotlib", "numpy", "pandas", "scikit-learn", "scipy")
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """What is known of a log and a policy.
+
+    Parameters
+    ----------
+    log
+        What the log holds; see `log_findings`.
+    positivity
+        What its weights rest on.
+    watched
+        How long its paths were watched.
+    record
+        What the policy's folder says of it.
+    choices
+        What the policy would do in the states of the log; see `choices`.
+    curves
+        Q along the covariates; empty for tables.
+    evaluation
+        What the policy is worth.
+    model
+        How that was judged: censoring, censoring_by, censoring_covariates, augmented, truncate_at, propensity.
+    log_sha256
+        Digest of the log.
+    is_own_log
+        Whether the policy was learned from this very log.
+    notes
+        What the user should know of it.
+    seed
+        Of all draws.
+    versions
+        Of halfseen and what it stands on.
+    """
+
+    log: Mapping[str, Any]
+    positivity: PositivityReport
+    watched: Watched
+    record: Mapping[str, Any]
+    choices: list[dict[str, Any]]
+    curves: list[QCurve]
+    evaluation: Evaluation
+    model: Mapping[str, Any]
+    log_sha256: str
+    is_own_log: bool
+    notes: list[str]
+    seed: int
+    versions: Mapping[str, str]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Everything, ready for JSON: null for what is no number."""
+        return _finite(
+            {
+                "value": {"sentence": self.evaluation.sentence, **self.evaluation.as_dict(), **self.model},
+                "notes": self.notes,
+                "log": {"sha256": self.log_sha256, **self.log, "watched": asdict(self.watched)},
+                "policy": {
+                    "is_learned_from_these_logs": self.is_own_log,
+                    **self.record,
+                    "choices": self.choices,
+                    "curves": [asdict(curve) for curve in self.curves],
+                },
+                "seed": self.seed,
+                "versions": dict(self.versions),
+            }
+        )
+
+
+def find(
+    stored: StoredPolicy,
+    logs: Logs,
+    *,
+    propensity: str = "logged",
+    seed: int = 0,
+    num_replicates: int = 100,
+    on_progress: Callable[[str], object] = lambda what: None,
+    **chosen: Any,
+) -> Findings:
+    """Find out all that the page tells.
+
+    Parameters
+    ----------
+    stored
+        The policy.
+    logs
+        The log that it is judged by.
+    propensity
+        ``"logged"`` or ``"estimated"``; see `halfseen.evaluation.evaluate`.
+    seed
+        Of the folds and of the draws of paths.
+    num_replicates
+        Draws of paths behind the bands around Q.
+    on_progress
+        Is told what comes next.
+    chosen
+        Parameters of the evaluation that are not to be the policy's own; see
+        `halfseen.evaluation.stored_model.model_of`.
+
+    Raises
+    ------
+    HalfseenError
+        Policy and log do not fit together, or the value is not identified.
+    """
+    on_progress("evaluate")
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always", HalfseenWarning)
+        model = model_of(stored, logs, **chosen)
+        evaluation = evaluate(stored.policy, logs, model, propensity=propensity, random_state=seed)
+        on_progress("look at the log")
+        positivity = positivity_of(logs)
+        log = log_findings(logs, positivity)
+        on_progress("look at the policy")
+        decided = choices(stored, logs)
+        on_progress("learn again")
+        curves = q_curves(stored, logs, num_replicates, seed)
+    digest = log_digest(logs)
+    parameters = ("censoring", "censoring_by", "censoring_covariates", "augmented", "truncate_at")
+    return Findings(
+        log=log,
+        positivity=positivity,
+        watched=watched(logs),
+        record=stored.record,
+        choices=decided,
+        curves=curves,
+        evaluation=evaluation,
+        model={"propensity": propensity, **{name: getattr(model, name) for name in parameters}},
+        log_sha256=digest,
+        is_own_log=digest == stored.record["log"].get("sha256"),
+        notes=list(dict.fromkeys(str(one.message) for one in told if issubclass(one.category, HalfseenWarning))),
+        seed=seed,
+        versions={
+            "halfseen": halfseen.__version__,
+            "python": platform.python_version(),
+            **{name: version(name) for name in LIBRARIES},
+        },
+    )
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _finite(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [_finite(entry) for entry in value]
+    value = value.item() if isinstance(value, np.generic) else value
+    return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -1,0 +1,182 @@
+"""The page: findings in, HTML out; it stands alone, without scripts or anything to load."""
+
+import os
+from functools import partial
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import jinja2
+
+from halfseen.errors import ArgumentError
+from halfseen.report import sentences, words
+from halfseen.report.choices_figure import draw_choices
+from halfseen.report.curves_figure import draw_curves
+from halfseen.report.drawing import inline_svg
+from halfseen.report.findings import Findings
+from halfseen.report.value_figure import draw_values
+from halfseen.report.watched_figure import draw_watched
+
+MARK = '<meta name="generator" content="halfseen report">'
+MARKED_CHARS = 1000
+MOST_ROWS = 30
+
+
+def page_of(findings: Findings, command: str) -> str:
+    """Write the page.
+
+    Parameters
+    ----------
+    findings
+        What it tells.
+    command
+        What makes it again.
+    """
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.globals.update(
+        {
+            name: getattr(words, name)
+            for name in ("amount", "with_interval", "percent", "listed", "counted", "as_sentence")
+        }
+    )
+    template = environment.from_string(files("halfseen.report").joinpath("page.html.j2").read_text(encoding="utf-8"))
+    return template.render(_content(findings, command))
+
+
+def check_page_target(file: Path, overwrite: bool) -> None:
+    """Refuse a file that the page cannot be written to; call it before long work.
+
+    Raises
+    ------
+    ArgumentError
+        Something is there and shall not be replaced, or is no page of this kind.
+    """
+    try:
+        if not (file.exists() or file.is_symlink()):
+            return
+        if not overwrite:
+            raise ArgumentError(f"{file}: it is there already; choose another file, or pass --overwrite to replace it")
+        if not file.is_file() or MARK not in file.read_bytes()[:MARKED_CHARS].decode(errors="replace"):
+            raise ArgumentError(f"{file}: it is no page of halfseen report, so it is not replaced; choose another file")
+    except OSError as error:
+        raise ArgumentError(f"{file}: it cannot be written ({error.strerror}); choose another file") from error
+
+
+def write_page(page: str, file: Path, *, overwrite: bool = False) -> None:
+    """Write the page so that it appears whole or not at all.
+
+    Raises
+    ------
+    ArgumentError
+        The file is there already, is no page of this kind, or cannot be written.
+    """
+    check_page_target(file, overwrite)
+    fresh = file.with_name(f".{file.name}.{os.getpid()}.new")
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        fresh.write_text(page, encoding="utf-8")
+        fresh.replace(file)
+    except OSError as error:
+        raise ArgumentError(f"{file}: it cannot be written ({error.strerror or error}); choose another file") from error
+    finally:
+        fresh.unlink(missing_ok=True)
+
+
+def _content(findings: Findings, command: str) -> dict[str, Any]:
+    """Everything that the template names."""
+    evaluation = findings.evaluation
+    titles = {
+        "values": sentences.values_title(evaluation),
+        "watched": sentences.watched_title(findings.watched, findings.log),
+        "choices": sentences.choices_title(findings.choices),
+        "curves": sentences.curves_title(findings.curves) if findings.curves else "",
+    }
+    verdict, *rest = findings.log["positivity"]["text"].split("\n\n")[0].splitlines()
+    draw = {
+        "values": partial(draw_values, evaluation),
+        "watched": partial(draw_watched, findings.watched),
+        "positivity": partial(_positivity_figure, findings),
+        "choices": partial(draw_choices, findings.choices),
+    }
+    if findings.curves:
+        draw["curves"] = partial(draw_curves, findings.curves)
+    titles["positivity"] = verdict
+    return {
+        "mark": MARK,
+        "answer": sentences.answer(evaluation),
+        "evaluation": evaluation,
+        "estimates": _estimates(findings),
+        "notes": sentences.notes(findings),
+        "titles": titles,
+        "figures": {name: inline_svg(figure_of, f"f-{name}", titles[name]) for name, figure_of in draw.items()},
+        "log": findings.log,
+        "stages": list(zip(findings.log["clock"], findings.log["weights"], strict=True)),
+        "most_rows": MOST_ROWS,
+        "positivity_words": rest,
+        "cut_model": sentences.cut_model(findings),
+        "choices": findings.choices,
+        "actions": list(findings.choices[0]["policy"]),
+        "curves": findings.curves,
+        "policy_words": _policy_words(findings),
+        "unknowable": sentences.unknowable(findings),
+        "command": command,
+        "findings": findings,
+        "versions": findings.versions,
+    }
+
+
+def _positivity_figure(findings: Findings) -> Any:
+    figure = findings.positivity.plot()
+    # The page says it in words of its own size.
+    figure.suptitle("")
+    return figure
+
+
+def _estimates(findings: Findings) -> list[tuple[str, Any, str]]:
+    evaluation = findings.evaluation
+    return [
+        ("logging policy", evaluation.logging, "what was done, had nothing been cut"),
+        (
+            "learned, doubly robust",
+            evaluation.doubly_robust,
+            "weights and model together, right if one is; read this one",
+        ),
+        ("learned, importance sampling", evaluation.importance_sampling, "paths that did as the policy would"),
+        ("learned, fitted Q", evaluation.fitted_q, "the model alone"),
+        ("learned − logging", evaluation.difference, "path by path"),
+    ]
+
+
+def _policy_words(findings: Findings) -> list[tuple[str, str]]:
+    record = findings.record
+    learner, schema, weights = record["learner"], record["schema"], record["diagnostics"]["weights"]
+    is_flat = record["kind"] == "flat"
+    regs = sorted(value for row in record["reg"]["values"] for value in row)
+    reg = words.amount(regs[0]) if regs[0] == regs[-1] else f"{words.amount(regs[0])} to {words.amount(regs[-1])}"
+    looks_at = words.listed(schema["covariates"]) or "nothing but the stage"
+    censoring = str(learner["censoring"])
+    return [
+        (
+            "looks at",
+            looks_at if is_flat else "where objects stand, who hides whom, how dirty each seems, past attempts",
+        ),
+        ("chooses among", words.listed([str(name) for name in schema["actions"]])),
+        ("stages of a path at most", str(schema["horizon"])),
+        ("Q", f"{learner['q_function']}, {learner['stages']} stages"),
+        (
+            "ridge penalty λ",
+            f"{reg}, {'chosen by cross-validation over paths' if learner['reg'] == 'cv' else 'as given'}",
+        ),
+        ("cuts, when it was learned", sentences.CENSORING_WORDS.get(censoring, censoring)),
+        ("learned from", record["log"]["sentence"].rstrip(".")),
+        ("its weights", _worth(weights)),
+    ]
+
+
+def _worth(weights: Any) -> str:
+    return (
+        f"{words.counted(weights['num_seen'], 'stage')}, worth {words.amount(weights['effective_sample_size'])} equally "
+        f"weighted ones; the largest weight is {words.amount(weights['largest_weight'])}"
+    )

@@ -1,0 +1,139 @@
+"""What a policy looks at, and what it would do in the states of a log where another one decided."""
+
+from collections.abc import Hashable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
+
+from halfseen.censoring import CENSORING_NAMES
+from halfseen.evaluation.stored_model import model_of
+from halfseen.learners.policy_folder import StoredPolicy
+from halfseen.learners.policy_shares import action_shares
+from halfseen.learners.q_learning.bootstrap import bootstrap
+from halfseen.learners.q_learning.checks import BUCKLEY_JAMES, NONE
+from halfseen.learners.q_learning.flat_policy import FlatPolicy, covariate_values
+from halfseen.logs import Logs
+
+MOST_STAGES, MOST_COVARIATES = 3, 4
+NUM_POINTS = 41
+MIDDLE = (0.05, 0.95)
+"""Q is shown between these quantiles of a covariate: beyond, it rests on few states."""
+SAME_COEFFICIENTS = 1e-6
+BAND_LEVEL = 0.95
+
+
+def choices(stored: StoredPolicy, logs: Logs) -> list[dict[str, Any]]:
+    """Tell for each stage of a log what was done there, and what the policy would do in the same states.
+
+    Returns
+    -------
+    list of dict
+        stage, num_states; as_logged, the share of the states with a known action in which the policy takes that one
+        (None without such states); policy and logged, for each action its share.
+    """
+    shares = action_shares(stored.policy, logs)
+    frame: Any = logs.stages[["stage", "action"]].dropna()
+    logged = {
+        stage: names.astype(str).value_counts(normalize=True) for stage, names in frame.groupby("stage")["action"]
+    }
+    return [
+        {
+            "stage": int(stage),
+            "num_states": int(row["num_states"]),
+            "as_logged": None if np.isnan(row["as_logged"]) else float(row["as_logged"]),
+            "policy": dict(row["shares"]),
+            "logged": {
+                name: float(logged[stage].get(name, 0.0)) if stage in logged else None for name in row["shares"]
+            },
+        }
+        for stage, row in shares.to_dict("index").items()
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class QCurve:
+    """Q of the actions of one stage along one covariate, the others at their medians.
+
+    Parameters
+    ----------
+    stage
+        From 1.
+    covariate
+        Its name.
+    values
+        Where Q is told.
+    q
+        Q of each possible action.
+    low, high
+        Central 95 % of what it is when paths are drawn anew; None where that cannot be told.
+    """
+
+    stage: int
+    covariate: str
+    values: Float[np.ndarray, " k"]
+    q: dict[str, Float[np.ndarray, " k"]]
+    low: dict[str, Float[np.ndarray, " k"]] | None
+    high: dict[str, Float[np.ndarray, " k"]] | None
+
+
+def q_curves(stored: StoredPolicy, logs: Logs, num_replicates: int, seed: int) -> list[QCurve]:
+    """Follow Q of named actions along the covariates that sway the choice most, in the first stages; [] for tables."""
+    policy = stored.policy
+    if not isinstance(policy, FlatPolicy) or not policy.covariates:
+        return []
+    replicates = _replicates(stored, logs, num_replicates, seed)
+    frame: Any = logs.stages
+    stages = range(1, min(MOST_STAGES, logs.horizon) + 1)
+    curves = [
+        _curve(policy, replicates, frame[frame["stage"] == stage], stage, name)
+        for stage in stages
+        for name in policy.covariates
+    ]
+    sway = {name: sum(_sway(curve) for curve in curves if curve.covariate == name) for name in policy.covariates}
+    kept = sorted(policy.covariates, key=lambda name: -sway[name])[:MOST_COVARIATES]
+    return [curve for curve in curves if curve.covariate in kept]
+
+
+def _curve(policy: FlatPolicy, replicates: Any, states: pd.DataFrame, stage: int, covariate: str) -> QCurve:
+    seen = pd.DataFrame(covariate_values(states, policy.covariates), columns=pd.Index(policy.covariates))
+    low, high = np.quantile(seen[covariate], MIDDLE)
+    values = np.linspace(low, high, NUM_POINTS)
+    medians = pd.DataFrame([seen.median()] * NUM_POINTS).reset_index(drop=True)
+    at = medians.assign(**{covariate: values})
+    bands = None if replicates is None else replicates.q_interval(at, stage, BAND_LEVEL)
+
+    def by_name(q: Float[np.ndarray, "k A"]) -> dict[str, Float[np.ndarray, " k"]]:
+        is_possible = policy.is_possible[stage - 1]
+        return {str(name): q[:, k] for k, name in enumerate(policy.actions) if is_possible[k]}
+
+    return QCurve(
+        stage=stage,
+        covariate=covariate,
+        values=values,
+        q=by_name(policy.q_values(at, stage)),
+        low=None if bands is None else by_name(bands[0]),
+        high=None if bands is None else by_name(bands[1]),
+    )
+
+
+def _sway(curve: QCurve) -> float:
+    """How far the covariate moves the actions against one another."""
+    q = np.array(list(curve.q.values()))
+    return float(np.ptp(q - q.mean(axis=0), axis=1).max())
+
+
+def _replicates(stored: StoredPolicy, logs: Logs, num_replicates: int, seed: int) -> Any:
+    """Learn again from paths drawn anew; None where learning from this log does not give this policy."""
+    learned = stored.record["learner"]
+    if learned.get("censoring") not in (*CENSORING_NAMES, BUCKLEY_JAMES, NONE):
+        return None
+    names: tuple[Hashable, ...] = ("censoring", "augmented", "outcome_covariates", "reg", "num_folds", "random_state")
+    learner = model_of(stored, logs, **{str(name): learned.get(name) for name in names}).fit(logs)
+    again, ours = (np.asarray(policy.coefficients) for policy in (learner.policy_, stored.policy))
+    scale = max(1.0, float(np.abs(ours).max()))
+    if again.shape != ours.shape or np.abs(again - ours).max() > SAME_COEFFICIENTS * scale:
+        return None
+    return bootstrap(learner, logs, num_replicates, seed)

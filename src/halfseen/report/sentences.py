@@ -1,0 +1,177 @@
+"""What each section says first, and what nobody can know: plain sentences from the numbers."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from halfseen.evaluation import Evaluation
+from halfseen.report.findings import Findings
+from halfseen.report.log_findings import Watched
+from halfseen.report.policy_findings import QCurve
+from halfseen.report.words import amount, as_sentence, counted, listed, percent
+
+VERDICTS = {
+    "better": "The learned policy is better than the logging policy",
+    "not better": "The learned policy is not better than the logging policy",
+    "cannot be said": "Whether the learned policy is better than the logging policy cannot be said",
+}
+CENSORING_WORDS = {
+    "kaplan-meier": "Kaplan–Meier",
+    "cox": "Cox’s model",
+    "kernel": "kernel Kaplan–Meier",
+    "buckley-james": "Buckley–James imputation",
+    "none": "no model",
+}
+CLOCK_WORDS = {
+    "path": "on the clock of the path",
+    "stage": "on the clock of each stage",
+    "pooled": "one for all stages",
+}
+CLEAR_CHANGE = 0.02
+
+
+def answer(evaluation: Evaluation) -> str:
+    """The verdict and why."""
+    return f"{VERDICTS[evaluation.verdict]}: {evaluation.reason}."
+
+
+def values_title(evaluation: Evaluation) -> str:
+    """What the figure of values shows."""
+    own, ours = evaluation.logging.value, evaluation.doubly_robust.value
+    agree = all(one.low <= ours <= one.high for one in (evaluation.importance_sampling, evaluation.fitted_q))
+    others = "the two other estimates agree" if agree else "the other estimates do not all agree, so read it with care"
+    return f"A path earns {amount(ours)} with the learned policy and {amount(own)} with the logging policy; {others}"
+
+
+def watched_title(watched: Watched, log: Mapping[str, Any]) -> str:
+    """What the figure of how long paths were watched shows."""
+    if not log["num_cut"]:
+        return "No path was cut: each was watched to its own end"
+    middle_s, last_s = float(watched.risk_time_s[len(watched.risk_time_s) // 2]), float(watched.time_s[-1])
+    left = float(watched.survival[np.searchsorted(watched.time_s, middle_s, side="right") - 1])
+    cause, main = log["cuts"][0]["cause"], log["cuts"][0]["share"]
+    who = f"all cuts are by {cause}" if main == 1 else f"most cuts, {percent(main)}, are by {cause}"
+    who = who if main > 0.5 else f"the most frequent cause of cuts is {cause}, {percent(main)} of them"
+    return (
+        f"After {amount(middle_s)} s a path that goes on has not been cut with probability {left:.2f}, and at the end, "
+        f"{amount(last_s)} s, with {float(watched.survival[-1]):.2f}; {who}"
+    )
+
+
+def choices_title(choices: list[dict[str, Any]]) -> str:
+    """How often the policy would do what was done, and which actions it takes more and less often."""
+    known = [row for row in choices if row["as_logged"] is not None]
+    if not known:
+        return "What was done in the states of the log is not known"
+    states = np.array([row["num_states"] for row in known], dtype=float)
+    same = float(np.average([row["as_logged"] for row in known], weights=states))
+    change = {
+        name: float(np.average([row["policy"][name] - row["logged"][name] for row in known], weights=states))
+        for name in known[0]["policy"]
+    }
+    more = [name for name in sorted(change, key=lambda name: -change[name]) if change[name] > CLEAR_CHANGE]
+    less = [name for name in sorted(change, key=lambda name: change[name]) if change[name] < -CLEAR_CHANGE]
+    parts = [f"it takes {listed(names[:3])} {word} often" for names, word in ((more, "more"), (less, "less")) if names]
+    told = f"; {listed(parts)}" if parts else ", each action as often as before"
+    return f"In {percent(same)} of the states the policy would do what was done{told}"
+
+
+def curves_title(curves: list[QCurve]) -> str:
+    """What the curves show, and how sure they are."""
+    names = listed(list(dict.fromkeys(curve.covariate for curve in curves)))
+    return f"What an action is worth as {names} {'change' if ' and ' in names else 'changes'}: the policy takes the highest line"
+
+
+def notes(findings: Findings) -> list[str]:
+    """What to keep in mind before anything else."""
+    told = []
+    if findings.is_own_log:
+        told.append(
+            "The policy was learned from these very logs, which flatters it; judge it by logs that were kept aside."
+        )
+    elif findings.record["log"].get("sha256"):
+        told.append("The policy was learned from other logs than these, as it should be.")
+    return [*told, *(as_sentence(note) for note in findings.notes)]
+
+
+def cut_model(findings: Findings) -> str:
+    """Which model says how likely a path was to be cut."""
+    model = findings.model
+    name = model["censoring"]
+    return f"{CENSORING_WORDS.get(str(name), str(name))}, {CLOCK_WORDS[model['censoring_by']]}"
+
+
+def unknowable(findings: Findings) -> list[tuple[str, str]]:
+    """What the numbers rest on and the logs cannot show: a heading and a sentence each."""
+    return [
+        *_about_cuts(findings),
+        _about_propensity(findings),
+        _about_untried(findings),
+        (
+            "The cell stays as it is.",
+            "All numbers are of the cell, the parts and the people that the logs are of. Another camera, other parts or "
+            "another shift are another cell.",
+        ),
+        (
+            "Intervals tell of chance alone.",
+            "95 of 100 such intervals hold the truth where all of the above is so. They do not widen where it is not, and "
+            "that of fitted Q does not even know whether its model is right.",
+        ),
+    ]
+
+
+def _about_cuts(findings: Findings) -> list[tuple[str, str]]:
+    if not findings.log["num_cut"]:
+        return []
+    model, until_s = findings.model, findings.log["positivity"]["identified_until_s"]
+    if model["censoring"] == "kaplan-meier":
+        given = "Paths are taken to be cut by chance alone, whatever happened in them."
+        cure = (
+            "If an operator stops what looks bad, learn and judge with --censoring cox or kernel, and log what she saw."
+        )
+    else:
+        names = model["censoring_covariates"]
+        given = f"Paths that look alike in {listed(names) if names else 'what was recorded'} are taken to be cut alike."
+        cure = "If an operator stopped paths for something that she saw and nobody recorded, the numbers are off."
+    told = [
+        (
+            "What was recorded explains the cuts.",
+            f"{given} {cure} Logs cannot show which it is; ask who stopped the robot.",
+        ),
+        (
+            "Nothing is known of longer paths.",
+            f"No path was watched beyond {amount(until_s)} s, so nothing here speaks of later.",
+        ),
+    ]
+    if model["truncate_at"] is not None:
+        told.append(
+            (
+                "Weights were bounded.",
+                f"No weight counts for more than {amount(model['truncate_at'])}: steadier, and off by what the heavy ones would have added.",
+            )
+        )
+    return told
+
+
+def _about_propensity(findings: Findings) -> tuple[str, str]:
+    if findings.model["propensity"] == "logged":
+        return (
+            "The logged probabilities are right.",
+            "Each is taken to be the chance with which the logged action was drawn there. A person who overrode the robot "
+            "now and then makes them wrong.",
+        )
+    return (
+        "What the policy looks at is what the logging policy looked at.",
+        "The chances of the logged actions were estimated from that alone. If somebody chose by something else that also "
+        "sways the reward, the numbers are off.",
+    )
+
+
+def _about_untried(findings: Findings) -> tuple[str, str]:
+    worth = findings.evaluation.doubly_robust.effective_sample_size
+    return (
+        "What was never tried stays unknown.",
+        f"{counted(findings.log['num_paths'], 'path')} are worth {amount(worth)} that follow the learned policy. Where it "
+        "does what nobody did, its value rests on a model that goes beyond the data.",
+    )

@@ -1,0 +1,73 @@
+"""What the policy is worth, and what more than the logging policy: values with their intervals."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from halfseen.evaluation import Estimate, Evaluation
+from halfseen.report.drawing import ALARM, FAINT, INK, OURS, SOFT, THEIRS, WIDTH_INCHES
+from halfseen.report.words import with_interval
+
+BOUND_SPANS = 1.0
+"""How far beyond the other intervals that of importance sampling is drawn, in their span."""
+COLOURS = {"better": OURS, "not better": ALARM, "cannot be said": SOFT}
+
+
+def draw_values(evaluation: Evaluation) -> Figure:
+    """Draw the values above, and below them the difference with a line at 0."""
+    figure = Figure(figsize=(WIDTH_INCHES, 3.7))
+    values, gap = figure.subplots(2, 1, height_ratios=[4.0, 1.0])
+    figure.subplots_adjust(left=0.235, right=0.70, top=0.98, bottom=0.14, hspace=0.62)
+    rows = {
+        "logging policy": (evaluation.logging, THEIRS, False),
+        "learned, doubly robust": (evaluation.doubly_robust, OURS, True),
+        "learned, importance\nsampling": (evaluation.importance_sampling, OURS, False),
+        "learned, fitted Q": (evaluation.fitted_q, OURS, False),
+    }
+    core = [evaluation.logging, evaluation.doubly_robust, evaluation.fitted_q]
+    _forest(values, rows, _limits(core, [evaluation.importance_sampling]))
+    values.axvline(evaluation.logging.value, color=FAINT, lw=1.0, zorder=0)
+    values.set_xlabel("reward of a path, in mean")
+    colour = COLOURS[evaluation.verdict]
+    _forest(gap, {"learned − logging": (evaluation.difference, colour, True)}, _limits([evaluation.difference], []))
+    gap.axvline(0.0, color=INK, lw=1.0, ls=(0, (4, 3)), zorder=0)
+    gap.set_xlabel("reward that the learned policy earns more; dashed: none")
+    return figure
+
+
+def _limits(core: list[Estimate], others: list[Estimate]) -> tuple[float, float]:
+    """Show all of `core`; of `others`, what lies near."""
+    low, high = min(one.low for one in core), max(one.high for one in core)
+    if not others:
+        low, high = min(low, 0.0), max(high, 0.0)
+    span = max(high - low, 1e-9 * max(1.0, abs(low), abs(high)))
+    for one in others:
+        low = max(min(low, one.low), low - BOUND_SPANS * span)
+        high = min(max(high, one.high), high + BOUND_SPANS * span)
+    pad = 0.06 * (high - low) or 0.5
+    return low - pad, high + pad
+
+
+def _forest(axes: Axes, rows: dict[str, tuple[Estimate, str, bool]], limits: tuple[float, float]) -> None:
+    for place, (estimate, colour, is_bold) in enumerate(rows.values()):
+        low, high = np.clip([estimate.low, estimate.high], *limits)
+        axes.plot([low, high], [place, place], "-", color=colour, lw=3.2 if is_bold else 1.6, solid_capstyle="butt")
+        for end, inside, marker in ((low, estimate.low < limits[0], "<"), (high, estimate.high > limits[1], ">")):
+            if inside:
+                axes.plot([end], [place], marker, color=colour, ms=6, clip_on=False)
+        if limits[0] <= estimate.value <= limits[1]:
+            axes.plot([estimate.value], [place], "o", color=colour, ms=8 if is_bold else 6)
+        value, interval = with_interval(estimate.value, estimate.low, estimate.high)
+        axes.annotate(
+            f"{value}  ({interval})",
+            (1.03, place),
+            xycoords=("axes fraction", "data"),
+            va="center",
+            fontweight="bold" if is_bold else "normal",
+            annotation_clip=False,
+        )
+    axes.set_yticks(range(len(rows)), list(rows))
+    axes.tick_params(axis="y", length=0)
+    axes.spines["left"].set_visible(False)
+    axes.set_ylim(len(rows) - 0.4, -0.6)
+    axes.set_xlim(*limits)

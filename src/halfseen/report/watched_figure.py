@@ -1,0 +1,52 @@
+"""How long paths were watched: Ĝ, when each kind of end came, and how many were still watched."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from halfseen.report.drawing import COLOURS, FAINT, INK, OURS, WIDTH_INCHES
+from halfseen.report.log_findings import FINISHED_ROW, Watched
+
+
+def draw_watched(watched: Watched) -> Figure:
+    """Draw Ĝ, below it the ends of paths, and below these the numbers still watched."""
+    num_rows = len(watched.ends_s)
+    heights = [2.5, 0.24 * num_rows + 0.1]
+    figure = Figure(figsize=(WIDTH_INCHES, sum(heights) + 1.05))
+    curve, ends = figure.subplots(2, 1, sharex=True, height_ratios=heights)
+    figure.subplots_adjust(left=0.235, right=0.97, top=0.97, bottom=0.88 / (sum(heights) + 1.05), hspace=0.08)
+    curve.step(watched.time_s, watched.survival, where="post", color=OURS)
+    curve.set_ylim(0.0, 1.04)
+    curve.set_ylabel("Ĝ: probability that a path\nhas not been cut so far")
+    curve.grid(axis="y", color=FAINT, lw=0.7)
+    curve.tick_params(axis="x", length=0, labelbottom=False)
+    for place, (name, ends_s) in enumerate(watched.ends_s.items()):
+        colour = INK if name == FINISHED_ROW else COLOURS[1:][(place - 1) % (len(COLOURS) - 1)]
+        ends.plot(ends_s, np.full(len(ends_s), place), "|", ms=9, mew=0.9, alpha=0.7, color=colour)
+    names = [f"{name} ({len(ends_s)})" for name, ends_s in watched.ends_s.items()]
+    ends.set_yticks(range(num_rows), names)
+    ends.tick_params(axis="y", length=0)
+    ends.set_ylim(num_rows - 0.4, -0.6)
+    ends.set_xlim(0.0, 1.01 * watched.time_s[-1])
+    ends.set_xticks(watched.risk_time_s.tolist())
+    ends.set_xlabel("time since the path began [s]", labelpad=20)
+    _write_numbers(ends, watched)
+    return figure
+
+
+def _write_numbers(axes: Any, watched: Watched) -> None:
+    def below(x: float | int, text: str, where: Any, **options: Any) -> None:
+        axes.annotate(
+            text,
+            (x, 0),
+            xycoords=(where, "axes fraction"),
+            xytext=(0, -21),
+            textcoords="offset points",
+            va="top",
+            **options,
+        )
+
+    for time_s, count in zip(watched.risk_time_s, watched.num_watched, strict=True):
+        below(float(time_s), f"{count:,}", "data", ha="center", color=OURS, fontsize=9)
+    below(-0.02, "still watched", "axes fraction", ha="right", color=OURS, fontsize=9)
