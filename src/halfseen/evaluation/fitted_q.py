@@ -20,9 +20,6 @@ from halfseen.learners.q_learning.least_squares import Rows, cross_of, design_of
 from halfseen.learners.q_learning.q_learner import CensoredQLearner
 from halfseen.learners.q_learning.recursion import Transitions, backward, q_values
 
-BATCH_SIZE = 8
-"""Weightings that are fitted at once."""
-
 
 class Judged(NamedTuple):
     """What a Q says of every stage of a log, for one weighting or for each of B."""
@@ -112,7 +109,8 @@ def _judge(
             target = _imputed(log, fits, target, blocks)
         return Judged(value, taken, target)
 
-    return jax.lax.map(one, multiplicity, batch_size=min(BATCH_SIZE, multiplicity.shape[0]))
+    # One after the other: batched, the small eigenproblems of many fits have been seen to wait for each other for ever.
+    return jax.lax.map(one, multiplicity)
 
 
 def _counted(log: Transitions, counts: Float[Array, " n"]) -> Transitions:

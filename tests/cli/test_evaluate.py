@@ -1,0 +1,116 @@
+"""``halfseen evaluate``: through the door of the command line, with policies that were learned and stored."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from halfseen import cli
+from halfseen.cli.evaluate import evaluate
+from halfseen.evaluation import evaluate as evaluated
+from halfseen.evaluation.stored_model import model_of
+from halfseen.learners import CensoredQLearner
+from halfseen.learners.policy_folder import read_policy, write_policy
+from halfseen.logs import Logs, read_logs
+
+
+def clinic(seed, num_paths=300):
+    """One stage on two actions; B is better where x is 1, and a fifth is cut."""
+    rng = np.random.default_rng(seed)
+    x, is_b = rng.integers(0, 2, num_paths), rng.integers(0, 2, num_paths)
+    ends, cuts = rng.integers(1, 9, num_paths).astype(float), rng.geometric(0.06, num_paths).astype(float)
+    is_cut = cuts < ends
+    reward = 2.0 * (x == is_b) + 0.1 * ends + 0.5 * rng.normal(size=num_paths)
+    stages = {
+        "path": np.arange(num_paths),
+        "stage": np.ones(num_paths, dtype=int),
+        "elapsed_s": np.where(is_cut, np.nan, ends),
+        "action": np.array(["A", "B"])[is_b],
+        "reward": np.where(is_cut, np.nan, reward),
+        "probability": np.full(num_paths, 0.5),
+        "x": x.astype(float),
+    }
+    paths = {
+        "path": np.arange(num_paths),
+        "end_s": np.minimum(ends, cuts),
+        "ending": np.where(is_cut, "cut", "finished"),
+    }
+    return Logs(stages, paths)
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("evaluate")
+    for name, seed in (("learned", 0), ("aside", 1)):
+        clinic(seed).write(folder / name)
+    logs = read_logs(folder / "learned")
+    learner = CensoredQLearner(1, {1: ["A", "B"]}, ["x"], reg=1e-3).fit(logs)
+    write_policy(learner, logs, folder / "policy")
+    return folder
+
+
+def told(*arguments):
+    return CliRunner().invoke(evaluate, [str(argument) for argument in arguments], catch_exceptions=False)
+
+
+def test_says_the_verdict_first_then_the_numbers(folders):
+    lines = told(folders / "policy", "--logs", folders / "aside").output.splitlines()
+    assert lines[0].startswith("Better: it earns ")
+    assert [line.split("  ")[0] for line in lines[3:8]] == [
+        "doubly robust",
+        "importance sampling",
+        "fitted Q",
+        "logging policy",
+        "difference",
+    ]
+    assert len(lines) == 8
+
+
+def test_json_carries_what_the_library_says(folders):
+    report = json.loads(told(folders / "policy", "--logs", folders / "aside", "--json", "--seed", 3).output)
+    stored, logs = read_policy(folders / "policy"), read_logs(folders / "aside")
+    answer = evaluated(stored.policy, logs, model_of(stored, logs), random_state=3)
+    assert report["doubly_robust"] == answer.as_dict()["doubly_robust"]
+    assert (report["verdict"], report["augmented"], report["censoring"]) == ("better", True, "kaplan-meier")
+    assert not report["is_learned_from_these_logs"]
+
+
+def test_options_reach_the_model(folders):
+    options = "--simple", "--censoring-by", "stage", "--propensity", "estimated", "--level", "0.9", "--json"
+    report = json.loads(told(folders / "policy", "--logs", folders / "aside", *options).output)
+    assert (report["augmented"], report["censoring_by"], report["propensity"]) == (False, "stage", "estimated")
+    assert report["level"] == 0.9
+
+
+def test_the_logs_that_it_was_learned_from_are_told_apart(folders):
+    assert "note: it was learned from these very logs" in told(folders / "policy", "--logs", folders / "learned").output
+
+
+def test_help_has_an_example():
+    assert "halfseen evaluate policy --logs logs" in told("--help").output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["policy"], "give either --logs"),
+        (["policy", "--logs", "aside", "--world"], "give either --logs"),
+        (["policy", "cloud.ply", "--logs", "aside"], "clouds are tables to play with --world"),
+        (["policy", "--world"], "takes named actions"),
+        (["nowhere", "--logs", "aside"], "nowhere"),
+        (["policy", "--logs", "nowhere"], "nowhere"),
+        (["policy", "--logs", "aside", "--level", "2"], "--level"),
+    ],
+)
+def test_bad_input_is_told_in_one_line_with_status_two(folders, arguments, message, monkeypatch, capsys):
+    monkeypatch.chdir(folders)
+    monkeypatch.setattr(sys, "argv", ["halfseen", "evaluate", *arguments])
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
+    assert stop.value.code == 2
+    streams = capsys.readouterr()
+    assert streams.out == ""
+    assert message in streams.err
+    assert len(streams.err.splitlines()) == 1

@@ -1,0 +1,60 @@
+"""Policies of tables: what they would have done in the states of a log, and what they earn in the simulated world."""
+
+import numpy as np
+import pytest
+
+from halfseen.errors import ArgumentError
+from halfseen.evaluation.simulation import evaluate_in_world
+from halfseen.evaluation.targets import target_probabilities
+from halfseen.learners import CensoredQLearner
+from halfseen.planners import GreedyPolicy
+from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, WorldConfig
+
+CONFIG = WorldConfig()
+SCENE = Scene(np.array([[0.0, 0.5], [0.0, 0.0]]))
+MODEL = CensoredQLearner.for_table(10)
+LOGGER = ExploringPolicy(GreedyPolicy(CONFIG, uses_history=True, counts_penalty=True), 0.4)
+
+
+@pytest.fixture(scope="module")
+def laid_out():
+    logs = TableWorld().simulate(SCENE, LOGGER, episodes=40, seed=0, cut_share=0.3)
+    model = MODEL
+    model.grasp_ = None
+    return logs, model.lay_out(logs)
+
+
+def test_the_logging_policy_would_have_done_it_as_likely_as_it_was_logged(laid_out):
+    logs, paths = laid_out
+    chances = target_probabilities(LOGGER, logs, paths, MODEL)
+    np.testing.assert_allclose(chances.sum(axis=2)[paths.is_begun], 1.0, rtol=1e-6)
+    taken = np.take_along_axis(chances, paths.action[..., None], axis=2)[..., 0]
+    np.testing.assert_allclose(taken[paths.is_begun], paths.probability[paths.is_begun], rtol=1e-5)
+
+
+def test_a_policy_without_chance_takes_one_possible_action(laid_out):
+    logs, paths = laid_out
+    chances = target_probabilities(LOGGER.base, logs, paths, MODEL)
+    assert set(np.unique(chances)) == {0.0, 1.0}
+    np.testing.assert_array_equal(chances.sum(axis=2), paths.is_begun)
+    assert not (chances[~paths.is_possible] > 0).any()
+
+
+def test_the_uniform_policy_shares_among_what_is_possible(laid_out):
+    logs, paths = laid_out
+    chances = target_probabilities(UniformPolicy(), logs, paths, MODEL)[paths.is_begun]
+    possible = paths.is_possible[paths.is_begun]
+    np.testing.assert_allclose(chances, possible / possible.sum(axis=1, keepdims=True), rtol=1e-6)
+
+
+def test_the_world_pays_what_its_episodes_hold():
+    told = evaluate_in_world(UniformPolicy(), [SCENE], CONFIG, episodes=2500, seed=1)
+    logs = TableWorld().simulate(SCENE, UniformPolicy(), episodes=2500, seed=7)
+    mean = logs.stages.groupby("path")["reward"].sum().mean()
+    assert abs(told.value.value - mean) < 4.0 * told.value.standard_error
+    assert told.value.low < told.value.value < told.value.high
+
+
+def test_a_policy_of_no_table_is_refused():
+    with pytest.raises(ArgumentError, match="decides nothing about tables"):
+        evaluate_in_world("no policy", [SCENE], CONFIG, episodes=10)
