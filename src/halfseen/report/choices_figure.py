@@ -30,7 +30,7 @@ def draw_choices(choices: list[dict[str, Any]]) -> Figure:
     figure = Figure(figsize=(WIDTH_INCHES, height))
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     figure.subplots_adjust(
-        left=0.085, right=0.985, top=1 - 0.58 / height, bottom=0.5 / height, hspace=0.32, wspace=0.12
+        left=0.105, right=0.985, top=1 - 0.58 / height, bottom=0.5 / height, hspace=0.32, wspace=0.12
     )
     stage = np.array([row["stage"] for row in choices])
     for axes, name in zip(panels.flat, names, strict=False):

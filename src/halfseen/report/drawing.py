@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import matplotlib
+import numpy as np
 from markupsafe import Markup, escape
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -79,5 +80,5 @@ def inline_svg(figure_of: Callable[[], Figure], prefix: str, title: str) -> Mark
 def _lighten(figure: Figure) -> None:
     for axes in figure.axes:
         for line in axes.lines:
-            if line.get_marker() not in ("None", "", None) and len(line.get_xdata(orig=True)) > MOST_MARKERS:
+            if line.get_marker() not in ("None", "", None) and np.size(line.get_xdata()) > MOST_MARKERS:
                 line.set_rasterized(True)

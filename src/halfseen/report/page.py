@@ -154,7 +154,7 @@ def _policy_words(findings: Findings) -> list[tuple[str, str]]:
     learner, schema, weights = record["learner"], record["schema"], record["diagnostics"]["weights"]
     is_flat = record["kind"] == "flat"
     regs = sorted(value for row in record["reg"]["values"] for value in row)
-    reg = words.amount(regs[0]) if regs[0] == regs[-1] else f"{words.amount(regs[0])} to {words.amount(regs[-1])}"
+    reg = f"{regs[0]:.3g}" if regs[0] == regs[-1] else f"{regs[0]:.3g} to {regs[-1]:.3g}"
     looks_at = words.listed(schema["covariates"]) or "nothing but the stage"
     censoring = str(learner["censoring"])
     return [
@@ -177,6 +177,6 @@ def _policy_words(findings: Findings) -> list[tuple[str, str]]:
 
 def _worth(weights: Any) -> str:
     return (
-        f"{words.counted(weights['num_seen'], 'stage')}, worth {words.amount(weights['effective_sample_size'])} equally "
-        f"weighted ones; the largest weight is {words.amount(weights['largest_weight'])}"
+        f"{words.counted(weights['num_seen'], 'stage')}, worth {words.amount(weights['effective_sample_size'])} "
+        f"equally weighted ones; the largest weight is {words.amount(weights['largest_weight'])}"
     )

@@ -29,6 +29,7 @@ CLOCK_WORDS = {
     "pooled": "one for all stages",
 }
 CLEAR_CHANGE = 0.02
+FEWEST_WATCHED = 10
 
 
 def answer(evaluation: Evaluation) -> str:
@@ -48,14 +49,15 @@ def watched_title(watched: Watched, log: Mapping[str, Any]) -> str:
     """What the figure of how long paths were watched shows."""
     if not log["num_cut"]:
         return "No path was cut: each was watched to its own end"
-    middle_s, last_s = float(watched.risk_time_s[len(watched.risk_time_s) // 2]), float(watched.time_s[-1])
-    left = float(watched.survival[np.searchsorted(watched.time_s, middle_s, side="right") - 1])
+    told = np.flatnonzero(watched.num_watched >= FEWEST_WATCHED)[-1:]
+    at_s, last_s = float(watched.risk_time_s[told].sum()), float(watched.time_s[-1])
+    left = float(watched.survival[np.searchsorted(watched.time_s, at_s, side="right") - 1])
     cause, main = log["cuts"][0]["cause"], log["cuts"][0]["share"]
-    who = f"all cuts are by {cause}" if main == 1 else f"most cuts, {percent(main)}, are by {cause}"
+    who = f"the cause of all cuts is {cause}" if main == 1 else f"the cause of most cuts, {percent(main)}, is {cause}"
     who = who if main > 0.5 else f"the most frequent cause of cuts is {cause}, {percent(main)} of them"
     return (
-        f"After {amount(middle_s)} s a path that goes on has not been cut with probability {left:.2f}, and at the end, "
-        f"{amount(last_s)} s, with {float(watched.survival[-1]):.2f}; {who}"
+        f"A path that goes on is still uncut after {at_s:g} s with probability {left:.2f}, and after "
+        f"{last_s:.3g} s, where the last one ended, with {float(watched.survival[-1]):.2f}; {who}"
     )
 
 
@@ -72,15 +74,16 @@ def choices_title(choices: list[dict[str, Any]]) -> str:
     }
     more = [name for name in sorted(change, key=lambda name: -change[name]) if change[name] > CLEAR_CHANGE]
     less = [name for name in sorted(change, key=lambda name: change[name]) if change[name] < -CLEAR_CHANGE]
-    parts = [f"it takes {listed(names[:3])} {word} often" for names, word in ((more, "more"), (less, "less")) if names]
-    told = f"; {listed(parts)}" if parts else ", each action as often as before"
+    parts = [f"{listed(names[:3])} {word} often" for names, word in ((more, "more"), (less, "less")) if names]
+    told = f"; it takes {listed(parts)}" if parts else ", and it takes each action about as often"
     return f"In {percent(same)} of the states the policy would do what was done{told}"
 
 
 def curves_title(curves: list[QCurve]) -> str:
     """What the curves show, and how sure they are."""
     names = listed(list(dict.fromkeys(curve.covariate for curve in curves)))
-    return f"What an action is worth as {names} {'change' if ' and ' in names else 'changes'}: the policy takes the highest line"
+    verb = "change" if " and " in names else "changes"
+    return f"What an action is worth as {names} {verb}: the policy takes the highest line"
 
 
 def notes(findings: Findings) -> list[str]:
@@ -110,13 +113,13 @@ def unknowable(findings: Findings) -> list[tuple[str, str]]:
         _about_untried(findings),
         (
             "The cell stays as it is.",
-            "All numbers are of the cell, the parts and the people that the logs are of. Another camera, other parts or "
-            "another shift are another cell.",
+            "All numbers are of the cell, the parts and the people that the logs are of. Another camera, other parts "
+            "or another shift are another cell.",
         ),
         (
             "Intervals tell of chance alone.",
-            "95 of 100 such intervals hold the truth where all of the above is so. They do not widen where it is not, and "
-            "that of fitted Q does not even know whether its model is right.",
+            "95 of 100 such intervals hold the truth where all of the above is so. They do not widen where it is "
+            "not, and that of fitted Q does not even know whether its model is right.",
         ),
     ]
 
@@ -145,10 +148,11 @@ def _about_cuts(findings: Findings) -> list[tuple[str, str]]:
         ),
     ]
     if model["truncate_at"] is not None:
+        bound = amount(model["truncate_at"])
         told.append(
             (
                 "Weights were bounded.",
-                f"No weight counts for more than {amount(model['truncate_at'])}: steadier, and off by what the heavy ones would have added.",
+                f"No weight counts for more than {bound}: steadier, and off by what the heavy ones would have added.",
             )
         )
     return told
@@ -158,13 +162,13 @@ def _about_propensity(findings: Findings) -> tuple[str, str]:
     if findings.model["propensity"] == "logged":
         return (
             "The logged probabilities are right.",
-            "Each is taken to be the chance with which the logged action was drawn there. A person who overrode the robot "
-            "now and then makes them wrong.",
+            "Each is taken to be the chance with which the logged action was drawn there. A person who overrode the "
+            "robot now and then makes them wrong.",
         )
     return (
         "What the policy looks at is what the logging policy looked at.",
-        "The chances of the logged actions were estimated from that alone. If somebody chose by something else that also "
-        "sways the reward, the numbers are off.",
+        "The chances of the logged actions were estimated from that alone. If somebody chose by something else that "
+        "also sways the reward, the numbers are off.",
     )
 
 
@@ -172,6 +176,6 @@ def _about_untried(findings: Findings) -> tuple[str, str]:
     worth = findings.evaluation.doubly_robust.effective_sample_size
     return (
         "What was never tried stays unknown.",
-        f"{counted(findings.log['num_paths'], 'path')} are worth {amount(worth)} that follow the learned policy. Where it "
-        "does what nobody did, its value rests on a model that goes beyond the data.",
+        f"{counted(findings.log['num_paths'], 'path')} are worth {amount(worth)} that follow the learned policy. Where "
+        "it does what nobody did, its value rests on a model that goes beyond the data.",
     )

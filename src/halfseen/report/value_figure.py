@@ -3,6 +3,7 @@
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from halfseen.evaluation import Estimate, Evaluation
 from halfseen.report.drawing import ALARM, FAINT, INK, OURS, SOFT, THEIRS, WIDTH_INCHES
@@ -71,3 +72,4 @@ def _forest(axes: Axes, rows: dict[str, tuple[Estimate, str, bool]], limits: tup
     axes.spines["left"].set_visible(False)
     axes.set_ylim(len(rows) - 0.4, -0.6)
     axes.set_xlim(*limits)
+    axes.xaxis.set_major_locator(MaxNLocator(5))

@@ -49,4 +49,4 @@ def _write_numbers(axes: Any, watched: Watched) -> None:
 
     for time_s, count in zip(watched.risk_time_s, watched.num_watched, strict=True):
         below(float(time_s), f"{count:,}", "data", ha="center", color=OURS, fontsize=9)
-    below(-0.02, "still watched", "axes fraction", ha="right", color=OURS, fontsize=9)
+    below(-0.05, "still watched", "axes fraction", ha="right", color=OURS, fontsize=9)
