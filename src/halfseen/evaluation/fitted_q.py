@@ -1,9 +1,9 @@
 """Fitted Q evaluation under censoring [Le2019]_: eq. 3 with the policy's own action in place of the best one.
 
-One compiled call fits Q to many weightings of the same log: to all paths, and to all but each fold in turn. So no path
-is judged by a Q that it shaped (*cross-fitting*), and how much the value changes from fold to fold tells its standard
-error (the delete-a-group jackknife [Kott2001]_). Ĝ, and the distribution of durations behind imputed targets, are those
-of the whole log: they have few parameters.
+One compiled function fits Q to many weightings of the same log: to all paths, and to all but each fold in turn. So no
+path is judged by a Q that it shaped (*cross-fitting*), and how much the value changes from fold to fold tells its
+standard error (the delete-a-group jackknife [Kott2001]_). Ĝ, and the distribution of durations behind imputed targets,
+are those of the whole log: they have few parameters.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from halfseen.learners.q_learning.encoding import Encoding
-from halfseen.learners.q_learning.least_squares import Rows, cross_of, design_of, factorise, gram_of, solve
+from halfseen.learners.q_learning.least_squares import Rows, cross_of, design_of, factorise, gram_of, solve, waiting_for
 from halfseen.learners.q_learning.q_learner import CensoredQLearner
 from halfseen.learners.q_learning.recursion import Transitions, backward, q_values
 
@@ -65,9 +65,12 @@ class Fitting:
             How often each path counts.
         """
         with jax.enable_x64(True):
-            arrays = jax.tree.map(jnp.asarray, (log, reward, self.blocks, self.regs, multiplicity))
-            judged = _judge(*arrays, options=self.options)
-            return Judged(*(np.asarray(leaf) for leaf in judged))
+            arrays = jax.tree.map(jnp.asarray, (log, reward, self.blocks, self.regs))
+            # One after the other, each to its end: many small eigenproblems in flight have been seen to block for ever.
+            each = [
+                jax.block_until_ready(_judge(*arrays, jnp.asarray(one), options=self.options)) for one in multiplicity
+            ]
+            return Judged(*(np.stack([np.asarray(leaf) for leaf in leaves]) for leaves in zip(*each, strict=True)))
 
 
 def fitting_of(model: CensoredQLearner, num_paths: int, num_actions: int) -> Fitting:
@@ -89,28 +92,24 @@ def _judge(
     reward: Float[Array, "n T"],
     blocks: Int[Array, " A"],
     regs: Float[Array, " L"],
-    multiplicity: Float[Array, "B n"],
+    counts: Float[Array, " n"],
     *,
     options: tuple[tuple[str, Any], ...],
 ) -> Judged:
     settings = dict(options)
 
-    def one(counts: Float[Array, " n"]) -> Judged:
-        weighted = _counted(log, counts)
-        by_stage = _by_stage(weighted, blocks, regs, settings)
-        q = _q_of_stages(by_stage, log, blocks)
-        value = _mean_over_actions(log, q)
-        taken = jnp.take_along_axis(q, log.action[..., None], axis=2)[..., 0]
-        after = _successor(value)
-        target = _goes_on_with(log, reward, after)
-        if log.imputation is not None:
-            regress = _regressions_pooled if settings["stages"] == "pooled" else _regressions_by_stage
-            fits = regress(weighted, by_stage, after, blocks, regs, settings)
-            target = _imputed(log, fits, target, blocks)
-        return Judged(value, taken, target)
-
-    # One after the other: batched, the small eigenproblems of many fits have been seen to wait for each other for ever.
-    return jax.lax.map(one, multiplicity)
+    weighted = _counted(log, counts)
+    by_stage = _by_stage(weighted, blocks, regs, settings)
+    q = _q_of_stages(by_stage, log, blocks)
+    value = _mean_over_actions(log, q)
+    taken = jnp.take_along_axis(q, log.action[..., None], axis=2)[..., 0]
+    after = _successor(value)
+    target = _goes_on_with(log, reward, after)
+    if log.imputation is not None:
+        regress = _regressions_pooled if settings["stages"] == "pooled" else _regressions_by_stage
+        fits = regress(weighted, by_stage, after, blocks, regs, settings)
+        target = _imputed(log, fits, target, blocks)
+    return Judged(value, taken, target)
 
 
 def _counted(log: Transitions, counts: Float[Array, " n"]) -> Transitions:
@@ -188,7 +187,7 @@ def _regressions_pooled(
         fold=jnp.repeat(jnp.asarray(log.fold), horizon),
     )
     design = design_of(rows, settings["num_blocks"], settings["num_folds"])
-    factor = factorise(gram_of(design), settings["is_scaled"])
+    factor = factorise(waiting_for(by_stage, gram_of(design)), settings["is_scaled"])
 
     def of_stage(t: Int[Array, ""]) -> Float[Array, "K M"]:
         # With no step to go, what is left to come is what the forced end costs: Q_1 of the action that ends a path.
