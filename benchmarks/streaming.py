@@ -114,7 +114,9 @@ def main():
     print(f"{told['num_stages']:,} stages of {told['num_paths']:,} paths, {megabytes:.0f} MB on disk")
     print(f"learned in {told['seconds']:.0f} s, {told['passes']} passes, {told['stages_per_s']:,.0f} stages a second")
     print(f"most memory {told['peak_gb']:.2f} GB (bar: 1 GB, {'holds' if told['is_under_1_gb'] else 'missed'})")
-    print(f"slopes of x0 in the last stage: {told['slopes_of_x0'][0]:+.4f}, {told['slopes_of_x0'][1]:+.4f} (truth -1, +1)")
+    print(
+        f"slopes of x0 in the last stage: {told['slopes_of_x0'][0]:+.4f}, {told['slopes_of_x0'][1]:+.4f} (truth -1, +1)"
+    )
     args.out.parent.mkdir(parents=True, exist_ok=True)
     args.out.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
 

@@ -10,7 +10,7 @@ from halfseen.errors import ArgumentError
 
 
 @contextmanager
-def placed(target: Path, *, overwrite: bool = False, marker: str | None = None) -> Iterator[Path]:
+def placed(target: Path, *, overwrite: bool = False, marker: str | None = None, kind: str = "logs") -> Iterator[Path]:
     """Give an empty folder to write into, and put it at `target` once all went well.
 
     Parameters
@@ -21,13 +21,15 @@ def placed(target: Path, *, overwrite: bool = False, marker: str | None = None) 
         Replace what is there, if it holds `marker`.
     marker
         A file that every folder of this kind holds.
+    kind
+        What such a folder holds, for the message.
 
     Raises
     ------
     ArgumentError
         Something is there already and is not to be replaced, or the folder cannot be written.
     """
-    refuse_taken(target, overwrite=overwrite, marker=marker)
+    refuse_taken(target, overwrite, marker, kind)
     place = target.absolute()
     tag = uuid.uuid4().hex
     fresh, old = place.with_name(f".{place.name}.{tag}.new"), place.with_name(f".{place.name}.{tag}.old")
@@ -43,8 +45,8 @@ def placed(target: Path, *, overwrite: bool = False, marker: str | None = None) 
         shutil.rmtree(fresh, ignore_errors=True)
 
 
-def refuse_taken(target: Path, *, overwrite: bool, marker: str | None) -> None:
-    """Refuse a target where something is that is not to be replaced.
+def refuse_taken(target: Path, overwrite: bool, marker: str | None, kind: str) -> None:
+    """Refuse a target where something is that is not to be replaced; to be called before long work, too.
 
     Raises
     ------
@@ -58,11 +60,11 @@ def refuse_taken(target: Path, *, overwrite: bool, marker: str | None) -> None:
         raise ArgumentError(f"{target}: cannot be written ({error.strerror}); choose another folder") from error
     if is_there and not overwrite:
         raise ArgumentError(
-            f"{target}: it is there already; choose another folder, or pass overwrite=True to replace it"
+            f"{target}: it is there already; choose another folder, or pass --overwrite (overwrite=True) to replace it"
         )
     if is_there and not is_ours:
         raise ArgumentError(
-            f"{target}: it holds no logs ({marker} is missing), so it is not replaced; choose another folder"
+            f"{target}: it holds no {kind} ({marker} is missing), so it is not replaced; choose another folder"
         )
 
 

@@ -1,7 +1,7 @@
 """Every page of the guide can be followed from top to bottom.
 
-Python blocks run in one namespace a page, ``halfseen …`` lines of sh and console blocks in between, all in one empty
-folder. A text block below ``<!-- output -->`` is what the block above it prints; "..." stands for any text.
+Python blocks run in one namespace a page, ``halfseen …`` lines of sh and console blocks in between, all in one folder
+that holds nothing but the examples. A text block below ``<!-- output -->`` is what the block above it prints; "..." stands for any text.
 """
 
 import contextlib
@@ -16,7 +16,8 @@ from click.testing import CliRunner
 
 from halfseen.cli import halfseen
 
-GUIDE = Path(__file__).parent.parent.parent / "docs" / "guide"
+ROOT = Path(__file__).parents[2]
+GUIDE, EXAMPLES = ROOT / "docs" / "guide", ROOT / "examples"
 BLOCK = re.compile(r"^(<!-- output -->\n)?```([^\n]*)\n(.*?)^```$", flags=re.DOTALL | re.MULTILINE)
 ALIKE = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
@@ -59,6 +60,7 @@ def run_commands(code, where):
 @pytest.mark.parametrize("page", sorted(GUIDE.glob("*.md")), ids=lambda page: page.stem)
 def test_a_page_of_the_guide_can_be_followed(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "examples").symlink_to(EXAMPLES)
     follow(str(page), page.read_text(encoding="utf-8"))
 
 

@@ -66,7 +66,7 @@ def test_text_and_path_name_the_same_folder(tmp_path, logs, monkeypatch):
 
 def test_existing_folder_is_refused_and_left_alone(folder, logs):
     before = {file.name: file.read_bytes() for file in folder.iterdir()}
-    with pytest.raises(ArgumentError, match=r"it is there already; .* pass overwrite=True"):
+    with pytest.raises(ArgumentError, match=r"it is there already; .* pass --overwrite \(overwrite=True\)"):
         logs.select([1]).write(folder)
     assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
 

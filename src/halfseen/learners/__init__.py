@@ -1,7 +1,8 @@
 """From weighted logs to predictions and policies.
 
 Each folder is one learner; read them down: `svm` (targets that may be cut, paper, eqs. 1 and 2) → `grasp` (does a grasp
-succeed?) → `q_learning` (policies, eq. 3).
+succeed?) → `q_learning` (policies, eq. 3) → `policy_folder` (policies on disk) → `policy_shares`, `policy_reasons`
+(what a policy does, and why).
 """
 
 from typing import TYPE_CHECKING
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
     from halfseen.learners.grasp.attempts import attempts
     from halfseen.learners.grasp.beta_grasp import BetaGrasp
     from halfseen.learners.grasp.svm_grasp import SVMGrasp
+    from halfseen.learners.policy_folder import StoredPolicy, read_policy, write_policy
     from halfseen.learners.q_learning.bootstrap import QBootstrap, bootstrap
     from halfseen.learners.q_learning.explanation import LearnedExplainer
     from halfseen.learners.q_learning.flat_policy import FlatPolicy
@@ -33,9 +35,12 @@ __all__ = [
     "QBootstrap",
     "SVMGrasp",
     "SetKernel",
+    "StoredPolicy",
     "attempts",
     "bootstrap",
+    "read_policy",
     "survival_array",
+    "write_policy",
 ]
 
 __getattr__ = lazy_names(
@@ -51,8 +56,11 @@ __getattr__ = lazy_names(
         "QBootstrap": "q_learning.bootstrap",
         "SVMGrasp": "grasp.svm_grasp",
         "SetKernel": "svm.set_kernel",
+        "StoredPolicy": "policy_folder",
         "attempts": "grasp.attempts",
         "bootstrap": "q_learning.bootstrap",
+        "read_policy": "policy_folder",
         "survival_array": "svm.targets",
+        "write_policy": "policy_folder",
     },
 )

@@ -1,3 +1,7 @@
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -154,3 +158,23 @@ def test_a_model_of_ones_own_is_augmented_too(logs):
         2, ACTIONS, FULL, augmented=True, censoring=Cox(ridge=1.0), censoring_by="pooled", stages="pooled", reg=0.1
     ).fit(logs)
     assert np.isfinite(told.q_functions_.coefficients).all()
+
+
+FITS_OF_NEW_SHAPES = """
+from test_imputation import one_stage
+from halfseen.learners import CensoredQLearner
+logs = one_stage(0)
+for num_paths in range(60, 68):
+    few = logs.select(range(num_paths))
+    for stages in ("separate", "pooled"):
+        CensoredQLearner(1, ["A", "B"], ["x"], stages=stages, augmented=True).fit(few)
+print("done")
+"""
+
+
+@pytest.mark.slow
+def test_two_factorisations_in_a_pool_of_two_threads_do_not_wait_for_ever():
+    """A batched eigh of jaxlib 0.10 does, beside another one; one hang in two such runs was seen."""
+    code = f"import sys\nsys.path.insert(0, {str(Path(__file__).parent)!r})\n{FITS_OF_NEW_SHAPES}"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
+    assert run.stdout.strip() == "done", run.stderr

@@ -1,12 +1,11 @@
 """A folder of a policy that is there whole or not at all, and in which no byte has changed."""
 
 import hashlib
-import shutil
-import uuid
 from glob import escape
 from pathlib import Path
 
-from halfseen.errors import ArgumentError, PolicyError
+from halfseen.errors import PolicyError
+from halfseen.placing import placed, refuse_taken
 
 RECORD, ARRAYS, DIGESTS = "policy.json", "policy.safetensors", "policy.sha256"
 
@@ -19,18 +18,7 @@ def check_target(folder: Path, overwrite: bool) -> None:
     ArgumentError
         Something is there and shall not be replaced, or is no policy.
     """
-    try:
-        is_there, is_policy = folder.exists() or folder.is_symlink(), (folder / RECORD).exists()
-    except OSError as error:
-        raise ArgumentError(f"{folder}: cannot be written ({error.strerror}); choose another folder") from error
-    if is_there and not overwrite:
-        raise ArgumentError(
-            f"{folder}: it is there already; choose another folder, or pass --overwrite (overwrite=True) to replace it"
-        )
-    if is_there and not is_policy:
-        raise ArgumentError(
-            f"{folder}: it holds no policy ({RECORD} is missing), so it is not replaced; choose another folder"
-        )
+    refuse_taken(folder, overwrite, RECORD, "policy")
 
 
 def write_files(folder: Path, record: bytes, arrays: bytes, *, overwrite: bool) -> None:
@@ -41,22 +29,10 @@ def write_files(folder: Path, record: bytes, arrays: bytes, *, overwrite: bool) 
     ArgumentError
         The folder is there already, holds something other than a policy, or cannot be written.
     """
-    check_target(folder, overwrite)
-    target = folder.resolve()
-    tag = uuid.uuid4().hex
-    fresh, old = target.with_name(f".{target.name}.{tag}.new"), target.with_name(f".{target.name}.{tag}.old")
-    try:
-        fresh.mkdir(parents=True)
+    with placed(folder, overwrite=overwrite, marker=RECORD, kind="policy") as fresh:
         (fresh / ARRAYS).write_bytes(arrays)
         (fresh / RECORD).write_bytes(record)
         (fresh / DIGESTS).write_bytes(_digests(record, arrays))
-        _swap(fresh, target, old)
-    except OSError as error:
-        raise ArgumentError(
-            f"{folder}: cannot be written ({error.strerror or error}); choose another folder"
-        ) from error
-    finally:
-        shutil.rmtree(fresh, ignore_errors=True)
 
 
 def read_files(folder: Path) -> tuple[bytes, bytes]:
@@ -80,7 +56,7 @@ def read_files(folder: Path) -> tuple[bytes, bytes]:
 
 
 def _remedy(folder: Path) -> str:
-    """What to do where no folder is: between the two renames of `_swap` a kill leaves the old one aside."""
+    """What to do where no folder is: between two renames a kill leaves the old one aside."""
     aside = sorted(folder.absolute().parent.glob(f".{escape(folder.name)}.*.old"))
     if aside:
         return f"replacing it was interrupted, and what was there is {aside[-1]}: rename it back"
@@ -104,17 +80,3 @@ def _read(file: Path) -> bytes:
         ) from error
     except OSError as error:
         raise PolicyError(f"{file}: it cannot be read ({error.strerror}); copy the whole folder again") from error
-
-
-def _swap(fresh: Path, target: Path, old: Path) -> None:
-    """Put `fresh` in the place of `target`; what was there comes back if that fails."""
-    if not target.exists():
-        fresh.rename(target)
-        return
-    target.rename(old)
-    try:
-        fresh.rename(target)
-    except OSError:
-        old.rename(target)
-        raise
-    shutil.rmtree(old, ignore_errors=True)

@@ -20,12 +20,16 @@ import pandas as pd
 from jaxtyping import Bool, Float, Int
 
 from halfseen.arrays import RowMask, Rows
-from halfseen.censoring import CensoringModel, is_fitted, named_model, stage_weights, uses_covariates
+from halfseen.censoring import CensoringModel, Cox, is_fitted, named_model, stage_weights, uses_covariates
 from halfseen.errors import ArgumentError, HalfseenError, PositivityError
 from halfseen.learners.q_learning.path_arrays import PathArrays
 
 CensoringBy = Literal["path", "stage", "pooled"]
 CENSORING_BY: tuple[str, ...] = get_args(CensoringBy)
+
+
+STAGE_RIDGE = 1.0
+"""Penalty of ``"cox"`` on the clock of stages: few cuts fall into each stage and action, and none into some."""
 
 
 class FittedRows(NamedTuple):
@@ -155,6 +159,8 @@ def fit_cut_model(
         _refuse_unknown(paths, np.broadcast_to(np.arange(paths.action.shape[1]) == 0, paths.action.shape))
         rows = paths.end_s, paths.is_finished, paths.covariates[:, 0]
         return fit_path_cuts(*rows, paths.covariate_names, censoring, truncate_at)
+    if isinstance(censoring, str) and censoring == "cox":
+        censoring = Cox(ridge=STAGE_RIDGE)
     fitted = []
     for t in range(paths.action.shape[1]) if by == "stage" else [None]:
         wanted = paths.is_begun if t is None else paths.is_begun & (np.arange(paths.action.shape[1]) == t)

@@ -77,5 +77,5 @@ def fit_kernel_map(
     found = fit_nystrom(RbfKernel(width), (rows - centre) / scale, num_landmarks, rng)
     # Features that are 0 change nothing, and logs of about the same rank share one compiled fit.
     padding = -found.num_features % RANK_STEP
-    projection = np.pad(found.projection, ((0, 0), (0, padding)))
+    projection = np.ascontiguousarray(np.pad(found.projection, ((0, 0), (0, padding))))
     return KernelMap(centre, scale, found.landmarks, projection, np.asarray(width))

@@ -97,6 +97,15 @@ def factorise(gram: Float[Array, "V K F F"], is_scaled: bool = True) -> Factor:
     return Factor(gram, train_gram, scale, eigenvalues, eigenvectors)
 
 
+def waiting_for(earlier: Float[Array, "..."], gram: Float[Array, "V K F F"]) -> Float[Array, "V K F F"]:
+    """Make a Gram matrix wait for what comes of another factorisation, and change nothing.
+
+    XLA may run what is independent at once, and in jaxlib 0.10 each batched `eigh` waits for tasks in the pool of
+    threads that runs it: two of them in a pool of two wait for ever.
+    """
+    return gram + jnp.where(jnp.isnan(jnp.sum(earlier)), jnp.nan, 0.0)
+
+
 def solve(factor: Factor, cross: Float[Array, "V K F"], regs: Float[Array, " L"], num_paths: int) -> Fit:
     """Regress on the rows of a factor, given Σ w x y; with more than one λ, the best held-out one serves each block.
 

@@ -57,7 +57,8 @@ class CensoredQLearner(BaseEstimator):
         ``"none"``: neither, completed stages count alike.
     censoring_by
         ``"path"``: Ĝ on the clock of the path, given how it began; ``"stage"``: a model for each stage, on the clock of
-        the stage; ``"pooled"``: one such model for all stages (see `cut_model`).
+        the stage; ``"pooled"``: one such model for all stages (see `cut_model`). By stage or pooled, ``"cox"`` is
+        ``Cox(ridge=1)``.
     censoring_covariates
         What a model that uses covariates is given: columns of the stages, and ``"action"`` for the action; for a table
         ``"num_objects"``, ``"mean_occlusion"``, ``"action"``, ``"target_occlusion"``. By default all, the action by
@@ -107,8 +108,7 @@ class CensoredQLearner(BaseEstimator):
 
     Examples
     --------
-    >>> from halfseen.logs import Logs, LogStream
-    from halfseen.logs.columns import FINISHED
+    >>> from halfseen.logs import Logs
     >>> logs = Logs(
     ...     stages={
     ...         "path": [0, 1, 2, 3],

@@ -37,6 +37,7 @@ from halfseen.learners.q_learning.least_squares import (
     factorise,
     gram_of,
     solve,
+    waiting_for,
 )
 
 StageMode = Literal["separate", "pooled"]
@@ -155,15 +156,19 @@ class Regression(NamedTuple):
     num_paths: int
     is_scaled: bool
 
-    def prepare(self, log: Transitions, weight: Any) -> "_Prepared":
-        """Sum and factorise what no target changes; rows of `weight` 0 do not count."""
+    def prepare(self, log: Transitions, weight: Any, after: "_Prepared | None" = None) -> "_Prepared":
+        """Sum and factorise what no target changes, and not before `after`; rows of `weight` 0 do not count."""
         design, taken = self.design(log, weight), _taken(log)
-        main = _Sums(design, factorise(gram_of(design), self.is_scaled))
+        gram = gram_of(design)
+        if after is not None:
+            gram = waiting_for((after.told or after.main).factor.eigenvalues, gram)
+        main = _Sums(design, factorise(gram, self.is_scaled))
         if log.imputation is None:
             return _Prepared(main, None)
         given, used = log.imputation, taken * log.imputation.is_used
         told = self._design(log, jnp.where(weight > 0, given.is_told, 0.0), used, given.terms)
-        return _Prepared(main, _Sums(told, factorise(gram_of(told), self.is_scaled)))
+        gram = waiting_for(main.factor.eigenvalues, gram_of(told))
+        return _Prepared(main, _Sums(told, factorise(gram, self.is_scaled)))
 
     def fit(
         self, prepared: "_Prepared", log: Transitions, successor: Float[Array, "n T"], centre: Float[Array, "K F"]
@@ -263,7 +268,7 @@ def _backward_pooled(log: Transitions, regression: Regression, end_action: int |
         value = q_values(ended[:, :num_coefficients], log.features, regression.block_of_action)[..., end_action]
         centre = jnp.broadcast_to(ended[regression.block_of_action[end_action]], centre.shape)
     value, centre, first = step(everything, value, centre)
-    later = regression.prepare(log, jnp.where(goes_on(log, end_action), log.weight, 0.0))
+    later = regression.prepare(log, jnp.where(goes_on(log, end_action), log.weight, 0.0), after=everything)
 
     def advance(carry: tuple[Float[Array, "n T"], Float[Array, "K F"]], _: None):
         value, centre, fit = step(later, *carry)
