@@ -152,16 +152,14 @@ def _estimates(findings: Findings) -> list[tuple[str, Any, str]]:
 def _policy_words(findings: Findings) -> list[tuple[str, str]]:
     record = findings.record
     learner, schema, weights = record["learner"], record["schema"], record["diagnostics"]["weights"]
-    is_flat = record["kind"] == "flat"
     regs = sorted(value for row in record["reg"]["values"] for value in row)
     reg = f"{regs[0]:.3g}" if regs[0] == regs[-1] else f"{regs[0]:.3g} to {regs[-1]:.3g}"
-    looks_at = words.listed(schema["covariates"]) or "nothing but the stage"
+    looks_at = "where objects stand, who hides whom, how dirty each seems, past attempts"
+    if record["kind"] == "flat":
+        looks_at = words.listed(schema["covariates"]) or "nothing but the stage"
     censoring = str(learner["censoring"])
     return [
-        (
-            "looks at",
-            looks_at if is_flat else "where objects stand, who hides whom, how dirty each seems, past attempts",
-        ),
+        ("looks at", looks_at),
         ("chooses among", words.listed([str(name) for name in schema["actions"]])),
         ("stages of a path at most", str(schema["horizon"])),
         ("Q", f"{learner['q_function']}, {learner['stages']} stages"),

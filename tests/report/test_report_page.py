@@ -1,0 +1,276 @@
+import re
+import sys
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from markupsafe import Markup
+from small_report import ACTIONS, CAUSE, COVARIATES, estimate, evaluation, hostile_log
+
+from halfseen.cli.inspect import describe
+from halfseen.errors import ArgumentError
+from halfseen.learners import CensoredQLearner
+from halfseen.learners.policy_folder import read_policy, write_policy
+from halfseen.logs import Logs
+from halfseen.report import findings as found_in
+from halfseen.report import page as page_module
+from halfseen.report.drawing import MOST_MARKERS, inline_svg
+from halfseen.report.findings import find
+from halfseen.report.log_findings import watched
+from halfseen.report.page import MARK, page_of, write_page
+from halfseen.report.policy_findings import choices, q_curves
+from halfseen.report.value_figure import draw_values
+from halfseen.report.watched_figure import draw_watched
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "learners"))
+from small_logs import table_log
+
+SECTIONS = ("value", "log", "weights", "policy", "unknown", "again")
+EMPTY = {"meta", "br"}
+
+
+@pytest.fixture(scope="module")
+def logs():
+    return hostile_log()
+
+
+def learned(logs, folder):
+    learner = CensoredQLearner(2, ACTIONS, COVARIATES, reg=0.1, random_state=3).fit(logs)
+    write_policy(learner, logs, folder)
+    return read_policy(folder)
+
+
+@pytest.fixture(scope="module")
+def stored(logs, tmp_path_factory):
+    return learned(logs, tmp_path_factory.mktemp("report") / "policy")
+
+
+@pytest.fixture(scope="module")
+def findings(stored, logs):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(found_in, "evaluate", lambda *_, **__: evaluation())
+        return find(stored, logs, num_replicates=4, seed=1)
+
+
+@pytest.fixture
+def is_undrawn(monkeypatch):
+    monkeypatch.setattr(page_module, "inline_svg", lambda *_: Markup("<svg></svg>"))
+
+
+@pytest.fixture(scope="module")
+def page(findings):
+    return page_of(findings, "halfseen report 'a <b>' policy --seed 1")
+
+
+class Reader(HTMLParser):
+    """Balance of tags, ids, and the words that are read."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.open, self.ids, self.links, self.tags, self.words = [], [], [], [], []
+        self.feed(page)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attributes):
+        given = dict(attributes)
+        self.tags.append(tag)
+        self.ids += [given["id"]] if "id" in given else []
+        self.links += [given[name] for name in ("href", "src") if name in given]
+        if tag not in EMPTY:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attributes):
+        self.handle_starttag(tag, attributes)
+        if tag not in EMPTY:
+            self.open.pop()
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if not {"style", "svg"} & set(self.open) or "title" in self.open:
+            self.words.append(data)
+
+
+def test_every_section_and_figure_is_there_and_the_answer_comes_first(page):
+    read = Reader(page)
+    assert [name for name in read.ids if name in SECTIONS] == list(SECTIONS)
+    assert read.tags.count("svg") == 5
+    text = " ".join("".join(read.words).split())
+    first = "The learned policy is better than the logging policy: it earns <this> much."
+    assert text.index(first) < text.index("What it is worth")
+    for words in (
+        "The policy was learned from these very logs, which flatters it",
+        "The cause of all cuts is".lower(),
+        "What was recorded explains the cuts.",
+        "The logged probabilities are right.",
+        "halfseen report 'a <b>' policy --seed 1",
+        "seed 3",
+    ):
+        assert words.lower() in text.lower()
+
+
+def test_the_page_stands_alone(page):
+    read = Reader(page)
+    assert all(link.startswith("#") for link in read.links)
+    assert {link[1:] for link in read.links} <= set(read.ids)
+    assert len(set(read.ids)) == len(read.ids)
+    assert not {"script", "link", "iframe"} & set(read.tags)
+    assert "http" not in page
+    assert "@import" not in page
+    assert len(re.findall(r"url\((?!#)", page)) == 0
+
+
+def test_names_of_users_are_told_as_they_are_and_never_run(page):
+    text = "".join(Reader(page).words)
+    for name in (*ACTIONS, *COVARIATES, CAUSE):
+        assert name in text
+    for raw in ("<script", "<b>grip", "x<1>"):
+        assert raw not in page
+
+
+def test_what_is_no_number_is_a_dash(findings):
+    nothing = replace(estimate(1.0, 0.1), value=np.nan, low=-np.inf, high=np.inf)
+    page = page_of(replace(findings, evaluation=evaluation(importance_sampling=nothing)), "x")
+    words = " ".join(Reader(page).words)
+    assert "–" in words
+    assert not re.search(r"\b(nan|inf|None)\b", words, flags=re.IGNORECASE)
+    assert "NaN" not in page
+
+
+@pytest.mark.parametrize("verdict", ["better", "not better", "cannot be said"])
+@pytest.mark.usefixtures("is_undrawn")
+def test_each_verdict_has_its_sentence_and_badge(findings, verdict):
+    page = page_of(replace(findings, evaluation=evaluation(verdict)), "x")
+    assert f'<p class="verdict {verdict.split()[0]}">{verdict}</p>' in page
+    assert ("cannot be said: it earns" in page) == (verdict == "cannot be said")
+
+
+def test_the_same_findings_are_the_same_bytes(findings, page, stored, logs, monkeypatch):
+    monkeypatch.setattr(found_in, "evaluate", lambda *_, **__: evaluation())
+    again = find(stored, logs, num_replicates=4, seed=1)
+    assert page_of(again, "halfseen report 'a <b>' policy --seed 1") == page
+    other = find(stored, logs, num_replicates=4, seed=2)
+    assert np.any(other.curves[0].low[ACTIONS[0]] != again.curves[0].low[ACTIONS[0]])
+
+
+def test_the_log_is_told_as_inspect_tells_it(findings, logs):
+    told = describe(logs)
+    assert {name: findings.log[name] for name in told} == told
+
+
+def test_finishes_are_told_from_the_paths_that_finished(findings, logs):
+    ends_s = logs.end_s[logs.is_finished]
+    told = findings.log["finishes"]
+    assert (told["earliest_s"], told["median_s"], told["latest_s"]) == (min(ends_s), np.median(ends_s), max(ends_s))
+    assert (told["first_stage"], told["last_stage"]) == (2, 2)
+
+
+def test_watched_is_kaplan_meier_with_the_numbers_still_watched():
+    stages = {"path": range(4), "stage": 1, "elapsed_s": [1.0, None, 2.0, 6.0], "action": "A"}
+    paths = {"path": range(4), "end_s": [1.0, 2.0, 2.0, 6.0], "ending": ["finished", "cut", "finished", "finished"]}
+    told = watched(Logs(pd.DataFrame(stages | {"reward": [0.0, None, 0.0, 0.0]}), pd.DataFrame(paths)))
+    assert told.time_s.tolist() == [0.0, 2.0, 6.0]
+    assert told.survival.tolist() == [1.0, 0.5, 0.5]
+    assert told.risk_time_s.tolist() == [0, 1, 2, 3, 4, 5, 6]
+    assert told.num_watched.tolist() == [4, 4, 3, 1, 1, 1, 1]
+    assert {name: ends_s.tolist() for name, ends_s in told.ends_s.items()} == {
+        "finished": [1.0, 2.0, 6.0],
+        "cut: unknown": [2.0],
+    }
+
+
+@pytest.mark.usefixtures("is_undrawn")
+def test_a_log_without_cuts_says_so_and_assumes_nothing_of_them(stored, monkeypatch):
+    logs = hostile_log(cut_after_s=1e6)
+    monkeypatch.setattr(found_in, "evaluate", lambda *_, **__: evaluation())
+    told = find(stored, logs, num_replicates=2)
+    page = page_of(told, "x")
+    assert "No path was cut: each was watched to its own end." in page
+    assert "explains the cuts" not in page
+    assert "learned from other logs than these" in page
+    assert told.curves[0].low is None
+
+
+def test_choices_are_shares_of_the_same_states(stored, logs):
+    for row in choices(stored, logs):
+        states = logs.stages[logs.stages["stage"] == row["stage"]]
+        taken = stored.policy.decide(states, row["stage"])
+        assert row["num_states"] == len(states)
+        for name in ACTIONS:
+            assert row["policy"][name] == pytest.approx(np.mean(taken == name))
+            assert row["logged"][name] == pytest.approx(np.mean(states["action"] == name))
+        assert row["as_logged"] == pytest.approx(np.mean(taken == states["action"]))
+
+
+def test_curves_follow_q_with_the_rest_at_its_median_and_within_bands(findings, stored, logs):
+    curve = findings.curves[0]
+    states = logs.stages.loc[logs.stages["stage"] == 1, COVARIATES]
+    assert (curve.stage, curve.covariate) == (1, COVARIATES[0])
+    at = pd.DataFrame([states.median()] * 2).assign(**{COVARIATES[0]: curve.values[[0, -1]]})
+    q = stored.policy.q_values(at, 1)
+    for k, name in enumerate(ACTIONS):
+        assert curve.q[name][[0, -1]] == pytest.approx(q[:, k])
+        assert np.all(curve.low[name] <= curve.high[name])
+    assert np.quantile(states[COVARIATES[0]], [0.05, 0.95]) == pytest.approx(curve.values[[0, -1]])
+
+
+def test_a_policy_of_tables_is_told_by_its_verbs(tmp_path, monkeypatch):
+    logs = table_log()
+    write_policy(CensoredQLearner.for_table(3, reg=0.1).fit(logs), logs, tmp_path / "policy")
+    monkeypatch.setattr(found_in, "evaluate", lambda *_, **__: evaluation())
+    told = find(read_policy(tmp_path / "policy"), logs, num_replicates=2)
+    assert told.curves == []
+    assert set(told.choices[0]["logged"]) == {"FINISH", "WASH", "LIFT"}
+    assert sum(told.choices[0]["logged"].values()) == pytest.approx(1.0)
+    read = Reader(page_of(told, "x"))
+    assert read.tags.count("svg") == 4
+    assert "who hides whom" in "".join(read.words)
+
+
+def test_an_interval_beyond_all_others_does_not_hide_them():
+    figure = draw_values(evaluation(importance_sampling=estimate(2.0, 1e4)))
+    low, high = figure.axes[0].get_xlim()
+    assert 0.0 < high - low < 10.0
+    assert {line.get_marker() for line in figure.axes[0].lines} >= {"<", ">"}
+
+
+def test_a_long_log_becomes_a_small_drawing(logs):
+    told = watched(logs)
+    long = replace(told, ends_s={"finished": np.linspace(0.0, 5.0, 50 * MOST_MARKERS)})
+    drawn = inline_svg(lambda: draw_watched(long), "f", "t")
+    assert "data:image/png;base64" in drawn
+    assert len(drawn) < 300_000
+
+
+def test_a_page_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
+    file = tmp_path / "new" / "report.html"
+    write_page(f"{MARK} first", file)
+    with pytest.raises(ArgumentError, match="it is there already"):
+        write_page(f"{MARK} second", file)
+    write_page(f"{MARK} second", file, overwrite=True)
+    assert file.read_text() == f"{MARK} second"
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left on device")))
+        with pytest.raises(ArgumentError, match="No space left on device"):
+            write_page(f"{MARK} third", file, overwrite=True)
+    assert file.read_text() == f"{MARK} second"
+    assert [path.name for path in file.parent.iterdir()] == ["report.html"]
+
+
+def test_only_a_page_of_its_own_is_replaced(tmp_path):
+    file = tmp_path / "thesis.html"
+    file.write_text("<h1>years of work</h1>")
+    for target in (file, tmp_path):
+        with pytest.raises(ArgumentError, match="no page of halfseen report"):
+            write_page("page", target, overwrite=True)
+    assert file.read_text() == "<h1>years of work</h1>"
+
+
+def test_a_policy_from_other_logs_has_no_bands(stored):
+    curves = q_curves(stored, hostile_log(seed=9), 2, 0)
+    assert {curve.low for curve in curves} == {None}
