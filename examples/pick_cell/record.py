@@ -1,4 +1,6 @@
-"""Record the example logs of the cell: 400 parts, one by one, through a `LogRecorder`.
+"""Record the example logs of the cell, one part after the other, through a `LogRecorder`.
+
+``logs`` holds 400 parts to learn from, ``later_logs`` 800 that came later, to evaluate on.
 
 python examples/pick_cell/record.py
 """
@@ -11,18 +13,20 @@ from cell_paths import record
 
 from halfseen.logs import read_logs
 
-NUM_PATHS = 400
-SEED = 7
-LOGS = Path(__file__).parent / "logs"
+NUM_PATHS = {"logs": 400, "later_logs": 800}
+SEEDS = {"logs": 7, "later_logs": 8}
+HERE = Path(__file__).parent
+LOGS = HERE / "logs"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Record, read again, and tell what was recorded."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=LOGS, help="folder of the logs; what it holds is replaced")
+    parser.add_argument("--out", type=Path, default=HERE, help="where the folders of logs go; they are replaced")
     options = parser.parse_args(arguments)
-    record(options.out, NUM_PATHS, SEED)
-    print(f"{read_logs(options.out).summary()}\nLogs: {options.out}")
+    for name, num_paths in NUM_PATHS.items():
+        record(options.out / name, num_paths, SEEDS[name])
+        print(f"{options.out / name}: {read_logs(options.out / name).summary()}")
 
 
 if __name__ == "__main__":

@@ -85,15 +85,17 @@ def test_cuts_come_with_clutter_at_the_hazard_that_is_told():
 
 
 def test_the_shipped_logs_are_those_that_record_writes(tmp_path, capsys):
-    record.main(["--out", str(tmp_path / "logs")])
-    again, shipped = read_logs(tmp_path / "logs"), read_logs(record.LOGS)
-    pd.testing.assert_frame_equal(again.stages, shipped.stages, rtol=1e-9)
-    pd.testing.assert_frame_equal(again.paths, shipped.paths, rtol=1e-9)
-    assert str(shipped.summary()) in capsys.readouterr().out
-    assert sum(path.stat().st_size for path in record.LOGS.iterdir()) < 100_000
-    assert (shipped.num_paths, shipped.horizon) == (record.NUM_PATHS, HORIZON)
-    assert shipped.cut_share == pytest.approx(0.35, abs=0.07)
-    assert shipped.stages["probability"].between(0.05, 1.0).all()
+    record.main(["--out", str(tmp_path)])
+    told = capsys.readouterr().out
+    for name, num_paths in record.NUM_PATHS.items():
+        again, shipped = read_logs(tmp_path / name), read_logs(record.HERE / name)
+        pd.testing.assert_frame_equal(again.stages, shipped.stages, rtol=1e-9)
+        pd.testing.assert_frame_equal(again.paths, shipped.paths, rtol=1e-9)
+        assert str(shipped.summary()) in told
+        assert sum(path.stat().st_size for path in (record.HERE / name).iterdir()) < 100_000
+        assert (shipped.num_paths, shipped.horizon) == (num_paths, HORIZON)
+        assert shipped.cut_share == pytest.approx(0.35, abs=0.07)
+        assert shipped.stages["probability"].between(0.05, 1.0).all()
 
 
 def test_paths_recorded_one_by_one_are_like_those_simulated_at_once(tmp_path):

@@ -1,5 +1,6 @@
 """How a policy in a folder is to be evaluated: with the Q and the model of the cuts that it was learned with."""
 
+from collections.abc import Hashable
 from typing import Any
 
 from halfseen.censoring import CENSORING_NAMES
@@ -35,6 +36,12 @@ def model_of(stored: StoredPolicy, logs: Logs, **chosen: Any) -> CensoredQLearne
     if not isinstance(policy, FlatPolicy):
         parameters["reduces_variance"] = bool(learned.get("reduces_variance", True))
         return CensoredQLearner.for_table(stored.horizon, grasp=policy.grasp, **parameters)
-    names = [[name for name, is_it in zip(policy.actions, row, strict=True) if is_it] for row in policy.is_possible]
-    actions = dict(enumerate(names, start=1))
+    actions = {stage: _actions_of(policy, logs, stage) for stage in range(1, stored.horizon + 1)}
     return CensoredQLearner(stored.horizon, actions, policy.covariates, **parameters)
+
+
+def _actions_of(policy: FlatPolicy, logs: Logs, stage: int) -> list[Hashable]:
+    """Actions that the policy may take in a stage, and those that were taken there and it never would."""
+    own = [name for name, is_it in zip(policy.actions, policy.is_possible[stage - 1], strict=True) if is_it]
+    logged = logs.stages.loc[logs.stages["stage"] == stage, "action"].dropna().unique().tolist()
+    return list(dict.fromkeys([*own, *sorted(logged, key=str)]))

@@ -50,5 +50,5 @@ def _more_paths(difference: Estimate) -> str:
     reach = (difference.high - difference.low) / 2.0
     times = (reach / abs(difference.value)) ** 2 if difference.value else np.inf
     if times > 100.0:
-        return "the two are too close to be told apart by any number of paths worth recording"
+        return "this log does not tell the two apart, nor would one many times as large if that is all"
     return f"if it is {difference.value:.3g}, some {np.ceil(times * 10) / 10:.1f} times as many paths would tell"
