@@ -6,9 +6,9 @@ import pandas as pd
 from halfseen.evaluation import Estimate, Evaluation
 from halfseen.logs import Logs
 
-ACTIONS = ["<b>grip</b>", "$push$"]
+ACTIONS = ["<b>grip</b>", "$push$ 抓取"]
 COVARIATES = ["x<1>", "y_$2$"]
-CAUSE = '<script>alert("cut")</script>'
+CAUSE = '<script>alert("cut")</script> $\\frac{$'
 
 
 def hostile_log(num_paths=40, seed=0, cut_after_s=6.0):
@@ -24,7 +24,7 @@ def hostile_log(num_paths=40, seed=0, cut_after_s=6.0):
             reward = (x if action == ACTIONS[0] else -x) + 0.1 * rng.normal()
             stages.append(
                 {
-                    "path": f"path <{path}>",
+                    "path": f"path <{path}> $^$",
                     "stage": stage,
                     "elapsed_s": clock if is_seen else None,
                     "action": action,
@@ -38,7 +38,7 @@ def hostile_log(num_paths=40, seed=0, cut_after_s=6.0):
                 break
         cause = None if is_seen else CAUSE
         ending = "finished" if is_seen else "cut"
-        paths.append({"path": f"path <{path}>", "end_s": min(clock, cut_s), "ending": ending, "cause": cause})
+        paths.append({"path": f"path <{path}> $^$", "end_s": min(clock, cut_s), "ending": ending, "cause": cause})
     return Logs(pd.DataFrame(stages), pd.DataFrame(paths))
 
 

@@ -148,6 +148,7 @@ def test_each_verdict_has_its_sentence_and_badge(findings, verdict):
     page = page_of(replace(findings, evaluation=evaluation(verdict)), "x")
     assert f'<p class="verdict {verdict.split()[0]}">{verdict}</p>' in page
     assert ("cannot be said: it earns" in page) == (verdict == "cannot be said")
+    assert ("as far as these logs tell" in page) == (verdict == "cannot be said")
 
 
 def test_the_same_findings_are_the_same_bytes(findings, page, stored, logs, monkeypatch):

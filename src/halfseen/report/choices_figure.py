@@ -40,7 +40,7 @@ def draw_choices(choices: list[dict[str, Any]]) -> Figure:
         ):
             share = np.array([np.nan if row[who][name] is None else row[who][name] for row in choices], dtype=float)
             axes.plot(stage, share, f"{marker}-", color=colour, ms=5, lw=1.4, label=label, clip_on=False, zorder=3)
-        axes.set_title(name, loc="left", fontsize=9.5, fontweight="bold", parse_math=False)
+        axes.set_title(name, loc="left", fontsize=9.5, fontweight="bold")
         axes.grid(axis="y", color=FAINT, lw=0.7)
         axes.set_ylim(0.0, 1.0)
         axes.yaxis.set_major_formatter(PercentFormatter(1.0))

@@ -32,9 +32,7 @@ def draw_curves(curves: list[QCurve]) -> Figure:
     for row, stage in zip(panels, stages, strict=True):
         row[0].set_ylabel(f"stage {stage}: Q [reward]")
     for axes, name in zip(panels[-1], names, strict=True):
-        axes.set_xlabel(name, parse_math=False)
+        axes.set_xlabel(name)
     handles = [panels[0, 0].plot([], [], color=colour[action], label=action)[0] for action in actions]
-    legend = figure.legend(handles, actions, loc="upper left", ncols=len(actions), frameon=False, fontsize=9.5)
-    for text in legend.get_texts():
-        text.set_parse_math(False)
+    figure.legend(handles, actions, loc="upper left", ncols=len(actions), frameon=False, fontsize=9.5)
     return figure

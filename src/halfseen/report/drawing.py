@@ -2,6 +2,7 @@
 
 import io
 import re
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -22,7 +23,10 @@ MOST_MARKERS = 3000
 
 STYLE: Any = {
     "svg.hashsalt": "halfseen",
-    "font.family": "DejaVu Sans",
+    # Words stay words: they can be searched and read aloud, and a browser has letters that DejaVu lacks.
+    "svg.fonttype": "none",
+    "text.parse_math": False,
+    "font.family": ["DejaVu Sans", "sans-serif"],
     "font.size": 9.5,
     "text.color": INK,
     "axes.labelcolor": INK,
@@ -57,7 +61,8 @@ def inline_svg(figure_of: Callable[[], Figure], prefix: str, title: str) -> Mark
         What it shows, for those who do not see it.
     """
     buffer = io.BytesIO()
-    with style():
+    with style(), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
         figure = figure_of()
         FigureCanvasAgg(figure)
         _lighten(figure)

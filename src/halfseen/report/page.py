@@ -87,6 +87,7 @@ def write_page(page: str, file: Path, *, overwrite: bool = False) -> None:
 def _content(findings: Findings, command: str) -> dict[str, Any]:
     """Everything that the template names."""
     evaluation = findings.evaluation
+    answer, remedy = sentences.answer(evaluation)
     titles = {
         "values": sentences.values_title(evaluation),
         "watched": sentences.watched_title(findings.watched, findings.log),
@@ -105,7 +106,8 @@ def _content(findings: Findings, command: str) -> dict[str, Any]:
     titles["positivity"] = verdict
     return {
         "mark": MARK,
-        "answer": sentences.answer(evaluation),
+        "answer": answer,
+        "remedy": remedy,
         "evaluation": evaluation,
         "estimates": _estimates(findings),
         "notes": sentences.notes(findings),

@@ -9,7 +9,7 @@ from halfseen.evaluation import Evaluation
 from halfseen.report.findings import Findings
 from halfseen.report.log_findings import Watched
 from halfseen.report.policy_findings import QCurve
-from halfseen.report.words import amount, as_sentence, counted, listed, percent
+from halfseen.report.words import amount, as_sentence, counted, listed, percent, with_interval
 
 VERDICTS = {
     "better": "The learned policy is better than the logging policy",
@@ -32,14 +32,20 @@ CLEAR_CHANGE = 0.02
 FEWEST_WATCHED = 10
 
 
-def answer(evaluation: Evaluation) -> str:
-    """The verdict and why."""
-    return f"{VERDICTS[evaluation.verdict]}: {evaluation.reason}."
+def answer(evaluation: Evaluation) -> tuple[str, str]:
+    """The verdict and why; and what to do about it, if there is something."""
+    why, _, remedy = evaluation.reason.partition("; ")
+    return f"{VERDICTS[evaluation.verdict]}: {why}.", as_sentence(remedy) if remedy else ""
 
 
 def values_title(evaluation: Evaluation) -> str:
     """What the figure of values shows."""
     own, ours = evaluation.logging.value, evaluation.doubly_robust.value
+    if evaluation.verdict == "cannot be said":
+        _, within = with_interval(ours, evaluation.doubly_robust.low, evaluation.doubly_robust.high)
+        return (
+            f"A path earns {within} with the learned policy, as far as these logs tell, and {amount(own)} with theirs"
+        )
     agree = all(one.low <= ours <= one.high for one in (evaluation.importance_sampling, evaluation.fitted_q))
     others = "the two other estimates agree" if agree else "the other estimates do not all agree, so read it with care"
     return f"A path earns {amount(ours)} with the learned policy and {amount(own)} with the logging policy; {others}"
@@ -56,8 +62,8 @@ def watched_title(watched: Watched, log: Mapping[str, Any]) -> str:
     who = f"the cause of all cuts is {cause}" if main == 1 else f"the cause of most cuts, {percent(main)}, is {cause}"
     who = who if main > 0.5 else f"the most frequent cause of cuts is {cause}, {percent(main)} of them"
     return (
-        f"A path that goes on is still uncut after {at_s:g} s with probability {left:.2f}, and after "
-        f"{last_s:.3g} s, where the last one ended, with {float(watched.survival[-1]):.2f}; {who}"
+        f"A path that goes on is still uncut after {at_s:g}\u00a0s with probability {left:.2f}, and after "
+        f"{last_s:.3g}\u00a0s, where the last one ended, with {float(watched.survival[-1]):.2f}; {who}"
     )
 
 

@@ -13,9 +13,9 @@ def draw_watched(watched: Watched) -> Figure:
     """Draw Ĝ, below it the ends of paths, and below these the numbers still watched."""
     num_rows = len(watched.ends_s)
     heights = [2.5, 0.24 * num_rows + 0.1]
-    figure = Figure(figsize=(WIDTH_INCHES, sum(heights) + 1.05))
+    figure = Figure(figsize=(WIDTH_INCHES, sum(heights) + 0.9))
     curve, ends = figure.subplots(2, 1, sharex=True, height_ratios=heights)
-    figure.subplots_adjust(left=0.235, right=0.97, top=0.97, bottom=0.88 / (sum(heights) + 1.05), hspace=0.08)
+    figure.subplots_adjust(left=0.235, right=0.97, top=0.97, bottom=0.73 / (sum(heights) + 0.9), hspace=0.08)
     curve.step(watched.time_s, watched.survival, where="post", color=OURS)
     curve.set_ylim(0.0, 1.04)
     curve.set_ylabel("Ĝ: probability that a path\nhas not been cut so far")

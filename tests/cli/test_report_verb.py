@@ -1,0 +1,94 @@
+import json
+import sys
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from halfseen import cli
+from halfseen.cli.report import report
+from halfseen.errors import ArgumentError, HalfseenError, LogError, PolicyError
+from halfseen.learners import CensoredQLearner
+from halfseen.learners.policy_folder import write_policy
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "learners"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "report"))
+from small_logs import flat_log, table_log
+from small_report import ACTIONS, COVARIATES, hostile_log
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("report-verb")
+    logs = hostile_log(num_paths=24)
+    logs.write(folder / "logs")
+    flat_log().write(folder / "other")
+    table_log().write(folder / "tables")
+    learner = CensoredQLearner(2, ACTIONS, COVARIATES, reg=0.1).fit(logs)
+    write_policy(learner, logs, folder / "policy")
+    return folder
+
+
+def run(*arguments):
+    return CliRunner().invoke(report, [str(argument) for argument in arguments], catch_exceptions=False)
+
+
+def test_says_the_answer_and_where_the_page_is_and_the_same_again(folder, tmp_path):
+    arguments = [folder / "logs", folder / "policy", "--replicates", 4, "--seed", 2]
+    first = run(*arguments, "--out", tmp_path / "a.html")
+    answer, place = first.stdout.splitlines()
+    assert answer.split(":")[0] in ("Better", "Not better", "Cannot be said")
+    assert place == f"The page: {tmp_path / 'a.html'}"
+    assert first.stderr == ""
+    second = run(*arguments, "--out", tmp_path / "b.html", "--json")
+    assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()
+    page = (tmp_path / "a.html").read_text()
+    assert f"halfseen report {folder / 'logs'} {folder / 'policy'} --replicates 4 --seed 2" in page
+
+    def refuse(name):
+        raise AssertionError(f"{name} is no number of JSON")
+
+    numbers = json.loads(second.stdout, parse_constant=refuse)
+    assert numbers["value"]["sentence"] == answer
+    assert set(numbers["value"]["difference"]) >= {"value", "low", "high", "effective_sample_size"}
+    assert numbers["log"]["num_paths"] == 24
+    assert numbers["policy"]["is_learned_from_these_logs"] is True
+    assert len(numbers["policy"]["curves"]) == 4
+    assert numbers["log"]["watched"]["num_watched"][0] == 24
+    assert numbers["seed"] == 2
+
+
+def test_bad_input_is_one_line_and_nothing_is_written(folder, tmp_path):
+    out, there = tmp_path / "out.html", tmp_path / "there.html"
+    there.write_text("mine")
+    cases = [
+        ((tmp_path / "none", folder / "policy", "--out", out), LogError, "there is no such folder"),
+        ((folder / "logs", tmp_path / "none", "--out", out), PolicyError, "there is no such folder"),
+        ((folder / "logs", folder / "logs", "--out", out), PolicyError, "it is missing"),
+        ((folder / "other", folder / "policy", "--out", out), LogError, "is missing"),
+        ((folder / "tables", folder / "policy", "--out", out), HalfseenError, "horizon is 2"),
+        ((folder / "logs", folder / "policy", "--out", out, "--truncate-at", 0.5), ArgumentError, "truncate_at is 0.5"),
+        ((folder / "logs", folder / "policy", "--out", there), ArgumentError, "it is there already"),
+        ((folder / "logs", folder / "policy", "--out", there, "--overwrite"), ArgumentError, "it is no page"),
+    ]
+    for arguments, kind, message in cases:
+        result = CliRunner().invoke(report, [str(argument) for argument in arguments])
+        assert isinstance(result.exception, kind), (arguments, result.output)
+        assert message in str(result.exception)
+        assert "\n" not in str(result.exception)
+        assert result.output == ""
+    assert there.read_text() == "mine"
+    assert [path.name for path in tmp_path.iterdir()] == ["there.html"]
+
+
+def test_status_is_two_and_the_line_is_on_stderr(monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["halfseen", "report", "nowhere", "nothing"])
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
+    told = capsys.readouterr()
+    assert (stop.value.code, told.out, len(told.err.splitlines())) == (2, "", 1)
+
+
+def test_help_has_an_example():
+    assert "halfseen report logs policy" in CliRunner().invoke(report, ["--help"]).output
