@@ -6,7 +6,7 @@ from matplotlib.ticker import MaxNLocator
 from halfseen.report.drawing import COLOURS, WIDTH_INCHES
 from halfseen.report.policy_findings import QCurve
 
-MOST_ACTIONS = len(COLOURS)
+MOST_ACTIONS, LEGEND_COLUMNS = len(COLOURS), 5
 
 
 def draw_curves(curves: list[QCurve]) -> Figure:
@@ -15,10 +15,13 @@ def draw_curves(curves: list[QCurve]) -> Figure:
     names = list(dict.fromkeys(curve.covariate for curve in curves))
     actions = list(dict.fromkeys(name for curve in curves for name in curve.q))[:MOST_ACTIONS]
     colour = dict(zip(actions, COLOURS, strict=False))
-    height = 2.1 * len(stages) + 0.85
+    legend = 0.24 * -(-len(actions) // LEGEND_COLUMNS)
+    height = 2.1 * len(stages) + 0.61 + legend
     figure = Figure(figsize=(WIDTH_INCHES, height))
     panels = figure.subplots(len(stages), len(names), sharex="col", sharey="row", squeeze=False)
-    figure.subplots_adjust(left=0.1, right=0.985, top=1 - 0.42 / height, bottom=0.52 / height, hspace=0.18, wspace=0.1)
+    figure.subplots_adjust(
+        left=0.1, right=0.985, top=1 - (legend + 0.18) / height, bottom=0.52 / height, hspace=0.18, wspace=0.1
+    )
     for curve in curves:
         axes = panels[stages.index(curve.stage), names.index(curve.covariate)]
         for action, q in curve.q.items():
@@ -34,5 +37,5 @@ def draw_curves(curves: list[QCurve]) -> Figure:
     for axes, name in zip(panels[-1], names, strict=True):
         axes.set_xlabel(name)
     handles = [panels[0, 0].plot([], [], color=colour[action], label=action)[0] for action in actions]
-    figure.legend(handles, actions, loc="upper left", ncols=len(actions), frameon=False, fontsize=9.5)
+    figure.legend(handles, actions, loc="upper left", ncols=LEGEND_COLUMNS, frameon=False, fontsize=9.5)
     return figure

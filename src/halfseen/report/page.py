@@ -10,8 +10,8 @@ import jinja2
 
 from halfseen.errors import ArgumentError
 from halfseen.report import sentences, words
-from halfseen.report.choices_figure import draw_choices
-from halfseen.report.curves_figure import draw_curves
+from halfseen.report.choices_figure import draw_choices, drawn_actions
+from halfseen.report.curves_figure import MOST_ACTIONS, draw_curves
 from halfseen.report.drawing import inline_svg
 from halfseen.report.findings import Findings
 from halfseen.report.value_figure import draw_values
@@ -119,6 +119,8 @@ def _content(findings: Findings, command: str) -> dict[str, Any]:
         "positivity_words": rest,
         "cut_model": sentences.cut_model(findings),
         "choices": findings.choices,
+        "drawn_actions": len(drawn_actions(findings.choices)),
+        "curves_left_out": _left_out(findings),
         "actions": list(findings.choices[0]["policy"]),
         "curves": findings.curves,
         "policy_words": _policy_words(findings),
@@ -134,6 +136,22 @@ def _positivity_figure(findings: Findings) -> Any:
     # The page says it in words of its own size.
     figure.suptitle("")
     return figure
+
+
+def _left_out(findings: Findings) -> str:
+    """Say what of Q is not drawn."""
+    schema, curves = findings.record["schema"], findings.curves
+    drawn = {
+        "stages": (len({curve.stage for curve in curves}), schema["horizon"], "the first"),
+        "covariates": (
+            len({curve.covariate for curve in curves}),
+            len(schema.get("covariates", ())),
+            "those that sway the choice most",
+        ),
+        "actions": (min(MOST_ACTIONS, len(schema["actions"])), len(schema["actions"]), "the first"),
+    }
+    told = [f"{shown} of {all_} {what}, {which}" for what, (shown, all_, which) in drawn.items() if shown < all_]
+    return "".join(f"; {part}" for part in told)
 
 
 def _estimates(findings: Findings) -> list[tuple[str, Any, str]]:

@@ -44,7 +44,8 @@ def values_title(evaluation: Evaluation) -> str:
     if evaluation.verdict == "cannot be said":
         _, within = with_interval(ours, evaluation.doubly_robust.low, evaluation.doubly_robust.high)
         return (
-            f"A path earns {within} with the learned policy, as far as these logs tell, and {amount(own)} with theirs"
+            f"A path earns {within} with the learned policy, as far as these logs tell, and {amount(own)} with the "
+            "logging policy"
         )
     agree = all(one.low <= ours <= one.high for one in (evaluation.importance_sampling, evaluation.fitted_q))
     others = "the two other estimates agree" if agree else "the other estimates do not all agree, so read it with care"

@@ -41,20 +41,20 @@ def with_interval(value: float, low: float, high: float) -> tuple[str, str]:
 
 
 def percent(share: float | None) -> str:
-    """Write a share in per cent; a dash where there is none.
+    """Write a share in per cent, in one piece; a dash where there is none.
 
     Examples
     --------
-    >>> percent(0.254), percent(0.004), percent(None)
-    ('25 %', '< 1 %', '–')
+    >>> percent(0.254).split(), percent(None)
+    (['25', '%'], '–')
     """
     if share is None or not math.isfinite(share):
         return MISSING
     if 0 < share < 0.01:
-        return "< 1 %"
+        return "<\u00a01\u00a0%"
     if 0.99 < share < 1:
-        return "> 99 %"
-    return f"{share:.0%}".replace("%", " %")
+        return ">\u00a099\u00a0%"
+    return f"{share:.0%}".replace("%", "\u00a0%")
 
 
 def listed(parts: Sequence[str], word: str = "and") -> str:
