@@ -12,7 +12,9 @@ import halfseen
 
 DOCS = Path(__file__).parent.parent.parent / "docs"
 # What is run, not imported, has no public names.
-PACKAGES = sorted({module.name for module in pkgutil.iter_modules(halfseen.__path__) if module.ispkg} - {"cli", "report"})
+PACKAGES = sorted(
+    {module.name for module in pkgutil.iter_modules(halfseen.__path__) if module.ispkg} - {"cli", "report"}
+)
 
 
 @pytest.fixture(scope="module")

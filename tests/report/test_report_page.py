@@ -10,7 +10,6 @@ import pytest
 from markupsafe import Markup
 from small_report import ACTIONS, CAUSE, COVARIATES, estimate, evaluation, hostile_log
 
-from halfseen.cli.inspect import describe
 from halfseen.errors import ArgumentError
 from halfseen.learners import CensoredQLearner
 from halfseen.learners.policy_folder import read_policy, write_policy
@@ -157,11 +156,6 @@ def test_the_same_findings_are_the_same_bytes(findings, page, stored, logs, monk
     assert page_of(again, "halfseen report 'a <b>' policy --seed 1") == page
     other = find(stored, logs, num_replicates=4, seed=2)
     assert np.any(other.curves[0].low[ACTIONS[0]] != again.curves[0].low[ACTIONS[0]])
-
-
-def test_the_log_is_told_as_inspect_tells_it(findings, logs):
-    told = describe(logs)
-    assert {name: findings.log[name] for name in told} == told
 
 
 def test_finishes_are_told_from_the_paths_that_finished(findings, logs):

@@ -2,14 +2,10 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
-
-if TYPE_CHECKING:
-    from halfseen.logs import Logs
 
 MOST_ROWS = 20
 
@@ -28,53 +24,11 @@ def inspect(logs: Path, as_json: bool, seed: int) -> None:
     once each stands for those that were cut.
     """
     from halfseen.logs import read_logs
+    from halfseen.report.log_findings import log_findings, positivity_of
 
-    report = describe(read_logs(logs))
+    read = read_logs(logs)
+    report = log_findings(read, positivity_of(read))
     click.echo(json.dumps(report, indent=2) if as_json else "\n".join(lines(report)))
-
-
-def describe(logs: "Logs") -> dict[str, Any]:
-    """Collect what there is to say, ready for JSON; times in seconds."""
-    from halfseen.censoring import positivity_report, stage_weights, weight_diagnostics
-    from halfseen.logs.breakdown import by_action, by_cause, by_stage
-    from halfseen.logs.suspicions import suspicions
-
-    summary = logs.summary()
-    positivity = positivity_report(logs.end_s, logs.is_finished, path_ids=logs.path_ids)
-    weights = stage_weights(logs.elapsed_s(), logs.end_s, logs.is_finished, path_ids=logs.path_ids)
-    stages = [weight_diagnostics(column) for column in weights.T]
-    return {
-        "sentence": str(summary),
-        **asdict(summary),
-        "covariates": logs.stage_covariates,
-        "object_covariates": [] if logs.objects is None else [*logs.objects.columns.drop(["path", "stage", "object"])],
-        "path_columns": logs.path_columns,
-        "suspicions": [asdict(suspicion) for suspicion in suspicions(logs)],
-        "cuts": by_cause(logs),
-        "choices": by_action(logs),
-        "clock": by_stage(logs),
-        "nothing_seen_beyond_s": summary.longest_s,
-        "positivity": {
-            "text": str(positivity),
-            "is_sound": positivity.is_sound,
-            "effective_sample_size": positivity.overall.effective_sample_size,
-            "mean_weight": positivity.mean_weight,
-            "identified_until_s": positivity.identified_until_s,
-            "heaviest": [
-                {"path": str(heavy.path), "time_s": heavy.time_s, "weight": heavy.weight}
-                for heavy in positivity.heaviest
-            ],
-        },
-        "weights": [
-            {
-                "stage": stage,
-                "num_completed": worth.num_seen,
-                "effective_sample_size": worth.effective_sample_size,
-                "largest_weight": worth.largest_weight,
-            }
-            for stage, worth in enumerate(stages, start=1)
-        ],
-    }
 
 
 def lines(report: dict[str, Any]) -> list[str]:
