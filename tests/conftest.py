@@ -1,9 +1,14 @@
-"""Tests of one file run in one process, and so do all that ask for the one small study."""
+"""Tests of one file run in one process, and so do all that ask for the one small study, which takes longest: first."""
 
 import pytest
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
+    items.sort(key=lambda item: not _asks_for_study(item))
     for item in items:
-        asks_for_study = "study_folder" in getattr(item, "fixturenames", ())
-        item.add_marker(pytest.mark.xdist_group("the small study" if asks_for_study else str(item.path)))
+        item.add_marker(pytest.mark.xdist_group("the small study" if _asks_for_study(item) else str(item.path)))
+
+
+def _asks_for_study(item):
+    return "study_folder" in getattr(item, "fixturenames", ())

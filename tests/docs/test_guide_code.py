@@ -1,7 +1,8 @@
 """Every page of the guide can be followed from top to bottom.
 
 Python blocks run in one namespace a page, ``halfseen …`` lines of sh and console blocks in between, all in one folder
-that holds nothing but the examples. A text block below ``<!-- output -->`` is what the block above it prints; "..." stands for any text.
+that holds nothing but the examples. A text block below ``<!-- output -->`` is what the block above it prints; "..."
+stands for any text.
 """
 
 import contextlib
@@ -57,7 +58,14 @@ def run_commands(code, where):
     return printed
 
 
-@pytest.mark.parametrize("page", sorted(GUIDE.glob("*.md")), ids=lambda page: page.stem)
+SLOW = {"planners", "times-that-were-cut"}
+PAGES = [
+    pytest.param(page, id=page.stem, marks=[pytest.mark.slow] if page.stem in SLOW else [])
+    for page in sorted(GUIDE.glob("*.md"))
+]
+
+
+@pytest.mark.parametrize("page", PAGES)
 def test_a_page_of_the_guide_can_be_followed(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "examples").symlink_to(EXAMPLES)

@@ -99,6 +99,7 @@ def test_survival_within_a_stage_falls_from_one_to_what_its_weight_says(known, b
     np.testing.assert_allclose(within[seen][:, -1], begun[seen] / weights[seen])
 
 
+@pytest.mark.slow
 def test_cuts_at_a_table_may_depend_on_the_attempt():
     scene = Scene(np.array([[0.0, 0.6], [0.0, 0.0]]))
     logs = TableWorld().simulate(scene, UniformPolicy(), episodes=150, seed=0, cut_share=0.5, cut_kind="attempt")

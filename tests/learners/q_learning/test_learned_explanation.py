@@ -50,6 +50,7 @@ def test_what_was_learned_is_what_is_explained(learner, explainer, state):
     assert told.chance_best.sum() == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_the_more_paths_the_less_doubt(explainer, state):
     many = logs_of(480)
     surer = LearnedExplainer.of(CensoredQLearner.for_table(HORIZON).fit(many), many, num_replicates=20).explain(state)

@@ -45,6 +45,7 @@ def test_passes_learn_what_memory_does(trial, tmp_path, options):
     assert parts.diagnostics_ == whole.diagnostics_
 
 
+@pytest.mark.slow
 def test_tables_too(tables, tmp_path):
     """Their features are in single precision, the sums are not."""
     whole = CensoredQLearner.for_table(10, reduces_variance=False, reg=0.1).fit(tables)

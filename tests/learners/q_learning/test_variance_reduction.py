@@ -68,6 +68,7 @@ def test_without_a_wash_nothing_changes(cuts, encoded):
     assert np.array_equal(expected_rewards(seen.reward, seen.weight, seen.is_last, wash_outcomes(lifted)), seen.reward)
 
 
+@pytest.mark.slow
 def test_q_varies_less_between_logs():
     layouts = pad_scenes([SCENE])
     states = jax.tree.map(lambda leaf: leaf[:, 0], play(CONFIG, layouts, LOGGER, jax.random.key(1), 50).states)
