@@ -20,8 +20,8 @@ from halfseen.logs import Logs
 def learner(**parameters: Any) -> CensoredQLearner:
     """Make a learner of this cell; all that is not said stays at its default.
 
-    Nothing in the cell depends on the stage, so stages are pooled: few paths have a third one. On five other logs pooled
-    stages with a linear Q earned more than separate ones, and more than a kernel.
+    Nothing in the cell depends on the stage, so stages are pooled: few paths have a third one. On five other logs
+    pooled stages with a linear Q earned more than separate ones, and more than a kernel.
     """
     return CensoredQLearner(HORIZON, ACTIONS, COVARIATES, stages="pooled", **parameters)
 

@@ -199,7 +199,7 @@ def _augmented(
     at_risk_s = np.where(paths.is_completed, ended_s, ended_s + 2.0 * SMALLEST_AGE_S)
     within = cut_model.survival(paths, np.minimum(ages, at_risk_s[..., None]), rows)[rows]
     share = np.where(is_completed, cut_model.weights(paths)[rows] / cut_model.begun_weights(paths)[rows], 0.0)
-    # Where K̂ falls to 0 with the last cut itself, the nearest that can be divided by is just before it; ages are rounded.
+    # Where K̂ falls to 0 with the last cut itself, the nearest that can be divided by is just before; ages are rounded.
     before_cut = cut_model.survival(paths, np.maximum(ended_s - SMALLEST_AGE_S, 0.0), rows)[rows]
     most = np.where(is_completed, share, 1.0 / np.maximum(before_cut, SMALLEST_CHANCE))
     least = np.where(within > 0, within, 1.0 / most[:, None])
