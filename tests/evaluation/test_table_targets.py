@@ -10,6 +10,8 @@ from halfseen.learners import CensoredQLearner
 from halfseen.planners import GreedyPolicy
 from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, WorldConfig
 
+pytestmark = pytest.mark.slow
+
 CONFIG = WorldConfig()
 SCENE = Scene(np.array([[0.0, 0.5], [0.0, 0.0]]))
 MODEL = CensoredQLearner.for_table(10)

@@ -22,6 +22,8 @@ from halfseen.world.episodes import evaluate, play
 from halfseen.world.scene import Scene
 from halfseen.world.state import pad_scenes
 
+pytestmark = pytest.mark.slow
+
 BUDGETS = (("1 ms", 16, 2),)
 
 

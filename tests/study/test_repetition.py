@@ -14,6 +14,8 @@ from halfseen.world.episodes import evaluate, play
 from halfseen.world.recording import to_logs
 from halfseen.world.state import pad_scenes
 
+pytestmark = pytest.mark.slow
+
 NUM_PATHS = 40
 
 

@@ -149,6 +149,7 @@ def test_fitted_estimators_tables_and_models_of_ones_own_are_taken_as_they_are(l
     assert np.abs(plain.q_functions_.coefficients - fits[0].q_functions_.coefficients).max() > 1e-3
 
 
+@pytest.mark.slow
 def test_an_svm_serves_as_well(logs):
     learner = CensoredQLearner.for_table(grasp=SVMGrasp()).fit(logs)
     spread = np.asarray(learner.grasp_.chances)

@@ -80,6 +80,7 @@ def features_gram(rows):
     return np.exp(-((scaled[:, None] - scaled[None]) ** 2).sum(axis=-1) / 2.0)
 
 
+@pytest.mark.slow
 def test_a_table_has_a_kernel_q_too():
     scene = Scene(np.array([[0.0, 0.5], [0.0, 0.0]]))
     logs = TableWorld().simulate(scene, UniformPolicy(), episodes=60, seed=0, cut_share=0.3)

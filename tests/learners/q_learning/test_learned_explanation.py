@@ -12,6 +12,8 @@ from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, Wo
 from halfseen.world.dynamics import start
 from halfseen.world.state import pad_scenes
 
+pytestmark = pytest.mark.slow
+
 HORIZON = 4
 CONFIG = WorldConfig(horizon=HORIZON)
 SCENE = Scene(np.array([[0.0, 0.6, 0.0], [0.1, 0.0, 0.0], [0.0, 0.0, 0.0]]))

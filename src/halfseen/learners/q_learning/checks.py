@@ -1,16 +1,13 @@
-"""Which values the parameters of `CensoredQLearner` can take."""
+"""Which values the parameters of a learner can take: one with those of `CensoredQLearner`."""
 
 from numbers import Real
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from halfseen.censoring import CENSORING_NAMES
 from halfseen.errors import ArgumentError
 from halfseen.learners.q_learning.cut_model import CENSORING_BY
-
-if TYPE_CHECKING:
-    from halfseen.learners.q_learning.q_learner import CensoredQLearner
 
 NONE, BUCKLEY_JAMES = "none", "buckley-james"
 CENSORING_CHOICES = (*CENSORING_NAMES, NONE, BUCKLEY_JAMES)
@@ -19,7 +16,7 @@ CENSORING_CHOICES = (*CENSORING_NAMES, NONE, BUCKLEY_JAMES)
 Q_FUNCTIONS = ("linear", "kernel")
 
 
-def check_parameters(learner: "CensoredQLearner", is_table: bool) -> None:
+def check_parameters(learner: Any, is_table: bool) -> None:
     """Refuse a parameter with a value that it cannot take.
 
     Raises
@@ -46,7 +43,7 @@ def check_parameters(learner: "CensoredQLearner", is_table: bool) -> None:
     _check_imputation(learner, is_table)
 
 
-def check_streamable(learner: "CensoredQLearner") -> None:
+def check_streamable(learner: Any) -> None:
     """Refuse what needs the whole log at once.
 
     Raises
@@ -68,14 +65,14 @@ def check_streamable(learner: "CensoredQLearner") -> None:
             )
 
 
-def _check_table_only(learner: "CensoredQLearner", is_table: bool) -> None:
+def _check_table_only(learner: Any, is_table: bool) -> None:
     if learner.grasp is not None and not is_table:
         raise ArgumentError("grasp is given, but actions are named ones; only a table's objects are grasped")
     if learner.reduces_variance and not is_table:
         raise ArgumentError("reduces_variance is True, but actions are named ones; only a table's noise is known")
 
 
-def _check_imputation(learner: "CensoredQLearner", is_table: bool) -> None:
+def _check_imputation(learner: Any, is_table: bool) -> None:
     if learner.augmented and isinstance(learner.censoring, str) and learner.censoring in (NONE, BUCKLEY_JAMES):
         raise ArgumentError(f"augmented weights need a model of the cuts, but censoring is {learner.censoring!r}")
     if learner.outcome_covariates is None:
