@@ -205,7 +205,7 @@ def _lines(report: Mapping[str, Any]) -> list[str]:
         "",
         *_action_lines(report["actions"]),
         "",
-        f"Next: halfseen evaluate {report['policy']} --logs {report['logs']}",
+        f"Next: halfseen evaluate {report['policy']} --logs OTHER_LOGS; the ones learned from would flatter it",
     ]
 
 
