@@ -20,9 +20,9 @@ from scipy.optimize import minimize
 from scipy.special import gammaln
 
 from halfseen.learners import CensoredQLearner
-from halfseen.learners.q_learning.explanation import LearnedExplainer
 from halfseen.planners import GreedyPolicy, solve_table
 from halfseen.planners.explanation import DEGREES_OF_FREEDOM, PlannerError, expected_q, explain, futures_of, own_error
+from halfseen.tables.learned_explanation import LearnedExplainer
 from halfseen.world import ExploringPolicy, Scene, TableWorld, WorldConfig
 from halfseen.world.episodes import play
 from halfseen.world.state import pad_scenes

@@ -14,13 +14,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from halfseen.learners.q_learning.linear_policy import LinearTablePolicy
-from halfseen.learners.q_learning.table_features import NUM_FEATURES
 from halfseen.study.design import StudyDesign
 from halfseen.study.policies import heuristics, planners
 from halfseen.study.timing import decision_times_ms
+from halfseen.tables.features import NUM_FEATURES
+from halfseen.tables.table_policy import LinearTablePolicy
 from halfseen.world import Scene, TableState, UniformPolicy
-from halfseen.world.actions import Verb
+from halfseen.world.action_space import Verb
 from halfseen.world.episodes import play
 from halfseen.world.state import pad_scenes
 

@@ -11,9 +11,9 @@ from halfseen import cli
 from halfseen.cli.act import act
 from halfseen.errors import ArgumentError, CloudError, HalfseenError, LogError, PolicyError
 from halfseen.learners import CensoredQLearner
-from halfseen.learners.policy_folder import write_policy
 from halfseen.logs import Logs
 from halfseen.perception import Cloud, perceive, read_cloud, write_pcd
+from halfseen.policies.folder import write_policy
 from halfseen.scene import table_paths
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "learners"))

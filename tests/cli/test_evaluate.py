@@ -12,8 +12,8 @@ from halfseen.cli.evaluate import evaluate
 from halfseen.evaluation import evaluate as evaluated
 from halfseen.evaluation.stored_model import model_of
 from halfseen.learners import CensoredQLearner
-from halfseen.learners.policy_folder import read_policy, write_policy
 from halfseen.logs import Logs, read_logs
+from halfseen.policies.folder import read_policy, write_policy
 
 
 def clinic(seed, num_paths=300):

@@ -12,8 +12,8 @@ from halfseen import cli
 from halfseen.cli.learn import learn
 from halfseen.errors import ArgumentError, HalfseenError, LogError, PositivityError
 from halfseen.learners import CensoredQLearner
-from halfseen.learners.policy_folder import read_policy
 from halfseen.logs import Logs
+from halfseen.policies.folder import read_policy
 from halfseen.world.recording import states_of
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "learners"))

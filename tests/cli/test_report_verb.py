@@ -9,7 +9,7 @@ from halfseen import cli
 from halfseen.cli.report import report
 from halfseen.errors import ArgumentError, HalfseenError, LogError, PolicyError
 from halfseen.learners import CensoredQLearner
-from halfseen.learners.policy_folder import write_policy
+from halfseen.policies.folder import write_policy
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "learners"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "report"))

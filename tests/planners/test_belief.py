@@ -3,7 +3,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from naive_planner import CONFIG, Cup, attempt_s, chance, over_grips
-from tables import state_of
 
 from halfseen.planners.belief import (
     belief_of,
@@ -16,6 +15,7 @@ from halfseen.planners.belief import (
     prior_grip,
     sample_successor,
 )
+from tables import state_of
 
 GRID = np.linspace(-6.0, 6.0, 1201)
 NORMAL = np.exp(-(GRID**2) / 2)

@@ -5,7 +5,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from naive_planner import CONFIG, Cup
-from tables import state_of
 
 from halfseen.errors import ArgumentError
 from halfseen.planners import GreedyPolicy, solve_table
@@ -17,6 +16,7 @@ from halfseen.planners.rollout import sampled_values
 from halfseen.world import ExploringPolicy, Scene, WorldConfig
 from halfseen.world.episodes import evaluate, play
 from halfseen.world.state import pad_scenes
+from tables import state_of
 
 HIDES = np.array([[0.0, 0.6, 0.3], [0.1, 0.0, 0.2], [0.4, 0.05, 0.0]])
 CUPS = [Cup(0.85, ((0.6, False), (0.6, True))), Cup(0.4, ((0.1, False),)), Cup(0.7)]

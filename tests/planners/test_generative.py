@@ -7,13 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from naive_planner import CONFIG, Cup
-from tables import state_of
 
 from halfseen.errors import ArgumentError
 from halfseen.planners import GenerativeProblem, TableProblem, updated_particles
 from halfseen.planners.belief import belief_of, grasp_chance
 from halfseen.planners.one_step import one_step_q
 from halfseen.world.state import occlusion
+from tables import state_of
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "examples"))
 from tiger import LISTEN, OPEN_LEFT, TigerProblem

@@ -6,12 +6,12 @@ import naive_planner
 import numpy as np
 import pytest
 from naive_planner import CONFIG, Cup
-from tables import state_of
 
 from halfseen.errors import ArgumentError
 from halfseen.planners import GreedyPolicy
 from halfseen.planners.heuristics import TrueGrasp
-from halfseen.world.actions import FINISH
+from halfseen.world.action_space import FINISH
+from tables import state_of
 
 OPEN = np.zeros((2, 2))
 SIMPLE = GreedyPolicy(CONFIG)

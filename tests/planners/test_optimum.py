@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from naive_optimum import BruteForce, hermite
 from naive_planner import CONFIG, Cup
-from tables import state_of
 
 from halfseen.errors import ArgumentError
 from halfseen.planners import GreedyPolicy, POMDPPolicy, information_relaxation_bound, optimum_bound, solve_table
@@ -19,6 +18,7 @@ from halfseen.world import Scene, UniformPolicy, WorldConfig
 from halfseen.world.episodes import evaluate, play
 from halfseen.world.policy import surely
 from halfseen.world.state import pad_scenes
+from tables import state_of
 
 TWO = np.array([[0.0, 0.6], [0.1, 0.0]])
 ALIKE = np.array([[0.0, 0.3], [0.3, 0.0]])

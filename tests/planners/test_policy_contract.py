@@ -5,11 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from halfseen.learners.q_learning.linear_policy import LinearTablePolicy
-from halfseen.learners.q_learning.table_features import NUM_FEATURES
 from halfseen.planners import GreedyPolicy, POMDPPolicy
+from halfseen.tables.features import NUM_FEATURES
+from halfseen.tables.table_policy import LinearTablePolicy
 from halfseen.world import Scene, UniformPolicy, WorldConfig
-from halfseen.world.actions import Verb, possible_actions
+from halfseen.world.action_space import Verb, possible_actions
 from halfseen.world.episodes import play
 from halfseen.world.policy import ExploringPolicy, Policy
 from halfseen.world.state import pad_scenes

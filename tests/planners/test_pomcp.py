@@ -7,12 +7,12 @@ import naive_planner
 import numpy as np
 import pytest
 from naive_planner import CONFIG, Cup
-from tables import state_of
 
 from halfseen.errors import ArgumentError
 from halfseen.planners import TableProblem, plan, solve_discrete
 from halfseen.planners.belief import belief_of
 from halfseen.planners.one_step import one_step_q
+from tables import state_of
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "examples"))
 from tiger import TigerProblem

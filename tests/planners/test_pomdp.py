@@ -6,16 +6,16 @@ import naive_planner
 import numpy as np
 import pytest
 from naive_planner import CONFIG, Cup
-from tables import state_of
 
 from halfseen.errors import ArgumentError
 from halfseen.planners import GreedyPolicy, POMDPPolicy
 from halfseen.planners.belief import Belief, belief_of
 from halfseen.planners.one_step import leaf_value, one_step_q
 from halfseen.world import Scene
-from halfseen.world.actions import FINISH, possible_actions
+from halfseen.world.action_space import FINISH, possible_actions
 from halfseen.world.episodes import evaluate
 from halfseen.world.state import pad_scenes
+from tables import state_of
 
 HIDES = np.array([[0.0, 0.6], [0.1, 0.0]])
 TWO_CUPS = {

@@ -12,8 +12,8 @@ from small_report import ACTIONS, CAUSE, COVARIATES, estimate, evaluation, hosti
 
 from halfseen.errors import ArgumentError
 from halfseen.learners import CensoredQLearner
-from halfseen.learners.policy_folder import read_policy, write_policy
 from halfseen.logs import Logs
+from halfseen.policies.folder import read_policy, write_policy
 from halfseen.report import findings as found_in
 from halfseen.report import page as page_module
 from halfseen.report.drawing import MOST_MARKERS, inline_svg

@@ -12,7 +12,7 @@ from halfseen.study.map_cells import random_tables
 from halfseen.study.map_repetition import map_cut_rates, run_map_cell, run_map_repetition
 from halfseen.study.map_table import finish_reward
 from halfseen.study.policies import HEURISTICS
-from halfseen.world.actions import FINISH
+from halfseen.world.action_space import FINISH
 from halfseen.world.episodes import evaluate
 from halfseen.world.policy import surely
 from halfseen.world.state import pad_scenes

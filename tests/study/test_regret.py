@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from halfseen.learners.q_learning.linear_policy import LinearTablePolicy
-from halfseen.learners.q_learning.table_features import NUM_FEATURES
 from halfseen.planners.optimum_decisions import _decide_each
 from halfseen.study.policies import HEURISTICS
 from halfseen.study.regret import run_regret_baselines, run_regret_repetition, small_tables
 from halfseen.study.regret_table import COLUMNS, regret_table
-from halfseen.world.actions import Verb
+from halfseen.tables.features import NUM_FEATURES
+from halfseen.tables.table_policy import LinearTablePolicy
+from halfseen.world.action_space import Verb
 from halfseen.world.episodes import evaluate
 from halfseen.world.state import pad_scenes
 

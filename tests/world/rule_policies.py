@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from halfseen.world.actions import FINISH
+from halfseen.world.action_space import FINISH
 from halfseen.world.policy import surely
 
 

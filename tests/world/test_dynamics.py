@@ -8,7 +8,7 @@ import pytest
 from naive_world import accuracy, hidden_share, mean_grasp_s, naive_step
 
 from halfseen.world import Scene, WorldConfig
-from halfseen.world.actions import Verb, encode, num_actions, possible_actions, target_of, verb_of
+from halfseen.world.action_space import Verb, encode, num_actions, possible_actions, target_of, verb_of
 from halfseen.world.dynamics import Outcome, grasp_probability, label_accuracy, see, start, step
 from halfseen.world.state import HiddenState, Layout, TableState, attempt_counts, occlusion, pad_scenes
 

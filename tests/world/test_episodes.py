@@ -6,7 +6,7 @@ from random_scenes import random_scene
 from rule_policies import InTurn, Suspicious
 
 from halfseen.world import ExploringPolicy, UniformPolicy, WorldConfig
-from halfseen.world.actions import target_of, verb_of
+from halfseen.world.action_space import target_of, verb_of
 from halfseen.world.dynamics import start, step
 from halfseen.world.episodes import evaluate, play
 from halfseen.world.state import Layout, pad_scenes

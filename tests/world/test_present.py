@@ -5,8 +5,8 @@ import pytest
 
 from halfseen.errors import LogError, PolicyError
 from halfseen.logs import Logs
+from halfseen.tables.present import first_state, present_state
 from halfseen.world import Scene, WorldConfig
-from halfseen.world.present import first_state, present_state
 from halfseen.world.state import attempt_counts, initial_state, occlusion, pad_scenes
 
 HIDES = np.array([[0.0, 0.5, 0.0], [0.0, 0.0, 0.2], [0.4, 0.0, 0.0]])

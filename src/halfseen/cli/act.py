@@ -11,10 +11,10 @@ import click
 if TYPE_CHECKING:
     import pandas as pd
 
-    from halfseen.learners import LinearTablePolicy
-    from halfseen.learners.policy_folder import StoredPolicy
+    from halfseen.policies.folder import StoredPolicy
+    from halfseen.tables import LinearTablePolicy
+    from halfseen.tables.present import Present
     from halfseen.world import TableState
-    from halfseen.world.present import Present
 
 _STATE_FILES = (".json", ".csv")
 
@@ -61,7 +61,7 @@ def act(policy: Path, cloud: Path, history: Path | None, stage: int | None, as_j
     this table before. For a policy of named actions, CLOUD is a JSON object such as {"x1": 0.3, "x2": 1, "stage": 2},
     or a CSV file with a header and one row.
     """
-    from halfseen.learners.policy_folder import read_policy
+    from halfseen.policies.folder import read_policy
 
     decide = _decide_table if (stored := read_policy(policy)).is_table else _decide_flat
     told = decide(stored, cloud, history, stage)
@@ -72,7 +72,7 @@ def act(policy: Path, cloud: Path, history: Path | None, stage: int | None, as_j
 def _decide_table(stored: "StoredPolicy", cloud: Path, history: Path | None, stage: int | None) -> Told:
     import numpy as np
 
-    from halfseen.learners.policy_reasons import table_reason
+    from halfseen.policies.reasons import table_reason
     from halfseen.world.explanation import action_names
 
     policy: Any = stored.policy
@@ -94,7 +94,7 @@ def _present(stored: "StoredPolicy", cloud: Path, history: Path | None, stage: i
     from halfseen.errors import ArgumentError, CloudError, LogError, PolicyError
     from halfseen.logs import read_logs
     from halfseen.perception import perceive, read_cloud
-    from halfseen.world.present import first_state, present_state
+    from halfseen.tables.present import first_state, present_state
 
     if cloud.suffix in _STATE_FILES:
         raise PolicyError(f"{cloud}: the policy is of tables, and this is no point cloud; give .pcd, .ply or .npz")
@@ -140,7 +140,7 @@ def _decide_flat(stored: "StoredPolicy", file: Path, history: Path | None, stage
     import numpy as np
 
     from halfseen.errors import ArgumentError, LogError, PolicyError
-    from halfseen.learners.policy_reasons import flat_reason
+    from halfseen.policies.reasons import flat_reason
 
     policy: Any = stored.policy
     if history is not None:

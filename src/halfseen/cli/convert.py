@@ -161,7 +161,7 @@ def _write(logs: "Logs", target: str) -> None:
 @contextmanager
 def _clouds_folder(clouds: Path | None) -> Iterator[Path | None]:
     """Where clouds are written; the folder appears only once the logs are written too."""
-    from halfseen.placing import placed
+    from halfseen.writing import placed
 
     with nullcontext() if clouds is None else placed(clouds) as fresh:
         yield fresh

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
-    from halfseen.learners.policy_folder import StoredPolicy
+    from halfseen.policies.folder import StoredPolicy
 
 CENSORING = ("kaplan-meier", "cox", "kernel")
 
@@ -70,7 +70,7 @@ def evaluate(
     of CLOUDS, by default the ten that come with halfseen.
     """
     from halfseen.errors import ArgumentError
-    from halfseen.learners.policy_folder import read_policy
+    from halfseen.policies.folder import read_policy
 
     if in_world == (logs is not None):
         raise ArgumentError("give either --logs with a folder of logs, or --world to play in the simulated world")
@@ -98,8 +98,8 @@ def _by_logs(
     from halfseen.errors import HalfseenWarning
     from halfseen.evaluation import evaluate as evaluated
     from halfseen.evaluation.stored_model import model_of
-    from halfseen.learners.policy_folder import log_digest
     from halfseen.logs import read_logs
+    from halfseen.policies.folder import log_digest
 
     depends_on = None if censoring_covariates is None else [name.strip() for name in censoring_covariates.split(",")]
     with _progress(2, "read") as progress, warnings.catch_warnings(record=True) as told:

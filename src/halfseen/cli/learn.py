@@ -72,9 +72,9 @@ def learn(logs: Path, out: Path, overwrite: bool, as_json: bool, **options: Any)
     from tqdm import tqdm
 
     from halfseen.errors import HalfseenWarning
-    from halfseen.learners.policy_folder import check_target, read_policy, write_policy
-    from halfseen.learners.policy_shares import action_shares
     from halfseen.logs import read_logs
+    from halfseen.policies.folder import check_target, read_policy, write_policy
+    from halfseen.policies.shares import action_shares
 
     check_target(out, overwrite)
     with (
@@ -118,7 +118,8 @@ def planned(
 ) -> Plan:
     """Choose the learner for a log."""
     from halfseen.errors import ArgumentError
-    from halfseen.learners import BetaGrasp, CensoredQLearner
+    from halfseen.learners import CensoredQLearner
+    from halfseen.tables import BetaGrasp
 
     depends_on = None if censoring_covariates is None else _split(censoring_covariates)
     parameters = {**parameters, "censoring_covariates": depends_on, "random_state": seed}

@@ -45,9 +45,9 @@ def report(logs: Path, policy: Path, out: Path, overwrite: bool, seed: int, as_j
     """
     from tqdm import tqdm
 
-    from halfseen.learners.policy_folder import read_policy
     from halfseen.logs import read_logs
     from halfseen.logs.formats.extras import extra
+    from halfseen.policies.folder import read_policy
 
     for module in ("jinja2", "matplotlib"):
         extra(module, "study")

@@ -66,7 +66,9 @@ def evaluate(
     if num_folds < 2:
         raise ArgumentError(f"num_folds is {num_folds}; at least 2 are needed")
     if logs.num_paths < 2 * num_folds:
-        raise ArgumentError(f"the log has {logs.num_paths} paths; {num_folds} folds need at least {2 * num_folds}")
+        raise ArgumentError(
+            f"the log has {logs.num_paths} path(s), and {num_folds} folds need {2 * num_folds}; record more"
+        )
     problem = _problem(policy, logs, model, propensity, np.random.default_rng([random_state, 1]), num_folds)
     size = problem.weights.effective_sample_size
     own_size = problem.logging_weights.effective_sample_size

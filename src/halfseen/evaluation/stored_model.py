@@ -4,10 +4,10 @@ from collections.abc import Hashable
 from typing import Any
 
 from halfseen.censoring import CENSORING_NAMES
-from halfseen.learners.policy_folder import StoredPolicy
 from halfseen.learners.q_learning.flat_policy import FlatPolicy
 from halfseen.learners.q_learning.q_learner import CensoredQLearner
 from halfseen.logs import Logs
+from halfseen.policies.folder import StoredPolicy
 
 KEPT = ("q_function", "censoring_by", "censoring_covariates", "stages", "num_landmarks", "gamma", "truncate_at")
 """Parameters of the learner that the evaluation shares."""

@@ -15,7 +15,7 @@ from halfseen.learners.q_learning.encoding import FlatEncoding
 from halfseen.learners.q_learning.path_arrays import PathArrays
 from halfseen.learners.q_learning.q_learner import CensoredQLearner
 from halfseen.logs import Logs
-from halfseen.world.actions import possible_actions
+from halfseen.world.action_space import possible_actions
 from halfseen.world.policy import ExploringPolicy, Policy, UniformPolicy
 from halfseen.world.recording import states_of
 from halfseen.world.state import TableState

@@ -21,7 +21,7 @@ import pyarrow.parquet as pq
 from halfseen.errors import LogError
 from halfseen.logs.journal import JOURNAL
 from halfseen.logs.journal_tables import journal_tables
-from halfseen.placing import placed
+from halfseen.writing import placed
 
 MANIFEST = "logs.json"
 FORMAT, VERSION = "halfseen-logs", 1

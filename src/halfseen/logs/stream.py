@@ -16,7 +16,7 @@ from halfseen.logs.frames import as_frame
 from halfseen.logs.logs import Logs
 from halfseen.logs.path_checks import checked_paths
 from halfseen.logs.refusal import shown
-from halfseen.placing import placed
+from halfseen.writing import placed
 
 PATHS_AT_ONCE = 2_000
 """Paths that are held in memory at once."""

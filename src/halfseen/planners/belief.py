@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from halfseen.world.actions import Verb, target_of, verb_of
+from halfseen.world.action_space import Verb, target_of, verb_of
 from halfseen.world.config import WorldConfig
 from halfseen.world.dynamics import grasp_scale_s, label_accuracy
 from halfseen.world.state import TableState

@@ -25,7 +25,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from halfseen.errors import ArgumentError
 from halfseen.planners.rollout import sampled_values
-from halfseen.world.actions import FINISH, possible_actions
+from halfseen.world.action_space import FINISH, possible_actions
 from halfseen.world.config import WorldConfig
 from halfseen.world.explanation import Explanation, alike, explained
 from halfseen.world.state import TableState

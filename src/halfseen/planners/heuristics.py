@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from halfseen.errors import ArgumentError
 from halfseen.planners.belief import grasp_chance, grip_posterior, prior_grip
-from halfseen.world.actions import FINISH
+from halfseen.world.action_space import FINISH
 from halfseen.world.config import WorldConfig
 from halfseen.world.grasp_model import GraspModel
 from halfseen.world.policy import Decision, surely

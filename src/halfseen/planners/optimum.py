@@ -54,7 +54,7 @@ from halfseen.planners.optimum_model import (
     label_accuracy,
     looks_of,
 )
-from halfseen.world.actions import Verb, encode
+from halfseen.world.action_space import Verb, encode
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Policy
 from halfseen.world.scene import Scene

@@ -23,7 +23,7 @@ from halfseen.planners.optimum_model import (
     looks_of,
     num_cells,
 )
-from halfseen.world.actions import FINISH, Verb, encode, num_actions
+from halfseen.world.action_space import FINISH, Verb, encode, num_actions
 
 Grid: TypeAlias = Float[np.ndarray, "..."]
 Attempt: TypeAlias = tuple[int, Result]

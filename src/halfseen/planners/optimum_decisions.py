@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 from halfseen.errors import ArgumentError
 from halfseen.planners.optimum_bellman import Attempt, Grid, Layer, Node, grid_shape
 from halfseen.planners.optimum_model import GridWorld, Result, current_levels
-from halfseen.world.actions import FINISH, num_actions
+from halfseen.world.action_space import FINISH, num_actions
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Policy
 from halfseen.world.state import NO_ATTEMPT, TableState

@@ -20,7 +20,7 @@ from jaxtyping import Array, Float, Int
 
 from halfseen.planners.belief import Belief, belief_of, sample_successor
 from halfseen.planners.one_step import UNLIMITED, control_value, rule_and_control
-from halfseen.world.actions import FINISH, possible_actions
+from halfseen.world.action_space import FINISH, possible_actions
 from halfseen.world.config import Number, WorldConfig
 from halfseen.world.state import TableState
 

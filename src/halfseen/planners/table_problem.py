@@ -19,7 +19,7 @@ from halfseen.errors import ArgumentError
 from halfseen.planners.belief import belief_of
 from halfseen.planners.generative import Control, Step
 from halfseen.planners.one_step import control_value, one_step_q, rule_and_control
-from halfseen.world.actions import Verb, num_actions, possible_actions, target_of, verb_of
+from halfseen.world.action_space import Verb, num_actions, possible_actions, target_of, verb_of
 from halfseen.world.config import WorldConfig
 from halfseen.world.dynamics import grasp_probability, label_accuracy, step
 from halfseen.world.state import HiddenState, TableState, occlusion_without

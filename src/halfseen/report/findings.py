@@ -14,8 +14,8 @@ from halfseen.censoring.positivity import PositivityReport
 from halfseen.errors import HalfseenWarning
 from halfseen.evaluation import Evaluation, evaluate
 from halfseen.evaluation.stored_model import model_of
-from halfseen.learners.policy_folder import StoredPolicy, log_digest
 from halfseen.logs import Logs
+from halfseen.policies.folder import StoredPolicy, log_digest
 from halfseen.report.log_findings import Watched, log_findings, positivity_of, watched
 from halfseen.report.policy_findings import QCurve, choices, q_curves
 

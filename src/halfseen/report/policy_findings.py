@@ -10,12 +10,12 @@ from jaxtyping import Float
 
 from halfseen.censoring import CENSORING_NAMES
 from halfseen.evaluation.stored_model import model_of
-from halfseen.learners.policy_folder import StoredPolicy
-from halfseen.learners.policy_shares import action_shares
 from halfseen.learners.q_learning.bootstrap import bootstrap
 from halfseen.learners.q_learning.checks import BUCKLEY_JAMES, NONE
 from halfseen.learners.q_learning.flat_policy import FlatPolicy, covariate_values
 from halfseen.logs import Logs
+from halfseen.policies.folder import StoredPolicy
+from halfseen.policies.shares import action_shares
 
 MOST_STAGES, MOST_COVARIATES = 3, 4
 NUM_POINTS = 41

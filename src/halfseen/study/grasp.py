@@ -15,12 +15,7 @@ import pandas as pd
 from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
-from halfseen.learners.grasp.attempts import attempts
-from halfseen.learners.grasp.beta_grasp import BetaGrasp
-from halfseen.learners.grasp.grasp_table import GraspEstimator, tabulate
-from halfseen.learners.grasp.svm_grasp import SVMGrasp
 from halfseen.learners.q_learning.encoding import Encoded, encode_states
-from halfseen.learners.q_learning.linear_policy import LinearTablePolicy
 from halfseen.logs.frames import FrameLike, as_frame
 from halfseen.planners.heuristics import TrueGrasp
 from halfseen.study.design import StudyDesign
@@ -39,6 +34,11 @@ from halfseen.study.repetition import (
     random_key,
 )
 from halfseen.study.treatments import treat
+from halfseen.tables.grasp.attempts import attempts
+from halfseen.tables.grasp.beta_grasp import BetaGrasp
+from halfseen.tables.grasp.grasp_table import GraspEstimator, tabulate
+from halfseen.tables.grasp.svm_grasp import SVMGrasp
+from halfseen.tables.table_policy import LinearTablePolicy
 from halfseen.world.cuts import CutEpisodes, CutKind, cut
 from halfseen.world.episodes import Totals, evaluate, play
 from halfseen.world.grasp_model import GraspModel

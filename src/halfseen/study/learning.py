@@ -10,10 +10,10 @@ from jaxtyping import Float, Int
 
 from halfseen.learners.q_learning.encoding import Encoded, TableEncoding
 from halfseen.learners.q_learning.fitting import REGS
-from halfseen.learners.q_learning.linear_policy import LinearTablePolicy
 from halfseen.learners.q_learning.recursion import AnyArray, QFunctions, Transitions, backward
-from halfseen.learners.q_learning.variance_reduction import expected_rewards, label_surprises, wash_outcomes
 from halfseen.study.treatments import Treated
+from halfseen.tables.table_policy import LinearTablePolicy
+from halfseen.tables.variance_reduction import expected_rewards, label_surprises, wash_outcomes
 
 NUM_FOLDS = 5
 

@@ -8,7 +8,6 @@ import jax
 import numpy as np
 
 from halfseen.learners.q_learning.encoding import Encoded, encode_states
-from halfseen.learners.q_learning.linear_policy import LinearTablePolicy
 from halfseen.study.design import StudyDesign
 from halfseen.study.findings import LEARNED
 from halfseen.study.learning import learn
@@ -16,6 +15,7 @@ from halfseen.study.map_cells import MapCell, MapDesign, map_cells, random_table
 from halfseen.study.policies import heuristics, logging_policy
 from halfseen.study.repetition import cut_log, folds, means, random_key
 from halfseen.study.treatments import treat
+from halfseen.tables.table_policy import LinearTablePolicy
 from halfseen.world.cuts import CutKind, cut_rate
 from halfseen.world.episodes import Episodes, evaluate, play
 from halfseen.world.policy import Policy

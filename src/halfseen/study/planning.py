@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Float
 
 from halfseen.learners.q_learning.encoding import Encoded, encode_states
-from halfseen.learners.q_learning.linear_policy import LinearTablePolicy
 from halfseen.planners.pomdp import POMDPPolicy
 from halfseen.study.design import StudyDesign
 from halfseen.study.findings import LEARNED
@@ -23,6 +22,7 @@ from halfseen.study.policies import heuristics, logging_policy
 from halfseen.study.repetition import EVALUATION, LOGS, CutRates, cut_log, first_paths, folds, random_key
 from halfseen.study.timing import decided, one_core
 from halfseen.study.treatments import treat
+from halfseen.tables.table_policy import LinearTablePolicy
 from halfseen.world.config import Number, WorldConfig
 from halfseen.world.cuts import CutKind
 from halfseen.world.dynamics import start, step

@@ -16,7 +16,6 @@ import numpy as np
 from jaxtyping import Float
 
 from halfseen.learners.q_learning.encoding import Encoded, encode_states
-from halfseen.learners.q_learning.linear_policy import LinearTablePolicy
 from halfseen.planners.optimum import TableOptimum, solve_table
 from halfseen.study.design import StudyDesign
 from halfseen.study.findings import LEARNED
@@ -24,6 +23,7 @@ from halfseen.study.learning import learn
 from halfseen.study.policies import heuristics, logging_policy, planners
 from halfseen.study.repetition import EVALUATION, LOGS, PILOT, cut_log, first_paths, folds, random_key
 from halfseen.study.treatments import treat
+from halfseen.tables.table_policy import LinearTablePolicy
 from halfseen.world.cuts import CutKind, cut_rate
 from halfseen.world.episodes import play
 from halfseen.world.scene import Scene

@@ -11,11 +11,11 @@ from jaxtyping import Int
 
 from halfseen.censoring import weight_diagnostics
 from halfseen.learners.q_learning.encoding import Encoded, encode_states
-from halfseen.learners.q_learning.linear_policy import LinearTablePolicy
 from halfseen.study.design import TREATMENTS, StudyDesign
 from halfseen.study.learning import NUM_FOLDS, learn
 from halfseen.study.policies import heuristics, logging_policy
 from halfseen.study.treatments import Treated, treat
+from halfseen.tables.table_policy import LinearTablePolicy
 from halfseen.world.config import WorldConfig
 from halfseen.world.cuts import CutEpisodes, CutKind, cut, cut_rate
 from halfseen.world.episodes import Episodes, Totals, evaluate, play

@@ -13,8 +13,6 @@ import pandas as pd
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from halfseen.learners.q_learning.linear_policy import LinearTablePolicy
-from halfseen.learners.q_learning.table_features import NUM_FEATURES
 from halfseen.perception import View
 from halfseen.perception.picture import draw
 from halfseen.study.design import StudyDesign
@@ -47,7 +45,9 @@ from halfseen.study.sentences import plain_sentences
 from halfseen.study.store import Store, as_json, write_text
 from halfseen.study.tables import baseline_frame, figure1, figure4, learned_frame, strongest, table1, weights
 from halfseen.study.timing import decision_times_ms
-from halfseen.world.actions import Verb
+from halfseen.tables.features import NUM_FEATURES
+from halfseen.tables.table_policy import LinearTablePolicy
+from halfseen.world.action_space import Verb
 from halfseen.world.episodes import play
 from halfseen.world.scene import Scene
 from halfseen.world.state import Layout, TableState, pad_scenes

@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float
 from halfseen.censoring import stage_weights
 from halfseen.errors import ArgumentError
 from halfseen.study.design import TREATMENTS
-from halfseen.world.actions import Verb, verb_of
+from halfseen.world.action_space import Verb, verb_of
 from halfseen.world.config import WorldConfig
 from halfseen.world.cuts import CutEpisodes
 from halfseen.world.recording import elapsed_s

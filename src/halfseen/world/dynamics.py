@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from halfseen.world.actions import Verb, target_of, verb_of
+from halfseen.world.action_space import Verb, target_of, verb_of
 from halfseen.world.config import WorldConfig
 from halfseen.world.state import (
     NO_ATTEMPT,

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from halfseen.errors import ArgumentError
-from halfseen.world.actions import FINISH, Verb
+from halfseen.world.action_space import FINISH, Verb
 from halfseen.world.state import TableState
 
 SAME_VALUE = 1e-6

@@ -13,7 +13,7 @@ from gymnasium import spaces
 from jaxtyping import Array, Int
 
 from halfseen.errors import ArgumentError
-from halfseen.world.actions import num_actions, possible_actions
+from halfseen.world.action_space import num_actions, possible_actions
 from halfseen.world.config import WorldConfig
 from halfseen.world.cuts import CAUSES
 from halfseen.world.dynamics import Outcome, start, step

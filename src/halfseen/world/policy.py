@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from halfseen.world.actions import possible_actions
+from halfseen.world.action_space import possible_actions
 from halfseen.world.config import Number
 from halfseen.world.state import TableState
 

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 
 from halfseen.errors import LogError
 from halfseen.logs import Logs
-from halfseen.world.actions import Verb, target_of, verb_of
+from halfseen.world.action_space import Verb, target_of, verb_of
 from halfseen.world.cuts import CAUSES, CutEpisodes, CutKind
 from halfseen.world.scene import Scene
 from halfseen.world.state import NO_ATTEMPT, TableState, attempt_counts, occlusion

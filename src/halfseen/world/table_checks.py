@@ -12,7 +12,7 @@ from halfseen.errors import LogError
 from halfseen.logs import Logs
 from halfseen.logs.columns import as_floats, require_columns
 from halfseen.logs.refusal import place, refuse, shown, value_at
-from halfseen.world.actions import Verb
+from halfseen.world.action_space import Verb
 
 TABLE, DISHWASHER = "TABLE", "DISHWASHER"
 LIST_COLUMNS = ("hidden_by", "attempt_occlusions", "attempt_succeeded")

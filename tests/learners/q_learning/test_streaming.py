@@ -5,6 +5,7 @@ from trials import ACTIONS, FULL, two_stage_trial
 from halfseen.errors import ArgumentError, PositivityError
 from halfseen.learners import CensoredQLearner
 from halfseen.logs import Logs, LogStream
+from halfseen.tables import BetaGrasp
 from halfseen.world import Scene, TableWorld, UniformPolicy
 
 
@@ -66,6 +67,10 @@ def test_a_kernels_landmarks_are_sought_in_the_first_part(trial, tmp_path):
         ({"censoring_by": "stage"}, "censoring_by is 'stage', which needs the whole log in memory"),
         ({"augmented": True}, "augmented is True, which needs the whole log"),
         ({"censoring": "buckley-james"}, "censoring is 'buckley-james', which needs the whole log"),
+        (
+            {"actions": "table", "covariates": [], "grasp": BetaGrasp()},
+            "grasp is BetaGrasp(), which needs the whole log",
+        ),
         ({"horizon": 1}, "horizon is 1, but a path has 2 stages; raise horizon"),
     ],
 )

@@ -9,11 +9,13 @@ import pytest
 
 from halfseen.censoring import Cox, stage_weights
 from halfseen.errors import LogError
-from halfseen.learners import CensoredQLearner, LinearTablePolicy
+from halfseen.learners import CensoredQLearner
 from halfseen.learners.q_learning.cut_covariates import table_covariates
 from halfseen.learners.q_learning.encoding import encode_states
 from halfseen.learners.q_learning.recursion import q_values
-from halfseen.learners.q_learning.table_features import (
+from halfseen.logs import Logs
+from halfseen.tables import LinearTablePolicy
+from halfseen.tables.features import (
     NUM_FEATURES,
     NUM_TABLE_FEATURES,
     WASH_DIRTY,
@@ -21,9 +23,8 @@ from halfseen.learners.q_learning.table_features import (
     block_of_action,
     table_features,
 )
-from halfseen.logs import Logs
 from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, WorldConfig
-from halfseen.world.actions import Verb, possible_actions, verb_of
+from halfseen.world.action_space import Verb, possible_actions, verb_of
 from halfseen.world.cuts import cut, cut_rate
 from halfseen.world.episodes import evaluate, play
 from halfseen.world.policy import surely

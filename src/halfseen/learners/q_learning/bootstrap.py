@@ -122,7 +122,10 @@ def bootstrap(
             fits.append(_fit_each(learner, log, jax.tree.map(lambda *leaves: np.stack(leaves), *drawn)))
             progress.update(size)
     q_functions = jax.tree.map(lambda *parts: np.concatenate(parts), *fits)
-    return QBootstrap(learner.policy_, learner.as_policy(QFunctions(*q_functions)))
+    return QBootstrap(learner.policy_, learner.as_policy(q_functions))
+
+
+_OF_PATHS = ("share", "terms", "expected", "is_told")
 
 
 def _redrawn(learner: CensoredQLearner, paths: PathArrays, counts: Int[np.ndarray, " n"]) -> tuple[Any, Any]:
@@ -145,23 +148,13 @@ def _redrawn(learner: CensoredQLearner, paths: PathArrays, counts: Int[np.ndarra
     return back(weight) * counts[:, None], imputed
 
 
-_OF_PATHS = ("share", "terms", "expected", "is_told")
-
-
 def _fit_each(learner: CensoredQLearner, log: Transitions, drawn: tuple[Any, Any]) -> QFunctions:
-    encoding = learner.encoding
-    options = {
-        "num_blocks": encoding.num_blocks,
-        "stages": learner.stages,
-        "num_folds": learner.num_folds_for(len(log.action)),
-        "end_action": encoding.end_action if learner.stages == "pooled" else None,
-        "is_scaled": learner.q_function == "linear",
-    }
+    options = tuple(learner.backward_options(len(log.action)).items())
     with jax.enable_x64(True):
-        blocks = jnp.asarray(encoding.block_of_action(log.is_possible.shape[-1]))
+        blocks = jnp.asarray(learner.encoding.block_of_action(log.is_possible.shape[-1]))
         arrays, replicates = jax.tree.map(jnp.asarray, (log, drawn))
-        fits = _fit_drawn(arrays, replicates, blocks, jnp.asarray(learner.regs), tuple(options.items()))
-        return QFunctions(*(np.asarray(leaf) for leaf in fits))
+        fits = _fit_drawn(arrays, replicates, blocks, jnp.asarray(learner.regs), options)
+        return jax.tree.map(np.asarray, fits)
 
 
 @partial(jax.jit, static_argnames="options")

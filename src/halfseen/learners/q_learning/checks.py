@@ -4,10 +4,13 @@ from numbers import Real
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
-from halfseen.censoring import CENSORING_NAMES
-from halfseen.errors import ArgumentError
+from halfseen.arrays import RowMask
+from halfseen.censoring import CENSORING_NAMES, is_fitted
+from halfseen.errors import ArgumentError, PositivityError
 from halfseen.learners.q_learning.cut_model import CENSORING_BY
+from halfseen.tables.grasp.grasp_table import GraspEstimator
 
 NONE, BUCKLEY_JAMES = "none", "buckley-james"
 CENSORING_CHOICES = (*CENSORING_NAMES, NONE, BUCKLEY_JAMES)
@@ -56,13 +59,46 @@ def check_streamable(learner: Any) -> None:
         "augmented": learner.augmented,
         "censoring": isinstance(learner.censoring, str) and learner.censoring == BUCKLEY_JAMES,
         "reduces_variance": learner.reduces_variance,
+        "grasp": isinstance(learner.grasp, GraspEstimator) and not is_fitted(learner.grasp),
     }
     for name, is_wrong in wrong.items():
         if is_wrong:
             raise ArgumentError(
                 f"{name} is {getattr(learner, name)!r}, which needs the whole log in memory, and a stream was given; "
-                "learn from read_logs(folder), or choose censoring_by='path', weights, and reduces_variance=False"
+                "learn from read_logs(folder), or choose censoring_by='path', weights, reduces_variance=False and a "
+                "grasp model that is fitted"
             )
+
+
+def refuse_all_cut(is_finished: RowMask) -> None:
+    """Refuse a log in which no path came to its own end.
+
+    Raises
+    ------
+    PositivityError
+        All were cut.
+    """
+    if not is_finished.any():
+        raise PositivityError(
+            f"all {len(is_finished)} paths were cut, so how a path ends was never seen; record until some finish, or "
+            "shorten the horizon so that reaching it counts as finished"
+        )
+
+
+def refuse_too_few(weight: Float[np.ndarray, "*B n T"]) -> None:
+    """Refuse to hold out paths where fewer than two completed a stage.
+
+    Raises
+    ------
+    ArgumentError
+        Their number is told.
+    """
+    num_seen = int((weight > 0).any(axis=-1).sum())
+    if num_seen < 2:
+        raise ArgumentError(
+            f"reg is 'cv', which holds out paths, but {num_seen} of {weight.shape[-2]} completed a stage; give a "
+            "number for reg, or record more paths"
+        )
 
 
 def _check_table_only(learner: Any, is_table: bool) -> None:

@@ -11,7 +11,7 @@ import pandas as pd
 
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs import Logs
-from halfseen.world.actions import Verb
+from halfseen.world.action_space import Verb
 from halfseen.world.recording import DISHWASHER
 
 ACTION = "action"

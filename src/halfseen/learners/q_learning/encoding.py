@@ -12,9 +12,9 @@ from jaxtyping import Bool, Float, Int
 
 from halfseen.errors import ArgumentError, LogError
 from halfseen.learners.q_learning.flat_policy import covariate_values
-from halfseen.learners.q_learning.table_features import block_of_action, table_features
 from halfseen.logs import Logs
-from halfseen.world.actions import FINISH, Verb, possible_actions
+from halfseen.tables.features import block_of_action, table_features
+from halfseen.world.action_space import FINISH, Verb, possible_actions
 from halfseen.world.grasp_model import GraspModel
 from halfseen.world.recording import states_of
 from halfseen.world.state import TableState

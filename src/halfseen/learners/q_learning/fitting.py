@@ -10,14 +10,25 @@ from jaxtyping import Float
 from halfseen.errors import ArgumentError
 from halfseen.learners.q_learning.encoding import Encoding
 from halfseen.learners.q_learning.kernel_map import KernelMap
-from halfseen.learners.q_learning.linear_policy import LinearTablePolicy
 from halfseen.learners.q_learning.recursion import QFunctions, StageMode, Transitions, backward
+from halfseen.tables.table_policy import LinearTablePolicy
 
 REGS = np.logspace(-3, 2, 11)
 """The λ that ``reg="cv"`` chooses from; features are scaled to unit variance, so they need no other unit."""
 
 KERNEL_REGS = np.logspace(-6, 1, 15)
 """The same for the norm of an RKHS."""
+
+
+def backward_options(encoding: Encoding, stages: StageMode, num_folds: int, is_scaled: bool) -> dict[str, Any]:
+    """Collect what `backward` is compiled for."""
+    return {
+        "num_blocks": encoding.num_blocks,
+        "stages": stages,
+        "num_folds": num_folds,
+        "end_action": encoding.end_action if stages == "pooled" else None,
+        "is_scaled": is_scaled,
+    }
 
 
 def fit_q_functions(
@@ -39,19 +50,13 @@ def fit_q_functions(
     if largest >= num_folds:
         raise ArgumentError(f"fold {largest} of {num_folds}: folds are 0 to {num_folds - 1}; deal the paths anew")
     blocks = encoding.block_of_action(log.is_possible.shape[-1])
-    options = {
-        "num_blocks": encoding.num_blocks,
-        "stages": stages,
-        "num_folds": num_folds,
-        "end_action": encoding.end_action if stages == "pooled" else None,
-        "is_scaled": is_scaled,
-    }
+    options = backward_options(encoding, stages, num_folds, is_scaled)
     with jax.enable_x64(True):
         arrays = jax.tree.map(jnp.asarray, log)
         is_batch = log.action.ndim == 3
         fit = backward_batch if is_batch else backward
         fitted = fit(arrays, jnp.asarray(blocks), jnp.asarray(regs), **options)
-        return QFunctions(*(np.asarray(leaf) for leaf in fitted))
+        return jax.tree.map(np.asarray, fitted)
 
 
 def backward_batch(log: Transitions, blocks: jax.Array, regs: jax.Array, **options: Any) -> QFunctions:

@@ -10,24 +10,37 @@ from jaxtyping import Float, Int
 from sklearn.base import BaseEstimator
 from sklearn.utils.validation import check_is_fitted
 
-from halfseen.arrays import RowMask
 from halfseen.censoring import CensoringModel, WeightDiagnostics, named_model, uses_covariates, weight_diagnostics
-from halfseen.errors import ArgumentError, PositivityError
-from halfseen.learners.grasp.grasp_table import grasp_model_of
-from halfseen.learners.q_learning.checks import BUCKLEY_JAMES, NONE, check_parameters, check_streamable
+from halfseen.errors import ArgumentError
+from halfseen.learners.q_learning.checks import (
+    BUCKLEY_JAMES,
+    NONE,
+    check_parameters,
+    check_streamable,
+    refuse_all_cut,
+    refuse_too_few,
+)
 from halfseen.learners.q_learning.cut_covariates import ACTION, TABLE_COVARIATES, flat_covariates, table_covariates
 from halfseen.learners.q_learning.cut_model import CensoringBy, CutModel, fit_cut_model, fit_path_cuts
 from halfseen.learners.q_learning.encoding import Encoding, FlatEncoding, TableEncoding
-from halfseen.learners.q_learning.fitting import KERNEL_REGS, REGS, as_policy, fit_q_functions, single_precision
+from halfseen.learners.q_learning.fitting import (
+    KERNEL_REGS,
+    REGS,
+    as_policy,
+    backward_options,
+    fit_q_functions,
+    single_precision,
+)
 from halfseen.learners.q_learning.flat_policy import FlatPolicy
 from halfseen.learners.q_learning.imputation import imputation
 from halfseen.learners.q_learning.kernel_map import KernelMap, fit_kernel_map
 from halfseen.learners.q_learning.path_arrays import PathArrays, path_arrays
 from halfseen.learners.q_learning.recursion import Imputation, QFunctions, StageMode, Transitions
 from halfseen.learners.q_learning.streaming import fit_stream
-from halfseen.learners.q_learning.variance_reduction import expected_rewards, label_surprises, wash_outcomes
 from halfseen.logs import Logs, LogStream
 from halfseen.logs.columns import FINISHED
+from halfseen.tables.grasp.grasp_table import grasp_model_of
+from halfseen.tables.variance_reduction import expected_rewards, label_surprises, wash_outcomes
 from halfseen.world.grasp_model import GraspModel
 
 TABLE = "table"
@@ -191,8 +204,9 @@ class CensoredQLearner(BaseEstimator):
         Parameters
         ----------
         logs
-            The log. A `LogStream` is read in T passes and never held whole; what is learned is the same, but Ĝ must be
-            on the clock of paths (``censoring_by="path"``), targets weighted, and no variance reduced.
+            The log. A `LogStream` is read in passes, one for each stage and one before, and never held whole. What is
+            learned is the same (a kernel's landmarks are sought in the first part), but Ĝ must be on the clock of
+            paths (``censoring_by="path"``), targets weighted, no variance reduced, and a grasp model fitted already.
 
         Raises
         ------
@@ -210,7 +224,7 @@ class CensoredQLearner(BaseEstimator):
             raise ArgumentError(f"horizon is {self.horizon}, but a path has {logs.horizon} stages; raise horizon")
         self.grasp_ = grasp_model_of(self.grasp, logs, self.horizon) if self._is_table else None
         paths = self.lay_out(logs)
-        _refuse_all_cut(paths.is_finished)
+        refuse_all_cut(paths.is_finished)
         self.cut_model_ = self.fit_cuts(paths)
         self.kernel_map_ = self._kernel_map(paths)
         log = self.transitions(paths, self.cut_model_)
@@ -224,7 +238,7 @@ class CensoredQLearner(BaseEstimator):
         """Learn in passes; the first one also gathers what Ĝ and the kernel need."""
         check_streamable(self)
         finished = (stream.paths["ending"] == FINISHED).to_numpy(dtype=bool)
-        _refuse_all_cut(finished)
+        refuse_all_cut(finished)
         self.grasp_, self.kernel_map_, self.cut_model_ = None, None, None
         if self._is_table:
             self.grasp_ = grasp_model_of(self.grasp, next(iter(stream)), self.horizon)
@@ -255,6 +269,8 @@ class CensoredQLearner(BaseEstimator):
         is_scaled = self.q_function == "linear"
         self.q_functions_ = fit_stream(parts, stream.num_paths, self.encoding, *setting, is_scaled)
         self.weights_ = np.concatenate(weights)
+        if self.reg == "cv":
+            refuse_too_few(self.weights_)
         self.diagnostics_ = weight_diagnostics(self.weights_, self.truncate_at)
         self.policy_ = self.as_policy(self.q_functions_)
         return self
@@ -315,7 +331,7 @@ class CensoredQLearner(BaseEstimator):
     def fit_transitions(self, log: Transitions) -> QFunctions:
         """Run eq. 3 on one log, or on a batch of logs."""
         if self.reg == "cv":
-            _refuse_too_few(np.asarray(log.weight))
+            refuse_too_few(np.asarray(log.weight))
         num_folds = self.num_folds_for(log.weight.shape[-2])
         return fit_q_functions(log, self.encoding, self.regs, self._stage_mode, num_folds, self.q_function == "linear")
 
@@ -357,6 +373,11 @@ class CensoredQLearner(BaseEstimator):
         if self.reg != "cv":
             return np.array([float(self.reg)])
         return REGS if self.q_function == "linear" else KERNEL_REGS
+
+    def backward_options(self, num_paths: int) -> dict[str, Any]:
+        """Collect what the recursion is compiled for, on so many paths."""
+        is_scaled = self.q_function == "linear"
+        return backward_options(self.encoding, self._stage_mode, self.num_folds_for(num_paths), is_scaled)
 
     def num_folds_for(self, num_paths: int) -> int:
         """Folds that so many paths are dealt into; one where nothing is chosen."""
@@ -418,20 +439,3 @@ class CensoredQLearner(BaseEstimator):
         if self._is_table:
             return np.asarray(self.kernel_map_(paths.features))
         return np.repeat(self.kernel_map_(paths.features[:, :, :1]), paths.features.shape[2], axis=2)
-
-
-def _refuse_all_cut(is_finished: RowMask) -> None:
-    if not is_finished.any():
-        raise PositivityError(
-            f"all {len(is_finished)} paths were cut, so how a path ends was never seen; record until some finish, or "
-            "shorten the horizon so that reaching it counts as finished"
-        )
-
-
-def _refuse_too_few(weight: Float[np.ndarray, "*B n T"]) -> None:
-    num_seen = int((weight > 0).any(axis=-1).sum())
-    if num_seen < 2:
-        raise ArgumentError(
-            f"reg is 'cv', which holds out paths, but {num_seen} of {weight.shape[-2]} completed a stage; give a "
-            "number for reg, or record more paths"
-        )

@@ -30,7 +30,6 @@ from jaxtyping import Array, Bool, Float, Int
 from halfseen.learners.q_learning.least_squares import (
     Design,
     Factor,
-    Fit,
     Rows,
     cross_of,
     design_of,
@@ -93,6 +92,8 @@ class QFunctions(NamedTuple):
     """The offset first."""
     reg: Float[AnyArray, "*B T K"]
     """The λ that was used."""
+    told: Float[AnyArray, "*B T K M"] | None = None
+    """Where targets are imputed, the regression of X on the features that it uses and the terms, the offset first."""
 
 
 def q_values(
@@ -172,14 +173,16 @@ class Regression(NamedTuple):
 
     def fit(
         self, prepared: "_Prepared", log: Transitions, successor: Float[Array, "n T"], centre: Float[Array, "K F"]
-    ) -> Fit:
-        """Regress R_t + V̂(S_{t+1}), shrunk towards `centre`."""
-        target = target_of(log, successor)
+    ) -> QFunctions:
+        """Regress R_t + V̂(S_{t+1}), or what is imputed for it, shrunk towards `centre`; surprises come last."""
+        target, told = target_of(log, successor).ravel(), None
         if prepared.told is not None and log.imputation is not None:
-            target = self._imputed(prepared.told, log.imputation, target, self.blocks(log))
+            cross = cross_of(prepared.told.design, target)
+            told = solve(prepared.told.factor, cross, self.regs, self.num_paths).coefficients
+            target = imputed_target(log, told, target.reshape(log.action.shape), self.block_of_action).ravel()
         cross = self.cross(prepared.main.design, log, target, centre)
         fit = solve(prepared.main.factor, cross, self.regs, self.num_paths)
-        return Fit(fit.coefficients + centre, fit.reg)
+        return QFunctions(fit.coefficients + centre, fit.reg, told)
 
     def design(self, log: Transitions, weight: Any) -> Design:
         """Rows of eq. 3, with the surprises that its targets hold."""
@@ -206,16 +209,6 @@ class Regression(NamedTuple):
         )
         return design_of(rows, self.num_blocks, self.num_folds)
 
-    def _imputed(
-        self, told: "_Sums", given: Imputation, target: Float[Array, " R"], blocks: Int[Array, " R"]
-    ) -> Float[Array, " R"]:
-        fit = solve(told.factor, cross_of(told.design, target), self.regs, self.num_paths)
-        each, num_terms = fit.coefficients[blocks], given.terms.shape[-1]
-        at_state = jnp.sum(told.design.features[:, :-num_terms] * each[:, :-num_terms], axis=-1)
-        of_time = jnp.sum(given.expected.reshape(-1, num_terms) * each[:, -num_terms:], axis=-1)
-        share = given.share.ravel()
-        return jnp.asarray(share * target + (1.0 - share) * at_state + of_time)
-
 
 class _Sums(NamedTuple):
     design: Design
@@ -237,10 +230,9 @@ def _backward_separate(log: Transitions, regression: Regression) -> QFunctions:
         centre = jnp.zeros((regression.num_blocks, prepared.main.design.features.shape[-1]), log.reward.dtype)
         fit = regression.fit(prepared, rows, after[:, None], centre)
         of_q = fit.coefficients[:, :width]
-        return state_values(of_q, rows, regression.block_of_action)[:, 0], Fit(of_q, fit.reg)
+        return state_values(jnp.asarray(of_q), rows, regression.block_of_action)[:, 0], fit._replace(coefficients=of_q)
 
-    _, fits = jax.lax.scan(step, jnp.zeros_like(log.reward[:, 0]), jnp.arange(log.action.shape[1]), reverse=True)
-    return QFunctions(fits.coefficients, fits.reg)
+    return jax.lax.scan(step, jnp.zeros_like(log.reward[:, 0]), jnp.arange(log.action.shape[1]), reverse=True)[1]
 
 
 def stage_of(log: Transitions, stage: Int[Array, ""]) -> Transitions:
@@ -259,12 +251,13 @@ def _backward_pooled(log: Transitions, regression: Regression, end_action: int |
     def step(prepared: _Prepared, value: Float[Array, "n T"], centre: Float[Array, "K F"]):
         fit = regression.fit(prepared, log, of_successor(value), centre)
         of_q = fit.coefficients[:, :num_coefficients]
-        return state_values(of_q, log, regression.block_of_action), fit.coefficients, Fit(of_q, fit.reg)
+        value = state_values(jnp.asarray(of_q), log, regression.block_of_action)
+        return value, jnp.asarray(fit.coefficients), fit._replace(coefficients=of_q)
 
     value = jnp.zeros_like(log.reward)
     centre = jnp.zeros((regression.num_blocks, everything.main.design.features.shape[-1]), log.reward.dtype)
     if end_action is not None:
-        ended = regression.fit(everything, log, value, centre).coefficients
+        ended = jnp.asarray(regression.fit(everything, log, value, centre).coefficients)
         value = q_values(ended[:, :num_coefficients], log.features, regression.block_of_action)[..., end_action]
         centre = jnp.broadcast_to(ended[regression.block_of_action[end_action]], centre.shape)
     value, centre, first = step(everything, value, centre)
@@ -275,13 +268,26 @@ def _backward_pooled(log: Transitions, regression: Regression, end_action: int |
         return (value, centre), fit
 
     _, rest = jax.lax.scan(advance, (value, centre), length=log.action.shape[1] - 1)
-    fits = jax.tree.map(lambda one, others: jnp.concatenate([one[None], others]), first, rest)
-    return QFunctions(fits.coefficients, fits.reg)
+    return jax.tree.map(lambda one, others: jnp.concatenate([one[None], others]), first, rest)
 
 
-def target_of(log: Transitions, successor: Float[Array, "n T"]) -> Float[Array, " R"]:
-    """R_t + V̂(S_{t+1}) of every row; after a path's own end V̂ is 0."""
-    return jnp.asarray(log.reward + jnp.where(log.is_last, 0.0, successor)).ravel()
+def target_of(log: Transitions, successor: Float[Array, "n T"]) -> Float[Array, "n T"]:
+    """X_t = R_t + V̂(S_{t+1}); after a path's own end V̂ is 0."""
+    return jnp.asarray(log.reward + jnp.where(log.is_last, 0.0, successor))
+
+
+def imputed_target(
+    log: Transitions, told: Float[Array, "*T K M"], target: Float[Array, "n T"], block_of_action: Int[Array, " A"]
+) -> Float[Array, "n T"]:
+    """Y_t of every begun stage (see `Imputation`): X is `target`, and `told` its regression, one or one a stage."""
+    given = log.imputation
+    assert given is not None
+    num_terms = given.terms.shape[-1]
+    by_stage = jnp.broadcast_to(told, (log.action.shape[1], *told.shape[-2:]))
+    each = by_stage[jnp.arange(log.action.shape[1]), block_of_action[log.action]]
+    at_state = each[..., 0] + jnp.sum(_taken(log) * given.is_used * each[..., 1:-num_terms], axis=-1)
+    of_time = jnp.sum(given.expected * each[..., -num_terms:], axis=-1)
+    return jnp.asarray(given.share * target + (1.0 - given.share) * at_state + of_time)
 
 
 def _taken(log: Transitions) -> Float[Array, "n T F"]:

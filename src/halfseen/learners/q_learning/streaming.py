@@ -153,7 +153,7 @@ def _sums(
     if setting.stages == "separate":
         rows, successor = stage_of(log, step.stage), jax.lax.dynamic_slice_in_dim(successor, step.stage, 1, axis=1)
     design = regression.design(rows, rows.weight)
-    return gram_of(design), regression.cross(design, rows, target_of(rows, successor), step.centre)
+    return gram_of(design), regression.cross(design, rows, target_of(rows, successor).ravel(), step.centre)
 
 
 @partial(jax.jit, static_argnames=("num_paths", "is_scaled"))

@@ -35,7 +35,7 @@ from halfseen.errors import LogError
 from halfseen.logs.columns import OBJECT_COLUMNS, PATH_COLUMNS, STAGE_COLUMNS
 from halfseen.logs.formats.column_types import ColumnType, as_cells, column_type, from_texts, type_name
 from halfseen.logs.logs import Logs
-from halfseen.placing import placed
+from halfseen.writing import placed
 
 TYPES_FILE = "columns.json"
 FORMAT, VERSION = "halfseen-csv", 1

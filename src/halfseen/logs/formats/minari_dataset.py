@@ -20,7 +20,7 @@ from halfseen.logs.formats.extras import extra
 from halfseen.logs.formats.minari_foreign import read_foreign
 from halfseen.logs.formats.minari_steps import Schema, Steps, logs_of, schema_of, steps_of
 from halfseen.logs.logs import Logs
-from halfseen.placing import placed
+from halfseen.writing import placed
 
 KEY = "halfseen"
 VERSION = 1

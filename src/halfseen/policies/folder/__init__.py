@@ -1,0 +1,18 @@
+"""Policies on disk: numbers and text, so that loading one runs no code.
+
+::
+
+    FOLDER/
+      policy.json          what the policy looks at, what it was learned from and how, what its weights are worth
+      policy.safetensors   its numbers
+      policy.sha256        digests of both (``sha256sum -c policy.sha256`` checks them, too)
+
+Read down: `files` (there whole or not at all, no byte changed) → `arrays` (policy ↔ numbers) → `log_digest`, `seen`
+(what the log was) → `record` (policy.json) → `stored` (write and read).
+"""
+
+from halfseen.policies.folder.files import check_target
+from halfseen.policies.folder.log_digest import log_digest
+from halfseen.policies.folder.stored import StoredPolicy, read_policy, write_policy
+
+__all__ = ["StoredPolicy", "check_target", "log_digest", "read_policy", "write_policy"]

@@ -1,0 +1,134 @@
+"""Write what was learned into a folder, and read it back: what is read decides the same, to the last bit."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import safetensors
+import safetensors.numpy
+from sklearn.utils.validation import check_is_fitted
+
+from halfseen.errors import PolicyError
+from halfseen.learners.q_learning.flat_policy import FlatPolicy
+from halfseen.learners.q_learning.q_learner import CensoredQLearner
+from halfseen.logs import Logs
+from halfseen.policies.folder.arrays import arrays_of, column_major, flat_policy_of, laid_out, table_policy_of
+from halfseen.policies.folder.files import ARRAYS, RECORD, check_target, read_files, write_files
+from halfseen.policies.folder.record import (
+    TABLE,
+    as_json,
+    check_features,
+    from_json,
+    horizon_of,
+    names_of,
+    record_of,
+)
+from halfseen.policies.folder.seen import TABLE_RANGES, check_seen
+from halfseen.tables.table_policy import LinearTablePolicy
+
+
+@dataclass(frozen=True, eq=False)
+class StoredPolicy:
+    """A policy that was read from a folder, and what is known of it.
+
+    Parameters
+    ----------
+    policy
+        What decides.
+    record
+        What policy.json says: versions, schema, what was seen, the learner's parameters, λ, the log, diagnostics.
+    """
+
+    policy: FlatPolicy | LinearTablePolicy
+    record: Mapping[str, Any]
+
+    @property
+    def is_table(self) -> bool:
+        """Whether it decides for tables of objects; else it takes named actions."""
+        return self.record["kind"] == TABLE
+
+    @property
+    def horizon(self) -> int:
+        """Number T of stages that a path may have."""
+        return horizon_of(self.record)
+
+    def ranges(self, stage: int) -> dict[str, tuple[float, float]] | None:
+        """Least and largest value of each covariate in the log, where Q of this stage was taught; None if nowhere."""
+        is_by_stage = self.record["reg"].get("rows") == "stage"
+        for entry in self.record["seen"]:
+            first, last = entry["stages"]
+            if first <= stage <= last or not is_by_stage:
+                return {name: (float(low), float(high)) for name, (low, high) in entry["ranges"].items()}
+        return None
+
+
+def write_policy(learner: CensoredQLearner, logs: Logs, folder: str | Path, *, overwrite: bool = False) -> None:
+    """Write the policy of a fitted learner, all or nothing.
+
+    Parameters
+    ----------
+    learner
+        Fitted to `logs`.
+    logs
+        What it was learned from; only its ranges, counts and digest are kept.
+    folder
+        Where to; missing parents are made.
+    overwrite
+        Replace a policy that is already there.
+
+    Raises
+    ------
+    ArgumentError
+        The folder exists or cannot be written, or the policy holds what no folder can: a grasp model of one's own,
+        or actions that are neither whole numbers nor text.
+    PolicyError
+        A number of the policy is not finite.
+    """
+    check_is_fitted(learner, "policy_")
+    check_target(Path(folder), overwrite)
+    arrays = arrays_of(learner.policy_)
+    record = {**record_of(learner, logs), "column_major": column_major(arrays)}
+    _policy_of(record, arrays)
+    numbers = safetensors.numpy.save(laid_out(arrays, ()))
+    write_files(Path(folder), as_json(record), numbers, overwrite=overwrite)
+
+
+def read_policy(folder: str | Path) -> StoredPolicy:
+    """Read a policy that `write_policy` wrote, and check all of it; no code of the folder is run.
+
+    Parameters
+    ----------
+    folder
+        The folder.
+
+    Raises
+    ------
+    PolicyError
+        A file is missing, a byte has changed, the version is unknown, or the numbers do not fit the schema.
+    """
+    folder = Path(folder)
+    text, numbers = read_files(folder)
+    try:
+        record = from_json(text)
+    except PolicyError as error:
+        raise PolicyError(f"{folder / RECORD}: {error}") from error
+    try:
+        arrays = safetensors.numpy.load(numbers)
+    except (safetensors.SafetensorError, KeyError, TypeError, ValueError, AttributeError) as error:
+        raise PolicyError(f"{folder / ARRAYS}: it is no safetensors file ({error}); learn the policy anew") from error
+    try:
+        return StoredPolicy(_policy_of(record, laid_out(arrays, record["column_major"])), record)
+    except PolicyError as error:
+        raise PolicyError(f"{folder}: {error}") from error
+
+
+def _policy_of(record: Mapping[str, Any], arrays: Any) -> FlatPolicy | LinearTablePolicy:
+    if record["kind"] == TABLE:
+        check_features(record)
+        policy, names = table_policy_of(arrays, horizon_of(record)), TABLE_RANGES
+    else:
+        policy = flat_policy_of(arrays, *names_of(record))
+        names = policy.covariates
+    check_seen(record.get("seen"), names)
+    return policy

@@ -1,0 +1,133 @@
+"""Why a policy takes an action, in one sentence: what it is worth more than the next, and what it looked at."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Bool, Float
+
+from halfseen.learners.q_learning.flat_policy import FlatPolicy
+from halfseen.world.action_space import FINISH
+from halfseen.world.explanation import action_names
+from halfseen.world.state import TableState
+
+_SAME_VALUE = 1e-5
+_HIDES = 0.1
+"""Share of another object from which on an object counts as hiding it."""
+
+_HIDDEN = ((0.1, "in plain sight"), (0.35, "partly hidden"), (0.65, "half hidden"), (np.inf, "mostly hidden"))
+_DIRTY = (
+    (0.1, "almost surely clean"),
+    (0.25, "probably clean"),
+    (0.45, "rather clean than dirty"),
+    (0.55, "as likely clean as dirty"),
+    (0.75, "rather dirty than clean"),
+    (0.9, "probably dirty"),
+    (np.inf, "almost surely dirty"),
+)
+
+
+def table_reason(state: TableState, q: Float[np.ndarray, " A"]) -> str:
+    """Say why the best action of one table is best.
+
+    Parameters
+    ----------
+    state
+        One table with an object on it.
+    q
+        Q of each action; −∞ where impossible.
+
+    Examples
+    --------
+    >>> from halfseen.world import Scene
+    >>> from halfseen.tables.present import first_state
+    >>> state = first_state(Scene(np.array([[0.0, 0.5], [0.0, 0.0]])), horizon=10).state
+    >>> table_reason(state, np.array([0.0, 1.0, 0.5, 0.0, 1.8]))
+    'LIFT 1: worth 0.80 more than WASH 0; it is in plain sight (0.00) and rather dirty than clean (0.60), and it \
+hides 0.'
+    """
+    is_there = np.asarray(state.is_on_table)
+    hides = np.where(is_there[None, :], np.asarray(state.hides, dtype=np.float64), 0.0)
+    occluded = 1.0 - np.prod(1.0 - hides, axis=1)
+    is_dirty = 1.0 / (1.0 + np.exp(-np.asarray(state.log_odds, dtype=np.float64)))
+    best = int(np.argmax(q))
+    lead = _lead(action_names(len(is_there)), q, best)
+    if best == FINISH:
+        likely = int(np.argmax(np.where(is_there, is_dirty, -1.0)))
+        count = int(is_there.sum())
+        left = "the only object left" if count == 1 else f"the likeliest dirty of the {count} objects left, {likely},"
+        return f"{lead}; {left} is {_looks(occluded[likely], is_dirty[likely])}."
+    target = (best - 1) % len(is_there)
+    failures = int(np.sum((np.asarray(state.attempt_object) == target) & ~np.asarray(state.attempt_succeeded)))
+    slipped = f", it slipped {'once' if failures == 1 else f'{failures} times'}" if failures else ""
+    hidden = np.flatnonzero(is_there & (hides[:, target] >= _HIDES))
+    more = f", and it hides {_listed(hidden.tolist())}" if len(hidden) else ""
+    return f"{lead}; it is {_looks(occluded[target], is_dirty[target])}{slipped}{more}."
+
+
+def flat_reason(
+    policy: FlatPolicy, row: pd.DataFrame, stage: int, ranges: Mapping[str, tuple[float, float]] | None
+) -> str:
+    """Say why the best action of a policy of named actions is best.
+
+    The covariate that is told of is the one without which the action would lead by least: were it in the middle of
+    what the log showed.
+
+    Parameters
+    ----------
+    policy
+        A policy.
+    row
+        Covariates, one row.
+    stage
+        The stage, from 1.
+    ranges
+        Least and largest value of each covariate in the log; None if no path came so far.
+    """
+    is_possible = policy.is_possible[stage - 1]
+    q = _possible(policy.q_values(row, stage)[0], is_possible)
+    best = int(np.argmax(q))
+    names = [str(name) for name in policy.actions]
+    lead = _lead(names, q, best)
+    if not policy.covariates or ranges is None or is_possible.sum() < 2:
+        return f"{lead}."
+    other = int(np.argmax(np.where(np.arange(len(q)) == best, -np.inf, q)))
+    middle = {name: sum(ranges[name]) / 2.0 for name in policy.covariates}
+    changed = pd.concat([row.assign(**{name: middle[name]}) for name in policy.covariates], ignore_index=True)
+    each = policy.q_values(changed, stage)
+    left = each[:, best] - each[:, other]
+    least = int(np.argmin(left))
+    name = policy.covariates[least]
+    if q[best] - q[other] - left[least] < _SAME_VALUE:
+        return f"{lead}; none of what it looks at speaks for it more than the middle of the logs does."
+    value = float(row[name].iloc[0])
+    would = f"worth {abs(left[least]):.2f} {'more' if left[least] >= 0 else 'less'} than {names[other]}"
+    return f"{lead}; {name} = {value:g} speaks for it most: at {middle[name]:g}, it would be {would}."
+
+
+def _possible(q: Float[np.ndarray, " A"], is_possible: Bool[np.ndarray, " A"]) -> Float[np.ndarray, " A"]:
+    return np.where(is_possible, q, -np.inf)
+
+
+def _lead(names: Sequence[str], q: Float[np.ndarray, " A"], best: int) -> str:
+    others = np.where(np.arange(len(q)) == best, -np.inf, q)
+    other = int(np.argmax(others))
+    if not np.isfinite(others[other]):
+        return f"{names[best]}: nothing else is possible"
+    gap = float(q[best] - others[other])
+    if gap < _SAME_VALUE * max(1.0, abs(float(q[best]))):
+        return f"{names[best]}: worth as much as {names[other]}"
+    return f"{names[best]}: worth {gap:.2f} more than {names[other]}"
+
+
+def _looks(occluded: float, is_dirty: float) -> str:
+    return f"{_word(_HIDDEN, occluded)} ({abs(occluded):.2f}) and {_word(_DIRTY, is_dirty)} ({is_dirty:.2f})"
+
+
+def _word(bands: Sequence[tuple[float, str]], value: float) -> str:
+    return next(word for bound, word in bands if value < bound)
+
+
+def _listed(numbers: Sequence[int]) -> str:
+    *first, last = [str(number) for number in numbers]
+    return f"{', '.join(first)} and {last}" if first else last

@@ -1,0 +1,30 @@
+"""The task of tables: where the learners meet the world.
+
+Read down: `features` (what Q looks at) → `grasp` (how likely a grasp is to succeed, learned from attempts) →
+`variance_reduction` (less noise in the targets) → `table_policy` (what was learned) → `learned_explanation` (how
+sure it may be) → `present` (what is seen now, and what was logged of the path so far → the state to decide in).
+"""
+
+from typing import TYPE_CHECKING
+
+from halfseen.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from halfseen.tables.grasp.attempts import attempts
+    from halfseen.tables.grasp.beta_grasp import BetaGrasp
+    from halfseen.tables.grasp.svm_grasp import SVMGrasp
+    from halfseen.tables.learned_explanation import LearnedExplainer
+    from halfseen.tables.table_policy import LinearTablePolicy
+
+__all__ = ["BetaGrasp", "LearnedExplainer", "LinearTablePolicy", "SVMGrasp", "attempts"]
+
+__getattr__ = lazy_names(
+    __name__,
+    {
+        "BetaGrasp": "grasp.beta_grasp",
+        "LearnedExplainer": "learned_explanation",
+        "LinearTablePolicy": "table_policy",
+        "SVMGrasp": "grasp.svm_grasp",
+        "attempts": "grasp.attempts",
+    },
+)

@@ -1,0 +1,100 @@
+"""From the log of a table to the attempts to grasp that it holds, the cut ones included."""
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Bool
+
+from halfseen.errors import LogError
+from halfseen.logs import Logs
+from halfseen.world.action_space import Verb
+
+ATTEMPT_VERBS = (Verb.WASH.name, Verb.LIFT.name)
+COLUMNS = ("path", "stage", "object", "occlusion", "successes", "failures", "succeeded", "time_s", "is_finished")
+_KEY = ["path", "stage", "object"]
+_HISTORY = ["occlusion", "successes", "failures"]
+
+
+def attempts(logs: Logs, horizon: int | None = None) -> pd.DataFrame:
+    """List every attempt to WASH or LIFT whose end, or cut, was seen.
+
+    Whether an attempt succeeded shows in the object's counts one stage later. After the last stage of a path there are
+    none: a WASH that ends a path before the horizon has cleared the table, so it succeeded. Of an attempt in stage
+    `horizon` nobody wrote down what became of it; those attempts are left out, cut ones too. That depends on the stage
+    alone, and so it biases nothing. So is an attempt that was cut the moment it began: it was watched for 0 s.
+
+    Parameters
+    ----------
+    logs
+        A log with objects: columns occlusion, successes and failures.
+    horizon
+        Stages after which a path ends by itself; by default the stages of the longest path.
+
+    Returns
+    -------
+    DataFrame
+        One row an attempt, sorted by path and stage: path, stage, object (a number for each object of each path),
+        occlusion, successes and failures (before the attempt), succeeded (null where cut), time_s (duration watched,
+        transport included [s]) and is_finished (False where cut).
+
+    Raises
+    ------
+    LogError
+        The log has no objects or lacks one of their columns, or the outcome of an attempt cannot be told.
+    """
+    objects = _checked_objects(logs)
+    stages = logs.stages.assign(time_s=_watched_s(logs))
+    tried = pd.DataFrame(stages[stages["action"].isin(ATTEMPT_VERBS)])
+    rows = tried.merge(objects, on=_KEY, how="left", validate="one_to_one")
+    _refuse(rows, rows["occlusion"].isna().to_numpy(), "the object is not listed in this stage; list it in objects")
+    horizon = logs.horizon if horizon is None else horizon
+    rows = pd.DataFrame(rows[(rows["stage"] < horizon) & (rows["time_s"] > 0)]).reset_index(drop=True)
+    is_finished = ~np.isnan(rows["elapsed_s"].to_numpy())
+    codes = rows.groupby(["path", "object"], sort=False).ngroup()
+    table = rows.assign(succeeded=_outcomes(logs, rows, objects), is_finished=is_finished, object=codes)
+    return pd.DataFrame(table[list(COLUMNS)])
+
+
+def _checked_objects(logs: Logs) -> pd.DataFrame:
+    if logs.objects is None:
+        raise LogError("objects: the log has none; attempts are read from logs with an objects table")
+    missing = [name for name in _HISTORY if name not in logs.objects.columns]
+    if missing:
+        raise LogError(f"objects: column {missing[0]!r} is missing; there are {', '.join(logs.objects.columns)}")
+    return pd.DataFrame(logs.objects[[*_KEY, *_HISTORY]])
+
+
+def _watched_s(logs: Logs) -> pd.Series:
+    """Time from the beginning of each stage until it was completed or its path was cut [s]."""
+    stages = logs.stages
+    end_s = pd.Series(logs.end_s[pd.Index(logs.path_ids).get_indexer(stages["path"])])
+    begun_s = stages.groupby("path")["elapsed_s"].shift().fillna(0.0)
+    return stages["elapsed_s"].fillna(end_s) - begun_s
+
+
+def _outcomes(logs: Logs, rows: pd.DataFrame, objects: pd.DataFrame) -> pd.Series:
+    """Whether each attempt succeeded; null where it was cut."""
+    after = rows[_KEY].assign(stage=rows["stage"] + 1).merge(objects, on=_KEY, how="left")
+    gained = after[_HISTORY[1:]].to_numpy() - rows[_HISTORY[1:]].to_numpy()
+    is_cut = rows["elapsed_s"].isna().to_numpy()
+    is_told = ~np.isnan(gained).any(axis=1)
+    is_right = (np.sort(gained, axis=1) == [0, 1]).all(axis=1)
+    wrong = "successes and failures do not grow by this one attempt until the next stage; mend the counts"
+    _refuse(rows, ~is_cut & is_told & ~is_right, wrong)
+    cleared = ~is_cut & ~is_told & _ends_its_path(logs, rows) & (rows["action"] == Verb.WASH.name).to_numpy()
+    untold = "no later stage tells whether the attempt succeeded; give the horizon if it ended the path"
+    _refuse(rows, ~is_cut & ~is_told & ~cleared, untold)
+    outcome = pd.Series((is_told & (gained[:, 0] == 1)) | cleared, dtype="boolean")
+    return outcome.mask(pd.Series(is_cut))
+
+
+def _ends_its_path(logs: Logs, rows: pd.DataFrame) -> Bool[np.ndarray, " rows"]:
+    num_stages = logs.stages.groupby("path")["stage"].max()
+    return rows["stage"].to_numpy() == num_stages.reindex(rows["path"]).to_numpy()
+
+
+def _refuse(rows: pd.DataFrame, wrong: Bool[np.ndarray, " rows"], trouble: str) -> None:
+    if wrong.any():
+        row = rows.iloc[int(np.argmax(wrong))]
+        raise LogError(
+            f"path {row['path']}, stage {row['stage']}: {row['action']} of object {row['object']}: {trouble}"
+        )

@@ -1,0 +1,112 @@
+"""A fitted grasp model as a table of chances, so that it runs inside compiled decisions."""
+
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from sklearn.base import clone
+
+from halfseen.censoring import is_fitted
+from halfseen.errors import ArgumentError
+from halfseen.logs import Logs
+from halfseen.logs.frames import FrameLike
+from halfseen.tables.grasp.attempts import attempts
+from halfseen.world.grasp_model import GraspModel
+from halfseen.world.state import TableState, attempt_counts, occlusion
+
+NUM_OCCLUSIONS = 33
+
+
+@runtime_checkable
+class GraspEstimator(Protocol):
+    """What `BetaGrasp` and `SVMGrasp` are: fitted to attempts, it tells their chances."""
+
+    def fit(self, frame: FrameLike) -> "GraspEstimator":
+        """Learn from attempts."""
+        ...
+
+    def predict_proba(self, frame: FrameLike) -> Float[np.ndarray, "m 2"]:
+        """Chance that an attempt fails, and that it succeeds."""
+        ...
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class GraspTable:
+    """P(success) by occlusion, past successes and past failures (a pytree; `jax.vmap` adds batch axes).
+
+    Between occlusions it interpolates; more successes or failures than the table holds count as the most that it holds.
+
+    Parameters
+    ----------
+    chances
+        Occlusions evenly from 0 to 1, successes from 0, failures from 0.
+    """
+
+    chances: Float[Array, "*B O K K"]
+
+    def chance(self, state: TableState) -> Float[Array, " N"]:
+        """P(an attempt succeeds) for each object of one table."""
+        num_cells, most = self.chances.shape[-3] - 1, self.chances.shape[-1] - 1
+        successes, failures = (jnp.clip(counts, 0, most).astype(jnp.int32) for counts in attempt_counts(state))
+        place = jnp.clip(occlusion(state), 0.0, 1.0) * num_cells
+        below = jnp.clip(jnp.floor(place), 0, num_cells - 1).astype(jnp.int32)
+        low, high = (self.chances[below + step, successes, failures] for step in (0, 1))
+        return low + (place - below) * (high - low)
+
+
+def tabulate(model: GraspEstimator, horizon: int) -> GraspTable:
+    """Ask a fitted model for all chances that a path of `horizon` stages can need.
+
+    Raises
+    ------
+    ArgumentError
+        `horizon` is below 1, or the model gives no chances.
+    """
+    if horizon < 1:
+        raise ArgumentError(f"horizon is {horizon}; a path has at least 1 stage")
+    shape = NUM_OCCLUSIONS, horizon + 1, horizon + 1
+    level, successes, failures = (axis.ravel() for axis in np.indices(shape))
+    occluded = level / (NUM_OCCLUSIONS - 1)
+    chances = model.predict_proba({"occlusion": occluded, "successes": successes, "failures": failures})[:, 1]
+    wrong = ~((chances >= 0) & (chances <= 1))
+    if wrong.any():
+        at = int(np.argmax(wrong))
+        raise ArgumentError(f"{model!r} gives {chances[at]} at occlusion {occluded[at]:g}; a chance lies in [0, 1]")
+    return GraspTable(jnp.asarray(chances.reshape(shape), dtype=jnp.float32))
+
+
+def grasp_model_of(grasp: Any, logs: Logs, horizon: int) -> GraspModel | None:
+    """Make a grasp model that runs inside a policy.
+
+    Parameters
+    ----------
+    grasp
+        None; a `GraspModel`, which is taken as it is; or a grasp estimator, which is tabulated, and first fitted to the
+        attempts of the log (as a copy) if it is not fitted.
+    logs
+        The log.
+    horizon
+        T.
+
+    Raises
+    ------
+    ArgumentError
+        `grasp` is none of these, or the attempts do not suffice to fit it.
+    LogError
+        The log does not tell what became of its attempts.
+    """
+    if grasp is None or (isinstance(grasp, GraspModel) and not isinstance(grasp, type)):
+        return grasp
+    if isinstance(grasp, type) or not isinstance(grasp, GraspEstimator):
+        raise ArgumentError(
+            f"grasp is {grasp!r}; it is None, BetaGrasp(), SVMGrasp(), either of them fitted, or a GraspTable"
+        )
+    estimator: Any = grasp
+    if not is_fitted(estimator):
+        estimator = clone(estimator)
+        estimator.fit(attempts(logs, horizon))
+    return tabulate(estimator, horizon)

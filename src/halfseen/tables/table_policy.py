@@ -1,0 +1,49 @@
+"""A learned linear Q as a policy: coefficients, and nothing of the learner."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from halfseen.learners.q_learning.kernel_map import KernelMap
+from halfseen.learners.q_learning.recursion import q_values
+from halfseen.tables.features import block_of_action, table_features, table_q
+from halfseen.world.action_space import possible_actions
+from halfseen.world.grasp_model import GraspModel
+from halfseen.world.policy import Decision, surely
+from halfseen.world.state import TableState
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class LinearTablePolicy:
+    """argmax over possible actions of Q̂_h(S, a), with h the steps to go.
+
+    Parameters
+    ----------
+    coefficients
+        Of Q_1 … Q_T, by steps to go, verb and feature (offset first).
+    grasp
+        What tells the chance of a grasp in the features; None for Laplace's guess.
+    kernel_map
+        Features of the RKHS; None where Q is linear in the features of the table.
+    """
+
+    coefficients: Float[Array, "*B T K F"]
+    grasp: GraspModel | None = None
+    kernel_map: KernelMap | None = None
+
+    def q_values(self, state: TableState) -> Float[Array, " A"]:
+        """Q of every action of one table; −∞ where an action is not possible."""
+        coefficients = self.coefficients[state.steps_to_go - 1]
+        if self.kernel_map is None:
+            q = table_q(coefficients, state, self.grasp)
+        else:
+            features = self.kernel_map(table_features(state, self.grasp))
+            q = q_values(coefficients, features, block_of_action(state.num_objects))
+        return jnp.where(possible_actions(state), q, -jnp.inf)
+
+    def decide(self, state: TableState, key: Array) -> Decision:
+        """Choose for one table; there is no chance in it."""
+        return surely(jnp.argmax(self.q_values(state)).astype(jnp.int32))

@@ -1,0 +1,371 @@
+import contextlib
+import hashlib
+import json
+from copy import copy
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+import pytest
+import safetensors.numpy
+from small_logs import flat_log, table_log
+
+from halfseen.errors import ArgumentError, PolicyError
+from halfseen.learners import CensoredQLearner
+from halfseen.logs import Logs, read_logs
+from halfseen.policies.folder import log_digest, read_policy, write_policy
+from halfseen.policies.folder.files import ARRAYS, DIGESTS, RECORD
+from halfseen.policies.folder.record import TABLE_FEATURES_VERSION
+from halfseen.tables import BetaGrasp
+from halfseen.tables.features import table_features
+from halfseen.tables.present import first_state
+from halfseen.world import Scene
+from halfseen.world.state import TableState
+
+FILES = (RECORD, ARRAYS, DIGESTS)
+ACTIONS = {1: ["A", "B"], 2: ["A", "C"]}
+HIDES = np.array([[0.0, 0.3, 0.9], [0.0, 0.0, 0.0], [0.2, 0.1, 0.0]])
+PROBE = [2.191882, 6.020726, 5.286517, 5.92044, 6.093954, 7.434375, 6.474695]
+
+
+def flat_learner(**parameters):
+    return CensoredQLearner(2, ACTIONS, ["x1", "x2"], reg=0.1, **parameters)
+
+
+@pytest.fixture(scope="module")
+def flat():
+    return flat_log()
+
+
+@pytest.fixture(scope="module")
+def tables():
+    return table_log()
+
+
+@pytest.fixture(scope="module")
+def flat_fitted(flat):
+    return flat_learner().fit(flat)
+
+
+@pytest.fixture(scope="module")
+def tables_fitted(tables):
+    return CensoredQLearner.for_table(3, reg=0.1).fit(tables)
+
+
+@pytest.fixture
+def written(flat, flat_fitted, tmp_path):
+    write_policy(flat_fitted, flat, tmp_path / "policy")
+    return tmp_path / "policy"
+
+
+def told(folder):
+    """The refusal of a folder, which is one line."""
+    with pytest.raises(PolicyError) as refused:
+        read_policy(folder)
+    assert "\n" not in str(refused.value)
+    return str(refused.value)
+
+
+def sign(folder):
+    lines = [f"{hashlib.sha256((folder / name).read_bytes()).hexdigest()}  {name}\n" for name in (RECORD, ARRAYS)]
+    (folder / DIGESTS).write_text("".join(lines))
+
+
+def edit(folder, change):
+    """Change policy.json and sign it anew, as another program might."""
+    record = json.loads((folder / RECORD).read_text())
+    change(record)
+    (folder / RECORD).write_text(json.dumps(record))
+    sign(folder)
+
+
+def edit_arrays(folder, change):
+    arrays = {name: array.copy() for name, array in safetensors.numpy.load((folder / ARRAYS).read_bytes()).items()}
+    change(arrays)
+    (folder / ARRAYS).write_bytes(safetensors.numpy.save(arrays))
+    sign(folder)
+
+
+@pytest.mark.parametrize(
+    ("q_function", "stages"), [("linear", "separate"), ("linear", "pooled"), ("kernel", "separate")]
+)
+def test_a_policy_of_named_actions_comes_back_to_the_last_bit(flat, tmp_path, q_function, stages):
+    learner = flat_learner(q_function=q_function, stages=stages).fit(flat)
+    write_policy(learner, flat, tmp_path / "policy")
+    again = read_policy(tmp_path / "policy")
+    assert not again.is_table
+    assert again.horizon == 2
+    asked = pd.DataFrame(np.random.default_rng(1).normal(size=(203, 2)), columns=["x1", "x2"])
+    for stage in (1, 2):
+        for rows in (asked, asked[:1]):
+            q = learner.q_values(rows, stage)
+            assert again.policy.q_values(rows, stage).tobytes() == q.tobytes()
+            assert list(again.policy.decide(rows, stage)) == list(learner.decide(rows, stage))
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [{}, {"grasp": BetaGrasp()}, {"q_function": "kernel", "num_landmarks": 12}],
+    ids=["linear", "grasp", "kernel"],
+)
+def test_a_policy_of_tables_comes_back_to_the_last_bit(tables, tmp_path, parameters):
+    learner = CensoredQLearner.for_table(3, reg=0.1, **parameters).fit(tables)
+    write_policy(learner, tables, tmp_path / "policy")
+    again = read_policy(tmp_path / "policy")
+    assert again.is_table
+    assert again.horizon == 3
+    rng = np.random.default_rng(0)
+    state = first_state(Scene(HIDES), horizon=3).state
+    states = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (50, *leaf.shape)), state)
+    states = replace(
+        states,
+        log_odds=jnp.asarray(rng.normal(size=(50, 3)), dtype=jnp.float32),
+        steps_to_go=jnp.asarray(rng.integers(1, 4, size=50), dtype=jnp.int32),
+    )
+    decide = jax.jit(jax.vmap(lambda policy, one: policy.q_values(one), in_axes=(None, 0)))
+    q = np.asarray(decide(learner.policy_, states))
+    assert np.asarray(decide(again.policy, states)).tobytes() == q.tobytes()
+    assert len(set(q.argmax(axis=1))) > 1
+
+
+def test_actions_keep_their_type(tmp_path):
+    stages = {"path": [0, 1, 2], "stage": [1, 1, 1], "elapsed_s": [1.0, 2.0, 3.0], "action": [7, 8, 7]}
+    paths = {"path": [0, 1, 2], "end_s": [1.0, 2.0, 3.0], "ending": ["finished"] * 3}
+    logs = Logs({**stages, "reward": [0.0, 1.0, 0.0]}, paths)
+    learner = CensoredQLearner(1, sorted(set(logs.stages["action"])), [], reg=0.0).fit(logs)
+    write_policy(learner, logs, tmp_path / "policy")
+    assert read_policy(tmp_path / "policy").policy.decide(pd.DataFrame(index=[0]), 1).tolist() == [8]
+
+
+def test_the_record_says_what_was_learned_from(written, flat, flat_fitted):
+    record = read_policy(written).record
+    assert record["schema"]["possible"] == [["A", "B"], ["A", "C"]]
+    assert (record["log"]["num_paths"], record["log"]["sha256"]) == (40, log_digest(flat))
+    assert record["learner"]["censoring"] == "kaplan-meier"
+    assert record["reg"]["values"] == flat_fitted.q_functions_.reg.tolist()
+    weights = record["diagnostics"]["weights"]
+    assert weights["effective_sample_size"] == flat_fitted.diagnostics_.effective_sample_size
+    assert len(record["diagnostics"]["weights_by_stage"]) == 2
+
+
+def test_ranges_are_those_of_the_stage_or_of_all_where_it_shares_its_q(written, flat, tmp_path):
+    second = flat.stages[flat.stages["stage"] == 2]["x1"]
+    assert read_policy(written).ranges(2) == {"x1": (second.min(), second.max()), "x2": (0.0, 2.0)}
+    pooled = flat_learner(stages="pooled").fit(flat)
+    write_policy(pooled, flat, tmp_path / "pooled")
+    every = flat.stages["x1"]
+    assert read_policy(tmp_path / "pooled").ranges(2)["x1"] == (every.min(), every.max())
+
+
+def test_the_same_learner_writes_the_same_bytes(written, flat, tmp_path):
+    write_policy(flat_learner().fit(flat), flat, tmp_path / "again")
+    assert [(tmp_path / "again" / name).read_bytes() for name in FILES] == [
+        (written / name).read_bytes() for name in FILES
+    ]
+
+
+def test_a_log_has_one_digest_wherever_it_lies(tables, tmp_path):
+    tables.write(tmp_path / "logs")
+    assert log_digest(read_logs(tmp_path / "logs")) == log_digest(tables)
+    assert log_digest(tables.select(tables.path_ids[1:])) != log_digest(tables)
+    moved = tables.objects.copy()
+    moved.at[3, "hidden_by"] = [0.11, 0.0] if moved.at[3, "object"] else [0.0, 0.41]
+    assert log_digest(Logs(tables.stages, tables.paths, moved)) != log_digest(tables)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_any_byte_changed_is_noticed(written, name):
+    whole = (written / name).read_bytes()
+    rng = np.random.default_rng(0)
+    for position in {0, len(whole) - 1, *rng.integers(0, len(whole), 50).tolist()}:
+        changed = bytearray(whole)
+        changed[position] ^= 1 << int(rng.integers(8))
+        (written / name).write_bytes(changed)
+        assert "it is not as it was written" in told(written)
+    (written / name).write_bytes(whole)
+    read_policy(written)
+
+
+@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("keep", [None, 0, 10])
+def test_a_half_written_folder_is_refused(written, name, keep):
+    if keep is None:
+        (written / name).unlink()
+        assert f"{written / name}: it is missing" in told(written)
+    else:
+        (written / name).write_bytes((written / name).read_bytes()[:keep])
+        assert "it is not as it was written" in told(written)
+
+
+def test_no_folder_and_a_folder_of_something_else_are_refused(tmp_path):
+    assert "there is no such folder" in told(tmp_path / "none")
+    (tmp_path / "file").write_text("x")
+    assert "there is no such folder" in told(tmp_path / "file")
+    assert "policy.json: it is missing" in told(tmp_path)
+    (tmp_path / RECORD).mkdir()
+    assert "cannot be read" in told(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda r: r.update(version=2), "version 2 is not the 1 that halfseen"),
+        (lambda r: r.update(format="pickle"), "describes no policy"),
+        (lambda r: r.update(kind="tree"), "kind is 'tree'"),
+        (lambda r: r.pop("seen"), "seen does not give the range of x1, x2"),
+        (lambda r: r["seen"][0]["ranges"].update(x1=[2.0, 1.0]), "ends before it begins"),
+        (lambda r: r["seen"][0]["ranges"].pop("x1"), "a range is missing"),
+        (lambda r: r["seen"][0].update(ranges={"x1": [float("nan"), 1.0]}), "NaN is no number of JSON"),
+        (lambda r: r.pop("schema"), "schema is None"),
+        (lambda r: r["schema"].update(horizon=True), "horizon is True"),
+        (lambda r: r["schema"].update(horizon=3), "possible is"),
+        (lambda r: r["schema"].update(covariates=["x1"]), "'coefficients' is float64 of shape [2, 3, 3]"),
+        (lambda r: r["schema"].update(covariates=["x1", "x1"]), "each has a name of its own"),
+        (lambda r: r["schema"].update(actions=["A", "B", 0.5]), "each has a name of its own"),
+        (lambda r: r["schema"]["possible"][1].append("D"), "possible is"),
+        (lambda r: r.update(kind="table"), "looks at features None"),
+    ],
+)
+def test_a_record_that_does_not_fit_is_refused(written, change, message):
+    edit(written, change)
+    assert message in told(written)
+
+
+@pytest.mark.parametrize("text", [b"", b"[1]", b"{", b"\xff", b"[" * 100_000])
+def test_a_record_that_is_none_is_refused(written, text):
+    (written / RECORD).write_bytes(text)
+    sign(written)
+    assert RECORD in told(written)
+
+
+def places(record, at=()):
+    """Every place in a record, as the keys that lead to it."""
+    keys = record if isinstance(record, dict) else range(len(record)) if isinstance(record, list) else ()
+    return [place for key in keys for place in [(*at, key), *places(record[key], (*at, key))]]
+
+
+def test_nonsense_anywhere_in_the_schema_is_refused_or_harmless(written):
+    """No other error than a PolicyError comes of it, whatever stands where."""
+    whole = json.loads((written / RECORD).read_text())
+    wanted = [place for place in places(whole) if place[0] not in ("learner", "diagnostics", "log", "versions")]
+    for place in wanted:
+        for nonsense in (None, -1, "x", [None], 10**400):
+            record = json.loads(json.dumps(whole))
+            parent = record
+            for key in place[:-1]:
+                parent = parent[key]
+            parent[place[-1]] = nonsense
+            (written / RECORD).write_text(json.dumps(record))
+            sign(written)
+            with contextlib.suppress(PolicyError):
+                read_policy(written).ranges(2)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_number_that_is_none_is_refused(written, value):
+    edit_arrays(written, lambda arrays: arrays["coefficients"].__setitem__((1, 2, 0), value))
+    assert f"'coefficients' holds {value} at [1, 2, 0]" in told(written)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda a: a.pop("coefficients"), "'coefficients' is missing"),
+        (lambda a: a.update(coefficients=a["coefficients"].astype(np.float32)), "is float32"),
+        (lambda a: a.update(coefficients=a["coefficients"][:1]), "of shape [1, 3, 3]"),
+        (lambda a: a.update(more=np.zeros(2)), "'more' is none that a policy has"),
+        (lambda a: a.update({"grasp.chances": np.zeros((3, 2, 2))}), "'grasp.chances' is none that a policy has"),
+        (lambda a: a.update({"kernel.centre": np.zeros(2)}), "'kernel.projection' is missing"),
+    ],
+)
+def test_arrays_that_do_not_fit_are_refused(written, change, message):
+    edit_arrays(written, change)
+    assert message in told(written)
+
+
+def test_what_is_no_safetensors_file_is_refused(written):
+    (written / ARRAYS).write_bytes(b"\x80\x04." + bytes(40))
+    sign(written)
+    assert "it is no safetensors file" in told(written)
+
+
+def test_other_features_of_tables_are_refused(tables, tables_fitted, tmp_path):
+    write_policy(tables_fitted, tables, tmp_path / "policy")
+    edit(tmp_path / "policy", lambda record: record["schema"]["features"].update(version=0))
+    assert "the policy looks at features" in told(tmp_path / "policy")
+
+
+def test_features_of_tables_are_those_of_their_version():
+    """Where this fails, features have changed: raise TABLE_FEATURES_VERSION, and put the new numbers here."""
+    state = TableState(
+        hides=jnp.asarray(HIDES),
+        is_object=jnp.ones(3, dtype=bool),
+        is_on_table=jnp.array([True, True, True]),
+        log_odds=jnp.array([1.5, -0.2, 2.5]),
+        lifts=jnp.array([0, 1, 0]),
+        attempt_object=jnp.array([1, 0, -1, -1]),
+        attempt_occlusion=jnp.array([0.0, 0.93, 0.0, 0.0]),
+        attempt_succeeded=jnp.array([True, False, False, False]),
+        steps_to_go=jnp.asarray(2),
+    )
+    features = np.asarray(jax.jit(table_features)(state), dtype=np.float64)
+    assert TABLE_FEATURES_VERSION == 1
+    told = features @ np.cos(np.arange(features.shape[1]))
+    np.testing.assert_allclose(told, PROBE, rtol=1e-4)
+
+
+def test_what_is_there_is_replaced_only_when_asked_and_only_a_policy(written, flat, flat_fitted, tmp_path):
+    before = (written / RECORD).read_bytes()
+    with pytest.raises(ArgumentError, match="it is there already"):
+        write_policy(flat_fitted, flat, written)
+    assert (written / RECORD).read_bytes() == before
+    other = flat_learner(random_state=5).fit(flat)
+    write_policy(other, flat, written, overwrite=True)
+    assert read_policy(written).record["seed"] == 5
+    (tmp_path / "mine").mkdir()
+    with pytest.raises(ArgumentError, match="it holds no policy"):
+        write_policy(flat_fitted, flat, tmp_path / "mine", overwrite=True)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine", "policy"]
+
+
+def test_a_failure_on_the_way_leaves_what_was_there(written, flat, flat_fitted, monkeypatch):
+    before = (written / RECORD).read_bytes()
+    monkeypatch.setattr("halfseen.policies.folder.files.DIGESTS", "no/such/folder")
+    with pytest.raises(ArgumentError, match="cannot be written"):
+        write_policy(flat_fitted, flat, written, overwrite=True)
+    assert (written / RECORD).read_bytes() == before
+    assert [path.name for path in written.parent.iterdir()] == ["policy"]
+
+
+def test_what_a_kill_between_two_renames_left_aside_is_told_of(written, flat, flat_fitted, monkeypatch):
+    def killed(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pathlib.Path.rename", lambda path, to, rename=Path.rename: (rename(path, to), killed()))
+    with pytest.raises(KeyboardInterrupt):
+        write_policy(flat_fitted, flat, written, overwrite=True)
+    monkeypatch.undo()
+    (aside,) = written.parent.iterdir()
+    assert f"what was there is {aside}: rename it back" in told(written)
+    aside.rename(written)
+    read_policy(written)
+
+
+def test_what_no_folder_can_hold_is_refused(flat, flat_fitted, tables, tables_fitted, tmp_path):
+    class Mine:
+        def chance(self, state):
+            return jnp.full(state.num_objects, 0.5)
+
+    jax.tree_util.register_static(Mine)
+    own = copy(tables_fitted)
+    own.policy_ = replace(own.policy_, grasp=Mine())
+    with pytest.raises(ArgumentError, match="grasp is a Mine"):
+        write_policy(own, tables, tmp_path / "policy")
+    learner = copy(flat_fitted)
+    learner.policy_ = replace(flat_fitted.policy_, coefficients=flat_fitted.policy_.coefficients * np.nan)
+    with pytest.raises(PolicyError, match="it is finite"):
+        write_policy(learner, flat, tmp_path / "policy")
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,167 @@
+"""Attempts read from logs, against the episodes that the logs were made from, and against a log written by hand."""
+
+import jax
+import numpy as np
+import pandas as pd
+import pytest
+
+from halfseen.errors import LogError
+from halfseen.logs import Logs
+from halfseen.tables import attempts
+from halfseen.world import Scene, UniformPolicy, WorldConfig
+from halfseen.world.cuts import cut, cut_rate
+from halfseen.world.episodes import play
+from halfseen.world.recording import to_logs
+from halfseen.world.state import attempt_counts, occlusion, pad_scenes
+
+CONFIG = WorldConfig()
+NUM_OBJECTS = 3
+NAMES = ["cup", "mug", "jar"]
+
+
+@pytest.fixture(scope="module")
+def scene():
+    hides = np.zeros((NUM_OBJECTS, NUM_OBJECTS))
+    hides[1, 0], hides[2, 1] = 0.6, 0.4
+    return Scene(hides)
+
+
+@pytest.fixture(scope="module")
+def cuts(scene):
+    episodes = play(CONFIG, pad_scenes([scene]), UniformPolicy(), jax.random.key(0), 200)
+    return cut(episodes, cut_rate(episodes, 0.5, "independent"), "independent", np.random.default_rng(0))
+
+
+@pytest.fixture(scope="module")
+def table(cuts, scene):
+    return attempts(to_logs(cuts, "independent", [scene]), horizon=CONFIG.horizon)
+
+
+def expected_rows(cuts):
+    """Each attempt as the episodes have it: nothing here looks at a log."""
+    states, rows = cuts.episodes.states, []
+    seen = jax.jit(jax.vmap(jax.vmap(lambda state: (occlusion(state), *attempt_counts(state)))))(states)
+    occluded, successes, failures = (np.asarray(leaf) for leaf in seen)
+    last_state = np.asarray(states.attempt_succeeded)[:, -1]
+    for path, stage in np.argwhere(cuts.is_begun & (np.asarray(cuts.episodes.action) > 0)):
+        if stage + 1 == CONFIG.horizon:
+            continue
+        target = (int(cuts.episodes.action[path, stage]) - 1) % NUM_OBJECTS
+        is_finished = bool(cuts.is_completed[path, stage])
+        begun_s = float(np.sum(np.asarray(cuts.episodes.duration_s, dtype=float)[path, :stage]))
+        duration_s = float(cuts.episodes.duration_s[path, stage])
+        at = path, stage, target
+        rows.append(
+            {
+                "path": path,
+                "stage": stage + 1,
+                "occlusion": occluded[at],
+                "successes": successes[at],
+                "failures": failures[at],
+                # States after the path's own end are copies of its last one.
+                "succeeded": bool(last_state[path, stage]) if is_finished else None,
+                "time_s": duration_s if is_finished else cuts.end_s[path] - begun_s,
+                "is_finished": is_finished,
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def test_attempts_are_those_of_the_episodes(table, cuts):
+    expected = expected_rows(cuts)
+    assert len(expected) > 400
+    for name in ("path", "stage", "is_finished"):
+        np.testing.assert_array_equal(table[name], expected[name])
+    for name in ("occlusion", "successes", "failures", "time_s"):
+        np.testing.assert_allclose(table[name], expected[name].astype(float), atol=1e-5)
+    assert table["succeeded"].astype(object).where(table["succeeded"].notna(), None).tolist() == [
+        None if value is None else bool(value) for value in expected["succeeded"]
+    ]
+
+
+def test_every_kind_of_end_is_there(table, cuts):
+    """So that the comparison above has compared them."""
+    is_cleared = cuts.is_finished & (cuts.is_completed.sum(axis=1) < CONFIG.horizon)
+    action = np.asarray(cuts.episodes.action)[np.arange(200), cuts.is_completed.sum(axis=1) - 1]
+    cleared = np.flatnonzero(is_cleared & (action > 0))
+    assert len(cleared) > 0
+    assert table[table["path"].isin(cleared)].groupby("path")["succeeded"].last().all()
+    assert (~table["is_finished"]).sum() > 20
+    assert table["succeeded"].isna().equals(~table["is_finished"])
+    assert (table.loc[table["succeeded"].fillna(True), "time_s"] <= 7.0 + 1e-4).all()
+    np.testing.assert_allclose(table.loc[~table["succeeded"].fillna(True), "time_s"], 7.0, atol=1e-4)
+
+
+def test_objects_are_numbered_within_their_paths(table, cuts):
+    target = (np.asarray(cuts.episodes.action)[table["path"], table["stage"] - 1] - 1) % NUM_OBJECTS
+    assert table.groupby(["path", target])["object"].nunique().max() == 1
+    assert table["object"].nunique() == len(table.assign(target=target).drop_duplicates(["path", "target"]))
+
+
+def by_hand():
+    """One path: the mug is grasped and put back, the cup is missed, the jar's attempt is cut."""
+    stages = pd.DataFrame(
+        {
+            "path": "a",
+            "stage": [1, 2, 3],
+            "elapsed_s": [2.0, 9.0, None],
+            "action": ["LIFT", "WASH", "WASH"],
+            "object": ["mug", "cup", "jar"],
+            "reward": [-0.2, -1.0, None],
+        }
+    )
+    counts = {"cup": [(0, 0), (0, 0), (0, 1)], "jar": [(0, 0)] * 3, "mug": [(0, 0), (1, 0), (1, 0)]}
+    objects = pd.DataFrame(
+        [
+            {"path": "a", "stage": k + 1, "object": name, "occlusion": 0.1, "successes": of[k][0], "failures": of[k][1]}
+            for name, of in counts.items()
+            for k in range(3)
+        ]
+    )
+    paths = pd.DataFrame({"path": ["a", "b"], "end_s": [10.5, 3.0], "ending": ["cut", "finished"]})
+    ended = {"path": ["b"], "stage": [1], "elapsed_s": [3.0], "action": ["WASH"], "object": ["jar"], "reward": [5.0]}
+    alone = {"path": ["b"], "stage": [1], "object": ["jar"], "occlusion": [0.0], "successes": [0], "failures": [0]}
+    return pd.concat([stages, pd.DataFrame(ended)]), paths, pd.concat([objects, pd.DataFrame(alone)])
+
+
+def test_a_log_by_hand():
+    table = attempts(Logs(*by_hand()), horizon=10)
+    assert table["object"].tolist() == [0, 1, 2, 3]
+    assert table["time_s"].tolist() == [2.0, 7.0, 1.5, 3.0]
+    assert table["is_finished"].tolist() == [True, True, False, True]
+    assert table["succeeded"].tolist() == [True, False, pd.NA, True]
+
+
+def test_the_horizon_leaves_its_last_stage_out():
+    assert attempts(Logs(*by_hand()))["stage"].tolist() == [1, 2, 1]
+    assert len(attempts(Logs(*by_hand()), horizon=2)) == 2
+
+
+def test_an_attempt_cut_as_it_began_is_left_out():
+    stages, paths, objects = by_hand()
+    paths["end_s"] = [9.0, 3.0]
+    assert attempts(Logs(stages, paths, objects), horizon=10)["is_finished"].all()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda s, p, o: (s, p, None), "objects: the log has none"),
+        (lambda s, p, o: (s, p, o.drop(columns="failures")), "column 'failures' is missing"),
+        (
+            lambda s, p, o: (s, p, o.assign(successes=0)),
+            "path a, stage 1: LIFT of object mug: successes and failures do not grow by this one attempt",
+        ),
+        (
+            lambda s, p, o: (s.assign(action=s["action"].where(s["path"] == "a", "LIFT")), p, o),
+            "path b, stage 1: LIFT of object jar: no later stage tells",
+        ),
+        (
+            lambda s, p, o: (s, p, o[~((o["stage"] == 2) & (o["object"] == "mug") & (o["path"] == "a"))]),
+            "path a, stage 1: LIFT of object mug: no later stage tells",
+        ),
+    ],
+)
+def test_logs_that_do_not_tell_are_refused(spoil, message):
+    with pytest.raises(LogError, match=message):
+        attempts(Logs(*spoil(*by_hand())), horizon=10)

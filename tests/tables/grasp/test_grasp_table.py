@@ -1,0 +1,183 @@
+"""A grasp model as a table inside policies: the same chances, compiled, batched, and carried by what was learned."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from sklearn.base import clone
+from tried import beta_attempts
+
+from halfseen.errors import ArgumentError
+from halfseen.learners import CensoredQLearner
+from halfseen.learners.q_learning.encoding import encode_states
+from halfseen.tables import BetaGrasp, LinearTablePolicy, SVMGrasp, attempts
+from halfseen.tables.features import NUM_FEATURES, table_features
+from halfseen.tables.grasp.grasp_table import GraspTable, tabulate
+from halfseen.world import Scene, TableWorld, UniformPolicy, WorldConfig
+from halfseen.world.episodes import play
+from halfseen.world.grasp_model import GraspModel
+from halfseen.world.state import attempt_counts, occlusion, pad_scenes
+
+HORIZON = 10
+
+
+@pytest.fixture(scope="module")
+def scene():
+    hides = np.zeros((4, 4))
+    hides[1, 0], hides[2, 1], hides[3, 2] = 0.7, 0.45, 0.33
+    return Scene(hides)
+
+
+@pytest.fixture(scope="module")
+def states(scene):
+    episodes = play(WorldConfig(), pad_scenes([scene]), UniformPolicy(), jax.random.key(1), 40)
+    path, stage = np.nonzero(np.asarray(episodes.is_taken))
+    return jax.tree.map(lambda leaf: leaf[path, stage], episodes.states)
+
+
+@pytest.fixture(scope="module")
+def logs(scene):
+    return TableWorld().simulate(scene, UniformPolicy(), episodes=150, seed=0, cut_share=0.3)
+
+
+@pytest.fixture(scope="module")
+def beta():
+    return BetaGrasp().fit(beta_attempts(200))
+
+
+def chances(model, states):
+    return np.asarray(jax.jit(jax.vmap(lambda state: model.chance(state)))(states))
+
+
+def test_a_table_says_what_the_model_says(beta, states):
+    seen = jax.vmap(lambda state: (occlusion(state), *attempt_counts(state)))(states)
+    asked = dict(
+        zip(
+            ("occlusion", "successes", "failures"),
+            (np.asarray(leaf).ravel().astype(float) for leaf in seen),
+            strict=True,
+        )
+    )
+    asked["occlusion"] = np.clip(asked["occlusion"], 0.0, 1.0)
+    expected = beta.predict_proba(asked)[:, 1].reshape(len(states.lifts), -1)
+    np.testing.assert_allclose(chances(tabulate(beta, HORIZON), states), expected, atol=1e-3)
+    assert asked["failures"].max() >= 2
+    assert asked["successes"].max() >= 2
+
+
+def test_it_is_exact_at_its_occlusions_and_linear_between(states):
+    table = GraspTable(jnp.asarray(np.random.default_rng(0).random((3, 5, 5)), dtype=jnp.float32))
+    for hidden, levels in ((0.0, [1, 0, 0]), (0.5, [0, 1, 0]), (1.0, [0, 0, 1]), (0.125, [0.75, 0.25, 0])):
+        hides = np.zeros((4, 4), dtype=np.float32)
+        hides[0, 1] = hidden
+        state = replace(
+            jax.tree.map(lambda leaf: leaf[0], states),
+            hides=jnp.asarray(hides),
+            is_on_table=jnp.ones(4, dtype=bool),
+            attempt_object=jnp.asarray([0, 0, 0, 1, *[-1] * 6]),
+            attempt_succeeded=jnp.asarray([True, False, True, *[False] * 7]),
+        )
+        assert float(table.chance(state)[0]) == pytest.approx(levels @ np.asarray(table.chances)[:, 2, 1], abs=1e-6)
+
+
+def test_more_attempts_than_the_table_holds_count_as_the_most(beta, states):
+    state = replace(
+        jax.tree.map(lambda leaf: leaf[0], states),
+        attempt_object=jnp.zeros(10, dtype=jnp.int32),
+        attempt_succeeded=jnp.zeros(10, dtype=bool),
+    )
+    small, large = tabulate(beta, 3), tabulate(beta, 10)
+    assert float(small.chance(state)[0]) == pytest.approx(float(small.chances[0, 0, 3]))
+    assert float(large.chance(state)[0]) == pytest.approx(float(large.chances[0, 0, 10]))
+
+
+def test_a_batch_of_tables_is_each_of_them(beta, states):
+    other = GraspTable(1.0 - tabulate(beta, HORIZON).chances)
+    batch = jax.tree.map(lambda *leaves: jnp.stack(leaves), tabulate(beta, HORIZON), other)
+    state = jax.tree.map(lambda leaf: leaf[7], states)
+    together = jax.vmap(lambda table: table.chance(state))(batch)
+    np.testing.assert_array_equal(together[0], tabulate(beta, HORIZON).chance(state))
+    np.testing.assert_array_equal(together[1], other.chance(state))
+
+
+def test_features_take_the_chance_in_place_of_laplaces_guess(states):
+    class Laplace:
+        def chance(self, state):
+            successes, failures = attempt_counts(state)
+            return (1.0 - occlusion(state)) * (1.0 + successes) / (1.0 + successes + failures)
+
+    def features(grasp):
+        return np.asarray(jax.jit(jax.vmap(lambda state: table_features(state, grasp)))(states))
+
+    np.testing.assert_allclose(features(Laplace()), features(None), atol=1e-6)
+    assert np.abs(features(tabulate(BetaGrasp().fit(beta_attempts(50)), HORIZON)) - features(None)).max() > 0.1
+
+
+def test_a_policy_decides_with_its_own_table(beta, states):
+    coefficients = np.random.default_rng(3).normal(size=(HORIZON, 3, NUM_FEATURES + 1))
+    table = tabulate(beta, HORIZON)
+    policy = LinearTablePolicy(jnp.asarray(coefficients, dtype=jnp.float32), table)
+    q = np.asarray(jax.jit(jax.vmap(policy.q_values))(states))
+    plain = np.asarray(jax.jit(jax.vmap(replace(policy, grasp=None).q_values))(states))
+    is_possible = np.isfinite(q)
+    assert np.abs(q[is_possible] - plain[is_possible]).max() > 0.1
+    features, _ = encode_states(jax.tree.map(lambda leaf: leaf[None], states), table)
+    wash = policy.coefficients[states.steps_to_go - 1, 1]
+    expected = wash[:, 0] + jnp.sum(features[0, :, 1] * wash[:, 1:], axis=-1)
+    np.testing.assert_allclose(np.where(np.isfinite(q[:, 1]), q[:, 1], expected), expected, rtol=1e-3, atol=1e-3)
+
+
+def test_the_learner_fits_the_grasp_model_to_its_log_and_leaves_the_one_given_alone(logs):
+    given = BetaGrasp()
+    learner = CensoredQLearner.for_table(horizon=HORIZON, grasp=given).fit(logs)
+    expected = tabulate(BetaGrasp().fit(attempts(logs, HORIZON)), HORIZON)
+    assert not hasattr(given, "strength_")
+    assert learner.policy_.grasp is learner.grasp_
+    np.testing.assert_array_equal(learner.grasp_.chances, expected.chances)
+    assert isinstance(clone(learner).grasp, BetaGrasp)
+
+
+def test_fitted_estimators_tables_and_models_of_ones_own_are_taken_as_they_are(logs, beta):
+    table = tabulate(beta, HORIZON)
+    fits = [CensoredQLearner.for_table(grasp=grasp).fit(logs) for grasp in (beta, table)]
+    np.testing.assert_array_equal(*(fit.q_functions_.coefficients for fit in fits))
+    assert isinstance(table, GraspModel)
+    plain = CensoredQLearner.for_table().fit(logs)
+    assert plain.grasp_ is None
+    assert plain.policy_.grasp is None
+    assert np.abs(plain.q_functions_.coefficients - fits[0].q_functions_.coefficients).max() > 1e-3
+
+
+@pytest.mark.slow
+def test_an_svm_serves_as_well(logs):
+    learner = CensoredQLearner.for_table(grasp=SVMGrasp()).fit(logs)
+    spread = np.asarray(learner.grasp_.chances)
+    assert ((spread >= 0) & (spread <= 1)).all()
+    assert spread[0, 0, 0] > spread[-1, 0, 0], "what is hidden is harder to grasp"
+
+
+@pytest.mark.parametrize("grasp", ["beta", BetaGrasp, 0.5])
+def test_what_is_no_grasp_model_is_refused(logs, grasp):
+    with pytest.raises(ArgumentError, match="it is None, BetaGrasp"):
+        CensoredQLearner.for_table(grasp=grasp).fit(logs)
+
+
+def test_named_actions_grasp_nothing(logs):
+    with pytest.raises(ArgumentError, match="only a table's objects are grasped"):
+        CensoredQLearner(horizon=10, actions=["WASH", "LIFT", "FINISH"], grasp=BetaGrasp()).fit(logs)
+
+
+def test_tables_that_cannot_be_are_refused(beta):
+    class Sure:
+        def fit(self, frame):
+            return self
+
+        def predict_proba(self, frame):
+            return np.full((len(frame["occlusion"]), 2), 1.5)
+
+    with pytest.raises(ArgumentError, match="horizon is 0"):
+        tabulate(beta, 0)
+    with pytest.raises(ArgumentError, match=r"gives 1\.5 at occlusion 0"):
+        tabulate(Sure(), 3)

@@ -1,0 +1,168 @@
+"""The SVM grasp model: better than the Beta mean where that is wrong, folds by object, and scikit-learn's habits."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from sklearn.base import clone
+from sklearn.exceptions import NotFittedError
+from tried import beta_attempts, cut_some
+
+from halfseen.errors import ArgumentError
+from halfseen.learners import CensoredSVC
+from halfseen.tables import BetaGrasp, SVMGrasp
+from halfseen.tables.grasp.inputs import checked_attempts
+from halfseen.tables.grasp.svm_grasp import linear_and_gaussian
+
+
+def bumpy_attempts(num_rows, seed):
+    """Grasps succeed at middling occlusion alone: no Beta mean that rises or falls with it can say so."""
+    rng = np.random.default_rng(seed)
+    occluded = rng.random(num_rows)
+    succeeded = rng.random(num_rows) < np.where(np.abs(occluded - 0.5) < 0.2, 0.9, 0.2)
+    return pd.DataFrame({"occlusion": occluded, "successes": 0, "failures": 0, "succeeded": succeeded})
+
+
+def log_loss(model, frame):
+    chance = model.predict_proba(frame)[:, 1]
+    return -np.mean(np.log(np.where(frame["succeeded"], chance, 1.0 - chance)))
+
+
+def test_it_sees_what_a_beta_mean_cannot():
+    learned, held_out = bumpy_attempts(600, 0), bumpy_attempts(2000, 1)
+    assert log_loss(SVMGrasp().fit(learned), held_out) < log_loss(BetaGrasp().fit(learned), held_out) - 0.1
+
+
+def test_where_the_beta_mean_is_right_it_comes_close():
+    learned, held_out = beta_attempts(500, seed=0), beta_attempts(2000, seed=1)
+    assert log_loss(SVMGrasp().fit(learned), held_out) < log_loss(BetaGrasp().fit(learned), held_out) + 0.01
+
+
+def test_cut_attempts_bias_nothing_if_weighted_and_do_if_dropped():
+    frame = beta_attempts(1500, num_tries=1)
+    cut = cut_some(frame)
+    share = frame["succeeded"].mean()
+    weighted, dropped = (
+        SVMGrasp(censoring=name).fit(cut).predict_proba(frame)[:, 1].mean() for name in ("kaplan-meier", "none")
+    )
+    assert weighted == pytest.approx(share, abs=0.02)
+    assert dropped > share + 0.04
+
+
+def test_it_is_the_censored_svm_on_scaled_features_with_weights_by_kaplan_meier():
+    frame = cut_some(beta_attempts(80))
+    model = SVMGrasp(reg=0.01, num_landmarks=None, random_state=3).fit(frame)
+    decided = checked_attempts(frame)
+    features = np.column_stack(
+        [decided.history.occlusion, np.log(1 + decided.history.successes), np.log(1 + decided.history.failures)]
+    )
+    centre = np.average(features, axis=0, weights=decided.weight)
+    scale = np.sqrt(np.average((features - centre) ** 2, axis=0, weights=decided.weight))
+    svc = CensoredSVC("logistic", kernel=linear_and_gaussian, reg=0.01, calibrate=False)
+    svc.fit((features - centre) / scale, decided.succeeded, sample_weight=decided.weight)
+
+    asked = {"occlusion": [0.1, 0.8, 0.8], "successes": [0, 2, 0], "failures": [0, 0, 3]}
+    rows = np.column_stack([asked["occlusion"], np.log1p(asked["successes"]), np.log1p(asked["failures"])])
+    f = svc.decision_function((rows - centre) / scale)
+    expected = 1.0 / (1.0 + np.exp(-(model.svc_.sigmoid_.slope * f + model.svc_.sigmoid_.offset)))
+    assert 1 / 100 < expected.min() < expected.max() < 1 - 1 / 100
+    np.testing.assert_allclose(model.predict_proba(asked)[:, 1], expected, rtol=1e-5)
+
+
+def test_the_attempts_of_an_object_are_never_split():
+    decided = checked_attempts(beta_attempts(60))
+    splits = SVMGrasp()._splits(decided)
+    assert len(splits) == 5
+    for fitted, held in splits:
+        assert not set(decided.group[fitted]) & set(decided.group[held])
+        assert len(fitted) + len(held) == len(decided.group)
+    alone = checked_attempts(beta_attempts(60).drop(columns="object"))
+    _, held = SVMGrasp()._splits(alone)[0]
+    assert set(np.diff(np.sort(held))) - {4}, "without objects, attempts are dealt one by one"
+
+
+def test_of_about_equal_losses_the_smoothest_is_taken():
+    frame = beta_attempts(100)
+    decided = checked_attempts(frame)
+    model = SVMGrasp().fit(frame)
+    features = np.column_stack([frame["occlusion"], np.log1p(frame["successes"]), np.log1p(frame["failures"])])
+    scaled = (features - model.centre_) / model.scale_
+    svc = CensoredSVC("logistic", kernel=linear_and_gaussian, num_landmarks=50, cv=SVMGrasp()._splits(decided))
+    losses = svc.fit(scaled, frame["succeeded"], sample_weight=decided.weight).cv_losses_[0]
+    regs = svc.reg_ * 10.0 ** (np.argmin(losses) - np.arange(len(losses)))
+
+    assert model.svc_.reg_ == pytest.approx(max(regs[losses <= 1.01 * losses.min()]))
+
+
+def test_no_chance_is_surer_than_the_log_allows():
+    learned = beta_attempts(30, num_tries=1)
+    learned["succeeded"] = learned["occlusion"] < 0.5
+    extreme = {"occlusion": [0.0, 1.0], "successes": [40, 0], "failures": [0, 40]}
+    chances = SVMGrasp(reg=1e-7).fit(learned).predict_proba(extreme)
+    assert chances.min() >= 1 / 32
+    np.testing.assert_allclose(chances.sum(axis=1), 1.0)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_every_fold_holds_both_outcomes_however_rare_one_is(seed):
+    rng = np.random.default_rng(seed)
+    frame = beta_attempts(40, seed=seed)
+    decided = checked_attempts(frame.assign(succeeded=frame["object"].isin(rng.choice(40, 3, replace=False))))
+    splits = SVMGrasp(random_state=seed)._splits(decided)
+    assert len(splits) == 3
+    for rows in (rows for split in splits for rows in split):
+        assert set(decided.succeeded[rows]) == {False, True}
+
+
+def test_the_kernel_is_as_stated():
+    rng = np.random.default_rng(0)
+    x, z = rng.normal(size=(4, 3)), rng.normal(size=(5, 3))
+    expected = [[a @ b + np.exp(-np.sum((a - b) ** 2) / 3) for b in z] for a in x]
+    np.testing.assert_allclose(linear_and_gaussian(x, z), expected, rtol=1e-12)
+
+
+def test_it_is_an_estimator_as_scikit_learn_knows_them():
+    model = SVMGrasp(kernel="rbf", gamma=0.5, reg=0.1, num_folds=3, random_state=4)
+    assert clone(model).get_params() == model.get_params()
+    with pytest.raises(NotFittedError):
+        model.predict_proba({"occlusion": [0.1], "successes": [0], "failures": [0]})
+    first, again = (clone(model).fit(beta_attempts(40)) for _ in range(2))
+    assert first.classes_.tolist() == [False, True]
+    assert (first.svc_.reg_, first.svc_.gamma_) == (0.1, 0.5)
+    asked = beta_attempts(20, seed=9)
+    np.testing.assert_array_equal(first.predict_proba(asked), again.predict_proba(asked))
+    np.testing.assert_allclose(first.predict_proba(asked).sum(axis=1), 1.0)
+
+
+def test_the_global_seed_changes_nothing():
+    asked = beta_attempts(20, seed=9)
+    chances = []
+    for seed in (0, 1):
+        np.random.seed(seed)  # noqa: NPY002
+        chances.append(SVMGrasp().fit(beta_attempts(40)).predict_proba(asked))
+    np.testing.assert_array_equal(*chances)
+
+
+def test_constant_features_are_no_trouble():
+    frame = beta_attempts(60, num_tries=1, occlusion=0.3)
+    chance = SVMGrasp().fit(frame).predict_proba(frame)[:, 1]
+    np.testing.assert_allclose(chance, frame["succeeded"].mean(), atol=0.03)
+
+
+@pytest.mark.parametrize(
+    ("frame", "message"),
+    [
+        (beta_attempts(20).assign(succeeded=True), "all 80 decided attempts succeeded; an SVM needs both"),
+        (beta_attempts(20).assign(succeeded=False), "all 80 decided attempts failed; an SVM needs both"),
+        (beta_attempts(20).assign(object=0), "failures were seen of one object alone"),
+        (beta_attempts(20).assign(succeeded=lambda f: f["object"] == 3), "successes were seen of one object alone"),
+        (beta_attempts(20).assign(occlusion=-0.1), "row 0: occlusion is -0.1"),
+    ],
+)
+def test_attempts_that_teach_nothing_are_refused(frame, message):
+    with pytest.raises(ArgumentError, match=message):
+        SVMGrasp().fit(frame)
+
+
+def test_too_few_folds_are_refused():
+    with pytest.raises(ArgumentError, match="num_folds is 1"):
+        SVMGrasp(num_folds=1).fit(beta_attempts(20))

@@ -1,0 +1,105 @@
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from halfseen.errors import ArgumentError
+from halfseen.learners import CensoredQLearner
+from halfseen.tables.learned_explanation import LearnedExplainer
+from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, WorldConfig
+from halfseen.world.dynamics import start
+from halfseen.world.state import pad_scenes
+
+pytestmark = pytest.mark.slow
+
+HORIZON = 4
+CONFIG = WorldConfig(horizon=HORIZON)
+SCENE = Scene(np.array([[0.0, 0.6, 0.0], [0.1, 0.0, 0.0], [0.0, 0.0, 0.0]]))
+
+
+def logs_of(num_paths):
+    return TableWorld(CONFIG).simulate(SCENE, ExploringPolicy(UniformPolicy()), num_paths, seed=0, cut_share=0.3)
+
+
+@pytest.fixture(scope="module")
+def logs():
+    return logs_of(60)
+
+
+@pytest.fixture(scope="module")
+def learner(logs):
+    return CensoredQLearner.for_table(HORIZON).fit(logs)
+
+
+@pytest.fixture(scope="module")
+def explainer(learner, logs):
+    return LearnedExplainer.of(learner, logs, num_replicates=20)
+
+
+@pytest.fixture(scope="module")
+def state():
+    layout = jax.tree.map(lambda leaf: leaf[0], pad_scenes([SCENE]))
+    return start(CONFIG, layout, jax.random.key(0))[0]
+
+
+def test_what_was_learned_is_what_is_explained(learner, explainer, state):
+    told = explainer.explain(state)
+
+    np.testing.assert_allclose(told.values, learner.policy_.q_values(state), rtol=1e-5)
+    assert told.best == int(learner.policy_.decide(state, jax.random.key(0)).action)
+    assert told.chance_best.sum() == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.slow
+def test_the_more_paths_the_less_doubt(explainer, state):
+    many = logs_of(480)
+    surer = LearnedExplainer.of(CensoredQLearner.for_table(HORIZON).fit(many), many, num_replicates=20).explain(state)
+    told = explainer.explain(state)
+
+    assert np.median(surer.high - surer.low) < 0.7 * np.median(told.high - told.low)
+
+
+def test_objects_that_nothing_tells_apart_are_equally_good(explainer, state):
+    alike = replace(state, hides=jnp.zeros((3, 3)), log_odds=jnp.array([2.0, 2.0, 0.0]))
+    told = explainer.explain(alike)
+
+    assert told.chance_best[1] == told.chance_best[2]
+    assert told.values[4] == told.values[5] != told.values[6]
+
+
+def test_new_numbers_for_the_objects_only_permute_the_explanation(explainer, state):
+    order = np.array([2, 0, 1])
+    other = replace(state, hides=state.hides[np.ix_(order, order)], log_odds=state.log_odds[order])
+    told, moved = explainer.explain(state), explainer.explain(other)
+
+    actions = np.concatenate([[0], 1 + order, 4 + order])
+    np.testing.assert_allclose(moved.values, told.values[actions], rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(moved.chance_best, told.chance_best[actions], atol=1e-9)
+
+
+def test_what_is_off_the_table_is_impossible(explainer, state):
+    told = explainer.explain(replace(state, is_on_table=jnp.array([True, False, True])))
+
+    np.testing.assert_array_equal(np.isfinite(told.values), [True, True, False, True, True, False, True])
+
+
+def test_the_seed_of_the_draws_is_all_that_chance_has(learner, logs, state):
+    told = [
+        LearnedExplainer.of(learner, logs, num_replicates=20, random_state=seed).explain(state) for seed in (0, 0, 1)
+    ]
+
+    np.testing.assert_array_equal(told[0].low, told[1].low)
+    assert not np.array_equal(told[0].low, told[2].low)
+
+
+def test_what_cannot_be_explained_is_refused(learner, logs, explainer, state):
+    with pytest.raises(ArgumentError, match="the log has 12 paths, but the learner was fitted to 60"):
+        LearnedExplainer.of(learner, logs_of(12))
+    with pytest.raises(ArgumentError, match="fit it to a log of tables"):
+        LearnedExplainer.of(CensoredQLearner.for_table(HORIZON), logs)
+    with pytest.raises(ArgumentError, match="num_replicates is 1"):
+        LearnedExplainer.of(learner, logs, num_replicates=1)
+    with pytest.raises(ArgumentError, match="the path is over"):
+        explainer.explain(replace(state, steps_to_go=jnp.asarray(0)))

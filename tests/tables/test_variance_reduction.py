@@ -1,0 +1,104 @@
+"""Less noise, the same mean: what a WASH pays, what labels say; and Q varies less from log to log."""
+
+import jax
+import numpy as np
+import pytest
+
+from halfseen.errors import ArgumentError
+from halfseen.learners import CensoredQLearner
+from halfseen.learners.q_learning.encoding import Encoded, encode_states
+from halfseen.planners import GreedyPolicy
+from halfseen.study.treatments import treat
+from halfseen.tables.variance_reduction import expected_rewards, label_surprises, wash_outcomes
+from halfseen.world import ExploringPolicy, Scene, TableWorld, WorldConfig
+from halfseen.world.action_space import Verb, target_of, verb_of
+from halfseen.world.cuts import cut, cut_rate
+from halfseen.world.episodes import play
+from halfseen.world.state import pad_scenes
+
+CONFIG = WorldConfig()
+SCENE = Scene(np.array([[0.0, 0.5, 0.0], [0.0, 0.0, 0.0], [0.3, 0.3, 0.0]]), name="three")
+LOGGER = ExploringPolicy(GreedyPolicy(CONFIG, uses_history=True, counts_penalty=True), 0.5)
+
+
+@pytest.fixture(scope="module")
+def cuts():
+    episodes = play(CONFIG, pad_scenes([SCENE]), LOGGER, jax.random.key(0), 2000)
+    return cut(episodes, cut_rate(episodes, 0.4, "independent"), "independent", np.random.default_rng(0))
+
+
+@pytest.fixture(scope="module")
+def encoded(cuts):
+    features, is_possible = (np.asarray(leaf) for leaf in encode_states(cuts.episodes.states))
+    return Encoded(features, is_possible, np.asarray(cuts.episodes.action))
+
+
+def of_target(values, action):
+    target = np.asarray(target_of(action, values.shape[-1]))
+    return np.take_along_axis(np.asarray(values), target[..., None], axis=-1)[..., 0]
+
+
+def test_it_finds_what_a_wash_pays(cuts, encoded):
+    seen = treat(cuts, "weighted", CONFIG)
+    expected = expected_rewards(seen.reward, seen.weight, seen.is_last, wash_outcomes(encoded))
+    there = np.asarray(cuts.episodes.states.is_on_table)
+    is_wash = np.asarray(verb_of(encoded.action, SCENE.num_objects)) == Verb.WASH
+    used = (seen.weight > 0) & ~seen.is_last & is_wash
+    left = ~of_target(np.concatenate([there[:, 1:], there[:, -1:]], axis=1), encoded.action)
+    is_dirty = 1.0 / (1.0 + np.exp(-of_target(cuts.episodes.states.log_odds, encoded.action).astype(float)))
+    dirty, clean, failed = CONFIG.reward_wash_dirty, CONFIG.reward_wash_clean, CONFIG.reward_wash_failed
+    truth = np.where(left, is_dirty * dirty + (1.0 - is_dirty) * clean, failed)
+    assert 0.2 < left[used].mean() < 0.8
+    np.testing.assert_allclose(expected[used & ~left], failed, atol=1e-6)
+    assert np.abs(expected - truth)[used].max() < 1.0 < np.abs(seen.reward - truth)[used].mean()
+    assert np.array_equal(expected[~used], seen.reward[~used])
+
+
+def test_the_weighted_mean_stays_what_it_was(cuts, encoded):
+    seen = treat(cuts, "weighted", CONFIG)
+    expected = expected_rewards(seen.reward, seen.weight, seen.is_last, wash_outcomes(encoded))
+    assert (seen.weight * expected).sum() == pytest.approx((seen.weight * seen.reward).sum(), rel=1e-9)
+    flat = expected_rewards(seen.reward, (seen.weight > 0) * 1.0, seen.is_last, wash_outcomes(encoded))
+    assert np.abs(flat - expected).max() > 1e-4, "the weights must matter"
+
+
+def test_without_a_wash_nothing_changes(cuts, encoded):
+    seen = treat(cuts, "weighted", CONFIG)
+    lifted = encoded._replace(action=np.where(encoded.action > 0, 1 + SCENE.num_objects, 0))
+    assert np.array_equal(expected_rewards(seen.reward, seen.weight, seen.is_last, wash_outcomes(lifted)), seen.reward)
+
+
+@pytest.mark.slow
+def test_q_varies_less_between_logs():
+    layouts = pad_scenes([SCENE])
+    states = jax.tree.map(lambda leaf: leaf[:, 0], play(CONFIG, layouts, LOGGER, jax.random.key(1), 50).states)
+    watched = [TableWorld().simulate([SCENE], LOGGER, episodes=100, seed=seed, cut_share=0.3) for seed in range(6)]
+
+    def spread(reduces_variance):
+        learners = [
+            CensoredQLearner.for_table(reg=0.1, reduces_variance=reduces_variance).fit(logs) for logs in watched
+        ]
+        return np.std([jax.vmap(learner.policy_.q_values)(states) for learner in learners], axis=0).mean()
+
+    assert spread(True) < 0.8 * spread(False)
+
+
+def test_surprises_have_mean_zero_whatever_was_done(cuts, encoded):
+    surprises = label_surprises(encoded)
+    seen = treat(cuts, "unweighted", CONFIG)
+    verb = np.asarray(verb_of(encoded.action, SCENE.num_objects))
+    for one in (Verb.WASH, Verb.LIFT):
+        rows = surprises[(seen.weight > 0) & ~seen.is_last & (verb == one)]
+        assert (rows.std(axis=0) > 0.01).all()
+        assert (np.abs(rows.mean(axis=0)) < 4.0 * rows.std(axis=0) / np.sqrt(len(rows))).all()
+    first = np.asarray(cuts.episodes.states.log_odds)[:, :2].astype(float)
+    lifted = (verb[:, 0] == Verb.LIFT) & (seen.weight[:, 0] > 0) & ~seen.is_last[:, 0]
+    moved = np.diff(1.0 / (1.0 + np.exp(-first)), axis=1)[:, 0]
+    np.testing.assert_allclose(surprises[lifted, 0, 0], moved.sum(axis=1)[lifted], atol=1e-5)
+    np.testing.assert_allclose(surprises[lifted, 0, 5], of_target(moved, encoded.action[:, 0])[lifted], atol=1e-5)
+
+
+def test_named_actions_have_no_noise_that_is_known():
+    logs = TableWorld().simulate([SCENE], LOGGER, episodes=5, seed=0)
+    with pytest.raises(ArgumentError, match="reduces_variance is True, but actions are named"):
+        CensoredQLearner(1, ["A"], ["x"], reduces_variance=True).fit(logs)
