@@ -2,26 +2,33 @@
 
 Read down: `inputs`, `covariates` (what every fit accepts) → `model` (what a censoring model is) → the models:
 `kaplan_meier`; `partial_likelihood` → `cox_checks` → `cox`; `local_curve` → `bandwidth` → `kernel_kaplan_meier` →
-`named` (models by name) → `weights` → `diagnostics` →
-`positivity` (the report) → `positivity_text`, `positivity_figure`.
+`named` (models by name) → `weights` → `diagnostics` → `stage_clocks` → `cut_model` (Ĝ by path or by stage) →
+`specification` (which model, on which clock) → `positivity` (the report) → `positivity_text`, `positivity_figure`.
 """
 
 from halfseen.censoring.cox import Cox
+from halfseen.censoring.cut_model import CensoringBy, CutModel
 from halfseen.censoring.diagnostics import WeightDiagnostics, warn_if_few, weight_diagnostics
 from halfseen.censoring.kaplan_meier import KaplanMeier
 from halfseen.censoring.kernel_kaplan_meier import KernelKaplanMeier
 from halfseen.censoring.model import CensoringModel
 from halfseen.censoring.named import CENSORING_NAMES, is_fitted, named_model, uses_covariates
 from halfseen.censoring.positivity import PositivityReport, positivity_report
+from halfseen.censoring.specification import CensoringSpec
+from halfseen.censoring.stage_clocks import StageClocks
 from halfseen.censoring.weights import censoring_weights, stage_weights
 
 __all__ = [
     "CENSORING_NAMES",
+    "CensoringBy",
     "CensoringModel",
+    "CensoringSpec",
     "Cox",
+    "CutModel",
     "KaplanMeier",
     "KernelKaplanMeier",
     "PositivityReport",
+    "StageClocks",
     "WeightDiagnostics",
     "censoring_weights",
     "is_fitted",

@@ -11,10 +11,10 @@ from halfseen.lazy import lazy_names
 if TYPE_CHECKING:
     from halfseen.evaluation.estimate import Estimate
     from halfseen.evaluation.evaluation import Evaluation
-    from halfseen.evaluation.off_policy import evaluate
+    from halfseen.evaluation.off_policy import QSpec, evaluate
     from halfseen.evaluation.targets import FixedSequence
 
-__all__ = ["Estimate", "Evaluation", "FixedSequence", "evaluate"]
+__all__ = ["Estimate", "Evaluation", "FixedSequence", "QSpec", "evaluate"]
 
 __getattr__ = lazy_names(
     __name__,
@@ -22,6 +22,7 @@ __getattr__ = lazy_names(
         "Estimate": "estimate",
         "Evaluation": "evaluation",
         "FixedSequence": "targets",
+        "QSpec": "off_policy",
         "evaluate": "off_policy",
     },
 )

@@ -2,9 +2,9 @@
 
     φ_i = V̂_1(S_i1) + Σ_t w_it (Y_it − Q̂_t(S_it, A_it))
 
-*Augmented*: Y is the doubly robust target of `learners.q_learning.imputation`, which every begun stage has, and w_it =
-ρ_it / Ĝ(U_{i,t−1}⁻). Given that a stage began, E[Y | S_t, A_t] = E[X | S_t, A_t] if Ĝ is right or if the regressions m
-of X and of the duration are. So
+*Doubly robust towards cuts* (AIPCW): Y is the pseudo-outcome of `learners.q_learning.imputation`, which every begun
+stage has, and w_it = ρ_it / Ĝ(U_{i,t−1}⁻). Given that a stage began, E[Y | S_t, A_t] = E[X | S_t, A_t] if Ĝ is right or
+if the regressions m of X and of the duration are. So
 
 * if ρ and Ĝ are right, E[V̂_1] + Σ_t E[ρ_t (R_t + V̂_{t+1}(S_{t+1}) − Q̂_t(S_t, A_t))] telescopes to the value,
   whatever Q̂ is, for E[ρ_{t+1} Q̂_{t+1}(S_{t+1}, A_{t+1})] = E[ρ_t V̂_{t+1}(S_{t+1})];
@@ -22,8 +22,8 @@ of [Robins1992]_.
 import numpy as np
 from jaxtyping import Float, Int
 
-from halfseen.evaluation.fitted_q import Judged
 from halfseen.evaluation.ratios import StageWeights
+from halfseen.learners.q_learning.recursion import Judged
 
 
 def held_out(judged: Judged, fold: Int[np.ndarray, " n"]) -> Judged:
@@ -42,5 +42,5 @@ def doubly_robust(judged: Judged, weights: StageWeights) -> Float[np.ndarray, " 
     weights
         Of the stages that have a target.
     """
-    surprise = np.where(weights.weight > 0, judged.target - judged.taken, 0.0)
-    return judged.value[:, 0] + weights.influence(surprise)
+    error = np.where(weights.weight > 0, judged.target - judged.taken, 0.0)
+    return judged.value[:, 0] + weights.influence(error)

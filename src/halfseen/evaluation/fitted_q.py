@@ -6,115 +6,33 @@ standard error (the delete-a-group jackknife [Kott2001]_). Ĝ, and the distribut
 are those of the whole log: they have few parameters.
 """
 
-from dataclasses import dataclass
-from functools import partial
-from typing import Any, NamedTuple
-
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
-from halfseen.learners.q_learning.q_learner import CensoredQLearner
-from halfseen.learners.q_learning.recursion import (
-    Transitions,
-    backward,
-    imputed_target,
-    of_successor,
-    q_values,
-    target_of,
-)
+from halfseen.learners.q_learning.fitting import fit_and_judge
+from halfseen.learners.q_learning.q_model import QModel
+from halfseen.learners.q_learning.recursion import Judged, Transitions
 
 
-class Judged(NamedTuple):
-    """What a Q says of every stage of a log, for one weighting or for each of B."""
-
-    value: Float[Any, "*B n T"]
-    """V̂_t(S_t) = Σ_a π(a | S_t) Q̂_t(S_t, a)."""
-    taken: Float[Any, "*B n T"]
-    """Q̂_t(S_t, A_t)."""
-    target: Float[Any, "*B n T"]
-    """X_t = R_t + V̂_{t+1}(S_{t+1}), or Y_t where targets are imputed; 0 where there is none."""
-
-
-@dataclass(frozen=True)
-class Fitting:
-    """How Q is fitted; what does not change between weightings.
+def judged_by_folds(
+    model: QModel, log: Transitions, reward: Float[np.ndarray, "n T"], fold: Int[np.ndarray, " n"]
+) -> Judged:
+    """What the Qs say that were fitted without each fold, and last that of all paths.
 
     Parameters
     ----------
-    options
-        Of `backward`.
-    regs
-        The λ to choose from.
-    blocks
-        Block of coefficients of each action.
+    model
+        How Q is fitted.
+    log
+        The log, with the policy.
+    reward
+        As logged.
+    fold
+        Of each path.
     """
-
-    options: tuple[tuple[str, Any], ...]
-    regs: Float[np.ndarray, " L"]
-    blocks: Int[np.ndarray, " A"]
-
-    def judge(
-        self, log: Transitions, reward: Float[np.ndarray, "n T"], multiplicity: Float[np.ndarray, "B n"]
-    ) -> Judged:
-        """Fit Q to each weighting, and let it judge every path.
-
-        Parameters
-        ----------
-        log
-            The log, with the policy.
-        reward
-            As logged; those of `log` may have had noise taken out of them.
-        multiplicity
-            How often each path counts.
-        """
-        with jax.enable_x64(True):
-            arrays = jax.tree.map(jnp.asarray, (log, reward, self.blocks, self.regs))
-            # One after the other, each to its end: eigenproblems in flight at once can block for ever (`waiting_for`).
-            each = [
-                jax.block_until_ready(_judge(*arrays, jnp.asarray(one), options=self.options)) for one in multiplicity
-            ]
-            return Judged(*(np.stack([np.asarray(leaf) for leaf in leaves]) for leaves in zip(*each, strict=True)))
-
-
-def fitting_of(model: CensoredQLearner, num_paths: int, num_actions: int) -> Fitting:
-    """Read from a learner how it fits Q to a log of so many paths."""
-    options = tuple(model.backward_options(num_paths).items())
-    return Fitting(options, model.regs, model.encoding.block_of_action(num_actions))
-
-
-@partial(jax.jit, static_argnames="options")
-def _judge(
-    log: Transitions,
-    reward: Float[Array, "n T"],
-    blocks: Int[Array, " A"],
-    regs: Float[Array, " L"],
-    counts: Float[Array, " n"],
-    *,
-    options: tuple[tuple[str, Any], ...],
-) -> Judged:
-    settings = dict(options)
-    fits = backward(_counted(log, counts), blocks, regs, **settings)
-    if settings["stages"] == "pooled":
-        fits = jax.tree.map(lambda leaf: leaf[::-1], fits)
-    assert log.policy is not None
-    q = jax.vmap(q_values, in_axes=(0, 1, None), out_axes=1)(
-        jnp.asarray(fits.coefficients), jnp.asarray(log.features), blocks
-    )
-    value = jnp.sum(log.policy * q, axis=-1)
-    taken = jnp.take_along_axis(q, log.action[..., None], axis=2)[..., 0]
-    target = target_of(log._replace(reward=reward), of_successor(value))
-    if fits.told is not None:
-        target = imputed_target(log, jnp.asarray(fits.told), target, blocks)
-    return Judged(value, taken, target)
-
-
-def _counted(log: Transitions, counts: Float[Array, " n"]) -> Transitions:
-    imputed = log.imputation
-    if imputed is not None:
-        imputed = imputed._replace(is_told=imputed.is_told * counts[:, None])
-    return log._replace(weight=log.weight * counts[:, None], imputation=imputed)
+    without = fold != np.arange(fold.max() + 2)[:, None]
+    blocks = model.task.block_of_action(log.is_possible.shape[-1])
+    return fit_and_judge(log, reward, without.astype(np.float64), blocks, model.regs, model.options(len(fold)))
 
 
 def jackknifed(value: Float[np.ndarray, "B n"], fold: Int[np.ndarray, " n"]) -> tuple[float, float]:

@@ -1,37 +1,61 @@
 """From a policy and a log to an `Evaluation`."""
 
-from copy import copy
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from halfseen.censoring import CensoringModel
 from halfseen.errors import ArgumentError
 from halfseen.evaluation.doubly_robust import doubly_robust, held_out
 from halfseen.evaluation.estimate import around, check_level, estimate_of
 from halfseen.evaluation.evaluation import Evaluation
-from halfseen.evaluation.fitted_q import Fitting, Judged, fitting_of, jackknifed
+from halfseen.evaluation.fitted_q import jackknifed, judged_by_folds
 from halfseen.evaluation.propensity import Propensity, check_propensity, estimated_propensity, logged_propensity
 from halfseen.evaluation.ratios import StageWeights, begun_weights, completed_weights, likelihood_ratios
-from halfseen.evaluation.targets import target_probabilities
+from halfseen.evaluation.targets import horizon_of, target_probabilities, task_of
 from halfseen.evaluation.verdict import verdict_of
 from halfseen.learners.q_learning.path_arrays import PathArrays
-from halfseen.learners.q_learning.q_learner import CensoredQLearner
-from halfseen.learners.q_learning.recursion import Transitions
+from halfseen.learners.q_learning.q_model import QModel
+from halfseen.learners.q_learning.q_space import CrossValidation, QSpace, q_space_of, reg_of
+from halfseen.learners.q_learning.recursion import Judged, StageMode, Transitions
+from halfseen.learners.q_learning.targets import DoublyRobust, Targets, Weighted, targets_of
+from halfseen.learners.q_learning.task import Task
 from halfseen.logs import Logs
+
+
+@dataclass(frozen=True)
+class QSpec:
+    """How Q of a policy is fitted for its evaluation.
+
+    Parameters
+    ----------
+    task
+        What is decided; None for what the policy says.
+    q_function, stages, reg, random_state
+        As for `halfseen.learners.CensoredQLearner`.
+    """
+
+    task: Task | None = None
+    q_function: QSpace | Literal["linear", "kernel"] | str = "linear"
+    stages: StageMode | str = "separate"
+    reg: CrossValidation | float | int | Literal["cv"] | str = "cv"
+    random_state: int = 0
 
 
 def evaluate(
     policy: Any,
     logs: Logs,
-    model: CensoredQLearner,
     *,
+    censoring: Targets | CensoringModel | str | None = None,
+    q: QSpec | None = None,
     propensity: Propensity | str = "logged",
     level: float = 0.95,
     random_state: int = 0,
     num_folds: int = 10,
 ) -> Evaluation:
-    """Say what a policy is worth, from a log of another one of which paths were cut.
+    """Say what a policy is worth, from a log of another one of which paths were right-censored.
 
     Parameters
     ----------
@@ -40,9 +64,12 @@ def evaluate(
         `FixedSequence`; for tables any `halfseen.world.Policy` without chance, or mixed with `UniformPolicy`.
     logs
         The log.
-    model
-        How Q is fitted and what cuts depend on; only its parameters count. With ``augmented=True`` the value is doubly
-        robust towards cuts, too; that needs the action of the stage in which a path was cut.
+    censoring
+        What stands for what cuts took away, as for `CensoredQLearner`. With ``DoublyRobust(…)`` the value is doubly
+        robust towards cuts, too; that needs the action of the stage in which a path was cut. None for
+        ``DoublyRobust("kaplan-meier")`` where the log has all actions, else ``"kaplan-meier"``.
+    q
+        How Q of the policy is fitted; None for a linear one of separate stages.
     propensity
         ``"logged"``: the column probability; ``"estimated"``: by a conditional logit on what Q looks at.
     level
@@ -55,7 +82,7 @@ def evaluate(
     Raises
     ------
     ArgumentError
-        An argument has a value that it cannot take, or policy, log and model do not fit together.
+        An argument has a value that it cannot take, or policy, log and specifications do not fit together.
     LogError
         A probability that is needed was not logged.
     PositivityError
@@ -69,37 +96,65 @@ def evaluate(
         raise ArgumentError(
             f"the log has {logs.num_paths} path(s), and {num_folds} folds need {2 * num_folds}; record more"
         )
+    model = q_model_of(
+        policy, logs, default_targets(logs) if censoring is None else targets_of(censoring), q or QSpec()
+    )
     problem = _problem(policy, logs, model, propensity, np.random.default_rng([random_state, 1]), num_folds)
+    return _evaluation(problem, logs.horizon, level)
+
+
+def default_targets(logs: Logs) -> Targets:
+    """Doubly robust by Kaplan and Meier where the log has all actions, else weights alone."""
+    return DoublyRobust() if logs.stages["action"].notna().all() else Weighted()
+
+
+def q_model_of(policy: Any, logs: Logs, targets: Targets, q: QSpec) -> QModel:
+    """Compose how Q of a policy is fitted to a log."""
+    stages: Any = q.stages
+    return QModel(
+        horizon=horizon_of(policy, logs.horizon),
+        task=task_of(policy, logs) if q.task is None else q.task,
+        targets=targets,
+        space=q_space_of(q.q_function),
+        reg=reg_of(q.reg),
+        stages=stages,
+        random_state=q.random_state,
+    )
+
+
+def _evaluation(problem: "_Problem", num_reached: int, level: float) -> Evaluation:
+    num_paths = problem.paths.num_paths
     size = problem.weights.effective_sample_size
     own_size = problem.logging_weights.effective_sample_size
     by_ratio = estimate_of(
         problem.completed.influence(problem.paths.reward), problem.completed.effective_sample_size, level
     )
     judged = _judged(problem, problem.log)
+    num_folds = int(problem.fold.max()) + 1
     values = doubly_robust(held_out(judged, problem.fold), problem.weights)
     own = _logging_values(problem)
     difference = estimate_of(values - own, size, level)
-    verdict, reason = verdict_of(difference, problem.support, logs.horizon)
+    verdict, reason = verdict_of(difference, problem.support, num_reached)
     return Evaluation(
         importance_sampling=by_ratio,
-        fitted_q=around(*jackknifed(judged.value[..., 0], problem.fold), logs.num_paths, num_folds - 1, level),
+        fitted_q=around(*jackknifed(judged.value[..., 0], problem.fold), num_paths, num_folds - 1, level),
         doubly_robust=estimate_of(values, size, level),
         logging=estimate_of(own, own_size, level),
         difference=difference,
         verdict=verdict,
         reason=reason,
-        support=tuple(map(float, problem.support[: logs.horizon])),
-        num_paths=logs.num_paths,
+        support=tuple(map(float, problem.support[:num_reached])),
+        num_paths=num_paths,
         level=level,
     )
 
 
 class _Problem(NamedTuple):
-    """A log, the policy's chances in it, and all weights."""
+    """A log, the policy's probabilities in it, and all weights."""
 
     paths: PathArrays
     log: Transitions
-    fitting: Fitting
+    model: QModel
     fold: np.ndarray
     weights: StageWeights
     """Of the stages that have a target: begun ones if targets are imputed, else completed ones."""
@@ -109,50 +164,47 @@ class _Problem(NamedTuple):
 
 
 def _problem(
-    policy: Any, logs: Logs, model: CensoredQLearner, propensity: str, rng: np.random.Generator, num_folds: int
+    policy: Any, logs: Logs, model: QModel, propensity: str, rng: np.random.Generator, num_folds: int
 ) -> _Problem:
-    # A copy and no clone: a model of the cuts that is fitted already is to stay so.
-    learner = copy(model).fit(logs)
-    if learner.cut_model_ is None and not logs.is_finished.all():
+    model, paths = model.fitted(logs)
+    if model.cut_model is None and not logs.is_finished.all():
         raise ArgumentError(
-            f"censoring is {model.censoring!r}, which gives no weights, but {int((~logs.is_finished).sum())} paths "
+            f"censoring is {model.targets.name!r}, which gives no weights, but {int((~logs.is_finished).sum())} paths "
             "were cut; choose 'kaplan-meier', 'cox' or 'kernel'"
         )
-    paths = learner.lay_out(logs)
-    chances = target_probabilities(policy, logs, paths, learner)
-    log = learner.transitions(paths, learner.cut_model_)._replace(policy=chances)
-    fitting = fitting_of(learner, paths.num_paths, chances.shape[-1])
-    needed = (paths.is_begun if learner.augmented else paths.is_completed) & paths.has_action
+    probabilities = target_probabilities(policy, logs, paths, model.task)
+    log = model.transitions(paths)._replace(policy=probabilities)
+    is_imputed = log.imputation is not None
+    needed = (paths.is_begun if is_imputed else paths.is_completed) & paths.has_action
     if propensity == "logged":
         likely = logged_propensity(paths, needed)
     else:
-        likely = estimated_propensity(paths, needed, fitting.blocks, learner.stages == "pooled")
-    ratio = likelihood_ratios(chances, likely, paths)
-    uncut = paths.is_completed.astype(float) if learner.cut_model_ is None else learner.cut_model_.weights(paths)
-    stage_weights = begun_weights if learner.augmented else completed_weights
+        blocks = model.task.block_of_action(probabilities.shape[-1])
+        likely = estimated_propensity(paths, needed, blocks, model.stages == "pooled")
+    ratio = likelihood_ratios(probabilities, likely, paths)
+    uncut = paths.is_completed.astype(float) if model.cut_model is None else model.cut_model.weights(paths.clocks)
+    stage_weights = begun_weights if is_imputed else completed_weights
     return _Problem(
         paths=paths,
         log=log,
-        fitting=fitting,
+        model=model,
         fold=rng.permutation(paths.num_paths) % num_folds,
         weights=stage_weights(ratio, uncut, paths),
         completed=completed_weights(ratio, uncut, paths),
         logging_weights=stage_weights(np.ones_like(ratio), uncut, paths),
-        support=_support(chances, paths),
+        support=_support(probabilities, paths),
     )
 
 
-def _support(chances: Float[np.ndarray, "n T A"], paths: PathArrays) -> Float[np.ndarray, " T"]:
+def _support(probabilities: Float[np.ndarray, "n T A"], paths: PathArrays) -> Float[np.ndarray, " T"]:
     """Share of the known actions of each stage that the policy would take; 1 where the log has no such stage."""
     known = paths.is_begun & paths.has_action
-    taken = np.take_along_axis(chances, paths.action[..., None], axis=2)[..., 0] > 0
+    taken = np.take_along_axis(probabilities, paths.action[..., None], axis=2)[..., 0] > 0
     return np.where(known.any(axis=0), (known & taken).sum(axis=0) / np.maximum(known.sum(axis=0), 1), 1.0)
 
 
 def _judged(problem: _Problem, log: Transitions) -> Judged:
-    """By the Qs that were fitted without each fold, and last by that of all paths."""
-    without = problem.fold != np.arange(problem.fold.max() + 2)[:, None]
-    return problem.fitting.judge(log, problem.paths.reward, without.astype(np.float64))
+    return judged_by_folds(problem.model, log, problem.paths.reward, problem.fold)
 
 
 def _logging_values(problem: _Problem) -> Float[np.ndarray, " n"]:

@@ -37,7 +37,7 @@ class StageWeights:
 
     @property
     def effective_sample_size(self) -> float:
-        """Paths of equal weight that would say as much, in the stage where they are fewest [Kish1965]_."""
+        """Effective sample size, in the stage where it is least [Kish1965]_."""
         squares = (self.standing**2).sum(axis=0)
         each = np.where(squares > 0, self.standing.sum(axis=0) ** 2 / np.where(squares > 0, squares, 1.0), 0.0)
         return float(each.min())
@@ -92,5 +92,5 @@ def begun_weights(ratio: Float[np.ndarray, "n T"], uncut: Float[np.ndarray, "n T
 
 def _stand_on(weight: Float[np.ndarray, "n T"], paths: PathArrays) -> Float[np.ndarray, "n T"]:
     last = paths.is_begun.sum(axis=1) - 1
-    has_ended = paths.is_finished[:, None] & (np.arange(weight.shape[1]) > last[:, None])
+    has_ended = paths.clocks.is_finished[:, None] & (np.arange(weight.shape[1]) > last[:, None])
     return np.where(has_ended, weight[np.arange(len(weight)), last][:, None], weight)

@@ -1,47 +1,74 @@
 """How a policy in a folder is to be evaluated: with the Q and the model of the cuts that it was learned with."""
 
-from collections.abc import Hashable
+from dataclasses import dataclass
 from typing import Any
 
 from halfseen.censoring import CENSORING_NAMES
-from halfseen.learners.q_learning.flat_policy import FlatPolicy
-from halfseen.learners.q_learning.q_learner import CensoredQLearner
+from halfseen.evaluation.off_policy import QSpec
+from halfseen.evaluation.targets import task_of
+from halfseen.learners.q_learning.targets import Targets, named_targets
+from halfseen.learners.q_learning.task import Task, named_task
 from halfseen.logs import Logs
-from halfseen.policies.folder import StoredPolicy
-
-KEPT = ("q_function", "censoring_by", "censoring_covariates", "stages", "num_landmarks", "gamma", "truncate_at")
-"""Parameters of the learner that the evaluation shares."""
+from halfseen.policies.folder import StoredPolicy, q_space_of_record
 
 
-def model_of(stored: StoredPolicy, logs: Logs, **chosen: Any) -> CensoredQLearner:
-    """Make the learner whose parameters say how to evaluate.
+@dataclass(frozen=True)
+class EvaluationSpec:
+    """What `evaluate` is to be given.
+
+    Parameters
+    ----------
+    censoring
+        What stands for what cuts took away.
+    q
+        How Q of the policy is fitted.
+    """
+
+    censoring: Targets
+    q: QSpec
+
+
+def specification_of(
+    stored: StoredPolicy,
+    logs: Logs,
+    *,
+    censoring: str | None = None,
+    censoring_by: str | None = None,
+    censoring_covariates: list[str] | None = None,
+    truncate_at: float | None = None,
+    augmented: bool | None = None,
+) -> EvaluationSpec:
+    """Say how to evaluate a policy: as it was learned, but for what is chosen.
 
     Parameters
     ----------
     stored
         The policy, with the parameters that it was learned with. A model of the cuts that has no name, or is none,
-        gives way to ``"kaplan-meier"``; targets are imputed where the log allows it.
+        gives way to ``"kaplan-meier"``.
     logs
         The log that it is evaluated on.
-    chosen
-        Parameters that are to be others; None for those that are not.
+    censoring, censoring_by, censoring_covariates, truncate_at
+        As for `named_targets`; None for those of the policy.
+    augmented
+        Doubly robust towards cuts; None where the log has all actions.
     """
     learned = stored.record["learner"]
-    parameters = {name: learned[name] for name in KEPT if name in learned}
-    named = learned.get("censoring")
-    parameters["censoring"] = named if named in CENSORING_NAMES else "kaplan-meier"
-    parameters["augmented"] = bool(logs.stages["action"].notna().all())
-    parameters |= {name: value for name, value in chosen.items() if value is not None}
-    policy = stored.policy
-    if not isinstance(policy, FlatPolicy):
-        parameters["reduces_variance"] = bool(learned.get("reduces_variance", True))
-        return CensoredQLearner.for_table(stored.horizon, grasp=policy.grasp, **parameters)
-    actions = {stage: _actions_of(policy, logs, stage) for stage in range(1, stored.horizon + 1)}
-    return CensoredQLearner(stored.horizon, actions, policy.covariates, **parameters)
+    own = learned.get("censoring")
+    is_complete = bool(logs.stages["action"].notna().all())
+    targets = named_targets(
+        censoring or (own if own in CENSORING_NAMES else "kaplan-meier"),
+        by=censoring_by or learned.get("censoring_by") or "path",
+        covariates=learned.get("censoring_covariates") if censoring_covariates is None else censoring_covariates,
+        truncate_at=learned.get("truncate_at") if truncate_at is None else truncate_at,
+        is_doubly_robust=is_complete if augmented is None else augmented,
+    )
+    q = QSpec(_task(stored, logs), q_space_of_record(learned), learned.get("stages", "separate"))
+    return EvaluationSpec(targets, q)
 
 
-def _actions_of(policy: FlatPolicy, logs: Logs, stage: int) -> list[Hashable]:
-    """Actions that the policy may take in a stage, and those that were taken there and it never would."""
-    own = [name for name, is_it in zip(policy.actions, policy.is_possible[stage - 1], strict=True) if is_it]
-    logged = logs.stages.loc[logs.stages["stage"] == stage, "action"].dropna().unique().tolist()
-    return list(dict.fromkeys([*own, *sorted(logged, key=str)]))
+def _task(stored: StoredPolicy, logs: Logs) -> Task:
+    if not stored.is_table:
+        return task_of(stored.policy, logs)
+    policy: Any = stored.policy
+    reduces_variance = bool(stored.record["learner"].get("reduces_variance", True))
+    return named_task("table", grasp=policy.grasp, reduces_variance=reduces_variance)

@@ -2,39 +2,19 @@
 
 from collections.abc import Hashable
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pandas as pd
-from jaxtyping import Array, Float
+from jaxtyping import Float
+from pandas.api.types import is_numeric_dtype
 
 from halfseen.errors import ArgumentError
-from halfseen.learners.q_learning.encoding import FlatEncoding
+from halfseen.learners.q_learning.flat_policy import NamedActionPolicy
+from halfseen.learners.q_learning.named_actions import NamedActions
 from halfseen.learners.q_learning.path_arrays import PathArrays
-from halfseen.learners.q_learning.q_learner import CensoredQLearner
+from halfseen.learners.q_learning.task import Task, named_task
 from halfseen.logs import Logs
-from halfseen.world.action_space import possible_actions
-from halfseen.world.policy import ExploringPolicy, Policy, UniformPolicy
-from halfseen.world.recording import states_of
-from halfseen.world.state import TableState
-
-
-@runtime_checkable
-class NamedActionPolicy(Protocol):
-    """Tells the probability of each named action from plain covariates; `FlatPolicy` is one."""
-
-    actions: tuple[Hashable, ...]
-
-    @property
-    def horizon(self) -> int:
-        """Number T of stages."""
-        ...
-
-    def probabilities(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
-        """π(a | S) in a stage (from 1), for each row of covariates."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -70,22 +50,66 @@ class FixedSequence:
         is_taken = [name == self.sequence[stage - 1] for name in self.actions]
         return np.tile(np.array(is_taken, dtype=np.float64), (len(frame), 1))
 
+    @property
+    def actions_by_stage(self) -> dict[int, list[Hashable]]:
+        """The one action of each stage, from 1."""
+        return {stage: [name] for stage, name in enumerate(self.sequence, start=1)}
 
-def target_probabilities(
-    policy: Any, logs: Logs, paths: PathArrays, model: CensoredQLearner
-) -> Float[np.ndarray, "n T A"]:
+
+def task_of(policy: Any, logs: Logs) -> Task:
+    """Find out what a policy decides about.
+
+    Of named actions, the task has those that the policy may take in a stage, and those that were taken there and it
+    never would; covariates are the policy's, or all of the log that hold numbers.
+
+    Raises
+    ------
+    ArgumentError
+        The policy is none of named actions, and the log none of tables.
+    """
+    if isinstance(policy, NamedActionPolicy):
+        every = {stage: list(policy.actions) for stage in range(1, policy.horizon + 1)}
+        own = getattr(policy, "actions_by_stage", every)
+        covariates = getattr(policy, "covariates", None)
+        return NamedActions(_with_logged(own, logs), _numeric(logs) if covariates is None else covariates)
+    if logs.objects is None:
+        raise ArgumentError(f"{type(policy).__name__} decides nothing about named actions, which the log is of")
+    return named_task("table", grasp=getattr(policy, "grasp", None))
+
+
+def _with_logged(own: dict[int, list[Hashable]], logs: Logs) -> dict[int, list[Hashable]]:
+    stages = logs.stages
+
+    def logged(stage: int) -> list[Hashable]:
+        return sorted(stages.loc[stages["stage"] == stage, "action"].dropna().unique().tolist(), key=str)
+
+    return {stage: list(dict.fromkeys([*names, *logged(stage)])) for stage, names in own.items()}
+
+
+def _numeric(logs: Logs) -> list[str]:
+    return [name for name in logs.stage_covariates if is_numeric_dtype(logs.stages[name].dtype)]
+
+
+def horizon_of(policy: Any, default: int) -> int:
+    """Stages that a policy is for."""
+    coefficients = getattr(policy, "coefficients", None)
+    by_coefficients = None if coefficients is None else coefficients.shape[-3]
+    return int(getattr(policy, "horizon", None) or by_coefficients or default)
+
+
+def target_probabilities(policy: Any, logs: Logs, paths: PathArrays, task: Task) -> Float[np.ndarray, "n T A"]:
     """π(a | S_t) of every stage that was begun; 0 elsewhere.
 
     Parameters
     ----------
     policy
-        A `NamedActionPolicy`, or for a table any `Policy` without chance, or one mixed with `UniformPolicy`.
+        What the task takes for a policy.
     logs
         The log.
     paths
-        The same, laid out by `model`.
-    model
-        Names the actions and the horizon.
+        The same, laid out.
+    task
+        Names the actions.
 
     Raises
     ------
@@ -93,75 +117,27 @@ def target_probabilities(
         The policy is for another horizon, other actions or another kind of log, takes an action that is not possible,
         or draws its actions and cannot say how.
     """
-    encoding = model.encoding
-    if isinstance(encoding, FlatEncoding):
-        _check_kind(policy, NamedActionPolicy, "named actions", model.horizon)
-        chances = _named_chances(policy, logs, model.horizon, encoding.names)
-    else:
-        _check_kind(policy, Policy, "tables", model.horizon)
-        chances = np.array(_chances_at(policy, states_of(logs, model.horizon)), dtype=np.float64)
-    chances = np.where(paths.is_begun[..., None], chances, 0.0)
-    _refuse_unknown(chances, policy)
-    _refuse_impossible(chances, paths)
-    return chances
+    horizon = paths.action.shape[1]
+    probabilities = task.target_probabilities(policy, logs, horizon)
+    own = horizon_of(policy, horizon)
+    if own != horizon:
+        raise ArgumentError(f"the policy is for {own} stages and Q for {horizon}; make their horizons equal")
+    probabilities = np.where(paths.is_begun[..., None], probabilities, 0.0)
+    _refuse_unknown(probabilities, policy)
+    _refuse_impossible(probabilities, paths)
+    return probabilities
 
 
-def table_chances(policy: Any, state: TableState) -> Float[Array, " A"]:
-    """π(a | S) of one table; NaN where the policy draws its actions and does not say how."""
-    is_possible = possible_actions(state)
-    uniform = is_possible / jnp.sum(is_possible)
-    if isinstance(policy, UniformPolicy):
-        return uniform
-    if isinstance(policy, ExploringPolicy):
-        return policy.random_share * uniform + (1.0 - policy.random_share) * table_chances(policy.base, state)
-    decision = policy.decide(state, jax.random.key(0))
-    is_taken = jnp.arange(len(is_possible)) == decision.action
-    return jnp.where(decision.probability == 1.0, is_taken.astype(uniform.dtype), jnp.nan)
-
-
-@jax.jit
-def _chances_at(policy: Any, states: TableState) -> Float[Array, "n T A"]:
-    return jax.vmap(jax.vmap(lambda state: table_chances(policy, state)))(states)
-
-
-def _named_chances(
-    policy: NamedActionPolicy, logs: Logs, horizon: int, names: list[Hashable]
-) -> Float[np.ndarray, "n T A"]:
-    unknown = [name for name in policy.actions if name not in names]
-    if unknown:
-        listed = ", ".join(map(repr, names))
-        raise ArgumentError(f"the policy takes {unknown[0]!r}, which is none of the actions of the model: {listed}")
-    column = [names.index(name) for name in policy.actions]
-    at_path = pd.Index(logs.path_ids).get_indexer(logs.stages["path"])
-    chances = np.zeros((logs.num_paths, horizon, len(names)))
-    for stage in range(1, logs.horizon + 1):
-        rows = (logs.stages["stage"] == stage).to_numpy()
-        frame: Any = logs.stages[rows]
-        chances[at_path[rows][:, None], stage - 1, column] = policy.probabilities(frame, stage)
-    return chances
-
-
-def _check_kind(policy: Any, kind: type, what: str, horizon: int) -> None:
-    if not isinstance(policy, kind):
-        raise ArgumentError(f"{type(policy).__name__} decides nothing about {what}, which the model is for")
-    own = getattr(policy, "horizon", None)
-    coefficients = getattr(policy, "coefficients", None)
-    if own is None and coefficients is not None:
-        own = coefficients.shape[0]
-    if own is not None and own != horizon:
-        raise ArgumentError(f"the policy is for {own} stages and the model for {horizon}; make their horizons equal")
-
-
-def _refuse_unknown(chances: Float[np.ndarray, "n T A"], policy: Any) -> None:
-    if np.isnan(chances).any():
+def _refuse_unknown(probabilities: Float[np.ndarray, "n T A"], policy: Any) -> None:
+    if np.isnan(probabilities).any():
         raise ArgumentError(
             f"{type(policy).__name__} draws its actions and does not say how likely each is, which evaluation by a log "
             "needs; evaluate it by simulation"
         )
 
 
-def _refuse_impossible(chances: Float[np.ndarray, "n T A"], paths: PathArrays) -> None:
-    wrong = paths.is_begun[..., None] & (chances > 0) & ~paths.is_possible
+def _refuse_impossible(probabilities: Float[np.ndarray, "n T A"], paths: PathArrays) -> None:
+    wrong = paths.is_begun[..., None] & (probabilities > 0) & ~paths.is_possible
     if wrong.any():
         path, stage, action = np.argwhere(wrong)[0]
         raise ArgumentError(

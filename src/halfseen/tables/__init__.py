@@ -1,8 +1,9 @@
 """The task of tables: where the learners meet the world.
 
-Read down: `features` (what Q looks at) → `grasp` (how likely a grasp is to succeed, learned from attempts) →
-`variance_reduction` (less noise in the targets) → `table_policy` (what was learned) → `learned_explanation` (how
-sure it may be) → `present` (what is seen now, and what was logged of the path so far → the state to decide in).
+Read down: `features` (what Q looks at) → `grasp` (how likely a grasp is to succeed, learned from attempts) → `encoding`
+(logs → features) → `censoring_covariates` → `prior` → `variance_reduction` (less noise in the targets) → `table_policy`
+(what was learned) → `target_probabilities` → `task` (all of it behind one seam) → `learned_explanation` (how sure it
+may be) → `present` (what is seen now, and what was logged of the path so far → the state to decide in).
 """
 
 from typing import TYPE_CHECKING
@@ -15,8 +16,9 @@ if TYPE_CHECKING:
     from halfseen.tables.grasp.svm_grasp import SVMGrasp
     from halfseen.tables.learned_explanation import LearnedExplainer
     from halfseen.tables.table_policy import LinearTablePolicy
+    from halfseen.tables.task import TableTask
 
-__all__ = ["BetaGrasp", "LearnedExplainer", "LinearTablePolicy", "SVMGrasp", "attempts"]
+__all__ = ["BetaGrasp", "LearnedExplainer", "LinearTablePolicy", "SVMGrasp", "TableTask", "attempts"]
 
 __getattr__ = lazy_names(
     __name__,
@@ -25,6 +27,7 @@ __getattr__ = lazy_names(
         "LearnedExplainer": "learned_explanation",
         "LinearTablePolicy": "table_policy",
         "SVMGrasp": "grasp.svm_grasp",
+        "TableTask": "task",
         "attempts": "grasp.attempts",
     },
 )

@@ -16,10 +16,10 @@ The first eleven features describe the table and mean the same for every verb:
 idle = exp(−8 · max soon)    1 where no object is worth another step, and soon 0 where one is
 ===========================  =========================================================================================
 
-with ease = (1 − occlusion) · (1 + successes) / (1 + attempts), the share in sight times Laplace's guess of a grip; or,
-given a grasp model, the chance of a grasp that it tells. One more look at an object of which the share v is in sight
-leaves win(v) = ½ (p − ½ + v/4)₊ + ½ (p − ½ − v/4)₊ to be won on average, were its label right with probability
-½ + v/4, and soon = ease · win(1 − occlusion).
+with ease = (1 − occlusion) · (1 + successes) / (1 + attempts), the share in sight times the rule of succession for a
+grip; or, given a grasp model, the probability that it gives to a grasp. One more look at an object of which the share v
+is in sight leaves win(v) = ½ (p − ½ + v/4)₊ + ½ (p − ½ − v/4)₊ to be won on average, were its label right with
+probability ½ + v/4, and soon = ease · win(1 − occlusion).
 
 What follows concerns the target; `laid bare` is what it would show if it were grasped: ease · Σ_j (occlusion of j that
 target i alone causes) · (…); and LIFT gains ease · (win(1) − win(1 − occlusion)) by the better look. FINISH looks at
@@ -29,13 +29,14 @@ What differs between targets decides between them. So the largest `soon` stands 
 all: the largest of the *others* tells as much of the table, but is least for the best target, and turned Q against it.
 """
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
-from halfseen.world.action_space import Verb
+from halfseen.world.action_space import ActionSpace, Verb
 from halfseen.world.grasp_model import GraspModel
 from halfseen.world.state import TableState, attempt_counts
 
@@ -60,10 +61,8 @@ class Columns(NamedTuple):
     """To be summed over the objects on the table."""
     idle: Float[Array, ""]
     """What follows the sums."""
-    wash: list[Float[Array, " N"]]
-    """Of each object as a target of WASH."""
-    lift: list[Float[Array, " N"]]
-    """Of each object as a target of LIFT."""
+    of_verb: Mapping[Verb, list[Float[Array, " N"]]]
+    """Of each object as a target of the verb."""
 
 
 def table_columns(state: TableState, grasp: GraspModel | None = None) -> Columns:
@@ -83,18 +82,20 @@ def table_columns(state: TableState, grasp: GraspModel | None = None) -> Columns
         is_there=state.is_on_table,
         table=[is_dirty, jnp.ones_like(is_dirty), *at_stake, *in_doubt, soon],
         idle=jnp.exp(-8.0 * best),
-        wash=[
-            ease * jnp.sum(laid_bare * win, axis=1),
-            laid_bare_doubt,
-            is_dirty,
-            is_dirty * ease,
-            ease,
-            *at_stake,
-            soon,
-            soon * ease,
-        ],
-        # Rounding is no variance: where nothing else varies, a regression would scale it up.
-        lift=[laid_bare_doubt, *in_doubt, jnp.where(clearer > ROUNDING, clearer, 0.0)],
+        of_verb={
+            Verb.WASH: [
+                ease * jnp.sum(laid_bare * win, axis=1),
+                laid_bare_doubt,
+                is_dirty,
+                is_dirty * ease,
+                ease,
+                *at_stake,
+                soon,
+                soon * ease,
+            ],
+            # Rounding is no variance: where nothing else varies, a regression would scale it up.
+            Verb.LIFT: [laid_bare_doubt, *in_doubt, jnp.where(clearer > ROUNDING, clearer, 0.0)],
+        },
     )
 
 
@@ -103,9 +104,12 @@ def table_features(state: TableState, grasp: GraspModel | None = None) -> Float[
     columns = table_columns(state, grasp)
     sums = jnp.sum(jnp.where(columns.is_there[:, None], jnp.stack(columns.table, axis=-1), 0.0), axis=0)
     table = jnp.append(sums, columns.idle)
-    of_verb = [jnp.stack(values, axis=-1) for values in (columns.wash, columns.lift)]
-    each = [jnp.concatenate([jnp.broadcast_to(table, (len(one), len(table))), one], axis=1) for one in of_verb]
-    return jnp.concatenate([_padded(table[None, :1]), *map(_padded, each)])
+    shared = jnp.broadcast_to(table, (state.num_objects, len(table)))
+    each = {
+        verb: _padded(jnp.concatenate([shared, jnp.stack(values, axis=-1)], axis=1))
+        for verb, values in columns.of_verb.items()
+    }
+    return ActionSpace(state.num_objects).join(_padded(table[None, :1])[0], each)
 
 
 def table_q(
@@ -123,15 +127,11 @@ def table_q(
     per_object = sum(value[:, None] * shared[None, :, f] for f, value in enumerate(columns.table))
     sums = jnp.sum(jnp.where(columns.is_there[:, None], per_object, 0.0), axis=0)
     table = offset[:, 0] + sums + columns.idle * shared[:, -1]
-    wash = table[Verb.WASH] + sum(value * own[Verb.WASH, f] for f, value in enumerate(columns.wash))
-    lift = table[Verb.LIFT] + sum(value * own[Verb.LIFT, f] for f, value in enumerate(columns.lift))
-    return jnp.concatenate([table[None, Verb.FINISH], wash, lift])
-
-
-def block_of_action(num_objects: int) -> Int[Array, " A"]:
-    """Block of coefficients of each action: its verb."""
-    verbs = jnp.array([Verb.FINISH, Verb.WASH, Verb.LIFT])
-    return jnp.repeat(verbs, jnp.array([1, num_objects, num_objects]), total_repeat_length=1 + 2 * num_objects)
+    each = {
+        verb: table[verb] + sum(value * own[verb, f] for f, value in enumerate(values))
+        for verb, values in columns.of_verb.items()
+    }
+    return ActionSpace(state.num_objects).join(table[Verb.FINISH], each)
 
 
 def _padded(features: Float[Array, "M f"]) -> Float[Array, "M F"]:

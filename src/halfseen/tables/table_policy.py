@@ -1,4 +1,4 @@
-"""A learned linear Q as a policy: coefficients, and nothing of the learner."""
+"""A learned Q of tables as a policy: coefficients, and nothing of the learner."""
 
 from dataclasses import dataclass
 
@@ -8,8 +8,8 @@ from jaxtyping import Array, Float
 
 from halfseen.learners.q_learning.kernel_map import KernelMap
 from halfseen.learners.q_learning.recursion import q_values
-from halfseen.tables.features import block_of_action, table_features, table_q
-from halfseen.world.action_space import possible_actions
+from halfseen.tables.features import table_features, table_q
+from halfseen.world.action_space import ActionSpace, possible_actions
 from halfseen.world.grasp_model import GraspModel
 from halfseen.world.policy import Decision, surely
 from halfseen.world.state import TableState
@@ -25,7 +25,7 @@ class LinearTablePolicy:
     coefficients
         Of Q_1 … Q_T, by steps to go, verb and feature (offset first).
     grasp
-        What tells the chance of a grasp in the features; None for Laplace's guess.
+        What tells the probability of a grasp in the features; None for the rule of succession.
     kernel_map
         Features of the RKHS; None where Q is linear in the features of the table.
     """
@@ -41,7 +41,7 @@ class LinearTablePolicy:
             q = table_q(coefficients, state, self.grasp)
         else:
             features = self.kernel_map(table_features(state, self.grasp))
-            q = q_values(coefficients, features, block_of_action(state.num_objects))
+            q = q_values(coefficients, features, jnp.asarray(ActionSpace(state.num_objects).verbs))
         return jnp.where(possible_actions(state), q, -jnp.inf)
 
     def decide(self, state: TableState, key: Array) -> Decision:

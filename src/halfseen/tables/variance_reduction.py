@@ -11,7 +11,7 @@ target keeps its mean where the regression holds. A stage that ended its path ke
 it was seen.
 
 *What labels say.* The next labels move each p up or down, and its mean stays. So Σ_j (p'_j − p_j)·m_j has mean 0 given
-(S_t, A_t), whatever multiplier m_j is taken from S_t. These are the *surprises* of the recursion.
+(S_t, A_t), whatever multiplier m_j is taken from S_t. These are control variates of the recursion.
 
 Both rest on p being a probability: of the objects at p, the share p is dirty. Where log-odds are too sure of
 themselves, Q is learned without a bias from them by ``reduces_variance=False``.
@@ -20,9 +20,9 @@ themselves, Q is learned without a bias from them by ``reduces_variance=False``.
 import numpy as np
 from jaxtyping import Bool, Float
 
-from halfseen.learners.q_learning.encoding import Encoded
-from halfseen.tables.features import WASH_DIRTY, WASH_EASE, block_of_action
-from halfseen.world.action_space import Verb
+from halfseen.learners.q_learning.task import Encoded
+from halfseen.tables.features import WASH_DIRTY, WASH_EASE
+from halfseen.world.action_space import ActionSpace, Verb
 
 
 def wash_outcomes(encoded: Encoded) -> Float[np.ndarray, "n T 3"]:
@@ -33,15 +33,14 @@ def wash_outcomes(encoded: Encoded) -> Float[np.ndarray, "n T 3"]:
     encoded
         A log of tables.
     """
-    verb = np.asarray(block_of_action(_num_objects(encoded)))[encoded.action]
-    taken = np.take_along_axis(encoded.features, encoded.action[..., None, None], axis=2)[:, :, 0]
+    verb, taken = _space(encoded).verbs[encoded.action], encoded.taken
     after = np.take_along_axis(encoded.is_possible[:, 1:], encoded.action[:, :-1, None], axis=2)[..., 0]
     left = np.pad(~after, ((0, 0), (0, 1)))
     outcome = np.stack([np.ones_like(left), left, left * taken[..., WASH_DIRTY]], axis=-1)
     return np.where((verb == Verb.WASH)[..., None], outcome, 0.0)
 
 
-def label_surprises(encoded: Encoded) -> Float[np.ndarray, "n T 8"]:
+def label_control_variates(encoded: Encoded) -> Float[np.ndarray, "n T 8"]:
     """Σ_j (p'_j − p_j)·m_j over what stays on the table, and the same of the target alone, for some multipliers m.
 
     They are 1 and ease, and ease where p is above ¼, ½ or ¾: the table has all five, the target 1, ease and the one
@@ -52,16 +51,16 @@ def label_surprises(encoded: Encoded) -> Float[np.ndarray, "n T 8"]:
     encoded
         A log of tables; what it tells of stages after which no state was seen means nothing.
     """
-    num_objects = _num_objects(encoded)
-    washed = encoded.features[:, :, 1 : 1 + num_objects]
+    space = _space(encoded)
+    washed = encoded.features[:, :, space.of(Verb.WASH)]
     is_dirty, ease = washed[..., WASH_DIRTY].astype(np.float64), washed[..., WASH_EASE]
-    is_there = encoded.is_possible[:, :, 1 : 1 + num_objects]
+    is_there = encoded.is_possible[:, :, space.of(Verb.WASH)]
     moved = np.zeros_like(is_dirty)
     moved[:, :-1] = np.where(is_there[:, :-1] & is_there[:, 1:], np.diff(is_dirty, axis=1), 0.0)
     plain, within_reach = moved, moved * ease
     likely = [within_reach * (is_dirty > knot) for knot in (0.25, 0.5, 0.75)]
     of_table = [values.sum(axis=-1) for values in (plain, within_reach, *likely)]
-    target = np.maximum(encoded.action - 1, 0) % num_objects
+    target = space.target(encoded.action)
     of_target = [
         np.where(encoded.action > 0, np.take_along_axis(values, target[..., None], axis=-1)[..., 0], 0.0)
         for values in (plain, within_reach, likely[1])
@@ -102,5 +101,5 @@ def expected_rewards(
     return np.where(use, outcome @ coefficients, reward)
 
 
-def _num_objects(encoded: Encoded) -> int:
-    return (encoded.is_possible.shape[-1] - 1) // 2
+def _space(encoded: Encoded) -> ActionSpace:
+    return ActionSpace.of_size(encoded.is_possible.shape[-1])

@@ -1,8 +1,8 @@
-"""Censored Q-learning (paper, eq. 3): from weighted logs to policies.
+"""Censored Q-learning (paper, eq. 3): from weighted logs to policies. It runs on arrays and knows no world.
 
-Read down: `least_squares` (one weighted regression) → `recursion` (eq. 3, backwards) → `table_features` (what Q looks
-at on a table) → `encoding` (logs → features) → `cut_covariates`, `path_arrays` (logs → arrays) → `cut_model` (Ĝ, by
-path or by stage) → `imputation` (targets for stages that were cut) → `variance_reduction` (less noise in the targets)
-→ `kernel_map` (Q in an RKHS) → `flat_policy`, `linear_policy` (what was learned) → `checks`, `q_learner` (the
-estimator) → `bootstrap`, `explanation` (how sure it may be).
+Read down: `least_squares` (one weighted regression) → `recursion` (eq. 3, backwards) → `kernel_map` (Q in an RKHS) →
+`task` (the seam: logs → arrays, Q → policy), `path_arrays` (logs → arrays), `named_actions`, `flat_policy` (the task of
+named actions and its policy) → `imputation`, `targets` (what stands for what cuts took) → `q_space` (𝒬 and λ) →
+`fitting` (one log or a batch) → `q_model` (all of it composed) → `streaming` (logs larger than memory), `q_learner` (the
+estimator) → `bootstrap` (how sure it may be).
 """

@@ -16,9 +16,11 @@ from jaxtyping import Float, Int
 from tqdm import tqdm
 
 from halfseen.errors import ArgumentError
+from halfseen.learners.q_learning.fitting import BackwardOptions
 from halfseen.learners.q_learning.flat_policy import FlatPolicy
 from halfseen.learners.q_learning.path_arrays import PathArrays
 from halfseen.learners.q_learning.q_learner import CensoredQLearner
+from halfseen.learners.q_learning.q_model import QModel
 from halfseen.learners.q_learning.recursion import QFunctions, Transitions, backward
 from halfseen.logs import Logs
 
@@ -110,30 +112,31 @@ def bootstrap(
             f"the log has {logs.num_paths} paths, but the learner was fitted to {learner.weights_.shape[0]}; give it "
             "the log that it was fitted to"
         )
-    paths = learner.lay_out(logs)
-    log = learner.transitions(paths, learner.cut_model_)
+    model = learner.model_
+    paths = model.lay_out(logs)
+    log = model.transitions(paths)
     rng = np.random.default_rng(random_state)
     share = np.full(paths.num_paths, 1.0 / paths.num_paths)
     fits = []
     with tqdm(total=num_replicates, desc="bootstrap", disable=True if is_quiet else None, leave=False) as progress:
         for start in range(0, num_replicates, BATCH_SIZE):
             size = min(BATCH_SIZE, num_replicates - start)
-            drawn = [_redrawn(learner, paths, counts) for counts in rng.multinomial(paths.num_paths, share, size=size)]
-            fits.append(_fit_each(learner, log, jax.tree.map(lambda *leaves: np.stack(leaves), *drawn)))
+            drawn = [_redrawn(model, paths, counts) for counts in rng.multinomial(paths.num_paths, share, size=size)]
+            fits.append(_fit_each(model, log, jax.tree.map(lambda *leaves: np.stack(leaves), *drawn)))
             progress.update(size)
     q_functions = jax.tree.map(lambda *parts: np.concatenate(parts), *fits)
-    return QBootstrap(learner.policy_, learner.as_policy(q_functions))
+    return QBootstrap(learner.policy_, model.policy(q_functions))
 
 
-_OF_PATHS = ("share", "terms", "expected", "is_told")
+_OF_PATHS = ("share", "terms", "expected", "is_observed")
 
 
-def _redrawn(learner: CensoredQLearner, paths: PathArrays, counts: Int[np.ndarray, " n"]) -> tuple[Any, Any]:
+def _redrawn(model: QModel, paths: PathArrays, counts: Int[np.ndarray, " n"]) -> tuple[Any, Any]:
     """Weights and imputation of each path in a draw, estimated from that draw; 0 where it was not drawn."""
     rows = np.repeat(np.arange(paths.num_paths), counts)
     drawn = paths.take(rows)
-    cut_model = learner.fit_cuts(drawn)
-    weight, imputed = learner.weights_and_imputation(drawn, cut_model)
+    again = replace(model, cut_model=model.targets.fit_cuts(drawn.clocks))
+    weight, imputed = again.weights_and_imputation(drawn)
     first = np.cumsum(counts) - counts
     was_drawn = counts > 0
 
@@ -144,25 +147,25 @@ def _redrawn(learner: CensoredQLearner, paths: PathArrays, counts: Int[np.ndarra
 
     if imputed is not None:
         imputed = imputed._replace(**{name: back(getattr(imputed, name)) for name in _OF_PATHS})
-        imputed = imputed._replace(is_told=imputed.is_told * counts[:, None])
+        imputed = imputed._replace(is_observed=imputed.is_observed * counts[:, None])
     return back(weight) * counts[:, None], imputed
 
 
-def _fit_each(learner: CensoredQLearner, log: Transitions, drawn: tuple[Any, Any]) -> QFunctions:
-    options = tuple(learner.backward_options(len(log.action)).items())
+def _fit_each(model: QModel, log: Transitions, drawn: tuple[Any, Any]) -> QFunctions:
+    options = model.options(len(log.action))
     with jax.enable_x64(True):
-        blocks = jnp.asarray(learner.encoding.block_of_action(log.is_possible.shape[-1]))
+        blocks = jnp.asarray(model.task.block_of_action(log.is_possible.shape[-1]))
         arrays, replicates = jax.tree.map(jnp.asarray, (log, drawn))
-        fits = _fit_drawn(arrays, replicates, blocks, jnp.asarray(learner.regs), options)
+        fits = _fit_drawn(arrays, replicates, blocks, jnp.asarray(model.regs), options)
         return jax.tree.map(np.asarray, fits)
 
 
 @partial(jax.jit, static_argnames="options")
 def _fit_drawn(
-    log: Transitions, drawn: tuple[Any, Any], blocks: jax.Array, regs: jax.Array, options: tuple[tuple[str, Any], ...]
+    log: Transitions, drawn: tuple[Any, Any], blocks: jax.Array, regs: jax.Array, options: BackwardOptions
 ) -> QFunctions:
     def fit(one: tuple[Any, Any]) -> QFunctions:
         weight, imputed = one
-        return backward(log._replace(weight=weight, imputation=imputed), blocks, regs, **dict(options))
+        return backward(log._replace(weight=weight, imputation=imputed), blocks, regs, **options._asdict())
 
     return jax.vmap(fit)(drawn)

@@ -1,45 +1,42 @@
-"""Q-functions of one log or of a batch, in float64, whatever the precision elsewhere."""
+"""Eq. 3 run on one log or on a batch, in float64, whatever the precision elsewhere."""
 
-from typing import Any
+from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from halfseen.errors import ArgumentError
-from halfseen.learners.q_learning.encoding import Encoding
-from halfseen.learners.q_learning.kernel_map import KernelMap
-from halfseen.learners.q_learning.recursion import QFunctions, StageMode, Transitions, backward
-from halfseen.tables.table_policy import LinearTablePolicy
-
-REGS = np.logspace(-3, 2, 11)
-"""The λ that ``reg="cv"`` chooses from; features are scaled to unit variance, so they need no other unit."""
-
-KERNEL_REGS = np.logspace(-6, 1, 15)
-"""The same for the norm of an RKHS."""
+from halfseen.learners.q_learning.recursion import Judged, QFunctions, StageMode, Transitions, backward, judged
 
 
-def backward_options(encoding: Encoding, stages: StageMode, num_folds: int, is_scaled: bool) -> dict[str, Any]:
-    """Collect what `backward` is compiled for."""
-    return {
-        "num_blocks": encoding.num_blocks,
-        "stages": stages,
-        "num_folds": num_folds,
-        "end_action": encoding.end_action if stages == "pooled" else None,
-        "is_scaled": is_scaled,
-    }
+class BackwardOptions(NamedTuple):
+    """What `backward` is compiled for."""
+
+    num_blocks: int
+    stages: StageMode
+    num_folds: int
+    end_action: int | None
+    is_scaled: bool
 
 
 def fit_q_functions(
-    log: Transitions,
-    encoding: Encoding,
-    regs: Float[np.ndarray, " L"],
-    stages: StageMode,
-    num_folds: int,
-    is_scaled: bool = True,
+    log: Transitions, blocks: Int[np.ndarray, " A"], regs: Float[np.ndarray, " L"], options: BackwardOptions
 ) -> QFunctions:
-    """Run the recursion in float64 on one log, or on a batch of logs if the arrays have a leading axis for it.
+    """Run the recursion on one log, or on a batch of logs if the arrays have a leading axis for it.
+
+    Parameters
+    ----------
+    log
+        The log, or the batch.
+    blocks
+        Block of coefficients of each action.
+    regs
+        The λ to choose from.
+    options
+        The rest.
 
     Raises
     ------
@@ -47,29 +44,60 @@ def fit_q_functions(
         A path is in a fold that does not exist, and would count for nothing.
     """
     largest = int(np.asarray(log.fold).max())
-    if largest >= num_folds:
-        raise ArgumentError(f"fold {largest} of {num_folds}: folds are 0 to {num_folds - 1}; deal the paths anew")
-    blocks = encoding.block_of_action(log.is_possible.shape[-1])
-    options = backward_options(encoding, stages, num_folds, is_scaled)
+    if largest >= options.num_folds:
+        raise ArgumentError(
+            f"fold {largest} of {options.num_folds}: folds are 0 to {options.num_folds - 1}; deal the paths anew"
+        )
     with jax.enable_x64(True):
         arrays = jax.tree.map(jnp.asarray, log)
-        is_batch = log.action.ndim == 3
-        fit = backward_batch if is_batch else backward
-        fitted = fit(arrays, jnp.asarray(blocks), jnp.asarray(regs), **options)
-        return jax.tree.map(np.asarray, fitted)
+        fit = backward_batch if log.action.ndim == 3 else backward
+        return jax.tree.map(np.asarray, fit(arrays, jnp.asarray(blocks), jnp.asarray(regs), **options._asdict()))
 
 
-def backward_batch(log: Transitions, blocks: jax.Array, regs: jax.Array, **options: Any) -> QFunctions:
+def backward_batch(log: Transitions, blocks: jax.Array, regs: jax.Array, **options) -> QFunctions:
     """Fit a batch of logs in one compiled call."""
     return jax.vmap(lambda one: backward(one, blocks, regs, **options))(log)
 
 
-def as_policy(q_functions: QFunctions, stages: StageMode) -> LinearTablePolicy:
-    """Turn the Q-functions of a table (or of a batch of logs) into policies, indexed by steps to go."""
-    coefficients = np.asarray(q_functions.coefficients, dtype=np.float32)
-    return LinearTablePolicy(jnp.asarray(coefficients if stages == "pooled" else coefficients[..., ::-1, :, :]))
+def fit_and_judge(
+    log: Transitions,
+    reward: Float[np.ndarray, "n T"],
+    multiplicity: Float[np.ndarray, "B n"],
+    blocks: Int[np.ndarray, " A"],
+    regs: Float[np.ndarray, " L"],
+    options: BackwardOptions,
+) -> Judged:
+    """Fit Q to each of B weightings of a log, and let it judge every path.
+
+    Parameters
+    ----------
+    log
+        The log.
+    reward
+        As logged; those of `log` may have had noise taken out of them.
+    multiplicity
+        How often each path counts.
+    blocks, regs, options
+        As for `fit_q_functions`.
+    """
+    with jax.enable_x64(True):
+        arrays = jax.tree.map(jnp.asarray, (log, reward, blocks, regs))
+        # One after the other, each to its end: eigenproblems in flight at once can block for ever (`waiting_for`).
+        each = [jax.block_until_ready(_judge(*arrays, jnp.asarray(one), options=options)) for one in multiplicity]
+        return Judged(*(np.stack([np.asarray(leaf) for leaf in leaves]) for leaves in zip(*each, strict=True)))
 
 
-def single_precision(kernel_map: KernelMap | None) -> KernelMap | None:
-    """Make the kernel of a table's policy as coarse as its states."""
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=jnp.float32), kernel_map)
+@partial(jax.jit, static_argnames="options")
+def _judge(
+    log: Transitions, reward: jax.Array, blocks: jax.Array, regs: jax.Array, counts: jax.Array, options: BackwardOptions
+) -> Judged:
+    fits = backward(counted(log, counts), blocks, regs, **options._asdict())
+    return judged(fits, log, blocks, options.stages, reward)
+
+
+def counted(log: Transitions, counts: Float[jax.Array, " n"]) -> Transitions:
+    """Let each path of a log count so often."""
+    imputed = log.imputation
+    if imputed is not None:
+        imputed = imputed._replace(is_observed=imputed.is_observed * counts[:, None])
+    return log._replace(weight=log.weight * counts[:, None], imputation=imputed)

@@ -2,6 +2,7 @@
 
 from collections.abc import Hashable
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import pandas as pd
@@ -9,6 +10,22 @@ from jaxtyping import Bool, Float
 
 from halfseen.errors import ArgumentError, LogError
 from halfseen.learners.q_learning.kernel_map import KernelMap
+
+
+@runtime_checkable
+class NamedActionPolicy(Protocol):
+    """Tells the probability of each named action from plain covariates; `FlatPolicy` is one."""
+
+    actions: tuple[Hashable, ...]
+
+    @property
+    def horizon(self) -> int:
+        """Number T of stages."""
+        ...
+
+    def probabilities(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
+        """π(a | S) in a stage (from 1), for each row of covariates."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +56,12 @@ class FlatPolicy:
     def horizon(self) -> int:
         """Number T of stages."""
         return len(self.is_possible)
+
+    @property
+    def actions_by_stage(self) -> dict[int, list[Hashable]]:
+        """Names of the actions that each stage allows, from 1."""
+        rows = enumerate(self.is_possible, start=1)
+        return {stage: [name for name, is_it in zip(self.actions, row, strict=True) if is_it] for stage, row in rows}
 
     def q_values(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
         """Q̂ of every action in a stage (from 1), for each row of covariates; of impossible ones, too.

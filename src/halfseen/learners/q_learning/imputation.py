@@ -3,7 +3,7 @@
 Write X = R_t + V̂(S_{t+1}) for the target of eq. 3, D for the duration of the stage, and m(u) = E[X | S_t, A_t, D ≥ u]
 for what a stage that is still going at age u is worth. Both ways replace X by a Y that every begun stage has.
 
-*Augmented* [Robins1992]_: with K̂ the chance that the stage is not cut before an age, given that it began,
+*Doubly robust* (AIPCW) [Robins1992]_: with K̂ the chance that the stage is not cut before an age, given that it began,
 
     Y = δ X / K̂(D⁻) + (1 − δ) m(c) / K̂(c) − ∫_0^{min(D, c)} m(u) d(1/K̂(u)),
 
@@ -20,15 +20,14 @@ expected. A stage that is completed is not a fair draw of all, but given its dur
 """
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from halfseen.censoring.cox import Cox
+from halfseen.censoring import Cox, CutModel
+from halfseen.censoring.stage_clocks import SMALLEST_AGE_S
 from halfseen.errors import ArgumentError
-from halfseen.learners.q_learning.cut_model import CutModel
-from halfseen.learners.q_learning.path_arrays import SMALLEST_AGE_S, PathArrays
+from halfseen.learners.q_learning.path_arrays import PathArrays
 from halfseen.learners.q_learning.recursion import Imputation, StageMode
 
 NUM_AGES = 24
@@ -44,8 +43,6 @@ DURATION_RIDGE = 1.0
 """Penalty of the proportional hazards of D: a prior of one event, so that separation has an end."""
 
 SMALLEST_CHANCE = 1e-12
-
-ImputationKind = Literal["augmented", "buckley-james"]
 
 
 @dataclass(frozen=True)
@@ -123,7 +120,6 @@ def fit_durations(
 
 def imputation(
     paths: PathArrays,
-    kind: ImputationKind,
     cut_model: CutModel | None,
     stages: StageMode,
     is_used: Float[np.ndarray, " F"],
@@ -135,10 +131,8 @@ def imputation(
     ----------
     paths
         The log.
-    kind
-        ``"augmented"`` or ``"buckley-james"``.
     cut_model
-        Ĝ; not needed by Buckley and James.
+        Ĝ, for doubly robust targets; None for those of Buckley and James.
     stages
         One distribution of durations for each stage (``"separate"``), or one for all (``"pooled"``).
     is_used
@@ -151,9 +145,10 @@ def imputation(
     ArgumentError
         The action of a stage in which a path was cut was not logged.
     """
-    _refuse_unknown_actions(paths, kind)
+    _refuse_unknown_actions(paths, cut_model)
     features = _by_block(paths, is_used, block_of_action)
-    completed_s = paths.watched_s[paths.is_completed]
+    watched_s = paths.clocks.watched_s
+    completed_s = watched_s[paths.is_completed]
     knots = np.unique(np.quantile(completed_s, KNOTS))
     spread = max(float(completed_s.std()), 1e-12)
     shape = (*paths.action.shape, 1 + len(knots))
@@ -165,19 +160,18 @@ def imputation(
         rows = paths.is_begun & where
         if not (rows & paths.is_completed).any():
             continue
-        durations = fit_durations(paths.watched_s[rows], paths.is_completed[rows], features[rows])
+        durations = fit_durations(watched_s[rows], paths.is_completed[rows], features[rows])
         terms = _terms(durations.at_s, knots, spread)
-        if kind == "buckley-james":
-            told = durations.expected(features[rows], paths.watched_s[rows][:, None], terms)[:, 0]
-            expected[rows] = np.where(paths.is_completed[rows][:, None], 0.0, told)
+        if cut_model is None:
+            later = durations.expected(features[rows], watched_s[rows][:, None], terms)[:, 0]
+            expected[rows] = np.where(paths.is_completed[rows][:, None], 0.0, later)
         else:
-            assert cut_model is not None
             share[rows], expected[rows] = _augmented(paths, cut_model, rows, durations, features, terms)
     return Imputation(
         share=share,
-        terms=np.where(paths.is_completed[..., None], _terms(paths.watched_s, knots, spread), 0.0),
+        terms=np.where(paths.is_completed[..., None], _terms(watched_s, knots, spread), 0.0),
         expected=expected,
-        is_told=paths.is_completed.astype(np.float64),
+        is_observed=paths.is_completed.astype(np.float64),
         is_used=is_used,
     )
 
@@ -191,16 +185,17 @@ def _augmented(
     terms: Float[np.ndarray, "J G"],
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k G"]]:
     """Share δ/K̂(D⁻), and the two sums over m with g in its place."""
-    ended_s, is_completed = paths.watched_s, paths.is_completed[rows]
+    clocks = paths.clocks
+    ended_s, is_completed = clocks.watched_s, paths.is_completed[rows]
     ages = np.unique(np.quantile(ended_s[rows], np.linspace(0.0, 1.0, NUM_AGES + 1)))
     ages = np.concatenate([[0.0], ages[:-1], [np.inf]])
     middle = np.append((ages[:-2] + ages[1:-1]) / 2.0, ages[-2])
     # A stage that was cut at c was at risk until just after c.
     at_risk_s = np.where(paths.is_completed, ended_s, ended_s + 2.0 * SMALLEST_AGE_S)
-    within = cut_model.survival(paths, np.minimum(ages, at_risk_s[..., None]), rows)[rows]
-    share = np.where(is_completed, cut_model.weights(paths)[rows] / cut_model.begun_weights(paths)[rows], 0.0)
+    within = cut_model.survival(clocks, np.minimum(ages, at_risk_s[..., None]), rows)[rows]
+    share = np.where(is_completed, cut_model.weights(clocks)[rows] / cut_model.begun_weights(clocks)[rows], 0.0)
     # Where K̂ falls to 0 with the last cut itself, the nearest that can be divided by is just before; ages are rounded.
-    before_cut = cut_model.survival(paths, np.maximum(ended_s - SMALLEST_AGE_S, 0.0), rows)[rows]
+    before_cut = cut_model.survival(clocks, np.maximum(ended_s - SMALLEST_AGE_S, 0.0), rows)[rows]
     most = np.where(is_completed, share, 1.0 / np.maximum(before_cut, SMALLEST_CHANCE))
     least = np.where(within > 0, within, 1.0 / most[:, None])
     inverse = np.minimum(1.0 / least, np.where(is_completed, most, np.inf)[:, None])
@@ -208,8 +203,8 @@ def _augmented(
     steps = -np.diff(inverse, axis=1)
     cut_in = np.searchsorted(ages, ended_s[rows], side="right") - 1
     steps[np.arange(len(steps)), cut_in] += np.where(is_completed, 0.0, inverse[:, -1])
-    told = durations.expected(features[rows], np.broadcast_to(middle, (len(steps), len(middle))), terms)
-    return share, np.einsum("kl,klg->kg", steps, told)
+    later = durations.expected(features[rows], np.broadcast_to(middle, (len(steps), len(middle))), terms)
+    return share, np.einsum("kl,klg->kg", steps, later)
 
 
 def _terms(duration_s: Float[np.ndarray, "*S"], knots: Float[np.ndarray, " k"], spread: float) -> np.ndarray:
@@ -222,16 +217,17 @@ def _by_block(
     paths: PathArrays, is_used: Float[np.ndarray, " F"], block_of_action: Int[np.ndarray, " A"]
 ) -> Float[np.ndarray, "n T P"]:
     """A constant and the features of the action that was taken, in columns of its block's own."""
-    taken = np.take_along_axis(paths.features, paths.action[..., None, None], axis=2)[:, :, 0] * is_used
+    taken = paths.encoded.taken * is_used
     own = np.insert(taken, 0, 1.0, axis=-1)
     blocks = block_of_action[paths.action]
     return np.concatenate([own * (blocks == block)[..., None] for block in np.unique(block_of_action)], axis=-1)
 
 
-def _refuse_unknown_actions(paths: PathArrays, kind: ImputationKind) -> None:
+def _refuse_unknown_actions(paths: PathArrays, cut_model: CutModel | None) -> None:
     unknown = paths.is_begun & ~paths.has_action
     if unknown.any():
         path, stage = np.argwhere(unknown)[0]
+        kind = "buckley-james" if cut_model is None else "doubly robust"
         raise ArgumentError(
             f"path {paths.path_ids[path]}, stage {stage + 1}: its action is null, and {kind} learning needs the "
             "action of the stage in which a path was cut; log it when the stage begins, or use weights alone"

@@ -1,78 +1,74 @@
 """A log as dense arrays, one row a path, padded to T stages: what all that is estimated from it runs on."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+import jax
 import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float, Int
 
-from halfseen.learners.q_learning.encoding import Encoded
+from halfseen.censoring import StageClocks
+from halfseen.learners.q_learning.task import Encoded
 from halfseen.logs import Logs
-
-SMALLEST_AGE_S = 1e-9
-"""A stage that was cut as it began was watched this long [s]; clocks are told apart to this much, too."""
 
 
 class PathArrays(NamedTuple):
     """Paths and their stages; what a path has no stage for holds 0, False or NaN."""
 
-    path_ids: np.ndarray
-    features: Float[np.ndarray, "n T A F"]
-    is_possible: Bool[np.ndarray, "n T A"]
-    action: Int[np.ndarray, "n T"]
+    clocks: StageClocks
+    """When each stage began and ended, who was cut, and what cuts may depend on."""
+    encoded: Encoded
     has_action: Bool[np.ndarray, "n T"]
     """Stages whose action is known; that of the stage in which a path was cut need not be."""
     probability: Float[np.ndarray, "n T"]
     """Of the logged action under the logging policy; NaN where it was not logged."""
     reward: Float[np.ndarray, "n T"]
     """0 where not completed."""
-    elapsed_s: Float[np.ndarray, "n T"]
-    """U_t [s], NaN where not completed."""
-    end_s: Float[np.ndarray, " n"]
-    is_finished: Bool[np.ndarray, " n"]
-    is_begun: Bool[np.ndarray, "n T"]
-    covariates: Float[np.ndarray, "n T P"]
-    """What cuts may depend on; 0 where there is no such stage."""
-    covariate_names: tuple[str, ...]
 
     @property
     def num_paths(self) -> int:
         """Number n of paths."""
-        return len(self.end_s)
+        return self.clocks.num_paths
 
     @property
-    def encoded(self) -> Encoded:
-        """What the Q-functions look at, and what was done."""
-        return Encoded(self.features, self.is_possible, self.action)
+    def path_ids(self) -> np.ndarray:
+        """Names of the paths."""
+        return self.clocks.path_ids
+
+    @property
+    def features(self) -> Float[np.ndarray, "n T A F"]:
+        """φ(S_t, a)."""
+        return self.encoded.features
+
+    @property
+    def is_possible(self) -> Bool[np.ndarray, "n T A"]:
+        """Which actions each state allows."""
+        return self.encoded.is_possible
+
+    @property
+    def action(self) -> Int[np.ndarray, "n T"]:
+        """A_t."""
+        return self.encoded.action
+
+    @property
+    def is_begun(self) -> Bool[np.ndarray, "n T"]:
+        """Stages whose S_t was seen."""
+        return self.clocks.is_begun
 
     @property
     def is_completed(self) -> Bool[np.ndarray, "n T"]:
         """δ_t."""
-        return ~np.isnan(self.elapsed_s)
+        return self.clocks.is_completed
 
     @property
     def is_last(self) -> Bool[np.ndarray, "n T"]:
         """Completed stages after which a path had come to its own end."""
-        last = self.is_begun.sum(axis=1) - 1
-        return (np.arange(self.action.shape[1]) == last[:, None]) & self.is_finished[:, None]
-
-    @property
-    def begun_at_s(self) -> Float[np.ndarray, "n T"]:
-        """U_{t−1} of each begun stage [s]; 0 elsewhere."""
-        before = np.concatenate([np.zeros((self.num_paths, 1)), self.elapsed_s[:, :-1]], axis=1)
-        return np.where(self.is_begun, before, 0.0)
-
-    @property
-    def watched_s(self) -> Float[np.ndarray, "n T"]:
-        """How long each begun stage was watched, to its completion or its cut [s]; 0 elsewhere."""
-        until = np.where(self.is_completed, self.elapsed_s, self.end_s[:, None])
-        age = np.maximum(np.round((until - self.begun_at_s) / SMALLEST_AGE_S) * SMALLEST_AGE_S, SMALLEST_AGE_S)
-        return np.where(self.is_begun, age, 0.0)
+        return self.clocks.is_last
 
     def take(self, rows: Int[np.ndarray, " k"]) -> "PathArrays":
         """Keep these paths, which may repeat, in this order."""
-        kept: Any = {name: leaf[rows] for name, leaf in self._asdict().items() if name != "covariate_names"}
-        return self._replace(**kept)
+        kept = jax.tree.map(lambda leaf: leaf[rows], tuple(self[1:]))
+        return PathArrays(self.clocks.take(rows), *kept)
 
 
 def path_arrays(logs: Logs, encoded: Encoded, covariates: pd.DataFrame | None) -> PathArrays:
@@ -88,7 +84,7 @@ def path_arrays(logs: Logs, encoded: Encoded, covariates: pd.DataFrame | None) -
         What cuts may depend on, a row for each stage of the log; None for nothing.
     """
     horizon = encoded.action.shape[1]
-    at = pd.Index(logs.path_ids).get_indexer(logs.stages["path"]), logs.stages["stage"].to_numpy() - 1
+    at = stage_places(logs)
 
     def spread(values: np.ndarray, empty: float | bool) -> np.ndarray:
         filled = np.full((logs.num_paths, horizon, *values.shape[1:]), empty, dtype=values.dtype)
@@ -100,14 +96,8 @@ def path_arrays(logs: Logs, encoded: Encoded, covariates: pd.DataFrame | None) -
         return given.to_numpy(dtype=np.float64, na_value=np.nan)
 
     known = np.zeros((logs.num_stages, 0)) if covariates is None else covariates.to_numpy(dtype=np.float64)
-    return PathArrays(
+    clocks = StageClocks(
         path_ids=logs.path_ids,
-        features=encoded.features,
-        is_possible=encoded.is_possible,
-        action=encoded.action,
-        has_action=spread(logs.stages["action"].notna().to_numpy(), False),
-        probability=spread(numbers("probability"), np.nan),
-        reward=np.nan_to_num(spread(numbers("reward"), 0.0)),
         elapsed_s=spread(numbers("elapsed_s"), np.nan),
         end_s=logs.end_s,
         is_finished=logs.is_finished,
@@ -115,3 +105,15 @@ def path_arrays(logs: Logs, encoded: Encoded, covariates: pd.DataFrame | None) -
         covariates=spread(known, 0.0),
         covariate_names=() if covariates is None else tuple(map(str, covariates.columns)),
     )
+    return PathArrays(
+        clocks=clocks,
+        encoded=encoded,
+        has_action=spread(logs.stages["action"].notna().to_numpy(), False),
+        probability=spread(numbers("probability"), np.nan),
+        reward=np.nan_to_num(spread(numbers("reward"), 0.0)),
+    )
+
+
+def stage_places(logs: Logs) -> tuple[Int[np.ndarray, " rows"], Int[np.ndarray, " rows"]]:
+    """Row of each stage's path in dense arrays, and its column."""
+    return pd.Index(logs.path_ids).get_indexer(logs.stages["path"]), logs.stages["stage"].to_numpy() - 1

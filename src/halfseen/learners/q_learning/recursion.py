@@ -10,7 +10,7 @@ A linear Q is α_k + β_kᵀ φ(S, a) with k the block of the action, and each s
 on the rows of all stages; a row that the horizon ended says nothing of a longer future, so it serves Q_1 alone. One
 more step to go changes little, so Q_h is shrunk towards Q_{h−1}. With λ = 0 nothing is shrunk, and eq. 3 is exact.
 
-*Surprises* are control variates [Glasserman2003]_: numbers that S_{t+1} tells and whose mean given (S_t, A_t) is 0.
+*Control variates* [Glasserman2003]_ are numbers that S_{t+1} tells and whose mean given (S_t, A_t) is 0.
 Each regression runs on them too, and Q leaves them out: what they explain of the target is noise that Q is spared.
 
 Where a policy is *given*, the maximum gives way to Σ_a π(a | S_{t+1}) Q̂_{t+1}(S_{t+1}, a): Q̂ is then what that policy
@@ -57,7 +57,7 @@ class Imputation(NamedTuple):
     """g of each completed stage."""
     expected: Float[AnyArray, "*B n T G"]
     """What stands for g·(1 − share)."""
-    is_told: Float[AnyArray, "*B n T"]
+    is_observed: Float[AnyArray, "*B n T"]
     """Weight of each stage in the regression of X: 1 where completed."""
     is_used: Float[AnyArray, "*B F"]
     """1 for each feature that this regression looks at, 0 for the others."""
@@ -78,7 +78,7 @@ class Transitions(NamedTuple):
     """Completed stages after which the path had come to its own end."""
     fold: Int[AnyArray, "*B n"]
     """Fold of each path for cross-validation, from 0; below the number of folds."""
-    surprises: Float[AnyArray, "*B n T Z"] | None = None
+    control_variates: Float[AnyArray, "*B n T Z"] | None = None
     """Of mean 0 given (S_t, A_t), if any are known; what they hold at a path's end does not count."""
     policy: Float[AnyArray, "*B n T A"] | None = None
     """π(a | S_t), where Q of a given policy is wanted and not that of the best one."""
@@ -92,7 +92,7 @@ class QFunctions(NamedTuple):
     """The offset first."""
     reg: Float[AnyArray, "*B T K"]
     """The λ that was used."""
-    told: Float[AnyArray, "*B T K M"] | None = None
+    outcome: Float[AnyArray, "*B T K M"] | None = None
     """Where targets are imputed, the regression of X on the features that it uses and the terms, the offset first."""
 
 
@@ -162,31 +162,31 @@ class Regression(NamedTuple):
         design, taken = self.design(log, weight), _taken(log)
         gram = gram_of(design)
         if after is not None:
-            gram = waiting_for((after.told or after.main).factor.eigenvalues, gram)
+            gram = waiting_for((after.outcome or after.main).factor.eigenvalues, gram)
         main = _Sums(design, factorise(gram, self.is_scaled))
         if log.imputation is None:
             return _Prepared(main, None)
         given, used = log.imputation, taken * log.imputation.is_used
-        told = self._design(log, jnp.where(weight > 0, given.is_told, 0.0), used, given.terms)
-        gram = waiting_for(main.factor.eigenvalues, gram_of(told))
-        return _Prepared(main, _Sums(told, factorise(gram, self.is_scaled)))
+        outcome = self._design(log, jnp.where(weight > 0, given.is_observed, 0.0), used, given.terms)
+        gram = waiting_for(main.factor.eigenvalues, gram_of(outcome))
+        return _Prepared(main, _Sums(outcome, factorise(gram, self.is_scaled)))
 
     def fit(
         self, prepared: "_Prepared", log: Transitions, successor: Float[Array, "n T"], centre: Float[Array, "K F"]
     ) -> QFunctions:
-        """Regress R_t + V̂(S_{t+1}), or what is imputed for it, shrunk towards `centre`; surprises come last."""
-        target, told = target_of(log, successor).ravel(), None
-        if prepared.told is not None and log.imputation is not None:
-            cross = cross_of(prepared.told.design, target)
-            told = solve(prepared.told.factor, cross, self.regs, self.num_paths).coefficients
-            target = imputed_target(log, told, target.reshape(log.action.shape), self.block_of_action).ravel()
+        """Regress R_t + V̂(S_{t+1}), or what is imputed for it, shrunk towards `centre`; control variates come last."""
+        target, outcome = target_of(log, successor).ravel(), None
+        if prepared.outcome is not None and log.imputation is not None:
+            cross = cross_of(prepared.outcome.design, target)
+            outcome = solve(prepared.outcome.factor, cross, self.regs, self.num_paths).coefficients
+            target = imputed_target(log, outcome, target.reshape(log.action.shape), self.block_of_action).ravel()
         cross = self.cross(prepared.main.design, log, target, centre)
         fit = solve(prepared.main.factor, cross, self.regs, self.num_paths)
-        return QFunctions(fit.coefficients + centre, fit.reg, told)
+        return QFunctions(fit.coefficients + centre, fit.reg, outcome)
 
     def design(self, log: Transitions, weight: Any) -> Design:
-        """Rows of eq. 3, with the surprises that its targets hold."""
-        return self._design(log, weight, _taken(log), _seen_surprises(log))
+        """Rows of eq. 3, with the control variates of its targets."""
+        return self._design(log, weight, _taken(log), _seen_control_variates(log))
 
     def cross(
         self, design: Design, log: Transitions, target: Float[Array, " R"], centre: Float[Array, "K F"]
@@ -217,7 +217,7 @@ class _Sums(NamedTuple):
 
 class _Prepared(NamedTuple):
     main: _Sums
-    told: _Sums | None
+    outcome: _Sums | None
 
 
 def _backward_separate(log: Transitions, regression: Regression) -> QFunctions:
@@ -277,17 +277,55 @@ def target_of(log: Transitions, successor: Float[Array, "n T"]) -> Float[Array, 
 
 
 def imputed_target(
-    log: Transitions, told: Float[Array, "*T K M"], target: Float[Array, "n T"], block_of_action: Int[Array, " A"]
+    log: Transitions, outcome: Float[Array, "*T K M"], target: Float[Array, "n T"], block_of_action: Int[Array, " A"]
 ) -> Float[Array, "n T"]:
-    """Y_t of every begun stage (see `Imputation`): X is `target`, and `told` its regression, one or one a stage."""
+    """Y_t of every begun stage (see `Imputation`): X is `target`, and `outcome` its regression, one or one a stage."""
     given = log.imputation
     assert given is not None
     num_terms = given.terms.shape[-1]
-    by_stage = jnp.broadcast_to(told, (log.action.shape[1], *told.shape[-2:]))
+    by_stage = jnp.broadcast_to(outcome, (log.action.shape[1], *outcome.shape[-2:]))
     each = by_stage[jnp.arange(log.action.shape[1]), block_of_action[log.action]]
     at_state = each[..., 0] + jnp.sum(_taken(log) * given.is_used * each[..., 1:-num_terms], axis=-1)
     of_time = jnp.sum(given.expected * each[..., -num_terms:], axis=-1)
     return jnp.asarray(given.share * target + (1.0 - given.share) * at_state + of_time)
+
+
+class Judged(NamedTuple):
+    """What a Q says of every stage of a log, for one weighting or for each of B."""
+
+    value: Float[Any, "*B n T"]
+    """V̂_t(S_t)."""
+    taken: Float[Any, "*B n T"]
+    """Q̂_t(S_t, A_t)."""
+    target: Float[Any, "*B n T"]
+    """X_t = R_t + V̂_{t+1}(S_{t+1}), or Y_t where targets are imputed; 0 where there is none."""
+
+
+def judged(
+    fits: QFunctions, log: Transitions, block_of_action: Int[Array, " A"], stages: StageMode, reward: Any
+) -> Judged:
+    """Let each stage's own Q judge it.
+
+    Parameters
+    ----------
+    fits
+        What `backward` made of the log, or of another weighting of it.
+    log
+        The log.
+    block_of_action, stages
+        As for `backward`.
+    reward
+        As logged; those of `log` may have had noise taken out of them.
+    """
+    by_stage = jax.tree.map(lambda leaf: leaf[::-1], fits) if stages == "pooled" else fits
+    each = jax.vmap(q_values, in_axes=(0, 1, None), out_axes=1)
+    q = each(jnp.asarray(by_stage.coefficients), jnp.asarray(log.features), block_of_action)
+    value = values_of(q, log)
+    taken = jnp.take_along_axis(q, log.action[..., None], axis=2)[..., 0]
+    target = target_of(log._replace(reward=reward), of_successor(value))
+    if by_stage.outcome is not None:
+        target = imputed_target(log, jnp.asarray(by_stage.outcome), target, block_of_action)
+    return Judged(value, taken, target)
 
 
 def _taken(log: Transitions) -> Float[Array, "n T F"]:
@@ -303,22 +341,26 @@ def goes_on(log: Transitions, end_action: int | None) -> Bool[Array, "n T"]:
 def state_values(
     coefficients: Float[Array, "K F"], log: Transitions, block_of_action: Int[Array, " A"]
 ) -> Float[Array, "n T"]:
+    """V̂ of every state by one Q."""
+    return values_of(q_values(coefficients, log.features, block_of_action), log)
+
+
+def values_of(q: Float[Array, "n T A"], log: Transitions) -> Float[Array, "n T"]:
     """V̂ of every state: max_a Q over the possible actions, or Σ_a π(a) Q of the policy that is given.
 
     Where no action is possible it is 0: such a row is padding, and must stay finite.
     """
-    q = q_values(coefficients, log.features, block_of_action)
     if log.policy is not None:
         return jnp.sum(jnp.where(log.policy > 0, log.policy * q, 0.0), axis=-1)
     largest = jnp.max(jnp.where(log.is_possible, q, -jnp.inf), axis=-1)
     return jnp.where(jnp.any(log.is_possible, axis=-1), largest, 0.0)
 
 
-def _seen_surprises(log: Transitions) -> Any:
-    """Surprises of completed stages that went on; imputed targets hold only a share of each."""
-    if log.surprises is None:
+def _seen_control_variates(log: Transitions) -> Any:
+    """Control variates of completed stages that went on; imputed targets hold only a share of each."""
+    if log.control_variates is None:
         return None
-    seen = jnp.where(log.is_last[..., None], 0.0, log.surprises)
+    seen = jnp.where(log.is_last[..., None], 0.0, log.control_variates)
     return seen if log.imputation is None else seen * log.imputation.share[..., None]
 
 

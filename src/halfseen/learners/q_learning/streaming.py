@@ -5,6 +5,7 @@ memory would give, but for the rounding of the sums.
 """
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -14,8 +15,11 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from tqdm import tqdm
 
-from halfseen.learners.q_learning.encoding import Encoding
+from halfseen.censoring.cut_model import fit_path_cuts
+from halfseen.errors import ArgumentError
 from halfseen.learners.q_learning.least_squares import Fit, factorise, gram_of, solve
+from halfseen.learners.q_learning.q_model import QModel, refuse_all_cut, refuse_too_few
+from halfseen.learners.q_learning.q_space import CrossValidation
 from halfseen.learners.q_learning.recursion import (
     QFunctions,
     Regression,
@@ -28,6 +32,9 @@ from halfseen.learners.q_learning.recursion import (
     state_values,
     target_of,
 )
+from halfseen.learners.q_learning.targets import Unweighted, Weighted
+from halfseen.logs import LogStream
+from halfseen.logs.columns import FINISHED
 
 Parts = Callable[[], Iterator[Transitions]]
 """Reads the log once more, from its beginning."""
@@ -57,17 +64,85 @@ class _Setting(NamedTuple):
     only_going_on: bool = False
 
 
-def fit_stream(
-    parts: Parts,
-    num_paths: int,
-    encoding: Encoding,
-    regs: Float[np.ndarray, " L"],
-    stages: StageMode,
-    num_folds: int,
-    horizon: int,
-    is_scaled: bool = True,
-) -> QFunctions:
-    """Run eq. 3 in float64 on a log that comes in parts.
+def fit_stream(model: QModel, stream: LogStream) -> tuple[QModel, Float[np.ndarray, "n T"], QFunctions]:
+    """Learn in passes over a log; the first pass gathers what Ĝ and the kernel need.
+
+    Parameters
+    ----------
+    model
+        How Q is fitted.
+    stream
+        The log.
+
+    Returns
+    -------
+    tuple
+        The model with what was fitted before Q, the weight of every stage in eq. 3, and Q.
+
+    Raises
+    ------
+    ArgumentError
+        A part of the model needs the whole log at once, or cannot be fitted.
+    PositivityError
+        All paths were cut, or a weight is not identified.
+    """
+    _refuse_whole(model)
+    model, names, first = _first_pass(model, stream)
+    finished = (stream.paths["ending"] == FINISHED).to_numpy(dtype=bool)
+    if isinstance(model.targets, Weighted):
+        ends = stream.paths["end_s"].to_numpy(), finished
+        model = replace(
+            model, cut_model=fit_path_cuts(*ends, first, names, model.targets.model, model.targets.truncate_at)
+        )
+    fold, weights = model.folds(stream.num_paths), []
+
+    def parts() -> Iterator[Transitions]:
+        start, weights[:] = 0, []
+        for part in stream:
+            paths = model.lay_out(part)
+            weight, _ = model.weights_and_imputation(paths)
+            weights.append(weight)
+            yield model.weighted(paths, weight, None, fold[start : start + paths.num_paths])
+            start += paths.num_paths
+
+    q_functions = fit_parts(parts, stream.num_paths, model)
+    weight = np.concatenate(weights)
+    if isinstance(model.reg, CrossValidation):
+        refuse_too_few(weight)
+    return model, weight, q_functions
+
+
+def _refuse_whole(model: QModel) -> None:
+    by = getattr(model.targets, "by", "path")
+    needs = [
+        model.task.needs_whole_log,
+        None if isinstance(model.targets, Weighted | Unweighted) else f"censoring={type(model.targets).__name__}(…)",
+        None if by == "path" else f"a model of the cuts by {by}",
+    ]
+    for need in filter(None, needs):
+        raise ArgumentError(
+            f"{need} needs the whole log in memory, and a stream was given; learn from read_logs(folder), or choose "
+            "weights on the clock of paths and a task that needs nothing of the whole log"
+        )
+
+
+def _first_pass(model: QModel, stream: LogStream) -> tuple[QModel, tuple[str, ...], Float[np.ndarray, "n P"]]:
+    """Fit the task and the kernel, and gather the covariates with which paths begin."""
+    refuse_all_cut((stream.paths["ending"] == FINISHED).to_numpy(dtype=bool))
+    first, names = [], ()
+    for number, part in enumerate(stream):
+        model.check_horizon(part)
+        if number == 0:
+            model = replace(model, task=model.task.fitted(part, model.horizon))
+        paths = model.lay_out(part)
+        model = model.with_kernel(paths) if number == 0 else model
+        first.append(paths.clocks.covariates[:, 0])
+        names = paths.clocks.covariate_names
+    return model, names, np.concatenate(first)
+
+
+def fit_parts(parts: Parts, num_paths: int, model: QModel) -> QFunctions:
+    """Run eq. 3 in float64 on a log that comes in parts: a pass for each backward step.
 
     Parameters
     ----------
@@ -75,14 +150,12 @@ def fit_stream(
         The log, each part laid out as the whole would be.
     num_paths
         n, of all parts together.
-    encoding, regs, stages, num_folds, is_scaled
-        As for `fit_q_functions`.
-    horizon
-        T: a backward step, and a pass, for each; one more for pooled stages with an action that ends a path.
+    model
+        How Q is fitted. For pooled stages with an action that ends a path there is one more pass than stages.
     """
-    end_action = encoding.end_action if stages == "pooled" else None
-    setting = _Setting(stages, encoding.num_blocks, num_folds, end_action)
-    num_passes = horizon + (end_action is not None)
+    options = model.options(num_paths)
+    setting = _Setting(options.stages, options.num_blocks, options.num_folds, options.end_action)
+    num_passes = model.horizon + (options.end_action is not None)
     with jax.enable_x64(True), tqdm(total=num_passes, desc="learn", disable=None, leave=False) as progress:
 
         def run(step: _Step | None, stage: int, **changed: Any) -> Fit:
@@ -90,24 +163,23 @@ def fit_stream(
             gram = cross = None
             for part in parts():
                 log = jax.tree.map(jnp.asarray, part)
-                blocks = jnp.asarray(encoding.block_of_action(part.is_possible.shape[-1]))
+                blocks = jnp.asarray(model.task.block_of_action(part.is_possible.shape[-1]))
                 if step is None:
-                    step = _first(log, encoding.num_blocks, stage)
+                    step = _first(log, options.num_blocks, stage)
                 sums = _sums(log, blocks, step._replace(stage=jnp.asarray(stage)), used)
                 gram, cross = sums if gram is None else (gram + sums[0], cross + sums[1])
             progress.update()
             assert gram is not None
             assert cross is not None
             assert step is not None
-            fit = _solved(gram, cross, jnp.asarray(regs), num_paths, is_scaled)
+            fit = _solved(gram, cross, jnp.asarray(model.regs), num_paths, options.is_scaled)
             return Fit(fit.coefficients + step.centre, fit.reg)
 
-        fit_all = _pooled if stages == "pooled" else _separate
-        fits = fit_all(run, horizon, end_action, encoding)
+        fits = _pooled(run, parts, model) if options.stages == "pooled" else _separate(run, model.horizon)
     return QFunctions(*(np.stack([np.asarray(leaf) for leaf in leaves]) for leaves in zip(*fits, strict=True)))
 
 
-def _separate(run: Any, horizon: int, end_action: int | None, encoding: Encoding) -> list[Fit]:
+def _separate(run: Any, horizon: int) -> list[Fit]:
     fits, step = [], None
     for stage in reversed(range(horizon)):
         fit = run(step, stage)
@@ -116,16 +188,16 @@ def _separate(run: Any, horizon: int, end_action: int | None, encoding: Encoding
     return fits
 
 
-def _pooled(run: Any, horizon: int, end_action: int | None, encoding: Encoding) -> list[Fit]:
-    step = None
+def _pooled(run: Any, parts: Parts, model: QModel) -> list[Fit]:
+    step, end_action = None, model.task.end_action
     if end_action is not None:
         ended = run(None, 0).coefficients
-        # Any number of actions of a table has the same blocks; FINISH is the first.
-        block = int(encoding.block_of_action(1 + 2)[end_action])
+        num_actions = next(parts()).is_possible.shape[-1]
+        block = int(model.task.block_of_action(num_actions)[end_action])
         centre = jnp.broadcast_to(ended[block], ended.shape)
         step = _Step(jnp.asarray(0), ended, jnp.asarray(1.0), centre)
     fits = [run(step, 0, is_end_value=end_action is not None)]
-    for _ in range(horizon - 1):
+    for _ in range(model.horizon - 1):
         before = fits[-1].coefficients
         fits.append(run(_Step(jnp.asarray(0), before, jnp.asarray(1.0), before), 0, only_going_on=True))
     return fits

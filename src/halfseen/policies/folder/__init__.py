@@ -13,6 +13,16 @@ Read down: `files` (there whole or not at all, no byte changed) → `arrays` (po
 
 from halfseen.policies.folder.files import check_target
 from halfseen.policies.folder.log_digest import log_digest
+from halfseen.policies.folder.specification import q_space_of_record, reg_of_record, targets_of_record
 from halfseen.policies.folder.stored import StoredPolicy, read_policy, write_policy
 
-__all__ = ["StoredPolicy", "check_target", "log_digest", "read_policy", "write_policy"]
+__all__ = [
+    "StoredPolicy",
+    "check_target",
+    "log_digest",
+    "q_space_of_record",
+    "read_policy",
+    "reg_of_record",
+    "targets_of_record",
+    "write_policy",
+]

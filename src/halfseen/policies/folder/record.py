@@ -2,7 +2,7 @@
 
 import json
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any
@@ -18,6 +18,7 @@ from halfseen.learners.q_learning.q_learner import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.policies.folder.log_digest import log_digest
 from halfseen.policies.folder.seen import seen_states, seen_tables
+from halfseen.policies.folder.specification import described
 from halfseen.tables.features import NUM_FEATURES
 from halfseen.world.action_space import Verb
 
@@ -55,7 +56,7 @@ def record_of(learner: CensoredQLearner, logs: Logs) -> dict[str, Any]:
         "kind": FLAT if is_flat else TABLE,
         "schema": schema,
         "seen": seen,
-        "learner": {name: _plain(value) for name, value in learner.get_params(deep=False).items()},
+        "learner": described(learner.model_),
         "seed": int(learner.random_state),
         "reg": {
             "rows": "stage" if is_by_stage else "steps to go",
@@ -165,7 +166,10 @@ def _action_name(name: Any) -> int | str:
 
 def _diagnostics(learner: CensoredQLearner, logs: Logs) -> dict[str, Any]:
     positivity = positivity_report(logs.end_s, logs.is_finished, path_ids=logs.path_ids)
-    by_stage = [weight_diagnostics(column, learner.truncate_at) for column in learner.weights_[:, : logs.horizon].T]
+    by_stage = [
+        weight_diagnostics(column, getattr(learner.model_.targets, "truncate_at", None))
+        for column in learner.weights_[:, : logs.horizon].T
+    ]
     return {
         "weights": asdict(learner.diagnostics_),
         "weights_by_stage": [asdict(one) for one in by_stage],
@@ -177,19 +181,6 @@ def _diagnostics(learner: CensoredQLearner, logs: Logs) -> dict[str, Any]:
             "identified_until_s": positivity.identified_until_s,
         },
     }
-
-
-def _plain(value: Any) -> Any:
-    """Write a parameter as JSON can; objects by what they print."""
-    if isinstance(value, np.generic):
-        return value.item()
-    if value is None or isinstance(value, (bool, int, float, str)):
-        return value
-    if isinstance(value, Mapping):
-        return {str(key): _plain(entry) for key, entry in value.items()}
-    if isinstance(value, Sequence):
-        return [_plain(entry) for entry in value]
-    return repr(value)
 
 
 def _finite(value: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Who is cut, and when: Ĝ on the clock of a path, or on that of each stage.
+"""Who is cut, and when: Ĝ on the clock of a path (total time), or on that of each stage (gap time).
 
 ========  ============================================================================================
 ``by``    what the model is fitted to
@@ -20,9 +20,12 @@ import pandas as pd
 from jaxtyping import Bool, Float, Int
 
 from halfseen.arrays import RowMask, Rows
-from halfseen.censoring import CensoringModel, Cox, is_fitted, named_model, stage_weights, uses_covariates
+from halfseen.censoring.cox import Cox
+from halfseen.censoring.model import CensoringModel
+from halfseen.censoring.named import is_fitted, named_model, uses_covariates
+from halfseen.censoring.stage_clocks import StageClocks
+from halfseen.censoring.weights import stage_weights
 from halfseen.errors import ArgumentError, HalfseenError, PositivityError
-from halfseen.learners.q_learning.path_arrays import PathArrays
 
 CensoringBy = Literal["path", "stage", "pooled"]
 CENSORING_BY: tuple[str, ...] = get_args(CensoringBy)
@@ -58,7 +61,7 @@ class CutModel:
     truncate_at: float | int | None = None
 
     def survival(
-        self, paths: PathArrays, age_s: Float[np.ndarray, "n T *S"], is_wanted: Bool[np.ndarray, "n T"]
+        self, paths: StageClocks, age_s: Float[np.ndarray, "n T *S"], is_wanted: Bool[np.ndarray, "n T"]
     ) -> Float[np.ndarray, "n T *S"]:
         """K̂: chance that a begun stage is not cut before these ages, given that it began; 1 where not wanted.
 
@@ -86,7 +89,7 @@ class CutModel:
                 chances[path, t] = self._ask(which, paths, age_s[path, t], path, np.full_like(path, t))
         return chances
 
-    def weights(self, paths: PathArrays) -> Float[np.ndarray, "n T"]:
+    def weights(self, paths: StageClocks) -> Float[np.ndarray, "n T"]:
         """δ_t / Ĝ(U_t⁻), 0 where a stage was not completed.
 
         Raises
@@ -112,13 +115,13 @@ class CutModel:
             return np.where(paths.is_completed, 1.0 / survival, 0.0)
         return np.where(paths.is_completed, 1.0 / np.maximum(survival, 1.0 / self.truncate_at), 0.0)
 
-    def begun_weights(self, paths: PathArrays) -> Float[np.ndarray, "n T"]:
+    def begun_weights(self, paths: StageClocks) -> Float[np.ndarray, "n T"]:
         """1 / Ĝ(U_{t−1}⁻) of each begun stage: what the stage before it weighed; 0 elsewhere."""
         before = np.concatenate([np.ones((paths.num_paths, 1)), self.weights(paths)[:, :-1]], axis=1)
         return np.where(paths.is_begun, before, 0.0)
 
     def _ask(
-        self, which: int, paths: PathArrays, at_s: Float[np.ndarray, "k *S"], path: Any, stage: Any
+        self, which: int, paths: StageClocks, at_s: Float[np.ndarray, "k *S"], path: Any, stage: Any
     ) -> Float[np.ndarray, "k *S"]:
         model, columns = self.fitted[which]
         return np.asarray(
@@ -128,7 +131,7 @@ class CutModel:
 
 
 def fit_cut_model(
-    paths: PathArrays,
+    paths: StageClocks,
     censoring: str | CensoringModel,
     by: CensoringBy,
     truncate_at: float | int | None = None,
@@ -153,17 +156,17 @@ def fit_cut_model(
     """
     if not isinstance(censoring, str) and is_fitted(censoring):
         columns = np.arange(len(paths.covariate_names) if uses_covariates(censoring) else 0)
-        which = paths.action.shape[1] if by == "stage" else 1
+        which = paths.num_stages if by == "stage" else 1
         return CutModel(by, (FittedRows(censoring, columns),) * which, truncate_at)
     if by == "path":
-        _refuse_unknown(paths, np.broadcast_to(np.arange(paths.action.shape[1]) == 0, paths.action.shape))
+        _refuse_unknown(paths, np.broadcast_to(np.arange(paths.num_stages) == 0, paths.is_begun.shape))
         rows = paths.end_s, paths.is_finished, paths.covariates[:, 0]
         return fit_path_cuts(*rows, paths.covariate_names, censoring, truncate_at)
     if isinstance(censoring, str) and censoring == "cox":
         censoring = Cox(ridge=STAGE_RIDGE)
     fitted = []
-    for t in range(paths.action.shape[1]) if by == "stage" else [None]:
-        wanted = paths.is_begun if t is None else paths.is_begun & (np.arange(paths.action.shape[1]) == t)
+    for t in range(paths.num_stages) if by == "stage" else [None]:
+        wanted = paths.is_begun if t is None else paths.is_begun & (np.arange(paths.num_stages) == t)
         if not wanted.any():
             # No path came so far: nothing can be asked of it either.
             fitted.append(fitted[-1])
@@ -222,7 +225,7 @@ def _frame(
     return pd.DataFrame(values[:, columns], columns=pd.Index([names[column] for column in columns]))
 
 
-def _refuse_unknown(paths: PathArrays, wanted: Bool[np.ndarray, "n T"]) -> None:
+def _refuse_unknown(paths: StageClocks, wanted: Bool[np.ndarray, "n T"]) -> None:
     unknown = wanted & np.isnan(paths.covariates).any(axis=-1)
     if unknown.any():
         path, stage = np.argwhere(unknown)[0]
@@ -233,7 +236,7 @@ def _refuse_unknown(paths: PathArrays, wanted: Bool[np.ndarray, "n T"]) -> None:
         )
 
 
-def _refuse_unseen(paths: PathArrays, survival: Float[np.ndarray, "n T"]) -> None:
+def _refuse_unseen(paths: StageClocks, survival: Float[np.ndarray, "n T"]) -> None:
     unseen = paths.is_completed & (survival <= 0)
     if unseen.any():
         path, stage = np.argwhere(unseen)[0]

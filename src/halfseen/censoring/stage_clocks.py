@@ -1,0 +1,63 @@
+"""When each stage of each path began and ended, and who was cut: what models of the cuts by stage run on."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+SMALLEST_AGE_S = 1e-9
+"""A stage that was cut as it began was watched this long [s]; clocks are told apart to this much, too."""
+
+
+class StageClocks(NamedTuple):
+    """Paths, one a row, and their stages, padded to T; what a path has no stage for holds 0, False or NaN."""
+
+    path_ids: np.ndarray
+    elapsed_s: Float[np.ndarray, "n T"]
+    """U_t, on the total-time scale [s]; NaN where not completed."""
+    end_s: Float[np.ndarray, " n"]
+    is_finished: Bool[np.ndarray, " n"]
+    """False where the path was right-censored."""
+    is_begun: Bool[np.ndarray, "n T"]
+    covariates: Float[np.ndarray, "n T P"]
+    """What cuts may depend on; 0 where there is no such stage."""
+    covariate_names: tuple[str, ...]
+
+    @property
+    def num_paths(self) -> int:
+        """Number n of paths."""
+        return len(self.end_s)
+
+    @property
+    def num_stages(self) -> int:
+        """Number T of stages that a path may have."""
+        return self.elapsed_s.shape[1]
+
+    @property
+    def is_completed(self) -> Bool[np.ndarray, "n T"]:
+        """δ_t."""
+        return ~np.isnan(self.elapsed_s)
+
+    @property
+    def is_last(self) -> Bool[np.ndarray, "n T"]:
+        """Completed stages after which a path had come to its own end."""
+        last = self.is_begun.sum(axis=1) - 1
+        return (np.arange(self.num_stages) == last[:, None]) & self.is_finished[:, None]
+
+    @property
+    def begun_at_s(self) -> Float[np.ndarray, "n T"]:
+        """U_{t−1} of each begun stage [s]; 0 elsewhere."""
+        before = np.concatenate([np.zeros((self.num_paths, 1)), self.elapsed_s[:, :-1]], axis=1)
+        return np.where(self.is_begun, before, 0.0)
+
+    @property
+    def watched_s(self) -> Float[np.ndarray, "n T"]:
+        """How long each begun stage was watched, to its completion or its cut: its gap time [s]; 0 elsewhere."""
+        until = np.where(self.is_completed, self.elapsed_s, self.end_s[:, None])
+        age = np.maximum(np.round((until - self.begun_at_s) / SMALLEST_AGE_S) * SMALLEST_AGE_S, SMALLEST_AGE_S)
+        return np.where(self.is_begun, age, 0.0)
+
+    def take(self, rows: Int[np.ndarray, " k"]) -> "StageClocks":
+        """Keep these paths, which may repeat, in this order."""
+        kept: Any = {name: leaf[rows] for name, leaf in self._asdict().items() if name != "covariate_names"}
+        return self._replace(**kept)

@@ -1,0 +1,198 @@
+"""The task of named actions: each has its own coefficients on the same plain covariates of the stage."""
+
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Bool, Float, Int
+
+from halfseen.errors import ArgumentError, LogError
+from halfseen.learners.q_learning.flat_policy import FlatPolicy, NamedActionPolicy, covariate_values
+from halfseen.learners.q_learning.kernel_map import KernelMap
+from halfseen.learners.q_learning.path_arrays import stage_places
+from halfseen.learners.q_learning.task import ACTION, Encoded
+from halfseen.logs import Logs
+
+Actions = Sequence[Hashable] | Mapping[int, Sequence[Hashable]]
+
+
+@dataclass(frozen=True)
+class NamedActions:
+    """Named actions on plain covariates (a `Task`).
+
+    Parameters
+    ----------
+    actions
+        Their names; or, by stage from 1, the names of those that are possible there.
+    covariates
+        Columns of the stages that Q looks at.
+
+    Raises
+    ------
+    ArgumentError
+        A stage has no action, or one twice.
+    """
+
+    actions: Actions
+    covariates: Sequence[str] = ()
+
+    end_action = None
+    is_shared = True
+    needs_whole_log = None
+
+    def __post_init__(self) -> None:
+        if isinstance(self.actions, str):
+            raise ArgumentError(f"actions is {self.actions!r}; give a list of names, or one for each stage")
+        lists = self.actions if isinstance(self.actions, Mapping) else {"any": self.actions}
+        for stage, names in lists.items():
+            if len(names) == 0 or len(set(names)) < len(names):
+                raise ArgumentError(f"actions of stage {stage} are {list(names)}; name at least one, and none twice")
+
+    @property
+    def names(self) -> list[Hashable]:
+        """All actions, in the order in which they first appear."""
+        if isinstance(self.actions, Mapping):
+            return list(dict.fromkeys(name for stage in sorted(self.actions) for name in self.actions[stage]))
+        return list(self.actions)
+
+    @property
+    def num_blocks(self) -> int:
+        """One block an action."""
+        return len(self.names)
+
+    def fitted(self, logs: Logs, horizon: int) -> "NamedActions":
+        """Nothing is to be learned first."""
+        return self
+
+    def block_of_action(self, num_actions: int) -> Int[np.ndarray, " A"]:
+        """Block of each action: its own."""
+        return np.arange(num_actions)
+
+    def possible(self, stage: int) -> Bool[np.ndarray, " A"]:
+        """Which actions are possible in a stage (from 1)."""
+        if not isinstance(self.actions, Mapping):
+            return np.ones(self.num_blocks, dtype=bool)
+        if stage not in self.actions:
+            raise ArgumentError(f"actions: none for stage {stage}; give a list for each stage from 1 to the horizon")
+        return np.isin(np.arange(self.num_blocks), [self.names.index(name) for name in self.actions[stage]])
+
+    def encode(self, logs: Logs, horizon: int) -> Encoded:
+        """Encode every stage of a log of named actions."""
+        shape = (logs.num_paths, horizon, self.num_blocks)
+        at = stage_places(logs)
+        features = np.zeros((*shape, len(self.covariates)))
+        features[at] = covariate_values(logs.stages, tuple(self.covariates))[:, None, :]
+        is_possible = np.broadcast_to(self._possible_by_stage(horizon), shape)
+        action = np.zeros(shape[:2], dtype=np.int64)
+        action[at] = self._codes(logs, is_possible)
+        return Encoded(features, is_possible, action)
+
+    def outcome_features(self, names: Sequence[str], num_features: int) -> Float[np.ndarray, " F"]:
+        """1 for each of these covariates, 0 for the others.
+
+        Raises
+        ------
+        ArgumentError
+            One of them is none of the covariates of Q, or Q is not linear in them.
+        """
+        unknown = [name for name in names if name not in self.covariates]
+        if unknown:
+            known = ", ".join(self.covariates)
+            raise ArgumentError(f"outcome_covariates names {unknown[0]!r}, which is none of the covariates {known}")
+        if num_features != len(self.covariates):
+            raise ArgumentError("outcome_covariates is given; it chooses among the covariates of a linear Q only")
+        return np.isin(np.array(self.covariates), list(names)).astype(np.float64)
+
+    def censoring_covariates(self, logs: Logs, names: Sequence[str] | None, is_by_path: bool) -> pd.DataFrame:
+        """Columns of the stages as numbers, and indicators of all actions but the last; NaN where it is not known.
+
+        Raises
+        ------
+        LogError
+            The log lacks a column.
+        ArgumentError
+            A column holds no numbers.
+        """
+        columns = names or [*self.covariates, *([] if is_by_path else [ACTION])]
+        missing = [name for name in columns if name not in logs.stages.columns]
+        if missing:
+            raise LogError(f"the stages have no column {missing[0]!r}; they have {', '.join(logs.stages.columns)}")
+        parts = [
+            action_indicators(logs.stages[ACTION], self.names) if name == ACTION else _numbers(logs.stages, name)
+            for name in columns
+        ]
+        return pd.concat([pd.DataFrame(index=logs.stages.index), *parts], axis=1)
+
+    def reduce_variance(
+        self,
+        encoded: Encoded,
+        reward: Float[np.ndarray, "n T"],
+        weight: Float[np.ndarray, "n T"],
+        is_last: Bool[np.ndarray, "n T"],
+    ) -> tuple[Float[np.ndarray, "n T"], None]:
+        """Nothing is known of the noise."""
+        return reward, None
+
+    def policy(self, coefficients: Float[np.ndarray, "*B T K F"], kernel_map: KernelMap | None) -> FlatPolicy:
+        """Policy that follows Q-functions, or a batch of them; coefficients are by steps to go, one step first."""
+        return FlatPolicy(
+            actions=tuple(self.names),
+            covariates=tuple(self.covariates),
+            is_possible=self._possible_by_stage(coefficients.shape[-3]),
+            coefficients=np.asarray(coefficients[..., ::-1, :, :]),
+            kernel_map=kernel_map,
+        )
+
+    def target_probabilities(self, policy: Any, logs: Logs, horizon: int) -> Float[np.ndarray, "n T A"]:
+        """π(a | S_t) of a `NamedActionPolicy` in every stage of a log.
+
+        Raises
+        ------
+        ArgumentError
+            The policy is none, or takes an action that the task does not have.
+        """
+        if not isinstance(policy, NamedActionPolicy):
+            raise ArgumentError(f"{type(policy).__name__} decides nothing about named actions, which the task is of")
+        unknown = [name for name in policy.actions if name not in self.names]
+        if unknown:
+            listed = ", ".join(map(repr, self.names))
+            raise ArgumentError(f"the policy takes {unknown[0]!r}, which is none of the actions of the task: {listed}")
+        column = [self.names.index(name) for name in policy.actions]
+        path, _ = stage_places(logs)
+        probabilities = np.zeros((logs.num_paths, horizon, self.num_blocks))
+        for stage in range(1, logs.horizon + 1):
+            rows = (logs.stages["stage"] == stage).to_numpy()
+            frame: Any = logs.stages[rows]
+            probabilities[path[rows][:, None], stage - 1, column] = policy.probabilities(frame, stage)
+        return probabilities
+
+    def _possible_by_stage(self, horizon: int) -> Bool[np.ndarray, "T A"]:
+        return np.stack([self.possible(stage) for stage in range(1, horizon + 1)])
+
+    def _codes(self, logs: Logs, is_possible: Bool[np.ndarray, "n T A"]) -> Int[np.ndarray, " rows"]:
+        stages = logs.stages
+        codes = pd.Index(self.names).get_indexer(stages["action"])
+        is_given = stages["action"].notna().to_numpy()
+        is_allowed = is_possible[0, stages["stage"].to_numpy() - 1, codes] & (codes >= 0)
+        if (is_given & ~is_allowed).any():
+            row = stages.iloc[int(np.argmax(is_given & ~is_allowed))]
+            raise LogError(
+                f"path {row['path']}, stage {row['stage']}: action {row['action']!r} was not possible there; the "
+                f"learner was given {', '.join(map(repr, self.names))}"
+            )
+        return np.where(is_given, codes, 0)
+
+
+def action_indicators(taken: Any, actions: Sequence[Hashable]) -> pd.DataFrame:
+    """Indicators of all actions but the last, ``action=NAME``; NaN where the action is not known."""
+    is_unknown = taken.isna().to_numpy()
+    columns = {f"action={name}": np.where(is_unknown, np.nan, taken.eq(name).to_numpy(float)) for name in actions[:-1]}
+    return pd.DataFrame(columns, index=taken.index)
+
+
+def _numbers(stages: Any, name: str) -> Any:
+    if not pd.api.types.is_numeric_dtype(stages[name].dtype):
+        raise ArgumentError(f"censoring covariate {name!r} holds no numbers; give indicator columns for its values")
+    return stages[[name]].astype(float)

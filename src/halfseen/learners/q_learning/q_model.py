@@ -1,0 +1,213 @@
+"""All that turns a log into the rows of eq. 3 and these into Q: composed once, used by whoever fits a Q.
+
+The learner, the bootstrap, streams and off-policy evaluation all start from a `QModel`.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from halfseen.censoring import CutModel
+from halfseen.errors import ArgumentError, PositivityError
+from halfseen.learners.q_learning.fitting import BackwardOptions, fit_q_functions
+from halfseen.learners.q_learning.kernel_map import KernelMap
+from halfseen.learners.q_learning.path_arrays import PathArrays, path_arrays
+from halfseen.learners.q_learning.q_space import CrossValidation, LinearQ, QSpace, Reg
+from halfseen.learners.q_learning.recursion import Imputation, QFunctions, StageMode, Transitions
+from halfseen.learners.q_learning.targets import Targets, Weighted
+from halfseen.learners.q_learning.task import Task
+from halfseen.logs import Logs
+
+
+@dataclass(frozen=True)
+class QModel:
+    """How Q is fitted.
+
+    Parameters
+    ----------
+    horizon
+        T.
+    task
+        What is decided.
+    targets
+        What stands for what cuts took away.
+    space
+        𝒬.
+    reg
+        λ.
+    stages
+        ``"separate"`` or ``"pooled"``.
+    random_state
+        Seed that deals paths into folds and draws landmarks.
+    cut_model
+        Ĝ, once it is fitted.
+    kernel_map
+        Features of the RKHS, once they are chosen.
+
+    Raises
+    ------
+    ArgumentError
+        The horizon is below 1, or there is no such mode of stages.
+    """
+
+    horizon: int
+    task: Task
+    targets: Targets = Weighted()  # noqa: RUF009 - frozen
+    space: QSpace = LinearQ()  # noqa: RUF009 - frozen
+    reg: Reg = CrossValidation()  # noqa: RUF009 - frozen
+    stages: StageMode = "separate"
+    random_state: int = 0
+    cut_model: CutModel | None = None
+    kernel_map: KernelMap | None = None
+
+    def __post_init__(self) -> None:
+        if self.horizon < 1:
+            raise ArgumentError(f"horizon is {self.horizon}; a path has at least 1 stage")
+        if self.stages not in ("separate", "pooled"):
+            raise ArgumentError(f"stages is {self.stages!r}; it is 'separate' or 'pooled'")
+
+    def fitted(self, logs: Logs) -> tuple["QModel", PathArrays]:
+        """Fit to a log what comes before Q: what the task learns, Ĝ, and the features of the kernel.
+
+        Raises
+        ------
+        ArgumentError
+            A path is longer than the horizon, or a part cannot be fitted.
+        PositivityError
+            All paths were cut.
+        """
+        self.check_horizon(logs)
+        model = replace(self, task=self.task.fitted(logs, self.horizon))
+        paths = model.lay_out(logs)
+        refuse_all_cut(paths.clocks.is_finished)
+        return replace(model.with_kernel(paths), cut_model=self.targets.fit_cuts(paths.clocks)), paths
+
+    def check_horizon(self, logs: Logs) -> None:
+        """Refuse a log with longer paths."""
+        if logs.horizon > self.horizon:
+            raise ArgumentError(f"horizon is {self.horizon}, but a path has {logs.horizon} stages; raise horizon")
+
+    def lay_out(self, logs: Logs) -> PathArrays:
+        """Lay out a log as the arrays that this model looks at."""
+        covariates = None
+        if self.targets.uses_covariates:
+            asked: Any = self.targets
+            covariates = self.task.censoring_covariates(logs, asked.covariates, asked.by == "path")
+        return path_arrays(logs, self.task.encode(logs, self.horizon), covariates)
+
+    def with_kernel(self, paths: PathArrays) -> "QModel":
+        """Choose the features of the kernel, if there is one."""
+        return replace(self, kernel_map=self.space.features(paths.encoded, paths.is_completed, self.random_state))
+
+    def transitions(self, paths: PathArrays) -> Transitions:
+        """Make the rows of eq. 3 of a log."""
+        weight, imputed = self.weights_and_imputation(paths)
+        return self.weighted(paths, weight, imputed, self.folds(paths.num_paths))
+
+    def weights_and_imputation(self, paths: PathArrays) -> tuple[Float[np.ndarray, "n T"], Imputation | None]:
+        """Weight of each stage in eq. 3; and what its target is imputed from, if it is."""
+        blocks = self.task.block_of_action(paths.is_possible.shape[-1])
+        num_features = paths.features.shape[-1]
+
+        def used(names: Any) -> Float[np.ndarray, " F"]:
+            return np.ones(num_features) if names is None else self._outcome_features(names, num_features)
+
+        imputed = self.targets.imputation(paths, self.cut_model, self.stages, used, blocks)
+        if imputed is not None and self.kernel_map is not None:
+            imputed = imputed._replace(is_used=np.ones(self.kernel_map.projection.shape[1]))
+        return self.targets.weights(paths, self.cut_model), imputed
+
+    def weighted(
+        self,
+        paths: PathArrays,
+        weight: Float[np.ndarray, "n T"],
+        imputed: Imputation | None,
+        fold: Int[np.ndarray, " n"],
+    ) -> Transitions:
+        """Make the rows of eq. 3 with weights and folds that are given."""
+        observed = np.where(paths.is_completed, weight, 0.0)
+        reward, variates = self.task.reduce_variance(paths.encoded, paths.reward, observed, paths.is_last)
+        return Transitions(
+            features=self._features(paths),
+            is_possible=paths.is_possible,
+            action=paths.action,
+            reward=reward,
+            weight=weight,
+            is_last=paths.is_last,
+            fold=fold,
+            control_variates=variates,
+            imputation=imputed,
+        )
+
+    def fit(self, log: Transitions) -> QFunctions:
+        """Run eq. 3 on one log, or on a batch of logs."""
+        if isinstance(self.reg, CrossValidation):
+            refuse_too_few(np.asarray(log.weight))
+        blocks = self.task.block_of_action(log.is_possible.shape[-1])
+        return fit_q_functions(log, blocks, self.regs, self.options(log.weight.shape[-2]))
+
+    def policy(self, q_functions: QFunctions) -> Any:
+        """Turn Q-functions, or a batch of them, into the policy that follows them."""
+        coefficients = q_functions.coefficients
+        by_steps = coefficients if self.stages == "pooled" else coefficients[..., ::-1, :, :]
+        return self.task.policy(by_steps, self.kernel_map)
+
+    @property
+    def regs(self) -> Float[np.ndarray, " L"]:
+        """The λ to choose from."""
+        return self.reg.regs_of(self.space)
+
+    def options(self, num_paths: int) -> BackwardOptions:
+        """Collect what the recursion is compiled for, on so many paths."""
+        end_action = self.task.end_action if self.stages == "pooled" else None
+        num_folds = self.reg.folds_of(num_paths)
+        return BackwardOptions(self.task.num_blocks, self.stages, num_folds, end_action, self.space.is_scaled)
+
+    def folds(self, num_paths: int) -> Int[np.ndarray, " n"]:
+        """Deal paths into folds, uniformly at random."""
+        return np.random.default_rng(self.random_state).permutation(num_paths) % self.reg.folds_of(num_paths)
+
+    def _outcome_features(self, names: Any, num_features: int) -> Float[np.ndarray, " F"]:
+        if not isinstance(self.space, LinearQ):
+            raise ArgumentError("outcome_covariates is given; it chooses among the covariates of a linear Q only")
+        return self.task.outcome_features(names, num_features)
+
+    def _features(self, paths: PathArrays) -> Float[np.ndarray, "n T A F"]:
+        if self.kernel_map is None:
+            return paths.features
+        if not self.task.is_shared:
+            return np.asarray(self.kernel_map(paths.features))
+        return np.repeat(self.kernel_map(paths.features[:, :, :1]), paths.features.shape[2], axis=2)
+
+
+def refuse_all_cut(is_finished: Bool[np.ndarray, " n"]) -> None:
+    """Refuse a log in which no path came to its own end.
+
+    Raises
+    ------
+    PositivityError
+        All were cut.
+    """
+    if not is_finished.any():
+        raise PositivityError(
+            f"all {len(is_finished)} paths were cut, so how a path ends was never seen; record until some finish, or "
+            "shorten the horizon so that reaching it counts as finished"
+        )
+
+
+def refuse_too_few(weight: Float[np.ndarray, "*B n T"]) -> None:
+    """Refuse to hold out paths where fewer than two completed a stage.
+
+    Raises
+    ------
+    ArgumentError
+        Their number is told.
+    """
+    num_seen = int((weight > 0).any(axis=-1).sum())
+    if num_seen < 2:
+        raise ArgumentError(
+            f"reg is 'cv', which holds out paths, but {num_seen} of {weight.shape[-2]} completed a stage; give a "
+            "number for reg, or record more paths"
+        )

@@ -1,0 +1,153 @@
+"""Where Q is sought, 𝒬: linear in its features, or in an RKHS; and how λ is chosen."""
+
+from dataclasses import dataclass
+from numbers import Real
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from halfseen.errors import ArgumentError
+from halfseen.learners.q_learning.kernel_map import KernelMap, fit_kernel_map
+from halfseen.learners.q_learning.task import Encoded
+
+REGS = np.logspace(-3, 2, 11)
+"""The λ that ``reg="cv"`` chooses from; features are scaled to unit variance, so they need no other unit."""
+
+KERNEL_REGS = np.logspace(-6, 1, 15)
+"""The same for the norm of an RKHS."""
+
+
+@dataclass(frozen=True)
+class LinearQ:
+    """Q is linear in its features; λ weighs them as if each had unit variance."""
+
+    regs = REGS
+    is_scaled = True
+
+    def features(self, encoded: Encoded, is_seen: Any, random_state: int) -> None:
+        """Features stay as they are."""
+
+
+@dataclass(frozen=True)
+class KernelQ:
+    """Q is in the RKHS of a Gaussian kernel exp(−γ‖x − z‖²) on features of unit variance.
+
+    Parameters
+    ----------
+    num_landmarks
+        Rows whose span Q lies in, at most; with as many as there are different rows, it is exact.
+    gamma
+        γ; None for 1/F.
+
+    Raises
+    ------
+    ArgumentError
+        A number is out of range.
+    """
+
+    num_landmarks: int = 200
+    gamma: float | int | None = None
+
+    regs = KERNEL_REGS
+    is_scaled = False
+
+    def __post_init__(self) -> None:
+        if self.num_landmarks < 1:
+            raise ArgumentError(f"num_landmarks is {self.num_landmarks}; a kernel needs at least 1")
+        if self.gamma is not None and not (_is_number(self.gamma) and self.gamma > 0):
+            raise ArgumentError(f"gamma is {self.gamma!r}; it is a finite number > 0, or None for 1/F")
+
+    def features(self, encoded: Encoded, is_seen: Any, random_state: int) -> KernelMap:
+        """Choose landmarks among the completed stages."""
+        rng = np.random.default_rng(random_state)
+        return fit_kernel_map(encoded.taken[is_seen], self.num_landmarks, self.gamma, rng)
+
+
+QSpace = LinearQ | KernelQ
+Q_SPACES = {"linear": LinearQ, "kernel": KernelQ}
+
+
+@dataclass(frozen=True)
+class CrossValidation:
+    """λ is chosen for each regression and block by weighted cross-validation over paths.
+
+    Parameters
+    ----------
+    num_folds
+        V, at least 2.
+    """
+
+    num_folds: int = 5
+
+    def __post_init__(self) -> None:
+        if self.num_folds < 2:
+            raise ArgumentError(f"num_folds is {self.num_folds}; cross-validation needs at least 2")
+
+    def folds_of(self, num_paths: int) -> int:
+        """Folds that so many paths are dealt into."""
+        return min(self.num_folds, num_paths)
+
+    def regs_of(self, space: QSpace) -> Float[np.ndarray, " L"]:
+        """The λ to choose from."""
+        return space.regs
+
+
+@dataclass(frozen=True)
+class FixedReg:
+    """λ is given.
+
+    Parameters
+    ----------
+    value
+        λ ≥ 0.
+    """
+
+    value: float
+
+    def folds_of(self, num_paths: int) -> int:
+        """Nothing is held out."""
+        return 1
+
+    def regs_of(self, space: QSpace) -> Float[np.ndarray, " L"]:
+        """The one λ."""
+        return np.array([self.value])
+
+
+Reg = CrossValidation | FixedReg
+
+
+def q_space_of(q_function: QSpace | Literal["linear", "kernel"] | str) -> QSpace:
+    """Read what a user says of 𝒬: a name, or the space itself.
+
+    Raises
+    ------
+    ArgumentError
+        It is neither.
+    """
+    if isinstance(q_function, str) and q_function in Q_SPACES:
+        return Q_SPACES[q_function]()
+    if not isinstance(q_function, (LinearQ, KernelQ)):
+        raise ArgumentError(f"q_function is {q_function!r}; it is 'linear', 'kernel', LinearQ(…) or KernelQ(…)")
+    return q_function
+
+
+def reg_of(reg: CrossValidation | float | int | Literal["cv"] | str) -> Reg:
+    """Read what a user says of λ: ``"cv"``, a `CrossValidation`, or a number.
+
+    Raises
+    ------
+    ArgumentError
+        It is none of these.
+    """
+    if isinstance(reg, CrossValidation):
+        return reg
+    if isinstance(reg, str) and reg == "cv":
+        return CrossValidation()
+    if not (_is_number(reg) and float(reg) >= 0.0):
+        raise ArgumentError(f"reg is {reg!r}; it is a λ ≥ 0, or 'cv'")
+    return FixedReg(float(reg))
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool) and bool(np.isfinite(float(value)))

@@ -1,0 +1,208 @@
+"""What stands for what a cut took away: weights, doubly robust targets, Buckley and James's, or nothing.
+
+Each kind brings its own settings, so none can be given where it means nothing. All share three questions: which model
+of the cuts, what each stage weighs in eq. 3, and what its target is imputed from.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from halfseen.censoring import CENSORING_NAMES, CensoringModel, CensoringSpec, CutModel, StageClocks
+from halfseen.errors import ArgumentError
+from halfseen.learners.q_learning.imputation import imputation
+from halfseen.learners.q_learning.path_arrays import PathArrays
+from halfseen.learners.q_learning.recursion import Imputation, StageMode
+
+UsedFeatures = Callable[[Sequence[str] | None], Float[np.ndarray, " F"]]
+"""From the names of covariates to a 1 for each feature of theirs; None for all."""
+
+
+@dataclass(frozen=True)
+class Weighted(CensoringSpec):
+    """Completed stages count δ_t / Ĝ(U_t⁻), as eq. 3 has it (IPCW); parameters as in `CensoringSpec`."""
+
+    def fit_cuts(self, clocks: StageClocks) -> CutModel | None:
+        """Fit Ĝ."""
+        return self.fit(clocks)
+
+    def weights(self, paths: PathArrays, cut_model: CutModel | None) -> Float[np.ndarray, "n T"]:
+        """Weight of each stage in eq. 3."""
+        assert cut_model is not None
+        return cut_model.weights(paths.clocks)
+
+    def imputation(
+        self,
+        paths: PathArrays,
+        cut_model: CutModel | None,
+        stages: StageMode,
+        used: UsedFeatures,
+        blocks: Int[np.ndarray, " A"],
+    ) -> Imputation | None:
+        """Nothing is imputed."""
+        return None
+
+
+@dataclass(frozen=True)
+class DoublyRobust(CensoringSpec):
+    """Every begun stage has a pseudo-outcome (AIPCW), right if Ĝ is or if the outcome regression is (`imputation`).
+
+    Parameters
+    ----------
+    model, by, covariates, truncate_at
+        As in `CensoringSpec`.
+    outcome_covariates
+        What the outcome regression looks at: some of the covariates of a linear Q; None for all.
+    """
+
+    outcome_covariates: Sequence[str] | None = None
+
+    def fit_cuts(self, clocks: StageClocks) -> CutModel | None:
+        """Fit Ĝ."""
+        return self.fit(clocks)
+
+    def weights(self, paths: PathArrays, cut_model: CutModel | None) -> Float[np.ndarray, "n T"]:
+        """1 / Ĝ(U_{t−1}⁻) of each begun stage."""
+        assert cut_model is not None
+        return cut_model.begun_weights(paths.clocks)
+
+    def imputation(
+        self,
+        paths: PathArrays,
+        cut_model: CutModel | None,
+        stages: StageMode,
+        used: UsedFeatures,
+        blocks: Int[np.ndarray, " A"],
+    ) -> Imputation | None:
+        """What the pseudo-outcomes are made of."""
+        return imputation(paths, cut_model, stages, used(self.outcome_covariates), blocks)
+
+
+@dataclass(frozen=True)
+class BuckleyJames:
+    """No weights: what a cut stage would have brought is imputed by a regression alone (see `imputation`).
+
+    Parameters
+    ----------
+    outcome_covariates
+        What the outcome regression looks at: some of the covariates of a linear Q; None for all.
+    """
+
+    outcome_covariates: Sequence[str] | None = None
+
+    name = "buckley-james"
+    uses_covariates = False
+
+    def fit_cuts(self, clocks: StageClocks) -> CutModel | None:
+        """No model of the cuts is needed."""
+        return None
+
+    def weights(self, paths: PathArrays, cut_model: CutModel | None) -> Float[np.ndarray, "n T"]:
+        """1 for each begun stage."""
+        return paths.is_begun.astype(np.float64)
+
+    def imputation(
+        self,
+        paths: PathArrays,
+        cut_model: CutModel | None,
+        stages: StageMode,
+        used: UsedFeatures,
+        blocks: Int[np.ndarray, " A"],
+    ) -> Imputation | None:
+        """What the targets of cut stages are made of."""
+        return imputation(paths, None, stages, used(self.outcome_covariates), blocks)
+
+
+@dataclass(frozen=True)
+class Unweighted:
+    """Completed stages count alike, and cut ones not at all: biased where cuts are many, and the contrast to it."""
+
+    name = "none"
+    uses_covariates = False
+
+    def fit_cuts(self, clocks: StageClocks) -> CutModel | None:
+        """No model of the cuts is asked for."""
+        return None
+
+    def weights(self, paths: PathArrays, cut_model: CutModel | None) -> Float[np.ndarray, "n T"]:
+        """1 for each completed stage."""
+        return paths.is_completed.astype(np.float64)
+
+    def imputation(
+        self,
+        paths: PathArrays,
+        cut_model: CutModel | None,
+        stages: StageMode,
+        used: UsedFeatures,
+        blocks: Int[np.ndarray, " A"],
+    ) -> Imputation | None:
+        """Nothing is imputed."""
+        return None
+
+
+Targets = Weighted | DoublyRobust | BuckleyJames | Unweighted
+
+BY_NAME: dict[str, Callable[[], Targets]] = {"buckley-james": BuckleyJames, "none": Unweighted}
+CENSORING_CHOICES = (*CENSORING_NAMES, *BY_NAME)
+"""Names that ``censoring`` takes."""
+
+
+def targets_of(censoring: Targets | CensoringModel | str) -> Targets:
+    """Read what a user says of censoring: a name, a model of the cuts (weights by it), or the targets themselves.
+
+    Raises
+    ------
+    ArgumentError
+        It is none of these.
+    """
+    if isinstance(censoring, Weighted | DoublyRobust | BuckleyJames | Unweighted):
+        return censoring
+    if isinstance(censoring, str) and censoring in BY_NAME:
+        return BY_NAME[censoring]()
+    named: Any = censoring
+    if isinstance(censoring, str) and censoring not in CENSORING_NAMES:
+        listed = ", ".join(map(repr, CENSORING_CHOICES))
+        raise ArgumentError(
+            f"censoring is {censoring!r}; it is {listed}, Weighted(…), DoublyRobust(…) or a CensoringModel"
+        )
+    return Weighted(named)
+
+
+def named_targets(
+    censoring: CensoringModel | str = "kaplan-meier",
+    *,
+    by: str = "path",
+    covariates: Sequence[str] | None = None,
+    truncate_at: float | int | None = None,
+    is_doubly_robust: bool = False,
+    outcome_covariates: Sequence[str] | None = None,
+) -> Targets:
+    """Compose targets from plain settings, as a command line or a record on disk has them.
+
+    Parameters
+    ----------
+    censoring
+        One of `CENSORING_CHOICES`, or a model.
+    by, covariates, truncate_at
+        As in `CensoringSpec`.
+    is_doubly_robust
+        `DoublyRobust`, and not `Weighted`.
+    outcome_covariates
+        What the outcome regression looks at, where there is one.
+
+    Raises
+    ------
+    ArgumentError
+        There is no such model, or doubly robust targets are wanted without one.
+    """
+    if isinstance(censoring, str) and censoring in BY_NAME:
+        if is_doubly_robust:
+            raise ArgumentError(f"doubly robust targets need a model of the cuts, but censoring is {censoring!r}")
+        return BuckleyJames(outcome_covariates) if censoring == BuckleyJames.name else Unweighted()
+    targets_of(censoring)
+    if is_doubly_robust:
+        return DoublyRobust(censoring, by, covariates, truncate_at, outcome_covariates)
+    return Weighted(censoring, by, covariates, truncate_at)

@@ -1,0 +1,125 @@
+"""What is decided: the seam between eq. 3, which runs on arrays, and the logs and policies of one kind of problem.
+
+`NamedActions` is the task of named actions on plain covariates; `halfseen.tables` holds that of a table of objects. A
+task of one's own needs the names below and nothing else.
+"""
+
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Bool, Float, Int
+
+from halfseen.errors import ArgumentError
+from halfseen.learners.q_learning.kernel_map import KernelMap
+from halfseen.logs import Logs
+
+ACTION = "action"
+"""Among the names of censoring covariates, this one stands for the action that was taken."""
+
+TASKS = {"table": "halfseen.tables.task:TableTask"}
+"""Tasks that have a name; they load where they are asked for."""
+
+
+class Encoded(NamedTuple):
+    """What the Q-functions look at, and what was done; stages that a path does not have hold zeros."""
+
+    features: Float[np.ndarray, "n T A F"]
+    is_possible: Bool[np.ndarray, "n T A"]
+    action: Int[np.ndarray, "n T"]
+
+    @property
+    def taken(self) -> Float[np.ndarray, "n T F"]:
+        """Features of the action that was taken."""
+        return np.take_along_axis(self.features, self.action[..., None, None], axis=2)[:, :, 0]
+
+
+@runtime_checkable
+class Task(Protocol):
+    """How the logs of one kind of problem become arrays, and Q-functions a policy."""
+
+    @property
+    def num_blocks(self) -> int:
+        """K, blocks of coefficients."""
+        ...
+
+    @property
+    def end_action(self) -> int | None:
+        """Action that ends a path wherever it is taken, if there is one."""
+        ...
+
+    @property
+    def is_shared(self) -> bool:
+        """Whether every action of a state has the same features, apart by its block alone."""
+        ...
+
+    @property
+    def needs_whole_log(self) -> str | None:
+        """What of the task cannot be learned from a stream, for a message; None if all can."""
+        ...
+
+    def fitted(self, logs: Logs, horizon: int) -> "Task":
+        """Learn from a log what the features need; the task itself where they need nothing."""
+        ...
+
+    def encode(self, logs: Logs, horizon: int) -> Encoded:
+        """Encode every stage of a log.
+
+        Raises
+        ------
+        LogError
+            An action was not possible, or a column is missing.
+        """
+        ...
+
+    def block_of_action(self, num_actions: int) -> Int[np.ndarray, " A"]:
+        """Block of coefficients of each action."""
+        ...
+
+    def outcome_features(self, names: Sequence[str], num_features: int) -> Float[np.ndarray, " F"]:
+        """1 for each feature that belongs to these covariates, 0 for the others."""
+        ...
+
+    def censoring_covariates(self, logs: Logs, names: Sequence[str] | None, is_by_path: bool) -> pd.DataFrame:
+        """What cuts may depend on, a row for each stage of the log; None for all."""
+        ...
+
+    def reduce_variance(
+        self,
+        encoded: Encoded,
+        reward: Float[np.ndarray, "n T"],
+        weight: Float[np.ndarray, "n T"],
+        is_last: Bool[np.ndarray, "n T"],
+    ) -> tuple[Float[np.ndarray, "n T"], Float[np.ndarray, "n T Z"] | None]:
+        """Rewards of the same mean and less noise, and control variates of mean 0; as they are and None if unknown."""
+        ...
+
+    def policy(self, coefficients: Float[np.ndarray, "*B T K F"], kernel_map: KernelMap | None) -> Any:
+        """Policy that follows Q-functions, or a batch of them; coefficients are by steps to go, one step first."""
+        ...
+
+    def target_probabilities(self, policy: Any, logs: Logs, horizon: int) -> Float[np.ndarray, "n T A"]:
+        """π(a | S_t) of a policy in every stage of a log.
+
+        Raises
+        ------
+        ArgumentError
+            The policy decides nothing about such logs, or draws its actions and cannot say how.
+        """
+        ...
+
+
+def named_task(name: str, **parameters: Any) -> Task:
+    """Make a task that has a name.
+
+    Raises
+    ------
+    ArgumentError
+        There is none of this name.
+    """
+    if name not in TASKS:
+        raise ArgumentError(f"task is {name!r}; it is {', '.join(map(repr, TASKS))}, or an object that is a Task")
+    module, attribute = TASKS[name].split(":")
+    return getattr(import_module(module), attribute)(**parameters)

@@ -1,0 +1,88 @@
+"""How a policy was learned, in plain numbers and text, and back."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from halfseen.learners.q_learning.q_model import QModel
+from halfseen.learners.q_learning.q_space import CrossValidation, KernelQ, LinearQ, QSpace
+from halfseen.learners.q_learning.targets import DoublyRobust, Targets, named_targets
+
+
+def described(model: QModel) -> dict[str, Any]:
+    """Write down the parameters of a learner; a model of one's own by what it prints.
+
+    Parameters
+    ----------
+    model
+        What was composed of them.
+    """
+    targets: Any = model.targets
+    task: Any = model.task
+    is_kernel = isinstance(model.space, KernelQ)
+    return {
+        "horizon": model.horizon,
+        **{field.name: plain(getattr(task, field.name)) for field in fields(task)},
+        "q_function": "kernel" if is_kernel else "linear",
+        "num_landmarks": getattr(model.space, "num_landmarks", None),
+        "gamma": plain(getattr(model.space, "gamma", None)),
+        "censoring": targets.name,
+        "censoring_by": getattr(targets, "by", None),
+        "censoring_covariates": plain(getattr(targets, "covariates", None)),
+        "truncate_at": plain(getattr(targets, "truncate_at", None)),
+        "augmented": isinstance(targets, DoublyRobust),
+        "outcome_covariates": plain(getattr(targets, "outcome_covariates", None)),
+        "stages": model.stages,
+        "reg": "cv" if isinstance(model.reg, CrossValidation) else model.reg.value,
+        "num_folds": getattr(model.reg, "num_folds", None),
+        "random_state": int(model.random_state),
+    }
+
+
+def targets_of_record(learned: Mapping[str, Any]) -> Targets:
+    """Compose the targets again.
+
+    Raises
+    ------
+    ArgumentError
+        The model of the cuts has no name.
+    """
+    return named_targets(
+        learned["censoring"],
+        by=learned.get("censoring_by") or "path",
+        covariates=learned.get("censoring_covariates"),
+        truncate_at=learned.get("truncate_at"),
+        is_doubly_robust=bool(learned.get("augmented")),
+        outcome_covariates=learned.get("outcome_covariates"),
+    )
+
+
+def q_space_of_record(learned: Mapping[str, Any]) -> QSpace:
+    """Compose 𝒬 again."""
+    if learned.get("q_function") != "kernel":
+        return LinearQ()
+    return KernelQ(learned.get("num_landmarks") or KernelQ.num_landmarks, learned.get("gamma"))
+
+
+def reg_of_record(learned: Mapping[str, Any]) -> Any:
+    """Compose λ again, as `CensoredQLearner` takes it."""
+    return (
+        CrossValidation(learned.get("num_folds") or CrossValidation.num_folds)
+        if learned["reg"] == "cv"
+        else learned["reg"]
+    )
+
+
+def plain(value: Any) -> Any:
+    """Write a parameter as JSON can; objects by what they print."""
+    if isinstance(value, np.generic):
+        return value.item()
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    if isinstance(value, Mapping):
+        return {str(key): plain(entry) for key, entry in value.items()}
+    if isinstance(value, Sequence):
+        return [plain(entry) for entry in value]
+    return repr(value)

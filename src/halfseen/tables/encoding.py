@@ -1,0 +1,107 @@
+"""From logs of tables to the dense arrays that the learner runs on."""
+
+from functools import partial
+
+import jax
+import numpy as np
+import pandas as pd
+from jaxtyping import Bool, Int
+
+from halfseen.errors import LogError
+from halfseen.learners.q_learning.path_arrays import stage_places
+from halfseen.learners.q_learning.task import Encoded
+from halfseen.logs import Logs
+from halfseen.tables.features import table_features
+from halfseen.world.action_space import FINISH, ActionSpace, Verb, possible_actions
+from halfseen.world.grasp_model import GraspModel
+from halfseen.world.recording import states_of
+from halfseen.world.state import TableState
+
+
+@jax.jit
+def encode_states(states: TableState, grasp: GraspModel | None = None) -> tuple[jax.Array, jax.Array]:
+    """Features and possible actions of tables, axes (n, T); FINISH is possible even where there is no table."""
+    each = jax.vmap(jax.vmap(partial(table_features, grasp=grasp))), jax.vmap(jax.vmap(possible_actions))
+    return each[0](states), each[1](states)
+
+
+def encoded_states(
+    states: TableState, action: Int[np.ndarray, "n T"] | jax.Array, grasp: GraspModel | None = None
+) -> Encoded:
+    """Encode tables, and what was done at each."""
+    features, is_possible = (np.asarray(leaf) for leaf in encode_states(states, grasp))
+    return Encoded(features.astype(np.float64), is_possible, np.asarray(action))
+
+
+def encode_tables(logs: Logs, horizon: int, grasp: GraspModel | None = None) -> Encoded:
+    """Encode every stage of a log of tables.
+
+    Parameters
+    ----------
+    logs
+        The log.
+    horizon
+        T.
+    grasp
+        What tells the probability of a grasp in the features; None for the rule of succession.
+
+    Raises
+    ------
+    LogError
+        An action is none that a table knows, or is done to an object that is not on the table.
+    """
+    states = states_of(logs, horizon)
+    encoded = encoded_states(states, logged_actions(logs, horizon, states.num_objects), grasp)
+    _check_possible(logs, encoded.is_possible, encoded.action)
+    return encoded
+
+
+def logged_actions(logs: Logs, horizon: int, num_objects: int) -> Int[np.ndarray, "n T"]:
+    """Action number of every stage; FINISH where the log has no stage, or no action.
+
+    Raises
+    ------
+    LogError
+        An action is none that a table knows.
+    """
+    stages = logs.stages
+    verbs = pd.Index([verb.name for verb in Verb]).get_indexer(stages["action"])
+    is_given = stages["action"].notna().to_numpy()
+    needs_object = is_given & (verbs > 0)
+    wrong = is_given & ((verbs < 0) | (needs_object & stages["object"].isna().to_numpy()))
+    if wrong.any():
+        row = stages.iloc[int(np.argmax(wrong))]
+        raise LogError(
+            f"path {row['path']}, stage {row['stage']}: action {row['action']!r} of object {row['object']} is none "
+            f"that a table knows; give {_verb_list()}"
+        )
+    action = np.full((logs.num_paths, horizon), FINISH, dtype=np.int64)
+    codes = ActionSpace(num_objects).encode(np.maximum(verbs, 0), _rank_of_target(logs))
+    action[stage_places(logs)] = np.where(needs_object, codes, FINISH)
+    return action
+
+
+def _verb_list() -> str:
+    *first, last = [verb.name for verb in Verb if verb is not Verb.FINISH]
+    return f"{', '.join(first)} or {last} with an object, or FINISH"
+
+
+def _check_possible(logs: Logs, is_possible: Bool[np.ndarray, "n T A"], action: Int[np.ndarray, "n T"]) -> None:
+    path, stage = stage_places(logs)
+    wrong = ~is_possible[path, stage, action[path, stage]]
+    if wrong.any():
+        row = logs.stages.iloc[int(np.argmax(wrong))]
+        raise LogError(
+            f"path {row['path']}, stage {row['stage']}: {row['action']} of object {row['object']}, which is not on the "
+            "table; fix the action's object or the object's location"
+        )
+
+
+def _rank_of_target(logs: Logs) -> Int[np.ndarray, " rows"]:
+    """Rank of each stage's object among the objects of that stage; 0 where the action has none."""
+    assert logs.objects is not None
+    ranked = logs.objects[["path", "stage", "object"]].assign(
+        rank=logs.objects.groupby(["path", "stage"]).cumcount().to_numpy()
+    )
+    merged = logs.stages[["path", "stage", "object"]].merge(ranked, on=["path", "stage", "object"], how="left")
+    return merged["rank"].fillna(0).to_numpy(dtype=np.int64)

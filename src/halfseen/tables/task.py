@@ -1,0 +1,100 @@
+"""The task of a table of objects: WASH, LIFT or FINISH, with one block of coefficients for each verb."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+from jaxtyping import Bool, Float, Int
+
+from halfseen.censoring import is_fitted
+from halfseen.errors import ArgumentError
+from halfseen.learners.q_learning.kernel_map import KernelMap
+from halfseen.learners.q_learning.task import Encoded
+from halfseen.logs import Logs
+from halfseen.tables.censoring_covariates import NUM_AT_BEGIN, TABLE_COVARIATES, table_covariates
+from halfseen.tables.encoding import encode_tables
+from halfseen.tables.grasp.grasp_table import GraspEstimator, grasp_model_of
+from halfseen.tables.prior import logged_dirty_share
+from halfseen.tables.table_policy import LinearTablePolicy
+from halfseen.tables.target_probabilities import table_probabilities
+from halfseen.tables.variance_reduction import expected_rewards, label_control_variates, wash_outcomes
+from halfseen.world.action_space import FINISH, ActionSpace, Verb
+
+
+@dataclass(frozen=True)
+class TableTask:
+    """A table of objects (a `Task`).
+
+    Parameters
+    ----------
+    grasp
+        What tells the probability of a grasp: None for the rule of succession; `BetaGrasp` or `SVMGrasp`, which is
+        fitted to the attempts of the log unless it is fitted already; or any `GraspModel`.
+    reduces_variance
+        Takes the noise of dirty or clean and that of the labels out of the targets of eq. 3; it rests on the log-odds
+        of DIRTY being right (see `variance_reduction`).
+    dirty_share
+        P(DIRTY) of an object before any label; None to take it from the log.
+    """
+
+    grasp: Any = None
+    reduces_variance: bool = True
+    dirty_share: float | None = None
+
+    num_blocks = len(Verb)
+    end_action = FINISH
+    is_shared = False
+
+    @property
+    def needs_whole_log(self) -> str | None:
+        """What of the task cannot be learned from a stream, for a message; None if all can."""
+        if self.reduces_variance:
+            return "reduces_variance=True"
+        is_open = isinstance(self.grasp, GraspEstimator) and not is_fitted(self.grasp)
+        return f"grasp={self.grasp!r}, which is not fitted," if is_open else None
+
+    def fitted(self, logs: Logs, horizon: int) -> "TableTask":
+        """Fit the grasp model, and read the prior of DIRTY."""
+        dirty_share = logged_dirty_share(logs) if self.dirty_share is None else self.dirty_share
+        return replace(self, grasp=grasp_model_of(self.grasp, logs, horizon), dirty_share=dirty_share)
+
+    def encode(self, logs: Logs, horizon: int) -> Encoded:
+        """Encode every stage of a log of tables."""
+        return encode_tables(logs, horizon, self.grasp)
+
+    def block_of_action(self, num_actions: int) -> Int[np.ndarray, " A"]:
+        """Block of each action: its verb."""
+        return ActionSpace.of_size(num_actions).verbs
+
+    def outcome_features(self, names: Sequence[str], num_features: int) -> Float[np.ndarray, " F"]:
+        """A table's features have no names to choose by."""
+        raise ArgumentError(f"outcome_covariates is {list(names)}; on a table the outcome regression uses all features")
+
+    def censoring_covariates(self, logs: Logs, names: Sequence[str] | None, is_by_path: bool) -> pd.DataFrame:
+        """What cuts may depend on, a row for each stage; None for all, or those that are known as a path begins."""
+        return table_covariates(logs, names or TABLE_COVARIATES[: NUM_AT_BEGIN if is_by_path else None])
+
+    def reduce_variance(
+        self,
+        encoded: Encoded,
+        reward: Float[np.ndarray, "n T"],
+        weight: Float[np.ndarray, "n T"],
+        is_last: Bool[np.ndarray, "n T"],
+    ) -> tuple[Float[np.ndarray, "n T"], Float[np.ndarray, "n T Z"] | None]:
+        """Expected rewards of WASH given what became of it, and what labels moved as control variates."""
+        if not self.reduces_variance:
+            return reward, None
+        return expected_rewards(reward, weight, is_last, wash_outcomes(encoded)), label_control_variates(encoded)
+
+    def policy(self, coefficients: Float[np.ndarray, "*B T K F"], kernel_map: KernelMap | None) -> LinearTablePolicy:
+        """Policy in single precision, as coarse as the states that it sees."""
+        single = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=jnp.float32), (coefficients, kernel_map))
+        return LinearTablePolicy(single[0], self.grasp, single[1])
+
+    def target_probabilities(self, policy: Any, logs: Logs, horizon: int) -> Float[np.ndarray, "n T A"]:
+        """π(a | S_t) of a policy of tables in every stage of a log."""
+        return table_probabilities(policy, logs, horizon)
