@@ -1,6 +1,5 @@
 import json
 import sys
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -15,8 +14,6 @@ from halfseen.logs import Logs
 from halfseen.perception import Cloud, perceive, read_cloud, write_pcd
 from halfseen.policies.folder import write_policy
 from halfseen.scene import table_paths
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "learners"))
 from small_logs import flat_log, table_log
 
 TABLE = table_paths()[7]

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from halfseen import cli
 from halfseen.cli.evaluate import evaluate
 from halfseen.evaluation import evaluate as evaluated
-from halfseen.evaluation.stored_model import model_of
+from halfseen.evaluation.stored_model import specification_of
 from halfseen.learners import CensoredQLearner
 from halfseen.logs import Logs, read_logs
 from halfseen.policies.folder import read_policy, write_policy
@@ -71,7 +71,8 @@ def test_says_the_verdict_first_then_the_numbers(folders):
 def test_json_carries_what_the_library_says(folders):
     report = json.loads(told(folders / "policy", "--logs", folders / "aside", "--json", "--seed", 3).output)
     stored, logs = read_policy(folders / "policy"), read_logs(folders / "aside")
-    answer = evaluated(stored.policy, logs, model_of(stored, logs), random_state=3)
+    spec = specification_of(stored, logs)
+    answer = evaluated(stored.policy, logs, censoring=spec.censoring, q=spec.q, random_state=3)
     assert report["doubly_robust"] == answer.as_dict()["doubly_robust"]
     assert (report["verdict"], report["augmented"], report["censoring"]) == ("better", True, "kaplan-meier")
     assert not report["is_learned_from_these_logs"]

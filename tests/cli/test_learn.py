@@ -1,7 +1,6 @@
 import json
 import sys
 from operator import itemgetter
-from pathlib import Path
 
 import jax
 import numpy as np
@@ -15,8 +14,6 @@ from halfseen.learners import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.policies.folder import read_policy
 from halfseen.world.recording import states_of
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "learners"))
 from small_logs import flat_log, table_log
 
 

@@ -11,10 +11,10 @@ from halfseen.errors import ArgumentError, HalfseenError, LogError, PolicyError
 from halfseen.learners import CensoredQLearner
 from halfseen.policies.folder import write_policy
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "learners"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "report"))
-from small_logs import flat_log, table_log
 from small_report import ACTIONS, COVARIATES, hostile_log
+
+from small_logs import flat_log, table_log
 
 
 @pytest.fixture(scope="module")

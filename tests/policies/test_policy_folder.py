@@ -11,19 +11,18 @@ import numpy as np
 import pandas as pd
 import pytest
 import safetensors.numpy
-from small_logs import flat_log, table_log
 
 from halfseen.errors import ArgumentError, PolicyError
-from halfseen.learners import CensoredQLearner
+from halfseen.learners import CensoredQLearner, KernelQ
 from halfseen.logs import Logs, read_logs
 from halfseen.policies.folder import log_digest, read_policy, write_policy
 from halfseen.policies.folder.files import ARRAYS, DIGESTS, RECORD
-from halfseen.policies.folder.record import TABLE_FEATURES_VERSION
 from halfseen.tables import BetaGrasp
-from halfseen.tables.features import table_features
+from halfseen.tables.features import FEATURES_VERSION, table_features
 from halfseen.tables.present import first_state
 from halfseen.world import Scene
 from halfseen.world.state import TableState
+from small_logs import flat_log, table_log
 
 FILES = (RECORD, ARRAYS, DIGESTS)
 ACTIONS = {1: ["A", "B"], 2: ["A", "C"]}
@@ -108,7 +107,7 @@ def test_a_policy_of_named_actions_comes_back_to_the_last_bit(flat, tmp_path, q_
 
 @pytest.mark.parametrize(
     "parameters",
-    [{}, {"grasp": BetaGrasp()}, {"q_function": "kernel", "num_landmarks": 12}],
+    [{}, {"grasp": BetaGrasp()}, {"q_function": KernelQ(12)}],
     ids=["linear", "grasp", "kernel"],
 )
 def test_a_policy_of_tables_comes_back_to_the_last_bit(tables, tmp_path, parameters):
@@ -118,7 +117,7 @@ def test_a_policy_of_tables_comes_back_to_the_last_bit(tables, tmp_path, paramet
     assert again.is_table
     assert again.horizon == 3
     rng = np.random.default_rng(0)
-    state = first_state(Scene(HIDES), horizon=3).state
+    state = first_state(Scene(HIDES), horizon=3, dirty_share=0.6).state
     states = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (50, *leaf.shape)), state)
     states = replace(
         states,
@@ -299,7 +298,7 @@ def test_other_features_of_tables_are_refused(tables, tables_fitted, tmp_path):
 
 
 def test_features_of_tables_are_those_of_their_version():
-    """Where this fails, features have changed: raise TABLE_FEATURES_VERSION, and put the new numbers here."""
+    """Where this fails, features have changed: raise FEATURES_VERSION, and put the new numbers here."""
     state = TableState(
         hides=jnp.asarray(HIDES),
         is_object=jnp.ones(3, dtype=bool),
@@ -312,7 +311,7 @@ def test_features_of_tables_are_those_of_their_version():
         steps_to_go=jnp.asarray(2),
     )
     features = np.asarray(jax.jit(table_features)(state), dtype=np.float64)
-    assert TABLE_FEATURES_VERSION == 1
+    assert FEATURES_VERSION == 1
     told = features @ np.cos(np.arange(features.shape[1]))
     np.testing.assert_allclose(told, PROBE, rtol=1e-4)
 

@@ -9,7 +9,9 @@ from halfseen.policies.reasons import flat_reason, table_reason
 from halfseen.tables.present import first_state
 from halfseen.world import Scene
 
-STATE = first_state(Scene(np.array([[0.0, 0.0, 0.62], [0.05, 0.0, 0.3], [0.0, 0.0, 0.0]])), horizon=4).state
+STATE = first_state(
+    Scene(np.array([[0.0, 0.0, 0.62], [0.05, 0.0, 0.3], [0.0, 0.0, 0.0]])), horizon=4, dirty_share=0.6
+).state
 POLICY = FlatPolicy(
     actions=("A", "B", "C"),
     covariates=("x1", "x2"),

@@ -24,7 +24,6 @@ from halfseen.report.policy_findings import choices, q_curves
 from halfseen.report.value_figure import draw_values
 from halfseen.report.watched_figure import draw_watched
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "learners"))
 from small_logs import table_log
 
 SECTIONS = ("value", "log", "weights", "policy", "unknown", "again")

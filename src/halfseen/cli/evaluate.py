@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from halfseen.cli.names import split_names
+
 if TYPE_CHECKING:
     from halfseen.policies.folder import StoredPolicy
 
@@ -97,28 +99,27 @@ def _by_logs(
 ) -> tuple[dict[str, Any], list[str]]:
     from halfseen.errors import HalfseenWarning
     from halfseen.evaluation import evaluate as evaluated
-    from halfseen.evaluation.stored_model import model_of
+    from halfseen.evaluation.stored_model import specification_of
     from halfseen.logs import read_logs
     from halfseen.policies.folder import log_digest
 
-    depends_on = None if censoring_covariates is None else [name.strip() for name in censoring_covariates.split(",")]
-    with _progress(2, "read") as progress, warnings.catch_warnings(record=True) as told:
+    with _progress(2, "read") as progress, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", HalfseenWarning)
         logs = read_logs(folder)
         progress.update()
         progress.set_description("evaluate")
-        model = model_of(stored, logs, censoring_covariates=depends_on, **chosen)
-        answer = evaluated(stored.policy, logs, model, propensity=propensity, level=level, random_state=seed)
+        spec = specification_of(stored, logs, censoring_covariates=split_names(censoring_covariates), **chosen)
+        settings: Any = {"propensity": propensity, "level": level, "random_state": seed}
+        answer = evaluated(stored.policy, logs, censoring=spec.censoring, q=spec.q, **settings)
         progress.update()
-    notes = [str(one.message) for one in told if issubclass(one.category, HalfseenWarning)]
+    notes = [str(one.message) for one in caught if issubclass(one.category, HalfseenWarning)]
     is_own = log_digest(logs) == stored.record["log"].get("sha256")
     if is_own:
         notes.insert(
             0, "it was learned from these very logs, which flatters it; give logs that were kept aside for the test"
         )
     report = {"logs": str(folder), "propensity": propensity, "is_learned_from_these_logs": is_own}
-    report |= {"augmented": model.augmented, "censoring": model.censoring, "censoring_by": model.censoring_by}
-    report |= {"sentence": answer.sentence, **answer.as_dict(), "notes": notes}
+    report |= {**spec.as_dict(), "sentence": answer.sentence, **answer.as_dict(), "notes": notes}
     return report, [*str(answer).splitlines(), *([""] if notes else []), *(f"note: {note}" for note in notes)]
 
 

@@ -3,18 +3,17 @@
 import json
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from halfseen.cli.names import split_names
+
 if TYPE_CHECKING:
-    from halfseen.learners import CensoredQLearner
-    from halfseen.logs import Logs
+    from halfseen.learners.q_learning.targets import Targets
 
 CENSORING = ("kaplan-meier", "cox", "kernel", "buckley-james", "none")
-_TABLE_HORIZON = 10
 
 
 class _Reg(click.ParamType):
@@ -74,106 +73,42 @@ def learn(logs: Path, out: Path, overwrite: bool, as_json: bool, **options: Any)
     from halfseen.errors import HalfseenWarning
     from halfseen.logs import read_logs
     from halfseen.policies.folder import check_target, read_policy, write_policy
+    from halfseen.policies.learner_choice import learner_for
     from halfseen.policies.shares import action_shares
 
     check_target(out, overwrite)
+    targets, covariates = _targets(options), split_names(options.pop("covariates"))
     with (
         tqdm(total=4, desc="read", disable=None, leave=False) as progress,
         warnings.catch_warnings(record=True) as told,
     ):
         warnings.simplefilter("always", HalfseenWarning)
         log = read_logs(logs)
-        plan = planned(log, **options)
+        chosen = learner_for(log, covariates=covariates, censoring=targets, random_state=options.pop("seed"), **options)
         _next(progress, "learn")
-        learner = plan.learner.fit(log)
+        learner = chosen.learner.fit(log)
         _next(progress, "write")
         write_policy(learner, log, out, overwrite=overwrite)
         _next(progress, "look")
-        shares = action_shares(learner.policy_, log)
+        shares = action_shares(learner.policy_, learner.model_.task, log)
         progress.update()
-    notes = [*plan.notes, *(str(one.message) for one in told if issubclass(one.category, HalfseenWarning))]
+    notes = [*chosen.notes, *(str(one.message) for one in told if issubclass(one.category, HalfseenWarning))]
     actions = _without_nan(shares.reset_index().to_dict("records"))
     report = {"policy": str(out), "logs": str(logs), **read_policy(out).record, "actions": actions, "notes": notes}
     click.echo(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))
 
 
-@dataclass(frozen=True)
-class Plan:
-    """What is to be learned, and what the user should know of it."""
+def _targets(options: dict[str, Any]) -> "Targets":
+    """What stands for what cuts took away, of the options that say it."""
+    from halfseen.learners.q_learning.targets import named_targets
 
-    learner: "CensoredQLearner"
-    notes: list[str] = field(default_factory=list)
-
-
-def planned(
-    logs: "Logs",
-    *,
-    covariates: str | None,
-    horizon: int | None,
-    stages: str | None,
-    grasp: str | None,
-    seed: int,
-    censoring_covariates: str | None,
-    **parameters: Any,
-) -> Plan:
-    """Choose the learner for a log."""
-    from halfseen.errors import ArgumentError
-    from halfseen.learners import CensoredQLearner
-    from halfseen.tables import BetaGrasp
-
-    depends_on = None if censoring_covariates is None else _split(censoring_covariates)
-    parameters = {**parameters, "censoring_covariates": depends_on, "random_state": seed}
-    if logs.objects is not None and covariates is None:
-        length = max(_TABLE_HORIZON, logs.horizon) if horizon is None else horizon
-        estimator = BetaGrasp() if grasp == "beta" else None
-        made = CensoredQLearner.for_table(length, stages=stages or "pooled", grasp=estimator, **parameters)
-        return Plan(made, _horizon_notes(logs, horizon, length))
-    if grasp is not None:
-        raise ArgumentError("--grasp is for logs of tables; these have named actions: leave it out")
-    columns, notes = _covariates(logs, covariates)
-    length = logs.horizon if horizon is None else horizon
-    actions = actions_by_stage(logs, length)
-    return Plan(CensoredQLearner(length, actions, columns, stages=stages or "separate", **parameters), notes)
-
-
-def actions_by_stage(logs: "Logs", horizon: int) -> dict[int, list[Any]]:
-    """Names of the actions seen at each stage; all of them where none was."""
-    frame: Any = logs.stages[["stage", "action"]].dropna()
-    names = {stage: sorted(set(group["action"].tolist())) for stage, group in frame.groupby("stage")}
-    return {stage: names.get(stage) or sorted(set(frame["action"].tolist())) for stage in range(1, horizon + 1)}
-
-
-def _covariates(logs: "Logs", wanted: str | None) -> tuple[list[str], list[str]]:
-    from pandas.api.types import is_numeric_dtype
-
-    from halfseen.errors import ArgumentError
-
-    there = logs.stage_covariates
-    if wanted is not None:
-        columns = _split(wanted)
-        unknown = [name for name in columns if name not in there]
-        if unknown:
-            raise ArgumentError(f"--covariates names {unknown[0]!r}; the stages have {', '.join(there) or 'none'}")
-        return columns, []
-    columns = [name for name in there if is_numeric_dtype(logs.stages[name].dtype)]
-    left_out = [name for name in there if name not in columns]
-    trouble = (
-        f"it does not look at {', '.join(left_out)}, which holds no numbers: give an indicator column for each value"
+    return named_targets(
+        options.pop("censoring"),
+        by=options.pop("censoring_by"),
+        covariates=split_names(options.pop("censoring_covariates")),
+        truncate_at=options.pop("truncate_at"),
+        is_doubly_robust=options.pop("augmented"),
     )
-    return columns, [trouble] if left_out else []
-
-
-def _split(names: str) -> list[str]:
-    return [name.strip() for name in names.split(",") if name.strip()]
-
-
-def _horizon_notes(logs: "Logs", given: int | None, horizon: int) -> list[str]:
-    if given is not None or logs.horizon == horizon:
-        return []
-    return [
-        f"no path has more than {logs.horizon} stages, and horizon is {horizon}; if paths end by themselves after "
-        f"fewer, pass --horizon"
-    ]
 
 
 def _next(progress: Any, what: str) -> None:

@@ -105,7 +105,7 @@ def evaluate(
 
 def default_targets(logs: Logs) -> Targets:
     """Doubly robust by Kaplan and Meier where the log has all actions, else weights alone."""
-    return DoublyRobust() if logs.stages["action"].notna().all() else Weighted()
+    return DoublyRobust() if not logs.stages["action"].isna().to_numpy().any() else Weighted()
 
 
 def q_model_of(policy: Any, logs: Logs, targets: Targets, q: QSpec) -> QModel:

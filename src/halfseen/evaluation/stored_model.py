@@ -6,7 +6,7 @@ from typing import Any
 from halfseen.censoring import CENSORING_NAMES
 from halfseen.evaluation.off_policy import QSpec
 from halfseen.evaluation.targets import task_of
-from halfseen.learners.q_learning.targets import Targets, named_targets
+from halfseen.learners.q_learning.targets import DoublyRobust, Targets, named_targets
 from halfseen.learners.q_learning.task import Task, named_task
 from halfseen.logs import Logs
 from halfseen.policies.folder import StoredPolicy, q_space_of_record
@@ -26,6 +26,12 @@ class EvaluationSpec:
 
     censoring: Targets
     q: QSpec
+
+    def as_dict(self) -> dict[str, Any]:
+        """How cuts were dealt with, ready for JSON."""
+        by = getattr(self.censoring, "by", None)
+        is_doubly_robust = isinstance(self.censoring, DoublyRobust)
+        return {"augmented": is_doubly_robust, "censoring": self.censoring.name, "censoring_by": by}
 
 
 def specification_of(

@@ -1,6 +1,9 @@
 """Policies at work: kept in folders, asked for decisions, and what they do.
 
-Read down: `folder` (policies on disk) → `shares` (what a policy does in the states of a log) → `reasons` (why).
+Read down: `folder` (policies on disk) → `decision` (the port: what is asked, and what is answered) → `ranges` (what
+lies outside the logs), `reasons` (why) → `named_decider`, `table_decider`, `decider` (policies behind the port) →
+`observations` (files → what is decided from) → `shares` (what a policy does in the states of a log) → `learner_choice`
+(which learner suits a log).
 """
 
 from typing import TYPE_CHECKING
@@ -8,8 +11,35 @@ from typing import TYPE_CHECKING
 from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from halfseen.policies.decider import decider_of
+    from halfseen.policies.decision import Decider, Decision
     from halfseen.policies.folder import StoredPolicy, read_policy, write_policy
+    from halfseen.policies.named_decider import NamedDecider, NamedObservation
+    from halfseen.policies.table_decider import TableDecider
 
-__all__ = ["StoredPolicy", "read_policy", "write_policy"]
+__all__ = [
+    "Decider",
+    "Decision",
+    "NamedDecider",
+    "NamedObservation",
+    "StoredPolicy",
+    "TableDecider",
+    "decider_of",
+    "read_policy",
+    "write_policy",
+]
 
-__getattr__ = lazy_names(__name__, {"StoredPolicy": "folder", "read_policy": "folder", "write_policy": "folder"})
+__getattr__ = lazy_names(
+    __name__,
+    {
+        "Decider": "decision",
+        "Decision": "decision",
+        "NamedDecider": "named_decider",
+        "NamedObservation": "named_decider",
+        "StoredPolicy": "folder",
+        "TableDecider": "table_decider",
+        "decider_of": "decider",
+        "read_policy": "folder",
+        "write_policy": "folder",
+    },
+)

@@ -1,30 +1,18 @@
 """Why a policy takes an action, in one sentence: what it is worth more than the next, and what it looked at."""
 
 from collections.abc import Mapping, Sequence
+from math import isfinite
 
 import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float
 
 from halfseen.learners.q_learning.flat_policy import FlatPolicy
-from halfseen.world.action_space import FINISH
-from halfseen.world.explanation import action_names
+from halfseen.tables.reasons import table_grounds
+from halfseen.world.action_space import ActionSpace
 from halfseen.world.state import TableState
 
 _SAME_VALUE = 1e-5
-_HIDES = 0.1
-"""Share of another object from which on an object counts as hiding it."""
-
-_HIDDEN = ((0.1, "in plain sight"), (0.35, "partly hidden"), (0.65, "half hidden"), (np.inf, "mostly hidden"))
-_DIRTY = (
-    (0.1, "almost surely clean"),
-    (0.25, "probably clean"),
-    (0.45, "rather clean than dirty"),
-    (0.55, "as likely clean as dirty"),
-    (0.75, "rather dirty than clean"),
-    (0.9, "probably dirty"),
-    (np.inf, "almost surely dirty"),
-)
 
 
 def table_reason(state: TableState, q: Float[np.ndarray, " A"]) -> str:
@@ -39,30 +27,15 @@ def table_reason(state: TableState, q: Float[np.ndarray, " A"]) -> str:
 
     Examples
     --------
-    >>> from halfseen.world import Scene
     >>> from halfseen.tables.present import first_state
-    >>> state = first_state(Scene(np.array([[0.0, 0.5], [0.0, 0.0]])), horizon=10).state
+    >>> from halfseen.world import Scene
+    >>> state = first_state(Scene(np.array([[0.0, 0.5], [0.0, 0.0]])), horizon=10, dirty_share=0.6).state
     >>> table_reason(state, np.array([0.0, 1.0, 0.5, 0.0, 1.8]))
     'LIFT 1: worth 0.80 more than WASH 0; it is in plain sight (0.00) and rather dirty than clean (0.60), and it \
 hides 0.'
     """
-    is_there = np.asarray(state.is_on_table)
-    hides = np.where(is_there[None, :], np.asarray(state.hides, dtype=np.float64), 0.0)
-    occluded = 1.0 - np.prod(1.0 - hides, axis=1)
-    is_dirty = 1.0 / (1.0 + np.exp(-np.asarray(state.log_odds, dtype=np.float64)))
     best = int(np.argmax(q))
-    lead = _lead(action_names(len(is_there)), q, best)
-    if best == FINISH:
-        likely = int(np.argmax(np.where(is_there, is_dirty, -1.0)))
-        count = int(is_there.sum())
-        left = "the only object left" if count == 1 else f"the likeliest dirty of the {count} objects left, {likely},"
-        return f"{lead}; {left} is {_looks(occluded[likely], is_dirty[likely])}."
-    target = (best - 1) % len(is_there)
-    failures = int(np.sum((np.asarray(state.attempt_object) == target) & ~np.asarray(state.attempt_succeeded)))
-    slipped = f", it slipped {'once' if failures == 1 else f'{failures} times'}" if failures else ""
-    hidden = np.flatnonzero(is_there & (hides[:, target] >= _HIDES))
-    more = f", and it hides {_listed(hidden.tolist())}" if len(hidden) else ""
-    return f"{lead}; it is {_looks(occluded[target], is_dirty[target])}{slipped}{more}."
+    return f"{_lead(ActionSpace(state.num_objects).names, q, best)}; {table_grounds(state, best)}."
 
 
 def flat_reason(
@@ -120,14 +93,6 @@ def _lead(names: Sequence[str], q: Float[np.ndarray, " A"], best: int) -> str:
     return f"{names[best]}: worth {gap:.2f} more than {names[other]}"
 
 
-def _looks(occluded: float, is_dirty: float) -> str:
-    return f"{_word(_HIDDEN, occluded)} ({abs(occluded):.2f}) and {_word(_DIRTY, is_dirty)} ({is_dirty:.2f})"
-
-
-def _word(bands: Sequence[tuple[float, str]], value: float) -> str:
-    return next(word for bound, word in bands if value < bound)
-
-
-def _listed(numbers: Sequence[int]) -> str:
-    *first, last = [str(number) for number in numbers]
-    return f"{', '.join(first)} and {last}" if first else last
+def values_by_name(names: Sequence[str], q: Float[np.ndarray, " A"]) -> dict[str, float | None]:
+    """Q of each action by name; None where it is not possible."""
+    return {name: float(value) if isfinite(value) else None for name, value in zip(names, q, strict=True)}

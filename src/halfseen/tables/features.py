@@ -40,6 +40,9 @@ from halfseen.world.action_space import ActionSpace, Verb
 from halfseen.world.grasp_model import GraspModel
 from halfseen.world.state import TableState, attempt_counts
 
+FEATURES_VERSION = 1
+"""Coefficients mean nothing beside other features: raise this number whenever a feature changes."""
+
 NUM_FEATURES = 22
 NUM_TABLE_FEATURES = 11
 

@@ -13,7 +13,6 @@ from halfseen.errors import LogError, PolicyError
 from halfseen.logs import Logs
 from halfseen.logs.refusal import place, shown, value_at
 from halfseen.world.action_space import Verb
-from halfseen.world.config import WorldConfig
 from halfseen.world.recording import states_of
 from halfseen.world.scene import Scene
 from halfseen.world.state import NO_ATTEMPT, TableState
@@ -41,8 +40,19 @@ class Present:
     notes: tuple[str, ...] = ()
 
 
-def first_state(scene: Scene, horizon: int, stage: int = 1) -> Present:
+def first_state(scene: Scene, horizon: int, dirty_share: float, stage: int = 1) -> Present:
     """State of a table of which nothing is known but a view: labels at the prior, no attempts.
+
+    Parameters
+    ----------
+    scene
+        What the cloud shows.
+    horizon
+        T of the policy.
+    dirty_share
+        P(DIRTY) of an object before any label: the one that the policy was learned under.
+    stage
+        The stage to decide, from 1.
 
     Raises
     ------
@@ -50,7 +60,7 @@ def first_state(scene: Scene, horizon: int, stage: int = 1) -> Present:
         There is no such stage.
     """
     num_objects = scene.num_objects
-    prior = np.log(float(WorldConfig.dirty_share)) - np.log1p(-float(WorldConfig.dirty_share))
+    prior = np.log(dirty_share) - np.log1p(-dirty_share)
     nothing = np.zeros(num_objects, dtype=np.int64)
     return Present(_state(scene, np.full(num_objects, prior), nothing, [], horizon, stage), stage)
 

@@ -34,8 +34,8 @@ class LinearTablePolicy:
     grasp: GraspModel | None = None
     kernel_map: KernelMap | None = None
 
-    def q_values(self, state: TableState) -> Float[Array, " A"]:
-        """Q of every action of one table; −∞ where an action is not possible."""
+    def q_values(self, state: TableState, key: Array | None = None) -> Float[Array, " A"]:
+        """Q of every action of one table; −∞ where an action is not possible. There is no chance in it."""
         coefficients = self.coefficients[state.steps_to_go - 1]
         if self.kernel_map is None:
             q = table_q(coefficients, state, self.grasp)

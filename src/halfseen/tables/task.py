@@ -46,6 +46,7 @@ class TableTask:
     dirty_share: float | None = None
 
     num_blocks = len(Verb)
+    block_names = tuple(verb.name for verb in Verb)
     end_action = FINISH
     is_shared = False
 

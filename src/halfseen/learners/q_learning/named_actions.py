@@ -62,6 +62,11 @@ class NamedActions:
         """One block an action."""
         return len(self.names)
 
+    @property
+    def block_names(self) -> tuple[str, ...]:
+        """Names of the actions."""
+        return tuple(map(str, self.names))
+
     def fitted(self, logs: Logs, horizon: int) -> "NamedActions":
         """Nothing is to be learned first."""
         return self

@@ -150,7 +150,7 @@ class QModel:
 
     def policy(self, q_functions: QFunctions) -> Any:
         """Turn Q-functions, or a batch of them, into the policy that follows them."""
-        coefficients = q_functions.coefficients
+        coefficients = np.asarray(q_functions.coefficients)
         by_steps = coefficients if self.stages == "pooled" else coefficients[..., ::-1, :, :]
         return self.task.policy(by_steps, self.kernel_map)
 

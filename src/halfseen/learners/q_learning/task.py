@@ -46,6 +46,11 @@ class Task(Protocol):
         ...
 
     @property
+    def block_names(self) -> tuple[str, ...]:
+        """Name of each block: of an action, or of a verb."""
+        ...
+
+    @property
     def end_action(self) -> int | None:
         """Action that ends a path wherever it is taken, if there is one."""
         ...

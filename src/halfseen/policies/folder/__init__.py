@@ -7,8 +7,9 @@
       policy.safetensors   its numbers
       policy.sha256        digests of both (``sha256sum -c policy.sha256`` checks them, too)
 
-Read down: `files` (there whole or not at all, no byte changed) → `arrays` (policy ↔ numbers) → `log_digest`, `seen`
-(what the log was) → `record` (policy.json) → `stored` (write and read).
+Read down: `files` (there whole or not at all, no byte changed) → `json_values`, `arrays` (numbers and text, checked) →
+`log_digest`, `seen` (what the log was) → `specification` (how it was learned) → `named_kind`, `table_kind`, `kinds`
+(what differs between kinds of policies) → `record` (policy.json) → `stored` (write and read).
 """
 
 from halfseen.policies.folder.files import check_target

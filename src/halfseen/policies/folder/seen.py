@@ -13,8 +13,8 @@ TABLE_RANGES = ("num_objects", "occlusion", "log_odds", "num_attempts")
 """Of a table: objects on it; and of each, its occlusion, its log-odds of DIRTY and its past attempts."""
 
 
-def seen_states(logs: Logs, covariates: tuple[str, ...], is_by_stage: bool) -> list[dict[str, Any]]:
-    """Give the least and the largest value of each covariate of flat actions, by stage or over all stages.
+def seen_covariates(logs: Logs, covariates: tuple[str, ...], is_by_stage: bool) -> list[dict[str, Any]]:
+    """Give the least and the largest value of each covariate of named actions, by stage or over all stages.
 
     Parameters
     ----------

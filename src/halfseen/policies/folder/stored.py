@@ -10,22 +10,14 @@ import safetensors.numpy
 from sklearn.utils.validation import check_is_fitted
 
 from halfseen.errors import PolicyError
-from halfseen.learners.q_learning.flat_policy import FlatPolicy
 from halfseen.learners.q_learning.q_learner import CensoredQLearner
 from halfseen.logs import Logs
-from halfseen.policies.folder.arrays import arrays_of, column_major, flat_policy_of, laid_out, table_policy_of
+from halfseen.policies.folder.arrays import column_major, laid_out
 from halfseen.policies.folder.files import ARRAYS, RECORD, check_target, read_files, write_files
-from halfseen.policies.folder.record import (
-    TABLE,
-    as_json,
-    check_features,
-    from_json,
-    horizon_of,
-    names_of,
-    record_of,
-)
-from halfseen.policies.folder.seen import TABLE_RANGES, check_seen
-from halfseen.tables.table_policy import LinearTablePolicy
+from halfseen.policies.folder.json_values import horizon_of
+from halfseen.policies.folder.kinds import kind_of
+from halfseen.policies.folder.record import as_json, from_json, record_of
+from halfseen.policies.folder.seen import check_seen
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,13 +32,13 @@ class StoredPolicy:
         What policy.json says: versions, schema, what was seen, the learner's parameters, λ, the log, diagnostics.
     """
 
-    policy: FlatPolicy | LinearTablePolicy
+    policy: Any
     record: Mapping[str, Any]
 
     @property
     def is_table(self) -> bool:
         """Whether it decides for tables of objects; else it takes named actions."""
-        return self.record["kind"] == TABLE
+        return self.record["kind"] == "table"
 
     @property
     def horizon(self) -> int:
@@ -87,8 +79,9 @@ def write_policy(learner: CensoredQLearner, logs: Logs, folder: str | Path, *, o
     """
     check_is_fitted(learner, "policy_")
     check_target(Path(folder), overwrite)
-    arrays = arrays_of(learner.policy_)
-    record = {**record_of(learner, logs), "column_major": column_major(arrays)}
+    record = record_of(learner, logs)
+    arrays = kind_of(record).arrays_of(learner.policy_)
+    record["column_major"] = column_major(arrays)
     _policy_of(record, arrays)
     numbers = safetensors.numpy.save(laid_out(arrays, ()))
     write_files(Path(folder), as_json(record), numbers, overwrite=overwrite)
@@ -123,12 +116,8 @@ def read_policy(folder: str | Path) -> StoredPolicy:
         raise PolicyError(f"{folder}: {error}") from error
 
 
-def _policy_of(record: Mapping[str, Any], arrays: Any) -> FlatPolicy | LinearTablePolicy:
-    if record["kind"] == TABLE:
-        check_features(record)
-        policy, names = table_policy_of(arrays, horizon_of(record)), TABLE_RANGES
-    else:
-        policy = flat_policy_of(arrays, *names_of(record))
-        names = policy.covariates
-    check_seen(record.get("seen"), names)
+def _policy_of(record: Mapping[str, Any], arrays: Any) -> Any:
+    kind = kind_of(record)
+    policy = kind.policy_of(record, arrays)
+    check_seen(record.get("seen"), kind.range_names(policy))
     return policy

@@ -52,12 +52,12 @@ SCENE = Scene(HIDES[np.ix_([2, 1, 0], [2, 1, 0])])
 def test_a_first_state_is_what_the_world_begins_with_before_it_sees():
     layout = jax.tree.map(lambda leaf: leaf[0], pad_scenes([SCENE]))
     known = initial_state(WorldConfig(horizon=4), layout)
-    now = first_state(SCENE, horizon=4)
+    now = first_state(SCENE, horizon=4, dirty_share=0.6)
     for mine, its in zip(jax.tree.leaves(now.state), jax.tree.leaves(known), strict=True):
         np.testing.assert_allclose(mine, its, rtol=1e-6)
         assert mine.dtype == its.dtype
     assert now.stage == 1
-    assert int(first_state(SCENE, horizon=4, stage=3).state.steps_to_go) == 2
+    assert int(first_state(SCENE, horizon=4, dirty_share=0.6, stage=3).state.steps_to_go) == 2
 
 
 def test_a_stage_without_an_action_is_the_present():

@@ -1,0 +1,55 @@
+"""Values of policy.json, checked as they are read."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from halfseen.errors import PolicyError
+
+
+def typed(record: Mapping[str, Any], name: str, kind: type, what: str) -> Any:
+    """Take a value of this type.
+
+    Raises
+    ------
+    PolicyError
+        It is another.
+    """
+    value = record.get(name)
+    if not isinstance(value, kind) or isinstance(value, bool):
+        raise PolicyError(f"{name} is {value!r} and not {what}; learn the policy anew")
+    return value
+
+
+def names_in(schema: Mapping[str, Any], name: str, kinds: tuple[type, ...]) -> tuple[Any, ...]:
+    """Take a list of names, each there once.
+
+    Raises
+    ------
+    PolicyError
+        It is none.
+    """
+    names = typed(schema, name, list, "a list")
+    is_right = all(isinstance(one, kinds) and not isinstance(one, bool) for one in names)
+    if not is_right or len(set(names)) < len(names):
+        raise PolicyError(f"{name} is {names}; each has a name of its own: learn the policy anew")
+    return tuple(names)
+
+
+def horizon_of(record: Mapping[str, Any]) -> int:
+    """Number T of stages."""
+    horizon = typed(record["schema"], "horizon", int, "a whole number")
+    if horizon < 1:
+        raise PolicyError(f"horizon is {horizon}; a path has at least 1 stage: learn the policy anew")
+    return horizon
+
+
+def finite(value: Any) -> Any:
+    """Write null for a number that JSON does not have."""
+    if isinstance(value, Mapping):
+        return {str(key): finite(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(entry) for entry in value]
+    value = value.item() if isinstance(value, np.generic) else value
+    return None if isinstance(value, float) and not np.isfinite(value) else value

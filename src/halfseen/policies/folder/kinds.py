@@ -1,0 +1,72 @@
+"""Kinds of policies that a folder can hold; another kind is one more file and one more entry here."""
+
+from collections.abc import Mapping
+from typing import Any, Protocol, runtime_checkable
+
+from halfseen.errors import ArgumentError, PolicyError
+from halfseen.learners.q_learning.q_model import QModel
+from halfseen.logs import Logs
+from halfseen.policies.folder.arrays import Arrays
+from halfseen.policies.folder.named_kind import NamedKind
+from halfseen.policies.folder.table_kind import TableKind
+
+
+@runtime_checkable
+class PolicyKind(Protocol):
+    """What differs between the folders of one kind of policy and those of another."""
+
+    policy_type: type
+    """Class of the policies."""
+
+    def schema(self, policy: Any, model: QModel) -> dict[str, Any]:
+        """What the policy looks at and chooses from, for policy.json; ``actions`` names the blocks of coefficients."""
+        ...
+
+    def seen(self, logs: Logs, policy: Any, is_by_stage: bool) -> list[dict[str, Any]]:
+        """Ranges of what the policy looks at, in the log that it was learned from."""
+        ...
+
+    def range_names(self, policy: Any) -> tuple[str, ...]:
+        """Names of these ranges."""
+        ...
+
+    def arrays_of(self, policy: Any) -> dict[str, Any]:
+        """Name the arrays of a policy."""
+        ...
+
+    def policy_of(self, record: Mapping[str, Any], arrays: Arrays) -> Any:
+        """Put a policy together again; all of it is checked."""
+        ...
+
+
+KINDS: dict[str, PolicyKind] = {"flat": NamedKind(), "table": TableKind()}
+
+
+def kind_name_of(policy: Any) -> str:
+    """Name of the kind that a policy is of.
+
+    Raises
+    ------
+    ArgumentError
+        It is of none.
+    """
+    for name, kind in KINDS.items():
+        if isinstance(policy, kind.policy_type):
+            return name
+    types = ", ".join(kind.policy_type.__name__ for kind in KINDS.values())
+    raise ArgumentError(f"a {type(policy).__name__} cannot be written to a folder; these can: {types}")
+
+
+def kind_of(record: Mapping[str, Any]) -> PolicyKind:
+    """Kind that policy.json says.
+
+    Raises
+    ------
+    PolicyError
+        There is none of this name.
+    """
+    name = record.get("kind")
+    if not isinstance(name, str) or name not in KINDS:
+        listed = " or ".join(map(repr, KINDS))
+        raise PolicyError(f"kind is {name!r}; it is {listed}: learn the policy anew")
+    return KINDS[name]

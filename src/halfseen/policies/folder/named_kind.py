@@ -1,0 +1,77 @@
+"""Policies of named actions in a folder."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from halfseen.errors import ArgumentError, PolicyError
+from halfseen.learners.q_learning.flat_policy import FlatPolicy
+from halfseen.learners.q_learning.q_model import QModel
+from halfseen.logs import Logs
+from halfseen.policies.folder.arrays import COEFFICIENTS, Arrays, Shape, check_arrays, kernel_map_of, policy_arrays
+from halfseen.policies.folder.json_values import horizon_of, names_in, typed
+from halfseen.policies.folder.seen import seen_covariates
+
+
+@dataclass(frozen=True)
+class NamedKind:
+    """Kind ``"flat"``: a `FlatPolicy`, in double precision."""
+
+    policy_type = FlatPolicy
+
+    def schema(self, policy: FlatPolicy, model: QModel) -> dict[str, Any]:
+        """Covariates, names of the actions, and those that each stage allows.
+
+        Raises
+        ------
+        ArgumentError
+            An action has a name that a JSON file cannot hold.
+        """
+        names = [_action_name(name) for name in policy.actions]
+        rows = policy.is_possible
+        return {
+            "horizon": policy.horizon,
+            "covariates": list(policy.covariates),
+            "actions": names,
+            "possible": [[name for name, is_it in zip(names, row, strict=True) if is_it] for row in rows],
+        }
+
+    def seen(self, logs: Logs, policy: FlatPolicy, is_by_stage: bool) -> list[dict[str, Any]]:
+        """Ranges of the covariates."""
+        return seen_covariates(logs, policy.covariates, is_by_stage)
+
+    def range_names(self, policy: FlatPolicy) -> tuple[str, ...]:
+        """Names of the covariates."""
+        return policy.covariates
+
+    def arrays_of(self, policy: FlatPolicy) -> dict[str, np.ndarray]:
+        """Coefficients, and the kernel if there is one."""
+        return policy_arrays(policy)
+
+    def policy_of(self, record: Mapping[str, Any], arrays: Arrays) -> FlatPolicy:
+        """Put a policy together again.
+
+        Raises
+        ------
+        PolicyError
+            A name is none or is there twice, a stage allows none of the actions, or arrays do not fit.
+        """
+        schema, horizon = record["schema"], horizon_of(record)
+        actions = names_in(schema, "actions", (int, str))
+        covariates = names_in(schema, "covariates", (str,))
+        possible = typed(schema, "possible", list, "a list")
+        is_right = len(possible) == horizon and all(isinstance(names, list) and names for names in possible)
+        if not is_right or not all(name in actions for names in possible for name in names):
+            raise PolicyError(f"possible is {possible}; it lists some of the actions for each of the {horizon} stages")
+        is_possible = np.array([[name in names for name in actions] for names in possible])
+        check_arrays(arrays, Shape(horizon, len(actions), len(covariates), np.float64))
+        return FlatPolicy(actions, covariates, is_possible, arrays[COEFFICIENTS], kernel_map_of(arrays))
+
+
+def _action_name(name: Any) -> int | str:
+    value = name.item() if isinstance(name, np.generic) else name
+    if isinstance(value, bool) or not isinstance(value, (int, str)):
+        raise ArgumentError(f"action {name!r} is neither a whole number nor text; a folder cannot hold other names")
+    return value

@@ -1,0 +1,96 @@
+"""Policies of tables in a folder."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from halfseen.errors import ArgumentError, PolicyError
+from halfseen.learners.q_learning.q_model import QModel
+from halfseen.logs import Logs
+from halfseen.policies.folder.arrays import (
+    COEFFICIENTS,
+    GRASP,
+    Arrays,
+    Shape,
+    check_arrays,
+    kernel_map_of,
+    policy_arrays,
+)
+from halfseen.policies.folder.json_values import horizon_of, typed
+from halfseen.policies.folder.seen import TABLE_RANGES, seen_tables
+from halfseen.tables.features import FEATURES_VERSION, NUM_FEATURES
+from halfseen.tables.grasp.grasp_table import GraspTable
+from halfseen.tables.table_policy import LinearTablePolicy
+from halfseen.world.action_space import Verb
+
+_VERBS = [verb.name for verb in Verb]
+_FEATURES = {"of": "table", "version": FEATURES_VERSION, "number": NUM_FEATURES}
+
+
+@dataclass(frozen=True)
+class TableKind:
+    """Kind ``"table"``: a `LinearTablePolicy`, in single precision, as it decides."""
+
+    policy_type = LinearTablePolicy
+
+    def schema(self, policy: LinearTablePolicy, model: QModel) -> dict[str, Any]:
+        """Verbs, features, and the prior of DIRTY that the log-odds of the log started from."""
+        task: Any = model.task
+        share = {"dirty_share": task.dirty_share}
+        return {"horizon": len(policy.coefficients), "actions": _VERBS, "features": _FEATURES, **share}
+
+    def seen(self, logs: Logs, policy: LinearTablePolicy, is_by_stage: bool) -> list[dict[str, Any]]:
+        """Ranges over all stages: tables are alike in every stage."""
+        return seen_tables(logs)
+
+    def range_names(self, policy: LinearTablePolicy) -> tuple[str, ...]:
+        """What the ranges are of."""
+        return TABLE_RANGES
+
+    def arrays_of(self, policy: LinearTablePolicy) -> dict[str, np.ndarray]:
+        """Coefficients, and the kernel and the grasp model if there are.
+
+        Raises
+        ------
+        ArgumentError
+            The grasp model is no table of numbers.
+        """
+        arrays = policy_arrays(policy)
+        if isinstance(policy.grasp, GraspTable):
+            arrays[GRASP] = np.asarray(policy.grasp.chances)
+        elif policy.grasp is not None:
+            raise ArgumentError(
+                f"grasp is a {type(policy.grasp).__name__}, whose code a folder cannot hold; learn with BetaGrasp() or "
+                "SVMGrasp()"
+            )
+        return arrays
+
+    def policy_of(self, record: Mapping[str, Any], arrays: Arrays) -> LinearTablePolicy:
+        """Put a policy together again.
+
+        Raises
+        ------
+        PolicyError
+            Its features are not those of this halfseen, its prior is none, or arrays do not fit.
+        """
+        _check_schema(record)
+        check_arrays(arrays, Shape(horizon_of(record), len(Verb), NUM_FEATURES, np.float32), may_grasp=True)
+        on_device: Any = {name: jnp.asarray(array) for name, array in arrays.items()}
+        grasp = GraspTable(on_device[GRASP]) if GRASP in arrays else None
+        return LinearTablePolicy(on_device[COEFFICIENTS], grasp, kernel_map_of(on_device))
+
+
+def _check_schema(record: Mapping[str, Any]) -> None:
+    schema = record["schema"]
+    features = schema.get("features")
+    if features != _FEATURES or schema.get("actions") != _VERBS:
+        raise PolicyError(
+            f"the policy looks at features {features}, and this halfseen knows {_FEATURES}; use the halfseen that "
+            f"wrote it ({record['versions'].get('halfseen')}), or learn the policy anew"
+        )
+    dirty_share = typed(schema, "dirty_share", float, "the probability that an object is dirty")
+    if not 0.0 < dirty_share < 1.0:
+        raise PolicyError(f"dirty_share is {dirty_share}; it lies between 0 and 1: learn the policy anew")

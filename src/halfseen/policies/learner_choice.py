@@ -1,0 +1,102 @@
+"""Which learner suits a log: of tables where it has objects, else of the actions that were seen at each stage."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from pandas.api.types import is_numeric_dtype
+
+from halfseen.errors import ArgumentError
+from halfseen.learners.q_learning.q_learner import CensoredQLearner
+from halfseen.logs import Logs
+from halfseen.tables.grasp.beta_grasp import BetaGrasp
+
+TABLE_HORIZON = 10
+"""Stages that a path on a table may have, unless the log has longer ones."""
+
+GRASPS = {"laplace": lambda: None, "beta": BetaGrasp}
+"""What tells the probability of a grasp, by name: the rule of succession, or a Beta regression."""
+
+
+@dataclass(frozen=True)
+class LearnerChoice:
+    """What is to be learned, and what the user should know of it."""
+
+    learner: CensoredQLearner
+    notes: tuple[str, ...] = ()
+
+
+def learner_for(
+    logs: Logs,
+    *,
+    covariates: Sequence[str] | None = None,
+    horizon: int | None = None,
+    stages: str | None = None,
+    grasp: str | None = None,
+    **parameters: Any,
+) -> LearnerChoice:
+    """Choose the learner for a log.
+
+    Parameters
+    ----------
+    logs
+        The log.
+    covariates
+        Columns of the stages to look at, which makes the actions named ones; None for a table where the log has
+        objects, else for all that hold numbers.
+    horizon
+        Stages after which a path ends by itself; None for those of the longest path, on a table at least 10.
+    stages
+        ``"separate"`` or ``"pooled"``; None for pooled on a table, else separate.
+    grasp
+        On a table, one of `GRASPS`.
+    parameters
+        The others of `CensoredQLearner`.
+
+    Raises
+    ------
+    ArgumentError
+        A parameter does not fit the log.
+    """
+    if logs.objects is not None and covariates is None:
+        length = max(TABLE_HORIZON, logs.horizon) if horizon is None else horizon
+        estimator = GRASPS[grasp or "laplace"]()
+        learner = CensoredQLearner.for_table(length, grasp=estimator, stages=stages or "pooled", **parameters)
+        return LearnerChoice(learner, _horizon_notes(logs, horizon, length))
+    if grasp is not None:
+        raise ArgumentError("--grasp is for logs of tables; these have named actions: leave it out")
+    columns, notes = _columns(logs, covariates)
+    length = logs.horizon if horizon is None else horizon
+    actions = actions_by_stage(logs, length)
+    return LearnerChoice(CensoredQLearner(length, actions, columns, stages=stages or "separate", **parameters), notes)
+
+
+def actions_by_stage(logs: Logs, horizon: int) -> dict[int, list[Any]]:
+    """Names of the actions seen at each stage; all of them where none was."""
+    frame: Any = logs.stages[["stage", "action"]].dropna()
+    names = {stage: sorted(set(group["action"].tolist())) for stage, group in frame.groupby("stage")}
+    return {stage: names.get(stage) or sorted(set(frame["action"].tolist())) for stage in range(1, horizon + 1)}
+
+
+def _columns(logs: Logs, wanted: Sequence[str] | None) -> tuple[list[str], tuple[str, ...]]:
+    there = logs.stage_covariates
+    if wanted is not None:
+        unknown = [name for name in wanted if name not in there]
+        if unknown:
+            raise ArgumentError(f"--covariates names {unknown[0]!r}; the stages have {', '.join(there) or 'none'}")
+        return list(wanted), ()
+    columns = [name for name in there if is_numeric_dtype(logs.stages[name].dtype)]
+    left_out = [name for name in there if name not in columns]
+    trouble = (
+        f"it does not look at {', '.join(left_out)}, which holds no numbers: give an indicator column for each value"
+    )
+    return columns, (trouble,) if left_out else ()
+
+
+def _horizon_notes(logs: Logs, given: int | None, horizon: int) -> tuple[str, ...]:
+    if given is not None or logs.horizon == horizon:
+        return ()
+    return (
+        f"no path has more than {logs.horizon} stages, and horizon is {horizon}; if paths end by themselves after "
+        f"fewer, pass --horizon",
+    )

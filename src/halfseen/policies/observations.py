@@ -1,0 +1,111 @@
+"""From files to what a policy decides from: covariates of one stage, or a cloud of a table and its history."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from halfseen.errors import ArgumentError, CloudError, LogError, PolicyError
+from halfseen.learners.q_learning.flat_policy import covariate_values
+from halfseen.logs import read_logs
+from halfseen.perception import perceive, read_cloud
+from halfseen.policies.folder import StoredPolicy
+from halfseen.policies.named_decider import NamedObservation
+from halfseen.tables.present import Present, first_state, present_state
+
+STATE_FILES = (".json", ".csv")
+
+
+def read_observation(
+    stored: StoredPolicy, file: Path, history: Path | None = None, stage: int | None = None
+) -> NamedObservation | Present:
+    """Read what a policy decides from.
+
+    Parameters
+    ----------
+    stored
+        The policy.
+    file
+        For tables a point cloud; for named actions covariates as .json or .csv, one state.
+    history
+        For tables, a folder of logs whose last path is the one so far.
+    stage
+        The stage to decide, from 1; None for what the file or the history says, or 1.
+
+    Raises
+    ------
+    HalfseenError
+        A file cannot be read, or does not fit the policy.
+    """
+    if stored.is_table:
+        return _table_observation(stored, file, history, stage)
+    if history is not None:
+        raise ArgumentError("--history is for tables; this policy looks at the covariates of the stage alone")
+    row = _state_row(file, stored.policy.covariates)
+    return NamedObservation(row, _stage_of(file, row, stage, stored.horizon))
+
+
+def _table_observation(stored: StoredPolicy, cloud: Path, history: Path | None, stage: int | None) -> Present:
+    """See the table, and put it where the path stands."""
+    if cloud.suffix in STATE_FILES:
+        raise PolicyError(f"{cloud}: the policy is of tables, and this is no point cloud; give .pcd, .ply or .npz")
+    logs = None if history is None else read_logs(history)
+    scene = perceive(read_cloud(cloud)).scene()
+    if scene.num_objects == 0:
+        raise CloudError(f"{cloud}: no objects on the table; put the table with its objects whole into the view")
+    if logs is None:
+        return first_state(scene, stored.horizon, stored.record["schema"]["dirty_share"], stage or 1)
+    try:
+        now = present_state(scene, stored.horizon, logs)
+    except (LogError, PolicyError) as error:
+        raise type(error)(f"{history}: {error}") from error
+    if stage not in (None, now.stage):
+        raise ArgumentError(
+            f"--stage is {stage}, but by {history} the path has come to stage {now.stage}; leave it out"
+        )
+    return now
+
+
+def _state_row(file: Path, covariates: tuple[str, ...]) -> pd.DataFrame:
+    """Read the covariates of one stage."""
+    looks_at = ", ".join(covariates) or "no covariates"
+    if file.suffix not in STATE_FILES:
+        raise PolicyError(
+            f"{file}: the policy is of named actions and looks at {looks_at}, not at clouds; give them as .json or .csv"
+        )
+    row = _read_states(file)
+    if len(row) != 1:
+        raise PolicyError(f"{file}: it holds {len(row)} states; give one: a JSON object, or a header and one row")
+    missing = [name for name in covariates if name not in row.columns]
+    if missing:
+        raise PolicyError(
+            f"{file}: the policy looks at {looks_at}, and there is no {missing[0]!r} among "
+            f"{', '.join(map(str, row.columns)) or 'nothing'}; give what the policy was learned from"
+        )
+    try:
+        covariate_values(row, covariates)
+    except LogError as error:
+        raise PolicyError(f"{file}: {error}") from error
+    return row
+
+
+def _read_states(file: Path) -> pd.DataFrame:
+    try:
+        if file.suffix == ".json":
+            state = json.loads(file.read_text(encoding="utf-8"))
+            return pd.DataFrame([state]) if isinstance(state, dict) else pd.DataFrame()
+        exact: Any = {"float_precision": "round_trip"}
+        return pd.read_csv(file, **exact)
+    except (OSError, ValueError, RecursionError) as error:
+        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
+        raise PolicyError(f"{file}: it cannot be read ({reason}); give one state as .json or .csv") from error
+
+
+def _stage_of(file: Path, row: pd.DataFrame, given: int | None, horizon: int) -> int:
+    stage = row["stage"].iloc[0] if "stage" in row.columns else given or 1
+    if isinstance(stage, bool) or not (hasattr(stage, "__index__") and 1 <= int(stage) <= horizon):
+        raise PolicyError(f"{file}: stage is {stage}; it is a whole number from 1 to the policy's horizon, {horizon}")
+    if given not in (None, int(stage)):
+        raise ArgumentError(f"--stage is {given}, but {file} says {stage}; leave one of them out")
+    return int(stage)

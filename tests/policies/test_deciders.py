@@ -1,0 +1,100 @@
+"""The port: heuristics, planners and learned policies, of named actions or of tables, answer alike."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+import pytest
+
+from halfseen.errors import ArgumentError, LogError
+from halfseen.learners import FlatPolicy
+from halfseen.planners import GreedyPolicy, POMDPPolicy
+from halfseen.policies import Decider, NamedObservation, decider_of
+from halfseen.policies.table_decider import TableDecider
+from halfseen.tables import LinearTablePolicy
+from halfseen.tables.features import NUM_FEATURES
+from halfseen.tables.present import first_state
+from halfseen.world import Scene, UniformPolicy, WorldConfig
+from halfseen.world.action_space import ActionSpace, Verb
+
+CONFIG = WorldConfig(horizon=4)
+NOW = first_state(Scene(np.array([[0.0, 0.6], [0.0, 0.0]])), horizon=4, dirty_share=0.6)
+NAMES = ActionSpace(2).names
+COEFFICIENTS = 0.1 * jax.random.normal(jax.random.key(0), (4, len(Verb), NUM_FEATURES + 1))
+FLAT = FlatPolicy(
+    actions=("A", "B"),
+    covariates=("x",),
+    is_possible=np.array([[True, True], [True, False]]),
+    coefficients=np.array([[[0.0, 1.0], [0.5, 0.0]], [[0.0, 1.0], [9.0, 0.0]]]),
+)
+TABLES = {
+    "heuristic": GreedyPolicy(CONFIG, uses_history=True, counts_penalty=True),
+    "planner": POMDPPolicy(CONFIG, 1),
+    "learned": LinearTablePolicy(COEFFICIENTS),
+    "uniform": UniformPolicy(),
+}
+
+
+@pytest.mark.parametrize("policy", TABLES.values(), ids=TABLES)
+def test_a_table_gets_a_possible_action_a_reason_and_the_same_again(policy):
+    decider = decider_of(policy)
+    decision = decider.decide(NOW)
+    assert isinstance(decider, Decider)
+    assert decision.action in NAMES
+    assert decision.reason.startswith(f"{decision.action}: ")
+    assert decision.warnings == ()
+    assert decider.decide(NOW) == decision
+
+
+@pytest.mark.parametrize("name", ["planner", "learned"])
+def test_the_action_is_the_best_by_the_values_that_are_told(name):
+    decision = decider_of(TABLES[name]).decide(NOW)
+    assert decision.action == max(decision.q_values, key=lambda action: decision.q_values[action])
+    taken = TABLES[name].decide(NOW.state, jax.random.key(0)).action
+    assert NAMES[int(taken)] == decision.action
+
+
+def test_what_is_not_possible_has_no_value():
+    gone = replace(NOW.state, is_on_table=jnp.array([True, False]))
+    values = decider_of(TABLES["learned"]).decide(replace(NOW, state=gone)).q_values
+    assert [name for name, value in values.items() if value is None] == ["WASH 1", "LIFT 1"]
+
+
+def test_a_rule_that_values_nothing_says_by_whom_it_decides():
+    decision = decider_of(TABLES["heuristic"]).decide(NOW)
+    assert decision.q_values == {}
+    assert "by GreedyPolicy; it is in plain sight (0.00)" in decision.reason
+
+
+def test_the_seed_decides_for_a_policy_that_draws():
+    actions = {TableDecider(UniformPolicy(), seed=seed).decide(NOW).action for seed in range(12)}
+    assert len(actions) > 1
+
+
+def test_what_lies_outside_the_logs_is_warned_of():
+    ranges = {"num_objects": (3.0, 5.0), "occlusion": (0.0, 1.0), "log_odds": (-9.0, 9.0), "num_attempts": (0.0, 4.0)}
+    told = decider_of(TABLES["learned"], lambda stage: ranges).decide(NOW)
+    assert told.warnings == ("num_objects is 2, outside the logs (3 to 5); Q is extrapolated",)
+    assert decider_of(TABLES["learned"], lambda stage: None).decide(NOW).warnings == (
+        "no path of the logs came to this stage; Q is extrapolated",
+    )
+
+
+def test_named_actions_answer_through_the_same_door():
+    decider = decider_of(FLAT, lambda stage: {"x": (0.0, 1.0)})
+    decision = decider.decide(NamedObservation(pd.DataFrame({"x": [2.0]}), 1))
+    assert (decision.action, decision.q_values) == ("A", {"A": 2.0, "B": 0.5})
+    assert decision.warnings == ("x is 2, outside the logs (0 to 1); Q is extrapolated",)
+    assert decider.decide(NamedObservation(pd.DataFrame({"x": [0.2]}), 2)).q_values == {"A": 0.2, "B": None}
+    assert decider_of(FLAT).decide(NamedObservation(pd.DataFrame({"x": [2.0]}), 1)).warnings == ()
+
+
+def test_what_is_no_policy_or_no_observation_is_refused():
+    with pytest.raises(ArgumentError, match="is no policy"):
+        decider_of(object())
+    with pytest.raises(LogError, match="finite"):
+        decider_of(FLAT).decide(NamedObservation(pd.DataFrame({"x": [np.nan]}), 1))
+    with pytest.raises(ArgumentError, match="stage is 3"):
+        decider_of(FLAT).decide(NamedObservation(pd.DataFrame({"x": [0.0]}), 3))
