@@ -16,6 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
+from sklearn.base import BaseEstimator
 
 from halfseen.censoring.covariates import checked_covariates, checked_question, refuse_constant
 from halfseen.censoring.cox_checks import (
@@ -25,7 +26,6 @@ from halfseen.censoring.cox_checks import (
     separation_message,
 )
 from halfseen.censoring.inputs import checked_ends
-from halfseen.censoring.parameters import Parameters
 from halfseen.censoring.partial_likelihood import CutOrder, PartialLikelihood, cut_order, partial_likelihood
 from halfseen.errors import ArgumentError
 
@@ -35,7 +35,7 @@ MAX_HALVINGS = 30
 STEP_TOLERANCE = 1e-8
 
 
-class Cox(Parameters):
+class Cox(BaseEstimator):
     """Proportional hazards of being cut, P(C ≥ u | z) = exp(−Λ0(u⁻) exp((z − z̄)β)) [Cox1972]_.
 
     β maximises the partial likelihood of the cuts; a path that finishes at s leaves before those that are cut at s.

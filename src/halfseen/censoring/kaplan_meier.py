@@ -14,14 +14,14 @@ s         ``times_``: the distinct times at which paths were cut [s]
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
+from sklearn.base import BaseEstimator
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.censoring.inputs import checked_ends, checked_times
-from halfseen.censoring.parameters import Parameters
 from halfseen.errors import ArgumentError
 
 
-class KaplanMeier(Parameters):
+class KaplanMeier(BaseEstimator):
     """Product-limit estimate of how long paths are watched, the same for all paths.
 
     Ĝ(u⁻) = Π_{s<u} (1 − cuts(s) / (at_risk(s) − finished(s))), where a path that finishes at s leaves before those that
