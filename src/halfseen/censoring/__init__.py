@@ -3,7 +3,8 @@
 Read down: `inputs`, `covariates` (what every fit accepts) → `model` (what a censoring model is) → the models:
 `kaplan_meier`; `partial_likelihood` → `cox_checks` → `cox`; `local_curve` → `bandwidth` → `kernel_kaplan_meier` →
 `named` (models by name) → `weights` → `diagnostics` → `stage_clocks` → `cut_model` (Ĝ by path or by stage) →
-`specification` (which model, on which clock) → `positivity` (the report) → `positivity_text`, `positivity_figure`.
+`specification` (which model, on which clock). The report: `positivity_facts` → `positivity_text`, `positivity_figure`
+→ `positivity`.
 """
 
 from halfseen.censoring.cox import Cox
@@ -14,6 +15,7 @@ from halfseen.censoring.kernel_kaplan_meier import KernelKaplanMeier
 from halfseen.censoring.model import CensoringModel
 from halfseen.censoring.named import CENSORING_NAMES, is_fitted, named_model, uses_covariates
 from halfseen.censoring.positivity import PositivityReport, positivity_report
+from halfseen.censoring.positivity_facts import PositivityFacts
 from halfseen.censoring.specification import CensoringSpec
 from halfseen.censoring.stage_clocks import StageClocks
 from halfseen.censoring.weights import censoring_weights, stage_weights
@@ -27,6 +29,7 @@ __all__ = [
     "CutModel",
     "KaplanMeier",
     "KernelKaplanMeier",
+    "PositivityFacts",
     "PositivityReport",
     "StageClocks",
     "WeightDiagnostics",
