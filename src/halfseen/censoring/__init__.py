@@ -1,4 +1,8 @@
-"""How long a path was likely to be watched: Ĝ, and the weights that it gives.
+"""Censoring models Ĝ(u⁻ | z) = P(C ≥ u | z), and the inverse-probability-of-censoring weights that they give.
+
+A *path* is a trajectory: one episode. A *cut* right-censors it at the time C, by something outside the task. What is
+modelled is C, so the roles are swapped beside survival analysis of failures: a cut is the event, and the path's own end
+censors it.
 
 Read down: `inputs`, `covariates` (what every fit accepts) → `model` (what a censoring model is) → the models:
 `kaplan_meier`; `partial_likelihood` → `cox_checks` → `cox`; `local_curve` → `bandwidth` → `kernel_kaplan_meier` →

@@ -30,7 +30,7 @@ class WeightDiagnostics:
     largest_at
         Its index, one integer an axis; None where nothing was seen.
     share_truncated
-        Share of Σ w that stands on weights at the bound, in [0, 1].
+        Proportion of Σ w that stands on weights at the bound, in [0, 1].
     """
 
     num_weights: int

@@ -1,4 +1,4 @@
-"""Kaplan–Meier in a neighbourhood: the local product-limit estimate of the time of the cut (design, §2).
+"""Kaplan–Meier in a neighbourhood: Beran's conditional product-limit estimate for the censoring time C (design, §2).
 
 ========  ==============================================================================================
 symbol    here
@@ -97,16 +97,7 @@ class KernelKaplanMeier(BaseEstimator):
         self.random_state = random_state
 
     def fit(self, time: ArrayLike, is_finished: ArrayLike, covariates: Any = None) -> "KernelKaplanMeier":
-        """Keep the paths, and choose the bandwidth.
-
-        Parameters
-        ----------
-        time
-            Observed end of each path [s], shape (n,).
-        is_finished
-            False where the path was cut, shape (n,).
-        covariates
-            One row for each path, shape (n, p): array-like, or a table, whose names are kept for messages.
+        """Keep the paths, and choose the bandwidth; given as in `CensoringModel.fit`.
 
         Raises
         ------
@@ -131,19 +122,7 @@ class KernelKaplanMeier(BaseEstimator):
         return self
 
     def survival(self, u: ArrayLike, covariates: Any = None) -> Float[np.ndarray, "..."]:
-        """Ĝ(u⁻ | z) = P(C ≥ u | z).
-
-        Parameters
-        ----------
-        u
-            Times asked about [s], any shape.
-        covariates
-            One row for each entry of the first axis of `u`, or a single row for all of `u`; columns as in the fit.
-
-        Returns
-        -------
-        Float[ndarray, "..."]
-            The left limits, in the shape of `u`.
+        """Ĝ(u⁻ | z) = P(C ≥ u | z), asked as in `CensoringModel.survival`.
 
         Raises
         ------

@@ -44,7 +44,7 @@ class Truncation:
     effective_sample_size
         (Σ w)² / Σ w².
     share_removed
-        Share of Σ w that the bound takes away, in [0, 1]; None where a weight has no end.
+        Proportion of Σ w that the bound takes away, in [0, 1]; None where a weight has no end.
     """
 
     truncate_at: float | None
@@ -83,7 +83,7 @@ class PositivityFacts:
         True where the last observed end is a cut, so that some paths would have finished later than any did.
     mean_weight
         Σ w / n. Near 1 if the model is right and every finish could be seen; for Kaplan–Meier on its own paths it is
-        exactly the share of paths that finish by `identified_until_s` [SattenDatta2001]_.
+        exactly the estimated probability to finish by `identified_until_s` [SattenDatta2001]_.
     truncations
         The weighted mean at a grid of bounds, from none (where all is identified) down to 1, which is no weighting.
     quantity

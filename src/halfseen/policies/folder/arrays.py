@@ -49,7 +49,7 @@ def arrays_of(policy: FlatPolicy | LinearTablePolicy) -> dict[str, np.ndarray]:
     Raises
     ------
     ArgumentError
-        It is a batch of policies, or its chances of grasps are no table of numbers.
+        It is a batch of policies, or its probabilities of grasps are no table of numbers.
     """
     coefficients = np.asarray(policy.coefficients)
     if coefficients.ndim != 3:
@@ -155,7 +155,7 @@ def _check_shape(name: str, array: np.ndarray | None, wanted: tuple[int, ...] | 
 
 def _check_numbers(name: str, array: np.ndarray) -> None:
     if name == CHANCES:
-        wrong, rule = ~((array >= 0) & (array <= 1)), "a chance lies in [0, 1]"
+        wrong, rule = ~((array >= 0) & (array <= 1)), "a probability lies in [0, 1]"
     elif name in ("kernel.scale", "kernel.gamma"):
         # A feature that never varied has an infinite scale.
         wrong, rule = ~(array > 0) | (np.isinf(array) & (name == "kernel.gamma")), "it is positive"
