@@ -109,18 +109,8 @@ def _stages(report: dict[str, Any]) -> list[str]:
         )
         for row, weight in zip(report["clock"], report["weights"], strict=True)
     ]
-    head = (
-        "stage",
-        "begun",
-        "completed",
-        "cut",
-        "5 % [s]",
-        "median [s]",
-        "95 % [s]",
-        "effective size",
-        "largest weight",
-    )
-    return _table(head, rows)
+    times = ("5 % [s]", "median [s]", "95 % [s]")
+    return _table(("stage", "begun", "completed", "cut", *times, "effective size", "largest weight"), rows)
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:

@@ -13,19 +13,13 @@ _REMEDY = "give the time since the path began [s]"
 
 
 class PathClock:
-    """Seconds since a path began, which never go back.
-
-    Attributes
-    ----------
-    at_s
-        The last event's time [s].
-    is_given
-        Whether times are given; None until the first event tells.
-    """
+    """Seconds since a path began, which never go back."""
 
     def __init__(self) -> None:
         self.at_s = 0.0
+        """Time of the last event [s]."""
         self.is_given: bool | None = None
+        """Whether times are given; None until the first event tells."""
         self._began_s = 0.0
 
     def start(self) -> None:
@@ -41,22 +35,7 @@ class PathClock:
         self.at_s, self.is_given = at_s, elapsed_s is not None
 
     def time_of(self, elapsed_s: Any, where: str, *, is_later: bool = False) -> float:
-        """Time of an event [s], read or given, and checked against the last.
-
-        Parameters
-        ----------
-        elapsed_s
-            What was given; None reads the machine's clock.
-        where
-            Path and stage, for messages.
-        is_later
-            Whether it must be later than the last event, not only no earlier.
-
-        Raises
-        ------
-        LogError
-            It is no time, goes back, or is given now and was not before, or the other way round.
-        """
+        """Time of an event [s], given or, if None, read; checked to be no earlier (or later) than the last event."""
         if self.is_given not in (None, elapsed_s is not None):
             word = "missing" if elapsed_s is None else "given"
             raise LogError(f"{where}: elapsed_s is {word}, unlike before in this path; give it always or never")
@@ -75,13 +54,7 @@ class PathClock:
         return self.at_s if self.is_given and elapsed_s is None else self.time_of(elapsed_s, where)
 
     def check_units(self, elapsed_s: Any, completed_s: float, where: str) -> None:
-        """Refuse an end at a power of a thousand times the last stage's clock, which `Logs` takes for another unit.
-
-        Raises
-        ------
-        LogError
-            The end that was given is in another unit than the stage was.
-        """
+        """Refuse a given end at a power of a thousand times the last stage's clock, which `Logs` takes for a unit."""
         if elapsed_s is None or not self.is_given:
             return
         at_s = self.time_of(elapsed_s, where)
