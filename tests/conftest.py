@@ -1,6 +1,11 @@
 """Tests of one file run in one process, and so do all that ask for the one small study, which takes longest: first."""
 
 import pytest
+from hypothesis import settings
+
+# How long an example takes depends on what else the machine does.
+settings.register_profile("halfseen", deadline=None)
+settings.load_profile("halfseen")
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -4,7 +4,7 @@ Axis letters, as they stand in shapes all over the package:
 
 ========  ==========================================================================================================
 ``N``     objects of a scene, padded to the largest scene of a batch; padding is masked and may hold anything
-``T``     stages of a path, at most; the horizon
+``T``     stages of a path (a trajectory, an episode), at most; the horizon
 ``n``     rows: paths or observations
 ``m``     rows asked about: query times, states to decide
 ``B``     members of a batch that one compiled call handles

@@ -1,12 +1,33 @@
-"""A folder that is there whole or not at all: written under another name, then renamed."""
+"""A file or a folder that is there whole or not at all: written under a name of its own, then renamed."""
 
 import shutil
 import uuid
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from glob import escape
 from pathlib import Path
 
 from halfseen.errors import ArgumentError
+
+
+def write_file(target: Path, content: str | bytes) -> None:
+    """Write a file, in place of what is there; missing parents are made.
+
+    Raises
+    ------
+    ArgumentError
+        The file cannot be written there.
+    """
+    fresh = _beside(target, "new")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        fresh.write_bytes(content.encode() if isinstance(content, str) else content)
+        fresh.replace(target)
+    except OSError as error:
+        raise _unwritable(target, error) from error
+    finally:
+        with suppress(OSError):
+            fresh.unlink()
 
 
 @contextmanager
@@ -30,17 +51,13 @@ def placed(target: Path, *, overwrite: bool = False, marker: str | None = None, 
         Something is there already and is not to be replaced, or the folder cannot be written.
     """
     refuse_taken(target, overwrite, marker, kind)
-    place = target.absolute()
-    tag = uuid.uuid4().hex
-    fresh, old = place.with_name(f".{place.name}.{tag}.new"), place.with_name(f".{place.name}.{tag}.old")
+    fresh = _beside(target, "new")
     try:
         fresh.mkdir(parents=True)
         yield fresh
-        _swap(fresh, place, old)
+        _swap(fresh, target.absolute())
     except OSError as error:
-        raise ArgumentError(
-            f"{target}: cannot be written ({error.strerror or error}); choose another folder"
-        ) from error
+        raise _unwritable(target, error) from error
     finally:
         shutil.rmtree(fresh, ignore_errors=True)
 
@@ -57,22 +74,38 @@ def refuse_taken(target: Path, overwrite: bool, marker: str | None, kind: str) -
         is_there = target.exists() or target.is_symlink()
         is_ours = marker is not None and (target / marker).exists()
     except OSError as error:
-        raise ArgumentError(f"{target}: cannot be written ({error.strerror}); choose another folder") from error
+        raise _unwritable(target, error) from error
     if is_there and not overwrite:
-        raise ArgumentError(
-            f"{target}: it is there already; choose another folder, or pass --overwrite (overwrite=True) to replace it"
-        )
+        remedy = "move it away first" if marker is None else "pass --overwrite (overwrite=True) to replace it"
+        raise ArgumentError(f"{target}: it is there already; choose another folder, or {remedy}")
     if is_there and not is_ours:
         raise ArgumentError(
             f"{target}: it holds no {kind} ({marker} is missing), so it is not replaced; choose another folder"
         )
 
 
-def _swap(fresh: Path, target: Path, old: Path) -> None:
+def left_aside(target: Path) -> Path | None:
+    """Find what stood at `target` when `placed` was killed between its two renames; None if it was not."""
+    aside = sorted(target.absolute().parent.glob(f".{escape(target.name)}.*.old"))
+    return aside[-1] if aside else None
+
+
+def _beside(target: Path, suffix: str) -> Path:
+    """A hidden name in the same folder that no other thread, process or host chooses."""
+    place = target.absolute()
+    return place.with_name(f".{place.name}.{uuid.uuid4().hex}.{suffix}")
+
+
+def _unwritable(target: Path, error: OSError) -> ArgumentError:
+    return ArgumentError(f"{target}: cannot be written ({error.strerror or error}); choose another folder")
+
+
+def _swap(fresh: Path, target: Path) -> None:
     """Put `fresh` in the place of `target`; what was there comes back if that fails."""
     if not target.exists():
         fresh.rename(target)
         return
+    old = _beside(target, "old")
     target.rename(old)
     try:
         fresh.rename(target)

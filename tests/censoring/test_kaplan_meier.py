@@ -141,7 +141,8 @@ def test_keeps_scikit_learns_habits():
     assert isinstance(copy, KaplanMeier)
     assert not hasattr(copy, "times_")
     assert fitted.set_params() is fitted
-    with pytest.raises(ArgumentError, match="no parameter 'bandwidth'"):
+    assert (fitted.get_params(), repr(fitted)) == ({}, "KaplanMeier()")
+    with pytest.raises(ValueError, match="Invalid parameter 'bandwidth'"):
         fitted.set_params(bandwidth=1.0)
 
 

@@ -137,7 +137,7 @@ def test_all_cut_none_cut_and_one_path():
     assert str(all_cut).startswith("Nothing to weigh: all 2 paths were cut.\nRecord until some paths finish")
     assert (all_cut.heaviest, all_cut.truncations, all_cut.mean_weight) == ((), (), 0.0)
     none_cut = positivity_report(np.arange(1.0, 51.0), np.ones(50, dtype=bool))
-    assert str(none_cut).startswith("Sound: 50 finishes are worth 50.0 equally weighted ones.")
+    assert str(none_cut).startswith("Sound: 50 finishes have an effective sample size of 50.0.")
     assert len(none_cut.truncations) == 1
     assert "the weights are not what makes them few" in str(positivity_report([1.0], [True]))
     assert str(positivity_report([1.0], [False])).startswith("Nothing to weigh: the only path was cut.")
@@ -200,7 +200,7 @@ def test_cannot_be_changed():
 
 
 def test_few_effective_weights_warn_with_a_remedy_and_enough_do_not():
-    with pytest.warns(HalfseenWarning, match=r"worth 9.0 equally weighted.*record more paths.*truncate_at"):
+    with pytest.warns(HalfseenWarning, match=r"effective sample size of 9.0.*record more paths.*truncate_at"):
         warn_if_few(weight_diagnostics(np.ones(9)))
     with pytest.warns(HalfseenWarning, match="None of 3 were seen"):
         warn_if_few(weight_diagnostics(np.zeros(3)))
@@ -213,7 +213,7 @@ def test_weights_that_stand_for_few_of_the_paths_are_not_called_sound():
     assert report.mean_weight == pytest.approx(0.5)
     assert report.is_off
     assert not report.is_sound
-    assert str(report).startswith("Incomplete: 20 finishes are worth 20.0 equally weighted ones, but stand for 50%")
+    assert str(report).startswith("Incomplete: 20 finishes have an effective sample size of 20.0, but stand for 50%")
     assert "finish after 40 s: restrict times" in str(report)
 
 

@@ -35,7 +35,7 @@ def test_nothing_seen_is_worth_nothing(weights):
 
 def test_reads_as_one_sentence():
     assert str(weight_diagnostics([1.0, 0.0, 1.5])) == (
-        "2 of 3 were seen and are worth 1.9 equally weighted ones; the largest weight is 1.5."
+        "2 of 3 were seen, with an effective sample size of 1.9; the largest weight is 1.5."
     )
     assert str(weight_diagnostics([1.0, 3.0], truncate_at=3)).endswith("is 3, and 75.0% of the weight is truncated.")
 

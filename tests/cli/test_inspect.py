@@ -49,9 +49,9 @@ FINISH       1    25%           2            0
 LIFT         1    25%           2         -0.1
 """,
         """
-stage  begun  completed  cut  5 % [s]  median [s]  95 % [s]  worth  largest weight
-1          3          3    0        2           2         2    3.0            1.00
-2          2          1    1        3           3         3    1.0            2.00
+stage  begun  completed  cut  5 % [s]  median [s]  95 % [s]  effective size  largest weight
+1          3          3    0        2           2         2             3.0            1.00
+2          2          1    1        3           3         3             1.0            2.00
 """,
     ):
         first = lines.index(table.splitlines()[1])
@@ -106,7 +106,7 @@ def test_reads_what_a_recorder_is_writing(tmp_path):
 
 def test_says_what_the_weights_rest_on(folder):
     output = run(folder)
-    assert "Too little: 2 finishes are worth 1.8 equally weighted ones." in output
+    assert "Too little: 2 finishes have an effective sample size of 1.8." in output
     assert "Largest weights: 2 (path 1, 5 s), 1 (path 3, 2 s)." in output
 
 

@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from halfseen.cli.look import look
-from halfseen.errors import CloudError
+from halfseen.errors import ArgumentError
 from halfseen.perception import Cloud, write_pcd
 
 K = np.array([[290.0, 0.0, 159.5], [0.0, 290.0, 119.5], [0.0, 0.0, 1.0]])
@@ -99,8 +99,9 @@ def test_an_empty_table_is_refused_with_status_2(tmp_path):
 
 
 def test_an_unwritable_picture_is_refused(table, tmp_path):
-    result = run(table, "--picture", tmp_path / "none" / "table.png")
-    assert isinstance(result.exception, CloudError)
+    (tmp_path / "file").write_text("in the way")
+    result = run(table, "--picture", tmp_path / "file" / "table.png")
+    assert isinstance(result.exception, ArgumentError)
     assert "cannot be written" in str(result.exception)
     assert result.output == ""
 

@@ -4,6 +4,7 @@ import json
 import os
 import signal
 import time
+from itertools import cycle
 
 import numpy as np
 import pandas as pd
@@ -33,7 +34,7 @@ class HandClock:
 @pytest.fixture
 def clock(monkeypatch):
     clock = HandClock()
-    monkeypatch.setattr("halfseen.logs.recorder.time.monotonic", clock)
+    monkeypatch.setattr("halfseen.logs.path_clock.time.monotonic", clock)
     return clock
 
 
@@ -438,6 +439,8 @@ def test_ctrl_c_at_any_moment_leaves_a_journal_that_reads(tmp_path):
     def press(*_):
         raise Pressed
 
+    # However slow the machine is, some delays are shorter than a stage takes, and some longer.
+    delays_s = cycle(np.geomspace(0.0005, 0.02, 23).tolist())
     interrupted, deadline = 0, time.monotonic() + 1.0
     before = signal.signal(signal.SIGALRM, press)
     try:
@@ -445,7 +448,7 @@ def test_ctrl_c_at_any_moment_leaves_a_journal_that_reads(tmp_path):
             path = recorder.begin_path()
             while time.monotonic() < deadline:
                 try:
-                    signal.setitimer(signal.ITIMER_REAL, 0.0011)
+                    signal.setitimer(signal.ITIMER_REAL, next(delays_s))
                     while True:
                         if not path._is_in_stage:
                             begin(path)
@@ -458,9 +461,9 @@ def test_ctrl_c_at_any_moment_leaves_a_journal_that_reads(tmp_path):
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, before)
     logs = read_logs(tmp_path)
-    assert interrupted > 100
+    assert interrupted > 50
     assert logs.paths["cause"].tolist() == ["operator"]
-    assert logs.num_stages > interrupted
+    assert logs.num_stages > 50
 
 
 def test_whole_numbers_and_fractions_may_mix_across_chunks(tmp_path, monkeypatch):

@@ -7,7 +7,7 @@ import pytest
 from drawn_tables import NUM_COLUMNS, NUM_ROWS, Can, K, draw
 from plyfile import PlyData, PlyElement
 
-from halfseen.errors import CloudError
+from halfseen.errors import ArgumentError, CloudError
 from halfseen.perception import Cloud, read_cloud, write_pcd
 
 ROWS, COLUMNS = 4, 5
@@ -222,6 +222,7 @@ def test_a_missing_file_and_a_folder_are_refused(tmp_path):
         read_cloud(tmp_path / "folder.pcd")
 
 
-def test_writing_into_a_missing_folder_is_refused(tmp_path, points):
-    with pytest.raises(CloudError, match="cannot be written"):
-        write_pcd(Cloud(points), tmp_path / "none" / "cloud.pcd")
+def test_writing_below_a_file_is_refused(tmp_path, points):
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(ArgumentError, match="cannot be written"):
+        write_pcd(Cloud(points), tmp_path / "file" / "cloud.pcd")

@@ -1,10 +1,12 @@
+import mujoco
 import numpy as np
 import pytest
 
 from halfseen.errors import SceneError
 from halfseen.scene import Cup, Pose, Table, random_table
 from halfseen.scene.poses import about_axis, compose
-from halfseen.scene.settle import moved_m, settle, smallest_gap_m
+from halfseen.scene.room import TIMESTEP_S, cup_name, room_model
+from halfseen.scene.settle import settle, smallest_gap_m
 from halfseen.scene.table import TABLE_TOP_M
 from halfseen.scene.xtion import xtion_at
 
@@ -17,6 +19,17 @@ def settled(cup: Cup, start: Pose) -> Pose:
     poses = settle([cup], [start])
     assert poses is not None
     return poses[0]
+
+
+def moved_m(cups, world_from_cup, duration_s: float) -> float:
+    """How far the farthest-moving cup goes when physics runs on [m]."""
+    model = room_model(cups, world_from_cup, is_free=True)
+    data = mujoco.MjData(model)
+    for _ in range(round(duration_s / TIMESTEP_S)):
+        mujoco.mj_step(model, data)
+    ends = [data.body(cup_name(index)).xpos for index in range(len(cups))]
+    starts = [pose.position_m for pose in world_from_cup]
+    return float(np.max(np.linalg.norm(np.subtract(ends, starts), axis=1)))
 
 
 @pytest.mark.parametrize("cup", [TUMBLER, MUG])

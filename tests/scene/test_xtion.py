@@ -1,8 +1,8 @@
+import mujoco
 import numpy as np
 import pytest
 
 from halfseen.scene import Camera, Pose
-from halfseen.scene.room import boxes_model
 from halfseen.scene.view import IdealView, ideal_view
 from halfseen.scene.xtion import (
     BASELINE_M,
@@ -25,6 +25,15 @@ def flat_view(depth_m: float, cosine: float = 1.0) -> IdealView:
         incidence_cosine=np.full(SHAPE, cosine),
         is_lit=np.ones(SHAPE, dtype=bool),
     )
+
+
+def boxes_model(centres_m, half_sizes_m):
+    """A world of fixed boxes, along the axes, whose picture can be worked out by hand; body i + 1 is box i."""
+    spec = mujoco.MjSpec()
+    for centre_m, half_m in zip(centres_m, half_sizes_m, strict=True):
+        body = spec.worldbody.add_body(pos=list(centre_m))
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=list(half_m))
+    return spec.compile()
 
 
 def test_noise_grows_as_the_square_of_depth(rng):

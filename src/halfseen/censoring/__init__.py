@@ -1,9 +1,14 @@
-"""How long a path was likely to be watched: Ĝ, and the weights that it gives.
+"""Censoring models Ĝ(u⁻ | z) = P(C ≥ u | z), and the inverse-probability-of-censoring weights that they give.
+
+A *path* is a trajectory: one episode. A *cut* right-censors it at the time C, by something outside the task. What is
+modelled is C, so the roles are swapped beside survival analysis of failures: a cut is the event, and the path's own end
+censors it.
 
 Read down: `inputs`, `covariates` (what every fit accepts) → `model` (what a censoring model is) → the models:
 `kaplan_meier`; `partial_likelihood` → `cox_checks` → `cox`; `local_curve` → `bandwidth` → `kernel_kaplan_meier` →
 `named` (models by name) → `weights` → `diagnostics` → `stage_clocks` → `cut_model` (Ĝ by path or by stage) →
-`specification` (which model, on which clock) → `positivity` (the report) → `positivity_text`, `positivity_figure`.
+`specification` (which model, on which clock). The report: `positivity_facts` → `positivity_text`, `positivity_figure`
+→ `positivity`.
 """
 
 from halfseen.censoring.cox import Cox
@@ -14,6 +19,7 @@ from halfseen.censoring.kernel_kaplan_meier import KernelKaplanMeier
 from halfseen.censoring.model import CensoringModel
 from halfseen.censoring.named import CENSORING_NAMES, is_fitted, named_model, uses_covariates
 from halfseen.censoring.positivity import PositivityReport, positivity_report
+from halfseen.censoring.positivity_facts import PositivityFacts
 from halfseen.censoring.specification import CensoringSpec
 from halfseen.censoring.stage_clocks import StageClocks
 from halfseen.censoring.weights import censoring_weights, stage_weights
@@ -27,6 +33,7 @@ __all__ = [
     "CutModel",
     "KaplanMeier",
     "KernelKaplanMeier",
+    "PositivityFacts",
     "PositivityReport",
     "StageClocks",
     "WeightDiagnostics",

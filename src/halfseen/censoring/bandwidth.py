@@ -1,4 +1,4 @@
-"""How wide a neighbourhood should be: the likelihood of paths that were held out."""
+"""How wide a neighbourhood should be, by cross-validation: the likelihood of paths that were held out."""
 
 import numpy as np
 from jaxtyping import Float
@@ -11,8 +11,8 @@ BANDWIDTHS = (0.1, 0.18, 0.32, 0.56, 1.0, 1.8, 3.2, np.inf)
 NUM_BINS = 10
 # Held-out paths that are asked about, at most: enough to choose among eight widths.
 MAX_QUESTIONS = 1000
-# Share of each forecast that is spread evenly, so that one surprise does not decide alone.
-EVEN_SHARE = 0.01
+# Proportion of each forecast that is spread uniformly, so that one improbable cut does not decide alone.
+UNIFORM_PROPORTION = 0.01
 
 
 def cross_validated(
@@ -77,4 +77,4 @@ def _log_likelihood(
     forecast = np.where(finished, at_end, levels[rows, mine] - levels[rows, mine + 1])
     even = np.where(finished, (num_bins - mine) / num_bins, 1.0 / num_bins)
     forecast = np.where(np.isnan(forecast), 0.0, forecast)
-    return float(np.log((1.0 - EVEN_SHARE) * forecast + EVEN_SHARE * even).sum())
+    return float(np.log((1.0 - UNIFORM_PROPORTION) * forecast + UNIFORM_PROPORTION * even).sum())

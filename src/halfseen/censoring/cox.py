@@ -1,4 +1,4 @@
-"""Cox's proportional hazards for the time of the cut (design, §2): covariates may hasten the cut.
+"""Cox's proportional hazards for the censoring time C (design, §2): covariates may hasten the cut.
 
 ========  =======================================================================
 symbol    here
@@ -16,6 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
+from sklearn.base import BaseEstimator
 
 from halfseen.censoring.covariates import checked_covariates, checked_question, refuse_constant
 from halfseen.censoring.cox_checks import (
@@ -25,7 +26,6 @@ from halfseen.censoring.cox_checks import (
     separation_message,
 )
 from halfseen.censoring.inputs import checked_ends
-from halfseen.censoring.parameters import Parameters
 from halfseen.censoring.partial_likelihood import CutOrder, PartialLikelihood, cut_order, partial_likelihood
 from halfseen.errors import ArgumentError
 
@@ -35,8 +35,8 @@ MAX_HALVINGS = 30
 STEP_TOLERANCE = 1e-8
 
 
-class Cox(Parameters):
-    """Proportional hazards of being cut, P(C ≥ u | z) = exp(−Λ0(u⁻) exp((z − z̄)β)) [Cox1972]_.
+class Cox(BaseEstimator):
+    """Proportional hazards of being cut (right-censored), P(C ≥ u | z) = exp(−Λ0(u⁻) exp((z − z̄)β)) [Cox1972]_.
 
     β maximises the partial likelihood of the cuts; a path that finishes at s leaves before those that are cut at s.
     Λ0 is Breslow's baseline [Breslow1974]_ for ``ties="breslow"``, and Efron's [Efron1977]_, which spreads the cuts of
@@ -105,16 +105,7 @@ class Cox(Parameters):
         self.ridge = ridge
 
     def fit(self, time: ArrayLike, is_finished: ArrayLike, covariates: Any = None) -> "Cox":
-        """Maximise the partial likelihood by Newton's method, with step halving.
-
-        Parameters
-        ----------
-        time
-            Observed end of each path [s], shape (n,).
-        is_finished
-            False where the path was cut, shape (n,).
-        covariates
-            One row for each path, shape (n, p): array-like, or a table, whose names are kept for messages.
+        """Maximise the partial likelihood by Newton's method, with step halving; given as in `CensoringModel.fit`.
 
         Raises
         ------
@@ -144,19 +135,7 @@ class Cox(Parameters):
         return self
 
     def survival(self, u: ArrayLike, covariates: Any = None) -> Float[np.ndarray, "..."]:
-        """Ĝ(u⁻ | z) = P(C ≥ u | z).
-
-        Parameters
-        ----------
-        u
-            Times asked about [s], any shape.
-        covariates
-            One row for each entry of the first axis of `u`, or a single row for all of `u`; columns as in the fit.
-
-        Returns
-        -------
-        Float[ndarray, "..."]
-            The left limits, in the shape of `u`.
+        """Ĝ(u⁻ | z) = P(C ≥ u | z), asked as in `CensoringModel.survival`.
 
         Raises
         ------

@@ -6,7 +6,7 @@ from jaxtyping import Float
 
 from halfseen.errors import ArgumentError
 
-# Share of the information in a direction that counts as none.
+# Proportion of the information in a direction that counts as none.
 NO_INFORMATION = 1e-10
 # A maximum that moves off takes the information with it, by a factor of about e a step; no fit comes near this.
 INFORMATION_LOST = 1e-8
@@ -68,7 +68,7 @@ def refuse_separation(
 
 
 def separation_message(name: str) -> str:
-    """Tell which coefficient has no end."""
+    """Tell which coefficient has no end: the partial likelihood is monotone in it."""
     return (
         f"covariates, {name}: its coefficient runs off to infinity, since it tells perfectly which of the paths still "
         "watched is cut next; leave it out, give ridge > 0, or use KaplanMeier"

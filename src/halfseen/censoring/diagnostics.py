@@ -1,4 +1,4 @@
-"""What a set of weights is worth: how many paths' worth of evidence it leaves, and who carries it."""
+"""What a set of weights leaves of the evidence: its effective sample size, and who carries it."""
 
 import warnings
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from halfseen.censoring.inputs import checked_truncation
 from halfseen.errors import ArgumentError, HalfseenWarning
 
-# Fewer equally weighted observations than this carry no average.
+# An effective sample size below this carries no average.
 FEWEST_EFFECTIVE = 10.0
 
 
@@ -30,7 +30,7 @@ class WeightDiagnostics:
     largest_at
         Its index, one integer an axis; None where nothing was seen.
     share_truncated
-        Share of Σ w that stands on weights at the bound, in [0, 1].
+        Proportion of Σ w that stands on weights at the bound, in [0, 1].
     """
 
     num_weights: int
@@ -45,8 +45,8 @@ class WeightDiagnostics:
             return f"None of {self.num_weights} were seen, so there is nothing to weigh."
         truncated = f", and {self.share_truncated:.1%} of the weight is truncated" if self.share_truncated else ""
         return (
-            f"{self.num_seen} of {self.num_weights} were seen and are worth {self.effective_sample_size:.1f} equally "
-            f"weighted ones; the largest weight is {self.largest_weight:.3g}{truncated}."
+            f"{self.num_seen} of {self.num_weights} were seen, with an effective sample size of "
+            f"{self.effective_sample_size:.1f}; the largest weight is {self.largest_weight:.3g}{truncated}."
         )
 
 
@@ -88,12 +88,12 @@ def weight_diagnostics(weights: ArrayLike, truncate_at: float | int | None = Non
 
 
 def warn_if_few(diagnostics: WeightDiagnostics, stacklevel: int = 3) -> None:
-    """Warn where weights are worth fewer than ten equally weighted observations.
+    """Warn where the effective sample size is below ten.
 
     Parameters
     ----------
     diagnostics
-        What the weights are worth.
+        Summary of the weights.
     stacklevel
         As in `warnings.warn`: 2 blames the caller of this function, 3 whoever called that caller.
 

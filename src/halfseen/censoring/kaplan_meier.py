@@ -1,4 +1,4 @@
-"""Kaplan–Meier for the time of the cut, with completions before cuts at equal times (design, §2).
+"""Kaplan–Meier for the censoring time C, with completions before cuts at equal times (design, §2).
 
 ========  ========================================================
 symbol    here
@@ -14,15 +14,15 @@ s         ``times_``: the distinct times at which paths were cut [s]
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
+from sklearn.base import BaseEstimator
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.censoring.inputs import checked_ends, checked_times
-from halfseen.censoring.parameters import Parameters
 from halfseen.errors import ArgumentError
 
 
-class KaplanMeier(Parameters):
-    """Product-limit estimate of how long paths are watched, the same for all paths.
+class KaplanMeier(BaseEstimator):
+    """Product-limit estimate of the survival function of the censoring time, the same for all paths.
 
     Ĝ(u⁻) = Π_{s<u} (1 − cuts(s) / (at_risk(s) − finished(s))), where a path that finishes at s leaves before those that
     are cut at s [KaplanMeier1958]_. Beyond the last observed end Ĝ keeps its last value: 0 when the last paths were
@@ -56,16 +56,7 @@ class KaplanMeier(Parameters):
     last_time_: float
 
     def fit(self, time: ArrayLike, is_finished: ArrayLike, covariates: object = None) -> "KaplanMeier":
-        """Fit the curve.
-
-        Parameters
-        ----------
-        time
-            Observed end of each path [s], shape (n,).
-        is_finished
-            False where the path was cut, shape (n,).
-        covariates
-            None: the curve is the same for all paths, and a covariate that changes nothing would be a false promise.
+        """Fit the curve, given as in `CensoringModel.fit`; a covariate that changes nothing would be a false promise.
 
         Raises
         ------
@@ -81,19 +72,7 @@ class KaplanMeier(Parameters):
         return self
 
     def survival(self, u: ArrayLike, covariates: object = None) -> Float[np.ndarray, "..."]:
-        """Ĝ(u⁻) = P(C ≥ u).
-
-        Parameters
-        ----------
-        u
-            Times asked about [s], any shape.
-        covariates
-            None.
-
-        Returns
-        -------
-        Float[ndarray, "..."]
-            The left limits, in the shape of `u`.
+        """Ĝ(u⁻) = P(C ≥ u), asked as in `CensoringModel.survival`.
 
         Raises
         ------

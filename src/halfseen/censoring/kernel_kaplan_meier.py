@@ -1,4 +1,4 @@
-"""Kaplan–Meier in a neighbourhood: the local product-limit estimate of the time of the cut (design, §2).
+"""Kaplan–Meier in a neighbourhood: Beran's conditional product-limit estimate for the censoring time C (design, §2).
 
 ========  ==============================================================================================
 symbol    here
@@ -17,16 +17,16 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
+from sklearn.base import BaseEstimator
 
 from halfseen.censoring.bandwidth import BANDWIDTHS, cross_validated
 from halfseen.censoring.covariates import checked_covariates, checked_question, refuse_constant
 from halfseen.censoring.inputs import checked_ends
 from halfseen.censoring.local_curve import KERNELS, LocalCurve
-from halfseen.censoring.parameters import Parameters
 from halfseen.errors import ArgumentError, PositivityError
 
 
-class KernelKaplanMeier(Parameters):
+class KernelKaplanMeier(BaseEstimator):
     """Product-limit estimate among the paths that are like the one asked about [Beran1981]_.
 
     A path that finishes at s leaves before those that are cut at s. As the bandwidth grows, Ĝ becomes `KaplanMeier`'s;
@@ -97,16 +97,7 @@ class KernelKaplanMeier(Parameters):
         self.random_state = random_state
 
     def fit(self, time: ArrayLike, is_finished: ArrayLike, covariates: Any = None) -> "KernelKaplanMeier":
-        """Keep the paths, and choose the bandwidth.
-
-        Parameters
-        ----------
-        time
-            Observed end of each path [s], shape (n,).
-        is_finished
-            False where the path was cut, shape (n,).
-        covariates
-            One row for each path, shape (n, p): array-like, or a table, whose names are kept for messages.
+        """Keep the paths, and choose the bandwidth; given as in `CensoringModel.fit`.
 
         Raises
         ------
@@ -131,19 +122,7 @@ class KernelKaplanMeier(Parameters):
         return self
 
     def survival(self, u: ArrayLike, covariates: Any = None) -> Float[np.ndarray, "..."]:
-        """Ĝ(u⁻ | z) = P(C ≥ u | z).
-
-        Parameters
-        ----------
-        u
-            Times asked about [s], any shape.
-        covariates
-            One row for each entry of the first axis of `u`, or a single row for all of `u`; columns as in the fit.
-
-        Returns
-        -------
-        Float[ndarray, "..."]
-            The left limits, in the shape of `u`.
+        """Ĝ(u⁻ | z) = P(C ≥ u | z), asked as in `CensoringModel.survival`.
 
         Raises
         ------

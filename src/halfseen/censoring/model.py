@@ -1,4 +1,4 @@
-"""What a censoring model is: anything that, once fitted to the ends of paths, tells P(C ≥ u | z)."""
+"""What a censoring model is: anything that, once fitted to the ends of trajectories (paths), tells P(C ≥ u | z)."""
 
 from typing import Any, Protocol, runtime_checkable
 
@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike
 
 @runtime_checkable
 class CensoringModel(Protocol):
-    """Estimates how long a path is watched before something outside the task cuts it.
+    """Estimates the distribution of C, the time at which something outside the task cuts (right-censors) a path.
 
-    The cut time C is itself censored, by the path's own end. At equal times completions come before cuts.
+    C is itself right-censored, by the path's own end. At equal times completions come before cuts.
 
     A model that was fitted has an attribute whose name ends in ``_``, as in scikit-learn; one without is fitted, on a
     copy, by whoever needs it. A model that conditions on covariates says ``uses_covariates = True``; one that does not
@@ -19,9 +19,33 @@ class CensoringModel(Protocol):
     """
 
     def fit(self, time: ArrayLike, is_finished: ArrayLike, covariates: Any = None) -> "CensoringModel":
-        """Fit to the observed ends of paths `time` [s], shape (n,), False in `is_finished` where a path was cut."""
+        """Fit to the observed ends of paths.
+
+        Parameters
+        ----------
+        time
+            Observed end of each path [s], finite and positive, shape (n,).
+        is_finished
+            False where the path was cut, shape (n,).
+        covariates
+            What the model conditions on, one row for each path, shape (n, p): array-like, or a table, whose names are
+            kept for messages. None for a model that conditions on nothing.
+        """
         ...
 
     def survival(self, u: ArrayLike, covariates: Any = None) -> Float[np.ndarray, "..."]:
-        """Ĝ(u⁻ | z) = P(C ≥ u | z), the left limit, at the times `u` [s]; `covariates` has one row for each of `u`."""
+        """Ĝ(u⁻ | z) = P(C ≥ u | z), the left limit.
+
+        Parameters
+        ----------
+        u
+            Times asked about [s], any shape.
+        covariates
+            One row for each entry of the first axis of `u`, or a single row for all of `u`; columns as in the fit.
+
+        Returns
+        -------
+        Float[ndarray, "..."]
+            The left limits, in the shape of `u`.
+        """
         ...

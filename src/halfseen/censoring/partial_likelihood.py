@@ -1,16 +1,16 @@
-"""Cox's partial likelihood of the cuts, with its slope and curvature, for paths sorted once.
+"""Cox's partial likelihood of the cuts, with its gradient and information, for paths sorted once.
 
 A path that finishes at s leaves before those that are cut at s. So in the order of the time, finishes first, those
-still watched at a cut time are the paths from its first cut on, and every sum over them is a suffix sum.
+at risk at a cut time are the paths from its first cut on, and every sum over them is a suffix sum.
 
 ========  ==============================================================================================
 symbol    here
 ========  ==============================================================================================
 s_k       ``times``: the distinct times at which paths were cut [s]
-R_k       still watched at s_k: the rows from ``first[k]`` on
+R_k       the risk set at s_k: the rows from ``first[k]`` on
 D_k       cut at s_k: the ``num_cuts[k]`` rows from ``first[k]`` on
 r_i       relative risk exp(z_i β)
-φ_j       share of the risk of D_k that has left before the j-th cut: 0 for Breslow, (place in D_k)/|D_k| for Efron
+φ_j       proportion of the risk of D_k that has left before the j-th cut: 0 for Breslow, (place in D_k)/|D_k| for Efron
 D_j       ``at_risk``: Σ_{R_k} r − φ_j Σ_{D_k} r, one for each cut j
 ========  ==============================================================================================
 """
@@ -79,9 +79,9 @@ class PartialLikelihood:
     value
         Its logarithm.
     gradient
-        Its slope.
+        Its gradient, the score.
     information
-        Minus its curvature, positive semi-definite.
+        Minus its Hessian, the observed information: positive semidefinite.
     hazard
         Step of the baseline cumulative hazard at each cut time: Σ_j 1/D_j over the cuts there.
     """
@@ -119,15 +119,15 @@ def partial_likelihood(
     risk = np.exp(scores - shift)
     cuts, group = paths.cuts, paths.group
     at_risk = _suffix_sums(risk)[paths.first][group]
-    at_risk_slope = _suffix_sums(risk[:, None] * covariates)[paths.first][group]
+    at_risk_gradient = _suffix_sums(risk[:, None] * covariates)[paths.first][group]
     phi = paths.place / paths.num_cuts[group] if is_efron else np.zeros(len(cuts))
     if is_efron:
         at_risk = at_risk - phi * _group_sums(risk[cuts], paths)[group]
-        cut_slope = _group_sums(risk[cuts, None] * covariates[cuts], paths)[group]
-        at_risk_slope = at_risk_slope - phi[:, None] * cut_slope
+        cut_gradient = _group_sums(risk[cuts, None] * covariates[cuts], paths)[group]
+        at_risk_gradient = at_risk_gradient - phi[:, None] * cut_gradient
     if at_risk.min() < SMALLEST_RISK:
         return _nowhere(len(beta), len(paths.times))
-    mean = at_risk_slope / at_risk[:, None]
+    mean = at_risk_gradient / at_risk[:, None]
     hazard = _group_sums(1.0 / at_risk, paths)
     steps = np.zeros(len(risk))
     steps[paths.first] = hazard

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from halfseen.censoring.diagnostics import FEWEST_EFFECTIVE
-from halfseen.censoring.positivity import PositivityReport
+from halfseen.censoring.positivity_facts import PositivityFacts
 from halfseen.censoring.positivity_text import verdict
 
 INK, FAINT, TAIL_COLOUR = "#222222", "#8a8a8a", "#f3e3d3"
@@ -18,48 +18,48 @@ WEIGHT_COLOUR, CUT_COLOUR = "#0072B2", "#D55E00"
 SIZE_INCHES = (12.0, 4.2)
 
 
-def draw(report: PositivityReport) -> Figure:
+def draw(facts: PositivityFacts) -> Figure:
     """Draw three panels: weights over time, the mean against the bound, and the effective size against the bound."""
     figure = Figure(figsize=SIZE_INCHES, layout="constrained")
     FigureCanvasAgg(figure)
-    figure.suptitle(verdict(report), x=0.01, ha="left", fontsize=11.5, fontweight="bold", color=INK)
-    weights, mean, worth = figure.subplots(1, 3, width_ratios=[1.5, 1.0, 1.0])
-    _draw_weights(weights, report)
+    figure.suptitle(verdict(facts), x=0.01, ha="left", fontsize=11.5, fontweight="bold", color=INK)
+    weights, mean, sizes = figure.subplots(1, 3, width_ratios=[1.5, 1.0, 1.0])
+    _draw_weights(weights, facts)
     figure.legend(loc="outside lower left", ncols=4, fontsize=8.5, frameon=False)
-    _draw_means(mean, report)
-    _draw_worth(worth, report)
-    for axes in (weights, mean, worth):
+    _draw_means(mean, facts)
+    _draw_size(sizes, facts)
+    for axes in (weights, mean, sizes):
         axes.spines[["top", "right"]].set_visible(False)
         axes.tick_params(labelsize=8.5)
     return figure
 
 
-def _draw_weights(axes: Axes, report: PositivityReport) -> None:
+def _draw_weights(axes: Axes, facts: PositivityFacts) -> None:
     """Draw each finish at its weight, and each cut below."""
-    is_finite = np.isfinite(report.weights)
-    time_s, weight = report.finish_s[is_finite], report.weights[is_finite]
-    if report.num_finished:
-        end_s = max(report.identified_until_s, float(report.finish_s.max()))
-        if end_s > report.tail_from_s:
-            axes.axvspan(report.tail_from_s, end_s, color=TAIL_COLOUR, lw=0, label="last quarter of the finishes")
+    is_finite = np.isfinite(facts.weights)
+    time_s, weight = facts.finish_s[is_finite], facts.weights[is_finite]
+    if facts.num_finished:
+        end_s = max(facts.identified_until_s, float(facts.finish_s.max()))
+        if end_s > facts.tail_from_s:
+            axes.axvspan(facts.tail_from_s, end_s, color=TAIL_COLOUR, lw=0, label="last quarter of the finishes")
         axes.plot(time_s, weight, "o", ms=4, mew=0, alpha=0.6, color=WEIGHT_COLOUR, label="finished, at its weight")
     if len(weight) and weight.max() > 10:
         axes.set_yscale("log")
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     # Below the smallest weight, which is 1, there is room for the cuts.
     low = 0.75
-    if len(report.cut_s):
-        axes.plot(report.cut_s, np.full(len(report.cut_s), low), "|", ms=7, mew=0.8, color=CUT_COLOUR, label="cut")
-    gone = report.finish_s[~is_finite]
+    if len(facts.cut_s):
+        axes.plot(facts.cut_s, np.full(len(facts.cut_s), low), "|", ms=7, mew=0.8, color=CUT_COLOUR, label="cut")
+    gone = facts.finish_s[~is_finite]
     if len(gone):
         top = axes.get_ylim()[1]
         axes.plot(gone, np.full(len(gone), top), "x", ms=6, color=INK, clip_on=False, label="finished, no weight")
-    axes.axvline(report.identified_until_s, color=INK, lw=1.0, ls=(0, (4, 3)))
+    axes.axvline(facts.identified_until_s, color=INK, lw=1.0, ls=(0, (4, 3)))
     axes.margins(x=0.04, y=0.08)
     if len(weight) == 0 or weight.max() == 1:
         axes.set_ylim(0.7, 1.5)
-    if report.heaviest and report.heaviest[0].weight > 1:
-        heavy = report.heaviest[0]
+    if facts.heaviest and facts.heaviest[0].weight > 1:
+        heavy = facts.heaviest[0]
         is_late = heavy.time_s > np.mean(axes.get_xlim())
         axes.annotate(
             f"path {heavy.path}: {heavy.weight:.3g}",
@@ -72,19 +72,19 @@ def _draw_weights(axes: Axes, report: PositivityReport) -> None:
         )
     axes.set_xlabel("time [s]; dashed: last time that anything is known of")
     axes.set_ylabel("weight, 1/Ĝ")
-    _title(axes, _weights_title(report), width=66)
+    _title(axes, _weights_title(facts), width=66)
 
 
-def _draw_means(axes: Axes, report: PositivityReport) -> None:
-    rows = report.truncations
+def _draw_means(axes: Axes, facts: PositivityFacts) -> None:
+    rows = facts.truncations
     if not rows:
         _leave_empty(axes, "no path finished")
         return
-    bounds, means = _bounds(report), [row.mean for row in rows]
+    bounds, means = _bounds(facts), [row.mean for row in rows]
     axes.axhline(means[0], color=FAINT, lw=0.9)
     axes.plot(bounds, means, "o-", ms=5, color=WEIGHT_COLOUR)
     _bound_axis(axes, bounds)
-    axes.set_ylabel(f"weighted mean {report.quantity}")
+    axes.set_ylabel(f"weighted mean {facts.quantity}")
     first, last = rows[0].mean, rows[-1].mean
     if len(rows) == 1:
         _title(axes, f"All weigh the same, and put the mean at {first:.4g}", width=40)
@@ -93,15 +93,15 @@ def _draw_means(axes: Axes, report: PositivityReport) -> None:
     _title(axes, f"{begin} put the mean at {first:.4g}, equal weights at {last:.4g}", width=40)
 
 
-def _draw_worth(axes: Axes, report: PositivityReport) -> None:
-    rows = report.truncations
+def _draw_size(axes: Axes, facts: PositivityFacts) -> None:
+    rows = facts.truncations
     if not rows:
         _leave_empty(axes, "no path finished")
         return
-    bounds, worth = _bounds(report), [row.effective_sample_size for row in rows]
+    bounds, sizes = _bounds(facts), [row.effective_sample_size for row in rows]
     axes.axhline(FEWEST_EFFECTIVE, color=CUT_COLOUR, lw=0.9)
-    axes.plot(bounds, worth, "o-", ms=5, color=WEIGHT_COLOUR)
-    for bound, size, row in zip(bounds, worth, rows, strict=True):
+    axes.plot(bounds, sizes, "o-", ms=5, color=WEIGHT_COLOUR)
+    for bound, size, row in zip(bounds, sizes, rows, strict=True):
         if row.share_removed is None:
             continue
         axes.annotate(
@@ -112,17 +112,17 @@ def _draw_worth(axes: Axes, report: PositivityReport) -> None:
             ha="left",
             fontsize=8,
         )
-    axes.set_ylim(0, 1.15 * max(*worth, FEWEST_EFFECTIVE, report.num_finished))
+    axes.set_ylim(0, 1.15 * max(*sizes, FEWEST_EFFECTIVE, facts.num_finished))
     axes.text(bounds[-1], FEWEST_EFFECTIVE, "below 10: too few", ha="left", va="bottom", fontsize=8, color=CUT_COLOUR)
     _bound_axis(axes, bounds)
     axes.set_ylabel("effective sample size [paths]")
-    _title(axes, "What the finishes are worth; in per cent, the weight that the bound takes away", width=42)
+    _title(axes, "Effective sample size of the finishes; in per cent, the weight that the bound takes away", width=42)
 
 
-def _bounds(report: PositivityReport) -> list[float]:
+def _bounds(facts: PositivityFacts) -> list[float]:
     """Where on the axis each truncation stands: no bound stands at the largest weight, where it begins to bite."""
-    largest = report.heaviest[0].weight if report.heaviest else 1.0
-    return [largest if row.truncate_at is None else row.truncate_at for row in report.truncations]
+    largest = facts.heaviest[0].weight if facts.heaviest else 1.0
+    return [largest if row.truncate_at is None else row.truncate_at for row in facts.truncations]
 
 
 def _bound_axis(axes: Axes, bounds: list[float]) -> None:
@@ -135,15 +135,15 @@ def _bound_axis(axes: Axes, bounds: list[float]) -> None:
     axes.set_xlabel("largest weight allowed (log scale)")
 
 
-def _weights_title(report: PositivityReport) -> str:
-    if not report.heaviest:
-        return f"{report.num_paths} paths, of which none has a weight"
-    shown = f"{report.num_finished} of {report.num_paths} paths finished"
-    if report.heaviest[0].weight == 1:
+def _weights_title(facts: PositivityFacts) -> str:
+    if not facts.heaviest:
+        return f"{facts.num_paths} paths, of which none has a weight"
+    shown = f"{facts.num_finished} of {facts.num_paths} paths finished"
+    if facts.heaviest[0].weight == 1:
         return f"{shown}, and all weigh 1"
-    mass = report.weights[np.isfinite(report.weights)]
-    share = sum(heavy.weight for heavy in report.heaviest) / mass.sum()
-    few = "the heaviest" if len(report.heaviest) == 1 else f"the heaviest {len(report.heaviest)}"
+    mass = facts.weights[np.isfinite(facts.weights)]
+    share = sum(heavy.weight for heavy in facts.heaviest) / mass.sum()
+    few = "the heaviest" if len(facts.heaviest) == 1 else f"the heaviest {len(facts.heaviest)}"
     return f"{shown}; {few} carry {share:.0%} of the weight"
 
 

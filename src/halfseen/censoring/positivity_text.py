@@ -1,88 +1,83 @@
 """The positivity report in words: the verdict first, then what it rests on."""
 
 from halfseen.censoring.diagnostics import FEWEST_EFFECTIVE
-from halfseen.censoring.positivity import PositivityReport, Truncation, WeightedPath
+from halfseen.censoring.positivity_facts import PositivityFacts, Truncation, WeightedPath
 
 
-def text(report: PositivityReport) -> str:
+def text(facts: PositivityFacts) -> str:
     """Write a few plain sentences and a table of truncations."""
-    sentences = [verdict(report), remedy(report)]
-    if report.num_finished:
-        sentences += [_worth(report), _heaviest(report.heaviest)]
-    sentences += [_until(report), _mean_weight(report)]
-    return "\n".join([sentence for sentence in sentences if sentence] + _table(report))
+    sentences = [verdict(facts), remedy(facts)]
+    if facts.num_finished:
+        sentences += [_size(facts), _heaviest(facts.heaviest)]
+    sentences += [_until(facts), _mean_weight(facts)]
+    return "\n".join([sentence for sentence in sentences if sentence] + _table(facts))
 
 
-def verdict(report: PositivityReport) -> str:
+def verdict(facts: PositivityFacts) -> str:
     """Say in one sentence whether the weights can be trusted."""
-    worth, tail = report.overall.effective_sample_size, report.tail
-    if report.num_finished == 0:
-        every = "the only path was" if report.num_paths == 1 else f"all {report.num_paths} paths were"
+    size, tail = facts.overall.effective_sample_size, facts.tail
+    if facts.num_finished == 0:
+        every = "the only path was" if facts.num_paths == 1 else f"all {facts.num_paths} paths were"
         return f"Nothing to weigh: {every} cut."
-    if has_gap(report):
-        first = min(report.unidentified, key=lambda path: path.time_s)
+    if facts.has_gap:
+        first = min(facts.unidentified, key=lambda path: path.time_s)
         return (
-            f"Not identified: {_number(len(report.unidentified), 'path')} finished where no path is left uncut "
+            f"Not identified: {_number(len(facts.unidentified), 'path')} finished where no path is left uncut "
             f"(Ĝ = 0), first path {first.path} at {first.time_s:.4g} s."
         )
-    finishes = "1 finish is" if report.num_finished == 1 else f"{report.num_finished} finishes are"
-    if worth < FEWEST_EFFECTIVE:
-        return f"Too little: {finishes} worth {worth:.1f} equally weighted ones."
-    if report.is_thin:
+    finishes = "1 finish has" if facts.num_finished == 1 else f"{facts.num_finished} finishes have"
+    finishes += f" an effective sample size of {size:.1f}"
+    if size < FEWEST_EFFECTIVE:
+        return f"Too little: {finishes}."
+    if facts.is_thin:
         return (
-            f"Thin at the end: {finishes} worth {worth:.1f} equally weighted ones, but the last "
-            f"{tail.num_seen}, from {report.tail_from_s:.4g} s on, only {tail.effective_sample_size:.1f}."
+            f"Thin at the end: {finishes}, but the last "
+            f"{tail.num_seen}, from {facts.tail_from_s:.4g} s on, only {tail.effective_sample_size:.1f}."
         )
-    if report.is_off:
-        return (
-            f"Incomplete: {finishes} worth {worth:.1f} equally weighted ones, but stand for {report.mean_weight:.0%} "
-            "of the paths, not for all."
-        )
-    return f"Sound: {finishes} worth {worth:.1f} equally weighted ones."
+    if facts.is_off:
+        return f"Incomplete: {finishes}, but stand for {facts.mean_weight:.0%} of the paths, not for all."
+    return f"Sound: {finishes}."
 
 
-def remedy(report: PositivityReport) -> str:
+def remedy(facts: PositivityFacts) -> str:
     """Say what to do about it; empty where nothing needs to be done."""
-    if report.num_finished == 0:
+    if facts.num_finished == 0:
         return "Record until some paths finish, or shorten the horizon so that reaching it counts as finished."
-    if has_gap(report):
+    if facts.has_gap:
         return (
-            f"Shorten the horizon so that it ends before {report.identified_until_s:.4g} s, fit the model to paths "
+            f"Shorten the horizon so that it ends before {facts.identified_until_s:.4g} s, fit the model to paths "
             "that were watched longer, or truncate the weights knowingly with truncate_at=…."
         )
-    worth = report.overall.effective_sample_size
-    if worth >= FEWEST_EFFECTIVE and not report.is_thin:
-        return _completion(report) if report.is_off else ""
-    if worth > 0.9 * report.num_finished:
+    size = facts.overall.effective_sample_size
+    if size >= FEWEST_EFFECTIVE and not facts.is_thin:
+        return _completion(facts) if facts.is_off else ""
+    if size > 0.9 * facts.num_finished:
         return "Record more paths; the weights are not what makes them few."
     return (
-        f"Record more paths, shorten the horizon to before {report.tail_from_s:.4g} s, or truncate the weights "
+        f"Record more paths, shorten the horizon to before {facts.tail_from_s:.4g} s, or truncate the weights "
         "knowingly with truncate_at=…; the table shows what that changes."
     )
 
 
-def _completion(report: PositivityReport) -> str:
-    if report.mean_weight > 1.0:
+def _completion(facts: PositivityFacts) -> str:
+    if facts.mean_weight > 1.0:
         return "The model takes cuts for likelier than they were; try another."
     return (
-        f"Either the rest finish after {report.identified_until_s:.4g} s: restrict times to an earlier one (a path "
+        f"Either the rest finish after {facts.identified_until_s:.4g} s: restrict times to an earlier one (a path "
         "that outlives it then counts as seen). Or the model takes cuts for rarer than they were: try another."
     )
 
 
-def has_gap(report: PositivityReport) -> bool:
-    """Tell whether some finish is left without a weight."""
-    return bool(report.unidentified) and report.truncate_at is None
-
-
-def _worth(report: PositivityReport) -> str:
-    overall, tail = report.overall, report.tail
-    if has_gap(report):
-        return f"The {overall.num_seen} that have a weight are worth {overall.effective_sample_size:.1f}."
-    truncated = f"; {overall.share_truncated:.1%} of the weight is truncated" if report.truncate_at is not None else ""
+def _size(facts: PositivityFacts) -> str:
+    overall, tail = facts.overall, facts.tail
+    if facts.has_gap:
+        size = overall.effective_sample_size
+        return f"The {overall.num_seen} that have a weight have an effective sample size of {size:.1f}."
+    truncated = f"; {overall.share_truncated:.1%} of the weight is truncated" if facts.truncate_at is not None else ""
     return (
-        f"{report.num_finished} of {_number(report.num_paths, 'path')} finished; the last quarter of the finishes, "
-        f"{tail.num_seen} from {report.tail_from_s:.4g} s on, is worth {tail.effective_sample_size:.1f}{truncated}."
+        f"{facts.num_finished} of {_number(facts.num_paths, 'path')} finished; the last quarter of the finishes, "
+        f"{tail.num_seen} from {facts.tail_from_s:.4g} s on, has an effective sample size of "
+        f"{tail.effective_sample_size:.1f}{truncated}."
     )
 
 
@@ -91,28 +86,28 @@ def _heaviest(heaviest: tuple[WeightedPath, ...]) -> str:
     return f"Largest weights: {named}." if heaviest else ""
 
 
-def _until(report: PositivityReport) -> str:
-    known = f"Nothing is known of finishes after {report.identified_until_s:.4g} s"
-    if report.num_extrapolated:
-        return f"{known}; {_number(report.num_extrapolated, 'path')} finished later, on the model's word alone."
-    reason = "the last path was cut then" if report.ends_in_cut else "the last path finished then"
-    return f"{known}." if report.unidentified else f"{known}: {reason}."
+def _until(facts: PositivityFacts) -> str:
+    known = f"Nothing is known of finishes after {facts.identified_until_s:.4g} s"
+    if facts.num_extrapolated:
+        return f"{known}; {_number(facts.num_extrapolated, 'path')} finished later, on the model's word alone."
+    reason = "the last path was cut then" if facts.ends_in_cut else "the last path finished then"
+    return f"{known}." if facts.unidentified else f"{known}: {reason}."
 
 
-def _mean_weight(report: PositivityReport) -> str:
-    if report.num_finished == 0 or has_gap(report):
+def _mean_weight(facts: PositivityFacts) -> str:
+    if facts.num_finished == 0 or facts.has_gap:
         return ""
-    missing = 1.0 - report.mean_weight
-    if report.ends_in_cut and missing > 0.0005 and report.truncate_at is None and not has_gap(report):
-        return f"The mean weight is {report.mean_weight:.3f}, so some {missing:.1%} of paths finish later than that."
-    return f"The mean weight is {report.mean_weight:.3f}; it is near 1 where the model is right and all can be seen."
+    missing = 1.0 - facts.mean_weight
+    if facts.ends_in_cut and missing > 0.0005 and facts.truncate_at is None and not facts.has_gap:
+        return f"The mean weight is {facts.mean_weight:.3f}, so some {missing:.1%} of paths finish later than that."
+    return f"The mean weight is {facts.mean_weight:.3f}; it is near 1 where the model is right and all can be seen."
 
 
-def _table(report: PositivityReport) -> list[str]:
-    if not report.truncations:
+def _table(facts: PositivityFacts) -> list[str]:
+    if not facts.truncations:
         return []
-    head = ("weights up to", f"mean {report.quantity}", "worth", "weight taken away")
-    rows = [head, *(_cells(row) for row in report.truncations)]
+    head = ("weights up to", f"mean {facts.quantity}", "effective size", "weight taken away")
+    rows = [head, *(_cells(row) for row in facts.truncations)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
     return ["", *("  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows)]
 

@@ -1,4 +1,4 @@
-"""Inverse-probability-of-censoring weights: w = δ / Ĝ(U⁻), for paths and their stages (design, §2; paper, eqs. 2, 3).
+"""Inverse-probability-of-censoring weights (IPCW): w = δ / Ĝ(U⁻), for paths and stages (design, §2; paper, eqs. 2, 3).
 
 A stage that was completed at U stands for all that would have been completed then, had nothing been cut
 [Robins1992]_ [GoldbergKosorok2012]_ [GoldbergKosorok2017]_.
@@ -36,7 +36,7 @@ def censoring_weights(
     is_finished
         False where the path was cut, shape (n,).
     model
-        A fitted model of the cuts; or ``"kaplan-meier"`` (None means the same), ``"cox"``, ``"kernel"`` or an unfitted
+        A fitted censoring model; or ``"kaplan-meier"`` (None means the same), ``"cox"``, ``"kernel"`` or an unfitted
         model, which is fitted to these paths on a copy.
     covariates
         What `model` conditions on, one row for each path.
@@ -88,7 +88,7 @@ def stage_weights(
     is_finished
         False where the path was cut, shape (n,).
     model
-        A fitted model of the cuts; or ``"kaplan-meier"`` (None means the same), ``"cox"``, ``"kernel"`` or an unfitted
+        A fitted censoring model; or ``"kaplan-meier"`` (None means the same), ``"cox"``, ``"kernel"`` or an unfitted
         model, which is fitted to the ends of these paths on a copy.
     truncate_at
         Largest weight allowed, ≥ 1; None truncates nothing.

@@ -51,13 +51,13 @@ def convert(source: str, target: str, seed: int, as_json: bool, clouds: Path | N
     SOURCE is a folder of logs (Parquet or CSV), a ROS bag (its folder, its .mcap, .db3 or .bag file, or a folder of
     bags), a folder of a Minari dataset, or minari:NAME-v0.
     """
-    from halfseen.errors import ArgumentError
+    from halfseen.writing import refuse_taken
 
     kind = _kind(source)
     _check_options(kind, {**options, "clouds": clouds})
     place = Path(target.removeprefix(CSV))
-    if not target.startswith(MINARI) and place.exists():
-        raise ArgumentError(f"{place}: it is there already; choose another folder, or move it away first")
+    if not target.startswith(MINARI):
+        refuse_taken(place, False, None, "logs")
     with _clouds_folder(clouds) as cloud_folder:
         logs = _read(kind, source, cloud_folder, **options)
         _write(logs, target)

@@ -1,4 +1,4 @@
-"""``halfseen inspect``: what a folder of logs holds, what its weights are worth, and what looks wrong."""
+"""``halfseen inspect``: what a folder of logs holds, how much its weights leave, and what looks wrong."""
 
 import json
 from collections.abc import Sequence
@@ -20,8 +20,8 @@ def inspect(logs: Path, as_json: bool, seed: int) -> None:
     LOGS may be finished, or what a recorder has written so far, torn by a crash or at work. What breaks no rule and
     looks wrong all the same is told first.
 
-    The effective sample size (worth) tells how many equally weighted stages would say as much as those that were seen,
-    once each stands for those that were cut.
+    The effective sample size tells how many equally weighted stages would say as much as those that were seen, once
+    each stands for those that were cut.
     """
     from halfseen.logs import read_logs
     from halfseen.report.log_findings import log_findings, positivity_of
@@ -109,8 +109,8 @@ def _stages(report: dict[str, Any]) -> list[str]:
         )
         for row, weight in zip(report["clock"], report["weights"], strict=True)
     ]
-    head = ("stage", "begun", "completed", "cut", "5 % [s]", "median [s]", "95 % [s]", "worth", "largest weight")
-    return _table(head, rows)
+    times = ("5 % [s]", "median [s]", "95 % [s]")
+    return _table(("stage", "begun", "completed", "cut", *times, "effective size", "largest weight"), rows)
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:

@@ -1,10 +1,12 @@
-"""What was recorded: stages, endings and their causes; checked once, kept on disk.
+"""What was recorded: trajectories, their stages, endings and causes; checked once, kept on disk.
+
+A *path* is a trajectory: one episode. It ends *finished*, or *cut*: right-censored by something outside the task.
 
 Read down: `frames` (what is accepted) → `refusal` (how a broken log is told) → `columns` (which columns, of which
 types) → `path_checks`, `stage_checks`, `object_checks` (the invariants) → `summary` → `journal`, `journal_tables`
 (what a recorder wrote) → `folder` (on disk) → `logs` (the record) → `reading` (whatever wrote it) → `stream` (a log
-that need not fit in memory). `recorder` writes while a robot runs; `breakdown` and `suspicions` are what `halfseen
-inspect` tells.
+that need not fit in memory). While a robot runs: `journal_values`, `path_clock` → `journal_writer` → `recorder`. What
+`halfseen inspect` tells: `breakdown`, `suspicious_units` → `suspicions`. `formats`: from and to other forms.
 """
 
 from halfseen.logs.logs import Logs

@@ -14,7 +14,7 @@ def by_cause(logs: Logs) -> list[dict[str, Any]]:
     Returns
     -------
     list of dict
-        cause, num_paths, share (of the cuts), the earliest, median and latest end [s], and the first and last stage.
+        cause, num_paths, share (proportion of the cuts), earliest, median and latest end [s], first and last stage.
     """
     cut = logs.paths[~logs.is_finished].reset_index(drop=True)
     stage: Any = pd.Series(_num_stages(logs)[~logs.is_finished])
@@ -40,8 +40,8 @@ def by_action(logs: Logs) -> list[dict[str, Any]]:
     Returns
     -------
     list of dict
-        action, num_stages, share (of the completed stages), the median duration [s], the mean reward, and the mean and
-        the smallest probability with which it was taken, None where that was not logged.
+        action, num_stages, share (a proportion of the completed stages), the median duration [s], the mean reward, and
+        the mean and the smallest probability with which it was taken, None where that was not logged.
     """
     stages: Any = logs.stages.assign(duration_s=durations_s(logs))
     stages = stages[stages["elapsed_s"].notna()]
@@ -69,15 +69,15 @@ def durations_s(logs: Logs) -> np.ndarray:
 
 
 def _action_row(action: str, taken: Any, num_completed: int) -> dict[str, Any]:
-    chance = taken["probability"] if "probability" in taken.columns else None
+    probability = taken["probability"] if "probability" in taken.columns else None
     return {
         "action": action,
         "num_stages": len(taken),
         "share": len(taken) / num_completed,
         "median_s": float(taken["duration_s"].median()),
         "mean_reward": float(taken["reward"].mean()),
-        "mean_probability": None if chance is None else float(chance.mean()),
-        "smallest_probability": None if chance is None else float(chance.min()),
+        "mean_probability": None if probability is None else float(probability.mean()),
+        "smallest_probability": None if probability is None else float(probability.min()),
     }
 
 

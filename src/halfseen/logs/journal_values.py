@@ -149,7 +149,7 @@ def checked_number(value: Any, what: str, where: str, remedy: str) -> float:
 
 
 def _probability(value: Any, where: str) -> float:
-    remedy = "give the chance in (0, 1] with which the action was chosen, or leave it out everywhere"
+    remedy = "give the probability in (0, 1] with which the action was chosen, or leave it out everywhere"
     probability = checked_number(value, "probability", where, remedy)
     if not 0 < probability <= 1:
         raise LogError(f"{where}: probability is {probability}; {remedy}")

@@ -1,4 +1,4 @@
-"""The record of what happened: paths, their stages, and the objects that stood there."""
+"""The record of what happened: paths (trajectories), their stages, and the objects that stood there."""
 
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from halfseen.logs.summary import LogsSummary, summarise
 
 
 class Logs:
-    """Paths of a robot, each finished or cut, checked once when it is made.
+    """Trajectories of a robot (*paths*, one an episode), each finished or cut, checked once when the log is made.
 
     The tables are copied and sorted; do not change them in place. What they must satisfy is in `path_checks`,
     `stage_checks` and `object_checks`.
@@ -122,7 +122,7 @@ class Logs:
 
     @property
     def cut_share(self) -> float:
-        """Share of the paths that were cut, in [0, 1]."""
+        """Proportion of the paths that were cut, in [0, 1]."""
         return float(np.mean(~self.is_finished))
 
     @property

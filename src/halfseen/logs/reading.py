@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from halfseen.errors import LogError
 from halfseen.logs.folder import MANIFEST, read_tables
 from halfseen.logs.logs import Logs
+from halfseen.logs.refusal import within
 
 
 def read_logs(folder: str | Path) -> Logs:
@@ -30,7 +30,5 @@ def read_logs(folder: str | Path) -> Logs:
 
         return read_csv(folder)
     tables = read_tables(folder)
-    try:
+    with within(folder):
         return Logs(**tables)
-    except LogError as error:
-        raise LogError(f"{folder}: {error}") from error

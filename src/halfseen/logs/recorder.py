@@ -1,11 +1,11 @@
-"""Recording paths as they happen, so that a kill at any moment loses at most the stage in progress.
+"""Recording paths (trajectories) as they happen, so that a kill at any moment loses at most the stage in progress.
 
 ::
 
     with LogRecorder("logs") as recorder:
         path = recorder.begin_path(scene="cell 3")
         while not is_over:
-            path.begin_stage(covariates=seen, action=action, probability=chance)
+            path.begin_stage(covariates=seen, action=action, probability=probability)
             ...                                      # the robot acts
             path.complete_stage(reward=1.0)
         path.finish()                                # or path.cut("operator")
@@ -14,8 +14,6 @@
 told as cut by ``crash`` at the last time at which it was known to run; `journal_tables` says how, and why that is fair.
 """
 
-import time
-from math import log
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -26,9 +24,8 @@ from halfseen.logs.folder import MANIFEST
 from halfseen.logs.journal_tables import CRASH
 from halfseen.logs.journal_values import Schema, checked_number
 from halfseen.logs.journal_writer import JournalWriter
-from halfseen.logs.path_checks import EARLIEST_DATE_S
+from halfseen.logs.path_clock import PathClock
 from halfseen.logs.refusal import shown
-from halfseen.logs.stage_checks import UNIT_TOLERANCE
 
 CAUSES = ("operator", "emergency-stop", "time-out", "battery", "sensor-lost", CRASH)
 """Usual causes of cuts; any other text will do."""
@@ -165,9 +162,7 @@ class PathRecorder:
         self._stage = 0
         self._is_in_stage = False
         self._has_action = False
-        self._is_clock_given: bool | None = None
-        self._began_s = 0.0
-        self._clock_s = 0.0
+        self._clock = PathClock()
         self._noted_s = 0.0
         self._completed_s = 0.0
 
@@ -194,7 +189,7 @@ class PathRecorder:
         object
             What it is done to, if anything.
         probability
-            The chance in (0, 1] with which the policy chose it; always or never.
+            The probability in (0, 1] with which the policy chose it; always or never.
 
         Raises
         ------
@@ -209,16 +204,15 @@ class PathRecorder:
         chosen = {"action": action, "object": object, "probability": probability}
         schema, seen = schema.with_stage(covariates or {}, objects, chosen, where)
         event: dict[str, Any] = {"event": "stage", "path": self.name, "stage": self._stage + 1}
-        began_s = time.monotonic()
         if self._stage == 0:
-            self._began_s = began_s
+            self._clock.start()
             event |= {"at_s": 0.0, "columns": self._columns}
-        elif not self._is_clock_given:
-            event["at_s"] = self._now()
+        elif not self._clock.is_given:
+            event["at_s"] = self._clock.read_s()
         self._recorder._write(event | seen, schema)
         self._stage += 1
         self._is_in_stage, self._has_action = True, action is not None
-        self._clock_s = self._noted_s = event.get("at_s", self._clock_s)
+        self._clock.at_s = self._noted_s = event.get("at_s", self._clock.at_s)
 
     def complete_stage(self, reward: Any, *, elapsed_s: Any = None) -> None:
         """Complete the stage in progress.
@@ -243,12 +237,12 @@ class PathRecorder:
         if not self._has_action:
             raise LogError(f"{where}: it began without an action; a stage without one can only be cut")
         earned = checked_number(reward, "reward", where, "give the finite reward that it earned")
-        at_s = self._at(elapsed_s, where, is_later=True)
+        at_s = self._clock.time_of(elapsed_s, where, is_later=True)
         event = {"event": "done", "at_s": at_s, "reward": earned}
         self._recorder._write(event if elapsed_s is None else event | {"is_given": True})
         self._is_in_stage = False
         self._completed_s = at_s
-        self._commit(at_s, elapsed_s)
+        self._clock.advance(at_s, elapsed_s)
 
     def still_running(self, *, elapsed_s: Any = None) -> None:
         """Note that the path is in progress, at most twice a second; call it from the control loop.
@@ -259,11 +253,11 @@ class PathRecorder:
         self._check_running()
         if self._stage == 0:
             return
-        at_s = self._at(elapsed_s, self._where(self._stage), is_later=False)
+        at_s = self._clock.time_of(elapsed_s, self._where(self._stage))
         if at_s >= self._noted_s + STILL_RUNNING_EVERY_S:
             self._recorder._write({"event": "running", "at_s": at_s})
             self._noted_s = at_s
-        self._commit(at_s, elapsed_s)
+        self._clock.advance(at_s, elapsed_s)
 
     def finish(self, *, elapsed_s: Any = None) -> None:
         """End the path where the task ended: it was finished, the table is cleared, the horizon is reached.
@@ -277,7 +271,7 @@ class PathRecorder:
         if self._stage == 0 or self._is_in_stage:
             what = "it has no stage" if self._stage == 0 else f"stage {self._stage} is in progress"
             raise LogError(f"path {shown(self.name)}: {what}; complete it before finish(), or cut() the path")
-        self._check_units(elapsed_s)
+        self._clock.check_units(elapsed_s, self._completed_s, self._where(self._stage))
         self._end({"event": "finished"}, elapsed_s)
 
     def cut(self, cause: str, *, elapsed_s: Any = None) -> None:
@@ -303,50 +297,11 @@ class PathRecorder:
             raise LogError(f"path {shown(self.name)}: cause {cause!r} is no cause; say {', '.join(CAUSES)}, or why")
         self._end({"event": "cut", "cause": cause}, elapsed_s)
 
-    def _check_units(self, elapsed_s: Any) -> None:
-        """`Logs` takes an end at a power of a thousand times the last stage's clock for another unit; so do we."""
-        if elapsed_s is None or not self._is_clock_given:
-            return
-        where = self._where(self._stage)
-        at_s = self._at(elapsed_s, where, is_later=False)
-        thousands = log(at_s / self._completed_s) / log(1000.0)
-        if round(thousands) > 0 and abs(thousands - round(thousands)) < 2 * UNIT_TOLERANCE:
-            raise LogError(
-                f"{where}: elapsed_s {at_s} is {1000.0 ** round(thousands):.0e} times the {self._completed_s} of the "
-                "completed stage, as if units were mixed; give both in seconds"
-            )
-
     def _end(self, event: dict[str, Any], elapsed_s: Any) -> None:
         if self._stage:
-            where = self._where(self._stage)
-            is_known = self._is_clock_given and elapsed_s is None
-            at_s = self._clock_s if is_known else self._at(elapsed_s, where, is_later=False)
+            at_s = self._clock.end_s(elapsed_s, self._where(self._stage))
             self._recorder._write({**event, "at_s": at_s})
         self.is_ended = True
-
-    def _at(self, elapsed_s: Any, where: str, *, is_later: bool) -> float:
-        """Clock of an event [s], read or given, and checked against the last."""
-        if self._is_clock_given not in (None, elapsed_s is not None):
-            word = "missing" if elapsed_s is None else "given"
-            raise LogError(f"{where}: elapsed_s is {word}, unlike before in this path; give it always or never")
-        if elapsed_s is None:
-            return self._now()
-        remedy = "give the time since the path began [s]"
-        at_s = checked_number(elapsed_s, "elapsed_s", where, remedy)
-        if at_s < self._clock_s or (is_later and at_s == self._clock_s):
-            word = "is before" if at_s < self._clock_s else "is still"
-            raise LogError(f"{where}: elapsed_s {at_s} {word} the {self._clock_s} of the event before; {remedy}")
-        if at_s >= EARLIEST_DATE_S:
-            raise LogError(f"{where}: elapsed_s {at_s} is a date or no seconds; {remedy}")
-        return at_s
-
-    def _now(self) -> float:
-        # Nanoseconds, and never the same twice, however coarse the system's clock is.
-        return max(round(time.monotonic() - self._began_s, 9), round(self._clock_s + 1e-9, 9))
-
-    def _commit(self, at_s: float, elapsed_s: Any) -> None:
-        self._clock_s = at_s
-        self._is_clock_given = elapsed_s is not None
 
     def _check_running(self) -> None:
         if self.is_ended:

@@ -1,5 +1,7 @@
 """How a broken log is refused: where, what, the value, the remedy."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, NoReturn
 
 import numpy as np
@@ -30,3 +32,12 @@ def refuse(
 ) -> NoReturn:
     """Raise for the first row that is wrong."""
     raise LogError(f"{place(frame, int(np.argmax(wrong)), columns)}: {trouble}")
+
+
+@contextmanager
+def within(source: object) -> Iterator[None]:
+    """Put the folder or file that a log comes from before what is wrong with it."""
+    try:
+        yield
+    except LogError as error:
+        raise LogError(f"{source}: {error}") from error

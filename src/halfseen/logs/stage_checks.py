@@ -191,8 +191,7 @@ def _check_units(stages: pd.DataFrame, layout: Layout, clock: np.ndarray, ends: 
     """Refuse a path whose end is exactly a thousand, or a power of it, times its last stage's clock."""
     with np.errstate(invalid="ignore"):
         thousands = np.log(ends / clock) / np.log(1000.0)
-    is_power = (np.abs(thousands - np.round(thousands)) < UNIT_TOLERANCE) & (np.round(thousands) > 0)
-    mixed = layout.is_last & is_power
+    mixed = layout.is_last & (np.abs(thousands - np.round(thousands)) < UNIT_TOLERANCE) & (np.round(thousands) > 0)
     if mixed.any():
         row = int(np.argmax(mixed))
         times = f"{1000.0 ** np.round(thousands[row]):.0e}"

@@ -15,7 +15,7 @@ from halfseen.logs.folder import MANIFEST, opened_table, read_manifest, write_ma
 from halfseen.logs.frames import as_frame
 from halfseen.logs.logs import Logs
 from halfseen.logs.path_checks import checked_paths
-from halfseen.logs.refusal import shown
+from halfseen.logs.refusal import shown, within
 from halfseen.writing import placed
 
 PATHS_AT_ONCE = 2_000
@@ -52,10 +52,8 @@ class LogStream:
         self.paths_at_once = paths_at_once
         self._rows = read_manifest(self.folder)
         paths = opened_table(self.folder, "paths", self._rows["paths"]).read()
-        try:
+        with within(folder):
             self._paths = checked_paths(as_frame("paths", paths))
-        except LogError as error:
-            raise LogError(f"{folder}: {error}") from error
 
     @property
     def paths(self) -> pd.DataFrame:
@@ -84,10 +82,9 @@ class LogStream:
         for start in range(0, self.num_paths, self.paths_at_once):
             part = self._paths.iloc[start : start + self.paths_at_once]
             tables: dict[str, Any] = {name: reader.upto(part["path"]) for name, reader in readers.items()}
-            try:
-                yield Logs(paths=part, **tables)
-            except LogError as error:
-                raise LogError(f"{self.folder}: {error}") from error
+            with within(self.folder):
+                logs = Logs(paths=part, **tables)
+            yield logs
         for reader in readers.values():
             reader.refuse_leftover()
 

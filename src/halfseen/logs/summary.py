@@ -17,7 +17,7 @@ class LogsSummary:
     num_paths, num_finished, num_cut
         Paths, and how they ended.
     cut_share
-        Share of the paths that were cut, in [0, 1].
+        Proportion of the paths that were cut, in [0, 1].
     causes
         Number of paths for each cause of a cut, the most frequent first.
     num_stages, num_completed

@@ -14,6 +14,7 @@ from jaxtyping import Float, Shaped
 
 from halfseen.arrays import Image, Intrinsics, Points
 from halfseen.errors import CloudError
+from halfseen.writing import write_file
 
 # Comment of a PCD header that carries the pinhole camera [px]: PCD has no field for it, and readers skip comments.
 INTRINSICS_COMMENT = "# intrinsics"
@@ -268,11 +269,11 @@ def write_pcd(cloud: Cloud, path: str | os.PathLike[str]) -> None:
     cloud
         What to write. If organised, the file keeps its width and height; the intrinsics go into a header comment.
     path
-        Where to; it appears whole or not at all.
+        Where to; it appears whole or not at all, and missing parents are made.
 
     Raises
     ------
-    CloudError
+    ArgumentError
         The file cannot be written there.
     """
     from pypcd4.pypcd4 import Encoding, PointCloud
@@ -281,18 +282,10 @@ def write_pcd(cloud: Cloud, path: str | os.PathLike[str]) -> None:
     num_rows, num_columns = cloud.shape or (1, len(cloud.points_m))
     viewpoint = (*cloud.eye_m.tolist(), 1.0, 0.0, 0.0, 0.0)
     parsed.metadata = parsed.metadata.derive(width=num_columns, height=num_rows, viewpoint=viewpoint)
-    path = Path(path)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     # Into memory first: pypcd4 rewinds the file, over our comments, when points do not compress and stay binary.
     body = io.BytesIO()
     parsed.save(body, Encoding.BINARY_COMPRESSED)
-    try:
-        partial.write_bytes(_comments(cloud).encode() + body.getvalue())
-        partial.replace(path)
-    except OSError as error:
-        raise CloudError(f"{path}: cannot be written: {error.strerror or error}; choose another folder") from error
-    finally:
-        partial.unlink(missing_ok=True)
+    write_file(Path(path), _comments(cloud).encode() + body.getvalue())
 
 
 def _comments(cloud: Cloud) -> str:

@@ -1,14 +1,15 @@
 """A picture of a view: the depth image, the objects in colour, and arrows from who hides to who is hidden."""
 
+import io
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
-from halfseen.errors import CloudError
 from halfseen.perception.view import View, most_hidden
+from halfseen.writing import write_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -49,11 +50,11 @@ def draw(view: View, path: str | os.PathLike[str]) -> None:
     view
         What a camera sees.
     path
-        Where to; the file appears whole or not at all.
+        Where to; the file appears whole or not at all, and missing parents are made.
 
     Raises
     ------
-    CloudError
+    ArgumentError
         The file cannot be written there.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -72,7 +73,9 @@ def draw(view: View, path: str | os.PathLike[str]) -> None:
     _add_numbers(axes, view)
     figure.text(0.5, 0.985, sentence(view), ha="center", va="top", fontsize=13)
     figure.text(0.5, 0.02, _legend(view), ha="center", va="bottom", fontsize=9)
-    _save(figure, Path(path))
+    image = io.BytesIO()
+    figure.savefig(image, format="png")
+    write_file(Path(path), image.getvalue())
 
 
 def _coloured(view: View) -> Float[np.ndarray, "H W 3"]:
@@ -133,15 +136,3 @@ def _legend(view: View) -> str:
         parts.append("arrow: from what hides to what is hidden")
     parts.append("white: no return")
     return "   |   ".join(parts)
-
-
-def _save(figure: Any, path: Path) -> None:
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        figure.savefig(partial, format="png")
-        partial.replace(path)
-    except OSError as error:
-        raise CloudError(f"{path}: cannot be written: {error.strerror or error}; choose another folder") from error
-    finally:
-        if partial.exists():
-            partial.unlink()

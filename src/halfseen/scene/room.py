@@ -66,26 +66,6 @@ def lone_cup_model(cup: Cup, world_from_cup: Pose) -> mujoco.MjModel:
     return spec.compile()
 
 
-def boxes_model(centres_m: Sequence[Sequence[float]], half_sizes_m: Sequence[Sequence[float]]) -> mujoco.MjModel:
-    """Compile a world of fixed boxes, along the axes: a scene whose picture can be worked out by hand.
-
-    Parameters
-    ----------
-    centres_m, half_sizes_m
-        Centre and half edges of each box [m].
-
-    Returns
-    -------
-    mujoco.MjModel
-        Body i + 1 is box i.
-    """
-    spec = _empty_spec()
-    for centre_m, half_m in zip(centres_m, half_sizes_m, strict=True):
-        body = spec.worldbody.add_body(pos=list(centre_m))
-        body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=list(half_m))
-    return spec.compile()
-
-
 def _empty_spec() -> mujoco.MjSpec:
     spec = mujoco.MjSpec()
     spec.option.timestep = TIMESTEP_S

@@ -44,30 +44,6 @@ def settle(cups: Sequence[Cup], world_from_cup: Sequence[Pose]) -> tuple[Pose, .
     return None
 
 
-def moved_m(cups: Sequence[Cup], world_from_cup: Sequence[Pose], duration_s: float) -> float:
-    """How far the farthest-moving cup goes when physics runs on [m].
-
-    Parameters
-    ----------
-    cups, world_from_cup
-        The cups and their poses.
-    duration_s
-        How long physics runs [s].
-
-    Returns
-    -------
-    float
-        Largest distance between a cup's start and end [m].
-    """
-    model = room_model(cups, world_from_cup, is_free=True)
-    data = mujoco.MjData(model)
-    for _ in range(round(duration_s / TIMESTEP_S)):
-        mujoco.mj_step(model, data)
-    ends = [_pose_of(data, index).position_m for index in range(len(cups))]
-    starts = [pose.position_m for pose in world_from_cup]
-    return float(np.max(np.linalg.norm(np.subtract(ends, starts), axis=1)))
-
-
 def smallest_gap_m(cups: Sequence[Cup], world_from_cup: Sequence[Pose], beyond_m: float = 0.1) -> float:
     """Smallest distance between the convex hulls of any two cups [m].
 

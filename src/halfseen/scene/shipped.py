@@ -6,8 +6,7 @@ table is a JSON file beside them: cups, poses, camera, labels (as run lengths), 
 """
 
 import json
-import os
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import asdict
 from importlib.metadata import version
 from importlib.resources import files
@@ -24,6 +23,7 @@ from halfseen.scene.cups import Cup
 from halfseen.scene.poses import Pose
 from halfseen.scene.table import Table
 from halfseen.scene.truth import Truth
+from halfseen.writing import write_file
 
 # Table k and its noise are drawn with seed SEEDS[k]; picked so that the numbers of cups spread over 5 to 10.
 SEEDS = (0, 3, 7, 8, 9, 11, 12, 14, 19, 21)
@@ -96,7 +96,7 @@ def write_shipped(folder: Path, which: Iterable[int]) -> None:
 
     Raises
     ------
-    SceneError
+    ArgumentError
         A file cannot be written there.
     """
     # Only making tables needs MuJoCo; reading them does not.
@@ -106,11 +106,9 @@ def write_shipped(folder: Path, which: Iterable[int]) -> None:
     for k in which:
         table = random_table(SEEDS[_checked(k)])
         picture = capture(table, SEEDS[k])
-        path = cloud_path(folder, k)
-        _make_folder(path.parent)
-        write_pcd(within(picture.cloud, KEPT_WITHIN_M), path)
+        write_pcd(within(picture.cloud, KEPT_WITHIN_M), cloud_path(folder, k))
         content = {"made_with": versions(), "table": asdict(table), "truth": _truth_as_json(picture.truth)}
-        _write_json(content, truth_path(folder, k))
+        write_file(truth_path(folder, k), json.dumps(content, separators=(",", ":")) + "\n")
 
 
 def versions() -> dict[str, str]:
@@ -192,28 +190,6 @@ def _read_json(k: int) -> dict[str, Any]:
     if not path.is_file():
         raise SceneError(f"{path}: no such file; make it with `python -m halfseen.scene`")
     return json.loads(path.read_text(encoding="utf-8"))
-
-
-def _make_folder(folder: Path) -> None:
-    _or_scene_error(lambda: folder.mkdir(parents=True, exist_ok=True), folder)
-
-
-def _write_json(content: dict[str, Any], path: Path) -> None:
-    _make_folder(path.parent)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    text = json.dumps(content, separators=(",", ":")) + "\n"
-    try:
-        _or_scene_error(lambda: partial.write_text(text, encoding="utf-8"), path)
-        _or_scene_error(lambda: partial.replace(path), path)
-    finally:
-        partial.unlink(missing_ok=True)
-
-
-def _or_scene_error(write: Callable[[], object], path: Path) -> None:
-    try:
-        write()
-    except OSError as error:
-        raise SceneError(f"{path}: cannot be written: {error.strerror or error}; choose another folder") from error
 
 
 def _truth_as_json(truth: Truth) -> dict[str, Any]:

@@ -1,3 +1,5 @@
+from types import SimpleNamespace
+
 import pytest
 
 from halfseen.errors import ArgumentError
@@ -39,11 +41,10 @@ def test_advised_landmarks_fit_and_twice_as_many_are_too_many(num_rows, availabl
     assert too_many > min(1000, num_rows) or 8 * num_rows * too_many > available / 2
 
 
-def test_reads_what_the_machine_has(tmp_path, monkeypatch):
+def test_reads_what_the_machine_and_its_container_have(tmp_path, monkeypatch):
     assert free_bytes() > 10**6
-    meminfo, limit = tmp_path / "meminfo", tmp_path / "memory.max"
-    meminfo.write_text("MemTotal: 64 kB\nMemFree: 1 kB\nMemAvailable:   32 kB\n")
-    monkeypatch.setattr(memory, "MEMINFO", meminfo)
+    limit, machine = tmp_path / "memory.max", SimpleNamespace(available=32 * 1024)
+    monkeypatch.setattr(memory.psutil, "virtual_memory", lambda: machine)
     monkeypatch.setattr(memory, "CONTAINER_LIMIT", limit)
     assert free_bytes() == 32 * 1024
     limit.write_text("max\n")
@@ -52,16 +53,3 @@ def test_reads_what_the_machine_has(tmp_path, monkeypatch):
     assert free_bytes() == 1000
     with pytest.raises(ArgumentError, match="1 kB are free"):
         check_gram_fits(1000)
-
-
-def test_a_machine_that_does_not_tell_refuses_nothing(tmp_path, monkeypatch):
-    for name in ("MEMINFO", "CONTAINER_LIMIT"):
-        monkeypatch.setattr(memory, name, tmp_path / "none")
-    assert free_bytes() > 10**6
-
-    def unknown(name):
-        raise ValueError(name)
-
-    monkeypatch.setattr(memory.os, "sysconf", unknown)
-    assert free_bytes() is None
-    check_gram_fits(10**9)

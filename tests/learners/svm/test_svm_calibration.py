@@ -47,12 +47,12 @@ def test_values_that_speak_for_the_wrong_class_give_the_share():
     y = np.array([1.0, 1.0, 1.0, -1.0] * 10)
     sigmoid = fit_sigmoid(-y, y, np.ones(40))
     assert sigmoid.slope == 0.0
-    np.testing.assert_allclose(sigmoid.chance(np.array([-5.0, 5.0])), 0.75)
+    np.testing.assert_allclose(sigmoid.probability(np.array([-5.0, 5.0])), 0.75)
 
 
 def test_values_that_split_the_classes_give_no_certainty():
     y = np.repeat([1.0, -1.0], 10)
-    chance = fit_sigmoid(y, y, np.ones(20)).chance(np.array([1.0, -1.0]))
+    chance = fit_sigmoid(y, y, np.ones(20)).probability(np.array([1.0, -1.0]))
     assert 0.85 < chance[0] < 0.95
     assert 0.05 < chance[1] < 0.15
 

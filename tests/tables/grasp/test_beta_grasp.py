@@ -219,7 +219,7 @@ def test_what_a_cut_attempt_says_of_its_outcome_is_not_read():
 
 
 def test_few_attempts_warn():
-    with pytest.warns(HalfseenWarning, match="are worth 8.0 equally weighted"):
+    with pytest.warns(HalfseenWarning, match="effective sample size of 8.0"):
         BetaGrasp().fit(beta_attempts(2))
 
 

@@ -1,4 +1,4 @@
-"""From values f to chances: a sigmoid fitted to rows that were held out [Platt1999]_."""
+"""From values f to probabilities: a sigmoid fitted to rows that were held out [Platt1999]_."""
 
 from dataclasses import dataclass
 
@@ -20,7 +20,7 @@ class Sigmoid:
     slope: float
     offset: float
 
-    def chance(self, f: Rows) -> Rows:
+    def probability(self, f: Rows) -> Rows:
         """P(second class) at values of f."""
         return expit(self.slope * f + self.offset)
 
@@ -40,10 +40,10 @@ def fit_sigmoid(f: Rows, y: Rows, weight: Rows) -> Sigmoid:
     held = ~np.isnan(f)
     f, y, weight = f[held], y[held], weight[held]
     spread = float(np.sqrt(weight @ np.square(f) / weight.sum())) or 1.0
-    # A row of class ±1 counts as that class with the share of a Laplace estimate, and as the other with the rest.
-    num_equal = weight.sum() ** 2 / np.square(weight).sum()
-    share_second = weight[y > 0].sum() / weight.sum()
-    num_of = num_equal * np.where(y > 0, share_second, 1.0 - share_second)
+    # A row of class ±1 counts as that class with the probability by the rule of succession, else as the other.
+    sample_size = weight.sum() ** 2 / np.square(weight).sum()
+    proportion_second = weight[y > 0].sum() / weight.sum()
+    num_of = sample_size * np.where(y > 0, proportion_second, 1.0 - proportion_second)
     sure = (num_of + 1.0) / (num_of + 2.0)
     twice = np.concatenate([f, f])[:, None] / spread
     mass = np.concatenate([weight * sure, weight * (1.0 - sure)]) / weight.sum()
@@ -51,4 +51,4 @@ def fit_sigmoid(f: Rows, y: Rows, weight: Rows) -> Sigmoid:
     solution = solve(problem)
     slope = float(solution.coefficients[0]) / spread
     # Held-out values that speak for the wrong class tell nothing but how common the classes are.
-    return Sigmoid(slope, solution.offset) if slope > 0.0 else Sigmoid(0.0, float(logit(share_second)))
+    return Sigmoid(slope, solution.offset) if slope > 0.0 else Sigmoid(0.0, float(logit(proportion_second)))

@@ -21,14 +21,14 @@ from halfseen.learners.svm.targets import Ends, as_ends, checked_tau
 from halfseen.learners.svm.weighting import check_lengths, row_weights
 
 
-def _gives_chances(estimator: "CensoredSVC") -> bool:
+def _gives_probabilities(estimator: "CensoredSVC") -> bool:
     if not estimator.calibrate:
         raise AttributeError("predict_proba needs calibrate=True")
     return True
 
 
 class CensoredSVC(ClassifierMixin, CensoredSVM):
-    """Support vector classification of 1{T ≤ τ}, where some times T were cut, or of labels [GoldbergKosorok2017]_.
+    """Support vector classification of 1{T ≤ τ}, T right-censored for some rows, or of labels [GoldbergKosorok2017]_.
 
     f = g + b minimises exactly
 
@@ -156,15 +156,15 @@ class CensoredSVC(ClassifierMixin, CensoredSVM):
         f = self._values(X)
         return self.classes_[(f > 0).astype(int)]
 
-    @available_if(_gives_chances)
+    @available_if(_gives_probabilities)
     def predict_proba(self, X: Any) -> Float[np.ndarray, "m 2"]:
-        """Chance of each class, in the order of `classes_`: the calibrated sigmoid of f."""
+        """Probability of each class, in the order of `classes_`: the calibrated sigmoid of f."""
         f = self._values(X)
-        chance = self.sigmoid_.chance(f)
-        return np.stack([1.0 - chance, chance], axis=1)
+        probability = self.sigmoid_.probability(f)
+        return np.stack([1.0 - probability, probability], axis=1)
 
     def score(self, X: Any, y: Any, sample_weight: ArrayLike | None = None) -> float:
-        """Weighted share of rows whose class is predicted; the weights come from the rows that are scored."""
+        """Accuracy, weighted; the weights come from the rows that are scored."""
         check_is_fitted(self, "function_")
         rows = self._checked_rows(X, is_fit=False)
         counts, ends = self._checked_sample_weight(sample_weight, rows), self._ends(y)

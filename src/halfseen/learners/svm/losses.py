@@ -12,7 +12,7 @@
 ===========================  ==========================================================================================
 
 A loss is either *smooth*, with a derivative and a curvature in s, or it has a proximal step. All functions work row by
-row. The conjugate is L*(y, t) = sup_s (t s − L(y, s)), and ∞ where t is no slope that the loss can have.
+row. The conjugate is L*(y, t) = sup_s (t s − L(y, s)), and ∞ where t is no subgradient of the loss.
 """
 
 from abc import ABC, abstractmethod
@@ -29,7 +29,7 @@ REGRESSION = ("squared", "absolute", "pinball", "epsilon-insensitive", "huber")
 CLASSIFICATION = ("hinge", "squared-hinge", "logistic")
 
 _ON_THE_EDGE = 1e-9
-"""Slopes that leave the domain of a conjugate by less than this are taken to lie on its edge."""
+"""Subgradients that leave the domain of a conjugate by less than this are taken to lie on its edge."""
 
 
 class ConvexLoss(ABC):
@@ -144,8 +144,8 @@ class Logistic(SmoothLoss):
         return expit(s) * expit(-s)
 
     def conjugate(self, y: Rows, t: Rows) -> Rows:
-        chance = np.clip(-t * y, 0.0, 1.0)
-        return _within(xlogy(chance, chance) + xlogy(1.0 - chance, 1.0 - chance), -t * y, 0.0, 1.0)
+        p = np.clip(-t * y, 0.0, 1.0)
+        return _within(xlogy(p, p) + xlogy(1.0 - p, 1.0 - p), -t * y, 0.0, 1.0)
 
 
 @dataclass(frozen=True)

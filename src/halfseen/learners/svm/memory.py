@@ -1,7 +1,8 @@
 """Refuse a kernel matrix that the memory cannot hold, before it is asked for."""
 
-import os
 from pathlib import Path
+
+import psutil
 
 from halfseen.errors import ArgumentError
 
@@ -10,7 +11,6 @@ BYTES_A_NUMBER = 8
 MOST_LANDMARKS_ADVISED = 1000
 """More landmarks rarely change a fit, and their cost grows with the square."""
 
-MEMINFO = Path("/proc/meminfo")
 CONTAINER_LIMIT = Path("/sys/fs/cgroup/memory.max")
 
 
@@ -24,7 +24,7 @@ def check_gram_fits(num_rows: int, num_buffers: int = 3, available_bytes: int | 
     num_buffers
         Matrices of n × n that are held at once: the Gram matrix, and what the solver needs on top.
     available_bytes
-        Free memory [B]; None asks the machine, and nothing is refused where it does not tell.
+        Free memory [B]; None asks the machine.
 
     Raises
     ------
@@ -33,7 +33,7 @@ def check_gram_fits(num_rows: int, num_buffers: int = 3, available_bytes: int | 
     """
     free = free_bytes() if available_bytes is None else available_bytes
     needed = BYTES_A_NUMBER * num_buffers * num_rows**2
-    if free is None or needed <= free:
+    if needed <= free:
         return
     landmarks = advised_landmarks(num_rows, free)
     low_rank = f"num_landmarks={landmarks} (a low-rank kernel, {_told(BYTES_A_NUMBER * num_rows * landmarks)}), or "
@@ -60,33 +60,12 @@ def advised_landmarks(num_rows: int, available_bytes: int) -> int:
     return int(most // unit * unit)
 
 
-def free_bytes() -> int | None:
-    """Memory that can be taken without swapping [B], or None where the system does not tell."""
-    limits = [limit for limit in (_available_in_meminfo(), _container_limit()) if limit is not None]
-    return min(limits) if limits else _physical_bytes()
-
-
-def _available_in_meminfo() -> int | None:
-    if not MEMINFO.exists():
-        return None
-    for line in MEMINFO.read_text().splitlines():
-        name, _, value = line.partition(":")
-        if name == "MemAvailable":
-            return int(value.split()[0]) * 1024
-    return None
-
-
-def _container_limit() -> int | None:
-    # Inside a container, meminfo tells of the whole machine.
+def free_bytes() -> int:
+    """Memory that can be taken without swapping [B], by the machine and by the container's limit."""
+    available = psutil.virtual_memory().available
+    # Inside a container, the machine's memory is told, not the container's.
     limit = CONTAINER_LIMIT.read_text().strip() if CONTAINER_LIMIT.exists() else "max"
-    return None if limit == "max" else int(limit)
-
-
-def _physical_bytes() -> int | None:
-    try:
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, ValueError, OSError):
-        return None
+    return available if limit == "max" else min(available, int(limit))
 
 
 def _told(num_bytes: int) -> str:

@@ -23,7 +23,7 @@ class SmoothSum(Protocol):
     """Σ_i φ_i(f_i)."""
 
     def pull(self, f: Rows) -> Rows:
-        """−∂φ_i/∂f_i: how hard each row pulls its value up."""
+        """−∂φ_i/∂f_i, minus the gradient: how hard each row pulls its value up."""
         ...
 
     def curvature(self, f: Rows) -> Rows:
@@ -76,8 +76,8 @@ def minimise(
 
 def _was_foreseen(before: Rows, after: Rows, curvature: Rows, move: Point) -> bool:
     """Tell whether the pulls changed as their curvatures said, so that the step went all the way to the minimum."""
-    surprise = np.abs(after - before + curvature * move.f).max(initial=0.0)
-    return bool(surprise <= _FORESEEN * np.abs(before).max(initial=0.0))
+    error = np.abs(after - before + curvature * move.f).max(initial=0.0)
+    return bool(error <= _FORESEEN * np.abs(before).max(initial=0.0))
 
 
 def balanced_offset(total: SmoothSum, point: Point) -> float:
@@ -101,7 +101,7 @@ def _newton_move(space: Space, point: Point, pull: Rows, curvature: Rows, reg: f
 
 
 class _Line:
-    """The objective along a move; its slope only rises."""
+    """The objective along a move; its derivative only rises, since it is convex."""
 
     def __init__(self, space: Space, total: SmoothSum, reg: float, point: Point, move: Point) -> None:
         self.total, self.point, self.move = total, point, move

@@ -203,12 +203,12 @@ def _pivots(
 def _accept(
     schur: Float[np.ndarray, "p p"], drawn_with: Float[np.ndarray, " p"], floor: float, most: int, rng: Any
 ) -> tuple[Int[np.ndarray, " a"], Float[np.ndarray, "a a"]]:
-    """Keep each proposal with the share of its residual that those kept before it leave; and their Cholesky factor."""
+    """Accept each proposal with probability residual / residual when drawn; and the Cholesky factor of the accepted."""
     left, columns, accepted = schur.copy(), [], []
-    luck = rng.random(len(schur))
+    uniform = rng.random(len(schur))
     for proposal in range(len(schur)):
         residual = left[proposal, proposal]
-        if len(accepted) == most or residual <= max(floor, luck[proposal] * drawn_with[proposal]):
+        if len(accepted) == most or residual <= max(floor, uniform[proposal] * drawn_with[proposal]):
             continue
         column = left[:, proposal] / np.sqrt(residual)
         left -= np.outer(column, column)

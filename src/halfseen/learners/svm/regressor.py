@@ -1,4 +1,4 @@
-"""Regression on targets of times that may be cut."""
+"""Regression on targets of right-censored times."""
 
 from collections.abc import Callable
 from typing import Any
@@ -19,7 +19,7 @@ from halfseen.learners.svm.weighting import check_lengths, row_weights
 
 
 class CensoredSVR(RegressorMixin, CensoredSVM):
-    """Support vector regression of Y(T) on covariates, where some times T were cut [GoldbergKosorok2017]_.
+    """Support vector regression of Y(T) on covariates, where some times T are right-censored [GoldbergKosorok2017]_.
 
     f = g + b minimises exactly
 
@@ -81,7 +81,7 @@ class CensoredSVR(RegressorMixin, CensoredSVM):
     weights_ : Float[ndarray, "n"]
         w, 0 where cut.
     diagnostics_ : WeightDiagnostics
-        Effective sample size, largest weight, share truncated.
+        Effective sample size, largest weight, proportion truncated.
     censoring_ : CensoringModel
         Ĝ; None where nothing could be cut.
     objective_, duality_gap_ : float
@@ -193,7 +193,7 @@ class CensoredSVR(RegressorMixin, CensoredSVM):
         return self._values(X)
 
     def score(self, X: Any, y: Any, sample_weight: ArrayLike | None = None) -> float:
-        """Share of the loss that f explains: 1 − Σ w L(Y, f) / Σ w L(Y, c), with c the best constant.
+        """Proportion of the loss that f explains: 1 − Σ w L(Y, f) / Σ w L(Y, c), with c the best constant.
 
         With the squared loss that is R². The weights come from the same kind of censoring model, fitted to the rows
         that are scored.

@@ -4,7 +4,7 @@ A smooth loss is minimised by Newton steps. Any other is smoothed by its Moreau 
 which is the augmented Lagrangian of the constraint s = f: each round minimises a smooth function and updates the
 multipliers, and only the rows near a kink carry curvature, so that the linear systems stay small [LiSunToh2018]_.
 
-With u_i = −L'(y_i, f_i), the pull of row i, the dual of the problem is to maximise
+With u_i ∈ −∂L(y_i, f_i), minus a subgradient, the *pull* of row i, the dual of the problem is to maximise
 
     −λ‖g_u‖² − Σ_i c_i L*(y_i, −u_i),   2 λ g_u = Σ_i c_i u_i k(z_i, ·),   Σ_i c_i u_i = 0 if b is free.
 
@@ -29,7 +29,7 @@ _PATIENCE = 8
 """Rounds without a smaller gap after which rounding is taken to have the last word."""
 _SHRINK = 0.2
 _ENOUGH = 0.1
-"""A round that leaves less than this share of the gap needs no smaller step."""
+"""A round that leaves less than this proportion of the gap needs no smaller step."""
 _NEWTON_TOLERANCE = 1e-15
 _ROUNDING = 1e-15
 _IMBALANCE = 1e-11
@@ -59,7 +59,7 @@ class Solution:
     coefficients: Coefficients
     offset: float
     pull: Rows
-    """u: minus the slope of the loss at each row."""
+    """u: minus a subgradient of the loss at each row."""
     objective: float
     gap: float
     """Objective minus dual objective: the optimum is at most this far below."""
@@ -185,7 +185,7 @@ def _balanced(problem: Problem, pulls: Rows) -> Rows:
     columns = _free_columns(problem)
     if columns.shape[1] == 0:
         return pulls
-    has_room = _is_slope(problem, pulls - _ROOM) & _is_slope(problem, pulls + _ROOM)
+    has_room = _is_subgradient(problem, pulls - _ROOM) & _is_subgradient(problem, pulls + _ROOM)
     movable = columns[has_room]
     excess = columns.T @ (problem.mass * pulls)
     moved = pulls.copy()
@@ -195,7 +195,7 @@ def _balanced(problem: Problem, pulls: Rows) -> Rows:
 
 
 def _shrunk(problem: Problem, pulls: Rows) -> Rows:
-    """Let up and down cancel exactly, by shrinking the side that has more; smaller pulls are slopes, too."""
+    """Let up and down cancel exactly, by shrinking the side that has more; smaller pulls are subgradients, too."""
     forces = problem.mass * pulls
     up, down = forces[forces > 0.0].sum(), -forces[forces < 0.0].sum()
     return np.where(pulls > 0.0, min(down / up, 1.0) if up else 1.0, min(up / down, 1.0) if down else 1.0) * pulls
@@ -213,7 +213,7 @@ def _free_columns(problem: Problem) -> Float[np.ndarray, "n k"]:
     return np.column_stack([columns, np.ones(len(problem.y))]) if problem.has_offset else columns
 
 
-def _is_slope(problem: Problem, pulls: Rows) -> RowMask:
+def _is_subgradient(problem: Problem, pulls: Rows) -> RowMask:
     return np.isfinite(problem.loss.conjugate(problem.y, -pulls))
 
 
@@ -252,7 +252,7 @@ class _Envelope:
     step: float
 
     def pulls_at(self, f: Rows) -> Rows:
-        """(s − v) / step: minus a slope of L at s, whatever v."""
+        """(s − v) / step: minus a subgradient of L at s, whatever v."""
         v = f - self.step * self.pulls
         return (self.loss.proximal(self.y, v, self.step) - v) / self.step
 

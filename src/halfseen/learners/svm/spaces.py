@@ -1,7 +1,7 @@
 """Two ways to write f = g + b with g in H: by a Gram matrix, g = K α, or by features, g = Φ θ.
 
 Both answer the same three questions, so that one solver serves them: the values of g, its squared norm, and the Newton
-step of λ‖g‖² + Σ φ_i(g_i + b), where φ has slopes −p and curvatures D on the rows.
+step of λ‖g‖² + Σ φ_i(g_i + b), where φ has the derivatives −p and the second derivatives D on the rows.
 """
 
 from dataclasses import dataclass

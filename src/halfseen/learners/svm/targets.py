@@ -1,4 +1,4 @@
-"""What is predicted: from times that may be cut to a target Y(T), and how much each row counts.
+"""What is predicted: from right-censored times to a target Y(T), and how much each row counts.
 
 Y is a known function of the time. Where it needs the time up to τ only, the event is that min(T, τ) was seen, so a path
 that is cut after τ counts in full (design, §2).

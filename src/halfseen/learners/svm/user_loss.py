@@ -4,7 +4,7 @@
 
     class LogCosh:                                   # any object will do
         def value(self, y, s): ...                   # L(y, s), convex in s, row by row
-        def derivative(self, y, s): ...              # ∂L/∂s, one of its slopes where there is a kink
+        def derivative(self, y, s): ...              # ∂L/∂s, a subgradient where there is a kink
         # or, instead of the derivative:
         def proximal(self, y, v, step): ...          # argmin_s L(y, s) + (s − v)² / (2 step)
 """

@@ -1,9 +1,13 @@
 """Kernels between rows of numbers: each gives k(x, z) for all pairs at once, exactly symmetric and in one buffer.
 
+scikit-learn's give the same values, and are what the tests compare with; they take 0.2 ms or more to check a handful of
+rows, and two to four times as long for a power.
+
 The Gaussian and the Laplacian kernel are bounded by 1, as the theory of the censored SVM asks (design, §2); the linear
 and the polynomial kernel are bounded only where the rows are.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -38,13 +42,13 @@ class LinearKernel:
 
 
 @dataclass(frozen=True)
-class RbfKernel:
-    """k(x, z) = exp(−γ‖x − z‖²), the Gaussian kernel.
+class DecayingKernel(ABC):
+    """k(x, z) = exp(−γ d(x, z)) for a distance d.
 
     Attributes
     ----------
     gamma
-        γ > 0 [1 / squared unit of the rows].
+        γ > 0 [1 / unit of d].
 
     Raises
     ------
@@ -56,6 +60,18 @@ class RbfKernel:
 
     def __post_init__(self) -> None:
         _check_gamma(self.gamma)
+
+    @abstractmethod
+    def __call__(self, first: Float[np.ndarray, "n F"], second: Float[np.ndarray, "m F"]) -> Float[np.ndarray, "n m"]:
+        """Values of k for all pairs."""
+
+    def diagonal(self, rows: Float[np.ndarray, "n F"]) -> Float[np.ndarray, " n"]:
+        """Values of k(x, x): 1."""
+        return np.ones(len(rows))
+
+
+class RbfKernel(DecayingKernel):
+    """k(x, z) = exp(−γ‖x − z‖²), the Gaussian kernel; γ in [1 / squared unit of the rows]."""
 
     def __call__(self, first: Float[np.ndarray, "n F"], second: Float[np.ndarray, "m F"]) -> Float[np.ndarray, "n m"]:
         """Values of k for all pairs; exactly 1 on the diagonal where `first` is `second`."""
@@ -78,38 +94,13 @@ class RbfKernel:
             np.fill_diagonal(gram, 1.0)
         return gram
 
-    def diagonal(self, rows: Float[np.ndarray, "n F"]) -> Float[np.ndarray, " n"]:
-        """Values of k(x, x): 1."""
-        return np.ones(len(rows))
 
-
-@dataclass(frozen=True)
-class LaplacianKernel:
-    """k(x, z) = exp(−γ Σ_f |x_f − z_f|).
-
-    Attributes
-    ----------
-    gamma
-        γ > 0 [1 / unit of the rows].
-
-    Raises
-    ------
-    ArgumentError
-        γ is no finite number > 0.
-    """
-
-    gamma: float | int
-
-    def __post_init__(self) -> None:
-        _check_gamma(self.gamma)
+class LaplacianKernel(DecayingKernel):
+    """k(x, z) = exp(−γ Σ_f |x_f − z_f|); γ in [1 / unit of the rows]."""
 
     def __call__(self, first: Float[np.ndarray, "n F"], second: Float[np.ndarray, "m F"]) -> Float[np.ndarray, "n m"]:
         """Values of k for all pairs."""
         return _decay(cdist(first, second, "cityblock"), self.gamma)
-
-    def diagonal(self, rows: Float[np.ndarray, "n F"]) -> Float[np.ndarray, " n"]:
-        """Values of k(x, x): 1."""
-        return np.ones(len(rows))
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""How much each row counts: w = δ / Ĝ(min(T, τ)⁻ | z)."""
+"""How much each row counts, by inverse probability of censoring: w = δ / Ĝ(min(T, τ)⁻ | z)."""
 
 import numpy as np
 
@@ -28,7 +28,7 @@ def row_weights(
     tau: float | None,
     truncate_at: float | int | None,
 ) -> tuple[Rows, CensoringModel | None]:
-    """Weight of each row, and the model of the cuts that gave it.
+    """Weight of each row, and the censoring model that gave it.
 
     Parameters
     ----------

@@ -35,6 +35,7 @@ from halfseen.errors import LogError
 from halfseen.logs.columns import OBJECT_COLUMNS, PATH_COLUMNS, STAGE_COLUMNS
 from halfseen.logs.formats.column_types import ColumnType, as_cells, column_type, from_texts, type_name
 from halfseen.logs.logs import Logs
+from halfseen.logs.refusal import within
 from halfseen.writing import placed
 
 TYPES_FILE = "columns.json"
@@ -96,10 +97,8 @@ def read_csv(folder: str | Path) -> Logs:
     types = _read_types(folder / TYPES_FILE)
     names = ["stages", "paths", "objects"] if (folder / "objects.csv").exists() else ["stages", "paths"]
     tables = {name: _read_table(folder / f"{name}.csv", types.get(name, {})) for name in names}
-    try:
+    with within(folder):
         return Logs(**tables)
-    except LogError as error:
-        raise LogError(f"{folder}: {error}") from error
 
 
 def _read_types(file: Path) -> dict[str, dict[str, ColumnType]]:

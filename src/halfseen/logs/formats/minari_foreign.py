@@ -10,6 +10,7 @@ from jaxtyping import Float, Shaped
 from halfseen.errors import ArgumentError, HalfseenWarning, LogError
 from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE
 from halfseen.logs.logs import Logs
+from halfseen.logs.refusal import within
 
 TRUNCATED = "truncated"
 
@@ -51,10 +52,8 @@ def read_foreign(dataset: Any, name: str, clock: str | None, step_s: float | Non
         stages.append(_stages(episode, observed, seconds, ending))
     if not paths:
         raise LogError(f"{name}: it has no episodes; a log has at least one path")
-    try:
+    with within(name):
         return Logs(stages=pd.concat(stages, ignore_index=True), paths=pd.DataFrame(paths))
-    except LogError as error:
-        raise LogError(f"{name}: {error}") from error
 
 
 def _check_spaces(dataset: Any, name: str) -> None:

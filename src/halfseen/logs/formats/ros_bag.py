@@ -29,7 +29,7 @@ from halfseen.logs.formats.ros_mapping import BagMapping, read_mapping
 from halfseen.logs.formats.ros_messages import check_topics, points_of, read_clouds, read_events
 from halfseen.logs.formats.ros_paths import BagPath, follow, missing, split
 from halfseen.logs.logs import Logs
-from halfseen.logs.refusal import shown
+from halfseen.logs.refusal import shown, within
 
 See: TypeAlias = Callable[[np.ndarray, tuple[int, int], str], Mapping[str, Any]]
 """From points, shape (n, 3) [m], the rows and columns of the image, and a name, to columns of `objects`."""
@@ -139,11 +139,9 @@ def _add_clouds(
 def _checked(
     files: list[Path], stages: list[dict[str, Any]], paths: list[dict[str, Any]], objects: list[pd.DataFrame]
 ) -> Logs:
-    try:
+    with within(", ".join(map(str, files))):
         return Logs(
             stages=pd.DataFrame(stages),
             paths=pd.DataFrame(paths),
             objects=pd.concat(objects, ignore_index=True) if objects else None,
         )
-    except LogError as error:
-        raise LogError(f"{', '.join(map(str, files))}: {error}") from error

@@ -1,11 +1,10 @@
 """A folder of a policy that is there whole or not at all, and in which no byte has changed."""
 
 import hashlib
-from glob import escape
 from pathlib import Path
 
 from halfseen.errors import PolicyError
-from halfseen.writing import placed, refuse_taken
+from halfseen.writing import left_aside, placed, refuse_taken
 
 RECORD, ARRAYS, DIGESTS = "policy.json", "policy.safetensors", "policy.sha256"
 
@@ -56,11 +55,11 @@ def read_files(folder: Path) -> tuple[bytes, bytes]:
 
 
 def _remedy(folder: Path) -> str:
-    """What to do where no folder is: between two renames a kill leaves the old one aside."""
-    aside = sorted(folder.absolute().parent.glob(f".{escape(folder.name)}.*.old"))
-    if aside:
-        return f"replacing it was interrupted, and what was there is {aside[-1]}: rename it back"
-    return "give the folder that `halfseen learn` wrote"
+    """What to do where no folder is."""
+    aside = left_aside(folder)
+    if aside is None:
+        return "give the folder that `halfseen learn` wrote"
+    return f"replacing it was interrupted, and what was there is {aside}: rename it back"
 
 
 def _digests(record: bytes, arrays: bytes) -> bytes:

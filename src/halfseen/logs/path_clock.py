@@ -1,0 +1,66 @@
+"""The clock of a path that is being recorded: read from the machine, or given with each event; never both."""
+
+import time
+from math import log
+from typing import Any
+
+from halfseen.errors import LogError
+from halfseen.logs.journal_values import checked_number
+from halfseen.logs.path_checks import EARLIEST_DATE_S
+from halfseen.logs.stage_checks import UNIT_TOLERANCE
+
+_REMEDY = "give the time since the path began [s]"
+
+
+class PathClock:
+    """Seconds since a path began, which never go back."""
+
+    def __init__(self) -> None:
+        self.at_s = 0.0
+        """Time of the last event [s]."""
+        self.is_given: bool | None = None
+        """Whether times are given; None until the first event tells."""
+        self._began_s = 0.0
+
+    def start(self) -> None:
+        """Begin to count."""
+        self._began_s = time.monotonic()
+
+    def read_s(self) -> float:
+        """Read the machine's clock [s], in nanoseconds, and never the same twice, however coarse that clock is."""
+        return max(round(time.monotonic() - self._began_s, 9), round(self.at_s + 1e-9, 9))
+
+    def advance(self, at_s: float, elapsed_s: Any) -> None:
+        """Take over the time of an event that was written."""
+        self.at_s, self.is_given = at_s, elapsed_s is not None
+
+    def time_of(self, elapsed_s: Any, where: str, *, is_later: bool = False) -> float:
+        """Time of an event [s], given or, if None, read; checked to be no earlier (or later) than the last event."""
+        if self.is_given not in (None, elapsed_s is not None):
+            word = "missing" if elapsed_s is None else "given"
+            raise LogError(f"{where}: elapsed_s is {word}, unlike before in this path; give it always or never")
+        if elapsed_s is None:
+            return self.read_s()
+        at_s = checked_number(elapsed_s, "elapsed_s", where, _REMEDY)
+        if at_s < self.at_s or (is_later and at_s == self.at_s):
+            word = "is before" if at_s < self.at_s else "is still"
+            raise LogError(f"{where}: elapsed_s {at_s} {word} the {self.at_s} of the event before; {_REMEDY}")
+        if at_s >= EARLIEST_DATE_S:
+            raise LogError(f"{where}: elapsed_s {at_s} is a date or no seconds; {_REMEDY}")
+        return at_s
+
+    def end_s(self, elapsed_s: Any, where: str) -> float:
+        """Time of the path's end [s]: without a word about it, a clock that is given stands at the last event."""
+        return self.at_s if self.is_given and elapsed_s is None else self.time_of(elapsed_s, where)
+
+    def check_units(self, elapsed_s: Any, completed_s: float, where: str) -> None:
+        """Refuse a given end at a power of a thousand times the last stage's clock, which `Logs` takes for a unit."""
+        if elapsed_s is None or not self.is_given:
+            return
+        at_s = self.time_of(elapsed_s, where)
+        thousands = log(at_s / completed_s) / log(1000.0)
+        if round(thousands) > 0 and abs(thousands - round(thousands)) < 2 * UNIT_TOLERANCE:
+            raise LogError(
+                f"{where}: elapsed_s {at_s} is {1000.0 ** round(thousands):.0e} times the {completed_s} of the "
+                "completed stage, as if units were mixed; give both in seconds"
+            )
