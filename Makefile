@@ -1,6 +1,7 @@
 # Each target does all the set-up that it needs; nothing but Python 3.11 or newer is expected of the machine.
 PYTHON ?= python3
 BIN := .venv/bin
+PARALLEL := -n auto --dist loadgroup --no-loadscope-reorder --max-worker-restart 0
 
 .PHONY: study test test-slow check docs clouds benchmarks clean
 
@@ -8,10 +9,11 @@ study: .venv/.installed
 	$(BIN)/halfseen study --out runs/study
 
 test: .venv/.installed
-	$(BIN)/pytest -n auto --dist loadgroup
+	$(BIN)/pytest $(PARALLEL)
 
+# These compute more than they compile: XLA optimises, as it does outside the tests.
 test-slow: .venv/.installed
-	$(BIN)/pytest -m slow -n auto --dist loadgroup
+	XLA_FLAGS= $(BIN)/pytest -m slow $(PARALLEL)
 
 check: .venv/.installed
 	$(BIN)/ruff format --check .

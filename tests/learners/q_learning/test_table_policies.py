@@ -178,6 +178,7 @@ def test_the_policy_takes_the_best_possible_action(watched):
     assert not possible.all()
 
 
+@pytest.mark.slow
 def test_what_was_learned_beats_chance_and_what_it_watched(learner, scene):
     key, layouts = jax.random.key(9), pad_scenes([scene])
     earned = {

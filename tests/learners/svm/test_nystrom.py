@@ -85,6 +85,7 @@ def test_finds_the_rows_that_a_uniform_draw_misses():
     assert model.trace_error_share < 0.2 * trace_error_share(theirs, rows)
 
 
+@pytest.mark.slow
 def test_drawn_in_proportion_to_the_residual():
     rows = normal(5, 5)
     gram = rows @ rows.T
