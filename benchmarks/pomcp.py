@@ -124,7 +124,7 @@ def table_episode(decide: Callable[..., Decision], budget_s: float, episode: int
     seen, hidden = _start(CONFIG, layout, start_key)
     for t in range(CONFIG.horizon):
         decisions.append(decide(seen, table, budget_s, jax.random.fold_in(plan_key, t)))
-        seen, outcome = _step(CONFIG, seen, hidden, decisions[-1].action, jax.random.fold_in(world_key, t))
+        seen, hidden, outcome = _step(CONFIG, seen, hidden, decisions[-1].action, jax.random.fold_in(world_key, t))
         reward += float(outcome.reward)
         if outcome.is_over:
             break

@@ -50,7 +50,7 @@ def step_or_set(
     """One random step of one table, which is set again if that ended it; its reward, and whether it did."""
     action_key, step_key, start_key = jax.random.split(key, 3)
     action = UniformPolicy().decide(state, action_key).action
-    after, outcome = step(config, state, hidden, action, step_key)
+    after, hidden, outcome = step(config, state, hidden, action, step_key)
     fresh = start(config, layout, start_key)
     state, hidden = jax.tree.map(lambda new, old: jnp.where(outcome.is_over, new, old), fresh, (after, hidden))
     return state, hidden, outcome.reward, outcome.is_over

@@ -71,7 +71,7 @@ class TableModel(pomdp_py.BlackboxModel):
 
     def __init__(self, config: WorldConfig, hides: np.ndarray) -> None:
         self.config, self.num_objects = config, len(hides)
-        self.limit_s, self.transport_s = float(config.attempt_limit_s), float(config.transport_s)
+        self.limit_s, self.transport_s = float(config.grasping.limit_s), float(config.transport_s)
         self.washed = (float(config.reward_wash_clean), float(config.reward_wash_dirty))
         self.failed, self.lift_per_s = float(config.reward_wash_failed), float(config.reward_lift_per_s)
         self.left = [float(config.reward_dirty_left) * mask.bit_count() for mask in range(2**self.num_objects)]
@@ -117,7 +117,7 @@ class TableModel(pomdp_py.BlackboxModel):
                 grip[rate]  # known before the clock starts
         known = tuple(np.asarray(seen.log_odds, dtype=float).tolist()), tuple(grips)
         dirty = (np.asarray(hidden.is_dirty) @ (1 << np.arange(self.num_objects))).tolist()
-        ease = np.exp(np.asarray(hidden.grip_offset, dtype=float)).tolist()
+        ease = np.exp(np.asarray(hidden.grasp_trait, dtype=float)).tolist()
         steps_to_go = int(seen.steps_to_go)
         return [State(mask, steps_to_go, d, tuple(e), *known) for d, e in zip(dirty, ease, strict=True)]
 
@@ -148,8 +148,7 @@ class TableModel(pomdp_py.BlackboxModel):
         """By mask and object: mean attempts' worth of the limit at grip offset 0."""
 
     def _rate(self, occluded: float) -> float:
-        config = self.config
-        return self.limit_s / math.exp(config.grasp_log_time + config.grasp_log_time_per_occlusion * occluded)
+        return self.limit_s / float(self.config.grasping.scale_s(occluded, 0.0))
 
     def _label(self) -> None:
         """By object held (N for none) and mask: chances of the label patterns, what they tell, and their names."""
@@ -164,7 +163,7 @@ class TableModel(pomdp_py.BlackboxModel):
             for held in (*members, size):
                 occluded = self.occlusion[mask & ~(1 << held)][members]
                 occluded[[i == held for i in members]] = 0.0
-                right = config.label_floor + config.label_gain * (1.0 - occluded) ** config.label_power
+                right = config.seeing.accuracy(occluded)
                 evidence = np.zeros((len(bits), size))
                 evidence[:, members] = np.where(patterns, 1.0, -1.0) * np.log(right / (1.0 - right))
                 is_right = patterns[:, None, :] == patterns[None]

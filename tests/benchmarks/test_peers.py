@@ -49,7 +49,7 @@ def ours(seen, hidden, actions):
     def run(hidden, key):
         def advance(carry, t):
             seen, is_over = carry
-            after, outcome = step(CONFIG, seen, hidden, actions[t], jax.random.fold_in(key, t))
+            after, _, outcome = step(CONFIG, seen, hidden, actions[t], jax.random.fold_in(key, t))
             now = CONFIG.horizon - seen.steps_to_go
             bits = jnp.append(after.log_odds > seen.log_odds, after.attempt_succeeded[now])
             choice = jax.nn.one_hot(BEST.decide(after, key).action, 7)

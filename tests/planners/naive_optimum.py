@@ -7,7 +7,9 @@ import numpy as np
 
 def hermite(config, num_nodes):
     nodes, weights = np.polynomial.hermite_e.hermegauss(num_nodes)
-    return [(config.grip_offset_std * node, weight / sum(weights)) for node, weight in zip(nodes, weights, strict=True)]
+    return [
+        (config.grasping.offset_std * node, weight / sum(weights)) for node, weight in zip(nodes, weights, strict=True)
+    ]
 
 
 def hidden_states(config, num_cups, grips):
@@ -49,7 +51,7 @@ class BruteForce:
             likelihood = np.ones(len(mass))
             for i, label in zip(cups, labels, strict=True):
                 occluded = 0.0 if i == held else self.occlusion(there - {held}, i)
-                right = self.config.label_floor + self.config.label_gain * (1 - occluded) ** self.config.label_power
+                right = self.config.seeing.floor + self.config.seeing.gain * (1 - occluded) ** self.config.seeing.power
                 likelihood *= [right if dirty[i] == label else 1 - right for dirty, _ in self.every]
             total += self._best(mass * likelihood, there, attempts, steps)
         return total
@@ -69,14 +71,14 @@ class BruteForce:
             return self.left(mass, there)
         is_lift, i = divmod(action - 1, len(self.hides))
         config, occluded = self.config, self.occlusion(there, i)
-        log_time = config.grasp_log_time + config.grasp_log_time_per_occlusion * occluded
+        log_time = config.grasping.log_time + config.grasping.log_time_per_occlusion * occluded
         scale = np.array([np.exp(log_time - grip[i]) for _, grip in self.every])
-        missed = mass * np.exp(-config.attempt_limit_s / scale)
+        missed = mass * np.exp(-config.grasping.limit_s / scale)
         grasped = mass - missed
         after_miss, after_grasp = (*attempts, (i, occluded, False)), (*attempts, (i, occluded, True))
         value = self._after_look(missed, there, None, after_miss, steps - 1)
         if is_lift:
-            seconds = config.transport_s + scale * (1 - np.exp(-config.attempt_limit_s / scale))
+            seconds = config.transport_s + scale * (1 - np.exp(-config.grasping.limit_s / scale))
             value += config.reward_lift_per_s * float(mass @ seconds)
             return value + self._after_look(grasped, there, i, after_grasp, steps - 1)
         dirty = self.dirty_mass(grasped, i)

@@ -26,7 +26,7 @@ class Cup:
 
 
 def failure(occluded, offset):
-    return exp(-CONFIG.attempt_limit_s / exp(CONFIG.grasp_log_time + 2.2 * occluded - offset))
+    return exp(-CONFIG.grasping.limit_s / exp(CONFIG.grasping.log_time + 2.2 * occluded - offset))
 
 
 def over_grips(cup, value, nodes=NODES, weights=WEIGHTS):
@@ -45,8 +45,8 @@ def chance(cup, occluded):
 
 def attempt_s(cup, occluded):
     def seconds(offset):
-        scale = exp(CONFIG.grasp_log_time + 2.2 * occluded - offset)
-        return -scale * expm1(-CONFIG.attempt_limit_s / scale)
+        scale = exp(CONFIG.grasping.log_time + 2.2 * occluded - offset)
+        return -scale * expm1(-CONFIG.grasping.limit_s / scale)
 
     return 1.0 + over_grips(cup, seconds)
 

@@ -80,14 +80,14 @@ class TableArrays:
         is_lift, i = divmod(action - 1, self.num_cups)
         if state[i] is None:
             return []
-        missed = np.exp(-self.config.attempt_limit_s / self._scale_s(i, state))
+        missed = np.exp(-self.config.grasping.limit_s / self._scale_s(i, state))
         rest: list[Any] = [None if cup is None else cup._replace(is_held=False) for cup in state]
         grasped = [cup if j != i else cup._replace(is_held=True) if is_lift else None for j, cup in enumerate(rest)]
         return [(missed, tuple(rest)), (1 - missed, tuple(grasped))]
 
     def _scale_s(self, i, state: Any):
         hidden = self._occlusion(i, [cup is not None for cup in state])
-        log_time = self.config.grasp_log_time + self.config.grasp_log_time_per_occlusion * hidden
+        log_time = self.config.grasping.log_time + self.config.grasping.log_time_per_occlusion * hidden
         return np.exp(log_time - state[i].grip_offset)
 
     def _occlusion(self, i, is_hiding):
@@ -110,6 +110,6 @@ class TableArrays:
                 chance *= not says_dirty
                 continue
             seen = 1.0 if cup.is_held else 1 - self._occlusion(i, is_hiding)
-            right = self.config.label_floor + self.config.label_gain * seen**self.config.label_power
+            right = self.config.seeing.floor + self.config.seeing.gain * seen**self.config.seeing.power
             chance *= right if says_dirty == cup.is_dirty else 1 - right
         return chance

@@ -14,7 +14,7 @@ from naive_planner import CONFIG, Cup
 
 from halfseen.errors import ArgumentError
 from halfseen.planners import GreedyPolicy, POMDPPolicy, information_relaxation_bound, optimum_bound, solve_table
-from halfseen.world import Scene, UniformPolicy, WorldConfig
+from halfseen.world import AssumedGrasping, AssumedSeeing, Scene, UniformPolicy, WorldConfig
 from halfseen.world.episodes import evaluate, play
 from halfseen.world.policy import surely
 from halfseen.world.state import pad_scenes
@@ -23,7 +23,9 @@ from tables import state_of
 TWO = np.array([[0.0, 0.6], [0.1, 0.0]])
 ALIKE = np.array([[0.0, 0.3], [0.3, 0.0]])
 THREE = np.array([[0.0, 0.6, 0.3], [0.1, 0.0, 0.2], [0.4, 0.05, 0.0]])
-OTHER_WORLD = WorldConfig(dirty_share=0.4, reward_wash_clean=-4.0, grip_offset_std=0.7, reward_lift_per_s=-0.02)
+OTHER_WORLD = WorldConfig(
+    dirty_share=0.4, reward_wash_clean=-4.0, grasping=AssumedGrasping(offset_std=0.7), reward_lift_per_s=-0.02
+)
 GREEDY = [GreedyPolicy(CONFIG, uses_history=h, counts_penalty=p) for h in (False, True) for p in (False, True)]
 
 
@@ -99,7 +101,7 @@ def test_a_scene_is_as_good_as_its_hides_and_the_horizon_is_the_worlds():
         ({"horizon": 0}, "horizon is 0"),
         ({"horizon": 2, "num_grip_nodes": 0}, "num_grip_nodes is 0"),
         ({"config": WorldConfig(dirty_share=1.0)}, "dirty_share is 1; it lies between"),
-        ({"config": WorldConfig(label_floor=0.7)}, "label accuracy of object 0 is 1; it lies between"),
+        ({"config": WorldConfig(seeing=AssumedSeeing(floor=0.7))}, "label accuracy of object 0 is 1; it lies between"),
         ({"horizon": 10, "max_states": 1000}, "2 objects over 10 steps have more than 1,000 states .* shorten"),
     ],
 )
@@ -248,7 +250,7 @@ def test_who_knows_the_times_of_grasps_too_earns_more():
 
 
 def test_who_knows_that_a_grasp_will_fail_lifts_to_wait_where_that_is_free():
-    config = WorldConfig(attempt_limit_s=1.0, reward_lift_per_s=0.0)
+    config = WorldConfig(grasping=AssumedGrasping(limit_s=1.0), reward_lift_per_s=0.0)
     bound = information_relaxation_bound([[0.0]], config, 2, 40_000, num_grip_nodes=1, reveals="everything")
     both_fail = np.exp(-2.0 / np.exp(0.6))
 
@@ -258,7 +260,7 @@ def test_who_knows_that_a_grasp_will_fail_lifts_to_wait_where_that_is_free():
 
 def test_with_one_label_that_is_all_there_is_and_a_sure_grasp_the_bound_by_looks_is_the_optimum():
     """In full view, with one step, the look that is told is the look that is taken."""
-    config, table = WorldConfig(grip_offset_std=0.0), np.zeros((2, 2))
+    config, table = WorldConfig(grasping=AssumedGrasping(offset_std=0.0)), np.zeros((2, 2))
 
     bound = information_relaxation_bound(table, config, 1, num_grip_nodes=1)
     assert bound.value == pytest.approx(solve_table(table, config, 1, num_grip_nodes=1).value, abs=1e-12)

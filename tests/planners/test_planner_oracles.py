@@ -52,7 +52,7 @@ def state_after_first_look(config, hides, labels):
     """What a policy is shown once each cup was labelled."""
     layouts = pad_scenes([Scene(hides)])
     fresh = initial_state(config, jax.tree.map(lambda leaf: leaf[0], layouts))
-    right = config.label_floor + config.label_gain * (1 - Scene(hides).occlusion) ** config.label_power
+    right = config.seeing.floor + config.seeing.gain * (1 - Scene(hides).occlusion) ** config.seeing.power
     update = np.where(labels, 1.0, -1.0) * (np.log(right) - np.log1p(-right))
     return replace(fresh, log_odds=fresh.log_odds + jnp.asarray(update, dtype=jnp.float32))
 

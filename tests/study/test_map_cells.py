@@ -62,7 +62,7 @@ def test_a_place_changes_its_own_three_numbers_of_the_world():
     base = WorldConfig(dirty_share=0.7, horizon=5)
     cell = map_cells(MapDesign(label_gains=(0.2,)), base)[0]
     world = cell.world(base)
-    assert (world.label_gain, world.reward_wash_clean, world.grip_offset_std) == (0.2, -5.0, 1.0)
+    assert (world.seeing.gain, world.reward_wash_clean, world.grasping.offset_std) == (0.2, -5.0, 1.0)
     assert (world.dirty_share, world.horizon, world.reward_dirty_left) == (0.7, 5, -5.0)
 
 

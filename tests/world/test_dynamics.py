@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from naive_world import accuracy, hidden_share, mean_grasp_s, naive_step
 
-from halfseen.world import Scene, WorldConfig
-from halfseen.world.action_space import Verb, encode, num_actions, possible_actions, target_of, verb_of
-from halfseen.world.dynamics import Outcome, grasp_probability, label_accuracy, see, start, step
+from halfseen.world import AssumedGrasping, Scene, WorldConfig
+from halfseen.world.action_space import ActionSpace, Verb, possible_actions
+from halfseen.world.dynamics import Outcome, look, start, step
 from halfseen.world.state import HiddenState, Layout, TableState, attempt_counts, occlusion, pad_scenes
 
 CONFIG = WorldConfig()
@@ -29,7 +29,7 @@ def table_of(state):
         "attempts": [(int(i), float(occ), bool(ok)) for i, occ, ok in attempts if i >= 0],
         "steps_to_go": int(state.steps_to_go),
         "dirty": np.asarray(state.is_dirty)[:num].tolist(),
-        "offset": np.asarray(state.grip_offset, dtype=float)[:num].tolist(),
+        "offset": np.asarray(state.grasp_trait, dtype=float)[:num].tolist(),
     }
 
 
@@ -46,7 +46,7 @@ def steps(played):
     hidden = jax.tree.map(lambda leaf: leaf[path], played.hidden)
     action = played.action[path, stage]
     keys = jax.random.split(jax.random.key(11), len(path))
-    after, outcome = jax.jit(jax.vmap(step, in_axes=(None, 0, 0, 0, 0)))(CONFIG, states, hidden, action, keys)
+    after, _, outcome = jax.jit(jax.vmap(step, in_axes=(None, 0, 0, 0, 0)))(CONFIG, states, hidden, action, keys)
     exponential, uniforms = jax.vmap(draws)(keys)
     return states, hidden, np.asarray(action), np.asarray(exponential), np.asarray(uniforms), after, outcome
 
@@ -58,7 +58,7 @@ def row(tree, k):
 def tables_of(states, hidden):
     """Each row of a batch as plain lists."""
     values = {field.name: np.asarray(getattr(states, field.name)) for field in fields(states)}
-    values |= {field.name: np.asarray(getattr(hidden, field.name)) for field in fields(hidden)}
+    values |= {"is_dirty": np.asarray(hidden.is_dirty), "grasp_trait": np.asarray(hidden.grasp_trait)}
     return [
         table_of(SimpleNamespace(**{name: leaf[k] for name, leaf in values.items()}))
         for k in range(len(hidden.is_dirty))
@@ -68,7 +68,8 @@ def tables_of(states, hidden):
 def test_a_step_is_the_step_of_the_text(steps):
     states, hidden, action, exponential, uniforms, after, outcome = steps
     kinds = set()
-    verbs, targets = np.asarray(verb_of(action, NUM_OBJECTS)), np.asarray(target_of(action, NUM_OBJECTS))
+    actions = ActionSpace(NUM_OBJECTS)
+    verbs, targets = actions.verb(action), actions.target(action)
     outcome = Outcome(*(np.asarray(leaf) for leaf in outcome))
     tables, tables_after = tables_of(states, hidden), tables_of(after, hidden)
     for k, (table, got) in enumerate(zip(tables, tables_after, strict=True)):
@@ -103,9 +104,9 @@ def test_the_horizon_costs_what_finish_costs():
     state, _ = START(CONFIG, layout, jax.random.key(0))
     state = replace(state, steps_to_go=jnp.asarray(1, dtype=jnp.int32))
     hidden = HiddenState(jnp.array([True, True, False]), jnp.array([-20.0, 0.0, 0.0]))
-    lift = jnp.asarray(encode(Verb.LIFT, 0, 3))
-    _, lifted = STEP(CONFIG, state, hidden, lift, jax.random.key(1))
-    _, finished = STEP(CONFIG, state, hidden, jnp.asarray(0), jax.random.key(1))
+    lift = jnp.asarray(ActionSpace(3).encode(Verb.LIFT, 0))
+    *_, lifted = STEP(CONFIG, state, hidden, lift, jax.random.key(1))
+    *_, finished = STEP(CONFIG, state, hidden, jnp.asarray(0), jax.random.key(1))
     assert bool(lifted.is_over)
     assert float(finished.reward) == -10.0
     assert float(lifted.reward) == pytest.approx(-10.0 - 0.1 * 7.0)
@@ -122,15 +123,15 @@ def test_occlusion_is_one_minus_the_product(steps):
 
 @pytest.mark.parametrize(("occluded", "offset"), [(0.0, 0.0), (0.5, -1.0), (0.9, 0.5)])
 def test_grasps_succeed_as_often_as_one_minus_exp(occluded, offset):
-    chance = float(grasp_probability(CONFIG, jnp.asarray(occluded), jnp.asarray(offset)))
+    chance = -np.expm1(CONFIG.grasping.log_failure(occluded, offset))
     assert chance == pytest.approx(1.0 - np.exp(-6.0 / mean_grasp_s(occluded, offset)), rel=1e-5)
     scene = Scene(np.array([[0.0, occluded], [0.0, 0.0]]))
     layout = row(pad_scenes([scene]), 0)
     state, _ = START(CONFIG, layout, jax.random.key(0))
     hidden = HiddenState(jnp.array([True, True]), jnp.array([offset, 0.0]))
     keys = jax.random.split(jax.random.key(3), 20_000)
-    action = jnp.asarray(encode(Verb.WASH, 0, 2))
-    after, _ = jax.jit(jax.vmap(step, in_axes=(None, None, None, None, 0)))(CONFIG, state, hidden, action, keys)
+    action = jnp.asarray(ActionSpace(2).encode(Verb.WASH, 0))
+    after, *_ = jax.jit(jax.vmap(step, in_axes=(None, None, None, None, 0)))(CONFIG, state, hidden, action, keys)
     frequency = 1.0 - np.asarray(after.is_on_table)[:, 0].mean()
     assert abs(frequency - chance) < 4.0 * np.sqrt(chance * (1.0 - chance) / len(keys))
 
@@ -141,20 +142,12 @@ def test_labels_are_right_as_often_as_the_accuracy_says():
     state, _ = START(CONFIG, layout, jax.random.key(0))
     hidden = HiddenState(jnp.array([True, False, True]), jnp.zeros(3))
     keys = jax.random.split(jax.random.key(5), 20_000)
-    log_odds = jax.jit(jax.vmap(lambda key: see(CONFIG, state, hidden, jnp.zeros(3, dtype=bool), key)))(keys)
-    says_dirty = np.asarray(log_odds) > np.asarray(state.log_odds)
+    looked = jax.jit(jax.vmap(lambda key: look(CONFIG, state, hidden, jnp.zeros(3, dtype=bool), key)[0]))(keys)
+    says_dirty = np.asarray(looked.log_odds) > np.asarray(state.log_odds)
     frequency = (says_dirty == np.asarray(hidden.is_dirty)).mean(axis=0)
     expected = np.array([accuracy(0.3), accuracy(0.7), accuracy(0.0)])
-    assert np.asarray(label_accuracy(CONFIG, jnp.array([0.3, 0.7, 0.0]))) == pytest.approx(expected, rel=1e-6)
+    assert np.asarray(CONFIG.seeing.accuracy(jnp.array([0.3, 0.7, 0.0]))) == pytest.approx(expected, rel=1e-6)
     assert np.all(np.abs(frequency - expected) < 4.0 * np.sqrt(expected * (1.0 - expected) / len(keys)))
-
-
-def test_actions_are_encoded_one_to_one():
-    pairs = [(Verb.FINISH, 0), *((verb, i) for verb in (Verb.WASH, Verb.LIFT) for i in range(4))]
-    codes = np.array([encode(verb, target, 4) for verb, target in pairs])
-    assert codes.tolist() == list(range(num_actions(4)))
-    assert np.asarray(verb_of(codes, 4)).tolist() == [verb for verb, _ in pairs]
-    assert np.asarray(target_of(codes, 4)).tolist() == [target for _, target in pairs]
 
 
 def test_only_what_stands_on_the_table_can_be_acted_on(steps):
@@ -192,9 +185,9 @@ def test_a_policy_sees_nothing_hidden(scenes):
     }
     # The same labels, other grips: the state at the start is the same to the last bit.
     layout = row(pad_scenes(scenes), 2)
-    gripping = START(replace(CONFIG, grip_offset_std=0.0), layout, jax.random.key(0))
-    slipping = START(replace(CONFIG, grip_offset_std=9.0), layout, jax.random.key(0))
-    assert not np.array_equal(gripping[1].grip_offset, slipping[1].grip_offset)
+    gripping = START(replace(CONFIG, grasping=AssumedGrasping(offset_std=0.0)), layout, jax.random.key(0))
+    slipping = START(replace(CONFIG, grasping=AssumedGrasping(offset_std=9.0)), layout, jax.random.key(0))
+    assert not np.array_equal(gripping[1].grasp_trait, slipping[1].grasp_trait)
     for left, right in zip(jax.tree.leaves(gripping[0]), jax.tree.leaves(slipping[0]), strict=True):
         assert np.array_equal(left, right)
 

@@ -68,7 +68,7 @@ def test_a_batch_is_a_loop(scenes):
         for t in range(10):
             assert same(state, jax.tree.map(lambda leaf: leaf[k, t], batch.states))  # noqa: B023
             action = InTurn().decide(state, policy_key).action
-            state, outcome = one_step(CONFIG, state, hidden, action, jax.random.fold_in(world_key, t))
+            state, hidden, outcome = one_step(CONFIG, state, hidden, action, jax.random.fold_in(world_key, t))
             assert bool(batch.is_taken[k, t])
             assert int(batch.action[k, t]) == int(action)
             assert float(batch.reward[k, t]) == pytest.approx(float(outcome.reward), rel=1e-6)

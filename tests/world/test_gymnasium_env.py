@@ -7,7 +7,7 @@ from random_scenes import random_scene
 
 from halfseen import gym_registration
 from halfseen.errors import ArgumentError, SceneError
-from halfseen.world import Scene, WorldConfig
+from halfseen.world import AssumedGrasping, Scene, WorldConfig
 from halfseen.world.episodes import play
 from halfseen.world.gymnasium_env import CupsEnv, default_scene
 from halfseen.world.policy import UniformPolicy
@@ -86,7 +86,7 @@ def test_terminated_is_the_tables_own_end():
     assert len(by_horizon) == 4
     assert by_horizon[-1][2:4] == (True, False)
     one = Scene(np.zeros((1, 1)))
-    cleared = follow(CupsEnv(one, config=WorldConfig(attempt_limit_s=1e9)), [1, 1])
+    cleared = follow(CupsEnv(one, config=WorldConfig(grasping=AssumedGrasping(limit_s=1e9))), [1, 1])
     assert len(cleared) == 2
     assert cleared[-1][2:4] == (True, False)
     assert cleared[-1][1] in (5.0, -10.0)
@@ -139,7 +139,7 @@ def test_an_impossible_action_closes_on_nothing():
 
 
 def test_what_is_washed_leaves_the_mask():
-    env = CupsEnv(Scene(np.zeros((2, 2))), config=WorldConfig(attempt_limit_s=1e9))
+    env = CupsEnv(Scene(np.zeros((2, 2))), config=WorldConfig(grasping=AssumedGrasping(limit_s=1e9)))
     env.reset(seed=0)
     observation, *_, info = env.step(1)
     assert observation["is_on_table"].tolist() == [0, 1]

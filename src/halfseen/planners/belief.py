@@ -12,9 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from halfseen.world.action_space import Verb, target_of, verb_of
+from halfseen.errors import ArgumentError
+from halfseen.world.action_space import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
-from halfseen.world.dynamics import grasp_scale_s, label_accuracy
+from halfseen.world.grasping import KnownGrasping
+from halfseen.world.seeing import KnownSeeing
 from halfseen.world.state import TableState
 
 NUM_NODES = 7
@@ -34,9 +36,42 @@ class Belief:
     steps_to_go: Int[Array, "*B"]
 
 
+def known_grasping(config: WorldConfig) -> KnownGrasping:
+    """How attempts go, with its probabilities.
+
+    Raises
+    ------
+    ArgumentError
+        The world's law can only be drawn from.
+    """
+    if not isinstance(config.grasping, KnownGrasping):
+        raise _unknown("grasping", config.grasping, "AssumedGrasping")
+    return config.grasping
+
+
+def known_seeing(config: WorldConfig) -> KnownSeeing:
+    """What looks tell, with its probabilities.
+
+    Raises
+    ------
+    ArgumentError
+        The world's law can only be drawn from.
+    """
+    if not isinstance(config.seeing, KnownSeeing):
+        raise _unknown("seeing", config.seeing, "AssumedSeeing")
+    return config.seeing
+
+
+def _unknown(name: str, law: object, known: str) -> ArgumentError:
+    return ArgumentError(
+        f"{name} of the config is {type(law).__name__}, a law that can be drawn from but whose probabilities are not "
+        f"known, and planners need them; plan with a config whose {name} models it, such as {known}"
+    )
+
+
 def offset_nodes(config: WorldConfig) -> Float[Array, " G"]:
     """Grip offsets at which posteriors are held."""
-    return config.grip_offset_std * jnp.asarray(_NODES, dtype=jnp.float32)
+    return known_grasping(config).offset_std * jnp.asarray(_NODES, dtype=jnp.float32)
 
 
 def prior_grip() -> Float[Array, " G"]:
@@ -45,10 +80,8 @@ def prior_grip() -> Float[Array, " G"]:
 
 
 def failure_log_chance(config: WorldConfig, occluded: Float[Array, "*S"]) -> Float[Array, "*S G"]:
-    """Log P(T > τ | occ, u) = −τ / scale at each grip offset."""
-    # The scale is a product of occlusion and offset: no exponential for every pair of them.
-    per_offset = jnp.exp(offset_nodes(config))
-    return -config.attempt_limit_s / grasp_scale_s(config, occluded[..., None], jnp.zeros(())) * per_offset
+    """Log P(an attempt fails | occ, u) at each grip offset."""
+    return known_grasping(config).log_failure(occluded[..., None], offset_nodes(config))
 
 
 def attempt_evidence(config: WorldConfig, occluded: Float[Array, "*S"], succeeded: Array) -> Float[Array, "*S G"]:
@@ -78,9 +111,8 @@ def grasp_chance(config: WorldConfig, occluded: Float[Array, "*S"], grip: Float[
 def expected_attempt_s(
     config: WorldConfig, occluded: Float[Array, "*S"], grip: Float[Array, "*S G"]
 ) -> Float[Array, "*S"]:
-    """E min(T, τ) + transport [s], the grip offset integrated out."""
-    scale_s = grasp_scale_s(config, occluded[..., None], offset_nodes(config))
-    attempt_s = -scale_s * jnp.expm1(failure_log_chance(config, occluded))
+    """Expected duration of an attempt with its transport [s], the grip offset integrated out."""
+    attempt_s = known_grasping(config).expected_s(occluded[..., None], offset_nodes(config))
     return config.transport_s + jnp.sum(jax.nn.softmax(grip, axis=-1) * attempt_s, axis=-1)
 
 
@@ -94,7 +126,7 @@ def dirty_after_label(
     config: WorldConfig, is_dirty: Float[Array, "*S"], occluded: Float[Array, "*S"]
 ) -> tuple[Float[Array, "*S"], Float[Array, "*S"], Float[Array, "*S"]]:
     """P(the next label says dirty), and P(DIRTY) after either label."""
-    right = label_accuracy(config, occluded)
+    right = known_seeing(config).accuracy(occluded)
     says_dirty = is_dirty * right + (1.0 - is_dirty) * (1.0 - right)
     return says_dirty, is_dirty * right / says_dirty, is_dirty * (1.0 - right) / (1.0 - says_dirty)
 
@@ -103,7 +135,8 @@ def sample_successor(config: WorldConfig, belief: Belief, action: Int[Array, ""]
     """Draw what would be believed after an attempt to WASH or LIFT: one particle's future."""
     grasp_key, label_key = jax.random.split(key)
     num_objects = belief.is_on_table.shape[0]
-    verb, target = verb_of(action, num_objects), target_of(action, num_objects)
+    actions = ActionSpace(num_objects)
+    verb, target = actions.verb(action), actions.target(action)
     is_target = jnp.arange(num_objects) == target
     occluded = occlusion_without(belief, jnp.zeros_like(is_target))[target]
     is_grasped = jax.random.uniform(grasp_key) < grasp_chance(config, occluded, belief.grip[target])
@@ -116,7 +149,7 @@ def sample_successor(config: WorldConfig, belief: Belief, action: Int[Array, ""]
     )
     is_held = is_target & is_grasped & (verb == Verb.LIFT)
     seen_at = jnp.where(is_held, 0.0, occlusion_without(after, is_held))
-    right = label_accuracy(config, seen_at)
+    right = known_seeing(config).accuracy(seen_at)
     says_dirty, _, _ = dirty_after_label(config, jax.nn.sigmoid(belief.log_odds), seen_at)
     sign = jnp.where(jax.random.uniform(label_key, right.shape) < says_dirty, 1.0, -1.0)
     update = sign * (jnp.log(right) - jnp.log1p(-right))

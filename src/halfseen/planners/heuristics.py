@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from halfseen.errors import ArgumentError
 from halfseen.planners.belief import grasp_chance, grip_posterior, prior_grip
-from halfseen.world.action_space import FINISH
+from halfseen.world.action_space import FINISH, ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.grasp_model import GraspModel
 from halfseen.world.policy import Decision, surely
@@ -30,7 +30,7 @@ def wash_worth(
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class TrueGrasp:
-    """The true model's chance of a grasp, the hidden grip offset integrated out: a `GraspModel` that knows the world.
+    """The true probability of a grasp, the hidden grip offset integrated out: a `GraspModel` that knows the world.
 
     Parameters
     ----------
@@ -62,11 +62,11 @@ class GreedyPolicy:
     config
         The world that it believes in.
     uses_history
-        Whether the chance of a grasp is updated by the object's past attempts, or is the prior's at its occlusion.
+        Whether the probability of a grasp is updated by the object's past attempts, or is the prior's at its occlusion.
     counts_penalty
         Whether the FINISH penalty that a successful WASH avoids is counted; that makes the rule much stronger.
     grasp
-        What tells the chance of a grasp in place of the true model; it needs `uses_history`.
+        What tells the probability of a grasp in place of the true model; it needs `uses_history`.
 
     Raises
     ------
@@ -84,10 +84,11 @@ class GreedyPolicy:
             raise ArgumentError("grasp is given and uses_history is False; a grasp model looks at the history")
 
     def decide(self, state: TableState, key: Array) -> Decision:
-        """Choose for one table; there is no chance in it."""
+        """Choose for one table; nothing is drawn."""
         grasp = TrueGrasp(self.config, self.uses_history) if self.grasp is None else self.grasp
         chance = grasp.chance(state)
         worth = wash_worth(self.config, jax.nn.sigmoid(state.log_odds), chance, self.counts_penalty)
         worth = jnp.where(state.is_on_table, worth, -jnp.inf)
         best = jnp.argmax(worth)
-        return surely(jnp.where(worth[best] > 0.0, 1 + best, FINISH).astype(jnp.int32))
+        wash = ActionSpace(state.num_objects).encode(Verb.WASH, best)
+        return surely(jnp.where(worth[best] > 0.0, wash, FINISH).astype(jnp.int32))

@@ -25,6 +25,7 @@ from halfseen.planners.belief import (
     occlusion_without,
 )
 from halfseen.planners.heuristics import wash_worth
+from halfseen.world.action_space import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 
 UNLIMITED = 1_000_000
@@ -90,8 +91,9 @@ def one_step_q(config: WorldConfig, belief: Belief) -> Float[Array, " A"]:
     look = config.reward_lift_per_s * expected_attempt_s(config, occluded, belief.grip)
     lift = look + chance * lifted + (1.0 - chance) * missed
     finish = config.reward_dirty_left * jnp.sum(jnp.where(belief.is_on_table, is_dirty, 0.0))
-    attempts = jnp.where(jnp.tile(belief.is_on_table, 2), jnp.concatenate([wash, lift]), -jnp.inf)
-    return jnp.concatenate([finish[None], attempts])
+    worths = {Verb.WASH: wash, Verb.LIFT: lift}
+    possible = {verb: jnp.where(belief.is_on_table, worth, -jnp.inf) for verb, worth in worths.items()}
+    return ActionSpace(num_objects).join(finish, possible)
 
 
 def rule_and_control(config: WorldConfig, belief: Belief) -> tuple[Float[Array, " A"], Float[Array, " A"]]:

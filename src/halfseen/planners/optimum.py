@@ -51,10 +51,9 @@ from halfseen.planners.optimum_model import (
     Result,
     after_attempt,
     first_tally,
-    label_accuracy,
     looks_of,
 )
-from halfseen.world.action_space import Verb, encode
+from halfseen.world.action_space import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Policy
 from halfseen.world.scene import Scene
@@ -111,7 +110,7 @@ class TableOptimum:
         """Exact expected reward of a policy, before the first look.
 
         The policy is asked once in every state that it can reach, with a key of its own: a policy that draws its
-        actions by lot, or samples futures, is valued for the draws of `key`. Paths that differ only in the order of
+        actions at random, or samples futures, is valued for the draws of `key`. Paths that differ only in the order of
         what happened, or in what is known of an object that has left, are one state; the policy is shown one of them.
         Heuristics, planners and learned policies cannot tell them apart.
 
@@ -122,9 +121,9 @@ class TableOptimum:
         key
             What it draws from, by default ``jax.random.key(0)``.
         max_states
-            Ask in this many states of each step at most: in the likely ones, and in some of the others, drawn by lot,
-            that stand for the rest. The value is then an unbiased estimate, whose error shows over several keys: for
-            a policy that takes its time. By default, all.
+            Ask in this many states of each step at most: in the likely ones, and in some of the others, drawn at
+            random, that stand for the rest. The value is then an unbiased estimate, whose error shows over several
+            keys: for a policy that takes its time. By default, all.
 
         Raises
         ------
@@ -142,7 +141,7 @@ class TableOptimum:
             reached = every = reached_in(masses)
             if max_states is not None:
                 reached = drawn(every, max_states, jax.random.fold_in(step_key, 0))
-                # What the lot changed is known under the best policy: only by how much this one is worse stays noisy.
+                # What the draw changed is known under the best policy: only by how much this one is worse stays noisy.
                 total += self._worth(index, every) - self._worth(index, reached)
             histories, log_odds = self._histories[index], log_odds_in(self._world, layer, reached)
             steps_to_go = self.horizon - index
@@ -199,7 +198,7 @@ class TableOptimum:
         """Actions that an attempt with this result can be."""
         target, result = attempt
         verbs = {Result.FAILED: (Verb.WASH, Verb.LIFT), Result.LIFTED: (Verb.LIFT,), Result.WASHED: (Verb.WASH,)}
-        return [encode(verb, target, self._world.num_objects) for verb in verbs[result]]
+        return [ActionSpace(self._world.num_objects).encode(verb, target) for verb in verbs[result]]
 
     def _looks_after(self, index: int, place: int, attempt: Attempt) -> tuple[Look | None, ...]:
         """What the look after an attempt does; kept, as every policy asks for it."""
@@ -284,7 +283,7 @@ def solve_table(
 def _check_doubt(world: GridWorld) -> None:
     """Log-odds must be finite."""
     told = {"dirty_share": np.array([world.config.dirty_share], dtype=np.float64)}
-    told |= {f"label accuracy of object {i}": label_accuracy(world.config, at) for i, at in enumerate(world.occlusions)}
+    told |= {f"label accuracy of object {i}": world.seeing.accuracy(at) for i, at in enumerate(world.occlusions)}
     for name, chances in told.items():
         wrong = chances[~((chances > 0.0) & (chances < 1.0))]
         if len(wrong):

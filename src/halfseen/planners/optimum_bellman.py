@@ -23,7 +23,7 @@ from halfseen.planners.optimum_model import (
     looks_of,
     num_cells,
 )
-from halfseen.world.action_space import FINISH, Verb, encode, num_actions
+from halfseen.world.action_space import FINISH, ActionSpace, Verb
 
 Grid: TypeAlias = Float[np.ndarray, "..."]
 Attempt: TypeAlias = tuple[int, Result]
@@ -123,10 +123,10 @@ def _along(values: Float[np.ndarray, " cells"], axis: int, num_axes: int) -> Gri
 
 
 class NodeModel:
-    """Chances and rewards of one node, on its grid."""
+    """Probabilities and rewards of one node, on its grid."""
 
     def __init__(self, world: GridWorld, tally: Tally) -> None:
-        self.world, self.tally = world, tally
+        self.world, self.tally, self.actions = world, tally, ActionSpace(len(tally))
         self.shape = grid_shape(world, tally)
         levels = current_levels(world, tally)
         self.dirty: dict[int, Grid] = {}
@@ -145,21 +145,19 @@ class NodeModel:
 
     def reward(self, action: int) -> Grid:
         """Expected reward of an action itself, whatever follows; that of FINISH is the price of what is left."""
-        config, num_objects = self.world.config, len(self.tally)
+        config, target = self.world.config, self.actions.target(action)
         if action == FINISH:
             return self.left()
-        target = (action - 1) % num_objects
-        if action > num_objects:
-            return np.full((1,) * num_objects, float(config.reward_lift_per_s) * self.attempt_s[target])
+        if self.actions.verb(action) == Verb.LIFT:
+            return np.full((1,) * len(self.tally), float(config.reward_lift_per_s) * self.attempt_s[target])
         dirty, chance = self.dirty[target], self.chance[target]
         washed = dirty * float(config.reward_wash_dirty) + (1.0 - dirty) * float(config.reward_wash_clean)
         return chance * washed + (1.0 - chance) * float(config.reward_wash_failed)
 
     def outcomes(self, action: int) -> list[tuple[float, Attempt]]:
         """What may come of an action that is an attempt, and how likely that is."""
-        num_objects = len(self.tally)
-        target = (action - 1) % num_objects
-        won = Result.WASHED if action <= num_objects else Result.LIFTED
+        target = self.actions.target(action)
+        won = Result.WASHED if self.actions.verb(action) == Verb.WASH else Result.LIFTED
         return [(1.0 - self.chance[target], (target, Result.FAILED)), (self.chance[target], (target, won))]
 
     def looks(self, attempt: Attempt) -> tuple[Look | None, ...]:
@@ -178,12 +176,12 @@ class NodeModel:
 
     def q_values(self, after: dict[Attempt, Grid]) -> Float[np.ndarray, "A ..."]:
         """Q of every action in every cell, given the values behind each attempt; −∞ where an action is impossible."""
-        q = np.full((num_actions(len(self.tally)), *self.shape), -np.inf)
+        q = np.full((self.actions.num_actions, *self.shape), -np.inf)
         q[FINISH] = self.reward(FINISH)
         future = {attempt: self.future(attempt, after.get(attempt)) for attempt in attempts_of(self.tally)}
         for target in self.dirty:
             for verb in (Verb.WASH, Verb.LIFT):
-                action = encode(verb, target, len(self.tally))
+                action = self.actions.encode(verb, target)
                 q[action] = self.reward(action)
                 for chance, attempt in self.outcomes(action):
                     q[action] += chance * future[attempt]

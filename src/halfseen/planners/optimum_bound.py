@@ -4,7 +4,7 @@ Whoever is told more can do no worse. Three informants are here, each of which t
 
 - ``"looks"`` tells before the first action how well each object is gripped, and what as many looks at each object as
   the horizon allows would say if nothing hid it. No policy sees more labels, nor better ones: a label from behind
-  another object is as good as one in full view that is sometimes turned round by lot;
+  another object is as good as one in full view that is sometimes turned round at random;
 - ``"hidden"`` tells which objects are dirty instead;
 - ``"everything"`` tells the time that every grasp will take as well: the exponential draw of every step.
 
@@ -21,8 +21,9 @@ from numpy.typing import ArrayLike
 from scipy.stats import binom
 
 from halfseen.errors import ArgumentError
-from halfseen.planners.optimum_model import GridWorld, grasp_scale_s, label_accuracy
+from halfseen.planners.optimum_model import GridWorld
 from halfseen.world.config import WorldConfig
+from halfseen.world.grasping import AssumedGrasping
 from halfseen.world.scene import Scene
 
 MAX_OBJECTS = 12
@@ -89,7 +90,8 @@ def information_relaxation_bound(
     Raises
     ------
     ArgumentError
-        A number is out of its range, `reveals` is unknown, or there are more than `MAX_OBJECTS` objects.
+        A number is out of its range, `reveals` is unknown or more than is known of the world's laws, or there are more
+        than `MAX_OBJECTS` objects.
 
     Examples
     --------
@@ -101,6 +103,7 @@ def information_relaxation_bound(
     table = scene if isinstance(scene, Scene) else Scene(np.asarray(scene, dtype=np.float64))
     steps = config.horizon if horizon is None else horizon
     _check(table.num_objects, steps, num_samples, num_grip_nodes, reveals)
+    _check_times_known(config, reveals)
     world = GridWorld(table.hides, config, num_grip_nodes or 1)
     rng = np.random.default_rng(seed)
     dirty, of_dirty = _told_of_dirt(world, steps, reveals)
@@ -128,6 +131,12 @@ def _check(num_objects: int, horizon: int, num_samples: int, num_grip_nodes: int
         raise ArgumentError(f"reveals is {reveals!r}; it is one of {', '.join(REVEALED)}")
 
 
+def _check_times_known(config: WorldConfig, reveals: str) -> None:
+    if reveals == "everything" and not isinstance(config.grasping, AssumedGrasping):
+        name = type(config.grasping).__name__
+        raise ArgumentError(f"reveals is 'everything', and grasping is {name}, whose times are not known: use 'hidden'")
+
+
 def _told_of_dirt(
     world: GridWorld, horizon: int, reveals: str
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
@@ -135,7 +144,7 @@ def _told_of_dirt(
     dirty_share = float(world.config.dirty_share)
     if reveals != "looks":
         return np.array([0.0, 1.0]), np.array([1.0 - dirty_share, dirty_share])
-    accuracy = label_accuracy(world.config, np.concatenate(world.occlusions))
+    accuracy = world.seeing.accuracy(np.concatenate(world.occlusions))
     best = float(np.maximum(accuracy, 1.0 - accuracy).max())
     labels = np.arange(horizon + 1)
     if_dirty = dirty_share * binom.pmf(labels, horizon, best)
@@ -164,7 +173,7 @@ def _drawn(
     if is_on_grid:
         grip_offset = rng.choice(world.grip_offsets, p=world.grip_prior, size=shape)
     else:
-        grip_offset = float(world.config.grip_offset_std) * rng.standard_normal(shape)
+        grip_offset = float(world.grasping.offset_std) * rng.standard_normal(shape)
     return _Told(rng.choice(dirty, p=of_dirty, size=shape), grip_offset, np.full(num_samples, 1.0 / num_samples))
 
 
@@ -213,10 +222,9 @@ def _attempts(
     `pace` holds the exponential draw of this step if it is known; then the chance is 0 or 1.
     """
     occluded = world.occlusions[target][world.level_by_subset[target, there]]
-    scale_s = grasp_scale_s(world.config, occluded, told.grip_offset[:, [target]])
-    limit_s, transport_s = float(world.config.attempt_limit_s), float(world.config.transport_s)
+    law, offset, transport_s = world.grasping, told.grip_offset[:, [target]], float(world.config.transport_s)
     if pace is None:
-        chance = -np.expm1(-limit_s / scale_s)
-        return chance, transport_s + scale_s * chance
-    grasp_s = scale_s * pace
-    return (grasp_s <= limit_s).astype(np.float64), transport_s + np.minimum(grasp_s, limit_s)
+        return -np.expm1(law.log_failure(occluded, offset)), transport_s + law.expected_s(occluded, offset)
+    assert isinstance(law, AssumedGrasping), "checked where the draw is asked for"
+    grasp_s = law.scale_s(occluded, offset) * pace
+    return (grasp_s <= law.limit_s).astype(np.float64), transport_s + np.minimum(grasp_s, law.limit_s)

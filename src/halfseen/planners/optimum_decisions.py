@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 from halfseen.errors import ArgumentError
 from halfseen.planners.optimum_bellman import Attempt, Grid, Layer, Node, grid_shape
 from halfseen.planners.optimum_model import GridWorld, Result, current_levels
-from halfseen.world.action_space import FINISH, num_actions
+from halfseen.world.action_space import FINISH, TARGETED, ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Policy
 from halfseen.world.state import NO_ATTEMPT, TableState
@@ -99,7 +99,7 @@ def rows_by_place(reached: Reached) -> Iterator[tuple[int, slice]]:
 
 
 def drawn(reached: Reached, max_states: int, key: Array) -> Reached:
-    """Keep at most so many states: the likely ones, and by lot some of the others, which then stand for the rest.
+    """Keep at most so many states: the likely ones, and at random some of the others, which then stand for the rest.
 
     No expectation changes [FearnheadClifford2003]_: a mass m < c becomes c with probability m/c, or else 0, and c is
     such that as many states are left as are wanted.
@@ -173,8 +173,8 @@ def rewards_in(
 ) -> Float[np.ndarray, " n"]:
     """Expected reward of an action in states of a layer, with the price of what is left if the path ends by it."""
     there, rows = histories.is_on_table[reached.place], np.arange(len(actions))
-    num_objects = there.shape[1]
-    target = (actions - 1) % num_objects
+    codec = ActionSpace(there.shape[1])
+    target = codec.target(actions)
     chance, attempt_s = histories.chance[reached.place, target], histories.attempt_s[reached.place, target]
     is_dirty = np.where(there, 1.0 / (1.0 + np.exp(-log_odds)), 0.0)
     dirty, left = is_dirty[rows, target], float(config.reward_dirty_left) * is_dirty.sum(axis=1)
@@ -183,7 +183,7 @@ def rewards_in(
     lift = float(config.reward_lift_per_s) * attempt_s
     if is_last:
         wash, lift = wash + left - chance * float(config.reward_dirty_left) * dirty, lift + left
-    return np.select([actions == FINISH, actions <= num_objects], [left, wash], lift)
+    return np.select([actions == FINISH, codec.verb(actions) == Verb.WASH], [left, wash], lift)
 
 
 class _Shown(NamedTuple):
@@ -209,8 +209,8 @@ def _decide_each(policy: Policy, hides: Array, steps_to_go: Array, shown: _Shown
 
 
 def _check_possible(actions: Int[np.ndarray, " n"], there: Bool[np.ndarray, "n N"]) -> None:
-    is_possible = np.concatenate([np.ones((len(there), 1), dtype=bool), there, there], axis=1)
-    in_range = (actions >= 0) & (actions < num_actions(there.shape[1]))
+    is_possible = np.concatenate([np.ones((len(there), 1), dtype=bool), *[there] * len(TARGETED)], axis=1)
+    in_range = (actions >= 0) & (actions < ActionSpace(there.shape[1]).num_actions)
     wrong = np.flatnonzero(~in_range | ~is_possible[np.arange(len(actions)), np.where(in_range, actions, 0)])
     if len(wrong):
         raise ArgumentError(

@@ -15,11 +15,15 @@ from functools import cached_property, lru_cache
 from math import prod
 from typing import NamedTuple, TypeAlias
 
+import jax
 import numpy as np
 from jaxtyping import Float, Int
 
 from halfseen.arrays import Hides
+from halfseen.planners.belief import known_grasping, known_seeing
 from halfseen.world.config import WorldConfig
+from halfseen.world.grasping import KnownGrasping
+from halfseen.world.seeing import KnownSeeing
 
 _SAME_OCCLUSION_DIGITS = 12
 _MAX_CACHED = 8192
@@ -80,9 +84,19 @@ class GridWorld:
         return len(self.hides)
 
     @cached_property
+    def grasping(self) -> KnownGrasping:
+        """How attempts go, in float64."""
+        return jax.tree.map(np.asarray, known_grasping(self.config))
+
+    @cached_property
+    def seeing(self) -> KnownSeeing:
+        """What looks tell, in float64."""
+        return jax.tree.map(np.asarray, known_seeing(self.config))
+
+    @cached_property
     def grip_offsets(self) -> Float[np.ndarray, " G"]:
         """The grip offsets that an object can have."""
-        return float(self.config.grip_offset_std) * np.polynomial.hermite_e.hermegauss(self.num_grip_nodes)[0]
+        return float(self.grasping.offset_std) * np.polynomial.hermite_e.hermegauss(self.num_grip_nodes)[0]
 
     @cached_property
     def grip_prior(self) -> Float[np.ndarray, " G"]:
@@ -110,7 +124,7 @@ class GridWorld:
     @lru_cache(maxsize=_MAX_CACHED)  # noqa: B019 bounded, and the entries are small
     def log_odds(self, cup: int, looks: Counts) -> Float[np.ndarray, " cells"]:
         """Log-odds of DIRTY in each cell of an object's axis."""
-        right = label_accuracy(self.config, self.occlusions[cup])
+        right = self.seeing.accuracy(self.occlusions[cup])
         evidence = np.log(right) - np.log1p(-right)
         prior = np.log(self.config.dirty_share) - np.log1p(-self.config.dirty_share)
         return prior + evidence @ (2 * _dirty_labels(looks) - np.array(looks)[:, None])
@@ -126,7 +140,7 @@ class GridWorld:
         labels = _dirty_labels(looks)
         shape = tuple(count + 1 + (at == level) for at, count in enumerate(looks))
         one_more = labels + (np.arange(len(looks)) == level)[:, None]
-        right = float(label_accuracy(self.config, self.occlusions[cup][level]))
+        right = float(self.seeing.accuracy(self.occlusions[cup][level]))
         dirty = self.dirty(cup, looks)
         says_dirty = dirty * right + (1.0 - dirty) * (1.0 - right)
         if_clean, if_dirty = (np.asarray(np.ravel_multi_index(tuple(told), shape)) for told in (labels, one_more))
@@ -135,27 +149,16 @@ class GridWorld:
     @lru_cache(maxsize=_MAX_CACHED)  # noqa: B019
     def attempt(self, cup: int, failures: Counts, successes: Counts, level: int) -> tuple[float, float]:
         """P(an attempt succeeds), and its expected time [s], given an object's past attempts."""
-        scale_s = grasp_scale_s(self.config, self.occlusions[cup][:, None], self.grip_offsets)
-        limit_s = float(self.config.attempt_limit_s)
-        missed = np.exp(-limit_s / scale_s)
-        caught = -np.expm1(-limit_s / scale_s)
+        occluded = self.occlusions[cup][:, None]
+        log_failure = self.grasping.log_failure(occluded, self.grip_offsets)
+        missed, caught = np.exp(log_failure), -np.expm1(log_failure)
         counts = np.array(failures)[:, None], np.array(successes)[:, None]
         likelihood = self.grip_prior * np.prod(missed ** counts[0] * caught ** counts[1], axis=0)
         grip = likelihood / likelihood.sum()
-        expected_s = float(self.config.transport_s) + float(grip @ (scale_s * caught)[level])
+        expected_s = float(self.config.transport_s) + float(
+            grip @ self.grasping.expected_s(occluded, self.grip_offsets)[level]
+        )
         return float(grip @ caught[level]), expected_s
-
-
-def grasp_scale_s(
-    config: WorldConfig, occluded: Float[np.ndarray, "*#S"] | float, grip_offset: Float[np.ndarray, "*#S"] | float
-) -> Float[np.ndarray, "*S"]:
-    """Mean time to grasp [s]: the world's, in float64."""
-    return np.exp(config.grasp_log_time + config.grasp_log_time_per_occlusion * np.asarray(occluded) - grip_offset)
-
-
-def label_accuracy(config: WorldConfig, occluded: Float[np.ndarray, "*S"] | float) -> Float[np.ndarray, "*S"]:
-    """Probability that a label is right: the world's, in float64."""
-    return np.asarray(config.label_floor + config.label_gain * (1.0 - np.asarray(occluded)) ** config.label_power)
 
 
 def _dirty_labels(looks: Counts) -> Int[np.ndarray, "levels cells"]:

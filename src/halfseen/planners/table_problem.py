@@ -16,12 +16,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from halfseen.errors import ArgumentError
-from halfseen.planners.belief import belief_of
+from halfseen.planners.belief import belief_of, known_grasping, known_seeing
 from halfseen.planners.generative import Control, Step
 from halfseen.planners.one_step import control_value, one_step_q, rule_and_control
 from halfseen.world.action_space import Verb, num_actions, possible_actions, target_of, verb_of
 from halfseen.world.config import WorldConfig
-from halfseen.world.dynamics import grasp_probability, label_accuracy, step
+from halfseen.world.dynamics import step
 from halfseen.world.state import HiddenState, TableState, occlusion_without
 
 MAX_OBJECTS = 30
@@ -93,12 +93,12 @@ class TableProblem:
 
     def step(self, state: TableSituation, action: Int[Array, ""], key: Array) -> Step:
         """Carry out one possible action in the world."""
-        after, outcome = step(self.config, state.seen, state.hidden, action, key)
+        after, hidden, outcome = step(self.config, state.seen, state.hidden, action, key)
         now = state.seen.horizon - state.seen.steps_to_go
         says_dirty = after.log_odds > state.seen.log_odds
         bits = jnp.append(says_dirty, after.attempt_succeeded[now]).astype(jnp.int32)
         observation = jnp.sum(bits << jnp.arange(bits.shape[0]))
-        return Step(TableSituation(after, state.hidden), observation, outcome.reward, outcome.is_over)
+        return Step(TableSituation(after, hidden), observation, outcome.reward, outcome.is_over)
 
     def log_likelihood(self, observation: Int[Array, ""], state_after: TableSituation, action: Int[Array, ""]) -> Array:
         """Log probability of the labels, and of the grasp, which `state_after` itself says: 0 or −∞."""
@@ -108,7 +108,7 @@ class TableProblem:
         is_grasped = seen.attempt_succeeded[seen.horizon - 1 - seen.steps_to_go]
         is_target = jnp.arange(num_objects) == target_of(action, num_objects)
         is_held = is_target & is_grasped & (verb_of(action, num_objects) == Verb.LIFT)
-        right = label_accuracy(self.config, jnp.where(is_held, 0.0, occlusion_without(seen, is_held)))
+        right = known_seeing(self.config).accuracy(jnp.where(is_held, 0.0, occlusion_without(seen, is_held)))
         chance = jnp.where((bits[:-1] == 1) == hidden.is_dirty, right, 1.0 - right)
         # What is off the table gets no label.
         label = jnp.where(seen.is_on_table, jnp.log(chance), jnp.where(bits[:-1] == 0, 0.0, -jnp.inf))
@@ -127,8 +127,9 @@ class TableProblem:
 def _drawn_grip(config: WorldConfig, seen: TableState, key: Array) -> Float[Array, " N"]:
     """Draw each grip offset from its posterior given all attempts."""
     grid = jnp.asarray(_GRID)
-    held = jnp.log(grasp_probability(config, seen.attempt_occlusion[:, None], config.grip_offset_std * grid))
-    missed = jnp.log1p(-grasp_probability(config, seen.attempt_occlusion[:, None], config.grip_offset_std * grid))
+    law = known_grasping(config)
+    missed = law.log_failure(seen.attempt_occlusion[:, None], law.offset_std * grid)
+    held = jnp.log(-jnp.expm1(missed))
     # What is impossible must stay finite: 0 · ∞ is no number.
     evidence = jnp.maximum(jnp.where(seen.attempt_succeeded[:, None], held, missed), _LEAST_LOG)
     is_mine = jax.nn.one_hot(seen.attempt_object, seen.num_objects, dtype=evidence.dtype)
@@ -138,4 +139,4 @@ def _drawn_grip(config: WorldConfig, seen: TableState, key: Array) -> Float[Arra
     rank = jnp.sum(share < jax.random.uniform(draw_key, (seen.num_objects, 1)), axis=-1)
     within = jax.random.uniform(within_key, (seen.num_objects,), minval=-0.5, maxval=0.5)
     drawn = grid[jnp.minimum(rank, len(grid) - 1)] + within * (grid[1] - grid[0])
-    return config.grip_offset_std * drawn
+    return law.offset_std * drawn

@@ -8,7 +8,9 @@ from scipy.optimize import root_scalar
 
 from halfseen.errors import ArgumentError
 from halfseen.world.config import WorldConfig
+from halfseen.world.grasping import AssumedGrasping
 from halfseen.world.scene import Scene
+from halfseen.world.seeing import AssumedSeeing
 
 RAW_SHAPE = 0.5
 """Of the gamma distribution of who hides whom; below 1, few pairs hide much and many hide next to nothing."""
@@ -25,7 +27,7 @@ class MapCell:
     occlusion
         Hidden share of an object while all stand on the table, mean over the objects.
     label_gain, reward_wash_clean, grip_offset_std
-        As in `halfseen.world.config.WorldConfig`.
+        `AssumedSeeing.gain`, `WorldConfig.reward_wash_clean`, `AssumedGrasping.offset_std`.
     """
 
     num_objects: int
@@ -36,11 +38,12 @@ class MapCell:
 
     def world(self, base: WorldConfig) -> WorldConfig:
         """The world of this place; all other numbers are those of `base`."""
+        grasping, seeing = assumed_laws(base)
         return replace(
             base,
-            label_gain=self.label_gain,
+            grasping=replace(grasping, offset_std=self.grip_offset_std),
+            seeing=replace(seeing, gain=self.label_gain),
             reward_wash_clean=self.reward_wash_clean,
-            grip_offset_std=self.grip_offset_std,
         )
 
 
@@ -85,15 +88,23 @@ class MapDesign:
             raise ArgumentError(f"cut_share of the map is {self.cut_share}; it lies between 0 and 1")
 
 
+def assumed_laws(world: WorldConfig) -> tuple[AssumedGrasping, AssumedSeeing]:
+    """The laws that the map varies."""
+    if not (isinstance(world.grasping, AssumedGrasping) and isinstance(world.seeing, AssumedSeeing)):
+        raise ArgumentError("the map varies AssumedGrasping and AssumedSeeing; give a world that has them")
+    return world.grasping, world.seeing
+
+
 def map_cells(map_design: MapDesign, base: WorldConfig) -> list[MapCell]:
     """All places: every clutter in the world `base` and in each of its variations."""
-    spread = float(base.grip_offset_std)
+    grasping, seeing = assumed_laws(base)
+    spread = float(grasping.offset_std)
     worlds = [
         (label_gain, reward, spread)
         for label_gain in map_design.label_gains
         for reward in map_design.wash_clean_rewards
     ]
-    worlds += [(float(base.label_gain), float(base.reward_wash_clean), value) for value in map_design.grip_offset_stds]
+    worlds += [(float(seeing.gain), float(base.reward_wash_clean), value) for value in map_design.grip_offset_stds]
     clutters = [
         (num_objects, occlusion) for num_objects in map_design.num_objects for occlusion in map_design.occlusions
     ]

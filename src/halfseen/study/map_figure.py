@@ -12,7 +12,7 @@ from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import Figure
 
 from halfseen.study.figures import INK, write_title
-from halfseen.study.map_cells import MapCell, MapDesign
+from halfseen.study.map_cells import MapCell, MapDesign, assumed_laws
 from halfseen.study.map_table import ENOUGH, FACTORS, LEARN, NO_SCALE, UNDECIDED
 from halfseen.study.map_words import map_title
 from halfseen.study.results import StudyResults
@@ -95,12 +95,13 @@ def map_of(table: pd.DataFrame, map_design: MapDesign, world: WorldConfig, is_ti
 def _panels(map_design: MapDesign, world: WorldConfig) -> list[Panel]:
     """Quality of labels by cost of washing a clean cup; and in a column of its own, the spread of grip offsets."""
     costs = sorted(map_design.wash_clean_rewards, reverse=True)
-    own = MapCell(0, 0.0, float(world.label_gain), float(world.reward_wash_clean), float(world.grip_offset_std))
+    grasping, seeing = assumed_laws(world)
+    own = MapCell(0, 0.0, float(seeing.gain), float(world.reward_wash_clean), float(grasping.offset_std))
     panels = []
     for row, gain in enumerate(sorted(map_design.label_gains)):
         for column, reward in enumerate(costs):
             cell = replace(own, label_gain=gain, reward_wash_clean=reward)
-            words = f"labels {_percent(float(world.label_floor) + gain)} %, cost {amount(-reward, 0)}"
+            words = f"labels {_percent(float(seeing.floor) + gain)} %, cost {amount(-reward, 0)}"
             panels.append(Panel(row, column, cell, words))
     for row, spread in enumerate(sorted(map_design.grip_offset_stds)):
         panels.append(Panel(row, len(costs), replace(own, grip_offset_std=spread), f"spread {spread:g}"))

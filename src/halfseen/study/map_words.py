@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from halfseen.study.map_cells import MapDesign
+from halfseen.study.map_cells import MapDesign, assumed_laws
 from halfseen.study.map_table import ENOUGH, FACTORS, LEARN, NO_SCALE, UNDECIDED
 from halfseen.study.wording import listed, share_in_words
 from halfseen.world.config import WorldConfig
@@ -125,7 +125,7 @@ def factor_words(factor: str, value: float, world: WorldConfig) -> str:
     if factor == "occlusion":
         return f"{_percent(value)} of an object is hidden on average"
     if factor == "label_gain":
-        return f"a label in full view is right {_percent(float(world.label_floor) + value)} of the time"
+        return f"a label in full view is right {_percent(float(assumed_laws(world)[1].floor) + value)} of the time"
     if factor == "reward_wash_clean":
         return f"washing a clean cup costs {_times(-value / float(world.reward_wash_dirty))}what a dirty one earns"
     return f"grip offsets spread by {value:g}"

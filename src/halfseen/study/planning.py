@@ -146,7 +146,7 @@ def play_singly(
         earned, taken_s = 0.0, 0.0
         for t in range(config.horizon):
             action = decided(policy, state, jax.random.fold_in(policy_key, t))
-            state, gained, duration_s, is_over = _stepped(config, state, hidden, action, world_key, t)
+            state, hidden, gained, duration_s, is_over = _stepped(config, state, hidden, action, world_key, t)
             earned, taken_s = earned + float(gained), taken_s + float(duration_s)
             if is_over:
                 break
@@ -168,9 +168,9 @@ def _begun(
 @jax.jit
 def _stepped(
     config: WorldConfig, state: TableState, hidden: HiddenState, action: jax.Array, world_key: jax.Array, t: Number
-) -> tuple[TableState, jax.Array, jax.Array, jax.Array]:
-    after, outcome = step(config, state, hidden, action, jax.random.fold_in(world_key, t))
-    return after, outcome.reward, outcome.duration_s, outcome.is_over
+) -> tuple[TableState, HiddenState, jax.Array, jax.Array, jax.Array]:
+    after, hidden, outcome = step(config, state, hidden, action, jax.random.fold_in(world_key, t))
+    return after, hidden, outcome.reward, outcome.duration_s, outcome.is_over
 
 
 def headline_policy(design: StudyDesign, layouts: Layout, rates: CutRates, repetition: int) -> LinearTablePolicy:

@@ -35,19 +35,19 @@ CLAIMS = {"reward": "learned earns more", "decision_ms": "learned decides faster
 
 WORLD_WORDS = {
     "dirty_share": "share of dirty objects",
-    "grip_offset_std": "spread of the hidden grip offset",
-    "grasp_log_time": "log time to grasp, unhidden [log s]",
-    "grasp_log_time_per_occlusion": "log time to grasp, added when wholly hidden [log s]",
-    "attempt_limit_s": "an attempt is given up after [s]",
+    "grasping.offset_std": "spread of the hidden grip offset",
+    "grasping.log_time": "log time to grasp, unhidden [log s]",
+    "grasping.log_time_per_occlusion": "log time to grasp, added when wholly hidden [log s]",
+    "grasping.limit_s": "an attempt is given up after [s]",
     "transport_s": "transport after each attempt [s]",
     "reward_wash_dirty": "reward of washing a dirty object",
     "reward_wash_clean": "reward of washing a clean object",
     "reward_wash_failed": "reward of a failed attempt to wash",
     "reward_lift_per_s": "reward of lifting, a second [1/s]",
     "reward_dirty_left": "reward for each dirty object left",
-    "label_floor": "a label is right with probability at least",
-    "label_gain": "added to that for an object in full view",
-    "label_power": "how steeply this falls with occlusion (power)",
+    "seeing.floor": "a label is right with probability at least",
+    "seeing.gain": "added to that for an object in full view",
+    "seeing.power": "how steeply this falls with occlusion (power)",
     "horizon": "steps of a path at most",
 }
 DESIGN_WORDS = {
@@ -177,7 +177,7 @@ def _content(results: StudyResults, pictures: Mapping[str, bytes]) -> dict[str, 
         "treatment_share": wording.share_in_words(design.treatment_cut_share),
         "weights": _weights(results.weights, design),
         "scenes": [_scene(scene, pictures.get(scene.name)) for scene in results.scenes],
-        "world": _in_words(asdict(design.world), WORLD_WORDS),
+        "world": _in_words(_flat(asdict(design.world)), WORLD_WORDS),
         "parameters": _in_words(_own_numbers(design), DESIGN_WORDS) + _in_words(asdict(design.clutter_map), MAP_WORDS),
         "changed": _changed(design),
         "versions": dict(sorted(results.versions.items())),
@@ -338,6 +338,12 @@ def _scene(scene: Scene, picture: bytes | None) -> dict[str, Any]:
 def _own_numbers(design: StudyDesign) -> dict[str, Any]:
     """The design without the world and the places of the map, which have words of their own."""
     return {name: value for name, value in design.as_dict().items() if name not in ("world", "clutter_map")}
+
+
+def _flat(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The numbers of the laws among those of the world, as ``"seeing.floor"``."""
+    laws = {f"{law}.{name}": value for law in ("grasping", "seeing") for name, value in values[law].items()}
+    return {name: value for name, value in values.items() if name not in ("grasping", "seeing")} | laws
 
 
 def _in_words(values: Mapping[str, Any], words: Mapping[str, str]) -> list[tuple[str, str, str]]:

@@ -12,7 +12,7 @@ from jaxtyping import Int
 from halfseen.errors import LogError, PolicyError
 from halfseen.logs import Logs
 from halfseen.logs.refusal import place, shown, value_at
-from halfseen.world.action_space import Verb
+from halfseen.world.action_space import TARGETED, Verb
 from halfseen.world.recording import states_of
 from halfseen.world.scene import Scene
 from halfseen.world.state import NO_ATTEMPT, TableState
@@ -50,16 +50,18 @@ def first_state(scene: Scene, horizon: int, dirty_share: float, stage: int = 1) 
     horizon
         T of the policy.
     dirty_share
-        P(DIRTY) of an object before any label: the one that the policy was learned under.
+        P(DIRTY) of an object before any label, as in the logs that the policy learned from; in (0, 1).
     stage
         The stage to decide, from 1.
 
     Raises
     ------
     PolicyError
-        There is no such stage.
+        There is no such stage, or `dirty_share` leaves nothing in doubt.
     """
     num_objects = scene.num_objects
+    if not 0.0 < dirty_share < 1.0:
+        raise PolicyError(f"dirty_share is {dirty_share}; P(DIRTY) before any label lies between 0 and 1")
     prior = np.log(dirty_share) - np.log1p(-dirty_share)
     nothing = np.zeros(num_objects, dtype=np.int64)
     return Present(_state(scene, np.full(num_objects, prior), nothing, [], horizon, stage), stage)
@@ -135,7 +137,8 @@ def _last_action(path: Logs) -> _Done | None:
     if verb not in Verb.__members__ or pd.isna(name) or name not in listed:
         raise LogError(
             f"{place(path.stages, -1)}: action {shown(verb)} of object {shown(name)} is none that the table knows; "
-            "give WASH or LIFT with an object of the stage, or null where nothing was done yet"
+            f"give {' or '.join(verb.name for verb in TARGETED)} with an object of the stage, or null where nothing "
+            "was done yet"
         )
     return _Done(verb, listed.index(name))
 

@@ -1,8 +1,9 @@
 """The decision process: state, actions, transition, seeing, reward → paths.
 
-Read down: `config` (the numbers) → `scene` (where an episode starts) → `state` (what is seen, what is hidden) →
-`actions` → `dynamics` (one step) → `policy` (what decides), `explanation` (how sure that is) → `episodes` (many tables
-to their end) → `cuts` → `recording` (to and from logs) → `table_world` and `gymnasium_env` (the faces).
+Read down: `grasping`, `seeing` (the laws) → `config` (they and the numbers) → `scene` (where an episode starts) →
+`state` (what is seen, what is hidden) → `action_space` → `dynamics` (one step) → `policy` (what decides), `explanation`
+(how sure that is) → `episodes` (many tables to their end) → `cuts` → `recording` (to and from logs) → `table_world` and
+`gymnasium_env` (the faces).
 """
 
 from typing import TYPE_CHECKING
@@ -10,36 +11,63 @@ from typing import TYPE_CHECKING
 from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from halfseen.world.action_space import ActionSpace, Verb
     from halfseen.world.config import WorldConfig
     from halfseen.world.explanation import Explanation
+    from halfseen.world.grasping import Arrangement, AssumedGrasping, Attempt, GraspLaw, KnownGrasping
     from halfseen.world.policy import Decision, ExploringPolicy, Policy, UniformPolicy
     from halfseen.world.scene import Scene
+    from halfseen.world.seeing import AssumedSeeing, Glimpse, KnownSeeing, SeeingLaw, Told
     from halfseen.world.state import TableState
     from halfseen.world.table_world import TableWorld
 
 __all__ = [
+    "ActionSpace",
+    "Arrangement",
+    "AssumedGrasping",
+    "AssumedSeeing",
+    "Attempt",
     "Decision",
     "Explanation",
     "ExploringPolicy",
+    "Glimpse",
+    "GraspLaw",
+    "KnownGrasping",
+    "KnownSeeing",
     "Policy",
     "Scene",
+    "SeeingLaw",
     "TableState",
     "TableWorld",
+    "Told",
     "UniformPolicy",
+    "Verb",
     "WorldConfig",
 ]
 
 __getattr__ = lazy_names(
     __name__,
     {
+        "ActionSpace": "action_space",
+        "Arrangement": "grasping",
+        "AssumedGrasping": "grasping",
+        "AssumedSeeing": "seeing",
+        "Attempt": "grasping",
         "Decision": "policy",
         "Explanation": "explanation",
         "ExploringPolicy": "policy",
+        "Glimpse": "seeing",
+        "GraspLaw": "grasping",
+        "KnownGrasping": "grasping",
+        "KnownSeeing": "seeing",
         "Policy": "policy",
         "Scene": "scene",
+        "SeeingLaw": "seeing",
         "TableState": "state",
         "TableWorld": "table_world",
+        "Told": "seeing",
         "UniformPolicy": "policy",
+        "Verb": "action_space",
         "WorldConfig": "config",
     },
 )

@@ -90,8 +90,12 @@ class ActionSpace:
         return slice(first, first + self.num_objects)
 
     def join(self, finish: Float[Array, "*S"], of_verb: Mapping[Verb, Float[Array, "N *S"]]) -> Float[Array, "A *S"]:
-        """Lay out what is known of FINISH, and by object of each other verb, in the order of the actions."""
-        return jnp.concatenate([jnp.asarray(finish)[None], *(of_verb[verb] for verb in TARGETED)])
+        """Lay out values of FINISH, and by object of other verbs, in the order of the actions.
+
+        A verb that is left out is worth −∞: whoever does not know it never takes it.
+        """
+        unknown = jnp.full((self.num_objects, *jnp.shape(finish)), -jnp.inf)
+        return jnp.concatenate([jnp.asarray(finish)[None], *(of_verb.get(verb, unknown) for verb in TARGETED)])
 
 
 def possible_actions(state: TableState) -> Bool[Array, " A"]:

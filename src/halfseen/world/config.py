@@ -5,15 +5,14 @@ prints it.
 """
 
 from dataclasses import dataclass, field
-from typing import TypeAlias
 
 import jax
-from jax import Array
+
+from halfseen.world.grasping import AssumedGrasping, GraspLaw
+from halfseen.world.number import Number
+from halfseen.world.seeing import AssumedSeeing, SeeingLaw
 
 HORIZON = 10
-
-Number: TypeAlias = float | int | Array
-"""A plain number, or what JAX makes of it inside a compiled call."""
 
 
 @jax.tree_util.register_dataclass
@@ -27,12 +26,10 @@ class WorldConfig:
         Steps after which a path ends by itself.
     dirty_share
         Prior probability that an object is DIRTY.
-    grip_offset_std
-        Standard deviation of the hidden grip offset u.
-    grasp_log_time, grasp_log_time_per_occlusion
-        Log of the scale of the time to grasp, T = exp(a + b·occ − u)·E with E ~ Exp(1) [log s].
-    attempt_limit_s
-        τ: an attempt succeeds when T ≤ τ [s].
+    grasping
+        How an attempt goes.
+    seeing
+        What a look tells.
     transport_s
         Time that every action takes on top of its attempt; FINISH takes only this (the arm goes home) [s].
     reward_wash_dirty, reward_wash_clean, reward_wash_failed
@@ -41,22 +38,15 @@ class WorldConfig:
         Reward of LIFT for each second of the attempt, transport included [1/s].
     reward_dirty_left
         Reward for each dirty object on the table when the path ends.
-    label_floor, label_gain, label_power
-        A label is right with probability floor + gain·(1 − occ)^power.
     """
 
     dirty_share: Number = 0.6
-    grip_offset_std: Number = 1.0
-    grasp_log_time: Number = 0.6
-    grasp_log_time_per_occlusion: Number = 2.2
-    attempt_limit_s: Number = 6.0
+    grasping: GraspLaw = field(default_factory=AssumedGrasping)
+    seeing: SeeingLaw = field(default_factory=AssumedSeeing)
     transport_s: Number = 1.0
     reward_wash_dirty: Number = 5.0
     reward_wash_clean: Number = -10.0
     reward_wash_failed: Number = -1.0
     reward_lift_per_s: Number = -0.1
     reward_dirty_left: Number = -5.0
-    label_floor: Number = 0.5
-    label_gain: Number = 0.3
-    label_power: Number = 1.5
     horizon: int = field(default=HORIZON, metadata={"static": True})

@@ -1,4 +1,4 @@
-"""One step of one table: grasp, reward, see. Pure functions; `jax.vmap` makes them a batch."""
+"""One step of one table: attempt, reward, look. Pure functions; `jax.vmap` makes them a batch."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -7,8 +7,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from halfseen.world.action_space import Verb, target_of, verb_of
+from halfseen.world.action_space import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
+from halfseen.world.grasping import Arrangement, Attempt
+from halfseen.world.seeing import Glimpse
 from halfseen.world.state import (
     NO_ATTEMPT,
     HiddenState,
@@ -31,72 +33,79 @@ class Outcome(NamedTuple):
     """Whether the path has come to its own end."""
 
 
-def grasp_scale_s(config: WorldConfig, occluded: Float[Array, "*#S"], grip_offset: Float[Array, "*#S"]) -> Array:
-    """Mean time to grasp: exp(a + b·occ − u) [s]."""
-    return jnp.exp(config.grasp_log_time + config.grasp_log_time_per_occlusion * occluded - grip_offset)
-
-
-def grasp_probability(config: WorldConfig, occluded: Float[Array, "*#S"], grip_offset: Float[Array, "*#S"]) -> Array:
-    """P(T ≤ τ | occ, u) = 1 − exp(−τ / scale)."""
-    return -jnp.expm1(-config.attempt_limit_s / grasp_scale_s(config, occluded, grip_offset))
-
-
-def label_accuracy(config: WorldConfig, occluded: Float[Array, "*S"]) -> Float[Array, "*S"]:
-    """Probability that a label is right."""
-    # exp and log, not a power: several times as fast where the planner asks for millions.
-    return config.label_floor + config.label_gain * jnp.exp(config.label_power * jnp.log1p(-occluded))
-
-
-def see(
+def look(
     config: WorldConfig, state: TableState, hidden: HiddenState, held: Bool[Array, " N"], key: Array
-) -> Float[Array, " N"]:
-    """Label every object on the table once; return the new log-odds of DIRTY.
+) -> tuple[TableState, HiddenState]:
+    """Look at every object on the table once, as the law of seeing has it.
 
     An object in `held` is seen unoccluded and hides nothing.
     """
-    occluded = jnp.where(held, 0.0, occlusion_without(state, held))
-    accuracy = label_accuracy(config, occluded)
-    is_right = jax.random.uniform(key, accuracy.shape) < accuracy
-    says_dirty = hidden.is_dirty == is_right
-    evidence = jnp.log(accuracy) - jnp.log1p(-accuracy)
-    update = jnp.where(says_dirty, evidence, -evidence)
-    return state.log_odds + jnp.where(state.is_on_table, update, 0.0)
+    glimpse = Glimpse(state.is_on_table, jnp.where(held, 0.0, occlusion_without(state, held)))
+    told = config.seeing.look(glimpse, state.log_odds, hidden.is_dirty, hidden.seeing_trait, key)
+    log_odds = jnp.where(state.is_on_table, told.log_odds, state.log_odds)
+    return replace(state, log_odds=log_odds), replace(hidden, seeing_trait=told.trait)
 
 
 def start(config: WorldConfig, layout: Layout, key: Array) -> tuple[TableState, HiddenState]:
-    """Set one table: hidden attributes and offsets are drawn, and the camera takes its first view of it."""
+    """Set one table: what is hidden is drawn, and the camera takes its first view of it."""
     hidden_key, see_key = jax.random.split(key)
     state = initial_state(config, layout)
     hidden = draw_hidden(config, state.num_objects, hidden_key)
-    log_odds = see(config, state, hidden, jnp.zeros_like(state.is_object), see_key)
-    return replace(state, log_odds=log_odds), hidden
+    return look(config, state, hidden, jnp.zeros_like(state.is_object), see_key)
 
 
 def step(
     config: WorldConfig, state: TableState, hidden: HiddenState, action: Int[Array, ""], key: Array
-) -> tuple[TableState, Outcome]:
-    """Carry out one possible action on one table.
+) -> tuple[TableState, HiddenState, Outcome]:
+    """Carry out one action on one table.
 
-    Returns the state after it and what it brought. The reward includes the price of the dirty objects left when the
-    path ends, be it by FINISH or by the horizon.
+    An attempt on what is not on the table closes on nothing: it fails, and takes as long as an attempt may.
+
+    Returns
+    -------
+    TableState
+        What is seen after it.
+    HiddenState
+        What is hidden after it: the laws may change their traits.
+    Outcome
+        What it brought. The reward includes the price of the dirty objects left when the path ends, be it by FINISH or
+        by the horizon.
     """
     grasp_key, see_key = jax.random.split(key)
-    verb, target = verb_of(action, state.num_objects), target_of(action, state.num_objects)
-    is_attempt = verb != Verb.FINISH
-    is_target = (jnp.arange(state.num_objects) == target) & is_attempt
-    occluded = occlusion(state)[target]
-    grasp_s = jax.random.exponential(grasp_key) * grasp_scale_s(config, occluded, hidden.grip_offset[target])
-    is_grasped = is_attempt & (grasp_s <= config.attempt_limit_s)
-    duration_s = config.transport_s + jnp.where(is_attempt, jnp.minimum(grasp_s, config.attempt_limit_s), 0.0)
-
-    after = _after_attempt(state, verb, target, is_target, is_grasped, occluded)
-    is_held = is_target & is_grasped & (verb == Verb.LIFT)
-    after = replace(after, log_odds=see(config, after, hidden, is_held, see_key))
-    is_over = ~is_attempt | (after.steps_to_go == 0) | ~jnp.any(after.is_on_table)
+    actions = ActionSpace(state.num_objects)
+    verb, target = actions.verb(action), actions.target(action)
+    tried = _attempted(config, state, hidden, verb, target, grasp_key)
+    after = _after_attempt(state, verb, target, tried)
+    hidden = replace(hidden, grasp_trait=tried.trait)
+    is_held = (jnp.arange(state.num_objects) == target) & tried.is_held & (verb == Verb.LIFT)
+    after, hidden = look(config, after, hidden, is_held, see_key)
+    is_over = (verb == Verb.FINISH) | (after.steps_to_go == 0) | ~jnp.any(after.is_on_table)
     dirty_left = jnp.sum(after.is_on_table & hidden.is_dirty)
-    reward = _action_reward(config, verb, is_grasped, hidden.is_dirty[target], duration_s)
+    duration_s = config.transport_s + tried.duration_s
+    reward = _action_reward(config, verb, tried.is_held, hidden.is_dirty[target], duration_s)
     reward = reward + jnp.where(is_over, config.reward_dirty_left * dirty_left, 0.0)
-    return after, Outcome(reward, duration_s, is_over)
+    return after, hidden, Outcome(reward, duration_s, is_over)
+
+
+def _attempted(
+    config: WorldConfig,
+    state: TableState,
+    hidden: HiddenState,
+    verb: Int[Array, ""],
+    target: Int[Array, ""],
+    key: Array,
+) -> Attempt:
+    """How the attempt went; it changes nothing where there is none, or none is possible."""
+    law, is_attempt, is_there = config.grasping, verb != Verb.FINISH, state.is_on_table[target]
+    table = Arrangement(state.hides, state.is_on_table, occlusion(state))
+    tried = law.attempt(table, hidden.grasp_trait, verb, target, key)
+    is_real = is_attempt & is_there
+    return Attempt(
+        is_held=is_real & tried.is_held,
+        duration_s=jnp.where(is_attempt, jnp.where(is_there, tried.duration_s, law.limit_s), 0.0),
+        hides=jnp.where(is_real, tried.hides, state.hides),
+        trait=jax.tree.map(lambda new, old: jnp.where(is_real, new, old), tried.trait, hidden.grasp_trait),
+    )
 
 
 def _action_reward(
@@ -111,21 +120,16 @@ def _action_reward(
     return jnp.select([verb == Verb.WASH, verb == Verb.LIFT], [wash, config.reward_lift_per_s * duration_s], 0.0)
 
 
-def _after_attempt(
-    state: TableState,
-    verb: Int[Array, ""],
-    target: Int[Array, ""],
-    is_target: Bool[Array, " N"],
-    is_grasped: Bool[Array, ""],
-    occluded: Float[Array, ""],
-) -> TableState:
+def _after_attempt(state: TableState, verb: Int[Array, ""], target: Int[Array, ""], tried: Attempt) -> TableState:
     now = state.horizon - state.steps_to_go
+    is_grasped = (jnp.arange(state.num_objects) == target) & tried.is_held
     return replace(
         state,
-        is_on_table=state.is_on_table & ~(is_target & is_grasped & (verb == Verb.WASH)),
-        lifts=state.lifts + (is_target & is_grasped & (verb == Verb.LIFT)),
+        hides=tried.hides,
+        is_on_table=state.is_on_table & ~(is_grasped & (verb == Verb.WASH)),
+        lifts=state.lifts + (is_grasped & (verb == Verb.LIFT)),
         attempt_object=state.attempt_object.at[now].set(jnp.where(verb == Verb.FINISH, NO_ATTEMPT, target)),
-        attempt_occlusion=state.attempt_occlusion.at[now].set(occluded),
-        attempt_succeeded=state.attempt_succeeded.at[now].set(is_grasped),
+        attempt_occlusion=state.attempt_occlusion.at[now].set(occlusion(state)[target]),
+        attempt_succeeded=state.attempt_succeeded.at[now].set(tried.is_held),
         steps_to_go=state.steps_to_go - 1,
     )

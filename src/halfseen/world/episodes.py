@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +15,7 @@ from halfseen.world.policy import Decision, Policy
 from halfseen.world.state import HiddenState, Layout, TableState
 
 Kept = TypeVar("Kept")
+_Table: TypeAlias = tuple[TableState, HiddenState]
 
 
 @jax.tree_util.register_dataclass
@@ -31,7 +32,7 @@ class Episodes:
     duration_s: Float[Array, "*B T"]
     is_taken: Bool[Array, "*B T"]
     hidden: HiddenState
-    """For tests and oracles; it never reaches a log."""
+    """As the table was set; for tests and oracles, it never reaches a log."""
 
     @property
     def elapsed_s(self) -> Float[Array, "*B T"]:
@@ -66,14 +67,14 @@ def _play(
     start_key, world_key, policy_key = jax.random.split(key, 3)
     state, hidden = start(config, layout, start_key)
 
-    def advance(carry: tuple[TableState, Array], t: Array) -> tuple[tuple[TableState, Array], Kept]:
-        state, is_active = carry
+    def advance(carry: tuple[_Table, Array], t: Array) -> tuple[tuple[_Table, Array], Kept]:
+        (state, hidden), is_active = carry
         decision = policy.decide(state, jax.random.fold_in(policy_key, t))
-        after, outcome = step(config, state, hidden, decision.action, jax.random.fold_in(world_key, t))
-        after = jax.tree.map(lambda new, old: jnp.where(is_active, new, old), after, state)
+        *after, outcome = step(config, state, hidden, decision.action, jax.random.fold_in(world_key, t))
+        after = jax.tree.map(lambda new, old: jnp.where(is_active, new, old), tuple(after), (state, hidden))
         return (after, is_active & ~outcome.is_over), keep(_Stage(state, decision, outcome, is_active))
 
-    _, kept = jax.lax.scan(advance, (state, jnp.asarray(True)), jnp.arange(config.horizon))
+    _, kept = jax.lax.scan(advance, ((state, hidden), jnp.asarray(True)), jnp.arange(config.horizon))
     return kept, hidden
 
 

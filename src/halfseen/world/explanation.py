@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from halfseen.errors import ArgumentError
-from halfseen.world.action_space import FINISH, Verb
+from halfseen.world.action_space import FINISH, TARGETED, ActionSpace, Verb
 from halfseen.world.state import TableState
 
 SAME_VALUE = 1e-6
@@ -28,7 +28,7 @@ class Explanation:
     Attributes
     ----------
     actions
-        Their names: FINISH, then WASH 0 …, then LIFT 0 ….
+        Their names, as in `halfseen.world.action_space`.
     values
         Q of each action [reward]; −∞ where it is impossible, as in all that follows but the chances, which are 0.
     low, high
@@ -91,12 +91,12 @@ class Explanation:
         return f"{self.actions[action]:10}{self.values[action]:+8.2f}  {interval:>16}{self.chance_best[action]:7.2f}"
 
     def _sentence(self) -> str:
-        num_objects, best = len(self.lift_worth), self.best
+        actions, best = ActionSpace(len(self.lift_worth)), self.best
         parts = [f"{self.actions[best]}: best with probability {self.chance_best[best]:.2f}"]
         lift = int(np.argmax(self.lift_worth))
         if np.isfinite(self.lift_worth[lift]):
-            other = self.actions[int(np.argmax(self.values[: 1 + num_objects]))]
-            subject = "worth" if best > num_objects else f"LIFT {lift} is worth"
+            other = self.actions[int(np.argmax(np.where(actions.verbs == Verb.LIFT, -np.inf, self.values)))]
+            subject = "worth" if actions.verb(best) == Verb.LIFT else f"LIFT {lift} is worth"
             low, high = self.lift_low[lift], self.lift_high[lift]
             parts.append(f"{subject} {self.lift_worth[lift]:+.2f} ({low:+.2f} to {high:+.2f}) over {other} now")
         parts.append(f"stopping now is right with probability {self.chance_stop_is_right:.2f}")
@@ -147,15 +147,15 @@ def explained(
 probability 0.00.
     """
     _check(values, draws, is_possible, level)
-    num_objects = (len(values) - 1) // 2
+    actions = ActionSpace.of_size(len(values))
     values = np.where(is_possible, values, -np.inf)
     draws = np.where(is_possible, draws, -np.inf)
     is_best = draws >= draws.max(axis=1, keepdims=True) - SAME_VALUE
     low, high = _interval(draws, is_possible, level)
-    is_liftable = is_possible[1 + num_objects :]
+    is_liftable = is_possible[actions.of(Verb.LIFT)]
     lift_low, lift_high = _interval(_lift_worth(draws), is_liftable, level)
     return Explanation(
-        actions=action_names(num_objects),
+        actions=actions.names,
         values=values,
         low=low,
         high=high,
@@ -169,15 +169,14 @@ probability 0.00.
 
 def action_names(num_objects: int) -> tuple[str, ...]:
     """Names of the actions of a table, in their order."""
-    verbs = (Verb.WASH, Verb.LIFT)
-    return (Verb.FINISH.name, *(f"{verb.name} {target}" for verb in verbs for target in range(num_objects)))
+    return ActionSpace(num_objects).names
 
 
 def alike(state: TableState) -> Int[np.ndarray, " A"]:
     """For each action, the lowest one that only the numbering of the objects tells from it.
 
     Two objects are interchangeable if all that is seen stays the same when they trade places: location, log-odds, past
-    attempts, and who hides whom. WASH, or LIFT, of either is then worth the same, whatever estimates say.
+    attempts, and who hides whom. Doing the same to either is then worth the same, whatever estimates say.
 
     Parameters
     ----------
@@ -196,7 +195,8 @@ def alike(state: TableState) -> Int[np.ndarray, " A"]:
             if is_same and np.array_equal(hides[np.ix_(order, order)], hides):
                 first[i] = j
                 break
-    return np.concatenate([[FINISH], 1 + first, 1 + state.num_objects + first])
+    actions = ActionSpace(state.num_objects)
+    return np.concatenate([[FINISH], *(actions.encode(int(verb), first) for verb in TARGETED)])
 
 
 def _attempts(state: TableState, target: int) -> Sequence[tuple[float, bool]]:
@@ -206,8 +206,9 @@ def _attempts(state: TableState, target: int) -> Sequence[tuple[float, bool]]:
 
 
 def _lift_worth(values: Float[np.ndarray, "*S A"]) -> Float[np.ndarray, "*S N"]:
-    num_objects = (values.shape[-1] - 1) // 2
-    return values[..., 1 + num_objects :] - values[..., : 1 + num_objects].max(axis=-1, keepdims=True)
+    actions = ActionSpace.of_size(values.shape[-1])
+    others = values[..., actions.verbs != Verb.LIFT]
+    return values[..., actions.of(Verb.LIFT)] - others.max(axis=-1, keepdims=True)
 
 
 def _interval(
@@ -222,10 +223,11 @@ def _interval(
 def _check(
     values: Float[np.ndarray, " A"], draws: Float[np.ndarray, "B A"], is_possible: Bool[np.ndarray, " A"], level: float
 ) -> None:
-    if len(values) % 2 == 0 or not is_possible[FINISH]:
+    actions = ActionSpace.of_size(len(values))
+    if len(values) != actions.num_actions or not is_possible[FINISH]:
         raise ArgumentError(
             f"there are {len(values)} actions and FINISH is {'' if is_possible[FINISH] else 'im'}possible; a table has "
-            "FINISH, which is always possible, and a WASH and a LIFT of each object"
+            f"FINISH, which is always possible, and {', '.join(verb.name for verb in TARGETED)} of each object"
         )
     if len(draws) == 0:
         raise ArgumentError("there is no draw of Q; give at least one")
@@ -234,5 +236,6 @@ def _check(
     wrong = is_possible & ~(np.isfinite(values) & np.isfinite(draws).all(axis=0))
     if wrong.any():
         action = int(np.argmax(wrong))
-        name = action_names((len(values) - 1) // 2)[action]
-        raise ArgumentError(f"Q of {name} is not finite, and the action is possible; give finite values and draws")
+        raise ArgumentError(
+            f"Q of {actions.names[action]} is not finite, and the action is possible; give finite values and draws"
+        )

@@ -1,7 +1,6 @@
 """The table world behind Gymnasium's interface, for agents that learn while they act."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar
 
@@ -13,12 +12,13 @@ from gymnasium import spaces
 from jaxtyping import Array, Int
 
 from halfseen.errors import ArgumentError
-from halfseen.world.action_space import num_actions, possible_actions
+from halfseen.world.action_space import ActionSpace, possible_actions
 from halfseen.world.config import WorldConfig
 from halfseen.world.cuts import CAUSES
-from halfseen.world.dynamics import Outcome, start, step
+from halfseen.world.dynamics import start, step
 from halfseen.world.scene import Scene
-from halfseen.world.state import HiddenState, TableState, attempt_counts, occlusion, pad_scenes
+from halfseen.world.seeing import KnownSeeing
+from halfseen.world.state import TableState, attempt_counts, occlusion, pad_scenes
 
 Observation = dict[str, Any]
 """Arrays by name; see `CupsEnv`."""
@@ -36,9 +36,9 @@ def default_scene() -> Scene:
 class CupsEnv(gymnasium.Env[Observation, np.int64]):
     """A table of half-hidden cups (design, §3), as ``gymnasium.make("halfseen/Cups-v0")`` makes it.
 
-    An action is 0 for FINISH, 1 + i for WASH i, 1 + N + i for LIFT i; ``info["action_mask"]`` tells which are
-    possible. One that is not possible (the object is in the dishwasher, or padding) is an attempt that closes on
-    nothing: it fails, takes the limit of an attempt, and is paid like a missed grasp.
+    Actions are numbered as in `halfseen.world.action_space`; ``info["action_mask"]`` tells which are possible. One that
+    is not possible (the object is in the dishwasher, or padding) is an attempt that closes on nothing: it fails, takes
+    the limit of an attempt, and is paid like a missed grasp.
 
     ``terminated`` is the table's own end: FINISH, cleared, or the horizon. ``truncated`` is a cut from outside the
     task: the stage in progress is lost, so the reward is 0, S_t stays, and ``info`` gives the clock of the cut and its
@@ -100,7 +100,7 @@ class CupsEnv(gymnasium.Env[Observation, np.int64]):
         self.render_mode = render_mode
         self._layouts = pad_scenes(self.scenes, num_objects)
         self.num_objects = int(self._layouts.is_object.shape[-1])
-        self.action_space = spaces.Discrete(num_actions(self.num_objects))
+        self.action_space = spaces.Discrete(ActionSpace(self.num_objects).num_actions)
         self.observation_space: spaces.Space[Observation] = _observation_space(self.num_objects, self.config)
         self._state: TableState | None = None
 
@@ -137,15 +137,17 @@ class CupsEnv(gymnasium.Env[Observation, np.int64]):
         if self._state is None or self._is_over:
             raise ArgumentError(f"the path {'is over' if self._state else 'has not begun'}; call reset")
         if not self.action_space.contains(action):
-            raise ArgumentError(f"action is {action}; it lies in 0 to {num_actions(self.num_objects) - 1}")
+            raise ArgumentError(f"action is {action}; it lies in 0 to {ActionSpace(self.num_objects).num_actions - 1}")
         now = self._state.horizon - int(self._state.steps_to_go)
         key = jax.random.fold_in(self._world_key, now)
-        after, outcome = _step(self.config, self._state, self._hidden, jnp.asarray(action, dtype=jnp.int32), key)
+        taken = jnp.asarray(action, dtype=jnp.int32)
+        after, hidden, outcome = _step(self.config, self._state, self._hidden, taken, key)
         end_s = self._elapsed_s + float(outcome.duration_s)
         if end_s > self._cut_s:
             self._is_over, self._elapsed_s = True, self._cut_s
             return self._observation(), 0.0, False, True, {**self._info(), "cause": CAUSES["independent"]}
-        self._state, self._elapsed_s, self._is_over = after, end_s, bool(outcome.is_over)
+        self._state, self._hidden = after, hidden
+        self._elapsed_s, self._is_over = end_s, bool(outcome.is_over)
         return self._observation(), float(outcome.reward), self._is_over, False, self._info()
 
     def render(self) -> str | None:  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -169,16 +171,7 @@ class CupsEnv(gymnasium.Env[Observation, np.int64]):
         return {"elapsed_s": self._elapsed_s, "action_mask": np.asarray(_mask(self._state))}
 
 
-_start = jax.jit(start)
-
-
-@jax.jit
-def _step(
-    config: WorldConfig, state: TableState, hidden: HiddenState, action: Int[Array, ""], key: Array
-) -> tuple[TableState, Outcome]:
-    # What cannot be gripped takes for ever.
-    offset = jnp.where(possible_actions(state)[action], hidden.grip_offset, -jnp.inf)
-    return step(config, state, replace(hidden, grip_offset=offset), action, key)
+_start, _step = jax.jit(start), jax.jit(step)
 
 
 @jax.jit
@@ -230,8 +223,13 @@ def _observation_space(num_objects: int, config: WorldConfig) -> spaces.Space[Ob
 
 
 def _largest_log_odds(config: WorldConfig) -> float:
-    """Bound on |log-odds|: the prior's, and as many labels as there are, each the surest that a label can be."""
-    surest = config.label_floor + config.label_gain
+    """Bound on |log-odds|: the prior's, and as many labels as there are, each the surest that a label can be.
+
+    There is none where it is not known how sure a label can be.
+    """
+    if not isinstance(config.seeing, KnownSeeing):
+        return np.inf
+    surest = config.seeing.accuracy(0.0)
     label = np.log(surest) - np.log1p(-surest)
     prior = np.abs(np.log(config.dirty_share) - np.log1p(-config.dirty_share))
     return float(np.ceil(prior + (config.horizon + 1) * label))

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from halfseen.world.action_space import possible_actions
-from halfseen.world.config import Number
+from halfseen.world.number import Number
 from halfseen.world.state import TableState
 
 
@@ -28,12 +28,12 @@ class Policy(Protocol):
     """
 
     def decide(self, state: TableState, key: Array) -> Decision:
-        """Choose a possible action for one table; `key` is the only source of chance."""
+        """Choose a possible action for one table; `key` is the only source of randomness."""
         ...
 
 
 def surely(action: Int[Array, ""]) -> Decision:
-    """A decision that was taken without chance."""
+    """A deterministic decision."""
     return Decision(action, jnp.ones((), dtype=jnp.float32))
 
 
@@ -43,7 +43,7 @@ class UniformPolicy:
     """Takes each possible action with the same probability."""
 
     def decide(self, state: TableState, key: Array) -> Decision:
-        """Choose by lot."""
+        """Choose uniformly at random."""
         is_possible = possible_actions(state)
         action = jax.random.categorical(key, jnp.where(is_possible, 0.0, -jnp.inf))
         return Decision(action.astype(jnp.int32), 1.0 / jnp.sum(is_possible))
@@ -52,14 +52,14 @@ class UniformPolicy:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class ExploringPolicy:
-    """Follows a deterministic policy, but draws the action by lot in a share of the steps: what fills the logs.
+    """Follows a policy, but in a proportion of the steps takes an action uniformly at random: what fills the logs.
 
     Parameters
     ----------
     base
         The policy that is followed.
     random_share
-        Probability that a step is drawn uniformly from the possible actions instead.
+        Probability that a step takes one of the possible actions uniformly at random instead.
     """
 
     base: Policy

@@ -3,6 +3,7 @@
 Per object and stage a log holds: location ("TABLE" or "DISHWASHER"), occlusion, log_odds (of DIRTY), successes and
 failures (of past grasps), lifts, and three lists: hidden_by (the share of it that each object of the scene hides alone,
 in the order of the objects), attempt_occlusions and attempt_succeeded (its past attempts, oldest first).
+Per path it holds the scene's name, and dirty_share: P(DIRTY) of an object before any label, which log_odds start from.
 """
 
 from collections.abc import Sequence
@@ -16,8 +17,9 @@ from jaxtyping import Bool, Float, Int
 
 from halfseen.errors import LogError
 from halfseen.logs import Logs
-from halfseen.world.action_space import Verb, target_of, verb_of
+from halfseen.world.action_space import ActionSpace, Verb
 from halfseen.world.cuts import CAUSES, CutEpisodes, CutKind
+from halfseen.world.number import Number
 from halfseen.world.scene import Scene
 from halfseen.world.state import NO_ATTEMPT, TableState, attempt_counts, occlusion
 from halfseen.world.table_checks import DISHWASHER, TABLE, checked_objects
@@ -25,10 +27,25 @@ from halfseen.world.table_checks import DISHWASHER, TABLE, checked_objects
 _VERB_NAMES = np.array([verb.name for verb in Verb])
 
 
-def to_logs(cuts: CutEpisodes, kind: CutKind | str, scenes: Sequence[Scene]) -> Logs:
-    """Write down what a recorder would have kept of these episodes; path k began from scene k modulo their number."""
+def to_logs(cuts: CutEpisodes, kind: CutKind | str, scenes: Sequence[Scene], dirty_share: Number | None = None) -> Logs:
+    """Write down what a recorder would have kept of these episodes.
+
+    Parameters
+    ----------
+    cuts
+        The episodes; path k began from scene k modulo their number.
+    kind
+        How they were cut.
+    scenes
+        Where they began.
+    dirty_share
+        P(DIRTY) of an object before any label, from which the log-odds started; None if it is not to be told.
+    """
     begun = np.argwhere(cuts.is_begun)
-    return Logs(stages=_stages(cuts, begun), paths=_paths(cuts, kind, scenes), objects=_objects(cuts, begun))
+    paths = _paths(cuts, kind, scenes)
+    if dirty_share is not None:
+        paths["dirty_share"] = float(dirty_share)
+    return Logs(stages=_stages(cuts, begun), paths=paths, objects=_objects(cuts, begun))
 
 
 def elapsed_s(cuts: CutEpisodes) -> Float[np.ndarray, "n T"]:
@@ -54,9 +71,9 @@ def _paths(cuts: CutEpisodes, kind: CutKind | str, scenes: Sequence[Scene]) -> p
 
 def _stages(cuts: CutEpisodes, begun: Int[np.ndarray, "rows 2"]) -> pd.DataFrame:
     path, stage = begun.T
-    episodes, num_objects = cuts.episodes, cuts.episodes.states.num_objects
+    episodes, actions = cuts.episodes, ActionSpace(cuts.episodes.states.num_objects)
     action = np.asarray(episodes.action)[path, stage]
-    verb = np.asarray(verb_of(action, num_objects))
+    verb = actions.verb(action)
     is_completed = cuts.is_completed[path, stage]
     reward = np.asarray(episodes.reward, dtype=np.float64)[path, stage]
     return pd.DataFrame(
@@ -65,7 +82,7 @@ def _stages(cuts: CutEpisodes, begun: Int[np.ndarray, "rows 2"]) -> pd.DataFrame
             "stage": stage + 1,
             "elapsed_s": elapsed_s(cuts)[path, stage],
             "action": _VERB_NAMES[verb],
-            "object": pd.Series(target_of(action, num_objects), dtype="Int64").mask(verb == Verb.FINISH),
+            "object": pd.Series(actions.target(action), dtype="Int64").mask(verb == Verb.FINISH),
             "reward": np.where(is_completed, reward, np.nan),
             "probability": np.asarray(episodes.probability, dtype=np.float64)[path, stage],
         }
@@ -87,7 +104,6 @@ def _objects(cuts: CutEpisodes, begun: Int[np.ndarray, "rows 2"]) -> pa.Table:
     stage_row, target = np.nonzero(is_object[begun[:, 0]])
     path, stage = begun[stage_row].T
     at = path, stage, target
-    hides = np.asarray(states.hides)[:, 0]
     is_attempt = np.asarray(states.attempt_object)[path, stage] == target[:, None]
     tried_at = np.asarray(states.attempt_occlusion, dtype=np.float64)[path, stage]
     succeeded = np.asarray(states.attempt_succeeded)[path, stage]
@@ -102,7 +118,7 @@ def _objects(cuts: CutEpisodes, begun: Int[np.ndarray, "rows 2"]) -> pa.Table:
             "successes": successes[at].astype(np.int64),
             "failures": failures[at].astype(np.int64),
             "lifts": np.asarray(states.lifts)[at].astype(np.int64),
-            "hidden_by": _lists(hides[path, target].astype(np.float64), is_object[path]),
+            "hidden_by": _lists(np.asarray(states.hides)[at].astype(np.float64), is_object[path]),
             "attempt_occlusions": _lists(tried_at, is_attempt),
             "attempt_succeeded": _lists(succeeded, is_attempt),
         }

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -56,10 +57,13 @@ class TableState:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class HiddenState:
-    """What no policy sees: the attribute and the grip offset of each object."""
+    """What no policy sees: the attribute of each object, and what the laws of the world keep to themselves."""
 
     is_dirty: Bool[Array, "*B N"]
-    grip_offset: Float[Array, "*B N"]
+    grasp_trait: Any
+    """Of `WorldConfig.grasping`; the grip offsets, axes (B, N), of the assumed one."""
+    seeing_trait: Any = None
+    """Of `WorldConfig.seeing`; none of the assumed one."""
 
 
 @jax.tree_util.register_dataclass
@@ -112,11 +116,12 @@ def initial_state(config: WorldConfig, layout: Layout) -> TableState:
 
 
 def draw_hidden(config: WorldConfig, num_objects: int, key: Array) -> HiddenState:
-    """Draw attributes and grip offsets of one table from the prior."""
-    dirty_key, grip_key = jax.random.split(key)
+    """Draw attributes of one table from the prior, and the traits of the laws."""
+    dirty_key, grasp_key = jax.random.split(key)
     return HiddenState(
         is_dirty=jax.random.uniform(dirty_key, (num_objects,)) < config.dirty_share,
-        grip_offset=config.grip_offset_std * jax.random.normal(grip_key, (num_objects,)),
+        grasp_trait=config.grasping.draw_trait(num_objects, grasp_key),
+        seeing_trait=config.seeing.draw_trait(num_objects, jax.random.fold_in(key, 2)),
     )
 
 

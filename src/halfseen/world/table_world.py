@@ -73,7 +73,8 @@ class TableWorld:
             `episodes` is below 1 or `cut_share` outside [0, 1).
         """
         scenes = [scenes] if isinstance(scenes, Scene) else list(scenes)
-        return to_logs(self.record(scenes, policy, episodes, seed, cut_share, cut_kind), cut_kind, scenes)
+        cuts = self.record(scenes, policy, episodes, seed, cut_share, cut_kind)
+        return to_logs(cuts, cut_kind, scenes, self.config.dirty_share)
 
     def record(
         self,

@@ -1,0 +1,190 @@
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from other_laws import Nudging, Persisting
+
+from halfseen.errors import ArgumentError
+from halfseen.logs import read_logs
+from halfseen.planners import GreedyPolicy, information_relaxation_bound, solve_table
+from halfseen.planners.belief import belief_of
+from halfseen.world import (
+    ActionSpace,
+    AssumedGrasping,
+    AssumedSeeing,
+    GraspLaw,
+    KnownGrasping,
+    KnownSeeing,
+    Scene,
+    SeeingLaw,
+    TableWorld,
+    UniformPolicy,
+    Verb,
+    WorldConfig,
+)
+from halfseen.world.dynamics import start, step
+from halfseen.world.episodes import play
+from halfseen.world.gymnasium_env import CupsEnv
+from halfseen.world.recording import states_of
+from halfseen.world.state import pad_scenes
+
+SCENE = Scene(np.array([[0.0, 0.5, 0.2], [0.0, 0.0, 0.3], [0.1, 0.0, 0.0]]))
+OTHER = WorldConfig(grasping=Nudging(), seeing=Persisting(), horizon=6)
+LIFT = ActionSpace(3).of(Verb.LIFT).start
+
+
+class EvenChance:
+    def chance(self, state):
+        return jnp.full(state.num_objects, 0.5)
+
+
+@pytest.fixture(scope="module")
+def episodes():
+    return play(OTHER, pad_scenes([SCENE]), UniformPolicy(), jax.random.key(0), 60)
+
+
+@pytest.fixture(scope="module")
+def logs():
+    return TableWorld(OTHER).simulate(SCENE, UniformPolicy(), episodes=60, seed=1)
+
+
+def test_the_laws_are_what_the_world_takes():
+    assert isinstance(WorldConfig().grasping, AssumedGrasping)
+    assert isinstance(WorldConfig().seeing, AssumedSeeing)
+    for known, law, one in ((KnownGrasping, GraspLaw, Nudging()), (KnownSeeing, SeeingLaw, Persisting())):
+        assert isinstance(one, law)
+        assert not isinstance(one, known)
+    assert isinstance(AssumedGrasping(), KnownGrasping)
+    assert isinstance(AssumedSeeing(), KnownSeeing)
+
+
+# As drawn before the laws stood apart from the world.
+GOLDEN_ACTION = [[3, 4, 5, 4], [5, 0, 4, 0], [2, 0, 6, 3], [5, 5, 4, 1]]
+GOLDEN_REWARD = [13.209863662719727, -0.13612963259220123, -11.0, -1.6473300457000732]
+GOLDEN_S = [28.1484375, 2.3612961769104004, 8.0, 18.675079345703125]
+GOLDEN_LOG_ODDS = [0.5303280353546143, 0.40546512603759766, 0.40546518564224243, 0.40546518564224243]
+
+
+def test_the_assumed_laws_draw_what_the_world_always_drew():
+    layouts = pad_scenes([SCENE, Scene(np.zeros((2, 2)))])
+    played = play(WorldConfig(), layouts, UniformPolicy(), jax.random.key(5), 4)
+    earned = np.where(played.is_taken, played.reward, 0.0)
+    assert np.asarray(played.action)[:, :4].tolist() == GOLDEN_ACTION
+    assert earned.sum(axis=1) == pytest.approx(GOLDEN_REWARD, rel=1e-5)
+    assert np.asarray(played.elapsed_s)[:, -1] == pytest.approx(GOLDEN_S, rel=1e-5)
+    assert np.asarray(played.states.log_odds)[:, 1, 0] == pytest.approx(GOLDEN_LOG_ODDS, rel=1e-5)
+
+
+def test_formulas_are_the_same_in_numpy_and_jax():
+    occluded, offset = np.linspace(0.0, 1.0, 5)[:, None], np.array([-1.0, 0.0, 2.0])
+    for of in (AssumedGrasping().log_failure, AssumedGrasping().expected_s, AssumedGrasping().scale_s):
+        ours = of(occluded, offset)
+        assert ours.dtype == np.float64
+        assert np.asarray(of(jnp.asarray(occluded), jnp.asarray(offset))) == pytest.approx(ours, rel=1e-5)
+    ours = AssumedSeeing().accuracy(occluded)
+    assert np.asarray(AssumedSeeing().accuracy(jnp.asarray(occluded))) == pytest.approx(ours, rel=1e-5)
+
+
+def test_an_attempt_may_move_what_it_lifts():
+    state, hidden = jax.jit(start)(OTHER, jax.tree.map(lambda leaf: leaf[0], pad_scenes([SCENE])), jax.random.key(0))
+    after, hidden, outcome = jax.jit(step)(OTHER, state, hidden, jnp.asarray(LIFT + 1), jax.random.key(1))
+    expected = SCENE.hides.copy()
+    expected[1], expected[:, 1] = 0.0, 0.0
+    assert np.asarray(after.hides) == pytest.approx(expected)
+    assert hidden.grasp_trait["count"].tolist() == [0, 1, 0]
+    assert float(outcome.duration_s) == pytest.approx(1.0 + 1.0 + 0.3)
+    then, hidden, _ = jax.jit(step)(OTHER, after, hidden, jnp.asarray(0), jax.random.key(2))
+    assert np.array_equal(then.hides, after.hides)
+    assert hidden.grasp_trait["count"].tolist() == [0, 1, 0]
+
+
+def test_the_same_view_tells_nothing_new():
+    config = replace(OTHER, seeing=Persisting())
+    state, hidden = jax.jit(start)(config, jax.tree.map(lambda leaf: leaf[0], pad_scenes([SCENE])), jax.random.key(3))
+    after, hidden, _ = jax.jit(step)(config, state, hidden, jnp.asarray(LIFT), jax.random.key(4))
+    # Object 0 was held up and seen whole, and no longer hid object 2; object 1 was seen as before.
+    assert (np.asarray(after.log_odds) != np.asarray(state.log_odds)).tolist() == [True, False, True]
+    again, _, _ = jax.jit(step)(config, after, hidden, jnp.asarray(LIFT), jax.random.key(5))
+    assert np.array_equal(again.log_odds, after.log_odds)
+
+
+def test_the_path_keeps_what_the_laws_did(episodes):
+    hides, action = np.asarray(episodes.states.hides), np.asarray(episodes.action)
+    moved = np.array(episodes.is_taken)[:, :-1] & np.array(episodes.is_taken)[:, 1:] & (action[:, :-1] >= LIFT)
+    path, stage = np.nonzero(moved)
+    assert len(path) > 20
+    target = action[path, stage] - LIFT
+    assert (hides[path, stage + 1, target] == 0.0).all()
+    assert (hides[path, stage + 1, :, target] == 0.0).all()
+
+
+def test_logs_tell_who_hides_whom_at_every_stage(logs, tmp_path):
+    episodes = TableWorld(OTHER).record([SCENE], UniformPolicy(), episodes=60, seed=1)
+    begun = episodes.is_begun
+    hides = np.asarray(episodes.episodes.states.hides)[begun]
+    assert (hides != hides[0]).any()
+    logs.write(tmp_path / "logs")
+    for told in (logs, read_logs(tmp_path / "logs")):
+        states = states_of(told, OTHER.horizon)
+        assert np.array_equal(np.asarray(states.hides)[begun], hides)
+        assert np.array_equal(np.asarray(states.log_odds)[begun], np.asarray(episodes.episodes.states.log_odds)[begun])
+
+
+def test_logs_tell_the_prior(logs):
+    assert logs.paths["dirty_share"].tolist() == [0.6] * logs.num_paths
+
+
+def test_gymnasium_plays_by_the_same_laws(episodes):
+    env = CupsEnv(SCENE, config=OTHER)
+    observation, info = env.reset(seed=0)
+    key = jax.random.key(info["episode_seed"])
+    played = play(OTHER, pad_scenes([SCENE]), UniformPolicy(), key, 1)
+    for t in range(OTHER.horizon):
+        assert np.array_equal(observation["hides"], played.states.hides[0, t])
+        assert np.array_equal(observation["log_odds"], played.states.log_odds[0, t])
+        observation, reward, terminated, _, _ = env.step(int(played.action[0, t]))
+        assert reward == pytest.approx(float(played.reward[0, t]), rel=1e-5)
+        assert env.observation_space.contains(observation)
+        if terminated:
+            break
+    assert t == int(played.is_taken.sum()) - 1
+
+
+def test_what_is_not_there_cannot_be_held():
+    config = replace(OTHER, seeing=AssumedSeeing())
+    state, hidden = jax.jit(start)(config, jax.tree.map(lambda leaf: leaf[0], pad_scenes([SCENE])), jax.random.key(3))
+    gone = replace(state, is_on_table=jnp.array([False, True, True]))
+    after, hidden, outcome = jax.jit(step)(config, gone, hidden, jnp.asarray(LIFT), jax.random.key(4))
+    assert not after.attempt_succeeded[0]
+    assert float(outcome.duration_s) == 1.0 + Nudging().limit_s
+    assert np.array_equal(after.hides, state.hides)
+    assert hidden.grasp_trait["count"].tolist() == [0, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        (WorldConfig(grasping=Nudging()), "grasping of the config is Nudging, a law that can be drawn from but"),
+        (WorldConfig(seeing=Persisting()), "seeing of the config is Persisting, .* plan with a config"),
+    ],
+)
+def test_planners_say_which_law_they_do_not_know(config, message):
+    with pytest.raises(ArgumentError, match=message):
+        solve_table(SCENE, config, horizon=2)
+
+
+def test_a_policy_that_needs_no_law_decides_under_any(episodes):
+    state = jax.tree.map(lambda leaf: leaf[0, 0], episodes.states)
+    with pytest.raises(ArgumentError, match="planners need them"):
+        belief_of(OTHER, state)
+    with pytest.raises(ArgumentError, match="Nudging"):
+        GreedyPolicy(OTHER).decide(state, jax.random.key(0))
+    learned = GreedyPolicy(OTHER, uses_history=True, grasp=EvenChance())
+    assert 0 <= int(learned.decide(state, jax.random.key(0)).action) <= 3
+
+
+def test_times_are_told_only_of_a_law_that_has_them():
+    with pytest.raises(ArgumentError, match="grasping is Nudging, whose times are not known: use 'hidden'"):
+        information_relaxation_bound(SCENE, WorldConfig(grasping=Nudging()), horizon=2, reveals="everything")
