@@ -7,7 +7,7 @@ from halfseen.scene.room import room_model
 from halfseen.scene.table import TABLE_TOP_M
 from halfseen.scene.truth import truth_of
 from halfseen.scene.view import ideal_view, lone_depths_m, table_view
-from halfseen.scene.xtion import BASELINE_M, xtion_at
+from halfseen.scene.xtion import XTION, xtion_at
 
 EYE = xtion_at(look_at(np.array([0.0, -0.9, 1.2]), np.array([0.0, 0.0, 0.75])))
 CUP = Cup(0.1, 0.04, 0.04)
@@ -20,7 +20,7 @@ def table_with(*places_m: tuple[float, float]) -> Table:
 def seen_px(table: Table, which: list[int], cup: int) -> int:
     """Pixels that show a cup when only some cups are there, by a full picture of exactly those."""
     model = room_model([table.cups[k] for k in which], [table.world_from_cup[k] for k in which], is_free=False)
-    return int(np.sum(ideal_view(model, table.camera, BASELINE_M).labels == which.index(cup)))
+    return int(np.sum(ideal_view(model, table.camera, XTION.baseline_m).labels == which.index(cup)))
 
 
 def test_hand_made_depths(table):
@@ -61,7 +61,7 @@ def test_pairs_agree_with_pictures_of_pairs(table, picture):
 
 def test_labels_agree_with_the_full_picture(table, picture):
     """But for a pixel or two: contact lets a cup sink into the table by some 0.01 mm, which the full picture shows."""
-    view = table_view(table, BASELINE_M)
+    view = table_view(table, XTION.baseline_m)
     differs = picture.truth.labels != view.labels
     assert differs.sum() <= 3
     assert (lone_depths_m(table).min(axis=0)[differs] - view.depth_m[differs] < 1e-4).all()

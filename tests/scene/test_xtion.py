@@ -5,8 +5,7 @@ import pytest
 from halfseen.scene import Camera, Pose
 from halfseen.scene.view import IdealView, ideal_view
 from halfseen.scene.xtion import (
-    BASELINE_M,
-    DISPARITY_STEP_PX,
+    XTION,
     depth_from_disparity_m,
     disparity_noise_px,
     loss_probability,
@@ -41,8 +40,8 @@ def test_noise_grows_as_the_square_of_depth(rng):
     spread_m = np.array([np.std(sense(flat_view(z), FOCAL_PX, rng)) for z in depths_m])
     slope = np.polyfit(np.log(depths_m), np.log(spread_m), 1)[0]
     assert slope == pytest.approx(2.0, abs=0.1)
-    disparity_spread_px = np.hypot(0.1, DISPARITY_STEP_PX / np.sqrt(12))
-    assert spread_m == pytest.approx(depths_m**2 / (FOCAL_PX * BASELINE_M) * disparity_spread_px, rel=0.1)
+    disparity_spread_px = np.hypot(0.1, XTION.disparity_step_px / np.sqrt(12))
+    assert spread_m == pytest.approx(depths_m**2 / (FOCAL_PX * XTION.baseline_m) * disparity_spread_px, rel=0.1)
 
 
 def test_noise_is_shared_by_neighbours_only(rng):
@@ -56,7 +55,7 @@ def test_noise_is_shared_by_neighbours_only(rng):
 
 def test_disparity_comes_in_eighths_of_a_pixel(picture):
     focal_px = picture.cloud.intrinsics[0, 0]
-    eighths = 8 * focal_px * BASELINE_M / picture.depth_m[np.isfinite(picture.depth_m)]
+    eighths = 8 * focal_px * XTION.baseline_m / picture.depth_m[np.isfinite(picture.depth_m)]
     assert np.max(np.abs(eighths - np.round(eighths))) < 1e-6
     assert len(np.unique(np.round(eighths))) > 100
 
@@ -64,8 +63,8 @@ def test_disparity_comes_in_eighths_of_a_pixel(picture):
 def test_disparity_without_noise_is_the_nearest_eighth():
     depth_m = np.array([[0.6, 1.0, 3.0, np.nan]])
     measured_px = noisy_disparity_px(depth_m, np.zeros((1, 4)), FOCAL_PX)
-    exact_px = FOCAL_PX * BASELINE_M / depth_m
-    assert np.all(np.abs(measured_px - exact_px)[:, :3] <= DISPARITY_STEP_PX / 2)
+    exact_px = FOCAL_PX * XTION.baseline_m / depth_m
+    assert np.all(np.abs(measured_px - exact_px)[:, :3] <= XTION.disparity_step_px / 2)
     assert np.isnan(measured_px[0, 3])
 
 
@@ -95,10 +94,10 @@ def test_shadow_of_the_projector_is_where_geometry_puts_it(rng):
     """A thin plate before a wall; the projector at x = +7.5 cm leaves a shadow on the plate's left, and only there."""
     camera = Camera(Pose((0.0, 0.0, 0.0)), (FOCAL_PX, FOCAL_PX), (319.5, 20.0), num_rows=41, num_columns=640)
     model = boxes_model([(0.0, 0.0, 1.05), (0.0, 0.0, 0.8005)], [(2.0, 2.0, 0.05), (0.05, 0.2, 0.0005)])
-    view = ideal_view(model, camera, BASELINE_M)
+    view = ideal_view(model, camera, XTION.baseline_m)
     wall_x_m = (np.arange(640) - 319.5) / FOCAL_PX
     is_plate = np.abs(wall_x_m) <= 0.05 / 0.8
-    shadow_edge_m = BASELINE_M - (BASELINE_M + 0.05) / 0.8
+    shadow_edge_m = XTION.baseline_m - (XTION.baseline_m + 0.05) / 0.8
     is_shadow = ~is_plate & (wall_x_m > shadow_edge_m) & (wall_x_m < 0)
     assert is_shadow.sum() > 5
     assert np.array_equal(view.body[20] == 2, is_plate)
@@ -108,7 +107,7 @@ def test_shadow_of_the_projector_is_where_geometry_puts_it(rng):
 
 
 def test_ideal_depth_of_a_wall_is_its_distance_along_the_axis(small_camera):
-    view = ideal_view(boxes_model([(0.0, 0.0, 2.05)], [(9.0, 9.0, 0.05)]), small_camera, BASELINE_M)
+    view = ideal_view(boxes_model([(0.0, 0.0, 2.05)], [(9.0, 9.0, 0.05)]), small_camera, XTION.baseline_m)
     assert view.depth_m == pytest.approx(np.full((120, 160), 2.0), abs=1e-9)
     angle = np.linalg.norm(small_camera.pixel_rays(), axis=2)
     assert view.incidence_cosine == pytest.approx(1 / angle, abs=1e-9)
@@ -116,7 +115,7 @@ def test_ideal_depth_of_a_wall_is_its_distance_along_the_axis(small_camera):
 
 
 def test_ideal_view_of_nothing_is_nan(small_camera):
-    view = ideal_view(boxes_model([(0.0, 0.0, -1.0)], [(0.1, 0.1, 0.1)]), small_camera, BASELINE_M)
+    view = ideal_view(boxes_model([(0.0, 0.0, -1.0)], [(0.1, 0.1, 0.1)]), small_camera, XTION.baseline_m)
     assert np.isnan(view.depth_m).all()
     assert (view.labels == -1).all()
     assert not view.is_lit.any()

@@ -8,7 +8,6 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull
 from skimage.measure import label as measure_label
 
-from halfseen.perception.noise import depth_noise_m
 from halfseen.perception.plane import Plane, is_on_plane
 from halfseen.perception.range_image import PixelMask, RangeImage
 
@@ -76,7 +75,7 @@ def relabelled(labels: Labels, kept: list[int]) -> Labels:
 
 def _is_above(image: RangeImage, plane: Plane) -> PixelMask:
     height = plane.height_m(image.points_m)
-    lowest = np.maximum(LOWEST_OBJECT_M, LOWEST_OBJECT_SIGMAS * depth_noise_m(image.depth_m))
+    lowest = np.maximum(LOWEST_OBJECT_M, LOWEST_OBJECT_SIGMAS * image.sensor.noise_m(image.depth_m))
     with np.errstate(invalid="ignore"):
         return (height > lowest) & (height < HIGHEST_OBJECT_M)
 
@@ -86,7 +85,7 @@ def _continuous(image: RangeImage, is_above: PixelMask) -> Labels:
     index = np.arange(depth.size).reshape(depth.shape)
     edges = []
     for here, there in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1, :], np.s_[1:, :])):
-        step = np.maximum(DEPTH_STEP_M, DEPTH_STEP_SIGMAS * depth_noise_m(depth[here]))
+        step = np.maximum(DEPTH_STEP_M, DEPTH_STEP_SIGMAS * image.sensor.noise_m(depth[here]))
         with np.errstate(invalid="ignore"):
             joined = is_above[here] & is_above[there] & (np.abs(depth[here] - depth[there]) < step)
         edges.append(np.stack([index[here][joined], index[there][joined]]))

@@ -8,8 +8,8 @@ from jaxtyping import Bool, Float
 from halfseen.arrays import Points, Rows
 from halfseen.errors import CloudError
 from halfseen.perception.clouds import Vector
-from halfseen.perception.noise import depth_noise_m
 from halfseen.perception.range_image import PixelMask, RangeImage
+from halfseen.perception.sensor import DepthSensor
 
 # RANSAC over a thinned image with a fixed generator: one input gives one plane.
 RANSAC_SEED = 7
@@ -111,7 +111,7 @@ def find_table(image: RangeImage) -> Plane:
         No plane is large enough.
     """
     points = _thinned(image)
-    planes = _peel(points, max(image.depth_m.shape))
+    planes = _peel(points, max(image.depth_m.shape), image.sensor)
     families = [_support(plane, planes) for plane, _ in planes]
     if not families or max(families) <= 0:
         raise CloudError(
@@ -150,15 +150,17 @@ def _thinned(image: RangeImage) -> Float[np.ndarray, "n 5"]:
     return np.column_stack([points, columns * step, rows * step]).astype(np.float64)
 
 
-def _peel(points: Float[np.ndarray, "n 5"], side_px: int) -> list[tuple[Plane, Bool[np.ndarray, " n"]]]:
+def _peel(
+    points: Float[np.ndarray, "n 5"], side_px: int, sensor: DepthSensor
+) -> list[tuple[Plane, Bool[np.ndarray, " n"]]]:
     generator = np.random.default_rng(RANSAC_SEED)
     left = np.ones(len(points), dtype=bool)
     planes: list[tuple[Plane, Bool[np.ndarray, " n"]]] = []
     while len(planes) < MOST_PLANES and left.sum() > max(10, SMALLEST_PLANE_SHARE * len(points)):
-        plane = _best_plane(points[left], side_px, generator)
+        plane = _best_plane(points[left], side_px, sensor, generator)
         if plane is None:
             break
-        is_inlier = left & (np.abs(plane.height_m(points[:, :3])) < _tolerance_m(points[:, 2]))
+        is_inlier = left & (np.abs(plane.height_m(points[:, :3])) < _tolerance_m(sensor, points[:, 2]))
         if is_inlier.sum() < SMALLEST_PLANE_SHARE * len(points):
             break
         planes.append((plane, is_inlier))
@@ -166,7 +168,9 @@ def _peel(points: Float[np.ndarray, "n 5"], side_px: int) -> list[tuple[Plane, B
     return planes
 
 
-def _best_plane(points: Float[np.ndarray, "n 5"], side_px: int, generator: np.random.Generator) -> Plane | None:
+def _best_plane(
+    points: Float[np.ndarray, "n 5"], side_px: int, sensor: DepthSensor, generator: np.random.Generator
+) -> Plane | None:
     first = generator.integers(len(points), size=NUM_HYPOTHESES)
     radius = NEIGHBOURHOOD_SHARE * side_px
     best, best_support = None, 0
@@ -178,10 +182,10 @@ def _best_plane(points: Float[np.ndarray, "n 5"], side_px: int, generator: np.ra
         if length < 1e-9:
             continue
         plane = _facing(normal / length, a)
-        support = int((np.abs(plane.height_m(points[:, :3])) < _tolerance_m(points[:, 2])).sum())
+        support = int((np.abs(plane.height_m(points[:, :3])) < _tolerance_m(sensor, points[:, 2])).sum())
         if support > best_support:
             best, best_support = plane, support
-    return best if best is None else _fitted(points[:, :3], best)
+    return best if best is None else _fitted(points[:, :3], best, sensor)
 
 
 def _facing(normal: Vector, point: Vector) -> Plane:
@@ -189,17 +193,17 @@ def _facing(normal: Vector, point: Vector) -> Plane:
     return Plane(sign * normal, float(sign * (normal @ point)))
 
 
-def _tolerance_m(depth_m: Rows) -> Rows:
-    return np.maximum(SMALLEST_TOLERANCE_M, INLIER_SIGMAS * depth_noise_m(depth_m))
+def _tolerance_m(sensor: DepthSensor, depth_m: Rows) -> Rows:
+    return np.maximum(SMALLEST_TOLERANCE_M, INLIER_SIGMAS * sensor.noise_m(depth_m))
 
 
-def _fitted(points: Points, plane: Plane, num_rounds: int = 3) -> Plane:
+def _fitted(points: Points, plane: Plane, sensor: DepthSensor, num_rounds: int = 3) -> Plane:
     """Total least squares over the inliers, weighted by the noise of each."""
     for _ in range(num_rounds):
-        inliers = points[np.abs(plane.height_m(points)) < _tolerance_m(points[:, 2])]
+        inliers = points[np.abs(plane.height_m(points)) < _tolerance_m(sensor, points[:, 2])]
         if len(inliers) < 3:
             return plane
-        weight = 1.0 / depth_noise_m(inliers[:, 2]) ** 2
+        weight = 1.0 / sensor.noise_m(inliers[:, 2]) ** 2
         middle = np.average(inliers, axis=0, weights=weight)
         spread = (inliers - middle) * np.sqrt(weight)[:, None]
         plane = _facing(np.linalg.eigh(spread.T @ spread)[1][:, 0], middle)
@@ -221,7 +225,7 @@ def _area_m2(plane: Plane, points: Points) -> float:
 
 def _refined(plane: Plane, image: RangeImage) -> Plane:
     points = image.points_m[image.is_return]
-    return _fitted(points[:: max(1, len(points) // 40_000)], plane)
+    return _fitted(points[:: max(1, len(points) // 40_000)], plane, image.sensor)
 
 
 def is_on_plane(plane: Plane, image: RangeImage) -> PixelMask:
@@ -233,4 +237,6 @@ def is_on_plane(plane: Plane, image: RangeImage) -> PixelMask:
         The plane and what the camera sees.
     """
     with np.errstate(invalid="ignore"):
-        return np.abs(plane.height_m(image.points_m)) < _tolerance_m(image.depth_m.ravel()).reshape(image.depth_m.shape)
+        return np.abs(plane.height_m(image.points_m)) < _tolerance_m(image.sensor, image.depth_m.ravel()).reshape(
+            image.depth_m.shape
+        )

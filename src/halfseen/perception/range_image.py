@@ -9,6 +9,7 @@ from scipy.spatial import KDTree
 from halfseen.arrays import Intrinsics, Points
 from halfseen.errors import CloudError
 from halfseen.perception.clouds import Cloud, Vector
+from halfseen.perception.sensor import XTION, DepthSensor
 
 # A virtual pixel is this much wider than the median distance between neighbouring rays, so that few stay empty.
 VIRTUAL_PIXEL_SCALE = 1.3
@@ -43,6 +44,8 @@ class RangeImage:
         True if the camera was made up because the cloud is not organised.
     name
         Where the cloud comes from.
+    sensor
+        What returned it.
     """
 
     points_m: PixelPoints
@@ -51,6 +54,7 @@ class RangeImage:
     cloud_from_camera: Float[np.ndarray, "3 3"]
     is_virtual: bool
     name: str
+    sensor: DepthSensor = XTION
 
     @property
     def depth_m(self) -> Float[np.ndarray, "H W"]:
@@ -63,13 +67,15 @@ class RangeImage:
         return np.isfinite(self.depth_m)
 
 
-def range_image(cloud: Cloud) -> RangeImage:
+def range_image(cloud: Cloud, sensor: DepthSensor = XTION) -> RangeImage:
     """See a cloud as an image: its own if it is organised, else one of a virtual camera at its eye.
 
     Parameters
     ----------
     cloud
         What a camera returned.
+    sensor
+        Which camera.
 
     Raises
     ------
@@ -85,15 +91,15 @@ def range_image(cloud: Cloud) -> RangeImage:
         points = cloud.points_m - cloud.eye_m
         K = cloud.intrinsics if cloud.intrinsics is not None else _fitted_intrinsics(points, cloud.shape)
         if K is not None:
-            return _organised(cloud, points, K)
-    return _virtual(cloud)
+            return _organised(cloud, sensor, points, K)
+    return _virtual(cloud, sensor)
 
 
-def _organised(cloud: Cloud, points: Points, K: Intrinsics) -> RangeImage:
+def _organised(cloud: Cloud, sensor: DepthSensor, points: Points, K: Intrinsics) -> RangeImage:
     assert cloud.shape is not None
     pixel_of_point = np.where(np.isfinite(points[:, 2]), np.arange(len(points)), -1)
     image = points.reshape(*cloud.shape, 3)
-    return RangeImage(image, K, pixel_of_point, np.eye(3), False, cloud.name)
+    return RangeImage(image, K, pixel_of_point, np.eye(3), False, cloud.name, sensor)
 
 
 def _fitted_intrinsics(points: Points, shape: tuple[int, int]) -> Intrinsics | None:
@@ -112,7 +118,7 @@ def _fitted_intrinsics(points: Points, shape: tuple[int, int]) -> Intrinsics | N
     return K
 
 
-def _virtual(cloud: Cloud) -> RangeImage:
+def _virtual(cloud: Cloud, sensor: DepthSensor) -> RangeImage:
     """Image of a pinhole camera at the eye of the cloud, with pixels just wide enough to hold a point each."""
     points = cloud.points_m - cloud.eye_m
     cloud_from_camera = _virtual_rotation(points)
@@ -138,7 +144,7 @@ def _virtual(cloud: Cloud) -> RangeImage:
     pixel_of_point[rows] = flat
     K = np.array([[1 / pitch, 0, -low[0] / pitch - 0.5], [0, 1 / pitch, -low[1] / pitch - 0.5], [0, 0, 1]])
     shaped = image.reshape(num_rows, num_columns, 3)
-    return RangeImage(shaped, K, pixel_of_point, cloud_from_camera, True, cloud.name)
+    return RangeImage(shaped, K, pixel_of_point, cloud_from_camera, True, cloud.name, sensor)
 
 
 def _virtual_rotation(points: Points) -> Float[np.ndarray, "3 3"]:

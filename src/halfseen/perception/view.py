@@ -14,6 +14,7 @@ from halfseen.perception.objects import Labels, sheets_on_table
 from halfseen.perception.occlusion import Occlusion, occlusions
 from halfseen.perception.plane import Plane, find_table
 from halfseen.perception.range_image import RangeImage, range_image
+from halfseen.perception.sensor import XTION, DepthSensor
 from halfseen.perception.solids import Hull, Vessel
 from halfseen.world.scene import Scene
 
@@ -95,13 +96,15 @@ class View:
         return Scene(self.hides, self.name)
 
 
-def perceive(cloud: Cloud) -> View:
+def perceive(cloud: Cloud, sensor: DepthSensor = XTION) -> View:
     """Find the table in a cloud, what stands on it, and who hides whom.
 
     Parameters
     ----------
     cloud
         What one depth camera returned.
+    sensor
+        Which camera: how far its depths err.
 
     Returns
     -------
@@ -113,7 +116,7 @@ def perceive(cloud: Cloud) -> View:
     CloudError
         There are too few points, or no table.
     """
-    image = range_image(cloud)
+    image = range_image(cloud, sensor)
     plane = find_table(image)
     labels, solids, num_cut = objects_of_sheets(sheets_on_table(image, plane), plane, image)
     solids = tuple(

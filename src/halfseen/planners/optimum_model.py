@@ -18,6 +18,7 @@ from typing import NamedTuple, TypeAlias
 import jax
 import numpy as np
 from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
 
 from halfseen.arrays import Hides
 from halfseen.planners.belief import known_grasping, known_seeing
@@ -86,12 +87,12 @@ class GridWorld:
     @cached_property
     def grasping(self) -> KnownGrasping:
         """How attempts go, in float64."""
-        return jax.tree.map(np.asarray, known_grasping(self.config))
+        return jax.tree.map(_in_float64, known_grasping(self.config))
 
     @cached_property
     def seeing(self) -> KnownSeeing:
         """What looks tell, in float64."""
-        return jax.tree.map(np.asarray, known_seeing(self.config))
+        return jax.tree.map(_in_float64, known_seeing(self.config))
 
     @cached_property
     def grip_offsets(self) -> Float[np.ndarray, " G"]:
@@ -159,6 +160,10 @@ class GridWorld:
             grip @ self.grasping.expected_s(occluded, self.grip_offsets)[level]
         )
         return float(grip @ caught[level]), expected_s
+
+
+def _in_float64(leaf: ArrayLike) -> float | np.ndarray:
+    return np.asarray(leaf, dtype=np.float64) if np.ndim(leaf) else float(np.asarray(leaf))
 
 
 def _dirty_labels(looks: Counts) -> Int[np.ndarray, "levels cells"]:

@@ -13,7 +13,7 @@ from halfseen.scene.settle import settle, smallest_gap_m
 from halfseen.scene.table import TABLE_SIZE_M, TABLE_TOP_M, Table
 from halfseen.scene.truth import Truth, truth_of
 from halfseen.scene.view import is_whole_in_picture, lone_depths_m, table_view
-from halfseen.scene.xtion import BASELINE_M, RANGE_M, loss_probability, xtion_at
+from halfseen.scene.xtion import XTION, loss_probability, xtion_at
 
 NUM_CUPS = (5, 10)
 MAX_OCCLUSION = 0.85
@@ -112,7 +112,8 @@ def sure_returns_px(table: Table, truth: Truth) -> np.ndarray:
     numpy.ndarray
         (N,) counts.
     """
-    view = table_view(table, BASELINE_M)
+    view = table_view(table, XTION.baseline_m)
     is_sure = view.is_lit & (loss_probability(view.incidence_cosine) == 0)
-    is_sure &= (view.depth_m > RANGE_M[0] + _RANGE_MARGIN_M) & (view.depth_m < RANGE_M[1] - _RANGE_MARGIN_M)
+    near_m, far_m = XTION.range_m
+    is_sure &= (view.depth_m > near_m + _RANGE_MARGIN_M) & (view.depth_m < far_m - _RANGE_MARGIN_M)
     return np.array([np.sum(is_sure & (truth.labels == index)) for index in range(table.num_cups)])

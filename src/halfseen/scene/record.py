@@ -9,7 +9,7 @@ from halfseen.perception.clouds import Cloud
 from halfseen.scene.table import Table
 from halfseen.scene.truth import Truth, truth_of
 from halfseen.scene.view import lone_depths_m, table_view
-from halfseen.scene.xtion import BASELINE_M, sense
+from halfseen.scene.xtion import XTION, StructuredLight, sense
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class Capture:
     truth: Truth
 
 
-def capture(table: Table, seed: int) -> Capture:
+def capture(table: Table, seed: int, sensor: StructuredLight = XTION) -> Capture:
     """Look at a table with the depth camera.
 
     Parameters
@@ -40,14 +40,16 @@ def capture(table: Table, seed: int) -> Capture:
         The table.
     seed
         Seed of the sensor's noise.
+    sensor
+        What the depth camera is.
 
     Returns
     -------
     Capture
         The same table and seed give the same bytes.
     """
-    view = table_view(table, BASELINE_M)
-    depth_m = sense(view, table.camera.focal_px[0], np.random.default_rng(seed))
+    view = table_view(table, sensor.baseline_m)
+    depth_m = sense(view, table.camera.focal_px[0], np.random.default_rng(seed), sensor)
     lifted = Cloud.from_depth(depth_m, table.camera.intrinsics, table.name)
     points_m = lifted.points_m.astype(np.float32).astype(np.float64)
     cloud = Cloud(points_m, lifted.shape, lifted.intrinsics, table.name)

@@ -1,10 +1,12 @@
-"""The depth camera: a structured-light sensor like the Asus Xtion PRO.
+"""The depth camera: a structured-light sensor, by default one like the Asus Xtion PRO.
 
 The field of view (58° × 45°), the picture (640 × 480) and the far end of the range are the maker's figures. The
 projector beside the camera makes a triangle of baseline b, so depth is z = f·b/d with the disparity d [px], and an
 error of d becomes an error of z that grows with z². Numbers marked "ours" are chosen here, to be like this family of
-sensors.
+sensors. How far perception takes such depths to err is `halfseen.perception.DepthSensor`'s.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -17,16 +19,47 @@ from halfseen.scene.view import IdealView
 
 NUM_ROWS, NUM_COLUMNS = 480, 640
 FIELD_OF_VIEW_RAD = (np.deg2rad(58.0), np.deg2rad(45.0))
-BASELINE_M = 0.075  # ours, as is the side: the projector stands to the camera's right, so shadows fall to the left
-DISPARITY_STEP_PX = 1 / 8  # ours
-RANGE_M = (0.5, 3.5)  # the near end is ours
-# Ours: the disparity's noise, in a part that neighbouring pixels share (they are matched by overlapping windows) and
-# a part of each pixel's own; together 0.1 px.
-SHARED_NOISE_PX = 0.09
-OWN_NOISE_PX = 0.044
-_WINDOW_PX = 3.0  # ours: spread of the shared part
-# Ours: from the first angle between ray and normal on, some rays do not return; from the second on, none does.
-GRAZING_RAD = (np.deg2rad(78.0), np.deg2rad(85.0))
+
+
+@dataclass(frozen=True)
+class StructuredLight:
+    """How a projector and a camera beside it measure depth.
+
+    Parameters
+    ----------
+    baseline_m
+        From the camera to the projector on its right, so that shadows fall to the left [m].
+    range_m
+        Nearest and farthest depth that returns [m].
+    disparity_step_px
+        Disparities are measured in steps of this [px].
+    shared_noise_px, own_noise_px
+        Standard deviation of the disparity's noise: the part that neighbouring pixels share, as they are matched by
+        overlapping windows, and the part of each pixel's own [px].
+    window_px
+        Spread of the shared part [px].
+    grazing_rad
+        From the first angle between ray and normal on, some rays do not return; from the second on, none does [rad].
+    """
+
+    baseline_m: float
+    range_m: tuple[float, float]
+    disparity_step_px: float
+    shared_noise_px: float
+    own_noise_px: float
+    window_px: float
+    grazing_rad: tuple[float, float]
+
+
+XTION = StructuredLight(
+    baseline_m=0.075,  # ours, as is the side
+    range_m=(0.5, 3.5),  # the near end is ours
+    disparity_step_px=1 / 8,  # ours, as is all that follows; the noise is 0.1 px together
+    shared_noise_px=0.09,
+    own_noise_px=0.044,
+    window_px=3.0,
+    grazing_rad=(float(np.deg2rad(78.0)), float(np.deg2rad(85.0))),
+)
 
 
 def xtion_at(world_from_camera: Pose) -> Camera:
@@ -48,7 +81,7 @@ def xtion_at(world_from_camera: Pose) -> Camera:
     return Camera(world_from_camera, focal_px, ((NUM_COLUMNS - 1) / 2, (NUM_ROWS - 1) / 2), NUM_ROWS, NUM_COLUMNS)
 
 
-def sense(view: IdealView, focal_px: float, rng: np.random.Generator) -> Image:
+def sense(view: IdealView, focal_px: float, rng: np.random.Generator, sensor: StructuredLight = XTION) -> Image:
     """Turn an ideal view into what the sensor returns.
 
     Parameters
@@ -59,22 +92,25 @@ def sense(view: IdealView, focal_px: float, rng: np.random.Generator) -> Image:
         Horizontal focal length [px].
     rng
         Source of the noise.
+    sensor
+        What senses.
 
     Returns
     -------
     Image
         Depth [m]; NaN where nothing returns: out of range, in the projector's shadow, or at a grazing angle.
     """
-    noise_px = disparity_noise_px(view.depth_m.shape, rng)
+    noise_px = disparity_noise_px(view.depth_m.shape, rng, sensor)
     dice = rng.random(view.depth_m.shape)
-    depth_m = depth_from_disparity_m(noisy_disparity_px(view.depth_m, noise_px, focal_px), focal_px)
-    is_back = view.is_lit & (dice >= loss_probability(view.incidence_cosine))
-    is_back &= (depth_m >= RANGE_M[0]) & (depth_m <= RANGE_M[1])
+    measured_px = noisy_disparity_px(view.depth_m, noise_px, focal_px, sensor)
+    depth_m = depth_from_disparity_m(measured_px, focal_px, sensor)
+    is_back = view.is_lit & (dice >= loss_probability(view.incidence_cosine, sensor))
+    is_back &= (depth_m >= sensor.range_m[0]) & (depth_m <= sensor.range_m[1])
     return np.where(is_back, depth_m, np.nan)
 
 
-def disparity_noise_px(shape: tuple[int, ...], rng: np.random.Generator) -> Image:
-    """Draw the noise of the disparity, partly shared between neighbours; its standard deviation is 0.1 px.
+def disparity_noise_px(shape: tuple[int, ...], rng: np.random.Generator, sensor: StructuredLight = XTION) -> Image:
+    """Draw the noise of the disparity, partly shared between neighbours.
 
     Parameters
     ----------
@@ -82,20 +118,22 @@ def disparity_noise_px(shape: tuple[int, ...], rng: np.random.Generator) -> Imag
         Rows and columns [px].
     rng
         Source of the noise.
+    sensor
+        Whose noise.
 
     Returns
     -------
     Image
         Noise [px].
     """
-    smooth = gaussian_filter(rng.standard_normal(shape), _WINDOW_PX, mode="wrap")
+    smooth = gaussian_filter(rng.standard_normal(shape), sensor.window_px, mode="wrap")
     # A Gaussian filter of spread s leaves 1/(4·π·s²) of the variance of white noise.
-    shared = smooth * np.sqrt(4 * np.pi) * _WINDOW_PX
-    return SHARED_NOISE_PX * shared + OWN_NOISE_PX * rng.standard_normal(shape)
+    shared = smooth * np.sqrt(4 * np.pi) * sensor.window_px
+    return sensor.shared_noise_px * shared + sensor.own_noise_px * rng.standard_normal(shape)
 
 
-def noisy_disparity_px(depth_m: Image, noise_px: Image, focal_px: float) -> Image:
-    """Measure the disparity, in steps of 1/8 px: round(8·(f·b/z + noise))/8.
+def noisy_disparity_px(depth_m: Image, noise_px: Image, focal_px: float, sensor: StructuredLight = XTION) -> Image:
+    """Measure the disparity f·b/z + noise, rounded to the sensor's steps.
 
     Parameters
     ----------
@@ -105,17 +143,19 @@ def noisy_disparity_px(depth_m: Image, noise_px: Image, focal_px: float) -> Imag
         Noise [px].
     focal_px
         Focal length f [px].
+    sensor
+        What measures.
 
     Returns
     -------
     Image
         Disparity [px]; NaN where there is nothing.
     """
-    exact_px = focal_px * BASELINE_M / depth_m
-    return np.round((exact_px + noise_px) / DISPARITY_STEP_PX) * DISPARITY_STEP_PX
+    exact_px = focal_px * sensor.baseline_m / depth_m
+    return np.round((exact_px + noise_px) / sensor.disparity_step_px) * sensor.disparity_step_px
 
 
-def depth_from_disparity_m(disparity_px: Image, focal_px: float) -> Image:
+def depth_from_disparity_m(disparity_px: Image, focal_px: float, sensor: StructuredLight = XTION) -> Image:
     """Turn a disparity into depth, z = f·b/d [m]; NaN where the disparity is not positive.
 
     Parameters
@@ -124,6 +164,8 @@ def depth_from_disparity_m(disparity_px: Image, focal_px: float) -> Image:
         Disparity d [px].
     focal_px
         Focal length f [px].
+    sensor
+        What measured.
 
     Returns
     -------
@@ -131,16 +173,22 @@ def depth_from_disparity_m(disparity_px: Image, focal_px: float) -> Image:
         Depth [m].
     """
     is_finite_depth = disparity_px > 0
-    return np.where(is_finite_depth, focal_px * BASELINE_M / np.where(is_finite_depth, disparity_px, 1.0), np.nan)
+    return np.where(
+        is_finite_depth, focal_px * sensor.baseline_m / np.where(is_finite_depth, disparity_px, 1.0), np.nan
+    )
 
 
-def loss_probability(incidence_cosine: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-    """Give the probability that a ray is lost at a grazing angle: 0 up to 78°, 1 from 85° on, a ramp between.
+def loss_probability(
+    incidence_cosine: Float[np.ndarray, "..."], sensor: StructuredLight = XTION
+) -> Float[np.ndarray, "..."]:
+    """Give the probability that a ray is lost at a grazing angle: from 0 to 1 between two angles, a ramp.
 
     Parameters
     ----------
     incidence_cosine
         Cosine of the angle between ray and normal; NaN where nothing is met.
+    sensor
+        What looks.
 
     Returns
     -------
@@ -148,5 +196,5 @@ def loss_probability(incidence_cosine: Float[np.ndarray, "..."]) -> Float[np.nda
         Probability; 1 where nothing is met.
     """
     angle_rad = np.arccos(np.clip(incidence_cosine, 0.0, 1.0))
-    low_rad, high_rad = GRAZING_RAD
+    low_rad, high_rad = sensor.grazing_rad
     return np.where(np.isnan(angle_rad), 1.0, np.clip((angle_rad - low_rad) / (high_rad - low_rad), 0.0, 1.0))
