@@ -25,7 +25,7 @@ from halfseen.planners.belief import (
     occlusion_without,
 )
 from halfseen.planners.heuristics import wash_worth
-from halfseen.world.action_space import ActionSpace, Verb
+from halfseen.world.action_space import ActionSpace, Verb, possible_actions
 from halfseen.world.config import WorldConfig
 
 UNLIMITED = 1_000_000
@@ -91,9 +91,8 @@ def one_step_q(config: WorldConfig, belief: Belief) -> Float[Array, " A"]:
     look = config.reward_lift_per_s * expected_attempt_s(config, occluded, belief.grip)
     lift = look + chance * lifted + (1.0 - chance) * missed
     finish = config.reward_dirty_left * jnp.sum(jnp.where(belief.is_on_table, is_dirty, 0.0))
-    worths = {Verb.WASH: wash, Verb.LIFT: lift}
-    possible = {verb: jnp.where(belief.is_on_table, worth, -jnp.inf) for verb, worth in worths.items()}
-    return ActionSpace(num_objects).join(finish, possible)
+    values = ActionSpace(num_objects).join(finish, {Verb.WASH: wash, Verb.LIFT: lift})
+    return jnp.where(possible_actions(belief), values, -jnp.inf)
 
 
 def rule_and_control(config: WorldConfig, belief: Belief) -> tuple[Float[Array, " A"], Float[Array, " A"]]:

@@ -271,13 +271,18 @@ def solve_table(
     world = GridWorld(table.hides, config, num_grip_nodes)
     _check_doubt(world)
     layers = layers_of(world, steps, max_states)
-    values: list[list[Grid]] = [[]]
-    for layer in reversed(layers):
-        values.insert(0, [_grid_of_q(world, node, values[0]).max(axis=0) for node in layer])
-    values.pop()
+    values = _values(world, layers)
     first = expected_over_labels(values[0][0], looks_of(world, first_tally(world)))
     num_states = sum(grid.size for grids in values for grid in grids)
     return TableOptimum(float(first.item()), steps, num_states, world, layers, values)
+
+
+def _values(world: GridWorld, layers: list[Layer]) -> list[list[Grid]]:
+    """V of every node of every layer, backwards."""
+    values: list[list[Grid]] = [[]]
+    for layer in reversed(layers):
+        values.insert(0, [_grid_of_q(world, node, values[0]).max(axis=0) for node in layer])
+    return values[:-1]
 
 
 def _check_doubt(world: GridWorld) -> None:

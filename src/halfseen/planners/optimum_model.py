@@ -18,12 +18,12 @@ from typing import NamedTuple, TypeAlias
 import jax
 import numpy as np
 from jaxtyping import Float, Int
-from numpy.typing import ArrayLike
 
 from halfseen.arrays import Hides
 from halfseen.planners.belief import known_grasping, known_seeing
 from halfseen.world.config import WorldConfig
 from halfseen.world.grasping import KnownGrasping
+from halfseen.world.number import Number
 from halfseen.world.seeing import KnownSeeing
 
 _SAME_OCCLUSION_DIGITS = 12
@@ -162,7 +162,7 @@ class GridWorld:
         return float(grip @ caught[level]), expected_s
 
 
-def _in_float64(leaf: ArrayLike) -> float | np.ndarray:
+def _in_float64(leaf: Number | np.ndarray) -> float | np.ndarray:
     return np.asarray(leaf, dtype=np.float64) if np.ndim(leaf) else float(np.asarray(leaf))
 
 

@@ -7,13 +7,11 @@ LIFT i. Whoever adds a verb adds it to `Verb`; no other file computes with these
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
-
-from halfseen.world.state import TableState
 
 FINISH = 0
 
@@ -98,7 +96,17 @@ class ActionSpace:
         return jnp.concatenate([jnp.asarray(finish)[None], *(of_verb.get(verb, unknown) for verb in TARGETED)])
 
 
-def possible_actions(state: TableState) -> Bool[Array, " A"]:
+@runtime_checkable
+class Table(Protocol):
+    """What tells of one table which objects stand on it: a state, a belief."""
+
+    @property
+    def is_on_table(self) -> Bool[Array, "*B N"]:
+        """False in the dishwasher, and for padding."""
+        ...
+
+
+def possible_actions(state: Table) -> Bool[Array, " A"]:
     """Which actions one table allows: FINISH always, every other verb on what stands on the table."""
     return jnp.concatenate([jnp.ones(1, dtype=bool), *[state.is_on_table] * len(TARGETED)])
 
