@@ -1,4 +1,4 @@
-"""Draw a table: cups dropped by chance, kept if they lie well and each can be seen a little."""
+"""Draw a table: cups dropped at random, kept if they lie well and each can be seen a little."""
 
 from collections.abc import Sequence
 

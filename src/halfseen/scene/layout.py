@@ -25,7 +25,7 @@ def draw_cup(rng: np.random.Generator) -> Cup:
     Parameters
     ----------
     rng
-        Source of chance.
+        Source of randomness.
 
     Returns
     -------
@@ -49,7 +49,7 @@ def draw_layout(cups: Sequence[Cup], rng: np.random.Generator) -> tuple[Pose, ..
     cups
         The cups.
     rng
-        Source of chance.
+        Source of randomness.
 
     Returns
     -------

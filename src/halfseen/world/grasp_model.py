@@ -1,4 +1,4 @@
-"""What the chance of a grasp may be taken from: one interface for what was learned and what is known."""
+"""What the probability of a grasp may be taken from: one interface for what was learned and what is known."""
 
 from typing import Protocol, runtime_checkable
 
