@@ -21,7 +21,7 @@ from scipy.special import gammaln
 
 from halfseen.learners import CensoredQLearner
 from halfseen.planners import GreedyPolicy, solve_table
-from halfseen.planners.explanation import DEGREES_OF_FREEDOM, PlannerError, expected_q, explain, futures_of, own_error
+from halfseen.planners.explanation import DEGREES_OF_FREEDOM, PlannerError, expected_q, explain, own_error, rollouts_of
 from halfseen.tables.learned_explanation import LearnedExplainer
 from halfseen.world import ExploringPolicy, Scene, TableWorld, WorldConfig
 from halfseen.world.episodes import play
@@ -31,7 +31,7 @@ FIT_TABLES = {(3, 6): 1, (2, 8): 2}
 CHECK_TABLES = {(3, 6): 13, (3, 5): 14, (4, 4): 15, (2, 10): 16}
 """(Cups, steps) and the seed of their tables."""
 LEARNED_TABLES, LOG_SEED = (3, 6), 99
-CUT_SHARE, NUM_GRIP_NODES, NUM_FUTURES = 1 / 3, 31, 512
+CUT_SHARE, NUM_GRIP_NODES, NUM_ROLLOUTS = 1 / 3, 31, 512
 BINS = np.array([0.0, 0.05, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.95, 1.0 + 1e-9])
 
 
@@ -114,7 +114,7 @@ def planner_calibration(num_tables, num_states):
         calibration = Calibration()
         for k, (state, truth) in enumerate(found):
             begin_s = time.perf_counter()
-            one = explain(config, state, jax.random.key(k), num_futures=NUM_FUTURES)
+            one = explain(config, state, jax.random.key(k), num_rollouts=NUM_ROLLOUTS)
             seconds.append(time.perf_counter() - begin_s)
             calibration.add(one, truth)
             everything.add(one, truth)
@@ -166,12 +166,13 @@ def fitted_error(num_tables, num_states):
     for (num_objects, horizon), seed in FIT_TABLES.items():
         config, found = states_with_truth(num_objects, horizon, seed, num_tables, num_states)
         known += [
-            (futures_of(config, state, jax.random.key(k), NUM_FUTURES), truth) for k, (state, truth) in enumerate(found)
+            (rollouts_of(config, state, jax.random.key(k), NUM_ROLLOUTS), truth)
+            for k, (state, truth) in enumerate(found)
         ]
 
     def loss(log_constants):
         error = PlannerError(*np.exp(log_constants).tolist())
-        return -sum(log_likelihood(futures, truth, error) for futures, truth in known)
+        return -sum(log_likelihood(rollouts, truth, error) for rollouts, truth in known)
 
     start = np.log([0.003, 0.01, 0.01, 0.005])
     best = minimize(loss, start, method="Nelder-Mead", options={"xatol": 0.01, "fatol": 0.1})
@@ -181,16 +182,16 @@ def fitted_error(num_tables, num_states):
     return error._asdict()
 
 
-def log_likelihood(futures, truth, error):
-    """Multivariate t with the covariance of the sampling error and of what the futures miss."""
+def log_likelihood(rollouts, truth, error):
+    """Multivariate t with the covariance of the sampling error and of what the rollouts miss."""
     num_actions = len(truth)
-    chosen = np.flatnonzero(futures.is_uncertain & (futures.first_alike == np.arange(num_actions)))
+    chosen = np.flatnonzero(rollouts.is_uncertain & (rollouts.first_alike == np.arange(num_actions)))
     size, degrees = len(chosen), DEGREES_OF_FREEDOM
-    sampling = np.atleast_2d(np.cov(futures.worths[:, chosen].T)) / len(futures.worths)
+    sampling = np.atleast_2d(np.cov(rollouts.worths[:, chosen].T)) / len(rollouts.worths)
     missed = error.common**2 + np.diag(own_error(num_actions, error)[chosen] ** 2)
-    scale = (sampling + futures.difficulty**2 * missed) * (degrees - 2.0) / degrees
+    scale = (sampling + rollouts.difficulty**2 * missed) * (degrees - 2.0) / degrees
     root = np.linalg.cholesky(scale)
-    z = np.linalg.solve(root, (truth - expected_q(futures, error))[chosen])
+    z = np.linalg.solve(root, (truth - expected_q(rollouts, error))[chosen])
     constant = gammaln((degrees + size) / 2) - gammaln(degrees / 2) - size / 2 * np.log(np.pi * degrees)
     return constant - np.log(np.diag(root)).sum() - (degrees + size) / 2 * np.log1p(z @ z / degrees)
 

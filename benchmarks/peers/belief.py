@@ -45,7 +45,7 @@ def planned(
     exploration: float,
     prior: Any = None,
 ) -> tuple[Any, int, float]:
-    """The action that POMCP chooses, and its simulations, and how long they took [s].
+    """The action that POMCP chooses, and its simulations, and how long they took [s]; no action if there were none.
 
     An action that was never tried counts as worth −1000, else one tried in vain would lose to it.
     """
@@ -59,4 +59,11 @@ def planned(
         rollout_policy=policy,
         action_prior=prior,
     )
-    return planner.plan(agent), planner.last_num_sims, planner.last_planning_time
+    try:
+        action = planner.plan(agent)
+    except AttributeError:
+        # The planner reads its best action off a tree, which it has not made when a busy machine gives it no time.
+        if agent.tree is not None:
+            raise
+        return None, 0, budget_s
+    return action, planner.last_num_sims, planner.last_planning_time

@@ -1,9 +1,12 @@
 """The table for pomdp-py's POMCP: the same world, in Python that is as fast as Python gets.
 
 All that depends on which objects stand on the table is computed beforehand for each subset of them (a `mask`, an int):
-occlusions, times to grasp, and for each set of dirty objects the chances of all label patterns, so that one random
-number draws all labels. A state carries what the policy would know (log-odds, posteriors of the grips), so that
-roll-outs and priors are as good as our heuristics.
+occlusions, times to grasp, and for each set of dirty objects the probabilities of all label patterns, so that one
+random number draws all labels. A state carries what the policy would know (log-odds, posteriors of the grips), so that
+rollouts and priors are as good as our heuristics.
+
+What the laws of grasping and seeing say is asked of `halfseen.planners.belief`. It is taken for granted that the time
+to grasp is exponential, and that the grip offset u divides its scale by exp(u).
 """
 
 import math
@@ -12,17 +15,27 @@ from operator import add
 from random import random
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from peers.belief import ByIdentity, planned, pomdp_py
 
-from halfseen.planners.belief import offset_nodes, prior_grip
+from halfseen.planners.belief import (
+    NUM_NODES,
+    dirty_after_label,
+    expected_attempt_s,
+    failure_log_chance,
+    offset_nodes,
+    prior_grip,
+)
 from halfseen.world import TableState, WorldConfig
-from halfseen.world.state import HiddenState
 
 OVER = 1000
 """Steps that the last action takes: they end the simulation, whatever its depth."""
 
 FINISH, WASH, LIFT = range(3)
+
+GRID = np.linspace(-5.0, 5.0, 51)
+"""Grip offsets that are drawn from, in standard deviations."""
 
 
 class Action(ByIdentity, pomdp_py.Action):
@@ -44,7 +57,7 @@ class State(ByIdentity, pomdp_py.State):
 
 
 class Grip(dict):
-    """Posterior of one grip offset; as a dict, the chance of a grasp by the share of time lost to occlusion."""
+    """Posterior of one grip offset; as a dict, the probability of a grasp by the rate of its time."""
 
     def __init__(self, nodes: list[float], weights: list[float]) -> None:
         total = sum(weights)
@@ -71,11 +84,14 @@ class TableModel(pomdp_py.BlackboxModel):
 
     def __init__(self, config: WorldConfig, hides: np.ndarray) -> None:
         self.config, self.num_objects = config, len(hides)
-        self.limit_s, self.transport_s = float(config.grasping.limit_s), float(config.transport_s)
+        self.transport_s = float(config.transport_s)
+        self.limit_s = self._limit_s()
         self.washed = (float(config.reward_wash_clean), float(config.reward_wash_dirty))
         self.failed, self.lift_per_s = float(config.reward_wash_failed), float(config.reward_lift_per_s)
         self.left = [float(config.reward_dirty_left) * mask.bit_count() for mask in range(2**self.num_objects)]
-        self.prior = Grip(np.exp(offset_nodes(config)).tolist(), np.exp(prior_grip()).tolist())
+        nodes = np.asarray(offset_nodes(config), dtype=float)
+        self.offset_std = float(np.sqrt(np.exp(prior_grip()) @ nodes**2))
+        self.prior = Grip(np.exp(nodes).tolist(), np.exp(prior_grip()).tolist())
         self._name_actions()
         self._measure(hides)
         self._label()
@@ -104,20 +120,22 @@ class TableModel(pomdp_py.BlackboxModel):
         after = State(mask, state.steps_to_go - 1, dirty, state.ease, odds, tuple(grips))
         return after, observations[is_grasped][pattern], reward, 1
 
-    def states(self, seen: TableState, hidden: HiddenState) -> list[State]:
-        """What is seen, with each of a batch of draws of what is not."""
+    def states(self, seen: TableState, rng: np.random.Generator, num_draws: int) -> list[State]:
+        """What is seen, with each of a number of draws of what is not, from its exact posterior."""
         mask = sum(1 << i for i, there in enumerate(np.asarray(seen.is_on_table)) if there)
         grips = [self.prior] * self.num_objects
-        attempts = (seen.attempt_object, seen.attempt_occlusion, seen.attempt_succeeded)
-        for i, occluded, is_grasped in zip(*(np.asarray(of).tolist() for of in attempts), strict=True):
-            if i >= 0:
-                grips[i] = grips[i].after(self._rate(occluded), is_grasped)
+        log_density = np.tile(-0.5 * GRID**2, (self.num_objects, 1))
+        for i, rate, is_grasped in self._attempts(seen):
+            grips[i] = grips[i].after(rate, is_grasped)
+            failed = -rate * np.exp(self.offset_std * GRID)
+            log_density[i] += np.log(-np.expm1(failed)) if is_grasped else failed
         for later in (m for m in range(mask + 1) if m & mask == m):
             for grip, rate in zip(grips, self.rates[later], strict=True):
                 grip[rate]  # known before the clock starts
         known = tuple(np.asarray(seen.log_odds, dtype=float).tolist()), tuple(grips)
-        dirty = (np.asarray(hidden.is_dirty) @ (1 << np.arange(self.num_objects))).tolist()
-        ease = np.exp(np.asarray(hidden.grasp_trait, dtype=float)).tolist()
+        is_dirty = rng.random((num_draws, self.num_objects)) < 1.0 / (1.0 + np.exp(-np.array(known[0])))
+        dirty = (is_dirty @ (1 << np.arange(self.num_objects))).tolist()
+        ease = np.exp(self.offset_std * drawn_on_grid(log_density, rng, num_draws)).tolist()
         steps_to_go = int(seen.steps_to_go)
         return [State(mask, steps_to_go, d, tuple(e), *known) for d, e in zip(dirty, ease, strict=True)]
 
@@ -144,26 +162,45 @@ class TableModel(pomdp_py.BlackboxModel):
     def _measure(self, hides: np.ndarray) -> None:
         present = np.arange(2**self.num_objects)[:, None] >> np.arange(self.num_objects) & 1
         self.occlusion = 1.0 - np.prod(1.0 - present[:, None, :] * hides[None], axis=2)
-        self.rates = [[self._rate(occluded) for occluded in row] for row in self.occlusion.tolist()]
+        self.rates = self._rates(self.occlusion).tolist()
         """By mask and object: mean attempts' worth of the limit at grip offset 0."""
 
-    def _rate(self, occluded: float) -> float:
-        return self.limit_s / float(self.config.grasping.scale_s(occluded, 0.0))
+    def _attempts(self, seen: TableState) -> list[tuple[int, float, bool]]:
+        """Object, rate and result of each past attempt."""
+        tried = (seen.attempt_object, seen.attempt_occlusion, seen.attempt_succeeded)
+        target, occluded, is_grasped = (np.asarray(of) for of in tried)
+        past = zip(target.tolist(), self._rates(occluded).tolist(), is_grasped.tolist(), strict=True)
+        return [attempt for attempt in past if attempt[0] >= 0]
+
+    def _rates(self, occluded: np.ndarray) -> np.ndarray:
+        return -np.asarray(failure_log_chance(self.config, jnp.float32(occluded))[..., NUM_NODES // 2], dtype=float)
+
+    def _limit_s(self) -> float:
+        """Of an attempt: of an exponential time, the probability and the mean of min(T, limit) tell the limit."""
+        at_zero = np.where(np.arange(NUM_NODES) == NUM_NODES // 2, 0.0, -np.inf).astype(np.float32)
+        rate = float(self._rates(np.zeros(1))[0])
+        tried_s = float(expected_attempt_s(self.config, jnp.zeros(1), jnp.asarray(at_zero)[None])[0]) - self.transport_s
+        return tried_s * rate / -math.expm1(-rate)
+
+    def _accuracy(self, occluded: np.ndarray) -> np.ndarray:
+        """Probability that the label of a dirty object says so."""
+        seen_at = jnp.float32(occluded)
+        return np.asarray(dirty_after_label(self.config, jnp.ones_like(seen_at), seen_at)[0], dtype=float)
 
     def _label(self) -> None:
-        """By object held (N for none) and mask: chances of the label patterns, what they tell, and their names."""
-        size, config = self.num_objects, self.config
+        """By object held (N for none) and mask: how likely the label patterns are, what they tell, and their names."""
+        size, in_view = self.num_objects, self._accuracy(np.zeros(1))[0]
         names = [Observation(bits) for bits in range(2 ** (size + 1))]
         self.nothing = names[0]
         self.labels: list[dict[int, tuple]] = [{} for _ in range(size + 1)]
+        accuracy = self._accuracy(self.occlusion)
         for mask, members in list(enumerate(self.members))[1:]:
             patterns = np.array([[k >> j & 1 for j in range(len(members))] for k in range(2 ** len(members))])
             bits = patterns @ np.array([1 << i for i in members], dtype=int)
             observations = [[names[b | is_grasped << size] for b in bits] for is_grasped in (False, True)]
             for held in (*members, size):
-                occluded = self.occlusion[mask & ~(1 << held)][members]
-                occluded[[i == held for i in members]] = 0.0
-                right = config.seeing.accuracy(occluded)
+                right = accuracy[mask & ~(1 << held)][members]
+                right[[i == held for i in members]] = in_view
                 evidence = np.zeros((len(bits), size))
                 evidence[:, members] = np.where(patterns, 1.0, -1.0) * np.log(right / (1.0 - right))
                 is_right = patterns[:, None, :] == patterns[None]
@@ -173,8 +210,17 @@ class TableModel(pomdp_py.BlackboxModel):
                 self.labels[held][mask] = cumulative, [tuple(row) for row in evidence.tolist()], observations
 
 
+def drawn_on_grid(log_density: np.ndarray, rng: np.random.Generator, num_draws: int) -> np.ndarray:
+    """Draw from a density on `GRID` for each object, evenly within its cells."""
+    density = np.exp(log_density - log_density.max(axis=1, keepdims=True))
+    below = np.cumsum(density, axis=1) / density.sum(axis=1, keepdims=True)
+    rank = [np.searchsorted(of, rng.random(num_draws)) for of in below]
+    place = np.minimum(np.stack(rank, axis=1), len(GRID) - 1)
+    return GRID[place] + rng.uniform(-0.5, 0.5, place.shape) * (GRID[1] - GRID[0])
+
+
 class RandomPolicy(pomdp_py.RolloutPolicy):
-    """Possible actions only, all alike in roll-outs."""
+    """Possible actions only, all alike in rollouts."""
 
     def __init__(self, model: TableModel) -> None:
         self.model = model
@@ -188,7 +234,7 @@ class RandomPolicy(pomdp_py.RolloutPolicy):
 
 
 class HeuristicPolicy(RandomPolicy):
-    """Roll-outs wash what promises most now, else finish: our best heuristic, by what the state knows."""
+    """Rollouts wash what promises most now, else finish: our best heuristic, by what the state knows."""
 
     def rollout(self, state: State, history: Any = None) -> Action:
         best, chosen = 0.0, self.model.finish
@@ -224,7 +270,10 @@ class HeuristicPrior(pomdp_py.ActionPrior):
 def decided(
     model: TableModel, states: list[State], *, budget_s: float, rollouts: str, exploration: float, visits: int
 ) -> tuple[int, int, float]:
-    """The action that the peer takes, its simulations, and how long they took [s]; `visits` 0 leaves the prior out."""
+    """The action that the peer takes, its simulations, and how long they took [s]; `visits` 0 leaves the prior out.
+
+    Where the time did not suffice for one simulation, its rollout policy decides.
+    """
     policy = {"random": RandomPolicy, "heuristic": HeuristicPolicy}[rollouts](model)
     action, num_simulations, elapsed_s = planned(
         states,
@@ -236,4 +285,4 @@ def decided(
         exploration=exploration,
         prior=HeuristicPrior(model, visits) if visits else None,
     )
-    return action.number, num_simulations, elapsed_s
+    return (action or policy.rollout(states[0])).number, num_simulations, elapsed_s

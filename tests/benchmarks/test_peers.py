@@ -1,22 +1,22 @@
-"""The peer's models against ours: it must meet the same world."""
+"""The peer's model against ours: it must meet the same world."""
 
 import random
-from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tiger import TigerProblem  # pyright: ignore[reportMissingImports]
 
-from halfseen.planners import GreedyPolicy, TableProblem
+from halfseen.planners import GreedyPolicy
+from halfseen.planners.belief import belief_of, grasp_chance
 from halfseen.world import Scene, UniformPolicy, WorldConfig
-from halfseen.world.dynamics import start, step
+from halfseen.world.action_space import ActionSpace
+from halfseen.world.dynamics import grasp_probability, start, step
 from halfseen.world.episodes import play
-from halfseen.world.state import pad_scenes
+from halfseen.world.state import HiddenState, pad_scenes
 
-# They need pomdp-py, which is optional.
-table, tiger = pytest.importorskip("peers.table"), pytest.importorskip("peers.tiger")
+# It needs pomdp-py, which is optional.
+table = pytest.importorskip("peers.table")
 CONFIG = WorldConfig()
 HIDES = np.array([[0.0, 0.6, 0.1], [0.3, 0.0, 0.0], [0.0, 0.5, 0.0]])
 MODEL = table.TableModel(CONFIG, HIDES)
@@ -36,10 +36,15 @@ def one_of(states, k):
     return jax.tree.map(lambda leaf: leaf[k], states)
 
 
-@partial(jax.jit, static_argnames="num_draws")
 def drawn(seen, num_draws=NUM):
-    problem = TableProblem(CONFIG, seen)
-    return jax.vmap(lambda key: problem.initial_state(key).hidden)(jax.random.split(jax.random.key(1), num_draws))
+    return MODEL.states(seen, np.random.default_rng(1), num_draws)
+
+
+def hidden_of(states):
+    """The hidden parts that the peer has drawn, as ours."""
+    is_dirty = [[state.dirty >> i & 1 for i in range(3)] for state in states]
+    grip_offset = np.log([state.ease for state in states])
+    return HiddenState(jnp.asarray(is_dirty, dtype=bool), jnp.asarray(grip_offset, dtype=jnp.float32))
 
 
 @jax.jit
@@ -62,10 +67,10 @@ def ours(seen, hidden, actions):
     return jax.vmap(run)(hidden, jax.random.split(jax.random.key(2), NUM))
 
 
-def theirs(seen, hidden, actions):
+def theirs(states, actions):
     named = {action.number: action for action in MODEL.actions[7]}
     policy, result = table.HeuristicPolicy(MODEL), np.zeros((NUM, len(actions), 12))
-    for row, state in zip(result, MODEL.states(seen, hidden), strict=True):
+    for row, state in zip(result, states, strict=True):
         for t, action in enumerate(actions):
             state, observation, reward, num_steps = MODEL.sample(state, named[action])
             row[t, 11] = reward
@@ -97,16 +102,27 @@ def test_the_table_is_the_same_world(actions, steps_to_go):
         seen, _ = jax.jit(step)(CONFIG, seen, hidden, action, jax.random.key(t))
     random.seed(0)
 
-    assert_same_means(
-        np.asarray(ours(seen, drawn(seen), jnp.array(actions)), dtype=float), theirs(seen, drawn(seen), actions)
-    )
+    states = drawn(seen)
+    shown = np.asarray(ours(seen, hidden_of(states), jnp.array(actions)), dtype=float)
+    assert_same_means(shown, theirs(states, actions))
 
 
-def test_roll_outs_are_our_best_heuristic(states):
+def test_hidden_parts_are_drawn_from_the_belief(states):
+    for k in range(0, len(states.steps_to_go), 40):
+        seen = one_of(states, k)
+        hidden, belief = hidden_of(drawn(seen, 20_000)), belief_of(CONFIG, seen)
+        noise = 4 * 0.5 / np.sqrt(20_000)
+        np.testing.assert_allclose(hidden.is_dirty.mean(axis=0), jax.nn.sigmoid(seen.log_odds), atol=noise)
+        there = jnp.zeros(3)
+        grasped = grasp_probability(CONFIG, there[None], hidden.grip_offset).mean(axis=0)
+        np.testing.assert_allclose(grasped, grasp_chance(CONFIG, there, belief.grip), atol=noise + 0.01)
+
+
+def test_rollouts_are_our_best_heuristic(states):
     policy, decide = table.HeuristicPolicy(MODEL), jax.jit(BEST.decide)
     for k in range(len(states.steps_to_go)):
         seen = one_of(states, k)
-        (state,) = MODEL.states(seen, drawn(seen, num_draws=1))
+        (state,) = drawn(seen, num_draws=1)
         assert policy.rollout(state).number == decide(seen, jax.random.key(0)).action
 
 
@@ -114,35 +130,9 @@ def test_roll_outs_are_our_best_heuristic(states):
 def test_it_takes_possible_actions_only(states, rollouts, visits):
     for k in range(0, len(states.steps_to_go), 20):
         seen = one_of(states, k)
-        drawn_states = MODEL.states(seen, drawn(seen, num_draws=100))
         action, num_simulations, elapsed_s = table.decided(
-            MODEL, drawn_states, budget_s=0.002, rollouts=rollouts, exploration=10.0, visits=visits
+            MODEL, drawn(seen, num_draws=100), budget_s=0.002, rollouts=rollouts, exploration=10.0, visits=visits
         )
-        assert action == FINISH or seen.is_on_table[(action - 1) % 3]
+        assert action == FINISH or seen.is_on_table[ActionSpace(3).target(action)]
         assert num_simulations > 0
         assert 0.002 <= elapsed_s < 0.5
-
-
-@pytest.mark.parametrize("actions", [(0, 0, 1), (1, 2, 0), (2, 0, 2)])
-def test_the_tiger_is_the_same_problem(actions):
-    problem, model, policy = TigerProblem(), tiger.TigerModel(3), tiger.RandomPolicy()
-    random.seed(0)
-    result = np.zeros((NUM, 3, 2))
-    for row in result:
-        state = model.states[3][random.random() >= 0.7]
-        for t, action in enumerate(actions):
-            state, observation, reward, _ = model.sample(state, policy.actions[action])
-            row[t] = reward, observation is model.heard[1]
-
-    def run(key):
-        state, rows = (jax.random.uniform(key) >= 0.7).astype(jnp.int32), []
-        for t, action in enumerate(actions):
-            state, observation, reward, _ = problem.step(state, jnp.asarray(action), jax.random.fold_in(key, t))
-            rows.append(jnp.stack([reward, observation]))
-        return jnp.stack(rows)
-
-    assert_same_means(np.asarray(jax.jit(jax.vmap(run))(jax.random.split(jax.random.key(0), NUM)), float), result)
-
-
-def test_the_tiger_is_listened_to_first():
-    assert tiger.decided(0.5, 3, budget_s=0.05, rollouts="listening", exploration=100.0)[0] == tiger.LISTEN

@@ -9,7 +9,7 @@ from naive_planner import CONFIG, Cup
 from halfseen.errors import ArgumentError
 from halfseen.planners import GreedyPolicy, solve_table
 from halfseen.planners.belief import belief_of
-from halfseen.planners.explanation import FITTED_ERROR, Futures, PlannerError, drawn_q, expected_q, explain
+from halfseen.planners.explanation import FITTED_ERROR, PlannerError, Rollouts, drawn_q, expected_q, explain
 from halfseen.planners.one_step import one_step_q
 from halfseen.planners.pomdp import POMDPPolicy
 from halfseen.planners.rollout import sampled_values
@@ -21,13 +21,13 @@ from tables import state_of
 HIDES = np.array([[0.0, 0.6, 0.3], [0.1, 0.0, 0.2], [0.4, 0.05, 0.0]])
 CUPS = [Cup(0.85, ((0.6, False), (0.6, True))), Cup(0.4, ((0.1, False),)), Cup(0.7)]
 KEY = jax.random.key(0)
-NUM_FUTURES = 256
+NUM_ROLLOUTS = 256
 
 
-def explain_few(cups, hides, steps_to_go, key=KEY, num_futures=NUM_FUTURES):
+def explain_few(cups, hides, steps_to_go, key=KEY, num_rollouts=NUM_ROLLOUTS):
     """Pad to three objects, so that one compiled call serves all."""
     state = state_of(cups, hides, steps_to_go, num_padding=3 - len(cups))
-    return explain(CONFIG, state, key, num_futures=num_futures)
+    return explain(CONFIG, state, key, num_rollouts=num_rollouts)
 
 
 def test_a_cup_that_is_surely_dirty_and_in_full_view_is_washed():
@@ -85,31 +85,31 @@ def test_the_same_key_tells_the_same():
     assert not np.array_equal(first.values, other.values)
 
 
-def test_more_futures_leave_less_doubt():
-    few, many = (explain_few(CUPS, HIDES, 6, num_futures=number) for number in (16, NUM_FUTURES))
+def test_more_rollouts_leave_less_doubt():
+    few, many = (explain_few(CUPS, HIDES, 6, num_rollouts=number) for number in (16, NUM_ROLLOUTS))
 
     assert np.median((many.high - many.low)[1:]) < 0.7 * np.median((few.high - few.low)[1:])
 
 
-def test_stopping_has_one_future_and_the_others_differ():
-    sampled = np.asarray(sampled_values(CONFIG, state_of(CUPS, HIDES, 6), KEY, NUM_FUTURES))
+def test_stopping_has_one_rollout_and_the_others_differ():
+    sampled = np.asarray(sampled_values(CONFIG, state_of(CUPS, HIDES, 6), KEY, NUM_ROLLOUTS))
 
     assert (sampled[:, 0] == sampled[0, 0]).all()
     assert (sampled[:, 1:].std(axis=0) > 0.1).all()
 
 
-def test_with_one_step_to_go_the_futures_are_exact():
+def test_with_one_step_to_go_the_rollouts_are_exact():
     state = state_of(CUPS, HIDES, 1)
-    sampled = sampled_values(CONFIG, state, KEY, NUM_FUTURES)
+    sampled = sampled_values(CONFIG, state, KEY, NUM_ROLLOUTS)
 
     np.testing.assert_allclose(
-        sampled, np.tile(one_step_q(CONFIG, belief_of(CONFIG, state)), (NUM_FUTURES, 1)), rtol=1e-5
+        sampled, np.tile(one_step_q(CONFIG, belief_of(CONFIG, state)), (NUM_ROLLOUTS, 1)), rtol=1e-5
     )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("steps_to_go", [2, 3])
-def test_the_mean_of_the_futures_is_what_the_rule_earns_in_the_world(steps_to_go):
+def test_the_mean_of_the_rollouts_is_what_the_rule_earns_in_the_world(steps_to_go):
     """From the first look on, with more wanted than the steps allow: there Q_1 itself is not exact."""
     config = WorldConfig(horizon=steps_to_go)
     layouts = pad_scenes([Scene(HIDES)])
@@ -129,20 +129,20 @@ def test_the_mean_of_the_futures_is_what_the_rule_earns_in_the_world(steps_to_go
     assert error < 0.25
 
 
-def futures_with(worths):
+def rollouts_with(worths):
     worths = np.asarray(worths, dtype=float)
     num_actions = worths.shape[1]
-    return Futures(worths, np.ones(num_actions, dtype=bool), np.arange(num_actions), steps_to_go=2)
+    return Rollouts(worths, np.ones(num_actions, dtype=bool), np.arange(num_actions), steps_to_go=2)
 
 
 def test_draws_have_the_spread_that_the_error_says():
-    """Futures that are all alike leave only what they miss: x = h = 2."""
-    futures, error = futures_with(np.tile([0.0, 1.0, 2.0], (10, 1))), PlannerError(0.1, 0.3, 0.2, 0.1)
-    draws = drawn_q(futures, error, np.random.default_rng(0), 200_000)
+    """Rollouts that are all alike leave only what they miss: x = h = 2."""
+    rollouts, error = rollouts_with(np.tile([0.0, 1.0, 2.0], (10, 1))), PlannerError(0.1, 0.3, 0.2, 0.1)
+    draws = drawn_q(rollouts, error, np.random.default_rng(0), 200_000)
 
     shift = 0.1 * 2**1.5
-    np.testing.assert_allclose(expected_q(futures, error), [0.0, 1.0 + shift, 2.0 + shift])
-    np.testing.assert_allclose(draws.mean(axis=0), expected_q(futures, error), atol=0.01)
+    np.testing.assert_allclose(expected_q(rollouts, error), [0.0, 1.0 + shift, 2.0 + shift])
+    np.testing.assert_allclose(draws.mean(axis=0), expected_q(rollouts, error), atol=0.01)
     np.testing.assert_array_equal(draws[:, 0], 0.0)
     expected = 4 * (0.3**2 + np.diag([0.2**2, 0.1**2]))
     np.testing.assert_allclose(np.cov(draws[:, 1:].T), expected, rtol=0.05)
@@ -151,7 +151,7 @@ def test_draws_have_the_spread_that_the_error_says():
 def test_draws_have_the_sampling_error_of_the_mean():
     rng = np.random.default_rng(0)
     worths = rng.standard_normal((50, 3)) @ np.array([[0, 0, 0], [0, 1, 1], [0, 0, 0.2]])
-    draws = drawn_q(futures_with(worths), PlannerError(0.0, 0.0, 0.0, 0.0), rng, 100_000)
+    draws = drawn_q(rollouts_with(worths), PlannerError(0.0, 0.0, 0.0, 0.0), rng, 100_000)
 
     np.testing.assert_allclose(np.cov(draws[:, 1:].T), np.cov(worths[:, 1:].T) / 50, rtol=0.05)
 
@@ -159,7 +159,7 @@ def test_draws_have_the_sampling_error_of_the_mean():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"num_futures": 1}, "num_futures is 1; at least 2"),
+        ({"num_rollouts": 1}, "num_rollouts is 1; at least 2"),
         ({"level": 0.0}, r"level is 0\.0"),
         ({"state": replace(state_of(CUPS, HIDES, 6), steps_to_go=jnp.asarray(0))}, "the path is over"),
         ({"state": state_of([replace(cup, is_on_table=False) for cup in CUPS], HIDES, 6)}, "the path is over"),
@@ -167,7 +167,7 @@ def test_draws_have_the_sampling_error_of_the_mean():
 )
 def test_what_cannot_be_explained_is_refused(change, message):
     with pytest.raises(ArgumentError, match=message):
-        explain(**{"config": CONFIG, "state": state_of(CUPS, HIDES, 6), "key": KEY, "num_futures": 256} | change)
+        explain(**{"config": CONFIG, "state": state_of(CUPS, HIDES, 6), "key": KEY, "num_rollouts": 256} | change)
 
 
 @pytest.mark.slow

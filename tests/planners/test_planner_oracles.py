@@ -1,10 +1,8 @@
 """Three solvers that share no code agree, nobody beats the optimum, and the names of the cups do not matter."""
 
-import sys
 from dataclasses import replace
 from functools import partial
 from itertools import product
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +14,6 @@ from halfseen.errors import ArgumentError
 from halfseen.planners import (
     GreedyPolicy,
     POMDPPolicy,
-    TableProblem,
     information_relaxation_bound,
     plan,
     solve_discrete,
@@ -27,20 +24,12 @@ from halfseen.world import Scene, UniformPolicy, WorldConfig
 from halfseen.world.episodes import play
 from halfseen.world.state import TableState, initial_state, pad_scenes
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "examples"))
-from tiger import TigerProblem
-
 CONFIG = WorldConfig(horizon=2)
 ONE, TWO = np.zeros((1, 1)), np.array([[0.0, 0.6], [0.1, 0.0]])
 # One cup wholly hidden: until the other is moved, its labels say nothing, which keeps the alpha vectors few.
 HIDDEN = np.array([[0.0, 1.0], [0.0, 0.0]])
 THREE = np.array([[0.0, 0.6, 0.3], [0.1, 0.0, 0.2], [0.4, 0.05, 0.0]])
 GREEDY = [GreedyPolicy(CONFIG, uses_history=h, counts_penalty=p) for h in (False, True) for p in (False, True)]
-TIGER = (
-    [np.eye(2), np.full((2, 2), 0.5), np.full((2, 2), 0.5)],
-    [[[0.85, 0.15], [0.15, 0.85]], [[1.0, 0.0]] * 2, [[1.0, 0.0]] * 2],
-    [[-1, -1], [-100, 10], [10, -100]],
-)
 KEY = jax.random.key(0)
 
 
@@ -91,28 +80,16 @@ def test_alpha_vectors_over_more_arrays_find_the_optimum_of_the_table(hides, num
 
 @pytest.mark.parametrize("labels", list(product((False, True), repeat=2)), ids=str)
 def test_the_anytime_planner_finds_the_optimum_of_two_cups(labels):
-    """Grip offsets are normal for the one and on a fine grid for the other."""
+    """With two steps, one improvement of the myopic rule is the optimum: the rule is exact at the last step.
+
+    Grip offsets are normal for the one and on a fine grid for the other.
+    """
     state = state_after_first_look(CONFIG, TWO, labels)
     exact = solve_table(TWO, CONFIG, num_grip_nodes=31).q_values(state)
-    found = plan(TableProblem(CONFIG, state), KEY, num_simulations=20_000)
+    found = plan(CONFIG, state, KEY, num_simulations=20_000)
 
     assert found.action == np.argmax(exact)
-    assert found.depth == 2
-    error = found.standard_errors[found.action]
-    assert found.value == pytest.approx(exact.max(), abs=4 * error + 0.05)
-    assert error < 0.03
-
-
-@pytest.mark.parametrize("num_left", [-2, -1, 0, 1])
-def test_the_anytime_planner_follows_the_tiger_along_its_growls(num_left):
-    """After one growl more from the left than from the right, and so on: Bayes' odds are powers of 17/3."""
-    left_chance = float(1 / (1 + (3 / 17) ** num_left))
-    exact = solve_discrete(*TIGER, 0.95, 4, [left_chance, 1 - left_chance])
-    found = plan(TigerProblem(left_chance, horizon=4), KEY, num_simulations=30_000, exploration=100.0)
-
-    assert found.action == exact.action
-    assert found.value == pytest.approx(exact.value, abs=4 * found.standard_errors[found.action] + 0.05)
-    assert found.standard_errors[found.action] < 0.3
+    assert found.values.max() == pytest.approx(exact.max(), abs=0.08)
 
 
 def relabelled(states, order):

@@ -30,5 +30,20 @@ def test_looking_further_ahead_earns_more_on_the_same_tables():
     assert np.mean(two - one) > -2 * standard_error(two - one)
 
 
+@pytest.mark.slow
+def test_more_simulations_earn_no_less_on_the_same_tables():
+    rng, config = np.random.default_rng(1), WorldConfig(horizon=5)
+    scenes = [Scene(rng.uniform(0, 0.5, (4, 4)) * (rng.random((4, 4)) < 0.4) * ~np.eye(4, dtype=bool)) for _ in "abc"]
+    layouts = pad_scenes(scenes)
+
+    def rewards(policy):
+        return np.asarray(evaluate(config, layouts, policy, jax.random.key(0), 300, 150).reward, dtype=float)
+
+    myopic, few, many = (rewards(POMDPPolicy(config, h, n)) for h, n in ((1, 1), (5, 16), (5, 128)))
+
+    assert np.mean(many - few) > -2 * standard_error(many - few)
+    assert np.mean(many - myopic) > -2 * standard_error(many - myopic)
+
+
 def standard_error(values):
     return np.std(values) / np.sqrt(len(values))

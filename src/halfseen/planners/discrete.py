@@ -222,7 +222,7 @@ def _checked(
     ):
         if values.shape != wanted:
             raise ArgumentError(f"{name} has shape {values.shape}; R of shape {reward.shape} asks for {wanted}")
-        _check_chances(values, name)
+        _check_probabilities(values, name)
     return transition, observation, reward, belief
 
 
@@ -236,7 +236,7 @@ def _numbers(values: ArrayLike, name: str, ndim: int) -> np.ndarray:
     return array
 
 
-def _check_chances(values: np.ndarray, name: str) -> None:
+def _check_probabilities(values: np.ndarray, name: str) -> None:
     wrong = np.argwhere(values < 0.0)
     if len(wrong):
         raise ArgumentError(f"{name}{wrong[0].tolist()} is {values[tuple(wrong[0])]}; a probability is ≥ 0")

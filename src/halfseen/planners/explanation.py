@@ -1,14 +1,17 @@
 """Why an action, by a planner that knows its own error.
 
-Q is estimated by futures in which the closed one-step rule decides (`rollout`): too low, as nobody improves on the rule
+What an explanation holds, and how it is read off draws of Q, is `halfseen.world.explanation`'s, which the bootstrap of
+a learned policy shares and for which it must not import a planner; here is where a planner's draws come from.
+
+Q is estimated by rollouts in which the myopic look-ahead decides (`rollout`): too low, as nobody improves on the rule
 after the first action, and noisy. What is known of the optimum is then
 
     Q*(a) = m(a) + μ + g (e(a) + κ ε + ω(a) ε_a),    Q*(FINISH) = m(FINISH),
 
-with m the mean worth of the futures, e its sampling error, of which all actions have their part together, ε and ε_a
+with m the mean worth of the rollouts, e its sampling error, of which all actions have their part together, ε and ε_a
 standard normal, and one g for all that makes it Student's t with 5 degrees of freedom: some states are harder than
 others. μ = 0.0034 x^1.5, κ = 0.0092 x, and ω = 0.0117 x for WASH, 0.0037 x for LIFT [reward], with x = h √(1 + σ²),
-where h is the number of steps to go and σ the standard deviation of the worth of one future.
+where h is the number of steps to go and σ the standard deviation of the worth of one rollout.
 
 The four constants are fitted by maximum likelihood against exact optima of random tables of 3 cups over 6 steps and 2
 cups over 8, in the world's default numbers, and checked on other tables: ``benchmarks/calibration.py``. Beyond such
@@ -24,8 +27,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from halfseen.errors import ArgumentError
-from halfseen.planners.rollout import sampled_values
-from halfseen.world.action_space import FINISH, possible_actions
+from halfseen.planners.rollout import check_goes_on, sampled_values
+from halfseen.world.action_space import FINISH, ActionSpace, Verb, possible_actions
 from halfseen.world.config import WorldConfig
 from halfseen.world.explanation import Explanation, alike, explained
 from halfseen.world.state import TableState
@@ -36,10 +39,10 @@ SHIFT_POWER = 1.5
 
 
 class PlannerError(NamedTuple):
-    """How far the optimum is from what sampled futures say, for each unit of x (shift: of x^1.5) [reward]."""
+    """How far the optimum is from what rollouts say, for each unit of x (shift: of x^1.5) [reward]."""
 
     shift: float
-    """Mean of what the futures miss of WASH and LIFT."""
+    """Mean of what the rollouts miss of WASH and LIFT."""
     common: float
     """Standard deviation of the error that WASH and LIFT share."""
     wash: float
@@ -53,13 +56,13 @@ FITTED_ERROR = PlannerError(shift=0.0034, common=0.0092, wash=0.0117, lift=0.003
 
 
 @dataclass(frozen=True, eq=False)
-class Futures:
-    """Sampled futures of the actions of one table, WASH and LIFT of interchangeable objects counted together.
+class Rollouts:
+    """Rollouts of the actions of one table, WASH and LIFT of interchangeable objects counted together.
 
     Attributes
     ----------
     worths
-        Of each future by each action [reward]; 0 where impossible.
+        Of each rollout by each action [reward]; 0 where impossible.
     is_possible
         Which actions the state allows.
     first_alike
@@ -80,26 +83,26 @@ class Futures:
 
     @property
     def difficulty(self) -> float:
-        """How uncertain the futures are, x = h √(1 + σ²)."""
+        """How uncertain the rollouts are, x = h √(1 + σ²)."""
         variance = np.mean(np.var(self.worths[:, self.is_uncertain], axis=0))
         return self.steps_to_go * float(np.sqrt(1.0 + variance))
 
 
-def futures_of(config: WorldConfig, state: TableState, key: Array, num_futures: int) -> Futures:
-    """Sample futures of one table; see `explain`."""
+def rollouts_of(config: WorldConfig, state: TableState, key: Array, num_rollouts: int) -> Rollouts:
+    """Draw rollouts of one table; see `explain`."""
     is_possible, first_alike = np.asarray(possible_actions(state)), alike(state)
-    sampled = np.asarray(sampled_values(config, state, key, num_futures), dtype=np.float64)
+    sampled = np.asarray(sampled_values(config, state, key, num_rollouts), dtype=np.float64)
     sampled = np.where(is_possible, sampled, 0.0)
     # Interchangeable objects are worth the same, so what is learned of one is learned of all.
     is_equal = first_alike[:, None] == first_alike[None, :]
     worths = sampled @ (is_equal / is_equal.sum(axis=0))
-    return Futures(worths, is_possible, first_alike, int(state.steps_to_go))
+    return Rollouts(worths, is_possible, first_alike, int(state.steps_to_go))
 
 
 def explain(
-    config: WorldConfig, state: TableState, key: Array, *, num_futures: int = 512, level: float = 0.9
+    config: WorldConfig, state: TableState, key: Array, *, num_rollouts: int = 512, level: float = 0.9
 ) -> Explanation:
-    """Explain what is best to do at one table: worths with intervals, chances of being best, worth of each LIFT.
+    """Explain what is best to do at one table: worths with intervals, probabilities of being best, worth of each LIFT.
 
     Parameters
     ----------
@@ -108,9 +111,9 @@ def explain(
     state
         One table, with a step to go and an object on it.
     key
-        The only source of chance.
-    num_futures
-        Sampled futures of each action; the time taken is in proportion.
+        What is drawn from.
+    num_rollouts
+        Rollouts of each action; the time taken is in proportion.
     level
         Probability with which the intervals are to hold.
 
@@ -122,7 +125,7 @@ def explain(
     Raises
     ------
     ArgumentError
-        `num_futures` is below 2, `level` is out of range, or the path is over.
+        `num_rollouts` is below 2, `level` is out of range, or the path is over.
 
     Examples
     --------
@@ -134,40 +137,39 @@ def explain(
     >>> told.actions[told.best]
     'LIFT 0'
     """
-    if num_futures < 2:
-        raise ArgumentError(f"num_futures is {num_futures}; at least 2 are needed to tell their spread")
-    if int(state.steps_to_go) < 1 or not np.asarray(state.is_on_table).any():
-        raise ArgumentError("the path is over: no step to go or no object left; explain a state before its end")
-    futures_key, draw_key = jax.random.split(key)
-    futures = futures_of(config, state, futures_key, num_futures)
+    if num_rollouts < 2:
+        raise ArgumentError(f"num_rollouts is {num_rollouts}; at least 2 are needed to tell their spread")
+    check_goes_on(state)
+    rollout_key, draw_key = jax.random.split(key)
+    rollouts = rollouts_of(config, state, rollout_key, num_rollouts)
     rng = np.random.default_rng(np.asarray(jax.random.key_data(draw_key)))
-    values = expected_q(futures, FITTED_ERROR)
-    return explained(values, drawn_q(futures, FITTED_ERROR, rng, _NUM_DRAWS), futures.is_possible, level)
+    values = expected_q(rollouts, FITTED_ERROR)
+    return explained(values, drawn_q(rollouts, FITTED_ERROR, rng, _NUM_DRAWS), rollouts.is_possible, level)
 
 
-def expected_q(futures: Futures, error: PlannerError) -> Float[np.ndarray, " A"]:
+def expected_q(rollouts: Rollouts, error: PlannerError) -> Float[np.ndarray, " A"]:
     """Mean of what Q* may be, m + μ."""
-    shift = error.shift * futures.difficulty**SHIFT_POWER
-    return futures.worths.mean(axis=0) + np.where(futures.is_uncertain, shift, 0.0)
+    shift = error.shift * rollouts.difficulty**SHIFT_POWER
+    return rollouts.worths.mean(axis=0) + np.where(rollouts.is_uncertain, shift, 0.0)
 
 
 def drawn_q(
-    futures: Futures, error: PlannerError, rng: np.random.Generator, num_draws: int
+    rollouts: Rollouts, error: PlannerError, rng: np.random.Generator, num_draws: int
 ) -> Float[np.ndarray, "B A"]:
-    """Draws from what Q* may be, given sampled futures of each action."""
-    num_futures, num_actions = futures.worths.shape
-    weights = rng.standard_normal((num_draws, num_futures)) / np.sqrt(num_futures * (num_futures - 1))
-    sampling = weights @ (futures.worths - futures.worths.mean(axis=0))
-    own = rng.standard_normal((num_draws, num_actions))[:, futures.first_alike] * own_error(num_actions, error)
-    missed = futures.difficulty * (error.common * rng.standard_normal((num_draws, 1)) + own)
-    wrong = np.where(futures.is_uncertain, sampling + missed, 0.0)
-    return expected_q(futures, error) + wrong * _of_each_state(rng, num_draws)
+    """Draws from what Q* may be, given rollouts of each action."""
+    num_rollouts, num_actions = rollouts.worths.shape
+    weights = rng.standard_normal((num_draws, num_rollouts)) / np.sqrt(num_rollouts * (num_rollouts - 1))
+    sampling = weights @ (rollouts.worths - rollouts.worths.mean(axis=0))
+    own = rng.standard_normal((num_draws, num_actions))[:, rollouts.first_alike] * own_error(num_actions, error)
+    missed = rollouts.difficulty * (error.common * rng.standard_normal((num_draws, 1)) + own)
+    wrong = np.where(rollouts.is_uncertain, sampling + missed, 0.0)
+    return expected_q(rollouts, error) + wrong * _of_each_state(rng, num_draws)
 
 
 def own_error(num_actions: int, error: PlannerError) -> Float[np.ndarray, " A"]:
     """ω / x of each action; 0 for FINISH, which is exact."""
-    num_objects = (num_actions - 1) // 2
-    return np.repeat([0.0, error.wash, error.lift], [1, num_objects, num_objects])
+    of_verb = {Verb.FINISH: 0.0, Verb.WASH: error.wash, Verb.LIFT: error.lift}
+    return np.array([of_verb[Verb(verb)] for verb in ActionSpace.of_size(num_actions).verbs])
 
 
 def _of_each_state(rng: np.random.Generator, num_draws: int) -> Float[np.ndarray, "B 1"]:

@@ -1,8 +1,11 @@
 """Planning with a known model, h steps ahead in the space of beliefs: the planner of the table as a policy.
 
-Q_1 is the closed look of `one_step`. Further ahead, Q_h(b, a) is the worth of action a and then of h − 1 actions by
-that look, the last of them worth Q_1, which stands for all that comes after; by sampled futures (`rollout`). With h as
-long as the path, the number of futures is all that bounds it.
+Q_1 is the myopic look-ahead of `one_step`. Further ahead, Q_h(b, a) is the worth of action a and then of h − 1 actions
+by that look-ahead, the last of them worth Q_1, which stands for all that comes after; by rollouts (`rollout`). With h
+as long as the path, the number of rollouts is all that bounds it.
+
+This is the planner under `jax.jit` and `jax.vmap`, its budget a number of rollouts; `anytime.plan` is the same one
+against a clock.
 """
 
 from dataclasses import dataclass, field
@@ -34,7 +37,7 @@ class POMDPPolicy:
     planning_horizon
         h, ≥ 1.
     num_simulations
-        Sampled futures a decision, about, ≥ 1; a look of one step takes none, whatever is given.
+        Rollouts a decision, about, of all actions together, ≥ 1; a look of one step takes none, whatever is given.
 
     Raises
     ------
@@ -60,7 +63,7 @@ class POMDPPolicy:
                 raise ArgumentError(f"{name} is {getattr(self, name)}; it is at least 1")
 
     def decide(self, state: TableState, key: Array) -> Decision:
-        """Choose for one table; `key` is the futures' (the probability of a choice is not known)."""
+        """Choose for one table; the rollouts draw from `key` (the probability of a choice is not known)."""
         q = self.q_values(state, key)
         return Decision(jnp.argmax(q).astype(jnp.int32), jnp.full((), jnp.nan, dtype=jnp.float32))
 
