@@ -7,7 +7,7 @@ expected number of tries stands for their number).
 
 With unlimited steps that exception falls away: V° is V_0 with more steps than any try could want, and
 Q°(b, a) = E[R + V°(b')] is exact, for any steps to go but the last. It is no good rule near the end, but takes noise
-out of sampled futures (`rollout`, `search_tree`).
+out of rollouts (`rollout`).
 """
 
 from dataclasses import replace
