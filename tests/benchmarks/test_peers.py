@@ -11,7 +11,7 @@ from halfseen.planners import GreedyPolicy
 from halfseen.planners.belief import belief_of, grasp_chance
 from halfseen.world import Scene, UniformPolicy, WorldConfig
 from halfseen.world.action_space import ActionSpace
-from halfseen.world.dynamics import grasp_probability, start, step
+from halfseen.world.dynamics import start, step
 from halfseen.world.episodes import play
 from halfseen.world.state import HiddenState, pad_scenes
 
@@ -114,7 +114,7 @@ def test_hidden_parts_are_drawn_from_the_belief(states):
         noise = 4 * 0.5 / np.sqrt(20_000)
         np.testing.assert_allclose(hidden.is_dirty.mean(axis=0), jax.nn.sigmoid(seen.log_odds), atol=noise)
         there = jnp.zeros(3)
-        grasped = grasp_probability(CONFIG, there[None], hidden.grip_offset).mean(axis=0)
+        grasped = -jnp.expm1(CONFIG.grasping.log_failure(there[None], hidden.grasp_trait)).mean(axis=0)
         np.testing.assert_allclose(grasped, grasp_chance(CONFIG, there, belief.grip), atol=noise + 0.01)
 
 
