@@ -71,7 +71,7 @@ class TableTask:
         """Block of each action: its verb."""
         return ActionSpace.of_size(num_actions).verbs
 
-    def outcome_features(self, names: Sequence[str], num_features: int) -> Float[np.ndarray, " F"]:
+    def outcome_features(self, names: Sequence[str]) -> Float[np.ndarray, " F"]:
         """A table's features have no names to choose by."""
         raise ArgumentError(f"outcome_covariates is {list(names)}; on a table the outcome regression uses all features")
 
