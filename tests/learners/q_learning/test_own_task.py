@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from halfseen.errors import ArgumentError
 from halfseen.evaluation import QSpec, evaluate
 from halfseen.learners import CensoredQLearner, Task, bootstrap
 from halfseen.learners.q_learning.path_arrays import stage_places
@@ -127,6 +128,8 @@ def test_its_intervals_hold_what_was_learned(learner, logs):
     assert draws.replicates.coefficients.shape == (5, 2, 1, 4)
     assert (spread > 0).all()
     assert (spread < 1.0).all()
+    with pytest.raises(ArgumentError, match="a DosePolicy does not decide by covariates alone"):
+        draws.q_interval(logs.stages, 1)
 
 
 def test_it_is_streamed(learner, logs, tmp_path):

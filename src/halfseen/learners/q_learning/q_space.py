@@ -146,15 +146,15 @@ def stage_mode_of(stages: StageMode | str) -> StageMode:
     raise ArgumentError(f"stages is {stages!r}; it is 'separate' or 'pooled'")
 
 
-def reg_of(reg: CrossValidation | float | int | Literal["cv"] | str) -> Reg:
-    """Read what a user says of λ: ``"cv"``, a `CrossValidation`, or a number.
+def reg_of(reg: Reg | float | int | Literal["cv"] | str) -> Reg:
+    """Read what a user says of λ: ``"cv"``, a `CrossValidation`, or a number; what was read already stays.
 
     Raises
     ------
     ArgumentError
         It is none of these.
     """
-    if isinstance(reg, CrossValidation):
+    if isinstance(reg, CrossValidation | FixedReg):
         return reg
     if isinstance(reg, str) and reg == "cv":
         return CrossValidation()

@@ -25,7 +25,7 @@ from halfseen.logs.frames import FrameLike
 from halfseen.tables.grasp.inputs import Decided, History, checked_attempts, checked_history
 
 CENTRE = np.array([0.0, 0.0, np.log(2.0)])
-"""Mode of the weak normal prior on intercept, slope and log s: half of all succeed; strength of the rule of succession."""
+"""Mode of the weak normal prior on intercept, slope and log s: half succeed; strength of the rule of succession."""
 
 SPREAD = np.array([5.0, 5.0, 2.0])
 """Its standard deviations: wide, yet nothing runs away when all grasps succeed, or no object was tried twice."""
