@@ -77,7 +77,8 @@ class TableTask:
 
     def censoring_covariates(self, logs: Logs, names: Sequence[str] | None, is_by_path: bool) -> pd.DataFrame:
         """What cuts may depend on, a row for each stage; None for all, or those that are known as a path begins."""
-        return table_covariates(logs, names or TABLE_COVARIATES[: NUM_AT_BEGIN if is_by_path else None])
+        known = TABLE_COVARIATES[: NUM_AT_BEGIN if is_by_path else None]
+        return table_covariates(logs, known if names is None else names)
 
     def reduce_variance(
         self,

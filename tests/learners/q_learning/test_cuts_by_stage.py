@@ -52,6 +52,8 @@ def test_actions_can_hasten_cuts(known):
 def test_what_cuts_cannot_depend_on_is_refused(logs, known):
     with pytest.raises(ArgumentError, match=r"path \d+, stage \d: action=A is not known, and cuts are to depend on it"):
         learner(censoring=Weighted("cox", by="stage")).fit(logs)
+    with pytest.raises(ArgumentError, match="none of those of all stages differs between paths"):
+        learner(censoring=Weighted("cox", by="pooled", covariates=[])).fit(known)
     texts = Logs(known.stages.assign(colour="red"), known.paths)
     with pytest.raises(ArgumentError, match="censoring covariate 'colour' holds no numbers"):
         learner(censoring=Weighted("cox", covariates=["colour"])).fit(texts)

@@ -59,7 +59,7 @@ class DoseTask:
         return np.isin(["dose", "square", "need"], list(names)).astype(float)
 
     def censoring_covariates(self, logs, names, is_by_path):
-        return logs.stages[list(names or ["need"])].astype(float)
+        return logs.stages[["need"] if names is None else list(names)].astype(float)
 
     def reduce_variance(self, encoded, reward, weight, is_last):
         return reward, None

@@ -69,7 +69,7 @@ class QBootstrap:
     def _flat(self) -> FlatPolicy:
         if not isinstance(self.policy, FlatPolicy):
             raise ArgumentError(
-                f"a {type(self.policy).__name__} does not decide by covariates alone; compare `policy` with `replicates`, "
+                f"a {type(self.policy).__name__} does not decide by covariates alone; compare policy and replicates, "
                 "as LearnedExplainer does for tables"
             )
         return self.policy

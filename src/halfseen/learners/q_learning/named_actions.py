@@ -120,7 +120,7 @@ class NamedActions:
         ArgumentError
             A column holds no numbers.
         """
-        columns = names or [*self.covariates, *([] if is_by_path else [ACTION])]
+        columns = [*self.covariates, *([] if is_by_path else [ACTION])] if names is None else names
         missing = [name for name in columns if name not in logs.stages.columns]
         if missing:
             raise LogError(f"the stages have no column {missing[0]!r}; they have {', '.join(logs.stages.columns)}")
