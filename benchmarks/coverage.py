@@ -11,7 +11,7 @@ the paths; in the last rows at a rate that depends on a covariate z that rewards
 cut 0, 1/3, 1/2             cuts depend on nothing; Q has the states as indicators
 wrong Q                     half are cut; Q and the regression of cut stages see nothing but the action
 by z, wrong cuts            half are cut, by z; Ĝ is Kaplan–Meier's, Q and the regression are right
-by z, wrong cuts, simple    the same without augmentation
+by z, wrong cuts, simple    the same by weights alone
 by z, right cuts            the same logs, and Ĝ is Cox's, given z
 by z, right cuts, wrong Q   Ĝ is Cox's, and Q and the regression see nothing but the action
 """
@@ -27,10 +27,10 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import brentq
 from scipy.stats import beta
-from sklearn.base import clone
 
-from halfseen.evaluation import evaluate
-from halfseen.learners import CensoredQLearner
+from halfseen.evaluation import QSpec, evaluate
+from halfseen.learners import DoublyRobust, NamedActions, Weighted
+from halfseen.learners.q_learning.targets import Targets
 from halfseen.logs import Logs
 
 NUM_PATIENTS, HORIZON, NUM_STATES, ACTIONS = 400, 3, 3, ("A", "B")
@@ -173,47 +173,43 @@ def simulated(seed: int, rates: np.ndarray, num: int = NUM_PATIENTS) -> Logs:
     return recorded(treated(num, rng), rates, rng)
 
 
-def learner(covariates: tuple[str, ...] = ("is_1", "is_2"), **parameters: Any) -> CensoredQLearner:
-    """Q saturated in the states, which is right where z is not told."""
-    chosen = {"augmented": True} | parameters
-    return CensoredQLearner(HORIZON, ACTIONS, covariates, **chosen)
+# Saturated in the states, which is right where z is not observed. A penalty is a little wrong, too; where one model is
+# to be right, there is next to none.
+STATES = QSpec(NamedActions(ACTIONS, ("is_1", "is_2")))
+WITH_Z = QSpec(NamedActions(ACTIONS, ("is_1", "is_2", "z", "z_1", "z_2")), reg=1e-4)
+BLIND = QSpec(NamedActions(ACTIONS), reg=1e-4)
+BY_COX = DoublyRobust("cox", covariates=["z"])
 
-
-# A penalty is a little wrong, too; where one model is to be right, there is next to none.
-WITH_Z = learner(("is_1", "is_2", "z", "z_1", "z_2"), reg=1e-4)
-BLIND = learner((), reg=1e-4)
-BY_COX = {"censoring": "cox", "censoring_covariates": ["z"]}
-
-ROWS: dict[str, tuple[float, float, CensoredQLearner]] = {
-    "cut 0": (0.0, 0.0, learner()),
-    "cut 1/3": (1 / 3, 0.0, learner()),
-    "cut 1/2": (1 / 2, 0.0, learner()),
-    "wrong Q": (1 / 2, 0.0, BLIND),
-    "by z, wrong cuts": (1 / 2, Z_STEEPNESS, WITH_Z),
-    "by z, wrong cuts, simple": (1 / 2, Z_STEEPNESS, clone(WITH_Z).set_params(augmented=False)),
-    "by z, right cuts": (1 / 2, Z_STEEPNESS, clone(WITH_Z).set_params(**BY_COX)),
-    "by z, right cuts, wrong Q": (1 / 2, Z_STEEPNESS, clone(BLIND).set_params(**BY_COX)),
+ROWS: dict[str, tuple[float, float, Targets, QSpec]] = {
+    "cut 0": (0.0, 0.0, DoublyRobust(), STATES),
+    "cut 1/3": (1 / 3, 0.0, DoublyRobust(), STATES),
+    "cut 1/2": (1 / 2, 0.0, DoublyRobust(), STATES),
+    "wrong Q": (1 / 2, 0.0, DoublyRobust(), BLIND),
+    "by z, wrong cuts": (1 / 2, Z_STEEPNESS, DoublyRobust(), WITH_Z),
+    "by z, wrong cuts, simple": (1 / 2, Z_STEEPNESS, Weighted(), WITH_Z),
+    "by z, right cuts": (1 / 2, Z_STEEPNESS, BY_COX, WITH_Z),
+    "by z, right cuts, wrong Q": (1 / 2, Z_STEEPNESS, BY_COX, BLIND),
 }
 
 
 def measured(name: str, num_logs: int) -> list[dict[str, Any]]:
     """One row for each estimator."""
-    share, steepness, model = ROWS[name]
+    share, steepness, censoring, q = ROWS[name]
     rates = cut_rates(share, steepness)
     policy, value, own = TargetPolicy(), true_value(TARGET_B), true_value(LOGGING_B)
     truths = dict.fromkeys(ESTIMATORS, value) | {"logging": own, "difference": value - own}
-    told, cut, verdicts = {name: [] for name in ESTIMATORS}, [], []
+    found, cut, verdicts = {name: [] for name in ESTIMATORS}, [], []
     for seed in range(num_logs):
         logs = simulated(seed, rates)
-        answer = evaluate(policy, logs, model, random_state=seed)
+        answer = evaluate(policy, logs, censoring=censoring, q=q, random_state=seed)
         cut.append(1.0 - logs.is_finished.mean())
         verdicts.append(answer.verdict)
         for estimator in ESTIMATORS:
             one = getattr(answer, estimator)
-            told[estimator].append((one.value, one.low, one.high, one.standard_error, one.effective_sample_size))
+            found[estimator].append((one.value, one.low, one.high, one.standard_error, one.effective_sample_size))
     rows = []
     for estimator, truth in truths.items():
-        values, low, high, errors, sizes = np.array(told[estimator]).T
+        values, low, high, errors, sizes = np.array(found[estimator]).T
         covered = int(((low <= truth) & (truth <= high)).sum())
         bounds = beta.ppf(0.025, covered, num_logs - covered + 1), beta.ppf(0.975, covered + 1, num_logs - covered)
         rows.append(
@@ -258,7 +254,7 @@ def main() -> None:
         rows = measured(name, options.logs)
         took_s = time.perf_counter() - start
         print(f"\n{name}: {rows[0]['share_cut']:.1%} cut, truth {rows[0]['truth']:.3f} ({took_s:.0f} s)")
-        print(f"{'':<20}{'bias':>17}{'sd':>8}{'se':>8}{'width':>8}{'covers':>8}  {'95 % interval':<14}{'paths':>7}")
+        print(f"{'':<20}{'bias':>17}{'sd':>8}{'se':>8}{'width':>8}{'covers':>8}  {'95 % interval':<14}{'ESS':>7}")
         print("\n".join(line(row) for row in rows), flush=True)
         results += rows
     report = {"num_patients": NUM_PATIENTS, "num_logs": options.logs, "results": results}

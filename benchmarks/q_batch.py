@@ -19,8 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 from sklearn.linear_model import Ridge
 
-from halfseen.learners.q_learning.encoding import FlatEncoding
-from halfseen.learners.q_learning.fitting import REGS, fit_q_functions
+from halfseen.learners.q_learning.fitting import BackwardOptions, fit_q_functions
+from halfseen.learners.q_learning.q_space import REGS
 from halfseen.learners.q_learning.recursion import Transitions
 
 NUM_LOGS, NUM_PATHS, HORIZON, NUM_ACTIONS, NUM_COVARIATES = 1_000, 200, 10, 2, 4
@@ -82,12 +82,12 @@ def chosen(x, target, weight, fold):
 
 def compare(logs, is_chosen, num_looped):
     regs, num_folds = (REGS, NUM_FOLDS) if is_chosen else (np.array([REG]), 1)
-    encoding = FlatEncoding(HORIZON, ["A", "B"], [f"x{k}" for k in range(NUM_COVARIATES)])
+    options = BackwardOptions(NUM_ACTIONS, "separate", num_folds, end_action=None, is_scaled=True)
     with jax.enable_x64(True):
         ready = jax.block_until_ready(jax.tree.map(jnp.asarray, logs._replace(fold=logs.fold % num_folds)))
 
     def batch():
-        return fit_q_functions(ready, encoding, regs, "separate", num_folds).coefficients
+        return fit_q_functions(ready, np.arange(NUM_ACTIONS), regs, options).coefficients
 
     fitted = batch()
     few = [jax.tree.map(lambda leaf, k=k: leaf[k], logs) for k in range(num_looped)]
@@ -96,10 +96,10 @@ def compare(logs, is_chosen, num_looped):
         begin = time.perf_counter()
         batch()
         middle = time.perf_counter()
-        told = [looped(log, is_chosen) for log in few]
+        by_loop = [looped(log, is_chosen) for log in few]
         ours_s.append(middle - begin)
         loop_s.append((time.perf_counter() - middle) * NUM_LOGS / num_looped)
-        difference = float(np.abs(np.stack(told) - fitted[:num_looped]).max())
+        difference = float(np.abs(np.stack(by_loop) - fitted[:num_looped]).max())
     ours, loop = float(np.median(ours_s)), float(np.median(loop_s))
     return {"ours_s": ours, "loop_s": loop, "ratio": loop / ours, "largest_difference_of_coefficients": difference}
 
@@ -109,19 +109,19 @@ def main():
     parser.add_argument("--out", type=Path, default=Path("runs/benchmarks/q_batch.json"))
     args = parser.parse_args()
     logs = drawn(NUM_LOGS)
-    told = {
+    found = {
         "λ given": compare(logs, is_chosen=False, num_looped=10),
         "λ chosen (default)": compare(logs, is_chosen=True, num_looped=2),
     }
     print(f"{NUM_LOGS:,} logs of {NUM_PATHS} paths and {HORIZON} stages, medians of {NUM_RUNS} runs in turn")
     print(f"{'':20}{'ours [s]':>10}{'loop [s]':>10}{'ratio':>8}   bar: 100")
-    for name, row in told.items():
+    for name, row in found.items():
         verdict = "holds" if row["ratio"] >= 100 else "missed"
         print(f"{name:20}{row['ours_s']:10.2f}{row['loop_s']:10.1f}{row['ratio']:8.0f}   {verdict}")
-    worst = max(row["largest_difference_of_coefficients"] for row in told.values())
+    worst = max(row["largest_difference_of_coefficients"] for row in found.values())
     print(f"coefficients differ by {worst:.1e} at most")
     args.out.parent.mkdir(parents=True, exist_ok=True)
-    args.out.write_text(json.dumps(told, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    args.out.write_text(json.dumps(found, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from tqdm import tqdm
 from trial_optimum import optimum, policy_value
 from trial_patients import ACTIONS, COVARIATES, HORIZON, TREATMENTS, Decision, trial
 
-from halfseen.learners import CensoredQLearner
+from halfseen.learners import CensoredQLearner, DoublyRobust
 from halfseen.logs import Logs
 
 CUT_SHARES = (0.0, 0.3, 0.5)
@@ -30,7 +30,7 @@ def uncut_only(logs: Logs) -> Logs:
 METHODS: dict[str, Callable[[Logs], CensoredQLearner]] = {
     "kernel": lambda logs: learner(q_function="kernel").fit(logs),
     "linear": lambda logs: learner(q_function="linear").fit(logs),
-    "augmented": lambda logs: learner(q_function="kernel", augmented=True).fit(logs),
+    "doubly robust": lambda logs: learner(q_function="kernel", censoring=DoublyRobust()).fit(logs),
     "uncut only": lambda logs: learner(q_function="kernel").fit(uncut_only(logs)),
 }
 

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
 from halfseen.censoring import Cox
-from halfseen.learners import CensoredQLearner
+from halfseen.learners import CensoredQLearner, DoublyRobust, Weighted
 from halfseen.logs import Logs
 
 
@@ -26,13 +26,10 @@ def learner(**parameters: Any) -> CensoredQLearner:
     return CensoredQLearner(HORIZON, ACTIONS, COVARIATES, stages="pooled", **parameters)
 
 
-def cox_learner(**parameters: Any) -> CensoredQLearner:
-    """Make the learner whose model of the cuts is right: hazards on the clock of a stage, given clutter and action.
-
-    A stage that stops the cell is short and hardly ever cut; where a draw of the log has no such cut, the coefficient
-    of that action would have no end without a ridge.
-    """
-    return learner(censoring=Cox(ridge=1.0), censoring_by="pooled", **parameters)
+# The right model of the cuts: hazards on the gap-time scale, given clutter and action. A stage that stops the cell is
+# short and hardly ever cut; where a draw of the log has no such cut, the coefficient of that action would have no end
+# without a ridge.
+BY_COX, ROBUST_BY_COX = (targets(Cox(ridge=1.0), by="pooled") for targets in (Weighted, DoublyRobust))
 
 
 def uncut_only(logs: Logs) -> Logs:
@@ -41,8 +38,8 @@ def uncut_only(logs: Logs) -> Logs:
 
 
 METHODS: dict[str, Callable[[Logs], CensoredQLearner]] = {
-    "Cox": lambda logs: cox_learner().fit(logs),
-    "Cox, augmented": lambda logs: cox_learner(augmented=True).fit(logs),
+    "Cox": lambda logs: learner(censoring=BY_COX).fit(logs),
+    "Cox, doubly robust": lambda logs: learner(censoring=ROBUST_BY_COX).fit(logs),
     "Kaplan–Meier": lambda logs: learner().fit(logs),
     "uncut only": lambda logs: learner().fit(uncut_only(logs)),
 }

@@ -14,8 +14,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from halfseen import cli
-from halfseen.learners.q_learning.encoding import FlatEncoding, TableEncoding
+from halfseen.learners import NamedActions
 from halfseen.logs import Logs, read_logs
+from halfseen.tables import TableTask
 
 PAGE = Path(__file__).parents[2] / "docs" / "guide" / "logs.md"
 MESSAGES = dict(
@@ -273,20 +274,20 @@ def content(folder):
     return {each.name: each.read_bytes() for each in sorted(folder.iterdir())} if folder.exists() else None
 
 
-def reading_verb(encoding):
+def reading_verb(task):
     """A verb that learns no more of a log than what stands there: what is checked for a learner is checked here."""
 
     @click.command()
     @click.argument("folder")
     def encode(folder):
-        encoding.encode(read_logs(folder))
+        task.encode(read_logs(folder), HORIZON)
 
     return encode
 
 
-ENCODINGS = {
-    "T": TableEncoding(HORIZON),
-    "A": FlatEncoding(HORIZON, {1: ["LIFT", "WASH"], 2: ["FINISH", "WASH"], 3: ["FINISH"], 4: ["FINISH"]}, ["light"]),
+TASKS = {
+    "T": TableTask(),
+    "A": NamedActions({1: ["LIFT", "WASH"], 2: ["FINISH", "WASH"], 3: ["FINISH"], 4: ["FINISH"]}, ["light"]),
 }
 
 
@@ -295,10 +296,10 @@ def told(monkeypatch, capsys):
     """Run the command line on a folder; give its exit status, standard output and standard error."""
 
     def run(folder, rule):
-        verb = "encode" if rule[0] in ENCODINGS else "inspect"
+        verb = "encode" if rule[0] in TASKS else "inspect"
         if verb == "encode":
             monkeypatch.setitem(cli.VERBS, verb, "Encode a log.")
-            module = SimpleNamespace(encode=reading_verb(ENCODINGS[rule[0]]))
+            module = SimpleNamespace(encode=reading_verb(TASKS[rule[0]]))
             monkeypatch.setitem(sys.modules, "halfseen.cli.encode", module)
         monkeypatch.setattr(sys, "argv", ["halfseen", verb, str(folder)])
         try:

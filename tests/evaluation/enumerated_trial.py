@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from halfseen.learners import CensoredQLearner
+from halfseen.evaluation import QSpec
+from halfseen.learners import NamedActions
 from halfseen.logs import Logs
 
 ACTIONS = ("A", "B")
@@ -76,5 +77,6 @@ def trial(seed, num_paths=200, cut_rate=0.0, has_probability=True, knows_last_ac
     return Logs(frame, pd.DataFrame(paths))
 
 
-def model(**parameters):
-    return CensoredQLearner(**{"horizon": 2, "actions": ACTIONS, "covariates": ("x",), "reg": 1e-6} | parameters)
+def specified(censoring="kaplan-meier", actions=ACTIONS, covariates=("x",)):
+    """What `evaluate` is given: the model of the cuts, and Q that is saturated unless it sees less."""
+    return {"censoring": censoring, "q": QSpec(NamedActions(actions, covariates), reg=1e-6)}

@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
-from enumerated_trial import CHANCE_B, StatePolicy, model, trial, truth
+from enumerated_trial import CHANCE_B, StatePolicy, specified, trial, truth
 
 from halfseen.censoring import KaplanMeier
 from halfseen.errors import ArgumentError, LogError
-from halfseen.evaluation import FixedSequence, evaluate
+from halfseen.evaluation import FixedSequence, QSpec, evaluate
+from halfseen.learners import DoublyRobust, NamedActions, Unweighted
+from halfseen.learners.q_learning import fitting
 from halfseen.logs import Logs
 
 TARGET = StatePolicy((0.1, 0.8))
@@ -39,47 +41,47 @@ def naive_importance_sampling(logs, chance_b):
 def test_importance_sampling_is_the_loop():
     logs = trial(0, cut_rate=0.12)
     assert 0.3 < logs.summary().cut_share < 0.6
-    told = evaluate(TARGET, logs, model())
-    assert told.importance_sampling.value == pytest.approx(naive_importance_sampling(logs, TARGET.chance_b), rel=1e-9)
-    assert told.logging.value == pytest.approx(naive_importance_sampling(logs, CHANCE_B), rel=1e-9)
+    found = evaluate(TARGET, logs, **specified())
+    assert found.importance_sampling.value == pytest.approx(naive_importance_sampling(logs, TARGET.chance_b), rel=1e-9)
+    assert found.logging.value == pytest.approx(naive_importance_sampling(logs, CHANCE_B), rel=1e-9)
 
 
 def test_the_logging_policy_on_uncut_logs_earns_the_mean_reward_exactly():
     logs = trial(1)
-    told = evaluate(StatePolicy(tuple(CHANCE_B)), logs, model())
+    found = evaluate(StatePolicy(tuple(CHANCE_B)), logs, **specified())
     totals = logs.stages.groupby("path")["reward"].sum()
-    assert told.importance_sampling.value == pytest.approx(totals.mean(), rel=1e-12)
-    assert told.importance_sampling.standard_error == pytest.approx(totals.std() / np.sqrt(len(totals)), rel=1e-9)
-    assert told.importance_sampling.effective_sample_size == pytest.approx(len(totals))
-    assert told.logging == told.importance_sampling
+    assert found.importance_sampling.value == pytest.approx(totals.mean(), rel=1e-12)
+    assert found.importance_sampling.standard_error == pytest.approx(totals.std() / np.sqrt(len(totals)), rel=1e-9)
+    assert found.importance_sampling.effective_sample_size == pytest.approx(len(totals))
+    assert found.logging == found.importance_sampling
 
 
-@pytest.mark.parametrize("augmented", [True, False])
-def test_all_three_find_the_value_on_a_long_log(augmented):
-    told = evaluate(TARGET, trial(2, num_paths=3000, cut_rate=0.12), model(augmented=augmented))
+@pytest.mark.parametrize("censoring", [DoublyRobust(), "kaplan-meier"], ids=["doubly robust", "weighted"])
+def test_all_three_find_the_value_on_a_long_log(censoring):
+    found = evaluate(TARGET, trial(2, num_paths=3000, cut_rate=0.12), **specified(censoring))
     value = truth(TARGET.chance_b)
-    for estimate in (told.importance_sampling, told.fitted_q, told.doubly_robust):
+    for estimate in (found.importance_sampling, found.fitted_q, found.doubly_robust):
         assert abs(estimate.value - value) < 3.0 * estimate.standard_error
         assert estimate.standard_error < 0.15
-    assert abs(told.logging.value - truth(CHANCE_B)) < 3.0 * told.logging.standard_error
+    assert abs(found.logging.value - truth(CHANCE_B)) < 3.0 * found.logging.standard_error
     gain = value - truth(CHANCE_B)
-    assert abs(told.difference.value - gain) < 3.0 * told.difference.standard_error
-    assert told.verdict == "better"
+    assert abs(found.difference.value - gain) < 3.0 * found.difference.standard_error
+    assert found.verdict == "better"
 
 
 def test_a_wrong_q_leaves_the_doubly_robust_value_right():
-    told = evaluate(TARGET, trial(3, num_paths=3000, cut_rate=0.12), model(covariates=(), augmented=True))
+    found = evaluate(TARGET, trial(3, num_paths=3000, cut_rate=0.12), **specified(DoublyRobust(), covariates=()))
     value = truth(TARGET.chance_b)
-    assert abs(told.fitted_q.value - value) > 5.0 * told.fitted_q.standard_error
-    assert abs(told.doubly_robust.value - value) < 2.0 * told.doubly_robust.standard_error
+    assert abs(found.fitted_q.value - value) > 5.0 * found.fitted_q.standard_error
+    assert abs(found.doubly_robust.value - value) < 2.0 * found.doubly_robust.standard_error
 
 
-def test_wrong_cuts_leave_the_augmented_value_right_and_bias_the_weighted_one():
+def test_wrong_cuts_leave_the_doubly_robust_value_right_and_bias_the_weighted_one():
     # It believes that half of what goes on is cut every other second, so what took long weighs far too much.
     wrong = KaplanMeier().fit(np.array([2.0] * 8 + [4.0] * 4 + [6.0] * 2 + [9.0] * 2), np.arange(16) > 13)
     logs, value = trial(4, num_paths=3000, cut_rate=0.15), truth(TARGET.chance_b)
-    right_q = evaluate(TARGET, logs, model(censoring=wrong, augmented=True))
-    by_weights = evaluate(TARGET, logs, model(censoring=wrong))
+    right_q = evaluate(TARGET, logs, **specified(DoublyRobust(wrong)))
+    by_weights = evaluate(TARGET, logs, **specified(wrong))
     assert abs(right_q.doubly_robust.value - value) < 2.0 * right_q.doubly_robust.standard_error
     assert abs(right_q.logging.value - truth(CHANCE_B)) < 2.0 * right_q.logging.standard_error
     assert abs(by_weights.logging.value - truth(CHANCE_B)) > 3.0 * by_weights.logging.standard_error
@@ -88,80 +90,80 @@ def test_wrong_cuts_leave_the_augmented_value_right_and_bias_the_weighted_one():
 def test_order_of_paths_and_what_is_not_looked_at_change_nothing():
     logs = trial(5, cut_rate=0.1)
     shuffled = Logs(logs.stages.sample(frac=1, random_state=0), logs.paths.assign(colour="red"))
-    one, other = (evaluate(TARGET, each, model()) for each in (logs, shuffled))
+    one, other = (evaluate(TARGET, each, **specified()) for each in (logs, shuffled))
     assert one.doubly_robust.value == pytest.approx(other.doubly_robust.value, rel=1e-9)
 
 
 def test_a_horizon_that_no_path_reaches_changes_nothing():
     logs = trial(6, cut_rate=0.1)
-    short = evaluate(TARGET, logs, model())
-    long = evaluate(StatePolicy(TARGET.chance_b, horizon=4), logs, model(horizon=4))
+    short = evaluate(TARGET, logs, **specified())
+    long = evaluate(StatePolicy(TARGET.chance_b, horizon=4), logs, **specified())
     assert long.doubly_robust.value == pytest.approx(short.doubly_robust.value, rel=1e-9)
     assert long.importance_sampling.value == pytest.approx(short.importance_sampling.value, rel=1e-9)
 
 
 def test_the_seed_deals_the_folds_and_the_global_one_does_not():
     logs = trial(7, cut_rate=0.1)
-    first = evaluate(TARGET, logs, model(), random_state=1)
+    first = evaluate(TARGET, logs, **specified(), random_state=1)
     np.random.seed(3)  # noqa: NPY002
-    assert evaluate(TARGET, logs, model(), random_state=1) == first
-    assert evaluate(TARGET, logs, model(), random_state=2).doubly_robust != first.doubly_robust
+    assert evaluate(TARGET, logs, **specified(), random_state=1) == first
+    assert evaluate(TARGET, logs, **specified(), random_state=2).doubly_robust != first.doubly_robust
 
 
 def test_estimated_propensity_needs_no_column_and_is_as_good():
     logs = trial(8, num_paths=2000, cut_rate=0.1, has_probability=False)
-    told = evaluate(TARGET, logs, model(), propensity="estimated")
-    assert abs(told.doubly_robust.value - truth(TARGET.chance_b)) < 3.0 * told.doubly_robust.standard_error
+    found = evaluate(TARGET, logs, **specified(), propensity="estimated")
+    assert abs(found.doubly_robust.value - truth(TARGET.chance_b)) < 3.0 * found.doubly_robust.standard_error
     with pytest.raises(LogError, match="path 0, stage 1: its probability was not logged"):
-        evaluate(TARGET, logs, model())
+        evaluate(TARGET, logs, **specified())
 
 
-def test_the_action_of_the_cut_stage_is_needed_by_augmentation_alone():
+def test_the_action_of_the_cut_stage_is_needed_by_pseudo_outcomes_alone():
     logs = trial(9, cut_rate=0.15, knows_last_action=False)
-    assert np.isfinite(evaluate(TARGET, logs, model()).doubly_robust.value)
+    assert np.isfinite(evaluate(TARGET, logs, **specified()).doubly_robust.value)
     with pytest.raises(ArgumentError, match="its action is null"):
-        evaluate(TARGET, logs, model(augmented=True))
+        evaluate(TARGET, logs, **specified(DoublyRobust()))
 
 
 def test_a_fixed_sequence_is_worth_what_enumeration_says():
-    told = evaluate(FixedSequence(("B", "B")), trial(10, num_paths=2000), model())
-    assert abs(told.doubly_robust.value - truth((1.0, 1.0))) < 3.0 * told.doubly_robust.standard_error
+    found = evaluate(FixedSequence(("B", "B")), trial(10, num_paths=2000), **specified())
+    assert abs(found.doubly_robust.value - truth((1.0, 1.0))) < 3.0 * found.doubly_robust.standard_error
 
 
 def test_verdicts_of_all_three_kinds():
     logs = trial(11, num_paths=1000, cut_rate=0.1)
-    assert evaluate(StatePolicy((0.0, 1.0)), logs, model()).verdict == "better"
-    worse = evaluate(StatePolicy((1.0, 0.0)), logs, model())
+    assert evaluate(StatePolicy((0.0, 1.0)), logs, **specified()).verdict == "better"
+    worse = evaluate(StatePolicy((1.0, 0.0)), logs, **specified())
     assert worse.verdict == "not better"
     assert worse.sentence.startswith("Not better: it earns ")
-    assert evaluate(StatePolicy((0.31, 0.59)), trial(12, num_paths=50), model()).verdict == "cannot be said"
+    assert evaluate(StatePolicy((0.31, 0.59)), trial(12, num_paths=50), **specified()).verdict == "cannot be said"
 
 
 def test_too_few_paths_that_follow_the_policy_are_no_evidence():
-    told = evaluate(StatePolicy((1.0, 0.0)), trial(13, num_paths=40, cut_rate=0.15), model())
-    assert told.doubly_robust.effective_sample_size < 10
-    assert told.verdict == "cannot be said"
-    assert "fewer than 10" in told.reason
+    found = evaluate(StatePolicy((1.0, 0.0)), trial(13, num_paths=40, cut_rate=0.15), **specified())
+    assert found.doubly_robust.effective_sample_size < 10
+    assert found.verdict == "cannot be said"
+    assert "fewer than 10" in found.reason
 
 
 def test_a_stage_in_which_the_log_never_does_as_the_policy_is_named():
     logs = trial(14)
     only_a = logs.stages.assign(action=np.where(logs.stages["stage"] == 2, "A", logs.stages["action"]))
-    told = evaluate(FixedSequence(("A", "B")), Logs(only_a, logs.paths), model())
-    assert told.support[1] == 0.0
-    assert told.verdict == "cannot be said"
-    assert "no logged action of stage 2" in told.reason
+    found = evaluate(FixedSequence(("A", "B")), Logs(only_a, logs.paths), **specified())
+    assert found.support[1] == 0.0
+    assert found.verdict == "cannot be said"
+    assert "no logged action of stage 2" in found.reason
 
 
 def test_text_and_json_tell_the_same():
-    told = evaluate(TARGET, trial(15), model(), level=0.9)
-    lines = str(told).splitlines()
-    assert lines[0] == told.sentence
+    found = evaluate(TARGET, trial(15), **specified(), level=0.9)
+    lines = str(found).splitlines()
+    assert lines[0] == found.sentence
     assert "90% interval" in lines[2]
-    assert f"{told.doubly_robust.value:.4g}" in lines[3]
-    assert told.as_dict()["doubly_robust"]["low"] == told.doubly_robust.low
-    wide = evaluate(TARGET, trial(15), model(), level=0.99)
-    assert wide.doubly_robust.high > told.doubly_robust.high
+    assert f"{found.doubly_robust.value:.4g}" in lines[3]
+    assert found.as_dict()["doubly_robust"]["low"] == found.doubly_robust.low
+    wide = evaluate(TARGET, trial(15), **specified(), level=0.99)
+    assert wide.doubly_robust.high > found.doubly_robust.high
 
 
 @pytest.mark.parametrize(
@@ -170,8 +172,7 @@ def test_text_and_json_tell_the_same():
         (TARGET, {}, {"level": 1.0}, "level is 1.0"),
         (TARGET, {}, {"propensity": "guessed"}, "propensity is 'guessed'"),
         (TARGET, {}, {"num_folds": 1}, "num_folds is 1"),
-        (TARGET, {"horizon": 3}, {}, "the policy is for 2 stages and the model for 3"),
-        (StatePolicy((0.0, 1.0), horizon=1), {"horizon": 1}, {}, "but a path has 2 stages"),
+        (StatePolicy((0.0, 1.0), horizon=1), {}, {}, "but a path has 2 stages"),
         (FixedSequence(("A", "C")), {}, {}, "takes 'C', which is none of the actions"),
         ("no policy", {}, {}, "str decides nothing about named actions"),
         (TARGET, {"censoring": "none"}, {}, "censoring is 'none', which gives no weights"),
@@ -180,7 +181,7 @@ def test_text_and_json_tell_the_same():
 )
 def test_what_does_not_fit_is_told_in_one_line(policy, parameters, options, message):
     with pytest.raises((ArgumentError, LogError), match=message) as refusal:
-        evaluate(policy, trial(16, cut_rate=0.1), model(**parameters), **options)
+        evaluate(policy, trial(16, cut_rate=0.1), **specified(**parameters), **options)
     assert "\n" not in str(refusal.value)
 
 
@@ -188,4 +189,35 @@ def test_a_policy_that_takes_what_is_not_possible_is_refused():
     logs = trial(17)
     only_a = logs.stages.assign(action=np.where(logs.stages["stage"] == 2, "A", logs.stages["action"]))
     with pytest.raises(ArgumentError, match="stage 2: the policy takes action number 2, which is not possible"):
-        evaluate(FixedSequence(("B", "B")), Logs(only_a, logs.paths), model(actions={1: ["A", "B"], 2: ["A"]}))
+        evaluate(FixedSequence(("B", "B")), Logs(only_a, logs.paths), **specified(actions={1: ["A", "B"], 2: ["A"]}))
+
+
+def test_what_a_policy_says_of_itself_need_not_be_said_again():
+    logs = trial(18, cut_rate=0.1)
+    named = QSpec(NamedActions({1: ["B", "A"], 2: ["B", "A"]}, ["x"]))
+    sequence = FixedSequence(("B", "B"))
+    assert evaluate(sequence, logs) == evaluate(sequence, logs, censoring=DoublyRobust(), q=named)
+    last_unknown = trial(18, cut_rate=0.1, knows_last_action=False)
+    assert evaluate(sequence, last_unknown) == evaluate(sequence, last_unknown, censoring="kaplan-meier", q=named)
+    with pytest.raises(ArgumentError, match="str decides nothing about named actions, which the log is of"):
+        evaluate("no policy", logs)
+
+
+def test_a_log_without_cuts_needs_no_model_of_them():
+    logs = trial(19)
+    by_weights, alike = (evaluate(TARGET, logs, **specified(one)) for one in ("kaplan-meier", Unweighted()))
+    assert by_weights.doubly_robust.value == pytest.approx(alike.doubly_robust.value, rel=1e-12)
+
+
+@pytest.mark.parametrize("censoring", ["kaplan-meier", DoublyRobust()], ids=["weighted", "doubly robust"])
+def test_no_best_policy_is_learned_on_the_way(censoring, monkeypatch):
+    fits, backward = [], fitting.backward
+    monkeypatch.setattr(fitting, "backward", lambda log, *rest, **options: seen(log) or backward(log, *rest, **options))
+
+    def seen(log):
+        fits.append(log.policy is not None)
+
+    # No other test has this number of paths, so that the recursion is traced here.
+    evaluate(TARGET, trial(20, num_paths=117, cut_rate=0.1), **specified(censoring))
+    assert fits
+    assert all(fits)

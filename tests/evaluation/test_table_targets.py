@@ -6,29 +6,28 @@ import pytest
 from halfseen.errors import ArgumentError
 from halfseen.evaluation.simulation import evaluate_in_world
 from halfseen.evaluation.targets import target_probabilities
-from halfseen.learners import CensoredQLearner
+from halfseen.learners.q_learning.path_arrays import path_arrays
 from halfseen.planners import GreedyPolicy
+from halfseen.tables import TableTask
 from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, WorldConfig
 
 pytestmark = pytest.mark.slow
 
 CONFIG = WorldConfig()
 SCENE = Scene(np.array([[0.0, 0.5], [0.0, 0.0]]))
-MODEL = CensoredQLearner.for_table(10)
+TASK = TableTask()
 LOGGER = ExploringPolicy(GreedyPolicy(CONFIG, uses_history=True, counts_penalty=True), 0.4)
 
 
 @pytest.fixture(scope="module")
 def laid_out():
     logs = TableWorld().simulate(SCENE, LOGGER, episodes=40, seed=0, cut_share=0.3)
-    model = MODEL
-    model.grasp_ = None
-    return logs, model.lay_out(logs)
+    return logs, path_arrays(logs, TASK.encode(logs, 10), None)
 
 
 def test_the_logging_policy_would_have_done_it_as_likely_as_it_was_logged(laid_out):
     logs, paths = laid_out
-    chances = target_probabilities(LOGGER, logs, paths, MODEL)
+    chances = target_probabilities(LOGGER, logs, paths, TASK)
     np.testing.assert_allclose(chances.sum(axis=2)[paths.is_begun], 1.0, rtol=1e-6)
     taken = np.take_along_axis(chances, paths.action[..., None], axis=2)[..., 0]
     np.testing.assert_allclose(taken[paths.is_begun], paths.probability[paths.is_begun], rtol=1e-5)
@@ -36,7 +35,7 @@ def test_the_logging_policy_would_have_done_it_as_likely_as_it_was_logged(laid_o
 
 def test_a_policy_without_chance_takes_one_possible_action(laid_out):
     logs, paths = laid_out
-    chances = target_probabilities(LOGGER.base, logs, paths, MODEL)
+    chances = target_probabilities(LOGGER.base, logs, paths, TASK)
     assert set(np.unique(chances)) == {0.0, 1.0}
     np.testing.assert_array_equal(chances.sum(axis=2), paths.is_begun)
     assert not (chances[~paths.is_possible] > 0).any()
@@ -44,17 +43,17 @@ def test_a_policy_without_chance_takes_one_possible_action(laid_out):
 
 def test_the_uniform_policy_shares_among_what_is_possible(laid_out):
     logs, paths = laid_out
-    chances = target_probabilities(UniformPolicy(), logs, paths, MODEL)[paths.is_begun]
+    chances = target_probabilities(UniformPolicy(), logs, paths, TASK)[paths.is_begun]
     possible = paths.is_possible[paths.is_begun]
     np.testing.assert_allclose(chances, possible / possible.sum(axis=1, keepdims=True), rtol=1e-6)
 
 
 def test_the_world_pays_what_its_episodes_hold():
-    told = evaluate_in_world(UniformPolicy(), [SCENE], CONFIG, episodes=2500, seed=1)
+    found = evaluate_in_world(UniformPolicy(), [SCENE], CONFIG, episodes=2500, seed=1)
     logs = TableWorld().simulate(SCENE, UniformPolicy(), episodes=2500, seed=7)
     mean = logs.stages.groupby("path")["reward"].sum().mean()
-    assert abs(told.value.value - mean) < 4.0 * told.value.standard_error
-    assert told.value.low < told.value.value < told.value.high
+    assert abs(found.value.value - mean) < 4.0 * found.value.standard_error
+    assert found.value.low < found.value.value < found.value.high
 
 
 def test_a_policy_of_no_table_is_refused():

@@ -100,11 +100,11 @@ def test_the_script_prints_and_draws(tmp_path):
     assert (done.returncode, done.stderr) == (0, "")
     lines = done.stdout.splitlines()
     assert lines[0].startswith("Expected survival in 3 stages [years]: optimum 2.645; best fixed sequence (ABB) 2.303")
-    assert lines[3].split() == ["wanted", "patients", "cut", "kernel", "linear", "augmented", "uncut", "only"]
+    assert lines[3].split() == ["wanted", "patients", "cut", "kernel", "linear", "doubly", "robust", "uncut", "only"]
     assert [line.split()[0] for line in lines[4:7]] == ["0%", "30%", "50%"]
-    kernel, _, augmented, uncut_only = re.findall(r"([\d.]+)% \(one trial\)", lines[4])
+    kernel, _, doubly_robust, uncut_only = re.findall(r"([\d.]+)% \(one trial\)", lines[4])
     # Nobody is cut: what is done about cuts does nothing.
-    assert kernel == augmented == uncut_only
+    assert kernel == doubly_robust == uncut_only
     assert any(line.startswith("Rewards are times: ") for line in lines)
     assert min(imread(tmp_path / "clinical_trial.png").shape[:2]) > 500
 

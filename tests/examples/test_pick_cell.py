@@ -138,7 +138,9 @@ def test_the_recorded_logs_give_intervals():
 def test_the_script_prints_values_and_intervals(capsys):
     pick_cell.main(["--paths", "200", "--repetitions", "2", "--replicates", "3"])
     text = capsys.readouterr().out
-    names = re.findall(r"^ *(Cox|Cox, augmented|Kaplan–Meier|uncut only) +0\.\d{3} +[\d.]+%", text, flags=re.MULTILINE)
+    names = re.findall(
+        r"^ *(Cox|Cox, doubly robust|Kaplan–Meier|uncut only) +0\.\d{3} +[\d.]+%", text, flags=re.MULTILINE
+    )
     assert names == list(METHODS)
     assert text.count("best in") == 9
 

@@ -45,53 +45,53 @@ def state():
 
 
 def test_what_was_learned_is_what_is_explained(learner, explainer, state):
-    told = explainer.explain(state)
+    found = explainer.explain(state)
 
-    np.testing.assert_allclose(told.values, learner.policy_.q_values(state), rtol=1e-5)
-    assert told.best == int(learner.policy_.decide(state, jax.random.key(0)).action)
-    assert told.chance_best.sum() == pytest.approx(1.0, abs=0.1)
+    np.testing.assert_allclose(found.values, learner.policy_.q_values(state), rtol=1e-5)
+    assert found.best == int(learner.policy_.decide(state, jax.random.key(0)).action)
+    assert found.chance_best.sum() == pytest.approx(1.0, abs=0.1)
 
 
 @pytest.mark.slow
 def test_the_more_paths_the_less_doubt(explainer, state):
     many = logs_of(480)
     surer = LearnedExplainer.of(CensoredQLearner.for_table(HORIZON).fit(many), many, num_replicates=20).explain(state)
-    told = explainer.explain(state)
+    found = explainer.explain(state)
 
-    assert np.median(surer.high - surer.low) < 0.7 * np.median(told.high - told.low)
+    assert np.median(surer.high - surer.low) < 0.7 * np.median(found.high - found.low)
 
 
 def test_objects_that_nothing_tells_apart_are_equally_good(explainer, state):
     alike = replace(state, hides=jnp.zeros((3, 3)), log_odds=jnp.array([2.0, 2.0, 0.0]))
-    told = explainer.explain(alike)
+    found = explainer.explain(alike)
 
-    assert told.chance_best[1] == told.chance_best[2]
-    assert told.values[4] == told.values[5] != told.values[6]
+    assert found.chance_best[1] == found.chance_best[2]
+    assert found.values[4] == found.values[5] != found.values[6]
 
 
 def test_new_numbers_for_the_objects_only_permute_the_explanation(explainer, state):
     order = np.array([2, 0, 1])
     other = replace(state, hides=state.hides[np.ix_(order, order)], log_odds=state.log_odds[order])
-    told, moved = explainer.explain(state), explainer.explain(other)
+    found, moved = explainer.explain(state), explainer.explain(other)
 
     actions = np.concatenate([[0], 1 + order, 4 + order])
-    np.testing.assert_allclose(moved.values, told.values[actions], rtol=1e-4, atol=1e-4)
-    np.testing.assert_allclose(moved.chance_best, told.chance_best[actions], atol=1e-9)
+    np.testing.assert_allclose(moved.values, found.values[actions], rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(moved.chance_best, found.chance_best[actions], atol=1e-9)
 
 
 def test_what_is_off_the_table_is_impossible(explainer, state):
-    told = explainer.explain(replace(state, is_on_table=jnp.array([True, False, True])))
+    found = explainer.explain(replace(state, is_on_table=jnp.array([True, False, True])))
 
-    np.testing.assert_array_equal(np.isfinite(told.values), [True, True, False, True, True, False, True])
+    np.testing.assert_array_equal(np.isfinite(found.values), [True, True, False, True, True, False, True])
 
 
 def test_the_seed_of_the_draws_is_all_that_chance_has(learner, logs, state):
-    told = [
+    found = [
         LearnedExplainer.of(learner, logs, num_replicates=20, random_state=seed).explain(state) for seed in (0, 0, 1)
     ]
 
-    np.testing.assert_array_equal(told[0].low, told[1].low)
-    assert not np.array_equal(told[0].low, told[2].low)
+    np.testing.assert_array_equal(found[0].low, found[1].low)
+    assert not np.array_equal(found[0].low, found[2].low)
 
 
 def test_what_cannot_be_explained_is_refused(learner, logs, explainer, state):

@@ -4,20 +4,23 @@ import jax
 import numpy as np
 import pytest
 
-from halfseen.errors import ArgumentError
-from halfseen.learners import CensoredQLearner
-from halfseen.learners.q_learning.encoding import Encoded, encode_states
+from halfseen.censoring import stage_weights
+from halfseen.learners import CensoredQLearner, NamedActions
+from halfseen.learners.q_learning.path_arrays import path_arrays
+from halfseen.learners.q_learning.task import Encoded
 from halfseen.planners import GreedyPolicy
-from halfseen.study.treatments import treat
-from halfseen.tables.variance_reduction import expected_rewards, label_surprises, wash_outcomes
+from halfseen.tables.encoding import encoded_states
+from halfseen.tables.variance_reduction import expected_rewards, label_control_variates, wash_outcomes
 from halfseen.world import ExploringPolicy, Scene, TableWorld, WorldConfig
-from halfseen.world.action_space import Verb, target_of, verb_of
+from halfseen.world.action_space import ActionSpace, Verb
 from halfseen.world.cuts import cut, cut_rate
 from halfseen.world.episodes import play
+from halfseen.world.recording import to_logs
 from halfseen.world.state import pad_scenes
 
 CONFIG = WorldConfig()
 SCENE = Scene(np.array([[0.0, 0.5, 0.0], [0.0, 0.0, 0.0], [0.3, 0.3, 0.0]]), name="three")
+SPACE = ActionSpace(3)
 LOGGER = ExploringPolicy(GreedyPolicy(CONFIG, uses_history=True, counts_penalty=True), 0.5)
 
 
@@ -29,21 +32,29 @@ def cuts():
 
 @pytest.fixture(scope="module")
 def encoded(cuts):
-    features, is_possible = (np.asarray(leaf) for leaf in encode_states(cuts.episodes.states))
-    return Encoded(features, is_possible, np.asarray(cuts.episodes.action))
+    return encoded_states(cuts.episodes.states, cuts.episodes.action)
+
+
+@pytest.fixture(scope="module")
+def seen(cuts, encoded):
+    return path_arrays(to_logs(cuts, "independent", [SCENE]), encoded, None)
+
+
+@pytest.fixture(scope="module")
+def weight(seen):
+    return stage_weights(seen.clocks.elapsed_s, seen.clocks.end_s, seen.clocks.is_finished)
 
 
 def of_target(values, action):
-    target = np.asarray(target_of(action, values.shape[-1]))
+    target = np.asarray(SPACE.target(action))
     return np.take_along_axis(np.asarray(values), target[..., None], axis=-1)[..., 0]
 
 
-def test_it_finds_what_a_wash_pays(cuts, encoded):
-    seen = treat(cuts, "weighted", CONFIG)
-    expected = expected_rewards(seen.reward, seen.weight, seen.is_last, wash_outcomes(encoded))
+def test_it_finds_what_a_wash_pays(cuts, encoded, seen, weight):
+    expected = expected_rewards(seen.reward, weight, seen.is_last, wash_outcomes(encoded))
     there = np.asarray(cuts.episodes.states.is_on_table)
-    is_wash = np.asarray(verb_of(encoded.action, SCENE.num_objects)) == Verb.WASH
-    used = (seen.weight > 0) & ~seen.is_last & is_wash
+    is_wash = SPACE.verb(encoded.action) == Verb.WASH
+    used = (weight > 0) & ~seen.is_last & is_wash
     left = ~of_target(np.concatenate([there[:, 1:], there[:, -1:]], axis=1), encoded.action)
     is_dirty = 1.0 / (1.0 + np.exp(-of_target(cuts.episodes.states.log_odds, encoded.action).astype(float)))
     dirty, clean, failed = CONFIG.reward_wash_dirty, CONFIG.reward_wash_clean, CONFIG.reward_wash_failed
@@ -54,18 +65,16 @@ def test_it_finds_what_a_wash_pays(cuts, encoded):
     assert np.array_equal(expected[~used], seen.reward[~used])
 
 
-def test_the_weighted_mean_stays_what_it_was(cuts, encoded):
-    seen = treat(cuts, "weighted", CONFIG)
-    expected = expected_rewards(seen.reward, seen.weight, seen.is_last, wash_outcomes(encoded))
-    assert (seen.weight * expected).sum() == pytest.approx((seen.weight * seen.reward).sum(), rel=1e-9)
-    flat = expected_rewards(seen.reward, (seen.weight > 0) * 1.0, seen.is_last, wash_outcomes(encoded))
+def test_the_weighted_mean_stays_what_it_was(cuts, encoded, seen, weight):
+    expected = expected_rewards(seen.reward, weight, seen.is_last, wash_outcomes(encoded))
+    assert (weight * expected).sum() == pytest.approx((weight * seen.reward).sum(), rel=1e-9)
+    flat = expected_rewards(seen.reward, (weight > 0) * 1.0, seen.is_last, wash_outcomes(encoded))
     assert np.abs(flat - expected).max() > 1e-4, "the weights must matter"
 
 
-def test_without_a_wash_nothing_changes(cuts, encoded):
-    seen = treat(cuts, "weighted", CONFIG)
-    lifted = encoded._replace(action=np.where(encoded.action > 0, 1 + SCENE.num_objects, 0))
-    assert np.array_equal(expected_rewards(seen.reward, seen.weight, seen.is_last, wash_outcomes(lifted)), seen.reward)
+def test_without_a_wash_nothing_changes(cuts, encoded, seen, weight):
+    lifted = encoded._replace(action=np.where(encoded.action > 0, SPACE.encode(Verb.LIFT, 0), 0))
+    assert np.array_equal(expected_rewards(seen.reward, weight, seen.is_last, wash_outcomes(lifted)), seen.reward)
 
 
 @pytest.mark.slow
@@ -83,22 +92,23 @@ def test_q_varies_less_between_logs():
     assert spread(True) < 0.8 * spread(False)
 
 
-def test_surprises_have_mean_zero_whatever_was_done(cuts, encoded):
-    surprises = label_surprises(encoded)
-    seen = treat(cuts, "unweighted", CONFIG)
-    verb = np.asarray(verb_of(encoded.action, SCENE.num_objects))
+def test_control_variates_have_mean_zero_whatever_was_done(cuts, encoded, seen):
+    variates = label_control_variates(encoded)
+    verb = SPACE.verb(encoded.action)
     for one in (Verb.WASH, Verb.LIFT):
-        rows = surprises[(seen.weight > 0) & ~seen.is_last & (verb == one)]
+        rows = variates[seen.is_completed & ~seen.is_last & (verb == one)]
         assert (rows.std(axis=0) > 0.01).all()
         assert (np.abs(rows.mean(axis=0)) < 4.0 * rows.std(axis=0) / np.sqrt(len(rows))).all()
     first = np.asarray(cuts.episodes.states.log_odds)[:, :2].astype(float)
-    lifted = (verb[:, 0] == Verb.LIFT) & (seen.weight[:, 0] > 0) & ~seen.is_last[:, 0]
+    lifted = (verb[:, 0] == Verb.LIFT) & seen.is_completed[:, 0] & ~seen.is_last[:, 0]
     moved = np.diff(1.0 / (1.0 + np.exp(-first)), axis=1)[:, 0]
-    np.testing.assert_allclose(surprises[lifted, 0, 0], moved.sum(axis=1)[lifted], atol=1e-5)
-    np.testing.assert_allclose(surprises[lifted, 0, 5], of_target(moved, encoded.action[:, 0])[lifted], atol=1e-5)
+    np.testing.assert_allclose(variates[lifted, 0, 0], moved.sum(axis=1)[lifted], atol=1e-5)
+    np.testing.assert_allclose(variates[lifted, 0, 5], of_target(moved, encoded.action[:, 0])[lifted], atol=1e-5)
 
 
 def test_named_actions_have_no_noise_that_is_known():
-    logs = TableWorld().simulate([SCENE], LOGGER, episodes=5, seed=0)
-    with pytest.raises(ArgumentError, match="reduces_variance is True, but actions are named"):
-        CensoredQLearner(1, ["A"], ["x"], reduces_variance=True).fit(logs)
+    reward = np.ones((4, 2))
+    encoded = Encoded(np.zeros((4, 2, 1, 0)), np.ones((4, 2, 1), dtype=bool), np.zeros((4, 2), dtype=int))
+    reduced, variates = NamedActions(["A"]).reduce_variance(encoded, reward, reward, reward > 1)
+    assert reduced is reward
+    assert variates is None

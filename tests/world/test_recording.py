@@ -3,8 +3,8 @@ import numpy as np
 import pytest
 
 from halfseen.errors import LogError
-from halfseen.learners.q_learning.encoding import encode_states
 from halfseen.logs import Logs, read_logs
+from halfseen.tables.encoding import encode_states
 from halfseen.world import TableWorld, UniformPolicy, table_world
 from halfseen.world.cuts import cut, cut_rate
 from halfseen.world.recording import states_of, to_logs

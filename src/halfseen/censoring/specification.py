@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from halfseen.censoring.cut_model import CENSORING_BY, CensoringBy, CutModel, fit_cut_model
+from halfseen.censoring.inputs import checked_truncation
 from halfseen.censoring.model import CensoringModel
 from halfseen.censoring.named import CENSORING_NAMES, named_model, uses_covariates
 from halfseen.censoring.stage_clocks import StageClocks
@@ -33,7 +34,7 @@ class CensoringSpec:
     Raises
     ------
     ArgumentError
-        There is no such model or clock.
+        There is no such model or clock, the covariates are no list, or the bound is below 1.
     """
 
     model: str | CensoringModel = "kaplan-meier"
@@ -45,6 +46,9 @@ class CensoringSpec:
         named_model(self.model)
         if self.by not in CENSORING_BY:
             raise ArgumentError(f"by is {self.by!r}; it is {', '.join(map(repr, CENSORING_BY[:-1]))} or 'pooled'")
+        if isinstance(self.covariates, str):
+            raise ArgumentError(f"covariates is {self.covariates!r}; give a list of names")
+        checked_truncation(self.truncate_at)
 
     @property
     def name(self) -> str:
@@ -61,7 +65,7 @@ class CensoringSpec:
         """Whether the model conditions on covariates."""
         return uses_covariates(named_model(self.model))
 
-    def fit(self, clocks: StageClocks) -> CutModel:
+    def fit_cuts(self, clocks: StageClocks) -> CutModel:
         """Fit Ĝ; a model that is fitted already is taken as it is.
 
         Raises

@@ -1,4 +1,4 @@
-"""What a policy is worth before it runs: off-policy evaluation of logs of which paths were cut.
+"""The value of a policy before it runs: off-policy evaluation on logs of which paths were right-censored.
 
 Read it down: `targets` (what the policy would do) → `propensity` (what the logging policy did) → `ratios` (what each
 path stands for) → `fitted_q` (Q of the policy) → `doubly_robust` → `verdict`; `off_policy` puts them together.

@@ -63,7 +63,7 @@ class Evaluation:
             "logging policy": self.logging,
             "difference": self.difference,
         }
-        head = f"{'':<20}{'value':>10}{f'{self.level:.0%} interval':>24}{'effective paths':>18}"
+        head = f"{'':<20}{'value':>10}{f'{self.level:.0%} interval':>24}{'effective size':>18}"
         return "\n".join([self.sentence, "", head, *(_line(name, each) for name, each in rows.items())])
 
 

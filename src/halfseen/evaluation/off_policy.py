@@ -18,7 +18,7 @@ from halfseen.evaluation.targets import horizon_of, target_probabilities, task_o
 from halfseen.evaluation.verdict import verdict_of
 from halfseen.learners.q_learning.path_arrays import PathArrays
 from halfseen.learners.q_learning.q_model import QModel
-from halfseen.learners.q_learning.q_space import CrossValidation, QSpace, q_space_of, reg_of
+from halfseen.learners.q_learning.q_space import CrossValidation, QSpace, q_space_of, reg_of, stage_mode_of
 from halfseen.learners.q_learning.recursion import Judged, StageMode, Transitions
 from halfseen.learners.q_learning.targets import DoublyRobust, Targets, Weighted, targets_of
 from halfseen.learners.q_learning.task import Task
@@ -55,13 +55,13 @@ def evaluate(
     random_state: int = 0,
     num_folds: int = 10,
 ) -> Evaluation:
-    """Say what a policy is worth, from a log of another one of which paths were right-censored.
+    """Estimate the value of a policy from a log of another one of which paths were right-censored.
 
     Parameters
     ----------
     policy
         For named actions anything with `actions`, `horizon` and `probabilities`, such as `FlatPolicy` and
-        `FixedSequence`; for tables any `halfseen.world.Policy` without chance, or mixed with `UniformPolicy`.
+        `FixedSequence`; for tables any deterministic `halfseen.world.Policy`, or one mixed with `UniformPolicy`.
     logs
         The log.
     censoring
@@ -110,14 +110,13 @@ def default_targets(logs: Logs) -> Targets:
 
 def q_model_of(policy: Any, logs: Logs, targets: Targets, q: QSpec) -> QModel:
     """Compose how Q of a policy is fitted to a log."""
-    stages: Any = q.stages
     return QModel(
         horizon=horizon_of(policy, logs.horizon),
         task=task_of(policy, logs) if q.task is None else q.task,
         targets=targets,
         space=q_space_of(q.q_function),
         reg=reg_of(q.reg),
-        stages=stages,
+        stages=stage_mode_of(q.stages),
         random_state=q.random_state,
     )
 

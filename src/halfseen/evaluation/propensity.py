@@ -65,7 +65,7 @@ def estimated_propensity(
         One model for all stages, instead of one for each.
     """
     known = paths.is_begun & paths.has_action
-    chances = np.ones(known.shape)
+    likely = np.ones(known.shape)
     num_stages = known.shape[1]
     for stages in [slice(None)] if is_pooled else [slice(t, t + 1) for t in range(num_stages)]:
         rows = np.zeros_like(known)
@@ -73,8 +73,8 @@ def estimated_propensity(
         if rows.any():
             taken = paths.action[rows]
             each = conditional_logit(paths.features[rows], paths.is_possible[rows], taken, blocks)
-            chances[rows] = each[np.arange(len(taken)), taken]
-    return np.where(is_needed, chances, 1.0)
+            likely[rows] = each[np.arange(len(taken)), taken]
+    return np.where(is_needed, likely, 1.0)
 
 
 def conditional_logit(
@@ -111,13 +111,13 @@ def conditional_logit(
     def loss(flat: np.ndarray) -> tuple[float, np.ndarray]:
         beta = flat.reshape(shape)
         utility = scores(beta)
-        log_chance = utility - logsumexp(utility, axis=1, keepdims=True)
-        miss = np.exp(log_chance)
+        log_probability = utility - logsumexp(utility, axis=1, keepdims=True)
+        miss = np.exp(log_probability)
         miss[row, taken] -= 1.0
         slope = membership @ np.einsum("ra,raf->af", miss, design)
         penalty = beta.copy()
         penalty[:, 0] = 0.0
-        value = -log_chance[row, taken].sum() + 0.5 * RIDGE * float((penalty**2).sum())
+        value = -log_probability[row, taken].sum() + 0.5 * RIDGE * float((penalty**2).sum())
         return value, (slope + RIDGE * penalty).ravel()
 
     fit = minimize(loss, np.zeros(shape[0] * shape[1]), jac=True, method="L-BFGS-B", options={"maxiter": 500})

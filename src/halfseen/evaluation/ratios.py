@@ -55,20 +55,20 @@ class StageWeights:
 
 
 def likelihood_ratios(
-    chances: Float[np.ndarray, "n T A"], propensity: Float[np.ndarray, "n T"], paths: PathArrays
+    probabilities: Float[np.ndarray, "n T A"], propensity: Float[np.ndarray, "n T"], paths: PathArrays
 ) -> Float[np.ndarray, "n T"]:
     """ρ_t of each begun stage whose action is known; 0 elsewhere.
 
     Parameters
     ----------
-    chances
+    probabilities
         π(a | S_t).
     propensity
         b(A_t | S_t).
     paths
         The log.
     """
-    taken = np.take_along_axis(chances, paths.action[..., None], axis=2)[..., 0]
+    taken = np.take_along_axis(probabilities, paths.action[..., None], axis=2)[..., 0]
     known = paths.is_begun & paths.has_action
     ratio = np.cumprod(np.where(known, taken / propensity, 1.0), axis=1)
     return np.where(known, ratio, 0.0)

@@ -68,7 +68,7 @@ def evaluate_in_world(
     level
         Of the intervals.
     on_progress
-        Is told how many more episodes have been played.
+        Called with the number of episodes played since.
 
     Raises
     ------
@@ -80,12 +80,14 @@ def evaluate_in_world(
         raise ArgumentError(f"episodes is {episodes}; at least 2 are needed for an interval")
     if not isinstance(policy, Policy):
         raise ArgumentError(f"{type(policy).__name__} decides nothing about tables, so there is no world to play it in")
-    layouts, told = pad_scenes(scenes), []
+    layouts, totals_of = pad_scenes(scenes), []
     for chunk, start in enumerate(range(0, episodes, CHUNK_SIZE)):
         num = min(CHUNK_SIZE, episodes - start)
         key = jax.random.fold_in(jax.random.key(seed), chunk)
         totals = play_out(config, layouts, policy, key, num)
-        told.append([np.asarray(leaf, dtype=np.float64) for leaf in (totals.reward, totals.num_steps, totals.robot_s)])
+        totals_of.append(
+            [np.asarray(leaf, dtype=np.float64) for leaf in (totals.reward, totals.num_steps, totals.robot_s)]
+        )
         on_progress(num)
-    means = [estimate_of(column, episodes, level) for column in np.concatenate(told, axis=1)]
+    means = [estimate_of(column, episodes, level) for column in np.concatenate(totals_of, axis=1)]
     return WorldEvaluation(*means, level=level)

@@ -114,14 +114,10 @@ def target_probabilities(policy: Any, logs: Logs, paths: PathArrays, task: Task)
     Raises
     ------
     ArgumentError
-        The policy is for another horizon, other actions or another kind of log, takes an action that is not possible,
-        or draws its actions and cannot say how.
+        The policy is for other actions or another kind of log, takes an action that is not possible, or draws its
+        actions and cannot say how.
     """
-    horizon = paths.action.shape[1]
-    probabilities = task.target_probabilities(policy, logs, horizon)
-    own = horizon_of(policy, horizon)
-    if own != horizon:
-        raise ArgumentError(f"the policy is for {own} stages and Q for {horizon}; make their horizons equal")
+    probabilities = task.target_probabilities(policy, logs, paths.action.shape[1])
     probabilities = np.where(paths.is_begun[..., None], probabilities, 0.0)
     _refuse_unknown(probabilities, policy)
     _refuse_impossible(probabilities, paths)
@@ -131,8 +127,8 @@ def target_probabilities(policy: Any, logs: Logs, paths: PathArrays, task: Task)
 def _refuse_unknown(probabilities: Float[np.ndarray, "n T A"], policy: Any) -> None:
     if np.isnan(probabilities).any():
         raise ArgumentError(
-            f"{type(policy).__name__} draws its actions and does not say how likely each is, which evaluation by a log "
-            "needs; evaluate it by simulation"
+            f"{type(policy).__name__} draws its actions and does not say the probability of each, which evaluation by "
+            "a log needs; evaluate it by simulation"
         )
 
 

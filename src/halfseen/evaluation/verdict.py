@@ -10,7 +10,7 @@ from halfseen.evaluation.estimate import Estimate
 Verdict = Literal["better", "not better", "cannot be said"]
 
 FEWEST_PATHS = 10.0
-"""Below so many effective paths no interval is believed."""
+"""Below this effective sample size no interval is believed."""
 
 
 def verdict_of(difference: Estimate, support: Float[np.ndarray, " T"], num_reached: int) -> tuple[Verdict, str]:
@@ -29,13 +29,13 @@ def verdict_of(difference: Estimate, support: Float[np.ndarray, " T"], num_reach
     if len(unseen):
         return "cannot be said", (
             f"no logged action of stage {unseen[0] + 1} is one that the policy would take; log some paths that take "
-            "them, by chance now and then"
+            "them, uniformly at random now and then"
         )
     paths = difference.effective_sample_size
     if paths < FEWEST_PATHS:
         return "cannot be said", (
-            f"the log is worth {paths:.1f} paths that follow the policy, and fewer than {FEWEST_PATHS:g} tell nothing; "
-            "record more paths, or some of a logging policy that is closer to this one"
+            f"the effective sample size is {paths:.1f} paths that follow the policy, and fewer than {FEWEST_PATHS:g} "
+            "tell nothing; record more paths, or some of a logging policy that is closer to this one"
         )
     within = f"between {difference.low:.3g} and {difference.high:.3g}"
     if difference.low > 0:
@@ -50,5 +50,5 @@ def _more_paths(difference: Estimate) -> str:
     reach = (difference.high - difference.low) / 2.0
     times = (reach / abs(difference.value)) ** 2 if difference.value else np.inf
     if times > 100.0:
-        return "this log does not tell the two apart, nor would one many times as large if that is all"
+        return "there is no significant difference, nor would a log many times as large show one if that is all"
     return f"if it is {difference.value:.3g}, some {np.ceil(times * 10) / 10:.1f} times as many paths would tell"

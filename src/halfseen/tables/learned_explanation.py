@@ -2,10 +2,9 @@
 
 What Q is when paths are drawn anew with replacement (`bootstrap`) are draws of what Q may be.
 
-The bootstrap knows what chance did to the log. It does not know that Q may not be linear in its features, which more
-paths do not mend. So the chances are those of a policy that can be
-learned from such logs, and too sure of themselves as chances of what is best of all: ``benchmarks/calibration.py``
-says by how much.
+The bootstrap knows the sampling error of the log. It does not know that Q may not be linear in its features, which more
+paths do not mend. So the probabilities are those of a policy that can be learned from such logs, and too sure of
+themselves as probabilities of what is best of all: ``benchmarks/calibration.py`` says by how much.
 """
 
 from dataclasses import dataclass, replace
@@ -57,7 +56,7 @@ class LearnedExplainer:
         logs
             The log that it was fitted to.
         num_replicates
-            B; chances of being best are multiples of 1/B.
+            B; probabilities of being best are multiples of 1/B.
         random_state
             Seed of the draws.
 
@@ -94,8 +93,8 @@ class LearnedExplainer:
         """
         if int(state.steps_to_go) < 1 or not np.asarray(state.is_on_table).any():
             raise ArgumentError("the path is over: no step to go or no object left; explain a state before its end")
-        told = (np.asarray(leaf) for leaf in _values_and_draws(self.policy, self.replicates.coefficients, state))
-        values, draws, is_possible = told
+        leaves = _values_and_draws(self.policy, self.replicates.coefficients, state)
+        values, draws, is_possible = (np.asarray(leaf) for leaf in leaves)
         # In float32 interchangeable objects differ by rounding, and that must not choose.
         same = alike(state)
         return explained(values[same].astype(np.float64), draws[:, same].astype(np.float64), is_possible, level)

@@ -45,5 +45,5 @@ class LinearTablePolicy:
         return jnp.where(possible_actions(state), q, -jnp.inf)
 
     def decide(self, state: TableState, key: Array) -> Decision:
-        """Choose for one table; there is no chance in it."""
+        """Choose for one table; deterministic."""
         return surely(jnp.argmax(self.q_values(state)).astype(jnp.int32))

@@ -16,7 +16,7 @@ from halfseen.world.state import TableState
 
 
 def table_probabilities(policy: Any, logs: Logs, horizon: int) -> Float[np.ndarray, "n T A"]:
-    """π(a | S_t) of any `halfseen.world.Policy` without chance, or mixed with `UniformPolicy`.
+    """π(a | S_t) of any deterministic `halfseen.world.Policy`, or one mixed with `UniformPolicy`.
 
     Raises
     ------

@@ -71,13 +71,14 @@ class TableTask:
         """Block of each action: its verb."""
         return ActionSpace.of_size(num_actions).verbs
 
-    def outcome_features(self, names: Sequence[str], num_features: int) -> Float[np.ndarray, " F"]:
+    def outcome_features(self, names: Sequence[str]) -> Float[np.ndarray, " F"]:
         """A table's features have no names to choose by."""
         raise ArgumentError(f"outcome_covariates is {list(names)}; on a table the outcome regression uses all features")
 
     def censoring_covariates(self, logs: Logs, names: Sequence[str] | None, is_by_path: bool) -> pd.DataFrame:
         """What cuts may depend on, a row for each stage; None for all, or those that are known as a path begins."""
-        return table_covariates(logs, names or TABLE_COVARIATES[: NUM_AT_BEGIN if is_by_path else None])
+        known = TABLE_COVARIATES[: NUM_AT_BEGIN if is_by_path else None]
+        return table_covariates(logs, known if names is None else names)
 
     def reduce_variance(
         self,

@@ -1,4 +1,4 @@
-"""Less noise in the targets of eq. 3 on a table, the same mean: what S_{t+1} tells takes chance out of them.
+"""Less noise in the targets of eq. 3 on a table, the same mean: what S_{t+1} tells takes randomness out of them.
 
 *What a WASH pays.* One that succeeds pays for a dirty object and costs for a clean one, and which it was is a coin that
 no state shows. The states before and after tell whether the object left the table, and how dirty it looked; given

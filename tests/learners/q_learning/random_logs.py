@@ -6,7 +6,7 @@ from halfseen.learners.q_learning.recursion import Transitions
 
 
 @dataclass(frozen=True)
-class PlainEncoding:
+class Blocks:
     """Blocks of actions, for logs that are arrays already."""
 
     blocks: tuple[int, ...]
@@ -15,13 +15,6 @@ class PlainEncoding:
     @property
     def num_blocks(self):
         return max(self.blocks) + 1
-
-    def encode(self, logs):
-        raise NotImplementedError
-
-    def block_of_action(self, num_actions):
-        assert num_actions == len(self.blocks)
-        return np.array(self.blocks)
 
 
 def random_log(seed, num_paths=40, horizon=3, blocks=(0, 1, 1, 2), num_features=3, ends_with=None, is_cut=True):

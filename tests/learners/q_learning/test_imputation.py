@@ -9,7 +9,7 @@ from trials import ACTIONS, FULL, two_stage_trial
 
 from halfseen.censoring import Cox
 from halfseen.errors import ArgumentError
-from halfseen.learners import CensoredQLearner
+from halfseen.learners import BuckleyJames, CensoredQLearner, DoublyRobust, Weighted
 from halfseen.learners.q_learning.imputation import fit_durations, imputation
 from halfseen.logs import Logs
 
@@ -53,11 +53,11 @@ def best_line():
 
 def errors(**options):
     """Mean error of Q over logs in standard errors, for each x and action."""
-    told = []
+    found = []
     for seed in range(NUM_LOGS):
         learner = CensoredQLearner(1, ["A", "B"], ["x"], reg=0.0, **options)
-        told.append(learner.fit(one_stage(seed)).q_values(ASKED, 1) - best_line())
-    return np.mean(told, axis=0) / (np.std(told, axis=0, ddof=1) / np.sqrt(NUM_LOGS))
+        found.append(learner.fit(one_stage(seed)).q_values(ASKED, 1) - best_line())
+    return np.mean(found, axis=0) / (np.std(found, axis=0, ddof=1) / np.sqrt(NUM_LOGS))
 
 
 def test_the_wrong_weights_alone_are_biased():
@@ -66,40 +66,40 @@ def test_the_wrong_weights_alone_are_biased():
 
 
 @pytest.mark.parametrize(
-    "options",
+    "censoring",
     [
-        {"augmented": True},
-        {"augmented": True, "censoring": "cox", "outcome_covariates": []},
-        {"augmented": True, "censoring": "cox"},
-        {"censoring": "buckley-james"},
+        DoublyRobust(),
+        DoublyRobust("cox", outcome_covariates=[]),
+        DoublyRobust("cox"),
+        "buckley-james",
     ],
     ids=["wrong Ĝ, right m", "right Ĝ, wrong m", "both right", "Buckley–James, right m"],
 )
-def test_one_right_model_is_enough(options):
-    assert np.abs(errors(**options)).max() < 3.5
+def test_one_right_model_is_enough(censoring):
+    assert np.abs(errors(censoring=censoring)).max() < 3.5
 
 
 def test_with_both_wrong_nothing_helps():
-    assert np.abs(errors(augmented=True, outcome_covariates=[])).max() > 4.0
-    assert np.abs(errors(censoring="buckley-james", outcome_covariates=[])).max() > 4.0
+    assert np.abs(errors(censoring=DoublyRobust(outcome_covariates=[]))).max() > 4.0
+    assert np.abs(errors(censoring=BuckleyJames(outcome_covariates=[]))).max() > 4.0
 
 
-def test_augmenting_narrows_what_weights_leave_wide():
+def test_pseudo_outcomes_narrow_what_weights_leave_wide():
     spread = {}
-    for augmented in (False, True):
-        learner = CensoredQLearner(1, ["A", "B"], ["x"], reg=0.0, censoring="cox", augmented=augmented)
-        told = [learner.fit(one_stage(seed)).q_values(ASKED, 1) for seed in range(NUM_LOGS)]
-        spread[augmented] = np.std(told, axis=0).mean()
-    assert spread[True] < spread[False]
+    for targets in (Weighted, DoublyRobust):
+        learner = CensoredQLearner(1, ["A", "B"], ["x"], reg=0.0, censoring=targets("cox"))
+        found = [learner.fit(one_stage(seed)).q_values(ASKED, 1) for seed in range(NUM_LOGS)]
+        spread[targets] = np.std(found, axis=0).mean()
+    assert spread[DoublyRobust] < spread[Weighted]
 
 
-@pytest.mark.parametrize("options", [{"augmented": True}, {"censoring": "buckley-james"}], ids=str)
-def test_without_cuts_nothing_is_imputed(options):
+@pytest.mark.parametrize("censoring", [DoublyRobust(), BuckleyJames()], ids=["doubly robust", "Buckley–James"])
+def test_without_cuts_nothing_is_imputed(censoring):
     trial = two_stage_trial(last_cut=40, cut_from=20)
     assert trial.is_finished.all()
     plain = CensoredQLearner(2, ACTIONS, FULL, reg=0.0).fit(trial).q_functions_.coefficients
-    told = CensoredQLearner(2, ACTIONS, FULL, reg=0.0, **options).fit(trial).q_functions_.coefficients
-    np.testing.assert_allclose(told, plain, atol=1e-8)
+    imputed = CensoredQLearner(2, ACTIONS, FULL, reg=0.0, censoring=censoring).fit(trial).q_functions_.coefficients
+    np.testing.assert_allclose(imputed, plain, atol=1e-8)
 
 
 @pytest.mark.parametrize("by", ["path", "stage", "pooled"])
@@ -107,21 +107,21 @@ def test_what_a_constant_is_worth_adds_up_to_it(logs, by, monkeypatch):
     """With g = 1 the sums telescope: Y of a target that is always 1 is 1, ties and all."""
     module = "halfseen.learners.q_learning.imputation._terms"
     monkeypatch.setattr(module, lambda duration_s, knots, spread: np.ones((*np.shape(duration_s), 1)))
-    learner = CensoredQLearner(2, ACTIONS, ["s1_1", "s2_1"], censoring_by=by, reg=0.0).fit(logs)
-    paths = learner.lay_out(logs)
-    told = imputation(paths, "augmented", learner.cut_model_, "separate", np.ones(2), np.arange(2))
+    learner = CensoredQLearner(2, ACTIONS, ["s1_1", "s2_1"], censoring=Weighted(by=by), reg=0.0).fit(logs)
+    paths = learner.model_.lay_out(logs)
+    imputed = imputation(paths, learner.cut_model_, "separate", np.ones(2), np.arange(2))
     begun = paths.is_begun
-    np.testing.assert_allclose(told.share[begun] + told.expected[begun][:, 0], 1.0, atol=1e-9)
-    assert (told.share[~paths.is_completed] == 0.0).all()
+    np.testing.assert_allclose(imputed.share[begun] + imputed.expected[begun][:, 0], 1.0, atol=1e-9)
+    assert (imputed.share[~paths.is_completed] == 0.0).all()
 
 
 def test_the_share_of_a_seen_target_is_what_the_stage_adds_to_the_weight(logs):
     learner = CensoredQLearner(2, ACTIONS, ["s1_1", "s2_1"], reg=0.0).fit(logs)
-    paths = learner.lay_out(logs)
-    told = imputation(paths, "augmented", learner.cut_model_, "separate", np.ones(2), np.arange(2))
-    weights, begun = learner.cut_model_.weights(paths), learner.cut_model_.begun_weights(paths)
+    paths = learner.model_.lay_out(logs)
+    imputed = imputation(paths, learner.cut_model_, "separate", np.ones(2), np.arange(2))
+    weights, begun = learner.cut_model_.weights(paths.clocks), learner.cut_model_.begun_weights(paths.clocks)
     seen = paths.is_completed
-    np.testing.assert_allclose(told.share[seen] * begun[seen], weights[seen])
+    np.testing.assert_allclose(imputed.share[seen] * begun[seen], weights[seen])
 
 
 def test_what_durations_are_to_be_expected_by_a_loop():
@@ -144,30 +144,27 @@ def test_what_durations_are_to_be_expected_by_a_loop():
 
 def test_what_cannot_be_imputed_is_refused(logs):
     unknown = Logs(logs.stages.assign(action=logs.stages["action"].where(logs.stages["elapsed_s"].notna())), logs.paths)
-    for options in ({"augmented": True}, {"censoring": "buckley-james"}):
+    for censoring in (DoublyRobust(), "buckley-james"):
         with pytest.raises(ArgumentError, match=r"path \d+, stage \d: its action is null, and .* learning needs"):
-            CensoredQLearner(2, ACTIONS, FULL, **options).fit(unknown)
-    with pytest.raises(ArgumentError, match="augmented weights need a model of the cuts, but censoring is 'none'"):
-        CensoredQLearner(2, ACTIONS, FULL, augmented=True, censoring="none").fit(logs)
+            CensoredQLearner(2, ACTIONS, FULL, censoring=censoring).fit(unknown)
     with pytest.raises(ArgumentError, match="outcome_covariates names 'age'"):
-        CensoredQLearner(2, ACTIONS, FULL, augmented=True, outcome_covariates=["age"]).fit(logs)
+        CensoredQLearner(2, ACTIONS, FULL, censoring=DoublyRobust(outcome_covariates=["age"])).fit(logs)
 
 
-def test_a_model_of_ones_own_is_augmented_too(logs):
-    told = CensoredQLearner(
-        2, ACTIONS, FULL, augmented=True, censoring=Cox(ridge=1.0), censoring_by="pooled", stages="pooled", reg=0.1
-    ).fit(logs)
-    assert np.isfinite(told.q_functions_.coefficients).all()
+def test_a_model_of_ones_own_is_doubly_robust_too(logs):
+    censoring = DoublyRobust(Cox(ridge=1.0), by="pooled")
+    fitted = CensoredQLearner(2, ACTIONS, FULL, censoring=censoring, stages="pooled", reg=0.1).fit(logs)
+    assert np.isfinite(fitted.q_functions_.coefficients).all()
 
 
 FITS_OF_NEW_SHAPES = """
 from test_imputation import one_stage
-from halfseen.learners import CensoredQLearner
+from halfseen.learners import BuckleyJames, CensoredQLearner, DoublyRobust, Weighted
 logs = one_stage(0)
 for num_paths in range(60, 68):
     few = logs.select(range(num_paths))
     for stages in ("separate", "pooled"):
-        CensoredQLearner(1, ["A", "B"], ["x"], stages=stages, augmented=True).fit(few)
+        CensoredQLearner(1, ["A", "B"], ["x"], stages=stages, censoring=DoublyRobust()).fit(few)
 print("done")
 """
 

@@ -4,7 +4,7 @@ import pytest
 from sklearn.kernel_ridge import KernelRidge
 
 from halfseen.errors import ArgumentError
-from halfseen.learners import CensoredQLearner
+from halfseen.learners import CensoredQLearner, KernelQ
 from halfseen.learners.q_learning.kernel_map import fit_kernel_map
 from halfseen.logs import Logs
 from halfseen.world import Scene, TableWorld, UniformPolicy
@@ -26,9 +26,7 @@ def one_stage(num_paths=80, seed=0):
 def test_with_all_rows_as_landmarks_it_is_kernel_ridge_with_a_free_offset():
     """Equal to scikit-learn's on targets and kernel that are centred in feature space."""
     logs = one_stage()
-    learner = CensoredQLearner(
-        1, ["A", "B"], ["x1", "x2"], q_function="kernel", gamma=GAMMA, reg=REG, num_landmarks=1000
-    ).fit(logs)
+    learner = CensoredQLearner(1, ["A", "B"], ["x1", "x2"], q_function=KernelQ(1000, GAMMA), reg=REG).fit(logs)
     x, n = logs.stages[["x1", "x2"]].to_numpy(), logs.num_paths
     scaled = (x - x.mean(axis=0)) / x.std(axis=0)
     gram = np.exp(-GAMMA * ((scaled[:, None] - scaled[None]) ** 2).sum(axis=-1))
@@ -46,9 +44,9 @@ def test_with_all_rows_as_landmarks_it_is_kernel_ridge_with_a_free_offset():
 
 def test_the_low_rank_form_is_near_the_exact_one():
     logs = one_stage(400)
-    options = {"q_function": "kernel", "gamma": 0.5, "reg": REG}
     exact, few = (
-        CensoredQLearner(1, ["A", "B"], ["x1", "x2"], num_landmarks=size, **options).fit(logs) for size in (400, 60)
+        CensoredQLearner(1, ["A", "B"], ["x1", "x2"], q_function=KernelQ(size, gamma=0.5), reg=REG).fit(logs)
+        for size in (400, 60)
     )
     assert few.kernel_map_ is not None
     assert few.kernel_map_.projection.shape[0] == 60
@@ -84,7 +82,7 @@ def features_gram(rows):
 def test_a_table_has_a_kernel_q_too():
     scene = Scene(np.array([[0.0, 0.5], [0.0, 0.0]]))
     logs = TableWorld().simulate(scene, UniformPolicy(), episodes=60, seed=0, cut_share=0.3)
-    learner = CensoredQLearner.for_table(10, q_function="kernel", num_landmarks=40).fit(logs)
+    learner = CensoredQLearner.for_table(10, q_function=KernelQ(40)).fit(logs)
     played = TableWorld().simulate(scene, learner.policy_, episodes=60, seed=1)
     logged = TableWorld().simulate(scene, UniformPolicy(), episodes=60, seed=1)
     earned = [one.stages.groupby("path")["reward"].sum().mean() for one in (played, logged)]
@@ -93,6 +91,6 @@ def test_a_table_has_a_kernel_q_too():
 
 def test_widths_and_landmarks_that_cannot_be_are_refused():
     with pytest.raises(ArgumentError, match="gamma is -1; it is a finite number > 0"):
-        CensoredQLearner(1, ["A"], ["x1"], q_function="kernel", gamma=-1).fit(one_stage())
+        KernelQ(gamma=-1)
     with pytest.raises(ArgumentError, match="num_landmarks is 0"):
-        CensoredQLearner(1, ["A"], ["x1"], q_function="kernel", num_landmarks=0).fit(one_stage())
+        KernelQ(num_landmarks=0)

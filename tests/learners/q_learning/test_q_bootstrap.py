@@ -5,8 +5,7 @@ from trials import ACTIONS, FULL, indicators, two_stage_trial
 
 from halfseen.censoring import Cox
 from halfseen.errors import ArgumentError
-from halfseen.learners import CensoredQLearner
-from halfseen.learners.q_learning.bootstrap import bootstrap
+from halfseen.learners import CensoredQLearner, DoublyRobust, Weighted, bootstrap
 from halfseen.logs import Logs
 
 NUM_PATHS = 60
@@ -28,36 +27,38 @@ def repeated(logs, counts):
 
 
 @pytest.mark.parametrize(
-    "options",
-    [{}, {"censoring": Cox(ridge=1.0), "censoring_by": "pooled"}, {"augmented": True}, {"censoring": "buckley-james"}],
-    ids=["weights", "cox by stage", "augmented", "imputed"],
+    "censoring",
+    ["kaplan-meier", Weighted(Cox(ridge=1.0), by="pooled"), DoublyRobust(), "buckley-james"],
+    ids=["weights", "cox by stage", "doubly robust", "imputed"],
 )
-def test_a_replicate_is_what_is_learned_from_the_paths_that_were_drawn(logs, options):
+def test_a_replicate_is_what_is_learned_from_the_paths_that_were_drawn(logs, censoring):
     """A path drawn k times counts as k paths that are the same, in the weights and the targets, too."""
-    learner = CensoredQLearner(2, ACTIONS, ["s1_1", "s2_1"], reg=0.1, **options).fit(logs)
-    told = bootstrap(learner, logs, num_replicates=3, random_state=5)
+    learner = CensoredQLearner(2, ACTIONS, ["s1_1", "s2_1"], reg=0.1, censoring=censoring).fit(logs)
+    found = bootstrap(learner, logs, num_replicates=3, random_state=5)
 
     share = np.full(NUM_PATHS, 1 / NUM_PATHS)
     counts = np.random.default_rng(5).multinomial(NUM_PATHS, share, size=3)
     for k in range(3):
-        again = CensoredQLearner(2, ACTIONS, ["s1_1", "s2_1"], reg=0.1, **options).fit(repeated(logs, counts[k]))
+        again = CensoredQLearner(2, ACTIONS, ["s1_1", "s2_1"], reg=0.1, censoring=censoring).fit(
+            repeated(logs, counts[k])
+        )
         np.testing.assert_allclose(
-            told.replicates.coefficients[k], again.q_functions_.coefficients, rtol=1e-6, atol=1e-8
+            found.replicates.coefficients[k], again.q_functions_.coefficients, rtol=1e-6, atol=1e-8
         )
 
 
 def test_intervals_and_shares(logs):
     learner = CensoredQLearner(2, ACTIONS, FULL, reg=1.0).fit(logs)
-    told = bootstrap(learner, logs, num_replicates=40)
+    found = bootstrap(learner, logs, num_replicates=40)
     frame = pd.DataFrame([indicators(1, state) for state in range(3)])
-    low, high = told.q_interval(frame, 1, level=0.9)
-    wide_low, wide_high = told.q_interval(frame, 1, level=0.99)
+    low, high = found.q_interval(frame, 1, level=0.9)
+    wide_low, wide_high = found.q_interval(frame, 1, level=0.99)
     q = learner.q_values(frame, 1)
     assert (low < q).mean() > 0.8
     assert (q < high).mean() > 0.8
     assert (wide_low <= low).all()
     assert (wide_high >= high).all()
-    shares = told.decision_shares(frame, 1)
+    shares = found.decision_shares(frame, 1)
     assert shares.sum(axis=1) == pytest.approx(1.0)
     assert (shares[np.arange(3), np.argmax(q, axis=1)] > 0.5).all()
 

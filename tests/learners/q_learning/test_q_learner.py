@@ -7,7 +7,7 @@ from trials import ACTIONS, FULL, REDUCED, cell_means, indicators, two_stage_tri
 
 from halfseen.censoring import KaplanMeier, stage_weights
 from halfseen.errors import ArgumentError, LogError, PositivityError
-from halfseen.learners import CensoredQLearner
+from halfseen.learners import CensoredQLearner, CrossValidation, DoublyRobust, KernelQ, NamedActions, Weighted
 from halfseen.logs import Logs
 
 
@@ -70,11 +70,11 @@ def test_cuts_that_may_depend_on_nothing_are_refused(logs):
     with pytest.raises(ArgumentError, match="none of those of a path's first stage differs between paths"):
         learner(covariates=["s2_1"], censoring="cox").fit(logs)
     with pytest.raises(LogError, match="the stages have no column 'weather'"):
-        learner(censoring="cox", censoring_covariates=["weather"]).fit(logs)
+        learner(censoring=Weighted("cox", covariates=["weather"])).fit(logs)
 
 
 def test_diagnostics_are_kept(logs):
-    fitted = learner(truncate_at=1.5).fit(logs)
+    fitted = learner(censoring=Weighted(truncate_at=1.5)).fit(logs)
     assert fitted.diagnostics_.largest_weight <= 1.5 + 1e-12
     assert fitted.diagnostics_.share_truncated > 0
     assert fitted.weights_.shape == (400, 2)
@@ -116,15 +116,13 @@ def test_an_unknown_action_is_named(logs):
         ({"reg": -1.0}, ArgumentError, "reg is -1.0; it is a λ ≥ 0, or 'cv'"),
         ({"reg": float("nan")}, ArgumentError, "reg is nan"),
         ({"reg": "ridge"}, ArgumentError, "reg is 'ridge'"),
-        ({"reg": "cv", "num_folds": 1}, ArgumentError, "num_folds is 1"),
         ({"q_function": "forest"}, ArgumentError, "q_function is 'forest'"),
         ({"stages": "merged"}, ArgumentError, "stages is 'merged'; it is 'separate' or 'pooled'"),
         (
             {"censoring": "weibull"},
             ArgumentError,
-            "censoring is 'weibull'; it is 'kaplan-meier', 'cox', 'kernel', 'none', 'buckley-james' or",
+            "'kaplan-meier', 'cox', 'kernel', 'buckley-james', 'none', Weighted(…), DoublyRobust(…) or a",
         ),
-        ({"truncate_at": 0.5}, ArgumentError, "truncate_at is 0.5"),
         ({"actions": "tables"}, ArgumentError, "actions is 'tables'"),
         ({"actions": []}, ArgumentError, "name at least one"),
         ({"actions": ["A", "A"]}, ArgumentError, "none twice"),
@@ -135,6 +133,17 @@ def test_what_cannot_be_is_refused_in_words(logs, changed, error, message):
     with pytest.raises(error) as refusal:
         learner(**changed).fit(logs)
     assert message in str(refusal.value)
+
+
+def test_specifications_refuse_what_they_cannot_mean_where_they_are_written():
+    with pytest.raises(ArgumentError, match="num_folds is 1; cross-validation needs at least 2"):
+        CrossValidation(1)
+    with pytest.raises(ArgumentError, match=r"truncate_at is 0\.5; weights are at least 1"):
+        Weighted(by="stage", truncate_at=0.5)
+    with pytest.raises(ArgumentError, match="covariates is 'clutter'; give a list of names"):
+        DoublyRobust("cox", covariates="clutter")
+    with pytest.raises(ArgumentError, match="covariates is 'x'; give a list of names"):
+        NamedActions(ACTIONS, "x")
 
 
 def test_one_path_cannot_be_held_out():
@@ -176,15 +185,40 @@ def test_an_impossible_action_that_looks_best_is_not_in_the_maximum(logs):
 
 
 def test_it_follows_scikit_learn(logs):
-    original = learner(reg="cv", num_folds=3)
+    original = learner(censoring=DoublyRobust("cox", by="pooled"), reg=CrossValidation(3), q_function=KernelQ(50))
     copy = clone(original)
     assert copy.get_params() == original.get_params()
     assert copy.set_params(reg=0.5).reg == 0.5
-    assert original.fit(logs) is original
+    assert copy.set_params(censoring=Weighted(truncate_at=4.0)).model.targets == Weighted(truncate_at=4.0)
+    assert original.censoring == DoublyRobust("cox", by="pooled"), "the copy is its own"
+    assert len(original.get_params()) <= 9
+    plain = learner()
+    assert plain.fit(logs) is plain
     with pytest.raises(NotFittedError):
-        clone(original).q_values(states_of(1), 1)
+        clone(plain).q_values(states_of(1), 1)
     with pytest.raises(ArgumentError, match="stage is 3; it lies in 1 to the horizon, 2"):
-        original.q_values(states_of(1), 3)
+        plain.q_values(states_of(1), 3)
+
+
+def test_the_actions_cannot_be_forgotten(logs):
+    with pytest.raises(TypeError, match=r"missing .* 'actions'"):
+        CensoredQLearner(2)
+    with pytest.raises(ArgumentError, match="actions is 'A'; give a list of names, or one for each stage"):
+        learner(actions="A").fit(logs)
+    for no_task in (NamedActions, None):
+        forgotten = learner()
+        forgotten.actions = no_task
+        with pytest.raises(ArgumentError, match="or an object that is a Task"):
+            forgotten.fit(logs)
+
+
+def test_a_task_says_itself_what_q_looks_at(logs):
+    by_task = learner(actions=NamedActions(ACTIONS, FULL), covariates=()).fit(logs)
+    np.testing.assert_array_equal(by_task.q_functions_.coefficients, learner().fit(logs).q_functions_.coefficients)
+    with pytest.raises(ArgumentError, match="the task says what Q looks at; leave it out"):
+        learner(actions=NamedActions(ACTIONS, FULL)).fit(logs)
+    with pytest.raises(ArgumentError, match="NamedActions's own policy decides: ask policy_"):
+        by_task.decide(states_of(1), 1)
 
 
 def test_the_random_state_deals_the_folds_and_nothing_else_does(logs):

@@ -3,9 +3,9 @@ import pytest
 from trials import ACTIONS, FULL, two_stage_trial
 
 from halfseen.errors import ArgumentError, PositivityError
-from halfseen.learners import CensoredQLearner
+from halfseen.learners import CensoredQLearner, DoublyRobust, Weighted
 from halfseen.logs import Logs, LogStream
-from halfseen.tables import BetaGrasp
+from halfseen.tables import BetaGrasp, TableTask
 from halfseen.world import Scene, TableWorld, UniformPolicy
 
 
@@ -32,7 +32,8 @@ def streamed(logs, folder, paths_at_once):
         {"reg": "cv"},
         {"reg": "cv", "stages": "pooled"},
         {"reg": 0.1, "censoring": "cox", "covariates": ["s1_1", "s1_2"], "actions": {1: ACTIONS, 2: ["B", "A"]}},
-        {"reg": 0.1, "censoring": "none", "truncate_at": 2.0},
+        {"reg": 0.1, "censoring": Weighted(truncate_at=2.0)},
+        {"reg": 0.1, "censoring": "none"},
     ],
     ids=str,
 )
@@ -64,12 +65,13 @@ def test_a_kernels_landmarks_are_sought_in_the_first_part(trial, tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"censoring_by": "stage"}, "censoring_by is 'stage', which needs the whole log in memory"),
-        ({"augmented": True}, "augmented is True, which needs the whole log"),
-        ({"censoring": "buckley-james"}, "censoring is 'buckley-james', which needs the whole log"),
+        ({"censoring": Weighted(by="stage")}, "a model of the cuts by stage needs the whole log in memory"),
+        ({"censoring": DoublyRobust()}, "censoring=DoublyRobust(…) needs the whole log"),
+        ({"censoring": "buckley-james"}, "censoring=BuckleyJames(…) needs the whole log"),
+        ({"actions": TableTask(), "covariates": []}, "reduces_variance=True needs the whole log"),
         (
-            {"actions": "table", "covariates": [], "grasp": BetaGrasp()},
-            "grasp is BetaGrasp(), which needs the whole log",
+            {"actions": TableTask(BetaGrasp(), reduces_variance=False), "covariates": []},
+            "grasp=BetaGrasp(), which is not fitted, needs the whole log",
         ),
         ({"horizon": 1}, "horizon is 1, but a path has 2 stages; raise horizon"),
     ],

@@ -11,8 +11,8 @@ from tried import beta_attempts
 
 from halfseen.errors import ArgumentError
 from halfseen.learners import CensoredQLearner
-from halfseen.learners.q_learning.encoding import encode_states
 from halfseen.tables import BetaGrasp, LinearTablePolicy, SVMGrasp, attempts
+from halfseen.tables.encoding import encode_states
 from halfseen.tables.features import NUM_FEATURES, table_features
 from halfseen.tables.grasp.grasp_table import GraspTable, tabulate
 from halfseen.world import Scene, TableWorld, UniformPolicy, WorldConfig

@@ -46,12 +46,12 @@ class QBootstrap:
     def q_interval(
         self, frame: pd.DataFrame, stage: int, level: float = 0.95
     ) -> tuple[Float[np.ndarray, "m A"], Float[np.ndarray, "m A"]]:
-        """Central interval of Q for each row of covariates and action; flat actions only.
+        """Central interval of Q for each row of covariates and action; named actions only.
 
         Raises
         ------
         ArgumentError
-            `level` is not between 0 and 1, or this is a table's policy, which `LearnedExplainer` explains.
+            `level` is not between 0 and 1, or this is no policy of named actions.
         """
         if not 0.0 < level < 1.0:
             raise ArgumentError(f"level is {level}; it lies between 0 and 1")
@@ -60,7 +60,7 @@ class QBootstrap:
         return low, high
 
     def decision_shares(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
-        """Share of the draws in which each action is the best possible one; flat actions only."""
+        """Share of the draws in which each action is the best possible one; named actions only."""
         possible = np.where(self._flat.is_possible[stage - 1], self._draws(frame, stage), -np.inf)
         best = np.argmax(possible, axis=-1)
         return (best[..., None] == np.arange(possible.shape[-1])).mean(axis=0)
@@ -68,7 +68,10 @@ class QBootstrap:
     @property
     def _flat(self) -> FlatPolicy:
         if not isinstance(self.policy, FlatPolicy):
-            raise ArgumentError("this is a policy of tables; LearnedExplainer tells its intervals")
+            raise ArgumentError(
+                f"a {type(self.policy).__name__} does not decide by covariates alone; compare policy and replicates, "
+                "as LearnedExplainer does for tables"
+            )
         return self.policy
 
     def _draws(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "B m A"]:

@@ -1,17 +1,19 @@
-"""Targets for stages whose end was cut: doubly robust, or by Buckley and James.
+"""Pseudo-outcomes for right-censored stages: doubly robust, or by Buckley and James.
 
 Write X = R_t + V̂(S_{t+1}) for the target of eq. 3, D for the duration of the stage, and m(u) = E[X | S_t, A_t, D ≥ u]
-for what a stage that is still going at age u is worth. Both ways replace X by a Y that every begun stage has.
+for the expected target of a stage that is still going at age u. Both ways replace X by a pseudo-outcome Y that every
+begun stage has.
 
-*Doubly robust* (AIPCW) [Robins1992]_: with K̂ the chance that the stage is not cut before an age, given that it began,
+*Doubly robust* (AIPCW) [Robins1992]_: with K̂ the probability that the stage is not cut before an age, given that it
+began,
 
     Y = δ X / K̂(D⁻) + (1 − δ) m(c) / K̂(c) − ∫_0^{min(D, c)} m(u) d(1/K̂(u)),
 
 for a cut at age c. The last two terms have mean 0 if K̂ is right, whatever m is; and E[Y | S_t, A_t] = E[X | S_t, A_t]
 if m is right, whatever K̂ is. m is a step function of the age, so the integral is a sum without error.
 
-*Buckley–James* [BuckleyJames1979]_: Y = X where it was seen, m(c) where the stage was cut at c. No K̂ is needed; m must
-be right.
+*Buckley–James* [BuckleyJames1979]_: Y = X where it was observed, m(c) where the stage was cut at c. No K̂ is needed; m
+must be right.
 
 m comes from two regressions, on the completed stages: of X on φ(S_t, A_t) and terms g(D) of the duration, by block and
 anew at each step of eq. 3 (`recursion`); and of D on (S_t, A_t), by proportional hazards, which says what g(D) is to be
@@ -42,7 +44,7 @@ KNOTS = (0.25, 0.5, 0.75)
 DURATION_RIDGE = 1.0
 """Penalty of the proportional hazards of D: a prior of one event, so that separation has an end."""
 
-SMALLEST_CHANCE = 1e-12
+SMALLEST_PROBABILITY = 1e-12
 
 
 @dataclass(frozen=True)
@@ -196,7 +198,7 @@ def _augmented(
     share = np.where(is_completed, cut_model.weights(clocks)[rows] / cut_model.begun_weights(clocks)[rows], 0.0)
     # Where K̂ falls to 0 with the last cut itself, the nearest that can be divided by is just before; ages are rounded.
     before_cut = cut_model.survival(clocks, np.maximum(ended_s - SMALLEST_AGE_S, 0.0), rows)[rows]
-    most = np.where(is_completed, share, 1.0 / np.maximum(before_cut, SMALLEST_CHANCE))
+    most = np.where(is_completed, share, 1.0 / np.maximum(before_cut, SMALLEST_PROBABILITY))
     least = np.where(within > 0, within, 1.0 / most[:, None])
     inverse = np.minimum(1.0 / least, np.where(is_completed, most, np.inf)[:, None])
     inverse[:, -1] = np.where(is_completed, share, inverse[:, -1])

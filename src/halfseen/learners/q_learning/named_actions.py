@@ -32,7 +32,7 @@ class NamedActions:
     Raises
     ------
     ArgumentError
-        A stage has no action, or one twice.
+        A stage has no action, or one twice; or names are given as one text.
     """
 
     actions: Actions
@@ -45,6 +45,8 @@ class NamedActions:
     def __post_init__(self) -> None:
         if isinstance(self.actions, str):
             raise ArgumentError(f"actions is {self.actions!r}; give a list of names, or one for each stage")
+        if isinstance(self.covariates, str):
+            raise ArgumentError(f"covariates is {self.covariates!r}; give a list of names")
         lists = self.actions if isinstance(self.actions, Mapping) else {"any": self.actions}
         for stage, names in lists.items():
             if len(names) == 0 or len(set(names)) < len(names):
@@ -94,20 +96,18 @@ class NamedActions:
         action[at] = self._codes(logs, is_possible)
         return Encoded(features, is_possible, action)
 
-    def outcome_features(self, names: Sequence[str], num_features: int) -> Float[np.ndarray, " F"]:
+    def outcome_features(self, names: Sequence[str]) -> Float[np.ndarray, " F"]:
         """1 for each of these covariates, 0 for the others.
 
         Raises
         ------
         ArgumentError
-            One of them is none of the covariates of Q, or Q is not linear in them.
+            One of them is none of the covariates of Q.
         """
         unknown = [name for name in names if name not in self.covariates]
         if unknown:
             known = ", ".join(self.covariates)
             raise ArgumentError(f"outcome_covariates names {unknown[0]!r}, which is none of the covariates {known}")
-        if num_features != len(self.covariates):
-            raise ArgumentError("outcome_covariates is given; it chooses among the covariates of a linear Q only")
         return np.isin(np.array(self.covariates), list(names)).astype(np.float64)
 
     def censoring_covariates(self, logs: Logs, names: Sequence[str] | None, is_by_path: bool) -> pd.DataFrame:
@@ -120,7 +120,7 @@ class NamedActions:
         ArgumentError
             A column holds no numbers.
         """
-        columns = names or [*self.covariates, *([] if is_by_path else [ACTION])]
+        columns = [*self.covariates, *([] if is_by_path else [ACTION])] if names is None else names
         missing = [name for name in columns if name not in logs.stages.columns]
         if missing:
             raise LogError(f"the stages have no column {missing[0]!r}; they have {', '.join(logs.stages.columns)}")

@@ -14,7 +14,7 @@ from halfseen.errors import ArgumentError
 from halfseen.learners.q_learning.kernel_map import KernelMap
 from halfseen.learners.q_learning.named_actions import NamedActions
 from halfseen.learners.q_learning.q_model import QModel
-from halfseen.learners.q_learning.q_space import CrossValidation, QSpace, q_space_of, reg_of
+from halfseen.learners.q_learning.q_space import CrossValidation, QSpace, q_space_of, reg_of, stage_mode_of
 from halfseen.learners.q_learning.recursion import QFunctions, StageMode
 from halfseen.learners.q_learning.streaming import fit_stream
 from halfseen.learners.q_learning.targets import Targets, targets_of
@@ -151,7 +151,7 @@ class CensoredQLearner(BaseEstimator):
             log = self.model_.transitions(paths)
             self.weights_ = np.asarray(log.weight)
             self.q_functions_ = self.model_.fit(log)
-        self.diagnostics_ = weight_diagnostics(self.weights_, getattr(self.model_.targets, "truncate_at", None))
+        self.diagnostics_ = weight_diagnostics(self.weights_, self.cut_model_ and self.cut_model_.truncate_at)
         self.policy_ = self.model_.policy(self.q_functions_)
         return self
 
@@ -164,14 +164,13 @@ class CensoredQLearner(BaseEstimator):
         ArgumentError
             A parameter has a value that it cannot take.
         """
-        stages: Any = self.stages
         return QModel(
             horizon=self.horizon,
             task=self._task(),
             targets=targets_of(self.censoring),
             space=q_space_of(self.q_function),
             reg=reg_of(self.reg),
-            stages=stages,
+            stages=stage_mode_of(self.stages),
             random_state=self.random_state,
         )
 
@@ -196,6 +195,10 @@ class CensoredQLearner(BaseEstimator):
         return self.model_.kernel_map
 
     def _task(self) -> Task:
+        if isinstance(self.actions, type) or not isinstance(self.actions, (Sequence, Mapping, Task)):
+            raise ArgumentError(
+                f"actions is {self.actions!r}; give a list of names, one for each stage, or an object that is a Task"
+            )
         if not isinstance(self.actions, Task):
             return NamedActions(self.actions, self.covariates)
         if len(self.covariates):

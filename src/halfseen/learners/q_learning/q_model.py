@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from halfseen.censoring import CutModel
+from halfseen.censoring import CensoringSpec, CutModel
 from halfseen.errors import ArgumentError, PositivityError
 from halfseen.learners.q_learning.fitting import BackwardOptions, fit_q_functions
+from halfseen.learners.q_learning.imputation import imputation
 from halfseen.learners.q_learning.kernel_map import KernelMap
 from halfseen.learners.q_learning.path_arrays import PathArrays, path_arrays
 from halfseen.learners.q_learning.q_space import CrossValidation, LinearQ, QSpace, Reg
@@ -49,7 +50,7 @@ class QModel:
     Raises
     ------
     ArgumentError
-        The horizon is below 1, or there is no such mode of stages.
+        The horizon is below 1.
     """
 
     horizon: int
@@ -65,8 +66,6 @@ class QModel:
     def __post_init__(self) -> None:
         if self.horizon < 1:
             raise ArgumentError(f"horizon is {self.horizon}; a path has at least 1 stage")
-        if self.stages not in ("separate", "pooled"):
-            raise ArgumentError(f"stages is {self.stages!r}; it is 'separate' or 'pooled'")
 
     def fitted(self, logs: Logs) -> tuple["QModel", PathArrays]:
         """Fit to a log what comes before Q: what the task learns, Ĝ, and the features of the kernel.
@@ -91,10 +90,9 @@ class QModel:
 
     def lay_out(self, logs: Logs) -> PathArrays:
         """Lay out a log as the arrays that this model looks at."""
-        covariates = None
-        if self.targets.uses_covariates:
-            asked: Any = self.targets
-            covariates = self.task.censoring_covariates(logs, asked.covariates, asked.by == "path")
+        covariates, spec = None, self.targets
+        if isinstance(spec, CensoringSpec) and spec.uses_covariates:
+            covariates = self.task.censoring_covariates(logs, spec.covariates, spec.by == "path")
         return path_arrays(logs, self.task.encode(logs, self.horizon), covariates)
 
     def with_kernel(self, paths: PathArrays) -> "QModel":
@@ -108,15 +106,7 @@ class QModel:
 
     def weights_and_imputation(self, paths: PathArrays) -> tuple[Float[np.ndarray, "n T"], Imputation | None]:
         """Weight of each stage in eq. 3; and what its target is imputed from, if it is."""
-        blocks = self.task.block_of_action(paths.is_possible.shape[-1])
-        num_features = paths.features.shape[-1]
-
-        def used(names: Any) -> Float[np.ndarray, " F"]:
-            return np.ones(num_features) if names is None else self._outcome_features(names, num_features)
-
-        imputed = self.targets.imputation(paths, self.cut_model, self.stages, used, blocks)
-        if imputed is not None and self.kernel_map is not None:
-            imputed = imputed._replace(is_used=np.ones(self.kernel_map.projection.shape[1]))
+        imputed = self._imputation(paths) if self.targets.is_imputed else None
         return self.targets.weights(paths, self.cut_model), imputed
 
     def weighted(
@@ -169,10 +159,21 @@ class QModel:
         """Deal paths into folds, uniformly at random."""
         return np.random.default_rng(self.random_state).permutation(num_paths) % self.reg.folds_of(num_paths)
 
-    def _outcome_features(self, names: Any, num_features: int) -> Float[np.ndarray, " F"]:
+    def _imputation(self, paths: PathArrays) -> Imputation:
+        blocks = self.task.block_of_action(paths.is_possible.shape[-1])
+        is_used = self._outcome_features(paths.features.shape[-1])
+        imputed = imputation(paths, self.cut_model, self.stages, is_used, blocks)
+        if self.kernel_map is None:
+            return imputed
+        return imputed._replace(is_used=np.ones(self.kernel_map.projection.shape[1]))
+
+    def _outcome_features(self, num_features: int) -> Float[np.ndarray, " F"]:
+        names = self.targets.outcome_covariates
+        if names is None:
+            return np.ones(num_features)
         if not isinstance(self.space, LinearQ):
             raise ArgumentError("outcome_covariates is given; it chooses among the covariates of a linear Q only")
-        return self.task.outcome_features(names, num_features)
+        return self.task.outcome_features(names)
 
     def _features(self, paths: PathArrays) -> Float[np.ndarray, "n T A F"]:
         if self.kernel_map is None:
@@ -203,7 +204,7 @@ def refuse_too_few(weight: Float[np.ndarray, "*B n T"]) -> None:
     Raises
     ------
     ArgumentError
-        Their number is told.
+        The message says how many did.
     """
     num_seen = int((weight > 0).any(axis=-1).sum())
     if num_seen < 2:

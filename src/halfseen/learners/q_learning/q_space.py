@@ -1,4 +1,4 @@
-"""Where Q is sought, 𝒬: linear in its features, or in an RKHS; and how λ is chosen."""
+"""Where Q is sought, 𝒬: linear in its features, or in an RKHS, by stage or pooled; and how λ is chosen."""
 
 from dataclasses import dataclass
 from numbers import Real
@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from halfseen.errors import ArgumentError
 from halfseen.learners.q_learning.kernel_map import KernelMap, fit_kernel_map
+from halfseen.learners.q_learning.recursion import StageMode
 from halfseen.learners.q_learning.task import Encoded
 
 REGS = np.logspace(-3, 2, 11)
@@ -132,15 +133,28 @@ def q_space_of(q_function: QSpace | Literal["linear", "kernel"] | str) -> QSpace
     return q_function
 
 
-def reg_of(reg: CrossValidation | float | int | Literal["cv"] | str) -> Reg:
-    """Read what a user says of λ: ``"cv"``, a `CrossValidation`, or a number.
+def stage_mode_of(stages: StageMode | str) -> StageMode:
+    """Read what a user says of stages.
+
+    Raises
+    ------
+    ArgumentError
+        It is neither ``"separate"`` nor ``"pooled"``.
+    """
+    if stages == "separate" or stages == "pooled":
+        return stages
+    raise ArgumentError(f"stages is {stages!r}; it is 'separate' or 'pooled'")
+
+
+def reg_of(reg: Reg | float | int | Literal["cv"] | str) -> Reg:
+    """Read what a user says of λ: ``"cv"``, a `CrossValidation`, or a number; what was read already stays.
 
     Raises
     ------
     ArgumentError
         It is none of these.
     """
-    if isinstance(reg, CrossValidation):
+    if isinstance(reg, CrossValidation | FixedReg):
         return reg
     if isinstance(reg, str) and reg == "cv":
         return CrossValidation()

@@ -13,10 +13,10 @@ more step to go changes little, so Q_h is shrunk towards Q_{h−1}. With λ = 0 
 *Control variates* [Glasserman2003]_ are numbers that S_{t+1} tells and whose mean given (S_t, A_t) is 0.
 Each regression runs on them too, and Q leaves them out: what they explain of the target is noise that Q is spared.
 
-Where a policy is *given*, the maximum gives way to Σ_a π(a | S_{t+1}) Q̂_{t+1}(S_{t+1}, a): Q̂ is then what that policy
-is worth (fitted Q evaluation), and nothing is chosen.
+Where a policy is *given*, the maximum gives way to Σ_a π(a | S_{t+1}) Q̂_{t+1}(S_{t+1}, a): Q̂ is then that of the
+policy (fitted Q evaluation), and nothing is chosen.
 
-Where targets are *imputed*, the stage in which a path was cut has one, too; see `imputation`.
+Where targets are *imputed*, the stage in which a path was right-censored has one, too; see `imputation`.
 """
 
 from functools import partial

@@ -1,7 +1,7 @@
 """What stands for what a cut took away: weights, doubly robust targets, Buckley and James's, or nothing.
 
-Each kind brings its own settings, so none can be given where it means nothing. All share three questions: which model
-of the cuts, what each stage weighs in eq. 3, and what its target is imputed from.
+Each kind brings its own settings, so none can be given where it means nothing. All answer the same questions: which
+model of the cuts, what each stage weighs in eq. 3, and whether targets are imputed, and by which covariates.
 """
 
 from collections.abc import Callable, Sequence
@@ -9,41 +9,24 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from halfseen.censoring import CENSORING_NAMES, CensoringModel, CensoringSpec, CutModel, StageClocks
 from halfseen.errors import ArgumentError
-from halfseen.learners.q_learning.imputation import imputation
 from halfseen.learners.q_learning.path_arrays import PathArrays
-from halfseen.learners.q_learning.recursion import Imputation, StageMode
-
-UsedFeatures = Callable[[Sequence[str] | None], Float[np.ndarray, " F"]]
-"""From the names of covariates to a 1 for each feature of theirs; None for all."""
 
 
 @dataclass(frozen=True)
 class Weighted(CensoringSpec):
     """Completed stages count δ_t / Ĝ(U_t⁻), as eq. 3 has it (IPCW); parameters as in `CensoringSpec`."""
 
-    def fit_cuts(self, clocks: StageClocks) -> CutModel | None:
-        """Fit Ĝ."""
-        return self.fit(clocks)
+    is_imputed = False
+    outcome_covariates = None
 
     def weights(self, paths: PathArrays, cut_model: CutModel | None) -> Float[np.ndarray, "n T"]:
         """Weight of each stage in eq. 3."""
         assert cut_model is not None
         return cut_model.weights(paths.clocks)
-
-    def imputation(
-        self,
-        paths: PathArrays,
-        cut_model: CutModel | None,
-        stages: StageMode,
-        used: UsedFeatures,
-        blocks: Int[np.ndarray, " A"],
-    ) -> Imputation | None:
-        """Nothing is imputed."""
-        return None
 
 
 @dataclass(frozen=True)
@@ -60,25 +43,12 @@ class DoublyRobust(CensoringSpec):
 
     outcome_covariates: Sequence[str] | None = None
 
-    def fit_cuts(self, clocks: StageClocks) -> CutModel | None:
-        """Fit Ĝ."""
-        return self.fit(clocks)
+    is_imputed = True
 
     def weights(self, paths: PathArrays, cut_model: CutModel | None) -> Float[np.ndarray, "n T"]:
         """1 / Ĝ(U_{t−1}⁻) of each begun stage."""
         assert cut_model is not None
         return cut_model.begun_weights(paths.clocks)
-
-    def imputation(
-        self,
-        paths: PathArrays,
-        cut_model: CutModel | None,
-        stages: StageMode,
-        used: UsedFeatures,
-        blocks: Int[np.ndarray, " A"],
-    ) -> Imputation | None:
-        """What the pseudo-outcomes are made of."""
-        return imputation(paths, cut_model, stages, used(self.outcome_covariates), blocks)
 
 
 @dataclass(frozen=True)
@@ -94,26 +64,14 @@ class BuckleyJames:
     outcome_covariates: Sequence[str] | None = None
 
     name = "buckley-james"
-    uses_covariates = False
+    is_imputed = True
 
-    def fit_cuts(self, clocks: StageClocks) -> CutModel | None:
+    def fit_cuts(self, clocks: StageClocks) -> None:
         """No model of the cuts is needed."""
-        return None
 
     def weights(self, paths: PathArrays, cut_model: CutModel | None) -> Float[np.ndarray, "n T"]:
         """1 for each begun stage."""
         return paths.is_begun.astype(np.float64)
-
-    def imputation(
-        self,
-        paths: PathArrays,
-        cut_model: CutModel | None,
-        stages: StageMode,
-        used: UsedFeatures,
-        blocks: Int[np.ndarray, " A"],
-    ) -> Imputation | None:
-        """What the targets of cut stages are made of."""
-        return imputation(paths, None, stages, used(self.outcome_covariates), blocks)
 
 
 @dataclass(frozen=True)
@@ -121,26 +79,15 @@ class Unweighted:
     """Completed stages count alike, and cut ones not at all: biased where cuts are many, and the contrast to it."""
 
     name = "none"
-    uses_covariates = False
+    is_imputed = False
+    outcome_covariates = None
 
-    def fit_cuts(self, clocks: StageClocks) -> CutModel | None:
+    def fit_cuts(self, clocks: StageClocks) -> None:
         """No model of the cuts is asked for."""
-        return None
 
     def weights(self, paths: PathArrays, cut_model: CutModel | None) -> Float[np.ndarray, "n T"]:
         """1 for each completed stage."""
         return paths.is_completed.astype(np.float64)
-
-    def imputation(
-        self,
-        paths: PathArrays,
-        cut_model: CutModel | None,
-        stages: StageMode,
-        used: UsedFeatures,
-        blocks: Int[np.ndarray, " A"],
-    ) -> Imputation | None:
-        """Nothing is imputed."""
-        return None
 
 
 Targets = Weighted | DoublyRobust | BuckleyJames | Unweighted

@@ -83,7 +83,7 @@ class Task(Protocol):
         """Block of coefficients of each action."""
         ...
 
-    def outcome_features(self, names: Sequence[str], num_features: int) -> Float[np.ndarray, " F"]:
+    def outcome_features(self, names: Sequence[str]) -> Float[np.ndarray, " F"]:
         """1 for each feature that belongs to these covariates, 0 for the others."""
         ...
 

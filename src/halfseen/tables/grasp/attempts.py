@@ -76,14 +76,14 @@ def _outcomes(logs: Logs, rows: pd.DataFrame, objects: pd.DataFrame) -> pd.Serie
     after = rows[_KEY].assign(stage=rows["stage"] + 1).merge(objects, on=_KEY, how="left")
     gained = after[_HISTORY[1:]].to_numpy() - rows[_HISTORY[1:]].to_numpy()
     is_cut = rows["elapsed_s"].isna().to_numpy()
-    is_told = ~np.isnan(gained).any(axis=1)
+    is_observed = ~np.isnan(gained).any(axis=1)
     is_right = (np.sort(gained, axis=1) == [0, 1]).all(axis=1)
     wrong = "successes and failures do not grow by this one attempt until the next stage; mend the counts"
-    _refuse(rows, ~is_cut & is_told & ~is_right, wrong)
-    cleared = ~is_cut & ~is_told & _ends_its_path(logs, rows) & (rows["action"] == Verb.WASH.name).to_numpy()
-    untold = "no later stage tells whether the attempt succeeded; give the horizon if it ended the path"
-    _refuse(rows, ~is_cut & ~is_told & ~cleared, untold)
-    outcome = pd.Series((is_told & (gained[:, 0] == 1)) | cleared, dtype="boolean")
+    _refuse(rows, ~is_cut & is_observed & ~is_right, wrong)
+    cleared = ~is_cut & ~is_observed & _ends_its_path(logs, rows) & (rows["action"] == Verb.WASH.name).to_numpy()
+    unknown = "no later stage tells whether the attempt succeeded; give the horizon if it ended the path"
+    _refuse(rows, ~is_cut & ~is_observed & ~cleared, unknown)
+    outcome = pd.Series((is_observed & (gained[:, 0] == 1)) | cleared, dtype="boolean")
     return outcome.mask(pd.Series(is_cut))
 
 

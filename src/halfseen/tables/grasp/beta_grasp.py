@@ -1,9 +1,9 @@
-"""The paper's simple grasp model: the mean of a Beta distributed chance (paper, §3), learned by maximum likelihood.
+"""The paper's simple grasp model: mean of a Beta distributed probability (paper, §3), learned by maximum likelihood.
 
 ========  =================================================================================
 symbol    here
 ========  =================================================================================
-p         the object's own chance of a grasp, never seen
+p         the object's own probability of a grasp, never seen
 m(occ)    prior mean of p: expit(intercept + slope · occlusion)
 s         strength of the prior: as many past attempts weigh as much as it does
 k, l      past successes and failures
@@ -25,7 +25,7 @@ from halfseen.logs.frames import FrameLike
 from halfseen.tables.grasp.inputs import Decided, History, checked_attempts, checked_history
 
 CENTRE = np.array([0.0, 0.0, np.log(2.0)])
-"""Mode of the weak normal prior on intercept, slope and log s: half of all grasps succeed, and Laplace's strength."""
+"""Mode of the weak normal prior on intercept, slope and log s: half succeed; strength of the rule of succession."""
 
 SPREAD = np.array([5.0, 5.0, 2.0])
 """Its standard deviations: wide, yet nothing runs away when all grasps succeed, or no object was tried twice."""
@@ -34,15 +34,15 @@ Theta = Float[np.ndarray, "3"]
 
 
 class BetaGrasp(BaseEstimator):
-    """Chance of a grasp as the mean of a Beta distribution over the object's own chance.
+    """Probability of a grasp as the mean of a Beta distribution over the object's own probability.
 
     The object's past attempts update a prior Beta(s·m, s·(1 − m)) whose mean m falls or rises with occlusion.
     Intercept, slope and log s maximise Σ_i w_i log P(outcome_i | occ_i, k_i, l_i) plus a weak normal prior. At constant
-    occlusion the product of the predictive chances along an object's attempts is its Beta-binomial likelihood
+    occlusion the product of the predictive probabilities along an object's attempts is its Beta-binomial likelihood
     [Skellam1948]_, exactly; where occlusion changes between them it is what the model means by its predictive. Cut
     attempts weigh nothing, and decided ones 1/Ĝ(time_s⁻) (paper, eq. 2).
 
-    Without history in the data s is not identified, and stays at 2, the strength of Laplace's rule.
+    Without history in the data s is not identified, and stays at 2, the strength of the rule of succession.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class BetaGrasp(BaseEstimator):
     classes_ : Bool[ndarray, "2"]
         What the columns of `predict_proba` stand for: failed, succeeded.
     diagnostics_ : WeightDiagnostics
-        What the weights are worth.
+        Effective sample size of the weights, and the largest of them.
 
     Examples
     --------

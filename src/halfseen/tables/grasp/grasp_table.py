@@ -1,4 +1,4 @@
-"""A fitted grasp model as a table of chances, so that it runs inside compiled decisions."""
+"""A fitted grasp model as a table of probabilities, so that it runs inside compiled decisions."""
 
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
@@ -22,7 +22,7 @@ NUM_OCCLUSIONS = 33
 
 @runtime_checkable
 class GraspEstimator(Protocol):
-    """What `BetaGrasp` and `SVMGrasp` are: fitted to attempts, it tells their chances."""
+    """What `BetaGrasp` and `SVMGrasp` are: fitted to attempts, it tells their probabilities."""
 
     def fit(self, frame: FrameLike) -> "GraspEstimator":
         """Learn from attempts."""
@@ -59,12 +59,12 @@ class GraspTable:
 
 
 def tabulate(model: GraspEstimator, horizon: int) -> GraspTable:
-    """Ask a fitted model for all chances that a path of `horizon` stages can need.
+    """Ask a fitted model for all probabilities that a path of `horizon` stages can need.
 
     Raises
     ------
     ArgumentError
-        `horizon` is below 1, or the model gives no chances.
+        `horizon` is below 1, or the model gives no probabilities.
     """
     if horizon < 1:
         raise ArgumentError(f"horizon is {horizon}; a path has at least 1 stage")
@@ -75,7 +75,9 @@ def tabulate(model: GraspEstimator, horizon: int) -> GraspTable:
     wrong = ~((chances >= 0) & (chances <= 1))
     if wrong.any():
         at = int(np.argmax(wrong))
-        raise ArgumentError(f"{model!r} gives {chances[at]} at occlusion {occluded[at]:g}; a chance lies in [0, 1]")
+        raise ArgumentError(
+            f"{model!r} gives {chances[at]} at occlusion {occluded[at]:g}; a probability lies in [0, 1]"
+        )
     return GraspTable(jnp.asarray(chances.reshape(shape), dtype=jnp.float32))
 
 

@@ -29,8 +29,9 @@ class SVMGrasp(BaseEstimator):
 
     Cut attempts weigh nothing, and decided ones 1/Ĝ(time_s⁻). λ is chosen by the weighted loss on attempts that were
     held out, never splitting the attempts of one object: the largest λ whose loss is within 1 % of the least, because
-    below it f changes most where no attempt was made. Values of held-out attempts calibrate the chances [Platt1999]_.
-    No chance is surer than Laplace's rule after as many attempts, all alike, as the log is worth.
+    below it f changes most where no attempt was made. Values of held-out attempts calibrate the probabilities
+    [Platt1999]_. None is surer than the rule of succession after as many attempts, all alike, as the effective sample
+    size.
 
     Parameters
     ----------
@@ -59,7 +60,7 @@ class SVMGrasp(BaseEstimator):
     classes_ : Bool[ndarray, "2"]
         What the columns of `predict_proba` stand for: failed, succeeded.
     diagnostics_ : WeightDiagnostics
-        What the weights are worth.
+        Effective sample size of the weights, and the largest of them.
 
     Examples
     --------

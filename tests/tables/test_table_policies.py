@@ -8,23 +8,22 @@ import numpy as np
 import pytest
 
 from halfseen.censoring import Cox, stage_weights
-from halfseen.errors import LogError
-from halfseen.learners import CensoredQLearner
-from halfseen.learners.q_learning.cut_covariates import table_covariates
-from halfseen.learners.q_learning.encoding import encode_states
+from halfseen.errors import ArgumentError, LogError
+from halfseen.learners import CensoredQLearner, Weighted
 from halfseen.learners.q_learning.recursion import q_values
 from halfseen.logs import Logs
-from halfseen.tables import LinearTablePolicy
+from halfseen.tables import LinearTablePolicy, TableTask
+from halfseen.tables.censoring_covariates import table_covariates
+from halfseen.tables.encoding import encode_states
 from halfseen.tables.features import (
     NUM_FEATURES,
     NUM_TABLE_FEATURES,
     WASH_DIRTY,
     WASH_EASE,
-    block_of_action,
     table_features,
 )
 from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, WorldConfig
-from halfseen.world.action_space import Verb, possible_actions, verb_of
+from halfseen.world.action_space import ActionSpace, Verb, possible_actions
 from halfseen.world.cuts import cut, cut_rate
 from halfseen.world.episodes import evaluate, play
 from halfseen.world.policy import surely
@@ -129,9 +128,10 @@ def test_q_does_not_see_padding(watched):
 
 
 def test_a_block_is_a_verb():
-    actions = np.arange(1 + 2 * NUM_OBJECTS)
-    assert np.array_equal(block_of_action(NUM_OBJECTS), verb_of(actions, NUM_OBJECTS))
-    assert set(np.asarray(block_of_action(NUM_OBJECTS)).tolist()) == {Verb.FINISH, Verb.WASH, Verb.LIFT}
+    blocks = TableTask().block_of_action(1 + 2 * NUM_OBJECTS)
+    names = [Verb(block).name for block in blocks]
+    assert [name.split()[0] for name in ActionSpace(NUM_OBJECTS).names] == names
+    assert set(names) == {"FINISH", "WASH", "LIFT"}
 
 
 def test_features_are_finite_whatever_happened(watched):
@@ -144,7 +144,7 @@ def test_a_policy_values_what_was_regressed_on(watched):
     states, policy = states_in(watched), random_policy()
     by_policy = np.asarray(jax.jit(jax.vmap(policy.q_values))(states))
     features = jax.jit(jax.vmap(table_features))(states)
-    blocks, possible = block_of_action(NUM_OBJECTS), np.asarray(jax.vmap(possible_actions)(states))
+    blocks, possible = ActionSpace(NUM_OBJECTS).verbs, np.asarray(jax.vmap(possible_actions)(states))
     by_features = jax.vmap(q_values, in_axes=(0, 0, None))(
         policy.coefficients[states.steps_to_go - 1], features, blocks
     )
@@ -248,3 +248,14 @@ def test_cuts_may_depend_on_the_first_table(scene):
     learner = CensoredQLearner.for_table(horizon=10, censoring=Cox(ridge=1.0), reg=1.0).fit(logs)
     expected = stage_weights(logs.elapsed_s(), logs.end_s, logs.is_finished, Cox(ridge=1.0), covariates=table)
     np.testing.assert_allclose(learner.weights_[:, : expected.shape[1]], expected)
+
+
+@pytest.mark.slow
+def test_cuts_at_a_table_may_depend_on_the_attempt():
+    scene = Scene(np.array([[0.0, 0.6], [0.0, 0.0]]))
+    logs = TableWorld().simulate(scene, UniformPolicy(), episodes=150, seed=0, cut_share=0.5, cut_kind="attempt")
+    fitted = CensoredQLearner.for_table(10, censoring=Weighted(Cox(ridge=1.0), by="pooled"), reg=1.0).fit(logs)
+    names = fitted.cut_model_.fitted[0].model.covariates_
+    assert names == ["num_objects", "mean_occlusion", "action=FINISH", "action=WASH", "target_occlusion"]
+    with pytest.raises(ArgumentError, match="'weather' is none of a table's: num_objects, mean_occlusion, action"):
+        CensoredQLearner.for_table(10, censoring=Weighted("cox", covariates=["weather"])).fit(logs)
