@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pandas as pd
-from cell_comparison import METHODS, compare, cox_learner
+from cell_comparison import BY_COX, METHODS, compare, learner
 from cell_optimum import best_order, optimum, policy_value
 from cell_parts import ACTIONS, COVARIATES
 from cell_paths import rule_of_thumb
@@ -71,9 +71,9 @@ def table(found: pd.DataFrame) -> str:
 def intervals(logs: Logs, num_replicates: int, seed: int) -> str:
     """Learn from a log, and tell Q in the first stage with 95 % bootstrap intervals for some parts."""
     with threadpool_limits(1):
-        learner = cox_learner().fit(logs)
-        drawn = bootstrap(learner, logs, num_replicates, seed)
-    q = learner.q_values(ASKED, 1)
+        fitted = learner(censoring=BY_COX).fit(logs)
+        drawn = bootstrap(fitted, logs, num_replicates, seed)
+    q = fitted.q_values(ASKED, 1)
     low, high = drawn.q_interval(ASKED, 1)
     shares = drawn.decision_shares(ASKED, 1)
     lines = []

@@ -7,9 +7,11 @@ from enumerated_trial import CHANCE_B, StatePolicy, specified, trial, truth
 from halfseen.censoring import KaplanMeier
 from halfseen.errors import ArgumentError, LogError
 from halfseen.evaluation import FixedSequence, QSpec, evaluate
+from halfseen.evaluation.off_policy import q_model_of
 from halfseen.learners import DoublyRobust, NamedActions, Unweighted
 from halfseen.learners.q_learning import fitting
 from halfseen.logs import Logs
+from halfseen.tables import TableTask
 
 TARGET = StatePolicy((0.1, 0.8))
 
@@ -201,6 +203,14 @@ def test_what_a_policy_says_of_itself_need_not_be_said_again():
     assert evaluate(sequence, last_unknown) == evaluate(sequence, last_unknown, censoring="kaplan-meier", q=named)
     with pytest.raises(ArgumentError, match="str decides nothing about named actions, which the log is of"):
         evaluate("no policy", logs)
+
+
+@pytest.mark.parametrize(
+    ("q", "stages"),
+    [(QSpec(), "separate"), (QSpec(TableTask()), "pooled"), (QSpec(TableTask(), stages="separate"), "separate")],
+)
+def test_stages_are_pooled_where_an_action_ends_a_path(q, stages):
+    assert q_model_of(TARGET, trial(0, num_paths=5), Unweighted(), q).stages == stages
 
 
 def test_a_log_without_cuts_needs_no_model_of_them():

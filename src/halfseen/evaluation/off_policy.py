@@ -33,13 +33,15 @@ class QSpec:
     ----------
     task
         What is decided; None for what the policy says.
-    q_function, stages, reg, random_state
+    q_function, reg, random_state
         As for `halfseen.learners.CensoredQLearner`.
+    stages
+        The same; None for pooled ones where an action ends a path wherever it is taken, as on a table, else separate.
     """
 
     task: Task | None = None
     q_function: QSpace | Literal["linear", "kernel"] | str = "linear"
-    stages: StageMode | str = "separate"
+    stages: StageMode | str | None = None
     reg: CrossValidation | float | int | Literal["cv"] | str = "cv"
     random_state: int = 0
 
@@ -69,7 +71,7 @@ def evaluate(
         robust towards cuts, too; that needs the action of the stage in which a path was cut. None for
         ``DoublyRobust("kaplan-meier")`` where the log has all actions, else ``"kaplan-meier"``.
     q
-        How Q of the policy is fitted; None for a linear one of separate stages.
+        How Q of the policy is fitted; None for a linear one.
     propensity
         ``"logged"``: the column probability; ``"estimated"``: by a conditional logit on what Q looks at.
     level
@@ -110,13 +112,15 @@ def default_targets(logs: Logs) -> Targets:
 
 def q_model_of(policy: Any, logs: Logs, targets: Targets, q: QSpec) -> QModel:
     """Compose how Q of a policy is fitted to a log."""
+    task = task_of(policy, logs) if q.task is None else q.task
+    by_task = "separate" if task.end_action is None else "pooled"
     return QModel(
         horizon=horizon_of(policy, logs.horizon),
-        task=task_of(policy, logs) if q.task is None else q.task,
+        task=task,
         targets=targets,
         space=q_space_of(q.q_function),
         reg=reg_of(q.reg),
-        stages=stage_mode_of(q.stages),
+        stages=stage_mode_of(by_task if q.stages is None else q.stages),
         random_state=q.random_state,
     )
 
