@@ -104,3 +104,8 @@ def test_what_a_specification_cannot_mean_is_refused():
         CensoringSpec(by="clock")
     with pytest.raises(ArgumentError, match="censoring is 'weibull'; it is 'kaplan-meier', 'cox', 'kernel'"):
         CensoringSpec("weibull")
+
+
+def test_covariates_that_the_model_does_not_use_are_refused():
+    with pytest.raises(ArgumentError, match="covariates is .'x'., but kaplan-meier uses none"):
+        CensoringSpec("kaplan-meier", covariates=["x"])

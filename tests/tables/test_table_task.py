@@ -42,11 +42,6 @@ def test_a_log_without_objects_is_no_tables():
         logged_dirty_share(Logs(logs.stages.drop(columns="object"), logs.paths))
 
 
-def test_what_is_given_is_not_read_from_the_log():
-    fitted = TableTask(dirty_share=0.2).fitted(log_of(dirty_share=[0.3, 0.5]), 2)
-    assert fitted.dirty_share == 0.2
-
-
 def test_what_a_stream_cannot_learn_is_named():
     assert isinstance(TableTask(), Task)
     assert TableTask().needs_whole_log == "reduces_variance=True"

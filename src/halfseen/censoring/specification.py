@@ -49,6 +49,11 @@ class CensoringSpec:
         if isinstance(self.covariates, str):
             raise ArgumentError(f"covariates is {self.covariates!r}; give a list of names")
         checked_truncation(self.truncate_at)
+        if self.covariates is not None and not self.uses_covariates:
+            raise ArgumentError(
+                f"covariates is {list(self.covariates)}, but {self.name} uses none; leave them out, or choose 'cox' or "
+                "'kernel'"
+            )
 
     @property
     def name(self) -> str:

@@ -33,7 +33,7 @@ class QSpec:
     ----------
     task
         What is decided; None for what the policy says.
-    q_function, reg, random_state
+    q_function, reg
         As for `halfseen.learners.CensoredQLearner`.
     stages
         The same; None for pooled ones where an action ends a path wherever it is taken, as on a table, else separate.
@@ -43,7 +43,6 @@ class QSpec:
     q_function: QSpace | Literal["linear", "kernel"] | str = "linear"
     stages: StageMode | str | None = None
     reg: CrossValidation | float | int | Literal["cv"] | str = "cv"
-    random_state: int = 0
 
 
 def evaluate(
@@ -77,7 +76,7 @@ def evaluate(
     level
         Of the intervals.
     random_state
-        Seed that deals paths into folds.
+        Seed that deals paths into folds, and draws the landmarks of a kernel.
     num_folds
         Folds of the cross-fitting, and of the jackknife behind the interval of fitted Q.
 
@@ -99,7 +98,11 @@ def evaluate(
             f"the log has {logs.num_paths} path(s), and {num_folds} folds need {2 * num_folds}; record more"
         )
     model = q_model_of(
-        policy, logs, default_targets(logs) if censoring is None else targets_of(censoring), q or QSpec()
+        policy,
+        logs,
+        default_targets(logs) if censoring is None else targets_of(censoring),
+        q or QSpec(),
+        random_state,
     )
     problem = _problem(policy, logs, model, propensity, np.random.default_rng([random_state, 1]), num_folds)
     return _evaluation(problem, logs.horizon, level)
@@ -110,7 +113,7 @@ def default_targets(logs: Logs) -> Targets:
     return DoublyRobust() if not logs.stages["action"].isna().to_numpy().any() else Weighted()
 
 
-def q_model_of(policy: Any, logs: Logs, targets: Targets, q: QSpec) -> QModel:
+def q_model_of(policy: Any, logs: Logs, targets: Targets, q: QSpec, random_state: int = 0) -> QModel:
     """Compose how Q of a policy is fitted to a log."""
     task = task_of(policy, logs) if q.task is None else q.task
     by_task = "separate" if task.end_action is None else "pooled"
@@ -121,7 +124,7 @@ def q_model_of(policy: Any, logs: Logs, targets: Targets, q: QSpec) -> QModel:
         space=q_space_of(q.q_function),
         reg=reg_of(q.reg),
         stages=stage_mode_of(by_task if q.stages is None else q.stages),
-        random_state=q.random_state,
+        random_state=random_state,
     )
 
 

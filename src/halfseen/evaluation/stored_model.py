@@ -1,5 +1,6 @@
 """How a policy in a folder is to be evaluated: with the Q and the model of the cuts that it was learned with."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -61,15 +62,21 @@ def specification_of(
     learned = stored.record["learner"]
     own = learned.get("censoring")
     is_complete = bool(logs.stages["action"].notna().all())
+    model = censoring or (own if own in CENSORING_NAMES else "kaplan-meier")
     targets = named_targets(
-        censoring or (own if own in CENSORING_NAMES else "kaplan-meier"),
+        model,
         by=censoring_by or learned.get("censoring_by") or "path",
-        covariates=learned.get("censoring_covariates") if censoring_covariates is None else censoring_covariates,
+        covariates=_own_covariates(learned, model) if censoring_covariates is None else censoring_covariates,
         truncate_at=learned.get("truncate_at") if truncate_at is None else truncate_at,
         is_doubly_robust=is_complete if augmented is None else augmented,
     )
     q = QSpec(_task(stored, logs), q_space_of_record(learned), learned.get("stages", "separate"))
     return EvaluationSpec(targets, q)
+
+
+def _own_covariates(learned: Mapping[str, Any], model: str) -> list[str] | None:
+    """What cuts were said to depend on, if the same model is to be fitted."""
+    return learned.get("censoring_covariates") if learned.get("censoring") == model else None
 
 
 def _task(stored: StoredPolicy, logs: Logs) -> Task:

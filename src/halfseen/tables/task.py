@@ -18,7 +18,6 @@ from halfseen.logs import Logs
 from halfseen.tables.censoring_covariates import NUM_AT_BEGIN, TABLE_COVARIATES, table_covariates
 from halfseen.tables.encoding import encode_tables
 from halfseen.tables.grasp.grasp_table import GraspEstimator, grasp_model_of
-from halfseen.tables.prior import logged_dirty_share
 from halfseen.tables.table_policy import LinearTablePolicy
 from halfseen.tables.target_probabilities import table_probabilities
 from halfseen.tables.variance_reduction import expected_rewards, label_control_variates, wash_outcomes
@@ -37,15 +36,11 @@ class TableTask:
     reduces_variance
         Takes the noise of dirty or clean and that of the labels out of the targets of eq. 3; it rests on the log-odds
         of DIRTY being right (see `variance_reduction`).
-    dirty_share
-        P(DIRTY) of an object before any label; None to take it from the log.
     """
 
     grasp: Any = None
     reduces_variance: bool = True
-    dirty_share: float | None = None
 
-    num_blocks = len(Verb)
     block_names = tuple(verb.name for verb in Verb)
     end_action = FINISH
     is_shared = False
@@ -59,9 +54,8 @@ class TableTask:
         return f"grasp={self.grasp!r}, which is not fitted," if is_open else None
 
     def fitted(self, logs: Logs, horizon: int) -> "TableTask":
-        """Fit the grasp model, and read the prior of DIRTY."""
-        dirty_share = logged_dirty_share(logs) if self.dirty_share is None else self.dirty_share
-        return replace(self, grasp=grasp_model_of(self.grasp, logs, horizon), dirty_share=dirty_share)
+        """Fit the grasp model."""
+        return replace(self, grasp=grasp_model_of(self.grasp, logs, horizon))
 
     def encode(self, logs: Logs, horizon: int) -> Encoded:
         """Encode every stage of a log of tables."""

@@ -37,7 +37,6 @@ def features_of(need):
 class DoseTask:
     """Doses are numbers: all share one block of coefficients, and actions differ by their features."""
 
-    num_blocks = 1
     block_names = ("dose",)
     end_action = None
     is_shared = False

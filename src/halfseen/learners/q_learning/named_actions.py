@@ -60,11 +60,6 @@ class NamedActions:
         return list(self.actions)
 
     @property
-    def num_blocks(self) -> int:
-        """One block an action."""
-        return len(self.names)
-
-    @property
     def block_names(self) -> tuple[str, ...]:
         """Names of the actions."""
         return tuple(map(str, self.names))
@@ -80,14 +75,14 @@ class NamedActions:
     def possible(self, stage: int) -> Bool[np.ndarray, " A"]:
         """Which actions are possible in a stage (from 1)."""
         if not isinstance(self.actions, Mapping):
-            return np.ones(self.num_blocks, dtype=bool)
+            return np.ones(len(self.names), dtype=bool)
         if stage not in self.actions:
             raise ArgumentError(f"actions: none for stage {stage}; give a list for each stage from 1 to the horizon")
-        return np.isin(np.arange(self.num_blocks), [self.names.index(name) for name in self.actions[stage]])
+        return np.isin(np.arange(len(self.names)), [self.names.index(name) for name in self.actions[stage]])
 
     def encode(self, logs: Logs, horizon: int) -> Encoded:
         """Encode every stage of a log of named actions."""
-        shape = (logs.num_paths, horizon, self.num_blocks)
+        shape = (logs.num_paths, horizon, len(self.names))
         at = stage_places(logs)
         features = np.zeros((*shape, len(self.covariates)))
         features[at] = covariate_values(logs.stages, tuple(self.covariates))[:, None, :]
@@ -166,7 +161,7 @@ class NamedActions:
             raise ArgumentError(f"the policy takes {unknown[0]!r}, which is none of the actions of the task: {listed}")
         column = [self.names.index(name) for name in policy.actions]
         path, _ = stage_places(logs)
-        probabilities = np.zeros((logs.num_paths, horizon, self.num_blocks))
+        probabilities = np.zeros((logs.num_paths, horizon, len(self.names)))
         for stage in range(1, logs.horizon + 1):
             rows = (logs.stages["stage"] == stage).to_numpy()
             frame: Any = logs.stages[rows]

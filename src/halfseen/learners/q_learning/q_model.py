@@ -153,7 +153,7 @@ class QModel:
         """Collect what the recursion is compiled for, on so many paths."""
         end_action = self.task.end_action if self.stages == "pooled" else None
         num_folds = self.reg.folds_of(num_paths)
-        return BackwardOptions(self.task.num_blocks, self.stages, num_folds, end_action, self.space.is_scaled)
+        return BackwardOptions(len(self.task.block_names), self.stages, num_folds, end_action, self.space.is_scaled)
 
     def folds(self, num_paths: int) -> Int[np.ndarray, " n"]:
         """Deal paths into folds, uniformly at random."""

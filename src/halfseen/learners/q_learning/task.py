@@ -41,13 +41,8 @@ class Task(Protocol):
     """How the logs of one kind of problem become arrays, and Q-functions a policy."""
 
     @property
-    def num_blocks(self) -> int:
-        """K, blocks of coefficients."""
-        ...
-
-    @property
     def block_names(self) -> tuple[str, ...]:
-        """Name of each block: of an action, or of a verb."""
+        """Name of each of the K blocks of coefficients: an action, or a verb."""
         ...
 
     @property

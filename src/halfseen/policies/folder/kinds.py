@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from typing import Any, Protocol, runtime_checkable
 
 from halfseen.errors import ArgumentError, PolicyError
-from halfseen.learners.q_learning.q_model import QModel
 from halfseen.logs import Logs
 from halfseen.policies.folder.arrays import Arrays
 from halfseen.policies.folder.named_kind import NamedKind
@@ -18,7 +17,7 @@ class PolicyKind(Protocol):
     policy_type: type
     """Class of the policies."""
 
-    def schema(self, policy: Any, model: QModel) -> dict[str, Any]:
+    def schema(self, policy: Any, logs: Logs) -> dict[str, Any]:
         """What the policy looks at and chooses from, for policy.json; ``actions`` names the blocks of coefficients."""
         ...
 

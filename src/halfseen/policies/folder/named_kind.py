@@ -8,7 +8,6 @@ import numpy as np
 
 from halfseen.errors import ArgumentError, PolicyError
 from halfseen.learners.q_learning.flat_policy import FlatPolicy
-from halfseen.learners.q_learning.q_model import QModel
 from halfseen.logs import Logs
 from halfseen.policies.folder.arrays import COEFFICIENTS, Arrays, Shape, check_arrays, kernel_map_of, policy_arrays
 from halfseen.policies.folder.json_values import horizon_of, names_in, typed
@@ -21,7 +20,7 @@ class NamedKind:
 
     policy_type = FlatPolicy
 
-    def schema(self, policy: FlatPolicy, model: QModel) -> dict[str, Any]:
+    def schema(self, policy: FlatPolicy, logs: Logs) -> dict[str, Any]:
         """Covariates, names of the actions, and those that each stage allows.
 
         Raises

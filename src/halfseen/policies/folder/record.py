@@ -32,7 +32,7 @@ def record_of(learner: CensoredQLearner, logs: Logs) -> dict[str, Any]:
     """
     policy, name = learner.policy_, kind_name_of(learner.policy_)
     is_by_stage = learner.stages == "separate"
-    schema = KINDS[name].schema(policy, learner.model_)
+    schema = KINDS[name].schema(policy, logs)
     return {
         "format": FORMAT,
         "version": VERSION,

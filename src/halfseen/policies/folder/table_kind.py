@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from halfseen.errors import ArgumentError, PolicyError
-from halfseen.learners.q_learning.q_model import QModel
+from halfseen.tables.prior import logged_dirty_share
 from halfseen.logs import Logs
 from halfseen.policies.folder.arrays import (
     COEFFICIENTS,
@@ -36,10 +36,9 @@ class TableKind:
 
     policy_type = LinearTablePolicy
 
-    def schema(self, policy: LinearTablePolicy, model: QModel) -> dict[str, Any]:
+    def schema(self, policy: LinearTablePolicy, logs: Logs) -> dict[str, Any]:
         """Verbs, features, and the prior of DIRTY that the log-odds of the log started from."""
-        task: Any = model.task
-        share = {"dirty_share": task.dirty_share}
+        share = {"dirty_share": logged_dirty_share(logs)}
         return {"horizon": len(policy.coefficients), "actions": _VERBS, "features": _FEATURES, **share}
 
     def seen(self, logs: Logs, policy: LinearTablePolicy, is_by_stage: bool) -> list[dict[str, Any]]:
