@@ -31,8 +31,8 @@ def choices(stored: StoredPolicy, logs: Logs) -> list[dict[str, Any]]:
     Returns
     -------
     list of dict
-        stage, num_states; as_logged, the share of the states with a known action in which the policy takes that one
-        (None without such states); policy and logged, for each action its share.
+        stage, num_states; as_logged, the proportion of the states with a known action in which the policy takes that
+        one (None without such states); policy and logged, for each action its proportion.
     """
     shares = action_shares(stored.policy, logs)
     frame: Any = logs.stages[["stage", "action"]].dropna()
@@ -68,7 +68,7 @@ class QCurve:
     q
         Q of each possible action.
     low, high
-        Central 95 % of what it is when paths are drawn anew; None where that cannot be told.
+        Central 95 % of what it is when paths are resampled (bootstrap); None where that cannot be told.
     """
 
     stage: int
@@ -126,7 +126,7 @@ def _sway(curve: QCurve) -> float:
 
 
 def _replicates(stored: StoredPolicy, logs: Logs, num_replicates: int, seed: int) -> Any:
-    """Learn again from paths drawn anew; None where learning from this log does not give this policy."""
+    """Learn again from paths resampled (bootstrap); None where learning from this log does not give this policy."""
     learned = stored.record["learner"]
     if learned.get("censoring") not in (*CENSORING_NAMES, BUCKLEY_JAMES, NONE):
         return None

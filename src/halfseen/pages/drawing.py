@@ -1,4 +1,4 @@
-"""Figures as SVG elements that stand in one page beside others: the same numbers give the same bytes."""
+"""Figures as bytes: the same numbers give the same bytes, whatever the user's own style is."""
 
 import io
 import re
@@ -13,14 +13,15 @@ from markupsafe import Markup, escape
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-INK, SOFT, FAINT = "#222222", "#777777", "#d9d9d9"
-# Okabe and Ito (2008).
-OURS, THEIRS, ALARM = "#0072B2", "#777777", "#D55E00"
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-WIDTH_INCHES = 7.4
+from halfseen.pages.palette import INK
+
 MOST_MARKERS = 3000
 """A line of more markers becomes a picture within the drawing, which stays small however long the log."""
-
+DOTS_PER_INCH = {"png": 200, "svg": 150}
+METADATA: dict[str, dict[str, None]] = {
+    "png": {"Software": None},
+    "svg": {"Date": None, "Creator": None, "Format": None, "Type": None},
+}
 STYLE: Any = {
     "svg.hashsalt": "halfseen",
     # Words stay words: they can be searched and read aloud, and a browser has letters that DejaVu lacks.
@@ -36,6 +37,7 @@ STYLE: Any = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "lines.linewidth": 1.8,
+    "lines.markersize": 4.5,
 }
 
 
@@ -48,8 +50,28 @@ def style() -> Iterator[None]:
         yield
 
 
+def drawn(figure_of: Callable[[], Figure], kind: str) -> bytes:
+    """Draw a figure.
+
+    Parameters
+    ----------
+    figure_of
+        Makes the figure.
+    kind
+        ``"svg"`` or ``"png"``.
+    """
+    buffer = io.BytesIO()
+    with style(), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+        figure = figure_of()
+        FigureCanvasAgg(figure)
+        _lighten(figure)
+        figure.savefig(buffer, format=kind, dpi=DOTS_PER_INCH[kind], metadata=METADATA[kind])
+    return buffer.getvalue()
+
+
 def inline_svg(figure_of: Callable[[], Figure], prefix: str, title: str) -> Markup:
-    """Draw a figure as an SVG element.
+    """Draw a figure as an SVG element that stands in a page beside others.
 
     Parameters
     ----------
@@ -60,15 +82,7 @@ def inline_svg(figure_of: Callable[[], Figure], prefix: str, title: str) -> Mark
     title
         What it shows, for those who do not see it.
     """
-    buffer = io.BytesIO()
-    with style(), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
-        figure = figure_of()
-        FigureCanvasAgg(figure)
-        _lighten(figure)
-        nothing = {"Date": None, "Creator": None, "Format": None, "Type": None}
-        figure.savefig(buffer, format="svg", dpi=150, metadata=nothing)
-    text = buffer.getvalue().decode()
+    text = drawn(figure_of, "svg").decode()
     text = text[text.index("<svg") :]
     text = re.sub(r'\s(?:xmlns(?::xlink)?|version)="[^"]*"', "", text)
     text = re.sub(r"<!--.*?-->\s*", "", text, flags=re.DOTALL).replace("xlink:href", "href")

@@ -2,7 +2,8 @@ import math
 
 import pytest
 
-from halfseen.report.words import amount, as_sentence, counted, listed, percent, with_interval
+from halfseen.pages.numbers import percent, significant, with_interval
+from halfseen.pages.sentences import as_sentence, counted, listed
 
 
 @pytest.mark.parametrize(
@@ -10,7 +11,7 @@ from halfseen.report.words import amount, as_sentence, counted, listed, percent,
     [(0.0, "0"), (-0.0297, "−0.0297"), (12345.6, "12,346"), (1e-9, "1.00e−09"), (None, "–"), (math.inf, "–")],
 )
 def test_amounts_have_three_digits_and_a_true_minus(value, text):
-    assert amount(value) == text
+    assert significant(value) == text
 
 
 @pytest.mark.parametrize(
