@@ -181,5 +181,6 @@ def _policy_words(findings: Findings) -> list[tuple[str, str]]:
 def _worth(weights: Any) -> str:
     return (
         f"{counted(weights['num_seen'], 'stage')}, effective sample size "
-        f"{significant(weights['effective_sample_size'])}; the largest weight is {significant(weights['largest_weight'])}"
+        f"{significant(weights['effective_sample_size'])}; the largest weight is "
+        f"{significant(weights['largest_weight'])}"
     )

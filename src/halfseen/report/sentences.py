@@ -45,12 +45,13 @@ def values_title(evaluation: Evaluation) -> str:
     if evaluation.verdict == "cannot be said":
         _, within = with_interval(ours, evaluation.doubly_robust.low, evaluation.doubly_robust.high)
         return (
-            f"A path earns {within} with the learned policy, as far as these logs tell, and {significant(own)} with the "
-            "logging policy"
+            f"A path earns {within} with the learned policy, as far as these logs tell, and {significant(own)} with "
+            "the logging policy"
         )
     agree = all(one.low <= ours <= one.high for one in (evaluation.importance_sampling, evaluation.fitted_q))
     others = "the two other estimates agree" if agree else "the other estimates do not all agree, so read it with care"
-    return f"A path earns {significant(ours)} with the learned policy and {significant(own)} with the logging policy; {others}"
+    return f"A path earns {significant(ours)} with the learned policy and {significant(own)} with the logging policy; "
+    f"{others}"
 
 
 def watched_title(watched: Watched, log: Mapping[str, Any]) -> str:
@@ -170,13 +171,13 @@ def _about_propensity(findings: Findings) -> tuple[str, str]:
     if findings.model["propensity"] == "logged":
         return (
             "The logged probabilities are right.",
-            "Each is taken to be the probability with which the logged action was drawn there. A person who overrode the "
-            "robot now and then makes them wrong.",
+            "Each is taken to be the probability with which the logged action was drawn there. A person who overrode "
+            "the robot now and then makes them wrong.",
         )
     return (
         "What the policy looks at is what the logging policy looked at.",
-        "The probabilities of the logged actions were estimated from that alone. If somebody chose by something else that "
-        "also sways the reward, the numbers are off.",
+        "The probabilities of the logged actions were estimated from that alone. If somebody chose by something else "
+        "that also sways the reward, the numbers are off.",
     )
 
 
@@ -184,6 +185,6 @@ def _about_untried(findings: Findings) -> tuple[str, str]:
     worth = findings.evaluation.doubly_robust.effective_sample_size
     return (
         "What was never tried stays unknown.",
-        f"{counted(findings.log['num_paths'], 'path')} have an effective sample size of {significant(worth)} for the learned policy. Where "
-        "it does what nobody did, its value rests on a model that goes beyond the data.",
+        f"{counted(findings.log['num_paths'], 'path')} have an effective sample size of {significant(worth)} for the "
+        "learned policy. Where it does what nobody did, its value rests on a model that goes beyond the data.",
     )
