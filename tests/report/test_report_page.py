@@ -13,10 +13,10 @@ from small_report import ACTIONS, CAUSE, COVARIATES, estimate, evaluation, hosti
 from halfseen.errors import ArgumentError
 from halfseen.learners import CensoredQLearner
 from halfseen.logs import Logs
+from halfseen.pages.drawing import MOST_MARKERS, inline_svg
 from halfseen.policies.folder import read_policy, write_policy
 from halfseen.report import findings as found_in
 from halfseen.report import page as page_module
-from halfseen.pages.drawing import MOST_MARKERS, inline_svg
 from halfseen.report.findings import find
 from halfseen.report.log_findings import watched
 from halfseen.report.page import MARK, page_of, write_page

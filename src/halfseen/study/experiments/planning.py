@@ -266,8 +266,8 @@ def _steps(figure3: pd.DataFrame) -> str:
     for verb, sign, end in (("gains", 1, "low"), ("loses", -1, "high")):
         steps = [str(row["planning_horizon"]) for row in rows if sign * row[f"over_previous_{end}"] > 0]
         if steps:
-            parts.append(f"step {listed(steps)} {verb} reward")
-    return listed(parts) or "no single step more makes a significant difference"
+            parts.append(f"one more step {verb} reward at {listed(steps)}")
+    return listed(parts) or "no single step makes a significant difference"
 
 
 def _captions(design: Planning, figure2: pd.DataFrame) -> tuple[str, str]:
