@@ -1,5 +1,4 @@
 import re
-import sys
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -23,7 +22,6 @@ from halfseen.report.page import MARK, page_of, write_page
 from halfseen.report.policy_findings import choices, q_curves
 from halfseen.report.value_figure import draw_values
 from halfseen.report.watched_figure import draw_watched
-
 from small_logs import table_log
 
 SECTIONS = ("value", "log", "weights", "policy", "unknown", "again")

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 import pytest
+from halfseen.learners.q_learning.encoding import Encoded, encode_states
 
 from halfseen.censoring import stage_weights
 <<<<<<< HEAD
@@ -17,7 +18,6 @@ from halfseen.tables.variance_reduction import expected_rewards, label_control_v
 =======
 from halfseen.errors import ArgumentError
 from halfseen.learners import CensoredQLearner
-from halfseen.learners.q_learning.encoding import Encoded, encode_states
 from halfseen.planners import GreedyPolicy
 from halfseen.tables.variance_reduction import expected_rewards, label_surprises, wash_outcomes
 >>>>>>> 18d9377 (study: benchmark, README and tests follow the experiments)

@@ -50,8 +50,8 @@ def values_title(evaluation: Evaluation) -> str:
         )
     agree = all(one.low <= ours <= one.high for one in (evaluation.importance_sampling, evaluation.fitted_q))
     others = "the two other estimates agree" if agree else "the other estimates do not all agree, so read it with care"
-    return f"A path earns {significant(ours)} with the learned policy and {significant(own)} with the logging policy; "
-    f"{others}"
+    earned = f"{significant(ours)} with the learned policy and {significant(own)} with the logging policy"
+    return f"A path earns {earned}; {others}"
 
 
 def watched_title(watched: Watched, log: Mapping[str, Any]) -> str:
