@@ -10,7 +10,7 @@ from tiny import SETTING
 
 from halfseen.errors import ArgumentError
 from halfseen.learners import CensoredQLearner
-from halfseen.study.pipeline import TREATMENTS, Encoded, Source, episodes_in_turn
+from halfseen.study.pipeline import TREATMENTS, Source, episodes_in_turn
 from halfseen.study.policies import HEURISTICS, horizon_planner
 from halfseen.study.single_play import play_singly
 from halfseen.world import Scene, UniformPolicy, WorldConfig
@@ -50,11 +50,11 @@ def cut_by_hand(is_cut=True):
 def seen(treatment, is_cut=True):
     """Reward, weight and last stages as the learner's regression has them."""
     source = Source(CONFIG, pad_scenes([Scene(np.zeros((2, 2)))]), 0)
-    encoded = Encoded(source, np.zeros((5, 3, 5, 2)), np.ones((5, 3, 5), dtype=bool))
-    paths = encoded.lay_out(cut_by_hand(is_cut), treatment, 5)
-    learner = CensoredQLearner.for_table(3, censoring="kaplan-meier" if treatment == "weighted" else "none")
-    model = learner.fit_cuts(paths)
-    weight = paths.is_completed.astype(float) if model is None else model.weights(paths)
+    cuts = cut_by_hand(is_cut)
+    encoded = source.encode(cuts.episodes)
+    paths = encoded.lay_out(cuts, treatment, 5)
+    model = encoded.model(treatment)
+    weight = model.targets.weights(paths, model.targets.fit_cuts(paths.clocks))
     return paths.reward, weight, paths.is_last
 
 

@@ -15,7 +15,7 @@ A cut path is treated in one of four ways, as what the learner sees of it:
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -23,12 +23,14 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from halfseen.censoring import weight_diagnostics
+from halfseen.censoring import StageClocks, weight_diagnostics
 from halfseen.errors import ArgumentError
 from halfseen.learners import CensoredQLearner
-from halfseen.learners.q_learning.encoding import encode_states
 from halfseen.learners.q_learning.path_arrays import PathArrays
+from halfseen.learners.q_learning.q_model import QModel
+from halfseen.learners.q_learning.task import Encoded
 from halfseen.study.policies import logging_policy
+from halfseen.tables.encoding import encoded_states
 from halfseen.tables.table_policy import LinearTablePolicy
 from halfseen.world.action_space import Verb, verb_of
 from halfseen.world.config import WorldConfig
@@ -97,10 +99,9 @@ class Source:
         """Rate that cuts this proportion of the paths in expectation, from a pilot."""
         return cut_rate(self.play(NUM_PILOT_PATHS, PILOT), share, kind)
 
-    def encode(self, episodes: Episodes, grasp: GraspModel | None = None) -> "Encoded":
+    def encode(self, episodes: Episodes, grasp: GraspModel | None = None) -> "EncodedPaths":
         """Encode them once, however they are cut and treated."""
-        features, is_possible = (np.asarray(leaf) for leaf in encode_states(episodes.states, grasp))
-        return Encoded(self, features.astype(np.float64), is_possible, grasp)
+        return EncodedPaths(self, encoded_states(episodes.states, episodes.action, grasp), grasp)
 
     def evaluate(self, policy: Policy, num_episodes: int, purpose: int = EVALUATION) -> Played:
         """Play a policy on the episodes of a purpose that all policies share."""
@@ -124,29 +125,26 @@ def _evaluate_batch(world: WorldConfig, layouts: Layout, policies: Policy, key: 
 
 
 @dataclass(frozen=True)
-class Encoded:
-    """Paths of a source as the learner's features.
+class EncodedPaths:
+    """Paths of a source as the learner sees them.
 
     Parameters
     ----------
     source
         Where they come from.
-    features
-        φ(S_t, a) of every action.
-    is_possible
-        Which actions are possible in S_t.
+    encoded
+        Features, possible actions, and what was done.
     grasp
         What tells the probability of a grasp in the features; None for the rule of succession.
     """
 
     source: Source
-    features: Float[np.ndarray, "n T A F"]
-    is_possible: np.ndarray
+    encoded: Encoded
     grasp: GraspModel | None = None
 
     def lay_out(self, cuts: CutEpisodes, treatment: str, num_paths: int) -> PathArrays:
         """The first paths of a log as the learner sees them under a treatment."""
-        paths = _path_arrays(cuts, self.features, self.is_possible)
+        paths = _path_arrays(cuts, self.encoded)
         return treated(paths, cuts, treatment, self.source.world).take(np.arange(num_paths))
 
     def learn(
@@ -159,30 +157,30 @@ class Encoded:
         LinearTablePolicy, list of dict
             The policies as one batch; of each, the effective sample size and the largest of its weights.
         """
-        learners = [self._learner(treatment) for _, treatment in logs]
-        rows = []
-        for learner, (cuts, treatment) in zip(learners, logs, strict=True):
+        models, rows = [], []
+        for cuts, treatment in logs:
             paths = self.lay_out(cuts, treatment, num_paths)
-            rows.append(learner.transitions(paths, learner.fit_cuts(paths)))
+            model = self.model(treatment)
+            model = replace(model, cut_model=model.targets.fit_cuts(paths.clocks))
+            models.append(model)
+            rows.append(model.transitions(paths))
         batch = jax.tree.map(lambda *leaves: np.stack(leaves), *rows)
-        learned = learners[0].as_policy(learners[0].fit_transitions(batch))
-        policies = LinearTablePolicy(learned.coefficients, self.grasp)
+        policies = models[0].policy(models[0].fit(batch))
         return policies, [_weights(np.asarray(each.weight)) for each in rows]
 
     def learn_one(self, cuts: CutEpisodes, num_paths: int) -> LinearTablePolicy:
         """Learn from the first paths of a log, weighted."""
         return members(self.learn([(cuts, "weighted")], num_paths)[0])[0]
 
-    def _learner(self, treatment: str) -> CensoredQLearner:
+    def model(self, treatment: str) -> QModel:
+        """How the product's own learner fits Q under a treatment."""
         source = self.source
-        learner = CensoredQLearner.for_table(
+        return CensoredQLearner.for_table(
             source.world.horizon,
+            grasp=self.grasp,
             censoring="kaplan-meier" if treatment == "weighted" else "none",
             random_state=int(np.random.SeedSequence([source.seed, source.index]).generate_state(1)[0]),
-        )
-        # Its arrays are laid out already, so it never fits these.
-        learner.grasp_, learner.kernel_map_ = None, None
-        return learner
+        ).model
 
 
 def members(policies: LinearTablePolicy) -> list[LinearTablePolicy]:
@@ -200,16 +198,16 @@ def treated(paths: PathArrays, cuts: CutEpisodes, treatment: str, world: WorldCo
     """
     if treatment not in TREATMENTS:
         raise ArgumentError(f"treatment is {treatment!r}; it is one of {', '.join(TREATMENTS)}")
+    clocks = paths.clocks
     if treatment == "dropped":
         kept = cuts.is_finished[:, None]
-        return paths._replace(is_begun=paths.is_begun & kept, elapsed_s=np.where(kept, paths.elapsed_s, np.nan))
+        elapsed = np.where(kept, clocks.elapsed_s, np.nan)
+        return paths._replace(clocks=clocks._replace(is_begun=clocks.is_begun & kept, elapsed_s=elapsed))
     if treatment == "failures":
         is_cut_stage = cuts.is_begun & ~cuts.is_completed
-        return paths._replace(
-            reward=np.where(is_cut_stage, _failure_reward(cuts, world), paths.reward),
-            elapsed_s=np.where(is_cut_stage, cuts.end_s[:, None], paths.elapsed_s),
-            is_finished=np.ones_like(paths.is_finished),
-        )
+        elapsed = np.where(is_cut_stage, cuts.end_s[:, None], clocks.elapsed_s)
+        ended = clocks._replace(elapsed_s=elapsed, is_finished=np.ones_like(clocks.is_finished))
+        return paths._replace(reward=np.where(is_cut_stage, _failure_reward(cuts, world), paths.reward), clocks=ended)
     return paths
 
 
@@ -223,23 +221,23 @@ def _failure_reward(cuts: CutEpisodes, world: WorldConfig) -> Float[np.ndarray, 
     return attempt + world.reward_dirty_left * dirty_left
 
 
-def _path_arrays(cuts: CutEpisodes, features: Float[np.ndarray, "n T A F"], is_possible: np.ndarray) -> PathArrays:
+def _path_arrays(cuts: CutEpisodes, encoded: Encoded) -> PathArrays:
     """A log as arrays: what reading back its `Logs` gives, without writing them."""
-    episodes = cuts.episodes
-    return PathArrays(
+    clocks = StageClocks(
         path_ids=np.arange(len(cuts.end_s)),
-        features=features,
-        is_possible=is_possible,
-        action=np.asarray(episodes.action, dtype=np.int64),
-        has_action=cuts.is_begun,
-        probability=np.asarray(episodes.probability, dtype=np.float64),
-        reward=np.where(cuts.is_completed, np.asarray(episodes.reward, dtype=np.float64), 0.0),
         elapsed_s=elapsed_s(cuts),
         end_s=cuts.end_s,
         is_finished=cuts.is_finished,
         is_begun=cuts.is_begun,
         covariates=np.zeros((*cuts.is_begun.shape, 0)),
         covariate_names=(),
+    )
+    return PathArrays(
+        clocks=clocks,
+        encoded=encoded,
+        has_action=cuts.is_begun,
+        probability=np.asarray(cuts.episodes.probability, dtype=np.float64),
+        reward=np.where(cuts.is_completed, np.asarray(cuts.episodes.reward, dtype=np.float64), 0.0),
     )
 
 
