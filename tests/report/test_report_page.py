@@ -10,6 +10,7 @@ from markupsafe import Markup
 from small_report import ACTIONS, CAUSE, COVARIATES, estimate, evaluation, hostile_log
 
 from halfseen.errors import ArgumentError
+from halfseen.evaluation.targets import task_of
 from halfseen.learners import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.pages.drawing import MOST_MARKERS, inline_svg
@@ -189,7 +190,7 @@ def test_a_log_without_cuts_says_so_and_assumes_nothing_of_them(stored, monkeypa
 
 
 def test_choices_are_shares_of_the_same_states(stored, logs):
-    for row in choices(stored, logs):
+    for row in choices(stored, task_of(stored.policy, logs), logs):
         states = logs.stages[logs.stages["stage"] == row["stage"]]
         taken = stored.policy.decide(states, row["stage"])
         assert row["num_states"] == len(states)
