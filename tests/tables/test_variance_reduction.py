@@ -1,57 +1,27 @@
 """Less noise, the same mean: what a WASH pays, what labels say; and Q varies less from log to log."""
 
-from typing import NamedTuple
-
 import jax
 import numpy as np
 import pytest
-from halfseen.learners.q_learning.encoding import Encoded, encode_states
 
 from halfseen.censoring import stage_weights
-<<<<<<< HEAD
 from halfseen.learners import CensoredQLearner, NamedActions
 from halfseen.learners.q_learning.path_arrays import path_arrays
 from halfseen.learners.q_learning.task import Encoded
 from halfseen.planners import GreedyPolicy
 from halfseen.tables.encoding import encoded_states
 from halfseen.tables.variance_reduction import expected_rewards, label_control_variates, wash_outcomes
-=======
-from halfseen.errors import ArgumentError
-from halfseen.learners import CensoredQLearner
-from halfseen.planners import GreedyPolicy
-from halfseen.tables.variance_reduction import expected_rewards, label_surprises, wash_outcomes
->>>>>>> 18d9377 (study: benchmark, README and tests follow the experiments)
 from halfseen.world import ExploringPolicy, Scene, TableWorld, WorldConfig
 from halfseen.world.action_space import ActionSpace, Verb
 from halfseen.world.cuts import cut, cut_rate
 from halfseen.world.episodes import play
-<<<<<<< HEAD
 from halfseen.world.recording import to_logs
-=======
-from halfseen.world.recording import elapsed_s
->>>>>>> 18d9377 (study: benchmark, README and tests follow the experiments)
 from halfseen.world.state import pad_scenes
 
 CONFIG = WorldConfig()
 SCENE = Scene(np.array([[0.0, 0.5, 0.0], [0.0, 0.0, 0.0], [0.3, 0.3, 0.0]]), name="three")
 SPACE = ActionSpace(3)
 LOGGER = ExploringPolicy(GreedyPolicy(CONFIG, uses_history=True, counts_penalty=True), 0.5)
-
-
-class Seen(NamedTuple):
-    reward: np.ndarray
-    weight: np.ndarray
-    is_last: np.ndarray
-
-
-def seen_of(cuts, is_weighted=True):
-    """Reward, weight and last stages of a log, as a learner has them."""
-    reward = np.where(cuts.is_completed, np.asarray(cuts.episodes.reward, dtype=np.float64), 0.0)
-    last = cuts.is_completed.sum(axis=1) - 1
-    is_last = (np.arange(reward.shape[1]) == last[:, None]) & cuts.is_finished[:, None]
-    if not is_weighted:
-        return Seen(reward, cuts.is_completed.astype(np.float64), is_last)
-    return Seen(reward, stage_weights(elapsed_s(cuts), cuts.end_s, cuts.is_finished), is_last)
 
 
 @pytest.fixture(scope="module")
@@ -80,14 +50,8 @@ def of_target(values, action):
     return np.take_along_axis(np.asarray(values), target[..., None], axis=-1)[..., 0]
 
 
-<<<<<<< HEAD
 def test_it_finds_what_a_wash_pays(cuts, encoded, seen, weight):
     expected = expected_rewards(seen.reward, weight, seen.is_last, wash_outcomes(encoded))
-=======
-def test_it_finds_what_a_wash_pays(cuts, encoded):
-    seen = seen_of(cuts)
-    expected = expected_rewards(seen.reward, seen.weight, seen.is_last, wash_outcomes(encoded))
->>>>>>> 18d9377 (study: benchmark, README and tests follow the experiments)
     there = np.asarray(cuts.episodes.states.is_on_table)
     is_wash = SPACE.verb(encoded.action) == Verb.WASH
     used = (weight > 0) & ~seen.is_last & is_wash
@@ -101,7 +65,6 @@ def test_it_finds_what_a_wash_pays(cuts, encoded):
     assert np.array_equal(expected[~used], seen.reward[~used])
 
 
-<<<<<<< HEAD
 def test_the_weighted_mean_stays_what_it_was(cuts, encoded, seen, weight):
     expected = expected_rewards(seen.reward, weight, seen.is_last, wash_outcomes(encoded))
     assert (weight * expected).sum() == pytest.approx((weight * seen.reward).sum(), rel=1e-9)
@@ -112,20 +75,6 @@ def test_the_weighted_mean_stays_what_it_was(cuts, encoded, seen, weight):
 def test_without_a_wash_nothing_changes(cuts, encoded, seen, weight):
     lifted = encoded._replace(action=np.where(encoded.action > 0, SPACE.encode(Verb.LIFT, 0), 0))
     assert np.array_equal(expected_rewards(seen.reward, weight, seen.is_last, wash_outcomes(lifted)), seen.reward)
-=======
-def test_the_weighted_mean_stays_what_it_was(cuts, encoded):
-    seen = seen_of(cuts)
-    expected = expected_rewards(seen.reward, seen.weight, seen.is_last, wash_outcomes(encoded))
-    assert (seen.weight * expected).sum() == pytest.approx((seen.weight * seen.reward).sum(), rel=1e-9)
-    flat = expected_rewards(seen.reward, (seen.weight > 0) * 1.0, seen.is_last, wash_outcomes(encoded))
-    assert np.abs(flat - expected).max() > 1e-4, "the weights must matter"
-
-
-def test_without_a_wash_nothing_changes(cuts, encoded):
-    seen = seen_of(cuts)
-    lifted = encoded._replace(action=np.where(encoded.action > 0, 1 + SCENE.num_objects, 0))
-    assert np.array_equal(expected_rewards(seen.reward, seen.weight, seen.is_last, wash_outcomes(lifted)), seen.reward)
->>>>>>> 18d9377 (study: benchmark, README and tests follow the experiments)
 
 
 @pytest.mark.slow
@@ -143,16 +92,9 @@ def test_q_varies_less_between_logs():
     assert spread(True) < 0.8 * spread(False)
 
 
-<<<<<<< HEAD
 def test_control_variates_have_mean_zero_whatever_was_done(cuts, encoded, seen):
     variates = label_control_variates(encoded)
     verb = SPACE.verb(encoded.action)
-=======
-def test_surprises_have_mean_zero_whatever_was_done(cuts, encoded):
-    surprises = label_surprises(encoded)
-    seen = seen_of(cuts, is_weighted=False)
-    verb = np.asarray(verb_of(encoded.action, SCENE.num_objects))
->>>>>>> 18d9377 (study: benchmark, README and tests follow the experiments)
     for one in (Verb.WASH, Verb.LIFT):
         rows = variates[seen.is_completed & ~seen.is_last & (verb == one)]
         assert (rows.std(axis=0) > 0.01).all()
