@@ -14,12 +14,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from halfseen.study.design import StudyDesign
-from halfseen.study.policies import heuristics, planners
-from halfseen.study.timing import decision_times_ms
+from halfseen.study.policies import HEURISTICS, horizon_planner
+from halfseen.study.single_play import decision_times_ms
 from halfseen.tables.features import NUM_FEATURES
 from halfseen.tables.table_policy import LinearTablePolicy
-from halfseen.world import Scene, TableState, UniformPolicy
+from halfseen.world import Scene, TableState, UniformPolicy, WorldConfig
 from halfseen.world.action_space import Verb
 from halfseen.world.episodes import play
 from halfseen.world.state import pad_scenes
@@ -28,17 +27,16 @@ NUM_OBJECTS = 6
 LEARNED, HISTORY = "learned", "history"
 
 
-def states_along_the_way(design: StudyDesign, num_states: int) -> TableState:
+def states_along_the_way(world: WorldConfig, num_states: int) -> list[TableState]:
     """One state of each of many random tables, early and late ones in turn."""
     rng, shape = np.random.default_rng(0), (NUM_OBJECTS, NUM_OBJECTS)
     scenes = [
         Scene(rng.uniform(0.0, 0.5, shape) * (rng.random(shape) < 0.4) * ~np.eye(NUM_OBJECTS, dtype=bool))
         for _ in range(num_states)
     ]
-    episodes = play(design.world, pad_scenes(scenes), UniformPolicy(), jax.random.key(0), num_states)
+    episodes = play(world, pad_scenes(scenes), UniformPolicy(), jax.random.key(0), num_states)
     lengths = np.asarray(episodes.is_taken.sum(axis=1))
-    each = np.arange(num_states)
-    return jax.tree.map(lambda leaf: leaf[each, each % lengths], episodes.states)
+    return [jax.tree.map(lambda leaf, k=k: leaf[k, k % lengths[k]], episodes.states) for k in range(num_states)]
 
 
 def main() -> None:
@@ -46,10 +44,11 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/benchmarks/decisions.json"))
     parser.add_argument("--states", type=int, default=40)
     args = parser.parse_args()
-    design = StudyDesign()
-    unlearned = LinearTablePolicy(jnp.zeros((design.world.horizon, len(Verb), NUM_FEATURES + 1)))
-    policies = {LEARNED: unlearned, **heuristics(design), **planners(design)}
-    times_ms = decision_times_ms(policies, states_along_the_way(design, args.states), args.states)
+    world = WorldConfig()
+    unlearned = LinearTablePolicy(jnp.zeros((world.horizon, len(Verb), NUM_FEATURES + 1)))
+    others = (*HEURISTICS, *(horizon_planner(h, 128) for h in range(1, 7)))
+    policies = {LEARNED: unlearned} | {each.name: each.policy(world) for each in others}
+    times_ms = decision_times_ms(policies, states_along_the_way(world, args.states))
 
     medians_ms = {name: float(np.median(of)) for name, of in times_ms.items()}
     for name, median_ms in medians_ms.items():

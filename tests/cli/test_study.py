@@ -22,6 +22,10 @@ def test_no_repetitions_are_refused_and_nothing_is_written(tmp_path):
     assert not any(tmp_path.iterdir())
 
 
+def test_an_experiment_that_is_not_there_is_refused_with_those_that_are(tmp_path):
+    assert "--only rewards: there is no such experiment; there are reward, planning" in refused("--only", "rewards")
+
+
 def test_a_folder_that_cannot_be_written_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
 
@@ -32,7 +36,7 @@ def test_a_cloud_that_is_not_there_is_refused_by_name(tmp_path):
     assert "no_such_table.pcd" in refused("--out", tmp_path / "study", tmp_path / "no_such_table.pcd")
 
 
-@pytest.mark.parametrize("option", ["--out", "--repetitions", "--seed", "--resume", "--json"])
+@pytest.mark.parametrize("option", ["--out", "--repetitions", "--only", "--seed", "--resume", "--jobs", "--json"])
 def test_help_shows_an_example_and_every_option(option):
     shown = CliRunner().invoke(study, ["--help"]).output
 

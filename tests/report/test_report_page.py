@@ -1,5 +1,4 @@
 import re
-import sys
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -11,19 +10,19 @@ from markupsafe import Markup
 from small_report import ACTIONS, CAUSE, COVARIATES, estimate, evaluation, hostile_log
 
 from halfseen.errors import ArgumentError
+from halfseen.evaluation.targets import task_of
 from halfseen.learners import CensoredQLearner
 from halfseen.logs import Logs
+from halfseen.pages.drawing import MOST_MARKERS, inline_svg
 from halfseen.policies.folder import read_policy, write_policy
 from halfseen.report import findings as found_in
 from halfseen.report import page as page_module
-from halfseen.report.drawing import MOST_MARKERS, inline_svg
 from halfseen.report.findings import find
 from halfseen.report.log_findings import watched
 from halfseen.report.page import MARK, page_of, write_page
 from halfseen.report.policy_findings import choices, q_curves
 from halfseen.report.value_figure import draw_values
 from halfseen.report.watched_figure import draw_watched
-
 from small_logs import table_log
 
 SECTIONS = ("value", "log", "weights", "policy", "unknown", "again")
@@ -191,7 +190,7 @@ def test_a_log_without_cuts_says_so_and_assumes_nothing_of_them(stored, monkeypa
 
 
 def test_choices_are_shares_of_the_same_states(stored, logs):
-    for row in choices(stored, logs):
+    for row in choices(stored, task_of(stored.policy, logs), logs):
         states = logs.stages[logs.stages["stage"] == row["stage"]]
         taken = stored.policy.decide(states, row["stage"])
         assert row["num_states"] == len(states)

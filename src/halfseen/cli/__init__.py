@@ -19,7 +19,7 @@ VERBS = {
     "convert": "Convert logs between Parquet, CSV, Minari datasets and ROS bags.",
     "look": "Say what a depth camera sees on a table, and who hides whom.",
     "simulate": "Record logs of a policy in the simulated world, some of them cut.",
-    "study": "Regenerate the study: Figure 1, Table 1, Figure 4 and the report.",
+    "study": "Regenerate the study: its figures, tables and report.",
 }
 
 

@@ -10,23 +10,41 @@ EPILOG = "Example: halfseen study --out runs/study --repetitions 200 --resume"
 @click.command(epilog=EPILOG)
 @click.option("--out", default="runs/study", show_default=True, type=click.Path(path_type=Path), help="Folder to fill.")
 @click.option("--repetitions", default=None, type=int, help="Fresh logs and episodes; the paper made 10,000.")
+@click.option("--only", multiple=True, metavar="NAME", help="Run this experiment alone; may be given more than once.")
 @click.option("--seed", default=0, show_default=True, help="All but measured times follows from it.")
 @click.option("--resume", is_flag=True, help="Go on where a killed study stopped, or add repetitions to one.")
+@click.option("--jobs", default=None, type=click.IntRange(min=1), help="Experiments at once; by default one a core.")
 @click.option("--json", "is_json", is_flag=True, help="Print study.json instead of the answer.")
 @click.argument("clouds", nargs=-1, type=click.Path(path_type=Path))
-def study(out: Path, repetitions: int | None, seed: int, resume: bool, is_json: bool, clouds: tuple[Path, ...]) -> None:
-    """Regenerate Figures 1, 4 and 5 and Tables 1 and 3 from ten captured tables, or from CLOUDS of your own."""
-    from halfseen.scene import table_paths
-    from halfseen.study.design import StudyDesign
-    from halfseen.study.run import run_study
+def study(
+    out: Path,
+    repetitions: int | None,
+    only: tuple[str, ...],
+    seed: int,
+    resume: bool,
+    jobs: int | None,
+    is_json: bool,
+    clouds: tuple[Path, ...],
+) -> None:
+    """Regenerate the figures, tables and report of the study from ten captured tables, or from CLOUDS of your own.
 
-    design = StudyDesign(seed=seed) if repetitions is None else StudyDesign(seed=seed, repetitions=repetitions)
-    results = run_study(design, list(clouds) or table_paths(), out, is_resumed=resume)
+    Experiments: reward, planning, censoring, grasp, clutter, regret.
+    """
+    from halfseen.scene import table_paths
+    from halfseen.study.experiment import DEFAULT_REPETITIONS, Setting
+    from halfseen.study.run import chosen, pictures_of, run_study
+    from halfseen.study.scenes import look_at, scenes_of
+
+    experiments, paths = chosen(only), list(clouds) or table_paths()
+    Setting((), repetitions=DEFAULT_REPETITIONS if repetitions is None else repetitions)
+    views = look_at(paths)
+    scenes = scenes_of(views, paths)
+    setting = Setting(scenes, repetitions=DEFAULT_REPETITIONS if repetitions is None else repetitions, seed=seed)
+    pictures = pictures_of(views, [scene.name for scene in scenes])
+    results = run_study(setting, out, experiments, is_resumed=resume, num_jobs=jobs, pictures=pictures)
     if is_json:
         click.echo((out / "study.json").read_text(encoding="utf-8"), nl=False)
         return
-    for sentence in results.sentences:
+    for sentence in results.answer:
         click.echo(sentence)
-    unsupported = int((~results.table1["supported"]).sum())
-    click.echo(f"Table 1: {len(results.table1) - unsupported} claims supported, {unsupported} not supported.")
     click.echo(f"The report: {out / 'report.html'}")

@@ -6,7 +6,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
-from halfseen.report.drawing import FAINT, OURS, THEIRS, WIDTH_INCHES
+from halfseen.pages.axes import NARROW_INCHES
+from halfseen.pages.palette import FAINT, OURS, THEIRS
 
 MOST_ACTIONS, COLUMNS = 9, 3
 
@@ -22,12 +23,12 @@ def drawn_actions(choices: list[dict[str, Any]]) -> list[str]:
 
 
 def draw_choices(choices: list[dict[str, Any]]) -> Figure:
-    """Draw a panel for each action: the share of the states of each stage in which it is taken."""
+    """Draw a panel for each action: the proportion of the states of each stage in which it is taken."""
     names = drawn_actions(choices)
     columns = min(COLUMNS, len(names))
     rows = -(-len(names) // columns)
     height = 2.0 * rows + 0.75
-    figure = Figure(figsize=(WIDTH_INCHES, height))
+    figure = Figure(figsize=(NARROW_INCHES, height))
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     figure.subplots_adjust(
         left=0.105, right=0.985, top=1 - 0.58 / height, bottom=0.5 / height, hspace=0.32, wspace=0.12
@@ -53,7 +54,7 @@ def draw_choices(choices: list[dict[str, Any]]) -> Figure:
         panels[last, column].set_xlabel("stage")
         panels[last, column].tick_params(labelbottom=True)
     for axes in panels[:, 0]:
-        axes.set_ylabel("share of the states")
+        axes.set_ylabel("proportion of the states")
     handles, labels = panels[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="upper left", ncols=2, frameon=False, fontsize=9.5)
     return figure

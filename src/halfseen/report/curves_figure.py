@@ -3,10 +3,11 @@
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from halfseen.report.drawing import COLOURS, WIDTH_INCHES
+from halfseen.pages.axes import NARROW_INCHES
+from halfseen.pages.palette import LINES
 from halfseen.report.policy_findings import QCurve
 
-MOST_ACTIONS, LEGEND_COLUMNS = len(COLOURS), 5
+MOST_ACTIONS, LEGEND_COLUMNS = len(LINES), 5
 
 
 def draw_curves(curves: list[QCurve]) -> Figure:
@@ -14,10 +15,10 @@ def draw_curves(curves: list[QCurve]) -> Figure:
     stages = sorted({curve.stage for curve in curves})
     names = list(dict.fromkeys(curve.covariate for curve in curves))
     actions = list(dict.fromkeys(name for curve in curves for name in curve.q))[:MOST_ACTIONS]
-    colour = dict(zip(actions, COLOURS, strict=False))
+    colour = dict(zip(actions, LINES, strict=False))
     legend = 0.24 * -(-len(actions) // LEGEND_COLUMNS)
     height = 2.1 * len(stages) + 0.61 + legend
-    figure = Figure(figsize=(WIDTH_INCHES, height))
+    figure = Figure(figsize=(NARROW_INCHES, height))
     panels = figure.subplots(len(stages), len(names), sharex="col", sharey="row", squeeze=False)
     figure.subplots_adjust(
         left=0.1, right=0.985, top=1 - (legend + 0.18) / height, bottom=0.52 / height, hspace=0.18, wspace=0.1

@@ -13,12 +13,15 @@ import halfseen
 from halfseen.censoring.positivity import PositivityReport
 from halfseen.errors import HalfseenWarning
 from halfseen.evaluation import Evaluation, evaluate
-from halfseen.evaluation.stored_model import model_of
+from halfseen.evaluation.stored_model import specification_of
+from halfseen.evaluation.targets import task_of
 from halfseen.logs import Logs
 from halfseen.policies.folder import StoredPolicy, log_digest
 from halfseen.report.log_findings import Watched, log_findings, positivity_of, watched
 from halfseen.report.policy_findings import QCurve, choices, q_curves
 
+ASKED = {"censoring_covariates": "covariates", "truncate_at": "truncate_at"}
+"""Name on the page → name in the specification of the cuts, where it has one."""
 LIBRARIES = ("jax", "matplotlib", "numpy", "pandas", "scikit-learn", "scipy")
 
 
@@ -117,7 +120,7 @@ def find(
         Is told what comes next.
     chosen
         Parameters of the evaluation that are not to be the policy's own; see
-        `halfseen.evaluation.stored_model.model_of`.
+        `halfseen.evaluation.stored_model.specification_of`.
 
     Raises
     ------
@@ -127,17 +130,19 @@ def find(
     on_progress("evaluate")
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always", HalfseenWarning)
-        model = model_of(stored, logs, **chosen)
-        evaluation = evaluate(stored.policy, logs, model, propensity=propensity, random_state=seed)
+        spec = specification_of(stored, logs, **chosen)
+        task = spec.q.task or task_of(stored.policy, logs)
+        options: Any = {"propensity": propensity, "random_state": seed}
+        evaluation = evaluate(stored.policy, logs, censoring=spec.censoring, q=spec.q, **options)
         on_progress("look at the log")
         positivity = positivity_of(logs)
         log = log_findings(logs, positivity)
         on_progress("look at the policy")
-        decided = choices(stored, logs)
+        decided = choices(stored, task, logs)
         on_progress("learn again")
         curves = q_curves(stored, logs, num_replicates, seed)
     digest = log_digest(logs)
-    parameters = ("censoring", "censoring_by", "censoring_covariates", "augmented", "truncate_at")
+    asked = {name: getattr(spec.censoring, of, None) for name, of in ASKED.items()}
     return Findings(
         log=log,
         positivity=positivity,
@@ -146,7 +151,7 @@ def find(
         choices=decided,
         curves=curves,
         evaluation=evaluation,
-        model={"propensity": propensity, **{name: getattr(model, name) for name in parameters}},
+        model={"propensity": propensity, **spec.as_dict(), **asked},
         log_sha256=digest,
         is_own_log=digest == stored.record["log"].get("sha256"),
         notes=list(dict.fromkeys(str(one.message) for one in told if issubclass(one.category, HalfseenWarning))),

@@ -1,21 +1,21 @@
 """The page: findings in, HTML out; it stands alone, without scripts or anything to load."""
 
-import os
 from functools import partial
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import jinja2
-
 from halfseen.errors import ArgumentError
-from halfseen.report import sentences, words
+from halfseen.pages.drawing import inline_svg
+from halfseen.pages.html import rendered
+from halfseen.pages.numbers import percent, significant, with_interval
+from halfseen.pages.sentences import as_sentence, counted, listed
+from halfseen.report import sentences
 from halfseen.report.choices_figure import draw_choices, drawn_actions
 from halfseen.report.curves_figure import MOST_ACTIONS, draw_curves
-from halfseen.report.drawing import inline_svg
 from halfseen.report.findings import Findings
 from halfseen.report.value_figure import draw_values
 from halfseen.report.watched_figure import draw_watched
+from halfseen.writing import write_file
 
 MARK = '<meta name="generator" content="halfseen report">'
 MARKED_CHARS = 1000
@@ -32,17 +32,10 @@ def page_of(findings: Findings, command: str) -> str:
     command
         What makes it again.
     """
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    functions = (significant, with_interval, percent, listed, counted, as_sentence)
+    return rendered(
+        "halfseen.report", "page.html.j2", _content(findings, command), **{each.__name__: each for each in functions}
     )
-    environment.globals.update(
-        {
-            name: getattr(words, name)
-            for name in ("amount", "with_interval", "percent", "listed", "counted", "as_sentence")
-        }
-    )
-    template = environment.from_string(files("halfseen.report").joinpath("page.html.j2").read_text(encoding="utf-8"))
-    return template.render(_content(findings, command))
 
 
 def check_page_target(file: Path, overwrite: bool) -> None:
@@ -73,15 +66,7 @@ def write_page(page: str, file: Path, *, overwrite: bool = False) -> None:
         The file is there already, is no page of this kind, or cannot be written.
     """
     check_page_target(file, overwrite)
-    fresh = file.with_name(f".{file.name}.{os.getpid()}.new")
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        fresh.write_text(page, encoding="utf-8")
-        fresh.replace(file)
-    except OSError as error:
-        raise ArgumentError(f"{file}: it cannot be written ({error.strerror or error}); choose another file") from error
-    finally:
-        fresh.unlink(missing_ok=True)
+    write_file(file, page)
 
 
 def _content(findings: Findings, command: str) -> dict[str, Any]:
@@ -176,11 +161,11 @@ def _policy_words(findings: Findings) -> list[tuple[str, str]]:
     reg = f"{regs[0]:.3g}" if regs[0] == regs[-1] else f"{regs[0]:.3g} to {regs[-1]:.3g}"
     looks_at = "where objects stand, who hides whom, how dirty each seems, past attempts"
     if record["kind"] == "flat":
-        looks_at = words.listed(schema["covariates"]) or "nothing but the stage"
+        looks_at = listed(schema["covariates"]) or "nothing but the stage"
     censoring = str(learner["censoring"])
     return [
         ("looks at", looks_at),
-        ("chooses among", words.listed([str(name) for name in schema["actions"]])),
+        ("chooses among", listed([str(name) for name in schema["actions"]])),
         ("stages of a path at most", str(schema["horizon"])),
         ("Q", f"{learner['q_function']}, {learner['stages']} stages"),
         (
@@ -195,6 +180,7 @@ def _policy_words(findings: Findings) -> list[tuple[str, str]]:
 
 def _worth(weights: Any) -> str:
     return (
-        f"{words.counted(weights['num_seen'], 'stage')}, worth {words.amount(weights['effective_sample_size'])} "
-        f"equally weighted ones; the largest weight is {words.amount(weights['largest_weight'])}"
+        f"{counted(weights['num_seen'], 'stage')}, effective sample size "
+        f"{significant(weights['effective_sample_size'])}; the largest weight is "
+        f"{significant(weights['largest_weight'])}"
     )

@@ -1,6 +1,5 @@
 """What a policy looks at, and what it would do in the states of a log where another one decided."""
 
-from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,13 +7,15 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from halfseen.censoring import CENSORING_NAMES
-from halfseen.evaluation.stored_model import model_of
+from halfseen.evaluation.targets import task_of
+from halfseen.learners import CensoredQLearner
 from halfseen.learners.q_learning.bootstrap import bootstrap
-from halfseen.learners.q_learning.checks import BUCKLEY_JAMES, NONE
 from halfseen.learners.q_learning.flat_policy import FlatPolicy, covariate_values
+from halfseen.learners.q_learning.targets import CENSORING_CHOICES
+from halfseen.learners.q_learning.task import Task
 from halfseen.logs import Logs
-from halfseen.policies.folder import StoredPolicy
+from halfseen.policies.folder import StoredPolicy, q_space_of_record
+from halfseen.policies.folder.specification import reg_of_record, targets_of_record
 from halfseen.policies.shares import action_shares
 
 MOST_STAGES, MOST_COVARIATES = 3, 4
@@ -25,16 +26,16 @@ SAME_COEFFICIENTS = 1e-6
 BAND_LEVEL = 0.95
 
 
-def choices(stored: StoredPolicy, logs: Logs) -> list[dict[str, Any]]:
+def choices(stored: StoredPolicy, task: Task, logs: Logs) -> list[dict[str, Any]]:
     """Tell for each stage of a log what was done there, and what the policy would do in the same states.
 
     Returns
     -------
     list of dict
-        stage, num_states; as_logged, the share of the states with a known action in which the policy takes that one
-        (None without such states); policy and logged, for each action its share.
+        stage, num_states; as_logged, the proportion of the states with a known action in which the policy takes that
+        one (None without such states); policy and logged, for each action its proportion.
     """
-    shares = action_shares(stored.policy, logs)
+    shares = action_shares(stored.policy, task, logs)
     frame: Any = logs.stages[["stage", "action"]].dropna()
     logged = {
         stage: names.astype(str).value_counts(normalize=True) for stage, names in frame.groupby("stage")["action"]
@@ -68,7 +69,7 @@ class QCurve:
     q
         Q of each possible action.
     low, high
-        Central 95 % of what it is when paths are drawn anew; None where that cannot be told.
+        Central 95 % of what it is when paths are resampled (bootstrap); None where that cannot be told.
     """
 
     stage: int
@@ -126,12 +127,19 @@ def _sway(curve: QCurve) -> float:
 
 
 def _replicates(stored: StoredPolicy, logs: Logs, num_replicates: int, seed: int) -> Any:
-    """Learn again from paths drawn anew; None where learning from this log does not give this policy."""
-    learned = stored.record["learner"]
-    if learned.get("censoring") not in (*CENSORING_NAMES, BUCKLEY_JAMES, NONE):
+    """Learn again from paths resampled (bootstrap); None where learning from this log does not give this policy."""
+    learned, policy = stored.record["learner"], stored.policy
+    if learned.get("censoring") not in CENSORING_CHOICES:
         return None
-    names: tuple[Hashable, ...] = ("censoring", "augmented", "outcome_covariates", "reg", "num_folds", "random_state")
-    learner = model_of(stored, logs, **{str(name): learned.get(name) for name in names}).fit(logs)
+    learner = CensoredQLearner(
+        policy.horizon,
+        task_of(policy, logs),
+        censoring=targets_of_record(learned),
+        q_function=q_space_of_record(learned),
+        reg=reg_of_record(learned),
+        stages=learned["stages"],
+        random_state=learned.get("random_state") or 0,
+    ).fit(logs)
     again, ours = (np.asarray(policy.coefficients) for policy in (learner.policy_, stored.policy))
     scale = max(1.0, float(np.abs(ours).max()))
     if again.shape != ours.shape or np.abs(again - ours).max() > SAME_COEFFICIENTS * scale:

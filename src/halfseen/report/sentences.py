@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 
 from halfseen.evaluation import Evaluation
+from halfseen.pages.numbers import percent, significant, with_interval
+from halfseen.pages.sentences import as_sentence, counted, listed
 from halfseen.report.findings import Findings
 from halfseen.report.log_findings import Watched
 from halfseen.report.policy_findings import QCurve
-from halfseen.report.words import amount, as_sentence, counted, listed, percent, with_interval
 
 VERDICTS = {
     "better": "The learned policy is better than the logging policy",
@@ -44,12 +45,13 @@ def values_title(evaluation: Evaluation) -> str:
     if evaluation.verdict == "cannot be said":
         _, within = with_interval(ours, evaluation.doubly_robust.low, evaluation.doubly_robust.high)
         return (
-            f"A path earns {within} with the learned policy, as far as these logs tell, and {amount(own)} with the "
-            "logging policy"
+            f"A path earns {within} with the learned policy, as far as these logs tell, and {significant(own)} with "
+            "the logging policy"
         )
     agree = all(one.low <= ours <= one.high for one in (evaluation.importance_sampling, evaluation.fitted_q))
     others = "the two other estimates agree" if agree else "the other estimates do not all agree, so read it with care"
-    return f"A path earns {amount(ours)} with the learned policy and {amount(own)} with the logging policy; {others}"
+    earned = f"{significant(ours)} with the learned policy and {significant(own)} with the logging policy"
+    return f"A path earns {earned}; {others}"
 
 
 def watched_title(watched: Watched, log: Mapping[str, Any]) -> str:
@@ -124,8 +126,8 @@ def unknowable(findings: Findings) -> list[tuple[str, str]]:
             "or another shift are another cell.",
         ),
         (
-            "Intervals tell of chance alone.",
-            "95 of 100 such intervals hold the truth where all of the above is so. They do not widen where it is "
+            "Intervals cover sampling error alone.",
+            "95 of 100 such intervals hold the true value where all of the above is so. They do not widen where it is "
             "not, and that of fitted Q does not even know whether its model is right.",
         ),
     ]
@@ -151,11 +153,11 @@ def _about_cuts(findings: Findings) -> list[tuple[str, str]]:
         ),
         (
             "Nothing is known of longer paths.",
-            f"No path was watched beyond {amount(until_s)} s, so nothing here speaks of later.",
+            f"No path was watched beyond {significant(until_s)} s, so nothing here speaks of later.",
         ),
     ]
     if model["truncate_at"] is not None:
-        bound = amount(model["truncate_at"])
+        bound = significant(model["truncate_at"])
         told.append(
             (
                 "Weights were bounded.",
@@ -169,13 +171,13 @@ def _about_propensity(findings: Findings) -> tuple[str, str]:
     if findings.model["propensity"] == "logged":
         return (
             "The logged probabilities are right.",
-            "Each is taken to be the chance with which the logged action was drawn there. A person who overrode the "
-            "robot now and then makes them wrong.",
+            "Each is taken to be the probability with which the logged action was drawn there. A person who overrode "
+            "the robot now and then makes them wrong.",
         )
     return (
         "What the policy looks at is what the logging policy looked at.",
-        "The chances of the logged actions were estimated from that alone. If somebody chose by something else that "
-        "also sways the reward, the numbers are off.",
+        "The probabilities of the logged actions were estimated from that alone. If somebody chose by something else "
+        "that also sways the reward, the numbers are off.",
     )
 
 
@@ -183,6 +185,6 @@ def _about_untried(findings: Findings) -> tuple[str, str]:
     worth = findings.evaluation.doubly_robust.effective_sample_size
     return (
         "What was never tried stays unknown.",
-        f"{counted(findings.log['num_paths'], 'path')} are worth {amount(worth)} that follow the learned policy. Where "
-        "it does what nobody did, its value rests on a model that goes beyond the data.",
+        f"{counted(findings.log['num_paths'], 'path')} have an effective sample size of {significant(worth)} for the "
+        "learned policy. Where it does what nobody did, its value rests on a model that goes beyond the data.",
     )

@@ -6,8 +6,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from halfseen.evaluation import Estimate, Evaluation
-from halfseen.report.drawing import ALARM, FAINT, INK, OURS, SOFT, THEIRS, WIDTH_INCHES
-from halfseen.report.words import with_interval
+from halfseen.pages.axes import NARROW_INCHES
+from halfseen.pages.numbers import with_interval
+from halfseen.pages.palette import ALARM, FAINT, INK, OURS, SOFT, THEIRS
 
 BOUND_SPANS = 1.0
 """How far beyond the other intervals that of importance sampling is drawn, in their span."""
@@ -16,7 +17,7 @@ COLOURS = {"better": OURS, "not better": ALARM, "cannot be said": SOFT}
 
 def draw_values(evaluation: Evaluation) -> Figure:
     """Draw the values above, and below them the difference with a line at 0."""
-    figure = Figure(figsize=(WIDTH_INCHES, 3.7))
+    figure = Figure(figsize=(NARROW_INCHES, 3.7))
     values, gap = figure.subplots(2, 1, height_ratios=[4.0, 1.0])
     figure.subplots_adjust(left=0.235, right=0.70, top=0.98, bottom=0.14, hspace=0.62)
     rows = {
@@ -28,11 +29,11 @@ def draw_values(evaluation: Evaluation) -> Figure:
     core = [evaluation.logging, evaluation.doubly_robust, evaluation.fitted_q]
     _forest(values, rows, _limits(core, [evaluation.importance_sampling]))
     values.axvline(evaluation.logging.value, color=FAINT, lw=1.0, zorder=0)
-    values.set_xlabel("reward of a path, in mean")
+    values.set_xlabel("mean reward of a path")
     colour = COLOURS[evaluation.verdict]
     _forest(gap, {"learned − logging": (evaluation.difference, colour, True)}, _limits([evaluation.difference], []))
     gap.axvline(0.0, color=INK, lw=1.0, ls=(0, (4, 3)), zorder=0)
-    gap.set_xlabel("reward that the learned policy earns more; dashed: none")
+    gap.set_xlabel("gain: reward of the learned policy over the logging policy's; dashed: no gain")
     return figure
 
 

@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from halfseen.report.drawing import COLOURS, FAINT, INK, OURS, WIDTH_INCHES
+from halfseen.pages.axes import NARROW_INCHES
+from halfseen.pages.palette import FAINT, INK, LINES, OURS
 from halfseen.report.log_findings import FINISHED_ROW, Watched
 
 
@@ -13,7 +14,7 @@ def draw_watched(watched: Watched) -> Figure:
     """Draw Ĝ, below it the ends of paths, and below these the numbers still watched."""
     num_rows = len(watched.ends_s)
     heights = [2.5, 0.24 * num_rows + 0.1]
-    figure = Figure(figsize=(WIDTH_INCHES, sum(heights) + 0.9))
+    figure = Figure(figsize=(NARROW_INCHES, sum(heights) + 0.9))
     curve, ends = figure.subplots(2, 1, sharex=True, height_ratios=heights)
     figure.subplots_adjust(left=0.235, right=0.97, top=0.97, bottom=0.73 / (sum(heights) + 0.9), hspace=0.08)
     curve.step(watched.time_s, watched.survival, where="post", color=OURS)
@@ -22,7 +23,7 @@ def draw_watched(watched: Watched) -> Figure:
     curve.grid(axis="y", color=FAINT, lw=0.7)
     curve.tick_params(axis="x", length=0, labelbottom=False)
     for place, (name, ends_s) in enumerate(watched.ends_s.items()):
-        colour = INK if name == FINISHED_ROW else COLOURS[1:][(place - 1) % (len(COLOURS) - 1)]
+        colour = INK if name == FINISHED_ROW else LINES[1:][(place - 1) % (len(LINES) - 1)]
         ends.plot(ends_s, np.full(len(ends_s), place), "|", ms=9, mew=0.9, alpha=0.7, color=colour)
     names = [f"{name} ({len(ends_s)})" for name, ends_s in watched.ends_s.items()]
     ends.set_yticks(range(num_rows), names)

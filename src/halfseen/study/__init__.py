@@ -1,9 +1,9 @@
-"""Design → run → compare → report: Figures 1, 4 and 5, Tables 1 and 3.
+"""The study: one runner, one pipeline, and an experiment for each question.
 
-Read down: `design` → `policies` (who takes part) → `scenes` (the captured tables) → `treatments` (of cut paths) →
-`learning` → `repetition` (one of many) → `grasp` (the ablation of grasp models, with its tables, figure and words) →
-`timing` → `store` (what is done stays done) → `statistics` → `tables` → `results` → `figures`, `sentences`, `report` →
-`run` (all of it).
+Read down: `policies` (the registry of who takes part) → `pipeline` (play → encode → cut → treat → learn → evaluate) →
+`single_play` (slow policies, and times) → `experiment` (what an experiment is) → `experiments` (the questions, each
+with its configuration, repetition, tables, figure and claim) → `store`, `runner` (what is done stays done) → `report`
+→ `run` (all of it).
 """
 
 from typing import TYPE_CHECKING
@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING
 from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from halfseen.study.design import StudyDesign
-    from halfseen.study.results import StudyResults
-    from halfseen.study.run import run_study
+    from halfseen.study.experiment import Experiment, Setting
+    from halfseen.study.run import StudyResults, run_study
 
-__all__ = ["StudyDesign", "StudyResults", "run_study"]
+__all__ = ["Experiment", "Setting", "StudyResults", "run_study"]
 
-__getattr__ = lazy_names(__name__, {"StudyDesign": "design", "StudyResults": "results", "run_study": "run"})
+__getattr__ = lazy_names(
+    __name__, {"Experiment": "experiment", "Setting": "experiment", "StudyResults": "run", "run_study": "run"}
+)

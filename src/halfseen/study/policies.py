@@ -1,29 +1,114 @@
-"""Who takes part: the policy that fills the logs, and the baselines."""
+"""The registry of who takes part: each policy's name, how people call it, what kind it is, and how it is made."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import partial
+
+from halfseen.pages.palette import INK, OURS, PLANNER, SOFT
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.planners.pomdp import POMDPPolicy
-from halfseen.study.design import LOG_RANDOM_SHARE, StudyDesign
+from halfseen.world.config import WorldConfig
 from halfseen.world.policy import ExploringPolicy, Policy
 
-HEURISTICS = ("greedy", "history", "greedy-penalty", "history-penalty")
+LOG_RANDOM_SHARE = 0.5
+"""Probability with which a logged action was drawn uniformly at random; else it is the strongest heuristic's."""
 
 
-def heuristics(design: StudyDesign) -> dict[str, GreedyPolicy]:
-    """The four rules of thumb, by name."""
-    return {
-        name: GreedyPolicy(
-            design.world, uses_history=name.startswith("history"), counts_penalty=name.endswith("penalty")
-        )
-        for name in HEURISTICS
-    }
+class Kind(StrEnum):
+    """What a policy goes by."""
+
+    LEARNED = "learned"
+    HEURISTIC = "heuristic"
+    PLANNER = "planner"
+    OPTIMUM = "optimum"
 
 
-def planners(design: StudyDesign) -> dict[str, Policy]:
-    """The POMDP planner at each planning horizon, by name."""
-    return {f"pomdp-{h}": POMDPPolicy(design.world, h, design.planning_simulations) for h in design.planning_horizons}
+COLOURS = {Kind.LEARNED: OURS, Kind.HEURISTIC: SOFT, Kind.PLANNER: PLANNER, Kind.OPTIMUM: INK}
+DASHES = {
+    Kind.LEARNED: (4.0, 2.0),
+    Kind.HEURISTIC: (4.0, 2.0),
+    Kind.PLANNER: (5.0, 1.5, 1.0, 1.5),
+    Kind.OPTIMUM: (1.0, 0.0),
+}
 
 
-def logging_policy(design: StudyDesign) -> ExploringPolicy:
-    """The best heuristic, with a share of the actions drawn by lot."""
-    best = GreedyPolicy(design.world, uses_history=True, counts_penalty=True)
-    return ExploringPolicy(best, LOG_RANDOM_SHARE)
+@dataclass(frozen=True)
+class Contender:
+    """A policy that takes part.
+
+    Parameters
+    ----------
+    name
+        In tables.
+    label
+        For people.
+    kind
+        What it goes by.
+    make
+        Makes it for a world; None where it is learned or known only by its value.
+    """
+
+    name: str
+    label: str
+    kind: Kind
+    make: Callable[[WorldConfig], Policy] | None = None
+
+    @property
+    def colour(self) -> str:
+        """Of its kind."""
+        return COLOURS[self.kind]
+
+    @property
+    def dashes(self) -> tuple[float, ...]:
+        """Of its kind."""
+        return DASHES[self.kind]
+
+    def policy(self, world: WorldConfig) -> Policy:
+        """Make it for a world."""
+        assert self.make is not None, f"{self.name} is not made for a world"
+        return self.make(world)
+
+
+def _heuristic(name: str, label: str, uses_history: bool, counts_penalty: bool) -> Contender:
+    make = partial(GreedyPolicy, uses_history=uses_history, counts_penalty=counts_penalty)
+    return Contender(name, label, Kind.HEURISTIC, make)
+
+
+LEARNED = Contender("censored_q", "learned policy", Kind.LEARNED)
+OPTIMUM = Contender("optimum", "optimum", Kind.OPTIMUM)
+HEURISTICS = (
+    _heuristic("greedy", "greedy", False, False),
+    _heuristic("history", "greedy with history", True, False),
+    _heuristic("greedy-penalty", "greedy, counting the penalty", False, True),
+    _heuristic("history-penalty", "history, counting the penalty", True, True),
+)
+STRONGEST_RULE = HEURISTICS[-1]
+"""Whom the logging policy follows."""
+
+
+def planner(num_simulations: int) -> Contender:
+    """A planner that looks to the end of a path with so many simulations a decision."""
+    label = f"POMDP planner, {num_simulations:,} simulations"
+    return Contender(f"planner-{num_simulations}", label, Kind.PLANNER, partial(_to_the_end, num_simulations))
+
+
+def horizon_planner(horizon: int, num_simulations: int) -> Contender:
+    """A planner that looks so many steps ahead."""
+    label = f"POMDP planner, {horizon} {'step' if horizon == 1 else 'steps'} ahead"
+    make = partial(POMDPPolicy, planning_horizon=horizon, num_simulations=num_simulations)
+    return Contender(f"planner-{horizon}-ahead", label, Kind.PLANNER, make)
+
+
+def _to_the_end(num_simulations: int, world: WorldConfig) -> POMDPPolicy:
+    return POMDPPolicy(world, planning_horizon=world.horizon, num_simulations=num_simulations)
+
+
+def by_name(*contenders: Contender) -> dict[str, Contender]:
+    """Contenders by their names."""
+    return {each.name: each for each in contenders}
+
+
+def logging_policy(world: WorldConfig) -> ExploringPolicy:
+    """The strongest heuristic, with half of the actions drawn uniformly at random."""
+    return ExploringPolicy(STRONGEST_RULE.policy(world), LOG_RANDOM_SHARE)

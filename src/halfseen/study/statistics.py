@@ -1,46 +1,77 @@
-"""Means with their errors, and one-sided paired tests that are adjusted for their number."""
+"""Means over repetitions with Student's t, and one-sided paired tests that are adjusted for their number."""
 
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Float
 from scipy import stats
 
+from halfseen.evaluation.estimate import Estimate, around, estimate_of
+
+LEVEL = 0.95
+
+
+def over_repetitions(values: Float[np.ndarray, " R"]) -> Estimate:
+    """Mean over repetitions with its 95 % interval."""
+    return estimate_of(np.asarray(values, dtype=np.float64), len(values), LEVEL)
+
+
+def columns(estimate: Estimate, value: str, se: str, low: str, high: str) -> dict[str, float]:
+    """An estimate as columns of a table."""
+    return dict(
+        zip((value, se, low, high), (estimate.value, estimate.standard_error, estimate.low, estimate.high), strict=True)
+    )
+
+
+def mean_columns(values: Float[np.ndarray, " R"]) -> dict[str, float]:
+    """Columns mean_reward, se, low and high."""
+    return columns(over_repetitions(values), "mean_reward", "se", "low", "high")
+
+
+def estimate_in(row: Any, value: str, se: str, num_repetitions: int) -> Estimate:
+    """Read an estimate back from the columns of a table."""
+    return around(float(row[value]), float(row[se]), num_repetitions, num_repetitions - 1, LEVEL)
+
 
 class PairedTest(NamedTuple):
-    """A one-sided Wilcoxon signed-rank test over matched replicates, with the mean difference and its 95 % interval."""
+    """A one-sided Wilcoxon signed-rank test over matched repetitions, and the mean difference."""
 
     p_value: float
-    effect: float
-    effect_low: float
-    effect_high: float
-
-
-def mean_and_error(values: Float[np.ndarray, " R"]) -> tuple[float, float]:
-    """Mean over replicates and its standard error."""
-    return float(np.mean(values)), float(np.std(values, ddof=1) / np.sqrt(len(values)))
+    effect: Estimate
 
 
 def paired_test(ours: Float[np.ndarray, " R"], other: Float[np.ndarray, " R"], is_more_better: bool) -> PairedTest:
-    """Test H₁: ours is better than the other, replicate by replicate.
-
-    The effect is the mean of ours − other, with a t interval.
-    """
-    difference = ours - other
-    effect, error = mean_and_error(difference)
-    reach = float(stats.t.ppf(0.975, len(difference) - 1)) * error
+    """Test H₁: ours is better than the other, repetition by repetition; the effect is ours − other."""
+    difference = np.asarray(ours) - np.asarray(other)
+    effect = over_repetitions(difference)
     if not np.any(difference):
-        return PairedTest(1.0, effect, effect, effect)
+        return PairedTest(1.0, effect)
     alternative = "greater" if is_more_better else "less"
-    # The normal approximation, with its correction for ties: block means of a few dozen replicates do tie.
+    # The normal approximation, with its correction for ties: block means of a few dozen repetitions do tie.
     test: Any = stats.wilcoxon(difference, alternative=alternative, method="approx")
-    return PairedTest(float(test.pvalue), effect, effect - reach, effect + reach)
+    return PairedTest(float(test.pvalue), effect)
+
+
+def tested_columns(test: PairedTest) -> dict[str, float]:
+    """Columns p_value, effect, effect_low and effect_high."""
+    effect = test.effect
+    return {"p_value": test.p_value, "effect": effect.value, "effect_low": effect.low, "effect_high": effect.high}
 
 
 def holm(p_values: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-    """Holm's step-down adjustment of p-values [Holm1979]_."""
-    order = np.argsort(p_values)
-    scaled = p_values[order] * np.arange(len(p_values), 0, -1)
-    adjusted = np.empty_like(p_values)
+    """Holm's step-down adjustment of p-values [Holm1979]_; what was not tested (NaN) stays so and does not count."""
+    tested = np.flatnonzero(np.isfinite(p_values))
+    order = tested[np.argsort(p_values[tested])]
+    scaled = p_values[order] * np.arange(len(order), 0, -1)
+    adjusted = np.full_like(p_values, np.nan)
     adjusted[order] = np.minimum(1.0, np.maximum.accumulate(scaled))
     return adjusted
+
+
+def adjusted(table: pd.DataFrame, alpha: float) -> pd.DataFrame:
+    """Add p_holm and supported to a table of tests, in the order in which such tables are read."""
+    table = table.assign(p_holm=holm(table["p_value"].to_numpy(dtype=float)))
+    table = table.assign(supported=(table["p_holm"] < alpha).astype("boolean").mask(table["p_holm"].isna()))
+    last = ["p_value", "p_holm", "effect", "supported", "effect_low", "effect_high"]
+    return table.loc[:, [*table.columns.drop(last), *last]]

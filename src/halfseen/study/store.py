@@ -1,21 +1,15 @@
-"""What is done stays done: one file a repetition, whole or not there, so that a killed study goes on."""
+"""What is done stays done: one file a piece, whole or not there, so that a killed study goes on."""
 
 import json
-import os
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from halfseen.errors import ArgumentError
+from halfseen.writing import write_file
 
 FINGERPRINT = "design.json"
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a file under a temporary name and rename it, so that it is never half there."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    temporary.write_text(text, encoding="utf-8")
-    temporary.replace(path)
 
 
 def as_json(value: Any) -> str:
@@ -24,12 +18,12 @@ def as_json(value: Any) -> str:
 
 
 class Store:
-    """The folder where a study keeps its pieces.
+    """The folder where an experiment keeps its pieces.
 
     Parameters
     ----------
     folder
-        Where the study writes.
+        Where.
     fingerprint
         What the pieces depend on; pieces of another study are never mixed in.
     is_resumed
@@ -43,33 +37,34 @@ class Store:
 
     def __init__(self, folder: Path, fingerprint: dict[str, Any], is_resumed: bool) -> None:
         self.folder = folder
-        self._pieces = folder / "progress"
+        claim, path = as_json(fingerprint), folder / FINGERPRINT
         try:
-            if not is_resumed and self._pieces.exists():
-                shutil.rmtree(self._pieces)
-            self._pieces.mkdir(parents=True, exist_ok=True)
-            self._claim(as_json(fingerprint))
+            if not is_resumed and folder.exists():
+                shutil.rmtree(folder)
+            held = path.read_text(encoding="utf-8") if path.exists() else claim
         except OSError as error:
             raise ArgumentError(
                 f"--out {folder}: cannot be written ({error.strerror}); name a folder that you may write"
             ) from error
-
-    def _claim(self, fingerprint: str) -> None:
-        path = self._pieces / FINGERPRINT
-        if path.exists() and path.read_text(encoding="utf-8") != fingerprint:
+        if held != claim:
             raise ArgumentError(
-                f"--resume: {self._pieces} belongs to a study of another design, seed or version; leave --resume out "
+                f"--resume: {folder} belongs to a study of another design, seed or version; leave --resume out "
                 "to begin anew, or name another --out"
             )
-        write_text(path, fingerprint)
+        write_file(path, claim)
 
     def get(self, name: str) -> Any | None:
         """Read a piece, or None if it is not there."""
-        path = self._pieces / f"{name}.json"
+        path = self.folder / f"{name}.json"
         return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
 
     def put(self, name: str, value: Any) -> Any:
         """Keep a piece, and return it as it will be read."""
         text = as_json(value)
-        write_text(self._pieces / f"{name}.json", text)
+        write_file(self.folder / f"{name}.json", text)
         return json.loads(text)
+
+    def kept(self, name: str, make: Callable[[], Any]) -> Any:
+        """Read a piece, which is made if it is not there."""
+        held = self.get(name)
+        return self.put(name, make()) if held is None else held

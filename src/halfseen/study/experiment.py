@@ -1,0 +1,145 @@
+"""What an experiment is: a frozen configuration that repeats, tabulates, draws and says what it claims.
+
+A repetition is a pure function of the configuration, the setting, what was prepared once and its number; all four can
+be pickled, and what it returns is plain numbers. So repetitions may run in any order, in any process, on any machine.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
+
+import pandas as pd
+from matplotlib.figure import Figure
+
+from halfseen.errors import ArgumentError
+from halfseen.world.config import WorldConfig
+from halfseen.world.scene import Scene
+from halfseen.world.state import Layout, pad_scenes
+
+DEFAULT_REPETITIONS = 40
+
+PieceOf = Mapping[str, Any]
+"""Plain numbers, as they are kept between runs."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What all experiments share.
+
+    Parameters
+    ----------
+    scenes
+        The tables, as perception saw them.
+    repetitions
+        Fresh logs, each with a fresh block of evaluation episodes that all policies share; some experiments make do
+        with fewer.
+    seed
+        Everything follows from it, but for measured times.
+    alpha
+        Level of the tests.
+    world
+        The numbers of the world.
+    """
+
+    scenes: tuple[Scene, ...]
+    repetitions: int = DEFAULT_REPETITIONS
+    seed: int = 0
+    alpha: float = 0.01
+    world: WorldConfig = field(default_factory=WorldConfig)
+
+    def __post_init__(self) -> None:
+        if self.repetitions < 2:
+            raise ArgumentError(f"repetitions is {self.repetitions}; intervals and tests need at least 2")
+
+    @cached_property
+    def layouts(self) -> Layout:
+        """The tables, padded to the largest."""
+        return pad_scenes(self.scenes)
+
+
+class Pieces(NamedTuple):
+    """All that an experiment brought."""
+
+    prepared: PieceOf
+    measured: PieceOf
+    """Times, measured on this machine; empty where nothing is measured."""
+    repetitions: list[PieceOf]
+
+
+Tables = dict[str, pd.DataFrame]
+"""Tables by the name of their file."""
+
+
+class Drawing(NamedTuple):
+    """A figure and what stands beside it."""
+
+    name: str
+    """Of its files."""
+    label: str
+    title: str
+    """What it shows, in one sentence."""
+    caption: str
+    draw: Callable[[str], Figure]
+    """Draws it under a title; under none if that is empty."""
+
+
+class Listing(NamedTuple):
+    """A table for people."""
+
+    label: str
+    caption: str
+    header: tuple[str, ...]
+    groups: Mapping[str, list[tuple[str, ...]]]
+    """Rows by the heading over them, which may be empty."""
+    is_folded: bool = True
+
+
+class Section(NamedTuple):
+    """What an experiment says."""
+
+    heading: str
+    sentences: tuple[str, ...]
+    """Claims with estimate and test, the most important first."""
+    drawings: tuple[Drawing, ...]
+    listings: tuple[Listing, ...]
+    num_leading: int = 1
+    """Sentences that stand at the head of the report."""
+
+
+@runtime_checkable
+class Experiment(Protocol):
+    """One question of the study."""
+
+    name: ClassVar[str]
+    """Under which it is chosen and its pieces are kept."""
+
+    @property
+    def most_repetitions(self) -> int | None:
+        """Repetitions at most; None: as many as the setting has."""
+        ...
+
+    def prepare(self, setting: Setting) -> PieceOf:
+        """Find out once what all repetitions need."""
+        ...
+
+    def repeat(self, setting: Setting, prepared: PieceOf, index: int) -> PieceOf:
+        """Make one repetition."""
+        ...
+
+    def tabulate(self, setting: Setting, pieces: Pieces) -> Tables:
+        """Make the tables."""
+        ...
+
+    def section(self, setting: Setting, tables: Tables) -> Section:
+        """Say what was found, from the tables alone."""
+        ...
+
+
+@runtime_checkable
+class Timed(Protocol):
+    """An experiment that also measures times on this machine; nothing but these times depends on them."""
+
+    def measure(self, setting: Setting) -> PieceOf:
+        """Measure."""
+        ...

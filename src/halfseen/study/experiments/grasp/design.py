@@ -1,0 +1,49 @@
+"""The configuration of the experiment, and the models."""
+
+from dataclasses import dataclass
+
+from halfseen.pages.palette import BLUE, INK, RED, SKY, SOFT
+
+SUCCESSION, ORACLE, CLAIMED, RIVAL = "succession", "oracle", "svm", "beta"
+MODEL_NAMES = {
+    SUCCESSION: "rule of succession",
+    RIVAL: "Beta mean",
+    "beta-dropped": "Beta mean, cut attempts dropped",
+    CLAIMED: "SVM",
+    ORACLE: "true model",
+}
+"""Model of the probability of a grasp → name for people."""
+MODEL_COLOURS = {SUCCESSION: SOFT, RIVAL: BLUE, "beta-dropped": SKY, CLAIMED: RED, ORACLE: INK}
+MEASURES = {
+    "log_loss": "log-loss on held-out attempts",
+    "brier": "Brier score on held-out attempts",
+    "learned_reward": "reward of the learned policy",
+    "heuristic_reward": "reward of the heuristic",
+}
+"""What models are judged by; the scores are better the smaller they are, the rewards the larger."""
+NUM_BINS = 10
+"""Of predicted probabilities, evenly over [0, 1]."""
+
+
+@dataclass(frozen=True)
+class GraspDesign:
+    """Models of the probability of a grasp.
+
+    Parameters
+    ----------
+    num_paths, cut_share
+        Of the logs from which models are learned.
+    most_held_out
+        Fresh paths of each repetition, some six attempts each, on which all models are scored; no more than were
+        learned from.
+    episodes_per_scene
+        Evaluation episodes of each scene in a block.
+    most_repetitions
+        Repetitions at most: an SVM takes its time.
+    """
+
+    num_paths: tuple[int, ...] = (50, 200, 800)
+    cut_share: float = 1 / 2
+    most_held_out: int = 400
+    episodes_per_scene: int = 5
+    most_repetitions: int | None = 16

@@ -1,0 +1,167 @@
+"""One repetition: from a log, cut as in Table 1, each model learns the probability of a grasp.
+
+It is scored on the attempts of fresh paths that nothing cut, and serves in the features of the learned policy and in
+the strongest heuristic.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
+from threadpoolctl import threadpool_limits
+
+from halfseen.logs.frames import FrameLike, as_frame
+from halfseen.planners.heuristics import GreedyPolicy, TrueGrasp
+from halfseen.study.experiment import PieceOf, Pieces, Section, Setting, Tables
+from halfseen.study.experiments.grasp.design import MODEL_NAMES, NUM_BINS, ORACLE, SUCCESSION, GraspDesign
+from halfseen.study.experiments.grasp.section import section_of
+from halfseen.study.experiments.grasp.tables import tables_of
+from halfseen.study.pipeline import HELD_OUT, Played, Source
+from halfseen.study.policies import STRONGEST_RULE
+from halfseen.tables.grasp.attempts import attempts
+from halfseen.tables.grasp.beta_grasp import BetaGrasp
+from halfseen.tables.grasp.grasp_table import GraspEstimator, tabulate
+from halfseen.tables.grasp.svm_grasp import SVMGrasp
+from halfseen.world.action_space import target_of
+from halfseen.world.cuts import CutKind, cut
+from halfseen.world.grasp_model import GraspModel
+from halfseen.world.policy import Policy
+from halfseen.world.recording import to_logs
+from halfseen.world.state import TableState
+
+CUT_KIND: CutKind = "independent"
+
+
+class SuccessionRule:
+    """The rule of succession, (1 + successes) / (2 + attempts), whatever is hidden."""
+
+    def fit(self, frame: FrameLike) -> "SuccessionRule":
+        """There is nothing to learn."""
+        return self
+
+    def predict_proba(self, frame: FrameLike) -> Float[np.ndarray, "m 2"]:
+        """Probability that an attempt fails, and that it succeeds."""
+        counts = as_frame("attempts", frame)[["successes", "failures"]].to_numpy(dtype=np.float64)
+        probability = (1.0 + counts[:, 0]) / (2.0 + counts.sum(axis=1))
+        return np.column_stack([1.0 - probability, probability])
+
+
+class HeldOut(NamedTuple):
+    """Attempts of fresh paths that nothing cut."""
+
+    table: pd.DataFrame
+    """As `halfseen.tables.grasp.attempts.attempts` gives them."""
+    oracle: Float[np.ndarray, " m"]
+    """The probability of each under the true model, given the object's whole history."""
+
+
+@dataclass(frozen=True)
+class Grasp(GraspDesign):
+    """The experiment; its parameters are those of `GraspDesign`."""
+
+    name: ClassVar[str] = "grasp"
+
+    def prepare(self, setting: Setting) -> PieceOf:
+        """Calibrate the cuts."""
+        source = Source(setting.world, setting.layouts, setting.seed)
+        return {"rate": source.cut_rate(self.cut_share, CUT_KIND)}
+
+    def repeat(self, setting: Setting, prepared: PieceOf, index: int) -> PieceOf:
+        """Learn, score and play: one row for each model and size of log."""
+        source = Source(setting.world, setting.layouts, setting.seed, index)
+        log = source.cut(source.play(max(self.num_paths)), prepared["rate"], CUT_KIND)
+        tried = attempts(to_logs(log, CUT_KIND, setting.scenes), setting.world.horizon)
+        held_out = self._held_out(setting, source)
+        rows: list[dict[str, Any]] = []
+        learners: list[Policy] = []
+        rules: list[Policy] = []
+        knowing: Any = STRONGEST_RULE.policy(setting.world)
+        for size in self.num_paths:
+            estimators = _fitted(pd.DataFrame(tried[tried["path"] < size]))
+            for name in MODEL_NAMES:
+                said = held_out.oracle if name == ORACLE else estimators[name].predict_proba(held_out.table)[:, 1]
+                scores = scored(said, held_out.table["succeeded"].to_numpy(dtype=bool))
+                rows.append({"model": name, "num_paths": size} | scores)
+                grasp = _inside(setting, estimators, name)
+                encoded = source.encode(log.episodes, None if name == SUCCESSION else grasp)
+                learners.append(encoded.learn_one(log, size))
+                rules.append(knowing if name == ORACLE else replace(knowing, grasp=grasp))
+        num_episodes = self.episodes_per_scene * len(setting.scenes)
+        for word, policies in (("learned", learners), ("heuristic", rules)):
+            for row, played in zip(rows, evaluate_kinds(source, policies, num_episodes), strict=True):
+                row[f"{word}_reward"] = played.means()["reward"]
+        return {"index": index, "grasp": rows}
+
+    def _held_out(self, setting: Setting, source: Source) -> HeldOut:
+        # Played at the size of the log, for which the call is compiled already.
+        played = source.play(max(self.num_paths), HELD_OUT)
+        episodes = jax.tree.map(lambda leaf: leaf[: self.most_held_out], played)
+        uncut = cut(episodes, 0.0, CUT_KIND, np.random.default_rng(0))
+        table = attempts(to_logs(uncut, CUT_KIND, setting.scenes), setting.world.horizon)
+        at = table["path"].to_numpy(), table["stage"].to_numpy() - 1
+        target = np.asarray(target_of(np.asarray(episodes.action)[at], episodes.states.num_objects))
+        said = np.asarray(_true_probabilities(TrueGrasp(setting.world), episodes.states), dtype=np.float64)
+        return HeldOut(table, said[*at, target])
+
+    def tabulate(self, setting: Setting, pieces: Pieces) -> Tables:
+        """Make grasp, grasp_tests and figure5."""
+        return tables_of(self, setting, pieces)
+
+    def section(self, setting: Setting, tables: Tables) -> Section:
+        """Say whether the paper's claim holds here."""
+        return section_of(self, setting, tables)
+
+
+def scored(said: Float[np.ndarray, " m"], succeeded: np.ndarray) -> dict[str, Any]:
+    """Log-loss, Brier score, and by bin of predicted probabilities: attempts, sum of these, successes."""
+    where = np.minimum((said * NUM_BINS).astype(int), NUM_BINS - 1)
+    return {
+        "log_loss": float(-np.mean(np.log(np.where(succeeded, said, 1.0 - said)))),
+        "brier": float(np.mean(np.square(said - succeeded))),
+        "bins": {
+            "attempts": np.bincount(where, minlength=NUM_BINS).tolist(),
+            "probabilities": np.bincount(where, said, NUM_BINS).tolist(),
+            "successes": np.bincount(where, succeeded, NUM_BINS).tolist(),
+        },
+    }
+
+
+def _fitted(tried: pd.DataFrame) -> dict[str, GraspEstimator]:
+    # Threads gain nothing on matrices this small, wait for one another on a busy machine (a fit was seen to take 21 s
+    # in place of 0.2), and add up in an order that depends on their number.
+    with threadpool_limits(1):
+        return {
+            SUCCESSION: SuccessionRule(),
+            "beta": BetaGrasp().fit(tried),
+            "beta-dropped": BetaGrasp(censoring="none").fit(tried),
+            "svm": SVMGrasp().fit(tried),
+        }
+
+
+def _inside(setting: Setting, estimators: Mapping[str, GraspEstimator], name: str) -> GraspModel:
+    """The model as it runs inside a policy."""
+    return TrueGrasp(setting.world) if name == ORACLE else tabulate(estimators[name], setting.world.horizon)
+
+
+@jax.jit
+def _true_probabilities(grasp: TrueGrasp, states: TableState) -> jax.Array:
+    return jax.vmap(jax.vmap(grasp.chance))(states)
+
+
+def evaluate_kinds(source: Source, policies: Sequence[Policy], num_episodes: int) -> list[Played]:
+    """What each policy earns on the evaluation episodes; policies of a kind play together, and one policy once."""
+    played: dict[int, Played] = {}
+    kinds = [jax.tree.structure(policy) for policy in policies]
+    for kind in dict.fromkeys(kinds):
+        places = [k for k, other in enumerate(kinds) if other == kind]
+        if isinstance(policies[places[0]], GreedyPolicy) and len({id(policies[k]) for k in places}) == 1:
+            played |= dict.fromkeys(places, source.evaluate(policies[places[0]], num_episodes))
+            continue
+        batch = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(policies[k] for k in places))
+        played |= dict(zip(places, source.evaluate_batch(batch, num_episodes), strict=True))
+    return [played[k] for k in range(len(policies))]

@@ -1,0 +1,375 @@
+"""What simulations and a longer planning horizon are worth to a planner that knows the true model: Figures 2 and 3.
+
+All policies meet the same evaluation episodes. A planner of many simulations plays few of them, in turn over the
+repetitions, so that every table is met; it is compared on those that it played. Rewards follow from the seed: a planner
+has a number of simulations, not a time. The times that decisions take are measured and told beside.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from halfseen.errors import ArgumentError
+from halfseen.evaluation.estimate import Estimate
+from halfseen.pages.axes import (
+    PANEL_TITLE,
+    WIDTH_INCHES,
+    EndLabel,
+    draw_bars,
+    draw_grid,
+    mark_sizes,
+    write_end_labels,
+    write_title,
+)
+from halfseen.pages.numbers import amount, interval, significant
+from halfseen.pages.palette import INK, PLANNER
+from halfseen.pages.sentences import Claim, counted, listed
+from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Section, Setting, Tables
+from halfseen.study.frames import records, row_of
+from halfseen.study.pipeline import Played, Source, episodes_in_turn
+from halfseen.study.policies import HEURISTICS, LEARNED, Contender, Kind, by_name, horizon_planner, planner
+from halfseen.study.single_play import decision_times_ms, play_singly, seconds, states_along_the_way
+from halfseen.study.statistics import columns, mean_columns, over_repetitions
+from halfseen.study.wording import REWARD_AXIS, learned_from
+from halfseen.tables.features import NUM_FEATURES
+from halfseen.tables.table_policy import LinearTablePolicy
+from halfseen.world.action_space import Verb
+from halfseen.world.cuts import CutKind
+
+CUT_KIND: CutKind = "independent"
+NUM_TIMED_STATES, NUM_FITS = 30, 5
+OVER = f"over_{LEARNED.name}"
+SIMULATIONS_AXIS = "simulations a decision, to the end of the path (log scale)"
+HORIZON_AXIS = "planning horizon [steps]"
+
+
+@dataclass(frozen=True)
+class Planning:
+    """Planners by simulations and by horizon.
+
+    Parameters
+    ----------
+    simulations
+        Simulations a decision of planners that look to the end of a path, and how many episodes of a repetition each
+        plays.
+    horizons, horizon_simulations, horizon_episodes
+        Steps that other planners look ahead, their simulations a decision, and the episodes of a repetition that each
+        plays.
+    num_paths, cut_share
+        The log of the learned policy.
+    episodes_per_scene
+        Evaluation episodes of each scene in a block.
+    most_repetitions
+        Repetitions at most.
+    """
+
+    simulations: tuple[tuple[int, int], ...] = ((8, 50), (128, 50), (1024, 5))
+    horizons: tuple[int, ...] = (1, 2, 3, 4, 5, 6)
+    horizon_simulations: int = 128
+    horizon_episodes: int = 25
+    num_paths: int = 800
+    cut_share: float = 1 / 2
+    episodes_per_scene: int = 5
+    most_repetitions: int | None = 6
+    name: ClassVar[str] = "planning"
+
+    def __post_init__(self) -> None:
+        if len(self.horizons) < 2 or list(self.horizons) != sorted(set(self.horizons)):
+            raise ArgumentError(f"horizons is {self.horizons}; give at least two, each longer than the one before")
+
+    @property
+    def by_simulations(self) -> dict[str, int]:
+        """Simulations of each planner that looks to the end."""
+        return {planner(size).name: size for size, _ in self.simulations}
+
+    @property
+    def by_horizon(self) -> dict[str, int]:
+        """Horizon of each planner that looks some steps ahead."""
+        return {horizon_planner(h, self.horizon_simulations).name: h for h in self.horizons}
+
+    @property
+    def contenders(self) -> dict[str, Contender]:
+        """All who take part, by name."""
+        planners = [planner(size) for size, _ in self.simulations]
+        ahead = [horizon_planner(h, self.horizon_simulations) for h in self.horizons]
+        return by_name(LEARNED, *HEURISTICS, *planners, *ahead)
+
+    def prepare(self, setting: Setting) -> PieceOf:
+        """Calibrate the cuts."""
+        source = Source(setting.world, setting.layouts, setting.seed)
+        return {"rate": source.cut_rate(self.cut_share, CUT_KIND)}
+
+    def measure(self, setting: Setting) -> PieceOf:
+        """Decision times [ms], and the time that learning takes, the median of a few on this machine [s]."""
+        source = Source(setting.world, setting.layouts, setting.seed)
+        unlearned = jnp.zeros((setting.world.horizon, len(Verb), NUM_FEATURES + 1), dtype=jnp.float32)
+        policies = {LEARNED.name: LinearTablePolicy(unlearned)}
+        policies |= {name: each.policy(setting.world) for name, each in self.contenders.items() if each.make}
+        times = decision_times_ms(policies, states_along_the_way(source, NUM_TIMED_STATES))
+        learn = partial(self._learned, source, source.cut_rate(self.cut_share, CUT_KIND))
+        learn()
+        return {
+            "decision_ms": {name: float(np.median(values)) for name, values in times.items()},
+            "learning_s": float(np.median([seconds(learn) for _ in range(NUM_FITS)])),
+        }
+
+    def repeat(self, setting: Setting, prepared: PieceOf, index: int) -> PieceOf:
+        """Play all policies: of each, which episodes it played and what each brought."""
+        source = Source(setting.world, setting.layouts, setting.seed, index)
+        num_all = self.episodes_per_scene * len(setting.scenes)
+        everything = range(num_all)
+        rows = [_row(LEARNED.name, everything, source.evaluate(self._learned(source, prepared["rate"]), num_all))]
+        rows += [
+            _row(each.name, everything, source.evaluate(each.policy(setting.world), num_all)) for each in HEURISTICS
+        ]
+        some = {planner(size).name: count for size, count in self.simulations}
+        some |= dict.fromkeys(self.by_horizon, self.horizon_episodes)
+        for name in (*self.by_simulations, *self.by_horizon):
+            episodes = episodes_in_turn(index, some[name], num_all)
+            played = play_singly(source, self.contenders[name].policy(setting.world), episodes)
+            rows.append(_row(name, episodes, played))
+        return {"index": index, "played": rows}
+
+    def _learned(self, source: Source, rate: float) -> LinearTablePolicy:
+        episodes = source.play(self.num_paths)
+        return source.encode(episodes).learn_one(source.cut(episodes, rate, CUT_KIND), self.num_paths)
+
+    def tabulate(self, setting: Setting, pieces: Pieces) -> Tables:
+        """Make figure2 and figure3.
+
+        ``figure2`` has policy, kind, simulations, decision_ms (measured on this machine), mean_reward, se, low, high;
+        over_censored_q, se_over, over_low, over_high (the mean difference from the learned policy on the same
+        episodes), repetitions and episodes (of one repetition). Where a policy played only some, its mean is what the
+        learned policy earned on all of them plus that difference.
+        ``figure3`` has planning_horizon, simulations, decision_ms, mean_reward, se, low, high, over_previous and
+        over_first (paired differences from the next shorter and the shortest horizon, with se_…, …_low, …_high),
+        repetitions and episodes; null where there is nothing shorter. ``learning`` has learning_s, measured.
+        """
+        blocks = _Blocks(pieces)
+        times = pieces.measured["decision_ms"]
+        learning = pd.DataFrame({"num_paths": [self.num_paths], "learning_s": [pieces.measured["learning_s"]]})
+        return {
+            "figure2": _figure2(self, blocks, times),
+            "figure3": _figure3(self, blocks, times),
+            "learning": learning,
+        }
+
+    def section(self, setting: Setting, tables: Tables) -> Section:
+        """Say whether a planner earns more, and whether looking further ahead does."""
+        figure2, figure3 = tables["figure2"], tables["figure3"]
+        best, longer = most_simulations(self, figure2), longest_horizon(self, figure3)
+        draw = partial(_draw_simulations, self, figure2), partial(_draw_horizons, self, figure2, figure3)
+        captions = _captions(self, figure2)
+        return Section(
+            "What is planning worth?",
+            (best.sentence, longer.sentence),
+            (
+                Drawing("figure2", "Figure 2", best.title, captions[0], draw[0]),
+                Drawing("figure3", "Figure 3", f"{longer.title}; {_steps(figure3)}", captions[1], draw[1]),
+            ),
+            (_numbers(self, tables),),
+        )
+
+
+def _row(name: str, episodes: Any, played: Played) -> dict[str, Any]:
+    return {"policy": name, "episodes": list(episodes), "reward": played.reward.tolist()}
+
+
+class _Blocks:
+    """Rewards of each policy by repetition and number of the episode."""
+
+    def __init__(self, pieces: Pieces) -> None:
+        self._rewards: dict[str, list[dict[int, float]]] = {}
+        for piece in pieces.repetitions:
+            for row in piece["played"]:
+                of_block = dict(zip(row["episodes"], row["reward"], strict=True))
+                self._rewards.setdefault(row["policy"], []).append(of_block)
+
+    def means(self, policy: str, like: str | None = None) -> Float[np.ndarray, " R"]:
+        """Block means of a policy, on the episodes that `like` played as well (all, if None)."""
+        own, others = self._rewards[policy], self._rewards[like or policy]
+        return np.array([np.mean([block[i] for i in other]) for block, other in zip(own, others, strict=True)])
+
+    def counts(self, policy: str) -> dict[str, int]:
+        """Columns repetitions and episodes."""
+        return {"repetitions": len(self._rewards[policy]), "episodes": len(self._rewards[policy][0])}
+
+
+def _figure2(design: Planning, blocks: _Blocks, times_ms: dict[str, float]) -> pd.DataFrame:
+    rows, own = [], blocks.means(LEARNED.name)
+    for name, who in design.contenders.items():
+        over = blocks.means(name) - blocks.means(LEARNED.name, like=name)
+        row: dict[str, Any] = {"policy": name, "kind": str(who.kind), "simulations": design.by_simulations.get(name)}
+        difference = columns(over_repetitions(over), OVER, "se_over", "over_low", "over_high")
+        rows.append(row | {"decision_ms": times_ms[name]} | mean_columns(own + over) | difference | blocks.counts(name))
+    return pd.DataFrame(rows).astype({"simulations": "Int64"})
+
+
+def _figure3(design: Planning, blocks: _Blocks, times_ms: dict[str, float]) -> pd.DataFrame:
+    rows = []
+    rewards = {name: blocks.means(name) for name in design.by_horizon}
+    names = list(rewards)
+    for k, (name, horizon) in enumerate(design.by_horizon.items()):
+        row: dict[str, Any] = {"planning_horizon": horizon, "decision_ms": times_ms[name]}
+        row["simulations"] = design.horizon_simulations if horizon > 1 else None
+        row |= mean_columns(rewards[name])
+        for over, shorter in (("over_previous", names[max(k - 1, 0)]), ("over_first", names[0])):
+            difference = over_repetitions(rewards[name] - rewards[shorter])
+            estimated = columns(difference, over, f"se_{over}", f"{over}_low", f"{over}_high")
+            row |= estimated if k else dict.fromkeys(estimated, np.nan)
+        rows.append(row | blocks.counts(name))
+    return pd.DataFrame(rows).astype({"simulations": "Int64"})
+
+
+def most_simulations(design: Planning, figure2: pd.DataFrame) -> Claim:
+    """That the planner with the most simulations, fixed beforehand, earns more than the learned policy."""
+    size = max(design.by_simulations.values())
+    row = row_of(figure2, simulations=size)
+    gain = Estimate(row[OVER], row["over_low"], row["over_high"], row["se_over"], float(row["repetitions"]))
+    return Claim(
+        f"Planning with the true model, {counted(size, 'simulation')} a decision,",
+        "earns more than",
+        "earns less than",
+        f"the policy {learned_from(design.num_paths, design.cut_share)[:-1]}",
+        gain,
+        note=f"on the same {counted(int(row['repetitions'] * row['episodes']), 'episode')}",
+    )
+
+
+def longest_horizon(design: Planning, figure3: pd.DataFrame) -> Claim:
+    """That looking ahead the longest earns more than the shortest."""
+    first, *_, row = records(figure3)
+    value, low, high, error = (
+        row[name] for name in ("over_first", "over_first_low", "over_first_high", "se_over_first")
+    )
+    simulations = counted(design.horizon_simulations, "simulation")
+    return Claim(
+        f"Looking {int(row['planning_horizon'])} steps ahead, with {simulations} a decision,",
+        "earns more than",
+        "earns less than",
+        f"looking {counted(int(first['planning_horizon']), 'step')} ahead",
+        Estimate(value, low, high, error, float(row["repetitions"])),
+    )
+
+
+def _steps(figure3: pd.DataFrame) -> str:
+    """Say at which horizons one more step changes the reward significantly."""
+    parts = []
+    rows = records(figure3)
+    for verb, sign, end in (("gains", 1, "low"), ("loses", -1, "high")):
+        steps = [str(row["planning_horizon"]) for row in rows if sign * row[f"over_previous_{end}"] > 0]
+        if steps:
+            parts.append(f"one more step {verb} reward at {listed(steps)}")
+    return listed(parts) or "no single step makes a significant difference"
+
+
+def _captions(design: Planning, figure2: pd.DataFrame) -> tuple[str, str]:
+    num = int(figure2["repetitions"].iloc[0])
+    return (
+        "Reward of planners that know the true model, by their simulations a decision. Lines: the learned policy and "
+        f"the heuristics. Below: difference from the learned policy on the same episodes. {num} repetitions; a planner "
+        "of many simulations plays some of the episodes, and its reward above is the learned policy’s plus that "
+        "difference. Bars: 95 % intervals (Student’s t) over repetitions, not adjusted. How long decisions take on "
+        "this machine stands in the numbers below, and nothing here depends on it.",
+        f"Reward by planning horizon, {design.horizon_simulations} simulations a decision beyond one step. What lies "
+        "beyond the horizon is valued by a rule: each object is left, or tried once, whichever is worth more. Right: "
+        "the paired difference from the next shorter horizon. Bars: 95 % intervals (Student’s t), not adjusted.",
+    )
+
+
+def _draw_simulations(design: Planning, figure2: pd.DataFrame, title: str) -> Figure:
+    """Reward of planners by simulations above, the difference from the learned policy below."""
+    figure = Figure(figsize=(WIDTH_INCHES, 7.2))
+    top, foot, gap = write_title(figure, title) - 0.06, 0.075, 0.085
+    upper_foot = foot + gap + 0.40 * (top - foot - gap)
+    upper = figure.add_axes((0.07, upper_foot, 0.61, top - upper_foot))
+    lower = figure.add_axes((0.07, foot, 0.61, upper_foot - gap - foot), sharex=upper)
+    rows = pd.DataFrame(figure2[figure2["simulations"].notna()])
+    labels = _draw_lines(upper, design, figure2)
+    end = float(rows["mean_reward"].iloc[-1])
+    labels.append(EndLabel(end, f"POMDP planner  {amount(end)}", PLANNER, is_bold=True))
+    draw_bars(upper, rows["simulations"], rows["mean_reward"], (rows["low"], rows["high"]), color=PLANNER, marker="o")
+    lower.axhline(0.0, color=LEARNED.colour, linewidth=1.5, zorder=1.5)
+    draw_bars(lower, rows["simulations"], rows[OVER], (rows["over_low"], rows["over_high"]), color=PLANNER, marker="o")
+    upper.set_title(REWARD_AXIS, **PANEL_TITLE)
+    lower.set_title("reward over the learned policy’s, on the same episodes", **PANEL_TITLE)
+    lower.set_xlabel(SIMULATIONS_AXIS)
+    sizes = list(design.by_simulations.values())
+    for axes in (upper, lower):
+        mark_sizes(axes, sizes)
+    upper.set_xlim(min(sizes) / 1.4, max(sizes) * 1.4)
+    write_end_labels(upper, labels)
+    return figure
+
+
+def _draw_lines(axes: Axes, design: Planning, figure2: pd.DataFrame) -> list[EndLabel]:
+    """The learned policy and the heuristics."""
+    labels = []
+    for who in (LEARNED, *HEURISTICS):
+        mean = float(row_of(figure2, policy=who.name)["mean_reward"])
+        is_learned = who.kind == Kind.LEARNED
+        axes.axhline(
+            mean, color=who.colour, linestyle=(0, who.dashes), linewidth=1.5 if is_learned else 0.9, zorder=1.2
+        )
+        labels.append(EndLabel(mean, f"{who.label}  {amount(mean)}", who.colour, is_learned))
+    return labels
+
+
+def _draw_horizons(design: Planning, figure2: pd.DataFrame, figure3: pd.DataFrame, title: str) -> Figure:
+    """Reward by planning horizon at the left, what one more step gains at the right."""
+    figure = Figure(figsize=(WIDTH_INCHES, 4.4))
+    top = write_title(figure, title)
+    grid = figure.add_gridspec(1, 2, left=0.07, right=0.985, bottom=0.12, top=top - 0.18, wspace=0.16)
+    left, right = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
+    horizons, steps = figure3["planning_horizon"].to_numpy(), figure3.iloc[1:]
+    ends = figure3["low"], figure3["high"]
+    draw_bars(left, horizons, figure3["mean_reward"], ends, color=PLANNER, marker="o", label="POMDP planner")
+    best = max(records(figure2, kind=str(Kind.HEURISTIC)), key=lambda row: row["mean_reward"])["policy"]
+    for name in (LEARNED.name, best):
+        who = design.contenders[name]
+        mean = float(row_of(figure2, policy=name)["mean_reward"])
+        left.axhline(mean, color=who.colour, linestyle=(0, who.dashes), linewidth=1.5, zorder=1.2, label=who.label)
+    left.set_title(REWARD_AXIS, **PANEL_TITLE)
+    right.axhline(0.0, color=INK, linewidth=1.0, zorder=1.5)
+    ends = steps["over_previous_low"], steps["over_previous_high"]
+    draw_bars(
+        right, steps["planning_horizon"], steps["over_previous"], ends, color=PLANNER, marker="o", linestyle="none"
+    )
+    right.set_title("reward that one more step gains", **PANEL_TITLE)
+    for axes in (left, right):
+        axes.set_xticks(horizons)
+        axes.set_xlim(horizons.min() - 0.4, horizons.max() + 0.4)
+        axes.set_xlabel(HORIZON_AXIS)
+        draw_grid(axes)
+    handles, names = left.get_legend_handles_labels()
+    figure.legend(handles, names, loc="upper left", bbox_to_anchor=(0.05, top - 0.005), ncols=3, frameon=False)
+    return figure
+
+
+def _numbers(design: Planning, tables: Tables) -> Listing:
+    rows = []
+    for row in records(tables["figure2"]):
+        over = f"{amount(row[OVER])} ({interval(row['over_low'], row['over_high'])})"
+        rows.append(
+            (
+                design.contenders[row["policy"]].label,
+                significant(row["decision_ms"], 2),
+                f"{amount(row['mean_reward'])} ({interval(row['low'], row['high'])})",
+                "–" if row["policy"] == LEARNED.name else over,
+                str(row["repetitions"] * row["episodes"]),
+            )
+        )
+    learning_s = significant(tables["learning"]["learning_s"].iloc[0], 2)
+    caption = (
+        f"Decision times are medians on one core of this machine; learning from {design.num_paths} paths took "
+        f"{learning_s} s on it, once."
+    )
+    header = ("policy", "decision [ms], measured", "reward", "policy − learned", "episodes")
+    return Listing("The numbers of Figures 2 and 3", caption, header, {"": rows})

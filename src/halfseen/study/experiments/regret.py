@@ -1,0 +1,321 @@
+"""How far policies stay below the optimum, on tables so small that it is known: Figure 7.
+
+On a few tables of three cups the optimum is solved once. From a log over them, cut at every proportion, policies are
+learned as elsewhere; each is then valued exactly on every table. There is no noise of simulated episodes: learned
+policies differ by their logs alone. The planners, which take their time, are asked in some of the states only, which
+leaves a little noise.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import Any, ClassVar
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from halfseen.evaluation.estimate import Estimate
+from halfseen.pages.axes import (
+    PANEL_TITLE,
+    WIDTH_INCHES,
+    EndLabel,
+    draw_bars,
+    mark_sizes,
+    write_end_labels,
+    write_title,
+)
+from halfseen.pages.numbers import amount, interval, share
+from halfseen.pages.palette import MARKERS, ordered_colours
+from halfseen.pages.sentences import Claim
+from halfseen.planners.optimum import TableOptimum, solve_table
+from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Section, Setting, Tables
+from halfseen.study.frames import records, row_of, where
+from halfseen.study.pipeline import EVALUATION, Source, members, random_key
+from halfseen.study.policies import HEURISTICS, LEARNED, OPTIMUM, Contender, Kind, by_name, horizon_planner
+from halfseen.study.statistics import columns, over_repetitions
+from halfseen.study.wording import PATHS_AXIS, learned_from
+from halfseen.world.config import WorldConfig
+from halfseen.world.cuts import CutKind
+from halfseen.world.scene import Scene
+from halfseen.world.state import pad_scenes
+
+NUM_CUPS = 3
+HIDING_PROBABILITY, MOST_HIDDEN = 0.75, 0.8
+"""A nearer cup hides one behind it with this probability, and then a share of it that is uniform up to this."""
+NUM_GRIP_NODES = 31
+"""Of the grid of grip offsets in the exact world: with so many it is the simulated world, in which logs are made, to
+1e-4 of reward; they cost no states."""
+CUT_KIND: CutKind = "independent"
+REGRET_AXIS = "regret: reward of a path below the optimum, mean over the small tables"
+BAR_DODGE = 1.05
+
+
+@dataclass(frozen=True)
+class Regret:
+    """Regret on small tables.
+
+    Parameters
+    ----------
+    num_tables, horizon
+        The small tables, and the steps of a path on them.
+    num_paths, cut_shares
+        Of the logs over them.
+    told_cut_share
+        Proportion of cut paths that the words tell of.
+    planner_horizons, planner_simulations, planner_states
+        Planners, and the states of each step in which each is asked in a repetition.
+    most_repetitions
+        Repetitions at most.
+    """
+
+    num_tables: int = 6
+    horizon: int = 6
+    num_paths: tuple[int, ...] = (50, 200, 800)
+    cut_shares: tuple[float, ...] = (0.0, 1 / 6, 1 / 3, 1 / 2)
+    told_cut_share: float = 1 / 2
+    planner_horizons: tuple[int, ...] = (1, 2, 3, 4, 5, 6)
+    planner_simulations: int = 128
+    planner_states: int = 8
+    most_repetitions: int | None = 8
+    name: ClassVar[str] = "regret"
+
+    @property
+    def planners(self) -> list[Contender]:
+        """The planners."""
+        return [horizon_planner(h, self.planner_simulations) for h in self.planner_horizons]
+
+    @property
+    def contenders(self) -> dict[str, Contender]:
+        """All who take part, by name."""
+        return by_name(LEARNED, *self.planners, *HEURISTICS, OPTIMUM)
+
+    def small(self, setting: Setting) -> "SmallTables":
+        """Draw the small tables, which follow from the seed."""
+        rng = np.random.default_rng([setting.seed, NUM_CUPS])
+        scenes = []
+        for k in range(self.num_tables):
+            is_hiding = rng.random((NUM_CUPS, NUM_CUPS)) < HIDING_PROBABILITY
+            hidden = MOST_HIDDEN * rng.random((NUM_CUPS, NUM_CUPS))
+            scenes.append(Scene(np.tril(np.where(is_hiding, hidden, 0.0), -1), name=f"small-{k}"))
+        return SmallTables(replace(setting.world, horizon=self.horizon), tuple(scenes), setting.seed)
+
+    def prepare(self, setting: Setting) -> PieceOf:
+        """Solve the tables: what the optimum, FINISH at once and each heuristic earn, exactly; calibrate the cuts."""
+        small = self.small(setting)
+        left = float(small.world.reward_dirty_left) * float(small.world.dirty_share) * NUM_CUPS
+        source = small.source()
+        return {
+            "optimum": [optimum.value for optimum in small.optima],
+            "finish": [left] * len(small.scenes),
+            "regrets": {each.name: small.regrets(each.policy(small.world)) for each in HEURISTICS},
+            "rates": [source.cut_rate(cut_share, CUT_KIND) for cut_share in self.cut_shares],
+        }
+
+    def repeat(self, setting: Setting, prepared: PieceOf, index: int) -> PieceOf:
+        """Learn from a fresh log and value what was learned."""
+        small = self.small(setting)
+        source = small.source(index)
+        key = random_key(setting.seed, EVALUATION, index)
+        rows: list[dict[str, Any]] = [
+            {"policy": each.name, "regrets": small.regrets(each.policy(small.world), key, self.planner_states)}
+            for each in self.planners
+        ]
+        episodes = source.play(max(self.num_paths))
+        encoded = source.encode(episodes)
+        logs = [(source.cut(episodes, rate, CUT_KIND), "weighted") for rate in prepared["rates"]]
+        for size in self.num_paths:
+            policies = members(encoded.learn(logs, size)[0])
+            for cut_share, policy in zip(self.cut_shares, policies, strict=True):
+                place = {"policy": LEARNED.name, "num_paths": size, "cut_share": cut_share}
+                rows.append(place | {"regrets": small.regrets(policy)})
+        return {"index": index, "rows": rows}
+
+    def tabulate(self, setting: Setting, pieces: Pieces) -> Tables:
+        """Make regret: policy, num_paths, cut_share, regret, se, low, high, regret_share, optimum, repetitions.
+
+        The standard error is over repetitions: of learned policies, over logs; of planners, over the states in which
+        they were asked and their own draws. Heuristics and the optimum are exact: their se is 0 and their repetitions
+        null. How tables differ is in no se. `regret_share` is the mean regret as a proportion of what the optimum earns
+        above FINISH at once, `optimum` what it earns.
+        """
+        return {"regret": _table(pieces)}
+
+    def section(self, setting: Setting, tables: Tables) -> Section:
+        """Say how far below the optimum what was learned stays."""
+        table = tables["regret"]
+        claim = claim_of(self, table)
+        scale = _scale(table)
+        lost = amount(100 * _end(self, table)["regret"] / scale, 1)
+        told = f"that is {lost} % of what the optimum gains over FINISH at once"
+        sentence = (
+            f"On {self.num_tables} small tables, of three cups and {self.horizon} steps each: {_lower(claim.sentence)}"
+        )
+        caption = (
+            "How much less than the optimum, which is known exactly on these tables, each policy earns. Bars: 95 % "
+            "intervals (Student’s t) over repetitions. The heuristics’ regrets are exact, the planners’ an estimate "
+            "from some of the states."
+        )
+        drawing = Drawing(
+            "regret", "Figure 7", f"On small tables, {_lower(claim.title)}", caption, partial(_draw, self, table)
+        )
+        return Section(
+            "How far from the optimum?", (f"{sentence[:-1]}; {told}.",), (drawing,), (_numbers(self, table),)
+        )
+
+
+@dataclass(frozen=True)
+class SmallTables:
+    """Small tables and their optima, solved when first asked for."""
+
+    world: WorldConfig
+    scenes: tuple[Scene, ...]
+    seed: int
+
+    @cached_property
+    def optima(self) -> list[TableOptimum]:
+        """The optimum of each table."""
+        return [solve_table(scene, self.world, num_grip_nodes=NUM_GRIP_NODES) for scene in self.scenes]
+
+    def regrets(self, policy: Any, *draws: Any) -> list[float]:
+        """Regret of a policy on each table."""
+        return [float(optimum.regret(policy, *draws)) for optimum in self.optima]
+
+    def source(self, index: int = 0) -> Source:
+        """Where paths on them come from."""
+        return Source(self.world, pad_scenes(self.scenes), self.seed, index)
+
+
+def _table(pieces: Pieces) -> pd.DataFrame:
+    known = pieces.prepared
+    optimum = float(np.mean(known["optimum"]))
+    scale = optimum - float(np.mean(known["finish"]))
+    rows = []
+    for place, row in enumerate(pieces.repetitions[0]["rows"]):
+        values = np.array([np.mean(piece["rows"][place]["regrets"]) for piece in pieces.repetitions])
+        at = {name: row.get(name) for name in ("policy", "num_paths", "cut_share")}
+        estimated = columns(over_repetitions(values), "regret", "se", "low", "high")
+        rows.append(at | estimated | {"repetitions": len(values)})
+    exact = {name: float(np.mean(regrets)) for name, regrets in known["regrets"].items()} | {OPTIMUM.name: 0.0}
+    rows += [{"policy": name, "regret": value, "se": 0.0, "low": value, "high": value} for name, value in exact.items()]
+    table = pd.DataFrame(rows).assign(optimum=optimum)
+    table = table.assign(regret_share=table["regret"] / scale)
+    # What was learned comes first, as in the other tables; the order among the others is kept.
+    table = table.sort_values("num_paths", key=pd.isna, kind="stable", ignore_index=True)
+    names = [
+        "policy",
+        "num_paths",
+        "cut_share",
+        "regret",
+        "se",
+        "low",
+        "high",
+        "regret_share",
+        "optimum",
+        "repetitions",
+    ]
+    return table.loc[:, names].astype({"num_paths": "Int64", "cut_share": "Float64", "repetitions": "Int64"})
+
+
+def claim_of(design: Regret, table: pd.DataFrame) -> Claim:
+    """That what was learned from the largest log has less regret than the best heuristic, which is known exactly."""
+    end = _end(design, table)
+    best = _best(design, table, Kind.HEURISTIC)
+    rule, planner = (float(each["regret"]) for each in (best, _best(design, table, Kind.PLANNER)))
+    gain = Estimate(rule - end["regret"], rule - end["high"], rule - end["low"], end["se"], float(end["repetitions"]))
+    return Claim(
+        f"The policy {learned_from(int(end['num_paths']), design.told_cut_share)}",
+        "has less regret than",
+        "has more regret than",
+        f"the best heuristic ({design.contenders[best['policy']].label})",
+        gain,
+        note=f"regret {amount(float(end['regret']))} against {amount(rule)}, the best planner’s {amount(planner)}",
+    )
+
+
+def _end(design: Regret, table: pd.DataFrame) -> dict[str, Any]:
+    return row_of(table, num_paths=max(design.num_paths), cut_share=design.told_cut_share)
+
+
+def _best(design: Regret, table: pd.DataFrame, kind: Kind) -> dict[str, Any]:
+    """Policy of a kind with the least regret; the first of equals."""
+    rows = [row for row in records(table) if design.contenders[row["policy"]].kind == kind]
+    return min(rows, key=lambda row: row["regret"])
+
+
+def _scale(table: pd.DataFrame) -> float:
+    """What the optimum earns above FINISH at once."""
+    worst = max(records(table), key=lambda row: row["regret"])
+    return float(worst["regret"] / worst["regret_share"])
+
+
+def _lower(words: str) -> str:
+    return words[:1].lower() + words[1:]
+
+
+def _draw(design: Regret, table: pd.DataFrame, title: str) -> Figure:
+    """Regret against the size of the log."""
+    figure = Figure(figsize=(WIDTH_INCHES, 5.6))
+    top = write_title(figure, title) - 0.08
+    axes = figure.add_axes((0.07, 0.10, 0.58, top - 0.10))
+    labels = _draw_others(axes, design, table) + _draw_learned(axes, design, table)
+    mark_sizes(axes, design.num_paths)
+    axes.set_xlim(min(design.num_paths) / 1.2, max(design.num_paths) * 1.2)
+    axes.set_ylim(bottom=0.0)
+    axes.set_xlabel(PATHS_AXIS)
+    axes.set_title(REGRET_AXIS, **PANEL_TITLE)
+    write_end_labels(axes, labels)
+    return figure
+
+
+def _draw_learned(axes: Axes, design: Regret, table: pd.DataFrame) -> list[EndLabel]:
+    labels = []
+    shares = design.cut_shares
+    for k, (cut_share, colour) in enumerate(zip(shares, ordered_colours(len(shares)), strict=True)):
+        rows = where(table, policy=LEARNED.name, cut_share=cut_share)
+        across = rows["num_paths"].to_numpy(dtype=float) * BAR_DODGE ** (k - (len(shares) - 1) / 2)
+        draw_bars(
+            axes,
+            across,
+            rows["regret"],
+            (rows["low"], rows["high"]),
+            color=colour,
+            marker=MARKERS[k % 6],
+            linewidth=1.8,
+        )
+        end = float(rows["regret"].iloc[-1])
+        cut = "no path cut" if cut_share == 0 else f"{share(cut_share)} of the paths cut"
+        labels.append(EndLabel(end, f"learned, {cut}  {amount(end)}", colour))
+    return labels
+
+
+def _draw_others(axes: Axes, design: Regret, table: pd.DataFrame) -> list[EndLabel]:
+    labels = []
+    best = [_best(design, table, kind)["policy"] for kind in (Kind.HEURISTIC, Kind.PLANNER)]
+    for row in records(table):
+        if row["policy"] == LEARNED.name:
+            continue
+        who, value, is_best = design.contenders[row["policy"]], float(row["regret"]), row["policy"] in best
+        if who.kind != Kind.OPTIMUM:
+            width = 1.5 if is_best else 0.9
+            axes.axhline(value, color=who.colour, linestyle=(0, who.dashes), linewidth=width, zorder=1.2)
+        labels.append(EndLabel(value, f"{who.label}  {amount(value)}", who.colour, is_best))
+    return labels
+
+
+def _numbers(design: Regret, table: pd.DataFrame) -> Listing:
+    rows = []
+    for row in records(table):
+        is_learned, is_exact = row["policy"] == LEARNED.name, pd.isna(row["repetitions"])
+        ends = "" if is_exact else f" ({interval(row['low'], row['high'])})"
+        rows.append(
+            (
+                design.contenders[row["policy"]].label,
+                str(row["num_paths"]) if is_learned else "–",
+                share(float(row["cut_share"])) if is_learned else "–",
+                f"{amount(row['regret'])}{ends}",
+                amount(100 * row["regret_share"], 1),
+            )
+        )
+    header = ("policy", "logged paths", "cut", "regret", "% of the optimum above FINISH")
+    return Listing("The numbers of Figure 7", "", header, {"": rows})

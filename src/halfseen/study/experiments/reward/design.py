@@ -1,0 +1,63 @@
+"""The configuration of the experiment."""
+
+from dataclasses import dataclass
+
+from halfseen.errors import ArgumentError
+from halfseen.study.policies import HEURISTICS, LEARNED, Contender, by_name, planner
+
+
+@dataclass(frozen=True)
+class RewardDesign:
+    """What the learned policy earns, by size of the log and proportion of cut paths.
+
+    Parameters
+    ----------
+    num_paths
+        Sizes of the logs; within a repetition a smaller log is the beginning of a larger one.
+    cut_shares
+        Expected proportions of cut paths.
+    episodes_per_scene
+        Evaluation episodes of each scene in a block.
+    planners
+        Simulations a decision of each planner, and how many episodes of a block it plays: a planner takes its time.
+    selection_per_scene, selection_planned
+        Other episodes, on which the strongest heuristic and the strongest planner are chosen: of each scene, and how
+        many of them the planners play.
+    table_num_paths, table_cut_share
+        The learned policy that Table 1 compares.
+    most_repetitions
+        Repetitions at most; None: as many as are asked for.
+    """
+
+    num_paths: tuple[int, ...] = (25, 50, 100, 200, 400, 800)
+    cut_shares: tuple[float, ...] = (0.0, 1 / 6, 1 / 3, 1 / 2)
+    episodes_per_scene: int = 5
+    planners: tuple[tuple[int, int], ...] = ((128, 10), (512, 3))
+    selection_per_scene: int = 20
+    selection_planned: int = 30
+    table_num_paths: int = 800
+    table_cut_share: float = 1 / 2
+    most_repetitions: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.table_num_paths not in self.num_paths:
+            raise ArgumentError(f"table_num_paths is {self.table_num_paths}; it is one of num_paths, {self.num_paths}")
+        if self.table_cut_share not in self.cut_shares:
+            raise ArgumentError(
+                f"table_cut_share is {self.table_cut_share}; it is one of cut_shares, {self.cut_shares}"
+            )
+
+    @property
+    def contenders(self) -> dict[str, Contender]:
+        """All who take part, by name."""
+        return by_name(LEARNED, *(planner(size) for size, _ in self.planners), *HEURISTICS)
+
+    @property
+    def planner_names(self) -> list[str]:
+        """Names of the planners."""
+        return [planner(size).name for size, _ in self.planners]
+
+    @property
+    def baseline_names(self) -> list[str]:
+        """Names of all that the learned policy is compared with."""
+        return [name for name in self.contenders if name != LEARNED.name]

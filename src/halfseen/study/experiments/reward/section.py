@@ -1,0 +1,230 @@
+"""What the experiment says: Figure 1, Tables 1 and 2, and who earns more."""
+
+from functools import partial
+from itertools import groupby
+from typing import Any
+
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from halfseen.evaluation.estimate import Estimate
+from halfseen.pages.axes import (
+    PANEL_TITLE,
+    WIDTH_INCHES,
+    EndLabel,
+    draw_curve,
+    mark_sizes,
+    write_end_labels,
+    write_title,
+)
+from halfseen.pages.numbers import amount, interval, p_value, share, share_in_words, with_interval
+from halfseen.pages.palette import BAND_OPACITY, MARKERS, ordered_colours
+from halfseen.pages.sentences import Claim, counted, listed
+from halfseen.study.experiment import Drawing, Listing, Section, Setting, Tables
+from halfseen.study.experiments.reward.design import RewardDesign
+from halfseen.study.experiments.reward.tables import BEST, MEASURES
+from halfseen.study.frames import records, row_of, where
+from halfseen.study.policies import LEARNED, STRONGEST_RULE
+from halfseen.study.wording import PATHS_AXIS, REWARD_AXIS, learned_from, spelled, verdict_of
+
+ROLE_WORDS: dict[str, str] = dict(
+    zip(BEST, ("the strongest heuristic", "the strongest planner, which knows the true model"), strict=True)
+)
+SHORT_ROLES: dict[str, str] = dict(zip(BEST, ("the strongest heuristic", "the strongest planner"), strict=True))
+CLAIM_WORDS = {"reward": "the learned policy earns more", "robot_s": "the learned policy ends sooner"}
+# Curves stand side by side rather than on one another: factor between neighbours along the log axis.
+DODGE = 1.02
+
+
+def section_of(design: RewardDesign, setting: Setting, tables: Tables) -> Section:
+    """Say whether learning earns more, and how few logged paths suffice."""
+    figure1, table1 = tables["figure1"], tables["table1"]
+    claims = [claim(design, setting, figure1, table1, role) for role in BEST]
+    title = f"{_beats(design, figure1)}; learned from {design.table_num_paths} paths, {_verdict_on_planner(claims[1])}"
+    return Section(
+        "Reward against the size of the log",
+        (_who_earns_more(design, claims), _how_few_paths(design, figure1)),
+        (Drawing("figure1", "Figure 1", title, _caption(setting), partial(draw_figure1, design, figure1)),),
+        (_numbers(design, figure1), _tests(design, setting, table1), _weights(design, tables["weights"])),
+        num_leading=2,
+    )
+
+
+def claim(design: RewardDesign, setting: Setting, figure1: pd.DataFrame, table1: pd.DataFrame, role: str) -> Claim:
+    """That the learned policy of Table 1 earns more than the baseline of a role, on the same episodes."""
+    name = str(row_of(figure1, role=role)["policy"])
+    row = row_of(table1, baseline=name, measure="reward")
+    effect, low, high = (float(row[column]) for column in ("effect", "effect_low", "effect_high"))
+    earned = f"{amount(float(row[LEARNED.name]))} against {amount(float(row['other']))} a path"
+    return Claim(
+        f"The policy {learned_from(design.table_num_paths, design.table_cut_share)}",
+        "earns more than",
+        "earns less than",
+        f"{ROLE_WORDS[role]} ({design.contenders[name].label})",
+        Estimate(effect, low, high, float("nan"), float(setting.repetitions)),
+        float(row["p_holm"]),
+        setting.alpha,
+        f"{earned} on the same {counted(int(row['num_episodes']), 'episode')}",
+    )
+
+
+def _who_earns_more(design: RewardDesign, claims: list[Claim]) -> str:
+    """Both claims in one sentence, which names the learned policy once."""
+    first, second = claims
+    return f"{first.sentence[:-1]}; it {second.asserted} {second.rival}: {second.verdict} ({second.numbers})."
+
+
+def _verdict_on_planner(found: Claim) -> str:
+    verb = {"supported": "it earns more than", "not supported": "it earns less than"}
+    return f"{verb.get(found.verdict, 'it shows no significant difference from')} {SHORT_ROLES[BEST[1]]}"
+
+
+def sufficient_paths(figure1: pd.DataFrame, cut_share: float) -> int | None:
+    """Smallest log from which on the learned policy earns more than the strongest heuristic, on the same episodes.
+
+    At this size and at every larger one the 95 % interval of the paired difference lies above 0; None if even the
+    largest log does not do.
+    """
+    rows = records(figure1, policy=LEARNED.name, cut_share=cut_share)
+    sufficient = None
+    for row in sorted(rows, key=lambda row: -row["num_paths"]):
+        if not float(row["gain_low"]) > 0:
+            break
+        sufficient = int(row["num_paths"])
+    return sufficient
+
+
+def _sufficient(design: RewardDesign, figure1: pd.DataFrame) -> dict[float, int | None]:
+    return {cut_share: sufficient_paths(figure1, cut_share) for cut_share in design.cut_shares}
+
+
+def _how_few_paths(design: RewardDesign, figure1: pd.DataFrame) -> str:
+    parts = []
+    found = _sufficient(design, figure1)
+    for size, shares in groupby(found, key=lambda cut_share: found[cut_share]):
+        enough = f"even {max(design.num_paths)} logged paths do not suffice"
+        if size is not None:
+            smallest = ", the smallest log that was tried," if size == min(design.num_paths) else ""
+            enough = f"{size} logged paths{smallest} suffice"
+        parts.append(f"{enough} where {listed([share_in_words(each) for each in shares], 'or')} of them are cut")
+    return f"To earn more than the strongest heuristic, {listed(parts)} (paired differences, 95 % intervals above 0)."
+
+
+def _beats(design: RewardDesign, figure1: pd.DataFrame) -> str:
+    found = _sufficient(design, figure1)
+    sizes = [size for size in found.values() if size is not None]
+    if not sizes:
+        return "The learned policy does not clearly beat the strongest heuristic"
+    start = f"The learned policy beats the strongest heuristic from {spelled(min(sizes), max(sizes))} logged paths on"
+    failed = [share_in_words(cut_share) for cut_share, size in found.items() if size is None]
+    if failed:
+        return f"{start}, but not clearly where {listed(failed, 'or')} were cut"
+    return f"{start}, {'whatever proportion was cut' if len(set(sizes)) == 1 else 'by the proportion cut'}"
+
+
+def _caption(setting: Setting) -> str:
+    return (
+        f"Markers: mean reward of the policy learned by censored Q-learning, weighted by 1/Ĝ, over "
+        f"{setting.repetitions} repetitions, each with a fresh log and fresh evaluation episodes that all policies "
+        "share; markers of one size stand side by side for legibility. Horizontal lines: baselines, which learn "
+        "nothing from logs; bold: the heuristic and the planner that were the strongest on other episodes. A planner "
+        "has so many simulations for each decision, whatever time they take, and plays some of the episodes: its line "
+        "is the learned policy’s mean less their paired difference. Shaded: 95 % intervals (Student’s t); of the "
+        "baselines, for the two in bold. Cuts are independent of what happens on the table. Logs: half of the actions "
+        f"are those of a heuristic ({STRONGEST_RULE.label}), half are uniformly random."
+    )
+
+
+def draw_figure1(design: RewardDesign, figure1: pd.DataFrame, title: str) -> Figure:
+    """Reward of the learned policy against the size of the log, with the baselines as lines."""
+    figure = Figure(figsize=(WIDTH_INCHES, 5.6))
+    top = write_title(figure, title) - 0.08
+    axes = figure.add_axes((0.07, 0.10, 0.58, top - 0.10))
+    labels = _draw_baselines(axes, design, figure1) + _draw_learned(axes, design, figure1)
+    mark_sizes(axes, design.num_paths)
+    axes.set_xlim(min(design.num_paths) / 1.08, max(design.num_paths) * 1.05)
+    axes.set_xlabel(PATHS_AXIS)
+    axes.set_title(REWARD_AXIS, **PANEL_TITLE)
+    write_end_labels(axes, labels)
+    return figure
+
+
+def _draw_learned(axes: Axes, design: RewardDesign, figure1: pd.DataFrame) -> list[EndLabel]:
+    shares = design.cut_shares
+    labels = []
+    for k, (cut_share, colour) in enumerate(zip(shares, ordered_colours(len(shares)), strict=True)):
+        rows = where(figure1, policy=LEARNED.name, cut_share=cut_share)
+        across = rows["num_paths"].to_numpy(dtype=float) * DODGE ** (k - (len(shares) - 1) / 2)
+        draw_curve(axes, across, rows["mean_reward"], (rows["low"], rows["high"]), color=colour, marker=MARKERS[k % 6])
+        end = float(rows["mean_reward"].iloc[-1])
+        cut = "no path cut" if cut_share == 0 else f"{share(cut_share)} of the paths cut"
+        labels.append(EndLabel(end, f"learned, {cut}  {amount(end)}", colour))
+    return labels
+
+
+def _draw_baselines(axes: Axes, design: RewardDesign, figure1: pd.DataFrame) -> list[EndLabel]:
+    labels = []
+    for row in (row for row in records(figure1) if row["policy"] != LEARNED.name):
+        who, mean, is_best = design.contenders[str(row["policy"])], float(row["mean_reward"]), row["role"] in BEST
+        width = 1.5 if is_best else 0.9
+        axes.axhline(mean, color=who.colour, linestyle=(0, who.dashes), linewidth=width, zorder=1.2)
+        if is_best:
+            low, high = float(row["low"]), float(row["high"])
+            axes.axhspan(low, high, color=who.colour, alpha=BAND_OPACITY, linewidth=0, zorder=1)
+        labels.append(EndLabel(mean, f"{who.label}  {amount(mean)}", who.colour, is_best))
+    return labels
+
+
+def _numbers(design: RewardDesign, figure1: pd.DataFrame) -> Listing:
+    rows = []
+    for size in design.num_paths:
+        cells = records(figure1, policy=LEARNED.name, num_paths=size)
+        told = (f"{amount(row['mean_reward'])} ({interval(row['low'], row['high'])})" for row in cells)
+        rows.append((str(size), *told))
+    header = ("logged paths", *(f"cut: {share(cut_share)}" for cut_share in design.cut_shares))
+    return Listing("The numbers of the learned policy in Figure 1", "", header, {"": rows})
+
+
+def _tests(design: RewardDesign, setting: Setting, table1: pd.DataFrame) -> Listing:
+    num_tested = int(table1["p_holm"].notna().sum())
+    caption = (
+        f"The policy learned from {design.table_num_paths} paths, of which {share_in_words(design.table_cut_share)} "
+        "are cut in expectation, against each baseline: one-sided Wilcoxon signed-rank tests over the repetitions, on "
+        "the episodes that both played. Difference: learned − baseline, with its 95 % interval (not adjusted); of "
+        f"times, below 0 is better. Holm’s procedure adjusted the {num_tested} p-values together; α = "
+        f"{setting.alpha:g}. Not supported: the interval lies on the other side of 0. Decision times are medians on "
+        "one core of this machine, told beside; nothing else depends on them."
+    )
+    groups = {}
+    for measure, name in MEASURES.items():
+        heading = f"{name[0].upper()}{name[1:]}{f': “{CLAIM_WORDS[measure]}”' if measure in CLAIM_WORDS else ''}"
+        groups[heading] = [_test_row(design, setting, row) for row in records(table1, measure=measure)]
+    header = ("against", "learned", "baseline", "difference", "p", "p, adjusted", "claim")
+    return Listing("Table 1", caption, header, groups, is_folded=False)
+
+
+def _test_row(design: RewardDesign, setting: Setting, row: Any) -> tuple[str, ...]:
+    is_reward, is_tested = row["measure"] == "reward", row["measure"] in CLAIM_WORDS
+    written = (lambda value: amount(value)) if is_reward else (lambda value: f"{value:.3g}".replace("-", "−"))
+    label = design.contenders[row["baseline"]].label
+    if not is_tested:
+        return label, written(row[LEARNED.name]), written(row["other"]), written(row["effect"]), "", "", ""
+    mean, ends = with_interval(row["effect"], row["effect_low"], row["effect_high"])
+    verdict = verdict_of(row, setting.alpha, is_more_better=is_reward)
+    numbers = written(row[LEARNED.name]), written(row["other"]), f"{mean} ({ends})"
+    return label, *numbers, p_value(row["p_value"]), p_value(row["p_holm"]), verdict
+
+
+def _weights(design: RewardDesign, weights: pd.DataFrame) -> Listing:
+    rows = []
+    for size in design.num_paths:
+        cells = records(weights, num_paths=size)
+        told = (f"{amount(row['effective_sample_size'], 0)} ({amount(row['largest_weight'], 1)})" for row in cells)
+        rows.append((str(size), *told))
+    caption = (
+        "Effective sample size of the weights of all stages, (Σw)²/Σw², and in brackets the largest weight; means over "
+        "repetitions, independent cuts."
+    )
+    header = ("logged paths", *(f"cut: {share(cut_share)}" for cut_share in design.cut_shares))
+    return Listing("Table 2", caption, header, {"": rows}, is_folded=False)

@@ -1,0 +1,259 @@
+"""The one way from a policy to a policy: play → encode → cut → treat → learn → evaluate.
+
+A cut path is treated in one of four ways, as what the learner sees of it:
+
+``weighted``
+    Every completed stage, weighted by 1/Ĝ(U⁻): the paper's.
+``unweighted``
+    Every completed stage alike.
+``dropped``
+    Only paths that finished, all their stages alike.
+``failures``
+    Every completed stage alike, and the stage in which the cut fell counts as a failed attempt that ended the path:
+    WASH costs what a failure costs, LIFT the time until the cut, and the dirty objects left are paid for as at every
+    end.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from halfseen.censoring import StageClocks, weight_diagnostics
+from halfseen.errors import ArgumentError
+from halfseen.learners import CensoredQLearner
+from halfseen.learners.q_learning.path_arrays import PathArrays
+from halfseen.learners.q_learning.q_model import QModel
+from halfseen.learners.q_learning.task import Encoded
+from halfseen.study.policies import logging_policy
+from halfseen.tables.encoding import encoded_states
+from halfseen.tables.table_policy import LinearTablePolicy
+from halfseen.world.action_space import Verb, verb_of
+from halfseen.world.config import WorldConfig
+from halfseen.world.cuts import CutEpisodes, CutKind, cut, cut_rate
+from halfseen.world.episodes import Episodes, Totals, evaluate, play
+from halfseen.world.grasp_model import GraspModel
+from halfseen.world.policy import Policy
+from halfseen.world.recording import elapsed_s
+from halfseen.world.state import Layout
+from halfseen.world.table_world import NUM_PILOT_PATHS
+
+PILOT, LOGS, EVALUATION, HELD_OUT, SELECTION = range(5)
+"""What random keys are for; other experiments' worlds draw from `purpose` on."""
+TREATMENTS = ("weighted", "unweighted", "dropped", "failures")
+
+
+def random_key(seed: int, purpose: int, index: int = 0) -> jax.Array:
+    """Key of one purpose of a repetition."""
+    return jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), purpose), index)
+
+
+class Played(NamedTuple):
+    """What a policy earned on single episodes."""
+
+    reward: Float[np.ndarray, "*B"]
+    robot_s: Float[np.ndarray, "*B"]
+
+    def means(self) -> dict[str, float]:
+        """Mean reward and robot time."""
+        return {"reward": float(self.reward.mean()), "robot_s": float(self.robot_s.mean())}
+
+    def on(self, episodes: Sequence[int]) -> "Played":
+        """Keep some of the episodes."""
+        return Played(self.reward[list(episodes)], self.robot_s[list(episodes)])
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where the paths of a repetition come from.
+
+    Parameters
+    ----------
+    world
+        The world that is played.
+    layouts
+        Its tables.
+    seed, index
+        Of the study, and which repetition.
+    """
+
+    world: WorldConfig
+    layouts: Layout
+    seed: int
+    index: int = 0
+
+    def play(self, num_paths: int, purpose: int = LOGS) -> Episodes:
+        """Paths of the logging policy that nothing cut."""
+        key = random_key(self.seed, purpose, self.index)
+        return play(self.world, self.layouts, logging_policy(self.world), key, num_paths)
+
+    def cut(self, episodes: Episodes, rate: float, kind: CutKind) -> CutEpisodes:
+        """Cut them, with the same draws for every rate and kind: a larger rate cuts the same paths earlier."""
+        return cut(episodes, rate, kind, np.random.default_rng([self.seed, self.index, 1]))
+
+    def cut_rate(self, share: float, kind: CutKind) -> float:
+        """Rate that cuts this proportion of the paths in expectation, from a pilot."""
+        return cut_rate(self.play(NUM_PILOT_PATHS, PILOT), share, kind)
+
+    def encode(self, episodes: Episodes, grasp: GraspModel | None = None) -> "EncodedPaths":
+        """Encode them once, however they are cut and treated."""
+        return EncodedPaths(self, encoded_states(episodes.states, episodes.action, grasp), grasp)
+
+    def evaluate(self, policy: Policy, num_episodes: int, purpose: int = EVALUATION) -> Played:
+        """Play a policy on the episodes of a purpose that all policies share."""
+        key = random_key(self.seed, purpose, self.index)
+        return _played(evaluate(self.world, self.layouts, policy, key, num_episodes))
+
+    def evaluate_batch(self, policies: Policy, num_episodes: int) -> list[Played]:
+        """Play a batch of policies of one kind on the evaluation episodes."""
+        key = random_key(self.seed, EVALUATION, self.index)
+        played = _played(_evaluate_batch(self.world, self.layouts, policies, key, num_episodes))
+        return [Played(*each) for each in zip(*played, strict=True)]
+
+
+def _played(totals: Totals) -> Played:
+    return Played(np.asarray(totals.reward, dtype=np.float64), np.asarray(totals.robot_s, dtype=np.float64))
+
+
+@partial(jax.jit, static_argnames="num_episodes")
+def _evaluate_batch(world: WorldConfig, layouts: Layout, policies: Policy, key: jax.Array, num_episodes: int) -> Totals:
+    return jax.vmap(lambda policy: evaluate(world, layouts, policy, key, num_episodes))(policies)
+
+
+@dataclass(frozen=True)
+class EncodedPaths:
+    """Paths of a source as the learner sees them.
+
+    Parameters
+    ----------
+    source
+        Where they come from.
+    encoded
+        Features, possible actions, and what was done.
+    grasp
+        What tells the probability of a grasp in the features; None for the rule of succession.
+    """
+
+    source: Source
+    encoded: Encoded
+    grasp: GraspModel | None = None
+
+    def lay_out(self, cuts: CutEpisodes, treatment: str, num_paths: int) -> PathArrays:
+        """The first paths of a log as the learner sees them under a treatment."""
+        paths = _path_arrays(cuts, self.encoded)
+        return treated(paths, cuts, treatment, self.source.world).take(np.arange(num_paths))
+
+    def learn(
+        self, logs: Sequence[tuple[CutEpisodes, str]], num_paths: int
+    ) -> tuple[LinearTablePolicy, list[dict[str, float]]]:
+        """Learn from the first paths of logs, each under its treatment, in one compiled call.
+
+        Returns
+        -------
+        LinearTablePolicy, list of dict
+            The policies as one batch; of each, the effective sample size and the largest of its weights.
+        """
+        models, rows = [], []
+        for cuts, treatment in logs:
+            paths = self.lay_out(cuts, treatment, num_paths)
+            model = self.model(treatment)
+            model = replace(model, cut_model=model.targets.fit_cuts(paths.clocks))
+            models.append(model)
+            rows.append(model.transitions(paths))
+        batch = jax.tree.map(lambda *leaves: np.stack(leaves), *rows)
+        policies = models[0].policy(models[0].fit(batch))
+        return policies, [_weights(np.asarray(each.weight)) for each in rows]
+
+    def learn_one(self, cuts: CutEpisodes, num_paths: int) -> LinearTablePolicy:
+        """Learn from the first paths of a log, weighted."""
+        return members(self.learn([(cuts, "weighted")], num_paths)[0])[0]
+
+    def model(self, treatment: str) -> QModel:
+        """How the product's own learner fits Q under a treatment."""
+        source = self.source
+        return CensoredQLearner.for_table(
+            source.world.horizon,
+            grasp=self.grasp,
+            censoring="kaplan-meier" if treatment == "weighted" else "none",
+            random_state=int(np.random.SeedSequence([source.seed, source.index]).generate_state(1)[0]),
+        ).model
+
+
+def members(policies: LinearTablePolicy) -> list[LinearTablePolicy]:
+    """The policies of a batch, one by one."""
+    return [LinearTablePolicy(each, policies.grasp) for each in policies.coefficients]
+
+
+def treated(paths: PathArrays, cuts: CutEpisodes, treatment: str, world: WorldConfig) -> PathArrays:
+    """What a learner sees of a log under one of `TREATMENTS`.
+
+    Raises
+    ------
+    ArgumentError
+        There is no such treatment.
+    """
+    if treatment not in TREATMENTS:
+        raise ArgumentError(f"treatment is {treatment!r}; it is one of {', '.join(TREATMENTS)}")
+    clocks = paths.clocks
+    if treatment == "dropped":
+        kept = cuts.is_finished[:, None]
+        elapsed = np.where(kept, clocks.elapsed_s, np.nan)
+        return paths._replace(clocks=clocks._replace(is_begun=clocks.is_begun & kept, elapsed_s=elapsed))
+    if treatment == "failures":
+        is_cut_stage = cuts.is_begun & ~cuts.is_completed
+        elapsed = np.where(is_cut_stage, cuts.end_s[:, None], clocks.elapsed_s)
+        ended = clocks._replace(elapsed_s=elapsed, is_finished=np.ones_like(clocks.is_finished))
+        return paths._replace(reward=np.where(is_cut_stage, _failure_reward(cuts, world), paths.reward), clocks=ended)
+    return paths
+
+
+def _failure_reward(cuts: CutEpisodes, world: WorldConfig) -> Float[np.ndarray, "n T"]:
+    verb = np.asarray(verb_of(cuts.episodes.action, cuts.episodes.states.num_objects))
+    begun_s = np.nan_to_num(elapsed_s(cuts)).max(axis=1)
+    lifted = world.reward_lift_per_s * (cuts.end_s - begun_s)
+    attempt = np.select([verb == Verb.WASH, verb == Verb.LIFT], [world.reward_wash_failed, lifted[:, None]], 0.0)
+    is_dirty = np.asarray(cuts.episodes.hidden.is_dirty)[:, None, :]
+    dirty_left = np.sum(np.asarray(cuts.episodes.states.is_on_table) & is_dirty, axis=-1)
+    return attempt + world.reward_dirty_left * dirty_left
+
+
+def _path_arrays(cuts: CutEpisodes, encoded: Encoded) -> PathArrays:
+    """A log as arrays: what reading back its `Logs` gives, without writing them."""
+    clocks = StageClocks(
+        path_ids=np.arange(len(cuts.end_s)),
+        elapsed_s=elapsed_s(cuts),
+        end_s=cuts.end_s,
+        is_finished=cuts.is_finished,
+        is_begun=cuts.is_begun,
+        covariates=np.zeros((*cuts.is_begun.shape, 0)),
+        covariate_names=(),
+    )
+    return PathArrays(
+        clocks=clocks,
+        encoded=encoded,
+        has_action=cuts.is_begun,
+        probability=np.asarray(cuts.episodes.probability, dtype=np.float64),
+        reward=np.where(cuts.is_completed, np.asarray(cuts.episodes.reward, dtype=np.float64), 0.0),
+    )
+
+
+def _weights(weight: Float[np.ndarray, "n T"]) -> dict[str, float]:
+    diagnostics = weight_diagnostics(weight)
+    return {
+        "effective_sample_size": diagnostics.effective_sample_size,
+        "largest_weight": diagnostics.largest_weight,
+    }
+
+
+def episodes_in_turn(index: int, num_episodes: int, num_all: int) -> list[int]:
+    """Which of a repetition's episodes a slow policy plays: each repetition goes on with the next.
+
+    Episode i is of table i modulo their number: so all tables are met alike.
+    """
+    num_played = min(num_episodes, num_all)
+    first = index * num_played if num_played < num_all else 0
+    return sorted((first + k) % num_all for k in range(num_played))

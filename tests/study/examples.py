@@ -1,0 +1,128 @@
+"""Made-up pieces of every experiment, and what is made of them: for the tests of what is drawn and written."""
+
+import numpy as np
+from example_map import example_pieces as map_pieces
+
+from halfseen.study.experiment import Pieces, Setting
+from halfseen.study.experiments import EXPERIMENTS
+from halfseen.study.experiments.grasp.design import MODEL_NAMES
+from halfseen.study.pipeline import TREATMENTS, episodes_in_turn
+from halfseen.study.policies import HEURISTICS
+from halfseen.world.scene import Scene
+
+REWARDS = dict(zip((each.name for each in HEURISTICS), (3.1, 3.6, 6.2, 6.4), strict=True))
+OWN, PLANNED, NUM_EPISODES = 9.0, 9.1, 50
+REWARD, PLANNING, CENSORING, GRASP, CLUTTER, REGRET = EXPERIMENTS
+
+
+def example_setting(repetitions=6):
+    rng = np.random.default_rng(0)
+    scenes = []
+    for k in range(10):
+        hides = np.triu(rng.beta(0.4, 1.6, (5 + k % 6, 5 + k % 6)), 1)
+        scenes.append(Scene(np.where(hides < 0.05, 0.0, hides), f"table_{k:02d}.pcd"))
+    return Setting(tuple(scenes), repetitions=repetitions)
+
+
+def example_pieces(experiment, lead=0.0, gain=0.0, repetitions=6):
+    """Pieces in which the learned policy ends `lead` above the planners, and weights (or the SVM) gain `gain`."""
+    rng = np.random.default_rng(1)
+    made = {
+        "reward": lambda k: _reward(rng, k, lead),
+        "planning": lambda k: _planning(rng, k, lead),
+        "censoring": lambda k: _censoring(rng, k, gain),
+        "grasp": lambda k: _grasp(rng, k, gain),
+        "regret": lambda k: _regret(rng, k, lead),
+    }
+    if experiment.name == "clutter":
+        return Pieces(
+            {}, {}, map_pieces(lambda place: 0.3 if place.reward_wash_clean == -20 else gain, repetitions=repetitions)
+        )
+    names = ("censored_q", *getattr(experiment, "baseline_names", ()), *getattr(experiment, "contenders", {}))
+    measured = {"decision_ms": dict.fromkeys(names, 0.5), "learning_s": 0.3}
+    planned = {name: PLANNED + 0.1 * k for k, name in enumerate(REWARD.planner_names)}
+    exact = {name: [5.0 - 0.5 * reward] * 2 for name, reward in REWARDS.items()}
+    prepared = {"selection": REWARDS | planned, "optimum": [4.0, 6.0], "finish": [-9.0, -9.0], "regrets": exact}
+    return Pieces(prepared, measured, [made[experiment.name](k) for k in range(repetitions)])
+
+
+def example_section(experiment, repetitions=6, **options):
+    setting = example_setting(repetitions)
+    return experiment.section(
+        setting, experiment.tabulate(setting, example_pieces(experiment, repetitions=repetitions, **options))
+    )
+
+
+def _means(reward):
+    return {"reward": float(reward), "robot_s": 30.0 + 0.1 * float(reward)}
+
+
+def _reward(rng, index, lead):
+    luck = rng.normal()
+    own = OWN + luck + lead
+    rows = []
+    for size in REWARD.num_paths:
+        for share in REWARD.cut_shares:
+            steps = np.log2(max(REWARD.num_paths) / size)
+            reward = own - 0.35 * steps + 0.8 * (0.5 - share) + 0.1 * rng.normal()
+            weights = {"effective_sample_size": 5.5 * size * (1 - share), "largest_weight": 1.0 + 8.0 * share}
+            rows.append({"num_paths": size, "cut_share": share, **weights, **_means(reward)})
+    planners = {
+        name: {"num_episodes": 10, **_means(PLANNED + 0.1 * k + luck + 0.2 * rng.normal()), "censored_q": _means(own)}
+        for k, name in enumerate(REWARD.planner_names)
+    }
+    rules = {name: _means(reward + luck + 0.1 * rng.normal()) for name, reward in REWARDS.items()}
+    return {"index": index, "learned": rows, "heuristics": rules, "planners": planners}
+
+
+def _planning(rng, index, lead):
+    luck = rng.normal(0.0, 8.0, NUM_EPISODES)
+    rewards = {"censored_q": OWN} | REWARDS | dict.fromkeys(PLANNING.by_simulations, OWN - lead)
+    rewards |= {name: OWN - 2.0 + 0.3 * h for name, h in PLANNING.by_horizon.items()}
+    some = dict(zip(PLANNING.by_simulations, (count for _, count in PLANNING.simulations), strict=True))
+    rows = []
+    for name, reward in rewards.items():
+        episodes = episodes_in_turn(index, some.get(name, NUM_EPISODES), NUM_EPISODES)
+        earned = reward + luck[episodes] + 0.3 * rng.normal(size=len(episodes))
+        rows.append({"policy": name, "episodes": episodes, "reward": earned.tolist()})
+    return {"index": index, "played": rows}
+
+
+def _censoring(rng, index, gain):
+    luck = rng.normal()
+    rows = []
+    for size in CENSORING.num_paths:
+        for kind in CENSORING.cut_kinds:
+            for k, treatment in enumerate(TREATMENTS):
+                behind = k * gain if kind == "independent" else 0.0
+                reward = OWN + luck + 0.3 * np.log2(size / 800) - behind + 0.1 * rng.normal()
+                rows.append({"treatment": treatment, "cut_kind": kind, "num_paths": size, **_means(reward)})
+    return {"index": index, "learned": rows}
+
+
+def _grasp(rng, index, lead):
+    luck = rng.normal(size=2)
+    rows = []
+    for size in GRASP.num_paths:
+        for k, model in enumerate(MODEL_NAMES):
+            above = {"succession": 0.2, "oracle": 0.0, "svm": 0.01 - lead}.get(model, 0.01)
+            noise, attempts = rng.normal(size=4) * 0.001, rng.integers(100, 300, size=10)
+            said = attempts * (np.arange(10) + 0.5) / 10
+            successes = rng.binomial(attempts, said / attempts).tolist()
+            row = {"model": model, "num_paths": size, "log_loss": 0.5 + above + 0.01 * luck[0] + noise[0]}
+            row |= {"brier": 0.15 + above / 3 + 0.01 * luck[0] + noise[1]}
+            row |= {"learned_reward": 9.0 + luck[1] - above + 0.1 * k + noise[2]}
+            row |= {"heuristic_reward": 6.0 + luck[1] - above + noise[3]}
+            rows.append(
+                row | {"bins": {"attempts": attempts.tolist(), "probabilities": said.tolist(), "successes": successes}}
+            )
+    return {"index": index, "grasp": rows}
+
+
+def _regret(rng, index, lead):
+    rows = [{"policy": who.name, "regrets": [0.5 / k, 0.7 / k]} for k, who in enumerate(REGRET.planners, start=1)]
+    for size in REGRET.num_paths:
+        for share in REGRET.cut_shares:
+            values = (np.maximum(0.0, [60.0 / size - lead, 2.0 * share]) + 0.02 * rng.random()).tolist()
+            rows.append({"policy": "censored_q", "num_paths": size, "cut_share": share, "regrets": values})
+    return {"index": index, "rows": rows}

@@ -1,0 +1,134 @@
+"""Play, cut, treat, learn: the treatments by hand, and the batch against the estimator on the same logs."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from tiny import SETTING
+
+from halfseen.errors import ArgumentError
+from halfseen.learners import CensoredQLearner
+from halfseen.study.pipeline import TREATMENTS, Source, episodes_in_turn
+from halfseen.study.policies import HEURISTICS, horizon_planner
+from halfseen.study.single_play import play_singly
+from halfseen.world import Scene, UniformPolicy, WorldConfig
+from halfseen.world.cuts import CutEpisodes
+from halfseen.world.episodes import play
+from halfseen.world.recording import to_logs
+from halfseen.world.state import pad_scenes
+
+CONFIG = WorldConfig(horizon=3)
+FINISH, WASH_0, LIFT_1 = 0, 1, 4
+
+
+def cut_by_hand(is_cut=True):
+    """Five paths of two dirty cups: 0 finished; others cut in stage 1 (WASH), 2 (LIFT), 2 (FINISH), 1 (LIFT)."""
+    episodes = play(CONFIG, pad_scenes([Scene(np.zeros((2, 2)))]), UniformPolicy(), jax.random.key(0), 5)
+    there = np.ones((5, 3, 2), dtype=bool)
+    there[0, 1:, 0] = there[3, 1:, 0] = False
+    action = np.array([[WASH_0, LIFT_1, FINISH], [WASH_0] * 3, [WASH_0, LIFT_1, FINISH], [WASH_0, FINISH, 0], [4] * 3])
+    reward = [[5, -0.2, -5], [9, 9, 9], [-1, 9, 9], [5, 9, 9], [9, 9, 9]]
+    episodes = replace(
+        episodes,
+        states=replace(episodes.states, is_on_table=jnp.asarray(there)),
+        action=jnp.asarray(action),
+        reward=jnp.asarray(reward, dtype=jnp.float32),
+        duration_s=jnp.full((5, 3), 2.0),
+        is_taken=jnp.ones((5, 3), dtype=bool),
+        hidden=replace(episodes.hidden, is_dirty=jnp.ones((5, 2), dtype=bool)),
+    )
+    num_completed = np.array([3, 0, 1, 1, 0]) if is_cut else np.full(5, 3)
+    stage = np.arange(3)
+    is_completed = stage < num_completed[:, None]
+    end_s = np.array([6.0, 1.0, 3.0, 3.5, 1.0]) if is_cut else np.full(5, 6.0)
+    is_begun = is_completed | (stage == num_completed[:, None])
+    return CutEpisodes(episodes, end_s, num_completed == 3, is_completed, is_begun)
+
+
+def seen(treatment, is_cut=True):
+    """Reward, weight and last stages as the learner's regression has them."""
+    source = Source(CONFIG, pad_scenes([Scene(np.zeros((2, 2)))]), 0)
+    cuts = cut_by_hand(is_cut)
+    encoded = source.encode(cuts.episodes)
+    paths = encoded.lay_out(cuts, treatment, 5)
+    model = encoded.model(treatment)
+    weight = model.targets.weights(paths, model.targets.fit_cuts(paths.clocks))
+    return paths.reward, weight, paths.is_last
+
+
+def test_weighted_gives_completed_stages_the_inverse_of_what_was_left_uncut():
+    reward, weight, is_last = seen("weighted")
+    # At 2 s two of five were cut; at 3 s one more of three, at 3.5 s one of the last two.
+    np.testing.assert_allclose(weight, [[5 / 3, 5, 5], [0] * 3, [5 / 3, 0, 0], [5 / 3, 0, 0], [0] * 3], rtol=1e-12)
+    np.testing.assert_allclose(reward, [[5, -0.2, -5], [0] * 3, [-1, 0, 0], [5, 0, 0], [0] * 3], rtol=1e-6)
+    np.testing.assert_array_equal(np.argwhere(is_last), [[0, 2]])
+
+
+def test_unweighted_counts_completed_stages_alike():
+    _, weight, is_last = seen("unweighted")
+    np.testing.assert_array_equal(weight, [[1, 1, 1], [0, 0, 0], [1, 0, 0], [1, 0, 0], [0, 0, 0]])
+    np.testing.assert_array_equal(np.argwhere(is_last), [[0, 2]])
+
+
+def test_dropped_leaves_only_what_finished():
+    _, weight, is_last = seen("dropped")
+    np.testing.assert_array_equal(weight, [[1, 1, 1]] + 4 * [[0, 0, 0]])
+    np.testing.assert_array_equal(np.argwhere(is_last), [[0, 2]])
+
+
+def test_failures_make_the_stage_of_the_cut_a_failed_last_one():
+    reward, weight, is_last = seen("failures")
+    np.testing.assert_array_equal(weight, [[1, 1, 1], [1, 0, 0], [1, 1, 0], [1, 1, 0], [1, 0, 0]])
+    np.testing.assert_array_equal(np.argwhere(is_last), [[0, 2], [1, 0], [2, 1], [3, 1], [4, 0]])
+    # WASH failed with two dirty left; LIFT for 1 s with two left; FINISH with one left; LIFT for 1 s with two left.
+    expected = [[5, -0.2, -5], [-11, 0, 0], [-1, -10.1, 0], [5, -5, 0], [-10.1, 0, 0]]
+    np.testing.assert_allclose(reward, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("treatment", TREATMENTS)
+def test_where_nothing_was_cut_all_treatments_are_one(treatment):
+    for ours, other in zip(seen(treatment, False), seen("unweighted", False), strict=True):
+        np.testing.assert_array_equal(ours, other)
+
+
+def test_an_unknown_treatment_is_refused_with_those_that_are_known():
+    with pytest.raises(ArgumentError, match="'ignored'; it is one of weighted, unweighted, dropped, failures"):
+        seen("ignored")
+
+
+def test_slow_planners_meet_all_episodes_in_turn():
+    assert episodes_in_turn(3, 7, 5) == [0, 1, 2, 3, 4]
+    assert [episodes_in_turn(k, 2, 5) for k in range(4)] == [[0, 1], [2, 3], [0, 4], [1, 2]]
+
+
+@pytest.mark.slow
+def test_a_batch_is_what_the_estimator_learns_from_the_same_logs():
+    source = Source(SETTING.world, SETTING.layouts, 0, 3)
+    episodes = source.play(40)
+    cuts = source.cut(episodes, source.cut_rate(0.5, "independent"), "independent")
+    together, _ = source.encode(episodes).learn([(cuts, "weighted"), (cuts, "unweighted")], 40)
+    logs = to_logs(cuts, "independent", SETTING.scenes)
+    seed = int(np.random.SeedSequence([0, 3]).generate_state(1)[0])
+    for coefficients, censoring in zip(together.coefficients, ("kaplan-meier", "none"), strict=True):
+        learner = CensoredQLearner.for_table(SETTING.world.horizon, censoring=censoring, random_state=seed)
+        np.testing.assert_allclose(coefficients, learner.fit(logs).policy_.coefficients, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["independent", "attempt"])
+def test_the_rates_cut_the_wanted_proportion(kind):
+    source = Source(SETTING.world, SETTING.layouts, 0, 4)
+    cuts = source.cut(source.play(2000), source.cut_rate(0.5, kind), kind)
+    assert cuts.is_finished.mean() == pytest.approx(0.5, abs=0.04)
+
+
+@pytest.mark.slow
+def test_single_episodes_are_those_that_others_play_many_at_once():
+    source = Source(SETTING.world, SETTING.layouts, 0, 1)
+    for who in (HEURISTICS[-1], horizon_planner(1, 8)):
+        policy = who.policy(SETTING.world)
+        together, singly = source.evaluate(policy, 6), play_singly(source, policy, [1, 4, 5])
+        for ours, other in zip(singly, together.on([1, 4, 5]), strict=True):
+            np.testing.assert_allclose(ours, other, atol=1e-4)

@@ -1,0 +1,179 @@
+"""What the experiments draw and say, from made-up pieces: nothing overlaps, and claims follow the numbers."""
+
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.text import Text
+
+from examples import CENSORING, GRASP, PLANNING, REGRET, REWARD, example_pieces, example_section, example_setting
+from halfseen.pages.drawing import drawn
+from halfseen.study.experiments import EXPERIMENTS
+from halfseen.study.frames import row_of
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def texts(figure):
+    """Return all that is written: ticks beyond the ends of an axis are not."""
+    figure.draw_without_rendering()
+    unseen = set()
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            low, high = sorted(axis.get_view_interval())
+            unseen |= {tick.label1 for tick in axis.get_major_ticks() if not low <= tick.get_loc() <= high}
+    found = figure.findobj(lambda part: isinstance(part, Text) and part.get_text() and part.get_visible())
+    return [text for text in found if text not in unseen]
+
+
+def words(figure):
+    return [text.get_text() for text in texts(figure)]
+
+
+def drawings(**options):
+    return [drawing for each in EXPERIMENTS for drawing in example_section(each, **options).drawings]
+
+
+@pytest.mark.usefixtures("within_style")
+@pytest.mark.parametrize("lead", [-4.0, 0.0, 3.0])
+def test_nothing_written_overlaps_or_leaves_the_figure(lead):
+    for drawing in drawings(lead=lead, gain=0.1 * lead):
+        for title in (drawing.title, ""):
+            figure = drawing.draw(title)
+            renderer = FigureCanvasAgg(figure).get_renderer()
+            boxes = [(text.get_text(), text.get_window_extent(renderer)) for text in texts(figure)]
+            frame = figure.bbox
+            for k, (text, box) in enumerate(boxes):
+                inside = box.x0 >= 0 and box.y0 >= 0 and box.x1 <= frame.x1 and box.y1 <= frame.y1
+                assert inside, (drawing.name, text)
+                for other_text, other in boxes[k + 1 :]:
+                    across = min(box.x1, other.x1) - max(box.x0, other.x0)
+                    along = min(box.y1, other.y1) - max(box.y0, other.y0)
+                    # Two pixels: boxes are a little higher than the letters in them.
+                    assert min(across, along) < 2, (drawing.name, text, other_text)
+
+
+@pytest.mark.parametrize("name", [drawing.name for drawing in drawings()])
+def test_figures_are_whole_and_the_same_again(name):
+    once, again = (next(each for each in drawings() if each.name == name) for _ in range(2))
+    svg = drawn(lambda: once.draw(once.title), "svg")
+    assert svg == drawn(lambda: again.draw(again.title), "svg")
+    assert ElementTree.fromstring(svg).tag == f"{SVG}svg"
+
+
+@pytest.mark.usefixtures("within_style")
+def test_figure1_names_every_line_and_draws_planners_as_planners():
+    (drawing,) = example_section(REWARD).drawings
+    figure = drawing.draw("")
+    written = words(figure)
+    for start in ("greedy  3.", "greedy with history  3.", "learned, no path cut", "learned, 1/6 of the paths cut"):
+        assert sum(text.startswith(start) for text in written) == 1
+    assert sum(text.startswith("POMDP planner") for text in written) == 2
+    lines = [line.get_color() for line in figure.axes[0].lines if isinstance(line.get_color(), str)]
+    # A line across and a tie to its name.
+    assert lines.count(REWARD.contenders["planner-128"].colour) == 2 * 2
+    assert lines.count(REWARD.contenders["greedy"].colour) == 2 * 4
+
+
+@pytest.mark.parametrize(
+    ("lead", "verdict", "title"),
+    [
+        (2.0, "supported", "earns more than the strongest planner"),
+        (0.2, "inconclusive", "no significant difference from the strongest planner"),
+        (-2.0, "not supported", "earns less than the strongest planner"),
+    ],
+)
+def test_the_first_sentence_compares_on_the_same_episodes(lead, verdict, title):
+    setting = example_setting(30)
+    tables = REWARD.tabulate(setting, example_pieces(REWARD, lead=lead, repetitions=30))
+    section = REWARD.section(setting, tables)
+    row = tables["table1"].query("baseline == 'planner-512' and measure == 'reward'").iloc[0]
+    assert row["effect"] == pytest.approx(row["censored_q"] - row["other"])
+    first = section.sentences[0]
+    assert first.count("earns more than the strongest heuristic (history, counting the penalty): supported") == 1
+    assert f"POMDP planner, 512 simulations): {verdict} (" in first
+    assert f"{row['censored_q']:.2f} against {row['other']:.2f} a path on the same 300 episodes" in first
+    assert title in section.drawings[0].title
+
+
+def test_a_planner_in_figure_1_stands_as_far_from_the_learned_policy_as_on_the_episodes_of_both():
+    tables = REWARD.tabulate(example_setting(), example_pieces(REWARD))
+    figure1, table1 = tables["figure1"].set_index("policy"), tables["table1"]
+    own = row_of(tables["figure1"], policy="censored_q", num_paths=800, cut_share=0.5)
+    for name in REWARD.planner_names:
+        gap = table1.query(f"baseline == '{name}' and measure == 'reward'").iloc[0]["effect"]
+        assert own["mean_reward"] - figure1.loc[name, "mean_reward"] == pytest.approx(gap)
+    assert figure1["role"].dropna().to_dict() == {"history-penalty": "best_heuristic", "planner-512": "best_planner"}
+
+
+def test_decision_times_are_told_and_not_tested():
+    table1 = REWARD.tabulate(example_setting(), example_pieces(REWARD))["table1"]
+    is_time = table1["measure"] == "decision_ms"
+    assert table1.loc[is_time, ["p_value", "p_holm", "supported"]].isna().all(axis=None)
+    assert table1.loc[~is_time, "p_holm"].notna().all()
+    listing = next(each for each in example_section(REWARD).listings if each.label == "Table 1")
+    assert any("measured on this machine" in heading for heading in listing.groups)
+
+
+def test_how_few_paths_suffice_is_by_paired_differences():
+    section = example_section(REWARD, lead=0.0)
+    assert "25 logged paths, the smallest log that was tried, suffice where" in section.sentences[1]
+    assert "even 800 logged paths do not suffice" in example_section(REWARD, lead=-9.0).sentences[1]
+
+
+def test_what_weights_gain_is_told_by_kind_of_cut():
+    sentence = example_section(CENSORING, gain=0.5).sentences[0]
+    assert sentence.count(": supported (") == 3
+    assert "under independent cuts, than using completed stages without weights: supported (0.5" in sentence
+    title = example_section(CENSORING, gain=0.5).drawings[0].title
+    assert title.startswith("From 800 paths, weighting by 1/Ĝ under independent cuts earns more than")
+    assert "makes no significant difference" in title
+
+
+def test_planners_are_compared_on_the_episodes_that_they_played():
+    setting = example_setting()
+    figure2 = PLANNING.tabulate(setting, example_pieces(PLANNING, lead=1.0))["figure2"].set_index("policy")
+    assert figure2.loc["planner-1024", "over_censored_q"] == pytest.approx(-1.0, abs=0.3)
+    assert figure2.loc["planner-1024", "episodes"] == 5
+    assert set(figure2["kind"]) == {"learned", "heuristic", "planner"}
+    sentences = example_section(PLANNING, lead=1.0).sentences
+    assert "1,024 simulations a decision, earns more than" in sentences[0]
+    assert ": not supported (" in sentences[0]
+    assert sentences[1].startswith(
+        "Looking 6 steps ahead, with 128 simulations a decision, earns more than looking 1 step"
+    )
+    assert ": supported (" in sentences[1]
+
+
+@pytest.mark.parametrize(
+    ("gain", "verdict", "title"), [(0.02, "supported", "from logs of every size"), (-0.02, "not supported", "does not")]
+)
+def test_the_papers_claim_is_said_to_hold_only_where_it_does(gain, verdict, title):
+    section = example_section(GRASP, gain=gain, repetitions=16)
+    assert f"predicts grasps better than the mean of a Beta: {verdict} (" in section.sentences[0]
+    assert title in section.drawings[0].title
+
+
+def test_calibration_has_an_error_over_repetitions():
+    pieces = example_pieces(GRASP)
+    figure5 = GRASP.tabulate(example_setting(), pieces)["figure5"]
+    row = figure5.query("model == 'beta' and num_paths == 50").iloc[3]
+    bins = [
+        r["bins"]
+        for piece in pieces.repetitions
+        for r in piece["grasp"]
+        if (r["model"], r["num_paths"]) == ("beta", 50)
+    ]
+    attempts, said, won = (
+        np.array([each[name][3] for each in bins]) for name in ("attempts", "probabilities", "successes")
+    )
+    assert row["difference"] == pytest.approx((won.sum() - said.sum()) / attempts.sum())
+    residual = won - said - row["difference"] * attempts
+    assert row["se"] == pytest.approx(np.sqrt(6 / 5 * np.sum(residual**2)) / attempts.sum())
+
+
+def test_regret_is_told_beside_the_best_heuristic_and_planner():
+    sentence = example_section(REGRET).sentences[0]
+    assert "has less regret than the best heuristic (history, counting the penalty)" in sentence
+    assert "of what the optimum gains over FINISH at once" in sentence

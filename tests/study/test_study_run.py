@@ -1,0 +1,153 @@
+"""The tiny study from end to end: its files, and that a killed one goes on to the same bytes."""
+
+import json
+import pickle
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from tiny import SETTING, TINY
+
+from halfseen.errors import ArgumentError
+from halfseen.study.run import chosen, run_study
+
+REWARD = "mean_reward se low high"
+COLUMNS = {
+    "figure1": f"policy num_paths cut_share repetitions {REWARD} role gain gain_se gain_low gain_high",
+    "table1": "baseline measure censored_q other p_value p_holm effect supported effect_low effect_high num_episodes",
+    "weights": "num_paths cut_share effective_sample_size largest_weight",
+    "figure2": f"policy kind simulations decision_ms {REWARD} over_censored_q se_over over_low over_high "
+    "repetitions episodes",
+    "figure4": f"treatment cut_kind num_paths cut_share repetitions {REWARD} behind_weighted se_behind behind_low "
+    "behind_high",
+    "grasp_tests": "measure num_paths svm beta p_value p_holm effect supported effect_low effect_high",
+    "figure5": "model num_paths bin_from attempts mean_probability share_succeeded difference se low high",
+    "map": "num_objects occlusion label_gain reward_wash_clean grip_offset_std num_paths cut_share repetitions "
+    "censored_q best_heuristic heuristic_reward finish_reward gain gain_se gain_share gain_share_low gain_share_high "
+    "verdict",
+    "regret": "policy num_paths cut_share regret se low high regret_share optimum repetitions",
+}
+FIGURES = ("figure1", "figure2", "figure3", "figure4", "figure5", "map", "regret")
+MEASURED = ("decision_ms", "learning_s")
+
+
+def outputs(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+
+
+def pieces(folder, name):
+    return [json.loads(path.read_text()) for path in sorted((folder / "progress" / name).glob("repetition-*.json"))]
+
+
+def test_it_writes_all_that_it_promises(study_folder):
+    tables = {f"{name}.csv" for name in (*COLUMNS, "figure3", "grasp", "learning")}
+    figures = {f"{name}.{kind}" for name in FIGURES for kind in ("svg", "png")}
+    assert set(outputs(study_folder)) == tables | figures | {"report.html", "study.json"}
+    for name, columns in COLUMNS.items():
+        assert (study_folder / f"{name}.csv").read_text().splitlines()[0].split(",") == columns.split()
+
+
+def test_the_numbers_are_those_of_the_pieces(study_folder):
+    figure1 = pd.read_csv(study_folder / "figure1.csv").set_index("policy")
+    for name in ("greedy", "history-penalty"):
+        expected = np.mean([piece["heuristics"][name]["reward"] for piece in pieces(study_folder, "reward")])
+        assert figure1.loc[name, "mean_reward"] == pytest.approx(expected)
+    first = pieces(study_folder, "planning")[0]
+    assert [row["policy"] for row in first["played"]][:2] == ["censored_q", "greedy"]
+    assert {len(row["episodes"]) for row in first["played"]} == {1, 2, 4}
+
+
+def test_experiments_share_the_episodes_and_the_log_of_a_repetition(study_folder):
+    for reward, planning, grasp in zip(
+        *(pieces(study_folder, name) for name in ("reward", "planning", "grasp")), strict=True
+    ):
+        played = {row["policy"]: np.mean(row["reward"]) for row in planning["played"]}
+        assert played["history-penalty"] == pytest.approx(reward["heuristics"]["history-penalty"]["reward"], abs=1e-5)
+        learned = {(row["num_paths"], row["cut_share"]): row["reward"] for row in reward["learned"]}
+        assert played["censored_q"] == pytest.approx(learned[50, 0.5], abs=1e-5)
+        for row in grasp["grasp"]:
+            if row["model"] == "succession":
+                assert row["learned_reward"] == pytest.approx(learned[row["num_paths"], 0.5], abs=1e-5)
+            if row["model"] == "oracle":
+                assert row["heuristic_reward"] == pytest.approx(played["history-penalty"], abs=1e-5)
+
+
+def test_nobody_is_better_than_the_optimum(study_folder):
+    regret = pd.read_csv(study_folder / "regret.csv")
+    assert (regret.loc[~regret["policy"].str.startswith("planner"), "regret"] >= 0.0).all()
+    assert regret["policy"].iloc[-1] == "optimum"
+
+
+def test_resuming_a_killed_study_writes_the_same_bytes(study_folder, tmp_path):
+    shutil.copytree(study_folder / "progress", tmp_path / "progress")
+    for name in ("reward/repetition-00001", "censoring/repetition-00000", "regret/prepared"):
+        (tmp_path / "progress" / f"{name}.json").unlink()
+    run_study(SETTING, tmp_path, TINY, is_resumed=True, num_jobs=1)
+    assert outputs(tmp_path) == outputs(study_folder)
+
+
+def test_no_figure_depends_on_measured_times(study_folder, tmp_path):
+    shutil.copytree(study_folder / "progress", tmp_path / "progress")
+    for path in tmp_path.glob("progress/*/measured.json"):
+        measured = json.loads(path.read_text())
+        slower = {name: 100.0 * value for name, value in measured["decision_ms"].items()}
+        path.write_text(json.dumps({**measured, "decision_ms": slower}))
+    run_study(SETTING, tmp_path, TINY, is_resumed=True, num_jobs=1)
+    before, after = outputs(study_folder), outputs(tmp_path)
+    changed = {name for name in before if before[name] != after[name]}
+    assert changed == {"figure2.csv", "figure3.csv", "table1.csv", "study.json", "report.html"}
+    for name in ("figure2", "figure3"):
+        old, new = (
+            pd.read_csv(folder / f"{name}.csv").drop(columns="decision_ms") for folder in (study_folder, tmp_path)
+        )
+        pd.testing.assert_frame_equal(old, new)
+    old, new = (
+        pd.read_csv(folder / "table1.csv").query("measure != 'decision_ms'") for folder in (study_folder, tmp_path)
+    )
+    pd.testing.assert_frame_equal(old, new)
+
+
+def test_another_seed_is_not_resumed(study_folder, tmp_path):
+    folder = shutil.copytree(study_folder, tmp_path / "copy")
+    with pytest.raises(ArgumentError, match="another design, seed or version"):
+        run_study(replace(SETTING, seed=1), folder, TINY, is_resumed=True, num_jobs=1)
+    assert outputs(folder) == outputs(study_folder)
+
+
+@pytest.mark.slow
+def test_beginning_anew_in_two_processes_finds_the_same_pieces(study_folder, tmp_path):
+    run_study(SETTING, tmp_path, TINY, num_jobs=2)
+    for each in TINY:
+        assert pieces(tmp_path, each.name) == pieces(study_folder, each.name)
+
+
+def test_a_repetition_can_be_sent_anywhere():
+    for each in TINY:
+        again, setting = pickle.loads(pickle.dumps((each, SETTING)))
+        assert again == each
+        assert (setting.seed, setting.scenes[0].name) == (SETTING.seed, "table_3")
+
+
+def test_experiments_are_chosen_by_name():
+    assert [each.name for each in chosen(("regret", "reward"))] == ["reward", "regret"]
+    assert len(chosen(())) == 6
+    with pytest.raises(ArgumentError, match="--only rewards: there is no such experiment; there are reward, planning"):
+        chosen(("rewards",))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: replace(SETTING, repetitions=1), "repetitions is 1; "),
+        (lambda: replace(TINY[0], table_num_paths=30), "table_num_paths is 30; it is one of num_paths"),
+        (lambda: replace(TINY[0], table_cut_share=0.3), "table_cut_share is 0.3; it is one of cut_shares"),
+        (lambda: replace(TINY[1], horizons=(3, 2)), "horizons is .3, 2.; give at least two"),
+        (lambda: replace(TINY[2], compared_num_paths=30), "compared_num_paths is 30; it is one of num_paths"),
+        (lambda: replace(TINY[4], cut_share=1.0), "cut_share of the map is 1"),
+    ],
+)
+def test_a_design_that_contradicts_itself_is_refused(make, message):
+    with pytest.raises(ArgumentError, match=message):
+        make()

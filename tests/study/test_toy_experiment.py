@@ -1,0 +1,122 @@
+"""A new experiment is one class: it runs, resumes, tabulates, draws, claims and is reported like all others."""
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import ClassVar
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.figure import Figure
+
+from halfseen.pages.axes import write_title
+from halfseen.pages.sentences import Claim
+from halfseen.study.experiment import Drawing, Experiment, Listing, Section, Setting
+from halfseen.study.run import chosen, run_study
+from halfseen.study.statistics import columns, estimate_in, over_repetitions
+from halfseen.world.scene import Scene
+
+SETTING = Setting((Scene(np.zeros((2, 2)), name="two <cups>"),), repetitions=4)
+
+
+@dataclass(frozen=True)
+class Coin:
+    """Whether a coin falls on heads more often than not."""
+
+    bias: float = 0.9
+    num_throws: int = 50
+    most_repetitions: int | None = None
+    name: ClassVar[str] = "coin"
+
+    def prepare(self, setting):
+        return {"half": 0.5}
+
+    def repeat(self, setting, prepared, index):
+        rng = np.random.default_rng([setting.seed, index])
+        return {"index": index, "heads": float((rng.random(self.num_throws) < self.bias).mean()) - prepared["half"]}
+
+    def tabulate(self, setting, pieces):
+        gain = over_repetitions(np.array([piece["heads"] for piece in pieces.repetitions]))
+        return {
+            "coin": pd.DataFrame(
+                [columns(gain, "gain", "se", "low", "high") | {"repetitions": len(pieces.repetitions)}]
+            )
+        }
+
+    def section(self, setting, tables):
+        row = tables["coin"].iloc[0]
+        claim = Claim(
+            "The coin", "beats", "loses to", "a fair one", estimate_in(row, "gain", "se", int(row["repetitions"]))
+        )
+        listing = Listing(
+            "Table C", "Heads.", ("coin", "verdict"), {"": [("this one", claim.verdict)]}, is_folded=False
+        )
+        drawing = Drawing("coin_figure", "Figure C", claim.title, "One bar.", partial(self.draw, float(row["gain"])))
+        return Section("Is the coin fair?", (claim.sentence,), (drawing,), (listing,))
+
+    @staticmethod
+    def draw(gain, title):
+        figure = Figure(figsize=(4, 3))
+        write_title(figure, title)
+        figure.add_axes((0.1, 0.1, 0.8, 0.6)).bar([0], [gain])
+        return figure
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("coin")
+    run_study(SETTING, folder, (Coin(),), num_jobs=1)
+    return folder
+
+
+def outputs(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+
+
+def test_it_is_run_drawn_claimed_and_reported(folder):
+    assert isinstance(Coin(), Experiment)
+    assert set(outputs(folder)) == {"coin.csv", "coin_figure.svg", "coin_figure.png", "study.json", "report.html"}
+    page = (folder / "report.html").read_text()
+    for words in (
+        "The coin beats a fair one: supported (difference 0.4",
+        "<h2>Is the coin fair?</h2>",
+        "Figure C.",
+        '<span class="verdict supported">supported</span>',
+        "two &lt;cups&gt;",
+        "halfseen study --repetitions 4 --seed 0 --only coin",
+        "num_throws",
+    ):
+        assert words.casefold() in page.casefold()
+    assert "http" not in page
+
+
+def test_what_is_missing_is_made_again_to_the_same_bytes(folder, tmp_path):
+    run_study(SETTING, tmp_path, (Coin(),), num_jobs=1)
+    assert outputs(tmp_path) == outputs(folder)
+    (tmp_path / "progress/coin/repetition-00002.json").unlink()
+    run_study(SETTING, tmp_path, (Coin(),), is_resumed=True, num_jobs=1)
+    assert outputs(tmp_path) == outputs(folder)
+
+
+def test_more_repetitions_add_to_those_that_are_there(folder, tmp_path):
+    run_study(SETTING, tmp_path, (Coin(),), num_jobs=1)
+    kept = tmp_path / "progress/coin/repetition-00000.json"
+    kept.write_text('{"heads": 7.0, "index": 0}')
+    run_study(replace(SETTING, repetitions=6), tmp_path, (Coin(),), is_resumed=True, num_jobs=1)
+    assert len(list(kept.parent.glob("repetition-*.json"))) == 6
+    assert "7.0" in kept.read_text()
+
+
+def test_no_more_repetitions_than_it_wants(tmp_path):
+    run_study(SETTING, tmp_path, (Coin(most_repetitions=3),), num_jobs=1)
+    assert pd.read_csv(tmp_path / "coin.csv").loc[0, "repetitions"] == 3
+
+
+def test_it_is_chosen_by_its_name():
+    assert chosen(("coin",), (Coin(), Coin(bias=0.1))) == (Coin(), Coin(bias=0.1))
+
+
+@pytest.mark.parametrize(("bias", "words"), [(0.5, "inconclusive"), (0.1, "not supported")])
+def test_a_claim_that_fails_is_said_to_fail(tmp_path, bias, words):
+    results = run_study(SETTING, tmp_path, (Coin(bias=bias),), num_jobs=1)
+    assert f"beats a fair one: {words}" in results.answer[0]
