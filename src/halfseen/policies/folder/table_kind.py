@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from halfseen.errors import ArgumentError, PolicyError
-from halfseen.tables.prior import logged_dirty_share
 from halfseen.logs import Logs
 from halfseen.policies.folder.arrays import (
     COEFFICIENTS,
@@ -23,6 +22,7 @@ from halfseen.policies.folder.json_values import horizon_of, typed
 from halfseen.policies.folder.seen import TABLE_RANGES, seen_tables
 from halfseen.tables.features import FEATURES_VERSION, NUM_FEATURES
 from halfseen.tables.grasp.grasp_table import GraspTable
+from halfseen.tables.prior import logged_dirty_share
 from halfseen.tables.table_policy import LinearTablePolicy
 from halfseen.world.action_space import Verb
 
