@@ -107,5 +107,5 @@ def test_what_a_specification_cannot_mean_is_refused():
 
 
 def test_covariates_that_the_model_does_not_use_are_refused():
-    with pytest.raises(ArgumentError, match="covariates is .'x'., but kaplan-meier uses none"):
+    with pytest.raises(ArgumentError, match=r"covariates is \['x'\], but kaplan-meier uses none"):
         CensoringSpec("kaplan-meier", covariates=["x"])

@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from halfseen.evaluation.ratios import StageWeights
-from halfseen.learners.q_learning.recursion import Judged
+from halfseen.learners.q_learning.judging import Judged
 
 
 def held_out(judged: Judged, fold: Int[np.ndarray, " n"]) -> Judged:

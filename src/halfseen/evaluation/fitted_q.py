@@ -10,8 +10,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from halfseen.learners.q_learning.fitting import fit_and_judge
+from halfseen.learners.q_learning.judging import Judged
 from halfseen.learners.q_learning.q_model import QModel
-from halfseen.learners.q_learning.recursion import Judged, Transitions
+from halfseen.learners.q_learning.recursion import Transitions
 
 
 def judged_by_folds(

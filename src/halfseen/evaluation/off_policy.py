@@ -16,10 +16,11 @@ from halfseen.evaluation.propensity import Propensity, check_propensity, estimat
 from halfseen.evaluation.ratios import StageWeights, begun_weights, completed_weights, likelihood_ratios
 from halfseen.evaluation.targets import horizon_of, target_probabilities, task_of
 from halfseen.evaluation.verdict import verdict_of
+from halfseen.learners.q_learning.judging import Judged
 from halfseen.learners.q_learning.path_arrays import PathArrays
 from halfseen.learners.q_learning.q_model import QModel
 from halfseen.learners.q_learning.q_space import CrossValidation, QSpace, q_space_of, reg_of, stage_mode_of
-from halfseen.learners.q_learning.recursion import Judged, StageMode, Transitions
+from halfseen.learners.q_learning.recursion import StageMode, Transitions
 from halfseen.learners.q_learning.targets import DoublyRobust, Targets, Weighted, targets_of
 from halfseen.learners.q_learning.task import Task
 from halfseen.logs import Logs

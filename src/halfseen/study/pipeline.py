@@ -180,7 +180,7 @@ class EncodedPaths:
             grasp=self.grasp,
             censoring="kaplan-meier" if treatment == "weighted" else "none",
             random_state=int(np.random.SeedSequence([source.seed, source.index]).generate_state(1)[0]),
-        ).model
+        ).compose()
 
 
 def members(policies: LinearTablePolicy) -> list[LinearTablePolicy]:

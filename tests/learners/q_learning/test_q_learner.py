@@ -189,7 +189,7 @@ def test_it_follows_scikit_learn(logs):
     copy = clone(original)
     assert copy.get_params() == original.get_params()
     assert copy.set_params(reg=0.5).reg == 0.5
-    assert copy.set_params(censoring=Weighted(truncate_at=4.0)).model.targets == Weighted(truncate_at=4.0)
+    assert copy.set_params(censoring=Weighted(truncate_at=4.0)).compose().targets == Weighted(truncate_at=4.0)
     assert original.censoring == DoublyRobust("cox", by="pooled"), "the copy is its own"
     assert len(original.get_params()) <= 9
     plain = learner()

@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from halfseen.errors import ArgumentError
-from halfseen.learners.q_learning.recursion import Judged, QFunctions, StageMode, Transitions, backward, judged
+from halfseen.learners.q_learning.judging import Judged, judged
+from halfseen.learners.q_learning.recursion import QFunctions, StageMode, Transitions, backward
 
 
 class BackwardOptions(NamedTuple):

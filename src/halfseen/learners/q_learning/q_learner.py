@@ -145,9 +145,9 @@ class CensoredQLearner(BaseEstimator):
             All paths were cut, or a weight is not identified.
         """
         if isinstance(logs, LogStream):
-            self.model_, self.weights_, self.q_functions_ = fit_stream(self.model, logs)
+            self.model_, self.weights_, self.q_functions_ = fit_stream(self.compose(), logs)
         else:
-            self.model_, paths = self.model.fitted(logs)
+            self.model_, paths = self.compose().fitted(logs)
             log = self.model_.transitions(paths)
             self.weights_ = np.asarray(log.weight)
             self.q_functions_ = self.model_.fit(log)
@@ -155,9 +155,8 @@ class CensoredQLearner(BaseEstimator):
         self.policy_ = self.model_.policy(self.q_functions_)
         return self
 
-    @property
-    def model(self) -> QModel:
-        """What the parameters say, checked and composed; nothing is fitted.
+    def compose(self) -> QModel:
+        """Check the parameters and compose what they say; nothing is fitted.
 
         Raises
         ------
