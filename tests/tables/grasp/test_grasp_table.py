@@ -134,9 +134,9 @@ def test_the_learner_fits_the_grasp_model_to_its_log_and_leaves_the_one_given_al
     learner = CensoredQLearner.for_table(horizon=HORIZON, grasp=given).fit(logs)
     expected = tabulate(BetaGrasp().fit(attempts(logs, HORIZON)), HORIZON)
     assert not hasattr(given, "strength_")
-    assert learner.policy_.grasp is learner.grasp_
-    np.testing.assert_array_equal(learner.grasp_.chances, expected.chances)
-    assert isinstance(clone(learner).grasp, BetaGrasp)
+    assert learner.policy_.grasp is learner.model_.task.grasp
+    np.testing.assert_array_equal(learner.model_.task.grasp.chances, expected.chances)
+    assert isinstance(clone(learner).actions.grasp, BetaGrasp)
 
 
 def test_fitted_estimators_tables_and_models_of_ones_own_are_taken_as_they_are(logs, beta):
@@ -145,7 +145,7 @@ def test_fitted_estimators_tables_and_models_of_ones_own_are_taken_as_they_are(l
     np.testing.assert_array_equal(*(fit.q_functions_.coefficients for fit in fits))
     assert isinstance(table, GraspModel)
     plain = CensoredQLearner.for_table().fit(logs)
-    assert plain.grasp_ is None
+    assert plain.model_.task.grasp is None
     assert plain.policy_.grasp is None
     assert np.abs(plain.q_functions_.coefficients - fits[0].q_functions_.coefficients).max() > 1e-3
 
@@ -153,7 +153,7 @@ def test_fitted_estimators_tables_and_models_of_ones_own_are_taken_as_they_are(l
 @pytest.mark.slow
 def test_an_svm_serves_as_well(logs):
     learner = CensoredQLearner.for_table(grasp=SVMGrasp()).fit(logs)
-    spread = np.asarray(learner.grasp_.chances)
+    spread = np.asarray(learner.model_.task.grasp.chances)
     assert ((spread >= 0) & (spread <= 1)).all()
     assert spread[0, 0, 0] > spread[-1, 0, 0], "what is hidden is harder to grasp"
 
@@ -162,11 +162,6 @@ def test_an_svm_serves_as_well(logs):
 def test_what_is_no_grasp_model_is_refused(logs, grasp):
     with pytest.raises(ArgumentError, match="it is None, BetaGrasp"):
         CensoredQLearner.for_table(grasp=grasp).fit(logs)
-
-
-def test_named_actions_grasp_nothing(logs):
-    with pytest.raises(ArgumentError, match="only a table's objects are grasped"):
-        CensoredQLearner(horizon=10, actions=["WASH", "LIFT", "FINISH"], grasp=BetaGrasp()).fit(logs)
 
 
 def test_tables_that_cannot_be_are_refused(beta):
