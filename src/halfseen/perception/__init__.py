@@ -2,7 +2,18 @@
 
 from halfseen.perception.clouds import Cloud, read_cloud, write_pcd
 from halfseen.perception.plane import Plane
-from halfseen.perception.sensor import XTION, DepthSensor
+from halfseen.perception.sensor import XTION, DepthSensor, DisparitySensor
 from halfseen.perception.view import SeenObject, View, perceive
 
-__all__ = ["XTION", "Cloud", "DepthSensor", "Plane", "SeenObject", "View", "perceive", "read_cloud", "write_pcd"]
+__all__ = [
+    "XTION",
+    "Cloud",
+    "DepthSensor",
+    "DisparitySensor",
+    "Plane",
+    "SeenObject",
+    "View",
+    "perceive",
+    "read_cloud",
+    "write_pcd",
+]
