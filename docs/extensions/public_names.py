@@ -15,7 +15,7 @@ from sphinx.util.docutils import SphinxDirective
 from sphinx.util.typing import stringify_annotation
 
 # What these bases bring is Python's or scikit-learn's.
-BASES = "BaseEstimator, Parameters, object, tuple, dict, Exception, Protocol"
+BASES = "BaseEstimator, IntEnum, object, int, tuple, dict, Exception, Protocol"
 ROUTING = re.compile(r"get_metadata_routing|set_\w+_request")
 # NumPy's alias has no name of its own once it is written out.
 WRITTEN_OUT = stringify_annotation(ArrayLike, "smart")

@@ -2,14 +2,19 @@
 
 Python blocks run in one namespace a page, ``halfseen …`` lines of sh and console blocks in between, all in one folder
 that holds nothing but the examples. A text block below ``<!-- output -->`` is what the block above it prints; "..."
-stands for any text.
+stands for any text. A page with diff blocks, which together are a patch, is followed on a copy of the source to which
+they were applied.
 """
 
 import contextlib
 import doctest
 import io
+import os
 import re
 import shlex
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -58,7 +63,37 @@ def run_commands(code, where):
     return printed
 
 
-SLOW = {"planners", "times-that-were-cut"}
+def patch_in(text):
+    return "".join(block[3] for block in BLOCK.finditer(text) if block[2] == "diff")
+
+
+def touched_by(patch):
+    return set(re.findall(r"^\+\+\+ b/(\S+)$", patch, flags=re.MULTILINE))
+
+
+def apply_to_copy(patch, page, folder):
+    """Copy the source into a folder, patched."""
+    shutil.copytree(ROOT / "src", folder / "src", ignore=shutil.ignore_patterns("__pycache__"))
+    # Inside a repository git would pass over what it does not track.
+    outside = os.environ | {"GIT_CEILING_DIRECTORIES": str(folder.parent)}
+    done = subprocess.run(["git", "apply"], input=patch, text=True, capture_output=True, cwd=folder, env=outside)
+    assert done.returncode == 0, (
+        f"{page}: its diff blocks no longer apply to src/:\n{done.stderr}make the change by hand, and put what "
+        "`git diff -U2` prints in their place"
+    )
+
+
+def follow_patched(page, text, folder):
+    """Follow a page in a process of its own, in which halfseen is the patched copy."""
+    apply_to_copy(patch_in(text), page, folder)
+    code = "import sys; from test_guide_code import follow; follow('page.md', open('page.md', encoding='utf-8').read())"
+    (folder / "page.md").write_text(text, encoding="utf-8")
+    env = os.environ | {"PYTHONPATH": os.pathsep.join([str(folder / "src"), str(Path(__file__).parent)])}
+    done = subprocess.run([sys.executable, "-c", code], cwd=folder, env=env, text=True, capture_output=True)
+    assert done.returncode == 0, f"{page}\n{done.stderr}"
+
+
+SLOW = {"another-camera", "another-figure", "another-planner", "another-verb", "planners", "times-that-were-cut"}
 PAGES = [
     pytest.param(page, id=page.stem, marks=[pytest.mark.slow] if page.stem in SLOW else [])
     for page in sorted(GUIDE.glob("*.md"))
@@ -69,7 +104,35 @@ PAGES = [
 def test_a_page_of_the_guide_can_be_followed(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "examples").symlink_to(EXAMPLES)
-    follow(str(page), page.read_text(encoding="utf-8"))
+    text = page.read_text(encoding="utf-8")
+    if patch_in(text):
+        follow_patched(str(page), text, tmp_path)
+    else:
+        follow(str(page), text)
+
+
+VERB_PAGE = GUIDE / "another-verb.md"
+
+
+def test_another_verb_touches_few_files():
+    touched = touched_by(patch_in(VERB_PAGE.read_text(encoding="utf-8")))
+    assert 1 <= len(touched) <= 8
+    assert all((ROOT / name).is_file() for name in touched)
+
+
+@pytest.mark.slow
+def test_another_verb_earns_what_the_page_says_it_adds(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = VERB_PAGE.read_text(encoding="utf-8")
+    first = next(block[3] for block in BLOCK.finditer(text) if block[2] == "python")
+    without = follow("page.md", f"```python\n{first}```\n")["earned"].value
+    assert f"Without the patch the same lines print {without:.0f}." in text
+
+
+def test_a_patch_that_no_longer_applies_is_told(tmp_path):
+    stale = patch_in(VERB_PAGE.read_text(encoding="utf-8")).replace("LIFT = 2", "LIFT = 7")
+    with pytest.raises(AssertionError, match=r"page\.md: its diff blocks no longer apply[\s\S]*action_space"):
+        apply_to_copy(stale, "page.md", tmp_path)
 
 
 PAGE = """

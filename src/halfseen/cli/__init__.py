@@ -1,4 +1,4 @@
-"""The command line: one file a verb, and heavy imports only inside a verb."""
+"""The command line: one file a command, and heavy imports only inside a command."""
 
 import sys
 import warnings
@@ -24,7 +24,7 @@ VERBS = {
 
 
 class _VerbGroup(click.Group):
-    """A group that imports a verb's file when that verb is called, so that ``--help`` stays instant."""
+    """A group that imports a command's file when that command is called, so that ``--help`` stays instant."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(VERBS)

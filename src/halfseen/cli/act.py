@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     "--stage", type=click.IntRange(min=1), help="Stage to decide, from 1; by default as the input says, or 1."
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object for programs.")
-@click.option("--seed", type=int, default=0, help="Accepted by every verb; nothing here is random.")
+@click.option("--seed", type=int, default=0, help="Accepted by every command; nothing here is random.")
 def act(policy: Path, cloud: Path, history: Path | None, stage: int | None, as_json: bool, seed: int) -> None:
     """Decide what to do now, by the policy in the folder POLICY, and say why.
 

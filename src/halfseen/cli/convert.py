@@ -43,7 +43,7 @@ def _print_template(ctx: click.Context, _: click.Parameter, is_asked: bool) -> N
 @click.option("--see", is_flag=True, help="Of a bag: what each stage's cloud shows becomes its objects.")
 @click.option("--clock", help="Of another's Minari dataset: the info that holds the time [s].")
 @click.option("--step-s", type=float, help="Of another's Minari dataset: how long a step lasts [s].")
-@click.option("--seed", type=int, default=0, help="Accepted by every verb; nothing here is random.")
+@click.option("--seed", type=int, default=0, help="Accepted by every command; nothing here is random.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object for programs.")
 def convert(source: str, target: str, seed: int, as_json: bool, clouds: Path | None, **options: Any) -> None:
     """Read the logs of SOURCE and write them to another form, all or nothing.

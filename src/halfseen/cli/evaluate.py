@@ -22,11 +22,11 @@ CENSORING = ("kaplan-meier", "cox", "kernel")
 @click.argument("clouds", type=click.Path(path_type=Path), nargs=-1)
 @click.option("--logs", type=click.Path(path_type=Path), help="Folder of logs that another policy made.")
 @click.option("--world", "in_world", is_flag=True, help="Play the tables of CLOUDS in the simulated world instead.")
-@click.option("--censoring", type=click.Choice(CENSORING), help="Model of the cuts; by default the policy's own.")
+@click.option("--censoring", type=click.Choice(CENSORING), help="Censoring model; by default the policy's own.")
 @click.option(
     "--censoring-by",
     type=click.Choice(["path", "stage", "pooled"]),
-    help="Clock of the cuts: of the path, of each stage, of all stages alike; by default the policy's own.",
+    help="Clock of the cuts, as in learn; by default the policy's own.",
 )
 @click.option("--censoring-covariates", help="What cuts may depend on, as x1,action; by default the policy's own.")
 @click.option(

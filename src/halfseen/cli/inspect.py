@@ -13,7 +13,7 @@ MOST_ROWS = 20
 @click.command(epilog="Example: halfseen inspect logs --json")
 @click.argument("logs", type=click.Path(path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object for programs, with every row.")
-@click.option("--seed", type=int, default=0, help="Accepted by every verb; nothing here is random.")
+@click.option("--seed", type=int, default=0, help="Accepted by every command; nothing here is random.")
 def inspect(logs: Path, as_json: bool, seed: int) -> None:
     """Say what the folder LOGS holds: paths, endings and causes, stages, actions, and what their weights rest on.
 

@@ -33,19 +33,19 @@ class _Reg(click.ParamType):
     "--q-function", type=click.Choice(["linear", "kernel"]), default="linear", show_default=True, help="What Q may be."
 )
 @click.option(
-    "--censoring", type=click.Choice(CENSORING), default="kaplan-meier", show_default=True, help="Model of the cuts."
+    "--censoring", type=click.Choice(CENSORING), default="kaplan-meier", show_default=True, help="Censoring model."
 )
 @click.option(
     "--censoring-by",
     type=click.Choice(["path", "stage", "pooled"]),
     default="path",
     show_default=True,
-    help="Clock of the cuts: of the path, of each stage, of all stages alike.",
+    help="Clock of the cuts: that of the path (total time), of each stage, or of all stages alike (gap time).",
 )
 @click.option(
     "--censoring-covariates", help="What cuts may depend on, as x1,action; by default all that the model takes."
 )
-@click.option("--augmented", is_flag=True, help="Doubly robust: right if the model of the cuts or the regression is.")
+@click.option("--augmented", is_flag=True, help="Doubly robust: right if the censoring model or the regression is.")
 @click.option(
     "--stages",
     type=click.Choice(["separate", "pooled"]),
@@ -56,9 +56,13 @@ class _Reg(click.ParamType):
     type=click.IntRange(min=1),
     help="Stages after which a path ends by itself; by default those of the longest path, for a table at least 10.",
 )
-@click.option("--grasp", type=click.Choice(["laplace", "beta"]), help="Of a table: what tells the chance of a grasp.")
+@click.option(
+    "--grasp",
+    type=click.Choice(["laplace", "beta"]),
+    help="Of a table: what tells the probability of a grasp, the rule of succession (laplace) or a Beta regression.",
+)
 @click.option("--reg", type=_Reg(), default="cv", show_default=True, help="λ, or cv to choose it over paths.")
-@click.option("--truncate-at", type=float, help="Largest weight allowed; by default none is cut down.")
+@click.option("--truncate-at", type=float, help="Largest weight allowed; by default none is truncated.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Same seed, same policy.")
 @click.option("--overwrite", is_flag=True, help="Replace a policy that is already there.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object for programs.")
@@ -127,8 +131,8 @@ def _lines(report: Mapping[str, Any]) -> list[str]:
         ("cuts", f"{cuts}{by}{', augmented' if learner['augmented'] else ''}"),
         (
             "weights",
-            f"{weights['num_seen']} stages are worth {weights['effective_sample_size']:.1f} equally weighted ones; the "
-            f"largest weight is {weights['largest_weight']:.3g}",
+            f"{weights['num_seen']} stages, with an effective sample size of "
+            f"{weights['effective_sample_size']:.1f}; the largest weight is {weights['largest_weight']:.3g}",
         ),
         ("positivity", report["diagnostics"]["positivity"]["text"].splitlines()[0]),
         ("λ", _regs(report["reg"]["values"], report["reg"]["rows"])),

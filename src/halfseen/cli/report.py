@@ -17,7 +17,7 @@ CENSORING = ("kaplan-meier", "cox", "kernel")
 @click.option(
     "--out", type=click.Path(path_type=Path), default=Path("report.html"), show_default=True, help="The page."
 )
-@click.option("--censoring", type=click.Choice(CENSORING), help="Model of the cuts; by default the policy's own.")
+@click.option("--censoring", type=click.Choice(CENSORING), help="Censoring model; by default the policy's own.")
 @click.option(
     "--propensity",
     type=click.Choice(["logged", "estimated"]),

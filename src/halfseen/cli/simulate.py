@@ -29,14 +29,14 @@ _HORIZON = 10
     type=click.FloatRange(0.0, 1.0),
     default=0.5,
     show_default=True,
-    help="Share of the steps in which it acts at random instead.",
+    help="Probability that a step takes an action uniformly at random instead.",
 )
 @click.option(
     "--cut-share",
     type=click.FloatRange(0.0, 1.0, max_open=True),
     default=0.33,
     show_default=True,
-    help="Share of the paths that is cut, in expectation.",
+    help="Proportion of the paths that is cut, in expectation.",
 )
 @click.option("--cut-kind", type=click.Choice(CUT_KINDS), default="independent", show_default=True, help="What cuts.")
 @click.option("--horizon", type=click.IntRange(min=1), default=_HORIZON, show_default=True, help="Steps of a path.")

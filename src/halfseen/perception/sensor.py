@@ -1,13 +1,29 @@
 """How far a depth camera errs."""
 
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
 
+@runtime_checkable
+class DepthSensor(Protocol):
+    """What perception needs to know of a depth camera."""
+
+    def noise_m(self, depth_m: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+        """Return the standard deviation of a depth [m], positive.
+
+        Parameters
+        ----------
+        depth_m
+            Distance along the optical axis [m].
+        """
+        ...
+
+
 @dataclass(frozen=True)
-class DepthSensor:
+class DisparitySensor:
     """A depth camera whose error grows with the square of the distance, as structured light and stereo do.
 
     They measure disparity: an error of it becomes an error of depth that grows with depth².
@@ -24,16 +40,10 @@ class DepthSensor:
     smallest_noise_m: float
 
     def noise_m(self, depth_m: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-        """Return the standard deviation of a depth [m].
-
-        Parameters
-        ----------
-        depth_m
-            Distance along the optical axis [m].
-        """
+        """Return the standard deviation of a depth [m]."""
         return np.maximum(self.smallest_noise_m, self.noise_at_one_metre_m * np.square(depth_m))
 
 
-XTION = DepthSensor(noise_at_one_metre_m=0.003, smallest_noise_m=0.001)
+XTION = DisparitySensor(noise_at_one_metre_m=0.003, smallest_noise_m=0.001)
 """The Asus Xtion and its kin, the first Kinect among them, whose coefficients [KhoshelhamOudeElberink2012]_ measured;
 rounded up for edges and dark surfaces."""

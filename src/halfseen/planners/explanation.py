@@ -28,7 +28,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from halfseen.errors import ArgumentError
 from halfseen.planners.rollout import check_goes_on, sampled_values
-from halfseen.world.action_space import FINISH, ActionSpace, Verb, possible_actions
+from halfseen.world.action_space import FINISH, ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.explanation import Explanation, alike, explained
 from halfseen.world.state import TableState
@@ -90,8 +90,9 @@ class Rollouts:
 
 def rollouts_of(config: WorldConfig, state: TableState, key: Array, num_rollouts: int) -> Rollouts:
     """Draw rollouts of one table; see `explain`."""
-    is_possible, first_alike = np.asarray(possible_actions(state)), alike(state)
     sampled = np.asarray(sampled_values(config, state, key, num_rollouts), dtype=np.float64)
+    # A verb that the look-ahead does not know is as good as impossible.
+    is_possible, first_alike = np.isfinite(sampled[0]), alike(state)
     sampled = np.where(is_possible, sampled, 0.0)
     # Interchangeable objects are worth the same, so what is learned of one is learned of all.
     is_equal = first_alike[:, None] == first_alike[None, :]
@@ -167,9 +168,9 @@ def drawn_q(
 
 
 def own_error(num_actions: int, error: PlannerError) -> Float[np.ndarray, " A"]:
-    """ω / x of each action; 0 for FINISH, which is exact."""
-    of_verb = {Verb.FINISH: 0.0, Verb.WASH: error.wash, Verb.LIFT: error.lift}
-    return np.array([of_verb[Verb(verb)] for verb in ActionSpace.of_size(num_actions).verbs])
+    """ω / x of each action; 0 for FINISH, which is exact, and for what the look-ahead does not know."""
+    of_verb = {Verb.WASH: error.wash, Verb.LIFT: error.lift}
+    return np.array([of_verb.get(Verb(verb), 0.0) for verb in ActionSpace.of_size(num_actions).verbs])
 
 
 def _of_each_state(rng: np.random.Generator, num_draws: int) -> Float[np.ndarray, "B 1"]:

@@ -209,7 +209,8 @@ def _decide_each(policy: Policy, hides: Array, steps_to_go: Array, shown: _Shown
 
 
 def _check_possible(actions: Int[np.ndarray, " n"], there: Bool[np.ndarray, "n N"]) -> None:
-    is_possible = np.concatenate([np.ones((len(there), 1), dtype=bool), *[there] * len(TARGETED)], axis=1)
+    known = [there & (verb in (Verb.WASH, Verb.LIFT)) for verb in TARGETED]
+    is_possible = np.concatenate([np.ones((len(there), 1), dtype=bool), *known], axis=1)
     in_range = (actions >= 0) & (actions < ActionSpace(there.shape[1]).num_actions)
     wrong = np.flatnonzero(~in_range | ~is_possible[np.arange(len(actions)), np.where(in_range, actions, 0)])
     if len(wrong):

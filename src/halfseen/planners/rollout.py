@@ -24,7 +24,7 @@ from jaxtyping import Array, Float, Int
 from halfseen.errors import ArgumentError
 from halfseen.planners.belief import Belief, belief_of, sample_successor
 from halfseen.planners.one_step import UNLIMITED, control_value, rule_and_control
-from halfseen.world.action_space import FINISH, possible_actions
+from halfseen.world.action_space import FINISH
 from halfseen.world.config import Number, WorldConfig
 from halfseen.world.state import TableState
 
@@ -60,7 +60,7 @@ def sampled_values(config: WorldConfig, state: TableState, key: Array, num_rollo
         return jax.vmap(lambda key: _advantage(config, belief, action, key))(keys)
 
     def added(action: Int[Array, ""]) -> Float[Array, " S"]:
-        is_followed = possible_actions(state)[action] & (action != FINISH) & ~is_last
+        is_followed = (first[action] > -jnp.inf) & (action != FINISH) & ~is_last
         return jax.lax.cond(is_followed, rollouts, lambda _: jnp.zeros(num_rollouts), action)
 
     # One action after the other: what is impossible costs nothing, and memory stays small.

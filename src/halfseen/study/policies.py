@@ -70,6 +70,11 @@ class Contender:
         return self.make(world)
 
 
+def by_name(*contenders: Contender) -> dict[str, Contender]:
+    """Contenders by their names."""
+    return {each.name: each for each in contenders}
+
+
 def _heuristic(name: str, label: str, uses_history: bool, counts_penalty: bool) -> Contender:
     make = partial(GreedyPolicy, uses_history=uses_history, counts_penalty=counts_penalty)
     return Contender(name, label, Kind.HEURISTIC, make)
@@ -83,7 +88,7 @@ HEURISTICS = (
     _heuristic("greedy-penalty", "greedy, counting the penalty", False, True),
     _heuristic("history-penalty", "history, counting the penalty", True, True),
 )
-STRONGEST_RULE = HEURISTICS[-1]
+STRONGEST_RULE = by_name(*HEURISTICS)["history-penalty"]
 """Whom the logging policy follows."""
 
 
@@ -102,11 +107,6 @@ def horizon_planner(horizon: int, num_simulations: int) -> Contender:
 
 def _to_the_end(num_simulations: int, world: WorldConfig) -> POMDPPolicy:
     return POMDPPolicy(world, planning_horizon=world.horizon, num_simulations=num_simulations)
-
-
-def by_name(*contenders: Contender) -> dict[str, Contender]:
-    """Contenders by their names."""
-    return {each.name: each for each in contenders}
 
 
 def logging_policy(world: WorldConfig) -> ExploringPolicy:

@@ -35,7 +35,7 @@ class LinearTablePolicy:
     kernel_map: KernelMap | None = None
 
     def q_values(self, state: TableState, key: Array | None = None) -> Float[Array, " A"]:
-        """Q of every action of one table; −∞ where an action is not possible. There is no chance in it."""
+        """Q of every action of one table; −∞ where an action is not possible. Nothing is drawn."""
         coefficients = self.coefficients[state.steps_to_go - 1]
         if self.kernel_map is None:
             q = table_q(coefficients, state, self.grasp)

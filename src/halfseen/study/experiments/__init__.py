@@ -1,4 +1,4 @@
-"""The experiments, in the order of the report; a new one is a new file and a line here."""
+"""The experiments, in the order of the report; a new one, with its figure, is a new file and a line here."""
 
 from halfseen.study.experiment import Experiment
 from halfseen.study.experiments.censoring import Censoring

@@ -6,16 +6,16 @@ from jaxtyping import Bool
 
 from halfseen.errors import LogError
 from halfseen.logs import Logs
-from halfseen.world.action_space import Verb
+from halfseen.world.action_space import TARGETED, Verb
 
-ATTEMPT_VERBS = (Verb.WASH.name, Verb.LIFT.name)
+ATTEMPT_VERBS = tuple(verb.name for verb in TARGETED)
 COLUMNS = ("path", "stage", "object", "occlusion", "successes", "failures", "succeeded", "time_s", "is_finished")
 _KEY = ["path", "stage", "object"]
 _HISTORY = ["occlusion", "successes", "failures"]
 
 
 def attempts(logs: Logs, horizon: int | None = None) -> pd.DataFrame:
-    """List every attempt to WASH or LIFT whose end, or cut, was seen.
+    """List every attempt to WASH or LIFT (any verb with a target) whose end, or cut, was seen.
 
     Whether an attempt succeeded shows in the object's counts one stage later. After the last stage of a path there are
     none: a WASH that ends a path before the horizon has cleared the table, so it succeeded. Of an attempt in stage

@@ -111,7 +111,7 @@ class BetaGrasp(BaseEstimator):
         return self
 
     def predict_proba(self, frame: FrameLike) -> Float[np.ndarray, "m 2"]:
-        """Chance that an attempt fails, and that it succeeds.
+        """Probability that an attempt fails, and that it succeeds.
 
         Parameters
         ----------

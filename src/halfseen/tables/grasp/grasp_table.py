@@ -29,7 +29,7 @@ class GraspEstimator(Protocol):
         ...
 
     def predict_proba(self, frame: FrameLike) -> Float[np.ndarray, "m 2"]:
-        """Chance that an attempt fails, and that it succeeds."""
+        """Probability that an attempt fails, and that it succeeds."""
         ...
 
 

@@ -20,7 +20,7 @@ SLACK = 0.01
 
 
 class SVMGrasp(BaseEstimator):
-    """Chance of a grasp by the censored SVM (paper, eqs. 1 and 2), with logistic loss, calibrated.
+    """Probability of a grasp by the censored SVM (paper, eqs. 1 and 2), with logistic loss, calibrated.
 
     It looks at the occlusion and at log(1 + successes) and log(1 + failures), each scaled to unit weighted variance:
     the first failure tells more than the fifth. In these features the log odds of a Beta mean,
@@ -141,7 +141,7 @@ class SVMGrasp(BaseEstimator):
         return self
 
     def predict_proba(self, frame: FrameLike) -> Float[np.ndarray, "m 2"]:
-        """Chance that an attempt fails, and that it succeeds.
+        """Probability that an attempt fails, and that it succeeds.
 
         Parameters
         ----------
