@@ -60,11 +60,13 @@ def errors(**options):
     return np.mean(found, axis=0) / (np.std(found, axis=0, ddof=1) / np.sqrt(NUM_LOGS))
 
 
+@pytest.mark.slow
 def test_the_wrong_weights_alone_are_biased():
     assert np.abs(errors()).max() > 5.0
     assert np.abs(errors(censoring="none")).max() > 5.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "censoring",
     [
@@ -79,11 +81,13 @@ def test_one_right_model_is_enough(censoring):
     assert np.abs(errors(censoring=censoring)).max() < 3.5
 
 
+@pytest.mark.slow
 def test_with_both_wrong_nothing_helps():
     assert np.abs(errors(censoring=DoublyRobust(outcome_covariates=[]))).max() > 4.0
     assert np.abs(errors(censoring=BuckleyJames(outcome_covariates=[]))).max() > 4.0
 
 
+@pytest.mark.slow
 def test_pseudo_outcomes_narrow_what_weights_leave_wide():
     spread = {}
     for targets in (Weighted, DoublyRobust):
