@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 from scipy.optimize import isotonic_regression
 
-from halfseen.pages.palette import BAND_OPACITY, FAINT
+from halfseen.pages.palette import BAND_OPACITY, FAINT, INK
 
 WIDTH_INCHES, NARROW_INCHES = 9.0, 7.4
 TITLE_TOP, TITLE_POINTS, TITLE_CHARS = 0.98, 11.5, 92
@@ -57,17 +57,27 @@ def mark_sizes(axes: Axes, sizes: Sequence[int]) -> None:
     draw_grid(axes)
 
 
-def draw_curve(axes: Axes, across: Any, middle: Any, ends: tuple[Any, Any], **options: Any) -> None:
-    """Draw a line with markers and a band."""
-    low, high = (np.asarray(end, dtype=float) for end in ends)
+def draw_zero(axes: Axes, colour: str = INK, width: float = 1.0) -> None:
+    """Draw a line at 0, with which differences are compared."""
+    axes.axhline(0.0, color=colour, linewidth=width, zorder=1.5)
+
+
+def dodged(across: Any, place: int, num: int, factor: float) -> Float[np.ndarray, " k"]:
+    """Places of one of `num` curves along a logarithmic axis, where they stand side by side."""
+    return np.asarray(across, dtype=float) * factor ** (place - (num - 1) / 2)
+
+
+def draw_curve(axes: Axes, across: Any, estimates: Any, **options: Any) -> None:
+    """Draw a line with markers and a band; `estimates` has the columns mean, low and high."""
+    mean, low, high = np.asarray(estimates, dtype=float).T
     across = np.asarray(across, dtype=float)
     axes.fill_between(across, low, high, color=options["color"], alpha=BAND_OPACITY, linewidth=0, zorder=2)
-    axes.plot(across, np.asarray(middle, dtype=float), **{"zorder": 2.5, **options})
+    axes.plot(across, mean, **{"zorder": 2.5, **options})
 
 
-def draw_bars(axes: Axes, across: Any, middle: Any, ends: tuple[Any, Any], **options: Any) -> None:
+def draw_bars(axes: Axes, across: Any, estimates: Any, **options: Any) -> None:
     """Draw markers with intervals as bars: bands that lie on one another would hide one another."""
-    mean, low, high = (np.asarray(values, dtype=float) for values in (middle, *ends))
+    mean, low, high = np.asarray(estimates, dtype=float).T
     reach = np.stack([mean - low, high - mean])
     usual = {"elinewidth": 1.4, "linewidth": 0.8, "capsize": 2.5, "zorder": 2.5}
     axes.errorbar(np.asarray(across, dtype=float), mean, reach, **{**usual, **options})
@@ -89,17 +99,7 @@ def write_end_labels(axes: Axes, labels: Sequence[EndLabel]) -> None:
 
 
 def spread(heights: Sequence[float], gap: float, low: float, high: float) -> list[float]:
-    """Move heights apart to at least `gap`, in their order and with the least sum of squared moves.
-
-    Parameters
-    ----------
-    heights
-        Where each would like to be.
-    gap
-        Smallest distance of neighbours.
-    low, high
-        Where all must lie, if there is room.
-    """
+    """Move heights at least `gap` apart, in their order, with the least squared moves, and within [low, high]."""
     order = np.argsort(heights, kind="stable")
     steps = gap * np.arange(len(heights))
     lowered = isotonic_regression(np.asarray(heights, dtype=float)[order] - steps).x

@@ -37,9 +37,14 @@ def spelled(low: int, high: int) -> str:
     return f"{low}" if low == high else f"{low} to {high}"
 
 
+def gain_in(row: Any, *, is_more_better: bool) -> Estimate:
+    """The effect in a row of a table of tests, above 0 where ours is better."""
+    value, low, high = (float(row[name]) for name in ("effect", "effect_low", "effect_high"))
+    value, low, high = (value, low, high) if is_more_better else (-value, -high, -low)
+    return Estimate(value, low, high, float("nan"), float("nan"))
+
+
 def verdict_of(row: Any, alpha: float, *, is_more_better: bool) -> str:
     """Verdict on a row of a table of tests."""
-    low, high = float(row["effect_low"]), float(row["effect_high"])
-    sign, ends = (1, (low, high)) if is_more_better else (-1, (-high, -low))
-    gain = Estimate(sign * float(row["effect"]), *ends, float("nan"), float("nan"))
+    gain = gain_in(row, is_more_better=is_more_better)
     return Claim("", "", "", "", gain, float(row["p_holm"]), alpha).verdict
