@@ -1,10 +1,12 @@
 """Words that several experiments share."""
 
+from collections.abc import Sequence
 from typing import Any
 
 from halfseen.evaluation.estimate import Estimate
-from halfseen.pages.numbers import share_in_words
+from halfseen.pages.numbers import estimated, share_in_words
 from halfseen.pages.sentences import Claim
+from halfseen.study.experiment import Row
 
 PATHS_AXIS = "logged paths that the policy was learned from (log scale)"
 REWARD_AXIS = "mean reward of a path, on fresh episodes"
@@ -35,6 +37,11 @@ def learned_from(num_paths: int, cut_share: float) -> str:
 def spelled(low: int, high: int) -> str:
     """Write a range: ``25``, ``25 to 50``."""
     return f"{low}" if low == high else f"{low} to {high}"
+
+
+def estimated_in(row: Row, columns: Sequence[str], decimals: int = 2) -> str:
+    """Write a value and its interval, which stand in these columns of a row."""
+    return estimated(*(row[name] for name in columns), decimals=decimals)
 
 
 def gain_in(row: Any, *, is_more_better: bool) -> Estimate:

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from halfseen.errors import ArgumentError
 from halfseen.pages.axes import PANEL_TITLE, dodged, draw_bars, draw_curve, draw_zero, mark_sizes, write_title
-from halfseen.pages.numbers import MISSING, amount, estimated, interval, share_in_words
+from halfseen.pages.numbers import MISSING, amount, interval, share_in_words
 from halfseen.pages.palette import BLUE, MARKERS, PINK, RED, SOFT
 from halfseen.pages.sentences import NOT_SUPPORTED, SUPPORTED, Claim, capitalised, listed
 from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Section, Setting, Tables
@@ -19,7 +19,7 @@ from halfseen.study.figures import MEAN
 from halfseen.study.frames import records, stacked, where
 from halfseen.study.pipeline import TREATMENTS, Source
 from halfseen.study.statistics import estimate_in, mean_columns
-from halfseen.study.wording import CUT_KIND_NAMES, CUT_KIND_NOTES, PATHS_AXIS, REWARD_AXIS, learned_from
+from halfseen.study.wording import CUT_KIND_NAMES, CUT_KIND_NOTES, PATHS_AXIS, REWARD_AXIS, estimated_in, learned_from
 from halfseen.world.cuts import CutKind
 
 WEIGHTED = TREATMENTS[0]
@@ -211,15 +211,11 @@ def _head_panel(axes: Axes, name: str, note: str) -> None:
 
 
 def _numbers(figure4: pd.DataFrame) -> Listing:
-    rows = [
-        (
-            CUT_KIND_NAMES[row["cut_kind"]],
-            TREATMENT_NAMES[row["treatment"]],
-            str(row["num_paths"]),
-            estimated(*(row[name] for name in MEAN)),
-            MISSING if row["treatment"] == WEIGHTED else estimated(*(row[name] for name in GAIN)),
-        )
-        for row in records(figure4)
-    ]
-    header = ("cuts", "treatment", "logged paths", "reward", "weighted − this")
-    return Listing("The numbers of Figure 4", "", header, {"": rows})
+    cells = {
+        "cuts": lambda row: CUT_KIND_NAMES[row["cut_kind"]],
+        "treatment": lambda row: TREATMENT_NAMES[row["treatment"]],
+        "logged paths": lambda row: str(row["num_paths"]),
+        "reward": lambda row: estimated_in(row, MEAN),
+        "weighted − this": lambda row: MISSING if row["treatment"] == WEIGHTED else estimated_in(row, GAIN),
+    }
+    return Listing.of("The numbers of Figure 4", "", records(figure4), cells)

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 
 from halfseen.evaluation.estimate import Estimate
 from halfseen.pages.axes import EndLabel, draw_bars
-from halfseen.pages.numbers import MISSING, amount, estimated, share
+from halfseen.pages.numbers import MISSING, amount, share
 from halfseen.pages.sentences import Claim
 from halfseen.planners.optimum import TableOptimum, solve_table
 from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Section, Setting, Tables
@@ -26,7 +26,7 @@ from halfseen.study.frames import records, row_of, stacked
 from halfseen.study.pipeline import EVALUATION, Source, members, random_key
 from halfseen.study.policies import HEURISTICS, LEARNED, OPTIMUM, Contender, Kind, by_name, horizon_planner
 from halfseen.study.statistics import mean_columns
-from halfseen.study.wording import learned_from
+from halfseen.study.wording import estimated_in, learned_from
 from halfseen.world.config import WorldConfig
 from halfseen.world.cuts import CutKind
 from halfseen.world.scene import Scene
@@ -243,17 +243,11 @@ def _draw_lines(design: Regret, table: pd.DataFrame, axes: Axes) -> list[EndLabe
 
 
 def _numbers(design: Regret, table: pd.DataFrame) -> Listing:
-    rows = []
-    for row in records(table):
-        is_learned, is_exact = row["policy"] == LEARNED.name, pd.isna(row["repetitions"])
-        rows.append(
-            (
-                design.contenders[row["policy"]].label,
-                str(row["num_paths"]) if is_learned else MISSING,
-                share(float(row["cut_share"])) if is_learned else MISSING,
-                amount(row["regret"]) if is_exact else estimated(*(row[name] for name in INTERVAL)),
-                amount(100 * row["regret_share"], 1),
-            )
-        )
-    header = ("policy", "logged paths", "cut", "regret", "% of the optimum above FINISH")
-    return Listing("The numbers of Figure 7", "", header, {"": rows})
+    cells = {
+        "policy": lambda row: design.contenders[row["policy"]].label,
+        "logged paths": lambda row: str(row["num_paths"]) if row["policy"] == LEARNED.name else MISSING,
+        "cut": lambda row: share(float(row["cut_share"])) if row["policy"] == LEARNED.name else MISSING,
+        "regret": lambda row: amount(row["regret"]) if pd.isna(row["repetitions"]) else estimated_in(row, INTERVAL),
+        "% of the optimum above FINISH": lambda row: amount(100 * row["regret_share"], 1),
+    }
+    return Listing.of("The numbers of Figure 7", "", records(table), cells)

@@ -15,7 +15,7 @@ import pandas as pd
 from jaxtyping import Float
 
 from halfseen.errors import ArgumentError
-from halfseen.pages.numbers import MISSING, estimated, significant
+from halfseen.pages.numbers import MISSING, significant
 from halfseen.pages.sentences import Claim, counted, listed
 from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Section, Setting, Tables
 from halfseen.study.experiments.planning.figures import OVER, draw_horizons, draw_simulations
@@ -25,7 +25,7 @@ from halfseen.study.pipeline import Played, Source, episodes_in_turn
 from halfseen.study.policies import HEURISTICS, LEARNED, Contender, by_name, horizon_planner, planner
 from halfseen.study.single_play import measured_times, play_singly, seconds
 from halfseen.study.statistics import estimate_in, mean_columns
-from halfseen.study.wording import learned_from
+from halfseen.study.wording import estimated_in, learned_from
 from halfseen.tables.table_policy import LinearTablePolicy
 from halfseen.world.cuts import CutKind
 
@@ -233,20 +233,16 @@ def _captions(design: Planning, figure2: pd.DataFrame) -> tuple[str, str]:
 
 
 def _numbers(design: Planning, tables: Tables) -> Listing:
-    rows = [
-        (
-            design.contenders[row["policy"]].label,
-            significant(row["decision_ms"], 2),
-            estimated(*(row[name] for name in MEAN)),
-            MISSING if row["policy"] == LEARNED.name else estimated(*(row[name] for name in OVER)),
-            str(row["repetitions"] * row["episodes"]),
-        )
-        for row in records(tables["figure2"])
-    ]
+    cells = {
+        "policy": lambda row: design.contenders[row["policy"]].label,
+        "decision [ms], measured": lambda row: significant(row["decision_ms"], 2),
+        "reward": lambda row: estimated_in(row, MEAN),
+        "policy − learned": lambda row: MISSING if row["policy"] == LEARNED.name else estimated_in(row, OVER),
+        "episodes": lambda row: str(row["repetitions"] * row["episodes"]),
+    }
     learning_s = significant(tables["learning"]["learning_s"].iloc[0], 2)
     caption = (
         f"Decision times are medians on one core of this machine; learning from {design.num_paths} paths took "
         f"{learning_s} s on it, once."
     )
-    header = ("policy", "decision [ms], measured", "reward", "policy − learned", "episodes")
-    return Listing("The numbers of Figures 2 and 3", caption, header, {"": rows})
+    return Listing.of("The numbers of Figures 2 and 3", caption, records(tables["figure2"]), cells)

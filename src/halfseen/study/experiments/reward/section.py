@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from halfseen.pages.axes import EndLabel, draw_curve
-from halfseen.pages.numbers import amount, estimated, p_value, share, share_in_words, with_interval
+from halfseen.pages.numbers import amount, p_value, share, share_in_words, with_interval
 from halfseen.pages.palette import BAND_OPACITY
 from halfseen.pages.sentences import NOT_SUPPORTED, SUPPORTED, Claim, capitalised, counted, listed
 from halfseen.study.experiment import Drawing, Listing, Section, Setting, Tables
@@ -19,10 +19,10 @@ from halfseen.study.experiments.reward.tables import BEST, MEASURES
 from halfseen.study.figures import MEAN, Level, draw_by_cut_share, draw_by_size, draw_levels
 from halfseen.study.frames import records, row_of
 from halfseen.study.policies import LEARNED, STRONGEST_RULE
-from halfseen.study.wording import REWARD_AXIS, gain_in, learned_from, spelled, verdict_of
+from halfseen.study.wording import REWARD_AXIS, estimated_in, gain_in, learned_from, spelled, verdict_of
 
 STRONGEST = "the strongest heuristic", "the strongest planner"
-ROLE_WORDS = dict(zip(BEST, (STRONGEST[0], f"{STRONGEST[1]}, which knows the true model"), strict=True))
+ROLE_WORDS: dict[str, str] = dict(zip(BEST, (STRONGEST[0], f"{STRONGEST[1]}, which knows the true model"), strict=True))
 CLAIM_WORDS = {"reward": "the learned policy earns more", "robot_s": "the learned policy ends sooner"}
 DODGE = 1.02
 """Factor between neighbouring curves, which stand side by side rather than on one another."""
@@ -152,7 +152,7 @@ def _by_size(design: RewardDesign, table: pd.DataFrame, written: Any) -> tuple[t
 
 
 def _numbers(design: RewardDesign, figure1: pd.DataFrame) -> Listing:
-    cells = _by_size(design, figure1, lambda row: estimated(*(row[name] for name in MEAN)))
+    cells = _by_size(design, figure1, lambda row: estimated_in(row, MEAN))
     return Listing("The numbers of the learned policy in Figure 1", "", *cells)
 
 
