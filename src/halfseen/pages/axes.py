@@ -1,7 +1,7 @@
 """What several figures draw alike: titles, sizes of logs, curves with bands, bars, and names at the ends of lines."""
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,6 +40,26 @@ def write_title(figure: Figure, title: str) -> float:
     lines = textwrap.wrap(title, balanced)
     figure.text(0.012, TITLE_TOP, "\n".join(lines), fontsize=TITLE_POINTS, fontweight="bold", va="top", linespacing=1.3)
     return TITLE_TOP - len(lines) * 1.3 * TITLE_POINTS / 72 / figure.get_size_inches()[1]
+
+
+def write_above(axes: Axes, text: str, points: float, weight: str = "bold") -> None:
+    """Write so many points above the left end of a panel."""
+    place: Any = {"xycoords": "axes fraction", "textcoords": "offset points", "xytext": (0.0, points)}
+    axes.annotate(text, (0.0, 1.0), fontweight=weight, **place)
+
+
+def write_legend(figure: Figure, named: Mapping[str, Any], top: float, **options: Any) -> None:
+    """Explain curves, which are given by name, in one line above the panels."""
+    place: Any = {"loc": "upper left", "bbox_to_anchor": (0.05, top), "ncols": len(named), "frameon": False}
+    figure.legend(list(named.values()), list(named), **place, **options)
+
+
+def named_curves(*panels: Axes) -> dict[str, Any]:
+    """What stands in a legend of these panels, by name."""
+    found = {}
+    for axes in panels:
+        found |= dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
+    return found
 
 
 def draw_grid(axes: Axes) -> None:

@@ -10,7 +10,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from halfseen.errors import ArgumentError
-from halfseen.pages.axes import PANEL_TITLE, dodged, draw_bars, draw_curve, draw_zero, mark_sizes, write_title
+from halfseen.pages.axes import (
+    PANEL_TITLE,
+    dodged,
+    draw_bars,
+    draw_curve,
+    draw_zero,
+    mark_sizes,
+    named_curves,
+    write_above,
+    write_legend,
+    write_title,
+)
 from halfseen.pages.numbers import MISSING, amount, interval, share_in_words
 from halfseen.pages.palette import BLUE, MARKERS, PINK, RED, SOFT
 from halfseen.pages.sentences import NOT_SUPPORTED, SUPPORTED, Claim, capitalised, listed
@@ -175,15 +186,15 @@ def _draw(design: Censoring, figure4: pd.DataFrame, title: str) -> Figure:
         _draw_treatments(upper, rows, TREATMENTS, DODGE, MEAN, draw_curve)
         draw_zero(lower)
         _draw_treatments(lower, rows, TREATMENTS[1:], BAR_DODGE, GAIN, draw_bars)
-        _head_panel(upper, CUT_KIND_NAMES[kind], CUT_KIND_NOTES[kind])
+        write_above(upper, capitalised(CUT_KIND_NAMES[kind]), 45)
+        write_above(upper, CUT_KIND_NOTES[kind], 31, "normal")
         upper.set_title(REWARD_AXIS, **PANEL_TITLE)
         lower.set_title(GAIN_AXIS, **PANEL_TITLE)
         lower.set_xlabel(PATHS_AXIS)
         upper.tick_params(labelbottom=True)
         mark_sizes(upper, design.num_paths)
         mark_sizes(lower, design.num_paths)
-    handles, names = panels[0, 0].get_legend_handles_labels()
-    figure.legend(handles, names, loc="upper left", bbox_to_anchor=(0.05, top - 0.012), ncols=len(names), frameon=False)
+    write_legend(figure, named_curves(panels[0, 0]), top - 0.012)
     return figure
 
 
@@ -202,12 +213,6 @@ def _draw_treatments(
         above = 3.0 if treatment == WEIGHTED else 2.5
         name = TREATMENT_NAMES[treatment]
         draw(axes, across, curve[columns], color=colour, marker=marker, label=name, zorder=above)
-
-
-def _head_panel(axes: Axes, name: str, note: str) -> None:
-    for text, weight, height in ((capitalised(name), "bold", 45), (note, "normal", 31)):
-        place: Any = {"xycoords": "axes fraction", "textcoords": "offset points", "xytext": (0.0, height)}
-        axes.annotate(text, (0.0, 1.0), fontweight=weight, **place)
 
 
 def _numbers(figure4: pd.DataFrame) -> Listing:

@@ -17,6 +17,8 @@ from halfseen.pages.axes import (
     draw_grid,
     draw_zero,
     mark_sizes,
+    named_curves,
+    write_legend,
     write_title,
 )
 from halfseen.pages.numbers import amount, estimated, p_value, share_in_words
@@ -112,13 +114,9 @@ def _draw(design: GraspDesign, tables: Tables, title: str) -> Figure:
     for axes, measure, words in zip(panels[1], REWARDS, ("learned policy", "heuristic"), strict=True):
         _draw_differences(axes, design, grasp, measure, (SUCCESSION, *FITTED))
         axes.set_title(f"reward of the {words}, over the true model's", **PANEL_TITLE)
-    known = {}
-    for axes in panels.flat:
-        known |= dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
-    shown = [name for name in MODEL_NAMES.values() if name in known]
-    handles = [known[name] for name in shown]
-    place: Any = {"loc": "upper left", "bbox_to_anchor": (0.05, top - 0.012), "frameon": False}
-    figure.legend(handles, shown, ncols=len(shown), columnspacing=1.4, **place)
+    known = named_curves(*panels.flat)
+    shown = {name: known[name] for name in MODEL_NAMES.values() if name in known}
+    write_legend(figure, shown, top - 0.012, columnspacing=1.4)
     return figure
 
 

@@ -13,7 +13,9 @@ from halfseen.pages.axes import (
     draw_grid,
     draw_zero,
     mark_sizes,
+    named_curves,
     write_end_labels,
+    write_legend,
     write_title,
 )
 from halfseen.pages.numbers import amount
@@ -78,6 +80,5 @@ def draw_horizons(
         axes.set_xlim(horizons.min() - 0.4, horizons.max() + 0.4)
         axes.set_xlabel(HORIZON_AXIS)
         draw_grid(axes)
-    handles, names = left.get_legend_handles_labels()
-    figure.legend(handles, names, loc="upper left", bbox_to_anchor=(0.05, top - 0.005), ncols=3, frameon=False)
+    write_legend(figure, named_curves(left), top - 0.005)
     return figure
