@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from halfseen.logs.frames import FrameLike, as_frame
 from halfseen.planners.heuristics import GreedyPolicy, TrueGrasp
-from halfseen.study.experiment import PieceOf, Pieces, Section, Setting, Tables
+from halfseen.study.experiment import PieceOf, Setting
 from halfseen.study.experiments.grasp.design import MODEL_NAMES, NUM_BINS, ORACLE, REWARDS, SUCCESSION, GraspDesign
 from halfseen.study.experiments.grasp.section import section_of
 from halfseen.study.experiments.grasp.tables import tables_of
@@ -56,6 +56,8 @@ class Grasp(GraspDesign):
     """The experiment; its parameters are those of `GraspDesign`."""
 
     name: ClassVar[str] = "grasp"
+    tabulate = tables_of
+    section = section_of
 
     def prepare(self, setting: Setting) -> PieceOf:
         """Calibrate the cuts."""
@@ -98,14 +100,6 @@ class Grasp(GraspDesign):
         target = ActionSpace(episodes.states.num_objects).target(np.asarray(episodes.action)[at])
         said = np.asarray(_true_probabilities(TrueGrasp(setting.world), episodes.states), dtype=np.float64)
         return table, said[*at, target]
-
-    def tabulate(self, setting: Setting, pieces: Pieces) -> Tables:
-        """Make grasp, grasp_tests and figure5."""
-        return tables_of(self, setting, pieces)
-
-    def section(self, setting: Setting, tables: Tables) -> Section:
-        """Say whether the paper's claim holds here."""
-        return section_of(self, setting, tables)
 
 
 def scored(said: Float[np.ndarray, " m"], succeeded: np.ndarray) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from itertools import product
 from typing import Any, ClassVar
 
-from halfseen.study.experiment import PieceOf, Pieces, Section, Setting, Tables
+from halfseen.study.experiment import PieceOf, Setting
 from halfseen.study.experiments.reward.design import RewardDesign
 from halfseen.study.experiments.reward.section import section_of
 from halfseen.study.experiments.reward.tables import tables_of
@@ -22,6 +22,8 @@ class Reward(RewardDesign):
     """The experiment; its parameters are those of `RewardDesign`."""
 
     name: ClassVar[str] = "reward"
+    tabulate = tables_of
+    section = section_of
 
     def prepare(self, setting: Setting) -> PieceOf:
         """Calibrate the cuts, and choose the strongest heuristic and planner on episodes of their own."""
@@ -66,11 +68,3 @@ class Reward(RewardDesign):
         episodes = episodes_in_turn(source.index, dict(self.planners)[size], len(headline.reward))
         played = play_singly(source, planner(size).policy(source.world), episodes)
         return {"num_episodes": len(episodes), **played.means(), LEARNED.name: headline.on(episodes).means()}
-
-    def tabulate(self, setting: Setting, pieces: Pieces) -> Tables:
-        """Make figure1, table1 and weights."""
-        return tables_of(self, setting, pieces)
-
-    def section(self, setting: Setting, tables: Tables) -> Section:
-        """Say whether learning earns more, and how few logged paths suffice."""
-        return section_of(self, setting, tables)
