@@ -69,7 +69,7 @@ def draw_map(design: ClutterDesign, world: WorldConfig, table: pd.DataFrame, tit
         is_lowest = not any(other.column == panel.column and other.row > panel.row for other in panels)
         _draw_panel(axes, table, design, panel, is_left=panel.column in (0, last), is_lowest=is_lowest)
         if panel.row == 0 and panel.column in (0, last):
-            write_above(axes, HEADS[panel.column == last], 19)
+            write_above(axes, HEADS[panel.column == last], 19.0)
     _draw_scale(figure, design.worthwhile_share, height)
     _explain_marks(figure, design.worthwhile_share, height)
     return figure
