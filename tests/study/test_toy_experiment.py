@@ -13,7 +13,7 @@ from halfseen.pages.axes import write_title
 from halfseen.pages.sentences import Claim
 from halfseen.study.experiment import Drawing, Experiment, Listing, Section, Setting
 from halfseen.study.run import chosen, run_study
-from halfseen.study.statistics import estimate_in, mean_columns
+from halfseen.study.statistics import columns, estimate_in, over_repetitions
 from halfseen.world.scene import Scene
 
 SETTING = Setting((Scene(np.zeros((2, 2)), name="two <cups>"),), repetitions=4)
@@ -36,9 +36,12 @@ class Coin:
         return {"index": index, "heads": float((rng.random(self.num_throws) < self.bias).mean()) - prepared["half"]}
 
     def tabulate(self, setting, pieces):
-        heads = np.array([piece["heads"] for piece in pieces.repetitions])
-        row = mean_columns(heads, "gain") | {"repetitions": len(heads)}
-        return {"coin": pd.DataFrame([row])}
+        gain = over_repetitions(np.array([piece["heads"] for piece in pieces.repetitions]))
+        return {
+            "coin": pd.DataFrame(
+                [columns(gain, "gain", "se", "low", "high") | {"repetitions": len(pieces.repetitions)}]
+            )
+        }
 
     def section(self, setting, tables):
         row = tables["coin"].iloc[0]

@@ -17,12 +17,14 @@ def over_repetitions(values: Float[np.ndarray, " R"]) -> Estimate:
     return estimate_of(np.asarray(values, dtype=np.float64), len(values), LEVEL)
 
 
-def mean_columns(
-    values: Float[np.ndarray, " R"], value: str = "mean_reward", se: str = "se", low: str = "low", high: str = "high"
-) -> dict[str, float]:
-    """Mean over repetitions, as columns of these names."""
-    found = over_repetitions(values)
-    return {value: found.value, se: found.standard_error, low: found.low, high: found.high}
+def columns(estimate: Estimate, value: str, se: str, low: str, high: str) -> dict[str, float]:
+    """An estimate as columns of a table."""
+    return {value: estimate.value, se: estimate.standard_error, low: estimate.low, high: estimate.high}
+
+
+def mean_columns(values: Float[np.ndarray, " R"], *names: str) -> dict[str, float]:
+    """Mean over repetitions, as columns of these names: value, standard error, and ends of the interval."""
+    return columns(over_repetitions(values), *(names or ("mean_reward", "se", "low", "high")))
 
 
 def estimate_in(row: Any, value: str, se: str, num_repetitions: int) -> Estimate:
