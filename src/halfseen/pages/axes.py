@@ -1,7 +1,7 @@
 """What several figures draw alike: titles, sizes of logs, curves with bands, bars, and names at the ends of lines."""
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 from scipy.optimize import isotonic_regression
 
-from halfseen.pages.palette import BAND_OPACITY, FAINT
+from halfseen.pages.palette import BAND_OPACITY, FAINT, INK
 
 WIDTH_INCHES, NARROW_INCHES = 9.0, 7.4
 TITLE_TOP, TITLE_POINTS, TITLE_CHARS = 0.98, 11.5, 92
@@ -42,6 +42,26 @@ def write_title(figure: Figure, title: str) -> float:
     return TITLE_TOP - len(lines) * 1.3 * TITLE_POINTS / 72 / figure.get_size_inches()[1]
 
 
+def write_above(axes: Axes, text: str, points: float, weight: str = "bold") -> None:
+    """Write so many points above the left end of a panel."""
+    place: Any = {"xycoords": "axes fraction", "textcoords": "offset points", "xytext": (0.0, points)}
+    axes.annotate(text, (0.0, 1.0), fontweight=weight, **place)
+
+
+def write_legend(figure: Figure, named: Mapping[str, Any], top: float, **options: Any) -> None:
+    """Explain curves, which are given by name, in one line above the panels."""
+    place: Any = {"loc": "upper left", "bbox_to_anchor": (0.05, top), "ncols": len(named), "frameon": False}
+    figure.legend(list(named.values()), list(named), **place, **options)
+
+
+def named_curves(*panels: Axes) -> dict[str, Any]:
+    """What stands in a legend of these panels, by name."""
+    found = {}
+    for axes in panels:
+        found |= dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
+    return found
+
+
 def draw_grid(axes: Axes) -> None:
     """Draw faint lines at the heights of the ticks, behind all else."""
     axes.grid(axis="y", color=FAINT, linewidth=0.6, zorder=0)
@@ -57,17 +77,27 @@ def mark_sizes(axes: Axes, sizes: Sequence[int]) -> None:
     draw_grid(axes)
 
 
-def draw_curve(axes: Axes, across: Any, middle: Any, ends: tuple[Any, Any], **options: Any) -> None:
-    """Draw a line with markers and a band."""
-    low, high = (np.asarray(end, dtype=float) for end in ends)
+def draw_zero(axes: Axes, colour: str = INK, width: float = 1.0) -> None:
+    """Draw a line at 0, with which differences are compared."""
+    axes.axhline(0.0, color=colour, linewidth=width, zorder=1.5)
+
+
+def dodged(across: Any, place: int, num: int, factor: float) -> Float[np.ndarray, " k"]:
+    """Places of one of `num` curves along a logarithmic axis, where they stand side by side."""
+    return np.asarray(across, dtype=float) * factor ** (place - (num - 1) / 2)
+
+
+def draw_curve(axes: Axes, across: Any, estimates: Any, **options: Any) -> None:
+    """Draw a line with markers and a band; `estimates` has the columns mean, low and high."""
+    mean, low, high = np.asarray(estimates, dtype=float).T
     across = np.asarray(across, dtype=float)
     axes.fill_between(across, low, high, color=options["color"], alpha=BAND_OPACITY, linewidth=0, zorder=2)
-    axes.plot(across, np.asarray(middle, dtype=float), **{"zorder": 2.5, **options})
+    axes.plot(across, mean, **{"zorder": 2.5, **options})
 
 
-def draw_bars(axes: Axes, across: Any, middle: Any, ends: tuple[Any, Any], **options: Any) -> None:
+def draw_bars(axes: Axes, across: Any, estimates: Any, **options: Any) -> None:
     """Draw markers with intervals as bars: bands that lie on one another would hide one another."""
-    mean, low, high = (np.asarray(values, dtype=float) for values in (middle, *ends))
+    mean, low, high = np.asarray(estimates, dtype=float).T
     reach = np.stack([mean - low, high - mean])
     usual = {"elinewidth": 1.4, "linewidth": 0.8, "capsize": 2.5, "zorder": 2.5}
     axes.errorbar(np.asarray(across, dtype=float), mean, reach, **{**usual, **options})
@@ -89,17 +119,7 @@ def write_end_labels(axes: Axes, labels: Sequence[EndLabel]) -> None:
 
 
 def spread(heights: Sequence[float], gap: float, low: float, high: float) -> list[float]:
-    """Move heights apart to at least `gap`, in their order and with the least sum of squared moves.
-
-    Parameters
-    ----------
-    heights
-        Where each would like to be.
-    gap
-        Smallest distance of neighbours.
-    low, high
-        Where all must lie, if there is room.
-    """
+    """Move heights at least `gap` apart, in their order, with the least squared moves, and within [low, high]."""
     order = np.argsort(heights, kind="stable")
     steps = gap * np.arange(len(heights))
     lowered = isotonic_regression(np.asarray(heights, dtype=float)[order] - steps).x

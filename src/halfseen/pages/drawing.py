@@ -51,15 +51,7 @@ def style() -> Iterator[None]:
 
 
 def drawn(figure_of: Callable[[], Figure], kind: str) -> bytes:
-    """Draw a figure.
-
-    Parameters
-    ----------
-    figure_of
-        Makes the figure.
-    kind
-        ``"svg"`` or ``"png"``.
-    """
+    """Draw a figure of a kind, ``"svg"`` or ``"png"``."""
     buffer = io.BytesIO()
     with style(), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
@@ -71,17 +63,7 @@ def drawn(figure_of: Callable[[], Figure], kind: str) -> bytes:
 
 
 def inline_svg(figure_of: Callable[[], Figure], prefix: str, title: str) -> Markup:
-    """Draw a figure as an SVG element that stands in a page beside others.
-
-    Parameters
-    ----------
-    figure_of
-        Makes the figure.
-    prefix
-        Put before every id, which must be unique in a page.
-    title
-        What it shows, for those who do not see it.
-    """
+    """Draw a figure as an SVG element that stands in a page beside others: `prefix` makes every id unique."""
     text = drawn(figure_of, "svg").decode()
     text = text[text.index("<svg") :]
     text = re.sub(r'\s(?:xmlns(?::xlink)?|version)="[^"]*"', "", text)

@@ -7,17 +7,7 @@ import jinja2
 
 
 def rendered(package: str, template: str, content: dict[str, Any], **functions: Any) -> str:
-    """Fill a template; the style sheet that all pages share is its `css`.
-
-    Parameters
-    ----------
-    package, template
-        Where it is.
-    content
-        All that it names.
-    functions
-        What it may call.
-    """
+    """Fill a template of a package, which may call `functions`; the style sheet of all pages is its `css`."""
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )

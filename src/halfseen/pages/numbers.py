@@ -48,6 +48,11 @@ def interval(low: float, high: float, decimals: int = 2) -> str:
     return f"{amount(low, decimals)} to {amount(high, decimals)}"
 
 
+def estimated(value: float, low: float, high: float, decimals: int = 2) -> str:
+    """Write a value with its interval: ``0.23 (0.12 to 0.34)``."""
+    return f"{amount(value, decimals)} ({interval(low, high, decimals)})"
+
+
 def with_interval(value: float, low: float, high: float) -> tuple[str, str]:
     """Write a value and its interval alike, with as many decimals as the width of the interval makes worthwhile.
 

@@ -33,7 +33,12 @@ def counted(count: int, one: str, many: str = "") -> str:
 
 def as_sentence(words: str) -> str:
     """Begin with a capital, and end with a full stop unless there is an end."""
-    return words[:1].upper() + words[1:] + ("" if words.endswith(("?", ".", "!")) else ".")
+    return capitalised(words) + ("" if words.endswith(("?", ".", "!")) else ".")
+
+
+def capitalised(words: str) -> str:
+    """Begin with a capital."""
+    return words[:1].upper() + words[1:]
 
 
 @dataclass(frozen=True)

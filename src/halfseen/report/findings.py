@@ -29,34 +29,8 @@ LIBRARIES = ("jax", "matplotlib", "numpy", "pandas", "scikit-learn", "scipy")
 class Findings:
     """What is known of a log and a policy.
 
-    Parameters
-    ----------
-    log
-        What the log holds; see `log_findings`.
-    positivity
-        What its weights rest on.
-    watched
-        How long its paths were watched.
-    record
-        What the policy's folder says of it.
-    choices
-        What the policy would do in the states of the log; see `choices`.
-    curves
-        Q along the covariates; empty for tables.
-    evaluation
-        What the policy is worth.
-    model
-        How that was judged: censoring, censoring_by, censoring_covariates, augmented, truncate_at, propensity.
-    log_sha256
-        Digest of the log.
-    is_own_log
-        Whether the policy was learned from this very log.
-    notes
-        What the user should know of it.
-    seed
-        Of all draws.
-    versions
-        Of halfseen and what it stands on.
+    `choices` and `curves` are what the policy would do in the states of the log, and Q along its covariates (none for
+    tables); `model` says how its value was judged, and `is_own_log` whether it was learned from this very log.
     """
 
     log: Mapping[str, Any]
@@ -102,30 +76,10 @@ def find(
     on_progress: Callable[[str], object] = lambda what: None,
     **chosen: Any,
 ) -> Findings:
-    """Find out all that the page tells.
+    """Find out all that the page tells of a policy and the log that it is judged by.
 
-    Parameters
-    ----------
-    stored
-        The policy.
-    logs
-        The log that it is judged by.
-    propensity
-        ``"logged"`` or ``"estimated"``; see `halfseen.evaluation.evaluate`.
-    seed
-        Of the folds and of the draws of paths.
-    num_replicates
-        Draws of paths behind the bands around Q.
-    on_progress
-        Is told what comes next.
-    chosen
-        Parameters of the evaluation that are not to be the policy's own; see
-        `halfseen.evaluation.stored_model.specification_of`.
-
-    Raises
-    ------
-    HalfseenError
-        Policy and log do not fit together, or the value is not identified.
+    `chosen` are parameters of the evaluation that are not to be the policy's own (`specification_of`); bands around Q
+    come from `num_replicates` draws of paths.
     """
     on_progress("evaluate")
     with warnings.catch_warnings(record=True) as told:

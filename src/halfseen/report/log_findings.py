@@ -19,27 +19,17 @@ FINISHED_ROW = "finished"
 
 @dataclass(frozen=True, eq=False)
 class Watched:
-    """How long paths were watched, as Kaplan–Meier tells it with the cuts for events.
-
-    Parameters
-    ----------
-    time_s
-        Where Ĝ steps, from 0 to the last observed end [s].
-    survival
-        Ĝ from each of these times on.
-    ends_s
-        Ends [s] of the paths that finished, and of those that each cause cut, the most frequent first.
-    risk_time_s
-        Times of the numbers below [s].
-    num_watched
-        Paths that were still watched just before.
-    """
+    """How long paths were watched, as Kaplan–Meier tells it with the cuts for events."""
 
     time_s: Float[np.ndarray, " k"]
+    """Where Ĝ steps, from 0 to the last observed end [s]."""
     survival: Float[np.ndarray, " k"]
+    """Ĝ from each of these times on."""
     ends_s: dict[str, Float[np.ndarray, " e"]]
+    """Ends [s] of the paths that finished, and of those that each cause cut, the most frequent first."""
     risk_time_s: Float[np.ndarray, " r"]
     num_watched: Int[np.ndarray, " r"]
+    """Paths that were still watched just before these times [s]."""
 
 
 def log_findings(logs: Logs, positivity: PositivityReport) -> dict[str, Any]:

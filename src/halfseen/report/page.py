@@ -23,15 +23,7 @@ MOST_ROWS = 30
 
 
 def page_of(findings: Findings, command: str) -> str:
-    """Write the page.
-
-    Parameters
-    ----------
-    findings
-        What it tells.
-    command
-        What makes it again.
-    """
+    """Write the page, which tells the command that makes it again."""
     functions = (significant, with_interval, percent, listed, counted, as_sentence)
     return rendered(
         "halfseen.report", "page.html.j2", _content(findings, command), **{each.__name__: each for each in functions}
@@ -39,13 +31,7 @@ def page_of(findings: Findings, command: str) -> str:
 
 
 def check_page_target(file: Path, overwrite: bool) -> None:
-    """Refuse a file that the page cannot be written to; call it before long work.
-
-    Raises
-    ------
-    ArgumentError
-        Something is there and shall not be replaced, or is no page of this kind.
-    """
+    """Refuse a file that the page cannot be written to or that is no such page; call it before long work."""
     try:
         if not (file.exists() or file.is_symlink()):
             return

@@ -58,18 +58,8 @@ def choices(stored: StoredPolicy, task: Task, logs: Logs) -> list[dict[str, Any]
 class QCurve:
     """Q of the actions of one stage along one covariate, the others at their medians.
 
-    Parameters
-    ----------
-    stage
-        From 1.
-    covariate
-        Its name.
-    values
-        Where Q is told.
-    q
-        Q of each possible action.
-    low, high
-        Central 95 % of what it is when paths are resampled (bootstrap); None where that cannot be told.
+    `q` is Q of each possible action at the values of a covariate; `low` and `high` hold the central 95 % of what it is
+    when paths are resampled (bootstrap), where that can be told.
     """
 
     stage: int

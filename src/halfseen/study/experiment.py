@@ -4,7 +4,7 @@ A repetition is a pure function of the configuration, the setting, what was prep
 be pickled, and what it returns is plain numbers. So repetitions may run in any order, in any process, on any machine.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
@@ -67,6 +67,8 @@ class Pieces(NamedTuple):
     repetitions: list[PieceOf]
 
 
+Row = dict[str, Any]
+"""Row of a table."""
 Tables = dict[str, pd.DataFrame]
 """Tables by the name of their file."""
 
@@ -93,6 +95,11 @@ class Listing(NamedTuple):
     groups: Mapping[str, list[tuple[str, ...]]]
     """Rows by the heading over them, which may be empty."""
     is_folded: bool = True
+
+    @classmethod
+    def of(cls, label: str, caption: str, rows: Iterable[Row], cells: Mapping[str, Callable[[Row], str]]) -> "Listing":
+        """Write rows, of each the cells that stand under the names of the header."""
+        return cls(label, caption, tuple(cells), {"": [tuple(cell(row) for cell in cells.values()) for row in rows]})
 
 
 class Section(NamedTuple):

@@ -1,7 +1,9 @@
-"""Rows of a table that have these values, as tables and as dictionaries."""
+"""Rows of a table that have some values, and rows that every repetition made alike."""
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 
@@ -21,3 +23,11 @@ def records(table: pd.DataFrame, **values: Any) -> list[dict[str, Any]]:
 def row_of(table: pd.DataFrame, **values: Any) -> dict[str, Any]:
     """The first row that has these values."""
     return records(table, **values)[0]
+
+
+def stacked(repetitions: Sequence[Mapping[str, Any]], name: str, *measures: str) -> list[dict[str, Any]]:
+    """Rows of this name, which all repetitions have alike, with arrays over repetitions for what was measured."""
+    return [
+        rows[0] | {measure: np.array([row[measure] for row in rows]) for measure in measures}
+        for rows in zip(*(piece[name] for piece in repetitions), strict=True)
+    ]

@@ -20,6 +20,7 @@ from functools import partial
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -29,10 +30,11 @@ from halfseen.learners import CensoredQLearner
 from halfseen.learners.q_learning.path_arrays import PathArrays
 from halfseen.learners.q_learning.q_model import QModel
 from halfseen.learners.q_learning.task import Encoded
+from halfseen.study.experiment import Setting
 from halfseen.study.policies import logging_policy
 from halfseen.tables.encoding import encoded_states
 from halfseen.tables.table_policy import LinearTablePolicy
-from halfseen.world.action_space import Verb, verb_of
+from halfseen.world.action_space import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.cuts import CutEpisodes, CutKind, cut, cut_rate
 from halfseen.world.episodes import Episodes, Totals, evaluate, play
@@ -69,22 +71,17 @@ class Played(NamedTuple):
 
 @dataclass(frozen=True)
 class Source:
-    """Where the paths of a repetition come from.
-
-    Parameters
-    ----------
-    world
-        The world that is played.
-    layouts
-        Its tables.
-    seed, index
-        Of the study, and which repetition.
-    """
+    """Where the paths of repetition `index` come from: a world, its tables, and the seed of the study."""
 
     world: WorldConfig
     layouts: Layout
     seed: int
     index: int = 0
+
+    @classmethod
+    def of(cls, setting: Setting, index: int = 0) -> "Source":
+        """The tables and the world of all experiments."""
+        return cls(setting.world, setting.layouts, setting.seed, index)
 
     def play(self, num_paths: int, purpose: int = LOGS) -> Episodes:
         """Paths of the logging policy that nothing cut."""
@@ -126,17 +123,7 @@ def _evaluate_batch(world: WorldConfig, layouts: Layout, policies: Policy, key: 
 
 @dataclass(frozen=True)
 class EncodedPaths:
-    """Paths of a source as the learner sees them.
-
-    Parameters
-    ----------
-    source
-        Where they come from.
-    encoded
-        Features, possible actions, and what was done.
-    grasp
-        What tells the probability of a grasp in the features; None for the rule of succession.
-    """
+    """Paths of a source as the learner sees them; `grasp` tells the probability of a grasp in their features."""
 
     source: Source
     encoded: Encoded
@@ -152,10 +139,7 @@ class EncodedPaths:
     ) -> tuple[LinearTablePolicy, list[dict[str, float]]]:
         """Learn from the first paths of logs, each under its treatment, in one compiled call.
 
-        Returns
-        -------
-        LinearTablePolicy, list of dict
-            The policies as one batch; of each, the effective sample size and the largest of its weights.
+        Returns the policies as one batch; and of each, the effective sample size and the largest of its weights.
         """
         models, rows = [], []
         for cuts, treatment in logs:
@@ -171,6 +155,15 @@ class EncodedPaths:
     def learn_one(self, cuts: CutEpisodes, num_paths: int) -> LinearTablePolicy:
         """Learn from the first paths of a log, weighted."""
         return members(self.learn([(cuts, "weighted")], num_paths)[0])[0]
+
+    def learn_and_play(
+        self, logs: Sequence[tuple[CutEpisodes, str]], sizes: Sequence[int], num_episodes: int
+    ) -> list[tuple[dict[str, float], Played]]:
+        """Learn from logs, at each size from all, and play on the same episodes: weights and what was earned."""
+        learned = [self.learn(logs, size) for size in sizes]
+        together = LinearTablePolicy(jnp.concatenate([policies.coefficients for policies, _ in learned]))
+        played = self.source.evaluate_batch(together, num_episodes)
+        return list(zip([each for _, weights in learned for each in weights], played, strict=True))
 
     def model(self, treatment: str) -> QModel:
         """How the product's own learner fits Q under a treatment."""
@@ -189,13 +182,7 @@ def members(policies: LinearTablePolicy) -> list[LinearTablePolicy]:
 
 
 def treated(paths: PathArrays, cuts: CutEpisodes, treatment: str, world: WorldConfig) -> PathArrays:
-    """What a learner sees of a log under one of `TREATMENTS`.
-
-    Raises
-    ------
-    ArgumentError
-        There is no such treatment.
-    """
+    """What a learner sees of a log under one of `TREATMENTS`."""
     if treatment not in TREATMENTS:
         raise ArgumentError(f"treatment is {treatment!r}; it is one of {', '.join(TREATMENTS)}")
     clocks = paths.clocks
@@ -212,7 +199,7 @@ def treated(paths: PathArrays, cuts: CutEpisodes, treatment: str, world: WorldCo
 
 
 def _failure_reward(cuts: CutEpisodes, world: WorldConfig) -> Float[np.ndarray, "n T"]:
-    verb = np.asarray(verb_of(cuts.episodes.action, cuts.episodes.states.num_objects))
+    verb = np.asarray(ActionSpace(cuts.episodes.states.num_objects).verb(cuts.episodes.action))
     begun_s = np.nan_to_num(elapsed_s(cuts)).max(axis=1)
     lifted = world.reward_lift_per_s * (cuts.end_s - begun_s)
     attempt = np.select([verb == Verb.WASH, verb == Verb.LIFT], [world.reward_wash_failed, lifted[:, None]], 0.0)
@@ -242,11 +229,8 @@ def _path_arrays(cuts: CutEpisodes, encoded: Encoded) -> PathArrays:
 
 
 def _weights(weight: Float[np.ndarray, "n T"]) -> dict[str, float]:
-    diagnostics = weight_diagnostics(weight)
-    return {
-        "effective_sample_size": diagnostics.effective_sample_size,
-        "largest_weight": diagnostics.largest_weight,
-    }
+    found = weight_diagnostics(weight)
+    return {"effective_sample_size": found.effective_sample_size, "largest_weight": found.largest_weight}
 
 
 def episodes_in_turn(index: int, num_episodes: int, num_all: int) -> list[int]:

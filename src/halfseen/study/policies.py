@@ -25,34 +25,21 @@ class Kind(StrEnum):
 
 
 COLOURS = {Kind.LEARNED: OURS, Kind.HEURISTIC: SOFT, Kind.PLANNER: PLANNER, Kind.OPTIMUM: INK}
-DASHES = {
-    Kind.LEARNED: (4.0, 2.0),
-    Kind.HEURISTIC: (4.0, 2.0),
-    Kind.PLANNER: (5.0, 1.5, 1.0, 1.5),
-    Kind.OPTIMUM: (1.0, 0.0),
-}
+DASHES = {Kind.PLANNER: (5.0, 1.5, 1.0, 1.5)}
+"""Lines of planners; others are dashed evenly."""
 
 
 @dataclass(frozen=True)
 class Contender:
-    """A policy that takes part.
-
-    Parameters
-    ----------
-    name
-        In tables.
-    label
-        For people.
-    kind
-        What it goes by.
-    make
-        Makes it for a world; None where it is learned or known only by its value.
-    """
+    """A policy that takes part."""
 
     name: str
+    """In tables."""
     label: str
+    """For people."""
     kind: Kind
     make: Callable[[WorldConfig], Policy] | None = None
+    """Makes it for a world; None where it is learned or known only by its value."""
 
     @property
     def colour(self) -> str:
@@ -62,7 +49,7 @@ class Contender:
     @property
     def dashes(self) -> tuple[float, ...]:
         """Of its kind."""
-        return DASHES[self.kind]
+        return DASHES.get(self.kind, (4.0, 2.0))
 
     def policy(self, world: WorldConfig) -> Policy:
         """Make it for a world."""

@@ -32,20 +32,7 @@ def report_of(
     versions: Mapping[str, str],
     pictures: Mapping[str, bytes],
 ) -> str:
-    """Write the page.
-
-    Parameters
-    ----------
-    setting, experiments, sections, answer, versions
-        Of `halfseen.study.run.StudyResults`.
-    pictures
-        PNG of each scene, by its name; a scene without one is described in words alone.
-
-    Raises
-    ------
-    ArgumentError
-        A picture belongs to no scene.
-    """
+    """Write the page; `pictures` are PNG of scenes by name, and a scene without one is described in words alone."""
     names = [scene.name for scene in setting.scenes]
     for name in pictures:
         if name not in names:

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, is_dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,7 +17,7 @@ from halfseen.perception.picture import draw
 from halfseen.study.experiment import Experiment, Section, Setting, Tables
 from halfseen.study.experiments import EXPERIMENTS
 from halfseen.study.report import report_of
-from halfseen.study.runner import run_all, store_of, versions
+from halfseen.study.runner import design_of, run_all, store_of, versions
 from halfseen.study.store import as_json
 from halfseen.writing import write_file
 
@@ -51,13 +51,7 @@ class StudyResults:
 
 
 def chosen(names: Sequence[str], experiments: Sequence[Experiment] = EXPERIMENTS) -> tuple[Experiment, ...]:
-    """Experiments of these names; all if there are none.
-
-    Raises
-    ------
-    ArgumentError
-        There is no such experiment.
-    """
+    """Experiments of these names; all if there are none."""
     known = {each.name: each for each in experiments}
     for name in names:
         if name not in known:
@@ -121,22 +115,16 @@ def write_results(results: StudyResults, pictures: Mapping[str, bytes], folder: 
 
 
 def _as_dict(results: StudyResults) -> dict[str, Any]:
-    setting = asdict(results.setting)
+    setting, names = asdict(results.setting), [each.name for each in results.experiments]
     return {
         "answer": results.answer,
-        "sentences": {
-            each.name: section.sentences for each, section in zip(results.experiments, results.sections, strict=True)
-        },
-        "experiments": {each.name: _design(each) for each in results.experiments},
+        "sentences": dict(zip(names, [section.sentences for section in results.sections], strict=True)),
+        "experiments": {each.name: design_of(each) for each in results.experiments},
         "setting": {name: value for name, value in setting.items() if name != "scenes"},
         "scenes": [{"name": scene.name, "hides": scene.hides.tolist()} for scene in results.setting.scenes],
         "versions": dict(results.versions),
         "tables": {name: _records(table) for tables in results.tables for name, table in tables.items()},
     }
-
-
-def _design(experiment: Experiment) -> dict[str, Any]:
-    return asdict(experiment) if is_dataclass(experiment) and not isinstance(experiment, type) else {}
 
 
 def _records(table: pd.DataFrame) -> list[dict[str, Any]]:

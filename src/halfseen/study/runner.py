@@ -1,6 +1,6 @@
 """One runner for all experiments: prepare once, repeat what is missing, tabulate."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, is_dataclass
 from functools import partial
@@ -24,22 +24,18 @@ def versions() -> dict[str, str]:
 
 
 def store_of(experiment: Experiment, setting: Setting, folder: Path, is_resumed: bool) -> Store:
-    """Open the store of an experiment; more repetitions add pieces and change none.
-
-    Raises
-    ------
-    ArgumentError
-        It cannot be written, or holds pieces of another study.
-    """
+    """Open the store of an experiment; more repetitions add pieces and change none."""
     fixed = asdict(setting) | {"scenes": [[scene.name, scene.hides.tolist()] for scene in setting.scenes]}
     fixed.pop("repetitions")
-    design = asdict(experiment) if is_dataclass(experiment) and not isinstance(experiment, type) else {}
+    design = design_of(experiment)
     design.pop("most_repetitions", None)
-    return Store(
-        folder / "progress" / experiment.name,
-        {"design": design, "setting": fixed, "versions": versions()},
-        is_resumed,
-    )
+    fingerprint = {"design": design, "setting": fixed, "versions": versions()}
+    return Store(folder / "progress" / experiment.name, fingerprint, is_resumed)
+
+
+def design_of(experiment: Experiment) -> dict[str, Any]:
+    """The configuration of an experiment."""
+    return asdict(experiment) if is_dataclass(experiment) and not isinstance(experiment, type) else {}
 
 
 def run(experiment: Experiment, setting: Setting, store: Store) -> Tables:
@@ -51,7 +47,8 @@ def run(experiment: Experiment, setting: Setting, store: Store) -> Tables:
     measured = measured_of(experiment, setting, store)
     prepared = store.kept("prepared", lambda: experiment.prepare(setting))
     repetitions = []
-    for index in tqdm(_indices(experiment, setting), desc=experiment.name, unit="rep", disable=None, leave=False):
+    num = min(setting.repetitions, experiment.most_repetitions or setting.repetitions)
+    for index in tqdm(range(num), desc=experiment.name, unit="rep", disable=None, leave=False):
         make = partial(experiment.repeat, setting, prepared, index)
         repetitions.append(store.kept(f"repetition-{index:05d}", make))
         _stop_if_abandoned()
@@ -75,18 +72,9 @@ def run_all(
         measured_of(experiment, setting, store)
     jobs = min(num_jobs, len(experiments))
     if jobs < 2:
-        return list(_each(experiments, setting, stores))
+        return [run(experiment, setting, store) for experiment, store in zip(experiments, stores, strict=True)]
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
         return list(pool.map(run, experiments, [setting] * len(experiments), stores))
-
-
-def _each(experiments: Sequence[Experiment], setting: Setting, stores: Sequence[Store]) -> Iterable[Tables]:
-    return (run(experiment, setting, store) for experiment, store in zip(experiments, stores, strict=True))
-
-
-def _indices(experiment: Experiment, setting: Setting) -> range:
-    most = experiment.most_repetitions
-    return range(setting.repetitions if most is None else min(setting.repetitions, most))
 
 
 def _stop_if_abandoned() -> None:

@@ -6,16 +6,22 @@ once; here no decision is made after its end.
 
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from halfseen.study.experiment import Setting
 from halfseen.study.pipeline import EVALUATION, Played, Source, random_key
+from halfseen.study.policies import Contender
+from halfseen.tables.features import NUM_FEATURES
+from halfseen.tables.table_policy import LinearTablePolicy
+from halfseen.world.action_space import Verb
 from halfseen.world.config import Number, WorldConfig
 from halfseen.world.dynamics import start, step
 from halfseen.world.policy import Policy
@@ -90,6 +96,17 @@ def decision_times_ms(
                 if sum(times[name]) < 1e3 * MOST_TIMED_S or len(times[name]) < FEWEST_TIMED:
                     times[name].append(1e3 * seconds(partial(_decided, policy, state, key)))
     return {name: np.array(values) for name, values in times.items()}
+
+
+def measured_times(setting: Setting, contenders: Iterable[Contender], num_states: int) -> dict[str, float]:
+    """Median decision time of contenders on states of all tables [ms]."""
+    # The time of a learned decision does not depend on what was learned.
+    unlearned = jnp.zeros((setting.world.horizon, len(Verb), NUM_FEATURES + 1), dtype=jnp.float32)
+    policies = {
+        each.name: each.policy(setting.world) if each.make else LinearTablePolicy(unlearned) for each in contenders
+    }
+    times = decision_times_ms(policies, states_along_the_way(Source.of(setting), num_states))
+    return {name: float(np.median(values)) for name, values in times.items()}
 
 
 def _decided(policy: Policy, state: TableState, key: jax.Array) -> None:

@@ -19,14 +19,12 @@ def over_repetitions(values: Float[np.ndarray, " R"]) -> Estimate:
 
 def columns(estimate: Estimate, value: str, se: str, low: str, high: str) -> dict[str, float]:
     """An estimate as columns of a table."""
-    return dict(
-        zip((value, se, low, high), (estimate.value, estimate.standard_error, estimate.low, estimate.high), strict=True)
-    )
+    return {value: estimate.value, se: estimate.standard_error, low: estimate.low, high: estimate.high}
 
 
-def mean_columns(values: Float[np.ndarray, " R"]) -> dict[str, float]:
-    """Columns mean_reward, se, low and high."""
-    return columns(over_repetitions(values), "mean_reward", "se", "low", "high")
+def mean_columns(values: Float[np.ndarray, " R"], *names: str) -> dict[str, float]:
+    """Mean over repetitions, as columns of these names: value, standard error, and ends of the interval."""
+    return columns(over_repetitions(values), *(names or ("mean_reward", "se", "low", "high")))
 
 
 def estimate_in(row: Any, value: str, se: str, num_repetitions: int) -> Estimate:

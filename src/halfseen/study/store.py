@@ -18,22 +18,7 @@ def as_json(value: Any) -> str:
 
 
 class Store:
-    """The folder where an experiment keeps its pieces.
-
-    Parameters
-    ----------
-    folder
-        Where.
-    fingerprint
-        What the pieces depend on; pieces of another study are never mixed in.
-    is_resumed
-        Keep the pieces that are there; otherwise begin anew.
-
-    Raises
-    ------
-    ArgumentError
-        The folder cannot be written, or holds pieces of another study that are to be resumed.
-    """
+    """The folder where an experiment keeps its pieces; those of another `fingerprint` are never mixed in."""
 
     def __init__(self, folder: Path, fingerprint: dict[str, Any], is_resumed: bool) -> None:
         self.folder = folder

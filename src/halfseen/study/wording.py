@@ -1,10 +1,12 @@
 """Words that several experiments share."""
 
+from collections.abc import Sequence
 from typing import Any
 
 from halfseen.evaluation.estimate import Estimate
-from halfseen.pages.numbers import share_in_words
+from halfseen.pages.numbers import estimated, share_in_words
 from halfseen.pages.sentences import Claim
+from halfseen.study.experiment import Row
 
 PATHS_AXIS = "logged paths that the policy was learned from (log scale)"
 REWARD_AXIS = "mean reward of a path, on fresh episodes"
@@ -37,9 +39,19 @@ def spelled(low: int, high: int) -> str:
     return f"{low}" if low == high else f"{low} to {high}"
 
 
+def estimated_in(row: Row, columns: Sequence[str], decimals: int = 2) -> str:
+    """Write a value and its interval, which stand in these columns of a row."""
+    return estimated(*(row[name] for name in columns), decimals=decimals)
+
+
+def gain_in(row: Any, *, is_more_better: bool) -> Estimate:
+    """The effect in a row of a table of tests, above 0 where ours is better."""
+    value, low, high = (float(row[name]) for name in ("effect", "effect_low", "effect_high"))
+    value, low, high = (value, low, high) if is_more_better else (-value, -high, -low)
+    return Estimate(value, low, high, float("nan"), float("nan"))
+
+
 def verdict_of(row: Any, alpha: float, *, is_more_better: bool) -> str:
     """Verdict on a row of a table of tests."""
-    low, high = float(row["effect_low"]), float(row["effect_high"])
-    sign, ends = (1, (low, high)) if is_more_better else (-1, (-high, -low))
-    gain = Estimate(sign * float(row["effect"]), *ends, float("nan"), float("nan"))
+    gain = gain_in(row, is_more_better=is_more_better)
     return Claim("", "", "", "", gain, float(row["p_holm"]), alpha).verdict

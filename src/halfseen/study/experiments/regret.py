@@ -16,25 +16,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from halfseen.evaluation.estimate import Estimate
-from halfseen.pages.axes import (
-    PANEL_TITLE,
-    WIDTH_INCHES,
-    EndLabel,
-    draw_bars,
-    mark_sizes,
-    write_end_labels,
-    write_title,
-)
-from halfseen.pages.numbers import amount, interval, share
-from halfseen.pages.palette import MARKERS, ordered_colours
+from halfseen.pages.axes import EndLabel, draw_bars
+from halfseen.pages.numbers import MISSING, amount, share
 from halfseen.pages.sentences import Claim
 from halfseen.planners.optimum import TableOptimum, solve_table
 from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Section, Setting, Tables
-from halfseen.study.frames import records, row_of, where
+from halfseen.study.figures import Level, draw_by_cut_share, draw_by_size, draw_levels
+from halfseen.study.frames import records, row_of, stacked
 from halfseen.study.pipeline import EVALUATION, Source, members, random_key
 from halfseen.study.policies import HEURISTICS, LEARNED, OPTIMUM, Contender, Kind, by_name, horizon_planner
-from halfseen.study.statistics import columns, over_repetitions
-from halfseen.study.wording import PATHS_AXIS, learned_from
+from halfseen.study.statistics import mean_columns
+from halfseen.study.wording import estimated_in, learned_from
 from halfseen.world.config import WorldConfig
 from halfseen.world.cuts import CutKind
 from halfseen.world.scene import Scene
@@ -49,24 +41,16 @@ NUM_GRIP_NODES = 31
 CUT_KIND: CutKind = "independent"
 REGRET_AXIS = "regret: reward of a path below the optimum, mean over the small tables"
 BAR_DODGE = 1.05
+REGRET = ["regret", "se", "low", "high"]
+INTERVAL = ["regret", "low", "high"]
 
 
 @dataclass(frozen=True)
 class Regret:
-    """Regret on small tables.
+    """Regret on `num_tables` small tables, where a path takes `horizon` steps.
 
-    Parameters
-    ----------
-    num_tables, horizon
-        The small tables, and the steps of a path on them.
-    num_paths, cut_shares
-        Of the logs over them.
-    told_cut_share
-        Proportion of cut paths that the words tell of.
-    planner_horizons, planner_simulations, planner_states
-        Planners, and the states of each step in which each is asked in a repetition.
-    most_repetitions
-        Repetitions at most.
+    Policies are learned from logs of each size and proportion of cuts; words tell of `told_cut_share`. Planners look
+    `planner_horizons` steps ahead and are asked in `planner_states` states of each step in a repetition.
     """
 
     num_tables: int = 6
@@ -190,31 +174,20 @@ def _table(pieces: Pieces) -> pd.DataFrame:
     known = pieces.prepared
     optimum = float(np.mean(known["optimum"]))
     scale = optimum - float(np.mean(known["finish"]))
+    place = ["policy", "num_paths", "cut_share"]
     rows = []
-    for place, row in enumerate(pieces.repetitions[0]["rows"]):
-        values = np.array([np.mean(piece["rows"][place]["regrets"]) for piece in pieces.repetitions])
-        at = {name: row.get(name) for name in ("policy", "num_paths", "cut_share")}
-        estimated = columns(over_repetitions(values), "regret", "se", "low", "high")
-        rows.append(at | estimated | {"repetitions": len(values)})
+    for row in stacked(pieces.repetitions, "rows", "regrets"):
+        values = row["regrets"].mean(axis=1)
+        at = {name: row.get(name) for name in place}
+        rows.append(at | mean_columns(values, *REGRET) | {"repetitions": len(values)})
     exact = {name: float(np.mean(regrets)) for name, regrets in known["regrets"].items()} | {OPTIMUM.name: 0.0}
-    rows += [{"policy": name, "regret": value, "se": 0.0, "low": value, "high": value} for name, value in exact.items()]
+    rows += [{"policy": name, "se": 0.0} | dict.fromkeys(INTERVAL, value) for name, value in exact.items()]
     table = pd.DataFrame(rows).assign(optimum=optimum)
     table = table.assign(regret_share=table["regret"] / scale)
     # What was learned comes first, as in the other tables; the order among the others is kept.
     table = table.sort_values("num_paths", key=pd.isna, kind="stable", ignore_index=True)
-    names = [
-        "policy",
-        "num_paths",
-        "cut_share",
-        "regret",
-        "se",
-        "low",
-        "high",
-        "regret_share",
-        "optimum",
-        "repetitions",
-    ]
-    return table.loc[:, names].astype({"num_paths": "Int64", "cut_share": "Float64", "repetitions": "Int64"})
+    table = table.loc[:, [*place, *REGRET, "regret_share", "optimum", "repetitions"]]
+    return table.astype({"num_paths": "Int64", "cut_share": "Float64", "repetitions": "Int64"})
 
 
 def claim_of(design: Regret, table: pd.DataFrame) -> Claim:
@@ -255,67 +228,26 @@ def _lower(words: str) -> str:
 
 def _draw(design: Regret, table: pd.DataFrame, title: str) -> Figure:
     """Regret against the size of the log."""
-    figure = Figure(figsize=(WIDTH_INCHES, 5.6))
-    top = write_title(figure, title) - 0.08
-    axes = figure.add_axes((0.07, 0.10, 0.58, top - 0.10))
-    labels = _draw_others(axes, design, table) + _draw_learned(axes, design, table)
-    mark_sizes(axes, design.num_paths)
-    axes.set_xlim(min(design.num_paths) / 1.2, max(design.num_paths) * 1.2)
-    axes.set_ylim(bottom=0.0)
-    axes.set_xlabel(PATHS_AXIS)
-    axes.set_title(REGRET_AXIS, **PANEL_TITLE)
-    write_end_labels(axes, labels)
-    return figure
+    return draw_by_size(title, REGRET_AXIS, design.num_paths, (1.2, 1.2), partial(_draw_lines, design, table))
 
 
-def _draw_learned(axes: Axes, design: Regret, table: pd.DataFrame) -> list[EndLabel]:
-    labels = []
-    shares = design.cut_shares
-    for k, (cut_share, colour) in enumerate(zip(shares, ordered_colours(len(shares)), strict=True)):
-        rows = where(table, policy=LEARNED.name, cut_share=cut_share)
-        across = rows["num_paths"].to_numpy(dtype=float) * BAR_DODGE ** (k - (len(shares) - 1) / 2)
-        draw_bars(
-            axes,
-            across,
-            rows["regret"],
-            (rows["low"], rows["high"]),
-            color=colour,
-            marker=MARKERS[k % 6],
-            linewidth=1.8,
-        )
-        end = float(rows["regret"].iloc[-1])
-        cut = "no path cut" if cut_share == 0 else f"{share(cut_share)} of the paths cut"
-        labels.append(EndLabel(end, f"learned, {cut}  {amount(end)}", colour))
-    return labels
-
-
-def _draw_others(axes: Axes, design: Regret, table: pd.DataFrame) -> list[EndLabel]:
-    labels = []
+def _draw_lines(design: Regret, table: pd.DataFrame, axes: Axes) -> list[EndLabel]:
     best = [_best(design, table, kind)["policy"] for kind in (Kind.HEURISTIC, Kind.PLANNER)]
-    for row in records(table):
-        if row["policy"] == LEARNED.name:
-            continue
-        who, value, is_best = design.contenders[row["policy"]], float(row["regret"]), row["policy"] in best
-        if who.kind != Kind.OPTIMUM:
-            width = 1.5 if is_best else 0.9
-            axes.axhline(value, color=who.colour, linestyle=(0, who.dashes), linewidth=width, zorder=1.2)
-        labels.append(EndLabel(value, f"{who.label}  {amount(value)}", who.colour, is_best))
+    others = [row for row in records(table) if row["policy"] != LEARNED.name]
+    levels = [Level(design.contenders[row["policy"]], float(row["regret"]), row["policy"] in best) for row in others]
+    labels = draw_levels(axes, levels)
+    draw = partial(draw_bars, linewidth=1.8)
+    labels += draw_by_cut_share(axes, table, design.cut_shares, INTERVAL, draw, BAR_DODGE)
+    axes.set_ylim(bottom=0.0)
     return labels
 
 
 def _numbers(design: Regret, table: pd.DataFrame) -> Listing:
-    rows = []
-    for row in records(table):
-        is_learned, is_exact = row["policy"] == LEARNED.name, pd.isna(row["repetitions"])
-        ends = "" if is_exact else f" ({interval(row['low'], row['high'])})"
-        rows.append(
-            (
-                design.contenders[row["policy"]].label,
-                str(row["num_paths"]) if is_learned else "–",
-                share(float(row["cut_share"])) if is_learned else "–",
-                f"{amount(row['regret'])}{ends}",
-                amount(100 * row["regret_share"], 1),
-            )
-        )
-    header = ("policy", "logged paths", "cut", "regret", "% of the optimum above FINISH")
-    return Listing("The numbers of Figure 7", "", header, {"": rows})
+    cells = {
+        "policy": lambda row: design.contenders[row["policy"]].label,
+        "logged paths": lambda row: str(row["num_paths"]) if row["policy"] == LEARNED.name else MISSING,
+        "cut": lambda row: share(float(row["cut_share"])) if row["policy"] == LEARNED.name else MISSING,
+        "regret": lambda row: amount(row["regret"]) if pd.isna(row["repetitions"]) else estimated_in(row, INTERVAL),
+        "% of the optimum above FINISH": lambda row: amount(100 * row["regret_share"], 1),
+    }
+    return Listing.of("The numbers of Figure 7", "", records(table), cells)

@@ -9,24 +9,11 @@ from halfseen.world.config import WorldConfig
 
 @dataclass(frozen=True)
 class ClutterDesign:
-    """The map. At every clutter stand the world's own numbers, and each of the variations below by itself.
+    """The map: at every clutter the world's own numbers, and each of the variations below by itself.
 
-    Parameters
-    ----------
-    num_objects, occlusions
-        The clutter: N, and mean hidden share of an object.
-    label_gains, wash_clean_rewards, grip_offset_stds
-        Variations of the world.
-    num_paths, cut_share
-        Of each log; cuts are independent of the task.
-    num_tables
-        Random tables in each repetition.
-    episodes_per_table
-        Evaluation episodes of each table.
-    worthwhile_share
-        The learned policy must gain more than this share of what the best heuristic earns above FINISH at once.
-    most_repetitions
-        Repetitions at most.
+    Clutter is the number of objects N and the mean hidden share of an object. In each repetition, policies are learned
+    from `num_paths` over `num_tables` random tables, `cut_share` of them cut, independently of the task. Learning is
+    worth it where it gains more than `worthwhile_share` of what the best heuristic earns above FINISH at once.
     """
 
     num_objects: tuple[int, ...] = (3, 6, 9)

@@ -11,7 +11,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import Figure
 
-from halfseen.pages.axes import WIDTH_INCHES, write_title
+from halfseen.pages.axes import WIDTH_INCHES, write_above, write_title
 from halfseen.pages.numbers import MISSING, amount
 from halfseen.pages.palette import INK
 from halfseen.study.experiments.clutter.design import ClutterDesign
@@ -69,7 +69,7 @@ def draw_map(design: ClutterDesign, world: WorldConfig, table: pd.DataFrame, tit
         is_lowest = not any(other.column == panel.column and other.row > panel.row for other in panels)
         _draw_panel(axes, table, design, panel, is_left=panel.column in (0, last), is_lowest=is_lowest)
         if panel.row == 0 and panel.column in (0, last):
-            _head(axes, HEADS[panel.column == last])
+            write_above(axes, HEADS[panel.column == last], 19.0)
     _draw_scale(figure, design.worthwhile_share, height)
     _explain_marks(figure, design.worthwhile_share, height)
     return figure
@@ -127,12 +127,6 @@ def _write_field(axes: Axes, x: int, y: int, share: float, verdict: str, is_dark
         fontsize=SMALL,
         fontweight="bold" if verdict == LEARN else "normal",
         color="white" if is_dark else INK,
-    )
-
-
-def _head(axes: Axes, words: str) -> None:
-    axes.annotate(
-        words, (0.0, 1.0), xytext=(0.0, 19.0), xycoords="axes fraction", textcoords="offset points", fontweight="bold"
     )
 
 

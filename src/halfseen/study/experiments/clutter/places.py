@@ -18,16 +18,9 @@ RAW_SHAPE = 0.5
 
 @dataclass(frozen=True)
 class Place:
-    """One place of the map.
+    """One place of the map: N, the mean hidden share of an object while all stand, and three numbers of the world.
 
-    Parameters
-    ----------
-    num_objects
-        N.
-    occlusion
-        Hidden share of an object while all stand on the table, mean over the objects.
-    label_gain, reward_wash_clean, grip_offset_std
-        `AssumedSeeing.gain`, `WorldConfig.reward_wash_clean`, `AssumedGrasping.offset_std`.
+    These are `AssumedSeeing.gain`, `WorldConfig.reward_wash_clean` and `AssumedGrasping.offset_std`.
     """
 
     num_objects: int
@@ -54,13 +47,7 @@ class Place:
 
 
 def assumed_laws(world: WorldConfig) -> tuple[AssumedGrasping, AssumedSeeing]:
-    """The laws that the map varies.
-
-    Raises
-    ------
-    ArgumentError
-        The world has others.
-    """
+    """The laws that the map varies."""
     if not (isinstance(world.grasping, AssumedGrasping) and isinstance(world.seeing, AssumedSeeing)):
         raise ArgumentError("the map varies AssumedGrasping and AssumedSeeing; give a world that has them")
     return world.grasping, world.seeing
@@ -76,23 +63,8 @@ def random_tables(num_objects: int, occlusion: float, num_tables: int, rng: np.r
     Objects stand one behind the other in a random order, and object i is hidden by every nearer j:
     hides[i, j] = 1 − exp(−s·r_ij) with r_ij ~ Gamma(0.5), so that few pairs hide much. The occlusion of i is
     1 − exp(−s·Σ_j r_ij), and s is such that its mean over the objects of the table is the one that is wanted. With
-    the same `rng`, tables of another occlusion are these, denser or looser.
-
-    Parameters
-    ----------
-    num_objects
-        N.
-    occlusion
-        Mean over the objects of each table, in [0, (N − 1) / N): the nearest object is in full view.
-    num_tables
-        How many.
-    rng
-        The only source of randomness.
-
-    Raises
-    ------
-    ArgumentError
-        No table of N objects has this mean occlusion.
+    the same `rng`, tables of another occlusion are these, denser or looser. The nearest object is in full view, so
+    that the mean lies below (N − 1) / N.
     """
     check_clutter(num_objects, occlusion)
     return tuple(Scene(_scaled(_raw(num_objects, rng), occlusion), name=f"random table {k}") for k in range(num_tables))

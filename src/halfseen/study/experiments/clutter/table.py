@@ -44,19 +44,14 @@ def table_of(design: ClutterDesign, world: WorldConfig, pieces: Sequence[Mapping
 
     The best heuristic of a place is that of the four with the largest mean reward on the very episodes of the
     comparison: it is chosen with hindsight, which favours it.
-
-    Returns
-    -------
-    pandas.DataFrame
-        num_objects, occlusion, label_gain, reward_wash_clean, grip_offset_std, num_paths, cut_share, repetitions,
-        censored_q, best_heuristic, heuristic_reward, finish_reward, gain, gain_se, gain_share, gain_share_low,
-        gain_share_high, verdict.
+    Columns are num_objects, occlusion, label_gain, reward_wash_clean, grip_offset_std, num_paths, cut_share,
+    repetitions, censored_q, best_heuristic, heuristic_reward, finish_reward, gain, gain_se, gain_share,
+    gain_share_low, gain_share_high and verdict.
     """
     rows = []
     for k, row in enumerate(pieces[0]["map"]):
         place = Place(**{name: row[name] for name in FACTORS})
-        names = (LEARNED.name, *(each.name for each in HEURISTICS))
-        rewards = {name: np.array([piece["map"][k]["rewards"][name] for piece in pieces]) for name in names}
+        rewards = {name: np.array([piece["map"][k]["rewards"][name] for piece in pieces]) for name in row["rewards"]}
         rows.append(_row(design, place, world, rewards))
     return pd.DataFrame(rows)
 
@@ -91,15 +86,8 @@ def gain_share(gain: Float[np.ndarray, " R"], earned: Float[np.ndarray, " R"], n
 
     The interval holds the shares θ for which a t test of E[gain − θ·earned] = 0 does not reject [Fieller1954]_; so it
     lies above a share θ just where the learned policy gains significantly more than that share.
-
-    Parameters
-    ----------
-    gain
-        Learned − heuristic, repetition by repetition.
-    earned
-        Heuristic − FINISH at once.
-    negligible
-        Where the 95 % interval of the mean of `earned` reaches down to this, there is no share.
+    `gain` is learned − heuristic, and `earned` heuristic − FINISH at once, repetition by repetition; where the interval
+    of the mean of `earned` reaches down to `negligible`, there is no share.
     """
     num = len(gain)
     t = float(stats.t.ppf(0.975, num - 1))

@@ -21,25 +21,16 @@ MEASURES = {
     "heuristic_reward": "reward of the heuristic",
 }
 """What models are judged by; the scores are better the smaller they are, the rewards the larger."""
+REWARDS = ("learned_reward", "heuristic_reward")
 NUM_BINS = 10
 """Of predicted probabilities, evenly over [0, 1]."""
 
 
 @dataclass(frozen=True)
 class GraspDesign:
-    """Models of the probability of a grasp.
+    """Models of the probability of a grasp, learned from logs of `num_paths`, of which `cut_share` are cut.
 
-    Parameters
-    ----------
-    num_paths, cut_share
-        Of the logs from which models are learned.
-    most_held_out
-        Fresh paths of each repetition, some six attempts each, on which all models are scored; no more than were
-        learned from.
-    episodes_per_scene
-        Evaluation episodes of each scene in a block.
-    most_repetitions
-        Repetitions at most: an SVM takes its time.
+    All are scored on fresh paths, some six attempts each: on as many as were learned from, `most_held_out` at most.
     """
 
     num_paths: tuple[int, ...] = (50, 200, 800)

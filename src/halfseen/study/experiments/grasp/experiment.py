@@ -6,7 +6,7 @@ the strongest heuristic.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -17,8 +17,8 @@ from threadpoolctl import threadpool_limits
 
 from halfseen.logs.frames import FrameLike, as_frame
 from halfseen.planners.heuristics import GreedyPolicy, TrueGrasp
-from halfseen.study.experiment import PieceOf, Pieces, Section, Setting, Tables
-from halfseen.study.experiments.grasp.design import MODEL_NAMES, NUM_BINS, ORACLE, SUCCESSION, GraspDesign
+from halfseen.study.experiment import PieceOf, Setting
+from halfseen.study.experiments.grasp.design import MODEL_NAMES, NUM_BINS, ORACLE, REWARDS, SUCCESSION, GraspDesign
 from halfseen.study.experiments.grasp.section import section_of
 from halfseen.study.experiments.grasp.tables import tables_of
 from halfseen.study.pipeline import HELD_OUT, Played, Source
@@ -27,7 +27,7 @@ from halfseen.tables.grasp.attempts import attempts
 from halfseen.tables.grasp.beta_grasp import BetaGrasp
 from halfseen.tables.grasp.grasp_table import GraspEstimator, tabulate
 from halfseen.tables.grasp.svm_grasp import SVMGrasp
-from halfseen.world.action_space import target_of
+from halfseen.world.action_space import ActionSpace
 from halfseen.world.cuts import CutKind, cut
 from halfseen.world.grasp_model import GraspModel
 from halfseen.world.policy import Policy
@@ -38,10 +38,10 @@ CUT_KIND: CutKind = "independent"
 
 
 class SuccessionRule:
-    """The rule of succession, (1 + successes) / (2 + attempts), whatever is hidden."""
+    """The rule of succession, (1 + successes) / (2 + attempts), whatever is hidden; there is nothing to learn."""
 
     def fit(self, frame: FrameLike) -> "SuccessionRule":
-        """There is nothing to learn."""
+        """Learn nothing."""
         return self
 
     def predict_proba(self, frame: FrameLike) -> Float[np.ndarray, "m 2"]:
@@ -51,32 +51,25 @@ class SuccessionRule:
         return np.column_stack([1.0 - probability, probability])
 
 
-class HeldOut(NamedTuple):
-    """Attempts of fresh paths that nothing cut."""
-
-    table: pd.DataFrame
-    """As `halfseen.tables.grasp.attempts.attempts` gives them."""
-    oracle: Float[np.ndarray, " m"]
-    """The probability of each under the true model, given the object's whole history."""
-
-
 @dataclass(frozen=True)
 class Grasp(GraspDesign):
     """The experiment; its parameters are those of `GraspDesign`."""
 
     name: ClassVar[str] = "grasp"
+    tabulate = tables_of
+    section = section_of
 
     def prepare(self, setting: Setting) -> PieceOf:
         """Calibrate the cuts."""
-        source = Source(setting.world, setting.layouts, setting.seed)
-        return {"rate": source.cut_rate(self.cut_share, CUT_KIND)}
+        return {"rate": Source.of(setting).cut_rate(self.cut_share, CUT_KIND)}
 
     def repeat(self, setting: Setting, prepared: PieceOf, index: int) -> PieceOf:
         """Learn, score and play: one row for each model and size of log."""
-        source = Source(setting.world, setting.layouts, setting.seed, index)
+        source = Source.of(setting, index)
         log = source.cut(source.play(max(self.num_paths)), prepared["rate"], CUT_KIND)
         tried = attempts(to_logs(log, CUT_KIND, setting.scenes), setting.world.horizon)
-        held_out = self._held_out(setting, source)
+        held_out, oracle = self._held_out(setting, source)
+        succeeded = held_out["succeeded"].to_numpy(dtype=bool)
         rows: list[dict[str, Any]] = []
         learners: list[Policy] = []
         rules: list[Policy] = []
@@ -84,50 +77,39 @@ class Grasp(GraspDesign):
         for size in self.num_paths:
             estimators = _fitted(pd.DataFrame(tried[tried["path"] < size]))
             for name in MODEL_NAMES:
-                said = held_out.oracle if name == ORACLE else estimators[name].predict_proba(held_out.table)[:, 1]
-                scores = scored(said, held_out.table["succeeded"].to_numpy(dtype=bool))
-                rows.append({"model": name, "num_paths": size} | scores)
+                said = oracle if name == ORACLE else estimators[name].predict_proba(held_out)[:, 1]
+                rows.append({"model": name, "num_paths": size} | scored(said, succeeded))
                 grasp = _inside(setting, estimators, name)
                 encoded = source.encode(log.episodes, None if name == SUCCESSION else grasp)
                 learners.append(encoded.learn_one(log, size))
                 rules.append(knowing if name == ORACLE else replace(knowing, grasp=grasp))
         num_episodes = self.episodes_per_scene * len(setting.scenes)
-        for word, policies in (("learned", learners), ("heuristic", rules)):
+        for measure, policies in zip(REWARDS, (learners, rules), strict=True):
             for row, played in zip(rows, evaluate_kinds(source, policies, num_episodes), strict=True):
-                row[f"{word}_reward"] = played.means()["reward"]
+                row[measure] = played.means()["reward"]
         return {"index": index, "grasp": rows}
 
-    def _held_out(self, setting: Setting, source: Source) -> HeldOut:
+    def _held_out(self, setting: Setting, source: Source) -> tuple[pd.DataFrame, Float[np.ndarray, " m"]]:
+        """Attempts of fresh paths that nothing cut, and the true probability of each given the object's history."""
         # Played at the size of the log, for which the call is compiled already.
         played = source.play(max(self.num_paths), HELD_OUT)
         episodes = jax.tree.map(lambda leaf: leaf[: self.most_held_out], played)
         uncut = cut(episodes, 0.0, CUT_KIND, np.random.default_rng(0))
         table = attempts(to_logs(uncut, CUT_KIND, setting.scenes), setting.world.horizon)
         at = table["path"].to_numpy(), table["stage"].to_numpy() - 1
-        target = np.asarray(target_of(np.asarray(episodes.action)[at], episodes.states.num_objects))
+        target = ActionSpace(episodes.states.num_objects).target(np.asarray(episodes.action)[at])
         said = np.asarray(_true_probabilities(TrueGrasp(setting.world), episodes.states), dtype=np.float64)
-        return HeldOut(table, said[*at, target])
-
-    def tabulate(self, setting: Setting, pieces: Pieces) -> Tables:
-        """Make grasp, grasp_tests and figure5."""
-        return tables_of(self, setting, pieces)
-
-    def section(self, setting: Setting, tables: Tables) -> Section:
-        """Say whether the paper's claim holds here."""
-        return section_of(self, setting, tables)
+        return table, said[*at, target]
 
 
 def scored(said: Float[np.ndarray, " m"], succeeded: np.ndarray) -> dict[str, Any]:
     """Log-loss, Brier score, and by bin of predicted probabilities: attempts, sum of these, successes."""
-    where = np.minimum((said * NUM_BINS).astype(int), NUM_BINS - 1)
+    place = np.minimum((said * NUM_BINS).astype(int), NUM_BINS - 1)
+    sums = {"attempts": None, "probabilities": said, "successes": succeeded}
     return {
         "log_loss": float(-np.mean(np.log(np.where(succeeded, said, 1.0 - said)))),
         "brier": float(np.mean(np.square(said - succeeded))),
-        "bins": {
-            "attempts": np.bincount(where, minlength=NUM_BINS).tolist(),
-            "probabilities": np.bincount(where, said, NUM_BINS).tolist(),
-            "successes": np.bincount(where, succeeded, NUM_BINS).tolist(),
-        },
+        "bins": {name: np.bincount(place, each, NUM_BINS).tolist() for name, each in sums.items()},
     }
 
 

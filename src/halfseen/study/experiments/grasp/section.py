@@ -8,11 +8,22 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from halfseen.evaluation.estimate import Estimate
-from halfseen.pages.axes import PANEL_TITLE, WIDTH_INCHES, draw_bars, draw_curve, draw_grid, mark_sizes, write_title
-from halfseen.pages.numbers import amount, interval, p_value, share_in_words
-from halfseen.pages.palette import INK, MARKERS
-from halfseen.pages.sentences import SUPPORTED, Claim, listed
+from halfseen.pages.axes import (
+    PANEL_TITLE,
+    WIDTH_INCHES,
+    dodged,
+    draw_bars,
+    draw_curve,
+    draw_grid,
+    draw_zero,
+    mark_sizes,
+    named_curves,
+    write_legend,
+    write_title,
+)
+from halfseen.pages.numbers import amount, estimated, p_value, share_in_words
+from halfseen.pages.palette import MARKERS
+from halfseen.pages.sentences import SUPPORTED, Claim, capitalised, listed
 from halfseen.study.experiment import Drawing, Listing, Section, Setting, Tables
 from halfseen.study.experiments.grasp.design import (
     CLAIMED,
@@ -20,13 +31,14 @@ from halfseen.study.experiments.grasp.design import (
     MODEL_COLOURS,
     MODEL_NAMES,
     ORACLE,
+    REWARDS,
     RIVAL,
     SUCCESSION,
     GraspDesign,
 )
 from halfseen.study.frames import records, row_of, where
 from halfseen.study.policies import STRONGEST_RULE
-from halfseen.study.wording import learned_from, verdict_of
+from halfseen.study.wording import gain_in, learned_from, verdict_of
 
 SCORE = "log_loss"
 """The measure that decides on the paper's claim: it is proper, and needs no policy."""
@@ -39,8 +51,9 @@ BAR_DODGE = 1.10
 
 def section_of(design: GraspDesign, setting: Setting, tables: Tables) -> Section:
     """Say whether an SVM tells the probability of a grasp better than the mean of a Beta."""
-    claims = [claim_of(design, setting, tables["grasp_tests"], measure) for measure in (SCORE, "learned_reward")]
-    sentence = f"{claims[0].sentence[:-1]}; the policy learned with it {_on_reward(claims[1])}."
+    score, reward = (claim_of(design, setting, tables["grasp_tests"], measure) for measure in (SCORE, REWARDS[0]))
+    on_reward = f"earns more than with the Beta: {reward.verdict} ({reward.numbers})"
+    sentence = f"{score.sentence[:-1]}; the policy learned with it {on_reward}."
     caption = _caption(design, tables["grasp"])
     drawing = Drawing("figure5", "Figure 5", _title(tables, setting), caption, partial(_draw, design, tables))
     listings = (_tests(setting, tables["grasp_tests"]), _numbers(tables["grasp"]))
@@ -51,23 +64,14 @@ def claim_of(design: GraspDesign, setting: Setting, tests: pd.DataFrame, measure
     """The paper's claim on a measure, from the largest log."""
     largest = max(design.num_paths)
     row = row_of(tests, measure=measure, num_paths=largest)
-    effect, low, high = (float(row[name]) for name in ("effect", "effect_low", "effect_high"))
-    is_reward = measure.endswith("reward")
-    value, ends = (effect, (low, high)) if is_reward else (-effect, (-high, -low))
-    gain = Estimate(value, *ends, float("nan"), float("nan"))
-    verbs = (
-        ("earns more than", "earns less than")
-        if is_reward
-        else ("predicts grasps better than", "predicts grasps worse than")
-    )
+    is_reward = measure in REWARDS
+    gain = gain_in(row, is_more_better=is_reward)
+    verb = "earns {} than" if is_reward else "predicts grasps {} than"
+    better, worse = ("more", "less") if is_reward else ("better", "worse")
     note = "" if is_reward else "log-loss on held-out attempts"
     subject = f"An SVM {learned_from(largest, design.cut_share)}"
-    numbers = float(row["p_holm"]), setting.alpha, note
-    return Claim(subject, *verbs, "the mean of a Beta", gain, *numbers, decimals=2 if is_reward else 4)
-
-
-def _on_reward(claim: Claim) -> str:
-    return f"earns more than with the Beta: {claim.verdict} ({claim.numbers})"
+    told = "the mean of a Beta", gain, float(row["p_holm"]), setting.alpha, note, _decimals(measure)
+    return Claim(subject, verb.format(better), verb.format(worse), *told)
 
 
 def _title(tables: Tables, setting: Setting) -> str:
@@ -81,7 +85,7 @@ def _title(tables: Tables, setting: Setting) -> str:
 
 
 def _verdict(row: Any, setting: Setting) -> str:
-    return verdict_of(row, setting.alpha, is_more_better=str(row["measure"]).endswith("reward"))
+    return verdict_of(row, setting.alpha, is_more_better=row["measure"] in REWARDS)
 
 
 def _caption(design: GraspDesign, grasp: pd.DataFrame) -> str:
@@ -107,18 +111,12 @@ def _draw(design: GraspDesign, tables: Tables, title: str) -> Figure:
     panels: Any = grid.subplots(squeeze=False)
     _draw_scores(panels[0, 0], design, grasp)
     _draw_calibration(panels[0, 1], design, tables["figure5"])
-    for axes, measure, words in zip(
-        panels[1], ("learned_reward", "heuristic_reward"), ("learned policy", "heuristic"), strict=True
-    ):
+    for axes, measure, words in zip(panels[1], REWARDS, ("learned policy", "heuristic"), strict=True):
         _draw_differences(axes, design, grasp, measure, (SUCCESSION, *FITTED))
         axes.set_title(f"reward of the {words}, over the true model's", **PANEL_TITLE)
-    known = {}
-    for axes in panels.flat:
-        known |= dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
-    shown = [name for name in MODEL_NAMES.values() if name in known]
-    handles = [known[name] for name in shown]
-    place: Any = {"loc": "upper left", "bbox_to_anchor": (0.05, top - 0.012), "frameon": False}
-    figure.legend(handles, shown, ncols=len(shown), columnspacing=1.4, **place)
+    known = named_curves(*panels.flat)
+    shown = {name: known[name] for name in MODEL_NAMES.values() if name in known}
+    write_legend(figure, shown, top - 0.012, columnspacing=1.4)
     return figure
 
 
@@ -136,13 +134,11 @@ def _draw_scores(axes: Axes, design: GraspDesign, grasp: pd.DataFrame) -> None:
 def _draw_differences(
     axes: Axes, design: GraspDesign, grasp: pd.DataFrame, measure: str, models: tuple[str, ...]
 ) -> None:
-    axes.axhline(0.0, color=MODEL_COLOURS[ORACLE], linewidth=1.0, zorder=1.5)
-    over = f"{measure}_over_oracle"
+    draw_zero(axes, MODEL_COLOURS[ORACLE])
+    columns = [f"{measure}_over_oracle{end}" for end in ("", "_low", "_high")]
     for k, model in enumerate(models):
         rows = where(grasp, model=model)
-        across = rows["num_paths"].to_numpy(dtype=float) * BAR_DODGE ** (k - (len(models) - 1) / 2)
-        ends = rows[f"{over}_low"], rows[f"{over}_high"]
-        draw_bars(axes, across, rows[over], ends, label=MODEL_NAMES[model], **_look(model))
+        draw_bars(axes, dodged(rows["num_paths"], k, len(models), BAR_DODGE), rows[columns], **_look(model))
     mark_sizes(axes, design.num_paths)
     axes.set_xlabel(SIZES_AXIS)
 
@@ -150,12 +146,11 @@ def _draw_differences(
 def _draw_calibration(axes: Axes, design: GraspDesign, figure5: pd.DataFrame) -> None:
     """How much oftener attempts succeeded than predicted, for the largest log."""
     largest = max(design.num_paths)
-    axes.axhline(0.0, color=INK, linewidth=1.0, zorder=1.5)
+    draw_zero(axes)
     for model in (*FITTED, ORACLE):
         rows = where(figure5, model=model, num_paths=largest)
         rows = rows.loc[rows["attempts"] >= FEWEST_SHOWN].sort_values(by="mean_probability")
-        options = {"linewidth": 1.2, "label": MODEL_NAMES[model], **_look(model)}
-        draw_curve(axes, rows["mean_probability"], rows["difference"], (rows["low"], rows["high"]), **options)
+        draw_curve(axes, rows["mean_probability"], rows[["difference", "low", "high"]], linewidth=1.2, **_look(model))
     axes.set_xlim(0.0, 1.0)
     axes.set_xticks(np.linspace(0.0, 1.0, 6))
     draw_grid(axes)
@@ -164,11 +159,12 @@ def _draw_calibration(axes: Axes, design: GraspDesign, figure5: pd.DataFrame) ->
 
 
 def _look(model: str) -> dict[str, Any]:
-    return {"color": MODEL_COLOURS[model], "marker": MARKERS[list(MODEL_COLOURS).index(model)]}
+    marker = MARKERS[list(MODEL_COLOURS).index(model)]
+    return {"color": MODEL_COLOURS[model], "marker": marker, "label": MODEL_NAMES[model]}
 
 
 def _decimals(measure: str) -> int:
-    return 2 if measure.endswith("reward") else 4
+    return 2 if measure in REWARDS else 4
 
 
 def _tests(setting: Setting, tests: pd.DataFrame) -> Listing:
@@ -180,15 +176,13 @@ def _tests(setting: Setting, tests: pd.DataFrame) -> Listing:
     groups: dict[str, list[tuple[str, ...]]] = {}
     for row in records(tests):
         decimals = _decimals(row["measure"])
-        name = MEASURES[row["measure"]]
-        ends = interval(row["effect_low"], row["effect_high"], decimals)
         numbers = (
             amount(row[CLAIMED], decimals),
             amount(row[RIVAL], decimals),
-            f"{amount(row['effect'], decimals)} ({ends})",
+            estimated(row["effect"], row["effect_low"], row["effect_high"], decimals),
         )
         told = p_value(row["p_value"]), p_value(row["p_holm"]), _verdict(row, setting)
-        groups.setdefault(f"{name[0].upper()}{name[1:]}", []).append((str(row["num_paths"]), *numbers, *told))
+        groups.setdefault(capitalised(MEASURES[row["measure"]]), []).append((str(row["num_paths"]), *numbers, *told))
     header = ("logged paths", "SVM", "Beta", "difference", "p", "p, adjusted", "claim")
     return Listing("Table 3", caption, header, groups, is_folded=False)
 
@@ -196,11 +190,7 @@ def _tests(setting: Setting, tests: pd.DataFrame) -> Listing:
 def _numbers(grasp: pd.DataFrame) -> Listing:
     rows = []
     for row in records(grasp):
-        cells = [
-            f"{amount(row[name], _decimals(name))} "
-            f"({interval(row[f'{name}_low'], row[f'{name}_high'], _decimals(name))})"
-            for name in MEASURES
-        ]
+        cells = (estimated(row[of], row[f"{of}_low"], row[f"{of}_high"], _decimals(of)) for of in MEASURES)
         rows.append((MODEL_NAMES[row["model"]], str(row["num_paths"]), *cells))
     header = ("model", "logged paths", "log-loss", "Brier score", "reward, learned", "reward, heuristic")
     return Listing("The numbers of Figure 5", "", header, {"": rows})

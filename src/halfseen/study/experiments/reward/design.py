@@ -10,23 +10,10 @@ from halfseen.study.policies import HEURISTICS, LEARNED, Contender, by_name, pla
 class RewardDesign:
     """What the learned policy earns, by size of the log and proportion of cut paths.
 
-    Parameters
-    ----------
-    num_paths
-        Sizes of the logs; within a repetition a smaller log is the beginning of a larger one.
-    cut_shares
-        Expected proportions of cut paths.
-    episodes_per_scene
-        Evaluation episodes of each scene in a block.
-    planners
-        Simulations a decision of each planner, and how many episodes of a block it plays: a planner takes its time.
-    selection_per_scene, selection_planned
-        Other episodes, on which the strongest heuristic and the strongest planner are chosen: of each scene, and how
-        many of them the planners play.
-    table_num_paths, table_cut_share
-        The learned policy that Table 1 compares.
-    most_repetitions
-        Repetitions at most; None: as many as are asked for.
+    `planners` are simulations a decision, and how many episodes of a repetition a planner of so many plays, as it takes
+    its time. The strongest heuristic and planner are chosen on other episodes: `selection_per_scene` of each scene, of
+    which planners play `selection_planned`. Table 1 compares the policy learned from `table_num_paths`, of which
+    `table_cut_share` are cut.
     """
 
     num_paths: tuple[int, ...] = (25, 50, 100, 200, 400, 800)

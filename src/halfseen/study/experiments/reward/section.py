@@ -1,5 +1,6 @@
 """What the experiment says: Figure 1, Tables 1 and 2, and who earns more."""
 
+from collections.abc import Iterator
 from functools import partial
 from itertools import groupby
 from typing import Any
@@ -8,33 +9,23 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from halfseen.evaluation.estimate import Estimate
-from halfseen.pages.axes import (
-    PANEL_TITLE,
-    WIDTH_INCHES,
-    EndLabel,
-    draw_curve,
-    mark_sizes,
-    write_end_labels,
-    write_title,
-)
-from halfseen.pages.numbers import amount, interval, p_value, share, share_in_words, with_interval
-from halfseen.pages.palette import BAND_OPACITY, MARKERS, ordered_colours
-from halfseen.pages.sentences import Claim, counted, listed
+from halfseen.pages.axes import EndLabel, draw_curve
+from halfseen.pages.numbers import amount, p_value, share, share_in_words, with_interval
+from halfseen.pages.palette import BAND_OPACITY
+from halfseen.pages.sentences import NOT_SUPPORTED, SUPPORTED, Claim, capitalised, counted, listed
 from halfseen.study.experiment import Drawing, Listing, Section, Setting, Tables
 from halfseen.study.experiments.reward.design import RewardDesign
 from halfseen.study.experiments.reward.tables import BEST, MEASURES
-from halfseen.study.frames import records, row_of, where
+from halfseen.study.figures import MEAN, Level, draw_by_cut_share, draw_by_size, draw_levels
+from halfseen.study.frames import records, row_of
 from halfseen.study.policies import LEARNED, STRONGEST_RULE
-from halfseen.study.wording import PATHS_AXIS, REWARD_AXIS, learned_from, spelled, verdict_of
+from halfseen.study.wording import REWARD_AXIS, estimated_in, gain_in, learned_from, spelled, verdict_of
 
-ROLE_WORDS: dict[str, str] = dict(
-    zip(BEST, ("the strongest heuristic", "the strongest planner, which knows the true model"), strict=True)
-)
-SHORT_ROLES: dict[str, str] = dict(zip(BEST, ("the strongest heuristic", "the strongest planner"), strict=True))
+STRONGEST = "the strongest heuristic", "the strongest planner"
+ROLE_WORDS: dict[str, str] = dict(zip(BEST, (STRONGEST[0], f"{STRONGEST[1]}, which knows the true model"), strict=True))
 CLAIM_WORDS = {"reward": "the learned policy earns more", "robot_s": "the learned policy ends sooner"}
-# Curves stand side by side rather than on one another: factor between neighbours along the log axis.
 DODGE = 1.02
+"""Factor between neighbouring curves, which stand side by side rather than on one another."""
 
 
 def section_of(design: RewardDesign, setting: Setting, tables: Tables) -> Section:
@@ -55,14 +46,13 @@ def claim(design: RewardDesign, setting: Setting, figure1: pd.DataFrame, table1:
     """That the learned policy of Table 1 earns more than the baseline of a role, on the same episodes."""
     name = str(row_of(figure1, role=role)["policy"])
     row = row_of(table1, baseline=name, measure="reward")
-    effect, low, high = (float(row[column]) for column in ("effect", "effect_low", "effect_high"))
     earned = f"{amount(float(row[LEARNED.name]))} against {amount(float(row['other']))} a path"
     return Claim(
         f"The policy {learned_from(design.table_num_paths, design.table_cut_share)}",
         "earns more than",
         "earns less than",
         f"{ROLE_WORDS[role]} ({design.contenders[name].label})",
-        Estimate(effect, low, high, float("nan"), float(setting.repetitions)),
+        gain_in(row, is_more_better=True),
         float(row["p_holm"]),
         setting.alpha,
         f"{earned} on the same {counted(int(row['num_episodes']), 'episode')}",
@@ -76,27 +66,24 @@ def _who_earns_more(design: RewardDesign, claims: list[Claim]) -> str:
 
 
 def _verdict_on_planner(found: Claim) -> str:
-    verb = {"supported": "it earns more than", "not supported": "it earns less than"}
-    return f"{verb.get(found.verdict, 'it shows no significant difference from')} {SHORT_ROLES[BEST[1]]}"
+    verb = {SUPPORTED: "it earns more than", NOT_SUPPORTED: "it earns less than"}
+    return f"{verb.get(found.verdict, 'it shows no significant difference from')} {STRONGEST[1]}"
 
 
-def sufficient_paths(figure1: pd.DataFrame, cut_share: float) -> int | None:
-    """Smallest log from which on the learned policy earns more than the strongest heuristic, on the same episodes.
+def _sufficient(design: RewardDesign, figure1: pd.DataFrame) -> dict[float, int | None]:
+    """Proportion of cuts → the smallest log from which on the learned policy earns more than the strongest heuristic.
 
     At this size and at every larger one the 95 % interval of the paired difference lies above 0; None if even the
     largest log does not do.
     """
-    rows = records(figure1, policy=LEARNED.name, cut_share=cut_share)
-    sufficient = None
-    for row in sorted(rows, key=lambda row: -row["num_paths"]):
-        if not float(row["gain_low"]) > 0:
-            break
-        sufficient = int(row["num_paths"])
-    return sufficient
-
-
-def _sufficient(design: RewardDesign, figure1: pd.DataFrame) -> dict[float, int | None]:
-    return {cut_share: sufficient_paths(figure1, cut_share) for cut_share in design.cut_shares}
+    found: dict[float, int | None] = dict.fromkeys(design.cut_shares)
+    for cut_share in found:
+        rows = records(figure1, policy=LEARNED.name, cut_share=cut_share)
+        for row in sorted(rows, key=lambda row: -row["num_paths"]):
+            if not float(row["gain_low"]) > 0:
+                break
+            found[cut_share] = int(row["num_paths"])
+    return found
 
 
 def _how_few_paths(design: RewardDesign, figure1: pd.DataFrame) -> str:
@@ -138,52 +125,35 @@ def _caption(setting: Setting) -> str:
 
 def draw_figure1(design: RewardDesign, figure1: pd.DataFrame, title: str) -> Figure:
     """Reward of the learned policy against the size of the log, with the baselines as lines."""
-    figure = Figure(figsize=(WIDTH_INCHES, 5.6))
-    top = write_title(figure, title) - 0.08
-    axes = figure.add_axes((0.07, 0.10, 0.58, top - 0.10))
-    labels = _draw_baselines(axes, design, figure1) + _draw_learned(axes, design, figure1)
-    mark_sizes(axes, design.num_paths)
-    axes.set_xlim(min(design.num_paths) / 1.08, max(design.num_paths) * 1.05)
-    axes.set_xlabel(PATHS_AXIS)
-    axes.set_title(REWARD_AXIS, **PANEL_TITLE)
-    write_end_labels(axes, labels)
-    return figure
+    return draw_by_size(title, REWARD_AXIS, design.num_paths, (1.08, 1.05), partial(_draw_lines, design, figure1))
 
 
-def _draw_learned(axes: Axes, design: RewardDesign, figure1: pd.DataFrame) -> list[EndLabel]:
-    shares = design.cut_shares
-    labels = []
-    for k, (cut_share, colour) in enumerate(zip(shares, ordered_colours(len(shares)), strict=True)):
-        rows = where(figure1, policy=LEARNED.name, cut_share=cut_share)
-        across = rows["num_paths"].to_numpy(dtype=float) * DODGE ** (k - (len(shares) - 1) / 2)
-        draw_curve(axes, across, rows["mean_reward"], (rows["low"], rows["high"]), color=colour, marker=MARKERS[k % 6])
-        end = float(rows["mean_reward"].iloc[-1])
-        cut = "no path cut" if cut_share == 0 else f"{share(cut_share)} of the paths cut"
-        labels.append(EndLabel(end, f"learned, {cut}  {amount(end)}", colour))
-    return labels
+def _draw_lines(design: RewardDesign, figure1: pd.DataFrame, axes: Axes) -> list[EndLabel]:
+    others = draw_levels(axes, _levels(axes, design, figure1))
+    return others + draw_by_cut_share(axes, figure1, design.cut_shares, MEAN, draw_curve, DODGE)
 
 
-def _draw_baselines(axes: Axes, design: RewardDesign, figure1: pd.DataFrame) -> list[EndLabel]:
-    labels = []
-    for row in (row for row in records(figure1) if row["policy"] != LEARNED.name):
-        who, mean, is_best = design.contenders[str(row["policy"])], float(row["mean_reward"]), row["role"] in BEST
-        width = 1.5 if is_best else 0.9
-        axes.axhline(mean, color=who.colour, linestyle=(0, who.dashes), linewidth=width, zorder=1.2)
+def _levels(axes: Axes, design: RewardDesign, figure1: pd.DataFrame) -> Iterator[Level]:
+    """The baselines, with bands for the strongest two."""
+    for name in design.baseline_names:
+        row, who = row_of(figure1, policy=name), design.contenders[name]
+        is_best = row["role"] in BEST
+        yield Level(who, float(row["mean_reward"]), is_best)
         if is_best:
             low, high = float(row["low"]), float(row["high"])
             axes.axhspan(low, high, color=who.colour, alpha=BAND_OPACITY, linewidth=0, zorder=1)
-        labels.append(EndLabel(mean, f"{who.label}  {amount(mean)}", who.colour, is_best))
-    return labels
+
+
+def _by_size(design: RewardDesign, table: pd.DataFrame, written: Any) -> tuple[tuple[str, ...], dict[str, Any]]:
+    """Header and rows of a table of sizes by proportions of cut paths."""
+    header = ("logged paths", *(f"cut: {share(cut_share)}" for cut_share in design.cut_shares))
+    rows = [(str(size), *map(written, records(table, num_paths=size))) for size in design.num_paths]
+    return header, {"": rows}
 
 
 def _numbers(design: RewardDesign, figure1: pd.DataFrame) -> Listing:
-    rows = []
-    for size in design.num_paths:
-        cells = records(figure1, policy=LEARNED.name, num_paths=size)
-        told = (f"{amount(row['mean_reward'])} ({interval(row['low'], row['high'])})" for row in cells)
-        rows.append((str(size), *told))
-    header = ("logged paths", *(f"cut: {share(cut_share)}" for cut_share in design.cut_shares))
-    return Listing("The numbers of the learned policy in Figure 1", "", header, {"": rows})
+    cells = _by_size(design, figure1, lambda row: estimated_in(row, MEAN))
+    return Listing("The numbers of the learned policy in Figure 1", "", *cells)
 
 
 def _tests(design: RewardDesign, setting: Setting, table1: pd.DataFrame) -> Listing:
@@ -198,7 +168,7 @@ def _tests(design: RewardDesign, setting: Setting, table1: pd.DataFrame) -> List
     )
     groups = {}
     for measure, name in MEASURES.items():
-        heading = f"{name[0].upper()}{name[1:]}{f': “{CLAIM_WORDS[measure]}”' if measure in CLAIM_WORDS else ''}"
+        heading = f"{capitalised(name)}{f': “{CLAIM_WORDS[measure]}”' if measure in CLAIM_WORDS else ''}"
         groups[heading] = [_test_row(design, setting, row) for row in records(table1, measure=measure)]
     header = ("against", "learned", "baseline", "difference", "p", "p, adjusted", "claim")
     return Listing("Table 1", caption, header, groups, is_folded=False)
@@ -217,14 +187,12 @@ def _test_row(design: RewardDesign, setting: Setting, row: Any) -> tuple[str, ..
 
 
 def _weights(design: RewardDesign, weights: pd.DataFrame) -> Listing:
-    rows = []
-    for size in design.num_paths:
-        cells = records(weights, num_paths=size)
-        told = (f"{amount(row['effective_sample_size'], 0)} ({amount(row['largest_weight'], 1)})" for row in cells)
-        rows.append((str(size), *told))
     caption = (
         "Effective sample size of the weights of all stages, (Σw)²/Σw², and in brackets the largest weight; means over "
         "repetitions, independent cuts."
     )
-    header = ("logged paths", *(f"cut: {share(cut_share)}" for cut_share in design.cut_shares))
-    return Listing("Table 2", caption, header, {"": rows}, is_folded=False)
+    return Listing("Table 2", caption, *_by_size(design, weights, _weights_cell), is_folded=False)
+
+
+def _weights_cell(row: dict[str, Any]) -> str:
+    return f"{amount(row['effective_sample_size'], 0)} ({amount(row['largest_weight'], 1)})"

@@ -1,0 +1,248 @@
+"""What simulations and a longer planning horizon are worth to a planner that knows the true model: Figures 2 and 3.
+
+All policies meet the same evaluation episodes. A planner of many simulations plays few of them, in turn over the
+repetitions, so that every table is met; it is compared on those that it played. Rewards follow from the seed: a planner
+has a number of simulations, not a time. The times that decisions take are measured and told beside.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, ClassVar
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
+
+from halfseen.errors import ArgumentError
+from halfseen.pages.numbers import MISSING, significant
+from halfseen.pages.sentences import Claim, counted, listed
+from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Section, Setting, Tables
+from halfseen.study.experiments.planning.figures import OVER, draw_horizons, draw_simulations
+from halfseen.study.figures import MEAN
+from halfseen.study.frames import records, row_of
+from halfseen.study.pipeline import Played, Source, episodes_in_turn
+from halfseen.study.policies import HEURISTICS, LEARNED, Contender, by_name, horizon_planner, planner
+from halfseen.study.single_play import measured_times, play_singly, seconds
+from halfseen.study.statistics import estimate_in, mean_columns
+from halfseen.study.wording import estimated_in, learned_from
+from halfseen.tables.table_policy import LinearTablePolicy
+from halfseen.world.cuts import CutKind
+
+CUT_KIND: CutKind = "independent"
+NUM_TIMED_STATES, NUM_FITS = 30, 5
+
+
+@dataclass(frozen=True)
+class Planning:
+    """Planners by simulations and by horizon.
+
+    `simulations` are those a decision of planners that look to the end of a path, and how many episodes of a repetition
+    each plays. Other planners look `horizons` steps ahead. The learned policy is learned from `num_paths`, of which
+    `cut_share` are cut.
+    """
+
+    simulations: tuple[tuple[int, int], ...] = ((8, 50), (128, 50), (1024, 5))
+    horizons: tuple[int, ...] = (1, 2, 3, 4, 5, 6)
+    horizon_simulations: int = 128
+    horizon_episodes: int = 25
+    num_paths: int = 800
+    cut_share: float = 1 / 2
+    episodes_per_scene: int = 5
+    most_repetitions: int | None = 6
+    name: ClassVar[str] = "planning"
+
+    def __post_init__(self) -> None:
+        if len(self.horizons) < 2 or list(self.horizons) != sorted(set(self.horizons)):
+            raise ArgumentError(f"horizons is {self.horizons}; give at least two, each longer than the one before")
+
+    @property
+    def by_simulations(self) -> dict[str, int]:
+        """Simulations of each planner that looks to the end."""
+        return {planner(size).name: size for size, _ in self.simulations}
+
+    @property
+    def by_horizon(self) -> dict[str, int]:
+        """Horizon of each planner that looks some steps ahead."""
+        return {self._ahead(horizon).name: horizon for horizon in self.horizons}
+
+    @property
+    def contenders(self) -> dict[str, Contender]:
+        """All who take part, by name."""
+        planners = [planner(size) for size, _ in self.simulations] + [self._ahead(horizon) for horizon in self.horizons]
+        return by_name(LEARNED, *HEURISTICS, *planners)
+
+    def _ahead(self, horizon: int) -> Contender:
+        return horizon_planner(horizon, self.horizon_simulations)
+
+    def prepare(self, setting: Setting) -> PieceOf:
+        """Calibrate the cuts."""
+        return {"rate": Source.of(setting).cut_rate(self.cut_share, CUT_KIND)}
+
+    def measure(self, setting: Setting) -> PieceOf:
+        """Decision times [ms], and the time that learning takes, the median of a few on this machine [s]."""
+        times = measured_times(setting, self.contenders.values(), NUM_TIMED_STATES)
+        source = Source.of(setting)
+        learn = partial(self._learned, source, source.cut_rate(self.cut_share, CUT_KIND))
+        learn()
+        return {"decision_ms": times, "learning_s": float(np.median([seconds(learn) for _ in range(NUM_FITS)]))}
+
+    def repeat(self, setting: Setting, prepared: PieceOf, index: int) -> PieceOf:
+        """Play all policies: of each, which episodes it played and what each brought."""
+        source = Source.of(setting, index)
+        num_all = self.episodes_per_scene * len(setting.scenes)
+        policies = {LEARNED.name: self._learned(source, prepared["rate"])}
+        policies |= {each.name: each.policy(setting.world) for each in HEURISTICS}
+        rows = [_row(name, range(num_all), source.evaluate(policy, num_all)) for name, policy in policies.items()]
+        some = {planner(size).name: count for size, count in self.simulations}
+        for name, count in (some | dict.fromkeys(self.by_horizon, self.horizon_episodes)).items():
+            episodes = episodes_in_turn(index, count, num_all)
+            played = play_singly(source, self.contenders[name].policy(setting.world), episodes)
+            rows.append(_row(name, episodes, played))
+        return {"index": index, "played": rows}
+
+    def _learned(self, source: Source, rate: float) -> LinearTablePolicy:
+        episodes = source.play(self.num_paths)
+        return source.encode(episodes).learn_one(source.cut(episodes, rate, CUT_KIND), self.num_paths)
+
+    def tabulate(self, setting: Setting, pieces: Pieces) -> Tables:
+        """Make figure2 and figure3.
+
+        ``figure2`` has policy, kind, simulations, decision_ms (measured on this machine), mean_reward, se, low, high;
+        over_censored_q, se_over, over_low, over_high (the mean difference from the learned policy on the same
+        episodes), repetitions and episodes (of one repetition). Where a policy played only some, its mean is what the
+        learned policy earned on all of them plus that difference.
+        ``figure3`` has planning_horizon, simulations, decision_ms, mean_reward, se, low, high, over_previous and
+        over_first (paired differences from the next shorter and the shortest horizon, with se_…, …_low, …_high),
+        repetitions and episodes; null where there is nothing shorter. ``learning`` has learning_s, measured.
+        """
+        blocks, times = _Blocks(pieces), pieces.measured["decision_ms"]
+        learning = pd.DataFrame({"num_paths": [self.num_paths], "learning_s": [pieces.measured["learning_s"]]})
+        figure2, figure3 = _figure2(self, blocks, times), _figure3(self, blocks, times)
+        return {"figure2": figure2, "figure3": figure3, "learning": learning}
+
+    def section(self, setting: Setting, tables: Tables) -> Section:
+        """Say whether a planner earns more, and whether looking further ahead does."""
+        figure2, figure3 = tables["figure2"], tables["figure3"]
+        best, longer = most_simulations(self, figure2), longest_horizon(self, figure3)
+        draw = partial(draw_simulations, figure2), partial(draw_horizons, self.contenders, figure2, figure3)
+        titles = best.title, f"{longer.title}; {_steps(figure3)}"
+        captions = _captions(self, figure2)
+        drawings = tuple(
+            Drawing(f"figure{k + 2}", f"Figure {k + 2}", titles[k], captions[k], draw[k]) for k in range(2)
+        )
+        return Section("What is planning worth?", (best.sentence, longer.sentence), drawings, (_numbers(self, tables),))
+
+
+def _row(name: str, episodes: Iterable[int], played: Played) -> dict[str, Any]:
+    return {"policy": name, "episodes": list(episodes), "reward": played.reward.tolist()}
+
+
+class _Blocks:
+    """Rewards of each policy by repetition and number of the episode."""
+
+    def __init__(self, pieces: Pieces) -> None:
+        self._rewards: dict[str, list[dict[int, float]]] = {}
+        for piece in pieces.repetitions:
+            for row in piece["played"]:
+                of_block = dict(zip(row["episodes"], row["reward"], strict=True))
+                self._rewards.setdefault(row["policy"], []).append(of_block)
+
+    def means(self, policy: str, like: str | None = None) -> Float[np.ndarray, " R"]:
+        """Block means of a policy, on the episodes that `like` played as well (all, if None)."""
+        own, others = self._rewards[policy], self._rewards[like or policy]
+        return np.array([np.mean([block[i] for i in other]) for block, other in zip(own, others, strict=True)])
+
+    def counts(self, policy: str) -> dict[str, int]:
+        """Columns repetitions and episodes."""
+        return {"repetitions": len(self._rewards[policy]), "episodes": len(self._rewards[policy][0])}
+
+
+def _figure2(design: Planning, blocks: _Blocks, times_ms: dict[str, float]) -> pd.DataFrame:
+    rows, own = [], blocks.means(LEARNED.name)
+    for name, who in design.contenders.items():
+        over = blocks.means(name) - blocks.means(LEARNED.name, like=name)
+        row: dict[str, Any] = {"policy": name, "kind": str(who.kind), "simulations": design.by_simulations.get(name)}
+        difference = mean_columns(over, OVER[0], "se_over", *OVER[1:])
+        rows.append(row | {"decision_ms": times_ms[name]} | mean_columns(own + over) | difference | blocks.counts(name))
+    return pd.DataFrame(rows).astype({"simulations": "Int64"})
+
+
+def _figure3(design: Planning, blocks: _Blocks, times_ms: dict[str, float]) -> pd.DataFrame:
+    rows = []
+    rewards = {name: blocks.means(name) for name in design.by_horizon}
+    first = previous = next(iter(rewards))
+    for name, horizon in design.by_horizon.items():
+        row: dict[str, Any] = {"planning_horizon": horizon, "decision_ms": times_ms[name]}
+        row["simulations"] = design.horizon_simulations if horizon > 1 else None
+        row |= mean_columns(rewards[name])
+        for over, shorter in (("over_previous", previous), ("over_first", first)):
+            names = over, f"se_{over}", f"{over}_low", f"{over}_high"
+            difference = mean_columns(rewards[name] - rewards[shorter], *names)
+            row |= difference if name != first else dict.fromkeys(names, np.nan)
+        rows.append(row | blocks.counts(name))
+        previous = name
+    return pd.DataFrame(rows).astype({"simulations": "Int64"})
+
+
+VERBS = "earns more than", "earns less than"
+
+
+def most_simulations(design: Planning, figure2: pd.DataFrame) -> Claim:
+    """That the planner with the most simulations, fixed beforehand, earns more than the learned policy."""
+    size = max(design.by_simulations.values())
+    row = row_of(figure2, simulations=size)
+    subject = f"Planning with the true model, {counted(size, 'simulation')} a decision,"
+    rival = f"the policy {learned_from(design.num_paths, design.cut_share)[:-1]}"
+    note = f"on the same {counted(int(row['repetitions'] * row['episodes']), 'episode')}"
+    return Claim(subject, *VERBS, rival, estimate_in(row, OVER[0], "se_over", int(row["repetitions"])), note=note)
+
+
+def longest_horizon(design: Planning, figure3: pd.DataFrame) -> Claim:
+    """That looking ahead the longest earns more than the shortest."""
+    first, *_, row = records(figure3)
+    simulations = counted(design.horizon_simulations, "simulation")
+    subject = f"Looking {int(row['planning_horizon'])} steps ahead, with {simulations} a decision,"
+    rival = f"looking {counted(int(first['planning_horizon']), 'step')} ahead"
+    return Claim(subject, *VERBS, rival, estimate_in(row, "over_first", "se_over_first", int(row["repetitions"])))
+
+
+def _steps(figure3: pd.DataFrame) -> str:
+    """Say at which horizons one more step changes the reward significantly."""
+    parts = []
+    rows = records(figure3)
+    for verb, sign, end in (("gains", 1, "low"), ("loses", -1, "high")):
+        steps = [str(row["planning_horizon"]) for row in rows if sign * row[f"over_previous_{end}"] > 0]
+        if steps:
+            parts.append(f"one more step {verb} reward at {listed(steps)}")
+    return listed(parts) or "no single step makes a significant difference"
+
+
+def _captions(design: Planning, figure2: pd.DataFrame) -> tuple[str, str]:
+    num = int(figure2["repetitions"].iloc[0])
+    return (
+        "Reward of planners that know the true model, by their simulations a decision. Lines: the learned policy and "
+        f"the heuristics. Below: difference from the learned policy on the same episodes. {num} repetitions; a planner "
+        "of many simulations plays some of the episodes, and its reward above is the learned policy’s plus that "
+        "difference. Bars: 95 % intervals (Student’s t) over repetitions, not adjusted. How long decisions take on "
+        "this machine stands in the numbers below, and nothing here depends on it.",
+        f"Reward by planning horizon, {design.horizon_simulations} simulations a decision beyond one step. What lies "
+        "beyond the horizon is valued by a rule: each object is left, or tried once, whichever is worth more. Right: "
+        "the paired difference from the next shorter horizon. Bars: 95 % intervals (Student’s t), not adjusted.",
+    )
+
+
+def _numbers(design: Planning, tables: Tables) -> Listing:
+    cells = {
+        "policy": lambda row: design.contenders[row["policy"]].label,
+        "decision [ms], measured": lambda row: significant(row["decision_ms"], 2),
+        "reward": lambda row: estimated_in(row, MEAN),
+        "policy − learned": lambda row: MISSING if row["policy"] == LEARNED.name else estimated_in(row, OVER),
+        "episodes": lambda row: str(row["repetitions"] * row["episodes"]),
+    }
+    learning_s = significant(tables["learning"]["learning_s"].iloc[0], 2)
+    caption = (
+        f"Decision times are medians on one core of this machine; learning from {design.num_paths} paths took "
+        f"{learning_s} s on it, once."
+    )
+    return Listing.of("The numbers of Figures 2 and 3", caption, records(tables["figure2"]), cells)

@@ -1,0 +1,73 @@
+"""What figures of several experiments draw alike: policies as lines across, and curves by proportion of cut paths."""
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
+
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from halfseen.pages.axes import PANEL_TITLE, WIDTH_INCHES, EndLabel, dodged, mark_sizes, write_end_labels, write_title
+from halfseen.pages.numbers import amount, share
+from halfseen.pages.palette import MARKERS, ordered_colours
+from halfseen.study.frames import where
+from halfseen.study.policies import LEARNED, Contender, Kind
+from halfseen.study.wording import PATHS_AXIS
+
+MEAN = ["mean_reward", "low", "high"]
+"""Columns of a mean and its interval."""
+
+
+class Level(NamedTuple):
+    """A policy that learns nothing from logs, and what it is worth."""
+
+    who: Contender
+    value: float
+    is_bold: bool
+
+
+def draw_levels(axes: Axes, levels: Iterable[Level]) -> list[EndLabel]:
+    """Draw lines across; the optimum has a name alone, as it is an end of the axis."""
+    labels = []
+    for who, value, is_bold in levels:
+        if who.kind != Kind.OPTIMUM:
+            dashes, width = (0, who.dashes), 1.5 if is_bold else 0.9
+            axes.axhline(value, color=who.colour, linestyle=dashes, linewidth=width, zorder=1.2)
+        labels.append(EndLabel(value, f"{who.label}  {amount(value)}", who.colour, is_bold))
+    return labels
+
+
+def draw_by_cut_share(
+    axes: Axes,
+    table: pd.DataFrame,
+    cut_shares: Sequence[float],
+    columns: list[str],
+    draw: Callable[..., None],
+    dodge: float,
+) -> list[EndLabel]:
+    """Draw what was learned by size of the log, a curve for each proportion of cut paths."""
+    labels, num = [], len(cut_shares)
+    for k, (cut_share, colour) in enumerate(zip(cut_shares, ordered_colours(num), strict=True)):
+        rows = where(table, policy=LEARNED.name, cut_share=cut_share)
+        across = dodged(rows["num_paths"], k, num, dodge)
+        draw(axes, across, rows[columns], color=colour, marker=MARKERS[k % len(MARKERS)])
+        end = float(rows[columns[0]].iloc[-1])
+        cut = "no path cut" if cut_share == 0 else f"{share(cut_share)} of the paths cut"
+        labels.append(EndLabel(end, f"learned, {cut}  {amount(end)}", colour))
+    return labels
+
+
+def draw_by_size(
+    title: str, name: str, sizes: Sequence[int], margins: tuple[float, float], draw: Callable[[Axes], list[EndLabel]]
+) -> Figure:
+    """Draw one panel over the size of the log, with the names of all lines at its right."""
+    figure = Figure(figsize=(WIDTH_INCHES, 5.6))
+    top = write_title(figure, title) - 0.08
+    axes = figure.add_axes((0.07, 0.10, 0.58, top - 0.10))
+    labels = draw(axes)
+    mark_sizes(axes, sizes)
+    axes.set_xlim(min(sizes) / margins[0], max(sizes) * margins[1])
+    axes.set_xlabel(PATHS_AXIS)
+    axes.set_title(name, **PANEL_TITLE)
+    write_end_labels(axes, labels)
+    return figure
