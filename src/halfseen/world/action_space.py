@@ -109,23 +109,3 @@ class Table(Protocol):
 def possible_actions(state: Table) -> Bool[Array, " A"]:
     """Which actions one table allows: FINISH always, every other verb on what stands on the table."""
     return jnp.concatenate([jnp.ones(1, dtype=bool), *[state.is_on_table] * len(TARGETED)])
-
-
-def num_actions(num_objects: int) -> int:
-    """Number of actions of a table with N objects."""
-    return ActionSpace(num_objects).num_actions
-
-
-def encode(verb: Verb, target: int, num_objects: int) -> int:
-    """Integer of an action; `target` is ignored for FINISH."""
-    return ActionSpace(num_objects).encode(verb, target)
-
-
-def verb_of(action: Int[Array | np.ndarray, "*B"], num_objects: int) -> Any:
-    """Verb of each action, as in `Verb`."""
-    return ActionSpace(num_objects).verb(action)
-
-
-def target_of(action: Int[Array | np.ndarray, "*B"], num_objects: int) -> Any:
-    """Object of each action; 0 for FINISH, which has none."""
-    return ActionSpace(num_objects).target(action)
