@@ -1,7 +1,7 @@
 # Each target does all the set-up that it needs; nothing but Python 3.11 or newer is expected of the machine.
 PYTHON ?= python3
 BIN := .venv/bin
-PARALLEL := -n auto --dist loadgroup --no-loadscope-reorder --max-worker-restart 0
+PARALLEL := -n auto --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 
 .PHONY: study test test-slow check docs clouds benchmarks clean
 

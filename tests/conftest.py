@@ -3,7 +3,6 @@
 import os
 from pathlib import Path
 
-import pytest
 from hypothesis import settings
 
 # How long an example takes depends on what else the machine does.
@@ -27,13 +26,10 @@ LONG = ("study", "planners", "q_learning", "tables", "docs", "examples")
 """Folders whose files take long: they start first, so that no process is left with one of them at the end."""
 
 
-@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Tests of one file run in one process, and so do all that ask for the one small study, which takes longest."""
+    """Order the files: the one with the small study, which takes longest, comes first."""
     items.sort(key=lambda item: (not _asks_for_study(item), not set(LONG) & set(item.path.parts)))
-    for item in items:
-        item.add_marker(pytest.mark.xdist_group("the small study" if _asks_for_study(item) else str(item.path)))
 
 
 def _asks_for_study(item):
-    return "study_folder" in getattr(item, "fixturenames", ())
+    return item.path.name == "test_study_run.py"
