@@ -20,7 +20,7 @@ def test_import_halfseen_is_instant():
 
 @pytest.mark.parametrize("package", ["halfseen", "halfseen.world", "halfseen.learners", "halfseen.planners"])
 def test_a_package_loads_nothing_heavy(package):
-    heavy = {"jax", "mujoco", "pandas", "pyarrow", "sklearn", "scipy"}
+    heavy = {"gymnasium", "jax", "mujoco", "pandas", "pyarrow", "sklearn", "scipy"}
     assert not loaded_after(f"import {package}") & heavy
 
 
@@ -49,6 +49,7 @@ print(dict(jax.config.values) == settings, (np.random.get_state()[1] == state).a
     ("first", "env_id"),
     [
         ("import gymnasium; import halfseen", "halfseen/Cups-v0"),
+        ("import halfseen; import gymnasium", "halfseen/Cups-v0"),
         ("import halfseen; import gymnasium", "halfseen.gym_registration:halfseen/Cups-v0"),
         ("import gymnasium", "halfseen.gym_registration:halfseen/Cups-v0"),
     ],

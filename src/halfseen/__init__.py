@@ -5,10 +5,6 @@ The folders are the way that data takes: ``scene`` → ``perception`` → ``worl
 Importing this package loads none of them; it only tells Gymnasium, where that is installed, of ``halfseen/Cups-v0``.
 """
 
-from importlib.util import find_spec
+import halfseen.gym_registration  # noqa: F401
 
 __version__ = "0.1.0"
-
-if find_spec("gymnasium"):
-    # Gymnasium 1 no longer asks installed packages for their environments, so that some import has to tell it.
-    import halfseen.gym_registration  # noqa: F401

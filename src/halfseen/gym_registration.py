@@ -1,9 +1,13 @@
-"""Tells Gymnasium of the tables; ``import halfseen`` does it.
+"""Tells Gymnasium of the tables; ``import halfseen`` does it, before or after ``import gymnasium``.
 
-It loads neither JAX nor the world; those load when a table is made.
+It loads neither JAX nor the world, which load when a table is made, nor Gymnasium: importing that takes longer than all
+else here, so where it is not loaded yet, it is told once it is.
 """
 
-from gymnasium.envs import registration
+import sys
+from importlib.abc import MetaPathFinder
+from importlib.util import find_spec
+from typing import Any
 
 ENV_ID = "halfseen/Cups-v0"
 
@@ -13,8 +17,32 @@ def register() -> None:
 
     There is no time limit to be wrapped around it: the horizon is the table's own end.
     """
+    from gymnasium.envs import registration
+
     if ENV_ID not in registration.registry:
         registration.register(id=ENV_ID, entry_point="halfseen.world.gymnasium_env:CupsEnv")
 
 
-register()
+class _RegisterAfterImport(MetaPathFinder):
+    """Lets Gymnasium be found as ever, and registers once its module has run."""
+
+    def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> Any:
+        if fullname != "gymnasium":
+            return None
+        sys.meta_path.remove(self)
+        spec = find_spec(fullname)
+        if spec is not None and spec.loader is not None:
+            loader, run = spec.loader, spec.loader.exec_module
+
+            def exec_module(module: Any) -> None:
+                run(module)
+                register()
+
+            setattr(loader, "exec_module", exec_module)  # noqa: B010 - a loader's method is replaced on purpose
+        return spec
+
+
+if "gymnasium" in sys.modules:
+    register()
+else:
+    sys.meta_path.insert(0, _RegisterAfterImport())
