@@ -1,5 +1,6 @@
 """A file or a folder that is there whole or not at all: written under a name of its own, then renamed."""
 
+import os
 import shutil
 import uuid
 from collections.abc import Iterator
@@ -82,6 +83,21 @@ def refuse_taken(target: Path, overwrite: bool, marker: str | None, kind: str) -
         raise ArgumentError(
             f"{target}: it holds no {kind} ({marker} is missing), so it is not replaced; choose another folder"
         )
+
+
+def refuse_unwritable(target: Path) -> None:
+    """Refuse a folder that could not be made or written; to be called before long work.
+
+    Raises
+    ------
+    ArgumentError
+        What is nearest to it is no folder, or one that this user may not write.
+    """
+    place = target.absolute()
+    nearest = next(each for each in (place, *place.parents) if each.exists())
+    if not (nearest.is_dir() and os.access(nearest, os.W_OK)):
+        kind = "may not be written by you" if nearest.is_dir() else "is no folder"
+        raise ArgumentError(f"{target}: cannot be written, as {nearest} {kind}; choose another folder")
 
 
 def left_aside(target: Path) -> Path | None:

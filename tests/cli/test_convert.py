@@ -1,7 +1,5 @@
 import json
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -166,13 +164,9 @@ def test_help_has_an_example():
     assert "Example: halfseen convert" in CliRunner().invoke(convert, ["--help"]).output
 
 
-def test_from_the_shell_bad_input_is_one_line_and_status_two(logs):
+def test_bad_input_is_one_line_and_status_two(logs, typed, refused):
     logs.write("a")
-    program = "from halfseen.cli import VERBS, main; VERBS.setdefault('convert', ''); main()"
-    command = [sys.executable, "-c", program, "convert", "a", "--out"]
-    done = subprocess.run([*command, "csv:b"], capture_output=True, text=True, check=True)
-    assert done.stdout.startswith("csv:b: 2 paths")
-    again = subprocess.run([*command, "csv:b"], capture_output=True, text=True, check=False)
-    assert (again.returncode, again.stdout) == (2, "")
-    assert again.stderr == "halfseen: b: it is there already; choose another folder, or move it away first\n"
+    assert typed("convert", "a", "--out", "csv:b").out.startswith("csv:b: 2 paths")
+    again = refused("convert", "a", "--out", "csv:b")
+    assert again == "halfseen: b: it is there already; choose another folder, or move it away first\n"
     assert sorted(os.listdir()) == ["a", "b"]

@@ -1,5 +1,4 @@
 import json
-import subprocess
 import sys
 
 import pytest
@@ -101,12 +100,10 @@ def test_help_has_an_example():
     assert "halfseen simulate --out logs" in CliRunner().invoke(simulate, ["--help"]).output
 
 
-def test_from_the_shell(tmp_path):
-    command = [sys.executable, "-m", "halfseen.cli", "simulate", "--out", str(tmp_path / "logs"), TABLES[0]]
-    options = ["--episodes", "6", "--policy", "history-penalty", "--cut-share", "0", "--horizon", "4"]
-    good = subprocess.run([*command, *options], capture_output=True, text=True, check=True)
-    assert "6 paths of up to 4 stages" in good.stdout
-    assert good.stderr == ""
-    again = subprocess.run([*command, *options], capture_output=True, text=True, check=False)
-    assert (again.returncode, again.stdout) == (2, "")
-    assert len(again.stderr.splitlines()) == 1
+def test_another_policy_and_horizon_and_never_in_the_place_of_others(typed, refused, tmp_path):
+    command = ["simulate", "--out", tmp_path / "logs", TABLES[0], "--episodes", "6"]
+    options = ["--policy", "history-penalty", "--cut-share", "0", "--horizon", "4"]
+    good = typed(*command, *options)
+    assert (good.status, good.err) == (0, "")
+    assert "6 paths of up to 4 stages" in good.out
+    assert "it is there already" in refused(*command, *options)

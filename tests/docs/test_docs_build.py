@@ -67,6 +67,7 @@ def test_the_whole_bibliography_is_read():
     assert not [line for line in lines if re.search(r"[{}\\]|\(\)", line)]
 
 
+@pytest.mark.slow
 def test_the_docs_build_without_warnings_and_hold_every_public_name(built):
     for package in PACKAGES:
         page = (built / "reference" / f"{package}.html").read_text(encoding="utf-8")
@@ -74,6 +75,7 @@ def test_the_docs_build_without_warnings_and_hold_every_public_name(built):
         assert [name for name in names if f'id="halfseen.{package}.{name}"' not in page] == []
 
 
+@pytest.mark.slow
 def test_a_citation_is_a_link_to_its_entry(built):
     citing = (built / "reference" / "censoring.html").read_text(encoding="utf-8")
     page = (built / "references.html").read_text(encoding="utf-8")
@@ -82,6 +84,7 @@ def test_a_citation_is_a_link_to_its_entry(built):
     assert "D. R. Cox (1972). Regression models and life-tables." in entry
 
 
+@pytest.mark.slow
 def test_no_page_loads_anything_from_elsewhere(built):
     loads = re.compile(r"<(?:script|img|iframe)[^>]*\ssrc=\"(?:https?:)?//|<link[^>]*\shref=\"(?:https?:)?//")
     pages = list(built.rglob("*.html"))

@@ -93,7 +93,16 @@ def follow_patched(page, text, folder):
     assert done.returncode == 0, f"{page}\n{done.stderr}"
 
 
-SLOW = {"another-camera", "another-figure", "another-planner", "another-verb", "planners", "times-that-were-cut"}
+SLOW = {
+    "another-camera",
+    "another-figure",
+    "another-planner",
+    "another-verb",
+    "any-multistage-problem",
+    "from-logs-to-a-policy",
+    "planners",
+    "times-that-were-cut",
+}
 PAGES = [
     pytest.param(page, id=page.stem, marks=[pytest.mark.slow] if page.stem in SLOW else [])
     for page in sorted(GUIDE.glob("*.md"))

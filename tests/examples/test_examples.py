@@ -34,6 +34,7 @@ def test_every_script_is_tested_and_listed():
     assert sorted(listed) == sorted(there)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("script", SCRIPTS)
 def test_a_script_prints_and_draws_the_same_again(script, tmp_path):
     out = tmp_path / "figures"

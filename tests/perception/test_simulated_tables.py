@@ -9,6 +9,7 @@ from halfseen.scene import capture, random_table, read_truth, table_paths
 FRESH_SEEDS = range(60_000, 60_100)
 
 
+@pytest.mark.slow
 def test_shipped_tables_are_seen_as_they_are():
     scores = Scores()
     for number, path in enumerate(table_paths()):

@@ -41,6 +41,7 @@ def pieces(folder, name):
     return [json.loads(path.read_text()) for path in sorted((folder / "progress" / name).glob("repetition-*.json"))]
 
 
+@pytest.mark.slow
 def test_it_writes_all_that_it_promises(study_folder):
     tables = {f"{name}.csv" for name in (*COLUMNS, "figure3", "grasp", "learning")}
     figures = {f"{name}.{kind}" for name in FIGURES for kind in ("svg", "png")}
@@ -49,6 +50,7 @@ def test_it_writes_all_that_it_promises(study_folder):
         assert (study_folder / f"{name}.csv").read_text().splitlines()[0].split(",") == columns.split()
 
 
+@pytest.mark.slow
 def test_the_numbers_are_those_of_the_pieces(study_folder):
     figure1 = pd.read_csv(study_folder / "figure1.csv").set_index("policy")
     for name in ("greedy", "history-penalty"):
@@ -59,6 +61,7 @@ def test_the_numbers_are_those_of_the_pieces(study_folder):
     assert {len(row["episodes"]) for row in first["played"]} == {1, 2, 4}
 
 
+@pytest.mark.slow
 def test_experiments_share_the_episodes_and_the_log_of_a_repetition(study_folder):
     for reward, planning, grasp in zip(
         *(pieces(study_folder, name) for name in ("reward", "planning", "grasp")), strict=True
@@ -74,12 +77,14 @@ def test_experiments_share_the_episodes_and_the_log_of_a_repetition(study_folder
                 assert row["heuristic_reward"] == pytest.approx(played["history-penalty"], abs=1e-5)
 
 
+@pytest.mark.slow
 def test_nobody_is_better_than_the_optimum(study_folder):
     regret = pd.read_csv(study_folder / "regret.csv")
     assert (regret.loc[~regret["policy"].str.startswith("planner"), "regret"] >= 0.0).all()
     assert regret["policy"].iloc[-1] == "optimum"
 
 
+@pytest.mark.slow
 def test_resuming_a_killed_study_writes_the_same_bytes(study_folder, tmp_path):
     shutil.copytree(study_folder / "progress", tmp_path / "progress")
     for name in ("reward/repetition-00001", "censoring/repetition-00000", "regret/prepared"):
@@ -88,6 +93,7 @@ def test_resuming_a_killed_study_writes_the_same_bytes(study_folder, tmp_path):
     assert outputs(tmp_path) == outputs(study_folder)
 
 
+@pytest.mark.slow
 def test_no_figure_depends_on_measured_times(study_folder, tmp_path):
     shutil.copytree(study_folder / "progress", tmp_path / "progress")
     for path in tmp_path.glob("progress/*/measured.json"):
@@ -109,6 +115,7 @@ def test_no_figure_depends_on_measured_times(study_folder, tmp_path):
     pd.testing.assert_frame_equal(old, new)
 
 
+@pytest.mark.slow
 def test_another_seed_is_not_resumed(study_folder, tmp_path):
     folder = shutil.copytree(study_folder, tmp_path / "copy")
     with pytest.raises(ArgumentError, match="another design, seed or version"):

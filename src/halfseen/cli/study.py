@@ -1,5 +1,6 @@
 """``halfseen study``: regenerate the study."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -34,12 +35,14 @@ def study(
     from halfseen.study.experiment import DEFAULT_REPETITIONS, Setting
     from halfseen.study.run import chosen, pictures_of, run_study
     from halfseen.study.scenes import look_at, scenes_of
+    from halfseen.writing import refuse_unwritable
 
     experiments, paths = chosen(only), list(clouds) or table_paths()
-    Setting((), repetitions=DEFAULT_REPETITIONS if repetitions is None else repetitions)
+    setting = Setting((), repetitions=DEFAULT_REPETITIONS if repetitions is None else repetitions, seed=seed)
+    refuse_unwritable(out)
     views = look_at(paths)
     scenes = scenes_of(views, paths)
-    setting = Setting(scenes, repetitions=DEFAULT_REPETITIONS if repetitions is None else repetitions, seed=seed)
+    setting = replace(setting, scenes=scenes)
     pictures = pictures_of(views, [scene.name for scene in scenes])
     results = run_study(setting, out, experiments, is_resumed=resume, num_jobs=jobs, pictures=pictures)
     if is_json:
