@@ -5,8 +5,8 @@ from pathlib import Path
 
 from hypothesis import settings
 
-# How long an example takes depends on what else the machine does.
-settings.register_profile("halfseen", deadline=None)
+# How long an example takes depends on what else the machine does. A run tries few of them, as there are many runs.
+settings.register_profile("halfseen", deadline=None, max_examples=40)
 settings.load_profile("halfseen")
 
 COMPILED = Path(__file__).parents[1] / "runs" / "compiled"

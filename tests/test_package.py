@@ -50,7 +50,6 @@ print(dict(jax.config.values) == settings, (np.random.get_state()[1] == state).a
     [
         ("import gymnasium; import halfseen", "halfseen/Cups-v0"),
         ("import halfseen; import gymnasium", "halfseen/Cups-v0"),
-        ("import halfseen; import gymnasium", "halfseen.gym_registration:halfseen/Cups-v0"),
         ("import gymnasium", "halfseen.gym_registration:halfseen/Cups-v0"),
     ],
 )

@@ -99,7 +99,7 @@ def test_an_unwritable_picture_is_refused(table, tmp_path):
     ("name", "content", "message"),
     [("cloud.xyz", b"", "not read"), ("cloud.npz", b"nonsense", "cloud.npz"), ("missing.pcd", None, "no such file")],
 )
-def test_bad_input_is_one_line_and_status_2(tmp_path, name, content, message):
+def test_bad_input_is_one_line_and_status_2(refused, tmp_path, name, content, message):
     if content is not None:
         (tmp_path / name).write_bytes(content)
     assert message in refused("look", tmp_path / name)
