@@ -16,13 +16,13 @@ from halfseen.world.state import TableState, occlusion
 
 
 def wash_worth(
-    config: WorldConfig, is_dirty: Float[Array, "*S"], chance: Float[Array, "*S"], counts_penalty: bool
+    config: WorldConfig, is_dirty: Float[Array, "*S"], chance: Float[Array, "*S"], counts_penalty: bool | Array
 ) -> Float[Array, "*S"]:
     """Expected reward of one attempt to WASH an object that is dirty with probability `is_dirty`.
 
     With `counts_penalty` the price of a dirty object left behind, which a success avoids, counts too.
     """
-    reward_dirty = config.reward_wash_dirty - (config.reward_dirty_left if counts_penalty else 0.0)
+    reward_dirty = config.reward_wash_dirty - counts_penalty * config.reward_dirty_left
     washed = is_dirty * reward_dirty + (1.0 - is_dirty) * config.reward_wash_clean
     return chance * washed + (1.0 - chance) * config.reward_wash_failed
 
@@ -76,7 +76,7 @@ class GreedyPolicy:
 
     config: WorldConfig
     uses_history: bool = field(default=False, metadata={"static": True})
-    counts_penalty: bool = field(default=False, metadata={"static": True})
+    counts_penalty: bool | Array = False
     grasp: GraspModel | None = None
 
     def __post_init__(self) -> None:

@@ -19,6 +19,9 @@ from jaxtyping import Array, Float, Int
 RANK_TOLERANCE = 1e-11
 """Eigenvalues below this share of the largest count as zero: that direction was never seen, and β is 0 along it."""
 
+CHUNK = 64
+"""Rows that one matrix product serves."""
+
 TIE_TOLERANCE = 1e-9
 """Held-out errors that differ by less than this share of the largest are equal."""
 
@@ -39,8 +42,16 @@ class Design(NamedTuple):
 
     features: Float[Array, "R F"]
     """The constant first."""
-    membership: Float[Array, "V K R"]
-    """Weight of each row in its fold and block."""
+    weight: Float[Array, " R"]
+    group: Int[Array, " R"]
+    """Fold and block of each row, as one number: fold · K + block."""
+    shape: tuple[int, int]
+    """V and K."""
+
+    @property
+    def num_groups(self) -> int:
+        """V · K."""
+        return self.shape[0] * self.shape[1]
 
 
 class Factor(NamedTuple):
@@ -66,21 +77,43 @@ class Fit(NamedTuple):
 
 
 def design_of(rows: Rows, num_blocks: int, num_folds: int) -> Design:
-    """Put the constant first, and deal the weights to folds and blocks."""
+    """Put the constant first, and tell the rows' folds and blocks."""
     features = jnp.concatenate([jnp.ones_like(rows.weight)[:, None], rows.features], axis=1)
-    in_fold = rows.fold == jnp.arange(num_folds)[:, None]
-    in_block = rows.block == jnp.arange(num_blocks)[:, None]
-    return Design(features, (in_fold[:, None, :] & in_block[None, :, :]) * rows.weight)
+    return Design(features, rows.weight, rows.fold * num_blocks + rows.block, (num_folds, num_blocks))
 
 
 def gram_of(design: Design) -> Float[Array, "V K F F"]:
     """Σ w x xᵀ by fold and block; those of parts of a log add up."""
-    return jnp.einsum("vkr,rf,rg->vkfg", design.membership, design.features, design.features)
+    place, group_of_chunk = _chunked(design)
+    num_chunks, num_features = len(group_of_chunk), design.features.shape[1]
+    empty = jnp.zeros((num_chunks * CHUNK, num_features), design.features.dtype)
+    shape = num_chunks, CHUNK, num_features
+    rows = empty.at[place].set(design.features).reshape(shape)
+    weighted = empty.at[place].set(design.features * design.weight[:, None]).reshape(shape)
+    of_chunk = jnp.einsum("crf,crg->cfg", weighted, rows)
+    gram = jax.ops.segment_sum(of_chunk, group_of_chunk, design.num_groups)
+    return gram.reshape(*design.shape, num_features, num_features)
 
 
 def cross_of(design: Design, target: Float[Array, " R"]) -> Float[Array, "V K F"]:
     """Σ w x y by fold and block; those of parts of a log add up."""
-    return jnp.einsum("vkr,r,rf->vkf", design.membership, target, design.features)
+    each = (design.weight * target)[:, None] * design.features
+    return jax.ops.segment_sum(each, design.group, design.num_groups).reshape(*design.shape, -1)
+
+
+def _chunked(design: Design) -> tuple[Int[Array, " R"], Int[Array, " C"]]:
+    """Deal rows into chunks of `CHUNK`, each of one group alone: the place of every row, and the group of every chunk.
+
+    A row is in one fold and one block, so a product over all rows for each of them would be zeros but for one in V · K.
+    """
+    is_in = design.group[:, None] == jnp.arange(design.num_groups)
+    rank = jnp.take_along_axis(jnp.cumsum(is_in, axis=0) - 1, design.group[:, None], axis=1)[:, 0]
+    end = jnp.cumsum(-(-jnp.sum(is_in, axis=0) // CHUNK))
+    begin = jnp.concatenate([jnp.zeros_like(end[:1]), end[:-1]])
+    # As many as there can be: every group may leave its last chunk unfilled.
+    chunks = jnp.arange(len(design.group) // CHUNK + design.num_groups)
+    owner = jnp.searchsorted(end, chunks, side="right")
+    return begin[design.group] * CHUNK + rank, jnp.minimum(owner, design.num_groups - 1)
 
 
 def factorise(gram: Float[Array, "V K F F"], is_scaled: bool = True) -> Factor:
