@@ -70,9 +70,9 @@ class Calibration:
         possible, num_objects = np.isfinite(truth), len(told.lift_worth)
         is_best = truth >= truth.max() - 1e-9
         self.num_states += 1
-        self.said += told.chance_best[possible].tolist()
+        self.said += told.probability_best[possible].tolist()
         self.was += is_best[possible].tolist()
-        self.stop_said.append(told.chance_stop_is_right)
+        self.stop_said.append(told.probability_stop_is_right)
         self.stop_was.append(bool(is_best[0]))
         possible[0] = False
         self.holds += ((told.low <= truth) & (truth <= told.high))[possible].tolist()

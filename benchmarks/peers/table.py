@@ -23,7 +23,7 @@ from halfseen.planners.belief import (
     NUM_NODES,
     dirty_after_label,
     expected_attempt_s,
-    failure_log_chance,
+    failure_log_probability,
     offset_nodes,
     prior_grip,
 )
@@ -173,7 +173,9 @@ class TableModel(pomdp_py.BlackboxModel):
         return [attempt for attempt in past if attempt[0] >= 0]
 
     def _rates(self, occluded: np.ndarray) -> np.ndarray:
-        return -np.asarray(failure_log_chance(self.config, jnp.float32(occluded))[..., NUM_NODES // 2], dtype=float)
+        return -np.asarray(
+            failure_log_probability(self.config, jnp.float32(occluded))[..., NUM_NODES // 2], dtype=float
+        )
 
     def _limit_s(self) -> float:
         """Of an attempt: of an exponential time, the probability and the mean of min(T, limit) tell the limit."""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from halfseen.planners import GreedyPolicy
-from halfseen.planners.belief import belief_of, grasp_chance
+from halfseen.planners.belief import belief_of, grasp_probability
 from halfseen.world import Scene, UniformPolicy, WorldConfig
 from halfseen.world.action_space import ActionSpace
 from halfseen.world.dynamics import start, step
@@ -115,7 +115,7 @@ def test_hidden_parts_are_drawn_from_the_belief(states):
         np.testing.assert_allclose(hidden.is_dirty.mean(axis=0), jax.nn.sigmoid(seen.log_odds), atol=noise)
         there = jnp.zeros(3)
         grasped = -jnp.expm1(CONFIG.grasping.log_failure(there[None], hidden.grasp_trait)).mean(axis=0)
-        np.testing.assert_allclose(grasped, grasp_chance(CONFIG, there, belief.grip), atol=noise + 0.01)
+        np.testing.assert_allclose(grasped, grasp_probability(CONFIG, there, belief.grip), atol=noise + 0.01)
 
 
 def test_rollouts_are_our_best_heuristic(states):

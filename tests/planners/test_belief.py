@@ -8,7 +8,7 @@ from halfseen.planners.belief import (
     belief_of,
     dirty_after_label,
     expected_attempt_s,
-    grasp_chance,
+    grasp_probability,
     grip_posterior,
     occlusion_without,
     offset_nodes,
@@ -39,7 +39,7 @@ def test_the_chance_of_a_first_grasp_integrates_the_prior_of_the_grip(occluded):
     drawn = np.random.default_rng(0).normal(size=200_000)
     sampled = np.mean(-np.expm1(-6.0 / np.exp(0.6 + 2.2 * occluded - drawn)))
 
-    planned = float(grasp_chance(CONFIG, jnp.asarray(occluded), prior_grip()))
+    planned = float(grasp_probability(CONFIG, jnp.asarray(occluded), prior_grip()))
 
     assert planned == pytest.approx(sampled, abs=0.005)
     assert planned == pytest.approx(exact_chance(Cup(0.5), occluded), abs=0.002)
@@ -51,7 +51,7 @@ def test_the_chance_after_attempts_agrees_with_integration_on_a_fine_grid(attemp
     grip = grip_posterior(CONFIG, state_of(cups, np.zeros((2, 2))))[1]
 
     for occluded in (0.0, 0.4, 0.8):
-        planned = float(grasp_chance(CONFIG, jnp.asarray(occluded), grip))
+        planned = float(grasp_probability(CONFIG, jnp.asarray(occluded), grip))
         assert planned == pytest.approx(exact_chance(cups[1], occluded), abs=0.02)
 
 

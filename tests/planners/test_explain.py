@@ -34,8 +34,8 @@ def test_a_cup_that_is_surely_dirty_and_in_full_view_is_washed():
     told = explain_few([Cup(0.999)], np.zeros((1, 1)), 5)
 
     assert told.actions[told.best] == "WASH 0"
-    assert told.chance_best[1] > 0.99
-    assert told.chance_stop_is_right == 0.0
+    assert told.probability_best[1] > 0.99
+    assert told.probability_stop_is_right == 0.0
     assert told.lift_high[0] < 0.0
 
 
@@ -43,7 +43,7 @@ def test_where_all_is_surely_clean_stopping_is_right():
     told = explain_few([Cup(0.001), Cup(0.001)], np.zeros((2, 2)), 5)
 
     assert told.best == 0
-    assert told.chance_stop_is_right > 0.95
+    assert told.probability_stop_is_right > 0.95
     assert told.values[0] == pytest.approx(-0.01, abs=1e-4)
     assert told.low[0] == pytest.approx(told.high[0])
 
@@ -52,8 +52,8 @@ def test_cups_that_nothing_tells_apart_are_equally_good_and_one_of_them_is_best(
     told = explain_few([Cup(0.999), Cup(0.999), Cup(0.1)], np.zeros((3, 3)), 6)
 
     np.testing.assert_array_equal(told.values[[1, 4]], told.values[[2, 5]])
-    assert told.chance_best[1] == told.chance_best[2] > 0.5
-    assert told.chance_best[3] == 0.0
+    assert told.probability_best[1] == told.probability_best[2] > 0.5
+    assert told.probability_best[3] == 0.0
 
 
 def test_new_numbers_for_the_cups_change_their_order_and_little_else():
@@ -64,7 +64,7 @@ def test_new_numbers_for_the_cups_change_their_order_and_little_else():
 
     actions = np.concatenate([[0], 1 + order, 4 + order])
     np.testing.assert_allclose(other.values, told.values[actions], atol=0.4)
-    np.testing.assert_allclose(other.chance_best, told.chance_best[actions], atol=0.35)
+    np.testing.assert_allclose(other.probability_best, told.probability_best[actions], atol=0.35)
     np.testing.assert_allclose(other.lift_worth, told.lift_worth[order], atol=0.4)
 
 
@@ -73,14 +73,14 @@ def test_what_is_washed_and_what_is_padding_changes_nothing_and_is_impossible():
     told = explain_few(gone, HIDES[:2, :2], 5)
 
     np.testing.assert_array_equal(np.isfinite(told.values), [True, True, False, False, True, False, False])
-    np.testing.assert_array_equal(told.chance_best[~np.isfinite(told.values)], 0.0)
+    np.testing.assert_array_equal(told.probability_best[~np.isfinite(told.values)], 0.0)
     np.testing.assert_array_equal(np.isfinite(told.lift_worth), [True, False, False])
 
 
 def test_the_same_key_tells_the_same():
     first, again, other = (explain_few(CUPS, HIDES, 6, jax.random.key(seed)) for seed in (0, 0, 1))
 
-    np.testing.assert_array_equal(first.chance_best, again.chance_best)
+    np.testing.assert_array_equal(first.probability_best, again.probability_best)
     np.testing.assert_array_equal(first.low, again.low)
     assert not np.array_equal(first.values, other.values)
 
@@ -184,7 +184,7 @@ def test_what_is_said_to_be_likely_best_is_so_as_often_against_the_exact_optimum
             state = jax.tree.map(lambda leaf, at=(i, t): leaf[*at], played.states)
             told, truth = explain(config, state, jax.random.key(len(said))), optimum.q_values(state)
             possible = np.isfinite(truth)
-            said += told.chance_best[possible].tolist()
+            said += told.probability_best[possible].tolist()
             was += (truth >= truth.max() - 1e-9)[possible].tolist()
             holds += ((told.low <= truth) & (truth <= told.high))[possible][1:].tolist()
     said, was = np.array(said), np.array(was)

@@ -80,10 +80,10 @@ def test_a_table_that_looks_clean_is_left(policy):
 class Fixed:
     """A grasp model that says what it was told."""
 
-    chances: jax.Array
+    probabilities: jax.Array
 
-    def chance(self, state):
-        return self.chances
+    def probability(self, state):
+        return self.probabilities
 
 
 def test_the_true_model_in_place_of_itself_changes_nothing():
@@ -96,10 +96,10 @@ def test_the_true_model_in_place_of_itself_changes_nothing():
 
 
 @pytest.mark.parametrize("hidden", [0.0, 0.5])
-def test_the_true_chance_is_that_of_plain_python(hidden):
+def test_the_true_probability_is_that_of_plain_python(hidden):
     cups, hides = [Cup(0.9, ((0.2, False), (0.6, True))), Cup(0.9)], np.array([[0.0, hidden], [0.0, 0.0]])
     for uses_history in (True, False):
-        known = TrueGrasp(CONFIG, uses_history).chance(state_of(cups, hides))
+        known = TrueGrasp(CONFIG, uses_history).probability(state_of(cups, hides))
         expected = [
             naive_planner.chance(cup if uses_history else Cup(0.9), naive_planner.occlusion(cups, hides, i))
             for i, cup in enumerate(cups)
@@ -107,7 +107,7 @@ def test_the_true_chance_is_that_of_plain_python(hidden):
         np.testing.assert_allclose(known, expected, rtol=1e-5)
 
 
-def test_another_grasp_model_replaces_the_true_chance():
+def test_another_grasp_model_replaces_the_true_probability():
     cups = [Cup(0.95), Cup(0.95)]
     for best in (0, 1):
         believed = Fixed(jnp.where(jnp.arange(2) == best, 0.9, 0.1))

@@ -355,7 +355,7 @@ def test_what_a_kill_between_two_renames_left_aside_is_told_of(written, flat, fl
 
 def test_what_no_folder_can_hold_is_refused(flat, flat_fitted, tables, tables_fitted, tmp_path):
     class Mine:
-        def chance(self, state):
+        def probability(self, state):
             return jnp.full(state.num_objects, 0.5)
 
     jax.tree_util.register_static(Mine)

@@ -49,7 +49,7 @@ def test_what_was_learned_is_what_is_explained(learner, explainer, state):
 
     np.testing.assert_allclose(found.values, learner.policy_.q_values(state), rtol=1e-5)
     assert found.best == int(learner.policy_.decide(state, jax.random.key(0)).action)
-    assert found.chance_best.sum() == pytest.approx(1.0, abs=0.1)
+    assert found.probability_best.sum() == pytest.approx(1.0, abs=0.1)
 
 
 @pytest.mark.slow
@@ -65,7 +65,7 @@ def test_objects_that_nothing_tells_apart_are_equally_good(explainer, state):
     alike = replace(state, hides=jnp.zeros((3, 3)), log_odds=jnp.array([2.0, 2.0, 0.0]))
     found = explainer.explain(alike)
 
-    assert found.chance_best[1] == found.chance_best[2]
+    assert found.probability_best[1] == found.probability_best[2]
     assert found.values[4] == found.values[5] != found.values[6]
 
 
@@ -76,7 +76,7 @@ def test_new_numbers_for_the_objects_only_permute_the_explanation(explainer, sta
 
     actions = np.concatenate([[0], 1 + order, 4 + order])
     np.testing.assert_allclose(moved.values, found.values[actions], rtol=1e-4, atol=1e-4)
-    np.testing.assert_allclose(moved.chance_best, found.chance_best[actions], atol=1e-9)
+    np.testing.assert_allclose(moved.probability_best, found.probability_best[actions], atol=1e-9)
 
 
 def test_what_is_off_the_table_is_impossible(explainer, state):

@@ -26,8 +26,8 @@ def test_chances_and_intervals_of_normal_draws_are_those_of_the_formula():
     told = explained(VALUES[[0, 1, 3]], draws, ALL[:3], level=0.8)
 
     # LIFT leads WASH by 0.5 with standard deviation 0.5 √2; FINISH hardly ever wins.
-    assert told.chance_best[2] == pytest.approx(0.76, abs=0.015)
-    assert told.chance_best.sum() == pytest.approx(1.0)
+    assert told.probability_best[2] == pytest.approx(0.76, abs=0.015)
+    assert told.probability_best.sum() == pytest.approx(1.0)
     np.testing.assert_allclose(told.high[two] - told.values[two], 1.2816 * 0.5, atol=0.02)
     np.testing.assert_allclose(told.values[two] - told.low[two], 1.2816 * 0.5, atol=0.02)
     assert told.lift_worth == pytest.approx([0.5])
@@ -38,7 +38,7 @@ def test_what_is_common_to_all_actions_is_no_doubt_of_which_is_best():
     common = 10.0 * np.random.default_rng(0).standard_normal((500, 1))
     told = explained(VALUES, VALUES + common, ALL)
 
-    np.testing.assert_array_equal(told.chance_best, [0, 0, 0, 1, 0])
+    np.testing.assert_array_equal(told.probability_best, [0, 0, 0, 1, 0])
     np.testing.assert_allclose(told.lift_high - told.lift_low, 0.0, atol=1e-9)
     assert (told.high - told.low > 20.0).all()
 
@@ -47,8 +47,8 @@ def test_actions_that_tie_are_all_best():
     draws = np.array([[0.0, 1.0, 1.0 + 1e-9, 0.2, 1.0], [2.0, 1.0, 1.0, 0.2, 1.0]])
     told = explained(VALUES, draws, ALL)
 
-    np.testing.assert_array_equal(told.chance_best, [0.5, 0.5, 0.5, 0.0, 0.5])
-    assert told.chance_stop_is_right == 0.5
+    np.testing.assert_array_equal(told.probability_best, [0.5, 0.5, 0.5, 0.0, 0.5])
+    assert told.probability_stop_is_right == 0.5
 
 
 def test_what_is_impossible_is_never_best_and_says_nothing():
@@ -59,7 +59,7 @@ def test_what_is_impossible_is_never_best_and_says_nothing():
     for numbers in (told.values, told.low, told.high):
         assert np.isneginf(numbers[~ONE_IS_GONE]).all()
         assert np.isfinite(numbers[ONE_IS_GONE]).all()
-    np.testing.assert_array_equal(told.chance_best[~ONE_IS_GONE], 0.0)
+    np.testing.assert_array_equal(told.probability_best[~ONE_IS_GONE], 0.0)
     assert np.isneginf([told.lift_worth[1], told.lift_low[1], told.lift_high[1]]).all()
     assert "LIFT 1" not in str(told)
 
@@ -72,7 +72,7 @@ def test_all_of_it_goes_into_json_and_back():
     assert read["values"] == [0.0, 1.0, None, 1.5, None]
     assert read["lift_worth"] == [0.5, None]
     assert read["best"] == "LIFT 0"
-    assert read["chance_stop_is_right"] == told.chance_stop_is_right
+    assert read["probability_stop_is_right"] == told.probability_stop_is_right
     assert read["level"] == 0.9
 
 
@@ -109,7 +109,7 @@ def test_a_large_table_is_told_in_few_lines():
 def test_when_all_is_washed_only_finish_is_left():
     told = explained(VALUES, normal_draws(10), np.array([True, False, False, False, False]))
 
-    assert told.chance_stop_is_right == 1.0
+    assert told.probability_stop_is_right == 1.0
     assert str(told).endswith("FINISH: best with probability 1.00; stopping now is right with probability 1.00.")
 
 

@@ -36,7 +36,7 @@ LIFT = ActionSpace(3).of(Verb.LIFT).start
 
 
 class EvenChance:
-    def chance(self, state):
+    def probability(self, state):
         return jnp.full(state.num_objects, 0.5)
 
 

@@ -63,7 +63,7 @@ class CutModel:
     def survival(
         self, paths: StageClocks, age_s: Float[np.ndarray, "n T *S"], is_wanted: Bool[np.ndarray, "n T"]
     ) -> Float[np.ndarray, "n T *S"]:
-        """K̂: chance that a begun stage is not cut before these ages, given that it began; 1 where not wanted.
+        """K̂: probability that a begun stage is not cut before these ages, given that it began; 1 where not wanted.
 
         Parameters
         ----------
@@ -74,20 +74,20 @@ class CutModel:
         is_wanted
             Begun stages that are asked about.
         """
-        chances = np.ones(age_s.shape)
+        probabilities = np.ones(age_s.shape)
         if self.by == "path":
             path, stage = np.nonzero(is_wanted)
             start = paths.begun_at_s[path, stage]
             begun = self._ask(0, paths, start, path, np.zeros_like(stage))
             end = self._ask(0, paths, _add(start, age_s[path, stage]), path, np.zeros_like(stage))
-            chances[path, stage] = end / np.where(begun > 0, begun, 1.0).reshape((-1,) + (1,) * (end.ndim - 1))
-            return chances
+            probabilities[path, stage] = end / np.where(begun > 0, begun, 1.0).reshape((-1,) + (1,) * (end.ndim - 1))
+            return probabilities
         for t in range(is_wanted.shape[1]):
             path = np.flatnonzero(is_wanted[:, t])
             if len(path):
                 which = t if self.by == "stage" else 0
-                chances[path, t] = self._ask(which, paths, age_s[path, t], path, np.full_like(path, t))
-        return chances
+                probabilities[path, t] = self._ask(which, paths, age_s[path, t], path, np.full_like(path, t))
+        return probabilities
 
     def weights(self, paths: StageClocks) -> Float[np.ndarray, "n T"]:
         """δ_t / Ĝ(U_t⁻), 0 where a stage was not completed.

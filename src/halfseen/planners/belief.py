@@ -79,14 +79,14 @@ def prior_grip() -> Float[Array, " G"]:
     return jnp.log(jnp.asarray(_WEIGHTS / _WEIGHTS.sum(), dtype=jnp.float32))
 
 
-def failure_log_chance(config: WorldConfig, occluded: Float[Array, "*S"]) -> Float[Array, "*S G"]:
+def failure_log_probability(config: WorldConfig, occluded: Float[Array, "*S"]) -> Float[Array, "*S G"]:
     """Log P(an attempt fails | occ, u) at each grip offset."""
     return known_grasping(config).log_failure(occluded[..., None], offset_nodes(config))
 
 
 def attempt_evidence(config: WorldConfig, occluded: Float[Array, "*S"], succeeded: Array) -> Float[Array, "*S G"]:
     """Log-likelihood of an attempt's result at each grip offset."""
-    failed = failure_log_chance(config, occluded)
+    failed = failure_log_probability(config, occluded)
     return jnp.where(succeeded[..., None], jnp.log(-jnp.expm1(failed)), failed)
 
 
@@ -103,9 +103,11 @@ def belief_of(config: WorldConfig, state: TableState) -> Belief:
     return Belief(state.hides, state.is_on_table, state.log_odds, grip, state.steps_to_go)
 
 
-def grasp_chance(config: WorldConfig, occluded: Float[Array, "*S"], grip: Float[Array, "*#S G"]) -> Float[Array, "*S"]:
+def grasp_probability(
+    config: WorldConfig, occluded: Float[Array, "*S"], grip: Float[Array, "*#S G"]
+) -> Float[Array, "*S"]:
     """P(an attempt succeeds), the grip offset integrated out."""
-    return 1.0 - jnp.sum(jax.nn.softmax(grip, axis=-1) * jnp.exp(failure_log_chance(config, occluded)), axis=-1)
+    return 1.0 - jnp.sum(jax.nn.softmax(grip, axis=-1) * jnp.exp(failure_log_probability(config, occluded)), axis=-1)
 
 
 def expected_attempt_s(
@@ -139,7 +141,7 @@ def sample_successor(config: WorldConfig, belief: Belief, action: Int[Array, ""]
     verb, target = actions.verb(action), actions.target(action)
     is_target = jnp.arange(num_objects) == target
     occluded = occlusion_without(belief, jnp.zeros_like(is_target))[target]
-    is_grasped = jax.random.uniform(grasp_key) < grasp_chance(config, occluded, belief.grip[target])
+    is_grasped = jax.random.uniform(grasp_key) < grasp_probability(config, occluded, belief.grip[target])
     evidence = attempt_evidence(config, occluded, is_grasped)
     after = replace(
         belief,

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from halfseen.errors import ArgumentError
-from halfseen.planners.belief import grasp_chance, grip_posterior, prior_grip
+from halfseen.planners.belief import grasp_probability, grip_posterior, prior_grip
 from halfseen.world.action_space import FINISH, ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.grasp_model import GraspModel
@@ -16,7 +16,7 @@ from halfseen.world.state import TableState, occlusion
 
 
 def wash_worth(
-    config: WorldConfig, is_dirty: Float[Array, "*S"], chance: Float[Array, "*S"], counts_penalty: bool | Array
+    config: WorldConfig, is_dirty: Float[Array, "*S"], probability: Float[Array, "*S"], counts_penalty: bool | Array
 ) -> Float[Array, "*S"]:
     """Expected reward of one attempt to WASH an object that is dirty with probability `is_dirty`.
 
@@ -24,7 +24,7 @@ def wash_worth(
     """
     reward_dirty = config.reward_wash_dirty - counts_penalty * config.reward_dirty_left
     washed = is_dirty * reward_dirty + (1.0 - is_dirty) * config.reward_wash_clean
-    return chance * washed + (1.0 - chance) * config.reward_wash_failed
+    return probability * washed + (1.0 - probability) * config.reward_wash_failed
 
 
 @jax.tree_util.register_dataclass
@@ -43,13 +43,13 @@ class TrueGrasp:
     config: WorldConfig
     uses_history: bool = field(default=True, metadata={"static": True})
 
-    def chance(self, state: TableState) -> Float[Array, " N"]:
+    def probability(self, state: TableState) -> Float[Array, " N"]:
         """P(an attempt succeeds) for each object of one table."""
         if self.uses_history:
             grip = grip_posterior(self.config, state)
         else:
             grip = jnp.broadcast_to(prior_grip(), (state.num_objects, prior_grip().shape[0]))
-        return grasp_chance(self.config, occlusion(state), grip)
+        return grasp_probability(self.config, occlusion(state), grip)
 
 
 @jax.tree_util.register_dataclass
@@ -86,8 +86,8 @@ class GreedyPolicy:
     def decide(self, state: TableState, key: Array) -> Decision:
         """Choose for one table; nothing is drawn."""
         grasp = TrueGrasp(self.config, self.uses_history) if self.grasp is None else self.grasp
-        chance = grasp.chance(state)
-        worth = wash_worth(self.config, jax.nn.sigmoid(state.log_odds), chance, self.counts_penalty)
+        probability = grasp.probability(state)
+        worth = wash_worth(self.config, jax.nn.sigmoid(state.log_odds), probability, self.counts_penalty)
         worth = jnp.where(state.is_on_table, worth, -jnp.inf)
         best = jnp.argmax(worth)
         wash = ActionSpace(state.num_objects).encode(Verb.WASH, best)

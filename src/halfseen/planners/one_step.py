@@ -21,7 +21,7 @@ from halfseen.planners.belief import (
     attempt_evidence,
     dirty_after_label,
     expected_attempt_s,
-    grasp_chance,
+    grasp_probability,
     occlusion_without,
 )
 from halfseen.planners.heuristics import wash_worth
@@ -35,9 +35,9 @@ UNLIMITED = 1_000_000
 def leaf_value(config: WorldConfig, belief: Belief) -> Float[Array, ""]:
     """V_0: every object is left where it stands, or tried once if that is worth more."""
     occluded = occlusion_without(belief, jnp.zeros_like(belief.is_on_table))
-    chance = grasp_chance(config, occluded, belief.grip)
+    probability = grasp_probability(config, occluded, belief.grip)
     is_dirty = jax.nn.sigmoid(belief.log_odds)
-    gain = jax.nn.relu(wash_worth(config, is_dirty, chance, counts_penalty=True))
+    gain = jax.nn.relu(wash_worth(config, is_dirty, probability, counts_penalty=True))
     return _left_or_tried(
         config, belief.is_on_table, is_dirty, gain, jnp.where(gain > 0.0, 1.0, 0.0), belief.steps_to_go
     )
@@ -69,27 +69,27 @@ def one_step_q(config: WorldConfig, belief: Belief) -> Float[Array, " A"]:
     nothing = jnp.zeros(num_objects, dtype=bool)
     occluded = occlusion_without(belief, nothing)
     occluded_without = jax.vmap(lambda taken: occlusion_without(belief, taken))(target)
-    chance = grasp_chance(config, occluded, belief.grip)
+    probability = grasp_probability(config, occluded, belief.grip)
     grip_held, grip_missed = (
         belief.grip + attempt_evidence(config, occluded, jnp.full(num_objects, result)) for result in (True, False)
     )
-    chance_held = grasp_chance(config, occluded, grip_held)
-    chance_missed = grasp_chance(config, occluded, grip_missed)
-    chance_cleared = grasp_chance(config, occluded_without, belief.grip)
+    probability_held = grasp_probability(config, occluded, grip_held)
+    probability_missed = grasp_probability(config, occluded, grip_missed)
+    probability_cleared = grasp_probability(config, occluded_without, belief.grip)
 
-    def value(is_on_table: Array, seen_at: Array, chances: Array) -> Float[Array, " N"]:
+    def value(is_on_table: Array, seen_at: Array, probabilities: Array) -> Float[Array, " N"]:
         """E V_0 after the labels, one row for each target."""
-        gain, is_tried = _expected_gain(config, is_dirty, seen_at, chances)
+        gain, is_tried = _expected_gain(config, is_dirty, seen_at, probabilities)
         return _left_or_tried(config, is_on_table, is_dirty, gain, is_tried, belief.steps_to_go - 1)
 
     there = jnp.broadcast_to(belief.is_on_table, target.shape)
-    washed = value(there & ~target, occluded_without, chance_cleared)
-    lifted = value(there, jnp.where(target, 0.0, occluded_without), jnp.where(target, chance_held, chance))
-    missed = value(there, jnp.broadcast_to(occluded, target.shape), jnp.where(target, chance_missed, chance))
-    worth = wash_worth(config, is_dirty, chance, counts_penalty=False)
-    wash = worth + chance * washed + (1.0 - chance) * missed
+    washed = value(there & ~target, occluded_without, probability_cleared)
+    lifted = value(there, jnp.where(target, 0.0, occluded_without), jnp.where(target, probability_held, probability))
+    missed = value(there, jnp.broadcast_to(occluded, target.shape), jnp.where(target, probability_missed, probability))
+    worth = wash_worth(config, is_dirty, probability, counts_penalty=False)
+    wash = worth + probability * washed + (1.0 - probability) * missed
     look = config.reward_lift_per_s * expected_attempt_s(config, occluded, belief.grip)
-    lift = look + chance * lifted + (1.0 - chance) * missed
+    lift = look + probability * lifted + (1.0 - probability) * missed
     finish = config.reward_dirty_left * jnp.sum(jnp.where(belief.is_on_table, is_dirty, 0.0))
     values = ActionSpace(num_objects).join(finish, {Verb.WASH: wash, Verb.LIFT: lift})
     return jnp.where(possible_actions(belief), values, -jnp.inf)
@@ -112,12 +112,12 @@ def _with_steps(belief: Belief, num_steps: Int[Array, ""]) -> Belief:
 
 
 def _expected_gain(
-    config: WorldConfig, is_dirty: Float[Array, " N"], seen_at: Float[Array, "*S N"], chance: Float[Array, "*S N"]
+    config: WorldConfig, is_dirty: Float[Array, " N"], seen_at: Float[Array, "*S N"], probability: Float[Array, "*S N"]
 ) -> tuple[Float[Array, "*S N"], Float[Array, "*S N"]]:
     """E (worth of one more try)₊ over the next label, and P(it is positive)."""
     says_dirty, if_dirty, if_clean = dirty_after_label(config, jnp.broadcast_to(is_dirty, seen_at.shape), seen_at)
-    worth_dirty = wash_worth(config, if_dirty, chance, counts_penalty=True)
-    worth_clean = wash_worth(config, if_clean, chance, counts_penalty=True)
+    worth_dirty = wash_worth(config, if_dirty, probability, counts_penalty=True)
+    worth_clean = wash_worth(config, if_clean, probability, counts_penalty=True)
     gain = says_dirty * jax.nn.relu(worth_dirty) + (1.0 - says_dirty) * jax.nn.relu(worth_clean)
     is_tried = jnp.where(worth_dirty > 0.0, says_dirty, 0.0) + jnp.where(worth_clean > 0.0, 1.0 - says_dirty, 0.0)
     return gain, is_tried

@@ -186,8 +186,8 @@ class TableOptimum:
                 target, result = attempt
                 tried = [taken[action] for action in self._leading_to(attempt) if action in taken]
                 if tried:
-                    chance = self._histories[index].chance[place, target]
-                    moved = sum(tried) * (1.0 - chance if result is Result.FAILED else chance)
+                    probability = self._histories[index].probability[place, target]
+                    moved = sum(tried) * (1.0 - probability if result is Result.FAILED else probability)
                     moved = moved.sum(axis=target, keepdims=True) if result is Result.WASHED else moved
                     looks = self._looks_after(index, place, attempt)
                     arrived = spread_over_labels(moved, looks, self._values[index + 1][to].shape)
@@ -289,8 +289,8 @@ def _check_doubt(world: GridWorld) -> None:
     """Log-odds must be finite."""
     told = {"dirty_share": np.array([world.config.dirty_share], dtype=np.float64)}
     told |= {f"label accuracy of object {i}": world.seeing.accuracy(at) for i, at in enumerate(world.occlusions)}
-    for name, chances in told.items():
-        wrong = chances[~((chances > 0.0) & (chances < 1.0))]
+    for name, probabilities in told.items():
+        wrong = probabilities[~((probabilities > 0.0) & (probabilities < 1.0))]
         if len(wrong):
             raise ArgumentError(f"{name} is {wrong[0]:g}; it lies between 0 and 1 and is neither: change config")
 

@@ -130,13 +130,13 @@ class NodeModel:
         self.shape = grid_shape(world, tally)
         levels = current_levels(world, tally)
         self.dirty: dict[int, Grid] = {}
-        self.chance: dict[int, float] = {}
+        self.probability: dict[int, float] = {}
         self.attempt_s: dict[int, float] = {}
         for cup, told in enumerate(tally):
             if told is not None:
                 self.dirty[cup] = _along(world.dirty(cup, told.looks), cup, len(tally))
                 grasp = world.attempt(cup, told.failures, told.successes, levels[cup])
-                self.chance[cup], self.attempt_s[cup] = grasp
+                self.probability[cup], self.attempt_s[cup] = grasp
 
     def left(self, without: int | None = None) -> Grid:
         """Expected price of what is dirty on the table when the path ends now."""
@@ -150,15 +150,15 @@ class NodeModel:
             return self.left()
         if self.actions.verb(action) == Verb.LIFT:
             return np.full((1,) * len(self.tally), float(config.reward_lift_per_s) * self.attempt_s[target])
-        dirty, chance = self.dirty[target], self.chance[target]
+        dirty, probability = self.dirty[target], self.probability[target]
         washed = dirty * float(config.reward_wash_dirty) + (1.0 - dirty) * float(config.reward_wash_clean)
-        return chance * washed + (1.0 - chance) * float(config.reward_wash_failed)
+        return probability * washed + (1.0 - probability) * float(config.reward_wash_failed)
 
     def outcomes(self, action: int) -> list[tuple[float, Attempt]]:
         """What may come of an action that is an attempt, and how likely that is."""
         target = self.actions.target(action)
         won = Result.WASHED if self.actions.verb(action) == Verb.WASH else Result.LIFTED
-        return [(1.0 - self.chance[target], (target, Result.FAILED)), (self.chance[target], (target, won))]
+        return [(1.0 - self.probability[target], (target, Result.FAILED)), (self.probability[target], (target, won))]
 
     def looks(self, attempt: Attempt) -> tuple[Look | None, ...]:
         """What the look after an attempt does to each axis."""
@@ -183,8 +183,8 @@ class NodeModel:
             for verb in (Verb.WASH, Verb.LIFT):
                 action = self.actions.encode(verb, target)
                 q[action] = self.reward(action)
-                for chance, attempt in self.outcomes(action):
-                    q[action] += chance * future[attempt]
+                for probability, attempt in self.outcomes(action):
+                    q[action] += probability * future[attempt]
         return q
 
 

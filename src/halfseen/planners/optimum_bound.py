@@ -198,12 +198,12 @@ def _values(
         best = left.copy()
         for target in range(num_objects):
             there = sets[sets >> target & 1 == 1]
-            chance, attempt_s = _attempts(world, told, target, there, pace)
+            probability, attempt_s = _attempts(world, told, target, there, pace)
             washed, stays = value[:, there ^ (1 << target)], value[:, there]
             config = world.config
             dirty = told.dirty[:, [target]]
             won = dirty * config.reward_wash_dirty + (1.0 - dirty) * config.reward_wash_clean
-            wash = chance * (won + washed) + (1.0 - chance) * (config.reward_wash_failed + stays)
+            wash = probability * (won + washed) + (1.0 - probability) * (config.reward_wash_failed + stays)
             lift = config.reward_lift_per_s * attempt_s + stays
             best[:, there] = np.maximum(best[:, there], np.maximum(wash, lift))
         value = best
@@ -219,7 +219,7 @@ def _attempts(
 ) -> tuple[Float[np.ndarray, "n sets"], Float[np.ndarray, "n sets"]]:
     """P(an attempt on `target` succeeds) and its expected time [s], by which objects are there.
 
-    `pace` holds the exponential draw of this step if it is known; then the chance is 0 or 1.
+    `pace` holds the exponential draw of this step if it is known; then the probability is 0 or 1.
     """
     occluded = world.occlusions[target][world.level_by_subset[target, there]]
     law, offset, transport_s = world.grasping, told.grip_offset[:, [target]], float(world.config.transport_s)

@@ -31,7 +31,7 @@ class Histories(NamedTuple):
     attempt_object: Int[np.ndarray, "nodes T"]
     attempt_occlusion: Float[np.ndarray, "nodes T"]
     attempt_succeeded: Bool[np.ndarray, "nodes T"]
-    chance: Float[np.ndarray, "nodes N"]
+    probability: Float[np.ndarray, "nodes N"]
     """P(an attempt made now succeeds); 0 for what has left."""
     attempt_s: Float[np.ndarray, "nodes N"]
     """Its expected time [s]."""
@@ -175,14 +175,14 @@ def rewards_in(
     there, rows = histories.is_on_table[reached.place], np.arange(len(actions))
     codec = ActionSpace(there.shape[1])
     target = codec.target(actions)
-    chance, attempt_s = histories.chance[reached.place, target], histories.attempt_s[reached.place, target]
+    probability, attempt_s = histories.probability[reached.place, target], histories.attempt_s[reached.place, target]
     is_dirty = np.where(there, 1.0 / (1.0 + np.exp(-log_odds)), 0.0)
     dirty, left = is_dirty[rows, target], float(config.reward_dirty_left) * is_dirty.sum(axis=1)
     washed = dirty * float(config.reward_wash_dirty) + (1.0 - dirty) * float(config.reward_wash_clean)
-    wash = chance * washed + (1.0 - chance) * float(config.reward_wash_failed)
+    wash = probability * washed + (1.0 - probability) * float(config.reward_wash_failed)
     lift = float(config.reward_lift_per_s) * attempt_s
     if is_last:
-        wash, lift = wash + left - chance * float(config.reward_dirty_left) * dirty, lift + left
+        wash, lift = wash + left - probability * float(config.reward_dirty_left) * dirty, lift + left
     return np.select([actions == FINISH, codec.verb(actions) == Verb.WASH], [left, wash], lift)
 
 

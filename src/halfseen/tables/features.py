@@ -74,7 +74,7 @@ def table_columns(state: TableState, grasp: GraspModel | None = None) -> Columns
     win, sure = jax.nn.relu(is_dirty - 0.5), jax.nn.relu(is_dirty - 0.75)
     doubt = 4.0 * is_dirty * (1.0 - is_dirty)
     in_sight, laid_bare = _sight(state)
-    ease = in_sight * _grip(state) if grasp is None else grasp.chance(state)
+    ease = in_sight * _grip(state) if grasp is None else grasp.probability(state)
     soon = ease * _win_after_look(is_dirty, in_sight)
     clearer = ease * (ease * _win_after_look(is_dirty, 1.0) - soon)
     best = jnp.max(jnp.where(state.is_on_table, soon, 0.0), initial=0.0)

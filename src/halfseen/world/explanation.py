@@ -30,10 +30,10 @@ class Explanation:
     actions
         Their names, as in `halfseen.world.action_space`.
     values
-        Q of each action [reward]; −∞ where it is impossible, as in all that follows but the chances, which are 0.
+        Q of each action [reward]; −∞ where it is impossible, as in all that follows but the probabilities, which are 0.
     low, high
         Interval that holds the true Q with probability `level`.
-    chance_best
+    probability_best
         Probability that no action is better. Actions that are equally good are all the best, so that over the actions
         it sums to 1 or more.
     lift_worth
@@ -48,7 +48,7 @@ class Explanation:
     values: Float[np.ndarray, " A"]
     low: Float[np.ndarray, " A"]
     high: Float[np.ndarray, " A"]
-    chance_best: Float[np.ndarray, " A"]
+    probability_best: Float[np.ndarray, " A"]
     lift_worth: Float[np.ndarray, " N"]
     lift_low: Float[np.ndarray, " N"]
     lift_high: Float[np.ndarray, " N"]
@@ -60,9 +60,9 @@ class Explanation:
         return int(np.argmax(self.values))
 
     @property
-    def chance_stop_is_right(self) -> float:
+    def probability_stop_is_right(self) -> float:
         """Probability that nothing is better than to FINISH now."""
-        return float(self.chance_best[FINISH])
+        return float(self.probability_best[FINISH])
 
     def as_dict(self) -> dict:
         """Plain numbers for JSON; None where an action is impossible."""
@@ -74,7 +74,7 @@ class Explanation:
         } | {
             "actions": list(self.actions),
             "best": self.actions[self.best],
-            "chance_stop_is_right": self.chance_stop_is_right,
+            "probability_stop_is_right": self.probability_stop_is_right,
         }
 
     def __str__(self) -> str:
@@ -88,18 +88,20 @@ class Explanation:
 
     def _row(self, action: int) -> str:
         interval = f"{self.low[action]:+.2f} to {self.high[action]:+.2f}"
-        return f"{self.actions[action]:10}{self.values[action]:+8.2f}  {interval:>16}{self.chance_best[action]:7.2f}"
+        return (
+            f"{self.actions[action]:10}{self.values[action]:+8.2f}  {interval:>16}{self.probability_best[action]:7.2f}"
+        )
 
     def _sentence(self) -> str:
         actions, best = ActionSpace(len(self.lift_worth)), self.best
-        parts = [f"{self.actions[best]}: best with probability {self.chance_best[best]:.2f}"]
+        parts = [f"{self.actions[best]}: best with probability {self.probability_best[best]:.2f}"]
         lift = int(np.argmax(self.lift_worth))
         if np.isfinite(self.lift_worth[lift]):
             other = self.actions[int(np.argmax(np.where(actions.verbs == Verb.LIFT, -np.inf, self.values)))]
             subject = "worth" if actions.verb(best) == Verb.LIFT else f"LIFT {lift} is worth"
             low, high = self.lift_low[lift], self.lift_high[lift]
             parts.append(f"{subject} {self.lift_worth[lift]:+.2f} ({low:+.2f} to {high:+.2f}) over {other} now")
-        parts.append(f"stopping now is right with probability {self.chance_stop_is_right:.2f}")
+        parts.append(f"stopping now is right with probability {self.probability_stop_is_right:.2f}")
         return "; ".join(parts) + "."
 
 
@@ -159,7 +161,7 @@ probability 0.00.
         values=values,
         low=low,
         high=high,
-        chance_best=np.where(is_possible, is_best.mean(axis=0), 0.0),
+        probability_best=np.where(is_possible, is_best.mean(axis=0), 0.0),
         lift_worth=_lift_worth(values),
         lift_low=lift_low,
         lift_high=lift_high,

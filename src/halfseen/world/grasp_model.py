@@ -11,6 +11,6 @@ from halfseen.world.state import TableState
 class GraspModel(Protocol):
     """Tells how likely an attempt on each object is to succeed now; a pytree, so that it runs inside a policy."""
 
-    def chance(self, state: TableState) -> Float[Array, " N"]:
+    def probability(self, state: TableState) -> Float[Array, " N"]:
         """P(an attempt succeeds) for each object of one table, given its occlusion and its past attempts."""
         ...

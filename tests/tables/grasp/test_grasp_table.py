@@ -1,4 +1,4 @@
-"""A grasp model as a table inside policies: the same chances, compiled, batched, and carried by what was learned."""
+"""A grasp model as a table inside policies: the same probabilities, compiled, batched, carried by what was learned."""
 
 from dataclasses import replace
 
@@ -47,8 +47,8 @@ def beta():
     return BetaGrasp().fit(beta_attempts(200))
 
 
-def chances(model, states):
-    return np.asarray(jax.jit(jax.vmap(lambda state: model.chance(state)))(states))
+def probabilities(model, states):
+    return np.asarray(jax.jit(jax.vmap(lambda state: model.probability(state)))(states))
 
 
 def test_a_table_says_what_the_model_says(beta, states):
@@ -62,7 +62,7 @@ def test_a_table_says_what_the_model_says(beta, states):
     )
     asked["occlusion"] = np.clip(asked["occlusion"], 0.0, 1.0)
     expected = beta.predict_proba(asked)[:, 1].reshape(len(states.lifts), -1)
-    np.testing.assert_allclose(chances(tabulate(beta, HORIZON), states), expected, atol=1e-3)
+    np.testing.assert_allclose(probabilities(tabulate(beta, HORIZON), states), expected, atol=1e-3)
     assert asked["failures"].max() >= 2
     assert asked["successes"].max() >= 2
 
@@ -79,7 +79,9 @@ def test_it_is_exact_at_its_occlusions_and_linear_between(states):
             attempt_object=jnp.asarray([0, 0, 0, 1, *[-1] * 6]),
             attempt_succeeded=jnp.asarray([True, False, True, *[False] * 7]),
         )
-        assert float(table.chance(state)[0]) == pytest.approx(levels @ np.asarray(table.chances)[:, 2, 1], abs=1e-6)
+        assert float(table.probability(state)[0]) == pytest.approx(
+            levels @ np.asarray(table.probabilities)[:, 2, 1], abs=1e-6
+        )
 
 
 def test_more_attempts_than_the_table_holds_count_as_the_most(beta, states):
@@ -89,22 +91,22 @@ def test_more_attempts_than_the_table_holds_count_as_the_most(beta, states):
         attempt_succeeded=jnp.zeros(10, dtype=bool),
     )
     small, large = tabulate(beta, 3), tabulate(beta, 10)
-    assert float(small.chance(state)[0]) == pytest.approx(float(small.chances[0, 0, 3]))
-    assert float(large.chance(state)[0]) == pytest.approx(float(large.chances[0, 0, 10]))
+    assert float(small.probability(state)[0]) == pytest.approx(float(small.probabilities[0, 0, 3]))
+    assert float(large.probability(state)[0]) == pytest.approx(float(large.probabilities[0, 0, 10]))
 
 
 def test_a_batch_of_tables_is_each_of_them(beta, states):
-    other = GraspTable(1.0 - tabulate(beta, HORIZON).chances)
+    other = GraspTable(1.0 - tabulate(beta, HORIZON).probabilities)
     batch = jax.tree.map(lambda *leaves: jnp.stack(leaves), tabulate(beta, HORIZON), other)
     state = jax.tree.map(lambda leaf: leaf[7], states)
-    together = jax.vmap(lambda table: table.chance(state))(batch)
-    np.testing.assert_array_equal(together[0], tabulate(beta, HORIZON).chance(state))
-    np.testing.assert_array_equal(together[1], other.chance(state))
+    together = jax.vmap(lambda table: table.probability(state))(batch)
+    np.testing.assert_array_equal(together[0], tabulate(beta, HORIZON).probability(state))
+    np.testing.assert_array_equal(together[1], other.probability(state))
 
 
-def test_features_take_the_chance_in_place_of_laplaces_guess(states):
+def test_features_take_the_probability_in_place_of_laplaces_guess(states):
     class Laplace:
-        def chance(self, state):
+        def probability(self, state):
             successes, failures = attempt_counts(state)
             return (1.0 - occlusion(state)) * (1.0 + successes) / (1.0 + successes + failures)
 
@@ -135,7 +137,7 @@ def test_the_learner_fits_the_grasp_model_to_its_log_and_leaves_the_one_given_al
     expected = tabulate(BetaGrasp().fit(attempts(logs, HORIZON)), HORIZON)
     assert not hasattr(given, "strength_")
     assert learner.policy_.grasp is learner.model_.task.grasp
-    np.testing.assert_array_equal(learner.model_.task.grasp.chances, expected.chances)
+    np.testing.assert_array_equal(learner.model_.task.grasp.probabilities, expected.probabilities)
     assert isinstance(clone(learner).actions.grasp, BetaGrasp)
 
 
@@ -153,7 +155,7 @@ def test_fitted_estimators_tables_and_models_of_ones_own_are_taken_as_they_are(l
 @pytest.mark.slow
 def test_an_svm_serves_as_well(logs):
     learner = CensoredQLearner.for_table(grasp=SVMGrasp()).fit(logs)
-    spread = np.asarray(learner.model_.task.grasp.chances)
+    spread = np.asarray(learner.model_.task.grasp.probabilities)
     assert ((spread >= 0) & (spread <= 1)).all()
     assert spread[0, 0, 0] > spread[-1, 0, 0], "what is hidden is harder to grasp"
 

@@ -59,7 +59,7 @@ class TableKind:
         """
         arrays = policy_arrays(policy)
         if isinstance(policy.grasp, GraspTable):
-            arrays[GRASP] = np.asarray(policy.grasp.chances)
+            arrays[GRASP] = np.asarray(policy.grasp.probabilities)
         elif policy.grasp is not None:
             raise ArgumentError(
                 f"grasp is a {type(policy.grasp).__name__}, whose code a folder cannot hold; learn with BetaGrasp() or "

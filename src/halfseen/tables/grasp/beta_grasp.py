@@ -125,8 +125,8 @@ class BetaGrasp(BaseEstimator):
         """
         check_is_fitted(self, "strength_")
         theta = np.array([self.intercept_, self.slope_, np.log(self.strength_)])
-        chance = predictive(theta, checked_history(frame))
-        return np.column_stack([1.0 - chance, chance])
+        probability = predictive(theta, checked_history(frame))
+        return np.column_stack([1.0 - probability, probability])
 
 
 def predictive(theta: Theta, history: History) -> Rows:
@@ -140,13 +140,13 @@ def negative_log_posterior(theta: Theta, decided: Decided) -> tuple[float, Theta
     history, strength = decided.history, np.exp(theta[2])
     tries = history.successes + history.failures
     mean, shift = _prior_mean(theta, history), (theta - CENTRE) / SPREAD
-    # Of the outcome that was seen: 1 − chance would round to 0 where a success is all but sure.
+    # Of the outcome that was seen: 1 − probability would round to 0 where a success is all but sure.
     prior = np.where(decided.succeeded, mean, _prior_mean(-theta, history))
     seen = (strength * prior + np.where(decided.succeeded, history.successes, history.failures)) / (strength + tries)
     likelihood = decided.weight @ np.log(seen)
-    per_chance = np.where(decided.succeeded, decided.weight, -decided.weight) / seen
-    per_logit = per_chance * strength / (strength + tries) * mean * (1.0 - mean)
-    per_log_strength = per_chance * strength * (mean * tries - history.successes) / (strength + tries) ** 2
+    per_probability = np.where(decided.succeeded, decided.weight, -decided.weight) / seen
+    per_logit = per_probability * strength / (strength + tries) * mean * (1.0 - mean)
+    per_log_strength = per_probability * strength * (mean * tries - history.successes) / (strength + tries) ** 2
     gradient = np.array([per_logit.sum(), per_logit @ history.occlusion, per_log_strength.sum()])
     return float(shift @ shift / 2.0 - likelihood), shift / SPREAD - gradient
 

@@ -42,19 +42,19 @@ class GraspTable:
 
     Parameters
     ----------
-    chances
+    probabilities
         Occlusions evenly from 0 to 1, successes from 0, failures from 0.
     """
 
-    chances: Float[Array, "*B O K K"]
+    probabilities: Float[Array, "*B O K K"]
 
-    def chance(self, state: TableState) -> Float[Array, " N"]:
+    def probability(self, state: TableState) -> Float[Array, " N"]:
         """P(an attempt succeeds) for each object of one table."""
-        num_cells, most = self.chances.shape[-3] - 1, self.chances.shape[-1] - 1
+        num_cells, most = self.probabilities.shape[-3] - 1, self.probabilities.shape[-1] - 1
         successes, failures = (jnp.clip(counts, 0, most).astype(jnp.int32) for counts in attempt_counts(state))
         place = jnp.clip(occlusion(state), 0.0, 1.0) * num_cells
         below = jnp.clip(jnp.floor(place), 0, num_cells - 1).astype(jnp.int32)
-        low, high = (self.chances[below + step, successes, failures] for step in (0, 1))
+        low, high = (self.probabilities[below + step, successes, failures] for step in (0, 1))
         return low + (place - below) * (high - low)
 
 
@@ -71,14 +71,14 @@ def tabulate(model: GraspEstimator, horizon: int) -> GraspTable:
     shape = NUM_OCCLUSIONS, horizon + 1, horizon + 1
     level, successes, failures = (axis.ravel() for axis in np.indices(shape))
     occluded = level / (NUM_OCCLUSIONS - 1)
-    chances = model.predict_proba({"occlusion": occluded, "successes": successes, "failures": failures})[:, 1]
-    wrong = ~((chances >= 0) & (chances <= 1))
+    probabilities = model.predict_proba({"occlusion": occluded, "successes": successes, "failures": failures})[:, 1]
+    wrong = ~((probabilities >= 0) & (probabilities <= 1))
     if wrong.any():
         at = int(np.argmax(wrong))
         raise ArgumentError(
-            f"{model!r} gives {chances[at]} at occlusion {occluded[at]:g}; a probability lies in [0, 1]"
+            f"{model!r} gives {probabilities[at]} at occlusion {occluded[at]:g}; a probability lies in [0, 1]"
         )
-    return GraspTable(jnp.asarray(chances.reshape(shape), dtype=jnp.float32))
+    return GraspTable(jnp.asarray(probabilities.reshape(shape), dtype=jnp.float32))
 
 
 def grasp_model_of(grasp: Any, logs: Logs, horizon: int) -> GraspModel | None:

@@ -66,8 +66,8 @@ class SVMGrasp(BaseEstimator):
     --------
     >>> tried = {"occlusion": [0.0] * 6 + [0.9] * 6, "successes": [0] * 12, "failures": [0, 1] * 6}
     >>> model = SVMGrasp().fit(tried | {"succeeded": [True] * 5 + [False] * 6 + [True]})
-    >>> chance = model.predict_proba({"occlusion": [0.0, 0.9], "successes": [0, 0], "failures": [0, 0]})[:, 1]
-    >>> bool(chance[0] > chance[1])
+    >>> probability = model.predict_proba({"occlusion": [0.0, 0.9], "successes": [0, 0], "failures": [0, 0]})[:, 1]
+    >>> bool(probability[0] > probability[1])
     True
     """
 
@@ -154,9 +154,9 @@ class SVMGrasp(BaseEstimator):
             A column or value is none that an attempt can have; the row is named.
         """
         check_is_fitted(self, "svc_")
-        chances = self.svc_.predict_proba((_features(checked_history(frame)) - self.centre_) / self.scale_)
+        probabilities = self.svc_.predict_proba((_features(checked_history(frame)) - self.centre_) / self.scale_)
         surest = 1.0 / (2.0 + self.diagnostics_.effective_sample_size)
-        return np.clip(chances, surest, 1.0 - surest)
+        return np.clip(probabilities, surest, 1.0 - surest)
 
     def _splits(self, decided: Decided) -> list[tuple[np.ndarray, np.ndarray]]:
         """Attempts fitted to and held out; an object's attempts stay together."""

@@ -132,7 +132,7 @@ def _inside(setting: Setting, estimators: Mapping[str, GraspEstimator], name: st
 
 @jax.jit
 def _true_probabilities(grasp: TrueGrasp, states: TableState) -> jax.Array:
-    return jax.vmap(jax.vmap(grasp.chance))(states)
+    return jax.vmap(jax.vmap(grasp.probability))(states)
 
 
 def evaluate_kinds(source: Source, policies: Sequence[Policy], num_episodes: int) -> list[Played]:
