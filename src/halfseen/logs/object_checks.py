@@ -1,7 +1,5 @@
 """What must hold for objects: each belongs to a stage, once, and what was acted on is among them."""
 
-from typing import NoReturn
-
 import numpy as np
 import pandas as pd
 
@@ -59,28 +57,24 @@ def checked_objects(frame: pd.DataFrame, stages: pd.DataFrame, paths: pd.DataFra
 def _stage_rows(objects: pd.DataFrame, paths: pd.DataFrame, layout: Layout) -> np.ndarray:
     """Find the row of stages that each object belongs to."""
     path_row = pd.Index(paths["path"]).get_indexer(pd.Index(objects["path"]))
-    if (path_row < 0).any():
-        _refuse(objects, path_row < 0, "paths has no such path; add its row to paths, or drop its objects")
-    number = objects["stage"].to_numpy()
-    unknown = (number < 1) | (number > layout.num_stages[path_row])
-    if unknown.any():
-        last = layout.num_stages[path_row[np.argmax(unknown)]]
-        _refuse(objects, unknown, f"the path has stages 1 to {last}; add the stage to stages, or drop its objects")
+    trouble = "paths has no such path; add its row to paths, or drop its objects"
+    refuse(objects, path_row < 0, trouble, OBJECT_COLUMNS)
+    number, last = objects["stage"].to_numpy(), layout.num_stages[path_row]
+    unknown, remedy = (number < 1) | (number > last), "add the stage to stages, or drop its objects"
+    refuse(objects, unknown, lambda row: f"the path has stages 1 to {last[row]}; {remedy}", OBJECT_COLUMNS)
     return layout.first_row[path_row] + number - 1
 
 
 def _check_once(objects: pd.DataFrame, stage_row: np.ndarray, name: np.ndarray) -> None:
     repeated = np.zeros(len(objects), dtype=bool)
     repeated[1:] = (stage_row[1:] == stage_row[:-1]) & (name[1:] == name[:-1])
-    if repeated.any():
-        _refuse(objects, repeated, "the object is there twice; give each object of a stage one row")
+    refuse(objects, repeated, "the object is there twice; give each object of a stage one row", OBJECT_COLUMNS)
 
 
 def _check_every_stage(stages: pd.DataFrame, stage_row: np.ndarray) -> None:
     empty = np.bincount(stage_row, minlength=len(stages)) == 0
-    if empty.any():
-        what = "it has no row in objects"
-        refuse(stages, empty, f"{what}; give the objects that stood there, or leave objects out altogether")
+    remedy = "give the objects that stood there, or leave objects out altogether"
+    refuse(stages, empty, f"it has no row in objects; {remedy}")
 
 
 def _check_acted_on(stages: pd.DataFrame, stage_row: np.ndarray, name: np.ndarray, names: pd.Index) -> None:
@@ -88,12 +82,10 @@ def _check_acted_on(stages: pd.DataFrame, stage_row: np.ndarray, name: np.ndarra
     acted_name = names.get_indexer(pd.Index(stages["object"]))
     there = stage_row * len(names) + name
     absent = acted_on & ((acted_name < 0) | ~np.isin(np.arange(len(stages)) * len(names) + acted_name, there))
-    if absent.any():
-        row = int(np.argmax(absent))
+
+    def missing(row: int) -> str:
         others = ", ".join(shown(other) for other in names[name[stage_row == row]])
         what = f"object {shown(value_at(stages, 'object', row))} of the action is not among the objects of that stage"
-        refuse(stages, absent, f"{what} ({others}); add its row, or fix the action's object")
+        return f"{what} ({others}); add its row, or fix the action's object"
 
-
-def _refuse(objects: pd.DataFrame, wrong: np.ndarray, trouble: str) -> NoReturn:
-    refuse(objects, wrong, trouble, OBJECT_COLUMNS)
+    refuse(stages, absent, missing)

@@ -1,7 +1,5 @@
 """What must hold for paths: each ends once, at a time, finished or cut."""
 
-from typing import NoReturn
-
 import numpy as np
 import pandas as pd
 from jaxtyping import Bool
@@ -12,6 +10,8 @@ from halfseen.logs.refusal import refuse, shown, value_at
 
 EARLIEST_DATE_S = 1e9
 """What is longer is no path but a date, or counted in milliseconds or less [s]; 32 years."""
+
+_ROW = ("path",)
 
 
 def checked_paths(frame: pd.DataFrame) -> pd.DataFrame:
@@ -49,35 +49,24 @@ def checked_paths(frame: pd.DataFrame) -> pd.DataFrame:
 
 def _check_ids(paths: pd.DataFrame) -> None:
     repeated = paths["path"].duplicated().to_numpy()
-    if repeated.any():
-        _refuse(paths, repeated, "it is in paths twice; give each path one row and a name of its own")
+    refuse(paths, repeated, "it is in paths twice; give each path one row and a name of its own", _ROW)
 
 
 def _check_ends(paths: pd.DataFrame) -> None:
     end_s = paths["end_s"].to_numpy()
     wrong = ~((end_s > 0) & np.isfinite(end_s))
-    if wrong.any():
-        value = end_s[np.argmax(wrong)]
-        _refuse(paths, wrong, f"end_s {value} is no end; give the finite time from its beginning to its end, > 0 s")
-
-    dated = end_s >= EARLIEST_DATE_S
-    if dated.any():
-        value = end_s[np.argmax(dated)]
-        _refuse(paths, dated, f"end_s {value} is a date or no seconds; give the seconds since the path's beginning")
+    remedy = "give the finite time from its beginning to its end, > 0 s"
+    refuse(paths, wrong, lambda row: f"end_s {end_s[row]} is no end; {remedy}", _ROW)
+    dated, remedy = end_s >= EARLIEST_DATE_S, "give the seconds since the path's beginning"
+    refuse(paths, dated, lambda row: f"end_s {end_s[row]} is a date or no seconds; {remedy}", _ROW)
 
 
 def _checked_endings(paths: pd.DataFrame) -> Bool[np.ndarray, " n"]:
     endings = paths["ending"].to_numpy(dtype=object)
     is_cut, is_finished = (pd.Series(endings).eq(word).to_numpy(dtype=bool) for word in (CUT, FINISHED))
+    remedy = f"{FINISHED!r} where the path reached its own end, and {CUT!r} where something outside the task ended it"
     wrong = ~(is_cut | is_finished)
-    if wrong.any():
-        value = shown(endings[np.argmax(wrong)])
-        _refuse(
-            paths,
-            wrong,
-            f"ending {value} is unknown; say {FINISHED!r} where the path reached its own end, and {CUT!r} where "
-            "something outside the task ended it",
-        )
+    refuse(paths, wrong, lambda row: f"ending {shown(endings[row])} is unknown; say {remedy}", _ROW)
     return is_cut
 
 
@@ -86,16 +75,12 @@ def _checked_causes(paths: pd.DataFrame, is_cut: Bool[np.ndarray, " n"]) -> pd.S
         paths["cause"] = pd.Series(None, index=paths.index, dtype=object)
     causes = as_labels("paths", paths, "cause", is_null_allowed=True).astype(object)
     is_null = causes.isna().to_numpy()
+    remedy = f"only a cut has one: leave it null, or make the ending {CUT!r}"
     wrong = ~is_cut & ~is_null
-    if wrong.any():
-        value = shown(value_at(paths, "cause", int(np.argmax(wrong))))
-        _refuse(
-            paths,
-            wrong,
-            f"it finished, yet has the cause {value}; only a cut has one: leave it null, or make the ending {CUT!r}",
-        )
+    refuse(
+        paths,
+        wrong,
+        lambda row: f"it finished, yet has the cause {shown(value_at(paths, 'cause', row))}; {remedy}",
+        _ROW,
+    )
     return causes.mask(pd.Series(is_cut & is_null, index=causes.index), UNKNOWN_CAUSE)
-
-
-def _refuse(paths: pd.DataFrame, wrong: Bool[np.ndarray, " n"], trouble: str) -> NoReturn:
-    refuse(paths, wrong, trouble, ("path",))

@@ -1,8 +1,8 @@
 """How a broken log is refused: where, what, the value, the remedy."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -28,10 +28,15 @@ def place(frame: pd.DataFrame, row: int, columns: tuple[str, ...] = ("path", "st
 
 
 def refuse(
-    frame: pd.DataFrame, wrong: np.ndarray, trouble: str, columns: tuple[str, ...] = ("path", "stage")
-) -> NoReturn:
-    """Raise for the first row that is wrong."""
-    raise LogError(f"{place(frame, int(np.argmax(wrong)), columns)}: {trouble}")
+    frame: pd.DataFrame,
+    wrong: np.ndarray,
+    trouble: str | Callable[[int], str],
+    columns: tuple[str, ...] = ("path", "stage"),
+) -> None:
+    """Raise for the first row that is wrong, if one is; `trouble` may be told from that row."""
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise LogError(f"{place(frame, row, columns)}: {trouble if isinstance(trouble, str) else trouble(row)}")
 
 
 @contextmanager

@@ -109,9 +109,7 @@ def _typed_stages(frame: pd.DataFrame) -> pd.DataFrame:
 
 def _sorted_stages(stages: pd.DataFrame, paths: pd.DataFrame) -> tuple[pd.DataFrame, np.ndarray]:
     path_row = pd.Index(paths["path"]).get_indexer(pd.Index(stages["path"]))
-    unknown = path_row < 0
-    if unknown.any():
-        refuse(stages, unknown, "paths has no such path; add its row to paths, or drop its stages")
+    refuse(stages, path_row < 0, "paths has no such path; add its row to paths, or drop its stages")
     number = stages["stage"].to_numpy()
     order = np.lexsort((number, path_row))
     if (order[1:] > order[:-1]).all():
@@ -130,60 +128,47 @@ def _checked_layout(stages: pd.DataFrame, path_row: np.ndarray, paths: pd.DataFr
     number = stages["stage"].to_numpy()
     repeated = np.zeros(len(stages), dtype=bool)
     repeated[1:] = (number[1:] == number[:-1]) & (path_row[1:] == path_row[:-1])
-    if repeated.any():
-        refuse(stages, repeated, "the stage is there twice; drop one of the two rows, or renumber them")
+    refuse(stages, repeated, "the stage is there twice; drop one of the two rows, or renumber them")
     expected = np.arange(len(stages)) - first_row[path_row] + 1
-    wrong = number != expected
-    if wrong.any():
-        row = int(np.argmax(wrong))
-        refuse(
-            stages,
-            wrong,
-            f"stage {expected[row]} is missing before it; number the stages of a path 1, 2, 3, … without gaps",
-        )
+    remedy = "number the stages of a path 1, 2, 3, … without gaps"
+    refuse(stages, number != expected, lambda row: f"stage {expected[row]} is missing before it; {remedy}")
     return Layout(path_row, first_row, num_stages)
 
 
 def _check_completion(stages: pd.DataFrame, is_completed: np.ndarray, layout: Layout, is_cut: np.ndarray) -> None:
     is_cut_stage = layout.is_last & is_cut[layout.path_row]
-    missing = ~is_completed & ~is_cut_stage
-    if missing.any():
-        refuse(
-            stages,
-            missing,
-            "elapsed_s is null, yet only the last stage of a cut path is not completed; give the clock at its end, or "
-            "cut the path there",
-        )
-    extra = is_completed & is_cut_stage
-    if extra.any():
-        refuse(
-            stages,
-            extra,
-            f"elapsed_s {value_at(stages, 'elapsed_s', int(np.argmax(extra)))} completes the last stage of a cut path; "
-            "add the stage in which the cut fell, with covariates and elapsed_s null, or make the ending 'finished'",
-        )
+    refuse(
+        stages,
+        ~is_completed & ~is_cut_stage,
+        "elapsed_s is null, yet only the last stage of a cut path is not completed; give the clock at its end, or cut "
+        "the path there",
+    )
+    refuse(
+        stages,
+        is_completed & is_cut_stage,
+        lambda row: (
+            f"elapsed_s {value_at(stages, 'elapsed_s', row)} completes the last stage of a cut path; add the stage in "
+            "which the cut fell, with covariates and elapsed_s null, or make the ending 'finished'"
+        ),
+    )
 
 
 def _check_clock(stages: pd.DataFrame, is_completed: np.ndarray, layout: Layout, end_s: np.ndarray) -> None:
     clock = stages["elapsed_s"].to_numpy()
     early = is_completed & ~((clock > 0) & np.isfinite(clock))
-    if early.any():
-        refuse(
-            stages, early, f"elapsed_s {clock[np.argmax(early)]} is no time after the path's beginning; fix the clock"
-        )
+    refuse(stages, early, lambda row: f"elapsed_s {clock[row]} is no time after the path's beginning; fix the clock")
     before = np.concatenate(([0.0], clock[:-1]))
-    still = is_completed & ~layout.is_first & ~(clock > before)
-    if still.any():
-        row = int(np.argmax(still))
+
+    def unsorted(row: int) -> str:
         word = "is also" if clock[row] == before[row] else "is before"
         what = f"elapsed_s {clock[row]} {word} the {before[row]} of stage {value_at(stages, 'stage', row) - 1}"
-        refuse(stages, still, f"{what}; sort the stages or fix the clock")
+        return f"{what}; sort the stages or fix the clock"
+
+    refuse(stages, is_completed & ~layout.is_first & ~(clock > before), unsorted)
     ends = end_s[layout.path_row]
+    remedy = "fix end_s, or make this the stage in which the path was cut"
     late = is_completed & (clock > ends)
-    if late.any():
-        row = int(np.argmax(late))
-        what = f"elapsed_s {clock[row]} is after the path's end_s {ends[row]}"
-        refuse(stages, late, f"{what}; fix end_s, or make this the stage in which the path was cut")
+    refuse(stages, late, lambda row: f"elapsed_s {clock[row]} is after the path's end_s {ends[row]}; {remedy}")
     _check_units(stages, layout, clock, ends)
 
 
@@ -192,33 +177,29 @@ def _check_units(stages: pd.DataFrame, layout: Layout, clock: np.ndarray, ends: 
     with np.errstate(invalid="ignore"):
         thousands = np.log(ends / clock) / np.log(1000.0)
     mixed = layout.is_last & (np.abs(thousands - np.round(thousands)) < UNIT_TOLERANCE) & (np.round(thousands) > 0)
-    if mixed.any():
-        row = int(np.argmax(mixed))
-        times = f"{1000.0 ** np.round(thousands[row]):.0e}"
-        what = f"end_s {ends[row]} is {times} times the elapsed_s {clock[row]} of the last stage"
-        refuse(stages, mixed, f"{what}, as if units were mixed; give both in seconds")
+    refuse(
+        stages,
+        mixed,
+        lambda row: (
+            f"end_s {ends[row]} is {1000.0 ** np.round(thousands[row]):.0e} times the elapsed_s {clock[row]} of the "
+            "last stage, as if units were mixed; give both in seconds"
+        ),
+    )
 
 
 def _check_actions(stages: pd.DataFrame, is_completed: np.ndarray) -> None:
     missing = is_completed & stages["action"].isna().to_numpy()
-    if missing.any():
-        refuse(stages, missing, "the stage is completed, yet its action is null; give the action that was taken")
+    refuse(stages, missing, "the stage is completed, yet its action is null; give the action that was taken")
 
 
 def _check_rewards(stages: pd.DataFrame, is_completed: np.ndarray) -> None:
     reward = stages["reward"].to_numpy()
     missing = is_completed & ~np.isfinite(reward)
-    if missing.any():
-        value = reward[np.argmax(missing)]
-        refuse(
-            stages, missing, f"the stage is completed, yet its reward is {value}; give the finite reward that it earned"
-        )
+    what, remedy = "the stage is completed, yet its reward is", "give the finite reward that it earned"
+    refuse(stages, missing, lambda row: f"{what} {reward[row]}; {remedy}")
     early = ~is_completed & ~np.isnan(reward)
-    if early.any():
-        value = reward[np.argmax(early)]
-        refuse(
-            stages, early, f"reward {value} is given, yet the stage was not completed; leave it null, or give elapsed_s"
-        )
+    remedy = "is given, yet the stage was not completed; leave it null, or give elapsed_s"
+    refuse(stages, early, lambda row: f"reward {reward[row]} {remedy}")
 
 
 def _check_probabilities(stages: pd.DataFrame, is_completed: np.ndarray) -> None:
@@ -226,7 +207,5 @@ def _check_probabilities(stages: pd.DataFrame, is_completed: np.ndarray) -> None
         return
     probability = stages["probability"].to_numpy()
     wrong = ~((probability > 0) & (probability <= 1)) & (is_completed | ~np.isnan(probability))
-    if wrong.any():
-        value = probability[np.argmax(wrong)]
-        what = f"probability {value} of the logged action is outside (0, 1]"
-        refuse(stages, wrong, f"{what}; fix it, or leave the column out if it was not logged")
+    trouble = "of the logged action is outside (0, 1]; fix it, or leave the column out if it was not logged"
+    refuse(stages, wrong, lambda row: f"probability {probability[row]} {trouble}")

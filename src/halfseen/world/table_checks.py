@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from halfseen.errors import LogError
 from halfseen.logs import Logs
 from halfseen.logs.columns import as_floats, require_columns
-from halfseen.logs.refusal import place, refuse, shown, value_at
+from halfseen.logs.refusal import refuse, shown, value_at
 from halfseen.world.action_space import Verb
 
 TABLE, DISHWASHER = "TABLE", "DISHWASHER"
@@ -80,8 +80,7 @@ def _check_after_finish(stages: pd.DataFrame) -> None:
     path, is_finish = stages["path"].to_numpy(), stages["action"].eq(Verb.FINISH.name).to_numpy(dtype=bool)
     late = np.zeros(len(stages), dtype=bool)
     late[1:] = is_finish[:-1] & (path[1:] == path[:-1])
-    if late.any():
-        refuse(stages, late, "it comes after FINISH, which ends a path; drop the stage, or begin a new path with it")
+    refuse(stages, late, "it comes after FINISH, which ends a path; drop the stage, or begin a new path with it")
 
 
 def _check_locations(frame: pd.DataFrame) -> None:
@@ -91,17 +90,11 @@ def _check_locations(frame: pd.DataFrame) -> None:
 
 def _check_same_objects(frame: pd.DataFrame, counts: Int[np.ndarray, " rows"], rank: Int[np.ndarray, " rows"]) -> None:
     first_count = pd.Series(counts).groupby(frame["path"].to_numpy()).transform("first").to_numpy()
-    if (counts != first_count).any():
-        refuse(
-            frame,
-            counts != first_count,
-            "the stage lists more or fewer objects than stage 1; list all, those washed too",
-            _ROW,
-        )
+    trouble = "the stage lists more or fewer objects than stage 1; list all, those washed too"
+    refuse(frame, counts != first_count, trouble, _ROW)
     first = frame.groupby(["path", rank])["object"].transform("first")
     other = (frame["object"] != first).to_numpy(dtype=bool)
-    if other.any():
-        refuse(frame, other, "it was not there in stage 1; a table keeps its objects under the same names", _ROW)
+    refuse(frame, other, "it was not there in stage 1; a table keeps its objects under the same names", _ROW)
 
 
 def _check_acted_on(stages: pd.DataFrame, frame: pd.DataFrame, rank: Int[np.ndarray, " rows"]) -> None:
@@ -110,10 +103,12 @@ def _check_acted_on(stages: pd.DataFrame, frame: pd.DataFrame, rank: Int[np.ndar
     is_acted_on = np.asarray(frame["object"].to_numpy(dtype=object) == acted_on, dtype=bool)
     gone = is_acted_on & (frame["location"] == DISHWASHER).to_numpy(dtype=bool)
     wrong = np.bincount(stage_row[gone], minlength=len(stages)) > 0
-    if wrong.any():
-        row = int(np.argmax(wrong))
+
+    def gone_before(row: int) -> str:
         what = f"{value_at(stages, 'action', row)} of object {shown(value_at(stages, 'object', row))}"
-        refuse(stages, wrong, f"{what}, which is not on the table; fix the action's object or the object's location")
+        return f"{what}, which is not on the table; fix the action's object or the object's location"
+
+    refuse(stages, wrong, gone_before)
 
 
 def _check_return(frame: pd.DataFrame, rank: Int[np.ndarray, " rows"]) -> None:
@@ -144,13 +139,8 @@ def _check_hidden_by(
 
 def _check_attempts(frame: pd.DataFrame, lists: Mapping[str, _Lists]) -> None:
     occluded, succeeded = lists["attempt_occlusions"], lists["attempt_succeeded"]
-    if (occluded.lengths != succeeded.lengths).any():
-        refuse(
-            frame,
-            occluded.lengths != succeeded.lengths,
-            "attempt_occlusions and attempt_succeeded differ in length; give one of each per attempt",
-            _ROW,
-        )
+    trouble = "attempt_occlusions and attempt_succeeded differ in length; give one of each per attempt"
+    refuse(frame, occluded.lengths != succeeded.lengths, trouble, _ROW)
     wrong = occluded.rows_with(_is_no_share(occluded.values))
     _refuse(frame, wrong, "attempt_occlusions", "leaves [0, 1]; give shares, not percent")
     wrong = succeeded.rows_with((succeeded.values != 0) & (succeeded.values != 1))
@@ -163,7 +153,4 @@ def _is_no_share(values: Float[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
 
 def _refuse(frame: pd.DataFrame, wrong: Bool[np.ndarray, " rows"], column: str, trouble: str) -> None:
     """Refuse the first row that is wrong, and show what its column holds."""
-    if wrong.any():
-        row = int(np.argmax(wrong))
-        value = shown(value_at(frame, column, row))
-        raise LogError(f"{place(frame, row, _ROW)}: {column} {trouble} (it is {value})")
+    refuse(frame, wrong, lambda row: f"{column} {trouble} (it is {shown(value_at(frame, column, row))})", _ROW)
