@@ -41,7 +41,7 @@ def read_tables(folder: Path) -> Mapping[str, pd.DataFrame | pa.Table]:
     return {name: _read_table(folder, name, count) for name, count in read_manifest(folder).items()}
 
 
-def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame | None], *, overwrite: bool) -> None:
+def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame], *, overwrite: bool) -> None:
     """Write tables beside `folder`, then put them in its place by renaming.
 
     Parameters
@@ -49,7 +49,7 @@ def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame | None], *, ove
     folder
         Where to.
     tables
-        The tables by name; None is left out.
+        The tables by name.
     overwrite
         Replace logs that are already there.
 
@@ -60,10 +60,9 @@ def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame | None], *, ove
     """
     with placed(folder, overwrite=overwrite, marker=MANIFEST) as fresh:
         for name, table in tables.items():
-            if table is not None:
-                arrow = pa.Table.from_pandas(table, preserve_index=False)
-                pq.write_table(arrow, fresh / f"{name}.parquet", compression="zstd")
-        write_manifest(fresh, {name: len(table) for name, table in tables.items() if table is not None})
+            arrow = pa.Table.from_pandas(table, preserve_index=False)
+            pq.write_table(arrow, fresh / f"{name}.parquet", compression="zstd")
+        write_manifest(fresh, {name: len(table) for name, table in tables.items()})
 
 
 def write_manifest(folder: Path, rows: Mapping[str, int]) -> None:

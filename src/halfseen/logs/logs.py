@@ -91,6 +91,12 @@ class Logs:
         return self._objects
 
     @property
+    def tables(self) -> dict[str, pd.DataFrame]:
+        """The tables that there are, by name: stages, paths and, where there are any, objects."""
+        tables = {"stages": self._stages, "paths": self._paths, "objects": self._objects}
+        return {name: table for name, table in tables.items() if table is not None}
+
+    @property
     def num_paths(self) -> int:
         """Number of paths n."""
         return len(self._paths)
@@ -173,10 +179,8 @@ class Logs:
         if len(unknown):
             raise LogError(f"path {shown(unknown[0])}: there is no such path; choose among path_ids")
 
-        def kept(frame: pd.DataFrame) -> Any:
-            return frame[pd.Index(frame["path"]).isin(wanted)]
-
-        return Logs(kept(self._stages), kept(self._paths), None if self._objects is None else kept(self._objects))
+        kept: Any = {name: table[pd.Index(table["path"]).isin(wanted)] for name, table in self.tables.items()}
+        return Logs(**kept)
 
     def summary(self) -> LogsSummary:
         """Count what is there: paths, endings and causes, stages, clock, actions."""
@@ -197,7 +201,4 @@ class Logs:
         ArgumentError
             The folder exists, or cannot be written.
         """
-        write_tables(Path(folder), self._tables(), overwrite=overwrite)
-
-    def _tables(self) -> dict[str, pd.DataFrame | None]:
-        return {"stages": self._stages, "paths": self._paths, "objects": self._objects}
+        write_tables(Path(folder), self.tables, overwrite=overwrite)

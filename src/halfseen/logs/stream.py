@@ -165,9 +165,7 @@ def write_stream(parts: Iterable[Logs], folder: str | Path, *, overwrite: bool =
             if last is not None and not part.path_ids[0] > last:
                 raise LogError(f"path {shown(part.path_ids[0])}: it comes after path {shown(last)}; sort the parts")
             last = part.path_ids[-1]
-            for name, table in (("stages", part.stages), ("paths", part.paths), ("objects", part.objects)):
-                if table is None:
-                    continue
+            for name, table in part.tables.items():
                 if name not in writers:
                     schema = pa.Schema.from_pandas(table, preserve_index=False)
                     writers[name] = stack.enter_context(

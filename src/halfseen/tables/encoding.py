@@ -5,12 +5,12 @@ from functools import partial
 import jax
 import numpy as np
 import pandas as pd
-from jaxtyping import Bool, Int
+from jaxtyping import Int
 
-from halfseen.errors import LogError
 from halfseen.learners.q_learning.path_arrays import stage_places
 from halfseen.learners.q_learning.task import Encoded
 from halfseen.logs import Logs
+from halfseen.logs.refusal import refuse, shown, value_at
 from halfseen.tables.features import table_features
 from halfseen.world.action_space import FINISH, ActionSpace, Verb, possible_actions
 from halfseen.world.grasp_model import GraspModel
@@ -51,9 +51,7 @@ def encode_tables(logs: Logs, horizon: int, grasp: GraspModel | None = None) -> 
         An action is none that a table knows, or is done to an object that is not on the table.
     """
     states = states_of(logs, horizon)
-    encoded = encoded_states(states, logged_actions(logs, horizon, states.num_objects), grasp)
-    _check_possible(logs, encoded.is_possible, encoded.action)
-    return encoded
+    return encoded_states(states, logged_actions(logs, horizon, states.num_objects), grasp)
 
 
 def logged_actions(logs: Logs, horizon: int, num_objects: int) -> Int[np.ndarray, "n T"]:
@@ -69,12 +67,12 @@ def logged_actions(logs: Logs, horizon: int, num_objects: int) -> Int[np.ndarray
     is_given = stages["action"].notna().to_numpy()
     needs_object = is_given & (verbs > 0)
     wrong = is_given & ((verbs < 0) | (needs_object & stages["object"].isna().to_numpy()))
-    if wrong.any():
-        row = stages.iloc[int(np.argmax(wrong))]
-        raise LogError(
-            f"path {row['path']}, stage {row['stage']}: action {row['action']!r} of object {row['object']} is none "
-            f"that a table knows; give {_verb_list()}"
-        )
+
+    def unknown(row: int) -> str:
+        verb, target = (shown(value_at(stages, column, row)) for column in ("action", "object"))
+        return f"action {verb} of object {target} is none that a table knows; give {_verb_list()}"
+
+    refuse(stages, wrong, unknown)
     action = np.full((logs.num_paths, horizon), FINISH, dtype=np.int64)
     codes = ActionSpace(num_objects).encode(np.maximum(verbs, 0), _rank_of_target(logs))
     action[stage_places(logs)] = np.where(needs_object, codes, FINISH)
@@ -84,17 +82,6 @@ def logged_actions(logs: Logs, horizon: int, num_objects: int) -> Int[np.ndarray
 def _verb_list() -> str:
     *first, last = [verb.name for verb in Verb if verb is not Verb.FINISH]
     return f"{', '.join(first)} or {last} with an object, or FINISH"
-
-
-def _check_possible(logs: Logs, is_possible: Bool[np.ndarray, "n T A"], action: Int[np.ndarray, "n T"]) -> None:
-    path, stage = stage_places(logs)
-    wrong = ~is_possible[path, stage, action[path, stage]]
-    if wrong.any():
-        row = logs.stages.iloc[int(np.argmax(wrong))]
-        raise LogError(
-            f"path {row['path']}, stage {row['stage']}: {row['action']} of object {row['object']}, which is not on the "
-            "table; fix the action's object or the object's location"
-        )
 
 
 def _rank_of_target(logs: Logs) -> Int[np.ndarray, " rows"]:

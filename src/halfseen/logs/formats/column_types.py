@@ -48,6 +48,11 @@ def column_type(table: str, frame: pd.DataFrame, column: str) -> ColumnType:
     return kind
 
 
+def column_types(tables: Mapping[str, pd.DataFrame]) -> dict[str, dict[str, ColumnType]]:
+    """Name the types of all columns of the tables of checked logs."""
+    return {name: {column: column_type(name, table, column) for column in table} for name, table in tables.items()}
+
+
 def as_cells(values: Any, kind: ColumnType) -> pa.Array:
     """Bring a column into the form in which it is written: lists as JSON, times as ISO 8601, the rest as it is."""
     if isinstance(kind, Mapping):

@@ -33,7 +33,7 @@ import pyarrow.csv as arrow_csv
 
 from halfseen.errors import LogError
 from halfseen.logs.columns import OBJECT_COLUMNS, PATH_COLUMNS, STAGE_COLUMNS
-from halfseen.logs.formats.column_types import ColumnType, as_cells, column_type, from_texts, type_name
+from halfseen.logs.formats.column_types import ColumnType, as_cells, column_types, from_texts, type_name
 from halfseen.logs.logs import Logs
 from halfseen.logs.refusal import within
 from halfseen.writing import placed
@@ -68,11 +68,9 @@ def write_csv(logs: Logs, folder: str | Path) -> None:
     LogError
         A column holds what has no form as text, such as records or bytes.
     """
-    frames = {"stages": logs.stages, "paths": logs.paths, "objects": logs.objects}
-    tables = {name: frame for name, frame in frames.items() if frame is not None}
-    types = {name: {column: column_type(name, frame, column) for column in frame} for name, frame in tables.items()}
+    types = column_types(logs.tables)
     with placed(Path(folder)) as fresh:
-        for name, frame in tables.items():
+        for name, frame in logs.tables.items():
             cells = {column: as_cells(frame[column], kind) for column, kind in types[name].items()}
             arrow_csv.write_csv(pa.table(cells), fresh / f"{name}.csv")
         manifest = {"format": FORMAT, "version": VERSION, "tables": types}

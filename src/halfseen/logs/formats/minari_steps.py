@@ -27,7 +27,7 @@ import pandas as pd
 from jaxtyping import Float, Int
 
 from halfseen.errors import LogError
-from halfseen.logs.formats.column_types import ColumnType, column_type, from_texts, texts
+from halfseen.logs.formats.column_types import ColumnType, column_types, from_texts, texts
 from halfseen.logs.logs import Logs
 
 Cells = dict[str, str | None]
@@ -93,12 +93,7 @@ class Schema:
 
 def schema_of(logs: Logs) -> Schema:
     """Find out what the observations and actions of logs are."""
-    frames = {"stages": logs.stages, "paths": logs.paths, "objects": logs.objects}
-    types = {
-        name: {column: column_type(name, frame, column) for column in frame}
-        for name, frame in frames.items()
-        if frame is not None
-    }
+    types = column_types(logs.tables)
     taken: Any = logs.stages["action"][logs.stages["elapsed_s"].notna()]
     names = pd.Series(sorted(taken.unique()), dtype=taken.dtype)
     actions = [str(name) for name in texts(names, types["stages"]["action"])]
