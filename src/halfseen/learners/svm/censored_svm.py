@@ -157,7 +157,7 @@ class CensoredSVM(BaseEstimator):
         if self.num_landmarks is not None:
             rng = np.random.default_rng(self.random_state)
             nystrom = fit_nystrom(kernel, kept, self.num_landmarks, rng, weight)
-            return LowRankDesign(nystrom, nystrom.transform(kept))
+            return LowRankDesign(nystrom.transform(kept), nystrom)
         if self.kernel == "linear" and kept.shape[1] <= len(kept):
             if self.reg == 0:
                 refuse_dependent(kept, bool(self.fit_intercept))

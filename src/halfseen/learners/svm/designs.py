@@ -3,8 +3,9 @@
 A design holds what was computed once from all rows, so that cross-validation only takes parts of it.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 import scipy.linalg
@@ -20,13 +21,8 @@ _PREDICTED_AT_ONCE = 2**22
 _SINGULAR = 1e-12
 
 
-@runtime_checkable
-class Function(Protocol):
-    """A fitted g, without its offset."""
-
-    def __call__(self, rows: Any) -> Rows:
-        """Values of g at new rows."""
-        ...
+Function: TypeAlias = Callable[[Any], Rows]
+"""A fitted g, without its offset: from new rows to its values there."""
 
 
 @runtime_checkable
@@ -55,7 +51,6 @@ class KernelFunction:
     coefficients: Coefficients
 
     def __call__(self, rows: Any) -> Rows:
-        """Values of g at new rows, some at a time."""
         g = np.zeros(len(rows))
         for some in row_blocks(len(rows), len(self.coefficients), _PREDICTED_AT_ONCE):
             g[some] = self.kernel(rows[some], self.support) @ self.coefficients
@@ -69,7 +64,6 @@ class LinearFunction:
     coefficients: Coefficients
 
     def __call__(self, rows: Float[np.ndarray, "m c"]) -> Rows:
-        """Values of g at new rows."""
         return rows @ self.coefficients
 
 
@@ -81,7 +75,6 @@ class LowRankFunction:
     coefficients: Coefficients
 
     def __call__(self, rows: Any) -> Rows:
-        """Values of g at new rows, some at a time."""
         g = np.zeros(len(rows))
         for some in row_blocks(len(rows), len(self.coefficients), _PREDICTED_AT_ONCE):
             g[some] = self.nystrom.transform(rows[some]) @ self.coefficients
@@ -97,11 +90,9 @@ class GramDesign:
     gram: Float[np.ndarray, "n n"]
 
     def space(self, rows: RowIds) -> GramSpace:
-        """Part of the Gram matrix."""
         return GramSpace(self._part(rows, rows))
 
     def values(self, coefficients: Coefficients, rows: RowIds, at: Int[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-        """Values of g at other rows."""
         return self._part(at, rows) @ coefficients
 
     def function(self, coefficients: Coefficients, rows: RowIds) -> KernelFunction:
@@ -144,11 +135,9 @@ class RootDesign:
         return cls(design.kernel, design.rows, root)
 
     def space(self, rows: RowIds) -> FeatureSpace:
-        """Rows of the root."""
         return FeatureSpace(self.root[rows])
 
     def values(self, coefficients: Coefficients, rows: RowIds, at: Int[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-        """Values of g at other rows."""
         return self.root[at] @ coefficients
 
     def function(self, coefficients: Coefficients, rows: RowIds) -> KernelFunction:
@@ -163,35 +152,23 @@ class LinearDesign:
     features: Float[np.ndarray, "n c"]
 
     def space(self, rows: RowIds) -> FeatureSpace:
-        """Some of the rows."""
-        return FeatureSpace(_part(self.features, rows))
+        # Low-rank features of a large log are not copied for nothing.
+        return FeatureSpace(self.features if len(rows) == len(self.features) else self.features[rows])
 
     def values(self, coefficients: Coefficients, rows: RowIds, at: Int[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-        """Values of g at other rows."""
         return self.features[at] @ coefficients
 
-    def function(self, coefficients: Coefficients, rows: RowIds) -> LinearFunction:
-        """Keep the coefficients."""
+    def function(self, coefficients: Coefficients, rows: RowIds) -> Function:
         return LinearFunction(coefficients)
 
 
 @dataclass(frozen=True)
-class LowRankDesign:
+class LowRankDesign(LinearDesign):
     """Rows by low-rank features of the kernel."""
 
     nystrom: Nystrom
-    features: Float[np.ndarray, "n c"]
 
-    def space(self, rows: RowIds) -> FeatureSpace:
-        """Some of the rows."""
-        return FeatureSpace(_part(self.features, rows))
-
-    def values(self, coefficients: Coefficients, rows: RowIds, at: Int[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-        """Values of g at other rows."""
-        return self.features[at] @ coefficients
-
-    def function(self, coefficients: Coefficients, rows: RowIds) -> LowRankFunction:
-        """Keep the landmarks and the coefficients."""
+    def function(self, coefficients: Coefficients, rows: RowIds) -> Function:
         return LowRankFunction(self.nystrom, coefficients)
 
 
@@ -211,8 +188,3 @@ def refuse_dependent(features: Float[np.ndarray, "n c"], has_offset: bool) -> No
             f"reg is 0 and the {columns.shape[1]} columns of X{', the intercept counted,' if has_offset else ''} have "
             f"rank {rank}, so that many functions fit alike; leave columns out, or give reg > 0, for example 1e-6"
         )
-
-
-def _part(features: Float[np.ndarray, "n c"], rows: Int[np.ndarray, " r"]) -> Float[np.ndarray, "r c"]:
-    # Low-rank features of a large log are not copied for nothing.
-    return features if len(rows) == len(features) else features[rows]

@@ -13,16 +13,21 @@ Where λ = 0 nothing is penalised, and Σ_i c_i u_i z_i = 0 as well.
 The distance between the two objectives, the *duality gap*, bounds how far the solution is from the optimum.
 """
 
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from jaxtyping import Float
+from threadpoolctl import ThreadpoolController
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.learners.svm.losses import ProximalLoss, SmoothLoss
 from halfseen.learners.svm.newton import Point, minimise
 from halfseen.learners.svm.spaces import Coefficients, FeatureSpace, Space
-from halfseen.learners.svm.threads import fitting_threads
+
+SMALL = 2000
+"""Rows up to which one BLAS thread serves: a second gains little, and on a busy machine each waits for the other."""
 
 MAX_ROUNDS = 60
 _PATIENCE = 8
@@ -90,16 +95,17 @@ def solve(
     least_objective
         An objective below this share of the loss of f = 0 is taken for that share when gaps are compared.
     """
-    with fitting_threads(len(problem.y)):
-        return _solve_centred(problem, tolerance, start, least_objective)
-
-
-def _solve_centred(problem: Problem, tolerance: float, start: "Solution | None", least_objective: float) -> Solution:
-    """Solve with a middle target as 0, where the offset can take it up: far from 0, f is large beside its rounding."""
+    # With a middle target as 0, where the offset can take it up: far from 0, f is large beside its rounding.
     centre = _centre(problem)
     shifted = replace(start, offset=start.offset - centre) if start else None
-    solution = _solve(replace(problem, y=problem.y - centre), tolerance, shifted, least_objective)
+    with _threads().limit(limits=1) if len(problem.y) <= SMALL else nullcontext():
+        solution = _solve(replace(problem, y=problem.y - centre), tolerance, shifted, least_objective)
     return replace(solution, offset=solution.offset + centre)
+
+
+@cache
+def _threads() -> ThreadpoolController:
+    return ThreadpoolController()
 
 
 def _solve(problem: Problem, tolerance: float, start: "Solution | None", least_objective: float) -> Solution:

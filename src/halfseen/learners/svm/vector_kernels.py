@@ -19,7 +19,7 @@ from scipy.spatial.distance import cdist
 from halfseen.errors import ArgumentError
 
 Kernel: TypeAlias = Callable[[Any, Any], np.ndarray]
-"""Takes n and m rows (or sets), gives the (n, m) values of k."""
+"""Takes n and m rows (or sets), gives the (n, m) values of k; `diagonal`, where there is one, gives each k(x, x)."""
 
 BLOCK_ENTRIES = 2**18
 """Entries handled at once, so that they stay in the cache (2 MiB)."""
@@ -33,11 +33,9 @@ class LinearKernel:
     """k(x, z) = x·z."""
 
     def __call__(self, first: Float[np.ndarray, "n F"], second: Float[np.ndarray, "m F"]) -> Float[np.ndarray, "n m"]:
-        """Values of k for all pairs."""
         return first @ second.T
 
     def diagonal(self, rows: Float[np.ndarray, "n F"]) -> Float[np.ndarray, " n"]:
-        """Values of k(x, x)."""
         return np.einsum("nf,nf->n", rows, rows)
 
 
@@ -99,7 +97,6 @@ class LaplacianKernel(DecayingKernel):
     """k(x, z) = exp(−γ Σ_f |x_f − z_f|); γ in [1 / unit of the rows]."""
 
     def __call__(self, first: Float[np.ndarray, "n F"], second: Float[np.ndarray, "m F"]) -> Float[np.ndarray, "n m"]:
-        """Values of k for all pairs."""
         return _decay(cdist(first, second, "cityblock"), self.gamma)
 
 
@@ -138,14 +135,12 @@ class PolynomialKernel:
             )
 
     def __call__(self, first: Float[np.ndarray, "n F"], second: Float[np.ndarray, "m F"]) -> Float[np.ndarray, "n m"]:
-        """Values of k for all pairs."""
         gram = first @ second.T
         for rows in row_blocks(*gram.shape):
             gram[rows] = self._power(gram[rows])
         return gram
 
     def diagonal(self, rows: Float[np.ndarray, "n F"]) -> Float[np.ndarray, " n"]:
-        """Values of k(x, x)."""
         return self._power(np.einsum("nf,nf->n", rows, rows))
 
     def _power(self, products: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
