@@ -7,7 +7,8 @@ import pytest
 
 from halfseen.errors import ArgumentError
 from halfseen.world import Scene, WorldConfig
-from halfseen.world.explanation import action_names, alike, explained
+from halfseen.world.action_space import ActionSpace
+from halfseen.world.explanation import alike, explained
 from halfseen.world.state import initial_state, pad_scenes
 
 # FINISH, WASH 0, WASH 1, LIFT 0, LIFT 1
@@ -161,4 +162,4 @@ def test_objects_are_alike_if_they_can_trade_places(hides, changes, first):
 
 
 def test_actions_are_named_in_their_order():
-    assert action_names(2) == ("FINISH", "WASH 0", "WASH 1", "LIFT 0", "LIFT 1")
+    assert ActionSpace(2).names == ("FINISH", "WASH 0", "WASH 1", "LIFT 0", "LIFT 1")

@@ -65,7 +65,11 @@ class Cloud:
         eye = np.array(self.eye_m, dtype=np.float64)
         if not np.isfinite(eye).all():
             raise CloudError(f"{self.name}: the viewpoint is {eye.tolist()}; it must be finite, in metres")
-        for name, value in (("points_m", points), ("eye_m", eye), ("intrinsics", _checked_intrinsics(self))):
+        K = self.intrinsics
+        if K is not None:
+            _check_intrinsics(K, self.name)
+            K = np.array(K, dtype=np.float64)
+        for name, value in (("points_m", points), ("eye_m", eye), ("intrinsics", K)):
             if value is not None:
                 value.setflags(write=False)
             object.__setattr__(self, name, value)
@@ -108,13 +112,6 @@ def _check_intrinsics(K: Shaped[np.ndarray, "..."], name: str) -> None:
         raise CloudError(f"{name}: the pinhole matrix K is {K.tolist()}; it must be 3 by 3 and finite, in pixels")
     if K[0, 0] <= 0 or K[1, 1] <= 0:
         raise CloudError(f"{name}: K has focal lengths {K[0, 0]} and {K[1, 1]} px; they must be positive")
-
-
-def _checked_intrinsics(cloud: Cloud) -> Intrinsics | None:
-    if cloud.intrinsics is None:
-        return None
-    _check_intrinsics(cloud.intrinsics, cloud.name)
-    return np.array(cloud.intrinsics, dtype=np.float64)
 
 
 def read_cloud(path: str | os.PathLike[str]) -> Cloud:

@@ -18,9 +18,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from halfseen.errors import ArgumentError
-from halfseen.planners.rollout import Search, check_goes_on, drawn, halved, most_promising, opened, searched, values
+from halfseen.planners.rollout import Search, drawn, halved, most_promising, opened, searched, values
 from halfseen.world.config import Number, WorldConfig
-from halfseen.world.state import TableState
+from halfseen.world.state import TableState, check_goes_on
 
 BATCH = 8
 """Rollouts that are drawn side by side: on a processor, more gain nothing."""

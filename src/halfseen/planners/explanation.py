@@ -27,11 +27,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from halfseen.errors import ArgumentError
-from halfseen.planners.rollout import check_goes_on, sampled_values
+from halfseen.planners.rollout import sampled_values
 from halfseen.world.action_space import FINISH, ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.explanation import Explanation, alike, explained
-from halfseen.world.state import TableState
+from halfseen.world.state import TableState, check_goes_on
 
 _NUM_DRAWS = 2000
 DEGREES_OF_FREEDOM = 5.0

@@ -18,10 +18,8 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int
 
-from halfseen.errors import ArgumentError
 from halfseen.planners.belief import Belief, belief_of, sample_successor
 from halfseen.planners.one_step import UNLIMITED, control_value, rule_and_control
 from halfseen.world.action_space import FINISH
@@ -174,18 +172,6 @@ def values(search: Search) -> Float[Array, " A"]:
 def most_promising(search: Search) -> Int[Array, " K"]:
     """All actions but FINISH, the best first."""
     return 1 + jnp.argsort(-_shrunk(search)[1:])
-
-
-def check_goes_on(state: TableState) -> None:
-    """Refuse a state in which nothing is left to decide.
-
-    Raises
-    ------
-    ArgumentError
-        The path is over.
-    """
-    if int(state.steps_to_go) < 1 or not np.asarray(state.is_on_table).any():
-        raise ArgumentError("the path is over: no step to go or no object left; give a state before its end")
 
 
 def halved(num_rollouts: int, num_actions: int) -> list[int]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from halfseen.arrays import Intrinsics, Points
 from halfseen.errors import SceneError
@@ -105,21 +106,6 @@ def look_at(position_m: Float[np.ndarray, " 3"], target_m: Float[np.ndarray, " 3
     right = np.cross(forward, np.array([0.0, 0.0, 1.0]))
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward], axis=1)
+    w, x, y, z = Rotation.from_matrix(rotation).as_quat(canonical=True, scalar_first=True).tolist()
     x_m, y_m, z_m = (float(value) for value in position_m)
-    return Pose((x_m, y_m, z_m), _quaternion_of(rotation)).rounded()
-
-
-def _quaternion_of(rotation: Float[np.ndarray, "3 3"]) -> tuple[float, float, float, float]:
-    """Turn a rotation matrix into its unit quaternion, the leading eigenvector of Bar-Itzhack's symmetric matrix."""
-    xx, xy, xz, yx, yy, yz, zx, zy, zz = rotation.ravel()
-    symmetric = np.array(
-        [
-            [xx + yy + zz, zy - yz, xz - zx, yx - xy],
-            [zy - yz, xx - yy - zz, xy + yx, xz + zx],
-            [xz - zx, xy + yx, yy - xx - zz, yz + zy],
-            [yx - xy, xz + zx, yz + zy, zz - xx - yy],
-        ]
-    )
-    w, x, y, z = np.linalg.eigh(symmetric)[1][:, -1]
-    sign = -1.0 if w < 0 else 1.0
-    return (float(sign * w), float(sign * x), float(sign * y), float(sign * z))
+    return Pose((x_m, y_m, z_m), (w, x, y, z)).rounded()

@@ -193,29 +193,14 @@ def _read_json(k: int) -> dict[str, Any]:
 
 
 def _truth_as_json(truth: Truth) -> dict[str, Any]:
-    return {
-        "shape": list(truth.labels.shape),
-        "label_runs": run_lengths(truth.labels),
-        "occlusion": truth.occlusion.tolist(),
-        "hides": truth.hides.tolist(),
-        "silhouette_px": truth.silhouette_px.tolist(),
-        "centroid_m": truth.centroid_m.tolist(),
-        "is_fallen": truth.is_fallen.tolist(),
-        "height_m": truth.height_m.tolist(),
-    }
+    others = {name: values.tolist() for name, values in vars(truth).items() if name != "labels"}
+    return {"shape": list(truth.labels.shape), "label_runs": run_lengths(truth.labels), **others}
 
 
 def _truth_from(content: dict[str, Any]) -> Truth:
-    num_rows, num_columns = content["shape"]
-    return Truth(
-        labels=labels_of(content["label_runs"], (num_rows, num_columns)),
-        occlusion=np.array(content["occlusion"]),
-        hides=np.array(content["hides"]),
-        silhouette_px=np.array(content["silhouette_px"]),
-        centroid_m=np.array(content["centroid_m"]),
-        is_fallen=np.array(content["is_fallen"]),
-        height_m=np.array(content["height_m"]),
-    )
+    num_rows, num_columns = content.pop("shape")
+    labels = labels_of(content.pop("label_runs"), (num_rows, num_columns))
+    return Truth(labels, **{name: np.array(values) for name, values in content.items()})
 
 
 def _table_from(content: dict[str, Any]) -> Table:

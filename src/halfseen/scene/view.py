@@ -13,7 +13,7 @@ from halfseen.arrays import Image
 from halfseen.scene.camera import Camera
 from halfseen.scene.cups import Cup, outline
 from halfseen.scene.poses import Pose
-from halfseen.scene.rays import Hits, cast
+from halfseen.scene.rays import Directions, Hits, cast
 from halfseen.scene.room import lone_cup_model, room_model
 from halfseen.scene.table import Table
 
@@ -65,19 +65,15 @@ def ideal_view(model: mujoco.MjModel, camera: Camera, baseline_m: float) -> Idea
     IdealView
         The view.
     """
-    rays = camera.pixel_rays().reshape(-1, 3)
-    lengths = np.linalg.norm(rays, axis=1)
-    rotation = camera.world_from_camera.rotation
+    depth_m, hits, directions = _cast_pixels(model, camera)
     origin_m = np.asarray(camera.world_from_camera.position_m)
-    directions = (rays / lengths[:, None]) @ rotation.T
-    hits = cast(model, origin_m, directions, _REACH_M)
     points_m = origin_m + hits.distance_m[:, None] * directions
-    shape = (camera.num_rows, camera.num_columns)
+    projector_m = origin_m + baseline_m * camera.world_from_camera.rotation[:, 0]
     return IdealView(
-        depth_m=(hits.distance_m / lengths).reshape(shape),
-        body=hits.body.reshape(shape),
-        incidence_cosine=np.abs(np.sum(hits.normal * directions, axis=1)).reshape(shape),
-        is_lit=_is_lit(model, origin_m + baseline_m * rotation[:, 0], points_m).reshape(shape),
+        depth_m=depth_m,
+        body=hits.body.reshape(depth_m.shape),
+        incidence_cosine=np.abs(np.sum(hits.normal * directions, axis=1)).reshape(depth_m.shape),
+        is_lit=_is_lit(model, projector_m, points_m).reshape(depth_m.shape),
     )
 
 
@@ -117,12 +113,7 @@ def lone_depths_m(table: Table) -> Float[np.ndarray, "N H W"]:
     depths_m = np.full((table.num_cups, table.camera.num_rows, table.camera.num_columns), np.inf)
     for index, (cup, pose) in enumerate(zip(table.cups, table.world_from_cup, strict=True)):
         window = _window(table.camera, cup, pose)
-        rays = table.camera.pixel_rays()[window]
-        lengths = np.linalg.norm(rays, axis=2)
-        directions = (rays / lengths[..., None]).reshape(-1, 3) @ table.camera.world_from_camera.rotation.T
-        origin_m = np.asarray(table.camera.world_from_camera.position_m)
-        hits: Hits = cast(lone_cup_model(cup, pose), origin_m, directions, _REACH_M)
-        depth_m = hits.distance_m.reshape(lengths.shape) / lengths
+        depth_m, _, _ = _cast_pixels(lone_cup_model(cup, pose), table.camera, window)
         depths_m[index][window] = np.where(np.isnan(depth_m), np.inf, depth_m)
     return depths_m
 
@@ -148,6 +139,17 @@ def is_whole_in_picture(table: Table, margin_px: float = 8.0) -> bool:
         if np.any(pixels < margin_px) or np.any(pixels > size_px - margin_px):
             return False
     return True
+
+
+def _cast_pixels(
+    model: mujoco.MjModel, camera: Camera, window: tuple[slice, slice] = np.s_[:, :]
+) -> tuple[Float[np.ndarray, "h w"], Hits, Directions]:
+    """Depth of the pixels of a window [m], what their rays met, and where these point in the world."""
+    rays = camera.pixel_rays()[window]
+    lengths = np.linalg.norm(rays, axis=2)
+    directions = (rays / lengths[..., None]).reshape(-1, 3) @ camera.world_from_camera.rotation.T
+    hits = cast(model, np.asarray(camera.world_from_camera.position_m), directions, _REACH_M)
+    return hits.distance_m.reshape(lengths.shape) / lengths, hits, directions
 
 
 def _is_lit(

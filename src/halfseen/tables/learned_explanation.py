@@ -19,7 +19,7 @@ from halfseen.logs import Logs
 from halfseen.tables.table_policy import LinearTablePolicy
 from halfseen.world.action_space import possible_actions
 from halfseen.world.explanation import Explanation, alike, explained
-from halfseen.world.state import TableState
+from halfseen.world.state import TableState, check_goes_on
 
 
 @jax.jit
@@ -91,8 +91,7 @@ class LearnedExplainer:
         ArgumentError
             `level` is out of range, or the path is over.
         """
-        if int(state.steps_to_go) < 1 or not np.asarray(state.is_on_table).any():
-            raise ArgumentError("the path is over: no step to go or no object left; explain a state before its end")
+        check_goes_on(state)
         leaves = _values_and_draws(self.policy, self.replicates.coefficients, state)
         values, draws, is_possible = (np.asarray(leaf) for leaf in leaves)
         # In float32 interchangeable objects differ by rounding, and that must not choose.

@@ -169,11 +169,6 @@ probability 0.00.
     )
 
 
-def action_names(num_objects: int) -> tuple[str, ...]:
-    """Names of the actions of a table, in their order."""
-    return ActionSpace(num_objects).names
-
-
 def alike(state: TableState) -> Int[np.ndarray, " A"]:
     """For each action, the lowest one that only the numbering of the objects tells from it.
 

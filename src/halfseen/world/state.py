@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from halfseen.errors import SceneError
+from halfseen.errors import ArgumentError, SceneError
 from halfseen.world.config import WorldConfig
 from halfseen.world.scene import Scene
 
@@ -113,6 +113,18 @@ def initial_state(config: WorldConfig, layout: Layout) -> TableState:
         attempt_succeeded=jnp.zeros(config.horizon, dtype=bool),
         steps_to_go=jnp.asarray(config.horizon, dtype=jnp.int32),
     )
+
+
+def check_goes_on(state: TableState) -> None:
+    """Refuse a state in which nothing is left to decide.
+
+    Raises
+    ------
+    ArgumentError
+        The path is over.
+    """
+    if int(state.steps_to_go) < 1 or not np.asarray(state.is_on_table).any():
+        raise ArgumentError("the path is over: no step to go or no object left; give a state before its end")
 
 
 def draw_hidden(config: WorldConfig, num_objects: int, key: Array) -> HiddenState:
