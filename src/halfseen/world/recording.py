@@ -6,7 +6,7 @@ in the order of the objects), attempt_occlusions and attempt_succeeded (its past
 Per path it holds the scene's name, and dirty_share: P(DIRTY) of an object before any label, which log_odds start from.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +22,7 @@ from halfseen.world.cuts import CAUSES, CutEpisodes, CutKind
 from halfseen.world.number import Number
 from halfseen.world.scene import Scene
 from halfseen.world.state import NO_ATTEMPT, TableState, attempt_counts, occlusion
-from halfseen.world.table_checks import DISHWASHER, TABLE, checked_objects
+from halfseen.world.table_checks import DISHWASHER, TABLE, Lists, checked_objects
 
 _VERB_NAMES = np.array([verb.name for verb in Verb])
 
@@ -138,7 +138,7 @@ def states_of(logs: Logs, horizon: int) -> TableState:
     LogError
         The log breaks a rule of tables; see `halfseen.world.table_checks`.
     """
-    frame = checked_objects(logs, horizon)
+    frame, lists = checked_objects(logs, horizon)
     path = pd.Index(logs.path_ids).get_indexer(frame["path"])
     stage = frame["stage"].to_numpy() - 1
     target = frame.groupby(["path", "stage"]).cumcount().to_numpy()
@@ -151,27 +151,26 @@ def states_of(logs: Logs, horizon: int) -> TableState:
     is_on_table[at] = frame["location"].to_numpy() == TABLE
     log_odds[at] = frame["log_odds"]
     lifts[at] = frame["lifts"]
-    attempts = _attempts(frame, at, shape, horizon)
+    attempts = _attempts(frame, lists, at, shape[:2], horizon)
     steps_to_go = np.broadcast_to(horizon - np.arange(horizon, dtype=np.int32), shape[:2])
-    leaves = (_hides(frame, at, shape), is_object, is_on_table, log_odds, lifts, *attempts, steps_to_go)
+    leaves = (_hides(lists["hidden_by"], at, shape), is_object, is_on_table, log_odds, lifts, *attempts, steps_to_go)
     return TableState(*(jnp.asarray(leaf) for leaf in leaves))
 
 
-def _hides(frame: pd.DataFrame, at: tuple, shape: tuple[int, int, int]) -> Float[np.ndarray, "n T N N"]:
+def _hides(hidden_by: Lists, at: tuple, shape: tuple[int, int, int]) -> Float[np.ndarray, "n T N N"]:
     hides = np.zeros((*shape, shape[-1]), dtype=np.float32)
-    row, column, values = _ragged(frame, "hidden_by")
-    hides[at[0][row], at[1][row], at[2][row], column] = values
+    hides[(*(index[hidden_by.row] for index in at), hidden_by.place)] = hidden_by.values
     return hides
 
 
 def _attempts(
-    frame: pd.DataFrame, at: tuple, shape: tuple[int, int, int], horizon: int
+    frame: pd.DataFrame, lists: Mapping[str, Lists], at: tuple, shape: tuple[int, int], horizon: int
 ) -> tuple[Int[np.ndarray, "n T T"], Float[np.ndarray, "n T T"], Bool[np.ndarray, "n T T"]]:
     """Attempts of each stage's history, gathered from the objects; their order across objects carries nothing."""
-    tried = np.full((*shape[:2], horizon), NO_ATTEMPT, dtype=np.int32)
+    tried = np.full((*shape, horizon), NO_ATTEMPT, dtype=np.int32)
     occluded = np.zeros(tried.shape, dtype=np.float32)
     succeeded = np.zeros(tried.shape, dtype=bool)
-    row, _, occlusions = _ragged(frame, "attempt_occlusions")
+    row = lists["attempt_occlusions"].row
     slot = pd.Series(row).groupby([at[0][row], at[1][row]]).cumcount().to_numpy()
     if len(slot) and slot.max() >= horizon:
         where = frame.iloc[row[np.argmax(slot)]]
@@ -181,15 +180,6 @@ def _attempts(
         )
     cell = at[0][row], at[1][row], slot
     tried[cell] = at[2][row]
-    occluded[cell] = occlusions
-    succeeded[cell] = _ragged(frame, "attempt_succeeded")[2].astype(bool)
+    occluded[cell] = lists["attempt_occlusions"].values
+    succeeded[cell] = lists["attempt_succeeded"].values.astype(bool)
     return tried, occluded, succeeded
-
-
-def _ragged(frame: pd.DataFrame, column: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Row, position in the row's list, and value of every entry of a list column."""
-    lengths = frame[column].map(len).to_numpy(dtype=np.int64)
-    row = np.repeat(np.arange(len(frame)), lengths)
-    position = np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths)
-    values = np.concatenate([np.zeros(0), *(np.asarray(entry) for entry in frame[column] if len(entry))])
-    return row, position, values

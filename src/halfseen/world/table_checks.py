@@ -20,8 +20,8 @@ OBJECT_COLUMNS = ("location", "occlusion", "log_odds", "lifts", *LIST_COLUMNS)
 _ROW = ("path", "stage", "object")
 
 
-def checked_objects(logs: Logs, horizon: int) -> pd.DataFrame:
-    """Check a log of tables and give its objects.
+def checked_objects(logs: Logs, horizon: int) -> "tuple[pd.DataFrame, dict[str, Lists]]":
+    """Check a log of tables and give its objects, and the entries of their `LIST_COLUMNS`.
 
     Raises
     ------
@@ -45,22 +45,28 @@ def checked_objects(logs: Logs, horizon: int) -> pd.DataFrame:
     lists = {column: _lists(frame, column) for column in LIST_COLUMNS}
     _check_hidden_by(frame, lists["hidden_by"], counts, rank)
     _check_attempts(frame, lists)
-    return frame
+    return frame, lists
 
 
 @dataclass(frozen=True)
-class _Lists:
+class Lists:
     """The entries of a list column one after the other, the row of each, and the length of each row's list."""
 
     row: Int[np.ndarray, " entries"]
     values: Float[np.ndarray, " entries"]
     lengths: Int[np.ndarray, " rows"]
 
+    @property
+    def place(self) -> Int[np.ndarray, " entries"]:
+        """Of each entry in the list of its row, from 0."""
+        return np.arange(len(self.row)) - np.repeat(np.cumsum(self.lengths) - self.lengths, self.lengths)
+
     def rows_with(self, wrong: Bool[np.ndarray, " entries"]) -> Bool[np.ndarray, " rows"]:
+        """Rows that have a wrong entry."""
         return np.bincount(self.row[wrong], minlength=len(self.lengths)) > 0
 
 
-def _lists(frame: pd.DataFrame, column: str) -> _Lists:
+def _lists(frame: pd.DataFrame, column: str) -> Lists:
     lists = pa.array(frame[column], from_pandas=True)
     if not (pa.types.is_list(lists.type) and _is_number(lists.type.value_type)):
         raise LogError(f"objects: column {column!r} holds {lists.type}, not lists of numbers; give each object a list")
@@ -68,7 +74,7 @@ def _lists(frame: pd.DataFrame, column: str) -> _Lists:
     missing = np.array(lists.is_null(), dtype=bool)
     missing[row[np.array(flat.is_null(), dtype=bool)]] = True
     _refuse(frame, missing, column, "is null or holds one; give each object a list, empty where there is nothing")
-    return _Lists(row, np.array(flat, dtype=np.float64), np.bincount(row, minlength=len(frame)))
+    return Lists(row, np.array(flat, dtype=np.float64), np.bincount(row, minlength=len(frame)))
 
 
 def _is_number(kind: pa.DataType) -> bool:
@@ -126,7 +132,7 @@ def _check_numbers(frame: pd.DataFrame) -> None:
 
 
 def _check_hidden_by(
-    frame: pd.DataFrame, hidden_by: _Lists, counts: Int[np.ndarray, " rows"], rank: Int[np.ndarray, " rows"]
+    frame: pd.DataFrame, hidden_by: Lists, counts: Int[np.ndarray, " rows"], rank: Int[np.ndarray, " rows"]
 ) -> None:
     wrong = hidden_by.lengths != counts
     _refuse(frame, wrong, "hidden_by", "does not give one share for each object of the scene; give one, 0 for itself")
@@ -137,7 +143,7 @@ def _check_hidden_by(
     _refuse(frame, wrong, "hidden_by", "lets the object hide itself; its own entry is 0")
 
 
-def _check_attempts(frame: pd.DataFrame, lists: Mapping[str, _Lists]) -> None:
+def _check_attempts(frame: pd.DataFrame, lists: Mapping[str, Lists]) -> None:
     occluded, succeeded = lists["attempt_occlusions"], lists["attempt_succeeded"]
     trouble = "attempt_occlusions and attempt_succeeded differ in length; give one of each per attempt"
     refuse(frame, occluded.lengths != succeeded.lengths, trouble, _ROW)

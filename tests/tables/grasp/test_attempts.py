@@ -147,18 +147,18 @@ def test_an_attempt_cut_as_it_began_is_left_out():
     ("spoil", "message"),
     [
         (lambda s, p, o: (s, p, None), "objects: the log has none"),
-        (lambda s, p, o: (s, p, o.drop(columns="failures")), "column 'failures' is missing"),
+        (lambda s, p, o: (s, p, o.drop(columns="failures")), "there is no column 'failures' among"),
         (
             lambda s, p, o: (s, p, o.assign(successes=0)),
-            "path a, stage 1: LIFT of object mug: successes and failures do not grow by this one attempt",
+            "path 'a', stage 1: LIFT of object 'mug': successes and failures do not grow by this one attempt",
         ),
         (
             lambda s, p, o: (s.assign(action=s["action"].where(s["path"] == "a", "LIFT")), p, o),
-            "path b, stage 1: LIFT of object jar: no later stage tells",
+            "path 'b', stage 1: LIFT of object 'jar': no later stage tells",
         ),
         (
             lambda s, p, o: (s, p, o[~((o["stage"] == 2) & (o["object"] == "mug") & (o["path"] == "a"))]),
-            "path a, stage 1: LIFT of object mug: no later stage tells",
+            "path 'a', stage 1: LIFT of object 'mug': no later stage tells",
         ),
     ],
 )

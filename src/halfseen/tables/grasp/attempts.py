@@ -6,6 +6,8 @@ from jaxtyping import Bool
 
 from halfseen.errors import LogError
 from halfseen.logs import Logs
+from halfseen.logs.columns import require_columns
+from halfseen.logs.refusal import refuse, shown
 from halfseen.world.action_space import TARGETED, Verb
 
 ATTEMPT_VERBS = tuple(verb.name for verb in TARGETED)
@@ -57,9 +59,7 @@ def attempts(logs: Logs, horizon: int | None = None) -> pd.DataFrame:
 def _checked_objects(logs: Logs) -> pd.DataFrame:
     if logs.objects is None:
         raise LogError("objects: the log has none; attempts are read from logs with an objects table")
-    missing = [name for name in _HISTORY if name not in logs.objects.columns]
-    if missing:
-        raise LogError(f"objects: column {missing[0]!r} is missing; there are {', '.join(logs.objects.columns)}")
+    require_columns("objects", logs.objects, _HISTORY)
     return pd.DataFrame(logs.objects[[*_KEY, *_HISTORY]])
 
 
@@ -93,8 +93,5 @@ def _ends_its_path(logs: Logs, rows: pd.DataFrame) -> Bool[np.ndarray, " rows"]:
 
 
 def _refuse(rows: pd.DataFrame, wrong: Bool[np.ndarray, " rows"], trouble: str) -> None:
-    if wrong.any():
-        row = rows.iloc[int(np.argmax(wrong))]
-        raise LogError(
-            f"path {row['path']}, stage {row['stage']}: {row['action']} of object {row['object']}: {trouble}"
-        )
+    action, target = rows["action"], rows["object"]
+    refuse(rows, wrong, lambda row: f"{action.iloc[row]} of object {shown(target.iloc[row])}: {trouble}")

@@ -1,6 +1,6 @@
 """What a fit to attempts accepts: tables in, checked float64 and bool out, bad values named."""
 
-from difflib import get_close_matches
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +18,7 @@ from halfseen.censoring import (
     weight_diagnostics,
 )
 from halfseen.errors import ArgumentError, LogError
+from halfseen.logs.columns import require_columns
 from halfseen.logs.frames import FrameLike, as_frame
 
 NAME = "attempts"
@@ -72,11 +73,8 @@ def checked_attempts(
     ----------
     data
         Columns occlusion, successes, failures and succeeded; optionally time_s and is_finished, and object.
-    censoring
-        ``"kaplan-meier"``, ``"cox"`` or ``"kernel"`` (both on the history), ``"none"`` to count decided attempts alike,
-        or a fitted or unfitted `CensoringModel`.
-    truncate_at
-        Largest weight allowed, if any.
+    censoring, truncate_at
+        As in `BetaGrasp`.
 
     Raises
     ------
@@ -85,7 +83,7 @@ def checked_attempts(
     PositivityError
         A weight is not identified.
     """
-    frame = _frame(data)
+    frame = _frame(data, (*History._fields, "succeeded"))
     history = _history(frame)
     weight, is_decided = _weights(frame, history, censoring, truncate_at)
     succeeded = _outcomes(frame, is_decided)
@@ -96,9 +94,11 @@ def checked_attempts(
     return Decided(history.only(kept), succeeded[kept], weight[kept], group[kept].astype(np.int64), diagnostics)
 
 
-def _frame(data: FrameLike) -> pd.DataFrame:
+def _frame(data: FrameLike, needed: Iterable[str] = History._fields) -> pd.DataFrame:
     try:
-        return as_frame(NAME, data)
+        frame = as_frame(NAME, data)
+        require_columns(NAME, frame, needed)
+        return frame
     except LogError as error:
         raise ArgumentError(str(error)) from error
 
@@ -144,7 +144,6 @@ def _outcomes(frame: pd.DataFrame, is_decided: RowMask) -> RowMask:
 
 
 def _flags(frame: pd.DataFrame, column: str, is_read: RowMask) -> RowMask:
-    _require(frame, column)
     values = frame[column]
     is_true, is_false = (values.isin([flag]).to_numpy(dtype=bool) for flag in (True, False))
     _refuse(frame, column, is_read & ~is_true & ~is_false, "give True or False")
@@ -152,21 +151,12 @@ def _flags(frame: pd.DataFrame, column: str, is_read: RowMask) -> RowMask:
 
 
 def _numbers(frame: pd.DataFrame, column: str) -> Float[np.ndarray, " rows"]:
-    _require(frame, column)
     values = frame[column]
     if not pd.api.types.is_numeric_dtype(values.dtype) or pd.api.types.is_complex_dtype(values.dtype):
         raise ArgumentError(f"{NAME}: column {column!r} holds {values.dtype}, not numbers; convert it")
     numbers = values.to_numpy(dtype=np.float64, na_value=np.nan)
     _refuse(frame, column, ~np.isfinite(numbers), "give a finite number")
     return numbers
-
-
-def _require(frame: pd.DataFrame, column: str) -> None:
-    if column not in frame.columns:
-        close = get_close_matches(column, frame.columns, n=1)
-        remedy = f"rename {close[0]!r}?" if close else "add it"
-        there = ", ".join(frame.columns) or "none"
-        raise ArgumentError(f"{NAME}: there is no column {column!r} among {there}; {remedy}")
 
 
 def _refuse(frame: pd.DataFrame, column: str, wrong: Bool[np.ndarray, " rows"], remedy: str) -> None:

@@ -35,11 +35,8 @@ class SVMGrasp(BaseEstimator):
 
     Parameters
     ----------
-    censoring
-        ``"kaplan-meier"``, ``"cox"`` or ``"kernel"`` (both on the history), ``"none"`` to count decided attempts alike
-        (which is biased where some were cut), or a fitted or unfitted `CensoringModel`.
-    truncate_at
-        Largest weight allowed, if any.
+    censoring, truncate_at
+        As in `BetaGrasp`.
     kernel, gamma
         ``"linear+gaussian"``, which has no gamma; or any of `CensoredSVC`.
     reg
@@ -141,18 +138,7 @@ class SVMGrasp(BaseEstimator):
         return self
 
     def predict_proba(self, frame: FrameLike) -> Float[np.ndarray, "m 2"]:
-        """Probability that an attempt fails, and that it succeeds.
-
-        Parameters
-        ----------
-        frame
-            occlusion, successes and failures.
-
-        Raises
-        ------
-        ArgumentError
-            A column or value is none that an attempt can have; the row is named.
-        """
+        """Probability that an attempt fails, and that it succeeds; asked as `BetaGrasp.predict_proba` is."""
         check_is_fitted(self, "svc_")
         probabilities = self.svc_.predict_proba((_features(checked_history(frame)) - self.centre_) / self.scale_)
         surest = 1.0 / (2.0 + self.diagnostics_.effective_sample_size)
