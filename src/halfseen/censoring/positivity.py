@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from halfseen.arrays import RowMask, Rows
+from halfseen.arrays import Rows
 from halfseen.censoring.diagnostics import weight_diagnostics
 from halfseen.censoring.inputs import checked_ends, checked_floats, checked_truncation
 from halfseen.censoring.model import CensoringModel
@@ -114,7 +114,7 @@ def positivity_report(
         unidentified=tuple(path for path in named if np.isinf(path.weight)),
         identified_until_s=until_s,
         num_extrapolated=int(np.count_nonzero((ends[rows] > until_s) & (seen > 0))),
-        ends_in_cut=_ends_in_cut(ends, finished),
+        ends_in_cut=bool((~finished[ends == ends.max()]).any()),
         mean_weight=float(in_use.mean()),
         truncations=_truncations(weights, values),
         quantity=quantity,
@@ -136,10 +136,6 @@ def _target(target: ArrayLike | None, name: str, ends: Rows, rows: np.ndarray) -
         row = rows[int(np.argmax(wrong))]
         raise ArgumentError(f"target, row {row}: {values[row]}, but the path finished; give a finite value")
     return values[rows], name
-
-
-def _ends_in_cut(ends: Rows, finished: RowMask) -> bool:
-    return bool((~finished[ends == ends.max()]).any())
 
 
 def _truncations(weights: Float[np.ndarray, " f"], values: Float[np.ndarray, " f"]) -> tuple[Truncation, ...]:

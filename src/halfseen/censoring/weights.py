@@ -87,15 +87,8 @@ def stage_weights(
         Observed end of each path [s], shape (n,).
     is_finished
         False where the path was cut, shape (n,).
-    model
-        A fitted censoring model; or ``"kaplan-meier"`` (None means the same), ``"cox"``, ``"kernel"`` or an unfitted
-        model, which is fitted to the ends of these paths on a copy.
-    truncate_at
-        Largest weight allowed, ≥ 1; None truncates nothing.
-    covariates
-        What `model` conditions on, one row for each path.
-    path_ids
-        Names of the paths for messages; their rows by default.
+    model, truncate_at, covariates, path_ids
+        As in `censoring_weights`.
 
     Returns
     -------

@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from halfseen.logs.logs import Logs
 
@@ -17,7 +16,8 @@ def by_cause(logs: Logs) -> list[dict[str, Any]]:
         cause, num_paths, share (proportion of the cuts), earliest, median and latest end [s], first and last stage.
     """
     cut = logs.paths[~logs.is_finished].reset_index(drop=True)
-    stage: Any = pd.Series(_num_stages(logs)[~logs.is_finished])
+    last_stage: Any = logs.stages.groupby("path")["stage"].max()
+    stage = last_stage.reindex(cut["path"]).reset_index(drop=True)
     rows = [
         {
             "cause": str(cause),
@@ -93,7 +93,3 @@ def _stage_row(stage: int, rows: Any) -> dict[str, Any]:
         "median_s": quantiles[1],
         "duration_95_s": quantiles[2],
     }
-
-
-def _num_stages(logs: Logs) -> np.ndarray:
-    return logs.stages.groupby("path")["stage"].max().reindex(logs.path_ids).to_numpy()

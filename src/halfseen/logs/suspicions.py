@@ -104,7 +104,11 @@ def _equal_rewards(logs: Logs) -> Iterator[str]:
 
 def _constant_covariates(logs: Logs) -> Iterator[str]:
     for name, values in _covariates(logs):
-        if len(values) < FEWEST_ROWS or _are_lists(values) or values.nunique(dropna=False) != 1:
+        if (
+            len(values) < FEWEST_ROWS
+            or isinstance(values.iloc[0], np.ndarray | list)
+            or values.nunique(dropna=False) != 1
+        ):
             continue
         # A count of what never happened is no dead sensor.
         if not (pd.api.types.is_integer_dtype(values.dtype) and values.iloc[0] == 0):
@@ -139,10 +143,6 @@ def _covariates(logs: Logs) -> Iterator[tuple[str, Any]]:
     if logs.objects is not None:
         for name in logs.objects.columns.difference(["path", "stage", "object"], sort=False):
             yield f"object covariate {name}", logs.objects[name]
-
-
-def _are_lists(values: Any) -> bool:
-    return values.dtype == object and isinstance(values.iloc[0], np.ndarray | list)
 
 
 def _listed(names: Iterable[str]) -> str:

@@ -131,7 +131,9 @@ def find_table(image: RangeImage) -> Plane:
             f"{image.name}: no table plane: the largest level plane covers less than {SMALLEST_TABLE_M2} m²; "
             "point the camera at the table from above"
         )
-    return _refined(max(tables, key=lambda plane: plane.offset_m), image)
+    returns = image.points_m[image.is_return]
+    highest = max(tables, key=lambda plane: plane.offset_m)
+    return _fitted(returns[:: max(1, len(returns) // 40_000)], highest, image.sensor)
 
 
 def _is_on_another(plane: Plane, area_m2: float, members: list[tuple[Plane, float]]) -> bool:
@@ -221,11 +223,6 @@ def _area_m2(plane: Plane, points: Points) -> float:
     across = points @ plane.axes().T
     cell_m = 0.02
     return len(np.unique(np.floor(across / cell_m), axis=0)) * cell_m**2
-
-
-def _refined(plane: Plane, image: RangeImage) -> Plane:
-    points = image.points_m[image.is_return]
-    return _fitted(points[:: max(1, len(points) // 40_000)], plane, image.sensor)
 
 
 def is_on_plane(plane: Plane, image: RangeImage) -> PixelMask:

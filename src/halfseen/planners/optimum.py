@@ -94,7 +94,8 @@ class TableOptimum:
             `state` is not one of this table within this horizon.
         """
         layer, node, cell = place_of(self._world, self._layers, state)
-        return self._grid_of_q(layer, self._layers[layer][node])[:, *cell]
+        after = self._values[layer + 1] if layer + 1 < self.horizon else []
+        return _grid_of_q(self._world, self._layers[layer][node], after)[:, *cell]
 
     def action(self, state: TableState) -> int:
         """Best action in one reachable state; the lowest in a tie.
@@ -207,10 +208,6 @@ class TableOptimum:
             after = after_attempt(self._world, self._layers[index][place].tally, *attempt)
             known = self._known_looks[index, place, attempt] = looks_of(self._world, after, held_after(attempt))
         return known
-
-    def _grid_of_q(self, index: int, node: Node) -> Float[np.ndarray, "A ..."]:
-        after = self._values[index + 1] if index + 1 < self.horizon else []
-        return _grid_of_q(self._world, node, after)
 
 
 def solve_table(

@@ -5,7 +5,7 @@ from math import isfinite
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from halfseen.learners.q_learning.flat_policy import FlatPolicy
 from halfseen.tables.reasons import table_grounds
@@ -58,7 +58,7 @@ def flat_reason(
         Least and largest value of each covariate in the log; None if no path came so far.
     """
     is_possible = policy.is_possible[stage - 1]
-    q = _possible(policy.q_values(row, stage)[0], is_possible)
+    q = np.where(is_possible, policy.q_values(row, stage)[0], -np.inf)
     best = int(np.argmax(q))
     names = [str(name) for name in policy.actions]
     lead = _lead(names, q, best)
@@ -76,10 +76,6 @@ def flat_reason(
     value = float(row[name].iloc[0])
     would = f"worth {abs(left[least]):.2f} {'more' if left[least] >= 0 else 'less'} than {names[other]}"
     return f"{lead}; {name} = {value:g} speaks for it most: at {middle[name]:g}, it would be {would}."
-
-
-def _possible(q: Float[np.ndarray, " A"], is_possible: Bool[np.ndarray, " A"]) -> Float[np.ndarray, " A"]:
-    return np.where(is_possible, q, -np.inf)
 
 
 def _lead(names: Sequence[str], q: Float[np.ndarray, " A"], best: int) -> str:

@@ -43,15 +43,7 @@ class SeeingLaw(Protocol):
     """
 
     def draw_trait(self, num_objects: int, key: Array) -> Any:
-        """Draw the hidden trait of a table that is being set.
-
-        Parameters
-        ----------
-        num_objects
-            N, padding included.
-        key
-            The only source of randomness.
-        """
+        """Draw the hidden trait of a table that is being set, as `GraspLaw.draw_trait` does."""
         ...
 
     def look(

@@ -14,16 +14,6 @@ from halfseen.errors import ArgumentError
 from halfseen.learners.svm.set_kernel import SetKernel, all_objects
 from halfseen.learners.svm.vector_kernels import VECTOR_KERNELS, Kernel, row_blocks, vector_kernel
 
-__all__ = [
-    "KERNEL_NAMES",
-    "Kernel",
-    "candidate_gammas",
-    "checked_gram",
-    "kernel_diagonal",
-    "named_kernel",
-    "scale_gamma",
-]
-
 KERNEL_NAMES = (*VECTOR_KERNELS, "set")
 """Names that `named_kernel` takes."""
 

@@ -61,7 +61,8 @@ def minimise(
         if has_offset and not curvature.any():
             point = replace(point, offset=balanced_offset(total, point))
             pull, curvature = total.pull(point.f), total.curvature(point.f)
-        move = _newton_move(space, point, pull, curvature, reg, has_offset)
+        coefficients, offset = space.newton_step(point.coefficients, pull, curvature, reg, has_offset)
+        move = Point(coefficients, space.values(coefficients), offset)
         line = _Line(space, total, reg, point, move)
         promise = -line.slope(0.0)
         least, in_vain = (promise, 0) if promise < least else (least, in_vain + 1)
@@ -93,11 +94,6 @@ def balanced_offset(total: SmoothSum, point: Point) -> float:
     while excess(high) > 0.0 and width < 1e12:
         high, width = high + width, 2.0 * width
     return _bisect(lambda offset: -excess(offset), low, high, 0.0)
-
-
-def _newton_move(space: Space, point: Point, pull: Rows, curvature: Rows, reg: float, has_offset: bool) -> Point:
-    coefficients, offset = space.newton_step(point.coefficients, pull, curvature, reg, has_offset)
-    return Point(coefficients, space.values(coefficients), offset)
 
 
 class _Line:

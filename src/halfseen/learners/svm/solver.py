@@ -113,7 +113,7 @@ def _solve(problem: Problem, tolerance: float, start: "Solution | None", least_o
     if isinstance(problem.loss, SmoothLoss):
         return _solve_smooth(problem, problem.loss, point)
     first_pulls = start.pull if start else np.zeros(len(problem.y))
-    envelope = _Envelope(problem.loss, problem.y, problem.mass, first_pulls, _spread(problem.y))
+    envelope = _Envelope(problem.loss, problem.y, problem.mass, first_pulls, float(np.std(problem.y)) or 1.0)
     return _solve_by_rounds(problem, envelope, point, tolerance, least_objective)
 
 
@@ -226,10 +226,6 @@ def _is_subgradient(problem: Problem, pulls: Rows) -> RowMask:
 def _scale(problem: Problem) -> float:
     """Loss of f = 0, the size of the numbers that are compared."""
     return float(problem.mass @ np.abs(problem.loss.value(problem.y, np.zeros(len(problem.y))))) or 1.0
-
-
-def _spread(y: Rows) -> float:
-    return float(np.std(y)) or 1.0
 
 
 @dataclass(frozen=True)

@@ -129,7 +129,9 @@ class FeatureSpace:
         size = self.num_coefficients()
         system = np.zeros((size + 1, size + 1))
         gradient = np.zeros(size + 1)
-        for rows in _blocks(np.flatnonzero(_is_curved(curvature)), size):
+        curved = np.flatnonzero(_is_curved(curvature))
+        # Some 32 MiB of features at a time.
+        for rows in np.array_split(curved, 1 + len(curved) * size // 2**22):
             weighted = self.features[rows] * np.sqrt(curvature[rows])[:, None]
             system[:size, :size] += weighted.T @ weighted
             system[:size, size] += weighted.T @ np.sqrt(curvature[rows])
@@ -147,11 +149,6 @@ class FeatureSpace:
 
 def _is_curved(curvature: Rows) -> Bool[np.ndarray, " n"]:
     return curvature > _NO_CURVATURE * curvature.max(initial=0.0)
-
-
-def _blocks(rows: np.ndarray, num_columns: int) -> list[np.ndarray]:
-    """Parts of `rows` whose features take some 32 MiB."""
-    return np.array_split(rows, 1 + len(rows) * num_columns // 2**22)
 
 
 def _solve(system: Float[np.ndarray, "k k"], right: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:

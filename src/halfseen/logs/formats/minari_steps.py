@@ -116,8 +116,9 @@ def steps_of(logs: Logs, schema: Schema) -> Iterator[Steps]:
     covariates = stages[schema.observations].to_numpy(dtype=np.float64)
     is_completed = stages["elapsed_s"].notna().to_numpy()
     kinds = schema.types["stages"]
+    in_steps = {*_IN_STEPS, *schema.observations}
     action_texts = texts(stages["action"], kinds["action"])
-    rest = _rows({name: texts(stages[name], kind) for name, kind in kinds.items() if _is_rest(name, schema)})
+    rest = _rows({name: texts(stages[name], kind) for name, kind in kinds.items() if name not in in_steps})
     objects = _objects_by_stage(logs, schema)
     path_rows = _rows({name: texts(logs.paths[name], kind) for name, kind in schema.types["paths"].items()})
     index_of = {name: index for index, name in enumerate(schema.actions)}
@@ -174,10 +175,6 @@ def logs_of(episodes: list[Steps], schema: Schema) -> Logs:
         paths=_frame([episode.path for episode in episodes], schema.types["paths"]),
         objects=_frame(objects, schema.types["objects"]) if "objects" in schema.types else None,
     )
-
-
-def _is_rest(column: str, schema: Schema) -> bool:
-    return column not in _IN_STEPS and column not in schema.observations
 
 
 def _rows(columns: dict[str, list[str | None]]) -> list[Cells]:

@@ -1,6 +1,6 @@
 """Values of policy.json, checked as they are read."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -45,11 +45,14 @@ def horizon_of(record: Mapping[str, Any]) -> int:
     return horizon
 
 
-def finite(value: Any) -> Any:
-    """Write null for a number that JSON does not have."""
+def plain(value: Any) -> Any:
+    """Write a value as JSON can: null for a number that it does not have, an object by what it prints."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return None if isinstance(value, float) and not np.isfinite(value) else value
     if isinstance(value, Mapping):
-        return {str(key): finite(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [finite(entry) for entry in value]
-    value = value.item() if isinstance(value, np.generic) else value
-    return None if isinstance(value, float) and not np.isfinite(value) else value
+        return {str(key): plain(entry) for key, entry in value.items()}
+    if isinstance(value, Sequence):
+        return [plain(entry) for entry in value]
+    return repr(value)

@@ -14,7 +14,7 @@ from halfseen.censoring import positivity_report, weight_diagnostics
 from halfseen.errors import PolicyError
 from halfseen.learners.q_learning.q_learner import CensoredQLearner
 from halfseen.logs import Logs
-from halfseen.policies.folder.json_values import finite, names_in, typed
+from halfseen.policies.folder.json_values import names_in, plain, typed
 from halfseen.policies.folder.kinds import KINDS, kind_name_of, kind_of
 from halfseen.policies.folder.log_digest import log_digest
 from halfseen.policies.folder.specification import described
@@ -58,7 +58,7 @@ def record_of(learner: CensoredQLearner, logs: Logs) -> dict[str, Any]:
 
 def as_json(record: Mapping[str, Any]) -> bytes:
     """Write a record down; the same record gives the same bytes."""
-    return (json.dumps(finite(record), indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
+    return (json.dumps(plain(record), indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
 
 
 def from_json(data: bytes) -> dict[str, Any]:

@@ -1,10 +1,8 @@
 """How a policy was learned, in plain numbers and text, and back."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
-
-import numpy as np
 
 from halfseen.learners.q_learning.q_model import QModel
 from halfseen.learners.q_learning.q_space import CrossValidation, KernelQ, LinearQ, QSpace
@@ -24,16 +22,16 @@ def described(model: QModel) -> dict[str, Any]:
     is_kernel = isinstance(model.space, KernelQ)
     return {
         "horizon": model.horizon,
-        **{field.name: plain(getattr(task, field.name)) for field in fields(task)},
+        **{field.name: getattr(task, field.name) for field in fields(task)},
         "q_function": "kernel" if is_kernel else "linear",
         "num_landmarks": getattr(model.space, "num_landmarks", None),
-        "gamma": plain(getattr(model.space, "gamma", None)),
+        "gamma": getattr(model.space, "gamma", None),
         "censoring": targets.name,
         "censoring_by": getattr(targets, "by", None),
-        "censoring_covariates": plain(getattr(targets, "covariates", None)),
-        "truncate_at": plain(getattr(targets, "truncate_at", None)),
+        "censoring_covariates": getattr(targets, "covariates", None),
+        "truncate_at": getattr(targets, "truncate_at", None),
         "augmented": isinstance(targets, DoublyRobust),
-        "outcome_covariates": plain(getattr(targets, "outcome_covariates", None)),
+        "outcome_covariates": getattr(targets, "outcome_covariates", None),
         "stages": model.stages,
         "reg": "cv" if isinstance(model.reg, CrossValidation) else model.reg.value,
         "num_folds": getattr(model.reg, "num_folds", None),
@@ -73,16 +71,3 @@ def reg_of_record(learned: Mapping[str, Any]) -> Any:
         if learned["reg"] == "cv"
         else learned["reg"]
     )
-
-
-def plain(value: Any) -> Any:
-    """Write a parameter as JSON can; objects by what they print."""
-    if isinstance(value, np.generic):
-        return value.item()
-    if value is None or isinstance(value, (bool, int, float, str)):
-        return value
-    if isinstance(value, Mapping):
-        return {str(key): plain(entry) for key, entry in value.items()}
-    if isinstance(value, Sequence):
-        return [plain(entry) for entry in value]
-    return repr(value)
