@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from halfseen.errors import LogError
+from halfseen.errors import HalfseenError, LogError
 
 
 def shown(value: object) -> str:
@@ -41,8 +41,8 @@ def refuse(
 
 @contextmanager
 def within(source: object) -> Iterator[None]:
-    """Put the folder or file that a log comes from before what is wrong with it."""
+    """Put the folder or file that something comes from before what is wrong with it."""
     try:
         yield
-    except LogError as error:
-        raise LogError(f"{source}: {error}") from error
+    except HalfseenError as error:
+        raise type(error)(f"{source}: {error}") from error

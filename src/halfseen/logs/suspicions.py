@@ -14,7 +14,7 @@ from pandas.util import hash_pandas_object
 
 from halfseen.logs.logs import Logs
 from halfseen.logs.refusal import shown
-from halfseen.logs.suspicious_units import mixed_clocks, mixed_covariates
+from halfseen.logs.suspicious_units import covariates, mixed_clocks, mixed_covariates
 
 FEWEST_CUTS = 5
 SAME_END = 0.01
@@ -103,7 +103,7 @@ def _equal_rewards(logs: Logs) -> Iterator[str]:
 
 
 def _constant_covariates(logs: Logs) -> Iterator[str]:
-    for name, values in _covariates(logs):
+    for name, values, _ in covariates(logs):
         if (
             len(values) < FEWEST_ROWS
             or isinstance(values.iloc[0], np.ndarray | list)
@@ -135,14 +135,6 @@ def _duplicates(logs: Logs) -> Iterator[str]:
             f"{num_copies} {'path is a copy' if num_copies == 1 else 'paths are copies'} of another (such as "
             f"{' and '.join(first)}): the same clock, actions and rewards to the last digit; drop what was logged twice"
         )
-
-
-def _covariates(logs: Logs) -> Iterator[tuple[str, Any]]:
-    for name in logs.stage_covariates:
-        yield f"covariate {name}", logs.stages[name]
-    if logs.objects is not None:
-        for name in logs.objects.columns.difference(["path", "stage", "object"], sort=False):
-            yield f"object covariate {name}", logs.objects[name]
 
 
 def _listed(names: Iterable[str]) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from halfseen.arrays import RowMask, Rows
+from halfseen.logs.columns import OBJECT_COLUMNS
 from halfseen.logs.logs import Logs
 from halfseen.logs.refusal import shown
 
@@ -29,18 +30,22 @@ def mixed_clocks(logs: Logs) -> Iterator[str]:
 
 def mixed_covariates(logs: Logs) -> Iterator[str]:
     """Tell of covariates that are some thousand times as large in some paths as in others."""
-    tables = [("covariate", logs.stages, logs.stage_covariates)]
+    for name, values, path in covariates(logs):
+        if pd.api.types.is_bool_dtype(values.dtype) or not pd.api.types.is_numeric_dtype(values.dtype):
+            continue
+        size = _per_path(logs, values.astype(float).abs().groupby(path).median())
+        is_large = far_apart(size)
+        if is_large is not None:
+            yield _told(logs, f"{name} is around", size, is_large, "") + ": are its units mixed?"
+
+
+def covariates(logs: Logs) -> Iterator[tuple[str, Any, Any]]:
+    """Each covariate of stages and objects: what to call it, its column, and the path of each row."""
+    for name in logs.stage_covariates:
+        yield f"covariate {name}", logs.stages[name], logs.stages["path"]
     if logs.objects is not None:
-        names = logs.objects.columns.difference(["path", "stage", "object"], sort=False)
-        tables.append(("object covariate", logs.objects, list(names)))
-    for word, frame, names in tables:
-        for name in names:
-            if pd.api.types.is_bool_dtype(frame[name].dtype) or not pd.api.types.is_numeric_dtype(frame[name].dtype):
-                continue
-            size = _per_path(logs, frame[name].astype(float).abs().groupby(frame["path"]).median())
-            is_large = far_apart(size)
-            if is_large is not None:
-                yield _told(logs, f"{word} {name} is around", size, is_large, "") + ": are its units mixed?"
+        for name in logs.objects.columns.difference(OBJECT_COLUMNS, sort=False):
+            yield f"object covariate {name}", logs.objects[name], logs.objects["path"]
 
 
 def far_apart(sizes: Rows) -> RowMask | None:

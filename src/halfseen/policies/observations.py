@@ -9,6 +9,7 @@ import pandas as pd
 from halfseen.errors import ArgumentError, CloudError, LogError, PolicyError
 from halfseen.learners.q_learning.flat_policy import covariate_values
 from halfseen.logs import read_logs
+from halfseen.logs.refusal import within
 from halfseen.perception import perceive, read_cloud
 from halfseen.policies.folder import StoredPolicy
 from halfseen.policies.named_decider import NamedObservation
@@ -56,10 +57,8 @@ def _table_observation(stored: StoredPolicy, cloud: Path, history: Path | None, 
         raise CloudError(f"{cloud}: no objects on the table; put the table with its objects whole into the view")
     if logs is None:
         return first_state(scene, stored.horizon, stored.record["schema"]["dirty_share"], stage or 1)
-    try:
+    with within(history):
         now = present_state(scene, stored.horizon, logs)
-    except (LogError, PolicyError) as error:
-        raise type(error)(f"{history}: {error}") from error
     if stage not in (None, now.stage):
         raise ArgumentError(
             f"--stage is {stage}, but by {history} the path has come to stage {now.stage}; leave it out"

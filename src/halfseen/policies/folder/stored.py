@@ -12,6 +12,7 @@ from sklearn.utils.validation import check_is_fitted
 from halfseen.errors import PolicyError
 from halfseen.learners.q_learning.q_learner import CensoredQLearner
 from halfseen.logs import Logs
+from halfseen.logs.refusal import within
 from halfseen.policies.folder.arrays import column_major, laid_out
 from halfseen.policies.folder.files import ARRAYS, RECORD, check_target, read_files, write_files
 from halfseen.policies.folder.json_values import horizon_of
@@ -102,18 +103,14 @@ def read_policy(folder: str | Path) -> StoredPolicy:
     """
     folder = Path(folder)
     text, numbers = read_files(folder)
-    try:
+    with within(folder / RECORD):
         record = from_json(text)
-    except PolicyError as error:
-        raise PolicyError(f"{folder / RECORD}: {error}") from error
     try:
         arrays = safetensors.numpy.load(numbers)
     except (safetensors.SafetensorError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise PolicyError(f"{folder / ARRAYS}: it is no safetensors file ({error}); learn the policy anew") from error
-    try:
+    with within(folder):
         return StoredPolicy(_policy_of(record, laid_out(arrays, record["column_major"])), record)
-    except PolicyError as error:
-        raise PolicyError(f"{folder}: {error}") from error
 
 
 def _policy_of(record: Mapping[str, Any], arrays: Any) -> Any:
