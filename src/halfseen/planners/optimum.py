@@ -26,9 +26,8 @@ from halfseen.planners.optimum_bellman import (
     Attempt,
     Grid,
     Layer,
-    Node,
-    NodeModel,
     expected_over_labels,
+    grid_of_q,
     held_after,
     layers_of,
     spread_over_labels,
@@ -95,7 +94,7 @@ class TableOptimum:
         """
         layer, node, cell = place_of(self._world, self._layers, state)
         after = self._values[layer + 1] if layer + 1 < self.horizon else []
-        return _grid_of_q(self._world, self._layers[layer][node], after)[:, *cell]
+        return grid_of_q(self._world, self._layers[layer][node], after)[:, *cell]
 
     def action(self, state: TableState) -> int:
         """Best action in one reachable state; the lowest in a tie.
@@ -278,7 +277,7 @@ def _values(world: GridWorld, layers: list[Layer]) -> list[list[Grid]]:
     """V of every node of every layer, backwards."""
     values: list[list[Grid]] = [[]]
     for layer in reversed(layers):
-        values.insert(0, [_grid_of_q(world, node, values[0]).max(axis=0) for node in layer])
+        values.insert(0, [grid_of_q(world, node, values[0]).max(axis=0) for node in layer])
     return values[:-1]
 
 
@@ -290,9 +289,3 @@ def _check_doubt(world: GridWorld) -> None:
         wrong = probabilities[~((probabilities > 0.0) & (probabilities < 1.0))]
         if len(wrong):
             raise ArgumentError(f"{name} is {wrong[0]:g}; it lies between 0 and 1 and is neither: change config")
-
-
-def _grid_of_q(world: GridWorld, node: Node, after: list[Grid]) -> Float[np.ndarray, "A ..."]:
-    """Q of every action in every cell of a node, given the next layer's values."""
-    following = {attempt: after[place] for attempt, place in node.successors.items()}
-    return NodeModel(world, node.tally).q_values(following)

@@ -122,70 +122,47 @@ def _along(values: Float[np.ndarray, " cells"], axis: int, num_axes: int) -> Gri
     return values.reshape([-1 if at == axis else 1 for at in range(num_axes)])
 
 
-class NodeModel:
-    """Probabilities and rewards of one node, on its grid."""
-
-    def __init__(self, world: GridWorld, tally: Tally) -> None:
-        self.world, self.tally, self.actions = world, tally, ActionSpace(len(tally))
-        self.shape = grid_shape(world, tally)
-        levels = current_levels(world, tally)
-        self.dirty: dict[int, Grid] = {}
-        self.probability: dict[int, float] = {}
-        self.attempt_s: dict[int, float] = {}
-        for cup, told in enumerate(tally):
-            if told is not None:
-                self.dirty[cup] = _along(world.dirty(cup, told.looks), cup, len(tally))
-                grasp = world.attempt(cup, told.failures, told.successes, levels[cup])
-                self.probability[cup], self.attempt_s[cup] = grasp
-
-    def left(self, without: int | None = None) -> Grid:
-        """Expected price of what is dirty on the table when the path ends now."""
-        dirty = [dirty for cup, dirty in self.dirty.items() if cup != without]
-        return float(self.world.config.reward_dirty_left) * sum(dirty, np.zeros((1,) * len(self.tally)))
-
-    def reward(self, action: int) -> Grid:
-        """Expected reward of an action itself, whatever follows; that of FINISH is the price of what is left."""
-        config, target = self.world.config, self.actions.target(action)
-        if action == FINISH:
-            return self.left()
-        if self.actions.verb(action) == Verb.LIFT:
-            return np.full((1,) * len(self.tally), float(config.reward_lift_per_s) * self.attempt_s[target])
-        dirty, probability = self.dirty[target], self.probability[target]
+def grid_of_q(world: GridWorld, node: Node, after: list[Grid]) -> Float[np.ndarray, "A ..."]:
+    """Q of every action in every cell of a node, given the next layer's values; −∞ where an action is impossible."""
+    config, tally, actions = world.config, node.tally, ActionSpace(len(node.tally))
+    levels = current_levels(world, tally)
+    q = np.full((actions.num_actions, *grid_shape(world, tally)), -np.inf)
+    q[FINISH] = _left(world, tally)
+    for cup, told in enumerate(tally):
+        if told is None:
+            continue
+        dirty = _along(world.dirty(cup, told.looks), cup, len(tally))
+        probability, attempt_s = world.attempt(cup, told.failures, told.successes, levels[cup])
         washed = dirty * float(config.reward_wash_dirty) + (1.0 - dirty) * float(config.reward_wash_clean)
-        return probability * washed + (1.0 - probability) * float(config.reward_wash_failed)
+        wash = probability * washed + (1.0 - probability) * float(config.reward_wash_failed)
+        lift = float(config.reward_lift_per_s) * attempt_s
+        missed = (1.0 - probability) * _future(world, node, (cup, Result.FAILED), after)
+        for verb, reward, won in ((Verb.WASH, wash, Result.WASHED), (Verb.LIFT, lift, Result.LIFTED)):
+            action = actions.encode(verb, cup)
+            q[action] = reward
+            q[action] += missed
+            q[action] += probability * _future(world, node, (cup, won), after)
+    return q
 
-    def outcomes(self, action: int) -> list[tuple[float, Attempt]]:
-        """What may come of an action that is an attempt, and how likely that is."""
-        target = self.actions.target(action)
-        won = Result.WASHED if self.actions.verb(action) == Verb.WASH else Result.LIFTED
-        return [(1.0 - self.probability[target], (target, Result.FAILED)), (self.probability[target], (target, won))]
 
-    def looks(self, attempt: Attempt) -> tuple[Look | None, ...]:
-        """What the look after an attempt does to each axis."""
-        return looks_of(self.world, after_attempt(self.world, self.tally, *attempt), held_after(attempt))
+def _left(world: GridWorld, tally: Tally, without: int | None = None) -> Grid:
+    """Expected price of what is dirty on the table when the path ends now."""
+    nothing = np.zeros((1,) * len(tally))
+    there = [(cup, told) for cup, told in enumerate(tally) if told is not None and cup != without]
+    dirty = [_along(world.dirty(cup, told.looks), cup, len(tally)) for cup, told in there]
+    return float(world.config.reward_dirty_left) * sum(dirty, nothing)
 
-    def future(self, attempt: Attempt, after: Grid | None) -> Grid:
-        """Expected value of what follows an attempt; `after` is the values there, or None where the path is over.
 
-        Then only the price of what is left counts; its expectation does not change by looking.
-        """
-        if after is None:
-            target, result = attempt
-            return self.left(without=target if result is Result.WASHED else None)
-        return expected_over_labels(after, self.looks(attempt))
+def _future(world: GridWorld, node: Node, attempt: Attempt, after: list[Grid]) -> Grid:
+    """Expected value of what follows an attempt, given the next layer's values.
 
-    def q_values(self, after: dict[Attempt, Grid]) -> Float[np.ndarray, "A ..."]:
-        """Q of every action in every cell, given the values behind each attempt; −∞ where an action is impossible."""
-        q = np.full((self.actions.num_actions, *self.shape), -np.inf)
-        q[FINISH] = self.reward(FINISH)
-        future = {attempt: self.future(attempt, after.get(attempt)) for attempt in attempts_of(self.tally)}
-        for target in self.dirty:
-            for verb in (Verb.WASH, Verb.LIFT):
-                action = self.actions.encode(verb, target)
-                q[action] = self.reward(action)
-                for probability, attempt in self.outcomes(action):
-                    q[action] += probability * future[attempt]
-        return q
+    Where the path is over, only the price of what is left counts; its expectation does not change by looking.
+    """
+    target, result = attempt
+    if attempt not in node.successors:
+        return _left(world, node.tally, without=target if result is Result.WASHED else None)
+    looks = looks_of(world, after_attempt(world, node.tally, target, result), held_after(attempt))
+    return expected_over_labels(after[node.successors[attempt]], looks)
 
 
 def grid_shape(world: GridWorld, tally: Tally) -> tuple[int, ...]:
