@@ -5,6 +5,7 @@ Read down: rows and weights → the choice of λ and γ → one fit, with its ce
 
 import warnings
 from dataclasses import dataclass
+from functools import partial
 from numbers import Real
 from typing import Any
 
@@ -16,7 +17,7 @@ from sklearn.utils.validation import _check_sample_weight, check_is_fitted, vali
 from halfseen.arrays import RowIds, Rows
 from halfseen.censoring import CensoringModel, WeightDiagnostics, warn_if_few, weight_diagnostics
 from halfseen.errors import ArgumentError, HalfseenWarning
-from halfseen.learners.svm.cross_validation import Choice, Fold, Task, choose
+from halfseen.learners.svm.cross_validation import Fold, Task, choose
 from halfseen.learners.svm.designs import (
     Design,
     Function,
@@ -85,12 +86,8 @@ class CensoredSVM(BaseEstimator):
     tol: float
     random_state: int
 
-    @property
-    def _takes_sets(self) -> bool:
-        return self.kernel == "set" or isinstance(self.kernel, SetKernel)
-
     def _checked_rows(self, X: Any, is_fit: bool) -> np.ndarray:
-        if self._takes_sets:
+        if self.kernel == "set" or isinstance(self.kernel, SetKernel):
             return as_sets(X)
         rows: Any = validate_data(
             self, X, reset=is_fit, dtype=np.float64, ensure_all_finite=False, ensure_min_samples=int(is_fit)
@@ -129,7 +126,9 @@ class CensoredSVM(BaseEstimator):
         gammas = self._gammas(rows[counts > 0], counts[counts > 0])
         held_out = None
         if self.reg == "cv" or len(gammas) > 1:
-            choice = self._choose(task, kept, gammas, num_rows, seen)
+            regs = REGS * _reg_unit(task) if self.reg == "cv" else np.array([float(self.reg)])
+            design_of = partial(self._design, kept, task.weight)
+            choice = choose(task, design_of, gammas, regs, self._folds(task, seen), num_rows, seen)
             self.gamma_, self.reg_ = choice.gamma, choice.reg
             self.cv_gammas_, self.cv_regs_, self.cv_losses_ = gammas, choice.regs, choice.losses
             held_out = choice.held_out
@@ -140,13 +139,6 @@ class CensoredSVM(BaseEstimator):
         solution = solve(task.problem(design, every, num_rows, self.reg_), self.tol)
         self._keep(solution, design, every)
         return Fitted(task, design, seen, num_rows, held_out)
-
-    def _choose(
-        self, task: Task, kept: np.ndarray, gammas: Float[np.ndarray, " G"], num_rows: float, seen: RowIds
-    ) -> Choice:
-        regs = REGS * _reg_unit(task) if self.reg == "cv" else np.array([float(self.reg)])
-        folds = self._folds(task, seen)
-        return choose(task, lambda gamma: self._design(kept, task.weight, gamma), gammas, regs, folds, num_rows, seen)
 
     def _folds(self, task: Task, seen: RowIds) -> list[Fold]:
         classes = task.y if self._losses == CLASSIFICATION else None

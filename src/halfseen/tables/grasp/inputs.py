@@ -34,10 +34,6 @@ class History(NamedTuple):
     failures: Rows
     """Past attempts that failed."""
 
-    def only(self, rows: RowMask | Int[np.ndarray, " k"]) -> "History":
-        """Keep some rows."""
-        return History(*(values[rows] for values in self))
-
 
 class Decided(NamedTuple):
     """Attempts that came to their own end, weighted for those that did not."""
@@ -86,12 +82,13 @@ def checked_attempts(
     frame = _frame(data, (*History._fields, "succeeded"))
     history = _history(frame)
     weight, is_decided = _weights(frame, history, censoring, truncate_at)
-    succeeded = _outcomes(frame, is_decided)
+    succeeded = _flags(frame, "succeeded", is_decided)
     diagnostics = weight_diagnostics(weight, truncate_at)
     warn_if_few(diagnostics, stacklevel=4)
     group = pd.factorize(frame["object"])[0] if "object" in frame.columns else np.arange(len(frame))
     kept = np.flatnonzero(is_decided)
-    return Decided(history.only(kept), succeeded[kept], weight[kept], group[kept].astype(np.int64), diagnostics)
+    history = History(*(values[kept] for values in history))
+    return Decided(history, succeeded[kept], weight[kept], group[kept].astype(np.int64), diagnostics)
 
 
 def _frame(data: FrameLike, needed: Iterable[str] = History._fields) -> pd.DataFrame:
@@ -136,11 +133,6 @@ def _weights(
     _refuse(frame, "time_s", ~(time_s > 0), "give the time that the attempt was watched, > 0 s")
     weight = censoring_weights(time_s, is_finished, model, covariates=covariates, truncate_at=truncate_at)
     return weight, is_finished
-
-
-def _outcomes(frame: pd.DataFrame, is_decided: RowMask) -> RowMask:
-    """`succeeded` where decided; False, which nothing reads, elsewhere."""
-    return _flags(frame, "succeeded", is_decided) & is_decided
 
 
 def _flags(frame: pd.DataFrame, column: str, is_read: RowMask) -> RowMask:
