@@ -11,8 +11,8 @@ class RewardDesign:
     """What the learned policy earns, by size of the log and proportion of cut paths.
 
     `planners` are simulations a decision, and how many episodes of a repetition a planner of so many plays, as it takes
-    its time. The strongest heuristic and planner are chosen on other episodes: `selection_per_scene` of each scene, of
-    which planners play `selection_planned`. Table 1 compares the policy learned from `table_num_paths`, of which
+    its time. The strongest heuristic and planner are chosen on other episodes: `selection_blocks` times as many as those
+    of a repetition, of which planners play `selection_planned`. Table 1 compares the policy learned from `table_num_paths`, of which
     `table_cut_share` are cut.
     """
 
@@ -20,7 +20,7 @@ class RewardDesign:
     cut_shares: tuple[float, ...] = (0.0, 1 / 6, 1 / 3, 1 / 2)
     episodes_per_scene: int = 5
     planners: tuple[tuple[int, int], ...] = ((128, 10), (512, 3))
-    selection_per_scene: int = 20
+    selection_blocks: int = 4
     selection_planned: int = 30
     table_num_paths: int = 800
     table_cut_share: float = 1 / 2

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 from itertools import product
 from typing import Any, ClassVar
 
+import numpy as np
+
 from halfseen.study.experiment import PieceOf, Setting
 from halfseen.study.experiments.reward.design import RewardDesign
 from halfseen.study.experiments.reward.section import section_of
@@ -27,16 +29,18 @@ class Reward(RewardDesign):
 
     def prepare(self, setting: Setting) -> PieceOf:
         """Calibrate the cuts, and choose the strongest heuristic and planner on episodes of their own."""
-        source = Source.of(setting)
-        num_all = self.selection_per_scene * len(setting.scenes)
-        played = {each.name: source.evaluate(each.policy(setting.world), num_all, SELECTION) for each in HEURISTICS}
+        source, num_all = Source.of(setting), self.episodes_per_scene * len(setting.scenes)
+        blocks = [Source.of(setting, k) for k in range(self.selection_blocks)]
+        earned: dict[str, float] = {}
+        for each in HEURISTICS:
+            policy = each.policy(setting.world)
+            earned[each.name] = float(np.mean([block.evaluate(policy, num_all, SELECTION).reward for block in blocks]))
         some = episodes_in_turn(0, self.selection_planned, num_all)
         for each in (planner(size) for size, _ in self.planners):
-            played[each.name] = play_singly(source, each.policy(setting.world), some, SELECTION)
-        return {
-            "rates": [source.cut_rate(share, CUT_KIND) for share in self.cut_shares],
-            "selection": {name: each.means()["reward"] for name, each in played.items()},
-        }
+            played = play_singly(source, each.policy(setting.world), some, SELECTION)
+            earned[each.name] = played.means()["reward"]
+        rates = [source.cut_rate(share, CUT_KIND) for share in self.cut_shares]
+        return {"rates": rates, "selection": earned}
 
     def measure(self, setting: Setting) -> PieceOf:
         """Decision times of all who take part [ms]."""
