@@ -11,9 +11,9 @@ class RewardDesign:
     """What the learned policy earns, by size of the log and proportion of cut paths.
 
     `planners` are simulations a decision, and how many episodes of a repetition a planner of so many plays, as it takes
-    its time. The strongest heuristic and planner are chosen on other episodes: `selection_blocks` times as many as those
-    of a repetition, of which planners play `selection_planned`. Table 1 compares the policy learned from `table_num_paths`, of which
-    `table_cut_share` are cut.
+    its time. The strongest heuristic and planner are chosen on other episodes: heuristics on `selection_blocks` times
+    as many as a repetition has, planners on `selection_planned`. Table 1 compares the policy learned from
+    `table_num_paths`, of which `table_cut_share` are cut.
     """
 
     num_paths: tuple[int, ...] = (25, 50, 100, 200, 400, 800)
