@@ -48,9 +48,9 @@ FINISH       1    25%           2            0
 LIFT         1    25%           2         -0.1
 """,
         """
-stage  begun  completed  cut  5 % [s]  median [s]  95 % [s]  effective size  largest weight
-1          3          3    0        2           2         2             3.0            1.00
-2          2          1    1        3           3         3             1.0            2.00
+stage  begun  completed  cut  5 % [s]  median [s]  95 % [s]  effective sample size  largest weight
+1          3          3    0        2           2         2                    3.0            1.00
+2          2          1    1        3           3         3                    1.0            2.00
 """,
     ):
         first = lines.index(table.splitlines()[1])

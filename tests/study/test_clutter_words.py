@@ -13,66 +13,43 @@ def said(share, design=None):
     return map_title(table, WORLD), map_sentence(table, design or Clutter(), WORLD)
 
 
-def test_learning_everywhere():
-    title, sentence = said(lambda place: 0.3)
-    assert title == "Learning pays everywhere; the best heuristic is nowhere clearly good enough"
-    assert sentence.startswith(
-        "Learn everywhere; the best heuristic is nowhere clearly good enough. In 99 of 99 places "
-    )
-    assert sentence.endswith("and in 0 it gains less.")
-
-
-def test_learning_nowhere():
-    title, sentence = said(lambda place: 0.0)
-    assert title == "Nowhere on the map does learning clearly pay; the best heuristic is good enough everywhere"
-    assert sentence.startswith(title)
-    assert "In 0 of 99 places" in sentence
-    assert "in 99 it gains less" in sentence
+@pytest.mark.parametrize(
+    ("share", "title"),
+    [
+        (0.3, "Learning pays everywhere; the best heuristic is good enough nowhere"),
+        (0.0, "Learning pays nowhere; the best heuristic is good enough everywhere"),
+    ],
+)
+def test_one_verdict_everywhere(share, title):
+    assert said(lambda place: share)[0] == title
 
 
 def test_nothing_can_be_said():
-    title, sentence = said(lambda place: 0.05)
     table = example_table(lambda place: 0.05)
     table["verdict"] = UNDECIDED
-    assert map_title(table, WORLD) == "Whether learning pays is inconclusive everywhere on the map"
-    words = map_sentence(table, Clutter(), WORLD)
-    assert words.startswith("Nowhere on the map does learning clearly pay; the best heuristic is nowhere clearly good")
-    assert words.endswith("in 0 it gains less and in 99 it is inconclusive.")
-    assert title
-    assert sentence
+    assert map_title(table, WORLD) == "Learning pays nowhere; the best heuristic is good enough nowhere"
+    assert "99 places are inconclusive" in map_sentence(table, Clutter(), WORLD)
 
 
 def test_the_factor_that_decides_is_named_with_its_count():
     title, sentence = said(lambda place: 0.3 if place.reward_wash_clean == -20 else 0.0)
-    assert title == f"Learning pays mostly where {DEAR}; elsewhere the best heuristic is good enough everywhere"
-    assert sentence.startswith(
-        f"Learn mostly where {DEAR} (27 of 27 places); elsewhere the best heuristic is good enough "
+    assert title.startswith(
+        f"Learning pays in 27 of 99 places, most often where {DEAR} (27 of 27); the best heuristic is good enough in "
     )
-    assert "In 27 of 99 places the policy learned from 200 logged paths, of which about half were cut," in sentence
+    assert sentence.startswith(f"{title}. It pays where the policy learned from 200 logged paths, of which about half ")
     assert "gains more than 5 % of what the best heuristic earns above finishing at once" in sentence
-
-
-def test_the_rule_for_the_heuristic_is_of_the_places_that_the_first_does_not_name():
-    def share(place):
-        is_crowded = (place.num_objects, place.occlusion, place.label_gain) == (9, 0.1, 0.45)
-        return 0.3 if is_crowded or place.reward_wash_clean == -20 else 0.0
-
-    _, sentence = said(share)
-    assert f"where {DEAR} (27 of 27 places); elsewhere" in sentence
-    # Of the 99 − 27 places elsewhere, N = 3 and N = 6 have 24 each.
-    assert "mostly where 3 objects stand on the table (24 of 24 places), 6 objects" in sentence
 
 
 def test_losses_are_counted():
     _, sentence = said(lambda place: -0.2 if place.num_objects == 3 else 0.0)
-    assert "in 99 it gains less (a loss in 3" in sentence
+    assert "where it gains less (a loss in 3" in sentence
 
 
 def test_a_verdict_that_is_rare_is_said_to_be_rare():
-    title, sentence = said(lambda place: 0.3 if (place.num_objects, place.occlusion) == (3, 0.1) else 0.0)
-    assert title.startswith("Learning pays here and there, most often where ")
-    assert "(11 of 33 places)" in sentence
-    assert "elsewhere" not in sentence
+    title, _ = said(lambda place: 0.3 if (place.num_objects, place.occlusion) == (3, 0.1) else 0.0)
+    assert title.startswith(
+        "Learning pays in 11 of 99 places, most often where 3 objects stand on the table (11 of 33)"
+    )
 
 
 def test_no_factor_is_blamed_for_another():
@@ -94,11 +71,8 @@ def test_places_without_a_scale_are_counted():
 def test_a_map_of_one_place_has_words():
     design = Clutter((3,), (0.1,), (0.3,), (-10.0,), (1.0,))
     for share in (0.3, 0.0):
-        title, sentence = said(lambda place, share=share: share, design)
-        assert "everywhere" in title
-        assert "of 1 places" in sentence
-    table = example_table(lambda place: 0.0, design)
-    assert levels(table, ENOUGH) == []
+        assert "everywhere" in said(lambda place, share=share: share, design)[0]
+    assert levels(example_table(lambda place: 0.0, design), ENOUGH) == []
 
 
 @pytest.mark.parametrize(
@@ -107,9 +81,7 @@ def test_a_map_of_one_place_has_words():
         ("num_objects", 9.0, "9 objects stand on the table"),
         ("occlusion", 0.3, "30 % of an object is hidden on average"),
         ("label_gain", 0.15, "a label in full view is right 65 % of the time"),
-        ("reward_wash_clean", -5.0, "washing a clean cup costs what a dirty one earns"),
-        ("reward_wash_clean", -10.0, "washing a clean cup costs twice what a dirty one earns"),
-        ("reward_wash_clean", -2.5, "washing a clean cup costs half what a dirty one earns"),
+        ("reward_wash_clean", -5.0, "washing a clean cup costs as much as a dirty one earns"),
         ("grip_offset_std", 1.5, "grip offsets spread by 1.5"),
     ],
 )

@@ -19,7 +19,7 @@ SIZE_INCHES = (12.0, 4.2)
 
 
 def draw(facts: PositivityFacts) -> Figure:
-    """Draw three panels: weights over time, the mean against the bound, and the effective size against the bound."""
+    """Draw three panels: weights over time, and against the bound the mean and the effective sample size."""
     figure = Figure(figsize=SIZE_INCHES, layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(verdict(facts), x=0.01, ha="left", fontsize=11.5, fontweight="bold", color=INK)

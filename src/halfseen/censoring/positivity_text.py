@@ -106,7 +106,7 @@ def _mean_weight(facts: PositivityFacts) -> str:
 def _table(facts: PositivityFacts) -> list[str]:
     if not facts.truncations:
         return []
-    head = ("weights up to", f"mean {facts.quantity}", "effective size", "weight taken away")
+    head = ("weights up to", f"mean {facts.quantity}", "effective sample size", "weight taken away")
     rows = [head, *(_cells(row) for row in facts.truncations)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
     return ["", *("  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows)]

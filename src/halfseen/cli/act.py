@@ -7,19 +7,21 @@ from typing import TYPE_CHECKING
 
 import click
 
+from halfseen.cli import options
+
 if TYPE_CHECKING:
     from halfseen.policies import Decision
 
 
 @click.command(epilog="Example: halfseen act policy table.pcd --history logs")
-@click.argument("policy", type=click.Path(path_type=Path))
-@click.argument("cloud", type=click.Path(path_type=Path))
-@click.option("--history", type=click.Path(path_type=Path), help="Of a table: logs whose last path is the one so far.")
+@click.argument("policy", type=options.PATH)
+@click.argument("cloud", type=options.PATH)
+@click.option("--history", type=options.PATH, help="Of a table: logs whose last path is the one so far.")
 @click.option(
     "--stage", type=click.IntRange(min=1), help="Stage to decide, from 1; by default as the input says, or 1."
 )
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object for programs.")
-@click.option("--seed", type=int, default=0, help="Accepted by every command; nothing here is random.")
+@options.as_json
+@options.unused_seed
 def act(policy: Path, cloud: Path, history: Path | None, stage: int | None, as_json: bool, seed: int) -> None:
     """Decide what to do now, by the policy in the folder POLICY, and say why.
 

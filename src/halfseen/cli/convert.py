@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from halfseen.cli import options
+
 if TYPE_CHECKING:
     import numpy as np
 
@@ -30,7 +32,7 @@ def _print_template(ctx: click.Context, _: click.Parameter, is_asked: bool) -> N
 @click.command(epilog="Example: halfseen convert recording.mcap --mapping cell.toml --out logs")
 @click.argument("source")
 @click.option("--out", "target", required=True, help="FOLDER of Parquet, csv:FOLDER, or minari:NAME-v0.")
-@click.option("--mapping", type=click.Path(path_type=Path), help="Of a bag: which topic carries what (TOML).")
+@click.option("--mapping", type=options.PATH, help="Of a bag: which topic carries what (TOML).")
 @click.option(
     "--mapping-template",
     is_flag=True,
@@ -39,13 +41,13 @@ def _print_template(ctx: click.Context, _: click.Parameter, is_asked: bool) -> N
     callback=_print_template,
     help="Print a mapping file to start from.",
 )
-@click.option("--clouds", type=click.Path(path_type=Path), help="Of a bag: write each stage's cloud there as .pcd.")
+@click.option("--clouds", type=options.PATH, help="Of a bag: write each stage's cloud there as .pcd.")
 @click.option("--see", is_flag=True, help="Of a bag: what each stage's cloud shows becomes its objects.")
 @click.option("--clock", help="Of another's Minari dataset: the info that holds the time [s].")
 @click.option("--step-s", type=float, help="Of another's Minari dataset: how long a step lasts [s].")
-@click.option("--seed", type=int, default=0, help="Accepted by every command; nothing here is random.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object for programs.")
-def convert(source: str, target: str, seed: int, as_json: bool, clouds: Path | None, **options: Any) -> None:
+@options.unused_seed
+@options.as_json
+def convert(source: str, target: str, seed: int, as_json: bool, clouds: Path | None, **chosen: Any) -> None:
     """Read the logs of SOURCE and write them to another form, all or nothing.
 
     SOURCE is a folder of logs (Parquet or CSV), a ROS bag (its folder, its .mcap, .db3 or .bag file, or a folder of
@@ -54,12 +56,12 @@ def convert(source: str, target: str, seed: int, as_json: bool, clouds: Path | N
     from halfseen.writing import refuse_taken
 
     kind = _kind(source)
-    _check_options(kind, {**options, "clouds": clouds})
+    _check_options(kind, {**chosen, "clouds": clouds})
     place = Path(target.removeprefix(CSV))
     if not target.startswith(MINARI):
         refuse_taken(place, False, None, "logs")
     with _clouds_folder(clouds) as cloud_folder:
-        logs = _read(kind, source, cloud_folder, **options)
+        logs = _read(kind, source, cloud_folder, **chosen)
         _write(logs, target)
     report = {"source": source, "format": kind, "target": target, "sentence": str(logs.summary())}
     report |= asdict(logs.summary())
@@ -93,17 +95,17 @@ def _is_bag(path: Path) -> bool:
     return path.suffix in (".mcap", ".db3", ".bag")
 
 
-def _check_options(kind: str, options: Mapping[str, Any]) -> None:
+def _check_options(kind: str, chosen: Mapping[str, Any]) -> None:
     from halfseen.errors import ArgumentError
 
     belongs_to = dict.fromkeys(("mapping", "clouds", "see"), "bag") | dict.fromkeys(("clock", "step_s"), "minari")
     for name, owner in belongs_to.items():
-        is_given = options[name] is not None and options[name] is not False
+        is_given = chosen[name] is not None and chosen[name] is not False
         if is_given and owner != kind:
             raise ArgumentError(
                 f"--{name.replace('_', '-')} is for a source of kind {owner}; this is {kind}: leave it out"
             )
-    if kind == "bag" and options["mapping"] is None:
+    if kind == "bag" and chosen["mapping"] is None:
         raise ArgumentError(
             "a bag needs --mapping FILE, which says what its topics carry; --mapping-template prints one to start from"
         )

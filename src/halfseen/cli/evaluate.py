@@ -9,39 +9,31 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from halfseen.cli.names import split_names
+from halfseen.cli import options
+from halfseen.cli.progress import begin, progress
+from halfseen.cli.scenes import scenes_of
 
 if TYPE_CHECKING:
     from halfseen.policies.folder import StoredPolicy
 
-CENSORING = ("kaplan-meier", "cox", "kernel")
-
 
 @click.command(epilog="Example: halfseen evaluate policy --logs logs --seed 1")
-@click.argument("policy", type=click.Path(path_type=Path))
-@click.argument("clouds", type=click.Path(path_type=Path), nargs=-1)
-@click.option("--logs", type=click.Path(path_type=Path), help="Folder of logs that another policy made.")
+@click.argument("policy", type=options.PATH)
+@click.argument("clouds", type=options.PATH, nargs=-1)
+@click.option("--logs", type=options.PATH, help="Folder of logs that another policy made.")
 @click.option("--world", "in_world", is_flag=True, help="Play the tables of CLOUDS in the simulated world instead.")
-@click.option("--censoring", type=click.Choice(CENSORING), help="Censoring model; by default the policy's own.")
+@options.policys_censoring
 @click.option(
-    "--censoring-by",
-    type=click.Choice(["path", "stage", "pooled"]),
-    help="Clock of the cuts, as in learn; by default the policy's own.",
+    "--censoring-by", type=options.CLOCKS, help="Clock of the cuts, as in learn; by default the policy's own."
 )
-@click.option("--censoring-covariates", help="What cuts may depend on, as x1,action; by default the policy's own.")
+@options.names("--censoring-covariates", "What cuts may depend on, as x1,action; by default the policy's own.")
 @click.option(
     "--augmented/--simple",
     default=None,
     help="Doubly robust towards cuts, or by weights alone; by default the first, if every action was logged.",
 )
-@click.option(
-    "--propensity",
-    type=click.Choice(["logged", "estimated"]),
-    default="logged",
-    show_default=True,
-    help="How likely the logged actions were: as the log says, or estimated.",
-)
-@click.option("--truncate-at", type=float, help="Largest weight allowed; by default the policy's own.")
+@options.propensity
+@options.policys_truncation
 @click.option(
     "--level",
     type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True),
@@ -52,8 +44,8 @@ CENSORING = ("kaplan-meier", "cox", "kernel")
 @click.option(
     "--episodes", type=click.IntRange(min=2), default=10_000, show_default=True, help="Of --world: how many to play."
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Same seed, same numbers.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object for programs.")
+@options.seed("numbers")
+@options.as_json
 def evaluate(
     policy: Path,
     clouds: tuple[Path, ...],
@@ -63,7 +55,7 @@ def evaluate(
     episodes: int,
     seed: int,
     as_json: bool,
-    **options: Any,
+    **chosen: Any,
 ) -> None:
     """Say what the policy in the folder POLICY is worth before it runs.
 
@@ -82,7 +74,7 @@ def evaluate(
     if logs is None:
         report, lines = _by_world(stored, clouds, episodes, seed, level)
     else:
-        report, lines = _by_logs(stored, logs, seed, level, **options)
+        report, lines = _by_logs(stored, logs, seed, level, **chosen)
     report = {"policy": str(policy), "seed": seed, **report}
     click.echo(json.dumps(report, indent=2) if as_json else "\n".join(lines))
 
@@ -94,7 +86,6 @@ def _by_logs(
     level: float,
     *,
     propensity: str,
-    censoring_covariates: str | None,
     **chosen: Any,
 ) -> tuple[dict[str, Any], list[str]]:
     from halfseen.errors import HalfseenWarning
@@ -103,15 +94,14 @@ def _by_logs(
     from halfseen.logs import read_logs
     from halfseen.policies.folder import log_digest
 
-    with _progress(2, "read") as progress, warnings.catch_warnings(record=True) as caught:
+    with progress(2, "read") as bar, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", HalfseenWarning)
         logs = read_logs(folder)
-        progress.update()
-        progress.set_description("evaluate")
-        spec = specification_of(stored, logs, censoring_covariates=split_names(censoring_covariates), **chosen)
+        begin(bar, "evaluate")
+        spec = specification_of(stored, logs, **chosen)
         settings: Any = {"propensity": propensity, "level": level, "random_state": seed}
         answer = evaluated(stored.policy, logs, censoring=spec.censoring, q=spec.q, **settings)
-        progress.update()
+        bar.update()
     notes = [str(one.message) for one in caught if issubclass(one.category, HalfseenWarning)]
     is_own = log_digest(logs) == stored.record["log"].get("sha256")
     if is_own:
@@ -132,10 +122,10 @@ def _by_world(
 
     if not stored.is_table:
         raise ArgumentError("the policy takes named actions, and the simulated world is one of tables; give --logs")
-    with _progress(episodes, "play") as progress:
-        scenes = _scenes(clouds)
+    with progress(episodes, "play") as bar:
+        scenes = scenes_of(clouds)
         config = WorldConfig(horizon=stored.horizon)
-        played: Callable[[int], object] = progress.update
+        played: Callable[[int], object] = bar.update
         answer = evaluate_in_world(
             stored.policy, scenes, config, episodes=episodes, seed=seed, level=level, on_progress=played
         )
@@ -146,23 +136,3 @@ def _by_world(
     )
     report = {"tables": [scene.name for scene in scenes], "episodes": episodes, "sentence": sentence, **asdict(answer)}
     return report, [sentence, "", f"{episodes} episodes on {len(scenes)} tables of the simulated world"]
-
-
-def _scenes(clouds: Sequence[Path]) -> list[Any]:
-    from halfseen.errors import CloudError
-    from halfseen.perception import perceive, read_cloud
-    from halfseen.scene import table_paths
-
-    scenes = []
-    for cloud in clouds or table_paths():
-        scene = perceive(read_cloud(cloud)).scene()
-        if scene.num_objects == 0:
-            raise CloudError(f"{cloud}: no objects on the table; put the table with its objects whole into the view")
-        scenes.append(scene)
-    return scenes
-
-
-def _progress(total: int, what: str) -> Any:
-    from tqdm import tqdm
-
-    return tqdm(total=total, desc=what, disable=None, leave=False)

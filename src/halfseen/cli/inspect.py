@@ -7,13 +7,16 @@ from typing import Any
 
 import click
 
+from halfseen.cli import options
+from halfseen.cli.columns import aligned
+
 MOST_ROWS = 20
 
 
 @click.command(epilog="Example: halfseen inspect logs --json")
-@click.argument("logs", type=click.Path(path_type=Path))
+@click.argument("logs", type=options.PATH)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object for programs, with every row.")
-@click.option("--seed", type=int, default=0, help="Accepted by every command; nothing here is random.")
+@options.unused_seed
 def inspect(logs: Path, as_json: bool, seed: int) -> None:
     """Say what the folder LOGS holds: paths, endings and causes, stages, actions, and what their weights rest on.
 
@@ -110,26 +113,15 @@ def _stages(report: dict[str, Any]) -> list[str]:
         for row, weight in zip(report["clock"], report["weights"], strict=True)
     ]
     times = ("5 % [s]", "median [s]", "95 % [s]")
-    return _table(("stage", "begun", "completed", "cut", *times, "effective size", "largest weight"), rows)
+    return _table(("stage", "begun", "completed", "cut", *times, "effective sample size", "largest weight"), rows)
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     """Align columns: the first to the left, numbers to the right; empty where there are no rows."""
     if not rows:
         return []
-    shown = [head, *rows[:MOST_ROWS]]
-    widths = [max(len(row[k]) for row in shown) for k in range(len(head))]
     left_out = len(rows) - MOST_ROWS
-    return [
-        *(
-            "  ".join(
-                cell.rjust(width) if k else cell.ljust(width)
-                for k, (cell, width) in enumerate(zip(row, widths, strict=True))
-            )
-            for row in shown
-        ),
-        *([f"and {left_out} more (--json has all)"] if left_out > 0 else []),
-    ]
+    return [*aligned([head, *rows[:MOST_ROWS]]), *([f"and {left_out} more (--json has all)"] if left_out > 0 else [])]
 
 
 def _sentence(words: str) -> str:

@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from halfseen.cli.names import split_names
+from halfseen.cli import options
+from halfseen.cli.columns import aligned
+from halfseen.cli.progress import begin, progress
 
 if TYPE_CHECKING:
     from halfseen.learners.q_learning.targets import Targets
 
-CENSORING = ("kaplan-meier", "cox", "kernel", "buckley-james", "none")
+CENSORING = (*options.WEIGHTING, "buckley-james", "none")
 
 
 class _Reg(click.ParamType):
@@ -26,9 +28,9 @@ class _Reg(click.ParamType):
 
 
 @click.command(epilog="Example: halfseen learn logs --out policy --censoring cox --seed 1")
-@click.argument("logs", type=click.Path(path_type=Path))
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder that the policy is written to.")
-@click.option("--covariates", help="Columns of the stages to look at, as x1,x2; by default all that hold numbers.")
+@click.argument("logs", type=options.PATH)
+@click.option("--out", type=options.PATH, required=True, help="Folder that the policy is written to.")
+@options.names("--covariates", "Columns of the stages to look at, as x1,x2; by default all that hold numbers.")
 @click.option(
     "--q-function", type=click.Choice(["linear", "kernel"]), default="linear", show_default=True, help="What Q may be."
 )
@@ -37,14 +39,12 @@ class _Reg(click.ParamType):
 )
 @click.option(
     "--censoring-by",
-    type=click.Choice(["path", "stage", "pooled"]),
+    type=options.CLOCKS,
     default="path",
     show_default=True,
     help="Clock of the cuts: that of the path (total time), of each stage, or of all stages alike (gap time).",
 )
-@click.option(
-    "--censoring-covariates", help="What cuts may depend on, as x1,action; by default all that the model takes."
-)
+@options.names("--censoring-covariates", "What cuts may depend on, as x1,action; by default all that the model takes.")
 @click.option("--augmented", is_flag=True, help="Doubly robust: right if the censoring model or the regression is.")
 @click.option(
     "--stages",
@@ -63,68 +63,59 @@ class _Reg(click.ParamType):
 )
 @click.option("--reg", type=_Reg(), default="cv", show_default=True, help="λ, or cv to choose it over paths.")
 @click.option("--truncate-at", type=float, help="Largest weight allowed; by default none is truncated.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Same seed, same policy.")
-@click.option("--overwrite", is_flag=True, help="Replace a policy that is already there.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object for programs.")
-def learn(logs: Path, out: Path, overwrite: bool, as_json: bool, **options: Any) -> None:
+@options.seed("policy")
+@options.overwrite("a policy that is")
+@options.as_json
+def learn(logs: Path, out: Path, overwrite: bool, as_json: bool, **chosen: Any) -> None:
     """Learn a policy from the folder LOGS, and write it to a folder of its own, all or nothing.
 
     Logs with objects are of tables: the policy chooses among WASH, LIFT and FINISH. Else, or with --covariates, it
     chooses among the actions that were seen at each stage. Stages of cut paths count, weighted for those that were cut.
     """
-    from tqdm import tqdm
-
     from halfseen.errors import HalfseenWarning
     from halfseen.logs import read_logs
     from halfseen.policies.folder import check_target, read_policy, write_policy
+    from halfseen.policies.folder.json_values import plain
     from halfseen.policies.learner_choice import learner_for
     from halfseen.policies.shares import action_shares
 
     check_target(out, overwrite)
-    targets, covariates = _targets(options), split_names(options.pop("covariates"))
-    with (
-        tqdm(total=4, desc="read", disable=None, leave=False) as progress,
-        warnings.catch_warnings(record=True) as told,
-    ):
+    targets, seed = _targets(chosen), chosen.pop("seed")
+    with progress(4, "read") as bar, warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always", HalfseenWarning)
         log = read_logs(logs)
-        chosen = learner_for(log, covariates=covariates, censoring=targets, random_state=options.pop("seed"), **options)
-        _next(progress, "learn")
-        learner = chosen.learner.fit(log)
-        _next(progress, "write")
+        choice = learner_for(log, censoring=targets, random_state=seed, **chosen)
+        begin(bar, "learn")
+        learner = choice.learner.fit(log)
+        begin(bar, "write")
         write_policy(learner, log, out, overwrite=overwrite)
-        _next(progress, "look")
+        begin(bar, "look")
         shares = action_shares(learner.policy_, learner.model_.task, log)
-        progress.update()
-    notes = [*chosen.notes, *(str(one.message) for one in told if issubclass(one.category, HalfseenWarning))]
-    actions = _without_nan(shares.reset_index().to_dict("records"))
+        bar.update()
+    notes = [*choice.notes, *(str(one.message) for one in told if issubclass(one.category, HalfseenWarning))]
+    actions = plain(shares.reset_index().to_dict("records"))
     report = {"policy": str(out), "logs": str(logs), **read_policy(out).record, "actions": actions, "notes": notes}
     click.echo(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))
 
 
-def _targets(options: dict[str, Any]) -> "Targets":
-    """What stands for what cuts took away, of the options that say it."""
+def _targets(chosen: dict[str, Any]) -> "Targets":
+    """What stands for what cuts took away, taken from the options that say it."""
     from halfseen.learners.q_learning.targets import named_targets
 
     return named_targets(
-        options.pop("censoring"),
-        by=options.pop("censoring_by"),
-        covariates=split_names(options.pop("censoring_covariates")),
-        truncate_at=options.pop("truncate_at"),
-        is_doubly_robust=options.pop("augmented"),
+        chosen.pop("censoring"),
+        by=chosen.pop("censoring_by"),
+        covariates=chosen.pop("censoring_covariates"),
+        truncate_at=chosen.pop("truncate_at"),
+        is_doubly_robust=chosen.pop("augmented"),
     )
-
-
-def _next(progress: Any, what: str) -> None:
-    progress.update()
-    progress.set_description(what)
 
 
 def _lines(report: Mapping[str, Any]) -> list[str]:
     weights, learner, schema = report["diagnostics"]["weights"], report["learner"], report["schema"]
     looks_at = "tables" if report["kind"] == "table" else ", ".join(schema["covariates"]) or "nothing but the stage"
     cuts = learner["censoring"]
-    by = f", by {learner['censoring_by']}" if cuts in CENSORING[:3] else ""
+    by = f", by {learner['censoring_by']}" if cuts in options.WEIGHTING else ""
     rows = [
         ("looks at", looks_at),
         ("Q", f"{learner['q_function']}, stages {learner['stages']}, horizon {schema['horizon']}"),
@@ -160,23 +151,13 @@ def _regs(values: Sequence[Sequence[float]], rows: str) -> str:
 def _action_lines(stages: Sequence[Mapping[str, Any]]) -> list[str]:
     """How often the policy takes each action, and how often the one that was logged."""
     names = list(stages[0]["shares"])
-    widths = [max(len(name), 4) for name in names]
-    head = "  ".join(name.rjust(width) for name, width in zip(names, widths, strict=True))
-    return [
-        f"stage  states  {head}  as logged",
-        *(
-            f"{row['stage']:>5}{row['num_states']:>8}  "
-            + "  ".join(f"{row['shares'][name]:.0%}".rjust(width) for name, width in zip(names, widths, strict=True))
-            + ("" if row["as_logged"] is None else f"{row['as_logged']:.0%}".rjust(11))
-            for row in stages
-        ),
+    rows = [
+        (
+            f"{row['stage']}",
+            f"{row['num_states']}",
+            *(f"{row['shares'][name]:.0%}" for name in names),
+            "" if row["as_logged"] is None else f"{row['as_logged']:.0%}",
+        )
+        for row in stages
     ]
-
-
-def _without_nan(value: Any) -> Any:
-    """Write null where there is nothing to tell."""
-    if isinstance(value, Mapping):
-        return {key: _without_nan(entry) for key, entry in value.items()}
-    if isinstance(value, list):
-        return [_without_nan(entry) for entry in value]
-    return None if isinstance(value, float) and value != value else value
+    return aligned([("stage", "states", *names, "as logged"), *rows], left=())

@@ -6,14 +6,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from halfseen.cli import options
+from halfseen.cli.columns import aligned
+
 if TYPE_CHECKING:
     from halfseen.perception import View
 
 
 @click.command(epilog="Example: halfseen look table.pcd --picture table.png")
-@click.argument("cloud", type=click.Path(path_type=Path))
+@click.argument("cloud", type=options.PATH)
 @click.option("--json", "is_json", is_flag=True, help="Print JSON, for programs.")
-@click.option("--picture", type=click.Path(path_type=Path), help="Draw what is seen into this PNG file.")
+@click.option("--picture", type=options.PATH, help="Draw what is seen into this PNG file.")
 def look(cloud: Path, is_json: bool, picture: Path | None) -> None:
     """Say what stands on the table of CLOUD, and who hides whom.
 
@@ -67,11 +70,4 @@ def _table(view: "View") -> list[str]:
         pose = "upright" if seen.is_upright else "lying"
         numbers = [f"{x:.3f}", f"{y:.3f}", f"{z:.3f}", f"{seen.height_m:.3f}"]
         rows.append([str(seen.id), *numbers, pose, str(seen.num_points), f"{seen.occlusion:.2f}", by or "-"])
-    widths = [max(len(row[k]) for row in rows) for k in range(len(header))]
-    return [
-        "  ".join(
-            cell.ljust(width) if k in (5, 8) else cell.rjust(width)
-            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    ]
+    return aligned(rows, left=(header.index("pose"), header.index("hidden by")))

@@ -1,16 +1,18 @@
 """``halfseen simulate``: record logs of a policy in the simulated world, some of them cut."""
 
 import json
-from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from halfseen.cli import options
+from halfseen.cli.progress import progress
+from halfseen.cli.scenes import scenes_of
+
 if TYPE_CHECKING:
-    from halfseen.logs import Logs
-    from halfseen.world import Policy, Scene, WorldConfig
+    from halfseen.world import Policy, WorldConfig
 
 POLICIES = ("uniform", "greedy", "history", "greedy-penalty", "history-penalty")
 CUT_KINDS = ("independent", "occlusion", "attempt")
@@ -18,8 +20,8 @@ _HORIZON = 10
 
 
 @click.command(epilog="Example: halfseen simulate --out logs --episodes 500 --seed 1")
-@click.argument("clouds", type=click.Path(path_type=Path), nargs=-1)
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder that the logs are written to.")
+@click.argument("clouds", type=options.PATH, nargs=-1)
+@click.option("--out", type=options.PATH, required=True, help="Folder that the logs are written to.")
 @click.option("--episodes", type=click.IntRange(min=1), default=1000, show_default=True, help="Number of paths.")
 @click.option(
     "--policy", type=click.Choice(POLICIES), default="history-penalty", show_default=True, help="Who decides."
@@ -40,10 +42,10 @@ _HORIZON = 10
 )
 @click.option("--cut-kind", type=click.Choice(CUT_KINDS), default="independent", show_default=True, help="What cuts.")
 @click.option("--horizon", type=click.IntRange(min=1), default=_HORIZON, show_default=True, help="Steps of a path.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Same seed, same logs.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object for programs.")
-@click.option("--overwrite", is_flag=True, help="Replace logs that are already there.")
-def simulate(clouds: tuple[Path, ...], out: Path, seed: int, as_json: bool, overwrite: bool, **options: Any) -> None:
+@options.seed("logs")
+@options.as_json
+@options.overwrite("logs that are")
+def simulate(clouds: tuple[Path, ...], out: Path, seed: int, as_json: bool, overwrite: bool, **chosen: Any) -> None:
     """Record logs of a policy on the tables of CLOUDS, by default the ten that come with halfseen.
 
     Every policy starts from the tables as the camera sees them; what is dirty and how well it can be gripped is drawn
@@ -51,59 +53,24 @@ def simulate(clouds: tuple[Path, ...], out: Path, seed: int, as_json: bool, over
     counts what leaving dirty things behind will cost. Cuts come at any time alike (independent), sooner where much is
     hidden (occlusion), or when an attempt drags on (attempt).
     """
-    from tqdm import tqdm
-
     from halfseen.errors import ArgumentError
+    from halfseen.scene import table_paths
+    from halfseen.world import TableWorld, WorldConfig
 
     if out.exists() and not overwrite:
         raise ArgumentError(f"{out}: it is there already; choose another folder, or pass --overwrite to replace it")
-    paths = clouds or _shipped()
-    with tqdm(total=len(paths) + 1, desc="look", disable=None, leave=False) as progress:
-        scenes = []
-        for path in paths:
-            scenes.append(_scene(path))
-            progress.update()
-        progress.set_description("simulate")
-        logs = _simulate(scenes, seed, **options)
-        progress.update()
+    with progress(len(clouds or table_paths()) + 1, "look") as bar:
+        scenes = scenes_of(clouds, on_each=bar.update)
+        bar.set_description("simulate")
+        config = WorldConfig(horizon=chosen["horizon"])
+        logger = _policy(chosen["policy"], chosen["random_share"], config)
+        cuts = chosen["cut_share"], chosen["cut_kind"]
+        logs = TableWorld(config).simulate(scenes, logger, chosen["episodes"], seed, *cuts)
+        bar.update()
     logs.write(out, overwrite=overwrite)
     report = {"folder": str(out), "sentence": str(logs.summary()), **asdict(logs.summary())}
-    report |= {"scenes": {scene.name: scene.num_objects for scene in scenes}, "seed": seed, **options}
+    report |= {"scenes": {scene.name: scene.num_objects for scene in scenes}, "seed": seed, **chosen}
     click.echo(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))
-
-
-def _shipped() -> Sequence[Path]:
-    from halfseen.scene import table_paths
-
-    return table_paths()
-
-
-def _scene(path: Path) -> "Scene":
-    from halfseen.errors import CloudError
-    from halfseen.perception import perceive, read_cloud
-
-    scene = perceive(read_cloud(path)).scene()
-    if scene.num_objects == 0:
-        raise CloudError(f"{path}: no objects on the table; put the table with its objects whole into the view")
-    return scene
-
-
-def _simulate(
-    scenes: Sequence["Scene"],
-    seed: int,
-    *,
-    episodes: int,
-    policy: str,
-    random_share: float,
-    cut_share: float,
-    cut_kind: str,
-    horizon: int,
-) -> "Logs":
-    from halfseen.world import TableWorld, WorldConfig
-
-    config = WorldConfig(horizon=horizon)
-    logger = _policy(policy, random_share, config)
-    return TableWorld(config).simulate(scenes, logger, episodes, seed, cut_share, cut_kind)
 
 
 def _policy(name: str, random_share: float, config: "WorldConfig") -> "Policy":

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from halfseen.cli import options
+
 COMPILES_QUICKLY = "--xla_backend_optimization_level=1 --xla_cpu_use_fusion_emitters=false"
 """A study compiles for longer than it runs: this halves that, and what is compiled is as fast."""
 
@@ -13,14 +15,14 @@ EPILOG = "Example: halfseen study --out runs/study --repetitions 200 --resume"
 
 
 @click.command(epilog=EPILOG)
-@click.option("--out", default="runs/study", show_default=True, type=click.Path(path_type=Path), help="Folder to fill.")
+@click.option("--out", default="runs/study", show_default=True, type=options.PATH, help="Folder to fill.")
 @click.option("--repetitions", default=None, type=int, help="Fresh logs and episodes; the paper made 10,000.")
 @click.option("--only", multiple=True, metavar="NAME", help="Run this experiment alone; may be given more than once.")
 @click.option("--seed", default=0, show_default=True, help="All but measured times follows from it.")
 @click.option("--resume", is_flag=True, help="Go on where a killed study stopped, or add repetitions to one.")
 @click.option("--jobs", default=None, type=click.IntRange(min=1), help="Experiments at once; by default one a core.")
 @click.option("--json", "is_json", is_flag=True, help="Print study.json instead of the answer.")
-@click.argument("clouds", nargs=-1, type=click.Path(path_type=Path))
+@click.argument("clouds", nargs=-1, type=options.PATH)
 def study(
     out: Path,
     repetitions: int | None,
@@ -38,17 +40,15 @@ def study(
     os.environ.setdefault("XLA_FLAGS", COMPILES_QUICKLY)
     from halfseen.scene import table_paths
     from halfseen.study.experiment import DEFAULT_REPETITIONS, Setting
-    from halfseen.study.run import chosen, pictures_of, run_study
-    from halfseen.study.scenes import look_at, scenes_of
+    from halfseen.study.run import chosen, run_study
+    from halfseen.study.scenes import look_at
     from halfseen.writing import refuse_unwritable
 
     experiments, paths = chosen(only), list(clouds) or table_paths()
     setting = Setting((), repetitions=DEFAULT_REPETITIONS if repetitions is None else repetitions, seed=seed)
     refuse_unwritable(out)
-    views = look_at(paths)
-    scenes = scenes_of(views, paths)
+    scenes, pictures = look_at(paths)
     setting = replace(setting, scenes=scenes)
-    pictures = pictures_of(views, [scene.name for scene in scenes])
     results = run_study(setting, out, experiments, is_resumed=resume, num_jobs=jobs, pictures=pictures)
     if is_json:
         click.echo((out / "study.json").read_text(encoding="utf-8"), nl=False)

@@ -63,10 +63,10 @@ class Evaluation:
             "logging policy": self.logging,
             "difference": self.difference,
         }
-        head = f"{'':<20}{'value':>10}{f'{self.level:.0%} interval':>24}{'effective size':>18}"
+        head = f"{'':<20}{'value':>10}{f'{self.level:.0%} interval':>24}{'effective sample size':>23}"
         return "\n".join([self.sentence, "", head, *(_line(name, each) for name, each in rows.items())])
 
 
 def _line(name: str, estimate: Estimate) -> str:
     interval = f"{estimate.low:.4g} to {estimate.high:.4g}"
-    return f"{name:<20}{estimate.value:>10.4g}{interval:>24}{estimate.effective_sample_size:>18.1f}"
+    return f"{name:<20}{estimate.value:>10.4g}{interval:>24}{estimate.effective_sample_size:>23.1f}"

@@ -31,5 +31,5 @@ def beyond(ranges: Ranges | None, values: Mapping[str, Mapping[str, float]]) -> 
         slack = 1e-6 * max(1.0, abs(low), abs(high))
         outside = [(whose, value) for whose, value in values[name].items() if not low - slack <= value <= high + slack]
         for whose, value in outside[:1]:
-            warnings.append(f"{whose} is {value:.4g}, outside the logs ({low:.4g} to {high:.4g}); Q is extrapolated")
+            warnings.append(f"{whose} is {value:.4g}, outside the logs ({low:.3g} to {high:.3g}); Q is extrapolated")
     return tuple(warnings)

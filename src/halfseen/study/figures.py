@@ -1,7 +1,6 @@
 """What figures of several experiments draw alike: policies as lines across, and curves by proportion of cut paths."""
 
-from collections.abc import Callable, Iterable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
 
 import pandas as pd
 from matplotlib.axes import Axes
@@ -18,23 +17,12 @@ MEAN = ["mean_reward", "low", "high"]
 """Columns of a mean and its interval."""
 
 
-class Level(NamedTuple):
-    """A policy that learns nothing from logs, and what it is worth."""
-
-    who: Contender
-    value: float
-    is_bold: bool
-
-
-def draw_levels(axes: Axes, levels: Iterable[Level]) -> list[EndLabel]:
-    """Draw lines across; the optimum has a name alone, as it is an end of the axis."""
-    labels = []
-    for who, value, is_bold in levels:
-        if who.kind != Kind.OPTIMUM:
-            dashes, width = (0, who.dashes), 1.5 if is_bold else 0.9
-            axes.axhline(value, color=who.colour, linestyle=dashes, linewidth=width, zorder=1.2)
-        labels.append(EndLabel(value, f"{who.label}  {amount(value)}", who.colour, is_bold))
-    return labels
+def draw_level(axes: Axes, who: Contender, value: float, is_bold: bool) -> EndLabel:
+    """Draw what a policy is worth as a line across; the optimum has a name alone, as it is an end of the axis."""
+    if who.kind != Kind.OPTIMUM:
+        dashes, width = (0, who.dashes), 1.5 if is_bold else 0.9
+        axes.axhline(value, color=who.colour, linestyle=dashes, linewidth=width, zorder=1.2)
+    return EndLabel(value, f"{who.label}  {amount(value)}", who.colour, is_bold)
 
 
 def draw_by_cut_share(

@@ -5,15 +5,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import pandas as pd
 
 from halfseen.errors import ArgumentError
 from halfseen.pages.drawing import drawn
-from halfseen.perception import View
-from halfseen.perception.picture import draw
 from halfseen.study.experiment import Experiment, Section, Setting, Tables
 from halfseen.study.experiments import EXPERIMENTS
 from halfseen.study.report import report_of
@@ -129,14 +126,3 @@ def _as_dict(results: StudyResults) -> dict[str, Any]:
 
 def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
     return table.astype(object).where(table.notna(), None).to_dict(orient="records")
-
-
-def pictures_of(views: Sequence[View], names: Sequence[str]) -> dict[str, bytes]:
-    """What perception saw, as PNG, by name of the scene."""
-    pictures = {}
-    with TemporaryDirectory() as folder:
-        for view, name in zip(views, names, strict=True):
-            path = Path(folder) / f"{name}.png"
-            draw(view, path)
-            pictures[name] = path.read_bytes()
-    return pictures

@@ -1,19 +1,24 @@
-"""The ten captured tables, as perception sees them, and what it saw as pictures."""
+"""The captured tables, as perception sees them, and what it saw as pictures."""
 
 from collections.abc import Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from tqdm import tqdm
 
-from halfseen.perception import View, perceive, read_cloud
+from halfseen.perception import perceive, read_cloud
+from halfseen.perception.picture import draw
 from halfseen.world.scene import Scene
 
 
-def look_at(paths: Sequence[Path]) -> list[View]:
-    """Perceive every cloud."""
-    return [perceive(read_cloud(path)) for path in tqdm(paths, desc="look at tables", disable=None, leave=False)]
-
-
-def scenes_of(views: Sequence[View], paths: Sequence[Path]) -> tuple[Scene, ...]:
-    """Scenes, named after their files."""
-    return tuple(Scene(view.scene().hides, name=path.stem) for view, path in zip(views, paths, strict=True))
+def look_at(paths: Sequence[Path]) -> tuple[tuple[Scene, ...], dict[str, bytes]]:
+    """Perceive every cloud: scenes, named after their files, and what was seen, as PNG by the name of the scene."""
+    scenes, pictures = [], {}
+    with TemporaryDirectory() as folder:
+        picture = Path(folder) / "picture.png"
+        for path in tqdm(paths, desc="look at tables", disable=None, leave=False):
+            view = perceive(read_cloud(path))
+            draw(view, picture)
+            scenes.append(Scene(view.scene().hides, name=path.stem))
+            pictures[path.stem] = picture.read_bytes()
+    return tuple(scenes), pictures

@@ -53,6 +53,6 @@ def plain(value: Any) -> Any:
         return None if isinstance(value, float) and not np.isfinite(value) else value
     if isinstance(value, Mapping):
         return {str(key): plain(entry) for key, entry in value.items()}
-    if isinstance(value, Sequence):
+    if isinstance(value, (Sequence, np.ndarray)):
         return [plain(entry) for entry in value]
     return repr(value)

@@ -21,7 +21,7 @@ from halfseen.pages.numbers import MISSING, amount, share
 from halfseen.pages.sentences import Claim
 from halfseen.planners.optimum import TableOptimum, solve_table
 from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Section, Setting, Tables
-from halfseen.study.figures import Level, draw_by_cut_share, draw_by_size, draw_levels
+from halfseen.study.figures import draw_by_cut_share, draw_by_size, draw_level
 from halfseen.study.frames import records, row_of, stacked
 from halfseen.study.pipeline import EVALUATION, Source, members, random_key
 from halfseen.study.policies import HEURISTICS, LEARNED, OPTIMUM, Contender, Kind, by_name, horizon_planner
@@ -234,8 +234,10 @@ def _draw(design: Regret, table: pd.DataFrame, title: str) -> Figure:
 def _draw_lines(design: Regret, table: pd.DataFrame, axes: Axes) -> list[EndLabel]:
     best = [_best(design, table, kind)["policy"] for kind in (Kind.HEURISTIC, Kind.PLANNER)]
     others = [row for row in records(table) if row["policy"] != LEARNED.name]
-    levels = [Level(design.contenders[row["policy"]], float(row["regret"]), row["policy"] in best) for row in others]
-    labels = draw_levels(axes, levels)
+    labels = [
+        draw_level(axes, design.contenders[row["policy"]], float(row["regret"]), row["policy"] in best)
+        for row in others
+    ]
     draw = partial(draw_bars, linewidth=1.8)
     labels += draw_by_cut_share(axes, table, design.cut_shares, INTERVAL, draw, BAR_DODGE)
     axes.set_ylim(bottom=0.0)

@@ -4,24 +4,23 @@ It is scored on the attempts of fresh paths that nothing cut, and serves in the 
 the strongest heuristic.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
 from halfseen.logs.frames import FrameLike, as_frame
-from halfseen.planners.heuristics import GreedyPolicy, TrueGrasp
+from halfseen.planners.heuristics import TrueGrasp
 from halfseen.study.experiment import PieceOf, Setting
 from halfseen.study.experiments.grasp.design import MODEL_NAMES, NUM_BINS, ORACLE, REWARDS, SUCCESSION, GraspDesign
 from halfseen.study.experiments.grasp.section import section_of
 from halfseen.study.experiments.grasp.tables import tables_of
-from halfseen.study.pipeline import HELD_OUT, Played, Source
+from halfseen.study.pipeline import HELD_OUT, Source
 from halfseen.study.policies import STRONGEST_RULE
 from halfseen.tables.grasp.attempts import attempts
 from halfseen.tables.grasp.beta_grasp import BetaGrasp
@@ -85,8 +84,8 @@ class Grasp(GraspDesign):
                 rules.append(knowing if name == ORACLE else replace(knowing, grasp=grasp))
         num_episodes = self.episodes_per_scene * len(setting.scenes)
         for measure, policies in zip(REWARDS, (learners, rules), strict=True):
-            for row, played in zip(rows, evaluate_kinds(source, policies, num_episodes), strict=True):
-                row[measure] = played.means()["reward"]
+            for row, policy in zip(rows, policies, strict=True):
+                row[measure] = source.evaluate(policy, num_episodes).means()["reward"]
         return {"index": index, "grasp": rows}
 
     def _held_out(self, setting: Setting, source: Source) -> tuple[pd.DataFrame, Float[np.ndarray, " m"]]:
@@ -133,17 +132,3 @@ def _inside(setting: Setting, estimators: Mapping[str, GraspEstimator], name: st
 @jax.jit
 def _true_probabilities(grasp: TrueGrasp, states: TableState) -> jax.Array:
     return jax.vmap(jax.vmap(grasp.probability))(states)
-
-
-def evaluate_kinds(source: Source, policies: Sequence[Policy], num_episodes: int) -> list[Played]:
-    """What each policy earns on the evaluation episodes; policies of a kind play together, and one policy once."""
-    played: dict[int, Played] = {}
-    kinds = [jax.tree.structure(policy) for policy in policies]
-    for kind in dict.fromkeys(kinds):
-        places = [k for k, other in enumerate(kinds) if other == kind]
-        if isinstance(policies[places[0]], GreedyPolicy) and len({id(policies[k]) for k in places}) == 1:
-            played |= dict.fromkeys(places, source.evaluate(policies[places[0]], num_episodes))
-            continue
-        batch = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(policies[k] for k in places))
-        played |= dict(zip(places, source.evaluate_batch(batch, num_episodes), strict=True))
-    return [played[k] for k in range(len(policies))]

@@ -1,6 +1,5 @@
 """What the experiment says: Figure 1, Tables 1 and 2, and who earns more."""
 
-from collections.abc import Iterator
 from functools import partial
 from itertools import groupby
 from typing import Any
@@ -16,7 +15,7 @@ from halfseen.pages.sentences import NOT_SUPPORTED, SUPPORTED, Claim, capitalise
 from halfseen.study.experiment import Drawing, Listing, Section, Setting, Tables
 from halfseen.study.experiments.reward.design import RewardDesign
 from halfseen.study.experiments.reward.tables import BEST, MEASURES
-from halfseen.study.figures import MEAN, Level, draw_by_cut_share, draw_by_size, draw_levels
+from halfseen.study.figures import MEAN, draw_by_cut_share, draw_by_size, draw_level
 from halfseen.study.frames import records, row_of
 from halfseen.study.policies import LEARNED, STRONGEST_RULE
 from halfseen.study.wording import REWARD_AXIS, estimated_in, gain_in, learned_from, spelled, verdict_of
@@ -129,19 +128,15 @@ def draw_figure1(design: RewardDesign, figure1: pd.DataFrame, title: str) -> Fig
 
 
 def _draw_lines(design: RewardDesign, figure1: pd.DataFrame, axes: Axes) -> list[EndLabel]:
-    others = draw_levels(axes, _levels(axes, design, figure1))
-    return others + draw_by_cut_share(axes, figure1, design.cut_shares, MEAN, draw_curve, DODGE)
-
-
-def _levels(axes: Axes, design: RewardDesign, figure1: pd.DataFrame) -> Iterator[Level]:
-    """The baselines, with bands for the strongest two."""
+    """Draw the baselines, with bands for the strongest two, and what was learned."""
+    labels = []
     for name in design.baseline_names:
         row, who = row_of(figure1, policy=name), design.contenders[name]
         is_best = row["role"] in BEST
-        yield Level(who, float(row["mean_reward"]), is_best)
+        labels.append(draw_level(axes, who, float(row["mean_reward"]), is_best))
         if is_best:
-            low, high = float(row["low"]), float(row["high"])
-            axes.axhspan(low, high, color=who.colour, alpha=BAND_OPACITY, linewidth=0, zorder=1)
+            axes.axhspan(row["low"], row["high"], color=who.colour, alpha=BAND_OPACITY, linewidth=0, zorder=1)
+    return labels + draw_by_cut_share(axes, figure1, design.cut_shares, MEAN, draw_curve, DODGE)
 
 
 def _by_size(design: RewardDesign, table: pd.DataFrame, written: Any) -> tuple[tuple[str, ...], dict[str, Any]]:

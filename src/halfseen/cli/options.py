@@ -1,0 +1,48 @@
+"""Options that several commands take alike."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+PATH = click.Path(path_type=Path)
+WEIGHTING = ("kaplan-meier", "cox", "kernel")
+"""Censoring models that weight completed stages by 1/Ĝ."""
+CLOCKS = click.Choice(["path", "stage", "pooled"])
+
+as_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON object for programs.")
+unused_seed = click.option("--seed", type=int, default=0, help="Accepted by every command; nothing here is random.")
+policys_censoring = click.option(
+    "--censoring", type=click.Choice(WEIGHTING), help="Censoring model; by default the policy's own."
+)
+policys_truncation = click.option(
+    "--truncate-at", type=float, help="Largest weight allowed; by default the policy's own."
+)
+propensity = click.option(
+    "--propensity",
+    type=click.Choice(["logged", "estimated"]),
+    default="logged",
+    show_default=True,
+    help="How likely the logged actions were: as the log says, or estimated.",
+)
+
+
+def seed(same: str) -> Any:
+    """The option on which so much depends."""
+    return click.option(
+        "--seed", type=click.IntRange(min=0), default=0, show_default=True, help=f"Same seed, same {same}."
+    )
+
+
+def overwrite(what: str) -> Any:
+    """The option that lets something be replaced."""
+    return click.option("--overwrite", is_flag=True, help=f"Replace {what} already there.")
+
+
+def names(option: str, told: str) -> Any:
+    """An option that takes ``x1, x2`` apart; None stays None."""
+
+    def split(_: click.Context, __: click.Parameter, given: str | None) -> list[str] | None:
+        return None if given is None else [name.strip() for name in given.split(",") if name.strip()]
+
+    return click.option(option, callback=split, help=told)

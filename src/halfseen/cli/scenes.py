@@ -1,0 +1,30 @@
+"""Tables that the simulated world plays, as perception sees them."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from halfseen.world import Scene
+
+
+def scenes_of(clouds: Sequence[Path], on_each: Callable[[], object] = lambda: None) -> list["Scene"]:
+    """Look at each cloud, by default at the ten that come with halfseen.
+
+    Raises
+    ------
+    CloudError
+        A cloud cannot be read, or shows no objects.
+    """
+    from halfseen.errors import CloudError
+    from halfseen.perception import perceive, read_cloud
+    from halfseen.scene import table_paths
+
+    scenes = []
+    for cloud in clouds or table_paths():
+        scene = perceive(read_cloud(cloud)).scene()
+        if scene.num_objects == 0:
+            raise CloudError(f"{cloud}: no objects on the table; put the table with its objects whole into the view")
+        scenes.append(scene)
+        on_each()
+    return scenes
