@@ -67,12 +67,18 @@ def _reward(rng, index, lead):
             reward = own - 0.35 * steps + 0.8 * (0.5 - share) + 0.1 * rng.normal()
             weights = {"effective_sample_size": 5.5 * size * (1 - share), "largest_weight": 1.0 + 8.0 * share}
             rows.append({"num_paths": size, "cut_share": share, **weights, **_means(reward)})
-    planners = {
-        name: {"num_episodes": 10, **_means(PLANNED + 0.1 * k + luck + 0.2 * rng.normal()), "censored_q": _means(own)}
+    headline = next(row for row in rows if (row["num_paths"], row["cut_share"]) == (800, 0.5))["reward"]
+    baselines = {
+        name: _beside(10, PLANNED + 0.1 * k + luck + 0.2 * rng.normal(), own)
         for k, name in enumerate(REWARD.planner_names)
     }
-    rules = {name: _means(reward + luck + 0.1 * rng.normal()) for name, reward in REWARDS.items()}
-    return {"index": index, "learned": rows, "heuristics": rules, "planners": planners}
+    for name, reward in REWARDS.items():
+        baselines[name] = _beside(NUM_EPISODES, reward + luck + 0.1 * rng.normal(), headline)
+    return {"index": index, "learned": rows, "baselines": baselines}
+
+
+def _beside(num_episodes, other, own):
+    return {"num_episodes": num_episodes, "censored_q": _means(own), "other": _means(other)}
 
 
 def _planning(rng, index, lead):

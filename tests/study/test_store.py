@@ -6,28 +6,31 @@ from halfseen.study.store import Store, as_json
 DESIGN = {"seed": 0}
 
 
-def test_a_piece_comes_back_as_it_was_put(tmp_path):
+def again():
+    raise AssertionError("it is there already")
+
+
+def test_a_piece_comes_back_as_it_was_made(tmp_path):
     store = Store(tmp_path / "new" / "study", DESIGN, is_resumed=False)
     piece = {"values": [0.1, 1 / 3, 1e-300], "names": ["ö"]}
 
-    assert store.get("piece") is None
-    assert store.put("piece", piece) == store.get("piece") == piece
-    assert store.kept("piece", lambda: 1 / 0) == piece
+    assert store.kept("piece", lambda: piece) == piece
+    assert store.kept("piece", again) == piece
 
 
 def test_resuming_keeps_pieces_and_beginning_anew_drops_them(tmp_path):
-    Store(tmp_path, DESIGN, is_resumed=False).put("piece", [1])
+    Store(tmp_path, DESIGN, is_resumed=False).kept("piece", lambda: [1])
 
-    assert Store(tmp_path, DESIGN, is_resumed=True).get("piece") == [1]
-    assert Store(tmp_path, DESIGN, is_resumed=False).get("piece") is None
+    assert Store(tmp_path, DESIGN, is_resumed=True).kept("piece", again) == [1]
+    assert Store(tmp_path, DESIGN, is_resumed=False).kept("piece", lambda: [2]) == [2]
 
 
 def test_pieces_of_another_design_are_never_mixed_in(tmp_path):
-    Store(tmp_path, DESIGN, is_resumed=False).put("piece", [1])
+    Store(tmp_path, DESIGN, is_resumed=False).kept("piece", lambda: [1])
 
     with pytest.raises(ArgumentError, match=r"--resume: .*belongs to a study of another design, seed or version"):
         Store(tmp_path, {"seed": 1}, is_resumed=True)
-    assert Store(tmp_path, DESIGN, is_resumed=True).get("piece") == [1]
+    assert Store(tmp_path, DESIGN, is_resumed=True).kept("piece", again) == [1]
 
 
 def test_a_folder_below_a_file_is_refused(tmp_path):

@@ -54,7 +54,7 @@ def test_it_writes_all_that_it_promises(study_folder):
 def test_the_numbers_are_those_of_the_pieces(study_folder):
     figure1 = pd.read_csv(study_folder / "figure1.csv").set_index("policy")
     for name in ("greedy", "history-penalty"):
-        expected = np.mean([piece["heuristics"][name]["reward"] for piece in pieces(study_folder, "reward")])
+        expected = np.mean([piece["baselines"][name]["other"]["reward"] for piece in pieces(study_folder, "reward")])
         assert figure1.loc[name, "mean_reward"] == pytest.approx(expected)
     first = pieces(study_folder, "planning")[0]
     assert [row["policy"] for row in first["played"]][:2] == ["censored_q", "greedy"]
@@ -67,7 +67,9 @@ def test_experiments_share_the_episodes_and_the_log_of_a_repetition(study_folder
         *(pieces(study_folder, name) for name in ("reward", "planning", "grasp")), strict=True
     ):
         played = {row["policy"]: np.mean(row["reward"]) for row in planning["played"]}
-        assert played["history-penalty"] == pytest.approx(reward["heuristics"]["history-penalty"]["reward"], abs=1e-5)
+        assert played["history-penalty"] == pytest.approx(
+            reward["baselines"]["history-penalty"]["other"]["reward"], abs=1e-5
+        )
         learned = {(row["num_paths"], row["cut_share"]): row["reward"] for row in reward["learned"]}
         assert played["censored_q"] == pytest.approx(learned[50, 0.5], abs=1e-5)
         for row in grasp["grasp"]:

@@ -12,10 +12,11 @@ from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
     from halfseen.study.experiment import Experiment, Setting
-    from halfseen.study.run import StudyResults, run_study
+    from halfseen.study.report import StudyResults
+    from halfseen.study.run import run_study
 
 __all__ = ["Experiment", "Setting", "StudyResults", "run_study"]
 
 __getattr__ = lazy_names(
-    __name__, {"Experiment": "experiment", "Setting": "experiment", "StudyResults": "run", "run_study": "run"}
+    __name__, {"Experiment": "experiment", "Setting": "experiment", "StudyResults": "report", "run_study": "run"}
 )

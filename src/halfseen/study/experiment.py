@@ -97,9 +97,20 @@ class Listing(NamedTuple):
     is_folded: bool = True
 
     @classmethod
-    def of(cls, label: str, caption: str, rows: Iterable[Row], cells: Mapping[str, Callable[[Row], str]]) -> "Listing":
-        """Write rows, of each the cells that stand under the names of the header."""
-        return cls(label, caption, tuple(cells), {"": [tuple(cell(row) for cell in cells.values()) for row in rows]})
+    def of(
+        cls,
+        label: str,
+        caption: str,
+        rows: Iterable[Row],
+        cells: Mapping[str, Callable[[Row], str]],
+        heading: Callable[[Row], str] = lambda row: "",
+        is_folded: bool = True,
+    ) -> "Listing":
+        """Write rows, of each the cells that stand under the names of the header, and the heading over it."""
+        groups: dict[str, list[tuple[str, ...]]] = {}
+        for row in rows:
+            groups.setdefault(heading(row), []).append(tuple(cell(row) for cell in cells.values()))
+        return cls(label, caption, tuple(cells), groups, is_folded)
 
 
 class Section(NamedTuple):

@@ -2,7 +2,7 @@
 
 import base64
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from halfseen.pages.drawing import inline_svg
 from halfseen.pages.html import rendered
 from halfseen.pages.numbers import amount, share
 from halfseen.pages.sentences import INCONCLUSIVE, NOT_SUPPORTED, SUPPORTED, as_sentence
-from halfseen.study.experiment import Drawing, Experiment, Section, Setting
+from halfseen.study.experiment import Drawing, Experiment, Section, Setting, Tables
 from halfseen.study.policies import STRONGEST_RULE
 from halfseen.study.wording import CUT_KIND_NAMES
 from halfseen.world.scene import Scene
@@ -24,15 +24,39 @@ from halfseen.world.scene import Scene
 SMALLEST_HIDDEN_SHARE = 0.02
 
 
-def report_of(
-    setting: Setting,
-    experiments: Sequence[Experiment],
-    sections: Sequence[Section],
-    answer: Sequence[str],
-    versions: Mapping[str, str],
-    pictures: Mapping[str, bytes],
-) -> str:
+@dataclass(frozen=True)
+class StudyResults:
+    """What a study found; all that it writes is made from this alone.
+
+    Parameters
+    ----------
+    setting
+        What was shared.
+    experiments
+        What was run.
+    tables
+        Of each experiment, what it found.
+    sections
+        What each says, by its name.
+    versions
+        Of the packages that the numbers depend on.
+    """
+
+    setting: Setting
+    experiments: tuple[Experiment, ...]
+    tables: tuple[Tables, ...]
+    sections: Mapping[str, Section]
+    versions: Mapping[str, str]
+
+    @property
+    def answer(self) -> list[str]:
+        """The leading sentences of all sections."""
+        return [sentence for section in self.sections.values() for sentence in section.sentences[: section.num_leading]]
+
+
+def report_of(results: StudyResults, pictures: Mapping[str, bytes]) -> str:
     """Write the page; `pictures` are PNG of scenes by name, and a scene without one is described in words alone."""
+    setting, experiments = results.setting, results.experiments
     names = [scene.name for scene in setting.scenes]
     for name in pictures:
         if name not in names:
@@ -41,8 +65,8 @@ def report_of(
             )
     content = {
         "setting": setting,
-        "answer": answer,
-        "sections": [(each.name, section) for each, section in zip(experiments, sections, strict=True)],
+        "answer": results.answer,
+        "sections": results.sections,
         "scenes": [_scene(scene, pictures.get(scene.name)) for scene in setting.scenes],
         "logging_rule": STRONGEST_RULE.label,
         "parameters": {
@@ -50,7 +74,7 @@ def report_of(
             **{f"Experiment “{each.name}”": parameters(each) for each in experiments},
         },
         "command": _command(setting, experiments),
-        "versions": dict(sorted(versions.items())),
+        "versions": dict(sorted(results.versions.items())),
         "verdicts": (SUPPORTED, NOT_SUPPORTED, INCONCLUSIVE),
     }
     return rendered("halfseen.study", "report.html.j2", content, inline=inline, amount=amount, as_sentence=as_sentence)

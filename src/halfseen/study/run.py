@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,40 +11,12 @@ import pandas as pd
 
 from halfseen.errors import ArgumentError
 from halfseen.pages.drawing import drawn
-from halfseen.study.experiment import Experiment, Section, Setting, Tables
+from halfseen.study.experiment import Experiment, Setting
 from halfseen.study.experiments import EXPERIMENTS
-from halfseen.study.report import report_of
+from halfseen.study.report import StudyResults, report_of
 from halfseen.study.runner import design_of, run_all, store_of, versions
 from halfseen.study.store import as_json
 from halfseen.writing import write_file
-
-
-@dataclass(frozen=True)
-class StudyResults:
-    """What a study found; all that it writes is made from this alone.
-
-    Parameters
-    ----------
-    setting
-        What was shared.
-    experiments
-        What was run.
-    tables, sections
-        Of each experiment, what it found and what it says.
-    versions
-        Of the packages that the numbers depend on.
-    """
-
-    setting: Setting
-    experiments: tuple[Experiment, ...]
-    tables: tuple[Tables, ...]
-    sections: tuple[Section, ...]
-    versions: Mapping[str, str]
-
-    @property
-    def answer(self) -> list[str]:
-        """The leading sentences of all sections."""
-        return [sentence for section in self.sections for sentence in section.sentences[: section.num_leading]]
 
 
 def chosen(names: Sequence[str], experiments: Sequence[Experiment] = EXPERIMENTS) -> tuple[Experiment, ...]:
@@ -90,8 +62,8 @@ def run_study(
     """
     stores = [store_of(each, setting, folder, is_resumed) for each in experiments]
     tables = run_all(experiments, setting, stores, num_jobs or len(os.sched_getaffinity(0)))
-    sections = [each.section(setting, of) for each, of in zip(experiments, tables, strict=True)]
-    results = StudyResults(setting, tuple(experiments), tuple(tables), tuple(sections), versions())
+    sections = {each.name: each.section(setting, of) for each, of in zip(experiments, tables, strict=True)}
+    results = StudyResults(setting, tuple(experiments), tuple(tables), sections, versions())
     write_results(results, pictures or {}, folder)
     return results
 
@@ -101,21 +73,20 @@ def write_results(results: StudyResults, pictures: Mapping[str, bytes], folder: 
     for tables in results.tables:
         for name, table in tables.items():
             write_file(folder / f"{name}.csv", table.to_csv(index=False, lineterminator="\n"))
-    for section in results.sections:
+    for section in results.sections.values():
         for drawing in section.drawings:
             for kind in ("svg", "png"):
                 picture = drawn(partial(drawing.draw, drawing.title), kind)
                 write_file(folder / f"{drawing.name}.{kind}", picture)
     write_file(folder / "study.json", as_json(_as_dict(results)))
-    page = report_of(results.setting, results.experiments, results.sections, results.answer, results.versions, pictures)
-    write_file(folder / "report.html", page)
+    write_file(folder / "report.html", report_of(results, pictures))
 
 
 def _as_dict(results: StudyResults) -> dict[str, Any]:
-    setting, names = asdict(results.setting), [each.name for each in results.experiments]
+    setting = asdict(results.setting)
     return {
         "answer": results.answer,
-        "sentences": dict(zip(names, [section.sentences for section in results.sections], strict=True)),
+        "sentences": {name: section.sentences for name, section in results.sections.items()},
         "experiments": {each.name: design_of(each) for each in results.experiments},
         "setting": {name: value for name, value in setting.items() if name != "scenes"},
         "scenes": [{"name": scene.name, "hides": scene.hides.tolist()} for scene in results.setting.scenes],

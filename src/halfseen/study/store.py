@@ -38,18 +38,9 @@ class Store:
             )
         write_file(path, claim)
 
-    def get(self, name: str) -> Any | None:
-        """Read a piece, or None if it is not there."""
-        path = self.folder / f"{name}.json"
-        return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
-
-    def put(self, name: str, value: Any) -> Any:
-        """Keep a piece, and return it as it will be read."""
-        text = as_json(value)
-        write_file(self.folder / f"{name}.json", text)
-        return json.loads(text)
-
     def kept(self, name: str, make: Callable[[], Any]) -> Any:
-        """Read a piece, which is made if it is not there."""
-        held = self.get(name)
-        return self.put(name, make()) if held is None else held
+        """Read a piece, which is made if it is not there; what was made is returned as it will be read."""
+        path = self.folder / f"{name}.json"
+        if not path.exists():
+            write_file(path, as_json(make()))
+        return json.loads(path.read_text(encoding="utf-8"))

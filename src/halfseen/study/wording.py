@@ -1,11 +1,12 @@
 """Words that several experiments share."""
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+
+import pandas as pd
 
 from halfseen.evaluation.estimate import Estimate
-from halfseen.pages.numbers import estimated, share_in_words
-from halfseen.pages.sentences import Claim
+from halfseen.pages.numbers import MISSING, estimated, p_value, share_in_words
+from halfseen.pages.sentences import INCONCLUSIVE, NOT_SUPPORTED, SUPPORTED
 from halfseen.study.experiment import Row
 
 PATHS_AXIS = "logged paths that the policy was learned from (log scale)"
@@ -22,6 +23,8 @@ CUT_KIND_NOTES = {
     "attempt": "cuts whose hazard grows while an attempt drags on",
 }
 """Kind of cut → what it is."""
+EFFECT = ("effect", "effect_low", "effect_high")
+"""Columns of a paired difference, ours − other, in tables of tests."""
 
 
 def of_which_cut(cut_share: float) -> str:
@@ -44,14 +47,30 @@ def estimated_in(row: Row, columns: Sequence[str], decimals: int = 2) -> str:
     return estimated(*(row[name] for name in columns), decimals=decimals)
 
 
-def gain_in(row: Any, *, is_more_better: bool) -> Estimate:
+def is_reward(measure: str) -> bool:
+    """Say whether more of a measure is better: times and scores are better the smaller they are."""
+    return measure.endswith("reward")
+
+
+def gain_in(row: Row) -> Estimate:
     """The effect in a row of a table of tests, above 0 where ours is better."""
-    value, low, high = (float(row[name]) for name in ("effect", "effect_low", "effect_high"))
-    value, low, high = (value, low, high) if is_more_better else (-value, -high, -low)
+    value, low, high = (float(row[name]) for name in EFFECT)
+    value, low, high = (value, low, high) if is_reward(row["measure"]) else (-value, -high, -low)
     return Estimate(value, low, high, float("nan"), float("nan"))
 
 
-def verdict_of(row: Any, alpha: float, *, is_more_better: bool) -> str:
-    """Verdict on a row of a table of tests."""
-    gain = gain_in(row, is_more_better=is_more_better)
-    return Claim("", "", "", "", gain, float(row["p_holm"]), alpha).verdict
+def verdict_of(row: Row) -> str:
+    """Verdict on a row of a table of tests; a dash where there was no test."""
+    if pd.isna(row["supported"]):
+        return MISSING
+    if row["supported"]:
+        return SUPPORTED
+    return NOT_SUPPORTED if gain_in(row).high < 0 else INCONCLUSIVE
+
+
+TEST_CELLS: dict[str, Callable[[Row], str]] = {
+    "p": lambda row: p_value(row["p_value"]),
+    "p, adjusted": lambda row: p_value(row["p_holm"]),
+    "claim": verdict_of,
+}
+"""Last columns of a listing of tests."""

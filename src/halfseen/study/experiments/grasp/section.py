@@ -1,5 +1,6 @@
 """What the experiment says: Figure 5, Table 3, and whether the paper's claim holds here."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -21,10 +22,10 @@ from halfseen.pages.axes import (
     write_legend,
     write_title,
 )
-from halfseen.pages.numbers import amount, estimated, p_value, share_in_words
+from halfseen.pages.numbers import amount, share_in_words
 from halfseen.pages.palette import MARKERS
 from halfseen.pages.sentences import SUPPORTED, Claim, capitalised, listed
-from halfseen.study.experiment import Drawing, Listing, Section, Setting, Tables
+from halfseen.study.experiment import Drawing, Listing, Row, Section, Setting, Tables
 from halfseen.study.experiments.grasp.design import (
     CLAIMED,
     MEASURES,
@@ -38,10 +39,15 @@ from halfseen.study.experiments.grasp.design import (
 )
 from halfseen.study.frames import records, row_of, where
 from halfseen.study.policies import STRONGEST_RULE
-from halfseen.study.wording import gain_in, learned_from, verdict_of
+from halfseen.study.wording import EFFECT, TEST_CELLS, estimated_in, gain_in, is_reward, learned_from, verdict_of
 
 SCORE = "log_loss"
 """The measure that decides on the paper's claim: it is proper, and needs no policy."""
+VERBS = {
+    SCORE: ("predicts grasps better than", "predicts grasps worse than", "log-loss on held-out attempts"),
+    REWARDS[0]: ("earns more than", "earns less than", ""),
+}
+"""Measure → the paper's claim on it, its denial, and a note."""
 FITTED = (RIVAL, "beta-dropped", CLAIMED)
 FEWEST_SHOWN = 100
 """Attempts below which a bin of predicted probabilities is not drawn."""
@@ -51,12 +57,16 @@ BAR_DODGE = 1.10
 
 def section_of(design: GraspDesign, setting: Setting, tables: Tables) -> Section:
     """Say whether an SVM tells the probability of a grasp better than the mean of a Beta."""
-    score, reward = (claim_of(design, setting, tables["grasp_tests"], measure) for measure in (SCORE, REWARDS[0]))
-    on_reward = f"earns more than with the Beta: {reward.verdict} ({reward.numbers})"
-    sentence = f"{score.sentence[:-1]}; the policy learned with it {on_reward}."
-    caption = _caption(design, tables["grasp"])
-    drawing = Drawing("figure5", "Figure 5", _title(tables, setting), caption, partial(_draw, design, tables))
-    listings = (_tests(setting, tables["grasp_tests"]), _numbers(tables["grasp"]))
+    tests = tables["grasp_tests"]
+    score, reward = (claim_of(design, setting, tests, measure) for measure in VERBS)
+    sentence = (
+        f"{score.sentence[:-1]}; the policy learned with it earns more than with the Beta: {reward.verdict} "
+        f"({reward.numbers})."
+    )
+    drawing = Drawing(
+        "figure5", "Figure 5", _title(tests), _caption(design, tables["grasp"]), partial(_draw, design, tables)
+    )
+    listings = (_tests(setting, tests), _numbers(tables["grasp"]))
     return Section("The probability of a grasp: the mean of a Beta, or an SVM?", (sentence,), (drawing,), listings)
 
 
@@ -64,28 +74,20 @@ def claim_of(design: GraspDesign, setting: Setting, tests: pd.DataFrame, measure
     """The paper's claim on a measure, from the largest log."""
     largest = max(design.num_paths)
     row = row_of(tests, measure=measure, num_paths=largest)
-    is_reward = measure in REWARDS
-    gain = gain_in(row, is_more_better=is_reward)
-    verb = "earns {} than" if is_reward else "predicts grasps {} than"
-    better, worse = ("more", "less") if is_reward else ("better", "worse")
-    note = "" if is_reward else "log-loss on held-out attempts"
-    subject = f"An SVM {learned_from(largest, design.cut_share)}"
-    told = "the mean of a Beta", gain, float(row["p_holm"]), setting.alpha, note, _decimals(measure)
-    return Claim(subject, verb.format(better), verb.format(worse), *told)
+    asserted, denied, note = VERBS[measure]
+    subject, rival = f"An SVM {learned_from(largest, design.cut_share)}", "the mean of a Beta"
+    test = gain_in(row), float(row["p_holm"]), setting.alpha
+    return Claim(subject, asserted, denied, rival, *test, note, _decimals(measure))
 
 
-def _title(tables: Tables, setting: Setting) -> str:
-    rows = records(tables["grasp_tests"], measure=SCORE)
-    won = [str(row["num_paths"]) for row in rows if _verdict(row, setting) == SUPPORTED]
+def _title(tests: pd.DataFrame) -> str:
+    rows = records(tests, measure=SCORE)
+    won = [str(row["num_paths"]) for row in rows if verdict_of(row) == SUPPORTED]
     if len(won) == len(rows):
         return "The SVM predicts grasps better than the Beta mean, from logs of every size"
     if won:
         return f"The SVM predicts grasps better than the Beta mean from {listed(won)} paths alone"
     return "The SVM does not predict grasps significantly better than the Beta mean"
-
-
-def _verdict(row: Any, setting: Setting) -> str:
-    return verdict_of(row, setting.alpha, is_more_better=row["measure"] in REWARDS)
 
 
 def _caption(design: GraspDesign, grasp: pd.DataFrame) -> str:
@@ -164,7 +166,7 @@ def _look(model: str) -> dict[str, Any]:
 
 
 def _decimals(measure: str) -> int:
-    return 2 if measure in REWARDS else 4
+    return 2 if is_reward(measure) else 4
 
 
 def _tests(setting: Setting, tests: pd.DataFrame) -> Listing:
@@ -173,24 +175,23 @@ def _tests(setting: Setting, tests: pd.DataFrame) -> Listing:
         "Difference: SVM − Beta, with its 95 % interval (not adjusted); of the scores, below 0 is better. Holm’s "
         f"procedure adjusted the p-values of this table together; α = {setting.alpha:g}."
     )
-    groups: dict[str, list[tuple[str, ...]]] = {}
-    for row in records(tests):
-        decimals = _decimals(row["measure"])
-        numbers = (
-            amount(row[CLAIMED], decimals),
-            amount(row[RIVAL], decimals),
-            estimated(row["effect"], row["effect_low"], row["effect_high"], decimals),
-        )
-        told = p_value(row["p_value"]), p_value(row["p_holm"]), _verdict(row, setting)
-        groups.setdefault(capitalised(MEASURES[row["measure"]]), []).append((str(row["num_paths"]), *numbers, *told))
-    header = ("logged paths", "SVM", "Beta", "difference", "p", "p, adjusted", "claim")
-    return Listing("Table 3", caption, header, groups, is_folded=False)
+    cells = {
+        "logged paths": lambda row: str(row["num_paths"]),
+        "SVM": lambda row: amount(row[CLAIMED], _decimals(row["measure"])),
+        "Beta": lambda row: amount(row[RIVAL], _decimals(row["measure"])),
+        "difference": lambda row: estimated_in(row, EFFECT, _decimals(row["measure"])),
+        **TEST_CELLS,
+    }
+    headings = {measure: capitalised(words) for measure, words in MEASURES.items()}
+    return Listing.of("Table 3", caption, records(tests), cells, lambda row: headings[row["measure"]], is_folded=False)
 
 
 def _numbers(grasp: pd.DataFrame) -> Listing:
-    rows = []
-    for row in records(grasp):
-        cells = (estimated(row[of], row[f"{of}_low"], row[f"{of}_high"], _decimals(of)) for of in MEASURES)
-        rows.append((MODEL_NAMES[row["model"]], str(row["num_paths"]), *cells))
-    header = ("model", "logged paths", "log-loss", "Brier score", "reward, learned", "reward, heuristic")
-    return Listing("The numbers of Figure 5", "", header, {"": rows})
+    def cell(measure: str) -> Callable[[Row], str]:
+        columns = [f"{measure}{end}" for end in ("", "_low", "_high")]
+        return lambda row: estimated_in(row, columns, _decimals(measure))
+
+    cells = {"model": lambda row: MODEL_NAMES[row["model"]], "logged paths": lambda row: str(row["num_paths"])}
+    names = ("log-loss", "Brier score", "reward, learned", "reward, heuristic")
+    cells |= {name: cell(measure) for name, measure in zip(names, MEASURES, strict=True)}
+    return Listing.of("The numbers of Figure 5", "", records(grasp), cells)

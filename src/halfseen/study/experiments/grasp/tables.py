@@ -6,9 +6,10 @@ import numpy as np
 import pandas as pd
 
 from halfseen.study.experiment import Pieces, Setting, Tables
-from halfseen.study.experiments.grasp.design import CLAIMED, MEASURES, NUM_BINS, ORACLE, REWARDS, RIVAL, GraspDesign
+from halfseen.study.experiments.grasp.design import CLAIMED, MEASURES, NUM_BINS, ORACLE, RIVAL, GraspDesign
 from halfseen.study.frames import stacked
 from halfseen.study.statistics import adjusted, mean_columns, over_repetitions, paired_test, tested_columns
+from halfseen.study.wording import is_reward
 
 Found = dict[tuple[int, str], dict[str, Any]]
 """What was measured, as arrays over repetitions, by size of log and model."""
@@ -54,7 +55,7 @@ def _tests(design: GraspDesign, found: Found) -> pd.DataFrame:
     for measure in MEASURES:
         for size in design.num_paths:
             ours, other = found[size, CLAIMED][measure], found[size, RIVAL][measure]
-            test = tested_columns(paired_test(ours, other, is_more_better=measure in REWARDS))
+            test = tested_columns(paired_test(ours, other, is_more_better=is_reward(measure)))
             means = {CLAIMED: float(ours.mean()), RIVAL: float(other.mean())}
             rows.append({"measure": measure, "num_paths": size} | means | test)
     return pd.DataFrame(rows)

@@ -1,5 +1,6 @@
 """One repetition of the experiment."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any, ClassVar
@@ -50,7 +51,6 @@ class Reward(RewardDesign):
         """Learn from a fresh log at every size and proportion of cuts, and play all on the same fresh episodes."""
         source = Source.of(setting, index)
         num_all = self.episodes_per_scene * len(setting.scenes)
-        rules = {each.name: source.evaluate(each.policy(setting.world), num_all) for each in HEURISTICS}
         episodes = source.play(max(self.num_paths))
         logs = [(source.cut(episodes, rate, CUT_KIND), "weighted") for rate in prepared["rates"]]
         learned = source.encode(episodes).learn_and_play(logs, self.num_paths, num_all)
@@ -60,15 +60,18 @@ class Reward(RewardDesign):
             for (size, share), (weights, played) in zip(places, learned, strict=True)
         ]
         _, headline = learned[places.index((self.table_num_paths, self.table_cut_share))]
-        return {
-            "index": index,
-            "learned": rows,
-            "heuristics": {name: played.means() for name, played in rules.items()},
-            "planners": {planner(size).name: self._planned(source, size, headline) for size, _ in self.planners},
-        }
+        baselines = {}
+        for each in HEURISTICS:
+            played = source.evaluate(each.policy(setting.world), num_all)
+            baselines[each.name] = _beside(headline, range(num_all), played)
+        for size, num_episodes in self.planners:
+            episodes = episodes_in_turn(index, num_episodes, num_all)
+            played = play_singly(source, planner(size).policy(setting.world), episodes)
+            baselines[planner(size).name] = _beside(headline, episodes, played)
+        return {"index": index, "learned": rows, "baselines": baselines}
 
-    def _planned(self, source: Source, size: int, headline: Played) -> dict[str, Any]:
-        """What a planner earned on some of the episodes, and the learned policy of Table 1 on the same."""
-        episodes = episodes_in_turn(source.index, dict(self.planners)[size], len(headline.reward))
-        played = play_singly(source, planner(size).policy(source.world), episodes)
-        return {"num_episodes": len(episodes), **played.means(), LEARNED.name: headline.on(episodes).means()}
+
+def _beside(headline: Played, episodes: Sequence[int], played: Played) -> dict[str, Any]:
+    """What a baseline earned on some of the episodes, and the learned policy of Table 1 on the same."""
+    both = {LEARNED.name: headline.on(episodes), "other": played}
+    return {"num_episodes": len(episodes)} | {who: each.means() for who, each in both.items()}

@@ -9,16 +9,25 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from halfseen.pages.axes import EndLabel, draw_curve
-from halfseen.pages.numbers import amount, p_value, share, share_in_words, with_interval
+from halfseen.pages.numbers import MISSING, amount, share, share_in_words, significant, with_interval
 from halfseen.pages.palette import BAND_OPACITY
 from halfseen.pages.sentences import NOT_SUPPORTED, SUPPORTED, Claim, capitalised, counted, listed
-from halfseen.study.experiment import Drawing, Listing, Section, Setting, Tables
+from halfseen.study.experiment import Drawing, Listing, Row, Section, Setting, Tables
 from halfseen.study.experiments.reward.design import RewardDesign
 from halfseen.study.experiments.reward.tables import BEST, MEASURES
 from halfseen.study.figures import MEAN, draw_by_cut_share, draw_by_size, draw_level
 from halfseen.study.frames import records, row_of
 from halfseen.study.policies import LEARNED, STRONGEST_RULE
-from halfseen.study.wording import REWARD_AXIS, estimated_in, gain_in, learned_from, spelled, verdict_of
+from halfseen.study.wording import (
+    EFFECT,
+    REWARD_AXIS,
+    TEST_CELLS,
+    estimated_in,
+    gain_in,
+    is_reward,
+    learned_from,
+    spelled,
+)
 
 STRONGEST = "the strongest heuristic", "the strongest planner"
 ROLE_WORDS: dict[str, str] = dict(zip(BEST, (STRONGEST[0], f"{STRONGEST[1]}, which knows the true model"), strict=True))
@@ -51,7 +60,7 @@ def claim(design: RewardDesign, setting: Setting, figure1: pd.DataFrame, table1:
         "earns more than",
         "earns less than",
         f"{ROLE_WORDS[role]} ({design.contenders[name].label})",
-        gain_in(row, is_more_better=True),
+        gain_in(row),
         float(row["p_holm"]),
         setting.alpha,
         f"{earned} on the same {counted(int(row['num_episodes']), 'episode')}",
@@ -161,24 +170,28 @@ def _tests(design: RewardDesign, setting: Setting, table1: pd.DataFrame) -> List
         f"{setting.alpha:g}. Not supported: the interval lies on the other side of 0. Decision times are medians on "
         "one core of this machine, told beside; nothing else depends on them."
     )
-    groups = {}
-    for measure, name in MEASURES.items():
-        heading = f"{capitalised(name)}{f': “{CLAIM_WORDS[measure]}”' if measure in CLAIM_WORDS else ''}"
-        groups[heading] = [_test_row(design, setting, row) for row in records(table1, measure=measure)]
-    header = ("against", "learned", "baseline", "difference", "p", "p, adjusted", "claim")
-    return Listing("Table 1", caption, header, groups, is_folded=False)
+    headings = {
+        measure: f"{capitalised(name)}{f': “{CLAIM_WORDS[measure]}”' if measure in CLAIM_WORDS else ''}"
+        for measure, name in MEASURES.items()
+    }
+    cells = {
+        "against": lambda row: design.contenders[row["baseline"]].label,
+        "learned": lambda row: _written(row, LEARNED.name),
+        "baseline": lambda row: _written(row, "other"),
+        "difference": _difference,
+        **TEST_CELLS,
+    }
+    rows = [row for measure in MEASURES for row in records(table1, measure=measure)]
+    return Listing.of("Table 1", caption, rows, cells, lambda row: headings[row["measure"]], is_folded=False)
 
 
-def _test_row(design: RewardDesign, setting: Setting, row: Any) -> tuple[str, ...]:
-    is_reward, is_tested = row["measure"] == "reward", row["measure"] in CLAIM_WORDS
-    written = (lambda value: amount(value)) if is_reward else (lambda value: f"{value:.3g}".replace("-", "−"))
-    label = design.contenders[row["baseline"]].label
-    if not is_tested:
-        return label, written(row[LEARNED.name]), written(row["other"]), written(row["effect"]), "", "", ""
-    mean, ends = with_interval(row["effect"], row["effect_low"], row["effect_high"])
-    verdict = verdict_of(row, setting.alpha, is_more_better=is_reward)
-    numbers = written(row[LEARNED.name]), written(row["other"]), f"{mean} ({ends})"
-    return label, *numbers, p_value(row["p_value"]), p_value(row["p_holm"]), verdict
+def _written(row: Row, column: str) -> str:
+    return amount(row[column]) if is_reward(row["measure"]) else significant(row[column])
+
+
+def _difference(row: Row) -> str:
+    mean, ends = with_interval(*(row[name] for name in EFFECT))
+    return mean if ends == MISSING else f"{mean} ({ends})"
 
 
 def _weights(design: RewardDesign, weights: pd.DataFrame) -> Listing:

@@ -11,6 +11,7 @@ from halfseen.study.experiments.reward.design import RewardDesign
 from halfseen.study.frames import stacked
 from halfseen.study.policies import HEURISTICS, LEARNED
 from halfseen.study.statistics import adjusted, mean_columns, paired_test, tested_columns
+from halfseen.study.wording import is_reward
 
 MEASURES = {
     "reward": "reward of a path",
@@ -52,57 +53,41 @@ def strongest(design: RewardDesign, selection: dict[str, float]) -> dict[str, st
 
 
 def _figure1(design: RewardDesign, pieces: Pieces, chosen: dict[str, str]) -> pd.DataFrame:
-    rule = _both(design, pieces, chosen[BEST[0]], "reward")[1]
+    headline, rule = _both(pieces, chosen[BEST[0]], "reward")
     rows: list[dict[str, Any]] = []
     for row in stacked(pieces.repetitions, "learned", "reward"):
         gain = mean_columns(row["reward"] - rule, "gain", "gain_se", "gain_low", "gain_high")
         place = {name: row[name] for name in KEYS}
         rows.append({"policy": LEARNED.name} | place | mean_columns(row["reward"]) | gain)
     roles = {name: role for role, name in chosen.items()}
-    headline = _headline(design, pieces, "reward")
     for name in design.baseline_names:
-        own, other = _both(design, pieces, name, "reward")
-        values = headline - (own - other) if name in design.planner_names else other
-        rows.append({"policy": name, "role": roles.get(name)} | mean_columns(values))
+        own, other = _both(pieces, name, "reward")
+        rows.append({"policy": name, "role": roles.get(name)} | mean_columns(headline - (own - other)))
     first = ["policy", *KEYS, "repetitions", "mean_reward", "se", "low", "high", "role"]
     table = pd.DataFrame(rows).assign(repetitions=len(pieces.repetitions))
     return table.loc[:, [*first, *table.columns.drop(first)]].astype({"num_paths": "Int64", "cut_share": "Float64"})
 
 
 def _table1(design: RewardDesign, setting: Setting, pieces: Pieces) -> pd.DataFrame:
-    rows = []
+    rows, counts = [], []
     for name in design.baseline_names:
         for measure in MEASURES:
-            own, other = _both(design, pieces, name, measure)
+            own, other = _both(pieces, name, measure)
             means = {LEARNED.name: float(own.mean()), "other": float(other.mean())}
             if measure == "decision_ms":
                 test = {"p_value": np.nan, "effect": float((own - other)[0])}
             else:
-                test = tested_columns(paired_test(own, other, is_more_better=measure == "reward"))
+                test = tested_columns(paired_test(own, other, is_more_better=is_reward(measure)))
             rows.append({"baseline": name, "measure": measure} | means | test)
-    table = adjusted(pd.DataFrame(rows), setting.alpha)
-    block = design.episodes_per_scene * len(setting.scenes)
-    played = {name: row["num_episodes"] for name, row in pieces.repetitions[0]["planners"].items()}
-    count = table["baseline"].map(lambda name: played.get(name, block) * len(pieces.repetitions))
-    return table.assign(num_episodes=count)
+            counts.append(sum(piece["baselines"][name]["num_episodes"] for piece in pieces.repetitions))
+    return adjusted(pd.DataFrame(rows), setting.alpha).assign(num_episodes=counts)
 
 
-Values = Float[np.ndarray, " R"]
-
-
-def _both(design: RewardDesign, pieces: Pieces, name: str, measure: str) -> tuple[Values, Values]:
+def _both(pieces: Pieces, name: str, measure: str) -> tuple[Float[np.ndarray, " R"], Float[np.ndarray, " R"]]:
     """The learned policy of Table 1 and a baseline, on the episodes that both played; measured times but once."""
     if measure == "decision_ms":
-        learned, other = (np.array([pieces.measured[measure][each]]) for each in (LEARNED.name, name))
-        return learned, other
-    if name in design.planner_names:
-        rows = [piece["planners"][name] for piece in pieces.repetitions]
-        return np.array([row[LEARNED.name][measure] for row in rows]), np.array([row[measure] for row in rows])
-    other = np.array([piece["heuristics"][name][measure] for piece in pieces.repetitions])
-    return _headline(design, pieces, measure), other
-
-
-def _headline(design: RewardDesign, pieces: Pieces, measure: str) -> Values:
-    at = design.table_num_paths, design.table_cut_share
-    rows = stacked(pieces.repetitions, "learned", measure)
-    return next(row[measure] for row in rows if (row["num_paths"], row["cut_share"]) == at)
+        own, other = (np.array([pieces.measured[measure][who]]) for who in (LEARNED.name, name))
+    else:
+        rows = [piece["baselines"][name] for piece in pieces.repetitions]
+        own, other = (np.array([row[who][measure] for row in rows]) for who in (LEARNED.name, "other"))
+    return own, other
