@@ -17,12 +17,11 @@ from halfseen.pages.drawing import MOST_MARKERS, inline_svg
 from halfseen.policies.folder import read_policy, write_policy
 from halfseen.report import findings as found_in
 from halfseen.report import page as page_module
+from halfseen.report.figures import draw_values, draw_watched
 from halfseen.report.findings import find
 from halfseen.report.log_findings import watched
 from halfseen.report.page import MARK, page_of, write_page
 from halfseen.report.policy_findings import choices, q_curves
-from halfseen.report.value_figure import draw_values
-from halfseen.report.watched_figure import draw_watched
 from small_logs import table_log
 
 SECTIONS = ("value", "log", "weights", "policy", "unknown", "again")

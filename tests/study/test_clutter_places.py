@@ -4,8 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from halfseen.errors import ArgumentError
-from halfseen.study.experiments.clutter.design import ClutterDesign
-from halfseen.study.experiments.clutter.places import random_tables
+from halfseen.study.experiments.clutter.places import ClutterDesign, random_tables
 from halfseen.world.config import WorldConfig
 
 

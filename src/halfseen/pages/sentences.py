@@ -82,10 +82,15 @@ class Claim:
         return NOT_SUPPORTED if self.gain.high < 0 else INCONCLUSIVE
 
     @property
+    def found(self) -> str:
+        """The verb that the verdict leaves: that of the claim, its denial, or neither."""
+        verbs = {SUPPORTED: self.asserted, NOT_SUPPORTED: self.denied}
+        return verbs.get(self.verdict, "shows no significant difference from")
+
+    @property
     def title(self) -> str:
         """What was found, as a statement; the first words of a figure."""
-        verb = {SUPPORTED: self.asserted, NOT_SUPPORTED: self.denied}.get(self.verdict)
-        return f"{self.subject} {verb or 'shows no significant difference from'} {self.rival}"
+        return f"{self.subject} {self.found} {self.rival}"
 
     @property
     def numbers(self) -> str:

@@ -7,8 +7,6 @@ from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from typing import Any
 
-import numpy as np
-
 import halfseen
 from halfseen.censoring.positivity import PositivityReport
 from halfseen.errors import HalfseenWarning
@@ -17,6 +15,7 @@ from halfseen.evaluation.stored_model import specification_of
 from halfseen.evaluation.targets import task_of
 from halfseen.logs import Logs
 from halfseen.policies.folder import StoredPolicy, log_digest
+from halfseen.policies.folder.json_values import finite
 from halfseen.report.log_findings import Watched, log_findings, positivity_of, watched
 from halfseen.report.policy_findings import QCurve, choices, q_curves
 
@@ -49,7 +48,7 @@ class Findings:
 
     def as_dict(self) -> dict[str, Any]:
         """Everything, ready for JSON: null for what is no number."""
-        return _finite(
+        return finite(
             {
                 "value": {"sentence": self.evaluation.sentence, **self.evaluation.as_dict(), **self.model},
                 "notes": self.notes,
@@ -116,12 +115,3 @@ def find(
             **{name: version(name) for name in LIBRARIES},
         },
     )
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(key): _finite(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple, np.ndarray)):
-        return [_finite(entry) for entry in value]
-    value = value.item() if isinstance(value, np.generic) else value
-    return None if isinstance(value, float) and not np.isfinite(value) else value

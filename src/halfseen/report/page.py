@@ -10,11 +10,8 @@ from halfseen.pages.html import rendered
 from halfseen.pages.numbers import percent, significant, with_interval
 from halfseen.pages.sentences import as_sentence, counted, listed
 from halfseen.report import sentences
-from halfseen.report.choices_figure import draw_choices, drawn_actions
-from halfseen.report.curves_figure import MOST_ACTIONS, draw_curves
+from halfseen.report.figures import MOST_CURVES, draw_choices, draw_curves, draw_values, draw_watched, drawn_actions
 from halfseen.report.findings import Findings
-from halfseen.report.value_figure import draw_values
-from halfseen.report.watched_figure import draw_watched
 from halfseen.writing import write_file
 
 MARK = '<meta name="generator" content="halfseen report">'
@@ -119,7 +116,7 @@ def _left_out(findings: Findings) -> str:
             len(schema.get("covariates", ())),
             "those that sway the choice most",
         ),
-        "actions": (min(MOST_ACTIONS, len(schema["actions"])), len(schema["actions"]), "the first"),
+        "actions": (min(MOST_CURVES, len(schema["actions"])), len(schema["actions"]), "the first"),
     }
     told = [f"{shown} of {all_} {what}, {which}" for what, (shown, all_, which) in drawn.items() if shown < all_]
     return "".join(f"; {part}" for part in told)

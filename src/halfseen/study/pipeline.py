@@ -16,11 +16,9 @@ A cut path is treated in one of four ways, as what the learner sees of it:
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -37,7 +35,7 @@ from halfseen.tables.table_policy import LinearTablePolicy
 from halfseen.world.action_space import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.cuts import CutEpisodes, CutKind, cut, cut_rate
-from halfseen.world.episodes import Episodes, Totals, evaluate, play
+from halfseen.world.episodes import Episodes, evaluate, play
 from halfseen.world.grasp_model import GraspModel
 from halfseen.world.policy import Policy
 from halfseen.world.recording import elapsed_s
@@ -103,22 +101,8 @@ class Source:
     def evaluate(self, policy: Policy, num_episodes: int, purpose: int = EVALUATION) -> Played:
         """Play a policy on the episodes of a purpose that all policies share."""
         key = random_key(self.seed, purpose, self.index)
-        return _played(evaluate(self.world, self.layouts, policy, key, num_episodes))
-
-    def evaluate_batch(self, policies: Policy, num_episodes: int) -> list[Played]:
-        """Play a batch of policies of one kind on the evaluation episodes."""
-        key = random_key(self.seed, EVALUATION, self.index)
-        played = _played(_evaluate_batch(self.world, self.layouts, policies, key, num_episodes))
-        return [Played(*each) for each in zip(*played, strict=True)]
-
-
-def _played(totals: Totals) -> Played:
-    return Played(np.asarray(totals.reward, dtype=np.float64), np.asarray(totals.robot_s, dtype=np.float64))
-
-
-@partial(jax.jit, static_argnames="num_episodes")
-def _evaluate_batch(world: WorldConfig, layouts: Layout, policies: Policy, key: jax.Array, num_episodes: int) -> Totals:
-    return jax.vmap(lambda policy: evaluate(world, layouts, policy, key, num_episodes))(policies)
+        totals = evaluate(self.world, self.layouts, policy, key, num_episodes)
+        return Played(*(np.asarray(of_episode, dtype=np.float64) for of_episode in (totals.reward, totals.robot_s)))
 
 
 @dataclass(frozen=True)
@@ -136,34 +120,32 @@ class EncodedPaths:
 
     def learn(
         self, logs: Sequence[tuple[CutEpisodes, str]], num_paths: int
-    ) -> tuple[LinearTablePolicy, list[dict[str, float]]]:
+    ) -> list[tuple[LinearTablePolicy, dict[str, float]]]:
         """Learn from the first paths of logs, each under its treatment, in one compiled call.
 
-        Returns the policies as one batch; and of each, the effective sample size and the largest of its weights.
+        Returns each policy with the effective sample size and the largest of its weights.
         """
         models, rows = [], []
         for cuts, treatment in logs:
             paths = self.lay_out(cuts, treatment, num_paths)
             model = self.model(treatment)
-            model = replace(model, cut_model=model.targets.fit_cuts(paths.clocks))
-            models.append(model)
-            rows.append(model.transitions(paths))
+            models.append(replace(model, cut_model=model.targets.fit_cuts(paths.clocks)))
+            rows.append(models[-1].transitions(paths))
         batch = jax.tree.map(lambda *leaves: np.stack(leaves), *rows)
-        policies = models[0].policy(models[0].fit(batch))
-        return policies, [_weights(np.asarray(each.weight)) for each in rows]
+        learned = models[0].policy(models[0].fit(batch))
+        policies = [LinearTablePolicy(each, learned.grasp) for each in learned.coefficients]
+        return list(zip(policies, [_weights(np.asarray(each.weight)) for each in rows], strict=True))
 
     def learn_one(self, cuts: CutEpisodes, num_paths: int) -> LinearTablePolicy:
         """Learn from the first paths of a log, weighted."""
-        return members(self.learn([(cuts, "weighted")], num_paths)[0])[0]
+        return self.learn([(cuts, "weighted")], num_paths)[0][0]
 
     def learn_and_play(
         self, logs: Sequence[tuple[CutEpisodes, str]], sizes: Sequence[int], num_episodes: int
     ) -> list[tuple[dict[str, float], Played]]:
         """Learn from logs, at each size from all, and play on the same episodes: weights and what was earned."""
-        learned = [self.learn(logs, size) for size in sizes]
-        together = LinearTablePolicy(jnp.concatenate([policies.coefficients for policies, _ in learned]))
-        played = self.source.evaluate_batch(together, num_episodes)
-        return list(zip([each for _, weights in learned for each in weights], played, strict=True))
+        learned = [each for size in sizes for each in self.learn(logs, size)]
+        return [(weights, self.source.evaluate(policy, num_episodes)) for policy, weights in learned]
 
     def model(self, treatment: str) -> QModel:
         """How the product's own learner fits Q under a treatment."""
@@ -174,11 +156,6 @@ class EncodedPaths:
             censoring="kaplan-meier" if treatment == "weighted" else "none",
             random_state=int(np.random.SeedSequence([source.seed, source.index]).generate_state(1)[0]),
         ).compose()
-
-
-def members(policies: LinearTablePolicy) -> list[LinearTablePolicy]:
-    """The policies of a batch, one by one."""
-    return [LinearTablePolicy(each, policies.grasp) for each in policies.coefficients]
 
 
 def treated(paths: PathArrays, cuts: CutEpisodes, treatment: str, world: WorldConfig) -> PathArrays:

@@ -27,19 +27,10 @@ EFFECT = ("effect", "effect_low", "effect_high")
 """Columns of a paired difference, ours − other, in tables of tests."""
 
 
-def of_which_cut(cut_share: float) -> str:
-    """Say what proportion of a log was cut."""
-    return "none of them cut" if cut_share == 0 else f"of which about {share_in_words(cut_share)} were cut"
-
-
 def learned_from(num_paths: int, cut_share: float) -> str:
     """Say what was learned from."""
-    return f"learned from {num_paths} logged paths, {of_which_cut(cut_share)},"
-
-
-def spelled(low: int, high: int) -> str:
-    """Write a range: ``25``, ``25 to 50``."""
-    return f"{low}" if low == high else f"{low} to {high}"
+    cut = "none of them cut" if cut_share == 0 else f"of which about {share_in_words(cut_share)} were cut"
+    return f"learned from {num_paths} logged paths, {cut},"
 
 
 def estimated_in(row: Row, columns: Sequence[str], decimals: int = 2) -> str:

@@ -134,9 +134,9 @@ class Planning:
         over_first (paired differences from the next shorter and the shortest horizon, with se_…, …_low, …_high),
         repetitions and episodes; null where there is nothing shorter. ``learning`` has learning_s, measured.
         """
-        blocks, times = _Blocks(pieces), pieces.measured["decision_ms"]
+        rewards, times = _rewards(pieces), pieces.measured["decision_ms"]
         learning = pd.DataFrame({"num_paths": [self.num_paths], "learning_s": [pieces.measured["learning_s"]]})
-        figure2, figure3 = _figure2(self, blocks, times), _figure3(self, blocks, times)
+        figure2, figure3 = _figure2(self, rewards, times), _figure3(self, rewards, times)
         return {"figure2": figure2, "figure3": figure3, "learning": learning}
 
     def section(self, setting: Setting, tables: Tables) -> Section:
@@ -144,10 +144,11 @@ class Planning:
         figure2, figure3 = tables["figure2"], tables["figure3"]
         best, longer = most_simulations(self, figure2), longest_horizon(self, figure3)
         draw = partial(_draw_simulations, figure2), partial(_draw_horizons, self.contenders, figure2, figure3)
-        titles = best.title, f"{longer.title}; {_steps(figure3)}"
+        told = f"{longer.title}; {_steps(figure3)}"
         captions = _captions(self, figure2)
-        drawings = tuple(
-            Drawing(f"figure{k + 2}", f"Figure {k + 2}", titles[k], captions[k], draw[k]) for k in range(2)
+        drawings = (
+            Drawing("figure2", "Figure 2", best.title, captions[0], draw[0]),
+            Drawing("figure3", "Figure 3", told, captions[1], draw[1]),
         )
         return Section("What is planning worth?", (best.sentence, longer.sentence), drawings, (_numbers(self, tables),))
 
@@ -156,49 +157,49 @@ def _row(name: str, episodes: Iterable[int], played: Played) -> dict[str, Any]:
     return {"policy": name, "episodes": list(episodes), "reward": played.reward.tolist()}
 
 
-class _Blocks:
-    """Rewards of each policy by repetition and number of the episode."""
-
-    def __init__(self, pieces: Pieces) -> None:
-        self._rewards: dict[str, list[dict[int, float]]] = {}
-        for piece in pieces.repetitions:
-            for row in piece["played"]:
-                of_block = dict(zip(row["episodes"], row["reward"], strict=True))
-                self._rewards.setdefault(row["policy"], []).append(of_block)
-
-    def means(self, policy: str, like: str | None = None) -> Float[np.ndarray, " R"]:
-        """Block means of a policy, on the episodes that `like` played as well (all, if None)."""
-        own, others = self._rewards[policy], self._rewards[like or policy]
-        return np.array([np.mean([block[i] for i in other]) for block, other in zip(own, others, strict=True)])
-
-    def counts(self, policy: str) -> dict[str, int]:
-        """Columns repetitions and episodes."""
-        return {"repetitions": len(self._rewards[policy]), "episodes": len(self._rewards[policy][0])}
+def _rewards(pieces: Pieces) -> pd.DataFrame:
+    """Rewards by repetition and episode, a column for each policy; NaN where it did not play."""
+    frames = [
+        pd.DataFrame({"repetition": k, "policy": row["policy"], "episode": row["episodes"], "reward": row["reward"]})
+        for k, piece in enumerate(pieces.repetitions)
+        for row in piece["played"]
+    ]
+    return pd.concat(frames).pivot(index=["repetition", "episode"], columns="policy", values="reward")
 
 
-def _figure2(design: Planning, blocks: _Blocks, times_ms: dict[str, float]) -> pd.DataFrame:
-    rows, own = [], blocks.means(LEARNED.name)
+def _means(rewards: pd.Series) -> Float[np.ndarray, " R"]:
+    """Means of the repetitions, over the episodes that were played."""
+    return rewards.groupby("repetition").mean().to_numpy()
+
+
+def _counts(rewards: pd.Series) -> dict[str, int]:
+    """Columns repetitions and episodes."""
+    played = rewards.groupby("repetition").count()
+    return {"repetitions": len(played), "episodes": int(played.iloc[0])}
+
+
+def _figure2(design: Planning, rewards: pd.DataFrame, times_ms: dict[str, float]) -> pd.DataFrame:
+    rows, learned = [], rewards[LEARNED.name]
     for name, who in design.contenders.items():
-        over = blocks.means(name) - blocks.means(LEARNED.name, like=name)
+        over = _means(rewards[name] - learned)
         row: dict[str, Any] = {"policy": name, "kind": str(who.kind), "simulations": design.by_simulations.get(name)}
-        difference = mean_columns(over, OVER[0], "se_over", *OVER[1:])
-        rows.append(row | {"decision_ms": times_ms[name]} | mean_columns(own + over) | difference | blocks.counts(name))
+        row |= {"decision_ms": times_ms[name]} | mean_columns(_means(learned) + over)
+        rows.append(row | mean_columns(over, OVER[0], "se_over", *OVER[1:]) | _counts(rewards[name]))
     return pd.DataFrame(rows).astype({"simulations": "Int64"})
 
 
-def _figure3(design: Planning, blocks: _Blocks, times_ms: dict[str, float]) -> pd.DataFrame:
+def _figure3(design: Planning, rewards: pd.DataFrame, times_ms: dict[str, float]) -> pd.DataFrame:
     rows = []
-    rewards = {name: blocks.means(name) for name in design.by_horizon}
-    first = previous = next(iter(rewards))
+    first = previous = next(iter(design.by_horizon))
     for name, horizon in design.by_horizon.items():
         row: dict[str, Any] = {"planning_horizon": horizon, "decision_ms": times_ms[name]}
         row["simulations"] = design.horizon_simulations if horizon > 1 else None
-        row |= mean_columns(rewards[name])
+        row |= mean_columns(_means(rewards[name]))
         for over, shorter in (("over_previous", previous), ("over_first", first)):
             names = over, f"se_{over}", f"{over}_low", f"{over}_high"
-            difference = mean_columns(rewards[name] - rewards[shorter], *names)
+            difference = mean_columns(_means(rewards[name] - rewards[shorter]), *names)
             row |= difference if name != first else dict.fromkeys(names, np.nan)
-        rows.append(row | blocks.counts(name))
+        rows.append(row | _counts(rewards[name]))
         previous = name
     return pd.DataFrame(rows).astype({"simulations": "Int64"})
 

@@ -23,7 +23,7 @@ from halfseen.planners.optimum import TableOptimum, solve_table
 from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Section, Setting, Tables
 from halfseen.study.figures import draw_by_cut_share, draw_by_size, draw_level
 from halfseen.study.frames import records, row_of, stacked
-from halfseen.study.pipeline import EVALUATION, Source, members, random_key
+from halfseen.study.pipeline import EVALUATION, Source, random_key
 from halfseen.study.policies import HEURISTICS, LEARNED, OPTIMUM, Contender, Kind, by_name, horizon_planner
 from halfseen.study.statistics import mean_columns
 from halfseen.study.wording import estimated_in, learned_from
@@ -109,8 +109,7 @@ class Regret:
         encoded = source.encode(episodes)
         logs = [(source.cut(episodes, rate, CUT_KIND), "weighted") for rate in prepared["rates"]]
         for size in self.num_paths:
-            policies = members(encoded.learn(logs, size)[0])
-            for cut_share, policy in zip(self.cut_shares, policies, strict=True):
+            for cut_share, (policy, _) in zip(self.cut_shares, encoded.learn(logs, size), strict=True):
                 place = {"policy": LEARNED.name, "num_paths": size, "cut_share": cut_share}
                 rows.append(place | {"regrets": small.regrets(policy)})
         return {"index": index, "rows": rows}

@@ -8,10 +8,9 @@ import numpy as np
 import pandas as pd
 
 from halfseen.pages.numbers import amount, estimated, share_in_words
-from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Row, Section, Setting, Tables
-from halfseen.study.experiments.clutter.design import ClutterDesign
+from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Section, Setting, Tables
 from halfseen.study.experiments.clutter.figure import draw_map
-from halfseen.study.experiments.clutter.places import Place, random_tables
+from halfseen.study.experiments.clutter.places import ClutterDesign, Place, random_tables
 from halfseen.study.experiments.clutter.table import table_of
 from halfseen.study.experiments.clutter.words import map_sentence, map_title
 from halfseen.study.frames import records
@@ -21,6 +20,7 @@ from halfseen.world.cuts import CutKind, cut_rate
 from halfseen.world.state import pad_scenes
 
 MAP_SEED, TABLES = 16, 2
+GAIN = ("gain_share", "gain_share_low", "gain_share_high")
 CUT_KIND: CutKind = "independent"
 
 
@@ -32,7 +32,11 @@ class Clutter(ClutterDesign):
 
     def prepare(self, setting: Setting) -> PieceOf:
         """Calibrate the cuts at each place, from a pilot of its own."""
-        return {"rates": [self._rate(setting, place) for place in self.places(setting.world)]}
+        pilots = (
+            self._source(setting, place, 0).play(self.num_paths, MAP_SEED + PILOT)
+            for place in self.places(setting.world)
+        )
+        return {"rates": [cut_rate(pilot, self.cut_share, CUT_KIND) for pilot in pilots]}
 
     def repeat(self, setting: Setting, prepared: PieceOf, index: int) -> PieceOf:
         """Learn and play at every place: a row for each."""
@@ -55,10 +59,6 @@ class Clutter(ClutterDesign):
             for name, policy in policies.items()
         }
         return asdict(place) | {"rewards": rewards}
-
-    def _rate(self, setting: Setting, place: Place) -> float:
-        pilot = self._source(setting, place, 0).play(self.num_paths, MAP_SEED + PILOT)
-        return cut_rate(pilot, self.cut_share, CUT_KIND)
 
     def _source(self, setting: Setting, place: Place, index: int) -> Source:
         """At one N the same tables everywhere, denser or looser."""
@@ -104,11 +104,7 @@ def _numbers(table: pd.DataFrame) -> Listing:
         "grip spread": lambda row: amount(row["grip_offset_std"], 1),
         "learned": lambda row: amount(row[LEARNED.name]),
         "best heuristic": lambda row: f"{amount(row['heuristic_reward'])} ({rules[row['best_heuristic']].label})",
-        "gain [%]": _gain,
+        "gain [%]": lambda row: estimated(*(100 * row[name] for name in GAIN), decimals=0),
         "verdict": lambda row: row["verdict"],
     }
     return Listing.of("The numbers of Figure 6", "", records(table), cells)
-
-
-def _gain(row: Row) -> str:
-    return estimated(*(100 * row[f"gain_share{end}"] for end in ("", "_low", "_high")), decimals=0)

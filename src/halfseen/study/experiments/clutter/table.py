@@ -9,8 +9,7 @@ import pandas as pd
 from jaxtyping import Float
 from scipy import stats
 
-from halfseen.study.experiments.clutter.design import ClutterDesign
-from halfseen.study.experiments.clutter.places import FACTORS, Place
+from halfseen.study.experiments.clutter.places import FACTORS, ClutterDesign, Place
 from halfseen.study.policies import HEURISTICS, LEARNED
 from halfseen.study.statistics import over_repetitions
 from halfseen.world.config import WorldConfig

@@ -4,8 +4,7 @@ from typing import NamedTuple
 
 import pandas as pd
 
-from halfseen.study.experiments.clutter.design import ClutterDesign
-from halfseen.study.experiments.clutter.places import FACTORS, assumed_laws
+from halfseen.study.experiments.clutter.places import FACTORS, ClutterDesign, assumed_laws
 from halfseen.study.experiments.clutter.table import ENOUGH, LEARN, NO_SCALE, UNDECIDED
 from halfseen.study.wording import learned_from
 from halfseen.world.config import WorldConfig

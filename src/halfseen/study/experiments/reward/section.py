@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from halfseen.pages.axes import EndLabel, draw_curve
 from halfseen.pages.numbers import MISSING, amount, share, share_in_words, significant, with_interval
 from halfseen.pages.palette import BAND_OPACITY
-from halfseen.pages.sentences import NOT_SUPPORTED, SUPPORTED, Claim, capitalised, counted, listed
+from halfseen.pages.sentences import Claim, capitalised, counted, listed
 from halfseen.study.experiment import Drawing, Listing, Row, Section, Setting, Tables
 from halfseen.study.experiments.reward.design import RewardDesign
 from halfseen.study.experiments.reward.tables import BEST, MEASURES
@@ -26,7 +26,6 @@ from halfseen.study.wording import (
     gain_in,
     is_reward,
     learned_from,
-    spelled,
 )
 
 STRONGEST = "the strongest heuristic", "the strongest planner"
@@ -39,12 +38,15 @@ DODGE = 1.02
 def section_of(design: RewardDesign, setting: Setting, tables: Tables) -> Section:
     """Say whether learning earns more, and how few logged paths suffice."""
     figure1, table1 = tables["figure1"], tables["table1"]
-    claims = [claim(design, setting, figure1, table1, role) for role in BEST]
-    title = f"{_beats(design, figure1)}; learned from {design.table_num_paths} paths, {_verdict_on_planner(claims[1])}"
+    rule, planner = (claim(design, setting, figure1, table1, role) for role in BEST)
+    # One sentence for both, which names the learned policy once.
+    both = f"{rule.sentence[:-1]}; it {planner.asserted} {planner.rival}: {planner.verdict} ({planner.numbers})."
+    on_planner = f"it {planner.found} {STRONGEST[1]}"
+    title = f"{_beats(design, figure1)}; learned from {design.table_num_paths} paths, {on_planner}"
     return Section(
         "Reward against the size of the log",
-        (_who_earns_more(design, claims), _how_few_paths(design, figure1)),
-        (Drawing("figure1", "Figure 1", title, _caption(setting), partial(draw_figure1, design, figure1)),),
+        (both, _how_few_paths(design, figure1)),
+        (Drawing("figure1", "Figure 1", title, _caption(setting), partial(_draw, design, figure1)),),
         (_numbers(design, figure1), _tests(design, setting, table1), _weights(design, tables["weights"])),
         num_leading=2,
     )
@@ -65,17 +67,6 @@ def claim(design: RewardDesign, setting: Setting, figure1: pd.DataFrame, table1:
         setting.alpha,
         f"{earned} on the same {counted(int(row['num_episodes']), 'episode')}",
     )
-
-
-def _who_earns_more(design: RewardDesign, claims: list[Claim]) -> str:
-    """Both claims in one sentence, which names the learned policy once."""
-    first, second = claims
-    return f"{first.sentence[:-1]}; it {second.asserted} {second.rival}: {second.verdict} ({second.numbers})."
-
-
-def _verdict_on_planner(found: Claim) -> str:
-    verb = {SUPPORTED: "it earns more than", NOT_SUPPORTED: "it earns less than"}
-    return f"{verb.get(found.verdict, 'it shows no significant difference from')} {STRONGEST[1]}"
 
 
 def _sufficient(design: RewardDesign, figure1: pd.DataFrame) -> dict[float, int | None]:
@@ -111,7 +102,8 @@ def _beats(design: RewardDesign, figure1: pd.DataFrame) -> str:
     sizes = [size for size in found.values() if size is not None]
     if not sizes:
         return "The learned policy does not clearly beat the strongest heuristic"
-    start = f"The learned policy beats the strongest heuristic from {spelled(min(sizes), max(sizes))} logged paths on"
+    between = dict.fromkeys(str(size) for size in (min(sizes), max(sizes)))
+    start = f"The learned policy beats the strongest heuristic from {' to '.join(between)} logged paths on"
     failed = [share_in_words(cut_share) for cut_share, size in found.items() if size is None]
     if failed:
         return f"{start}, but not clearly where {listed(failed, 'or')} were cut"
@@ -131,7 +123,7 @@ def _caption(setting: Setting) -> str:
     )
 
 
-def draw_figure1(design: RewardDesign, figure1: pd.DataFrame, title: str) -> Figure:
+def _draw(design: RewardDesign, figure1: pd.DataFrame, title: str) -> Figure:
     """Reward of the learned policy against the size of the log, with the baselines as lines."""
     return draw_by_size(title, REWARD_AXIS, design.num_paths, (1.08, 1.05), partial(_draw_lines, design, figure1))
 
@@ -199,8 +191,8 @@ def _weights(design: RewardDesign, weights: pd.DataFrame) -> Listing:
         "Effective sample size of the weights of all stages, (Σw)²/Σw², and in brackets the largest weight; means over "
         "repetitions, independent cuts."
     )
-    return Listing("Table 2", caption, *_by_size(design, weights, _weights_cell), is_folded=False)
 
+    def cell(row: Row) -> str:
+        return f"{amount(row['effective_sample_size'], 0)} ({amount(row['largest_weight'], 1)})"
 
-def _weights_cell(row: dict[str, Any]) -> str:
-    return f"{amount(row['effective_sample_size'], 0)} ({amount(row['largest_weight'], 1)})"
+    return Listing("Table 2", caption, *_by_size(design, weights, cell), is_folded=False)
