@@ -56,13 +56,13 @@ def _content(findings: Findings, command: str) -> dict[str, Any]:
     """Everything that the template names."""
     evaluation = findings.evaluation
     answer, remedy = sentences.answer(evaluation)
+    verdict, *rest = findings.log["positivity"]["text"].split("\n\n")[0].splitlines()
     titles = {
         "values": sentences.values_title(evaluation),
         "watched": sentences.watched_title(findings.watched, findings.log),
+        "positivity": verdict,
         "choices": sentences.choices_title(findings.choices),
-        "curves": sentences.curves_title(findings.curves) if findings.curves else "",
     }
-    verdict, *rest = findings.log["positivity"]["text"].split("\n\n")[0].splitlines()
     draw = {
         "values": partial(draw_values, evaluation),
         "watched": partial(draw_watched, findings.watched),
@@ -70,32 +70,24 @@ def _content(findings: Findings, command: str) -> dict[str, Any]:
         "choices": partial(draw_choices, findings.choices),
     }
     if findings.curves:
+        titles["curves"] = sentences.curves_title(findings.curves)
         draw["curves"] = partial(draw_curves, findings.curves)
-    titles["positivity"] = verdict
     return {
+        "findings": findings,
+        "command": command,
         "mark": MARK,
         "answer": answer,
         "remedy": remedy,
-        "evaluation": evaluation,
-        "estimates": _estimates(findings),
         "notes": sentences.notes(findings),
         "titles": titles,
         "figures": {name: inline_svg(figure_of, f"f-{name}", titles[name]) for name, figure_of in draw.items()},
-        "log": findings.log,
         "stages": list(zip(findings.log["clock"], findings.log["weights"], strict=True)),
         "most_rows": MOST_ROWS,
         "positivity_words": rest,
         "cut_model": sentences.cut_model(findings),
-        "choices": findings.choices,
         "drawn_actions": len(drawn_actions(findings.choices)),
         "curves_left_out": _left_out(findings),
-        "actions": list(findings.choices[0]["policy"]),
-        "curves": findings.curves,
         "policy_words": _policy_words(findings),
-        "unknowable": sentences.unknowable(findings),
-        "command": command,
-        "findings": findings,
-        "versions": findings.versions,
     }
 
 
@@ -122,21 +114,6 @@ def _left_out(findings: Findings) -> str:
     return "".join(f"; {part}" for part in told)
 
 
-def _estimates(findings: Findings) -> list[tuple[str, Any, str]]:
-    evaluation = findings.evaluation
-    return [
-        ("logging policy", evaluation.logging, "what was done, had nothing been cut"),
-        (
-            "learned, doubly robust",
-            evaluation.doubly_robust,
-            "weights and model together, right if one is; read this one",
-        ),
-        ("learned, importance sampling", evaluation.importance_sampling, "paths that did as the policy would"),
-        ("learned, fitted Q", evaluation.fitted_q, "the model alone"),
-        ("learned − logging", evaluation.difference, "path by path"),
-    ]
-
-
 def _policy_words(findings: Findings) -> list[tuple[str, str]]:
     record = findings.record
     learner, schema, weights = record["learner"], record["schema"], record["diagnostics"]["weights"]
@@ -157,13 +134,10 @@ def _policy_words(findings: Findings) -> list[tuple[str, str]]:
         ),
         ("cuts, when it was learned", sentences.CENSORING_WORDS.get(censoring, censoring)),
         ("learned from", record["log"]["sentence"].rstrip(".")),
-        ("its weights", _worth(weights)),
+        (
+            "its weights",
+            f"{counted(weights['num_seen'], 'stage')}, effective sample size "
+            f"{significant(weights['effective_sample_size'])}; the largest weight is "
+            f"{significant(weights['largest_weight'])}",
+        ),
     ]
-
-
-def _worth(weights: Any) -> str:
-    return (
-        f"{counted(weights['num_seen'], 'stage')}, effective sample size "
-        f"{significant(weights['effective_sample_size'])}; the largest weight is "
-        f"{significant(weights['largest_weight'])}"
-    )

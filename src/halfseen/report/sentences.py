@@ -1,4 +1,4 @@
-"""What each section says first, and what nobody can know: plain sentences from the numbers."""
+"""What each section says first: plain sentences from the numbers."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -7,7 +7,7 @@ import numpy as np
 
 from halfseen.evaluation import Evaluation
 from halfseen.pages.numbers import percent, significant, with_interval
-from halfseen.pages.sentences import as_sentence, counted, listed
+from halfseen.pages.sentences import as_sentence, listed
 from halfseen.report.findings import Findings
 from halfseen.report.log_findings import Watched
 from halfseen.report.policy_findings import QCurve
@@ -112,79 +112,3 @@ def cut_model(findings: Findings) -> str:
     model = findings.model
     name = model["censoring"]
     return f"{CENSORING_WORDS.get(str(name), str(name))}, {CLOCK_WORDS[model['censoring_by']]}"
-
-
-def unknowable(findings: Findings) -> list[tuple[str, str]]:
-    """What the numbers rest on and the logs cannot show: a heading and a sentence each."""
-    return [
-        *_about_cuts(findings),
-        _about_propensity(findings),
-        _about_untried(findings),
-        (
-            "The cell stays as it is.",
-            "All numbers are of the cell, the parts and the people that the logs are of. Another camera, other parts "
-            "or another shift are another cell.",
-        ),
-        (
-            "Intervals cover sampling error alone.",
-            "95 of 100 such intervals hold the true value where all of the above is so. They do not widen where it is "
-            "not, and that of fitted Q does not even know whether its model is right.",
-        ),
-    ]
-
-
-def _about_cuts(findings: Findings) -> list[tuple[str, str]]:
-    if not findings.log["num_cut"]:
-        return []
-    model, until_s = findings.model, findings.log["positivity"]["identified_until_s"]
-    if model["censoring"] == "kaplan-meier":
-        given = "Paths are taken to be cut by chance alone, whatever happened in them."
-        cure = (
-            "If an operator stops what looks bad, learn and judge with --censoring cox or kernel, and log what she saw."
-        )
-    else:
-        names = model["censoring_covariates"]
-        given = f"Paths that look alike in {listed(names) if names else 'what was recorded'} are taken to be cut alike."
-        cure = "If an operator stopped paths for something that she saw and nobody recorded, the numbers are off."
-    told = [
-        (
-            "What was recorded explains the cuts.",
-            f"{given} {cure} Logs cannot show which it is; ask who stopped the robot.",
-        ),
-        (
-            "Nothing is known of longer paths.",
-            f"No path was watched beyond {significant(until_s)} s, so nothing here speaks of later.",
-        ),
-    ]
-    if model["truncate_at"] is not None:
-        bound = significant(model["truncate_at"])
-        told.append(
-            (
-                "Weights were bounded.",
-                f"No weight counts for more than {bound}: steadier, and off by what the heavy ones would have added.",
-            )
-        )
-    return told
-
-
-def _about_propensity(findings: Findings) -> tuple[str, str]:
-    if findings.model["propensity"] == "logged":
-        return (
-            "The logged probabilities are right.",
-            "Each is taken to be the probability with which the logged action was drawn there. A person who overrode "
-            "the robot now and then makes them wrong.",
-        )
-    return (
-        "What the policy looks at is what the logging policy looked at.",
-        "The probabilities of the logged actions were estimated from that alone. If somebody chose by something else "
-        "that also sways the reward, the numbers are off.",
-    )
-
-
-def _about_untried(findings: Findings) -> tuple[str, str]:
-    worth = findings.evaluation.doubly_robust.effective_sample_size
-    return (
-        "What was never tried stays unknown.",
-        f"{counted(findings.log['num_paths'], 'path')} have an effective sample size of {significant(worth)} for the "
-        "learned policy. Where it does what nobody did, its value rests on a model that goes beyond the data.",
-    )
