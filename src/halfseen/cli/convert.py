@@ -1,8 +1,8 @@
 """``halfseen convert``: logs from one form into another."""
 
 import json
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -53,14 +53,15 @@ def convert(source: str, target: str, seed: int, as_json: bool, clouds: Path | N
     SOURCE is a folder of logs (Parquet or CSV), a ROS bag (its folder, its .mcap, .db3 or .bag file, or a folder of
     bags), a folder of a Minari dataset, or minari:NAME-v0.
     """
-    from halfseen.writing import refuse_taken
+    from halfseen.writing import placed, refuse_taken
 
     kind = _kind(source)
     _check_options(kind, {**chosen, "clouds": clouds})
     place = Path(target.removeprefix(CSV))
     if not target.startswith(MINARI):
         refuse_taken(place, False, None, "logs")
-    with _clouds_folder(clouds) as cloud_folder:
+    # The folder of clouds appears only once the logs are written too.
+    with nullcontext() if clouds is None else placed(clouds) as cloud_folder:
         logs = _read(kind, source, cloud_folder, **chosen)
         _write(logs, target)
     report = {"source": source, "format": kind, "target": target, "sentence": str(logs.summary())}
@@ -158,15 +159,6 @@ def _write(logs: "Logs", target: str) -> None:
         formats.write_csv(logs, target.removeprefix(CSV))
     else:
         logs.write(target)
-
-
-@contextmanager
-def _clouds_folder(clouds: Path | None) -> Iterator[Path | None]:
-    """Where clouds are written; the folder appears only once the logs are written too."""
-    from halfseen.writing import placed
-
-    with nullcontext() if clouds is None else placed(clouds) as fresh:
-        yield fresh
 
 
 def _kept(folder: Path, points_m: "np.ndarray", shape: tuple[int, int], name: str) -> str:

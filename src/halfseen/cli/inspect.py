@@ -1,8 +1,9 @@
 """``halfseen inspect``: what a folder of logs holds, how much its weights leave, and what looks wrong."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from string import Formatter
 from typing import Any
 
 import click
@@ -10,7 +11,38 @@ import click
 from halfseen.cli import options
 from halfseen.cli.columns import aligned
 
+Row = Mapping[str, Any]
+
 MOST_ROWS = 20
+CUTS = {
+    "cause of cut": "{cause}",
+    "paths": "{num_paths}",
+    "share": "{share:.0%}",
+    "first [s]": "{earliest_s:.3g}",
+    "median [s]": "{median_s:.3g}",
+    "last [s]": "{latest_s:.3g}",
+    "in stages": "{first_stage} to {last_stage}",
+}
+"""Columns of a table, and the form of their cells."""
+ACTIONS = {
+    "action": "{action}",
+    "stages": "{num_stages}",
+    "share": "{share:.0%}",
+    "median [s]": "{median_s:.3g}",
+    "mean reward": "{mean_reward:.3g}",
+    "least probability": "{smallest_probability:.2g}",
+}
+STAGES = {
+    "stage": "{stage}",
+    "begun": "{num_begun}",
+    "completed": "{num_completed}",
+    "cut": "{num_cut}",
+    "5 % [s]": "{duration_5_s:.3g}",
+    "median [s]": "{median_s:.3g}",
+    "95 % [s]": "{duration_95_s:.3g}",
+    "effective sample size": "{effective_sample_size:.1f}",
+    "largest weight": "{largest_weight:.2f}",
+}
 
 
 @click.command(epilog="Example: halfseen inspect logs --json")
@@ -37,7 +69,8 @@ def inspect(logs: Path, as_json: bool, seed: int) -> None:
 def lines(report: dict[str, Any]) -> list[str]:
     """Write a report for people: one sentence, what looks wrong, then the numbers."""
     doubts = [f"- {_sentence(doubt['sentence'])}" for doubt in report["suspicions"]]
-    tables = [_facts(report), _cuts(report), _actions(report), _stages(report)]
+    stages = [row | weight for row, weight in zip(report["clock"], report["weights"], strict=True)]
+    tables = [_facts(report), _table(CUTS, report["cuts"]), _actions(report["choices"]), _table(STAGES, stages)]
     body = [line for table in tables if table for line in ["", *table]]
     return [
         report["sentence"],
@@ -64,64 +97,25 @@ def _facts(report: dict[str, Any]) -> list[str]:
     return [f"{name:<{width}}{text}" for name, text in told]
 
 
-def _cuts(report: dict[str, Any]) -> list[str]:
-    rows = [
-        (
-            row["cause"],
-            str(row["num_paths"]),
-            f"{row['share']:.0%}",
-            f"{row['earliest_s']:.3g}",
-            f"{row['median_s']:.3g}",
-            f"{row['latest_s']:.3g}",
-            f"{row['first_stage']} to {row['last_stage']}",
-        )
-        for row in report["cuts"]
-    ]
-    return _table(("cause of cut", "paths", "share", "first [s]", "median [s]", "last [s]", "in stages"), rows)
+def _actions(choices: Sequence[Row]) -> list[str]:
+    is_known = bool(choices) and choices[0]["mean_probability"] is not None
+    return _table(ACTIONS if is_known else {name: ACTIONS[name] for name in list(ACTIONS)[:-1]}, choices)
 
 
-def _actions(report: dict[str, Any]) -> list[str]:
-    rows = [
-        (
-            row["action"],
-            str(row["num_stages"]),
-            f"{row['share']:.0%}",
-            f"{row['median_s']:.3g}",
-            f"{row['mean_reward']:.3g}",
-            *([] if row["mean_probability"] is None else [f"{row['smallest_probability']:.2g}"]),
-        )
-        for row in report["choices"]
-    ]
-    head = ("action", "stages", "share", "median [s]", "mean reward", "least probability")
-    return _table(head[: len(rows[0])] if rows else head, rows)
-
-
-def _stages(report: dict[str, Any]) -> list[str]:
-    rows = [
-        (
-            str(row["stage"]),
-            str(row["num_begun"]),
-            str(row["num_completed"]),
-            str(row["num_cut"]),
-            *(
-                "-" if row[name] is None else f"{row[name]:.3g}"
-                for name in ("duration_5_s", "median_s", "duration_95_s")
-            ),
-            f"{weight['effective_sample_size']:.1f}",
-            f"{weight['largest_weight']:.2f}",
-        )
-        for row, weight in zip(report["clock"], report["weights"], strict=True)
-    ]
-    times = ("5 % [s]", "median [s]", "95 % [s]")
-    return _table(("stage", "begun", "completed", "cut", *times, "effective sample size", "largest weight"), rows)
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """Align columns: the first to the left, numbers to the right; empty where there are no rows."""
+def _table(columns: Mapping[str, str], rows: Sequence[Row]) -> list[str]:
+    """Write rows under the names of columns, each cell in its form; empty where there are no rows."""
     if not rows:
         return []
+    cells = [[_Form().format(form, **row) for form in columns.values()] for row in rows[:MOST_ROWS]]
     left_out = len(rows) - MOST_ROWS
-    return [*aligned([head, *rows[:MOST_ROWS]]), *([f"and {left_out} more (--json has all)"] if left_out > 0 else [])]
+    return [*aligned([list(columns), *cells]), *([f"and {left_out} more (--json has all)"] if left_out > 0 else [])]
+
+
+class _Form(Formatter):
+    """Writes a dash for what is missing."""
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        return "-" if value is None else super().format_field(value, format_spec)
 
 
 def _sentence(words: str) -> str:

@@ -81,8 +81,13 @@ STRONGEST_RULE = by_name(*HEURISTICS)["history-penalty"]
 
 def planner(num_simulations: int) -> Contender:
     """A planner that looks to the end of a path with so many simulations a decision."""
-    label = f"POMDP planner, {num_simulations:,} simulations"
-    return Contender(f"planner-{num_simulations}", label, Kind.PLANNER, partial(_to_the_end, num_simulations))
+
+    def make(world: WorldConfig) -> POMDPPolicy:
+        return POMDPPolicy(world, planning_horizon=world.horizon, num_simulations=num_simulations)
+
+    return Contender(
+        f"planner-{num_simulations}", f"POMDP planner, {num_simulations:,} simulations", Kind.PLANNER, make
+    )
 
 
 def horizon_planner(horizon: int, num_simulations: int) -> Contender:
@@ -90,10 +95,6 @@ def horizon_planner(horizon: int, num_simulations: int) -> Contender:
     label = f"POMDP planner, {horizon} {'step' if horizon == 1 else 'steps'} ahead"
     make = partial(POMDPPolicy, planning_horizon=horizon, num_simulations=num_simulations)
     return Contender(f"planner-{horizon}-ahead", label, Kind.PLANNER, make)
-
-
-def _to_the_end(num_simulations: int, world: WorldConfig) -> POMDPPolicy:
-    return POMDPPolicy(world, planning_horizon=world.horizon, num_simulations=num_simulations)
 
 
 def logging_policy(world: WorldConfig) -> ExploringPolicy:

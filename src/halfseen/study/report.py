@@ -117,16 +117,16 @@ def _command(setting: Setting, experiments: Sequence[Experiment]) -> str:
 
 def _scene(scene: Scene, picture: bytes | None) -> dict[str, Any]:
     occlusion = scene.occlusion
-    pairs = np.argwhere(scene.hides >= SMALLEST_HIDDEN_SHARE)
-    hidden = {int(i): [(int(j), float(scene.hides[i, j])) for k, j in pairs if k == i] for i in np.unique(pairs[:, 0])}
+    by = [
+        [(int(j), float(hides[j])) for j in np.argsort(-hides, kind="stable") if hides[j] >= SMALLEST_HIDDEN_SHARE]
+        for hides in scene.hides
+    ]
+    hidden = [int(i) for i in np.argsort(-occlusion, kind="stable") if by[i]]
     return {
         "name": Path(scene.name).stem.replace("_", " "),
         "picture": None if picture is None else base64.b64encode(picture).decode(),
         "num_objects": scene.num_objects,
         "mean": float(np.mean(occlusion)) if len(occlusion) else 0.0,
         "max": float(np.max(occlusion)) if len(occlusion) else 0.0,
-        "hidden": [
-            {"object": i, "occlusion": float(occlusion[i]), "by": sorted(by, key=lambda pair: (-pair[1], pair[0]))}
-            for i, by in sorted(hidden.items(), key=lambda item: (-occlusion[item[0]], item[0]))
-        ],
+        "hidden": [{"object": i, "occlusion": float(occlusion[i]), "by": by[i]} for i in hidden],
     }

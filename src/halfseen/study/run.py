@@ -7,8 +7,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
-
 from halfseen.errors import ArgumentError
 from halfseen.pages.drawing import drawn
 from halfseen.study.experiment import Experiment, Setting
@@ -91,9 +89,9 @@ def _as_dict(results: StudyResults) -> dict[str, Any]:
         "setting": {name: value for name, value in setting.items() if name != "scenes"},
         "scenes": [{"name": scene.name, "hides": scene.hides.tolist()} for scene in results.setting.scenes],
         "versions": dict(results.versions),
-        "tables": {name: _records(table) for tables in results.tables for name, table in tables.items()},
+        "tables": {
+            name: table.astype(object).where(table.notna(), None).to_dict(orient="records")
+            for tables in results.tables
+            for name, table in tables.items()
+        },
     }
-
-
-def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
-    return table.astype(object).where(table.notna(), None).to_dict(orient="records")

@@ -123,16 +123,13 @@ Claims = dict[CutKind, list[Claim]]
 
 def claims_of(design: Censoring, figure4: pd.DataFrame) -> Claims:
     """That weighting earns more than each other treatment, at one size of log, by kind of cut."""
-    rows = records(figure4, num_paths=design.compared_num_paths)
-    return {
-        kind: [_claim(row) for row in rows if row["cut_kind"] == kind and row["treatment"] in RIVALS]
-        for kind in design.cut_kinds
-    }
-
-
-def _claim(row: dict[str, Any]) -> Claim:
-    gain = estimate_in(row, "behind_weighted", "se_behind", int(row["repetitions"]))
-    return Claim("Weighting", "earns more than", "earns less than", RIVALS[row["treatment"]], gain)
+    claims: Claims = {kind: [] for kind in design.cut_kinds}
+    for row in records(figure4, num_paths=design.compared_num_paths):
+        if row["treatment"] in RIVALS:
+            gain = estimate_in(row, "behind_weighted", "se_behind", int(row["repetitions"]))
+            rival = RIVALS[row["treatment"]]
+            claims[row["cut_kind"]].append(Claim("Weighting", "earns more than", "earns less than", rival, gain))
+    return claims
 
 
 def _title(design: Censoring, claims: Claims) -> str:
@@ -148,14 +145,11 @@ def _title(design: Censoring, claims: Claims) -> str:
 def _sentence(design: Censoring, claims: Claims) -> str:
     parts = []
     for kind, of_kind in claims.items():
-        said = (f"than {each.rival}: {each.verdict} ({_brief(each)})" for each in of_kind)
+        gains = [f"{amount(each.gain.value)}, {interval(each.gain.low, each.gain.high)}" for each in of_kind]
+        said = (f"than {each.rival}: {each.verdict} ({gain})" for each, gain in zip(of_kind, gains, strict=True))
         parts.append(f"under {CUT_KIND_NAMES[kind]}, {'; '.join(said)}")
     start = f"A policy {learned_from(design.compared_num_paths, design.cut_share)} earns more with weights 1/Ĝ"
     return f"{start} – {'; and '.join(parts)} (paired differences with 95 % intervals, not adjusted)."
-
-
-def _brief(claim: Claim) -> str:
-    return f"{amount(claim.gain.value)}, {interval(claim.gain.low, claim.gain.high)}"
 
 
 def _caption(design: Censoring, figure4: pd.DataFrame) -> str:

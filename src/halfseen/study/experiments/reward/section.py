@@ -18,15 +18,7 @@ from halfseen.study.experiments.reward.tables import BEST, MEASURES
 from halfseen.study.figures import MEAN, draw_by_cut_share, draw_by_size, draw_level
 from halfseen.study.frames import records, row_of
 from halfseen.study.policies import LEARNED, STRONGEST_RULE
-from halfseen.study.wording import (
-    EFFECT,
-    REWARD_AXIS,
-    TEST_CELLS,
-    estimated_in,
-    gain_in,
-    is_reward,
-    learned_from,
-)
+from halfseen.study.wording import EFFECT, REWARD_AXIS, TEST_CELLS, estimated_in, gain_in, is_reward, learned_from
 
 STRONGEST = "the strongest heuristic", "the strongest planner"
 ROLE_WORDS: dict[str, str] = dict(zip(BEST, (STRONGEST[0], f"{STRONGEST[1]}, which knows the true model"), strict=True))
