@@ -157,14 +157,15 @@ def _row(name: str, episodes: Iterable[int], played: Played) -> dict[str, Any]:
     return {"policy": name, "episodes": list(episodes), "reward": played.reward.tolist()}
 
 
-def _rewards(pieces: Pieces) -> pd.DataFrame:
-    """Rewards by repetition and episode, a column for each policy; NaN where it did not play."""
+def _rewards(pieces: Pieces) -> dict[str, pd.Series]:
+    """Rewards of each policy by repetition and episode; NaN where it did not play."""
     frames = [
         pd.DataFrame({"repetition": k, "policy": row["policy"], "episode": row["episodes"], "reward": row["reward"]})
         for k, piece in enumerate(pieces.repetitions)
         for row in piece["played"]
     ]
-    return pd.concat(frames).pivot(index=["repetition", "episode"], columns="policy", values="reward")
+    table = pd.concat(frames).pivot(index=["repetition", "episode"], columns="policy", values="reward")
+    return {str(name): rewards for name, rewards in table.items()}
 
 
 def _means(rewards: pd.Series) -> Float[np.ndarray, " R"]:
@@ -178,7 +179,7 @@ def _counts(rewards: pd.Series) -> dict[str, int]:
     return {"repetitions": len(played), "episodes": int(played.iloc[0])}
 
 
-def _figure2(design: Planning, rewards: pd.DataFrame, times_ms: dict[str, float]) -> pd.DataFrame:
+def _figure2(design: Planning, rewards: dict[str, pd.Series], times_ms: dict[str, float]) -> pd.DataFrame:
     rows, learned = [], rewards[LEARNED.name]
     for name, who in design.contenders.items():
         over = _means(rewards[name] - learned)
@@ -188,7 +189,7 @@ def _figure2(design: Planning, rewards: pd.DataFrame, times_ms: dict[str, float]
     return pd.DataFrame(rows).astype({"simulations": "Int64"})
 
 
-def _figure3(design: Planning, rewards: pd.DataFrame, times_ms: dict[str, float]) -> pd.DataFrame:
+def _figure3(design: Planning, rewards: dict[str, pd.Series], times_ms: dict[str, float]) -> pd.DataFrame:
     rows = []
     first = previous = next(iter(design.by_horizon))
     for name, horizon in design.by_horizon.items():

@@ -40,26 +40,18 @@ def draw_map(design: ClutterDesign, world: WorldConfig, table: pd.DataFrame, tit
     num_rows = max(len(panels) for panels in columns)
     height = HEAD_INCHES + FOOT_INCHES + num_rows * ROW_INCHES
     figure = Figure(figsize=(WIDTH_INCHES, height))
-    top = write_title(figure, title) - 0.52 / height
+    top, bottom = write_title(figure, title) - 0.52 / height, FOOT_INCHES / height
     widths = [1.0] * (len(columns) - 1) + [GAP, 1.0]
-    place: Any = {
-        "left": 0.06,
-        "right": 0.99,
-        "bottom": FOOT_INCHES / height,
-        "top": top,
-        "hspace": 0.32,
-        "wspace": 0.08,
-    }
-    grid = figure.add_gridspec(num_rows, len(widths), width_ratios=widths, **place)
+    grid = figure.add_gridspec(num_rows, len(widths), width_ratios=widths, hspace=0.32, wspace=0.08)
+    grid.update(left=0.06, right=0.99, bottom=bottom, top=top)
     for column, panels in enumerate(columns):
         is_last = panels is columns[-1]
         is_left = column == 0 or is_last
         for row, (words, here) in enumerate(panels.items()):
             axes = figure.add_subplot(grid[row, column + is_last])
             _draw_panel(axes, table, design, here, is_left=is_left, is_lowest=row == len(panels) - 1)
-            axes.set_title(
-                f"{words}{' (default)' if here == Place.of(world) else ''}", loc="left", fontsize=SMALL, pad=3.0
-            )
+            default = " (default)" if here == Place.of(world) else ""
+            axes.set_title(f"{words}{default}", loc="left", fontsize=SMALL, pad=3.0)
             if row == 0 and is_left:
                 write_above(axes, HEADS[is_last], 19.0)
     _draw_scale(figure, design.worthwhile_share, height)

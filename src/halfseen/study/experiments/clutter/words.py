@@ -48,16 +48,12 @@ def _where(table: pd.DataFrame, verdict: str, world: WorldConfig) -> str:
     num = int((table["verdict"] == verdict).sum())
     if num in (0, len(table)):
         return "everywhere" if num else "nowhere"
+    places = f"in {num} of {len(table)} places"
     level = most_telling(levels(table, verdict))
-    often = (
-        ""
-        if level is None
-        else (
-            f", most often where {factor_words(level.factor, level.value, world)} "
-            f"({level.num_verdicts} of {level.num_places})"
-        )
-    )
-    return f"in {num} of {len(table)} places{often}"
+    if level is None:
+        return places
+    words = factor_words(level.factor, level.value, world)
+    return f"{places}, most often where {words} ({level.num_verdicts} of {level.num_places})"
 
 
 def levels(table: pd.DataFrame, verdict: str) -> list[Level]:
