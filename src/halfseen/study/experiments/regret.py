@@ -128,8 +128,7 @@ class Regret:
         """Say how far below the optimum what was learned stays."""
         table = tables["regret"]
         claim = claim_of(self, table)
-        scale = _scale(table)
-        lost = amount(100 * _end(self, table)["regret"] / scale, 1)
+        lost = amount(100 * _end(self, table)["regret_share"], 1)
         told = f"that is {lost} % of what the optimum gains over FINISH at once"
         sentence = (
             f"On {self.num_tables} small tables, of three cups and {self.horizon} steps each: {_lower(claim.sentence)}"
@@ -139,12 +138,10 @@ class Regret:
             "intervals (Student’s t) over repetitions. The heuristics’ regrets are exact, the planners’ an estimate "
             "from some of the states."
         )
-        drawing = Drawing(
-            "regret", "Figure 7", f"On small tables, {_lower(claim.title)}", caption, partial(_draw, self, table)
-        )
-        return Section(
-            "How far from the optimum?", (f"{sentence[:-1]}; {told}.",), (drawing,), (_numbers(self, table),)
-        )
+        title = f"On small tables, {_lower(claim.title)}"
+        drawing = Drawing("regret", "Figure 7", title, caption, partial(_draw, self, table))
+        sentences = (f"{sentence[:-1]}; {told}.",)
+        return Section("How far from the optimum?", sentences, (drawing,), (_numbers(self, table),))
 
 
 @dataclass(frozen=True)
@@ -213,12 +210,6 @@ def _best(design: Regret, table: pd.DataFrame, kind: Kind) -> dict[str, Any]:
     """Policy of a kind with the least regret; the first of equals."""
     rows = [row for row in records(table) if design.contenders[row["policy"]].kind == kind]
     return min(rows, key=lambda row: row["regret"])
-
-
-def _scale(table: pd.DataFrame) -> float:
-    """What the optimum earns above FINISH at once."""
-    worst = max(records(table), key=lambda row: row["regret"])
-    return float(worst["regret"] / worst["regret_share"])
 
 
 def _lower(words: str) -> str:
