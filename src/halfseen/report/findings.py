@@ -15,7 +15,7 @@ from halfseen.evaluation.stored_model import specification_of
 from halfseen.evaluation.targets import task_of
 from halfseen.logs import Logs
 from halfseen.policies.folder import StoredPolicy, log_digest
-from halfseen.policies.folder.json_values import finite
+from halfseen.policies.folder.json_values import plain
 from halfseen.report.log_findings import Watched, log_findings, positivity_of, watched
 from halfseen.report.policy_findings import QCurve, choices, q_curves
 
@@ -48,7 +48,7 @@ class Findings:
 
     def as_dict(self) -> dict[str, Any]:
         """Everything, ready for JSON: null for what is no number."""
-        return finite(
+        return plain(
             {
                 "value": {"sentence": self.evaluation.sentence, **self.evaluation.as_dict(), **self.model},
                 "notes": self.notes,
