@@ -38,6 +38,8 @@ def study(
     Experiments: reward, planning, censoring, grasp, clutter, regret.
     """
     os.environ.setdefault("XLA_FLAGS", COMPILES_QUICKLY)
+    # What one process compiled serves the others, and the study that goes on.
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(out.absolute() / "progress" / "compiled"))
     from halfseen.scene import table_paths
     from halfseen.study.experiment import DEFAULT_REPETITIONS, Setting
     from halfseen.study.run import chosen, run_study

@@ -131,7 +131,10 @@ class EncodedPaths:
             model = self.model(treatment)
             models.append(replace(model, cut_model=model.targets.fit_cuts(paths.clocks)))
             rows.append(models[-1].transitions(paths))
-        batch = jax.tree.map(lambda *leaves: np.stack(leaves), *rows)
+        # The states are the same however they are cut.
+        features = rows[0].features
+        batch = jax.tree.map(lambda *leaves: np.stack(leaves), *(row._replace(features=None) for row in rows))
+        batch = batch._replace(features=features)
         learned = models[0].policy(models[0].fit(batch))
         policies = [LinearTablePolicy(each, learned.grasp) for each in learned.coefficients]
         return list(zip(policies, [_weights(np.asarray(each.weight)) for each in rows], strict=True))

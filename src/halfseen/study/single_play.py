@@ -27,7 +27,7 @@ from halfseen.world.dynamics import start, step
 from halfseen.world.policy import Policy
 from halfseen.world.state import HiddenState, Layout, TableState
 
-MOST_TIMED_S = 1.5
+MOST_TIMED_S = 0.5
 """Time that is spent on timing one policy, but for its last decision [s]."""
 FEWEST_TIMED = 3
 

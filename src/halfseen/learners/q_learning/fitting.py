@@ -56,8 +56,10 @@ def fit_q_functions(
 
 
 def backward_batch(log: Transitions, blocks: jax.Array, regs: jax.Array, **options) -> QFunctions:
-    """Fit a batch of logs in one compiled call."""
-    return jax.vmap(lambda one: backward(one, blocks, regs, **options))(log)
+    """Fit a batch of logs in one compiled call; logs of the same states may share features, which have no axis then."""
+    is_shared = log.features.ndim == log.is_possible.ndim
+    axes = jax.tree.map(lambda _: 0, log)._replace(features=None if is_shared else 0)
+    return jax.vmap(lambda one: backward(one, blocks, regs, **options), in_axes=(axes,))(log)
 
 
 def fit_and_judge(

@@ -60,10 +60,10 @@ class Planning:
     `cut_share` are cut.
     """
 
-    simulations: tuple[tuple[int, int], ...] = ((8, 50), (128, 50), (1024, 5))
+    simulations: tuple[tuple[int, int], ...] = ((8, 25), (128, 25), (1024, 3))
     horizons: tuple[int, ...] = (1, 2, 3, 4, 5, 6)
     horizon_simulations: int = 128
-    horizon_episodes: int = 25
+    horizon_episodes: int = 15
     num_paths: int = 800
     cut_share: float = 1 / 2
     episodes_per_scene: int = 5

@@ -58,9 +58,9 @@ class Regret:
     num_paths: tuple[int, ...] = (50, 200, 800)
     cut_shares: tuple[float, ...] = (0.0, 1 / 6, 1 / 3, 1 / 2)
     told_cut_share: float = 1 / 2
-    planner_horizons: tuple[int, ...] = (1, 2, 3, 4, 5, 6)
+    planner_horizons: tuple[int, ...] = (1, 2, 3, 6)
     planner_simulations: int = 128
-    planner_states: int = 8
+    planner_states: int = 4
     most_repetitions: int | None = 8
     name: ClassVar[str] = "regret"
 

@@ -76,7 +76,7 @@ class ClutterDesign:
     num_tables: int = 20
     episodes_per_table: int = 10
     worthwhile_share: float = 0.05
-    most_repetitions: int | None = 10
+    most_repetitions: int | None = 8
 
     def __post_init__(self) -> None:
         for num_objects in self.num_objects:

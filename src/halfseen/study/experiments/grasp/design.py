@@ -37,4 +37,4 @@ class GraspDesign:
     cut_share: float = 1 / 2
     most_held_out: int = 400
     episodes_per_scene: int = 5
-    most_repetitions: int | None = 16
+    most_repetitions: int | None = 12
