@@ -31,6 +31,7 @@ def test_lazy_names_are_listed_and_unknown_ones_are_told():
     assert "Decision, Explanation, ExploringPolicy, " in failed.stderr
 
 
+@pytest.mark.slow
 def test_no_import_touches_jax_or_numpy_settings():
     code = """
 import importlib, pkgutil

@@ -9,9 +9,11 @@ from halfseen.perception import Cloud, perceive, read_cloud
 
 BESIDE = Path(__file__).parents[3] / "shared" / "clouds"
 FOLDER = Path(os.environ.get("HALFSEEN_CLOUDS", BESIDE))
-pytestmark = pytest.mark.skipif(
-    not (FOLDER / "index.json").is_file(), reason="HALFSEEN_CLOUDS names no folder of real captures"
-)
+IS_THERE = (FOLDER / "index.json").is_file()
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not IS_THERE, reason="HALFSEEN_CLOUDS names no folder of real captures"),
+]
 # Names only: the files are test data of their own and no part of the project.
 ALONE_NPZ = ["blue_mug", "red_mug", "white_mug", "cylinder", "green_bowl", "white_bowl", "mustard"]
 ALONE = [*(f"{name}.npz" for name in ALONE_NPZ), "table_scene_mug_stereo_textured.pcd", "gpd_table_mug.pcd"]

@@ -38,6 +38,7 @@ def test_two_cups_are_worth_what_brute_force_finds(config, hides, horizon):
     assert solve_table(hides, config, horizon).value == pytest.approx(expected, abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("hides", "horizon", "num_nodes"), [(TWO, 3, 3), (THREE, 2, 2)], ids=["3 steps", "3 cups"])
 def test_more_steps_and_more_cups_are_worth_what_brute_force_finds(hides, horizon, num_nodes):
     expected = BruteForce(OTHER_WORLD, hides, num_nodes).value(horizon)

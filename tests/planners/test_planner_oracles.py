@@ -65,7 +65,7 @@ def agree(hides, num_nodes, num_steps=2):
 
 @pytest.mark.parametrize(
     ("hides", "num_nodes", "num_steps"),
-    [(ONE, 3, 2), (TWO, 3, 1), (HIDDEN, 1, 2)],
+    [(ONE, 3, 2), pytest.param(TWO, 3, 1, marks=pytest.mark.slow), (HIDDEN, 1, 2)],
     ids=["one cup", "two cups, one step", "two cups"],
 )
 def test_alpha_vectors_over_arrays_find_the_optimum_of_the_table(hides, num_nodes, num_steps):

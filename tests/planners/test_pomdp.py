@@ -102,7 +102,7 @@ def test_padding_changes_nothing():
     assert float(fast_leaf_value(CONFIG, padded)) == pytest.approx(float(fast_leaf_value(CONFIG, belief)), rel=1e-5)
 
 
-@pytest.mark.parametrize("planning_horizon", [1, 2])
+@pytest.mark.parametrize("planning_horizon", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_padding_changes_no_decision(planning_horizon):
     policy, key = POMDPPolicy(CONFIG, planning_horizon), jax.random.key(0)
     for cups in TWO_CUPS.values():

@@ -52,7 +52,7 @@ def test_other_seed_other_noise_same_truth(table, picture):
     assert random_table(4) != table
 
 
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 6))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 6))])
 def test_drawn_tables_keep_their_promises(seed):
     table = random_table(seed)
     picture = capture(table, seed)

@@ -8,6 +8,7 @@ from tqdm import tqdm
 
 from halfseen.errors import HalfseenError
 from halfseen.scene.shipped import NUM_TABLES, write_shipped
+from halfseen.writing import refuse_unwritable
 
 
 @click.command()
@@ -23,6 +24,7 @@ def main(out: Path) -> None:
     Example: python -m halfseen.scene --out fresh
     """
     try:
+        refuse_unwritable(out / "tables")
         for k in tqdm(range(NUM_TABLES), desc="tables", unit="table", disable=None):
             write_shipped(out, [k])
     except HalfseenError as error:

@@ -74,7 +74,7 @@ CVXPY = {
 
 
 @pytest.mark.parametrize("own", list(CVXPY))
-@pytest.mark.parametrize("has_offset", [True, False])
+@pytest.mark.parametrize("has_offset", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_fit_is_the_optimum_that_cvxpy_finds(own, has_offset):
     model = CensoredSVR(own(), reg=1e-2, gamma=0.3, fit_intercept=has_offset, tol=1e-6).fit(ROWS, Y)
     best, f = optimum(GRAM, Y, MASS, CVXPY[own], 1e-2, has_offset)
