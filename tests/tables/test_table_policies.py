@@ -12,6 +12,7 @@ from halfseen.errors import ArgumentError, LogError
 from halfseen.learners import CensoredQLearner, Weighted
 from halfseen.learners.q_learning.recursion import q_values
 from halfseen.logs import Logs
+from halfseen.policies.folder import read_policy, write_policy
 from halfseen.tables import LinearTablePolicy, TableTask
 from halfseen.tables.censoring_covariates import table_covariates
 from halfseen.tables.encoding import encode_states
@@ -259,3 +260,17 @@ def test_cuts_at_a_table_may_depend_on_the_attempt():
     assert names == ["num_objects", "mean_occlusion", "action=FINISH", "action=WASH", "target_occlusion"]
     with pytest.raises(ArgumentError, match="'weather' is none of a table's: num_objects, mean_occlusion, action"):
         CensoredQLearner.for_table(10, censoring=Weighted("cox", covariates=["weather"])).fit(logs)
+
+
+def test_a_verb_that_was_never_completed_is_never_taken(scene, tmp_path):
+    played = play(CONFIG, pad_scenes([scene]), Hasty(), jax.random.key(3), 60)
+    logs = to_logs(cut(played, 0.0, "independent", np.random.default_rng(0)), "independent", [scene])
+    learner = CensoredQLearner.for_table(CONFIG.horizon).fit(logs)
+    assert [told.split()[0] for told in learner.unseen_] == ["LIFT"]
+    write_policy(learner, logs, tmp_path / "policy")
+    for policy in (learner.policy_, read_policy(tmp_path / "policy").policy):
+        assert np.asarray(policy.is_seen).tolist() == [[True, True, False]] * CONFIG.horizon
+        again = play(CONFIG, pad_scenes([scene]), policy, jax.random.key(4), 40)
+        verbs = np.asarray(ActionSpace(NUM_OBJECTS).verb(again.action))[np.asarray(again.is_taken)]
+        assert Verb.LIFT not in set(verbs)
+        assert Verb.WASH in set(verbs)

@@ -92,7 +92,11 @@ def learn(logs: Path, out: Path, overwrite: bool, as_json: bool, **chosen: Any) 
         begin(bar, "look")
         shares = action_shares(learner.policy_, learner.model_.task, log)
         bar.update()
-    notes = [*choice.notes, *(str(one.message) for one in told if issubclass(one.category, HalfseenWarning))]
+    notes = [
+        *choice.notes,
+        *learner.unseen_,
+        *(str(one.message) for one in told if issubclass(one.category, HalfseenWarning)),
+    ]
     actions = plain(shares.reset_index().to_dict("records"))
     report = {"policy": str(out), "logs": str(logs), **read_policy(out).record, "actions": actions, "notes": notes}
     click.echo(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))

@@ -141,7 +141,7 @@ def _evaluation(problem: "_Problem", num_reached: int, level: float) -> Evaluati
     values = doubly_robust(held_out(judged, problem.fold), problem.weights)
     own = _logging_values(problem)
     difference = estimate_of(values - own, size, level)
-    verdict, reason = verdict_of(difference, problem.support, num_reached)
+    verdict, reason = verdict_of(difference, problem.support, num_reached, problem.unseen)
     return Evaluation(
         importance_sampling=by_ratio,
         fitted_q=around(*jackknifed(judged.value[..., 0], problem.fold), num_paths, num_folds - 1, level),
@@ -168,6 +168,8 @@ class _Problem(NamedTuple):
     completed: StageWeights
     logging_weights: StageWeights
     support: Float[np.ndarray, " T"]
+    unseen: str | None
+    """An action that the policy takes and that the log never saw completed, in words."""
 
 
 def _problem(
@@ -200,6 +202,7 @@ def _problem(
         completed=completed_weights(ratio, uncut, paths),
         logging_weights=stage_weights(np.ones_like(ratio), uncut, paths),
         support=_support(probabilities, paths),
+        unseen=_unseen(probabilities, paths, model),
     )
 
 
@@ -208,6 +211,19 @@ def _support(probabilities: Float[np.ndarray, "n T A"], paths: PathArrays) -> Fl
     known = paths.is_begun & paths.has_action
     taken = np.take_along_axis(probabilities, paths.action[..., None], axis=2)[..., 0] > 0
     return np.where(known.any(axis=0), (known & taken).sum(axis=0) / np.maximum(known.sum(axis=0), 1), 1.0)
+
+
+def _unseen(probabilities: Float[np.ndarray, "n T A"], paths: PathArrays, model: QModel) -> str | None:
+    """The first action that the policy would take in a stage that was begun, and that has no value."""
+    assert model.support is not None
+    blocks = model.blocks(probabilities.shape[-1])
+    is_taken = ((probabilities > 0) & paths.is_begun[..., None]).any(axis=0)
+    lacking = np.argwhere(is_taken & ~model.support.is_seen(model.stages)[:, blocks])
+    if not len(lacking):
+        return None
+    stage, action = lacking[0]
+    where = "" if model.stages == "pooled" else f" in stage {stage + 1}"
+    return f"{model.task.block_names[blocks[action]]}{where}"
 
 
 def _judged(problem: _Problem, log: Transitions) -> Judged:

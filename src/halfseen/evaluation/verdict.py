@@ -13,7 +13,9 @@ FEWEST_PATHS = 10.0
 """Below this effective sample size no interval is believed."""
 
 
-def verdict_of(difference: Estimate, support: Float[np.ndarray, " T"], num_reached: int) -> tuple[Verdict, str]:
+def verdict_of(
+    difference: Estimate, support: Float[np.ndarray, " T"], num_reached: int, unseen: str | None = None
+) -> tuple[Verdict, str]:
     """Judge by the interval of the paired difference, where the log supports one.
 
     Parameters
@@ -24,7 +26,14 @@ def verdict_of(difference: Estimate, support: Float[np.ndarray, " T"], num_reach
         Of each stage, the share of the logged actions that the policy would take at all.
     num_reached
         Stages that the log holds.
+    unseen
+        An action that the policy takes and that the log never saw completed.
     """
+    if unseen is not None:
+        return "cannot be said", (
+            f"the policy takes {unseen}, which no path of the log was seen to complete, so nothing is known of what it "
+            "brings; log some paths that take it, uniformly at random now and then"
+        )
     unseen = np.flatnonzero(support[:num_reached] == 0)
     if len(unseen):
         return "cannot be said", (

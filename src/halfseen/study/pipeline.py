@@ -15,7 +15,8 @@ A cut path is treated in one of four ways, as what the learner sees of it:
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from operator import itemgetter
 from typing import NamedTuple
 
 import jax
@@ -128,15 +129,14 @@ class EncodedPaths:
         models, rows = [], []
         for cuts, treatment in logs:
             paths = self.lay_out(cuts, treatment, num_paths)
-            model = self.model(treatment)
-            models.append(replace(model, cut_model=model.targets.fit_cuts(paths.clocks)))
+            models.append(self.model(treatment).with_cuts(paths))
             rows.append(models[-1].transitions(paths))
         # The states are the same however they are cut.
         features = rows[0].features
         batch = jax.tree.map(lambda *leaves: np.stack(leaves), *(row._replace(features=None) for row in rows))
         batch = batch._replace(features=features)
-        learned = models[0].policy(models[0].fit(batch))
-        policies = [LinearTablePolicy(each, learned.grasp) for each in learned.coefficients]
+        fits = models[0].fit(batch)
+        policies = [model.policy(jax.tree.map(itemgetter(k), fits)) for k, model in enumerate(models)]
         return list(zip(policies, [_weights(np.asarray(each.weight)) for each in rows], strict=True))
 
     def learn_one(self, cuts: CutEpisodes, num_paths: int) -> LinearTablePolicy:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from halfseen.learners.q_learning.kernel_map import KernelMap
 from halfseen.learners.q_learning.recursion import q_values
@@ -28,11 +28,14 @@ class LinearTablePolicy:
         What tells the probability of a grasp in the features; None for the rule of succession.
     kernel_map
         Features of the RKHS; None where Q is linear in the features of the table.
+    is_seen
+        Which verbs have a value, by steps to go: those that the log has seen completed; None for all.
     """
 
     coefficients: Float[Array, "*B T K F"]
     grasp: GraspModel | None = None
     kernel_map: KernelMap | None = None
+    is_seen: Bool[Array, "T K"] | None = None
 
     def q_values(self, state: TableState, key: Array | None = None) -> Float[Array, " A"]:
         """Q of every action of one table; −∞ where an action is not possible. Nothing is drawn."""
@@ -42,8 +45,15 @@ class LinearTablePolicy:
         else:
             features = self.kernel_map(table_features(state, self.grasp))
             q = q_values(coefficients, features, jnp.asarray(ActionSpace(state.num_objects).verbs))
-        return jnp.where(possible_actions(state), q, -jnp.inf)
+        return jnp.where(self._possible(state), q, -jnp.inf)
 
     def decide(self, state: TableState, key: Array) -> Decision:
         """Choose for one table; deterministic."""
         return surely(jnp.argmax(self.q_values(state)).astype(jnp.int32))
+
+    def _possible(self, state: TableState) -> Bool[Array, " A"]:
+        allowed = possible_actions(state)
+        if self.is_seen is None:
+            return allowed
+        both = allowed & self.is_seen[state.steps_to_go - 1, jnp.asarray(ActionSpace(state.num_objects).verbs)]
+        return jnp.where(jnp.any(both), both, allowed)

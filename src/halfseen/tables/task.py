@@ -86,10 +86,16 @@ class TableTask:
             return reward, None
         return expected_rewards(reward, weight, is_last, wash_outcomes(encoded)), label_control_variates(encoded)
 
-    def policy(self, coefficients: Float[np.ndarray, "*B T K F"], kernel_map: KernelMap | None) -> LinearTablePolicy:
+    def policy(
+        self,
+        coefficients: Float[np.ndarray, "*B T K F"],
+        kernel_map: KernelMap | None,
+        is_seen: Bool[np.ndarray, "T K"] | None,
+    ) -> LinearTablePolicy:
         """Policy in single precision, as coarse as the states that it sees."""
         single = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=jnp.float32), (coefficients, kernel_map))
-        return LinearTablePolicy(single[0], self.grasp, single[1])
+        seen = None if is_seen is None or is_seen.all() else jnp.asarray(is_seen)
+        return LinearTablePolicy(single[0], self.grasp, single[1], seen)
 
     def target_probabilities(self, policy: Any, logs: Logs, horizon: int) -> Float[np.ndarray, "n T A"]:
         """π(a | S_t) of a policy of tables in every stage of a log."""

@@ -12,6 +12,7 @@ from halfseen.errors import ArgumentError, LogError
 from halfseen.learners.q_learning.flat_policy import FlatPolicy, NamedActionPolicy, covariate_values
 from halfseen.learners.q_learning.kernel_map import KernelMap
 from halfseen.learners.q_learning.path_arrays import stage_places
+from halfseen.learners.q_learning.support import seen_among
 from halfseen.learners.q_learning.task import ACTION, Encoded
 from halfseen.logs import Logs
 
@@ -135,12 +136,18 @@ class NamedActions:
         """Nothing is known of the noise."""
         return reward, None
 
-    def policy(self, coefficients: Float[np.ndarray, "*B T K F"], kernel_map: KernelMap | None) -> FlatPolicy:
-        """Policy that follows Q-functions, or a batch of them; coefficients are by steps to go, one step first."""
+    def policy(
+        self,
+        coefficients: Float[np.ndarray, "*B T K F"],
+        kernel_map: KernelMap | None,
+        is_seen: Bool[np.ndarray, "T A"] | None,
+    ) -> FlatPolicy:
+        """Policy that follows Q-functions, or a batch of them, and takes what has a value; all is by steps to go."""
+        possible = self._possible_by_stage(coefficients.shape[-3])
         return FlatPolicy(
             actions=tuple(self.names),
             covariates=tuple(self.covariates),
-            is_possible=self._possible_by_stage(coefficients.shape[-3]),
+            is_possible=possible if is_seen is None else seen_among(possible, is_seen[::-1]),
             coefficients=np.asarray(coefficients[..., ::-1, :, :]),
             kernel_map=kernel_map,
         )

@@ -17,6 +17,7 @@ from halfseen.learners.q_learning.q_model import QModel
 from halfseen.learners.q_learning.q_space import CrossValidation, QSpace, q_space_of, reg_of, stage_mode_of
 from halfseen.learners.q_learning.recursion import QFunctions, StageMode
 from halfseen.learners.q_learning.streaming import fit_stream
+from halfseen.learners.q_learning.support import unseen_in_words
 from halfseen.learners.q_learning.targets import Targets, targets_of
 from halfseen.learners.q_learning.task import Task, named_task
 from halfseen.logs import Logs, LogStream
@@ -65,6 +66,8 @@ class CensoredQLearner(BaseEstimator):
         Effective sample size, largest weight, share truncated.
     policy_ : FlatPolicy, or what the task makes
         The policy that was learned, with nothing of the learner.
+    unseen_ : list of str
+        One sentence for each action that the log never saw completed, and that the policy therefore never takes.
 
     Examples
     --------
@@ -89,6 +92,7 @@ class CensoredQLearner(BaseEstimator):
     weights_: Float[np.ndarray, "n T"]
     diagnostics_: WeightDiagnostics
     policy_: Any
+    unseen_: list[str]
 
     def __init__(
         self,
@@ -153,6 +157,8 @@ class CensoredQLearner(BaseEstimator):
             self.q_functions_ = self.model_.fit(log)
         self.diagnostics_ = weight_diagnostics(self.weights_, self.cut_model_ and self.cut_model_.truncate_at)
         self.policy_ = self.model_.policy(self.q_functions_)
+        assert self.model_.support is not None
+        self.unseen_ = unseen_in_words(self.model_.support, self.model_.task.block_names, self.model_.stages)
         return self
 
     def compose(self) -> QModel:

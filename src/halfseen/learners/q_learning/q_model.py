@@ -17,6 +17,7 @@ from halfseen.learners.q_learning.kernel_map import KernelMap
 from halfseen.learners.q_learning.path_arrays import PathArrays, path_arrays
 from halfseen.learners.q_learning.q_space import CrossValidation, LinearQ, QSpace, Reg
 from halfseen.learners.q_learning.recursion import Imputation, QFunctions, StageMode, Transitions
+from halfseen.learners.q_learning.support import Support, seen_among, support_of
 from halfseen.learners.q_learning.targets import Targets, Weighted
 from halfseen.learners.q_learning.task import Task
 from halfseen.logs import Logs
@@ -46,6 +47,8 @@ class QModel:
         Ĝ, once it is fitted.
     kernel_map
         Features of the RKHS, once they are chosen.
+    support
+        What the log has seen completed, once it was looked at.
 
     Raises
     ------
@@ -62,6 +65,7 @@ class QModel:
     random_state: int = 0
     cut_model: CutModel | None = None
     kernel_map: KernelMap | None = None
+    support: Support | None = None
 
     def __post_init__(self) -> None:
         if self.horizon < 1:
@@ -81,7 +85,25 @@ class QModel:
         model = replace(self, task=self.task.fitted(logs, self.horizon))
         paths = model.lay_out(logs)
         refuse_all_cut(paths.clocks.is_finished)
-        return replace(model.with_kernel(paths), cut_model=self.targets.fit_cuts(paths.clocks)), paths
+        return model.with_kernel(paths).with_cuts(paths), paths
+
+    def with_cuts(self, paths: PathArrays) -> "QModel":
+        """Fit Ĝ, and look at what was seen completed."""
+        return replace(self, cut_model=self.targets.fit_cuts(paths.clocks), support=self.support_in(paths))
+
+    def support_in(self, paths: PathArrays) -> Support:
+        """Count what a log has seen completed."""
+        return support_of(paths, self.blocks(paths.is_possible.shape[-1]), len(self.task.block_names))
+
+    def blocks(self, num_actions: int) -> Int[np.ndarray, " A"]:
+        """Block of coefficients of each action."""
+        return np.asarray(self.task.block_of_action(num_actions))
+
+    def has_value(self, allowed: Bool[np.ndarray, "*n T A"]) -> Bool[np.ndarray, "*n T A"]:
+        """Which of the allowed actions have a value."""
+        if self.support is None:
+            return allowed
+        return seen_among(allowed, self.support.is_seen(self.stages)[:, self.blocks(allowed.shape[-1])])
 
     def check_horizon(self, logs: Logs) -> None:
         """Refuse a log with longer paths."""
@@ -121,7 +143,7 @@ class QModel:
         reward, variates = self.task.reduce_variance(paths.encoded, paths.reward, observed, paths.is_last)
         return Transitions(
             features=self._features(paths),
-            is_possible=paths.is_possible,
+            is_possible=self.has_value(paths.is_possible),
             action=paths.action,
             reward=reward,
             weight=weight,
@@ -141,8 +163,10 @@ class QModel:
     def policy(self, q_functions: QFunctions) -> Any:
         """Turn Q-functions, or a batch of them, into the policy that follows them."""
         coefficients = np.asarray(q_functions.coefficients)
-        by_steps = coefficients if self.stages == "pooled" else coefficients[..., ::-1, :, :]
-        return self.task.policy(by_steps, self.kernel_map)
+        seen = None if self.support is None else self.support.is_seen(self.stages)
+        if self.stages == "pooled":
+            return self.task.policy(coefficients, self.kernel_map, seen)
+        return self.task.policy(coefficients[..., ::-1, :, :], self.kernel_map, None if seen is None else seen[::-1])
 
     @property
     def regs(self) -> Float[np.ndarray, " L"]:

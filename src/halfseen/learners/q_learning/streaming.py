@@ -129,16 +129,18 @@ def _refuse_whole(model: QModel) -> None:
 def _first_pass(model: QModel, stream: LogStream) -> tuple[QModel, tuple[str, ...], Float[np.ndarray, "n P"]]:
     """Fit the task and the kernel, and gather the covariates with which paths begin."""
     refuse_all_cut((stream.paths["ending"] == FINISHED).to_numpy(dtype=bool))
-    first, names = [], ()
+    first, names, support = [], (), None
     for number, part in enumerate(stream):
         model.check_horizon(part)
         if number == 0:
             model = replace(model, task=model.task.fitted(part, model.horizon))
         paths = model.lay_out(part)
         model = model.with_kernel(paths) if number == 0 else model
+        here = model.support_in(paths)
+        support = here if support is None else support.plus(here)
         first.append(paths.clocks.covariates[:, 0])
         names = paths.clocks.covariate_names
-    return model, names, np.concatenate(first)
+    return replace(model, support=support), names, np.concatenate(first)
 
 
 def fit_parts(parts: Parts, num_paths: int, model: QModel) -> QFunctions:

@@ -96,8 +96,16 @@ class Task(Protocol):
         """Rewards of the same mean and less noise, and control variates of mean 0; as they are and None if unknown."""
         ...
 
-    def policy(self, coefficients: Float[np.ndarray, "*B T K F"], kernel_map: KernelMap | None) -> Any:
-        """Policy that follows Q-functions, or a batch of them; coefficients are by steps to go, one step first."""
+    def policy(
+        self,
+        coefficients: Float[np.ndarray, "*B T K F"],
+        kernel_map: KernelMap | None,
+        is_seen: Bool[np.ndarray, "T K"] | None,
+    ) -> Any:
+        """Policy that follows Q-functions, or a batch of them, and takes what has a value; None if all has.
+
+        Coefficients and what has a value are by steps to go, one step first.
+        """
         ...
 
     def target_probabilities(self, policy: Any, logs: Logs, horizon: int) -> Float[np.ndarray, "n T A"]:

@@ -38,8 +38,13 @@ class TableKind:
 
     def schema(self, policy: LinearTablePolicy, logs: Logs) -> dict[str, Any]:
         """Verbs, features, and the prior of DIRTY that the log-odds of the log started from."""
-        share = {"dirty_share": logged_dirty_share(logs)}
-        return {"horizon": len(policy.coefficients), "actions": _VERBS, "features": _FEATURES, **share}
+        return {
+            "horizon": len(policy.coefficients),
+            "actions": _VERBS,
+            "features": _FEATURES,
+            "dirty_share": logged_dirty_share(logs),
+            "seen": _seen_verbs(policy),
+        }
 
     def seen(self, logs: Logs, policy: LinearTablePolicy, is_by_stage: bool) -> list[dict[str, Any]]:
         """Ranges over all stages: tables are alike in every stage."""
@@ -79,7 +84,24 @@ class TableKind:
         check_arrays(arrays, Shape(horizon_of(record), len(Verb), NUM_FEATURES, np.float32), may_grasp=True)
         on_device: Any = {name: jnp.asarray(array) for name, array in arrays.items()}
         grasp = GraspTable(on_device[GRASP]) if GRASP in arrays else None
-        return LinearTablePolicy(on_device[COEFFICIENTS], grasp, kernel_map_of(on_device))
+        return LinearTablePolicy(on_device[COEFFICIENTS], grasp, kernel_map_of(on_device), _is_seen(record))
+
+
+def _seen_verbs(policy: LinearTablePolicy) -> list[list[str]]:
+    """Verbs that have a value, by steps to go."""
+    if policy.is_seen is None:
+        return [_VERBS] * len(policy.coefficients)
+    return [[verb for verb, is_it in zip(_VERBS, row, strict=True) if is_it] for row in np.asarray(policy.is_seen)]
+
+
+def _is_seen(record: Mapping[str, Any]) -> Any:
+    if "seen" not in record["schema"]:
+        return None
+    seen = typed(record["schema"], "seen", list, "a list of verbs for each number of steps to go")
+    if len(seen) != horizon_of(record) or not all(isinstance(row, list) and set(row) <= set(_VERBS) for row in seen):
+        raise PolicyError(f"seen is {seen}; it lists verbs for each number of steps to go: learn the policy anew")
+    rows = np.array([[verb in row for verb in _VERBS] for row in seen])
+    return None if rows.all() else jnp.asarray(rows)
 
 
 def _check_schema(record: Mapping[str, Any]) -> None:
