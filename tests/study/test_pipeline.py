@@ -108,12 +108,12 @@ def test_a_batch_is_what_the_estimator_learns_from_the_same_logs():
     source = Source(SETTING.world, SETTING.layouts, 0, 3)
     episodes = source.play(40)
     cuts = source.cut(episodes, source.cut_rate(0.5, "independent"), "independent")
-    together, _ = source.encode(episodes).learn([(cuts, "weighted"), (cuts, "unweighted")], 40)
+    learned = source.encode(episodes).learn([(cuts, "weighted"), (cuts, "unweighted")], 40)
     logs = to_logs(cuts, "independent", SETTING.scenes)
     seed = int(np.random.SeedSequence([0, 3]).generate_state(1)[0])
-    for coefficients, censoring in zip(together.coefficients, ("kaplan-meier", "none"), strict=True):
+    for (policy, _), censoring in zip(learned, ("kaplan-meier", "none"), strict=True):
         learner = CensoredQLearner.for_table(SETTING.world.horizon, censoring=censoring, random_state=seed)
-        np.testing.assert_allclose(coefficients, learner.fit(logs).policy_.coefficients, rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(policy.coefficients, learner.fit(logs).policy_.coefficients, rtol=1e-5, atol=1e-6)
 
 
 @pytest.mark.slow
