@@ -34,10 +34,10 @@ def verdict_of(
             f"the policy takes {unseen}, which no path of the log was seen to complete, so nothing is known of what it "
             "brings; log some paths that take it, uniformly at random now and then"
         )
-    unseen = np.flatnonzero(support[:num_reached] == 0)
-    if len(unseen):
+    lacking = np.flatnonzero(support[:num_reached] == 0)
+    if len(lacking):
         return "cannot be said", (
-            f"no logged action of stage {unseen[0] + 1} is one that the policy would take; log some paths that take "
+            f"no logged action of stage {lacking[0] + 1} is one that the policy would take; log some paths that take "
             "them, uniformly at random now and then"
         )
     paths = difference.effective_sample_size

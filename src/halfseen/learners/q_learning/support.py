@@ -62,8 +62,8 @@ def seen_among(allowed: Bool[np.ndarray, "*S A"], seen: Bool[np.ndarray, "*T A"]
 
 def unseen_in_words(support: Support, names: tuple[str, ...], stages: StageMode) -> list[str]:
     """Say of each block that was allowed and never seen completed where that was, and how often it was begun."""
-    reached = support.num_completed.any(axis=1)
-    lacking = support.is_allowed & ~support.is_seen(stages) & reached[:, None]
+    reached: Bool[np.ndarray, "T 1"] = np.any(support.num_completed > 0, axis=1, keepdims=True)
+    lacking = support.is_allowed & ~support.is_seen(stages) & reached
     told = []
     for block in np.flatnonzero(lacking.any(axis=0)):
         rows = np.flatnonzero(lacking[:, block])
