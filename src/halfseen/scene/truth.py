@@ -74,7 +74,8 @@ def truth_of(table: Table, lone_depths_m: Depths) -> Truth:
         occlusion=1.0 - seen_px / size_px,
         hides=_hides(lone_depths_m, silhouettes),
         silhouette_px=size_px,
-        centroid_m=table.camera.world_from_camera.apply_inverse(table.centroid_m),
+        # To the nanometre: the last bits depend on the processor.
+        centroid_m=np.round(table.camera.world_from_camera.apply_inverse(table.centroid_m), 9),
         is_fallen=table.is_fallen,
         height_m=table.height_m,
     )

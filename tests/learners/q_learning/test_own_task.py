@@ -64,7 +64,7 @@ class DoseTask:
     def reduce_variance(self, encoded, reward, weight, is_last):
         return reward, None
 
-    def policy(self, coefficients, kernel_map):
+    def policy(self, coefficients, kernel_map, is_seen):
         return DosePolicy(np.asarray(coefficients))
 
     def target_probabilities(self, policy, logs, horizon):
