@@ -148,13 +148,13 @@ def test_too_few_paths_that_follow_the_policy_are_no_evidence():
     assert "fewer than 10" in found.reason
 
 
-def test_a_stage_in_which_the_log_never_does_as_the_policy_is_named():
+def test_an_action_that_a_stage_never_saw_is_named():
     logs = trial(14)
     only_a = logs.stages.assign(action=np.where(logs.stages["stage"] == 2, "A", logs.stages["action"]))
     found = evaluate(FixedSequence(("A", "B")), Logs(only_a, logs.paths), **specified())
     assert found.support[1] == 0.0
     assert found.verdict == "cannot be said"
-    assert "no logged action of stage 2" in found.reason
+    assert "the policy takes B in stage 2, which no path" in found.reason
 
 
 def test_text_and_json_tell_the_same():

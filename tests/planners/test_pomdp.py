@@ -129,6 +129,7 @@ def test_it_washes_what_is_surely_dirty_and_looks_before_it_washes_what_is_not(p
     assert decide(policy, replace(in_doubt, steps_to_go=jnp.asarray(1, dtype=jnp.int32)), jax.random.key(0)) != 2
 
 
+@pytest.mark.slow
 def test_it_never_takes_a_cup_that_is_gone():
     cups = [Cup(0.99, is_on_table=False), Cup(0.99, is_on_table=False), Cup(0.7)]
     state = state_of(cups, np.zeros((3, 3)))

@@ -45,6 +45,7 @@ def test_same_seed_same_bytes_and_the_global_seed_changes_nothing(table, picture
     assert again.truth.hides.tobytes() == picture.truth.hides.tobytes()
 
 
+@pytest.mark.slow
 def test_other_seed_other_noise_same_truth(table, picture):
     other = capture(table, 4)
     assert not np.array_equal(other.depth_m, picture.depth_m, equal_nan=True)

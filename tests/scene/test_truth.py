@@ -53,6 +53,7 @@ def test_cups_side_by_side_hide_nothing():
     assert not truth.hides.any()
 
 
+@pytest.mark.slow
 def test_pairs_agree_with_pictures_of_pairs(table, picture):
     for i, j in [(0, 1), (1, 0), *np.argwhere(picture.truth.hides > 0.05)[:3].tolist()]:
         expected = 1 - seen_px(table, [i, j], i) / seen_px(table, [i], i)

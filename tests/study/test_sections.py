@@ -36,7 +36,8 @@ def drawings(**options):
 
 
 @pytest.mark.usefixtures("within_style")
-@pytest.mark.parametrize("lead", [0.0, *(pytest.param(lead, marks=pytest.mark.slow) for lead in (-4.0, 3.0))])
+@pytest.mark.slow
+@pytest.mark.parametrize("lead", [-4.0, 0.0, 3.0])
 def test_nothing_written_overlaps_or_leaves_the_figure(lead):
     for drawing in drawings(lead=lead, gain=0.1 * lead):
         for title in (drawing.title, ""):
@@ -135,7 +136,7 @@ def test_planners_are_compared_on_the_episodes_that_they_played():
     setting = example_setting()
     figure2 = PLANNING.tabulate(setting, example_pieces(PLANNING, lead=1.0))["figure2"].set_index("policy")
     assert figure2.loc["planner-1024", "over_censored_q"] == pytest.approx(-1.0, abs=0.3)
-    assert figure2.loc["planner-1024", "episodes"] == 5
+    assert figure2.loc["planner-1024", "episodes"] == dict(PLANNING.simulations)[1024]
     assert set(figure2["kind"]) == {"learned", "heuristic", "planner"}
     sentences = example_section(PLANNING, lead=1.0).sentences
     assert "1,024 simulations a decision, earns more than" in sentences[0]

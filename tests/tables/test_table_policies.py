@@ -235,6 +235,7 @@ def test_finish_is_possible_even_on_an_empty_table(watched):
     assert np.asarray(possible)[..., 0].all()
 
 
+@pytest.mark.slow
 def test_cuts_may_depend_on_the_first_table(scene):
     open_table = Scene(np.zeros((NUM_OBJECTS + 1, NUM_OBJECTS + 1)), name="open")
     logs = TableWorld().simulate([scene, open_table], UniformPolicy(), episodes=200, seed=0, cut_share=0.4)
