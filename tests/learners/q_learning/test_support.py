@@ -47,11 +47,11 @@ def test_an_action_that_was_cut_each_time_is_never_chosen(stages, censoring, q_f
 @pytest.mark.parametrize("stages", ["separate", "pooled"])
 def test_no_verdict_is_given_on_it(stages):
     logs, q = always_cut(horizon=2), QSpec(NamedActions(ACTIONS, ["x"]), stages=stages)
-    found = evaluate(FixedSequence(["A", "B"]), logs, q=q)
+    found = evaluate(FixedSequence(("A", "B")), logs, q=q)
     assert found.verdict == "cannot be said"
     where = "B" if stages == "pooled" else "B in stage 2"
     assert f"the policy takes {where}, which no path of the log was seen to complete" in found.reason
-    assert evaluate(FixedSequence(["A", "A"]), logs, q=q).verdict != "better"
+    assert evaluate(FixedSequence(("A", "A")), logs, q=q).verdict != "better"
 
 
 def test_the_maximum_of_equation_three_is_over_what_was_seen():
