@@ -297,6 +297,17 @@ def test_other_features_of_tables_are_refused(tables, tables_fitted, tmp_path):
     assert "the policy looks at features" in told(tmp_path / "policy")
 
 
+@pytest.mark.parametrize(
+    "seen",
+    ["WASH", [["WASH"]], [[]] * 3, [["PUSH"]] * 3, [[["WASH"]]] * 3, [["WASH"], "LIFT", ["LIFT"]]],
+    ids=str,
+)
+def test_verbs_that_are_none_are_refused(tables, tables_fitted, tmp_path, seen):
+    write_policy(tables_fitted, tables, tmp_path / "policy")
+    edit(tmp_path / "policy", lambda record: record["schema"].update(seen=seen))
+    assert "seen is" in told(tmp_path / "policy")
+
+
 def test_features_of_tables_are_those_of_their_version():
     """Where this fails, features have changed: raise FEATURES_VERSION, and put the new numbers here."""
     state = TableState(

@@ -8,6 +8,7 @@ from jaxtyping import Array, Bool, Float
 
 from halfseen.learners.q_learning.kernel_map import KernelMap
 from halfseen.learners.q_learning.recursion import q_values
+from halfseen.learners.q_learning.support import seen_among
 from halfseen.tables.features import table_features, table_q
 from halfseen.world.action_space import ActionSpace, possible_actions
 from halfseen.world.grasp_model import GraspModel
@@ -55,5 +56,5 @@ class LinearTablePolicy:
         allowed = possible_actions(state)
         if self.is_seen is None:
             return allowed
-        both = allowed & self.is_seen[state.steps_to_go - 1, jnp.asarray(ActionSpace(state.num_objects).verbs)]
-        return jnp.where(jnp.any(both), both, allowed)
+        verbs = jnp.asarray(ActionSpace(state.num_objects).verbs)
+        return seen_among(allowed, self.is_seen[state.steps_to_go - 1][verbs])

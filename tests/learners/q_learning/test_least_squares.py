@@ -52,6 +52,23 @@ def test_it_is_scikit_learns_ridge_on_scaled_features(rows, reg):
         assert coefficients[block, 0] == pytest.approx(ridge.intercept_, rel=1e-7)
 
 
+@pytest.mark.parametrize("sizes", [(0, 64, 65, 1, 200, 63), (0, 0, 0, 0, 0, 5), (64, 64, 64, 64, 64, 64)], ids=str)
+def test_sums_by_fold_and_block_are_those_of_a_loop(sizes):
+    """Rows are summed in chunks of 64: groups that are empty, just fill a chunk, or spill over."""
+    rng = np.random.default_rng(3)
+    group = rng.permutation(np.repeat(np.arange(6), sizes))
+    x, weight, y = rng.normal(size=(len(group), 3)), rng.uniform(size=len(group)), rng.normal(size=len(group))
+    with jax.enable_x64(True):
+        design = design_of(Rows(*map(jax.numpy.asarray, (x, group % 3, weight, group // 3))), 3, 2)
+        gram, cross = np.asarray(gram_of(design)), np.asarray(cross_of(design, jax.numpy.asarray(y)))
+    rows = np.column_stack([np.ones(len(group)), x])
+    for k in range(6):
+        mine = group == k
+        expected = (rows[mine] * weight[mine, None]).T
+        np.testing.assert_allclose(gram[k // 3, k % 3], expected @ rows[mine], atol=1e-12)
+        np.testing.assert_allclose(cross[k // 3, k % 3], expected @ y[mine], atol=1e-12)
+
+
 def test_the_unit_of_a_feature_is_irrelevant(rows):
     target = target_of(rows)
     coefficients, _ = fitted(rows, target, [0.1])

@@ -74,6 +74,15 @@ def test_a_batch_of_logs_is_a_loop(stages, task):
 
 
 @pytest.mark.parametrize(("stages", "task"), MODES)
+def test_logs_of_the_same_states_may_share_their_features(stages, task):
+    log = log_for(task)
+    other = log._replace(weight=log.weight * np.arange(len(log.weight))[:, None], reward=2.0 * log.reward)
+    apart = jax.tree.map(lambda *leaves: np.stack(leaves), log, other)
+    shared = fit(apart._replace(features=log.features), task, stages)
+    assert shared.coefficients == pytest.approx(fit(apart, task, stages).coefficients, abs=1e-10)
+
+
+@pytest.mark.parametrize(("stages", "task"), MODES)
 def test_what_does_not_count_may_hold_anything(stages, task):
     log = log_for(task)
     is_seen = (np.abs(log.features).sum(axis=(2, 3)) > 0)[..., None, None]

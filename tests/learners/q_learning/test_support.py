@@ -6,7 +6,7 @@ import pytest
 
 from halfseen.evaluation import FixedSequence, QSpec, evaluate
 from halfseen.learners import CensoredQLearner, NamedActions
-from halfseen.logs import Logs
+from halfseen.logs import Logs, LogStream
 
 ACTIONS = ["A", "B"]
 
@@ -83,6 +83,19 @@ def test_an_action_may_be_seen_in_one_stage_alone():
     assert pooled.policy_.is_possible.all()
     assert "in stage 2 (begun 20 times" in separate.unseen_[0]
     assert pooled.unseen_ == []
+
+
+@pytest.mark.parametrize("stages", ["separate", "pooled"])
+def test_a_stream_sees_what_memory_does(tmp_path, stages):
+    logs = always_cut(horizon=2, num_paths=60, num_cut=50)
+    logs.write(tmp_path / "logs")
+    whole, parts = (
+        CensoredQLearner(2, ACTIONS, ["x"], stages=stages, reg=0.1).fit(each)
+        for each in (logs, LogStream(tmp_path / "logs", 7))
+    )
+    assert parts.unseen_ == whole.unseen_ != []
+    np.testing.assert_array_equal(parts.policy_.is_possible, whole.policy_.is_possible)
+    np.testing.assert_allclose(parts.q_functions_.coefficients, whole.q_functions_.coefficients, atol=1e-9)
 
 
 def test_where_nobody_came_all_actions_stay():

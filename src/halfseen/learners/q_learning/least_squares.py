@@ -10,6 +10,7 @@ over the rows, and the sums of parts of a log add up to those of the whole. One 
 thousands. In an RKHS, where x are features of the kernel, x keeps its scale, and ‖β‖² is the norm of the function.
 """
 
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import jax
@@ -37,7 +38,9 @@ class Rows(NamedTuple):
     """Fold of the row's path."""
 
 
-class Design(NamedTuple):
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Design:
     """Rows ready to be summed, by V folds and K blocks."""
 
     features: Float[Array, "R F"]
@@ -45,7 +48,7 @@ class Design(NamedTuple):
     weight: Float[Array, " R"]
     group: Int[Array, " R"]
     """Fold and block of each row, as one number: fold · K + block."""
-    shape: tuple[int, int]
+    shape: tuple[int, int] = field(metadata={"static": True})
     """V and K."""
 
     @property

@@ -66,8 +66,6 @@ class CensoredQLearner(BaseEstimator):
         Effective sample size, largest weight, share truncated.
     policy_ : FlatPolicy, or what the task makes
         The policy that was learned, with nothing of the learner.
-    unseen_ : list of str
-        One sentence for each action that the log never saw completed, and that the policy therefore never takes.
 
     Examples
     --------
@@ -92,7 +90,6 @@ class CensoredQLearner(BaseEstimator):
     weights_: Float[np.ndarray, "n T"]
     diagnostics_: WeightDiagnostics
     policy_: Any
-    unseen_: list[str]
 
     def __init__(
         self,
@@ -157,8 +154,6 @@ class CensoredQLearner(BaseEstimator):
             self.q_functions_ = self.model_.fit(log)
         self.diagnostics_ = weight_diagnostics(self.weights_, self.cut_model_ and self.cut_model_.truncate_at)
         self.policy_ = self.model_.policy(self.q_functions_)
-        assert self.model_.support is not None
-        self.unseen_ = unseen_in_words(self.model_.support, self.model_.task.block_names, self.model_.stages)
         return self
 
     def compose(self) -> QModel:
@@ -192,6 +187,13 @@ class CensoredQLearner(BaseEstimator):
         """Ĝ; None without one."""
         check_is_fitted(self, "model_")
         return self.model_.cut_model
+
+    @property
+    def unseen_(self) -> list[str]:
+        """One sentence for each action that the log never saw completed, and that the policy therefore never takes."""
+        check_is_fitted(self, "model_")
+        assert self.model_.support is not None
+        return unseen_in_words(self.model_.support, self.model_.task.block_names, self.model_.stages)
 
     @property
     def kernel_map_(self) -> KernelMap | None:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from halfseen.learners.q_learning.path_arrays import PathArrays
-from halfseen.learners.q_learning.recursion import StageMode
+from halfseen.learners.q_learning.recursion import AnyArray, StageMode
 
 
 class Support(NamedTuple):
@@ -54,10 +54,10 @@ def support_of(paths: PathArrays, blocks: Int[np.ndarray, " A"], num_blocks: int
     )
 
 
-def seen_among(allowed: Bool[np.ndarray, "*S A"], seen: Bool[np.ndarray, "*T A"]) -> Bool[np.ndarray, "*S A"]:
+def seen_among(allowed: Bool[AnyArray, "*S A"], seen: Bool[AnyArray, "*T A"]) -> Bool[AnyArray, "*S A"]:
     """Keep the actions that were seen; all that are allowed where none was."""
     both = allowed & seen
-    return np.where(both.any(axis=-1, keepdims=True), both, allowed)
+    return both | (allowed & ~both.any(axis=-1, keepdims=True))
 
 
 def unseen_in_words(support: Support, names: tuple[str, ...], stages: StageMode) -> list[str]:

@@ -95,10 +95,12 @@ def _seen_verbs(policy: LinearTablePolicy) -> list[list[str]]:
 
 
 def _is_seen(record: Mapping[str, Any]) -> Any:
+    """Which verbs have a value; None for all, as in a folder that does not say."""
     if "seen" not in record["schema"]:
         return None
     seen = typed(record["schema"], "seen", list, "a list of verbs for each number of steps to go")
-    if len(seen) != horizon_of(record) or not all(isinstance(row, list) and set(row) <= set(_VERBS) for row in seen):
+    is_right = len(seen) == horizon_of(record) and all(isinstance(row, list) and row for row in seen)
+    if not is_right or not all(verb in _VERBS for row in seen for verb in row):
         raise PolicyError(f"seen is {seen}; it lists verbs for each number of steps to go: learn the policy anew")
     rows = np.array([[verb in row for verb in _VERBS] for row in seen])
     return None if rows.all() else jnp.asarray(rows)
