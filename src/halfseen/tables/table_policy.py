@@ -57,4 +57,4 @@ class LinearTablePolicy:
         if self.is_seen is None:
             return allowed
         verbs = jnp.asarray(ActionSpace(state.num_objects).verbs)
-        return seen_among(allowed, self.is_seen[state.steps_to_go - 1][verbs])
+        return jnp.asarray(seen_among(allowed, self.is_seen[state.steps_to_go - 1][verbs]))

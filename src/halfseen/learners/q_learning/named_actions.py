@@ -147,7 +147,7 @@ class NamedActions:
         return FlatPolicy(
             actions=tuple(self.names),
             covariates=tuple(self.covariates),
-            is_possible=possible if is_seen is None else seen_among(possible, is_seen[::-1]),
+            is_possible=possible if is_seen is None else np.asarray(seen_among(possible, is_seen[::-1])),
             coefficients=np.asarray(coefficients[..., ::-1, :, :]),
             kernel_map=kernel_map,
         )

@@ -103,7 +103,8 @@ class QModel:
         """Which of the allowed actions have a value."""
         if self.support is None:
             return allowed
-        return seen_among(allowed, self.support.is_seen(self.stages)[:, self.blocks(allowed.shape[-1])])
+        seen = self.support.is_seen(self.stages)[:, self.blocks(allowed.shape[-1])]
+        return np.asarray(seen_among(allowed, seen))
 
     def check_horizon(self, logs: Logs) -> None:
         """Refuse a log with longer paths."""
