@@ -19,9 +19,9 @@ class RewardDesign:
     num_paths: tuple[int, ...] = (25, 50, 100, 200, 400, 800)
     cut_shares: tuple[float, ...] = (0.0, 1 / 6, 1 / 3, 1 / 2)
     episodes_per_scene: int = 5
-    planners: tuple[tuple[int, int], ...] = ((128, 5), (512, 2))
+    planners: tuple[tuple[int, int], ...] = ((128, 10), (512, 3))
     selection_blocks: int = 4
-    selection_planned: int = 20
+    selection_planned: int = 30
     table_num_paths: int = 800
     table_cut_share: float = 1 / 2
     most_repetitions: int | None = None

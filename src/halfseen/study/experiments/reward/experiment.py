@@ -65,9 +65,9 @@ class Reward(RewardDesign):
             played = source.evaluate(each.policy(setting.world), num_all)
             baselines[each.name] = _beside(headline, range(num_all), played)
         for size, num_episodes in self.planners:
-            episodes = episodes_in_turn(index, num_episodes, num_all)
-            played = play_singly(source, planner(size).policy(setting.world), episodes)
-            baselines[planner(size).name] = _beside(headline, episodes, played)
+            some = episodes_in_turn(index, num_episodes, num_all)
+            played = play_singly(source, planner(size).policy(setting.world), some)
+            baselines[planner(size).name] = _beside(headline, some, played)
         return {"index": index, "learned": rows, "baselines": baselines}
 
 
