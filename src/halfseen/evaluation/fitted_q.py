@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from halfseen.learners.q_learning.fitting import fit_and_judge
 from halfseen.learners.q_learning.judging import Judged
 from halfseen.learners.q_learning.q_model import QModel
-from halfseen.learners.q_learning.recursion import Transitions
+from halfseen.learners.q_learning.transitions import Transitions
 
 
 def judged_by_folds(

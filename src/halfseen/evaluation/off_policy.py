@@ -20,9 +20,9 @@ from halfseen.learners.q_learning.judging import Judged
 from halfseen.learners.q_learning.path_arrays import PathArrays
 from halfseen.learners.q_learning.q_model import QModel
 from halfseen.learners.q_learning.q_space import CrossValidation, QSpace, q_space_of, reg_of, stage_mode_of
-from halfseen.learners.q_learning.recursion import StageMode, Transitions
 from halfseen.learners.q_learning.targets import DoublyRobust, Targets, Weighted, targets_of
 from halfseen.learners.q_learning.task import Task
+from halfseen.learners.q_learning.transitions import StageMode, Transitions
 from halfseen.logs import Logs
 
 

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from halfseen.learners.q_learning.kernel_map import KernelMap
-from halfseen.learners.q_learning.recursion import q_values
 from halfseen.learners.q_learning.support import seen_among
+from halfseen.learners.q_learning.transitions import q_values
 from halfseen.tables.features import table_features, table_q
 from halfseen.world.action_space import ActionSpace, possible_actions
 from halfseen.world.grasp_model import GraspModel
@@ -31,22 +31,39 @@ class LinearTablePolicy:
         Features of the RKHS; None where Q is linear in the features of the table.
     is_seen
         Which verbs have a value, by steps to go: those that the log has seen completed; None for all.
+    margin
+        M by steps to go and verb: the lower confidence bound is Q̂ − ‖Mᵀ (1, features)‖; None without pessimism.
     """
 
     coefficients: Float[Array, "*B T K F"]
     grasp: GraspModel | None = None
     kernel_map: KernelMap | None = None
     is_seen: Bool[Array, "T K"] | None = None
+    margin: Float[Array, "*B T K F F"] | None = None
 
     def q_values(self, state: TableState, key: Array | None = None) -> Float[Array, " A"]:
-        """Q of every action of one table; −∞ where an action is not possible. Nothing is drawn."""
+        """Q of every action of one table, −∞ where an action is not possible; with pessimism, its lower bound."""
+        q = self._q(state)
+        if self.margin is not None:
+            q = q - self._margins(state, self.margin[state.steps_to_go - 1])
+        return jnp.where(self._possible(state), q, -jnp.inf)
+
+    def _q(self, state: TableState) -> Float[Array, " A"]:
         coefficients = self.coefficients[state.steps_to_go - 1]
         if self.kernel_map is None:
-            q = table_q(coefficients, state, self.grasp)
-        else:
-            features = self.kernel_map(table_features(state, self.grasp))
-            q = q_values(coefficients, features, jnp.asarray(ActionSpace(state.num_objects).verbs))
-        return jnp.where(self._possible(state), q, -jnp.inf)
+            return table_q(coefficients, state, self.grasp)
+        return q_values(coefficients, self._features(state), self._verbs(state))
+
+    def _margins(self, state: TableState, root: Float[Array, "K F F"]) -> Float[Array, " A"]:
+        each = root[self._verbs(state)]
+        return jnp.linalg.norm(each[:, 0] + jnp.einsum("af,afg->ag", self._features(state), each[:, 1:]), axis=-1)
+
+    def _features(self, state: TableState) -> Float[Array, "A F1"]:
+        features = table_features(state, self.grasp)
+        return features if self.kernel_map is None else self.kernel_map(features)
+
+    def _verbs(self, state: TableState) -> Int[Array, " A"]:
+        return jnp.asarray(ActionSpace(state.num_objects).verbs)
 
     def decide(self, state: TableState, key: Array) -> Decision:
         """Choose for one table; deterministic."""
@@ -56,5 +73,4 @@ class LinearTablePolicy:
         allowed = possible_actions(state)
         if self.is_seen is None:
             return allowed
-        verbs = jnp.asarray(ActionSpace(state.num_objects).verbs)
-        return jnp.asarray(seen_among(allowed, self.is_seen[state.steps_to_go - 1][verbs]))
+        return jnp.asarray(seen_among(allowed, self.is_seen[state.steps_to_go - 1][self._verbs(state)]))

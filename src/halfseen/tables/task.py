@@ -91,11 +91,12 @@ class TableTask:
         coefficients: Float[np.ndarray, "*B T K F"],
         kernel_map: KernelMap | None,
         is_seen: Bool[np.ndarray, "T K"] | None,
+        margin: Float[np.ndarray, "*B T K F F"] | None = None,
     ) -> LinearTablePolicy:
         """Policy in single precision, as coarse as the states that it sees."""
-        single = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=jnp.float32), (coefficients, kernel_map))
+        single = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=jnp.float32), (coefficients, kernel_map, margin))
         seen = None if is_seen is None or is_seen.all() else jnp.asarray(is_seen)
-        return LinearTablePolicy(single[0], self.grasp, single[1], seen)
+        return LinearTablePolicy(single[0], self.grasp, single[1], seen, single[2])
 
     def target_probabilities(self, policy: Any, logs: Logs, horizon: int) -> Float[np.ndarray, "n T A"]:
         """π(a | S_t) of a policy of tables in every stage of a log."""

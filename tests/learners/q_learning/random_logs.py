@@ -2,7 +2,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from halfseen.learners.q_learning.recursion import Transitions
+from halfseen.learners.q_learning.transitions import Transitions
 
 
 @dataclass(frozen=True)

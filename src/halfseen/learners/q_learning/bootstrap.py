@@ -21,7 +21,8 @@ from halfseen.learners.q_learning.flat_policy import FlatPolicy
 from halfseen.learners.q_learning.path_arrays import PathArrays
 from halfseen.learners.q_learning.q_learner import CensoredQLearner
 from halfseen.learners.q_learning.q_model import QModel
-from halfseen.learners.q_learning.recursion import QFunctions, Transitions, backward
+from halfseen.learners.q_learning.recursion import backward
+from halfseen.learners.q_learning.transitions import QFunctions, Transitions
 from halfseen.logs import Logs
 
 BATCH_SIZE = 10

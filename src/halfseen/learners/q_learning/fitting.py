@@ -10,7 +10,8 @@ from jaxtyping import Float, Int
 
 from halfseen.errors import ArgumentError
 from halfseen.learners.q_learning.judging import Judged, judged
-from halfseen.learners.q_learning.recursion import QFunctions, StageMode, Transitions, backward
+from halfseen.learners.q_learning.recursion import backward
+from halfseen.learners.q_learning.transitions import QFunctions, StageMode, Transitions
 
 
 class BackwardOptions(NamedTuple):
@@ -24,7 +25,11 @@ class BackwardOptions(NamedTuple):
 
 
 def fit_q_functions(
-    log: Transitions, blocks: Int[np.ndarray, " A"], regs: Float[np.ndarray, " L"], options: BackwardOptions
+    log: Transitions,
+    blocks: Int[np.ndarray, " A"],
+    regs: Float[np.ndarray, " L"],
+    options: BackwardOptions,
+    pessimism: float = 0.0,
 ) -> QFunctions:
     """Run the recursion on one log, or on a batch of logs if the arrays have a leading axis for it.
 
@@ -38,6 +43,8 @@ def fit_q_functions(
         The λ to choose from.
     options
         The rest.
+    pessimism
+        Standard errors by which Q is lowered wherever the largest is sought; 0 for eq. 3 as it is.
 
     Raises
     ------
@@ -52,7 +59,8 @@ def fit_q_functions(
     with jax.enable_x64(True):
         arrays = jax.tree.map(jnp.asarray, log)
         fit = backward_batch if log.action.ndim == 3 else backward
-        return jax.tree.map(np.asarray, fit(arrays, jnp.asarray(blocks), jnp.asarray(regs), **options._asdict()))
+        more = options._asdict() | ({"pessimism": jnp.asarray(pessimism)} if pessimism else {})
+        return jax.tree.map(np.asarray, fit(arrays, jnp.asarray(blocks), jnp.asarray(regs), **more))
 
 
 def backward_batch(log: Transitions, blocks: jax.Array, regs: jax.Array, **options) -> QFunctions:

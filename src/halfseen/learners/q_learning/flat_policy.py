@@ -30,7 +30,7 @@ class NamedActionPolicy(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class FlatPolicy:
-    """argmax over the possible actions of Q̂_t(S, a).
+    """argmax over the possible actions of Q̂_t(S, a), or with pessimism of its lower confidence bound.
 
     Parameters
     ----------
@@ -44,6 +44,8 @@ class FlatPolicy:
         Of Q_1 … Q_T by stage, action and feature, the offset first (with axes in front for a batch of policies).
     kernel_map
         Features of the RKHS; None where Q is linear in the covariates.
+    margin
+        M of each stage and action: the lower confidence bound is Q̂ − ‖Mᵀ (1, features)‖; None without pessimism.
     """
 
     actions: tuple[Hashable, ...]
@@ -51,6 +53,7 @@ class FlatPolicy:
     is_possible: Bool[np.ndarray, "T A"]
     coefficients: Float[np.ndarray, "*B T A F"]
     kernel_map: KernelMap | None = None
+    margin: Float[np.ndarray, "*B T A F F"] | None = None
 
     @property
     def horizon(self) -> int:
@@ -74,10 +77,16 @@ class FlatPolicy:
             A covariate is missing or no finite number.
         """
         self._check_stage(stage)
-        values = covariate_values(frame, self.covariates)
-        features = values if self.kernel_map is None else np.asarray(self.kernel_map(values))
-        each = self.coefficients[stage - 1]
+        features, each = self._features(frame), self.coefficients[stage - 1]
         return each[:, 0] + features @ each[:, 1:].T
+
+    def lower_bounds(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
+        """What the policy goes by: the lower confidence bound of every Q̂; Q̂ itself without pessimism."""
+        q = self.q_values(frame, stage)
+        if self.margin is None:
+            return q
+        root, features = self.margin[stage - 1], self._features(frame)
+        return q - np.stack([np.linalg.norm(each[0] + features @ each[1:], axis=1) for each in root], axis=1)
 
     def decide(self, frame: pd.DataFrame, stage: int) -> np.ndarray:
         """Name the possible action with the largest Q̂, for each row of covariates; shape (m,)."""
@@ -91,8 +100,12 @@ class FlatPolicy:
         return (best[:, None] == np.arange(len(self.actions))).astype(np.float64)
 
     def _best(self, frame: pd.DataFrame, stage: int) -> np.ndarray:
-        q = self.q_values(frame, stage)
-        return np.argmax(np.where(self.is_possible[stage - 1], q, -np.inf), axis=1)
+        low = self.lower_bounds(frame, stage)
+        return np.argmax(np.where(self.is_possible[stage - 1], low, -np.inf), axis=1)
+
+    def _features(self, frame: pd.DataFrame) -> Float[np.ndarray, "m F1"]:
+        values = covariate_values(frame, self.covariates)
+        return values if self.kernel_map is None else np.asarray(self.kernel_map(values))
 
     def _check_stage(self, stage: int) -> None:
         if not 1 <= stage <= self.horizon:

@@ -30,7 +30,7 @@ from halfseen.censoring import Cox, CutModel
 from halfseen.censoring.stage_clocks import SMALLEST_AGE_S
 from halfseen.errors import ArgumentError
 from halfseen.learners.q_learning.path_arrays import PathArrays
-from halfseen.learners.q_learning.recursion import Imputation, StageMode
+from halfseen.learners.q_learning.transitions import Imputation, StageMode
 
 NUM_AGES = 24
 """Steps of m: between quantiles of the ages at which stages ended."""

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from halfseen.learners.q_learning.recursion import (
+from halfseen.learners.q_learning.transitions import (
     QFunctions,
     StageMode,
     Transitions,

@@ -2,7 +2,8 @@
 
 k is Gaussian on features that are scaled to unit variance. With as many landmarks as there are different rows this is
 the whole RKHS that the data can use (the representer theorem); with fewer it is its low-rank form
-[WilliamsSeeger2000]_.
+[WilliamsSeeger2000]_. A *trend* adds the features themselves and all their products of two, so that k is the sum of two
+kernels and Q that of a quadratic and of a smooth remainder.
 """
 
 from dataclasses import dataclass
@@ -25,7 +26,7 @@ RANK_STEP = 32
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class KernelMap:
-    """ψ(x) = Rᵀ k(landmarks, (x − centre)/scale) (a pytree).
+    """ψ(x) = (c q(z), Rᵀ k(landmarks, z)) with z = (x − centre)/scale and q(z) all z_i and z_i z_j (a pytree).
 
     Parameters
     ----------
@@ -37,6 +38,8 @@ class KernelMap:
         R.
     gamma
         γ of the Gaussian kernel exp(−γ‖x − z‖²), on scaled features.
+    trend
+        c; None without the quadratic trend.
     """
 
     centre: Float[AnyArray, " F"]
@@ -44,18 +47,43 @@ class KernelMap:
     landmarks: Float[AnyArray, "m F"]
     projection: Float[AnyArray, "m r"]
     gamma: Float[AnyArray, ""]
+    trend: Float[AnyArray, ""] | None = None
+
+    @property
+    def num_features(self) -> int:
+        """Length of ψ(x)."""
+        num_inputs = self.landmarks.shape[1]
+        num_quadratic = 0 if self.trend is None else num_inputs * (num_inputs + 3) // 2
+        return num_quadratic + self.projection.shape[1]
 
     def __call__(self, features: Float[AnyArray, "*S F"]) -> Float[AnyArray, "*S r"]:
         """Map features of states and actions, in NumPy or in JAX as they come."""
         xp: Any = jnp if isinstance(features, jax.Array) else np
         scaled = (features - self.centre) / self.scale
+        if self.trend is None:
+            return self._smooth(scaled)
+        return xp.concatenate([self.trend * quadratic(scaled), self._smooth(scaled)], axis=-1)
+
+    def _smooth(self, scaled: Float[AnyArray, "*S F"]) -> Float[AnyArray, "*S r"]:
+        xp: Any = jnp if isinstance(scaled, jax.Array) else np
         far = xp.sum(scaled**2, axis=-1, keepdims=True) + xp.sum(self.landmarks**2, axis=-1)
         distance = xp.maximum(far - 2.0 * scaled @ self.landmarks.T, 0.0)
         return xp.exp(-self.gamma * distance) @ self.projection
 
 
+def quadratic(scaled: Float[AnyArray, "*S F"]) -> Float[AnyArray, "*S Q"]:
+    """Features, and the product of each two of them, squares among them."""
+    xp: Any = jnp if isinstance(scaled, jax.Array) else np
+    one, other = np.triu_indices(scaled.shape[-1])
+    return xp.concatenate([scaled, scaled[..., one] * scaled[..., other]], axis=-1)
+
+
 def fit_kernel_map(
-    rows: Float[np.ndarray, "k F"], num_landmarks: int, gamma: float | None, rng: np.random.Generator
+    rows: Float[np.ndarray, "k F"],
+    num_landmarks: int,
+    gamma: float | None,
+    rng: np.random.Generator,
+    trend: float | None = None,
 ) -> KernelMap:
     """Choose landmarks among rows of features.
 
@@ -69,13 +97,24 @@ def fit_kernel_map(
         γ on scaled features; None for 1/F.
     rng
         Draws the landmarks.
+    trend
+        Root of the mean of c² q(z)·q(z) over rows, beside a Gaussian kernel of 1; None for no trend.
     """
     centre, spread = rows.mean(axis=0), rows.std(axis=0)
     scale = np.where(spread > 1e-9 * np.maximum(np.abs(centre), 1e-9), spread, np.inf)
     num_varied = max(int(np.isfinite(scale).sum()), 1)
     width = 1.0 / num_varied if gamma is None else float(gamma)
-    found = fit_nystrom(RbfKernel(width), (rows - centre) / scale, num_landmarks, rng)
+    scaled = (rows - centre) / scale
+    weight = None if trend is None else np.asarray(trend / max(_root_mean_square(quadratic(scaled)), 1e-12))
+    if num_landmarks == 0:
+        return KernelMap(centre, scale, scaled[:0], np.zeros((0, 0)), np.asarray(width), weight)
+    found = fit_nystrom(RbfKernel(width), scaled, num_landmarks, rng)
     # Features that are 0 change nothing, and logs of about the same rank share one compiled fit.
     padding = -found.num_features % RANK_STEP
     projection = np.ascontiguousarray(np.pad(found.projection, ((0, 0), (0, padding))))
-    return KernelMap(centre, scale, found.landmarks, projection, np.asarray(width))
+    return KernelMap(centre, scale, found.landmarks, projection, np.asarray(width), weight)
+
+
+def _root_mean_square(features: Float[np.ndarray, "k Q"]) -> float:
+    """Root of the mean squared norm of the rows."""
+    return float(np.sqrt(np.sum(features**2, axis=-1).mean()))

@@ -141,6 +141,7 @@ class NamedActions:
         coefficients: Float[np.ndarray, "*B T K F"],
         kernel_map: KernelMap | None,
         is_seen: Bool[np.ndarray, "T A"] | None,
+        margin: Float[np.ndarray, "*B T K F F"] | None = None,
     ) -> FlatPolicy:
         """Policy that follows Q-functions, or a batch of them, and takes what has a value; all is by steps to go."""
         possible = self._possible_by_stage(coefficients.shape[-3])
@@ -150,6 +151,7 @@ class NamedActions:
             is_possible=possible if is_seen is None else np.asarray(seen_among(possible, is_seen[::-1])),
             coefficients=np.asarray(coefficients[..., ::-1, :, :]),
             kernel_map=kernel_map,
+            margin=None if margin is None else margin[..., ::-1, :, :, :],
         )
 
     def target_probabilities(self, policy: Any, logs: Logs, horizon: int) -> Float[np.ndarray, "n T A"]:

@@ -15,11 +15,11 @@ from halfseen.learners.q_learning.kernel_map import KernelMap
 from halfseen.learners.q_learning.named_actions import NamedActions
 from halfseen.learners.q_learning.q_model import QModel
 from halfseen.learners.q_learning.q_space import CrossValidation, QSpace, q_space_of, reg_of, stage_mode_of
-from halfseen.learners.q_learning.recursion import QFunctions, StageMode
 from halfseen.learners.q_learning.streaming import fit_stream
 from halfseen.learners.q_learning.support import unseen_in_words
 from halfseen.learners.q_learning.targets import Targets, targets_of
 from halfseen.learners.q_learning.task import Task, named_task
+from halfseen.learners.q_learning.transitions import QFunctions, StageMode
 from halfseen.logs import Logs, LogStream
 
 

@@ -16,10 +16,10 @@ from halfseen.learners.q_learning.imputation import imputation
 from halfseen.learners.q_learning.kernel_map import KernelMap
 from halfseen.learners.q_learning.path_arrays import PathArrays, path_arrays
 from halfseen.learners.q_learning.q_space import CrossValidation, LinearQ, QSpace, Reg
-from halfseen.learners.q_learning.recursion import Imputation, QFunctions, StageMode, Transitions
 from halfseen.learners.q_learning.support import Support, seen_among, support_of
 from halfseen.learners.q_learning.targets import Targets, Weighted
 from halfseen.learners.q_learning.task import Task
+from halfseen.learners.q_learning.transitions import Imputation, QFunctions, StageMode, Transitions
 from halfseen.logs import Logs
 
 
@@ -49,6 +49,8 @@ class QModel:
         Features of the RKHS, once they are chosen.
     support
         What the log has seen completed, once it was looked at.
+    pessimism
+        Standard errors of Q by which it is lowered wherever the largest is sought, in eq. 3 and by the policy.
 
     Raises
     ------
@@ -66,6 +68,7 @@ class QModel:
     cut_model: CutModel | None = None
     kernel_map: KernelMap | None = None
     support: Support | None = None
+    pessimism: float = 0.0
 
     def __post_init__(self) -> None:
         if self.horizon < 1:
@@ -159,15 +162,17 @@ class QModel:
         if isinstance(self.reg, CrossValidation):
             refuse_too_few(np.asarray(log.weight))
         blocks = self.task.block_of_action(log.is_possible.shape[-1])
-        return fit_q_functions(log, blocks, self.regs, self.options(log.weight.shape[-2]))
+        return fit_q_functions(log, blocks, self.regs, self.options(log.weight.shape[-2]), self.pessimism)
 
     def policy(self, q_functions: QFunctions) -> Any:
         """Turn Q-functions, or a batch of them, into the policy that follows them."""
-        coefficients = np.asarray(q_functions.coefficients)
+        coefficients, root = q_functions.coefficients, q_functions.root
         seen = None if self.support is None else self.support.is_seen(self.stages)
-        if self.stages == "pooled":
-            return self.task.policy(coefficients, self.kernel_map, seen)
-        return self.task.policy(coefficients[..., ::-1, :, :], self.kernel_map, None if seen is None else seen[::-1])
+        if self.stages == "separate":
+            coefficients, seen = coefficients[..., ::-1, :, :], None if seen is None else seen[::-1]
+            root = None if root is None else root[..., ::-1, :, :, :]
+        margin = None if root is None else self.pessimism * np.asarray(root)
+        return self.task.policy(np.asarray(coefficients), self.kernel_map, seen, margin)
 
     @property
     def regs(self) -> Float[np.ndarray, " L"]:
@@ -190,7 +195,7 @@ class QModel:
         imputed = imputation(paths, self.cut_model, self.stages, is_used, blocks)
         if self.kernel_map is None:
             return imputed
-        return imputed._replace(is_used=np.ones(self.kernel_map.projection.shape[1]))
+        return imputed._replace(is_used=np.ones(self.kernel_map.num_features))
 
     def _outcome_features(self, num_features: int) -> Float[np.ndarray, " F"]:
         names = self.targets.outcome_covariates

@@ -1,4 +1,4 @@
-"""Where Q is sought, 𝒬: linear in its features, or in an RKHS, by stage or pooled; and how λ is chosen."""
+"""Where Q is sought, 𝒬: linear or quadratic in its features, or in an RKHS, by stage or pooled; how λ is chosen."""
 
 from dataclasses import dataclass
 from numbers import Real
@@ -9,14 +9,18 @@ from jaxtyping import Float
 
 from halfseen.errors import ArgumentError
 from halfseen.learners.q_learning.kernel_map import KernelMap, fit_kernel_map
-from halfseen.learners.q_learning.recursion import StageMode
 from halfseen.learners.q_learning.task import Encoded
+from halfseen.learners.q_learning.transitions import StageMode
 
 REGS = np.logspace(-3, 2, 11)
 """The λ that ``reg="cv"`` chooses from; features are scaled to unit variance, so they need no other unit."""
 
 KERNEL_REGS = np.logspace(-6, 1, 15)
 """The same for the norm of an RKHS."""
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool) and bool(np.isfinite(float(value)))
 
 
 @dataclass(frozen=True)
@@ -31,8 +35,23 @@ class LinearQ:
 
 
 @dataclass(frozen=True)
+class QuadraticQ:
+    """Q is linear in its features and in the products of each two; λ weighs all as if each had unit variance."""
+
+    regs = REGS
+    is_scaled = True
+
+    def features(self, encoded: Encoded, is_seen: Any, random_state: int) -> KernelMap:
+        """Find mean and variance of the completed stages; nothing is drawn."""
+        return fit_kernel_map(encoded.taken[is_seen], 0, None, np.random.default_rng(random_state), trend=1.0)
+
+
+@dataclass(frozen=True)
 class KernelQ:
     """Q is in the RKHS of a Gaussian kernel exp(−γ‖x − z‖²) on features of unit variance.
+
+    With a trend it is the sum of a quadratic and of such a function: where a quadratic does, λ leaves little of the
+    rest, and where it does not, the rest mends it.
 
     Parameters
     ----------
@@ -40,6 +59,8 @@ class KernelQ:
         Rows whose span Q lies in, at most; with as many as there are different rows, it is exact.
     gamma
         γ; None for 1/F.
+    trend
+        Root mean square of the features of the quadratic, where those of the Gaussian kernel have 1; None for none.
 
     Raises
     ------
@@ -49,6 +70,7 @@ class KernelQ:
 
     num_landmarks: int = 200
     gamma: float | int | None = None
+    trend: float | int | None = None
 
     regs = KERNEL_REGS
     is_scaled = False
@@ -58,15 +80,26 @@ class KernelQ:
             raise ArgumentError(f"num_landmarks is {self.num_landmarks}; a kernel needs at least 1")
         if self.gamma is not None and not (_is_number(self.gamma) and self.gamma > 0):
             raise ArgumentError(f"gamma is {self.gamma!r}; it is a finite number > 0, or None for 1/F")
+        if self.trend is not None and not (_is_number(self.trend) and self.trend > 0):
+            raise ArgumentError(f"trend is {self.trend!r}; it is a finite number > 0, or None for no trend")
 
     def features(self, encoded: Encoded, is_seen: Any, random_state: int) -> KernelMap:
         """Choose landmarks among the completed stages."""
         rng = np.random.default_rng(random_state)
-        return fit_kernel_map(encoded.taken[is_seen], self.num_landmarks, self.gamma, rng)
+        return fit_kernel_map(encoded.taken[is_seen], self.num_landmarks, self.gamma, rng, self.trend)
 
 
-QSpace = LinearQ | KernelQ
-Q_SPACES = {"linear": LinearQ, "kernel": KernelQ}
+QSpace = LinearQ | QuadraticQ | KernelQ
+
+SMOOTH = KernelQ(num_landmarks=100, trend=3.0)
+"""A quadratic and a smooth remainder: chosen on the logs of `benchmarks/learners.py` that are marked for it."""
+
+Q_SPACES: dict[str, QSpace] = {
+    "linear": LinearQ(),
+    "quadratic": QuadraticQ(),
+    "kernel": KernelQ(),
+    "smooth": SMOOTH,
+}
 
 
 @dataclass(frozen=True)
@@ -127,9 +160,10 @@ def q_space_of(q_function: QSpace | Literal["linear", "kernel"] | str) -> QSpace
         It is neither.
     """
     if isinstance(q_function, str) and q_function in Q_SPACES:
-        return Q_SPACES[q_function]()
-    if not isinstance(q_function, (LinearQ, KernelQ)):
-        raise ArgumentError(f"q_function is {q_function!r}; it is 'linear', 'kernel', LinearQ(…) or KernelQ(…)")
+        return Q_SPACES[q_function]
+    if not isinstance(q_function, QSpace):
+        names = ", ".join(map(repr, Q_SPACES))
+        raise ArgumentError(f"q_function is {q_function!r}; it is {names}, LinearQ(), QuadraticQ() or KernelQ(…)")
     return q_function
 
 
@@ -161,7 +195,3 @@ def reg_of(reg: Reg | float | int | Literal["cv"] | str) -> Reg:
     if not (_is_number(reg) and float(reg) >= 0.0):
         raise ArgumentError(f"reg is {reg!r}; it is a λ ≥ 0, or 'cv'")
     return FixedReg(float(reg))
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, Real) and not isinstance(value, bool) and bool(np.isfinite(float(value)))

@@ -20,12 +20,11 @@ Where targets are *imputed*, the stage in which a path was right-censored has on
 """
 
 from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from halfseen.learners.q_learning.least_squares import (
     Design,
@@ -38,73 +37,20 @@ from halfseen.learners.q_learning.least_squares import (
     solve,
     waiting_for,
 )
-
-StageMode = Literal["separate", "pooled"]
-AnyArray = Array | np.ndarray
-
-
-class Imputation(NamedTuple):
-    """How a begun stage gets a target Y whether or not its end was seen (see the module `imputation`).
-
-    With X = R_t + V̂(S_{t+1}) and its regression α + βᵀφ + γᵀg on the completed stages, g terms of the duration,
-
-        Y = share·X + (1 − share)·(α + βᵀφ) + γᵀexpected.
-    """
-
-    share: Float[AnyArray, "*B n T"]
-    """Of X; 0 where the stage was not completed."""
-    terms: Float[AnyArray, "*B n T G"]
-    """g of each completed stage."""
-    expected: Float[AnyArray, "*B n T G"]
-    """What stands for g·(1 − share)."""
-    is_observed: Float[AnyArray, "*B n T"]
-    """Weight of each stage in the regression of X: 1 where completed."""
-    is_used: Float[AnyArray, "*B F"]
-    """1 for each feature that this regression looks at, 0 for the others."""
-
-
-class Transitions(NamedTuple):
-    """One log as dense arrays, padded to T stages; `jax.vmap` adds an axis of logs."""
-
-    features: Float[AnyArray, "*B n T A F"]
-    """φ(S_t, a) of every action, without the constant; zeros where S_t was not seen."""
-    is_possible: Bool[AnyArray, "*B n T A"]
-    action: Int[AnyArray, "*B n T"]
-    reward: Float[AnyArray, "*B n T"]
-    """0 where not completed."""
-    weight: Float[AnyArray, "*B n T"]
-    """δ_t / Ĝ(U_t⁻): 0 where the stage was not completed. Where targets are imputed, that of a begun stage."""
-    is_last: Bool[AnyArray, "*B n T"]
-    """Completed stages after which the path had come to its own end."""
-    fold: Int[AnyArray, "*B n"]
-    """Fold of each path for cross-validation, from 0; below the number of folds."""
-    control_variates: Float[AnyArray, "*B n T Z"] | None = None
-    """Of mean 0 given (S_t, A_t), if any are known; what they hold at a path's end does not count."""
-    policy: Float[AnyArray, "*B n T A"] | None = None
-    """π(a | S_t), where Q of a given policy is wanted and not that of the best one."""
-    imputation: Imputation | None = None
-
-
-class QFunctions(NamedTuple):
-    """Q of every stage (separate) or of every number of steps to go (pooled); index 0 is stage 1, or one step to go."""
-
-    coefficients: Float[AnyArray, "*B T K F"]
-    """The offset first."""
-    reg: Float[AnyArray, "*B T K"]
-    """The λ that was used."""
-    outcome: Float[AnyArray, "*B T K M"] | None = None
-    """Where targets are imputed, the regression of X on the features that it uses and the terms, the offset first."""
-
-
-def q_values(
-    coefficients: Float[AnyArray, "K F"],
-    features: Float[AnyArray, "*S A F1"],
-    block_of_action: Int[AnyArray, " A"],
-) -> Float[Array, "*S A"]:
-    """Q of every action: the offset of its block plus βᵀφ."""
-    per_action = coefficients[block_of_action]
-    # One pass over the features; a batched matrix product would take seven times as long.
-    return per_action[:, 0] + jnp.sum(features * per_action[:, 1:], axis=-1)
+from halfseen.learners.q_learning.spread import Spread, roots, spread_of_rows, standard_errors
+from halfseen.learners.q_learning.transitions import (
+    QFunctions,
+    StageMode,
+    Transitions,
+    goes_on,
+    imputed_target,
+    of_successor,
+    q_values,
+    stage_of,
+    taken_of,
+    target_of,
+    values_of,
+)
 
 
 @partial(jax.jit, static_argnames=("num_blocks", "stages", "num_folds", "end_action", "is_scaled"))
@@ -118,6 +64,8 @@ def backward(
     num_folds: int,
     end_action: int | None = None,
     is_scaled: bool = True,
+    pessimism: Float[Array, ""] | None = None,
+    value: Float[Array, "n T"] | None = None,
 ) -> QFunctions:
     """Fit all Q-functions of one log.
 
@@ -141,10 +89,14 @@ def backward(
         or be 0 for it. None if reaching the horizon costs nothing, Q_0 ≡ 0.
     is_scaled
         Whether λ weighs features as if each had unit variance; False for features of a kernel.
+    pessimism
+        Standard errors (see `spread`) by which Q is lowered wherever the largest is sought; None for eq. 3 as it is.
+    value
+        For separate stages: V̂ of every state, if it is not to follow from the stages after it.
     """
-    regression = Regression(block_of_action, regs, num_blocks, num_folds, log.action.shape[0], is_scaled)
+    regression = Regression(block_of_action, regs, num_blocks, num_folds, log.action.shape[0], is_scaled, pessimism)
     if stages == "separate":
-        return _backward_separate(log, regression)
+        return _backward_separate(log, regression, value)
     return _backward_pooled(log, regression, end_action)
 
 
@@ -157,20 +109,29 @@ class Regression(NamedTuple):
     num_folds: int
     num_paths: int
     is_scaled: bool
+    pessimism: Float[Array, ""] | None = None
 
     def prepare(self, log: Transitions, weight: Any, after: "_Prepared | None" = None) -> "_Prepared":
         """Sum and factorise what no target changes, and not before `after`; rows of `weight` 0 do not count."""
-        design, taken = self.design(log, weight), _taken(log)
+        design, taken = self.design(log, weight), taken_of(log)
         gram = gram_of(design)
         if after is not None:
-            gram = waiting_for((after.outcome or after.main).factor.eigenvalues, gram)
+            gram = waiting_for(after.last_eigenvalues, gram)
         main = _Sums(design, factorise(gram, self.is_scaled))
         if log.imputation is None:
-            return _Prepared(main, None)
+            return self._with_spread(_Prepared(main, None), log, weight)
         given, used = log.imputation, taken * log.imputation.is_used
         outcome = self._design(log, jnp.where(weight > 0, given.is_observed, 0.0), used, given.terms)
         gram = waiting_for(main.factor.eigenvalues, gram_of(outcome))
-        return _Prepared(main, _Sums(outcome, factorise(gram, self.is_scaled)))
+        found = _Prepared(main, _Sums(outcome, factorise(gram, self.is_scaled)))
+        return self._with_spread(found, log, weight)
+
+    def _with_spread(self, prepared: "_Prepared", log: Transitions, weight: Any) -> "_Prepared":
+        if self.pessimism is None:
+            return prepared
+        seen = weight if log.imputation is None else weight * log.imputation.is_observed
+        design = self._design(log, seen, taken_of(log), None)
+        return prepared._replace(seen=spread_of_rows(design, prepared.last_eigenvalues, self.is_scaled))
 
     def fit(
         self, prepared: "_Prepared", log: Transitions, successor: Float[Array, "n T"], centre: Float[Array, "K F"]
@@ -183,11 +144,20 @@ class Regression(NamedTuple):
             target = imputed_target(log, outcome, target.reshape(log.action.shape), self.block_of_action).ravel()
         cross = self.cross(prepared.main.design, log, target, centre)
         fit = solve(prepared.main.factor, cross, self.regs, self.num_paths)
-        return QFunctions(fit.coefficients + centre, fit.reg, outcome)
+        found = QFunctions(fit.coefficients + centre, fit.reg, outcome)
+        if prepared.seen is None:
+            return found
+        q = jnp.sum(prepared.main.design.features * found.coefficients[self.blocks(log)], axis=-1)
+        residual = target_of(log, successor).ravel() - q
+        return found._replace(root=roots(prepared.seen, fit.reg, self.num_paths, residual))
+
+    def values(self, fit: QFunctions, log: Transitions) -> Float[Array, "n T"]:
+        """V̂ of every state by one fit; with pessimism, by lower confidence bounds of its Q."""
+        return values_of(bounded(fit, log, self.block_of_action, self.pessimism), log)
 
     def design(self, log: Transitions, weight: Any) -> Design:
         """Rows of eq. 3, with the control variates of its targets."""
-        return self._design(log, weight, _taken(log), _seen_control_variates(log))
+        return self._design(log, weight, taken_of(log), _seen_control_variates(log))
 
     def cross(
         self, design: Design, log: Transitions, target: Float[Array, " R"], centre: Float[Array, "K F"]
@@ -219,29 +189,32 @@ class _Sums(NamedTuple):
 class _Prepared(NamedTuple):
     main: _Sums
     outcome: _Sums | None
+    seen: Spread | None = None
+    """With pessimism, the completed stages."""
+
+    @property
+    def last_eigenvalues(self) -> Float[Array, "..."]:
+        """Of the factorisation that came last."""
+        return (self.seen or self.outcome or self.main).factor.eigenvalues
 
 
-def _backward_separate(log: Transitions, regression: Regression) -> QFunctions:
-    """Each stage on its own rows, the last one first."""
+def _backward_separate(
+    log: Transitions, regression: Regression, value: Float[Array, "n T"] | None = None
+) -> QFunctions:
+    """Each stage on its own rows, the last one first; V̂ is what follows from it, or is given."""
     width = log.features.shape[-1] + 1
+    given = None if value is None else of_successor(value)
 
     def step(after: Float[Array, " n"], stage: Int[Array, ""]):
         rows = stage_of(log, stage)
         prepared = regression.prepare(rows, rows.weight)
         centre = jnp.zeros((regression.num_blocks, prepared.main.design.features.shape[-1]), log.reward.dtype)
-        fit = regression.fit(prepared, rows, after[:, None], centre)
-        of_q = fit.coefficients[:, :width]
-        return state_values(jnp.asarray(of_q), rows, regression.block_of_action)[:, 0], fit._replace(coefficients=of_q)
+        successor = after[:, None] if given is None else jax.lax.dynamic_slice_in_dim(given, stage, 1, axis=1)
+        fit = regression.fit(prepared, rows, successor, centre)
+        of_q = fit._replace(coefficients=fit.coefficients[:, :width])
+        return regression.values(of_q, rows)[:, 0], of_q
 
     return jax.lax.scan(step, jnp.zeros_like(log.reward[:, 0]), jnp.arange(log.action.shape[1]), reverse=True)[1]
-
-
-def stage_of(log: Transitions, stage: Int[Array, ""]) -> Transitions:
-    """Keep the rows of one stage."""
-    is_used = None if log.imputation is None else log.imputation.is_used
-    by_stage = log._replace(fold=None, imputation=log.imputation and log.imputation._replace(is_used=None))
-    rows = jax.tree.map(lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, stage, 1, axis=1), by_stage)
-    return rows._replace(fold=log.fold, imputation=rows.imputation and rows.imputation._replace(is_used=is_used))
 
 
 def _backward_pooled(log: Transitions, regression: Regression, end_action: int | None) -> QFunctions:
@@ -252,8 +225,8 @@ def _backward_pooled(log: Transitions, regression: Regression, end_action: int |
     def step(prepared: _Prepared, value: Float[Array, "n T"], centre: Float[Array, "K F"]):
         fit = regression.fit(prepared, log, of_successor(value), centre)
         of_q = fit.coefficients[:, :num_coefficients]
-        value = state_values(jnp.asarray(of_q), log, regression.block_of_action)
-        return value, jnp.asarray(fit.coefficients), fit._replace(coefficients=of_q)
+        found = fit._replace(coefficients=of_q)
+        return regression.values(found, log), jnp.asarray(fit.coefficients), found
 
     value = jnp.zeros_like(log.reward)
     centre = jnp.zeros((regression.num_blocks, everything.main.design.features.shape[-1]), log.reward.dtype)
@@ -272,51 +245,14 @@ def _backward_pooled(log: Transitions, regression: Regression, end_action: int |
     return jax.tree.map(lambda one, others: jnp.concatenate([one[None], others]), first, rest)
 
 
-def target_of(log: Transitions, successor: Float[Array, "n T"]) -> Float[Array, "n T"]:
-    """X_t = R_t + V̂(S_{t+1}); after a path's own end V̂ is 0."""
-    return jnp.asarray(log.reward + jnp.where(log.is_last, 0.0, successor))
-
-
-def imputed_target(
-    log: Transitions, outcome: Float[Array, "*T K M"], target: Float[Array, "n T"], block_of_action: Int[Array, " A"]
-) -> Float[Array, "n T"]:
-    """Y_t of every begun stage (see `Imputation`): X is `target`, and `outcome` its regression, one or one a stage."""
-    given = log.imputation
-    assert given is not None
-    num_terms = given.terms.shape[-1]
-    by_stage = jnp.broadcast_to(outcome, (log.action.shape[1], *outcome.shape[-2:]))
-    each = by_stage[jnp.arange(log.action.shape[1]), block_of_action[log.action]]
-    at_state = each[..., 0] + jnp.sum(_taken(log) * given.is_used * each[..., 1:-num_terms], axis=-1)
-    of_time = jnp.sum(given.expected * each[..., -num_terms:], axis=-1)
-    return jnp.asarray(given.share * target + (1.0 - given.share) * at_state + of_time)
-
-
-def _taken(log: Transitions) -> Float[Array, "n T F"]:
-    return jnp.take_along_axis(jnp.asarray(log.features), log.action[..., None, None], axis=2)[:, :, 0]
-
-
-def goes_on(log: Transitions, end_action: int | None) -> Bool[Array, "n T"]:
-    """Tell which rows speak of more than one step to go: the horizon did not end them."""
-    before_last = jnp.broadcast_to(jnp.arange(log.action.shape[1]) < log.action.shape[1] - 1, log.action.shape)
-    return before_last if end_action is None else before_last | (log.action == end_action)
-
-
-def state_values(
-    coefficients: Float[Array, "K F"], log: Transitions, block_of_action: Int[Array, " A"]
-) -> Float[Array, "n T"]:
-    """V̂ of every state by one Q."""
-    return values_of(q_values(coefficients, log.features, block_of_action), log)
-
-
-def values_of(q: Float[Array, "n T A"], log: Transitions) -> Float[Array, "n T"]:
-    """V̂ of every state: max_a Q over the possible actions, or Σ_a π(a) Q of the policy that is given.
-
-    Where no action is possible it is 0: such a row is padding, and must stay finite.
-    """
-    if log.policy is not None:
-        return jnp.sum(jnp.where(log.policy > 0, log.policy * q, 0.0), axis=-1)
-    largest = jnp.max(jnp.where(log.is_possible, q, -jnp.inf), axis=-1)
-    return jnp.where(jnp.any(log.is_possible, axis=-1), largest, 0.0)
+def bounded(
+    fit: QFunctions, log: Transitions, block_of_action: Int[Array, " A"], pessimism: Float[Array, ""] | None
+) -> Float[Array, "n T A"]:
+    """Q of every action by one fit; with pessimism, less so many standard errors, unless a policy is given."""
+    q = q_values(jnp.asarray(fit.coefficients), log.features, block_of_action)
+    if pessimism is None or fit.root is None or log.policy is not None:
+        return q
+    return q - pessimism * standard_errors(jnp.asarray(fit.root), jnp.asarray(log.features), block_of_action)
 
 
 def _seen_control_variates(log: Transitions) -> Any:
@@ -325,8 +261,3 @@ def _seen_control_variates(log: Transitions) -> Any:
         return None
     seen = jnp.where(log.is_last[..., None], 0.0, log.control_variates)
     return seen if log.imputation is None else seen * log.imputation.share[..., None]
-
-
-def of_successor(value: Float[Array, "n T"]) -> Float[Array, "n T"]:
-    """V̂(S_{t+1}) of each stage, 0 for the last."""
-    return jnp.concatenate([value[:, 1:], jnp.zeros_like(value[:, :1])], axis=1)

@@ -20,9 +20,10 @@ from halfseen.errors import ArgumentError
 from halfseen.learners.q_learning.least_squares import Fit, factorise, gram_of, solve
 from halfseen.learners.q_learning.q_model import QModel, refuse_all_cut, refuse_too_few
 from halfseen.learners.q_learning.q_space import CrossValidation
-from halfseen.learners.q_learning.recursion import (
+from halfseen.learners.q_learning.recursion import Regression
+from halfseen.learners.q_learning.targets import Unweighted, Weighted
+from halfseen.learners.q_learning.transitions import (
     QFunctions,
-    Regression,
     StageMode,
     Transitions,
     goes_on,
@@ -32,7 +33,6 @@ from halfseen.learners.q_learning.recursion import (
     state_values,
     target_of,
 )
-from halfseen.learners.q_learning.targets import Unweighted, Weighted
 from halfseen.logs import LogStream
 from halfseen.logs.columns import FINISHED
 

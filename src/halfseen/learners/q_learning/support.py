@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from halfseen.learners.q_learning.path_arrays import PathArrays
-from halfseen.learners.q_learning.recursion import AnyArray, StageMode
+from halfseen.learners.q_learning.transitions import AnyArray, StageMode
 
 
 class Support(NamedTuple):

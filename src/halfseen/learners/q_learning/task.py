@@ -101,10 +101,11 @@ class Task(Protocol):
         coefficients: Float[np.ndarray, "*B T K F"],
         kernel_map: KernelMap | None,
         is_seen: Bool[np.ndarray, "T K"] | None,
+        margin: Float[np.ndarray, "*B T K F F"] | None = None,
     ) -> Any:
         """Policy that follows Q-functions, or a batch of them, and takes what has a value; None if all has.
 
-        Coefficients and what has a value are by steps to go, one step first.
+        Coefficients, what has a value and margins (with pessimism) are by steps to go, one step first.
         """
         ...
 

@@ -1,0 +1,91 @@
+"""How well Q̂ is known, state by state: the standard error behind its lower confidence bound (*pessimism*).
+
+A block's Q̂(x) = α + βᵀφ(x) rests on the completed stages of its actions. With C their centred Gram matrix, N their
+weight, λ the ridge and σ² the variance of their targets about Q̂,
+
+    s²(x) = σ² (1/N + zᵀ (C + nλ I)⁻¹ z),    z = (φ(x) − mean) / scale,
+
+the variance of a ridge regression read as Bayes does (in an RKHS, of a Gaussian process), so that it grows where no
+completed stage is near [AbbasiYadkori2011]_ [JinYangWang2021]_. Imputed targets of cut stages count as nothing seen.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from halfseen.learners.q_learning.least_squares import Design, Factor, factorise, gram_of, waiting_for
+
+
+class Spread(NamedTuple):
+    """What of s no target changes, by block."""
+
+    design: Design
+    """The completed stages."""
+    factor: Factor
+    """Of these, without folds."""
+    share: Float[Array, " K"]
+    """Σw² / Σw: heavy weights make of many stages few."""
+
+
+def spread_of_rows(design: Design, earlier: Float[Array, "..."], is_scaled: bool) -> Spread:
+    """Sum and factorise the completed stages, once `earlier` is there."""
+    gram = waiting_for(earlier, gram_of(design).sum(axis=0, keepdims=True))
+    block = design.group % design.shape[1]
+    squares = jax.ops.segment_sum(design.weight**2, block, design.shape[1])
+    mass = gram[0, :, 0, 0]
+    return Spread(design, factorise(gram, is_scaled), squares / jnp.where(mass > 0, mass, 1.0))
+
+
+def roots(
+    spread: Spread, regs: Float[Array, " K"], num_paths: int, residual: Float[Array, " R"]
+) -> Float[Array, "K F F"]:
+    """R of every block, so that s(x) = ‖Rᵀ (1, φ(x))‖.
+
+    Parameters
+    ----------
+    spread
+        Of the completed stages.
+    regs
+        λ of each block.
+    num_paths
+        n.
+    residual
+        Target less Q̂ of each row.
+    """
+    factor, penalty = spread.factor, regs * num_paths
+    gram, eigenvalues, eigenvectors = factor.gram[0], factor.eigenvalues[0], factor.eigenvectors[0]
+    mass = jnp.maximum(gram[:, 0, 0], jnp.finfo(gram.dtype).tiny)
+    largest = jnp.max(eigenvalues, axis=-1, keepdims=True, initial=0.0)
+    penalised = jnp.maximum(eigenvalues + penalty[:, None], 1e-8 * largest + jnp.finfo(gram.dtype).tiny)
+    slopes = eigenvectors / factor.scale[..., None] / jnp.sqrt(penalised)[:, None, :]
+    offset = -jnp.einsum("kf,kfe->ke", gram[:, 0, 1:] / mass[:, None], slopes)
+    first = jnp.zeros((len(mass), gram.shape[-1])).at[:, 0].set(1.0 / jnp.sqrt(mass))
+    root = jnp.concatenate([first[..., None], jnp.concatenate([offset[:, None], slopes], axis=1)], axis=2)
+    fitted = 1.0 + jnp.sum(jnp.maximum(eigenvalues, 0.0) / penalised, axis=-1)
+    return root * jnp.sqrt(spread.share * _variance(spread.design, residual, fitted))[:, None, None]
+
+
+def standard_errors(
+    root: Float[Array, "K F F"], features: Float[Array, "n T A F1"], block_of_action: Int[Array, " A"]
+) -> Float[Array, "n T A"]:
+    """S of every action in every state."""
+
+    def of_action(action: Int[Array, ""]) -> Float[Array, "n T"]:
+        each = root[block_of_action[action]]
+        return jnp.sqrt(jnp.sum((each[0] + features[:, :, action] @ each[1:]) ** 2, axis=-1))
+
+    # One action after the other: its product is one of two matrices, where all at once would be slow ones in batches.
+    return jnp.moveaxis(jax.lax.map(of_action, jnp.arange(features.shape[2])), 0, -1)
+
+
+def _variance(design: Design, residual: Float[Array, " R"], fitted: Float[Array, " K"]) -> Float[Array, " K"]:
+    """σ² of each block; as many stages as there are coefficients that λ leaves are used up by the fit."""
+    num_blocks = design.shape[1]
+    block = design.group % num_blocks
+    squares = jax.ops.segment_sum(design.weight * residual**2, block, num_blocks)
+    mass = jax.ops.segment_sum(design.weight, block, num_blocks)
+    count = jax.ops.segment_sum((design.weight > 0).astype(residual.dtype), block, num_blocks)
+    left = count / jnp.maximum(count - fitted, 0.1 * count + 0.5)
+    return left * squares / jnp.where(mass > 0, mass, 1.0)

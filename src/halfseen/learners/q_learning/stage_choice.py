@@ -1,0 +1,97 @@
+"""Whether stages are to be pooled: by what each way predicts of held-out trajectories.
+
+One Q for all stages is fitted to more rows, and is wrong where what an action brings depends on the stage. Both ways
+are asked to predict the same targets: those of pooled stages, fitted without the trajectory's own fold. Stages are
+separated only where this predicts better beyond noise, for a mistake costs more one way than the other: where rows are
+few, separate stages lose more by noise than pooled ones by bias.
+"""
+
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from halfseen.learners.q_learning.fitting import BackwardOptions, counted
+from halfseen.learners.q_learning.judging import judged
+from halfseen.learners.q_learning.path_arrays import PathArrays
+from halfseen.learners.q_learning.q_model import QModel
+from halfseen.learners.q_learning.recursion import backward
+from halfseen.learners.q_learning.transitions import Transitions
+
+NUM_FOLDS = 5
+
+CLEARLY = 2.0
+"""Standard errors by which separate stages must predict better."""
+
+
+class StageChoice(NamedTuple):
+    """How stages are treated, and why.
+
+    Parameters
+    ----------
+    stages
+        ``"pooled"`` or ``"separate"``.
+    gain
+        Mean squared error of pooled stages less that of separate ones, a trajectory.
+    standard_error
+        Of `gain`.
+    """
+
+    stages: str
+    gain: float
+    standard_error: float
+
+    @property
+    def sentence(self) -> str:
+        """What was chosen and why."""
+        found = f"by {self.gain:.3g} ± {self.standard_error:.2g} squared error a trajectory"
+        if self.stages == "separate":
+            return f"stages are separate: held out, they predict better than pooled ones {found}"
+        return f"stages are pooled: held out, separate ones do not clearly predict better ({found})"
+
+
+def choose_stages(model: QModel, paths: PathArrays) -> StageChoice:
+    """Choose between pooled and separate stages.
+
+    Parameters
+    ----------
+    model
+        How Q is fitted, with what comes before Q fitted to the log.
+    paths
+        The log.
+    """
+    log = replace(model, stages="pooled").transitions(paths)
+    fold = np.random.default_rng([model.random_state, 2]).permutation(paths.num_paths) % NUM_FOLDS
+    blocks = model.task.block_of_action(paths.is_possible.shape[-1])
+    options = replace(model, stages="pooled").options(paths.num_paths)
+    gains = np.zeros(paths.num_paths)
+    with jax.enable_x64(True):
+        arrays = jax.tree.map(jnp.asarray, (log, blocks, model.regs))
+        for k in range(NUM_FOLDS):
+            each = _gains(*arrays, jnp.asarray(fold != k, dtype=float), options=options)
+            gains = np.where(fold == k, np.asarray(jax.block_until_ready(each)), gains)
+    gain, error = float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(len(gains)))
+    return StageChoice("separate" if gain > CLEARLY * error else "pooled", gain, error)
+
+
+@partial(jax.jit, static_argnames="options")
+def _gains(
+    log: Transitions,
+    blocks: Int[Array, " A"],
+    regs: Float[Array, " L"],
+    counts: Float[Array, " n"],
+    options: BackwardOptions,
+) -> Float[Array, " n"]:
+    """Squared error of pooled less that of separate stages, of each trajectory, fitted to those that count."""
+    some = counted(log, counts)
+    pooled = backward(some, blocks, regs, **options._asdict())
+    said = judged(pooled, log, blocks, "pooled", log.reward)
+    separate = backward(some, blocks, regs, **options._replace(stages="separate")._asdict(), value=said.value)
+    other = judged(separate, log, blocks, "separate", log.reward)
+    errors = (said.taken - said.target) ** 2 - (other.taken - said.target) ** 2
+    seen = log.weight if log.imputation is None else log.weight * log.imputation.is_observed
+    return jnp.sum(jnp.where(seen > 0, seen * errors, 0.0), axis=1)

@@ -1,0 +1,138 @@
+"""The rows of eq. 3: a log as dense arrays, what Q says of each of them, and the targets that Q is fitted to."""
+
+from typing import Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+StageMode = Literal["separate", "pooled"]
+AnyArray = Array | np.ndarray
+
+
+class Imputation(NamedTuple):
+    """How a begun stage gets a target Y whether or not its end was seen (see the module `imputation`).
+
+    With X = R_t + V̂(S_{t+1}) and its regression α + βᵀφ + γᵀg on the completed stages, g terms of the duration,
+
+        Y = share·X + (1 − share)·(α + βᵀφ) + γᵀexpected.
+    """
+
+    share: Float[AnyArray, "*B n T"]
+    """Of X; 0 where the stage was not completed."""
+    terms: Float[AnyArray, "*B n T G"]
+    """g of each completed stage."""
+    expected: Float[AnyArray, "*B n T G"]
+    """What stands for g·(1 − share)."""
+    is_observed: Float[AnyArray, "*B n T"]
+    """Weight of each stage in the regression of X: 1 where completed."""
+    is_used: Float[AnyArray, "*B F"]
+    """1 for each feature that this regression looks at, 0 for the others."""
+
+
+class Transitions(NamedTuple):
+    """One log as dense arrays, padded to T stages; `jax.vmap` adds an axis of logs."""
+
+    features: Float[AnyArray, "*B n T A F"]
+    """φ(S_t, a) of every action, without the constant; zeros where S_t was not seen."""
+    is_possible: Bool[AnyArray, "*B n T A"]
+    action: Int[AnyArray, "*B n T"]
+    reward: Float[AnyArray, "*B n T"]
+    """0 where not completed."""
+    weight: Float[AnyArray, "*B n T"]
+    """δ_t / Ĝ(U_t⁻): 0 where the stage was not completed. Where targets are imputed, that of a begun stage."""
+    is_last: Bool[AnyArray, "*B n T"]
+    """Completed stages after which the path had come to its own end."""
+    fold: Int[AnyArray, "*B n"]
+    """Fold of each path for cross-validation, from 0; below the number of folds."""
+    control_variates: Float[AnyArray, "*B n T Z"] | None = None
+    """Of mean 0 given (S_t, A_t), if any are known; what they hold at a path's end does not count."""
+    policy: Float[AnyArray, "*B n T A"] | None = None
+    """π(a | S_t), where Q of a given policy is wanted and not that of the best one."""
+    imputation: Imputation | None = None
+
+
+class QFunctions(NamedTuple):
+    """Q of every stage (separate) or of every number of steps to go (pooled); index 0 is stage 1, or one step to go."""
+
+    coefficients: Float[AnyArray, "*B T K F"]
+    """The offset first."""
+    reg: Float[AnyArray, "*B T K"]
+    """The λ that was used."""
+    outcome: Float[AnyArray, "*B T K M"] | None = None
+    """Where targets are imputed, the regression of X on the features that it uses and the terms, the offset first."""
+    root: Float[AnyArray, "*B T K F F"] | None = None
+    """With pessimism, R of `spread`: the standard error of Q is ‖Rᵀ (1, φ)‖."""
+
+
+def q_values(
+    coefficients: Float[AnyArray, "K F"],
+    features: Float[AnyArray, "*S A F1"],
+    block_of_action: Int[AnyArray, " A"],
+) -> Float[Array, "*S A"]:
+    """Q of every action: the offset of its block plus βᵀφ."""
+    per_action = coefficients[block_of_action]
+    # One pass over the features; a batched matrix product would take seven times as long.
+    return per_action[:, 0] + jnp.sum(features * per_action[:, 1:], axis=-1)
+
+
+def target_of(log: Transitions, successor: Float[Array, "n T"]) -> Float[Array, "n T"]:
+    """X_t = R_t + V̂(S_{t+1}); after a path's own end V̂ is 0."""
+    return jnp.asarray(log.reward + jnp.where(log.is_last, 0.0, successor))
+
+
+def imputed_target(
+    log: Transitions, outcome: Float[Array, "*T K M"], target: Float[Array, "n T"], block_of_action: Int[Array, " A"]
+) -> Float[Array, "n T"]:
+    """Y_t of every begun stage (see `Imputation`): X is `target`, and `outcome` its regression, one or one a stage."""
+    given = log.imputation
+    assert given is not None
+    num_terms = given.terms.shape[-1]
+    by_stage = jnp.broadcast_to(outcome, (log.action.shape[1], *outcome.shape[-2:]))
+    each = by_stage[jnp.arange(log.action.shape[1]), block_of_action[log.action]]
+    at_state = each[..., 0] + jnp.sum(taken_of(log) * given.is_used * each[..., 1:-num_terms], axis=-1)
+    of_time = jnp.sum(given.expected * each[..., -num_terms:], axis=-1)
+    return jnp.asarray(given.share * target + (1.0 - given.share) * at_state + of_time)
+
+
+def taken_of(log: Transitions) -> Float[Array, "n T F"]:
+    """Features of the action that was taken."""
+    return jnp.take_along_axis(jnp.asarray(log.features), log.action[..., None, None], axis=2)[:, :, 0]
+
+
+def stage_of(log: Transitions, stage: Int[Array, ""]) -> Transitions:
+    """Keep the rows of one stage."""
+    is_used = None if log.imputation is None else log.imputation.is_used
+    by_stage = log._replace(fold=None, imputation=log.imputation and log.imputation._replace(is_used=None))
+    rows = jax.tree.map(lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, stage, 1, axis=1), by_stage)
+    return rows._replace(fold=log.fold, imputation=rows.imputation and rows.imputation._replace(is_used=is_used))
+
+
+def goes_on(log: Transitions, end_action: int | None) -> Bool[Array, "n T"]:
+    """Tell which rows speak of more than one step to go: the horizon did not end them."""
+    before_last = jnp.broadcast_to(jnp.arange(log.action.shape[1]) < log.action.shape[1] - 1, log.action.shape)
+    return before_last if end_action is None else before_last | (log.action == end_action)
+
+
+def state_values(
+    coefficients: Float[Array, "K F"], log: Transitions, block_of_action: Int[Array, " A"]
+) -> Float[Array, "n T"]:
+    """V̂ of every state by one Q."""
+    return values_of(q_values(coefficients, log.features, block_of_action), log)
+
+
+def values_of(q: Float[Array, "n T A"], log: Transitions) -> Float[Array, "n T"]:
+    """V̂ of every state: max_a Q over the possible actions, or Σ_a π(a) Q of the policy that is given.
+
+    Where no action is possible it is 0: such a row is padding, and must stay finite.
+    """
+    if log.policy is not None:
+        return jnp.sum(jnp.where(log.policy > 0, log.policy * q, 0.0), axis=-1)
+    largest = jnp.max(jnp.where(log.is_possible, q, -jnp.inf), axis=-1)
+    return jnp.where(jnp.any(log.is_possible, axis=-1), largest, 0.0)
+
+
+def of_successor(value: Float[Array, "n T"]) -> Float[Array, "n T"]:
+    """V̂(S_{t+1}) of each stage, 0 for the last."""
+    return jnp.concatenate([value[:, 1:], jnp.zeros_like(value[:, :1])], axis=1)
