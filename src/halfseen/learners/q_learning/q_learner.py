@@ -1,6 +1,7 @@
 """Censored Q-learning behind scikit-learn's habits: parameters in, `fit`, fitted names that end in ``_``."""
 
 from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -11,10 +12,27 @@ from sklearn.utils.validation import check_is_fitted
 
 from halfseen.censoring import CensoringModel, CutModel, WeightDiagnostics, weight_diagnostics
 from halfseen.errors import ArgumentError
+from halfseen.learners.q_learning.automatic import (
+    AUTO,
+    Source,
+    automatic_pessimism,
+    automatic_space,
+    automatic_stages,
+    automatic_targets,
+)
 from halfseen.learners.q_learning.kernel_map import KernelMap
 from halfseen.learners.q_learning.named_actions import NamedActions
+from halfseen.learners.q_learning.path_arrays import PathArrays
 from halfseen.learners.q_learning.q_model import QModel
-from halfseen.learners.q_learning.q_space import CrossValidation, QSpace, q_space_of, reg_of, stage_mode_of
+from halfseen.learners.q_learning.q_space import (
+    CrossValidation,
+    QSpace,
+    pessimism_of,
+    q_space_of,
+    reg_of,
+    stage_mode_of,
+)
+from halfseen.learners.q_learning.stage_choice import can_choose, choose_stages
 from halfseen.learners.q_learning.streaming import fit_stream
 from halfseen.learners.q_learning.support import unseen_in_words
 from halfseen.learners.q_learning.targets import Targets, targets_of
@@ -39,18 +57,25 @@ class CensoredQLearner(BaseEstimator):
     covariates
         Columns of the stages that Q looks at, for named actions.
     q_function
-        ``"linear"``: Q is linear in the covariates (for another task, in its features); ``"kernel"`` or ``KernelQ(…)``:
-        Q is in the RKHS of a Gaussian kernel on them.
+        ``"linear"``: Q is linear in the covariates (for another task, in its features); ``"quadratic"``: in them and
+        their products; ``"kernel"`` or ``KernelQ(…)``: Q is in the RKHS of a Gaussian kernel on them; ``"smooth"``: a
+        quadratic and such a function; ``"auto"``: smooth, but linear where a task makes features of its own.
     censoring
         What stands for what cuts took away: ``"kaplan-meier"``, ``"cox"``, ``"kernel"`` or a `CensoringModel`: weights
         by that model of the cuts, or ``Weighted(…)`` with its clock and covariates; ``DoublyRobust(…)``:
         pseudo-outcomes for every begun stage; ``"buckley-james"`` or ``BuckleyJames(…)``: imputed by a regression
-        alone; ``"none"``: completed stages count alike.
+        alone; ``"none"``: completed stages count alike; ``"auto"``: imputed, or weights by Kaplan–Meier on a stream and
+        where the action of a cut stage is not known.
     stages
-        ``"separate"``: one Q a stage; ``"pooled"``: one Q for each number of steps to go, on the rows of all stages.
+        ``"separate"``: one Q a stage; ``"pooled"``: one Q for each number of steps to go, on the rows of all stages;
+        ``"auto"``: pooled, unless separate ones clearly predict better (`stage_choice`).
     reg
         λ; ``"cv"`` or ``CrossValidation(…)`` to choose it for each regression and block by weighted cross-validation
         over paths.
+    pessimism
+        Standard errors by which Q is lowered wherever the largest is sought, in eq. 3 and by the policy, so that what
+        few stages speak for is not taken on their word (`spread`); 0 for eq. 3 as it stands. ``"auto"``: 2/√T, but
+        0 where `censoring` is given, and on a stream.
     random_state
         Seed that deals paths into folds and draws the landmarks of a kernel.
 
@@ -64,6 +89,8 @@ class CensoredQLearner(BaseEstimator):
         Weight of every stage in eq. 3.
     diagnostics_ : WeightDiagnostics
         Effective sample size, largest weight, share truncated.
+    chosen_ : tuple of str
+        What was chosen by itself, and why; a sentence each.
     policy_ : FlatPolicy, or what the task makes
         The policy that was learned, with nothing of the learner.
 
@@ -89,6 +116,7 @@ class CensoredQLearner(BaseEstimator):
     q_functions_: QFunctions
     weights_: Float[np.ndarray, "n T"]
     diagnostics_: WeightDiagnostics
+    chosen_: tuple[str, ...]
     policy_: Any
 
     def __init__(
@@ -97,10 +125,11 @@ class CensoredQLearner(BaseEstimator):
         actions: Sequence[Hashable] | Mapping[int, Sequence[Hashable]] | Task,
         covariates: Sequence[str] = (),
         *,
-        q_function: QSpace | Literal["linear", "kernel"] | str = "linear",
-        censoring: Targets | CensoringModel | str = "kaplan-meier",
-        stages: StageMode | str = "separate",
+        q_function: QSpace | Literal["auto", "linear", "quadratic", "kernel", "smooth"] | str = AUTO,
+        censoring: Targets | CensoringModel | str = AUTO,
+        stages: StageMode | str = AUTO,
         reg: CrossValidation | float | int | Literal["cv"] | str = "cv",
+        pessimism: float | int | Literal["auto"] | str = AUTO,
         random_state: int = 0,
     ) -> None:
         self.horizon = horizon
@@ -110,6 +139,7 @@ class CensoredQLearner(BaseEstimator):
         self.censoring = censoring
         self.stages = stages
         self.reg = reg
+        self.pessimism = pessimism
         self.random_state = random_state
 
     @classmethod
@@ -119,12 +149,11 @@ class CensoredQLearner(BaseEstimator):
         *,
         grasp: Any = None,
         reduces_variance: bool = True,
-        stages: StageMode | str = "pooled",
         **parameters: Any,
     ) -> "CensoredQLearner":
         """Make a learner for logs of tables of objects: WASH, LIFT and FINISH (see `halfseen.tables.TableTask`)."""
         task = named_task("table", grasp=grasp, reduces_variance=reduces_variance)
-        return cls(horizon, task, stages=stages, **parameters)
+        return cls(horizon, task, **parameters)
 
     def fit(self, logs: Logs | LogStream) -> "CensoredQLearner":
         """Learn from a log.
@@ -145,10 +174,13 @@ class CensoredQLearner(BaseEstimator):
         PositivityError
             All paths were cut, or a weight is not identified.
         """
+        model = self.compose(logs)
         if isinstance(logs, LogStream):
-            self.model_, self.weights_, self.q_functions_ = fit_stream(self.compose(), logs)
+            self.model_, self.weights_, self.q_functions_ = fit_stream(model, logs)
+            self.chosen_ = ()
         else:
-            self.model_, paths = self.compose().fitted(logs)
+            model, paths = model.fitted(logs)
+            self.model_, self.chosen_ = self._with_stages(model, paths)
             log = self.model_.transitions(paths)
             self.weights_ = np.asarray(log.weight)
             self.q_functions_ = self.model_.fit(log)
@@ -156,23 +188,39 @@ class CensoredQLearner(BaseEstimator):
         self.policy_ = self.model_.policy(self.q_functions_)
         return self
 
-    def compose(self) -> QModel:
+    def compose(self, logs: Source = None) -> QModel:
         """Check the parameters and compose what they say; nothing is fitted.
+
+        Parameters
+        ----------
+        logs
+            The log that it is for, which decides what ``"auto"`` stands for; None for one in memory.
 
         Raises
         ------
         ArgumentError
             A parameter has a value that it cannot take.
         """
+        task, is_fixed = self._task(), not _is_auto(self.censoring)
         return QModel(
             horizon=self.horizon,
-            task=self._task(),
-            targets=targets_of(self.censoring),
-            space=q_space_of(self.q_function),
+            task=task,
+            targets=targets_of(self.censoring) if is_fixed else automatic_targets(logs),
+            space=automatic_space(task) if _is_auto(self.q_function) else q_space_of(self.q_function),
             reg=reg_of(self.reg),
-            stages=stage_mode_of(self.stages),
+            stages=automatic_stages(task, logs) if _is_auto(self.stages) else stage_mode_of(self.stages),
+            pessimism=automatic_pessimism(is_fixed, logs, self.horizon)
+            if _is_auto(self.pessimism)
+            else pessimism_of(self.pessimism),
             random_state=self.random_state,
         )
+
+    def _with_stages(self, model: QModel, paths: PathArrays) -> tuple[QModel, tuple[str, ...]]:
+        """Choose between pooled and separate stages, where that is not said and makes a difference."""
+        if not _is_auto(self.stages) or not can_choose(model, paths):
+            return model, ()
+        choice = choose_stages(model, paths)
+        return replace(model, stages=choice.stages), (choice.sentence,)
 
     def q_values(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
         """Q̂ of every action in a stage (from 1), for each row of covariates; named actions only."""
@@ -219,3 +267,7 @@ class CensoredQLearner(BaseEstimator):
             raise ArgumentError(f"{type(self.actions).__name__}'s own policy decides: ask policy_; or name the actions")
         check_is_fitted(self, "policy_")
         return self.policy_
+
+
+def _is_auto(value: Any) -> bool:
+    return isinstance(value, str) and value == AUTO

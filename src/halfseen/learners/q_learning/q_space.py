@@ -195,3 +195,16 @@ def reg_of(reg: Reg | float | int | Literal["cv"] | str) -> Reg:
     if not (_is_number(reg) and float(reg) >= 0.0):
         raise ArgumentError(f"reg is {reg!r}; it is a λ ≥ 0, or 'cv'")
     return FixedReg(float(reg))
+
+
+def pessimism_of(pessimism: float | int | str) -> float:
+    """Read what a user says of pessimism.
+
+    Raises
+    ------
+    ArgumentError
+        It is no finite number ≥ 0.
+    """
+    if not (_is_number(pessimism) and float(pessimism) >= 0.0):
+        raise ArgumentError(f"pessimism is {pessimism!r}; it is a number of standard errors ≥ 0, or 'auto'")
+    return float(pessimism)

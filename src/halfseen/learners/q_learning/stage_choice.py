@@ -20,11 +20,13 @@ from halfseen.learners.q_learning.judging import judged
 from halfseen.learners.q_learning.path_arrays import PathArrays
 from halfseen.learners.q_learning.q_model import QModel
 from halfseen.learners.q_learning.recursion import backward
-from halfseen.learners.q_learning.transitions import Transitions
+from halfseen.learners.q_learning.transitions import StageMode, Transitions
 
 NUM_FOLDS = 5
 
-CLEARLY = 2.0
+FEWEST_PATHS = 4 * NUM_FOLDS
+
+CLEARLY = 1.0
 """Standard errors by which separate stages must predict better."""
 
 
@@ -41,7 +43,7 @@ class StageChoice(NamedTuple):
         Of `gain`.
     """
 
-    stages: str
+    stages: StageMode
     gain: float
     standard_error: float
 
@@ -52,6 +54,11 @@ class StageChoice(NamedTuple):
         if self.stages == "separate":
             return f"stages are separate: held out, they predict better than pooled ones {found}"
         return f"stages are pooled: held out, separate ones do not clearly predict better ({found})"
+
+
+def can_choose(model: QModel, paths: PathArrays) -> bool:
+    """Tell whether there is a choice: several stages, none of them ended by an action, and paths to hold out."""
+    return model.horizon > 1 and model.task.end_action is None and paths.num_paths >= FEWEST_PATHS
 
 
 def choose_stages(model: QModel, paths: PathArrays) -> StageChoice:

@@ -118,6 +118,7 @@ def _refuse_whole(model: QModel) -> None:
         model.task.needs_whole_log,
         None if isinstance(model.targets, Weighted | Unweighted) else f"censoring={type(model.targets).__name__}(…)",
         None if by == "path" else f"a model of the cuts by {by}",
+        f"pessimism={model.pessimism:g}" if model.pessimism else None,
     ]
     for need in filter(None, needs):
         raise ArgumentError(

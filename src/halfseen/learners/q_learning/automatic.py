@@ -1,0 +1,44 @@
+"""What `CensoredQLearner` takes where nothing is said: one strong recipe, and a choice only where logs can tell.
+
+The recipe is that which was never beaten beyond noise on the logs that it was chosen on, and was judged on others
+(`benchmarks/learners.py`): imputed targets, for weights make noise and completed stages alone mislead; a quadratic with
+a smooth remainder, or what a task's own features are made for, a linear Q; and Q at its lower confidence bound.
+"""
+
+from halfseen.learners.q_learning.q_space import SMOOTH, LinearQ, QSpace
+from halfseen.learners.q_learning.targets import BuckleyJames, Targets, Weighted
+from halfseen.learners.q_learning.task import Task
+from halfseen.learners.q_learning.transitions import StageMode
+from halfseen.logs import Logs, LogStream
+
+AUTO = "auto"
+
+PESSIMISM = 2.0
+"""Standard errors by which the value of a whole path is lowered, were the errors of its stages independent."""
+
+Source = Logs | LogStream | None
+
+
+def automatic_targets(logs: Source) -> Targets:
+    """Impute what cuts took away; weights where that cannot be done.
+
+    It needs the whole log in memory, and the action of every stage in which a path was cut.
+    """
+    if logs is None or (isinstance(logs, Logs) and logs.stages["action"].notna().all()):
+        return BuckleyJames()
+    return Weighted()
+
+
+def automatic_space(task: Task) -> QSpace:
+    """Smooth in plain covariates; linear in the features that a task makes for each action."""
+    return SMOOTH if task.is_shared else LinearQ()
+
+
+def automatic_stages(task: Task, logs: Source) -> StageMode:
+    """Pooled until a log in memory tells otherwise; a stream cannot be asked, but is large enough for separate ones."""
+    return "separate" if isinstance(logs, LogStream) and task.end_action is None else "pooled"
+
+
+def automatic_pessimism(is_fixed: bool, logs: Source, horizon: int) -> float:
+    """2/√T for each of T stages, whose margins add up; none on a stream, nor where targets are fixed: eq. 3 as it is."""
+    return 0.0 if is_fixed or isinstance(logs, LogStream) else PESSIMISM / horizon**0.5
