@@ -40,5 +40,5 @@ def automatic_stages(task: Task, logs: Source) -> StageMode:
 
 
 def automatic_pessimism(is_fixed: bool, logs: Source, horizon: int) -> float:
-    """2/√T for each of T stages, whose margins add up; none on a stream, nor where targets are fixed: eq. 3 as it is."""
+    """2/√T for each of T stages, whose margins add up; 0, eq. 3 as it is, on a stream and where targets are fixed."""
     return 0.0 if is_fixed or isinstance(logs, LogStream) else PESSIMISM / horizon**0.5

@@ -202,6 +202,7 @@ class CensoredQLearner(BaseEstimator):
             A parameter has a value that it cannot take.
         """
         task, is_fixed = self._task(), not _is_auto(self.censoring)
+        by_itself = automatic_pessimism(is_fixed, logs, self.horizon)
         return QModel(
             horizon=self.horizon,
             task=task,
