@@ -17,7 +17,7 @@ from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Policy
 from halfseen.world.state import NO_ATTEMPT, TableState
 
-BATCH_SIZES = (8, 32, 1024)
+BATCH_SIZES = (4, 32, 1024)
 """Numbers of states for which a policy is compiled: the smallest that holds all, or else the largest."""
 
 _SAME_LOG_ODDS = 1e-3

@@ -7,7 +7,7 @@ leaves a little noise.
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -75,14 +75,8 @@ class Regret:
         return by_name(LEARNED, *self.planners, *HEURISTICS, OPTIMUM)
 
     def small(self, setting: Setting) -> "SmallTables":
-        """Draw the small tables, which follow from the seed."""
-        rng = np.random.default_rng([setting.seed, NUM_CUPS])
-        scenes = []
-        for k in range(self.num_tables):
-            is_hiding = rng.random((NUM_CUPS, NUM_CUPS)) < HIDING_PROBABILITY
-            hidden = MOST_HIDDEN * rng.random((NUM_CUPS, NUM_CUPS))
-            scenes.append(Scene(np.tril(np.where(is_hiding, hidden, 0.0), -1), name=f"small-{k}"))
-        return SmallTables(replace(setting.world, horizon=self.horizon), tuple(scenes), setting.seed)
+        """Draw the small tables, which follow from the seed; they are solved once in a process."""
+        return small_tables(self.num_tables, replace(setting.world, horizon=self.horizon), setting.seed)
 
     def prepare(self, setting: Setting) -> PieceOf:
         """Solve the tables: what the optimum, FINISH at once and each heuristic earn, exactly; calibrate the cuts."""
@@ -164,6 +158,18 @@ class SmallTables:
     def source(self, index: int = 0) -> Source:
         """Where paths on them come from."""
         return Source(self.world, pad_scenes(self.scenes), self.seed, index)
+
+
+@lru_cache(maxsize=1)
+def small_tables(num_tables: int, world: WorldConfig, seed: int) -> SmallTables:
+    """Draw small tables; the same object as long as the same are wanted, so that their optima are kept."""
+    rng = np.random.default_rng([seed, NUM_CUPS])
+    scenes = []
+    for k in range(num_tables):
+        is_hiding = rng.random((NUM_CUPS, NUM_CUPS)) < HIDING_PROBABILITY
+        hidden = MOST_HIDDEN * rng.random((NUM_CUPS, NUM_CUPS))
+        scenes.append(Scene(np.tril(np.where(is_hiding, hidden, 0.0), -1), name=f"small-{k}"))
+    return SmallTables(world, tuple(scenes), seed)
 
 
 def _table(pieces: Pieces) -> pd.DataFrame:
