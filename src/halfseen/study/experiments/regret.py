@@ -6,8 +6,10 @@ policies differ by their logs alone. The planners, which take their time, are as
 leaves a little noise.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
+from itertools import product
 from typing import Any, ClassVar
 
 import numpy as np
@@ -102,10 +104,10 @@ class Regret:
         episodes = source.play(max(self.num_paths))
         encoded = source.encode(episodes)
         logs = [(source.cut(episodes, rate, CUT_KIND), "weighted") for rate in prepared["rates"]]
-        for size in self.num_paths:
-            for cut_share, (policy, _) in zip(self.cut_shares, encoded.learn(logs, size), strict=True):
-                place = {"policy": LEARNED.name, "num_paths": size, "cut_share": cut_share}
-                rows.append(place | {"regrets": small.regrets(policy)})
+        policies = [policy for size in self.num_paths for policy, _ in encoded.learn(logs, size)]
+        places = product(self.num_paths, self.cut_shares)
+        for (size, cut_share), regrets in zip(places, small.regrets_of(policies), strict=True):
+            rows.append({"policy": LEARNED.name, "num_paths": size, "cut_share": cut_share, "regrets": regrets})
         return {"index": index, "rows": rows}
 
     def tabulate(self, setting: Setting, pieces: Pieces) -> Tables:
@@ -153,7 +155,12 @@ class SmallTables:
 
     def regrets(self, policy: Any, *draws: Any) -> list[float]:
         """Regret of a policy on each table."""
-        return [float(optimum.regret(policy, *draws)) for optimum in self.optima]
+        return self.regrets_of([policy], *draws)[0]
+
+    def regrets_of(self, policies: Sequence[Any], *draws: Any) -> list[list[float]]:
+        """Regrets of several policies, each on each table."""
+        regrets = [optimum.value - optimum.policy_values(policies, *draws) for optimum in self.optima]
+        return np.transpose(regrets).tolist()
 
     def source(self, index: int = 0) -> Source:
         """Where paths on them come from."""
