@@ -147,8 +147,7 @@ class TableOptimum:
             if not masses:
                 break
             step_key, asked = jax.random.fold_in(key, index), []
-            for k, policy in enumerate(policies):
-                reached = reached_in({place: mass[k] for place, mass in masses.items()})
+            for k, (policy, reached) in enumerate(zip(policies, reached_in(masses), strict=True)):
                 earned, *answers = self._asked(index, reached, policy, step_key, max_states)
                 totals[k] += earned
                 asked.append(answers)
