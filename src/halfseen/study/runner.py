@@ -74,10 +74,8 @@ def run_all(
 ) -> list[Tables]:
     """Run experiments, their repetitions in several processes at once where `num_jobs` is more than 1.
 
-    Times are measured before, while nothing else runs.
+    Times are measured while nothing else runs: after that, when what is timed has been compiled.
     """
-    for experiment, store in zip(experiments, stores, strict=True):
-        measured_of(experiment, setting, store)
     if num_jobs > 1:
         _repeat_in_processes(experiments, setting, stores, num_jobs)
     return [run(experiment, setting, store) for experiment, store in zip(experiments, stores, strict=True)]
