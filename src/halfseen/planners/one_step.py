@@ -107,11 +107,13 @@ def _grasp_probabilities(
     """P(an attempt succeeds), and P(the next one does) after a success and after a failure at the same occlusion."""
     at_node = -jnp.expm1(failure_log_probability(config, occluded))
     weight = jax.nn.softmax(grip, axis=-1)
-    held, missed = weight * at_node, weight * (1.0 - at_node)
+
+    def again(after: Float[Array, "N G"]) -> Float[Array, " N"]:
+        mass = jnp.maximum(jnp.sum(after, axis=-1), jnp.finfo(after.dtype).tiny)
+        return jnp.sum(after * at_node, axis=-1) / mass
+
     probability = grasp_probability(config, occluded, grip)
-    tiny = jnp.finfo(at_node.dtype).tiny
-    again = (jnp.sum(each * at_node, axis=-1) / jnp.maximum(jnp.sum(each, axis=-1), tiny) for each in (held, missed))
-    return probability, *again
+    return probability, again(weight * at_node), again(weight * (1.0 - at_node))
 
 
 def rule_and_control(config: WorldConfig, belief: Belief) -> tuple[Float[Array, " A"], Float[Array, " A"]]:
