@@ -208,7 +208,8 @@ class TableOptimum:
                     shape = (len(asked), *self._values[index + 1][to].shape)
                     arrived = spread_over_labels(moved, looks, shape)
                     masses[to] = masses[to] + arrived if to in masses else arrived
-        return masses
+        # In the order of the layer, whoever else is valued: draws go by rows.
+        return dict(sorted(masses.items()))
 
     def _taken(self, index: int, asked: Sequence[Sequence[Any]]) -> dict[int, dict[int, Grid]]:
         """Mass that each policy moves by each action in the cells of each node."""
