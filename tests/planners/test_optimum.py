@@ -196,6 +196,15 @@ class AlwaysWashTheFirst:
         return surely(jnp.ones((), dtype=jnp.int32))
 
 
+@pytest.mark.parametrize("max_states", [None, 3])
+def test_several_policies_are_worth_what_each_is_by_itself(max_states):
+    optimum, key = solve_table(TWO, CONFIG, 3, num_grip_nodes=3), jax.random.key(4)
+    policies = (*GREEDY[:2], UniformPolicy(), GREEDY[3])
+    alone = [optimum.policy_value(each, key, max_states) for each in policies]
+    np.testing.assert_allclose(optimum.policy_values(policies, key, max_states), alone, rtol=1e-12)
+    assert len(set(alone)) > 2
+
+
 def test_a_policy_that_does_the_impossible_is_refused():
     with pytest.raises(ArgumentError, match=r"policy chose action 1 with objects \[1\] on the table"):
         solve_table(TWO, CONFIG, 2).policy_value(AlwaysWashTheFirst())

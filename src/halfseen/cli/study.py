@@ -20,7 +20,7 @@ EPILOG = "Example: halfseen study --out runs/study --repetitions 200 --resume"
 @click.option("--only", multiple=True, metavar="NAME", help="Run this experiment alone; may be given more than once.")
 @click.option("--seed", default=0, show_default=True, help="All but measured times follows from it.")
 @click.option("--resume", is_flag=True, help="Go on where a killed study stopped, or add repetitions to one.")
-@click.option("--jobs", default=None, type=click.IntRange(min=1), help="Experiments at once; by default one a core.")
+@click.option("--jobs", default=None, type=click.IntRange(min=1), help="Processes; by default one a core.")
 @click.option("--json", "is_json", is_flag=True, help="Print study.json instead of the answer.")
 @click.argument("clouds", nargs=-1, type=options.PATH)
 def study(

@@ -11,6 +11,8 @@ out of rollouts (`rollout`).
 """
 
 from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,9 +20,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from halfseen.planners.belief import (
     Belief,
-    attempt_evidence,
     dirty_after_label,
     expected_attempt_s,
+    failure_log_probability,
     grasp_probability,
     occlusion_without,
 )
@@ -32,33 +34,36 @@ UNLIMITED = 1_000_000
 """Steps to go that never run out."""
 
 
+class _Tries(NamedTuple):
+    """One more try of each object, where it is worth it."""
+
+    gain: Float[Array, "*S N"]
+    number: Float[Array, "*S N"]
+    """Probability that it is worth it."""
+
+    def among(self, is_there: Bool[Array, "*S N"]) -> "_Tries":
+        """Sum over objects."""
+        return _Tries(*(jnp.sum(jnp.where(is_there, each, 0.0), axis=-1) for each in self))
+
+
 def leaf_value(config: WorldConfig, belief: Belief) -> Float[Array, ""]:
     """V_0: every object is left where it stands, or tried once if that is worth more."""
     occluded = occlusion_without(belief, jnp.zeros_like(belief.is_on_table))
     probability = grasp_probability(config, occluded, belief.grip)
     is_dirty = jax.nn.sigmoid(belief.log_odds)
     gain = jax.nn.relu(wash_worth(config, is_dirty, probability, counts_penalty=True))
-    return _left_or_tried(
-        config, belief.is_on_table, is_dirty, gain, jnp.where(gain > 0.0, 1.0, 0.0), belief.steps_to_go
-    )
+    tries = _Tries(gain, jnp.where(gain > 0.0, 1.0, 0.0)).among(belief.is_on_table)
+    return _left_or_tried(_all_left(config, belief), tries, belief.steps_to_go)
 
 
-def _left_or_tried(
-    config: WorldConfig,
-    is_on_table: Bool[Array, "*S N"],
-    is_dirty: Float[Array, "*#S N"],
-    gain: Float[Array, "*S N"],
-    is_tried: Float[Array, "*S N"],
-    steps_to_go: Int[Array, ""],
-) -> Float[Array, "*S"]:
-    """Value of leaving all, plus the gains of as many tries as there are steps (their mean stands for the best).
+def _all_left(config: WorldConfig, belief: Belief) -> Float[Array, ""]:
+    """Expected price of the dirty objects on the table."""
+    return config.reward_dirty_left * jnp.sum(jnp.where(belief.is_on_table, jax.nn.sigmoid(belief.log_odds), 0.0))
 
-    `is_tried` is the probability that an object is worth a try.
-    """
-    num_tries = jnp.sum(jnp.where(is_on_table, is_tried, 0.0), axis=-1)
-    share_tried = jnp.minimum(1.0, steps_to_go / jnp.maximum(num_tries, 1.0))
-    left = config.reward_dirty_left * jnp.sum(jnp.where(is_on_table, is_dirty, 0.0), axis=-1)
-    return left + share_tried * jnp.sum(jnp.where(is_on_table, gain, 0.0), axis=-1)
+
+def _left_or_tried(left: Float[Array, "*#S"], tries: _Tries, steps_to_go: Int[Array, ""]) -> Float[Array, "*S"]:
+    """Value of leaving all, plus the gains of as many tries as there are steps (their mean stands for the best)."""
+    return left + jnp.minimum(1.0, steps_to_go / jnp.maximum(tries.number, 1.0)) * tries.gain
 
 
 def one_step_q(config: WorldConfig, belief: Belief) -> Float[Array, " A"]:
@@ -66,33 +71,49 @@ def one_step_q(config: WorldConfig, belief: Belief) -> Float[Array, " A"]:
     num_objects = belief.is_on_table.shape[0]
     is_dirty = jax.nn.sigmoid(belief.log_odds)
     target = jnp.eye(num_objects, dtype=bool)
-    nothing = jnp.zeros(num_objects, dtype=bool)
-    occluded = occlusion_without(belief, nothing)
+    others = belief.is_on_table & ~target
+    occluded = occlusion_without(belief, jnp.zeros(num_objects, dtype=bool))
     occluded_without = jax.vmap(lambda taken: occlusion_without(belief, taken))(target)
-    probability = grasp_probability(config, occluded, belief.grip)
-    grip_held, grip_missed = (
-        belief.grip + attempt_evidence(config, occluded, jnp.full(num_objects, result)) for result in (True, False)
+    probability, if_held, if_missed = _grasp_probabilities(config, occluded, belief.grip)
+    if_cleared = grasp_probability(config, occluded_without, belief.grip)
+
+    tries = partial(_tries_after_label, config, is_dirty)
+    # After a miss all is as before but the grip of the target.
+    before = tries(occluded, probability)
+    missed = jax.tree.map(
+        lambda sum_before, own, new: sum_before - own + new,
+        before.among(belief.is_on_table),
+        before,
+        tries(occluded, if_missed),
     )
-    probability_held = grasp_probability(config, occluded, grip_held)
-    probability_missed = grasp_probability(config, occluded, grip_missed)
-    probability_cleared = grasp_probability(config, occluded_without, belief.grip)
+    washed = tries(occluded_without, if_cleared).among(others)
+    around = tries(occluded_without, jnp.broadcast_to(probability, target.shape)).among(others)
+    lifted = jax.tree.map(jnp.add, around, tries(jnp.zeros_like(occluded), if_held))
 
-    def value(is_on_table: Array, seen_at: Array, probabilities: Array) -> Float[Array, " N"]:
-        """E V_0 after the labels, one row for each target."""
-        gain, is_tried = _expected_gain(config, is_dirty, seen_at, probabilities)
-        return _left_or_tried(config, is_on_table, is_dirty, gain, is_tried, belief.steps_to_go - 1)
-
-    there = jnp.broadcast_to(belief.is_on_table, target.shape)
-    washed = value(there & ~target, occluded_without, probability_cleared)
-    lifted = value(there, jnp.where(target, 0.0, occluded_without), jnp.where(target, probability_held, probability))
-    missed = value(there, jnp.broadcast_to(occluded, target.shape), jnp.where(target, probability_missed, probability))
+    left, steps = _all_left(config, belief), belief.steps_to_go - 1
+    after_miss = (1.0 - probability) * _left_or_tried(left, missed, steps)
     worth = wash_worth(config, is_dirty, probability, counts_penalty=False)
-    wash = worth + probability * washed + (1.0 - probability) * missed
+    washed_left = left - config.reward_dirty_left * is_dirty
+    wash = worth + probability * _left_or_tried(washed_left, washed, steps) + after_miss
     look = config.reward_lift_per_s * expected_attempt_s(config, occluded, belief.grip)
-    lift = look + probability * lifted + (1.0 - probability) * missed
-    finish = config.reward_dirty_left * jnp.sum(jnp.where(belief.is_on_table, is_dirty, 0.0))
-    values = ActionSpace(num_objects).join(finish, {Verb.WASH: wash, Verb.LIFT: lift})
+    lift = look + probability * _left_or_tried(left, lifted, steps) + after_miss
+    values = ActionSpace(num_objects).join(left, {Verb.WASH: wash, Verb.LIFT: lift})
     return jnp.where(possible_actions(belief), values, -jnp.inf)
+
+
+def _grasp_probabilities(
+    config: WorldConfig, occluded: Float[Array, " N"], grip: Float[Array, "N G"]
+) -> tuple[Float[Array, " N"], Float[Array, " N"], Float[Array, " N"]]:
+    """P(an attempt succeeds), and P(the next one does) after a success and after a failure at the same occlusion."""
+    at_node = -jnp.expm1(failure_log_probability(config, occluded))
+    weight = jax.nn.softmax(grip, axis=-1)
+
+    def again(after: Float[Array, "N G"]) -> Float[Array, " N"]:
+        mass = jnp.maximum(jnp.sum(after, axis=-1), jnp.finfo(after.dtype).tiny)
+        return jnp.sum(after * at_node, axis=-1) / mass
+
+    probability = grasp_probability(config, occluded, grip)
+    return probability, again(weight * at_node), again(weight * (1.0 - at_node))
 
 
 def rule_and_control(config: WorldConfig, belief: Belief) -> tuple[Float[Array, " A"], Float[Array, " A"]]:
@@ -111,13 +132,13 @@ def _with_steps(belief: Belief, num_steps: Int[Array, ""]) -> Belief:
     return replace(belief, steps_to_go=num_steps)
 
 
-def _expected_gain(
+def _tries_after_label(
     config: WorldConfig, is_dirty: Float[Array, " N"], seen_at: Float[Array, "*S N"], probability: Float[Array, "*S N"]
-) -> tuple[Float[Array, "*S N"], Float[Array, "*S N"]]:
+) -> _Tries:
     """E (worth of one more try)₊ over the next label, and P(it is positive)."""
     says_dirty, if_dirty, if_clean = dirty_after_label(config, jnp.broadcast_to(is_dirty, seen_at.shape), seen_at)
     worth_dirty = wash_worth(config, if_dirty, probability, counts_penalty=True)
     worth_clean = wash_worth(config, if_clean, probability, counts_penalty=True)
     gain = says_dirty * jax.nn.relu(worth_dirty) + (1.0 - says_dirty) * jax.nn.relu(worth_clean)
-    is_tried = jnp.where(worth_dirty > 0.0, says_dirty, 0.0) + jnp.where(worth_clean > 0.0, 1.0 - says_dirty, 0.0)
-    return gain, is_tried
+    number = jnp.where(worth_dirty > 0.0, says_dirty, 0.0) + jnp.where(worth_clean > 0.0, 1.0 - says_dirty, 0.0)
+    return _Tries(gain, number)

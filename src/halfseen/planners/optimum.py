@@ -11,8 +11,10 @@ offsets lie on a grid; the nodes are those by which the planners' beliefs integr
 normal offsets, and cost no states.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import jax
 import numpy as np
@@ -130,26 +132,44 @@ class TableOptimum:
         ArgumentError
             The policy chose an action that is not possible, or `max_states` is below 1.
         """
+        return float(self.policy_values([policy], key, max_states)[0])
+
+    def policy_values(
+        self, policies: Sequence[Policy], key: Array | None = None, max_states: int | None = None
+    ) -> Float[np.ndarray, " P"]:
+        """Values of several policies, each as `policy_value` has it, in a fraction of the time."""
         if max_states is not None and max_states < 1:
             raise ArgumentError(f"max_states is {max_states}; at least 1 is needed, or None for all")
         key = jax.random.key(0) if key is None else key
-        total, masses = 0.0, {0: self._first_mass()}
-        for index, layer in enumerate(self._layers):
+        totals = np.zeros(len(policies))
+        masses = {0: np.stack([self._first_mass()] * len(policies))}
+        for index in range(self.horizon):
             if not masses:
                 break
-            step_key = jax.random.fold_in(key, index)
-            reached = every = reached_in(masses)
-            if max_states is not None:
-                reached = drawn(every, max_states, jax.random.fold_in(step_key, 0))
-                # What the draw changed is known under the best policy: only by how much this one is worse stays noisy.
-                total += self._worth(index, every) - self._worth(index, reached)
-            histories, log_odds = self._histories[index], log_odds_in(self._world, layer, reached)
-            steps_to_go = self.horizon - index
-            actions = actions_in(self._world, steps_to_go, histories, reached, log_odds, policy, step_key)
-            rewards = rewards_in(self._world.config, histories, reached, log_odds, actions, steps_to_go == 1)
-            total += float(reached.mass @ rewards)
-            masses = self._moved(index, reached, actions) if steps_to_go > 1 else {}
-        return total
+            step_key, asked = jax.random.fold_in(key, index), []
+            for k, (policy, reached) in enumerate(zip(policies, reached_in(masses), strict=True)):
+                earned, *answers = self._asked(index, reached, policy, step_key, max_states)
+                totals[k] += earned
+                asked.append(answers)
+            masses = self._moved(index, asked) if index < self.horizon - 1 else {}
+        return totals
+
+    def _asked(
+        self, index: int, every: Reached, policy: Policy, key: Array, max_states: int | None
+    ) -> tuple[float, Reached, Int[np.ndarray, " n"]]:
+        """What a policy earns in a layer; the states in which it was asked, and what it did."""
+        if not len(every.place):
+            return 0.0, every, np.zeros(0, dtype=np.int64)
+        earned, reached, layer = 0.0, every, self._layers[index]
+        if max_states is not None:
+            reached = drawn(every, max_states, jax.random.fold_in(key, 0))
+            # What the draw changed is known under the best policy: only by how much this one is worse stays noisy.
+            earned = self._worth(index, every) - self._worth(index, reached)
+        histories, log_odds = self._histories[index], log_odds_in(self._world, layer, reached)
+        steps_to_go = self.horizon - index
+        actions = actions_in(self._world, steps_to_go, histories, reached, log_odds, policy, key)
+        rewards = rewards_in(self._world.config, histories, reached, log_odds, actions, steps_to_go == 1)
+        return earned + float(reached.mass @ rewards), reached, actions
 
     def regret(self, policy: Policy, key: Array | None = None, max_states: int | None = None) -> float:
         """What a policy earns less than the best one, without simulation noise; see `policy_value`."""
@@ -172,33 +192,47 @@ class TableOptimum:
         ]
         return float(sum(parts))
 
-    def _moved(self, index: int, reached: Reached, actions: Int[np.ndarray, " n"]) -> dict[int, Grid]:
-        """Masses of the next layer after the actions of this one."""
+    def _moved(self, index: int, asked: Sequence[Sequence[Any]]) -> dict[int, Grid]:
+        """Masses of the next layer, of each policy, after the actions of this one."""
         masses: dict[int, Grid] = {}
-        for place, rows in rows_by_place(reached):
-            node, shape = self._layers[index][place], self._values[index][place].shape
-            taken: dict[int, Grid] = {}
-            for action in np.unique(actions[rows]).tolist():
-                taken[action] = np.zeros(shape)
-                taken[action].ravel()[reached.cell[rows]] = np.where(actions[rows] == action, reached.mass[rows], 0.0)
+        for place, taken in self._taken(index, asked).items():
             # An attempt that clears the table has no successor.
-            for attempt, to in node.successors.items():
+            for attempt, to in self._layers[index][place].successors.items():
                 target, result = attempt
-                tried = [taken[action] for action in self._leading_to(attempt) if action in taken]
+                tried = [taken[action] for action in self._leading_to[attempt] if action in taken]
                 if tried:
                     probability = self._histories[index].probability[place, target]
                     moved = sum(tried) * (1.0 - probability if result is Result.FAILED else probability)
-                    moved = moved.sum(axis=target, keepdims=True) if result is Result.WASHED else moved
-                    looks = self._looks_after(index, place, attempt)
-                    arrived = spread_over_labels(moved, looks, self._values[index + 1][to].shape)
+                    moved = moved.sum(axis=1 + target, keepdims=True) if result is Result.WASHED else moved
+                    looks = (None, *self._looks_after(index, place, attempt))
+                    shape = (len(asked), *self._values[index + 1][to].shape)
+                    arrived = spread_over_labels(moved, looks, shape)
                     masses[to] = masses[to] + arrived if to in masses else arrived
-        return masses
+        # In the order of the layer, whoever else is valued: draws go by rows.
+        return dict(sorted(masses.items()))
 
-    def _leading_to(self, attempt: Attempt) -> list[int]:
-        """Actions that an attempt with this result can be."""
-        target, result = attempt
+    def _taken(self, index: int, asked: Sequence[Sequence[Any]]) -> dict[int, dict[int, Grid]]:
+        """Mass that each policy moves by each action in the cells of each node."""
+        taken: dict[int, dict[int, Grid]] = {}
+        for k, (reached, actions) in enumerate(asked):
+            for place, rows in rows_by_place(reached):
+                shape = (len(asked), *self._values[index][place].shape)
+                of_place = taken.setdefault(place, {})
+                for action in set(actions[rows].tolist()):
+                    mass = of_place.setdefault(action, np.zeros(shape))
+                    mass[k].ravel()[reached.cell[rows]] = np.where(actions[rows] == action, reached.mass[rows], 0.0)
+        return taken
+
+    @cached_property
+    def _leading_to(self) -> dict[Attempt, list[int]]:
+        """Actions that an attempt with a result can be."""
         verbs = {Result.FAILED: (Verb.WASH, Verb.LIFT), Result.LIFTED: (Verb.LIFT,), Result.WASHED: (Verb.WASH,)}
-        return [ActionSpace(self._world.num_objects).encode(verb, target) for verb in verbs[result]]
+        actions = ActionSpace(self._world.num_objects)
+        return {
+            (target, result): [int(actions.encode(verb, target)) for verb in of_result]
+            for target in range(self._world.num_objects)
+            for result, of_result in verbs.items()
+        }
 
     def _looks_after(self, index: int, place: int, attempt: Attempt) -> tuple[Look | None, ...]:
         """What the look after an attempt does; kept, as every policy asks for it."""

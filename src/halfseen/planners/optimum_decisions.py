@@ -17,7 +17,7 @@ from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Policy
 from halfseen.world.state import NO_ATTEMPT, TableState
 
-BATCH_SIZES = (8, 32, 1024)
+BATCH_SIZES = (4, 32, 1024)
 """Numbers of states for which a policy is compiled: the smallest that holds all, or else the largest."""
 
 _SAME_LOG_ODDS = 1e-3
@@ -83,12 +83,13 @@ def _shown_histories(
     return there, is_lift.sum(axis=1, dtype=np.int32), tried, seen_at, succeeded
 
 
-def reached_in(masses: dict[int, Grid]) -> Reached:
-    """Return the cells of a layer's grids that have some mass."""
-    cells = [np.flatnonzero(mass > 0.0) for mass in masses.values()]
-    place = np.repeat(np.fromiter(masses, dtype=np.int64), [len(cell) for cell in cells])
-    mass = [grid.ravel()[cell] for grid, cell in zip(masses.values(), cells, strict=True)]
-    return Reached(place, np.concatenate(cells), np.concatenate(mass))
+def reached_in(masses: dict[int, Grid]) -> list[Reached]:
+    """Return the cells of a layer's grids that have some mass, of each policy (the first axis)."""
+    flat = [grid.reshape(len(grid), -1) for grid in masses.values()]
+    policy, cell = (np.concatenate(axes) for axes in zip(*(np.nonzero(mass > 0.0) for mass in flat), strict=True))
+    place = np.repeat(np.fromiter(masses, dtype=np.int64), [np.count_nonzero(mass > 0.0) for mass in flat])
+    mass = np.concatenate([mass[mass > 0.0] for mass in flat])
+    return [Reached(place[own], cell[own], mass[own]) for own in (policy == k for k in range(len(flat[0])))]
 
 
 def rows_by_place(reached: Reached) -> Iterator[tuple[int, slice]]:

@@ -16,6 +16,7 @@ A cut path is treated in one of four ways, as what the learner sees of it:
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from operator import itemgetter
 from typing import NamedTuple
 
@@ -48,6 +49,7 @@ PILOT, LOGS, EVALUATION, HELD_OUT, SELECTION = range(5)
 TREATMENTS = ("weighted", "unweighted", "dropped", "failures")
 
 
+@lru_cache(maxsize=64)
 def random_key(seed: int, purpose: int, index: int = 0) -> jax.Array:
     """Key of one purpose of a repetition."""
     return jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), purpose), index)

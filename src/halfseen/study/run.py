@@ -49,7 +49,7 @@ def run_study(
     is_resumed
         Go on where a killed study stopped.
     num_jobs
-        Experiments at once; None for one on each core that this process may use.
+        Processes; None for one on each core that this process may use.
     pictures
         PNG of each scene by its name, for the report.
 

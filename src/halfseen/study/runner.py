@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, is_dataclass
-from functools import partial
 from importlib.metadata import version
 from multiprocessing import get_context, parent_process
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Any
 from tqdm import tqdm
 
 from halfseen.errors import HalfseenError
-from halfseen.study.experiment import Experiment, Pieces, Setting, Tables, Timed
+from halfseen.study.experiment import Experiment, PieceOf, Pieces, Setting, Tables, Timed
 from halfseen.study.store import Store
 
 PACKAGES = ("halfseen", "jax", "jaxlib", "mujoco", "numpy", "pandas", "scipy")
@@ -45,14 +44,24 @@ def run(experiment: Experiment, setting: Setting, store: Store) -> Tables:
     with jaxlib 0.10).
     """
     measured = measured_of(experiment, setting, store)
-    prepared = store.kept("prepared", lambda: experiment.prepare(setting))
-    repetitions = []
-    num = min(setting.repetitions, experiment.most_repetitions or setting.repetitions)
-    for index in tqdm(range(num), desc=experiment.name, unit="rep", disable=None, leave=False):
-        make = partial(experiment.repeat, setting, prepared, index)
-        repetitions.append(store.kept(f"repetition-{index:05d}", make))
-        _stop_if_abandoned()
-    return experiment.tabulate(setting, Pieces(prepared, measured, repetitions))
+    indices = tqdm(range(num_of(experiment, setting)), desc=experiment.name, unit="rep", disable=None, leave=False)
+    repetitions = [repetition_of(experiment, setting, store, index) for index in indices]
+    return experiment.tabulate(setting, Pieces(_prepared(experiment, setting, store), measured, repetitions))
+
+
+def num_of(experiment: Experiment, setting: Setting) -> int:
+    """Repetitions of an experiment."""
+    return min(setting.repetitions, experiment.most_repetitions or setting.repetitions)
+
+
+def repetition_of(experiment: Experiment, setting: Setting, store: Store, index: int) -> PieceOf:
+    """Make one repetition, or read it back."""
+    prepared = _prepared(experiment, setting, store)
+    return store.kept(f"repetition-{index:05d}", lambda: experiment.repeat(setting, prepared, index))
+
+
+def _prepared(experiment: Experiment, setting: Setting, store: Store) -> PieceOf:
+    return store.kept("prepared", lambda: experiment.prepare(setting))
 
 
 def measured_of(experiment: Experiment, setting: Setting, store: Store) -> dict[str, Any]:
@@ -63,18 +72,61 @@ def measured_of(experiment: Experiment, setting: Setting, store: Store) -> dict[
 def run_all(
     experiments: Sequence[Experiment], setting: Setting, stores: Sequence[Store], num_jobs: int
 ) -> list[Tables]:
-    """Run experiments, several at once in processes of their own where `num_jobs` is more than 1.
+    """Run experiments, their repetitions in several processes at once where `num_jobs` is more than 1.
 
-    Times are measured before, while nothing else runs. A process takes one experiment after the other, as what it
-    compiled serves that experiment alone.
+    Times are measured while nothing else runs: after that, when what is timed has been compiled.
     """
-    for experiment, store in zip(experiments, stores, strict=True):
-        measured_of(experiment, setting, store)
-    jobs = min(num_jobs, len(experiments))
-    if jobs < 2:
-        return [run(experiment, setting, store) for experiment, store in zip(experiments, stores, strict=True)]
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        return list(pool.map(run, experiments, [setting] * len(experiments), stores))
+    if num_jobs > 1:
+        _repeat_in_processes(experiments, setting, stores, num_jobs)
+    return [run(experiment, setting, store) for experiment, store in zip(experiments, stores, strict=True)]
+
+
+def _repeat_in_processes(
+    experiments: Sequence[Experiment], setting: Setting, stores: Sequence[Store], num_jobs: int
+) -> None:
+    """Make all repetitions in processes of their own; which process makes one changes nothing in it."""
+    # Those of few repetitions, which are long, come first, so that all processes end together.
+    pairs = sorted(zip(experiments, stores, strict=True), key=lambda pair: num_of(pair[0], setting))
+    context = get_context("spawn")
+    begun = context.Array("i", len(pairs))
+    with ProcessPoolExecutor(num_jobs, context, initializer=_share, initargs=(begun,)) as pool:
+        list(pool.map(_work, *zip(*[(pairs, setting)] * num_jobs, strict=True)))
+
+
+_shared: dict[str, Any] = {}
+
+
+def _share(begun: Any) -> None:
+    _shared["begun"] = begun
+
+
+def _work(pairs: Sequence[tuple[Experiment, Store]], setting: Setting) -> None:
+    """Make repetitions until all are begun."""
+    nums, own = [num_of(experiment, setting) for experiment, _ in pairs], None
+    while True:
+        with _shared["begun"].get_lock():
+            own = next_of(_shared["begun"][:], nums, own)
+            if own is None:
+                return
+            index = _shared["begun"][own]
+            _shared["begun"][own] += 1
+        experiment, store = pairs[own]
+        repetition_of(experiment, setting, store, index)
+        _stop_if_abandoned()
+
+
+def next_of(begun: Sequence[int], nums: Sequence[int], own: int | None) -> int | None:
+    """Choose the experiment of which a process makes one more repetition; None if all repetitions are begun.
+
+    It stays with its own, for which everything is compiled. After that it takes one that nobody began, the first; or
+    else helps with the one of which most are left.
+    """
+    left = [num - done for num, done in zip(nums, begun, strict=True)]
+    if own is not None and left[own]:
+        return own
+    fresh = [k for k, done in enumerate(begun) if not done and left[k]]
+    most = max(range(len(left)), key=lambda k: left[k])
+    return fresh[0] if fresh else most if left[most] else None
 
 
 def _stop_if_abandoned() -> None:

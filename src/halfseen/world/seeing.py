@@ -116,7 +116,4 @@ class AssumedSeeing:
 
     def accuracy(self, occluded: Any) -> Any:
         """Probability that a label is right."""
-        if not isinstance(occluded, Array):
-            return self.floor + self.gain * (1.0 - occluded) ** self.power
-        # exp and log, not a power: several times as fast where the planner asks for millions.
-        return self.floor + self.gain * jnp.exp(self.power * jnp.log1p(-occluded))
+        return self.floor + self.gain * (1.0 - occluded) ** self.power

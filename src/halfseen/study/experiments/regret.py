@@ -6,8 +6,10 @@ policies differ by their logs alone. The planners, which take their time, are as
 leaves a little noise.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
+from itertools import product
 from typing import Any, ClassVar
 
 import numpy as np
@@ -75,14 +77,8 @@ class Regret:
         return by_name(LEARNED, *self.planners, *HEURISTICS, OPTIMUM)
 
     def small(self, setting: Setting) -> "SmallTables":
-        """Draw the small tables, which follow from the seed."""
-        rng = np.random.default_rng([setting.seed, NUM_CUPS])
-        scenes = []
-        for k in range(self.num_tables):
-            is_hiding = rng.random((NUM_CUPS, NUM_CUPS)) < HIDING_PROBABILITY
-            hidden = MOST_HIDDEN * rng.random((NUM_CUPS, NUM_CUPS))
-            scenes.append(Scene(np.tril(np.where(is_hiding, hidden, 0.0), -1), name=f"small-{k}"))
-        return SmallTables(replace(setting.world, horizon=self.horizon), tuple(scenes), setting.seed)
+        """Draw the small tables, which follow from the seed; they are solved once in a process."""
+        return small_tables(self.num_tables, replace(setting.world, horizon=self.horizon), setting.seed)
 
     def prepare(self, setting: Setting) -> PieceOf:
         """Solve the tables: what the optimum, FINISH at once and each heuristic earn, exactly; calibrate the cuts."""
@@ -108,10 +104,10 @@ class Regret:
         episodes = source.play(max(self.num_paths))
         encoded = source.encode(episodes)
         logs = [(source.cut(episodes, rate, CUT_KIND), "weighted") for rate in prepared["rates"]]
-        for size in self.num_paths:
-            for cut_share, (policy, _) in zip(self.cut_shares, encoded.learn(logs, size), strict=True):
-                place = {"policy": LEARNED.name, "num_paths": size, "cut_share": cut_share}
-                rows.append(place | {"regrets": small.regrets(policy)})
+        policies = [policy for size in self.num_paths for policy, _ in encoded.learn(logs, size)]
+        places = product(self.num_paths, self.cut_shares)
+        for (size, cut_share), regrets in zip(places, small.regrets_of(policies), strict=True):
+            rows.append({"policy": LEARNED.name, "num_paths": size, "cut_share": cut_share, "regrets": regrets})
         return {"index": index, "rows": rows}
 
     def tabulate(self, setting: Setting, pieces: Pieces) -> Tables:
@@ -159,11 +155,28 @@ class SmallTables:
 
     def regrets(self, policy: Any, *draws: Any) -> list[float]:
         """Regret of a policy on each table."""
-        return [float(optimum.regret(policy, *draws)) for optimum in self.optima]
+        return self.regrets_of([policy], *draws)[0]
+
+    def regrets_of(self, policies: Sequence[Any], *draws: Any) -> list[list[float]]:
+        """Regrets of several policies, each on each table."""
+        regrets = [optimum.value - optimum.policy_values(policies, *draws) for optimum in self.optima]
+        return np.transpose(regrets).tolist()
 
     def source(self, index: int = 0) -> Source:
         """Where paths on them come from."""
         return Source(self.world, pad_scenes(self.scenes), self.seed, index)
+
+
+@lru_cache(maxsize=1)
+def small_tables(num_tables: int, world: WorldConfig, seed: int) -> SmallTables:
+    """Draw small tables; the same object as long as the same are wanted, so that their optima are kept."""
+    rng = np.random.default_rng([seed, NUM_CUPS])
+    scenes = []
+    for k in range(num_tables):
+        is_hiding = rng.random((NUM_CUPS, NUM_CUPS)) < HIDING_PROBABILITY
+        hidden = MOST_HIDDEN * rng.random((NUM_CUPS, NUM_CUPS))
+        scenes.append(Scene(np.tril(np.where(is_hiding, hidden, 0.0), -1), name=f"small-{k}"))
+    return SmallTables(world, tuple(scenes), seed)
 
 
 def _table(pieces: Pieces) -> pd.DataFrame:
