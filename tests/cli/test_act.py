@@ -22,7 +22,7 @@ TABLE = table_paths()[7]
 @pytest.fixture(scope="module")
 def flat(tmp_path_factory):
     folder, logs = tmp_path_factory.mktemp("act") / "flat", flat_log()
-    learner = CensoredQLearner(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=0.1).fit(logs)
+    learner = CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=0.1).fit(logs)
     write_policy(learner, logs, folder)
     return folder, learner
 

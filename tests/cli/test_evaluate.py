@@ -46,7 +46,7 @@ def folders(tmp_path_factory):
     for name, seed in (("learned", 0), ("aside", 1)):
         clinic(seed).write(folder / name)
     logs = read_logs(folder / "learned")
-    learner = CensoredQLearner(1, {1: ["A", "B"]}, ["x"], reg=1e-3).fit(logs)
+    learner = CensoredQLearner.of_paper(1, {1: ["A", "B"]}, ["x"], reg=1e-3).fit(logs)
     write_policy(learner, logs, folder / "policy")
     return folder
 

@@ -24,7 +24,7 @@ def folder(tmp_path_factory):
     logs.write(folder / "logs")
     flat_log().write(folder / "other")
     table_log().write(folder / "tables")
-    learner = CensoredQLearner(2, ACTIONS, COVARIATES, reg=0.1).fit(logs)
+    learner = CensoredQLearner.of_paper(2, ACTIONS, COVARIATES, reg=0.1).fit(logs)
     write_policy(learner, logs, folder / "policy")
     return folder
 

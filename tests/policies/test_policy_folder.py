@@ -31,7 +31,7 @@ PROBE = [2.191882, 6.020726, 5.286517, 5.92044, 6.093954, 7.434375, 6.474695]
 
 
 def flat_learner(**parameters):
-    return CensoredQLearner(2, ACTIONS, ["x1", "x2"], reg=0.1, **parameters)
+    return CensoredQLearner.of_paper(2, ACTIONS, ["x1", "x2"], reg=0.1, **parameters)
 
 
 @pytest.fixture(scope="module")
@@ -134,7 +134,7 @@ def test_actions_keep_their_type(tmp_path):
     stages = {"path": [0, 1, 2], "stage": [1, 1, 1], "elapsed_s": [1.0, 2.0, 3.0], "action": [7, 8, 7]}
     paths = {"path": [0, 1, 2], "end_s": [1.0, 2.0, 3.0], "ending": ["finished"] * 3}
     logs = Logs({**stages, "reward": [0.0, 1.0, 0.0]}, paths)
-    learner = CensoredQLearner(1, sorted(set(logs.stages["action"])), [], reg=0.0).fit(logs)
+    learner = CensoredQLearner.of_paper(1, sorted(set(logs.stages["action"])), [], reg=0.0).fit(logs)
     write_policy(learner, logs, tmp_path / "policy")
     assert read_policy(tmp_path / "policy").policy.decide(pd.DataFrame(index=[0]), 1).tolist() == [8]
 

@@ -34,7 +34,7 @@ def logs():
 
 
 def learned(logs, folder):
-    learner = CensoredQLearner(2, ACTIONS, COVARIATES, reg=0.1, random_state=3).fit(logs)
+    learner = CensoredQLearner.of_paper(2, ACTIONS, COVARIATES, reg=0.1, random_state=3).fit(logs)
     write_policy(learner, logs, folder)
     return read_policy(folder)
 

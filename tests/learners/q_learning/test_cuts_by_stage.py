@@ -22,7 +22,7 @@ def known(logs):
 
 
 def learner(**options):
-    return CensoredQLearner(2, ACTIONS, ["s1_1", "s2_1"], reg=0.1, **options)
+    return CensoredQLearner.of_paper(2, ACTIONS, ["s1_1", "s2_1"], reg=0.1, **options)
 
 
 def ages(logs):

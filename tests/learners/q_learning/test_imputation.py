@@ -55,7 +55,7 @@ def errors(**options):
     """Mean error of Q over logs in standard errors, for each x and action."""
     found = []
     for seed in range(NUM_LOGS):
-        learner = CensoredQLearner(1, ["A", "B"], ["x"], reg=0.0, **options)
+        learner = CensoredQLearner.of_paper(1, ["A", "B"], ["x"], reg=0.0, **options)
         found.append(learner.fit(one_stage(seed)).q_values(ASKED, 1) - best_line())
     return np.mean(found, axis=0) / (np.std(found, axis=0, ddof=1) / np.sqrt(NUM_LOGS))
 
@@ -91,7 +91,7 @@ def test_with_both_wrong_nothing_helps():
 def test_pseudo_outcomes_narrow_what_weights_leave_wide():
     spread = {}
     for targets in (Weighted, DoublyRobust):
-        learner = CensoredQLearner(1, ["A", "B"], ["x"], reg=0.0, censoring=targets("cox"))
+        learner = CensoredQLearner.of_paper(1, ["A", "B"], ["x"], reg=0.0, censoring=targets("cox"))
         found = [learner.fit(one_stage(seed)).q_values(ASKED, 1) for seed in range(NUM_LOGS)]
         spread[targets] = np.std(found, axis=0).mean()
     assert spread[DoublyRobust] < spread[Weighted]
@@ -101,8 +101,10 @@ def test_pseudo_outcomes_narrow_what_weights_leave_wide():
 def test_without_cuts_nothing_is_imputed(censoring):
     trial = two_stage_trial(last_cut=40, cut_from=20)
     assert trial.is_finished.all()
-    plain = CensoredQLearner(2, ACTIONS, FULL, reg=0.0).fit(trial).q_functions_.coefficients
-    imputed = CensoredQLearner(2, ACTIONS, FULL, reg=0.0, censoring=censoring).fit(trial).q_functions_.coefficients
+    plain = CensoredQLearner.of_paper(2, ACTIONS, FULL, reg=0.0).fit(trial).q_functions_.coefficients
+    imputed = (
+        CensoredQLearner.of_paper(2, ACTIONS, FULL, reg=0.0, censoring=censoring).fit(trial).q_functions_.coefficients
+    )
     np.testing.assert_allclose(imputed, plain, atol=1e-8)
 
 
@@ -111,7 +113,7 @@ def test_what_a_constant_is_worth_adds_up_to_it(logs, by, monkeypatch):
     """With g = 1 the sums telescope: Y of a target that is always 1 is 1, ties and all."""
     module = "halfseen.learners.q_learning.imputation._terms"
     monkeypatch.setattr(module, lambda duration_s, knots, spread: np.ones((*np.shape(duration_s), 1)))
-    learner = CensoredQLearner(2, ACTIONS, ["s1_1", "s2_1"], censoring=Weighted(by=by), reg=0.0).fit(logs)
+    learner = CensoredQLearner.of_paper(2, ACTIONS, ["s1_1", "s2_1"], censoring=Weighted(by=by), reg=0.0).fit(logs)
     paths = learner.model_.lay_out(logs)
     imputed = imputation(paths, learner.cut_model_, "separate", np.ones(2), np.arange(2))
     begun = paths.is_begun
@@ -120,7 +122,7 @@ def test_what_a_constant_is_worth_adds_up_to_it(logs, by, monkeypatch):
 
 
 def test_the_share_of_a_seen_target_is_what_the_stage_adds_to_the_weight(logs):
-    learner = CensoredQLearner(2, ACTIONS, ["s1_1", "s2_1"], reg=0.0).fit(logs)
+    learner = CensoredQLearner.of_paper(2, ACTIONS, ["s1_1", "s2_1"], reg=0.0).fit(logs)
     paths = learner.model_.lay_out(logs)
     imputed = imputation(paths, learner.cut_model_, "separate", np.ones(2), np.arange(2))
     weights, begun = learner.cut_model_.weights(paths.clocks), learner.cut_model_.begun_weights(paths.clocks)
@@ -150,14 +152,14 @@ def test_what_cannot_be_imputed_is_refused(logs):
     unknown = Logs(logs.stages.assign(action=logs.stages["action"].where(logs.stages["elapsed_s"].notna())), logs.paths)
     for censoring in (DoublyRobust(), "buckley-james"):
         with pytest.raises(ArgumentError, match=r"path \d+, stage \d: its action is null, and .* learning needs"):
-            CensoredQLearner(2, ACTIONS, FULL, censoring=censoring).fit(unknown)
+            CensoredQLearner.of_paper(2, ACTIONS, FULL, censoring=censoring).fit(unknown)
     with pytest.raises(ArgumentError, match="outcome_covariates names 'age'"):
-        CensoredQLearner(2, ACTIONS, FULL, censoring=DoublyRobust(outcome_covariates=["age"])).fit(logs)
+        CensoredQLearner.of_paper(2, ACTIONS, FULL, censoring=DoublyRobust(outcome_covariates=["age"])).fit(logs)
 
 
 def test_a_model_of_ones_own_is_doubly_robust_too(logs):
     censoring = DoublyRobust(Cox(ridge=1.0), by="pooled")
-    fitted = CensoredQLearner(2, ACTIONS, FULL, censoring=censoring, stages="pooled", reg=0.1).fit(logs)
+    fitted = CensoredQLearner.of_paper(2, ACTIONS, FULL, censoring=censoring, stages="pooled", reg=0.1).fit(logs)
     assert np.isfinite(fitted.q_functions_.coefficients).all()
 
 
@@ -168,7 +170,7 @@ logs = one_stage(0)
 for num_paths in range(60, 68):
     few = logs.select(range(num_paths))
     for stages in ("separate", "pooled"):
-        CensoredQLearner(1, ["A", "B"], ["x"], stages=stages, censoring=DoublyRobust()).fit(few)
+        CensoredQLearner.of_paper(1, ["A", "B"], ["x"], stages=stages, censoring=DoublyRobust()).fit(few)
 print("done")
 """
 

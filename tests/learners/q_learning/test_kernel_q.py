@@ -26,7 +26,7 @@ def one_stage(num_paths=80, seed=0):
 def test_with_all_rows_as_landmarks_it_is_kernel_ridge_with_a_free_offset():
     """Equal to scikit-learn's on targets and kernel that are centred in feature space."""
     logs = one_stage()
-    learner = CensoredQLearner(1, ["A", "B"], ["x1", "x2"], q_function=KernelQ(1000, GAMMA), reg=REG).fit(logs)
+    learner = CensoredQLearner.of_paper(1, ["A", "B"], ["x1", "x2"], q_function=KernelQ(1000, GAMMA), reg=REG).fit(logs)
     x, n = logs.stages[["x1", "x2"]].to_numpy(), logs.num_paths
     scaled = (x - x.mean(axis=0)) / x.std(axis=0)
     gram = np.exp(-GAMMA * ((scaled[:, None] - scaled[None]) ** 2).sum(axis=-1))
@@ -45,7 +45,7 @@ def test_with_all_rows_as_landmarks_it_is_kernel_ridge_with_a_free_offset():
 def test_the_low_rank_form_is_near_the_exact_one():
     logs = one_stage(400)
     exact, few = (
-        CensoredQLearner(1, ["A", "B"], ["x1", "x2"], q_function=KernelQ(size, gamma=0.5), reg=REG).fit(logs)
+        CensoredQLearner.of_paper(1, ["A", "B"], ["x1", "x2"], q_function=KernelQ(size, gamma=0.5), reg=REG).fit(logs)
         for size in (400, 60)
     )
     assert few.kernel_map_ is not None
@@ -59,7 +59,7 @@ def test_a_kernel_sees_what_a_line_does_not():
     truth = np.column_stack([np.sin(2.0 * fresh.stages["x1"]), np.cos(fresh.stages["x2"] / 5.0)])
     error = {}
     for q_function in ("linear", "kernel"):
-        learner = CensoredQLearner(1, ["A", "B"], ["x1", "x2"], q_function=q_function).fit(logs)
+        learner = CensoredQLearner.of_paper(1, ["A", "B"], ["x1", "x2"], q_function=q_function).fit(logs)
         error[q_function] = np.mean((learner.q_values(fresh.stages, 1) - truth) ** 2)
     assert error["kernel"] < 0.1 * error["linear"]
 

@@ -64,7 +64,7 @@ class DoseTask:
     def reduce_variance(self, encoded, reward, weight, is_last):
         return reward, None
 
-    def policy(self, coefficients, kernel_map, is_seen):
+    def policy(self, coefficients, kernel_map, is_seen, margin=None):
         return DosePolicy(np.asarray(coefficients))
 
     def target_probabilities(self, policy, logs, horizon):
@@ -102,7 +102,7 @@ def logs():
 
 @pytest.fixture(scope="module")
 def learner(logs):
-    return CensoredQLearner(2, DoseTask(), reg=1e-6).fit(logs)
+    return CensoredQLearner.of_paper(2, DoseTask(), reg=1e-6).fit(logs)
 
 
 def test_it_needs_nothing_but_the_protocol():
@@ -134,7 +134,7 @@ def test_its_intervals_hold_what_was_learned(learner, logs):
 
 def test_it_is_streamed(learner, logs, tmp_path):
     logs.write(tmp_path / "logs")
-    streamed = CensoredQLearner(2, DoseTask(), reg=1e-6).fit(LogStream(tmp_path / "logs", 90))
+    streamed = CensoredQLearner.of_paper(2, DoseTask(), reg=1e-6).fit(LogStream(tmp_path / "logs", 90))
     np.testing.assert_allclose(
         streamed.q_functions_.coefficients, learner.q_functions_.coefficients, rtol=1e-8, atol=1e-8
     )

@@ -33,13 +33,13 @@ def repeated(logs, counts):
 )
 def test_a_replicate_is_what_is_learned_from_the_paths_that_were_drawn(logs, censoring):
     """A path drawn k times counts as k paths that are the same, in the weights and the targets, too."""
-    learner = CensoredQLearner(2, ACTIONS, ["s1_1", "s2_1"], reg=0.1, censoring=censoring).fit(logs)
+    learner = CensoredQLearner.of_paper(2, ACTIONS, ["s1_1", "s2_1"], reg=0.1, censoring=censoring).fit(logs)
     found = bootstrap(learner, logs, num_replicates=3, random_state=5)
 
     share = np.full(NUM_PATHS, 1 / NUM_PATHS)
     counts = np.random.default_rng(5).multinomial(NUM_PATHS, share, size=3)
     for k in range(3):
-        again = CensoredQLearner(2, ACTIONS, ["s1_1", "s2_1"], reg=0.1, censoring=censoring).fit(
+        again = CensoredQLearner.of_paper(2, ACTIONS, ["s1_1", "s2_1"], reg=0.1, censoring=censoring).fit(
             repeated(logs, counts[k])
         )
         np.testing.assert_allclose(
@@ -48,7 +48,7 @@ def test_a_replicate_is_what_is_learned_from_the_paths_that_were_drawn(logs, cen
 
 
 def test_intervals_and_shares(logs):
-    learner = CensoredQLearner(2, ACTIONS, FULL, reg=1.0).fit(logs)
+    learner = CensoredQLearner.of_paper(2, ACTIONS, FULL, reg=1.0).fit(logs)
     found = bootstrap(learner, logs, num_replicates=40)
     frame = pd.DataFrame([indicators(1, state) for state in range(3)])
     low, high = found.q_interval(frame, 1, level=0.9)
@@ -64,7 +64,7 @@ def test_intervals_and_shares(logs):
 
 
 def test_what_cannot_be_asked_is_refused(logs):
-    learner = CensoredQLearner(2, ACTIONS, FULL, reg=1.0)
+    learner = CensoredQLearner.of_paper(2, ACTIONS, FULL, reg=1.0)
     with pytest.raises(ArgumentError, match="fit it to this log first"):
         bootstrap(learner, logs)
     learner.fit(logs)

@@ -17,7 +17,7 @@ def logs():
 
 
 def learner(**changed):
-    return CensoredQLearner(**{"horizon": 2, "actions": ACTIONS, "covariates": FULL, "reg": 0, **changed})
+    return CensoredQLearner.of_paper(**{"horizon": 2, "actions": ACTIONS, "covariates": FULL, "reg": 0, **changed})
 
 
 def states_of(stage):
@@ -202,7 +202,7 @@ def test_it_follows_scikit_learn(logs):
 
 def test_the_actions_cannot_be_forgotten(logs):
     with pytest.raises(TypeError, match=r"missing .* 'actions'"):
-        CensoredQLearner(2)
+        CensoredQLearner.of_paper(2)
     with pytest.raises(ArgumentError, match="actions is 'A'; give a list of names, or one for each stage"):
         learner(actions="A").fit(logs)
     for no_task in (NamedActions, None):

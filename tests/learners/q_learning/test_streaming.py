@@ -39,8 +39,8 @@ def streamed(logs, folder, paths_at_once):
 )
 def test_passes_learn_what_memory_does(trial, tmp_path, options):
     options = {"actions": ACTIONS, "covariates": FULL, **options}
-    whole = CensoredQLearner(2, **options).fit(trial)
-    parts = CensoredQLearner(2, **options).fit(streamed(trial, tmp_path / "logs", 90))
+    whole = CensoredQLearner.of_paper(2, **options).fit(trial)
+    parts = CensoredQLearner.of_paper(2, **options).fit(streamed(trial, tmp_path / "logs", 90))
     np.testing.assert_allclose(parts.q_functions_.coefficients, whole.q_functions_.coefficients, rtol=1e-9, atol=1e-9)
     np.testing.assert_array_equal(parts.q_functions_.reg, whole.q_functions_.reg)
     np.testing.assert_array_equal(parts.weights_, whole.weights_)
@@ -57,8 +57,8 @@ def test_tables_too(tables, tmp_path):
 
 def test_a_kernels_landmarks_are_sought_in_the_first_part(trial, tmp_path):
     options = {"q_function": "kernel", "reg": 1e-3, "actions": ACTIONS, "covariates": ["s1_1", "s2_1"]}
-    whole = CensoredQLearner(2, **options).fit(trial)
-    parts = CensoredQLearner(2, **options).fit(streamed(trial, tmp_path / "logs", 1000))
+    whole = CensoredQLearner.of_paper(2, **options).fit(trial)
+    parts = CensoredQLearner.of_paper(2, **options).fit(streamed(trial, tmp_path / "logs", 1000))
     np.testing.assert_allclose(parts.q_values(trial.stages, 1), whole.q_values(trial.stages, 1), atol=1e-9)
 
 
@@ -79,7 +79,7 @@ def test_a_kernels_landmarks_are_sought_in_the_first_part(trial, tmp_path):
 def test_what_needs_the_whole_log_is_refused(trial, tmp_path, options, message):
     stream = streamed(trial, tmp_path / "logs", 100)
     with pytest.raises(ArgumentError) as refusal:
-        CensoredQLearner(**{"horizon": 2, "actions": ACTIONS, "covariates": FULL, **options}).fit(stream)
+        CensoredQLearner.of_paper(**{"horizon": 2, "actions": ACTIONS, "covariates": FULL, **options}).fit(stream)
     assert message in str(refusal.value)
 
 
@@ -87,4 +87,4 @@ def test_all_cut_is_not_identified(trial, tmp_path):
     stages = trial.stages.groupby("path").head(1).assign(elapsed_s=None, reward=None)
     cut = Logs(stages, trial.paths.assign(ending="cut", cause=None))
     with pytest.raises(PositivityError, match="all 400 paths were cut"):
-        CensoredQLearner(2, ACTIONS, FULL).fit(streamed(cut, tmp_path / "logs", 100))
+        CensoredQLearner.of_paper(2, ACTIONS, FULL).fit(streamed(cut, tmp_path / "logs", 100))

@@ -36,7 +36,7 @@ def always_cut(num_paths=200, num_cut=20, horizon=1, seed=0):
 @pytest.mark.parametrize("censoring", ["kaplan-meier", "none", "buckley-james"])
 @pytest.mark.parametrize("q_function", ["linear", "kernel"])
 def test_an_action_that_was_cut_each_time_is_never_chosen(stages, censoring, q_function):
-    learner = CensoredQLearner(1, ACTIONS, ["x"], stages=stages, censoring=censoring, q_function=q_function)
+    learner = CensoredQLearner.of_paper(1, ACTIONS, ["x"], stages=stages, censoring=censoring, q_function=q_function)
     learner.fit(always_cut())
     assert set(learner.decide(pd.DataFrame({"x": np.linspace(-5, 5, 50)}), 1)) == {"A"}
     (told,) = learner.unseen_
@@ -56,8 +56,8 @@ def test_no_verdict_is_given_on_it(stages):
 
 def test_the_maximum_of_equation_three_is_over_what_was_seen():
     logs = always_cut(horizon=2)
-    fitted = CensoredQLearner(2, ACTIONS, ["x"], reg=0.0, censoring="none").fit(logs)
-    alone = CensoredQLearner(2, ["A"], ["x"], reg=0.0, censoring="none").fit(logs_of_a(logs))
+    fitted = CensoredQLearner.of_paper(2, ACTIONS, ["x"], reg=0.0, censoring="none").fit(logs)
+    alone = CensoredQLearner.of_paper(2, ["A"], ["x"], reg=0.0, censoring="none").fit(logs_of_a(logs))
     states = pd.DataFrame({"x": [-1.0, 0.0, 2.0]})
     np.testing.assert_allclose(fitted.q_values(states, 1)[:, 0], alone.q_values(states, 1)[:, 0], rtol=1e-12)
     # The value of B, had it been 0, would be above that of A, which costs at least 1.
@@ -76,7 +76,7 @@ def test_an_action_may_be_seen_in_one_stage_alone():
     stages.loc[(stages["stage"] == 1) & (stages["path"] % 2 == 0), "action"] = "B"
     logs = Logs(stages=stages, paths=logs.paths)
     separate, pooled = (
-        CensoredQLearner(2, ACTIONS, ["x"], stages=stages, censoring="none").fit(logs)
+        CensoredQLearner.of_paper(2, ACTIONS, ["x"], stages=stages, censoring="none").fit(logs)
         for stages in ("separate", "pooled")
     )
     assert separate.policy_.is_possible.tolist() == [[True, True], [True, False]]
@@ -90,7 +90,7 @@ def test_a_stream_sees_what_memory_does(tmp_path, stages):
     logs = always_cut(horizon=2, num_paths=60, num_cut=50)
     logs.write(tmp_path / "logs")
     whole, parts = (
-        CensoredQLearner(2, ACTIONS, ["x"], stages=stages, reg=0.1).fit(each)
+        CensoredQLearner.of_paper(2, ACTIONS, ["x"], stages=stages, reg=0.1).fit(each)
         for each in (logs, LogStream(tmp_path / "logs", 7))
     )
     assert parts.unseen_ == whole.unseen_ != []
@@ -99,5 +99,5 @@ def test_a_stream_sees_what_memory_does(tmp_path, stages):
 
 
 def test_where_nobody_came_all_actions_stay():
-    learner = CensoredQLearner(3, ACTIONS, ["x"], censoring="none").fit(always_cut())
+    learner = CensoredQLearner.of_paper(3, ACTIONS, ["x"], censoring="none").fit(always_cut())
     assert learner.policy_.is_possible.tolist() == [[True, False], [True, True], [True, True]]

@@ -107,7 +107,7 @@ class CensoredQLearner(BaseEstimator):
     ...     },
     ...     paths={"path": [0, 1, 2, 3], "end_s": [1.0, 1.0, 2.0, 1.5], "ending": ["finished"] * 3 + ["cut"]},
     ... )
-    >>> learner = CensoredQLearner(horizon=1, actions=["A", "B"], covariates=[], reg=0.0).fit(logs)
+    >>> learner = CensoredQLearner.of_paper(horizon=1, actions=["A", "B"], reg=0.0).fit(logs)
     >>> learner.decide(pd.DataFrame(index=[0]), stage=1)
     array(['B'], dtype=object)
     """
@@ -154,6 +154,18 @@ class CensoredQLearner(BaseEstimator):
         """Make a learner for logs of tables of objects: WASH, LIFT and FINISH (see `halfseen.tables.TableTask`)."""
         task = named_task("table", grasp=grasp, reduces_variance=reduces_variance)
         return cls(horizon, task, **parameters)
+
+    @classmethod
+    def of_paper(
+        cls,
+        horizon: int,
+        actions: Sequence[Hashable] | Mapping[int, Sequence[Hashable]] | Task,
+        covariates: Sequence[str] = (),
+        **changed: Any,
+    ) -> "CensoredQLearner":
+        """Make the learner of eq. 3 as it stands: weights by Kaplan–Meier, a linear Q for each stage, no pessimism."""
+        fixed = {"q_function": "linear", "censoring": "kaplan-meier", "stages": "separate", "pessimism": 0.0}
+        return cls(horizon, actions, covariates, **(fixed | changed))
 
     def fit(self, logs: Logs | LogStream) -> "CensoredQLearner":
         """Learn from a log.
@@ -210,9 +222,7 @@ class CensoredQLearner(BaseEstimator):
             space=automatic_space(task) if _is_auto(self.q_function) else q_space_of(self.q_function),
             reg=reg_of(self.reg),
             stages=automatic_stages(task, logs) if _is_auto(self.stages) else stage_mode_of(self.stages),
-            pessimism=automatic_pessimism(is_fixed, logs, self.horizon)
-            if _is_auto(self.pessimism)
-            else pessimism_of(self.pessimism),
+            pessimism=by_itself if _is_auto(self.pessimism) else pessimism_of(self.pessimism),
             random_state=self.random_state,
         )
 
