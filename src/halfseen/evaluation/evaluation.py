@@ -73,7 +73,7 @@ class Evaluation:
         }
         head = ("", "value", interval, "effective sample size")
         values = [head, *((name, *_cells(each), f"{each.effective_sample_size:.1f}") for name, each in rows.items())]
-        head = ("against", "value", interval, "difference", interval, "p", "verdict")
+        head = ("against", "value", interval, "difference", interval, "adjusted p", "verdict")
         against = [head, *(_against(each) for each in self.comparisons)]
         return "\n".join([self.sentence, "", *_aligned(values), "", *_aligned(against)])
 
