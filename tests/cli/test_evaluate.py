@@ -59,7 +59,7 @@ def test_says_the_verdict_first_then_the_numbers(folders):
     lines = told(folders / "policy", "--logs", folders / "aside").output.splitlines()
     assert lines[0].startswith("Better: it earns ")
     assert [line.split("  ")[0] for line in lines[3:6]] == ["doubly robust", "importance sampling", "fitted Q"]
-    assert lines[7].split() == "against value 95% interval difference 95% interval adjusted p verdict".split()
+    assert " ".join(lines[7].split()) == "against value 95% interval difference 95% interval adjusted p verdict"
     assert lines[8].startswith("the logging policy ")
     assert lines[10].startswith("note: the logging policy without its exploration: the log shows no rule")
     assert len(lines) == 11
