@@ -138,7 +138,10 @@ def test_verdicts_of_all_three_kinds():
     worse = evaluate(StatePolicy((1.0, 0.0)), logs, against="logging", **specified())
     assert worse.verdict == "not better"
     assert worse.sentence.startswith("Not better: it earns ")
-    assert evaluate(StatePolicy((0.31, 0.59)), trial(12, num_paths=50), **specified()).verdict == "cannot be said"
+    assert (
+        evaluate(StatePolicy((0.31, 0.59)), trial(12, num_paths=50), against="logging", **specified()).verdict
+        == "cannot be said"
+    )
 
 
 def test_too_few_paths_that_follow_the_policy_are_no_evidence():
