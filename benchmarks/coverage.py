@@ -201,7 +201,7 @@ def measured(name: str, num_logs: int) -> list[dict[str, Any]]:
     found, cut, verdicts = {name: [] for name in ESTIMATORS}, [], []
     for seed in range(num_logs):
         logs = simulated(seed, rates)
-        answer = evaluate(policy, logs, censoring=censoring, q=q, random_state=seed)
+        answer = evaluate(policy, logs, against="logging", censoring=censoring, q=q, random_state=seed)
         cut.append(1.0 - logs.is_finished.mean())
         verdicts.append(answer.verdict)
         for estimator in ESTIMATORS:

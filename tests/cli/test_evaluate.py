@@ -58,14 +58,35 @@ def told(*arguments):
 def test_says_the_verdict_first_then_the_numbers(folders):
     lines = told(folders / "policy", "--logs", folders / "aside").output.splitlines()
     assert lines[0].startswith("Better: it earns ")
-    assert [line.split("  ")[0] for line in lines[3:8]] == [
-        "doubly robust",
-        "importance sampling",
-        "fitted Q",
-        "logging policy",
-        "difference",
-    ]
-    assert len(lines) == 8
+    assert [line.split("  ")[0] for line in lines[3:6]] == ["doubly robust", "importance sampling", "fitted Q"]
+    assert " ".join(lines[7].split()) == "against value 95% interval difference 95% interval adjusted p verdict"
+    assert lines[8].startswith("the logging policy ")
+    assert lines[10].startswith("note: the logging policy without its exploration: the log shows no rule")
+    assert len(lines) == 11
+
+
+def test_each_opponent_has_a_line_and_an_entry(folders):
+    (folders / "thumb.csv").write_text("x,action\n1,A\n,B\n")
+    given = ["logging", "sequence:A", folders / "thumb.csv", folders / "policy"]
+    options = [word for opponent in given for word in ("--against", opponent)]
+    lines = told(folders / "policy", "--logs", folders / "aside", *options).output.splitlines()
+    names = ["the logging policy", "the sequence A", "the rule thumb.csv", "the policy policy"]
+    assert [line.split("  ")[0] for line in lines[8:]] == names
+    assert [line.split()[-1] for line in lines[8:]] == ["better"] * 4
+    assert lines[11].endswith("not better")
+    assert lines[0].startswith("Not better: it earns as much a path as the policy policy")
+    report = json.loads(told(folders / "policy", "--logs", folders / "aside", *options, "--json").output)
+    assert [each["opponent"] for each in report["comparisons"]] == names
+    assert report["comparisons"][3]["difference"]["value"] == 0.0
+    assert {"value", "difference", "p", "adjusted_p", "verdict", "reason"} < set(report["comparisons"][0])
+
+
+def test_better_than_all_names_all(folders):
+    options = "--against", "logging", "--against", "sequence:B"
+    sentence = told(folders / "policy", "--logs", folders / "aside", *options).output.splitlines()[0]
+    assert sentence.startswith("Better: it earns ")
+    assert "the logging policy" in sentence
+    assert "the sequence B" in sentence
 
 
 def test_json_carries_what_the_library_says(folders):
@@ -90,7 +111,7 @@ def test_the_logs_that_it_was_learned_from_are_told_apart(folders):
 
 
 def test_help_has_an_example():
-    assert "halfseen evaluate policy --logs logs" in told("--help").output
+    assert "halfseen evaluate policy --logs logs --against" in told("--help").output
 
 
 @pytest.mark.parametrize(
@@ -103,6 +124,11 @@ def test_help_has_an_example():
         (["nowhere", "--logs", "aside"], "nowhere"),
         (["policy", "--logs", "nowhere"], "nowhere"),
         (["policy", "--logs", "aside", "--level", "2"], "--level"),
+        (["policy", "--logs", "aside", "--against", "nobody"], "against is 'nobody'; it is logging, logging-rule"),
+        (["policy", "--logs", "aside", "--against", "nowhere.csv"], "nowhere.csv: it cannot be read as a rule"),
+        (["policy", "--logs", "aside", "--against", "sequence:"], "name an action for each stage"),
+        (["policy", "--logs", "aside", "--against", "aside"], "aside"),
+        (["policy", "--world", "--against", "logging"], "--against compares by logs"),
     ],
 )
 def test_bad_input_is_told_in_one_line_with_status_two(folders, arguments, message, monkeypatch, capsys):

@@ -60,7 +60,7 @@ def test_the_logging_policy_on_uncut_logs_earns_the_mean_reward_exactly():
 
 @pytest.mark.parametrize("censoring", [DoublyRobust(), "kaplan-meier"], ids=["doubly robust", "weighted"])
 def test_all_three_find_the_value_on_a_long_log(censoring):
-    found = evaluate(TARGET, trial(2, num_paths=3000, cut_rate=0.12), **specified(censoring))
+    found = evaluate(TARGET, trial(2, num_paths=3000, cut_rate=0.12), against="logging", **specified(censoring))
     value = truth(TARGET.chance_b)
     for estimate in (found.importance_sampling, found.fitted_q, found.doubly_robust):
         assert abs(estimate.value - value) < 3.0 * estimate.standard_error
@@ -134,11 +134,14 @@ def test_a_fixed_sequence_is_worth_what_enumeration_says():
 
 def test_verdicts_of_all_three_kinds():
     logs = trial(11, num_paths=1000, cut_rate=0.1)
-    assert evaluate(StatePolicy((0.0, 1.0)), logs, **specified()).verdict == "better"
-    worse = evaluate(StatePolicy((1.0, 0.0)), logs, **specified())
+    assert evaluate(StatePolicy((0.0, 1.0)), logs, against="logging", **specified()).verdict == "better"
+    worse = evaluate(StatePolicy((1.0, 0.0)), logs, against="logging", **specified())
     assert worse.verdict == "not better"
     assert worse.sentence.startswith("Not better: it earns ")
-    assert evaluate(StatePolicy((0.31, 0.59)), trial(12, num_paths=50), **specified()).verdict == "cannot be said"
+    assert (
+        evaluate(StatePolicy((0.31, 0.59)), trial(12, num_paths=50), against="logging", **specified()).verdict
+        == "cannot be said"
+    )
 
 
 def test_too_few_paths_that_follow_the_policy_are_no_evidence():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from halfseen.errors import ArgumentError
-from halfseen.evaluation.simulation import evaluate_in_world
+from halfseen.evaluation.simulation import compare_in_world, evaluate_in_world
 from halfseen.evaluation.targets import target_probabilities
 from halfseen.learners.q_learning.path_arrays import path_arrays
 from halfseen.planners import GreedyPolicy
@@ -54,6 +54,15 @@ def test_the_world_pays_what_its_episodes_hold():
     mean = logs.stages.groupby("path")["reward"].sum().mean()
     assert abs(found.value.value - mean) < 4.0 * found.value.standard_error
     assert found.value.low < found.value.value < found.value.high
+
+
+def test_heuristics_meet_the_same_episodes():
+    others = {"itself": LOGGER.base, "chance": UniformPolicy()}
+    found, (itself, chance) = compare_in_world(LOGGER.base, others, [SCENE], CONFIG, episodes=300, seed=1)
+    assert found == evaluate_in_world(LOGGER.base, [SCENE], CONFIG, episodes=300, seed=1)
+    assert (itself.value, itself.difference.value, itself.difference.standard_error) == (found.value, 0.0, 0.0)
+    assert chance.difference.value == pytest.approx(found.value.value - chance.value.value)
+    assert chance.difference.low > 0
 
 
 def test_a_policy_of_no_table_is_refused():

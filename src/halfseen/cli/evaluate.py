@@ -10,17 +10,26 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from halfseen.cli import options
+from halfseen.cli.columns import aligned
 from halfseen.cli.progress import begin, progress
 from halfseen.cli.scenes import scenes_of
 
 if TYPE_CHECKING:
+    from halfseen.evaluation.simulation import WorldComparison
     from halfseen.policies.folder import StoredPolicy
 
 
-@click.command(epilog="Example: halfseen evaluate policy --logs logs --seed 1")
+@click.command(epilog="Example: halfseen evaluate policy --logs logs --against logging-rule --against rule.csv")
 @click.argument("policy", type=options.PATH)
 @click.argument("clouds", type=options.PATH, nargs=-1)
 @click.option("--logs", type=options.PATH, help="Folder of logs that another policy made.")
+@click.option(
+    "--against",
+    multiple=True,
+    metavar="OPPONENT",
+    help="Of --logs: what it has to beat, once or more: logging, logging-rule (without its exploration), "
+    "sequence:A,B,A, a rule (.csv or .toml), a policy folder; by default the first two.",
+)
 @click.option("--world", "in_world", is_flag=True, help="Play the tables of CLOUDS in the simulated world instead.")
 @options.policys_censoring
 @click.option(
@@ -50,6 +59,7 @@ def evaluate(
     policy: Path,
     clouds: tuple[Path, ...],
     logs: Path | None,
+    against: tuple[str, ...],
     in_world: bool,
     level: float,
     episodes: int,
@@ -60,8 +70,9 @@ def evaluate(
     """Say what the policy in the folder POLICY is worth before it runs.
 
     With --logs, from what another policy did, of which paths were cut: by importance sampling, by fitted Q evaluation
-    and doubly robust, and whether it is better than the policy that made the logs. With --world, by playing the tables
-    of CLOUDS, by default the ten that come with halfseen.
+    and doubly robust, and whether it is better than the policy that made the logs, than that without its exploration,
+    or than whatever --against names: "better" is better than each. With --world, by playing the tables of CLOUDS, by
+    default the ten that come with halfseen, beside four heuristics.
     """
     from halfseen.errors import ArgumentError
     from halfseen.policies.folder import read_policy
@@ -70,11 +81,13 @@ def evaluate(
         raise ArgumentError("give either --logs with a folder of logs, or --world to play in the simulated world")
     if clouds and not in_world:
         raise ArgumentError(f"{clouds[0]}: clouds are tables to play with --world, and --logs is given; leave one out")
+    if against and in_world:
+        raise ArgumentError("--against compares by logs, and --world plays the heuristics anyway; leave one out")
     stored = read_policy(policy)
     if logs is None:
         report, lines = _by_world(stored, clouds, episodes, seed, level)
     else:
-        report, lines = _by_logs(stored, logs, seed, level, **chosen)
+        report, lines = _by_logs(stored, logs, seed, level, against=list(against) or None, **chosen)
     report = {"policy": str(policy), "seed": seed, **report}
     click.echo(json.dumps(report, indent=2) if as_json else "\n".join(lines))
 
@@ -85,6 +98,7 @@ def _by_logs(
     seed: int,
     level: float,
     *,
+    against: list[str] | None,
     propensity: str,
     **chosen: Any,
 ) -> tuple[dict[str, Any], list[str]]:
@@ -99,10 +113,10 @@ def _by_logs(
         logs = read_logs(folder)
         begin(bar, "evaluate")
         spec = specification_of(stored, logs, **chosen)
-        settings: Any = {"propensity": propensity, "level": level, "random_state": seed}
+        settings: Any = {"against": against, "propensity": propensity, "level": level, "random_state": seed}
         answer = evaluated(stored.policy, logs, censoring=spec.censoring, q=spec.q, **settings)
         bar.update()
-    notes = [str(one.message) for one in caught if issubclass(one.category, HalfseenWarning)]
+    notes = [*answer.notes, *(str(one.message) for one in caught if issubclass(one.category, HalfseenWarning))]
     is_own = log_digest(logs) == stored.record["log"].get("sha256")
     if is_own:
         notes.insert(
@@ -117,17 +131,19 @@ def _by_world(
     stored: "StoredPolicy", clouds: Sequence[Path], episodes: int, seed: int, level: float
 ) -> tuple[dict[str, Any], list[str]]:
     from halfseen.errors import ArgumentError
-    from halfseen.evaluation.simulation import evaluate_in_world
+    from halfseen.evaluation.simulation import compare_in_world
+    from halfseen.study.policies import HEURISTICS
     from halfseen.world import WorldConfig
 
     if not stored.is_table:
         raise ArgumentError("the policy takes named actions, and the simulated world is one of tables; give --logs")
-    with progress(episodes, "play") as bar:
+    with progress(episodes * (1 + len(HEURISTICS)), "play") as bar:
         scenes = scenes_of(clouds)
         config = WorldConfig(horizon=stored.horizon)
         played: Callable[[int], object] = bar.update
-        answer = evaluate_in_world(
-            stored.policy, scenes, config, episodes=episodes, seed=seed, level=level, on_progress=played
+        heuristics = {each.label: each.policy(config) for each in HEURISTICS}
+        answer, beside = compare_in_world(
+            stored.policy, heuristics, scenes, config, episodes=episodes, seed=seed, level=level, on_progress=played
         )
     value = answer.value
     sentence = (
@@ -135,4 +151,17 @@ def _by_world(
         f"{answer.steps.value:.1f} steps and {answer.robot_s.value:.0f} s."
     )
     report = {"tables": [scene.name for scene in scenes], "episodes": episodes, "sentence": sentence, **asdict(answer)}
-    return report, [sentence, "", f"{episodes} episodes on {len(scenes)} tables of the simulated world"]
+    report["comparisons"] = [asdict(each) for each in beside]
+    return report, [
+        sentence,
+        "",
+        f"{episodes} episodes on {len(scenes)} tables of the simulated world; the same for the heuristics:",
+        "",
+        *aligned([("against", "value", "difference", "interval"), *(_beside(each) for each in beside)]),
+    ]
+
+
+def _beside(comparison: "WorldComparison") -> tuple[str, str, str, str]:
+    more = comparison.difference
+    interval = f"{more.low:+.3g} to {more.high:+.3g}"
+    return comparison.opponent, f"{comparison.value.value:.3g}", f"{more.value:+.3g}", interval

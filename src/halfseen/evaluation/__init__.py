@@ -1,7 +1,9 @@
 """The value of a policy before it runs: off-policy evaluation on logs of which paths were right-censored.
 
 Read it down: `targets` (what the policy would do) → `propensity` (what the logging policy did) → `ratios` (what each
-path stands for) → `fitted_q` (Q of the policy) → `doubly_robust` → `verdict`; `off_policy` puts them together.
+path stands for) → `fitted_q` (Q of the policy) → `doubly_robust` → `opponents` (what it is compared with),
+`logging_rule` (among them: the logging policy without its exploration) → `comparison` → `verdict`; `off_policy` puts
+them together.
 """
 
 from typing import TYPE_CHECKING
@@ -9,19 +11,23 @@ from typing import TYPE_CHECKING
 from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from halfseen.evaluation.comparison import Comparison
     from halfseen.evaluation.estimate import Estimate
     from halfseen.evaluation.evaluation import Evaluation
     from halfseen.evaluation.off_policy import QSpec, evaluate
+    from halfseen.evaluation.opponents import Opponent
     from halfseen.evaluation.targets import FixedSequence
 
-__all__ = ["Estimate", "Evaluation", "FixedSequence", "QSpec", "evaluate"]
+__all__ = ["Comparison", "Estimate", "Evaluation", "FixedSequence", "Opponent", "QSpec", "evaluate"]
 
 __getattr__ = lazy_names(
     __name__,
     {
+        "Comparison": "comparison",
         "Estimate": "estimate",
         "Evaluation": "evaluation",
         "FixedSequence": "targets",
+        "Opponent": "opponents",
         "QSpec": "off_policy",
         "evaluate": "off_policy",
     },

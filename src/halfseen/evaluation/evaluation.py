@@ -1,8 +1,10 @@
-"""What is known of a policy from a log: three estimates, the logging policy's own, and a verdict."""
+"""What is known of a policy from a log: three estimates, what its opponents earn, and a verdict."""
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from halfseen.evaluation.comparison import Comparison
 from halfseen.evaluation.estimate import Estimate
 from halfseen.evaluation.verdict import Verdict
 
@@ -22,17 +24,22 @@ class Evaluation:
     logging
         What the logging policy earns, had nothing been cut.
     difference
-        Doubly robust value less that of the logging policy, path by path.
+        Doubly robust value less that of the opponent that the verdict rests on, path by path; less that of the logging
+        policy where the log has not what this opponent does.
     verdict
-        ``"better"``, ``"not better"`` or ``"cannot be said"``.
+        ``"better"``: than every opponent; ``"not better"``: than some; or ``"cannot be said"``.
     reason
-        Why, in one sentence.
+        Why, in one sentence that names the opponent.
     support
         Of each stage, the share of the logged actions that the policy would take at all.
     num_paths
         Paths of the log.
     level
         Of the intervals.
+    comparisons
+        The policy against each opponent.
+    notes
+        How the logging policy without its exploration was found, or why it was not.
     """
 
     importance_sampling: Estimate
@@ -45,6 +52,8 @@ class Evaluation:
     support: tuple[float, ...]
     num_paths: int
     level: float
+    comparisons: tuple[Comparison, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Everything, ready for JSON."""
@@ -56,17 +65,36 @@ class Evaluation:
         return f"{self.verdict.capitalize()}: {self.reason}."
 
     def __str__(self) -> str:
+        interval = f"{self.level:.0%} interval"
         rows = {
             "doubly robust": self.doubly_robust,
             "importance sampling": self.importance_sampling,
             "fitted Q": self.fitted_q,
-            "logging policy": self.logging,
-            "difference": self.difference,
         }
-        head = f"{'':<20}{'value':>10}{f'{self.level:.0%} interval':>24}{'effective sample size':>23}"
-        return "\n".join([self.sentence, "", head, *(_line(name, each) for name, each in rows.items())])
+        head = ("", "value", interval, "effective sample size")
+        values = [head, *((name, *_cells(each), f"{each.effective_sample_size:.1f}") for name, each in rows.items())]
+        head = ("against", "value", interval, "difference", interval, "adjusted p", "verdict")
+        against = [head, *(_against(each) for each in self.comparisons)]
+        return "\n".join([self.sentence, "", *_aligned(values), "", *_aligned(against)])
 
 
-def _line(name: str, estimate: Estimate) -> str:
-    interval = f"{estimate.low:.4g} to {estimate.high:.4g}"
-    return f"{name:<20}{estimate.value:>10.4g}{interval:>24}{estimate.effective_sample_size:>23.1f}"
+def _cells(estimate: Estimate | None) -> tuple[str, str]:
+    if estimate is None:
+        return "", ""
+    return f"{estimate.value:.4g}", f"{estimate.low:.4g} to {estimate.high:.4g}"
+
+
+def _against(comparison: Comparison) -> tuple[str, ...]:
+    p = "" if comparison.adjusted_p is None else f"{comparison.adjusted_p:.2g}"
+    return (comparison.opponent, *_cells(comparison.value), *_cells(comparison.difference), p, comparison.verdict)
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(
+            cell.rjust(width) if k else cell.ljust(width)
+            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
+        )
+        for row in rows
+    ]

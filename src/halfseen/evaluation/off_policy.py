@@ -1,21 +1,32 @@
 """From a policy and a log to an `Evaluation`."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from halfseen.censoring import CensoringModel
 from halfseen.errors import ArgumentError
+from halfseen.evaluation.comparison import Contender, compared, deciding, joint_reason
 from halfseen.evaluation.doubly_robust import doubly_robust, held_out
 from halfseen.evaluation.estimate import around, check_level, estimate_of
 from halfseen.evaluation.evaluation import Evaluation
 from halfseen.evaluation.fitted_q import jackknifed, judged_by_folds
+from halfseen.evaluation.logging_rule import logging_rule
+from halfseen.evaluation.opponents import (
+    DEFAULT,
+    LOGGING,
+    LOGGING_RULE,
+    Opponent,
+    opponent_probabilities,
+    opponents_of,
+)
 from halfseen.evaluation.propensity import Propensity, check_propensity, estimated_propensity, logged_propensity
 from halfseen.evaluation.ratios import StageWeights, begun_weights, completed_weights, likelihood_ratios
 from halfseen.evaluation.targets import horizon_of, target_probabilities, task_of
-from halfseen.evaluation.verdict import verdict_of
+from halfseen.evaluation.verdict import why_unknown
 from halfseen.learners.q_learning.judging import Judged
 from halfseen.learners.q_learning.path_arrays import PathArrays
 from halfseen.learners.q_learning.q_model import QModel
@@ -50,6 +61,7 @@ def evaluate(
     policy: Any,
     logs: Logs,
     *,
+    against: Any = None,
     censoring: Targets | CensoringModel | str | None = None,
     q: QSpec | None = None,
     propensity: Propensity | str = "logged",
@@ -66,6 +78,11 @@ def evaluate(
         `FixedSequence`; for tables any deterministic `halfseen.world.Policy`, or one mixed with `UniformPolicy`.
     logs
         The log.
+    against
+        What the policy is compared with, one or a list (see `halfseen.evaluation.opponents.opponents_of`): the logging
+        policy (``"logging"``), the same without its exploration (``"logging-rule"``), a sequence, a rule, another
+        policy. ``"better"`` is better than each. None for the first two; the second is then left out where the log
+        does not show it.
     censoring
         What stands for what cuts took away, as for `CensoredQLearner`. With ``DoublyRobust(…)`` the value is doubly
         robust towards cuts, too; that needs the action of the stage in which a path was cut. None for
@@ -105,8 +122,9 @@ def evaluate(
         q or QSpec(),
         random_state,
     )
+    opponents = opponents_of(DEFAULT if against is None else against, logs)
     problem = _problem(policy, logs, model, propensity, np.random.default_rng([random_state, 1]), num_folds)
-    return _evaluation(problem, logs.horizon, level)
+    return _evaluation(problem, opponents, propensity == "logged", against is None, level)
 
 
 def default_targets(logs: Logs) -> Targets:
@@ -129,47 +147,100 @@ def q_model_of(policy: Any, logs: Logs, targets: Targets, q: QSpec, random_state
     )
 
 
-def _evaluation(problem: "_Problem", num_reached: int, level: float) -> Evaluation:
+def _evaluation(
+    problem: "_Problem", opponents: Sequence[Opponent], has_probability: bool, is_default: bool, level: float
+) -> Evaluation:
     num_paths = problem.paths.num_paths
-    size = problem.weights.effective_sample_size
-    own_size = problem.logging_weights.effective_sample_size
     by_ratio = estimate_of(
         problem.completed.influence(problem.paths.reward), problem.completed.effective_sample_size, level
     )
     judged = _judged(problem, problem.log)
     num_folds = int(problem.fold.max()) + 1
     values = doubly_robust(held_out(judged, problem.fold), problem.weights)
-    own = _logging_values(problem)
-    difference = estimate_of(values - own, size, level)
-    verdict, reason = verdict_of(difference, problem.support, num_reached, problem.unseen)
+    size = problem.weights.effective_sample_size
+    ours = Contender("the policy", values, size, _why_unknown("the policy", problem))
+    own = Contender(LOGGING, _logging_values(problem), problem.logging_weights.effective_sample_size)
+    theirs, notes = _contenders(opponents, own, problem, has_probability, is_default)
+    comparisons = compared(ours, theirs, level)
+    main = deciding(comparisons)
+    assert own.values is not None
     return Evaluation(
         importance_sampling=by_ratio,
         fitted_q=around(*jackknifed(judged.value[..., 0], problem.fold), num_paths, num_folds - 1, level),
         doubly_robust=estimate_of(values, size, level),
-        logging=estimate_of(own, own_size, level),
-        difference=difference,
-        verdict=verdict,
-        reason=reason,
-        support=tuple(map(float, problem.support[:num_reached])),
+        logging=estimate_of(own.values, own.effective_sample_size, level),
+        difference=main.difference or estimate_of(values - own.values, size, level),
+        verdict=main.verdict,
+        reason=joint_reason(comparisons),
+        support=tuple(map(float, problem.support)),
         num_paths=num_paths,
         level=level,
+        comparisons=comparisons,
+        notes=notes,
     )
 
 
-class _Problem(NamedTuple):
-    """A log, the policy's probabilities in it, and all weights."""
+def _contenders(
+    opponents: Sequence[Opponent], own: Contender, problem: "_Problem", has_probability: bool, is_default: bool
+) -> tuple[list[Contender], tuple[str, ...]]:
+    """What each path adds to the value of each opponent, and what is to be known of how that was found."""
+    contenders, notes = [], []
+    for name, policy in ((each.name, each.policy) for each in opponents):
+        if isinstance(policy, str) and policy == LOGGING:
+            contenders.append(own._replace(name=name))
+        elif isinstance(policy, str) and policy == LOGGING_RULE:
+            rule = logging_rule(problem.logs, problem.paths, problem.model.task, problem.fold, has_probability)
+            notes.append(f"{name}: {rule if isinstance(rule, str) else rule.note}")
+            if not isinstance(rule, str):
+                contenders.append(_contender(name, _following(problem, rule.probabilities, rule.is_taken)))
+            elif not is_default:
+                contenders.append(Contender(name, None, 0.0, rule))
+        else:
+            chances = opponent_probabilities(policy, name, problem.logs, problem.paths, problem.model.task)
+            is_unseen = isinstance(chances, str)
+            contenders.append(
+                Contender(name, None, 0.0, why_unknown(name, problem.support, 0.0, chances))
+                if is_unseen
+                else _contender(name, _following(problem, chances))
+            )
+    return contenders, tuple(notes)
 
+
+def _contender(name: str, problem: "_Problem") -> Contender:
+    judged = held_out(_judged(problem, problem.log), problem.fold)
+    # Where weight is put on the actions of the opponent alone, what they are worth is the value of the state. So it may
+    # stand for Q, and then the value is right even where the model of the opponent says another action.
+    judged = judged._replace(taken=judged.value) if problem.is_revealed else judged
+    values = doubly_robust(judged, problem.weights)
+    return Contender(name, values, problem.weights.effective_sample_size, _why_unknown(name, problem))
+
+
+def _why_unknown(who: str, problem: "_Problem") -> str | None:
+    return why_unknown(who, problem.support, problem.weights.effective_sample_size, problem.unseen)
+
+
+class _Problem(NamedTuple):
+    """A log, the probabilities of a policy in it, and all weights."""
+
+    logs: Logs
     paths: PathArrays
     log: Transitions
     model: QModel
     fold: np.ndarray
+    likely: Float[np.ndarray, "n T"]
+    """b(A_t | S_t)."""
+    uncut: Float[np.ndarray, "n T"]
+    """δ_t / Ĝ(U_t⁻)."""
     weights: StageWeights
     """Of the stages that have a target: begun ones if targets are imputed, else completed ones."""
     completed: StageWeights
     logging_weights: StageWeights
-    support: Float[np.ndarray, " T"]
+    support: Float[np.ndarray, " L"]
+    """Of the stages that the log holds."""
     unseen: str | None
     """An action that the policy takes and that the log never saw completed, in words."""
+    is_revealed: bool = False
+    """Whether the log itself says where the policy was followed."""
 
 
 def _problem(
@@ -182,7 +253,7 @@ def _problem(
             "were cut; choose 'kaplan-meier', 'cox' or 'kernel'"
         )
     probabilities = target_probabilities(policy, logs, paths, model.task)
-    log = model.transitions(paths)._replace(policy=probabilities)
+    log = model.transitions(paths)
     is_imputed = log.imputation is not None
     needed = (paths.is_begun if is_imputed else paths.is_completed) & paths.has_action
     if propensity == "logged":
@@ -190,20 +261,39 @@ def _problem(
     else:
         blocks = model.task.block_of_action(probabilities.shape[-1])
         likely = estimated_propensity(paths, needed, blocks, model.stages == "pooled")
-    ratio = likelihood_ratios(probabilities, likely, paths)
     uncut = paths.is_completed.astype(float) if model.cut_model is None else model.cut_model.weights(paths.clocks)
-    stage_weights = begun_weights if is_imputed else completed_weights
-    return _Problem(
-        paths=paths,
-        log=log,
-        model=model,
-        fold=rng.permutation(paths.num_paths) % num_folds,
-        weights=stage_weights(ratio, uncut, paths),
-        completed=completed_weights(ratio, uncut, paths),
-        logging_weights=stage_weights(np.ones_like(ratio), uncut, paths),
-        support=_support(probabilities, paths),
-        unseen=_unseen(probabilities, paths, model),
+    as_logged = (begun_weights if is_imputed else completed_weights)(np.ones_like(likely), uncut, paths)
+    fold = rng.permutation(paths.num_paths) % num_folds
+    unfollowed = _Problem(
+        logs, paths, log, model, fold, likely, uncut, as_logged, as_logged, as_logged, np.ones(logs.horizon), None
     )
+    return _following(unfollowed, probabilities)
+
+
+def _following(
+    problem: _Problem,
+    probabilities: Float[np.ndarray, "n T A"],
+    is_taken: Bool[np.ndarray, "n T"] | None = None,
+) -> _Problem:
+    """The same log, with another policy; `is_taken` is whether it takes the logged action, where the log says so."""
+    paths, log = problem.paths, problem.log._replace(policy=probabilities)
+    followed = probabilities if is_taken is None else _one_hot(paths) * is_taken[..., None]
+    ratio = likelihood_ratios(followed, problem.likely, paths)
+    stage_weights = completed_weights if log.imputation is None else begun_weights
+    return problem._replace(
+        log=log,
+        weights=stage_weights(ratio, problem.uncut, paths),
+        completed=completed_weights(ratio, problem.uncut, paths),
+        support=_support(followed, paths)[: problem.logs.horizon],
+        unseen=_unseen(probabilities, paths, problem.model),
+        is_revealed=is_taken is not None,
+    )
+
+
+def _one_hot(paths: PathArrays) -> Float[np.ndarray, "n T A"]:
+    """1 for the action that was logged."""
+    is_action = paths.action[..., None] == np.arange(paths.is_possible.shape[-1])
+    return (is_action & paths.is_begun[..., None]).astype(np.float64)
 
 
 def _support(probabilities: Float[np.ndarray, "n T A"], paths: PathArrays) -> Float[np.ndarray, " T"]:
@@ -238,7 +328,5 @@ def _logging_values(problem: _Problem) -> Float[np.ndarray, " n"]:
     """
     if problem.log.imputation is None:
         return problem.logging_weights.influence(problem.paths.reward)
-    actions = np.arange(problem.log.is_possible.shape[-1])
-    logged = (problem.paths.action[..., None] == actions) & problem.paths.is_begun[..., None]
-    judged = _judged(problem, problem.log._replace(policy=logged.astype(np.float64)))
+    judged = _judged(problem, problem.log._replace(policy=_one_hot(problem.paths)))
     return doubly_robust(held_out(judged, problem.fold), problem.logging_weights)

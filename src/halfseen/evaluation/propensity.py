@@ -82,6 +82,7 @@ def conditional_logit(
     is_possible: Bool[np.ndarray, "rows A"],
     taken: Int[np.ndarray, " rows"],
     blocks: Int[np.ndarray, " A"],
+    weight: Float[np.ndarray, " rows"] | None = None,
 ) -> Float[np.ndarray, "rows A"]:
     """Fit the choice of an action, and return how likely each was; 0 where not possible.
 
@@ -95,31 +96,49 @@ def conditional_logit(
         What was chosen.
     blocks
         Block of coefficients of each action.
+    weight
+        Of each row; those of weight 0 are not fitted to, and answered all the same. None for 1.
     """
     seen = features[is_possible]
     spread = seen.std(axis=0)
     scaled = np.where(is_possible[..., None], (features - seen.mean(axis=0)) / np.where(spread > 0, spread, 1.0), 0.0)
     design = np.concatenate([np.ones((*taken.shape, len(blocks), 1)), scaled], axis=-1)
+    weight = np.ones(len(taken)) if weight is None else weight
+    fitted = weight > 0
+    beta = _fitted_logit(design[fitted], is_possible[fitted], taken[fitted], blocks, weight[fitted])
+    utility = _utility(design, is_possible, beta, blocks)
+    return np.exp(utility - logsumexp(utility, axis=1, keepdims=True))
+
+
+def _utility(design: np.ndarray, is_possible: np.ndarray, beta: np.ndarray, blocks: np.ndarray) -> np.ndarray:
+    of_block = design @ beta.T
+    return np.where(is_possible, of_block[:, np.arange(len(blocks)), blocks], -np.inf)
+
+
+def _fitted_logit(
+    design: Float[np.ndarray, "rows A F"],
+    is_possible: Bool[np.ndarray, "rows A"],
+    taken: Int[np.ndarray, " rows"],
+    blocks: Int[np.ndarray, " A"],
+    weight: Float[np.ndarray, " rows"],
+) -> Float[np.ndarray, "K F"]:
+    """Coefficients of each block, the offset first."""
     membership = (np.arange(int(blocks.max()) + 1)[:, None] == blocks).astype(np.float64)
     row = np.arange(len(taken))
     shape = (len(membership), design.shape[-1])
 
-    def scores(beta: np.ndarray) -> np.ndarray:
-        utility = np.einsum("raf,af->ra", design, membership.T @ beta)
-        return np.where(is_possible, utility, -np.inf)
-
     def loss(flat: np.ndarray) -> tuple[float, np.ndarray]:
         beta = flat.reshape(shape)
-        utility = scores(beta)
+        utility = _utility(design, is_possible, beta, blocks)
         log_probability = utility - logsumexp(utility, axis=1, keepdims=True)
         miss = np.exp(log_probability)
         miss[row, taken] -= 1.0
-        slope = membership @ np.einsum("ra,raf->af", miss, design)
+        of_block = (membership[:, None] * (weight[:, None] * miss)).reshape(shape[0], -1)
+        slope = of_block @ design.reshape(-1, shape[1])
         penalty = beta.copy()
         penalty[:, 0] = 0.0
-        value = -log_probability[row, taken].sum() + 0.5 * RIDGE * float((penalty**2).sum())
+        value = -(weight * log_probability[row, taken]).sum() + 0.5 * RIDGE * float((penalty**2).sum())
         return value, (slope + RIDGE * penalty).ravel()
 
     fit = minimize(loss, np.zeros(shape[0] * shape[1]), jac=True, method="L-BFGS-B", options={"maxiter": 500})
-    utility = scores(fit.x.reshape(shape))
-    return np.exp(utility - logsumexp(utility, axis=1, keepdims=True))
+    return fit.x.reshape(shape)

@@ -1,11 +1,12 @@
-"""What a policy of tables earns in the simulated world, where nothing is cut and nothing has to be inferred."""
+"""What policies of tables earn in the simulated world, where nothing is cut and nothing has to be inferred."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from halfseen.errors import ArgumentError
 from halfseen.evaluation.estimate import Estimate, check_level, estimate_of
@@ -39,6 +40,25 @@ class WorldEvaluation:
     steps: Estimate
     robot_s: Estimate
     level: float
+
+
+@dataclass(frozen=True)
+class WorldComparison:
+    """A policy beside another one that met the same tables.
+
+    Parameters
+    ----------
+    opponent
+        Name of the other one.
+    value
+        Mean reward of its episodes.
+    difference
+        Of the policy's value from that, episode by episode.
+    """
+
+    opponent: str
+    value: Estimate
+    difference: Estimate
 
 
 def evaluate_in_world(
@@ -75,9 +95,59 @@ def evaluate_in_world(
     ArgumentError
         The policy decides nothing about tables, or `episodes` is below 2.
     """
+    return compare_in_world(
+        policy, {}, scenes, config, episodes=episodes, seed=seed, level=level, on_progress=on_progress
+    )[0]
+
+
+def compare_in_world(
+    policy: Any,
+    opponents: Mapping[str, Any],
+    scenes: Sequence[Scene],
+    config: WorldConfig,
+    *,
+    episodes: int = 10_000,
+    seed: int = 0,
+    level: float = 0.95,
+    on_progress: Callable[[int], object] = lambda done: None,
+) -> tuple[WorldEvaluation, tuple[WorldComparison, ...]]:
+    """Let a policy and others play the same tables.
+
+    Parameters
+    ----------
+    policy, scenes, config, episodes, seed, level, on_progress
+        As for `evaluate_in_world`; each policy plays all the episodes.
+    opponents
+        Policies by their names.
+
+    Raises
+    ------
+    ArgumentError
+        A policy decides nothing about tables, or `episodes` is below 2.
+    """
     check_level(level)
     if episodes < 2:
         raise ArgumentError(f"episodes is {episodes}; at least 2 are needed for an interval")
+    ours, *theirs = (
+        _played(each, scenes, config, episodes, seed, on_progress) for each in (policy, *opponents.values())
+    )
+    means = [estimate_of(column, episodes, level) for column in ours]
+    comparisons = (
+        WorldComparison(name, estimate_of(other[0], episodes, level), estimate_of(ours[0] - other[0], episodes, level))
+        for name, other in zip(opponents, theirs, strict=True)
+    )
+    return WorldEvaluation(*means, level=level), tuple(comparisons)
+
+
+def _played(
+    policy: Any,
+    scenes: Sequence[Scene],
+    config: WorldConfig,
+    episodes: int,
+    seed: int,
+    on_progress: Callable[[int], object],
+) -> Float[np.ndarray, "3 episodes"]:
+    """Reward, number of steps and robot time of each episode."""
     if not isinstance(policy, Policy):
         raise ArgumentError(f"{type(policy).__name__} decides nothing about tables, so there is no world to play it in")
     layouts, totals_of = pad_scenes(scenes), []
@@ -89,5 +159,4 @@ def evaluate_in_world(
             [np.asarray(leaf, dtype=np.float64) for leaf in (totals.reward, totals.num_steps, totals.robot_s)]
         )
         on_progress(num)
-    means = [estimate_of(column, episodes, level) for column in np.concatenate(totals_of, axis=1)]
-    return WorldEvaluation(*means, level=level)
+    return np.concatenate(totals_of, axis=1)

@@ -1,4 +1,4 @@
-"""Better than the logging policy, not better, or cannot be said; and why, in one plain sentence."""
+"""Better than an opponent, not better, or cannot be said; and why, in one plain sentence."""
 
 from typing import Literal
 
@@ -13,46 +13,65 @@ FEWEST_PATHS = 10.0
 """Below this effective sample size no interval is believed."""
 
 
+def why_unknown(
+    who: str, support: Float[np.ndarray, " T"], effective_sample_size: float, unseen: str | None = None
+) -> str | None:
+    """Say why a log tells nothing of what a policy earns; None if it does.
+
+    Parameters
+    ----------
+    who
+        The policy, or its opponent.
+    support
+        Of each stage that the log holds, the share of the logged actions that it would take at all.
+    effective_sample_size
+        Of the paths that follow it.
+    unseen
+        An action that it takes and that the log never saw completed.
+    """
+    if unseen is not None:
+        return (
+            f"{who} takes {unseen}, which no path of the log was seen to complete, so nothing is known of what it "
+            "brings; log some paths that take it, uniformly at random now and then"
+        )
+    lacking = np.flatnonzero(support == 0)
+    if len(lacking):
+        return (
+            f"no logged action of stage {lacking[0] + 1} is one that {who} would take; log some paths that take "
+            "them, uniformly at random now and then"
+        )
+    if effective_sample_size < FEWEST_PATHS:
+        return (
+            f"the effective sample size is {effective_sample_size:.1f} paths that follow {who}, and fewer than "
+            f"{FEWEST_PATHS:g} tell nothing; record more paths, or some of a logging policy that is closer to this one"
+        )
+    return None
+
+
 def verdict_of(
-    difference: Estimate, support: Float[np.ndarray, " T"], num_reached: int, unseen: str | None = None
+    difference: Estimate, opponent: str = "the logging policy", is_significant: bool = True
 ) -> tuple[Verdict, str]:
-    """Judge by the interval of the paired difference, where the log supports one.
+    """Judge by the interval of the paired difference.
 
     Parameters
     ----------
     difference
-        Value of the policy less that of the logging policy; its effective sample size is that of the policy's paths.
-    support
-        Of each stage, the share of the logged actions that the policy would take at all.
-    num_reached
-        Stages that the log holds.
-    unseen
-        An action that the policy takes and that the log never saw completed.
+        Value of the policy less that of the opponent.
+    opponent
+        Its name.
+    is_significant
+        Whether an interval without 0 still counts, given how many were looked at.
     """
-    if unseen is not None:
-        return "cannot be said", (
-            f"the policy takes {unseen}, which no path of the log was seen to complete, so nothing is known of what it "
-            "brings; log some paths that take it, uniformly at random now and then"
-        )
-    lacking = np.flatnonzero(support[:num_reached] == 0)
-    if len(lacking):
-        return "cannot be said", (
-            f"no logged action of stage {lacking[0] + 1} is one that the policy would take; log some paths that take "
-            "them, uniformly at random now and then"
-        )
-    paths = difference.effective_sample_size
-    if paths < FEWEST_PATHS:
-        return "cannot be said", (
-            f"the effective sample size is {paths:.1f} paths that follow the policy, and fewer than {FEWEST_PATHS:g} "
-            "tell nothing; record more paths, or some of a logging policy that is closer to this one"
-        )
     within = f"between {difference.low:.3g} and {difference.high:.3g}"
-    if difference.low > 0:
-        return "better", f"it earns {difference.value:.3g} more a path than the logging policy, {within}"
-    if difference.high <= 0:
+    if difference.low > 0 and is_significant:
+        return "better", f"it earns {difference.value:.3g} more a path than {opponent}, {within}"
+    if difference.high <= 0 and (is_significant or difference.standard_error == 0):
         less = f"{-difference.value:.3g} less a path than" if difference.value < 0 else "as much a path as"
-        return "not better", f"it earns {less} the logging policy, {within} more"
-    return "cannot be said", f"it earns {within} more a path than the logging policy; {_more_paths(difference)}"
+        return "not better", f"it earns {less} {opponent}, {within} more"
+    reason = f"it earns {within} more a path than {opponent}"
+    if difference.low > 0 or difference.high <= 0:
+        return "cannot be said", f"{reason}, which is not enough among so many opponents; name fewer"
+    return "cannot be said", f"{reason}; {_more_paths(difference)}"
 
 
 def _more_paths(difference: Estimate) -> str:

@@ -3,7 +3,7 @@
 Read down: `folder` (policies on disk) → `decision` (the port: what is asked, and what is answered) → `ranges` (what
 lies outside the logs), `reasons` (why) → `named_decider`, `table_decider`, `decider` (policies behind the port) →
 `observations` (files → what is decided from) → `shares` (what a policy does in the states of a log) → `learner_choice`
-(which learner suits a log).
+(which learner suits a log). `rule`, `rule_table`: rules of thumb as policies of named actions.
 """
 
 from typing import TYPE_CHECKING
@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from halfseen.policies.decision import Decider, Decision
     from halfseen.policies.folder import StoredPolicy, read_policy, write_policy
     from halfseen.policies.named_decider import NamedDecider, NamedObservation
+    from halfseen.policies.rule import Rule
+    from halfseen.policies.rule_table import RuleTable, read_rule_table
     from halfseen.policies.table_decider import TableDecider
 
 __all__ = [
@@ -22,10 +24,13 @@ __all__ = [
     "Decision",
     "NamedDecider",
     "NamedObservation",
+    "Rule",
+    "RuleTable",
     "StoredPolicy",
     "TableDecider",
     "decider_of",
     "read_policy",
+    "read_rule_table",
     "write_policy",
 ]
 
@@ -36,10 +41,13 @@ __getattr__ = lazy_names(
         "Decision": "decision",
         "NamedDecider": "named_decider",
         "NamedObservation": "named_decider",
+        "Rule": "rule",
+        "RuleTable": "rule_table",
         "StoredPolicy": "folder",
         "TableDecider": "table_decider",
         "decider_of": "decider",
         "read_policy": "folder",
+        "read_rule_table": "rule_table",
         "write_policy": "folder",
     },
 )

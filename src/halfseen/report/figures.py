@@ -1,5 +1,6 @@
 """The figures of the page: values, how long paths were watched, what the policy would do, and Q along covariates."""
 
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from halfseen.pages.axes import NARROW_INCHES, draw_grid
 from halfseen.pages.numbers import with_interval
 from halfseen.pages.palette import ALARM, FAINT, INK, LINES, OURS, SOFT, THEIRS
 from halfseen.report.log_findings import FINISHED_ROW, Watched
+from halfseen.report.opponents import gains_of, values_of
 from halfseen.report.policy_findings import QCurve
 
 BOUND_SPANS = 1.0
@@ -22,24 +24,28 @@ MOST_CURVES, LEGEND_COLUMNS = len(LINES), 5
 
 
 def draw_values(evaluation: Evaluation) -> Figure:
-    """Draw the values above, and below them the difference with a line at 0."""
-    figure = Figure(figsize=(NARROW_INCHES, 3.7))
-    values, gap = figure.subplots(2, 1, height_ratios=[4.0, 1.0])
+    """Draw the values above, and below them the differences with a line at 0."""
+    theirs, gains = values_of(evaluation), gains_of(evaluation)
+    figure = Figure(figsize=(NARROW_INCHES, 2.45 + 0.625 * (len(theirs) + len(gains))))
+    values, gap = figure.subplots(2, 1, height_ratios=[3.0 + len(theirs), float(len(gains))])
     figure.subplots_adjust(left=0.235, right=0.70, top=0.98, bottom=0.14, hspace=0.62)
     rows = {
-        "logging policy": (evaluation.logging, THEIRS, False),
+        **{fill(name, 18): (value, THEIRS, False) for name, value in theirs.items()},
         "learned, doubly robust": (evaluation.doubly_robust, OURS, True),
         "learned, importance\nsampling": (evaluation.importance_sampling, OURS, False),
         "learned, fitted Q": (evaluation.fitted_q, OURS, False),
     }
-    core = [evaluation.logging, evaluation.doubly_robust, evaluation.fitted_q]
+    core = [*theirs.values(), evaluation.doubly_robust, evaluation.fitted_q]
     _forest(values, rows, _limits(core, [evaluation.importance_sampling]))
     values.axvline(evaluation.logging.value, color=FAINT, lw=1.0, zorder=0)
     values.set_xlabel("mean reward of a path")
-    colour = VERDICT_COLOURS[evaluation.verdict]
-    _forest(gap, {"learned − logging": (evaluation.difference, colour, True)}, _limits([evaluation.difference], []))
+    told = {
+        fill(name, 20): (gain, VERDICT_COLOURS[verdict], gain is evaluation.difference)
+        for name, (gain, verdict) in gains.items()
+    }
+    _forest(gap, told, _limits([gain for gain, _ in gains.values()], []))
     gap.axvline(0.0, color=INK, lw=1.0, ls=(0, (4, 3)), zorder=0)
-    gap.set_xlabel("gain: reward of the learned policy over the logging policy's; dashed: no gain")
+    gap.set_xlabel("gain: reward of the learned policy over the other's; dashed: no gain")
     return figure
 
 

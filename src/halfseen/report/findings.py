@@ -107,7 +107,7 @@ def find(
         model={"propensity": propensity, **spec.as_dict(), **asked},
         log_sha256=digest,
         is_own_log=digest == stored.record["log"].get("sha256"),
-        notes=list(dict.fromkeys(str(one.message) for one in told if issubclass(one.category, HalfseenWarning))),
+        notes=[*evaluation.notes, *dict.fromkeys(str(each.message) for each in told if _is_ours(each.category))],
         seed=seed,
         versions={
             "halfseen": halfseen.__version__,
@@ -115,3 +115,7 @@ def find(
             **{name: version(name) for name in LIBRARIES},
         },
     )
+
+
+def _is_ours(category: type[Warning]) -> bool:
+    return issubclass(category, HalfseenWarning)

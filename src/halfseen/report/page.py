@@ -12,6 +12,7 @@ from halfseen.pages.sentences import as_sentence, counted, listed
 from halfseen.report import sentences
 from halfseen.report.figures import MOST_CURVES, draw_choices, draw_curves, draw_values, draw_watched, drawn_actions
 from halfseen.report.findings import Findings
+from halfseen.report.opponents import gains_of, values_of
 from halfseen.writing import write_file
 
 MARK = '<meta name="generator" content="halfseen report">'
@@ -78,6 +79,8 @@ def _content(findings: Findings, command: str) -> dict[str, Any]:
         "mark": MARK,
         "answer": answer,
         "remedy": remedy,
+        "theirs": tuple((name, each, "had nothing been cut") for name, each in values_of(evaluation).items()),
+        "gains": tuple((name, gain, "path by path") for name, (gain, _) in gains_of(evaluation).items()),
         "notes": sentences.notes(findings),
         "titles": titles,
         "figures": {name: inline_svg(figure_of, f"f-{name}", titles[name]) for name, figure_of in draw.items()},

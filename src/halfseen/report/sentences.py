@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from halfseen.evaluation import Evaluation
+from halfseen.evaluation.comparison import deciding
 from halfseen.pages.numbers import percent, significant, with_interval
 from halfseen.pages.sentences import as_sentence, listed
 from halfseen.report.findings import Findings
@@ -13,9 +14,9 @@ from halfseen.report.log_findings import Watched
 from halfseen.report.policy_findings import QCurve
 
 VERDICTS = {
-    "better": "The learned policy is better than the logging policy",
-    "not better": "The learned policy is not better than the logging policy",
-    "cannot be said": "Whether the learned policy is better than the logging policy cannot be said",
+    "better": "The learned policy is better than {}",
+    "not better": "The learned policy is not better than {}",
+    "cannot be said": "Whether the learned policy is better than {} cannot be said",
 }
 CENSORING_WORDS = {
     "kaplan-meier": "Kaplan–Meier",
@@ -36,7 +37,17 @@ FEWEST_WATCHED = 10
 def answer(evaluation: Evaluation) -> tuple[str, str]:
     """The verdict and why; and what to do about it, if there is something."""
     why, _, remedy = evaluation.reason.partition("; ")
-    return f"{VERDICTS[evaluation.verdict]}: {why}.", as_sentence(remedy) if remedy else ""
+    answered = VERDICTS[evaluation.verdict].format(_opponents(evaluation))
+    return f"{answered}: {why}.", as_sentence(remedy) if remedy else ""
+
+
+def _opponents(evaluation: Evaluation) -> str:
+    """All that it is better than; else the one that stands in the way."""
+    if not evaluation.comparisons:
+        return "the logging policy"
+    if evaluation.verdict == "better":
+        return listed([each.opponent for each in evaluation.comparisons])
+    return deciding(evaluation.comparisons).opponent
 
 
 def values_title(evaluation: Evaluation) -> str:

@@ -1,0 +1,164 @@
+"""A policy beside each of its opponents, by paired differences, and one verdict over all of them.
+
+What a path adds to the value of the policy and what it adds to that of an opponent share its luck, so their difference
+path by path has a much narrower interval than the two values.
+
+*Better than all* is an intersection–union test [Berger1982]_: each of the paired differences has to be significant at
+the level itself, and no correction is due, for the claim is wrong only if one of them is, which errs at the level. So
+the strongest opponent may be found on the same log. What is said of each opponent alone is another matter: of several
+true nulls one may look false by chance. Those verdicts rest on p-values that are adjusted by Hochberg's step-up
+[Hochberg1988]_: its first step is that very test, so the two cannot contradict each other. For two opponents
+it holds whatever the correlation of two normal differences; for more it needs one that is not negative, and the luck of
+the policy, which all differences share, makes for that.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy import stats
+
+from halfseen.evaluation.estimate import Estimate, estimate_of
+from halfseen.evaluation.verdict import Verdict, verdict_of
+
+
+class Contender(NamedTuple):
+    """What a log knows of what a policy earns."""
+
+    name: str
+    values: Float[np.ndarray, " n"] | None
+    """What each path adds to it; None where the log has no such action."""
+    effective_sample_size: float
+    why_unknown: str | None = None
+    """Why nothing is to be believed, if so."""
+
+
+SEVERITY: dict[Verdict, int] = {"not better": 0, "cannot be said": 1, "better": 2}
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A policy against one opponent.
+
+    Parameters
+    ----------
+    opponent
+        In plain words.
+    value
+        What it earns, doubly robust; None where the log has no such action.
+    difference
+        Value of the policy less that of the opponent, path by path; None where that of the opponent is.
+    p
+        Of the difference being 0, two-sided; None where no interval is to be believed.
+    adjusted_p
+        The same among all opponents (Hochberg).
+    verdict
+        ``"better"``, ``"not better"`` or ``"cannot be said"``, by the adjusted p-value.
+    reason
+        Why, in one sentence.
+    """
+
+    opponent: str
+    value: Estimate | None
+    difference: Estimate | None
+    p: float | None
+    adjusted_p: float | None
+    verdict: Verdict
+    reason: str
+
+
+def compared(ours: Contender, theirs: Sequence[Contender], level: float) -> tuple[Comparison, ...]:
+    """Compare a policy with its opponents.
+
+    Parameters
+    ----------
+    ours, theirs
+        The policy, and its opponents.
+    level
+        Of the intervals, and of the verdicts.
+    """
+    differences = [_difference(ours, each, level) for each in theirs]
+    p = [_believed_p(ours, each, difference) for each, difference in zip(theirs, differences, strict=True)]
+    adjusted = iter(hochberg(np.array([each for each in p if each is not None])))
+    adjusted_p = [None if each is None else float(next(adjusted)) for each in p]
+    return tuple(_comparison(ours, *each, level) for each in zip(theirs, differences, p, adjusted_p, strict=True))
+
+
+def _difference(ours: Contender, opponent: Contender, level: float) -> Estimate | None:
+    if ours.values is None or opponent.values is None:
+        return None
+    size = min(ours.effective_sample_size, opponent.effective_sample_size)
+    return estimate_of(ours.values - opponent.values, size, level)
+
+
+def _believed_p(ours: Contender, opponent: Contender, difference: Estimate | None) -> float | None:
+    is_unknown = difference is None or ours.why_unknown or opponent.why_unknown
+    return None if difference is None or is_unknown else p_value(difference)
+
+
+def _comparison(
+    ours: Contender,
+    opponent: Contender,
+    difference: Estimate | None,
+    p: float | None,
+    adjusted_p: float | None,
+    level: float,
+) -> Comparison:
+    if difference is None or adjusted_p is None:
+        why = ours.why_unknown or opponent.why_unknown
+        verdict, reason = "cannot be said", why or f"nothing is known of what {opponent.name} earns"
+    else:
+        verdict, reason = verdict_of(difference, opponent.name, adjusted_p <= 1.0 - level)
+    values, size = opponent.values, opponent.effective_sample_size
+    value = None if values is None else estimate_of(values, size, level)
+    return Comparison(opponent.name, value, difference, p, adjusted_p, verdict, reason)
+
+
+def p_value(difference: Estimate) -> float:
+    """Two-sided, by the same t distribution as its interval; 1 for a policy that differs in nothing."""
+    if difference.standard_error == 0.0:
+        return float(difference.value == 0.0)
+    freedom = max(difference.effective_sample_size - 1.0, 1.0)
+    return float(2.0 * stats.t.sf(abs(difference.value) / difference.standard_error, freedom))
+
+
+def hochberg(p: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+    """Adjusted p-values: of the k-th largest k·p, or that of a larger one if that is less [Hochberg1988]_.
+
+    Examples
+    --------
+    >>> hochberg(np.array([0.01, 0.04]))
+    array([0.02, 0.04])
+    """
+    down = np.argsort(-p, kind="stable")
+    adjusted = np.empty_like(p)
+    adjusted[down] = np.minimum.accumulate(np.arange(1, len(p) + 1) * p[down])
+    return adjusted
+
+
+def deciding(comparisons: Sequence[Comparison]) -> Comparison:
+    """The one that the verdict over all rests on: the least favourable, then that of the lowest interval."""
+
+    def least(comparison: Comparison) -> tuple[int, float]:
+        low = -np.inf if comparison.difference is None else comparison.difference.low
+        return SEVERITY[comparison.verdict], low
+
+    return min(comparisons, key=least)
+
+
+def joint_reason(comparisons: Sequence[Comparison]) -> str:
+    """Why the verdict over all is what it is, in one sentence that names the opponents."""
+    main = deciding(comparisons)
+    beaten = [each for each in comparisons if each is not main and each.verdict == "better"]
+    why, semicolon, remedy = main.reason.partition("; ")
+    if not beaten:
+        return main.reason
+    others = " and ".join(f"{_more(each)} than {each.opponent}" for each in beaten)
+    return f"{why}, {'and' if main.verdict == 'better' else 'though'} {others}{semicolon}{remedy}"
+
+
+def _more(comparison: Comparison) -> str:
+    assert comparison.difference is not None
+    return f"{comparison.difference.value:.3g} more"

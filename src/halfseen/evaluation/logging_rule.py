@@ -1,0 +1,207 @@
+"""The logging policy without its exploration: its most probable action in each state, from the log alone.
+
+A log holds the probability of the action that was *taken*, b(A | S), and of no other. It says two things of the rule
+a*(S) = argmax_a b(a | S).
+
+* Was it taken? Where b(A | S) > ½, A is the rule's action, for all others are less likely. If in every state some
+  action has more than ½, then b(A | S) ≤ ½ means that A is not. That can be checked: E[1{b(A | S) > ½} / b(A | S)] is
+  the share of states that have such an action. Where it is 1, the likelihood ratio of the rule,
+  1{A = a*(S)} / b(A | S), is known without any model (*revealed*).
+* What would it have been? That takes a model of the actions: it is fitted with weights b(A | S)⁴. Under them an action
+  has on average b(a | S)⁵ of the votes of a state, which is largest for the same action, and has far less noise.
+
+Each path is judged by a model that was fitted without it; one that knew a path's own actions would follow it too often.
+"""
+
+import warnings
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from sklearn.ensemble import RandomForestClassifier
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.linear_model import LogisticRegression
+from sklearn.pipeline import Pipeline
+from sklearn.preprocessing import PolynomialFeatures, StandardScaler
+
+from halfseen.evaluation.propensity import conditional_logit
+from halfseen.learners.q_learning.named_actions import NamedActions
+from halfseen.learners.q_learning.path_arrays import PathArrays, stage_places
+from halfseen.learners.q_learning.task import Task
+from halfseen.logs import Logs
+
+NAME = "the logging policy without its exploration"
+POWER = 4
+"""Of the logged probability, in the weights."""
+NUM_FOLDS = 5
+LEAST_WEIGHT = 1e-3
+"""Rows that weigh less than this share of the heaviest are left out: they have no say, and take as long."""
+NUM_TREES, LEAF_SIZE = 20, 3
+
+Choice = Callable[[Float[np.ndarray, " rows"]], Int[np.ndarray, " rows"]]
+"""Weights of the rows to fit to → the most probable action of every row."""
+
+
+class LoggingRule(NamedTuple):
+    """The rule, in the states of the log."""
+
+    probabilities: Float[np.ndarray, "n T A"]
+    """1 for its action, by a model that was fitted without the path."""
+    is_taken: Bool[np.ndarray, "n T"] | None
+    """Whether the logged action is its own, where the logged probabilities reveal that; else None."""
+    note: str
+    """How it was found, and how well, in a sentence."""
+
+
+def logging_rule(
+    logs: Logs, paths: PathArrays, task: Task, fold: Int[np.ndarray, " n"], has_probability: bool
+) -> LoggingRule | str:
+    """Find the rule behind the logged actions, or say why there is none.
+
+    Parameters
+    ----------
+    logs, paths
+        The log, and the same laid out.
+    task
+        Names the actions.
+    fold
+        Of each path.
+    has_probability
+        Whether the logged probabilities are to be believed; else the actions alone tell of the rule.
+    """
+    begun = paths.is_begun
+    likely = _logged_probability(paths, has_probability)
+    known, taken = likely > 0, paths.action[begun]
+    row_fold = np.broadcast_to(fold[:, None] % NUM_FOLDS, begun.shape)[begun]
+    guess = _best_guess(_choices(logs, paths, task), taken, _vote_weights(likely), row_fold)
+    probabilities = np.zeros(paths.is_possible.shape)
+    probabilities[begun] = guess[:, None] == np.arange(paths.is_possible.shape[-1])
+    is_right = guess == taken
+    if has_probability and _is_revealed(likely[known]):
+        is_taken = np.zeros(begun.shape, dtype=bool)
+        is_taken[begun] = likely > 0.5
+        return LoggingRule(probabilities, is_taken, _revealed_note(is_right[likely > 0.5]))
+    chance = float((1.0 / paths.is_possible[begun][known].sum(axis=1)).mean())
+    if not _is_above(is_right[known], chance):
+        return (
+            f"the log shows no rule: what seems its most probable action was taken in {is_right[known].mean():.0%} of "
+            f"the stages, and would be by chance in {chance:.0%}"
+        )
+    return LoggingRule(probabilities, None, _estimated_note(is_right[known]))
+
+
+def _logged_probability(paths: PathArrays, has_probability: bool) -> Float[np.ndarray, " rows"]:
+    """b(A | S) of each begun stage, 0 where the action or its probability is not known; 1 if none is believed."""
+    known, logged = paths.has_action[paths.is_begun], paths.probability[paths.is_begun]
+    return np.where(known, np.nan_to_num(logged) if has_probability else 1.0, 0.0)
+
+
+def _vote_weights(likely: Float[np.ndarray, " rows"]) -> Float[np.ndarray, " rows"]:
+    weight = likely**POWER
+    kept = np.where(weight > LEAST_WEIGHT * weight.max(), weight, 0.0)
+    return kept / kept[kept > 0].mean()
+
+
+def _is_revealed(likely: Float[np.ndarray, " rows"]) -> bool:
+    """Whether, as far as chance allows to tell, every state has an action of more than ½."""
+    share = np.where(likely > 0.5, 1.0 / likely, 0.0)
+    return bool(share.any() and share.mean() >= 1.0 - 2.0 * share.std() / np.sqrt(len(share)))
+
+
+def _is_above(is_right: Bool[np.ndarray, " rows"], chance: float) -> bool:
+    share = is_right.mean()
+    return bool(share - chance > 2.0 * np.sqrt(share * (1.0 - share) / len(is_right)))
+
+
+def _revealed_note(is_right: Bool[np.ndarray, " rows"]) -> str:
+    return (
+        "where it was followed the log says, by probabilities above one half; what it would do elsewhere a model of "
+        f"the actions says, which was right in {is_right.mean():.0%} of {len(is_right)} stages where that can be "
+        "checked"
+    )
+
+
+def _estimated_note(is_right: Bool[np.ndarray, " rows"]) -> str:
+    return (
+        "the log does not reveal it, so it is what a model of the actions takes for the most probable one; that was "
+        f"taken in {is_right.mean():.0%} of {len(is_right)} stages, and how often the model is right cannot be checked"
+    )
+
+
+def _best_guess(
+    choices: Sequence[Choice],
+    taken: Int[np.ndarray, " rows"],
+    weight: Float[np.ndarray, " rows"],
+    fold: Int[np.ndarray, " rows"],
+) -> Int[np.ndarray, " rows"]:
+    """The rule's action of every stage, by the model that agrees best with stages that it was not fitted to."""
+    guesses = [_held_out(choice, weight, fold) for choice in choices]
+    return max(guesses, key=lambda guess: float(weight[guess == taken].sum()))
+
+
+def _held_out(
+    choice: Choice, weight: Float[np.ndarray, " rows"], fold: Int[np.ndarray, " rows"]
+) -> Int[np.ndarray, " rows"]:
+    guess = np.zeros(len(fold), dtype=np.int64)
+    for k in np.unique(fold):
+        guess[fold == k] = choice(np.where(fold == k, 0.0, weight))[fold == k]
+    return guess
+
+
+def _choices(logs: Logs, paths: PathArrays, task: Task) -> list[Choice]:
+    """What may have been the shape of the rule: thresholds, or smooth borders; on a table, what Q looks at."""
+    begun = paths.is_begun
+    taken = paths.action[begun]
+    if not isinstance(task, NamedActions):
+        features, is_possible = paths.features[begun], paths.is_possible[begun]
+        blocks = task.block_of_action(is_possible.shape[1])
+        return [lambda weight: conditional_logit(features, is_possible, taken, blocks, weight).argmax(axis=1)]
+    states, stage = _states(logs, paths), np.nonzero(begun)[1]
+    was_taken = np.zeros(paths.is_possible.shape[1:], dtype=bool)
+    was_taken[stage[paths.has_action[begun]], taken[paths.has_action[begun]]] = True
+    possible = was_taken[stage]
+    return [
+        lambda weight, each=each: _likeliest(each(), states, taken, weight, possible) for each in (_forest, _quadratic)
+    ]
+
+
+def _states(logs: Logs, paths: PathArrays) -> Float[np.ndarray, "rows F"]:
+    """Covariates that are numbers, and the stage; in the order of paths and their stages."""
+    numbers = logs.stages[logs.stage_covariates].select_dtypes(["number", "bool"]).assign(stage=logs.stages["stage"])
+    spread = np.zeros((*paths.is_begun.shape, numbers.shape[1]))
+    spread[stage_places(logs)] = numbers.to_numpy(dtype=np.float64)
+    return spread[paths.is_begun]
+
+
+def _forest() -> RandomForestClassifier:
+    every: Any = None
+    return RandomForestClassifier(NUM_TREES, min_samples_leaf=LEAF_SIZE, max_features=every, random_state=0)
+
+
+def _quadratic() -> Pipeline:
+    logit = LogisticRegression(C=10.0, tol=1e-3, max_iter=200)
+    return Pipeline([("scale", StandardScaler()), ("square", PolynomialFeatures(2)), ("logit", logit)])
+
+
+def _likeliest(
+    model: Any,
+    states: Float[np.ndarray, "rows F"],
+    taken: Int[np.ndarray, " rows"],
+    weight: Float[np.ndarray, " rows"],
+    possible: Bool[np.ndarray, "rows A"],
+) -> Int[np.ndarray, " rows"]:
+    """Fit a classifier, and take the action that it thinks most probable of those that are possible."""
+    rows = weight > 0
+    kinds = np.unique(taken[rows])
+    chances = np.zeros(possible.shape)
+    if len(kinds) == 1:
+        chances[:, kinds] = 1.0
+    else:
+        last = f"{model.steps[-1][0]}__" if isinstance(model, Pipeline) else ""
+        with warnings.catch_warnings():
+            # A rule without noise has a border that can be ever steeper; where it lies is found long before that ends.
+            warnings.simplefilter("ignore", ConvergenceWarning)
+            fitted = model.fit(states[rows], taken[rows], **{f"{last}sample_weight": weight[rows]})
+        chances[:, kinds] = fitted.predict_proba(states)
+    return np.where(possible, chances, -1.0).argmax(axis=1)

@@ -1,0 +1,179 @@
+"""What a policy is compared with: the logging policy, with and without its exploration, sequences, rules, others."""
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from halfseen.errors import ArgumentError
+from halfseen.evaluation.logging_rule import NAME as LOGGING_RULE_NAME
+from halfseen.evaluation.targets import FixedSequence, horizon_of, target_probabilities
+from halfseen.learners.q_learning.flat_policy import NamedActionPolicy
+from halfseen.learners.q_learning.named_actions import NamedActions
+from halfseen.learners.q_learning.path_arrays import PathArrays
+from halfseen.learners.q_learning.task import Task
+from halfseen.logs import Logs
+from halfseen.policies.folder import read_policy
+from halfseen.policies.rule import Rule
+from halfseen.policies.rule_table import read_rule_table
+
+LOGGING, LOGGING_RULE = "logging", "logging-rule"
+"""The logging policy as it was, and what it does where it does not explore."""
+DEFAULT = (LOGGING, LOGGING_RULE)
+SEQUENCE = "sequence:"
+
+
+@dataclass(frozen=True)
+class Opponent:
+    """What a policy is compared with.
+
+    Parameters
+    ----------
+    policy
+        ``"logging"``, ``"logging-rule"``, or anything that `evaluate` takes for a policy.
+    name
+        In plain words, as in "better than …".
+    """
+
+    policy: Any
+    name: str
+
+
+def opponents_of(against: Any, logs: Logs) -> tuple[Opponent, ...]:
+    """Understand what `evaluate` is given to compare a policy with.
+
+    Parameters
+    ----------
+    against
+        One, or a list of: ``"logging"``, ``"logging-rule"``; an `Opponent` with a name of its own; a policy; a function
+        of covariates and stage that names an action for each row; a text ``"sequence:A,B,A"``; or a path of a CSV or
+        TOML rule, or of a policy folder.
+    logs
+        The log that the comparison rests on.
+
+    Raises
+    ------
+    ArgumentError
+        One is none of these, there are none, or two have the same name.
+    """
+    given = list(against) if isinstance(against, list | tuple) else [against]
+    if not given:
+        raise ArgumentError("against is empty; give at least one opponent, or None for the logging policy")
+    opponents = tuple(_opponent(each, logs) for each in given)
+    names = [opponent.name for opponent in opponents]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice:
+        raise ArgumentError(
+            f"against names {twice} twice; name it once, or tell them apart with Opponent(policy, name)"
+        )
+    return opponents
+
+
+def _opponent(given: Any, logs: Logs) -> Opponent:
+    if isinstance(given, Opponent):
+        return given
+    if isinstance(given, str | Path):
+        return _written_opponent(str(given), logs)
+    if isinstance(given, FixedSequence):
+        return Opponent(given, _sequence_name(given))
+    if callable(given) and not hasattr(given, "probabilities") and not hasattr(given, "decide"):
+        return Opponent(_rule_of(given, logs), f"the rule {getattr(given, '__name__', type(given).__name__)}")
+    return Opponent(given, f"the {type(given).__name__}")
+
+
+def _written_opponent(text: str, logs: Logs) -> Opponent:
+    if text == LOGGING:
+        return Opponent(LOGGING, "the logging policy")
+    if text == LOGGING_RULE:
+        return Opponent(LOGGING_RULE, LOGGING_RULE_NAME)
+    if text.startswith(SEQUENCE):
+        return _written_sequence(text, logs)
+    path = Path(text)
+    if path.suffix.lower() in (".csv", ".toml"):
+        return Opponent(read_rule_table(path, logs.horizon, _logged_actions(logs)), f"the rule {path.name}")
+    if path.is_dir():
+        return Opponent(read_policy(path).policy, f"the policy {path.name}")
+    raise ArgumentError(
+        f"against is {text!r}; it is {LOGGING}, {LOGGING_RULE}, {SEQUENCE}A,B,A, a file with a rule (.csv or .toml), "
+        "or a policy folder"
+    )
+
+
+def _written_sequence(text: str, logs: Logs) -> Opponent:
+    known = {str(name): name for name in _logged_actions(logs)}
+    names = [name.strip() for name in text.removeprefix(SEQUENCE).split(",")]
+    if not all(names):
+        raise ArgumentError(f"against is {text!r}; name an action for each stage, as {SEQUENCE}A,B,A")
+    sequence = FixedSequence(tuple(known.get(name, name) for name in names))
+    return Opponent(sequence, _sequence_name(sequence))
+
+
+def _sequence_name(sequence: FixedSequence) -> str:
+    return f"the sequence {', '.join(map(str, sequence.sequence))}"
+
+
+def _logged_actions(logs: Logs) -> list[Hashable]:
+    return logs.stages["action"].dropna().unique().tolist()
+
+
+def _rule_of(decide: Any, logs: Logs) -> Rule:
+    taken = [np.asarray(decide(frame, stage), dtype=object).ravel() for stage, frame in _stages(logs)]
+    return Rule(decide, tuple(dict.fromkeys(name for names in taken for name in names)), logs.horizon)
+
+
+def _stages(logs: Logs) -> Sequence[tuple[int, Any]]:
+    return [(int(stage), frame) for stage, frame in logs.stages.groupby("stage")]  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class _KnownActions:
+    """A policy less the actions that the task does not have, and that it takes nowhere in the log."""
+
+    policy: Any
+    actions: tuple[Hashable, ...]
+    horizon: int
+
+    def probabilities(self, frame: Any, stage: int) -> Float[np.ndarray, "m A"]:
+        column = [self.policy.actions.index(name) for name in self.actions]
+        return np.asarray(self.policy.probabilities(frame, stage))[:, column]
+
+
+def opponent_probabilities(
+    policy: Any, name: str, logs: Logs, paths: PathArrays, task: Task
+) -> Float[np.ndarray, "n T A"] | str:
+    """π(a | S_t) of an opponent in every begun stage; or in words, the action that it takes and the log has not.
+
+    Raises
+    ------
+    ArgumentError
+        It is no policy of such a log, or has fewer stages than the log.
+    """
+    horizon = paths.action.shape[1]
+    own = horizon_of(policy, horizon)
+    if own < (logs.horizon if isinstance(task, NamedActions) else horizon):
+        raise ArgumentError(f"against: {name} is for {own} stage(s), and a path has up to {logs.horizon}; add some")
+    if isinstance(task, NamedActions):
+        if not isinstance(policy, NamedActionPolicy):
+            raise ArgumentError(f"against: {name} decides nothing about named actions, which the log is of")
+        unknown = _unknown_action(policy, logs, task)
+        if unknown is not None:
+            return unknown
+        kept = tuple(name for name in policy.actions if name in task.names)
+        policy = _KnownActions(policy, kept, own)
+    elif isinstance(policy, NamedActionPolicy):
+        raise ArgumentError(f"against: {name} decides nothing about tables of objects, which the log is of")
+    return target_probabilities(policy, logs, paths, task)
+
+
+def _unknown_action(policy: NamedActionPolicy, logs: Logs, task: NamedActions) -> str | None:
+    """The first action that it takes in a stage where the task has none of that name."""
+    for stage, frame in _stages(logs):
+        possible = [name for name, is_it in zip(task.names, task.possible(stage), strict=True) if is_it]
+        taken = np.asarray(policy.probabilities(frame, stage)).max(axis=0) > 0
+        for name, is_taken in zip(policy.actions, taken, strict=True):
+            if is_taken and name not in possible:
+                return f"{name} in stage {stage}"
+    return None

@@ -1,0 +1,258 @@
+"""Rules of thumb as a table: rows of conditions and an action, of which the first that matches wins.
+
+As CSV, an empty cell asks nothing::
+
+    stage,weight_kg,shine,action
+    > 2,,,hand over
+    ,> 1.5,,parallel
+    ,,> 0.5,suction
+    ,,,soft
+
+As TOML the same is::
+
+    [[rule]]
+    when = { stage = "> 2" }
+    action = "hand over"
+
+    [[rule]]
+    action = "soft"
+
+A condition is a value, or ``<``, ``<=``, ``>``, ``>=``, ``=`` or ``!=`` and a value; several are joined by ``and``. The
+last row asks nothing, so every state matches one.
+"""
+
+import csv
+import operator
+import tomllib
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Bool, Float
+from pandas.api.types import is_numeric_dtype
+
+from halfseen.errors import ArgumentError, LogError
+
+STAGE, ACTION = "stage", "action"
+COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
+    "<=": operator.le,
+    ">=": operator.ge,
+    "!=": operator.ne,
+    "<": operator.lt,
+    ">": operator.gt,
+    "=": operator.eq,
+}
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What a row asks of one column.
+
+    Parameters
+    ----------
+    column
+        A covariate, or ``stage``.
+    sign
+        ``<``, ``<=``, ``>``, ``>=``, ``=`` or ``!=``.
+    value
+        What the column is compared with; a number, or a text for ``=`` and ``!=``.
+    """
+
+    column: str
+    sign: str
+    value: float | str
+
+    def holds(self, frame: pd.DataFrame, stage: int) -> Bool[np.ndarray, " m"]:
+        """Whether it holds, for each row of covariates.
+
+        Raises
+        ------
+        ArgumentError
+            There is no such column, or it holds texts where numbers are asked for, or the other way round.
+        LogError
+            A covariate is null.
+        """
+        given = pd.Series(stage, index=frame.index) if self.column == STAGE else self._column(frame)
+        return np.asarray(COMPARISONS[self.sign](given, self.value), dtype=bool)
+
+    def _column(self, frame: pd.DataFrame) -> Any:
+        if self.column not in frame.columns:
+            known = ", ".join(map(str, frame.columns))
+            raise ArgumentError(f"the rule asks for {self.column!r}, and the log has none; there are {known}")
+        given: Any = frame[self.column]
+        is_number = is_numeric_dtype(given.dtype)
+        if is_number == isinstance(self.value, str):
+            told = f"{self.column} {self.sign} {self.value}"
+            raise ArgumentError(
+                f"the rule asks for {told}, and {self.column} holds {'' if is_number else 'no '}numbers"
+            )
+        if given.isna().any():
+            row: Any = frame[given.isna()].iloc[0]
+            where = ", ".join(f"{name} {row[name]}" for name in ("path", STAGE) if name in frame.columns)
+            raise LogError(f"{where or 'a row'}: {self.column!r} is null, and the rule asks for it; fill it in")
+        return given if is_number else given.astype(str)
+
+
+@dataclass(frozen=True)
+class RuleRow:
+    """An action, and what has to hold for it.
+
+    Parameters
+    ----------
+    conditions
+        All of them; none for what always holds.
+    action
+        Name of the action.
+    """
+
+    conditions: tuple[Condition, ...]
+    action: Hashable
+
+
+@dataclass(frozen=True)
+class RuleTable:
+    """Takes the action of the first row whose conditions hold (a `NamedActionPolicy`).
+
+    Parameters
+    ----------
+    rows
+        In the order in which they are tried; the last, and no other, asks nothing.
+    horizon
+        Number T of stages.
+
+    Raises
+    ------
+    ArgumentError
+        There are no rows, the last one has conditions, or another has none.
+
+    Examples
+    --------
+    >>> heavy = RuleRow((Condition("weight_kg", ">", 1.5),), "parallel")
+    >>> rule = RuleTable((heavy, RuleRow((), "soft")), horizon=1)
+    >>> rule.actions, rule.probabilities(pd.DataFrame({"weight_kg": [2.0, 1.0]}), stage=1)
+    (('parallel', 'soft'), array([[1., 0.],
+           [0., 1.]]))
+    """
+
+    rows: tuple[RuleRow, ...]
+    horizon: int
+
+    def __post_init__(self) -> None:
+        if not self.rows:
+            raise ArgumentError("the rule has no rows; give at least one, with an action")
+        if self.rows[-1].conditions:
+            raise ArgumentError(
+                "the last row has conditions, so a state may match none; end with one that asks nothing"
+            )
+        always = next(k for k, row in enumerate(self.rows, start=1) if not row.conditions)
+        if always < len(self.rows):
+            raise ArgumentError(f"row {always} asks nothing, so those below it are never tried; put it last")
+
+    @property
+    def actions(self) -> tuple[Hashable, ...]:
+        """Names, in the order in which they first appear."""
+        return tuple(dict.fromkeys(row.action for row in self.rows))
+
+    def probabilities(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
+        """1 for the action of the first row that matches."""
+        matches = [self._matches(row, frame, stage) for row in self.rows]
+        code = np.array([self.actions.index(row.action) for row in self.rows])[np.argmax(matches, axis=0)]
+        return (code[:, None] == np.arange(len(self.actions))).astype(np.float64)
+
+    @staticmethod
+    def _matches(row: RuleRow, frame: pd.DataFrame, stage: int) -> Bool[np.ndarray, " m"]:
+        held = [condition.holds(frame, stage) for condition in row.conditions]
+        return np.all([np.ones(len(frame), dtype=bool), *held], axis=0)
+
+
+def read_rule_table(path: str | Path, horizon: int, names: Sequence[Hashable] = ()) -> RuleTable:
+    """Read a rule from a CSV or TOML file.
+
+    Parameters
+    ----------
+    path
+        The file; its ending says which of the two it is.
+    horizon
+        Number T of stages.
+    names
+        Actions as the log has them: an action that is written like one of these is that one, number or not.
+
+    Raises
+    ------
+    ArgumentError
+        The file cannot be read, or is no rule; file and row are named.
+    """
+    path, known = Path(path), {str(name): name for name in names}
+    if path.suffix.lower() not in _READERS:
+        raise ArgumentError(f"{path}: a rule is a file that ends in {' or '.join(_READERS)}")
+    try:
+        entries = _READERS[path.suffix.lower()](path)
+        return RuleTable(tuple(_row(k, *entry, known) for k, entry in enumerate(entries, start=1)), horizon)
+    except ArgumentError as error:
+        raise ArgumentError(f"{path}: {error}") from error
+    except (OSError, UnicodeDecodeError, csv.Error, tomllib.TOMLDecodeError) as error:
+        raise ArgumentError(f"{path}: it cannot be read as a rule ({error})") from error
+
+
+def _csv_entries(path: Path) -> list[tuple[Mapping[str, Any], Any]]:
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        reader = csv.reader(file, skipinitialspace=True)
+        head, *rows = [[cell.strip() for cell in row] for row in reader if any(cell.strip() for cell in row)] or [[]]
+    if ACTION not in head or len(set(head)) < len(head) or "" in head:
+        raise ArgumentError(f"its first line is {','.join(head)!r}; name each column once, one of them {ACTION!r}")
+    for number, row in enumerate(rows, start=1):
+        if len(row) != len(head):
+            raise ArgumentError(f"row {number} has {len(row)} cells, and the first line {len(head)}")
+    cells = [dict(zip(head, row, strict=True)) for row in rows]
+    return [({name: text for name, text in row.items() if text and name != ACTION}, row[ACTION]) for row in cells]
+
+
+def _toml_entries(path: Path) -> list[tuple[Mapping[str, Any], Any]]:
+    with path.open("rb") as file:
+        read = tomllib.load(file)
+    rules: Any = read.get("rule")
+    if set(read) != {"rule"} or not isinstance(rules, list) or not all(isinstance(rule, dict) for rule in rules):
+        raise ArgumentError(f"it holds {', '.join(read) or 'nothing'}; give [[rule]] entries and nothing else")
+    for number, rule in enumerate(rules, start=1):
+        others = sorted(set(rule) - {"when", ACTION})
+        if others or not isinstance(rule.get("when", {}), dict):
+            what = f"an unknown key {others[0]!r}" if others else "a 'when' that is no table"
+            raise ArgumentError(f"row {number} has {what}; give when = {{ column = condition }} and action")
+    return [(rule.get("when", {}), rule.get(ACTION, "")) for rule in rules]
+
+
+_READERS = {".csv": _csv_entries, ".toml": _toml_entries}
+
+
+def _row(number: int, asked: Mapping[str, Any], action: Any, known: Mapping[str, Hashable]) -> RuleRow:
+    if not isinstance(action, str | int) or action == "":
+        raise ArgumentError(f"row {number}: action is {action!r}; name one")
+    conditions = [
+        _condition(number, str(column), part) for column, text in asked.items() for part in str(text).split(" and ")
+    ]
+    return RuleRow(tuple(conditions), known.get(str(action), action))
+
+
+def _condition(number: int, column: str, text: str) -> Condition:
+    stripped = text.strip()
+    sign = next((sign for sign in COMPARISONS if stripped.startswith(sign)), "")
+    written = stripped.removeprefix(sign).strip()
+    value = _number_or_text(written)
+    is_text = isinstance(value, str)
+    if not written or (is_text and (sign not in ("", "=", "!=") or column == STAGE or written[0] in "<>=!")):
+        raise ArgumentError(
+            f"row {number}: {column} is {text.strip()!r}, which is no condition; give a value, or one of "
+            f"{' '.join(COMPARISONS)} and a number"
+        )
+    return Condition(column, sign or "=", value)
+
+
+def _number_or_text(written: str) -> float | str:
+    try:
+        value = float(written)
+    except ValueError:
+        return written
+    return value if np.isfinite(value) else written

@@ -1,0 +1,204 @@
+"""A policy beside its opponents: differences by hand, exact ties, several at once, and verdicts over all."""
+
+import json
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+from enumerated_trial import CHANCE_B, StatePolicy, specified, trial, truth
+from scipy import stats
+
+from halfseen.errors import ArgumentError
+from halfseen.evaluation import FixedSequence, Opponent, evaluate
+from halfseen.evaluation.comparison import Contender, compared, deciding, hochberg, joint_reason
+from halfseen.logs import Logs
+
+TARGET = StatePolicy((0.1, 0.8))
+
+
+def contender(name, values, size=50.0, **more):
+    return Contender(name, np.asarray(values, dtype=float), size, **more)
+
+
+def drawn(*means, num_paths=50, seed=0):
+    """What paths add to policies whose difference has these means, in standard errors."""
+    rng = np.random.default_rng(seed)
+    ours = rng.normal(size=num_paths)
+    noise = rng.normal(size=(len(means), num_paths))
+    noise = (noise - noise.mean(axis=1, keepdims=True)) / noise.std(axis=1, ddof=1, keepdims=True)
+    theirs = [ours - each - mean / np.sqrt(num_paths) for each, mean in zip(noise, means, strict=True)]
+    return contender("ours", ours), [contender(f"opponent {k}", each) for k, each in enumerate(theirs)]
+
+
+def test_the_difference_is_that_of_what_each_path_adds():
+    ours, theirs = np.array([1.0, 4.0, 2.0, 5.0]), np.array([0.5, 3.0, 2.5, 1.0])
+    (found,) = compared(contender("ours", ours, 4.0), [contender("theirs", theirs, 3.0)], 0.9)
+    by_hand = [0.5, 1.0, -0.5, 4.0]
+    error = np.std(by_hand, ddof=1) / 2.0
+    reach = stats.t.ppf(0.95, 2.0) * error
+    assert found.difference.value == pytest.approx(1.25)
+    assert (found.difference.low, found.difference.high) == pytest.approx((1.25 - reach, 1.25 + reach))
+    assert found.value.value == pytest.approx(1.75)
+    assert found.p == pytest.approx(2.0 * stats.t.sf(1.25 / error, 2.0))
+
+
+def test_each_opponent_is_worth_what_it_is_worth_alone_and_differences_add_up():
+    logs = trial(0, cut_rate=0.1)
+    others = [StatePolicy((0.5, 0.5)), FixedSequence(("B", "A"))]
+    named = [Opponent(each, f"opponent {k}") for k, each in enumerate(others)]
+    found = evaluate(TARGET, logs, against=["logging", *named], **specified())
+    alone = [evaluate(each, logs, against="logging", **specified()).doubly_robust for each in others]
+    values = [each.value for each in found.comparisons]
+    assert values[0] == found.logging
+    assert [each.value for each in values[1:]] == pytest.approx([each.value for each in alone], rel=1e-12)
+    assert [each.standard_error for each in values[1:]] == pytest.approx([each.standard_error for each in alone])
+    for each in found.comparisons:
+        assert each.difference.value == pytest.approx(found.doubly_robust.value - each.value.value, abs=1e-12)
+        assert each.difference.effective_sample_size <= found.doubly_robust.effective_sample_size
+
+
+def test_a_policy_against_itself_is_exactly_nothing_and_never_better():
+    found = evaluate(TARGET, trial(1, cut_rate=0.1), against=Opponent(TARGET, "itself"), **specified())
+    (itself,) = found.comparisons
+    difference = itself.difference
+    assert (difference.value, difference.low, difference.high, difference.standard_error) == (0.0, 0.0, 0.0, 0.0)
+    assert (itself.p, found.verdict) == (1.0, "not better")
+    assert "it earns as much a path as itself" in found.sentence
+
+
+def test_better_is_better_than_each():
+    ours, theirs = drawn(2.2, 3.0)
+    both = compared(ours, theirs, 0.95)
+    assert [each.verdict for each in both] == ["better", "better"]
+    assert all(each.difference.low > 0 for each in both)
+    ours, theirs = drawn(1.9, 9.0)
+    one = compared(ours, theirs, 0.95)
+    assert [each.verdict for each in one] == ["cannot be said", "better"]
+    assert deciding(one) is one[0]
+    assert "more a path than opponent 0, though" in joint_reason(one)
+    assert "more than opponent 1" in joint_reason(one).partition("; ")[0]
+
+
+def test_among_many_opponents_one_small_p_value_is_no_evidence():
+    ours, theirs = drawn(2.2, 0.1, -0.3, 0.2)
+    first, *_ = compared(ours, theirs, 0.95)
+    assert first.difference.low > 0
+    assert first.p < 0.05 < first.adjusted_p
+    assert first.verdict == "cannot be said"
+    assert "not enough among so many opponents" in first.reason
+    (alone,) = compared(ours, theirs[:1], 0.95)
+    assert alone.verdict == "better"
+
+
+def test_adjusted_p_values_are_hochbergs():
+    # Rejects, by definition, the k least p-values for the largest k with p_(k) ≤ α / (m − k + 1).
+    rng = np.random.default_rng(3)
+    for _ in range(200):
+        p = rng.random(rng.integers(1, 6)) ** 3
+        for level in (0.01, 0.05, 0.2):
+            ranked = np.sort(p)
+            passed = [k for k in range(1, len(p) + 1) if ranked[k - 1] <= level / (len(p) - k + 1)]
+            rejected = p <= (ranked[passed[-1] - 1] if passed else -1.0)
+            np.testing.assert_array_equal(hochberg(p) <= level, rejected)
+        assert hochberg(p).max() == p.max()
+
+
+def test_under_two_true_nulls_no_more_are_rejected_than_the_level():
+    rng = np.random.default_rng(4)
+    for correlation in (-0.9, 0.0, 0.9):
+        z = rng.multivariate_normal([0.0, 0.0], [[1.0, correlation], [correlation, 1.0]], size=4_000)
+        p = 2.0 * stats.norm.sf(np.abs(z))
+        wrong = np.mean([(hochberg(each) <= 0.05).any() for each in p])
+        assert wrong < 0.05 + 3.0 * np.sqrt(0.05 * 0.95 / len(p))
+
+
+def test_an_opponent_of_unseen_actions_spoils_its_own_comparison_alone():
+    found = evaluate(TARGET, trial(2), against=["logging", FixedSequence(("A", "C"))], **specified())
+    logging, sequence = found.comparisons
+    assert (logging.verdict, sequence.verdict) == ("better", "cannot be said")
+    assert (sequence.value, sequence.difference, sequence.p) == (None, None, None)
+    assert "the sequence A, C takes C in stage 2, which no path" in sequence.reason
+    assert found.verdict == "cannot be said"
+    assert found.difference == logging.difference
+    assert "NaN" not in json.dumps(found.as_dict())
+
+
+def test_an_opponent_that_no_stage_of_the_log_follows():
+    logs = trial(3)
+    rare = logs.stages.assign(action=np.where(logs.stages["stage"] == 2, "A", logs.stages["action"]))
+    found = evaluate(StatePolicy((1.0, 1.0)), Logs(rare, logs.paths), against=FixedSequence(("B", "B")), **specified())
+    assert found.verdict == "cannot be said"
+
+
+def test_too_few_paths_that_follow_an_opponent_are_no_evidence():
+    ours, (opponent,) = drawn(9.0)
+    (found,) = compared(ours, [opponent._replace(why_unknown="too few paths")], 0.95)
+    assert (found.verdict, found.reason, found.p) == ("cannot be said", "too few paths", None)
+    (found,) = compared(ours._replace(why_unknown="nothing is known of it"), [opponent], 0.95)
+    assert found.reason == "nothing is known of it"
+
+
+def test_the_default_is_the_logging_policy_with_and_without_its_exploration():
+    found = evaluate(TARGET, trial(4, num_paths=1000), **specified())
+    names = [each.opponent for each in found.comparisons]
+    assert names == ["the logging policy", "the logging policy without its exploration"]
+    logging, rule = found.comparisons
+    assert (logging.verdict, rule.verdict, found.verdict) == ("better", "not better", "not better")
+    assert found.sentence.startswith("Not better: it earns ")
+    assert "less a path than the logging policy without its exploration" in found.sentence
+    assert "though" in found.sentence
+    assert found.difference == rule.difference
+    assert abs(rule.value.value - truth(CHANCE_B > 0.5)) < 3.0 * rule.value.standard_error
+
+
+def test_every_kind_of_opponent_has_a_name(tmp_path):
+    (tmp_path / "thumb.csv").write_text("x,action\n1,B\n,A\n")
+
+    def guess(frame, stage):
+        return np.where(frame["x"] == 1, "B", "A")
+
+    against = ["sequence:B, A", tmp_path / "thumb.csv", guess, TARGET, replace(TARGET, chance_b=(0.0, 1.0))]
+    against[-1] = Opponent(against[-1], "the rule in person")
+    found = evaluate(TARGET, trial(5), against=against, **specified())
+    names = [each.opponent for each in found.comparisons]
+    assert names == [
+        "the sequence B, A",
+        "the rule thumb.csv",
+        "the rule guess",
+        "the StatePolicy",
+        "the rule in person",
+    ]
+    rules = [found.comparisons[k] for k in (1, 2, 4)]
+    for one, other in combinations(rules, 2):
+        assert one.value == other.value
+    lines = str(found).splitlines()
+    assert lines[0] == found.sentence
+    assert [line.split("  ")[0] for line in lines[-5:]] == names
+    assert all(line.rstrip().endswith(each.verdict) for line, each in zip(lines[-5:], found.comparisons, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("against", "message"),
+    [
+        ([], "against is empty"),
+        (["logging", "logging"], "names the logging policy twice"),
+        ("rules.ods", "against is 'rules.ods'; it is logging, logging-rule"),
+        ("sequence:A,,B", "name an action for each stage"),
+        ("sequence:A", "the sequence A is for 1 stage"),
+        (3, "the int decides nothing about named actions"),
+        ("nowhere.toml", "nowhere.toml: it cannot be read"),
+    ],
+)
+def test_what_is_no_opponent_is_told_in_one_line(against, message):
+    with pytest.raises(ArgumentError, match=message) as refusal:
+        evaluate(TARGET, trial(6), against=against, **specified())
+    assert "\n" not in str(refusal.value)
+
+
+def test_actions_that_are_numbers_may_be_written_as_texts():
+    logs = trial(7)
+    numbered = Logs(logs.stages.assign(action=logs.stages["action"].map({"A": 0, "B": 1})), logs.paths)
+    sequence = FixedSequence((1, 0))
+    found = evaluate(sequence, numbered, against="sequence:1,0", q=specified(actions=(0, 1))["q"])
+    assert found.comparisons[0].difference.value == 0.0

@@ -1,0 +1,143 @@
+"""The logging policy without its exploration, found in logs whose rule is known."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from halfseen.evaluation import Opponent, evaluate
+from halfseen.evaluation.logging_rule import logging_rule
+from halfseen.learners import NamedActions
+from halfseen.learners.q_learning.path_arrays import path_arrays
+from halfseen.logs import Logs
+from halfseen.policies import Rule
+from halfseen.tables import TableTask
+from small_logs import table_log
+
+ACTIONS = ("A", "B", "C")
+TASK = NamedActions(ACTIONS, ("x",))
+
+
+def thresholds(frame, stage):
+    if stage == 2:
+        return np.full(len(frame), "C")
+    return np.where(frame["x"] > 0.3, "A", np.where(frame["y"] > 0.0, "B", "C"))
+
+
+def slanted(frame, stage):
+    return np.where(frame["x"] + frame["y"] > 0.2 * stage, "A", np.where(frame["x"] > frame["y"], "B", "C"))
+
+
+def logged(rule, num_paths=300, random_share=0.5, seed=0):
+    """Two stages; the rule, mixed with an action at random; Q of the task does not look at y, the rule does."""
+    rng = np.random.default_rng(seed)
+    path = np.arange(num_paths)
+    parts = []
+    for stage in (1, 2):
+        frame = pd.DataFrame(rng.uniform(-1.0, 1.0, size=(num_paths, 2)), columns=["x", "y"])
+        says = rule(frame, stage)
+        action = np.where(rng.random(num_paths) < random_share, rng.choice(ACTIONS, num_paths), says)
+        likely = random_share / 3.0 + (1.0 - random_share) * (action == says)
+        reward = (action == "A") * frame["x"] + (action == "B") * frame["y"] + 0.3 * rng.normal(size=num_paths)
+        told = {"path": path, "stage": stage, "elapsed_s": float(stage), "action": action, "reward": reward}
+        parts.append(frame.assign(**told, probability=likely, colour="red"))
+    ends = pd.DataFrame({"path": path, "end_s": 2.0, "ending": "finished"})
+    return Logs(pd.concat(parts, ignore_index=True), ends)
+
+
+def found_in(logs, task=TASK, has_probability=True):
+    paths = path_arrays(logs, task.encode(logs, 2), None)
+    return logging_rule(logs, paths, task, np.arange(logs.num_paths) % 10, has_probability), paths
+
+
+def agreement(rule, logs, found):
+    says = np.array(ACTIONS)[found.probabilities.argmax(axis=2)]
+    return np.mean([says[:, stage - 1] == rule(frame, stage) for stage, frame in logs.stages.groupby("stage")])
+
+
+@pytest.mark.parametrize(("rule", "least"), [(thresholds, 0.96), (slanted, 0.93)])
+def test_the_model_says_what_the_rule_would_do(rule, least):
+    logs = logged(rule)
+    found, paths = found_in(logs)
+    assert agreement(rule, logs, found) > least
+    np.testing.assert_array_equal(found.is_taken, paths.probability > 0.5)
+    assert "by probabilities above one half" in found.note
+
+
+def test_the_share_that_it_tells_is_the_share_that_is_right():
+    logs = logged(slanted, num_paths=150)
+    found, _ = found_in(logs)
+    told = float(found.note.split("right in ")[1].split("%")[0]) / 100.0
+    assert agreement(slanted, logs, found) == pytest.approx(told, abs=0.05)
+
+
+def test_actions_alone_tell_less():
+    logs = logged(thresholds, num_paths=600)
+    found, _ = found_in(logs, has_probability=False)
+    assert found.is_taken is None
+    assert 0.85 < agreement(thresholds, logs, found) < 1.0
+    assert "how often the model is right cannot be checked" in found.note
+
+
+def test_a_rule_that_is_seldom_above_one_half_is_estimated():
+    logs = logged(thresholds, num_paths=600, random_share=0.8)
+    found, _ = found_in(logs)
+    assert found.is_taken is None
+    assert agreement(thresholds, logs, found) > 0.95
+
+
+def test_a_log_of_nothing_but_chance_shows_no_rule():
+    logs = logged(thresholds, random_share=1.0)
+    found, _ = found_in(logs)
+    assert found.startswith("the log shows no rule")
+    policy = Rule(thresholds, ACTIONS, 2)
+    default = evaluate(policy, logs)
+    assert [each.opponent for each in default.comparisons] == ["the logging policy"]
+    assert "the logging policy without its exploration: the log shows no rule" in default.notes[0]
+    asked = evaluate(policy, logs, against="logging-rule")
+    assert asked.verdict == "cannot be said"
+    assert "the log shows no rule" in asked.reason
+
+
+def test_it_is_worth_what_the_rule_itself_is_worth():
+    logs = logged(slanted, num_paths=800, seed=3)
+    itself = Opponent(Rule(slanted, ACTIONS, 2), "itself")
+    found = evaluate(Rule(thresholds, ACTIONS, 2), logs, against=["logging-rule", itself])
+    guessed, known = (each.value for each in found.comparisons)
+    assert guessed.value == pytest.approx(known.value, abs=0.3 * known.standard_error)
+    assert guessed.standard_error == pytest.approx(known.standard_error, rel=0.02)
+
+
+def test_the_value_does_not_rest_on_the_model_where_the_log_reveals_the_rule(monkeypatch):
+    from halfseen.evaluation import off_policy
+
+    def blind(*given):
+        found = logging_rule(*given)
+        always_first = np.zeros_like(found.probabilities)
+        always_first[..., 0] = found.probabilities.sum(axis=2)
+        return found._replace(probabilities=always_first)
+
+    logs = logged(thresholds, num_paths=1000, seed=5)
+    truth = evaluate(Rule(thresholds, ACTIONS, 2), logs).doubly_robust
+    monkeypatch.setattr(off_policy, "logging_rule", blind)
+    (wrong,) = evaluate(Rule(slanted, ACTIONS, 2), logs, against="logging-rule").comparisons
+    assert abs(wrong.value.value - truth.value) < 2.0 * wrong.value.standard_error
+
+
+def test_the_seed_is_all_that_it_depends_on():
+    logs = logged(slanted, num_paths=100)
+    first, _ = found_in(logs)
+    np.random.seed(3)  # noqa: NPY002
+    again, _ = found_in(logs)
+    np.testing.assert_array_equal(first.probabilities, again.probabilities)
+
+
+def test_on_a_table_the_rule_is_a_choice_among_all_objects():
+    logs = table_log(num_paths=60, horizon=3)
+    task = TableTask()
+    encoded = task.encode(logs, 3)
+    paths = path_arrays(logs, encoded, None)
+    # The rule washes what is most likely dirty; features of WASH hold that probability.
+    found = logging_rule(logs, paths, task, np.arange(60) % 10, has_probability=False)
+    assert not isinstance(found, str)
+    assert (found.probabilities.sum(axis=2) == paths.is_begun).all()
+    assert not (found.probabilities.astype(bool) & ~paths.is_possible).any()

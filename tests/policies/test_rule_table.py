@@ -1,0 +1,152 @@
+"""Rules of thumb as policies: read from files, refused where they are none, and against a loop over the rows."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from halfseen.errors import ArgumentError, LogError
+from halfseen.learners.q_learning.flat_policy import NamedActionPolicy
+from halfseen.policies import Rule, read_rule_table
+
+PARTS = pd.DataFrame({"weight_kg": [2.0, 1.5, 0.2, 2.9], "shine": [0.9, 0.7, 0.1, 0.5], "colour": list("rgbr")})
+CSV = "stage,weight_kg,shine,action\n> 2,,,hand over\n,> 1.5 and <= 2.5,,parallel\n,,> 0.5,suction\n,,,soft\n"
+TOML = """
+[[rule]]
+when = { stage = "> 2" }
+action = "hand over"
+
+[[rule]]
+when = { weight_kg = "> 1.5 and <= 2.5" }
+action = "parallel"
+
+[[rule]]
+when = { shine = "> 0.5" }
+action = "suction"
+
+[[rule]]
+action = "soft"
+"""
+
+
+def written(folder, text, name="rule.csv"):
+    (folder / name).write_text(text, encoding="utf-8")
+    return folder / name
+
+
+def taken(rule, stage, parts=PARTS):
+    return [rule.actions[column] for column in rule.probabilities(parts, stage).argmax(axis=1)]
+
+
+def by_hand(weight, shine, stage):
+    if stage > 2:
+        return "hand over"
+    if 1.5 < weight <= 2.5:
+        return "parallel"
+    return "suction" if shine > 0.5 else "soft"
+
+
+@pytest.mark.parametrize(("text", "name"), [(CSV, "rule.csv"), (TOML, "rule.toml")])
+@pytest.mark.parametrize("stage", [1, 2, 3])
+def test_the_first_row_that_matches_wins(tmp_path, text, name, stage):
+    rule = read_rule_table(written(tmp_path, text, name), horizon=3)
+    assert isinstance(rule, NamedActionPolicy)
+    assert taken(rule, stage) == [by_hand(*row, stage) for row in zip(PARTS["weight_kg"], PARTS["shine"], strict=True)]
+    np.testing.assert_array_equal(rule.probabilities(PARTS, stage).sum(axis=1), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("condition", "holds"),
+    [
+        ("1.5", [False, True, False, False]),
+        ("= 1.5", [False, True, False, False]),
+        ("!= 1.5", [True, False, True, True]),
+        ("< 1.5", [False, False, True, False]),
+        ("<=1.5", [False, True, True, False]),
+        (">= 1.5", [True, True, False, True]),
+    ],
+)
+def test_every_comparison(tmp_path, condition, holds):
+    rule = read_rule_table(written(tmp_path, f"weight_kg,action\n{condition},yes\n,no\n"), horizon=1)
+    assert taken(rule, 1) == ["yes" if it_does else "no" for it_does in holds]
+
+
+def test_texts_are_compared_as_texts_and_numbers_of_toml_as_numbers(tmp_path):
+    rule = read_rule_table(written(tmp_path, "colour,action\nr,red\n!= g,other\n,green\n"), horizon=1)
+    assert taken(rule, 1) == ["red", "green", "other", "red"]
+    number = read_rule_table(
+        written(tmp_path, '[[rule]]\nwhen = {stage = 1}\naction = 7\n[[rule]]\naction = "b"', "r.toml"), 2
+    )
+    assert (taken(number, 1), taken(number, 2)) == ([7] * 4, ["b"] * 4)
+
+
+def test_an_action_that_the_log_has_as_a_number_is_that_number(tmp_path):
+    rule = read_rule_table(written(tmp_path, "stage,action\n1,3\n,stay\n"), horizon=2, names=[3, 4])
+    assert rule.actions == (3, "stay")
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "message"),
+    [
+        ("", "rule.csv", "its first line is ''"),
+        ("stage,act\n1,A\n", "rule.csv", "name each column once, one of them 'action'"),
+        ("x,x,action\n1,2,A\n", "rule.csv", "name each column once"),
+        ("x,action\n", "rule.csv", "no rows"),
+        ("x,action\n1,A,B\n", "rule.csv", "row 1 has 3 cells, and the first line 2"),
+        ("x,action\n1,\n,A\n", "rule.csv", "row 1: action is ''"),
+        ("x,action\n1,A\n", "rule.csv", "the last row has conditions"),
+        ("x,action\n1,A\n,B\n2,A\n,B\n", "rule.csv", "row 2 asks nothing, so those below it"),
+        ("x,action\n>> 1,A\n,B\n", "rule.csv", "row 1: x is '>> 1', which is no condition"),
+        ("x,action\n> heavy,A\n,B\n", "rule.csv", "row 1: x is '> heavy', which is no condition"),
+        ("x,action\n>,A\n,B\n", "rule.csv", "row 1: x is '>', which is no condition"),
+        ("x,action\n< nan,A\n,B\n", "rule.csv", "row 1: x is '< nan', which is no condition"),
+        ("stage,action\nfirst,A\n,B\n", "rule.csv", "row 1: stage is 'first', which is no condition"),
+        ("x = ", "rule.toml", "cannot be read as a rule"),
+        ("", "rule.toml", "it holds nothing; give"),
+        ("rule = 1", "rule.toml", "it holds rule; give"),
+        ("[[rule]]\nif = 1\naction = 'A'", "rule.toml", "row 1 has an unknown key 'if'"),
+        ("[[rule]]\nwhen = 1\naction = 'A'", "rule.toml", "row 1 has a 'when' that is no table"),
+        ("[[rule]]\nwhen = {x = 1}", "rule.toml", "row 1: action is ''"),
+        ("x,action\n1,A\n", "rule.txt", "ends in .csv or .toml"),
+    ],
+)
+def test_what_is_no_rule_is_told_in_one_line(tmp_path, text, name, message):
+    with pytest.raises(ArgumentError) as refusal:
+        read_rule_table(written(tmp_path, text, name), horizon=1)
+    told = str(refusal.value)
+    assert message in told
+    assert name in told
+    assert "\n" not in told
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(ArgumentError, match=r"nowhere\.csv: it cannot be read"):
+        read_rule_table(tmp_path / "nowhere.csv", horizon=1)
+
+
+@pytest.mark.parametrize(
+    ("condition", "parts", "error", "message"),
+    [
+        ("size,action\n1,A", PARTS, ArgumentError, "asks for 'size', and the log has none; there are weight_kg"),
+        ("colour,action\n> 1,A", PARTS, ArgumentError, "colour > 1.0, and colour holds no numbers"),
+        ("shine,action\nhigh,A", PARTS, ArgumentError, "shine = high, and shine holds numbers"),
+        (
+            "shine,action\n1,A",
+            pd.DataFrame({"path": [4, 7], "stage": [2, 2], "shine": [0.1, None]}),
+            LogError,
+            "path 7.*stage 2.*'shine' is null",
+        ),
+    ],
+)
+def test_covariates_that_do_not_fit_the_rule(tmp_path, condition, parts, error, message):
+    rule = read_rule_table(written(tmp_path, f"{condition}\n,B\n"), horizon=2)
+    with pytest.raises(error, match=message):
+        rule.probabilities(parts, 2)
+
+
+def test_a_function_names_one_of_its_actions_for_each_row():
+    heavy = Rule(lambda parts, stage: np.where(parts["weight_kg"] > stage, "A", "B"), ("B", "A"), horizon=2)
+    np.testing.assert_array_equal(heavy.probabilities(PARTS, 2), [[1, 0], [1, 0], [1, 0], [0, 1]])
+    with pytest.raises(ArgumentError, match="took 'C', which is none of its actions"):
+        Rule(lambda parts, stage: ["C"] * len(parts), ("A",), 1).probabilities(PARTS, 1)
+    with pytest.raises(ArgumentError, match=r"gave shape \(\) for 4 rows"):
+        Rule(lambda parts, stage: "A", ("A",), 1).probabilities(PARTS, 1)
