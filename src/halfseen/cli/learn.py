@@ -15,16 +15,17 @@ from halfseen.cli.progress import begin, progress
 if TYPE_CHECKING:
     from halfseen.learners.q_learning.targets import Targets
 
-CENSORING = (*options.WEIGHTING, "buckley-james", "none")
+CENSORING = ("auto", *options.WEIGHTING, "buckley-james", "none")
 
 
-class _Reg(click.ParamType):
-    """``cv`` or a number."""
+class _Or(click.ParamType):
+    """A word, or a number."""
 
-    name = "cv|number"
+    def __init__(self, word: str) -> None:
+        self.word, self.name = word, f"{word}|number"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        return value if value == "cv" else click.FLOAT.convert(value, param, ctx)
+        return value if value == self.word else click.FLOAT.convert(value, param, ctx)
 
 
 @click.command(epilog="Example: halfseen learn logs --out policy --censoring cox --seed 1")
@@ -32,10 +33,18 @@ class _Reg(click.ParamType):
 @click.option("--out", type=options.PATH, required=True, help="Folder that the policy is written to.")
 @options.names("--covariates", "Columns of the stages to look at, as x1,x2; by default all that hold numbers.")
 @click.option(
-    "--q-function", type=click.Choice(["linear", "kernel"]), default="linear", show_default=True, help="What Q may be."
+    "--q-function",
+    type=click.Choice(["auto", "linear", "quadratic", "kernel", "smooth"]),
+    default="auto",
+    show_default=True,
+    help="What Q may be.",
 )
 @click.option(
-    "--censoring", type=click.Choice(CENSORING), default="kaplan-meier", show_default=True, help="Censoring model."
+    "--censoring",
+    type=click.Choice(CENSORING),
+    default="auto",
+    show_default=True,
+    help="What stands for what cuts took away: a model of the cuts for weights, or imputation.",
 )
 @click.option(
     "--censoring-by",
@@ -48,8 +57,10 @@ class _Reg(click.ParamType):
 @click.option("--augmented", is_flag=True, help="Doubly robust: right if the censoring model or the regression is.")
 @click.option(
     "--stages",
-    type=click.Choice(["separate", "pooled"]),
-    help="One Q a stage, or one for all by steps to go; pooled for a table, else separate.",
+    type=click.Choice(["auto", "separate", "pooled"]),
+    default="auto",
+    show_default=True,
+    help="One Q a stage, or one for all by steps to go.",
 )
 @click.option(
     "--horizon",
@@ -61,7 +72,14 @@ class _Reg(click.ParamType):
     type=click.Choice(["laplace", "beta"]),
     help="Of a table: what tells the probability of a grasp, the rule of succession (laplace) or a Beta regression.",
 )
-@click.option("--reg", type=_Reg(), default="cv", show_default=True, help="λ, or cv to choose it over paths.")
+@click.option("--reg", type=_Or("cv"), default="cv", show_default=True, help="λ, or cv to choose it over paths.")
+@click.option(
+    "--pessimism",
+    type=_Or("auto"),
+    default="auto",
+    show_default=True,
+    help="Standard errors by which Q is lowered wherever the best action is sought; 0 for eq. 3 as it stands.",
+)
 @click.option("--truncate-at", type=float, help="Largest weight allowed; by default none is truncated.")
 @options.seed("policy")
 @options.overwrite("a policy that is")
@@ -102,17 +120,22 @@ def learn(logs: Path, out: Path, overwrite: bool, as_json: bool, **chosen: Any) 
     click.echo(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))
 
 
-def _targets(chosen: dict[str, Any]) -> "Targets":
-    """What stands for what cuts took away, taken from the options that say it."""
+def _targets(chosen: dict[str, Any]) -> "Targets | str":
+    """What stands for what cuts took away, taken from the options that say it; auto where none does."""
     from halfseen.learners.q_learning.targets import named_targets
 
-    return named_targets(
-        chosen.pop("censoring"),
-        by=chosen.pop("censoring_by"),
-        covariates=chosen.pop("censoring_covariates"),
-        truncate_at=chosen.pop("truncate_at"),
-        is_doubly_robust=chosen.pop("augmented"),
-    )
+    model = chosen.pop("censoring")
+    given = {
+        "by": chosen.pop("censoring_by"),
+        "covariates": chosen.pop("censoring_covariates"),
+        "truncate_at": chosen.pop("truncate_at"),
+        "is_doubly_robust": chosen.pop("augmented"),
+    }
+    if model != "auto":
+        return named_targets(model, **given)
+    # What is said of weights asks for weights.
+    plain = {"by": "path", "covariates": None, "truncate_at": None, "is_doubly_robust": False}
+    return "auto" if given == plain else named_targets(**given)
 
 
 def _lines(report: Mapping[str, Any]) -> list[str]:
@@ -123,6 +146,8 @@ def _lines(report: Mapping[str, Any]) -> list[str]:
     rows = [
         ("looks at", looks_at),
         ("Q", f"{learner['q_function']}, stages {learner['stages']}, horizon {schema['horizon']}"),
+        *(("chosen", sentence) for sentence in report["chosen"]),
+        *([("pessimism", _pessimism(learner["pessimism"]))] if learner["pessimism"] else []),
         ("cuts", f"{cuts}{by}{', augmented' if learner['augmented'] else ''}"),
         (
             "weights",
@@ -142,6 +167,10 @@ def _lines(report: Mapping[str, Any]) -> list[str]:
         "",
         f"Next: halfseen evaluate {report['policy']} --logs OTHER_LOGS; the ones learned from would flatter it",
     ]
+
+
+def _pessimism(strength: float) -> str:
+    return f"Q is lowered by {strength:.2g} standard errors, so that nothing is chosen on the word of few stages"
 
 
 def _regs(values: Sequence[Sequence[float]], rows: str) -> str:

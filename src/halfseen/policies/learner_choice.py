@@ -31,7 +31,6 @@ def learner_for(
     *,
     covariates: Sequence[str] | None = None,
     horizon: int | None = None,
-    stages: str | None = None,
     grasp: str | None = None,
     **parameters: Any,
 ) -> LearnerChoice:
@@ -46,8 +45,6 @@ def learner_for(
         objects, else for all that hold numbers.
     horizon
         Stages after which a path ends by itself; None for those of the longest path, on a table at least 10.
-    stages
-        ``"separate"`` or ``"pooled"``; None for pooled on a table, else separate.
     grasp
         On a table, one of `GRASPS`.
     parameters
@@ -61,14 +58,14 @@ def learner_for(
     if logs.objects is not None and covariates is None:
         length = max(TABLE_HORIZON, logs.horizon) if horizon is None else horizon
         estimator = GRASPS[grasp or "laplace"]()
-        learner = CensoredQLearner.for_table(length, grasp=estimator, stages=stages or "pooled", **parameters)
+        learner = CensoredQLearner.for_table(length, grasp=estimator, **parameters)
         return LearnerChoice(learner, _horizon_notes(logs, horizon, length))
     if grasp is not None:
         raise ArgumentError("--grasp is for logs of tables; these have named actions: leave it out")
     columns, notes = _columns(logs, covariates)
     length = logs.horizon if horizon is None else horizon
     actions = actions_by_stage(logs, length)
-    return LearnerChoice(CensoredQLearner(length, actions, columns, stages=stages or "separate", **parameters), notes)
+    return LearnerChoice(CensoredQLearner(length, actions, columns, **parameters), notes)
 
 
 def actions_by_stage(logs: Logs, horizon: int) -> dict[int, list[Any]]:

@@ -43,7 +43,7 @@ class NamedDecider:
     ranges: RangesOfStage = everything
 
     def decide(self, observation: NamedObservation) -> Decision:
-        """Take the possible action with the largest Q.
+        """Take the possible action with the largest Q, or lower bound of it.
 
         Raises
         ------
@@ -53,7 +53,7 @@ class NamedDecider:
             A covariate is missing or no finite number.
         """
         policy, row, stage = self.policy, observation.row, observation.stage
-        q = policy.q_values(row, stage)[0]
+        q = policy.lower_bounds(row, stage)[0]
         possible = np.where(policy.is_possible[stage - 1], q, -np.inf)
         ranges = self.ranges(stage)
         values = {name: {name: float(row[name].iloc[0])} for name in policy.covariates}

@@ -58,7 +58,7 @@ def flat_reason(
         Least and largest value of each covariate in the log; None if no path came so far.
     """
     is_possible = policy.is_possible[stage - 1]
-    q = np.where(is_possible, policy.q_values(row, stage)[0], -np.inf)
+    q = np.where(is_possible, policy.lower_bounds(row, stage)[0], -np.inf)
     best = int(np.argmax(q))
     names = [str(name) for name in policy.actions]
     lead = _lead(names, q, best)
@@ -67,7 +67,7 @@ def flat_reason(
     other = int(np.argmax(np.where(np.arange(len(q)) == best, -np.inf, q)))
     middle = {name: sum(ranges[name]) / 2.0 for name in policy.covariates}
     changed = pd.concat([row.assign(**{name: middle[name]}) for name in policy.covariates], ignore_index=True)
-    each = policy.q_values(changed, stage)
+    each = policy.lower_bounds(changed, stage)
     left = each[:, best] - each[:, other]
     least = int(np.argmin(left))
     name = policy.covariates[least]

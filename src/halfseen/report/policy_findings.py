@@ -128,6 +128,7 @@ def _replicates(stored: StoredPolicy, logs: Logs, num_replicates: int, seed: int
         q_function=q_space_of_record(learned),
         reg=reg_of_record(learned),
         stages=learned["stages"],
+        pessimism=learned.get("pessimism") or 0.0,
         random_state=learned.get("random_state") or 0,
     ).fit(logs)
     again, ours = (np.asarray(policy.coefficients) for policy in (learner.policy_, stored.policy))

@@ -167,6 +167,13 @@ def q_space_of(q_function: QSpace | Literal["linear", "kernel"] | str) -> QSpace
     return q_function
 
 
+def name_of(space: QSpace) -> str:
+    """Name the kind of a 𝒬."""
+    if isinstance(space, KernelQ):
+        return "kernel" if space.trend is None else "smooth"
+    return "quadratic" if isinstance(space, QuadraticQ) else "linear"
+
+
 def stage_mode_of(stages: StageMode | str) -> StageMode:
     """Read what a user says of stages.
 

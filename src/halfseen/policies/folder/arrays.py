@@ -10,8 +10,9 @@ from halfseen.learners.q_learning.kernel_map import KernelMap
 
 Arrays = Mapping[str, np.ndarray]
 
-COEFFICIENTS, GRASP = "coefficients", "grasp.chances"
+COEFFICIENTS, MARGIN, GRASP = "coefficients", "margin", "grasp.chances"
 KERNEL_NAMES = ("centre", "scale", "landmarks", "projection", "gamma")
+TREND = "kernel.trend"
 
 
 class Shape(NamedTuple):
@@ -27,7 +28,7 @@ class Shape(NamedTuple):
 
 
 def policy_arrays(policy: Any) -> dict[str, np.ndarray]:
-    """Name the coefficients of a policy and the arrays of its kernel, each in the order in which it lies in memory.
+    """Name the coefficients of a policy, its margin and the arrays of its kernel, each in the order of its memory.
 
     Raises
     ------
@@ -40,6 +41,10 @@ def policy_arrays(policy: Any) -> dict[str, np.ndarray]:
     arrays = {COEFFICIENTS: coefficients}
     if policy.kernel_map is not None:
         arrays |= {f"kernel.{name}": np.asarray(getattr(policy.kernel_map, name)) for name in KERNEL_NAMES}
+        if policy.kernel_map.trend is not None:
+            arrays[TREND] = np.asarray(policy.kernel_map.trend)
+    if policy.margin is not None:
+        arrays[MARGIN] = np.asarray(policy.margin)
     return arrays
 
 
@@ -69,10 +74,15 @@ def check_arrays(arrays: Arrays, shape: Shape, *, may_grasp: bool = False) -> No
         sizes = (columns, columns, (rows, shape.num_features), (rows, rank), ())
         wanted |= {f"kernel.{name}": size for name, size in zip(KERNEL_NAMES, sizes, strict=True)}
         num_inputs = rank
+    if TREND in arrays:
+        wanted[TREND] = ()
+        num_inputs += shape.num_features * (shape.num_features + 3) // 2
     if GRASP in arrays and may_grasp:
         levels, most, _ = _sizes(arrays, GRASP, 3)
         wanted[GRASP] = (max(levels, 2), max(most, 1), max(most, 1))
     wanted[COEFFICIENTS] = (shape.horizon, shape.num_blocks, 1 + num_inputs)
+    if MARGIN in arrays:
+        wanted[MARGIN] = (*wanted[COEFFICIENTS], 1 + num_inputs)
     for name in sorted({*wanted, *arrays}):
         _check_shape(name, arrays.get(name), wanted.get(name), shape.dtype)
     for name, array in arrays.items():
@@ -83,7 +93,7 @@ def kernel_map_of(arrays: Any) -> KernelMap | None:
     """Put the kernel of a policy together again, if it has one."""
     if "kernel.centre" not in arrays:
         return None
-    return KernelMap(*(arrays[f"kernel.{name}"] for name in KERNEL_NAMES))
+    return KernelMap(*(arrays[f"kernel.{name}"] for name in KERNEL_NAMES), arrays.get(TREND))
 
 
 def _sizes(arrays: Arrays, name: str, ndim: int) -> tuple[int, ...]:
@@ -108,9 +118,9 @@ def _check_shape(name: str, array: np.ndarray | None, wanted: tuple[int, ...] | 
 def _check_numbers(name: str, array: np.ndarray) -> None:
     if name == GRASP:
         wrong, rule = ~((array >= 0) & (array <= 1)), "a probability lies in [0, 1]"
-    elif name in ("kernel.scale", "kernel.gamma"):
+    elif name in ("kernel.scale", "kernel.gamma", TREND):
         # A feature that never varied has an infinite scale.
-        wrong, rule = ~(array > 0) | (np.isinf(array) & (name == "kernel.gamma")), "it is positive"
+        wrong, rule = ~(array > 0) | (np.isinf(array) & (name != "kernel.scale")), "it is positive"
     else:
         wrong, rule = ~np.isfinite(array), "it is finite"
     if wrong.any():

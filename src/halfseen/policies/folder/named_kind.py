@@ -9,7 +9,15 @@ import numpy as np
 from halfseen.errors import ArgumentError, PolicyError
 from halfseen.learners.q_learning.flat_policy import FlatPolicy
 from halfseen.logs import Logs
-from halfseen.policies.folder.arrays import COEFFICIENTS, Arrays, Shape, check_arrays, kernel_map_of, policy_arrays
+from halfseen.policies.folder.arrays import (
+    COEFFICIENTS,
+    MARGIN,
+    Arrays,
+    Shape,
+    check_arrays,
+    kernel_map_of,
+    policy_arrays,
+)
 from halfseen.policies.folder.json_values import horizon_of, names_in, typed
 from halfseen.policies.folder.seen import seen_covariates
 
@@ -46,7 +54,7 @@ class NamedKind:
         return policy.covariates
 
     def arrays_of(self, policy: FlatPolicy) -> dict[str, np.ndarray]:
-        """Coefficients, and the kernel if there is one."""
+        """Coefficients, and the kernel and the margin if there are."""
         return policy_arrays(policy)
 
     def policy_of(self, record: Mapping[str, Any], arrays: Arrays) -> FlatPolicy:
@@ -66,7 +74,8 @@ class NamedKind:
             raise PolicyError(f"possible is {possible}; it lists some of the actions for each of the {horizon} stages")
         is_possible = np.array([[name in names for name in actions] for names in possible])
         check_arrays(arrays, Shape(horizon, len(actions), len(covariates), np.float64))
-        return FlatPolicy(actions, covariates, is_possible, arrays[COEFFICIENTS], kernel_map_of(arrays))
+        kernel_map, margin = kernel_map_of(arrays), arrays.get(MARGIN)
+        return FlatPolicy(actions, covariates, is_possible, arrays[COEFFICIENTS], kernel_map, margin)
 
 
 def _action_name(name: Any) -> int | str:

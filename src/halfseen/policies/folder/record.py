@@ -31,7 +31,7 @@ def record_of(learner: CensoredQLearner, logs: Logs) -> dict[str, Any]:
         An action has a name that a JSON file cannot hold.
     """
     policy, name = learner.policy_, kind_name_of(learner.policy_)
-    is_by_stage = learner.stages == "separate"
+    is_by_stage = learner.model_.stages == "separate"
     schema = KINDS[name].schema(policy, logs)
     return {
         "format": FORMAT,
@@ -45,6 +45,7 @@ def record_of(learner: CensoredQLearner, logs: Logs) -> dict[str, Any]:
         "schema": schema,
         "seen": KINDS[name].seen(logs, policy, is_by_stage),
         "learner": described(learner.model_),
+        "chosen": list(learner.chosen_),
         "seed": int(learner.random_state),
         "reg": {
             "rows": "stage" if is_by_stage else "steps to go",

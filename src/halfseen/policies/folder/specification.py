@@ -5,7 +5,7 @@ from dataclasses import fields
 from typing import Any
 
 from halfseen.learners.q_learning.q_model import QModel
-from halfseen.learners.q_learning.q_space import CrossValidation, KernelQ, LinearQ, QSpace
+from halfseen.learners.q_learning.q_space import CrossValidation, KernelQ, QSpace, name_of, q_space_of
 from halfseen.learners.q_learning.targets import DoublyRobust, Targets, named_targets
 
 
@@ -19,13 +19,12 @@ def described(model: QModel) -> dict[str, Any]:
     """
     targets: Any = model.targets
     task: Any = model.task
-    is_kernel = isinstance(model.space, KernelQ)
     return {
         "horizon": model.horizon,
         **{field.name: getattr(task, field.name) for field in fields(task)},
-        "q_function": "kernel" if is_kernel else "linear",
-        "num_landmarks": getattr(model.space, "num_landmarks", None),
-        "gamma": getattr(model.space, "gamma", None),
+        "q_function": name_of(model.space),
+        **{name: getattr(model.space, name, None) for name in ("num_landmarks", "gamma", "trend")},
+        "pessimism": model.pessimism,
         "censoring": targets.name,
         "censoring_by": getattr(targets, "by", None),
         "censoring_covariates": getattr(targets, "covariates", None),
@@ -59,9 +58,10 @@ def targets_of_record(learned: Mapping[str, Any]) -> Targets:
 
 def q_space_of_record(learned: Mapping[str, Any]) -> QSpace:
     """Compose 𝒬 again."""
-    if learned.get("q_function") != "kernel":
-        return LinearQ()
-    return KernelQ(learned.get("num_landmarks") or KernelQ.num_landmarks, learned.get("gamma"))
+    name = learned.get("q_function")
+    if name not in ("kernel", "smooth"):
+        return q_space_of(name or "linear")
+    return KernelQ(learned.get("num_landmarks") or KernelQ.num_landmarks, learned.get("gamma"), learned.get("trend"))
 
 
 def reg_of_record(learned: Mapping[str, Any]) -> Any:

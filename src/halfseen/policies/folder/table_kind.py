@@ -12,6 +12,7 @@ from halfseen.logs import Logs
 from halfseen.policies.folder.arrays import (
     COEFFICIENTS,
     GRASP,
+    MARGIN,
     Arrays,
     Shape,
     check_arrays,
@@ -55,7 +56,7 @@ class TableKind:
         return TABLE_RANGES
 
     def arrays_of(self, policy: LinearTablePolicy) -> dict[str, np.ndarray]:
-        """Coefficients, and the kernel and the grasp model if there are.
+        """Coefficients, and the kernel, the margin and the grasp model if there are.
 
         Raises
         ------
@@ -84,7 +85,8 @@ class TableKind:
         check_arrays(arrays, Shape(horizon_of(record), len(Verb), NUM_FEATURES, np.float32), may_grasp=True)
         on_device: Any = {name: jnp.asarray(array) for name, array in arrays.items()}
         grasp = GraspTable(on_device[GRASP]) if GRASP in arrays else None
-        return LinearTablePolicy(on_device[COEFFICIENTS], grasp, kernel_map_of(on_device), _is_seen(record))
+        kernel_map, margin = kernel_map_of(on_device), on_device.get(MARGIN)
+        return LinearTablePolicy(on_device[COEFFICIENTS], grasp, kernel_map, _is_seen(record), margin)
 
 
 def _seen_verbs(policy: LinearTablePolicy) -> list[list[str]]:
