@@ -49,7 +49,7 @@ def test_a_flat_log_is_learned_with_its_actions_by_stage_and_its_numeric_covaria
     policy = read_policy(tmp_path / "policy")
     assert policy.policy.covariates == ("x1", "x2")
     assert report["schema"]["possible"] == [["A", "B"], ["A", "C"]]
-    assert (report["seed"], report["learner"]["reg"], report["learner"]["stages"]) == (4, 0.1, "separate")
+    assert (report["seed"], report["learner"]["reg"], report["learner"]["stages"]) == (4, 0.1, "pooled")
     assert report["notes"] == [
         "it does not look at colour, which holds no numbers: give an indicator column for each value"
     ]
@@ -71,7 +71,8 @@ def test_says_what_was_learned_from_and_what_to_do_next(folder, tmp_path):
     lines = result.stdout.splitlines()
     assert lines[0].startswith(f"{out}: learned from 40 paths of up to 2 stages and ")
     assert "looks at    x2, x1" in lines
-    assert "Q           linear, stages separate, horizon 2" in lines
+    assert "Q           smooth, stages pooled, horizon 2" in lines
+    assert any(line.startswith("pessimism   Q is lowered by 1.4 standard errors") for line in lines)
     assert any(line.startswith("weights     ") and "the largest weight is" in line for line in lines)
     assert lines[-1].startswith(f"Next: halfseen evaluate {out} --logs OTHER_LOGS;")
     header = next(k for k, line in enumerate(lines) if line.startswith("stage  states"))
