@@ -60,7 +60,7 @@ class LinearTablePolicy:
 
     def _features(self, state: TableState) -> Float[Array, "A F1"]:
         features = table_features(state, self.grasp)
-        return features if self.kernel_map is None else self.kernel_map(features)
+        return features if self.kernel_map is None else jnp.asarray(self.kernel_map(features))
 
     def _verbs(self, state: TableState) -> Int[Array, " A"]:
         return jnp.asarray(ActionSpace(state.num_objects).verbs)

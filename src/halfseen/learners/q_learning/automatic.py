@@ -24,7 +24,7 @@ def automatic_targets(logs: Source) -> Targets:
 
     It needs the whole log in memory, and the action of every stage in which a path was cut.
     """
-    if logs is None or (isinstance(logs, Logs) and logs.stages["action"].notna().all()):
+    if logs is None or (isinstance(logs, Logs) and bool(logs.stages["action"].notna().to_numpy().all())):
         return BuckleyJames()
     return Weighted()
 

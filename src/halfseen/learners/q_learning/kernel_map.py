@@ -105,7 +105,7 @@ def fit_kernel_map(
     num_varied = max(int(np.isfinite(scale).sum()), 1)
     width = 1.0 / num_varied if gamma is None else float(gamma)
     scaled = (rows - centre) / scale
-    weight = None if trend is None else np.asarray(trend / max(_root_mean_square(quadratic(scaled)), 1e-12))
+    weight = None if trend is None else np.asarray(trend / max(_root_mean_square(np.asarray(quadratic(scaled))), 1e-12))
     if num_landmarks == 0:
         return KernelMap(centre, scale, scaled[:0], np.zeros((0, 0)), np.asarray(width), weight)
     found = fit_nystrom(RbfKernel(width), scaled, num_landmarks, rng)

@@ -93,7 +93,8 @@ def kernel_map_of(arrays: Any) -> KernelMap | None:
     """Put the kernel of a policy together again, if it has one."""
     if "kernel.centre" not in arrays:
         return None
-    return KernelMap(*(arrays[f"kernel.{name}"] for name in KERNEL_NAMES), arrays.get(TREND))
+    kernel = {name: arrays[f"kernel.{name}"] for name in KERNEL_NAMES}
+    return KernelMap(**kernel, trend=arrays.get(TREND))
 
 
 def _sizes(arrays: Arrays, name: str, ndim: int) -> tuple[int, ...]:
