@@ -54,9 +54,7 @@ def test_a_flat_log_is_learned_with_its_actions_by_stage_and_its_numeric_covaria
         "it does not look at colour, which holds no numbers: give an indicator column for each value"
     ]
     logs = flat_log()
-    by_hand = CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=0.1, random_state=4).fit(
-        logs
-    )
+    by_hand = CensoredQLearner(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=0.1, random_state=4).fit(logs)
     for stage in (1, 2):
         told = report["actions"][stage - 1]
         assert told["num_states"] == (logs.stages["stage"] == stage).sum()
