@@ -94,7 +94,7 @@ def test_where_nothing_was_cut_all_treatments_are_one(treatment):
 
 
 def test_an_unknown_treatment_is_refused_with_those_that_are_known():
-    with pytest.raises(ArgumentError, match="'ignored'; it is one of weighted, unweighted, dropped, failures"):
+    with pytest.raises(ArgumentError, match="'ignored'; it is one of imputed, weighted, unweighted, dropped, failures"):
         seen("ignored")
 
 

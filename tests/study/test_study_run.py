@@ -20,7 +20,7 @@ COLUMNS = {
     "weights": "num_paths cut_share effective_sample_size largest_weight",
     "figure2": f"policy kind simulations decision_ms {REWARD} over_censored_q se_over over_low over_high "
     "repetitions episodes",
-    "figure4": f"treatment cut_kind num_paths cut_share repetitions {REWARD} behind_weighted se_behind behind_low "
+    "figure4": f"treatment cut_kind num_paths cut_share repetitions {REWARD} behind_default se_behind behind_low "
     "behind_high",
     "grasp_tests": "measure num_paths svm beta p_value p_holm effect supported effect_low effect_high",
     "figure5": "model num_paths bin_from attempts mean_probability share_succeeded difference se low high",

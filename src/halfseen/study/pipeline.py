@@ -1,7 +1,10 @@
 """The one way from a policy to a policy: play → encode → cut → treat → learn → evaluate.
 
-A cut path is treated in one of four ways, as what the learner sees of it:
+A cut path is treated in one of five ways, as what the learner sees of it:
 
+``imputed``
+    Every begun stage, with an imputed target where it was cut, and Q at its lower confidence bound: what the product
+    does where nothing is said.
 ``weighted``
     Every completed stage, weighted by 1/Ĝ(U⁻): the paper's.
 ``unweighted``
@@ -30,6 +33,7 @@ from halfseen.learners import CensoredQLearner
 from halfseen.learners.q_learning.path_arrays import PathArrays
 from halfseen.learners.q_learning.q_model import QModel
 from halfseen.learners.q_learning.task import Encoded
+from halfseen.learners.q_learning.transitions import Transitions
 from halfseen.study.experiment import Setting
 from halfseen.study.policies import logging_policy
 from halfseen.tables.encoding import encoded_states
@@ -46,7 +50,9 @@ from halfseen.world.table_world import NUM_PILOT_PATHS
 
 PILOT, LOGS, EVALUATION, HELD_OUT, SELECTION = range(5)
 """What random keys are for; other experiments' worlds draw from `purpose` on."""
-TREATMENTS = ("weighted", "unweighted", "dropped", "failures")
+TREATMENTS = ("imputed", "weighted", "unweighted", "dropped", "failures")
+CENSORING = {"imputed": "auto", "weighted": "kaplan-meier"}
+"""Treatment → what the learner is told of cuts; nothing where it is not here."""
 
 
 @lru_cache(maxsize=64)
@@ -124,7 +130,7 @@ class EncodedPaths:
     def learn(
         self, logs: Sequence[tuple[CutEpisodes, str]], num_paths: int
     ) -> list[tuple[LinearTablePolicy, dict[str, float]]]:
-        """Learn from the first paths of logs, each under its treatment, in one compiled call.
+        """Learn from the first paths of logs, each under its treatment, in one compiled call for those that are alike.
 
         Returns each policy with the effective sample size and the largest of its weights.
         """
@@ -133,13 +139,11 @@ class EncodedPaths:
             paths = self.lay_out(cuts, treatment, num_paths)
             models.append(self.model(treatment).with_cuts(paths))
             rows.append(models[-1].transitions(paths))
-        # The states are the same however they are cut.
-        features = rows[0].features
-        batch = jax.tree.map(lambda *leaves: np.stack(leaves), *(row._replace(features=None) for row in rows))
-        batch = batch._replace(features=features)
-        fits = models[0].fit(batch)
-        policies = [model.policy(jax.tree.map(itemgetter(k), fits)) for k, model in enumerate(models)]
-        return list(zip(policies, [_weights(np.asarray(each.weight)) for each in rows], strict=True))
+        policies: dict[int, LinearTablePolicy] = {}
+        for is_imputed in (False, True):
+            alike = [k for k, model in enumerate(models) if model.targets.is_imputed is is_imputed]
+            policies |= zip(alike, _fit_alike([models[k] for k in alike], [rows[k] for k in alike]), strict=True)
+        return [(policies[k], _weights(np.asarray(each.weight))) for k, each in enumerate(rows)]
 
     def learn_one(self, cuts: CutEpisodes, num_paths: int) -> LinearTablePolicy:
         """Learn from the first paths of a log, weighted."""
@@ -158,9 +162,18 @@ class EncodedPaths:
         return CensoredQLearner.for_table(
             source.world.horizon,
             grasp=self.grasp,
-            censoring="kaplan-meier" if treatment == "weighted" else "none",
+            censoring=CENSORING.get(treatment, "none"),
             random_state=int(np.random.SeedSequence([source.seed, source.index]).generate_state(1)[0]),
         ).compose()
+
+
+def _fit_alike(models: Sequence[QModel], rows: Sequence[Transitions]) -> list[LinearTablePolicy]:
+    """Fit logs whose rows have the same arrays, of the same states however they were cut."""
+    if not models:
+        return []
+    batch = jax.tree.map(lambda *leaves: np.stack(leaves), *(row._replace(features=None) for row in rows))
+    fits = models[0].fit(batch._replace(features=rows[0].features))
+    return [model.policy(jax.tree.map(itemgetter(k), fits)) for k, model in enumerate(models)]
 
 
 def treated(paths: PathArrays, cuts: CutEpisodes, treatment: str, world: WorldConfig) -> PathArrays:

@@ -1,4 +1,4 @@
-"""What weighting by 1/Ĝ gains over other treatments of cut paths: Figure 4."""
+"""What the product does with cut paths where nothing is said, against other treatments of them: Figure 4."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ from halfseen.pages.axes import (
     write_title,
 )
 from halfseen.pages.numbers import MISSING, amount, interval, share_in_words
-from halfseen.pages.palette import BLUE, MARKERS, PINK, RED, SOFT
+from halfseen.pages.palette import BLUE, GREEN, MARKERS, PINK, RED, SOFT
 from halfseen.pages.sentences import NOT_SUPPORTED, SUPPORTED, Claim, capitalised, listed
 from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Section, Setting, Tables
 from halfseen.study.figures import MEAN
@@ -33,27 +33,29 @@ from halfseen.study.statistics import estimate_in, mean_columns
 from halfseen.study.wording import CUT_KIND_NAMES, CUT_KIND_NOTES, PATHS_AXIS, REWARD_AXIS, estimated_in, learned_from
 from halfseen.world.cuts import CutKind
 
-WEIGHTED = TREATMENTS[0]
+DEFAULT = TREATMENTS[0]
 TREATMENT_NAMES = {
+    "imputed": "imputed, with pessimism (default)",
     "weighted": "weighted by 1/Ĝ",
     "unweighted": "completed stages, no weights",
     "dropped": "cut paths dropped",
     "failures": "cuts counted as failures",
 }
 RIVALS = {
+    "weighted": "weighting by 1/Ĝ",
     "unweighted": "using completed stages without weights",
     "dropped": "dropping cut paths",
     "failures": "counting cuts as failures",
 }
-TREATMENT_COLOURS = {"weighted": BLUE, "unweighted": RED, "dropped": SOFT, "failures": PINK}
-GAIN = ["behind_weighted", "behind_low", "behind_high"]
-GAIN_AXIS = "gain of weighting over each other treatment"
+TREATMENT_COLOURS = {"imputed": BLUE, "weighted": GREEN, "unweighted": RED, "dropped": SOFT, "failures": PINK}
+GAIN = ["behind_default", "behind_low", "behind_high"]
+GAIN_AXIS = "gain of the default over each other treatment"
 DODGE, BAR_DODGE = 1.02, 1.10
 
 
 @dataclass(frozen=True)
 class Censoring:
-    """Four treatments of the same cut paths: of logs of each size, `cut_share` of the paths are cut by each kind.
+    """Five treatments of the same cut paths: of logs of each size, `cut_share` of the paths are cut by each kind.
 
     Treatments are compared in words where `compared_num_paths` were logged.
     """
@@ -96,39 +98,39 @@ class Censoring:
         """Make figure4.
 
         Its columns are treatment, cut_kind, num_paths, cut_share, repetitions, mean_reward, se, low, high; and
-        behind_weighted, se_behind, behind_low, behind_high: the paired mean difference (weighted − this treatment).
+        behind_default, se_behind, behind_low, behind_high: the paired mean difference (default − this treatment).
         """
         found = stacked(pieces.repetitions, "learned", "reward")
-        weighted = {(row["cut_kind"], row["num_paths"]): row for row in found if row["treatment"] == WEIGHTED}
+        default = {(row["cut_kind"], row["num_paths"]): row for row in found if row["treatment"] == DEFAULT}
         rows = []
         for row in found:
             at: dict[str, Any] = {name: row[name] for name in ("treatment", "cut_kind", "num_paths")}
             at |= {"cut_share": self.cut_share, "repetitions": len(pieces.repetitions)}
-            gain = weighted[row["cut_kind"], row["num_paths"]]["reward"] - row["reward"]
-            behind = mean_columns(gain, "behind_weighted", "se_behind", "behind_low", "behind_high")
+            gain = default[row["cut_kind"], row["num_paths"]]["reward"] - row["reward"]
+            behind = mean_columns(gain, "behind_default", "se_behind", "behind_low", "behind_high")
             rows.append(at | mean_columns(row["reward"]) | behind)
         return {"figure4": pd.DataFrame(rows)}
 
     def section(self, setting: Setting, tables: Tables) -> Section:
-        """Say what weights gain."""
+        """Say what the default gains."""
         figure4 = tables["figure4"]
         claims = claims_of(self, figure4)
         title, draw = _title(self, claims), partial(_draw, self, figure4)
         drawing = Drawing("figure4", "Figure 4", title, _caption(self, figure4), draw)
-        return Section("What the weights gain", (_sentence(self, claims),), (drawing,), (_numbers(figure4),))
+        return Section("What becomes of cut paths", (_sentence(self, claims),), (drawing,), (_numbers(figure4),))
 
 
 Claims = dict[CutKind, list[Claim]]
 
 
 def claims_of(design: Censoring, figure4: pd.DataFrame) -> Claims:
-    """That weighting earns more than each other treatment, at one size of log, by kind of cut."""
+    """That the default earns more than each other treatment, at one size of log, by kind of cut."""
     claims: Claims = {kind: [] for kind in design.cut_kinds}
     for row in records(figure4, num_paths=design.compared_num_paths):
         if row["treatment"] in RIVALS:
-            gain = estimate_in(row, "behind_weighted", "se_behind", int(row["repetitions"]))
+            gain = estimate_in(row, "behind_default", "se_behind", int(row["repetitions"]))
             rival = RIVALS[row["treatment"]]
-            claims[row["cut_kind"]].append(Claim("Weighting", "earns more than", "earns less than", rival, gain))
+            claims[row["cut_kind"]].append(Claim("Imputing", "earns more than", "earns less than", rival, gain))
     return claims
 
 
@@ -139,7 +141,7 @@ def _title(design: Censoring, claims: Claims) -> str:
         rivals = {verdict: [each.rival for each in of_kind if each.verdict == verdict] for verdict in verbs}
         said = [f"{verb} {listed(rivals[verdict])}" for verdict, verb in verbs.items() if rivals[verdict]]
         parts.append(f"under {CUT_KIND_NAMES[kind]} {' but '.join(said) or 'makes no significant difference'}")
-    return f"From {design.compared_num_paths} paths, weighting by 1/Ĝ {'; '.join(parts)}"
+    return f"From {design.compared_num_paths} paths, imputing what was cut {'; '.join(parts)}"
 
 
 def _sentence(design: Censoring, claims: Claims) -> str:
@@ -148,27 +150,29 @@ def _sentence(design: Censoring, claims: Claims) -> str:
         gains = [f"{amount(each.gain.value)}, {interval(each.gain.low, each.gain.high)}" for each in of_kind]
         said = (f"than {each.rival}: {each.verdict} ({gain})" for each, gain in zip(of_kind, gains, strict=True))
         parts.append(f"under {CUT_KIND_NAMES[kind]}, {'; '.join(said)}")
-    start = f"A policy {learned_from(design.compared_num_paths, design.cut_share)} earns more with weights 1/Ĝ"
+    start = f"A policy {learned_from(design.compared_num_paths, design.cut_share)} earns more by imputing what was cut"
     return f"{start} – {'; and '.join(parts)} (paired differences with 95 % intervals, not adjusted)."
 
 
 def _caption(design: Censoring, figure4: pd.DataFrame) -> str:
-    others = figure4[figure4["treatment"] != WEIGHTED]
+    others = figure4[figure4["treatment"] != DEFAULT]
     above, below = int((others["behind_low"] > 0).sum()), int((others["behind_high"] < 0).sum())
     return (
-        f"Four treatments of right-censored paths, learned from the same logs, of which "
+        f"Five treatments of right-censored paths, learned from the same logs, of which "
         f"{share_in_words(design.cut_share)} of the paths are cut in expectation, and played on the same episodes; "
         f"{int(figure4['repetitions'].iloc[0])} repetitions. Above: mean reward, shaded: 95 % intervals (Student’s t). "
-        "Below: paired difference, weighted − other; an interval that covers 0 shows no significant difference. Of "
+        "Below: paired difference, default − other; an interval that covers 0 shows no significant difference. Of "
         f"the {len(others)} intervals, {above} above 0 and {below} below; without any effect, about "
-        f"{amount(0.05 * len(others), 1)} would miss 0. They are not adjusted for their number. The weights "
-        "assume that cuts are independent of the task; under cuts that depend on it, 1/Ĝ is misspecified. A cut that "
+        f"{amount(0.05 * len(others), 1)} would miss 0. They are not adjusted for their number. The default "
+        "imputes what a cut stage would have brought by a regression on the completed ones, given how long they took, "
+        "and goes by lower confidence bounds of Q. The weights assume that cuts are independent of the task; under "
+        "cuts that depend on it, 1/Ĝ is misspecified. A cut that "
         "counts as a failure is a failed attempt that ended its path, with the price of the dirty objects left."
     )
 
 
 def _draw(design: Censoring, figure4: pd.DataFrame, title: str) -> Figure:
-    """Reward of each treatment above, gains of weighting below; a column for each kind of cut."""
+    """Reward of each treatment above, gains of the default below; a column for each kind of cut."""
     figure = Figure(figsize=(0.9 + 4.0 * len(design.cut_kinds), 7.2))
     top = write_title(figure, title)
     grid = figure.add_gridspec(
@@ -204,7 +208,7 @@ def _draw_treatments(
         curve = where(rows, treatment=treatment)
         across = dodged(curve["num_paths"], k, len(treatments), dodge)
         colour, marker = TREATMENT_COLOURS[treatment], MARKERS[TREATMENTS.index(treatment)]
-        above = 3.0 if treatment == WEIGHTED else 2.5
+        above = 3.0 if treatment == DEFAULT else 2.5
         name = TREATMENT_NAMES[treatment]
         draw(axes, across, curve[columns], color=colour, marker=marker, label=name, zorder=above)
 
@@ -215,6 +219,6 @@ def _numbers(figure4: pd.DataFrame) -> Listing:
         "treatment": lambda row: TREATMENT_NAMES[row["treatment"]],
         "logged paths": lambda row: str(row["num_paths"]),
         "reward": lambda row: estimated_in(row, MEAN),
-        "weighted − this": lambda row: MISSING if row["treatment"] == WEIGHTED else estimated_in(row, GAIN),
+        "default − this": lambda row: MISSING if row["treatment"] == DEFAULT else estimated_in(row, GAIN),
     }
     return Listing.of("The numbers of Figure 4", "", records(figure4), cells)
