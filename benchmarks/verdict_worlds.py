@@ -2,9 +2,9 @@
 
 cell        `examples/pick_cell`: hazards of a cut grow with clutter and while a stage drags on
 trial       `examples/clinical_trial`: survival times are rewards, cuts come at a constant rate
-haze        hidden here: a Q that is not linear, and cuts by a cause of which the log holds a proxy only. Haze clouds the
-            camera; the log has the temperature z, and haze is z and chance. Given z cuts depend on nothing that rewards
-            depend on, but their hazards are neither proportional nor log-linear. Values are means over many paths.
+haze        a Q that is not linear, and cuts by a cause of which the log holds a proxy only. Haze clouds the camera; the
+            log has the temperature z, and haze is z and chance. Given z cuts depend on nothing that rewards depend on,
+            but their hazards are neither proportional nor log-linear. Values are means over many paths.
 """
 
 import sys
@@ -254,7 +254,11 @@ class Haze:
             clock[keep] = begun + duration
             played.append(
                 frame.assign(
-                    stage=stage, action=action, reward=reward, begun=begun, elapsed_s=clock[keep],
+                    stage=stage,
+                    action=action,
+                    reward=reward,
+                    begun=begun,
+                    elapsed_s=clock[keep],
                     probability=chance[np.arange(len(keep)), action],
                 )
             )

@@ -1,8 +1,8 @@
 """Do the intervals of `evaluate` hold, and is "better" said of what is better, when paths of the log were cut?
 
-python benchmarks/verdicts.py [--out runs/benchmarks/verdicts.json] [--logs 400] [--world NAME ...] [--setting NAME ...]
+python benchmarks/verdicts.py [--out FILE] [--logs 400] [--paths 800] [--world NAME ...] [--share SHARE ...]
 
-Worlds and policies are those of `verdict_worlds`; cuts take none, a third or half of the paths of a log of 800. For each
+Worlds and policies are those of `verdict_worlds`; cuts take none, a third or half of the paths of a log. For each
 policy: how often the 95 % interval of its doubly robust value, and of the difference from the logging policy, held the
 truth; the mean error in standard errors; the mean standard error over the standard deviation of the estimates; and how
 often it was called better: rightly (best, plain), or falsely (null).

@@ -113,7 +113,7 @@ def test_what_a_constant_is_worth_adds_up_to_it(logs, by, monkeypatch):
     monkeypatch.setattr(module, lambda duration_s, knots, spread: np.ones((*np.shape(duration_s), 1)))
     learner = CensoredQLearner(2, ACTIONS, ["s1_1", "s2_1"], censoring=Weighted(by=by), reg=0.0).fit(logs)
     paths = learner.model_.lay_out(logs)
-    imputed = imputation(paths, learner.cut_model_, "separate", np.ones(2), np.arange(2))
+    imputed = imputation(paths, learner.cut_model_, np.ones(2), np.arange(2))
     begun = paths.is_begun
     np.testing.assert_allclose(imputed.share[begun] + imputed.expected[begun][:, 0], 1.0, atol=1e-9)
     assert (imputed.share[~paths.is_completed] == 0.0).all()
@@ -122,7 +122,7 @@ def test_what_a_constant_is_worth_adds_up_to_it(logs, by, monkeypatch):
 def test_the_share_of_a_seen_target_is_what_the_stage_adds_to_the_weight(logs):
     learner = CensoredQLearner(2, ACTIONS, ["s1_1", "s2_1"], reg=0.0).fit(logs)
     paths = learner.model_.lay_out(logs)
-    imputed = imputation(paths, learner.cut_model_, "separate", np.ones(2), np.arange(2))
+    imputed = imputation(paths, learner.cut_model_, np.ones(2), np.arange(2))
     weights, begun = learner.cut_model_.weights(paths.clocks), learner.cut_model_.begun_weights(paths.clocks)
     seen = paths.is_completed
     np.testing.assert_allclose(imputed.share[seen] * begun[seen], weights[seen])
