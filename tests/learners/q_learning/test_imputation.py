@@ -106,12 +106,16 @@ def test_without_cuts_nothing_is_imputed(censoring):
     np.testing.assert_allclose(imputed, plain, atol=1e-8)
 
 
+@pytest.mark.parametrize("truncate_at", [None, 1.5])
 @pytest.mark.parametrize("by", ["path", "stage", "pooled"])
-def test_what_a_constant_is_worth_adds_up_to_it(logs, by, monkeypatch):
-    """With g = 1 the sums telescope: Y of a target that is always 1 is 1, ties and all."""
+def test_what_a_constant_is_worth_adds_up_to_it(logs, by, truncate_at, monkeypatch):
+    """With g = 1 the sums telescope: Y of a target that is always 1 is 1, ties, truncated weights and all."""
     module = "halfseen.learners.q_learning.imputation._terms"
     monkeypatch.setattr(module, lambda duration_s, knots, spread: np.ones((*np.shape(duration_s), 1)))
-    learner = CensoredQLearner(2, ACTIONS, ["s1_1", "s2_1"], censoring=Weighted(by=by), reg=0.0).fit(logs)
+    learner = CensoredQLearner(
+        2, ACTIONS, ["s1_1", "s2_1"], censoring=Weighted(by=by, truncate_at=truncate_at), reg=0.0
+    )
+    learner.fit(logs)
     paths = learner.model_.lay_out(logs)
     imputed = imputation(paths, learner.cut_model_, np.ones(2), np.arange(2))
     begun = paths.is_begun
