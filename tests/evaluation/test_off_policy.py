@@ -197,7 +197,7 @@ def test_a_policy_that_takes_what_is_not_possible_is_refused():
 def test_what_is_not_said_is_one_q_for_all_stages_and_cox_on_their_clock():
     logs = trial(18, cut_rate=0.1)
     # x has two values, so its square says nothing new.
-    named = QSpec(NamedActions({1: ["B", "A"], 2: ["B", "A"]}, ["x", "stage"]), stages="pooled")
+    named = QSpec(NamedActions({1: ["B", "A"], 2: ["B", "A"]}, ["x", "stage"]), stages="pooled", reg=1e-3)
     by_cox = DoublyRobust("cox", by="pooled", truncate_at=10.0)
     sequence = FixedSequence(("B", "B"))
     assert evaluate(sequence, logs) == evaluate(sequence, logs, censoring=by_cox, q=named)

@@ -32,6 +32,10 @@ from halfseen.logs import Logs
 LARGEST_WEIGHT = 10.0
 """Bound of 1/Ĝ where a user has said nothing of cuts."""
 
+LITTLE_REG = 1e-3
+"""λ where a user has said nothing of Q. One that held-out stages choose suits those that are seen to end, and shrinks
+away what is to be said of those that are not; the bias that it leaves is in no interval."""
+
 
 @dataclass(frozen=True)
 class QSpec:
@@ -130,7 +134,7 @@ def default_q(policy: Any, logs: Logs) -> tuple[QSpec, Logs]:
     if not isinstance(task, NamedActions):
         return QSpec(task), logs
     task, logs = with_second_order(task, logs)
-    return QSpec(task, stages="pooled"), logs
+    return QSpec(task, stages="pooled", reg=LITTLE_REG), logs
 
 
 def q_model_of(policy: Any, logs: Logs, targets: Targets, q: QSpec, random_state: int = 0) -> QModel:

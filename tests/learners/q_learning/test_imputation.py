@@ -83,7 +83,8 @@ def test_one_right_model_is_enough(censoring):
 
 @pytest.mark.slow
 def test_with_both_wrong_nothing_helps():
-    assert np.abs(errors(censoring=DoublyRobust(outcome_covariates=[]))).max() > 4.0
+    # The regression of X weighs by Ĝ, which makes it less wrong than the one of Buckley and James.
+    assert np.abs(errors(censoring=DoublyRobust(outcome_covariates=[]))).max() > 3.0
     assert np.abs(errors(censoring=BuckleyJames(outcome_covariates=[]))).max() > 4.0
 
 

@@ -40,13 +40,13 @@ NUM_AGES = 24
 NUM_DURATIONS = 96
 """Durations that the distribution of D is put on, at most."""
 
-KNOTS = (0.25, 0.5, 0.75)
-"""Quantiles of D at which its effect on X may bend."""
+KNOTS = (0.1, 0.25, 0.5, 0.75, 0.9, 0.97, 0.995)
+"""Quantiles of D at which its effect on X may bend; beyond the last it stays what it was."""
 
 DURATION_RIDGE = 1.0
 """Penalty of the proportional hazards of D: a prior of one event, so that separation has an end."""
 
-LARGEST_OUTCOME_WEIGHT = 5.0
+LARGEST_OUTCOME_WEIGHT = 3.0
 """Of a completed stage in the regression of X: it weighs δ/K̂, up to this."""
 
 SMALLEST_PROBABILITY = 1e-12
@@ -158,7 +158,7 @@ def imputation(
     completed_s = watched_s[is_completed]
     knots = np.unique(np.quantile(completed_s, KNOTS))
     spread = max(float(completed_s.std()), 1e-12)
-    expected, share = np.zeros((*paths.action.shape, 1 + len(knots))), is_completed.astype(np.float64)
+    expected, share = np.zeros((*paths.action.shape, len(knots))), is_completed.astype(np.float64)
     fitted = paths.is_begun if is_fitted is None else paths.is_begun & is_fitted[:, None]
     blocks = block_of_action[paths.action]
     augmented = None if cut_model is None else _augmentation(paths, cut_model)
@@ -233,9 +233,10 @@ def _truncated(
 
 
 def _terms(duration_s: Float[np.ndarray, "*S"], knots: Float[np.ndarray, " k"], spread: float) -> np.ndarray:
-    """g(D): the duration, and how far it is beyond each knot, in standard deviations."""
-    bends = [np.maximum(duration_s - knot, 0.0) for knot in knots]
-    return np.stack([duration_s, *bends], axis=-1) / spread
+    """g(D): the duration up to the last knot, and how far it is beyond each other one, in standard deviations."""
+    bounded_s = np.minimum(duration_s, knots[-1])
+    bends = [np.maximum(bounded_s - knot, 0.0) for knot in knots[:-1]]
+    return np.stack([bounded_s, *bends], axis=-1) / spread
 
 
 def _duration_features(paths: PathArrays, is_used: Float[np.ndarray, " F"]) -> Float[np.ndarray, "n T P"]:
