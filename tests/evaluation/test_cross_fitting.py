@@ -47,8 +47,7 @@ def test_the_interval_is_the_wider_of_two():
     assert narrow.value == wide.value
 
 
-def test_stages_that_hardly_end_widen_the_interval():
-    """Influence values take the regression for given; the jackknife does not."""
+def test_cuts_widen_the_interval():
     logs = trial(1, num_paths=300, cut_rate=0.3)
     found = evaluate(TARGET, logs, **specified(BY_COX))
     light = evaluate(TARGET, trial(1, num_paths=300), **specified(BY_COX))
