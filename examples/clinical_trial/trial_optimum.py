@@ -4,7 +4,7 @@ Of Q_t(w, m, a) = mean survival + (1 − chance of death) · E V_{t+1}(w', m'), 
 the noise; between grid points V is linear.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from itertools import product
 
@@ -50,9 +50,16 @@ def policy_value(decide: Decision) -> float:
 
 def random_value() -> float:
     """Expected survival if treatment is randomised, as in the trial [years]."""
+    offered = {stage: np.isin(TREATMENTS, names) / len(names) for stage, names in ACTIONS.items()}
+    return chances_value(lambda patients, stage: np.tile(offered[stage], (len(patients), 1)))
+
+
+def chances_value(chances: Callable[[pd.DataFrame, int], Float[np.ndarray, "m A"]]) -> float:
+    """Expected survival under a policy that draws its treatments [years]."""
     value = np.zeros(WELLNESS.shape)
     for stage in range(HORIZON, 0, -1):
-        value = _q_values(value)[..., [name in ACTIONS[stage] for name in TREATMENTS]].mean(axis=-1)
+        each = chances(STATES, stage).reshape(*WELLNESS.shape, len(TREATMENTS))
+        value = (each * _q_values(value)).sum(axis=-1)
     return _mean_over_entries(value)
 
 

@@ -3,6 +3,7 @@
 Only clutter changes along a path, so E V_{t+1} is a matrix on the last axis; between grid points V is linear.
 """
 
+from collections.abc import Callable
 from functools import cache
 
 import numpy as np
@@ -21,7 +22,7 @@ from cell_parts import (
     chance_of_pick,
     mean_reward,
 )
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.stats import norm
 
 AXES = (np.linspace(*WEIGHTS_KG, 21), np.linspace(0.0, 1.0, 21), np.linspace(0.0, 1.0, 41))
@@ -43,9 +44,15 @@ def optimum() -> tuple[float, list[Float[np.ndarray, "W H C A"]]]:
 
 def policy_value(decide: Decision) -> float:
     """Expected reward of a path under a policy."""
+    return chances_value(lambda parts, stage: np.eye(len(ACTIONS_ALL))[decide(parts, stage)])
+
+
+def chances_value(chances: Callable[[pd.DataFrame, int], Float[np.ndarray, "m A"]]) -> float:
+    """Expected reward of a path under a policy that draws its actions."""
     value = np.zeros(SHAPE)
     for stage in range(HORIZON, 0, -1):
-        value = _value_of(value, decide(STATES, stage).reshape(SHAPE))
+        each = chances(STATES, stage).reshape(*SHAPE, len(ACTIONS_ALL))
+        value = sum((each[..., action] * _q_of(value, action) for action in range(len(ACTIONS_ALL))), np.zeros(SHAPE))
     return _mean_over_parts(value)
 
 
@@ -61,10 +68,6 @@ def best_order() -> tuple[float, tuple[str, ...]]:
         ends = [(_q_of(np.zeros(SHAPE), a), (ACTIONS_ALL[a],)) for a in range(HAND_OVER, len(ACTIONS_ALL))]
         rests = longer + (ends if stage > 1 else [])
     return max((_mean_over_parts(value), names) for value, names in rests)
-
-
-def _value_of(later: Float[np.ndarray, "W H C"], chosen: Int[np.ndarray, "W H C"]) -> Float[np.ndarray, "W H C"]:
-    return np.choose(chosen, [_q_of(later, action) for action in range(len(ACTIONS_ALL))])
 
 
 def _q_of(later: Float[np.ndarray, "W H C"], action: int) -> Float[np.ndarray, "W H C"]:

@@ -86,13 +86,15 @@ def mean_reward(
     return _earned(parts, action, is_picked) - COST_PER_S * mean_duration_s(parts, action, is_picked)
 
 
-def attempt(parts: pd.DataFrame, action: Int[np.ndarray, " m"], rng: np.random.Generator) -> Outcome:
-    """Do something with each part, once."""
+def attempt(
+    parts: pd.DataFrame, action: Int[np.ndarray, " m"], rng: np.random.Generator, rate: float = RATE
+) -> Outcome:
+    """Do something with each part, once; `rate` takes the place of RATE."""
     is_picked = rng.random(len(parts)) < chance_of_pick(parts, action)
     duration_s = mean_duration_s(parts, action, is_picked) * rng.gamma(4.0, 0.25, size=len(parts))
     clutter = parts["clutter"].to_numpy()
     moved = np.clip(clutter + MOVED + MOVED_NOISE * rng.normal(size=len(parts)), 0.0, 1.0)
-    hazard = RATE * np.exp(CLUTTER * clutter)
+    hazard = rate * np.exp(CLUTTER * clutter)
     return Outcome(
         duration_s=duration_s,
         reward=_earned(parts, action, is_picked) - COST_PER_S * duration_s,

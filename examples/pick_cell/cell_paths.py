@@ -5,7 +5,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pandas as pd
-from cell_parts import ACTIONS, ACTIONS_ALL, COVARIATES, GRIPPERS, HAND_OVER, HORIZON, attempt, new_parts
+from cell_parts import ACTIONS, ACTIONS_ALL, COVARIATES, GRIPPERS, HAND_OVER, HORIZON, RATE, attempt, new_parts
 from jaxtyping import Float, Int
 
 from halfseen.logs import LogRecorder, Logs, read_logs
@@ -36,7 +36,7 @@ def logging_chances(parts: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]
     return chances
 
 
-def simulate(num_paths: int, seed: int, is_cut: bool = True) -> Logs:
+def simulate(num_paths: int, seed: int, is_cut: bool = True, rate: float = RATE) -> Logs:
     """Log parts, all of them at once.
 
     Parameters
@@ -47,13 +47,15 @@ def simulate(num_paths: int, seed: int, is_cut: bool = True) -> Logs:
         Of all draws.
     is_cut
         False for a cell that nobody stops.
+    rate
+        Takes the place of RATE: cuts are more, or fewer.
     """
     rng = np.random.default_rng(seed)
     path, clock, parts = np.arange(num_paths), np.zeros(num_paths), new_parts(num_paths, rng)
     stages, paths = [], []
     for stage in range(1, HORIZON + 1):
         action, chance = draw_action(parts, stage, rng)
-        outcome = attempt(parts, action, rng)
+        outcome = attempt(parts, action, rng, rate)
         is_seen = outcome.duration_s <= outcome.cut_s if is_cut else np.ones(len(path), dtype=bool)
         end = clock + np.where(is_seen, outcome.duration_s, outcome.cut_s)
         rows = {

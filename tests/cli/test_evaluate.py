@@ -95,7 +95,7 @@ def test_json_carries_what_the_library_says(folders):
     spec = specification_of(stored, logs)
     answer = evaluated(stored.policy, logs, censoring=spec.censoring, q=spec.q, random_state=3)
     assert report["doubly_robust"] == answer.as_dict()["doubly_robust"]
-    assert (report["verdict"], report["augmented"], report["censoring"]) == ("better", True, "kaplan-meier")
+    assert (report["verdict"], report["augmented"], report["censoring"]) == ("better", True, "cox")
     assert not report["is_learned_from_these_logs"]
 
 

@@ -197,11 +197,13 @@ def test_a_policy_that_takes_what_is_not_possible_is_refused():
         evaluate(FixedSequence(("B", "B")), Logs(only_a, logs.paths), **specified(actions={1: ["A", "B"], 2: ["A"]}))
 
 
-def test_what_a_policy_says_of_itself_need_not_be_said_again():
+def test_what_is_not_said_is_one_q_for_all_stages_and_cox_on_their_clock():
     logs = trial(18, cut_rate=0.1)
-    named = QSpec(NamedActions({1: ["B", "A"], 2: ["B", "A"]}, ["x"]))
+    # x has two values, so its square says nothing new.
+    named = QSpec(NamedActions({1: ["B", "A"], 2: ["B", "A"]}, ["x", "stage"]), stages="pooled", reg=1e-3)
+    by_cox = DoublyRobust("cox", by="pooled", truncate_at=10.0)
     sequence = FixedSequence(("B", "B"))
-    assert evaluate(sequence, logs) == evaluate(sequence, logs, censoring=DoublyRobust(), q=named)
+    assert evaluate(sequence, logs) == evaluate(sequence, logs, censoring=by_cox, q=named)
     last_unknown = trial(18, cut_rate=0.1, knows_last_action=False)
     assert evaluate(sequence, last_unknown) == evaluate(sequence, last_unknown, censoring="kaplan-meier", q=named)
     with pytest.raises(ArgumentError, match="str decides nothing about named actions, which the log is of"):

@@ -123,12 +123,12 @@ def test_how_few_paths_suffice_is_by_paired_differences():
     assert "even 800 logged paths do not suffice" in example_section(REWARD, lead=-9.0).sentences[1]
 
 
-def test_what_weights_gain_is_told_by_kind_of_cut():
+def test_what_the_default_gains_is_told_by_kind_of_cut():
     sentence = example_section(CENSORING, gain=0.5).sentences[0]
-    assert sentence.count(": supported (") == 3
+    assert sentence.count(": supported (") == 4
     assert "under independent cuts, than using completed stages without weights: supported (0.5" in sentence
     title = example_section(CENSORING, gain=0.5).drawings[0].title
-    assert title.startswith("From 800 paths, weighting by 1/Ĝ under independent cuts earns more than")
+    assert title.startswith("From 800 paths, imputing what was cut under independent cuts earns more than")
     assert "makes no significant difference" in title
 
 

@@ -82,11 +82,14 @@ class CutModel:
             end = self._ask(0, paths, _add(start, age_s[path, stage]), path, np.zeros_like(stage))
             probabilities[path, stage] = end / np.where(begun > 0, begun, 1.0).reshape((-1,) + (1,) * (end.ndim - 1))
             return probabilities
+        if self.by == "pooled":
+            path, stage = np.nonzero(is_wanted)
+            probabilities[path, stage] = self._ask(0, paths, age_s[path, stage], path, stage)
+            return probabilities
         for t in range(is_wanted.shape[1]):
             path = np.flatnonzero(is_wanted[:, t])
             if len(path):
-                which = t if self.by == "stage" else 0
-                probabilities[path, t] = self._ask(which, paths, age_s[path, t], path, np.full_like(path, t))
+                probabilities[path, t] = self._ask(t, paths, age_s[path, t], path, np.full_like(path, t))
         return probabilities
 
     def weights(self, paths: StageClocks) -> Float[np.ndarray, "n T"]:

@@ -28,11 +28,26 @@ class Contender(NamedTuple):
     """What a log knows of what a policy earns."""
 
     name: str
-    values: Float[np.ndarray, " n"] | None
+    values: Float[np.ndarray, " n"] | None = None
     """What each path adds to it; None where the log has no such action."""
-    effective_sample_size: float
+    without: Float[np.ndarray, " K"] | None = None
+    """The same value without each fold."""
+    effective_sample_size: float = 0.0
     why_unknown: str | None = None
     """Why nothing is to be believed, if so."""
+
+    def estimate(self, level: float) -> Estimate:
+        """What it earns."""
+        assert self.values is not None
+        return estimate_of(self.values, self.effective_sample_size, level, self.without)
+
+    def less(self, other: "Contender", level: float) -> Estimate:
+        """How much more it earns than another, path by path."""
+        assert self.values is not None
+        assert other.values is not None
+        size = min(self.effective_sample_size, other.effective_sample_size)
+        without = None if self.without is None or other.without is None else self.without - other.without
+        return estimate_of(self.values - other.values, size, level, without)
 
 
 SEVERITY: dict[Verdict, int] = {"not better": 0, "cannot be said": 1, "better": 2}
@@ -87,10 +102,7 @@ def compared(ours: Contender, theirs: Sequence[Contender], level: float) -> tupl
 
 
 def _difference(ours: Contender, opponent: Contender, level: float) -> Estimate | None:
-    if ours.values is None or opponent.values is None:
-        return None
-    size = min(ours.effective_sample_size, opponent.effective_sample_size)
-    return estimate_of(ours.values - opponent.values, size, level)
+    return None if ours.values is None or opponent.values is None else ours.less(opponent, level)
 
 
 def _believed_p(ours: Contender, opponent: Contender, difference: Estimate | None) -> float | None:
@@ -111,8 +123,7 @@ def _comparison(
         verdict, reason = "cannot be said", why or f"nothing is known of what {opponent.name} earns"
     else:
         verdict, reason = verdict_of(difference, opponent.name, adjusted_p <= 1.0 - level)
-    values, size = opponent.values, opponent.effective_sample_size
-    value = None if values is None else estimate_of(values, size, level)
+    value = None if opponent.values is None else opponent.estimate(level)
     return Comparison(opponent.name, value, difference, p, adjusted_p, verdict, reason)
 
 
@@ -120,8 +131,7 @@ def p_value(difference: Estimate) -> float:
     """Two-sided, by the same t distribution as its interval; 1 for a policy that differs in nothing."""
     if difference.standard_error == 0.0:
         return float(difference.value == 0.0)
-    freedom = max(difference.effective_sample_size - 1.0, 1.0)
-    return float(2.0 * stats.t.sf(abs(difference.value) / difference.standard_error, freedom))
+    return float(2.0 * stats.t.sf(abs(difference.value) / difference.standard_error, difference.degrees_of_freedom))
 
 
 def hochberg(p: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:

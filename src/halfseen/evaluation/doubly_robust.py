@@ -14,22 +14,19 @@ if the regressions m of X and of the duration are. So
 *Simple*: w_it = ρ_it δ_it / Ĝ(U_it⁻) and Y is X = R_t + V̂_{t+1}(S_{t+1}), of completed stages alone. The first of the
 two holds; the second only where durations say nothing of X beyond (S_t, A_t), for slow stages are cut more often.
 
-The weights are self-normalised (`ratios`), and Q̂ and m are fitted without the path's own fold [Chernozhukov2018]_. On
+The weights are self-normalised (`ratios`), and Ĝ, Q̂ and m are fitted without the path's own fold
+[Chernozhukov2018]_ (`cross_fitting`). On
 decisions without cuts this is the estimator of [JiangLi2016]_ and [ThomasBrunskill2016]_; the pseudo-outcomes are those
 of [Robins1992]_.
 """
+
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from halfseen.evaluation.ratios import StageWeights
 from halfseen.learners.q_learning.judging import Judged
-
-
-def held_out(judged: Judged, fold: Int[np.ndarray, " n"]) -> Judged:
-    """Of what V Qs say, each fitted without one fold, take for every path what the one says that never saw it."""
-    path = np.arange(len(fold))
-    return Judged(*(np.asarray(leaf)[fold, path] for leaf in judged))
 
 
 def doubly_robust(judged: Judged, weights: StageWeights) -> Float[np.ndarray, " n"]:
@@ -44,3 +41,30 @@ def doubly_robust(judged: Judged, weights: StageWeights) -> Float[np.ndarray, " 
     """
     error = np.where(weights.weight > 0, judged.target - judged.taken, 0.0)
     return judged.value[:, 0] + weights.influence(error)
+
+
+def cross_fitted(
+    judged: Judged, weights: Sequence[StageWeights], fold: Int[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " K"]]:
+    """φ of every path by what never saw it; and the value without each of K folds, by the others alone.
+
+    Parameters
+    ----------
+    judged
+        What each of at least K Qs says, fitted without one fold.
+    weights
+        Without each fold.
+    fold
+        Of each path.
+    """
+    path = np.arange(len(fold))
+    held_out = Judged(*(np.asarray(leaf)[fold, path] for leaf in judged))
+    weight, standing = (
+        np.stack(each)[fold, path] for each in zip(*((w.weight, w.standing) for w in weights), strict=True)
+    )
+    without = []
+    for k, one in enumerate(weights):
+        kept = fold != k
+        others = Judged(*(np.asarray(leaf)[k][kept] for leaf in judged))
+        without.append(doubly_robust(others, one.take(kept)).mean())
+    return doubly_robust(held_out, StageWeights(weight, standing)), np.array(without)

@@ -2,13 +2,16 @@
 
 One compiled function fits Q to many weightings of the same log: to all paths, and to all but each fold in turn. So no
 path is judged by a Q that it shaped (*cross-fitting*), and how much the value changes from fold to fold tells its
-standard error (the delete-a-group jackknife [Kott2001]_). Ĝ, and the distribution of durations behind imputed targets,
-are those of the whole log: they have few parameters.
+standard error (the delete-a-group jackknife [Kott2001]_).
 """
+
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from halfseen.evaluation.cross_fitting import Nuisances
+from halfseen.evaluation.estimate import jackknife_error
 from halfseen.learners.q_learning.fitting import fit_and_judge
 from halfseen.learners.q_learning.judging import Judged
 from halfseen.learners.q_learning.q_model import QModel
@@ -16,9 +19,13 @@ from halfseen.learners.q_learning.transitions import Transitions
 
 
 def judged_by_folds(
-    model: QModel, log: Transitions, reward: Float[np.ndarray, "n T"], fold: Int[np.ndarray, " n"]
+    model: QModel,
+    log: Transitions,
+    reward: Float[np.ndarray, "n T"],
+    fold: Int[np.ndarray, " n"],
+    nuisances: Sequence[Nuisances],
 ) -> Judged:
-    """What the Qs say that were fitted without each fold, and last that of all paths.
+    """What the Qs say that were fitted without each fold; and last that of all paths, if there are nuisances for it.
 
     Parameters
     ----------
@@ -30,10 +37,17 @@ def judged_by_folds(
         As logged.
     fold
         Of each path.
+    nuisances
+        Fitted without each fold, and perhaps to all paths.
     """
-    without = fold != np.arange(fold.max() + 2)[:, None]
     blocks = model.task.block_of_action(log.is_possible.shape[-1])
-    return fit_and_judge(log, reward, without.astype(np.float64), blocks, model.regs, model.options(len(fold)))
+    options = model.options(len(fold))
+    each = []
+    for k, given in enumerate(nuisances):
+        without = (fold != k).astype(np.float64)[None]
+        weighted = log._replace(weight=given.weight, imputation=given.imputation)
+        each.append(fit_and_judge(weighted, reward, without, blocks, model.regs, options))
+    return Judged(*(np.concatenate(leaves) for leaves in zip(*each, strict=True)))
 
 
 def jackknifed(value: Float[np.ndarray, "B n"], fold: Int[np.ndarray, " n"]) -> tuple[float, float]:
@@ -46,7 +60,5 @@ def jackknifed(value: Float[np.ndarray, "B n"], fold: Int[np.ndarray, " n"]) -> 
     fold
         Of each path.
     """
-    num_folds = len(value) - 1
-    without = np.array([value[k, fold != k].mean() for k in range(num_folds)])
-    error = np.sqrt((num_folds - 1.0) / num_folds * np.sum((without - without.mean()) ** 2))
-    return float(value[-1].mean()), float(error)
+    without = np.array([each[fold != k].mean() for k, each in enumerate(value[:-1])])
+    return float(value[-1].mean()), jackknife_error(without)

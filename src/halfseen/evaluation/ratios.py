@@ -9,7 +9,7 @@ much of their noise (self-normalised, or weighted, importance sampling).
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from halfseen.learners.q_learning.path_arrays import PathArrays
 
@@ -41,6 +41,10 @@ class StageWeights:
         squares = (self.standing**2).sum(axis=0)
         each = np.where(squares > 0, self.standing.sum(axis=0) ** 2 / np.where(squares > 0, squares, 1.0), 0.0)
         return float(each.min())
+
+    def take(self, rows: Bool[np.ndarray, " n"]) -> "StageWeights":
+        """Keep these paths."""
+        return StageWeights(self.weight[rows], self.standing[rows])
 
     def influence(self, of_stage: Float[np.ndarray, "n T"]) -> Float[np.ndarray, " n"]:
         """What each path adds to the sum over stages of the weighted means of `of_stage`; its mean is that sum.

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from halfseen.censoring import CENSORING_NAMES
-from halfseen.evaluation.off_policy import QSpec
-from halfseen.evaluation.targets import task_of
+from halfseen.evaluation.off_policy import LARGEST_WEIGHT, QSpec, default_targets
 from halfseen.learners.q_learning.targets import DoublyRobust, Targets, named_targets
 from halfseen.learners.q_learning.task import Task, named_task
 from halfseen.logs import Logs
@@ -22,11 +21,11 @@ class EvaluationSpec:
     censoring
         What stands for what cuts took away.
     q
-        How Q of the policy is fitted.
+        How Q of the policy is fitted; None for the way of `evaluate`.
     """
 
     censoring: Targets
-    q: QSpec
+    q: QSpec | None
 
     def as_dict(self) -> dict[str, Any]:
         """How cuts were dealt with, ready for JSON."""
@@ -45,32 +44,41 @@ def specification_of(
     truncate_at: float | None = None,
     augmented: bool | None = None,
 ) -> EvaluationSpec:
-    """Say how to evaluate a policy: as it was learned, but for what is chosen.
+    """Say how to evaluate a policy: with the cuts that it was learned with, if any were named, but for what is chosen.
+
+    Q of named actions is fitted as `evaluate` does by itself, for what is good enough to choose an action by may be
+    too plain to tell its value.
 
     Parameters
     ----------
     stored
-        The policy, with the parameters that it was learned with. A model of the cuts that has no name, or is none,
-        gives way to ``"kaplan-meier"``.
+        The policy, with the parameters that it was learned with. A model of the cuts that has no name, or is
+        Kaplan and Meier's as if nothing was said, gives way to that of `default_targets`.
     logs
         The log that it is evaluated on.
     censoring, censoring_by, censoring_covariates, truncate_at
-        As for `named_targets`; None for those of the policy.
+        As for `named_targets`; None for those of the policy, and of doubly robust targets no weight above
+        `LARGEST_WEIGHT`.
     augmented
         Doubly robust towards cuts; None where the log has all actions.
     """
     learned = stored.record["learner"]
     own = learned.get("censoring")
     is_complete = bool(logs.stages["action"].notna().all())
+    is_augmented = is_complete if augmented is None else augmented
+    q = QSpec(_task(stored), q_space_of_record(learned), learned.get("stages")) if stored.is_table else None
+    is_chosen = any(one is not None for one in (censoring, censoring_by, censoring_covariates, truncate_at))
+    if is_augmented and is_complete and not is_chosen and own in (None, "kaplan-meier"):
+        return EvaluationSpec(default_targets(logs), q)
     model = censoring or (own if own in CENSORING_NAMES else "kaplan-meier")
+    bound = learned.get("truncate_at") if truncate_at is None else truncate_at
     targets = named_targets(
         model,
         by=censoring_by or learned.get("censoring_by") or "path",
         covariates=_own_covariates(learned, model) if censoring_covariates is None else censoring_covariates,
-        truncate_at=learned.get("truncate_at") if truncate_at is None else truncate_at,
-        is_doubly_robust=is_complete if augmented is None else augmented,
+        truncate_at=LARGEST_WEIGHT if bound is None and is_augmented else bound,
+        is_doubly_robust=is_augmented,
     )
-    q = QSpec(_task(stored, logs), q_space_of_record(learned), learned.get("stages", "separate"))
     return EvaluationSpec(targets, q)
 
 
@@ -79,9 +87,7 @@ def _own_covariates(learned: Mapping[str, Any], model: str) -> list[str] | None:
     return learned.get("censoring_covariates") if learned.get("censoring") == model else None
 
 
-def _task(stored: StoredPolicy, logs: Logs) -> Task:
-    if not stored.is_table:
-        return task_of(stored.policy, logs)
+def _task(stored: StoredPolicy) -> Task:
     policy: Any = stored.policy
     reduces_variance = bool(stored.record["learner"].get("reduces_variance", True))
     return named_task("table", grasp=policy.grasp, reduces_variance=reduces_variance)

@@ -84,7 +84,7 @@ def find(
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always", HalfseenWarning)
         spec = specification_of(stored, logs, **chosen)
-        task = spec.q.task or task_of(stored.policy, logs)
+        task = (spec.q and spec.q.task) or task_of(stored.policy, logs)
         options: Any = {"propensity": propensity, "random_state": seed}
         evaluation = evaluate(stored.policy, logs, censoring=spec.censoring, q=spec.q, **options)
         on_progress("look at the log")

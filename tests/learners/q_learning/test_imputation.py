@@ -83,7 +83,8 @@ def test_one_right_model_is_enough(censoring):
 
 @pytest.mark.slow
 def test_with_both_wrong_nothing_helps():
-    assert np.abs(errors(censoring=DoublyRobust(outcome_covariates=[]))).max() > 4.0
+    # The regression of X weighs by Ĝ, which makes it less wrong than the one of Buckley and James.
+    assert np.abs(errors(censoring=DoublyRobust(outcome_covariates=[]))).max() > 3.0
     assert np.abs(errors(censoring=BuckleyJames(outcome_covariates=[]))).max() > 4.0
 
 
@@ -108,14 +109,18 @@ def test_without_cuts_nothing_is_imputed(censoring):
     np.testing.assert_allclose(imputed, plain, atol=1e-8)
 
 
+@pytest.mark.parametrize("truncate_at", [None, 1.5])
 @pytest.mark.parametrize("by", ["path", "stage", "pooled"])
-def test_what_a_constant_is_worth_adds_up_to_it(logs, by, monkeypatch):
-    """With g = 1 the sums telescope: Y of a target that is always 1 is 1, ties and all."""
+def test_what_a_constant_is_worth_adds_up_to_it(logs, by, truncate_at, monkeypatch):
+    """With g = 1 the sums telescope: Y of a target that is always 1 is 1, ties, truncated weights and all."""
     module = "halfseen.learners.q_learning.imputation._terms"
     monkeypatch.setattr(module, lambda duration_s, knots, spread: np.ones((*np.shape(duration_s), 1)))
-    learner = CensoredQLearner.of_paper(2, ACTIONS, ["s1_1", "s2_1"], censoring=Weighted(by=by), reg=0.0).fit(logs)
+    learner = CensoredQLearner.of_paper(
+        2, ACTIONS, ["s1_1", "s2_1"], censoring=Weighted(by=by, truncate_at=truncate_at), reg=0.0
+    )
+    learner.fit(logs)
     paths = learner.model_.lay_out(logs)
-    imputed = imputation(paths, learner.cut_model_, "separate", np.ones(2), np.arange(2))
+    imputed = imputation(paths, learner.cut_model_, np.ones(2), np.arange(2))
     begun = paths.is_begun
     np.testing.assert_allclose(imputed.share[begun] + imputed.expected[begun][:, 0], 1.0, atol=1e-9)
     assert (imputed.share[~paths.is_completed] == 0.0).all()
@@ -124,7 +129,7 @@ def test_what_a_constant_is_worth_adds_up_to_it(logs, by, monkeypatch):
 def test_the_share_of_a_seen_target_is_what_the_stage_adds_to_the_weight(logs):
     learner = CensoredQLearner.of_paper(2, ACTIONS, ["s1_1", "s2_1"], reg=0.0).fit(logs)
     paths = learner.model_.lay_out(logs)
-    imputed = imputation(paths, learner.cut_model_, "separate", np.ones(2), np.arange(2))
+    imputed = imputation(paths, learner.cut_model_, np.ones(2), np.arange(2))
     weights, begun = learner.cut_model_.weights(paths.clocks), learner.cut_model_.begun_weights(paths.clocks)
     seen = paths.is_completed
     np.testing.assert_allclose(imputed.share[seen] * begun[seen], weights[seen])

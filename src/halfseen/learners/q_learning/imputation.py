@@ -16,12 +16,14 @@ if m is right, whatever K̂ is. m is a step function of the age, so the integral
 must be right.
 
 m comes from two regressions, on the completed stages: of X on φ(S_t, A_t) and terms g(D) of the duration, by block and
-anew at each step of eq. 3 (`recursion`); and of D on (S_t, A_t), by proportional hazards, which says what g(D) is to be
-expected. A stage that is completed is not a fair draw of all, but given its duration it is, if cuts depend on
-(S_t, A_t) alone; so no weights are needed here.
+anew at each step of eq. 3 (`recursion`); and of D on φ and t, by proportional hazards with a baseline for each block,
+which says what g(D) is to be expected. A stage that is completed is not a fair draw of all, but given its duration it
+is, if cuts depend on (S_t, A_t) alone; so a regression that is right needs no weights. One that is a little wrong had
+better be wrong where stages are short: for doubly robust targets each stage weighs δ/K̂(D⁻), truncated.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -30,7 +32,7 @@ from halfseen.censoring import Cox, CutModel
 from halfseen.censoring.stage_clocks import SMALLEST_AGE_S
 from halfseen.errors import ArgumentError
 from halfseen.learners.q_learning.path_arrays import PathArrays
-from halfseen.learners.q_learning.transitions import Imputation, StageMode
+from halfseen.learners.q_learning.transitions import Imputation
 
 NUM_AGES = 24
 """Steps of m: between quantiles of the ages at which stages ended."""
@@ -38,11 +40,14 @@ NUM_AGES = 24
 NUM_DURATIONS = 96
 """Durations that the distribution of D is put on, at most."""
 
-KNOTS = (0.25, 0.5, 0.75)
-"""Quantiles of D at which its effect on X may bend."""
+KNOTS = (0.1, 0.25, 0.5, 0.75, 0.9, 0.97, 0.995)
+"""Quantiles of D at which its effect on X may bend; beyond the last it stays what it was."""
 
 DURATION_RIDGE = 1.0
 """Penalty of the proportional hazards of D: a prior of one event, so that separation has an end."""
+
+LARGEST_OUTCOME_WEIGHT = 3.0
+"""Of a completed stage in the regression of X: it weighs δ/K̂, up to this."""
 
 SMALLEST_PROBABILITY = 1e-12
 
@@ -123,9 +128,9 @@ def fit_durations(
 def imputation(
     paths: PathArrays,
     cut_model: CutModel | None,
-    stages: StageMode,
     is_used: Float[np.ndarray, " F"],
     block_of_action: Int[np.ndarray, " A"],
+    is_fitted: Bool[np.ndarray, " n"] | None = None,
 ) -> Imputation:
     """Work out what `recursion` needs to make Y of X.
 
@@ -135,12 +140,12 @@ def imputation(
         The log.
     cut_model
         Ĝ, for doubly robust targets; None for those of Buckley and James.
-    stages
-        One distribution of durations for each stage (``"separate"``), or one for all (``"pooled"``).
     is_used
         1 for each feature of the taken action that m may look at, 0 for the others.
     block_of_action
-        Which block of coefficients each action uses.
+        Which block of coefficients each action uses; each block has its own distribution of durations.
+    is_fitted
+        Paths that durations are fitted to; None for all.
 
     Raises
     ------
@@ -148,81 +153,96 @@ def imputation(
         The action of a stage in which a path was cut was not logged.
     """
     _refuse_unknown_actions(paths, cut_model)
-    features = _by_block(paths, is_used, block_of_action)
-    watched_s = paths.clocks.watched_s
-    completed_s = watched_s[paths.is_completed]
+    features = _duration_features(paths, is_used)
+    watched_s, is_completed = paths.clocks.watched_s, paths.is_completed
+    completed_s = watched_s[is_completed]
     knots = np.unique(np.quantile(completed_s, KNOTS))
     spread = max(float(completed_s.std()), 1e-12)
-    shape = (*paths.action.shape, 1 + len(knots))
-    expected, share = np.zeros(shape), paths.is_completed.astype(np.float64)
-    num_stages = paths.action.shape[1]
-    for t in range(num_stages) if stages == "separate" else [slice(None)]:
-        where = np.zeros(paths.action.shape, dtype=bool)
-        where[:, t] = True
-        rows = paths.is_begun & where
-        if not (rows & paths.is_completed).any():
+    expected, share = np.zeros((*paths.action.shape, len(knots))), is_completed.astype(np.float64)
+    fitted = paths.is_begun if is_fitted is None else paths.is_begun & is_fitted[:, None]
+    blocks = block_of_action[paths.action]
+    augmented = None if cut_model is None else _augmentation(paths, cut_model)
+    for block in np.unique(blocks[paths.is_begun]):
+        rows, own = paths.is_begun & (blocks == block), fitted & (blocks == block)
+        # What was never seen to end lasts as long as the others.
+        known = own if (own & is_completed).any() else fitted
+        if not (known & is_completed).any():
             continue
-        durations = fit_durations(watched_s[rows], paths.is_completed[rows], features[rows])
+        durations = fit_durations(watched_s[known], is_completed[known], features[known])
         terms = _terms(durations.at_s, knots, spread)
-        if cut_model is None:
+        if augmented is None:
             later = durations.expected(features[rows], watched_s[rows][:, None], terms)[:, 0]
-            expected[rows] = np.where(paths.is_completed[rows][:, None], 0.0, later)
+            expected[rows] = np.where(is_completed[rows][:, None], 0.0, later)
         else:
-            share[rows], expected[rows] = _augmented(paths, cut_model, rows, durations, features, terms)
+            share[rows], steps = augmented.share[rows], augmented.steps[rows]
+            ages = np.broadcast_to(augmented.age_s, steps.shape)
+            expected[rows] = np.einsum("kl,klg->kg", steps, durations.expected(features[rows], ages, terms))
     return Imputation(
         share=share,
-        terms=np.where(paths.is_completed[..., None], _terms(watched_s, knots, spread), 0.0),
+        terms=np.where(is_completed[..., None], _terms(watched_s, knots, spread), 0.0),
         expected=expected,
-        is_observed=paths.is_completed.astype(np.float64),
+        is_observed=np.where(is_completed, np.minimum(share, LARGEST_OUTCOME_WEIGHT), 0.0),
         is_used=is_used,
     )
 
 
-def _augmented(
-    paths: PathArrays,
-    cut_model: CutModel,
-    rows: Bool[np.ndarray, "n T"],
-    durations: Durations,
-    features: Float[np.ndarray, "n T P"],
-    terms: Float[np.ndarray, "J G"],
-) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k G"]]:
-    """Share δ/K̂(D⁻), and the two sums over m with g in its place."""
-    clocks = paths.clocks
-    ended_s, is_completed = clocks.watched_s, paths.is_completed[rows]
+class _Augmentation(NamedTuple):
+    share: Float[np.ndarray, "n T"]
+    """δ/K̂(D⁻) of each begun stage."""
+    steps: Float[np.ndarray, "n T L"]
+    """What m is multiplied by, for each step of the age."""
+    age_s: Float[np.ndarray, " L"]
+    """In the middle of each step."""
+
+
+def _augmentation(paths: PathArrays, cut_model: CutModel) -> _Augmentation:
+    """What depends on K̂ alone: the share of X, and the weights of the sums over m."""
+    clocks, rows = paths.clocks, paths.is_begun
+    ended_s, is_completed = clocks.watched_s, paths.is_completed
     ages = np.unique(np.quantile(ended_s[rows], np.linspace(0.0, 1.0, NUM_AGES + 1)))
     ages = np.concatenate([[0.0], ages[:-1], [np.inf]])
     middle = np.append((ages[:-2] + ages[1:-1]) / 2.0, ages[-2])
-    # A stage that was cut at c was at risk until just after c.
-    at_risk_s = np.where(paths.is_completed, ended_s, ended_s + 2.0 * SMALLEST_AGE_S)
-    within = cut_model.survival(clocks, np.minimum(ages, at_risk_s[..., None]), rows)[rows]
-    share = np.where(is_completed, cut_model.weights(clocks)[rows] / cut_model.begun_weights(clocks)[rows], 0.0)
-    # Where K̂ falls to 0 with the last cut itself, the nearest that can be divided by is just before; ages are rounded.
-    before_cut = cut_model.survival(clocks, np.maximum(ended_s - SMALLEST_AGE_S, 0.0), rows)[rows]
-    most = np.where(is_completed, share, 1.0 / np.maximum(before_cut, SMALLEST_PROBABILITY))
-    least = np.where(within > 0, within, 1.0 / most[:, None])
-    inverse = np.minimum(1.0 / least, np.where(is_completed, most, np.inf)[:, None])
-    inverse[:, -1] = np.where(is_completed, share, inverse[:, -1])
-    steps = -np.diff(inverse, axis=1)
-    cut_in = np.searchsorted(ages, ended_s[rows], side="right") - 1
-    steps[np.arange(len(steps)), cut_in] += np.where(is_completed, 0.0, inverse[:, -1])
-    later = durations.expected(features[rows], np.broadcast_to(middle, (len(steps), len(middle))), terms)
-    return share, np.einsum("kl,klg->kg", steps, later)
+    # A stage that was cut at c was at risk until just after c. Where K̂ falls to 0 with the last cut itself, the nearest
+    # that can be divided by is just before; ages are rounded.
+    at_risk_s = np.where(is_completed, ended_s, ended_s + 2.0 * SMALLEST_AGE_S)
+    before_cut_s = np.maximum(ended_s - SMALLEST_AGE_S, 0.0)
+    asked_s = np.concatenate([np.minimum(ages, at_risk_s[..., None]), before_cut_s[..., None]], axis=-1)
+    weights = cut_model.weights(clocks)
+    begun = np.concatenate([np.ones((len(weights), 1)), weights[:, :-1]], axis=1)
+    within = _truncated(cut_model.survival(clocks, asked_s, rows), begun, cut_model.truncate_at)
+    share = np.where(is_completed, weights / np.where(rows, begun, 1.0), 0.0)
+    most = np.where(is_completed, share, 1.0 / np.maximum(within[..., -1], SMALLEST_PROBABILITY))
+    least = np.where(within[..., :-1] > 0, within[..., :-1], 1.0 / most[..., None])
+    inverse = np.minimum(1.0 / least, np.where(is_completed, most, np.inf)[..., None])
+    inverse[..., -1] = np.where(is_completed, share, inverse[..., -1])
+    steps = -np.diff(inverse, axis=-1)
+    cut_in = (np.searchsorted(ages, ended_s, side="right") - 1)[..., None]
+    at_cut = np.take_along_axis(steps, cut_in, axis=-1) + np.where(is_completed, 0.0, inverse[..., -1])[..., None]
+    np.put_along_axis(steps, cut_in, at_cut, axis=-1)
+    return _Augmentation(share, np.where(rows[..., None], steps, 0.0), middle)
+
+
+def _truncated(
+    within: Float[np.ndarray, "n T L"], begun: Float[np.ndarray, "n T"], truncate_at: float | int | None
+) -> Float[np.ndarray, "n T L"]:
+    """K̂, with Ĝ nowhere below the bound that weights are truncated at; `begun` is 1/Ĝ as each stage begins."""
+    if truncate_at is None:
+        return within
+    inverse = np.maximum(begun, 1.0)[..., None]
+    return np.maximum(within, inverse / truncate_at)
 
 
 def _terms(duration_s: Float[np.ndarray, "*S"], knots: Float[np.ndarray, " k"], spread: float) -> np.ndarray:
-    """g(D): the duration, and how far it is beyond each knot, in standard deviations."""
-    bends = [np.maximum(duration_s - knot, 0.0) for knot in knots]
-    return np.stack([duration_s, *bends], axis=-1) / spread
+    """g(D): the duration up to the last knot, and how far it is beyond each other one, in standard deviations."""
+    bounded_s = np.minimum(duration_s, knots[-1])
+    bends = [np.maximum(bounded_s - knot, 0.0) for knot in knots[:-1]]
+    return np.stack([bounded_s, *bends], axis=-1) / spread
 
 
-def _by_block(
-    paths: PathArrays, is_used: Float[np.ndarray, " F"], block_of_action: Int[np.ndarray, " A"]
-) -> Float[np.ndarray, "n T P"]:
-    """A constant and the features of the action that was taken, in columns of its block's own."""
-    taken = paths.encoded.taken * is_used
-    own = np.insert(taken, 0, 1.0, axis=-1)
-    blocks = block_of_action[paths.action]
-    return np.concatenate([own * (blocks == block)[..., None] for block in np.unique(block_of_action)], axis=-1)
+def _duration_features(paths: PathArrays, is_used: Float[np.ndarray, " F"]) -> Float[np.ndarray, "n T P"]:
+    """Features of the action that was taken, and the stage."""
+    stage = np.broadcast_to(np.arange(paths.action.shape[1], dtype=np.float64), paths.action.shape)
+    return np.concatenate([paths.encoded.taken * is_used, stage[..., None]], axis=-1)
 
 
 def _refuse_unknown_actions(paths: PathArrays, cut_model: CutModel | None) -> None:

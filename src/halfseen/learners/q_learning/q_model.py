@@ -130,9 +130,11 @@ class QModel:
         weight, imputed = self.weights_and_imputation(paths)
         return self.weighted(paths, weight, imputed, self.folds(paths.num_paths))
 
-    def weights_and_imputation(self, paths: PathArrays) -> tuple[Float[np.ndarray, "n T"], Imputation | None]:
-        """Weight of each stage in eq. 3; and what its target is imputed from, if it is."""
-        imputed = self._imputation(paths) if self.targets.is_imputed else None
+    def weights_and_imputation(
+        self, paths: PathArrays, is_fitted: Bool[np.ndarray, " n"] | None = None
+    ) -> tuple[Float[np.ndarray, "n T"], Imputation | None]:
+        """Weight of each stage in eq. 3; and what its target is imputed from, if it is, fitted to some paths or all."""
+        imputed = self._imputation(paths, is_fitted) if self.targets.is_imputed else None
         return self.targets.weights(paths, self.cut_model), imputed
 
     def weighted(
@@ -189,10 +191,10 @@ class QModel:
         """Deal paths into folds, uniformly at random."""
         return np.random.default_rng(self.random_state).permutation(num_paths) % self.reg.folds_of(num_paths)
 
-    def _imputation(self, paths: PathArrays) -> Imputation:
+    def _imputation(self, paths: PathArrays, is_fitted: Bool[np.ndarray, " n"] | None) -> Imputation:
         blocks = self.task.block_of_action(paths.is_possible.shape[-1])
         is_used = self._outcome_features(paths.features.shape[-1])
-        imputed = imputation(paths, self.cut_model, self.stages, is_used, blocks)
+        imputed = imputation(paths, self.cut_model, is_used, blocks, is_fitted)
         if self.kernel_map is None:
             return imputed
         return imputed._replace(is_used=np.ones(self.kernel_map.num_features))

@@ -1,0 +1,61 @@
+"""What is fitted without one fold of the paths: Ĝ, durations and Q; and how much the whole answer changes by it.
+
+*Cross-fitting*: no path is judged by what it shaped [Chernozhukov2018]_.
+
+*Delete-a-group jackknife* [Kott2001]_: all is fitted without each fold, and the value worked out on the other paths.
+The scatter of these values tells the standard error of the whole procedure. That of the influence values, which takes
+Ĝ, m and Q for given, is too small wherever the answer rests on them: stages that are hardly ever seen to end are
+imputed, and the error of the regression that does so is common to all paths.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from halfseen.censoring import CensoringSpec
+from halfseen.errors import HalfseenError
+from halfseen.learners.q_learning.path_arrays import PathArrays
+from halfseen.learners.q_learning.q_model import QModel
+from halfseen.learners.q_learning.transitions import Imputation
+
+
+class Nuisances(NamedTuple):
+    """What stands for cuts, fitted to some of the paths, for all of them."""
+
+    uncut: Float[np.ndarray, "n T"]
+    """δ_t / Ĝ(U_t⁻)."""
+    weight: Float[np.ndarray, "n T"]
+    """Of each stage in eq. 3."""
+    imputation: Imputation | None
+
+
+def nuisances_of(model: QModel, paths: PathArrays, is_fitted: Bool[np.ndarray, " n"] | None = None) -> Nuisances:
+    """Work out what stands for cuts by a model that is fitted; durations are fitted to some paths, or to all."""
+    cuts = model.cut_model
+    uncut = paths.is_completed.astype(float) if cuts is None else cuts.weights(paths.clocks)
+    return Nuisances(uncut, *model.weights_and_imputation(paths, is_fitted))
+
+
+def nuisances_by_folds(
+    model: QModel, paths: PathArrays, whole: Nuisances, fold: Int[np.ndarray, " n"]
+) -> Iterator[Nuisances]:
+    """Fit what stands for cuts without each fold in turn.
+
+    No weight is larger than the largest of the whole log: where a fold held the last that was watched, Ĝ of the others
+    may end before it. Where too little is left to fit anything, that of the whole log serves.
+    """
+    if not isinstance(model.targets, CensoringSpec) or paths.clocks.is_finished.all():
+        yield from [whole] * (int(fold.max()) + 1)
+        return
+    largest = max(float(whole.uncut.max()), 1.0)
+    for k in range(int(fold.max()) + 1):
+        kept = fold != k
+        try:
+            cuts = model.targets.fit_cuts(paths.clocks.take(np.flatnonzero(kept)))
+            bounded = replace(cuts, truncate_at=cuts.truncate_at or largest)
+            yield nuisances_of(replace(model, cut_model=bounded), paths, kept)
+        except HalfseenError:
+            yield whole

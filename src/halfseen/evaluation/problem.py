@@ -1,0 +1,156 @@
+"""A log, a policy that is to be judged by it, and all that is fitted before Q: what each path adds to a value."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from halfseen.errors import ArgumentError
+from halfseen.evaluation.cross_fitting import Nuisances, nuisances_by_folds, nuisances_of
+from halfseen.evaluation.doubly_robust import cross_fitted
+from halfseen.evaluation.fitted_q import judged_by_folds
+from halfseen.evaluation.propensity import estimated_propensity, logged_propensity
+from halfseen.evaluation.ratios import StageWeights, begun_weights, completed_weights, likelihood_ratios
+from halfseen.evaluation.targets import target_probabilities
+from halfseen.learners.q_learning.judging import Judged
+from halfseen.learners.q_learning.path_arrays import PathArrays
+from halfseen.learners.q_learning.q_model import QModel
+from halfseen.learners.q_learning.transitions import Transitions
+from halfseen.logs import Logs
+
+
+class Problem(NamedTuple):
+    """A log, the probabilities of a policy in it, and all that is fitted before Q."""
+
+    logs: Logs
+    paths: PathArrays
+    log: Transitions
+    model: QModel
+    fold: np.ndarray
+    likely: Float[np.ndarray, "n T"]
+    """b(A_t | S_t)."""
+    nuisances: tuple[Nuisances, ...]
+    """Fitted without each fold, and last to all paths."""
+    ratio: Float[np.ndarray, "n T"]
+    support: Float[np.ndarray, " L"]
+    """Of the stages that the log holds."""
+    unseen: str | None
+    """An action that the policy takes and that the log never saw completed, in words."""
+    is_revealed: bool = False
+    """Whether the log itself says where the policy was followed."""
+
+    @property
+    def effective_sample_size(self) -> float:
+        """Of the paths that follow the policy."""
+        return self.weights(self.nuisances[-1]).effective_sample_size
+
+    @property
+    def completed(self) -> StageWeights:
+        """Weights of the completed stages."""
+        return completed_weights(self.ratio, self.nuisances[-1].uncut, self.paths)
+
+    def weights(self, given: Nuisances) -> StageWeights:
+        """Of the stages that have a target: begun ones if targets are imputed, else completed ones."""
+        stage_weights = completed_weights if given.imputation is None else begun_weights
+        return stage_weights(self.ratio, given.uncut, self.paths)
+
+    def judged(self, nuisances: Sequence[Nuisances]) -> Judged:
+        """What Qs of the policy say, each fitted with one of these."""
+        return judged_by_folds(self.model, self.log, self.paths.reward, self.fold, nuisances)
+
+    def values(self, judged: Judged) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " K"]]:
+        """What each path adds to the doubly robust value; and that value without each fold."""
+        # Where weight is put on the actions of the policy alone, what they are worth is the value of the state. So it
+        # may stand for Q, and then the value is right even where a model of the policy says another action.
+        judged = judged._replace(taken=judged.value) if self.is_revealed else judged
+        return cross_fitted(judged, [self.weights(given) for given in self.nuisances[:-1]], self.fold)
+
+
+def problem_of(
+    policy: Any, logs: Logs, model: QModel, propensity: str, rng: np.random.Generator, num_folds: int
+) -> Problem:
+    """Fit all that comes before Q, to all paths and without each fold."""
+    model, paths = model.fitted(logs)
+    if model.cut_model is None and not logs.is_finished.all():
+        raise ArgumentError(
+            f"censoring is {model.targets.name!r}, which gives no weights, but {int((~logs.is_finished).sum())} paths "
+            "were cut; choose 'kaplan-meier', 'cox' or 'kernel'"
+        )
+    probabilities = target_probabilities(policy, logs, paths, model.task)
+    whole = nuisances_of(model, paths)
+    log = model.weighted(paths, whole.weight, whole.imputation, model.folds(paths.num_paths))
+    needed = (paths.is_begun if whole.imputation else paths.is_completed) & paths.has_action
+    if propensity == "logged":
+        likely = logged_propensity(paths, needed)
+    else:
+        is_pooled = model.stages == "pooled" and model.task.end_action is not None
+        likely = estimated_propensity(paths, needed, model.blocks(probabilities.shape[-1]), is_pooled)
+    fold = rng.permutation(paths.num_paths) % num_folds
+    nuisances = (*nuisances_by_folds(model, paths, whole, fold), whole)
+    alike, support = np.ones_like(likely), np.ones(logs.horizon)
+    return following(Problem(logs, paths, log, model, fold, likely, nuisances, alike, support, None), probabilities)
+
+
+def following(
+    problem: Problem,
+    probabilities: Float[np.ndarray, "n T A"],
+    is_taken: Bool[np.ndarray, "n T"] | None = None,
+) -> Problem:
+    """The same log, with another policy; `is_taken` is whether it takes the logged action, where the log says so."""
+    paths = problem.paths
+    followed = probabilities if is_taken is None else _one_hot(paths) * is_taken[..., None]
+    return problem._replace(
+        log=problem.log._replace(policy=probabilities),
+        ratio=likelihood_ratios(followed, problem.likely, paths),
+        support=_support(followed, paths)[: problem.logs.horizon],
+        unseen=_unseen(probabilities, paths, problem.model),
+        is_revealed=is_taken is not None,
+    )
+
+
+def as_logged(problem: Problem) -> Problem:
+    """The same log, with the logged action for a policy: ρ is 1, and no propensity is needed."""
+    log = problem.log._replace(policy=_one_hot(problem.paths))
+    return problem._replace(log=log, ratio=np.ones_like(problem.ratio), is_revealed=False)
+
+
+def logging_values(problem: Problem) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " K"]]:
+    """What each path adds to the value of the logging policy; and that value without each fold.
+
+    Where targets are imputed, that is doubly robust, too.
+    """
+    own = as_logged(problem)
+    if own.log.imputation is not None:
+        return own.values(own.judged(own.nuisances[:-1]))
+    reward, without = own.paths.reward, []
+    for k, given in enumerate(own.nuisances[:-1]):
+        kept = own.fold != k
+        without.append(own.weights(given).take(kept).influence(reward[kept]).mean())
+    return own.weights(own.nuisances[-1]).influence(reward), np.array(without)
+
+
+def _one_hot(paths: PathArrays) -> Float[np.ndarray, "n T A"]:
+    """1 for the action that was logged."""
+    is_action = paths.action[..., None] == np.arange(paths.is_possible.shape[-1])
+    return (is_action & paths.is_begun[..., None]).astype(np.float64)
+
+
+def _support(probabilities: Float[np.ndarray, "n T A"], paths: PathArrays) -> Float[np.ndarray, " T"]:
+    """Share of the known actions of each stage that the policy would take; 1 where the log has no such stage."""
+    known = paths.is_begun & paths.has_action
+    taken = np.take_along_axis(probabilities, paths.action[..., None], axis=2)[..., 0] > 0
+    return np.where(known.any(axis=0), (known & taken).sum(axis=0) / np.maximum(known.sum(axis=0), 1), 1.0)
+
+
+def _unseen(probabilities: Float[np.ndarray, "n T A"], paths: PathArrays, model: QModel) -> str | None:
+    """The first action that the policy would take in a stage that was begun, and that has no value."""
+    assert model.support is not None
+    blocks = model.blocks(probabilities.shape[-1])
+    is_taken = ((probabilities > 0) & paths.is_begun[..., None]).any(axis=0)
+    lacking = np.argwhere(is_taken & ~model.support.is_seen(model.stages)[:, blocks])
+    if not len(lacking):
+        return None
+    stage, action = lacking[0]
+    where = "" if model.stages == "pooled" else f" in stage {stage + 1}"
+    return f"{model.task.block_names[blocks[action]]}{where}"
