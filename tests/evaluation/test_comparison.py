@@ -18,7 +18,7 @@ TARGET = StatePolicy((0.1, 0.8))
 
 
 def contender(name, values, size=50.0, **more):
-    return Contender(name, np.asarray(values, dtype=float), size, **more)
+    return Contender(name, np.asarray(values, dtype=float), effective_sample_size=size, **more)
 
 
 def drawn(*means, num_paths=50, seed=0):

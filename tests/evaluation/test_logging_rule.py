@@ -104,7 +104,7 @@ def test_it_is_worth_what_the_rule_itself_is_worth():
     found = evaluate(Rule(thresholds, ACTIONS, 2), logs, against=["logging-rule", itself])
     guessed, known = (each.value for each in found.comparisons)
     assert guessed.value == pytest.approx(known.value, abs=0.3 * known.standard_error)
-    assert guessed.standard_error == pytest.approx(known.standard_error, rel=0.02)
+    assert guessed.standard_error == pytest.approx(known.standard_error, rel=0.05)
 
 
 def test_the_value_does_not_rest_on_the_model_where_the_log_reveals_the_rule(monkeypatch):
