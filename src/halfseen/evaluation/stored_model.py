@@ -7,6 +7,7 @@ from typing import Any
 from halfseen.censoring import CENSORING_NAMES
 from halfseen.evaluation.off_policy import QSpec
 from halfseen.evaluation.targets import task_of
+from halfseen.learners.q_learning.flat_policy import NamedActionPolicy
 from halfseen.learners.q_learning.targets import DoublyRobust, Targets, named_targets
 from halfseen.learners.q_learning.task import Task, named_task
 from halfseen.logs import Logs
@@ -35,8 +36,14 @@ class EvaluationSpec:
         return {"augmented": is_doubly_robust, "censoring": self.censoring.name, "censoring_by": by}
 
 
-def specification_of(
-    stored: StoredPolicy,
+def specification_of(stored: StoredPolicy, logs: Logs, **chosen: Any) -> EvaluationSpec:
+    """Say how to evaluate a policy that was read: as it was learned, but for what is chosen (see `specification`)."""
+    return specification(stored.policy, stored.record["learner"], logs, **chosen)
+
+
+def specification(
+    policy: Any,
+    learned: Mapping[str, Any],
     logs: Logs,
     *,
     censoring: str | None = None,
@@ -49,9 +56,11 @@ def specification_of(
 
     Parameters
     ----------
-    stored
-        The policy, with the parameters that it was learned with. A model of the cuts that has no name, or is none,
-        gives way to ``"kaplan-meier"``.
+    policy
+        The policy.
+    learned
+        The parameters that it was learned with. A model of the cuts that has no name, or is none, gives way to
+        ``"kaplan-meier"``.
     logs
         The log that it is evaluated on.
     censoring, censoring_by, censoring_covariates, truncate_at
@@ -59,7 +68,6 @@ def specification_of(
     augmented
         Doubly robust towards cuts; None where the log has all actions.
     """
-    learned = stored.record["learner"]
     own = learned.get("censoring")
     is_complete = bool(logs.stages["action"].notna().all())
     model = censoring or (own if own in CENSORING_NAMES else "kaplan-meier")
@@ -70,7 +78,7 @@ def specification_of(
         truncate_at=learned.get("truncate_at") if truncate_at is None else truncate_at,
         is_doubly_robust=is_complete if augmented is None else augmented,
     )
-    q = QSpec(_task(stored, logs), q_space_of_record(learned), learned.get("stages", "separate"))
+    q = QSpec(_task(policy, learned, logs), q_space_of_record(learned), learned.get("stages", "separate"))
     return EvaluationSpec(targets, q)
 
 
@@ -79,9 +87,7 @@ def _own_covariates(learned: Mapping[str, Any], model: str) -> list[str] | None:
     return learned.get("censoring_covariates") if learned.get("censoring") == model else None
 
 
-def _task(stored: StoredPolicy, logs: Logs) -> Task:
-    if not stored.is_table:
-        return task_of(stored.policy, logs)
-    policy: Any = stored.policy
-    reduces_variance = bool(stored.record["learner"].get("reduces_variance", True))
-    return named_task("table", grasp=policy.grasp, reduces_variance=reduces_variance)
+def _task(policy: Any, learned: Mapping[str, Any], logs: Logs) -> Task:
+    if isinstance(policy, NamedActionPolicy):
+        return task_of(policy, logs)
+    return named_task("table", grasp=policy.grasp, reduces_variance=bool(learned.get("reduces_variance", True)))
