@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from halfseen.learners.q_learning.flat_policy import FlatPolicy
     from halfseen.learners.q_learning.named_actions import NamedActions
     from halfseen.learners.q_learning.q_learner import CensoredQLearner
-    from halfseen.learners.q_learning.q_space import CrossValidation, KernelQ, LinearQ
+    from halfseen.learners.q_learning.q_space import CrossValidation, KernelQ, LinearQ, QuadraticQ
     from halfseen.learners.q_learning.targets import BuckleyJames, DoublyRobust, Unweighted, Weighted
     from halfseen.learners.q_learning.task import Task
     from halfseen.learners.svm.classifier import CensoredSVC
@@ -33,6 +33,7 @@ __all__ = [
     "LinearQ",
     "NamedActions",
     "QBootstrap",
+    "QuadraticQ",
     "SetKernel",
     "Task",
     "Unweighted",
@@ -55,6 +56,7 @@ __getattr__ = lazy_names(
         "LinearQ": "q_learning.q_space",
         "NamedActions": "q_learning.named_actions",
         "QBootstrap": "q_learning.bootstrap",
+        "QuadraticQ": "q_learning.q_space",
         "SetKernel": "svm.set_kernel",
         "Task": "q_learning.task",
         "Unweighted": "q_learning.targets",
