@@ -141,7 +141,7 @@ def cross_fitted(
     """
     if logs.num_paths < num_folds:
         raise ArgumentError(f"the log has {logs.num_paths} path(s) for {num_folds} folds; record more")
-    # What "auto" stands for is settled by the whole log, and is the same in every fold.
+    # How cuts are dealt with is settled by the whole log; whatever else is chosen is chosen anew in each fold.
     composed = learner.compose(logs)
     same: Any = clone(learner)
     same.set_params(censoring=composed.targets, pessimism=composed.pessimism)
