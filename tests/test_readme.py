@@ -21,6 +21,7 @@ def blocks(language):
     return re.findall(rf"```{language}\n(.*?)```", README, flags=re.DOTALL)
 
 
+@pytest.mark.slow
 def test_the_python_example_runs_and_shows_what_is_said_of_it(clone, capsys):
     (example,) = blocks("python")
     exec(compile(example, "README.md", "exec"), {})
@@ -30,6 +31,7 @@ def test_the_python_example_runs_and_shows_what_is_said_of_it(clone, capsys):
     assert "doubly robust" in printed
 
 
+@pytest.mark.slow
 def test_the_engineers_path_can_be_walked(clone):
     (path,) = [block for block in blocks("sh") if "halfseen inspect" in block]
     for line in path.replace("\\\n", " ").splitlines():

@@ -43,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     largest = float(np.abs(spent - logs.stages["reward"].dropna()).max())
     print(f"Rewards are times: reward − difference of elapsed_s is at most {largest:.0e} years.")
     with threadpool_limits(1):
-        fitted = METHODS["kernel"](logs)
+        fitted = METHODS["default"](logs)
     ratio = policy_value(decision_of(fitted)) / optimum()[0]
     sentence = (
         f"Stage 1, {options.patients} patients, {logs.cut_share:.0%} cut: the learned policy lives {ratio:.0%} of the "

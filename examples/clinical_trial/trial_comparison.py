@@ -18,8 +18,8 @@ CUT_SHARES = (0.0, 0.3, 0.5)
 
 
 def learner(**parameters: Any) -> CensoredQLearner:
-    """Make a learner of this trial; all that is not said stays at its default."""
-    return CensoredQLearner(HORIZON, ACTIONS, COVARIATES, **parameters)
+    """Make a learner of eq. 3 for this trial; all that is not said stays as in the paper."""
+    return CensoredQLearner.of_paper(HORIZON, ACTIONS, COVARIATES, **parameters)
 
 
 def uncut_only(logs: Logs) -> Logs:
@@ -27,7 +27,9 @@ def uncut_only(logs: Logs) -> Logs:
     return logs.select(logs.path_ids[logs.is_finished])
 
 
+# All but the default are eq. 3.
 METHODS: dict[str, Callable[[Logs], CensoredQLearner]] = {
+    "default": lambda logs: CensoredQLearner(HORIZON, ACTIONS, COVARIATES).fit(logs),
     "kernel": lambda logs: learner(q_function="kernel").fit(logs),
     "linear": lambda logs: learner(q_function="linear").fit(logs),
     "doubly robust": lambda logs: learner(q_function="kernel", censoring=DoublyRobust()).fit(logs),

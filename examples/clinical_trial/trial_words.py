@@ -8,7 +8,7 @@ from trial_comparison import CUT_SHARES, METHODS
 from trial_optimum import best_sequence, optimum, random_value
 from trial_patients import HORIZON
 
-PAIRS = (("kernel", "uncut only"), ("kernel", "linear"), ("doubly robust", "kernel"))
+PAIRS = (("default", "linear"), ("default", "kernel"), ("kernel", "uncut only"), ("doubly robust", "kernel"))
 
 
 def plain_policies() -> str:

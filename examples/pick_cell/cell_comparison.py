@@ -17,13 +17,18 @@ from halfseen.learners import CensoredQLearner, DoublyRobust, Weighted
 from halfseen.logs import Logs
 
 
+def default_learner() -> CensoredQLearner:
+    """Make the learner that takes what it takes by default."""
+    return CensoredQLearner(HORIZON, ACTIONS, COVARIATES)
+
+
 def learner(**parameters: Any) -> CensoredQLearner:
-    """Make a learner of this cell; all that is not said stays at its default.
+    """Make a learner of eq. 3 for this cell; all that is not said stays as in the paper.
 
     Nothing in the cell depends on the stage, so stages are pooled: few paths have a third one. On five other logs
     pooled stages with a linear Q earned more than separate ones, and more than a kernel.
     """
-    return CensoredQLearner(HORIZON, ACTIONS, COVARIATES, stages="pooled", **parameters)
+    return CensoredQLearner.of_paper(HORIZON, ACTIONS, COVARIATES, stages="pooled", **parameters)
 
 
 # The right model of the cuts: hazards on the gap-time scale, given clutter and action. A stage that stops the cell is
@@ -37,7 +42,9 @@ def uncut_only(logs: Logs) -> Logs:
     return logs.select(logs.path_ids[logs.is_finished])
 
 
+# All but the default are eq. 3.
 METHODS: dict[str, Callable[[Logs], CensoredQLearner]] = {
+    "default": lambda logs: default_learner().fit(logs),
     "Cox": lambda logs: learner(censoring=BY_COX).fit(logs),
     "Cox, doubly robust": lambda logs: learner(censoring=ROBUST_BY_COX).fit(logs),
     "Kaplan–Meier": lambda logs: learner().fit(logs),

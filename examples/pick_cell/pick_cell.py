@@ -22,7 +22,7 @@ from threadpoolctl import threadpool_limits
 from halfseen.learners import bootstrap
 from halfseen.logs import Logs, read_logs
 
-FIRST = "Cox"
+FIRST, RULE = "default", "rule of thumb"
 ASKED = pd.DataFrame([[0.3, 0.9, 0.2], [2.5, 0.2, 0.1], [0.4, 0.1, 0.8]], columns=pd.Index(COVARIATES))
 """A light shiny part, a heavy one with room around it, and a light one in clutter."""
 
@@ -55,15 +55,17 @@ def plain_policies() -> str:
 
 
 def table(found: pd.DataFrame) -> str:
-    """Mean value of each method, and the 95 % interval of its difference from Cox on the same logs."""
-    values = found.pivot_table(index="log", columns="method", values="value")
+    """Mean value of each method, and the 95 % interval of its difference from the default on the same logs."""
+    values = found.pivot_table(index="log", columns="method", values="value").assign(
+        **{RULE: policy_value(rule_of_thumb)}
+    )
     lines = []
-    for method in (name for name in METHODS if name in values.columns):
+    for method in (name for name in (*METHODS, RULE) if name in values.columns):
         line = {"method": method, "value": f"{values[method].mean():.3f}"}
         line["of the optimum"] = f"{values[method].mean() / optimum()[0]:.1%}"
         difference = values[FIRST] - values[method]
         reach = stats.t.ppf(0.975, len(difference) - 1) * stats.sem(difference)
-        line["Cox is better by"] = "" if method == FIRST else f"{difference.mean():+.3f} ± {reach:.3f}"
+        line["default is better by"] = "" if method == FIRST else f"{difference.mean():+.3f} ± {reach:.3f}"
         lines.append(line)
     return f"{pd.DataFrame(lines).to_string(index=False)}\nPaths cut: {found['cut_share'].mean():.0%}"
 

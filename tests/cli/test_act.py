@@ -63,6 +63,11 @@ def refused(*arguments):
     return result.exception
 
 
+DULL = (
+    f"its log: covariate colour is 'red' in all {flat_log().num_stages} rows: a dead sensor, or a column to leave out"
+)
+
+
 def state(folder, name="state.json", text='{"x1": 0.4, "x2": 1}'):
     (folder / name).write_text(text)
     return folder / name
@@ -79,7 +84,7 @@ def test_named_actions_are_decided_as_the_learner_does(flat, tmp_path):
         q = dict(zip("ABC", learner.q_values(row, stage)[0].tolist(), strict=True))
         assert report["q_values"] == {**q, ("C" if stage == 1 else "B"): None}
         assert report["reason"].startswith(f"{report['action']}: worth ")
-        assert (report["stage"], report["horizon"], report["warnings"]) == (stage, 2, [])
+        assert (report["stage"], report["horizon"], report["warnings"]) == (stage, 2, [DULL])
 
 
 def test_csv_and_json_say_the_same_and_people_get_the_reason_first(flat, tmp_path):
@@ -87,16 +92,24 @@ def test_csv_and_json_say_the_same_and_people_get_the_reason_first(flat, tmp_pat
     assert run(flat[0], state(tmp_path, "s.csv", "x2,x1\n1,0.4\n"), "--stage", 2).output == as_json
     lines = as_json.splitlines()
     assert lines[0].startswith(("A: worth ", "C: worth "))
-    assert lines[2] == "stage 2 of 2"
-    assert [line.split()[0] for line in lines[4:]] in (["A", "C"], ["C", "A"])
-    assert lines[4].split()[0] == lines[0][0]
+    assert lines[1:4] == [f"warning: {DULL}", "", "stage 2 of 2"]
+    assert [line.split()[0] for line in lines[5:]] in (["A", "C"], ["C", "A"])
+    assert lines[5].split()[0] == lines[0][0]
 
 
 def test_what_lies_outside_the_logs_is_told(flat, tmp_path):
     result = run(flat[0], state(tmp_path, text='{"x1": 40, "x2": 1}'))
     assert "warning: x1 is 40, outside the logs (" in result.output
     told = json.loads(run(flat[0], state(tmp_path, text='{"x1": 40, "x2": 1}'), "--json").output)
-    assert len(told["warnings"]) == 1
+    assert len(told["warnings"]) == 2
+
+
+def test_that_nothing_speaks_for_the_policy_is_told_at_each_decision(flat, tmp_path):
+    verdict = {"verdict": "not better", "reason": "it earns 2 less a path than b, between -3 and -1 more"}
+    write_policy(flat[1], flat_log(), tmp_path / "p", verdict=verdict | {"sentence": "Not better: …."})
+    told = f"no evidence that this policy beats the rule that made the logs: {verdict['reason']}"
+    assert run(tmp_path / "p", state(tmp_path)).output.splitlines()[1] == f"warning: {told}"
+    assert json.loads(run(tmp_path / "p", state(tmp_path), "--json").output)["warnings"] == [told, DULL]
 
 
 def test_a_table_is_decided_from_its_cloud(tables):

@@ -10,6 +10,7 @@ from click.testing import CliRunner
 from halfseen import cli
 from halfseen.cli.learn import learn
 from halfseen.errors import ArgumentError, HalfseenError, LogError, PositivityError
+from halfseen.evaluation import HeldOutVerdict, held_out
 from halfseen.learners import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.policies.folder import read_policy
@@ -25,8 +26,9 @@ def folder(tmp_path_factory):
     return folder
 
 
-def run(*arguments):
-    return CliRunner().invoke(learn, [str(argument) for argument in arguments], catch_exceptions=False)
+def run(*arguments, has_verdict=False):
+    arguments = [str(argument) for argument in arguments] + ([] if has_verdict else ["--no-verdict"])
+    return CliRunner().invoke(learn, arguments, catch_exceptions=False)
 
 
 def refused(*arguments):
@@ -76,6 +78,31 @@ def test_says_what_was_learned_from_and_what_to_do_next(folder, tmp_path):
     header = next(k for k, line in enumerate(lines) if line.startswith("stage  states"))
     assert len(lines[header]) == len(lines[header + 1]) == len(lines[header + 2])
     assert result.stderr == ""
+
+
+@pytest.mark.parametrize("told", ["Cannot be said: it earns", "Better: it earns"])
+def test_ends_with_the_verdict_and_keeps_it(folder, tmp_path, monkeypatch, told):
+    verdict, reason = told.lower().split(": ")
+    judged = HeldOutVerdict(verdict, reason, 5)
+    monkeypatch.setattr(held_out, "held_out_verdict", lambda learner, logs, on_progress: judged)
+    arguments = (folder / "flat", "--out", tmp_path / "policy", "--reg", 0.1)
+    lines = run(*arguments, has_verdict=True).stdout.splitlines()
+    assert lines[-3] == judged.sentence
+    assert lines[-3].startswith(told)
+    assert lines[-1].startswith("Next: ")
+    assert read_policy(tmp_path / "policy").verdict == judged.as_dict()
+    report = json.loads(run(*arguments, "--overwrite", "--json", has_verdict=True).stdout)
+    assert report["verdict"]["sentence"] == judged.sentence
+    assert json.loads(run(*arguments, "--overwrite", "--json").stdout)["verdict"] is None
+
+
+def test_a_verdict_that_cannot_be_had_does_not_keep_the_policy_back(tmp_path):
+    flat_log(num_paths=12).write(tmp_path / "few")
+    plain = ("--reg", 0.1, "--q-function", "linear", "--stages", "pooled", "--censoring", "kaplan-meier")
+    result = run(tmp_path / "few", "--out", tmp_path / "policy", *plain, has_verdict=True)
+    assert "\nCannot be said: the log has 12 path(s), and 10 folds need 20; record more (said of" in result.stdout
+    assert result.stderr == ""
+    assert read_policy(tmp_path / "policy").verdict["verdict"] == "cannot be said"
 
 
 def test_a_table_log_is_learned_as_tables(folder, tmp_path):

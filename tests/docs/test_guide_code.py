@@ -102,6 +102,7 @@ SLOW = {
     "from-logs-to-a-policy",
     "planners",
     "times-that-were-cut",
+    "what-the-intervals-mean",
 }
 PAGES = [
     pytest.param(page, id=page.stem, marks=[pytest.mark.slow] if page.stem in SLOW else [])

@@ -112,14 +112,15 @@ def test_values_and_differences_are_told():
         "Expected reward of a part: optimum 0.706; rule of thumb 0.641; best fixed order (parallel, suction, hand "
         "over) 0.535."
     )
-    values = {"Cox": [0.60, 0.64], "uncut only": [0.50, 0.56]}
+    values = {"default": [0.60, 0.64], "uncut only": [0.50, 0.56]}
     rows = [
         {"log": r, "method": m, "value": v, "cut_share": 0.35} for m, vs in values.items() for r, v in enumerate(vs)
     ]
     lines = [line.split() for line in pick_cell.table(pd.DataFrame(rows)).splitlines()]
-    assert lines[1] == ["Cox", "0.620", "87.8%"]
+    assert lines[1] == ["default", "0.620", "87.8%"]
     # Differences 0.10 and 0.08: mean 0.09, standard error 0.01, and t(0.975, 1) = 12.706.
     assert lines[2] == ["uncut", "only", "0.530", "75.0%", "+0.090", "±", "0.127"]
+    assert lines[3][:5] == ["rule", "of", "thumb", "0.641", "90.8%"]
 
 
 def test_the_recorded_logs_give_intervals():
@@ -139,7 +140,7 @@ def test_the_script_prints_values_and_intervals(capsys):
     pick_cell.main(["--paths", "200", "--repetitions", "2", "--replicates", "3"])
     text = capsys.readouterr().out
     names = re.findall(
-        r"^ *(Cox|Cox, doubly robust|Kaplan–Meier|uncut only) +0\.\d{3} +[\d.]+%", text, flags=re.MULTILINE
+        r"^ *(default|Cox|Cox, doubly robust|Kaplan–Meier|uncut only) +0\.\d{3} +[\d.]+%", text, flags=re.MULTILINE
     )
     assert names == list(METHODS)
     assert text.count("best in") == 9

@@ -240,6 +240,48 @@ def test_a_record_that_is_none_is_refused(written, text):
     assert RECORD in told(written)
 
 
+VERDICT = {"verdict": "cannot be said", "reason": "it earns between -1 and 1 more", "sentence": "Cannot be said: …."}
+
+
+def test_a_verdict_is_kept_and_where_nothing_speaks_for_the_policy_it_is_a_doubt(flat, flat_fitted, tmp_path):
+    doubts = {}
+    for verdict in ("better", "not better", "cannot be said"):
+        write_policy(flat_fitted, flat, tmp_path / verdict, verdict=VERDICT | {"verdict": verdict})
+        again = read_policy(tmp_path / verdict)
+        assert again.verdict == VERDICT | {"verdict": verdict}
+        doubts[verdict] = again.doubts[:-1]
+    told = "no evidence that this policy beats the rule that made the logs: it earns between -1 and 1 more"
+    assert doubts == {"better": (), "not better": (told,), "cannot be said": (told,)}
+
+
+def test_what_looks_wrong_in_the_log_is_a_doubt(flat_fitted, flat, tmp_path):
+    logs = Logs(flat.stages.drop(columns="colour").assign(lamp=1.5), flat.paths)
+    write_policy(flat_fitted, logs, tmp_path / "policy")
+    doubts = read_policy(tmp_path / "policy").doubts
+    assert doubts == (
+        f"its log: covariate lamp is 1.5 in all {flat.num_stages} rows: a dead sensor, or a column to leave out",
+    )
+
+
+def test_a_folder_from_before_there_were_verdicts_loads(written):
+    edit(written, lambda record: (record.pop("verdict"), record.pop("warnings")))
+    again = read_policy(written)
+    assert (again.verdict, again.doubts) == (None, ())
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda record: record.update(verdict={"verdict": "better"}), "reason is None and not a text"),
+        (lambda record: record.update(verdict="better"), "verdict is 'better' and not an object"),
+        (lambda record: record.update(warnings=[3]), "warnings is [3]"),
+    ],
+)
+def test_a_verdict_that_says_nothing_is_refused(written, change, message):
+    edit(written, change)
+    assert message in told(written)
+
+
 def places(record, at=()):
     """Every place in a record, as the keys that lead to it."""
     keys = record if isinstance(record, dict) else range(len(record)) if isinstance(record, list) else ()

@@ -147,6 +147,14 @@ def test_each_verdict_has_its_sentence_and_badge(findings, verdict):
     assert ("as far as these logs tell" in page) == (verdict == "cannot be said")
 
 
+@pytest.mark.usefixtures("is_undrawn")
+def test_the_verdict_of_learning_and_what_looked_wrong_are_told_with_the_policy(findings):
+    record = findings.record | {"verdict": {"sentence": "Better: so <it> is."}, "warnings": ["a dead sensor"]}
+    page = page_of(replace(findings, record=record), "x")
+    assert "Better: so &lt;it&gt; is." in page
+    assert "a dead sensor" in page
+
+
 def test_the_same_findings_are_the_same_bytes(findings, page, stored, logs, monkeypatch):
     monkeypatch.setattr(found_in, "evaluate", lambda *_, **__: evaluation())
     again = find(stored, logs, num_replicates=4, seed=1)

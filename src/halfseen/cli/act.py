@@ -1,7 +1,7 @@
 """``halfseen act``: the decision of a policy for what is seen now, and the reason."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -35,6 +35,7 @@ def act(policy: Path, cloud: Path, history: Path | None, stage: int | None, as_j
     stored = read_policy(policy)
     observation = read_observation(stored, cloud, history, stage)
     decision = decider_of(stored).decide(observation)
+    decision = replace(decision, warnings=(*decision.warnings, *stored.doubts))
     where = {"stage": observation.stage, "horizon": stored.horizon}
     report = {"policy": str(policy), "input": str(cloud), "action": decision.action, **where, **asdict(decision)}
     lines = _lines(decision, **where)

@@ -81,16 +81,29 @@ class _Or(click.ParamType):
     help="Standard errors by which Q is lowered wherever the best action is sought; 0 for eq. 3 as it stands.",
 )
 @click.option("--truncate-at", type=float, help="Largest weight allowed; by default none is truncated.")
+@click.option(
+    "--verdict/--no-verdict",
+    "has_verdict",
+    default=True,
+    show_default=True,
+    help="Judge policies learned from four fifths of LOGS by the rest, against what made LOGS; takes some six times as "
+    "long.",
+)
 @options.seed("policy")
 @options.overwrite("a policy that is")
 @options.as_json
-def learn(logs: Path, out: Path, overwrite: bool, as_json: bool, **chosen: Any) -> None:
+def learn(logs: Path, out: Path, has_verdict: bool, overwrite: bool, as_json: bool, **chosen: Any) -> None:
     """Learn a policy from the folder LOGS, and write it to a folder of its own, all or nothing.
 
     Logs with objects are of tables: the policy chooses among WASH, LIFT and FINISH. Else, or with --covariates, it
-    chooses among the actions that were seen at each stage. Stages of cut paths count, weighted for those that were cut.
+    chooses among the actions that were seen at each stage. Stages of cut paths count, too.
+
+    It ends with a verdict: do policies that are learned this way beat the one that made LOGS, and that without its
+    exploration? Five are learned from four fifths of LOGS each and judged by the rest, which they never saw. The
+    verdict is kept with the policy, and `halfseen act` repeats it where nothing speaks for the policy.
     """
     from halfseen.errors import HalfseenWarning
+    from halfseen.evaluation.held_out import NUM_FOLDS, held_out_verdict
     from halfseen.logs import read_logs
     from halfseen.policies.folder import check_target, read_policy, write_policy
     from halfseen.policies.folder.json_values import plain
@@ -99,14 +112,15 @@ def learn(logs: Path, out: Path, overwrite: bool, as_json: bool, **chosen: Any) 
 
     check_target(out, overwrite)
     targets, seed = _targets(chosen), chosen.pop("seed")
-    with progress(4, "read") as bar, warnings.catch_warnings(record=True) as told:
+    with progress(4 + has_verdict * (NUM_FOLDS + 1), "read") as bar, warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always", HalfseenWarning)
         log = read_logs(logs)
         choice = learner_for(log, censoring=targets, random_state=seed, **chosen)
         begin(bar, "learn")
         learner = choice.learner.fit(log)
-        begin(bar, "write")
-        write_policy(learner, log, out, overwrite=overwrite)
+        begin(bar, "judge" if has_verdict else "write")
+        verdict = held_out_verdict(learner, log, on_progress=bar.update).as_dict() if has_verdict else None
+        write_policy(learner, log, out, overwrite=overwrite, verdict=verdict)
         begin(bar, "look")
         shares = action_shares(learner.policy_, learner.model_.task, log)
         bar.update()
@@ -141,7 +155,7 @@ def _targets(chosen: dict[str, Any]) -> "Targets | str":
 def _lines(report: Mapping[str, Any]) -> list[str]:
     weights, learner, schema = report["diagnostics"]["weights"], report["learner"], report["schema"]
     looks_at = "tables" if report["kind"] == "table" else ", ".join(schema["covariates"]) or "nothing but the stage"
-    cuts = learner["censoring"]
+    cuts, positivity = learner["censoring"], report["diagnostics"]["positivity"]["text"].splitlines()[0]
     by = f", by {learner['censoring_by']}" if cuts in options.WEIGHTING else ""
     rows = [
         ("looks at", looks_at),
@@ -154,8 +168,9 @@ def _lines(report: Mapping[str, Any]) -> list[str]:
             f"{weights['num_seen']} stages, with an effective sample size of "
             f"{weights['effective_sample_size']:.1f}; the largest weight is {weights['largest_weight']:.3g}",
         ),
-        ("positivity", report["diagnostics"]["positivity"]["text"].splitlines()[0]),
+        ("positivity", positivity),
         ("λ", _regs(report["reg"]["values"], report["reg"]["rows"])),
+        *(("warning", one) for one in report["warnings"] if one != positivity),
         *(("note", note) for note in report["notes"]),
     ]
     return [
@@ -165,6 +180,7 @@ def _lines(report: Mapping[str, Any]) -> list[str]:
         "",
         *_action_lines(report["actions"]),
         "",
+        *([report["verdict"]["sentence"], ""] if report["verdict"] else []),
         f"Next: halfseen evaluate {report['policy']} --logs OTHER_LOGS; the ones learned from would flatter it",
     ]
 

@@ -3,7 +3,7 @@
 Read it down: `targets` (what the policy would do) → `propensity` (what the logging policy did) → `ratios` (what each
 path stands for) → `fitted_q` (Q of the policy) → `doubly_robust` → `opponents` (what it is compared with),
 `logging_rule` (among them: the logging policy without its exploration) → `comparison` → `verdict`; `off_policy` puts
-them together.
+them together, and `held_out` judges a way of learning by the log that was learned from.
 """
 
 from typing import TYPE_CHECKING
@@ -14,11 +14,22 @@ if TYPE_CHECKING:
     from halfseen.evaluation.comparison import Comparison
     from halfseen.evaluation.estimate import Estimate
     from halfseen.evaluation.evaluation import Evaluation
+    from halfseen.evaluation.held_out import HeldOutVerdict, held_out_verdict
     from halfseen.evaluation.off_policy import QSpec, evaluate
     from halfseen.evaluation.opponents import Opponent
     from halfseen.evaluation.targets import FixedSequence
 
-__all__ = ["Comparison", "Estimate", "Evaluation", "FixedSequence", "Opponent", "QSpec", "evaluate"]
+__all__ = [
+    "Comparison",
+    "Estimate",
+    "Evaluation",
+    "FixedSequence",
+    "HeldOutVerdict",
+    "Opponent",
+    "QSpec",
+    "evaluate",
+    "held_out_verdict",
+]
 
 __getattr__ = lazy_names(
     __name__,
@@ -27,8 +38,10 @@ __getattr__ = lazy_names(
         "Estimate": "estimate",
         "Evaluation": "evaluation",
         "FixedSequence": "targets",
+        "HeldOutVerdict": "held_out",
         "Opponent": "opponents",
         "QSpec": "off_policy",
         "evaluate": "off_policy",
+        "held_out_verdict": "held_out",
     },
 )

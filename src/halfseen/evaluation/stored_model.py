@@ -6,6 +6,7 @@ from typing import Any
 
 from halfseen.censoring import CENSORING_NAMES
 from halfseen.evaluation.off_policy import LARGEST_WEIGHT, QSpec, default_targets
+from halfseen.learners.q_learning.flat_policy import NamedActionPolicy
 from halfseen.learners.q_learning.targets import DoublyRobust, Targets, named_targets
 from halfseen.learners.q_learning.task import Task, named_task
 from halfseen.logs import Logs
@@ -34,8 +35,14 @@ class EvaluationSpec:
         return {"augmented": is_doubly_robust, "censoring": self.censoring.name, "censoring_by": by}
 
 
-def specification_of(
-    stored: StoredPolicy,
+def specification_of(stored: StoredPolicy, logs: Logs, **chosen: Any) -> EvaluationSpec:
+    """Say how to evaluate a policy that was read: as it was learned, but for what is chosen (see `specification`)."""
+    return specification(stored.policy, stored.record["learner"], logs, **chosen)
+
+
+def specification(
+    policy: Any,
+    learned: Mapping[str, Any],
     logs: Logs,
     *,
     censoring: str | None = None,
@@ -51,9 +58,11 @@ def specification_of(
 
     Parameters
     ----------
-    stored
-        The policy, with the parameters that it was learned with. A model of the cuts that has no name, or is
-        Kaplan and Meier's as if nothing was said, gives way to that of `default_targets`.
+    policy
+        The policy.
+    learned
+        The parameters that it was learned with. A model of the cuts that has no name, is none, or is Kaplan and Meier's
+        as if nothing was said, gives way to that of `default_targets`.
     logs
         The log that it is evaluated on.
     censoring, censoring_by, censoring_covariates, truncate_at
@@ -62,13 +71,14 @@ def specification_of(
     augmented
         Doubly robust towards cuts; None where the log has all actions.
     """
-    learned = stored.record["learner"]
     own = learned.get("censoring")
     is_complete = bool(logs.stages["action"].notna().all())
     is_augmented = is_complete if augmented is None else augmented
-    q = QSpec(_task(stored), q_space_of_record(learned), learned.get("stages")) if stored.is_table else None
+    q = None
+    if not isinstance(policy, NamedActionPolicy):
+        q = QSpec(_task(policy, learned), q_space_of_record(learned), learned.get("stages"))
     is_chosen = any(one is not None for one in (censoring, censoring_by, censoring_covariates, truncate_at))
-    if is_augmented and is_complete and not is_chosen and own in (None, "kaplan-meier"):
+    if is_augmented and is_complete and not is_chosen and own not in ("cox", "kernel"):
         return EvaluationSpec(default_targets(logs), q)
     model = censoring or (own if own in CENSORING_NAMES else "kaplan-meier")
     bound = learned.get("truncate_at") if truncate_at is None else truncate_at
@@ -87,7 +97,5 @@ def _own_covariates(learned: Mapping[str, Any], model: str) -> list[str] | None:
     return learned.get("censoring_covariates") if learned.get("censoring") == model else None
 
 
-def _task(stored: StoredPolicy) -> Task:
-    policy: Any = stored.policy
-    reduces_variance = bool(stored.record["learner"].get("reduces_variance", True))
-    return named_task("table", grasp=policy.grasp, reduces_variance=reduces_variance)
+def _task(policy: Any, learned: Mapping[str, Any]) -> Task:
+    return named_task("table", grasp=policy.grasp, reduces_variance=bool(learned.get("reduces_variance", True)))

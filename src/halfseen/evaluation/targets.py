@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from pandas.api.types import is_numeric_dtype
 
 from halfseen.errors import ArgumentError
@@ -56,6 +56,30 @@ class FixedSequence:
         return {stage: [name] for stage, name in enumerate(self.sequence, start=1)}
 
 
+@dataclass(frozen=True, eq=False)
+class CrossFitted:
+    """One policy for each fold of a log, which decides for the paths of its fold and was learned from the others.
+
+    Parameters
+    ----------
+    policies
+        Of each fold, what the task takes for a policy.
+    fold
+        Of each path.
+    horizon
+        Number T of stages.
+    """
+
+    policies: tuple[Any, ...]
+    fold: Int[np.ndarray, " n"]
+    horizon: int
+
+    def target_probabilities(self, logs: Logs, horizon: int, task: Task) -> Float[np.ndarray, "n T A"]:
+        """π(a | S_t) of each path, by the policy of its fold."""
+        each = np.stack([task.target_probabilities(policy, logs, horizon) for policy in self.policies])
+        return each[self.fold, np.arange(logs.num_paths)]
+
+
 def task_of(policy: Any, logs: Logs) -> Task:
     """Find out what a policy decides about.
 
@@ -103,7 +127,7 @@ def target_probabilities(policy: Any, logs: Logs, paths: PathArrays, task: Task)
     Parameters
     ----------
     policy
-        What the task takes for a policy.
+        What the task takes for a policy, or one for each fold.
     logs
         The log.
     paths
@@ -117,7 +141,11 @@ def target_probabilities(policy: Any, logs: Logs, paths: PathArrays, task: Task)
         The policy is for other actions or another kind of log, takes an action that is not possible, or draws its
         actions and cannot say how.
     """
-    probabilities = task.target_probabilities(policy, logs, paths.action.shape[1])
+    horizon = paths.action.shape[1]
+    if isinstance(policy, CrossFitted):
+        probabilities = policy.target_probabilities(logs, horizon, task)
+    else:
+        probabilities = task.target_probabilities(policy, logs, horizon)
     probabilities = np.where(paths.is_begun[..., None], probabilities, 0.0)
     _refuse_unknown(probabilities, policy)
     _refuse_impossible(probabilities, paths)

@@ -143,4 +143,6 @@ def _policy_words(findings: Findings) -> list[tuple[str, str]]:
             f"{significant(weights['effective_sample_size'])}; the largest weight is "
             f"{significant(weights['largest_weight'])}",
         ),
+        *([("verdict when it was learned", record["verdict"]["sentence"])] if record.get("verdict") else []),
+        *(("looked wrong in its log", one) for one in record.get("warnings", ())),
     ]

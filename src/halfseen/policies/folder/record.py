@@ -11,9 +11,11 @@ import numpy as np
 
 import halfseen
 from halfseen.censoring import positivity_report, weight_diagnostics
+from halfseen.censoring.positivity import PositivityReport
 from halfseen.errors import PolicyError
 from halfseen.learners.q_learning.q_learner import CensoredQLearner
 from halfseen.logs import Logs
+from halfseen.logs.suspicions import suspicions
 from halfseen.policies.folder.json_values import names_in, plain, typed
 from halfseen.policies.folder.kinds import KINDS, kind_name_of, kind_of
 from halfseen.policies.folder.log_digest import log_digest
@@ -22,8 +24,17 @@ from halfseen.policies.folder.specification import described
 FORMAT, VERSION = "halfseen-policy", 1
 
 
-def record_of(learner: CensoredQLearner, logs: Logs) -> dict[str, Any]:
+def record_of(learner: CensoredQLearner, logs: Logs, verdict: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """Describe a fitted learner and its log.
+
+    Parameters
+    ----------
+    learner
+        Fitted to `logs`.
+    logs
+        What it was learned from.
+    verdict
+        On what was learned, if there is one: at least ``verdict``, ``reason`` and ``sentence``.
 
     Raises
     ------
@@ -33,6 +44,7 @@ def record_of(learner: CensoredQLearner, logs: Logs) -> dict[str, Any]:
     policy, name = learner.policy_, kind_name_of(learner.policy_)
     is_by_stage = learner.model_.stages == "separate"
     schema = KINDS[name].schema(policy, logs)
+    positivity = positivity_report(logs.end_s, logs.is_finished, path_ids=logs.path_ids)
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -53,7 +65,9 @@ def record_of(learner: CensoredQLearner, logs: Logs) -> dict[str, Any]:
             "values": np.asarray(learner.q_functions_.reg).tolist(),
         },
         "log": {"sha256": log_digest(logs), "sentence": str(logs.summary()), **asdict(logs.summary())},
-        "diagnostics": _diagnostics(learner, logs),
+        "diagnostics": _diagnostics(learner, logs, positivity),
+        "warnings": _warnings(logs, positivity),
+        "verdict": None if verdict is None else dict(verdict),
     }
 
 
@@ -85,11 +99,26 @@ def from_json(data: bytes) -> dict[str, Any]:
     names_in(record, "column_major", (str,))
     for name in ("schema", "learner", "log", "diagnostics", "reg", "versions"):
         typed(record, name, dict, "an object")
+    _check_doubts(record)
     return record
 
 
-def _diagnostics(learner: CensoredQLearner, logs: Logs) -> dict[str, Any]:
-    positivity = positivity_report(logs.end_s, logs.is_finished, path_ids=logs.path_ids)
+def _check_doubts(record: Mapping[str, Any]) -> None:
+    """Refuse a verdict or warnings that say nothing; folders that were written before there were any have neither."""
+    if not all(isinstance(one, str) for one in typed({"warnings": [], **record}, "warnings", list, "a list")):
+        raise PolicyError(f"warnings is {record['warnings']!r} and not a list of sentences; learn the policy anew")
+    if record.get("verdict") is not None:
+        for name in ("verdict", "reason", "sentence"):
+            typed(typed(record, "verdict", dict, "an object"), name, str, "a text")
+
+
+def _warnings(logs: Logs, positivity: PositivityReport) -> list[str]:
+    """What `halfseen inspect` would say against the log, a line each."""
+    weights = [] if positivity.is_sound else [str(positivity).splitlines()[0]]
+    return [*weights, *(each.sentence for each in suspicions(logs))]
+
+
+def _diagnostics(learner: CensoredQLearner, logs: Logs, positivity: PositivityReport) -> dict[str, Any]:
     by_stage = [
         weight_diagnostics(column, getattr(learner.model_.targets, "truncate_at", None))
         for column in learner.weights_[:, : logs.horizon].T

@@ -30,7 +30,8 @@ class StoredPolicy:
     policy
         What decides.
     record
-        What policy.json says: versions, schema, what was seen, the learner's parameters, λ, the log, diagnostics.
+        What policy.json says: versions, schema, what was seen, the learner's parameters, λ, the log, diagnostics,
+        warnings, the verdict.
     """
 
     policy: Any
@@ -46,6 +47,19 @@ class StoredPolicy:
         """Number T of stages that a path may have."""
         return horizon_of(self.record)
 
+    @property
+    def verdict(self) -> Mapping[str, Any] | None:
+        """Whether what was learned beats what made the logs, as found when it was learned; None if not asked."""
+        return self.record.get("verdict")
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What is doubtful at every decision: that nothing speaks for the policy, and what looks wrong in its log."""
+        told = [f"its log: {one}" for one in self.record.get("warnings", ())]
+        if self.verdict is not None and self.verdict["verdict"] != "better":
+            told.insert(0, f"no evidence that this policy beats the rule that made the logs: {self.verdict['reason']}")
+        return tuple(told)
+
     def ranges(self, stage: int) -> dict[str, tuple[float, float]] | None:
         """Least and largest value of each covariate in the log, where Q of this stage was taught; None if nowhere."""
         is_by_stage = self.record["reg"].get("rows") == "stage"
@@ -56,7 +70,14 @@ class StoredPolicy:
         return None
 
 
-def write_policy(learner: CensoredQLearner, logs: Logs, folder: str | Path, *, overwrite: bool = False) -> None:
+def write_policy(
+    learner: CensoredQLearner,
+    logs: Logs,
+    folder: str | Path,
+    *,
+    overwrite: bool = False,
+    verdict: Mapping[str, Any] | None = None,
+) -> None:
     """Write the policy of a fitted learner, all or nothing.
 
     Parameters
@@ -69,6 +90,8 @@ def write_policy(learner: CensoredQLearner, logs: Logs, folder: str | Path, *, o
         Where to; missing parents are made.
     overwrite
         Replace a policy that is already there.
+    verdict
+        On what was learned, such as `halfseen.evaluation.HeldOutVerdict.as_dict` gives; kept with it.
 
     Raises
     ------
@@ -80,7 +103,7 @@ def write_policy(learner: CensoredQLearner, logs: Logs, folder: str | Path, *, o
     """
     check_is_fitted(learner, "policy_")
     check_target(Path(folder), overwrite)
-    record = record_of(learner, logs)
+    record = record_of(learner, logs, verdict)
     arrays = kind_of(record).arrays_of(learner.policy_)
     record["column_major"] = column_major(arrays)
     _policy_of(record, arrays)

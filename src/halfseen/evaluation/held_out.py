@@ -1,0 +1,174 @@
+"""The verdict on what was learned, from the log that it was learned from: no policy is judged by what it has seen.
+
+Paths are dealt into folds. For each fold a policy is learned in the same way from the others, and is judged by the
+paths of its own fold; what those add, path by path, is pooled over the folds into one paired difference for each
+opponent, with one interval. That is a statement about the policies of the folds, each learned from a little less than
+the whole log (a data-adaptive parameter [Hubbard2016]_), and so about *this way of learning from such a log*: the
+policy that was learned from all of it differs a little from each of them, and is as a rule a little better.
+"""
+
+import warnings
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Int
+from sklearn.base import clone
+from sklearn.utils.validation import check_is_fitted
+
+from halfseen.errors import ArgumentError, HalfseenError, HalfseenWarning
+from halfseen.evaluation.evaluation import Evaluation
+from halfseen.evaluation.off_policy import evaluate
+from halfseen.evaluation.stored_model import specification
+from halfseen.evaluation.targets import CrossFitted
+from halfseen.evaluation.verdict import Verdict
+from halfseen.learners.q_learning.q_learner import CensoredQLearner
+from halfseen.logs import Logs
+from halfseen.policies.folder.specification import described
+
+NUM_FOLDS = 5
+
+
+@dataclass(frozen=True)
+class HeldOutVerdict:
+    """Whether policies learned this way beat what made the log.
+
+    Parameters
+    ----------
+    verdict
+        ``"better"``, ``"not better"`` or ``"cannot be said"``.
+    reason
+        Why, in one sentence.
+    num_folds
+        Number K of folds: each policy was learned from all but one.
+    evaluation
+        The pooled folds in full; None where there is none.
+    """
+
+    verdict: Verdict
+    reason: str
+    num_folds: int
+    evaluation: Evaluation | None = None
+
+    @property
+    def sentence(self) -> str:
+        """The verdict, its reason, and of which policies that is said."""
+        part = "four fifths" if self.num_folds == 5 else f"{self.num_folds - 1} of {self.num_folds} parts"
+        how = f"said of policies learned the same way from {part} of the log and judged on the rest"
+        return f"{self.verdict.capitalize()}: {self.reason} ({how})."
+
+    def as_dict(self) -> dict[str, Any]:
+        """What policy.json keeps."""
+        comparisons = () if self.evaluation is None else self.evaluation.comparisons
+        return {
+            "verdict": self.verdict,
+            "reason": self.reason,
+            "sentence": self.sentence,
+            "num_folds": self.num_folds,
+            "comparisons": [asdict(each) for each in comparisons],
+        }
+
+
+def held_out_verdict(
+    learner: CensoredQLearner,
+    logs: Logs,
+    *,
+    against: Any = None,
+    level: float = 0.95,
+    num_folds: int = NUM_FOLDS,
+    on_progress: Callable[[], object] = lambda: None,
+) -> HeldOutVerdict:
+    """Judge a way of learning by the log that was learned from, cross-fitted.
+
+    The verdict is of `num_folds` policies that were learned as `learner` was, each from the paths outside one fold, and
+    not of the learner's own policy, which saw every path. Where that cannot be done (too few paths, none of a fold that
+    finished, probabilities that are missing), the verdict is ``"cannot be said"``, and the reason says why.
+
+    Parameters
+    ----------
+    learner
+        Fitted to `logs`.
+    logs
+        The log. Probabilities that it does not have are estimated.
+    against, level
+        As for `evaluate`.
+    num_folds
+        Number K of folds, and of policies that are learned.
+    on_progress
+        Called after each policy, and once at the end.
+
+    Raises
+    ------
+    ArgumentError
+        There are fewer than 2 folds.
+    """
+    check_is_fitted(learner, "policy_")
+    if num_folds < 2:
+        raise ArgumentError(f"num_folds is {num_folds}; at least 2 are needed")
+    try:
+        with warnings.catch_warnings():
+            # What is doubtful in a part of the log is so in all of it, and was said when that was learned.
+            warnings.simplefilter("ignore", HalfseenWarning)
+            policy = cross_fitted(learner, logs, num_folds, on_progress)
+            evaluation = _evaluation(policy, learner, logs, against, level)
+    except HalfseenError as error:
+        return HeldOutVerdict("cannot be said", str(error), num_folds)
+    on_progress()
+    return HeldOutVerdict(evaluation.verdict, evaluation.reason, num_folds, evaluation)
+
+
+def cross_fitted(
+    learner: CensoredQLearner, logs: Logs, num_folds: int, on_progress: Callable[[], object] = lambda: None
+) -> CrossFitted:
+    """Learn one policy for each fold, from the paths outside it.
+
+    Parameters
+    ----------
+    learner
+        How to learn.
+    logs
+        The log.
+    num_folds
+        Number K of folds.
+    on_progress
+        Called after each policy.
+
+    Raises
+    ------
+    ArgumentError
+        There are fewer paths than folds.
+    """
+    if logs.num_paths < num_folds:
+        raise ArgumentError(f"the log has {logs.num_paths} path(s) for {num_folds} folds; record more")
+    # How cuts are dealt with is settled by the whole log; whatever else is chosen is chosen anew in each fold.
+    composed = learner.compose(logs)
+    same: Any = clone(learner)
+    same.set_params(censoring=composed.targets, pessimism=composed.pessimism)
+    fold = np.random.default_rng([learner.random_state, 3]).permutation(logs.num_paths) % num_folds
+    policies = []
+    for k in range(num_folds):
+        fresh: Any = clone(same)
+        policies.append(fresh.fit(logs.select(logs.path_ids[_others(fold, k)])).policy_)
+        on_progress()
+    return CrossFitted(tuple(policies), fold, learner.horizon)
+
+
+def _others(fold: Int[np.ndarray, " n"], k: int) -> Int[np.ndarray, " m"]:
+    """Paths outside a fold; one may be left out, so that there are as many for each fold and one program fits all."""
+    return np.flatnonzero(fold != k)[: len(fold) - np.bincount(fold).max()]
+
+
+def _evaluation(policy: CrossFitted, learner: CensoredQLearner, logs: Logs, against: Any, level: float) -> Evaluation:
+    spec = specification(learner.policy_, described(learner.model_), logs)
+    is_logged = "probability" in logs.stages.columns and bool(logs.stages["probability"].notna().to_numpy().any())
+    return evaluate(
+        policy,
+        logs,
+        against=against,
+        censoring=spec.censoring,
+        q=spec.q,
+        propensity="logged" if is_logged else "estimated",
+        level=level,
+        random_state=learner.random_state,
+    )
