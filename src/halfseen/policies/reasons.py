@@ -66,7 +66,9 @@ def flat_reason(policy: FlatPolicy, row: pd.DataFrame, stage: int, ranges: Range
         return f"{lead}."
     other = int(np.argmax(np.where(np.arange(len(q)) == best, -np.inf, q)))
     middle = {name: middle_of(ranges[name]) for name in policy.covariates}
-    changed = pd.concat([row.assign(**{name: middle[name]}) for name in policy.covariates], ignore_index=True)
+    # What is true or false lies in its middle at one half.
+    numbers = row.astype({name: float for name in policy.covariates if name not in policy.categories})
+    changed = pd.concat([numbers.assign(**{name: middle[name]}) for name in policy.covariates], ignore_index=True)
     each = policy.lower_bounds(changed, stage)
     left = each[:, best] - each[:, other]
     least = int(np.argmin(left))

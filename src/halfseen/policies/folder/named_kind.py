@@ -42,7 +42,7 @@ class NamedKind:
         return {
             "horizon": policy.horizon,
             "covariates": list(policy.covariates),
-            "categories": policy.categories,
+            "categories": {name: list(known) for name, known in policy.categories.items()},
             "actions": names,
             "possible": [[name for name, is_it in zip(names, row, strict=True) if is_it] for row in rows],
         }
