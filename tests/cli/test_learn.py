@@ -53,7 +53,7 @@ def test_a_flat_log_is_learned_with_its_actions_by_stage_and_its_numeric_covaria
     assert report["schema"]["possible"] == [["A", "B"], ["A", "C"]]
     assert (report["seed"], report["learner"]["reg"], report["learner"]["stages"]) == (4, 0.1, "pooled")
     assert report["notes"] == [
-        "it does not look at colour, which holds no numbers: give an indicator column for each value"
+        "it does not look at colour, which is 'red' in every stage, so it tells nothing apart; leave it out"
     ]
     logs = flat_log()
     by_hand = CensoredQLearner(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=0.1, random_state=4).fit(logs)
@@ -161,7 +161,7 @@ def test_bad_input_leaves_nothing_behind(folder, tmp_path):
         ((tmp_path / "none", "--out", out), LogError, "there is no such folder"),
         ((tmp_path / "cut", "--out", out), PositivityError, "all 2 paths were cut"),
         ((folder / "flat", "--out", out, "--covariates", "x1,x9"), ArgumentError, "names 'x9'"),
-        ((folder / "flat", "--out", out, "--covariates", "colour"), LogError, "holds no numbers"),
+        ((folder / "flat", "--out", out, "--covariates", "colour"), LogError, "is 'red' in every stage"),
         ((folder / "flat", "--out", out, "--horizon", 1), ArgumentError, "horizon is 1"),
         ((folder / "flat", "--out", out, "--reg", -1), ArgumentError, "reg is -1"),
         ((folder / "flat", "--out", out, "--grasp", "beta"), ArgumentError, "--grasp is for logs of tables"),

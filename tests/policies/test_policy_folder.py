@@ -23,6 +23,7 @@ from halfseen.tables.present import first_state
 from halfseen.world import Scene
 from halfseen.world.state import TableState
 from small_logs import flat_log, table_log
+from text_logs import COVARIATES, text_log
 
 FILES = (RECORD, ARRAYS, DIGESTS)
 ACTIONS = {1: ["A", "B"], 2: ["A", "C"]}
@@ -128,6 +129,62 @@ def test_a_policy_of_tables_comes_back_to_the_last_bit(tables, tmp_path, paramet
     q = np.asarray(decide(learner.policy_, states))
     assert np.asarray(decide(again.policy, states)).tobytes() == q.tobytes()
     assert len(set(q.argmax(axis=1))) > 1
+
+
+@pytest.fixture
+def of_text(tmp_path):
+    logs = text_log()
+    write_policy(CensoredQLearner.of_paper(2, ["A", "B"], COVARIATES, reg=0.1).fit(logs), logs, tmp_path / "text")
+    return tmp_path / "text"
+
+
+def test_a_policy_that_looks_at_text_comes_back_with_its_categories_and_is_written_the_same_again(of_text, tmp_path):
+    logs = text_log()
+    learner = CensoredQLearner.of_paper(2, ["A", "B"], COVARIATES, reg=0.1).fit(logs)
+    write_policy(learner, logs, tmp_path / "again")
+    assert [(of_text / name).read_bytes() for name in FILES] == [
+        (tmp_path / "again" / name).read_bytes() for name in FILES
+    ]
+    stored = read_policy(of_text)
+    assert stored.policy.categories == {"colour": ("blue", "green", "red")}
+    for stage in (1, 2):
+        rows = logs.stages[logs.stages["stage"] == stage]
+        assert stored.policy.q_values(rows, stage).tobytes() == learner.q_values(rows, stage).tobytes()
+        assert stored.ranges(stage)["colour"] == rows["colour"].value_counts().to_dict()
+        assert stored.ranges(stage)["is_heavy"] == (0.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            lambda schema: schema.update(categories={"size": ["L", "S"]}),
+            "categories are of size; each is of a covariate",
+        ),
+        (lambda schema: schema.update(categories=["colour"]), "categories is ['colour'] and not an object"),
+        (lambda schema: schema["categories"].update(colour=["red", "red"]), "colour is ['red', 'red']"),
+        (lambda schema: schema["categories"].update(colour=[1, 2, 3]), "colour is [1, 2, 3]"),
+        (
+            lambda schema: schema["categories"].update(colour=["red", "blue"]),
+            "array 'coefficients' is float64 of shape",
+        ),
+    ],
+)
+def test_categories_that_do_not_fit_are_refused(of_text, change, message):
+    edit(of_text, lambda record: change(record["schema"]))
+    assert message in told(of_text)
+
+
+def test_counts_of_categories_are_counts(of_text):
+    edit(of_text, lambda record: record["seen"][0]["ranges"].update(colour={"red": 0}))
+    assert "seen does not give the range of x, colour, is_heavy" in told(of_text)
+
+
+def test_a_folder_from_before_there_were_categories_is_read(written, flat_fitted, flat):
+    edit(written, lambda record: record["schema"].pop("categories"))
+    again = read_policy(written).policy
+    assert again.categories == {}
+    assert again.q_values(flat.stages, 1).tobytes() == flat_fitted.q_values(flat.stages, 1).tobytes()
 
 
 def test_actions_keep_their_type(tmp_path):

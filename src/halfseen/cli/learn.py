@@ -31,7 +31,9 @@ class _Or(click.ParamType):
 @click.command(epilog="Example: halfseen learn logs --out policy --censoring cox --seed 1")
 @click.argument("logs", type=options.PATH)
 @click.option("--out", type=options.PATH, required=True, help="Folder that the policy is written to.")
-@options.names("--covariates", "Columns of the stages to look at, as x1,x2; by default all that hold numbers.")
+@options.names(
+    "--covariates", "Columns of the stages to look at, as x1,x2; by default numbers and text of few categories."
+)
 @click.option(
     "--q-function",
     type=click.Choice(["auto", "linear", "quadratic", "kernel", "smooth"]),

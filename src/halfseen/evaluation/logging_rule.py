@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from pandas.api.types import is_numeric_dtype
 from sklearn.ensemble import RandomForestClassifier
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import LogisticRegression
@@ -26,6 +27,7 @@ from sklearn.pipeline import Pipeline
 from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
 from halfseen.evaluation.propensity import conditional_logit
+from halfseen.learners.q_learning.covariates import Covariates
 from halfseen.learners.q_learning.named_actions import NamedActions
 from halfseen.learners.q_learning.path_arrays import PathArrays, stage_places
 from halfseen.learners.q_learning.task import Task
@@ -157,7 +159,7 @@ def _choices(logs: Logs, paths: PathArrays, task: Task) -> list[Choice]:
         features, is_possible = paths.features[begun], paths.is_possible[begun]
         blocks = task.block_of_action(is_possible.shape[1])
         return [lambda weight: conditional_logit(features, is_possible, taken, blocks, weight).argmax(axis=1)]
-    states, stage = _states(logs, paths), np.nonzero(begun)[1]
+    states, stage = _states(logs, paths, task), np.nonzero(begun)[1]
     was_taken = np.zeros(paths.is_possible.shape[1:], dtype=bool)
     was_taken[stage[paths.has_action[begun]], taken[paths.has_action[begun]]] = True
     possible = was_taken[stage]
@@ -166,11 +168,14 @@ def _choices(logs: Logs, paths: PathArrays, task: Task) -> list[Choice]:
     ]
 
 
-def _states(logs: Logs, paths: PathArrays) -> Float[np.ndarray, "rows F"]:
-    """Covariates that are numbers, and the stage; in the order of paths and their stages."""
-    numbers = logs.stages[logs.stage_covariates].select_dtypes(["number", "bool"]).assign(stage=logs.stages["stage"])
+def _states(logs: Logs, paths: PathArrays, task: NamedActions) -> Float[np.ndarray, "rows F"]:
+    """All covariates that can be looked at, and the stage; in the order of paths and their stages."""
+    categories = task.fitted(logs, logs.horizon).categories
+    is_number = logs.stages.dtypes.map(is_numeric_dtype)
+    looked_at = tuple(name for name in logs.stage_covariates if is_number[name] or name in categories)
+    numbers = Covariates((*looked_at, "stage"), categories).encode(logs.stages)
     spread = np.zeros((*paths.is_begun.shape, numbers.shape[1]))
-    spread[stage_places(logs)] = numbers.to_numpy(dtype=np.float64)
+    spread[stage_places(logs)] = numbers
     return spread[paths.is_begun]
 
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from jaxtyping import Float, Int
-from pandas.api.types import is_numeric_dtype
 
 from halfseen.errors import ArgumentError
+from halfseen.learners.q_learning.covariates import fit_covariates
 from halfseen.learners.q_learning.flat_policy import NamedActionPolicy
 from halfseen.learners.q_learning.named_actions import NamedActions
 from halfseen.learners.q_learning.path_arrays import PathArrays
@@ -84,7 +84,8 @@ def task_of(policy: Any, logs: Logs) -> Task:
     """Find out what a policy decides about.
 
     Of named actions, the task has those that the policy may take in a stage, and those that were taken there and it
-    never would; covariates are the policy's, or all of the log that hold numbers.
+    never would; covariates are the policy's, with the categories that it knows, or all of the log that hold numbers or
+    text of few categories.
 
     Raises
     ------
@@ -95,7 +96,11 @@ def task_of(policy: Any, logs: Logs) -> Task:
         every = {stage: list(policy.actions) for stage in range(1, policy.horizon + 1)}
         own = getattr(policy, "actions_by_stage", every)
         covariates = getattr(policy, "covariates", None)
-        return NamedActions(_with_logged(own, logs), _numeric(logs) if covariates is None else covariates)
+        categories = getattr(policy, "categories", {})
+        task = NamedActions(
+            _with_logged(own, logs), fit_covariates(logs) if covariates is None else covariates, categories
+        )
+        return task.fitted(logs, policy.horizon)
     if logs.objects is None:
         raise ArgumentError(f"{type(policy).__name__} decides nothing about named actions, which the log is of")
     return named_task("table", grasp=getattr(policy, "grasp", None))
@@ -108,10 +113,6 @@ def _with_logged(own: dict[int, list[Hashable]], logs: Logs) -> dict[int, list[H
         return sorted(stages.loc[stages["stage"] == stage, "action"].dropna().unique().tolist(), key=str)
 
     return {stage: list(dict.fromkeys([*names, *logged(stage)])) for stage, names in own.items()}
-
-
-def _numeric(logs: Logs) -> list[str]:
-    return [name for name in logs.stage_covariates if is_numeric_dtype(logs.stages[name].dtype)]
 
 
 def horizon_of(policy: Any, default: int) -> int:

@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from pandas.api.types import is_numeric_dtype
-
 from halfseen.errors import ArgumentError
+from halfseen.learners.q_learning.covariates import unfit_covariates
 from halfseen.learners.q_learning.q_learner import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.tables.grasp.beta_grasp import BetaGrasp
@@ -42,7 +41,7 @@ def learner_for(
         The log.
     covariates
         Columns of the stages to look at, which makes the actions named ones; None for a table where the log has
-        objects, else for all that hold numbers.
+        objects, else for all that hold numbers, or text of few categories.
     horizon
         Stages after which a path ends by itself; None for those of the longest path, on a table at least 10.
     grasp
@@ -82,12 +81,9 @@ def _columns(logs: Logs, wanted: Sequence[str] | None) -> tuple[list[str], tuple
         if unknown:
             raise ArgumentError(f"--covariates names {unknown[0]!r}; the stages have {', '.join(there) or 'none'}")
         return list(wanted), ()
-    columns = [name for name in there if is_numeric_dtype(logs.stages[name].dtype)]
-    left_out = [name for name in there if name not in columns]
-    trouble = (
-        f"it does not look at {', '.join(left_out)}, which holds no numbers: give an indicator column for each value"
-    )
-    return columns, (trouble,) if left_out else ()
+    unfit = unfit_covariates(logs)
+    notes = tuple(f"it does not look at {name}, which {trouble}" for name, trouble in unfit.items())
+    return [name for name in there if name not in unfit], notes
 
 
 def _horizon_notes(logs: Logs, given: int | None, horizon: int) -> tuple[str, ...]:

@@ -50,13 +50,15 @@ class NamedDecider:
         ArgumentError
             There is no such stage.
         LogError
-            A covariate is missing or no finite number.
+            A covariate is missing, no finite number, null or of an unknown category.
         """
         policy, row, stage = self.policy, observation.row, observation.stage
         q = policy.lower_bounds(row, stage)[0]
         possible = np.where(policy.is_possible[stage - 1], q, -np.inf)
         ranges = self.ranges(stage)
-        values = {name: {name: float(row[name].iloc[0])} for name in policy.covariates}
+        values = {
+            name: {name: (str if name in policy.categories else float)(row[name].iloc[0])} for name in policy.covariates
+        }
         return Decision(
             action=policy.actions[int(np.argmax(possible))],
             q_values=values_by_name([str(name) for name in policy.actions], possible),

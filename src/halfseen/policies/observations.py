@@ -1,13 +1,14 @@
 """From files to what a policy decides from: covariates of one stage, or a cloud of a table and its history."""
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
 from halfseen.errors import ArgumentError, CloudError, LogError, PolicyError
-from halfseen.learners.q_learning.flat_policy import covariate_values
+from halfseen.learners.q_learning.flat_policy import FlatPolicy
 from halfseen.logs import read_logs
 from halfseen.logs.refusal import within
 from halfseen.perception import perceive, read_cloud
@@ -43,7 +44,7 @@ def read_observation(
         return _table_observation(stored, file, history, stage)
     if history is not None:
         raise ArgumentError("--history is for tables; this policy looks at the covariates of the stage alone")
-    row = _state_row(file, stored.policy.covariates)
+    row = _state_row(file, stored.policy)
     return NamedObservation(row, _stage_of(file, row, stage, stored.horizon))
 
 
@@ -66,14 +67,15 @@ def _table_observation(stored: StoredPolicy, cloud: Path, history: Path | None, 
     return now
 
 
-def _state_row(file: Path, covariates: tuple[str, ...]) -> pd.DataFrame:
+def _state_row(file: Path, policy: FlatPolicy) -> pd.DataFrame:
     """Read the covariates of one stage."""
+    covariates = policy.covariates
     looks_at = ", ".join(covariates) or "no covariates"
     if file.suffix not in STATE_FILES:
         raise PolicyError(
             f"{file}: the policy is of named actions and looks at {looks_at}, not at clouds; give them as .json or .csv"
         )
-    row = _read_states(file)
+    row = _read_states(file, policy.categories)
     if len(row) != 1:
         raise PolicyError(f"{file}: it holds {len(row)} states; give one: a JSON object, or a header and one row")
     missing = [name for name in covariates if name not in row.columns]
@@ -83,18 +85,18 @@ def _state_row(file: Path, covariates: tuple[str, ...]) -> pd.DataFrame:
             f"{', '.join(map(str, row.columns)) or 'nothing'}; give what the policy was learned from"
         )
     try:
-        covariate_values(row, covariates)
+        policy.looks_at.encode(row)
     except LogError as error:
         raise PolicyError(f"{file}: {error}") from error
     return row
 
 
-def _read_states(file: Path) -> pd.DataFrame:
+def _read_states(file: Path, texts: Iterable[str]) -> pd.DataFrame:
     try:
         if file.suffix == ".json":
             state = json.loads(file.read_text(encoding="utf-8"))
             return pd.DataFrame([state]) if isinstance(state, dict) else pd.DataFrame()
-        exact: Any = {"float_precision": "round_trip"}
+        exact: Any = {"float_precision": "round_trip", "converters": dict.fromkeys(texts, str)}
         return pd.read_csv(file, **exact)
     except (OSError, ValueError, RecursionError) as error:
         reason = getattr(error, "strerror", None) or str(error).splitlines()[0]

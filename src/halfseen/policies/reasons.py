@@ -1,13 +1,15 @@
 """Why a policy takes an action, in one sentence: what it is worth more than the next, and what it looked at."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from math import isfinite
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
 from halfseen.learners.q_learning.flat_policy import FlatPolicy
+from halfseen.policies.ranges import Ranges, middle_of
 from halfseen.tables.reasons import table_grounds
 from halfseen.world.action_space import ActionSpace
 from halfseen.world.state import TableState
@@ -38,13 +40,11 @@ hides 0.'
     return f"{_lead(ActionSpace(state.num_objects).names, q, best)}; {table_grounds(state, best)}."
 
 
-def flat_reason(
-    policy: FlatPolicy, row: pd.DataFrame, stage: int, ranges: Mapping[str, tuple[float, float]] | None
-) -> str:
+def flat_reason(policy: FlatPolicy, row: pd.DataFrame, stage: int, ranges: Ranges | None) -> str:
     """Say why the best action of a policy of named actions is best.
 
     The covariate that is told of is the one without which the action would lead by least: were it in the middle of
-    what the log showed.
+    what the log showed, or the category that it showed most often.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def flat_reason(
     stage
         The stage, from 1.
     ranges
-        Least and largest value of each covariate in the log; None if no path came so far.
+        What the log showed of each covariate; None if no path came so far.
     """
     is_possible = policy.is_possible[stage - 1]
     q = np.where(is_possible, policy.lower_bounds(row, stage)[0], -np.inf)
@@ -65,17 +65,23 @@ def flat_reason(
     if not policy.covariates or ranges is None or is_possible.sum() < 2:
         return f"{lead}."
     other = int(np.argmax(np.where(np.arange(len(q)) == best, -np.inf, q)))
-    middle = {name: sum(ranges[name]) / 2.0 for name in policy.covariates}
-    changed = pd.concat([row.assign(**{name: middle[name]}) for name in policy.covariates], ignore_index=True)
+    middle = {name: middle_of(ranges[name]) for name in policy.covariates}
+    # What is true or false lies in its middle at one half.
+    numbers = row.astype({name: float for name in policy.covariates if name not in policy.categories})
+    changed = pd.concat([numbers.assign(**{name: middle[name]}) for name in policy.covariates], ignore_index=True)
     each = policy.lower_bounds(changed, stage)
     left = each[:, best] - each[:, other]
     least = int(np.argmin(left))
     name = policy.covariates[least]
     if q[best] - q[other] - left[least] < _SAME_VALUE:
         return f"{lead}; none of what it looks at speaks for it more than the middle of the logs does."
-    value = float(row[name].iloc[0])
+    is_value, is_middle = (_written(one) for one in (row[name].iloc[0], middle[name]))
     would = f"worth {abs(left[least]):.2f} {'more' if left[least] >= 0 else 'less'} than {names[other]}"
-    return f"{lead}; {name} = {value:g} speaks for it most: at {middle[name]:g}, it would be {would}."
+    return f"{lead}; {name} = {is_value} speaks for it most: at {is_middle}, it would be {would}."
+
+
+def _written(value: Any) -> str:
+    return value if isinstance(value, str) else f"{float(value):g}"
 
 
 def _lead(names: Sequence[str], q: Float[np.ndarray, " A"], best: int) -> str:

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from halfseen.evaluation.targets import task_of
 from halfseen.learners import CensoredQLearner
 from halfseen.learners.q_learning.bootstrap import bootstrap
-from halfseen.learners.q_learning.flat_policy import FlatPolicy, covariate_values
+from halfseen.learners.q_learning.flat_policy import FlatPolicy
 from halfseen.learners.q_learning.targets import CENSORING_CHOICES
 from halfseen.learners.q_learning.task import Task
 from halfseen.logs import Logs
@@ -56,7 +56,7 @@ def choices(stored: StoredPolicy, task: Task, logs: Logs) -> list[dict[str, Any]
 
 @dataclass(frozen=True, eq=False)
 class QCurve:
-    """Q of the actions of one stage along one covariate, the others at their medians.
+    """Q of the actions of one stage along one covariate of numbers; others at their medians or commonest categories.
 
     `q` is Q of each possible action at the values of a covariate; `low` and `high` hold the central 95 % of what it is
     when paths are resampled (bootstrap), where that can be told.
@@ -73,7 +73,7 @@ class QCurve:
 def q_curves(stored: StoredPolicy, logs: Logs, num_replicates: int, seed: int) -> list[QCurve]:
     """Follow Q of named actions along the covariates that sway the choice most, in the first stages; [] for tables."""
     policy = stored.policy
-    if not isinstance(policy, FlatPolicy) or not policy.covariates:
+    if not isinstance(policy, FlatPolicy) or not _numeric(policy):
         return []
     replicates = _replicates(stored, logs, num_replicates, seed)
     frame: Any = logs.stages
@@ -81,19 +81,17 @@ def q_curves(stored: StoredPolicy, logs: Logs, num_replicates: int, seed: int) -
     curves = [
         _curve(policy, replicates, frame[frame["stage"] == stage], stage, name)
         for stage in stages
-        for name in policy.covariates
+        for name in _numeric(policy)
     ]
-    sway = {name: sum(_sway(curve) for curve in curves if curve.covariate == name) for name in policy.covariates}
-    kept = sorted(policy.covariates, key=lambda name: -sway[name])[:MOST_COVARIATES]
+    sway = {name: sum(_sway(curve) for curve in curves if curve.covariate == name) for name in _numeric(policy)}
+    kept = sorted(sway, key=lambda name: -sway[name])[:MOST_COVARIATES]
     return [curve for curve in curves if curve.covariate in kept]
 
 
 def _curve(policy: FlatPolicy, replicates: Any, states: pd.DataFrame, stage: int, covariate: str) -> QCurve:
-    seen = pd.DataFrame(covariate_values(states, policy.covariates), columns=pd.Index(policy.covariates))
-    low, high = np.quantile(seen[covariate], MIDDLE)
+    low, high = np.quantile(states[covariate].astype(float), MIDDLE)
     values = np.linspace(low, high, NUM_POINTS)
-    medians = pd.DataFrame([seen.median()] * NUM_POINTS).reset_index(drop=True)
-    at = medians.assign(**{covariate: values})
+    at = pd.DataFrame(_middle(policy, states), index=range(NUM_POINTS)).assign(**{covariate: values})
     bands = None if replicates is None else replicates.q_interval(at, stage, BAND_LEVEL)
 
     def by_name(q: Float[np.ndarray, "k A"]) -> dict[str, Float[np.ndarray, " k"]]:
@@ -108,6 +106,18 @@ def _curve(policy: FlatPolicy, replicates: Any, states: pd.DataFrame, stage: int
         low=None if bands is None else by_name(bands[0]),
         high=None if bands is None else by_name(bands[1]),
     )
+
+
+def _numeric(policy: FlatPolicy) -> list[str]:
+    return [name for name in policy.covariates if name not in policy.categories]
+
+
+def _middle(policy: FlatPolicy, states: Any) -> dict[str, Any]:
+    """Median of each covariate of numbers, and the commonest category of each of text, the first of those equal."""
+    return {
+        name: states[name].astype(str).mode()[0] if name in policy.categories else float(states[name].median())
+        for name in policy.covariates
+    }
 
 
 def _sway(curve: QCurve) -> float:

@@ -1,14 +1,15 @@
 """A learned Q of named actions as a policy: numbers, and nothing of the learner."""
 
 from collections.abc import Hashable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float
 
-from halfseen.errors import ArgumentError, LogError
+from halfseen.errors import ArgumentError
+from halfseen.learners.q_learning.covariates import Categories, Covariates
 from halfseen.learners.q_learning.kernel_map import KernelMap
 
 
@@ -46,6 +47,8 @@ class FlatPolicy:
         Features of the RKHS; None where Q is linear in the covariates.
     margin
         M of each stage and action: the lower confidence bound is Q̂ − ‖Mᵀ (1, features)‖; None without pessimism.
+    categories
+        Of the covariates that hold text, those that the log showed.
     """
 
     actions: tuple[Hashable, ...]
@@ -54,6 +57,12 @@ class FlatPolicy:
     coefficients: Float[np.ndarray, "*B T A F"]
     kernel_map: KernelMap | None = None
     margin: Float[np.ndarray, "*B T A F F"] | None = None
+    categories: Categories = field(default_factory=dict)
+
+    @property
+    def looks_at(self) -> Covariates:
+        """How the covariates become numbers."""
+        return Covariates(self.covariates, self.categories)
 
     @property
     def horizon(self) -> int:
@@ -74,7 +83,7 @@ class FlatPolicy:
         ArgumentError
             There is no such stage.
         LogError
-            A covariate is missing or no finite number.
+            A covariate is missing, no finite number, null or of a category that the log never showed.
         """
         self._check_stage(stage)
         features, each = self._features(frame), self.coefficients[stage - 1]
@@ -104,33 +113,9 @@ class FlatPolicy:
         return np.argmax(np.where(self.is_possible[stage - 1], low, -np.inf), axis=1)
 
     def _features(self, frame: pd.DataFrame) -> Float[np.ndarray, "m F1"]:
-        values = covariate_values(frame, self.covariates)
+        values = self.looks_at.encode(frame)
         return values if self.kernel_map is None else np.asarray(self.kernel_map(values))
 
     def _check_stage(self, stage: int) -> None:
         if not 1 <= stage <= self.horizon:
             raise ArgumentError(f"stage is {stage}; it lies in 1 to the horizon, {self.horizon}")
-
-
-def covariate_values(frame: pd.DataFrame, covariates: tuple[str, ...]) -> Float[np.ndarray, "m F"]:
-    """Covariates of each row as numbers.
-
-    Raises
-    ------
-    LogError
-        A column is missing, holds no numbers, or a number that is not finite; the place is named.
-    """
-    missing = [name for name in covariates if name not in frame.columns]
-    if missing:
-        raise LogError(f"covariate {missing[0]!r} is missing; there are {', '.join(map(str, frame.columns))}")
-    texts = [name for name in covariates if not pd.api.types.is_numeric_dtype(frame[name].dtype)]
-    if texts:
-        raise LogError(f"covariate {texts[0]!r} holds no numbers; give one indicator column for each of its values")
-    values = frame[list(covariates)].to_numpy(dtype=np.float64, na_value=np.nan)
-    wrong = np.argwhere(~np.isfinite(values))
-    if len(wrong):
-        row, column = wrong[0]
-        where = ", ".join(f"{name} {frame[name].iloc[row]}" for name in ("path", "stage") if name in frame.columns)
-        what = f"covariate {covariates[column]!r} is {values[row, column]}"
-        raise LogError(f"{where or f'row {row}'}: {what}; give a finite number")
-    return values

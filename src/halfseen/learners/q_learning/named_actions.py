@@ -1,7 +1,7 @@
 """The task of named actions: each has its own coefficients on the same plain covariates of the stage."""
 
-from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -9,7 +9,8 @@ import pandas as pd
 from jaxtyping import Bool, Float, Int
 
 from halfseen.errors import ArgumentError, LogError
-from halfseen.learners.q_learning.flat_policy import FlatPolicy, NamedActionPolicy, covariate_values
+from halfseen.learners.q_learning.covariates import Categories, Covariates, learned_categories, unfit_covariates
+from halfseen.learners.q_learning.flat_policy import FlatPolicy, NamedActionPolicy
 from halfseen.learners.q_learning.kernel_map import KernelMap
 from halfseen.learners.q_learning.path_arrays import stage_places
 from halfseen.learners.q_learning.support import seen_among
@@ -29,6 +30,8 @@ class NamedActions:
         Their names; or, by stage from 1, the names of those that are possible there.
     covariates
         Columns of the stages that Q looks at.
+    categories
+        Of the columns that hold text; of those that are not given they are learned by `fitted`.
 
     Raises
     ------
@@ -38,6 +41,7 @@ class NamedActions:
 
     actions: Actions
     covariates: Sequence[str] = ()
+    categories: Categories = field(default_factory=dict)
 
     end_action = None
     is_shared = True
@@ -66,8 +70,23 @@ class NamedActions:
         return tuple(map(str, self.names))
 
     def fitted(self, logs: Logs, horizon: int) -> "NamedActions":
-        """Nothing is to be learned first."""
-        return self
+        """Learn the categories of what is text in a log, whether Q looks at it or cuts may depend on it.
+
+        Raises
+        ------
+        LogError
+            A covariate of Q holds text that cannot be looked at; the message says why.
+        """
+        return self.fitted_to_parts([logs])
+
+    def fitted_to_parts(self, parts: Iterable[Logs]) -> "NamedActions":
+        """Do so from a log in parts of whole paths."""
+        return replace(self, categories=learned_categories(parts, self.covariates, self.categories))
+
+    @property
+    def looks_at(self) -> Covariates:
+        """How the covariates of Q become numbers."""
+        return Covariates(tuple(self.covariates), self.categories)
 
     def block_of_action(self, num_actions: int) -> Int[np.ndarray, " A"]:
         """Block of each action: its own."""
@@ -85,15 +104,16 @@ class NamedActions:
         """Encode every stage of a log of named actions."""
         shape = (logs.num_paths, horizon, len(self.names))
         at = stage_places(logs)
-        features = np.zeros((*shape, len(self.covariates)))
-        features[at] = covariate_values(logs.stages, tuple(self.covariates))[:, None, :]
+        values = self.looks_at.encode(logs.stages)
+        features = np.zeros((*shape, values.shape[1]))
+        features[at] = values[:, None, :]
         is_possible = np.broadcast_to(self._possible_by_stage(horizon), shape)
         action = np.zeros(shape[:2], dtype=np.int64)
         action[at] = self._codes(logs, is_possible)
         return Encoded(features, is_possible, action)
 
     def outcome_features(self, names: Sequence[str]) -> Float[np.ndarray, " F"]:
-        """1 for each of these covariates, 0 for the others.
+        """1 for each feature of these covariates, 0 for the others.
 
         Raises
         ------
@@ -104,7 +124,7 @@ class NamedActions:
         if unknown:
             known = ", ".join(self.covariates)
             raise ArgumentError(f"outcome_covariates names {unknown[0]!r}, which is none of the covariates {known}")
-        return np.isin(np.array(self.covariates), list(names)).astype(np.float64)
+        return np.isin(np.array(self.looks_at.sources), list(names)).astype(np.float64)
 
     def censoring_covariates(self, logs: Logs, names: Sequence[str] | None, is_by_path: bool) -> pd.DataFrame:
         """Columns of the stages as numbers, and indicators of all actions but the last; NaN where it is not known.
@@ -114,14 +134,14 @@ class NamedActions:
         LogError
             The log lacks a column.
         ArgumentError
-            A column holds no numbers.
+            A column holds neither numbers nor text that can be looked at.
         """
         columns = [*self.covariates, *([] if is_by_path else [ACTION])] if names is None else names
         missing = [name for name in columns if name not in logs.stages.columns]
         if missing:
             raise LogError(f"the stages have no column {missing[0]!r}; they have {', '.join(logs.stages.columns)}")
         parts = [
-            action_indicators(logs.stages[ACTION], self.names) if name == ACTION else _numbers(logs.stages, name)
+            action_indicators(logs.stages[ACTION], self.names) if name == ACTION else self._numbers(logs, name)
             for name in columns
         ]
         return pd.concat([pd.DataFrame(index=logs.stages.index), *parts], axis=1)
@@ -152,6 +172,7 @@ class NamedActions:
             coefficients=np.asarray(coefficients[..., ::-1, :, :]),
             kernel_map=kernel_map,
             margin=None if margin is None else margin[..., ::-1, :, :, :],
+            categories={name: self.categories[name] for name in self.covariates if name in self.categories},
         )
 
     def target_probabilities(self, policy: Any, logs: Logs, horizon: int) -> Float[np.ndarray, "n T A"]:
@@ -180,6 +201,15 @@ class NamedActions:
     def _possible_by_stage(self, horizon: int) -> Bool[np.ndarray, "T A"]:
         return np.stack([self.possible(stage) for stage in range(1, horizon + 1)])
 
+    def _numbers(self, logs: Logs, name: str) -> Any:
+        if pd.api.types.is_numeric_dtype(logs.stages[name].dtype) and name not in self.categories:
+            return logs.stages[[name]].astype(float)
+        if name not in self.categories:
+            trouble = unfit_covariates(logs).get(name, "is no covariate of the stages; leave it out")
+            raise ArgumentError(f"censoring covariate {name!r} {trouble}")
+        looks_at = Covariates((name,), self.categories)
+        return pd.DataFrame(looks_at.encode(logs.stages), index=logs.stages.index, columns=pd.Index(looks_at.names))
+
     def _codes(self, logs: Logs, is_possible: Bool[np.ndarray, "n T A"]) -> Int[np.ndarray, " rows"]:
         stages = logs.stages
         codes = pd.Index(self.names).get_indexer(stages["action"])
@@ -199,9 +229,3 @@ def action_indicators(taken: Any, actions: Sequence[Hashable]) -> pd.DataFrame:
     is_unknown = taken.isna().to_numpy()
     columns = {f"action={name}": np.where(is_unknown, np.nan, taken.eq(name).to_numpy(float)) for name in actions[:-1]}
     return pd.DataFrame(columns, index=taken.index)
-
-
-def _numbers(stages: Any, name: str) -> Any:
-    if not pd.api.types.is_numeric_dtype(stages[name].dtype):
-        raise ArgumentError(f"censoring covariate {name!r} holds no numbers; give indicator columns for its values")
-    return stages[[name]].astype(float)

@@ -18,10 +18,12 @@ from tqdm import tqdm
 from halfseen.censoring.cut_model import fit_path_cuts
 from halfseen.errors import ArgumentError
 from halfseen.learners.q_learning.least_squares import Fit, factorise, gram_of, solve
+from halfseen.learners.q_learning.named_actions import NamedActions
 from halfseen.learners.q_learning.q_model import QModel, refuse_all_cut, refuse_too_few
 from halfseen.learners.q_learning.q_space import CrossValidation
 from halfseen.learners.q_learning.recursion import Regression
 from halfseen.learners.q_learning.targets import Unweighted, Weighted
+from halfseen.learners.q_learning.task import Task
 from halfseen.learners.q_learning.transitions import (
     QFunctions,
     StageMode,
@@ -33,7 +35,7 @@ from halfseen.learners.q_learning.transitions import (
     state_values,
     target_of,
 )
-from halfseen.logs import LogStream
+from halfseen.logs import Logs, LogStream
 from halfseen.logs.columns import FINISHED
 
 Parts = Callable[[], Iterator[Transitions]]
@@ -134,7 +136,7 @@ def _first_pass(model: QModel, stream: LogStream) -> tuple[QModel, tuple[str, ..
     for number, part in enumerate(stream):
         model.check_horizon(part)
         if number == 0:
-            model = replace(model, task=model.task.fitted(part, model.horizon))
+            model = replace(model, task=_fitted_task(model, stream, part))
         paths = model.lay_out(part)
         model = model.with_kernel(paths) if number == 0 else model
         here = model.support_in(paths)
@@ -142,6 +144,13 @@ def _first_pass(model: QModel, stream: LogStream) -> tuple[QModel, tuple[str, ..
         first.append(paths.clocks.covariates[:, 0])
         names = paths.clocks.covariate_names
     return replace(model, support=support), names, np.concatenate(first)
+
+
+def _fitted_task(model: QModel, stream: LogStream, first: Logs) -> Task:
+    """Learn what the features need from the first part; but what categories text has, from all of them."""
+    if isinstance(model.task, NamedActions):
+        return model.task.fitted_to_parts(stream)
+    return model.task.fitted(first, model.horizon)
 
 
 def fit_parts(parts: Parts, num_paths: int, model: QModel) -> QFunctions:

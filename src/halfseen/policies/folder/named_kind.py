@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from halfseen.errors import ArgumentError, PolicyError
+from halfseen.learners.q_learning.covariates import Categories, Covariates
 from halfseen.learners.q_learning.flat_policy import FlatPolicy
 from halfseen.logs import Logs
 from halfseen.policies.folder.arrays import (
@@ -29,7 +30,7 @@ class NamedKind:
     policy_type = FlatPolicy
 
     def schema(self, policy: FlatPolicy, logs: Logs) -> dict[str, Any]:
-        """Covariates, names of the actions, and those that each stage allows.
+        """Covariates and their categories, names of the actions, and those that each stage allows.
 
         Raises
         ------
@@ -41,13 +42,14 @@ class NamedKind:
         return {
             "horizon": policy.horizon,
             "covariates": list(policy.covariates),
+            "categories": {name: list(known) for name, known in policy.categories.items()},
             "actions": names,
             "possible": [[name for name, is_it in zip(names, row, strict=True) if is_it] for row in rows],
         }
 
     def seen(self, logs: Logs, policy: FlatPolicy, is_by_stage: bool) -> list[dict[str, Any]]:
         """Ranges of the covariates."""
-        return seen_covariates(logs, policy.covariates, is_by_stage)
+        return seen_covariates(logs, policy.looks_at, is_by_stage)
 
     def range_names(self, policy: FlatPolicy) -> tuple[str, ...]:
         """Names of the covariates."""
@@ -67,15 +69,32 @@ class NamedKind:
         """
         schema, horizon = record["schema"], horizon_of(record)
         actions = names_in(schema, "actions", (int, str))
-        covariates = names_in(schema, "covariates", (str,))
+        looks_at = Covariates(names_in(schema, "covariates", (str,)), _categories(schema))
         possible = typed(schema, "possible", list, "a list")
         is_right = len(possible) == horizon and all(isinstance(names, list) and names for names in possible)
         if not is_right or not all(name in actions for names in possible for name in names):
             raise PolicyError(f"possible is {possible}; it lists some of the actions for each of the {horizon} stages")
         is_possible = np.array([[name in names for name in actions] for names in possible])
-        check_arrays(arrays, Shape(horizon, len(actions), len(covariates), np.float64))
-        kernel_map, margin = kernel_map_of(arrays), arrays.get(MARGIN)
-        return FlatPolicy(actions, covariates, is_possible, arrays[COEFFICIENTS], kernel_map, margin)
+        check_arrays(arrays, Shape(horizon, len(actions), looks_at.num_features, np.float64))
+        return FlatPolicy(
+            actions=actions,
+            covariates=looks_at.columns,
+            is_possible=is_possible,
+            coefficients=arrays[COEFFICIENTS],
+            kernel_map=kernel_map_of(arrays),
+            margin=arrays.get(MARGIN),
+            categories=looks_at.categories,
+        )
+
+
+def _categories(schema: Mapping[str, Any]) -> Categories:
+    """Categories of the covariates that hold text; none in a folder that does not say."""
+    if "categories" not in schema:
+        return {}
+    each = typed(schema, "categories", dict, "an object")
+    if not set(each) <= set(schema["covariates"]):
+        raise PolicyError(f"categories are of {', '.join(each)}; each is of a covariate: learn the policy anew")
+    return {name: names_in(each, name, (str,)) for name in each}
 
 
 def _action_name(name: Any) -> int | str:

@@ -6,6 +6,7 @@ from typing import Any
 import pandas as pd
 
 from halfseen.errors import PolicyError
+from halfseen.learners.q_learning.covariates import Covariates
 from halfseen.logs import Logs
 from halfseen.world.table_checks import TABLE
 
@@ -13,8 +14,10 @@ TABLE_RANGES = ("num_objects", "occlusion", "log_odds", "num_attempts")
 """Of a table: objects on it; and of each, its occlusion, its log-odds of DIRTY and its past attempts."""
 
 
-def seen_covariates(logs: Logs, covariates: tuple[str, ...], is_by_stage: bool) -> list[dict[str, Any]]:
+def seen_covariates(logs: Logs, covariates: Covariates, is_by_stage: bool) -> list[dict[str, Any]]:
     """Give the least and the largest value of each covariate of named actions, by stage or over all stages.
+
+    Of text, give how many states showed each category that was seen.
 
     Parameters
     ----------
@@ -32,9 +35,9 @@ def seen_covariates(logs: Logs, covariates: tuple[str, ...], is_by_stage: bool) 
     """
     frame: Any = logs.stages
     if not is_by_stage:
-        return [_entry(1, logs.horizon, len(frame), _ranges(frame, covariates))]
+        return [_entry(1, logs.horizon, len(frame), _shown(frame, covariates))]
     parts = [(stage, frame[frame["stage"] == stage]) for stage in range(1, logs.horizon + 1)]
-    return [_entry(stage, stage, len(part), _ranges(part, covariates)) for stage, part in parts]
+    return [_entry(stage, stage, len(part), _shown(part, covariates)) for stage, part in parts]
 
 
 def seen_tables(logs: Logs) -> list[dict[str, Any]]:
@@ -61,7 +64,7 @@ def check_seen(seen: Any, names: tuple[str, ...]) -> None:
             first, last = (index(stage) for stage in entry["stages"])
             ranges = entry["ranges"]
             is_right = first <= last and set(ranges) == set(names)
-            if not (is_right and all(float(low) <= float(high) for low, high in ranges.values())):
+            if not (is_right and all(map(_is_range, ranges.values()))):
                 raise ValueError("a range is missing, of something else, or ends before it begins")
     except (TypeError, ValueError, KeyError, AttributeError, OverflowError) as error:
         raise PolicyError(
@@ -69,8 +72,26 @@ def check_seen(seen: Any, names: tuple[str, ...]) -> None:
         ) from error
 
 
-def _entry(first: int, last: int, num_states: int, ranges: dict[str, list[float]]) -> dict[str, Any]:
+def _is_range(seen: Any) -> bool:
+    if isinstance(seen, dict):
+        return bool(seen) and all(index(count) > 0 for count in seen.values())
+    low, high = seen
+    return float(low) <= float(high)
+
+
+def _entry(first: int, last: int, num_states: int, ranges: dict[str, Any]) -> dict[str, Any]:
     return {"stages": [first, last], "num_states": num_states, "ranges": ranges}
+
+
+def _shown(frame: pd.DataFrame, covariates: Covariates) -> dict[str, Any]:
+    """Range of each column of numbers, and counts of each of text, in the order of columns."""
+    counts = {name: frame[name].astype(str).value_counts() for name in covariates.categories}
+    return {
+        name: {one: int(counts[name][one]) for one in covariates.categories[name] if one in counts[name]}
+        if name in counts
+        else _ranges(frame, (name,))[name]
+        for name in covariates.columns
+    }
 
 
 def _ranges(frame: pd.DataFrame, names: tuple[str, ...]) -> dict[str, list[float]]:

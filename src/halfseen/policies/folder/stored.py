@@ -19,6 +19,7 @@ from halfseen.policies.folder.json_values import horizon_of
 from halfseen.policies.folder.kinds import kind_of
 from halfseen.policies.folder.record import as_json, from_json, record_of
 from halfseen.policies.folder.seen import check_seen
+from halfseen.policies.ranges import Range
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,14 +61,21 @@ class StoredPolicy:
             told.insert(0, f"no evidence that this policy beats the rule that made the logs: {self.verdict['reason']}")
         return tuple(told)
 
-    def ranges(self, stage: int) -> dict[str, tuple[float, float]] | None:
-        """Least and largest value of each covariate in the log, where Q of this stage was taught; None if nowhere."""
+    def ranges(self, stage: int) -> dict[str, Range] | None:
+        """What the log showed of each covariate, where Q of this stage was taught; None if nowhere."""
         is_by_stage = self.record["reg"].get("rows") == "stage"
         for entry in self.record["seen"]:
             first, last = entry["stages"]
             if first <= stage <= last or not is_by_stage:
-                return {name: (float(low), float(high)) for name, (low, high) in entry["ranges"].items()}
+                return {name: _range(seen) for name, seen in entry["ranges"].items()}
         return None
+
+
+def _range(seen: Any) -> Range:
+    if isinstance(seen, dict):
+        return seen
+    low, high = seen
+    return float(low), float(high)
 
 
 def write_policy(

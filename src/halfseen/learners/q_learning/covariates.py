@@ -1,0 +1,240 @@
+"""Covariates of stages as numbers: what is a number stays, and text becomes an indicator of each category but one.
+
+The first category of a column, in sorted order, has no indicator: it is what the offset of Q stands for. So the
+indicators are never collinear with the offset, and eq. 3 without λ, or a proportional-hazards model of the cuts, can be
+fitted to them; every function class and every model looks at the same columns. True and false are the numbers 1 and 0.
+"""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
+from pandas.api.types import infer_dtype, is_numeric_dtype
+
+from halfseen.errors import LogError
+from halfseen.logs import Logs
+from halfseen.logs.refusal import place, value_at
+
+Categories = Mapping[str, tuple[str, ...]]
+"""Of each column of text, its categories in sorted order."""
+
+MOST_CATEGORIES = 30
+"""A column with more tells one stage from another rather than what they have in common; so many still fit a smooth Q,
+which looks at the product of each two indicators."""
+
+_MOST_NAMED = 12
+_TEXT = ("string", "categorical", "boolean", "empty")
+
+
+@dataclass(frozen=True)
+class Covariates:
+    """Columns of the stages, and how they become numbers.
+
+    Parameters
+    ----------
+    columns
+        Their names.
+    categories
+        Of those that hold text.
+
+    Examples
+    --------
+    >>> looks_at = Covariates(("x", "colour"), {"colour": ("blue", "green", "red")})
+    >>> looks_at.names
+    ('x', 'colour=green', 'colour=red')
+    >>> looks_at.encode(pd.DataFrame({"x": [0.5, 2], "colour": ["red", "blue"]}))
+    array([[0.5, 0. , 1. ],
+           [2. , 0. , 0. ]])
+    """
+
+    columns: tuple[str, ...]
+    categories: Categories = field(default_factory=dict)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of each feature: that of a column of numbers, or ``column=category``."""
+        each = zip(self.columns, self._indicated, strict=True)
+        return tuple(name if one is None else f"{name}={one}" for name, some in each for one in some)
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """Column that each feature comes from."""
+        return tuple(name for name, some in zip(self.columns, self._indicated, strict=True) for _ in some)
+
+    @property
+    def num_features(self) -> int:
+        """Number F of features."""
+        return len(self.sources)
+
+    def encode(self, frame: pd.DataFrame) -> Float[np.ndarray, "m F"]:
+        """Turn each row into numbers.
+
+        Raises
+        ------
+        LogError
+            A column is missing, or a value is no finite number, null or an unknown category; the place is named.
+        """
+        missing = [name for name in self.columns if name not in frame.columns]
+        if missing:
+            raise LogError(f"covariate {missing[0]!r} is missing; there are {', '.join(map(str, frame.columns))}")
+        numeric = [name for name in self.columns if name not in self.categories]
+        numbers = _numbers(frame, numeric)
+        if len(numeric) == len(self.columns):
+            return numbers
+        features = np.empty((len(frame), self.num_features))
+        source = np.array(self.sources)
+        features[:, np.isin(source, numeric)] = numbers
+        for name in self.columns:
+            if name in self.categories:
+                features[:, source == name] = self._codes(frame, name)[:, None] == np.arange(
+                    1, len(self.categories[name])
+                )
+        return features
+
+    @property
+    def _indicated(self) -> list[tuple[str | None, ...]]:
+        """For each column the categories that have an indicator; None for a column of numbers."""
+        return [self.categories[name][1:] if name in self.categories else (None,) for name in self.columns]
+
+    def _codes(self, frame: pd.DataFrame, column: str) -> np.ndarray:
+        _refuse_null(frame, column)
+        values: Any = frame[column]
+        known = self.categories[column]
+        codes = pd.Index(known, dtype=object).get_indexer(values.astype(object).map(str))
+        if (codes < 0).any():
+            row = int(np.argmax(codes < 0))
+            value = str(value_at(frame, column, row))
+            raise LogError(
+                f"{_place(frame, row)}: covariate {column!r} is {value!r}, which the log that was learned from never "
+                f"showed; known are {_listed(known)}: give one of these, or learn anew from logs that show {value!r}"
+            )
+        return codes
+
+
+def learned_categories(parts: Iterable[Logs], wanted: Sequence[str], known: Categories) -> dict[str, tuple[str, ...]]:
+    """Find the categories of all columns of text that can be looked at.
+
+    Parameters
+    ----------
+    parts
+        A log, in parts of whole paths.
+    wanted
+        Columns that must be among them, if they hold text.
+    known
+        Categories that are given; they stay as they are.
+
+    Raises
+    ------
+    LogError
+        A wanted column cannot be looked at: it has nulls, one value, too many, or one of its own for every path.
+    """
+    found = _surveyed(parts, known)
+    for name in wanted:
+        trouble = _trouble(found[name]) if name in found else None
+        if trouble is not None:
+            raise LogError(f"covariate {name!r} {trouble}")
+    learned = {
+        name: tuple(sorted(seen)) for name, seen in found.items() if isinstance(seen, Counter) and not _trouble(seen)
+    }
+    return {**known, **learned}
+
+
+def unfit_covariates(logs: Logs) -> dict[str, str]:
+    """Tell which covariates of the stages cannot be looked at, and why."""
+    troubles = {name: _trouble(seen) for name, seen in _surveyed([logs], {}).items()}
+    return {name: trouble for name, trouble in troubles.items() if trouble is not None}
+
+
+def fit_covariates(logs: Logs) -> list[str]:
+    """Name the covariates of the stages that can be looked at: numbers, and text of few categories."""
+    unfit = unfit_covariates(logs)
+    return [name for name in logs.stage_covariates if name not in unfit]
+
+
+_Seen = Counter[str] | str
+"""In how many paths each category occurs, or why a column has none."""
+
+
+def _surveyed(parts: Iterable[Logs], known: Categories) -> dict[str, _Seen]:
+    """Look at all columns that hold no numbers."""
+    found: dict[str, _Seen] = {}
+    for part in parts:
+        texts = [name for name in part.stage_covariates if name not in known and not _is_numeric(part.stages, name)]
+        if not texts:
+            # What one part holds as numbers, all do.
+            break
+        for name in texts:
+            found[name] = _joined(found.get(name, Counter()), _look(part, name))
+    return found
+
+
+def _look(logs: Logs, column: str) -> _Seen:
+    values: Any = logs.stages[column]
+    kind = infer_dtype(values, skipna=True)
+    if kind not in _TEXT:
+        return f"holds {kind}, neither numbers nor text; give one of these, or leave it out"
+    is_null = values.isna().to_numpy()
+    if is_null.any():
+        where = place(logs.stages, int(np.argmax(is_null)))
+        return f"is null at {where}; fill it in, with a word such as 'unknown' where nothing is known, or leave it out"
+    pairs = pd.DataFrame({"path": logs.stages["path"], "value": values.astype(object)}).drop_duplicates()
+    return Counter(pairs["value"].map(str))
+
+
+def _joined(before: _Seen, now: _Seen) -> _Seen:
+    if isinstance(before, str) or isinstance(now, str):
+        return before if isinstance(before, str) else now
+    both = before + now
+    if len(both) > MOST_CATEGORIES:
+        return f"has more than {MOST_CATEGORIES} categories; group them into fewer, or leave it out"
+    return both
+
+
+def _trouble(seen: _Seen) -> str | None:
+    """Why a column cannot be looked at."""
+    if isinstance(seen, str):
+        return seen
+    if len(seen) == 1:
+        return f"is {next(iter(seen))!r} in every stage, so it tells nothing apart; leave it out"
+    if max(seen.values()) == 1:
+        return "has no category that two paths share, so it names the path; leave it out"
+    return None
+
+
+def _numbers(frame: pd.DataFrame, columns: list[str]) -> Float[np.ndarray, "m F"]:
+    for name in columns:
+        if not _is_numeric(frame, name):
+            raise LogError(f"covariate {name!r} holds no numbers, and no categories of it are known; give numbers")
+    values = frame[columns].to_numpy(dtype=np.float64, na_value=np.nan)
+    wrong = np.argwhere(~np.isfinite(values))
+    if len(wrong):
+        row, column = wrong[0]
+        what = f"covariate {columns[column]!r} is {values[row, column]}"
+        raise LogError(f"{_place(frame, int(row))}: {what}; give a finite number")
+    return values
+
+
+def _is_numeric(frame: pd.DataFrame, column: str) -> bool:
+    return is_numeric_dtype(frame[column].dtype)
+
+
+def _refuse_null(frame: pd.DataFrame, column: str) -> None:
+    is_null = frame[column].isna().to_numpy()
+    if is_null.any():
+        where = _place(frame, int(np.argmax(is_null)))
+        raise LogError(f"{where}: covariate {column!r} is null; fill it in")
+
+
+def _place(frame: pd.DataFrame, row: int) -> str:
+    """Path and stage of a row, where the frame has them."""
+    named = tuple(name for name in ("path", "stage") if name in frame.columns)
+    return place(frame, row, named) if named else f"row {row}"
+
+
+def _listed(known: Sequence[str]) -> str:
+    more = f" and {len(known) - _MOST_NAMED} more" if len(known) > _MOST_NAMED else ""
+    return ", ".join(map(repr, known[:_MOST_NAMED])) + more

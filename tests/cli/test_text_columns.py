@@ -1,0 +1,184 @@
+"""Text among the covariates, from the log to the page: each verb looks at it, and names what it does not know."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from click.testing import CliRunner
+
+from halfseen.cli import halfseen
+from halfseen.errors import HalfseenError, LogError, PolicyError
+from halfseen.evaluation import QSpec
+from halfseen.evaluation import evaluate as evaluated
+from halfseen.learners import CensoredQLearner
+from halfseen.learners.q_learning.named_actions import NamedActions
+from halfseen.logs import Logs
+from halfseen.policies import Rule, read_policy
+from halfseen.report.policy_findings import q_curves
+from text_logs import ACTIONS, BY_HAND, by_hand, text_log, with_indicators
+
+
+def stamped(seed, **columns):
+    """With a column that names the path, and one of remarks."""
+    names = {"order": lambda path, stage: f"order {path}", "remark": lambda path, stage: None if path % 2 else "slow"}
+    return text_log(num_paths=80, seed=seed, **names, **columns)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("text")
+    stamped(0).write(folder / "logs")
+    stamped(1).write(folder / "later")
+    strange = stamped(1)
+    Logs(strange.stages.assign(colour=strange.stages["colour"].replace("green", "mauve")), strange.paths).write(
+        folder / "strange"
+    )
+    learned = json.loads(
+        run("learn", folder / "logs", "--out", folder / "policy", *QUICK, "--stages", "separate", "--json")
+    )
+    (folder / "learned.json").write_text(json.dumps(learned))
+    return folder
+
+
+QUICK = ("--reg", 0.01, "--q-function", "linear", "--censoring", "kaplan-meier", "--pessimism", 0)
+
+
+def run(*arguments):
+    return CliRunner().invoke(halfseen, [str(one) for one in arguments], catch_exceptions=False).stdout
+
+
+def refused(kind, *arguments):
+    result = CliRunner().invoke(halfseen, [str(one) for one in arguments])
+    assert isinstance(result.exception, HalfseenError), result.output
+    assert isinstance(result.exception, kind)
+    assert "\n" not in str(result.exception)
+    return str(result.exception)
+
+
+def state(folder, name, text):
+    (folder / name).write_text(text)
+    return folder / name
+
+
+def test_learn_looks_at_text_and_says_what_it_leaves_out(folder):
+    report = json.loads((folder / "learned.json").read_text())
+    assert report["schema"]["covariates"] == ["x", "colour", "is_heavy"]
+    assert report["schema"]["categories"] == {"colour": ["blue", "green", "red"]}
+    assert report["notes"] == [
+        "it does not look at order, which has more than 30 categories; group them into fewer, or leave it out",
+        "it does not look at remark, which is null at path 1, stage 1; fill it in, with a word such as 'unknown' where "
+        "nothing is known, or leave it out",
+    ]
+    logs = by_hand(stamped(0))
+    theirs = CensoredQLearner.of_paper(2, ACTIONS, BY_HAND, reg=0.01).fit(logs)
+    ours = read_policy(folder / "policy").policy
+    for stage in (1, 2):
+        rows = stamped(0).stages.query("stage == @stage")
+        q = theirs.q_values(with_indicators(rows), stage)
+        np.testing.assert_allclose(ours.q_values(rows, stage), q, atol=1e-9)
+        taken = theirs.decide(with_indicators(rows), stage)
+        assert report["actions"][stage - 1]["shares"]["B"] == pytest.approx(np.mean(taken == "B"))
+        assert report["actions"][stage - 1]["as_logged"] == pytest.approx(np.mean(taken == rows["action"]))
+
+
+def test_a_column_that_is_asked_for_and_cannot_be_looked_at_is_refused(folder, tmp_path):
+    arguments = ("learn", folder / "logs", "--out", tmp_path / "p", "--covariates")
+    assert refused(LogError, *arguments, "x,remark").startswith("covariate 'remark' is null at path 1, stage 1; fill")
+    assert refused(LogError, *arguments, "order").startswith("covariate 'order' has more than 30 categories; group")
+    assert not (tmp_path / "p").exists()
+
+
+def test_act_takes_text_as_csv_or_json_and_tells_what_speaks_for_the_action(folder, tmp_path):
+    as_json = state(tmp_path, "a.json", '{"x": 0.1, "colour": "blue", "is_heavy": true, "stage": 1}')
+    as_csv = state(tmp_path, "a.csv", "colour,is_heavy,x,stage\nblue,True,0.1,1\n")
+    report = json.loads(run("act", folder / "policy", as_json, "--json"))
+    assert run("act", folder / "policy", as_csv) == run("act", folder / "policy", as_json)
+    row = pd.DataFrame({"x": [0.1], "colour": ["blue"], "is_heavy": [True]})
+    policy = read_policy(folder / "policy").policy
+    assert report["q_values"] == dict(zip(ACTIONS, policy.q_values(row, 1)[0].tolist(), strict=True))
+    commonest = stamped(0).stages.query("stage == 1")["colour"].mode()[0]
+    q = policy.q_values(row.assign(colour=commonest), 1)[0]
+    assert (report["action"], commonest, report["warnings"]) == ("A", "red", [])
+    assert report["reason"].endswith(
+        f"colour = blue speaks for it most: at red, it would be worth {q[1] - q[0]:.2f} less than B."
+    )
+
+
+def test_act_warns_of_a_category_that_this_stage_never_showed(folder, tmp_path):
+    log = stamped(0)
+    late = log.stages.assign(colour=log.stages["colour"].where(log.stages["stage"] == 2, "red"))
+    Logs(late, log.paths).write(tmp_path / "logs")
+    run("learn", tmp_path / "logs", "--out", tmp_path / "policy", *QUICK, "--stages", "separate")
+    blue = state(tmp_path, "a.json", '{"x": 0.1, "colour": "blue", "is_heavy": true}')
+    told = "colour is blue, which no state of the logs showed at this stage; Q is extrapolated"
+    assert json.loads(run("act", tmp_path / "policy", blue, "--json"))["warnings"] == [told]
+    assert json.loads(run("act", tmp_path / "policy", blue, "--stage", 2, "--json"))["warnings"] == []
+
+
+@pytest.mark.parametrize("text", ['"mauve"', "null", "7"])
+def test_act_refuses_what_it_does_not_know(folder, tmp_path, text):
+    file = state(tmp_path, "a.json", f'{{"x": 0.1, "colour": {text}, "is_heavy": true}}')
+    told = refused(PolicyError, "act", folder / "policy", file)
+    value = text.replace('"', "'") if text != "7" else "'7'"
+    what = "is null; fill it in" if text == "null" else f"is {value}, which the log that was learned from never showed"
+    assert told.startswith(f"{file}: row 0: covariate 'colour' {what}")
+    file = state(tmp_path, "a.csv", f"x,colour,is_heavy\n0.1,{text},True\n")
+    assert "known are 'blue', 'green', 'red'" in refused(PolicyError, "act", folder / "policy", file)
+
+
+def test_codes_that_are_text_are_read_as_text(tmp_path):
+    log = text_log(colours=("01", "02", "NA"))
+    log.write(tmp_path / "logs")
+    run("learn", tmp_path / "logs", "--out", tmp_path / "policy", *QUICK)
+    for code in ("01", "NA"):
+        as_json = state(tmp_path, "a.json", f'{{"x": 0.1, "colour": "{code}", "is_heavy": true}}')
+        as_csv = state(tmp_path, "a.csv", f"x,colour,is_heavy\n0.1,{code},true\n")
+        assert run("act", tmp_path / "policy", as_csv) == run("act", tmp_path / "policy", as_json)
+
+
+def test_evaluate_looks_at_text_and_names_what_the_policy_does_not_know(folder):
+    again = json.loads(run("evaluate", folder / "policy", "--logs", folder / "later", "--json"))
+    assert again["verdict"] == "better"
+    told = refused(LogError, "evaluate", folder / "policy", "--logs", folder / "strange")
+    assert "covariate 'colour' is 'mauve'" in told
+    assert "known are 'blue', 'green', 'red'" in told
+
+
+@pytest.mark.parametrize("propensity", ["logged", "estimated"])
+def test_evaluation_is_that_of_indicators(propensity):
+    def red(frame, stage):
+        return np.where(frame["colour"] == "red", "B", "A")
+
+    def red_by_hand(frame, stage):
+        return np.where(frame["colour=red"] == 1.0, "B", "A")
+
+    logs, spec = text_log(), {"propensity": propensity, "censoring": "cox"}
+    ours = evaluated(Rule(red, tuple(ACTIONS), 2), logs, **spec)
+    q = QSpec(NamedActions(ACTIONS, BY_HAND))
+    theirs = evaluated(Rule(red_by_hand, tuple(ACTIONS), 2), by_hand(logs), q=q, **spec)
+    for name in ("doubly_robust", "fitted_q", "importance_sampling", "logging", "difference"):
+        assert getattr(ours, name).value == pytest.approx(getattr(theirs, name).value, abs=1e-9)
+    assert [one.difference.value for one in ours.comparisons if one.difference] == pytest.approx(
+        [one.difference.value for one in theirs.comparisons if one.difference], abs=1e-9
+    )
+
+
+def test_q_is_drawn_along_numbers_with_bands_and_text_at_its_commonest(folder):
+    logs, stored = stamped(0), read_policy(folder / "policy")
+    curves = q_curves(stored, logs, num_replicates=2, seed=0)
+    assert {curve.covariate for curve in curves} == {"x", "is_heavy"}
+    assert all(curve.low is not None for curve in curves)
+    first = next(curve for curve in curves if curve.covariate == "x" and curve.stage == 1)
+    states = logs.stages.query("stage == 1")
+    middle = {"colour": states["colour"].mode()[0], "is_heavy": float(states["is_heavy"].median())}
+    q = stored.policy.q_values(pd.DataFrame({"x": first.values, **middle}), 1)
+    np.testing.assert_allclose(first.q["B"], q[:, 1])
+
+
+@pytest.mark.slow
+def test_a_page_is_made_of_text_too(folder, tmp_path):
+    run("report", folder / "later", folder / "policy", "--out", tmp_path / "page.html", "--replicates", 4)
+    page = (tmp_path / "page.html").read_text()
+    assert "x, colour and is_heavy" in page
+    assert "2 of 3 covariates" in page
