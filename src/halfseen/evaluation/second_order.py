@@ -8,6 +8,7 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 import pandas as pd
+from pandas.api.types import is_numeric_dtype
 
 from halfseen.learners.q_learning.named_actions import NamedActions
 from halfseen.logs import Logs
@@ -19,7 +20,7 @@ PATHS_PER_TERM = 10
 def with_second_order(task: NamedActions, logs: Logs) -> tuple[NamedActions, Logs]:
     """Add the stage and second-order terms to what a task looks at, and columns of them to its log."""
     frame: pd.DataFrame = logs.stages
-    terms = _terms(frame, [name for name in task.covariates if name != "stage"])
+    terms = _terms(frame, [name for name in task.covariates if name != "stage" and is_numeric_dtype(frame[name])])
     if len(terms) * PATHS_PER_TERM > logs.num_paths:
         terms = {}
     names = list(dict.fromkeys([*task.covariates, "stage", *terms]))
