@@ -120,7 +120,7 @@ def test_values_and_differences_are_told():
     assert lines[1] == ["default", "0.620", "87.8%"]
     # Differences 0.10 and 0.08: mean 0.09, standard error 0.01, and t(0.975, 1) = 12.706.
     assert lines[2] == ["uncut", "only", "0.530", "75.0%", "+0.090", "±", "0.127"]
-    assert lines[3][:5] == ["rule", "of", "thumb", "0.641", "90.8%"]
+    assert lines[3][:5] == ["rule", "of", "thumb", "0.641", "90.7%"]
 
 
 def test_the_recorded_logs_give_intervals():
