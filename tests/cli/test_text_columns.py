@@ -66,7 +66,7 @@ def test_learn_looks_at_text_and_says_what_it_leaves_out(folder):
     assert report["schema"]["covariates"] == ["x", "colour", "is_heavy"]
     assert report["schema"]["categories"] == {"colour": ["blue", "green", "red"]}
     assert report["notes"] == [
-        "it does not look at order, which has more than 30 categories; group them into fewer, or leave it out",
+        "it does not look at order, which has more than 20 categories; group them into fewer, or leave it out",
         "it does not look at remark, which is null at path 1, stage 1; fill it in, with a word such as 'unknown' where "
         "nothing is known, or leave it out",
     ]
@@ -85,7 +85,7 @@ def test_learn_looks_at_text_and_says_what_it_leaves_out(folder):
 def test_a_column_that_is_asked_for_and_cannot_be_looked_at_is_refused(folder, tmp_path):
     arguments = ("learn", folder / "logs", "--out", tmp_path / "p", "--covariates")
     assert refused(LogError, *arguments, "x,remark").startswith("covariate 'remark' is null at path 1, stage 1; fill")
-    assert refused(LogError, *arguments, "order").startswith("covariate 'order' has more than 30 categories; group")
+    assert refused(LogError, *arguments, "order").startswith("covariate 'order' has more than 20 categories; group")
     assert not (tmp_path / "p").exists()
 
 

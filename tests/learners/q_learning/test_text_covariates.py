@@ -113,7 +113,7 @@ def test_what_cannot_be_looked_at_is_refused_where_it_is_asked_for(make, message
 
 
 def test_a_name_of_paths_is_told_from_a_category_across_the_parts_of_a_log():
-    names = [text_log(num_paths=30, order=lambda path, stage: f"{path}")]
+    names = [text_log(num_paths=15, order=lambda path, stage: f"{path}")]
     parts = [text_log(num_paths=2, order=lambda path, stage: f"{path}"), text_log(num_paths=2, order=lambda p, s: "1")]
     with pytest.raises(LogError, match="no category that two paths share"):
         learned_categories(names, ["order"], {})

@@ -22,7 +22,7 @@ from halfseen.logs.refusal import place, value_at
 Categories = Mapping[str, tuple[str, ...]]
 """Of each column of text, its categories in sorted order."""
 
-MOST_CATEGORIES = 30
+MOST_CATEGORIES = 20
 """A column with more tells one stage from another rather than what they have in common; so many still fit a smooth Q,
 which looks at the product of each two indicators."""
 

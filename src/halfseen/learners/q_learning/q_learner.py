@@ -55,7 +55,7 @@ class CensoredQLearner(BaseEstimator):
         Names of the actions, or for each stage (from 1) the names of those possible there; or a `Task`, such as that of
         tables (see `for_table`).
     covariates
-        Columns of the stages that Q looks at, for named actions: numbers, or text of at most 30 categories, each of
+        Columns of the stages that Q looks at, for named actions: numbers, or text of at most 20 categories, each of
         which but the first has an indicator (`covariates`).
     q_function
         ``"linear"``: Q is linear in the covariates (for another task, in its features); ``"quadratic"``: in them and
