@@ -8,9 +8,6 @@ import click
 
 from halfseen.cli import options
 
-COMPILES_QUICKLY = "--xla_backend_optimization_level=1 --xla_cpu_use_fusion_emitters=false"
-"""A study compiles for longer than it runs: this halves that, and what is compiled is as fast."""
-
 EPILOG = "Example: halfseen study --out runs/study --repetitions 200 --resume"
 
 
@@ -37,7 +34,6 @@ def study(
 
     Experiments: reward, planning, censoring, grasp, clutter, regret.
     """
-    os.environ.setdefault("XLA_FLAGS", COMPILES_QUICKLY)
     # What one process compiled serves the others, and the study that goes on.
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(out.absolute() / "progress" / "compiled"))
     from halfseen.scene import table_paths
