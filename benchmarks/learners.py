@@ -180,7 +180,7 @@ def table(found: pd.DataFrame) -> str:
     ]
     for _, row in found.iterrows():
         less = "" if row["method"] == DEFAULT else f"{row['difference']:+.3f} ± {row['difference_error']:.3f}"
-        times = "" if np.isnan(row["times"]) else f"× {row['times']:.1f}"
+        times = "" if np.isnan(row["times"]) or row["logs"] == 1 else f"× {row['times']:.1f}"
         lines.append(
             f"| {row['method']} | {row['logs']} | {row['mean']:.3f} ± {row['error']:.3f} | {less} | "
             f"{row['cpu_s']:.1f} | {times} |"
@@ -205,8 +205,9 @@ def bars(rows: list[dict[str, Any]]) -> list[str]:
     floors |= {("trial", 1000, 0.5): 0.975, ("cups", 50, 0.5): 12.53}
     for case, each in by_case.items():
         where, mean = f"{case[0]}, n = {case[1]}, {case[2]:.0%} cut", each["mean"].get(DEFAULT, np.nan)
-        if case in floors:
-            lines.append(f"{_word(mean >= floors[case])}: {where}: {mean:.3f}, bar {floors[case]}")
+        if case in floors and DEFAULT in each.index:
+            spread = f"± {each['error'][DEFAULT]:.3f} on {each['logs'][DEFAULT]} logs"
+            lines.append(f"{_word(mean >= floors[case])}: {where}: {mean:.3f} {spread}, bar {floors[case]}")
         rivals = each[each.index.isin([*FIXED, *OF_CUPS, "d3rlpy CQL"]) & (each.index != DEFAULT)]
         for method, row in rivals.iterrows():
             slack = 0.0 if case[0] == "cups" or method == "d3rlpy CQL" else 0.01
@@ -215,7 +216,7 @@ def bars(rows: list[dict[str, Any]]) -> list[str]:
                 lines.append(
                     f"missed: {where}: {method} is ahead by {row['difference']:.3f} ± {row['difference_error']:.3f}"
                 )
-        if "d3rlpy CQL" in each.index:
+        if "d3rlpy CQL" in each.index and each["logs"]["d3rlpy CQL"] > 1:
             row = each.loc["d3rlpy CQL"]
             ahead = row["difference"] + 2.0 * row["difference_error"] < 0
             lines.append(f"{_word(ahead)}: {where}: ahead of d3rlpy's CQL by {-row['difference']:.3f}")

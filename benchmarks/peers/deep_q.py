@@ -5,11 +5,13 @@ The state is the standardised covariates and the stage, one-hot; impossible acti
 own 8,000 steps between targets and rate of 6e-5 are made for millions of steps.
 """
 
+import logging
 from typing import Any
 
 import d3rlpy
 import numpy as np
 import pandas as pd
+import structlog
 import torch
 from d3rlpy.algos import DiscreteCQLConfig, DoubleDQNConfig
 from d3rlpy.constants import ActionSpace
@@ -26,6 +28,7 @@ SETTINGS: dict[str, Any] = {"learning_rate": 3e-4, "batch_size": 64, "gamma": 1.
 
 def trained(kind: str, world: World, logs: Logs, num_steps: int = NUM_STEPS, **changed: Any) -> Chances:
     """Train one of `CONFIGS`."""
+    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.WARNING))
     d3rlpy.seed(0)
     torch.set_num_threads(1)
     rows = begun(logs, world)
