@@ -1,0 +1,43 @@
+"""What a world of a benchmark tells: logs of it, and what policies of it are worth."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
+
+from halfseen.logs import Logs
+
+Chances = Callable[[pd.DataFrame, int], Float[np.ndarray, "m A"]]
+"""(covariates, stage from 1) → chance of each action, for each row."""
+
+
+class World(Protocol):
+    """Named actions and covariates, so many stages, and a value of every policy."""
+
+    actions: Sequence[str]
+    actions_by_stage: Mapping[int, Sequence[str]]
+    covariates: Sequence[str]
+
+    @property
+    def optimum(self) -> float:
+        """Value of the best policy."""
+        ...
+
+    def log(self, num_paths: int, seed: int, share: float) -> Logs:
+        """Draw a log of which a share is cut, in expectation."""
+        ...
+
+    def value(self, chances: Chances) -> float:
+        """Expected reward of a path under a policy."""
+        ...
+
+    def plain(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
+        """Decide as the logging policy does without its exploration."""
+        ...
+
+
+def is_possible(world: World, stage: int) -> Any:
+    """Tell which of all actions a stage has."""
+    return np.isin(np.array(world.actions, dtype=object), np.array(world.actions_by_stage[stage], dtype=object))
