@@ -8,8 +8,8 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 import pandas as pd
-from pandas.api.types import is_numeric_dtype
 
+from halfseen.learners.q_learning.covariates import Covariates
 from halfseen.learners.q_learning.named_actions import NamedActions
 from halfseen.logs import Logs
 
@@ -19,18 +19,20 @@ PATHS_PER_TERM = 10
 
 def with_second_order(task: NamedActions, logs: Logs) -> tuple[NamedActions, Logs]:
     """Add the stage and second-order terms to what a task looks at, and columns of them to its log."""
-    frame: pd.DataFrame = logs.stages
-    terms = _terms(frame, [name for name in task.covariates if name != "stage" and is_numeric_dtype(frame[name])])
+    fitted = task.fitted(logs, logs.horizon)
+    terms = _terms(fitted.looks_at, logs.stages)
     if len(terms) * PATHS_PER_TERM > logs.num_paths:
         terms = {}
     names = list(dict.fromkeys([*task.covariates, "stage", *terms]))
-    return NamedActions(task.actions, names), Logs(frame.assign(**terms), logs.paths, logs.objects)
+    wider = NamedActions(task.actions, names, fitted.categories)
+    return wider, Logs(logs.stages.assign(**terms), logs.paths, logs.objects)
 
 
-def _terms(frame: pd.DataFrame, names: list[str]) -> dict[str, np.ndarray]:
+def _terms(looks_at: Covariates, frame: pd.DataFrame) -> dict[str, np.ndarray]:
     """Products of standardised covariates; the square of one with two values says nothing new."""
-    scaled = {name: _standardised(frame[name].to_numpy(dtype=np.float64, na_value=np.nan)) for name in names}
-    pairs = combinations_with_replacement(names, 2)
+    columns = zip(looks_at.names, looks_at.encode(frame).T, strict=True)
+    scaled = {name: _standardised(values) for name, values in columns if name != "stage"}
+    pairs = combinations_with_replacement(scaled, 2)
     wanted = [(a, b) for a, b in pairs if a != b or len(np.unique(scaled[a])) > 2]
     return {f"{a}*{b}": scaled[a] * scaled[b] for a, b in wanted}
 

@@ -92,6 +92,9 @@ def task_of(policy: Any, logs: Logs) -> Task:
     ArgumentError
         The policy is none of named actions, and the log none of tables.
     """
+    if isinstance(policy, CrossFitted):
+        # Those of all folds look at the same, and what one of them may take was logged.
+        return task_of(policy.policies[0], logs)
     if isinstance(policy, NamedActionPolicy):
         every = {stage: list(policy.actions) for stage in range(1, policy.horizon + 1)}
         own = getattr(policy, "actions_by_stage", every)

@@ -26,7 +26,7 @@ RANK_STEP = 32
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class KernelMap:
-    """ψ(x) = (c q(z), Rᵀ k(landmarks, z)) with z = (x − centre)/scale and q(z) all z_i and z_i z_j (a pytree).
+    """ψ(x) = (c · q(z), Rᵀ k(landmarks, z)) with z = (x − centre)/scale and q(z) all z_i and z_i z_j (a pytree).
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class KernelMap:
     gamma
         γ of the Gaussian kernel exp(−γ‖x − z‖²), on scaled features.
     trend
-        c; None without the quadratic trend.
+        c, of each z_i and z_i z_j; None without the quadratic trend.
     """
 
     centre: Float[AnyArray, " F"]
@@ -47,14 +47,12 @@ class KernelMap:
     landmarks: Float[AnyArray, "m F"]
     projection: Float[AnyArray, "m r"]
     gamma: Float[AnyArray, ""]
-    trend: Float[AnyArray, ""] | None = None
+    trend: Float[AnyArray, " Q"] | None = None
 
     @property
     def num_features(self) -> int:
         """Length of ψ(x)."""
-        num_inputs = self.landmarks.shape[1]
-        num_quadratic = 0 if self.trend is None else num_inputs * (num_inputs + 3) // 2
-        return num_quadratic + self.projection.shape[1]
+        return (0 if self.trend is None else len(self.trend)) + self.projection.shape[1]
 
     def __call__(self, features: Float[AnyArray, "*S F"]) -> Float[AnyArray, "*S r"]:
         """Map features of states and actions, in NumPy or in JAX as they come."""
@@ -83,7 +81,7 @@ def fit_kernel_map(
     num_landmarks: int,
     gamma: float | None,
     rng: np.random.Generator,
-    trend: float | None = None,
+    trend: tuple[float, float] | None = None,
 ) -> KernelMap:
     """Choose landmarks among rows of features.
 
@@ -98,14 +96,15 @@ def fit_kernel_map(
     rng
         Draws the landmarks.
     trend
-        Root of the mean of c² q(z)·q(z) over rows, beside a Gaussian kernel of 1; None for no trend.
+        Root mean squares, over rows, of the part of c · q(z) that is linear and of that of the products, beside a
+        Gaussian kernel of 1; None for no trend. So the more products there are, the less each counts.
     """
     centre, spread = rows.mean(axis=0), rows.std(axis=0)
     scale = np.where(spread > 1e-9 * np.maximum(np.abs(centre), 1e-9), spread, np.inf)
     num_varied = max(int(np.isfinite(scale).sum()), 1)
     width = 1.0 / num_varied if gamma is None else float(gamma)
     scaled = (rows - centre) / scale
-    weight = None if trend is None else np.asarray(trend / max(_root_mean_square(np.asarray(quadratic(scaled))), 1e-12))
+    weight = None if trend is None else _trend_weights(scaled, trend)
     if num_landmarks == 0:
         return KernelMap(centre, scale, scaled[:0], np.zeros((0, 0)), np.asarray(width), weight)
     found = fit_nystrom(RbfKernel(width), scaled, num_landmarks, rng)
@@ -115,6 +114,9 @@ def fit_kernel_map(
     return KernelMap(centre, scale, found.landmarks, projection, np.asarray(width), weight)
 
 
-def _root_mean_square(features: Float[np.ndarray, "k Q"]) -> float:
-    """Root of the mean squared norm of the rows."""
-    return float(np.sqrt(np.sum(features**2, axis=-1).mean()))
+def _trend_weights(scaled: Float[np.ndarray, "k F"], sizes: tuple[float, float]) -> Float[np.ndarray, " Q"]:
+    """Bring the linear part of q and its products to root mean squares of their own."""
+    parts = np.split(np.asarray(quadratic(scaled)), [scaled.shape[1]], axis=1)
+    means = [float(np.sqrt(np.sum(part**2, axis=-1).mean())) for part in parts]
+    each = [size / mean if mean > 0 else 0.0 for size, mean in zip(sizes, means, strict=True)]
+    return np.repeat(each, [part.shape[1] for part in parts])

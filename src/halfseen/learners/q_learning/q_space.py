@@ -43,7 +43,7 @@ class QuadraticQ:
 
     def features(self, encoded: Encoded, is_seen: Any, random_state: int) -> KernelMap:
         """Find mean and variance of the completed stages; nothing is drawn."""
-        return fit_kernel_map(encoded.taken[is_seen], 0, None, np.random.default_rng(random_state), trend=1.0)
+        return fit_kernel_map(encoded.taken[is_seen], 0, None, np.random.default_rng(random_state), trend=(1.0, 1.0))
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,8 @@ class KernelQ:
     gamma
         γ; None for 1/F.
     trend
-        Root mean square of the features of the quadratic, where those of the Gaussian kernel have 1; None for none.
+        Root mean squares of the features of the quadratic, of its linear part and of its products, where those of the
+        Gaussian kernel have 1; None for none.
 
     Raises
     ------
@@ -70,7 +71,7 @@ class KernelQ:
 
     num_landmarks: int = 200
     gamma: float | int | None = None
-    trend: float | int | None = None
+    trend: tuple[float, float] | None = None
 
     regs = KERNEL_REGS
     is_scaled = False
@@ -80,8 +81,8 @@ class KernelQ:
             raise ArgumentError(f"num_landmarks is {self.num_landmarks}; a kernel needs at least 1")
         if self.gamma is not None and not (_is_number(self.gamma) and self.gamma > 0):
             raise ArgumentError(f"gamma is {self.gamma!r}; it is a finite number > 0, or None for 1/F")
-        if self.trend is not None and not (_is_number(self.trend) and self.trend > 0):
-            raise ArgumentError(f"trend is {self.trend!r}; it is a finite number > 0, or None for no trend")
+        if self.trend is not None and not (len(self.trend) == 2 and all(_is_number(c) and c > 0 for c in self.trend)):
+            raise ArgumentError(f"trend is {self.trend!r}; it is two finite numbers > 0, or None for no trend")
 
     def features(self, encoded: Encoded, is_seen: Any, random_state: int) -> KernelMap:
         """Choose landmarks among the completed stages."""
@@ -91,7 +92,7 @@ class KernelQ:
 
 QSpace = LinearQ | QuadraticQ | KernelQ
 
-SMOOTH = KernelQ(num_landmarks=100, trend=3.0)
+SMOOTH = KernelQ(num_landmarks=100, trend=(3.0, 1.5))
 """A quadratic and a smooth remainder: chosen on the logs of `benchmarks/learners.py` that are marked for it."""
 
 Q_SPACES: dict[str, QSpace] = {

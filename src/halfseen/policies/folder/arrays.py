@@ -75,8 +75,9 @@ def check_arrays(arrays: Arrays, shape: Shape, *, may_grasp: bool = False) -> No
         wanted |= {f"kernel.{name}": size for name, size in zip(KERNEL_NAMES, sizes, strict=True)}
         num_inputs = rank
     if TREND in arrays:
-        wanted[TREND] = ()
-        num_inputs += shape.num_features * (shape.num_features + 3) // 2
+        num_trend = shape.num_features * (shape.num_features + 3) // 2
+        wanted[TREND] = (num_trend,)
+        num_inputs += num_trend
     if GRASP in arrays and may_grasp:
         levels, most, _ = _sizes(arrays, GRASP, 3)
         wanted[GRASP] = (max(levels, 2), max(most, 1), max(most, 1))
@@ -119,9 +120,9 @@ def _check_shape(name: str, array: np.ndarray | None, wanted: tuple[int, ...] | 
 def _check_numbers(name: str, array: np.ndarray) -> None:
     if name == GRASP:
         wrong, rule = ~((array >= 0) & (array <= 1)), "a probability lies in [0, 1]"
-    elif name in ("kernel.scale", "kernel.gamma", TREND):
+    elif name in ("kernel.scale", "kernel.gamma"):
         # A feature that never varied has an infinite scale.
-        wrong, rule = ~(array > 0) | (np.isinf(array) & (name != "kernel.scale")), "it is positive"
+        wrong, rule = ~(array > 0) | (np.isinf(array) & (name == "kernel.gamma")), "it is positive"
     else:
         wrong, rule = ~np.isfinite(array), "it is finite"
     if wrong.any():

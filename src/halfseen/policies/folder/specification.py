@@ -61,7 +61,9 @@ def q_space_of_record(learned: Mapping[str, Any]) -> QSpace:
     name = learned.get("q_function")
     if name not in ("kernel", "smooth"):
         return q_space_of(name or "linear")
-    return KernelQ(learned.get("num_landmarks") or KernelQ.num_landmarks, learned.get("gamma"), learned.get("trend"))
+    trend = learned.get("trend")
+    known = learned.get("num_landmarks") or KernelQ.num_landmarks, learned.get("gamma")
+    return KernelQ(*known, None if trend is None else tuple(trend))
 
 
 def reg_of_record(learned: Mapping[str, Any]) -> Any:
