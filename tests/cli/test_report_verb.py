@@ -66,7 +66,7 @@ def test_bad_input_is_one_line_and_nothing_is_written(folder, tmp_path):
         ((folder / "logs", tmp_path / "none", "--out", out), PolicyError, "there is no such folder"),
         ((folder / "logs", folder / "logs", "--out", out), PolicyError, "it is missing"),
         ((folder / "other", folder / "policy", "--out", out), LogError, "is missing"),
-        ((folder / "tables", folder / "policy", "--out", out), HalfseenError, "horizon is 2"),
+        ((folder / "tables", folder / "policy", "--out", out), HalfseenError, "covariate 'x<1>' is missing"),
         ((folder / "logs", folder / "policy", "--out", out, "--truncate-at", 0.5), ArgumentError, "truncate_at is 0.5"),
         ((folder / "logs", folder / "policy", "--out", there), ArgumentError, "it is there already"),
         ((folder / "logs", folder / "policy", "--out", there, "--overwrite"), ArgumentError, "it is no page"),

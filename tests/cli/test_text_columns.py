@@ -16,7 +16,7 @@ from halfseen.learners.q_learning.named_actions import NamedActions
 from halfseen.logs import Logs
 from halfseen.policies import Rule, read_policy
 from halfseen.report.policy_findings import q_curves
-from text_logs import ACTIONS, BY_HAND, by_hand, text_log, with_indicators
+from text_logs import ACTIONS, BY_HAND, COVARIATES, by_hand, text_log, with_indicators
 
 
 def stamped(seed, **columns):
@@ -154,7 +154,7 @@ def test_evaluation_is_that_of_indicators(propensity):
         return np.where(frame["colour=red"] == 1.0, "B", "A")
 
     logs, spec = text_log(), {"propensity": propensity, "censoring": "cox"}
-    ours = evaluated(Rule(red, tuple(ACTIONS), 2), logs, **spec)
+    ours = evaluated(Rule(red, tuple(ACTIONS), 2), logs, q=QSpec(NamedActions(ACTIONS, COVARIATES)), **spec)
     q = QSpec(NamedActions(ACTIONS, BY_HAND))
     theirs = evaluated(Rule(red_by_hand, tuple(ACTIONS), 2), by_hand(logs), q=q, **spec)
     for name in ("doubly_robust", "fitted_q", "importance_sampling", "logging", "difference"):
