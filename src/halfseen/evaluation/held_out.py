@@ -141,11 +141,10 @@ def cross_fitted(
     """
     if logs.num_paths < num_folds:
         raise ArgumentError(f"the log has {logs.num_paths} path(s) for {num_folds} folds; record more")
-    # How cuts and stages are dealt with is settled by the whole log: that is a choice of few, and choosing takes longer
-    # than learning. All else is chosen anew in each fold.
+    # How cuts are dealt with is settled by the whole log; whatever else is chosen is chosen anew in each fold.
     composed = learner.compose(logs)
     same: Any = clone(learner)
-    same.set_params(censoring=composed.targets, pessimism=composed.pessimism, stages=learner.model_.stages)
+    same.set_params(censoring=composed.targets, pessimism=composed.pessimism)
     fold = np.random.default_rng([learner.random_state, 3]).permutation(logs.num_paths) % num_folds
     policies = []
     for k in range(num_folds):
