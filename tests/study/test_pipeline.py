@@ -103,6 +103,20 @@ def test_slow_planners_meet_all_episodes_in_turn():
     assert [episodes_in_turn(k, 2, 5) for k in range(4)] == [[0, 1], [2, 3], [0, 4], [1, 2]]
 
 
+def test_logs_that_differ_in_their_tied_durations_are_learned_in_one_call():
+    source = Source(SETTING.world, SETTING.layouts, 0, 3)
+    episodes = source.play(30)
+    logs = [
+        (source.cut(episodes, source.cut_rate(share, kind), kind), treatment)
+        for share, kind in ((0.2, "independent"), (0.7, "attempt"))
+        for treatment in TREATMENTS
+    ]
+    learned = source.encode(episodes).learn(logs, 30)
+    assert len(learned) == len(logs)
+    assert all(np.isfinite(policy.coefficients).all() for policy, _ in learned)
+    assert [policy.margin is not None for policy, _ in learned] == [name == "imputed" for _, name in logs]
+
+
 @pytest.mark.slow
 def test_a_batch_is_what_the_estimator_learns_from_the_same_logs():
     source = Source(SETTING.world, SETTING.layouts, 0, 3)

@@ -156,7 +156,8 @@ def imputation(
     features = _duration_features(paths, is_used)
     watched_s, is_completed = paths.clocks.watched_s, paths.is_completed
     completed_s = watched_s[is_completed]
-    knots = np.unique(np.quantile(completed_s, KNOTS))
+    # Of tied durations some knots are one and the same: then so are their terms, and every log has as many.
+    knots = np.quantile(completed_s, KNOTS)
     spread = max(float(completed_s.std()), 1e-12)
     expected, share = np.zeros((*paths.action.shape, len(knots))), is_completed.astype(np.float64)
     fitted = paths.is_begun if is_fitted is None else paths.is_begun & is_fitted[:, None]
@@ -181,7 +182,7 @@ def imputation(
         share=share,
         terms=np.where(is_completed[..., None], _terms(watched_s, knots, spread), 0.0),
         expected=expected,
-        is_observed=np.where(is_completed, np.minimum(share, LARGEST_OUTCOME_WEIGHT), 0.0),
+        outcome_weight=np.where(is_completed, np.minimum(share, LARGEST_OUTCOME_WEIGHT), 0.0),
         is_used=is_used,
     )
 
