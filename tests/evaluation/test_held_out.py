@@ -9,7 +9,7 @@ from enumerated_trial import trial
 
 from halfseen.errors import ArgumentError
 from halfseen.evaluation import FixedSequence, evaluate, held_out_verdict
-from halfseen.evaluation.held_out import cross_fitted
+from halfseen.evaluation.held_out import learn_by_folds
 from halfseen.evaluation.targets import CrossFitted
 from halfseen.learners import CensoredQLearner
 from halfseen.logs import Logs
@@ -29,9 +29,9 @@ def with_rewards_of(logs, path, reward):
 
 def test_a_path_has_no_say_in_the_policy_that_decides_for_it():
     logs = trial(0, num_paths=202, cut_rate=0.05)
-    before = cross_fitted(learner(), logs, 5)
+    before = learn_by_folds(learner(), logs, 5)
     shaken = with_rewards_of(logs, 7, 1e4)
-    after = cross_fitted(learner(), shaken, 5)
+    after = learn_by_folds(learner(), shaken, 5)
     own = before.fold[7]
     is_same = [
         np.array_equal(a.coefficients, b.coefficients) for a, b in zip(before.policies, after.policies, strict=True)
@@ -44,7 +44,7 @@ def test_a_path_has_no_say_in_the_policy_that_decides_for_it():
 
 def test_each_fold_is_learned_as_the_learner_would_from_the_other_paths():
     logs = trial(1, num_paths=200, cut_rate=0.05)
-    crossed = cross_fitted(learner(), logs, 5)
+    crossed = learn_by_folds(learner(), logs, 5)
     alone = learner().fit(logs.select(logs.path_ids[crossed.fold != 2])).policy_
     np.testing.assert_array_equal(crossed.policies[2].coefficients, alone.coefficients)
 

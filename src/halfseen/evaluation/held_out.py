@@ -110,7 +110,7 @@ def held_out_verdict(
         with warnings.catch_warnings():
             # What is doubtful in a part of the log is so in all of it, and was said when that was learned.
             warnings.simplefilter("ignore", HalfseenWarning)
-            policy = cross_fitted(learner, logs, num_folds, on_progress)
+            policy = learn_by_folds(learner, logs, num_folds, on_progress)
             evaluation = _evaluation(policy, learner, logs, against, level)
     except HalfseenError as error:
         return HeldOutVerdict("cannot be said", str(error), num_folds)
@@ -118,7 +118,7 @@ def held_out_verdict(
     return HeldOutVerdict(evaluation.verdict, evaluation.reason, num_folds, evaluation)
 
 
-def cross_fitted(
+def learn_by_folds(
     learner: CensoredQLearner, logs: Logs, num_folds: int, on_progress: Callable[[], object] = lambda: None
 ) -> CrossFitted:
     """Learn one policy for each fold, from the paths outside it.

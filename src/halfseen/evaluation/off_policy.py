@@ -58,7 +58,7 @@ class QSpec:
     """
 
     task: Task | None = None
-    q_function: QSpace | Literal["linear", "kernel"] | str = "linear"
+    q_function: QSpace | Literal["linear", "quadratic", "kernel", "smooth"] | str = "linear"
     stages: StageMode | str | None = None
     reg: CrossValidation | float | int | Literal["cv"] | str = "cv"
 

@@ -42,7 +42,7 @@ def test_doubly_robust_stages_weigh_what_the_stage_before_did(logs):
     assert imputed.is_used.tolist() == [0.0, 1.0]
     assert imputed.share[paths.is_completed].max() > 1.0
     inverse = np.minimum(np.where(paths.is_completed, imputed.share, 0.0), 3.0)
-    np.testing.assert_allclose(imputed.is_observed, inverse)
+    np.testing.assert_allclose(imputed.outcome_weight, inverse)
 
 
 def test_buckley_james_needs_no_model_of_the_cuts(logs):

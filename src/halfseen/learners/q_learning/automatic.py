@@ -1,8 +1,8 @@
 """What `CensoredQLearner` takes where nothing is said: one strong recipe, and a choice only where logs can tell.
 
-The recipe is that which was never beaten beyond noise on the logs that it was chosen on, and was judged on others
-(`benchmarks/learners.py`): imputed targets, for weights make noise and completed stages alone mislead; a quadratic with
-a smooth remainder, or what a task's own features are made for, a linear Q; and Q at its lower confidence bound.
+Imputed targets, for weights make noise and completed stages alone mislead; a quadratic with a smooth remainder, or what
+a task's own features are made for, a linear Q; and Q at its lower confidence bound. `benchmarks/learners.py` compares
+the recipe with others, on logs that it was not chosen on.
 """
 
 from halfseen.learners.q_learning.q_space import SMOOTH, LinearQ, QSpace

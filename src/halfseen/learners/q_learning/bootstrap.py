@@ -132,7 +132,7 @@ def bootstrap(
     return QBootstrap(learner.policy_, model.policy(q_functions))
 
 
-_OF_PATHS = ("share", "terms", "expected", "is_observed")
+_OF_PATHS = ("share", "terms", "expected", "outcome_weight")
 
 
 def _redrawn(model: QModel, paths: PathArrays, counts: Int[np.ndarray, " n"]) -> tuple[Any, Any]:
@@ -151,7 +151,7 @@ def _redrawn(model: QModel, paths: PathArrays, counts: Int[np.ndarray, " n"]) ->
 
     if imputed is not None:
         imputed = imputed._replace(**{name: back(getattr(imputed, name)) for name in _OF_PATHS})
-        imputed = imputed._replace(is_observed=imputed.is_observed * counts[:, None])
+        imputed = imputed._replace(outcome_weight=imputed.outcome_weight * counts[:, None])
     return back(weight) * counts[:, None], imputed
 
 

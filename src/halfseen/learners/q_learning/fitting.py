@@ -110,5 +110,5 @@ def counted(log: Transitions, counts: Float[jax.Array, " n"]) -> Transitions:
     """Let each path of a log count so often."""
     imputed = log.imputation
     if imputed is not None:
-        imputed = imputed._replace(is_observed=imputed.is_observed * counts[:, None])
+        imputed = imputed._replace(outcome_weight=imputed.outcome_weight * counts[:, None])
     return log._replace(weight=log.weight * counts[:, None], imputation=imputed)

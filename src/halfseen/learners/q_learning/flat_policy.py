@@ -98,7 +98,7 @@ class FlatPolicy:
         return q - np.stack([np.linalg.norm(each[0] + features @ each[1:], axis=1) for each in root], axis=1)
 
     def decide(self, frame: pd.DataFrame, stage: int) -> np.ndarray:
-        """Name the possible action with the largest Q̂, for each row of covariates; shape (m,)."""
+        """Name the possible action with the largest lower bound, for each row of covariates; shape (m,)."""
         names = np.empty(len(self.actions), dtype=object)
         names[:] = self.actions
         return names[self._best(frame, stage)]

@@ -239,7 +239,7 @@ class CensoredQLearner(BaseEstimator):
         return self._named_policy().q_values(frame, stage)
 
     def decide(self, frame: pd.DataFrame, stage: int) -> np.ndarray:
-        """Name the possible action with the largest Q̂, for each row of covariates; named actions only."""
+        """Name the action that the policy takes, for each row of covariates; named actions only."""
         return self._named_policy().decide(frame, stage)
 
     @property

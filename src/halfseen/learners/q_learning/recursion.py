@@ -121,7 +121,7 @@ class Regression(NamedTuple):
         if log.imputation is None:
             return self._with_spread(_Prepared(main, None), log, weight)
         given, used = log.imputation, taken * log.imputation.is_used
-        outcome = self._design(log, jnp.where(weight > 0, given.is_observed, 0.0), used, given.terms)
+        outcome = self._design(log, jnp.where(weight > 0, given.outcome_weight, 0.0), used, given.terms)
         gram = waiting_for(main.factor.eigenvalues, gram_of(outcome))
         found = _Prepared(main, _Sums(outcome, factorise(gram, self.is_scaled)))
         return self._with_spread(found, log, weight)
@@ -129,7 +129,7 @@ class Regression(NamedTuple):
     def _with_spread(self, prepared: "_Prepared", log: Transitions, weight: Any) -> "_Prepared":
         if self.pessimism is None:
             return prepared
-        seen = weight if log.imputation is None else weight * log.imputation.is_observed
+        seen = weight if log.imputation is None else weight * log.imputation.outcome_weight
         design = self._design(log, seen, taken_of(log), None)
         return prepared._replace(seen=spread_of_rows(design, prepared.last_eigenvalues, self.is_scaled))
 

@@ -100,5 +100,5 @@ def _gains(
     separate = backward(some, blocks, regs, **options._replace(stages="separate")._asdict(), value=said.value)
     other = judged(separate, log, blocks, "separate", log.reward)
     errors = (said.taken - said.target) ** 2 - (other.taken - said.target) ** 2
-    seen = log.weight if log.imputation is None else log.weight * log.imputation.is_observed
+    seen = log.weight if log.imputation is None else log.weight * log.imputation.outcome_weight
     return jnp.sum(jnp.where(seen > 0, seen * errors, 0.0), axis=1)

@@ -25,8 +25,8 @@ class Imputation(NamedTuple):
     """g of each completed stage."""
     expected: Float[AnyArray, "*B n T G"]
     """What stands for g·(1 − share)."""
-    is_observed: Float[AnyArray, "*B n T"]
-    """Weight of each stage in the regression of X: 1 where completed."""
+    outcome_weight: Float[AnyArray, "*B n T"]
+    """Weight of each stage in the regression of X: 0 where cut; where completed δ/K̂, truncated, or 1 without K̂."""
     is_used: Float[AnyArray, "*B F"]
     """1 for each feature that this regression looks at, 0 for the others."""
 
