@@ -5,8 +5,9 @@ python benchmarks/learners.py [--out runs/benchmarks/learners.json] [--logs 10] 
 
 A policy's worth is its exact value as a share of the optimum; on tables of cups, where none is known, its mean reward
 on 1,000 fresh episodes. Worlds: the cell and the trial of the examples, ``haze`` (a Q that no polynomial is, cuts by
-what is not recorded), ``wide`` (20 covariates, of which 3 matter) and ``cups``. The default was chosen on logs of seeds
-100 to 310 of the cell and of kin of the trial; here seeds begin at 1000, and it never met haze and wide.
+what is not recorded), ``wide`` (20 covariates, of which 3 matter) and ``cups``. The default was chosen on logs of the
+cell and of kin of the trial, and how much its products count on three of wide, all of seeds below 1000; here seeds
+begin at 1000, and it never met haze.
 
 What ``--out`` has already is not done again; ``--logs 0`` only prints it. Two peers need d3rlpy and PyTorch.
 """
@@ -50,7 +51,7 @@ class Case(NamedTuple):
 
 
 CASES = (
-    *(Case("cell", num_paths, 0.35) for num_paths in (200, 400, 1000, 5000)),
+    *(Case("cell", num_paths, 0.33) for num_paths in (200, 400, 1000, 5000)),
     *(Case("trial", 1000, share) for share in (0.3, 0.5)),
     *(Case(world, num_paths, 0.4) for world in ("haze", "wide") for num_paths in (300, 1000)),
     *(Case("cups", num_paths, 0.5) for num_paths in (50, 100, 400, 1600)),
@@ -105,7 +106,7 @@ METHODS: dict[str, Callable[[World, Logs], Chances]] = {
     "d3rlpy CQL": partial(deep_q, "CQL"),
     "d3rlpy double DQN": partial(deep_q, "double DQN"),
     "behaviour cloning": cloned,
-    "logging policy's rule": lambda world, logs: world.plain,
+    "rule of thumb": lambda world, logs: world.plain,
 }
 
 
@@ -192,7 +193,7 @@ def tables(rows: list[dict[str, Any]]) -> str:
     """All cases, a heading and a table each."""
     parts = []
     for (world, num_paths, share), found in summary(rows).groupby(["world", "num_paths", "share"], sort=False):
-        cut = f"{share:.0%} cut" if world != "cell" else "a third cut"
+        cut = f"{share:.0%} cut"
         parts.append(f"{world}, n = {num_paths:,}, {cut}\n\n{table(found)}")
     return "\n\n".join(parts)
 
@@ -201,7 +202,7 @@ def bars(rows: list[dict[str, Any]]) -> list[str]:
     """What was to be reached, and whether it was."""
     found, lines = summary(rows), []
     by_case = {key: each.set_index("method") for key, each in found.groupby(["world", "num_paths", "share"])}
-    floors = {("cell", 400, 0.35): 0.908, ("cell", 1000, 0.35): 0.965, ("trial", 1000, 0.3): 0.98}
+    floors = {("cell", 400, 0.33): 0.908, ("cell", 1000, 0.33): 0.965, ("trial", 1000, 0.3): 0.98}
     floors |= {("trial", 1000, 0.5): 0.975, ("cups", 50, 0.5): 12.53}
     for case, each in by_case.items():
         where, mean = f"{case[0]}, n = {case[1]}, {case[2]:.0%} cut", each["mean"].get(DEFAULT, np.nan)

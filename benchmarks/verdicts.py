@@ -2,7 +2,7 @@
 
 python benchmarks/verdicts.py [--out FILE] [--logs 400] [--paths 800] [--world NAME ...] [--share SHARE ...]
 
-Worlds and policies are those of `verdict_worlds`; cuts take none, a third or half of the paths of a log. For each
+Worlds and policies are those of `worlds`; cuts take none, a third or half of the paths of a log. For each
 policy: how often the 95 % interval of its doubly robust value, and of the difference from the logging policy, held the
 truth; the mean error in standard errors; the mean standard error over the standard deviation of the estimates; and how
 often it was called better: rightly (best, plain), or falsely (null).
@@ -12,12 +12,17 @@ import argparse
 import json
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
-from verdict_worlds import WORLDS, policies_of
+from worlds.examples import Cell, Trial
+from worlds.haze import Haze
+from worlds.policies import policies_of
+from worlds.wide import Wide
+from worlds.world import World
 
 from halfseen.evaluation import Evaluation, evaluate
 from halfseen.learners import DoublyRobust, Weighted
@@ -27,18 +32,22 @@ NUM_PATHS = 800
 SHARES = {"0": 0.0, "1/3": 1 / 3, "1/2": 1 / 2}
 Judge = Callable[[Any, Logs], Evaluation]
 SETTINGS: dict[str, Judge] = {
-    "default": evaluate,
-    "kaplan-meier": lambda policy, logs: evaluate(policy, logs, censoring=DoublyRobust()),
-    "cox": lambda policy, logs: evaluate(policy, logs, censoring=DoublyRobust("cox", by="pooled")),
-    "cox, weights": lambda policy, logs: evaluate(policy, logs, censoring=Weighted("cox", by="pooled")),
+    name: partial(evaluate, against="logging", censoring=censoring)
+    for name, censoring in {
+        "default": None,
+        "kaplan-meier": DoublyRobust(),
+        "cox": DoublyRobust("cox", by="pooled"),
+        "cox, weights": Weighted("cox", by="pooled"),
+    }.items()
 }
+WORLDS: dict[str, Callable[[], World]] = {"cell": Cell, "trial": Trial, "haze": Haze, "wide": Wide}
 
 
 def measured(
     world_name: str, share: float, judges: dict[str, Judge], num_logs: int, num_paths: int = NUM_PATHS
 ) -> list[dict[str, Any]]:
     """One row for each setting and policy."""
-    world = WORLDS[world_name]
+    world = WORLDS[world_name]()
     policies = policies_of(world)
     own = world.value(world.logging)
     truths = {name: world.value(policy.chances) for name, policy in policies.items()}

@@ -45,6 +45,7 @@ class Staged:
     actions = ("A", "B", "C")
     actions_by_stage: ClassVar[dict[int, list[str]]] = {stage: ["A", "B", "C"] for stage in range(1, HORIZON + 1)}
     covariates: tuple[str, ...]
+    half: tuple[str, float]
     step: np.ndarray
     """What each action adds to the first covariate."""
 

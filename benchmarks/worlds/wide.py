@@ -12,6 +12,7 @@ SLOPES = np.array([[1.2, 0.6, 0.0], [-1.0, 0.0, 0.8], [0.2, -0.8, -0.8]])
 
 class Wide(Staged):
     covariates = tuple(f"x{k}" for k in range(1, 21))
+    half = ("x1", 0.5)
     step = np.array([-0.15, 0.15, 0.05])
     late_pay = 0.05
 

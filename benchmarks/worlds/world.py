@@ -19,6 +19,8 @@ class World(Protocol):
     actions: Sequence[str]
     actions_by_stage: Mapping[int, Sequence[str]]
     covariates: Sequence[str]
+    half: tuple[str, float]
+    """A covariate, and the value that half of the paths begin below: a policy may tell them apart."""
 
     @property
     def optimum(self) -> float:
@@ -33,8 +35,16 @@ class World(Protocol):
         """Expected reward of a path under a policy."""
         ...
 
+    def logging(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
+        """Decide as the policy that makes the logs."""
+        ...
+
     def plain(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
-        """Decide as the logging policy does without its exploration."""
+        """Decide by a rule of thumb: what the logging policy does without its exploration, where that is a rule."""
+        ...
+
+    def best(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
+        """Decide as the best policy does."""
         ...
 
 

@@ -6,15 +6,16 @@ import pytest
 from peers.behaviour_cloning import cloned
 from peers.completed import begun
 from peers.fitted_q import iterated
-from worlds.examples import Cell
+from worlds.examples import Cell, Trial
 from worlds.haze import Haze
+from worlds.policies import policies_of
 from worlds.wide import Wide
 
 import learners
 
 
 def rows_of(scores, method, cpu_s=1.0):
-    case = {"world": "cell", "num_paths": 1000, "share": 0.35}
+    case = {"world": "cell", "num_paths": 1000, "share": 0.33}
     return [{**case, "seed": k, "method": method, "score": s, "cpu_s": cpu_s} for k, s in enumerate(scores)]
 
 
@@ -50,7 +51,7 @@ def test_the_last_begun_stage_of_a_cut_path_is_not_completed():
 @pytest.mark.parametrize("peer", [cloned, lambda world, logs: iterated("boosting", world, logs)])
 def test_peers_take_possible_actions_only(peer):
     world = Cell()
-    chances = peer(world, world.log(300, 0, 0.35))
+    chances = peer(world, world.log(300, 0, 0.33))
     parts = pd.DataFrame(np.random.default_rng(0).random((50, 3)), columns=pd.Index(world.covariates))
     first = chances(parts, 1)
     assert first.shape == (50, 5)
@@ -68,7 +69,16 @@ def test_the_summary_pairs_logs():
 
 
 def test_what_is_done_is_not_done_again():
-    case = learners.Case("cell", 1000, 0.35)
+    case = learners.Case("cell", 1000, 0.33)
     rows = [{**row, "seed": learners.FIRST_SEED + row["seed"]} for row in rows_of([0.9], "default")]
     left = list(learners.wanted([case], 2, ["default"], rows))
     assert left == [(case, learners.FIRST_SEED + 1, ["default"])]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("world", [Cell(), Trial(), Haze(), Wide()], ids=["cell", "trial", "haze", "wide"])
+def test_null_policies_are_worth_what_the_logging_policy_is(world):
+    own, judged = world.value(world.logging), policies_of(world)
+    for name in ("null, near", "null, far", "null, split"):
+        assert world.value(judged[name].chances) == pytest.approx(own, abs=0.01)
+    assert world.value(judged["best"].chances) == pytest.approx(world.optimum, rel=0.01)

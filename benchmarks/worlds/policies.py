@@ -1,0 +1,81 @@
+"""Policies of a world whose values are known: better ones, and three that are exactly as good as the logging policy."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.optimize import brentq
+from worlds.world import Chances, World, is_possible
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A policy of named actions that draws them with these chances."""
+
+    chances: Chances
+    actions: tuple[str, ...]
+    horizon: int
+    covariates: tuple[str, ...]
+    actions_by_stage: dict[int, list[Any]]
+
+    def probabilities(self, frame: pd.DataFrame, stage: int) -> np.ndarray:
+        return self.chances(frame, stage)
+
+
+def policies_of(world: World) -> dict[str, Drawn]:
+    """Policies to be judged, by name.
+
+    best        the optimum
+    plain       a rule of thumb
+    null, near  the logging policy, but nearer to the best one in one half of the states and farther in the other
+    null, far   the best action or the worst, by lot
+    null, split the best action in one half of the states, in the other the best or the worst by lot
+    """
+    own = world.value(world.logging)
+
+    def null(family: Callable[[World, float], Chances]) -> Chances:
+        root: Any = brentq(lambda share: world.value(family(world, share)) - own, 0.0, 1.0, xtol=1e-3)
+        return family(world, root)
+
+    named = {
+        "best": world.best,
+        "plain": world.plain,
+        "null, near": null(_near),
+        "null, far": null(_far),
+        "null, split": null(_split),
+    }
+    by_stage = {stage: list(names) for stage, names in world.actions_by_stage.items()}
+    rest = (tuple(world.actions), len(by_stage), tuple(world.covariates), by_stage)
+    return {name: Drawn(chances, *rest) for name, chances in named.items()}
+
+
+def _near(world: World, share: float) -> Chances:
+    def chances(frame: pd.DataFrame, stage: int) -> np.ndarray:
+        own = world.logging(frame, stage)
+        nearer, farther = world.best(frame, stage), _worst(world, frame, stage)
+        return np.where(_is_low(world, frame), 0.8 * own + 0.2 * nearer, (1.0 - share) * own + share * farther)
+
+    return chances
+
+
+def _far(world: World, share: float) -> Chances:
+    return lambda frame, stage: (1.0 - share) * world.best(frame, stage) + share * _worst(world, frame, stage)
+
+
+def _split(world: World, share: float) -> Chances:
+    far = _far(world, share)
+    return lambda frame, stage: np.where(_is_low(world, frame), world.best(frame, stage), far(frame, stage))
+
+
+def _is_low(world: World, frame: pd.DataFrame) -> np.ndarray:
+    name, middle = world.half
+    return (frame[name].to_numpy() < middle)[:, None]
+
+
+def _worst(world: World, frame: pd.DataFrame, stage: int) -> np.ndarray:
+    """The possible action after the best one, in their order: seldom a good one."""
+    possible = np.flatnonzero(is_possible(world, stage))
+    place = np.searchsorted(possible, world.best(frame, stage).argmax(axis=1))
+    return np.eye(len(world.actions))[possible[(place + 1) % len(possible)]]
