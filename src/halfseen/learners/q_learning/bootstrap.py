@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from tqdm import tqdm
 
 from halfseen.errors import ArgumentError
-from halfseen.learners.q_learning.fitting import BackwardOptions
+from halfseen.learners.q_learning.fitting import BackwardOptions, in_float64
 from halfseen.learners.q_learning.flat_policy import FlatPolicy
 from halfseen.learners.q_learning.path_arrays import PathArrays
 from halfseen.learners.q_learning.q_learner import CensoredQLearner
@@ -157,7 +157,7 @@ def _redrawn(model: QModel, paths: PathArrays, counts: Int[np.ndarray, " n"]) ->
 
 def _fit_each(model: QModel, log: Transitions, drawn: tuple[Any, Any]) -> QFunctions:
     options = model.options(len(log.action))
-    with jax.enable_x64(True):
+    with in_float64():
         blocks = jnp.asarray(model.task.block_of_action(log.is_possible.shape[-1]))
         arrays, replicates = jax.tree.map(jnp.asarray, (log, drawn))
         fits = _fit_drawn(arrays, replicates, blocks, jnp.asarray(model.regs), options)

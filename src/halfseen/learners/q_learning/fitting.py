@@ -1,5 +1,7 @@
 """Eq. 3 run on one log or on a batch, in float64, whatever the precision elsewhere."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from typing import NamedTuple
 
@@ -11,7 +13,16 @@ from jaxtyping import Float, Int
 from halfseen.errors import ArgumentError
 from halfseen.learners.q_learning.judging import Judged, judged
 from halfseen.learners.q_learning.recursion import backward
+from halfseen.learners.q_learning.room import padded, with_room
 from halfseen.learners.q_learning.transitions import QFunctions, StageMode, Transitions
+from halfseen.learners.threads import one_thread
+
+
+@contextmanager
+def in_float64() -> Iterator[None]:
+    """Compute in double precision, whatever it is elsewhere."""
+    with jax.enable_x64(True), one_thread():
+        yield
 
 
 class BackwardOptions(NamedTuple):
@@ -56,9 +67,10 @@ def fit_q_functions(
         raise ArgumentError(
             f"fold {largest} of {options.num_folds}: folds are 0 to {options.num_folds - 1}; deal the paths anew"
         )
-    with jax.enable_x64(True):
-        arrays = jax.tree.map(jnp.asarray, log)
-        fit = backward_batch if log.action.ndim == 3 else backward
+    is_batch = log.action.ndim == 3
+    with in_float64():
+        arrays = jax.tree.map(jnp.asarray, log if is_batch else with_room(log))
+        fit = backward_batch if is_batch else backward
         more = options._asdict() | ({"pessimism": jnp.asarray(pessimism)} if pessimism else {})
         return jax.tree.map(np.asarray, fit(arrays, jnp.asarray(blocks), jnp.asarray(regs), **more))
 
@@ -91,11 +103,13 @@ def fit_and_judge(
     blocks, regs, options
         As for `fit_q_functions`.
     """
-    with jax.enable_x64(True):
-        arrays = jax.tree.map(jnp.asarray, (log, reward, blocks, regs))
+    num_paths = len(log.action)
+    with in_float64():
+        arrays = jax.tree.map(jnp.asarray, (with_room(log), padded(reward, num_paths), blocks, regs))
         # One after the other, each to its end: eigenproblems in flight at once can block for ever (`waiting_for`).
-        each = [jax.block_until_ready(_judge(*arrays, jnp.asarray(one), options=options)) for one in multiplicity]
-        return Judged(*(np.stack([np.asarray(leaf) for leaf in leaves]) for leaves in zip(*each, strict=True)))
+        counts = [jnp.asarray(padded(one, num_paths)) for one in multiplicity]
+        each = [jax.block_until_ready(_judge(*arrays, one, options=options)) for one in counts]
+        return Judged(*(np.stack([leaf[:num_paths] for leaf in leaves]) for leaves in zip(*each, strict=True)))
 
 
 @partial(jax.jit, static_argnames="options")

@@ -19,7 +19,7 @@ from halfseen.learners.svm.vector_kernels import RbfKernel
 
 AnyArray = jax.Array | np.ndarray
 
-RANK_STEP = 32
+RANK_STEP = 16
 """The number of features is a multiple of this."""
 
 

@@ -142,7 +142,9 @@ def waiting_for(earlier: Float[Array, "..."], gram: Float[Array, "V K F F"]) -> 
     return gram + jnp.where(jnp.isnan(jnp.sum(earlier)), jnp.nan, 0.0)
 
 
-def solve(factor: Factor, cross: Float[Array, "V K F"], regs: Float[Array, " L"], num_paths: int) -> Fit:
+def solve(
+    factor: Factor, cross: Float[Array, "V K F"], regs: Float[Array, " L"], num_paths: int | Float[Array, ""]
+) -> Fit:
     """Regress on the rows of a factor, given Σ w x y; with more than one λ, the best held-out one serves each block.
 
     Where several serve equally well, as in a block too small to tell, it is the last of them: list them increasing.

@@ -94,7 +94,8 @@ def backward(
     value
         For separate stages: V̂ of every state, if it is not to follow from the stages after it.
     """
-    regression = Regression(block_of_action, regs, num_blocks, num_folds, log.action.shape[0], is_scaled, pessimism)
+    num_paths = log.action.shape[0] if log.num_paths is None else log.num_paths
+    regression = Regression(block_of_action, regs, num_blocks, num_folds, num_paths, is_scaled, pessimism)
     if stages == "separate":
         return _backward_separate(log, regression, value)
     return _backward_pooled(log, regression, end_action)
@@ -107,7 +108,7 @@ class Regression(NamedTuple):
     regs: Float[Array, " L"]
     num_blocks: int
     num_folds: int
-    num_paths: int
+    num_paths: int | Float[Array, ""]
     is_scaled: bool
     pessimism: Float[Array, ""] | None = None
 

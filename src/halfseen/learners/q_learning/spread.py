@@ -39,7 +39,7 @@ def spread_of_rows(design: Design, earlier: Float[Array, "..."], is_scaled: bool
 
 
 def roots(
-    spread: Spread, regs: Float[Array, " K"], num_paths: int, residual: Float[Array, " R"]
+    spread: Spread, regs: Float[Array, " K"], num_paths: int | Float[Array, ""], residual: Float[Array, " R"]
 ) -> Float[Array, "K F F"]:
     """R of every block, so that s(x) = ‖Rᵀ (1, φ(x))‖.
 

@@ -15,11 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from halfseen.learners.q_learning.fitting import BackwardOptions, counted
+from halfseen.learners.q_learning.fitting import BackwardOptions, counted, in_float64
 from halfseen.learners.q_learning.judging import judged
 from halfseen.learners.q_learning.path_arrays import PathArrays
 from halfseen.learners.q_learning.q_model import QModel
 from halfseen.learners.q_learning.recursion import backward
+from halfseen.learners.q_learning.room import padded, with_room
 from halfseen.learners.q_learning.transitions import StageMode, Transitions
 
 NUM_FOLDS = 5
@@ -76,11 +77,12 @@ def choose_stages(model: QModel, paths: PathArrays) -> StageChoice:
     blocks = model.task.block_of_action(paths.is_possible.shape[-1])
     options = replace(model, stages="pooled").options(paths.num_paths)
     gains = np.zeros(paths.num_paths)
-    with jax.enable_x64(True):
-        arrays = jax.tree.map(jnp.asarray, (log, blocks, model.regs))
+    with in_float64():
+        arrays = jax.tree.map(jnp.asarray, (with_room(log), blocks, model.regs))
         for k in range(NUM_FOLDS):
-            each = _gains(*arrays, jnp.asarray(fold != k, dtype=float), options=options)
-            gains = np.where(fold == k, np.asarray(jax.block_until_ready(each)), gains)
+            counts = padded((fold != k).astype(np.float64), paths.num_paths)
+            each = np.asarray(_gains(*arrays, jnp.asarray(counts), options=options))[: paths.num_paths]
+            gains = np.where(fold == k, each, gains)
     gain, error = float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(len(gains)))
     return StageChoice("separate" if gain > CLEARLY * error else "pooled", gain, error)
 

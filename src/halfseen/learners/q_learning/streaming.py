@@ -17,6 +17,7 @@ from tqdm import tqdm
 
 from halfseen.censoring.cut_model import fit_path_cuts
 from halfseen.errors import ArgumentError
+from halfseen.learners.q_learning.fitting import in_float64
 from halfseen.learners.q_learning.least_squares import Fit, factorise, gram_of, solve
 from halfseen.learners.q_learning.named_actions import NamedActions
 from halfseen.learners.q_learning.q_model import QModel, refuse_all_cut, refuse_too_few
@@ -168,7 +169,7 @@ def fit_parts(parts: Parts, num_paths: int, model: QModel) -> QFunctions:
     options = model.options(num_paths)
     setting = _Setting(options.stages, options.num_blocks, options.num_folds, options.end_action)
     num_passes = model.horizon + (options.end_action is not None)
-    with jax.enable_x64(True), tqdm(total=num_passes, desc="learn", disable=None, leave=False) as progress:
+    with in_float64(), tqdm(total=num_passes, desc="learn", disable=None, leave=False) as progress:
 
         def run(step: _Step | None, stage: int, **changed: Any) -> Fit:
             used = setting._replace(**changed)

@@ -1,6 +1,7 @@
 """The rows of eq. 3: a log as dense arrays, what Q says of each of them, and the targets that Q is fitted to."""
 
-from typing import Literal, NamedTuple
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -51,6 +52,8 @@ class Transitions(NamedTuple):
     policy: Float[AnyArray, "*B n T A"] | None = None
     """π(a | S_t), where Q of a given policy is wanted and not that of the best one."""
     imputation: Imputation | None = None
+    num_paths: Float[AnyArray, "*B"] | None = None
+    """n, where there are rows that are no path of the log (see `room`)."""
 
 
 class QFunctions(NamedTuple):
@@ -101,12 +104,19 @@ def taken_of(log: Transitions) -> Float[Array, "n T F"]:
     return jnp.take_along_axis(jnp.asarray(log.features), log.action[..., None, None], axis=2)[:, :, 0]
 
 
+def of_paths(change: Callable[[Any], Any], log: Transitions) -> Transitions:
+    """Change each array that has a row for every path."""
+    is_used = None if log.imputation is None else log.imputation.is_used
+    kept = log._replace(num_paths=None, imputation=log.imputation and log.imputation._replace(is_used=None))
+    changed = jax.tree.map(change, kept)
+    imputed = changed.imputation and changed.imputation._replace(is_used=is_used)
+    return changed._replace(num_paths=log.num_paths, imputation=imputed)
+
+
 def stage_of(log: Transitions, stage: Int[Array, ""]) -> Transitions:
     """Keep the rows of one stage."""
-    is_used = None if log.imputation is None else log.imputation.is_used
-    by_stage = log._replace(fold=None, imputation=log.imputation and log.imputation._replace(is_used=None))
-    rows = jax.tree.map(lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, stage, 1, axis=1), by_stage)
-    return rows._replace(fold=log.fold, imputation=rows.imputation and rows.imputation._replace(is_used=is_used))
+    rows = of_paths(lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, stage, 1, axis=1), log._replace(fold=None))
+    return rows._replace(fold=log.fold)
 
 
 def goes_on(log: Transitions, end_action: int | None) -> Bool[Array, "n T"]:

@@ -15,16 +15,15 @@ The distance between the two objectives, the *duality gap*, bounds how far the s
 
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 from jaxtyping import Float
-from threadpoolctl import ThreadpoolController
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.learners.svm.losses import ProximalLoss, SmoothLoss
 from halfseen.learners.svm.newton import Point, minimise
 from halfseen.learners.svm.spaces import Coefficients, FeatureSpace, Space
+from halfseen.learners.threads import one_thread
 
 SMALL = 2000
 """Rows up to which one BLAS thread serves: a second gains little, and on a busy machine each waits for the other."""
@@ -98,14 +97,9 @@ def solve(
     # With a middle target as 0, where the offset can take it up: far from 0, f is large beside its rounding.
     centre = _centre(problem)
     shifted = replace(start, offset=start.offset - centre) if start else None
-    with _threads().limit(limits=1) if len(problem.y) <= SMALL else nullcontext():
+    with one_thread() if len(problem.y) <= SMALL else nullcontext():
         solution = _solve(replace(problem, y=problem.y - centre), tolerance, shifted, least_objective)
     return replace(solution, offset=solution.offset + centre)
-
-
-@cache
-def _threads() -> ThreadpoolController:
-    return ThreadpoolController()
 
 
 def _solve(problem: Problem, tolerance: float, start: "Solution | None", least_objective: float) -> Solution:

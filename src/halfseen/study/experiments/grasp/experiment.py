@@ -12,8 +12,8 @@ import jax
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
-from threadpoolctl import threadpool_limits
 
+from halfseen.learners.threads import one_thread
 from halfseen.logs.frames import FrameLike, as_frame
 from halfseen.planners.heuristics import TrueGrasp
 from halfseen.study.experiment import PieceOf, Setting
@@ -115,7 +115,7 @@ def scored(said: Float[np.ndarray, " m"], succeeded: np.ndarray) -> dict[str, An
 def _fitted(tried: pd.DataFrame) -> dict[str, GraspEstimator]:
     # Threads gain nothing on matrices this small, wait for one another on a busy machine (a fit was seen to take 21 s
     # in place of 0.2), and add up in an order that depends on their number.
-    with threadpool_limits(1):
+    with one_thread():
         return {
             SUCCESSION: SuccessionRule(),
             "beta": BetaGrasp().fit(tried),
