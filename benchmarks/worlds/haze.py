@@ -13,7 +13,7 @@ from worlds.staged import Staged
 
 class Haze(Staged):
     covariates = ("place", "temperature", "load")
-    half = ("place", 0.5)
+    half = ("place", 0.35)
     step = np.array([0.2, -0.2, 0.05])
     late_pay = 0.1
 

@@ -49,9 +49,9 @@ def write_above(axes: Axes, text: str, points: float, weight: str = "bold") -> N
 
 
 def write_legend(figure: Figure, named: Mapping[str, Any], top: float, **options: Any) -> None:
-    """Explain curves, which are given by name, in one line above the panels."""
+    """Explain curves, which are given by name, above the panels, in one line unless `ncols` says otherwise."""
     place: Any = {"loc": "upper left", "bbox_to_anchor": (0.05, top), "ncols": len(named), "frameon": False}
-    figure.legend(list(named.values()), list(named), **place, **options)
+    figure.legend(list(named.values()), list(named), **(place | options))
 
 
 def named_curves(*panels: Axes) -> dict[str, Any]:

@@ -50,8 +50,9 @@ def test_passes_learn_what_memory_does(trial, tmp_path, options):
 @pytest.mark.slow
 def test_tables_too(tables, tmp_path):
     """Their features are in single precision, the sums are not."""
-    whole = CensoredQLearner.for_table(10, reduces_variance=False, reg=0.1).fit(tables)
-    parts = CensoredQLearner.for_table(10, reduces_variance=False, reg=0.1).fit(streamed(tables, tmp_path / "t", 25))
+    options = {"reduces_variance": False, "censoring": "kaplan-meier", "reg": 0.1}
+    whole = CensoredQLearner.for_table(10, **options).fit(tables)
+    parts = CensoredQLearner.for_table(10, **options).fit(streamed(tables, tmp_path / "t", 25))
     np.testing.assert_allclose(parts.q_functions_.coefficients, whole.q_functions_.coefficients, rtol=1e-7, atol=1e-7)
 
 

@@ -35,7 +35,7 @@ from halfseen.world.cuts import CutKind
 
 DEFAULT = TREATMENTS[0]
 TREATMENT_NAMES = {
-    "imputed": "imputed, with pessimism (default)",
+    "imputed": "imputed (default)",
     "weighted": "weighted by 1/Ĝ",
     "unweighted": "completed stages, no weights",
     "dropped": "cut paths dropped",
@@ -176,7 +176,7 @@ def _draw(design: Censoring, figure4: pd.DataFrame, title: str) -> Figure:
     figure = Figure(figsize=(0.9 + 4.0 * len(design.cut_kinds), 7.2))
     top = write_title(figure, title)
     grid = figure.add_gridspec(
-        2, len(design.cut_kinds), left=0.065, right=0.985, bottom=0.07, top=top - 0.18, hspace=0.36, wspace=0.10
+        2, len(design.cut_kinds), left=0.065, right=0.985, bottom=0.07, top=top - 0.2, hspace=0.36, wspace=0.10
     )
     panels: Any = grid.subplots(sharex=True, sharey="row", squeeze=False)
     for (upper, lower), kind in zip(panels.T, design.cut_kinds, strict=True):
@@ -192,7 +192,7 @@ def _draw(design: Censoring, figure4: pd.DataFrame, title: str) -> Figure:
         upper.tick_params(labelbottom=True)
         mark_sizes(upper, design.num_paths)
         mark_sizes(lower, design.num_paths)
-    write_legend(figure, named_curves(panels[0, 0]), top - 0.012)
+    write_legend(figure, named_curves(panels[0, 0]), top - 0.008, ncols=3)
     return figure
 
 
