@@ -202,3 +202,26 @@ def test_actions_that_are_numbers_may_be_written_as_texts():
     sequence = FixedSequence((1, 0))
     found = evaluate(sequence, numbered, against="sequence:1,0", q=specified(actions=(0, 1))["q"])
     assert found.comparisons[0].difference.value == 0.0
+
+
+def test_a_verdict_says_what_would_undo_it_and_an_open_one_nothing():
+    ours, (far, near) = drawn(9.0, 0.5)
+    rng = np.random.default_rng(4)
+    excess, errors = rng.exponential(size=(50, 2)), rng.normal(size=(50, 2))
+    with_errors = [one._replace(errors=errors * k) for k, one in enumerate((ours, far, near))]
+    clear, unclear = compared(with_errors[0], with_errors[1:], 0.95, excess)
+    assert clear.verdict == "better"
+    assert clear.gamma > 1.0
+    assert unclear.verdict == "cannot be said"
+    assert unclear.gamma is None
+    assert compared(with_errors[0], with_errors[1:], 0.95, 0.0 * excess)[0].gamma is None
+
+
+def test_where_paths_were_cut_the_evaluation_says_what_would_undo_it():
+    clear = evaluate(StatePolicy((0.0, 1.0)), trial(8, num_paths=2000, cut_rate=0.15), against=StatePolicy((1.0, 0.0)))
+    assert clear.verdict == "better"
+    assert clear.comparisons[0].gamma > 1.0
+    assert clear.sensitivity in str(clear).splitlines()[1]
+    assert "To undo this" in clear.sensitivity
+    uncut = evaluate(StatePolicy((0.0, 1.0)), trial(8, num_paths=2000), against=StatePolicy((1.0, 0.0)))
+    assert uncut.sensitivity == ""

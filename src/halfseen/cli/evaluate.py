@@ -123,7 +123,13 @@ def _by_logs(
             0, "it was learned from these very logs, which flatters it; give logs that were kept aside for the test"
         )
     report = {"logs": str(folder), "propensity": propensity, "is_learned_from_these_logs": is_own}
-    report |= {**spec.as_dict(), "sentence": answer.sentence, **answer.as_dict(), "notes": notes}
+    report |= {
+        **spec.as_dict(),
+        "sentence": answer.sentence,
+        "sensitivity": answer.sensitivity,
+        **answer.as_dict(),
+        "notes": notes,
+    }
     return report, [*str(answer).splitlines(), *([""] if notes else []), *(f"note: {note}" for note in notes)]
 
 

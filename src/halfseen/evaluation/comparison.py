@@ -13,7 +13,7 @@ the policy, which all differences share, makes for that.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +21,7 @@ from jaxtyping import Float
 from scipy import stats
 
 from halfseen.evaluation.estimate import Estimate, estimate_of
+from halfseen.evaluation.sensitivity import undone_at
 from halfseen.evaluation.verdict import Verdict, verdict_of
 
 
@@ -32,6 +33,8 @@ class Contender(NamedTuple):
     """What each path adds to it; None where the log has no such action."""
     without: Float[np.ndarray, " K"] | None = None
     """The same value without each fold."""
+    errors: Float[np.ndarray, "n T"] | None = None
+    """What 1/Ĝ of each completed stage is multiplied by in it."""
     effective_sample_size: float = 0.0
     why_unknown: str | None = None
     """Why nothing is to be believed, if so."""
@@ -73,6 +76,9 @@ class Comparison:
         ``"better"``, ``"not better"`` or ``"cannot be said"``, by the adjusted p-value.
     reason
         Why, in one sentence.
+    gamma
+        Γ, how strong an unrecorded cause of cuts would have to be to undo the verdict (see `sensitivity`); None where
+        there is nothing to undo or nothing was cut.
     """
 
     opponent: str
@@ -82,9 +88,12 @@ class Comparison:
     adjusted_p: float | None
     verdict: Verdict
     reason: str
+    gamma: float | None = None
 
 
-def compared(ours: Contender, theirs: Sequence[Contender], level: float) -> tuple[Comparison, ...]:
+def compared(
+    ours: Contender, theirs: Sequence[Contender], level: float, excess: Float[np.ndarray, "n T"] | None = None
+) -> tuple[Comparison, ...]:
     """Compare a policy with its opponents.
 
     Parameters
@@ -93,12 +102,25 @@ def compared(ours: Contender, theirs: Sequence[Contender], level: float) -> tupl
         The policy, and its opponents.
     level
         Of the intervals, and of the verdicts.
+    excess
+        1/Ĝ − 1 of each completed stage, 0 elsewhere; None where nothing was cut.
     """
     differences = [_difference(ours, each, level) for each in theirs]
     p = [_believed_p(ours, each, difference) for each, difference in zip(theirs, differences, strict=True)]
     adjusted = iter(hochberg(np.array([each for each in p if each is not None])))
     adjusted_p = [None if each is None else float(next(adjusted)) for each in p]
-    return tuple(_comparison(ours, *each, level) for each in zip(theirs, differences, p, adjusted_p, strict=True))
+    found = [_comparison(ours, *each, level) for each in zip(theirs, differences, p, adjusted_p, strict=True)]
+    if excess is None or not excess.any():
+        return tuple(found)
+    gammas = [_gamma(one, ours, each, excess) for one, each in zip(found, theirs, strict=True)]
+    return tuple(replace(one, gamma=gamma) for one, gamma in zip(found, gammas, strict=True))
+
+
+def _gamma(found: Comparison, ours: Contender, opponent: Contender, excess: Float[np.ndarray, "n T"]) -> float | None:
+    is_open = found.difference is None or SEVERITY[found.verdict] == SEVERITY["cannot be said"]
+    if found.difference is None or is_open or ours.errors is None or opponent.errors is None:
+        return None
+    return undone_at(found.difference, excess, ours.errors - opponent.errors)
 
 
 def _difference(ours: Contender, opponent: Contender, level: float) -> Estimate | None:

@@ -6,6 +6,7 @@ from typing import Any
 
 from halfseen.evaluation.comparison import Comparison
 from halfseen.evaluation.estimate import Estimate
+from halfseen.evaluation.sensitivity import in_words
 from halfseen.evaluation.verdict import Verdict
 
 
@@ -64,6 +65,15 @@ class Evaluation:
         """The verdict and its reason."""
         return f"{self.verdict.capitalize()}: {self.reason}."
 
+    @property
+    def sensitivity(self) -> str:
+        """How strong an unrecorded cause of cuts would have to be to undo the verdict, in one sentence; "" if open."""
+        if self.verdict == "cannot be said":
+            return ""
+        gammas = [one.gamma for one in self.comparisons if one.verdict == self.verdict and one.gamma is not None]
+        # "Better" falls with the first opponent that is not beaten; "not better" stands while one is not.
+        return in_words((min if self.verdict == "better" else max)(gammas)) + "." if gammas else ""
+
     def __str__(self) -> str:
         interval = f"{self.level:.0%} interval"
         rows = {
@@ -75,7 +85,8 @@ class Evaluation:
         values = [head, *((name, *_cells(each), f"{each.effective_sample_size:.1f}") for name, each in rows.items())]
         head = ("against", "value", interval, "difference", interval, "adjusted p", "verdict")
         against = [head, *(_against(each) for each in self.comparisons)]
-        return "\n".join([self.sentence, "", *_aligned(values), "", *_aligned(against)])
+        said = [self.sentence, *filter(None, [self.sensitivity])]
+        return "\n".join([*said, "", *_aligned(values), "", *_aligned(against)])
 
 
 def _cells(estimate: Estimate | None) -> tuple[str, str]:

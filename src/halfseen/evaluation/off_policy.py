@@ -21,7 +21,7 @@ from halfseen.evaluation.opponents import (
     opponent_probabilities,
     opponents_of,
 )
-from halfseen.evaluation.problem import Problem, as_logged, following, logging_values, problem_of
+from halfseen.evaluation.problem import Problem, as_logged, following, logging_contribution, problem_of
 from halfseen.evaluation.propensity import Propensity, check_propensity
 from halfseen.evaluation.second_order import with_second_order
 from halfseen.evaluation.targets import horizon_of, task_of
@@ -171,7 +171,7 @@ def _evaluation(
     judged = problem.judged(problem.nuisances)
     ours, own = _contender("the policy", problem, judged), _logging(problem)
     theirs, notes = _contenders(opponents, own, problem, has_probability, is_default)
-    comparisons = compared(ours, theirs, level)
+    comparisons = compared(ours, theirs, level, problem.excess)
     main = deciding(comparisons)
     num_paths, num_folds = problem.paths.num_paths, int(problem.fold.max()) + 1
     completed = problem.completed
@@ -218,11 +218,10 @@ def _contenders(
 
 
 def _contender(name: str, problem: Problem, judged: Judged | None = None) -> Contender:
-    values, without = problem.values(problem.judged(problem.nuisances[:-1]) if judged is None else judged)
+    added = problem.contribution(problem.judged(problem.nuisances[:-1]) if judged is None else judged)
     size = problem.effective_sample_size
-    return Contender(name, values, without, size, why_unknown(name, problem.support, size, problem.unseen))
+    return Contender(name, *added, size, why_unknown(name, problem.support, size, problem.unseen))
 
 
 def _logging(problem: Problem) -> Contender:
-    values, without = logging_values(problem)
-    return Contender(LOGGING, values, without, as_logged(problem).effective_sample_size)
+    return Contender(LOGGING, *logging_contribution(problem), as_logged(problem).effective_sample_size)

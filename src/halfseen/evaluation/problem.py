@@ -20,6 +20,17 @@ from halfseen.learners.q_learning.transitions import Transitions
 from halfseen.logs import Logs
 
 
+class Contribution(NamedTuple):
+    """What the paths of a log add to a value."""
+
+    values: Float[np.ndarray, " n"]
+    """What each path adds; their mean is the value."""
+    without: Float[np.ndarray, " K"]
+    """The value without each fold."""
+    errors: Float[np.ndarray, "n T"]
+    """What 1/Ĝ of each completed stage is multiplied by."""
+
+
 class Problem(NamedTuple):
     """A log, the probabilities of a policy in it, and all that is fitted before Q."""
 
@@ -59,12 +70,27 @@ class Problem(NamedTuple):
         """What Qs of the policy say, each fitted with one of these."""
         return judged_by_folds(self.model, self.log, self.paths.reward, self.fold, nuisances)
 
-    def values(self, judged: Judged) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " K"]]:
-        """What each path adds to the doubly robust value; and that value without each fold."""
+    def contribution(self, judged: Judged) -> Contribution:
+        """What each path adds to the doubly robust value."""
         # Where weight is put on the actions of the policy alone, what they are worth is the value of the state. So it
         # may stand for Q, and then the value is right even where a model of the policy says another action.
         judged = judged._replace(taken=judged.value) if self.is_revealed else judged
-        return cross_fitted(judged, [self.weights(given) for given in self.nuisances[:-1]], self.fold)
+        values, without = cross_fitted(judged, [self.weights(given) for given in self.nuisances[:-1]], self.fold)
+        value, taken = (np.asarray(leaf)[self.fold, np.arange(len(self.fold))] for leaf in (judged.value, judged.taken))
+        successor = np.concatenate([value[:, 1:], np.zeros_like(value[:, :1])], axis=1)
+        target = self.paths.reward + np.where(self.paths.is_last, 0.0, successor)
+        return Contribution(values, without, self.errors(target - taken))
+
+    def errors(self, residual: Float[np.ndarray, "n T"]) -> Float[np.ndarray, "n T"]:
+        """What 1/Ĝ of each completed stage is multiplied by, where the stage adds its weighted residual."""
+        uncut = self.nuisances[-1].uncut
+        return np.where(uncut > 0, self.completed.normalised / np.where(uncut > 0, uncut, 1.0) * residual, 0.0)
+
+    @property
+    def excess(self) -> Float[np.ndarray, "n T"]:
+        """1/Ĝ − 1 of each completed stage: how many like it were cut."""
+        uncut = self.nuisances[-1].uncut
+        return np.where(uncut > 0, uncut - 1.0, 0.0)
 
 
 def problem_of(
@@ -115,19 +141,17 @@ def as_logged(problem: Problem) -> Problem:
     return problem._replace(log=log, ratio=np.ones_like(problem.ratio), is_revealed=False)
 
 
-def logging_values(problem: Problem) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " K"]]:
-    """What each path adds to the value of the logging policy; and that value without each fold.
-
-    Where targets are imputed, that is doubly robust, too.
-    """
+def logging_contribution(problem: Problem) -> Contribution:
+    """What each path adds to the value of the logging policy; where targets are imputed, that is doubly robust, too."""
     own = as_logged(problem)
     if own.log.imputation is not None:
-        return own.values(own.judged(own.nuisances[:-1]))
+        return own.contribution(own.judged(own.nuisances[:-1]))
     reward, without = own.paths.reward, []
     for k, given in enumerate(own.nuisances[:-1]):
         kept = own.fold != k
         without.append(own.weights(given).take(kept).influence(reward[kept]).mean())
-    return own.weights(own.nuisances[-1]).influence(reward), np.array(without)
+    values = own.weights(own.nuisances[-1]).influence(reward)
+    return Contribution(values, np.array(without), own.errors(reward))
 
 
 def _one_hot(paths: PathArrays) -> Float[np.ndarray, "n T A"]:

@@ -115,6 +115,7 @@ def notes(findings: Findings) -> list[str]:
         )
     elif findings.record["log"].get("sha256"):
         told.append("The policy was learned from other logs than these, as it should be.")
+    told += filter(None, [findings.evaluation.sensitivity])
     return [*told, *(as_sentence(note) for note in findings.notes)]
 
 
