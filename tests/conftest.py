@@ -6,8 +6,9 @@ from pathlib import Path
 from hypothesis import settings
 
 # How long an example takes depends on what else the machine does. A run tries few of them, as there are many runs.
-settings.register_profile("halfseen", deadline=None, max_examples=40)
-settings.load_profile("halfseen")
+settings.register_profile("few", deadline=None, max_examples=20)
+settings.register_profile("many", deadline=None, max_examples=60)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "few"))
 
 COMPILED = Path(__file__).parents[1] / "runs" / "compiled"
 

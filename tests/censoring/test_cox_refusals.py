@@ -159,6 +159,7 @@ def is_separated(time, is_finished, covariates):
 
 
 @pytest.mark.parametrize("ties", ["efron", "breslow"])
+@pytest.mark.slow
 def test_refuses_exactly_those_whose_likelihood_has_no_maximum(ties):
     rng = np.random.default_rng(0)
     found = {True: 0, False: 0}

@@ -98,6 +98,7 @@ def test_a_log_of_nothing_but_chance_shows_no_rule():
     assert "the log shows no rule" in asked.reason
 
 
+@pytest.mark.slow
 def test_it_is_worth_what_the_rule_itself_is_worth():
     logs = logged(slanted, num_paths=800, seed=3)
     itself = Opponent(Rule(slanted, ACTIONS, 2), "itself")
@@ -107,6 +108,7 @@ def test_it_is_worth_what_the_rule_itself_is_worth():
     assert guessed.standard_error == pytest.approx(known.standard_error, rel=0.05)
 
 
+@pytest.mark.slow
 def test_the_value_does_not_rest_on_the_model_where_the_log_reveals_the_rule(monkeypatch):
     from halfseen.evaluation import off_policy
 

@@ -61,6 +61,7 @@ def test_the_logging_policy_on_uncut_logs_earns_the_mean_reward_exactly():
 
 
 @pytest.mark.parametrize("censoring", [DoublyRobust(), "kaplan-meier"], ids=["doubly robust", "weighted"])
+@pytest.mark.slow
 def test_all_three_find_the_value_on_a_long_log(censoring):
     found = evaluate(TARGET, trial(2, num_paths=3000, cut_rate=0.12), against="logging", **specified(censoring))
     value = truth(TARGET.chance_b)
@@ -73,6 +74,7 @@ def test_all_three_find_the_value_on_a_long_log(censoring):
     assert found.verdict == "better"
 
 
+@pytest.mark.slow
 def test_a_wrong_q_leaves_the_doubly_robust_value_right():
     found = evaluate(TARGET, trial(3, num_paths=3000, cut_rate=0.12), **specified(DoublyRobust(), covariates=()))
     value = truth(TARGET.chance_b)
@@ -80,6 +82,7 @@ def test_a_wrong_q_leaves_the_doubly_robust_value_right():
     assert abs(found.doubly_robust.value - value) < 2.0 * found.doubly_robust.standard_error
 
 
+@pytest.mark.slow
 def test_wrong_cuts_leave_the_doubly_robust_value_right_and_bias_the_weighted_one():
     # It believes that half of what goes on is cut every other second, so what took long weighs far too much.
     wrong = KaplanMeier().fit(np.array([2.0] * 8 + [4.0] * 4 + [6.0] * 2 + [9.0] * 2), np.arange(16) > 13)

@@ -84,6 +84,7 @@ def test_cuts_come_with_clutter_at_the_hazard_that_is_told():
     assert simulate(200, seed=3, is_cut=False).is_finished.all()
 
 
+@pytest.mark.slow
 def test_the_shipped_logs_are_those_that_record_writes(tmp_path, capsys):
     record.main(["--out", str(tmp_path)])
     told = capsys.readouterr().out
@@ -98,6 +99,7 @@ def test_the_shipped_logs_are_those_that_record_writes(tmp_path, capsys):
         assert shipped.stages["probability"].between(0.05, 1.0).all()
 
 
+@pytest.mark.slow
 def test_paths_recorded_one_by_one_are_like_those_simulated_at_once(tmp_path):
     cell_paths.record(tmp_path / "logs", 1000, seed=5)
     one_by_one, at_once = read_logs(tmp_path / "logs"), simulate(20_000, seed=6)

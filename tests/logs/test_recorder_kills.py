@@ -140,6 +140,7 @@ def test_a_thousand_kills_lose_at_most_the_stage_in_progress(tmp_path):
     assert kills_in_a_process_of_their_own(tmp_path, 1000, 0.05, 2) > 500
 
 
+@pytest.mark.slow
 def test_one_folder_outlives_many_kills(tmp_path):
     rng = random.Random(3)
     num_paths = 0

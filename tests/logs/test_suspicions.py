@@ -47,6 +47,7 @@ def test_sound_logs_raise_none(seed):
 
 
 @pytest.mark.parametrize("cut_kind", ["independent", "occlusion", "attempt"])
+@pytest.mark.slow
 def test_simulated_logs_raise_none(cut_kind):
     from halfseen.planners.heuristics import GreedyPolicy
     from halfseen.world import ExploringPolicy, Scene, TableWorld, WorldConfig

@@ -92,6 +92,7 @@ def test_rounds_halve_what_is_drawn_from_and_have_equal_times(monkeypatch):
     np.testing.assert_allclose(times, 6.0 / 3, rtol=0.1)
 
 
+@pytest.mark.slow
 def test_rollouts_by_the_clock_are_worth_what_rollouts_by_number_are(monkeypatch):
     Clock(monkeypatch)
     timed = plan(CONFIG, STATE, KEY, seconds=10.0, planning_horizon=3)

@@ -93,6 +93,7 @@ def test_labels_leave_the_expected_chance_of_dirt_as_it_was():
     np.testing.assert_allclose([if_dirty[2], if_clean[2]], 0.9, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_sampled_futures_of_a_wash_take_the_cup_away_as_often_as_it_is_grasped():
     cups, hides = [Cup(0.7, ((0.2, False),)), Cup(0.4)], [[0.0, 0.6], [0.0, 0.0]]
     belief = belief_of(CONFIG, state_of(cups, hides))

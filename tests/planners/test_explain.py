@@ -85,6 +85,7 @@ def test_the_same_key_tells_the_same():
     assert not np.array_equal(first.values, other.values)
 
 
+@pytest.mark.slow
 def test_more_rollouts_leave_less_doubt():
     few, many = (explain_few(CUPS, HIDES, 6, num_rollouts=number) for number in (16, NUM_ROLLOUTS))
 

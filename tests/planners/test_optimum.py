@@ -170,6 +170,7 @@ def test_the_value_of_a_rule_is_what_brute_force_finds(policy):
 
 
 @pytest.mark.parametrize("hides", [TWO, THREE], ids=["two", "three"])
+@pytest.mark.slow
 def test_rules_and_planners_are_below_the_optimum_and_that_below_every_bound(hides):
     optimum = solve_table(hides, CONFIG, 4)
     earned = [optimum.policy_value(policy) for policy in (*GREEDY, POMDPPolicy(CONFIG, 1))]

@@ -65,7 +65,7 @@ def agree(hides, num_nodes, num_steps=2):
 
 @pytest.mark.parametrize(
     ("hides", "num_nodes", "num_steps"),
-    [(ONE, 3, 2), pytest.param(TWO, 3, 1, marks=pytest.mark.slow), (HIDDEN, 1, 2)],
+    [(ONE, 3, 2), pytest.param(TWO, 3, 1, marks=pytest.mark.slow), pytest.param(HIDDEN, 1, 2, marks=pytest.mark.slow)],
     ids=["one cup", "two cups, one step", "two cups"],
 )
 def test_alpha_vectors_over_arrays_find_the_optimum_of_the_table(hides, num_nodes, num_steps):
@@ -79,6 +79,7 @@ def test_alpha_vectors_over_more_arrays_find_the_optimum_of_the_table(hides, num
 
 
 @pytest.mark.parametrize("labels", list(product((False, True), repeat=2)), ids=str)
+@pytest.mark.slow
 def test_the_anytime_planner_finds_the_optimum_of_two_cups(labels):
     """With two steps, one improvement of the myopic rule is the optimum: the rule is exact at the last step.
 
@@ -118,6 +119,7 @@ def states():
 
 
 @pytest.mark.parametrize("order", [[2, 0, 1], [1, 0, 2]])
+@pytest.mark.slow
 def test_names_of_cups_do_not_matter_to_optimum_and_bound(states, order):
     config = replace(CONFIG, horizon=4)
     plain, renamed = (solve_table(hides, config, num_grip_nodes=3) for hides in (THREE, THREE[np.ix_(order, order)]))

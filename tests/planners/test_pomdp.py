@@ -58,6 +58,7 @@ def test_one_step_ahead_every_outcome_counts_as_often_as_it_happens(cups, steps_
 
 
 @pytest.mark.parametrize("cups", [TWO_CUPS["nothing was tried"], TWO_CUPS["both were tried"]])
+@pytest.mark.slow
 def test_two_steps_ahead_rollouts_agree_with_all_that_may_follow(cups):
     state, policy = state_of(cups, HIDES, 4), POMDPPolicy(CONFIG, 2, num_simulations=20_000)
 

@@ -70,6 +70,7 @@ def test_stored_tables_are_those_of_their_seeds():
 
 
 @same_versions
+@pytest.mark.slow
 def test_one_table_comes_out_the_same(tmp_path):
     write_shipped(tmp_path, [5])
     assert_same_files(tmp_path, 5)

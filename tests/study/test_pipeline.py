@@ -103,6 +103,7 @@ def test_slow_planners_meet_all_episodes_in_turn():
     assert [episodes_in_turn(k, 2, 5) for k in range(4)] == [[0, 1], [2, 3], [0, 4], [1, 2]]
 
 
+@pytest.mark.slow
 def test_logs_that_differ_in_their_tied_durations_are_learned_in_one_call():
     source = Source(SETTING.world, SETTING.layouts, 0, 3)
     episodes = source.play(30)

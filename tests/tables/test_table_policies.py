@@ -263,6 +263,7 @@ def test_cuts_at_a_table_may_depend_on_the_attempt():
         CensoredQLearner.for_table(10, censoring=Weighted("cox", covariates=["weather"])).fit(logs)
 
 
+@pytest.mark.slow
 def test_a_verb_that_was_never_completed_is_never_taken(scene, tmp_path):
     played = play(CONFIG, pad_scenes([scene]), Hasty(), jax.random.key(3), 60)
     logs = to_logs(cut(played, 0.0, "independent", np.random.default_rng(0)), "independent", [scene])

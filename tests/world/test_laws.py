@@ -136,6 +136,7 @@ def test_logs_tell_the_prior(logs):
     assert logs.paths["dirty_share"].tolist() == [0.6] * logs.num_paths
 
 
+@pytest.mark.slow
 def test_gymnasium_plays_by_the_same_laws(episodes):
     env = CupsEnv(SCENE, config=OTHER)
     observation, info = env.reset(seed=0)

@@ -131,6 +131,7 @@ def test_a_policy_decides_with_its_own_table(beta, states):
     np.testing.assert_allclose(np.where(np.isfinite(q[:, 1]), q[:, 1], expected), expected, rtol=1e-3, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_the_learner_fits_the_grasp_model_to_its_log_and_leaves_the_one_given_alone(logs):
     given = BetaGrasp()
     learner = CensoredQLearner.for_table(horizon=HORIZON, grasp=given).fit(logs)
