@@ -68,7 +68,9 @@ def masks(name):
     return is_finished, ~is_finished
 
 
-@pytest.mark.parametrize("name", ["aids, death", "gbsg2", "veterans", "whas500", "aml"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("aids, death", marks=pytest.mark.slow), "gbsg2", "veterans", "whas500", "aml"]
+)
 def test_weights_equal_redistribution_to_the_right(name):
     time, is_finished = aml() if name == "aml" else real(name)[:2]
     weights = censoring_weights(time, is_finished)

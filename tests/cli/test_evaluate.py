@@ -58,11 +58,12 @@ def told(*arguments):
 def test_says_the_verdict_first_then_the_numbers(folders):
     lines = told(folders / "policy", "--logs", folders / "aside").output.splitlines()
     assert lines[0].startswith("Better: it earns ")
-    assert [line.split("  ")[0] for line in lines[3:6]] == ["doubly robust", "importance sampling", "fitted Q"]
-    assert " ".join(lines[7].split()) == "against value 95% interval difference 95% interval adjusted p verdict"
-    assert lines[8].startswith("the logging policy ")
-    assert lines[10].startswith("note: the logging policy without its exploration: the log shows no rule")
-    assert len(lines) == 11
+    assert lines[1].startswith("To undo this, a cause of cuts that is not in the log would have to change the odds of ")
+    assert [line.split("  ")[0] for line in lines[4:7]] == ["doubly robust", "importance sampling", "fitted Q"]
+    assert " ".join(lines[8].split()) == "against value 95% interval difference 95% interval adjusted p verdict"
+    assert lines[9].startswith("the logging policy ")
+    assert lines[11].startswith("note: the logging policy without its exploration: the log shows no rule")
+    assert len(lines) == 12
 
 
 def test_each_opponent_has_a_line_and_an_entry(folders):

@@ -85,6 +85,7 @@ def test_a_rule_that_is_seldom_above_one_half_is_estimated():
     assert agreement(thresholds, logs, found) > 0.95
 
 
+@pytest.mark.slow
 def test_a_log_of_nothing_but_chance_shows_no_rule():
     logs = logged(thresholds, random_share=1.0)
     found, _ = found_in(logs)

@@ -125,6 +125,7 @@ def test_values_and_differences_are_told():
     assert lines[3][:5] == ["rule", "of", "thumb", "0.641", "90.7%"]
 
 
+@pytest.mark.slow
 def test_the_recorded_logs_give_intervals():
     text = pick_cell.intervals(read_logs(record.LOGS), num_replicates=4, seed=0)
     head, _, *rows = text.splitlines()

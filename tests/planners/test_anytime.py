@@ -55,6 +55,7 @@ class Clock:
 
 
 @pytest.mark.parametrize("seconds", [0.2, 1.0, 5.0])
+@pytest.mark.slow
 def test_a_time_is_kept_and_used(monkeypatch, seconds):
     clock = Clock(monkeypatch)
     found = plan(CONFIG, STATE, KEY, seconds=seconds)
@@ -147,6 +148,7 @@ def test_one_object_is_searched_by_the_clock_too(monkeypatch):
     np.testing.assert_array_equal(found.num_rollouts > 0, [False, True, False, False, True, False, False])
 
 
+@pytest.mark.slow
 def test_where_nothing_is_hidden_alike_objects_are_worth_the_same():
     cups = [Cup(0.7), Cup(0.7), Cup(0.7)]
     found = plan(CONFIG, state_of_few(cups, np.zeros((3, 3))), KEY, num_simulations=MANY, planning_horizon=3)

@@ -33,6 +33,7 @@ def test_returns_of_a_cup_lie_on_that_cup(table, picture):
         assert np.quantile(radius_m, 0.99) < cup.rim_radius_m + cup.handle_m + 0.01
 
 
+@pytest.mark.slow
 def test_same_seed_same_bytes_and_the_global_seed_changes_nothing(table, picture):
     np.random.seed(12345)  # noqa: NPY002 - the global generator is what must not matter
     before = np.random.get_state()[1].copy()  # noqa: NPY002
@@ -53,7 +54,8 @@ def test_other_seed_other_noise_same_truth(table, picture):
     assert random_table(4) != table
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 6))])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(6))
 def test_drawn_tables_keep_their_promises(seed):
     table = random_table(seed)
     picture = capture(table, seed)

@@ -67,6 +67,7 @@ GOLDEN_S = [28.1484375, 2.3612961769104004, 8.0, 18.675079345703125]
 GOLDEN_LOG_ODDS = [0.5303280353546143, 0.40546512603759766, 0.40546518564224243, 0.40546518564224243]
 
 
+@pytest.mark.slow
 def test_the_assumed_laws_draw_what_the_world_always_drew():
     layouts = pad_scenes([SCENE, Scene(np.zeros((2, 2)))])
     played = play(WorldConfig(), layouts, UniformPolicy(), jax.random.key(5), 4)

@@ -117,8 +117,10 @@ def compared(
 
 
 def _gamma(found: Comparison, ours: Contender, opponent: Contender, excess: Float[np.ndarray, "n T"]) -> float | None:
-    is_open = found.difference is None or SEVERITY[found.verdict] == SEVERITY["cannot be said"]
-    if found.difference is None or is_open or ours.errors is None or opponent.errors is None:
+    if found.difference is None or ours.errors is None or opponent.errors is None:
+        return None
+    # Of two policies that do the same there is nothing to be undone.
+    if found.verdict == "cannot be said" or found.difference.standard_error == 0.0:
         return None
     return undone_at(found.difference, excess, ours.errors - opponent.errors)
 

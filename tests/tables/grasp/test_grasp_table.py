@@ -142,6 +142,7 @@ def test_the_learner_fits_the_grasp_model_to_its_log_and_leaves_the_one_given_al
     assert isinstance(clone(learner).actions.grasp, BetaGrasp)
 
 
+@pytest.mark.slow
 def test_fitted_estimators_tables_and_models_of_ones_own_are_taken_as_they_are(logs, beta):
     table = tabulate(beta, HORIZON)
     fits = [CensoredQLearner.for_table(grasp=grasp).fit(logs) for grasp in (beta, table)]
