@@ -103,7 +103,7 @@ def episode_of(decide: Decide, budget_s: float, episode: int) -> Played:
     seen, hidden = _start(CONFIG, layout_of(table), start_key)
     for t in range(CONFIG.horizon):
         decisions.append(decide(seen, table, budget_s, CONFIG.horizon * episode + t))
-        seen, outcome = _step(CONFIG, seen, hidden, decisions[-1].action, jax.random.fold_in(world_key, t))
+        seen, hidden, outcome = _step(CONFIG, seen, hidden, decisions[-1].action, jax.random.fold_in(world_key, t))
         reward += float(outcome.reward)
         if outcome.is_over:
             break

@@ -126,6 +126,7 @@ def test_a_file_that_is_not_there_is_named(tmp_path):
 @pytest.mark.parametrize(
     ("condition", "parts", "error", "message"),
     [
+        ("reward,action\n> 1,A", PARTS, ArgumentError, "asks for 'reward', which no decision can rest on; ask for cov"),
         ("size,action\n1,A", PARTS, ArgumentError, "asks for 'size', and the log has none; there are weight_kg"),
         ("colour,action\n> 1,A", PARTS, ArgumentError, "colour > 1.0, and colour holds no numbers"),
         ("shine,action\nhigh,A", PARTS, ArgumentError, "shine = high, and shine holds numbers"),

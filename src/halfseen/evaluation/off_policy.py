@@ -123,11 +123,11 @@ def evaluate(
             f"the log has {logs.num_paths} path(s), and {num_folds} folds need {2 * num_folds}; record more"
         )
     opponents = opponents_of(DEFAULT if against is None else against, logs)
-    spec, logs = default_q(policy, logs) if q is None else (q, logs)
+    spec, widened = default_q(policy, logs) if q is None else (q, logs)
     targets = default_targets(logs) if censoring is None else targets_of(censoring)
-    model = q_model_of(policy, logs, targets, spec, random_state)
-    problem = problem_of(policy, logs, model, propensity, np.random.default_rng([random_state, 1]), num_folds)
-    return _evaluation(problem, opponents, propensity == "logged", against is None, level)
+    model = q_model_of(policy, widened, targets, spec, random_state)
+    problem = problem_of(policy, widened, model, propensity, np.random.default_rng([random_state, 1]), num_folds)
+    return _evaluation(problem, logs, opponents, propensity == "logged", against is None, level)
 
 
 def default_targets(logs: Logs) -> Targets:
@@ -166,11 +166,16 @@ def q_model_of(policy: Any, logs: Logs, targets: Targets, q: QSpec, random_state
 
 
 def _evaluation(
-    problem: Problem, opponents: Sequence[Opponent], has_probability: bool, is_default: bool, level: float
+    problem: Problem,
+    logs: Logs,
+    opponents: Sequence[Opponent],
+    has_probability: bool,
+    is_default: bool,
+    level: float,
 ) -> Evaluation:
     judged = problem.judged(problem.nuisances)
     ours, own = _contender("the policy", problem, judged), _logging(problem)
-    theirs, notes = _contenders(opponents, own, problem, has_probability, is_default)
+    theirs, notes = _contenders(opponents, own, problem, logs, has_probability, is_default)
     comparisons = compared(ours, theirs, level, problem.excess)
     main = deciding(comparisons)
     num_paths, num_folds = problem.paths.num_paths, int(problem.fold.max()) + 1
@@ -193,7 +198,12 @@ def _evaluation(
 
 
 def _contenders(
-    opponents: Sequence[Opponent], own: Contender, problem: Problem, has_probability: bool, is_default: bool
+    opponents: Sequence[Opponent],
+    own: Contender,
+    problem: Problem,
+    logs: Logs,
+    has_probability: bool,
+    is_default: bool,
 ) -> tuple[list[Contender], tuple[str, ...]]:
     """What each path adds to the value of each opponent, and what is to be known of how that was found."""
     contenders, notes = [], []
@@ -208,7 +218,7 @@ def _contenders(
             elif not is_default:
                 contenders.append(Contender(name, why_unknown=rule))
         else:
-            probabilities = opponent_probabilities(policy, name, problem.logs, problem.paths, problem.model.task)
+            probabilities = opponent_probabilities(policy, name, logs, problem.paths, problem.model.task)
             contenders.append(
                 Contender(name, why_unknown=why_unknown(name, problem.support, 0.0, probabilities))
                 if isinstance(probabilities, str)

@@ -35,6 +35,7 @@ from jaxtyping import Bool, Float
 from pandas.api.types import is_numeric_dtype
 
 from halfseen.errors import ArgumentError, LogError
+from halfseen.logs.columns import STAGE_COLUMNS
 
 STAGE, ACTION = "stage", "action"
 COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
@@ -71,7 +72,8 @@ class Condition:
         Raises
         ------
         ArgumentError
-            There is no such column, or it holds texts where numbers are asked for, or the other way round.
+            There is no such column, it is no covariate (what an action paid is not known before it), or it holds texts
+            where numbers are asked for, or the other way round.
         LogError
             A covariate is null.
         """
@@ -79,8 +81,12 @@ class Condition:
         return np.asarray(COMPARISONS[self.sign](given, self.value), dtype=bool)
 
     def _column(self, frame: pd.DataFrame) -> Any:
+        if self.column in STAGE_COLUMNS:
+            raise ArgumentError(
+                f"the rule asks for {self.column!r}, which no decision can rest on; ask for covariates, or the stage"
+            )
         if self.column not in frame.columns:
-            known = ", ".join(map(str, frame.columns))
+            known = ", ".join(str(name) for name in frame.columns if name == STAGE or name not in STAGE_COLUMNS)
             raise ArgumentError(f"the rule asks for {self.column!r}, and the log has none; there are {known}")
         given: Any = frame[self.column]
         is_number = is_numeric_dtype(given.dtype)

@@ -1,0 +1,33 @@
+"""Benchmarks still run: what they import and unpack changes, and nothing else calls them."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("planning.py", "--episodes", "1"),
+        ("world_steps.py", "--steps", "2", "--runs", "1"),
+        ("coverage.py", "--logs", "2", "--row", "cut 1/3"),
+        ("verdicts.py", "--logs", "2", "--world", "trial", "--share", "1/3", "--setting", "default"),
+        ("learners.py", "--logs", "1", "--worlds", "trial", "--shares", "0.3", "--methods", "quadratic, imputed"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_it_runs_and_stores_what_it_found(words, tmp_path):
+    script, *options = words
+    out = tmp_path / "found.json"
+    command = [sys.executable, str(BENCHMARKS / script), "--out", str(out), *options]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=dict(os.environ), timeout=600)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip()
+    assert out.stat().st_size > 100
