@@ -8,7 +8,8 @@ long it lasted, and after it a patient may leave. The policy takes A in state 0,
 Its value is computed by enumeration. Cuts come at a constant rate, which cuts none, a third or half of
 the paths; in the last rows at a rate that depends on a covariate z that rewards depend on, too.
 
-cut 0, 1/3, 1/2             cuts depend on nothing; Q has the states as indicators
+cut 0, 1/3, 1/2             cuts depend on nothing; Q has the states as indicators; weights are at most 10
+cut 1/2, unbounded          the same without a bound: Ĝ of nine tenths of a log may end before the last tenth's paths
 wrong Q                     half are cut; Q and the regression of cut stages see nothing but the action
 by z, wrong cuts            half are cut, by z; Ĝ is Kaplan–Meier's, Q and the regression are right
 by z, wrong cuts, simple    the same by weights alone
@@ -178,14 +179,17 @@ def simulated(seed: int, rates: np.ndarray, num: int = NUM_PATIENTS) -> Logs:
 STATES = QSpec(NamedActions(ACTIONS, ("is_1", "is_2")))
 WITH_Z = QSpec(NamedActions(ACTIONS, ("is_1", "is_2", "z", "z_1", "z_2")), reg=1e-4)
 BLIND = QSpec(NamedActions(ACTIONS), reg=1e-4)
-BY_COX = DoublyRobust("cox", covariates=["z"])
+BOUNDED: dict[str, Any] = {"truncate_at": 10}
+"""As `evaluate` has it where nothing is said."""
+BY_KM, BY_COX = DoublyRobust(**BOUNDED), DoublyRobust("cox", covariates=["z"], **BOUNDED)
 
 ROWS: dict[str, tuple[float, float, Targets, QSpec]] = {
-    "cut 0": (0.0, 0.0, DoublyRobust(), STATES),
-    "cut 1/3": (1 / 3, 0.0, DoublyRobust(), STATES),
-    "cut 1/2": (1 / 2, 0.0, DoublyRobust(), STATES),
-    "wrong Q": (1 / 2, 0.0, DoublyRobust(), BLIND),
-    "by z, wrong cuts": (1 / 2, Z_STEEPNESS, DoublyRobust(), WITH_Z),
+    "cut 0": (0.0, 0.0, BY_KM, STATES),
+    "cut 1/3": (1 / 3, 0.0, BY_KM, STATES),
+    "cut 1/2": (1 / 2, 0.0, BY_KM, STATES),
+    "cut 1/2, unbounded": (1 / 2, 0.0, DoublyRobust(), STATES),
+    "wrong Q": (1 / 2, 0.0, BY_KM, BLIND),
+    "by z, wrong cuts": (1 / 2, Z_STEEPNESS, BY_KM, WITH_Z),
     "by z, wrong cuts, simple": (1 / 2, Z_STEEPNESS, Weighted(), WITH_Z),
     "by z, right cuts": (1 / 2, Z_STEEPNESS, BY_COX, WITH_Z),
     "by z, right cuts, wrong Q": (1 / 2, Z_STEEPNESS, BY_COX, BLIND),

@@ -94,7 +94,7 @@ def backward(
     value
         For separate stages: V̂ of every state, if it is not to follow from the stages after it.
     """
-    num_paths = log.action.shape[0] if log.num_paths is None else log.num_paths
+    num_paths = log.action.shape[0] if log.num_paths is None else jnp.asarray(log.num_paths)
     regression = Regression(block_of_action, regs, num_blocks, num_folds, num_paths, is_scaled, pessimism)
     if stages == "separate":
         return _backward_separate(log, regression, value)
