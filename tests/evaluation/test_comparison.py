@@ -224,4 +224,4 @@ def test_where_paths_were_cut_the_evaluation_says_what_would_undo_it():
     assert clear.sensitivity in str(clear).splitlines()[1]
     assert "To undo this" in clear.sensitivity
     uncut = evaluate(StatePolicy((0.0, 1.0)), trial(8), against=StatePolicy((1.0, 0.0)))
-    assert uncut.sensitivity == ""
+    assert (uncut.verdict, uncut.sensitivity) == ("better", "")

@@ -10,7 +10,9 @@ times as large for one as the model has it, and as small for another: the true w
 loses [DornGuo2023]_. Of all such weights those that shift Σ_t E[w* v_t] most, v the weighted error of Q, give Γ to the
 stages below the 1/(Γ + 1)-quantile of v (by w − 1), and 1/Γ to those above, or the other way round.
 
-Γ is where the end of the interval that lies nearer to 0, shifted by so much, reaches it. Γ of 1 trusts the model, and
+Γ is where the end of the interval that lies nearer to 0, shifted by so much, reaches it. v holds the whole error of Q,
+of which the regression of cut stages may know a part; so the true Γ is as large or larger. That the interval itself
+would be another under other weights is left out. Γ of 1 trusts the model, and
 2 is a cause which doubles or halves the odds.
 """
 

@@ -20,7 +20,7 @@ from halfseen.learners.threads import one_thread
 
 @contextmanager
 def in_float64() -> Iterator[None]:
-    """Compute in double precision, whatever it is elsewhere."""
+    """Compute in double precision, whatever it is elsewhere, and with one thread of LAPACK."""
     with jax.enable_x64(True), one_thread():
         yield
 
