@@ -114,7 +114,7 @@ def test_without_cuts_nothing_is_imputed(censoring):
 def test_what_a_constant_is_worth_adds_up_to_it(logs, by, truncate_at, monkeypatch):
     """With g = 1 the sums telescope: Y of a target that is always 1 is 1, ties, truncated weights and all."""
     module = "halfseen.learners.q_learning.imputation._terms"
-    monkeypatch.setattr(module, lambda duration_s, knots, spread: np.ones((*np.shape(duration_s), 1)))
+    monkeypatch.setattr(module, lambda duration_s, knots: np.ones((*np.shape(duration_s), 1)))
     learner = CensoredQLearner.of_paper(
         2, ACTIONS, ["s1_1", "s2_1"], censoring=Weighted(by=by, truncate_at=truncate_at), reg=0.0
     )

@@ -4,7 +4,7 @@ import pytest
 from naive_q_learning import naive_choice
 from sklearn.linear_model import Ridge
 
-from halfseen.learners.q_learning.least_squares import Rows, cross_of, design_of, factorise, gram_of, solve
+from halfseen.learners.q_learning.least_squares import Rows, cross_of, design_of, factorise, gram_of, solve, with_prior
 
 NUM_PATHS, NUM_FOLDS = 50, 5
 DESIGN, FACTORISE = jax.jit(design_of, static_argnums=(1, 2)), jax.jit(factorise, static_argnums=1)
@@ -50,6 +50,24 @@ def test_it_is_scikit_learns_ridge_on_scaled_features(rows, reg):
         ridge = Ridge(alpha=reg * NUM_PATHS, solver="svd").fit(x / spread, target[mine], sample_weight=w)
         assert coefficients[block, 1:] * spread == pytest.approx(ridge.coef_, rel=1e-7)
         assert coefficients[block, 0] == pytest.approx(ridge.intercept_, rel=1e-7)
+
+
+@pytest.mark.parametrize("num_folds", [1, NUM_FOLDS])
+def test_a_prior_of_one_row_is_a_penalty_of_one(num_folds):
+    """Two rows that lie a hair beyond 0 do not decide a slope of thousands; one that is well known stays."""
+    rng = np.random.default_rng(2)
+    x = np.column_stack([rng.normal(size=200), np.zeros(200)])
+    x[:2, 1] = 1e-3
+    y = 3.0 * x[:, 0] + 1e3 * x[:, 1] + 0.1 * rng.normal(size=200)
+    rows = {"features": x, "block": np.zeros(200, int), "weight": np.ones(200), "fold": np.arange(200) % num_folds}
+    with jax.enable_x64(True):
+        design = DESIGN(Rows(**jax.tree.map(jax.numpy.asarray, rows)), 1, num_folds)
+        factor = FACTORISE(with_prior(gram_of(design), 1))
+        found = np.asarray(SOLVE(factor, cross_of(design, jax.numpy.asarray(y)), np.zeros(1), 200).coefficients)[0]
+    given = np.column_stack([np.ones(200), x])
+    expected = np.linalg.solve(given.T @ given + np.diag([0.0, 0.0, 1.0]), given.T @ y)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    assert abs(found[2]) < 0.01
 
 
 @pytest.mark.parametrize("sizes", [(0, 64, 65, 1, 200, 63), (0, 0, 0, 0, 0, 5), (64, 64, 64, 64, 64, 64)], ids=str)

@@ -15,8 +15,8 @@ if m is right, whatever K̂ is. m is a step function of the age, so the integral
 *Buckley–James* [BuckleyJames1979]_: Y = X where it was observed, m(c) where the stage was cut at c. No K̂ is needed; m
 must be right.
 
-m comes from two regressions, on the completed stages: of X on φ(S_t, A_t) and terms g(D) of the duration, by block and
-anew at each step of eq. 3 (`recursion`); and of D on φ and t, by proportional hazards with a baseline for each block,
+m comes from two regressions, on the completed stages: of X on φ(S_t, A_t) and terms g(D) of the duration, a spline of
+few bends, by block and anew at each step of eq. 3 (`recursion`); and of D on φ and t, by proportional hazards with a baseline for each block,
 which says what g(D) is to be expected. A stage that is completed is not a fair draw of all, but given its duration it
 is, if cuts depend on (S_t, A_t) alone; so a regression that is right needs no weights. One that is a little wrong had
 better be wrong where stages are short: for doubly robust targets each stage weighs δ/K̂(D⁻), truncated.
@@ -40,8 +40,8 @@ NUM_AGES = 24
 NUM_DURATIONS = 96
 """Durations that the distribution of D is put on, at most."""
 
-KNOTS = (0.1, 0.25, 0.5, 0.75, 0.9, 0.97, 0.995)
-"""Quantiles of D at which its effect on X may bend; beyond the last it stays what it was."""
+KNOTS = (0.1, 0.25, 0.5, 0.75, 0.9, 0.97, 1.0)
+"""Quantiles of D at which its effect on X may bend; beyond the longest it stays what it was."""
 
 DURATION_RIDGE = 1.0
 """Penalty of the proportional hazards of D: a prior of one event, so that separation has an end."""
@@ -156,9 +156,8 @@ def imputation(
     features = _duration_features(paths, is_used)
     watched_s, is_completed = paths.clocks.watched_s, paths.is_completed
     completed_s = watched_s[is_completed]
-    # Of tied durations some knots are one and the same: then so are their terms, and every log has as many.
+    # Tied durations make knots that tie, so every log has as many terms.
     knots = np.quantile(completed_s, KNOTS)
-    spread = max(float(completed_s.std()), 1e-12)
     expected, share = np.zeros((*paths.action.shape, len(knots))), is_completed.astype(np.float64)
     fitted = paths.is_begun if is_fitted is None else paths.is_begun & is_fitted[:, None]
     blocks = block_of_action[paths.action]
@@ -170,7 +169,7 @@ def imputation(
         if not (known & is_completed).any():
             continue
         durations = fit_durations(watched_s[known], is_completed[known], features[known])
-        terms = _terms(durations.at_s, knots, spread)
+        terms = _terms(durations.at_s, knots)
         if augmented is None:
             later = durations.expected(features[rows], watched_s[rows][:, None], terms)[:, 0]
             expected[rows] = np.where(is_completed[rows][:, None], 0.0, later)
@@ -180,7 +179,7 @@ def imputation(
             expected[rows] = np.einsum("kl,klg->kg", steps, durations.expected(features[rows], ages, terms))
     return Imputation(
         share=share,
-        terms=np.where(is_completed[..., None], _terms(watched_s, knots, spread), 0.0),
+        terms=np.where(is_completed[..., None], _terms(watched_s, knots), 0.0),
         expected=expected,
         outcome_weight=np.where(is_completed, np.minimum(share, LARGEST_OUTCOME_WEIGHT), 0.0),
         is_used=is_used,
@@ -233,11 +232,17 @@ def _truncated(
     return np.maximum(within, inverse / truncate_at)
 
 
-def _terms(duration_s: Float[np.ndarray, "*S"], knots: Float[np.ndarray, " k"], spread: float) -> np.ndarray:
-    """g(D): the duration up to the last knot, and how far it is beyond each other one, in standard deviations."""
-    bounded_s = np.minimum(duration_s, knots[-1])
-    bends = [np.maximum(bounded_s - knot, 0.0) for knot in knots[:-1]]
-    return np.stack([bounded_s, *bends], axis=-1) / spread
+def _terms(duration_s: Float[np.ndarray, "*S"], knots: Float[np.ndarray, " k"]) -> Float[np.ndarray, "*S k"]:
+    """g(D): the duration up to the last knot, and how far it is beyond each other one, by the way to the next knot.
+
+    So a coefficient is what X gains by a bend before the next one comes, and is weighed against a prior (`with_prior`)
+    of about the noise of one stage. Without it, an action whose stages all end just beyond a knot has a slope that two
+    of them decide, and that those which were cut late would be valued along.
+    """
+    begin, length = np.concatenate([[0.0], knots[:-1]]), np.diff(knots, prepend=0.0)
+    beyond = np.maximum(np.minimum(duration_s, knots[-1])[..., None] - begin, 0.0)
+    # Knots of tied durations are one and the same: no way from one to the next, and no bend.
+    return beyond / np.where(length > 0, length, np.inf)
 
 
 def _duration_features(paths: PathArrays, is_used: Float[np.ndarray, " F"]) -> Float[np.ndarray, "n T P"]:

@@ -133,6 +133,17 @@ def factorise(gram: Float[Array, "V K F F"], is_scaled: bool = True) -> Factor:
     return Factor(gram, train_gram, scale, eigenvalues, eigenvectors)
 
 
+def with_prior(gram: Float[Array, "V K F F"], num_last: int) -> Float[Array, "V K F F"]:
+    """Let each of the last features count as seen once, at 1 and alone, with nothing to explain.
+
+    So its coefficient is shrunk towards 0 as far as one row would, and a feature that was hardly ever seen, or never
+    far from 0, has no coefficient out of all proportion.
+    """
+    num_folds, _, _, num_features = gram.shape
+    is_last = jnp.arange(num_features) >= num_features - num_last
+    return gram + jnp.diag(jnp.where(is_last, 1.0 / num_folds, 0.0)).astype(gram.dtype)
+
+
 def waiting_for(earlier: Float[Array, "..."], gram: Float[Array, "V K F F"]) -> Float[Array, "V K F F"]:
     """Make a Gram matrix wait for what comes of another factorisation, and change nothing.
 

@@ -36,6 +36,7 @@ from halfseen.learners.q_learning.least_squares import (
     gram_of,
     solve,
     waiting_for,
+    with_prior,
 )
 from halfseen.learners.q_learning.spread import Spread, roots, spread_of_rows, standard_errors
 from halfseen.learners.q_learning.transitions import (
@@ -123,7 +124,7 @@ class Regression(NamedTuple):
             return self._with_spread(_Prepared(main, None), log, weight)
         given, used = log.imputation, taken * log.imputation.is_used
         outcome = self._design(log, jnp.where(weight > 0, given.outcome_weight, 0.0), used, given.terms)
-        gram = waiting_for(main.factor.eigenvalues, gram_of(outcome))
+        gram = waiting_for(main.factor.eigenvalues, with_prior(gram_of(outcome), given.terms.shape[-1]))
         found = _Prepared(main, _Sums(outcome, factorise(gram, self.is_scaled)))
         return self._with_spread(found, log, weight)
 
