@@ -18,11 +18,15 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy import stats
 
 from halfseen.evaluation.estimate import Estimate, estimate_of
 from halfseen.evaluation.sensitivity import undone_at
 from halfseen.evaluation.verdict import Verdict, verdict_of
+
+WRONG_BY = 0.5
+"""Standard deviations (of targets about Q) by which the regression of cut stages may be wrong where no weight corrects
+it; two policies meet the same mistake. Chosen on logs of `benchmarks/worlds` that `benchmarks/verdicts.py` never
+sees."""
 
 
 class Contender(NamedTuple):
@@ -35,6 +39,8 @@ class Contender(NamedTuple):
     """The same value without each fold."""
     errors: Float[np.ndarray, "n T"] | None = None
     """What 1/Ĝ of each completed stage is multiplied by in it."""
+    by_regression: float = 0.0
+    """How far it would be off if the regression of cut stages were, by a standard deviation, where it stands alone."""
     effective_sample_size: float = 0.0
     why_unknown: str | None = None
     """Why nothing is to be believed, if so."""
@@ -42,7 +48,8 @@ class Contender(NamedTuple):
     def estimate(self, level: float) -> Estimate:
         """What it earns."""
         assert self.values is not None
-        return estimate_of(self.values, self.effective_sample_size, level, self.without)
+        bias = WRONG_BY * abs(self.by_regression)
+        return estimate_of(self.values, self.effective_sample_size, level, self.without, bias)
 
     def less(self, other: "Contender", level: float) -> Estimate:
         """How much more it earns than another, path by path."""
@@ -50,7 +57,8 @@ class Contender(NamedTuple):
         assert other.values is not None
         size = min(self.effective_sample_size, other.effective_sample_size)
         without = None if self.without is None or other.without is None else self.without - other.without
-        return estimate_of(self.values - other.values, size, level, without)
+        bias = WRONG_BY * abs(self.by_regression - other.by_regression)
+        return estimate_of(self.values - other.values, size, level, without, bias)
 
 
 SEVERITY: dict[Verdict, int] = {"not better": 0, "cannot be said": 1, "better": 2}
@@ -131,7 +139,7 @@ def _difference(ours: Contender, opponent: Contender, level: float) -> Estimate 
 
 def _believed_p(ours: Contender, opponent: Contender, difference: Estimate | None) -> float | None:
     is_unknown = difference is None or ours.why_unknown or opponent.why_unknown
-    return None if difference is None or is_unknown else p_value(difference)
+    return None if difference is None or is_unknown else difference.p_value
 
 
 def _comparison(
@@ -149,13 +157,6 @@ def _comparison(
         verdict, reason = verdict_of(difference, opponent.name, adjusted_p <= 1.0 - level)
     value = None if opponent.values is None else opponent.estimate(level)
     return Comparison(opponent.name, value, difference, p, adjusted_p, verdict, reason)
-
-
-def p_value(difference: Estimate) -> float:
-    """Two-sided, by the same t distribution as its interval; 1 for a policy that differs in nothing."""
-    if difference.standard_error == 0.0:
-        return float(difference.value == 0.0)
-    return float(2.0 * stats.t.sf(abs(difference.value) / difference.standard_error, difference.degrees_of_freedom))
 
 
 def hochberg(p: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:

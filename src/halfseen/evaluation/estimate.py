@@ -1,10 +1,12 @@
 """A number with its interval, from what each path adds to it."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 from scipy import stats
+from scipy.optimize import brentq
 
 from halfseen.errors import ArgumentError
 
@@ -25,6 +27,8 @@ class Estimate:
         Paths of equal weight that would say as much.
     degrees_of_freedom
         Of the t distribution behind the interval.
+    bias
+        Bias either way that the interval allows for.
     """
 
     value: float
@@ -33,6 +37,17 @@ class Estimate:
     standard_error: float
     effective_sample_size: float
     degrees_of_freedom: float = np.inf
+    bias: float = 0.0
+
+    @property
+    def p_value(self) -> float:
+        """Of the truth being 0, two-sided, whatever the bias; by the same distribution as the interval.
+
+        1 for an estimate of 0 that nothing can change.
+        """
+        if self.standard_error == 0.0:
+            return float(abs(self.value) <= self.bias)
+        return _beyond(abs(self.value) / self.standard_error, self.bias / self.standard_error, self.degrees_of_freedom)
 
 
 def estimate_of(
@@ -40,6 +55,7 @@ def estimate_of(
     effective_sample_size: float | int,
     level: float,
     without: Float[np.ndarray, " K"] | None = None,
+    bias: float = 0.0,
 ) -> Estimate:
     """Mean of what paths add, with a t interval of as many degrees of freedom as there are effective paths, less one.
 
@@ -56,12 +72,14 @@ def estimate_of(
         Of the interval.
     without
         The value by all but each of K groups of paths.
+    bias
+        To be allowed for, either way.
     """
     value, error = float(np.mean(influence)), float(np.std(influence, ddof=1) / np.sqrt(len(influence)))
-    by_paths = around(value, error, effective_sample_size, effective_sample_size - 1.0, level)
+    by_paths = around(value, error, effective_sample_size, effective_sample_size - 1.0, level, bias)
     if without is None:
         return by_paths
-    by_groups = around(value, jackknife_error(without), effective_sample_size, len(without) - 1, level)
+    by_groups = around(value, jackknife_error(without), effective_sample_size, len(without) - 1, level, bias)
     return max(by_paths, by_groups, key=lambda one: one.high - one.low)
 
 
@@ -72,12 +90,35 @@ def jackknife_error(without: Float[np.ndarray, " K"]) -> float:
 
 
 def around(
-    value: float, standard_error: float, effective_sample_size: float | int, freedom: float | int, level: float
+    value: float,
+    standard_error: float,
+    effective_sample_size: float | int,
+    freedom: float | int,
+    level: float,
+    bias: float = 0.0,
 ) -> Estimate:
-    """A t interval around a value; its standard error has `freedom` degrees of freedom, at least 1."""
+    """A t interval around a value; its standard error has `freedom` degrees of freedom, at least 1.
+
+    With a bias β of either sign it is the shortest symmetric one that holds the truth as often as `level` says
+    [ArmstrongKolesar2018]_.
+    """
     known = max(float(freedom), 1.0)
-    reach = float(stats.t.ppf((1.0 + level) / 2.0, known)) * standard_error
-    return Estimate(value, value - reach, value + reach, standard_error, float(effective_sample_size), known)
+    reach = bias if standard_error == 0.0 else _quantile(level, bias / standard_error, known) * standard_error
+    return Estimate(value, value - reach, value + reach, standard_error, float(effective_sample_size), known, bias)
+
+
+def _beyond(x: float, shift: float, freedom: float) -> float:
+    """P(|T + shift| > x)."""
+    return float(stats.t.sf(x - shift, freedom) + stats.t.sf(x + shift, freedom))
+
+
+def _quantile(level: float, shift: float, freedom: float) -> float:
+    """The x that |T + shift| does not exceed with probability `level`."""
+    centred = float(stats.t.ppf((1.0 + level) / 2.0, freedom))
+    if shift == 0.0:
+        return centred
+    root: Any = brentq(lambda x: _beyond(x, shift, freedom) - (1.0 - level), 0.0, centred + shift)
+    return float(root)
 
 
 def check_level(level: float) -> None:

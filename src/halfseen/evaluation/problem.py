@@ -29,6 +29,9 @@ class Contribution(NamedTuple):
     """The value without each fold."""
     errors: Float[np.ndarray, "n T"]
     """What 1/Ĝ of each completed stage is multiplied by."""
+    by_regression: float = 0.0
+    """How far the value would be off if the regression of cut stages were, by a standard deviation, where it stands
+    alone [reward]."""
 
 
 class Problem(NamedTuple):
@@ -79,12 +82,31 @@ class Problem(NamedTuple):
         value, taken = (np.asarray(leaf)[self.fold, np.arange(len(self.fold))] for leaf in (judged.value, judged.taken))
         successor = np.concatenate([value[:, 1:], np.zeros_like(value[:, :1])], axis=1)
         target = self.paths.reward + np.where(self.paths.is_last, 0.0, successor)
-        return Contribution(values, without, self.errors(target - taken))
+        residual = target - taken
+        return Contribution(values, without, self.errors(residual), self.alone * self.deviation(residual))
 
     def errors(self, residual: Float[np.ndarray, "n T"]) -> Float[np.ndarray, "n T"]:
         """What 1/Ĝ of each completed stage is multiplied by, where the stage adds its weighted residual."""
         uncut = self.nuisances[-1].uncut
         return np.where(uncut > 0, self.completed.normalised / np.where(uncut > 0, uncut, 1.0) * residual, 0.0)
+
+    @property
+    def alone(self) -> float:
+        """Weight of what the regression of cut stages says with nothing to correct it, a path.
+
+        Of the stages that begin, so many end so late that completed ones stand for them by no weight, or by a truncated
+        one.
+        """
+        given = self.nuisances[-1]
+        if given.imputation is None:
+            return 0.0
+        missing = np.where(self.paths.is_begun, 1.0 - given.imputation.share, 0.0)
+        return max(0.0, float((self.weights(given).normalised * missing).sum() / self.paths.num_paths))
+
+    def deviation(self, residual: Float[np.ndarray, "n T"]) -> float:
+        """Standard deviation of the targets of stages about Q."""
+        weight = self.nuisances[-1].uncut * self.paths.is_completed
+        return float(np.sqrt(np.sum(weight * residual**2) / weight.sum())) if weight.any() else 0.0
 
     @property
     def excess(self) -> Float[np.ndarray, "n T"]:

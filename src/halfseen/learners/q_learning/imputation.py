@@ -16,10 +16,11 @@ if m is right, whatever K̂ is. m is a step function of the age, so the integral
 must be right.
 
 m comes from two regressions, on the completed stages: of X on φ(S_t, A_t) and terms g(D) of the duration, a spline of
-few bends, by block and anew at each step of eq. 3 (`recursion`); and of D on φ and t, by proportional hazards with a baseline for each block,
-which says what g(D) is to be expected. A stage that is completed is not a fair draw of all, but given its duration it
-is, if cuts depend on (S_t, A_t) alone; so a regression that is right needs no weights. One that is a little wrong had
-better be wrong where stages are short: for doubly robust targets each stage weighs δ/K̂(D⁻), truncated.
+few bends, by block and anew at each step of eq. 3 (`recursion`); and of D on φ and t, by proportional hazards with a
+baseline for each block, which says what g(D) is to be expected. A stage that is completed is not a fair draw of all,
+but given its duration it is, if cuts depend on (S_t, A_t) alone; so a regression that is right needs no weights. One
+that is a little wrong had better be wrong where stages are short: for doubly robust targets each stage weighs
+δ/K̂(D⁻), truncated.
 """
 
 from dataclasses import dataclass
