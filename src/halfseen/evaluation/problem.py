@@ -11,7 +11,7 @@ from halfseen.evaluation.cross_fitting import Nuisances, nuisances_by_folds, nui
 from halfseen.evaluation.doubly_robust import cross_fitted
 from halfseen.evaluation.fitted_q import judged_by_folds
 from halfseen.evaluation.propensity import estimated_propensity, logged_propensity
-from halfseen.evaluation.ratios import StageWeights, begun_weights, completed_weights, likelihood_ratios
+from halfseen.evaluation.ratios import StageWeights, begun_weights, completed_weights, likelihood_ratios, paths_for_one
 from halfseen.evaluation.targets import target_probabilities
 from halfseen.learners.q_learning.judging import Judged
 from halfseen.learners.q_learning.path_arrays import PathArrays
@@ -51,6 +51,8 @@ class Problem(NamedTuple):
     """Of the stages that the log holds."""
     unseen: str | None
     """An action that the policy takes and that the log never saw completed, in words."""
+    paths_for_one: float = 1.0
+    """How many paths of the logging policy are worth one of the policy, cuts apart."""
     is_revealed: bool = False
     """Whether the log itself says where the policy was followed."""
 
@@ -151,6 +153,7 @@ def following(
     return problem._replace(
         log=problem.log._replace(policy=probabilities),
         ratio=likelihood_ratios(followed, problem.likely, paths),
+        paths_for_one=paths_for_one(followed, problem.likely, paths),
         support=_support(followed, paths)[: problem.logs.horizon],
         unseen=_unseen(probabilities, paths, problem.model),
         is_revealed=is_taken is not None,
@@ -160,7 +163,7 @@ def following(
 def as_logged(problem: Problem) -> Problem:
     """The same log, with the logged action for a policy: ρ is 1, and no propensity is needed."""
     log = problem.log._replace(policy=_one_hot(problem.paths))
-    return problem._replace(log=log, ratio=np.ones_like(problem.ratio), is_revealed=False)
+    return problem._replace(log=log, ratio=np.ones_like(problem.ratio), paths_for_one=1.0, is_revealed=False)
 
 
 def logging_contribution(problem: Problem) -> Contribution:

@@ -72,10 +72,35 @@ def likelihood_ratios(
     paths
         The log.
     """
-    taken = np.take_along_axis(probabilities, paths.action[..., None], axis=2)[..., 0]
     known = paths.is_begun & paths.has_action
-    ratio = np.cumprod(np.where(known, taken / propensity, 1.0), axis=1)
-    return np.where(known, ratio, 0.0)
+    return np.where(known, np.cumprod(_single(probabilities, propensity, paths), axis=1), 0.0)
+
+
+def paths_for_one(
+    probabilities: Float[np.ndarray, "n T A"], propensity: Float[np.ndarray, "n T"], paths: PathArrays
+) -> float:
+    """How many uncut paths of the logging policy are worth one of the policy: E[ρ²], by what is logged of each stage.
+
+    Of ρ² itself a log knows little where few paths do as the policy would to their end. So it is put together from the
+    stages, Π_t E[(π/b)²], as if they had nothing to do with one another, and averaged over the lengths of the paths.
+
+    Parameters
+    ----------
+    probabilities, propensity, paths
+        As for `likelihood_ratios`.
+    """
+    known, squares = paths.is_begun & paths.has_action, _single(probabilities, propensity, paths) ** 2
+    mean = np.where(known, squares, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+    whole = paths.clocks.is_finished if paths.clocks.is_finished.any() else np.ones(paths.num_paths, dtype=bool)
+    return float(np.prod(np.where(known[whole], mean, 1.0), axis=1).mean())
+
+
+def _single(
+    probabilities: Float[np.ndarray, "n T A"], propensity: Float[np.ndarray, "n T"], paths: PathArrays
+) -> Float[np.ndarray, "n T"]:
+    """π/b of each begun stage whose action is known; 1 elsewhere."""
+    taken = np.take_along_axis(probabilities, paths.action[..., None], axis=2)[..., 0]
+    return np.where(paths.is_begun & paths.has_action, taken / propensity, 1.0)
 
 
 def completed_weights(

@@ -12,9 +12,16 @@ Verdict = Literal["better", "not better", "cannot be said"]
 FEWEST_PATHS = 10.0
 """Below this effective sample size no interval is believed."""
 
+MANY_PATHS = 1e6
+"""More than anybody records."""
+
 
 def why_unknown(
-    who: str, support: Float[np.ndarray, " T"], effective_sample_size: float, unseen: str | None = None
+    who: str,
+    support: Float[np.ndarray, " T"],
+    effective_sample_size: float,
+    unseen: str | None = None,
+    paths_for_one: float = np.inf,
 ) -> str | None:
     """Say why a log tells nothing of what a policy earns; None if it does.
 
@@ -28,6 +35,8 @@ def why_unknown(
         Of the paths that follow it.
     unseen
         An action that it takes and that the log never saw completed.
+    paths_for_one
+        How many paths like those of the log are worth one that follows it.
     """
     if unseen is not None:
         return (
@@ -43,9 +52,17 @@ def why_unknown(
     if effective_sample_size < FEWEST_PATHS:
         return (
             f"the effective sample size is {effective_sample_size:.1f} paths that follow {who}, and fewer than "
-            f"{FEWEST_PATHS:g} tell nothing; record more paths, or some of a logging policy that is closer to this one"
+            f"{FEWEST_PATHS:g} tell nothing; {_remedy(FEWEST_PATHS * paths_for_one)}"
         )
     return None
+
+
+def _remedy(num_paths: float) -> str:
+    closer = "of a logging policy that is closer to this one"
+    if not num_paths < MANY_PATHS:
+        return f"no log of a size that can be recorded would do: record some paths {closer}"
+    size = 10.0 ** np.floor(np.log10(num_paths))
+    return f"some {np.ceil(num_paths / size) * size:,.0f} paths like these would do, or fewer {closer}"
 
 
 def verdict_of(
