@@ -23,11 +23,11 @@ from halfseen.learners.q_learning.recursion import backward
 from halfseen.learners.q_learning.room import padded, with_room
 from halfseen.learners.q_learning.transitions import StageMode, Transitions
 
-NUM_FOLDS = 5
+NUM_FOLDS = 2
 
-FEWEST_PATHS = 4 * NUM_FOLDS
+FEWEST_PATHS = 20
 
-CLEARLY = 1.0
+CLEARLY = 2.0
 """Standard errors by which separate stages must predict better."""
 
 
