@@ -2,9 +2,9 @@
 
 The state is the standardised covariates and the stage, one-hot; impossible actions are masked when a policy decides.
 Adam at 3e-4 on batches of 64, a target network that follows every 200 steps, no discount; d3rlpy's own 8,000 steps
-between targets and rate of 6e-5 are made for millions of steps. Logs are small, and networks learn them by heart: of 100
-to 10,000 steps, rates of 1e-4 to 1e-3, batches of 64 and 256 and CQL's α of 0.3 to 16, these numbers of steps (and α
-of 1) did best on logs of the cell and the trial of seeds below 1000.
+between targets and rate of 6e-5 are made for millions of steps. Logs are small, and networks learn them by heart: of
+100 to 10,000 steps, rates of 1e-4 to 1e-3, batches of 64 and 256 and CQL's α of 0.3 to 16, these numbers of steps (and
+α of 1) did best on logs of the cell and the trial of seeds below 1000.
 """
 
 import logging
