@@ -1,4 +1,6 @@
+import html
 import json
+import shlex
 import sys
 from pathlib import Path
 
@@ -56,6 +58,17 @@ def test_says_the_answer_and_where_the_page_is_and_the_same_again(folder, tmp_pa
     assert len(numbers["policy"]["curves"]) == 4
     assert numbers["log"]["watched"]["num_watched"][0] == 24
     assert numbers["seed"] == 2
+
+
+def test_the_page_is_against_whom_it_is_told(folder, tmp_path):
+    sequence = "sequence:" + ",".join([ACTIONS[0]] * 2)
+    arguments = [folder / "logs", folder / "policy", "--replicates", 4, "--against", sequence, "--against", "logging"]
+    numbers = json.loads(run(*arguments, "--out", tmp_path / "a.html", "--json").stdout)
+    opponents = [each["opponent"] for each in numbers["value"]["comparisons"]]
+    assert len(opponents) == 2
+    assert opponents[1] == "the logging policy"
+    page = html.unescape((tmp_path / "a.html").read_text())
+    assert f"--against {shlex.quote(sequence)} --against logging --replicates 4" in page
 
 
 def test_bad_input_is_one_line_and_nothing_is_written(folder, tmp_path):

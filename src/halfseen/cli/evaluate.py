@@ -23,13 +23,7 @@ if TYPE_CHECKING:
 @click.argument("policy", type=options.PATH)
 @click.argument("clouds", type=options.PATH, nargs=-1)
 @click.option("--logs", type=options.PATH, help="Folder of logs that another policy made.")
-@click.option(
-    "--against",
-    multiple=True,
-    metavar="OPPONENT",
-    help="Of --logs: what it has to beat, once or more: logging, logging-rule (without its exploration), "
-    "sequence:A,B,A, a rule (.csv or .toml), a policy folder; by default the first two.",
-)
+@options.against
 @click.option("--world", "in_world", is_flag=True, help="Play the tables of CLOUDS in the simulated world instead.")
 @options.policys_censoring
 @click.option(

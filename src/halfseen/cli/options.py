@@ -18,6 +18,13 @@ policys_censoring = click.option(
 policys_truncation = click.option(
     "--truncate-at", type=float, help="Largest weight allowed; by default the policy's own."
 )
+against = click.option(
+    "--against",
+    multiple=True,
+    metavar="OPPONENT",
+    help="What it has to beat, once or more: logging, logging-rule (without its exploration), sequence:A,B,A, a rule "
+    "(.csv or .toml), a policy folder; by default the first two.",
+)
 propensity = click.option(
     "--propensity",
     type=click.Choice(["logged", "estimated"]),

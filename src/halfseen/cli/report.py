@@ -18,6 +18,7 @@ NUM_STEPS = 6
 @click.argument("logs", type=options.PATH)
 @click.argument("policy", type=options.PATH)
 @click.option("--out", type=options.PATH, default=Path("report.html"), show_default=True, help="The page.")
+@options.against
 @options.policys_censoring
 @options.propensity
 @options.policys_truncation
@@ -31,12 +32,22 @@ NUM_STEPS = 6
 @options.seed("page")
 @options.overwrite("a page that is")
 @click.option("--json", "as_json", is_flag=True, help="Print the numbers behind the page as one JSON object.")
-def report(logs: Path, policy: Path, out: Path, overwrite: bool, seed: int, as_json: bool, **chosen: Any) -> None:
+def report(
+    logs: Path,
+    policy: Path,
+    out: Path,
+    against: tuple[str, ...],
+    overwrite: bool,
+    seed: int,
+    as_json: bool,
+    **chosen: Any,
+) -> None:
     """Write one page about the folder LOGS and the policy in the folder POLICY.
 
-    It opens with the answer: is the policy better than the one that made the logs? Below: what it is worth with 95 %
-    intervals, what the logs hold, what cut them and what looks wrong, what the weights rest on, what was learned and
-    what it would do differently, and what nobody can know from these logs. The page stands alone: mail it, print it.
+    It opens with the answer: is the policy better than the one that made the logs, or than whatever --against names?
+    Below: what it is worth with 95 % intervals, what the logs hold, what cut them and what looks wrong, what the
+    weights rest on, what was learned and what it would do differently, and what nobody can know from these logs. The
+    page stands alone: mail it, print it.
     """
     from halfseen.logs import read_logs
     from halfseen.logs.formats.extras import extra
@@ -48,12 +59,13 @@ def report(logs: Path, policy: Path, out: Path, overwrite: bool, seed: int, as_j
     from halfseen.report.page import check_page_target, page_of, write_page
 
     check_page_target(out, overwrite)
-    command = _command(logs, policy, seed, chosen)
+    command = _command(logs, policy, against, seed, chosen)
     with progress(NUM_STEPS, "read") as bar:
         stored, log = read_policy(policy), read_logs(logs)
         num_replicates = chosen.pop("replicates")
         on_progress = partial(begin, bar)
-        findings = find(stored, log, seed=seed, num_replicates=num_replicates, on_progress=on_progress, **chosen)
+        told: dict[str, Any] = {"against": list(against) or None, "num_replicates": num_replicates}
+        findings = find(stored, log, seed=seed, on_progress=on_progress, **told, **chosen)
         begin(bar, "draw")
         page = page_of(findings, command)
         bar.update()
@@ -65,11 +77,13 @@ def report(logs: Path, policy: Path, out: Path, overwrite: bool, seed: int, as_j
     click.echo(f"{findings.evaluation.sentence}\nThe page: {out}")
 
 
-def _command(logs: Path, policy: Path, seed: int, chosen: dict[str, Any]) -> str:
+def _command(logs: Path, policy: Path, against: tuple[str, ...], seed: int, chosen: dict[str, Any]) -> str:
     """Write the command that makes the page again, wherever it is put."""
     usual = {"propensity": "logged", "replicates": 100}
     told = {name: value for name, value in chosen.items() if value is not None and usual.get(name) != value}
     parts = ["halfseen", "report", str(logs), str(policy)]
+    for opponent in against:
+        parts += ["--against", opponent]
     for name, value in {**told, "seed": seed}.items():
         parts += [f"--{name.replace('_', '-')}", f"{value:g}" if isinstance(value, float) else str(value)]
     return shlex.join(parts)

@@ -69,6 +69,7 @@ def find(
     stored: StoredPolicy,
     logs: Logs,
     *,
+    against: list[str] | None = None,
     propensity: str = "logged",
     seed: int = 0,
     num_replicates: int = 100,
@@ -77,15 +78,15 @@ def find(
 ) -> Findings:
     """Find out all that the page tells of a policy and the log that it is judged by.
 
-    `chosen` are parameters of the evaluation that are not to be the policy's own (`specification_of`); bands around Q
-    come from `num_replicates` draws of paths.
+    `against` is what the policy has to beat (see `evaluate`). `chosen` are parameters of the evaluation that are not to
+    be the policy's own (`specification_of`); bands around Q come from `num_replicates` draws of paths.
     """
     on_progress("evaluate")
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always", HalfseenWarning)
         spec = specification_of(stored, logs, **chosen)
         task = (spec.q and spec.q.task) or task_of(stored.policy, logs)
-        options: Any = {"propensity": propensity, "random_state": seed}
+        options: Any = {"against": against, "propensity": propensity, "random_state": seed}
         evaluation = evaluate(stored.policy, logs, censoring=spec.censoring, q=spec.q, **options)
         on_progress("look at the log")
         positivity = positivity_of(logs)

@@ -37,8 +37,10 @@ FEWEST_WATCHED = 10
 def answer(evaluation: Evaluation) -> tuple[str, str]:
     """The verdict and why; and what to do about it, if there is something."""
     why, _, remedy = evaluation.reason.partition("; ")
-    answered = VERDICTS[evaluation.verdict].format(_opponents(evaluation))
-    return f"{answered}: {why}.", as_sentence(remedy) if remedy else ""
+    opponents = _opponents(evaluation)
+    answered = VERDICTS[evaluation.verdict].format(opponents)
+    # Who was just named need not be named again.
+    return f"{answered}: {why.replace(f' than {opponents}', '', 1)}.", as_sentence(remedy) if remedy else ""
 
 
 def _opponents(evaluation: Evaluation) -> str:
