@@ -17,6 +17,7 @@ pytestmark = pytest.mark.slow
     [
         ("planning.py", "--episodes", "1"),
         ("world_steps.py", "--steps", "2", "--runs", "1"),
+        ("calibration.py", "--tables", "1", "--states", "2", "--paths", "30"),
         ("coverage.py", "--logs", "2", "--row", "cut 1/3"),
         ("verdicts.py", "--logs", "2", "--world", "trial", "--share", "1/3", "--setting", "default"),
         ("learners.py", "--logs", "1", "--worlds", "trial", "--shares", "0.3", "--methods", "quadratic, imputed"),

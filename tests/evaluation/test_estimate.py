@@ -54,11 +54,11 @@ def test_what_no_weight_corrects_is_what_the_shares_leave():
         begun = np.flatnonzero(paths.is_begun[:, stage])
         mean = np.mean(weights.standing[:, stage])
         total += sum(weights.weight[i, stage] / mean * (1.0 - share[i, stage]) for i in begun) / paths.num_paths
-    assert own.alone == pytest.approx(max(total, 0.0))
+    assert own.uncorrected_weight == pytest.approx(max(total, 0.0))
 
 
 def test_where_nothing_was_cut_no_bias_is_allowed_for():
-    assert problem(trial(3, num_paths=200)).alone == 0.0
+    assert problem(trial(3, num_paths=200)).uncorrected_weight == 0.0
     assert evaluate(TARGET, trial(3, num_paths=200)).doubly_robust.bias == 0.0
 
 

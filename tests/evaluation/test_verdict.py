@@ -15,21 +15,37 @@ def problem(policy, logs):
     return problem_of(policy, widened, model, "logged", np.random.default_rng(0), 2)
 
 
-def test_paths_for_one_is_the_mean_squared_ratio():
+def test_of_uncut_paths_as_many_are_worth_one_as_their_mean_squared_ratio():
     """States are fair coins, so stages have nothing to do with one another but that some paths end after the first."""
     chance_b = np.array([0.9, 0.2])
     stage = 0.5 * (chance_b**2 / CHANCE_B + (1.0 - chance_b) ** 2 / (1.0 - CHANCE_B)).sum()
     leaves = 0.5 * (1.0 - CHANCE_B[1])
     found = problem(StatePolicy(tuple(chance_b)), trial(0, num_paths=4000))
     assert found.paths_for_one == pytest.approx(leaves * stage + (1.0 - leaves) * stage**2, rel=0.1)
-    assert as_logged(found).paths_for_one == 1.0
+    assert as_logged(found).paths_for_one == pytest.approx(1.0)
 
 
-def test_it_says_how_many_paths_would_do():
-    some = why_unknown("the policy", np.ones(2), 2.6, None, 231.0)
-    assert "the effective sample size is 2.6" in some
-    assert "some 3,000 paths like these would do" in some
-    assert "some 90 paths" in why_unknown("the policy", np.ones(2), 9.9, None, 9.0)
-    for never in (np.inf, np.nan, 1e9):
-        assert "no log of a size that can be recorded would do" in why_unknown("it", np.ones(2), 0.1, None, never)
-    assert why_unknown("the policy", np.ones(2), 10.0, None, np.inf) is None
+def test_cuts_take_more_paths():
+    policy = StatePolicy((0.9, 0.2))
+    uncut, cut = (problem(policy, trial(0, num_paths=400, cut_rate=rate)) for rate in (0.0, 0.2))
+    by_cuts = as_logged(cut).effective_sample_size / 400
+    assert cut.paths_for_one == pytest.approx(cut.squared_ratio / by_cuts)
+    assert cut.paths_for_one > 1.2 * uncut.paths_for_one
+
+
+@pytest.mark.parametrize(
+    ("paths_for_one", "said"),
+    [
+        (231.0, "some 3,000 paths like these would do"),
+        (41.0, "some 500 paths like these would do"),
+        (30.0, "record more paths, or some of a logging policy"),
+        (np.inf, "no log of a size that can be recorded would do"),
+        (np.nan, "no log of a size that can be recorded would do"),
+        (1e9, "no log of a size that can be recorded would do"),
+    ],
+)
+def test_it_says_how_many_paths_would_do(paths_for_one, said):
+    why = why_unknown("the policy", np.ones(2), 2.6, None, 400, paths_for_one)
+    assert "the effective sample size is 2.6" in why
+    assert said in why
+    assert why_unknown("the policy", np.ones(2), 10.0, None, 400, paths_for_one) is None

@@ -22,6 +22,7 @@ from halfseen.report.findings import find
 from halfseen.report.log_findings import watched
 from halfseen.report.page import MARK, page_of, write_page
 from halfseen.report.policy_findings import choices, q_curves
+from halfseen.report.sentences import answer
 from small_logs import table_log
 
 SECTIONS = ("value", "log", "weights", "policy", "unknown", "again")
@@ -108,6 +109,15 @@ def test_every_section_and_figure_is_there_and_the_answer_comes_first(page):
         "seed 3",
     ):
         assert words.lower() in text.lower()
+
+
+@pytest.mark.parametrize("verdict", ["better", "not better", "cannot be said"])
+def test_the_answer_names_the_opponent_once(verdict):
+    reason = "it earns between -1 and 2 more a path than the logging policy; if it is 1, twice as many paths would tell"
+    said, remedy = answer(replace(evaluation(verdict), reason=reason))
+    assert said.count("the logging policy") == 1
+    assert said.endswith(": it earns between -1 and 2 more a path.")
+    assert remedy == "If it is 1, twice as many paths would tell."
 
 
 def test_the_page_stands_alone(page):

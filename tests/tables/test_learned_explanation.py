@@ -61,6 +61,31 @@ def test_the_more_paths_the_less_doubt(explainer, state):
     assert np.median(surer.high - surer.low) < 0.7 * np.median(found.high - found.low)
 
 
+def test_an_error_that_lasts_makes_everything_less_sure(explainer, state):
+    kind, harsh = (replace(explainer, lasting_error=error).explain(state) for error in (0.0, 50.0))
+    assert (harsh.high - harsh.low > 3.0 * (kind.high - kind.low)).all()
+    assert harsh.probability_best.max() < kind.probability_best.max() or kind.probability_best.max() < 0.5
+    np.testing.assert_array_equal(harsh.values, kind.values)
+
+
+def test_intervals_are_about_q_and_not_about_its_lower_bound(learner, explainer, state):
+    q = np.asarray(replace(learner.policy_, margin=None).q_values(state))
+    found = explainer.explain(state)
+    assert learner.policy_.margin is not None
+    assert ((found.low < q) & (q < found.high)).all()
+    assert (found.values <= q).all()
+
+
+def test_a_verb_that_was_never_seen_completed_is_impossible(explainer, state):
+    is_seen = np.ones((HORIZON, 3), dtype=bool)
+    is_seen[:, 2] = False
+    policies = (replace(policy, is_seen=jnp.asarray(is_seen)) for policy in (explainer.policy, explainer.replicates))
+    found = replace(explainer, **dict(zip(("policy", "replicates"), policies, strict=True))).explain(state)
+    assert np.isfinite(found.values[:4]).all()
+    assert (found.values[4:] == -np.inf).all()
+    assert (found.probability_best[4:] == 0.0).all()
+
+
 def test_objects_that_nothing_tells_apart_are_equally_good(explainer, state):
     alike = replace(state, hides=jnp.zeros((3, 3)), log_odds=jnp.array([2.0, 2.0, 0.0]))
     found = explainer.explain(alike)

@@ -25,8 +25,7 @@ from halfseen.evaluation.verdict import Verdict, verdict_of
 
 WRONG_BY = 0.5
 """Standard deviations (of targets about Q) by which the regression of cut stages may be wrong where no weight corrects
-it; two policies meet the same mistake. Chosen on logs of `benchmarks/worlds` that `benchmarks/verdicts.py` never
-sees."""
+it; two policies meet the same mistake. Our choice, made on logs of the cell that `benchmarks/verdicts.py` has not."""
 
 
 class Contender(NamedTuple):
@@ -39,8 +38,8 @@ class Contender(NamedTuple):
     """The same value without each fold."""
     errors: Float[np.ndarray, "n T"] | None = None
     """What 1/Ĝ of each completed stage is multiplied by in it."""
-    by_regression: float = 0.0
-    """How far it would be off if the regression of cut stages were, by a standard deviation, where it stands alone."""
+    uncorrected: float = 0.0
+    """What it is off by for each standard deviation that the regression of cut stages is [reward]."""
     effective_sample_size: float = 0.0
     why_unknown: str | None = None
     """Why nothing is to be believed, if so."""
@@ -48,7 +47,7 @@ class Contender(NamedTuple):
     def estimate(self, level: float) -> Estimate:
         """What it earns."""
         assert self.values is not None
-        bias = WRONG_BY * abs(self.by_regression)
+        bias = WRONG_BY * abs(self.uncorrected)
         return estimate_of(self.values, self.effective_sample_size, level, self.without, bias)
 
     def less(self, other: "Contender", level: float) -> Estimate:
@@ -57,7 +56,7 @@ class Contender(NamedTuple):
         assert other.values is not None
         size = min(self.effective_sample_size, other.effective_sample_size)
         without = None if self.without is None or other.without is None else self.without - other.without
-        bias = WRONG_BY * abs(self.by_regression - other.by_regression)
+        bias = WRONG_BY * abs(self.uncorrected - other.uncorrected)
         return estimate_of(self.values - other.values, size, level, without, bias)
 
 

@@ -229,9 +229,9 @@ def _contenders(
 
 def _contender(name: str, problem: Problem, judged: Judged | None = None) -> Contender:
     added = problem.contribution(problem.judged(problem.nuisances[:-1]) if judged is None else judged)
-    size = problem.effective_sample_size
-    per_path = problem.paths_for_one * problem.paths.num_paths / as_logged(problem).effective_sample_size
-    return Contender(name, *added, size, why_unknown(name, problem.support, size, problem.unseen, per_path))
+    size, num_paths = problem.effective_sample_size, problem.paths.num_paths
+    why = why_unknown(name, problem.support, size, problem.unseen, num_paths, problem.paths_for_one)
+    return Contender(name, *added, size, why)
 
 
 def _logging(problem: Problem) -> Contender:

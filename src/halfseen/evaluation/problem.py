@@ -11,7 +11,13 @@ from halfseen.evaluation.cross_fitting import Nuisances, nuisances_by_folds, nui
 from halfseen.evaluation.doubly_robust import cross_fitted
 from halfseen.evaluation.fitted_q import judged_by_folds
 from halfseen.evaluation.propensity import estimated_propensity, logged_propensity
-from halfseen.evaluation.ratios import StageWeights, begun_weights, completed_weights, likelihood_ratios, paths_for_one
+from halfseen.evaluation.ratios import (
+    StageWeights,
+    begun_weights,
+    completed_weights,
+    likelihood_ratios,
+    mean_squared_ratio,
+)
 from halfseen.evaluation.targets import target_probabilities
 from halfseen.learners.q_learning.judging import Judged
 from halfseen.learners.q_learning.path_arrays import PathArrays
@@ -29,9 +35,8 @@ class Contribution(NamedTuple):
     """The value without each fold."""
     errors: Float[np.ndarray, "n T"]
     """What 1/Ĝ of each completed stage is multiplied by."""
-    by_regression: float = 0.0
-    """How far the value would be off if the regression of cut stages were, by a standard deviation, where it stands
-    alone [reward]."""
+    uncorrected: float = 0.0
+    """What the value is off by for each standard deviation that the regression of cut stages is [reward]."""
 
 
 class Problem(NamedTuple):
@@ -51,8 +56,8 @@ class Problem(NamedTuple):
     """Of the stages that the log holds."""
     unseen: str | None
     """An action that the policy takes and that the log never saw completed, in words."""
-    paths_for_one: float = 1.0
-    """How many paths of the logging policy are worth one of the policy, cuts apart."""
+    squared_ratio: float = 1.0
+    """E[ρ²] of whole paths."""
     is_revealed: bool = False
     """Whether the log itself says where the policy was followed."""
 
@@ -60,6 +65,12 @@ class Problem(NamedTuple):
     def effective_sample_size(self) -> float:
         """Of the paths that follow the policy."""
         return self.weights(self.nuisances[-1]).effective_sample_size
+
+    @property
+    def paths_for_one(self) -> float:
+        """How many paths like those of the log are worth one that follows the policy, about."""
+        in_spite_of_cuts = self._replace(ratio=np.ones_like(self.ratio)).effective_sample_size
+        return self.squared_ratio * self.paths.num_paths / in_spite_of_cuts if in_spite_of_cuts > 0 else np.inf
 
     @property
     def completed(self) -> StageWeights:
@@ -85,7 +96,7 @@ class Problem(NamedTuple):
         successor = np.concatenate([value[:, 1:], np.zeros_like(value[:, :1])], axis=1)
         target = self.paths.reward + np.where(self.paths.is_last, 0.0, successor)
         residual = target - taken
-        return Contribution(values, without, self.errors(residual), self.alone * self.deviation(residual))
+        return Contribution(values, without, self.errors(residual), self.uncorrected_weight * self.deviation(residual))
 
     def errors(self, residual: Float[np.ndarray, "n T"]) -> Float[np.ndarray, "n T"]:
         """What 1/Ĝ of each completed stage is multiplied by, where the stage adds its weighted residual."""
@@ -93,11 +104,10 @@ class Problem(NamedTuple):
         return np.where(uncut > 0, self.completed.normalised / np.where(uncut > 0, uncut, 1.0) * residual, 0.0)
 
     @property
-    def alone(self) -> float:
-        """Weight of what the regression of cut stages says with nothing to correct it, a path.
+    def uncorrected_weight(self) -> float:
+        """Stages of a path that the regression of cut ones speaks for alone.
 
-        Of the stages that begin, so many end so late that completed ones stand for them by no weight, or by a truncated
-        one.
+        They end so late that completed ones stand for them by no weight, or by a truncated one.
         """
         given = self.nuisances[-1]
         if given.imputation is None:
@@ -153,7 +163,7 @@ def following(
     return problem._replace(
         log=problem.log._replace(policy=probabilities),
         ratio=likelihood_ratios(followed, problem.likely, paths),
-        paths_for_one=paths_for_one(followed, problem.likely, paths),
+        squared_ratio=mean_squared_ratio(followed, problem.likely, paths),
         support=_support(followed, paths)[: problem.logs.horizon],
         unseen=_unseen(probabilities, paths, problem.model),
         is_revealed=is_taken is not None,
@@ -163,7 +173,7 @@ def following(
 def as_logged(problem: Problem) -> Problem:
     """The same log, with the logged action for a policy: ρ is 1, and no propensity is needed."""
     log = problem.log._replace(policy=_one_hot(problem.paths))
-    return problem._replace(log=log, ratio=np.ones_like(problem.ratio), paths_for_one=1.0, is_revealed=False)
+    return problem._replace(log=log, ratio=np.ones_like(problem.ratio), squared_ratio=1.0, is_revealed=False)
 
 
 def logging_contribution(problem: Problem) -> Contribution:

@@ -76,10 +76,10 @@ def likelihood_ratios(
     return np.where(known, np.cumprod(_single(probabilities, propensity, paths), axis=1), 0.0)
 
 
-def paths_for_one(
+def mean_squared_ratio(
     probabilities: Float[np.ndarray, "n T A"], propensity: Float[np.ndarray, "n T"], paths: PathArrays
 ) -> float:
-    """How many uncut paths of the logging policy are worth one of the policy: E[ρ²], by what is logged of each stage.
+    """E[ρ²], by what is logged of each stage: so many uncut paths of the logging policy are worth one of the policy.
 
     Of ρ² itself a log knows little where few paths do as the policy would to their end. So it is put together from the
     stages, Π_t E[(π/b)²], as if they had nothing to do with one another, and averaged over the lengths of the paths.

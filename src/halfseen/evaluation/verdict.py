@@ -21,6 +21,7 @@ def why_unknown(
     support: Float[np.ndarray, " T"],
     effective_sample_size: float,
     unseen: str | None = None,
+    num_paths: int = 0,
     paths_for_one: float = np.inf,
 ) -> str | None:
     """Say why a log tells nothing of what a policy earns; None if it does.
@@ -35,6 +36,8 @@ def why_unknown(
         Of the paths that follow it.
     unseen
         An action that it takes and that the log never saw completed.
+    num_paths
+        Paths of the log.
     paths_for_one
         How many paths like those of the log are worth one that follows it.
     """
@@ -52,17 +55,19 @@ def why_unknown(
     if effective_sample_size < FEWEST_PATHS:
         return (
             f"the effective sample size is {effective_sample_size:.1f} paths that follow {who}, and fewer than "
-            f"{FEWEST_PATHS:g} tell nothing; {_remedy(FEWEST_PATHS * paths_for_one)}"
+            f"{FEWEST_PATHS:g} tell nothing; {_remedy(num_paths, FEWEST_PATHS * paths_for_one)}"
         )
     return None
 
 
-def _remedy(num_paths: float) -> str:
+def _remedy(num_paths: int, enough: float) -> str:
     closer = "of a logging policy that is closer to this one"
-    if not num_paths < MANY_PATHS:
+    if not enough < MANY_PATHS:
         return f"no log of a size that can be recorded would do: record some paths {closer}"
-    size = 10.0 ** np.floor(np.log10(num_paths))
-    return f"some {np.ceil(num_paths / size) * size:,.0f} paths like these would do, or fewer {closer}"
+    if enough <= num_paths:
+        return f"record more paths, or some {closer}"
+    size = 10.0 ** np.floor(np.log10(enough))
+    return f"some {np.ceil(enough / size) * size:,.0f} paths like these would do, or fewer {closer}"
 
 
 def verdict_of(

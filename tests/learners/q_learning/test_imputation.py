@@ -135,6 +135,23 @@ def test_the_share_of_a_seen_target_is_what_the_stage_adds_to_the_weight(logs):
     np.testing.assert_allclose(imputed.share[seen] * begun[seen], weights[seen])
 
 
+@pytest.mark.parametrize("durations", [(2.0,), (2.0, 3.0)], ids=str)
+@pytest.mark.parametrize("censoring", [DoublyRobust(), BuckleyJames()], ids=["doubly robust", "Buckley–James"])
+def test_tied_durations_are_no_bends(censoring, durations):
+    """All stages last alike, or short or long; those that were cut early pay what the others pay on average."""
+    num = 120
+    path = np.arange(num)
+    lasts = np.array(durations)[path // 2 % len(durations)]
+    is_cut = path % 5 == 0
+    pays = 1.0 + 3.0 * (lasts - 2.0)
+    stages = pd.DataFrame({"path": path, "stage": 1, "action": np.array(ACTIONS)[path % 2], "x": 0.0})
+    stages["elapsed_s"], stages["reward"] = np.where(is_cut, np.nan, lasts), np.where(is_cut, np.nan, pays)
+    ends = {"path": path, "end_s": np.where(is_cut, 1.0, lasts), "ending": np.where(is_cut, "cut", "finished")}
+    learner = CensoredQLearner.of_paper(1, ACTIONS, ["x"], reg=0.0, censoring=censoring).fit(Logs(stages, ends))
+    mean = pays[~is_cut].mean()
+    np.testing.assert_allclose(learner.q_values(pd.DataFrame({"x": [0.0]}), 1), mean, atol=0.15)
+
+
 def test_what_durations_are_to_be_expected_by_a_loop():
     """Without covariates: the Kaplan–Meier curve of durations beyond an age, completions before cuts."""
     watched = np.array([1.0, 2.0, 2.0, 3.0, 3.0, 5.0])
