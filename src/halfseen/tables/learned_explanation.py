@@ -3,7 +3,7 @@
 What Q is when paths are drawn anew with replacement (`bootstrap`) are draws of what Q may be. They know the sampling
 error of the log, though too little of it: λ shrinks all of them alike. They do not know that Q may not be linear in its
 features, which more paths do not mend. So their deviations from the mean are stretched: by a factor, and as far as an
-error of Q asks for that no log ever takes away. Both numbers were fitted on tables of three cups over six steps and two
+error of Q asks for that no log ever takes away. Both numbers were chosen on tables of three cups over six steps and two
 over eight, in the world's default numbers, and checked on others: ``benchmarks/calibration.py``.
 """
 
