@@ -41,12 +41,12 @@ class Rows(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Design:
-    """Rows ready to be summed, by V folds and K blocks."""
+    """Rows ready to be summed, by V folds and K blocks (`jax.vmap` adds batch axes)."""
 
-    features: Float[Array, "R F"]
+    features: Float[Array, "*B R F"]
     """The constant first."""
-    weight: Float[Array, " R"]
-    group: Int[Array, " R"]
+    weight: Float[Array, "*B R"]
+    group: Int[Array, "*B R"]
     """Fold and block of each row, as one number: fold · K + block."""
     shape: tuple[int, int] = field(metadata={"static": True})
     """V and K."""

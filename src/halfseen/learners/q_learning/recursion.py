@@ -113,13 +113,10 @@ class Regression(NamedTuple):
     is_scaled: bool
     pessimism: Float[Array, ""] | None = None
 
-    def prepare(self, log: Transitions, weight: Any, after: "_Prepared | None" = None) -> "_Prepared":
-        """Sum and factorise what no target changes, and not before `after`; rows of `weight` 0 do not count."""
+    def prepare(self, log: Transitions, weight: Any) -> "_Prepared":
+        """Sum and factorise what no target changes; rows of `weight` 0 do not count."""
         design, taken = self.design(log, weight), taken_of(log)
-        gram = gram_of(design)
-        if after is not None:
-            gram = waiting_for(after.last_eigenvalues, gram)
-        main = _Sums(design, factorise(gram, self.is_scaled))
+        main = _Sums(design, factorise(gram_of(design), self.is_scaled))
         if log.imputation is None:
             return self._with_spread(_Prepared(main, None), log, weight)
         given, used = log.imputation, taken * log.imputation.is_used
@@ -220,31 +217,34 @@ def _backward_separate(
 
 
 def _backward_pooled(log: Transitions, regression: Regression, end_action: int | None) -> QFunctions:
-    """All stages' rows at each number of steps to go, one step first."""
-    everything = regression.prepare(log, log.weight)
+    """All stages' rows at each number of steps to go: none, if the horizon forces an action upon a path, then one."""
+    of_longer = jnp.where(goes_on(log, end_action), log.weight, 0.0)
+    both = jax.vmap(lambda weight: regression.prepare(log, weight))(jnp.stack([log.weight, of_longer]))
     num_coefficients = log.features.shape[-1] + 1
 
-    def step(prepared: _Prepared, value: Float[Array, "n T"], centre: Float[Array, "K F"]):
+    def advance(carry: tuple[Float[Array, "n T"], Float[Array, "K F"]], steps_to_go: Int[Array, ""]):
+        value, centre = carry
+        prepared = jax.tree.map(lambda each: each[jnp.where(steps_to_go > 1, 1, 0)], both)
         fit = regression.fit(prepared, log, of_successor(value), centre)
-        of_q = fit.coefficients[:, :num_coefficients]
-        found = fit._replace(coefficients=of_q)
-        return regression.values(found, log), jnp.asarray(fit.coefficients), found
+        found = fit._replace(coefficients=fit.coefficients[:, :num_coefficients])
+        if end_action is None:
+            return (regression.values(found, log), jnp.asarray(fit.coefficients)), found
+        is_over, block = steps_to_go == 0, regression.block_of_action[end_action]
+        of_end = partial(_end_values, end_action=end_action, block=block)
+        value = jax.lax.cond(is_over, of_end, regression.values, found, log)
+        return (value, jnp.where(is_over, fit.coefficients[block], jnp.asarray(fit.coefficients))), found
 
-    value = jnp.zeros_like(log.reward)
-    centre = jnp.zeros((regression.num_blocks, everything.main.design.features.shape[-1]), log.reward.dtype)
-    if end_action is not None:
-        ended = jnp.asarray(regression.fit(everything, log, value, centre).coefficients)
-        value = q_values(ended[:, :num_coefficients], log.features, regression.block_of_action)[..., end_action]
-        centre = jnp.broadcast_to(ended[regression.block_of_action[end_action]], centre.shape)
-    value, centre, first = step(everything, value, centre)
-    later = regression.prepare(log, jnp.where(goes_on(log, end_action), log.weight, 0.0), after=everything)
+    num_features = both.main.design.features.shape[-1]
+    start = jnp.zeros_like(log.reward), jnp.zeros((regression.num_blocks, num_features), log.reward.dtype)
+    first = 1 if end_action is None else 0
+    _, fits = jax.lax.scan(advance, start, jnp.arange(first, log.action.shape[1] + 1))
+    return jax.tree.map(lambda each: each[1 - first :], fits)
 
-    def advance(carry: tuple[Float[Array, "n T"], Float[Array, "K F"]], _: None):
-        value, centre, fit = step(later, *carry)
-        return (value, centre), fit
 
-    _, rest = jax.lax.scan(advance, (value, centre), length=log.action.shape[1] - 1)
-    return jax.tree.map(lambda one, others: jnp.concatenate([one[None], others]), first, rest)
+def _end_values(fit: QFunctions, log: Transitions, end_action: int, block: Int[Array, ""]) -> Float[Array, "n T"]:
+    """Q of the action that the horizon forces upon a path."""
+    of_block = jnp.asarray(fit.coefficients)[block]
+    return of_block[0] + jnp.asarray(log.features)[:, :, end_action] @ of_block[1:]
 
 
 def bounded(
