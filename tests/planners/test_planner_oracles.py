@@ -200,23 +200,34 @@ def test_not_even_who_looks_far_ahead_is_above_the_optimum():
 
 
 def test_some_states_stand_for_all_on_average():
-    reached = Reached(
-        np.repeat([0, 3], [40, 60]), np.arange(100), np.random.default_rng(0).dirichlet(np.full(100, 0.3))
-    )
+    mass = np.random.default_rng(0).dirichlet(np.full(100, 0.3))
+    reached = Reached(np.repeat([0, 3], [40, 60]), np.arange(100), mass[None])
     worth = np.random.default_rng(1).normal(size=100)
     lots = [drawn(reached, 20, jax.random.key(seed)) for seed in range(400)]
 
-    values = [lot.mass @ worth[lot.cell] for lot in lots]
+    values = [lot.mass[0] @ worth[lot.cell] for lot in lots]
     assert {len(lot.cell) for lot in lots} == {20}
     np.testing.assert_allclose([lot.mass.sum() for lot in lots], 1.0, atol=1e-9)
     assert all(np.all(lot.place == np.where(lot.cell < 40, 0, 3)) for lot in lots)
-    assert np.mean(values) == pytest.approx(reached.mass @ worth, abs=float(4 * np.std(values) / 20))
+    assert np.mean(values) == pytest.approx(mass @ worth, abs=float(4 * np.std(values) / 20))
     # The likely ones are always there, with their own mass.
-    likely = np.flatnonzero(reached.mass > 1 / 20)
+    likely = np.flatnonzero(mass > 1 / 20)
     assert len(likely) >= 3
     for lot in lots:
         assert np.isin(likely, lot.cell).all()
-        np.testing.assert_array_equal(lot.mass[np.isin(lot.cell, likely)], reached.mass[likely])
+        np.testing.assert_array_equal(lot.mass[0, np.isin(lot.cell, likely)], mass[likely])
+
+
+def test_what_a_policy_keeps_does_not_depend_on_whom_it_is_drawn_with():
+    mass = np.random.default_rng(0).dirichlet(np.full(100, 0.3), size=2)
+    mass[0, 50:] = 0.0
+    together = drawn(Reached(np.zeros(100, dtype=int), np.arange(100), mass), 20, KEY)
+    for k in range(2):
+        alone = drawn(Reached(np.zeros(100, dtype=int), np.arange(100), mass[[k]]), 20, KEY)
+        own = together.mass[k] > 0
+        np.testing.assert_array_equal(together.cell[own], alone.cell)
+        np.testing.assert_array_equal(together.mass[k, own], alone.mass[0])
+    assert np.all(together.cell[together.mass[0] > 0] < 50)
 
 
 def test_a_policy_asked_in_some_states_is_valued_right_on_average():

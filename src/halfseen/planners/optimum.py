@@ -14,7 +14,6 @@ normal offsets, and cost no states.
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import jax
 import numpy as np
@@ -24,6 +23,7 @@ from numpy.typing import ArrayLike
 
 from halfseen.errors import ArgumentError
 from halfseen.planners.belief import NUM_NODES
+from halfseen.planners.optimum_asking import Alike, actions_in, groups_of
 from halfseen.planners.optimum_bellman import (
     Attempt,
     Grid,
@@ -37,7 +37,6 @@ from halfseen.planners.optimum_bellman import (
 from halfseen.planners.optimum_decisions import (
     Histories,
     Reached,
-    actions_in,
     drawn,
     histories_of,
     log_odds_in,
@@ -141,35 +140,32 @@ class TableOptimum:
         if max_states is not None and max_states < 1:
             raise ArgumentError(f"max_states is {max_states}; at least 1 is needed, or None for all")
         key = jax.random.key(0) if key is None else key
+        groups = groups_of(policies)
         totals = np.zeros(len(policies))
         masses = {0: np.stack([self._first_mass()] * len(policies))}
         for index in range(self.horizon):
             if not masses:
                 break
-            step_key, asked = jax.random.fold_in(key, index), []
-            for k, (policy, reached) in enumerate(zip(policies, reached_in(masses), strict=True)):
-                earned, *answers = self._asked(index, reached, policy, step_key, max_states)
-                totals[k] += earned
-                asked.append(answers)
-            masses = self._moved(index, asked) if index < self.horizon - 1 else {}
+            step_key = jax.random.fold_in(key, index)
+            earned, reached, actions = self._asked(index, reached_in(masses), groups, step_key, max_states)
+            totals += earned
+            masses = self._moved(index, reached, actions) if index < self.horizon - 1 else {}
         return totals
 
     def _asked(
-        self, index: int, every: Reached, policy: Policy, key: Array, max_states: int | None
-    ) -> tuple[float, Reached, Int[np.ndarray, " n"]]:
-        """What a policy earns in a layer; the states in which it was asked, and what it did."""
-        if not len(every.place):
-            return 0.0, every, np.zeros(0, dtype=np.int64)
-        earned, reached, layer = 0.0, every, self._layers[index]
+        self, index: int, every: Reached, groups: Sequence[Alike], key: Array, max_states: int | None
+    ) -> tuple[Float[np.ndarray, " P"], Reached, Int[np.ndarray, "P n"]]:
+        """What policies earn in a layer; the states in which they were asked, and what they did."""
+        earned, reached, layer = np.zeros(len(every.mass)), every, self._layers[index]
         if max_states is not None:
             reached = drawn(every, max_states, jax.random.fold_in(key, 0))
             # What the draw changed is known under the best policy: only by how much this one is worse stays noisy.
             earned = self._worth(index, every) - self._worth(index, reached)
         histories, log_odds = self._histories[index], log_odds_in(self._world, layer, reached)
         steps_to_go = self.horizon - index
-        actions = actions_in(self._world, steps_to_go, histories, reached, log_odds, policy, key)
+        actions = actions_in(self._world, steps_to_go, histories, reached, log_odds, groups, key)
         rewards = rewards_in(self._world.config, histories, reached, log_odds, actions, steps_to_go == 1)
-        return earned + float(reached.mass @ rewards), reached, actions
+        return earned + np.sum(reached.mass * rewards, axis=1), reached, actions
 
     def regret(self, policy: Policy, key: Array | None = None, max_states: int | None = None) -> float:
         """What a policy earns less than the best one, without simulation noise; see `policy_value`."""
@@ -184,18 +180,19 @@ class TableOptimum:
         shape = self._values[0][0].shape
         return spread_over_labels(np.ones((1,) * world.num_objects), looks_of(world, before), shape)
 
-    def _worth(self, index: int, reached: Reached) -> float:
+    def _worth(self, index: int, reached: Reached) -> Float[np.ndarray, " P"]:
         """What the best policy earns from here on, weighted by mass."""
         values = self._values[index]
         parts = [
-            reached.mass[rows] @ values[place].ravel()[reached.cell[rows]] for place, rows in rows_by_place(reached)
+            reached.mass[:, rows] @ values[place].ravel()[reached.cell[rows]] for place, rows in rows_by_place(reached)
         ]
-        return float(sum(parts))
+        return np.sum(parts, axis=0)
 
-    def _moved(self, index: int, asked: Sequence[Sequence[Any]]) -> dict[int, Grid]:
+    def _moved(self, index: int, reached: Reached, actions: Int[np.ndarray, "P n"]) -> dict[int, Grid]:
         """Masses of the next layer, of each policy, after the actions of this one."""
         masses: dict[int, Grid] = {}
-        for place, taken in self._taken(index, asked).items():
+        for place, rows in rows_by_place(reached):
+            taken = self._taken(index, place, reached.of(rows), actions[:, rows])
             # An attempt that clears the table has no successor.
             for attempt, to in self._layers[index][place].successors.items():
                 target, result = attempt
@@ -205,22 +202,20 @@ class TableOptimum:
                     moved = sum(tried) * (1.0 - probability if result is Result.FAILED else probability)
                     moved = moved.sum(axis=1 + target, keepdims=True) if result is Result.WASHED else moved
                     looks = (None, *self._looks_after(index, place, attempt))
-                    shape = (len(asked), *self._values[index + 1][to].shape)
+                    shape = (len(moved), *self._values[index + 1][to].shape)
                     arrived = spread_over_labels(moved, looks, shape)
                     masses[to] = masses[to] + arrived if to in masses else arrived
-        # In the order of the layer, whoever else is valued: draws go by rows.
+        # In the order of the layer, whoever else is valued.
         return dict(sorted(masses.items()))
 
-    def _taken(self, index: int, asked: Sequence[Sequence[Any]]) -> dict[int, dict[int, Grid]]:
-        """Mass that each policy moves by each action in the cells of each node."""
-        taken: dict[int, dict[int, Grid]] = {}
-        for k, (reached, actions) in enumerate(asked):
-            for place, rows in rows_by_place(reached):
-                shape = (len(asked), *self._values[index][place].shape)
-                of_place = taken.setdefault(place, {})
-                for action in set(actions[rows].tolist()):
-                    mass = of_place.setdefault(action, np.zeros(shape))
-                    mass[k].ravel()[reached.cell[rows]] = np.where(actions[rows] == action, reached.mass[rows], 0.0)
+    def _taken(self, index: int, place: int, reached: Reached, actions: Int[np.ndarray, "P n"]) -> dict[int, Grid]:
+        """Mass that each policy moves by each action in the cells of a node."""
+        shape = (len(actions), *self._values[index][place].shape)
+        taken: dict[int, Grid] = {}
+        for action in np.unique(actions).tolist():
+            mass = np.zeros(shape)
+            mass.reshape(len(actions), -1)[:, reached.cell] = np.where(actions == action, reached.mass, 0.0)
+            taken[action] = mass
         return taken
 
     @cached_property

@@ -1,10 +1,9 @@
-"""Between the states of the world and the cells of a small table: what a policy is shown, and where a state lies."""
+"""Between the states of the world and the cells of a small table: which are reached, and where a state lies."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float, Int
@@ -12,13 +11,9 @@ from jaxtyping import Bool, Float, Int
 from halfseen.errors import ArgumentError
 from halfseen.planners.optimum_bellman import Attempt, Grid, Layer, Node, grid_shape
 from halfseen.planners.optimum_model import GridWorld, Result, current_levels
-from halfseen.world.action_space import FINISH, TARGETED, ActionSpace, Verb
+from halfseen.world.action_space import FINISH, ActionSpace, Verb
 from halfseen.world.config import WorldConfig
-from halfseen.world.policy import Policy
 from halfseen.world.state import NO_ATTEMPT, TableState
-
-BATCH_SIZES = (4, 32, 1024)
-"""Numbers of states for which a policy is compiled: the smallest that holds all, or else the largest."""
 
 _SAME_LOG_ODDS = 1e-3
 
@@ -38,14 +33,18 @@ class Histories(NamedTuple):
 
 
 class Reached(NamedTuple):
-    """States of a layer that are reached with some probability: a row for each, those of a node side by side."""
+    """States of a layer that some of P policies reach, those of a node side by side."""
 
     place: Int[np.ndarray, " n"]
     """Of its node in the layer."""
     cell: Int[np.ndarray, " n"]
     """In the node's grid."""
-    mass: Float[np.ndarray, " n"]
-    """Probability that a path comes here."""
+    mass: Float[np.ndarray, "P n"]
+    """Probability that a path of each policy comes here."""
+
+    def of(self, states: Int[np.ndarray, " m"] | slice) -> "Reached":
+        """Keep some of them."""
+        return Reached(self.place[states], self.cell[states], self.mass[:, states])
 
 
 def histories_of(world: GridWorld, layers: list[Layer]) -> list[Histories]:
@@ -83,13 +82,15 @@ def _shown_histories(
     return there, is_lift.sum(axis=1, dtype=np.int32), tried, seen_at, succeeded
 
 
-def reached_in(masses: dict[int, Grid]) -> list[Reached]:
-    """Return the cells of a layer's grids that have some mass, of each policy (the first axis)."""
-    flat = [grid.reshape(len(grid), -1) for grid in masses.values()]
-    policy, cell = (np.concatenate(axes) for axes in zip(*(np.nonzero(mass > 0.0) for mass in flat), strict=True))
-    place = np.repeat(np.fromiter(masses, dtype=np.int64), [np.count_nonzero(mass > 0.0) for mass in flat])
-    mass = np.concatenate([mass[mass > 0.0] for mass in flat])
-    return [Reached(place[own], cell[own], mass[own]) for own in (policy == k for k in range(len(flat[0])))]
+def reached_in(masses: dict[int, Grid]) -> Reached:
+    """Return the cells of a layer's grids in which some policy (the first axis) has mass."""
+    flat = {place: grid.reshape(len(grid), -1) for place, grid in masses.items()}
+    cells = {place: np.flatnonzero((mass > 0.0).any(axis=0)) for place, mass in flat.items()}
+    return Reached(
+        place=np.repeat(np.fromiter(flat, dtype=np.int64), [len(of_node) for of_node in cells.values()]),
+        cell=np.concatenate(list(cells.values())),
+        mass=np.concatenate([mass[:, cells[place]] for place, mass in flat.items()], axis=1),
+    )
 
 
 def rows_by_place(reached: Reached) -> Iterator[tuple[int, slice]]:
@@ -100,26 +101,32 @@ def rows_by_place(reached: Reached) -> Iterator[tuple[int, slice]]:
 
 
 def drawn(reached: Reached, max_states: int, key: Array) -> Reached:
-    """Keep at most so many states: the likely ones, and at random some of the others, which then stand for the rest.
+    """Let each policy keep at most so many states, which then stand for all that it reaches."""
+    mass = np.stack([_thinned(of_policy, max_states, float(jax.random.uniform(key))) for of_policy in reached.mass])
+    return reached._replace(mass=mass).of(np.flatnonzero((mass > 0.0).any(axis=0)))
+
+
+def _thinned(mass: Float[np.ndarray, " n"], max_states: int, draw: float) -> Float[np.ndarray, " n"]:
+    """Keep the likely states, and at random some of the others, which then stand for the rest.
 
     No expectation changes [FearnheadClifford2003]_: a mass m < c becomes c with probability m/c, or else 0, and c is
     such that as many states are left as are wanted.
     """
-    mass = reached.mass
-    if len(mass) <= max_states:
-        return reached
+    if np.count_nonzero(mass) <= max_states:
+        return mass
     ordered = np.sort(mass)[::-1]
     others = np.cumsum(ordered[::-1])[::-1][:max_states]
     share = others / np.arange(max_states, 0, -1)
     num_likely = int(np.argmax(ordered[:max_states] < share))
     is_likely = mass >= share[num_likely]
-    rest = np.flatnonzero(~is_likely)
+    rest = np.flatnonzero(~is_likely & (mass > 0.0))
     ladder = np.cumsum(mass[rest]) / share[num_likely]
     # Evenly spaced draws add less noise than independent ones.
-    steps = float(jax.random.uniform(key)) + np.arange(max_states - num_likely)
-    lucky = rest[np.unique(np.minimum(np.searchsorted(ladder, steps, side="right"), len(rest) - 1))]
-    kept = np.sort(np.concatenate([np.flatnonzero(is_likely), lucky]))
-    return Reached(reached.place[kept], reached.cell[kept], np.maximum(mass, share[num_likely])[kept])
+    steps = draw + np.arange(max_states - num_likely)
+    lucky = rest[np.minimum(np.searchsorted(ladder, steps, side="right"), len(rest) - 1)]
+    kept = np.where(is_likely, mass, 0.0)
+    kept[lucky] = share[num_likely]
+    return kept
 
 
 def log_odds_in(world: GridWorld, layer: Layer, reached: Reached) -> Float[np.ndarray, "n N"]:
@@ -134,46 +141,16 @@ def log_odds_in(world: GridWorld, layer: Layer, reached: Reached) -> Float[np.nd
     return log_odds
 
 
-def actions_in(
-    world: GridWorld,
-    steps_to_go: int,
-    histories: Histories,
-    reached: Reached,
-    log_odds: Float[np.ndarray, "n N"],
-    policy: Policy,
-    key: Array,
-) -> Int[np.ndarray, " n"]:
-    """What a policy does in states of a layer, each with a key of its own.
-
-    Raises
-    ------
-    ArgumentError
-        It chose an action that is not possible.
-    """
-    shown = _Shown(log_odds.astype(np.float32), *(rows[reached.place] for rows in histories[:-2]))
-    num_states = len(reached.place)
-    size = next((size for size in BATCH_SIZES if size >= num_states), BATCH_SIZES[-1])
-    hides, decided = jnp.asarray(world.hides, dtype=jnp.float32), []
-    for start in range(0, num_states, size):
-        # The last batch is filled up, so that few sizes are compiled.
-        rows = np.minimum(np.arange(start, start + size), num_states - 1)
-        batch = _Shown(*(values[rows] for values in shown))
-        decided.append(np.asarray(_decide_each(policy, hides, np.int32(steps_to_go), batch, key, rows)))
-    actions = np.concatenate(decided)[:num_states].astype(np.int64)
-    _check_possible(actions, histories.is_on_table[reached.place])
-    return actions
-
-
 def rewards_in(
     config: WorldConfig,
     histories: Histories,
     reached: Reached,
     log_odds: Float[np.ndarray, "n N"],
-    actions: Int[np.ndarray, " n"],
+    actions: Int[np.ndarray, "P n"],
     is_last: bool,
-) -> Float[np.ndarray, " n"]:
-    """Expected reward of an action in states of a layer, with the price of what is left if the path ends by it."""
-    there, rows = histories.is_on_table[reached.place], np.arange(len(actions))
+) -> Float[np.ndarray, "P n"]:
+    """Expected reward of each policy's action, with the price of what is left if the path ends by it."""
+    there, rows = histories.is_on_table[reached.place], np.arange(actions.shape[1])
     codec = ActionSpace(there.shape[1])
     target = codec.target(actions)
     probability, attempt_s = histories.probability[reached.place, target], histories.attempt_s[reached.place, target]
@@ -184,41 +161,7 @@ def rewards_in(
     lift = float(config.reward_lift_per_s) * attempt_s
     if is_last:
         wash, lift = wash + left - probability * float(config.reward_dirty_left) * dirty, lift + left
-    return np.select([actions == FINISH, codec.verb(actions) == Verb.WASH], [left, wash], lift)
-
-
-class _Shown(NamedTuple):
-    """What differs between the states of a layer, a row for each."""
-
-    log_odds: Float[Array | np.ndarray, "n N"]
-    is_on_table: Bool[Array | np.ndarray, "n N"]
-    lifts: Int[Array | np.ndarray, "n N"]
-    attempt_object: Int[Array | np.ndarray, "n T"]
-    attempt_occlusion: Float[Array | np.ndarray, "n T"]
-    attempt_succeeded: Bool[Array | np.ndarray, "n T"]
-
-
-@jax.jit
-def _decide_each(policy: Policy, hides: Array, steps_to_go: Array, shown: _Shown, key: Array, rows: Array) -> Array:
-    is_object = jnp.ones(hides.shape[0], dtype=bool)
-
-    def decide(shown: _Shown, row: Array) -> Array:
-        state = TableState(hides=hides, is_object=is_object, steps_to_go=steps_to_go, **shown._asdict())
-        return policy.decide(state, jax.random.fold_in(key, row)).action
-
-    return jax.vmap(decide)(shown, rows)
-
-
-def _check_possible(actions: Int[np.ndarray, " n"], there: Bool[np.ndarray, "n N"]) -> None:
-    known = [there & (verb in (Verb.WASH, Verb.LIFT)) for verb in TARGETED]
-    is_possible = np.concatenate([np.ones((len(there), 1), dtype=bool), *known], axis=1)
-    in_range = (actions >= 0) & (actions < ActionSpace(there.shape[1]).num_actions)
-    wrong = np.flatnonzero(~in_range | ~is_possible[np.arange(len(actions)), np.where(in_range, actions, 0)])
-    if len(wrong):
-        raise ArgumentError(
-            f"policy chose action {actions[wrong[0]]} with objects {np.flatnonzero(there[wrong[0]]).tolist()} on the "
-            "table; it must choose a possible one"
-        )
+    return np.where(actions == FINISH, left, np.where(codec.verb(actions) == Verb.WASH, wash, lift))
 
 
 def place_of(world: GridWorld, layers: list[Layer], state: TableState) -> tuple[int, int, tuple[int, ...]]:

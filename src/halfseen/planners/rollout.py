@@ -196,20 +196,18 @@ def _advantage(
     """Sum of the advantages of one rollout, its worth less Q° of its first action; at least two steps are to go."""
     last_step = belief.steps_to_go - planning_horizon + 1
 
-    def goes_on(carry: tuple[Belief, Array, Array, Array]) -> Array:
-        belief, is_open, _, _ = carry
-        return is_open & jnp.any(belief.is_on_table)
+    def goes_on(carry: tuple[Belief, Array, Array, Array, Array]) -> Array:
+        return carry[2]
 
-    def follow(carry: tuple[Belief, Array, Array, Array]) -> tuple[Belief, Array, Array, Array]:
-        belief, _, total, key = carry
+    def follow(carry: tuple[Belief, Array, Array, Array, Array]) -> tuple[Belief, Array, Array, Array, Array]:
+        belief, action, _, total, key = carry
         key, step_key = jax.random.split(key)
+        belief = sample_successor(config, belief, action, step_key)
         is_last = (belief.steps_to_go == 1) | (belief.steps_to_go == last_step)
         q, control = rule_and_control(config, belief)
-        action = jnp.argmax(q)
-        worth = jnp.where(is_last, q[action], control[action])
-        total = total + worth - control_value(config, belief)
-        return sample_successor(config, belief, action, step_key), (action != FINISH) & ~is_last, total, key
+        action = jnp.argmax(q).astype(action.dtype)
+        # On a table that is cleared both are 0.
+        total = total + jnp.where(is_last, q[action], control[action]) - control_value(config, belief)
+        return belief, action, (action != FINISH) & ~is_last, total, key
 
-    key, step_key = jax.random.split(key)
-    reached = sample_successor(config, belief, action, step_key)
-    return jax.lax.while_loop(goes_on, follow, (reached, jnp.asarray(True), jnp.zeros(()), key))[2]
+    return jax.lax.while_loop(goes_on, follow, (belief, action, jnp.asarray(True), jnp.zeros(()), key))[3]

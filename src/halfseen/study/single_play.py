@@ -24,6 +24,7 @@ from halfseen.tables.table_policy import LinearTablePolicy
 from halfseen.world.action_space import Verb
 from halfseen.world.config import Number, WorldConfig
 from halfseen.world.dynamics import start, step
+from halfseen.world.episodes import BATCH
 from halfseen.world.policy import Policy
 from halfseen.world.state import HiddenState, Layout, TableState
 
@@ -73,7 +74,8 @@ def _stepped(
 
 def states_along_the_way(source: Source, num_states: int) -> list[TableState]:
     """One state from each of many paths of the logging policy, early and late ones in turn."""
-    episodes = source.play(num_states)
+    # As many as other paths are played at once: for these, the program is there.
+    episodes = source.play(max(num_states, BATCH))
     num_stages = np.asarray(episodes.is_taken).sum(axis=1)
     return [jax.tree.map(lambda leaf, k=k: leaf[k, k % num_stages[k]], episodes.states) for k in range(num_states)]
 

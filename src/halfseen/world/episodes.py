@@ -1,4 +1,4 @@
-"""Many tables played to their end in one compiled call."""
+"""Many tables played to their end, some hundreds in one compiled call."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,6 +7,7 @@ from typing import NamedTuple, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from halfseen.world.config import WorldConfig
@@ -78,10 +79,25 @@ def _play(
     return kept, hidden
 
 
-@partial(jax.jit, static_argnames="num_episodes")
+BATCH = 400
+"""Paths that one compiled call plays: what is played after one another shares a program, however much it is."""
+
+
 def play(config: WorldConfig, layouts: Layout, policy: Policy, key: Array, num_episodes: int) -> Episodes:
     """Play `num_episodes` tables and record every stage; episode k uses layout k modulo their number."""
-    layout, keys = _spread(layouts, key, num_episodes)
+    size = max(1, min(num_episodes, BATCH))
+    starts = range(0, max(1, num_episodes), size)
+    batches = [_play_batch(config, layouts, policy, key, jnp.asarray(first), size) for first in starts]
+    if num_episodes == size:
+        return batches[0]
+    return jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)[:num_episodes]), *batches)
+
+
+@partial(jax.jit, static_argnames="size")
+def _play_batch(
+    config: WorldConfig, layouts: Layout, policy: Policy, key: Array, first: Int[Array, ""], size: int
+) -> Episodes:
+    layout, keys = _spread(layouts, key, first + jnp.arange(size))
     play_one = partial(_play, keep=lambda stage: stage)
     stages, hidden = jax.vmap(play_one, in_axes=(None, 0, None, 0))(config, layout, policy, keys)
     return Episodes(
@@ -103,7 +119,7 @@ def evaluate(
 
     A policy that plans holds a tree for each table at once: `batch_size` bounds how many, and changes nothing else.
     """
-    inputs = _spread(layouts, key, num_episodes)
+    inputs = _spread(layouts, key, jnp.arange(num_episodes))
 
     def totals(layout_and_key: tuple[Layout, Array]) -> tuple[Array, Array, Array]:
         return _play(config, layout_and_key[0], policy, layout_and_key[1], _earned)[0]
@@ -120,8 +136,6 @@ def _earned(stage: _Stage) -> tuple[Array, Array, Array]:
     return stage.outcome.reward, stage.outcome.duration_s, stage.is_taken
 
 
-def _spread(layouts: Layout, key: Array, num_episodes: int) -> tuple[Layout, Array]:
-    num_layouts = layouts.is_object.shape[0]
-    which = jnp.arange(num_episodes) % num_layouts
-    layout = jax.tree.map(lambda leaf: leaf[which], layouts)
-    return layout, jax.vmap(partial(jax.random.fold_in, key))(jnp.arange(num_episodes))
+def _spread(layouts: Layout, key: Array, episode: Int[Array, " B"]) -> tuple[Layout, Array]:
+    layout = jax.tree.map(lambda leaf: leaf[episode % leaf.shape[0]], layouts)
+    return layout, jax.vmap(partial(jax.random.fold_in, key))(episode)
