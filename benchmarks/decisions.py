@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from halfseen.study.policies import HEURISTICS, horizon_planner
-from halfseen.study.single_play import decision_times_ms
+from halfseen.study.timing import decision_times_ms
 from halfseen.tables.features import NUM_FEATURES
 from halfseen.tables.table_policy import LinearTablePolicy
 from halfseen.world import Scene, TableState, UniformPolicy, WorldConfig

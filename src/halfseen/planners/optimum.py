@@ -203,8 +203,9 @@ class TableOptimum:
                     moved = moved.sum(axis=1 + target, keepdims=True) if result is Result.WASHED else moved
                     looks = (None, *self._looks_after(index, place, attempt))
                     shape = (len(moved), *self._values[index + 1][to].shape)
-                    arrived = spread_over_labels(moved, looks, shape)
-                    masses[to] = masses[to] + arrived if to in masses else arrived
+                    movers = np.flatnonzero(moved.reshape(len(moved), -1).any(axis=1))
+                    arrived = spread_over_labels(moved[movers], looks, shape)
+                    masses.setdefault(to, np.zeros(shape))[movers] += arrived
         # In the order of the layer, whoever else is valued.
         return dict(sorted(masses.items()))
 

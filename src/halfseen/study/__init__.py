@@ -1,7 +1,7 @@
 """The study: one runner, one pipeline, and an experiment for each question.
 
 Read down: `policies` (the registry of who takes part) → `pipeline` (play → encode → cut → treat → learn → evaluate) →
-`single_play` (slow policies, and times) → `experiment` (what an experiment is) → `experiments` (the questions, each
+`timing` (how long a decision takes) → `experiment` (what an experiment is) → `experiments` (the questions, each
 with its configuration, repetition, tables, figure and claim) → `store`, `runner` (what is done stays done) → `report`
 → `run` (all of it).
 """

@@ -41,7 +41,7 @@ from halfseen.tables.table_policy import LinearTablePolicy
 from halfseen.world.action_space import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.cuts import CutEpisodes, CutKind, cut, cut_rate
-from halfseen.world.episodes import Episodes, evaluate, play
+from halfseen.world.episodes import Episodes, evaluate_some, play
 from halfseen.world.grasp_model import GraspModel
 from halfseen.world.policy import Policy
 from halfseen.world.recording import elapsed_s
@@ -109,8 +109,12 @@ class Source:
 
     def evaluate(self, policy: Policy, num_episodes: int, purpose: int = EVALUATION) -> Played:
         """Play a policy on the episodes of a purpose that all policies share."""
+        return self.evaluate_some(policy, range(num_episodes), purpose)
+
+    def evaluate_some(self, policy: Policy, episodes: Sequence[int], purpose: int = EVALUATION) -> Played:
+        """Play a policy on some of them, by number."""
         key = random_key(self.seed, purpose, self.index)
-        totals = evaluate(self.world, self.layouts, policy, key, num_episodes)
+        totals = evaluate_some(self.world, self.layouts, policy, key, np.array(episodes))
         return Played(*(np.asarray(of_episode, dtype=np.float64) for of_episode in (totals.reward, totals.robot_s)))
 
 

@@ -111,7 +111,6 @@ def _play_batch(
     )
 
 
-@partial(jax.jit, static_argnames=("num_episodes", "batch_size"))
 def evaluate(
     config: WorldConfig, layouts: Layout, policy: Policy, key: Array, num_episodes: int, batch_size: int | None = None
 ) -> Totals:
@@ -119,12 +118,25 @@ def evaluate(
 
     A policy that plans holds a tree for each table at once: `batch_size` bounds how many, and changes nothing else.
     """
-    inputs = _spread(layouts, key, jnp.arange(num_episodes))
+    return evaluate_some(config, layouts, policy, key, jnp.arange(num_episodes), batch_size)
+
+
+@partial(jax.jit, static_argnames="batch_size")
+def evaluate_some(
+    config: WorldConfig,
+    layouts: Layout,
+    policy: Policy,
+    key: Array,
+    episode: Int[Array, " B"],
+    batch_size: int | None = None,
+) -> Totals:
+    """Play some of the tables that `play` would, by number, and keep only the totals."""
 
     def totals(layout_and_key: tuple[Layout, Array]) -> tuple[Array, Array, Array]:
         return _play(config, layout_and_key[0], policy, layout_and_key[1], _earned)[0]
 
-    reward, duration_s, is_taken = jax.lax.map(totals, inputs, batch_size=batch_size or num_episodes)
+    inputs = _spread(layouts, key, episode)
+    reward, duration_s, is_taken = jax.lax.map(totals, inputs, batch_size=batch_size or len(episode))
     return Totals(
         reward=jnp.sum(jnp.where(is_taken, reward, 0.0), axis=-1),
         robot_s=jnp.sum(jnp.where(is_taken, duration_s, 0.0), axis=-1),

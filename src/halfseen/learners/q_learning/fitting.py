@@ -75,6 +75,7 @@ def fit_q_functions(
         return jax.tree.map(np.asarray, fit(arrays, jnp.asarray(blocks), jnp.asarray(regs), **more))
 
 
+@partial(jax.jit, static_argnames=BackwardOptions._fields)
 def backward_batch(log: Transitions, blocks: jax.Array, regs: jax.Array, **options) -> QFunctions:
     """Fit a batch of logs in one compiled call; logs of the same states may share features, which have no axis then."""
     is_shared = log.features.ndim == log.is_possible.ndim

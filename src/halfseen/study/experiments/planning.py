@@ -37,8 +37,8 @@ from halfseen.study.figures import MEAN, draw_level
 from halfseen.study.frames import records, row_of
 from halfseen.study.pipeline import Played, Source, episodes_in_turn
 from halfseen.study.policies import HEURISTICS, LEARNED, Contender, Kind, by_name, horizon_planner, planner
-from halfseen.study.single_play import measured_times, play_singly, seconds
 from halfseen.study.statistics import estimate_in, mean_columns
+from halfseen.study.timing import compile_decisions, measured_times, seconds
 from halfseen.study.wording import REWARD_AXIS, estimated_in, learned_from
 from halfseen.tables.table_policy import LinearTablePolicy
 from halfseen.world.cuts import CutKind
@@ -95,6 +95,7 @@ class Planning:
 
     def prepare(self, setting: Setting) -> PieceOf:
         """Calibrate the cuts."""
+        compile_decisions(setting, self.contenders.values())
         return {"rate": Source.of(setting).cut_rate(self.cut_share, CUT_KIND)}
 
     def measure(self, setting: Setting) -> PieceOf:
@@ -115,7 +116,7 @@ class Planning:
         some = {planner(size).name: count for size, count in self.simulations}
         for name, count in (some | dict.fromkeys(self.by_horizon, self.horizon_episodes)).items():
             episodes = episodes_in_turn(index, count, num_all)
-            played = play_singly(source, self.contenders[name].policy(setting.world), episodes)
+            played = source.evaluate_some(self.contenders[name].policy(setting.world), episodes)
             rows.append(_row(name, episodes, played))
         return {"index": index, "played": rows}
 

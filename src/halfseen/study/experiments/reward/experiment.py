@@ -13,7 +13,7 @@ from halfseen.study.experiments.reward.section import section_of
 from halfseen.study.experiments.reward.tables import tables_of
 from halfseen.study.pipeline import SELECTION, Played, Source, episodes_in_turn
 from halfseen.study.policies import HEURISTICS, LEARNED, planner
-from halfseen.study.single_play import measured_times, play_singly
+from halfseen.study.timing import compile_decisions, measured_times
 from halfseen.world.cuts import CutKind
 
 CUT_KIND: CutKind = "independent"
@@ -38,9 +38,10 @@ class Reward(RewardDesign):
             earned[each.name] = float(np.mean([block.evaluate(policy, num_all, SELECTION).reward for block in blocks]))
         some = episodes_in_turn(0, self.selection_planned, num_all)
         for each in (planner(size) for size, _ in self.planners):
-            played = play_singly(source, each.policy(setting.world), some, SELECTION)
+            played = source.evaluate_some(each.policy(setting.world), some, SELECTION)
             earned[each.name] = played.means()["reward"]
         rates = [source.cut_rate(share, CUT_KIND) for share in self.cut_shares]
+        compile_decisions(setting, self.contenders.values())
         return {"rates": rates, "selection": earned}
 
     def measure(self, setting: Setting) -> PieceOf:
@@ -66,7 +67,7 @@ class Reward(RewardDesign):
             baselines[each.name] = _beside(headline, range(num_all), played)
         for size, num_episodes in self.planners:
             some = episodes_in_turn(index, num_episodes, num_all)
-            played = play_singly(source, planner(size).policy(setting.world), some)
+            played = source.evaluate_some(planner(size).policy(setting.world), some)
             baselines[planner(size).name] = _beside(headline, some, played)
         return {"index": index, "learned": rows, "baselines": baselines}
 

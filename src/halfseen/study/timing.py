@@ -1,8 +1,4 @@
-"""Slow policies on single episodes, and how long one decision takes on this machine.
-
-An episode depends on its key and number alone, so one that is played by itself is the one that others play many at
-once; here no decision is made after its end.
-"""
+"""How long one decision takes on this machine."""
 
 import os
 import time
@@ -17,18 +13,16 @@ import numpy as np
 from jaxtyping import Float
 
 from halfseen.study.experiment import Setting
-from halfseen.study.pipeline import EVALUATION, Played, Source, random_key
+from halfseen.study.pipeline import Source
 from halfseen.study.policies import Contender
 from halfseen.tables.features import NUM_FEATURES
 from halfseen.tables.table_policy import LinearTablePolicy
 from halfseen.world.action_space import Verb
-from halfseen.world.config import Number, WorldConfig
-from halfseen.world.dynamics import start, step
 from halfseen.world.episodes import BATCH
 from halfseen.world.policy import Policy
-from halfseen.world.state import HiddenState, Layout, TableState
+from halfseen.world.state import TableState
 
-MOST_TIMED_S = 0.5
+MOST_TIMED_S = 0.25
 """Time that is spent on timing one policy, but for its last decision [s]."""
 FEWEST_TIMED = 3
 
@@ -37,39 +31,6 @@ FEWEST_TIMED = 3
 def decided(policy: Policy, state: TableState, key: jax.Array) -> jax.Array:
     """Decide for one table, compiled once for all policies of a kind."""
     return policy.decide(state, key).action
-
-
-def play_singly(source: Source, policy: Policy, episodes: Sequence[int], purpose: int = EVALUATION) -> Played:
-    """Play single episodes of those that `Source.evaluate` plays many at once."""
-    key, world = random_key(source.seed, purpose, source.index), source.world
-    totals = []
-    for episode in episodes:
-        state, hidden, world_key, policy_key = _begun(world, source.layouts, key, episode)
-        earned, taken_s, t, is_over = 0.0, 0.0, 0, False
-        while t < world.horizon and not is_over:
-            action = decided(policy, state, jax.random.fold_in(policy_key, t))
-            state, hidden, gained, duration_s, is_over = _stepped(world, state, hidden, action, world_key, t)
-            earned, taken_s, t = earned + float(gained), taken_s + float(duration_s), t + 1
-        totals.append((earned, taken_s))
-    return Played(*np.array(totals).T)
-
-
-@jax.jit
-def _begun(
-    world: WorldConfig, layouts: Layout, key: jax.Array, episode: Number
-) -> tuple[TableState, HiddenState, jax.Array, jax.Array]:
-    """The table as the episode begins, and the keys of the world and of the policy."""
-    layout = jax.tree.map(lambda leaf: leaf[episode % leaf.shape[0]], layouts)
-    start_key, world_key, policy_key = jax.random.split(jax.random.fold_in(key, episode), 3)
-    return *start(world, layout, start_key), world_key, policy_key
-
-
-@jax.jit
-def _stepped(
-    world: WorldConfig, state: TableState, hidden: HiddenState, action: jax.Array, world_key: jax.Array, t: Number
-) -> tuple[TableState, HiddenState, jax.Array, jax.Array, jax.Array]:
-    after, hidden, outcome = step(world, state, hidden, action, jax.random.fold_in(world_key, t))
-    return after, hidden, outcome.reward, outcome.duration_s, outcome.is_over
 
 
 def states_along_the_way(source: Source, num_states: int) -> list[TableState]:
@@ -100,15 +61,24 @@ def decision_times_ms(
     return {name: np.array(values) for name, values in times.items()}
 
 
+def compile_decisions(setting: Setting, contenders: Iterable[Contender]) -> None:
+    """Compile what is timed later, when nothing else runs: all processes share what is compiled."""
+    state = states_along_the_way(Source.of(setting), 1)[0]
+    for policy in _timed_policies(setting, contenders).values():
+        decided(policy, state, jax.random.key(0))
+
+
 def measured_times(setting: Setting, contenders: Iterable[Contender], num_states: int) -> dict[str, float]:
     """Median decision time of contenders on states of all tables [ms]."""
-    # The time of a learned decision does not depend on what was learned.
-    unlearned = jnp.zeros((setting.world.horizon, len(Verb), NUM_FEATURES + 1), dtype=jnp.float32)
-    policies = {
-        each.name: each.policy(setting.world) if each.make else LinearTablePolicy(unlearned) for each in contenders
-    }
+    policies = _timed_policies(setting, contenders)
     times = decision_times_ms(policies, states_along_the_way(Source.of(setting), num_states))
     return {name: float(np.median(values)) for name, values in times.items()}
+
+
+def _timed_policies(setting: Setting, contenders: Iterable[Contender]) -> dict[str, Policy]:
+    # The time of a learned decision does not depend on what was learned.
+    unlearned = jnp.zeros((setting.world.horizon, len(Verb), NUM_FEATURES + 1), dtype=jnp.float32)
+    return {each.name: each.policy(setting.world) if each.make else LinearTablePolicy(unlearned) for each in contenders}
 
 
 def _decided(policy: Policy, state: TableState, key: jax.Array) -> None:
