@@ -5,10 +5,10 @@ import pytest
 from random_scenes import random_scene
 from rule_policies import InTurn, Suspicious
 
-from halfseen.world import ExploringPolicy, UniformPolicy, WorldConfig
+from halfseen.world import ExploringPolicy, UniformPolicy, WorldConfig, episodes
 from halfseen.world.action_space import ActionSpace
 from halfseen.world.dynamics import start, step
-from halfseen.world.episodes import evaluate, play
+from halfseen.world.episodes import evaluate, evaluate_some, play
 from halfseen.world.state import Layout, pad_scenes
 
 CONFIG = WorldConfig()
@@ -108,6 +108,21 @@ def test_evaluate_keeps_the_totals_of_what_play_records(scenes, in_turn):
     assert np.array_equal(totals.num_steps, is_taken.sum(axis=1))
     in_batches = evaluate(CONFIG, pad_scenes(scenes[2:]), InTurn(), jax.random.key(1), 64, batch_size=16)
     assert np.asarray(in_batches.reward) == pytest.approx(np.asarray(totals.reward), rel=1e-5, abs=1e-4)
+
+
+def test_what_is_played_in_batches_is_what_is_played_at_once(scenes, in_turn, monkeypatch):
+    monkeypatch.setattr(episodes, "BATCH", 24)
+    in_batches = play(CONFIG, pad_scenes(scenes[2:]), InTurn(), jax.random.key(1), 64)
+    for ours, at_once in zip(jax.tree.leaves(in_batches), jax.tree.leaves(in_turn), strict=True):
+        assert ours.shape == at_once.shape
+        np.testing.assert_allclose(ours, at_once, rtol=1e-5, atol=1e-4)
+
+
+def test_some_episodes_are_those_of_all(scenes, in_turn):
+    some = evaluate_some(CONFIG, pad_scenes(scenes[2:]), InTurn(), jax.random.key(1), jnp.array([40, 3]))
+    totals = evaluate(CONFIG, pad_scenes(scenes[2:]), InTurn(), jax.random.key(1), 64)
+    assert np.asarray(some.reward) == pytest.approx(np.asarray(totals.reward)[[40, 3]], rel=1e-5, abs=1e-4)
+    assert np.asarray(some.num_steps).tolist() == np.asarray(totals.num_steps)[[40, 3]].tolist()
 
 
 def test_policies_meet_the_same_world(played, scenes):
