@@ -139,10 +139,10 @@ def test_the_rates_cut_the_wanted_proportion(kind):
 
 
 @pytest.mark.slow
-def test_single_episodes_are_those_that_others_play_many_at_once():
+def test_what_is_played_of_some_episodes_is_what_is_played_of_all():
     source = Source(SETTING.world, SETTING.layouts, 0, 1)
     for who in (HEURISTICS[-1], horizon_planner(1, 8)):
         policy = who.policy(SETTING.world)
-        together, singly = source.evaluate(policy, 6), source.evaluate_some(policy, [1, 4, 5])
-        for ours, other in zip(singly, together.on([1, 4, 5]), strict=True):
+        together, some = source.evaluate(policy, 6), source.evaluate_some(policy, [1, 4, 5])
+        for ours, other in zip(some, together.on([1, 4, 5]), strict=True):
             np.testing.assert_allclose(ours, other, atol=1e-4)

@@ -102,7 +102,8 @@ def rows_by_place(reached: Reached) -> Iterator[tuple[int, slice]]:
 
 def drawn(reached: Reached, max_states: int, key: Array) -> Reached:
     """Let each policy keep at most so many states, which then stand for all that it reaches."""
-    mass = np.stack([_thinned(of_policy, max_states, float(jax.random.uniform(key))) for of_policy in reached.mass])
+    draw = float(jax.random.uniform(key))
+    mass = np.stack([_thinned(of_policy, max_states, draw) for of_policy in reached.mass])
     return reached._replace(mass=mass).of(np.flatnonzero((mass > 0.0).any(axis=0)))
 
 

@@ -15,6 +15,9 @@ from halfseen.world.dynamics import Outcome, start, step
 from halfseen.world.policy import Decision, Policy
 from halfseen.world.state import HiddenState, Layout, TableState
 
+BATCH = 400
+"""Paths that one compiled call plays: logs of all larger sizes share its program."""
+
 Kept = TypeVar("Kept")
 _Table: TypeAlias = tuple[TableState, HiddenState]
 
@@ -77,10 +80,6 @@ def _play(
 
     _, kept = jax.lax.scan(advance, ((state, hidden), jnp.asarray(True)), jnp.arange(config.horizon))
     return kept, hidden
-
-
-BATCH = 400
-"""Paths that one compiled call plays: what is played after one another shares a program, however much it is."""
 
 
 def play(config: WorldConfig, layouts: Layout, policy: Policy, key: Array, num_episodes: int) -> Episodes:

@@ -6,6 +6,7 @@ from random_logs import Blocks, random_log
 
 from halfseen.errors import ArgumentError
 from halfseen.learners.q_learning.fitting import BackwardOptions, fit_and_judge, fit_q_functions
+from halfseen.learners.q_learning.transitions import q_values
 
 BLOCKS = (0, 1, 1, 2)
 FLAT, ENDING = Blocks(BLOCKS), Blocks(BLOCKS, end_action=0)
@@ -21,6 +22,19 @@ def fit(log, task, stages, reg=0.1, num_folds=1):
 
 def log_for(task, seed=0, **options):
     return random_log(seed, blocks=BLOCKS, ends_with=task.end_action, **options)
+
+
+@pytest.mark.parametrize("num_features", [3, 0])
+@pytest.mark.parametrize("blocks", [(2, 0, 1), (1, 0, 1, 0), (0, 0)])
+def test_q_is_that_of_the_block_of_each_action(blocks, num_features):
+    rng = np.random.default_rng(0)
+    features = rng.normal(size=(5, 2, len(blocks), num_features))
+    coefficients = rng.normal(size=(max(blocks) + 1, 1 + num_features))
+    q = np.asarray(q_values(coefficients, features, np.array(blocks)))
+    assert q.shape == features.shape[:-1]
+    for at in np.ndindex(q.shape):
+        own = coefficients[blocks[at[-1]]]
+        assert q[at] == pytest.approx(own[0] + features[at] @ own[1:], abs=1e-5)
 
 
 @pytest.mark.parametrize("reg", [0.0, 0.1])

@@ -236,9 +236,10 @@ def _backward_pooled(log: Transitions, regression: Regression, end_action: int |
 
     num_features = both.main.design.features.shape[-1]
     start = jnp.zeros_like(log.reward), jnp.zeros((regression.num_blocks, num_features), log.reward.dtype)
+    horizon = log.action.shape[1]
     first = 1 if end_action is None else 0
-    _, fits = jax.lax.scan(advance, start, jnp.arange(first, log.action.shape[1] + 1))
-    return jax.tree.map(lambda each: each[1 - first :], fits)
+    _, fits = jax.lax.scan(advance, start, jnp.arange(first, horizon + 1))
+    return jax.tree.map(lambda each: each[-horizon:], fits)
 
 
 def _end_values(fit: QFunctions, log: Transitions, end_action: int, block: Int[Array, ""]) -> Float[Array, "n T"]:

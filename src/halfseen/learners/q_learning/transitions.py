@@ -77,6 +77,9 @@ def q_values(
 ) -> Float[Array, "*S A"]:
     """Q of every action: the offset of its block plus βᵀφ."""
     *shape, num_features = features.shape
+    if len(coefficients) == shape[-1]:
+        # Each action has a block of its own: a product for all blocks would be needed in one of so many places.
+        return coefficients[block_of_action, 0] + jnp.sum(features * coefficients[block_of_action, 1:], axis=-1)
     # One product for all blocks: in a batch of logs that share features, those are read once.
     rows = features.reshape(math.prod(shape), num_features)
     of_block = (coefficients[:, 1:] @ rows.T).reshape(len(coefficients), *shape)

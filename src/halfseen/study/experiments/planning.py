@@ -94,7 +94,7 @@ class Planning:
         return horizon_planner(horizon, self.horizon_simulations)
 
     def prepare(self, setting: Setting) -> PieceOf:
-        """Calibrate the cuts."""
+        """Calibrate the cuts, and compile what is timed."""
         compile_decisions(setting, self.contenders.values())
         return {"rate": Source.of(setting).cut_rate(self.cut_share, CUT_KIND)}
 

@@ -29,7 +29,7 @@ class Reward(RewardDesign):
     section = section_of
 
     def prepare(self, setting: Setting) -> PieceOf:
-        """Calibrate the cuts, and choose the strongest heuristic and planner on episodes of their own."""
+        """Calibrate the cuts, choose the strongest baselines on episodes of their own, and compile what is timed."""
         source, num_all = Source.of(setting), self.episodes_per_scene * len(setting.scenes)
         blocks = [Source.of(setting, k) for k in range(self.selection_blocks)]
         earned: dict[str, float] = {}
