@@ -90,10 +90,11 @@ def edit_arrays(folder, change):
 
 
 @pytest.mark.parametrize(
-    ("q_function", "stages"), [("linear", "separate"), ("linear", "pooled"), ("kernel", "separate")]
+    ("q_function", "stages", "pessimism"),
+    [("linear", "separate", 0.0), ("linear", "pooled", 2.0), ("kernel", "separate", 2.0)],
 )
-def test_a_policy_of_named_actions_comes_back_to_the_last_bit(flat, tmp_path, q_function, stages):
-    learner = flat_learner(q_function=q_function, stages=stages).fit(flat)
+def test_a_policy_of_named_actions_comes_back_to_the_last_bit(flat, tmp_path, q_function, stages, pessimism):
+    learner = flat_learner(q_function=q_function, stages=stages, pessimism=pessimism).fit(flat)
     write_policy(learner, flat, tmp_path / "policy")
     again = read_policy(tmp_path / "policy")
     assert not again.is_table
@@ -103,6 +104,7 @@ def test_a_policy_of_named_actions_comes_back_to_the_last_bit(flat, tmp_path, q_
         for rows in (asked, asked[:1]):
             q = learner.q_values(rows, stage)
             assert again.policy.q_values(rows, stage).tobytes() == q.tobytes()
+            assert again.policy.scores(rows, stage).tobytes() == learner.policy_.scores(rows, stage).tobytes()
             assert list(again.policy.decide(rows, stage)) == list(learner.decide(rows, stage))
 
 
@@ -377,6 +379,7 @@ def test_a_number_that_is_none_is_refused(written, value):
         (lambda a: a.update(more=np.zeros(2)), "'more' is none that a policy has"),
         (lambda a: a.update({"grasp.chances": np.zeros((3, 2, 2))}), "'grasp.chances' is none that a policy has"),
         (lambda a: a.update({"kernel.centre": np.zeros(2)}), "'kernel.projection' is missing"),
+        (lambda a: a.update(behaviour=np.zeros((3, 2))), "the schema asks for float64 of shape [3, 3]"),
     ],
 )
 def test_arrays_that_do_not_fit_are_refused(written, change, message):

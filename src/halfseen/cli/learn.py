@@ -188,7 +188,10 @@ def _lines(report: Mapping[str, Any]) -> list[str]:
 
 
 def _pessimism(strength: float) -> str:
-    return f"Q is lowered by {strength:.2g} standard errors, so that nothing is chosen on the word of few stages"
+    return (
+        f"Q is lowered by {strength:.2g} standard errors, less so where the logs do as much, so that nothing is chosen on "
+        "the word of few stages"
+    )
 
 
 def _regs(values: Sequence[Sequence[float]], rows: str) -> str:

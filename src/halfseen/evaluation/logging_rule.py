@@ -26,7 +26,7 @@ from sklearn.linear_model import LogisticRegression
 from sklearn.pipeline import Pipeline
 from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
-from halfseen.evaluation.propensity import conditional_logit
+from halfseen.learners.q_learning.behaviour import conditional_logit
 from halfseen.learners.q_learning.covariates import Covariates
 from halfseen.learners.q_learning.named_actions import NamedActions
 from halfseen.learners.q_learning.path_arrays import PathArrays, stage_places

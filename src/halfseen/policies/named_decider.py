@@ -43,7 +43,7 @@ class NamedDecider:
     ranges: RangesOfStage = everything
 
     def decide(self, observation: NamedObservation) -> Decision:
-        """Take the possible action with the largest Q, or lower bound of it.
+        """Take the possible action with the largest Q, with pessimism less its margin.
 
         Raises
         ------
@@ -53,7 +53,7 @@ class NamedDecider:
             A covariate is missing, no finite number, null or of an unknown category.
         """
         policy, row, stage = self.policy, observation.row, observation.stage
-        q = policy.lower_bounds(row, stage)[0]
+        q = policy.scores(row, stage)[0]
         possible = np.where(policy.is_possible[stage - 1], q, -np.inf)
         ranges = self.ranges(stage)
         values = {

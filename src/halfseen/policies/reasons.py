@@ -58,7 +58,7 @@ def flat_reason(policy: FlatPolicy, row: pd.DataFrame, stage: int, ranges: Range
         What the log showed of each covariate; None if no path came so far.
     """
     is_possible = policy.is_possible[stage - 1]
-    q = np.where(is_possible, policy.lower_bounds(row, stage)[0], -np.inf)
+    q = np.where(is_possible, policy.scores(row, stage)[0], -np.inf)
     best = int(np.argmax(q))
     names = [str(name) for name in policy.actions]
     lead = _lead(names, q, best)
@@ -69,7 +69,7 @@ def flat_reason(policy: FlatPolicy, row: pd.DataFrame, stage: int, ranges: Range
     # What is true or false lies in its middle at one half.
     numbers = row.astype({name: float for name in policy.covariates if name not in policy.categories})
     changed = pd.concat([numbers.assign(**{name: middle[name]}) for name in policy.covariates], ignore_index=True)
-    each = policy.lower_bounds(changed, stage)
+    each = policy.scores(changed, stage)
     left = each[:, best] - each[:, other]
     least = int(np.argmin(left))
     name = policy.covariates[least]

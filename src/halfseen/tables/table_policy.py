@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from halfseen.learners.q_learning.behaviour import leaning
 from halfseen.learners.q_learning.kernel_map import KernelMap
 from halfseen.learners.q_learning.support import seen_among
 from halfseen.learners.q_learning.transitions import q_values
@@ -19,7 +20,7 @@ from halfseen.world.state import TableState
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class LinearTablePolicy:
-    """argmax over possible actions of Q̂_h(S, a), with h the steps to go.
+    """argmax over possible actions of Q̂_h(S, a), with h the steps to go; with pessimism, less a margin.
 
     Parameters
     ----------
@@ -33,6 +34,8 @@ class LinearTablePolicy:
         Which verbs have a value, by steps to go: those that the log has seen completed; None for all.
     margin
         M by steps to go and verb: the lower confidence bound is Q̂ − ‖Mᵀ (1, features)‖; None without pessimism.
+    behaviour
+        Coefficients of the behaviour policy on the features of the table, the offset first; None if not known.
     """
 
     coefficients: Float[Array, "*B T K F"]
@@ -40,12 +43,16 @@ class LinearTablePolicy:
     kernel_map: KernelMap | None = None
     is_seen: Bool[Array, "T K"] | None = None
     margin: Float[Array, "*B T K F F"] | None = None
+    behaviour: Float[Array, "K G"] | None = None
 
     def q_values(self, state: TableState, key: Array | None = None) -> Float[Array, " A"]:
-        """Q of every action of one table, −∞ where an action is not possible; with pessimism, its lower bound."""
+        """Q of every action of one table, −∞ where an action is not possible.
+
+        With pessimism, less its margin, which counts less, the more the log takes the action anyway.
+        """
         q = self._q(state)
         if self.margin is not None:
-            q = q - self._margins(state, self.margin[state.steps_to_go - 1])
+            q = q - (1.0 - self._leaning(state)) * self._margins(state, self.margin[state.steps_to_go - 1])
         return jnp.where(self._possible(state), q, -jnp.inf)
 
     def _q(self, state: TableState) -> Float[Array, " A"]:
@@ -57,6 +64,12 @@ class LinearTablePolicy:
     def _margins(self, state: TableState, root: Float[Array, "K F F"]) -> Float[Array, " A"]:
         each = root[self._verbs(state)]
         return jnp.linalg.norm(each[:, 0] + jnp.einsum("af,afg->ag", self._features(state), each[:, 1:]), axis=-1)
+
+    def _leaning(self, state: TableState) -> Float[Array, " A"]:
+        if self.behaviour is None:
+            return jnp.zeros(len(self._verbs(state)))
+        utility = q_values(self.behaviour, table_features(state, self.grasp), self._verbs(state))
+        return jnp.asarray(leaning(utility, self._possible(state)))
 
     def _features(self, state: TableState) -> Float[Array, "A F1"]:
         features = table_features(state, self.grasp)

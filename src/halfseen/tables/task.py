@@ -12,8 +12,7 @@ from jaxtyping import Bool, Float, Int
 
 from halfseen.censoring import is_fitted
 from halfseen.errors import ArgumentError
-from halfseen.learners.q_learning.kernel_map import KernelMap
-from halfseen.learners.q_learning.task import Encoded
+from halfseen.learners.q_learning.task import Encoded, LearnedQ
 from halfseen.logs import Logs
 from halfseen.tables.censoring_covariates import NUM_AT_BEGIN, TABLE_COVARIATES, table_covariates
 from halfseen.tables.encoding import encode_tables
@@ -86,17 +85,18 @@ class TableTask:
             return reward, None
         return expected_rewards(reward, weight, is_last, wash_outcomes(encoded)), label_control_variates(encoded)
 
-    def policy(
-        self,
-        coefficients: Float[np.ndarray, "*B T K F"],
-        kernel_map: KernelMap | None,
-        is_seen: Bool[np.ndarray, "T K"] | None,
-        margin: Float[np.ndarray, "*B T K F F"] | None = None,
-    ) -> LinearTablePolicy:
+    def policy(self, learned: LearnedQ) -> LinearTablePolicy:
         """Policy in single precision, as coarse as the states that it sees."""
-        single = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=jnp.float32), (coefficients, kernel_map, margin))
-        seen = None if is_seen is None or is_seen.all() else jnp.asarray(is_seen)
-        return LinearTablePolicy(single[0], self.grasp, single[1], seen, single[2])
+        numbers, seen = learned._replace(is_seen=None), learned.is_seen
+        single: Any = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=jnp.float32), numbers)
+        return LinearTablePolicy(
+            coefficients=single.coefficients,
+            grasp=self.grasp,
+            kernel_map=single.kernel_map,
+            is_seen=None if seen is None or seen.all() else jnp.asarray(seen),
+            margin=single.margin,
+            behaviour=single.behaviour,
+        )
 
     def target_probabilities(self, policy: Any, logs: Logs, horizon: int) -> Float[np.ndarray, "n T A"]:
         """π(a | S_t) of a policy of tables in every stage of a log."""

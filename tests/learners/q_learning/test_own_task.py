@@ -64,8 +64,8 @@ class DoseTask:
     def reduce_variance(self, encoded, reward, weight, is_last):
         return reward, None
 
-    def policy(self, coefficients, kernel_map, is_seen, margin=None):
-        return DosePolicy(np.asarray(coefficients))
+    def policy(self, learned):
+        return DosePolicy(learned.coefficients)
 
     def target_probabilities(self, policy, logs, horizon):
         probabilities = np.zeros((logs.num_paths, horizon, len(DOSES)))

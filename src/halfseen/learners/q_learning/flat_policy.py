@@ -9,6 +9,7 @@ import pandas as pd
 from jaxtyping import Bool, Float
 
 from halfseen.errors import ArgumentError
+from halfseen.learners.q_learning.behaviour import leaning
 from halfseen.learners.q_learning.covariates import Categories, Covariates
 from halfseen.learners.q_learning.kernel_map import KernelMap
 
@@ -31,7 +32,7 @@ class NamedActionPolicy(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class FlatPolicy:
-    """argmax over the possible actions of Q̂_t(S, a), or with pessimism of its lower confidence bound.
+    """argmax over the possible actions of Q̂_t(S, a), with pessimism less a margin (`scores`).
 
     Parameters
     ----------
@@ -47,6 +48,8 @@ class FlatPolicy:
         Features of the RKHS; None where Q is linear in the covariates.
     margin
         M of each stage and action: the lower confidence bound is Q̂ − ‖Mᵀ (1, features)‖; None without pessimism.
+    behaviour
+        Coefficients of the behaviour policy on the covariates, the offset first (`behaviour`); None if not known.
     categories
         Of the covariates that hold text, those that the log showed.
     """
@@ -57,6 +60,7 @@ class FlatPolicy:
     coefficients: Float[np.ndarray, "*B T A F"]
     kernel_map: KernelMap | None = None
     margin: Float[np.ndarray, "*B T A F F"] | None = None
+    behaviour: Float[np.ndarray, "A G"] | None = None
     categories: Categories = field(default_factory=dict)
 
     @property
@@ -90,15 +94,19 @@ class FlatPolicy:
         return each[:, 0] + features @ each[:, 1:].T
 
     def lower_bounds(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
-        """What the policy goes by: the lower confidence bound of every Q̂; Q̂ itself without pessimism."""
-        q = self.q_values(frame, stage)
-        if self.margin is None:
-            return q
-        root, features = self.margin[stage - 1], self._features(frame)
-        return q - np.stack([np.linalg.norm(each[0] + features @ each[1:], axis=1) for each in root], axis=1)
+        """Lower confidence bound of every Q̂; Q̂ itself without pessimism."""
+        return self.q_values(frame, stage) - self._margins(frame, stage)
+
+    def scores(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
+        """What the policy goes by: Q̂ less its margin, which counts less, the more the log takes the action anyway."""
+        q, margins = self.q_values(frame, stage), self._margins(frame, stage)
+        if self.behaviour is None:
+            return q - margins
+        utility = self.behaviour[:, 0] + self.looks_at.encode(frame) @ self.behaviour[:, 1:].T
+        return q - (1.0 - leaning(utility, self.is_possible[stage - 1])) * margins
 
     def decide(self, frame: pd.DataFrame, stage: int) -> np.ndarray:
-        """Name the possible action with the largest lower bound, for each row of covariates; shape (m,)."""
+        """Name the possible action with the largest score, for each row of covariates; shape (m,)."""
         names = np.empty(len(self.actions), dtype=object)
         names[:] = self.actions
         return names[self._best(frame, stage)]
@@ -109,8 +117,14 @@ class FlatPolicy:
         return (best[:, None] == np.arange(len(self.actions))).astype(np.float64)
 
     def _best(self, frame: pd.DataFrame, stage: int) -> np.ndarray:
-        low = self.lower_bounds(frame, stage)
-        return np.argmax(np.where(self.is_possible[stage - 1], low, -np.inf), axis=1)
+        scores = self.scores(frame, stage)
+        return np.argmax(np.where(self.is_possible[stage - 1], scores, -np.inf), axis=1)
+
+    def _margins(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
+        if self.margin is None:
+            return np.zeros((len(frame), len(self.actions)))
+        features, root = self._features(frame), self.margin[stage - 1]
+        return np.stack([np.linalg.norm(each[0] + features @ each[1:], axis=1) for each in root], axis=1)
 
     def _features(self, frame: pd.DataFrame) -> Float[np.ndarray, "m F1"]:
         values = self.looks_at.encode(frame)

@@ -11,10 +11,9 @@ from jaxtyping import Bool, Float, Int
 from halfseen.errors import ArgumentError, LogError
 from halfseen.learners.q_learning.covariates import Categories, Covariates, learned_categories, unfit_covariates
 from halfseen.learners.q_learning.flat_policy import FlatPolicy, NamedActionPolicy
-from halfseen.learners.q_learning.kernel_map import KernelMap
 from halfseen.learners.q_learning.path_arrays import stage_places
 from halfseen.learners.q_learning.support import seen_among
-from halfseen.learners.q_learning.task import ACTION, Encoded
+from halfseen.learners.q_learning.task import ACTION, Encoded, LearnedQ
 from halfseen.logs import Logs
 
 Actions = Sequence[Hashable] | Mapping[int, Sequence[Hashable]]
@@ -156,22 +155,18 @@ class NamedActions:
         """Nothing is known of the noise."""
         return reward, None
 
-    def policy(
-        self,
-        coefficients: Float[np.ndarray, "*B T K F"],
-        kernel_map: KernelMap | None,
-        is_seen: Bool[np.ndarray, "T A"] | None,
-        margin: Float[np.ndarray, "*B T K F F"] | None = None,
-    ) -> FlatPolicy:
-        """Policy that follows Q-functions, or a batch of them, and takes what has a value; all is by steps to go."""
+    def policy(self, learned: LearnedQ) -> FlatPolicy:
+        """Policy that follows Q-functions, or a batch of them, and takes what has a value."""
+        coefficients, seen, margin = learned.coefficients, learned.is_seen, learned.margin
         possible = self._possible_by_stage(coefficients.shape[-3])
         return FlatPolicy(
             actions=tuple(self.names),
             covariates=tuple(self.covariates),
-            is_possible=possible if is_seen is None else np.asarray(seen_among(possible, is_seen[::-1])),
+            is_possible=possible if seen is None else np.asarray(seen_among(possible, seen[::-1])),
             coefficients=np.asarray(coefficients[..., ::-1, :, :]),
-            kernel_map=kernel_map,
+            kernel_map=learned.kernel_map,
             margin=None if margin is None else margin[..., ::-1, :, :, :],
+            behaviour=learned.behaviour,
             categories={name: self.categories[name] for name in self.covariates if name in self.categories},
         )
 

@@ -75,7 +75,8 @@ class CensoredQLearner(BaseEstimator):
         over paths.
     pessimism
         Standard errors by which Q is lowered wherever the largest is sought, in eq. 3 and by the policy, so that what
-        few stages speak for is not taken on their word (`spread`); 0 for eq. 3 as it stands. ``"auto"``: 2/√T, but
+        few stages speak for is not taken on their word (`spread`); by the policy less, the more the log takes an action
+        anyway (`behaviour`); 0 for eq. 3 as it stands. ``"auto"``: 2/√T, but
         0 where `censoring` is given, and on a stream.
     random_state
         Seed that deals paths into folds and draws the landmarks of a kernel.

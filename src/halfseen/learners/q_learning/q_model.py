@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 from halfseen.censoring import CensoringSpec, CutModel
 from halfseen.errors import ArgumentError, PositivityError
+from halfseen.learners.q_learning.behaviour import behaviour_of
 from halfseen.learners.q_learning.fitting import BackwardOptions, fit_q_functions
 from halfseen.learners.q_learning.imputation import imputation
 from halfseen.learners.q_learning.kernel_map import KernelMap
@@ -18,7 +19,7 @@ from halfseen.learners.q_learning.path_arrays import PathArrays, path_arrays
 from halfseen.learners.q_learning.q_space import CrossValidation, LinearQ, QSpace, Reg
 from halfseen.learners.q_learning.support import Support, seen_among, support_of
 from halfseen.learners.q_learning.targets import Targets, Weighted
-from halfseen.learners.q_learning.task import Task
+from halfseen.learners.q_learning.task import LearnedQ, Task
 from halfseen.learners.q_learning.transitions import Imputation, QFunctions, StageMode, Transitions
 from halfseen.logs import Logs
 
@@ -51,6 +52,8 @@ class QModel:
         What the log has seen completed, once it was looked at.
     pessimism
         Standard errors of Q by which it is lowered wherever the largest is sought, in eq. 3 and by the policy.
+    behaviour
+        Coefficients of the behaviour policy, once it is fitted, which is for pessimism alone.
 
     Raises
     ------
@@ -69,6 +72,7 @@ class QModel:
     kernel_map: KernelMap | None = None
     support: Support | None = None
     pessimism: float = 0.0
+    behaviour: Float[np.ndarray, "K G"] | None = None
 
     def __post_init__(self) -> None:
         if self.horizon < 1:
@@ -88,11 +92,17 @@ class QModel:
         model = replace(self, task=self.task.fitted(logs, self.horizon))
         paths = model.lay_out(logs)
         refuse_all_cut(paths.clocks.is_finished)
-        return model.with_kernel(paths).with_cuts(paths), paths
+        return model.with_kernel(paths).with_cuts(paths).with_behaviour(paths), paths
 
     def with_cuts(self, paths: PathArrays) -> "QModel":
         """Fit Ĝ, and look at what was seen completed."""
         return replace(self, cut_model=self.targets.fit_cuts(paths.clocks), support=self.support_in(paths))
+
+    def with_behaviour(self, paths: PathArrays) -> "QModel":
+        """Fit the behaviour policy, if there is a margin that it may waive."""
+        if self.pessimism == 0:
+            return self
+        return replace(self, behaviour=behaviour_of(paths, self.blocks(paths.is_possible.shape[-1])))
 
     def support_in(self, paths: PathArrays) -> Support:
         """Count what a log has seen completed."""
@@ -174,7 +184,8 @@ class QModel:
             coefficients, seen = coefficients[..., ::-1, :, :], None if seen is None else seen[::-1]
             root = None if root is None else root[..., ::-1, :, :, :]
         margin = None if root is None else self.pessimism * np.asarray(root)
-        return self.task.policy(np.asarray(coefficients), self.kernel_map, seen, margin)
+        learned = LearnedQ(np.asarray(coefficients), self.kernel_map, seen, margin, self.behaviour)
+        return self.task.policy(learned)
 
     @property
     def regs(self) -> Float[np.ndarray, " L"]:

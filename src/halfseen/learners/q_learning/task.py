@@ -36,6 +36,21 @@ class Encoded(NamedTuple):
         return np.take_along_axis(self.features, self.action[..., None, None], axis=2)[:, :, 0]
 
 
+class LearnedQ(NamedTuple):
+    """Q-functions, or a batch of them, and what a policy needs beside them; all of T steps to go, one step first."""
+
+    coefficients: Float[np.ndarray, "*B T K F"]
+    """The offset first."""
+    kernel_map: KernelMap | None = None
+    """Features of the RKHS; None where Q is linear."""
+    is_seen: Bool[np.ndarray, "T K"] | None = None
+    """Blocks that have a value; None if all have."""
+    margin: Float[np.ndarray, "*B T K F F"] | None = None
+    """M of the lower confidence bound Q̂ − ‖Mᵀ (1, features)‖; None without pessimism."""
+    behaviour: Float[np.ndarray, "K G"] | None = None
+    """Coefficients of the behaviour policy, which waives margins (`behaviour`); None where it is not known."""
+
+
 @runtime_checkable
 class Task(Protocol):
     """How the logs of one kind of problem become arrays, and Q-functions a policy."""
@@ -96,17 +111,8 @@ class Task(Protocol):
         """Rewards of the same mean and less noise, and control variates of mean 0; as they are and None if unknown."""
         ...
 
-    def policy(
-        self,
-        coefficients: Float[np.ndarray, "*B T K F"],
-        kernel_map: KernelMap | None,
-        is_seen: Bool[np.ndarray, "T K"] | None,
-        margin: Float[np.ndarray, "*B T K F F"] | None = None,
-    ) -> Any:
-        """Policy that follows Q-functions, or a batch of them, and takes what has a value; None if all has.
-
-        Coefficients, what has a value and margins (with pessimism) are by steps to go, one step first.
-        """
+    def policy(self, learned: LearnedQ) -> Any:
+        """Policy that follows Q-functions, or a batch of them, and takes what has a value."""
         ...
 
     def target_probabilities(self, policy: Any, logs: Logs, horizon: int) -> Float[np.ndarray, "n T A"]:

@@ -10,7 +10,7 @@ from halfseen.learners.q_learning.kernel_map import KernelMap
 
 Arrays = Mapping[str, np.ndarray]
 
-COEFFICIENTS, MARGIN, GRASP = "coefficients", "margin", "grasp.chances"
+COEFFICIENTS, MARGIN, BEHAVIOUR, GRASP = "coefficients", "margin", "behaviour", "grasp.chances"
 KERNEL_NAMES = ("centre", "scale", "landmarks", "projection", "gamma")
 TREND = "kernel.trend"
 
@@ -28,7 +28,7 @@ class Shape(NamedTuple):
 
 
 def policy_arrays(policy: Any) -> dict[str, np.ndarray]:
-    """Name the coefficients of a policy, its margin and the arrays of its kernel, each in the order of its memory.
+    """Name the arrays of a policy and of its kernel, each in the order of its memory.
 
     Raises
     ------
@@ -45,6 +45,8 @@ def policy_arrays(policy: Any) -> dict[str, np.ndarray]:
             arrays[TREND] = np.asarray(policy.kernel_map.trend)
     if policy.margin is not None:
         arrays[MARGIN] = np.asarray(policy.margin)
+    if policy.behaviour is not None:
+        arrays[BEHAVIOUR] = np.asarray(policy.behaviour)
     return arrays
 
 
@@ -84,6 +86,8 @@ def check_arrays(arrays: Arrays, shape: Shape, *, may_grasp: bool = False) -> No
     wanted[COEFFICIENTS] = (shape.horizon, shape.num_blocks, 1 + num_inputs)
     if MARGIN in arrays:
         wanted[MARGIN] = (*wanted[COEFFICIENTS], 1 + num_inputs)
+    if BEHAVIOUR in arrays:
+        wanted[BEHAVIOUR] = (shape.num_blocks, 1 + shape.num_features)
     for name in sorted({*wanted, *arrays}):
         _check_shape(name, arrays.get(name), wanted.get(name), shape.dtype)
     for name, array in arrays.items():

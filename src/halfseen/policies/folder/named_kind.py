@@ -11,6 +11,7 @@ from halfseen.learners.q_learning.covariates import Categories, Covariates
 from halfseen.learners.q_learning.flat_policy import FlatPolicy
 from halfseen.logs import Logs
 from halfseen.policies.folder.arrays import (
+    BEHAVIOUR,
     COEFFICIENTS,
     MARGIN,
     Arrays,
@@ -56,7 +57,7 @@ class NamedKind:
         return policy.covariates
 
     def arrays_of(self, policy: FlatPolicy) -> dict[str, np.ndarray]:
-        """Coefficients, and the kernel and the margin if there are."""
+        """Coefficients, and the kernel, the margin and the behaviour policy if there are."""
         return policy_arrays(policy)
 
     def policy_of(self, record: Mapping[str, Any], arrays: Arrays) -> FlatPolicy:
@@ -83,6 +84,7 @@ class NamedKind:
             coefficients=arrays[COEFFICIENTS],
             kernel_map=kernel_map_of(arrays),
             margin=arrays.get(MARGIN),
+            behaviour=arrays.get(BEHAVIOUR),
             categories=looks_at.categories,
         )
 

@@ -10,6 +10,7 @@ import numpy as np
 from halfseen.errors import ArgumentError, PolicyError
 from halfseen.logs import Logs
 from halfseen.policies.folder.arrays import (
+    BEHAVIOUR,
     COEFFICIENTS,
     GRASP,
     MARGIN,
@@ -56,7 +57,7 @@ class TableKind:
         return TABLE_RANGES
 
     def arrays_of(self, policy: LinearTablePolicy) -> dict[str, np.ndarray]:
-        """Coefficients, and the kernel, the margin and the grasp model if there are.
+        """Coefficients, and the kernel, the margin, the behaviour policy and the grasp model if there are.
 
         Raises
         ------
@@ -86,7 +87,8 @@ class TableKind:
         on_device: Any = {name: jnp.asarray(array) for name, array in arrays.items()}
         grasp = GraspTable(on_device[GRASP]) if GRASP in arrays else None
         kernel_map, margin = kernel_map_of(on_device), on_device.get(MARGIN)
-        return LinearTablePolicy(on_device[COEFFICIENTS], grasp, kernel_map, _is_seen(record), margin)
+        behaviour = on_device.get(BEHAVIOUR)
+        return LinearTablePolicy(on_device[COEFFICIENTS], grasp, kernel_map, _is_seen(record), margin, behaviour)
 
 
 def _seen_verbs(policy: LinearTablePolicy) -> list[list[str]]:
