@@ -189,8 +189,8 @@ def _lines(report: Mapping[str, Any]) -> list[str]:
 
 def _pessimism(strength: float) -> str:
     return (
-        f"Q is lowered by {strength:.2g} standard errors, less so where the logs do as much, so that nothing is chosen "
-        "on the word of few stages"
+        f"Q is lowered by {strength:.2g} times its standard error, less where the logs do as much, so that nothing is "
+        "chosen on the word of few stages"
     )
 
 
