@@ -5,6 +5,7 @@
     HalfseenError              everything below; the command line prints it in one line and exits with status 2
     ├── CloudError             a point cloud that cannot be read, or that shows no table
     ├── LogError               a log that breaks an invariant; names the path and the stage
+    ├── PlanError              a robot cannot do what it is asked to: out of reach, or something is in the way
     ├── PolicyError            a policy folder that cannot be read, or a policy that does not fit what it is shown
     ├── PositivityError        a weight that the data do not identify; names the path, the stage and the time
     ├── SceneError             a scene whose numbers contradict one another
@@ -24,6 +25,10 @@ class CloudError(HalfseenError):
 
 class LogError(HalfseenError):
     """A log breaks an invariant."""
+
+
+class PlanError(HalfseenError):
+    """A robot cannot do what it is asked to."""
 
 
 class PolicyError(HalfseenError):

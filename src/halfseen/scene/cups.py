@@ -92,6 +92,16 @@ def body_mesh(cup: Cup) -> tuple[Vertices, Faces]:
     return _tube(rings, poles)
 
 
+def handle_bow(cup: Cup, num_points: int) -> tuple[Vertices, float]:
+    """Middle of the bent bar of a handle, from its lower end in the wall to its upper one, and its radius [m]."""
+    radius_m = 0.16 * cup.handle_m
+    bend = np.linspace(-np.pi / 2, np.pi / 2, num_points)
+    z_m = 0.52 * cup.height_m + 0.28 * cup.height_m * np.sin(bend)
+    wall_x_m = cup.base_radius_m + (cup.rim_radius_m - cup.base_radius_m) * z_m / cup.height_m - cup.wall_m / 2
+    x_m = wall_x_m + (cup.handle_m - radius_m) * np.cos(bend)
+    return np.stack([x_m, np.zeros(num_points), z_m], axis=1), radius_m
+
+
 def handle_mesh(cup: Cup) -> tuple[Vertices, Faces]:
     """Build the closed surface of the handle: a bent round bar whose ends sit in the wall.
 
@@ -107,11 +117,8 @@ def handle_mesh(cup: Cup) -> tuple[Vertices, Faces]:
     """
     if cup.handle_m <= 0:
         raise SceneError(f"cup: handle_m is {cup.handle_m}, so there is no handle to build; ask for a cup that has one")
-    bar_radius_m = 0.16 * cup.handle_m
-    bend = np.linspace(-np.pi / 2, np.pi / 2, _NUM_ALONG_HANDLE)
-    z_m = 0.52 * cup.height_m + 0.28 * cup.height_m * np.sin(bend)
-    wall_x_m = cup.base_radius_m + (cup.rim_radius_m - cup.base_radius_m) * z_m / cup.height_m - cup.wall_m / 2
-    x_m = wall_x_m + (cup.handle_m - bar_radius_m) * np.cos(bend)
+    bow_m, bar_radius_m = handle_bow(cup, _NUM_ALONG_HANDLE)
+    x_m, z_m = bow_m[:, 0], bow_m[:, 2]
     outward = np.stack([np.gradient(z_m), -np.gradient(x_m)], 1)
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     around = 2 * np.pi * np.arange(_NUM_AROUND_HANDLE) / _NUM_AROUND_HANDLE

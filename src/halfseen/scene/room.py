@@ -41,11 +41,16 @@ def room_model(cups: Sequence[Cup], world_from_cup: Sequence[Pose], *, is_free: 
     mujoco.MjModel
         Body ``cup_i`` is cup i; everything else belongs to the world body.
     """
+    return room_spec(cups, world_from_cup, is_free=is_free).compile()
+
+
+def room_spec(cups: Sequence[Cup], world_from_cup: Sequence[Pose], *, is_free: bool) -> mujoco.MjSpec:
+    """Build the whole room without compiling it, so that more can be added; parameters are those of `room_model`."""
     spec = _empty_spec()
     _add_furniture(spec)
     for index, (cup, pose) in enumerate(zip(cups, world_from_cup, strict=True)):
         _add_cup(spec, index, cup, pose, is_free=is_free)
-    return spec.compile()
+    return spec
 
 
 def lone_cup_model(cup: Cup, world_from_cup: Pose) -> mujoco.MjModel:

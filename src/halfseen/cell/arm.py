@@ -1,0 +1,193 @@
+"""A serial arm from its Denavit–Hartenberg table [DenavitHartenberg1955]_, as capsules.
+
+Joint i turns about z of frame i − 1; frame i lies d_i along that axis, then a_i along the new x, about which it is
+tilted by α_i. The frame after the last joint is the *flange*, whose z points out of the arm.
+"""
+
+# MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
+# pyright: reportAttributeAccessIssue=false
+
+from dataclasses import dataclass
+from math import cos, pi, radians, sin
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from halfseen.cell.contacts import ROBOT
+
+_GREY = (0.25, 0.25, 0.28, 1.0)
+
+
+@dataclass(frozen=True)
+class Motor:
+    """What turns a joint.
+
+    Parameters
+    ----------
+    speed_rad_s
+        Largest speed [rad/s].
+    stiffness_nm
+        Of its position servo [N·m/rad].
+    armature_kgm2
+        Inertia behind the gear [kg·m²].
+    """
+
+    speed_rad_s: float
+    stiffness_nm: float
+    armature_kgm2: float
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A row of the table, and the link that the joint moves.
+
+    Parameters
+    ----------
+    d_m, a_m, alpha_rad
+        From frame i − 1 to frame i [m, m, rad].
+    zero_rad
+        The table's angle where the arm counts 0 [rad].
+    motor
+        What turns it.
+    mass_kg, radius_m
+        Of the link [kg, m].
+    begin_m
+        Where the link begins along the joint's axis, from frame i − 1 [m].
+    limits_rad
+        Least and largest angle [rad]; None for a joint that turns without end.
+    is_reversed
+        Whether the arm counts the other way round.
+    """
+
+    d_m: float
+    a_m: float
+    alpha_rad: float
+    zero_rad: float
+    motor: Motor
+    mass_kg: float
+    radius_m: float
+    begin_m: float = 0.0
+    limits_rad: tuple[float, float] | None = None
+    is_reversed: bool = False
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A serial arm.
+
+    Parameters
+    ----------
+    name
+        What it is.
+    joints
+        From the base on.
+    flange_m
+        Where the last link ends along the last axis, from frame n − 1 [m]: what is mounted begins there.
+    base_mass_kg, base_radius_m
+        Of what stands on the floor [kg, m].
+    """
+
+    name: str
+    joints: tuple[Joint, ...]
+    flange_m: float
+    base_mass_kg: float
+    base_radius_m: float
+
+    @property
+    def num_joints(self) -> int:
+        """Number of joints."""
+        return len(self.joints)
+
+    def spec(self) -> mujoco.MjSpec:
+        """Build the arm alone: bodies ``link_i``, ``joint_i`` with a position servo each, and a site ``flange``."""
+        spec = mujoco.MjSpec()
+        spec.compiler.degree = False
+        base = spec.worldbody.add_body(name="base")
+        height_m, radius_m = self.joints[0].d_m, self.base_radius_m
+        _add_capsule(base, (0, 0, radius_m), (0, 0, 0.55 * height_m), radius_m, self.base_mass_kg)
+        body, place = base, _turned(np.zeros(3), _IDENTITY, self.joints[0].zero_rad)
+        for index, joint in enumerate(self.joints):
+            body = body.add_body(name=f"link_{index + 1}", pos=list(place[0]), quat=list(place[1]))
+            body.gravcomp = 1.0
+            self._add_joint(spec, body, index)
+            end = _next_frame(joint)
+            if index + 1 < self.num_joints:
+                after = self.joints[index + 1]
+                _add_capsule(
+                    body, (0, 0, joint.begin_m), _carried(end, (0, 0, after.begin_m)), joint.radius_m, joint.mass_kg
+                )
+                place = _turned(*end, after.zero_rad)
+            else:
+                _add_capsule(body, (0, 0, joint.begin_m), (0, 0, self.flange_m), joint.radius_m, joint.mass_kg)
+                body.add_site(name="flange", pos=[0, 0, self.flange_m], quat=list(end[1]))
+        return spec
+
+    def _add_joint(self, spec: mujoco.MjSpec, body: mujoco.MjsBody, index: int) -> None:
+        joint, name = self.joints[index], f"joint_{index + 1}"
+        hinge = body.add_joint(
+            name=name, axis=[0, 0, -1 if joint.is_reversed else 1], armature=joint.motor.armature_kgm2
+        )
+        if joint.limits_rad is not None:
+            hinge.limited, hinge.range = True, list(joint.limits_rad)
+        servo = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        carried_kgm2 = joint.motor.armature_kgm2 + 0.1 * sum(each.mass_kg for each in self.joints[index:])
+        stiffness = joint.motor.stiffness_nm
+        servo.set_to_position(kp=stiffness, kv=2.0 * (stiffness * carried_kgm2) ** 0.5)
+
+
+_IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+def _next_frame(joint: Joint) -> tuple[np.ndarray, np.ndarray]:
+    """Frame i in frame i − 1 turned by the joint: position [m] and quaternion."""
+    half = 0.5 * joint.alpha_rad
+    return np.array([joint.a_m, 0.0, joint.d_m]), np.array([cos(half), sin(half), 0.0, 0.0])
+
+
+def _turned(position_m: np.ndarray, quaternion: np.ndarray, angle_rad: float) -> tuple[np.ndarray, np.ndarray]:
+    """Turn a frame about its z."""
+    about_z, turned = np.array([cos(0.5 * angle_rad), 0.0, 0.0, sin(0.5 * angle_rad)]), np.zeros(4)
+    mujoco.mju_mulQuat(turned, quaternion, about_z)
+    return position_m, turned
+
+
+def _carried(frame: tuple[np.ndarray, np.ndarray], point_m: tuple[float, float, float]) -> np.ndarray:
+    """Carry a point of a frame over."""
+    turned = np.zeros(3)
+    mujoco.mju_rotVecQuat(turned, np.array(point_m, dtype=np.float64), frame[1])
+    return frame[0] + turned
+
+
+def _add_capsule(body: mujoco.MjsBody, begin_m: Any, end_m: Any, radius_m: float, mass_kg: float) -> None:
+    body.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+        fromto=[*map(float, begin_m), *map(float, end_m)],
+        size=[radius_m, 0, 0],
+        mass=mass_kg,
+        rgba=list(_GREY),
+        **ROBOT,
+    )
+
+
+_WRIST_M, _BEND_RAD = 0.0741, radians(30.0)
+_FOLD_M = _WRIST_M * sin(_BEND_RAD) / sin(2 * _BEND_RAD)  # from a joint of the bent wrist to where two axes would meet
+_FOREARM_M, _OFFSET_M = 0.2073, 0.0098
+_LARGE = Motor(speed_rad_s=radians(36.0), stiffness_nm=4000.0, armature_kgm2=0.5)
+_SMALL = Motor(speed_rad_s=radians(48.0), stiffness_nm=1200.0, armature_kgm2=0.2)
+
+JACO_2 = Arm(
+    name="Kinova Jaco 2, six joints, bent wrist",
+    joints=(
+        Joint(0.2755, 0.0, pi / 2, 0.0, _LARGE, 0.643, 0.040, begin_m=0.157, is_reversed=True),
+        Joint(0.0, 0.41, pi, -pi / 2, _LARGE, 1.169, 0.038, limits_rad=(radians(47.0), radians(313.0))),
+        Joint(-_OFFSET_M, 0.0, pi / 2, pi / 2, _LARGE, 0.673, 0.034, limits_rad=(radians(19.0), radians(341.0))),
+        Joint(-_FOREARM_M - _FOLD_M, 0.0, 2 * _BEND_RAD, 0.0, _SMALL, 0.221, 0.031, begin_m=-_FOREARM_M),
+        Joint(-2 * _FOLD_M, 0.0, 2 * _BEND_RAD, -pi, _SMALL, 0.221, 0.031, begin_m=-_FOLD_M),
+        Joint(0.0, 0.0, pi, pi / 2, _SMALL, 0.221, 0.031, begin_m=-_FOLD_M),
+    ),
+    flange_m=-_FOLD_M - 0.02,
+    base_mass_kg=0.718,
+    base_radius_m=0.045,
+)
+"""Lengths, axes, limits, masses and speeds as its maker publishes them; servos and capsules are ours."""

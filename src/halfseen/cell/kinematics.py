@@ -1,0 +1,126 @@
+"""Where a robot's hand is, and which angles of its joints bring it to a place: damped least squares.
+
+A step from angles q with error e (position [m], and rotation [rad] times a length) is
+
+    Δq = Jᵀ (J Jᵀ + μ² I)⁻¹ e,
+
+with J the geometric Jacobian and μ that falls as the error does, so that a place out of reach is approached and one in
+reach is met [NakamuraHanafusa1986]_ [Sugihara2011]_.
+"""
+
+# MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
+# pyright: reportAttributeAccessIssue=false
+
+from collections.abc import Iterable
+from math import pi
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from halfseen.cell.model import Robot
+from halfseen.scene.poses import Pose
+
+Angles = Float[np.ndarray, " J"]
+
+NEAR_M, NEAR_RAD = 5e-4, 2e-3
+"""How near is there."""
+_LEVER_M = 0.3  # what an error of rotation counts, beside one of position
+_DAMPING = 0.03
+_LARGEST_STEP_RAD = 0.4
+
+
+class Kinematics:
+    """Forward and inverse kinematics of one robot of a cell.
+
+    Parameters
+    ----------
+    model
+        The cell.
+    robot
+        The robot.
+    """
+
+    def __init__(self, model: mujoco.MjModel, robot: Robot) -> None:
+        self._model, self._data = model, mujoco.MjData(model)
+        self._tcp = model.site(robot.of("gripper/tcp")).id
+        joints = [model.joint(name) for name in robot.joint_names]
+        self._places = np.array([joint.qposadr[0] for joint in joints])
+        self._columns = np.array([joint.dofadr[0] for joint in joints])
+        limits = [joint.range if model.jnt_limited[joint.id] else (-np.inf, np.inf) for joint in joints]
+        self.limits_rad: Float[np.ndarray, "J 2"] = np.array(limits, dtype=np.float64)
+        self._jacobian = np.zeros((2, 3, model.nv))
+
+    @property
+    def is_endless(self) -> np.ndarray:
+        """Which joints turn without end; shape (J,)."""
+        return np.isinf(self.limits_rad[:, 0])
+
+    def hand(self, angles_rad: Angles) -> Pose:
+        """Pose of the point between the pads, in the world."""
+        self._place(angles_rad)
+        site, quaternion = self._data.site(self._tcp), np.zeros(4)
+        mujoco.mju_mat2Quat(quaternion, site.xmat)
+        x_m, y_m, z_m = map(float, site.xpos)
+        w, x, y, z = map(float, quaternion)
+        return Pose((x_m, y_m, z_m), (w, x, y, z))
+
+    def solve(self, target: Pose, begin_rad: Angles, num_steps: int = 60) -> Angles | None:
+        """Go from some angles towards a pose of the hand.
+
+        Parameters
+        ----------
+        target
+            The pose.
+        begin_rad
+            Where to begin.
+        num_steps
+            Steps at most.
+
+        Returns
+        -------
+        Float[ndarray, "J"] or None
+            Angles, at the turn nearest to `begin_rad`; None if the hand is not there after so many steps.
+        """
+        angles = np.clip(begin_rad, *self.limits_rad.T)
+        for _ in range(num_steps):
+            apart_m, apart_rad = self._error(target, angles)
+            if np.linalg.norm(apart_m) < NEAR_M and np.linalg.norm(apart_rad) < NEAR_RAD:
+                return self.nearest_turn(angles, begin_rad)
+            angles = np.clip(angles + self._step(apart_m, apart_rad), *self.limits_rad.T)
+        return None
+
+    def solve_from(self, target: Pose, begins_rad: Iterable[Angles], near_rad: Angles) -> Angles | None:
+        """Of the solutions from several beginnings, the one that turns no joint far from `near_rad`; None if none."""
+        found = [self.solve(target, begin) for begin in begins_rad]
+        turned = [self.nearest_turn(angles, near_rad) for angles in found if angles is not None]
+        return min(turned, key=lambda angles: float(np.abs(angles - near_rad).max()), default=None)
+
+    def nearest_turn(self, angles_rad: Angles, near_rad: Angles) -> Angles:
+        """Turn endless joints by whole turns, to less than half a turn from others."""
+        apart = (angles_rad - near_rad + pi) % (2 * pi) - pi
+        return np.where(self.is_endless, near_rad + apart, angles_rad)
+
+    def _place(self, angles_rad: Angles) -> None:
+        self._data.qpos[self._places] = angles_rad
+        mujoco.mj_kinematics(self._model, self._data)
+
+    def _error(self, target: Pose, angles_rad: Angles) -> tuple[np.ndarray, np.ndarray]:
+        """From the hand to the target: position [m], and rotation as a vector [rad]."""
+        self._place(angles_rad)
+        site = self._data.site(self._tcp)
+        now, apart, turn = np.zeros(4), np.zeros(4), np.zeros(3)
+        mujoco.mju_mat2Quat(now, site.xmat)
+        mujoco.mju_negQuat(now, now)
+        mujoco.mju_mulQuat(apart, np.asarray(target.quaternion, dtype=np.float64), now)
+        mujoco.mju_quat2Vel(turn, apart, 1.0)
+        return np.asarray(target.position_m) - site.xpos, turn
+
+    def _step(self, apart_m: np.ndarray, apart_rad: np.ndarray) -> Angles:
+        mujoco.mj_comPos(self._model, self._data)
+        mujoco.mj_jacSite(self._model, self._data, *self._jacobian, self._tcp)
+        moves, turns = self._jacobian[:, :, self._columns]
+        jacobian, error = np.concatenate([moves, _LEVER_M * turns]), np.concatenate([apart_m, _LEVER_M * apart_rad])
+        damping = _DAMPING**2 * min(1.0, float(np.linalg.norm(error)) / 0.05) + 1e-7
+        step = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + damping * np.eye(6), error)
+        return step * min(1.0, _LARGEST_STEP_RAD / max(float(np.abs(step).max()), 1e-12))

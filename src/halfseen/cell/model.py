@@ -1,0 +1,144 @@
+"""The cell as one MuJoCo model: the room with its cups, a rack beside the table, and one arm or several."""
+
+# MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
+# pyright: reportAttributeAccessIssue=false
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import cos, pi, sin
+from typing import Any
+
+import mujoco
+
+from halfseen.cell.arm import JACO_2, Arm
+from halfseen.cell.contacts import FURNITURE, OBSTACLES, Contacts
+from halfseen.cell.cup_walls import add_walls
+from halfseen.cell.gripper import Gripper
+from halfseen.scene.cups import Cup
+from halfseen.scene.poses import Pose
+from halfseen.scene.room import cup_name, room_spec
+
+_BOX = mujoco.mjtGeom.mjGEOM_BOX
+
+
+@dataclass(frozen=True)
+class Robot:
+    """An arm with a gripper, and where it stands.
+
+    Parameters
+    ----------
+    name
+        Begins the names of all its parts, and differs from that of every other robot.
+    base_m
+        Of the arm's base [m].
+    turn_rad
+        About the vertical [rad].
+    arm, gripper
+        What it is made of.
+    """
+
+    name: str = "arm"
+    base_m: tuple[float, float, float] = (0.0, 0.42, 0.56)
+    turn_rad: float = pi
+    arm: Arm = JACO_2
+    gripper: Gripper = Gripper()  # noqa: RUF009 - frozen
+
+    def of(self, part: str) -> str:
+        """Name of a part in the model."""
+        return f"{self.name}/{part}"
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the arm's joints and of their servos, from the base on."""
+        return tuple(self.of(f"joint_{index + 1}") for index in range(self.arm.num_joints))
+
+    @property
+    def slide_names(self) -> tuple[str, ...]:
+        """Names of the fingers' joints and of their servos."""
+        return (self.of("gripper/slide_left"), self.of("gripper/slide_right"))
+
+
+@dataclass(frozen=True)
+class Rack:
+    """Where washed cups go: a low open box.
+
+    Parameters
+    ----------
+    middle_m
+        Of its floor [m].
+    size_m
+        Along x, along y, and the height of its rim [m].
+    """
+
+    middle_m: tuple[float, float, float] = (0.40, 0.62, 0.55)
+    size_m: tuple[float, float, float] = (0.40, 0.40, 0.06)
+
+
+def cell_model(
+    cups: Sequence[Cup],
+    world_from_cup: Sequence[Pose],
+    robots: Sequence[Robot] = (Robot(),),
+    rack: Rack | None = Rack(),
+    contacts: Contacts = Contacts(),  # noqa: B008 - frozen
+    frictions: Sequence[float] | None = None,
+) -> mujoco.MjModel:
+    """Compile the cell.
+
+    Parameters
+    ----------
+    cups, world_from_cup
+        The cups and where they begin.
+    robots
+        The robots; none for a room that is only looked at.
+    rack
+        Where washed cups go; None without one.
+    contacts
+        What makes grasps hold.
+    frictions
+        Of each cup on pads [-]; None for that of `contacts`.
+    """
+    spec = room_spec(cups, world_from_cup, is_free=True)
+    contacts.solve(spec)
+    for index, cup in enumerate(cups):
+        add_walls(spec.body(cup_name(index)), cup, contacts, None if frictions is None else frictions[index])
+    if rack is not None:
+        _add_rack(spec, rack)
+    for geom in spec.worldbody.geoms:
+        geom.contype |= OBSTACLES
+    for robot in robots:
+        _add_robot(spec, robot, contacts)
+    return spec.compile()
+
+
+def _add_robot(spec: mujoco.MjSpec, robot: Robot, contacts: Contacts) -> None:
+    arm = robot.arm.spec()
+    arm.attach(robot.gripper.spec(contacts), site=arm.site("flange"), prefix="gripper/")
+    turn = [cos(0.5 * robot.turn_rad), 0, 0, sin(0.5 * robot.turn_rad)]
+    spec.attach(arm, frame=spec.worldbody.add_frame(pos=list(robot.base_m), quat=turn), prefix=robot.of(""))
+    x_m, y_m, z_m = robot.base_m
+    spec.worldbody.add_geom(
+        name=robot.of("pedestal"),
+        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+        pos=[x_m, y_m, 0.5 * z_m],
+        size=[0.05, 0.5 * z_m, 0],
+        contype=0,
+        conaffinity=0,
+    )
+
+
+def _add_rack(spec: mujoco.MjSpec, rack: Rack) -> None:
+    x_m, y_m, z_m = rack.middle_m
+    half_x_m, half_y_m, half_m = (0.5 * size for size in rack.size_m)
+    look: dict[str, Any] = {
+        "contype": FURNITURE,
+        "conaffinity": FURNITURE,
+        "condim": 6,
+        "friction": [0.8, 0.01, 0.005],
+        "solref": [0.006, 1.0],
+    }
+    world = spec.worldbody
+    world.add_geom(name="rack", type=_BOX, pos=[x_m, y_m, z_m - 0.005], size=[half_x_m, half_y_m, 0.005], **look)
+    for sign in (-1, 1):
+        along_x, along_y = [x_m + sign * half_x_m, y_m, z_m + half_m], [x_m, y_m + sign * half_y_m, z_m + half_m]
+        world.add_geom(type=_BOX, pos=along_x, size=[0.003, half_y_m, half_m], **look)
+        world.add_geom(type=_BOX, pos=along_y, size=[half_x_m, 0.003, half_m], **look)
