@@ -115,7 +115,11 @@ class Arm:
             if index + 1 < self.num_joints:
                 after = self.joints[index + 1]
                 _add_capsule(
-                    body, (0, 0, joint.begin_m), _carried(end, (0, 0, after.begin_m)), joint.radius_m, joint.mass_kg
+                    body,
+                    (0.0, 0.0, joint.begin_m),
+                    _carried(end, (0.0, 0.0, after.begin_m)),
+                    joint.radius_m,
+                    joint.mass_kg,
                 )
                 place = _turned(*end, after.zero_rad)
             else:
