@@ -6,8 +6,8 @@ python benchmarks/learners.py [--out runs/benchmarks/learners.json] [--logs 10] 
 A policy's worth is its exact value as a share of the optimum; on tables of cups, where none is known, its mean reward
 on 1,000 fresh episodes. Worlds: the cell and the trial of the examples, ``haze`` (a Q that no polynomial is, cuts by
 what is not recorded), ``wide`` (20 covariates, of which 3 matter) and ``cups``. The default was chosen on logs of the
-cell and of kin of the trial, and how much its products count on three of wide, all of seeds below 1000; here seeds
-begin at 1000, and it never met haze.
+cell and of kin of the trial, how much its products count on three of wide, and that pessimism spares what the log does
+on some of every world, all of seeds below 1000; here seeds begin at 1000.
 
 What ``--out`` has already is not done again; ``--logs 0`` only prints it. Two peers need d3rlpy and PyTorch.
 """
