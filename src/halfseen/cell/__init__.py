@@ -1,7 +1,8 @@
 """The physical cell: arms that try what they planned from their own cloud.
 
 Read down: `contacts` (what holds in simulated contact) → `arm`, `gripper` (what moves) → `cup_walls` (what is held) →
-`model` (room, cups, rack and arms as one MuJoCo model) → `kinematics` (where a hand is, and how it gets there).
+`model` (room, cups, rack and arms as one MuJoCo model) → `kinematics` (which angles bring a hand to a place) → `motion`
+(lines and schedules) → `live_cell` (physics that goes on).
 
 MuJoCo loads when one of these names is asked for, never when this package is imported.
 """
@@ -15,9 +16,22 @@ if TYPE_CHECKING:
     from halfseen.cell.contacts import Contacts
     from halfseen.cell.gripper import Gripper
     from halfseen.cell.kinematics import Kinematics
+    from halfseen.cell.live_cell import LiveCell
     from halfseen.cell.model import Rack, Robot, cell_model
 
-__all__ = ["JACO_2", "Arm", "Contacts", "Gripper", "Joint", "Kinematics", "Motor", "Rack", "Robot", "cell_model"]
+__all__ = [
+    "JACO_2",
+    "Arm",
+    "Contacts",
+    "Gripper",
+    "Joint",
+    "Kinematics",
+    "LiveCell",
+    "Motor",
+    "Rack",
+    "Robot",
+    "cell_model",
+]
 
 __getattr__ = lazy_names(
     __name__,
@@ -28,6 +42,7 @@ __getattr__ = lazy_names(
         "Gripper": "gripper",
         "Joint": "arm",
         "Kinematics": "kinematics",
+        "LiveCell": "live_cell",
         "Motor": "arm",
         "Rack": "model",
         "Robot": "model",

@@ -35,6 +35,8 @@ class Robot:
         About the vertical [rad].
     arm, gripper
         What it is made of.
+    home_rad
+        Angles of the joints where it waits, out of the camera's view of the table [rad].
     """
 
     name: str = "arm"
@@ -42,6 +44,7 @@ class Robot:
     turn_rad: float = pi
     arm: Arm = JACO_2
     gripper: Gripper = Gripper()  # noqa: RUF009 - frozen
+    home_rad: tuple[float, ...] = (-2.589, 3.486, 1.786, -2.610, -1.733, -0.487)
 
     def of(self, part: str) -> str:
         """Name of a part in the model."""

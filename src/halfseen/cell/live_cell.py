@@ -1,0 +1,100 @@
+"""The cell as it runs: physics that goes on while robots move, grip and wait."""
+
+# MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
+# pyright: reportAttributeAccessIssue=false
+
+from collections.abc import Callable, Sequence
+
+import mujoco
+import numpy as np
+
+from halfseen.cell.kinematics import Angles, Kinematics
+from halfseen.cell.model import Robot
+from halfseen.cell.motion import Way, schedule
+from halfseen.scene.poses import Pose
+from halfseen.scene.room import cup_name
+
+Watch = Callable[["LiveCell"], None]
+"""Called after each step; what it raises ends the motion, as an emergency stop does."""
+
+
+class LiveCell:
+    """A cell with its robots at home and its hands half open.
+
+    Parameters
+    ----------
+    model
+        What `cell_model` made.
+    robots
+        The robots in it.
+    watch
+        Called after each step; None for nobody.
+    """
+
+    def __init__(self, model: mujoco.MjModel, robots: Sequence[Robot], watch: Watch | None = None) -> None:
+        self.model, self.data, self.watch = model, mujoco.MjData(model), watch
+        self.kinematics = {robot.name: Kinematics(model, robot) for robot in robots}
+        for robot in robots:
+            half_open_m = 0.25 * robot.gripper.stroke_m
+            parts = [*zip(robot.joint_names, robot.home_rad, strict=True)]
+            for name, place in [*parts, *((name, half_open_m) for name in robot.slide_names)]:
+                self.data.joint(name).qpos = self.data.actuator(name).ctrl = place
+        mujoco.mj_forward(model, self.data)
+
+    @property
+    def time_s(self) -> float:
+        """The cell's clock [s]."""
+        return float(self.data.time)
+
+    def angles_rad(self, robot: Robot) -> Angles:
+        """Angles of a robot's joints."""
+        return np.array([self.data.joint(name).qpos[0] for name in robot.joint_names])
+
+    def opening_m(self, robot: Robot) -> float:
+        """Between the pads of a robot [m]."""
+        return float(sum(self.data.joint(name).qpos[0] for name in robot.slide_names))
+
+    def cup(self, index: int) -> Pose:
+        """Pose of a cup, in the world."""
+        body = self.data.body(cup_name(index))
+        x_m, y_m, z_m = map(float, body.xpos)
+        w, x, y, z = map(float, body.xquat / np.linalg.norm(body.xquat))
+        return Pose((x_m, y_m, z_m), (w, x, y, z))
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass."""
+        for _ in range(round(seconds / self.model.opt.timestep)):
+            mujoco.mj_step(self.model, self.data)
+            if self.watch is not None:
+                self.watch(self)
+
+    def move(self, robot: Robot, way: Way, speed: float = 1.0) -> None:
+        """Move along a way, from rest to rest.
+
+        Parameters
+        ----------
+        robot
+            Who moves.
+        way
+            Angles to go through.
+        speed
+            Share of the joints' largest speeds.
+        """
+        largest = np.array([joint.motor.speed_rad_s for joint in robot.arm.joints])
+        begin = np.array([self.data.actuator(name).ctrl[0] for name in robot.joint_names])
+        plan = schedule(begin, way, speed * largest)
+        begin_s, step_s = self.time_s, self.model.opt.timestep
+        for _ in range(int(np.ceil(plan.duration_s / step_s))):
+            self._aim(robot, plan.at(self.time_s - begin_s + step_s))
+            self.wait(step_s)
+        self._aim(robot, way[-1])
+
+    def grip(self, robot: Robot, opening_m: float, seconds: float = 0.5) -> None:
+        """Open or close the hand to a distance between its pads [m], as far as its force goes; below 0 it presses."""
+        for name in robot.slide_names:
+            self.data.actuator(name).ctrl = 0.5 * opening_m
+        self.wait(seconds)
+
+    def _aim(self, robot: Robot, angles: Angles) -> None:
+        for name, angle in zip(robot.joint_names, angles, strict=True):
+            self.data.actuator(name).ctrl = angle
