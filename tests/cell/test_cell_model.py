@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 
 from halfseen.cell.contacts import Contacts
-from halfseen.cell.cup_walls import HIDDEN_GROUP
 from halfseen.cell.gripper import Gripper
 from halfseen.cell.kinematics import Kinematics
 from halfseen.cell.model import Rack, Robot, cell_model
 from halfseen.scene.cups import Cup
 from halfseen.scene.poses import Pose
+from halfseen.scene.rays import UNSEEN_GROUP
 from halfseen.scene.room import room_model
 from halfseen.scene.table import TABLE_TOP_M
 
@@ -44,7 +44,7 @@ def test_cups_and_arm_stay_where_they_are():
 
 def test_walls_weigh_nothing_and_are_not_seen():
     bare = cell_model([MUG], [Pose((0.0, 0.0, TABLE_TOP_M))], robots=())
-    walls = bare.geom_group == HIDDEN_GROUP
+    walls = bare.geom_group == UNSEEN_GROUP
     assert walls.sum() == 16 + 1 + 5
     plain = room_model([MUG], [Pose((0.0, 0.0, TABLE_TOP_M))], is_free=True)
     assert bare.body("cup_0").mass == plain.body("cup_0").mass

@@ -15,10 +15,9 @@ import numpy as np
 
 from halfseen.cell.contacts import WALLS, Contacts
 from halfseen.scene.cups import Cup, handle_bow
+from halfseen.scene.rays import UNSEEN_GROUP
 
 NUM_WALLS = 16
-HIDDEN_GROUP = 4
-"""Of these geoms: rays and renderings leave it out."""
 _NUM_HANDLE_PARTS = 5
 
 
@@ -40,7 +39,7 @@ def add_walls(body: mujoco.MjsBody, cup: Cup, contacts: Contacts, friction: floa
         "mass": 0,
         "contype": WALLS,
         "conaffinity": 0,
-        "group": HIDDEN_GROUP,
+        "group": UNSEEN_GROUP,
         "priority": 2,
         **contacts.of_pad(friction),
     }

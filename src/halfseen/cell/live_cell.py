@@ -42,6 +42,12 @@ class LiveCell:
         mujoco.mj_forward(model, self.data)
 
     @property
+    def num_cups(self) -> int:
+        """Number of cups; their bodies come first in the model."""
+        names = (self.model.body(index).name for index in range(1, self.model.nbody))
+        return sum(name.startswith("cup_") for name in names)
+
+    @property
     def time_s(self) -> float:
         """The cell's clock [s]."""
         return float(self.data.time)

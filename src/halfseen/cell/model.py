@@ -16,6 +16,7 @@ from halfseen.cell.cup_walls import add_walls
 from halfseen.cell.gripper import Gripper
 from halfseen.scene.cups import Cup
 from halfseen.scene.poses import Pose
+from halfseen.scene.rays import FURNITURE_GROUP
 from halfseen.scene.room import cup_name, room_spec
 
 _BOX = mujoco.mjtGeom.mjGEOM_BOX
@@ -108,6 +109,7 @@ def cell_model(
         _add_rack(spec, rack)
     for geom in spec.worldbody.geoms:
         geom.contype |= OBSTACLES
+        geom.group = FURNITURE_GROUP
     for robot in robots:
         _add_robot(spec, robot, contacts)
     return spec.compile()
@@ -126,6 +128,7 @@ def _add_robot(spec: mujoco.MjSpec, robot: Robot, contacts: Contacts) -> None:
         size=[0.05, 0.5 * z_m, 0],
         contype=0,
         conaffinity=0,
+        group=FURNITURE_GROUP,
     )
 
 

@@ -11,6 +11,10 @@ from jaxtyping import Float, Int
 
 Directions = Float[np.ndarray, "rays 3"]
 
+UNSEEN_GROUP, FURNITURE_GROUP = 4, 3
+"""Groups of geoms: what rays pass through, and what never moves, where a model tells it apart."""
+SEEN_GROUPS = tuple(group for group in range(mujoco.mjNGROUP) if group != UNSEEN_GROUP)
+
 
 @dataclass(frozen=True)
 class Hits:
@@ -31,8 +35,15 @@ class Hits:
     normal: Float[np.ndarray, "rays 3"]
 
 
-def cast(model: mujoco.MjModel, origin_m: Float[np.ndarray, " 3"], unit_directions: Directions, reach_m: float) -> Hits:
-    """Cast rays from one point into a model whose bodies do not move.
+def cast(
+    model: mujoco.MjModel,
+    origin_m: Float[np.ndarray, " 3"],
+    unit_directions: Directions,
+    reach_m: float,
+    data: mujoco.MjData | None = None,
+    groups: tuple[int, ...] = SEEN_GROUPS,
+) -> Hits:
+    """Cast rays from one point into a model.
 
     Parameters
     ----------
@@ -44,20 +55,26 @@ def cast(model: mujoco.MjModel, origin_m: Float[np.ndarray, " 3"], unit_directio
         Directions of length 1.
     reach_m
         Bodies beyond this distance are left out [m].
+    data
+        Where the bodies are; None for where they begin.
+    groups
+        Of the geoms that rays meet.
 
     Returns
     -------
     Hits
         One entry for each ray.
     """
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+    if data is None:
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
     num_rays = len(unit_directions)
     geom = np.full(num_rays, -1, dtype=np.int32)
     distance_m = np.full(num_rays, -1.0)
     normal = np.zeros(3 * num_rays)
     directions = np.ascontiguousarray(unit_directions, dtype=np.float64).ravel()
-    mujoco.mj_multiRay(model, data, origin_m, directions, None, True, -1, geom, distance_m, normal, num_rays, reach_m)
+    met = np.isin(np.arange(mujoco.mjNGROUP), groups).astype(np.uint8)
+    mujoco.mj_multiRay(model, data, origin_m, directions, met, True, -1, geom, distance_m, normal, num_rays, reach_m)
     is_hit = geom >= 0
     body = np.where(is_hit, model.geom_bodyid[np.maximum(geom, 0)], -1).astype(np.int64)
     normal = normal.reshape(-1, 3)
