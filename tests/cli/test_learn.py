@@ -72,7 +72,9 @@ def test_says_what_was_learned_from_and_what_to_do_next(folder, tmp_path):
     assert lines[0].startswith(f"{out}: learned from 40 paths of up to 2 stages and ")
     assert "looks at    x2, x1" in lines
     assert "Q           smooth, stages pooled, horizon 2" in lines
-    assert any(line.startswith("pessimism   Q is lowered by 1.4 times its standard error, less where") for line in lines)
+    assert any(
+        line.startswith("pessimism   Q is lowered by 1.4 times its standard error, less where") for line in lines
+    )
     assert any(line.startswith("weights     ") and "the largest weight is" in line for line in lines)
     assert lines[-1].startswith(f"Next: halfseen evaluate {out} --logs OTHER_LOGS;")
     header = next(k for k, line in enumerate(lines) if line.startswith("stage  states"))
