@@ -8,6 +8,7 @@ from halfseen.cell.contacts import Contacts
 from halfseen.cell.gripper import Gripper
 from halfseen.cell.kinematics import Kinematics
 from halfseen.cell.model import Rack, Robot, cell_model
+from halfseen.errors import SceneError
 from halfseen.scene.cups import Cup
 from halfseen.scene.poses import Pose
 from halfseen.scene.rays import UNSEEN_GROUP
@@ -103,3 +104,17 @@ def test_a_cup_that_is_gripped_around_is_lifted(cup, friction):
 def test_a_cup_may_have_a_friction_of_its_own():
     assert Contacts().of_pad(0.3)["friction"][0] == 0.3
     assert Contacts().of_pad()["friction"][0] == Contacts().pad_friction[0]
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"world_from_cup": []}, "1 cups and 0 poses; give one for every cup"),
+        ({"frictions": [0.5, 0.5]}, "1 cups and 2 frictions; give one for every cup"),
+        ({"robots": [Robot("one"), Robot("one")]}, "2 robots are called 'one'; give each a name of its own"),
+    ],
+)
+def test_what_does_not_fit_together_is_refused(changed, message):
+    given = {"cups": [CUP], "world_from_cup": [Pose((0.0, 0.0, TABLE_TOP_M))]}
+    with pytest.raises(SceneError, match=message):
+        cell_model(**(given | changed))

@@ -44,7 +44,7 @@ class Contacts:
     pad_friction: tuple[float, float, float] = (0.9, 0.01, 0.0002)
 
     def solve(self, spec: mujoco.MjSpec) -> None:
-        """Set a model's solver; what rests sleeps, which with nine cups is twelve times as fast."""
+        """Set a model's solver; what rests sleeps, and costs nothing."""
         spec.option.timestep = self.timestep_s
         spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         spec.option.impratio = self.friction_to_normal

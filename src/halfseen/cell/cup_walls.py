@@ -35,7 +35,7 @@ def add_walls(body: mujoco.MjsBody, cup: Cup, contacts: Contacts, friction: floa
     friction
         Sliding friction on pads [-]; None for that of `contacts`.
     """
-    look: dict[str, Any] = {
+    shared: dict[str, Any] = {
         "mass": 0,
         "contype": WALLS,
         "conaffinity": 0,
@@ -44,18 +44,18 @@ def add_walls(body: mujoco.MjsBody, cup: Cup, contacts: Contacts, friction: floa
         **contacts.of_pad(friction),
     }
     for angle_rad in 2 * pi * (np.arange(NUM_WALLS) + 0.5) / NUM_WALLS:
-        _add_wall(body, cup, angle_rad, look)
+        _add_wall(body, cup, angle_rad, shared)
     body.add_geom(
         type=mujoco.mjtGeom.mjGEOM_CYLINDER,
         size=[cup.base_radius_m, 0.5 * cup.bottom_m, 0],
         pos=[0, 0, 0.5 * cup.bottom_m],
-        **look,
+        **shared,
     )
     if cup.handle_m > 0:
-        _add_handle(body, cup, look)
+        _add_handle(body, cup, shared)
 
 
-def _add_wall(body: mujoco.MjsBody, cup: Cup, angle_rad: float, look: dict[str, Any]) -> None:
+def _add_wall(body: mujoco.MjsBody, cup: Cup, angle_rad: float, shared: dict[str, Any]) -> None:
     """A box as wide as its share of the circumference, leaning as the cup widens."""
     radial = np.array([np.cos(angle_rad), np.sin(angle_rad), 0.0])
     around = np.array([-np.sin(angle_rad), np.cos(angle_rad), 0.0])
@@ -70,11 +70,11 @@ def _add_wall(body: mujoco.MjsBody, cup: Cup, angle_rad: float, look: dict[str, 
         size=[0.5 * cup.wall_m, middle_m * np.tan(pi / NUM_WALLS), 0.5 * length_m],
         pos=list(radial * middle_m + [0.0, 0.0, 0.5 * cup.height_m] - 0.5 * cup.wall_m * out),
         quat=list(quaternion),
-        **look,
+        **shared,
     )
 
 
-def _add_handle(body: mujoco.MjsBody, cup: Cup, look: dict[str, Any]) -> None:
+def _add_handle(body: mujoco.MjsBody, cup: Cup, shared: dict[str, Any]) -> None:
     bow_m, radius_m = handle_bow(cup, _NUM_HANDLE_PARTS + 1)
     for begin_m, end_m in pairwise(bow_m):
-        body.add_geom(type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[*begin_m, *end_m], size=[radius_m, 0, 0], **look)
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[*begin_m, *end_m], size=[radius_m, 0, 0], **shared)

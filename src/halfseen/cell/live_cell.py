@@ -44,8 +44,8 @@ class LiveCell:
     @property
     def num_cups(self) -> int:
         """Number of cups; their bodies come first in the model."""
-        names = (self.model.body(index).name for index in range(1, self.model.nbody))
-        return sum(name.startswith("cup_") for name in names)
+        is_cup = (self.model.body(index + 1).name == cup_name(index) for index in range(self.model.nbody - 1))
+        return sum(is_cup)
 
     @property
     def time_s(self) -> float:

@@ -14,6 +14,7 @@ from halfseen.cell.arm import JACO_2, Arm
 from halfseen.cell.contacts import FURNITURE, OBSTACLES, Contacts
 from halfseen.cell.cup_walls import add_walls
 from halfseen.cell.gripper import Gripper
+from halfseen.errors import SceneError
 from halfseen.scene.cups import Cup
 from halfseen.scene.poses import Pose
 from halfseen.scene.rays import FURNITURE_GROUP
@@ -37,7 +38,7 @@ class Robot:
     arm, gripper
         What it is made of.
     home_rad
-        Angles of the joints where it waits, out of the camera's view of the table [rad].
+        Angles of the joints where it waits, behind the table [rad].
     """
 
     name: str = "arm"
@@ -100,7 +101,13 @@ def cell_model(
         What makes grasps hold.
     frictions
         Of each cup on pads [-]; None for that of `contacts`.
+
+    Raises
+    ------
+    SceneError
+        Two robots have one name, or there is not one pose, and one friction if any are given, for each cup.
     """
+    _check(cups, world_from_cup, robots, frictions)
     spec = room_spec(cups, world_from_cup, is_free=True)
     contacts.solve(spec)
     for index, cup in enumerate(cups):
@@ -113,6 +120,18 @@ def cell_model(
     for robot in robots:
         _add_robot(spec, robot, contacts)
     return spec.compile()
+
+
+def _check(
+    cups: Sequence[Cup], world_from_cup: Sequence[Pose], robots: Sequence[Robot], frictions: Sequence[float] | None
+) -> None:
+    for what, given in (("poses", world_from_cup), ("frictions", cups if frictions is None else frictions)):
+        if len(given) != len(cups):
+            raise SceneError(f"the cell has {len(cups)} cups and {len(given)} {what}; give one for every cup")
+    names = [robot.name for robot in robots]
+    for name in names:
+        if names.count(name) > 1:
+            raise SceneError(f"{names.count(name)} robots are called {name!r}; give each a name of its own")
 
 
 def _add_robot(spec: mujoco.MjSpec, robot: Robot, contacts: Contacts) -> None:

@@ -31,7 +31,7 @@ class IdealView:
     depth_m
         Distance along the camera's z axis [m]; NaN where nothing is met.
     body
-        Body of each pixel: 0 is the room, i + 1 is cup i, −1 is nothing.
+        Body of each pixel: 0 is the room, i + 1 is cup i, −1 is nothing; what else a model has comes after the cups.
     incidence_cosine
         Cosine of the angle between ray and surface normal; NaN where nothing is met.
     is_lit

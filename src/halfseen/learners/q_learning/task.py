@@ -37,7 +37,7 @@ class Encoded(NamedTuple):
 
 
 class LearnedQ(NamedTuple):
-    """Q-functions, or a batch of them, and what a policy needs beside them; all of T steps to go, one step first."""
+    """Q-functions, or a batch of them, and what a policy needs beside them; T counts steps to go, one step first."""
 
     coefficients: Float[np.ndarray, "*B T K F"]
     """The offset first."""
