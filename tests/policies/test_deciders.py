@@ -14,7 +14,7 @@ from halfseen.planners import GreedyPolicy, POMDPPolicy
 from halfseen.policies import Decider, NamedObservation, decider_of
 from halfseen.policies.table_decider import TableDecider
 from halfseen.tables import LinearTablePolicy
-from halfseen.tables.features import NUM_FEATURES
+from halfseen.tables.features import NUM_FEATURES, table_features
 from halfseen.tables.present import first_state
 from halfseen.world import Scene, UniformPolicy, WorldConfig
 from halfseen.world.action_space import ActionSpace, Verb
@@ -98,3 +98,22 @@ def test_what_is_no_policy_or_no_observation_is_refused():
         decider_of(FLAT).decide(NamedObservation(pd.DataFrame({"x": [np.nan]}), 1))
     with pytest.raises(ArgumentError, match="stage is 3"):
         decider_of(FLAT).decide(NamedObservation(pd.DataFrame({"x": [0.0]}), 3))
+
+
+def test_on_a_table_a_margin_counts_as_far_as_the_log_does_something_else():
+    keys = jax.random.split(jax.random.key(1), 2)
+    root = 0.2 * jax.random.normal(keys[0], (4, len(Verb), NUM_FEATURES + 1, NUM_FEATURES + 1))
+    behaviour = jax.random.normal(keys[1], (len(Verb), NUM_FEATURES + 1))
+    policy = LinearTablePolicy(COEFFICIENTS, margin=root, behaviour=behaviour)
+    score, low, q = (
+        np.asarray(replace(policy, **changed).q_values(NOW.state))
+        for changed in ({}, {"behaviour": None}, {"behaviour": None, "margin": None})
+    )
+    verbs = np.asarray(ActionSpace(2).verbs)
+    design = np.concatenate([np.ones((len(verbs), 1)), np.asarray(table_features(NOW.state))], axis=1)
+    chances = np.exp(np.einsum("af,af->a", design, np.asarray(behaviour)[verbs]))
+    is_possible = np.isfinite(q)
+    chances = np.where(is_possible, chances, 0.0) / chances[is_possible].sum()
+    leaning = np.clip((chances - 1 / is_possible.sum()) / (1 - 1 / is_possible.sum()), 0.0, 1.0)
+    assert 0.0 < leaning.max() < 1.0
+    np.testing.assert_allclose(score[is_possible], (q - (1 - leaning) * (q - low))[is_possible], rtol=1e-4, atol=1e-5)
