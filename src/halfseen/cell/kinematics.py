@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from halfseen.cell.model import Robot
+from halfseen.errors import PlanError
 from halfseen.scene.poses import Pose
 
 Angles = Float[np.ndarray, " J"]
@@ -50,6 +51,7 @@ class Kinematics:
         limits = [joint.range if model.jnt_limited[joint.id] else (-np.inf, np.inf) for joint in joints]
         self.limits_rad: Float[np.ndarray, "J 2"] = np.array(limits, dtype=np.float64)
         self._jacobian = np.zeros((2, 3, model.nv))
+        self._bodies = [body for body in range(model.nbody) if model.body(body).name.startswith(robot.of(""))]
 
     @property
     def is_endless(self) -> np.ndarray:
@@ -95,6 +97,30 @@ class Kinematics:
         found = [self.solve(target, begin) for begin in begins_rad]
         turned = [self.nearest_turn(angles, near_rad) for angles in found if angles is not None]
         return min(turned, key=lambda angles: float(np.abs(angles - near_rad).max()), default=None)
+
+    def refuse_furniture(self, way: Iterable[Angles]) -> None:
+        """Refuse a way on which the robot would touch furniture.
+
+        Parameters
+        ----------
+        way
+            Angles of the joints, place by place.
+
+        Raises
+        ------
+        PlanError
+            It would; the message says where its hand is then.
+        """
+        for angles in way:
+            self._place(angles)
+            mujoco.mj_collision(self._model, self._data)
+            bodies = self._model.geom_bodyid[self._data.contact.geom]
+            if np.any((bodies == 0).any(axis=1) & np.isin(bodies, self._bodies).any(axis=1)):
+                x_m, y_m, z_m = self._data.site(self._tcp).xpos
+                raise PlanError(
+                    f"the arm would touch furniture with its hand at ({x_m:.3f}, {y_m:.3f}, {z_m:.3f}) m; "
+                    "come from another side"
+                )
 
     def nearest_turn(self, angles_rad: Angles, near_rad: Angles) -> Angles:
         """Turn endless joints by whole turns, to less than half a turn from others."""

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from halfseen.arrays import Hides
 from halfseen.perception.clouds import Cloud, Vector
@@ -46,6 +46,8 @@ class SeenObject:
         False if it lies.
     pixels
         Flat indices of its pixels in the range image.
+    solid
+        What completes it, in coordinates of the table: right, away from the camera, height over the plane [m].
     """
 
     id: int
@@ -56,6 +58,7 @@ class SeenObject:
     num_points: int
     is_upright: bool
     pixels: np.ndarray
+    solid: Vessel | Hull
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +79,9 @@ class View:
         What each object would fill of the image if it stood there alone.
     image
         The range image that all this was seen in.
+    camera_from_table, cloud_from_table
+        Take homogeneous points of the table (right, away, height [m]) into the frame of the image's camera, and into
+        that of the cloud.
     num_cut
         Objects left out because the border of the image cuts them: nobody knows how much of them is hidden.
     name
@@ -88,6 +94,8 @@ class View:
     labels: Labels
     silhouettes: Bool[np.ndarray, "N H W"]
     image: RangeImage
+    camera_from_table: Float[np.ndarray, "4 4"]
+    cloud_from_table: Float[np.ndarray, "4 4"]
     num_cut: int
     name: str
 
@@ -128,7 +136,22 @@ def perceive(cloud: Cloud, sensor: DepthSensor = XTION) -> View:
     objects = tuple(_seen(i, solid, labels, found, plane, image, counts, cloud) for i, solid in enumerate(solids))
     normal = image.cloud_from_camera @ plane.normal
     table = Plane(normal, float(plane.offset_m + normal @ cloud.eye_m))
-    return View(table, objects, found.hides, labels, found.silhouettes, image, num_cut, cloud.name)
+    from_table, from_camera = np.eye(4), np.eye(4)
+    from_table[:3, :3] = np.concatenate([plane.axes(), plane.normal[None]]).T
+    from_table[:3, 3] = plane.offset_m * plane.normal
+    from_camera[:3, :3], from_camera[:3, 3] = image.cloud_from_camera, cloud.eye_m
+    return View(
+        table,
+        objects,
+        found.hides,
+        labels,
+        found.silhouettes,
+        image,
+        from_table,
+        from_camera @ from_table,
+        num_cut,
+        cloud.name,
+    )
 
 
 def _points_of_pixels(image: RangeImage) -> np.ndarray:
@@ -159,6 +182,7 @@ def _seen(
         num_points=int(counts[pixels].sum()),
         is_upright=_is_upright(solid, high - low, float(high[2])),
         pixels=pixels,
+        solid=solid,
     )
 
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from halfseen.arrays import Points
 from halfseen.errors import SceneError
@@ -49,6 +50,13 @@ class Pose:
             ]
         )
 
+    @property
+    def matrix(self) -> Float[np.ndarray, "4 4"]:
+        """The transform of homogeneous points."""
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = self.rotation, self.position_m
+        return matrix
+
     def apply(self, points_m: Points) -> Points:
         """Carry points of the frame over: rotate, then shift [m]."""
         return points_m @ self.rotation.T + np.asarray(self.position_m)
@@ -62,6 +70,19 @@ class Pose:
         x_m, y_m, z_m = (round(float(value), 6) for value in self.position_m)
         w, x, y, z = (round(float(value), 7) for value in self.quaternion)
         return Pose((x_m, y_m, z_m), (w, x, y, z))
+
+
+def from_matrix(matrix: Float[np.ndarray, "4 4"]) -> Pose:
+    """Make the pose of a rigid transform of homogeneous points.
+
+    Parameters
+    ----------
+    matrix
+        The transform; lengths in [m].
+    """
+    w, x, y, z = Rotation.from_matrix(matrix[:3, :3]).as_quat(canonical=True, scalar_first=True).tolist()
+    x_m, y_m, z_m = matrix[:3, 3].tolist()
+    return Pose((x_m, y_m, z_m), (w, x, y, z))
 
 
 def about_axis(axis: tuple[float, float, float], angle_rad: float) -> tuple[float, float, float, float]:

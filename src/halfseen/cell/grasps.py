@@ -1,0 +1,184 @@
+"""Grasps from the cloud alone: where a hand could close on an object, in coordinates of the table.
+
+An object whose shape perception completed is taken by its rim (one finger inside), around it (both outside, from
+above), or across it where it lies. What is no vessel, and everything for a planner that trusts visible points only, is
+taken by the box around the points.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from halfseen.arrays import Points
+from halfseen.cell.gripper import Gripper
+from halfseen.perception.clouds import Vector
+from halfseen.perception.solids import Vessel
+from halfseen.perception.view import SeenObject
+
+Axes = Float[np.ndarray, "3 3"]
+
+UP = np.array([0.0, 0.0, 1.0])
+CLEARANCE_M = 0.012
+"""The hand opens this much wider on either side than what it closes on."""
+FLOOR_M = 0.004
+"""Tips of fingers stay this far above the table."""
+_RIM_OPENING_M = 0.046
+_RIM_DEPTH_M = 0.012  # of the pads' middle below the rim
+_WALL_M = 0.0015  # half of a usual wall
+_AROUND_DEPTH_M = 0.020  # of the pads' middle below the rim
+_BELOW_AXIS_M = 0.004  # a lying vessel is taken a little below its axis, so that it is not pressed out upwards
+_SMALLEST_RADIUS_M = 0.010
+_NUM_RIM, _NUM_AROUND, _NUM_BOX = 16, 8, 8
+_RIM_TILTS_RAD, _TILTS_RAD = (0.0, -0.6, 0.6), (0.0, -0.35, 0.35)
+_TURNS_RAD = (0.0, -0.3, 0.3)
+_ALONG = (0.25, 0.35, 0.45, 0.5, 0.55, 0.65, 0.75)
+
+
+@dataclass(frozen=True, eq=False)
+class Grasp:
+    """A place of the hand, between whose pads an object is to be held.
+
+    Parameters
+    ----------
+    kind
+        ``"rim"``, ``"around"``, ``"across"`` or ``"box"``.
+    middle_m
+        Between the pads, on the table [m].
+    axes
+        Columns are the hand's axes: across the fingers, along which they close, and out of the palm.
+    opening_m
+        Between the pads while the hand comes [m].
+    cost
+        What speaks against it; 0 is best.
+    """
+
+    kind: str
+    middle_m: Vector
+    axes: Axes
+    opening_m: float
+    cost: float = 0.0
+
+    @property
+    def approach(self) -> Vector:
+        """Unit vector along which the hand comes."""
+        return self.axes[:, 2]
+
+    def on_table(self, hand_m: Points) -> Points:
+        """Carry points of the hand to the table [m]."""
+        return hand_m @ self.axes.T + self.middle_m
+
+    def in_hand(self, table_m: Points) -> Points:
+        """Carry points of the table into the frame of the hand [m]."""
+        return (table_m - self.middle_m) @ self.axes
+
+
+Grasping = Callable[[SeenObject, Points, Gripper], list[Grasp]]
+"""Which grasps there may be of an object, given the visible points of it on the table [m] and what grips."""
+
+
+def completed(seen: SeenObject, points_m: Points, gripper: Gripper) -> list[Grasp]:
+    """Grasps of the completed shape; of the visible points where nothing completed it."""
+    if not isinstance(seen.solid, Vessel):
+        return visible(seen, points_m, gripper)
+    make = _of_standing if seen.solid.is_upright else _of_lying
+    return list(make(seen.solid, gripper))
+
+
+def visible(seen: SeenObject, points_m: Points, gripper: Gripper) -> list[Grasp]:
+    """Grasps of the box around the visible points, as if nothing were behind them."""
+    return list(_of_points(points_m, gripper))
+
+
+GRASPING: dict[str, Grasping] = {"completed": completed, "visible-only": visible}
+"""By name: shapes are completed, or only what is visible counts, which is the honest contrast."""
+
+
+def _of_standing(vessel: Vessel, gripper: Gripper) -> Iterator[Grasp]:
+    top_m, radius_m = vessel.axis_ends_m()[1], _radius_m(vessel, vessel.ends_m[1])
+    slope = float(np.clip(vessel.slope, -0.1, 0.4))
+    for angle, tilt in product(2 * np.pi * np.arange(_NUM_RIM) / _NUM_RIM, _RIM_TILTS_RAD):
+        outward = np.array([np.cos(angle), np.sin(angle), 0.0])
+        up = _unit(UP + slope * outward)
+        closing = _unit(outward - (outward @ up) * up)
+        middle_m = top_m + (radius_m - _WALL_M) * outward - _RIM_DEPTH_M * up
+        cost = 0.10 + 0.08 * abs(tilt)
+        yield Grasp("rim", middle_m, hand_axes(_turned(-up, closing, tilt), closing), _RIM_OPENING_M, cost)
+    if 2 * (radius_m + CLEARANCE_M) > gripper.stroke_m:
+        return
+    depth_m = min(_AROUND_DEPTH_M, top_m[2] - 0.5 * gripper.pad_length_m - FLOOR_M)
+    for angle, tilt in product(np.pi * np.arange(_NUM_AROUND) / _NUM_AROUND, _TILTS_RAD):
+        closing = np.array([np.cos(angle), np.sin(angle), 0.0])
+        axes = hand_axes(_turned(-UP, closing, tilt), closing)
+        yield Grasp("around", top_m - depth_m * UP, axes, 2 * (radius_m + CLEARANCE_M), 0.08 * abs(tilt))
+
+
+def _of_lying(vessel: Vessel, gripper: Gripper) -> Iterator[Grasp]:
+    along = _unit(vessel.axis * [1.0, 1.0, 0.0])
+    low_m, high_m = vessel.ends_m
+    for share, lean, nod, turn in product(_ALONG, _RIM_TILTS_RAD, _TILTS_RAD, _TURNS_RAD):
+        if nod and turn:
+            continue
+        at_m = low_m + share * (high_m - low_m)
+        radius_m = _radius_m(vessel, at_m)
+        opening_m = 2 * (radius_m / np.cos(turn) + CLEARANCE_M)
+        if opening_m > gripper.stroke_m:
+            continue
+        closing = _turned(np.cross(UP, along), along, nod)
+        approach = _turned(_turned(-UP, along, nod), closing, lean)
+        about = Rotation.from_rotvec(turn * UP).as_matrix()
+        centre_m = vessel.centre_m + at_m * vessel.axis - _BELOW_AXIS_M * UP
+        cost = 0.6 * abs(share - 0.5) + 0.05 * (abs(lean) + abs(nod)) + 0.3 * abs(turn)
+        grasp = Grasp("across", centre_m, about @ hand_axes(approach, closing), opening_m, cost)
+        raised = _above_table(grasp, gripper)
+        if raised.middle_m[2] - centre_m[2] < 0.45 * radius_m:
+            yield raised
+
+
+def _of_points(points_m: Points, gripper: Gripper) -> Iterator[Grasp]:
+    """From above, the closing axis in each of some directions: the box that holds all points but single ones."""
+    top_m = float(np.percentile(points_m[:, 2], 99)) - _AROUND_DEPTH_M
+    for angle, tilt in product(np.pi * np.arange(_NUM_BOX) / _NUM_BOX, _TILTS_RAD):
+        closing, beside = np.array([np.cos(angle), np.sin(angle), 0.0]), np.array([-np.sin(angle), np.cos(angle), 0.0])
+        low_m, high_m = np.percentile(points_m @ np.stack([closing, beside], axis=1), [2, 98], axis=0)
+        opening_m = float(high_m[0] - low_m[0]) + 2 * CLEARANCE_M
+        if opening_m > gripper.stroke_m:
+            continue
+        middle_m = np.stack([closing, beside, UP], axis=1) @ [*(low_m + high_m) / 2, top_m]
+        axes = hand_axes(_turned(-UP, closing, tilt), closing)
+        yield _above_table(Grasp("box", middle_m, axes, opening_m, 0.1 + 0.08 * abs(tilt)), gripper)
+
+
+def _above_table(grasp: Grasp, gripper: Gripper) -> Grasp:
+    """Draw the hand back until the tips of its fingers keep off the table."""
+    lowest_m = float(grasp.on_table(tips_m(grasp, gripper))[:, 2].min())
+    back_m = max(0.0, FLOOR_M - lowest_m) / max(0.3, -float(grasp.approach[2]))
+    return replace(grasp, middle_m=grasp.middle_m - back_m * grasp.approach)
+
+
+def tips_m(grasp: Grasp, gripper: Gripper) -> Points:
+    """Corners of the tips of the open fingers, in the frame of the hand [m]."""
+    across, out = 0.5 * gripper.pad_width_m, 0.5 * grasp.opening_m + gripper.finger_thickness_m
+    return np.array([[x, y, 0.5 * gripper.pad_length_m] for x in (-across, across) for y in (-out, out)])
+
+
+def hand_axes(approach: Vector, closing: Vector) -> Axes:
+    """Axes of a hand that comes along one direction and closes along another, which is made square to it."""
+    out = _unit(approach)
+    close = _unit(closing - (closing @ out) * out)
+    return np.stack([np.cross(close, out), close, out], axis=1)
+
+
+def _radius_m(vessel: Vessel, along_m: float) -> float:
+    return max(vessel.radius_m + vessel.slope * along_m, _SMALLEST_RADIUS_M)
+
+
+def _turned(vector: Vector, axis: Vector, angle_rad: float) -> Vector:
+    return Rotation.from_rotvec(angle_rad * axis).apply(vector)
+
+
+def _unit(vector: Vector) -> Vector:
+    return vector / np.linalg.norm(vector)

@@ -1,0 +1,142 @@
+"""From a grasp to angles of the joints: hover, come straight, lift straight; or why not."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from halfseen.cell.grasps import Grasp
+from halfseen.cell.kinematics import Angles, Kinematics
+from halfseen.cell.motion import Way, line
+from halfseen.errors import PlanError
+from halfseen.scene.poses import Pose, from_matrix
+
+APPROACH_M = 0.10
+HOVER_M = 0.12
+LIFT_M = 0.20
+MOST_PLANS = 8
+"""Grasps that are looked at before an object counts as out of reach."""
+_NUM_BEGINNINGS = 6
+_LEAST_RAD, _LARGEST_RAD = np.array([-3.0, 2.0, 0.6, -3.0, -3.0, -3.0]), np.array([3.0, 4.3, 3.1, 3.0, 3.0, 3.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """How a robot fetches an object.
+
+    Parameters
+    ----------
+    grasp
+        Where the hand is to close, on the table.
+    held
+        Pose of the hand there, in the world.
+    hover
+        Angles from above down to where the approach begins.
+    approach
+        From there, straight to the grasp.
+    lift
+        From the grasp, straight up.
+    """
+
+    grasp: Grasp
+    held: Pose
+    hover: Way
+    approach: Way
+    lift: Way
+
+
+def plan(
+    grasps: Iterable[Grasp],
+    world_from_table: Float[np.ndarray, "4 4"],
+    kinematics: Kinematics,
+    begin_rad: Angles,
+    rng: np.random.Generator,
+) -> Plan:
+    """Plan the first grasp that the robot can carry out.
+
+    Parameters
+    ----------
+    grasps
+        Candidates, best first; `MOST_PLANS` of them are tried.
+    world_from_table
+        Takes homogeneous points of the table into the world [m].
+    kinematics
+        Of the robot.
+    begin_rad
+        Angles now.
+    rng
+        Draws where the search for angles begins.
+
+    Raises
+    ------
+    PlanError
+        There is no grasp, or none is within reach.
+    """
+    reasons = []
+    for grasp in list(grasps)[:MOST_PLANS]:
+        try:
+            return _planned(grasp, world_from_table, kinematics, begin_rad, rng)
+        except PlanError as error:
+            reasons.append(str(error))
+    if not reasons:
+        raise PlanError("no grasp is free: something stands in the way of each; clear what is next to it first")
+    raise PlanError(f"none of {len(reasons)} grasps is within reach; the best: {reasons[0]}")
+
+
+def _planned(
+    grasp: Grasp,
+    world_from_table: Float[np.ndarray, "4 4"],
+    kinematics: Kinematics,
+    begin_rad: Angles,
+    rng: np.random.Generator,
+) -> Plan:
+    back_m = grasp.middle_m - APPROACH_M * grasp.approach
+    before, angles = _first(_poses(grasp, back_m, world_from_table), kinematics, begin_rad, rng)
+    held = Pose(_in_world(grasp.middle_m, world_from_table), before.quaternion)
+    approach = line(kinematics, angles, before, np.array(held.position_m))
+    lift = line(kinematics, approach[-1], held, np.add(held.position_m, [0.0, 0.0, LIFT_M]))
+    hover = np.concatenate([_above(kinematics, angles, before), angles[None]])
+    for way in (hover, approach, lift):
+        kinematics.refuse_furniture(way)
+    return Plan(grasp, held, hover, approach, lift)
+
+
+def _above(kinematics: Kinematics, angles: Angles, before: Pose) -> Way:
+    """Come down from above; where that is out of reach, come as it is."""
+    try:
+        return line(kinematics, angles, before, np.add(before.position_m, [0.0, 0.0, HOVER_M]))[::-1]
+    except PlanError:
+        return np.empty((0, len(angles)))
+
+
+def _poses(grasp: Grasp, middle_m: Float[np.ndarray, " 3"], world_from_table: Float[np.ndarray, "4 4"]) -> list[Pose]:
+    """Poses of the hand at a place: as the grasp has it, and turned half about its approach, which is as good."""
+    hand = np.eye(4)
+    hand[:3, 3] = middle_m
+    poses = []
+    for sign in (1.0, -1.0):
+        hand[:3, :3] = grasp.axes * [sign, sign, 1.0]
+        poses.append(from_matrix(world_from_table @ hand))
+    return poses
+
+
+def _in_world(
+    point_m: Float[np.ndarray, " 3"], world_from_table: Float[np.ndarray, "4 4"]
+) -> tuple[float, float, float]:
+    x_m, y_m, z_m = (world_from_table @ [*point_m, 1.0])[:3].tolist()
+    return x_m, y_m, z_m
+
+
+def _first(
+    poses: list[Pose], kinematics: Kinematics, begin_rad: Angles, rng: np.random.Generator
+) -> tuple[Pose, Angles]:
+    """The pose, and its angles, that are nearest to those now."""
+    drawn = rng.uniform(_LEAST_RAD, _LARGEST_RAD, size=(_NUM_BEGINNINGS // 2, len(begin_rad)))
+    begins = [begin_rad, *(kinematics.nearest_turn(angles, begin_rad) for angles in drawn)]
+    found = [(pose, kinematics.solve_from(pose, begins, begin_rad)) for pose in poses]
+    reached = [(pose, angles) for pose, angles in found if angles is not None]
+    if not reached:
+        x_m, y_m, z_m = poses[0].position_m
+        raise PlanError(f"({x_m:.3f}, {y_m:.3f}, {z_m:.3f}) m is out of reach at the tilt that the grasp needs")
+    return min(reached, key=lambda pair: float(np.abs(pair[1] - begin_rad).max()))
