@@ -16,7 +16,8 @@ APPROACH_M = 0.10
 HOVER_M = 0.12
 LIFT_M = 0.20
 MOST_PLANS = 8
-"""Grasps that are looked at before an object counts as out of reach."""
+"""Grasps, no two of them alike, that are looked at before an object counts as out of reach."""
+_ALIKE_M, _ALIKE_COSINE = 0.03, 0.98
 _NUM_BEGINNINGS = 6
 _LEAST_RAD, _LARGEST_RAD = np.array([-3.0, 2.0, 0.6, -3.0, -3.0, -3.0]), np.array([3.0, 4.3, 3.1, 3.0, 3.0, 3.0])
 
@@ -58,7 +59,7 @@ def plan(
     Parameters
     ----------
     grasps
-        Candidates, best first; `MOST_PLANS` of them are tried.
+        Candidates, best first; `MOST_PLANS` of them are tried, and none that is like one that was refused.
     world_from_table
         Takes homogeneous points of the table into the world [m].
     kinematics
@@ -73,15 +74,25 @@ def plan(
     PlanError
         There is no grasp, or none is within reach.
     """
-    reasons = []
-    for grasp in list(grasps)[:MOST_PLANS]:
+    refused: list[tuple[Grasp, str]] = []
+    for grasp in grasps:
+        if any(_is_alike(grasp, other) for other, _ in refused):
+            continue
         try:
             return _planned(grasp, world_from_table, kinematics, begin_rad, rng)
         except PlanError as error:
-            reasons.append(str(error))
-    if not reasons:
+            refused.append((grasp, str(error)))
+        if len(refused) == MOST_PLANS:
+            break
+    if not refused:
         raise PlanError("no grasp is free: something stands in the way of each; clear what is next to it first")
-    raise PlanError(f"none of {len(reasons)} grasps is within reach; the best: {reasons[0]}")
+    raise PlanError(f"no grasp is within reach; of {len(refused)} that were tried the best: {refused[0][1]}")
+
+
+def _is_alike(grasp: Grasp, other: Grasp) -> bool:
+    """Whether a grasp is where another is, and comes from there: what keeps one from it keeps the other."""
+    apart_m = float(np.linalg.norm(grasp.middle_m - other.middle_m))
+    return apart_m < _ALIKE_M and float(grasp.approach @ other.approach) > _ALIKE_COSINE
 
 
 def _planned(
