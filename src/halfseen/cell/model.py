@@ -9,6 +9,8 @@ from math import cos, pi, sin
 from typing import Any
 
 import mujoco
+import numpy as np
+from jaxtyping import Float
 
 from halfseen.cell.arm import JACO_2, Arm
 from halfseen.cell.contacts import FURNITURE, OBSTACLES, Contacts
@@ -20,6 +22,9 @@ from halfseen.scene.poses import Pose
 from halfseen.scene.rays import FURNITURE_GROUP
 from halfseen.scene.room import cup_name, room_spec
 
+SLOT_M = 0.13
+"""A cup in the rack takes so much along either side."""
+_RACK_DEPTH_M = 0.2
 _BOX = mujoco.mjtGeom.mjGEOM_BOX
 
 
@@ -75,8 +80,22 @@ class Rack:
         Along x, along y, and the height of its rim [m].
     """
 
-    middle_m: tuple[float, float, float] = (0.40, 0.62, 0.55)
-    size_m: tuple[float, float, float] = (0.40, 0.40, 0.06)
+    middle_m: tuple[float, float, float] = (0.42, 0.63, 0.55)
+    size_m: tuple[float, float, float] = (0.40, 0.53, 0.06)
+
+    @property
+    def slots_m(self) -> Float[np.ndarray, "n 3"]:
+        """Middles of the places for cups on its floor, the farthest from the table first [m]."""
+        x_m, y_m, z_m = self.middle_m
+        columns, rows = (int(size // SLOT_M) for size in self.size_m[:2])
+        along_x = x_m + self.size_m[0] / columns * (np.arange(columns) - 0.5 * (columns - 1))
+        along_y = y_m + self.size_m[1] / rows * (np.arange(rows) - 0.5 * (rows - 1))
+        return np.array([[x, y, z_m] for y in along_y[::-1] for x in along_x[::-1]])
+
+    def holds(self, point_m: Float[np.ndarray, " 3"]) -> bool:
+        """Whether a point is in the rack."""
+        away_m = np.abs(point_m - self.middle_m)
+        return bool((away_m[:2] < 0.5 * np.array(self.size_m[:2])).all() and away_m[2] < _RACK_DEPTH_M)
 
 
 def cell_model(

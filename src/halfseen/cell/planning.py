@@ -18,7 +18,7 @@ LIFT_M = 0.20
 MOST_PLANS = 8
 """Grasps, no two of them alike, that are looked at before an object counts as out of reach."""
 _ALIKE_M, _ALIKE_COSINE = 0.03, 0.98
-_NUM_BEGINNINGS = 6
+_NUM_DRAWN = 3
 _LEAST_RAD, _LARGEST_RAD = np.array([-3.0, 2.0, 0.6, -3.0, -3.0, -3.0]), np.array([3.0, 4.3, 3.1, 3.0, 3.0, 3.0])
 
 
@@ -139,12 +139,27 @@ def _in_world(
     return x_m, y_m, z_m
 
 
+def beginnings(kinematics: Kinematics, here_rad: Angles, rng: np.random.Generator) -> list[Angles]:
+    """Angles from which a search begins: those now, and some that are drawn.
+
+    Parameters
+    ----------
+    kinematics
+        Of the robot.
+    here_rad
+        Angles now.
+    rng
+        What draws.
+    """
+    drawn = rng.uniform(_LEAST_RAD, _LARGEST_RAD, size=(_NUM_DRAWN, len(here_rad)))
+    return [here_rad, *(kinematics.nearest_turn(angles, here_rad) for angles in drawn)]
+
+
 def _first(
     poses: list[Pose], kinematics: Kinematics, begin_rad: Angles, rng: np.random.Generator
 ) -> tuple[Pose, Angles]:
     """The pose, and its angles, that are nearest to those now."""
-    drawn = rng.uniform(_LEAST_RAD, _LARGEST_RAD, size=(_NUM_BEGINNINGS // 2, len(begin_rad)))
-    begins = [begin_rad, *(kinematics.nearest_turn(angles, begin_rad) for angles in drawn)]
+    begins = beginnings(kinematics, begin_rad, rng)
     found = [(pose, kinematics.solve_from(pose, begins, begin_rad)) for pose in poses]
     reached = [(pose, angles) for pose, angles in found if angles is not None]
     if not reached:

@@ -1,0 +1,176 @@
+"""A cell at work: a robot looks, fetches what it sees, and puts it back or into the rack."""
+
+# MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
+# pyright: reportAttributeAccessIssue=false
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from halfseen.cell.clearance import ranked, surroundings
+from halfseen.cell.fetching import feels, fetch, let_go, put_back
+from halfseen.cell.grasps import GRASPING
+from halfseen.cell.live_cell import LiveCell
+from halfseen.cell.looking import Eye
+from halfseen.cell.memory import Known, Memory
+from halfseen.cell.model import Rack, Robot, cell_model
+from halfseen.cell.planning import Plan, plan
+from halfseen.cell.racking import put_away
+from halfseen.errors import PlanError
+from halfseen.perception.view import View, perceive
+from halfseen.scene.poses import Pose, from_matrix
+from halfseen.scene.table import TABLE_TOP_M, Table
+
+SETTLE_S = 0.3
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """How an attempt went, as the robot tells it.
+
+    Parameters
+    ----------
+    is_held
+        Whether the hand held something when it was lifted.
+    duration_s
+        From the decision until that was known [s].
+    kind
+        Of the grasp; None where there was none to try.
+    reason
+        Why it did not hold; empty where it did.
+    """
+
+    is_held: bool
+    duration_s: float
+    kind: str | None
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Errors:
+    """How far the robot's idea of where its camera is may err.
+
+    Parameters
+    ----------
+    position_m
+        Standard deviation along each axis [m].
+    angle_rad
+        Standard deviation about each axis [rad].
+    """
+
+    position_m: float = 0.004
+    angle_rad: float = float(np.deg2rad(0.5))
+
+    def draw(self, rng: np.random.Generator) -> Float[np.ndarray, "4 4"]:
+        """Draw an error: a small motion of the world about the middle of the table."""
+        error, pivot_m = np.eye(4), np.array([0.0, 0.0, TABLE_TOP_M])
+        error[:3, :3] = Rotation.from_rotvec(rng.normal(0.0, self.angle_rad, 3)).as_matrix()
+        error[:3, 3] = pivot_m - error[:3, :3] @ pivot_m + rng.normal(0.0, self.position_m, 3)
+        return error
+
+
+class Workcell:
+    """One table, one robot.
+
+    Parameters
+    ----------
+    table
+        The cups, where they begin, and the camera.
+    rng
+        Draws the sensor's noise, the error of the camera's place, and where plans begin.
+    robot, rack
+        Who works, and where washed cups go.
+    frictions
+        Of each cup on pads [-]; None for the usual one.
+    grasping
+        Which grasps are thought of: a name of `GRASPING`.
+    errors
+        How far the camera is from where the robot believes it.
+    """
+
+    def __init__(
+        self,
+        table: Table,
+        rng: np.random.Generator,
+        *,
+        robot: Robot = Robot(),  # noqa: B008 - frozen
+        rack: Rack = Rack(),  # noqa: B008 - frozen
+        frictions: Sequence[float] | None = None,
+        grasping: str = "completed",
+        errors: Errors = Errors(),  # noqa: B008 - frozen
+    ) -> None:
+        model = cell_model(table.cups, table.world_from_cup, (robot,), rack, frictions=frictions)
+        self.table, self.robot, self.rack, self.memory = table, robot, rack, Memory()
+        self.cell = LiveCell(model, [robot])
+        self._rng, self._grasping = rng, GRASPING[grasping]
+        self._eye = Eye(self.cell, table.camera)
+        self._believed: Pose = from_matrix(errors.draw(rng) @ table.camera.world_from_camera.matrix)
+        self._num_racked = 0
+        self.view: View | None = None
+        self.cell.wait(SETTLE_S)
+
+    @property
+    def world_from_table(self) -> Float[np.ndarray, "4 4"]:
+        """Takes homogeneous points of the table, as seen, to where the robot believes them [m]."""
+        assert self.view is not None, "look first"
+        return self._believed.matrix @ self.view.cloud_from_table
+
+    def look(self) -> View:
+        """Look at the table, and remember what is seen."""
+        self.view = perceive(self._eye.look(self._rng).cloud)
+        self.memory.update(self.view, self.world_from_table)
+        return self.view
+
+    def lift(self, number: int) -> Attempt:
+        """Attempt to lift an object; it is put back where it was."""
+        known = self.memory.objects[number]
+        attempt, done = self._fetched(known)
+        if done is not None and attempt.is_held:
+            known.lifts += 1
+            put_back(self.cell, self.robot, done)
+        return attempt
+
+    def wash(self, number: int) -> Attempt:
+        """Attempt to put an object into the rack."""
+        known = self.memory.objects[number]
+        attempt, done = self._fetched(known)
+        if done is None or not attempt.is_held:
+            return attempt
+        try:
+            slot_m = self.rack.slots_m[self._num_racked % len(self.rack.slots_m)]
+            put_away(self.cell, self.robot, done, known.middle_m, slot_m, self._rng)
+        except PlanError as error:
+            put_back(self.cell, self.robot, done)
+            return Attempt(False, attempt.duration_s, attempt.kind, str(error))
+        known.is_gone, known.seen = True, None
+        self._num_racked += 1
+        return attempt
+
+    def _fetched(self, known: Known) -> tuple[Attempt, Plan | None]:
+        """Try to fetch an object; the hand is home again, and open, where it holds nothing."""
+        begin_s = self.cell.time_s
+        try:
+            planned = self._planned(known)
+        except PlanError as error:
+            known.tried.append((known.seen.occlusion if known.seen else 1.0, False))
+            return Attempt(False, 0.0, None, str(error)), None
+        assert known.seen is not None, "what was planned for was seen"
+        fetch(self.cell, self.robot, planned)
+        is_held, duration_s = feels(self.cell, self.robot, planned.grasp), self.cell.time_s - begin_s
+        known.tried.append((known.seen.occlusion, is_held))
+        if not is_held:
+            known.failed.append(planned.grasp)
+            let_go(self.cell, self.robot, planned)
+        reason = "" if is_held else "the hand closed on nothing, or lost it"
+        return Attempt(is_held, duration_s, planned.grasp.kind, reason), planned
+
+    def _planned(self, known: Known) -> Plan:
+        if self.view is None or known.seen is None:
+            raise PlanError("the object is not in view; look again, or clear what stands before it")
+        around, gripper = surroundings(self.view, known.seen), self.robot.gripper
+        grasps = ranked(self._grasping(known.seen, around.own_m, gripper), around, gripper, known.failed)
+        kinematics = self.cell.kinematics[self.robot.name]
+        return plan(grasps, self.world_from_table, kinematics, self.cell.angles_rad(self.robot), self._rng)
