@@ -1,7 +1,6 @@
 """Fetching in physics: open, hover, come, close, lift; and how it is put back or away."""
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.cell.grasps import Grasp
 from halfseen.cell.live_cell import LiveCell

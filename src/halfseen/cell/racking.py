@@ -1,7 +1,6 @@
 """Into the rack: over a free slot, down until what is held stands, and open."""
 
 import numpy as np
-from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from halfseen.cell.fetching import go_home

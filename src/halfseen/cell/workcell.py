@@ -100,7 +100,7 @@ class Workcell:
         rack: Rack = Rack(),  # noqa: B008 - frozen
         frictions: Sequence[float] | None = None,
         grasping: str = "completed",
-        errors: Errors = Errors(),  # noqa: B008 - frozen
+        errors: Errors = Errors(),
     ) -> None:
         model = cell_model(table.cups, table.world_from_cup, (robot,), rack, frictions=frictions)
         self.table, self.robot, self.rack, self.memory = table, robot, rack, Memory()
