@@ -29,10 +29,17 @@ class LiveCell:
         The robots in it.
     watch
         Called after each step; None for nobody.
+
+    Attributes
+    ----------
+    num_cups
+        Number of cups.
     """
 
     def __init__(self, model: mujoco.MjModel, robots: Sequence[Robot], watch: Watch | None = None) -> None:
         self.model, self.data, self.watch = model, mujoco.MjData(model), watch
+        # Bodies of cups come first in the model.
+        self.num_cups = sum(model.body(index + 1).name == cup_name(index) for index in range(model.nbody - 1))
         self.kinematics = {robot.name: Kinematics(model, robot) for robot in robots}
         for robot in robots:
             half_open_m = 0.25 * robot.gripper.stroke_m
@@ -40,12 +47,6 @@ class LiveCell:
             for name, place in [*parts, *((name, half_open_m) for name in robot.slide_names)]:
                 self.data.joint(name).qpos = self.data.actuator(name).ctrl = place
         mujoco.mj_forward(model, self.data)
-
-    @property
-    def num_cups(self) -> int:
-        """Number of cups; their bodies come first in the model."""
-        is_cup = (self.model.body(index + 1).name == cup_name(index) for index in range(self.model.nbody - 1))
-        return sum(is_cup)
 
     @property
     def time_s(self) -> float:

@@ -57,7 +57,7 @@ def matched(before_m: Points, now_m: Points) -> Matching:
 
 
 def _is_doubtful(apart_m: Float[np.ndarray, "n m"], now: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Whether some other object now is nearly as near as the match, or within reach where there is none."""
+    """Whether some other object now is nearly as near as the match; or stands where it stood, if there is none."""
     others_m = np.where(np.arange(apart_m.shape[1]) == now[:, None], np.inf, apart_m).min(axis=1, initial=np.inf)
-    own_m = np.array([row[which] if which >= 0 else FARTHEST_M for row, which in zip(apart_m, now, strict=True)])
-    return others_m < own_m + NEARLY_AS_NEAR_M * (now >= 0)
+    own_m = np.array([row[which] if which >= 0 else 0.0 for row, which in zip(apart_m, now, strict=True)])
+    return others_m < own_m + NEARLY_AS_NEAR_M

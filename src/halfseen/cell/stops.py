@@ -1,0 +1,96 @@
+"""What cuts an attempt short, as in life: it takes too long, something presses too hard, or the camera is lost."""
+
+# MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
+# pyright: reportAttributeAccessIssue=false
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from halfseen.cell.live_cell import LiveCell
+
+TIME_OUT, EMERGENCY_STOP, SENSOR_LOST = "time-out", "emergency-stop", "sensor-lost"
+_CHECKED_EVERY = 5  # steps; a blow of a hundredth of a second is not missed
+
+
+class StoppedError(Exception):
+    """The cell was stopped; its argument is the cause."""
+
+
+@dataclass(frozen=True)
+class Stops:
+    """When the cell stops.
+
+    Parameters
+    ----------
+    limit_s
+        Longest time of an attempt, until it is known whether it holds [s].
+    force_n
+        Largest force of a contact of the robot [N].
+    camera_lost_per_s
+        Rate at which the camera is lost [1/s].
+    """
+
+    limit_s: float = 9.5
+    force_n: float = 100.0
+    camera_lost_per_s: float = 1 / 400
+
+
+class Guard:
+    """Watches a running cell and stops it; a `halfseen.cell.live_cell.Watch`.
+
+    Parameters
+    ----------
+    stops
+        When.
+    rng
+        Draws when the camera is lost.
+
+    Attributes
+    ----------
+    begun_s
+        When the attempt in progress began [s]; None between attempts.
+    """
+
+    def __init__(self, stops: Stops, rng: np.random.Generator) -> None:
+        self.stops, self.begun_s = stops, None
+        self._lost_s = float(rng.exponential(1 / stops.camera_lost_per_s)) if stops.camera_lost_per_s else np.inf
+        self._num_steps = 0
+
+    def __call__(self, cell: LiveCell) -> None:
+        """Look after each step.
+
+        Raises
+        ------
+        StoppedError
+            With the cause.
+        """
+        self._num_steps += 1
+        if self._num_steps % _CHECKED_EVERY:
+            return
+        if cell.time_s > self._lost_s:
+            raise StoppedError(SENSOR_LOST)
+        if self.begun_s is not None and cell.time_s - self.begun_s > self.stops.limit_s:
+            raise StoppedError(TIME_OUT)
+        if largest_force_n(cell) > self.stops.force_n:
+            raise StoppedError(EMERGENCY_STOP)
+
+
+def largest_force_n(cell: LiveCell) -> float:
+    """Largest force of a contact between a robot and what is no robot [N].
+
+    Parameters
+    ----------
+    cell
+        The running cell.
+    """
+    model, data = cell.model, cell.data
+    if not data.ncon:
+        return 0.0
+    is_robot = model.geom_bodyid[data.contact.geom] > cell.num_cups
+    force, largest = np.zeros(6), 0.0
+    for contact in np.flatnonzero(is_robot.any(axis=1)).tolist():
+        mujoco.mj_contactForce(model, data, contact, force)
+        largest = max(largest, float(np.linalg.norm(force[:3])))
+    return largest
