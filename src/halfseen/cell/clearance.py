@@ -42,8 +42,8 @@ class Surroundings:
         Of the view.
     """
 
-    own_m: Points
-    other_m: Points
+    own_m: Float[np.ndarray, "own 3"]
+    other_m: Float[np.ndarray, "others 3"]
     id: int
     labels: Labels
     depth_m: Image
@@ -51,7 +51,7 @@ class Surroundings:
     camera_from_table: Float[np.ndarray, "4 4"]
 
     def hidden(self, points_m: Points) -> tuple[Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-        """Which points nobody sees (something nearer is in the way, or nothing returned), and which the object hides."""
+        """Which points nobody sees (something is nearer, or nothing returned), and which the object itself hides."""
         rotation, shift_m = self.camera_from_table[:3, :3], self.camera_from_table[:3, 3]
         seen_m = points_m @ rotation.T + shift_m
         pixel = np.rint((seen_m @ self.intrinsics.T)[:, :2] / seen_m[:, 2:]).astype(int)

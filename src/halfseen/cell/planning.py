@@ -42,9 +42,9 @@ class Plan:
 
     grasp: Grasp
     held: Pose
-    hover: Way
-    approach: Way
-    lift: Way
+    hover: Float[np.ndarray, "hovering J"]
+    approach: Float[np.ndarray, "coming J"]
+    lift: Float[np.ndarray, "lifting J"]
 
 
 def plan(

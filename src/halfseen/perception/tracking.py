@@ -6,8 +6,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.optimize import linear_sum_assignment
 
-from halfseen.arrays import Points
-
 FARTHEST_M = 0.25
 """An object that was knocked is found again within this distance [m]; beyond it is another one."""
 NEARLY_AS_NEAR_M = 0.03
@@ -34,7 +32,7 @@ class Matching:
         return sorted(set(range(num_now)) - set(self.now.tolist()))
 
 
-def matched(before_m: Points, now_m: Points) -> Matching:
+def matched(before_m: Float[np.ndarray, "n 3"], now_m: Float[np.ndarray, "m 3"]) -> Matching:
     """Match objects so that together they moved least.
 
     Parameters
