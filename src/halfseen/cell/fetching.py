@@ -7,7 +7,7 @@ from halfseen.cell.live_cell import LiveCell
 from halfseen.cell.model import Robot
 from halfseen.cell.planning import Plan
 
-_COMING, _LIFTING, _PUTTING = 0.5, 0.6, 0.6  # shares of the joints' speeds
+_COMING, _LIFTING, _PUTTING = 0.6, 0.9, 0.9  # shares of the joints' speeds
 _PRESSED_M = {"rim": -0.020}
 """By kind of grasp, the opening that is asked for when the hand closes [m]; 0 for others."""
 _LEAST_FELT_M = {"rim": 0.0015}

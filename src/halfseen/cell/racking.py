@@ -17,7 +17,7 @@ from halfseen.scene.poses import Pose, from_matrix
 _ABOVE_M = 0.16  # over where it is put down, what is held passes over the rim and what stands there already
 _DROP_M = 0.010
 _NUM_TURNS = 8
-_CARRYING, _PUTTING = 0.8, 0.5  # shares of the joints' speeds
+_CARRYING, _PUTTING = 1.0, 0.7  # shares of the joints' speeds
 
 
 def put_away(
