@@ -7,7 +7,7 @@ from halfseen.cell.grasps import Grasp, hand_axes
 from halfseen.cell.kinematics import Kinematics
 from halfseen.cell.model import SLOT_M, Rack, Robot, cell_model
 from halfseen.cell.planning import plan
-from halfseen.cell.stops import EMERGENCY_STOP, SENSOR_LOST, TIME_OUT, Guard, StoppedError, Stops
+from halfseen.cell.stops import EMERGENCY_STOP, SENSOR_LOST, TIME_OUT, StoppedError, Stops
 from halfseen.cell.workcell import Errors, Workcell
 from halfseen.errors import PlanError
 from halfseen.scene import random_table
@@ -111,18 +111,15 @@ def test_the_same_seed_gives_the_same_bits():
     ],
 )
 def test_a_cell_stops_with_its_cause(stops, cause):
-    cell = workcell()
+    cell = workcell(stops=stops)
     cell.look()
-    guard = Guard(stops, np.random.default_rng(0))
-    cell.cell.watch, guard.begun_s = guard, cell.cell.time_s
     with pytest.raises(StoppedError, match=cause):
         cell.lift(0)
 
 
 def test_a_cell_that_nothing_stops_goes_on():
-    cell = workcell()
+    cell = workcell(stops=Stops(1e9, 1e9, 0.0))
     cell.look()
-    cell.cell.watch = Guard(Stops(1e9, 1e9, 0.0), np.random.default_rng(0))
     assert cell.lift(0).is_held
 
 

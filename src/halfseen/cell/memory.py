@@ -1,15 +1,43 @@
-"""What a robot knows of the objects on its table, from look to look and attempt to attempt."""
+"""What a robot knows of the objects on its table, from look to look and attempt to attempt.
+
+It knows no law: what looks told is kept as it was told, and whoever believes in a law of seeing makes chances of it.
+"""
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from halfseen.arrays import Hides
+from halfseen.cell.facts import Facts, facts_of
+from halfseen.cell.clearance import surroundings
 from halfseen.cell.grasps import Grasp
 from halfseen.perception.clouds import Vector
 from halfseen.perception.tracking import matched
 from halfseen.perception.view import SeenObject, View
+
+
+class Glance(NamedTuple):
+    """One label of an object."""
+
+    occlusion: float
+    """Hidden share of it then; 0 where it was held up."""
+    is_held: bool
+    """Whether it was turned before the camera."""
+    says_dirty: bool
+    """What it looked like."""
+
+
+class Trial(NamedTuple):
+    """One attempt on an object."""
+
+    occlusion: float
+    """Hidden share of it then."""
+    is_held: bool
+    """Whether it held."""
+    duration_s: float
+    """Until that was known [s]."""
 
 
 @dataclass(eq=False)
@@ -22,10 +50,12 @@ class Known:
         Where it was last seen, in the world [m].
     seen
         How it looks in the last view; None where that does not show it.
+    facts
+        What the last view that showed it told of it.
     is_gone
         Whether the robot put it into the rack.
-    tried
-        Of each attempt: the occlusion then, and whether it held.
+    glances, trials
+        Of looks and attempts, oldest first.
     failed
         Grasps that did not hold, on the table.
     lifts
@@ -34,8 +64,10 @@ class Known:
 
     middle_m: Vector
     seen: SeenObject | None
+    facts: Facts
     is_gone: bool = False
-    tried: list[tuple[float, bool]] = field(default_factory=list)
+    glances: list[Glance] = field(default_factory=list)
+    trials: list[Trial] = field(default_factory=list)
     failed: list[Grasp] = field(default_factory=list)
     lifts: int = 0
 
@@ -47,17 +79,20 @@ class Memory:
     ----------
     objects
         What is known of each.
+    hides
+        ``hides[i, j]`` is the share of object i that object j alone hides in the last view; what that does not show
+        hides nothing, and nothing hides it.
     doubts
-        What the last look left doubtful, a sentence each.
+        What the last view left doubtful, a sentence each.
     """
 
     def __init__(self) -> None:
         self.objects: list[Known] = []
+        self.hides: Hides = np.zeros((0, 0))
         self.doubts: tuple[str, ...] = ()
-        self._hides: Hides = np.zeros((0, 0))
 
     def update(self, view: View, world_from_table: Float[np.ndarray, "4 4"]) -> None:
-        """Take in a look: find again what was there, and add what came into view.
+        """Take in a view: find again what was there, and add what came into sight.
 
         Parameters
         ----------
@@ -68,28 +103,30 @@ class Memory:
         """
         middles_m = [world_from_table @ [*seen.solid.middle_m, 1.0] for seen in view.objects]
         now_m = np.array(middles_m).reshape(-1, 4)[:, :3]
+        facts = [facts_of(seen, surroundings(view, seen)) for seen in view.objects]
         here = [known for known in self.objects if not known.is_gone]
         found = matched(np.array([known.middle_m for known in here]).reshape(-1, 3), now_m)
         for known, now in zip(here, found.now.tolist(), strict=True):
-            known.seen = None if now < 0 else view.objects[now]
-            known.middle_m = known.middle_m if now < 0 else now_m[now]
-        self.objects.extend(Known(now_m[k], view.objects[k]) for k in found.new(len(now_m)))
+            known.seen = view.objects[now] if now >= 0 else None
+            if now >= 0:
+                known.middle_m, known.facts = now_m[now], facts[now]
+        self.objects.extend(Known(now_m[k], view.objects[k], facts[k]) for k in found.new(len(now_m)))
         self.doubts = tuple(
             f"which object is number {self.objects.index(known)} is doubtful: another is nearly as near"
             for known, is_doubtful in zip(here, found.is_doubtful.tolist(), strict=True)
             if is_doubtful
         )
-        self._hides = self._hides_of(view)
+        self.hides = self._hides_in(view)
 
-    @property
-    def hides(self) -> Hides:
-        """Who hides whom in the last view; what it does not show hides nothing and is hidden by nothing."""
-        return self._hides
-
-    def _hides_of(self, view: View) -> Hides:
+    def _hides_in(self, view: View) -> Hides:
         number = [-1 if known.seen is None else known.seen.id for known in self.objects]
         is_seen = np.array([n >= 0 for n in number], dtype=bool)
         hides = np.zeros((len(number), len(number)))
         picked = [n for n in number if n >= 0]
         hides[np.ix_(is_seen, is_seen)] = view.hides[np.ix_(picked, picked)]
         return hides
+
+    def number_of(self, seen_id: int) -> int | None:
+        """Which object has this number in the last view; None if none has."""
+        numbers = [k for k, known in enumerate(self.objects) if known.seen is not None and known.seen.id == seen_id]
+        return numbers[0] if numbers else None

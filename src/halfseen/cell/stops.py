@@ -3,6 +3,8 @@
 # MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
 # pyright: reportAttributeAccessIssue=false
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import mujoco
@@ -44,19 +46,24 @@ class Guard:
     ----------
     stops
         When.
+    now_s
+        The cell's clock [s].
     rng
         Draws when the camera is lost.
-
-    Attributes
-    ----------
-    begun_s
-        When the attempt in progress began [s]; None between attempts.
     """
 
-    def __init__(self, stops: Stops, rng: np.random.Generator) -> None:
-        self.stops, self.begun_s = stops, None
-        self._lost_s = float(rng.exponential(1 / stops.camera_lost_per_s)) if stops.camera_lost_per_s else np.inf
+    def __init__(self, stops: Stops, now_s: float, rng: np.random.Generator) -> None:
+        self.stops = stops
+        self._begun_s: float | None = None
+        self._lost_s = now_s + float(rng.exponential()) / stops.camera_lost_per_s if stops.camera_lost_per_s else np.inf
         self._num_steps = 0
+
+    @contextmanager
+    def timing(self, begun_s: float) -> Iterator[None]:
+        """Time an attempt that began at some time [s]."""
+        self._begun_s = begun_s
+        yield
+        self._begun_s = None
 
     def __call__(self, cell: LiveCell) -> None:
         """Look after each step.
@@ -71,7 +78,7 @@ class Guard:
             return
         if cell.time_s > self._lost_s:
             raise StoppedError(SENSOR_LOST)
-        if self.begun_s is not None and cell.time_s - self.begun_s > self.stops.limit_s:
+        if self._begun_s is not None and cell.time_s - self._begun_s > self.stops.limit_s:
             raise StoppedError(TIME_OUT)
         if largest_force_n(cell) > self.stops.force_n:
             raise StoppedError(EMERGENCY_STOP)

@@ -4,7 +4,8 @@
 # pyright: reportAttributeAccessIssue=false
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -15,13 +16,18 @@ from halfseen.cell.fetching import feels, fetch, let_go, put_back
 from halfseen.cell.grasps import GRASPING
 from halfseen.cell.live_cell import LiveCell
 from halfseen.cell.looking import Eye
-from halfseen.cell.memory import Known, Memory
+from halfseen.cell.memory import Glance, Known, Memory, Trial
 from halfseen.cell.model import Rack, Robot, cell_model
 from halfseen.cell.planning import Plan, plan
 from halfseen.cell.racking import put_away
+from halfseen.cell.showing import is_in_hand, turned
+from halfseen.cell.stops import Guard, Stops
 from halfseen.errors import PlanError
-from halfseen.perception.view import View, perceive
+from halfseen.perception.clouds import Cloud
+from halfseen.perception.labels import Labeller, StainCounter
+from halfseen.perception.view import SeenObject, View, perceive
 from halfseen.scene.poses import Pose, from_matrix
+from halfseen.scene.stains import Surface
 from halfseen.scene.table import TABLE_TOP_M, Table
 
 SETTLE_S = 0.3
@@ -80,37 +86,57 @@ class Workcell:
     table
         The cups, where they begin, and the camera.
     rng
-        Draws the sensor's noise, the error of the camera's place, and where plans begin.
+        Draws the sensor's noise, the error of the camera's place, where plans begin, and when the camera is lost.
+    surfaces
+        What is on the walls of each cup; None where nothing is to be told by colour.
     robot, rack
         Who works, and where washed cups go.
     frictions
         Of each cup on pads [-]; None for the usual one.
     grasping
         Which grasps are thought of: a name of `GRASPING`.
+    labeller
+        What tells dirty from clean.
     errors
         How far the camera is from where the robot believes it.
+    stops
+        What stops the cell; None for nothing.
+
+    Attributes
+    ----------
+    memory
+        What the robot knows.
+    view
+        What the last look showed; None before the first.
+    cell
+        The running cell: the truth, which no decision may look at.
     """
 
     def __init__(
         self,
         table: Table,
         rng: np.random.Generator,
+        surfaces: Sequence[Surface] | None = None,
         *,
         robot: Robot = Robot(),  # noqa: B008 - frozen
         rack: Rack = Rack(),  # noqa: B008 - frozen
         frictions: Sequence[float] | None = None,
         grasping: str = "completed",
+        labeller: Labeller = StainCounter(),  # noqa: B008 - frozen
         errors: Errors = Errors(),
+        stops: Stops | None = None,
     ) -> None:
         model = cell_model(table.cups, table.world_from_cup, (robot,), rack, frictions=frictions)
-        self.table, self.robot, self.rack, self.memory = table, robot, rack, Memory()
+        self.robot, self.rack, self.memory = robot, rack, Memory()
+        self.view: View | None = None
         self.cell = LiveCell(model, [robot])
-        self._rng, self._grasping = rng, GRASPING[grasping]
-        self._eye = Eye(self.cell, table.camera)
+        self._rng, self._grasping, self._labeller = rng, GRASPING[grasping], labeller
+        self._eye = Eye(self.cell, table.camera, surfaces=surfaces)
         self._believed: Pose = from_matrix(errors.draw(rng) @ table.camera.world_from_camera.matrix)
         self._num_racked = 0
-        self.view: View | None = None
         self.cell.wait(SETTLE_S)
+        self._guard = None if stops is None else Guard(stops, self.cell.time_s, rng)
+        self.cell.watch = self._guard
 
     @property
     def world_from_table(self) -> Float[np.ndarray, "4 4"]:
@@ -120,34 +146,81 @@ class Workcell:
 
     def look(self) -> View:
         """Look at the table, and remember what is seen."""
-        self.view = perceive(self._eye.look(self._rng).cloud)
-        self.memory.update(self.view, self.world_from_table)
-        return self.view
+        return self._take_in(self._eye.look(self._rng).cloud)
 
     def lift(self, number: int) -> Attempt:
-        """Attempt to lift an object; it is put back where it was."""
+        """Attempt to lift an object; it is turned before the camera and put back where it was.
+
+        Parameters
+        ----------
+        number
+            Of the object, as in `memory`.
+
+        Raises
+        ------
+        StoppedError
+            Something stopped the cell.
+        """
         known = self.memory.objects[number]
-        attempt, done = self._fetched(known)
-        if done is not None and attempt.is_held:
+        before, (attempt, done) = known.seen, self._fetched(known)
+        if done is not None and before is not None and attempt.is_held:
             known.lifts += 1
+            for _ in turned(self.cell, self.robot, done, self._rng):
+                self._look_at_held(known, before)
             put_back(self.cell, self.robot, done)
         return attempt
 
     def wash(self, number: int) -> Attempt:
-        """Attempt to put an object into the rack."""
+        """Attempt to put an object into the rack.
+
+        Parameters
+        ----------
+        number
+            Of the object, as in `memory`.
+
+        Raises
+        ------
+        StoppedError
+            Something stopped the cell.
+        """
         known = self.memory.objects[number]
         attempt, done = self._fetched(known)
         if done is None or not attempt.is_held:
             return attempt
+        slot_m = self.rack.slots_m[self._num_racked % len(self.rack.slots_m)]
         try:
-            slot_m = self.rack.slots_m[self._num_racked % len(self.rack.slots_m)]
             put_away(self.cell, self.robot, done, known.middle_m, slot_m, self._rng)
         except PlanError as error:
             put_back(self.cell, self.robot, done)
-            return Attempt(False, attempt.duration_s, attempt.kind, str(error))
+            known.trials[-1] = known.trials[-1]._replace(is_held=False)
+            return replace(attempt, is_held=False, reason=str(error))
         known.is_gone, known.seen = True, None
         self._num_racked += 1
         return attempt
+
+    def _take_in(self, cloud: Cloud) -> View:
+        self.view = perceive(cloud)
+        self.memory.update(self.view, self.world_from_table)
+        if cloud.colours is not None:
+            for seen, label in zip(self.view.objects, self._labeller(self.view, cloud), strict=True):
+                number = self.memory.number_of(seen.id)
+                if number is not None and label.is_dirty is not None:
+                    glance = Glance(seen.occlusion, False, label.is_dirty)
+                    self.memory.objects[number].glances.append(glance)
+        return self.view
+
+    def _look_at_held(self, known: Known, before: SeenObject) -> None:
+        """Label what is held, and see what it hid."""
+        cloud = self._eye.look(self._rng).cloud
+        hand = self.cell.kinematics[self.robot.name].hand(self.cell.angles_rad(self.robot))
+        is_held = is_in_hand(self._believed.apply(cloud.points_m), hand)
+        view = self._take_in(replace(cloud, points_m=np.where(is_held[:, None], np.nan, cloud.points_m)))
+        if cloud.colours is None or not is_held.any():
+            return
+        held = replace(before, pixels=np.flatnonzero(is_held), occlusion=0.0)
+        (label,) = self._labeller(replace(view, objects=(held,)), cloud)
+        if label.is_dirty is not None:
+            known.glances.append(Glance(0.0, True, label.is_dirty))
 
     def _fetched(self, known: Known) -> tuple[Attempt, Plan | None]:
         """Try to fetch an object; the hand is home again, and open, where it holds nothing."""
@@ -155,12 +228,13 @@ class Workcell:
         try:
             planned = self._planned(known)
         except PlanError as error:
-            known.tried.append((known.seen.occlusion if known.seen else 1.0, False))
+            known.trials.append(Trial(1.0 if known.seen is None else known.seen.occlusion, False, 0.0))
             return Attempt(False, 0.0, None, str(error)), None
         assert known.seen is not None, "what was planned for was seen"
-        fetch(self.cell, self.robot, planned)
+        with self._guard.timing(begin_s) if self._guard else nullcontext():
+            fetch(self.cell, self.robot, planned)
         is_held, duration_s = feels(self.cell, self.robot, planned.grasp), self.cell.time_s - begin_s
-        known.tried.append((known.seen.occlusion, is_held))
+        known.trials.append(Trial(known.seen.occlusion, is_held, duration_s))
         if not is_held:
             known.failed.append(planned.grasp)
             let_go(self.cell, self.robot, planned)
