@@ -7,7 +7,7 @@ import pytest
 
 from halfseen.cell import Eye, LiveCell, Robot, cell_model
 from halfseen.perception import perceive
-from halfseen.scene import Camera, random_table
+from halfseen.scene import Camera, Surface, random_table
 from halfseen.scene.table import Table
 from halfseen.scene.view import ideal_view, table_view
 from halfseen.scene.xtion import XTION
@@ -69,6 +69,18 @@ def test_as_much_is_perceived_as_without_the_robot(seed):
 def test_the_same_seed_sees_the_same(eye):
     one, other = (eye.look(np.random.default_rng(4)).cloud for _ in range(2))
     np.testing.assert_array_equal(one.points_m, other.points_m)
+
+
+def test_an_eye_that_knows_the_walls_sees_colour_and_the_same_depths(cell, eye, drawn):
+    white, red = (238, 236, 230), (175, 60, 55)
+    surfaces = [Surface(cup, red if index == 0 else white) for index, cup in enumerate(drawn.cups)]
+    plain = eye.look(np.random.default_rng(4))
+    coloured = Eye(cell, drawn.camera, surfaces=surfaces).look(np.random.default_rng(4))
+    np.testing.assert_array_equal(plain.cloud.points_m, coloured.cloud.points_m)
+    assert plain.cloud.colours is None
+    reddish, greenish, _ = coloured.cloud.colours.astype(int).T
+    is_red = (reddish - greenish > 40).reshape(plain.labels.shape)
+    np.testing.assert_array_equal(is_red, plain.labels == 0)
 
 
 def test_what_moved_is_seen_where_it_is(cell, eye, drawn):

@@ -7,6 +7,7 @@ projector's: those within the boxes around its parts.
 # MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
 # pyright: reportAttributeAccessIssue=false
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -16,9 +17,11 @@ from jaxtyping import Bool, Float, Int
 
 from halfseen.arrays import Image
 from halfseen.cell.live_cell import LiveCell
-from halfseen.perception.clouds import Cloud
+from halfseen.perception.clouds import Cloud, Picture
 from halfseen.scene.camera import Camera
+from halfseen.scene.colours import colours
 from halfseen.scene.rays import FURNITURE_GROUP, UNSEEN_GROUP
+from halfseen.scene.stains import Surface
 from halfseen.scene.view import IdealView, ideal_view, refreshed
 from halfseen.scene.xtion import XTION, StructuredLight, sense
 
@@ -53,18 +56,33 @@ class Eye:
         Where it is seen from.
     sensor
         What senses.
+    surfaces
+        What is on the walls of each cup, for clouds with colour; None for clouds without.
     """
 
-    def __init__(self, cell: LiveCell, camera: Camera, sensor: StructuredLight = XTION) -> None:
-        self.cell, self.camera, self.sensor = cell, camera, sensor
+    def __init__(
+        self,
+        cell: LiveCell,
+        camera: Camera,
+        sensor: StructuredLight = XTION,
+        surfaces: Sequence[Surface] | None = None,
+    ) -> None:
+        self.cell, self.camera, self.sensor, self.surfaces = cell, camera, sensor, surfaces
 
     def look(self, rng: np.random.Generator) -> Look:
         """Look at the cell as it is now; `rng` makes the sensor's noise."""
         view = self.view()
         is_robot = view.body > self.cell.num_cups
         depth_m = sense(view, self.camera.focal_px[0], rng, self.sensor)
-        cloud = Cloud.from_depth(np.where(is_robot, np.nan, depth_m), self.camera.intrinsics, "look")
+        picture = self._picture(view, rng)
+        cloud = Cloud.from_depth(np.where(is_robot, np.nan, depth_m), self.camera.intrinsics, "look", picture)
         return Look(cloud, np.where(is_robot, -1, view.labels))
+
+    def _picture(self, view: IdealView, rng: np.random.Generator) -> Picture | None:
+        if self.surfaces is None:
+            return None
+        poses = [self.cell.cup(index) for index in range(self.cell.num_cups)]
+        return colours(view, self.camera, self.surfaces, poses, rng)
 
     def view(self) -> IdealView:
         """See the cell as it is now, without noise."""

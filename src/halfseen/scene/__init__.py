@@ -1,8 +1,9 @@
 """The physical table: cups that stand or lie, and the depth camera that half sees them.
 
 Data go this way: `cups` (shapes) → `layout` (where they start) → `settle` (physics) → `draw` (which tables are kept) →
-`view` (what an ideal camera sees) → `xtion` (what the sensor makes of it) → `record` (cloud and truth) → `shipped`
-(the ten tables that come with the package).
+`view` (what an ideal camera sees) → `xtion` (what the sensor makes of it) → `stains` (what is on the walls of cups) →
+`colours` (what a colour camera sees of it) → `record` (cloud and truth) → `shipped` (the ten tables that come with the
+package).
 
 MuJoCo loads when a table is drawn or seen, never when this package is imported.
 """
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from halfseen.scene.poses import Pose
     from halfseen.scene.record import Capture, capture
     from halfseen.scene.shipped import read_table, read_truth, table_paths
+    from halfseen.scene.stains import Stain, Surface, draw_surface
     from halfseen.scene.table import Table
     from halfseen.scene.truth import Truth
 
@@ -26,9 +28,12 @@ __all__ = [
     "Capture",
     "Cup",
     "Pose",
+    "Stain",
+    "Surface",
     "Table",
     "Truth",
     "capture",
+    "draw_surface",
     "random_table",
     "read_table",
     "read_truth",
@@ -42,9 +47,12 @@ __getattr__ = lazy_names(
         "Capture": "record",
         "Cup": "cups",
         "Pose": "poses",
+        "Stain": "stains",
+        "Surface": "stains",
         "Table": "table",
         "Truth": "truth",
         "capture": "record",
+        "draw_surface": "stains",
         "random_table": "draw",
         "read_table": "shipped",
         "read_truth": "shipped",

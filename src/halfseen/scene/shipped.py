@@ -7,7 +7,7 @@ table is a JSON file beside them: cups, poses, camera, labels (as run lengths), 
 
 import json
 from collections.abc import Iterable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
@@ -17,7 +17,8 @@ import numpy as np
 from jaxtyping import Int
 
 from halfseen.errors import ArgumentError, SceneError
-from halfseen.perception.clouds import Cloud, write_pcd
+from halfseen.perception.clouds import Cloud
+from halfseen.perception.formats import write_pcd
 from halfseen.scene.camera import Camera
 from halfseen.scene.cups import Cup
 from halfseen.scene.poses import Pose
@@ -148,7 +149,7 @@ def within(cloud: Cloud, reach_m: float) -> Cloud:
         Organised as before.
     """
     points_m = np.where(cloud.points_m[:, 2:] <= reach_m, cloud.points_m, np.nan)
-    return Cloud(points_m, cloud.shape, cloud.intrinsics, cloud.name)
+    return replace(cloud, points_m=points_m)
 
 
 def cloud_path(folder: Path, k: int) -> Path:

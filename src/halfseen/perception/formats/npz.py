@@ -1,0 +1,63 @@
+"""NPZ files: a depth image, its pinhole matrix, and the colour picture if there is one."""
+
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+from halfseen.errors import CloudError
+from halfseen.perception.clouds import Cloud, check_intrinsics
+
+# Depths of a table-top camera are below a dozen metres [m]: a median above this was stored in millimetres.
+LARGEST_MEDIAN_DEPTH_M = 50.0
+
+
+def read_npz(path: Path) -> Cloud:
+    """Read ``depth_m`` [m] and ``K`` [px], and ``rgb``, uint8, if it is there.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Raises
+    ------
+    CloudError
+        The file is cut short, lacks an array, or holds one of another kind.
+    """
+    arrays = _arrays(path)
+    depth, K, picture = arrays["depth_m"], arrays["K"], arrays.get("rgb")
+    check_intrinsics(K, str(path))
+    if depth.ndim != 2 or depth.dtype.kind != "f":
+        raise CloudError(
+            f"{path}: depth_m is {depth.dtype} of shape {depth.shape}; it must be an image of floats in metres"
+        )
+    if picture is not None and (picture.shape != (*depth.shape, 3) or picture.dtype != np.uint8):
+        raise CloudError(
+            f"{path}: rgb is {picture.dtype} of shape {picture.shape}; it must be uint8 of shape {(*depth.shape, 3)}, "
+            "a colour for each pixel of depth_m: register it to the depth image, or leave it out"
+        )
+    is_return = np.isfinite(depth) & (depth > 0)
+    if is_return.any() and np.median(depth[is_return]) > LARGEST_MEDIAN_DEPTH_M:
+        raise CloudError(
+            f"{path}: the median of depth_m is {np.median(depth[is_return]):g}; "
+            "depths are in metres: divide millimetres by 1000"
+        )
+    return Cloud.from_depth(depth.astype(np.float64), K.astype(np.float64), path.name, picture)
+
+
+def _arrays(path: Path) -> dict[str, np.ndarray]:
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+            missing = {"depth_m", "K"} - set(arrays.files)
+            if missing:
+                raise CloudError(
+                    f"{path}: has {sorted(arrays.files)} and lacks {sorted(missing)}; "
+                    "store the depth image as depth_m [m] and the pinhole matrix as K [px]"
+                )
+            return {name: arrays[name] for name in ("depth_m", "K", "rgb") if name in arrays.files}
+    except (zipfile.BadZipFile, zlib.error, EOFError) as error:
+        raise CloudError(f"{path}: cut short or no .npz file ({error}); record or export it again") from error
+    except ValueError as error:
+        raise CloudError(f"{path}: {error}; only plain arrays are read, never pickled objects") from error

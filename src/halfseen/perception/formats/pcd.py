@@ -1,0 +1,175 @@
+"""PCD files: points, their packed colours if they have some, and the pinhole camera in a comment."""
+
+import io
+import os
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+from jaxtyping import Float, Shaped
+
+from halfseen.arrays import Intrinsics, Points
+from halfseen.errors import CloudError
+from halfseen.perception.clouds import Cloud, Colours, Vector
+from halfseen.writing import write_file
+
+# Comment of a header that carries the pinhole camera [px]: PCD has no field for it, and readers skip comments.
+INTRINSICS_COMMENT = "# intrinsics"
+
+
+# Fields that hold a colour as 0x00RRGGBB in four bytes, of a whole number or a float that means nothing else.
+PACKED_COLOURS = ("rgb", "rgba")
+
+Columns: TypeAlias = dict[str, Shaped[np.ndarray, " n"]]
+
+
+def read_pcd(path: Path) -> Cloud:
+    """Read a file of any of the three kinds of DATA; it is organised if its HEIGHT is more than 1.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Raises
+    ------
+    CloudError
+        The file is cut short, lacks coordinates, or holds colours or intrinsics of another kind.
+    """
+    header, num_header_lines = _pcd_header(path)
+    fields = header.get("FIELDS", "").split()
+    if not {"x", "y", "z"} <= set(fields):
+        raise CloudError(f"{path}: has fields {fields} and needs x, y and z; export it with coordinates in metres")
+    packed = next((name for name in PACKED_COLOURS if name in fields), None)
+    names = ["x", "y", "z"] if packed is None else ["x", "y", "z", packed]
+    is_text = header["DATA"] == "ascii"
+    columns = _text_columns(path, header, num_header_lines, names) if is_text else _binary_columns(path, names)
+    points = np.stack([columns[axis].astype(np.float64) for axis in "xyz"], axis=1)
+    num_points, width, height = (int(header[key]) for key in ("POINTS", "WIDTH", "HEIGHT"))
+    if len(points) != num_points:
+        raise CloudError(
+            f"{path}: holds {len(points)} points and announces {num_points}; it was cut short: export it again"
+        )
+    colours = None if packed is None else _unpacked(columns[packed], points, _packed_kind(header, packed, path))
+    shape = (height, width) if height > 1 else None
+    return Cloud(points, shape, _pcd_intrinsics(header, path), path.name, _pcd_eye(header), colours)
+
+
+def _binary_columns(path: Path, names: list[str]) -> Columns:
+    from pypcd4.pypcd4 import PointCloud
+
+    with path.open("rb") as file:
+        parsed = PointCloud.from_fileobj(file)
+    return {name: np.ascontiguousarray(parsed.pc_data[name]) for name in names}
+
+
+def _text_columns(path: Path, header: dict[str, str], num_header_lines: int, names: list[str]) -> Columns:
+    """Columns of text; pypcd4 would split rows at single spaces only."""
+    fields, counts = header["FIELDS"].split(), _counts(header)
+    places = [sum(counts[: fields.index(name)]) for name in names]
+    rows = np.loadtxt(path, skiprows=num_header_lines, usecols=places, ndmin=2, dtype=np.float64)
+    return dict(zip(names, rows.T, strict=True))
+
+
+def _pcd_header(path: Path) -> tuple[dict[str, str], int]:
+    """Header entries of a PCD file, and how many lines they take; pypcd4 would drop the comment with the intrinsics."""
+    header: dict[str, str] = {}
+    with path.open("rb") as file:
+        for number, line in enumerate(file, start=1):
+            text = line.decode("ascii", errors="replace").strip()
+            if text.startswith(INTRINSICS_COMMENT):
+                header[INTRINSICS_COMMENT] = text.removeprefix(INTRINSICS_COMMENT)
+            elif not text.startswith("#"):
+                key, _, value = text.partition(" ")
+                header[key] = value.strip()
+            if text.startswith("DATA"):
+                return header, number
+    raise CloudError(f"{path}: has no DATA line; it is no PCD file or was cut short in the header")
+
+
+def _counts(header: dict[str, str]) -> list[int]:
+    return [int(count) for count in header.get("COUNT", "1 " * len(header["FIELDS"].split())).split()]
+
+
+def _packed_kind(header: dict[str, str], name: str, path: Path) -> str:
+    """TYPE of a packed colour: F, U or I."""
+    place = header["FIELDS"].split().index(name)
+    kind, size, count = header["TYPE"].split()[place], header["SIZE"].split()[place], _counts(header)[place]
+    if (size, count) != ("4", 1):
+        raise CloudError(
+            f"{path}: field {name} has TYPE {kind}, SIZE {size} and COUNT {count}; a colour is packed into 4 bytes, "
+            "TYPE F or U, COUNT 1: export it so, or leave it out"
+        )
+    return kind
+
+
+def _unpacked(column: Shaped[np.ndarray, " n"], points_m: Points, kind: str) -> Colours | None:
+    """Colours of a column as it was stored, or None if text has lost them."""
+    if column.dtype.itemsize != 4:
+        # From text. Bits of colours are tiny numbers or, if opaque, none: writers make "0.0000000000" or "nan" of them.
+        if not column.any() or np.isnan(column[np.isfinite(points_m).all(axis=1)]).any():
+            return None
+        column = column.astype(np.float32) if kind == "F" else column.astype(np.int64).astype(np.uint32)
+    bits = column.view(np.uint32)
+    return np.stack([bits >> shift & 0xFF for shift in (16, 8, 0)], axis=1).astype(np.uint8)
+
+
+def _packed(colours: Colours) -> Float[np.ndarray, " n"]:
+    red, green, blue = colours.astype(np.uint32).T
+    return (red << 16 | green << 8 | blue).view(np.float32)
+
+
+def _pcd_intrinsics(header: dict[str, str], path: Path) -> Intrinsics | None:
+    if INTRINSICS_COMMENT not in header:
+        return None
+    values = header[INTRINSICS_COMMENT].split()
+    if len(values) != 4:
+        raise CloudError(f"{path}: the intrinsics comment is {values}; it must be 'fx fy cx cy' in pixels")
+    fx, fy, cx, cy = (float(value) for value in values)
+    return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+
+
+def _pcd_eye(header: dict[str, str]) -> Vector:
+    # Only the position of VIEWPOINT is used: recorders disagree about whether its rotation was applied to the points.
+    values = header.get("VIEWPOINT", "0 0 0").split()[:3]
+    return np.array([float(value) for value in values])
+
+
+def write_pcd(cloud: Cloud, path: str | os.PathLike[str]) -> None:
+    """Write a cloud as a compressed binary PCD file with float32 coordinates, and packed ``rgb`` if it has colour.
+
+    Parameters
+    ----------
+    cloud
+        What to write. If organised, the file keeps its width and height; the intrinsics go into a header comment.
+    path
+        Where to; it appears whole or not at all, and missing parents are made.
+
+    Raises
+    ------
+    ArgumentError
+        The file cannot be written there.
+    """
+    from pypcd4.pypcd4 import Encoding, PointCloud
+
+    columns = [*cloud.points_m.astype(np.float32).T]
+    names = ["x", "y", "z"]
+    if cloud.colours is not None:
+        columns, names = [*columns, _packed(cloud.colours)], [*names, "rgb"]
+    parsed = PointCloud.from_points(columns, names, [np.float32] * len(names))
+    num_rows, num_columns = cloud.shape or (1, len(cloud.points_m))
+    viewpoint = (*cloud.eye_m.tolist(), 1.0, 0.0, 0.0, 0.0)
+    parsed.metadata = parsed.metadata.derive(width=num_columns, height=num_rows, viewpoint=viewpoint)
+    # Into memory first: pypcd4 rewinds the file, over our comments, when points do not compress and stay binary.
+    body = io.BytesIO()
+    parsed.save(body, Encoding.BINARY_COMPRESSED)
+    write_file(Path(path), _comments(cloud).encode() + body.getvalue())
+
+
+def _comments(cloud: Cloud) -> str:
+    title = "# .PCD v0.7 - Point Cloud Data file format\n"
+    if cloud.intrinsics is None:
+        return title
+    K = cloud.intrinsics
+    numbers = " ".join(repr(float(value)) for value in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
+    return f"{title}{INTRINSICS_COMMENT} {numbers}\n"
