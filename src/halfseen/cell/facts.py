@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
-from halfseen.cell.clearance import Surroundings
-from halfseen.perception.solids import Vessel
-from halfseen.perception.view import SeenObject
+from halfseen.perception.solids import Hull, Vessel
+from halfseen.perception.view import SeenObject, View
 
 MOST_ROOM_M = 0.10
 """Room beyond this makes no difference [m]."""
@@ -31,26 +31,32 @@ class Facts:
     room_m: float
 
 
-def facts_of(seen: SeenObject, around: Surroundings) -> Facts:
-    """Gather what a view tells of an object.
+def facts_of(view: View) -> list[Facts]:
+    """Gather what a view tells of each of its objects.
 
     Parameters
     ----------
-    seen
-        The object.
-    around
-        What the view shows of it and around it.
+    view
+        What is seen.
     """
-    width_m = _width_m(seen, around)
-    away_m = np.linalg.norm(around.other_m[:, :2] - seen.solid.middle_m[:2], axis=1)
-    room_m = float(away_m.min(initial=np.inf)) - 0.5 * width_m
-    return Facts(not seen.is_upright, width_m, float(np.clip(room_m, 0.0, MOST_ROOM_M)))
+    rotation, shift_m = view.camera_from_table[:3, :3], view.camera_from_table[:3, 3]
+    is_object = view.labels >= 0
+    across_m = ((view.image.points_m[is_object] - shift_m) @ rotation)[:, :2]
+    labels = view.labels[is_object]
+    return [_facts(seen, across_m[labels == seen.id], across_m[labels != seen.id]) for seen in view.objects]
 
 
-def _width_m(seen: SeenObject, around: Surroundings) -> float:
-    if isinstance(seen.solid, Vessel):
-        return 2 * max(seen.solid.radius_m + seen.solid.slope * end for end in seen.solid.ends_m)
-    spread = np.cov(around.own_m[:, :2].T)
-    across_m = around.own_m[:, :2] @ np.linalg.eigh(spread)[1][:, 0]
-    low_m, high_m = np.percentile(across_m, [2, 98])
+def _facts(
+    seen: SeenObject, own_m: Float[np.ndarray, "own 2"], others_m: Float[np.ndarray, "others 2"]
+) -> Facts:
+    width_m = _width_m(seen.solid, own_m)
+    away_m = np.linalg.norm(others_m - seen.solid.middle_m[:2], axis=1).min(initial=np.inf)
+    return Facts(not seen.is_upright, width_m, float(np.clip(away_m - 0.5 * width_m, 0.0, MOST_ROOM_M)))
+
+
+def _width_m(solid: Vessel | Hull, own_m: Float[np.ndarray, "own 2"]) -> float:
+    if isinstance(solid, Vessel):
+        return 2 * max(solid.radius_m + solid.slope * end for end in solid.ends_m)
+    narrowest = np.linalg.eigh(np.cov(own_m.T))[1][:, 0]
+    low_m, high_m = np.percentile(own_m @ narrowest, [2, 98])
     return float(high_m - low_m)

@@ -11,7 +11,6 @@ from jaxtyping import Float
 
 from halfseen.arrays import Hides
 from halfseen.cell.facts import Facts, facts_of
-from halfseen.cell.clearance import surroundings
 from halfseen.cell.grasps import Grasp
 from halfseen.perception.clouds import Vector
 from halfseen.perception.tracking import matched
@@ -103,7 +102,7 @@ class Memory:
         """
         middles_m = [world_from_table @ [*seen.solid.middle_m, 1.0] for seen in view.objects]
         now_m = np.array(middles_m).reshape(-1, 4)[:, :3]
-        facts = [facts_of(seen, surroundings(view, seen)) for seen in view.objects]
+        facts = facts_of(view)
         here = [known for known in self.objects if not known.is_gone]
         found = matched(np.array([known.middle_m for known in here]).reshape(-1, 3), now_m)
         for known, now in zip(here, found.now.tolist(), strict=True):

@@ -1,0 +1,195 @@
+"""One table, from the first look to its end, decided by a policy: what came of it, and its path in a log."""
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+import jax
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from halfseen.arrays import Points
+from halfseen.cell.stops import StoppedError
+from halfseen.cell.table_state import rows_of, state_of
+from halfseen.cell.workcell import Attempt, Workcell
+from halfseen.logs.recorder import PathRecorder
+from halfseen.scene.table import TABLE_TOP_M
+from halfseen.world.action_space import ActionSpace, Verb
+from halfseen.world.config import WorldConfig
+from halfseen.world.policy import Policy
+from halfseen.world.state import TableState
+
+PAUSE_S = 0.5
+"""What a look and a decision take on the cell's clock [s]."""
+_TOPPLED_COSINE = 0.5
+_ON_TABLE_M = 0.05  # a cup's origin is not lower than this below the top of the table it stands on
+
+
+@dataclass
+class Run:
+    """What came of one table, by the truth.
+
+    Attributes
+    ----------
+    reward
+        Sum of the rewards [-].
+    seconds
+        On the cell's clock [s].
+    verbs, failures
+        How often each verb was tried; and why attempts did not hold.
+    num_cups, num_racked, num_toppled, num_fallen
+        Cups; those in the rack; those left on the table that stood and lie now; those that are neither on the table
+        nor in the rack.
+    num_dirty, num_washed
+        Dirty cups, and those of them in the rack.
+    cause
+        What cut it; None where it came to its own end.
+    """
+
+    reward: float = 0.0
+    seconds: float = 0.0
+    verbs: Counter[str] = field(default_factory=Counter)
+    failures: Counter[str] = field(default_factory=Counter)
+    num_cups: int = 0
+    num_racked: int = 0
+    num_toppled: int = 0
+    num_fallen: int = 0
+    num_dirty: int = 0
+    num_washed: int = 0
+    cause: str | None = None
+
+
+def play(
+    cell: Workcell,
+    is_dirty: Bool[np.ndarray, " N"],
+    policy: Policy,
+    config: WorldConfig,
+    path: PathRecorder,
+    key: Array,
+) -> Run:
+    """Let a policy clear a table, and record it.
+
+    Parameters
+    ----------
+    cell
+        The cell, before its first look.
+    is_dirty
+        The truth of each cup.
+    policy
+        What decides.
+    config
+        The world that the robot believes in, and the rewards.
+    path
+        What is recorded; it is ended, finished or cut.
+    key
+        What the policy draws from.
+
+    Returns
+    -------
+    Run
+        What came of it.
+    """
+    run, truth = Run(), _Truth(cell, is_dirty)
+    begin_s = cell.cell.time_s
+    try:
+        for step in range(config.horizon):
+            _look(cell)
+            if all(known.is_gone for known in cell.memory.objects):
+                break
+            state = state_of(cell.memory, config, config.horizon - step)
+            verb, target = _decided(policy, state, rows_of(cell.memory, config), path, jax.random.fold_in(key, step))
+            run.verbs[verb.name] += 1
+            reward = _acted(cell, truth, verb, target, config, run)
+            is_over = verb is Verb.FINISH or step + 1 == config.horizon or truth.is_cleared(cell)
+            if is_over:
+                reward += float(config.reward_dirty_left) * truth.num_dirty_left
+            run.reward += reward
+            path.complete_stage(reward, elapsed_s=cell.cell.time_s - begin_s)
+            if is_over:
+                break
+        path.finish(elapsed_s=cell.cell.time_s - begin_s)
+    except StoppedError as stopped:
+        run.cause = str(stopped)
+        path.cut(run.cause, elapsed_s=cell.cell.time_s - begin_s)
+    run.seconds = cell.cell.time_s - begin_s
+    truth.tell(cell, run)
+    return run
+
+
+def _look(cell: Workcell) -> None:
+    cell.cell.wait(PAUSE_S)
+    cell.look()
+
+
+def _decided(
+    policy: Policy, state: TableState, rows: list, path: PathRecorder, key: Array
+) -> tuple[Verb, int]:
+    """Decide, and write down what was seen and what is done."""
+    decision = _decide(policy, state, key)
+    actions, action = ActionSpace(state.num_objects), int(decision.action)
+    verb, target = Verb(int(actions.verb(action))), int(actions.target(action))
+    acted_on = None if verb is Verb.FINISH else target
+    path.begin_stage(objects=rows, action=verb.name, object=acted_on, probability=float(decision.probability))
+    return verb, target
+
+
+@jax.jit
+def _decide(policy: Policy, state: TableState, key: Array):
+    return policy.decide(state, key)
+
+
+def _acted(cell: Workcell, truth: "_Truth", verb: Verb, target: int, config: WorldConfig, run: Run) -> float:
+    """Do it, and say what it earned."""
+    begin_s = cell.cell.time_s
+    if verb is Verb.FINISH:
+        cell.cell.wait(float(config.transport_s))
+        return 0.0
+    attempt: Attempt = cell.wash(target) if verb is Verb.WASH else cell.lift(target)
+    if not attempt.is_held:
+        run.failures[attempt.reason.split(":")[0].split(";")[0]] += 1
+    if verb is Verb.LIFT:
+        return float(config.reward_lift_per_s) * (cell.cell.time_s - begin_s)
+    washed = truth.newly_racked(cell)
+    earned = [float(config.reward_wash_dirty if dirty else config.reward_wash_clean) for dirty in washed]
+    return sum(earned) if earned else float(config.reward_wash_failed)
+
+
+class _Truth:
+    """Which cups are dirty, and where they are: what no decision looks at."""
+
+    def __init__(self, cell: Workcell, is_dirty: Bool[np.ndarray, " N"]) -> None:
+        self.is_dirty, self.is_racked = is_dirty, np.zeros(len(is_dirty), dtype=bool)
+        self._stood = self._upright(cell) > _TOPPLED_COSINE
+
+    @property
+    def num_dirty_left(self) -> int:
+        """Dirty cups that are not in the rack."""
+        return int((self.is_dirty & ~self.is_racked).sum())
+
+    def newly_racked(self, cell: Workcell) -> list[bool]:
+        """Of the cups that came into the rack since it was asked last, whether each is dirty."""
+        now = np.array([cell.rack.holds(place) for place in self._places_m(cell)], dtype=bool)
+        new = now & ~self.is_racked
+        self.is_racked = now
+        return self.is_dirty[new].tolist()
+
+    def is_cleared(self, cell: Workcell) -> bool:
+        """Whether no cup is on the table."""
+        return not self._on_table(cell).any()
+
+    def tell(self, cell: Workcell, run: Run) -> None:
+        """Count at the end."""
+        self.newly_racked(cell)
+        on_table = self._on_table(cell)
+        run.num_cups, run.num_racked = len(self.is_dirty), int(self.is_racked.sum())
+        run.num_fallen = int((~on_table & ~self.is_racked).sum())
+        run.num_toppled = int((on_table & self._stood & (self._upright(cell) < _TOPPLED_COSINE)).sum())
+        run.num_dirty, run.num_washed = int(self.is_dirty.sum()), int((self.is_dirty & self.is_racked).sum())
+
+    def _on_table(self, cell: Workcell) -> Bool[np.ndarray, " N"]:
+        return (self._places_m(cell)[:, 2] > TABLE_TOP_M - _ON_TABLE_M) & ~self.is_racked
+
+    def _places_m(self, cell: Workcell) -> Points:
+        return np.array([cell.cell.cup(index).position_m for index in range(len(self.is_dirty))])
+
+    def _upright(self, cell: Workcell) -> Float[np.ndarray, " N"]:
+        return np.array([cell.cell.cup(index).rotation[2, 2] for index in range(len(self.is_dirty))])
