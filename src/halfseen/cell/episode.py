@@ -120,9 +120,7 @@ def _look(cell: Workcell) -> None:
     cell.look()
 
 
-def _decided(
-    policy: Policy, state: TableState, rows: list, path: PathRecorder, key: Array
-) -> tuple[Verb, int]:
+def _decided(policy: Policy, state: TableState, rows: list, path: PathRecorder, key: Array) -> tuple[Verb, int]:
     """Decide, and write down what was seen and what is done."""
     decision = _decide(policy, state, key)
     actions, action = ActionSpace(state.num_objects), int(decision.action)

@@ -46,9 +46,7 @@ def facts_of(view: View) -> list[Facts]:
     return [_facts(seen, across_m[labels == seen.id], across_m[labels != seen.id]) for seen in view.objects]
 
 
-def _facts(
-    seen: SeenObject, own_m: Float[np.ndarray, "own 2"], others_m: Float[np.ndarray, "others 2"]
-) -> Facts:
+def _facts(seen: SeenObject, own_m: Float[np.ndarray, "own 2"], others_m: Float[np.ndarray, "others 2"]) -> Facts:
     width_m = _width_m(seen.solid, own_m)
     away_m = np.linalg.norm(others_m - seen.solid.middle_m[:2], axis=1).min(initial=np.inf)
     return Facts(not seen.is_upright, width_m, float(np.clip(away_m - 0.5 * width_m, 0.0, MOST_ROOM_M)))

@@ -1,0 +1,172 @@
+"""Many fresh tables, cleared by one policy in as many processes as there are cores, and their log.
+
+Each table is recorded into a folder of its own while it runs. What a kill leaves behind can be read there, and the next
+campaign into the same folder goes on with the tables that are missing: table k is drawn from the seed and k alone, so
+that the log is the same, to the last bit, in any number of processes.
+"""
+
+import json
+import shutil
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import jax
+import numpy as np
+from jaxtyping import Bool
+from joblib import Parallel, delayed
+
+from halfseen.cell.episode import Run, play
+from halfseen.cell.model import Robot
+from halfseen.cell.stops import Stops
+from halfseen.cell.workcell import Errors, Workcell
+from halfseen.logs import LogRecorder, Logs, read_logs
+from halfseen.logs.joining import joined
+from halfseen.scene.draw import random_table
+from halfseen.scene.stains import draw_surface
+from halfseen.world.config import WorldConfig
+from halfseen.world.policy import Policy
+from halfseen.writing import write_file
+
+RUN_FILE = "run.json"
+"""Beside the recording of a table once it is over: what came of it."""
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What the tables of a campaign, and the cell that clears them, are like.
+
+    Parameters
+    ----------
+    dirty_share
+        Probability that a cup is dirty.
+    frictions
+        Of a cup on pads, drawn evenly in its logarithm: smallest and largest [-].
+    robot, grasping, errors, stops
+        As for `Workcell`.
+    """
+
+    dirty_share: float = 0.6
+    frictions: tuple[float, float] = (0.1, 0.6)
+    robot: Robot = Robot()  # noqa: RUF009 - frozen
+    grasping: str = "completed"
+    errors: Errors = Errors()  # noqa: RUF009 - frozen
+    stops: Stops | None = Stops()  # noqa: RUF009 - frozen
+
+    def cell(self, seed: int, index: int) -> tuple[Workcell, Bool[np.ndarray, " N"]]:
+        """Draw a table with its cell, and which cups are dirty.
+
+        Parameters
+        ----------
+        seed, index
+            Of the campaign, and of the table in it; nothing else decides.
+        """
+        rng = np.random.default_rng([seed, index])
+        table = random_table(int(rng.integers(2**31)))
+        is_dirty = rng.random(table.num_cups) < self.dirty_share
+        surfaces = [draw_surface(cup, bool(dirty), rng) for cup, dirty in zip(table.cups, is_dirty, strict=True)]
+        frictions = np.exp(rng.uniform(*np.log(self.frictions), table.num_cups)).tolist()
+        cell = Workcell(
+            table,
+            rng,
+            surfaces,
+            robot=self.robot,
+            frictions=frictions,
+            grasping=self.grasping,
+            errors=self.errors,
+            stops=self.stops,
+        )
+        return cell, is_dirty
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """A policy at work on many tables.
+
+    Parameters
+    ----------
+    policy
+        What decides.
+    config
+        The world that the robot believes in, and the rewards.
+    conditions
+        What the tables are like.
+    seed
+        Of everything that is drawn.
+    """
+
+    policy: Policy
+    config: WorldConfig
+    conditions: Conditions
+    seed: int
+
+    def runs(self, tables: Sequence[int], folder: Path, num_workers: int) -> Iterator[tuple[int, Run]]:
+        """Clear tables, record each below a folder, and tell what came of each as soon as it is over.
+
+        Parameters
+        ----------
+        tables
+            Their numbers.
+        folder
+            Where to; tables that are over there already are not run again.
+        num_workers
+            Processes.
+
+        Yields
+        ------
+        tuple of int and Run
+            In the order of `tables`.
+        """
+        # A process of its own even for one worker: what it compiles is freed with it, and both ways are the same.
+        parallel = Parallel(n_jobs=num_workers, return_as="generator", batch_size=1)
+        for index, run in zip(tables, parallel(delayed(self.run)(index, folder) for index in tables), strict=True):
+            yield index, run
+
+    def run(self, index: int, folder: Path) -> Run:
+        """Clear one table, or read what came of it.
+
+        Parameters
+        ----------
+        index
+            Its number.
+        folder
+            Where it is recorded.
+        """
+        place = folder / table_name(index)
+        if (place / RUN_FILE).is_file():
+            return _read_run(place / RUN_FILE)
+        shutil.rmtree(place, ignore_errors=True)
+        cell, is_dirty = self.conditions.cell(self.seed, index)
+        with LogRecorder(place) as recorder:
+            path = recorder.begin_path(index, dirty_share=float(self.config.dirty_share))
+            run = play(
+                cell, is_dirty, self.policy, self.config, path, jax.random.fold_in(jax.random.key(self.seed), index)
+            )
+        write_file(place / RUN_FILE, json.dumps(asdict(run), indent=1))
+        return run
+
+
+def logs_of(folder: Path, tables: Sequence[int]) -> Logs:
+    """Read what was recorded of tables, as one log.
+
+    Parameters
+    ----------
+    folder
+        Where they were recorded.
+    tables
+        Their numbers.
+    """
+    return joined([read_logs(folder / table_name(index)) for index in tables])
+
+
+def table_name(index: int) -> str:
+    """Name of the folder of a table."""
+    return f"table-{index:06d}"
+
+
+def _read_run(file: Path) -> Run:
+    content = json.loads(file.read_text(encoding="utf-8"))
+    for name in ("verbs", "failures"):
+        content[name] = Counter(content[name])
+    return Run(**content)
