@@ -7,10 +7,11 @@ import pytest
 
 from halfseen.cell import Eye, LiveCell, Robot, cell_model
 from halfseen.perception import perceive
-from halfseen.scene import Camera, Surface, random_table
-from halfseen.scene.table import Table
+from halfseen.scene import Camera, Cup, Pose, Surface, random_table
+from halfseen.scene.camera import look_at
+from halfseen.scene.table import TABLE_TOP_M, Table
 from halfseen.scene.view import ideal_view, table_view
-from halfseen.scene.xtion import XTION
+from halfseen.scene.xtion import XTION, xtion_at
 
 ROBOT = Robot()
 
@@ -92,3 +93,54 @@ def test_what_moved_is_seen_where_it_is(cell, eye, drawn):
     assert alike(now, ideal_view(cell.model, drawn.camera, XTION.baseline_m, cell.data)) > 0.999
     shown = (now.body > 0) & (now.body <= cell.num_cups)
     assert (now.labels == expected)[shown].mean() > 0.999
+
+
+def coarse(world_from_camera):
+    """A camera of a quarter of the rows and columns."""
+    fx, fy = xtion_at(world_from_camera).focal_px
+    return Camera(world_from_camera, (fx / 4, fy / 4), (79.5, 59.5), 120, 160)
+
+
+MUG = Cup(0.09, 0.042, 0.04, handle_m=0.03)
+LYING = (2**-0.5, 2**-0.5, 0.0, 0.0)
+IN_THE_RACK = Pose((0.40, 0.62, 0.55), LYING)
+ON_THE_TABLE = Pose((0.0, 0.1, TABLE_TOP_M))
+
+
+def held(robot):
+    """Pose of a cup between the pads of a robot at home."""
+    cell = LiveCell(cell_model([], [], [robot]), [robot])
+    place = cell.data.site(robot.of("gripper/tcp")).xpos
+    return Pose(tuple(map(float, place)), LYING)
+
+
+FRONT = look_at(np.array([0.0, -0.9, 1.6]), np.array([0.0, 0.3, 0.7]))
+LOW = look_at(np.array([0.0, -0.2, TABLE_TOP_M + 0.06]), np.array([0.0, 0.1, TABLE_TOP_M + 0.05]))
+
+
+@pytest.mark.parametrize(
+    ("poses", "robots", "camera"),
+    [
+        ([ON_THE_TABLE, Pose((0.1, 0.1, TABLE_TOP_M + 0.04), LYING), IN_THE_RACK], [ROBOT], FRONT),
+        ([ON_THE_TABLE, Pose((1.5, 0.3, 1.0))], [], FRONT),
+        ([ON_THE_TABLE, Pose((0.06, -0.2, TABLE_TOP_M)), Pose((0.0, -0.35, TABLE_TOP_M))], [ROBOT], LOW),
+        ([], [ROBOT], FRONT),
+        ([], [], FRONT),
+    ],
+    ids=["lying and in the rack", "beside the picture", "beside and behind the camera", "no cups", "nothing"],
+)
+def test_seen_as_by_rays_alone(poses, robots, camera):
+    cell = LiveCell(cell_model([MUG] * len(poses), poses, robots), robots)
+    now = Eye(cell, coarse(camera)).view()
+    expected = ideal_view(cell.model, coarse(camera), XTION.baseline_m, cell.data)
+    assert alike(now, expected) == 1.0
+    np.testing.assert_allclose(now.incidence_cosine, expected.incidence_cosine, atol=1e-9)
+    assert (now.body == 1).any() or not poses
+
+
+def test_a_cup_in_the_hand_hides_it_and_is_hidden_as_by_rays_alone():
+    cell = LiveCell(cell_model([MUG], [held(ROBOT)]), [ROBOT])
+    now = Eye(cell, xtion_at(FRONT)).view()
+    assert (now.body == 1).any()
+    assert (now.body > 1).any()
+    assert alike(now, ideal_view(cell.model, xtion_at(FRONT), XTION.baseline_m, cell.data)) > 0.9999

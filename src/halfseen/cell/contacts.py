@@ -12,11 +12,13 @@ from typing import Any
 
 import mujoco
 
+from halfseen.scene.rays import ROBOT_GROUP
+
 FURNITURE, WALLS, OBSTACLES = 1, 2, 4
 """Contact bits: cups' hulls and furniture meet on the first; robots meet cups' walls and furniture on the others."""
 
-ROBOT: dict[str, Any] = {"contype": 0, "conaffinity": WALLS | OBSTACLES}
-"""A robot's geoms meet what shows itself to robots, and nothing of their own."""
+ROBOT: dict[str, Any] = {"contype": 0, "conaffinity": WALLS | OBSTACLES, "group": ROBOT_GROUP}
+"""A robot's geoms meet what shows itself to robots, and nothing of their own; cameras tell them from cups."""
 
 
 @dataclass(frozen=True)

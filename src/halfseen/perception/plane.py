@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from halfseen.arrays import Points, Rows
 from halfseen.errors import CloudError
@@ -173,21 +173,28 @@ def _peel(
 def _best_plane(
     points: Float[np.ndarray, "n 5"], side_px: int, sensor: DepthSensor, generator: np.random.Generator
 ) -> Plane | None:
-    first = generator.integers(len(points), size=NUM_HYPOTHESES)
-    radius = NEIGHBOURHOOD_SHARE * side_px
-    best, best_support = None, 0
-    for seed in first:
-        near = np.flatnonzero(np.abs(points[:, 3:] - points[seed, 3:]).max(axis=1) < radius)
-        a, b, c = points[generator.choice(near, size=3), :3]
-        normal = np.cross(b - a, c - a)
-        length = np.linalg.norm(normal)
-        if length < 1e-9:
-            continue
-        plane = _facing(normal / length, a)
-        support = int((np.abs(plane.height_m(points[:, :3])) < _tolerance_m(sensor, points[:, 2])).sum())
-        if support > best_support:
-            best, best_support = plane, support
-    return best if best is None else _fitted(points[:, :3], best, sensor)
+    corners = points[_neighbours(points[:, 3:], NEIGHBOURHOOD_SHARE * side_px, generator), :3]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1)
+    normals, firsts = normals[lengths >= 1e-9] / lengths[lengths >= 1e-9, None], corners[lengths >= 1e-9, 0]
+    tolerance_m = _tolerance_m(sensor, points[:, 2])
+    offsets_m = np.einsum("hi,hi->h", normals, firsts)
+    support = (np.abs(normals @ points[:, :3].T - offsets_m[:, None]) < tolerance_m).sum(axis=1)
+    if not support.any():
+        return None
+    best = int(support.argmax())
+    return _fitted(points[:, :3], _facing(normals[best], firsts[best]), sensor)
+
+
+def _neighbours(
+    pixels: Float[np.ndarray, "n 2"], radius_px: float, generator: np.random.Generator
+) -> Int[np.ndarray, "hypotheses 3"]:
+    """Draw three points that are near to one another, for each hypothesis."""
+    first = generator.integers(len(pixels), size=NUM_HYPOTHESES)
+    apart = [np.abs(axis - axis[first, None]) for axis in pixels.T]
+    is_near = np.maximum(*apart) < radius_px
+    near = [np.flatnonzero(row) for row in is_near]
+    return np.stack([each[generator.integers(len(each), size=3)] for each in near])
 
 
 def _facing(normal: Vector, point: Vector) -> Plane:

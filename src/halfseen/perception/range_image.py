@@ -1,6 +1,7 @@
 """Clouds as range images: every stage after this one works on pixels, organised cloud or not."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -56,12 +57,12 @@ class RangeImage:
     name: str
     sensor: DepthSensor = XTION
 
-    @property
+    @cached_property
     def depth_m(self) -> Float[np.ndarray, "H W"]:
         """Distance along the optical axis [m]; NaN where nothing returned."""
-        return self.points_m[..., 2]
+        return np.ascontiguousarray(self.points_m[..., 2])
 
-    @property
+    @cached_property
     def is_return(self) -> PixelMask:
         """Pixels at which something returned."""
         return np.isfinite(self.depth_m)

@@ -38,6 +38,9 @@ NUM_AROUND = 40
 
 # Free parameters of a fit: two of place, a radius [m], a slope, and those of direction if it has one.
 Free: TypeAlias = Float[np.ndarray, " p"]
+# Several sets of them, and what the points miss the vessel of each by.
+Frees: TypeAlias = Float[np.ndarray, "k p"]
+Residuals: TypeAlias = Float[np.ndarray, "k rows"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,9 +90,8 @@ class Vessel:
 
     def outside_m(self, points_m: Points) -> Rows:
         """Distance of points from the wall, square to the axis [m]; negative inside."""
-        along = self.along_m(points_m)
-        across = np.linalg.norm(points_m - self.centre_m - along[:, None] * self.axis, axis=1)
-        return across - np.maximum(self.radius_m + self.slope * along, 0.0)
+        radius, slope = np.full((1, 1), self.radius_m), np.full((1, 1), self.slope)
+        return _outside_m(points_m, self.centre_m[None], self.axis[None], radius, slope)[0]
 
     def outline_m(self) -> Points:
         """Points of the two end circles [m]; their hull is the vessel."""
@@ -139,10 +141,11 @@ def fit_standing(points_m: Points) -> Vessel:
     points = thinned(points_m)
     middle_height = float(np.median(points[:, 2]))
     middle, radius = _circle(points[:, :2])
+    right, away, above = points[:, 0], points[:, 1], points[:, 2] - middle_height
 
-    def residuals(p: Free) -> Rows:
-        wall = p[2] + p[3] * (points[:, 2] - middle_height)
-        return np.hypot(points[:, 0] - p[0], points[:, 1] - p[1]) - wall
+    def residuals(p: Frees) -> Residuals:
+        wall = p[:, 2:3] + p[:, 3:4] * above
+        return np.hypot(right - p[:, 0:1], away - p[:, 1:2]) - wall
 
     p, misfit = _solve(residuals, np.array([*middle, radius, USUAL_SLOPE]))
     centre = np.array([p[0], p[1], middle_height])
@@ -165,24 +168,27 @@ def fit_lying(points_m: Points, *, is_on_wall: bool = True) -> Vessel:
     middle = np.median(points, axis=0)
     rest_spread_m, tilt_spread_rad = WALL_REST if is_on_wall else HANDLE_REST
 
-    def residuals(p: Free) -> Rows:
-        return _lying(p, middle).outside_m(points)
+    def residuals(p: Frees) -> Residuals:
+        axes, centres_m = _lying_places(p, middle)
+        return _outside_m(points, centres_m, axes, p[:, 2:3], p[:, 3:4])
 
-    def prior(p: Free) -> Rows:
-        tilt = np.arctan(p[3])
-        return np.array([(p[1] - p[2] * np.cos(tilt)) / rest_spread_m, (p[5] - tilt) / tilt_spread_rad])
+    def prior(p: Frees) -> Residuals:
+        tilt = np.arctan(p[:, 3])
+        height = (p[:, 1] - p[:, 2] * np.cos(tilt)) / rest_spread_m
+        return np.stack([height, (p[:, 5] - tilt) / tilt_spread_rad], axis=1)
 
     radius = float(np.clip(points[:, 2].max() / 2, 0.015, 0.08))
     directions = 2 * np.pi * np.arange(NUM_DIRECTIONS) / NUM_DIRECTIONS
     # What is seen is the near side: the axis is half a radius behind its middle.
     starts = [np.array([radius / 2 * np.cos(way), radius, radius, USUAL_SLOPE, way, 0.0]) for way in directions]
-    costs = [np.abs(residuals(p)).mean() for p in starts]
+    costs = np.abs(residuals(np.stack(starts))).mean(axis=1)
     solved = [_solve(residuals, starts[k], prior) for k in np.argsort(costs, kind="stable")[:NUM_FOLLOWED]]
     p, misfit = min(solved, key=lambda pair: pair[1])
     if p[3] < 0:
         p = np.array([-p[0], p[1], p[2], -p[3], p[4] + np.pi, -p[5]])
-    vessel = _lying(p, middle)
-    return replace(vessel, ends_m=_ends(vessel, points_m), misfit=misfit)
+    (axis,), (centre,) = _lying_places(p[None], middle)
+    vessel = Vessel(centre, axis, float(p[2]), float(p[3]), (0.0, 0.0), misfit)
+    return replace(vessel, ends_m=_ends(vessel, points_m))
 
 
 def flat_misfit(points_m: Points) -> float:
@@ -212,29 +218,65 @@ def thinned(points_m: Points, num_points: int = NUM_POINTS_FITTED) -> Float[np.n
     return points_m[:: max(1, len(points_m) // num_points)]
 
 
-def _lying(p: Free, middle: Vector) -> Vessel:
-    """Vessel of (aside, height, radius, slope, direction, tilt), whose centre is beside `middle`."""
-    axis = np.array([np.cos(p[5]) * np.cos(p[4]), np.cos(p[5]) * np.sin(p[4]), np.sin(p[5])])
-    centre = np.array([middle[0] - p[0] * np.sin(p[4]), middle[1] + p[0] * np.cos(p[4]), p[1]])
-    return Vessel(centre, axis, float(p[2]), float(p[3]), (0.0, 0.0), 0.0)
+def _lying_places(p: Frees, middle: Vector) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3"]]:
+    """Axes and centres of vessels of (aside, height, radius, slope, direction, tilt), beside `middle`."""
+    along, across = np.cos(p[:, 4]), np.sin(p[:, 4])
+    level = np.cos(p[:, 5])
+    axes = np.stack([level * along, level * across, np.sin(p[:, 5])], axis=1)
+    return axes, np.stack([middle[0] - p[:, 0] * across, middle[1] + p[:, 0] * along, p[:, 1]], axis=1)
+
+
+def _outside_m(
+    points_m: Points,
+    centres_m: Float[np.ndarray, "k 3"],
+    axes: Float[np.ndarray, "k 3"],
+    radii_m: Float[np.ndarray, "k 1"],
+    slopes: Float[np.ndarray, "k 1"],
+) -> Residuals:
+    """Distances of points from the walls of several vessels, square to the axis of each [m]; negative inside."""
+    offsets = points_m - centres_m[:, None]
+    along = offsets @ axes[:, :, None]
+    offsets -= along * axes[:, None]
+    np.square(offsets, out=offsets)
+    # In this order, as a sum over three is: results stay the same to the last bit.
+    across = np.sqrt(offsets[..., 0] + offsets[..., 1] + offsets[..., 2])
+    return across - np.maximum(radii_m + slopes * along[..., 0], 0.0)
 
 
 def _solve(
-    residuals: Callable[[Free], Rows], start: Free, more_prior: Callable[[Free], Rows] | None = None
+    residuals: Callable[[Frees], Residuals], start: Free, more_prior: Callable[[Frees], Residuals] | None = None
 ) -> tuple[Free, float]:
     """Parameters that fit best, of which the third is a radius and the fourth a slope, and their mean robust cost."""
 
-    def with_prior(p: Free) -> Rows:
-        usual = np.array([(p[2] - USUAL_RADIUS_M) / RADIUS_SPREAD_M, (p[3] - USUAL_SLOPE) / SLOPE_SPREAD])
-        more = more_prior(p) if more_prior else usual[:0]
-        return np.concatenate([residuals(p) / WALL_NOISE_M, usual, more])
+    def with_prior(p: Frees) -> Residuals:
+        usual = [(p[:, 2:3] - USUAL_RADIUS_M) / RADIUS_SPREAD_M, (p[:, 3:4] - USUAL_SLOPE) / SLOPE_SPREAD]
+        more = [more_prior(p)] if more_prior else []
+        return np.concatenate([residuals(p) / WALL_NOISE_M, *usual, *more], axis=1)
 
     low, high = np.full(len(start), -np.inf), np.full(len(start), np.inf)
     low[2:4], high[2:4] = (SMALLEST_RADIUS_M, -STEEPEST_SLOPE), (LARGEST_RADIUS_M, STEEPEST_SLOPE)
     inside = np.clip(start, low + 1e-6, high - 1e-6)
-    found = least_squares(with_prior, inside, bounds=(low, high), loss="soft_l1", max_nfev=30)
+    found = least_squares(
+        lambda p: with_prior(p[None])[0],
+        inside,
+        jac=lambda p: _differences(with_prior, p, low, high),
+        bounds=(low, high),
+        loss="soft_l1",
+        max_nfev=30,
+    )
     at_bound = bool(np.any(found.x[2:4] < low[2:4] + 1e-4) or np.any(found.x[2:4] > high[2:4] - 1e-4))
-    return found.x, np.inf if at_bound else robust_cost(residuals(found.x))
+    return found.x, np.inf if at_bound else robust_cost(residuals(found.x[None])[0])
+
+
+def _differences(
+    residuals: Callable[[Frees], Residuals], p: Free, low: Free, high: Free
+) -> Float[np.ndarray, "rows p"]:
+    """Jacobian by the differences that `least_squares` takes itself, with all parameters changed in one call."""
+    step = np.sqrt(np.finfo(np.float64).eps) * np.where(p >= 0, 1.0, -1.0) * np.maximum(1.0, np.abs(p))
+    step = np.where((p + step < low) | (p + step > high), -step, step)
+    there = p + step
+    values = residuals(np.concatenate([p[None], np.where(np.eye(len(p), dtype=bool), there, p)]))
+    return ((values[1:] - values[0]) / (there - p)[:, None]).T
 
 
 def robust_cost(residuals_m: Rows) -> float:

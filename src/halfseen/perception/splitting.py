@@ -42,10 +42,16 @@ def divided(points_m: Points) -> RowMask | None:
     for _ in range(NUM_ROUNDS):
         if not SMALLEST_SHARE < is_first.mean() < 1 - SMALLEST_SHARE:
             return None
-        pair = (_fitted(sample[is_first]), _fitted(sample[~is_first]))
-        if max(one.misfit for one in pair) > HOPELESS_MISFIT:
+        one = _fitted(sample[is_first])
+        if one.misfit > HOPELESS_MISFIT:
             return None
-        is_first = _distance_m(pair[0], sample) < _distance_m(pair[1], sample)
+        pair = (one, _fitted(sample[~is_first]))
+        if pair[1].misfit > HOPELESS_MISFIT:
+            return None
+        before, is_first = is_first, _distance_m(pair[0], sample) < _distance_m(pair[1], sample)
+        # What is settled would be fitted again, to the same.
+        if (is_first == before).all():
+            break
     return _distance_m(pair[0], points_m) < _distance_m(pair[1], points_m) if _are_two(*pair) else None
 
 

@@ -11,8 +11,9 @@ from jaxtyping import Float, Int
 
 Directions = Float[np.ndarray, "rays 3"]
 
-UNSEEN_GROUP, FURNITURE_GROUP = 4, 3
-"""Groups of geoms: what rays pass through, and what never moves, where a model tells it apart."""
+CUP_GROUP, ROBOT_GROUP, FURNITURE_GROUP, UNSEEN_GROUP = 0, 2, 3, 4
+"""Groups of geoms: cups, which are meshes; robots and what never moves, where a model tells them apart; and what rays
+pass through."""
 SEEN_GROUPS = tuple(group for group in range(mujoco.mjNGROUP) if group != UNSEEN_GROUP)
 
 

@@ -9,6 +9,7 @@ import mujoco
 
 from halfseen.scene.cups import Cup, Faces, Vertices, body_mesh, handle_mesh
 from halfseen.scene.poses import Pose
+from halfseen.scene.rays import CUP_GROUP
 from halfseen.scene.table import TABLE_SIZE_M, TABLE_TOP_M
 
 TIMESTEP_S = 0.002
@@ -116,6 +117,7 @@ def _add_cup(spec: mujoco.MjSpec, index: int, cup: Cup, pose: Pose, *, is_free: 
             friction=list(_FRICTION),
             solref=list(_STIFF_CONTACT),
             condim=6,
+            group=CUP_GROUP,
         )
 
 

@@ -3,7 +3,6 @@
 # MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
 # pyright: reportAttributeAccessIssue=false
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import mujoco
@@ -18,7 +17,8 @@ from halfseen.scene.rays import SEEN_GROUPS, Directions, Hits, cast
 from halfseen.scene.room import lone_cup_model, room_model
 from halfseen.scene.table import Table
 
-_LIT_TOLERANCE_M = 0.002  # a ray from the projector may stop this much before the point and still light it
+LIT_TOLERANCE_M = 0.002
+"""A ray from the projector may stop this much before a point and still light it [m]."""
 _REACH_M = 8.0
 
 
@@ -76,7 +76,7 @@ def ideal_view(
     IdealView
         The view.
     """
-    depth_m, hits, directions = _cast_pixels(model, camera, data=data, groups=groups)
+    depth_m, hits, directions = pixel_hits(model, camera, data=data, groups=groups)
     origin_m = np.asarray(camera.world_from_camera.position_m)
     points_m = origin_m + hits.distance_m[:, None] * directions
     projector_m = origin_m + baseline_m * camera.world_from_camera.rotation[:, 0]
@@ -84,44 +84,8 @@ def ideal_view(
         depth_m=depth_m,
         body=hits.body.reshape(depth_m.shape),
         incidence_cosine=np.abs(np.sum(hits.normal * directions, axis=1)).reshape(depth_m.shape),
-        is_lit=_is_lit(model, projector_m, points_m, data, groups).reshape(depth_m.shape),
+        is_lit=is_reached(model, projector_m, points_m, data, groups).reshape(depth_m.shape),
     )
-
-
-def refreshed(
-    view: IdealView,
-    model: mujoco.MjModel,
-    camera: Camera,
-    baseline_m: float,
-    data: mujoco.MjData,
-    is_seen_anew: Bool[np.ndarray, "H W"],
-    may_be_dark: Callable[[Image], Bool[np.ndarray, "H W"]],
-) -> IdealView:
-    """See again what may have changed in a view, and take the rest as it was.
-
-    Parameters
-    ----------
-    view
-        Of the same model without what moves.
-    model, camera, baseline_m, data
-        As for `ideal_view`.
-    is_seen_anew
-        Pixels that may show something that moved.
-    may_be_dark
-        From the depths now, the pixels that something that moved may keep the projector from.
-    """
-    depth_m, hits, directions = _cast_pixels(model, camera, is_seen_anew, data)
-    depths_m, bodies, cosines, is_lit = (
-        each.copy() for each in (view.depth_m, view.body, view.incidence_cosine, view.is_lit)
-    )
-    depths_m[is_seen_anew], bodies[is_seen_anew] = depth_m, hits.body
-    cosines[is_seen_anew] = np.abs(np.sum(hits.normal * directions, axis=1))
-    is_asked = is_seen_anew | may_be_dark(depths_m)
-    pose = camera.world_from_camera
-    points_m = pose.apply(camera.pixel_rays()[is_asked] * depths_m[is_asked][:, None])
-    projector_m = np.asarray(pose.position_m) + baseline_m * pose.rotation[:, 0]
-    is_lit[is_asked] = _is_lit(model, projector_m, points_m, data)
-    return IdealView(depths_m, bodies, cosines, is_lit)
 
 
 def table_view(table: Table, baseline_m: float) -> IdealView:
@@ -160,7 +124,7 @@ def lone_depths_m(table: Table) -> Float[np.ndarray, "N H W"]:
     depths_m = np.full((table.num_cups, table.camera.num_rows, table.camera.num_columns), np.inf)
     for index, (cup, pose) in enumerate(zip(table.cups, table.world_from_cup, strict=True)):
         window = _window(table.camera, cup, pose)
-        depth_m, _, _ = _cast_pixels(lone_cup_model(cup, pose), table.camera, window)
+        depth_m, _, _ = pixel_hits(lone_cup_model(cup, pose), table.camera, window)
         depths_m[index][window] = np.where(np.isnan(depth_m), np.inf, depth_m)
     return depths_m
 
@@ -188,14 +152,29 @@ def is_whole_in_picture(table: Table, margin_px: float = 8.0) -> bool:
     return True
 
 
-def _cast_pixels(
+def pixel_hits(
     model: mujoco.MjModel,
     camera: Camera,
     window: tuple[slice, slice] | Bool[np.ndarray, "H W"] = np.s_[:, :],
     data: mujoco.MjData | None = None,
     groups: tuple[int, ...] = SEEN_GROUPS,
 ) -> tuple[Float[np.ndarray, "*px"], Hits, Directions]:
-    """Depth of the pixels of a window [m], what their rays met, and where these point in the world."""
+    """Cast the rays of the pixels of a window.
+
+    Parameters
+    ----------
+    model, camera, data, groups
+        As for `ideal_view`.
+    window
+        Pixels to ask.
+
+    Returns
+    -------
+    depth_m
+        Of each pixel [m]; NaN where nothing is met.
+    hits, directions
+        What each ray met, and where it points in the world.
+    """
     rays = camera.pixel_rays()[window]
     lengths = np.linalg.norm(rays, axis=-1)
     directions = (rays / lengths[..., None]).reshape(-1, 3) @ camera.world_from_camera.rotation.T
@@ -203,20 +182,30 @@ def _cast_pixels(
     return hits.distance_m.reshape(lengths.shape) / lengths, hits, directions
 
 
-def _is_lit(
+def is_reached(
     model: mujoco.MjModel,
     projector_m: Float[np.ndarray, " 3"],
     points_m: Float[np.ndarray, "n 3"],
     data: mujoco.MjData | None,
     groups: tuple[int, ...] = SEEN_GROUPS,
 ) -> Bool[np.ndarray, " n"]:
-    """Which points the projector reaches: the first thing on the way to a point is the point itself."""
+    """Which points the projector reaches: the first thing on the way to a point is the point itself.
+
+    Parameters
+    ----------
+    model, data, groups
+        As for `ideal_view`.
+    projector_m
+        Where it stands in the world [m].
+    points_m
+        Points in the world [m]; NaN where there is none, which nothing reaches.
+    """
     is_point = np.isfinite(points_m[:, 0])
     ways_m = points_m[is_point] - projector_m
     lengths_m = np.linalg.norm(ways_m, axis=1)
     first = cast(model, projector_m, ways_m / lengths_m[:, None], _REACH_M + 1.0, data, groups)
     # A ray that meets nothing passed by the edge of the very surface it was aimed at: the point is lit.
-    reached = np.isnan(first.distance_m) | (first.distance_m >= lengths_m - _LIT_TOLERANCE_M)
+    reached = np.isnan(first.distance_m) | (first.distance_m >= lengths_m - LIT_TOLERANCE_M)
     is_lit = np.zeros(len(points_m), dtype=bool)
     is_lit[is_point] = reached
     return is_lit
