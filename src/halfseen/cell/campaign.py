@@ -7,7 +7,6 @@ that the log is the same, to the last bit, in any number of processes.
 
 import json
 import shutil
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -118,10 +117,8 @@ class Campaign:
         tuple of int and Run
             In the order of `tables`.
         """
-        # A process of its own even for one worker: what it compiles is freed with it, and both ways are the same.
         parallel = Parallel(n_jobs=num_workers, return_as="generator", batch_size=1)
-        for index, run in zip(tables, parallel(delayed(self.run)(index, folder) for index in tables), strict=True):
-            yield index, run
+        yield from zip(tables, parallel(delayed(self.run)(index, folder) for index in tables), strict=True)
 
     def run(self, index: int, folder: Path) -> Run:
         """Clear one table, or read what came of it.
@@ -135,7 +132,7 @@ class Campaign:
         """
         place = folder / table_name(index)
         if (place / RUN_FILE).is_file():
-            return _read_run(place / RUN_FILE)
+            return Run(**json.loads((place / RUN_FILE).read_text(encoding="utf-8")))
         shutil.rmtree(place, ignore_errors=True)
         cell, is_dirty = self.conditions.cell(self.seed, index)
         with LogRecorder(place) as recorder:
@@ -163,10 +160,3 @@ def logs_of(folder: Path, tables: Sequence[int]) -> Logs:
 def table_name(index: int) -> str:
     """Name of the folder of a table."""
     return f"table-{index:06d}"
-
-
-def _read_run(file: Path) -> Run:
-    content = json.loads(file.read_text(encoding="utf-8"))
-    for name in ("verbs", "failures"):
-        content[name] = Counter(content[name])
-    return Run(**content)

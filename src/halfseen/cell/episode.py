@@ -1,6 +1,5 @@
 """One table, from the first look to its end, decided by a policy: what came of it, and its path in a log."""
 
-from collections import Counter
 from dataclasses import dataclass, field
 
 import jax
@@ -47,8 +46,8 @@ class Run:
 
     reward: float = 0.0
     seconds: float = 0.0
-    verbs: Counter[str] = field(default_factory=Counter)
-    failures: Counter[str] = field(default_factory=Counter)
+    verbs: dict[str, int] = field(default_factory=dict)
+    failures: dict[str, int] = field(default_factory=dict)
     num_cups: int = 0
     num_racked: int = 0
     num_toppled: int = 0
@@ -97,7 +96,7 @@ def play(
                 break
             state = state_of(cell.memory, config, config.horizon - step)
             verb, target = _decided(policy, state, rows_of(cell.memory, config), path, jax.random.fold_in(key, step))
-            run.verbs[verb.name] += 1
+            _count(run.verbs, verb.name)
             reward = _acted(cell, truth, verb, target, config, run)
             is_over = verb is Verb.FINISH or step + 1 == config.horizon or truth.is_cleared(cell)
             if is_over:
@@ -143,12 +142,16 @@ def _acted(cell: Workcell, truth: "_Truth", verb: Verb, target: int, config: Wor
         return 0.0
     attempt: Attempt = cell.wash(target) if verb is Verb.WASH else cell.lift(target)
     if not attempt.is_held:
-        run.failures[attempt.reason.split(":")[0].split(";")[0]] += 1
+        _count(run.failures, attempt.reason.split(":")[0].split(";")[0])
     if verb is Verb.LIFT:
         return float(config.reward_lift_per_s) * (cell.cell.time_s - begin_s)
     washed = truth.newly_racked(cell)
     earned = [float(config.reward_wash_dirty if dirty else config.reward_wash_clean) for dirty in washed]
     return sum(earned) if earned else float(config.reward_wash_failed)
+
+
+def _count(counts: dict[str, int], name: str) -> None:
+    counts[name] = counts.get(name, 0) + 1
 
 
 class _Truth:
