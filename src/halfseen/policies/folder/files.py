@@ -1,41 +1,68 @@
-"""A folder of a policy that is there whole or not at all, and in which no byte has changed."""
+"""A folder of a policy, or of its like, that is there whole or not at all, and in which no byte has changed."""
 
 import hashlib
 from pathlib import Path
+from typing import NamedTuple
 
 from halfseen.errors import PolicyError
 from halfseen.writing import left_aside, placed, refuse_taken
 
-RECORD, ARRAYS, DIGESTS = "policy.json", "policy.safetensors", "policy.sha256"
+
+class Kind(NamedTuple):
+    """What a folder holds."""
+
+    name: str
+    """As its files are called."""
+    maker: str
+    """The command that writes it."""
+
+    @property
+    def record(self) -> str:
+        """File of text."""
+        return f"{self.name}.json"
+
+    @property
+    def arrays(self) -> str:
+        """File of numbers."""
+        return f"{self.name}.safetensors"
+
+    @property
+    def digests(self) -> str:
+        """File of the digests of both."""
+        return f"{self.name}.sha256"
 
 
-def check_target(folder: Path, overwrite: bool) -> None:
-    """Refuse a folder that a policy cannot be written to; call it before long work.
+POLICY = Kind("policy", "halfseen learn")
+RECORD, ARRAYS, DIGESTS = POLICY.record, POLICY.arrays, POLICY.digests
+
+
+def check_target(folder: Path, overwrite: bool, kind: Kind = POLICY) -> None:
+    """Refuse a folder that cannot be written to; call it before long work.
 
     Raises
     ------
     ArgumentError
-        Something is there and shall not be replaced, or is no policy.
+        Something is there and shall not be replaced, or is of another kind.
     """
-    refuse_taken(folder, overwrite, RECORD, "policy")
+    refuse_taken(folder, overwrite, kind.record, kind.name)
 
 
-def write_files(folder: Path, record: bytes, arrays: bytes, *, overwrite: bool) -> None:
+def write_files(folder: Path, record: bytes, arrays: bytes, *, overwrite: bool, kind: Kind = POLICY) -> None:
     """Write the files beside `folder`, then put them in its place by renaming.
 
     Raises
     ------
     ArgumentError
-        The folder is there already, holds something other than a policy, or cannot be written.
+        The folder is there already, holds something of another kind, or cannot be written.
     """
-    with placed(folder, overwrite=overwrite, marker=RECORD, kind="policy") as fresh:
-        (fresh / ARRAYS).write_bytes(arrays)
-        (fresh / RECORD).write_bytes(record)
-        (fresh / DIGESTS).write_bytes(_digests(record, arrays))
+    with placed(folder, overwrite=overwrite, marker=kind.record, kind=kind.name) as fresh:
+        (fresh / kind.arrays).write_bytes(arrays)
+        (fresh / kind.record).write_bytes(record)
+        (fresh / kind.digests).write_bytes(_digests(record, arrays, kind))
 
 
-def read_files(folder: Path) -> tuple[bytes, bytes]:
-    """Read policy.json and policy.safetensors.
+def read_files(folder: Path, kind: Kind = POLICY) -> tuple[bytes, bytes]:
+    """Read the record and the arrays.
 
     Raises
     ------
@@ -43,39 +70,41 @@ def read_files(folder: Path) -> tuple[bytes, bytes]:
         The folder or a file is missing or cannot be read, or a byte of a file is not what it was.
     """
     if not folder.is_dir():
-        raise PolicyError(f"{folder}: there is no such folder; {_remedy(folder)}")
-    record, arrays, digests = (_read(folder / name) for name in (RECORD, ARRAYS, DIGESTS))
-    if digests == _digests(record, arrays):
+        raise PolicyError(f"{folder}: there is no such folder; {_remedy(folder, kind)}")
+    record, arrays, digests = (_read(folder / name, kind) for name in (kind.record, kind.arrays, kind.digests))
+    if digests == _digests(record, arrays, kind):
         return record, arrays
-    changed = [name for name, data in ((RECORD, record), (ARRAYS, arrays)) if _line(name, data) not in digests]
+    files = ((kind.record, record), (kind.arrays, arrays))
+    changed = [name for name, data in files if _line(name, data) not in digests]
     raise PolicyError(
-        f"{folder / (changed or [DIGESTS])[0]}: it is not as it was written (its SHA-256 does not agree with "
-        f"{DIGESTS}); copy the whole folder again, or learn anew"
+        f"{folder / (changed or [kind.digests])[0]}: it is not as it was written (its SHA-256 does not agree with "
+        f"{kind.digests}); copy the whole folder again, or make it anew by `{kind.maker}`"
     )
 
 
-def _remedy(folder: Path) -> str:
+def _remedy(folder: Path, kind: Kind) -> str:
     """What to do where no folder is."""
     aside = left_aside(folder)
     if aside is None:
-        return "give the folder that `halfseen learn` wrote"
+        return f"give the folder that `{kind.maker}` wrote"
     return f"replacing it was interrupted, and what was there is {aside}: rename it back"
 
 
-def _digests(record: bytes, arrays: bytes) -> bytes:
-    return _line(RECORD, record) + _line(ARRAYS, arrays)
+def _digests(record: bytes, arrays: bytes, kind: Kind) -> bytes:
+    return _line(kind.record, record) + _line(kind.arrays, arrays)
 
 
 def _line(name: str, data: bytes) -> bytes:
     return f"{hashlib.sha256(data).hexdigest()}  {name}\n".encode()
 
 
-def _read(file: Path) -> bytes:
+def _read(file: Path, kind: Kind) -> bytes:
     try:
         return file.read_bytes()
     except FileNotFoundError as error:
         raise PolicyError(
-            f"{file}: it is missing, so {file.parent} is no whole policy; copy the whole folder again, or learn anew"
+            f"{file}: it is missing, so {file.parent} is no whole {kind.name}; copy the whole folder again, or make it "
+            f"anew by `{kind.maker}`"
         ) from error
     except OSError as error:
         raise PolicyError(f"{file}: it cannot be read ({error.strerror}); copy the whole folder again") from error

@@ -1,0 +1,129 @@
+"""The laws of a cell, as they were estimated, and the world that takes them."""
+
+from dataclasses import dataclass, replace
+from math import exp
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
+
+from halfseen.arrays import PerObject
+from halfseen.cell.calibration.grasp_fit import CENTRES, NAMES, SCALES, GraspFit, fit_grasping
+from halfseen.cell.calibration.seeing_fit import fit_seeing
+from halfseen.cell.calibration.time_fit import TimeFit, fit_times
+from halfseen.cell.calibration.trials import FACTS, glances, trials
+from halfseen.cell.facts import Facts, facts_of
+from halfseen.logs import Logs
+from halfseen.perception.view import View
+from halfseen.world.config import WorldConfig
+from halfseen.world.fitted_grasping import FittedGrasping
+from halfseen.world.persistent_seeing import PersistentSeeing
+from halfseen.world.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class Law:
+    """What attempts and looks of a cell told of grasping and seeing.
+
+    Parameters
+    ----------
+    grasp
+        P(held) given what is seen.
+    time
+        How long attempts take.
+    seeing
+        What looks tell.
+    limit_s
+        Longest time of an attempt in that cell [s].
+    """
+
+    grasp: GraspFit
+    time: TimeFit
+    seeing: PersistentSeeing
+    limit_s: float
+
+    @property
+    def coefficients(self) -> dict[str, float]:
+        """Of P(held), by name."""
+        return dict(zip(NAMES, self.grasp.estimate.tolist(), strict=True))
+
+    @property
+    def grasping(self) -> FittedGrasping:
+        """The law of grasping of a world."""
+        told = self.coefficients
+        return FittedGrasping(
+            log_odds=told["log_odds"],
+            log_odds_per_occlusion=told["occlusion"],
+            offset_std=exp(told["log_offset_std"]),
+            log_held_s=self.time.log_held_s,
+            log_missed_s=self.time.log_missed_s,
+            log_std=self.time.log_std,
+            limit_s=self.limit_s,
+        )
+
+    def config(self, base: WorldConfig | None = None) -> WorldConfig:
+        """Give a world under this law.
+
+        Parameters
+        ----------
+        base
+            Its rewards, prior and horizon; by default those of the default world.
+        """
+        world = WorldConfig() if base is None else base
+        return replace(world, grasping=self.grasping, seeing=self.seeing, transport_s=self.time.rest_s)
+
+    def grip(self, facts: Facts) -> float:
+        """Log-odds by which an object is easier to hold than a standing cup of usual width with usual room.
+
+        Parameters
+        ----------
+        facts
+            What is seen of it.
+        """
+        told = self.coefficients
+        return sum(told[name] * (float(getattr(facts, name)) - CENTRES[name]) / SCALES[name] for name in FACTS)
+
+    def scene(self, view: View) -> Scene:
+        """Give what the world needs to know of a view, with how well each object can be gripped.
+
+        Parameters
+        ----------
+        view
+            What is seen.
+        """
+        grip: PerObject = np.array([self.grip(facts) for facts in facts_of(view)], dtype=np.float64)
+        return Scene(view.hides, view.name, grip)
+
+
+def fit_law(logs: Logs, horizon: int, limit_s: float) -> Law:
+    """Estimate the laws of a cell from its log.
+
+    Parameters
+    ----------
+    logs
+        What a cell tried, with the truth about what is dirty.
+    horizon
+        Stages after which a table ended by itself.
+    limit_s
+        Longest time of an attempt [s].
+    """
+    tried: pd.DataFrame = trials(logs, horizon)
+    return Law(fit_grasping(tried), fit_times(tried), fit_seeing(glances(logs)), limit_s)
+
+
+def probability(law: Law, tried: pd.DataFrame) -> Float[np.ndarray, " n"]:
+    """P(held) of attempts under a law, before anything was tried on their objects.
+
+    Parameters
+    ----------
+    law
+        The law.
+    tried
+        With occlusion and `FACTS`.
+    """
+    from halfseen.cell.calibration.grasp_fit import design
+
+    nodes, weights = np.polynomial.hermite_e.hermegauss(15)
+    told = law.grasp.estimate
+    logits = (design(tried) @ told[:-1])[:, None] + np.exp(told[-1]) * nodes
+    return (1.0 / (1.0 + np.exp(-logits))) @ (weights / weights.sum())

@@ -1,0 +1,126 @@
+"""Laws on disk: numbers and text, so that loading one runs no code.
+
+::
+
+    FOLDER/
+      law.json          what was tried, how often, under which conditions; names and units of the numbers
+      law.safetensors   the numbers
+      law.sha256        digests of both
+      attempts/         the log that they were estimated from, if it is kept
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import safetensors.numpy
+
+from halfseen.cell.calibration.grasp_fit import NAMES, GraspFit
+from halfseen.cell.calibration.law import Law
+from halfseen.cell.calibration.time_fit import TimeFit
+from halfseen.errors import PolicyError
+from halfseen.policies.folder.files import Kind, read_files, write_files
+from halfseen.policies.folder.json_values import plain
+from halfseen.world.persistent_seeing import PersistentSeeing
+
+LAW = Kind("law", "halfseen cell calibrate")
+VERSION = 1
+
+
+@dataclass(frozen=True, eq=False)
+class StoredLaw:
+    """A law that was read from a folder, and what is known of it.
+
+    Parameters
+    ----------
+    law
+        The law.
+    record
+        What law.json says.
+    """
+
+    law: Law
+    record: Mapping[str, Any]
+
+
+def write_law(law: Law, folder: Path, told: Mapping[str, Any], *, overwrite: bool = False) -> None:
+    """Write a law, all or nothing.
+
+    Parameters
+    ----------
+    law
+        What was estimated.
+    folder
+        Where to.
+    told
+        What else is to be kept: conditions, versions, how it was made.
+    overwrite
+        Replace a law that is there.
+
+    Raises
+    ------
+    ArgumentError
+        The folder exists or cannot be written.
+    """
+    counts = {"num_decided": law.grasp.num_decided, "num_cut": law.grasp.num_cut}
+    record = {"version": VERSION, "parameters": list(NAMES), **counts, **plain(dict(told))}
+    text = json.dumps(record, indent=1, allow_nan=False) + "\n"
+    write_files(folder, text.encode(), safetensors.numpy.save(_arrays(law)), overwrite=overwrite, kind=LAW)
+
+
+def read_law(folder: str | Path) -> StoredLaw:
+    """Read a law, and check all of it; no code of the folder is run.
+
+    Parameters
+    ----------
+    folder
+        The folder.
+
+    Raises
+    ------
+    PolicyError
+        A file is missing, a byte has changed, the version is unknown, or the numbers are none of a law.
+    """
+    text, numbers = read_files(Path(folder), LAW)
+    record = json.loads(text)
+    if record.get("version") != VERSION:
+        raise PolicyError(
+            f"{Path(folder) / LAW.record}: version {record.get('version')!r} is not {VERSION}, which is read here; "
+            f"make it anew by `{LAW.maker}`"
+        )
+    try:
+        law = _law(safetensors.numpy.load(numbers), record)
+    except (KeyError, ValueError, TypeError) as error:
+        raise PolicyError(
+            f"{Path(folder) / LAW.arrays}: no numbers of a law ({error}); make it anew by `{LAW.maker}`"
+        ) from error
+    return StoredLaw(law, record)
+
+
+def _arrays(law: Law) -> dict[str, np.ndarray]:
+    return {
+        "estimate": law.grasp.estimate,
+        "covariance": np.ascontiguousarray(law.grasp.covariance),
+        "effective_sample_size": np.array([law.grasp.effective_sample_size]),
+        "time": np.array(law.time, dtype=np.float64),
+        "limit_s": np.array([law.limit_s]),
+        "facing": np.array([law.seeing.facing], dtype=np.float64),
+        **{name: np.array(getattr(law.seeing, name), dtype=np.float64) for name in _CURVES},
+    }
+
+
+_CURVES = ("views", "sensitivity", "false_alarms")
+
+
+def _law(arrays: Mapping[str, np.ndarray], record: Mapping[str, Any]) -> Law:
+    if record["parameters"] != list(NAMES) or arrays["estimate"].shape != (len(NAMES),):
+        raise ValueError(f"parameters are {record['parameters']} and not {list(NAMES)}")
+    if not all(np.isfinite(array).all() for array in arrays.values()):
+        raise ValueError("a number is not finite")
+    (size,), (limit_s,), (facing,) = (arrays[name].tolist() for name in ("effective_sample_size", "limit_s", "facing"))
+    fit = GraspFit(arrays["estimate"], arrays["covariance"], record["num_decided"], record["num_cut"], size)
+    seeing = PersistentSeeing(facing, *(tuple(arrays[name].tolist()) for name in _CURVES))
+    return Law(fit, TimeFit(*arrays["time"].tolist()), seeing, limit_s)

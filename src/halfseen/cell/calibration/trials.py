@@ -1,0 +1,76 @@
+"""From the log of a cell to what its laws are fitted to: attempts, and how much of each object was seen when it told."""
+
+import numpy as np
+import pandas as pd
+
+from halfseen.errors import LogError
+from halfseen.logs import Logs
+from halfseen.logs.columns import require_columns
+from halfseen.tables.grasp.attempts import attempts
+
+FACTS = ("is_lying", "width_m", "room_m")
+"""What is seen of an object that may make it hard to grip."""
+GLANCES = ("glance_occlusions", "glance_held", "glance_dirty")
+_AT = ["path", "stage", "object"]
+
+
+def trials(logs: Logs, horizon: int) -> pd.DataFrame:
+    """List every attempt of a cell, cut ones included, with what was seen of its object before.
+
+    Parameters
+    ----------
+    logs
+        Of a cell: objects have `FACTS` and ``attempt_s``, the durations of their past attempts [s].
+    horizon
+        Stages after which a table ends by itself: nobody wrote down what became of an attempt in the last.
+
+    Returns
+    -------
+    DataFrame
+        As `halfseen.tables.grasp.attempts.attempts`, with `FACTS` and attempt_s, the time until it was known whether
+        the attempt held (NaN where it was cut) [s].
+
+    Raises
+    ------
+    LogError
+        The log is not of a cell.
+    """
+    table = attempts(logs, horizon)
+    assert logs.objects is not None, "attempts are read from logs with objects"
+    require_columns("objects", logs.objects, (*FACTS, "attempt_s"))
+    acted_on = pd.DataFrame(logs.stages[_AT])
+    seen = acted_on.merge(logs.objects[[*_AT, *FACTS]], on=_AT)
+    after = acted_on.assign(stage=acted_on["stage"] + 1).merge(logs.objects[[*_AT, "attempt_s"]], on=_AT)
+    after = after.assign(stage=after["stage"] - 1, attempt_s=[_last(each) for each in after["attempt_s"]])
+    at = ["path", "stage"]
+    table = table.merge(seen.drop(columns="object"), on=at).merge(after.drop(columns="object"), on=at, how="left")
+    return table.assign(is_lying=table["is_lying"].astype(np.float64))
+
+
+def _last(durations_s: list[float]) -> float:
+    return float(durations_s[-1]) if len(durations_s) else np.nan
+
+
+def glances(logs: Logs) -> pd.DataFrame:
+    """List every object of a log with all its labels, and the truth that was told of it.
+
+    Parameters
+    ----------
+    logs
+        Of a cell: objects have `GLANCES` and ``is_dirty``.
+
+    Returns
+    -------
+    DataFrame
+        One row an object of a path: path, object, is_dirty, and the lists `GLANCES` as they were at its last stage.
+
+    Raises
+    ------
+    LogError
+        The log is not of a cell, or nobody told the truth.
+    """
+    if logs.objects is None:
+        raise LogError("the log has no objects; give one that a cell recorded")
+    require_columns("objects", logs.objects, (*GLANCES, "is_dirty"))
+    last = logs.objects.groupby(["path", "object"], sort=True).tail(1)
+    return pd.DataFrame(last[["path", "object", "is_dirty", *GLANCES]]).reset_index(drop=True)
