@@ -1,5 +1,6 @@
 import json
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -10,9 +11,11 @@ from halfseen import cli
 from halfseen.cli.act import act
 from halfseen.errors import ArgumentError, CloudError, HalfseenError, LogError, PolicyError
 from halfseen.learners import CensoredQLearner
-from halfseen.logs import Logs
+from halfseen.logs import Logs, read_logs
 from halfseen.perception import Cloud, perceive, read_cloud, write_pcd
+from halfseen.policies import read_policy
 from halfseen.policies.folder import write_policy
+from halfseen.policies.observations import read_observation
 from halfseen.scene import table_paths
 from small_logs import flat_log, table_log
 
@@ -119,6 +122,72 @@ def test_a_table_is_decided_from_its_cloud(tables):
     assert report["reason"].startswith(f"{report['action']}: worth ")
     assert report["warnings"][0] == "num_objects is 5, outside the logs (1 to 2); Q is extrapolated"
     assert report["warnings"][1].startswith("occlusion of object ")
+
+
+@pytest.fixture(scope="module")
+def coloured(tmp_path_factory):
+    """The table with colour: the first object has a patch as brown as a stain."""
+    cloud = read_cloud(TABLE)
+    view = perceive(cloud)
+    colours = np.full(cloud.points_m.shape, (238, 236, 230), dtype=np.uint8)
+    colours[view.objects[0].pixels[:400]] = (98, 62, 30)
+    path = tmp_path_factory.mktemp("act") / "coloured.pcd"
+    write_pcd(replace(cloud, colours=colours), path)
+    return path, view
+
+
+def log_odds_of(policy, cloud, **more):
+    return np.asarray(read_observation(read_policy(policy), cloud, **more).state.log_odds)
+
+
+def test_colour_moves_the_log_odds_by_what_a_label_says(tables, coloured):
+    cloud, view = coloured
+    moved = log_odds_of(tables, cloud) - log_odds_of(tables, TABLE)
+    right = 0.5 + 0.3 * (1 - view.scene().occlusion) ** 1.5
+    sign = np.array([1.0, -1.0, -1.0, -1.0, -1.0])
+    np.testing.assert_allclose(moved, sign * np.log(right / (1 - right)), rtol=1e-4)
+    plain = json.loads(run(tables, TABLE, "--json").output)
+    report = json.loads(run(tables, cloud, "--json").output)
+    sentence = (
+        "Labels by colour (dirty: 0; clean: 1, 2, 3, 4) moved the log-odds of DIRTY, each taken to be right with "
+        f"probability {right.min():.2f} to {right.max():.2f}."
+    )
+    assert report["seen"] == sentence == run(tables, cloud).output.splitlines()[1]
+    assert "seen" not in plain
+    assert list(plain) == [key for key in report if key != "seen"]
+    assert report["q_values"] != plain["q_values"]
+
+
+def test_labels_of_a_file_stand_before_colour_and_unknown_moves_nothing(tables, coloured, tmp_path):
+    (tmp_path / "labels.csv").write_text("object,label\n0,clean\n1,dirty\n2,unknown\n3,unknown\n4,unknown\n")
+    for cloud in (coloured[0], TABLE):
+        moved = log_odds_of(tables, cloud, labels=tmp_path / "labels.csv") - log_odds_of(tables, TABLE)
+        assert np.sign(moved).tolist() == [-1, 1, 0, 0, 0]
+        result = run(tables, cloud, "--labels", tmp_path / "labels.csv").output
+        assert f"Labels by {tmp_path / 'labels.csv'} (dirty: 1; clean: 0; unknown: 2, 3, 4) moved" in result
+
+
+def test_what_a_history_holds_is_not_counted_again(tables, begun, coloured):
+    held = log_odds_of(tables, TABLE, history=begun[0])
+    np.testing.assert_array_equal(log_odds_of(tables, coloured[0], history=begun[0]), held)
+    assert "are not counted again: the history holds" in run(tables, coloured[0], "--history", begun[0]).output
+
+
+def test_a_look_after_the_last_action_of_a_history_counts(tables, begun, coloured, tmp_path):
+    logs = read_logs(begun[0])
+    stages = logs.stages.copy()
+    last = stages.index[stages["path"] == 3][-1]
+    stages.loc[last, ["action", "object"]] = ["LIFT", logs.objects["object"].iloc[0]]
+    Logs(stages, logs.paths, logs.objects).write(tmp_path / "lifted")
+    held = log_odds_of(tables, TABLE, history=tmp_path / "lifted")
+    moved = log_odds_of(tables, coloured[0], history=tmp_path / "lifted") - held
+    assert np.sign(moved).tolist() == [1, -1, -1, -1, -1]
+
+
+def test_bad_labels_are_refused(tables, flat, tmp_path):
+    (tmp_path / "labels.csv").write_text("object,label\n0,clean\n")
+    assert "object 1 of 5 has no label" in str(refused(tables, TABLE, "--labels", tmp_path / "labels.csv"))
+    assert "--labels is for tables" in str(refused(flat[0], state(tmp_path), "--labels", tmp_path / "labels.csv"))
 
 
 def test_a_history_tells_what_was_seen_before(tables, begun):

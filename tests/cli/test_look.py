@@ -70,6 +70,48 @@ def test_json_has_exactly_the_promised_keys(table):
     assert told["hides"][1][0] == pytest.approx(0.125, abs=0.02)  # counted in the image of the rear card alone
 
 
+@pytest.fixture
+def stained(tmp_path) -> Path:
+    """White cards; the nearer one has a brown patch of 20 by 20 pixels."""
+    depth = depth_of_boxes((-0.05, 0.06, 0.8), (0.0, 0.12, 0.95))
+    colours = np.full((240, 320, 3), (238, 236, 230), dtype=np.uint8)
+    row, column = np.argwhere(np.isclose(depth, depth[120, 160], atol=0.05)).mean(axis=0).astype(int)
+    colours[row - 10 : row + 10, column - 10 : column + 10] = (98, 62, 30)
+    write_pcd(Cloud.from_depth(depth, K, "stained", colours), tmp_path / "stained.pcd")
+    return tmp_path / "stained.pcd"
+
+
+def test_colour_tells_what_looks_dirty_and_how_much_was_in_view(stained, table):
+    lines = run(stained).output.splitlines()
+    assert lines[2].endswith("in view  label")
+    assert [line.split()[-1] for line in lines[3:]] == ["dirty", "clean"]
+    told = json.loads(run(stained, "--json").output)["objects"]
+    assert [seen["label"] for seen in told] == ["dirty", "clean"]
+    for seen in told:
+        assert list(seen)[-2:] == ["label", "share_in_view"]
+        assert seen["share_in_view"] == pytest.approx(0.3 * (1 - seen["occlusion"]))
+    # All but the labels is as without colour.
+    plain = run(table).output.splitlines()
+    assert [line[: len(plain[2])].rstrip() for line in lines[2:]] == plain[2:]
+
+
+def test_labels_of_a_file_stand_before_colour_and_without_it(stained, table, tmp_path):
+    (tmp_path / "labels.csv").write_text("object,label,share_in_view\n0,unknown,\n1,dirty,0.9\n")
+    for cloud in (stained, table):
+        told = json.loads(run(cloud, "--labels", tmp_path / "labels.csv", "--json").output)["objects"]
+        assert [seen["label"] for seen in told] == ["unknown", "dirty"]
+        assert told[1]["share_in_view"] == 0.9
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [("object,label\n0,dirty\n", "object 1 of 2 has no label"), ("object,label\n0,nice\n", "label is 'nice'")],
+)
+def test_bad_labels_are_one_line_and_status_2(refused, table, tmp_path, content, message):
+    (tmp_path / "labels.csv").write_text(content)
+    assert message in refused("look", table, "--labels", tmp_path / "labels.csv")
+
+
 def test_two_runs_print_the_same_bytes(table):
     assert run(table, "--json").output == run(table, "--json").output
 

@@ -25,7 +25,7 @@ class Scores:
     is_pose_right: list[bool] = field(default_factory=list)
 
     def add(self, view: View, truth: Truth) -> None:
-        pairs = _matched(view, truth)
+        pairs = matched(view, truth)
         self.num_cups += truth.num_cups
         self.num_found += len(pairs)
         self.num_false += len(view.objects) - len(pairs)
@@ -56,7 +56,7 @@ class Scores:
         )
 
 
-def _matched(view: View, truth: Truth) -> list[tuple[int, int]]:
+def matched(view: View, truth: Truth) -> list[tuple[int, int]]:
     # A pixel without return, in shadow for instance, cannot be claimed by anyone.
     labels = np.where(view.image.is_return, truth.labels, -1).ravel()
     overlap = np.zeros((truth.num_cups, len(view.objects)))

@@ -20,33 +20,40 @@ if TYPE_CHECKING:
 @click.option(
     "--stage", type=click.IntRange(min=1), help="Stage to decide, from 1; by default as the input says, or 1."
 )
+@options.labels
 @options.as_json
 @options.unused_seed
-def act(policy: Path, cloud: Path, history: Path | None, stage: int | None, as_json: bool, seed: int) -> None:
+def act(
+    policy: Path, cloud: Path, history: Path | None, stage: int | None, labels: Path | None, as_json: bool, seed: int
+) -> None:
     """Decide what to do now, by the policy in the folder POLICY, and say why.
 
-    For a policy of tables, CLOUD is a point cloud as `halfseen look` takes; --history tells what was seen and tried on
-    this table before. For a policy of named actions, CLOUD is a JSON object such as {"x1": 0.3, "x2": 1, "stage": 2},
-    or a CSV file with a header and one row.
+    For a policy of tables, CLOUD is a point cloud as `halfseen look` takes; if it has colour, what looks dirty counts.
+    --history tells what was seen and tried on this table before. For a policy of named actions, CLOUD is a JSON object
+    such as {"x1": 0.3, "x2": 1, "stage": 2}, or a CSV file with a header and one row.
     """
     from halfseen.policies import decider_of, read_policy
     from halfseen.policies.observations import read_observation
 
     stored = read_policy(policy)
-    observation = read_observation(stored, cloud, history, stage)
+    observation = read_observation(stored, cloud, history, stage, labels)
+    seen = getattr(observation, "seen", "")  # of tables only
     decision = decider_of(stored).decide(observation)
     decision = replace(decision, warnings=(*decision.warnings, *stored.doubts))
     where = {"stage": observation.stage, "horizon": stored.horizon}
     report = {"policy": str(policy), "input": str(cloud), "action": decision.action, **where, **asdict(decision)}
-    lines = _lines(decision, **where)
+    if seen:
+        report["seen"] = seen
+    lines = _lines(decision, seen, **where)
     click.echo(json.dumps(report, indent=2, allow_nan=False) if as_json else "\n".join(lines))
 
 
-def _lines(decision: "Decision", stage: int, horizon: int) -> list[str]:
+def _lines(decision: "Decision", seen: str, stage: int, horizon: int) -> list[str]:
     known = sorted(((name, q) for name, q in decision.q_values.items() if q is not None), key=lambda one: -one[1])
     width = max(len("action"), *(len(name) for name, _ in known))
     return [
         decision.reason,
+        *([seen] if seen else []),
         *(f"warning: {one}" for one in decision.warnings),
         "",
         f"stage {stage} of {horizon}",

@@ -1,4 +1,4 @@
-"""halfseen look: what a depth camera sees on a table, and who hides whom."""
+"""halfseen look: what a depth camera sees on a table, who hides whom, and what looks dirty."""
 
 import json
 from pathlib import Path
@@ -10,39 +10,48 @@ from halfseen.cli import options
 from halfseen.cli.columns import aligned
 
 if TYPE_CHECKING:
-    from halfseen.perception import View
+    from collections.abc import Sequence
+
+    from halfseen.perception import Label, View
 
 
 @click.command(epilog="Example: halfseen look table.pcd --picture table.png")
 @click.argument("cloud", type=options.PATH)
 @click.option("--json", "is_json", is_flag=True, help="Print JSON, for programs.")
 @click.option("--picture", type=options.PATH, help="Draw what is seen into this PNG file.")
-def look(cloud: Path, is_json: bool, picture: Path | None) -> None:
-    """Say what stands on the table of CLOUD, and who hides whom.
+@options.labels
+def look(cloud: Path, is_json: bool, picture: Path | None, labels: Path | None) -> None:
+    """Say what stands on the table of CLOUD, who hides whom, and, if it has colour, what looks dirty.
 
-    CLOUD is a .pcd or .ply point cloud in the camera frame [m], or an .npz file with a depth image depth_m [m] and a
-    pinhole matrix K [px].
+    CLOUD is a .pcd or .ply point cloud in the camera frame [m], with packed rgb or red, green and blue if it has
+    colour; or an .npz file with a depth image depth_m [m], a pinhole matrix K [px] and, if there is one, a picture rgb.
     """
     from halfseen.errors import CloudError
     from halfseen.perception import perceive, read_cloud
+    from halfseen.perception.label_files import labels_of
     from halfseen.perception.picture import draw, sentence
 
-    view = perceive(read_cloud(cloud))
+    seen = read_cloud(cloud)
+    view = perceive(seen)
     if not view.objects:
         cut = f" but {view.num_cut} that the image border cuts" if view.num_cut else ""
         raise CloudError(f"{cloud}: no objects on the table{cut}; put the table with its objects whole into the view")
+    told = labels_of(view, seen, labels)
     if picture is not None:
         draw(view, picture)
     if is_json:
-        click.echo(json.dumps(_as_json(view)))
+        click.echo(json.dumps(_as_json(view, told)))
         return
     click.echo(sentence(view))
     if view.num_cut:
         click.echo(f"Left out: {view.num_cut} that the image border cuts.")
-    click.echo("\n".join(["", *_table(view)]))
+    click.echo("\n".join(["", *_table(view, told)]))
 
 
-def _as_json(view: "View") -> dict[str, Any]:
+def _as_json(view: "View", told: "Sequence[Label] | None") -> dict[str, Any]:
+    labels = [{}] * len(view.objects)
+    if told is not None:
+        labels = [{"label": label.word, "share_in_view": label.share_in_view} for label in told]
     return {
         "table": {"normal": view.table.normal.tolist(), "offset_m": view.table.offset_m},
         "objects": [
@@ -53,14 +62,15 @@ def _as_json(view: "View") -> dict[str, Any]:
                 "occlusion": seen.occlusion,
                 "num_points": seen.num_points,
                 "is_upright": seen.is_upright,
+                **label,
             }
-            for seen in view.objects
+            for seen, label in zip(view.objects, labels, strict=True)
         ],
         "hides": view.hides.tolist(),
     }
 
 
-def _table(view: "View") -> list[str]:
+def _table(view: "View", told: "Sequence[Label] | None") -> list[str]:
     header = ["object", "x [m]", "y [m]", "z [m]", "height [m]", "pose", "points", "hidden", "hidden by"]
     rows = [header]
     for seen in view.objects:
@@ -70,4 +80,8 @@ def _table(view: "View") -> list[str]:
         pose = "upright" if seen.is_upright else "lying"
         numbers = [f"{x:.3f}", f"{y:.3f}", f"{z:.3f}", f"{seen.height_m:.3f}"]
         rows.append([str(seen.id), *numbers, pose, str(seen.num_points), f"{seen.occlusion:.2f}", by or "-"])
-    return aligned(rows, left=(header.index("pose"), header.index("hidden by")))
+    if told is not None:
+        labels = [("in view", "label"), *((f"{label.share_in_view:.2f}", label.word) for label in told)]
+        rows = [[*row, *label] for row, label in zip(rows, labels, strict=True)]
+    left = ("pose", "hidden by", "label")
+    return aligned(rows, left=tuple(rows[0].index(name) for name in left if name in rows[0]))

@@ -12,6 +12,12 @@ CLOCKS = click.Choice(["path", "stage", "pooled"])
 
 as_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON object for programs.")
 unused_seed = click.option("--seed", type=int, default=0, help="Accepted by every command; nothing here is random.")
+labels = click.option(
+    "--labels",
+    type=PATH,
+    help="What looks dirty, instead of what the cloud's colour tells: .csv with columns object, label (dirty, clean, "
+    "unknown) and, if wanted, share_in_view; or the same as .json.",
+)
 policys_censoring = click.option(
     "--censoring", type=click.Choice(WEIGHTING), help="Censoring model; by default the policy's own."
 )

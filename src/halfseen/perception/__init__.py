@@ -3,11 +3,13 @@
 Read down: `clouds` (what a camera returned), `formats` (the files that hold it), `sensor` (how far it errs) →
 `range_image` → `plane` (the table) → `objects` (sheets above it) → `solids` (what completes them), `silhouette` →
 `splitting`, `grouping` (sheets → objects) → `extension` (hidden ends) → `occlusion` (who hides whom) → `view` (all of
-it) → `picture`.
+it) → `picture`; `colours` (of its pixels) → `labels` (what looks dirty), `label_files`.
 """
 
 from halfseen.perception.clouds import Cloud
 from halfseen.perception.formats import read_cloud, write_pcd
+from halfseen.perception.label_files import LabelFile, read_labels
+from halfseen.perception.labels import Label, Labeller, StainCounter
 from halfseen.perception.plane import Plane
 from halfseen.perception.sensor import XTION, DepthSensor, DisparitySensor
 from halfseen.perception.view import SeenObject, View, perceive
@@ -17,10 +19,15 @@ __all__ = [
     "Cloud",
     "DepthSensor",
     "DisparitySensor",
+    "Label",
+    "LabelFile",
+    "Labeller",
     "Plane",
     "SeenObject",
+    "StainCounter",
     "View",
     "perceive",
     "read_cloud",
+    "read_labels",
     "write_pcd",
 ]

@@ -1,26 +1,39 @@
 """From files to what a policy decides from: covariates of one stage, or a cloud of a table and its history."""
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from halfseen.errors import ArgumentError, CloudError, LogError, PolicyError
 from halfseen.learners.q_learning.flat_policy import FlatPolicy
-from halfseen.logs import read_logs
+from halfseen.logs import Logs, read_logs
 from halfseen.logs.refusal import within
-from halfseen.perception import perceive, read_cloud
+from halfseen.perception import Label, perceive, read_cloud
+from halfseen.perception.label_files import labels_of
+from halfseen.perception.labels import WORDS
 from halfseen.policies.folder import StoredPolicy
 from halfseen.policies.named_decider import NamedObservation
-from halfseen.tables.present import Present, first_state, present_state
+from halfseen.tables.present import Present, first_state, labelled, present_state
+from halfseen.world.scene import Scene
+from halfseen.world.seeing import AssumedSeeing
+from halfseen.world.state import occlusion
 
 STATE_FILES = (".json", ".csv")
+SEEING = AssumedSeeing()
+"""How often a label is taken to be right."""
 
 
 def read_observation(
-    stored: StoredPolicy, file: Path, history: Path | None = None, stage: int | None = None
+    stored: StoredPolicy,
+    file: Path,
+    history: Path | None = None,
+    stage: int | None = None,
+    labels: Path | None = None,
 ) -> NamedObservation | Present:
     """Read what a policy decides from.
 
@@ -34,6 +47,9 @@ def read_observation(
         For tables, a folder of logs whose last path is the one so far.
     stage
         The stage to decide, from 1; None for what the file or the history says, or 1.
+    labels
+        For tables, what looks dirty, as `halfseen.perception.read_labels` takes it; None for what the colours of the
+        cloud tell, if it has some.
 
     Raises
     ------
@@ -41,21 +57,34 @@ def read_observation(
         A file cannot be read, or does not fit the policy.
     """
     if stored.is_table:
-        return _table_observation(stored, file, history, stage)
-    if history is not None:
-        raise ArgumentError("--history is for tables; this policy looks at the covariates of the stage alone")
+        return _table_observation(stored, file, history, stage, labels)
+    for option, given in (("--history", history), ("--labels", labels)):
+        if given is not None:
+            raise ArgumentError(f"{option} is for tables; this policy looks at the covariates of the stage alone")
     row = _state_row(file, stored.policy)
     return NamedObservation(row, _stage_of(file, row, stage, stored.horizon))
 
 
-def _table_observation(stored: StoredPolicy, cloud: Path, history: Path | None, stage: int | None) -> Present:
+def _table_observation(
+    stored: StoredPolicy, file: Path, history: Path | None, stage: int | None, labels: Path | None
+) -> Present:
     """See the table, and put it where the path stands."""
-    if cloud.suffix in STATE_FILES:
-        raise PolicyError(f"{cloud}: the policy is of tables, and this is no point cloud; give .pcd, .ply or .npz")
+    if file.suffix in STATE_FILES:
+        raise PolicyError(f"{file}: the policy is of tables, and this is no point cloud; give .pcd, .ply or .npz")
     logs = None if history is None else read_logs(history)
-    scene = perceive(read_cloud(cloud)).scene()
-    if scene.num_objects == 0:
-        raise CloudError(f"{cloud}: no objects on the table; put the table with its objects whole into the view")
+    cloud = read_cloud(file)
+    view = perceive(cloud)
+    if not view.objects:
+        raise CloudError(f"{file}: no objects on the table; put the table with its objects whole into the view")
+    told = labels_of(view, cloud, labels)
+    now = _present(stored, view.scene(), logs, history, stage)
+    if told is None:
+        return now
+    source = "colour" if labels is None else str(labels)
+    return replace(labelled(now, [label.is_dirty for label in told], SEEING), seen=_seen(now, told, source))
+
+
+def _present(stored: StoredPolicy, scene: Scene, logs: Logs | None, history: Path | None, stage: int | None) -> Present:
     if logs is None:
         return first_state(scene, stored.horizon, stored.record["schema"]["dirty_share"], stage or 1)
     with within(history):
@@ -65,6 +94,18 @@ def _table_observation(stored: StoredPolicy, cloud: Path, history: Path | None, 
             f"--stage is {stage}, but by {history} the path has come to stage {now.stage}; leave it out"
         )
     return now
+
+
+def _seen(before: Present, told: Sequence[Label], source: str) -> str:
+    """Say what labels told, and how much they count."""
+    named = {word: [k for k, label in enumerate(told) if label.word == word] for word in WORDS.values()}
+    listed = "; ".join(f"{word}: {', '.join(map(str, objects))}" for word, objects in named.items() if objects)
+    start = f"Labels by {source} ({listed})"
+    if before.is_labelled:
+        return f"{start} are not counted again: the history holds what was seen at this stage."
+    accuracy = SEEING.accuracy(np.asarray(occlusion(before.state), dtype=np.float64))
+    right = f"{accuracy.min():.2f} to {accuracy.max():.2f}" if np.ptp(accuracy) else f"{accuracy[0]:.2f}"
+    return f"{start} moved the log-odds of DIRTY, each taken to be right with probability {right}."
 
 
 def _state_row(file: Path, policy: FlatPolicy) -> pd.DataFrame:

@@ -1,6 +1,7 @@
 """From what a camera sees now, and what was logged of the path so far, to the state that a policy decides in."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -15,7 +16,8 @@ from halfseen.logs.refusal import place, shown, value_at
 from halfseen.world.action_space import TARGETED, Verb
 from halfseen.world.recording import states_of
 from halfseen.world.scene import Scene
-from halfseen.world.state import NO_ATTEMPT, TableState
+from halfseen.world.seeing import KnownSeeing
+from halfseen.world.state import NO_ATTEMPT, TableState, occlusion
 
 DIFFERS = 0.3
 """If who hides whom changes by this much, objects may stand in another order than before."""
@@ -33,11 +35,17 @@ class Present:
         The stage to decide, from 1.
     notes
         What is doubtful.
+    is_labelled
+        True if the log-odds hold what this look told: labels of it must not be added again.
+    seen
+        What labels told, in one sentence.
     """
 
     state: TableState
     stage: int
     notes: tuple[str, ...] = ()
+    is_labelled: bool = False
+    seen: str = ""
 
 
 def first_state(scene: Scene, horizon: int, dirty_share: float, stage: int = 1) -> Present:
@@ -107,7 +115,30 @@ def present_state(scene: Scene, horizon: int, history: Logs) -> Present:
     elif done is not None and not is_washed:
         notes.append(f"whether {done.verb} {done.target} of stage {path.horizon} held is not known; it is not counted")
     stage = path.horizon + (done is not None)
-    return Present(_state(scene, last.log_odds[kept], last.lifts[kept], tried, horizon, stage), stage, tuple(notes))
+    state = _state(scene, last.log_odds[kept], last.lifts[kept], tried, horizon, stage)
+    return Present(state, stage, tuple(notes), is_labelled=done is None)
+
+
+def labelled(present: Present, is_dirty: Sequence[bool | None], seeing: KnownSeeing) -> Present:
+    """Move the log-odds of DIRTY by a label of each object, as right as a law says at its occlusion.
+
+    Parameters
+    ----------
+    present
+        Where the path stands; returned as it is where its log-odds hold this look.
+    is_dirty
+        What each object looks like; None where nothing can be said.
+    seeing
+        How often labels are right.
+    """
+    if present.is_labelled:
+        return present
+    occluded = np.asarray(occlusion(present.state), dtype=np.float64)
+    accuracy = np.asarray(seeing.accuracy(occluded))
+    sign = np.array([0.0 if dirty is None else 2.0 * dirty - 1.0 for dirty in is_dirty])
+    log_odds = np.asarray(present.state.log_odds) + sign * (np.log(accuracy) - np.log1p(-accuracy))
+    state = replace(present.state, log_odds=jnp.asarray(log_odds.astype(np.float32)))
+    return replace(present, state=state, is_labelled=True)
 
 
 class _Done(NamedTuple):

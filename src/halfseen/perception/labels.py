@@ -1,0 +1,136 @@
+"""Labels: which objects look dirty, from the colours that are in view of each; and how much of each was in view."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from halfseen.perception.clouds import Cloud
+from halfseen.perception.colours import pixel_colours
+from halfseen.perception.view import SeenObject, View
+
+# From one side, a camera sees half of the outside of a wall, and of its inside what the mouth shows: of walls inside
+# and out this share, in the mean over cups that nothing hides.
+FACING_SHARE = 0.3
+# Added to a channel before its logarithm is taken, so that the noise of dark pixels does not pass for colour.
+_NOISE = 6.0
+
+WORDS = {True: "dirty", False: "clean", None: "unknown"}
+
+
+@dataclass(frozen=True)
+class Label:
+    """What a look says of an object's hidden attribute.
+
+    Parameters
+    ----------
+    is_dirty
+        What it looks like; None if too little of it was in view to tell.
+    share_in_view
+        Share of its walls, inside and out, that was in view, in [0, 1]; None if nobody said.
+    num_stained_px
+        How many of its pixels look stained.
+    num_seen_px
+        How many of its pixels were in view.
+    """
+
+    is_dirty: bool | None
+    share_in_view: float | None = None
+    num_stained_px: int = 0
+    num_seen_px: int = 0
+
+    @property
+    def word(self) -> str:
+        """``dirty``, ``clean`` or ``unknown``."""
+        return WORDS[self.is_dirty]
+
+
+@runtime_checkable
+class Labeller(Protocol):
+    """Whatever labels the objects of a view, such as a `StainCounter` or a function of one's own."""
+
+    def __call__(self, view: View, cloud: Cloud) -> Sequence[Label]:
+        """Label each object of a view.
+
+        Parameters
+        ----------
+        view
+            What `perceive` saw in the cloud.
+        cloud
+            The cloud.
+
+        Returns
+        -------
+        Sequence of Label
+            One an object, in the order of `View.objects`.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class StainCounter:
+    """Counts the stained pixels of each object; one with enough of them is dirty.
+
+    The hue of a colour is the logarithms of its channels less their mean, which light and shade do not change. A pixel
+    is stained if it is darker than the object's median, and its hue is nearer to that of a stain than to the object's
+    own, the median over its pixels, by a margin that noise rarely crosses. On a glaze as brown as a stain no stain is
+    seen.
+
+    Parameters
+    ----------
+    fewest_px
+        So many stained pixels make an object dirty; one with fewer pixels in view is not labelled [px].
+    stain
+        Red, green and blue of a stain, in any light.
+    margin
+        How much nearer a pixel's hue must be to the stain's, as a distance of logarithms.
+    """
+
+    fewest_px: int = 12
+    stain: tuple[int, int, int] = (98, 62, 30)
+    margin: float = 0.15
+
+    def __call__(self, view: View, cloud: Cloud) -> tuple[Label, ...]:
+        """Label each object of a view by its colours."""
+        picture = pixel_colours(view.image, cloud).reshape(-1, 3)
+        return tuple(self._label(seen, picture[seen.pixels]) for seen in view.objects)
+
+    def _label(self, seen: SeenObject, colours: UInt8[np.ndarray, "px 3"]) -> Label:
+        num_stained = int(self.is_stained(colours).sum())
+        is_dirty = num_stained >= self.fewest_px if len(colours) >= self.fewest_px else None
+        return Label(is_dirty, share_in_view(seen), num_stained, len(colours))
+
+    def is_stained(self, colours: UInt8[np.ndarray, "px 3"]) -> Bool[np.ndarray, " px"]:
+        """Which pixels of one object are stained.
+
+        Parameters
+        ----------
+        colours
+            Red, green and blue of its pixels.
+        """
+        hues, lightness = _hues_and_lightness(colours)
+        (stain,), _ = _hues_and_lightness(np.array([self.stain], dtype=np.uint8))
+        from_own, from_stain = (np.linalg.norm(hues - hue, axis=1) for hue in (np.median(hues, axis=0), stain))
+        return (from_own - from_stain > self.margin) & (lightness < np.median(lightness))
+
+
+def _hues_and_lightness(
+    colours: UInt8[np.ndarray, "px 3"],
+) -> tuple[Float[np.ndarray, "px 3"], Float[np.ndarray, " px"]]:
+    """Logarithms of the channels less their mean, and that mean."""
+    logarithms = np.log(colours + _NOISE)
+    lightness = logarithms.mean(axis=1)
+    return logarithms - lightness[:, None], lightness
+
+
+def share_in_view(seen: SeenObject) -> float:
+    """Share of an object's walls, inside and out, that is in view: what faces the camera and is not hidden.
+
+    Parameters
+    ----------
+    seen
+        An object, taken for a cup.
+    """
+    return FACING_SHARE * (1.0 - seen.occlusion)

@@ -1,0 +1,230 @@
+"""Labels by counting stained pixels, beside what was drawn on the cups."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scores import matched
+
+from halfseen.errors import CloudError
+from halfseen.perception import Cloud, Label, Labeller, StainCounter, perceive
+from halfseen.scene import Stain, Surface, capture, draw_surface, random_table, read_table
+from halfseen.scene.colours import is_within
+from halfseen.scene.stains import SURFACES
+from halfseen.scene.view import table_view
+from halfseen.world.seeing import AssumedSeeing
+
+# Tables that neither the counter nor perception was tried on.
+FRESH_SEEDS = range(61_000, 61_012)
+LAW = AssumedSeeing()
+
+
+@pytest.fixture(scope="module")
+def table():
+    return read_table(5)
+
+
+@pytest.fixture(scope="module")
+def surfaces(table):
+    rng = np.random.default_rng(0)
+    return [draw_surface(cup, is_dirty, rng) for cup, is_dirty in zip(table.cups, [True, False] * 4, strict=False)]
+
+
+@pytest.fixture(scope="module")
+def seen(table, surfaces):
+    picture = capture(table, 1, surfaces=surfaces)
+    return picture, perceive(picture.cloud)
+
+
+def num_painted(table, view, seen_object, cup, discs) -> int:
+    """Pixels of an object at which geometry has one of the discs of a cup."""
+    ideal = table_view(table, 0.075)
+    rays = table.camera.pixel_rays() * ideal.depth_m[..., None]
+    points_m = table.camera.world_from_camera.apply(rays.reshape(-1, 3)[seen_object.pixels])
+    own_m = table.world_from_cup[cup].apply_inverse(points_m)
+    is_painted = np.zeros(len(own_m), dtype=bool)
+    for disc in discs:
+        is_painted |= is_within(disc, table.cups[cup], own_m)
+    return int((is_painted & (ideal.labels.ravel()[seen_object.pixels] == cup)).sum())
+
+
+@pytest.mark.parametrize("glaze", SURFACES.glazes)
+@pytest.mark.parametrize("stain", SURFACES.stain_colours)
+def test_stains_are_told_from_every_glaze_in_light_and_shade(glaze, stain):
+    rng = np.random.default_rng(0)
+    light = rng.uniform(0.6, 1.0, size=(2000, 1))
+    is_stained = np.arange(2000) < 100
+    colours = np.where(is_stained[:, None], stain, glaze) * light + rng.normal(0, 4.0, (2000, 3))
+    told = StainCounter().is_stained(np.clip(np.rint(colours), 0, 255).astype(np.uint8))
+    # Cocoa is no darker than a red glaze: in the light, half of it is not seen.
+    assert told[is_stained].mean() > (0.4 if (glaze, stain) == ((175, 60, 55), (124, 84, 44)) else 0.8)
+    assert told[~is_stained].sum() <= 2
+
+
+def test_one_colour_in_any_light_has_no_stain():
+    light = np.linspace(0.3, 1.0, 500)[:, None]
+    for glaze in (*SURFACES.glazes, *SURFACES.stain_colours):
+        assert not StainCounter().is_stained(np.rint(light * glaze).astype(np.uint8)).any()
+
+
+def test_stained_pixels_are_counted_as_geometry_has_them(table, surfaces, seen):
+    picture, view = seen
+    labels, pairs = StainCounter()(view, picture.cloud), matched(view, picture.truth)
+    assert len(pairs) == len(labels) == 5
+    counts = []
+    for cup, k in pairs:
+        discs = (*surfaces[cup].stains, *surfaces[cup].spots)
+        expected = num_painted(table, view, view.objects[k], cup, discs)
+        counts.append(expected)
+        assert labels[k].num_stained_px == pytest.approx(expected, abs=2 + 0.12 * expected)
+        assert labels[k].num_seen_px == len(view.objects[k].pixels)
+    assert max(counts) > 50
+
+
+def test_a_label_is_dirty_from_the_fewest_stained_pixels_on(seen):
+    picture, view = seen
+    most = max(StainCounter()(view, picture.cloud), key=lambda label: label.num_stained_px).num_stained_px
+    dirty = [StainCounter(fewest_px=fewest)(view, picture.cloud) for fewest in (most, most + 1)]
+    assert [sum(label.is_dirty is True for label in labels) for labels in dirty] == [1, 0]
+
+
+def test_what_has_too_few_pixels_is_not_labelled(seen):
+    picture, view = seen
+    labels = StainCounter(fewest_px=10**6)(view, picture.cloud)
+    assert [(label.is_dirty, label.word) for label in labels] == [(None, "unknown")] * 5
+
+
+def test_the_share_in_view_falls_with_occlusion(seen):
+    picture, view = seen
+    shares = [label.share_in_view for label in StainCounter()(view, picture.cloud)]
+    order = np.argsort([seen.occlusion for seen in view.objects])
+    assert (np.diff(np.array(shares)[order]) <= 0).all()
+    assert 0 < min(shares) < max(shares) <= 0.3
+
+
+def test_the_same_view_gives_the_same_labels_but_for_noise(table, surfaces, seen):
+    _, view = seen
+    looks = [StainCounter()(view, capture(table, seed, surfaces=surfaces).cloud) for seed in (1, 2, 3)]
+    for labels in zip(*looks, strict=True):
+        counts = np.array([label.num_stained_px for label in labels])
+        assert np.ptp(counts) <= 3 + 0.1 * counts.max()
+        if abs(counts.mean() - StainCounter.fewest_px) > 5:
+            assert len({label.is_dirty for label in labels}) == 1
+
+
+def num_stained_at(view, cloud) -> dict:
+    """Stained pixels of each object, by where it stands."""
+    labels = StainCounter()(view, cloud)
+    places = [tuple(np.round(seen.centroid_m, 1).tolist()) for seen in view.objects]
+    return {place: label.num_stained_px for place, label in zip(places, labels, strict=True)}
+
+
+def test_a_cloud_out_of_order_is_labelled_alike(surfaces, seen):
+    picture, view = seen
+    loose = Cloud(picture.cloud.points_m, colours=picture.cloud.colours)
+    again = perceive(loose)
+    assert again.image.is_virtual
+    # Its pixels are 1.3 times as wide: an object has as many of them stained, less that square.
+    here, there = num_stained_at(view, picture.cloud), num_stained_at(again, loose)
+    assert here.keys() == there.keys()
+    for place, count in here.items():
+        assert there[place] == pytest.approx(count / 1.3**2, abs=3 + 0.15 * count)
+
+
+def test_a_cloud_without_colour_is_refused(seen):
+    picture, view = seen
+    with pytest.raises(CloudError, match=r"no colour.*labels in a file"):
+        StainCounter()(view, replace(picture.cloud, colours=None))
+
+
+def test_a_function_of_ones_own_is_a_labeller(seen):
+    picture, view = seen
+
+    def all_dirty(view, cloud):
+        return [Label(is_dirty=True) for _ in view.objects]
+
+    assert isinstance(all_dirty, Labeller)
+    assert isinstance(StainCounter(), Labeller)
+    assert [label.word for label in all_dirty(view, picture.cloud)] == ["dirty"] * 5
+
+
+@pytest.mark.slow
+def test_sensitivity_and_false_alarms_on_random_tables(capsys):
+    rows = []
+    for seed in FRESH_SEEDS:
+        table, rng = random_table(seed), np.random.default_rng(seed)
+        view = None
+        for _ in range(4):
+            surfaces = [draw_surface(cup, bool(rng.random() < 0.6), rng) for cup in table.cups]
+            picture = capture(table, seed, surfaces=surfaces)
+            view = view or perceive(picture.cloud)
+            labels = StainCounter()(view, picture.cloud)
+            for cup, k in matched(view, picture.truth):
+                painted = num_painted(table, view, view.objects[k], cup, (*surfaces[cup].stains, *surfaces[cup].spots))
+                rows.append((view.objects[k].occlusion, surfaces[cup].is_dirty, labels[k].is_dirty, painted >= 12))
+    occlusion, is_dirty, told, by_geometry = np.array(rows, dtype=float).T
+    is_dirty, told, by_geometry = is_dirty == 1, told == 1, by_geometry == 1
+    with capsys.disabled():
+        print("\nocclusion    cups  sensitivity  specificity  right  right by the assumed law")
+        for low, high in ((0, 0.05), (0.05, 0.3), (0.3, 0.6), (0.6, 1.0)):
+            among = (occlusion >= low) & (occlusion < high)
+            print(
+                f"{low:.2f}-{high:.2f}  {among.sum():7d}  {told[among & is_dirty].mean():11.2f}  "
+                f"{1 - told[among & ~is_dirty].mean():11.2f}  {(told == is_dirty)[among].mean():5.2f}  "
+                f"{LAW.accuracy(occlusion[among]).mean():.2f}"
+            )
+        print(f"as many stained pixels as geometry has: {(told == by_geometry).mean():.3f} of {len(told)} labels agree")
+    assert (told == by_geometry).mean() > 0.95
+    in_view = occlusion < 0.05
+    assert 0.4 < told[in_view & is_dirty].mean() < 0.75
+    assert 0.0 < told[~is_dirty].mean() < 0.15
+    assert told[is_dirty & (occlusion > 0.3)].mean() < told[is_dirty & in_view].mean()
+
+
+@pytest.mark.slow
+def test_the_share_in_view_is_what_geometry_has_in_the_mean(capsys):
+    true, told = [], []
+    for seed in FRESH_SEEDS:
+        table = random_table(seed)
+        picture = capture(table, seed, surfaces=[Surface(cup, (238, 236, 230)) for cup in table.cups])
+        view = perceive(picture.cloud)
+        labels = StainCounter()(view, picture.cloud)
+        for cup, k in matched(view, picture.truth):
+            true.append(share_of_walls(table, cup))
+            told.append(labels[k].share_in_view)
+    error = np.subtract(told, true)
+    mean, absolute = error.mean(), abs(error).mean()
+    with capsys.disabled():
+        print(f"\nshare in view of {len(error)} cups: mean error {mean:+.3f}, absolute {absolute:.3f}")
+    assert abs(mean) < 0.02
+    assert absolute < 0.06
+    assert np.corrcoef(told, true)[0, 1] > 0.8
+
+
+def share_of_walls(table, index) -> float:
+    """Share of a cup's walls, by area, whose points the ideal camera sees."""
+    ideal, cup, pose = table_view(table, 0.075), table.cups[index], table.world_from_cup[index]
+    eye_m = pose.apply_inverse(np.array([table.camera.world_from_camera.position_m]))[0]
+    whole, in_view = 0.0, 0.0
+    for is_inside in (False, True):
+        z, phi = np.meshgrid(np.linspace(0.01, 0.99, 50) * cup.height_m, np.linspace(-np.pi, np.pi, 100)[:-1])
+        radius = cup.base_radius_m + (cup.rim_radius_m - cup.base_radius_m) * z / cup.height_m - cup.wall_m * is_inside
+        across = np.stack([np.cos(phi), np.sin(phi), np.zeros_like(phi)], axis=-1).reshape(-1, 3)
+        points_m = across * radius.reshape(-1, 1) + np.stack([0 * z, 0 * z, z], axis=-1).reshape(-1, 3)
+        world_m = pose.apply(points_m)
+        column, row = np.rint(table.camera.project(world_m)).astype(int).T
+        depth_m = table.camera.world_from_camera.apply_inverse(world_m)[:, 2]
+        faces = ((eye_m - points_m) * across).sum(axis=1) * (-1 if is_inside else 1) > 0
+        meets = (ideal.labels[row, column] == index) & (abs(ideal.depth_m[row, column] - depth_m) < 0.006)
+        whole, in_view = whole + radius.sum(), in_view + radius.ravel()[faces & meets].sum()
+    return in_view / whole
+
+
+def test_a_stain_on_the_far_side_is_not_seen(table, seen):
+    told = []
+    for angle_rad in (-np.pi, -np.pi / 2, 0.0, np.pi / 2):
+        discs = [Stain(angle_rad, 0.5 * cup.height_m, 0.012, False, (98, 62, 30)) for cup in table.cups]
+        walls = [Surface(cup, (238, 236, 230), (disc,)) for cup, disc in zip(table.cups, discs, strict=True)]
+        told.append([label.is_dirty for label in StainCounter()(seen[1], capture(table, 1, surfaces=walls).cloud)])
+    share = np.mean(told, axis=0)
+    assert ((share > 0) & (share < 1)).all()
