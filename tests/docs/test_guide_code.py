@@ -102,6 +102,7 @@ SLOW = {
     "from-logs-to-a-policy",
     "planners",
     "times-that-were-cut",
+    "what-looks-dirty",
     "what-the-intervals-mean",
 }
 PAGES = [

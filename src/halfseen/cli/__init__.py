@@ -21,7 +21,7 @@ VERBS = {
     "act": "Decide at one table, and say why.",
     "report": "Write one page about a folder of logs and a policy.",
     "convert": "Convert logs between Parquet, CSV, Minari datasets and ROS bags.",
-    "look": "Say what a depth camera sees on a table, and who hides whom.",
+    "look": "Say what a depth camera sees on a table, who hides whom, and what looks dirty.",
     "simulate": "Record logs of a policy in the simulated world, some of them cut.",
     "study": "Regenerate the study: its figures, tables and report.",
 }
