@@ -1,8 +1,8 @@
 """What a depth camera sees on a table: cloud → table plane → objects → who hides whom.
 
 Read down: `clouds` (what a camera returned), `sensor` (how far it errs) → `range_image` → `plane` (the table) →
-`objects` (sheets above it) → `solids` (what completes them), `silhouette` → `splitting`, `grouping` (sheets → objects)
-→ `extension` (hidden ends) → `occlusion` (who hides whom) → `view` (all of it) → `picture`.
+`objects` (sheets above it) → `solids` (what completes them), `polygons`, `silhouette` → `splitting`, `grouping`
+(sheets → objects) → `extension` (hidden ends) → `occlusion` (who hides whom) → `view` (all of it) → `picture`.
 """
 
 from halfseen.perception.clouds import Cloud, read_cloud, write_pcd
