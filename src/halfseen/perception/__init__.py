@@ -1,9 +1,10 @@
 """What a depth camera sees on a table: cloud → table plane → objects → who hides whom.
 
 Read down: `clouds` (what a camera returned), `formats` (the files that hold it), `sensor` (how far it errs) →
-`range_image` → `plane` (the table) → `objects` (sheets above it) → `solids` (what completes them), `silhouette` →
-`splitting`, `grouping` (sheets → objects) → `extension` (hidden ends) → `occlusion` (who hides whom) → `view` (all of
-it) → `picture`; `colours` (of its pixels) → `labels` (what looks dirty), `label_files`.
+`range_image` → `plane` (the table) → `objects` (sheets above it) → `solids` (what completes them), `polygons`,
+`silhouette` → `splitting`, `grouping` (sheets → objects) → `extension` (hidden ends) → `occlusion` (who hides whom) →
+`view` (all of it) → `picture`, `tracking` (which object is which of the look before); `colours` (of its pixels) →
+`labels` (what looks dirty), `label_files`.
 """
 
 from halfseen.perception.clouds import Cloud

@@ -65,12 +65,12 @@ def _room(i: int, vessel: Vessel, end: int, num_steps: int, labels: Labels, plan
     longest = _prolonged(vessel, end, num_steps)
     asked = covered(longest, plane, image)
     depth = middle_depth_m(longest, plane, image, asked)
-    before = covered(vessel, plane, image)
     is_hiding = asked & (labels >= 0) & (labels != i) & (image.depth_m < depth)
     is_against = asked & image.is_return & (labels != i) & ~is_hiding
+    before = covered(vessel, plane, image)
     room, is_added = 0, np.zeros_like(before)
     for step in range(1, num_steps + 1):
-        after = covered(_prolonged(vessel, end, step), plane, image)
+        after = covered(_prolonged(vessel, end, step), plane, image) if step < num_steps else asked
         added = after & ~before
         if added.any() and is_against[added].mean() > CONTRADICTION_SHARE:
             break

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Int
 from scipy.spatial import KDTree
 
 from halfseen.arrays import Points
@@ -82,11 +82,11 @@ def objects_of_sheets(sheets: Labels, plane: Plane, image: RangeImage) -> tuple[
     num_cut
         Objects left out because the border of the image cuts them.
     """
-    sheets, pieces = _pieces(sheets, plane.table_points(image.points_m))
+    sheets, pieces = _pieces(sheets, plane, image)
     pieces = _merged(pieces, sheets, plane, image)
     kept, num_cut = [], 0
     for piece in pieces:
-        mask = np.isin(sheets, piece.sheets)
+        mask = _is_of(sheets, piece.sheets)
         if not _is_object(mask, piece, image):
             continue
         if _is_cut(mask):
@@ -100,25 +100,43 @@ def objects_of_sheets(sheets: Labels, plane: Plane, image: RangeImage) -> tuple[
     return table[sheets], tuple(piece.solid for _, piece in kept), num_cut
 
 
-def _pieces(sheets: Labels, table_points: Float[np.ndarray, "H W 3"]) -> tuple[Labels, list[_Piece]]:
+def _pieces(sheets: Labels, plane: Plane, image: RangeImage) -> tuple[Labels, list[_Piece]]:
     """Complete each sheet; one that is no vessel and shows two is divided."""
-    sheets = sheets.copy()
+    sheets, points_m = sheets.copy(), image.points_m.reshape(-1, 3)
     pieces = []
-    for sheet in range(int(sheets.max()) + 1):
-        rows, columns = np.nonzero(sheets == sheet)
-        points = table_points[rows, columns]
-        solid = completed(_spread(points))
-        is_first = None
+    for sheet, pixels in enumerate(_pixels_of(sheets)):
+        points = plane.table_points(points_m[pixels])
+        piece = _piece((sheet,), points)
+        solid, is_first = piece.solid, None
         if isinstance(solid, Hull) or solid.misfit > DOUBTFUL_VESSEL_MISFIT:
             is_first = divided(points)
         if is_first is None or is_first.all() or not is_first.any():
-            pieces.append(_Piece((sheet,), _spread(points), solid))
+            pieces.append(piece)
             continue
         new = int(sheets.max()) + 1
-        sheets[rows[~is_first], columns[~is_first]] = new
-        for name, part in ((sheet, points[is_first]), (new, points[~is_first])):
-            pieces.append(_Piece((name,), _spread(part), completed(_spread(part))))
+        sheets.ravel()[pixels[~is_first]] = new
+        pieces += [_piece((sheet,), points[is_first]), _piece((new,), points[~is_first])]
     return sheets, pieces
+
+
+def _piece(names: tuple[int, ...], points_m: Points) -> _Piece:
+    spread_m = _spread(points_m)
+    return _Piece(names, spread_m, completed(spread_m))
+
+
+def _pixels_of(sheets: Labels) -> list[Int[np.ndarray, " px"]]:
+    """Flat indices of the pixels of each sheet, rising."""
+    pixels = np.flatnonzero(sheets >= 0)
+    sheet = sheets.ravel()[pixels]
+    order = np.argsort(sheet, kind="stable")
+    return np.split(pixels[order], np.cumsum(np.bincount(sheet))[:-1]) if len(pixels) else []
+
+
+def _is_of(sheets: Labels, names: tuple[int, ...]) -> PixelMask:
+    """Pixels of some sheets."""
+    is_named = np.zeros(int(sheets.max()) + 2, dtype=bool)
+    is_named[list(names)] = True
+    return is_named[sheets]
 
 
 def completed(points_m: Points) -> Vessel | Hull:
@@ -188,7 +206,7 @@ def _joined(large: _Piece, small: _Piece, sheets: Labels, plane: Plane, image: R
         return None
     if not (_is_part(large, solid) and _is_part(small, solid)):
         return None
-    if _contradiction(solid, np.isin(sheets, names), sheets, plane, image) > LARGEST_CONTRADICTION:
+    if _contradiction(solid, _is_of(sheets, names), sheets, plane, image) > LARGEST_CONTRADICTION:
         return None
     return _Piece(names, points, solid)
 

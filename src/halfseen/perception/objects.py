@@ -46,16 +46,14 @@ def sheets_on_table(image: RangeImage, plane: Plane) -> Labels:
     """
     is_above = _is_above(image, plane)
     sheets = _continuous(image, is_above)
-    across = plane.table_points(image.points_m)[..., :2]
     hull = _table_outline(image, plane)
     if hull is None:
         return sheets
-    is_inside = np.zeros(sheets.shape, dtype=bool)
-    is_inside[is_above] = (across[is_above] @ hull[:, :2].T + hull[:, 2] < OVERHANG_M).all(axis=1)
-    kept = [
-        sheet for sheet in range(int(sheets.max()) + 1) if is_inside[sheets == sheet].mean() >= SMALLEST_SHARE_ON_TABLE
-    ]
-    return relabelled(sheets, kept)
+    is_sheet = sheets >= 0
+    across, sheet = plane.table_points(image.points_m[is_sheet])[:, :2], sheets[is_sheet]
+    is_inside = (across @ hull[:, :2].T + hull[:, 2] < OVERHANG_M).all(axis=1)
+    share = np.bincount(sheet[is_inside], minlength=int(sheets.max()) + 1) / np.maximum(np.bincount(sheet), 1)
+    return relabelled(sheets, np.flatnonzero(share >= SMALLEST_SHARE_ON_TABLE).tolist())
 
 
 def relabelled(labels: Labels, kept: list[int]) -> Labels:
@@ -81,25 +79,32 @@ def _is_above(image: RangeImage, plane: Plane) -> PixelMask:
 
 
 def _continuous(image: RangeImage, is_above: PixelMask) -> Labels:
-    depth = image.depth_m
-    index = np.arange(depth.size).reshape(depth.shape)
+    above, labels = np.flatnonzero(is_above), np.full(is_above.shape, -1)
+    if not len(above):
+        return labels
+    depth = image.depth_m.ravel()
+    node = np.cumsum(is_above) - 1
     edges = []
-    for here, there in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1, :], np.s_[1:, :])):
+    for next_px, is_pair in ((1, is_above[:, :-1] & is_above[:, 1:]), (len(is_above[0]), is_above[:-1] & is_above[1:])):
+        row, column = np.nonzero(is_pair)
+        here = row * len(is_above[0]) + column
         step = np.maximum(DEPTH_STEP_M, DEPTH_STEP_SIGMAS * image.sensor.noise_m(depth[here]))
-        with np.errstate(invalid="ignore"):
-            joined = is_above[here] & is_above[there] & (np.abs(depth[here] - depth[there]) < step)
-        edges.append(np.stack([index[here][joined], index[there][joined]]))
+        joined = here[np.abs(depth[here] - depth[here + next_px]) < step]
+        edges.append(node[np.stack([joined, joined + next_px])])
     pairs = np.concatenate(edges, axis=1)
-    graph = coo_matrix((np.ones(pairs.shape[1]), (pairs[0], pairs[1])), shape=(depth.size, depth.size))
-    component = connected_components(graph, directed=False)[1].reshape(depth.shape)
-    return _largest_first(np.where(is_above, component, -1), SMALLEST_SHEET_PX)
+    graph = coo_matrix((np.ones(pairs.shape[1]), (pairs[0], pairs[1])), shape=(len(above), len(above)))
+    labels.ravel()[above] = _largest_first(connected_components(graph, directed=False)[1], SMALLEST_SHEET_PX)
+    return labels
 
 
-def _largest_first(labels: Labels, fewest_px: int) -> Labels:
-    names, counts = np.unique(labels[labels >= 0], return_counts=True)
+def _largest_first(labels: Int[np.ndarray, " above"], fewest_px: int) -> Int[np.ndarray, " above"]:
+    """Number labels from the largest on; those of fewer pixels become −1."""
+    counts = np.bincount(labels)
     order = np.argsort(-counts, kind="stable")
-    kept = [int(names[k]) for k in order if counts[k] >= fewest_px]
-    return relabelled(labels, kept) if kept else np.full_like(labels, -1)
+    kept = order[counts[order] >= fewest_px]
+    table = np.full(len(counts), -1)
+    table[kept] = np.arange(len(kept))
+    return table[labels]
 
 
 def _table_outline(image: RangeImage, plane: Plane) -> Float[np.ndarray, "edges 3"] | None:

@@ -61,18 +61,27 @@ def occlusions(labels: Labels, solids: Sequence[Vessel | Hull], plane: Plane, im
         middles[i] = middle_depth_m(solid, plane, image, covers[i])
     silhouettes, is_behind = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
     for i, solid in enumerate(solids):
-        is_behind[i] = _hidden(i, covers, middles, labels, image)
+        is_behind[i] = _hidden(i, covers[i], middles, labels, image)
         silhouettes[i] = is_behind[i] | _own(i, solid, covers[i], labels, plane, image)
-    size = np.maximum(silhouettes.sum(axis=(1, 2)), 1)
-    hides = _hides(silhouettes, is_behind, middles, labels)
-    return Occlusion(silhouettes, is_behind.sum(axis=(1, 2)) / size, hides)
+    size = np.array([max(np.count_nonzero(silhouette), 1) for silhouette in silhouettes])
+    num_behind = np.array([np.count_nonzero(mask) for mask in is_behind], dtype=int)
+    return Occlusion(silhouettes, num_behind / size, _hides(silhouettes, is_behind, middles, labels))
 
 
-def _hidden(i: int, covers: Masks, middles: Float[np.ndarray, "N H W"], labels: Labels, image: RangeImage) -> PixelMask:
+def _hidden(
+    i: int, is_covered: PixelMask, middles: Float[np.ndarray, "N H W"], labels: Labels, image: RangeImage
+) -> PixelMask:
     """Pixels of a solid at which a nearer object is seen, or would be had anything returned."""
-    seen = (labels >= 0) & (labels != i) & (image.depth_m < middles[i])
-    missed = ~image.is_return & (covers & (middles < middles[i])).any(axis=0)
-    return covers[i] & (seen | missed)
+    pixels = np.flatnonzero(is_covered)
+    flat = middles.reshape(len(middles), labels.size)
+    label, depth, middle = labels.ravel()[pixels], image.depth_m.ravel()[pixels], flat[i, pixels]
+    is_before = (label >= 0) & (label != i) & (depth < middle)
+    is_missed = ~image.is_return.ravel()[pixels]
+    # Where another solid is not, its middle is infinitely far.
+    is_before[is_missed] |= (flat[:, pixels[is_missed]] < middle[is_missed]).any(axis=0)
+    hidden = np.zeros_like(is_covered)
+    hidden.ravel()[pixels] = is_before
+    return hidden
 
 
 def _own(
@@ -91,13 +100,14 @@ def _hides(silhouettes: Masks, is_behind: Masks, middles: Float[np.ndarray, "N H
     """Share of each silhouette before which each other object lies, seen there or hidden itself."""
     num_objects = len(silhouettes)
     hides = np.zeros((num_objects, num_objects))
+    shown, flat = (each.reshape(num_objects, labels.size) for each in (silhouettes, middles))
     for i in range(num_objects):
-        within = silhouettes[i]
+        within = np.flatnonzero(silhouettes[i])
+        label, is_hidden, middle = labels.ravel()[within], is_behind[i].ravel()[within], flat[i, within]
         for j in range(num_objects):
-            if i == j or not within.any():
+            if i == j or not len(within):
                 continue
-            seen = is_behind[i][within] & (labels[within] == j)
-            neither = (labels[within] != i) & (labels[within] != j)
-            inferred = neither & silhouettes[j][within] & (middles[j][within] < middles[i][within])
-            hides[i, j] = (seen | inferred).mean()
+            is_other = label == j
+            is_inferred = (label != i) & ~is_other & shown[j, within] & (flat[j, within] < middle)
+            hides[i, j] = ((is_hidden & is_other) | is_inferred).mean()
     return hides

@@ -3,10 +3,10 @@
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial import ConvexHull, QhullError
-from skimage.draw import polygon2mask
 
 from halfseen.arrays import Points
 from halfseen.perception.plane import Plane
+from halfseen.perception.polygons import convex_mask
 from halfseen.perception.range_image import PixelMask, RangeImage
 from halfseen.perception.solids import Hull, Vessel
 
@@ -30,7 +30,7 @@ def covered(solid: Vessel | Hull, plane: Plane, image: RangeImage) -> PixelMask:
         corners = pixels[ConvexHull(pixels).vertices]
     except QhullError:
         return np.zeros(shape, dtype=bool)
-    return polygon2mask(shape, corners[:, ::-1])
+    return convex_mask(corners, shape)
 
 
 def projected(points_m: Points, image: RangeImage) -> Float[np.ndarray, "m 2"]:

@@ -259,7 +259,7 @@ def _solve(
     found = least_squares(
         lambda p: with_prior(p[None])[0],
         inside,
-        jac=lambda p: _differences(with_prior, p, low, high),
+        jac=lambda p: _differences(with_prior, p, low, high),  # pyright: ignore[reportArgumentType]
         bounds=(low, high),
         loss="soft_l1",
         max_nfev=30,

@@ -1,4 +1,4 @@
-"""How long an attempt takes until it is known whether it holds: lognormal, apart for those that hold and those that miss."""
+"""How long attempts take until it is known whether they hold: lognormal, for those that hold and those that miss."""
 
 from typing import NamedTuple
 

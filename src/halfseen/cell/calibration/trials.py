@@ -1,4 +1,4 @@
-"""From the log of a cell to what its laws are fitted to: attempts, and how much of each object was seen when it told."""
+"""From the log of a cell to what its laws are fitted to: attempts, and what each look told of each object."""
 
 import numpy as np
 import pandas as pd
