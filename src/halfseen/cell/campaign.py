@@ -19,12 +19,12 @@ from joblib import Parallel, delayed
 from halfseen.cell.episode import Run, play
 from halfseen.cell.model import Robot
 from halfseen.cell.stops import Stops
+from halfseen.cell.table_state import Belief
 from halfseen.cell.workcell import Errors, Workcell
 from halfseen.logs import LogRecorder, Logs, read_logs
 from halfseen.logs.joining import joined
 from halfseen.scene.draw import random_table
 from halfseen.scene.stains import draw_surface
-from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Policy
 from halfseen.writing import write_file
 
@@ -87,18 +87,21 @@ class Campaign:
     ----------
     policy
         What decides.
-    config
-        The world that the robot believes in, and the rewards.
+    belief
+        What the robot believes of the world; its rewards are those that are earned.
     conditions
         What the tables are like.
     seed
         Of everything that is drawn.
+    tells_truth
+        Record which objects are dirty.
     """
 
     policy: Policy
-    config: WorldConfig
+    belief: Belief
     conditions: Conditions
     seed: int
+    tells_truth: bool = False
 
     def runs(self, tables: Sequence[int], folder: Path, num_workers: int) -> Iterator[tuple[int, Run]]:
         """Clear tables, record each below a folder, and tell what came of each as soon as it is over.
@@ -136,10 +139,9 @@ class Campaign:
         shutil.rmtree(place, ignore_errors=True)
         cell, is_dirty = self.conditions.cell(self.seed, index)
         with LogRecorder(place) as recorder:
-            path = recorder.begin_path(index, dirty_share=float(self.config.dirty_share))
-            run = play(
-                cell, is_dirty, self.policy, self.config, path, jax.random.fold_in(jax.random.key(self.seed), index)
-            )
+            path = recorder.begin_path(index, dirty_share=float(self.belief.config.dirty_share))
+            key = jax.random.fold_in(jax.random.key(self.seed), index)
+            run = play(cell, is_dirty, self.policy, self.belief, path, key, tells_truth=self.tells_truth)
         write_file(place / RUN_FILE, json.dumps(asdict(run), indent=1))
         return run
 

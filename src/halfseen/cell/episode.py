@@ -1,6 +1,7 @@
 """One table, from the first look to its end, decided by a policy: what came of it, and its path in a log."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import jax
 import numpy as np
@@ -8,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 
 from halfseen.arrays import Points
 from halfseen.cell.stops import StoppedError
-from halfseen.cell.table_state import rows_of, state_of
+from halfseen.cell.table_state import Belief, rows_of, state_of
 from halfseen.cell.workcell import Attempt, Workcell
 from halfseen.logs.recorder import PathRecorder
 from halfseen.scene.table import TABLE_TOP_M
@@ -61,9 +62,11 @@ def play(
     cell: Workcell,
     is_dirty: Bool[np.ndarray, " N"],
     policy: Policy,
-    config: WorldConfig,
+    belief: Belief,
     path: PathRecorder,
     key: Array,
+    *,
+    tells_truth: bool = False,
 ) -> Run:
     """Let a policy clear a table, and record it.
 
@@ -75,27 +78,31 @@ def play(
         The truth of each cup.
     policy
         What decides.
-    config
-        The world that the robot believes in, and the rewards.
+    belief
+        What the robot believes of the world; its rewards are those that are earned.
     path
         What is recorded; it is ended, finished or cut.
     key
         What the policy draws from.
+    tells_truth
+        Record which objects are dirty, as whoever calibrates a cell knows.
 
     Returns
     -------
     Run
         What came of it.
     """
-    run, truth = Run(), _Truth(cell, is_dirty)
+    run, truth, config = Run(), _Truth(cell, is_dirty), belief.config
     begin_s = cell.cell.time_s
     try:
         for step in range(config.horizon):
             _look(cell)
             if all(known.is_gone for known in cell.memory.objects):
                 break
-            state = state_of(cell.memory, config, config.horizon - step)
-            verb, target = _decided(policy, state, rows_of(cell.memory, config), path, jax.random.fold_in(key, step))
+            state, rows = state_of(cell.memory, belief, config.horizon - step), rows_of(cell.memory, belief)
+            if tells_truth:
+                truth.add_to(rows, cell)
+            verb, target = _decided(policy, state, rows, path, jax.random.fold_in(key, step))
             _count(run.verbs, verb.name)
             reward = _acted(cell, truth, verb, target, config, run)
             is_over = verb is Verb.FINISH or step + 1 == config.horizon or truth.is_cleared(cell)
@@ -172,6 +179,12 @@ class _Truth:
         new = now & ~self.is_racked
         self.is_racked = now
         return self.is_dirty[new].tolist()
+
+    def add_to(self, rows: list[dict[str, Any]], cell: Workcell) -> None:
+        """Add the truth to the rows of a log: of each object that of the cup that is nearest to it."""
+        places_m = self._places_m(cell)
+        for row, known in zip(rows, cell.memory.objects, strict=True):
+            row["is_dirty"] = bool(self.is_dirty[np.linalg.norm(places_m - known.middle_m, axis=1).argmin()])
 
     def is_cleared(self, cell: Workcell) -> bool:
         """Whether no cup is on the table."""

@@ -1,12 +1,16 @@
 """From what a robot knows of its table to the state that a policy decides in, and to the rows of a log."""
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
+from halfseen.cell.facts import Facts
 from halfseen.cell.memory import Known, Memory
+from halfseen.planners.belief import known_seeing
 from halfseen.world.config import WorldConfig
+from halfseen.world.seeing import label_evidence
 from halfseen.world.state import NO_ATTEMPT, TableState
 from halfseen.world.table_checks import DISHWASHER, TABLE
 
@@ -14,30 +18,52 @@ MOST_OBJECTS = 12
 """States are padded to so many objects, so that a policy is compiled once; tables with more are padded to more."""
 
 
-def state_of(memory: Memory, config: WorldConfig, steps_to_go: int) -> TableState:
+class Belief(NamedTuple):
+    """What the robot believes of the world: it makes chances of what it was told."""
+
+    config: WorldConfig
+    """Prior, law of seeing, horizon."""
+    grip: Callable[[Facts], float]
+    """How well an object can be gripped, from what is seen of it."""
+
+
+def no_grip(facts: Facts) -> float:
+    """Give 0: nothing is known of what makes objects hard to grip."""
+    return 0.0
+
+
+def state_of(memory: Memory, belief: Belief, steps_to_go: int) -> TableState:
     """Give the state of the table as the robot knows it.
 
     Parameters
     ----------
     memory
         What it knows.
-    config
-        The world that it believes in: what labels and the look of an object tell.
+    belief
+        What it believes of the world.
     steps_to_go
         Actions left, the next one included.
     """
-    size = max(MOST_OBJECTS, len(memory.objects))
+    objects, horizon = memory.objects, belief.config.horizon
+    size = max(MOST_OBJECTS, len(objects))
     hides = np.zeros((size, size), dtype=np.float32)
-    hides[: len(memory.objects), : len(memory.objects)] = memory.hides
-    tried = [(k, trial.occlusion, trial.is_held) for k, known in enumerate(memory.objects) for trial in known.trials]
-    empty = [(NO_ATTEMPT, 0.0, False)] * (config.horizon - len(tried))
-    target, occluded, succeeded = zip(*tried[: config.horizon], *empty, strict=True)
+    hides[: len(objects), : len(objects)] = memory.hides
+    tried = [(k, trial.occlusion, trial.is_held) for k, known in enumerate(objects) for trial in known.trials]
+    empty = [(NO_ATTEMPT, 0.0, False)] * (horizon - len(tried))
+    target, occluded, succeeded = zip(*tried[:horizon], *empty, strict=True)
+    told = [_told(known, belief.config) for known in objects]
+
+    def padded(values: list[Any], kind: Any) -> Any:
+        return jnp.asarray(np.array([*values, *[0] * (size - len(values))], dtype=kind))
+
     return TableState(
         hides=jnp.asarray(hides),
-        is_object=_padded([True] * len(memory.objects), size, bool),
-        is_on_table=_padded([not known.is_gone for known in memory.objects], size, bool),
-        log_odds=_padded([log_odds(known, config) for known in memory.objects], size, np.float32),
-        lifts=_padded([known.lifts for known in memory.objects], size, np.int32),
+        is_object=padded([True] * len(objects), bool),
+        grip=padded([belief.grip(known.facts) for known in objects], np.float32),
+        is_on_table=padded([not known.is_gone for known in objects], bool),
+        log_odds=padded([log_odds for log_odds, _ in told], np.float32),
+        seen=padded([seen for _, seen in told], np.float32),
+        lifts=padded([known.lifts for known in objects], np.int32),
         attempt_object=jnp.asarray(np.array(target, dtype=np.int32)),
         attempt_occlusion=jnp.asarray(np.array(occluded, dtype=np.float32)),
         attempt_succeeded=jnp.asarray(np.array(succeeded, dtype=bool)),
@@ -45,36 +71,40 @@ def state_of(memory: Memory, config: WorldConfig, steps_to_go: int) -> TableStat
     )
 
 
-def log_odds(known: Known, config: WorldConfig) -> float:
-    """Log-odds of DIRTY of an object given all labels, as a law of seeing has it."""
-    total = float(np.log(config.dirty_share) - np.log1p(-config.dirty_share))
+def _told(known: Known, config: WorldConfig) -> tuple[float, float]:
+    """Log-odds of DIRTY given all labels, and how much of the object counts as seen."""
+    law, seen = known_seeing(config), 0.0
+    log_odds = float(np.log(config.dirty_share) - np.log1p(-config.dirty_share))
     for glance in known.glances:
-        right = float(config.seeing.accuracy(glance.occlusion))
-        total += (2 * glance.says_dirty - 1) * float(np.log(right) - np.log1p(-right))
-    return total
+        chances = law.positive(np.float64(glance.occlusion), seen, glance.is_held)
+        log_odds += float(label_evidence(*chances, glance.says_dirty))
+        seen = float(law.after(np.float64(glance.occlusion), seen, glance.says_dirty, glance.is_held))
+    return log_odds, seen
 
 
-def rows_of(memory: Memory, config: WorldConfig) -> list[dict[str, Any]]:
+def rows_of(memory: Memory, belief: Belief) -> list[dict[str, Any]]:
     """Rows of a log for the objects: what a policy saw, what each look and attempt told, and what may make it hard.
 
     Parameters
     ----------
     memory
         What the robot knows.
-    config
-        The world that it believes in.
+    belief
+        What it believes of the world.
     """
-    return [_row(number, known, memory, config) for number, known in enumerate(memory.objects)]
+    return [_row(number, known, memory, belief) for number, known in enumerate(memory.objects)]
 
 
-def _row(number: int, known: Known, memory: Memory, config: WorldConfig) -> dict[str, Any]:
-    held = [trial.is_held for trial in known.trials]
-    hidden_by = memory.hides[number]
+def _row(number: int, known: Known, memory: Memory, belief: Belief) -> dict[str, Any]:
+    held, hidden_by = [trial.is_held for trial in known.trials], memory.hides[number]
+    log_odds, seen = _told(known, belief.config)
     return {
         "object": number,
         "location": DISHWASHER if known.is_gone else TABLE,
         "occlusion": float(1.0 - np.prod(1.0 - hidden_by)),
-        "log_odds": log_odds(known, config),
+        "grip": belief.grip(known.facts),
+        "log_odds": log_odds,
+        "seen": seen,
         "successes": sum(held),
         "failures": len(held) - sum(held),
         "lifts": known.lifts,
@@ -89,9 +119,3 @@ def _row(number: int, known: Known, memory: Memory, config: WorldConfig) -> dict
         "width_m": known.facts.width_m,
         "room_m": known.facts.room_m,
     }
-
-
-def _padded(values: list[Any], size: int, kind: Any) -> Any:
-    padded = np.zeros(size, dtype=kind)
-    padded[: len(values)] = values
-    return jnp.asarray(padded)
