@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from halfseen.errors import SceneError
 from halfseen.scene import Camera, Cup, Pose, Stain, Surface, Table, capture, draw_surface
 from halfseen.scene.camera import look_at
 from halfseen.scene.colours import COLOUR_CAMERA, colours, middle_m, painted
@@ -96,6 +97,11 @@ def test_what_is_seen_slantwise_is_darker_and_pixels_are_noisy(table, view):
     assert np.std(noisy.astype(float) - shaded) == pytest.approx(COLOUR_CAMERA.noise, rel=0.05)
     again = colours(view, table.camera, surface, poses, np.random.default_rng(0))
     np.testing.assert_array_equal(noisy, again)
+
+
+def test_every_cup_has_a_surface(table):
+    with pytest.raises(SceneError, match="0 surfaces and 1 cups"):
+        capture(table, 3, surfaces=[])
 
 
 def test_a_handle_is_plain_and_stains_cover_spots():

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from halfseen.arrays import Points
+from halfseen.errors import SceneError
 from halfseen.perception.clouds import Picture
 from halfseen.scene.camera import Camera
 from halfseen.scene.cups import Cup
@@ -67,7 +68,14 @@ def colours(
     -------
     numpy.ndarray
         Red, green and blue of each pixel.
+
+    Raises
+    ------
+    SceneError
+        There is not one surface for every cup.
     """
+    if len(surfaces) != len(world_from_cup):
+        raise SceneError(f"colours: {len(surfaces)} surfaces and {len(world_from_cup)} cups; give one for every cup")
     picture = np.full((*view.body.shape, 3), colour_camera.dark, dtype=np.float64)
     picture[view.body == 0] = colour_camera.furniture
     rays = camera.pixel_rays()
