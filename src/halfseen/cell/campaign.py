@@ -8,6 +8,7 @@ that the log is the same, to the last bit, in any number of processes.
 import json
 import shutil
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -26,7 +27,7 @@ from halfseen.logs.joining import joined
 from halfseen.scene.draw import random_table
 from halfseen.scene.stains import draw_surface
 from halfseen.world.policy import Policy
-from halfseen.writing import write_file
+from halfseen.writing import refuse_unwritable, write_file
 
 RUN_FILE = "run.json"
 """Beside the recording of a table once it is over: what came of it."""
@@ -144,6 +145,28 @@ class Campaign:
             run = play(cell, is_dirty, self.policy, self.belief, path, key, tells_truth=self.tells_truth)
         write_file(place / RUN_FILE, json.dumps(asdict(run), indent=1))
         return run
+
+
+@contextmanager
+def working_folder(target: Path) -> Iterator[Path]:
+    """Give the folder in which tables are recorded while a campaign runs; it goes when all went well.
+
+    Parameters
+    ----------
+    target
+        Where the result will be.
+
+    Raises
+    ------
+    ArgumentError
+        Another campaign runs there, or it cannot be written.
+    """
+    folder = target.with_name(f"{target.name}.running")
+    refuse_unwritable(folder)
+    # A recorder holds its folder for as long as its process lives: no second campaign gets in.
+    with LogRecorder(folder / "campaign"):
+        yield folder
+    shutil.rmtree(folder)
 
 
 def logs_of(folder: Path, tables: Sequence[int]) -> Logs:

@@ -22,10 +22,12 @@ from halfseen.cell.calibration.grasp_fit import NAMES, GraspFit
 from halfseen.cell.calibration.law import Law
 from halfseen.cell.calibration.time_fit import TimeFit
 from halfseen.errors import PolicyError
+from halfseen.logs import Logs
 from halfseen.policies.folder.files import Kind, read_files, write_files
 from halfseen.policies.folder.json_values import plain
 from halfseen.world.persistent_seeing import PersistentSeeing
 
+ATTEMPTS = "attempts"
 LAW = Kind("law", "halfseen cell calibrate")
 VERSION = 1
 
@@ -46,7 +48,9 @@ class StoredLaw:
     record: Mapping[str, Any]
 
 
-def write_law(law: Law, folder: Path, told: Mapping[str, Any], *, overwrite: bool = False) -> None:
+def write_law(
+    law: Law, folder: Path, told: Mapping[str, Any], *, logs: Logs | None = None, overwrite: bool = False
+) -> None:
     """Write a law, all or nothing.
 
     Parameters
@@ -57,6 +61,8 @@ def write_law(law: Law, folder: Path, told: Mapping[str, Any], *, overwrite: boo
         Where to.
     told
         What else is to be kept: conditions, versions, how it was made.
+    logs
+        What it was estimated from; None if that is not to be kept.
     overwrite
         Replace a law that is there.
 
@@ -68,7 +74,9 @@ def write_law(law: Law, folder: Path, told: Mapping[str, Any], *, overwrite: boo
     counts = {"num_decided": law.grasp.num_decided, "num_cut": law.grasp.num_cut}
     record = {"version": VERSION, "parameters": list(NAMES), **counts, **plain(dict(told))}
     text = json.dumps(record, indent=1, allow_nan=False) + "\n"
-    write_files(folder, text.encode(), safetensors.numpy.save(_arrays(law)), overwrite=overwrite, kind=LAW)
+    numbers = safetensors.numpy.save(_arrays(law))
+    beside = {} if logs is None else {ATTEMPTS: logs.write}
+    write_files(folder, text.encode(), numbers, overwrite=overwrite, kind=LAW, beside=beside)
 
 
 def read_law(folder: str | Path) -> StoredLaw:

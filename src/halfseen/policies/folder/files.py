@@ -1,7 +1,9 @@
 """A folder of a policy, or of its like, that is there whole or not at all, and in which no byte has changed."""
 
 import hashlib
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 from halfseen.errors import PolicyError
@@ -47,8 +49,16 @@ def check_target(folder: Path, overwrite: bool, kind: Kind = POLICY) -> None:
     refuse_taken(folder, overwrite, kind.record, kind.name)
 
 
-def write_files(folder: Path, record: bytes, arrays: bytes, *, overwrite: bool, kind: Kind = POLICY) -> None:
-    """Write the files beside `folder`, then put them in its place by renaming.
+def write_files(
+    folder: Path,
+    record: bytes,
+    arrays: bytes,
+    *,
+    overwrite: bool,
+    kind: Kind = POLICY,
+    beside: Mapping[str, Callable[[Path], None]] = MappingProxyType({}),
+) -> None:
+    """Write the files beside `folder`, then put them in its place by renaming; `beside` writes what else it holds.
 
     Raises
     ------
@@ -59,6 +69,8 @@ def write_files(folder: Path, record: bytes, arrays: bytes, *, overwrite: bool, 
         (fresh / kind.arrays).write_bytes(arrays)
         (fresh / kind.record).write_bytes(record)
         (fresh / kind.digests).write_bytes(_digests(record, arrays, kind))
+        for name, write in beside.items():
+            write(fresh / name)
 
 
 def read_files(folder: Path, kind: Kind = POLICY) -> tuple[bytes, bytes]:

@@ -1,0 +1,81 @@
+"""``halfseen cell calibrate``: attempts of the physical cell, and the laws that they tell."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from halfseen.cli import options
+from halfseen.cli.progress import progress
+
+if TYPE_CHECKING:
+    from halfseen.cell.calibration.law import Law
+    from halfseen.logs import Logs
+
+
+@click.command(epilog="Example: halfseen cell calibrate --attempts 6000 --out law")
+@click.option("--out", type=options.PATH, required=True, help="Folder that the law is written to.")
+@click.option("--attempts", type=click.IntRange(min=50), default=6000, show_default=True, help="Attempts to begin.")
+@click.option("--from", "given", type=options.PATH, help="Fit the attempts of these logs again, and try nothing.")
+@options.workers
+@options.seed("law")
+@options.as_json
+@options.overwrite("a law that is")
+def calibrate(
+    out: Path, attempts: int, given: Path | None, workers: int, seed: int, as_json: bool, overwrite: bool
+) -> None:
+    """Let the cell lift what stands on fresh tables, at random, and estimate its laws from that.
+
+    Tables are cut by what cuts a cell: an attempt that takes too long, an emergency stop, a lost camera. The folder
+    holds the law and its attempts. A run that was stopped goes on where it was, if it is called again.
+    """
+    from halfseen.cell.calibration.calibrate import attempts_of, law_of
+    from halfseen.cell.calibration.law_folder import LAW, write_law
+    from halfseen.cell.campaign import working_folder
+    from halfseen.logs import read_logs
+    from halfseen.policies.folder import check_target
+
+    check_target(out, overwrite, LAW)
+    if given is not None:
+        logs = read_logs(given)
+    else:
+        with working_folder(out) as folder, progress(attempts, "attempts") as bar:
+            logs = attempts_of(attempts, seed, folder, workers, on_table=bar.update)
+    law = law_of(logs)
+    write_law(law, out, {"seed": seed, "log": str(logs.summary())}, logs=logs, overwrite=overwrite)
+    report = report_of(law, logs)
+    click.echo(json.dumps(report, indent=2, allow_nan=False) if as_json else "\n".join(_lines(out, report)))
+
+
+def report_of(law: "Law", logs: "Logs") -> dict[str, Any]:
+    """What is printed."""
+    errors = law.grasp.standard_error.tolist()
+    return {
+        "attempts": {"decided": law.grasp.num_decided, "cut": law.grasp.num_cut},
+        "held": {
+            name: {"estimate": value, "standard_error": error}
+            for (name, value), error in zip(law.coefficients.items(), errors, strict=True)
+        },
+        "time": law.time._asdict(),
+        "seeing": {name: list(getattr(law.seeing, name)) for name in ("views", "sensitivity", "false_alarms")},
+        "log": str(logs.summary()),
+    }
+
+
+def _lines(out: Path, report: dict[str, Any]) -> list[str]:
+    attempts, seeing = report["attempts"], report["seeing"]
+    return [
+        f"{out}: {report['log']}",
+        f"{attempts['decided']} attempts decided, {attempts['cut']} cut",
+        "",
+        f"{'log-odds of holding':<24}{'estimate':>9}{'± se':>8}",
+        *(
+            f"{name:<24}{told['estimate']:>+9.2f}{told['standard_error']:>8.2f}"
+            for name, told in report["held"].items()
+        ),
+        "",
+        f"{'surface seen':<24}" + "".join(f"{view:>8.1%}" for view in seeing["views"]),
+        f"{'dirty, found by then':<24}" + "".join(f"{share:>8.1%}" for share in seeing["sensitivity"]),
+        f"{'clean, taken for dirty':<24}" + "".join(f"{share:>8.1%}" for share in seeing["false_alarms"]),
+    ]
