@@ -63,8 +63,8 @@ def first_state(scene: Scene, horizon: int, dirty_share: float, stage: int = 1) 
     if not 0.0 < dirty_share < 1.0:
         raise PolicyError(f"dirty_share is {dirty_share}; P(DIRTY) before any label lies between 0 and 1")
     prior = np.log(dirty_share) - np.log1p(-dirty_share)
-    nothing = np.zeros(num_objects, dtype=np.int64)
-    return Present(_state(scene, np.full(num_objects, prior), nothing, [], horizon, stage), stage)
+    known = _Known(np.full(num_objects, prior), np.zeros(num_objects), np.zeros(num_objects))
+    return Present(_state(scene, known, [], horizon, stage), stage)
 
 
 def present_state(scene: Scene, horizon: int, history: Logs) -> Present:
@@ -107,7 +107,16 @@ def present_state(scene: Scene, horizon: int, history: Logs) -> Present:
     elif done is not None and not is_washed:
         notes.append(f"whether {done.verb} {done.target} of stage {path.horizon} held is not known; it is not counted")
     stage = path.horizon + (done is not None)
-    return Present(_state(scene, last.log_odds[kept], last.lifts[kept], tried, horizon, stage), stage, tuple(notes))
+    known = _Known(last.log_odds[kept], last.seen[kept], last.lifts[kept])
+    return Present(_state(scene, known, tried, horizon, stage), stage, tuple(notes))
+
+
+class _Known(NamedTuple):
+    """What is known of each object, besides its past attempts."""
+
+    log_odds: np.ndarray
+    seen: np.ndarray
+    lifts: np.ndarray
 
 
 class _Done(NamedTuple):
@@ -143,14 +152,7 @@ def _last_action(path: Logs) -> _Done | None:
     return _Done(verb, listed.index(name))
 
 
-def _state(
-    scene: Scene,
-    log_odds: np.ndarray,
-    lifts: np.ndarray,
-    tried: list[tuple[int, float, bool]],
-    horizon: int,
-    stage: int,
-) -> TableState:
+def _state(scene: Scene, known: _Known, tried: list[tuple[int, float, bool]], horizon: int, stage: int) -> TableState:
     if not 1 <= stage <= horizon or len(tried) > horizon:
         raise PolicyError(
             f"stage {stage} with {len(tried)} past attempts lies beyond the policy's horizon of {horizon} stages; the "
@@ -163,8 +165,10 @@ def _state(
         hides=jnp.asarray(scene.hides.astype(np.float32)),
         is_object=jnp.asarray(there),
         is_on_table=jnp.asarray(there),
-        log_odds=jnp.asarray(log_odds.astype(np.float32)),
-        lifts=jnp.asarray(lifts.astype(np.int32)),
+        grip=jnp.asarray(np.asarray(scene.grip, dtype=np.float32)),
+        log_odds=jnp.asarray(known.log_odds.astype(np.float32)),
+        seen=jnp.asarray(known.seen.astype(np.float32)),
+        lifts=jnp.asarray(known.lifts.astype(np.int32)),
         attempt_object=jnp.asarray(target.astype(np.int32)),
         attempt_occlusion=jnp.asarray(occluded.astype(np.float32)),
         attempt_succeeded=jnp.asarray(succeeded.astype(bool)),
