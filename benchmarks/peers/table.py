@@ -6,7 +6,8 @@ random number draws all labels. A state carries what the policy would know (log-
 rollouts and priors are as good as our heuristics.
 
 What the laws of grasping and seeing say is asked of `halfseen.planners.belief`. It is taken for granted that the time
-to grasp is exponential, and that the grip offset u divides its scale by exp(u).
+to grasp is exponential, that the grip offset u divides its scale by exp(u) and has mean 0 for every object, and that
+labels are independent and right as often of dirty objects as of clean ones.
 """
 
 import math
@@ -90,8 +91,9 @@ class TableModel(pomdp_py.BlackboxModel):
         self.failed, self.lift_per_s = float(config.reward_wash_failed), float(config.reward_lift_per_s)
         self.left = [float(config.reward_dirty_left) * mask.bit_count() for mask in range(2**self.num_objects)]
         nodes = np.asarray(offset_nodes(config), dtype=float)
-        self.offset_std = float(np.sqrt(np.exp(prior_grip()) @ nodes**2))
-        self.prior = Grip(np.exp(nodes).tolist(), np.exp(prior_grip()).tolist())
+        weights = np.exp(prior_grip(jnp.zeros(())).log_weights)
+        self.offset_std = float(np.sqrt(weights @ nodes**2))
+        self.prior = Grip(np.exp(nodes).tolist(), weights.tolist())
         self._name_actions()
         self._measure(hides)
         self._label()
@@ -173,21 +175,22 @@ class TableModel(pomdp_py.BlackboxModel):
         return [attempt for attempt in past if attempt[0] >= 0]
 
     def _rates(self, occluded: np.ndarray) -> np.ndarray:
-        return -np.asarray(
-            failure_log_probability(self.config, jnp.float32(occluded))[..., NUM_NODES // 2], dtype=float
-        )
+        log_failure = failure_log_probability(self.config, jnp.float32(occluded), jnp.zeros(()))
+        return -np.asarray(log_failure[..., NUM_NODES // 2], dtype=float)
 
     def _limit_s(self) -> float:
         """Of an attempt: of an exponential time, the probability and the mean of min(T, limit) tell the limit."""
         at_zero = np.where(np.arange(NUM_NODES) == NUM_NODES // 2, 0.0, -np.inf).astype(np.float32)
         rate = float(self._rates(np.zeros(1))[0])
-        tried_s = float(expected_attempt_s(self.config, jnp.zeros(1), jnp.asarray(at_zero)[None])[0]) - self.transport_s
+        at_zero = prior_grip(jnp.zeros(1))._replace(log_weights=jnp.asarray(at_zero)[None])
+        tried_s = float(expected_attempt_s(self.config, jnp.zeros(1), at_zero)[0]) - self.transport_s
         return tried_s * rate / -math.expm1(-rate)
 
     def _accuracy(self, occluded: np.ndarray) -> np.ndarray:
         """Probability that the label of a dirty object says so."""
         seen_at = jnp.float32(occluded)
-        return np.asarray(dirty_after_label(self.config, jnp.ones_like(seen_at), seen_at)[0], dtype=float)
+        told = dirty_after_label(self.config, jnp.ones_like(seen_at), jnp.zeros(()), seen_at)
+        return np.asarray(told[0], dtype=float)
 
     def _label(self) -> None:
         """By object held (N for none) and mask: how likely the label patterns are, what they tell, and their names."""

@@ -19,6 +19,8 @@ class Cup:
     is_dirty: float
     attempts: tuple[tuple[float, bool], ...] = ()
     is_on_table: bool = True
+    grip: float = 0.0
+    seen: float = 0.0
 
     @property
     def log_odds(self):

@@ -102,7 +102,10 @@ def test_a_scene_is_as_good_as_its_hides_and_the_horizon_is_the_worlds():
         ({"horizon": 0}, "horizon is 0"),
         ({"horizon": 2, "num_grip_nodes": 0}, "num_grip_nodes is 0"),
         ({"config": WorldConfig(dirty_share=1.0)}, "dirty_share is 1; it lies between"),
-        ({"config": WorldConfig(seeing=AssumedSeeing(floor=0.7))}, "label accuracy of object 0 is 1; it lies between"),
+        (
+            {"config": WorldConfig(seeing=AssumedSeeing(floor=0.7))},
+            "a label's probability of object 0 is 1; it lies between",
+        ),
         ({"horizon": 10, "max_states": 1000}, "2 objects over 10 steps have more than 1,000 states .* shorten"),
     ],
 )
@@ -152,7 +155,7 @@ def test_a_state_of_another_table_or_another_horizon_is_refused(played):
         optimum.q_values(replace(played[0], steps_to_go=jnp.asarray(5)))
     with pytest.raises(ArgumentError, match="attempt 1, on object -1, is not possible"):
         optimum.q_values(replace(played[0], steps_to_go=jnp.asarray(3)))
-    with pytest.raises(ArgumentError, match=r"log-odds of object 0 are 0\.5; .* away"):
+    with pytest.raises(ArgumentError, match=r"log-odds of object 0 are 0\.5, with 0 of it seen; .* away"):
         optimum.q_values(replace(played[0], log_odds=jnp.full(2, 0.5)))
 
 

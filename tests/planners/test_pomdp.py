@@ -9,7 +9,7 @@ from naive_planner import CONFIG, Cup
 
 from halfseen.errors import ArgumentError
 from halfseen.planners import GreedyPolicy, POMDPPolicy
-from halfseen.planners.belief import Belief, belief_of
+from halfseen.planners.belief import Belief, Grip, belief_of
 from halfseen.planners.one_step import leaf_value, one_step_q
 from halfseen.world import Scene
 from halfseen.world.action_space import FINISH, possible_actions
@@ -34,10 +34,12 @@ def random_belief(num_objects, seed, steps_to_go=9):
     rng = np.random.default_rng(seed)
     hides = rng.uniform(0.0, 0.6, (num_objects, num_objects)) * ~np.eye(num_objects, dtype=bool)
     is_on_table = np.arange(num_objects) != 1
-    log_odds, grip = rng.normal(1.0, 1.0, num_objects), rng.normal(size=(num_objects, 7))
-    leaves = (jnp.asarray(leaf, dtype=jnp.float32) for leaf in (log_odds, grip))
+    log_odds, weights = rng.normal(1.0, 1.0, num_objects), rng.normal(size=(num_objects, 7))
+    leaves = log_odds, rng.uniform(size=num_objects), rng.normal(size=num_objects), weights
+    log_odds, seen, *grip = (jnp.asarray(leaf, dtype=jnp.float32) for leaf in leaves)
     hides = jnp.asarray(hides, dtype=jnp.float32)
-    return Belief(hides, jnp.asarray(is_on_table), *leaves, jnp.asarray(steps_to_go, dtype=jnp.int32))
+    steps_to_go = jnp.asarray(steps_to_go, dtype=jnp.int32)
+    return Belief(hides, jnp.asarray(is_on_table), log_odds, seen, Grip(*grip), steps_to_go)
 
 
 @by_table
@@ -75,7 +77,8 @@ def test_q_does_not_depend_on_the_order_of_the_cups():
         belief.hides[order][:, order],
         belief.is_on_table[order],
         belief.log_odds[order],
-        belief.grip[order],
+        belief.seen[order],
+        Grip(*(leaf[order] for leaf in belief.grip)),
         belief.steps_to_go,
     )
     of_action = np.concatenate([[0], 1 + order, 5 + order])
@@ -92,7 +95,8 @@ def test_padding_changes_nothing():
         jnp.pad(belief.hides, pad * 2, **nan),
         jnp.pad(belief.is_on_table, pad),
         jnp.pad(belief.log_odds, pad, **nan),
-        jnp.pad(belief.grip, (*pad, (0, 0)), **nan),
+        jnp.pad(belief.seen, pad, **nan),
+        Grip(jnp.pad(belief.grip.mean, pad, **nan), jnp.pad(belief.grip.log_weights, (*pad, (0, 0)), **nan)),
         belief.steps_to_go,
     )
     is_real = np.array([True] + 2 * ([True] * 3 + [False] * 2))

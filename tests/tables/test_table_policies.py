@@ -75,6 +75,9 @@ def states_in(watched):
     return jax.tree.map(lambda leaf: leaf[path, stage], watched.states)
 
 
+PER_OBJECT = "is_object", "is_on_table", "grip", "log_odds", "seen", "lifts"
+
+
 def permuted(states, order):
     """Object k of the result is object order[k] of the given states."""
     rank = jnp.argsort(jnp.asarray(order))
@@ -82,14 +85,14 @@ def permuted(states, order):
     return replace(
         states,
         hides=states.hides[:, order][:, :, order],
-        **{name: getattr(states, name)[:, order] for name in ("is_object", "is_on_table", "log_odds", "lifts")},
+        **{name: getattr(states, name)[:, order] for name in PER_OBJECT},
         attempt_object=jnp.where(tried < 0, tried, rank[tried]),
     )
 
 
 def padded(states, num_objects):
     more = num_objects - states.num_objects
-    extra = {"is_object": False, "is_on_table": False, "log_odds": 7.0, "lifts": 3}
+    extra = {"is_object": False, "is_on_table": False, "grip": -3.0, "log_odds": 7.0, "seen": 0.4, "lifts": 3}
     grown = {
         name: jnp.pad(getattr(states, name), ((0, 0), (0, more)), constant_values=value)
         for name, value in extra.items()

@@ -47,4 +47,4 @@ class Persisting:
         evidence = jnp.log(accuracy) - jnp.log1p(-accuracy)
         is_news = glimpse.is_seen & (glimpse.occluded != trait)
         update = jnp.where(is_news, jnp.where(is_dirty == is_right, evidence, -evidence), 0.0)
-        return Told(log_odds + update, jnp.where(is_news, glimpse.occluded, trait))
+        return Told(log_odds + update, glimpse.seen, jnp.where(is_news, glimpse.occluded, trait))

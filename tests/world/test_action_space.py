@@ -65,6 +65,6 @@ def test_a_verb_that_is_not_known_is_never_worth_taking():
 
 
 def test_padding_and_what_left_cannot_be_acted_on():
-    layout = Layout(jnp.zeros((3, 3)), jnp.array([True, True, False]))
+    layout = Layout(jnp.zeros((3, 3)), jnp.array([True, True, False]), jnp.zeros(3))
     possible = possible_actions(initial_state(WorldConfig(), layout))
     assert possible.tolist() == [True, *[True, True, False] * len(TARGETED)]

@@ -9,7 +9,7 @@ from halfseen.world import ExploringPolicy, UniformPolicy, WorldConfig, episodes
 from halfseen.world.action_space import ActionSpace
 from halfseen.world.dynamics import start, step
 from halfseen.world.episodes import evaluate, evaluate_some, play
-from halfseen.world.state import Layout, pad_scenes
+from halfseen.world.state import pad_scenes
 
 CONFIG = WorldConfig()
 
@@ -46,7 +46,7 @@ def test_padding_holds_whatever_it_likes(scenes, in_turn):
     poisoned = [
         play(
             CONFIG,
-            Layout(jnp.nan_to_num(layout.hides, nan=poison), layout.is_object),
+            jax.tree.map(lambda leaf, poison=poison: jnp.nan_to_num(leaf, nan=poison), layout),
             InTurn(),
             jax.random.key(1),
             64,

@@ -149,6 +149,8 @@ PAIR = [[0, 0.5, 0.2], [0.5, 0, 0.2], [0, 0, 0]]
         (RING, {}, [0, 1, 2]),
         (RING, {"is_on_table": jnp.array([False, False, True])}, [0, 1, 2]),
         (PAIR, {"log_odds": jnp.array([1.0, 2.0, 1.0])}, [0, 1, 2]),
+        (PAIR, {"grip": jnp.array([0.0, 0.5, 0.0])}, [0, 1, 2]),
+        (PAIR, {"seen": jnp.array([1.0, 0.5, 1.0])}, [0, 1, 2]),
         (PAIR, {"is_on_table": jnp.array([True, False, True])}, [0, 1, 2]),
         ([[0, 0, 0.5], [0, 0, 0.1], [0, 0, 0]], {"is_on_table": jnp.array([True, True, False])}, [0, 0, 2]),
         (PAIR, {"attempt_object": jnp.array([1, -1, -1, -1])}, [0, 1, 2]),

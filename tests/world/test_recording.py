@@ -35,8 +35,8 @@ def test_the_log_holds_nothing_hidden(recorded):
     _, logs = recorded
     assert logs.objects is not None
     assert set(logs.objects.columns) == {
-        *("path", "stage", "object", "location", "occlusion", "log_odds", "successes", "failures", "lifts"),
-        *("hidden_by", "attempt_occlusions", "attempt_succeeded"),
+        *("path", "stage", "object", "location", "occlusion", "grip", "log_odds", "seen"),
+        *("successes", "failures", "lifts", "hidden_by", "attempt_occlusions", "attempt_succeeded"),
     }
     assert logs.stage_covariates == []
     assert logs.path_columns == ["scene"]

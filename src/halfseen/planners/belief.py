@@ -6,6 +6,7 @@ Gauss–Hermite quadrature. Particles are drawn from it where a future is sample
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,11 +17,20 @@ from halfseen.errors import ArgumentError
 from halfseen.world.action_space import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.grasping import KnownGrasping
-from halfseen.world.seeing import KnownSeeing
+from halfseen.world.seeing import KnownSeeing, label_evidence
 from halfseen.world.state import TableState
 
 NUM_NODES = 7
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(NUM_NODES)
+
+
+class Grip(NamedTuple):
+    """What is believed of grip offsets, each its mean plus a hidden u."""
+
+    mean: Float[Array, "*S"]
+    """As `TableState.grip` has it."""
+    log_weights: Float[Array, "*S G"]
+    """Log posterior weights of u on `offset_nodes`, not normalised."""
 
 
 @jax.tree_util.register_dataclass
@@ -31,8 +41,10 @@ class Belief:
     hides: Float[Array, "*B N N"]
     is_on_table: Bool[Array, "*B N"]
     log_odds: Float[Array, "*B N"]
-    grip: Float[Array, "*B N G"]
-    """Log posterior weights of each grip offset on `offset_nodes`, not normalised."""
+    seen: Float[Array, "*B N"]
+    """As `TableState.seen` has it."""
+    grip: Grip
+    """Of each object; axes (B, N)."""
     steps_to_go: Int[Array, "*B"]
 
 
@@ -70,52 +82,57 @@ def _unknown(name: str, law: object, known: str) -> ArgumentError:
 
 
 def offset_nodes(config: WorldConfig) -> Float[Array, " G"]:
-    """Grip offsets at which posteriors are held."""
+    """Values of u, what is hidden of a grip offset, at which posteriors are held."""
     return known_grasping(config).offset_std * jnp.asarray(_NODES, dtype=jnp.float32)
 
 
-def prior_grip() -> Float[Array, " G"]:
-    """Log weights of the prior N(0, std²) on `offset_nodes`."""
-    return jnp.log(jnp.asarray(_WEIGHTS / _WEIGHTS.sum(), dtype=jnp.float32))
+def prior_grip(mean: Float[Array, "*S"]) -> Grip:
+    """Grips before any attempt: u ~ N(0, std²)."""
+    log_weights = jnp.log(jnp.asarray(_WEIGHTS / _WEIGHTS.sum(), dtype=jnp.float32))
+    return Grip(mean, jnp.broadcast_to(log_weights, (*mean.shape, NUM_NODES)))
 
 
-def failure_log_probability(config: WorldConfig, occluded: Float[Array, "*S"]) -> Float[Array, "*S G"]:
-    """Log P(an attempt fails | occ, u) at each grip offset."""
-    return known_grasping(config).log_failure(occluded[..., None], offset_nodes(config))
+def failure_log_probability(
+    config: WorldConfig, occluded: Float[Array, "*#S"], mean: Float[Array, "*#S"]
+) -> Float[Array, "*S G"]:
+    """Log P(an attempt fails | occ, u) at each of `offset_nodes`."""
+    return known_grasping(config).log_failure(occluded[..., None], mean[..., None] + offset_nodes(config))
 
 
-def attempt_evidence(config: WorldConfig, occluded: Float[Array, "*S"], succeeded: Array) -> Float[Array, "*S G"]:
-    """Log-likelihood of an attempt's result at each grip offset."""
-    failed = failure_log_probability(config, occluded)
+def attempt_evidence(
+    config: WorldConfig, occluded: Float[Array, "*#S"], mean: Float[Array, "*#S"], succeeded: Array
+) -> Float[Array, "*S G"]:
+    """Log-likelihood of an attempt's result at each of `offset_nodes`."""
+    failed = failure_log_probability(config, occluded, mean)
     return jnp.where(succeeded[..., None], jnp.log(-jnp.expm1(failed)), failed)
 
 
-def grip_posterior(config: WorldConfig, state: TableState) -> Float[Array, "N G"]:
-    """Log posterior weights of each object's grip offset, given all its attempts; one table."""
-    evidence = attempt_evidence(config, state.attempt_occlusion, state.attempt_succeeded)
+def grip_posterior(config: WorldConfig, state: TableState) -> Grip:
+    """Grip of each object, given all its attempts; one table."""
+    mean = state.grip[jnp.maximum(state.attempt_object, 0)]
+    evidence = attempt_evidence(config, state.attempt_occlusion, mean, state.attempt_succeeded)
     is_mine = jax.nn.one_hot(state.attempt_object, state.num_objects, dtype=evidence.dtype)
-    return prior_grip() + is_mine.T @ evidence
+    prior = prior_grip(state.grip)
+    return prior._replace(log_weights=prior.log_weights + is_mine.T @ evidence)
 
 
 def belief_of(config: WorldConfig, state: TableState) -> Belief:
     """What the state of one table says."""
     grip = grip_posterior(config, state)
-    return Belief(state.hides, state.is_on_table, state.log_odds, grip, state.steps_to_go)
+    return Belief(state.hides, state.is_on_table, state.log_odds, state.seen, grip, state.steps_to_go)
 
 
-def grasp_probability(
-    config: WorldConfig, occluded: Float[Array, "*S"], grip: Float[Array, "*#S G"]
-) -> Float[Array, "*S"]:
+def grasp_probability(config: WorldConfig, occluded: Float[Array, "*S"], grip: Grip) -> Float[Array, "*S"]:
     """P(an attempt succeeds), the grip offset integrated out."""
-    return 1.0 - jnp.sum(jax.nn.softmax(grip, axis=-1) * jnp.exp(failure_log_probability(config, occluded)), axis=-1)
+    failed = jnp.exp(failure_log_probability(config, occluded, grip.mean))
+    return 1.0 - jnp.sum(jax.nn.softmax(grip.log_weights, axis=-1) * failed, axis=-1)
 
 
-def expected_attempt_s(
-    config: WorldConfig, occluded: Float[Array, "*S"], grip: Float[Array, "*S G"]
-) -> Float[Array, "*S"]:
+def expected_attempt_s(config: WorldConfig, occluded: Float[Array, "*S"], grip: Grip) -> Float[Array, "*S"]:
     """Expected duration of an attempt with its transport [s], the grip offset integrated out."""
-    attempt_s = known_grasping(config).expected_s(occluded[..., None], offset_nodes(config))
-    return config.transport_s + jnp.sum(jax.nn.softmax(grip, axis=-1) * attempt_s, axis=-1)
+    offset = grip.mean[..., None] + offset_nodes(config)
+    attempt_s = known_grasping(config).expected_s(occluded[..., None], offset)
+    return config.transport_s + jnp.sum(jax.nn.softmax(grip.log_weights, axis=-1) * attempt_s, axis=-1)
 
 
 def occlusion_without(belief: Belief, is_taken: Bool[Array, " N"]) -> Float[Array, " N"]:
@@ -125,12 +142,18 @@ def occlusion_without(belief: Belief, is_taken: Bool[Array, " N"]) -> Float[Arra
 
 
 def dirty_after_label(
-    config: WorldConfig, is_dirty: Float[Array, "*S"], occluded: Float[Array, "*S"]
+    config: WorldConfig,
+    is_dirty: Float[Array, "*S"],
+    seen: Float[Array, "*#S"],
+    occluded: Float[Array, "*#S"],
+    is_held: bool = False,
 ) -> tuple[Float[Array, "*S"], Float[Array, "*S"], Float[Array, "*S"]]:
     """P(the next label says dirty), and P(DIRTY) after either label."""
-    right = known_seeing(config).accuracy(occluded)
-    says_dirty = is_dirty * right + (1.0 - is_dirty) * (1.0 - right)
-    return says_dirty, is_dirty * right / says_dirty, is_dirty * (1.0 - right) / (1.0 - says_dirty)
+    if_dirty, if_clean = known_seeing(config).positive(occluded, seen, is_held)
+    says_dirty = is_dirty * if_dirty + (1.0 - is_dirty) * if_clean
+    # Where nothing is new, no label says dirty.
+    mass = jnp.maximum(says_dirty, jnp.finfo(says_dirty.dtype).tiny)
+    return says_dirty, is_dirty * if_dirty / mass, is_dirty * (1.0 - if_dirty) / (1.0 - says_dirty)
 
 
 def sample_successor(config: WorldConfig, belief: Belief, action: Int[Array, ""], key: Array) -> Belief:
@@ -141,18 +164,30 @@ def sample_successor(config: WorldConfig, belief: Belief, action: Int[Array, ""]
     verb, target = actions.verb(action), actions.target(action)
     is_target = jnp.arange(num_objects) == target
     occluded = occlusion_without(belief, jnp.zeros_like(is_target))[target]
-    is_grasped = jax.random.uniform(grasp_key) < grasp_probability(config, occluded, belief.grip[target])
-    evidence = attempt_evidence(config, occluded, is_grasped)
+    grip = Grip(*(leaf[target] for leaf in belief.grip))
+    is_grasped = jax.random.uniform(grasp_key) < grasp_probability(config, occluded, grip)
+    evidence = attempt_evidence(config, occluded, grip.mean, is_grasped)
     after = replace(
         belief,
         is_on_table=belief.is_on_table & ~(is_target & is_grasped & (verb == Verb.WASH)),
-        grip=belief.grip + jnp.where(is_target[:, None], evidence, 0.0),
+        grip=belief.grip._replace(log_weights=belief.grip.log_weights + jnp.where(is_target[:, None], evidence, 0.0)),
         steps_to_go=belief.steps_to_go - 1,
     )
-    is_held = is_target & is_grasped & (verb == Verb.LIFT)
-    seen_at = jnp.where(is_held, 0.0, occlusion_without(after, is_held))
-    right = known_seeing(config).accuracy(seen_at)
-    says_dirty, _, _ = dirty_after_label(config, jax.nn.sigmoid(belief.log_odds), seen_at)
-    sign = jnp.where(jax.random.uniform(label_key, right.shape) < says_dirty, 1.0, -1.0)
-    update = sign * (jnp.log(right) - jnp.log1p(-right))
-    return replace(after, log_odds=belief.log_odds + jnp.where(after.is_on_table, update, 0.0))
+    return _looked(config, after, is_target & is_grasped & (verb == Verb.LIFT), label_key)
+
+
+def _looked(config: WorldConfig, belief: Belief, is_held: Bool[Array, " N"], key: Array) -> Belief:
+    """Draw what a look tells, and believe it."""
+    law, is_there = known_seeing(config), belief.is_on_table
+    occluded = jnp.where(is_held, 0.0, occlusion_without(belief, is_held))
+    if_dirty, if_clean = law.positive(occluded, belief.seen, is_held)
+    is_dirty = jax.nn.sigmoid(belief.log_odds)
+    chance = is_dirty * if_dirty + (1.0 - is_dirty) * if_clean
+    says_dirty = jax.random.uniform(key, chance.shape) < chance
+    update = label_evidence(if_dirty, if_clean, says_dirty)
+    seen = law.after(occluded, belief.seen, says_dirty, is_held)
+    return replace(
+        belief,
+        log_odds=belief.log_odds + jnp.where(is_there, update, 0.0),
+        seen=jnp.where(is_there, seen, belief.seen),
+    )

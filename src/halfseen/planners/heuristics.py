@@ -45,10 +45,7 @@ class TrueGrasp:
 
     def probability(self, state: TableState) -> Float[Array, " N"]:
         """P(an attempt succeeds) for each object of one table."""
-        if self.uses_history:
-            grip = grip_posterior(self.config, state)
-        else:
-            grip = jnp.broadcast_to(prior_grip(), (state.num_objects, prior_grip().shape[0]))
+        grip = grip_posterior(self.config, state) if self.uses_history else prior_grip(state.grip)
         return grasp_probability(self.config, occlusion(state), grip)
 
 

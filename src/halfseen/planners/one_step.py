@@ -20,6 +20,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from halfseen.planners.belief import (
     Belief,
+    Grip,
     dirty_after_label,
     expected_attempt_s,
     failure_log_probability,
@@ -77,7 +78,7 @@ def one_step_q(config: WorldConfig, belief: Belief) -> Float[Array, " A"]:
     probability, if_held, if_missed = _grasp_probabilities(config, occluded, belief.grip)
     if_cleared = grasp_probability(config, occluded_without, belief.grip)
 
-    tries = partial(_tries_after_label, config, is_dirty)
+    tries = partial(_tries_after_label, config, is_dirty, belief.seen)
     # After a miss all is as before but the grip of the target.
     before = tries(occluded, probability)
     missed = jax.tree.map(
@@ -88,7 +89,7 @@ def one_step_q(config: WorldConfig, belief: Belief) -> Float[Array, " A"]:
     )
     washed = tries(occluded_without, if_cleared).among(others)
     around = tries(occluded_without, jnp.broadcast_to(probability, target.shape)).among(others)
-    lifted = jax.tree.map(jnp.add, around, tries(jnp.zeros_like(occluded), if_held))
+    lifted = jax.tree.map(jnp.add, around, tries(jnp.zeros_like(occluded), if_held, is_held=True))
 
     left, steps = _all_left(config, belief), belief.steps_to_go - 1
     after_miss = (1.0 - probability) * _left_or_tried(left, missed, steps)
@@ -102,11 +103,11 @@ def one_step_q(config: WorldConfig, belief: Belief) -> Float[Array, " A"]:
 
 
 def _grasp_probabilities(
-    config: WorldConfig, occluded: Float[Array, " N"], grip: Float[Array, "N G"]
+    config: WorldConfig, occluded: Float[Array, " N"], grip: Grip
 ) -> tuple[Float[Array, " N"], Float[Array, " N"], Float[Array, " N"]]:
     """P(an attempt succeeds), and P(the next one does) after a success and after a failure at the same occlusion."""
-    at_node = -jnp.expm1(failure_log_probability(config, occluded))
-    weight = jax.nn.softmax(grip, axis=-1)
+    at_node = -jnp.expm1(failure_log_probability(config, occluded, grip.mean))
+    weight = jax.nn.softmax(grip.log_weights, axis=-1)
 
     def again(after: Float[Array, "N G"]) -> Float[Array, " N"]:
         mass = jnp.maximum(jnp.sum(after, axis=-1), jnp.finfo(after.dtype).tiny)
@@ -133,10 +134,17 @@ def _with_steps(belief: Belief, num_steps: Int[Array, ""]) -> Belief:
 
 
 def _tries_after_label(
-    config: WorldConfig, is_dirty: Float[Array, " N"], seen_at: Float[Array, "*S N"], probability: Float[Array, "*S N"]
+    config: WorldConfig,
+    is_dirty: Float[Array, " N"],
+    seen: Float[Array, " N"],
+    occluded: Float[Array, "*S N"],
+    probability: Float[Array, "*S N"],
+    is_held: bool = False,
 ) -> _Tries:
     """E (worth of one more try)₊ over the next label, and P(it is positive)."""
-    says_dirty, if_dirty, if_clean = dirty_after_label(config, jnp.broadcast_to(is_dirty, seen_at.shape), seen_at)
+    says_dirty, if_dirty, if_clean = dirty_after_label(
+        config, jnp.broadcast_to(is_dirty, occluded.shape), seen, occluded, is_held
+    )
     worth_dirty = wash_worth(config, if_dirty, probability, counts_penalty=True)
     worth_clean = wash_worth(config, if_clean, probability, counts_penalty=True)
     gain = says_dirty * jax.nn.relu(worth_dirty) + (1.0 - says_dirty) * jax.nn.relu(worth_clean)

@@ -39,15 +39,15 @@ from halfseen.planners.optimum_decisions import (
     Reached,
     drawn,
     histories_of,
-    log_odds_in,
     place_of,
     reached_in,
     rewards_in,
     rows_by_place,
+    told_in,
 )
+from halfseen.planners.optimum_labels import Look
 from halfseen.planners.optimum_model import (
     GridWorld,
-    Look,
     Result,
     after_attempt,
     first_tally,
@@ -161,10 +161,10 @@ class TableOptimum:
             reached = drawn(every, max_states, jax.random.fold_in(key, 0))
             # What the draw changed is known under the best policy: only by how much this one is worse stays noisy.
             earned = self._worth(index, every) - self._worth(index, reached)
-        histories, log_odds = self._histories[index], log_odds_in(self._world, layer, reached)
+        histories, told = self._histories[index], told_in(self._world, layer, reached)
         steps_to_go = self.horizon - index
-        actions = actions_in(self._world, steps_to_go, histories, reached, log_odds, groups, key)
-        rewards = rewards_in(self._world.config, histories, reached, log_odds, actions, steps_to_go == 1)
+        actions = actions_in(self._world, steps_to_go, histories, reached, told, groups, key)
+        rewards = rewards_in(self._world.config, histories, reached, told[0], actions, steps_to_go == 1)
         return earned + np.sum(reached.mass * rewards, axis=1), reached, actions
 
     def regret(self, policy: Policy, key: Array | None = None, max_states: int | None = None) -> float:
@@ -294,7 +294,7 @@ def solve_table(
     for name, number in (("horizon", steps), ("num_grip_nodes", num_grip_nodes), ("objects", table.num_objects)):
         if number < 1:
             raise ArgumentError(f"{name} is {number}; at least 1 is needed")
-    world = GridWorld(table.hides, config, num_grip_nodes)
+    world = GridWorld(table, config, num_grip_nodes)
     _check_doubt(world)
     layers = layers_of(world, steps, max_states)
     values = _values(world, layers)
@@ -313,9 +313,14 @@ def _values(world: GridWorld, layers: list[Layer]) -> list[list[Grid]]:
 
 def _check_doubt(world: GridWorld) -> None:
     """Log-odds must be finite."""
-    told = {"dirty_share": np.array([world.config.dirty_share], dtype=np.float64)}
-    told |= {f"label accuracy of object {i}": world.seeing.accuracy(at) for i, at in enumerate(world.occlusions)}
-    for name, probabilities in told.items():
-        wrong = probabilities[~((probabilities > 0.0) & (probabilities < 1.0))]
-        if len(wrong):
-            raise ArgumentError(f"{name} is {wrong[0]:g}; it lies between 0 and 1 and is neither: change config")
+    _check_between("dirty_share", np.array([world.config.dirty_share], dtype=np.float64))
+    for cup, labels in enumerate(world.labels):
+        positive = np.stack(world.seeing.positive(labels.views.occluded, 0.0, labels.views.is_held))
+        # A look that shows nothing never says DIRTY, and leaves all in doubt.
+        _check_between(f"a label's probability of object {cup}", positive[:, (positive != 0.0).any(axis=0)].ravel())
+
+
+def _check_between(name: str, probabilities: Float[np.ndarray, " k"]) -> None:
+    wrong = probabilities[~((probabilities > 0.0) & (probabilities < 1.0))]
+    if len(wrong):
+        raise ArgumentError(f"{name} is {wrong[0]:g}; it lies between 0 and 1 and is neither: change config")

@@ -50,11 +50,13 @@ def actions_in(
     steps_to_go: int,
     histories: Histories,
     reached: Reached,
-    log_odds: Float[np.ndarray, "n N"],
+    told: tuple[Float[np.ndarray, "n N"], Float[np.ndarray, "n N"]],
     groups: Sequence[Alike],
     key: Array,
 ) -> Int[np.ndarray, "P n"]:
     """What each policy does in states of a layer, each state with a key of its own; FINISH where it never comes.
+
+    `told` are the log-odds of DIRTY and the shares of the surfaces seen.
 
     Raises
     ------
@@ -64,7 +66,8 @@ def actions_in(
     actions = np.full(reached.mass.shape, FINISH, dtype=np.int64)
     there = histories.is_on_table[reached.place]
     place, cell = reached.place.astype(np.int32), reached.cell.astype(np.int32)
-    shown = _Shown(place, cell, log_odds.astype(np.float32), *(rows[reached.place] for rows in histories[:-2]))
+    labels = (values.astype(np.float32) for values in told)
+    shown = _Shown(place, cell, *labels, *(rows[reached.place] for rows in histories[:-2]))
     for group in groups:
         is_reached = reached.mass[list(group.which)] > 0.0
         states = np.flatnonzero(is_reached.any(axis=0))
@@ -85,9 +88,18 @@ def _asked(group: Alike, world: GridWorld, steps_to_go: int, shown: "_Shown", ke
     filled = _Shown(*(np.pad(rows, [(0, -num_states % size), *[(0, 0)] * (rows.ndim - 1)], "edge") for rows in shown))
     batches = [_Shown(*(rows[start : start + size] for rows in filled)) for start in range(0, num_states, size)]
     decide = _decide_each if len(group.which) == 1 else _decide_alike
-    hides = jnp.asarray(world.hides, dtype=jnp.float32)
-    decided = [decide(group.policy, hides, np.int32(steps_to_go), batch, key) for batch in batches]
+    hides, grip = (jnp.asarray(of_scene, dtype=jnp.float32) for of_scene in (world.scene.hides, world.grip))
+    table = _Table(hides, grip, np.int32(steps_to_go))
+    decided = [decide(group.policy, table, batch, key) for batch in batches]
     return np.concatenate([np.atleast_2d(each) for each in decided], axis=1)[:, :num_states].astype(np.int64)
+
+
+class _Table(NamedTuple):
+    """What the states of a layer share."""
+
+    hides: Float[Array, "N N"]
+    grip: Float[Array, " N"]
+    steps_to_go: Int[Array | np.ndarray, ""] | np.int32
 
 
 class _Shown(NamedTuple):
@@ -96,6 +108,7 @@ class _Shown(NamedTuple):
     place: Int[Array | np.ndarray, " n"]
     cell: Int[Array | np.ndarray, " n"]
     log_odds: Float[Array | np.ndarray, "n N"]
+    seen: Float[Array | np.ndarray, "n N"]
     is_on_table: Bool[Array | np.ndarray, "n N"]
     lifts: Int[Array | np.ndarray, "n N"]
     attempt_object: Int[Array | np.ndarray, "n T"]
@@ -104,18 +117,18 @@ class _Shown(NamedTuple):
 
 
 @jax.jit
-def _decide_each(policy: Policy, hides: Array, steps_to_go: Array, shown: _Shown, key: Array) -> Array:
-    is_object = jnp.ones(hides.shape[0], dtype=bool)
+def _decide_each(policy: Policy, table: _Table, shown: _Shown, key: Array) -> Array:
+    is_object = jnp.ones(len(table.grip), dtype=bool)
 
     def decide(place: Any, cell: Any, *of_state: Any) -> Array:
         known = dict(zip(_Shown._fields[2:], of_state, strict=True))
-        state = TableState(hides=hides, is_object=is_object, steps_to_go=steps_to_go, **known)
+        state = TableState(is_object=is_object, **table._asdict(), **known)
         return policy.decide(state, jax.random.fold_in(jax.random.fold_in(key, place), cell)).action
 
     return jax.vmap(decide)(*shown)
 
 
-_decide_alike = jax.jit(jax.vmap(_decide_each, in_axes=(0, None, None, None, None)))
+_decide_alike = jax.jit(jax.vmap(_decide_each, in_axes=(0, None, None, None)))
 
 
 def _check_possible(actions: Int[np.ndarray, " n"], there: Bool[np.ndarray, "n N"]) -> None:

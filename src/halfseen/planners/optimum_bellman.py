@@ -4,24 +4,25 @@ Every array here is over the grid of one tally: axis i belongs to object i and h
 """
 
 from dataclasses import dataclass, field
+from math import prod
 from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
 from halfseen.errors import ArgumentError
+from halfseen.planners.optimum_labels import Look
 from halfseen.planners.optimum_model import (
     GridWorld,
-    Look,
     Result,
     Tally,
     after_attempt,
     after_look,
     current_levels,
     first_tally,
+    grid_shape,
     is_there,
     looks_of,
-    num_cells,
 )
 from halfseen.world.action_space import FINISH, ActionSpace, Verb
 
@@ -71,7 +72,7 @@ def layers_of(world: GridWorld, horizon: int, max_cells: int) -> list[Layer]:
         The states are more than `max_cells`.
     """
     layers = [[Node(after_look(world, first_tally(world)), ())]]
-    cells = num_cells(layers[0][0].tally)
+    cells = prod(grid_shape(world, layers[0][0].tally))
     for steps in range(1, horizon):
         places: dict[Tally, int] = {}
         layer: Layer = []
@@ -84,7 +85,7 @@ def layers_of(world: GridWorld, horizon: int, max_cells: int) -> list[Layer]:
                 if tally not in places:
                     places[tally] = len(layer)
                     layer.append(Node(tally, (*node.path, attempt)))
-                    cells += num_cells(tally)
+                    cells += prod(grid_shape(world, tally))
                     if cells > max_cells:
                         raise ArgumentError(
                             f"{world.num_objects} objects over {horizon} steps have more than {max_cells:,} states "
@@ -163,8 +164,3 @@ def _future(world: GridWorld, node: Node, attempt: Attempt, after: list[Grid]) -
         return _left(world, node.tally, without=target if result is Result.WASHED else None)
     looks = looks_of(world, after_attempt(world, node.tally, target, result), held_after(attempt))
     return expected_over_labels(after[node.successors[attempt]], looks)
-
-
-def grid_shape(world: GridWorld, tally: Tally) -> tuple[int, ...]:
-    """Return the length of each object's axis."""
-    return tuple(1 if told is None else len(world.log_odds(cup, told.looks)) for cup, told in enumerate(tally))

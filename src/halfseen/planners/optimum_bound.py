@@ -4,7 +4,9 @@ Whoever is told more can do no worse. Three informants are here, each of which t
 
 - ``"looks"`` tells before the first action how well each object is gripped, and what as many looks at each object as
   the horizon allows would say if nothing hid it. No policy sees more labels, nor better ones: a label from behind
-  another object is as good as one in full view that is sometimes turned round at random;
+  another object is as good as one in full view that is sometimes turned round at random. Where errors persist, it tells
+  what would be found in every view that an object of the table can have, from the most hidden to the one in the hand:
+  views are nested, so whoever sees some of them can tell no more;
 - ``"hidden"`` tells which objects are dirty instead;
 - ``"everything"`` tells the time that every grasp will take as well: the exponential draw of every step.
 
@@ -21,10 +23,13 @@ from numpy.typing import ArrayLike
 from scipy.stats import binom
 
 from halfseen.errors import ArgumentError
+from halfseen.planners.optimum_bellman import spread_over_labels
+from halfseen.planners.optimum_labels import Labels, dirty_in, labels_of, views_of
 from halfseen.planners.optimum_model import GridWorld
 from halfseen.world.config import WorldConfig
 from halfseen.world.grasping import AssumedGrasping
 from halfseen.world.scene import Scene
+from halfseen.world.seeing import is_independent
 
 MAX_OBJECTS = 12
 MAX_ENUMERATED = 20_000
@@ -90,8 +95,8 @@ def information_relaxation_bound(
     Raises
     ------
     ArgumentError
-        A number is out of its range, `reveals` is unknown or more than is known of the world's laws, or there are more
-        than `MAX_OBJECTS` objects.
+        A number is out of its range, `reveals` is unknown or does not fit the world's laws, or there are more than
+        `MAX_OBJECTS` objects.
 
     Examples
     --------
@@ -104,7 +109,7 @@ def information_relaxation_bound(
     steps = config.horizon if horizon is None else horizon
     _check(table.num_objects, steps, num_samples, num_grip_nodes, reveals)
     _check_times_known(config, reveals)
-    world = GridWorld(table.hides, config, num_grip_nodes or 1)
+    world = GridWorld(table, config, num_grip_nodes or 1)
     rng = np.random.default_rng(seed)
     dirty, of_dirty = _told_of_dirt(world, steps, reveals)
     num_told = (len(dirty) * (num_grip_nodes or np.inf)) ** table.num_objects
@@ -144,7 +149,12 @@ def _told_of_dirt(
     dirty_share = float(world.config.dirty_share)
     if reveals != "looks":
         return np.array([0.0, 1.0]), np.array([1.0 - dirty_share, dirty_share])
-    accuracy = world.seeing.accuracy(np.concatenate(world.occlusions))
+    occlusions = np.unique(np.concatenate(world.occlusions))
+    if not is_independent(world.seeing):
+        views = views_of(world.seeing, occlusions)
+        return _told_by_all_views(labels_of(world.seeing, views, float(np.log(dirty_share) - np.log1p(-dirty_share))))
+    accuracy, of_clean = world.seeing.positive(occlusions, 0.0)
+    _check_symmetric(accuracy, 1.0 - of_clean)
     best = float(np.maximum(accuracy, 1.0 - accuracy).max())
     labels = np.arange(horizon + 1)
     if_dirty = dirty_share * binom.pmf(labels, horizon, best)
@@ -152,12 +162,30 @@ def _told_of_dirt(
     return if_dirty / total, total
 
 
+def _told_by_all_views(labels: Labels) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """P(DIRTY) of one object after a look in every view, the most hidden first, and how likely that is."""
+    looks, mass = labels.nothing, np.ones(1)
+    for view in np.lexsort((-labels.views.occluded, labels.views.is_held)).tolist():
+        look, looks = labels.look(looks, view), labels.after(looks, view)
+        if look is not None:
+            mass = spread_over_labels(mass, (look,), (labels.num_cells(looks),))
+    return dirty_in(labels.log_odds(looks)), mass
+
+
+def _check_symmetric(right_if_dirty: Float[np.ndarray, " k"], right_if_clean: Float[np.ndarray, " k"]) -> None:
+    if not np.allclose(right_if_dirty, right_if_clean, rtol=0.0, atol=1e-12):
+        raise ArgumentError(
+            "reveals is 'looks', and labels are not right as often of dirty objects as of clean ones, so that none is "
+            "the best of all: use 'hidden'"
+        )
+
+
 def _all_told(world: GridWorld, dirty: Float[np.ndarray, " k"], of_dirty: Float[np.ndarray, " k"]) -> _Told:
     num_objects = world.num_objects
     dirt = np.array(list(product(range(len(dirty)), repeat=num_objects)))
     node = np.array(list(product(range(world.num_grip_nodes), repeat=num_objects)))
     weight = np.outer(of_dirty[dirt].prod(axis=1), world.grip_prior[node].prod(axis=1)).ravel()
-    grip_offset = np.tile(world.grip_offsets[node], (len(dirt), 1))
+    grip_offset = world.grip + np.tile(world.grip_offsets[node], (len(dirt), 1))
     return _Told(np.repeat(dirty[dirt], len(node), axis=0), grip_offset, weight)
 
 
@@ -174,6 +202,7 @@ def _drawn(
         grip_offset = rng.choice(world.grip_offsets, p=world.grip_prior, size=shape)
     else:
         grip_offset = float(world.grasping.offset_std) * rng.standard_normal(shape)
+    grip_offset = world.grip + grip_offset
     return _Told(rng.choice(dirty, p=of_dirty, size=shape), grip_offset, np.full(num_samples, 1.0 / num_samples))
 
 

@@ -9,13 +9,13 @@ from jax import Array
 from jaxtyping import Bool, Float, Int
 
 from halfseen.errors import ArgumentError
-from halfseen.planners.optimum_bellman import Attempt, Grid, Layer, Node, grid_shape
-from halfseen.planners.optimum_model import GridWorld, Result, current_levels
+from halfseen.planners.optimum_bellman import Attempt, Grid, Layer, Node
+from halfseen.planners.optimum_model import GridWorld, Result, current_levels, grid_shape
 from halfseen.world.action_space import FINISH, ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.state import NO_ATTEMPT, TableState
 
-_SAME_LOG_ODDS = 1e-3
+_SAME_LABELS = 1e-3
 
 
 class Histories(NamedTuple):
@@ -130,16 +130,19 @@ def _thinned(mass: Float[np.ndarray, " n"], max_states: int, draw: float) -> Flo
     return kept
 
 
-def log_odds_in(world: GridWorld, layer: Layer, reached: Reached) -> Float[np.ndarray, "n N"]:
-    """Log-odds of DIRTY in states of a layer; 0 for what has left."""
-    log_odds = np.zeros((len(reached.place), world.num_objects))
+def told_in(
+    world: GridWorld, layer: Layer, reached: Reached
+) -> tuple[Float[np.ndarray, "n N"], Float[np.ndarray, "n N"]]:
+    """Log-odds of DIRTY, and share of the surface seen, in states of a layer; 0 for what has left."""
+    log_odds, seen = np.zeros((2, len(reached.place), world.num_objects))
     for place, rows in rows_by_place(reached):
         tally = layer[place].tally
         axes = np.unravel_index(reached.cell[rows], grid_shape(world, tally))
         for cup, told in enumerate(tally):
             if told is not None:
-                log_odds[rows, cup] = world.log_odds(cup, told.looks)[axes[cup]]
-    return log_odds
+                log_odds[rows, cup] = world.labels[cup].log_odds(told.looks)[axes[cup]]
+                seen[rows, cup] = world.labels[cup].seen(told.looks)[axes[cup]]
+    return log_odds, seen
 
 
 def rewards_in(
@@ -185,7 +188,8 @@ def place_of(world: GridWorld, layers: list[Layer], state: TableState) -> tuple[
         if attempt not in layers[step][place].successors:
             raise ArgumentError(f"state's attempt {step + 1}, on object {attempt[0]}, is not possible on this table")
         place = layers[step][place].successors[attempt]
-    return index, place, _cell_of(world, layers[index][place], np.asarray(state.log_odds, dtype=np.float64))
+    told = (np.asarray(leaf, dtype=np.float64) for leaf in (state.log_odds, state.seen))
+    return index, place, _cell_of(world, layers[index][place], *told)
 
 
 def _attempts(state: TableState, num_attempts: int) -> list[Attempt]:
@@ -201,18 +205,19 @@ def _attempts(state: TableState, num_attempts: int) -> list[Attempt]:
     return attempts
 
 
-def _cell_of(world: GridWorld, node: Node, log_odds: np.ndarray) -> tuple[int, ...]:
-    """Cell whose log-odds are those of the state; where several are, they are worth the same."""
+def _cell_of(world: GridWorld, node: Node, log_odds: np.ndarray, seen: np.ndarray) -> tuple[int, ...]:
+    """Cell that tells what the state does; where several are, they are worth the same."""
     cell = []
     for cup, told in enumerate(node.tally):
         if told is None:
             cell.append(0)
             continue
-        distance = np.abs(world.log_odds(cup, told.looks) - log_odds[cup])
+        labels = world.labels[cup]
+        distance = np.abs(labels.log_odds(told.looks) - log_odds[cup]) + np.abs(labels.seen(told.looks) - seen[cup])
         cell.append(int(np.argmin(distance)))
-        if not distance.min() < _SAME_LOG_ODDS:
+        if not distance.min() < _SAME_LABELS:
             raise ArgumentError(
-                f"state's log-odds of object {cup} are {log_odds[cup]:g}; the nearest that its looks allow are "
-                f"{distance.min():.2g} away: give a state of this table"
+                f"state's log-odds of object {cup} are {log_odds[cup]:g}, with {seen[cup]:g} of it seen; the nearest "
+                f"that its looks allow are {distance.min():.2g} away: give a state of this table"
             )
     return tuple(cell)

@@ -1,29 +1,30 @@
 """The table world with grip offsets on a grid, in float64, and what must be counted of a path to know all of it.
 
 Given what is seen, objects are independent, and an object's labels say nothing of its grip. So all that a path tells of
-an object that still stands on the table is counted (`CupTally`): how often it was looked at from each occlusion, how
-often each of those labels said DIRTY, and how often it was grasped and missed at each occlusion. N objects can be
-occluded in no more than 2^(N−1) ways each, so there are few occlusions to count at. What left the table is forgotten.
+an object that still stands on the table is counted (`CupTally`): what its labels take of the looks (`optimum_labels`),
+and how often it was grasped and missed at each occlusion. N objects can be occluded in no more than 2^(N−1) ways each,
+so there are few occlusions to count at. What left the table is forgotten.
 
 The looks and attempts make a `Tally`. Under one tally the labels form a full grid: an axis for each object, along which
-every combination of "how many of the looks at this occlusion said DIRTY" is one cell. Values are arrays over that grid.
+everything that they may have said of it is one cell. Values are arrays over that grid.
 """
 
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property, lru_cache
-from math import prod
 from typing import NamedTuple, TypeAlias
 
 import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from halfseen.arrays import Hides
+from halfseen.arrays import PerObject
 from halfseen.planners.belief import known_grasping, known_seeing
+from halfseen.planners.optimum_labels import Cells, Labels, Look, Looks, dirty_in, labels_of, views_of
 from halfseen.world.config import WorldConfig
 from halfseen.world.grasping import KnownGrasping
 from halfseen.world.number import Number
+from halfseen.world.scene import Scene
 from halfseen.world.seeing import KnownSeeing
 
 _SAME_OCCLUSION_DIGITS = 12
@@ -42,9 +43,9 @@ class Result(IntEnum):
 
 
 class CupTally(NamedTuple):
-    """Looks and attempts of one object on the table, at each occlusion that it can have."""
+    """Looks at one object on the table, and attempts at each occlusion that it can have."""
 
-    looks: Counts
+    looks: Looks
     failures: Counts
     successes: Counts
 
@@ -53,36 +54,33 @@ Tally: TypeAlias = tuple[CupTally | None, ...]
 """One entry for each object; None once it has left the table."""
 
 
-class Look(NamedTuple):
-    """One more label of an object: where each cell of its axis goes, and how likely that is."""
-
-    if_clean: Int[np.ndarray, " cells"]
-    if_dirty: Int[np.ndarray, " cells"]
-    says_dirty: Float[np.ndarray, " cells"]
-
-
 @dataclass(frozen=True, eq=False)
 class GridWorld:
     """One table of the world with each grip offset on Gauss–Hermite nodes of its prior.
 
     Parameters
     ----------
-    hides
-        ``hides[i, j]`` is the share of object i that j alone hides.
+    scene
+        The table.
     config
         The world.
     num_grip_nodes
         Number of grip offsets that an object can have.
     """
 
-    hides: Hides
+    scene: Scene
     config: WorldConfig
     num_grip_nodes: int
 
     @property
     def num_objects(self) -> int:
         """N."""
-        return len(self.hides)
+        return self.scene.num_objects
+
+    @property
+    def grip(self) -> PerObject:
+        """Mean of each object's grip offset."""
+        return np.asarray(self.scene.grip)
 
     @cached_property
     def grasping(self) -> KnownGrasping:
@@ -96,7 +94,7 @@ class GridWorld:
 
     @cached_property
     def grip_offsets(self) -> Float[np.ndarray, " G"]:
-        """The grip offsets that an object can have."""
+        """What is hidden of the grip offset that an object can have: what comes on top of its mean."""
         return float(self.grasping.offset_std) * np.polynomial.hermite_e.hermegauss(self.num_grip_nodes)[0]
 
     @cached_property
@@ -119,56 +117,36 @@ class GridWorld:
     @cached_property
     def _occlusion_by_subset(self) -> Float[np.ndarray, "N subsets"]:
         is_there = np.arange(2**self.num_objects)[:, None] >> np.arange(self.num_objects) & 1
-        seen = np.prod(1.0 - self.hides[:, None] * is_there, axis=2)
+        seen = np.prod(1.0 - self.scene.hides[:, None] * is_there, axis=2)
         return np.round(1.0 - seen, _SAME_OCCLUSION_DIGITS)
 
+    @cached_property
+    def labels(self) -> tuple[Labels, ...]:
+        """For each object, what its looks may say."""
+        prior = float(np.log(self.config.dirty_share) - np.log1p(-self.config.dirty_share))
+        return tuple(labels_of(self.seeing, views_of(self.seeing, levels), prior) for levels in self.occlusions)
+
     @lru_cache(maxsize=_MAX_CACHED)  # noqa: B019 bounded, and the entries are small
-    def log_odds(self, cup: int, looks: Counts) -> Float[np.ndarray, " cells"]:
-        """Log-odds of DIRTY in each cell of an object's axis."""
-        right = self.seeing.accuracy(self.occlusions[cup])
-        evidence = np.log(right) - np.log1p(-right)
-        prior = np.log(self.config.dirty_share) - np.log1p(-self.config.dirty_share)
-        return prior + evidence @ (2 * _dirty_labels(looks) - np.array(looks)[:, None])
-
-    @lru_cache(maxsize=_MAX_CACHED)  # noqa: B019
-    def dirty(self, cup: int, looks: Counts) -> Float[np.ndarray, " cells"]:
+    def dirty(self, cup: int, looks: Looks) -> Cells:
         """P(DIRTY) in each cell of an object's axis."""
-        return 1.0 / (1.0 + np.exp(-self.log_odds(cup, looks)))
-
-    @lru_cache(maxsize=_MAX_CACHED)  # noqa: B019
-    def look(self, cup: int, looks: Counts, level: int) -> Look:
-        """One more label, at the occlusion of index `level`."""
-        labels = _dirty_labels(looks)
-        shape = tuple(count + 1 + (at == level) for at, count in enumerate(looks))
-        one_more = labels + (np.arange(len(looks)) == level)[:, None]
-        right = float(self.seeing.accuracy(self.occlusions[cup][level]))
-        dirty = self.dirty(cup, looks)
-        says_dirty = dirty * right + (1.0 - dirty) * (1.0 - right)
-        if_clean, if_dirty = (np.asarray(np.ravel_multi_index(tuple(told), shape)) for told in (labels, one_more))
-        return Look(if_clean, if_dirty, says_dirty)
+        return dirty_in(self.labels[cup].log_odds(looks))
 
     @lru_cache(maxsize=_MAX_CACHED)  # noqa: B019
     def attempt(self, cup: int, failures: Counts, successes: Counts, level: int) -> tuple[float, float]:
         """P(an attempt succeeds), and its expected time [s], given an object's past attempts."""
         occluded = self.occlusions[cup][:, None]
-        log_failure = self.grasping.log_failure(occluded, self.grip_offsets)
+        offsets = self.grip[cup] + self.grip_offsets
+        log_failure = self.grasping.log_failure(occluded, offsets)
         missed, caught = np.exp(log_failure), -np.expm1(log_failure)
         counts = np.array(failures)[:, None], np.array(successes)[:, None]
         likelihood = self.grip_prior * np.prod(missed ** counts[0] * caught ** counts[1], axis=0)
         grip = likelihood / likelihood.sum()
-        expected_s = float(self.config.transport_s) + float(
-            grip @ self.grasping.expected_s(occluded, self.grip_offsets)[level]
-        )
-        return float(grip @ caught[level]), expected_s
+        expected_s = float(grip @ self.grasping.expected_s(occluded, offsets)[level])
+        return float(grip @ caught[level]), float(self.config.transport_s) + expected_s
 
 
 def _in_float64(leaf: Number | np.ndarray) -> float | np.ndarray:
     return np.asarray(leaf, dtype=np.float64) if np.ndim(leaf) else float(np.asarray(leaf))
-
-
-def _dirty_labels(looks: Counts) -> Int[np.ndarray, "levels cells"]:
-    """How many of the looks at each occlusion said DIRTY, cell by cell."""
-    return np.indices([count + 1 for count in looks]).reshape(len(looks), -1)
 
 
 def is_there(tally: Tally) -> list[int]:
@@ -176,22 +154,28 @@ def is_there(tally: Tally) -> list[int]:
     return [cup for cup, told in enumerate(tally) if told is not None]
 
 
-def num_cells(tally: Tally) -> int:
-    """Return the number of cells of a tally's grid."""
-    return prod(count + 1 for told in tally if told is not None for count in told.looks)
+def grid_shape(world: GridWorld, tally: Tally) -> tuple[int, ...]:
+    """Return the length of each object's axis; 1 once it has left."""
+    pairs = zip(world.labels, tally, strict=True)
+    return tuple(1 if told is None else labels.num_cells(told.looks) for labels, told in pairs)
 
 
 def first_tally(world: GridWorld) -> Tally:
     """Return the tally before anything was seen."""
-    nothing = (tuple(0 for _ in levels) for levels in world.occlusions)
-    return tuple(CupTally(none, none, none) for none in nothing)
+    pairs = zip(world.labels, world.occlusions, strict=True)
+    return tuple(CupTally(labels.nothing, *[(0,) * len(levels)] * 2) for labels, levels in pairs)
 
 
 def current_levels(world: GridWorld, tally: Tally, held: int | None = None) -> list[int]:
-    """Index of the occlusion of each object now; one that is held hides nothing and is seen whole."""
+    """Index of the occlusion of each object now; one that is held hides nothing."""
     subset = sum(1 << cup for cup in is_there(tally) if cup != held)
-    levels = world.level_by_subset[:, subset].tolist()
-    return [0 if cup == held else level for cup, level in enumerate(levels)]
+    return world.level_by_subset[:, subset].tolist()
+
+
+def current_views(world: GridWorld, tally: Tally, held: int | None = None) -> list[int]:
+    """How each object is seen now."""
+    views = current_levels(world, tally, held)
+    return [world.labels[cup].views.held if cup == held else view for cup, view in enumerate(views)]
 
 
 def after_attempt(world: GridWorld, tally: Tally, target: int, result: Result) -> Tally:
@@ -209,19 +193,17 @@ def after_attempt(world: GridWorld, tally: Tally, target: int, result: Result) -
 
 def after_look(world: GridWorld, tally: Tally, held: int | None = None) -> Tally:
     """Return the tally after every object on the table was looked at once."""
-    levels = current_levels(world, tally, held)
     return tuple(
-        None if told is None else told._replace(looks=_counted(told.looks, level))
-        for told, level in zip(tally, levels, strict=True)
+        None if told is None else told._replace(looks=labels.after(told.looks, view))
+        for told, labels, view in zip(tally, world.labels, current_views(world, tally, held), strict=True)
     )
 
 
 def looks_of(world: GridWorld, tally: Tally, held: int | None = None) -> tuple[Look | None, ...]:
-    """Return what `after_look` does to each axis of the grid."""
-    levels = current_levels(world, tally, held)
+    """Return what `after_look` does to each axis of the grid; None where nothing new is seen."""
     return tuple(
-        None if told is None else world.look(cup, told.looks, level)
-        for cup, (told, level) in enumerate(zip(tally, levels, strict=True))
+        None if told is None else labels.look(told.looks, view)
+        for told, labels, view in zip(tally, world.labels, current_views(world, tally, held), strict=True)
     )
 
 

@@ -1,6 +1,7 @@
 """The captured tables, as perception sees them, and what it saw as pictures."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -19,6 +20,6 @@ def look_at(paths: Sequence[Path]) -> tuple[tuple[Scene, ...], dict[str, bytes]]
         for path in tqdm(paths, desc="look at tables", disable=None, leave=False):
             view = perceive(read_cloud(path))
             draw(view, picture)
-            scenes.append(Scene(view.scene().hides, name=path.stem))
+            scenes.append(replace(view.scene(), name=path.stem))
             pictures[path.stem] = picture.read_bytes()
     return tuple(scenes), pictures

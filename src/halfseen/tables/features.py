@@ -16,14 +16,19 @@ The first eleven features describe the table and mean the same for every verb:
 idle = exp(−8 · max soon)    1 where no object is worth another step, and soon 0 where one is
 ===========================  =========================================================================================
 
-with ease = (1 − occlusion) · (1 + successes) / (1 + attempts), the share in sight times the rule of succession for a
-grip; or, given a grasp model, the probability that it gives to a grasp. One more look at an object of which the share v
-is in sight leaves win(v) = ½ (p − ½ + v/4)₊ + ½ (p − ½ − v/4)₊ to be won on average, were its label right with
-probability ½ + v/4, and soon = ease · win(1 − occlusion).
+with ease = (1 − occlusion) · (1 + successes) / (1 + attempts) · likelier: the share in sight, times the rule of
+succession for a grip, times what shows of the grip. Of that, likelier = 4 / (3 + e⁻ᵍ), with g the mean of the grip
+offset, is the probability that odds of three to one become by g, over what it was. Or, given a grasp model, ease is
+the probability that it gives to a grasp.
+
+One more look at an object that shows the share v for the first time leaves win(v) = ½ (p − ½ + v/4)₊ + ½ (p − ½ − v/4)₊
+to be won on average, were its label right with probability ½ + v/4, and soon = ease · win(v). While no surface counts
+as seen, every look is news, and v = 1 − occlusion. Where some does, errors persist, and the last look was taken from
+here: v = 0, and only an object that is held up shows what was not seen of it, v = unseen = 1 − seen.
 
 What follows concerns the target; `laid bare` is what it would show if it were grasped: ease · Σ_j (occlusion of j that
-target i alone causes) · (…); and LIFT gains ease · (win(1) − win(1 − occlusion)) by the better look. FINISH looks at
-Σ p alone.
+target i alone causes) · (…), the doubt of j times unseen; and LIFT gains ease · (ease · win(unseen) − soon) by the
+better look, and looks at the target's doubt times unseen. FINISH looks at Σ p alone.
 
 What differs between targets decides between them. So the largest `soon` stands in a feature of the table, the same for
 all: the largest of the *others* tells as much of the table, but is least for the best target, and turned Q against it.
@@ -52,6 +57,9 @@ WASH_DIRTY, WASH_EASE = NUM_TABLE_FEATURES + 2, NUM_TABLE_FEATURES + 4
 LEAST_IN_SIGHT = 1e-6
 """Share that one object leaves of another's silhouette at least: what is in sight without it follows by division."""
 
+LIKELY_ODDS = 3.0
+"""Odds that a grasp holds at which the mean of a grip offset counts: the rule of succession starts from certainty."""
+
 ROUNDING = 1e-6
 """Differences of float32 numbers below this are 0."""
 
@@ -74,12 +82,13 @@ def table_columns(state: TableState, grasp: GraspModel | None = None) -> Columns
     win, sure = jax.nn.relu(is_dirty - 0.5), jax.nn.relu(is_dirty - 0.75)
     doubt = 4.0 * is_dirty * (1.0 - is_dirty)
     in_sight, laid_bare = _sight(state)
+    unseen = 1.0 - state.seen
     ease = in_sight * _grip(state) if grasp is None else grasp.probability(state)
-    soon = ease * _win_after_look(is_dirty, in_sight)
-    clearer = ease * (ease * _win_after_look(is_dirty, 1.0) - soon)
+    soon = ease * _win_after_look(is_dirty, jnp.where(state.seen > 0.0, 0.0, in_sight))
+    clearer = ease * (ease * _win_after_look(is_dirty, unseen) - soon)
     best = jnp.max(jnp.where(state.is_on_table, soon, 0.0), initial=0.0)
-    laid_bare_doubt = ease * jnp.sum(laid_bare * doubt, axis=1)
-    in_doubt = [doubt, ease, doubt * ease]
+    laid_bare_doubt = ease * jnp.sum(laid_bare * (doubt * unseen), axis=1)
+    in_doubt, left_to_see = ([part, ease, part * ease] for part in (doubt, doubt * unseen))
     at_stake = [win, win * ease, sure, sure * ease]
     return Columns(
         is_there=state.is_on_table,
@@ -97,7 +106,7 @@ def table_columns(state: TableState, grasp: GraspModel | None = None) -> Columns
                 soon * ease,
             ],
             # Rounding is no variance: where nothing else varies, a regression would scale it up.
-            Verb.LIFT: [laid_bare_doubt, *in_doubt, jnp.where(clearer > ROUNDING, clearer, 0.0)],
+            Verb.LIFT: [laid_bare_doubt, *left_to_see, jnp.where(clearer > ROUNDING, clearer, 0.0)],
         },
     )
 
@@ -141,14 +150,16 @@ def _padded(features: Float[Array, "M f"]) -> Float[Array, "M F"]:
     return jnp.pad(features, ((0, 0), (0, NUM_FEATURES - features.shape[1])))
 
 
-def _win_after_look(is_dirty: Float[Array, " N"], in_sight: Float[Array, " N"] | float) -> Float[Array, " N"]:
-    step = in_sight / 4.0
+def _win_after_look(is_dirty: Float[Array, " N"], shown: Float[Array, " N"]) -> Float[Array, " N"]:
+    step = shown / 4.0
     return (jax.nn.relu(is_dirty - 0.5 + step) + jax.nn.relu(is_dirty - 0.5 - step)) / 2.0
 
 
 def _grip(state: TableState) -> Float[Array, " N"]:
+    """Rule of succession, times what is seen of the object."""
     successes, failures = attempt_counts(state)
-    return (1.0 + successes) / (1.0 + successes + failures)
+    likelier = (1.0 + LIKELY_ODDS) / (LIKELY_ODDS + jnp.exp(-state.grip))
+    return (1.0 + successes) / (1.0 + successes + failures) * likelier
 
 
 def _sight(state: TableState) -> tuple[Float[Array, " N"], Float[Array, "N N"]]:

@@ -16,7 +16,7 @@ from halfseen.logs.refusal import place, shown, value_at
 from halfseen.world.action_space import TARGETED, Verb
 from halfseen.world.recording import states_of
 from halfseen.world.scene import Scene
-from halfseen.world.seeing import KnownSeeing
+from halfseen.world.seeing import KnownSeeing, label_evidence
 from halfseen.world.state import NO_ATTEMPT, TableState, occlusion
 
 DIFFERS = 0.3
@@ -71,8 +71,8 @@ def first_state(scene: Scene, horizon: int, dirty_share: float, stage: int = 1) 
     if not 0.0 < dirty_share < 1.0:
         raise PolicyError(f"dirty_share is {dirty_share}; P(DIRTY) before any label lies between 0 and 1")
     prior = np.log(dirty_share) - np.log1p(-dirty_share)
-    nothing = np.zeros(num_objects, dtype=np.int64)
-    return Present(_state(scene, np.full(num_objects, prior), nothing, [], horizon, stage), stage)
+    known = _Known(np.full(num_objects, prior), np.zeros(num_objects), np.zeros(num_objects))
+    return Present(_state(scene, known, [], horizon, stage), stage)
 
 
 def present_state(scene: Scene, horizon: int, history: Logs) -> Present:
@@ -115,7 +115,8 @@ def present_state(scene: Scene, horizon: int, history: Logs) -> Present:
     elif done is not None and not is_washed:
         notes.append(f"whether {done.verb} {done.target} of stage {path.horizon} held is not known; it is not counted")
     stage = path.horizon + (done is not None)
-    state = _state(scene, last.log_odds[kept], last.lifts[kept], tried, horizon, stage)
+    known = _Known(last.log_odds[kept], last.seen[kept], last.lifts[kept])
+    state = _state(scene, known, tried, horizon, stage)
     return Present(state, stage, tuple(notes), is_labelled=done is None)
 
 
@@ -129,16 +130,28 @@ def labelled(present: Present, is_dirty: Sequence[bool | None], seeing: KnownSee
     is_dirty
         What each object looks like; None where nothing can be said.
     seeing
-        How often labels are right.
+        What labels tell.
     """
     if present.is_labelled:
         return present
     occluded = np.asarray(occlusion(present.state), dtype=np.float64)
-    accuracy = np.asarray(seeing.accuracy(occluded))
-    sign = np.array([0.0 if dirty is None else 2.0 * dirty - 1.0 for dirty in is_dirty])
-    log_odds = np.asarray(present.state.log_odds) + sign * (np.log(accuracy) - np.log1p(-accuracy))
-    state = replace(present.state, log_odds=jnp.asarray(log_odds.astype(np.float32)))
+    log_odds, seen = (np.asarray(leaf, dtype=np.float64) for leaf in (present.state.log_odds, present.state.seen))
+    is_told, says_dirty = np.array([dirty is not None for dirty in is_dirty]), np.array(is_dirty, dtype=bool)
+    evidence = label_evidence(*seeing.positive(occluded, seen), says_dirty)
+    state = replace(
+        present.state,
+        log_odds=jnp.asarray((log_odds + np.where(is_told, evidence, 0.0)).astype(np.float32)),
+        seen=jnp.asarray(np.where(is_told, seeing.after(occluded, seen, says_dirty), seen).astype(np.float32)),
+    )
     return replace(present, state=state, is_labelled=True)
+
+
+class _Known(NamedTuple):
+    """What is known of each object, besides its past attempts."""
+
+    log_odds: np.ndarray
+    seen: np.ndarray
+    lifts: np.ndarray
 
 
 class _Done(NamedTuple):
@@ -174,14 +187,7 @@ def _last_action(path: Logs) -> _Done | None:
     return _Done(verb, listed.index(name))
 
 
-def _state(
-    scene: Scene,
-    log_odds: np.ndarray,
-    lifts: np.ndarray,
-    tried: list[tuple[int, float, bool]],
-    horizon: int,
-    stage: int,
-) -> TableState:
+def _state(scene: Scene, known: _Known, tried: list[tuple[int, float, bool]], horizon: int, stage: int) -> TableState:
     if not 1 <= stage <= horizon or len(tried) > horizon:
         raise PolicyError(
             f"stage {stage} with {len(tried)} past attempts lies beyond the policy's horizon of {horizon} stages; the "
@@ -194,8 +200,10 @@ def _state(
         hides=jnp.asarray(scene.hides.astype(np.float32)),
         is_object=jnp.asarray(there),
         is_on_table=jnp.asarray(there),
-        log_odds=jnp.asarray(log_odds.astype(np.float32)),
-        lifts=jnp.asarray(lifts.astype(np.int32)),
+        grip=jnp.asarray(np.asarray(scene.grip, dtype=np.float32)),
+        log_odds=jnp.asarray(known.log_odds.astype(np.float32)),
+        seen=jnp.asarray(known.seen.astype(np.float32)),
+        lifts=jnp.asarray(known.lifts.astype(np.int32)),
         attempt_object=jnp.asarray(target.astype(np.int32)),
         attempt_occlusion=jnp.asarray(occluded.astype(np.float32)),
         attempt_succeeded=jnp.asarray(succeeded.astype(bool)),

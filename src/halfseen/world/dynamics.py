@@ -40,10 +40,12 @@ def look(
 
     An object in `held` is seen unoccluded and hides nothing.
     """
-    glimpse = Glimpse(state.is_on_table, jnp.where(held, 0.0, occlusion_without(state, held)))
+    is_seen = state.is_on_table
+    glimpse = Glimpse(is_seen, jnp.where(held, 0.0, occlusion_without(state, held)), held, state.seen)
     told = config.seeing.look(glimpse, state.log_odds, hidden.is_dirty, hidden.seeing_trait, key)
-    log_odds = jnp.where(state.is_on_table, told.log_odds, state.log_odds)
-    return replace(state, log_odds=log_odds), replace(hidden, seeing_trait=told.trait)
+    log_odds = jnp.where(is_seen, told.log_odds, state.log_odds)
+    seen = jnp.where(is_seen, told.seen, state.seen)
+    return replace(state, log_odds=log_odds, seen=seen), replace(hidden, seeing_trait=told.trait)
 
 
 def start(config: WorldConfig, layout: Layout, key: Array) -> tuple[TableState, HiddenState]:
@@ -97,7 +99,7 @@ def _attempted(
 ) -> Attempt:
     """How the attempt went; it changes nothing where there is none, or none is possible."""
     law, is_attempt, is_there = config.grasping, verb != Verb.FINISH, state.is_on_table[target]
-    table = Arrangement(state.hides, state.is_on_table, occlusion(state))
+    table = Arrangement(state.hides, state.is_on_table, occlusion(state), state.grip)
     tried = law.attempt(table, hidden.grasp_trait, verb, target, key)
     is_real = is_attempt & is_there
     return Attempt(

@@ -17,7 +17,7 @@ from halfseen.world.state import TableState
 SAME_VALUE = 1e-6
 """Actions whose values in a draw differ by less are tied there [reward]: more than float32 can tell apart."""
 
-_SAME_LOG_ODDS = 1e-4
+_SAME = 1e-4
 _NUM_SHOWN = 8
 
 
@@ -172,15 +172,17 @@ probability 0.00.
 def alike(state: TableState) -> Int[np.ndarray, " A"]:
     """For each action, the lowest one that only the numbering of the objects tells from it.
 
-    Two objects are interchangeable if all that is seen stays the same when they trade places: location, log-odds, past
-    attempts, and who hides whom. Doing the same to either is then worth the same, whatever estimates say.
+    Two objects are interchangeable if all that is seen stays the same when they trade places: location, grip, log-odds,
+    what was seen of them, past attempts, and who hides whom. Doing the same to either is then worth the same, whatever
+    estimates say.
 
     Parameters
     ----------
     state
         One table.
     """
-    there, log_odds = np.asarray(state.is_on_table), np.asarray(state.log_odds, dtype=np.float64)
+    there = np.asarray(state.is_on_table)
+    known = np.stack([np.asarray(leaf, dtype=np.float64) for leaf in (state.log_odds, state.grip, state.seen)])
     hides = np.where(there[:, None] & there[None, :], np.asarray(state.hides), 0.0)
     tried = [_attempts(state, target) for target in range(state.num_objects)]
     first = np.arange(state.num_objects)
@@ -188,7 +190,7 @@ def alike(state: TableState) -> Int[np.ndarray, " A"]:
         for j in np.flatnonzero(there[:i]):
             order = np.arange(state.num_objects)
             order[[i, j]] = j, i
-            is_same = abs(log_odds[i] - log_odds[j]) < _SAME_LOG_ODDS and tried[i] == tried[j]
+            is_same = (np.abs(known[:, i] - known[:, j]) < _SAME).all() and tried[i] == tried[j]
             if is_same and np.array_equal(hides[np.ix_(order, order)], hides):
                 first[i] = j
                 break

@@ -6,15 +6,13 @@ pytree, so that it runs inside compiled calls.
 """
 
 from dataclasses import dataclass
-from types import ModuleType
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from halfseen.world.number import Number
+from halfseen.world.number import Number, namespace
 
 
 class Arrangement(NamedTuple):
@@ -26,6 +24,8 @@ class Arrangement(NamedTuple):
     """False in the dishwasher, and for padding."""
     occlusion: Float[Array, " N"]
     """Hidden share of each object now."""
+    grip: Float[Array, " N"]
+    """Mean of each object's grip offset, from what is seen of it; 0 where nothing sets it apart."""
 
 
 class Attempt(NamedTuple):
@@ -92,9 +92,10 @@ class GraspLaw(Protocol):
 class KnownGrasping(GraspLaw, Protocol):
     """A `GraspLaw` whose probabilities are known, for planners.
 
-    Its hidden trait is one number u for each object, from N(0, offset_std²), that no attempt changes; attempts are
-    independent given u and the occlusion, are the same for every verb, and move nothing. Of NumPy's arrays the methods
-    make NumPy's (float64), of JAX's JAX's; arguments broadcast.
+    Its hidden trait is one number u for each object, from N(0, offset_std²), that no attempt changes. The grip offset
+    of an object is `Arrangement.grip` + u: its mean shows, the rest does not. Attempts are independent given the offset
+    and the occlusion, are the same for every verb, and move nothing. Of NumPy's arrays the methods make NumPy's
+    (float64), of JAX's JAX's; arguments broadcast.
     """
 
     @property
@@ -103,7 +104,7 @@ class KnownGrasping(GraspLaw, Protocol):
         ...
 
     def log_failure(self, occluded: Any, offset: Any) -> Any:
-        """Log probability that an attempt fails at a hidden share in [0, 1] and an offset u."""
+        """Log probability that an attempt fails at a hidden share in [0, 1] and a grip offset."""
         ...
 
     def expected_s(self, occluded: Any, offset: Any) -> Any:
@@ -114,14 +115,15 @@ class KnownGrasping(GraspLaw, Protocol):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class AssumedGrasping:
-    """Time to grasp T = exp(a + b·occ − u)·E with E ~ Exp(1) and a hidden grip offset u ~ N(0, σ²) of each object.
+    """Time to grasp T = exp(a + b·occ − grip − u)·E with E ~ Exp(1) and a hidden u ~ N(0, σ²) of each object.
 
-    An attempt holds when T ≤ τ and takes min(T, τ); nothing else moves. These numbers are this project's own choice.
+    `Arrangement.grip` is 0 unless the scene says more. An attempt holds when T ≤ τ and takes min(T, τ); nothing else
+    moves. These numbers are this project's own choice.
 
     Parameters
     ----------
     offset_std
-        σ, standard deviation of the hidden grip offset.
+        σ, standard deviation of u.
     log_time, log_time_per_occlusion
         a and b [log s].
     limit_s
@@ -134,7 +136,7 @@ class AssumedGrasping:
     limit_s: Number = 6.0
 
     def draw_trait(self, num_objects: int, key: Array) -> Float[Array, " N"]:
-        """Draw the grip offset of each object."""
+        """Draw u of each object."""
         return self.offset_std * jax.random.normal(key, (num_objects,))
 
     def attempt(
@@ -146,24 +148,21 @@ class AssumedGrasping:
         key: Array,
     ) -> Attempt:
         """Draw the time to grasp; whatever is to be done with the object."""
-        grasp_s = jax.random.exponential(key) * self.scale_s(table.occlusion[target], trait[target])
+        offset = table.grip[target] + trait[target]
+        grasp_s = jax.random.exponential(key) * self.scale_s(table.occlusion[target], offset)
         return Attempt(grasp_s <= self.limit_s, jnp.minimum(grasp_s, self.limit_s), table.hides, trait)
 
     def scale_s(self, occluded: Any, offset: Any) -> Any:
-        """Mean time to grasp without a limit: exp(a + b·occ − u) [s]."""
+        """Mean time to grasp without a limit: exp(a + b·occ − offset) [s]."""
         exponent = self.log_time + self.log_time_per_occlusion * occluded - offset
-        return _namespace(exponent).exp(exponent)
+        return namespace(exponent).exp(exponent)
 
     def log_failure(self, occluded: Any, offset: Any) -> Any:
-        """Log P(T > τ | occ, u) = −τ / scale."""
+        """Log P(T > τ | occ, offset) = −τ / scale."""
         # The scale is a product of occlusion and offset: no exponential for every pair of them.
-        return -self.limit_s / self.scale_s(occluded, 0.0) * _namespace(offset).exp(offset)
+        return -self.limit_s / self.scale_s(occluded, 0.0) * namespace(offset).exp(offset)
 
     def expected_s(self, occluded: Any, offset: Any) -> Any:
         """E min(T, τ) = scale·(1 − P(T > τ)) [s]."""
         log_failure = self.log_failure(occluded, offset)
-        return -self.scale_s(occluded, offset) * _namespace(log_failure).expm1(log_failure)
-
-
-def _namespace(values: Any) -> ModuleType:
-    return jnp if isinstance(values, Array) else np
+        return -self.scale_s(occluded, offset) * namespace(log_failure).expm1(log_failure)

@@ -17,8 +17,8 @@ from halfseen.world.config import WorldConfig
 from halfseen.world.cuts import CAUSES
 from halfseen.world.dynamics import start, step
 from halfseen.world.scene import Scene
-from halfseen.world.seeing import KnownSeeing
-from halfseen.world.state import TableState, attempt_counts, occlusion, pad_scenes
+from halfseen.world.seeing import KnownSeeing, is_independent, label_evidence
+from halfseen.world.state import Layout, TableState, attempt_counts, occlusion, pad_scenes
 
 Observation = dict[str, Any]
 """Arrays by name; see `CupsEnv`."""
@@ -44,9 +44,10 @@ class CupsEnv(gymnasium.Env[Observation, np.int64]):
     task: the stage in progress is lost, so the reward is 0, S_t stays, and ``info`` gives the clock of the cut and its
     cause. They never come together, as a stage that ends at the very moment of a cut is completed.
 
-    An observation holds S_t: for each object is_object, is_on_table (else in the dishwasher), occlusion, log_odds (of
-    DIRTY), successes, failures and lifts; hides (of row i, the share that each object hides alone); the attempts in the
-    order of the steps (object or -1, occlusion, succeeded); and steps_to_go. Padding reads 0.
+    An observation holds S_t: for each object is_object, is_on_table (else in the dishwasher), occlusion, grip (mean of
+    its grip offset), log_odds (of DIRTY), seen (share of its surface that labels have told of), successes, failures and
+    lifts; hides (of row i, the share that each object hides alone); the attempts in the order of the steps (object or
+    -1, occlusion, succeeded); and steps_to_go. Padding reads 0.
 
     Parameters
     ----------
@@ -101,7 +102,7 @@ class CupsEnv(gymnasium.Env[Observation, np.int64]):
         self._layouts = pad_scenes(self.scenes, num_objects)
         self.num_objects = int(self._layouts.is_object.shape[-1])
         self.action_space = spaces.Discrete(ActionSpace(self.num_objects).num_actions)
-        self.observation_space: spaces.Space[Observation] = _observation_space(self.num_objects, self.config)
+        self.observation_space: spaces.Space[Observation] = _observation_space(self._layouts, self.config)
         self._state: TableState | None = None
 
     def reset(
@@ -187,7 +188,9 @@ def _observe(state: TableState) -> dict[str, Array]:
         "is_object": state.is_object.astype(jnp.int8),
         "is_on_table": state.is_on_table.astype(jnp.int8),
         "occlusion": occlusion(state),
+        "grip": state.grip,
         "log_odds": jnp.where(state.is_object, state.log_odds, 0.0),
+        "seen": state.seen,
         "successes": successes.astype(jnp.int32),
         "failures": failures.astype(jnp.int32),
         "lifts": state.lifts,
@@ -199,17 +202,19 @@ def _observe(state: TableState) -> dict[str, Array]:
     }
 
 
-def _observation_space(num_objects: int, config: WorldConfig) -> spaces.Space[Observation]:
-    horizon = config.horizon
+def _observation_space(layouts: Layout, config: WorldConfig) -> spaces.Space[Observation]:
+    num_objects, horizon = layouts.is_object.shape[-1], config.horizon
     share = partial(spaces.Box, 0.0, 1.0, dtype=np.float32)
     count = partial(spaces.Box, 0, horizon, dtype=np.int32)
-    bound = _largest_log_odds(config)
+    bound, firmest = _largest_log_odds(config), float(np.nanmax(np.abs(layouts.grip), initial=1.0))
     return spaces.Dict(
         {
             "is_object": spaces.MultiBinary(num_objects),
             "is_on_table": spaces.MultiBinary(num_objects),
             "occlusion": share((num_objects,)),
+            "grip": spaces.Box(-firmest, firmest, (num_objects,), dtype=np.float32),
             "log_odds": spaces.Box(-bound, bound, (num_objects,), dtype=np.float32),
+            "seen": share((num_objects,)),
             "successes": count((num_objects,)),
             "failures": count((num_objects,)),
             "lifts": count((num_objects,)),
@@ -225,11 +230,11 @@ def _observation_space(num_objects: int, config: WorldConfig) -> spaces.Space[Ob
 def _largest_log_odds(config: WorldConfig) -> float:
     """Bound on |log-odds|: the prior's, and as many labels as there are, each the surest that a label can be.
 
-    There is none where it is not known how sure a label can be.
+    There is none where it is not known how sure a label can be, or labels are not independent.
     """
-    if not isinstance(config.seeing, KnownSeeing):
+    if not (isinstance(config.seeing, KnownSeeing) and is_independent(config.seeing)):
         return np.inf
-    surest = config.seeing.accuracy(0.0)
-    label = np.log(surest) - np.log1p(-surest)
+    in_full_view = config.seeing.positive(0.0, 0.0)
+    surest = max(abs(label_evidence(*in_full_view, says_dirty)) for says_dirty in (False, True))
     prior = np.abs(np.log(config.dirty_share) - np.log1p(-config.dirty_share))
-    return float(np.ceil(prior + (config.horizon + 1) * label))
+    return float(np.ceil(prior + (config.horizon + 1) * surest))

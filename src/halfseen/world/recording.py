@@ -1,8 +1,10 @@
 """From cut episodes to `Logs`, and from the logs of tables back to the states that a policy saw.
 
-Per object and stage a log holds: location ("TABLE" or "DISHWASHER"), occlusion, log_odds (of DIRTY), successes and
-failures (of past grasps), lifts, and three lists: hidden_by (the share of it that each object of the scene hides alone,
-in the order of the objects), attempt_occlusions and attempt_succeeded (its past attempts, oldest first).
+Per object and stage a log holds: location ("TABLE" or "DISHWASHER"), occlusion, grip (mean of its grip offset, from
+what shows of it), log_odds (of DIRTY), seen (share of its surface that labels have told of), successes and failures (of
+past grasps), lifts, and three lists: hidden_by (the share of it that each object of the scene hides alone, in the order
+of the objects), attempt_occlusions and attempt_succeeded (its past attempts, oldest first). A log without grip or seen
+is read as one in which they are 0.
 Per path it holds the scene's name, and dirty_share: P(DIRTY) of an object before any label, which log_odds start from.
 """
 
@@ -114,7 +116,9 @@ def _objects(cuts: CutEpisodes, begun: Int[np.ndarray, "rows 2"]) -> pa.Table:
             "object": target,
             "location": np.where(np.asarray(states.is_on_table)[at], TABLE, DISHWASHER).tolist(),
             "occlusion": occluded[at].astype(np.float64),
+            "grip": np.asarray(states.grip)[at].astype(np.float64),
             "log_odds": np.asarray(states.log_odds)[at].astype(np.float64),
+            "seen": np.asarray(states.seen)[at].astype(np.float64),
             "successes": successes[at].astype(np.int64),
             "failures": failures[at].astype(np.int64),
             "lifts": np.asarray(states.lifts)[at].astype(np.int64),
@@ -146,15 +150,24 @@ def states_of(logs: Logs, horizon: int) -> TableState:
     shape = (logs.num_paths, horizon, num_objects)
     at = path, stage, target
     is_object, is_on_table = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
-    log_odds, lifts = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.int32)
     is_object[at] = True
     is_on_table[at] = frame["location"].to_numpy() == TABLE
-    log_odds[at] = frame["log_odds"]
-    lifts[at] = frame["lifts"]
-    attempts = _attempts(frame, lists, at, shape[:2], horizon)
-    steps_to_go = np.broadcast_to(horizon - np.arange(horizon, dtype=np.int32), shape[:2])
-    leaves = (_hides(lists["hidden_by"], at, shape), is_object, is_on_table, log_odds, lifts, *attempts, steps_to_go)
-    return TableState(*(jnp.asarray(leaf) for leaf in leaves))
+    types = {"grip": np.float32, "log_odds": np.float32, "seen": np.float32, "lifts": np.int32}
+    numbers = {name: np.zeros(shape, dtype=dtype) for name, dtype in types.items()}
+    for name in numbers.keys() & set(frame.columns):
+        numbers[name][at] = frame[name]
+    tried, tried_at, succeeded = _attempts(frame, lists, at, shape[:2], horizon)
+    leaves = {
+        "hides": _hides(lists["hidden_by"], at, shape),
+        "is_object": is_object,
+        "is_on_table": is_on_table,
+        **numbers,
+        "attempt_object": tried,
+        "attempt_occlusion": tried_at,
+        "attempt_succeeded": succeeded,
+        "steps_to_go": np.broadcast_to(horizon - np.arange(horizon, dtype=np.int32), shape[:2]),
+    }
+    return TableState(**{name: jnp.asarray(leaf) for name, leaf in leaves.items()})
 
 
 def _hides(hidden_by: Lists, at: tuple, shape: tuple[int, int, int]) -> Float[np.ndarray, "n T N N"]:

@@ -1,7 +1,7 @@
-"""What the world needs to know of a table: which object hides which.
+"""What the world needs to know of a table: which object hides which, and how well each seems to be gripped.
 
 A `Scene` is what perception hands over and what an episode starts from. It holds what can be seen and nothing hidden:
-whether an object is dirty, and how well it can be gripped, are drawn when an episode begins.
+whether an object is dirty, and what nobody sees of its grip, are drawn when an episode begins.
 """
 
 from dataclasses import dataclass
@@ -23,17 +23,30 @@ class Scene:
         is 0.
     name
         Where the scene comes from, for reports.
+    grip
+        Mean of each object's grip offset, from what is seen of it (it lies, it is wide), in units of the law of
+        grasping; above 0 it is easier to grip than most. None for 0.
 
     Raises
     ------
     SceneError
-        `hides` is not square, leaves [0, 1], is not finite, or lets an object hide itself.
+        `hides` is not square, leaves [0, 1], is not finite, or lets an object hide itself; `grip` is not finite, or not
+        one number an object.
     """
 
     hides: Hides
     name: str = "scene"
+    grip: PerObject | None = None
 
     def __post_init__(self) -> None:
+        hides = self._checked_hides()
+        hides.setflags(write=False)
+        object.__setattr__(self, "hides", hides)
+        grip = self._checked_grip()
+        grip.setflags(write=False)
+        object.__setattr__(self, "grip", grip)
+
+    def _checked_hides(self) -> Hides:
         hides = np.array(self.hides, dtype=np.float64)
         if hides.ndim != 2 or hides.shape[0] != hides.shape[1]:
             raise SceneError(f"{self.name}: hides has shape {hides.shape}; it must be square, (N, N)")
@@ -46,8 +59,16 @@ class Scene:
             raise SceneError(
                 f"{self.name}: hides[{i}, {i}] is {hides[i, i]}; an object does not hide itself: set it to 0"
             )
-        hides.setflags(write=False)
-        object.__setattr__(self, "hides", hides)
+        return hides
+
+    def _checked_grip(self) -> PerObject:
+        grip = np.zeros(self.num_objects) if self.grip is None else np.array(self.grip, dtype=np.float64)
+        if grip.shape != (self.num_objects,):
+            raise SceneError(f"{self.name}: grip has shape {grip.shape}; give one number for each of the objects")
+        if not np.isfinite(grip).all():
+            i = int(np.argmin(np.isfinite(grip)))
+            raise SceneError(f"{self.name}: grip[{i}] is {grip[i]}; give a finite offset, 0 where nothing is known")
+        return grip
 
     @property
     def num_objects(self) -> int:

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
-import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from halfseen.world.number import Number
+from halfseen.world.number import Number, namespace
 
 
 class Glimpse(NamedTuple):
@@ -21,13 +20,19 @@ class Glimpse(NamedTuple):
     """False for what has left the table, and for padding."""
     occluded: Float[Array, " N"]
     """Hidden share of each object in this look; an object that is held up is seen whole and hides nothing."""
+    is_held: Bool[Array, " N"]
+    """Whether it is held up before the camera, which then sees it from all sides."""
+    seen: Float[Array, " N"]
+    """Share of its surface that has been in view before, as the law counts it; see `Told.seen`."""
 
 
 class Told(NamedTuple):
-    """What one look told."""
+    """What one look told; of what was not seen it may hold anything."""
 
     log_odds: Float[Array, " N"]
-    """Log-odds of DIRTY given all looks so far; what was not seen may hold anything."""
+    """Log-odds of DIRTY given all looks so far."""
+    seen: Float[Array, " N"]
+    """Share of the surface in [0, 1] that looks have told of; 0 for a law to which every look is news."""
     trait: Any
     """The hidden trait afterwards."""
 
@@ -36,10 +41,10 @@ class Told(NamedTuple):
 class SeeingLaw(Protocol):
     """What looks at one table tell; `jax.vmap` makes it many.
 
-    What makes errors persist from look to look (a stain that always misleads, the last view that was counted) is the
-    law's hidden trait: any pytree, or None. The law draws it when the table is set, is handed it at every look, and
-    hands back what has become of it. So it is the law that decides what is news: evidence that a former look already
-    gave must not be added again.
+    It is the law that decides what is news: evidence that a former look already gave must not be added again. What it
+    needs for that and anyone may know is `Told.seen`. What makes errors persist and nobody sees (a stain that always
+    misleads) is the law's hidden trait: any pytree, or None. The law draws it when the table is set, is handed it at
+    every look, and hands back what has become of it.
     """
 
     def draw_trait(self, num_objects: int, key: Array) -> Any:
@@ -71,13 +76,45 @@ class SeeingLaw(Protocol):
 class KnownSeeing(SeeingLaw, Protocol):
     """A `SeeingLaw` whose probabilities are known, for planners.
 
-    Each look labels each object that it sees DIRTY or CLEAN, independently of all other labels given the truth. Of
-    NumPy's arrays `accuracy` makes NumPy's (float64), of JAX's JAX's.
+    Each look labels each object that it sees: it says DIRTY, or it does not. Given the truth, a label depends on former
+    looks through `Told.seen` alone, and on nothing that concerns other objects. Where `seen` is 0 and stays so, labels
+    are independent (`is_independent`). Of NumPy's arrays the methods make NumPy's (float64), of JAX's JAX's; arguments
+    broadcast.
     """
 
-    def accuracy(self, occluded: Any) -> Any:
-        """Probability that a label is right at a hidden share in [0, 1]: inside (0, 1), not rising with it."""
+    def positive(self, occluded: Any, seen: Any, is_held: Any = False) -> tuple[Any, Any]:
+        """Probabilities that a look says DIRTY of an object that is dirty, and of one that is clean.
+
+        Both lie inside (0, 1), or are 0 where the look shows nothing new.
+
+        Parameters
+        ----------
+        occluded
+            Hidden share in this look, in [0, 1].
+        seen
+            Share of the surface that was in view before.
+        is_held
+            Whether the object is held up before the camera; then `occluded` is 0.
+        """
         ...
+
+    def after(self, occluded: Any, seen: Any, says_dirty: Any, is_held: Any = False) -> Any:
+        """Share of the surface that counts as seen after a look, given what it says; in [0, 1], never falling."""
+        ...
+
+
+def is_independent(law: KnownSeeing) -> bool:
+    """Whether every look is news: after one in full view, no surface counts as seen."""
+    return not any(
+        law.after(0.0, 0.0, says_dirty, is_held) for says_dirty in (False, True) for is_held in (False, True)
+    )
+
+
+def label_evidence(if_dirty: Any, if_clean: Any, says_dirty: Any) -> Any:
+    """What a label adds to the log-odds of DIRTY, by the probabilities of `KnownSeeing.positive`; 0 without news."""
+    xp = namespace(if_dirty, if_clean, says_dirty)
+    if_dirty, if_clean = (xp.where(says_dirty, positive, 1.0 - positive) for positive in (if_dirty, if_clean))
+    return xp.log(if_dirty) - xp.log(if_clean)
 
 
 @jax.tree_util.register_dataclass
@@ -111,9 +148,18 @@ class AssumedSeeing:
         """Label each object once; every label is news."""
         accuracy = self.accuracy(glimpse.occluded)
         is_right = jax.random.uniform(key, accuracy.shape) < accuracy
-        evidence = jnp.log(accuracy) - jnp.log1p(-accuracy)
-        return Told(log_odds + jnp.where(is_dirty == is_right, evidence, -evidence), trait)
+        evidence = label_evidence(accuracy, 1.0 - accuracy, is_dirty == is_right)
+        return Told(log_odds + evidence, glimpse.seen, trait)
 
     def accuracy(self, occluded: Any) -> Any:
         """Probability that a label is right."""
         return self.floor + self.gain * (1.0 - occluded) ** self.power
+
+    def positive(self, occluded: Any, seen: Any, is_held: Any = False) -> tuple[Any, Any]:
+        """Probabilities that a look says DIRTY of a dirty object, and of a clean one."""
+        accuracy = self.accuracy(occluded)
+        return accuracy, 1.0 - accuracy
+
+    def after(self, occluded: Any, seen: Any, says_dirty: Any, is_held: Any = False) -> Any:
+        """Nothing counts as seen: the next look is as good as this one."""
+        return seen

@@ -30,8 +30,12 @@ class TableState:
     """False for padding."""
     is_on_table: Bool[Array, "*B N"]
     """Location: TABLE if True, else DISHWASHER (or padding)."""
+    grip: Float[Array, "*B N"]
+    """Mean of each object's grip offset, from what is seen of it; see `Arrangement.grip`."""
     log_odds: Float[Array, "*B N"]
     """Log-odds of DIRTY given all labels so far, the prior included."""
+    seen: Float[Array, "*B N"]
+    """Share of each object's surface that has been in view so far, as the law of seeing counts it; see `Told.seen`."""
     lifts: Int[Array, "*B N"]
     """Number of LIFT attempts that succeeded."""
     attempt_object: Int[Array, "*B T"]
@@ -61,7 +65,7 @@ class HiddenState:
 
     is_dirty: Bool[Array, "*B N"]
     grasp_trait: Any
-    """Of `WorldConfig.grasping`; the grip offsets, axes (B, N), of the assumed one."""
+    """Of `WorldConfig.grasping`; u of each object, axes (B, N), of the assumed one."""
     seeing_trait: Any = None
     """Of `WorldConfig.seeing`; none of the assumed one."""
 
@@ -73,6 +77,7 @@ class Layout:
 
     hides: Float[Array, "*B N N"]
     is_object: Bool[Array, "*B N"]
+    grip: Float[Array, "*B N"]
 
 
 def pad_scenes(scenes: Sequence[Scene], num_objects: int | None = None) -> Layout:
@@ -90,11 +95,12 @@ def pad_scenes(scenes: Sequence[Scene], num_objects: int | None = None) -> Layou
     if size < largest:
         raise SceneError(f"a scene has {largest} objects, more than num_objects={size}; raise num_objects")
     hides = np.full((len(scenes), size, size), np.nan, dtype=np.float32)
-    is_object = np.zeros((len(scenes), size), dtype=bool)
+    grip = np.full((len(scenes), size), np.nan, dtype=np.float32)
     for k, scene in enumerate(scenes):
         hides[k, : scene.num_objects, : scene.num_objects] = scene.hides
-        is_object[k, : scene.num_objects] = True
-    return Layout(jnp.asarray(hides), jnp.asarray(is_object))
+        grip[k, : scene.num_objects] = scene.grip
+    is_object = np.arange(size) < np.array([[scene.num_objects] for scene in scenes])
+    return Layout(jnp.asarray(hides), jnp.asarray(is_object), jnp.asarray(grip))
 
 
 def initial_state(config: WorldConfig, layout: Layout) -> TableState:
@@ -106,7 +112,9 @@ def initial_state(config: WorldConfig, layout: Layout) -> TableState:
         hides=jnp.where(is_pair, layout.hides, 0.0),
         is_object=layout.is_object,
         is_on_table=layout.is_object,
+        grip=jnp.where(layout.is_object, layout.grip, 0.0),
         log_odds=jnp.full(num_objects, prior, dtype=jnp.float32),
+        seen=jnp.zeros(num_objects, dtype=jnp.float32),
         lifts=jnp.zeros(num_objects, dtype=jnp.int32),
         attempt_object=jnp.full(config.horizon, NO_ATTEMPT, dtype=jnp.int32),
         attempt_occlusion=jnp.zeros(config.horizon, dtype=jnp.float32),

@@ -17,6 +17,8 @@ from halfseen.world.action_space import Verb
 TABLE, DISHWASHER = "TABLE", "DISHWASHER"
 LIST_COLUMNS = ("hidden_by", "attempt_occlusions", "attempt_succeeded")
 OBJECT_COLUMNS = ("location", "occlusion", "log_odds", "lifts", *LIST_COLUMNS)
+OPTIONAL_COLUMNS = ("grip", "seen")
+"""Read as 0 where a log has none of them."""
 _ROW = ("path", "stage", "object")
 
 
@@ -125,8 +127,13 @@ def _check_return(frame: pd.DataFrame, rank: Int[np.ndarray, " rows"]) -> None:
 
 
 def _check_numbers(frame: pd.DataFrame) -> None:
-    numbers = {name: as_floats("objects", frame, name).to_numpy() for name in ("occlusion", "log_odds", "lifts")}
-    _refuse(frame, _is_no_share(numbers["occlusion"]), "occlusion", "is outside [0, 1]; give a share, not percent")
+    names = ("occlusion", "log_odds", "lifts", *(name for name in OPTIONAL_COLUMNS if name in frame.columns))
+    numbers = {name: as_floats("objects", frame, name).to_numpy() for name in names}
+    for name in ("occlusion", "seen"):
+        wrong = _is_no_share(numbers.get(name, np.zeros(len(frame))))
+        _refuse(frame, wrong, name, "is outside [0, 1]; give a share, not percent")
+    wrong = ~np.isfinite(numbers.get("grip", np.zeros(len(frame))))
+    _refuse(frame, wrong, "grip", "is no finite number; give the mean of its grip offset, 0 where nothing is known")
     lifts = numbers["lifts"]
     _refuse(frame, (lifts < 0) | (lifts != np.floor(lifts)), "lifts", "is no count; give the number of past lifts")
 

@@ -39,6 +39,7 @@ class GraspTable:
     """P(success) by occlusion, past successes and past failures (a pytree; `jax.vmap` adds batch axes).
 
     Between occlusions it interpolates; more successes or failures than the table holds count as the most that it holds.
+    It was fitted to objects whatever their grip, so the mean of an object's grip offset is added to the log-odds.
 
     Parameters
     ----------
@@ -55,7 +56,8 @@ class GraspTable:
         place = jnp.clip(occlusion(state), 0.0, 1.0) * num_cells
         below = jnp.clip(jnp.floor(place), 0, num_cells - 1).astype(jnp.int32)
         low, high = (self.probabilities[below + step, successes, failures] for step in (0, 1))
-        return low + (place - below) * (high - low)
+        probability = low + (place - below) * (high - low)
+        return probability / (1.0 + (1.0 - probability) * jnp.expm1(-state.grip))
 
 
 def tabulate(model: GraspEstimator, horizon: int) -> GraspTable:
