@@ -40,6 +40,13 @@ class Kinematics:
         The cell.
     robot
         The robot.
+
+    Attributes
+    ----------
+    limits_rad
+        Least and largest angle of each joint [rad]; infinite where it turns without end.
+    search_rad
+        Least and largest angle at which a search begins [rad].
     """
 
     def __init__(self, model: mujoco.MjModel, robot: Robot) -> None:
@@ -50,6 +57,7 @@ class Kinematics:
         self._columns = np.array([joint.dofadr[0] for joint in joints])
         limits = [joint.range if model.jnt_limited[joint.id] else (-np.inf, np.inf) for joint in joints]
         self.limits_rad: Float[np.ndarray, "J 2"] = np.array(limits, dtype=np.float64)
+        self.search_rad: Float[np.ndarray, "J 2"] = robot.arm.search_rad
         self._jacobian = np.zeros((2, 3, model.nv))
         self._bodies = [body for body in range(model.nbody) if model.body(body).name.startswith(robot.of(""))]
 
