@@ -8,7 +8,7 @@ tilted by α_i. The frame after the last joint is the *flange*, whose z points o
 # pyright: reportAttributeAccessIssue=false
 
 from dataclasses import dataclass
-from math import cos, isfinite, pi, radians, sin
+from math import cos, pi, radians, sin
 from typing import Any
 
 import mujoco
@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from halfseen.cell.contacts import ROBOT
-from halfseen.cell.serial_arm import LEAST_JOINTS, require_positive
+from halfseen.cell.serial_arm import LEAST_JOINTS, require_finite, require_positive
 from halfseen.errors import SceneError
 
 _GREY = (0.25, 0.25, 0.28, 1.0)
@@ -89,9 +89,7 @@ class Joint:
 
     def __post_init__(self) -> None:
         require_positive("joint", self, ("mass_kg", "radius_m"))
-        for name in ("d_m", "a_m", "alpha_rad", "zero_rad", "begin_m"):
-            if not isfinite(getattr(self, name)):
-                raise SceneError(f"joint: {name} is {getattr(self, name)}; give a finite number")
+        require_finite("joint", self, ("d_m", "a_m", "alpha_rad", "zero_rad", "begin_m"))
         if self.limits_rad is not None and not self.limits_rad[0] < self.limits_rad[1]:
             raise SceneError(f"joint: limits_rad is {self.limits_rad}; give the smaller angle first")
 
@@ -133,6 +131,7 @@ class Arm:
                 f"arm {self.name!r} has {self.num_joints} joints; to point its hand it needs {LEAST_JOINTS}"
             )
         require_positive(f"arm {self.name!r}", self, ("base_mass_kg", "base_radius_m"))
+        require_finite(f"arm {self.name!r}", self, ("flange_m",))
         if self.begins_rad is not None and len(self.begins_rad) != self.num_joints:
             raise SceneError(
                 f"arm {self.name!r} has {self.num_joints} joints and begins_rad {len(self.begins_rad)} ranges; "

@@ -18,6 +18,7 @@ import numpy as np
 from halfseen.cell.gripper import Gripper
 from halfseen.cell.kinematics import Angles, Kinematics
 from halfseen.cell.model import Robot, cell_model
+from halfseen.cell.motion import line
 from halfseen.cell.serial_arm import SerialArm
 from halfseen.errors import PlanError
 from halfseen.scene.poses import Pose
@@ -28,10 +29,11 @@ HOME_M = (-0.40, 0.58, 0.98)
 STANDS_M = ((0.0, 0.42, 0.56), (0.0, 0.50, 0.72), (0.0, 0.60, 0.72))
 """Where a base may stand behind the table, in the order in which they are tried."""
 PLACES_M = tuple(product((-0.3, 0.0, 0.3), (-0.2, 0.0, 0.2), (TABLE_TOP_M + 0.2,)))
-"""Over the table, where the hand is to come to from there, pointing down."""
+"""Over the table, where the hand is to come to from there, pointing down, and on to the table."""
 _NUM_BEGUN, _NUM_KEPT = 96, 6
 _TURNS_RAD = (0.0, pi / 2, pi / 4, -pi / 4)
 _NUM_LOOKED_AT = 8
+_DOWN_M = 0.12
 _NUM_REACHED = 2000
 
 
@@ -109,11 +111,18 @@ def _down(place_m: tuple[float, float, float], turn_rad: float) -> Pose:
 
 
 def _comes(kinematics: Kinematics, home: Angles, place_m: tuple[float, float, float]) -> bool:
-    """Whether the hand comes from home to a place without a touch, all joints turning evenly."""
+    """Whether the hand comes from home to a place, all joints turning evenly, and straight down, without a touch."""
     for turn_rad in _TURNS_RAD[:2]:
-        there = kinematics.solve(_down(place_m, turn_rad), home)
-        if there is not None and _is_free(kinematics, np.linspace(home, there, _NUM_LOOKED_AT)):
-            return True
+        above = _down(place_m, turn_rad)
+        there = kinematics.solve(above, home)
+        if there is None:
+            continue
+        try:
+            down = line(kinematics, there, above, np.subtract(place_m, (0.0, 0.0, _DOWN_M)))
+            kinematics.refuse_furniture([*np.linspace(home, there, _NUM_LOOKED_AT), *down])
+        except PlanError:
+            continue
+        return True
     return False
 
 

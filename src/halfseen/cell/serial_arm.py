@@ -70,3 +70,25 @@ def require_positive(what: str, part: object, names: Iterable[str]) -> None:
         value = getattr(part, name)
         if not all(0 < number < np.inf for number in np.atleast_1d(value)):
             raise SceneError(f"{what}: {name} is {value}; give a positive number")
+
+
+def require_finite(what: str, part: object, names: Iterable[str]) -> None:
+    """Refuse a part with a number that is not finite.
+
+    Parameters
+    ----------
+    what
+        The part, as messages call it.
+    part
+        What has the numbers.
+    names
+        Of the numbers.
+
+    Raises
+    ------
+    SceneError
+        One of them is not.
+    """
+    for name in names:
+        if not np.isfinite(getattr(part, name)):
+            raise SceneError(f"{what}: {name} is {getattr(part, name)}; give a finite number")
