@@ -42,7 +42,7 @@ def six(folder):
 
 @pytest.fixture(scope="module")
 def robots(folder, six):
-    return {"six": robot_of(six), "seven": robot_of(ArmFile(folder / "seven.xml"))}
+    return {"six": robot_of(six), "seven": robot_of(seven_of(folder))}
 
 
 def put(model, names, angles):
@@ -51,6 +51,10 @@ def put(model, names, angles):
         data.joint(name).qpos = angle
     mujoco.mj_forward(model, data)
     return data
+
+
+def seven_of(folder):
+    return ArmFile(folder / "seven.xml")
 
 
 def numbered(arm):
@@ -112,6 +116,24 @@ def test_shapes_are_found_from_any_folder(folder, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     robot = Robot(arm=arm, home_rad=(0.0,) * 7)
     assert cell_model([], [], (robot,)).nmesh == 1
+
+
+def test_a_label_that_is_only_seen_is_left_off(folder):
+    """A flat mesh has no hull that could be touched."""
+    (folder / "shapes" / "label.obj").write_text("v 0 0 0\nv 0.1 0 0\nv 0.1 0.1 0\nv 0 0.1 0\nf 1 2 3\nf 1 3 4\n")
+    labelled = seven().replace("</asset>", '<mesh name="label" file="label.obj" inertia="shell"/></asset>')
+    label = '<body name="label"><geom type="mesh" mesh="label" contype="0" conaffinity="0"/></body>'
+    (folder / "labelled.xml").write_text(labelled.replace('<body name="link1"', f'{label}<body name="link1"'))
+    model = ArmFile(folder / "labelled.xml").spec().compile()
+    assert (model.nbody, model.ngeom) == (1 + 9, 8)
+
+
+def test_an_arm_may_begin_at_the_world(folder):
+    stand = '<body name="stand"><geom type="mesh" mesh="hull"/>'
+    (folder / "bare.xml").write_text(seven().replace(stand, "").replace("</body></worldbody>", "</worldbody>"))
+    bare, angles = ArmFile(folder / "bare.xml"), np.linspace(-1.0, 1.0, 7)
+    flanges = [put(arm.spec().compile(), numbered(arm), angles).site("flange") for arm in (bare, seven_of(folder))]
+    np.testing.assert_allclose(flanges[0].xpos, flanges[1].xpos, atol=1e-9)
 
 
 def test_a_joint_that_is_not_named_stays_as_it_is(six):

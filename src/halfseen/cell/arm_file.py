@@ -27,7 +27,8 @@ _RATE_PER_S = 70.0  # at which servos follow: that of the arm that the cell's va
 _NUM_DRAWN = 64
 _LEAST_KG, _LEAST_KGM2 = 1e-3, 1e-6  # what turns must weigh something, once its hand is taken off
 _MESHES = (int(mujoco.mjtGeom.mjGEOM_MESH), int(mujoco.mjtGeom.mjGEOM_SDF))
-_SOLID = (*range(int(mujoco.mjtGeom.mjGEOM_SPHERE), _MESHES[0]), *_MESHES)
+_SOLID = range(int(mujoco.mjtGeom.mjGEOM_SPHERE), _MESHES[0])
+_FLAT_M = 1e-5
 
 
 @dataclass(frozen=True)
@@ -195,18 +196,31 @@ def _standing(model: mujoco.MjModel, body: int) -> Float[np.ndarray, " 4"]:
 def _shapes(model: mujoco.MjModel, body: int) -> list[int]:
     """Shapes of a body that touch others, or all if none does; none of the world, which is no part of an arm."""
     begin = model.body_geomadr[body]
-    solid = [geom for geom in range(begin, begin + model.body_geomnum[body]) if model.geom_type[geom] in _SOLID]
+    solid = [geom for geom in range(begin, begin + model.body_geomnum[body]) if _is_solid(model, geom)]
     touching = [geom for geom in solid if model.geom_contype[geom] or model.geom_conaffinity[geom]]
     return (touching or solid) if body else []
 
 
+def _is_solid(model: mujoco.MjModel, geom: int) -> bool:
+    """Whether it can be touched: not a mesh as flat as a label, which has no hull."""
+    if model.geom_type[geom] not in _MESHES:
+        return model.geom_type[geom] in _SOLID
+    # A compiled mesh lies along its principal axes.
+    return bool((np.ptp(_vertices_m(model, int(model.geom_dataid[geom])), axis=0) > _FLAT_M).all())
+
+
+def _vertices_m(model: mujoco.MjModel, mesh: int) -> Float[np.ndarray, "vertices 3"]:
+    return model.mesh_vert[model.mesh_vertadr[mesh] :][: model.mesh_vertnum[mesh]]
+
+
 def _add_mesh(spec: mujoco.MjSpec, model: mujoco.MjModel, geom: int) -> str:
     """Add a shape's mesh, once; its name."""
-    number = model.geom_dataid[geom]
+    number = int(model.geom_dataid[geom])
     name = f"mesh_{number}"
     if spec.mesh(name) is None:
-        vertices = model.mesh_vert[model.mesh_vertadr[number] :][: model.mesh_vertnum[number]]
         faces = model.mesh_face[model.mesh_faceadr[number] :][: model.mesh_facenum[number]]
-        mesh = spec.add_mesh(name=name, uservert=vertices.ravel().tolist(), userface=faces.ravel().tolist())
+        mesh = spec.add_mesh(
+            name=name, uservert=_vertices_m(model, number).ravel().tolist(), userface=faces.ravel().tolist()
+        )
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
     return name

@@ -1,7 +1,8 @@
 """Where an arm stands, and where it waits: with its hand behind the table's left, so that most of the table is near.
 
-Angles are sought from many beginnings, always the same; of those that hold the hand there, free of furniture, the
-robot takes those from which it can turn straight to most places over the table, and of equal ones the highest elbow.
+Angles are sought from many beginnings, always the same; of those that hold the hand there, free of furniture and
+with no joint at a limit, those with the highest elbows are tried: the robot takes the ones from which it comes straight
+to most places over the table.
 """
 
 # MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
@@ -34,6 +35,7 @@ _NUM_BEGUN, _NUM_KEPT = 96, 6
 _TURNS_RAD = (0.0, pi / 2, pi / 4, -pi / 4)
 _NUM_LOOKED_AT = 8
 _DOWN_M = 0.12
+_CORNER_RAD = 0.05
 _NUM_REACHED = 2000
 
 
@@ -100,8 +102,8 @@ def home_rad(robot: Robot) -> tuple[Angles | None, int]:
         if angles is not None:
             found.append(kinematics.nearest_turn(angles, np.zeros(len(angles))))
     free = [angles for angles in found if _is_free(kinematics, angles[None])]
-    high = sorted(free, key=lambda angles: -_height_m(shown, robot, angles))[:_NUM_KEPT]
-    counted = [(angles, sum(_comes(kinematics, angles, place) for place in PLACES_M)) for angles in high]
+    ranked = sorted(free, key=lambda angles: (_is_cornered(kinematics, angles), -_height_m(shown, robot, angles)))
+    counted = [(angles, sum(_comes(kinematics, angles, place) for place in PLACES_M)) for angles in ranked[:_NUM_KEPT]]
     return max(counted, key=lambda pair: pair[1], default=(None, 0))
 
 
@@ -132,6 +134,11 @@ def _is_free(kinematics: Kinematics, way: np.ndarray) -> bool:
     except PlanError:
         return False
     return True
+
+
+def _is_cornered(kinematics: Kinematics, angles: Angles) -> bool:
+    """Whether a joint is at a limit, where it can only go back."""
+    return bool((np.abs(angles[:, None] - kinematics.limits_rad) < _CORNER_RAD).any())
 
 
 def _height_m(shown: mujoco.MjData, robot: Robot, angles: Angles) -> float:
