@@ -1,12 +1,18 @@
 """The arm beside a product of 4 × 4 matrices from its maker's table."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import mujoco
 import numpy as np
 import pytest
 
+from halfseen.cell import Gripper, Robot, robot_of
 from halfseen.cell.arm import JACO_2
+from halfseen.cell.kinematics import Kinematics
+from halfseen.cell.model import cell_model
+from halfseen.cell.planning import beginnings
+from halfseen.errors import SceneError
 
 ANGLES = np.random.default_rng(0).uniform(-3.0, 3.0, size=(20, 6))
 
@@ -71,3 +77,56 @@ def test_it_weighs_what_its_links_weigh_and_carries_itself(model):
     for _ in range(500):
         mujoco.mj_step(model, data)
     np.testing.assert_allclose(data.qpos, data.ctrl, atol=1e-6)
+
+
+def test_searches_begin_where_they_always_did():
+    least, largest = [-3.0, 2.0, 0.6, -3.0, -3.0, -3.0], [3.0, 4.3, 3.1, 3.0, 3.0, 3.0]
+    kinematics, here = Kinematics(cell_model([], []), Robot()), np.zeros(6)
+    drawn = np.random.default_rng(5).uniform(least, largest, size=(3, 6))
+    np.testing.assert_array_equal(
+        beginnings(kinematics, here, np.random.default_rng(5))[1:],
+        [kinematics.nearest_turn(angles, here) for angles in drawn],
+    )
+    np.testing.assert_allclose(replace(JACO_2, begins_rad=None).search_rad[:2, 1], [np.pi, np.deg2rad(313.0)])
+
+
+def test_where_it_waits_can_be_found():
+    usual = Robot()
+    robot = robot_of(JACO_2, stands_m=[usual.base_m], turn_rad=usual.turn_rad)
+    kinematics = Kinematics(cell_model([], []), usual)
+    hands = [kinematics.hand(np.array(home)).position_m for home in (robot.home_rad, usual.home_rad)]
+    np.testing.assert_allclose(*hands, atol=2e-3)
+
+
+JOINT, MOTOR = JACO_2.joints[1], JACO_2.joints[1].motor
+
+
+@pytest.mark.parametrize(
+    ("part", "changed", "message"),
+    [
+        (MOTOR, {"speed_rad_s": 0.0}, r"motor: speed_rad_s is 0\.0; give a positive number"),
+        (MOTOR, {"stiffness_nm": -1.0}, r"motor: stiffness_nm is -1\.0"),
+        (MOTOR, {"armature_kgm2": float("nan")}, "motor: armature_kgm2 is nan"),
+        (JOINT, {"mass_kg": -0.1}, r"joint: mass_kg is -0\.1"),
+        (JOINT, {"radius_m": 0.0}, r"joint: radius_m is 0\.0"),
+        (JOINT, {"a_m": float("inf")}, "joint: a_m is inf; give a finite number"),
+        (JOINT, {"limits_rad": (2.0, 1.0)}, r"joint: limits_rad is \(2\.0, 1\.0\); give the smaller angle first"),
+        (JACO_2, {"joints": JACO_2.joints[:4]}, "has 4 joints; to point its hand it needs 5"),
+        (JACO_2, {"base_mass_kg": -1.0}, r"arm 'Kinova.*': base_mass_kg is -1\.0"),
+        (JACO_2, {"flange_m": float("nan")}, "flange_m is nan; give a finite number"),
+        (JACO_2, {"begins_rad": ((0.0, 1.0),)}, "has 6 joints and begins_rad 1 ranges; give one for every joint"),
+        (Gripper(), {"finger_m": -0.1}, r"gripper: finger_m is -0\.1; give a positive number"),
+        (Gripper(), {"palm_m": (0.1, 0.2, 0.0)}, r"gripper: palm_m is \(0\.1, 0\.2, 0\.0\); give a positive number"),
+        (Gripper(), {"stroke_m": 0.2}, r"gripper: stroke_m is 0\.2; make it less than palm_m\[1\], 0\.164"),
+        (Gripper(), {"pad_length_m": 0.09}, "make it less than finger_m"),
+        (Gripper(), {"pad_thickness_m": 0.02}, "make it less than finger_thickness_m"),
+        (
+            Robot(),
+            {"home_rad": (0.0,) * 5},
+            "home_rad has 5 angles and its arm 6 joints; give one angle for every joint",
+        ),
+    ],
+)
+def test_numbers_that_cannot_be_are_refused(part, changed, message):
+    with pytest.raises(SceneError, match=message):
+        replace(part, **changed)

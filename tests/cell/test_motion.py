@@ -14,7 +14,7 @@ from halfseen.scene.table import TABLE_TOP_M
 
 ROBOT = Robot()
 HOME = np.array(ROBOT.home_rad)
-SPEEDS = np.array([joint.motor.speed_rad_s for joint in ROBOT.arm.joints])
+SPEEDS = ROBOT.arm.speeds_rad_s
 CUP = Cup(0.1, 0.04, 0.035)
 
 

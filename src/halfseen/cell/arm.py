@@ -13,8 +13,11 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from jaxtyping import Float
 
 from halfseen.cell.contacts import ROBOT
+from halfseen.cell.serial_arm import LEAST_JOINTS, require_finite, require_positive
+from halfseen.errors import SceneError
 
 _GREY = (0.25, 0.25, 0.28, 1.0)
 
@@ -31,11 +34,19 @@ class Motor:
         Of its position servo [N·m/rad].
     armature_kgm2
         Inertia behind the gear [kg·m²].
+
+    Raises
+    ------
+    SceneError
+        One of them is not positive.
     """
 
     speed_rad_s: float
     stiffness_nm: float
     armature_kgm2: float
+
+    def __post_init__(self) -> None:
+        require_positive("motor", self, ("speed_rad_s", "stiffness_nm", "armature_kgm2"))
 
 
 @dataclass(frozen=True)
@@ -58,6 +69,11 @@ class Joint:
         Least and largest angle [rad]; None for a joint that turns without end.
     is_reversed
         Whether the arm counts the other way round.
+
+    Raises
+    ------
+    SceneError
+        The link weighs nothing or has no thickness, a length or an angle is not finite, or the limits are reversed.
     """
 
     d_m: float
@@ -70,6 +86,12 @@ class Joint:
     begin_m: float = 0.0
     limits_rad: tuple[float, float] | None = None
     is_reversed: bool = False
+
+    def __post_init__(self) -> None:
+        require_positive("joint", self, ("mass_kg", "radius_m"))
+        require_finite("joint", self, ("d_m", "a_m", "alpha_rad", "zero_rad", "begin_m"))
+        if self.limits_rad is not None and not self.limits_rad[0] < self.limits_rad[1]:
+            raise SceneError(f"joint: limits_rad is {self.limits_rad}; give the smaller angle first")
 
 
 @dataclass(frozen=True)
@@ -86,6 +108,14 @@ class Arm:
         Where the last link ends along the last axis, from frame n − 1 [m]: what is mounted begins there.
     base_mass_kg, base_radius_m
         Of what stands on the floor [kg, m].
+    begins_rad
+        Least and largest angle of each joint at which a search for angles begins [rad]; None for all that it can take.
+
+    Raises
+    ------
+    SceneError
+        It has too few joints to point its hand, its base weighs nothing or has no thickness, or there
+        is not one range to begin in for every joint.
     """
 
     name: str
@@ -93,11 +123,35 @@ class Arm:
     flange_m: float
     base_mass_kg: float
     base_radius_m: float
+    begins_rad: tuple[tuple[float, float], ...] | None = None
+
+    def __post_init__(self) -> None:
+        if self.num_joints < LEAST_JOINTS:
+            raise SceneError(
+                f"arm {self.name!r} has {self.num_joints} joints; to point its hand it needs {LEAST_JOINTS}"
+            )
+        require_positive(f"arm {self.name!r}", self, ("base_mass_kg", "base_radius_m"))
+        require_finite(f"arm {self.name!r}", self, ("flange_m",))
+        if self.begins_rad is not None and len(self.begins_rad) != self.num_joints:
+            raise SceneError(
+                f"arm {self.name!r} has {self.num_joints} joints and begins_rad {len(self.begins_rad)} ranges; "
+                "give one for every joint, or None"
+            )
 
     @property
     def num_joints(self) -> int:
         """Number of joints."""
         return len(self.joints)
+
+    @property
+    def speeds_rad_s(self) -> Float[np.ndarray, " J"]:
+        """Largest speed of each joint [rad/s]."""
+        return np.array([joint.motor.speed_rad_s for joint in self.joints])
+
+    @property
+    def search_rad(self) -> Float[np.ndarray, "J 2"]:
+        """Least and largest angle of each joint at which a search for angles begins [rad]."""
+        return np.array(self.begins_rad or [joint.limits_rad or (-pi, pi) for joint in self.joints])
 
     def spec(self) -> mujoco.MjSpec:
         """Build the arm alone: bodies ``link_i``, ``joint_i`` with a position servo each, and a site ``flange``."""
@@ -179,6 +233,7 @@ _FOLD_M = _WRIST_M * sin(_BEND_RAD) / sin(2 * _BEND_RAD)  # from a joint of the 
 _FOREARM_M, _OFFSET_M = 0.2073, 0.0098
 _LARGE = Motor(speed_rad_s=radians(36.0), stiffness_nm=4000.0, armature_kgm2=0.5)
 _SMALL = Motor(speed_rad_s=radians(48.0), stiffness_nm=1200.0, armature_kgm2=0.2)
+_WIDE_RAD = (-3.0, 3.0)
 
 JACO_2 = Arm(
     name="Kinova Jaco 2, six joints, bent wrist",
@@ -193,5 +248,9 @@ JACO_2 = Arm(
     flange_m=-_FOLD_M - 0.02,
     base_mass_kg=0.718,
     base_radius_m=0.045,
+    begins_rad=(_WIDE_RAD, (2.0, 4.3), (0.6, 3.1), _WIDE_RAD, _WIDE_RAD, _WIDE_RAD),
 )
-"""Lengths, axes, limits, masses and speeds as its maker publishes them; servos and capsules are ours."""
+"""Lengths, axes, limits, masses and speeds as its maker publishes them; servos and capsules are ours.
+
+Searches begin with its elbow up.
+"""

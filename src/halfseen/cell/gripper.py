@@ -6,11 +6,13 @@ Its frame is the flange's: z points out of the palm, y is the closing axis. The 
 # MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
 # pyright: reportAttributeAccessIssue=false
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import mujoco
 
 from halfseen.cell.contacts import ROBOT, Contacts
+from halfseen.cell.serial_arm import require_positive
+from halfseen.errors import SceneError
 
 _DARK, _GREY, _BLACK = (0.15, 0.15, 0.17, 1.0), (0.6, 0.6, 0.65, 1.0), (0.1, 0.1, 0.1, 1.0)
 _BOX = mujoco.mjtGeom.mjGEOM_BOX
@@ -34,6 +36,11 @@ class Gripper:
         Sizes of the palm: across, along the closing axis, deep [m].
     force_n
         Largest force of a finger [N].
+
+    Raises
+    ------
+    SceneError
+        A number is not positive, a pad is larger than its finger, or the palm is narrower than the stroke.
     """
 
     stroke_m: float = 0.140
@@ -45,6 +52,16 @@ class Gripper:
     pad_length_m: float = 0.032
     palm_m: tuple[float, float, float] = (0.040, 0.164, 0.040)
     force_n: float = 25.0
+
+    def __post_init__(self) -> None:
+        require_positive("gripper", self, [field.name for field in fields(self)])
+        for small, large, length_m in (
+            ("stroke_m", "palm_m[1]", self.palm_m[1]),
+            ("pad_length_m", "finger_m", self.finger_m),
+            ("pad_thickness_m", "finger_thickness_m", self.finger_thickness_m),
+        ):
+            if getattr(self, small) >= length_m:
+                raise SceneError(f"gripper: {small} is {getattr(self, small)}; make it less than {large}, {length_m}")
 
     @property
     def tip_m(self) -> float:

@@ -16,7 +16,7 @@ from math import pi
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from halfseen.cell.model import Robot
 from halfseen.errors import PlanError
@@ -40,6 +40,13 @@ class Kinematics:
         The cell.
     robot
         The robot.
+
+    Attributes
+    ----------
+    limits_rad
+        Least and largest angle of each joint [rad]; infinite where it turns without end.
+    search_rad
+        Least and largest angle at which a search begins [rad].
     """
 
     def __init__(self, model: mujoco.MjModel, robot: Robot) -> None:
@@ -50,6 +57,7 @@ class Kinematics:
         self._columns = np.array([joint.dofadr[0] for joint in joints])
         limits = [joint.range if model.jnt_limited[joint.id] else (-np.inf, np.inf) for joint in joints]
         self.limits_rad: Float[np.ndarray, "J 2"] = np.array(limits, dtype=np.float64)
+        self.search_rad: Float[np.ndarray, "J 2"] = robot.arm.search_rad
         self._jacobian = np.zeros((2, 3, model.nv))
         self._bodies = [body for body in range(model.nbody) if model.body(body).name.startswith(robot.of(""))]
 
@@ -89,7 +97,7 @@ class Kinematics:
             apart_m, apart_rad = self._error(target, angles)
             if np.linalg.norm(apart_m) < NEAR_M and np.linalg.norm(apart_rad) < NEAR_RAD:
                 return self.nearest_turn(angles, begin_rad)
-            angles = np.clip(angles + self._step(apart_m, apart_rad), *self.limits_rad.T)
+            angles = np.clip(angles + self._step(angles, apart_m, apart_rad), *self.limits_rad.T)
         return None
 
     def solve_from(self, target: Pose, begins_rad: Iterable[Angles], near_rad: Angles) -> Angles | None:
@@ -142,11 +150,23 @@ class Kinematics:
         mujoco.mju_quat2Vel(turn, apart, 1.0)
         return np.asarray(target.position_m) - site.xpos, turn
 
-    def _step(self, apart_m: np.ndarray, apart_rad: np.ndarray) -> Angles:
+    def _step(self, angles_rad: Angles, apart_m: np.ndarray, apart_rad: np.ndarray) -> Angles:
         mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_jacSite(self._model, self._data, *self._jacobian, self._tcp)
         moves, turns = self._jacobian[:, :, self._columns]
         jacobian, error = np.concatenate([moves, _LEVER_M * turns]), np.concatenate([apart_m, _LEVER_M * apart_rad])
-        damping = _DAMPING**2 * min(1.0, float(np.linalg.norm(error)) / 0.05) + 1e-7
-        step = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + damping * np.eye(6), error)
+        step = _damped(jacobian, error)
+        # An arm with a joint to spare does without one that is at its limit.
+        if len(step) > len(error) and (stuck := self._is_stuck(angles_rad, step)).any():
+            step = _damped(np.where(stuck, 0.0, jacobian), error)
         return step * min(1.0, _LARGEST_STEP_RAD / max(float(np.abs(step).max()), 1e-12))
+
+    def _is_stuck(self, angles_rad: Angles, step_rad: Angles) -> Bool[np.ndarray, " J"]:
+        """Which joints are at a limit, and would go on."""
+        least, largest = self.limits_rad.T
+        return ((angles_rad <= least) & (step_rad < 0)) | ((angles_rad >= largest) & (step_rad > 0))
+
+
+def _damped(jacobian: Float[np.ndarray, "6 J"], error: Float[np.ndarray, " 6"]) -> Angles:
+    damping = _DAMPING**2 * min(1.0, float(np.linalg.norm(error)) / 0.05) + 1e-7
+    return jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + damping * np.eye(6), error)

@@ -87,9 +87,8 @@ class LiveCell:
         speed
             Share of the joints' largest speeds.
         """
-        largest = np.array([joint.motor.speed_rad_s for joint in robot.arm.joints])
         begin = np.array([self.data.actuator(name).ctrl[0] for name in robot.joint_names])
-        plan = schedule(begin, way, speed * largest)
+        plan = schedule(begin, way, speed * robot.arm.speeds_rad_s)
         begin_s, step_s = self.time_s, self.model.opt.timestep
         for _ in range(int(np.ceil(plan.duration_s / step_s))):
             self._aim(robot, plan.at(self.time_s - begin_s + step_s))

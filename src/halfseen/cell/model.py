@@ -12,10 +12,11 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from halfseen.cell.arm import JACO_2, Arm
+from halfseen.cell.arm import JACO_2
 from halfseen.cell.contacts import FURNITURE, OBSTACLES, Contacts
 from halfseen.cell.cup_walls import add_walls
 from halfseen.cell.gripper import Gripper
+from halfseen.cell.serial_arm import SerialArm
 from halfseen.errors import SceneError
 from halfseen.scene.cups import Cup
 from halfseen.scene.poses import Pose
@@ -43,15 +44,27 @@ class Robot:
     arm, gripper
         What it is made of.
     home_rad
-        Angles of the joints where it waits, behind the table [rad].
+        Angles of the joints where it waits, behind the table [rad]; `robot_of` finds those of another arm.
+
+    Raises
+    ------
+    SceneError
+        There is not one angle for every joint.
     """
 
     name: str = "arm"
     base_m: tuple[float, float, float] = (0.0, 0.42, 0.56)
     turn_rad: float = pi
-    arm: Arm = JACO_2
+    arm: SerialArm = JACO_2
     gripper: Gripper = Gripper()  # noqa: RUF009 - frozen
     home_rad: tuple[float, ...] = (-2.589, 3.486, 1.786, -2.610, -1.733, -0.487)
+
+    def __post_init__(self) -> None:
+        if len(self.home_rad) != self.arm.num_joints:
+            raise SceneError(
+                f"robot {self.name!r}: home_rad has {len(self.home_rad)} angles and its arm {self.arm.num_joints} "
+                "joints; give one angle for every joint, or let `robot_of` find them"
+            )
 
     def of(self, part: str) -> str:
         """Name of a part in the model."""

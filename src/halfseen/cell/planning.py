@@ -19,7 +19,6 @@ MOST_PLANS = 8
 """Grasps, no two of them alike, that are looked at before an object counts as out of reach."""
 _ALIKE_M, _ALIKE_COSINE = 0.03, 0.98
 _NUM_DRAWN = 3
-_LEAST_RAD, _LARGEST_RAD = np.array([-3.0, 2.0, 0.6, -3.0, -3.0, -3.0]), np.array([3.0, 4.3, 3.1, 3.0, 3.0, 3.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +150,7 @@ def beginnings(kinematics: Kinematics, here_rad: Angles, rng: np.random.Generato
     rng
         What draws.
     """
-    drawn = rng.uniform(_LEAST_RAD, _LARGEST_RAD, size=(_NUM_DRAWN, len(here_rad)))
+    drawn = rng.uniform(*kinematics.search_rad.T, size=(_NUM_DRAWN, len(here_rad)))
     return [here_rad, *(kinematics.nearest_turn(angles, here_rad) for angles in drawn)]
 
 

@@ -1,0 +1,238 @@
+"""Which part of a robot's model is its arm: from a body that stands still, over hinges, to where a hand is mounted.
+
+What the user does not name is found: the base is the body of the world that carries the arm; the arm is followed from
+there until it ends or forks into fingers; the flange is a site on the last link, or else a body fixed to it, whose name
+has one of `FLANGE_WORDS`, or else the last link's own frame.
+"""
+
+# MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
+# pyright: reportAttributeAccessIssue=false
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import mujoco
+
+from halfseen.cell.serial_arm import LEAST_JOINTS
+from halfseen.errors import SceneError
+from halfseen.scene.poses import Pose
+
+FLANGE_WORDS = frozenset({"attachment", "flange", "tool", "tool0", "ee", "eef", "hand", "gripper", "wristsite"})
+"""Words, apart by any sign that is no letter or digit, that tell where a hand is mounted."""
+
+_WORLD = 0
+_BODY, _JOINT, _SITE = mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_JOINT, mujoco.mjtObj.mjOBJ_SITE
+_HINGE, _FREE = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_FREE
+_MOST_NAMES = 30
+
+
+@dataclass(frozen=True)
+class Flange:
+    """Where a hand is mounted.
+
+    Parameters
+    ----------
+    body
+        That it belongs to.
+    pose
+        In that body.
+    is_of_hand
+        Whether the body is where a hand begins, and no part of the arm.
+    """
+
+    body: int
+    pose: Pose
+    is_of_hand: bool
+
+
+@dataclass(frozen=True)
+class Chain:
+    """The arm of a model, by its numbers of bodies and joints.
+
+    Parameters
+    ----------
+    bodies
+        Each after the one that carries it; the first stands still.
+    joints
+        From the base on.
+    flange
+        Where a hand is mounted.
+    """
+
+    bodies: tuple[int, ...]
+    joints: tuple[int, ...]
+    flange: Flange
+
+
+def find_chain(
+    model: mujoco.MjModel, name: str, base: str | None, flange: str | None, joints: Sequence[str] | None
+) -> Chain:
+    """Find the arm in a model.
+
+    Parameters
+    ----------
+    model
+        Of a robot, and perhaps of what stands about it.
+    name
+        What messages call it.
+    base, flange, joints
+        Name of the body that stands still; of the site or body where a hand is mounted; and of the hinges, from the
+        base on. None for what is to be found.
+
+    Raises
+    ------
+    SceneError
+        There is no such name, the joints are no hinges in a row between base and flange, or they are too few.
+    """
+    named = None if joints is None else tuple(_number(model, name, _JOINT, joint) for joint in joints)
+    mounted = None if flange is None else _named_flange(model, name, flange)
+    still = None if base is None else _number(model, name, _BODY, base)
+    if named:
+        tip = int(model.jnt_bodyid[named[-1]])
+    else:
+        tip = _trunk(model, still or _WORLD)[-1] if mounted is None else mounted.body
+    still = _standing(model, tip) if still is None else still
+    found = _joints_between(model, name, still, tip) if named is None else named
+    _require_enough(model, name, found, tip)
+    last = int(model.jnt_bodyid[found[-1]])
+    mounted = mounted or _found_flange(model, last)
+    path = _path(model, still, mounted.body)
+    _require_row(model, name, found, path)
+    is_of_hand = mounted.is_of_hand and mounted.body != last
+    return Chain(_carried(model, still, path), found, Flange(mounted.body, mounted.pose, is_of_hand))
+
+
+def _number(model: mujoco.MjModel, name: str, kind: mujoco.mjtObj, wanted: str) -> int:
+    number = mujoco.mj_name2id(model, kind, wanted)
+    if number < 0:
+        what = {_BODY: "body", _JOINT: "joint"}[kind]
+        there = _hinges(model) if kind == _JOINT else _names(model, _BODY)
+        raise SceneError(f"{name}: there is no {what} {wanted!r}; there are {_listed(there)}")
+    return number
+
+
+def _named_flange(model: mujoco.MjModel, name: str, wanted: str) -> Flange:
+    site, body = (mujoco.mj_name2id(model, kind, wanted) for kind in (_SITE, _BODY))
+    if site >= 0:
+        return _at_site(model, site)
+    if body >= 0:
+        return Flange(body, Pose((0.0, 0.0, 0.0)), is_of_hand=True)
+    there = [*_names(model, _SITE), *_names(model, _BODY)]
+    raise SceneError(f"{name}: there is no site or body {wanted!r} for a flange; there are {_listed(there)}")
+
+
+def _found_flange(model: mujoco.MjModel, last: int) -> Flange:
+    fixed = [last]
+    for body in range(last + 1, model.nbody):
+        if model.body_parentid[body] in fixed and not model.body_jntnum[body]:
+            fixed.append(body)
+    for site in range(model.nsite):
+        if model.site_bodyid[site] in fixed and _tells(model.site(site).name):
+            return _at_site(model, site)
+    told = next((body for body in fixed[1:] if _tells(model.body(body).name)), last)
+    return Flange(told, Pose((0.0, 0.0, 0.0)), is_of_hand=True)
+
+
+def _tells(name: str) -> bool:
+    return not FLANGE_WORDS.isdisjoint(re.split(r"[^a-z0-9]+", name.lower()))
+
+
+def _at_site(model: mujoco.MjModel, site: int) -> Flange:
+    x_m, y_m, z_m = map(float, model.site_pos[site])
+    w, x, y, z = map(float, model.site_quat[site])
+    return Flange(int(model.site_bodyid[site]), Pose((x_m, y_m, z_m), (w, x, y, z)), is_of_hand=False)
+
+
+def _trunk(model: mujoco.MjModel, begin: int) -> list[int]:
+    """Bodies from one on, as long as one way only leads to more joints; of several robots in a world, the longest."""
+    moves = [any(True for _ in _own_joints(model, body)) for body in range(model.nbody)]
+    for body in range(model.nbody - 1, _WORLD, -1):
+        moves[model.body_parentid[body]] |= moves[body]
+    ways = [body for body in range(begin + 1, model.nbody) if model.body_parentid[body] == begin and moves[body]]
+    if begin == _WORLD and ways:
+        return max((_trunk(model, way) for way in ways), key=lambda way: _num_joints(model, way))
+    return [begin, *_trunk(model, ways[0])] if len(ways) == 1 else [begin]
+
+
+def _own_joints(model: mujoco.MjModel, body: int) -> Iterable[int]:
+    """Joints of a body, less one by which it floats."""
+    begin, number = model.body_jntadr[body], model.body_jntnum[body]
+    return (joint for joint in range(begin, begin + number) if model.jnt_type[joint] != _FREE)
+
+
+def _num_joints(model: mujoco.MjModel, bodies: Iterable[int]) -> int:
+    return sum(1 for body in bodies for _ in _own_joints(model, body))
+
+
+def _standing(model: mujoco.MjModel, tip: int) -> int:
+    """The body of the world that carries another; the world itself where that one turns on a joint."""
+    root = int(model.body_rootid[tip])
+    return _WORLD if any(True for _ in _own_joints(model, root)) else root
+
+
+def _path(model: mujoco.MjModel, begin: int, end: int) -> list[int]:
+    """Bodies from below one to another; to the world's if the first does not carry the other."""
+    path, body = [], end
+    while body not in (begin, _WORLD):
+        path.append(body)
+        body = int(model.body_parentid[body])
+    return path[::-1]
+
+
+def _joints_between(model: mujoco.MjModel, name: str, begin: int, end: int) -> tuple[int, ...]:
+    found = [joint for body in _path(model, begin, end) for joint in _own_joints(model, body)]
+    hinges = [joint for joint in found if model.jnt_type[joint] == _HINGE]
+    if len(found) > len(hinges):
+        other = next(joint for joint in found if joint not in hinges)
+        raise SceneError(
+            f"{name}: the arm's joint {model.joint(other).name!r} is no hinge; name those that are its joints, and "
+            f"what is not named stays as it is: there are {_listed(_hinges(model))}"
+        )
+    return tuple(hinges)
+
+
+def _require_enough(model: mujoco.MjModel, name: str, joints: Sequence[int], tip: int) -> None:
+    if len(joints) < LEAST_JOINTS:
+        raise SceneError(
+            f"{name}: the arm has {len(joints)} joints as far as body {model.body(tip).name!r}, and needs "
+            f"{LEAST_JOINTS} to point its hand; name its flange, or its joints: there are {_listed(_hinges(model))}"
+        )
+
+
+def _require_row(model: mujoco.MjModel, name: str, joints: Sequence[int], path: Sequence[int]) -> None:
+    """Refuse joints that are no hinges, or not in a row on the way from base to flange."""
+    between = [joint for body in path for joint in _own_joints(model, body) if model.jnt_type[joint] == _HINGE]
+    listed = _listed(model.joint(joint).name for joint in between)
+    for joint in joints:
+        if joint not in between:
+            trouble = "is no hinge" if model.jnt_type[joint] != _HINGE else "does not lie between base and flange"
+            raise SceneError(f"{name}: joint {model.joint(joint).name!r} {trouble}; those that do are {listed}")
+    if sorted(set(joints), key=between.index) != list(joints):
+        given = _listed(model.joint(joint).name for joint in joints)
+        raise SceneError(f"{name}: the joints {given} are not in the order from base to flange, which is {listed}")
+
+
+def _carried(model: mujoco.MjModel, base: int, path: Sequence[int]) -> tuple[int, ...]:
+    """The path and what is fixed to it, without joints of its own, before the flange."""
+    bodies = [base]
+    for body in range(base + 1, model.nbody):
+        parent = int(model.body_parentid[body])
+        is_fixed = not model.body_jntnum[body] and parent != _WORLD and parent != path[-1]
+        if body in path or (is_fixed and parent in bodies):
+            bodies.append(body)
+    return tuple(bodies)
+
+
+def _hinges(model: mujoco.MjModel) -> list[str]:
+    return [model.joint(joint).name for joint in range(model.njnt) if model.jnt_type[joint] == _HINGE]
+
+
+def _names(model: mujoco.MjModel, kind: mujoco.mjtObj) -> list[str]:
+    number = {_BODY: model.nbody, _SITE: model.nsite}[kind]
+    return [mujoco.mj_id2name(model, kind, each) for each in range(int(kind == _BODY), number)]
+
+
+def _listed(names: Iterable[str | None]) -> str:
+    named = [name for name in names if name]
+    return ", ".join(named[:_MOST_NAMES]) + (", …" if len(named) > _MOST_NAMES else "") if named else "none with names"
