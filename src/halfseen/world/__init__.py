@@ -1,9 +1,10 @@
 """The decision process: state, actions, transition, seeing, reward → paths.
 
-Read down: `grasping`, `seeing` (the laws; another robot or gripper is another law of grasping) → `config` (they and the
-numbers) → `scene` (where an episode starts) → `state` (what is seen, what is hidden) → `action_space` (the verbs) →
-`dynamics` (one step) → `policy` (what decides), `explanation` (how sure that is) → `episodes` (many tables to their
-end) → `cuts` → `recording` (to and from logs) → `table_world` and `gymnasium_env` (the faces).
+Read down: `grasping`, `seeing` (the laws; another robot or gripper is another law of grasping), `fitted_grasping`,
+`persistent_seeing` (laws whose numbers attempts and labels tell) → `config` (they and the numbers) → `scene` (where an
+episode starts) → `state` (what is seen, what is hidden) → `action_space` (the verbs) → `dynamics` (one step) → `policy`
+(what decides), `explanation` (how sure that is) → `episodes` (many tables to their end) → `cuts` → `recording` (to and
+from logs) → `table_world` and `gymnasium_env` (the faces).
 """
 
 from typing import TYPE_CHECKING
@@ -14,7 +15,9 @@ if TYPE_CHECKING:
     from halfseen.world.action_space import ActionSpace, Verb
     from halfseen.world.config import WorldConfig
     from halfseen.world.explanation import Explanation
+    from halfseen.world.fitted_grasping import FittedGrasping
     from halfseen.world.grasping import Arrangement, AssumedGrasping, Attempt, GraspLaw, KnownGrasping
+    from halfseen.world.persistent_seeing import PersistentSeeing
     from halfseen.world.policy import Decision, ExploringPolicy, Policy, UniformPolicy
     from halfseen.world.scene import Scene
     from halfseen.world.seeing import AssumedSeeing, Glimpse, KnownSeeing, SeeingLaw, Told
@@ -30,10 +33,12 @@ __all__ = [
     "Decision",
     "Explanation",
     "ExploringPolicy",
+    "FittedGrasping",
     "Glimpse",
     "GraspLaw",
     "KnownGrasping",
     "KnownSeeing",
+    "PersistentSeeing",
     "Policy",
     "Scene",
     "SeeingLaw",
@@ -56,10 +61,12 @@ __getattr__ = lazy_names(
         "Decision": "policy",
         "Explanation": "explanation",
         "ExploringPolicy": "policy",
+        "FittedGrasping": "fitted_grasping",
         "Glimpse": "seeing",
         "GraspLaw": "grasping",
         "KnownGrasping": "grasping",
         "KnownSeeing": "seeing",
+        "PersistentSeeing": "persistent_seeing",
         "Policy": "policy",
         "Scene": "scene",
         "SeeingLaw": "seeing",

@@ -1,0 +1,84 @@
+"""A law of grasping whose numbers are fitted to attempts: logistic in the occlusion, with lognormal durations."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+from scipy import special
+
+from halfseen.world.grasping import Arrangement, Attempt
+from halfseen.world.number import Number, namespace
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class FittedGrasping:
+    """An attempt holds with probability expit(a + b·occ + grip + u), where u ~ N(0, σ²) of each object is hidden.
+
+    The logarithm of its duration is normal, with one mean where it holds and another where it misses; none takes longer
+    than the limit. Nothing else moves. The numbers are for attempts to tell, so none has a default.
+
+    Parameters
+    ----------
+    log_odds
+        a, log-odds that an attempt at an object in full view holds, its grip offset 0.
+    log_odds_per_occlusion
+        b, what is added to it for an object that is wholly hidden.
+    offset_std
+        σ, standard deviation of u.
+    log_held_s, log_missed_s
+        Mean logarithm of the duration of an attempt that holds, and of one that misses [log s].
+    log_std
+        Standard deviation of both, above 0.
+    limit_s
+        Longest duration of an attempt [s].
+    """
+
+    log_odds: Number
+    log_odds_per_occlusion: Number
+    offset_std: Number
+    log_held_s: Number
+    log_missed_s: Number
+    log_std: Number
+    limit_s: Number
+
+    def draw_trait(self, num_objects: int, key: Array) -> Float[Array, " N"]:
+        """Draw u of each object."""
+        return self.offset_std * jax.random.normal(key, (num_objects,))
+
+    def attempt(
+        self,
+        table: Arrangement,
+        trait: Float[Array, " N"],
+        verb: Int[Array, ""],
+        target: Int[Array, ""],
+        key: Array,
+    ) -> Attempt:
+        """Draw whether it holds, and then how long it took; whatever is to be done with the object."""
+        held_key, time_key = jax.random.split(key)
+        log_failure = self.log_failure(table.occlusion[target], table.grip[target] + trait[target])
+        is_held = jnp.log(jax.random.uniform(held_key)) >= log_failure
+        log_s = jnp.where(is_held, self.log_held_s, self.log_missed_s) + self.log_std * jax.random.normal(time_key)
+        return Attempt(is_held, jnp.minimum(jnp.exp(log_s), self.limit_s), table.hides, trait)
+
+    def log_failure(self, occluded: Any, offset: Any) -> Any:
+        """Log P(an attempt misses | occ, offset) = −log(1 + exp(a + b·occ + offset))."""
+        log_odds = self.log_odds + self.log_odds_per_occlusion * occluded + offset
+        return -namespace(log_odds).logaddexp(0.0, log_odds)
+
+    def expected_s(self, occluded: Any, offset: Any) -> Any:
+        """Mean duration over both results, each a lognormal time that is cut at the limit [s]."""
+        log_failure = self.log_failure(occluded, offset)
+        held_s, missed_s = (self._mean_s(log_s) for log_s in (self.log_held_s, self.log_missed_s))
+        return held_s + namespace(log_failure).exp(log_failure) * (missed_s - held_s)
+
+    def _mean_s(self, log_s: Number) -> Any:
+        """E min(exp(log_s + log_std·Z), limit_s), with Z ~ N(0, 1) [s]."""
+        is_jax = namespace(log_s, self.log_std, self.limit_s) is jnp
+        xp, ndtr = (jnp, jax.scipy.special.ndtr) if is_jax else (np, special.ndtr)
+        limit = (xp.log(self.limit_s) - log_s) / self.log_std
+        within_s = xp.exp(log_s + self.log_std**2 / 2.0) * ndtr(limit - self.log_std)
+        return within_s + self.limit_s * ndtr(-limit)
