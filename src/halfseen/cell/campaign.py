@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -66,7 +67,8 @@ class Conditions:
         table = random_table(int(rng.integers(2**31)))
         is_dirty = rng.random(table.num_cups) < self.dirty_share
         surfaces = [draw_surface(cup, bool(dirty), rng) for cup, dirty in zip(table.cups, is_dirty, strict=True)]
-        frictions = np.exp(rng.uniform(*np.log(self.frictions), table.num_cups)).tolist()
+        low, high = np.log(self.frictions).tolist()
+        frictions = np.exp(rng.uniform(low, high, table.num_cups)).tolist()
         cell = Workcell(
             table,
             rng,
@@ -121,7 +123,7 @@ class Campaign:
         tuple of int and Run
             In the order of `tables`.
         """
-        parallel = Parallel(n_jobs=num_workers, return_as="generator", batch_size=1)
+        parallel: Any = Parallel(n_jobs=num_workers, return_as="generator")
         yield from zip(tables, parallel(delayed(self.run)(index, folder) for index in tables), strict=True)
 
     def run(self, index: int, folder: Path) -> Run:

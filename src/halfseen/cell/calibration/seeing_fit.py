@@ -33,7 +33,7 @@ def fit_seeing(glances: pd.DataFrame) -> PersistentSeeing:
     """
     curves = []
     for is_dirty in (True, False):
-        rows = glances[glances["is_dirty"] == is_dirty]
+        rows = pd.DataFrame(glances[glances["is_dirty"] == is_dirty])
         curves.append(tuple(found_by(intervals(rows)).tolist()))
     return PersistentSeeing(FACING_SHARE, VIEWS, curves[0], curves[1])
 

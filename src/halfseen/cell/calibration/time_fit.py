@@ -36,7 +36,7 @@ def fit_times(trials: pd.DataFrame, censoring: str = "kaplan-meier") -> TimeFit:
         As in `halfseen.tables.grasp.beta_grasp.BetaGrasp`.
     """
     decided = checked_attempts(trials, censoring)
-    rows = trials[trials["is_finished"].to_numpy(dtype=bool)]
+    rows = pd.DataFrame(trials[trials["is_finished"].to_numpy(dtype=bool)])
     attempt_s, watched_s = (rows[name].to_numpy(dtype=np.float64) for name in ("attempt_s", "time_s"))
     is_tried = attempt_s > 0.0
     weight, held = decided.weight[is_tried], decided.succeeded[is_tried]
