@@ -16,6 +16,7 @@ pytestmark = pytest.mark.slow
     "words",
     [
         ("planning.py", "--episodes", "1"),
+        ("looking.py", "--tables", "2", "--runs", "1"),
         ("world_steps.py", "--steps", "2", "--runs", "1"),
         ("calibration.py", "--tables", "1", "--states", "2", "--paths", "30"),
         ("coverage.py", "--logs", "2", "--row", "cut 1/3"),
