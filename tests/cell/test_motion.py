@@ -49,7 +49,7 @@ def test_a_schedule_begins_and_ends_at_rest_and_keeps_to_the_speeds(turn):
     way = HOME + turn * np.array([[0.5, 0.2, 0, 0, 0, 0], [1.0, -1.0, 0.5, 0.3, 0, -1.0]])
     plan = schedule(HOME, way, SPEEDS)
     times = np.linspace(0.0, plan.duration_s, 2001)
-    angles = np.array([plan.at(time) for time in times])
+    angles = plan.at(times)
     np.testing.assert_allclose(angles[0], HOME)
     np.testing.assert_allclose(angles[-1], way[-1], atol=1e-12)
     speed = np.diff(angles, axis=0) / times[1]
@@ -60,7 +60,7 @@ def test_a_schedule_begins_and_ends_at_rest_and_keeps_to_the_speeds(turn):
 def test_no_way_at_all_takes_next_to_no_time():
     plan = schedule(HOME, HOME[None], SPEEDS)
     assert plan.duration_s < 1.0
-    np.testing.assert_array_equal(plan.at(0.1), HOME)
+    np.testing.assert_array_equal(plan.at(np.array([0.1])), HOME[None])
 
 
 def picked(friction=0.6):

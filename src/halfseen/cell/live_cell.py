@@ -89,18 +89,14 @@ class LiveCell:
         """
         begin = np.array([self.data.actuator(name).ctrl[0] for name in robot.joint_names])
         plan = schedule(begin, way, speed * robot.arm.speeds_rad_s)
-        begin_s, step_s = self.time_s, self.model.opt.timestep
-        for _ in range(int(np.ceil(plan.duration_s / step_s))):
-            self._aim(robot, plan.at(self.time_s - begin_s + step_s))
+        step_s, servos = self.model.opt.timestep, [self.model.actuator(name).id for name in robot.joint_names]
+        for angles in plan.at(step_s * np.arange(1, np.ceil(plan.duration_s / step_s) + 1)):
+            self.data.ctrl[servos] = angles
             self.wait(step_s)
-        self._aim(robot, way[-1])
+        self.data.ctrl[servos] = way[-1]
 
     def grip(self, robot: Robot, opening_m: float, seconds: float = 0.5) -> None:
         """Open or close the hand to a distance between its pads [m], as far as its force goes; below 0 it presses."""
         for name in robot.slide_names:
             self.data.actuator(name).ctrl = 0.5 * opening_m
         self.wait(seconds)
-
-    def _aim(self, robot: Robot, angles: Angles) -> None:
-        for name, angle in zip(robot.joint_names, angles, strict=True):
-            self.data.actuator(name).ctrl = angle

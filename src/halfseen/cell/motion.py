@@ -81,17 +81,14 @@ class Schedule:
         """How long it takes [s]."""
         return float(self.reached_s[-1]) + self.ramp_s
 
-    def at(self, time_s: float) -> Angles:
-        """Angles at a time from the beginning [s]: full speed between two ramps of constant acceleration."""
+    def at(self, times_s: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n J"]:
+        """Angles at times from the beginning [s]: full speed between two ramps of constant acceleration."""
         full_s, ramp_s = float(self.reached_s[-1]), self.ramp_s
-        if time_s < ramp_s:
-            along_s = 0.5 * time_s**2 / ramp_s
-        elif time_s < full_s:
-            along_s = time_s - 0.5 * ramp_s
-        else:
-            along_s = full_s - 0.5 * max(0.0, full_s + ramp_s - time_s) ** 2 / ramp_s
-        along_s = min(max(along_s, 0.0), full_s)
-        return np.array([np.interp(along_s, self.reached_s, joint) for joint in self.way_rad.T])
+        starting_s = 0.5 * times_s**2 / ramp_s
+        stopping_s = full_s - 0.5 * np.maximum(0.0, full_s + ramp_s - times_s) ** 2 / ramp_s
+        along_s = np.where(times_s < ramp_s, starting_s, np.where(times_s < full_s, times_s - 0.5 * ramp_s, stopping_s))
+        along_s = np.clip(along_s, 0.0, full_s)
+        return np.stack([np.interp(along_s, self.reached_s, joint) for joint in self.way_rad.T], axis=1)
 
 
 def schedule(begin_rad: Angles, way: Way, speeds_rad_s: Angles) -> Schedule:

@@ -23,7 +23,7 @@ _HELD_M = np.array([0.13, 0.13, 0.17])
 _BEHIND_M = 0.05
 
 
-def turned(cell: LiveCell, robot: Robot, plan: Plan, rng: np.random.Generator) -> Iterator[None]:
+def turned(cell: LiveCell, robot: Robot, plan: Plan, rng: np.random.Generator) -> Iterator[int]:
     """Turn what was lifted before the camera, stop at each side, and bring it back to where it was lifted to.
 
     Parameters
@@ -39,15 +39,16 @@ def turned(cell: LiveCell, robot: Robot, plan: Plan, rng: np.random.Generator) -
 
     Yields
     ------
-    None
-        Whenever a side is shown; sides that are out of reach are left out.
+    int
+        How many sides were shown before, whenever one is shown; those out of reach are left out.
     """
-    kinematics = cell.kinematics[robot.name]
+    kinematics, num_shown = cell.kinematics[robot.name], 0
     for side in range(NUM_SIDES):
         angles = _facing(kinematics, plan, 2 * np.pi * side / NUM_SIDES, cell.angles_rad(robot), rng)
         if angles is not None:
             cell.move(robot, angles[None], _MOVING)
-            yield
+            yield num_shown
+            num_shown += 1
     cell.move(robot, plan.lift[-1:], _MOVING)
 
 

@@ -25,6 +25,7 @@ from halfseen.cell.stops import Guard, Stops
 from halfseen.errors import PlanError
 from halfseen.perception.clouds import Cloud
 from halfseen.perception.labels import Labeller, StainCounter
+from halfseen.perception.range_image import range_image
 from halfseen.perception.view import SeenObject, View, perceive
 from halfseen.scene.poses import Pose, from_matrix
 from halfseen.scene.stains import Surface
@@ -165,8 +166,8 @@ class Workcell:
         before, (attempt, done) = known.seen, self._fetched(known)
         if done is not None and before is not None and attempt.is_held:
             known.lifts += 1
-            for _ in turned(self.cell, self.robot, done, self._rng):
-                self._look_at_held(known, before)
+            for side in turned(self.cell, self.robot, done, self._rng):
+                self._look_at_held(known, before, is_first=side == 0)
             put_back(self.cell, self.robot, done)
         return attempt
 
@@ -209,16 +210,19 @@ class Workcell:
                     self.memory.objects[number].glances.append(glance)
         return self.view
 
-    def _look_at_held(self, known: Known, before: SeenObject) -> None:
-        """Label what is held, and see what it hid."""
+    def _look_at_held(self, known: Known, before: SeenObject, *, is_first: bool) -> None:
+        """Label what is held, and at the first side see what it hid."""
         cloud = self._eye.look(self._rng).cloud
         hand = self.cell.kinematics[self.robot.name].hand(self.cell.angles_rad(self.robot))
         is_held = is_in_hand(self._believed.apply(cloud.points_m), hand)
-        view = self._take_in(replace(cloud, points_m=np.where(is_held[:, None], np.nan, cloud.points_m)))
+        if is_first:
+            self._take_in(replace(cloud, points_m=np.where(is_held[:, None], np.nan, cloud.points_m)))
         if cloud.colours is None or not is_held.any():
             return
+        assert self.view is not None, "what is held was seen"
         held = replace(before, pixels=np.flatnonzero(is_held), occlusion=0.0)
-        (label,) = self._labeller(replace(view, objects=(held,)), cloud)
+        view = replace(self.view, image=range_image(cloud), objects=(held,))
+        (label,) = self._labeller(view, cloud)
         if label.is_dirty is not None:
             known.glances.append(Glance(0.0, True, label.is_dirty))
 

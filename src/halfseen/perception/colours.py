@@ -29,6 +29,8 @@ def pixel_colours(image: RangeImage, cloud: Cloud) -> Picture:
     """
     if cloud.colours is None:
         raise CloudError(f"{cloud.name}: it has no colour; record it with colour, or give labels in a file")
+    if cloud.shape is not None and not image.is_virtual:
+        return np.where(image.is_return[..., None], cloud.colours.reshape(*cloud.shape, 3), np.uint8(0))
     shown = np.flatnonzero(image.pixel_of_point >= 0)
     seen_m = (cloud.points_m[shown] - cloud.eye_m) @ image.cloud_from_camera
     # The nearest comes last, and stays; equal depths are told apart as in the range image.
