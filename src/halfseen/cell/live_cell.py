@@ -14,8 +14,10 @@ from halfseen.cell.motion import Way, schedule
 from halfseen.scene.poses import Pose
 from halfseen.scene.room import cup_name
 
+NUM_STEPS = 5
+"""Steps of physics between two commands to the servos: a hundredth of a second."""
 Watch = Callable[["LiveCell"], None]
-"""Called after each step; what it raises ends the motion, as an emergency stop does."""
+"""Called once for each command; what it raises ends the motion, as an emergency stop does."""
 
 
 class LiveCell:
@@ -28,7 +30,7 @@ class LiveCell:
     robots
         The robots in it.
     watch
-        Called after each step; None for nobody.
+        Called once for each command to the servos; None for nobody.
 
     Attributes
     ----------
@@ -70,8 +72,11 @@ class LiveCell:
 
     def wait(self, seconds: float) -> None:
         """Let time pass."""
-        for _ in range(round(seconds / self.model.opt.timestep)):
-            mujoco.mj_step(self.model, self.data)
+        num_left = round(seconds / self.model.opt.timestep)
+        while num_left > 0:
+            num_steps = min(NUM_STEPS, num_left)
+            mujoco.mj_step(self.model, self.data, num_steps)
+            num_left -= num_steps
             if self.watch is not None:
                 self.watch(self)
 
@@ -89,7 +94,8 @@ class LiveCell:
         """
         begin = np.array([self.data.actuator(name).ctrl[0] for name in robot.joint_names])
         plan = schedule(begin, way, speed * robot.arm.speeds_rad_s)
-        step_s, servos = self.model.opt.timestep, [self.model.actuator(name).id for name in robot.joint_names]
+        step_s = NUM_STEPS * self.model.opt.timestep
+        servos = [self.model.actuator(name).id for name in robot.joint_names]
         for angles in plan.at(step_s * np.arange(1, np.ceil(plan.duration_s / step_s) + 1)):
             self.data.ctrl[servos] = angles
             self.wait(step_s)
