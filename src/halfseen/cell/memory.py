@@ -16,9 +16,12 @@ from halfseen.perception.clouds import Vector
 from halfseen.perception.tracking import matched
 from halfseen.perception.view import SeenObject, View
 
+MORE_IN_VIEW = 0.02
+"""A look from which so much less of an object is hidden than from any before shows more of it."""
+
 
 class Glance(NamedTuple):
-    """One label of an object."""
+    """One label of an object, by a look that showed more of it than any before."""
 
     occlusion: float
     """Hidden share of it then; 0 where it was held up."""
@@ -54,7 +57,7 @@ class Known:
     is_gone
         Whether the robot put it into the rack.
     glances, trials
-        Of looks and attempts, oldest first.
+        Of looks that showed more than any before, and of attempts, oldest first.
     failed
         Grasps that did not hold, on the table.
     lifts
@@ -69,6 +72,23 @@ class Known:
     trials: list[Trial] = field(default_factory=list)
     failed: list[Grasp] = field(default_factory=list)
     lifts: int = 0
+
+    def label(self, occlusion: float, says_dirty: bool, *, is_held: bool) -> None:
+        """Keep what a look told, if it showed more than any before: else it repeats itself.
+
+        Parameters
+        ----------
+        occlusion
+            Hidden share of the object; 0 where it was held up.
+        says_dirty
+            What it looked like.
+        is_held
+            Whether it was turned before the camera, and so seen from all sides.
+        """
+        was_held = any(glance.is_held for glance in self.glances)
+        least = min((glance.occlusion for glance in self.glances), default=2.0)
+        if not was_held and (is_held or occlusion < least - MORE_IN_VIEW):
+            self.glances.append(Glance(occlusion, is_held, says_dirty))
 
 
 class Memory:

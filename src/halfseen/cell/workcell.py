@@ -16,7 +16,7 @@ from halfseen.cell.fetching import feels, fetch, let_go, put_back
 from halfseen.cell.grasps import GRASPING
 from halfseen.cell.live_cell import LiveCell
 from halfseen.cell.looking import Eye
-from halfseen.cell.memory import Glance, Known, Memory, Trial
+from halfseen.cell.memory import Known, Memory, Trial
 from halfseen.cell.model import Rack, Robot, cell_model
 from halfseen.cell.planning import Plan, plan
 from halfseen.cell.racking import put_away
@@ -166,8 +166,10 @@ class Workcell:
         before, (attempt, done) = known.seen, self._fetched(known)
         if done is not None and before is not None and attempt.is_held:
             known.lifts += 1
-            for side in turned(self.cell, self.robot, done, self._rng):
-                self._look_at_held(known, before, is_first=side == 0)
+            sides = turned(self.cell, self.robot, done, self._rng)
+            told = [self._label_of_held(before, is_first=side == 0) for side in sides]
+            if any(label is not None for label in told):
+                known.label(0.0, any(told), is_held=True)
             put_back(self.cell, self.robot, done)
         return attempt
 
@@ -206,25 +208,22 @@ class Workcell:
             for seen, label in zip(self.view.objects, self._labeller(self.view, cloud), strict=True):
                 number = self.memory.number_of(seen.id)
                 if number is not None and label.is_dirty is not None:
-                    glance = Glance(seen.occlusion, False, label.is_dirty)
-                    self.memory.objects[number].glances.append(glance)
+                    self.memory.objects[number].label(seen.occlusion, label.is_dirty, is_held=False)
         return self.view
 
-    def _look_at_held(self, known: Known, before: SeenObject, *, is_first: bool) -> None:
-        """Label what is held, and at the first side see what it hid."""
+    def _label_of_held(self, before: SeenObject, *, is_first: bool) -> bool | None:
+        """What one side of what is held looks like; at the first side, see what it hid, too."""
         cloud = self._eye.look(self._rng).cloud
         hand = self.cell.kinematics[self.robot.name].hand(self.cell.angles_rad(self.robot))
         is_held = is_in_hand(self._believed.apply(cloud.points_m), hand)
         if is_first:
             self._take_in(replace(cloud, points_m=np.where(is_held[:, None], np.nan, cloud.points_m)))
         if cloud.colours is None or not is_held.any():
-            return
+            return None
         assert self.view is not None, "what is held was seen"
         held = replace(before, pixels=np.flatnonzero(is_held), occlusion=0.0)
-        view = replace(self.view, image=range_image(cloud), objects=(held,))
-        (label,) = self._labeller(view, cloud)
-        if label.is_dirty is not None:
-            known.glances.append(Glance(0.0, True, label.is_dirty))
+        (label,) = self._labeller(replace(self.view, image=range_image(cloud), objects=(held,)), cloud)
+        return label.is_dirty
 
     def _fetched(self, known: Known) -> tuple[Attempt, Plan | None]:
         """Try to fetch an object; the hand is home again, and open, where it holds nothing."""
