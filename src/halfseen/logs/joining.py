@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import pandas as pd
+import pyarrow as pa
 
 from halfseen.errors import LogError
 from halfseen.logs.logs import Logs
@@ -25,5 +26,10 @@ def joined(parts: Sequence[Logs]) -> Logs:
         raise LogError("there is no log to join; give at least one")
     if len({part.objects is None for part in parts}) > 1:
         raise LogError("only some of the logs have objects; join those that have and those that have none apart")
-    tables = [part.tables for part in parts]
-    return Logs(**{name: pd.concat([each[name] for each in tables], ignore_index=True) for name in tables[0]})
+    return Logs(**{name: _stacked([part.tables[name] for part in parts]) for name in parts[0].tables})
+
+
+def _stacked(frames: list[pd.DataFrame]) -> pa.Table:
+    # By Arrow: a column that is null throughout one log has no type there, and takes that of the others.
+    tables = [pa.Table.from_pandas(frame, preserve_index=False) for frame in frames]
+    return pa.concat_tables(tables, promote_options="permissive")

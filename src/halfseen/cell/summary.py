@@ -1,0 +1,150 @@
+"""What a policy did in physics, in numbers: rewards, cups, failures; and what the simulated world foretold."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
+
+from halfseen.arrays import Rows
+from halfseen.cell.episode import Run
+from halfseen.censoring import censoring_weights
+from halfseen.evaluation.estimate import Estimate, estimate_of
+from halfseen.logs import Logs
+from halfseen.world.config import WorldConfig
+from halfseen.world.episodes import evaluate
+from halfseen.world.policy import Policy
+from halfseen.world.scene import Scene
+from halfseen.world.state import pad_scenes
+
+LEVEL = 0.95
+EPISODES_PER_TABLE = 200
+_BATCH = 500
+_COUNTS = ("num_cups", "num_racked", "num_toppled", "num_fallen", "num_dirty", "num_washed")
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Of the runs of a policy.
+
+    Parameters
+    ----------
+    reward
+        Mean of a table, cut ones stood for by those that were not.
+    predicted
+        What the simulated world gives for the same tables, as they looked at first.
+    gap
+        Of the reward in physics from what was predicted, table by table.
+    seconds
+        Mean on the cell's clock [s].
+    counts
+        Cups, and what became of them, over all tables.
+    verbs, failures, causes
+        How often each verb was tried; why attempts did not hold; what cut tables.
+    """
+
+    reward: Estimate
+    predicted: Estimate
+    gap: Estimate
+    seconds: float
+    counts: Mapping[str, int]
+    verbs: Mapping[str, int]
+    failures: Mapping[str, int]
+    causes: Mapping[str, int]
+
+
+def summarised(
+    runs: Sequence[Run], logs: Logs, policy: Policy, config: WorldConfig, seed: int, level: float = LEVEL
+) -> Summary:
+    """Summarise the runs of a policy.
+
+    Parameters
+    ----------
+    runs
+        What came of each table.
+    logs
+        What was recorded of them, in the same order.
+    policy
+        What decided.
+    config
+        The world that predicts.
+    seed
+        Of what is drawn in it.
+    level
+        Of the intervals.
+    """
+    rewards, weights = np.array([run.reward for run in runs]), _weights(runs)
+    foretold = predicted(scenes_of(logs), policy, config, seed)
+    return Summary(
+        reward=_mean(rewards, weights, level),
+        predicted=estimate_of(foretold, len(foretold), level),
+        gap=_mean(rewards - foretold, weights, level),
+        seconds=float(np.mean([run.seconds for run in runs])),
+        counts={name: sum(getattr(run, name) for run in runs) for name in _COUNTS},
+        verbs=_added(run.verbs for run in runs),
+        failures=_added(run.failures for run in runs),
+        causes=_added({run.cause: 1} for run in runs if run.cause is not None),
+    )
+
+
+def predicted(scenes: Sequence[Scene], policy: Policy, config: WorldConfig, seed: int) -> Rows:
+    """Mean reward of each table in a simulated world.
+
+    Parameters
+    ----------
+    scenes
+        Tables as they look at first.
+    policy
+        What decides.
+    config
+        The world.
+    seed
+        Of what is drawn.
+    """
+    num_episodes, size = EPISODES_PER_TABLE * len(scenes), min(EPISODES_PER_TABLE * len(scenes), _BATCH)
+    totals = evaluate(config, pad_scenes(scenes), policy, jax.random.key(seed), num_episodes, size)
+    rewards = np.asarray(totals.reward, dtype=np.float64)
+    # Episodes begin from the tables in turn.
+    return rewards.reshape(EPISODES_PER_TABLE, len(scenes)).mean(axis=0)
+
+
+def _weights(runs: Sequence[Run]) -> Rows:
+    """Weights of tables that came to their own end, for those that were cut; they sum to their number."""
+    is_finished = np.array([run.cause is None for run in runs])
+    weights = censoring_weights(np.array([run.seconds for run in runs]), is_finished)
+    return weights / weights.mean()
+
+
+def _mean(values: Rows, weights: Rows, level: float) -> Estimate:
+    centre = float(np.average(values, weights=weights))
+    return estimate_of(centre + weights * (values - centre), len(values), level)
+
+
+def scenes_of(logs: Logs) -> list[Scene]:
+    """Tables as they looked at first, in the order of the log.
+
+    Parameters
+    ----------
+    logs
+        Of tables.
+    """
+    assert logs.objects is not None, "tables have objects"
+    first = pd.DataFrame(logs.objects[logs.objects["stage"] == 1])
+    return [
+        Scene(_matrix(rows["hidden_by"]), str(path), np.array(rows["grip"], dtype=np.float64))
+        for path, rows in first.groupby("path", sort=True)
+    ]
+
+
+def _matrix(lists: Iterable[Sequence[float]]) -> Float[np.ndarray, "N N"]:
+    return np.array([np.asarray(one, dtype=np.float64) for one in lists])
+
+
+def _added(each: Iterable[Mapping[str, int]]) -> dict[str, int]:
+    total: dict[str, int] = {}
+    for counts in each:
+        for name, number in counts.items():
+            total[name] = total.get(name, 0) + number
+    return dict(sorted(total.items(), key=lambda pair: -pair[1]))

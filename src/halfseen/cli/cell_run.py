@@ -1,0 +1,124 @@
+"""``halfseen cell run``: a policy clears fresh tables in physics."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from halfseen.cli import options
+from halfseen.cli.progress import progress
+
+if TYPE_CHECKING:
+    from halfseen.world import Policy, WorldConfig
+
+NAMES = ("greedy", "history", "greedy-penalty", "history-penalty", "planner")
+
+
+@click.command(epilog="Example: halfseen cell run --policy history-penalty --tables 50 --law law --out logs")
+@click.option(
+    "--policy", "name", required=True, help=f"Who decides: the folder of a policy of tables, or {', '.join(NAMES)}."
+)
+@click.option("--out", type=options.PATH, required=True, help="Folder that the logs are written to.")
+@click.option("--tables", type=click.IntRange(min=2), default=50, show_default=True, help="Number of fresh tables.")
+@click.option("--law", "law_folder", type=options.PATH, help="Folder of the law that is believed in.")
+@click.option("--stops/--no-stops", default=True, show_default=True, help="Whether something may cut a table.")
+@click.option(
+    "--random-share",
+    type=click.FloatRange(0.0, 1.0),
+    default=0.0,
+    show_default=True,
+    help="Probability that a step takes an action uniformly at random instead, for logs that are learned from.",
+)
+@options.workers
+@options.seed("logs")
+@options.as_json
+@options.overwrite("logs that are")
+def run(
+    name: str,
+    out: Path,
+    tables: int,
+    law_folder: Path | None,
+    stops: bool,
+    random_share: float,
+    workers: int,
+    seed: int,
+    as_json: bool,
+    overwrite: bool,
+) -> None:
+    """Let a policy clear fresh tables in physics: look, decide, act, look again, until FINISH, ten steps or a cut.
+
+    The same seed gives every policy the same tables. What comes of it stands beside what the simulated world foretells
+    for them under the law. A run that was stopped goes on where it was, if it is called again.
+    """
+    from halfseen.cell.campaign import Campaign, Conditions, logs_of, working_folder
+    from halfseen.cell.stops import Stops
+    from halfseen.cell.summary import summarised
+    from halfseen.errors import ArgumentError
+
+    if out.exists() and not overwrite:
+        raise ArgumentError(f"{out}: it is there already; choose another folder, or pass --overwrite to replace it")
+    belief = _belief(law_folder)
+    policy = _policy(name, random_share, belief.config)
+    campaign = Campaign(policy, belief, Conditions(stops=Stops() if stops else None), seed)
+    with working_folder(out) as folder, progress(tables, "tables") as bar:
+        runs = []
+        for _, each in campaign.runs(range(tables), folder, workers):
+            runs.append(each)
+            bar.update()
+        logs = logs_of(folder, range(tables))
+        summary = summarised(runs, logs, policy, belief.config, seed)
+        logs.write(out, overwrite=overwrite)
+    report = {"folder": str(out), "policy": name, "sentence": str(logs.summary()), **asdict(summary)}
+    click.echo(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))
+
+
+def _belief(law_folder: Path | None) -> Any:
+    from halfseen.cell.calibration.law_folder import read_law
+    from halfseen.cell.table_state import Belief, no_grip
+    from halfseen.world import WorldConfig
+
+    if law_folder is None:
+        return Belief(WorldConfig(), no_grip)
+    law = read_law(law_folder).law
+    return Belief(law.config(), law.grip)
+
+
+def _policy(name: str, random_share: float, config: "WorldConfig") -> "Policy":
+    from halfseen.planners.heuristics import GreedyPolicy
+    from halfseen.planners.pomdp import POMDPPolicy
+    from halfseen.policies import read_policy
+    from halfseen.world import ExploringPolicy
+
+    if name == "planner":
+        policy: Policy = POMDPPolicy(config, planning_horizon=config.horizon)
+    elif name in NAMES:
+        policy = GreedyPolicy(config, name.startswith("history"), name.endswith("-penalty"))
+    else:
+        policy = read_policy(name).policy
+    return ExploringPolicy(policy, random_share) if random_share else policy
+
+
+def _lines(report: dict[str, Any]) -> list[str]:
+    counts = report["counts"]
+
+    def listed(named: dict[str, int]) -> str:
+        return ", ".join(f"{name} {count}" for name, count in named.items()) or "none"
+
+    def told(estimate: dict[str, float]) -> str:
+        return f"{estimate['value']:+.2f} ({estimate['low']:+.2f} to {estimate['high']:+.2f})"
+
+    return [
+        f"{report['folder']}: {report['sentence']}",
+        "",
+        f"reward in physics   {told(report['reward'])} a table",
+        f"foretold            {told(report['predicted'])}",
+        f"gap                 {told(report['gap'])}",
+        f"robot time          {report['seconds']:.0f} s a table",
+        f"cups                {counts['num_racked']} of {counts['num_cups']} in the rack, {counts['num_washed']} of "
+        f"{counts['num_dirty']} dirty ones; {counts['num_toppled']} toppled, {counts['num_fallen']} fell",
+        f"tried               {listed(report['verbs'])}",
+        f"did not hold        {listed(report['failures'])}",
+        f"cut by              {listed(report['causes'])}",
+    ]
