@@ -1,0 +1,189 @@
+"""One table in physics: what is earned is what the truth says, and the log tells all that the robot saw."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from halfseen.cell.campaign import RUN_FILE, Campaign, Conditions, logs_of, table_name, working_folder
+from halfseen.cell.episode import play
+from halfseen.cell.memory import MORE_IN_VIEW, Known
+from halfseen.cell.stops import Stops
+from halfseen.cell.summary import scenes_of, summarised
+from halfseen.cell.table_state import MOST_OBJECTS, Belief, no_grip, state_of
+from halfseen.cell.trying import LiftAtRandom
+from halfseen.cell.workcell import Workcell
+from halfseen.errors import ArgumentError
+from halfseen.logs import LogRecorder, read_logs
+from halfseen.planners.heuristics import GreedyPolicy
+from halfseen.scene.camera import look_at
+from halfseen.scene.cups import Cup
+from halfseen.scene.poses import Pose
+from halfseen.scene.stains import Stain, Surface
+from halfseen.scene.table import TABLE_TOP_M, Table
+from halfseen.scene.xtion import xtion_at
+from halfseen.world import ActionSpace, Verb, WorldConfig
+from halfseen.world.policy import surely
+from halfseen.world.recording import states_of
+
+CAMERA = xtion_at(look_at(np.array([0.0, -0.78, 1.24]), np.array([0.0, 0.0, TABLE_TOP_M])))
+CUPS = (Cup(0.10, 0.040, 0.034), Cup(0.09, 0.042, 0.036))
+POSES = (Pose((0.0, -0.02, TABLE_TOP_M)), Pose((0.02, 0.10, TABLE_TOP_M)))
+WHITE, BROWN = (238, 236, 230), (98, 62, 30)
+# The first cup has a stain that faces the camera, the second none.
+FACING = Stain(-0.5 * np.pi, 0.05, 0.014, False, BROWN)
+SURFACES = (Surface(CUPS[0], WHITE, (FACING,)), Surface(CUPS[1], WHITE))
+IS_DIRTY = np.array([True, False])
+BELIEF = Belief(WorldConfig(), no_grip)
+ACTIONS = ActionSpace(MOST_OBJECTS)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Scripted:
+    """Takes actions in turn."""
+
+    actions: jax.Array
+
+    def decide(self, state, key):
+        return surely(self.actions[state.horizon - state.steps_to_go])
+
+
+def scripted(*steps):
+    """A policy of verbs and objects, in turn."""
+    actions = [int(ACTIONS.encode(verb, target)) for verb, target in steps]
+    return Scripted(jnp.array([*actions, *[0] * (10 - len(actions))], dtype=jnp.int32))
+
+
+def played(folder, policy, stops=None, *, is_dirty=IS_DIRTY):
+    cell = Workcell(Table(CUPS, POSES, CAMERA), np.random.default_rng(0), SURFACES, stops=stops)
+    with LogRecorder(folder) as recorder:
+        path = recorder.begin_path(0, dirty_share=0.6)
+        run = play(cell, is_dirty, policy, BELIEF, path, jax.random.key(0), tells_truth=True)
+    return run, read_logs(folder), cell
+
+
+@pytest.fixture(scope="module")
+def numbers():
+    """Which number in a robot's memory is which cup."""
+    cell = Workcell(Table(CUPS, POSES, CAMERA), np.random.default_rng(0), SURFACES)
+    cell.look()
+    places_m = np.array([pose.position_m for pose in POSES])
+    return [
+        int(np.argmin([np.linalg.norm(known.middle_m - place) for known in cell.memory.objects])) for place in places_m
+    ]
+
+
+def test_washing_the_dirty_cup_and_finishing_earns_five(tmp_path, numbers):
+    run, logs, cell = played(tmp_path / "logs", scripted((Verb.WASH, numbers[0]), (Verb.FINISH, 0)))
+    assert run.reward == 5.0
+    assert (run.num_racked, run.num_washed, run.num_dirty, run.num_toppled, run.num_fallen) == (1, 1, 1, 0, 0)
+    assert run.verbs == {"WASH": 1, "FINISH": 1}
+    assert logs.stages["reward"].tolist() == [5.0, 0.0]
+    assert logs.is_finished.all()
+    assert 10.0 < run.seconds < 40.0
+    # The label of the stain that faces the camera was right, and the log says what was told and what was true.
+    first = logs.objects[logs.objects["stage"] == 1]
+    assert [list(each) for each in first["glance_dirty"]] == [[number == numbers[0]] for number in range(2)]
+    assert first["is_dirty"].tolist() == [number == numbers[0] for number in range(2)]
+    assert logs.objects["location"].tolist()[-2:].count("DISHWASHER") == 1
+    # What is in the log is the state that was decided in.
+    state = state_of(cell.memory, BELIEF, 8)
+    last = states_of(logs, 10)
+    np.testing.assert_allclose(np.asarray(last.log_odds)[0, 1], np.asarray(state.log_odds)[:2], atol=1e-5)
+    assert np.asarray(last.is_on_table)[0, 1].tolist() == np.asarray(state.is_on_table)[:2].tolist()
+
+
+def test_washing_a_clean_cup_costs_ten_and_a_dirty_one_left_five(tmp_path, numbers):
+    run, _, _ = played(tmp_path / "logs", scripted((Verb.WASH, numbers[1]), (Verb.FINISH, 0)))
+    assert run.reward == -10.0 - 5.0
+
+
+def test_a_lift_costs_its_time_and_shows_all_sides(tmp_path, numbers):
+    run, logs, _ = played(tmp_path / "logs", scripted((Verb.LIFT, numbers[0]), (Verb.FINISH, 0)))
+    lifted = logs.stages.iloc[0]
+    assert lifted["reward"] == pytest.approx(-0.1 * lifted["elapsed_s"], abs=0.06)
+    assert run.reward == pytest.approx(lifted["reward"] - 5.0)
+    after = logs.objects[(logs.objects["stage"] == 2) & (logs.objects["object"] == numbers[0])].iloc[0]
+    assert after["lifts"] == 1
+    assert list(after["glance_held"]) == [False, True]
+    assert list(after["glance_dirty"]) == [True, True]
+    assert len(after["attempt_s"]) == 1
+
+
+def test_what_stops_a_cell_is_the_cause_of_a_cut(tmp_path, numbers):
+    run, logs, _ = played(tmp_path / "logs", scripted((Verb.WASH, numbers[0])), Stops(limit_s=3.0))
+    assert run.cause == "time-out"
+    assert logs.paths["cause"].tolist() == ["time-out"]
+    assert logs.stages["reward"].isna().tolist() == [True]
+    assert 3.0 < logs.end_s[0] < 5.0
+
+
+def test_only_looks_that_show_more_are_news():
+    known = Known(np.zeros(3), None, None)
+    for occlusion, says_dirty in ((0.5, False), (0.5 - 0.5 * MORE_IN_VIEW, True), (0.3, False), (0.4, True)):
+        known.label(occlusion, says_dirty, is_held=False)
+    assert [glance.occlusion for glance in known.glances] == [0.5, 0.3]
+    known.label(0.0, True, is_held=True)
+    known.label(0.0, False, is_held=False)
+    assert [glance.is_held for glance in known.glances] == [False, False, True]
+
+
+def test_states_are_padded_and_padding_is_no_object(numbers):
+    cell = Workcell(Table(CUPS, POSES, CAMERA), np.random.default_rng(0), SURFACES)
+    cell.look()
+    state = state_of(cell.memory, BELIEF, 10)
+    assert np.asarray(state.is_object).tolist() == [True, True] + [False] * (MOST_OBJECTS - 2)
+    hidden = np.asarray(state.hides)
+    assert hidden[numbers[1], numbers[0]] > 0.1
+    assert hidden.sum() == pytest.approx(hidden[numbers[1], numbers[0]])
+
+
+def quits():
+    """A rule that finishes at once, as nothing is worth a wash."""
+    config = WorldConfig(reward_wash_dirty=-1.0)
+    return GreedyPolicy(config), Belief(config, no_grip)
+
+
+def test_a_campaign_goes_on_where_it_was_killed_and_reads_back_what_is_over(tmp_path):
+    campaign = Campaign(*quits(), Conditions(stops=None), 3)
+    first = campaign.run(0, tmp_path)
+    torn = tmp_path / table_name(0) / RUN_FILE
+    assert campaign.run(0, tmp_path) == first
+    # Killed before the end: the recording is there, what came of it is not.
+    torn.unlink()
+    assert campaign.run(0, tmp_path) == first
+    logs = logs_of(tmp_path, [0])
+    assert logs.stages["action"].tolist() == ["FINISH"]
+    assert first.reward == -5.0 * first.num_dirty
+    (scene,) = scenes_of(logs)
+    assert scene.num_objects <= first.num_cups
+    assert scene.hides.max() > 0.0
+
+
+def test_two_campaigns_into_one_folder_are_refused(tmp_path):
+    with (
+        working_folder(tmp_path / "logs"),
+        pytest.raises(ArgumentError, match="recorder"),
+        working_folder(tmp_path / "logs"),
+    ):
+        pass
+    assert not (tmp_path / "logs.running").exists()
+
+
+@pytest.mark.slow
+def test_any_number_of_processes_gives_the_same_bytes(tmp_path):
+    campaign = Campaign(LiftAtRandom(), Belief(WorldConfig(horizon=2), no_grip), Conditions(), 5, tells_truth=True)
+    tables = {}
+    for num_workers in (1, 2):
+        folder = tmp_path / str(num_workers)
+        runs = [run for _, run in campaign.runs(range(3), folder, num_workers)]
+        tables[num_workers] = runs, logs_of(folder, range(3)).tables
+    assert tables[1][0] == tables[2][0]
+    for name, table in tables[1][1].items():
+        assert table.equals(tables[2][1][name])
+    summary = summarised(tables[1][0], logs_of(folder, range(3)), LiftAtRandom(), WorldConfig(horizon=2), 0)
+    assert summary.counts["num_cups"] == sum(run.num_cups for run in tables[1][0])
+    assert summary.verbs["LIFT"] <= 6
