@@ -10,7 +10,7 @@ each: of `PersistentSeeing` "not yet found", and "found at the k-th record".
 from dataclasses import dataclass
 from functools import lru_cache
 from math import prod
-from typing import NamedTuple, Protocol, TypeAlias
+from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -45,6 +45,7 @@ class Look(NamedTuple):
     says_dirty: Cells
 
 
+@runtime_checkable
 class Labels(Protocol):
     """The labels of one object, by what its tally keeps of the looks."""
 
@@ -204,7 +205,7 @@ def dirty_in(log_odds: Cells) -> Cells:
     return 1.0 / (1.0 + np.exp(-log_odds))
 
 
-def _says_dirty(log_odds: Cells, if_dirty: Cells, if_clean: Cells) -> Cells:
+def _says_dirty(log_odds: Cells, if_dirty: Cells | float, if_clean: Cells | float) -> Cells:
     dirty = dirty_in(log_odds)
     return dirty * if_dirty + (1.0 - dirty) * if_clean
 

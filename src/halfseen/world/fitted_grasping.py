@@ -66,8 +66,10 @@ class FittedGrasping:
 
     def log_failure(self, occluded: Any, offset: Any) -> Any:
         """Log P(an attempt misses | occ, offset) = −log(1 + exp(a + b·occ + offset))."""
-        log_odds = self.log_odds + self.log_odds_per_occlusion * occluded + offset
-        return -namespace(log_odds).logaddexp(0.0, log_odds)
+        log_odds = self.log_odds + self.log_odds_per_occlusion * occluded
+        xp = namespace(log_odds, offset)
+        # A product, so that there is no exponential for every pair of occlusion and offset.
+        return -xp.log1p(xp.exp(log_odds) * xp.exp(offset))
 
     def expected_s(self, occluded: Any, offset: Any) -> Any:
         """Mean duration over both results, each a lognormal time that is cut at the limit [s]."""
