@@ -86,12 +86,12 @@ def test_an_attempt_of_weight_two_counts_as_two_and_a_cut_one_as_none():
 @pytest.mark.slow
 def test_the_truth_lies_within_its_intervals_as_often_as_they_say():
     z = []
-    for seed in range(40):
-        fit = fit_grasping(drawn_trials(900, 100 + seed, cut_rate=0.02))
+    for seed in range(24):
+        fit = fit_grasping(drawn_trials(500, 100 + seed, cut_rate=0.02))
         z.append((fit.estimate - TRUTH) / fit.standard_error)
     inside = (np.abs(z) < 1.96).mean(axis=0)
     print("share of intervals that hold the truth:", inside.round(2))
-    assert (inside > 0.82).all()
+    assert (inside > 0.79).all()
 
 
 def test_times_are_those_of_attempts_that_hold_and_that_miss():

@@ -97,7 +97,8 @@ def test_whoever_watches_can_stop_it():
         if cell.time_s > 0.1:
             raise StopError
 
-    cell = LiveCell(cell_model([], []), [ROBOT], watch=stop)
+    cell = LiveCell(cell_model([], []), [ROBOT])
+    cell.watches.append(stop)
     with pytest.raises(StopError):
         cell.move(ROBOT, (HOME + 0.3)[None])
     assert cell.time_s == pytest.approx(0.101, abs=0.002)

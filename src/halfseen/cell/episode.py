@@ -1,9 +1,11 @@
 """One table, from the first look to its end, decided by a policy: what came of it, and its path in a log."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
@@ -67,6 +69,7 @@ def play(
     key: Array,
     *,
     tells_truth: bool = False,
+    on_decision: Callable[[str], None] = lambda _: None,
 ) -> Run:
     """Let a policy clear a table, and record it.
 
@@ -86,6 +89,8 @@ def play(
         What the policy draws from.
     tells_truth
         Record which objects are dirty, as whoever calibrates a cell knows.
+    on_decision
+        Called with each decision, in words.
 
     Returns
     -------
@@ -104,6 +109,7 @@ def play(
                 truth.add_to(rows, cell)
             verb, target = _decided(policy, state, rows, path, jax.random.fold_in(key, step))
             _count(run.verbs, verb.name)
+            on_decision(_in_words(verb, target, rows))
             reward = _acted(cell, truth, verb, target, config, run)
             is_over = verb is Verb.FINISH or step + 1 == config.horizon or truth.is_cleared(cell)
             if is_over:
@@ -132,13 +138,22 @@ def _decided(policy: Policy, state: TableState, rows: list, path: PathRecorder, 
     actions, action = ActionSpace(state.num_objects), int(decision.action)
     verb, target = Verb(int(actions.verb(action))), int(actions.target(action))
     acted_on = None if verb is Verb.FINISH else target
-    path.begin_stage(objects=rows, action=verb.name, object=acted_on, probability=float(decision.probability))
+    # A planner cannot say how likely it was to choose so.
+    chance = None if jnp.isnan(decision.probability) else float(decision.probability)
+    path.begin_stage(objects=rows, action=verb.name, object=acted_on, probability=chance)
     return verb, target
 
 
 @jax.jit
 def _decide(policy: Policy, state: TableState, key: Array):
     return policy.decide(state, key)
+
+
+def _in_words(verb: Verb, target: int, rows: list[dict[str, Any]]) -> str:
+    if verb is Verb.FINISH:
+        return "FINISH: nothing is worth another step"
+    chance = 1.0 / (1.0 + np.exp(-rows[target]["log_odds"]))
+    return f"{verb.name} object {target}: dirty with probability {chance:.2f}, {rows[target]['occlusion']:.0%} hidden"
 
 
 def _acted(cell: Workcell, truth: "_Truth", verb: Verb, target: int, config: WorldConfig, run: Run) -> float:

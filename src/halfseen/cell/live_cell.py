@@ -29,17 +29,18 @@ class LiveCell:
         What `cell_model` made.
     robots
         The robots in it.
-    watch
-        Called once for each command to the servos; None for nobody.
 
     Attributes
     ----------
     num_cups
         Number of cups.
+    watches
+        Each is called once for each command to the servos.
     """
 
-    def __init__(self, model: mujoco.MjModel, robots: Sequence[Robot], watch: Watch | None = None) -> None:
-        self.model, self.data, self.watch = model, mujoco.MjData(model), watch
+    def __init__(self, model: mujoco.MjModel, robots: Sequence[Robot]) -> None:
+        self.model, self.data = model, mujoco.MjData(model)
+        self.watches: list[Watch] = []
         # Bodies of cups come first in the model.
         self.num_cups = sum(model.body(index + 1).name == cup_name(index) for index in range(model.nbody - 1))
         self.kinematics = {robot.name: Kinematics(model, robot) for robot in robots}
@@ -77,8 +78,8 @@ class LiveCell:
             num_steps = min(NUM_STEPS, num_left)
             mujoco.mj_step(self.model, self.data, num_steps)
             num_left -= num_steps
-            if self.watch is not None:
-                self.watch(self)
+            for watch in self.watches:
+                watch(self)
 
     def move(self, robot: Robot, way: Way, speed: float = 1.0) -> None:
         """Move along a way, from rest to rest.

@@ -123,6 +123,29 @@ def cell_model(
 
     Parameters
     ----------
+    cups, world_from_cup, robots, rack, contacts, frictions
+        As for `cell_spec`.
+
+    Raises
+    ------
+    SceneError
+        As `cell_spec` does.
+    """
+    return cell_spec(cups, world_from_cup, robots, rack, contacts, frictions).compile()
+
+
+def cell_spec(
+    cups: Sequence[Cup],
+    world_from_cup: Sequence[Pose],
+    robots: Sequence[Robot] = (Robot(),),
+    rack: Rack | None = Rack(),
+    contacts: Contacts = Contacts(),  # noqa: B008 - frozen
+    frictions: Sequence[float] | None = None,
+) -> mujoco.MjSpec:
+    """Build the cell without compiling it, so that more can be added.
+
+    Parameters
+    ----------
     cups, world_from_cup
         The cups and where they begin.
     robots
@@ -151,7 +174,7 @@ def cell_model(
         geom.group = FURNITURE_GROUP
     for robot in robots:
         _add_robot(spec, robot, contacts)
-    return spec.compile()
+    return spec
 
 
 def _check(

@@ -109,8 +109,8 @@ class Workcell:
         What the robot knows.
     view
         What the last look showed; None before the first.
-    cell
-        The running cell: the truth, which no decision may look at.
+    cell, table, surfaces
+        The running cell, and what it was made of: the truth, which no decision may look at.
     """
 
     def __init__(
@@ -128,6 +128,7 @@ class Workcell:
         stops: Stops | None = None,
     ) -> None:
         model = cell_model(table.cups, table.world_from_cup, (robot,), rack, frictions=frictions)
+        self.table, self.surfaces = table, surfaces
         self.robot, self.rack, self.memory = robot, rack, Memory()
         self.view: View | None = None
         self.cell = LiveCell(model, [robot])
@@ -137,7 +138,8 @@ class Workcell:
         self._num_racked = 0
         self.cell.wait(SETTLE_S)
         self._guard = None if stops is None else Guard(stops, self.cell.time_s, rng)
-        self.cell.watch = self._guard
+        if self._guard is not None:
+            self.cell.watches.append(self._guard)
 
     @property
     def world_from_table(self) -> Float[np.ndarray, "4 4"]:

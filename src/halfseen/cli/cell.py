@@ -7,6 +7,7 @@ import click
 COMMANDS = {
     "calibrate": "Let the cell try, and estimate its laws of grasping and seeing from that.",
     "run": "Let a policy clear fresh tables in physics, and record it.",
+    "film": "Film how a policy clears one table.",
 }
 
 

@@ -11,15 +11,17 @@ from halfseen.cli import options
 from halfseen.cli.progress import progress
 
 if TYPE_CHECKING:
+    from halfseen.cell.table_state import Belief
     from halfseen.world import Policy, WorldConfig
 
 NAMES = ("greedy", "history", "greedy-penalty", "history-penalty", "planner")
+policy_option = click.option(
+    "--policy", "name", required=True, help=f"Who decides: the folder of a policy of tables, or {', '.join(NAMES)}."
+)
 
 
 @click.command(epilog="Example: halfseen cell run --policy history-penalty --tables 50 --law law --out logs")
-@click.option(
-    "--policy", "name", required=True, help=f"Who decides: the folder of a policy of tables, or {', '.join(NAMES)}."
-)
+@policy_option
 @click.option("--out", type=options.PATH, required=True, help="Folder that the logs are written to.")
 @click.option("--tables", type=click.IntRange(min=2), default=50, show_default=True, help="Number of fresh tables.")
 @click.option("--law", "law_folder", type=options.PATH, help="Folder of the law that is believed in.")
@@ -59,8 +61,8 @@ def run(
 
     if out.exists() and not overwrite:
         raise ArgumentError(f"{out}: it is there already; choose another folder, or pass --overwrite to replace it")
-    belief = _belief(law_folder)
-    policy = _policy(name, random_share, belief.config)
+    belief = belief_of(law_folder)
+    policy = policy_of(name, random_share, belief.config)
     campaign = Campaign(policy, belief, Conditions(stops=Stops() if stops else None), seed)
     with working_folder(out) as folder, progress(tables, "tables") as bar:
         runs = []
@@ -74,7 +76,8 @@ def run(
     click.echo(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))
 
 
-def _belief(law_folder: Path | None) -> Any:
+def belief_of(law_folder: Path | None) -> "Belief":
+    """What a robot believes under a law; without one, under the laws that are assumed."""
     from halfseen.cell.calibration.law_folder import read_law
     from halfseen.cell.table_state import Belief, no_grip
     from halfseen.world import WorldConfig
@@ -85,7 +88,8 @@ def _belief(law_folder: Path | None) -> Any:
     return Belief(law.config(), law.grip)
 
 
-def _policy(name: str, random_share: float, config: "WorldConfig") -> "Policy":
+def policy_of(name: str, random_share: float, config: "WorldConfig") -> "Policy":
+    """The policy of a name or a folder."""
     from halfseen.planners.heuristics import GreedyPolicy
     from halfseen.planners.pomdp import POMDPPolicy
     from halfseen.policies import read_policy

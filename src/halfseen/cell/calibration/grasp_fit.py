@@ -1,6 +1,6 @@
 """P(an attempt holds), given what is seen: a logistic regression with a random offset of each object, under censoring.
 
-For attempts i of object g, with covariates x_i and weights w_i = δ_i / Ĝ(time_i⁻),
+For attempts i of object g, with covariates x_i and weights w_i ∝ δ_i / Ĝ(time_i⁻) of mean 1,
 
     ℓ(β, σ) = Σ_g log ∫ Π_{i ∈ g} expit(±(x_i·β + σ z))^{w_i} φ(z) dz,
 
@@ -95,7 +95,9 @@ def fit_grasping(trials: pd.DataFrame, censoring: str = "kaplan-meier") -> Grasp
     objects = pd.factorize(decided.group)[0].astype(np.int64)
     clusters = pd.factorize(trials["path"][kept])[0].astype(np.int64)
     with jax.enable_x64(True):
-        data = (design(trials)[kept], np.where(decided.succeeded, 1.0, -1.0), decided.weight, objects)
+        # Of mean 1: within the integral over an object's offset, attempts that weigh more would seem to be more.
+        weight = decided.weight / decided.weight.mean()
+        data = (design(trials)[kept], np.where(decided.succeeded, 1.0, -1.0), weight, objects)
         return _fitted(data, clusters, len(trials) - int(kept.sum()), decided.diagnostics.effective_sample_size)
 
 

@@ -1,0 +1,179 @@
+"""A film of a running cell: what it did, many times faster, and what it decided, in words below."""
+
+# MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
+# pyright: reportAttributeAccessIssue=false
+
+import io
+from dataclasses import dataclass
+from math import cos, sin
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+from PIL import Image, ImageDraw, ImageFont
+
+from halfseen.cell.live_cell import LiveCell
+from halfseen.cell.model import cell_spec
+from halfseen.cell.workcell import Workcell
+from halfseen.perception.clouds import Picture
+from halfseen.scene.rays import UNSEEN_GROUP
+from halfseen.scene.room import cup_name
+from halfseen.scene.stains import Stain, Surface
+from halfseen.writing import write_file
+
+_LIFTED_M, _FLAT_M = 0.0004, 0.0006  # a stain's shape stands out of the wall by so much, and is so thick
+_CAPTION_PX, _MARGIN_PX = 28, 10
+_NUM_FOR_PALETTE = 8
+_WOOD, _FLOOR = (0.72, 0.58, 0.42, 1.0), (0.86, 0.87, 0.89, 1.0)
+
+
+@dataclass(frozen=True)
+class Shot:
+    """How a film is taken.
+
+    Parameters
+    ----------
+    width_px, height_px
+        Of a picture, without the words below it [px].
+    speed
+        How many times faster than it was.
+    pictures_per_s
+        Of the film [1/s].
+    looks_at_m, distance_m, azimuth_deg, elevation_deg
+        Where the camera looks, from how far, and from which side [m, m, °, °].
+    """
+
+    width_px: int = 600
+    height_px: int = 400
+    speed: float = 8.0
+    pictures_per_s: float = 8.0
+    looks_at_m: tuple[float, float, float] = (0.08, 0.20, 0.80)
+    distance_m: float = 1.5
+    azimuth_deg: float = 118.0
+    elevation_deg: float = -28.0
+
+
+class Film:
+    """Takes pictures of a running cell; a `halfseen.cell.live_cell.Watch`.
+
+    Parameters
+    ----------
+    shot
+        How.
+    """
+
+    def __init__(self, shot: Shot = Shot()) -> None:
+        self.shot = shot
+        self._caption = ""
+        self._kept: list[tuple[Float[np.ndarray, " q"], str]] = []
+        self._next_s = 0.0
+
+    def __call__(self, cell: LiveCell) -> None:
+        """Keep how the cell stands, if it is time."""
+        if cell.time_s >= self._next_s:
+            self._kept.append((cell.data.qpos.copy(), self._caption))
+            self._next_s = cell.time_s + self.shot.speed / self.shot.pictures_per_s
+
+    def say(self, caption: str) -> None:
+        """Let words stand below the pictures that follow."""
+        self._caption = caption
+
+    def write(self, file: Path, cell: Workcell) -> None:
+        """Draw the film and write it as an animated GIF.
+
+        Parameters
+        ----------
+        file
+            Where to.
+        cell
+            What was filmed.
+
+        Raises
+        ------
+        ArgumentError
+            The file cannot be written.
+        """
+        pictures = [
+            _captioned(picture, caption) for picture, (_, caption) in zip(self._drawn(cell), self._kept, strict=True)
+        ]
+        reduced = _reduced(pictures)
+        held = [*[1000 / self.shot.pictures_per_s] * (len(reduced) - 1), 2500]
+        content = io.BytesIO()
+        reduced[0].save(content, "GIF", save_all=True, append_images=reduced[1:], duration=held, loop=0, optimize=True)
+        write_file(file, content.getvalue())
+
+    def _drawn(self, cell: Workcell) -> list[Picture]:
+        model = _painted(cell)
+        data, shot = mujoco.MjData(model), self.shot
+        camera = mujoco.MjvCamera()
+        camera.lookat[:], camera.distance = shot.looks_at_m, shot.distance_m
+        camera.azimuth, camera.elevation = shot.azimuth_deg, shot.elevation_deg
+        pictures = []
+        with mujoco.Renderer(model, shot.height_px, shot.width_px) as renderer:
+            for places, _ in self._kept:
+                data.qpos[:] = places
+                mujoco.mj_forward(model, data)
+                renderer.update_scene(data, camera, _shown())
+                pictures.append(renderer.render())
+        return pictures
+
+
+def _shown() -> mujoco.MjvOption:
+    """Furniture, too; not the walls by which cups are held."""
+    option = mujoco.MjvOption()
+    option.geomgroup[:] = [group != UNSEEN_GROUP for group in range(len(option.geomgroup))]
+    return option
+
+
+def _painted(cell: Workcell) -> mujoco.MjModel:
+    """The same cell in colour: glazes, stains and spots, a wooden table, light from above."""
+    spec = cell_spec(cell.table.cups, cell.table.world_from_cup, (cell.robot,), cell.rack)
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 960
+    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.45] * 3, [0.25] * 3
+    spec.worldbody.add_light(pos=[0.6, -0.9, 2.4], dir=[-0.25, 0.45, -1.0], castshadow=True, diffuse=[0.55] * 3)
+    for geom in spec.worldbody.geoms:
+        geom.rgba = list(_WOOD if 0.6 < geom.pos[2] < 0.75 else _FLOOR)
+    for index, surface in enumerate(cell.surfaces or ()):
+        body = spec.body(cup_name(index))
+        for geom in body.geoms:
+            geom.rgba = [*(channel / 255 for channel in surface.glaze), 1.0]
+        for stain in (*surface.stains, *surface.spots):
+            _add_disc(body, surface, stain)
+    return spec.compile()
+
+
+def _add_disc(body: mujoco.MjsBody, surface: Surface, stain: Stain) -> None:
+    cup = surface.cup
+    outward_m = cup.radius_at(stain.height_m) + _LIFTED_M
+    away_m = outward_m - cup.wall_m - 2 * _LIFTED_M if stain.is_inside else outward_m
+    side = (cos(stain.angle_rad), sin(stain.angle_rad))
+    body.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_ELLIPSOID,
+        size=[stain.radius_m, stain.radius_m, _FLAT_M],
+        pos=[away_m * side[0], away_m * side[1], stain.height_m],
+        zaxis=[*side, 0.0],
+        rgba=[*(channel / 255 for channel in stain.colour), 1.0],
+        mass=0,
+        contype=0,
+        conaffinity=0,
+    )
+
+
+def _reduced(pictures: list[Image.Image]) -> list[Image.Image]:
+    """The same in 256 colours, one palette for all, so that what stands still is stored once."""
+    some = pictures[:: max(1, len(pictures) // _NUM_FOR_PALETTE)]
+    width, height = pictures[0].size
+    strip = Image.new("RGB", (width, height * len(some)))
+    for row, picture in enumerate(some):
+        strip.paste(picture, (0, row * height))
+    palette = strip.quantize(256, Image.Quantize.MAXCOVERAGE)
+    return [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
+
+
+def _captioned(picture: Picture, caption: str) -> Image.Image:
+    height, width, _ = picture.shape
+    whole = Image.new("RGB", (width, height + _CAPTION_PX), (255, 255, 255))
+    whole.paste(Image.fromarray(picture))
+    ImageDraw.Draw(whole).text((_MARGIN_PX, height + 5), caption, (40, 40, 45), ImageFont.load_default(16))
+    return whole
