@@ -100,6 +100,7 @@ SLOW = {
     "another-verb",
     "any-multistage-problem",
     "from-logs-to-a-policy",
+    "physical-cell",
     "planners",
     "times-that-were-cut",
     "what-looks-dirty",

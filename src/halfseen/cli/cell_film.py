@@ -1,5 +1,8 @@
 """``halfseen cell film``: one table that a policy clears in physics, as an animated picture."""
 
+# MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
+# pyright: reportAttributeAccessIssue=false
+
 import os
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -51,7 +54,6 @@ def film(name: str, out: Path, law_folder: Path | None, table: int, seed: int) -
 
 def _start_opengl() -> None:
     """Load MuJoCo with a way to draw: most machines that run this have no screen."""
-    # pyright: reportAttributeAccessIssue=false
     from halfseen.errors import ArgumentError
 
     os.environ.setdefault(GL, "egl")
