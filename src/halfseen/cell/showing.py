@@ -14,13 +14,12 @@ from halfseen.cell.model import Robot
 from halfseen.cell.planning import Plan, beginnings
 from halfseen.scene.poses import Pose, from_matrix
 
-SHOWN_AT_M = (0.0, 0.05, 0.98)
+SHOWN_AT_M = (0.0, 0.05, 1.02)
 """Where the hand holds it, in the world [m]: in the picture, above everything on the table."""
 NUM_SIDES = 2
 _MOVING = 1.0  # share of the joints' speeds
-_HELD_M = np.array([0.13, 0.13, 0.17])
-"""What is held lies within so much of the point between the pads: across, along the closing axis, and ahead [m]."""
-_BEHIND_M = 0.05
+_BESIDE_M, _ABOVE_M, _SLACK_M = 0.11, 0.08, 0.015
+"""What is held lies so near to the point between the pads, to the sides and up; its shape errs by the last."""
 
 
 def turned(cell: LiveCell, robot: Robot, plan: Plan, rng: np.random.Generator) -> Iterator[int]:
@@ -61,7 +60,7 @@ def _facing(
     return kinematics.solve_from(from_matrix(hand), beginnings(kinematics, here, rng), here)
 
 
-def is_in_hand(points_m: Points, hand: Pose) -> Bool[np.ndarray, " n"]:
+def is_in_hand(points_m: Points, hand: Pose, plan: Plan) -> Bool[np.ndarray, " n"]:
     """Which points belong to what a hand holds.
 
     Parameters
@@ -70,7 +69,11 @@ def is_in_hand(points_m: Points, hand: Pose) -> Bool[np.ndarray, " n"]:
         Points of the world that are no robot; NaN where nothing returned [m].
     hand
         Pose of the point between the pads.
+    plan
+        How it was fetched: as it stood on the table, it reaches as far below the hand as that was above the table.
     """
-    in_hand: Float[np.ndarray, "n 3"] = hand.apply_inverse(points_m)
+    apart_m: Float[np.ndarray, "n 3"] = points_m - np.array(hand.position_m)
+    below_m = float(plan.grasp.middle_m[2]) + _SLACK_M
     with np.errstate(invalid="ignore"):
-        return (np.abs(in_hand) < _HELD_M).all(axis=1) & (in_hand[:, 2] > -_BEHIND_M)
+        is_beside = (np.abs(apart_m[:, :2]) < _BESIDE_M).all(axis=1)
+        return is_beside & (apart_m[:, 2] < _ABOVE_M) & (apart_m[:, 2] > -below_m)

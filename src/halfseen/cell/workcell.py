@@ -169,7 +169,7 @@ class Workcell:
         if done is not None and before is not None and attempt.is_held:
             known.lifts += 1
             sides = turned(self.cell, self.robot, done, self._rng)
-            told = [self._label_of_held(before, is_first=side == 0) for side in sides]
+            told = [self._label_of_held(before, done, is_first=side == 0) for side in sides]
             if any(label is not None for label in told):
                 known.label(0.0, any(told), is_held=True)
             put_back(self.cell, self.robot, done)
@@ -213,11 +213,11 @@ class Workcell:
                     self.memory.objects[number].label(seen.occlusion, label.is_dirty, is_held=False)
         return self.view
 
-    def _label_of_held(self, before: SeenObject, *, is_first: bool) -> bool | None:
+    def _label_of_held(self, before: SeenObject, done: Plan, *, is_first: bool) -> bool | None:
         """What one side of what is held looks like; at the first side, see what it hid, too."""
         cloud = self._eye.look(self._rng).cloud
         hand = self.cell.kinematics[self.robot.name].hand(self.cell.angles_rad(self.robot))
-        is_held = is_in_hand(self._believed.apply(cloud.points_m), hand)
+        is_held = is_in_hand(self._believed.apply(cloud.points_m), hand, done)
         if is_first:
             self._take_in(replace(cloud, points_m=np.where(is_held[:, None], np.nan, cloud.points_m)))
         if cloud.colours is None or not is_held.any():
