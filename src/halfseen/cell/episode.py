@@ -1,7 +1,7 @@
 """One table, from the first look to its end, decided by a policy: what came of it, and its path in a log."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import jax
@@ -97,7 +97,7 @@ def play(
     Run
         What came of it.
     """
-    run, truth, config = Run(), _Truth(cell, is_dirty), belief.config
+    run, truth, config = Run(), Truth(cell, is_dirty), belief.config
     begin_s = cell.cell.time_s
     try:
         for step in range(config.horizon):
@@ -123,8 +123,7 @@ def play(
         run.cause = str(stopped)
         path.cut(run.cause, elapsed_s=cell.cell.time_s - begin_s)
     run.seconds = cell.cell.time_s - begin_s
-    truth.tell(cell, run)
-    return run
+    return replace(run, **truth.counts(cell))
 
 
 def _look(cell: Workcell) -> None:
@@ -156,7 +155,7 @@ def _in_words(verb: Verb, target: int, rows: list[dict[str, Any]]) -> str:
     return f"{verb.name} object {target}: dirty with probability {chance:.2f}, {rows[target]['occlusion']:.0%} hidden"
 
 
-def _acted(cell: Workcell, truth: "_Truth", verb: Verb, target: int, config: WorldConfig, run: Run) -> float:
+def _acted(cell: Workcell, truth: "Truth", verb: Verb, target: int, config: WorldConfig, run: Run) -> float:
     """Do it, and say what it earned."""
     begin_s = cell.cell.time_s
     if verb is Verb.FINISH:
@@ -176,8 +175,16 @@ def _count(counts: dict[str, int], name: str) -> None:
     counts[name] = counts.get(name, 0) + 1
 
 
-class _Truth:
-    """Which cups are dirty, and where they are: what no decision looks at."""
+class Truth:
+    """Which cups are dirty, and where they are: what no decision looks at.
+
+    Parameters
+    ----------
+    cell
+        Before anything happened.
+    is_dirty
+        Of each cup.
+    """
 
     def __init__(self, cell: Workcell, is_dirty: Bool[np.ndarray, " N"]) -> None:
         self.is_dirty, self.is_racked = is_dirty, np.zeros(len(is_dirty), dtype=bool)
@@ -205,14 +212,18 @@ class _Truth:
         """Whether no cup is on the table."""
         return not self._on_table(cell).any()
 
-    def tell(self, cell: Workcell, run: Run) -> None:
-        """Count at the end."""
+    def counts(self, cell: Workcell) -> dict[str, int]:
+        """Count cups, as `Run` has them."""
         self.newly_racked(cell)
         on_table = self._on_table(cell)
-        run.num_cups, run.num_racked = len(self.is_dirty), int(self.is_racked.sum())
-        run.num_fallen = int((~on_table & ~self.is_racked).sum())
-        run.num_toppled = int((on_table & self._stood & (self._upright(cell) < _TOPPLED_COSINE)).sum())
-        run.num_dirty, run.num_washed = int(self.is_dirty.sum()), int((self.is_dirty & self.is_racked).sum())
+        marked = {
+            "num_racked": self.is_racked,
+            "num_toppled": on_table & self._stood & (self._upright(cell) < _TOPPLED_COSINE),
+            "num_fallen": ~on_table & ~self.is_racked,
+            "num_dirty": self.is_dirty,
+            "num_washed": self.is_dirty & self.is_racked,
+        }
+        return {"num_cups": len(self.is_dirty), **{name: int(mask.sum()) for name, mask in marked.items()}}
 
     def _on_table(self, cell: Workcell) -> Bool[np.ndarray, " N"]:
         return (self._places_m(cell)[:, 2] > TABLE_TOP_M - _ON_TABLE_M) & ~self.is_racked

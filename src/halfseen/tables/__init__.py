@@ -3,7 +3,8 @@
 Read down: `features` (what Q looks at) → `grasp` (how likely a grasp is to succeed, learned from attempts) → `encoding`
 (logs → features) → `censoring_covariates` → `prior` → `variance_reduction` (less noise in the targets) → `table_policy`
 (what was learned) → `target_probabilities` → `task` (all of it behind one seam) → `learned_explanation` (how sure it
-may be) → `present` (what is seen now, and what was logged of the path so far → the state to decide in).
+may be) → `present` (what is seen now, and what was logged of the path so far → the state to decide in). Beside them,
+`laws` → `fitted_world`: a world whose laws were fitted to the same log, for planners that know no law.
 """
 
 from typing import TYPE_CHECKING
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING
 from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from halfseen.tables.fitted_world import fit_world
     from halfseen.tables.grasp.attempts import attempts
     from halfseen.tables.grasp.beta_grasp import BetaGrasp
     from halfseen.tables.grasp.svm_grasp import SVMGrasp
@@ -18,7 +20,7 @@ if TYPE_CHECKING:
     from halfseen.tables.table_policy import LinearTablePolicy
     from halfseen.tables.task import TableTask
 
-__all__ = ["BetaGrasp", "LearnedExplainer", "LinearTablePolicy", "SVMGrasp", "TableTask", "attempts"]
+__all__ = ["BetaGrasp", "LearnedExplainer", "LinearTablePolicy", "SVMGrasp", "TableTask", "attempts", "fit_world"]
 
 __getattr__ = lazy_names(
     __name__,
@@ -29,5 +31,6 @@ __getattr__ = lazy_names(
         "SVMGrasp": "grasp.svm_grasp",
         "TableTask": "task",
         "attempts": "grasp.attempts",
+        "fit_world": "fitted_world",
     },
 )

@@ -1,0 +1,79 @@
+"""A world whose laws were fitted to the same logged paths that a policy is learned from: what a fair planner knows.
+
+A planner that knows the true laws is an oracle; who runs a cell has no true law. She knows what she pays for, how many
+steps a path may have, how long transport takes and when an attempt is given up; and she has the log.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+from halfseen.logs import Logs
+from halfseen.tables.laws.grasping_fit import fit_grasping
+from halfseen.tables.laws.labels import Labels, labels
+from halfseen.tables.laws.seeing_fit import fit_seeing
+from halfseen.tables.laws.watched import Watched, watched
+from halfseen.tables.prior import logged_dirty_share
+from halfseen.world.config import WorldConfig
+
+
+class Evidence(NamedTuple):
+    """What a log tells of the laws."""
+
+    tried: Watched
+    told: Labels
+    dirty_share: float
+    """P(DIRTY) of an object before any label."""
+
+    def first(self, num_paths: int) -> "Evidence":
+        """Keep what the first paths tell; the share of dirty objects is the recorder's."""
+        return self._replace(tried=self.tried.first(num_paths), told=self.told.first(num_paths))
+
+
+def fit_world(logs: Logs, known: WorldConfig) -> WorldConfig:
+    """Fit the assumed laws of grasping and seeing to a log, under censoring, each by maximum likelihood.
+
+    Parameters
+    ----------
+    logs
+        A log of tables.
+    known
+        Of which rewards, horizon, transport_s and the limit of an attempt are kept. Its laws are not looked at, and may
+        be any.
+
+    Returns
+    -------
+    WorldConfig
+        With the fitted laws, and the share of dirty objects as `logged_dirty_share` reads it.
+
+    Raises
+    ------
+    LogError
+        The log breaks a rule of tables.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from halfseen.world import Scene, TableWorld, UniformPolicy, WorldConfig
+    >>> scene = Scene(np.array([[0.0, 0.4], [0.0, 0.0]]))
+    >>> logs = TableWorld().simulate(scene, UniformPolicy(), episodes=400, seed=0, cut_share=0.5)
+    >>> fitted = fit_world(logs, WorldConfig())
+    >>> fitted.grasping.limit_s, round(fitted.seeing.accuracy(0.0), 1)
+    (6.0, 0.8)
+    """
+    return fitted_to(evidence_of(logs, known), known)
+
+
+def evidence_of(logs: Logs, known: WorldConfig) -> Evidence:
+    """Read from a log what `fitted_to` needs, once for all its sizes."""
+    dirty_share = logged_dirty_share(logs)
+    return Evidence(watched(logs, known), labels(logs, known, dirty_share), dirty_share)
+
+
+def fitted_to(evidence: Evidence, known: WorldConfig) -> WorldConfig:
+    """Fit the laws to what a log tells of them."""
+    return replace(
+        known,
+        dirty_share=evidence.dirty_share,
+        grasping=fit_grasping(evidence.tried, float(known.grasping.limit_s)),
+        seeing=fit_seeing(evidence.told, evidence.dirty_share),
+    )

@@ -1,0 +1,46 @@
+"""How long attempts were watched, against the episodes that a log was made from."""
+
+import numpy as np
+import pytest
+from simulated_tables import recorded, scene
+
+from halfseen.logs import Logs
+from halfseen.tables.laws.watched import watched
+from halfseen.world import WorldConfig
+
+GRIP = [0.5, -0.5, 0.0, 1.0, -1.0]
+
+
+@pytest.mark.parametrize("cut_share", [0.0, 0.6])
+def test_attempts_are_watched_until_they_held_or_were_cut_and_misses_until_the_limit(cut_share):
+    cuts, logs = recorded(60, cut_share, table=scene(GRIP))
+    tried, config = watched(logs, WorldConfig()), WorldConfig()
+    expected = []
+    for path, stage in np.argwhere(cuts.is_begun & (np.asarray(cuts.episodes.action) > 0)):
+        target = (int(cuts.episodes.action[path, stage]) - 1) % 5
+        begun_s = float(np.sum(np.asarray(cuts.episodes.duration_s, dtype=float)[path, :stage]))
+        is_completed = cuts.is_completed[path, stage]
+        lasted_s = float(cuts.episodes.duration_s[path, stage]) if is_completed else cuts.end_s[path] - begun_s
+        if stage + 1 < config.horizon and lasted_s > 0.0:
+            attempt_s = max(0.0, lasted_s - 1.0)
+            expected.append((path, attempt_s, is_completed and attempt_s < 6.0 - 1e-4, GRIP[target]))
+    path, attempt_s, is_held, grip = (np.array(column) for column in zip(*expected, strict=True))
+    np.testing.assert_array_equal(tried.path, path)
+    np.testing.assert_array_equal(tried.is_held, is_held)
+    np.testing.assert_allclose(tried.watched_s, attempt_s, atol=1e-4)
+    np.testing.assert_allclose(tried.grip, grip, atol=1e-6)
+    assert (tried.watched_s[~tried.is_held] == 6.0).any()
+    assert tried.is_held.any()
+
+
+def test_the_first_paths_tell_what_a_log_of_them_tells():
+    _, logs = recorded(40, 0.5)
+    some, alone = watched(logs, WorldConfig()).first(15), watched(logs.select(logs.path_ids[:15]), WorldConfig())
+    for one, other in zip(some, alone, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_a_log_without_grips_has_grips_of_0():
+    _, logs = recorded(5)
+    bare = Logs(logs.stages, logs.paths, logs.objects.drop(columns="grip"))
+    assert not watched(bare, WorldConfig()).grip.any()
