@@ -77,9 +77,8 @@ def main() -> None:
     for name in ("looks_s", "attempts_s"):
         print(f"{name[:-2]:<12} {np.median([one for table in tables for one in table[name]]):.2f} CPU-s")
     sixes = [table["table_s"] for table in tables if table["num_cups"] == 6] or [np.nan]
-    print(
-        f"tables       {np.median([table['table_s'] for table in tables]):.1f} CPU-s, of six cups {np.median(sixes):.1f}"
-    )
+    every = float(np.median([table["table_s"] for table in tables]))
+    print(f"tables       {every:.1f} CPU-s, of six cups {np.median(sixes):.1f}")
     print(f"robot        {np.mean([table['robot_s'] for table in tables]):.0f} s a table")
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.out.write_text(json.dumps({"seed": options.seed, "tables": tables}, indent=1) + "\n", encoding="utf-8")

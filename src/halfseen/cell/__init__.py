@@ -3,8 +3,12 @@
 Read down: `contacts` (what holds in simulated contact) → `serial_arm` (what every arm is) → `arm`, or `chain` and
 `arm_file` (one of a table, or one of the user's file), `gripper` (what moves) → `cup_walls` (what is held) → `model`
 (room, cups, rack and arms as one MuJoCo model) → `kinematics` (which angles bring a hand to a place) → `home` (where
-any arm stands and waits) → `motion` (lines and schedules) → `live_cell` (physics that goes on) → `looking` (the camera,
-and the truth apart from it).
+any arm stands and waits) → `motion` (lines and schedules) → `live_cell` (physics that goes on) → `looking` (the
+camera, and the truth apart from it) → `grasps`, `clearance` (where a hand could close, and what is in its way) →
+`planning` (how it gets there, or why not) → `fetching`, `racking`, `showing` (what is done with it) → `facts`,
+`memory` (what the robot knows) → `stops` (what cuts) → `workcell` (all of that as one table and one robot) →
+`table_state` (what a policy decides in) → `episode` (one table to its end) → `campaign` (many) → `summary`, `film`;
+`trying` → `calibration` (laws from what was tried).
 
 MuJoCo loads when one of these names is asked for, never when this package is imported.
 """
@@ -16,31 +20,49 @@ from halfseen.lazy import lazy_names
 if TYPE_CHECKING:
     from halfseen.cell.arm import JACO_2, Arm, Joint, Motor
     from halfseen.cell.arm_file import ArmFile
+    from halfseen.cell.campaign import Campaign, Conditions
     from halfseen.cell.contacts import Contacts
+    from halfseen.cell.episode import Run, play
+    from halfseen.cell.grasps import Grasp
     from halfseen.cell.gripper import Gripper
     from halfseen.cell.home import robot_of
     from halfseen.cell.kinematics import Kinematics
     from halfseen.cell.live_cell import LiveCell
     from halfseen.cell.looking import Eye, Look
+    from halfseen.cell.memory import Memory
     from halfseen.cell.model import Rack, Robot, cell_model
     from halfseen.cell.serial_arm import SerialArm
+    from halfseen.cell.stops import Stops
+    from halfseen.cell.table_state import Belief
+    from halfseen.cell.trying import LiftAtRandom
+    from halfseen.cell.workcell import Workcell
 
 __all__ = [
     "JACO_2",
     "Arm",
     "ArmFile",
+    "Belief",
+    "Campaign",
+    "Conditions",
     "Contacts",
     "Eye",
+    "Grasp",
     "Gripper",
     "Joint",
     "Kinematics",
+    "LiftAtRandom",
     "LiveCell",
     "Look",
+    "Memory",
     "Motor",
     "Rack",
     "Robot",
+    "Run",
     "SerialArm",
+    "Stops",
+    "Workcell",
     "cell_model",
+    "play",
     "robot_of",
 ]
 
@@ -63,5 +85,15 @@ __getattr__ = lazy_names(
         "SerialArm": "serial_arm",
         "cell_model": "model",
         "robot_of": "home",
+        "Belief": "table_state",
+        "Campaign": "campaign",
+        "Conditions": "campaign",
+        "Grasp": "grasps",
+        "LiftAtRandom": "trying",
+        "Memory": "memory",
+        "Run": "episode",
+        "Stops": "stops",
+        "Workcell": "workcell",
+        "play": "episode",
     },
 )
