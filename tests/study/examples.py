@@ -74,7 +74,13 @@ def _reward(rng, index, lead):
     }
     for name, reward in REWARDS.items():
         baselines[name] = _beside(NUM_EPISODES, reward + luck + 0.1 * rng.normal(), headline)
-    return {"index": index, "learned": rows, "baselines": baselines}
+    baselines[REWARD.peer.name] = _beside(10, PLANNED + luck + 0.2 * rng.normal(), own)
+    peer = [
+        {name: row[name] for name in ("num_paths", "cut_share")}
+        | _beside(2, row["reward"] - lead + 0.3 * rng.normal(), row["reward"])
+        for row in rows
+    ]
+    return {"index": index, "learned": rows, "baselines": baselines, "peer": peer}
 
 
 def _beside(num_episodes, other, own):

@@ -71,6 +71,7 @@ def test_figure1_names_every_line_and_draws_planners_as_planners():
     for start in ("greedy  3.", "greedy with history  3.", "learned, no path cut", "learned, 1/6 of the paths cut"):
         assert sum(text.startswith(start) for text in written) == 1
     assert sum(text.startswith("POMDP planner") for text in written) == 2
+    assert sum(text.startswith("planner, laws fitted to the same logs  ") for text in written) == 1
     lines = [line.get_color() for line in figure.axes[0].lines if isinstance(line.get_color(), str)]
     # A line across and a tie to its name.
     assert lines.count(REWARD.contenders["planner-128"].colour) == 2 * 2
@@ -106,6 +107,49 @@ def test_a_planner_in_figure_1_stands_as_far_from_the_learned_policy_as_on_the_e
         gap = table1.query(f"baseline == '{name}' and measure == 'reward'").iloc[0]["effect"]
         assert own["mean_reward"] - figure1.loc[name, "mean_reward"] == pytest.approx(gap)
     assert figure1["role"].dropna().to_dict() == {"history-penalty": "best_heuristic", "planner-512": "best_planner"}
+
+
+@pytest.mark.parametrize("experiment", EXPERIMENTS, ids=lambda experiment: experiment.name)
+def test_rows_of_listings_have_a_cell_for_every_heading(experiment):
+    for listing in example_section(experiment).listings:
+        assert {len(row) for rows in listing.groups.values() for row in rows} == {len(listing.header)}
+
+
+def test_the_planner_with_fitted_laws_stands_beside_what_was_learned_from_each_log():
+    pieces = example_pieces(REWARD)
+    tables = REWARD.tabulate(example_setting(), pieces)
+    over = {"learned": [], "difference": []}
+    for piece in pieces.repetitions:
+        met = next(row for row in piece["peer"] if (row["num_paths"], row["cut_share"]) == (50, 1 / 3))
+        own = next(row for row in piece["learned"] if (row["num_paths"], row["cut_share"]) == (50, 1 / 3))
+        over["learned"].append(own["reward"])
+        over["difference"].append(met["censored_q"]["reward"] - met["other"]["reward"])
+    place = {"num_paths": 50, "cut_share": 1 / 3}
+    line = row_of(tables["figure1"], policy=REWARD.peer.name, **place)
+    assert line["mean_reward"] == pytest.approx(np.mean(over["learned"]) - np.mean(over["difference"]))
+    assert row_of(tables["peer"], **place)["effect"] == pytest.approx(np.mean(over["difference"]))
+    rows = tables["peer"].query("num_paths == 50")
+    is_mean = rows["cut_share"].isna()
+    assert rows.loc[is_mean, "effect"].item() == pytest.approx(rows.loc[~is_mean, "effect"].mean())
+    assert len(tables["peer"]) == len(REWARD.num_paths) * (len(REWARD.cut_shares) + 1)
+
+
+@pytest.mark.parametrize(
+    ("lead", "told"),
+    [
+        (3.0, "the learned policy earns more from 25, 50, 100, 200, 400 and 800 paths (learned − planner: "),
+        (0.0, "the learned policy shows no significant difference anywhere"),
+        (-3.0, "the learned policy earns less from 25, 50, 100, 200, 400 and 800 paths (learned − planner: −"),
+    ],
+)
+def test_who_earns_more_learner_or_planner_with_fitted_laws_is_told_either_way(lead, told):
+    setting = example_setting(30)
+    pieces = example_pieces(REWARD, lead=lead, repetitions=30)
+    section = REWARD.section(setting, REWARD.tabulate(setting, pieces))
+    assert told in section.sentences[2]
+    assert ("paths (cut: none, 1/6, 1/3 or 1/2)" in section.sentences[2]) == (lead != 0.0)
+    listing = next(each for each in section.listings if "fitted laws" in each.label)
+    assert sum(cell.endswith("*") for cell in listing.groups[""][0]) == (0 if lead == 0.0 else 5)
 
 
 def test_decision_times_are_told_and_not_tested():

@@ -17,6 +17,7 @@ REWARD = "mean_reward se low high"
 COLUMNS = {
     "figure1": f"policy num_paths cut_share repetitions {REWARD} role gain gain_se gain_low gain_high",
     "table1": "baseline measure censored_q other p_value p_holm effect supported effect_low effect_high num_episodes",
+    "peer": "num_paths cut_share p_value p_holm effect supported effect_low effect_high",
     "weights": "num_paths cut_share effective_sample_size largest_weight",
     "figure2": f"policy kind simulations decision_ms {REWARD} over_censored_q se_over over_low over_high "
     "repetitions episodes",

@@ -21,7 +21,16 @@ def table(num_objects):
 
 SETTING = Setting((table(3), table(4)), repetitions=2)
 TINY = (
-    Reward(SIZES, (0.0, 0.5), 2, ((4, 1), (8, 1)), selection_blocks=2, selection_planned=2, table_num_paths=50),
+    Reward(
+        SIZES,
+        (0.0, 0.5),
+        2,
+        ((4, 1), (8, 1)),
+        fitted_episodes=1,
+        selection_blocks=2,
+        selection_planned=2,
+        table_num_paths=50,
+    ),
     Planning(((4, 2), (8, 1)), (1, 2), 8, horizon_episodes=4, num_paths=50, episodes_per_scene=2),
     Censoring(SIZES, compared_num_paths=50, episodes_per_scene=2),
     Grasp(SIZES, episodes_per_scene=2),

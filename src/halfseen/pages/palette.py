@@ -18,6 +18,7 @@ BLUE, RED, GREEN, PINK, ORANGE, SKY, BLACK = (
 LINES = (BLUE, RED, GREEN, PINK, ORANGE, SKY, BLACK)
 OURS, THEIRS, ALARM = BLUE, SOFT, RED
 PLANNER, FAINT_PLANNER = "#00795c", "#8fc7b8"
+PEER = BLACK
 MARKERS = "os^Dvp"
 BAND_OPACITY = 0.16
 # Proportions are ordered, so their colours go from dark to light; plasma's lightness orders them for colour-blind eyes.

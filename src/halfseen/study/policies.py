@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
 
-from halfseen.pages.palette import INK, OURS, PLANNER, SOFT
+from halfseen.pages.palette import INK, OURS, PEER, PLANNER, SOFT
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.planners.pomdp import POMDPPolicy
 from halfseen.world.config import WorldConfig
@@ -21,10 +21,11 @@ class Kind(StrEnum):
     LEARNED = "learned"
     HEURISTIC = "heuristic"
     PLANNER = "planner"
+    PEER = "peer"
     OPTIMUM = "optimum"
 
 
-COLOURS = {Kind.LEARNED: OURS, Kind.HEURISTIC: SOFT, Kind.PLANNER: PLANNER, Kind.OPTIMUM: INK}
+COLOURS = {Kind.LEARNED: OURS, Kind.HEURISTIC: SOFT, Kind.PLANNER: PLANNER, Kind.PEER: PEER, Kind.OPTIMUM: INK}
 DASHES = {Kind.PLANNER: (5.0, 1.5, 1.0, 1.5)}
 """Lines of planners; others are dashed evenly."""
 
@@ -88,6 +89,12 @@ def planner(num_simulations: int) -> Contender:
     return Contender(
         f"planner-{num_simulations}", f"POMDP planner, {num_simulations:,} simulations", Kind.PLANNER, make
     )
+
+
+def fitted_planner(num_simulations: int) -> Contender:
+    """The same planner for a world whose laws were fitted to the logs that a policy is learned from."""
+    name = f"fitted-planner-{num_simulations}"
+    return Contender(name, "planner, laws fitted to the same logs", Kind.PEER, planner(num_simulations).make)
 
 
 def horizon_planner(horizon: int, num_simulations: int) -> Contender:

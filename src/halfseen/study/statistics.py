@@ -1,6 +1,6 @@
 """Means over repetitions with Student's t, and one-sided paired tests that are adjusted for their number."""
 
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -33,7 +33,7 @@ def estimate_in(row: Any, value: str, se: str, num_repetitions: int) -> Estimate
 
 
 class PairedTest(NamedTuple):
-    """A one-sided Wilcoxon signed-rank test over matched repetitions, and the mean difference."""
+    """A Wilcoxon signed-rank test over matched repetitions, and the mean difference."""
 
     p_value: float
     effect: Estimate
@@ -41,11 +41,16 @@ class PairedTest(NamedTuple):
 
 def paired_test(ours: Float[np.ndarray, " R"], other: Float[np.ndarray, " R"], is_more_better: bool) -> PairedTest:
     """Test H₁: ours is better than the other, repetition by repetition; the effect is ours − other."""
-    difference = np.asarray(ours) - np.asarray(other)
+    return signed_rank_test(np.asarray(ours) - np.asarray(other), "greater" if is_more_better else "less")
+
+
+def signed_rank_test(
+    difference: Float[np.ndarray, " R"], alternative: Literal["greater", "less", "two-sided"]
+) -> PairedTest:
+    """Test H₁: differences lie above 0, below 0, or on one side of it."""
     effect = over_repetitions(difference)
     if not np.any(difference):
         return PairedTest(1.0, effect)
-    alternative = "greater" if is_more_better else "less"
     # The normal approximation, with its correction for ties: block means of a few dozen repetitions do tie.
     test: Any = stats.wilcoxon(difference, alternative=alternative, method="approx")
     return PairedTest(float(test.pvalue), effect)

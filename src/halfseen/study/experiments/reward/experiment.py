@@ -1,6 +1,5 @@
 """One repetition of the experiment."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any, ClassVar
@@ -8,12 +7,15 @@ from typing import Any, ClassVar
 import numpy as np
 
 from halfseen.study.experiment import PieceOf, Setting
+from halfseen.study.experiments.reward.beside import beside
 from halfseen.study.experiments.reward.design import RewardDesign
+from halfseen.study.experiments.reward.peer import peers_beside, planned, told_by
 from halfseen.study.experiments.reward.section import section_of
 from halfseen.study.experiments.reward.tables import tables_of
 from halfseen.study.pipeline import SELECTION, Played, Source, episodes_in_turn
-from halfseen.study.policies import HEURISTICS, LEARNED, planner
+from halfseen.study.policies import HEURISTICS, planner
 from halfseen.study.timing import compile_decisions, measured_times
+from halfseen.tables.fitted_world import Evidence
 from halfseen.world.cuts import CutKind
 
 CUT_KIND: CutKind = "independent"
@@ -60,19 +62,22 @@ class Reward(RewardDesign):
             {"num_paths": size, "cut_share": share, **weights, **played.means()}
             for (size, share), (weights, played) in zip(places, learned, strict=True)
         ]
-        _, headline = learned[places.index((self.table_num_paths, self.table_cut_share))]
-        baselines = {}
+        earned = {place: played for place, (_, played) in zip(places, learned, strict=True)}
+        told = {share: told_by(cuts, CUT_KIND, setting) for share, (cuts, _) in zip(self.cut_shares, logs, strict=True)}
+        place = self.table_num_paths, self.table_cut_share
+        baselines = self._baselines(source, earned[place], told[place[1]].first(place[0]))
+        peer = peers_beside(self, source, told, earned)
+        return {"index": index, "learned": rows, "baselines": baselines, "peer": peer}
+
+    def _baselines(self, source: Source, headline: Played, told: Evidence) -> dict[str, Any]:
+        """What each baseline earned, and the policy of Table 1, which played all episodes, on the same."""
+        num_all, found = len(headline.reward), {}
         for each in HEURISTICS:
-            played = source.evaluate(each.policy(setting.world), num_all)
-            baselines[each.name] = _beside(headline, range(num_all), played)
+            played = source.evaluate(each.policy(source.world), num_all)
+            found[each.name] = beside(headline, range(num_all), played)
         for size, num_episodes in self.planners:
-            some = episodes_in_turn(index, num_episodes, num_all)
-            played = source.evaluate_some(planner(size).policy(setting.world), some)
-            baselines[planner(size).name] = _beside(headline, some, played)
-        return {"index": index, "learned": rows, "baselines": baselines}
-
-
-def _beside(headline: Played, episodes: Sequence[int], played: Played) -> dict[str, Any]:
-    """What a baseline earned on some of the episodes, and the learned policy of Table 1 on the same."""
-    both = {LEARNED.name: headline.on(episodes), "other": played}
-    return {"num_episodes": len(episodes)} | {who: each.means() for who, each in both.items()}
+            some = episodes_in_turn(source.index, num_episodes, num_all)
+            played = source.evaluate_some(planner(size).policy(source.world), some)
+            found[planner(size).name] = beside(headline, some, played)
+        some = episodes_in_turn(source.index, self.planners[0][1], num_all)
+        return found | {self.peer.name: beside(headline, some, planned(self, source, told, some))}

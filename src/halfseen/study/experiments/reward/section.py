@@ -14,9 +14,10 @@ from halfseen.pages.palette import BAND_OPACITY
 from halfseen.pages.sentences import Claim, capitalised, counted, listed
 from halfseen.study.experiment import Drawing, Listing, Row, Section, Setting, Tables
 from halfseen.study.experiments.reward.design import RewardDesign
+from halfseen.study.experiments.reward.peer_words import peer_listing, peer_sentence
 from halfseen.study.experiments.reward.tables import BEST, MEASURES
 from halfseen.study.figures import MEAN, draw_by_cut_share, draw_by_size, draw_level
-from halfseen.study.frames import records, row_of
+from halfseen.study.frames import records, row_of, where
 from halfseen.study.policies import LEARNED, STRONGEST_RULE
 from halfseen.study.wording import EFFECT, REWARD_AXIS, TEST_CELLS, estimated_in, gain_in, is_reward, learned_from
 
@@ -37,10 +38,15 @@ def section_of(design: RewardDesign, setting: Setting, tables: Tables) -> Sectio
     title = f"{_beats(design, figure1)}; learned from {design.table_num_paths} paths, {on_planner}"
     return Section(
         "Reward against the size of the log",
-        (both, _how_few_paths(design, figure1)),
+        (both, _how_few_paths(design, figure1), peer_sentence(design, tables["peer"])),
         (Drawing("figure1", "Figure 1", title, _caption(setting), partial(_draw, design, figure1)),),
-        (_numbers(design, figure1), _tests(design, setting, table1), _weights(design, tables["weights"])),
-        num_leading=2,
+        (
+            _numbers(design, figure1),
+            peer_listing(design, setting, tables["peer"]),
+            _tests(design, setting, table1),
+            _weights(design, tables["weights"]),
+        ),
+        num_leading=3,
     )
 
 
@@ -109,9 +115,11 @@ def _caption(setting: Setting) -> str:
         "share; markers of one size stand side by side for legibility. Horizontal lines: baselines, which learn "
         "nothing from logs; bold: the heuristic and the planner that were the strongest on other episodes. A planner "
         "has so many simulations for each decision, whatever time they take, and plays some of the episodes: its line "
-        "is the learned policy’s mean less their paired difference. Shaded: 95 % intervals (Student’s t); of the "
-        "baselines, for the two in bold. Cuts are independent of what happens on the table. Logs: half of the actions "
-        f"are those of a heuristic ({STRONGEST_RULE.label}), half are uniformly random."
+        "is the learned policy’s mean less their paired difference. Crosses: the planner with laws fitted to the "
+        "logs that the policy is learned from, mean over the proportions of cut paths, reckoned likewise. Shaded: 95 % "
+        "intervals (Student’s t); of the lines across, for the two in bold. Cuts are independent of what happens on "
+        f"the table. Logs: half of the actions are those of a heuristic ({STRONGEST_RULE.label}), half are uniformly "
+        "random."
     )
 
 
@@ -121,15 +129,25 @@ def _draw(design: RewardDesign, figure1: pd.DataFrame, title: str) -> Figure:
 
 
 def _draw_lines(design: RewardDesign, figure1: pd.DataFrame, axes: Axes) -> list[EndLabel]:
-    """Draw the baselines, with bands for the strongest two, and what was learned."""
-    labels = []
-    for name in design.baseline_names:
+    """Draw the baselines, with bands for the strongest two, what was planned with fitted laws, and what was learned."""
+    labels = [_draw_peer(design, figure1, axes)]
+    for name in design.level_names:
         row, who = row_of(figure1, policy=name), design.contenders[name]
         is_best = row["role"] in BEST
         labels.append(draw_level(axes, who, float(row["mean_reward"]), is_best))
         if is_best:
             axes.axhspan(row["low"], row["high"], color=who.colour, alpha=BAND_OPACITY, linewidth=0, zorder=1)
     return labels + draw_by_cut_share(axes, figure1, design.cut_shares, MEAN, draw_curve, DODGE)
+
+
+def _draw_peer(design: RewardDesign, figure1: pd.DataFrame, axes: Axes) -> EndLabel:
+    """Draw the planner with fitted laws, the mean over the proportions of cut paths."""
+    peer, rows = design.peer, where(figure1, policy=design.peer.name)
+    means = pd.DataFrame(rows[rows["cut_share"].isna()])
+    dashes: Any = (0, peer.dashes)
+    draw_curve(axes, means["num_paths"], means[MEAN], color=peer.colour, marker="X", linestyle=dashes)
+    end = float(means["mean_reward"].iloc[-1])
+    return EndLabel(end, f"{peer.label}  {amount(end)}", peer.colour)
 
 
 def _by_size(design: RewardDesign, table: pd.DataFrame, written: Any) -> tuple[tuple[str, ...], dict[str, Any]]:
@@ -140,7 +158,7 @@ def _by_size(design: RewardDesign, table: pd.DataFrame, written: Any) -> tuple[t
 
 
 def _numbers(design: RewardDesign, figure1: pd.DataFrame) -> Listing:
-    cells = _by_size(design, figure1, lambda row: estimated_in(row, MEAN))
+    cells = _by_size(design, where(figure1, policy=LEARNED.name), lambda row: estimated_in(row, MEAN))
     return Listing("The numbers of the learned policy in Figure 1", "", *cells)
 
 

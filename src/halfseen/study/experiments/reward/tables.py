@@ -10,7 +10,7 @@ from halfseen.study.experiment import Pieces, Setting, Tables
 from halfseen.study.experiments.reward.design import RewardDesign
 from halfseen.study.frames import stacked
 from halfseen.study.policies import HEURISTICS, LEARNED
-from halfseen.study.statistics import adjusted, mean_columns, paired_test, tested_columns
+from halfseen.study.statistics import adjusted, mean_columns, paired_test, signed_rank_test, tested_columns
 from halfseen.study.wording import is_reward
 
 MEASURES = {
@@ -32,10 +32,15 @@ def tables_of(design: RewardDesign, setting: Setting, pieces: Pieces) -> Tables:
         ``figure1``: policy, num_paths, cut_share, repetitions, mean_reward, se, low, high; role, which marks the
         heuristic and the planner that were the strongest on other episodes; and gain, gain_se, gain_low, gain_high,
         the paired difference from that heuristic. A planner plays only some of the episodes: its mean is what the
-        policy of Table 1 earned on all, less the paired difference on those.
+        policy of Table 1 earned on all, less the paired difference on those. Of the planner with fitted laws there is a
+        row for each log, as of the learned policy: what that earned, less the paired difference; and one for each size
+        with the mean over all proportions of cut paths, where cut_share is null.
         ``table1``: baseline, measure, censored_q, other, p_value, p_holm, effect, supported, effect_low, effect_high,
         num_episodes: one-sided paired tests that the learned policy is better (more reward, less time), on the
         episodes that both played; the effect is censored_q − other.
+        ``peer``: num_paths, cut_share (null: the mean over all), p_value, p_holm, effect, supported, effect_low,
+        effect_high: two-sided tests of what the learned policy earns over the planner with laws fitted to the same log,
+        on the episodes that both played; supported where they differ.
         ``weights``: num_paths, cut_share, effective_sample_size, largest_weight: means over repetitions.
     """
     weights = pd.DataFrame([row for piece in pieces.repetitions for row in piece["learned"]])
@@ -43,6 +48,7 @@ def tables_of(design: RewardDesign, setting: Setting, pieces: Pieces) -> Tables:
         "figure1": _figure1(design, pieces, strongest(design, pieces.prepared["selection"])),
         "table1": _table1(design, setting, pieces),
         "weights": weights.groupby(KEYS, sort=False)[WORTH].mean().reset_index(),
+        "peer": _peer(setting, pieces),
     }
 
 
@@ -60,12 +66,55 @@ def _figure1(design: RewardDesign, pieces: Pieces, chosen: dict[str, str]) -> pd
         place = {name: row[name] for name in KEYS}
         rows.append({"policy": LEARNED.name} | place | mean_columns(row["reward"]) | gain)
     roles = {name: role for role, name in chosen.items()}
-    for name in design.baseline_names:
+    for name in design.level_names:
         own, other = _both(pieces, name, "reward")
         rows.append({"policy": name, "role": roles.get(name)} | mean_columns(headline - (own - other)))
+    rows += _peer_rows(design, pieces, rule)
     first = ["policy", *KEYS, "repetitions", "mean_reward", "se", "low", "high", "role"]
     table = pd.DataFrame(rows).assign(repetitions=len(pieces.repetitions))
     return table.loc[:, [*first, *table.columns.drop(first)]].astype({"num_paths": "Int64", "cut_share": "Float64"})
+
+
+def _peer_rows(design: RewardDesign, pieces: Pieces, rule: Float[np.ndarray, " R"]) -> list[dict[str, Any]]:
+    """The planner with fitted laws in Figure 1."""
+    rows = []
+    for row in _against_peer(pieces):
+        gain = mean_columns(row["reward"] - rule, "gain", "gain_se", "gain_low", "gain_high")
+        place = {name: row[name] for name in KEYS}
+        rows.append({"policy": design.peer.name} | place | mean_columns(row["reward"]) | gain)
+    return rows
+
+
+def _against_peer(pieces: Pieces) -> list[dict[str, Any]]:
+    """By repetition: what learning earns over planning with laws fitted to the same log, and what that planning earns.
+
+    A row for each log, and for each size the mean over all proportions of cut paths.
+    """
+    met, learned = ([piece[name] for piece in pieces.repetitions] for name in ("peer", "learned"))
+    over = np.array([[row[LEARNED.name]["reward"] - row["other"]["reward"] for row in rows] for rows in met])
+    reward = np.array([[row["reward"] for row in rows] for rows in learned]) - over
+    sizes = np.array([row["num_paths"] for row in met[0]])
+    logs: list[tuple[int, float | None, Any]] = [
+        (row["num_paths"], row["cut_share"], [k]) for k, row in enumerate(met[0])
+    ]
+    logs += [(size, None, sizes == size) for size in dict.fromkeys(sizes.tolist())]
+    return [
+        {
+            "num_paths": size,
+            "cut_share": share,
+            "over": over[:, which].mean(axis=1),
+            "reward": reward[:, which].mean(axis=1),
+        }
+        for size, share, which in logs
+    ]
+
+
+def _peer(setting: Setting, pieces: Pieces) -> pd.DataFrame:
+    rows = [
+        {name: row[name] for name in KEYS} | tested_columns(signed_rank_test(row["over"], "two-sided"))
+        for row in _against_peer(pieces)
+    ]
+    return adjusted(pd.DataFrame(rows), setting.alpha).astype({"cut_share": "Float64"})
 
 
 def _table1(design: RewardDesign, setting: Setting, pieces: Pieces) -> pd.DataFrame:
