@@ -76,8 +76,7 @@ def _reward(rng, index, lead):
         baselines[name] = _beside(NUM_EPISODES, reward + luck + 0.1 * rng.normal(), headline)
     baselines[REWARD.peer.name] = _beside(10, PLANNED + luck + 0.2 * rng.normal(), own)
     peer = [
-        {name: row[name] for name in ("num_paths", "cut_share")}
-        | _beside(2, row["reward"] - lead + 0.3 * rng.normal(), row["reward"])
+        {name: row[name] for name in ("num_paths", "cut_share")} | {"over_peer": lead + 0.3 * rng.normal()}
         for row in rows
     ]
     return {"index": index, "learned": rows, "baselines": baselines, "peer": peer}

@@ -10,6 +10,7 @@ from matplotlib.text import Text
 from examples import CENSORING, GRASP, PLANNING, REGRET, REWARD, example_pieces, example_section, example_setting
 from halfseen.pages.drawing import drawn
 from halfseen.study.experiments import EXPERIMENTS
+from halfseen.study.experiments.reward.peer import over_peer
 from halfseen.study.frames import row_of
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -123,7 +124,7 @@ def test_the_planner_with_fitted_laws_stands_beside_what_was_learned_from_each_l
         met = next(row for row in piece["peer"] if (row["num_paths"], row["cut_share"]) == (50, 1 / 3))
         own = next(row for row in piece["learned"] if (row["num_paths"], row["cut_share"]) == (50, 1 / 3))
         over["learned"].append(own["reward"])
-        over["difference"].append(met["censored_q"]["reward"] - met["other"]["reward"])
+        over["difference"].append(met["over_peer"])
     place = {"num_paths": 50, "cut_share": 1 / 3}
     line = row_of(tables["figure1"], policy=REWARD.peer.name, **place)
     assert line["mean_reward"] == pytest.approx(np.mean(over["learned"]) - np.mean(over["difference"]))
@@ -132,6 +133,15 @@ def test_the_planner_with_fitted_laws_stands_beside_what_was_learned_from_each_l
     is_mean = rows["cut_share"].isna()
     assert rows.loc[is_mean, "effect"].item() == pytest.approx(rows.loc[~is_mean, "effect"].mean())
     assert len(tables["peer"]) == len(REWARD.num_paths) * (len(REWARD.cut_shares) + 1)
+
+
+def test_what_is_learned_over_the_planner_needs_few_of_its_episodes():
+    rng = np.random.default_rng(0)
+    episode, own, learned = rng.normal(0.0, 10.0, 50), rng.normal(1.0, 0.1, 50), rng.normal(3.0, 1.0, 50)
+    mean = 2.0 + episode
+    everywhere = over_peer(episode + learned, mean, range(50), episode + own)
+    assert everywhere == pytest.approx(np.mean(learned - own))
+    assert over_peer(episode + learned, mean, [3, 17], (episode + own)[[3, 17]]) == pytest.approx(everywhere, abs=0.3)
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ class RewardDesign:
     cut_shares: tuple[float, ...] = (0.0, 1 / 6, 1 / 3, 1 / 2)
     episodes_per_scene: int = 5
     planners: tuple[tuple[int, int], ...] = ((128, 10), (512, 3))
-    fitted_episodes: int = 3
+    fitted_episodes: int = 2
     selection_blocks: int = 4
     selection_planned: int = 30
     table_num_paths: int = 800

@@ -1,5 +1,6 @@
 """One repetition of the experiment."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any, ClassVar
@@ -7,13 +8,12 @@ from typing import Any, ClassVar
 import numpy as np
 
 from halfseen.study.experiment import PieceOf, Setting
-from halfseen.study.experiments.reward.beside import beside
 from halfseen.study.experiments.reward.design import RewardDesign
 from halfseen.study.experiments.reward.peer import peers_beside, planned, told_by
 from halfseen.study.experiments.reward.section import section_of
 from halfseen.study.experiments.reward.tables import tables_of
 from halfseen.study.pipeline import SELECTION, Played, Source, episodes_in_turn
-from halfseen.study.policies import HEURISTICS, planner
+from halfseen.study.policies import HEURISTICS, LEARNED, planner
 from halfseen.study.timing import compile_decisions, measured_times
 from halfseen.tables.fitted_world import Evidence
 from halfseen.world.cuts import CutKind
@@ -74,10 +74,16 @@ class Reward(RewardDesign):
         num_all, found = len(headline.reward), {}
         for each in HEURISTICS:
             played = source.evaluate(each.policy(source.world), num_all)
-            found[each.name] = beside(headline, range(num_all), played)
+            found[each.name] = _beside(headline, range(num_all), played)
         for size, num_episodes in self.planners:
             some = episodes_in_turn(source.index, num_episodes, num_all)
             played = source.evaluate_some(planner(size).policy(source.world), some)
-            found[planner(size).name] = beside(headline, some, played)
+            found[planner(size).name] = _beside(headline, some, played)
         some = episodes_in_turn(source.index, self.planners[0][1], num_all)
-        return found | {self.peer.name: beside(headline, some, planned(self, source, told, some))}
+        return found | {self.peer.name: _beside(headline, some, planned(self, source, told, some))}
+
+
+def _beside(headline: Played, episodes: Sequence[int], played: Played) -> dict[str, Any]:
+    """What a baseline earned on some of the episodes, and the learned policy of Table 1 on the same."""
+    both = {LEARNED.name: headline.on(episodes), "other": played}
+    return {"num_episodes": len(episodes)} | {who: each.means() for who, each in both.items()}

@@ -33,14 +33,14 @@ def tables_of(design: RewardDesign, setting: Setting, pieces: Pieces) -> Tables:
         heuristic and the planner that were the strongest on other episodes; and gain, gain_se, gain_low, gain_high,
         the paired difference from that heuristic. A planner plays only some of the episodes: its mean is what the
         policy of Table 1 earned on all, less the paired difference on those. Of the planner with fitted laws there is a
-        row for each log, as of the learned policy: what that earned, less the paired difference; and one for each size
+        row for each log, as of the learned policy: what that earned, less what it earned over it; and one for each size
         with the mean over all proportions of cut paths, where cut_share is null.
         ``table1``: baseline, measure, censored_q, other, p_value, p_holm, effect, supported, effect_low, effect_high,
         num_episodes: one-sided paired tests that the learned policy is better (more reward, less time), on the
         episodes that both played; the effect is censored_q − other.
         ``peer``: num_paths, cut_share (null: the mean over all), p_value, p_holm, effect, supported, effect_low,
         effect_high: two-sided tests of what the learned policy earns over the planner with laws fitted to the same log,
-        on the episodes that both played; supported where they differ.
+        as `peer` reckons it; supported where they differ.
         ``weights``: num_paths, cut_share, effective_sample_size, largest_weight: means over repetitions.
     """
     weights = pd.DataFrame([row for piece in pieces.repetitions for row in piece["learned"]])
@@ -91,7 +91,7 @@ def _against_peer(pieces: Pieces) -> list[dict[str, Any]]:
     A row for each log, and for each size the mean over all proportions of cut paths.
     """
     met, learned = ([piece[name] for piece in pieces.repetitions] for name in ("peer", "learned"))
-    over = np.array([[row[LEARNED.name]["reward"] - row["other"]["reward"] for row in rows] for rows in met])
+    over = np.array([[row["over_peer"] for row in rows] for rows in met])
     reward = np.array([[row["reward"] for row in rows] for rows in learned]) - over
     sizes = np.array([row["num_paths"] for row in met[0]])
     logs: list[tuple[int, float | None, Any]] = [
