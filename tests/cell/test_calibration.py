@@ -16,7 +16,7 @@ from halfseen.cell.calibration.law_folder import read_law, write_law
 from halfseen.cell.calibration.seeing_fit import VIEWS, fit_seeing, found_by, intervals
 from halfseen.cell.calibration.time_fit import fit_times
 from halfseen.cell.facts import Facts
-from halfseen.errors import PolicyError
+from halfseen.errors import LogError, PolicyError
 from halfseen.perception.labels import FACING_SHARE
 
 TRUTH = np.array([2.0, -1.0, -1.5, -0.4, 0.3, np.log(0.8)])
@@ -179,6 +179,12 @@ def test_without_cuts_a_curve_is_the_share_that_was_found():
     assert curve[1] == pytest.approx(0.3, abs=1e-6)
     assert curve[3] == pytest.approx(0.5, abs=1e-6)
     assert curve[4] == pytest.approx(0.5, abs=1e-6)
+
+
+def test_labels_of_dirty_objects_alone_calibrate_nothing():
+    rows = pd.DataFrame([labels((0.5, False, True)) | {"is_dirty": True}] * 3)
+    with pytest.raises(LogError, match="none of 3 is clean"):
+        fit_seeing(rows)
 
 
 @pytest.fixture(scope="module")

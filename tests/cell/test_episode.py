@@ -165,12 +165,26 @@ def test_a_campaign_goes_on_where_it_was_killed_and_reads_back_what_is_over(tmp_
 
 def test_two_campaigns_into_one_folder_are_refused(tmp_path):
     with (
-        working_folder(tmp_path / "logs"),
+        working_folder(tmp_path / "logs", "seed 1"),
         pytest.raises(ArgumentError, match="recorder"),
-        working_folder(tmp_path / "logs"),
+        working_folder(tmp_path / "logs", "seed 1"),
     ):
         pass
     assert not (tmp_path / "logs.running").exists()
+
+
+def test_what_was_stopped_of_another_run_is_neither_mixed_in_nor_lost(tmp_path):
+    def stopped():
+        with working_folder(tmp_path / "logs", "seed 1") as folder:
+            (folder / "kept").touch()
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        stopped()
+    with pytest.raises(ArgumentError, match=r"seed 1.*this is seed 2"), working_folder(tmp_path / "logs", "seed 2"):
+        pass
+    with working_folder(tmp_path / "logs", "seed 1") as folder:
+        assert (folder / "kept").exists()
 
 
 @pytest.mark.slow

@@ -23,6 +23,7 @@ from halfseen.cell.model import Robot
 from halfseen.cell.stops import Stops
 from halfseen.cell.table_state import Belief
 from halfseen.cell.workcell import Errors, Workcell
+from halfseen.errors import ArgumentError
 from halfseen.logs import LogRecorder, Logs, read_logs
 from halfseen.logs.joining import joined
 from halfseen.scene.draw import random_table
@@ -32,6 +33,8 @@ from halfseen.writing import refuse_unwritable, write_file
 
 RUN_FILE = "run.json"
 """Beside the recording of a table once it is over: what came of it."""
+WHAT_FILE = "what.txt"
+"""In the folder of a campaign: what runs there."""
 
 
 @dataclass(frozen=True)
@@ -150,23 +153,34 @@ class Campaign:
 
 
 @contextmanager
-def working_folder(target: Path) -> Iterator[Path]:
+def working_folder(target: Path, what: str) -> Iterator[Path]:
     """Give the folder in which tables are recorded while a campaign runs; it goes when all went well.
 
     Parameters
     ----------
     target
         Where the result will be.
+    what
+        What runs there, with all that its tables depend on: only the same goes on with what is there.
 
     Raises
     ------
     ArgumentError
-        Another campaign runs there, or it cannot be written.
+        Another campaign runs there or was stopped there, or it cannot be written.
     """
-    folder = target.with_name(f"{target.name}.running")
+    place = target.absolute()
+    folder = place.with_name(f"{place.name}.running")
     refuse_unwritable(folder)
     # A recorder holds its folder for as long as its process lives: no second campaign gets in.
     with LogRecorder(folder / "campaign"):
+        told = folder / WHAT_FILE
+        if not told.exists():
+            write_file(told, what)
+        elif told.read_text(encoding="utf-8") != what:
+            raise ArgumentError(
+                f"{folder}: it holds what was stopped of another run ({told.read_text(encoding='utf-8')}), and this is "
+                f"{what}; call that again to go on with it, remove the folder, or choose another --out"
+            )
         yield folder
     shutil.rmtree(folder)
 

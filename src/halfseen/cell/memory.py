@@ -99,8 +99,7 @@ class Memory:
     objects
         What is known of each.
     hides
-        ``hides[i, j]`` is the share of object i that object j alone hides in the last view; what that does not show
-        hides nothing, and nothing hides it.
+        ``hides[i, j]`` is the share of object i that object j alone hid in the last view that showed both; 0 before.
     doubts
         What the last view left doubtful, a sentence each.
     """
@@ -141,9 +140,16 @@ class Memory:
         number = [-1 if known.seen is None else known.seen.id for known in self.objects]
         is_seen = np.array([n >= 0 for n in number], dtype=bool)
         hides = np.zeros((len(number), len(number)))
+        hides[: len(self.hides), : len(self.hides)] = self.hides
+        is_gone = np.array([known.is_gone for known in self.objects], dtype=bool)
+        hides[is_gone], hides[:, is_gone] = 0.0, 0.0
         picked = [n for n in number if n >= 0]
         hides[np.ix_(is_seen, is_seen)] = view.hides[np.ix_(picked, picked)]
         return hides
+
+    def occlusion(self, number: int) -> float:
+        """Hidden share of an object, as states have it: 1 − Π_j (1 − hides[i, j])."""
+        return float(1.0 - np.prod(1.0 - self.hides[number]))
 
     def number_of(self, seen_id: int) -> int | None:
         """Which object has this number in the last view; None if none has."""

@@ -21,7 +21,8 @@ from halfseen.world.state import pad_scenes
 
 LEVEL = 0.95
 EPISODES_PER_TABLE = 200
-_BATCH = 500
+_BATCH, _LEAST = 500, 1e-12
+_FEWEST_FINISHED = 2
 _COUNTS = ("num_cups", "num_racked", "num_toppled", "num_fallen", "num_dirty", "num_washed")
 
 
@@ -32,11 +33,11 @@ class Summary:
     Parameters
     ----------
     reward
-        Mean of a table, cut ones stood for by those that were not.
+        Mean of a table, cut ones stood for by those that were not; None where fewer than two were not cut.
     predicted
         What the simulated world gives for the same tables, as they looked at first.
     gap
-        Of the reward in physics from what was predicted, table by table.
+        Of the reward in physics from what was predicted, table by table; None as `reward`.
     seconds
         Mean on the cell's clock [s].
     counts
@@ -45,9 +46,9 @@ class Summary:
         How often each verb was tried; why attempts did not hold; what cut tables.
     """
 
-    reward: Estimate
+    reward: Estimate | None
     predicted: Estimate
-    gap: Estimate
+    gap: Estimate | None
     seconds: float
     counts: Mapping[str, int]
     verbs: Mapping[str, int]
@@ -114,12 +115,15 @@ def _weights(runs: Sequence[Run]) -> Rows:
     """Weights of tables that came to their own end, for those that were cut; they sum to their number."""
     is_finished = np.array([run.cause is None for run in runs])
     weights = censoring_weights(np.array([run.seconds for run in runs]), is_finished)
-    return weights / weights.mean()
+    return weights / max(float(weights.mean()), _LEAST)
 
 
-def _mean(values: Rows, weights: Rows, level: float) -> Estimate:
+def _mean(values: Rows, weights: Rows, level: float) -> Estimate | None:
+    if np.count_nonzero(weights) < _FEWEST_FINISHED:
+        return None
     centre = float(np.average(values, weights=weights))
-    return estimate_of(centre + weights * (values - centre), len(values), level)
+    size = weights.sum() ** 2 / (weights**2).sum()
+    return estimate_of(centre + weights * (values - centre), float(size), level)
 
 
 def scenes_of(logs: Logs) -> list[Scene]:

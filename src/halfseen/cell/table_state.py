@@ -1,6 +1,7 @@
 """From what a robot knows of its table to the state that a policy decides in, and to the rows of a log."""
 
 from collections.abc import Callable
+from dataclasses import asdict
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -101,7 +102,7 @@ def _row(number: int, known: Known, memory: Memory, belief: Belief) -> dict[str,
     return {
         "object": number,
         "location": DISHWASHER if known.is_gone else TABLE,
-        "occlusion": float(1.0 - np.prod(1.0 - hidden_by)),
+        "occlusion": memory.occlusion(number),
         "grip": belief.grip(known.facts),
         "log_odds": log_odds,
         "seen": seen,
@@ -115,7 +116,5 @@ def _row(number: int, known: Known, memory: Memory, belief: Belief) -> dict[str,
         "glance_occlusions": [glance.occlusion for glance in known.glances],
         "glance_held": [glance.is_held for glance in known.glances],
         "glance_dirty": [glance.says_dirty for glance in known.glances],
-        "is_lying": known.facts.is_lying,
-        "width_m": known.facts.width_m,
-        "room_m": known.facts.room_m,
+        **asdict(known.facts),
     }

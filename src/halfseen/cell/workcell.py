@@ -165,7 +165,7 @@ class Workcell:
             Something stopped the cell.
         """
         known = self.memory.objects[number]
-        before, (attempt, done) = known.seen, self._fetched(known)
+        before, (attempt, done) = known.seen, self._fetched(number)
         if done is not None and before is not None and attempt.is_held:
             known.lifts += 1
             sides = turned(self.cell, self.robot, done, self._rng)
@@ -189,7 +189,7 @@ class Workcell:
             Something stopped the cell.
         """
         known = self.memory.objects[number]
-        attempt, done = self._fetched(known)
+        attempt, done = self._fetched(number)
         if done is None or not attempt.is_held:
             return attempt
         slot_m = self.rack.slots_m[self._num_racked % len(self.rack.slots_m)]
@@ -210,7 +210,8 @@ class Workcell:
             for seen, label in zip(self.view.objects, self._labeller(self.view, cloud), strict=True):
                 number = self.memory.number_of(seen.id)
                 if number is not None and label.is_dirty is not None:
-                    self.memory.objects[number].label(seen.occlusion, label.is_dirty, is_held=False)
+                    known = self.memory.objects[number]
+                    known.label(self.memory.occlusion(number), label.is_dirty, is_held=False)
         return self.view
 
     def _label_of_held(self, before: SeenObject, done: Plan, *, is_first: bool) -> bool | None:
@@ -227,19 +228,19 @@ class Workcell:
         (label,) = self._labeller(replace(self.view, image=range_image(cloud), objects=(held,)), cloud)
         return label.is_dirty
 
-    def _fetched(self, known: Known) -> tuple[Attempt, Plan | None]:
+    def _fetched(self, number: int) -> tuple[Attempt, Plan | None]:
         """Try to fetch an object; the hand is home again, and open, where it holds nothing."""
-        begin_s = self.cell.time_s
+        begin_s, occlusion = self.cell.time_s, self.memory.occlusion(number)
+        known = self.memory.objects[number]
         try:
             planned = self._planned(known)
         except PlanError as error:
-            known.trials.append(Trial(1.0 if known.seen is None else known.seen.occlusion, False, 0.0))
+            known.trials.append(Trial(occlusion, False, 0.0))
             return Attempt(False, 0.0, None, str(error)), None
-        assert known.seen is not None, "what was planned for was seen"
         with self._guard.timing(begin_s) if self._guard else nullcontext():
             fetch(self.cell, self.robot, planned)
         is_held, duration_s = feels(self.cell, self.robot, planned.grasp), self.cell.time_s - begin_s
-        known.trials.append(Trial(known.seen.occlusion, is_held, duration_s))
+        known.trials.append(Trial(occlusion, is_held, duration_s))
         if not is_held:
             known.failed.append(planned.grasp)
             let_go(self.cell, self.robot, planned)

@@ -37,14 +37,18 @@ def calibrate(
     from halfseen.policies.folder import check_target
 
     check_target(out, overwrite, LAW)
+
+    def fitted(logs: "Logs") -> dict[str, Any]:
+        law = law_of(logs)
+        write_law(law, out, {"seed": seed, "log": str(logs.summary())}, logs=logs, overwrite=overwrite)
+        return report_of(law, logs)
+
     if given is not None:
-        logs = read_logs(given)
+        report = fitted(read_logs(given))
     else:
-        with working_folder(out) as folder, progress(attempts, "attempts") as bar:
-            logs = attempts_of(attempts, seed, folder, workers, on_table=bar.update)
-    law = law_of(logs)
-    write_law(law, out, {"seed": seed, "log": str(logs.summary())}, logs=logs, overwrite=overwrite)
-    report = report_of(law, logs)
+        # What was recorded goes when the law is written, not before: attempts take hours.
+        with working_folder(out, f"calibrate, seed {seed}") as folder, progress(attempts, "attempts") as bar:
+            report = fitted(attempts_of(attempts, seed, folder, workers, on_table=bar.update))
     click.echo(json.dumps(report, indent=2, allow_nan=False) if as_json else "\n".join(_lines(out, report)))
 
 

@@ -57,14 +57,15 @@ def run(
     from halfseen.cell.campaign import Campaign, Conditions, logs_of, working_folder
     from halfseen.cell.stops import Stops
     from halfseen.cell.summary import summarised
-    from halfseen.errors import ArgumentError
+    from halfseen.logs.folder import MANIFEST
+    from halfseen.writing import refuse_taken
 
-    if out.exists() and not overwrite:
-        raise ArgumentError(f"{out}: it is there already; choose another folder, or pass --overwrite to replace it")
+    refuse_taken(out, overwrite, MANIFEST, "logs")
     belief = belief_of(law_folder)
     policy = policy_of(name, random_share, belief.config)
     campaign = Campaign(policy, belief, Conditions(stops=Stops() if stops else None), seed)
-    with working_folder(out) as folder, progress(tables, "tables") as bar:
+    what = f"run, seed {seed}, policy {name}, law {law_folder}, stops {stops}, random share {random_share}"
+    with working_folder(out, what) as folder, progress(tables, "tables") as bar:
         runs = []
         for _, each in campaign.runs(range(tables), folder, workers):
             runs.append(each)
@@ -92,7 +93,6 @@ def policy_of(name: str, random_share: float, config: "WorldConfig") -> "Policy"
     """The policy of a name or a folder."""
     from halfseen.planners.heuristics import GreedyPolicy
     from halfseen.planners.pomdp import POMDPPolicy
-    from halfseen.policies import read_policy
     from halfseen.world import ExploringPolicy
 
     if name == "planner":
@@ -100,8 +100,25 @@ def policy_of(name: str, random_share: float, config: "WorldConfig") -> "Policy"
     elif name in NAMES:
         policy = GreedyPolicy(config, name.startswith("history"), name.endswith("-penalty"))
     else:
-        policy = read_policy(name).policy
+        policy = _stored(name, config)
     return ExploringPolicy(policy, random_share) if random_share else policy
+
+
+def _stored(folder: str, config: "WorldConfig") -> "Policy":
+    from halfseen.errors import PolicyError
+    from halfseen.policies import read_policy
+
+    stored = read_policy(folder)
+    if not stored.is_table:
+        raise PolicyError(
+            f"{folder}: it is no policy of tables; learn one from logs of tables, as of `halfseen cell run`"
+        )
+    if stored.horizon != config.horizon:
+        raise PolicyError(
+            f"{folder}: it was learned for {stored.horizon} stages, and a table here has {config.horizon}; learn it "
+            f"with a horizon of {config.horizon}"
+        )
+    return stored.policy
 
 
 def _lines(report: dict[str, Any]) -> list[str]:
@@ -110,13 +127,15 @@ def _lines(report: dict[str, Any]) -> list[str]:
     def listed(named: dict[str, int]) -> str:
         return ", ".join(f"{name} {count}" for name, count in named.items()) or "none"
 
-    def told(estimate: dict[str, float]) -> str:
+    def told(estimate: dict[str, float] | None) -> str:
+        if estimate is None:
+            return "cannot be said: fewer than two tables came to their own end"
         return f"{estimate['value']:+.2f} ({estimate['low']:+.2f} to {estimate['high']:+.2f})"
 
     return [
         f"{report['folder']}: {report['sentence']}",
         "",
-        f"reward in physics   {told(report['reward'])} a table",
+        f"reward in physics   {told(report['reward'])}",
         f"foretold            {told(report['predicted'])}",
         f"gap                 {told(report['gap'])}",
         f"robot time          {report['seconds']:.0f} s a table",

@@ -1,12 +1,12 @@
 """Calibrating a cell: it lifts what stands on fresh tables, at random, until so many attempts were begun."""
 
-from collections.abc import Callable, Iterator
-from itertools import count, islice
+from collections.abc import Callable
 from pathlib import Path
+
+import numpy as np
 
 from halfseen.cell.calibration.law import Law, fit_law
 from halfseen.cell.campaign import Campaign, Conditions, logs_of
-from halfseen.cell.episode import Run
 from halfseen.cell.table_state import Belief, no_grip
 from halfseen.cell.trying import LiftAtRandom
 from halfseen.logs import Logs
@@ -43,21 +43,15 @@ def attempts_of(
     """
     belief = Belief(WorldConfig(horizon=HORIZON), no_grip)
     campaign = Campaign(LiftAtRandom(), belief, conditions, seed, tells_truth=True)
-    tables, begun = [], 0
-    for index, run in _in_batches(campaign, folder, num_workers):
-        tables.append(index)
-        begun += sum(run.verbs.values())
-        on_table(sum(run.verbs.values()))
-        if begun >= num_attempts:
-            break
-    return logs_of(folder, tables)
-
-
-def _in_batches(campaign: Campaign, folder: Path, num_workers: int) -> Iterator[tuple[int, Run]]:
-    """Tables without end; how many are under way at once changes nothing of any of them."""
-    numbers = count()
-    while True:
-        yield from campaign.runs(list(islice(numbers, 4 * num_workers)), folder, num_workers)
+    begun: list[int] = []
+    while sum(begun) < num_attempts:
+        # A batch is waited for to its end: nothing records any more when this returns.
+        batch = range(len(begun), len(begun) + 4 * num_workers)
+        for _, run in campaign.runs(batch, folder, num_workers):
+            begun.append(sum(run.verbs.values()))
+            on_table(begun[-1])
+    # As many tables as it takes, however many there were in a batch.
+    return logs_of(folder, range(1 + int(np.searchsorted(np.cumsum(begun), num_attempts))))
 
 
 def law_of(logs: Logs, conditions: Conditions = Conditions()) -> Law:  # noqa: B008 - frozen

@@ -3,22 +3,17 @@
 from dataclasses import dataclass, replace
 from math import exp
 
-import numpy as np
 import pandas as pd
-from jaxtyping import Float
 
-from halfseen.arrays import PerObject
 from halfseen.cell.calibration.grasp_fit import CENTRES, NAMES, SCALES, GraspFit, fit_grasping
 from halfseen.cell.calibration.seeing_fit import fit_seeing
 from halfseen.cell.calibration.time_fit import TimeFit, fit_times
 from halfseen.cell.calibration.trials import FACTS, glances, trials
-from halfseen.cell.facts import Facts, facts_of
+from halfseen.cell.facts import Facts
 from halfseen.logs import Logs
-from halfseen.perception.view import View
 from halfseen.world.config import WorldConfig
 from halfseen.world.fitted_grasping import FittedGrasping
 from halfseen.world.persistent_seeing import PersistentSeeing
-from halfseen.world.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,17 +78,6 @@ class Law:
         told = self.coefficients
         return sum(told[name] * (float(getattr(facts, name)) - CENTRES[name]) / SCALES[name] for name in FACTS)
 
-    def scene(self, view: View) -> Scene:
-        """Give what the world needs to know of a view, with how well each object can be gripped.
-
-        Parameters
-        ----------
-        view
-            What is seen.
-        """
-        grip: PerObject = np.array([self.grip(facts) for facts in facts_of(view)], dtype=np.float64)
-        return Scene(view.hides, view.name, grip)
-
 
 def fit_law(logs: Logs, horizon: int, limit_s: float) -> Law:
     """Estimate the laws of a cell from its log.
@@ -109,21 +93,3 @@ def fit_law(logs: Logs, horizon: int, limit_s: float) -> Law:
     """
     tried: pd.DataFrame = trials(logs, horizon)
     return Law(fit_grasping(tried), fit_times(tried), fit_seeing(glances(logs)), limit_s)
-
-
-def probability(law: Law, tried: pd.DataFrame) -> Float[np.ndarray, " n"]:
-    """P(held) of attempts under a law, before anything was tried on their objects.
-
-    Parameters
-    ----------
-    law
-        The law.
-    tried
-        With occlusion and `FACTS`.
-    """
-    from halfseen.cell.calibration.grasp_fit import design
-
-    nodes, weights = np.polynomial.hermite_e.hermegauss(15)
-    told = law.grasp.estimate
-    logits = (design(tried) @ told[:-1])[:, None] + np.exp(told[-1]) * nodes
-    return (1.0 / (1.0 + np.exp(-logits))) @ (weights / weights.sum())

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
+from halfseen.errors import LogError
 from halfseen.perception.labels import FACING_SHARE
 from halfseen.world.persistent_seeing import SAME_VIEW, PersistentSeeing
 
@@ -30,10 +31,20 @@ def fit_seeing(glances: pd.DataFrame) -> PersistentSeeing:
     ----------
     glances
         One row an object, as `trials.glances` gives them.
+
+    Raises
+    ------
+    LogError
+        No object is dirty, or none is clean.
     """
     curves = []
     for is_dirty in (True, False):
         rows = pd.DataFrame(glances[glances["is_dirty"] == is_dirty])
+        if rows.empty:
+            kind = "dirty" if is_dirty else "clean"
+            raise LogError(
+                f"objects: none of {len(glances)} is {kind}; labels are calibrated on dirty and on clean ones"
+            )
         curves.append(tuple(found_by(intervals(rows)).tolist()))
     return PersistentSeeing(FACING_SHARE, VIEWS, curves[0], curves[1])
 

@@ -1,14 +1,17 @@
 """From the log of a cell to what its laws are fitted to: attempts, and what each look told of each object."""
 
+from dataclasses import fields
+
 import numpy as np
 import pandas as pd
 
+from halfseen.cell.facts import Facts
 from halfseen.errors import LogError
 from halfseen.logs import Logs
 from halfseen.logs.columns import require_columns
 from halfseen.tables.grasp.attempts import attempts
 
-FACTS = ("is_lying", "width_m", "room_m")
+FACTS = tuple(each.name for each in fields(Facts))
 """What is seen of an object that may make it hard to grip."""
 GLANCES = ("glance_occlusions", "glance_held", "glance_dirty")
 _AT = ["path", "stage", "object"]

@@ -1,0 +1,51 @@
+"""Means of tables that were cut are told with what they are worth, and not where nothing came to its end."""
+
+import numpy as np
+import pytest
+
+from halfseen.cell.episode import Run
+from halfseen.cell.summary import summarised
+from halfseen.logs import Logs
+from halfseen.planners.heuristics import GreedyPolicy
+from halfseen.world import WorldConfig
+
+CONFIG = WorldConfig()
+
+
+def logs(num_tables):
+    """First views of tables of two objects, the second half hidden by the first."""
+    number = np.arange(num_tables)
+    objects = {"path": np.repeat(number, 2), "stage": [1] * 2 * num_tables, "object": [0, 1] * num_tables}
+    objects |= {"hidden_by": [[0.0, 0.0], [0.5, 0.0]] * num_tables, "grip": [0.0] * 2 * num_tables}
+    stages = {
+        "path": number,
+        "stage": [1] * num_tables,
+        "elapsed_s": [1.0] * num_tables,
+        "action": ["FINISH"] * num_tables,
+    }
+    paths = {"path": number, "end_s": [1.0] * num_tables, "ending": ["finished"] * num_tables}
+    return Logs(stages | {"reward": [0.0] * num_tables}, paths, objects)
+
+
+def told(runs):
+    return summarised(runs, logs(len(runs)), GreedyPolicy(CONFIG), CONFIG, 0)
+
+
+def test_without_cuts_the_mean_is_the_mean():
+    found = told([Run(reward=reward, seconds=10.0 + reward) for reward in (1.0, 3.0, 8.0)])
+    assert found.reward.value == pytest.approx(4.0)
+    assert found.reward.standard_error == pytest.approx(np.std([1, 3, 8], ddof=1) / np.sqrt(3))
+    assert found.gap.value == pytest.approx(4.0 - found.predicted.value)
+
+
+def test_a_cut_table_is_stood_for_by_longer_ones():
+    runs = [Run(reward=1.0, seconds=10.0), Run(seconds=20.0, cause="battery"), Run(reward=7.0, seconds=30.0)]
+    assert told(runs).reward.value == pytest.approx((1.0 + 2 * 7.0) / 3)
+    assert told(runs).causes == {"battery": 1}
+
+
+@pytest.mark.parametrize("num_finished", [0, 1])
+def test_where_nearly_all_was_cut_nothing_is_said(num_finished):
+    runs = [Run(reward=2.0, seconds=5.0)] * num_finished + [Run(seconds=9.0, cause="battery")] * (4 - num_finished)
+    assert told(runs).reward is None
+    assert told(runs).gap is None

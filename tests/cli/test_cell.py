@@ -1,0 +1,65 @@
+"""`halfseen cell`: bad input is told in one line before anything moves."""
+
+from pathlib import Path
+
+import pytest
+
+from halfseen.cli import main
+from halfseen.learners import CensoredQLearner
+from halfseen.logs import Logs
+from halfseen.policies import write_policy
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+RUN = ["run", "--policy", "greedy", "--tables", "2"]
+
+
+def refused(monkeypatch, capsys, *words):
+    monkeypatch.setattr("sys.argv", ["halfseen", "cell", *map(str, words)])
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    assert stopped.value.code == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    return line
+
+
+def test_a_policy_or_a_law_that_is_not_there(monkeypatch, capsys, tmp_path):
+    out = ["--out", tmp_path / "logs"]
+    assert "halfseen learn" in refused(monkeypatch, capsys, "run", "--policy", tmp_path / "none", *out)
+    assert "cell calibrate" in refused(monkeypatch, capsys, *RUN, "--law", tmp_path / "none", *out)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_there_is_replaced_only_if_it_is_of_the_kind(monkeypatch, capsys, tmp_path):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.txt").touch()
+    for words in (RUN, ["calibrate"]):
+        assert "--overwrite" in refused(monkeypatch, capsys, *words, "--out", tmp_path / "mine")
+        assert "not replaced" in refused(monkeypatch, capsys, *words, "--out", tmp_path / "mine", "--overwrite")
+    assert [path.name for path in (tmp_path / "mine").iterdir()] == ["thesis.txt"]
+
+
+def test_logs_that_are_of_no_cell(monkeypatch, capsys, tmp_path):
+    line = refused(
+        monkeypatch, capsys, "calibrate", "--from", EXAMPLES / "pick_cell" / "logs", "--out", tmp_path / "law"
+    )
+    assert "no objects" in line or "has none" in line
+    refused(monkeypatch, capsys, "calibrate", "--from", tmp_path, "--out", tmp_path / "law")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_film_that_is_no_gif(monkeypatch, capsys, tmp_path):
+    line = refused(monkeypatch, capsys, "film", "--policy", "greedy", "--out", tmp_path / "film.mp4")
+    assert ".gif" in line or "OpenGL" in line
+
+
+def test_a_policy_of_other_things_than_tables(monkeypatch, capsys, tmp_path):
+    number = list(range(20))
+    stages = {"path": number, "stage": [1] * 20, "elapsed_s": [1.0] * 20, "action": ["A", "B"] * 10}
+    stages |= {"reward": [float(k % 5) for k in number], "x": [float(k % 3) for k in number]}
+    logs = Logs(stages, {"path": number, "end_s": [1.0] * 20, "ending": ["finished"] * 20})
+    fixed = {"q_function": "linear", "censoring": "kaplan-meier", "stages": "separate", "reg": 0.1, "pessimism": 0.0}
+    learner = CensoredQLearner(horizon=1, actions=["A", "B"], covariates=["x"], **fixed).fit(logs)
+    write_policy(learner, logs, tmp_path / "policy")
+    line = refused(monkeypatch, capsys, "run", "--policy", tmp_path / "policy", "--out", tmp_path / "logs")
+    assert "no policy of tables" in line
