@@ -9,7 +9,8 @@ import pytest
 
 from halfseen.cell.campaign import RUN_FILE, Campaign, Conditions, logs_of, table_name, working_folder
 from halfseen.cell.episode import play
-from halfseen.cell.memory import MORE_IN_VIEW, Known
+from halfseen.cell.facts import Facts
+from halfseen.cell.memory import MORE_IN_VIEW, Glance, Known, Memory
 from halfseen.cell.stops import Stops
 from halfseen.cell.summary import scenes_of, summarised
 from halfseen.cell.table_state import MOST_OBJECTS, Belief, no_grip, state_of
@@ -25,6 +26,7 @@ from halfseen.scene.stains import Stain, Surface
 from halfseen.scene.table import TABLE_TOP_M, Table
 from halfseen.scene.xtion import xtion_at
 from halfseen.world import ActionSpace, Verb, WorldConfig
+from halfseen.world.persistent_seeing import PersistentSeeing
 from halfseen.world.policy import surely
 from halfseen.world.recording import states_of
 
@@ -139,6 +141,19 @@ def test_states_are_padded_and_padding_is_no_object(numbers):
     hidden = np.asarray(state.hides)
     assert hidden[numbers[1], numbers[0]] > 0.1
     assert hidden.sum() == pytest.approx(hidden[numbers[1], numbers[0]])
+
+
+def test_a_label_that_cannot_be_news_changes_nothing():
+    seeing = PersistentSeeing(0.3, (0.3, 1.0), (0.5, 0.9), (0.1, 0.2))
+    known = Known(np.zeros(3), None, Facts(False, 0.08, 0.05))
+    memory = Memory()
+    memory.objects, memory.hides = [known], np.zeros((1, 1))
+    odds = []
+    for glances in ([Glance(0.5, False, True)], [Glance(0.5, False, True), Glance(0.2, False, True)]):
+        known.glances = glances
+        state = state_of(memory, Belief(WorldConfig(seeing=seeing), no_grip), 10)
+        odds.append((float(state.log_odds[0]), float(state.seen[0])))
+    assert odds[0] == odds[1] == (pytest.approx(np.log(1.5) + np.log(0.25 / 0.05)), 1.0)
 
 
 def quits():

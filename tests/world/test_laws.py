@@ -28,6 +28,7 @@ from halfseen.world.dynamics import start, step
 from halfseen.world.episodes import play
 from halfseen.world.gymnasium_env import CupsEnv
 from halfseen.world.recording import states_of
+from halfseen.world.seeing import label_evidence
 from halfseen.world.state import pad_scenes
 
 SCENE = Scene(np.array([[0.0, 0.5, 0.2], [0.0, 0.0, 0.3], [0.1, 0.0, 0.0]]))
@@ -190,3 +191,9 @@ def test_a_policy_that_needs_no_law_decides_under_any(episodes):
 def test_times_are_told_only_of_a_law_that_has_them():
     with pytest.raises(ArgumentError, match="grasping is Nudging, whose times are not known: use 'hidden'"):
         information_relaxation_bound(SCENE, WorldConfig(grasping=Nudging()), horizon=2, reveals="everything")
+
+
+def test_a_label_that_the_law_does_not_expect_is_no_evidence():
+    zero = np.zeros(2)
+    np.testing.assert_array_equal(label_evidence(zero, zero, np.array([True, False])), [0.0, 0.0])
+    assert float(label_evidence(jnp.zeros(()), jnp.zeros(()), jnp.asarray(True))) == 0.0

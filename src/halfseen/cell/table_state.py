@@ -78,6 +78,8 @@ def _told(known: Known, config: WorldConfig) -> tuple[float, float]:
     log_odds = float(np.log(config.dirty_share) - np.log1p(-config.dirty_share))
     for glance in known.glances:
         chances = law.positive(np.float64(glance.occlusion), seen, glance.is_held)
+        if not any(chances):
+            continue  # what shows nothing new tells nothing, whatever it says
         log_odds += float(label_evidence(*chances, glance.says_dirty))
         seen = float(law.after(np.float64(glance.occlusion), seen, glance.says_dirty, glance.is_held))
     return log_odds, seen

@@ -114,7 +114,9 @@ def label_evidence(if_dirty: Any, if_clean: Any, says_dirty: Any) -> Any:
     """What a label adds to the log-odds of DIRTY, by the probabilities of `KnownSeeing.positive`; 0 without news."""
     xp = namespace(if_dirty, if_clean, says_dirty)
     if_dirty, if_clean = (xp.where(says_dirty, positive, 1.0 - positive) for positive in (if_dirty, if_clean))
-    return xp.log(if_dirty) - xp.log(if_clean)
+    # A look that shows nothing new may still err: what cannot be said by the law tells nothing.
+    is_news = if_dirty + if_clean > 0.0
+    return xp.log(xp.where(is_news, if_dirty, 1.0)) - xp.log(xp.where(is_news, if_clean, 1.0))
 
 
 @jax.tree_util.register_dataclass
