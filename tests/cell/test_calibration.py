@@ -195,7 +195,7 @@ def law():
     clean = labels((0.0, False, False), (0.0, True, False)) | {"is_dirty": False}
     spotted = labels((0.0, False, True)) | {"is_dirty": False}
     glances = pd.DataFrame([dirty] * 5 + [hidden] * 3 + [clean] * 9 + [spotted])
-    return Law(fit_grasping(trials), fit_times(trials), fit_seeing(glances), 9.5)
+    return Law(fit_grasping(trials), fit_times(trials), fit_seeing(glances), 9.5, np.array([-2.0, 0.0, 0.5]))
 
 
 def test_a_world_under_the_law_holds_what_the_regression_says(law):
@@ -217,6 +217,7 @@ def test_a_law_is_read_as_it_was_written(law, tmp_path):
     assert stored.law.time == law.time
     assert stored.law.seeing == law.seeing
     assert stored.law.limit_s == 9.5
+    assert stored.law.grips.tolist() == law.grips.tolist()
 
 
 @pytest.mark.parametrize("name", ["law.json", "law.safetensors", "law.sha256"])

@@ -124,7 +124,7 @@ def test_what_stops_a_cell_is_the_cause_of_a_cut(tmp_path, numbers):
 
 
 def test_only_looks_that_show_more_are_news():
-    known = Known(np.zeros(3), None, None)
+    known = Known(np.zeros(3), None, Facts(is_lying=False, width_m=0.08, room_m=0.05))
     for occlusion, says_dirty in ((0.5, False), (0.5 - 0.5 * MORE_IN_VIEW, True), (0.3, False), (0.4, True)):
         known.label(occlusion, says_dirty, is_held=False)
     assert [glance.occlusion for glance in known.glances] == [0.5, 0.3]

@@ -1,9 +1,13 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from fitted_laws import GRASPING, SEEING
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from halfseen.errors import ArgumentError
+from halfseen.study.experiment import Setting
 from halfseen.study.experiments.clutter.places import ClutterDesign, random_tables
 from halfseen.world.config import WorldConfig
 
@@ -48,11 +52,11 @@ def test_a_clutter_that_no_table_has_is_refused(num_objects, occlusion):
 
 
 def test_labels_and_costs_are_crossed_and_spreads_vary_the_worlds_own():
-    places = ClutterDesign().places(WorldConfig())
+    places = ClutterDesign().places(Setting(()))
     assert len(places) == len(set(places)) == 9 * (3 * 3 + 2)
-    crossed = {(place.label_gain, place.reward_wash_clean) for place in places if place.grip_offset_std == 1.0}
+    crossed = {(place.labels, place.reward_wash_clean) for place in places if place.grip_offset_std == 1.0}
     assert crossed == {(gain, reward) for gain in (0.15, 0.3, 0.45) for reward in (-5.0, -10.0, -20.0)}
-    assert {(place.label_gain, place.reward_wash_clean) for place in places if place.grip_offset_std != 1.0} == {
+    assert {(place.labels, place.reward_wash_clean) for place in places if place.grip_offset_std != 1.0} == {
         (0.3, -10.0)
     }
     assert len({(place.num_objects, place.occlusion) for place in places}) == 9
@@ -60,7 +64,31 @@ def test_labels_and_costs_are_crossed_and_spreads_vary_the_worlds_own():
 
 def test_a_place_changes_its_own_three_numbers_of_the_world():
     base = WorldConfig(dirty_share=0.7, horizon=5)
-    place = ClutterDesign(label_gains=(0.2,)).places(base)[0]
+    place = ClutterDesign(label_scales=(0.5,)).places(Setting((), world=base))[0]
     world = place.world(base)
-    assert (world.seeing.gain, world.reward_wash_clean, world.grasping.offset_std) == (0.2, -5.0, 1.0)
+    assert (world.seeing.gain, world.reward_wash_clean, world.grasping.offset_std) == (0.15, -5.0, 1.0)
     assert (world.dirty_share, world.horizon, world.reward_dirty_left) == (0.7, 5, -5.0)
+
+
+def test_under_a_law_of_a_cell_the_assumed_laws_are_one_more_row(tmp_path):
+    setting = Setting((), world=WorldConfig(grasping=GRASPING, seeing=SEEING, transport_s=4.0), law=tmp_path)
+    design = ClutterDesign()
+    places = design.places(setting)
+    assert len(places) == len(set(places)) == 9 * (3 * 3 + 2 + 1)
+    assert [len(column) for column in design.panels(setting)] == [3, 3, 3, 4]
+    shown = {place.labels for place in places if not place.is_assumed}
+    assert sorted(shown) == pytest.approx([0.5 * SEEING.facing, SEEING.facing, min(1.5 * SEEING.facing, 1.0)])
+    last = places[-1]
+    assert last.is_assumed
+    assert last.world(setting.world) == WorldConfig()
+    assert replace(places[0].world(setting.world), reward_wash_clean=-10.0).grasping == GRASPING
+
+
+def test_grips_of_random_tables_are_drawn_from_those_of_the_cell():
+    rng = np.random.default_rng(0)
+    scenes = random_tables(4, 0.3, 50, rng, (-2.0, 0.5))
+    grips = np.array([scene.grip for scene in scenes])
+    assert set(grips.ravel()) == {-2.0, 0.5}
+    without = random_tables(4, 0.3, 50, np.random.default_rng(0))
+    assert all(np.array_equal(one.hides, other.hides) for one, other in zip(scenes, without, strict=True))
+    assert not any(scene.grip.any() for scene in without)

@@ -57,7 +57,7 @@ def test_no_factor_is_blamed_for_another():
     table = example_table(lambda place: 0.3 if place.reward_wash_clean == -20 else 0.0)
     spreads = [level for level in levels(table, LEARN) if level.factor == "grip_offset_std"]
     assert [(level.num_places, level.num_verdicts) for level in spreads] == [(9, 0)] * 3
-    labels = [level for level in levels(table, LEARN) if level.factor == "label_gain"]
+    labels = [level for level in levels(table, LEARN) if level.factor == "labels"]
     assert [(level.num_places, level.num_verdicts) for level in labels] == [(27, 9)] * 3
 
 
@@ -69,7 +69,7 @@ def test_places_without_a_scale_are_counted():
 
 
 def test_a_map_of_one_place_has_words():
-    design = Clutter((3,), (0.1,), (0.3,), (-10.0,), (1.0,))
+    design = Clutter((3,), (0.1,), (1.0,), (-10.0,), (1.0,))
     for share in (0.3, 0.0):
         assert "everywhere" in said(lambda place, share=share: share, design)[0]
     assert levels(example_table(lambda place: 0.0, design), ENOUGH) == []
@@ -80,7 +80,7 @@ def test_a_map_of_one_place_has_words():
     [
         ("num_objects", 9.0, "9 objects stand on the table"),
         ("occlusion", 0.3, "30 % of an object is hidden on average"),
-        ("label_gain", 0.15, "a label in full view is right 65 % of the time"),
+        ("labels", 0.15, "a label in full view is right 65 % of the time"),
         ("reward_wash_clean", -5.0, "washing a clean cup costs as much as a dirty one earns"),
         ("grip_offset_std", 1.5, "grip offsets spread by 1.5"),
     ],

@@ -25,7 +25,7 @@ COLUMNS = {
     "behind_high",
     "grasp_tests": "measure num_paths svm beta p_value p_holm effect supported effect_low effect_high",
     "figure5": "model num_paths bin_from attempts mean_probability share_succeeded difference se low high",
-    "map": "num_objects occlusion label_gain reward_wash_clean grip_offset_std num_paths cut_share repetitions "
+    "map": "num_objects occlusion labels reward_wash_clean grip_offset_std is_assumed num_paths cut_share repetitions "
     "censored_q best_heuristic heuristic_reward finish_reward gain gain_se gain_share gain_share_low gain_share_high "
     "verdict",
     "regret": "policy num_paths cut_share regret se low high regret_share optimum repetitions",

@@ -16,6 +16,7 @@ EPILOG = "Example: halfseen study --out runs/study --repetitions 200 --resume"
 @click.option("--repetitions", default=None, type=int, help="Fresh logs and episodes; the paper made 10,000.")
 @click.option("--only", multiple=True, metavar="NAME", help="Run this experiment alone; may be given more than once.")
 @click.option("--seed", default=0, show_default=True, help="All but measured times follows from it.")
+@options.law
 @click.option("--resume", is_flag=True, help="Go on where a killed study stopped, or add repetitions to one.")
 @click.option("--jobs", default=None, type=click.IntRange(min=1), help="Processes; by default one a core.")
 @click.option("--json", "is_json", is_flag=True, help="Print study.json instead of the answer.")
@@ -25,6 +26,7 @@ def study(
     repetitions: int | None,
     only: tuple[str, ...],
     seed: int,
+    law: str | None,
     resume: bool,
     jobs: int | None,
     is_json: bool,
@@ -32,20 +34,25 @@ def study(
 ) -> None:
     """Regenerate the figures, tables and report of the study from ten captured tables, or from CLOUDS of your own.
 
+    The world has the law of the physical cell that comes with the package, or the one in a folder; or assumed ones.
+
     Experiments: reward, planning, censoring, grasp, clutter, regret.
     """
     # What one process compiled serves the others, and the study that goes on.
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(out.absolute() / "progress" / "compiled"))
+    from halfseen.cli.laws import law_folder
     from halfseen.scene import table_paths
     from halfseen.study.experiment import DEFAULT_REPETITIONS, Setting
+    from halfseen.study.laws import under
     from halfseen.study.run import chosen, run_study
     from halfseen.study.scenes import look_at
     from halfseen.writing import refuse_unwritable
 
     experiments, paths = chosen(only), list(clouds) or table_paths()
     setting = Setting((), repetitions=DEFAULT_REPETITIONS if repetitions is None else repetitions, seed=seed)
+    setting, known = under(setting, law_folder(law))
     refuse_unwritable(out)
-    scenes, pictures = look_at(paths)
+    scenes, pictures = look_at(paths, known)
     setting = replace(setting, scenes=scenes)
     results = run_study(setting, out, experiments, is_resumed=resume, num_jobs=jobs, pictures=pictures)
     if is_json:

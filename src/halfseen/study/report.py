@@ -16,6 +16,7 @@ from halfseen.pages.html import rendered
 from halfseen.pages.numbers import amount, share
 from halfseen.pages.sentences import INCONCLUSIVE, NOT_SUPPORTED, SUPPORTED, as_sentence
 from halfseen.study.experiment import Drawing, Experiment, Section, Setting, Tables
+from halfseen.study.laws import law_sentence
 from halfseen.study.policies import STRONGEST_RULE
 from halfseen.study.wording import CUT_KIND_NAMES
 from halfseen.world.scene import Scene
@@ -50,8 +51,9 @@ class StudyResults:
 
     @property
     def answer(self) -> list[str]:
-        """The leading sentences of all sections."""
-        return [sentence for section in self.sections.values() for sentence in section.sentences[: section.num_leading]]
+        """The leading sentences of all sections, and where the laws come from."""
+        leading = (section.sentences[: section.num_leading] for section in self.sections.values())
+        return [*(sentence for sentences in leading for sentence in sentences), law_sentence(self.setting)]
 
 
 def report_of(results: StudyResults, pictures: Mapping[str, bytes]) -> str:
@@ -112,7 +114,8 @@ def _command(setting: Setting, experiments: Sequence[Experiment]) -> str:
     from halfseen.study.experiments import EXPERIMENTS
 
     only = "" if len(experiments) == len(EXPERIMENTS) else "".join(f" --only {each.name}" for each in experiments)
-    return f"halfseen study --repetitions {setting.repetitions} --seed {setting.seed}{only}"
+    law = " --law assumed" if setting.law is None else ""
+    return f"halfseen study --repetitions {setting.repetitions} --seed {setting.seed}{law}{only}"
 
 
 def _scene(scene: Scene, picture: bytes | None) -> dict[str, Any]:

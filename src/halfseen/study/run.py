@@ -7,6 +7,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from halfseen.errors import ArgumentError
 from halfseen.pages.drawing import drawn
 from halfseen.study.experiment import Experiment, Setting
@@ -86,8 +88,11 @@ def _as_dict(results: StudyResults) -> dict[str, Any]:
         "answer": results.answer,
         "sentences": {name: section.sentences for name, section in results.sections.items()},
         "experiments": {each.name: design_of(each) for each in results.experiments},
-        "setting": {name: value for name, value in setting.items() if name != "scenes"},
-        "scenes": [{"name": scene.name, "hides": scene.hides.tolist()} for scene in results.setting.scenes],
+        "setting": {name: value for name, value in setting.items() if name not in ("scenes", "law")},
+        "scenes": [
+            {"name": scene.name, "hides": scene.hides.tolist(), "grip": np.asarray(scene.grip).tolist()}
+            for scene in results.setting.scenes
+        ],
         "versions": dict(results.versions),
         "tables": {
             name: table.astype(object).where(table.notna(), None).to_dict(orient="records")

@@ -8,6 +8,7 @@ from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from tqdm import tqdm
 
 from halfseen.errors import HalfseenError
@@ -24,7 +25,9 @@ def versions() -> dict[str, str]:
 
 def store_of(experiment: Experiment, setting: Setting, folder: Path, is_resumed: bool) -> Store:
     """Open the store of an experiment; more repetitions add pieces and change none."""
-    fixed = asdict(setting) | {"scenes": [[scene.name, scene.hides.tolist()] for scene in setting.scenes]}
+    scenes = [[scene.name, scene.hides.tolist(), np.asarray(scene.grip).tolist()] for scene in setting.scenes]
+    # Of the law the numbers count, and not where it lies.
+    fixed = asdict(setting) | {"scenes": scenes, "law": setting.law is not None}
     fixed.pop("repetitions")
     design = design_of(experiment)
     design.pop("most_repetitions", None)

@@ -5,21 +5,28 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import numpy as np
 from tqdm import tqdm
 
+from halfseen.cell.calibration.law import Law
+from halfseen.cell.facts import facts_of
 from halfseen.perception import perceive, read_cloud
 from halfseen.perception.picture import draw
 from halfseen.world.scene import Scene
 
 
-def look_at(paths: Sequence[Path]) -> tuple[tuple[Scene, ...], dict[str, bytes]]:
-    """Perceive every cloud: scenes, named after their files, and what was seen, as PNG by the name of the scene."""
+def look_at(paths: Sequence[Path], law: Law | None = None) -> tuple[tuple[Scene, ...], dict[str, bytes]]:
+    """Perceive every cloud: scenes, named after their files, and what was seen, as PNG by the name of the scene.
+
+    Under a law of a cell, what is seen of an object says how well it can be gripped.
+    """
     scenes, pictures = [], {}
     with TemporaryDirectory() as folder:
         picture = Path(folder) / "picture.png"
         for path in tqdm(paths, desc="look at tables", disable=None, leave=False):
             view = perceive(read_cloud(path))
             draw(view, picture)
-            scenes.append(replace(view.scene(), name=path.stem))
+            grip = None if law is None else np.array([law.grip(facts) for facts in facts_of(view)])
+            scenes.append(replace(view.scene(), name=path.stem, grip=grip))
             pictures[path.stem] = picture.read_bytes()
     return tuple(scenes), pictures

@@ -8,6 +8,7 @@ the integral by Gauss–Hermite quadrature, plus a weak normal prior. An attempt
 for by those that were seen. Standard errors are robust, tables being the clusters [LiangZeger1986]_.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import jax
@@ -29,6 +30,7 @@ NAMES = ("log_odds", "occlusion", *FACTS, "log_offset_std")
 """Of the parameters, in their order."""
 _PRIOR_MEAN = np.array([0.0, 0.0, 0.0, 0.0, 0.0, np.log(0.5)])
 _PRIOR_STD = np.array([5.0, 5.0, 5.0, 2.0, 2.0, 1.0])
+_NUM_NEWTON_STEPS = 4
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(15)
 
 
@@ -112,11 +114,18 @@ def _fitted(data: tuple, clusters: Int[np.ndarray, " n"], num_cut: int, size: fl
 
     value_and_gradient = jax.jit(jax.value_and_grad(negative))
     found = minimize(lambda theta: tuple(map(np.asarray, value_and_gradient(theta))), _PRIOR_MEAN, jac=True)
-    bread = np.linalg.inv(np.asarray(jax.hessian(negative)(found.x)))
-    scores = np.asarray(jax.jacfwd(lambda theta: _log_likelihoods(theta, data, num_objects))(found.x))
-    by_table = np.zeros((int(clusters.max()) + 1, len(found.x)))
+    estimate, bread = _polished(found.x, jax.jit(jax.grad(negative)), jax.jit(jax.hessian(negative)))
+    scores = np.asarray(jax.jacfwd(lambda theta: _log_likelihoods(theta, data, num_objects))(estimate))
+    by_table = np.zeros((int(clusters.max()) + 1, len(estimate)))
     np.add.at(by_table, of_object, scores)
-    return GraspFit(found.x, bread @ (by_table.T @ by_table) @ bread, len(clusters), num_cut, size)
+    return GraspFit(estimate, bread @ (by_table.T @ by_table) @ bread, len(clusters), num_cut, size)
+
+
+def _polished(theta: np.ndarray, gradient: Callable, hessian: Callable) -> tuple[np.ndarray, np.ndarray]:
+    """Newton steps to the last digits, so that every machine finds the same; with the inverse Hessian there."""
+    for _ in range(_NUM_NEWTON_STEPS):
+        theta = theta - np.linalg.solve(np.asarray(hessian(theta)), np.asarray(gradient(theta)))
+    return theta, np.linalg.inv(np.asarray(hessian(theta)))
 
 
 def _log_likelihoods(theta: Array, data: tuple, num_objects: int) -> Float[Array, " objects"]:

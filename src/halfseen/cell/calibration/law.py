@@ -1,10 +1,13 @@
 """The laws of a cell, as they were estimated, and the world that takes them."""
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from math import exp
 
+import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
+from halfseen.arrays import Rows
 from halfseen.cell.calibration.grasp_fit import CENTRES, NAMES, SCALES, GraspFit, fit_grasping
 from halfseen.cell.calibration.seeing_fit import fit_seeing
 from halfseen.cell.calibration.time_fit import TimeFit, fit_times
@@ -14,6 +17,9 @@ from halfseen.logs import Logs
 from halfseen.world.config import WorldConfig
 from halfseen.world.fitted_grasping import FittedGrasping
 from halfseen.world.persistent_seeing import PersistentSeeing
+
+_NUM_GRIPS, _DIGITS = 100, 6
+_CURVES = ("sensitivity", "false_alarms")
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,12 +36,16 @@ class Law:
         What looks tell.
     limit_s
         Longest time of an attempt in that cell [s].
+    grips
+        Log-odds by which objects on its tables were easier to hold than a standing cup of usual width with usual room,
+        as they looked at first: quantiles, rising.
     """
 
     grasp: GraspFit
     time: TimeFit
     seeing: PersistentSeeing
     limit_s: float
+    grips: Rows
 
     @property
     def coefficients(self) -> dict[str, float]:
@@ -75,8 +85,7 @@ class Law:
         facts
             What is seen of it.
         """
-        told = self.coefficients
-        return sum(told[name] * (float(getattr(facts, name)) - CENTRES[name]) / SCALES[name] for name in FACTS)
+        return float(_grips(self.grasp, pd.DataFrame([asdict(facts)]))[0])
 
 
 def fit_law(logs: Logs, horizon: int, limit_s: float) -> Law:
@@ -92,4 +101,26 @@ def fit_law(logs: Logs, horizon: int, limit_s: float) -> Law:
         Longest time of an attempt [s].
     """
     tried: pd.DataFrame = trials(logs, horizon)
-    return Law(fit_grasping(tried), fit_times(tried), fit_seeing(glances(logs)), limit_s)
+    assert logs.objects is not None, "trials are read from logs with objects"
+    grasp, time, seeing = fit_grasping(tried), fit_times(tried), fit_seeing(glances(logs))
+    grasp = replace(
+        grasp,
+        estimate=_rounded(grasp.estimate),
+        covariance=_rounded(grasp.covariance),
+        effective_sample_size=float(_rounded(grasp.effective_sample_size)),
+    )
+    seeing = replace(seeing, **{name: tuple(_rounded(getattr(seeing, name)).tolist()) for name in _CURVES})
+    at_first = _grips(grasp, pd.DataFrame(logs.objects[logs.objects["stage"] == 1]))
+    grips = np.quantile(at_first, (np.arange(_NUM_GRIPS) + 0.5) / _NUM_GRIPS)
+    return Law(grasp, TimeFit(*_rounded(time).tolist()), seeing, limit_s, _rounded(grips))
+
+
+def _grips(grasp: GraspFit, facts: pd.DataFrame) -> Rows:
+    told = dict(zip(NAMES, grasp.estimate.tolist(), strict=True))
+    offsets = [told[name] * (facts[name].to_numpy(dtype=np.float64) - CENTRES[name]) / SCALES[name] for name in FACTS]
+    return np.sum(offsets, axis=0)
+
+
+def _rounded(values: ArrayLike) -> np.ndarray:
+    """Digits far below the errors are dropped: machines differ in the last ones, and a law is the same on all."""
+    return np.round(np.asarray(values, dtype=np.float64), _DIGITS)

@@ -115,6 +115,7 @@ def _arrays(law: Law) -> dict[str, np.ndarray]:
         "effective_sample_size": np.array([law.grasp.effective_sample_size]),
         "time": np.array(law.time, dtype=np.float64),
         "limit_s": np.array([law.limit_s]),
+        "grips": law.grips,
         "facing": np.array([law.seeing.facing], dtype=np.float64),
         **{name: np.array(getattr(law.seeing, name), dtype=np.float64) for name in _CURVES},
     }
@@ -131,4 +132,4 @@ def _law(arrays: Mapping[str, np.ndarray], record: Mapping[str, Any]) -> Law:
     (size,), (limit_s,), (facing,) = (arrays[name].tolist() for name in ("effective_sample_size", "limit_s", "facing"))
     fit = GraspFit(arrays["estimate"], arrays["covariance"], record["num_decided"], record["num_cut"], size)
     seeing = PersistentSeeing(facing, *(tuple(arrays[name].tolist()) for name in _CURVES))
-    return Law(fit, TimeFit(*arrays["time"].tolist()), seeing, limit_s)
+    return Law(fit, TimeFit(*arrays["time"].tolist()), seeing, limit_s, arrays["grips"])

@@ -10,7 +10,7 @@ import pandas as pd
 from halfseen.pages.numbers import amount, estimated, share_in_words
 from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Section, Setting, Tables
 from halfseen.study.experiments.clutter.figure import draw_map
-from halfseen.study.experiments.clutter.places import ClutterDesign, Place, random_tables
+from halfseen.study.experiments.clutter.places import ClutterDesign, Place, label_number, random_tables
 from halfseen.study.experiments.clutter.table import table_of
 from halfseen.study.experiments.clutter.words import map_sentence, map_title
 from halfseen.study.frames import records
@@ -33,14 +33,13 @@ class Clutter(ClutterDesign):
     def prepare(self, setting: Setting) -> PieceOf:
         """Calibrate the cuts at each place, from a pilot of its own."""
         pilots = (
-            self._source(setting, place, 0).play(self.num_paths, MAP_SEED + PILOT)
-            for place in self.places(setting.world)
+            self._source(setting, place, 0).play(self.num_paths, MAP_SEED + PILOT) for place in self.places(setting)
         )
         return {"rates": [cut_rate(pilot, self.cut_share, CUT_KIND) for pilot in pilots]}
 
     def repeat(self, setting: Setting, prepared: PieceOf, index: int) -> PieceOf:
         """Learn and play at every place: a row for each."""
-        places = zip(self.places(setting.world), prepared["rates"], strict=True)
+        places = zip(self.places(setting), prepared["rates"], strict=True)
         return {"index": index, "map": [self.at(setting, place, rate, index) for place, rate in places]}
 
     def at(self, setting: Setting, place: Place, rate: float, index: int) -> dict[str, Any]:
@@ -63,7 +62,8 @@ class Clutter(ClutterDesign):
     def _source(self, setting: Setting, place: Place, index: int) -> Source:
         """At one N the same tables everywhere, denser or looser."""
         rng = np.random.default_rng([setting.seed, index, TABLES, place.num_objects])
-        scenes = random_tables(place.num_objects, place.occlusion, self.num_tables, rng)
+        grips = () if place.is_assumed else setting.grips
+        scenes = random_tables(place.num_objects, place.occlusion, self.num_tables, rng, grips)
         return Source(place.world(setting.world), pad_scenes(scenes, max(self.num_objects)), setting.seed, index)
 
     def tabulate(self, setting: Setting, pieces: Pieces) -> Tables:
@@ -73,14 +73,17 @@ class Clutter(ClutterDesign):
     def section(self, setting: Setting, tables: Tables) -> Section:
         """Say where to learn, and where the best heuristic is good enough."""
         table, world = tables["map"], setting.world
-        drawing = Drawing(
-            "map", "Figure 6", map_title(table, world), _caption(self, table), partial(draw_map, self, world, table)
-        )
+        caption, draw = _caption(self, setting, table), partial(draw_map, self, setting, table)
+        drawing = Drawing("map", "Figure 6", map_title(table, world), caption, draw)
         sentence = map_sentence(table, self, world)
         return Section("Where is learning worth it?", (sentence,), (drawing,), (_numbers(table),))
 
 
-def _caption(design: ClutterDesign, table: pd.DataFrame) -> str:
+LABEL_WORDS = {"gain": "how often a label is right in full view", "facing": "the surface that one look shows"}
+
+
+def _caption(design: ClutterDesign, setting: Setting, table: pd.DataFrame) -> str:
+    assumed = "" if setting.law is None else " Assumed laws: those that this project chose before a cell was tried."
     return (
         f"In each field: what the policy learned from {design.num_paths} paths, of which "
         f"{share_in_words(design.cut_share)} are cut in expectation, gains over the best of the four heuristics, as a "
@@ -88,7 +91,8 @@ def _caption(design: ClutterDesign, table: pd.DataFrame) -> str:
         "is chosen with hindsight on the very episodes of the comparison, which favours it, and knows the true world. "
         f"{int(table['repetitions'].iloc[0])} repetitions, each with a fresh log and {design.num_tables} fresh random "
         f"tables; all policies play the same {design.num_tables * design.episodes_per_table} fresh episodes. Labels: "
-        "how often a label is right in full view. Cost: of washing a clean object. Spread: of the hidden grip offset. "
+        f"{LABEL_WORDS[label_number(setting.world)]}. Cost: of washing a clean object. Spread: of the hidden grip "
+        f"offset.{assumed} "
         "Verdicts are by 95 % intervals of the share (Fieller’s), which are not adjusted for the number of places; "
         "neighbouring places share their random numbers."
     )
@@ -99,7 +103,8 @@ def _numbers(table: pd.DataFrame) -> Listing:
     cells = {
         "objects": lambda row: str(row["num_objects"]),
         "hidden": lambda row: amount(row["occlusion"], 1),
-        "label gain": lambda row: amount(row["label_gain"]),
+        "laws": lambda row: "assumed" if row["is_assumed"] else "the study’s",
+        "labels": lambda row: amount(row["labels"]),
         "washing a clean one": lambda row: amount(row["reward_wash_clean"], 0),
         "grip spread": lambda row: amount(row["grip_offset_std"], 1),
         "learned": lambda row: amount(row[LEARNED.name]),

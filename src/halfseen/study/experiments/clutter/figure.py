@@ -1,6 +1,5 @@
 """The map as a figure: how much learning gains over the best heuristic, over clutter, in each world."""
 
-from dataclasses import replace
 from typing import Any
 
 import matplotlib
@@ -14,7 +13,8 @@ from matplotlib.figure import Figure
 from halfseen.pages.axes import WIDTH_INCHES, write_above, write_title
 from halfseen.pages.numbers import MISSING, amount
 from halfseen.pages.palette import INK
-from halfseen.study.experiments.clutter.places import FACTORS, ClutterDesign, Place, assumed_laws
+from halfseen.study.experiment import Setting
+from halfseen.study.experiments.clutter.places import FACTORS, ClutterDesign, Place, label_number, label_share
 from halfseen.study.experiments.clutter.table import ENOUGH, LEARN, NO_SCALE, UNDECIDED
 from halfseen.world.config import WorldConfig
 
@@ -28,15 +28,18 @@ STEPS = np.array([-0.25, -0.15, -0.10, -0.05, 0.0, 0.05, 0.10, 0.15, 0.25])
 DARK = 0.15
 """Distance from which on a field is so dark that its number is written in white."""
 MARKS = {LEARN: "▲", UNDECIDED: "?", ENOUGH: "", NO_SCALE: ""}
-HEADS = ("share of right labels (down) and cost of washing a clean cup (across)", "spread of grip offsets")
+LABEL_NAMES = {"gain": "labels", "facing": "shown"}
+LABEL_HEADS = {"gain": "share of right labels", "facing": "surface that a look shows"}
 HIDDEN_AXIS, OBJECTS_AXIS = "mean hidden share [%]", "objects N"
 SCALE_AXIS = "gain of the learned policy [% of what the best heuristic earns above FINISH at once]"
 SMALL = 8.0
 
 
-def draw_map(design: ClutterDesign, world: WorldConfig, table: pd.DataFrame, title: str) -> Figure:
+def draw_map(design: ClutterDesign, setting: Setting, table: pd.DataFrame, title: str) -> Figure:
     """Draw a panel for each world, in it a field for each clutter."""
-    columns = _columns(design, world)
+    columns = _columns(design, setting)
+    by_labels = f"{LABEL_HEADS[label_number(setting.world)]} (down) and cost of washing a clean cup (across)"
+    heads = by_labels, "spread of grip offsets" if setting.law is None else "spread of grips, and laws"
     num_rows = max(len(panels) for panels in columns)
     height = HEAD_INCHES + FOOT_INCHES + num_rows * ROW_INCHES
     figure = Figure(figsize=(WIDTH_INCHES, height))
@@ -50,29 +53,29 @@ def draw_map(design: ClutterDesign, world: WorldConfig, table: pd.DataFrame, tit
         for row, (words, here) in enumerate(panels.items()):
             axes = figure.add_subplot(grid[row, column + is_last])
             _draw_panel(axes, table, design, here, is_left=is_left, is_lowest=row == len(panels) - 1)
-            default = " (default)" if here == Place.of(world) else ""
+            default = " (default)" if here == Place.of(setting.world) else ""
             axes.set_title(f"{words}{default}", loc="left", fontsize=SMALL, pad=3.0)
             if row == 0 and is_left:
-                write_above(axes, HEADS[is_last], 19.0)
+                write_above(axes, heads[is_last], 19.0)
     _draw_scale(figure, design.worthwhile_share, height)
     _explain_marks(figure, design.worthwhile_share, height)
     return figure
 
 
-def _columns(design: ClutterDesign, world: WorldConfig) -> list[dict[str, Place]]:
+def _columns(design: ClutterDesign, setting: Setting) -> list[dict[str, Place]]:
     """Worlds by title: quality of labels by cost of washing a clean cup; last, the spread of grip offsets."""
-    own, floor = Place.of(world), float(assumed_laws(world)[1].floor)
-    columns = [
-        {
-            f"labels {_percent(floor + gain)} %, cost {amount(-reward, 0)}": replace(
-                own, label_gain=gain, reward_wash_clean=reward
-            )
-            for gain in sorted(design.label_gains)
-        }
-        for reward in sorted(design.wash_clean_rewards, reverse=True)
-    ]
-    spreads = sorted(design.grip_offset_stds)
-    return [*columns, {f"spread {spread:g}": replace(own, grip_offset_std=spread) for spread in spreads}]
+    *by_cost, last = design.panels(setting)
+    columns = [{_labelled(each, setting.world): each for each in panels} for panels in by_cost]
+    return [*columns, {_spread(each): each for each in last}]
+
+
+def _labelled(place: Place, world: WorldConfig) -> str:
+    shown = _percent(label_share(place.labels, world))
+    return f"{LABEL_NAMES[label_number(world)]} {shown} %, cost {amount(-place.reward_wash_clean, 0)}"
+
+
+def _spread(place: Place) -> str:
+    return "assumed laws" if place.is_assumed else f"spread {place.grip_offset_std:.3g}"
 
 
 def _draw_panel(
@@ -80,7 +83,8 @@ def _draw_panel(
 ) -> None:
     """Draw one world: N upwards, occlusion to the right, and in each field the share and the verdict's mark."""
     sizes, occlusions = sorted(design.num_objects), sorted(design.occlusions)
-    is_here = np.logical_and.reduce([np.isclose(table[name], getattr(here, name)) for name in FACTORS[2:]])
+    same = [np.isclose(table[name], getattr(here, name)) for name in FACTORS[2:]]
+    is_here = np.logical_and.reduce([*same, table["is_assumed"] == here.is_assumed])
     rows = table[is_here].set_index(["num_objects", "occlusion"])
     shares = rows["gain_share"].unstack().loc[sizes, occlusions].to_numpy(dtype=float)
     verdicts = rows["verdict"].unstack().loc[sizes, occlusions].to_numpy()

@@ -43,13 +43,13 @@ def table_of(design: ClutterDesign, world: WorldConfig, pieces: Sequence[Mapping
 
     The best heuristic of a place is that of the four with the largest mean reward on the very episodes of the
     comparison: it is chosen with hindsight, which favours it.
-    Columns are num_objects, occlusion, label_gain, reward_wash_clean, grip_offset_std, num_paths, cut_share,
+    Columns are num_objects, occlusion, labels, reward_wash_clean, grip_offset_std, is_assumed, num_paths, cut_share,
     repetitions, censored_q, best_heuristic, heuristic_reward, finish_reward, gain, gain_se, gain_share,
     gain_share_low, gain_share_high and verdict.
     """
     rows = []
     for k, row in enumerate(pieces[0]["map"]):
-        place = Place(**{name: row[name] for name in FACTORS})
+        place = Place(**{name: row[name] for name in (*FACTORS, "is_assumed")})
         rewards = {name: np.array([piece["map"][k]["rewards"][name] for piece in pieces]) for name in row["rewards"]}
         rows.append(_row(design, place, world, rewards))
     return pd.DataFrame(rows)

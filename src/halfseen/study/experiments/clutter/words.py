@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import pandas as pd
 
-from halfseen.study.experiments.clutter.places import FACTORS, ClutterDesign, assumed_laws
+from halfseen.study.experiments.clutter.places import FACTORS, ClutterDesign, label_number, label_share
 from halfseen.study.experiments.clutter.table import ENOUGH, LEARN, NO_SCALE, UNDECIDED
 from halfseen.study.wording import learned_from
 from halfseen.world.config import WorldConfig
@@ -63,6 +63,7 @@ def levels(table: pd.DataFrame, verdict: str) -> list[Level]:
     another factor is never laid at its door.
     """
     found = []
+    table = pd.DataFrame(table[~table["is_assumed"]])
     for factor in FACTORS:
         tried = table.groupby([name for name in FACTORS if name != factor])[factor].transform("nunique")
         compared = table[tried == tried.max()]
@@ -87,14 +88,22 @@ def factor_words(factor: str, value: float, world: WorldConfig) -> str:
         return f"{value:g} objects stand on the table"
     if factor == "occlusion":
         return f"{_percent(value)} of an object is hidden on average"
-    if factor == "label_gain":
-        return f"a label in full view is right {_percent(float(assumed_laws(world)[1].floor) + value)} of the time"
+    if factor == "labels":
+        return label_words(value, world)
     if factor == "reward_wash_clean":
         ratio = -value / float(world.reward_wash_dirty)
         return (
             f"washing a clean cup costs {'as much as' if ratio == 1 else f'{ratio:.3g} times what'} a dirty one earns"
         )
-    return f"grip offsets spread by {value:g}"
+    return f"grip offsets spread by {value:.3g}"
+
+
+def label_words(number: float, world: WorldConfig) -> str:
+    """Say how good labels are."""
+    shown = _percent(label_share(number, world))
+    if label_number(world) == "facing":
+        return f"a look shows {shown} of the surface of an object"
+    return f"a label in full view is right {shown} of the time"
 
 
 def _percent(share: float) -> str:
