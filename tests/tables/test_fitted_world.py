@@ -34,14 +34,14 @@ def test_what_is_known_stays_and_the_laws_are_of_the_families_that_made_the_log(
     assert fitted.grasping.limit_s == known.grasping.limit_s
     assert type(fitted.grasping) is type(known.grasping)
     assert type(fitted.seeing) is type(known.seeing)
-
-
-def test_planners_plan_with_laws_of_the_other_families():
-    short = replace(FITTED, horizon=2)
-    fitted = fit_world(logs_of(short), short)
     assert isinstance(fitted.grasping, KnownGrasping)
     assert isinstance(fitted.seeing, KnownSeeing)
-    planner = POMDPPolicy(fitted, num_simulations=8)
+
+
+@pytest.mark.slow
+def test_planners_plan_with_laws_of_the_other_families():
+    short = replace(FITTED, horizon=2)
+    planner = POMDPPolicy(fit_world(logs_of(short), short), num_simulations=8)
     played = evaluate(short, pad_scenes([Scene(HIDES)]), planner, jax.random.key(0), 4)
     assert np.isfinite(played.reward).all()
 
