@@ -2,15 +2,21 @@
 
 from dataclasses import replace
 
+import jax
 import numpy as np
 import pytest
 
 from fitted_laws import FITTED
 from halfseen.errors import LogError
 from halfseen.logs import Logs
+from halfseen.planners import POMDPPolicy
 from halfseen.tables import fit_world
 from halfseen.tables.fitted_world import evidence_of, fitted_to
-from halfseen.world import AssumedSeeing, Scene, TableWorld, UniformPolicy, WorldConfig
+from halfseen.world import AssumedGrasping, AssumedSeeing, Scene, TableWorld, UniformPolicy, WorldConfig
+from halfseen.world.episodes import evaluate
+from halfseen.world.grasping import KnownGrasping
+from halfseen.world.seeing import KnownSeeing
+from halfseen.world.state import pad_scenes
 
 HIDES = np.array([[0.0, 0.0, 0.0], [0.6, 0.0, 0.0], [0.0, 0.4, 0.0]])
 
@@ -20,19 +26,44 @@ def logs_of(config, episodes=60, cut_share=0.4):
 
 
 @pytest.mark.parametrize("config", [WorldConfig(), FITTED])
-def test_what_is_known_stays_and_the_laws_are_ones_to_plan_with(config):
+def test_what_is_known_stays_and_the_laws_are_of_the_families_that_made_the_log(config):
     known = replace(config, reward_wash_dirty=4.0, transport_s=1.0, horizon=10)
     fitted = fit_world(logs_of(known), known)
     as_known = replace(fitted, grasping=known.grasping, seeing=known.seeing)
     assert as_known == known
     assert fitted.grasping.limit_s == known.grasping.limit_s
-    assert 0.5 <= fitted.seeing.accuracy(1.0) <= fitted.seeing.accuracy(0.0) < 1.0
+    assert type(fitted.grasping) is type(known.grasping)
+    assert type(fitted.seeing) is type(known.seeing)
+    assert isinstance(fitted.grasping, KnownGrasping)
+    assert isinstance(fitted.seeing, KnownSeeing)
 
 
-def test_the_true_laws_are_not_looked_at():
-    logs, known = logs_of(WorldConfig()), WorldConfig()
-    other = replace(known, grasping=replace(known.grasping, log_time=3.0), seeing=AssumedSeeing(0.6, 0.1, 3.0))
-    assert fit_world(logs, known) == fit_world(logs, other)
+@pytest.mark.slow
+def test_planners_plan_with_laws_of_the_other_families():
+    short = replace(FITTED, horizon=2)
+    planner = POMDPPolicy(fit_world(logs_of(short), short), num_simulations=8)
+    played = evaluate(short, pad_scenes([Scene(HIDES)]), planner, jax.random.key(0), 4)
+    assert np.isfinite(played.reward).all()
+
+
+def test_the_laws_are_those_of_the_world_where_it_takes_other_families():
+    fitted = fit_world(logs_of(FITTED, episodes=2000), FITTED)
+    for occlusion in (0.0, 0.5):
+        np.testing.assert_allclose(
+            np.exp(fitted.grasping.log_failure(occlusion, 0.0)),
+            np.exp(FITTED.grasping.log_failure(occlusion, 0.0)),
+            atol=0.04,
+        )
+        found, true = (law.seeing.positive(occlusion, 0.0) for law in (fitted, FITTED))
+        np.testing.assert_allclose(found, true, atol=0.06)
+
+
+@pytest.mark.parametrize("config", [WorldConfig(), FITTED])
+def test_the_true_laws_are_not_looked_at(config):
+    logs, limit_s = logs_of(config), config.grasping.limit_s
+    assumed = replace(config, grasping=AssumedGrasping(2.0, 3.0, 0.1, limit_s), seeing=AssumedSeeing(0.6, 0.1, 3.0))
+    other = replace(config, grasping=replace(FITTED.grasping, log_odds=-1.0, limit_s=limit_s), seeing=FITTED.seeing)
+    assert fit_world(logs, config) == fit_world(logs, assumed) == fit_world(logs, other)
 
 
 def test_a_log_tells_its_share_of_dirty_objects_though_nobody_wrote_it_down():
@@ -42,8 +73,9 @@ def test_a_log_tells_its_share_of_dirty_objects_though_nobody_wrote_it_down():
     assert fit_world(untold, WorldConfig()).dirty_share == pytest.approx(0.3, abs=0.03)
 
 
-def test_fits_to_the_first_paths_are_fits_to_a_log_of_them():
-    logs, known = logs_of(WorldConfig()), WorldConfig()
+@pytest.mark.parametrize("known", [WorldConfig(), FITTED])
+def test_fits_to_the_first_paths_are_fits_to_a_log_of_them(known):
+    logs = logs_of(known)
     some = fitted_to(evidence_of(logs, known).first(20), known)
     assert some == fit_world(logs.select(logs.path_ids[:20]), known)
 

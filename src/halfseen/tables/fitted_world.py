@@ -1,16 +1,16 @@
 """A world whose laws were fitted to the same logged paths that a policy is learned from: what a fair planner knows.
 
 A planner that knows the true laws is an oracle; who runs a cell has no true law. She knows what she pays for, how many
-steps a path may have, how long transport takes and when an attempt is given up; and she has the log.
+steps a path may have, how long transport takes and when an attempt is given up; and she has the log. It tells of which
+family the laws are, too.
 """
 
 from dataclasses import replace
 from typing import NamedTuple
 
 from halfseen.logs import Logs
-from halfseen.tables.laws.grasping_fit import fit_grasping
+from halfseen.tables.laws.families import choose_grasping, choose_seeing
 from halfseen.tables.laws.labels import Labels, labels
-from halfseen.tables.laws.seeing_fit import fit_seeing
 from halfseen.tables.laws.watched import Watched, watched
 from halfseen.tables.prior import logged_dirty_share
 from halfseen.world.config import WorldConfig
@@ -30,7 +30,10 @@ class Evidence(NamedTuple):
 
 
 def fit_world(logs: Logs, known: WorldConfig) -> WorldConfig:
-    """Fit the assumed laws of grasping and seeing to a log, under censoring, each by maximum likelihood.
+    """Fit laws of grasping and seeing to a log, under censoring, each by maximum likelihood.
+
+    Of each there are two families, and the log chooses, as `halfseen.tables.laws.families` has it: `AssumedGrasping` or
+    `FittedGrasping`, `AssumedSeeing` or `PersistentSeeing`.
 
     Parameters
     ----------
@@ -74,6 +77,6 @@ def fitted_to(evidence: Evidence, known: WorldConfig) -> WorldConfig:
     return replace(
         known,
         dirty_share=evidence.dirty_share,
-        grasping=fit_grasping(evidence.tried, float(known.grasping.limit_s)),
-        seeing=fit_seeing(evidence.told, evidence.dirty_share),
+        grasping=choose_grasping(evidence.tried, float(known.grasping.limit_s)),
+        seeing=choose_seeing(evidence.told, evidence.dirty_share),
     )

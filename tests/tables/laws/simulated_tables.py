@@ -4,8 +4,27 @@ import numpy as np
 
 from halfseen.planners import GreedyPolicy
 from halfseen.tables.fitted_world import evidence_of
-from halfseen.world import ExploringPolicy, Scene, TableWorld, WorldConfig
+from halfseen.world import ExploringPolicy, FittedGrasping, PersistentSeeing, Scene, TableWorld, WorldConfig
 from halfseen.world.recording import to_logs
+
+GRASPING = FittedGrasping(
+    log_odds=2.0,
+    log_odds_per_occlusion=-0.5,
+    offset_std=0.8,
+    log_held_s=1.3,
+    log_missed_s=1.6,
+    log_std=0.25,
+    limit_s=9.5,
+)
+"""A law such as attempts of a cell tell: the view hardly matters, and misses take longer."""
+
+SEEING = PersistentSeeing(
+    facing=0.3,
+    views=(0.075, 0.15, 0.225, 0.3, 1.0),
+    sensitivity=(0.45, 0.6, 0.7, 0.8, 0.97),
+    false_alarms=(0.02, 0.05, 0.08, 0.1, 0.3),
+)
+CALIBRATED = WorldConfig(grasping=GRASPING, seeing=SEEING)
 
 LOGGER = ExploringPolicy(GreedyPolicy(WorldConfig(), uses_history=True, counts_penalty=True), 0.5)
 

@@ -19,7 +19,9 @@ def some_attempts(num=40, num_objects=12, seed=0):
     rng = np.random.default_rng(seed)
     watched_s, is_held = rng.uniform(0.0, LIMIT_S, num), rng.random(num) < 0.6
     target = np.sort(rng.integers(0, num_objects, num))
-    return Watched(target // 3, target, rng.random(num), rng.normal(0.0, 0.5, num), watched_s, is_held)
+    is_missed = ~is_held & (rng.random(num) < 0.5)
+    watched_s[is_missed] = LIMIT_S
+    return Watched(target // 3, target, rng.random(num), rng.normal(0.0, 0.5, num), watched_s, is_held, is_missed)
 
 
 def no_attempts():
@@ -60,6 +62,12 @@ def test_gradient_is_that_of_the_posterior(theta):
     np.testing.assert_allclose(gradient, approx_fprime(theta, value, 1e-7), atol=1e-4)
 
 
+def test_misses_are_taken_to_have_lasted_the_limit():
+    tried = some_attempts()
+    early = tried._replace(watched_s=np.where(tried.is_missed, 1.0, tried.watched_s))
+    assert fit_grasping(early, LIMIT_S) == fit_grasping(tried, LIMIT_S)
+
+
 def test_without_attempts_the_law_is_the_prior_s():
     law = fit_grasping(no_attempts(), LIMIT_S)
     assert np.exp(law.log_failure(0.7, 0.0)) == pytest.approx(0.5)
@@ -69,7 +77,7 @@ def test_without_attempts_the_law_is_the_prior_s():
 def test_what_was_watched_for_no_time_tells_nothing():
     tried = some_attempts()
     more = Watched(
-        *(np.append(values, more) for values, more in zip(tried, (3, 11, 0.9, 2.0, 0.0, False), strict=True))
+        *(np.append(values, more) for values, more in zip(tried, (3, 11, 0.9, 2.0, 0.0, False, False), strict=True))
     )
     assert fit_grasping(more, LIMIT_S).log_time == pytest.approx(fit_grasping(tried, LIMIT_S).log_time, abs=1e-9)
 
@@ -101,7 +109,7 @@ def test_the_law_that_made_the_attempts_is_found_however_they_were_cut(cut_share
 @pytest.mark.slow
 def test_without_cut_attempts_the_law_seems_faster_than_it_is_where_the_slow_ones_are_cut():
     tried = evidence(4000, 0.7, "attempt").tried
-    is_kept = tried.is_held | (tried.watched_s == LIMIT_S)
+    is_kept = tried.is_held | tried.is_missed
     dropped = fit_grasping(Watched(*(values[is_kept] for values in tried)), LIMIT_S)
     whole, truth = fit_grasping(tried, LIMIT_S), WorldConfig().grasping
     assert dropped.log_time < truth.log_time - 0.1

@@ -1,5 +1,7 @@
 """What looks said and washing showed, against the episodes that a log was made from."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from simulated_tables import recorded
@@ -51,6 +53,41 @@ def test_a_look_that_shows_nothing_new_is_no_label():
     told = labels(logs, FITTED, 0.6)
     num_looks = int((np.asarray(cuts.episodes.states.is_on_table) & cuts.is_begun[:, :, None]).sum())
     assert 0 < len(told.path) < 0.7 * num_looks
+
+
+@pytest.mark.parametrize("cut_share", [0.0, 0.6])
+def test_labels_of_a_recorder_who_counts_views_say_what_the_law_says_of_them(cut_share):
+    cuts, logs = recorded(60, cut_share, config=FITTED)
+    told, law = labels(logs, FITTED, 0.6), FITTED.seeing
+    assert told.is_persistent
+    np.testing.assert_allclose(
+        told.seen_after, law.after(told.occlusion, told.seen, told.says_dirty, told.is_held), atol=1e-6
+    )
+    assert told.is_held.any()
+    assert not told.occlusion[told.is_held].any()
+    # What washing showed to be clean had its false alarms, and no more.
+    if_dirty, if_clean = law.positive(told.occlusion, told.seen, told.is_held)
+    assert (if_dirty > 0.0).all()
+    expected = np.where(np.asarray(cuts.episodes.hidden.is_dirty)[told.path, told.object % 5], if_dirty, if_clean)
+    excess = told.says_dirty - expected
+    assert abs(excess.sum()) < 3.0 * np.sqrt((expected * (1.0 - expected)).sum())
+
+
+def test_a_recorder_to_whom_each_look_is_news_counts_no_views():
+    _, logs = recorded(20)
+    told = labels(logs, WorldConfig(), 0.6)
+    assert not told.is_persistent
+    assert not told.seen.any()
+
+
+def test_a_look_that_finds_nothing_counts_though_the_recorder_learns_nothing_from_it():
+    seeing = replace(FITTED.seeing, sensitivity=(0.0, 0.55, 0.6, 0.95), false_alarms=(0.0, 0.06, 0.1, 0.2))
+    flat = replace(FITTED, seeing=seeing)
+    _, logs = recorded(60, config=flat)
+    told = labels(logs, flat, 0.6)
+    is_flat = told.seen_after <= seeing.views[0]
+    assert is_flat.any()
+    assert not told.says_dirty[is_flat].any()
 
 
 def test_the_first_paths_tell_what_a_log_of_them_tells():

@@ -19,7 +19,8 @@ def some_labels(num=80, num_objects=15, seed=0):
     target = np.append(np.arange(num_objects), rng.integers(0, num_objects, num - num_objects))
     occlusion = np.where(rng.random(num) < 0.1, 1.0, rng.random(num))
     shown = rng.choice(3, num_objects)[target]
-    return Labels(target // 3, target, occlusion, rng.random(num) < 0.6, shown == 1, shown == 2)
+    no_views = np.zeros(num, dtype=bool), np.zeros(num), np.zeros(num)
+    return Labels(target // 3, target, occlusion, *no_views, rng.random(num) < 0.6, shown == 1, shown == 2)
 
 
 @pytest.mark.parametrize("theta", THETAS)

@@ -1,5 +1,7 @@
 """The assumed law of grasping, its numbers fitted to attempts of which some were cut, by maximum likelihood.
 
+Under it an attempt misses at its limit and at no other time, so its misses are taken to have lasted the limit.
+
 ========  ==========================================================================================================
 symbol    here
 ========  ==========================================================================================================
@@ -53,9 +55,18 @@ def fit_grasping(tried: Watched, limit_s: float) -> AssumedGrasping:
     limit_s
         τ, which is known [s].
     """
+    return law_of(fit_theta(tried, limit_s), limit_s)
+
+
+def fit_theta(tried: Watched, limit_s: float) -> Theta:
+    """Fit the three numbers, as `negative_log_posterior` takes them."""
     bounds = [(-10.0, 10.0), (-15.0, 15.0), (-5.0, 2.0)]
-    found = minimize(negative_log_posterior, CENTRE, args=(tried, limit_s), jac=True, method="L-BFGS-B", bounds=bounds)
-    log_time, per_occlusion, log_std = (float(value) for value in found.x)
+    return minimize(negative_log_posterior, CENTRE, args=(tried, limit_s), jac=True, method="L-BFGS-B", bounds=bounds).x
+
+
+def law_of(theta: Theta, limit_s: float) -> AssumedGrasping:
+    """Read the parameters that `negative_log_posterior` takes."""
+    log_time, per_occlusion, log_std = (float(value) for value in theta)
     return AssumedGrasping(float(np.exp(log_std)), log_time + float(np.log(limit_s)), per_occlusion, limit_s)
 
 
@@ -63,7 +74,7 @@ def negative_log_posterior(theta: Theta, tried: Watched, limit_s: float) -> tupl
     """What `fit_grasping` minimises, and its gradient."""
     shift = (theta - CENTRE) / SPREAD
     log_rate = tried.grip - theta[0] - np.log(limit_s) - theta[1] * tried.occlusion
-    hazard = tried.watched_s * np.exp(log_rate)
+    hazard = np.where(tried.is_missed, limit_s, tried.watched_s) * np.exp(log_rate)
     of_object = _of_objects(tried, hazard)
     log_likelihood, rate, per_log_std = _integrated(*of_object, float(np.exp(theta[2])))
     # What an attempt held more often than was to be expected.

@@ -13,6 +13,7 @@ from halfseen.logs import Logs
 from halfseen.tables.grasp.attempts import attempts
 from halfseen.world.action_space import Verb
 from halfseen.world.config import WorldConfig
+from halfseen.world.persistent_seeing import SAME_VIEW
 from halfseen.world.recording import states_of
 
 NO_NEWS = 1e-4
@@ -28,6 +29,12 @@ class Labels(NamedTuple):
     """Number of the object; none stands in two paths."""
     occlusion: Rows
     """Hidden share in the look that it comes from; 0 of what is held up."""
+    is_held: RowMask
+    """Whether it was held up in that look."""
+    seen: Rows
+    """Share of its surface that the recorder counted as seen before it; 0 in a log that counts none."""
+    seen_after: Rows
+    """The same after it."""
     says_dirty: RowMask
     was_dirty: RowMask
     """Whether washing showed that the object was dirty."""
@@ -39,12 +46,18 @@ class Labels(NamedTuple):
         kept = self.path < num_paths
         return Labels(*(values[kept] for values in self))
 
+    @property
+    def is_persistent(self) -> bool:
+        """Whether the recorder counted what was seen, and took a look that shows nothing else for no news."""
+        return bool(self.seen_after.any())
+
 
 def labels(logs: Logs, known: WorldConfig, dirty_share: float) -> Labels:
     """List what every look said: DIRTY where it raised the log-odds, the other where it lowered them.
 
     By how much the recorder let them move is its own belief in its labels, and is not used. A look that moved nothing
-    was no news, and is left out. The reward of a WASH that held shows what the object was; one in the last step of the
+    was no news, and is left out, unless it added to what counts as seen: then nothing was found in what it showed. The
+    reward of a WASH that held shows what the object was; one in the last step of the
     horizon is left out, as its reward also holds the price of what is left.
 
     Parameters
@@ -62,14 +75,20 @@ def labels(logs: Logs, known: WorldConfig, dirty_share: float) -> Labels:
         As `states_of` and `attempts` do.
     """
     states = _as_numpy(states_of(logs, known.horizon))
-    occluded, moved = _occluded(states), _moved(states, dirty_share)
-    path, stage, target = np.nonzero((np.abs(moved) > NO_NEWS) & states.is_on_table)
+    is_held = np.diff(states.lifts, axis=1, prepend=0) > 0
+    occluded, moved = _occluded(states, is_held), _moved(states, dirty_share)
+    shows_more = np.diff(states.seen, axis=1, prepend=0.0) > SAME_VIEW
+    path, stage, target = at = np.nonzero(((np.abs(moved) > NO_NEWS) | shows_more) & states.is_on_table)
+    seen = states.seen.astype(np.float64)
     was = _shown(logs, known, states.is_object.shape)
     return Labels(
         path=path,
         object=path * states.is_object.shape[-1] + target,
-        occlusion=occluded[path, stage, target].astype(np.float64),
-        says_dirty=moved[path, stage, target] > 0.0,
+        occlusion=occluded[at].astype(np.float64),
+        is_held=is_held[at],
+        seen=np.where(stage > 0, seen[path, stage - 1, target], 0.0),
+        seen_after=seen[at],
+        says_dirty=moved[at] > NO_NEWS,
         was_dirty=was[0][path, target],
         was_clean=was[1][path, target],
     )
@@ -85,12 +104,11 @@ def _moved(states: SimpleNamespace, dirty_share: float) -> Float[np.ndarray, "n 
     return np.diff(states.log_odds, axis=1, prepend=prior)
 
 
-def _occluded(states: SimpleNamespace) -> Float[np.ndarray, "n T N"]:
+def _occluded(states: SimpleNamespace, is_held: Bool[np.ndarray, "n T N"]) -> Float[np.ndarray, "n T N"]:
     """Hidden share of each object in the look before each stage; what was held up then hid nothing and was seen whole.
 
     What was held up is the object whose lifts were counted since the stage before.
     """
-    is_held = np.diff(states.lifts, axis=1, prepend=0) > 0
     is_hiding = (states.is_on_table & ~is_held)[:, :, None, :]
     hidden = 1.0 - np.prod(np.where(is_hiding, 1.0 - states.hides, 1.0), axis=-1)
     return np.where(is_held, 0.0, hidden)
