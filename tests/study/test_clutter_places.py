@@ -2,10 +2,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fitted_laws import GRASPING, SEEING
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fitted_laws import GRASPING, SEEING
 from halfseen.errors import ArgumentError
 from halfseen.study.experiment import Setting
 from halfseen.study.experiments.clutter.places import ClutterDesign, random_tables
