@@ -142,7 +142,7 @@ def scenes_of(logs: Logs) -> list[Scene]:
     ]
 
 
-def _matrix(lists: Iterable[Sequence[float]]) -> Float[np.ndarray, "N N"]:
+def _matrix(lists: pd.Series) -> Float[np.ndarray, "N N"]:
     return np.array([np.asarray(one, dtype=np.float64) for one in lists])
 
 

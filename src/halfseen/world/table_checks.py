@@ -19,6 +19,9 @@ LIST_COLUMNS = ("hidden_by", "attempt_occlusions", "attempt_succeeded")
 OBJECT_COLUMNS = ("location", "occlusion", "log_odds", "lifts", *LIST_COLUMNS)
 OPTIONAL_COLUMNS = ("grip", "seen")
 """Read as 0 where a log has none of them."""
+PLACE_COLUMNS = ("x_m", "y_m", "z_m")
+"""Where an object was seen last: right, away from the camera, and height over the table, as perception has it [m]. A
+log may have all of them or none."""
 _ROW = ("path", "stage", "object")
 
 
