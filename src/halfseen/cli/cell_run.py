@@ -10,12 +10,13 @@ import click
 from halfseen.cli import options
 from halfseen.cli.arms import arm_options, robot_for
 from halfseen.cli.progress import progress
+from halfseen.planners.named import HEURISTICS, PLANNER, exploring, named_policy
 
 if TYPE_CHECKING:
     from halfseen.cell.table_state import Belief
     from halfseen.world import Policy, WorldConfig
 
-NAMES = ("greedy", "history", "greedy-penalty", "history-penalty", "planner")
+NAMES = (*HEURISTICS, PLANNER)
 policy_option = click.option(
     "--policy", "name", required=True, help=f"Who decides: the folder of a policy of tables, or {', '.join(NAMES)}."
 )
@@ -102,17 +103,9 @@ def belief_of(law_folder: Path | None, arm_name: str) -> "Belief":
 
 def policy_of(name: str, random_share: float, config: "WorldConfig") -> "Policy":
     """The policy of a name or a folder."""
-    from halfseen.planners.heuristics import GreedyPolicy
-    from halfseen.planners.pomdp import POMDPPolicy
-    from halfseen.world import ExploringPolicy
-
-    if name == "planner":
-        policy: Policy = POMDPPolicy(config, planning_horizon=config.horizon)
-    elif name in NAMES:
-        policy = GreedyPolicy(config, name.startswith("history"), name.endswith("-penalty"))
-    else:
-        policy = _stored(name, config)
-    return ExploringPolicy(policy, random_share) if random_share else policy
+    if name in NAMES:
+        return named_policy(name, config, random_share)
+    return exploring(_stored(name, config), random_share)
 
 
 def _stored(folder: str, config: "WorldConfig") -> "Policy":
