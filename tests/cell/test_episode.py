@@ -19,16 +19,18 @@ from halfseen.cell.workcell import Workcell
 from halfseen.errors import ArgumentError
 from halfseen.logs import LogRecorder, read_logs
 from halfseen.planners.heuristics import GreedyPolicy
+from halfseen.policies.history import present_state
 from halfseen.scene.camera import look_at
 from halfseen.scene.cups import Cup
 from halfseen.scene.poses import Pose
 from halfseen.scene.stains import Stain, Surface
 from halfseen.scene.table import TABLE_TOP_M, Table
 from halfseen.scene.xtion import xtion_at
-from halfseen.world import ActionSpace, Verb, WorldConfig
+from halfseen.world import ActionSpace, Scene, Verb, WorldConfig
 from halfseen.world.persistent_seeing import PersistentSeeing
 from halfseen.world.policy import surely
 from halfseen.world.recording import states_of
+from halfseen.world.state import attempt_counts
 
 CAMERA = xtion_at(look_at(np.array([0.0, -0.78, 1.24]), np.array([0.0, 0.0, TABLE_TOP_M])))
 CUPS = (Cup(0.10, 0.040, 0.034), Cup(0.09, 0.042, 0.036))
@@ -91,6 +93,12 @@ def test_washing_the_dirty_cup_and_finishing_earns_five(tmp_path, numbers):
     assert [list(each) for each in first["glance_dirty"]] == [[number == numbers[0]] for number in range(2)]
     assert first["is_dirty"].tolist() == [number == numbers[0] for number in range(2)]
     assert logs.objects["location"].tolist()[-2:].count("DISHWASHER") == 1
+    # Where it was seen last is where it stood, on the table.
+    places_m, stood_m = (first.sort_values("object")[["x_m", "y_m", "z_m"]].to_numpy(), [POSES[0], POSES[1]])
+    apart_m = np.linalg.norm(places_m[numbers[1]] - places_m[numbers[0]])
+    between_m = np.subtract(stood_m[1].position_m, stood_m[0].position_m)
+    assert apart_m == pytest.approx(np.linalg.norm(between_m), abs=0.02)
+    assert places_m[:, 2] == pytest.approx([0.05, 0.045], abs=0.02)
     # What is in the log is the state that was decided in.
     state = state_of(cell.memory, BELIEF, 8)
     last = states_of(logs, 10)
@@ -121,6 +129,23 @@ def test_what_stops_a_cell_is_the_cause_of_a_cut(tmp_path, numbers):
     assert logs.paths["cause"].tolist() == ["time-out"]
     assert logs.stages["reward"].isna().tolist() == [True]
     assert 3.0 < logs.end_s[0] < 5.0
+
+
+def test_what_a_cell_recorded_is_a_history_to_go_on_from(tmp_path, numbers):
+    _, logs, _ = played(tmp_path / "logs", scripted((Verb.WASH, numbers[0])), Stops(limit_s=3.0))
+    view = Workcell(Table(CUPS, POSES, CAMERA), np.random.default_rng(1), SURFACES).look()
+    places_m = np.array([seen.solid.middle_m for seen in view.objects])
+    turned = Scene(view.hides[::-1, ::-1])
+    now = [
+        present_state(scene, 10, logs, dirty_share=0.6, places_m=seen_m)
+        for scene, seen_m in ((view.scene(), places_m), (turned, places_m[::-1]))
+    ]
+    assert [each.notes for each in now] == [(), ()]
+    np.testing.assert_array_equal(now[0].state.log_odds, now[1].state.log_odds[::-1])
+    is_tried = np.asarray(attempt_counts(now[0].state)).sum(axis=0).tolist()
+    dirty = int(np.argmax(np.asarray(now[0].state.log_odds)))
+    assert is_tried == [int(number == dirty) for number in range(2)]
+    assert now[0].stage == 2
 
 
 def test_only_looks_that_show_more_are_news():

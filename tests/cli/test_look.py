@@ -59,9 +59,9 @@ def test_json_has_exactly_the_promised_keys(table):
     assert np.linalg.norm(told["table"]["normal"]) == pytest.approx(1.0)
     assert told["table"]["offset_m"] == pytest.approx(-0.6, abs=0.01)
     for number, seen in enumerate(told["objects"]):
-        assert list(seen) == ["id", "centroid_m", "height_m", "occlusion", "num_points", "is_upright"]
+        assert list(seen) == ["id", "centroid_m", "place_m", "height_m", "occlusion", "num_points", "is_upright"]
         assert seen["id"] == number
-        assert [type(value) for value in seen["centroid_m"]] == [float, float, float]
+        assert [type(value) for value in seen["centroid_m"] + seen["place_m"]] == [float] * 6
         assert isinstance(seen["num_points"], int)
         assert isinstance(seen["is_upright"], bool)
         assert seen["height_m"] == pytest.approx(0.12, abs=0.01)

@@ -10,11 +10,12 @@ import pytest
 from fitted_laws import FITTED
 from halfseen.learners import CensoredQLearner
 from halfseen.planners import GreedyPolicy
+from halfseen.policies.history import present_state
 from halfseen.tables import BetaGrasp, TableTask
 from halfseen.tables.features import table_columns, table_features, table_q
 from halfseen.tables.grasp.grasp_table import GraspTable
 from halfseen.tables.learned_explanation import LearnedExplainer
-from halfseen.tables.present import first_state, present_state
+from halfseen.tables.present import first_state
 from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, Verb
 from halfseen.world.episodes import evaluate
 from halfseen.world.state import pad_scenes
@@ -73,7 +74,7 @@ def test_the_present_takes_grips_from_the_cloud_and_what_was_seen_from_the_log()
         last = history.objects[history.objects["stage"] == history.horizon]
         there = last[last["location"] == "TABLE"]
         if len(there) == 3 and history.stages["action"].iloc[-1] == "LIFT":
-            now = present_state(scene, 10, history).state
+            now = present_state(scene, 10, history, dirty_share=0.6).state
             assert now.grip.tolist() == [0.5, -1.0, 0.0]
             np.testing.assert_array_equal(now.seen, there["seen"].to_numpy(dtype=np.float32))
             return

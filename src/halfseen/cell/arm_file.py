@@ -8,6 +8,7 @@ sensors, equalities or tendons. So it fits into any cell, from any folder. Nothi
 # MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
 # pyright: reportAttributeAccessIssue=false
 
+import hashlib
 from dataclasses import dataclass
 from functools import cached_property
 from math import pi
@@ -84,6 +85,14 @@ class ArmFile:
     def num_joints(self) -> int:
         """Number of joints."""
         return len(self._chain.joints)
+
+    @property
+    def digest(self) -> str:
+        """Of the arm as it is built, with its meshes: another arm has another, wherever its file lies."""
+        model = self.spec().compile()
+        numbers = np.empty(mujoco.mj_sizeModel(model), dtype=np.uint8)
+        mujoco.mj_saveModel(model, None, numbers)
+        return hashlib.sha256(numbers.tobytes()).hexdigest()[:16]
 
     @property
     def speeds_rad_s(self) -> Float[np.ndarray, " J"]:

@@ -91,16 +91,12 @@ class Campaign:
 
     Parameters
     ----------
-    policy
-        What decides.
-    belief
-        What the robot believes of the world; its rewards are those that are earned.
+    policy, belief, tells_truth
+        As for `play`.
     conditions
         What the tables are like.
     seed
         Of everything that is drawn.
-    tells_truth
-        Record which objects are dirty.
     """
 
     policy: Policy

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from halfseen.arrays import Hides
+from halfseen.arrays import Hides, Points
 from halfseen.cell.facts import Facts, facts_of
 from halfseen.cell.grasps import Grasp
 from halfseen.perception.clouds import Vector
@@ -102,10 +102,13 @@ class Memory:
         ``hides[i, j]`` is the share of object i that object j alone hid in the last view that showed both; 0 before.
     doubts
         What the last view left doubtful, a sentence each.
+    world_from_table
+        Takes homogeneous points of the table, as the last view has it, into the world [m].
     """
 
     def __init__(self) -> None:
         self.objects: list[Known] = []
+        self.world_from_table: Float[np.ndarray, "4 4"] = np.eye(4)
         self.hides: Hides = np.zeros((0, 0))
         self.doubts: tuple[str, ...] = ()
 
@@ -119,6 +122,7 @@ class Memory:
         world_from_table
             Takes homogeneous points of the table into the world [m].
         """
+        self.world_from_table = world_from_table
         middles_m = [world_from_table @ [*seen.solid.middle_m, 1.0] for seen in view.objects]
         now_m = np.array(middles_m).reshape(-1, 4)[:, :3]
         facts = facts_of(view)
@@ -150,6 +154,12 @@ class Memory:
     def occlusion(self, number: int) -> float:
         """Hidden share of an object, as states have it: 1 − Π_j (1 − hides[i, j])."""
         return float(1.0 - np.prod(1.0 - self.hides[number]))
+
+    def places_m(self) -> Points:
+        """Where each object was last seen: on the table, right, away from the camera and up [m]."""
+        middles_m = np.array([known.middle_m for known in self.objects]).reshape(-1, 3)
+        turned, moved_m = self.world_from_table[:3, :3], self.world_from_table[:3, 3]
+        return (middles_m - moved_m) @ turned
 
     def number_of(self, seen_id: int) -> int | None:
         """Which object has this number in the last view; None if none has."""

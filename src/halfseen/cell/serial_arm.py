@@ -73,22 +73,7 @@ def require_positive(what: str, part: object, names: Iterable[str]) -> None:
 
 
 def require_finite(what: str, part: object, names: Iterable[str]) -> None:
-    """Refuse a part with a number that is not finite.
-
-    Parameters
-    ----------
-    what
-        The part, as messages call it.
-    part
-        What has the numbers.
-    names
-        Of the numbers.
-
-    Raises
-    ------
-    SceneError
-        One of them is not.
-    """
+    """Refuse a part with a number that is not finite, as `require_positive` refuses those that are not positive."""
     for name in names:
         if not np.isfinite(getattr(part, name)):
             raise SceneError(f"{what}: {name} is {getattr(part, name)}; give a finite number")

@@ -27,14 +27,8 @@ def turned(cell: LiveCell, robot: Robot, plan: Plan, rng: np.random.Generator) -
 
     Parameters
     ----------
-    cell
-        The running cell.
-    robot
-        Who holds it.
-    plan
-        How it was fetched.
-    rng
-        Draws where the search for angles begins.
+    cell, robot, plan, rng
+        As for `halfseen.cell.racking.put_away`.
 
     Yields
     ------

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import numpy as np
@@ -142,7 +143,7 @@ def scenes_of(logs: Logs) -> list[Scene]:
     ]
 
 
-def _matrix(lists: Iterable[Sequence[float] | np.ndarray]) -> Float[np.ndarray, "N N"]:
+def _matrix(lists: Iterable[Any]) -> Float[np.ndarray, "N N"]:
     return np.array([np.asarray(one, dtype=np.float64) for one in lists])
 
 

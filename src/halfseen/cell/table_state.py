@@ -13,7 +13,7 @@ from halfseen.planners.belief import known_seeing
 from halfseen.world.config import WorldConfig
 from halfseen.world.seeing import label_evidence
 from halfseen.world.state import NO_ATTEMPT, TableState
-from halfseen.world.table_checks import DISHWASHER, TABLE
+from halfseen.world.table_checks import DISHWASHER, PLACE_COLUMNS, TABLE
 
 MOST_OBJECTS = 12
 """States are padded to so many objects, so that a policy is compiled once; tables with more are padded to more."""
@@ -86,7 +86,7 @@ def _told(known: Known, config: WorldConfig) -> tuple[float, float]:
 
 
 def rows_of(memory: Memory, belief: Belief) -> list[dict[str, Any]]:
-    """Rows of a log for the objects: what a policy saw, what each look and attempt told, and what may make it hard.
+    """Rows of a log for the objects: what a policy saw, what looks and attempts told, and what may make it hard.
 
     Parameters
     ----------
@@ -95,7 +95,8 @@ def rows_of(memory: Memory, belief: Belief) -> list[dict[str, Any]]:
     belief
         What it believes of the world.
     """
-    return [_row(number, known, memory, belief) for number, known in enumerate(memory.objects)]
+    places = [dict(zip(PLACE_COLUMNS, place, strict=True)) for place in memory.places_m().tolist()]
+    return [{**_row(number, known, memory, belief), **places[number]} for number, known in enumerate(memory.objects)]
 
 
 def _row(number: int, known: Known, memory: Memory, belief: Belief) -> dict[str, Any]:

@@ -176,18 +176,7 @@ class Workcell:
         return attempt
 
     def wash(self, number: int) -> Attempt:
-        """Attempt to put an object into the rack.
-
-        Parameters
-        ----------
-        number
-            Of the object, as in `memory`.
-
-        Raises
-        ------
-        StoppedError
-            Something stopped the cell.
-        """
+        """Attempt to put an object into the rack; its number, and what stops it, are as for `lift`."""
         known = self.memory.objects[number]
         attempt, done = self._fetched(number)
         if done is None or not attempt.is_held:

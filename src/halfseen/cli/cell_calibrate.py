@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from halfseen.cli import options
+from halfseen.cli.arms import arm_options, robot_for
 from halfseen.cli.progress import progress
 
 if TYPE_CHECKING:
@@ -18,12 +19,22 @@ if TYPE_CHECKING:
 @click.option("--out", type=options.PATH, required=True, help="Folder that the law is written to.")
 @click.option("--attempts", type=click.IntRange(min=50), default=6000, show_default=True, help="Attempts to begin.")
 @click.option("--from", "given", type=options.PATH, help="Fit the attempts of these logs again, and try nothing.")
+@arm_options
 @options.workers
 @options.seed("law")
 @options.as_json
 @options.overwrite("a law that is")
 def calibrate(
-    out: Path, attempts: int, given: Path | None, workers: int, seed: int, as_json: bool, overwrite: bool
+    out: Path,
+    attempts: int,
+    given: Path | None,
+    arm: Path | None,
+    flange: str | None,
+    joints: list[str] | None,
+    workers: int,
+    seed: int,
+    as_json: bool,
+    overwrite: bool,
 ) -> None:
     """Let the cell lift what stands on fresh tables, at random, and estimate its laws from that.
 
@@ -32,23 +43,29 @@ def calibrate(
     """
     from halfseen.cell.calibration.calibrate import attempts_of, law_of
     from halfseen.cell.calibration.law_folder import LAW, write_law
-    from halfseen.cell.campaign import working_folder
+    from halfseen.cell.campaign import Conditions, working_folder
+    from halfseen.errors import ArgumentError
     from halfseen.logs import read_logs
     from halfseen.policies.folder import check_target
 
     check_target(out, overwrite, LAW)
+    if given is not None and arm is not None:
+        raise ArgumentError(f"--arm is {arm}, but {given} holds attempts of some arm already; leave it out")
+    robot, arm_name = robot_for(arm, flange, joints)
+    told: dict[str, Any] = {"seed": seed} if given else {"seed": seed, "arm": arm_name}
 
     def fitted(logs: "Logs") -> dict[str, Any]:
         law = law_of(logs)
-        write_law(law, out, {"seed": seed, "log": str(logs.summary())}, logs=logs, overwrite=overwrite)
-        return report_of(law, logs)
+        write_law(law, out, {**told, "log": str(logs.summary())}, logs=logs, overwrite=overwrite)
+        return report_of(law, logs) | told
 
     if given is not None:
         report = fitted(read_logs(given))
     else:
         # What was recorded goes when the law is written, not before: attempts take hours.
-        with working_folder(out, f"calibrate, seed {seed}") as folder, progress(attempts, "attempts") as bar:
-            report = fitted(attempts_of(attempts, seed, folder, workers, on_table=bar.update))
+        what = f"calibrate, seed {seed}" + (f", arm {arm_name}" if arm else "")
+        with working_folder(out, what) as folder, progress(attempts, "attempts") as bar:
+            report = fitted(attempts_of(attempts, seed, folder, workers, Conditions(robot=robot), bar.update))
     click.echo(json.dumps(report, indent=2, allow_nan=False) if as_json else "\n".join(_lines(out, report)))
 
 

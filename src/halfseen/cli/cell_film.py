@@ -10,6 +10,7 @@ from tempfile import TemporaryDirectory
 import click
 
 from halfseen.cli import options
+from halfseen.cli.arms import arm_options, robot_for
 from halfseen.cli.cell_run import belief_of, policy_of, policy_option
 
 GL = "MUJOCO_GL"
@@ -20,8 +21,18 @@ GL = "MUJOCO_GL"
 @click.option("--out", type=options.PATH, required=True, help="File that the film is written to (.gif).")
 @click.option("--law", "law_folder", type=options.PATH, help="Folder of the law that is believed in.")
 @click.option("--table", type=click.IntRange(min=0), default=0, show_default=True, help="Number of the table.")
+@arm_options
 @options.seed("film")
-def film(name: str, out: Path, law_folder: Path | None, table: int, seed: int) -> None:
+def film(
+    name: str,
+    out: Path,
+    law_folder: Path | None,
+    table: int,
+    arm: Path | None,
+    flange: str | None,
+    joints: list[str] | None,
+    seed: int,
+) -> None:
     """Film how a policy clears a table in physics, eight times faster than it was, and say what it decides.
 
     Seed and number give the same table as in `halfseen cell run`. Drawing needs OpenGL; nothing else of halfseen does.
@@ -37,8 +48,9 @@ def film(name: str, out: Path, law_folder: Path | None, table: int, seed: int) -
 
     if out.suffix.lower() != ".gif":
         raise ArgumentError(f"{out}: a film is an animated .gif; give a name that ends so")
-    belief = belief_of(law_folder)
-    cell, is_dirty = Conditions(stops=None).cell(seed, table)
+    robot, arm_name = robot_for(arm, flange, joints)
+    belief = belief_of(law_folder, arm_name)
+    cell, is_dirty = Conditions(robot=robot, stops=None).cell(seed, table)
     taken = Film()
     cell.cell.watches.append(taken)
     key = jax.random.fold_in(jax.random.key(seed), table)

@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from halfseen.cli import options
+from halfseen.cli.arms import arm_options, robot_for
 from halfseen.cli.progress import progress
+from halfseen.planners.named import HEURISTICS, PLANNER, exploring, named_policy
 
 if TYPE_CHECKING:
     from halfseen.cell.table_state import Belief
     from halfseen.world import Policy, WorldConfig
 
-NAMES = ("greedy", "history", "greedy-penalty", "history-penalty", "planner")
+NAMES = (*HEURISTICS, PLANNER)
 policy_option = click.option(
     "--policy", "name", required=True, help=f"Who decides: the folder of a policy of tables, or {', '.join(NAMES)}."
 )
@@ -33,6 +35,7 @@ policy_option = click.option(
     show_default=True,
     help="Probability that a step takes an action uniformly at random instead, for logs that are learned from.",
 )
+@arm_options
 @options.workers
 @options.seed("logs")
 @options.as_json
@@ -44,6 +47,9 @@ def run(
     law_folder: Path | None,
     stops: bool,
     random_share: float,
+    arm: Path | None,
+    flange: str | None,
+    joints: list[str] | None,
     workers: int,
     seed: int,
     as_json: bool,
@@ -61,10 +67,12 @@ def run(
     from halfseen.writing import refuse_taken
 
     refuse_taken(out, overwrite, MANIFEST, "logs")
-    belief = belief_of(law_folder)
+    robot, arm_name = robot_for(arm, flange, joints)
+    belief = belief_of(law_folder, arm_name)
     policy = policy_of(name, random_share, belief.config)
-    campaign = Campaign(policy, belief, Conditions(stops=Stops() if stops else None), seed)
+    campaign = Campaign(policy, belief, Conditions(robot=robot, stops=Stops() if stops else None), seed)
     what = f"run, seed {seed}, policy {name}, law {law_folder}, stops {stops}, random share {random_share}"
+    what += f", arm {arm_name}" if arm else ""
     with working_folder(out, what) as folder, progress(tables, "tables") as bar:
         runs = []
         for _, each in campaign.runs(range(tables), folder, workers):
@@ -73,35 +81,31 @@ def run(
         logs = logs_of(folder, range(tables))
         summary = summarised(runs, logs, policy, belief.config, seed)
         logs.write(out, overwrite=overwrite)
-    report = {"folder": str(out), "policy": name, "sentence": str(logs.summary()), **asdict(summary)}
+    report = {"folder": str(out), "policy": name, "arm": arm_name, "sentence": str(logs.summary()), **asdict(summary)}
     click.echo(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))
 
 
-def belief_of(law_folder: Path | None) -> "Belief":
-    """What a robot believes under a law; without one, under the laws that are assumed."""
+def belief_of(law_folder: Path | None, arm_name: str) -> "Belief":
+    """What a robot with this arm believes under a law; without one, under the laws that are assumed."""
+    from halfseen.cell.arm import JACO_2
     from halfseen.cell.calibration.law_folder import read_law
     from halfseen.cell.table_state import Belief, no_grip
     from halfseen.world import WorldConfig
 
     if law_folder is None:
         return Belief(WorldConfig(), no_grip)
-    law = read_law(law_folder).law
+    stored = read_law(law_folder)
+    if (its := stored.record.get("arm", JACO_2.name)) != arm_name:
+        click.echo(f"warning: {law_folder}: the law is of the arm {its}, and works here for {arm_name}", err=True)
+    law = stored.law
     return Belief(law.config(), law.grip)
 
 
 def policy_of(name: str, random_share: float, config: "WorldConfig") -> "Policy":
     """The policy of a name or a folder."""
-    from halfseen.planners.heuristics import GreedyPolicy
-    from halfseen.planners.pomdp import POMDPPolicy
-    from halfseen.world import ExploringPolicy
-
-    if name == "planner":
-        policy: Policy = POMDPPolicy(config, planning_horizon=config.horizon)
-    elif name in NAMES:
-        policy = GreedyPolicy(config, name.startswith("history"), name.endswith("-penalty"))
-    else:
-        policy = _stored(name, config)
-    return ExploringPolicy(policy, random_share) if random_share else policy
+    if name in NAMES:
+        return named_policy(name, config, random_share)
+    return exploring(_stored(name, config), random_share)
 
 
 def _stored(folder: str, config: "WorldConfig") -> "Policy":
@@ -138,7 +142,7 @@ def _lines(report: dict[str, Any]) -> list[str]:
         f"reward in physics   {told(report['reward'])}",
         f"foretold            {told(report['predicted'])}",
         f"gap                 {told(report['gap'])}",
-        f"robot time          {report['seconds']:.0f} s a table",
+        f"robot time          {report['seconds']:.0f} s a table, arm {report['arm']}",
         f"cups                {counts['num_racked']} of {counts['num_cups']} in the rack, {counts['num_washed']} of "
         f"{counts['num_dirty']} dirty ones; {counts['num_toppled']} toppled, {counts['num_fallen']} fell",
         f"tried               {listed(report['verbs'])}",

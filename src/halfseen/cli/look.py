@@ -58,6 +58,7 @@ def _as_json(view: "View", told: "Sequence[Label] | None") -> dict[str, Any]:
             {
                 "id": seen.id,
                 "centroid_m": seen.centroid_m.tolist(),
+                "place_m": seen.solid.middle_m.tolist(),
                 "height_m": seen.height_m,
                 "occlusion": seen.occlusion,
                 "num_points": seen.num_points,

@@ -3,18 +3,15 @@
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from halfseen.cli import options
 from halfseen.cli.progress import progress
 from halfseen.cli.scenes import scenes_of
+from halfseen.planners.named import HEURISTICS, UNIFORM, named_policy
 
-if TYPE_CHECKING:
-    from halfseen.world import Policy, WorldConfig
-
-POLICIES = ("uniform", "greedy", "history", "greedy-penalty", "history-penalty")
 CUT_KINDS = ("independent", "occlusion", "attempt")
 _HORIZON = 10
 
@@ -24,7 +21,11 @@ _HORIZON = 10
 @click.option("--out", type=options.PATH, required=True, help="Folder that the logs are written to.")
 @click.option("--episodes", type=click.IntRange(min=1), default=1000, show_default=True, help="Number of paths.")
 @click.option(
-    "--policy", type=click.Choice(POLICIES), default="history-penalty", show_default=True, help="Who decides."
+    "--policy",
+    type=click.Choice([UNIFORM, *HEURISTICS]),
+    default="history-penalty",
+    show_default=True,
+    help="Who decides.",
 )
 @click.option(
     "--random-share",
@@ -63,7 +64,7 @@ def simulate(clouds: tuple[Path, ...], out: Path, seed: int, as_json: bool, over
         scenes = scenes_of(clouds, on_each=bar.update)
         bar.set_description("simulate")
         config = WorldConfig(horizon=chosen["horizon"])
-        logger = _policy(chosen["policy"], chosen["random_share"], config)
+        logger = named_policy(chosen["policy"], config, chosen["random_share"])
         cuts = chosen["cut_share"], chosen["cut_kind"]
         logs = TableWorld(config).simulate(scenes, logger, chosen["episodes"], seed, *cuts)
         bar.update()
@@ -71,16 +72,6 @@ def simulate(clouds: tuple[Path, ...], out: Path, seed: int, as_json: bool, over
     report = {"folder": str(out), "sentence": str(logs.summary()), **asdict(logs.summary())}
     report |= {"scenes": {scene.name: scene.num_objects for scene in scenes}, "seed": seed, **chosen}
     click.echo(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))
-
-
-def _policy(name: str, random_share: float, config: "WorldConfig") -> "Policy":
-    from halfseen.planners.heuristics import GreedyPolicy
-    from halfseen.world import ExploringPolicy, UniformPolicy
-
-    if name == "uniform":
-        return UniformPolicy()
-    uses_history, counts_penalty = name.startswith("history"), name.endswith("-penalty")
-    return ExploringPolicy(GreedyPolicy(config, uses_history, counts_penalty), random_share)
 
 
 def _lines(report: dict[str, Any]) -> list[str]:

@@ -13,13 +13,13 @@ from halfseen.errors import ArgumentError, CloudError, LogError, PolicyError
 from halfseen.learners.q_learning.flat_policy import FlatPolicy
 from halfseen.logs import Logs, read_logs
 from halfseen.logs.refusal import within
-from halfseen.perception import Label, perceive, read_cloud
+from halfseen.perception import Label, View, perceive, read_cloud
 from halfseen.perception.label_files import labels_of
 from halfseen.perception.labels import WORDS
 from halfseen.policies.folder import StoredPolicy
+from halfseen.policies.history import present_state
 from halfseen.policies.named_decider import NamedObservation
-from halfseen.tables.present import Present, first_state, labelled, present_state
-from halfseen.world.scene import Scene
+from halfseen.tables.present import Present, first_state, labelled
 from halfseen.world.seeing import AssumedSeeing
 from halfseen.world.state import occlusion
 
@@ -77,18 +77,20 @@ def _table_observation(
     if not view.objects:
         raise CloudError(f"{file}: no objects on the table; put the table with its objects whole into the view")
     told = labels_of(view, cloud, labels)
-    now = _present(stored, view.scene(), logs, history, stage)
+    now = _present(stored, view, logs, history, stage)
     if told is None:
         return now
     source = "colour" if labels is None else str(labels)
     return replace(labelled(now, [label.is_dirty for label in told], SEEING), seen=_seen(now, told, source))
 
 
-def _present(stored: StoredPolicy, scene: Scene, logs: Logs | None, history: Path | None, stage: int | None) -> Present:
+def _present(stored: StoredPolicy, view: View, logs: Logs | None, history: Path | None, stage: int | None) -> Present:
+    dirty_share = stored.record["schema"]["dirty_share"]
     if logs is None:
-        return first_state(scene, stored.horizon, stored.record["schema"]["dirty_share"], stage or 1)
+        return first_state(view.scene(), stored.horizon, dirty_share, stage or 1)
+    places_m = np.array([seen.solid.middle_m for seen in view.objects])
     with within(history):
-        now = present_state(scene, stored.horizon, logs)
+        now = present_state(view.scene(), stored.horizon, logs, dirty_share=dirty_share, places_m=places_m)
     if stage not in (None, now.stage):
         raise ArgumentError(
             f"--stage is {stage}, but by {history} the path has come to stage {now.stage}; leave it out"
@@ -102,8 +104,9 @@ def _seen(before: Present, told: Sequence[Label], source: str) -> str:
     listed = "; ".join(f"{word}: {', '.join(map(str, objects))}" for word, objects in named.items() if objects)
     start = f"Labels by {source} ({listed})"
     if before.is_labelled:
-        return f"{start} are not counted again: the history holds what was seen at this stage."
-    accuracy = SEEING.accuracy(np.asarray(occlusion(before.state), dtype=np.float64))
+        but = f", but for what is new to it: {', '.join(map(str, before.new))}" if before.new else ""
+        return f"{start} are not counted again: the history holds what was seen at this stage{but}."
+    accuracy = SEEING.accuracy(np.asarray(occlusion(before.state), dtype=np.float64)[: len(told)])
     right = f"{accuracy.min():.2f} to {accuracy.max():.2f}" if np.ptp(accuracy) else f"{accuracy[0]:.2f}"
     return f"{start} moved the log-odds of DIRTY, each taken to be right with probability {right}."
 

@@ -6,7 +6,7 @@ from enum import StrEnum
 from functools import partial
 
 from halfseen.pages.palette import INK, OURS, PEER, PLANNER, SOFT
-from halfseen.planners.heuristics import GreedyPolicy
+from halfseen.planners.named import named_policy
 from halfseen.planners.pomdp import POMDPPolicy
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import ExploringPolicy, Policy
@@ -63,18 +63,17 @@ def by_name(*contenders: Contender) -> dict[str, Contender]:
     return {each.name: each for each in contenders}
 
 
-def _heuristic(name: str, label: str, uses_history: bool, counts_penalty: bool) -> Contender:
-    make = partial(GreedyPolicy, uses_history=uses_history, counts_penalty=counts_penalty)
-    return Contender(name, label, Kind.HEURISTIC, make)
+def _heuristic(name: str, label: str) -> Contender:
+    return Contender(name, label, Kind.HEURISTIC, partial(named_policy, name))
 
 
 LEARNED = Contender("censored_q", "learned policy", Kind.LEARNED)
 OPTIMUM = Contender("optimum", "optimum", Kind.OPTIMUM)
 HEURISTICS = (
-    _heuristic("greedy", "greedy", False, False),
-    _heuristic("history", "greedy with history", True, False),
-    _heuristic("greedy-penalty", "greedy, counting the penalty", False, True),
-    _heuristic("history-penalty", "history, counting the penalty", True, True),
+    _heuristic("greedy", "greedy"),
+    _heuristic("history", "greedy with history"),
+    _heuristic("greedy-penalty", "greedy, counting the penalty"),
+    _heuristic("history-penalty", "history, counting the penalty"),
 )
 STRONGEST_RULE = by_name(*HEURISTICS)["history-penalty"]
 """Whom the logging policy follows."""

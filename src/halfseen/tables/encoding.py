@@ -16,6 +16,7 @@ from halfseen.world.action_space import FINISH, ActionSpace, Verb, possible_acti
 from halfseen.world.grasp_model import GraspModel
 from halfseen.world.recording import states_of
 from halfseen.world.state import TableState
+from halfseen.world.table_checks import object_numbers
 
 
 @jax.jit
@@ -74,7 +75,7 @@ def logged_actions(logs: Logs, horizon: int, num_objects: int) -> Int[np.ndarray
 
     refuse(stages, wrong, unknown)
     action = np.full((logs.num_paths, horizon), FINISH, dtype=np.int64)
-    codes = ActionSpace(num_objects).encode(np.maximum(verbs, 0), _rank_of_target(logs))
+    codes = ActionSpace(num_objects).encode(np.maximum(verbs, 0), _number_of_target(logs))
     action[stage_places(logs)] = np.where(needs_object, codes, FINISH)
     return action
 
@@ -84,11 +85,9 @@ def _verb_list() -> str:
     return f"{', '.join(first)} or {last} with an object, or FINISH"
 
 
-def _rank_of_target(logs: Logs) -> Int[np.ndarray, " rows"]:
-    """Rank of each stage's object among the objects of that stage; 0 where the action has none."""
+def _number_of_target(logs: Logs) -> Int[np.ndarray, " rows"]:
+    """Number of each stage's object among those of its path; 0 where the action has none."""
     assert logs.objects is not None
-    ranked = logs.objects[["path", "stage", "object"]].assign(
-        rank=logs.objects.groupby(["path", "stage"]).cumcount().to_numpy()
-    )
-    merged = logs.stages[["path", "stage", "object"]].merge(ranked, on=["path", "stage", "object"], how="left")
-    return merged["rank"].fillna(0).to_numpy(dtype=np.int64)
+    numbered = logs.objects[["path", "stage", "object"]].assign(number=object_numbers(logs.objects))
+    merged = logs.stages[["path", "stage", "object"]].merge(numbered, on=["path", "stage", "object"], how="left")
+    return merged["number"].fillna(0).to_numpy(dtype=np.int64)

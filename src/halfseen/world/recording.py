@@ -24,7 +24,7 @@ from halfseen.world.cuts import CAUSES, CutEpisodes, CutKind
 from halfseen.world.number import Number
 from halfseen.world.scene import Scene
 from halfseen.world.state import NO_ATTEMPT, TableState, attempt_counts, occlusion
-from halfseen.world.table_checks import DISHWASHER, TABLE, Lists, checked_objects
+from halfseen.world.table_checks import DISHWASHER, TABLE, Lists, checked_objects, object_numbers
 
 _VERB_NAMES = np.array([verb.name for verb in Verb])
 
@@ -137,6 +137,8 @@ def _lists(values: np.ndarray, is_kept: Bool[np.ndarray, "rows k"]) -> pa.ListAr
 def states_of(logs: Logs, horizon: int) -> TableState:
     """Rebuild S_t of every stage of a log of tables, axes (n, T); what has no row is an empty table.
 
+    Objects are numbered as `object_numbers` does; one that is not in view yet is padding until it is.
+
     Raises
     ------
     LogError
@@ -145,7 +147,7 @@ def states_of(logs: Logs, horizon: int) -> TableState:
     frame, lists = checked_objects(logs, horizon)
     path = pd.Index(logs.path_ids).get_indexer(frame["path"])
     stage = frame["stage"].to_numpy() - 1
-    target = frame.groupby(["path", "stage"]).cumcount().to_numpy()
+    target = object_numbers(frame)
     num_objects = int(target.max()) + 1
     shape = (logs.num_paths, horizon, num_objects)
     at = path, stage, target
@@ -158,7 +160,7 @@ def states_of(logs: Logs, horizon: int) -> TableState:
         numbers[name][at] = frame[name]
     tried, tried_at, succeeded = _attempts(frame, lists, at, shape[:2], horizon)
     leaves = {
-        "hides": _hides(lists["hidden_by"], at, shape),
+        "hides": _hides(lists["hidden_by"], frame, at, shape),
         "is_object": is_object,
         "is_on_table": is_on_table,
         **numbers,
@@ -170,9 +172,15 @@ def states_of(logs: Logs, horizon: int) -> TableState:
     return TableState(**{name: jnp.asarray(leaf) for name, leaf in leaves.items()})
 
 
-def _hides(hidden_by: Lists, at: tuple, shape: tuple[int, int, int]) -> Float[np.ndarray, "n T N N"]:
+def _hides(
+    hidden_by: Lists, frame: pd.DataFrame, at: tuple, shape: tuple[int, int, int]
+) -> Float[np.ndarray, "n T N N"]:
+    """Lists go by the objects of their stage; states by those of the path."""
+    rank = frame.groupby(["path", "stage"]).cumcount().to_numpy()
+    begin = np.arange(len(rank)) - rank
     hides = np.zeros((*shape, shape[-1]), dtype=np.float32)
-    hides[(*(index[hidden_by.row] for index in at), hidden_by.place)] = hidden_by.values
+    hider = at[2][begin[hidden_by.row] + hidden_by.place]
+    hides[(*(index[hidden_by.row] for index in at), hider)] = hidden_by.values
     return hides
 
 

@@ -19,6 +19,9 @@ LIST_COLUMNS = ("hidden_by", "attempt_occlusions", "attempt_succeeded")
 OBJECT_COLUMNS = ("location", "occlusion", "log_odds", "lifts", *LIST_COLUMNS)
 OPTIONAL_COLUMNS = ("grip", "seen")
 """Read as 0 where a log has none of them."""
+PLACE_COLUMNS = ("x_m", "y_m", "z_m")
+"""Where an object was seen last: right, away from the camera, and height over the table, as perception has it [m]. A
+log may have all of them or none."""
 _ROW = ("path", "stage", "object")
 
 
@@ -40,14 +43,31 @@ def checked_objects(logs: Logs, horizon: int) -> "tuple[pd.DataFrame, dict[str, 
     in_stage = frame.groupby(["path", "stage"])
     counts, rank = in_stage["object"].transform("size").to_numpy(), in_stage.cumcount().to_numpy()
     _check_locations(frame)
-    _check_same_objects(frame, counts, rank)
+    number = object_numbers(frame)
+    _check_none_is_lost(frame, number, rank)
     _check_acted_on(logs.stages, frame, rank)
-    _check_return(frame, rank)
+    _check_return(frame, number)
     _check_numbers(frame)
     lists = {column: _lists(frame, column) for column in LIST_COLUMNS}
     _check_hidden_by(frame, lists["hidden_by"], counts, rank)
     _check_attempts(frame, lists)
     return frame, lists
+
+
+def object_numbers(objects: pd.DataFrame) -> Int[np.ndarray, " rows"]:
+    """Number of each row's object among all that its path ever lists, from 0, in the order of their names.
+
+    A path lists what came into view so far, so that the same object may be another row of a later stage.
+
+    Parameters
+    ----------
+    objects
+        Columns path and object.
+    """
+    path, name = (pd.factorize(objects[column], sort=True)[0].astype(np.int64) for column in ("path", "object"))
+    each, place = np.unique(path * (name.max(initial=0) + 1) + name, return_inverse=True)
+    first = np.searchsorted(each, path * (name.max(initial=0) + 1))
+    return place - first
 
 
 @dataclass(frozen=True)
@@ -96,13 +116,18 @@ def _check_locations(frame: pd.DataFrame) -> None:
     _refuse(frame, wrong, "location", f"is neither {TABLE} nor {DISHWASHER}; say in which of them the object is")
 
 
-def _check_same_objects(frame: pd.DataFrame, counts: Int[np.ndarray, " rows"], rank: Int[np.ndarray, " rows"]) -> None:
-    first_count = pd.Series(counts).groupby(frame["path"].to_numpy()).transform("first").to_numpy()
-    trouble = "the stage lists more or fewer objects than stage 1; list all, those washed too"
-    refuse(frame, counts != first_count, trouble, _ROW)
-    first = frame.groupby(["path", rank])["object"].transform("first")
-    other = (frame["object"] != first).to_numpy(dtype=bool)
-    refuse(frame, other, "it was not there in stage 1; a table keeps its objects under the same names", _ROW)
+def _check_none_is_lost(frame: pd.DataFrame, number: Int[np.ndarray, " rows"], rank: Int[np.ndarray, " rows"]) -> None:
+    """Objects may come into view late, but what was listed once is listed to the end."""
+    stage_row, most = np.cumsum(rank == 0) - 1, int(number.max(initial=0)) + 1
+    path_of_stage = frame["path"].to_numpy()[rank == 0]
+    goes_on = np.append(path_of_stage[1:] == path_of_stage[:-1], False)[stage_row]
+    is_next = np.isin((stage_row + 1) * most + number, stage_row * most + number)
+
+    def lost(row: int) -> str:
+        after = int(value_at(frame, "stage", row)) + 1
+        return f"stage {after} lists it no more; list an object from where it came into view to the end, washed or not"
+
+    refuse(frame, goes_on & ~is_next, lost, _ROW)
 
 
 def _check_acted_on(stages: pd.DataFrame, frame: pd.DataFrame, rank: Int[np.ndarray, " rows"]) -> None:
@@ -119,9 +144,9 @@ def _check_acted_on(stages: pd.DataFrame, frame: pd.DataFrame, rank: Int[np.ndar
     refuse(stages, wrong, gone_before)
 
 
-def _check_return(frame: pd.DataFrame, rank: Int[np.ndarray, " rows"]) -> None:
+def _check_return(frame: pd.DataFrame, number: Int[np.ndarray, " rows"]) -> None:
     is_on_table = frame["location"].eq(TABLE)
-    was_there = is_on_table.astype(np.int8).groupby([frame["path"], rank]).shift(fill_value=1).to_numpy(dtype=bool)
+    was_there = is_on_table.astype(np.int8).groupby([frame["path"], number]).shift(fill_value=1).to_numpy(dtype=bool)
     back = is_on_table.to_numpy(dtype=bool) & ~was_there
     _refuse(frame, back, "location", f"follows {DISHWASHER}, from where nothing returns; fix one, or begin a new path")
 

@@ -15,6 +15,7 @@ from halfseen.world.action_space import Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.persistent_seeing import SAME_VIEW
 from halfseen.world.recording import states_of
+from halfseen.world.table_checks import object_numbers
 
 NO_NEWS = 1e-4
 """Log-odds that move by less did not: what is left is rounding."""
@@ -99,9 +100,10 @@ def _as_numpy(states: Any) -> SimpleNamespace:
 
 
 def _moved(states: SimpleNamespace, dirty_share: float) -> Float[np.ndarray, "n T N"]:
-    """How far each look moved the log-odds; the first one of a path from the prior."""
-    prior = np.full_like(states.log_odds[:, :1], np.log(dirty_share) - np.log1p(-dirty_share))
-    return np.diff(states.log_odds, axis=1, prepend=prior)
+    """How far each look moved the log-odds; the first one that shows an object from the prior."""
+    prior = np.float32(np.log(dirty_share) - np.log1p(-dirty_share))
+    log_odds = np.where(states.is_object, states.log_odds, prior)
+    return np.diff(log_odds, axis=1, prepend=np.full_like(log_odds[:, :1], prior))
 
 
 def _occluded(states: SimpleNamespace, is_held: Bool[np.ndarray, "n T N"]) -> Float[np.ndarray, "n T N"]:
@@ -126,10 +128,10 @@ def _shown(
 
 
 def _washed(logs: Logs, known: WorldConfig) -> pd.DataFrame:
-    """Reward, rank of the path and rank of the object of each WASH that held."""
+    """Reward, rank of the path and number of the object of each WASH that held."""
     key = ["path", "stage"]
     objects: Any = logs.objects
-    ranks = objects[[*key, "object"]].assign(rank=objects.groupby(key).cumcount())
+    ranks = objects[[*key, "object"]].assign(rank=object_numbers(objects))
     tried = attempts(logs, known.horizon)
     held = pd.DataFrame(tried.loc[tried["succeeded"].fillna(False).to_numpy(dtype=bool), key])
     done = pd.DataFrame(logs.stages.loc[logs.stages["action"] == Verb.WASH.name, [*key, "object", "reward"]])
