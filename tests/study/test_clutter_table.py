@@ -22,7 +22,8 @@ from halfseen.study.experiments.clutter.table import (
 
 COLUMNS = (
     "num_objects occlusion labels reward_wash_clean grip_offset_std is_assumed num_paths cut_share repetitions "
-    "censored_q best_heuristic heuristic_reward finish_reward gain gain_se gain_share gain_share_low gain_share_high verdict"
+    "censored_q best_heuristic heuristic_reward finish_reward gain gain_se gain_share gain_share_low gain_share_high "
+    "verdict"
 )
 
 
