@@ -149,8 +149,8 @@ def test_colour_moves_the_log_odds_by_what_a_label_says(tables, coloured):
     plain = json.loads(run(tables, TABLE, "--json").output)
     report = json.loads(run(tables, cloud, "--json").output)
     sentence = (
-        "Labels by colour (dirty: 0; clean: 1, 2, 3, 4) moved the log-odds of DIRTY, each taken to be right with "
-        f"probability {right.min():.2f} to {right.max():.2f}."
+        "Labels by colour (dirty: 0; clean: 1, 2, 3, 4) moved the log-odds of DIRTY "
+        f"by {moved.min():+.2f} to {moved.max():+.2f}."
     )
     assert report["seen"] == sentence == run(tables, cloud).output.splitlines()[1]
     assert "seen" not in plain

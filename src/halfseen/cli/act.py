@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from halfseen.cli import options
+from halfseen.cli.laws import SHIPPED, law_of, law_option
 
 if TYPE_CHECKING:
     from halfseen.policies import Decision
@@ -21,22 +22,34 @@ if TYPE_CHECKING:
     "--stage", type=click.IntRange(min=1), help="Stage to decide, from 1; by default as the input says, or 1."
 )
 @options.labels
+@law_option(SHIPPED)
 @options.as_json
 @options.unused_seed
 def act(
-    policy: Path, cloud: Path, history: Path | None, stage: int | None, labels: Path | None, as_json: bool, seed: int
+    policy: Path,
+    cloud: Path,
+    history: Path | None,
+    stage: int | None,
+    labels: Path | None,
+    law: str,
+    as_json: bool,
+    seed: int,
 ) -> None:
     """Decide what to do now, by the policy in the folder POLICY, and say why.
 
     For a policy of tables, CLOUD is a point cloud as `halfseen look` takes; if it has colour, what looks dirty counts.
-    --history tells what was seen and tried on this table before. For a policy of named actions, CLOUD is a JSON object
-    such as {"x1": 0.3, "x2": 1, "stage": 2}, or a CSV file with a header and one row.
+    --history tells what was seen and tried on this table before. --law says what a label is worth, to policies that
+    learned from logs which count how much of an object has been in view; to others every look is news.
+
+    For a policy of named actions, CLOUD is a JSON object such as {"x1": 0.3, "x2": 1, "stage": 2}, or a CSV file with a
+    header and one row.
     """
     from halfseen.policies import decider_of, read_policy
     from halfseen.policies.observations import read_observation
 
     stored = read_policy(policy)
-    observation = read_observation(stored, cloud, history, stage, labels)
+    counts_views = stored.is_table and stored.record["schema"].get("counts_views", False)
+    observation = read_observation(stored, cloud, history, stage, labels, law_of(law) if counts_views else None)
     seen = getattr(observation, "seen", "")  # of tables only
     decision = decider_of(stored).decide(observation)
     decision = replace(decision, warnings=(*decision.warnings, *stored.doubts))

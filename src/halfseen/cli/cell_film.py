@@ -12,21 +12,22 @@ import click
 from halfseen.cli import options
 from halfseen.cli.arms import arm_options, robot_for
 from halfseen.cli.cell_run import belief_of, policy_of, policy_option
+from halfseen.cli.laws import SHIPPED, law_option
 
 GL = "MUJOCO_GL"
 
 
-@click.command(epilog="Example: halfseen cell film --policy planner --law law --out film.gif")
+@click.command(epilog="Example: halfseen cell film --policy planner --out film.gif")
 @policy_option
 @click.option("--out", type=options.PATH, required=True, help="File that the film is written to (.gif).")
-@click.option("--law", "law_folder", type=options.PATH, help="Folder of the law that is believed in.")
+@law_option(SHIPPED)
 @click.option("--table", type=click.IntRange(min=0), default=0, show_default=True, help="Number of the table.")
 @arm_options
 @options.seed("film")
 def film(
     name: str,
     out: Path,
-    law_folder: Path | None,
+    law: str,
     table: int,
     arm: Path | None,
     flange: str | None,
@@ -49,7 +50,7 @@ def film(
     if out.suffix.lower() != ".gif":
         raise ArgumentError(f"{out}: a film is an animated .gif; give a name that ends so")
     robot, arm_name = robot_for(arm, flange, joints)
-    belief = belief_of(law_folder, arm_name)
+    belief = belief_of(law, arm_name)
     cell, is_dirty = Conditions(robot=robot, stops=None).cell(seed, table)
     taken = Film()
     cell.cell.watches.append(taken)

@@ -9,6 +9,7 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.arms import arm_options, robot_for
+from halfseen.cli.laws import SHIPPED, law_folder, law_option
 from halfseen.cli.progress import progress
 from halfseen.planners.named import HEURISTICS, PLANNER, exploring, named_policy
 
@@ -22,11 +23,11 @@ policy_option = click.option(
 )
 
 
-@click.command(epilog="Example: halfseen cell run --policy history-penalty --tables 50 --law law --out logs")
+@click.command(epilog="Example: halfseen cell run --policy history-penalty --tables 50 --out logs")
 @policy_option
 @click.option("--out", type=options.PATH, required=True, help="Folder that the logs are written to.")
 @click.option("--tables", type=click.IntRange(min=2), default=50, show_default=True, help="Number of fresh tables.")
-@click.option("--law", "law_folder", type=options.PATH, help="Folder of the law that is believed in.")
+@law_option(SHIPPED)
 @click.option("--stops/--no-stops", default=True, show_default=True, help="Whether something may cut a table.")
 @click.option(
     "--random-share",
@@ -44,7 +45,7 @@ def run(
     name: str,
     out: Path,
     tables: int,
-    law_folder: Path | None,
+    law: str,
     stops: bool,
     random_share: float,
     arm: Path | None,
@@ -68,10 +69,10 @@ def run(
 
     refuse_taken(out, overwrite, MANIFEST, "logs")
     robot, arm_name = robot_for(arm, flange, joints)
-    belief = belief_of(law_folder, arm_name)
+    belief = belief_of(law, arm_name)
     policy = policy_of(name, random_share, belief.config)
     campaign = Campaign(policy, belief, Conditions(robot=robot, stops=Stops() if stops else None), seed)
-    what = f"run, seed {seed}, policy {name}, law {law_folder}, stops {stops}, random share {random_share}"
+    what = f"run, seed {seed}, policy {name}, law {law}, stops {stops}, random share {random_share}"
     what += f", arm {arm_name}" if arm else ""
     with working_folder(out, what) as folder, progress(tables, "tables") as bar:
         runs = []
@@ -85,18 +86,19 @@ def run(
     click.echo(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))
 
 
-def belief_of(law_folder: Path | None, arm_name: str) -> "Belief":
-    """What a robot with this arm believes under a law; without one, under the laws that are assumed."""
+def belief_of(name: str, arm_name: str) -> "Belief":
+    """What a robot with this arm believes under the law of a name."""
     from halfseen.cell.arm import JACO_2
     from halfseen.cell.calibration.law_folder import read_law
     from halfseen.cell.table_state import Belief, no_grip
     from halfseen.world import WorldConfig
 
-    if law_folder is None:
+    folder = law_folder(name)
+    if folder is None:
         return Belief(WorldConfig(), no_grip)
-    stored = read_law(law_folder)
+    stored = read_law(folder)
     if (its := stored.record.get("arm", JACO_2.name)) != arm_name:
-        click.echo(f"warning: {law_folder}: the law is of the arm {its}, and works here for {arm_name}", err=True)
+        click.echo(f"warning: {folder}: the law is of the arm {its}, and works here for {arm_name}", err=True)
     law = stored.law
     return Belief(law.config(), law.grip)
 

@@ -11,6 +11,7 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.columns import aligned
+from halfseen.cli.laws import ASSUMED, law_of, law_option
 from halfseen.cli.progress import begin, progress
 from halfseen.cli.scenes import scenes_of
 
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 @click.option("--logs", type=options.PATH, help="Folder of logs that another policy made.")
 @options.against
 @click.option("--world", "in_world", is_flag=True, help="Play the tables of CLOUDS in the simulated world instead.")
+@law_option(ASSUMED)
 @options.policys_censoring
 @click.option(
     "--censoring-by", type=options.CLOCKS, help="Clock of the cuts, as in learn; by default the policy's own."
@@ -55,6 +57,7 @@ def evaluate(
     logs: Path | None,
     against: tuple[str, ...],
     in_world: bool,
+    law: str,
     level: float,
     episodes: int,
     seed: int,
@@ -79,7 +82,7 @@ def evaluate(
         raise ArgumentError("--against compares by logs, and --world plays the heuristics anyway; leave one out")
     stored = read_policy(policy)
     if logs is None:
-        report, lines = _by_world(stored, clouds, episodes, seed, level)
+        report, lines = _by_world(stored, clouds, law, episodes, seed, level)
     else:
         report, lines = _by_logs(stored, logs, seed, level, against=list(against) or None, **chosen)
     report = {"policy": str(policy), "seed": seed, **report}
@@ -128,7 +131,7 @@ def _by_logs(
 
 
 def _by_world(
-    stored: "StoredPolicy", clouds: Sequence[Path], episodes: int, seed: int, level: float
+    stored: "StoredPolicy", clouds: Sequence[Path], name: str, episodes: int, seed: int, level: float
 ) -> tuple[dict[str, Any], list[str]]:
     from halfseen.errors import ArgumentError
     from halfseen.evaluation.simulation import compare_in_world
@@ -138,8 +141,9 @@ def _by_world(
     if not stored.is_table:
         raise ArgumentError("the policy takes named actions, and the simulated world is one of tables; give --logs")
     with progress(episodes * (1 + len(HEURISTICS)), "play") as bar:
-        scenes = scenes_of(clouds)
-        config = WorldConfig(horizon=stored.horizon)
+        law, config = law_of(name), WorldConfig(horizon=stored.horizon)
+        scenes = scenes_of(clouds, law)
+        config = config if law is None else law.config(config)
         played: Callable[[int], object] = bar.update
         heuristics = {each.label: each.policy(config) for each in HEURISTICS}
         answer, beside = compare_in_world(

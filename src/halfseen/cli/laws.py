@@ -1,20 +1,52 @@
-"""What ``--law`` names: the law that comes with the package, one in a folder, or those that are assumed."""
+"""What ``--law`` names: a folder, the law that comes with the package, or those that are assumed."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-ASSUMED = "assumed"
+import click
+
+if TYPE_CHECKING:
+    from halfseen.cell.calibration.law import Law
+
+ASSUMED, SHIPPED = "assumed", "shipped"
 
 
-def law_folder(name: str | None) -> Path | None:
+def law_option(default: str) -> Any:
+    """The option, and what it names where nothing is said."""
+    return click.option(
+        "--law",
+        default=default,
+        show_default=True,
+        metavar="FOLDER",
+        help=f"Law of grasping and seeing: a folder that `halfseen cell calibrate` wrote, {SHIPPED} (with this "
+        f"package), or {ASSUMED}.",
+    )
+
+
+def law_folder(name: str) -> Path | None:
     """Find the folder of a law; None for those that are assumed.
 
     Parameters
     ----------
     name
-        A folder, or `ASSUMED`; None for the law that comes with the package.
+        As ``--law`` takes it.
     """
     from halfseen.cell.calibration.shipped import shipped_law
 
-    if name is None:
+    if name == SHIPPED:
         return shipped_law()
     return None if name == ASSUMED else Path(name)
+
+
+def law_of(name: str) -> "Law | None":
+    """Read the law of a name; None for those that are assumed.
+
+    Raises
+    ------
+    PolicyError
+        The folder holds no law.
+    """
+    from halfseen.cell.calibration.law_folder import read_law
+
+    folder = law_folder(name)
+    return None if folder is None else read_law(folder).law

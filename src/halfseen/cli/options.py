@@ -19,12 +19,6 @@ labels = click.option(
     help="What looks dirty, instead of what the cloud's colour tells: .csv with columns object, label (dirty, clean, "
     "unknown) and, if wanted, share_in_view; or the same as .json.",
 )
-law = click.option(
-    "--law",
-    metavar="FOLDER",
-    help="The law of grasping and seeing: a folder that `halfseen cell calibrate` wrote, or the word assumed; by "
-    "default the one that comes with the package.",
-)
 policys_censoring = click.option(
     "--censoring", type=click.Choice(WEIGHTING), help="Censoring model; by default the policy's own."
 )

@@ -5,11 +5,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from halfseen.cell.calibration.law import Law
     from halfseen.world import Scene
 
 
-def scenes_of(clouds: Sequence[Path], on_each: Callable[[], object] = lambda: None) -> list["Scene"]:
-    """Look at each cloud, by default at the ten that come with halfseen.
+def scenes_of(
+    clouds: Sequence[Path], law: "Law | None" = None, on_each: Callable[[], object] = lambda: None
+) -> list["Scene"]:
+    """Look at each cloud, by default at the ten that come with halfseen; under a law, what is seen tells of grips.
 
     Raises
     ------
@@ -22,7 +25,8 @@ def scenes_of(clouds: Sequence[Path], on_each: Callable[[], object] = lambda: No
 
     scenes = []
     for cloud in clouds or table_paths():
-        scene = perceive(read_cloud(cloud)).scene()
+        view = perceive(read_cloud(cloud))
+        scene = view.scene() if law is None else law.scene(view)
         if scene.num_objects == 0:
             raise CloudError(f"{cloud}: no objects on the table; put the table with its objects whole into the view")
         scenes.append(scene)

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from halfseen.cli import options
+from halfseen.cli.laws import ASSUMED, law_of, law_option
 from halfseen.cli.progress import progress
 from halfseen.cli.scenes import scenes_of
 from halfseen.planners.named import HEURISTICS, UNIFORM, named_policy
@@ -43,6 +44,7 @@ _HORIZON = 10
 )
 @click.option("--cut-kind", type=click.Choice(CUT_KINDS), default="independent", show_default=True, help="What cuts.")
 @click.option("--horizon", type=click.IntRange(min=1), default=_HORIZON, show_default=True, help="Steps of a path.")
+@law_option(ASSUMED)
 @options.seed("logs")
 @options.as_json
 @options.overwrite("logs that are")
@@ -61,9 +63,10 @@ def simulate(clouds: tuple[Path, ...], out: Path, seed: int, as_json: bool, over
     if out.exists() and not overwrite:
         raise ArgumentError(f"{out}: it is there already; choose another folder, or pass --overwrite to replace it")
     with progress(len(clouds or table_paths()) + 1, "look") as bar:
-        scenes = scenes_of(clouds, on_each=bar.update)
+        law, config = law_of(chosen["law"]), WorldConfig(horizon=chosen["horizon"])
+        scenes = scenes_of(clouds, law, on_each=bar.update)
         bar.set_description("simulate")
-        config = WorldConfig(horizon=chosen["horizon"])
+        config = config if law is None else law.config(config)
         logger = named_policy(chosen["policy"], config, chosen["random_share"])
         cuts = chosen["cut_share"], chosen["cut_kind"]
         logs = TableWorld(config).simulate(scenes, logger, chosen["episodes"], seed, *cuts)

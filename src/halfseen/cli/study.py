@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from halfseen.cli import options
+from halfseen.cli.laws import SHIPPED, law_folder, law_option
 
 EPILOG = "Example: halfseen study --out runs/study --repetitions 200 --resume"
 
@@ -16,7 +17,7 @@ EPILOG = "Example: halfseen study --out runs/study --repetitions 200 --resume"
 @click.option("--repetitions", default=None, type=int, help="Fresh logs and episodes; the paper made 10,000.")
 @click.option("--only", multiple=True, metavar="NAME", help="Run this experiment alone; may be given more than once.")
 @click.option("--seed", default=0, show_default=True, help="All but measured times follows from it.")
-@options.law
+@law_option(SHIPPED)
 @click.option("--resume", is_flag=True, help="Go on where a killed study stopped, or add repetitions to one.")
 @click.option("--jobs", default=None, type=click.IntRange(min=1), help="Processes; by default one a core.")
 @click.option("--json", "is_json", is_flag=True, help="Print study.json instead of the answer.")
@@ -26,7 +27,7 @@ def study(
     repetitions: int | None,
     only: tuple[str, ...],
     seed: int,
-    law: str | None,
+    law: str,
     resume: bool,
     jobs: int | None,
     is_json: bool,
@@ -40,7 +41,6 @@ def study(
     """
     # What one process compiled serves the others, and the study that goes on.
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(out.absolute() / "progress" / "compiled"))
-    from halfseen.cli.laws import law_folder
     from halfseen.scene import table_paths
     from halfseen.study.experiment import DEFAULT_REPETITIONS, Setting
     from halfseen.study.laws import under

@@ -4,7 +4,7 @@ import json
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import pandas as pd
@@ -20,12 +20,23 @@ from halfseen.policies.folder import StoredPolicy
 from halfseen.policies.history import present_state
 from halfseen.policies.named_decider import NamedObservation
 from halfseen.tables.present import Present, first_state, labelled
-from halfseen.world.seeing import AssumedSeeing
-from halfseen.world.state import occlusion
+from halfseen.world.scene import Scene
+from halfseen.world.seeing import AssumedSeeing, KnownSeeing
 
 STATE_FILES = (".json", ".csv")
-SEEING = AssumedSeeing()
-"""How often a label is taken to be right."""
+
+
+class SeenLaw(Protocol):
+    """What a law of a cell tells of a view."""
+
+    @property
+    def seeing(self) -> KnownSeeing:
+        """What labels tell."""
+        ...
+
+    def scene(self, view: View) -> Scene:
+        """What is seen of a table, grips included."""
+        ...
 
 
 def read_observation(
@@ -34,6 +45,7 @@ def read_observation(
     history: Path | None = None,
     stage: int | None = None,
     labels: Path | None = None,
+    law: SeenLaw | None = None,
 ) -> NamedObservation | Present:
     """Read what a policy decides from.
 
@@ -50,6 +62,8 @@ def read_observation(
     labels
         For tables, what looks dirty, as `halfseen.perception.read_labels` takes it; None for what the colours of the
         cloud tell, if it has some.
+    law
+        For tables, what a cell's law tells of labels and grips; None for the law of labels that is assumed.
 
     Raises
     ------
@@ -57,7 +71,7 @@ def read_observation(
         A file cannot be read, or does not fit the policy.
     """
     if stored.is_table:
-        return _table_observation(stored, file, history, stage, labels)
+        return _table_observation(stored, file, history, stage, labels, law)
     for option, given in (("--history", history), ("--labels", labels)):
         if given is not None:
             raise ArgumentError(f"{option} is for tables; this policy looks at the covariates of the stage alone")
@@ -66,7 +80,12 @@ def read_observation(
 
 
 def _table_observation(
-    stored: StoredPolicy, file: Path, history: Path | None, stage: int | None, labels: Path | None
+    stored: StoredPolicy,
+    file: Path,
+    history: Path | None,
+    stage: int | None,
+    labels: Path | None,
+    law: SeenLaw | None,
 ) -> Present:
     """See the table, and put it where the path stands."""
     if file.suffix in STATE_FILES:
@@ -77,20 +96,24 @@ def _table_observation(
     if not view.objects:
         raise CloudError(f"{file}: no objects on the table; put the table with its objects whole into the view")
     told = labels_of(view, cloud, labels)
-    now = _present(stored, view, logs, history, stage)
+    scene = view.scene() if law is None else law.scene(view)
+    now = _present(stored, view, scene, logs, history, stage)
     if told is None:
         return now
     source = "colour" if labels is None else str(labels)
-    return replace(labelled(now, [label.is_dirty for label in told], SEEING), seen=_seen(now, told, source))
+    after = labelled(now, [label.is_dirty for label in told], AssumedSeeing() if law is None else law.seeing)
+    return replace(after, seen=_seen(now, after, told, source))
 
 
-def _present(stored: StoredPolicy, view: View, logs: Logs | None, history: Path | None, stage: int | None) -> Present:
+def _present(
+    stored: StoredPolicy, view: View, scene: Scene, logs: Logs | None, history: Path | None, stage: int | None
+) -> Present:
     dirty_share = stored.record["schema"]["dirty_share"]
     if logs is None:
-        return first_state(view.scene(), stored.horizon, dirty_share, stage or 1)
+        return first_state(scene, stored.horizon, dirty_share, stage or 1)
     places_m = np.array([seen.solid.middle_m for seen in view.objects])
     with within(history):
-        now = present_state(view.scene(), stored.horizon, logs, dirty_share=dirty_share, places_m=places_m)
+        now = present_state(scene, stored.horizon, logs, dirty_share=dirty_share, places_m=places_m)
     if stage not in (None, now.stage):
         raise ArgumentError(
             f"--stage is {stage}, but by {history} the path has come to stage {now.stage}; leave it out"
@@ -98,7 +121,7 @@ def _present(stored: StoredPolicy, view: View, logs: Logs | None, history: Path 
     return now
 
 
-def _seen(before: Present, told: Sequence[Label], source: str) -> str:
+def _seen(before: Present, after: Present, told: Sequence[Label], source: str) -> str:
     """Say what labels told, and how much they count."""
     named = {word: [k for k, label in enumerate(told) if label.word == word] for word in WORDS.values()}
     listed = "; ".join(f"{word}: {', '.join(map(str, objects))}" for word, objects in named.items() if objects)
@@ -106,9 +129,9 @@ def _seen(before: Present, told: Sequence[Label], source: str) -> str:
     if before.is_labelled:
         but = f", but for what is new to it: {', '.join(map(str, before.new))}" if before.new else ""
         return f"{start} are not counted again: the history holds what was seen at this stage{but}."
-    accuracy = SEEING.accuracy(np.asarray(occlusion(before.state), dtype=np.float64)[: len(told)])
-    right = f"{accuracy.min():.2f} to {accuracy.max():.2f}" if np.ptp(accuracy) else f"{accuracy[0]:.2f}"
-    return f"{start} moved the log-odds of DIRTY, each taken to be right with probability {right}."
+    moved = np.asarray(after.state.log_odds - before.state.log_odds, dtype=np.float64)[: len(told)]
+    by = f"by {moved.min():+.2f} to {moved.max():+.2f}" if np.ptp(moved) else f"by {moved[0]:+.2f}"
+    return f"{start} moved the log-odds of DIRTY {by}."
 
 
 def _state_row(file: Path, policy: FlatPolicy) -> pd.DataFrame:

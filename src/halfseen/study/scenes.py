@@ -5,11 +5,9 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import numpy as np
 from tqdm import tqdm
 
 from halfseen.cell.calibration.law import Law
-from halfseen.cell.facts import facts_of
 from halfseen.perception import perceive, read_cloud
 from halfseen.perception.picture import draw
 from halfseen.world.scene import Scene
@@ -26,7 +24,7 @@ def look_at(paths: Sequence[Path], law: Law | None = None) -> tuple[tuple[Scene,
         for path in tqdm(paths, desc="look at tables", disable=None, leave=False):
             view = perceive(read_cloud(path))
             draw(view, picture)
-            grip = None if law is None else np.array([law.grip(facts) for facts in facts_of(view)])
-            scenes.append(replace(view.scene(), name=path.stem, grip=grip))
+            scene = view.scene() if law is None else law.scene(view)
+            scenes.append(replace(scene, name=path.stem))
             pictures[path.stem] = picture.read_bytes()
     return tuple(scenes), pictures

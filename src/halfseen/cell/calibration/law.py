@@ -12,11 +12,13 @@ from halfseen.cell.calibration.grasp_fit import CENTRES, NAMES, SCALES, GraspFit
 from halfseen.cell.calibration.seeing_fit import fit_seeing
 from halfseen.cell.calibration.time_fit import TimeFit, fit_times
 from halfseen.cell.calibration.trials import FACTS, glances, trials
-from halfseen.cell.facts import Facts
+from halfseen.cell.facts import Facts, facts_of
 from halfseen.logs import Logs
+from halfseen.perception.view import View
 from halfseen.world.config import WorldConfig
 from halfseen.world.fitted_grasping import FittedGrasping
 from halfseen.world.persistent_seeing import PersistentSeeing
+from halfseen.world.scene import Scene
 
 _NUM_GRIPS, _DIGITS = 100, 6
 _CURVES = ("sensitivity", "false_alarms")
@@ -86,6 +88,16 @@ class Law:
             What is seen of it.
         """
         return float(_grips(self.grasp, pd.DataFrame([asdict(facts)]))[0])
+
+    def scene(self, view: View) -> Scene:
+        """Give what a world needs to know of a table, grips included.
+
+        Parameters
+        ----------
+        view
+            What is seen.
+        """
+        return replace(view.scene(), grip=np.array([self.grip(facts) for facts in facts_of(view)]))
 
 
 def fit_law(logs: Logs, horizon: int, limit_s: float) -> Law:

@@ -39,12 +39,13 @@ class TableKind:
     policy_type = LinearTablePolicy
 
     def schema(self, policy: LinearTablePolicy, logs: Logs) -> dict[str, Any]:
-        """Verbs, features, and the prior of DIRTY that the log-odds of the log started from."""
+        """Verbs, features, the prior of DIRTY that the log-odds of the log started from, and how looks were counted."""
         return {
             "horizon": len(policy.coefficients),
             "actions": _VERBS,
             "features": _FEATURES,
             "dirty_share": logged_dirty_share(logs),
+            "counts_views": counts_views(logs),
             "seen": _seen_verbs(policy),
         }
 
@@ -108,6 +109,11 @@ def _is_seen(record: Mapping[str, Any]) -> Any:
         raise PolicyError(f"seen is {seen}; it lists verbs for each number of steps to go: learn the policy anew")
     rows = np.array([[verb in row for verb in _VERBS] for row in seen])
     return None if rows.all() else jnp.asarray(rows)
+
+
+def counts_views(logs: Logs) -> bool:
+    """Whether the recorder counted how much of an object has been in view, so that a second look may be no news."""
+    return logs.objects is not None and "seen" in logs.objects.columns and bool((logs.objects["seen"] > 0.0).any())
 
 
 def _check_schema(record: Mapping[str, Any]) -> None:
