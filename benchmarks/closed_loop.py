@@ -1,0 +1,109 @@
+"""Who earns most in the physical cell? All policies on the same fresh tables, beside what the calibrated world foretold.
+
+python benchmarks/closed_loop.py [--logs FOLDER] [--law FOLDER] [--tables 60] [--seed 2026] [--out FILE]
+
+From the logs, which a cell recorded and cut, `halfseen learn` as it is called by default learns a policy, and laws are
+fitted for a planner. They, the heuristics and the planner that knows the law that is believed in clear the same tables,
+of which nothing is cut. It prints the reward of each in physics, what the world under the law foretells for the same
+tables, the gap, and by how much the learned policy is ahead, table by table: two-sided signed-rank tests, by Holm's
+procedure. A run that was stopped goes on where it was, if it is called again.
+"""
+
+import argparse
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from halfseen.cell.calibration.law_folder import read_law
+from halfseen.cell.calibration.shipped import shipped_law
+from halfseen.cell.campaign import Campaign, Conditions, logs_of, working_folder
+from halfseen.cell.summary import Summary, summarised
+from halfseen.cell.table_state import Belief
+from halfseen.logs import Logs, read_logs
+from halfseen.planners.named import HEURISTICS, named_policy
+from halfseen.planners.pomdp import POMDPPolicy
+from halfseen.policies.learner_choice import learner_for
+from halfseen.study.statistics import holm, signed_rank_test
+from halfseen.tables.fitted_world import fit_world
+from halfseen.world.config import WorldConfig
+from halfseen.world.policy import Policy
+
+LEARNED, FITTED, PLANNER = "learned", "planner, fitted laws", "planner, calibrated law"
+LOGS = Path(__file__).parents[1] / "examples" / "physical_cell" / "logs"
+
+
+def policies_of(logs: Logs, config: WorldConfig, seed: int) -> dict[str, Policy]:
+    """All who take part."""
+    learner = learner_for(logs, censoring="auto", random_state=seed).learner.fit(logs)
+    fitted = fit_world(logs, config)
+    return {
+        LEARNED: learner.policy_,
+        FITTED: POMDPPolicy(fitted, planning_horizon=config.horizon),
+        PLANNER: POMDPPolicy(config, planning_horizon=config.horizon),
+        **{name: named_policy(name, config) for name in HEURISTICS},
+    }
+
+
+def told(name: str, summary: Summary) -> str:
+    """One line of the table."""
+    estimates = (summary.reward, summary.predicted, summary.gap)
+    cells = ("–" if each is None else f"{each.value:+7.2f} ± {each.standard_error:.2f}" for each in estimates)
+    cups = summary.counts
+    washed = f"{cups['num_washed']}/{cups['num_dirty']} dirty, {cups['num_racked'] - cups['num_washed']} clean"
+    return f"{name:<26}" + "".join(f"{cell:>17}" for cell in cells) + f"{washed:>22}{summary.seconds:>7.0f}"
+
+
+def compared(rewards: dict[str, np.ndarray]) -> dict[str, dict[str, float]]:
+    """By how much the learned policy is ahead of each other one, table by table."""
+    others = {name: of for name, of in rewards.items() if name != LEARNED}
+    tests = [signed_rank_test(rewards[LEARNED] - of, "two-sided") for of in others.values()]
+    adjusted = holm(np.array([test.p_value for test in tests]))
+    return {
+        name: {**asdict(test.effect), "p_holm": float(p)} for name, test, p in zip(others, tests, adjusted, strict=True)
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--logs", type=Path, default=LOGS)
+    parser.add_argument("--law", type=Path, default=shipped_law())
+    parser.add_argument("--tables", type=int, default=60)
+    parser.add_argument("--seed", type=int, default=2026)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--only", nargs="*", help="names of policies")
+    parser.add_argument("--out", type=Path, default=Path("runs/benchmarks/closed_loop.json"))
+    options = parser.parse_args()
+    law, logs = read_law(options.law).law, read_logs(options.logs)
+    belief = Belief(law.config(), law.grip)
+    rewards: dict[str, np.ndarray] = {}
+    results: dict[str, Any] = {"seed": options.seed, "logs": str(logs.summary()), "policies": {}}
+    print(f"learned from {logs.summary()}")
+    print(f"{'':<26}{'in physics':>17}{'foretold':>17}{'gap':>17}{'washed':>22}{'robot':>7}")
+    for name, policy in policies_of(logs, belief.config, options.seed).items():
+        if options.only and name not in options.only:
+            continue
+        campaign, tables = Campaign(policy, belief, Conditions(stops=None), options.seed), range(options.tables)
+        what = f"{name}, seed {options.seed}, {logs.summary()}"
+        with working_folder(options.out.with_name(f"closed-loop-{name.replace(', ', '-')}"), what) as folder:
+            done = campaign.runs(tables, folder, options.workers)
+            runs = [run for _, run in tqdm(done, name, options.tables, leave=False, disable=None)]
+            summary = summarised(runs, logs_of(folder, tables), policy, belief.config, options.seed)
+        print(told(name, summary), flush=True)
+        rewards[name] = np.array([run.reward for run in runs])
+        results["policies"][name] = asdict(summary)
+    if LEARNED in rewards:
+        results["learned_less"] = compared(rewards)
+        print(f"\n{'learned, less':<26}{'mean':>9}{'95 % interval':>20}{'p (Holm)':>10}")
+        for name, row in results["learned_less"].items():
+            within = f"{row['low']:+.2f} to {row['high']:+.2f}"
+            print(f"{name:<26}{row['value']:>+9.2f}{within:>20}{row['p_holm']:>10.3f}")
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    options.out.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
