@@ -1,4 +1,4 @@
-"""Who earns most in the physical cell? All policies on the same fresh tables, beside what the calibrated world foretold.
+"""Who earns most in the physical cell? All policies on the same tables, beside what the calibrated world foretold.
 
 python benchmarks/closed_loop.py [--logs FOLDER] [--law FOLDER] [--tables 60] [--seed 2026] [--out FILE]
 
