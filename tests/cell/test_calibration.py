@@ -1,5 +1,6 @@
 """Laws from attempts and labels: beside naive likelihoods, and beside the truth that made the data."""
 
+import json
 from itertools import pairwise
 
 import numpy as np
@@ -10,14 +11,17 @@ from scipy.optimize import minimize
 from scipy.special import expit
 from scipy.stats import norm
 
+from halfseen.cell.arm import JACO_2
 from halfseen.cell.calibration.grasp_fit import CENTRES, SCALES, fit_grasping
 from halfseen.cell.calibration.law import Law
-from halfseen.cell.calibration.law_folder import read_law, write_law
+from halfseen.cell.calibration.law_folder import LAW, read_law, write_law
 from halfseen.cell.calibration.seeing_fit import VIEWS, fit_seeing, found_by, intervals
 from halfseen.cell.calibration.time_fit import fit_times
 from halfseen.cell.facts import Facts
+from halfseen.cli.cell_run import belief_of
 from halfseen.errors import LogError, PolicyError
 from halfseen.perception.labels import FACING_SHARE
+from halfseen.policies.folder.files import write_files
 
 TRUTH = np.array([2.0, -1.0, -1.5, -0.4, 0.3, np.log(0.8)])
 
@@ -232,3 +236,41 @@ def test_a_changed_byte_is_found(law, tmp_path, name):
     file.unlink()
     with pytest.raises(PolicyError, match="it is missing"):
         read_law(tmp_path / "law")
+
+
+def rewritten(law, folder, *, text=None, arrays=None, **record):
+    """A law whose files agree with their digests, and say something else."""
+    write_law(law, folder, {})
+    told = json.loads((folder / LAW.record).read_text()) | record
+    content = (text or json.dumps(told)).encode(), arrays or (folder / LAW.arrays).read_bytes()
+    write_files(folder, *content, overwrite=True, kind=LAW)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("what", "message"),
+    [
+        (
+            {"parameters": ["log_odds", "colour"]},
+            r"law.json: the law tells grasps by .*'colour'\\], .* other",
+        ),
+        ({"version": 9}, "law.json: version 9 is not 1"),
+        ({"num_decided": "many"}, "law.json: num_decided is 'many', no count of attempts"),
+        ({"text": "[1]"}, r"law.json: version \[1\] is not 1"),
+        ({"text": "{"}, "law.json: it cannot be read"),
+        ({"arrays": b"none"}, "law.safetensors: no numbers of a law"),
+    ],
+)
+def test_a_law_of_other_objects_or_that_is_none_is_refused(law, tmp_path, what, message):
+    with pytest.raises(PolicyError, match=message) as refused:
+        read_law(rewritten(law, tmp_path / "law", **what))
+    assert "make it anew by `halfseen cell calibrate`" in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_law_of_another_arm_is_believed_with_a_warning(law, tmp_path, capsys):
+    write_law(law, tmp_path / "law", {"arm": "six.xml (1234)"})
+    assert belief_of(tmp_path / "law", "six.xml (1234)").config.transport_s == law.time.rest_s
+    assert capsys.readouterr().err == ""
+    belief_of(tmp_path / "law", JACO_2.name)
+    assert f"the law is of the arm six.xml (1234), and works here for {JACO_2.name}" in capsys.readouterr().err

@@ -1,6 +1,8 @@
 """One table in physics: what is earned is what the truth says, and the log tells all that the robot saw."""
 
-from dataclasses import dataclass
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +10,7 @@ import numpy as np
 import pytest
 
 from halfseen.cell.campaign import RUN_FILE, Campaign, Conditions, logs_of, table_name, working_folder
-from halfseen.cell.episode import play
+from halfseen.cell.episode import NOTHING_SEEN, play
 from halfseen.cell.facts import Facts
 from halfseen.cell.memory import MORE_IN_VIEW, Glance, Known, Memory
 from halfseen.cell.stops import Stops
@@ -16,7 +18,7 @@ from halfseen.cell.summary import scenes_of, summarised
 from halfseen.cell.table_state import MOST_OBJECTS, Belief, no_grip, state_of
 from halfseen.cell.trying import LiftAtRandom
 from halfseen.cell.workcell import Workcell
-from halfseen.errors import ArgumentError
+from halfseen.errors import ArgumentError, SceneError
 from halfseen.logs import LogRecorder, read_logs
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.policies.history import present_state
@@ -213,6 +215,32 @@ def test_two_campaigns_into_one_folder_are_refused(tmp_path):
     assert not (tmp_path / "logs.running").exists()
 
 
+def test_of_ten_campaigns_into_one_folder_one_runs(tmp_path):
+    target = tmp_path / "logs"
+
+    def refuse():
+        if target.exists():
+            raise ArgumentError("it is there already")
+
+    def record(number):
+        try:
+            with working_folder(target, "seed 1", refuse) as folder:
+                (folder / "mine").touch(exist_ok=False)
+                time.sleep(0.05)
+                assert (folder / "mine").exists()
+                target.mkdir()
+        except ArgumentError as error:
+            return str(error)
+        return "ran"
+
+    with ThreadPoolExecutor(10) as pool:
+        told = list(pool.map(record, range(10)))
+    assert told.count("ran") == 1
+    refused = [one for one in told if one != "ran"]
+    assert [one for one in refused if "another recorder" not in one and "it is there already" not in one] == []
+    assert [path.name for path in tmp_path.iterdir()] == ["logs"]
+
+
 def test_what_was_stopped_of_another_run_is_neither_mixed_in_nor_lost(tmp_path):
     def stopped():
         with working_folder(tmp_path / "logs", "seed 1") as folder:
@@ -241,3 +269,29 @@ def test_any_number_of_processes_gives_the_same_bytes(tmp_path):
     summary = summarised(tables[1][0], logs_of(folder, range(3)), LiftAtRandom(), WorldConfig(horizon=2), 0)
     assert summary.counts["num_cups"] == sum(run.num_cups for run in tables[1][0])
     assert summary.verbs["LIFT"] <= 6
+
+
+def test_a_table_of_which_nothing_is_seen_is_no_path(tmp_path):
+    """A camera that is lost before the first look, or that sees none of the cups, stops no campaign."""
+    campaign = Campaign(*quits(), Conditions(stops=None), 3)
+    campaign.run(0, tmp_path)
+    blind = replace(campaign, conditions=Conditions(stops=Stops(camera_lost_per_s=1e6)))
+    lost = blind.run(1, tmp_path)
+    assert (lost.cause, lost.is_seen, lost.verbs) == ("sensor-lost", False, {})
+    logs = logs_of(tmp_path, [0, 1])
+    assert logs.path_ids.tolist() == [0]
+
+
+def test_a_table_that_shows_no_cup_is_cut(tmp_path):
+    hidden = Pose((-0.42, -0.28, TABLE_TOP_M))
+    cell = Workcell(Table(CUPS[:1], (hidden,), CAMERA), np.random.default_rng(0))
+    with LogRecorder(tmp_path / "logs") as recorder:
+        run = play(cell, IS_DIRTY[:1], *quits(), recorder.begin_path(0), jax.random.key(0))
+    assert (run.cause, run.is_seen) == (NOTHING_SEEN, False)
+
+
+@pytest.mark.parametrize("place_m", [(0.0, 5.0, TABLE_TOP_M), (0.0, 0.0, 3.0), (0.6, 0.0, TABLE_TOP_M)])
+def test_a_cup_that_is_not_on_the_table_is_refused(place_m):
+    table = Table(CUPS, (POSES[0], Pose(place_m)), CAMERA, "table 7")
+    with pytest.raises(SceneError, match=r"table 7: the middle of cup 1 is at .* off the table, .*; put it there"):
+        Workcell(table, np.random.default_rng(0))

@@ -1,5 +1,8 @@
 """`halfseen cell`: bad input is told in one line before anything moves."""
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -50,7 +53,29 @@ def test_logs_that_are_of_no_cell(monkeypatch, capsys, tmp_path):
 
 def test_a_film_that_is_no_gif(monkeypatch, capsys, tmp_path):
     line = refused(monkeypatch, capsys, "film", "--policy", "greedy", "--out", tmp_path / "film.mp4")
-    assert ".gif" in line or "OpenGL" in line
+    assert "film.mp4: a film is an animated .gif" in line
+
+
+def alone(gl, *words):
+    """What a fresh process says, with this way to draw."""
+    environment = {**os.environ, "MUJOCO_GL": gl}
+    return subprocess.run([sys.executable, *map(str, words)], env=environment, capture_output=True, text=True)
+
+
+@pytest.mark.parametrize("gl", ["glfw", "none"])
+def test_a_film_without_opengl(tmp_path, gl):
+    told = alone(gl, "-m", "halfseen.cli", "cell", "film", "--policy", "greedy", "--out", tmp_path / "film.gif")
+    if not told.returncode:
+        pytest.skip("there is a screen")
+    (line,) = told.stderr.strip().splitlines()
+    assert f"no picture can be drawn here: OpenGL does not start with MUJOCO_GL={gl}" in line
+    assert told.returncode == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_physics_needs_no_opengl():
+    program = "from halfseen.cli.opengl import load_mujoco; load_mujoco(); import halfseen.cell.workcell"
+    assert alone("none", "-c", program).stderr == ""
 
 
 def test_a_policy_of_other_things_than_tables(monkeypatch, capsys, tmp_path):

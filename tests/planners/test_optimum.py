@@ -209,6 +209,11 @@ def test_several_policies_are_worth_what_each_is_by_itself(max_states):
     assert len(set(alone)) > 2
 
 
+def test_no_policy_has_no_value():
+    with pytest.raises(ArgumentError, match="policies is empty; give at least one"):
+        solve_table(TWO, CONFIG, 2).policy_values([])
+
+
 def test_a_policy_that_does_the_impossible_is_refused():
     with pytest.raises(ArgumentError, match=r"policy chose action 1 with objects \[1\] on the table"):
         solve_table(TWO, CONFIG, 2).policy_value(AlwaysWashTheFirst())

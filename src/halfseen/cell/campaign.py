@@ -6,11 +6,13 @@ that the log is the same, to the last bit, in any number of processes.
 """
 
 import json
+import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from threading import get_ident
 from typing import Any
 
 import jax
@@ -137,7 +139,7 @@ class Campaign:
         """
         place = folder / table_name(index)
         if (place / RUN_FILE).is_file():
-            return Run(**json.loads((place / RUN_FILE).read_text(encoding="utf-8")))
+            return _run_of(place)
         shutil.rmtree(place, ignore_errors=True)
         cell, is_dirty = self.conditions.cell(self.seed, index)
         with LogRecorder(place) as recorder:
@@ -149,7 +151,7 @@ class Campaign:
 
 
 @contextmanager
-def working_folder(target: Path, what: str) -> Iterator[Path]:
+def working_folder(target: Path, what: str, refuse: Callable[[], None] = lambda: None) -> Iterator[Path]:
     """Give the folder in which tables are recorded while a campaign runs; it goes when all went well.
 
     Parameters
@@ -158,6 +160,9 @@ def working_folder(target: Path, what: str) -> Iterator[Path]:
         Where the result will be.
     what
         What runs there, with all that its tables depend on: only the same goes on with what is there.
+    refuse
+        Called once no other campaign can run there; raises where the result may not be written: one that began at the
+        same time may be done by now.
 
     Raises
     ------
@@ -171,6 +176,8 @@ def working_folder(target: Path, what: str) -> Iterator[Path]:
     with LogRecorder(folder / "campaign"):
         told = folder / WHAT_FILE
         if not told.exists():
+            with _removed_if_refused(folder):
+                refuse()
             write_file(told, what)
         elif told.read_text(encoding="utf-8") != what:
             raise ArgumentError(
@@ -178,11 +185,26 @@ def working_folder(target: Path, what: str) -> Iterator[Path]:
                 f"{what}; call that again to go on with it, remove the folder, or choose another --out"
             )
         yield folder
-    shutil.rmtree(folder)
+        done = _aside(folder)
+    shutil.rmtree(done)
+
+
+@contextmanager
+def _removed_if_refused(folder: Path) -> Iterator[None]:
+    try:
+        yield
+    except BaseException:
+        shutil.rmtree(_aside(folder))
+        raise
+
+
+def _aside(folder: Path) -> Path:
+    """Give a folder another name, while it is ours: whoever waits for it begins a new one, which is not removed."""
+    return folder.rename(folder.with_name(f"{folder.name}.{os.getpid()}-{get_ident()}"))
 
 
 def logs_of(folder: Path, tables: Sequence[int]) -> Logs:
-    """Read what was recorded of tables, as one log.
+    """Read what was recorded of tables, as one log; those that were cut before anything was decided are in none.
 
     Parameters
     ----------
@@ -191,7 +213,12 @@ def logs_of(folder: Path, tables: Sequence[int]) -> Logs:
     tables
         Their numbers.
     """
-    return joined([read_logs(folder / table_name(index)) for index in tables])
+    places = [folder / table_name(index) for index in tables]
+    return joined([read_logs(place) for place in places if _run_of(place).is_seen])
+
+
+def _run_of(place: Path) -> Run:
+    return Run(**json.loads((place / RUN_FILE).read_text(encoding="utf-8")))
 
 
 def table_name(index: int) -> str:

@@ -22,6 +22,8 @@ from halfseen.world.state import TableState
 
 PAUSE_S = 0.5
 """What a look and a decision take on the cell's clock [s]."""
+NOTHING_SEEN = "nothing-seen"
+"""Cause of a cut: no object is in view, so that there is nothing to decide."""
 _TOPPLED_COSINE = 0.5
 _ON_TABLE_M = 0.05  # a cup's origin is not lower than this below the top of the table it stands on
 
@@ -58,6 +60,11 @@ class Run:
     num_dirty: int = 0
     num_washed: int = 0
     cause: str | None = None
+
+    @property
+    def is_seen(self) -> bool:
+        """Whether anything was decided; else it was cut before, and no log holds it."""
+        return bool(self.verbs)
 
 
 def play(
@@ -102,6 +109,8 @@ def play(
     try:
         for step in range(config.horizon):
             _look(cell)
+            if not cell.memory.objects:
+                raise StoppedError(NOTHING_SEEN)
             if all(known.is_gone for known in cell.memory.objects):
                 break
             state, rows = state_of(cell.memory, belief, config.horizon - step), rows_of(cell.memory, belief)

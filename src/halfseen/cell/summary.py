@@ -67,7 +67,7 @@ def summarised(
     runs
         What came of each table.
     logs
-        What was recorded of them, in the same order.
+        What was recorded of them, in the same order; not of those that were cut before anything was decided.
     policy
         What decided.
     config
@@ -77,7 +77,8 @@ def summarised(
     level
         Of the intervals.
     """
-    rewards, weights = np.array([run.reward for run in runs]), _weights(runs)
+    seen = [run for run in runs if run.is_seen]
+    rewards, weights = np.array([run.reward for run in seen]), _weights(seen)
     foretold = predicted(scenes_of(logs), policy, config, seed)
     return Summary(
         reward=_mean(rewards, weights, level),

@@ -22,14 +22,14 @@ from halfseen.cell.planning import Plan, plan
 from halfseen.cell.racking import put_away
 from halfseen.cell.showing import is_in_hand, turned
 from halfseen.cell.stops import Guard, Stops
-from halfseen.errors import PlanError
+from halfseen.errors import PlanError, SceneError
 from halfseen.perception.clouds import Cloud
 from halfseen.perception.labels import Labeller, StainCounter
 from halfseen.perception.range_image import range_image
 from halfseen.perception.view import SeenObject, View, perceive
 from halfseen.scene.poses import Pose, from_matrix
 from halfseen.scene.stains import Surface
-from halfseen.scene.table import TABLE_TOP_M, Table
+from halfseen.scene.table import TABLE_SIZE_M, TABLE_TOP_M, Table
 
 SETTLE_S = 0.3
 
@@ -103,6 +103,11 @@ class Workcell:
     stops
         What stops the cell; None for nothing.
 
+    Raises
+    ------
+    SceneError
+        A cup is not on the table.
+
     Attributes
     ----------
     memory
@@ -127,6 +132,12 @@ class Workcell:
         errors: Errors = Errors(),
         stops: Stops | None = None,
     ) -> None:
+        if not table.is_over_top.all():
+            index = int(np.argmin(table.is_over_top))
+            raise SceneError(
+                f"{table.name}: the middle of cup {index} is at {table.centroid_m[index].round(2).tolist()} m, off the "
+                f"table, whose top is {TABLE_TOP_M} m high and {TABLE_SIZE_M} m wide about the origin; put it there"
+            )
         model = cell_model(table.cups, table.world_from_cup, (robot,), rack, frictions=frictions)
         self.table, self.surfaces = table, surfaces
         self.robot, self.rack, self.memory = robot, rack, Memory()

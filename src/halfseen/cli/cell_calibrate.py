@@ -1,6 +1,7 @@
 """``halfseen cell calibrate``: attempts of the physical cell, and the laws that they tell."""
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -8,6 +9,7 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.arms import arm_options, robot_for
+from halfseen.cli.opengl import load_mujoco
 from halfseen.cli.progress import progress
 
 if TYPE_CHECKING:
@@ -41,6 +43,7 @@ def calibrate(
     Tables are cut by what cuts a cell: an attempt that takes too long, an emergency stop, a lost camera. The folder
     holds the law and its attempts. A run that was stopped goes on where it was, if it is called again.
     """
+    load_mujoco()
     from halfseen.cell.calibration.calibrate import attempts_of, law_of
     from halfseen.cell.calibration.law_folder import LAW, write_law
     from halfseen.cell.campaign import Conditions, working_folder
@@ -48,7 +51,8 @@ def calibrate(
     from halfseen.logs import read_logs
     from halfseen.policies.folder import check_target
 
-    check_target(out, overwrite, LAW)
+    refuse = partial(check_target, out, overwrite, LAW)
+    refuse()
     if given is not None and arm is not None:
         raise ArgumentError(f"--arm is {arm}, but {given} holds attempts of some arm already; leave it out")
     robot, arm_name = robot_for(arm, flange, joints)
@@ -64,7 +68,7 @@ def calibrate(
     else:
         # What was recorded goes when the law is written, not before: attempts take hours.
         what = f"calibrate, seed {seed}" + (f", arm {arm_name}" if arm else "")
-        with working_folder(out, what) as folder, progress(attempts, "attempts") as bar:
+        with working_folder(out, what, refuse) as folder, progress(attempts, "attempts") as bar:
             report = fitted(attempts_of(attempts, seed, folder, workers, Conditions(robot=robot), bar.update))
     click.echo(json.dumps(report, indent=2, allow_nan=False) if as_json else "\n".join(_lines(out, report)))
 

@@ -1,9 +1,5 @@
 """``halfseen cell film``: one table that a policy clears in physics, as an animated picture."""
 
-# MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
-# pyright: reportAttributeAccessIssue=false
-
-import os
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -13,8 +9,7 @@ from halfseen.cli import options
 from halfseen.cli.arms import arm_options, robot_for
 from halfseen.cli.cell_run import belief_of, policy_of, policy_option
 from halfseen.cli.laws import SHIPPED, law_option
-
-GL = "MUJOCO_GL"
+from halfseen.cli.opengl import start_opengl
 
 
 @click.command(epilog="Example: halfseen cell film --policy planner --out film.gif")
@@ -38,17 +33,18 @@ def film(
 
     Seed and number give the same table as in `halfseen cell run`. Drawing needs OpenGL; nothing else of halfseen does.
     """
-    _start_opengl()
+    from halfseen.errors import ArgumentError
+
+    if out.suffix.lower() != ".gif":
+        raise ArgumentError(f"{out}: a film is an animated .gif; give a name that ends so")
+    start_opengl()
     import jax
 
     from halfseen.cell.campaign import Conditions
     from halfseen.cell.episode import play
     from halfseen.cell.film import Film
-    from halfseen.errors import ArgumentError
     from halfseen.logs import LogRecorder
 
-    if out.suffix.lower() != ".gif":
-        raise ArgumentError(f"{out}: a film is an animated .gif; give a name that ends so")
     robot, arm_name = robot_for(arm, flange, joints)
     belief = belief_of(law, arm_name)
     cell, is_dirty = Conditions(robot=robot, stops=None).cell(seed, table)
@@ -63,21 +59,3 @@ def film(
     click.echo(
         f"{out}: {run.num_washed} of {run.num_dirty} dirty cups washed in {run.seconds:.0f} s, reward {run.reward:+.1f}"
     )
-
-
-def _start_opengl() -> None:
-    """Load MuJoCo with a way to draw: most machines that run this have no screen."""
-    from halfseen.errors import ArgumentError
-
-    os.environ.setdefault(GL, "egl")
-    try:
-        import mujoco
-
-        with mujoco.Renderer(mujoco.MjSpec().compile(), 32, 32):
-            pass
-    except Exception as error:  # whatever a missing or broken OpenGL raises
-        raise ArgumentError(
-            f"no picture can be drawn here: OpenGL does not start with {GL}={os.environ[GL]} "
-            f"({(str(error).splitlines() or [type(error).__name__])[0][:120]}); set {GL} to egl, osmesa or glfw and "
-            "install its library, or film on another machine"
-        ) from error

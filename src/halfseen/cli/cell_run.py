@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,7 @@ import click
 from halfseen.cli import options
 from halfseen.cli.arms import arm_options, robot_for
 from halfseen.cli.laws import SHIPPED, law_folder, law_option
+from halfseen.cli.opengl import load_mujoco
 from halfseen.cli.progress import progress
 from halfseen.planners.named import HEURISTICS, PLANNER, exploring, named_policy
 
@@ -61,20 +63,22 @@ def run(
     The same seed gives every policy the same tables. What comes of it stands beside what the simulated world foretells
     for them under the law. A run that was stopped goes on where it was, if it is called again.
     """
+    load_mujoco()
     from halfseen.cell.campaign import Campaign, Conditions, logs_of, working_folder
     from halfseen.cell.stops import Stops
     from halfseen.cell.summary import summarised
     from halfseen.logs.folder import MANIFEST
     from halfseen.writing import refuse_taken
 
-    refuse_taken(out, overwrite, MANIFEST, "logs")
+    refuse = partial(refuse_taken, out, overwrite, MANIFEST, "logs")
+    refuse()
     robot, arm_name = robot_for(arm, flange, joints)
     belief = belief_of(law, arm_name)
     policy = policy_of(name, random_share, belief.config)
     campaign = Campaign(policy, belief, Conditions(robot=robot, stops=Stops() if stops else None), seed)
     what = f"run, seed {seed}, policy {name}, law {law}, stops {stops}, random share {random_share}"
     what += f", arm {arm_name}" if arm else ""
-    with working_folder(out, what) as folder, progress(tables, "tables") as bar:
+    with working_folder(out, what, refuse) as folder, progress(tables, "tables") as bar:
         runs = []
         for _, each in campaign.runs(range(tables), folder, workers):
             runs.append(each)

@@ -117,21 +117,37 @@ class JournalWriter:
 
 
 def _open(folder: Path, file: Path) -> int:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(file, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
-    except OSError as error:
-        raise ArgumentError(f"{folder}: cannot be written ({error.strerror}); choose another folder") from error
     for _ in range(LOCK_TRIES):
-        if _is_locked(descriptor, is_shared=False):
-            return descriptor
-        # A reader that asks who records holds the lock for a moment.
+        descriptor = _opened(folder, file)
+        if descriptor is not None:
+            if _is_locked(descriptor, is_shared=False) and _is_there(descriptor, file):
+                return descriptor
+            os.close(descriptor)
+        # A reader that asks who records holds the lock for a moment; who recorded here may have removed the folder.
         time.sleep(LOCK_PAUSE_S)
-    os.close(descriptor)
     raise ArgumentError(
         f"{folder}: another recorder, of this or another process, is recording into it; close that one, or choose "
         "another folder (the lock goes with its process: there is nothing to remove after a crash)"
     )
+
+
+def _opened(folder: Path, file: Path) -> int | None:
+    """Open the journal; None where the folder goes just now."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        return os.open(file, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise ArgumentError(f"{folder}: cannot be written ({error.strerror}); choose another folder") from error
+
+
+def _is_there(descriptor: int, file: Path) -> bool:
+    """Whether what is open still goes by this name."""
+    try:
+        return os.path.samestat(os.fstat(descriptor), file.stat())
+    except FileNotFoundError:
+        return False
 
 
 def _is_locked(descriptor: int, *, is_shared: bool) -> bool:

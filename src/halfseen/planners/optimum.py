@@ -136,7 +136,15 @@ class TableOptimum:
     def policy_values(
         self, policies: Sequence[Policy], key: Array | None = None, max_states: int | None = None
     ) -> Float[np.ndarray, " P"]:
-        """Values of several policies, each as `policy_value` has it, in a fraction of the time."""
+        """Values of several policies, each as `policy_value` has it, in a fraction of the time.
+
+        Raises
+        ------
+        ArgumentError
+            As `policy_value` does, or no policy is given.
+        """
+        if not policies:
+            raise ArgumentError("policies is empty; give at least one policy whose value is wanted")
         if max_states is not None and max_states < 1:
             raise ArgumentError(f"max_states is {max_states}; at least 1 is needed, or None for all")
         key = jax.random.key(0) if key is None else key

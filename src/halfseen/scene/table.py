@@ -12,6 +12,7 @@ from halfseen.scene.poses import Pose
 
 TABLE_TOP_M = 0.72
 TABLE_SIZE_M = (1.0, 0.7)
+_HIGHEST_M = 0.5
 _FALLEN_COSINE = 0.5  # an axis more than 60° off the vertical: neither standing nor leaning
 
 
@@ -58,6 +59,12 @@ class Table:
     def is_fallen(self) -> ObjectMask:
         """Which cups lie on their side: the axis is more than 60° off the vertical."""
         return np.array([pose.rotation[2, 2] < _FALLEN_COSINE for pose in self.world_from_cup], dtype=bool)
+
+    @property
+    def is_over_top(self) -> ObjectMask:
+        """Which cups have their middle over the table's top, not higher than things on it may be."""
+        half_m, away_m = 0.5 * np.array(TABLE_SIZE_M), self.centroid_m - (0.0, 0.0, TABLE_TOP_M)
+        return (np.abs(away_m[:, :2]) <= half_m).all(axis=1) & (away_m[:, 2] > 0.0) & (away_m[:, 2] < _HIGHEST_M)
 
     @property
     def height_m(self) -> PerObject:

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import safetensors.numpy
+from safetensors import SafetensorError
 
 from halfseen.cell.calibration.grasp_fit import NAMES, GraspFit
 from halfseen.cell.calibration.law import Law
@@ -30,6 +31,7 @@ from halfseen.world.persistent_seeing import PersistentSeeing
 ATTEMPTS = "attempts"
 LAW = Kind("law", "halfseen cell calibrate")
 VERSION = 1
+_ANEW = f"make it anew by `{LAW.maker}`"
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,19 +95,31 @@ def read_law(folder: str | Path) -> StoredLaw:
         A file is missing, a byte has changed, the version is unknown, or the numbers are none of a law.
     """
     text, numbers = read_files(Path(folder), LAW)
-    record = json.loads(text)
-    if record.get("version") != VERSION:
-        raise PolicyError(
-            f"{Path(folder) / LAW.record}: version {record.get('version')!r} is not {VERSION}, which is read here; "
-            f"make it anew by `{LAW.maker}`"
-        )
+    record = _record(text, Path(folder) / LAW.record)
     try:
         law = _law(safetensors.numpy.load(numbers), record)
-    except (KeyError, ValueError, TypeError) as error:
-        raise PolicyError(
-            f"{Path(folder) / LAW.arrays}: no numbers of a law ({error}); make it anew by `{LAW.maker}`"
-        ) from error
+    except (KeyError, ValueError, TypeError, SafetensorError) as error:
+        raise PolicyError(f"{Path(folder) / LAW.arrays}: no numbers of a law ({error}); {_ANEW}") from error
     return StoredLaw(law, record)
+
+
+def _record(text: bytes, file: Path) -> Mapping[str, Any]:
+    try:
+        record = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise PolicyError(f"{file}: it cannot be read ({error}); {_ANEW}") from error
+    if not isinstance(record, dict) or record.get("version") != VERSION:
+        version = record.get("version") if isinstance(record, dict) else record
+        raise PolicyError(f"{file}: version {version!r} is not {VERSION}, which is read here; {_ANEW}")
+    if record.get("parameters") != list(NAMES):
+        raise PolicyError(
+            f"{file}: the law tells grasps by {record.get('parameters')}, and objects here are known by {list(NAMES)}: "
+            f"it is of other objects; {_ANEW}"
+        )
+    for name in ("num_decided", "num_cut"):
+        if not isinstance(record.get(name), int):
+            raise PolicyError(f"{file}: {name} is {record.get(name)!r}, no count of attempts; {_ANEW}")
+    return record
 
 
 def _arrays(law: Law) -> dict[str, np.ndarray]:
@@ -125,11 +139,13 @@ _CURVES = ("views", "sensitivity", "false_alarms")
 
 
 def _law(arrays: Mapping[str, np.ndarray], record: Mapping[str, Any]) -> Law:
-    if record["parameters"] != list(NAMES) or arrays["estimate"].shape != (len(NAMES),):
-        raise ValueError(f"parameters are {record['parameters']} and not {list(NAMES)}")
+    if arrays["estimate"].shape != (len(NAMES),):
+        raise ValueError(f"the estimate has shape {arrays['estimate'].shape} and not {(len(NAMES),)}")
     if not all(np.isfinite(array).all() for array in arrays.values()):
         raise ValueError("a number is not finite")
     (size,), (limit_s,), (facing,) = (arrays[name].tolist() for name in ("effective_sample_size", "limit_s", "facing"))
+    if limit_s <= 0:
+        raise ValueError(f"limit_s is {limit_s}, and a time is above 0")
     fit = GraspFit(arrays["estimate"], arrays["covariance"], record["num_decided"], record["num_cut"], size)
     seeing = PersistentSeeing(facing, *(tuple(arrays[name].tolist()) for name in _CURVES))
     return Law(fit, TimeFit(*arrays["time"].tolist()), seeing, limit_s, arrays["grips"])
