@@ -7,6 +7,7 @@ be pickled, and what it returns is plain numbers. So repetitions may run in any 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import pandas as pd
@@ -40,6 +41,9 @@ class Setting:
         Level of the tests.
     world
         The numbers of the world.
+    law
+        Folder of the law that the world has, with the attempts that it was estimated from; None where the world's laws
+        are assumed.
     """
 
     scenes: tuple[Scene, ...]
@@ -47,6 +51,7 @@ class Setting:
     seed: int = 0
     alpha: float = 0.01
     world: WorldConfig = field(default_factory=WorldConfig)
+    law: Path | None = None
 
     def __post_init__(self) -> None:
         if self.repetitions < 2:
