@@ -49,7 +49,10 @@ def counted(rows: pd.DataFrame, seeing: PersistentSeeing) -> list[Count]:
         Its views are the ends of the groups.
     """
     columns = (rows[name] for name in ("glance_occlusions", "glance_held", "glance_dirty"))
-    told = [list(zip(*each, strict=True)) for each in zip(*columns, strict=True)]
+    told = [
+        [(float(occlusion), bool(held), bool(dirty)) for occlusion, held, dirty in zip(*each, strict=True)]
+        for each in zip(*columns, strict=True)
+    ]
     firsts = [(float(seeing.facing) * (1.0 - label[0][0]), label[0][2]) for label in told if label and not label[0][1]]
     knots = [-np.inf, *(float(view) for view in seeing.views)]
     groups = [
@@ -57,7 +60,7 @@ def counted(rows: pd.DataFrame, seeing: PersistentSeeing) -> list[Count]:
     ]
     groups.append([(1.0, _by_being_held(labels)) for labels in told if any(held for _, held, _ in labels)])
     return [
-        Count(float(np.mean([view for view, _ in group])), sum(bool(dirty) for _, dirty in group), len(group))
+        Count(float(np.mean([view for view, _ in group])), sum(dirty for _, dirty in group), len(group))
         for group in groups
         if group
     ]
@@ -67,7 +70,7 @@ def _by_being_held(labels: Iterable[tuple[float, bool, bool]]) -> bool:
     """Whether an object had told when it was first seen in the hand."""
     for _, is_held, says_dirty in labels:
         if says_dirty or is_held:
-            return bool(says_dirty)
+            return says_dirty
     return False
 
 

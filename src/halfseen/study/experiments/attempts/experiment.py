@@ -16,7 +16,7 @@ from halfseen.study.experiment import PieceOf, Setting
 from halfseen.study.experiments.attempts.design import COMPLETED, MODEL_NAMES, PLANNERS, SVMS, AttemptsDesign
 from halfseen.study.experiments.attempts.models import can_fit_svm, predicted
 from halfseen.study.experiments.attempts.section import section_of
-from halfseen.study.experiments.attempts.sources import frame_of, source_of
+from halfseen.study.experiments.attempts.sources import frame_of, read_attempts, source_of
 from halfseen.study.experiments.attempts.splits import sizes_of, split_of
 from halfseen.study.experiments.attempts.tables import tables_of
 from halfseen.tables.grasp.inputs import checked_attempts
@@ -38,7 +38,7 @@ class Attempts(AttemptsDesign):
         if setting.law is None:
             return {}
         folders = {name: setting.law / planner.folder for name, planner in PLANNERS.items()}
-        return {name: source_of(folder) for name, folder in folders.items() if folder.is_dir()}
+        return {name: source_of(read_attempts(folder)) for name, folder in folders.items() if folder.is_dir()}
 
     def repeat(self, setting: Setting, prepared: PieceOf, index: int) -> PieceOf:
         """Learn and score: one row for each model and size of log."""

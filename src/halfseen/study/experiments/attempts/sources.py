@@ -28,9 +28,13 @@ Source = Mapping[str, Any]
 """Attempts of one planner of grasps, and the regression."""
 
 
-def source_of(folder: Path) -> Source:
-    """Read a log of attempts, and fit the regression to it."""
-    tried = trials(read_logs(folder), HORIZON)
+def read_attempts(folder: Path) -> pd.DataFrame:
+    """Read the attempts of a log that a law was estimated from."""
+    return trials(read_logs(folder), HORIZON)
+
+
+def source_of(tried: pd.DataFrame) -> Source:
+    """Keep attempts, and the regression that is fitted to them."""
     fit = fit_grasping(tried)
     return {
         "tried": {name: _plain(pd.Series(tried[name])) for name in COLUMNS},
