@@ -89,9 +89,13 @@ def test_intervals_of_independent_attempts_are_those_of_wilson(num_held, num):
 
 def test_where_all_held_a_share_is_known_no_better_than_from_one_attempt_a_table():
     tables = np.repeat(np.arange(5), 20)
-    share = clustered_share(np.ones(100, dtype=bool), np.full(100, 0.9), np.ones(100), tables)
+    # Of such weights the sum differs in its last digit from the sum over those that held.
+    weight, said = np.random.default_rng(0).uniform(1.0, 2.0, 100), np.full(100, 0.9)
+    share = clustered_share(np.ones(100, dtype=bool), said, weight, tables)
     assert (share.held, share.high) == (1.0, 1.0)
     assert share.low == pytest.approx(wilson(1.0, 5.0)[0])
+    none = clustered_share(np.zeros(100, dtype=bool), said, weight, tables)
+    assert (none.held, none.low, none.high) == pytest.approx((0.0, 0.0, 1.0 - share.low))
 
 
 @pytest.mark.slow

@@ -55,9 +55,10 @@ def clustered_share(held: RowMask, predicted: Rows, weight: Rows, tables: Int[np
         Number of the table of each.
     """
     total, names = weight.sum(), np.unique(tables)
-    share, mean = float(weight @ held / total), float(weight @ predicted / total)
-    num_tables = len(names)
-    if 0.0 < share < 1.0 and num_tables > 1:
+    # Rounding must not make a share of those that all held.
+    share = float(weight @ held / total) if not held.all() else 1.0
+    mean, num_tables = float(weight @ predicted / total), len(names)
+    if held.any() and not held.all() and num_tables > 1:
         residual = weight * (held - predicted - (share - mean))
         sums = np.bincount(np.searchsorted(names, tables), residual)
         variance = num_tables / (num_tables - 1) * np.sum(sums**2) / total**2
