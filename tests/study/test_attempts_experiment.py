@@ -17,9 +17,11 @@ from halfseen.study.experiments.attempts.design import MODEL_NAMES, AttemptsDesi
 from halfseen.study.experiments.attempts.differences import mean_of
 from halfseen.study.experiments.attempts.models import can_fit_svm, predicted
 from halfseen.study.experiments.attempts.occlusion import assumed_share
+from halfseen.study.experiments.attempts.set_svm import SEEN, of_one_kind, sets_of
 from halfseen.study.experiments.attempts.sources import fit_of, frame_of
 from halfseen.study.experiments.attempts.splits import sizes_of, split_of
-from halfseen.study.experiments.attempts.words import fall
+from halfseen.study.experiments.attempts.tables import BETTER, UNDECIDED, WORSE
+from halfseen.study.experiments.attempts.words import by_size, fall
 from halfseen.study.statistics import holm
 from halfseen.study.store import as_json
 from halfseen.tables.grasp.inputs import checked_attempts
@@ -103,6 +105,30 @@ def test_one_rate_stands_in_where_an_svm_cannot_be_fitted(pieces):
     assert can_fit_svm(tried)
     np.testing.assert_array_equal(predicted("svm", few, tried), predicted("rate", few, tried))
     assert predicted("rate", few, tried)[0] > 0.95
+
+
+def test_an_attempt_is_the_set_of_itself_and_of_those_before_it_at_the_same_object(pieces):
+    tried = frame_of(pieces.prepared["completed"])
+    order = np.random.default_rng(0).permutation(len(tried))
+    sets = sets_of(tried.iloc[order], np.zeros(4), np.ones(4))
+    for place, number in enumerate(order):
+        row = tried.iloc[number]
+        past = tried[(tried["object"] == row["object"]) & (tried["stage"] < row["stage"])]
+        expected = [[1, 0, 0, *row[list(SEEN)]]]
+        expected += [[0, held, not held, *each] for held, each in zip(past["succeeded"], past[list(SEEN)].values)]  # noqa: B905
+        np.testing.assert_array_equal(sets[place], np.array(expected, dtype=float))
+
+
+def test_elements_of_two_kinds_have_nothing_in_common():
+    rng = np.random.default_rng(0)
+    kinds = np.eye(3)[[0, 1, 2, 1]]
+    values = rng.normal(size=(4, 2))
+    gram = of_one_kind(*[np.column_stack([kinds, values])] * 2)
+    for i in range(4):
+        for j in range(4):
+            x, z = values[i], values[j]
+            alike = 1.0 + x @ z + np.exp(-np.sum((x - z) ** 2) / 2.0)
+            assert gram[i, j] == pytest.approx(alike if (kinds[i] == kinds[j]).all() else 0.0)
 
 
 def naive_mean(sums, weights):
@@ -192,9 +218,9 @@ def test_without_a_law_it_says_that_laws_are_assumed():
 @pytest.mark.parametrize(
     ("gain", "told"),
     [
-        (0.01, "better than the Beta mean from 25, 50, 100, 200, 400 and 600 tables"),
-        (0.0, "not significantly differently than the Beta mean from 25, 50, 100, 200, 400 and 600 tables"),
-        (-0.01, "worse than the Beta mean from 25, 50, 100, 200, 400 and 600 tables"),
+        (0.01, "better than the Beta mean at every size, from 25 to 600 tables"),
+        (0.0, "not significantly differently than the Beta mean at every size, from 25 to 600 tables"),
+        (-0.01, "worse than the Beta mean at every size, from 25 to 600 tables"),
     ],
 )
 def test_the_answer_is_told_either_way(gain, told):
@@ -203,7 +229,7 @@ def test_the_answer_is_told_either_way(gain, told):
     assert section.sentences[0].startswith("On physical attempts (")
     assert f"the SVM predicts what will hold {told} (" in section.sentences[0]
     assert section.drawings[0].title == f"On physical attempts, the SVM predicts {told}"
-    assert "1 of 96 fits" in section.drawings[0].caption
+    assert "1 of 144 fits" in section.drawings[0].caption
     assert "its slope is assumed" in section.sentences[2]
     assert section.num_leading == 3
 
@@ -217,6 +243,15 @@ def test_both_ways_to_plan_grasps_are_told_where_both_were_tried():
     assert both.startswith(one.removesuffix("."))
     assert "; where only visible points count, success " in both
     assert "the second slope less the first is " in both
+
+
+def test_sizes_are_told_by_verdict():
+    pairs = {"measure": "log_loss", "model": "svm", "rival": "beta"}
+    verdicts = {25: WORSE, 50: UNDECIDED, 100: BETTER, 200: BETTER}
+    tests = pd.DataFrame([pairs | {"num_tables": size, "verdict": verdict} for size, verdict in verdicts.items()])
+    assert by_size(tests, "svm", "beta") == (
+        "better than the Beta mean from 100 and 200, worse from 25 and not significantly differently from 50 tables"
+    )
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from halfseen.errors import ArgumentError
 from halfseen.learners import CensoredSVC
 from halfseen.tables import BetaGrasp, SVMGrasp
 from halfseen.tables.grasp.inputs import checked_attempts
+from halfseen.tables.grasp.splits import splits_of
 from halfseen.tables.grasp.svm_grasp import linear_and_gaussian
 
 
@@ -70,13 +71,13 @@ def test_it_is_the_censored_svm_on_scaled_features_with_weights_by_kaplan_meier(
 
 def test_the_attempts_of_an_object_are_never_split():
     decided = checked_attempts(beta_attempts(60))
-    splits = SVMGrasp()._splits(decided)
+    splits = splits_of(decided, 5, 0)
     assert len(splits) == 5
     for fitted, held in splits:
         assert not set(decided.group[fitted]) & set(decided.group[held])
         assert len(fitted) + len(held) == len(decided.group)
     alone = checked_attempts(beta_attempts(60).drop(columns="object"))
-    _, held = SVMGrasp()._splits(alone)[0]
+    _, held = splits_of(alone, 5, 0)[0]
     assert set(np.diff(np.sort(held))) - {4}, "without objects, attempts are dealt one by one"
 
 
@@ -86,7 +87,7 @@ def test_of_about_equal_losses_the_smoothest_is_taken():
     model = SVMGrasp().fit(frame)
     features = np.column_stack([frame["occlusion"], np.log1p(frame["successes"]), np.log1p(frame["failures"])])
     scaled = (features - model.centre_) / model.scale_
-    svc = CensoredSVC("logistic", kernel=linear_and_gaussian, num_landmarks=50, cv=SVMGrasp()._splits(decided))
+    svc = CensoredSVC("logistic", kernel=linear_and_gaussian, num_landmarks=50, cv=splits_of(decided, 5, 0))
     losses = svc.fit(scaled, frame["succeeded"], sample_weight=decided.weight).cv_losses_[0]
     regs = svc.reg_ * 10.0 ** (np.argmin(losses) - np.arange(len(losses)))
 
@@ -107,7 +108,7 @@ def test_every_fold_holds_both_outcomes_however_rare_one_is(seed):
     rng = np.random.default_rng(seed)
     frame = beta_attempts(40, seed=seed)
     decided = checked_attempts(frame.assign(succeeded=frame["object"].isin(rng.choice(40, 3, replace=False))))
-    splits = SVMGrasp(random_state=seed)._splits(decided)
+    splits = splits_of(decided, 5, seed)
     assert len(splits) == 3
     for rows in (rows for split in splits for rows in split):
         assert set(decided.succeeded[rows]) == {False, True}

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from scipy.spatial.distance import cdist
 from sklearn.base import BaseEstimator
 from sklearn.utils.validation import check_is_fitted
@@ -14,6 +14,7 @@ from halfseen.errors import ArgumentError
 from halfseen.learners.svm.classifier import CensoredSVC
 from halfseen.logs.frames import FrameLike
 from halfseen.tables.grasp.inputs import Decided, History, checked_attempts, checked_covariates, checked_history
+from halfseen.tables.grasp.splits import splits_of
 
 LINEAR_AND_GAUSSIAN = "linear+gaussian"
 SLACK = 0.01
@@ -131,13 +132,13 @@ class SVMGrasp(BaseEstimator):
             gamma=self.gamma,
             reg=self.reg,
             num_landmarks=num_landmarks,
-            cv=self._splits(decided),
+            cv=splits_of(decided, self.num_folds, self.random_state),
             random_state=self.random_state,
         )
         scaled = (features - self.centre_) / self.scale_
         self.svc_ = svc.fit(scaled, decided.succeeded, sample_weight=decided.weight)
-        if self.reg == "cv" and _smoothest(svc) > svc.reg_:
-            svc.set_params(gamma=svc.gamma_, reg=_smoothest(svc))
+        if self.reg == "cv" and smoothest(svc) > svc.reg_:
+            svc.set_params(gamma=svc.gamma_, reg=smoothest(svc))
             svc.fit(scaled, decided.succeeded, sample_weight=decided.weight)
         self.classes_ = self.svc_.classes_
         self.diagnostics_ = decided.diagnostics
@@ -158,32 +159,8 @@ class SVMGrasp(BaseEstimator):
         counts = np.log1p(history.successes), np.log1p(history.failures)
         return np.column_stack([history.occlusion, *counts, covariates])
 
-    def _splits(self, decided: Decided) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Attempts fitted to and held out; an object's attempts stay together."""
-        if self.num_folds < 2:
-            raise ArgumentError(f"num_folds is {self.num_folds}; cross-validation needs at least 2")
-        num_objects = [len(np.unique(decided.group[decided.succeeded == outcome])) for outcome in (False, True)]
-        if min(num_objects) < 2:
-            word = "failures" if num_objects[0] < 2 else "successes"
-            raise ArgumentError(f"{word} were seen of one object alone, so none can be held out; record more objects")
-        fold = _dealt(decided, min(self.num_folds, *num_objects), np.random.default_rng(self.random_state))
-        return [(np.flatnonzero(fold != k), np.flatnonzero(fold == k)) for k in range(int(fold.max()) + 1)]
 
-
-def _dealt(decided: Decided, num_folds: int, rng: np.random.Generator) -> Int[np.ndarray, " n"]:
-    """Fold of each attempt. Objects are dealt in the order of their success, so that both outcomes are in every fold.
-
-    That holds because at least `num_folds` objects have either outcome, and in this order they are neighbours.
-    """
-    objects, place = np.unique(decided.group, return_inverse=True)
-    share = np.bincount(place, decided.succeeded) / np.bincount(place)
-    order = np.lexsort((rng.permutation(len(objects)), share))
-    fold = np.empty(len(objects), dtype=np.int64)
-    fold[order] = np.arange(len(objects)) % num_folds
-    return fold[place]
-
-
-def _smoothest(svc: CensoredSVC) -> float:
+def smoothest(svc: CensoredSVC) -> float:
     """The largest λ whose held-out loss is about the least, of those with the γ that was chosen."""
     losses = svc.cv_losses_[np.argmax(svc.cv_gammas_ == svc.gamma_)]
     return float(svc.cv_regs_[np.argmax(losses <= (1.0 + SLACK) * losses.min())])

@@ -35,6 +35,7 @@ from halfseen.study.experiments.attempts.design import (
     RATE,
     SVM,
     SVM_FACTS,
+    SVM_SET,
     WIDTH_WANTED,
 )
 from halfseen.study.experiments.attempts.occlusion import ASSUMED
@@ -42,7 +43,7 @@ from halfseen.study.frames import where
 
 SIZES_AXIS = "tables that the model was learned from (log scale)"
 UNITS = {"log_loss": " [nats]", "brier": ""}
-DODGE, STEP, APART = 1.09, 0.16, 0.006
+DODGE, STEP, APART = 1.08, 0.16, 0.006
 INTERVAL = ["share_held", "low", "high"]
 POSES = {False: ("standing", SKY, "o"), True: ("lying", ORANGE, "s")}
 
@@ -66,7 +67,7 @@ def draw(tables: Tables, title: str) -> Figure:
 
 def _draw_scores(axes: Axes, scores: pd.DataFrame, measure: str) -> None:
     draw_zero(axes, MODEL_COLOURS[BETA])
-    models = (RATE, SVM, SVM_FACTS, LAW)
+    models = (RATE, SVM, SVM_FACTS, SVM_SET, LAW)
     columns = [f"{measure}_over_beta{end}" for end in ("", "_low", "_high")]
     for k, model in enumerate(models):
         rows = where(scores, model=model)

@@ -10,7 +10,8 @@ from halfseen.arrays import Rows
 from halfseen.cell.calibration.grasp_fit import fit_grasping
 from halfseen.cell.calibration.held_given_past import held_given_past
 from halfseen.cell.calibration.trials import FACTS
-from halfseen.study.experiments.attempts.design import BETA, LAW, RATE, SVM, SVM_FACTS, SVMS
+from halfseen.study.experiments.attempts.design import BETA, LAW, RATE, SVM, SVM_FACTS, SVM_SET, SVMS
+from halfseen.study.experiments.attempts.set_svm import said_by_set_svm
 from halfseen.tables.grasp.beta_grasp import BetaGrasp
 from halfseen.tables.grasp.inputs import checked_attempts
 from halfseen.tables.grasp.svm_grasp import SVMGrasp
@@ -64,5 +65,6 @@ _PREDICTED: dict[str, Callable[[pd.DataFrame, pd.DataFrame], Rows]] = {
     BETA: partial(_estimator, BetaGrasp),
     SVM: partial(_estimator, SVMGrasp),
     SVM_FACTS: partial(_estimator, partial(SVMGrasp, covariates=FACTS)),
+    SVM_SET: said_by_set_svm,
     LAW: _law,
 }

@@ -61,7 +61,8 @@ def _caption(design: AttemptsDesign, tables: Tables) -> str:
         f"{repetitions} repetitions, and no table is both. Cut attempts weigh nothing, decided ones 1/Ĝ, in learning "
         "and in scoring. Bars: 95 % intervals by Student’s t, with errors clustered by table and by repetition, which "
         "share what was learned from. The logistic law has a random offset of each object and goes by what is seen "
-        "(occlusion, pose, width, room) and by what came of past attempts at it. Lower left: learned from the largest "
+        "(occlusion, pose, width, room) and by what came of past attempts at it; so does the SVM with a "
+        "set kernel. Lower left: learned from the largest "
         f"log; bars clustered by table.{_stood_in(tables)} Lower right: markers, counted; lines and bands, the "
         "regression at the first attempt at an object of usual width and room; dashed, the default world of the study."
     )

@@ -1,6 +1,5 @@
 """The sentences: whether an SVM predicts better, and whether success falls with occlusion."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -20,6 +19,7 @@ from halfseen.study.experiments.attempts.design import (
     SHARE_OF_A_BIN,
     SVM,
     SVM_FACTS,
+    SVM_SET,
     VISIBLE_ONLY,
     WIDTH_WANTED,
 )
@@ -36,25 +36,23 @@ NOUNS = {
     BETA: "the Beta mean",
     SVM: "the SVM",
     SVM_FACTS: "the SVM that also sees pose, width and room",
+    SVM_SET: "the SVM with a set kernel over past attempts",
     LAW: "the logistic law",
 }
-ADVERBS = {BETTER: "better than", WORSE: "worse than", UNDECIDED: "not significantly differently than"}
+ADVERBS = {BETTER: "better", WORSE: "worse", UNDECIDED: "not significantly differently"}
 
 
 def by_size(tests: pd.DataFrame, model: str, rival: str) -> str:
     """Say from how many tables a model predicts better than another, worse, or neither."""
-    rows, told, is_first = records(tests, model=model, rival=rival, measure=SCORE), [], True
-    for verdict, words in ADVERBS.items():
-        sizes = [str(row["num_tables"]) for row in rows if row["verdict"] == verdict]
-        if sizes:
-            told.append(f"{words}{f' {NOUNS[rival]}' if is_first else ''} from {listed(sizes)}")
-            is_first = False
-    return f"{listed([part.removesuffix(' than') for part in _bare(told)])} tables"
-
-
-def _bare(told: list[str]) -> list[str]:
-    """Drop the ``than`` of all but the first: what they are compared with stands there."""
-    return [told[0], *(part.replace(" than from ", " from ") for part in told[1:])]
+    rows = records(tests, model=model, rival=rival, measure=SCORE)
+    sizes = {verdict: [str(row["num_tables"]) for row in rows if row["verdict"] == verdict] for verdict in ADVERBS}
+    met = {verdict: of for verdict, of in sizes.items() if of}
+    first, *rest = met
+    if not rest:
+        least, most = rows[0]["num_tables"], rows[-1]["num_tables"]
+        return f"{ADVERBS[first]} than {NOUNS[rival]} at every size, from {least} to {most} tables"
+    told = [f"{ADVERBS[first]} than {NOUNS[rival]} from {listed(met[first])}"]
+    return f"{listed([*told, *(f'{ADVERBS[verdict]} from {listed(met[verdict])}' for verdict in rest)])} tables"
 
 
 def numbers_of(row: Row) -> str:
@@ -169,8 +167,3 @@ def _bin(row: Row) -> str:
 def title_of(tests: pd.DataFrame) -> str:
     """What the figure shows first."""
     return f"On physical attempts, the SVM predicts {by_size(tests, *PAIRS[0])}"
-
-
-def names_of(models: Sequence[str]) -> str:
-    """List models as sentences do."""
-    return listed([NOUNS[model] for model in models])
