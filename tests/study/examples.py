@@ -1,6 +1,7 @@
 """Made-up pieces of every experiment, and what is made of them: for the tests of what is drawn and written."""
 
 import numpy as np
+from example_attempts import example_pieces as attempt_pieces
 from example_map import example_pieces as map_pieces
 
 from halfseen.study.experiment import Pieces, Setting
@@ -12,7 +13,7 @@ from halfseen.world.scene import Scene
 
 REWARDS = dict(zip((each.name for each in HEURISTICS), (3.1, 3.6, 6.2, 6.4), strict=True))
 OWN, PLANNED, NUM_EPISODES = 9.0, 9.1, 50
-REWARD, PLANNING, CENSORING, GRASP, CLUTTER, REGRET = EXPERIMENTS
+REWARD, PLANNING, CENSORING, GRASP, ATTEMPTS, CLUTTER, REGRET = EXPERIMENTS
 
 
 def example_setting(repetitions=6):
@@ -38,6 +39,8 @@ def example_pieces(experiment, lead=0.0, gain=0.0, repetitions=6):
         return Pieces(
             {}, {}, map_pieces(lambda place: 0.3 if place.reward_wash_clean == -20 else gain, repetitions=repetitions)
         )
+    if experiment.name == "attempts":
+        return attempt_pieces(gain, repetitions=max(repetitions, 8))
     names = ("censored_q", *getattr(experiment, "baseline_names", ()), *getattr(experiment, "contenders", {}))
     measured = {"decision_ms": dict.fromkeys(names, 0.5), "learning_s": 0.3}
     planned = {name: PLANNED + 0.1 * k for k, name in enumerate(REWARD.planner_names)}

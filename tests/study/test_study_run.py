@@ -142,7 +142,7 @@ def test_a_repetition_can_be_sent_anywhere():
 
 def test_experiments_are_chosen_by_name():
     assert [each.name for each in chosen(("regret", "reward"))] == ["reward", "regret"]
-    assert len(chosen(())) == 6
+    assert len(chosen(())) == 7
     with pytest.raises(ArgumentError, match="--only rewards: there is no such experiment; there are reward, planning"):
         chosen(("rewards",))
 

@@ -3,6 +3,7 @@
 import numpy as np
 
 from halfseen.study.experiment import Setting
+from halfseen.study.experiments.attempts import Attempts
 from halfseen.study.experiments.censoring import Censoring
 from halfseen.study.experiments.clutter import Clutter
 from halfseen.study.experiments.grasp import Grasp
@@ -36,4 +37,5 @@ TINY = (
     Grasp(SIZES, episodes_per_scene=2),
     Clutter((2, 3), (0.2,), (0.3,), (-10.0,), (0.5,), num_paths=50, num_tables=4, episodes_per_table=5),
     Regret(2, 3, SIZES, (0.0, 0.5), planner_horizons=(1, 2), planner_simulations=8),
+    Attempts((5, 10), 2),
 )

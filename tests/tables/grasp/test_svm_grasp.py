@@ -11,6 +11,7 @@ from halfseen.errors import ArgumentError
 from halfseen.learners import CensoredSVC
 from halfseen.tables import BetaGrasp, SVMGrasp
 from halfseen.tables.grasp.inputs import checked_attempts
+from halfseen.tables.grasp.splits import splits_of
 from halfseen.tables.grasp.svm_grasp import linear_and_gaussian
 
 
@@ -70,13 +71,13 @@ def test_it_is_the_censored_svm_on_scaled_features_with_weights_by_kaplan_meier(
 
 def test_the_attempts_of_an_object_are_never_split():
     decided = checked_attempts(beta_attempts(60))
-    splits = SVMGrasp()._splits(decided)
+    splits = splits_of(decided, 5, 0)
     assert len(splits) == 5
     for fitted, held in splits:
         assert not set(decided.group[fitted]) & set(decided.group[held])
         assert len(fitted) + len(held) == len(decided.group)
     alone = checked_attempts(beta_attempts(60).drop(columns="object"))
-    _, held = SVMGrasp()._splits(alone)[0]
+    _, held = splits_of(alone, 5, 0)[0]
     assert set(np.diff(np.sort(held))) - {4}, "without objects, attempts are dealt one by one"
 
 
@@ -86,7 +87,7 @@ def test_of_about_equal_losses_the_smoothest_is_taken():
     model = SVMGrasp().fit(frame)
     features = np.column_stack([frame["occlusion"], np.log1p(frame["successes"]), np.log1p(frame["failures"])])
     scaled = (features - model.centre_) / model.scale_
-    svc = CensoredSVC("logistic", kernel=linear_and_gaussian, num_landmarks=50, cv=SVMGrasp()._splits(decided))
+    svc = CensoredSVC("logistic", kernel=linear_and_gaussian, num_landmarks=50, cv=splits_of(decided, 5, 0))
     losses = svc.fit(scaled, frame["succeeded"], sample_weight=decided.weight).cv_losses_[0]
     regs = svc.reg_ * 10.0 ** (np.argmin(losses) - np.arange(len(losses)))
 
@@ -107,7 +108,7 @@ def test_every_fold_holds_both_outcomes_however_rare_one_is(seed):
     rng = np.random.default_rng(seed)
     frame = beta_attempts(40, seed=seed)
     decided = checked_attempts(frame.assign(succeeded=frame["object"].isin(rng.choice(40, 3, replace=False))))
-    splits = SVMGrasp(random_state=seed)._splits(decided)
+    splits = splits_of(decided, 5, seed)
     assert len(splits) == 3
     for rows in (rows for split in splits for rows in split):
         assert set(decided.succeeded[rows]) == {False, True}
@@ -166,3 +167,41 @@ def test_attempts_that_teach_nothing_are_refused(frame, message):
 def test_too_few_folds_are_refused():
     with pytest.raises(ArgumentError, match="num_folds is 1"):
         SVMGrasp(num_folds=1).fit(beta_attempts(20))
+
+
+def posed_attempts(num_rows, seed):
+    """What lies is hard to hold, and nothing else tells anything."""
+    rng = np.random.default_rng(seed)
+    is_lying = rng.random(num_rows) < 0.5
+    succeeded = rng.random(num_rows) < np.where(is_lying, 0.3, 0.9)
+    frame = pd.DataFrame({"occlusion": rng.random(num_rows), "successes": 0, "failures": 0, "succeeded": succeeded})
+    return frame.assign(is_lying=is_lying.astype(float), width_m=0.08)
+
+
+def test_covariates_tell_it_what_occlusion_and_past_attempts_do_not():
+    learned, held_out = posed_attempts(400, 0), posed_attempts(2000, 1)
+    model = SVMGrasp(covariates=("is_lying", "width_m")).fit(learned)
+    chance = model.predict_proba(held_out)[:, 1]
+    assert chance[held_out["is_lying"] == 1.0].mean() == pytest.approx(0.3, abs=0.06)
+    assert chance[held_out["is_lying"] == 0.0].mean() == pytest.approx(0.9, abs=0.06)
+    assert log_loss(model, held_out) < log_loss(SVMGrasp().fit(learned), held_out) - 0.1
+
+
+def test_cut_attempts_keep_their_covariates_apart_from_those_of_decided_ones():
+    cut = cut_some(posed_attempts(400, 0))
+    shuffled = cut.assign(is_lying=cut["is_lying"].where(cut["is_finished"], 1.0 - cut["is_lying"]))
+    asked = posed_attempts(20, 2)
+    models = (SVMGrasp(covariates=("is_lying",), reg=0.01).fit(frame) for frame in (cut, shuffled))
+    np.testing.assert_array_equal(*(model.predict_proba(asked) for model in models))
+
+
+def test_a_covariate_that_is_missing_is_named():
+    with pytest.raises(ArgumentError, match="room_m"):
+        SVMGrasp(covariates=("room_m",)).fit(posed_attempts(40, 0))
+    model = SVMGrasp(covariates=("is_lying",)).fit(posed_attempts(40, 0))
+    with pytest.raises(ArgumentError, match="is_lying"):
+        model.predict_proba({"occlusion": [0.1], "successes": [0], "failures": [0]})
+    frame = posed_attempts(40, 0)
+    frame.loc[3, "width_m"] = np.nan
+    with pytest.raises(ArgumentError, match="row 3: width_m is nan"):
+        SVMGrasp(covariates=("width_m",)).fit(frame)

@@ -8,8 +8,8 @@ the integral by Gauss–Hermite quadrature, plus a weak normal prior. An attempt
 for by those that were seen. Standard errors are robust, tables being the clusters [LiangZeger1986]_.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -107,25 +107,46 @@ def _fitted(data: tuple, clusters: Int[np.ndarray, " n"], num_cut: int, size: fl
     num_objects = int(data[3].max()) + 1
     of_object = np.zeros(num_objects, dtype=np.int64)
     of_object[data[3]] = clusters
+    padded, num_padded = _padded(data, num_objects)
 
-    def negative(theta: Array) -> Array:
-        shift = (theta - _PRIOR_MEAN) / _PRIOR_STD
-        return 0.5 * jnp.sum(shift**2) - jnp.sum(_log_likelihoods(theta, data, num_objects))
+    def objective(theta: np.ndarray) -> tuple[np.ndarray, ...]:
+        return tuple(map(np.asarray, _value_and_gradient(theta, padded, num_padded)))
 
-    value_and_gradient = jax.jit(jax.value_and_grad(negative))
-    found = minimize(lambda theta: tuple(map(np.asarray, value_and_gradient(theta))), _PRIOR_MEAN, jac=True)
-    estimate, bread = _polished(found.x, jax.jit(jax.grad(negative)), jax.jit(jax.hessian(negative)))
-    scores = np.asarray(jax.jacfwd(lambda theta: _log_likelihoods(theta, data, num_objects))(estimate))
+    found = minimize(objective, _PRIOR_MEAN, jac=True)
+    estimate = found.x
+    for _ in range(_NUM_NEWTON_STEPS):
+        # To the last digits, so that every machine finds the same.
+        curvature, _ = _curvature_and_scores(estimate, padded, num_padded)
+        estimate = estimate - np.linalg.solve(np.asarray(curvature), objective(estimate)[1])
+    curvature, scores = _curvature_and_scores(estimate, padded, num_padded)
+    bread = np.linalg.inv(np.asarray(curvature))
     by_table = np.zeros((int(clusters.max()) + 1, len(estimate)))
-    np.add.at(by_table, of_object, scores)
+    np.add.at(by_table, of_object, np.asarray(scores)[:num_objects])
     return GraspFit(estimate, bread @ (by_table.T @ by_table) @ bread, len(clusters), num_cut, size)
 
 
-def _polished(theta: np.ndarray, gradient: Callable, hessian: Callable) -> tuple[np.ndarray, np.ndarray]:
-    """Newton steps to the last digits, so that every machine finds the same; with the inverse Hessian there."""
-    for _ in range(_NUM_NEWTON_STEPS):
-        theta = theta - np.linalg.solve(np.asarray(hessian(theta)), np.asarray(gradient(theta)))
-    return theta, np.linalg.inv(np.asarray(hessian(theta)))
+def _padded(data: tuple, num_objects: int) -> tuple[tuple, int]:
+    """Rows and objects up to a power of two, so that fits of similar size are compiled once; rows added weigh 0."""
+    num_rows, num_padded = (1 << int(num).bit_length() for num in (len(data[0]), num_objects))
+    missing = num_rows - len(data[0])
+    covariates, *rest = (np.pad(each, [(0, missing), *[(0, 0)] * (each.ndim - 1)]) for each in data)
+    return (covariates, *rest), num_padded
+
+
+def _negative(theta: Array, data: tuple, num_objects: int) -> Array:
+    shift = (theta - _PRIOR_MEAN) / _PRIOR_STD
+    return 0.5 * jnp.sum(shift**2) - jnp.sum(_log_likelihoods(theta, data, num_objects))
+
+
+@partial(jax.jit, static_argnums=2)
+def _value_and_gradient(theta: Array, data: tuple, num_objects: int) -> tuple[Array, Array]:
+    return jax.value_and_grad(_negative)(theta, data, num_objects)
+
+
+@partial(jax.jit, static_argnums=2)
+def _curvature_and_scores(theta: Array, data: tuple, num_objects: int) -> tuple[Array, Array]:
+    curvature = jax.hessian(_negative)(theta, data, num_objects)
+    return curvature, jax.jacfwd(_log_likelihoods)(theta, data, num_objects)
 
 
 def _log_likelihoods(theta: Array, data: tuple, num_objects: int) -> Float[Array, " objects"]:

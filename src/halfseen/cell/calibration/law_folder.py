@@ -6,11 +6,13 @@
       law.json          what was tried, how often, under which conditions; names and units of the numbers
       law.safetensors   the numbers
       law.sha256        digests of both
-      attempts/         the log that they were estimated from, if it is kept
+      attempts/         the log that they were estimated from, if it is kept; and with it
+      held.svg, .png    how often attempts held, and what the law says of them
+      labels.svg, .png  what labels say by how much was in view
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -64,7 +66,7 @@ def write_law(
     told
         What else is to be kept: conditions, versions, how it was made.
     logs
-        What it was estimated from; None if that is not to be kept.
+        What it was estimated from; None if that is neither to be kept nor drawn.
     overwrite
         Replace a law that is there.
 
@@ -77,7 +79,11 @@ def write_law(
     record = {"version": VERSION, "parameters": list(NAMES), **counts, **plain(dict(told))}
     text = json.dumps(record, indent=1, allow_nan=False) + "\n"
     numbers = safetensors.numpy.save(_arrays(law))
-    beside = {} if logs is None else {ATTEMPTS: logs.write}
+    beside: dict[str, Callable[[Path], None]] = {}
+    if logs is not None:
+        from halfseen.cell.calibration.pictures import pictures_of
+
+        beside = {ATTEMPTS: logs.write, **pictures_of(law, logs)}
     write_files(folder, text.encode(), numbers, overwrite=overwrite, kind=LAW, beside=beside)
 
 

@@ -4,6 +4,7 @@ from dataclasses import fields
 
 import numpy as np
 import pandas as pd
+from jaxtyping import Float
 
 from halfseen.cell.facts import Facts
 from halfseen.errors import LogError
@@ -50,7 +51,7 @@ def trials(logs: Logs, horizon: int) -> pd.DataFrame:
     return table.assign(is_lying=table["is_lying"].astype(np.float64))
 
 
-def _last(durations_s: list[float]) -> float:
+def _last(durations_s: list[float] | Float[np.ndarray, " past"]) -> float:
     return float(durations_s[-1]) if len(durations_s) else np.nan
 
 

@@ -1,6 +1,6 @@
 """What a fit to attempts accepts: tables in, checked float64 and bool out, bad values named."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -45,6 +45,8 @@ class Decided(NamedTuple):
     group: Int[np.ndarray, " n"]
     """Number of the object; attempts of one object are never split."""
     diagnostics: WeightDiagnostics
+    row: Int[np.ndarray, " n"]
+    """Of the table that was given."""
 
 
 def checked_history(data: FrameLike) -> History:
@@ -56,6 +58,18 @@ def checked_history(data: FrameLike) -> History:
         A column is missing, an occlusion lies outside [0, 1], a count is negative, or a value is NaN.
     """
     return _history(_frame(data))
+
+
+def checked_covariates(data: FrameLike, names: Sequence[str]) -> Float[np.ndarray, "rows k"]:
+    """Read what else is seen of each attempt, one column a name.
+
+    Raises
+    ------
+    ArgumentError
+        A column is missing, or a value is no finite number.
+    """
+    frame = _frame(data, names)
+    return np.array([_numbers(frame, name) for name in names]).reshape(len(names), len(frame)).T
 
 
 def checked_attempts(
@@ -88,7 +102,7 @@ def checked_attempts(
     group = pd.factorize(frame["object"])[0] if "object" in frame.columns else np.arange(len(frame))
     kept = np.flatnonzero(is_decided)
     history = History(*(values[kept] for values in history))
-    return Decided(history, succeeded[kept], weight[kept], group[kept].astype(np.int64), diagnostics)
+    return Decided(history, succeeded[kept], weight[kept], group[kept].astype(np.int64), diagnostics, kept)
 
 
 def _frame(data: FrameLike, needed: Iterable[str] = History._fields) -> pd.DataFrame:

@@ -1,9 +1,10 @@
 """The paper's second grasp model: a support vector machine that tells whether an attempt will succeed (paper, §3)."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from scipy.spatial.distance import cdist
 from sklearn.base import BaseEstimator
 from sklearn.utils.validation import check_is_fitted
@@ -12,7 +13,8 @@ from halfseen.censoring import CensoringModel, WeightDiagnostics
 from halfseen.errors import ArgumentError
 from halfseen.learners.svm.classifier import CensoredSVC
 from halfseen.logs.frames import FrameLike
-from halfseen.tables.grasp.inputs import Decided, History, checked_attempts, checked_history
+from halfseen.tables.grasp.inputs import Decided, History, checked_attempts, checked_covariates, checked_history
+from halfseen.tables.grasp.splits import splits_of
 
 LINEAR_AND_GAUSSIAN = "linear+gaussian"
 SLACK = 0.01
@@ -24,8 +26,8 @@ class SVMGrasp(BaseEstimator):
 
     It looks at the occlusion and at log(1 + successes) and log(1 + failures), each scaled to unit weighted variance:
     the first failure tells more than the fifth. In these features the log odds of a Beta mean,
-    log(s·m + k) − log(s·(1 − m) + l), are nearly linear. So the kernel is x·z + exp(−‖x − z‖² / 3): the linear part
-    says that much from few attempts, and the Gaussian part adds what departs from it.
+    log(s·m + k) − log(s·(1 − m) + l), are nearly linear. So the kernel is x·z + exp(−‖x − z‖² / d), d being the number
+    of features: the linear part says that much from few attempts, and the Gaussian part adds what departs from it.
 
     Cut attempts weigh nothing, and decided ones 1/Ĝ(time_s⁻). λ is chosen by the weighted loss on attempts that were
     held out, never splitting the attempts of one object: the largest λ whose loss is within 1 % of the least, because
@@ -45,6 +47,9 @@ class SVMGrasp(BaseEstimator):
         Folds of the cross-validation.
     num_landmarks
         Rank of the kernel's low-rank form; None for the exact kernel.
+    covariates
+        Columns that tell what else is seen of each attempt, numbers; they join the features. A model that has any
+        cannot be tabulated for a policy, as those numbers are not among what `GraspTable` is asked.
     random_state
         Seed of folds and landmarks.
 
@@ -52,7 +57,7 @@ class SVMGrasp(BaseEstimator):
     ----------
     svc_ : CensoredSVC
         The classifier, on scaled features.
-    centre_, scale_ : Float[ndarray, "3"]
+    centre_, scale_ : Float[ndarray, "d"]
         Of the features.
     classes_ : Bool[ndarray, "2"]
         What the columns of `predict_proba` stand for: failed, succeeded.
@@ -69,8 +74,8 @@ class SVMGrasp(BaseEstimator):
     """
 
     svc_: CensoredSVC
-    centre_: Float[np.ndarray, "3"]
-    scale_: Float[np.ndarray, "3"]
+    centre_: Float[np.ndarray, " d"]
+    scale_: Float[np.ndarray, " d"]
     classes_: Bool[np.ndarray, "2"]
     diagnostics_: WeightDiagnostics
 
@@ -85,6 +90,7 @@ class SVMGrasp(BaseEstimator):
         num_folds: int = 5,
         num_landmarks: int | None = 50,
         random_state: int = 0,
+        covariates: Sequence[str] = (),
     ) -> None:
         self.censoring = censoring
         self.truncate_at = truncate_at
@@ -94,6 +100,7 @@ class SVMGrasp(BaseEstimator):
         self.num_folds = num_folds
         self.num_landmarks = num_landmarks
         self.random_state = random_state
+        self.covariates = covariates
 
     def fit(self, frame: FrameLike) -> "SVMGrasp":
         """Learn from attempts.
@@ -102,7 +109,7 @@ class SVMGrasp(BaseEstimator):
         ----------
         frame
             As in `BetaGrasp.fit`; and optionally object, whose attempts cross-validation keeps together. Without it,
-            every attempt counts as one of an object of its own.
+            every attempt counts as one of an object of its own. And the columns `covariates`.
 
         Raises
         ------
@@ -113,7 +120,7 @@ class SVMGrasp(BaseEstimator):
         """
         decided = checked_attempts(frame, self.censoring, self.truncate_at)
         _check_both_seen(decided)
-        features = _features(decided.history)
+        features = self._features(decided.history, checked_covariates(frame, self.covariates)[decided.row])
         share = decided.weight / decided.weight.sum()
         self.centre_ = share @ features
         variance = share @ np.square(features - self.centre_)
@@ -125,63 +132,43 @@ class SVMGrasp(BaseEstimator):
             gamma=self.gamma,
             reg=self.reg,
             num_landmarks=num_landmarks,
-            cv=self._splits(decided),
+            cv=splits_of(decided, self.num_folds, self.random_state),
             random_state=self.random_state,
         )
         scaled = (features - self.centre_) / self.scale_
         self.svc_ = svc.fit(scaled, decided.succeeded, sample_weight=decided.weight)
-        if self.reg == "cv" and _smoothest(svc) > svc.reg_:
-            svc.set_params(gamma=svc.gamma_, reg=_smoothest(svc))
+        if self.reg == "cv" and smoothest(svc) > svc.reg_:
+            svc.set_params(gamma=svc.gamma_, reg=smoothest(svc))
             svc.fit(scaled, decided.succeeded, sample_weight=decided.weight)
         self.classes_ = self.svc_.classes_
         self.diagnostics_ = decided.diagnostics
         return self
 
     def predict_proba(self, frame: FrameLike) -> Float[np.ndarray, "m 2"]:
-        """Probability that an attempt fails, and that it succeeds; asked as `BetaGrasp.predict_proba` is."""
+        """Probability that an attempt fails, and that it succeeds.
+
+        It is asked as `BetaGrasp.predict_proba` is, and told `covariates`.
+        """
         check_is_fitted(self, "svc_")
-        probabilities = self.svc_.predict_proba((_features(checked_history(frame)) - self.centre_) / self.scale_)
+        features = self._features(checked_history(frame), checked_covariates(frame, self.covariates))
+        probabilities = self.svc_.predict_proba((features - self.centre_) / self.scale_)
         surest = 1.0 / (2.0 + self.diagnostics_.effective_sample_size)
         return np.clip(probabilities, surest, 1.0 - surest)
 
-    def _splits(self, decided: Decided) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Attempts fitted to and held out; an object's attempts stay together."""
-        if self.num_folds < 2:
-            raise ArgumentError(f"num_folds is {self.num_folds}; cross-validation needs at least 2")
-        num_objects = [len(np.unique(decided.group[decided.succeeded == outcome])) for outcome in (False, True)]
-        if min(num_objects) < 2:
-            word = "failures" if num_objects[0] < 2 else "successes"
-            raise ArgumentError(f"{word} were seen of one object alone, so none can be held out; record more objects")
-        fold = _dealt(decided, min(self.num_folds, *num_objects), np.random.default_rng(self.random_state))
-        return [(np.flatnonzero(fold != k), np.flatnonzero(fold == k)) for k in range(int(fold.max()) + 1)]
+    def _features(self, history: History, covariates: Float[np.ndarray, "rows k"]) -> Float[np.ndarray, "rows d"]:
+        counts = np.log1p(history.successes), np.log1p(history.failures)
+        return np.column_stack([history.occlusion, *counts, covariates])
 
 
-def _dealt(decided: Decided, num_folds: int, rng: np.random.Generator) -> Int[np.ndarray, " n"]:
-    """Fold of each attempt. Objects are dealt in the order of their success, so that both outcomes are in every fold.
-
-    That holds because at least `num_folds` objects have either outcome, and in this order they are neighbours.
-    """
-    objects, place = np.unique(decided.group, return_inverse=True)
-    share = np.bincount(place, decided.succeeded) / np.bincount(place)
-    order = np.lexsort((rng.permutation(len(objects)), share))
-    fold = np.empty(len(objects), dtype=np.int64)
-    fold[order] = np.arange(len(objects)) % num_folds
-    return fold[place]
-
-
-def _smoothest(svc: CensoredSVC) -> float:
+def smoothest(svc: CensoredSVC) -> float:
     """The largest λ whose held-out loss is about the least, of those with the γ that was chosen."""
     losses = svc.cv_losses_[np.argmax(svc.cv_gammas_ == svc.gamma_)]
     return float(svc.cv_regs_[np.argmax(losses <= (1.0 + SLACK) * losses.min())])
 
 
-def linear_and_gaussian(X: Float[np.ndarray, "n 3"], Z: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "n m"]:
-    """x·z + exp(−‖x − z‖² / 3) of scaled features."""
-    return X @ Z.T + np.exp(-cdist(X, Z, "sqeuclidean") / 3.0)
-
-
-def _features(history: History) -> Float[np.ndarray, "rows 3"]:
-    return np.column_stack([history.occlusion, np.log1p(history.successes), np.log1p(history.failures)])
+def linear_and_gaussian(X: Float[np.ndarray, "n d"], Z: Float[np.ndarray, "m d"]) -> Float[np.ndarray, "n m"]:
+    """x·z + exp(−‖x − z‖² / d) of scaled features."""
+    return X @ Z.T + np.exp(-cdist(X, Z, "sqeuclidean") / X.shape[1])
 
 
 def _check_both_seen(decided: Decided) -> None:

@@ -1,0 +1,264 @@
+"""Models on physical attempts: splits that share no table, errors beside naive loops, and sentences that follow."""
+
+import json
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from example_attempts import example_pieces
+from scipy.stats import t
+
+from attempt_logs import TRUTH, attempt_log
+from halfseen.study.experiment import Pieces, Setting
+from halfseen.study.experiments.attempts import Attempts
+from halfseen.study.experiments.attempts.design import MODEL_NAMES, AttemptsDesign
+from halfseen.study.experiments.attempts.differences import mean_of
+from halfseen.study.experiments.attempts.models import can_fit_svm, predicted
+from halfseen.study.experiments.attempts.occlusion import assumed_share
+from halfseen.study.experiments.attempts.set_svm import SEEN, of_one_kind, sets_of
+from halfseen.study.experiments.attempts.sources import fit_of, frame_of
+from halfseen.study.experiments.attempts.splits import sizes_of, split_of
+from halfseen.study.experiments.attempts.tables import BETTER, UNDECIDED, WORSE
+from halfseen.study.experiments.attempts.words import by_size, fall
+from halfseen.study.statistics import holm
+from halfseen.study.store import as_json
+from halfseen.tables.grasp.inputs import checked_attempts
+
+TINY = Attempts(num_tables=(8, 16), num_folds=2)
+
+
+@pytest.fixture(scope="module")
+def law_folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("law")
+    attempt_log(40, truth=np.array([1.5, *TRUTH[1:]])).write(folder / "attempts")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def setting(law_folder):
+    return Setting((), repetitions=4, seed=5, law=law_folder)
+
+
+@pytest.fixture(scope="module")
+def pieces(setting):
+    prepared = json.loads(as_json(TINY.prepare(setting)))
+    return Pieces(prepared, {}, [json.loads(as_json(TINY.repeat(setting, prepared, k))) for k in range(4)])
+
+
+def test_no_table_is_both_learned_from_and_held_out():
+    design, tables = AttemptsDesign(num_folds=4), np.arange(7, 60)
+    for first in (0, 4, 8):
+        splits = [split_of(design, tables, 3, index) for index in range(first, first + 4)]
+        for split in splits:
+            assert not set(split.learned) & set(split.held_out)
+            assert set(split.learned) | set(split.held_out) == set(tables)
+        held_out = np.concatenate([split.held_out for split in splits])
+        assert sorted(held_out) == sorted(tables)
+    again = split_of(design, tables[::-1], 3, 8)
+    np.testing.assert_array_equal(again.learned, splits[0].learned)
+    assert list(split_of(design, tables, 4, 8).learned) != list(again.learned)
+
+
+def test_only_sizes_that_every_repetition_has_are_learned_from():
+    design = AttemptsDesign(num_tables=(10, 30, 50), num_folds=4)
+    for num in (40, 41, 43, 67):
+        least = min(len(split_of(design, np.arange(num), 0, index).learned) for index in range(4))
+        assert sizes_of(design, num) == tuple(size for size in (10, 30, 50) if size <= least)
+    assert sizes_of(design, 8) == (6,)
+
+
+def test_the_same_seed_gives_the_same_bytes(setting, pieces):
+    again, other = (pickle.loads(pickle.dumps(each)) for each in (TINY, setting))
+    np.random.seed(1)  # noqa: NPY002 - nothing may depend on it
+    assert as_json(again.repeat(other, pieces.prepared, 2)) == as_json(pieces.repetitions[2])
+    assert as_json(TINY.repeat(replace(setting, seed=6), pieces.prepared, 2)) != as_json(pieces.repetitions[2])
+
+
+def test_scores_are_those_of_attempts_that_were_held_out(setting, pieces):
+    tried = frame_of(pieces.prepared["completed"])
+    split = split_of(TINY, np.unique(tried["path"]), 5, 1)
+    learned = tried[tried["path"].isin(list(split.learned[:16]))]
+    held_out = tried[tried["path"].isin(list(split.held_out))]
+    said = predicted("svm-facts", learned, held_out)
+    weight = dict(zip(held_out.index[held_out["is_finished"]], checked_attempts(held_out).weight, strict=True))
+    sums = dict.fromkeys(split.held_out.tolist(), 0.0)
+    for k, (number, row) in enumerate(held_out.iterrows()):
+        if row["is_finished"]:
+            sums[row["path"]] -= weight[number] * np.log(said[k] if row["succeeded"] else 1.0 - said[k])
+    (found,) = (
+        row["log_loss"]
+        for row in pieces.repetitions[1]["scores"]
+        if (row["model"], row["num_tables"]) == ("svm-facts", 16)
+    )
+    np.testing.assert_allclose(found, list(sums.values()), rtol=1e-9)
+    assert pieces.repetitions[1]["rows"] == list(weight)
+
+
+def test_one_rate_stands_in_where_an_svm_cannot_be_fitted(pieces):
+    tried = frame_of(pieces.prepared["completed"])
+    held = tried[(tried["succeeded"] == True).fillna(False)]  # noqa: E712 - nullable
+    missed = tried[(tried["succeeded"] == False).fillna(False)].head(1)  # noqa: E712
+    few = pd.concat([held, missed])
+    assert not can_fit_svm(few)
+    assert can_fit_svm(tried)
+    np.testing.assert_array_equal(predicted("svm", few, tried), predicted("rate", few, tried))
+    assert predicted("rate", few, tried)[0] > 0.95
+
+
+def test_an_attempt_is_the_set_of_itself_and_of_those_before_it_at_the_same_object(pieces):
+    tried = frame_of(pieces.prepared["completed"])
+    order = np.random.default_rng(0).permutation(len(tried))
+    sets = sets_of(tried.iloc[order], np.zeros(4), np.ones(4))
+    for place, number in enumerate(order):
+        row = tried.iloc[number]
+        past = tried[(tried["object"] == row["object"]) & (tried["stage"] < row["stage"])]
+        expected = [[1, 0, 0, *row[list(SEEN)]]]
+        expected += [[0, held, not held, *each] for held, each in zip(past["succeeded"], past[list(SEEN)].values)]  # noqa: B905
+        np.testing.assert_array_equal(sets[place], np.array(expected, dtype=float))
+
+
+def test_elements_of_two_kinds_have_nothing_in_common():
+    rng = np.random.default_rng(0)
+    kinds = np.eye(3)[[0, 1, 2, 1]]
+    values = rng.normal(size=(4, 2))
+    gram = of_one_kind(*[np.column_stack([kinds, values])] * 2)
+    for i in range(4):
+        for j in range(4):
+            x, z = values[i], values[j]
+            alike = 1.0 + x @ z + np.exp(-np.sum((x - z) ** 2) / 2.0)
+            assert gram[i, j] == pytest.approx(alike if (kinds[i] == kinds[j]).all() else 0.0)
+
+
+def naive_mean(sums, weights):
+    theta = sums.sum() / weights.sum()
+    parts = {"table": {}, "repetition": {}, "both": {}}
+    for i in range(sums.shape[0]):
+        for r in range(sums.shape[1]):
+            if weights[i, r] > 0:
+                residual = sums[i, r] - theta * weights[i, r]
+                for name, key in (("table", i), ("repetition", r), ("both", (i, r))):
+                    parts[name][key] = parts[name].get(key, 0.0) + residual
+    squares = {name: len(of) / (len(of) - 1) * sum(e**2 for e in of.values()) for name, of in parts.items()}
+    variance = squares["table"] + squares["repetition"] - squares["both"]
+    variance = max(variance, squares["table"], squares["repetition"])
+    return theta, np.sqrt(variance) / weights.sum(), min(len(parts["table"]), len(parts["repetition"])) - 1
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_errors_are_clustered_by_table_and_by_repetition(seed):
+    rng = np.random.default_rng(seed)
+    weights = rng.uniform(1, 5, (30, 8)) * (np.arange(30)[:, None] % 4 == np.arange(8) % 4)
+    weights[:2] = 0.0
+    drift = rng.normal(0, 1, (30, 1)) * (seed % 2) + rng.normal(0, 1, (1, 8)) * (seed // 2)
+    sums = weights * (0.3 + drift + rng.normal(0, 1, (30, 8)))
+    mean, (theta, error, freedom) = mean_of(sums, weights), naive_mean(sums, weights)
+    assert (mean.value, mean.standard_error) == pytest.approx((theta, error))
+    assert mean.high - mean.value == pytest.approx(t.ppf(0.975, freedom) * error)
+
+
+@pytest.mark.slow
+def test_intervals_hold_the_truth_where_tables_and_what_was_learned_vary():
+    rng, inside = np.random.default_rng(0), []
+    is_held_out = np.arange(200)[:, None] % 4 == np.arange(20) % 4
+    for _ in range(500):
+        drift = rng.normal(0, 1, (200, 1)) + rng.normal(0, 0.2, (1, 20))
+        mean = mean_of(is_held_out * (drift + rng.normal(0, 0.5, (200, 20))), is_held_out.astype(float))
+        inside.append(mean.low < 0 < mean.high)
+    print("held the truth:", np.mean(inside))
+    assert np.mean(inside) > 0.93
+
+
+def test_tables_hold_every_model_and_size(setting, pieces):
+    tables = TINY.tabulate(setting, pieces)
+    assert len(tables["attempts_scores"]) == len(MODEL_NAMES) * 2
+    tests = tables["attempts_tests"]
+    for _, pair in tests.groupby(["model", "rival"]):
+        np.testing.assert_allclose(pair["p_holm"], holm(pair["p_value"].to_numpy()))
+        assert len(pair) == 4
+    rows = tables["attempts_calibration"].query("by == 'occlusion' and model == 'law'")
+    assert rows["attempts"].sum() == sum(pieces.prepared["completed"]["tried"]["is_finished"])
+    assert rows["share_of_attempts"].sum() == pytest.approx(1.0)
+    assert (tables["attempts_held"]["attempts"].sum()) == rows["attempts"].sum()
+    law = tables["attempts_law"].set_index("parameter")
+    fit = fit_of(pieces.prepared["completed"])
+    assert law.loc["occlusion", "estimate"] == fit.estimate[1]
+    assert law.loc["occlusion", "high"] == pytest.approx(fit.estimate[1] + 1.959964 * fit.standard_error[1])
+
+
+def test_an_attempt_that_was_held_out_twice_counts_once(setting, pieces):
+    calibration = TINY.tabulate(setting, pieces)["attempts_calibration"]
+    said = {}
+    for piece in pieces.repetitions:
+        for row, value in zip(piece["rows"], piece["said"]["beta"], strict=True):
+            said.setdefault(row, []).append(value)
+    assert {len(each) for each in said.values()} == {2}
+    rows = calibration.query("by == 'prediction' and model == 'beta'")
+    means = np.array([np.mean(each) for each in said.values()])
+    assert rows["attempts"].sum() == len(means)
+    assert rows["bin_from"].min() == pytest.approx(means.min())
+
+
+def test_the_default_world_has_the_share_that_drawing_from_it_has():
+    rng = np.random.default_rng(0)
+    grasp_s = np.exp(0.6 + 2.2 * 0.5 - rng.normal(size=400_000)) * rng.exponential(size=400_000)
+    assert assumed_share(np.array([0.5]))[0] == pytest.approx((grasp_s <= 6.0).mean(), abs=0.003)
+
+
+def test_without_a_law_it_says_that_laws_are_assumed():
+    setting = Setting((), repetitions=2)
+    pieces = Pieces(TINY.prepare(setting), {}, [TINY.repeat(setting, {}, k) for k in range(2)])
+    section = TINY.section(setting, TINY.tabulate(setting, pieces))
+    assert len(section.sentences) == 1
+    assert "are assumed" in section.sentences[0]
+    assert (section.drawings, section.listings) == ((), ())
+
+
+@pytest.mark.parametrize(
+    ("gain", "told"),
+    [
+        (0.01, "better than the Beta mean at every size, from 25 to 600 tables"),
+        (0.0, "not significantly differently than the Beta mean at every size, from 25 to 600 tables"),
+        (-0.01, "worse than the Beta mean at every size, from 25 to 600 tables"),
+    ],
+)
+def test_the_answer_is_told_either_way(gain, told):
+    setting, design = Setting(()), Attempts()
+    section = design.section(setting, design.tabulate(setting, example_pieces(gain)))
+    assert section.sentences[0].startswith("On physical attempts (")
+    assert f"the SVM predicts what will hold {told} (" in section.sentences[0]
+    assert section.drawings[0].title == f"On physical attempts, the SVM predicts {told}"
+    assert "1 of 144 fits" in section.drawings[0].caption
+    assert "its slope is assumed" in section.sentences[2]
+    assert section.num_leading == 3
+
+
+def test_both_ways_to_plan_grasps_are_told_where_both_were_tried():
+    setting, design = Setting(()), Attempts()
+    both, one = (
+        design.section(setting, design.tabulate(setting, example_pieces(has_both=each))).sentences[1]
+        for each in (True, False)
+    )
+    assert both.startswith(one.removesuffix("."))
+    assert "; where only visible points count, success " in both
+    assert "the second slope less the first is " in both
+
+
+def test_sizes_are_told_by_verdict():
+    pairs = {"measure": "log_loss", "model": "svm", "rival": "beta"}
+    verdicts = {25: WORSE, 50: UNDECIDED, 100: BETTER, 200: BETTER}
+    tests = pd.DataFrame([pairs | {"num_tables": size, "verdict": verdict} for size, verdict in verdicts.items()])
+    assert by_size(tests, "svm", "beta") == (
+        "better than the Beta mean from 100 and 200, worse from 25 and not significantly differently from 50 tables"
+    )
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "told"),
+    [(-3.0, -1.0, "falls"), (-3.0, 1.0, "does not change significantly"), (1.0, 3.0, "rises")],
+)
+def test_success_is_said_to_fall_only_where_it_does(low, high, told):
+    law = Attempts().tabulate(Setting(()), example_pieces(has_both=False))["attempts_law"]
+    law.loc[law["parameter"] == "occlusion", ["estimate", "low", "high"]] = (low + high) / 2, low, high
+    assert f"success {told} with occlusion: the log-odds" in fall({"attempts_law": law})
