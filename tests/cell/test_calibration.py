@@ -252,7 +252,7 @@ def rewritten(law, folder, *, text=None, arrays=None, **record):
     [
         (
             {"parameters": ["log_odds", "colour"]},
-            r"law.json: the law tells grasps by .*'colour'\\], .* other",
+            r"law.json: the law tells grasps by .*'colour'\], .* other",
         ),
         ({"version": 9}, "law.json: version 9 is not 1"),
         ({"num_decided": "many"}, "law.json: num_decided is 'many', no count of attempts"),

@@ -230,7 +230,7 @@ def test_the_answer_is_told_either_way(gain, told):
     assert f"the SVM predicts what will hold {told} (" in section.sentences[0]
     assert section.drawings[0].title == f"On physical attempts, the SVM predicts {told}"
     assert "1 of 144 fits" in section.drawings[0].caption
-    assert "its slope is assumed" in section.sentences[2]
+    assert "the assumed laws have" in section.sentences[2]
     assert section.num_leading == 3
 
 

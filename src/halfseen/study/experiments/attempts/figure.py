@@ -94,7 +94,7 @@ def _draw_calibration(axes: Axes, calibration: pd.DataFrame, models: Sequence[st
 
 
 def _draw_success(axes: Axes, tables: Tables) -> None:
-    """Share that held by what is hidden, counted and by the law, and as the default world has it."""
+    """Share that held by what is hidden, counted and by the law, and as the assumed laws have it."""
     slope, held = tables["attempts_slope"], tables["attempts_held"]
     for side, (lies, (name, colour, marker)) in zip((-1, 1), POSES.items(), strict=True):
         curve = where(slope, law=COMPLETED, is_lying=lies)
@@ -109,7 +109,7 @@ def _draw_success(axes: Axes, tables: Tables) -> None:
         color=SOFT,
         dashes=(4, 2),
         linewidth=1.4,
-        label="default world, assumed",
+        label="assumed laws",
     )
     axes.yaxis.set_major_formatter(PercentFormatter(1.0, 0))
     draw_grid(axes)

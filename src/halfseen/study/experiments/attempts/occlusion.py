@@ -1,4 +1,4 @@
-"""Whether success falls with occlusion, and for what lies: counted, by the regression, and in the default world."""
+"""Whether success falls with occlusion, and for what lies: counted, by the regression, and under the assumed laws."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -64,7 +64,7 @@ def law_rows(planner: str, source: Source) -> list[dict[str, Any]]:
 
 
 def slope_rows(sources: Mapping[str, Source]) -> pd.DataFrame:
-    """P(held) by occlusion at the first attempt at a usual object: by each regression, and in the default world."""
+    """P(held) by occlusion at the first attempt at a usual object: by each regression, and under the assumed laws."""
     lines = []
     for name, source in sources.items():
         for lies in (False, True):
@@ -75,7 +75,7 @@ def slope_rows(sources: Mapping[str, Source]) -> pd.DataFrame:
 
 
 def assumed_share(occlusion: Float[np.ndarray, " shown"]) -> Float[np.ndarray, " shown"]:
-    """P(held) in the default world, the offset of an object integrated out."""
+    """P(held) under the assumed laws, the offset of an object integrated out."""
     law: Any = WorldConfig().grasping
     log_failure = law.log_failure(occlusion[:, None], float(law.offset_std) * _NODES)
     return (1.0 - np.exp(np.asarray(log_failure, dtype=np.float64))) @ (_WEIGHTS / _WEIGHTS.sum())

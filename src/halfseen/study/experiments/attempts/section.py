@@ -39,7 +39,7 @@ PARAMETER_NAMES = {
 def section_of(design: AttemptsDesign, setting: Setting, tables: Tables) -> Section:
     """Say what attempts tell; where there are none, say that."""
     if not tables:
-        return Section(HEADING, (NO_ATTEMPTS,), (), ())
+        return Section(HEADING, (NO_ATTEMPTS,), (), (), num_leading=0)
     sentences = (claim(tables), fall(tables), assumption(tables), others(tables), calibrated(tables))
     drawing = Drawing(
         "figure8", "Figure 8", title_of(tables["attempts_tests"]), _caption(design, tables), partial(draw, tables)
@@ -64,7 +64,7 @@ def _caption(design: AttemptsDesign, tables: Tables) -> str:
         "(occlusion, pose, width, room) and by what came of past attempts at it; so does the SVM with a "
         "set kernel. Lower left: learned from the largest "
         f"log; bars clustered by table.{_stood_in(tables)} Lower right: markers, counted; lines and bands, the "
-        "regression at the first attempt at an object of usual width and room; dashed, the default world of the study."
+        "regression at the first attempt at an object of usual width and room; dashed, the assumed laws."
     )
 
 

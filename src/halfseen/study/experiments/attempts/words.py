@@ -28,8 +28,8 @@ from halfseen.study.experiments.attempts.tables import BETTER, UNDECIDED, WORSE
 from halfseen.study.frames import records, row_of, where
 
 NO_ATTEMPTS = (
-    "The laws of grasping and seeing are assumed, the fall of success with occlusion among them: the study was given "
-    "no law of a cell, and so there are no attempts to test an SVM, or that fall, on."
+    "There are no attempts of a cell to test an SVM, or the fall of success with occlusion, on; `--law` names a law that "
+    "was estimated from some."
 )
 SCORE_DECIMALS = 4
 NOUNS = {
@@ -121,15 +121,15 @@ def _estimate(row: Row) -> str:
 
 
 def assumption(tables: Tables) -> str:
-    """Say what the default world assumes beside what attempts tell."""
+    """Say what the assumed laws have beside what attempts tell."""
     slope = tables["attempts_slope"]
     standing, lying = (where(slope, law=COMPLETED, is_lying=lies) for lies in (False, True))
     none, half = (f"{percent(_at(where(slope, law=ASSUMED), place)['share_held'])}" for place in (0.0, 0.5))
     return (
         f"A first attempt at a standing object of usual width and room holds in {_share(_at(standing, 0.0))} with "
         f"nothing hidden and in {_share(_at(standing, 0.5))} with half hidden; at one that lies, in "
-        f"{_share(_at(lying, 0.0))} and {_share(_at(lying, 0.5))}; the study’s default world has {none} and {half}: "
-        "its slope is assumed, and comes from no attempt."
+        f"{_share(_at(lying, 0.0))} and {_share(_at(lying, 0.5))}; the assumed laws have {none} and {half}: their slope "
+        "comes from no attempt."
     )
 
 
