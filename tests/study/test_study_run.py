@@ -10,7 +10,9 @@ import pandas as pd
 import pytest
 from tiny import SETTING, TINY
 
+from halfseen.cell.calibration.shipped import shipped_law
 from halfseen.errors import ArgumentError
+from halfseen.study.laws import under
 from halfseen.study.run import chosen, run_study
 
 REWARD = "mean_reward se low high"
@@ -131,6 +133,21 @@ def test_beginning_anew_in_two_processes_finds_the_same_pieces(study_folder, tmp
     run_study(SETTING, tmp_path, TINY, num_jobs=2)
     for each in TINY:
         assert pieces(tmp_path, each.name) == pieces(study_folder, each.name)
+
+
+@pytest.mark.slow
+def test_under_the_law_of_a_cell_everything_runs_and_says_so(tmp_path):
+    setting, law = under(SETTING, shipped_law())
+    setting = replace(
+        setting, scenes=tuple(replace(scene, grip=np.linspace(-2, 0, scene.num_objects)) for scene in SETTING.scenes)
+    )
+    results = run_study(setting, tmp_path, TINY, num_jobs=1)
+    assert "is estimated, not assumed" in results.answer[-1]
+    told = pd.read_csv(tmp_path / "map.csv")
+    assert told["is_assumed"].tolist() == [False, False, True, True]
+    assert sorted(set(told["labels"])) == pytest.approx(sorted({0.3, law.seeing.facing}))
+    assert (pd.read_csv(tmp_path / "regret.csv")["regret"] > -1e-6).all()
+    assert json.loads((tmp_path / "study.json").read_text())["scenes"][0]["grip"][0] == -2
 
 
 def test_a_repetition_can_be_sent_anywhere():

@@ -35,7 +35,7 @@ TINY = (
     Planning(((4, 2), (8, 1)), (1, 2), 8, horizon_episodes=4, num_paths=50, episodes_per_scene=2),
     Censoring(SIZES, compared_num_paths=50, episodes_per_scene=2),
     Grasp(SIZES, episodes_per_scene=2),
-    Clutter((2, 3), (0.2,), (0.3,), (-10.0,), (0.5,), num_paths=50, num_tables=4, episodes_per_table=5),
+    Clutter((2, 3), (0.2,), (1.0,), (-10.0,), (0.5,), num_paths=50, num_tables=4, episodes_per_table=5),
     Regret(2, 3, SIZES, (0.0, 0.5), planner_horizons=(1, 2), planner_simulations=8),
     Attempts((5, 10), 2),
 )

@@ -28,8 +28,8 @@ from halfseen.study.experiments.attempts.tables import BETTER, UNDECIDED, WORSE
 from halfseen.study.frames import records, row_of, where
 
 NO_ATTEMPTS = (
-    "There are no attempts of a cell to test an SVM, or the fall of success with occlusion, on; `--law` names a law that "
-    "was estimated from some."
+    "There are no attempts of a cell to test an SVM, or the fall of success with occlusion, on; `--law` names a law "
+    "that was estimated from some."
 )
 SCORE_DECIMALS = 4
 NOUNS = {
@@ -128,8 +128,8 @@ def assumption(tables: Tables) -> str:
     return (
         f"A first attempt at a standing object of usual width and room holds in {_share(_at(standing, 0.0))} with "
         f"nothing hidden and in {_share(_at(standing, 0.5))} with half hidden; at one that lies, in "
-        f"{_share(_at(lying, 0.0))} and {_share(_at(lying, 0.5))}; the assumed laws have {none} and {half}: their slope "
-        "comes from no attempt."
+        f"{_share(_at(lying, 0.0))} and {_share(_at(lying, 0.5))}; the assumed laws have {none} and {half}: their "
+        "slope comes from no attempt."
     )
 
 
