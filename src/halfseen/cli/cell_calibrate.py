@@ -1,6 +1,7 @@
 """``halfseen cell calibrate``: attempts of the physical cell, and the laws that they tell."""
 
 import json
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +21,16 @@ if TYPE_CHECKING:
 @click.command(epilog="Example: halfseen cell calibrate --attempts 6000 --out law")
 @click.option("--out", type=options.PATH, required=True, help="Folder that the law is written to.")
 @click.option("--attempts", type=click.IntRange(min=50), default=6000, show_default=True, help="Attempts to begin.")
-@click.option("--from", "given", type=options.PATH, help="Fit the attempts of these logs again, and try nothing.")
+@click.option(
+    "--visible-only",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="Attempts to begin on the same tables with grasps that are planned from visible points alone, as a contrast.",
+)
+@click.option(
+    "--from", "given", type=options.PATH, help="Fit the attempts of a law's folder, or of logs, again, and try nothing."
+)
 @arm_options
 @options.workers
 @options.seed("law")
@@ -29,6 +39,7 @@ if TYPE_CHECKING:
 def calibrate(
     out: Path,
     attempts: int,
+    visible_only: int,
     given: Path | None,
     arm: Path | None,
     flange: str | None,
@@ -45,7 +56,7 @@ def calibrate(
     """
     load_mujoco()
     from halfseen.cell.calibration.calibrate import attempts_of, law_of
-    from halfseen.cell.calibration.law_folder import LAW, write_law
+    from halfseen.cell.calibration.law_folder import ATTEMPTS, LAW, VISIBLE_ONLY, write_law
     from halfseen.cell.campaign import Conditions, working_folder
     from halfseen.errors import ArgumentError
     from halfseen.logs import read_logs
@@ -58,18 +69,31 @@ def calibrate(
     robot, arm_name = robot_for(arm, flange, joints)
     told: dict[str, Any] = {"seed": seed} if given else {"seed": seed, "arm": arm_name}
 
-    def fitted(logs: "Logs") -> dict[str, Any]:
+    def fitted(logs: "Logs", contrast: "Logs | None") -> dict[str, Any]:
         law = law_of(logs)
-        write_law(law, out, {**told, "log": str(logs.summary())}, logs=logs, overwrite=overwrite)
+        told_of = {**told, "log": str(logs.summary())}
+        write_law(law, out, told_of, logs=logs, contrast=contrast, overwrite=overwrite)
         return report_of(law, logs) | told
 
     if given is not None:
-        report = fitted(read_logs(given))
+        is_law = (given / ATTEMPTS).is_dir()
+        beside = given / VISIBLE_ONLY
+        report = fitted(
+            read_logs(given / ATTEMPTS if is_law else given), read_logs(beside) if beside.is_dir() else None
+        )
     else:
         # What was recorded goes when the law is written, not before: attempts take hours.
         what = f"calibrate, seed {seed}" + (f", arm {arm_name}" if arm else "")
-        with working_folder(out, what, refuse) as folder, progress(attempts, "attempts") as bar:
-            report = fitted(attempts_of(attempts, seed, folder, workers, Conditions(robot=robot), bar.update))
+        with working_folder(out, what, refuse) as folder, progress(attempts + visible_only, "attempts") as bar:
+            conditions, try_on = Conditions(robot=robot), partial(attempts_of, seed=seed, num_workers=workers)
+            logs = try_on(attempts, folder=folder, conditions=conditions, on_table=bar.update)
+            contrast = None
+            if visible_only:
+                conditions = replace(conditions, grasping="visible-only")
+                contrast = try_on(
+                    visible_only, folder=folder / VISIBLE_ONLY, conditions=conditions, on_table=bar.update
+                )
+            report = fitted(logs, contrast)
     click.echo(json.dumps(report, indent=2, allow_nan=False) if as_json else "\n".join(_lines(out, report)))
 
 

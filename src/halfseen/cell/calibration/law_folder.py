@@ -30,7 +30,7 @@ from halfseen.policies.folder.files import Kind, read_files, write_files
 from halfseen.policies.folder.json_values import plain
 from halfseen.world.persistent_seeing import PersistentSeeing
 
-ATTEMPTS = "attempts"
+ATTEMPTS, VISIBLE_ONLY = "attempts", "attempts-visible-only"
 LAW = Kind("law", "halfseen cell calibrate")
 VERSION = 1
 _ANEW = f"make it anew by `{LAW.maker}`"
@@ -53,7 +53,13 @@ class StoredLaw:
 
 
 def write_law(
-    law: Law, folder: Path, told: Mapping[str, Any], *, logs: Logs | None = None, overwrite: bool = False
+    law: Law,
+    folder: Path,
+    told: Mapping[str, Any],
+    *,
+    logs: Logs | None = None,
+    contrast: Logs | None = None,
+    overwrite: bool = False,
 ) -> None:
     """Write a law, all or nothing.
 
@@ -67,6 +73,8 @@ def write_law(
         What else is to be kept: conditions, versions, how it was made.
     logs
         What it was estimated from; None if that is neither to be kept nor drawn.
+    contrast
+        Attempts of grasps that were planned from visible points alone, to be kept beside; None where there are none.
     overwrite
         Replace a law that is there.
 
@@ -84,6 +92,8 @@ def write_law(
         from halfseen.cell.calibration.pictures import pictures_of
 
         beside = {ATTEMPTS: logs.write, **pictures_of(law, logs)}
+    if contrast is not None:
+        beside[VISIBLE_ONLY] = contrast.write
     write_files(folder, text.encode(), numbers, overwrite=overwrite, kind=LAW, beside=beside)
 
 
