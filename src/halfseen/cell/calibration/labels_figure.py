@@ -113,4 +113,4 @@ def _draw_curve(axes: Axes, seeing: PersistentSeeing, rows: pd.DataFrame, is_dir
     for place, (*_, high), count in zip(across, ends, counts, strict=True):
         offset: Any = {"textcoords": "offset points", "xytext": (-4.0 * side, 3.0)}
         text = f"{count.told:,}/{count.seen:,}"
-        axes.annotate(text, (place, high), ha="left" if side > 0 else "right", color=colour, fontsize=8.0, **offset)
+        axes.annotate(text, (place, high), ha="right", color=colour, fontsize=8.0, **offset)
