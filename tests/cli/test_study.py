@@ -25,7 +25,14 @@ def test_a_cloud_that_is_not_there_is_refused_by_name(refused, tmp_path):
     assert "no_such_table.pcd" in refused("study", "--out", tmp_path / "study", tmp_path / "no_such_table.pcd")
 
 
-@pytest.mark.parametrize("option", ["--out", "--repetitions", "--only", "--seed", "--resume", "--jobs", "--json"])
+def test_a_law_that_is_not_there_is_refused_by_name(refused, tmp_path):
+    assert "no_such_law" in refused("study", "--out", tmp_path / "study", "--law", tmp_path / "no_such_law")
+    assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "option", ["--out", "--repetitions", "--only", "--seed", "--law", "--resume", "--jobs", "--json"]
+)
 def test_help_shows_an_example_and_every_option(option):
     shown = CliRunner().invoke(study, ["--help"]).output
 

@@ -206,12 +206,13 @@ def test_the_default_world_has_the_share_that_drawing_from_it_has():
     assert assumed_share(np.array([0.5]))[0] == pytest.approx((grasp_s <= 6.0).mean(), abs=0.003)
 
 
-def test_without_a_law_it_says_that_laws_are_assumed():
+def test_without_a_law_it_says_that_there_are_no_attempts():
     setting = Setting((), repetitions=2)
     pieces = Pieces(TINY.prepare(setting), {}, [TINY.repeat(setting, {}, k) for k in range(2)])
     section = TINY.section(setting, TINY.tabulate(setting, pieces))
     assert len(section.sentences) == 1
-    assert "are assumed" in section.sentences[0]
+    assert section.num_leading == 0
+    assert section.sentences[0].startswith("There are no attempts of a cell to test an SVM")
     assert (section.drawings, section.listings) == ((), ())
 
 

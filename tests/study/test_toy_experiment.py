@@ -83,7 +83,8 @@ def test_it_is_run_drawn_claimed_and_reported(folder):
         "Figure C.",
         '<span class="verdict supported">supported</span>',
         "two &lt;cups&gt;",
-        "halfseen study --repetitions 4 --seed 0 --only coin",
+        "halfseen study --repetitions 4 --seed 0 --law assumed --only coin",
+        "how often labels err is assumed, not estimated: that a grasp takes 9 times as long",
         "num_throws",
     ):
         assert words.casefold() in page.casefold()

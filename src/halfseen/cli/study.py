@@ -37,7 +37,7 @@ def study(
 
     The world has the law of the physical cell that comes with the package, or the one in a folder; or assumed ones.
 
-    Experiments: reward, planning, censoring, grasp, clutter, regret.
+    Experiments: reward, planning, censoring, grasp, attempts, clutter, regret.
     """
     # What one process compiled serves the others, and the study that goes on.
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(out.absolute() / "progress" / "compiled"))

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from halfseen.cell.calibration.shipped import shipped_law
 from halfseen.errors import ArgumentError
 from halfseen.pages.drawing import inline_svg
 from halfseen.pages.html import rendered
@@ -114,7 +115,13 @@ def _command(setting: Setting, experiments: Sequence[Experiment]) -> str:
     from halfseen.study.experiments import EXPERIMENTS
 
     only = "" if len(experiments) == len(EXPERIMENTS) else "".join(f" --only {each.name}" for each in experiments)
-    law = " --law assumed" if setting.law is None else ""
+    law = (
+        " --law assumed"
+        if setting.law is None
+        else ""
+        if setting.law == shipped_law()
+        else f" --law {setting.law.name}"
+    )
     return f"halfseen study --repetitions {setting.repetitions} --seed {setting.seed}{law}{only}"
 
 
