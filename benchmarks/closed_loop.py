@@ -2,8 +2,8 @@
 
 python benchmarks/closed_loop.py [--logs FOLDER] [--law FOLDER] [--tables 60] [--seed 2026] [--out FILE]
 
-From the logs, which a cell recorded and cut, `halfseen learn` as it is called by default learns a policy, and laws are
-fitted for a planner. They, the heuristics and the planner that knows the law that is believed in clear the same tables,
+From the logs, which a cell recorded and cut, `halfseen learn` as it is called by default learns a policy, and another
+with `--grasp beta`; and laws are fitted for a planner. They, the heuristics and the planner that knows the law that is believed in clear the same tables,
 of which nothing is cut. It prints the reward of each in physics, what the world under the law foretells for the same
 tables, the gap, and by how much the learned policy is ahead, table by table: two-sided signed-rank tests, by Holm's
 procedure. A run that was stopped goes on where it was, if it is called again.
@@ -32,16 +32,20 @@ from halfseen.tables.fitted_world import fit_world
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Policy
 
-LEARNED, FITTED, PLANNER = "learned", "planner, fitted laws", "planner, calibrated law"
+LEARNED, WITH_BETA = "learned", "learned, Beta of grasps"
+FITTED, PLANNER = "planner, fitted laws", "planner, calibrated law"
 LOGS = Path(__file__).parents[1] / "examples" / "physical_cell" / "logs"
 
 
 def policies_of(logs: Logs, config: WorldConfig, seed: int) -> dict[str, Policy]:
     """All who take part."""
-    learner = learner_for(logs, censoring="auto", random_state=seed).learner.fit(logs)
+    learned = {
+        name: learner_for(logs, censoring="auto", random_state=seed, grasp=grasp).learner.fit(logs).policy_
+        for name, grasp in ((LEARNED, None), (WITH_BETA, "beta"))
+    }
     fitted = fit_world(logs, config)
     return {
-        LEARNED: learner.policy_,
+        **learned,
         FITTED: POMDPPolicy(fitted, planning_horizon=config.horizon),
         PLANNER: POMDPPolicy(config, planning_horizon=config.horizon),
         **{name: named_policy(name, config) for name in HEURISTICS},
@@ -58,12 +62,14 @@ def told(name: str, summary: Summary) -> str:
 
 
 def compared(rewards: dict[str, np.ndarray]) -> dict[str, dict[str, float]]:
-    """By how much the learned policy is ahead of each other one, table by table."""
-    others = {name: of for name, of in rewards.items() if name != LEARNED}
-    tests = [signed_rank_test(rewards[LEARNED] - of, "two-sided") for of in others.values()]
+    """By how much each learned policy is ahead of each other one, table by table."""
+    ours = [name for name in (LEARNED, WITH_BETA) if name in rewards]
+    pairs = [(our, other) for our in ours for other in rewards if other not in ours]
+    tests = [signed_rank_test(rewards[our] - rewards[other], "two-sided") for our, other in pairs]
     adjusted = holm(np.array([test.p_value for test in tests]))
     return {
-        name: {**asdict(test.effect), "p_holm": float(p)} for name, test, p in zip(others, tests, adjusted, strict=True)
+        f"{our} – {other}": {**asdict(test.effect), "p_holm": float(p)}
+        for (our, other), test, p in zip(pairs, tests, adjusted, strict=True)
     }
 
 
@@ -95,12 +101,11 @@ def main() -> None:
         print(told(name, summary), flush=True)
         rewards[name] = np.array([run.reward for run in runs])
         results["policies"][name] = asdict(summary)
-    if LEARNED in rewards:
-        results["learned_less"] = compared(rewards)
-        print(f"\n{'learned, less':<26}{'mean':>9}{'95 % interval':>20}{'p (Holm)':>10}")
-        for name, row in results["learned_less"].items():
-            within = f"{row['low']:+.2f} to {row['high']:+.2f}"
-            print(f"{name:<26}{row['value']:>+9.2f}{within:>20}{row['p_holm']:>10.3f}")
+    results["differences"] = compared(rewards)
+    print(f"\n{'table by table':<50}{'mean':>9}{'95 % interval':>20}{'p (Holm)':>10}")
+    for name, row in results["differences"].items():
+        within = f"{row['low']:+.2f} to {row['high']:+.2f}"
+        print(f"{name:<50}{row['value']:>+9.2f}{within:>20}{row['p_holm']:>10.3f}")
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.out.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
 
