@@ -3,10 +3,10 @@
 python benchmarks/closed_loop.py [--logs FOLDER] [--law FOLDER] [--tables 60] [--seed 2026] [--out FILE]
 
 From the logs, which a cell recorded and cut, `halfseen learn` as it is called by default learns a policy, and another
-with `--grasp beta`; and laws are fitted for a planner. They, the heuristics and the planner that knows the law that is believed in clear the same tables,
-of which nothing is cut. It prints the reward of each in physics, what the world under the law foretells for the same
-tables, the gap, and by how much the learned policy is ahead, table by table: two-sided signed-rank tests, by Holm's
-procedure. A run that was stopped goes on where it was, if it is called again.
+with `--grasp beta`; and laws are fitted for a planner. They, the heuristics and the planner that knows the law that is
+believed in clear the same tables, of which nothing is cut. It prints the reward of each in physics, what the world
+under the law foretells for the same tables, the gap, and by how much the learned policies are ahead, table by table:
+two-sided signed-rank tests, by Holm's procedure. A run that was stopped goes on where it was, if it is called again.
 """
 
 import argparse

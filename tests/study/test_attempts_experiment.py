@@ -15,7 +15,7 @@ from halfseen.study.experiment import Pieces, Setting
 from halfseen.study.experiments.attempts import Attempts
 from halfseen.study.experiments.attempts.design import MODEL_NAMES, AttemptsDesign
 from halfseen.study.experiments.attempts.differences import mean_of
-from halfseen.study.experiments.attempts.models import can_fit_svm, predicted
+from halfseen.study.experiments.attempts.models import predicted
 from halfseen.study.experiments.attempts.occlusion import assumed_share
 from halfseen.study.experiments.attempts.set_svm import SEEN, of_one_kind, sets_of
 from halfseen.study.experiments.attempts.sources import fit_of, frame_of
@@ -25,6 +25,7 @@ from halfseen.study.experiments.attempts.words import by_size, fall
 from halfseen.study.statistics import holm
 from halfseen.study.store import as_json
 from halfseen.tables.grasp.inputs import checked_attempts
+from halfseen.tables.grasp.splits import can_hold_out
 
 TINY = Attempts(num_tables=(8, 16), num_folds=2)
 
@@ -101,8 +102,8 @@ def test_one_rate_stands_in_where_an_svm_cannot_be_fitted(pieces):
     held = tried[(tried["succeeded"] == True).fillna(False)]  # noqa: E712 - nullable
     missed = tried[(tried["succeeded"] == False).fillna(False)].head(1)  # noqa: E712
     few = pd.concat([held, missed])
-    assert not can_fit_svm(few)
-    assert can_fit_svm(tried)
+    assert not can_hold_out(few)
+    assert can_hold_out(tried)
     np.testing.assert_array_equal(predicted("svm", few, tried), predicted("rate", few, tried))
     assert predicted("rate", few, tried)[0] > 0.95
 

@@ -1,6 +1,7 @@
 """Folds of attempts for cross-validation: the attempts of one object are never split."""
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Int
 
 from halfseen.errors import ArgumentError
@@ -8,6 +9,23 @@ from halfseen.tables.grasp.inputs import Decided
 
 Splits = list[tuple[np.ndarray, np.ndarray]]
 """Numbers of the attempts that are fitted to, and of those that are held out."""
+
+
+FEWEST_OBJECTS = 2
+"""Objects that failed, and that succeeded, without which none can be held out."""
+
+
+def can_hold_out(attempts: pd.DataFrame) -> bool:
+    """Say whether either outcome was seen of enough objects to hold some out, as whoever chooses λ must.
+
+    Parameters
+    ----------
+    attempts
+        With object, succeeded and is_finished, as `halfseen.tables.grasp.attempts.attempts` gives them.
+    """
+    decided = attempts[attempts["is_finished"].astype(bool)]
+    succeeded = decided["succeeded"].astype(bool)
+    return all(decided.loc[rows, "object"].nunique() >= FEWEST_OBJECTS for rows in (succeeded, ~succeeded))
 
 
 def splits_of(decided: Decided, num_folds: int, random_state: int) -> Splits:
@@ -30,8 +48,8 @@ def splits_of(decided: Decided, num_folds: int, random_state: int) -> Splits:
     if num_folds < 2:
         raise ArgumentError(f"num_folds is {num_folds}; cross-validation needs at least 2")
     num_objects = [len(np.unique(decided.group[decided.succeeded == outcome])) for outcome in (False, True)]
-    if min(num_objects) < 2:
-        word = "failures" if num_objects[0] < 2 else "successes"
+    if min(num_objects) < FEWEST_OBJECTS:
+        word = "failures" if num_objects[0] < FEWEST_OBJECTS else "successes"
         raise ArgumentError(f"{word} were seen of one object alone, so none can be held out; record more objects")
     fold = _dealt(decided, min(num_folds, *num_objects), np.random.default_rng(random_state))
     return [(np.flatnonzero(fold != k), np.flatnonzero(fold == k)) for k in range(int(fold.max()) + 1)]

@@ -14,12 +14,13 @@ from halfseen.arrays import RowMask, Rows
 from halfseen.learners.threads import one_thread
 from halfseen.study.experiment import PieceOf, Setting
 from halfseen.study.experiments.attempts.design import COMPLETED, MODEL_NAMES, PLANNERS, SVMS, AttemptsDesign
-from halfseen.study.experiments.attempts.models import can_fit_svm, predicted
+from halfseen.study.experiments.attempts.models import predicted
 from halfseen.study.experiments.attempts.section import section_of
 from halfseen.study.experiments.attempts.sources import frame_of, read_attempts, source_of
 from halfseen.study.experiments.attempts.splits import sizes_of, split_of
 from halfseen.study.experiments.attempts.tables import tables_of
 from halfseen.tables.grasp.inputs import checked_attempts
+from halfseen.tables.grasp.splits import can_hold_out
 
 SUREST = 1e-9
 """No prediction counts as surer than this in the log-loss: one miss would cost endlessly much."""
@@ -58,7 +59,7 @@ class Attempts(AttemptsDesign):
                 # As in the experiment `grasp`: threads would only wait for one another.
                 with one_thread():
                     probability = predicted(model, learned, held_out)[decided.row]
-                row = {"model": model, "num_tables": size, "stands_in": model in SVMS and not can_fit_svm(learned)}
+                row = {"model": model, "num_tables": size, "stands_in": model in SVMS and not can_hold_out(learned)}
                 for measure, loss in losses_of(probability, decided.succeeded).items():
                     row[measure] = np.bincount(table, decided.weight * loss, len(split.held_out)).tolist()
                 scores.append(row)

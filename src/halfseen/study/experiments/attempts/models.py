@@ -14,17 +14,8 @@ from halfseen.study.experiments.attempts.design import BETA, LAW, RATE, SVM, SVM
 from halfseen.study.experiments.attempts.set_svm import said_by_set_svm
 from halfseen.tables.grasp.beta_grasp import BetaGrasp
 from halfseen.tables.grasp.inputs import checked_attempts
+from halfseen.tables.grasp.splits import can_hold_out
 from halfseen.tables.grasp.svm_grasp import SVMGrasp
-
-FEWEST_OBJECTS = 2
-"""Objects that missed, and that held, without which an SVM cannot choose λ."""
-
-
-def can_fit_svm(learned: pd.DataFrame) -> bool:
-    """Say whether misses, and holds, were seen of enough objects to hold some out."""
-    decided = learned[learned["is_finished"]]
-    is_held = decided["succeeded"].astype(bool)
-    return all(decided.loc[rows, "object"].nunique() >= FEWEST_OBJECTS for rows in (is_held, ~is_held))
 
 
 def predicted(model: str, learned: pd.DataFrame, held_out: pd.DataFrame) -> Rows:
@@ -41,7 +32,7 @@ def predicted(model: str, learned: pd.DataFrame, held_out: pd.DataFrame) -> Rows
     held_out
         Attempts at other tables, those before each at the same object among them.
     """
-    is_rate = model in SVMS and not can_fit_svm(learned)
+    is_rate = model in SVMS and not can_hold_out(learned)
     return _PREDICTED[RATE if is_rate else model](learned, held_out)
 
 

@@ -17,7 +17,16 @@ from halfseen.learners.threads import one_thread
 from halfseen.logs.frames import FrameLike, as_frame
 from halfseen.planners.heuristics import TrueGrasp
 from halfseen.study.experiment import PieceOf, Setting
-from halfseen.study.experiments.grasp.design import MODEL_NAMES, NUM_BINS, ORACLE, REWARDS, SUCCESSION, GraspDesign
+from halfseen.study.experiments.grasp.design import (
+    CLAIMED,
+    MODEL_NAMES,
+    NUM_BINS,
+    ORACLE,
+    REWARDS,
+    RIVAL,
+    SUCCESSION,
+    GraspDesign,
+)
 from halfseen.study.experiments.grasp.section import section_of
 from halfseen.study.experiments.grasp.tables import tables_of
 from halfseen.study.pipeline import HELD_OUT, Source
@@ -25,6 +34,7 @@ from halfseen.study.policies import STRONGEST_RULE
 from halfseen.tables.grasp.attempts import attempts
 from halfseen.tables.grasp.beta_grasp import BetaGrasp
 from halfseen.tables.grasp.grasp_table import GraspEstimator, tabulate
+from halfseen.tables.grasp.splits import can_hold_out
 from halfseen.tables.grasp.svm_grasp import SVMGrasp
 from halfseen.world.action_space import ActionSpace
 from halfseen.world.cuts import CutKind, cut
@@ -74,10 +84,12 @@ class Grasp(GraspDesign):
         rules: list[Policy] = []
         knowing: Any = STRONGEST_RULE.policy(setting.world)
         for size in self.num_paths:
-            estimators = _fitted(pd.DataFrame(tried[tried["path"] < size]))
+            known = pd.DataFrame(tried[tried["path"] < size])
+            estimators = _fitted(known)
             for name in MODEL_NAMES:
                 said = oracle if name == ORACLE else estimators[name].predict_proba(held_out)[:, 1]
-                rows.append({"model": name, "num_paths": size} | scored(said, succeeded))
+                stands_in = name == CLAIMED and not can_hold_out(known)
+                rows.append({"model": name, "num_paths": size, "stands_in": stands_in} | scored(said, succeeded))
                 grasp = _inside(setting, estimators, name)
                 encoded = source.encode(log.episodes, None if name == SUCCESSION else grasp)
                 learners.append(encoded.learn_one(log, size))
@@ -116,11 +128,13 @@ def _fitted(tried: pd.DataFrame) -> dict[str, GraspEstimator]:
     # Threads gain nothing on matrices this small, wait for one another on a busy machine (a fit was seen to take 21 s
     # in place of 0.2), and add up in an order that depends on their number.
     with one_thread():
+        beta = BetaGrasp().fit(tried)
         return {
             SUCCESSION: SuccessionRule(),
-            "beta": BetaGrasp().fit(tried),
+            RIVAL: beta,
             "beta-dropped": BetaGrasp(censoring="none").fit(tried),
-            "svm": SVMGrasp().fit(tried),
+            # Where too few objects missed, λ cannot be chosen.
+            CLAIMED: SVMGrasp().fit(tried) if can_hold_out(tried) else beta,
         }
 
 

@@ -100,7 +100,17 @@ def _caption(design: GraspDesign, grasp: pd.DataFrame) -> str:
         "bands: 95 % intervals (Student’s t) of paired differences from the true model. Upper right: calibration, "
         f"where at least {FEWEST_SHOWN} attempts were predicted so. Below: the model within the features of the "
         "learned policy, where the rule of succession stands for the usual features, and within the heuristic that "
-        f"knows the rest of the world ({STRONGEST_RULE.label})."
+        f"knows the rest of the world ({STRONGEST_RULE.label}).{_stood_in(grasp)}"
+    )
+
+
+def _stood_in(grasp: pd.DataFrame) -> str:
+    num, rows = int(grasp["stood_in"].sum()), grasp[grasp["model"] == CLAIMED]
+    if not num:
+        return ""
+    return (
+        " Where fewer than two objects missed no SVM can be fitted, and the Beta mean stands in for it: "
+        f"{num} of {int(rows['repetitions'].sum())} fits."
     )
 
 

@@ -21,14 +21,15 @@ def tables_of(design: GraspDesign, setting: Setting, pieces: Pieces) -> Tables:
     Returns
     -------
     dict of pandas.DataFrame
-        ``grasp``: model, num_paths, cut_share, repetitions; and of each measure its mean, ``…_se``, ``…_low`` and
-        ``…_high``, and the same of ``…_over_oracle``, the paired difference from the true model.
+        ``grasp``: model, num_paths, cut_share, repetitions, and stood_in, in how many the Beta mean stood in for it; and
+        of each measure its mean, ``…_se``, ``…_low`` and ``…_high``, and the same of ``…_over_oracle``, the paired
+        difference from the true model.
         ``grasp_tests``: measure, num_paths, svm, beta, p_value, p_holm, effect, supported, effect_low, effect_high:
         whether the SVM is better than the Beta mean, tests as in Table 1; the effect is svm − beta.
         ``figure5``: model, num_paths, bin_from, attempts, mean_probability, share_succeeded, difference, se, low,
         high: calibration; the difference is share_succeeded − mean_probability.
     """
-    rows = stacked(pieces.repetitions, "grasp", *MEASURES, "bins")
+    rows = stacked(pieces.repetitions, "grasp", *MEASURES, "bins", "stands_in")
     found = {(row["num_paths"], row["model"]): row for row in rows}
     return {
         "grasp": _means(design, found),
@@ -41,7 +42,7 @@ def _means(design: GraspDesign, found: Found) -> pd.DataFrame:
     rows = []
     for (size, model), values in found.items():
         row: dict[str, Any] = {"model": model, "num_paths": size, "cut_share": design.cut_share}
-        row["repetitions"] = len(values["bins"])
+        row |= {"repetitions": len(values["bins"]), "stood_in": int(values["stands_in"].sum())}
         for measure in MEASURES:
             over = values[measure] - found[size, ORACLE][measure]
             for name, of in ((measure, values[measure]), (f"{measure}_over_oracle", over)):
