@@ -123,7 +123,8 @@ def _grasp(rng, index, lead):
             noise, attempts = rng.normal(size=4) * 0.001, rng.integers(100, 300, size=10)
             said = attempts * (np.arange(10) + 0.5) / 10
             successes = rng.binomial(attempts, said / attempts).tolist()
-            row = {"model": model, "num_paths": size, "log_loss": 0.5 + above + 0.01 * luck[0] + noise[0]}
+            row: dict = {"model": model, "num_paths": size, "stands_in": False}
+            row |= {"log_loss": 0.5 + above + 0.01 * luck[0] + noise[0]}
             row |= {"brier": 0.15 + above / 3 + 0.01 * luck[0] + noise[1]}
             row |= {"learned_reward": 9.0 + luck[1] - above + 0.1 * k + noise[2]}
             row |= {"heuristic_reward": 6.0 + luck[1] - above + noise[3]}

@@ -21,8 +21,8 @@ def tables_of(design: GraspDesign, setting: Setting, pieces: Pieces) -> Tables:
     Returns
     -------
     dict of pandas.DataFrame
-        ``grasp``: model, num_paths, cut_share, repetitions, and stood_in, in how many the Beta mean stood in for it; and
-        of each measure its mean, ``…_se``, ``…_low`` and ``…_high``, and the same of ``…_over_oracle``, the paired
+        ``grasp``: model, num_paths, cut_share, repetitions, and stood_in, in how many the Beta mean stood in for it;
+        and of each measure its mean, ``…_se``, ``…_low`` and ``…_high``, and the same of ``…_over_oracle``, the paired
         difference from the true model.
         ``grasp_tests``: measure, num_paths, svm, beta, p_value, p_holm, effect, supported, effect_low, effect_high:
         whether the SVM is better than the Beta mean, tests as in Table 1; the effect is svm − beta.
