@@ -140,8 +140,8 @@ class ClutterDesign:
 
 
 def _scaled_number(number: float, scale: float) -> float:
-    # A product in binary would not be the number that people read.
-    return float(f"{number * scale:.6g}")
+    # A product in binary would not be the number that people read; the world's own number stays as it is.
+    return number if scale == 1.0 else float(f"{number * scale:.6g}")
 
 
 def random_tables(
