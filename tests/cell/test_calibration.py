@@ -270,7 +270,7 @@ def test_a_law_of_other_objects_or_that_is_none_is_refused(law, tmp_path, what, 
 
 def test_a_law_of_another_arm_is_believed_with_a_warning(law, tmp_path, capsys):
     write_law(law, tmp_path / "law", {"arm": "six.xml (1234)"})
-    assert belief_of(tmp_path / "law", "six.xml (1234)").config.transport_s == law.time.rest_s
+    assert belief_of(str(tmp_path / "law"), "six.xml (1234)").config.transport_s == law.time.rest_s
     assert capsys.readouterr().err == ""
-    belief_of(tmp_path / "law", JACO_2.name)
+    belief_of(str(tmp_path / "law"), JACO_2.name)
     assert f"the law is of the arm six.xml (1234), and works here for {JACO_2.name}" in capsys.readouterr().err

@@ -1,11 +1,11 @@
 """The laws of a cell, as they were estimated, and the world that takes them."""
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from math import exp
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
 
 from halfseen.arrays import Rows
 from halfseen.cell.calibration.grasp_fit import CENTRES, NAMES, SCALES, GraspFit, fit_grasping
@@ -119,7 +119,7 @@ def fit_law(logs: Logs, horizon: int, limit_s: float) -> Law:
         grasp,
         estimate=_rounded(grasp.estimate),
         covariance=_rounded(grasp.covariance),
-        effective_sample_size=float(_rounded(grasp.effective_sample_size)),
+        effective_sample_size=round(grasp.effective_sample_size, _DIGITS),
     )
     seeing = replace(seeing, **{name: tuple(_rounded(getattr(seeing, name)).tolist()) for name in _CURVES})
     at_first = _grips(grasp, pd.DataFrame(logs.objects[logs.objects["stage"] == 1]))
@@ -133,6 +133,6 @@ def _grips(grasp: GraspFit, facts: pd.DataFrame) -> Rows:
     return np.sum(offsets, axis=0)
 
 
-def _rounded(values: ArrayLike) -> np.ndarray:
+def _rounded(values: np.ndarray | Sequence[float]) -> np.ndarray:
     """Digits far below the errors are dropped: machines differ in the last ones, and a law is the same on all."""
     return np.round(np.asarray(values, dtype=np.float64), _DIGITS)

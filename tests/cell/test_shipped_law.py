@@ -1,0 +1,44 @@
+"""The law that ships, beside the attempts that ship with it, and the logs of the physical cell."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from halfseen.cell.calibration.calibrate import HORIZON, law_of
+from halfseen.cell.calibration.clustered_share import clustered_share
+from halfseen.cell.calibration.law_folder import ATTEMPTS, read_law, write_law
+from halfseen.cell.calibration.shipped import shipped_law
+from halfseen.cell.calibration.trials import trials
+from halfseen.logs import read_logs
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "physical_cell" / "logs"
+"""Logs of 300 tables."""
+
+
+def test_its_attempts_give_it_again_to_the_last_bit(tmp_path):
+    logs = read_logs(shipped_law() / ATTEMPTS)
+    assert len(logs.stages) >= 6000
+    write_law(law_of(logs), tmp_path / "again", {})
+    assert (tmp_path / "again" / "law.safetensors").read_bytes() == (shipped_law() / "law.safetensors").read_bytes()
+    law = read_law(shipped_law()).law
+    assert law.grasp.num_decided + law.grasp.num_cut == len(trials(logs, HORIZON))
+
+
+def test_where_a_tenth_of_the_attempts_is_the_share_that_held_is_known_to_three_hundredths():
+    tried = trials(read_logs(shipped_law() / ATTEMPTS), HORIZON)
+    decided = pd.DataFrame(tried[tried["is_finished"]])
+    edges = np.array([0.0, 0.01, 0.2, 0.4, 0.6, 1.001])
+    place = np.searchsorted(edges, decided["occlusion"], side="right") - 1
+    for k in np.flatnonzero(np.bincount(place) >= 0.1 * len(decided)):
+        rows = pd.DataFrame(decided[place == k])
+        held, clusters = rows["succeeded"].to_numpy(dtype=bool), rows["path"].to_numpy()
+        share = clustered_share(held, np.full(len(rows), 0.97), np.ones(len(rows)), clusters)
+        assert (share.high - share.low) / 2 <= 0.03
+
+
+def test_the_logs_of_the_cell_are_of_300_tables_of_which_some_were_cut():
+    logs = read_logs(EXAMPLE)
+    assert logs.num_paths == 300
+    assert 0.3 < logs.summary().cut_share < 0.6
+    assert set(logs.paths["cause"].dropna()) == {"emergency-stop", "sensor-lost", "time-out"}
