@@ -9,6 +9,7 @@ from halfseen.logs import Logs
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.world import WorldConfig
 
+DECIDED = {"FINISH": 1}
 CONFIG = WorldConfig()
 
 
@@ -32,20 +33,26 @@ def told(runs):
 
 
 def test_without_cuts_the_mean_is_the_mean():
-    found = told([Run(reward=reward, seconds=10.0 + reward) for reward in (1.0, 3.0, 8.0)])
+    found = told([Run(verbs=DECIDED, reward=reward, seconds=10.0 + reward) for reward in (1.0, 3.0, 8.0)])
     assert found.reward.value == pytest.approx(4.0)
     assert found.reward.standard_error == pytest.approx(np.std([1, 3, 8], ddof=1) / np.sqrt(3))
     assert found.gap.value == pytest.approx(4.0 - found.predicted.value)
 
 
 def test_a_cut_table_is_stood_for_by_longer_ones():
-    runs = [Run(reward=1.0, seconds=10.0), Run(seconds=20.0, cause="battery"), Run(reward=7.0, seconds=30.0)]
+    runs = [
+        Run(verbs=DECIDED, reward=1.0, seconds=10.0),
+        Run(verbs=DECIDED, seconds=20.0, cause="battery"),
+        Run(verbs=DECIDED, reward=7.0, seconds=30.0),
+    ]
     assert told(runs).reward.value == pytest.approx((1.0 + 2 * 7.0) / 3)
     assert told(runs).causes == {"battery": 1}
 
 
 @pytest.mark.parametrize("num_finished", [0, 1])
 def test_where_nearly_all_was_cut_nothing_is_said(num_finished):
-    runs = [Run(reward=2.0, seconds=5.0)] * num_finished + [Run(seconds=9.0, cause="battery")] * (4 - num_finished)
+    runs = [Run(verbs=DECIDED, reward=2.0, seconds=5.0)] * num_finished + [
+        Run(verbs=DECIDED, seconds=9.0, cause="battery")
+    ] * (4 - num_finished)
     assert told(runs).reward is None
     assert told(runs).gap is None

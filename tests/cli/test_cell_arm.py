@@ -67,9 +67,9 @@ def test_an_arm_is_known_by_what_it_is_not_by_where_its_file_lies(six, tmp_path)
 
 def test_another_arm_does_not_go_on_with_a_run(monkeypatch, capsys, six, tmp_path):
     (tmp_path / "logs.running").mkdir()
-    before = "run, seed 0, policy greedy, law None, stops True, random share 0.0"
+    before = "run, seed 0, policy greedy, law assumed, stops True, random share 0.0"
     (tmp_path / "logs.running" / WHAT_FILE).write_text(before)
-    line = refused(monkeypatch, capsys, *RUN, "--out", tmp_path / "logs", "--arm", six)
+    line = refused(monkeypatch, capsys, *RUN, "--law", "assumed", "--out", tmp_path / "logs", "--arm", six)
     assert "random share 0.0, arm six.xml (" in line
 
 

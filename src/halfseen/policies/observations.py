@@ -4,7 +4,7 @@ import json
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import pandas as pd
@@ -26,6 +26,7 @@ from halfseen.world.seeing import AssumedSeeing, KnownSeeing
 STATE_FILES = (".json", ".csv")
 
 
+@runtime_checkable
 class SeenLaw(Protocol):
     """What a law of a cell tells of a view."""
 
