@@ -8,6 +8,8 @@ import pytest
 from click.testing import CliRunner
 
 from halfseen import cli
+from halfseen.cell.calibration.law_folder import read_law
+from halfseen.cell.calibration.shipped import shipped_law
 from halfseen.cli.act import act
 from halfseen.errors import ArgumentError, CloudError, HalfseenError, LogError, PolicyError
 from halfseen.learners import CensoredQLearner
@@ -17,6 +19,8 @@ from halfseen.policies import read_policy
 from halfseen.policies.folder import write_policy
 from halfseen.policies.observations import read_observation
 from halfseen.scene import table_paths
+from halfseen.world import TableWorld, UniformPolicy, WorldConfig
+from halfseen.world.seeing import label_evidence
 from small_logs import flat_log, table_log
 
 TABLE = table_paths()[7]
@@ -165,6 +169,24 @@ def test_labels_of_a_file_stand_before_colour_and_unknown_moves_nothing(tables, 
         assert np.sign(moved).tolist() == [-1, 1, 0, 0, 0]
         result = run(tables, cloud, "--labels", tmp_path / "labels.csv").output
         assert f"Labels by {tmp_path / 'labels.csv'} (dirty: 1; clean: 0; unknown: 2, 3, 4) moved" in result
+
+
+def test_a_label_is_worth_what_the_law_says_to_a_policy_that_counts_views(tables, coloured, tmp_path):
+    law = read_law(shipped_law()).law
+    cloud, view = coloured
+    logs = TableWorld(law.config(WorldConfig(horizon=3))).simulate([law.scene(view)], UniformPolicy(), 40, 0)
+    write_policy(CensoredQLearner.for_table(3, reg=0.1).fit(logs), logs, tmp_path / "counting")
+    assert read_policy(tmp_path / "counting").record["schema"]["counts_views"]
+    occluded = view.scene().occlusion
+    expected = label_evidence(*law.seeing.positive(occluded, 0.0), np.array([True, *[False] * 4]))
+    told, plain = (read_observation(read_policy(tmp_path / "counting"), file, law=law).state for file in (cloud, TABLE))
+    np.testing.assert_allclose(told.log_odds - plain.log_odds, expected, rtol=1e-4)
+    np.testing.assert_allclose(told.grip, law.scene(view).grip, rtol=1e-5)
+    by = f"DIRTY by {expected.min():+.2f} to {expected.max():+.2f}."
+    assert by in run(tmp_path / "counting", cloud).output
+    assert by in run(tmp_path / "counting", cloud, "--law", "shipped").output
+    assert by not in run(tmp_path / "counting", cloud, "--law", "assumed").output
+    assert "every label is news to it; leave --law out" in str(refused(tables, cloud, "--law", "shipped"))
 
 
 def test_what_a_history_holds_is_not_counted_again(tables, begun, coloured):

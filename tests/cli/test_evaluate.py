@@ -121,6 +121,7 @@ def test_help_has_an_example():
         (["policy"], "give either --logs"),
         (["policy", "--logs", "aside", "--world"], "give either --logs"),
         (["policy", "cloud.ply", "--logs", "aside"], "clouds are tables to play with --world"),
+        (["policy", "--logs", "aside", "--law", "shipped"], "a law of the world that --world plays"),
         (["policy", "--world"], "takes named actions"),
         (["nowhere", "--logs", "aside"], "nowhere"),
         (["policy", "--logs", "nowhere"], "nowhere"),

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     "--stage", type=click.IntRange(min=1), help="Stage to decide, from 1; by default as the input says, or 1."
 )
 @options.labels
-@law_option(SHIPPED)
+@law_option(None, f"Of a table, where it is {SHIPPED} by default. ")
 @options.as_json
 @options.unused_seed
 def act(
@@ -31,7 +31,7 @@ def act(
     history: Path | None,
     stage: int | None,
     labels: Path | None,
-    law: str,
+    law: str | None,
     as_json: bool,
     seed: int,
 ) -> None:
@@ -44,12 +44,19 @@ def act(
     For a policy of named actions, CLOUD is a JSON object such as {"x1": 0.3, "x2": 1, "stage": 2}, or a CSV file with a
     header and one row.
     """
+    from halfseen.errors import ArgumentError
     from halfseen.policies import decider_of, read_policy
     from halfseen.policies.observations import read_observation
 
     stored = read_policy(policy)
     counts_views = stored.is_table and stored.record["schema"].get("counts_views", False)
-    observation = read_observation(stored, cloud, history, stage, labels, law_of(law) if counts_views else None)
+    if law is not None and not counts_views:
+        raise ArgumentError(
+            f"--law is {law}, but the policy learned from logs that do not count what has been in view, so that every "
+            "label is news to it; leave --law out"
+        )
+    known = law_of(law or SHIPPED) if counts_views else None
+    observation = read_observation(stored, cloud, history, stage, labels, known)
     seen = getattr(observation, "seen", "")  # of tables only
     decision = decider_of(stored).decide(observation)
     decision = replace(decision, warnings=(*decision.warnings, *stored.doubts))

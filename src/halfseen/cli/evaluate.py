@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 @click.option("--logs", type=options.PATH, help="Folder of logs that another policy made.")
 @options.against
 @click.option("--world", "in_world", is_flag=True, help="Play the tables of CLOUDS in the simulated world instead.")
-@law_option(ASSUMED)
+@law_option(None, f"Of --world, where it is {ASSUMED} by default. ")
 @options.policys_censoring
 @click.option(
     "--censoring-by", type=options.CLOCKS, help="Clock of the cuts, as in learn; by default the policy's own."
@@ -57,7 +57,7 @@ def evaluate(
     logs: Path | None,
     against: tuple[str, ...],
     in_world: bool,
-    law: str,
+    law: str | None,
     level: float,
     episodes: int,
     seed: int,
@@ -78,11 +78,13 @@ def evaluate(
         raise ArgumentError("give either --logs with a folder of logs, or --world to play in the simulated world")
     if clouds and not in_world:
         raise ArgumentError(f"{clouds[0]}: clouds are tables to play with --world, and --logs is given; leave one out")
+    if law is not None and not in_world:
+        raise ArgumentError(f"--law is {law}, a law of the world that --world plays, and --logs is given; leave it out")
     if against and in_world:
         raise ArgumentError("--against compares by logs, and --world plays the heuristics anyway; leave one out")
     stored = read_policy(policy)
     if logs is None:
-        report, lines = _by_world(stored, clouds, law, episodes, seed, level)
+        report, lines = _by_world(stored, clouds, law or ASSUMED, episodes, seed, level)
     else:
         report, lines = _by_logs(stored, logs, seed, level, against=list(against) or None, **chosen)
     report = {"policy": str(policy), "seed": seed, **report}

@@ -11,14 +11,14 @@ if TYPE_CHECKING:
 ASSUMED, SHIPPED = "assumed", "shipped"
 
 
-def law_option(default: str) -> Any:
-    """The option, and what it names where nothing is said."""
+def law_option(default: str | None, of: str = "") -> Any:
+    """The option, and what it names where nothing is said; None where the command must know that nothing was."""
     return click.option(
         "--law",
         default=default,
-        show_default=True,
+        show_default=default is not None,
         metavar="FOLDER",
-        help=f"Law of grasping and seeing: a folder that `halfseen cell calibrate` wrote, {SHIPPED} (with this "
+        help=f"{of}Law of grasping and seeing: a folder that `halfseen cell calibrate` wrote, {SHIPPED} (with this "
         f"package), or {ASSUMED}.",
     )
 
