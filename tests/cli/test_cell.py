@@ -3,11 +3,14 @@
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from halfseen.cli import main
+from halfseen.cell.calibration.law_folder import read_law, write_law
+from halfseen.cell.calibration.shipped import shipped_law
+from halfseen.cell.campaign import WHAT_FILE
 from halfseen.learners import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.policies import write_policy
@@ -17,42 +20,50 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 RUN = ["run", "--policy", "greedy", "--tables", "2"]
 
 
-def refused(monkeypatch, capsys, *words):
-    monkeypatch.setattr("sys.argv", ["halfseen", "cell", *map(str, words)])
-    with pytest.raises(SystemExit) as stopped:
-        main()
-    assert stopped.value.code == 2
-    (line,) = capsys.readouterr().err.strip().splitlines()
-    return line
-
-
-def test_a_policy_or_a_law_that_is_not_there(monkeypatch, capsys, tmp_path):
+def test_a_policy_or_a_law_that_is_not_there(refused, tmp_path):
     out = ["--out", tmp_path / "logs"]
-    assert "halfseen learn" in refused(monkeypatch, capsys, "run", "--policy", tmp_path / "none", *out)
-    assert "cell calibrate" in refused(monkeypatch, capsys, *RUN, "--law", tmp_path / "none", *out)
+    assert "halfseen learn" in refused("cell", "run", "--policy", tmp_path / "none", *out)
+    assert "cell calibrate" in refused("cell", *RUN, "--law", tmp_path / "none", *out)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_is_there_is_replaced_only_if_it_is_of_the_kind(monkeypatch, capsys, tmp_path):
+def test_what_is_there_is_replaced_only_if_it_is_of_the_kind(refused, tmp_path):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.txt").touch()
     for words in (RUN, ["calibrate"]):
-        assert "--overwrite" in refused(monkeypatch, capsys, *words, "--out", tmp_path / "mine")
-        assert "not replaced" in refused(monkeypatch, capsys, *words, "--out", tmp_path / "mine", "--overwrite")
+        assert "--overwrite" in refused("cell", *words, "--out", tmp_path / "mine")
+        assert "not replaced" in refused("cell", *words, "--out", tmp_path / "mine", "--overwrite")
     assert [path.name for path in (tmp_path / "mine").iterdir()] == ["thesis.txt"]
 
 
-def test_logs_that_are_of_no_cell(monkeypatch, capsys, tmp_path):
-    line = refused(
-        monkeypatch, capsys, "calibrate", "--from", EXAMPLES / "pick_cell" / "logs", "--out", tmp_path / "law"
-    )
+def test_logs_that_are_of_no_cell(refused, tmp_path):
+    line = refused("cell", "calibrate", "--from", EXAMPLES / "pick_cell" / "logs", "--out", tmp_path / "law")
     assert "no objects" in line or "has none" in line
-    refused(monkeypatch, capsys, "calibrate", "--from", tmp_path, "--out", tmp_path / "law")
+    refused("cell", "calibrate", "--from", tmp_path, "--out", tmp_path / "law")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_film_that_is_no_gif(monkeypatch, capsys, tmp_path):
-    line = refused(monkeypatch, capsys, "film", "--policy", "greedy", "--out", tmp_path / "film.mp4")
+def test_attempts_of_a_law_are_fitted_again_as_they_were_made(typed, tmp_path):
+    assert typed("cell", "calibrate", "--from", shipped_law(), "--seed", 7, "--out", tmp_path / "law").status == 0
+    again, shipped = (read_law(folder).record for folder in (tmp_path / "law", shipped_law()))
+    assert again == shipped
+    assert {path.name for path in (tmp_path / "law").iterdir()} == {path.name for path in shipped_law().iterdir()}
+
+
+def test_a_run_is_not_gone_on_with_under_another_law_of_the_same_name(refused, typed, tmp_path):
+    law, words = tmp_path / "law", [*RUN, "--law", tmp_path / "law", "--out", tmp_path / "logs"]
+    typed("cell", "calibrate", "--from", shipped_law(), "--out", law)
+    (tmp_path / "logs.running").mkdir()
+    (tmp_path / "logs.running" / WHAT_FILE).write_text("run")
+    first = refused("cell", *words)
+    write_law(replace(read_law(law).law, limit_s=9.0), law, {}, overwrite=True)
+    second = refused("cell", *words)
+    assert f"law {law} (" in first
+    assert first != second
+
+
+def test_a_film_that_is_no_gif(refused, tmp_path):
+    line = refused("cell", "film", "--policy", "greedy", "--out", tmp_path / "film.mp4")
     assert "film.mp4: a film is an animated .gif" in line
 
 
@@ -78,7 +89,7 @@ def test_physics_needs_no_opengl():
     assert alone("none", "-c", program).stderr == ""
 
 
-def test_a_policy_of_other_things_than_tables(monkeypatch, capsys, tmp_path):
+def test_a_policy_of_other_things_than_tables(refused, tmp_path):
     number = list(range(20))
     stages = {"path": number, "stage": [1] * 20, "elapsed_s": [1.0] * 20, "action": ["A", "B"] * 10}
     stages |= {"reward": [float(k % 5) for k in number], "x": [float(k % 3) for k in number]}
@@ -86,5 +97,5 @@ def test_a_policy_of_other_things_than_tables(monkeypatch, capsys, tmp_path):
     fixed = {"q_function": "linear", "censoring": "kaplan-meier", "stages": "separate", "reg": 0.1, "pessimism": 0.0}
     learner = CensoredQLearner(horizon=1, actions=["A", "B"], covariates=["x"], **fixed).fit(logs)
     write_policy(learner, logs, tmp_path / "policy")
-    line = refused(monkeypatch, capsys, "run", "--policy", tmp_path / "policy", "--out", tmp_path / "logs")
+    line = refused("cell", "run", "--policy", tmp_path / "policy", "--out", tmp_path / "logs")
     assert "no policy of tables" in line

@@ -6,7 +6,6 @@ import pytest
 from click.testing import CliRunner
 
 from halfseen.cell.campaign import WHAT_FILE
-from halfseen.cli import main
 from halfseen.cli.arms import robot_for
 from halfseen.cli.cell_run import run
 from halfseen.logs import read_logs
@@ -21,15 +20,6 @@ def six(tmp_path):
     return tmp_path / "six.xml"
 
 
-def refused(monkeypatch, capsys, *words):
-    monkeypatch.setattr("sys.argv", ["halfseen", "cell", *map(str, words)])
-    with pytest.raises(SystemExit) as stopped:
-        main()
-    assert stopped.value.code == 2
-    (line,) = capsys.readouterr().err.strip().splitlines()
-    return line
-
-
 @pytest.mark.parametrize(
     ("given", "message"),
     [
@@ -42,14 +32,14 @@ def refused(monkeypatch, capsys, *words):
         (["--joints", "pan"], "--joints is of an arm from a file; give the file by --arm"),
     ],
 )
-def test_an_arm_that_does_not_fit_is_refused(monkeypatch, capsys, six, tmp_path, given, message):
+def test_an_arm_that_does_not_fit_is_refused(refused, six, tmp_path, given, message):
     tiny = [("0 0 0.05", axis, "-170 170") for axis in ("0 0 1", "0 1 0", "0 0 1", "0 1 0", "0 0 1", "0 1 0")]
     (tmp_path / "tiny.xml").write_text(seven(tiny))
     (tmp_path / "shapes").mkdir()
     (tmp_path / "shapes" / "hull.obj").write_text(HULL)
     words = [word.format(tmp_path) for word in given]
     for verb in (RUN, ("calibrate", "--attempts", "50")):
-        line = refused(monkeypatch, capsys, *verb, "--out", tmp_path / "out", *words)
+        line = refused("cell", *verb, "--out", tmp_path / "out", *words)
         assert message.format(tmp_path) in line
     assert sorted(path.name for path in tmp_path.iterdir()) == ["shapes", "six.xml", "tiny.xml"]
 
@@ -65,16 +55,16 @@ def test_an_arm_is_known_by_what_it_is_not_by_where_its_file_lies(six, tmp_path)
     assert robot_for(tmp_path / "longer.xml", None, None)[1].split("(")[1] != name.split("(")[1]
 
 
-def test_another_arm_does_not_go_on_with_a_run(monkeypatch, capsys, six, tmp_path):
+def test_another_arm_does_not_go_on_with_a_run(refused, six, tmp_path):
     (tmp_path / "logs.running").mkdir()
     before = "run, seed 0, policy greedy, law assumed, stops True, random share 0.0"
     (tmp_path / "logs.running" / WHAT_FILE).write_text(before)
-    line = refused(monkeypatch, capsys, *RUN, "--law", "assumed", "--out", tmp_path / "logs", "--arm", six)
+    line = refused("cell", *RUN, "--law", "assumed", "--out", tmp_path / "logs", "--arm", six)
     assert "random share 0.0, arm six.xml (" in line
 
 
-def test_attempts_that_were_made_have_their_arm(monkeypatch, capsys, six, tmp_path):
-    line = refused(monkeypatch, capsys, "calibrate", "--from", tmp_path, "--arm", six, "--out", tmp_path / "law")
+def test_attempts_that_were_made_have_their_arm(refused, six, tmp_path):
+    line = refused("cell", "calibrate", "--from", tmp_path, "--arm", six, "--out", tmp_path / "law")
     assert "--arm" in line
     assert "leave it out" in line
 

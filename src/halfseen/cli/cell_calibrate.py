@@ -56,7 +56,7 @@ def calibrate(
     """
     load_mujoco()
     from halfseen.cell.calibration.calibrate import attempts_of, law_of
-    from halfseen.cell.calibration.law_folder import ATTEMPTS, LAW, VISIBLE_ONLY, write_law
+    from halfseen.cell.calibration.law_folder import ATTEMPTS, LAW, VISIBLE_ONLY, read_law, write_law
     from halfseen.cell.campaign import Conditions, working_folder
     from halfseen.errors import ArgumentError
     from halfseen.logs import read_logs
@@ -67,7 +67,7 @@ def calibrate(
     if given is not None and arm is not None:
         raise ArgumentError(f"--arm is {arm}, but {given} holds attempts of some arm already; leave it out")
     robot, arm_name = robot_for(arm, flange, joints)
-    told: dict[str, Any] = {"seed": seed} if given else {"seed": seed, "arm": arm_name}
+    told: dict[str, Any] = {"seed": seed, "arm": arm_name}
 
     def fitted(logs: "Logs", contrast: "Logs | None") -> dict[str, Any]:
         law = law_of(logs)
@@ -76,11 +76,12 @@ def calibrate(
         return report_of(law, logs) | told
 
     if given is not None:
-        is_law = (given / ATTEMPTS).is_dir()
-        beside = given / VISIBLE_ONLY
-        report = fitted(
-            read_logs(given / ATTEMPTS if is_law else given), read_logs(beside) if beside.is_dir() else None
-        )
+        # A log does not say how it was made; the folder of a law does.
+        is_law, beside = (given / ATTEMPTS).is_dir(), given / VISIBLE_ONLY
+        record = read_law(given).record if is_law else {}
+        told = {name: record[name] for name in told if name in record}
+        contrast = read_logs(beside) if beside.is_dir() else None
+        report = fitted(read_logs(given / ATTEMPTS if is_law else given), contrast)
     else:
         # What was recorded goes when the law is written, not before: attempts take hours.
         what = f"calibrate, seed {seed}" + (f", arm {arm_name}" if arm else "")

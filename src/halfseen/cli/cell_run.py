@@ -1,5 +1,6 @@
 """``halfseen cell run``: a policy clears fresh tables in physics."""
 
+import hashlib
 import json
 from dataclasses import asdict
 from functools import partial
@@ -76,7 +77,8 @@ def run(
     belief = belief_of(law, arm_name)
     policy = policy_of(name, random_share, belief.config)
     campaign = Campaign(policy, belief, Conditions(robot=robot, stops=Stops() if stops else None), seed)
-    what = f"run, seed {seed}, policy {name}, law {law}, stops {stops}, random share {random_share}"
+    told = f"policy {name}{_digest(Path(name))}, law {law}{_digest(law_folder(law))}"
+    what = f"run, seed {seed}, {told}, stops {stops}, random share {random_share}"
     what += f", arm {arm_name}" if arm else ""
     with working_folder(out, what, refuse) as folder, progress(tables, "tables") as bar:
         runs = []
@@ -88,6 +90,12 @@ def run(
         logs.write(out, overwrite=overwrite)
     report = {"folder": str(out), "policy": name, "arm": arm_name, "sentence": str(logs.summary()), **asdict(summary)}
     click.echo(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))
+
+
+def _digest(folder: Path | None) -> str:
+    """What a folder of a policy or a law holds, in a few letters; nothing for what is known by its name."""
+    files = [] if folder is None else sorted(folder.glob("*.sha256"))
+    return f" ({hashlib.sha256(files[0].read_bytes()).hexdigest()[:12]})" if files else ""
 
 
 def belief_of(name: str, arm_name: str) -> "Belief":
