@@ -1,3 +1,4 @@
+import pandas as pd
 import pytest
 from example_map import WORLD, example_table
 
@@ -87,3 +88,18 @@ def test_a_map_of_one_place_has_words():
 )
 def test_levels_in_words(factor, value, words):
     assert factor_words(factor, value, WORLD) == words
+
+
+def test_the_assumed_laws_are_counted_apart():
+    table = example_table(lambda place: 0.3 if place.num_objects == 3 else 0.0)
+    beside = table.head(9).assign(is_assumed=True)
+    alone, both = (map_title(each, WORLD) for each in (table, pd.concat([table, beside])))
+    num = int((beside["verdict"] == LEARN).sum())
+    assert 0 < num < 9
+    assert both == f"{alone}; under the assumed laws, these are {num} and {9 - num} of 9"
+
+
+def test_what_is_hardly_ever_so_does_not_stand_out():
+    table = example_table(lambda place: 0.0)
+    table.loc[:1, "verdict"] = LEARN
+    assert map_title(table, WORLD).startswith("Learning pays in 2 of 99 places; the best heuristic")

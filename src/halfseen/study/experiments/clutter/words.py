@@ -9,6 +9,9 @@ from halfseen.study.experiments.clutter.table import ENOUGH, LEARN, NO_SCALE, UN
 from halfseen.study.wording import learned_from
 from halfseen.world.config import WorldConfig
 
+FEWEST = 3
+"""Places with a verdict below which nothing is said to stand out."""
+
 
 class Level(NamedTuple):
     """How often a verdict falls where one factor has one value."""
@@ -25,16 +28,26 @@ class Level(NamedTuple):
 
 
 def map_title(table: pd.DataFrame, world: WorldConfig) -> str:
-    """Say in one sentence what the figure of the map shows."""
-    pays, enough = (_where(table, verdict, world) for verdict in (LEARN, ENOUGH))
-    return f"Learning pays {pays}; the best heuristic is good enough {enough}"
+    """Say in one sentence what the figure of the map shows; where the assumed laws are beside it, they are apart."""
+    is_assumed = table["is_assumed"]
+    own, assumed = pd.DataFrame(table[~is_assumed]), pd.DataFrame(table[is_assumed])
+    pays, enough = (_where(own, verdict, world) for verdict in (LEARN, ENOUGH))
+    told = f"Learning pays {pays}; the best heuristic is good enough {enough}"
+    if assumed.empty:
+        return told
+    pays, enough = (_count(assumed, verdict) for verdict in (LEARN, ENOUGH))
+    return f"{told}; under the assumed laws, these are {pays} and {enough} of {len(assumed)}"
+
+
+def _count(table: pd.DataFrame, verdict: str) -> int:
+    return int((table["verdict"] == verdict).sum())
 
 
 def map_sentence(table: pd.DataFrame, design: ClutterDesign, world: WorldConfig) -> str:
     """Say where to learn and where the best heuristic is good enough, and what that is taken from."""
     bound = f"{_percent(design.worthwhile_share)} of what the best heuristic earns above finishing at once"
     lost = int((table["gain_share_high"] < 0).sum())
-    undecided, unscaled = (int((table["verdict"] == verdict).sum()) for verdict in (UNDECIDED, NO_SCALE))
+    undecided, unscaled = (_count(table, verdict) for verdict in (UNDECIDED, NO_SCALE))
     return (
         f"{map_title(table, world)}. It pays where the policy {learned_from(design.num_paths, design.cut_share)} gains "
         f"more than {bound}, and the heuristic is good enough where it gains less (a loss in {lost} places); "
@@ -45,12 +58,12 @@ def map_sentence(table: pd.DataFrame, design: ClutterDesign, world: WorldConfig)
 
 def _where(table: pd.DataFrame, verdict: str, world: WorldConfig) -> str:
     """Say in how many places a verdict falls, and where it stands out."""
-    num = int((table["verdict"] == verdict).sum())
+    num = _count(table, verdict)
     if num in (0, len(table)):
         return "everywhere" if num else "nowhere"
     places = f"in {num} of {len(table)} places"
     level = most_telling(levels(table, verdict))
-    if level is None:
+    if level is None or level.num_verdicts < FEWEST:
         return places
     words = factor_words(level.factor, level.value, world)
     return f"{places}, most often where {words} ({level.num_verdicts} of {level.num_places})"
@@ -63,7 +76,6 @@ def levels(table: pd.DataFrame, verdict: str) -> list[Level]:
     another factor is never laid at its door.
     """
     found = []
-    table = pd.DataFrame(table[~table["is_assumed"]])
     for factor in FACTORS:
         tried = table.groupby([name for name in FACTORS if name != factor])[factor].transform("nunique")
         compared = table[tried == tried.max()]
