@@ -3,14 +3,15 @@
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from halfseen.cell.calibration.calibrate import HORIZON, law_of
-from halfseen.cell.calibration.clustered_share import clustered_share
+from halfseen.cell.calibration.clustered_share import shares_by
 from halfseen.cell.calibration.law_folder import ATTEMPTS, read_law, write_law
+from halfseen.cell.calibration.occlusion_bins import occlusion_bins
 from halfseen.cell.calibration.shipped import shipped_law
 from halfseen.cell.calibration.trials import trials
 from halfseen.logs import read_logs
+from halfseen.tables.grasp.inputs import checked_attempts
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "physical_cell" / "logs"
 """Logs of 300 tables."""
@@ -27,14 +28,13 @@ def test_its_attempts_give_it_again_to_the_last_bit(tmp_path):
 
 def test_where_a_tenth_of_the_attempts_is_the_share_that_held_is_known_to_three_hundredths():
     tried = trials(read_logs(shipped_law() / ATTEMPTS), HORIZON)
-    decided = pd.DataFrame(tried[tried["is_finished"]])
-    edges = np.array([0.0, 0.01, 0.2, 0.4, 0.6, 1.001])
-    place = np.searchsorted(edges, decided["occlusion"], side="right") - 1
-    for k in np.flatnonzero(np.bincount(place) >= 0.1 * len(decided)):
-        rows = pd.DataFrame(decided[place == k])
-        held, clusters = rows["succeeded"].to_numpy(dtype=bool), rows["path"].to_numpy()
-        share = clustered_share(held, np.full(len(rows), 0.97), np.ones(len(rows)), clusters)
-        assert (share.high - share.low) / 2 <= 0.03
+    decided = checked_attempts(tried)
+    met = tried.iloc[decided.row]
+    bins, nothing = occlusion_bins(met["occlusion"].to_numpy()), np.zeros(len(met))
+    found = shares_by(bins, decided.succeeded, nothing, decided.weight, met["path"].to_numpy())
+    full = [share for share in found.values() if share.num_attempts >= 0.1 * len(met)]
+    assert len(full) == 4
+    assert all((share.high - share.low) / 2 <= 0.03 for share in full)
 
 
 def test_the_logs_of_the_cell_are_of_300_tables_of_which_some_were_cut():

@@ -9,6 +9,7 @@
       attempts/         the log that they were estimated from, if it is kept; and with it
       held.svg, .png    how often attempts held, and what the law says of them
       labels.svg, .png  what labels say by how much was in view
+      attempts-visible-only/  attempts of grasps that were planned from visible points alone, if there are some
 """
 
 import json

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from halfseen.cell.calibration import law_folder
 from halfseen.pages.palette import BLUE, GREEN, INK, PINK, RED, SOFT
 
 RATE, BETA, SVM, SVM_FACTS, SVM_SET, LAW = "rate", "beta", "svm", "svm-facts", "svm-set", "law"
@@ -39,8 +40,8 @@ class Planner(NamedTuple):
 
 COMPLETED, VISIBLE_ONLY = "completed", "visible-only"
 PLANNERS = {
-    COMPLETED: Planner("attempts", "where hidden shape is completed"),
-    VISIBLE_ONLY: Planner("attempts-visible-only", "where only visible points count"),
+    COMPLETED: Planner(law_folder.ATTEMPTS, "where hidden shape is completed"),
+    VISIBLE_ONLY: Planner(law_folder.VISIBLE_ONLY, "where only visible points count"),
 }
 
 
