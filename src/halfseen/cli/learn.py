@@ -71,8 +71,9 @@ class _Or(click.ParamType):
 )
 @click.option(
     "--grasp",
-    type=click.Choice(["laplace", "beta"]),
-    help="Of a table: what tells the probability of a grasp, the rule of succession (laplace) or a Beta regression.",
+    type=click.Choice(["auto", "laplace", "beta"]),
+    help="Of a table: what tells the probability of a grasp, the rule of succession (laplace) or a Beta regression; by "
+    "default the log decides.",
 )
 @click.option("--reg", type=_Or("cv"), default="cv", show_default=True, help="λ, or cv to choose it over paths.")
 @click.option(

@@ -1,6 +1,6 @@
 """Which learner suits a log: of tables where it has objects, else of the actions that were seen at each stage."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,12 +9,13 @@ from halfseen.learners.q_learning.covariates import unfit_covariates
 from halfseen.learners.q_learning.q_learner import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.tables.grasp.beta_grasp import BetaGrasp
+from halfseen.tables.grasp.choice import AUTO
 
 TABLE_HORIZON = 10
 """Stages that a path on a table may have, unless the log has longer ones."""
 
-GRASPS = {"laplace": lambda: None, "beta": BetaGrasp}
-"""What tells the probability of a grasp, by name: the rule of succession, or a Beta regression."""
+GRASPS: dict[str, Callable[[], Any]] = {"auto": lambda: AUTO, "laplace": lambda: None, "beta": BetaGrasp}
+"""What tells the probability of a grasp, by name: by the log; the rule of succession; a Beta regression."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ def learner_for(
     """
     if logs.objects is not None and covariates is None:
         length = max(TABLE_HORIZON, logs.horizon) if horizon is None else horizon
-        estimator = GRASPS[grasp or "laplace"]()
+        estimator = GRASPS[grasp or AUTO]()
         learner = CensoredQLearner.for_table(length, grasp=estimator, **parameters)
         return LearnerChoice(learner, _horizon_notes(logs, horizon, length))
     if grasp is not None:

@@ -83,7 +83,7 @@ def table_columns(state: TableState, grasp: GraspModel | None = None) -> Columns
     doubt = 4.0 * is_dirty * (1.0 - is_dirty)
     in_sight, laid_bare = _sight(state)
     unseen = 1.0 - state.seen
-    ease = in_sight * _grip(state) if grasp is None else grasp.probability(state)
+    ease = in_sight * succession(*attempt_counts(state), state.grip) if grasp is None else grasp.probability(state)
     soon = ease * _win_after_look(is_dirty, jnp.where(state.seen > 0.0, 0.0, in_sight))
     clearer = ease * (ease * _win_after_look(is_dirty, unseen) - soon)
     best = jnp.max(jnp.where(state.is_on_table, soon, 0.0), initial=0.0)
@@ -155,10 +155,11 @@ def _win_after_look(is_dirty: Float[Array, " N"], shown: Float[Array, " N"]) -> 
     return (jax.nn.relu(is_dirty - 0.5 + step) + jax.nn.relu(is_dirty - 0.5 - step)) / 2.0
 
 
-def _grip(state: TableState) -> Float[Array, " N"]:
-    """Rule of succession, times what is seen of the object."""
-    successes, failures = attempt_counts(state)
-    likelier = (1.0 + LIKELY_ODDS) / (LIKELY_ODDS + jnp.exp(-state.grip))
+def succession(
+    successes: Float[Array, " N"], failures: Float[Array, " N"], grip: Float[Array, " N"]
+) -> Float[Array, " N"]:
+    """Rule of succession for a grip, times what shows of it: P(held) of objects that are wholly in sight."""
+    likelier = (1.0 + LIKELY_ODDS) / (LIKELY_ODDS + jnp.exp(-grip))
     return (1.0 + successes) / (1.0 + successes + failures) * likelier
 
 

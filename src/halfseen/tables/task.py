@@ -16,7 +16,9 @@ from halfseen.learners.q_learning.task import Encoded, LearnedQ
 from halfseen.logs import Logs
 from halfseen.tables.censoring_covariates import NUM_AT_BEGIN, TABLE_COVARIATES, table_covariates
 from halfseen.tables.encoding import encode_tables
-from halfseen.tables.grasp.grasp_table import GraspEstimator, grasp_model_of
+from halfseen.tables.grasp.choice import AUTO, choose_grasp
+from halfseen.tables.grasp.grasp_table import grasp_model_of
+from halfseen.tables.grasp.protocol import GraspEstimator
 from halfseen.tables.table_policy import LinearTablePolicy
 from halfseen.tables.target_probabilities import table_probabilities
 from halfseen.tables.variance_reduction import expected_rewards, label_control_variates, wash_outcomes
@@ -31,14 +33,19 @@ class TableTask:
     ----------
     grasp
         What tells the probability of a grasp: None for the rule of succession; `BetaGrasp` or `SVMGrasp`, which is
-        fitted to the attempts of the log unless it is fitted already; or any `GraspModel`.
+        fitted to the attempts of the log unless it is fitted already; any `GraspModel`; or ``"auto"``, the rule of
+        succession unless a Beta regression foretells the log's own attempts better (`halfseen.tables.grasp.choice`);
+        until it is fitted, the rule of succession.
     reduces_variance
         Takes the noise of dirty or clean and that of the labels out of the targets of eq. 3; it rests on the log-odds
         of DIRTY being right (see `variance_reduction`).
+    chosen
+        What was chosen by itself, and why.
     """
 
-    grasp: Any = None
+    grasp: Any = AUTO
     reduces_variance: bool = True
+    chosen: tuple[str, ...] = ()
 
     block_names = tuple(verb.name for verb in Verb)
     end_action = FINISH
@@ -52,13 +59,20 @@ class TableTask:
         is_open = isinstance(self.grasp, GraspEstimator) and not is_fitted(self.grasp)
         return f"grasp={self.grasp!r}, which is not fitted," if is_open else None
 
+    @property
+    def _is_open(self) -> bool:
+        return isinstance(self.grasp, str) and self.grasp == AUTO
+
     def fitted(self, logs: Logs, horizon: int) -> "TableTask":
-        """Fit the grasp model."""
-        return replace(self, grasp=grasp_model_of(self.grasp, logs, horizon))
+        """Fit the grasp model, once it is chosen."""
+        if not self._is_open:
+            return replace(self, grasp=grasp_model_of(self.grasp, logs, horizon))
+        choice = choose_grasp(logs, horizon)
+        return replace(self, grasp=choice.grasp, chosen=(choice.sentence,))
 
     def encode(self, logs: Logs, horizon: int) -> Encoded:
         """Encode every stage of a log of tables."""
-        return encode_tables(logs, horizon, self.grasp)
+        return encode_tables(logs, horizon, None if self._is_open else self.grasp)
 
     def block_of_action(self, num_actions: int) -> Int[np.ndarray, " A"]:
         """Block of each action: its verb."""

@@ -149,7 +149,7 @@ class CensoredQLearner(BaseEstimator):
         cls,
         horizon: int = 10,
         *,
-        grasp: Any = None,
+        grasp: Any = AUTO,
         reduces_variance: bool = True,
         **parameters: Any,
     ) -> "CensoredQLearner":
@@ -230,10 +230,11 @@ class CensoredQLearner(BaseEstimator):
 
     def _with_stages(self, model: QModel, paths: PathArrays) -> tuple[QModel, tuple[str, ...]]:
         """Choose between pooled and separate stages, where that is not said and makes a difference."""
+        by_task = tuple(getattr(model.task, "chosen", ()))
         if not _is_auto(self.stages) or not can_choose(model, paths):
-            return model, ()
+            return model, by_task
         choice = choose_stages(model, paths)
-        return replace(model, stages=choice.stages), (choice.sentence,)
+        return replace(model, stages=choice.stages), (*by_task, choice.sentence)
 
     def q_values(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
         """Q̂ of every action in a stage (from 1), for each row of covariates; named actions only."""

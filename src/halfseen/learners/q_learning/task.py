@@ -53,7 +53,10 @@ class LearnedQ(NamedTuple):
 
 @runtime_checkable
 class Task(Protocol):
-    """How the logs of one kind of problem become arrays, and Q-functions a policy."""
+    """How the logs of one kind of problem become arrays, and Q-functions a policy.
+
+    A task that chooses something by the log may say what and why in `chosen`, a tuple of sentences.
+    """
 
     @property
     def block_names(self) -> tuple[str, ...]:

@@ -10,7 +10,8 @@ from halfseen.learners.q_learning.kernel_map import KernelMap
 
 Arrays = Mapping[str, np.ndarray]
 
-COEFFICIENTS, MARGIN, BEHAVIOUR, GRASP = "coefficients", "margin", "behaviour", "grasp.chances"
+COEFFICIENTS, MARGIN, BEHAVIOUR = "coefficients", "margin", "behaviour"
+GRASP, PER_GRIP = "grasp.chances", "grasp.per_grip"
 KERNEL_NAMES = ("centre", "scale", "landmarks", "projection", "gamma")
 TREND = "kernel.trend"
 
@@ -83,6 +84,8 @@ def check_arrays(arrays: Arrays, shape: Shape, *, may_grasp: bool = False) -> No
     if GRASP in arrays and may_grasp:
         levels, most, _ = _sizes(arrays, GRASP, 3)
         wanted[GRASP] = (max(levels, 2), max(most, 1), max(most, 1))
+        # Older folders lack it.
+        wanted |= {PER_GRIP: ()} if PER_GRIP in arrays else {}
     wanted[COEFFICIENTS] = (shape.horizon, shape.num_blocks, 1 + num_inputs)
     if MARGIN in arrays:
         wanted[MARGIN] = (*wanted[COEFFICIENTS], 1 + num_inputs)

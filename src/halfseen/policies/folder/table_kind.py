@@ -14,6 +14,7 @@ from halfseen.policies.folder.arrays import (
     COEFFICIENTS,
     GRASP,
     MARGIN,
+    PER_GRIP,
     Arrays,
     Shape,
     check_arrays,
@@ -68,6 +69,7 @@ class TableKind:
         arrays = policy_arrays(policy)
         if isinstance(policy.grasp, GraspTable):
             arrays[GRASP] = np.asarray(policy.grasp.probabilities)
+            arrays[PER_GRIP] = np.asarray(policy.grasp.per_grip, dtype=np.float32)
         elif policy.grasp is not None:
             raise ArgumentError(
                 f"grasp is a {type(policy.grasp).__name__}, whose code a folder cannot hold; learn with BetaGrasp() or "
@@ -86,7 +88,7 @@ class TableKind:
         _check_schema(record)
         check_arrays(arrays, Shape(horizon_of(record), len(Verb), NUM_FEATURES, np.float32), may_grasp=True)
         on_device: Any = {name: jnp.asarray(array) for name, array in arrays.items()}
-        grasp = GraspTable(on_device[GRASP]) if GRASP in arrays else None
+        grasp = GraspTable(on_device[GRASP], on_device.get(PER_GRIP, 1.0)) if GRASP in arrays else None
         kernel_map, margin = kernel_map_of(on_device), on_device.get(MARGIN)
         behaviour = on_device.get(BEHAVIOUR)
         return LinearTablePolicy(on_device[COEFFICIENTS], grasp, kernel_map, _is_seen(record), margin, behaviour)

@@ -11,7 +11,18 @@ from halfseen.logs.refusal import refuse, shown
 from halfseen.world.action_space import TARGETED, Verb
 
 ATTEMPT_VERBS = tuple(verb.name for verb in TARGETED)
-COLUMNS = ("path", "stage", "object", "occlusion", "successes", "failures", "succeeded", "time_s", "is_finished")
+COLUMNS = (
+    "path",
+    "stage",
+    "object",
+    "occlusion",
+    "grip",
+    "successes",
+    "failures",
+    "succeeded",
+    "time_s",
+    "is_finished",
+)
 _KEY = ["path", "stage", "object"]
 _HISTORY = ["occlusion", "successes", "failures"]
 
@@ -27,7 +38,7 @@ def attempts(logs: Logs, horizon: int | None = None) -> pd.DataFrame:
     Parameters
     ----------
     logs
-        A log with objects: columns occlusion, successes and failures.
+        A log with objects: columns occlusion, successes, failures, and grip if there is one.
     horizon
         Stages after which a path ends by itself; by default the stages of the longest path.
 
@@ -35,7 +46,7 @@ def attempts(logs: Logs, horizon: int | None = None) -> pd.DataFrame:
     -------
     DataFrame
         One row an attempt, sorted by path and stage: path, stage, object (a number for each object of each path),
-        occlusion, successes and failures (before the attempt), succeeded (null where cut), time_s (duration watched,
+        occlusion, grip (0 where the log has none), successes and failures (before the attempt), succeeded (null where cut), time_s (duration watched,
         transport included [s]) and is_finished (False where cut).
 
     Raises
@@ -60,7 +71,8 @@ def _checked_objects(logs: Logs) -> pd.DataFrame:
     if logs.objects is None:
         raise LogError("objects: the log has none; attempts are read from logs with an objects table")
     require_columns("objects", logs.objects, _HISTORY)
-    return pd.DataFrame(logs.objects[[*_KEY, *_HISTORY]])
+    known = pd.DataFrame(logs.objects[[*_KEY, *_HISTORY]])
+    return known.assign(grip=logs.objects["grip"] if "grip" in logs.objects.columns else 0.0)
 
 
 def _watched_s(logs: Logs) -> pd.Series:

@@ -1,36 +1,25 @@
 """A fitted grasp model as a table of probabilities, so that it runs inside compiled decisions."""
 
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 from jaxtyping import Array, Float
 from sklearn.base import clone
 
 from halfseen.censoring import is_fitted
 from halfseen.errors import ArgumentError
 from halfseen.logs import Logs
-from halfseen.logs.frames import FrameLike
 from halfseen.tables.grasp.attempts import attempts
+from halfseen.tables.grasp.grip_effect import GripEffect, fit_grip_effect
+from halfseen.tables.grasp.protocol import GraspEstimator
 from halfseen.world.grasp_model import GraspModel
 from halfseen.world.state import TableState, attempt_counts, occlusion
 
 NUM_OCCLUSIONS = 33
-
-
-@runtime_checkable
-class GraspEstimator(Protocol):
-    """What `BetaGrasp` and `SVMGrasp` are: fitted to attempts, it tells their probabilities."""
-
-    def fit(self, frame: FrameLike) -> "GraspEstimator":
-        """Learn from attempts."""
-        ...
-
-    def predict_proba(self, frame: FrameLike) -> Float[np.ndarray, "m 2"]:
-        """Probability that an attempt fails, and that it succeeds."""
-        ...
 
 
 @jax.tree_util.register_dataclass
@@ -39,15 +28,18 @@ class GraspTable:
     """P(success) by occlusion, past successes and past failures (a pytree; `jax.vmap` adds batch axes).
 
     Between occlusions it interpolates; more successes or failures than the table holds count as the most that it holds.
-    It was fitted to objects whatever their grip, so the mean of an object's grip offset is added to the log-odds.
+    What shows of an object's grip is added to the log-odds, as far as it counts (`halfseen.tables.grasp.grip_effect`).
 
     Parameters
     ----------
     probabilities
-        Occlusions evenly from 0 to 1, successes from 0, failures from 0.
+        Where no grip shows: occlusions evenly from 0 to 1, successes from 0, failures from 0.
+    per_grip
+        Log-odds for each unit of the mean grip offset; 1 where the probabilities are given it, whatever it is.
     """
 
     probabilities: Float[Array, "*B O K K"]
+    per_grip: Float[Array, "*B"] | float = 1.0
 
     def probability(self, state: TableState) -> Float[Array, " N"]:
         """P(an attempt succeeds) for each object of one table."""
@@ -57,16 +49,27 @@ class GraspTable:
         below = jnp.clip(jnp.floor(place), 0, num_cells - 1).astype(jnp.int32)
         low, high = (self.probabilities[below + step, successes, failures] for step in (0, 1))
         probability = low + (place - below) * (high - low)
-        return probability / (1.0 + (1.0 - probability) * jnp.expm1(-state.grip))
+        return probability / (1.0 + (1.0 - probability) * jnp.expm1(-self.per_grip * state.grip))
 
 
-def tabulate(model: GraspEstimator, horizon: int) -> GraspTable:
+def tabulate(model: GraspEstimator, horizon: int, tried: pd.DataFrame | None = None) -> GraspTable:
     """Ask a fitted model for all probabilities that a path of `horizon` stages can need.
+
+    Parameters
+    ----------
+    model
+        The model.
+    horizon
+        T.
+    tried
+        Attempts that tell how much a grip counts, as `attempts` gives them; None to take it in full.
 
     Raises
     ------
     ArgumentError
         `horizon` is below 1, or the model gives no probabilities.
+    PositivityError
+        A weight of the attempts is not identified.
     """
     if horizon < 1:
         raise ArgumentError(f"horizon is {horizon}; a path has at least 1 stage")
@@ -80,7 +83,12 @@ def tabulate(model: GraspEstimator, horizon: int) -> GraspTable:
         raise ArgumentError(
             f"{model!r} gives {probabilities[at]} at occlusion {occluded[at]:g}; a probability lies in [0, 1]"
         )
-    return GraspTable(jnp.asarray(probabilities.reshape(shape), dtype=jnp.float32))
+    effect = GripEffect(per_grip=1.0) if tried is None else fit_grip_effect(model, tried)
+    if effect.shift:
+        probabilities = effect.moved(probabilities, 0.0)
+    return GraspTable(
+        jnp.asarray(probabilities.reshape(shape), dtype=jnp.float32), jnp.asarray(effect.per_grip, dtype=jnp.float32)
+    )
 
 
 def grasp_model_of(grasp: Any, logs: Logs, horizon: int) -> GraspModel | None:
@@ -109,8 +117,8 @@ def grasp_model_of(grasp: Any, logs: Logs, horizon: int) -> GraspModel | None:
         raise ArgumentError(
             f"grasp is {grasp!r}; it is None, BetaGrasp(), SVMGrasp(), either of them fitted, or a GraspTable"
         )
-    estimator: Any = grasp
-    if not is_fitted(estimator):
-        estimator = clone(estimator)
-        estimator.fit(attempts(logs, horizon))
-    return tabulate(estimator, horizon)
+    if is_fitted(grasp):
+        return tabulate(grasp, horizon)
+    estimator: Any = clone(grasp)
+    tried = attempts(logs, horizon)
+    return tabulate(estimator.fit(tried), horizon, tried)

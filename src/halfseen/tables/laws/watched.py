@@ -66,18 +66,8 @@ def watched(logs: Logs, known: WorldConfig) -> Watched:
         path=pd.Index(logs.path_ids).get_indexer(table["path"]).astype(np.int64),
         object=table["object"].to_numpy(dtype=np.int64),
         occlusion=table["occlusion"].to_numpy(dtype=np.float64),
-        grip=_grips(logs, table),
+        grip=table["grip"].to_numpy(dtype=np.float64),
         watched_s=np.where(is_timed_out, limit_s, until_s),
         is_held=is_held,
         is_missed=is_missed,
     )
-
-
-def _grips(logs: Logs, table: pd.DataFrame) -> Rows:
-    """Mean grip offset of the object of each attempt; 0 in a log that has none."""
-    objects = logs.objects
-    if objects is None or "grip" not in objects.columns:
-        return np.zeros(len(table))
-    key = ["path", "stage"]
-    targets = table[key].merge(logs.stages[[*key, "object"]], on=key, how="left")
-    return targets.merge(objects[[*key, "object", "grip"]], how="left")["grip"].to_numpy(dtype=np.float64)

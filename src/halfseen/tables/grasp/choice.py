@@ -1,0 +1,124 @@
+"""What tells the probability of a grasp where nothing is said: the rule of succession, unless a Beta foretells better.
+
+A table's features take a grasp to succeed with the share in sight times the rule of succession
+(`halfseen.tables.features`). That needs no data, and is right where what is hidden is hard to grip. A cell in which it
+is not so shows it in its own attempts. So paths are dealt into folds; `BetaGrasp` learns from all but one and foretells
+the attempts of that one, and it is taken only where it is better beyond noise, for a mistake costs more one way than
+the other: where attempts are few, what is fitted to them moves with their noise, and with it all features.
+"""
+
+import warnings
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+
+from halfseen.arrays import Rows
+from halfseen.errors import HalfseenError, HalfseenWarning
+from halfseen.logs import Logs
+from halfseen.tables.features import succession
+from halfseen.tables.grasp.attempts import attempts
+from halfseen.tables.grasp.beta_grasp import BetaGrasp
+from halfseen.tables.grasp.grasp_table import GraspTable, tabulate
+from halfseen.tables.grasp.grip_effect import fit_grip_effect
+from halfseen.tables.grasp.inputs import checked_attempts
+
+AUTO = "auto"
+NUM_FOLDS = 5
+
+CLEARLY = 2.0
+"""Standard errors by which the Beta must foretell better."""
+
+FEWEST_ATTEMPTS = 30
+"""Decided attempts below which there is nothing to choose by."""
+
+KEPT = "the probability of a grasp is the rule of succession’s"
+
+
+class GraspChoice(NamedTuple):
+    """What tells the probability of a grasp, and why.
+
+    Parameters
+    ----------
+    grasp
+        A Beta regression, as policies hold it; None for the rule of succession.
+    sentence
+        What was chosen and why.
+    """
+
+    grasp: GraspTable | None
+    sentence: str
+
+
+def choose_grasp(logs: Logs, horizon: int) -> GraspChoice:
+    """Choose by a log; the rule of succession where the log does not tell what became of its attempts.
+
+    Parameters
+    ----------
+    logs
+        Of tables.
+    horizon
+        T.
+    """
+    try:
+        return choose_by(attempts(logs, horizon), horizon)
+    except HalfseenError as error:
+        return GraspChoice(None, f"{KEPT}: {error}")
+
+
+def choose_by(tried: pd.DataFrame, horizon: int) -> GraspChoice:
+    """Choose by attempts.
+
+    Parameters
+    ----------
+    tried
+        As `halfseen.tables.grasp.attempts.attempts` gives them.
+    horizon
+        T.
+
+    Raises
+    ------
+    PositivityError
+        A weight is not identified.
+    """
+    num_decided = int(tried["is_finished"].sum())
+    if num_decided < FEWEST_ATTEMPTS:
+        return GraspChoice(None, f"{KEPT}: {num_decided} decided attempts are too few to learn it from")
+    with warnings.catch_warnings():
+        # Nobody asked for these weights, and the standard error tells how much they are worth.
+        warnings.simplefilter("ignore", HalfseenWarning)
+        gain, grasp = _gains(tried), tabulate(BetaGrasp().fit(tried), horizon, tried)
+    mean, error = float(gain.mean()), float(gain.std(ddof=1) / np.sqrt(len(gain)))
+    found = f"by {mean:.3g} ± {error:.2g} squared error a trajectory"
+    if mean > CLEARLY * error:
+        return GraspChoice(
+            grasp,
+            "the probability of a grasp is learned from the log’s attempts: held out, a Beta regression foretells them "
+            f"better than the rule of succession {found}",
+        )
+    return GraspChoice(None, f"{KEPT}: held out, a Beta regression does not clearly foretell better ({found})")
+
+
+def _gains(tried: pd.DataFrame) -> Rows:
+    """Squared error of the rule less that of a Beta, summed over each path's attempts, fitted to other paths."""
+    decided = checked_attempts(tried)
+    path = np.unique(tried["path"].to_numpy(), return_inverse=True)[1]
+    rows, fold = tried.iloc[decided.row], path % NUM_FOLDS
+    said = np.zeros(len(rows))
+    for k in range(NUM_FOLDS):
+        held_out, others = fold[decided.row] == k, pd.DataFrame(tried[fold != k])
+        said[held_out] = _by_beta(others, pd.DataFrame(rows[held_out]))
+    errors = [decided.weight * np.square(each - decided.succeeded) for each in (_by_succession(rows), said)]
+    return np.bincount(path[decided.row], errors[0] - errors[1], minlength=path.max() + 1)
+
+
+def _by_beta(learned_from: pd.DataFrame, rows: pd.DataFrame) -> Rows:
+    beta = BetaGrasp().fit(learned_from)
+    effect = fit_grip_effect(beta, learned_from)
+    return effect.moved(beta.predict_proba(rows)[:, 1], rows["grip"].to_numpy(dtype=np.float64))
+
+
+def _by_succession(rows: pd.DataFrame) -> Rows:
+    told = (jnp.asarray(rows[name].to_numpy(dtype=np.float32)) for name in ("successes", "failures", "grip"))
+    return (1.0 - rows["occlusion"].to_numpy(dtype=np.float64)) * np.asarray(succession(*told), dtype=np.float64)

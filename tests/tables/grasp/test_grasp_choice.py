@@ -1,0 +1,96 @@
+"""What tells grasps where nothing is said: held-out attempts decide, against naive sums; what cannot decide keeps."""
+
+import numpy as np
+import pytest
+from tried import beta_attempts, cut_some
+
+from halfseen.censoring import censoring_weights
+from halfseen.learners import CensoredQLearner
+from halfseen.logs import Logs
+from halfseen.tables import BetaGrasp
+from halfseen.tables.grasp.choice import FEWEST_ATTEMPTS, NUM_FOLDS, choose_by, choose_grasp
+from halfseen.tables.grasp.grasp_table import GraspTable, tabulate
+from halfseen.world import Scene, TableWorld, UniformPolicy
+
+HORIZON = 10
+
+
+def attempts_of(num_objects, intercept, slope, seed=0):
+    """Two objects a path."""
+    tried = cut_some(beta_attempts(num_objects, intercept=intercept, slope=slope, seed=seed))
+    return tried.assign(path=tried["object"] // 2, stage=1, grip=0.0)
+
+
+def by_hand(tried):
+    """Mean gain and its standard error, path by path."""
+    weight = censoring_weights(tried["time_s"], tried["is_finished"])
+    gains = []
+    paths = sorted(set(tried["path"]))
+    for rank, path in enumerate(paths):
+        others = [p for r, p in enumerate(paths) if r % NUM_FOLDS != rank % NUM_FOLDS]
+        beta = BetaGrasp().fit(tried[tried["path"].isin(others)])
+        gain = 0.0
+        for row in np.flatnonzero(tried["path"] == path):
+            one = tried.iloc[[row]]
+            if not one["is_finished"].item():
+                continue
+            held, k, tries = bool(one["succeeded"].item()), one["successes"].item(), one["failures"].item()
+            rule = (1 - one["occlusion"].item()) * (1 + k) / (1 + k + tries)
+            gain += weight[row] * ((rule - held) ** 2 - (beta.predict_proba(one)[0, 1] - held) ** 2)
+        gains.append(gain)
+    return np.mean(gains), np.std(gains, ddof=1) / np.sqrt(len(gains))
+
+
+@pytest.mark.parametrize(("intercept", "slope"), [(3.0, 0.0), (1.5, -3.0)])
+def test_the_sentence_tells_the_gain_of_held_out_attempts(intercept, slope):
+    tried = attempts_of(60, intercept, slope)
+    mean, error = by_hand(tried)
+    assert f"by {mean:.3g} ± {error:.2g} squared error" in choose_by(tried, HORIZON).sentence
+
+
+def test_where_what_is_hidden_is_as_easy_a_beta_is_taken_and_fitted_to_all():
+    tried = attempts_of(60, 3.0, 0.0)
+    chosen = choose_by(tried, HORIZON)
+    assert chosen.grasp is not None
+    expected = tabulate(BetaGrasp().fit(tried), HORIZON, tried)
+    np.testing.assert_array_equal(chosen.grasp.probabilities, expected.probabilities)
+    assert "learned from the log’s attempts" in chosen.sentence
+
+
+def test_where_the_rule_is_as_good_it_is_kept():
+    rng = np.random.default_rng(3)
+    tried = attempts_of(40, 3.0, 0.0).assign(successes=0.0, failures=0.0)
+    succeeded = rng.random(len(tried)) < 1.0 - tried["occlusion"]
+    kept = tried.assign(succeeded=succeeded.astype("boolean").mask(~tried["is_finished"]))
+    chosen = choose_by(kept, HORIZON)
+    assert chosen.grasp is None
+    assert "does not clearly foretell better" in chosen.sentence
+
+
+def test_few_attempts_decide_nothing():
+    tried = attempts_of(60, 3.0, 0.0)
+    few = tried[np.cumsum(tried["is_finished"]) < FEWEST_ATTEMPTS]
+    chosen = choose_by(few, HORIZON)
+    assert chosen.grasp is None
+    assert f"{FEWEST_ATTEMPTS - 1} decided attempts are too few" in chosen.sentence
+
+
+@pytest.fixture(scope="module")
+def logs():
+    hides = np.zeros((4, 4))
+    hides[1, 0], hides[2, 1], hides[3, 2] = 0.7, 0.45, 0.33
+    return TableWorld().simulate(Scene(hides), UniformPolicy(), episodes=60, seed=0, cut_share=0.3)
+
+
+def test_the_learner_chooses_by_itself_and_says_why(logs):
+    chosen = choose_grasp(logs, HORIZON)
+    learner = CensoredQLearner.for_table(reg=1.0).fit(logs)
+    assert learner.chosen_ == (chosen.sentence,)
+    assert isinstance(learner.policy_.grasp, GraspTable) == (chosen.grasp is not None)
+
+
+def test_a_log_that_does_not_tell_its_outcomes_keeps_the_rule(logs):
+    silent = Logs(logs.stages, logs.paths, logs.objects.assign(successes=0, failures=0))
+    chosen = choose_grasp(silent, HORIZON)
+    assert chosen.grasp is None
+    assert "mend the counts" in chosen.sentence
