@@ -2,11 +2,11 @@
 
 python benchmarks/closed_loop.py [--logs FOLDER] [--law FOLDER] [--tables 60] [--seed 2026] [--out FILE]
 
-From the logs, which a cell recorded and cut, `halfseen learn` as it is called by default learns a policy, and another
-with `--grasp beta`; and laws are fitted for a planner. They, the heuristics and the planner that knows the law that is
-believed in clear the same tables, of which nothing is cut. It prints the reward of each in physics, what the world
-under the law foretells for the same tables, the gap, and by how much the learned policies are ahead, table by table:
-two-sided signed-rank tests, by Holm's procedure. A run that was stopped goes on where it was, if it is called again.
+From the logs, which a cell recorded and cut, `halfseen learn` as it is called by default learns a policy, and laws are
+fitted for a planner. They, the heuristics and the planner that knows the law that is believed in clear the same tables,
+of which nothing is cut. It prints the reward of each in physics, what the world under the law foretells for the same
+tables, the gap, and by how much the learned policy is ahead, table by table: two-sided signed-rank tests, by Holm's
+procedure. A run that was stopped goes on where it was, if it is called again.
 """
 
 import argparse
@@ -32,23 +32,19 @@ from halfseen.tables.fitted_world import fit_world
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Policy
 
-LEARNED, WITH_BETA = "learned", "learned, Beta of grasps"
+LEARNED = "learned"
 FITTED, PLANNER = "planner, fitted laws", "planner, calibrated law"
 LOGS = Path(__file__).parents[1] / "examples" / "physical_cell" / "logs"
 
 
 def policies_of(logs: Logs, config: WorldConfig, seed: int) -> dict[str, Policy]:
     """All who take part."""
-    learned = {
-        name: learner_for(logs, censoring="auto", random_state=seed, grasp=grasp).learner.fit(logs).policy_
-        for name, grasp in ((LEARNED, None), (WITH_BETA, "beta"))
-    }
-    fitted = fit_world(logs, config)
+    learned = learner_for(logs, censoring="auto", random_state=seed).learner.fit(logs).policy_
     return {
-        **learned,
-        FITTED: POMDPPolicy(fitted, planning_horizon=config.horizon),
-        PLANNER: POMDPPolicy(config, planning_horizon=config.horizon),
+        LEARNED: learned,
         **{name: named_policy(name, config) for name in HEURISTICS},
+        FITTED: POMDPPolicy(fit_world(logs, config), planning_horizon=config.horizon),
+        PLANNER: POMDPPolicy(config, planning_horizon=config.horizon),
     }
 
 
@@ -62,14 +58,13 @@ def told(name: str, summary: Summary) -> str:
 
 
 def compared(rewards: dict[str, np.ndarray]) -> dict[str, dict[str, float]]:
-    """By how much each learned policy is ahead of each other one, table by table."""
-    ours = [name for name in (LEARNED, WITH_BETA) if name in rewards]
-    pairs = [(our, other) for our in ours for other in rewards if other not in ours]
-    tests = [signed_rank_test(rewards[our] - rewards[other], "two-sided") for our, other in pairs]
+    """By how much the learned policy is ahead of each other one, table by table."""
+    others = [name for name in rewards if name != LEARNED and LEARNED in rewards]
+    tests = [signed_rank_test(rewards[LEARNED] - rewards[other], "two-sided") for other in others]
     adjusted = holm(np.array([test.p_value for test in tests]))
     return {
-        f"{our} – {other}": {**asdict(test.effect), "p_holm": float(p)}
-        for (our, other), test, p in zip(pairs, tests, adjusted, strict=True)
+        f"{LEARNED} – {other}": {**asdict(test.effect), "p_holm": float(p)}
+        for other, test, p in zip(others, tests, adjusted, strict=True)
     }
 
 

@@ -50,7 +50,7 @@ def seen(treatment, is_cut=True):
     """Reward, weight and last stages as the learner's regression has them."""
     source = Source(CONFIG, pad_scenes([Scene(np.zeros((2, 2)))]), 0)
     cuts = cut_by_hand(is_cut)
-    encoded = source.encode(cuts.episodes)
+    encoded = source.logged(cuts.episodes)
     paths = encoded.lay_out(cuts, treatment, 5)
     model = encoded.model(treatment)
     weight = model.targets.weights(paths, model.targets.fit_cuts(paths.clocks))
@@ -111,7 +111,7 @@ def test_logs_that_differ_in_their_tied_durations_are_learned_in_one_call():
         for share, kind in ((0.2, "independent"), (0.7, "attempt"))
         for treatment in TREATMENTS
     ]
-    learned = source.encode(episodes).learn(logs, 30)
+    learned = source.logged(episodes).learn(logs, [30])
     assert len(learned) == len(logs)
     assert all(np.isfinite(policy.coefficients).all() for policy, _ in learned)
     assert [policy.margin is not None for policy, _ in learned] == [name == "imputed" for _, name in logs]
@@ -122,7 +122,7 @@ def test_a_batch_is_what_the_estimator_learns_from_the_same_logs():
     source = Source(SETTING.world, SETTING.layouts, 0, 3)
     episodes = source.play(40)
     cuts = source.cut(episodes, source.cut_rate(0.5, "independent"), "independent")
-    learned = source.encode(episodes).learn([(cuts, "weighted"), (cuts, "unweighted")], 40)
+    learned = source.logged(episodes).learn([(cuts, "weighted"), (cuts, "unweighted")], [40])
     logs = to_logs(cuts, "independent", SETTING.scenes)
     seed = int(np.random.SeedSequence([0, 3]).generate_state(1)[0])
     for (policy, _), censoring in zip(learned, ("kaplan-meier", "none"), strict=True):

@@ -1,4 +1,7 @@
-"""The one way from a policy to a policy: play → encode → cut → treat → learn → evaluate.
+"""The one way from a policy to a policy: play → cut → encode → treat → learn → evaluate.
+
+What tells the probability of a grasp in the features is chosen by each log's attempts, as where the product is told
+nothing, and alike for all treatments of the log: so they differ in what they make of cuts alone.
 
 A cut path is treated in one of five ways, as what the learner sees of it:
 
@@ -17,14 +20,16 @@ A cut path is treated in one of five ways, as what the learner sees of it:
     end.
 """
 
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from operator import itemgetter
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import numpy as np
+import pandas as pd
 from jaxtyping import Float
 
 from halfseen.censoring import StageClocks, weight_diagnostics
@@ -36,7 +41,9 @@ from halfseen.learners.q_learning.task import Encoded
 from halfseen.learners.q_learning.transitions import Transitions
 from halfseen.study.experiment import Setting
 from halfseen.study.policies import logging_policy
+from halfseen.study.tried import tried_in
 from halfseen.tables.encoding import encoded_states
+from halfseen.tables.grasp.choice import AUTO, choose_by
 from halfseen.tables.table_policy import LinearTablePolicy
 from halfseen.world.action_space import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
@@ -53,6 +60,9 @@ PILOT, LOGS, EVALUATION, HELD_OUT, SELECTION = range(5)
 TREATMENTS = ("imputed", "weighted", "unweighted", "dropped", "failures")
 CENSORING = {"imputed": "auto", "weighted": "kaplan-meier"}
 """Treatment → what the learner is told of cuts; nothing where it is not here."""
+
+Grasp = GraspModel | Literal["auto"] | None
+"""What tells the probability of a grasp: a model; None for the rule of succession; ``"auto"``, chosen by the log."""
 
 
 @lru_cache(maxsize=64)
@@ -103,9 +113,9 @@ class Source:
         """Rate that cuts this proportion of the paths in expectation, from a pilot."""
         return cut_rate(self.play(NUM_PILOT_PATHS, PILOT), share, kind)
 
-    def encode(self, episodes: Episodes, grasp: GraspModel | None = None) -> "EncodedPaths":
-        """Encode them once, however they are cut and treated."""
-        return EncodedPaths(self, encoded_states(episodes.states, episodes.action, grasp), grasp)
+    def logged(self, episodes: Episodes, grasp: Grasp = AUTO) -> "LoggedPaths":
+        """Take episodes to learn from; `grasp` tells the probability of a grasp in the features, by default the log."""
+        return LoggedPaths(self, episodes, grasp)
 
     def evaluate(self, policy: Policy, num_episodes: int, purpose: int = EVALUATION) -> Played:
         """Play a policy on the episodes of a purpose that all policies share."""
@@ -119,12 +129,18 @@ class Source:
 
 
 @dataclass(frozen=True)
-class EncodedPaths:
-    """Paths of a source as the learner sees them; `grasp` tells the probability of a grasp in their features."""
+class LoggedPaths:
+    """Paths of a source that are learned from, however they are cut and treated."""
 
     source: Source
-    encoded: Encoded
-    grasp: GraspModel | None = None
+    episodes: Episodes
+    grasp: Grasp = AUTO
+    """What tells the probability of a grasp in the features; None for the rule of succession."""
+
+    @cached_property
+    def encoded(self) -> Encoded:
+        """All paths as the learner sees them where no log has its own model of grasps."""
+        return self._encoded(len(self.episodes.action), self._common)
 
     def lay_out(self, cuts: CutEpisodes, treatment: str, num_paths: int) -> PathArrays:
         """The first paths of a log as the learner sees them under a treatment."""
@@ -132,49 +148,77 @@ class EncodedPaths:
         return treated(paths, cuts, treatment, self.source.world).take(np.arange(num_paths))
 
     def learn(
-        self, logs: Sequence[tuple[CutEpisodes, str]], num_paths: int
+        self, logs: Sequence[tuple[CutEpisodes, str]], sizes: Sequence[int]
     ) -> list[tuple[LinearTablePolicy, dict[str, float]]]:
-        """Learn from the first paths of logs, each under its treatment, in one compiled call for those that are alike.
+        """Learn from the first paths of logs, each under its treatment; at each size from all.
 
         Returns each policy with the effective sample size and the largest of its weights.
         """
-        models, rows = [], []
-        for cuts, treatment in logs:
-            paths = self.lay_out(cuts, treatment, num_paths)
-            models.append(self.model(treatment).with_cuts(paths))
-            rows.append(models[-1].transitions(paths))
-        policies: dict[int, LinearTablePolicy] = {}
-        for is_imputed in (False, True):
-            alike = [k for k, model in enumerate(models) if model.targets.is_imputed is is_imputed]
-            policies |= zip(alike, _fit_alike([models[k] for k in alike], [rows[k] for k in alike]), strict=True)
-        return [(policies[k], _weights(np.asarray(each.weight))) for k, each in enumerate(rows)]
+        tried = {id(cuts): tried_in(cuts) for cuts, _ in logs} if isinstance(self.grasp, str) else {}
+        return [each for size in sizes for each in self._learn(logs, tried, size)]
 
     def learn_one(self, cuts: CutEpisodes, num_paths: int) -> LinearTablePolicy:
         """Learn from the first paths of a log, weighted."""
-        return self.learn([(cuts, "weighted")], num_paths)[0][0]
+        return self.learn([(cuts, "weighted")], [num_paths])[0][0]
 
     def learn_and_play(
         self, logs: Sequence[tuple[CutEpisodes, str]], sizes: Sequence[int], num_episodes: int
     ) -> list[tuple[dict[str, float], Played]]:
         """Learn from logs, at each size from all, and play on the same episodes: weights and what was earned."""
-        learned = [each for size in sizes for each in self.learn(logs, size)]
+        learned = self.learn(logs, sizes)
         return [(weights, self.source.evaluate(policy, num_episodes)) for policy, weights in learned]
 
-    def model(self, treatment: str) -> QModel:
+    def _learn(
+        self, logs: Sequence[tuple[CutEpisodes, str]], tried: Mapping[int, pd.DataFrame], num_paths: int
+    ) -> list[tuple[LinearTablePolicy, dict[str, float]]]:
+        chosen = {name: self._chosen(each, num_paths) for name, each in tried.items()}
+        models, rows, alike = [], [], defaultdict(list)
+        for k, (cuts, treatment) in enumerate(logs):
+            paths, own = self.lay_out(cuts, treatment, num_paths), chosen.get(id(cuts))
+            if own is not None:
+                paths = paths._replace(encoded=own.encoded)
+            models.append(self.model(treatment, self._common if own is None else own.grasp).with_cuts(paths))
+            rows.append(models[-1].transitions(paths))
+            alike[models[-1].targets.is_imputed, own and id(cuts)].append(k)
+        policies: dict[int, LinearTablePolicy] = {}
+        for some in alike.values():
+            policies |= zip(some, _fit_alike([models[k] for k in some], [rows[k] for k in some]), strict=True)
+        return [(policies[k], _weights(np.asarray(each.weight))) for k, each in enumerate(rows)]
+
+    @property
+    def _common(self) -> GraspModel | None:
+        """What tells the probability of a grasp where the log has not chosen a model of its own."""
+        return None if isinstance(self.grasp, str) else self.grasp
+
+    def _chosen(self, tried: pd.DataFrame, num_paths: int) -> "_OwnGrasp | None":
+        """What the first paths of a log choose, if it is not the rule of succession."""
+        grasp = choose_by(pd.DataFrame(tried[tried["path"] < num_paths]), self.source.world.horizon).grasp
+        return None if grasp is None else _OwnGrasp(grasp, self._encoded(num_paths, grasp))
+
+    def _encoded(self, num_paths: int, grasp: GraspModel | None) -> Encoded:
+        states, action = jax.tree.map(lambda leaf: leaf[:num_paths], (self.episodes.states, self.episodes.action))
+        return encoded_states(states, action, grasp)
+
+    def model(self, treatment: str, grasp: GraspModel | None = None) -> QModel:
         """How the product's own learner fits Q under a treatment."""
         source = self.source
         return CensoredQLearner.for_table(
             source.world.horizon,
-            grasp=self.grasp,
+            grasp=grasp,
             censoring=CENSORING.get(treatment, "none"),
             random_state=int(np.random.SeedSequence([source.seed, source.index]).generate_state(1)[0]),
         ).compose()
 
 
+class _OwnGrasp(NamedTuple):
+    """The model of grasps that a log has chosen, and what the learner sees with it."""
+
+    grasp: GraspModel
+    encoded: Encoded
+
+
 def _fit_alike(models: Sequence[QModel], rows: Sequence[Transitions]) -> list[LinearTablePolicy]:
     """Fit logs whose rows have the same arrays, of the same states however they were cut."""
-    if not models:
-        return []
     batch = jax.tree.map(lambda *leaves: np.stack(leaves), *(row._replace(features=None) for row in rows))
     fits = models[0].fit(batch._replace(features=rows[0].features))
     return [model.policy(jax.tree.map(itemgetter(k), fits)) for k, model in enumerate(models)]

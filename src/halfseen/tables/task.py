@@ -23,6 +23,7 @@ from halfseen.tables.table_policy import LinearTablePolicy
 from halfseen.tables.target_probabilities import table_probabilities
 from halfseen.tables.variance_reduction import expected_rewards, label_control_variates, wash_outcomes
 from halfseen.world.action_space import FINISH, ActionSpace, Verb
+from halfseen.world.grasp_model import GraspModel
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,10 @@ class TableTask:
     def _is_open(self) -> bool:
         return isinstance(self.grasp, str) and self.grasp == AUTO
 
+    @property
+    def _model(self) -> GraspModel | None:
+        return None if self._is_open else self.grasp
+
     def fitted(self, logs: Logs, horizon: int) -> "TableTask":
         """Fit the grasp model, once it is chosen."""
         if not self._is_open:
@@ -72,7 +77,7 @@ class TableTask:
 
     def encode(self, logs: Logs, horizon: int) -> Encoded:
         """Encode every stage of a log of tables."""
-        return encode_tables(logs, horizon, None if self._is_open else self.grasp)
+        return encode_tables(logs, horizon, self._model)
 
     def block_of_action(self, num_actions: int) -> Int[np.ndarray, " A"]:
         """Block of each action: its verb."""
@@ -105,7 +110,7 @@ class TableTask:
         single: Any = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=jnp.float32), numbers)
         return LinearTablePolicy(
             coefficients=single.coefficients,
-            grasp=self.grasp,
+            grasp=self._model,
             kernel_map=single.kernel_map,
             is_seen=None if seen is None or seen.all() else jnp.asarray(seen),
             margin=single.margin,

@@ -92,7 +92,9 @@ def _stages(cuts: CutEpisodes, begun: Int[np.ndarray, "rows 2"]) -> pd.DataFrame
 
 
 @jax.jit
-def _seen(states: TableState):
+def history_of(states: TableState) -> tuple[Float[jax.Array, "*B N"], ...]:
+    """Occlusion, past successes and past failures of each object of tables, axes (n, T)."""
+
     def one(state: TableState):
         return (occlusion(state), *attempt_counts(state))
 
@@ -101,7 +103,7 @@ def _seen(states: TableState):
 
 def _objects(cuts: CutEpisodes, begun: Int[np.ndarray, "rows 2"]) -> pa.Table:
     states = cuts.episodes.states
-    occluded, successes, failures = (np.asarray(leaf) for leaf in _seen(states))
+    occluded, successes, failures = (np.asarray(leaf) for leaf in history_of(states))
     is_object = np.asarray(states.is_object)[:, 0]
     stage_row, target = np.nonzero(is_object[begun[:, 0]])
     path, stage = begun[stage_row].T

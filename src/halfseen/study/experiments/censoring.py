@@ -86,7 +86,7 @@ class Censoring:
         arms = [(kind, treatment) for kind in self.cut_kinds for treatment in TREATMENTS]
         logs = [(cuts[kind], treatment) for kind, treatment in arms]
         num_episodes = self.episodes_per_scene * len(setting.scenes)
-        played = source.encode(episodes).learn_and_play(logs, self.num_paths, num_episodes)
+        played = source.logged(episodes).learn_and_play(logs, self.num_paths, num_episodes)
         rows = [
             {"treatment": treatment, "cut_kind": kind, "num_paths": size}
             for size in self.num_paths

@@ -122,7 +122,7 @@ class Planning:
 
     def _learned(self, source: Source, rate: float) -> LinearTablePolicy:
         episodes = source.play(self.num_paths)
-        return source.encode(episodes).learn_one(source.cut(episodes, rate, CUT_KIND), self.num_paths)
+        return source.logged(episodes).learn_one(source.cut(episodes, rate, CUT_KIND), self.num_paths)
 
     def tabulate(self, setting: Setting, pieces: Pieces) -> Tables:
         """Make figure2 and figure3.

@@ -102,9 +102,9 @@ class Regret:
             for each in self.planners
         ]
         episodes = source.play(max(self.num_paths))
-        encoded = source.encode(episodes)
+        paths = source.logged(episodes)
         logs = [(source.cut(episodes, rate, CUT_KIND), "weighted") for rate in prepared["rates"]]
-        policies = [policy for size in self.num_paths for policy, _ in encoded.learn(logs, size)]
+        policies = [policy for policy, _ in paths.learn(logs, self.num_paths)]
         places = product(self.num_paths, self.cut_shares)
         for (size, cut_share), regrets in zip(places, small.regrets_of(policies), strict=True):
             rows.append({"policy": LEARNED.name, "num_paths": size, "cut_share": cut_share, "regrets": regrets})

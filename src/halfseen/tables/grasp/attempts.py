@@ -46,8 +46,8 @@ def attempts(logs: Logs, horizon: int | None = None) -> pd.DataFrame:
     -------
     DataFrame
         One row an attempt, sorted by path and stage: path, stage, object (a number for each object of each path),
-        occlusion, grip (0 where the log has none), successes and failures (before the attempt), succeeded (null where cut), time_s (duration watched,
-        transport included [s]) and is_finished (False where cut).
+        occlusion, grip (0 where the log has none), successes and failures (before the attempt), succeeded (null where
+        cut), time_s (duration watched, transport included [s]) and is_finished (False where cut).
 
     Raises
     ------

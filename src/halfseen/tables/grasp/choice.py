@@ -8,7 +8,7 @@ the other: where attempts are few, what is fitted to them moves with their noise
 """
 
 import warnings
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -24,7 +24,7 @@ from halfseen.tables.grasp.grasp_table import GraspTable, tabulate
 from halfseen.tables.grasp.grip_effect import fit_grip_effect
 from halfseen.tables.grasp.inputs import checked_attempts
 
-AUTO = "auto"
+AUTO: Literal["auto"] = "auto"
 NUM_FOLDS = 5
 
 CLEARLY = 2.0

@@ -50,7 +50,7 @@ class Clutter(ClutterDesign):
         """
         source = self._source(setting, place, index)
         episodes = source.play(self.num_paths, MAP_SEED + LOGS)
-        learned = source.encode(episodes).learn_one(source.cut(episodes, rate, CUT_KIND), self.num_paths)
+        learned = source.logged(episodes).learn_one(source.cut(episodes, rate, CUT_KIND), self.num_paths)
         policies = {LEARNED.name: learned} | {each.name: each.policy(source.world) for each in HEURISTICS}
         num_episodes = self.num_tables * self.episodes_per_table
         rewards = {

@@ -91,9 +91,9 @@ class Grasp(GraspDesign):
                 said = oracle if name == ORACLE else estimators[name].predict_proba(held_out)[:, 1]
                 stands_in = name == CLAIMED and not can_hold_out(known)
                 rows.append({"model": name, "num_paths": size, "stands_in": stands_in} | scored(said, succeeded))
-                grasp = _inside(setting, estimators, name)
-                encoded = source.encode(log.episodes, None if name == SUCCESSION else grasp)
-                learners.append(encoded.learn_one(log, size))
+                grasp = _inside(setting, estimators, name, known)
+                paths = source.logged(log.episodes, None if name == SUCCESSION else grasp)
+                learners.append(paths.learn_one(log, size))
                 rules.append(knowing if name == ORACLE else replace(knowing, grasp=grasp))
         num_episodes = self.episodes_per_scene * len(setting.scenes)
         for measure, policies in zip(REWARDS, (learners, rules), strict=True):
@@ -139,9 +139,10 @@ def _fitted(tried: pd.DataFrame) -> dict[str, GraspEstimator]:
         }
 
 
-def _inside(setting: Setting, estimators: Mapping[str, GraspEstimator], name: str) -> GraspModel:
-    """The model as it runs inside a policy."""
-    return TrueGrasp(setting.world) if name == ORACLE else tabulate(estimators[name], setting.world.horizon)
+def _inside(setting: Setting, estimators: Mapping[str, GraspEstimator], name: str, tried: pd.DataFrame) -> GraspModel:
+    """The model as it runs inside a policy, with what shows of a grip as far as the attempts say."""
+    horizon = setting.world.horizon
+    return TrueGrasp(setting.world) if name == ORACLE else tabulate(estimators[name], horizon, tried)
 
 
 @jax.jit

@@ -56,7 +56,7 @@ class Reward(RewardDesign):
         num_all = self.episodes_per_scene * len(setting.scenes)
         episodes = source.play(max(self.num_paths))
         logs = [(source.cut(episodes, rate, CUT_KIND), "weighted") for rate in prepared["rates"]]
-        learned = source.encode(episodes).learn_and_play(logs, self.num_paths, num_all)
+        learned = source.logged(episodes).learn_and_play(logs, self.num_paths, num_all)
         places = list(product(self.num_paths, self.cut_shares))
         rows = [
             {"num_paths": size, "cut_share": share, **weights, **played.means()}

@@ -1,0 +1,47 @@
+"""The attempts of cut episodes, as `halfseen.tables.attempts` reads them from their log, without writing it."""
+
+import numpy as np
+import pandas as pd
+
+from halfseen.world.action_space import FINISH, ActionSpace
+from halfseen.world.cuts import CutEpisodes
+from halfseen.world.recording import elapsed_s, history_of
+
+
+def tried_in(cuts: CutEpisodes) -> pd.DataFrame:
+    """List every attempt to WASH or LIFT whose end, or cut, was seen.
+
+    Parameters
+    ----------
+    cuts
+        The episodes; path k is number k.
+
+    Returns
+    -------
+    DataFrame
+        As `attempts` gives it.
+    """
+    states, action = cuts.episodes.states, np.asarray(cuts.episodes.action)
+    elapsed = elapsed_s(cuts)
+    begun_s = np.pad(np.nan_to_num(elapsed), ((0, 0), (1, 0)))[:, :-1]
+    time_s = np.where(cuts.is_completed, elapsed, cuts.end_s[:, None]) - begun_s
+    is_last = np.arange(action.shape[1]) == action.shape[1] - 1
+    path, stage = np.nonzero(cuts.is_begun & (action != FINISH) & ~is_last & (time_s > 0.0))
+    target = ActionSpace(states.num_objects).target(action[path, stage])
+    occluded, successes, failures = (np.asarray(leaf, dtype=np.float64) for leaf in history_of(states))
+    at, after = (path, stage, target), (path, stage + 1, target)
+    is_finished = cuts.is_completed[path, stage]
+    return pd.DataFrame(
+        {
+            "path": path,
+            "stage": stage + 1,
+            "object": pd.factorize(path * states.num_objects + target)[0],
+            "occlusion": occluded[at],
+            "grip": np.asarray(states.grip, dtype=np.float64)[at],
+            "successes": successes[at],
+            "failures": failures[at],
+            "succeeded": pd.Series(successes[after] > successes[at], dtype="boolean").mask(~is_finished),
+            "time_s": time_s[path, stage],
+            "is_finished": is_finished,
+        }
+    )
