@@ -18,7 +18,7 @@ from halfseen.cell.summary import scenes_of, summarised
 from halfseen.cell.table_state import MOST_OBJECTS, Belief, no_grip, state_of
 from halfseen.cell.trying import LiftAtRandom
 from halfseen.cell.workcell import Workcell
-from halfseen.errors import ArgumentError, SceneError
+from halfseen.errors import ArgumentError, LogError, SceneError
 from halfseen.logs import LogRecorder, read_logs
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.policies.history import present_state
@@ -280,6 +280,8 @@ def test_a_table_of_which_nothing_is_seen_is_no_path(tmp_path):
     assert (lost.cause, lost.is_seen, lost.verbs) == ("sensor-lost", False, {})
     logs = logs_of(tmp_path, [0, 1])
     assert logs.path_ids.tolist() == [0]
+    with pytest.raises(LogError, match=r"all 1 tables were cut \(sensor-lost\) before anything was decided"):
+        logs_of(tmp_path, [1])
 
 
 def test_a_table_that_shows_no_cup_is_cut(tmp_path):

@@ -25,7 +25,7 @@ from halfseen.cell.model import Robot
 from halfseen.cell.stops import Stops
 from halfseen.cell.table_state import Belief
 from halfseen.cell.workcell import Errors, Workcell
-from halfseen.errors import ArgumentError
+from halfseen.errors import ArgumentError, LogError
 from halfseen.logs import LogRecorder, Logs, read_logs
 from halfseen.logs.joining import joined
 from halfseen.scene.draw import random_table
@@ -212,9 +212,21 @@ def logs_of(folder: Path, tables: Sequence[int]) -> Logs:
         Where they were recorded.
     tables
         Their numbers.
+
+    Raises
+    ------
+    LogError
+        Every table was cut before anything was decided.
     """
-    places = [folder / table_name(index) for index in tables]
-    return joined([read_logs(place) for place in places if _run_of(place).is_seen])
+    runs = {folder / table_name(index): _run_of(folder / table_name(index)) for index in tables}
+    seen = [place for place, run in runs.items() if run.is_seen]
+    if not seen:
+        causes = ", ".join(sorted({run.cause for run in runs.values() if run.cause is not None}))
+        raise LogError(
+            f"{folder}: all {len(runs)} tables were cut ({causes}) before anything was decided, so there is nothing to "
+            "read; run more tables, or mend what cuts them"
+        )
+    return joined([read_logs(place) for place in seen])
 
 
 def _run_of(place: Path) -> Run:
