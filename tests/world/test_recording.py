@@ -35,7 +35,7 @@ def test_the_log_holds_nothing_hidden(recorded):
     _, logs = recorded
     assert logs.objects is not None
     assert set(logs.objects.columns) == {
-        *("path", "stage", "object", "location", "occlusion", "grip", "log_odds", "seen"),
+        *("path", "stage", "object", "location", "occlusion", "log_odds"),
         *("successes", "failures", "lifts", "hidden_by", "attempt_occlusions", "attempt_succeeded"),
     }
     assert logs.stage_covariates == []

@@ -3,8 +3,8 @@
 Per object and stage a log holds: location ("TABLE" or "DISHWASHER"), occlusion, grip (mean of its grip offset, from
 what shows of it), log_odds (of DIRTY), seen (share of its surface that labels have told of), successes and failures (of
 past grasps), lifts, and three lists: hidden_by (the share of it that each object of the scene hides alone, in the order
-of the objects), attempt_occlusions and attempt_succeeded (its past attempts, oldest first). A log without grip or seen
-is read as one in which they are 0.
+of the objects), attempt_occlusions and attempt_succeeded (its past attempts, oldest first). Where grip or seen are 0
+throughout, they are not written, and a log without them is read so.
 Per path it holds the scene's name, and dirty_share: P(DIRTY) of an object before any label, which log_odds start from.
 """
 
@@ -111,6 +111,7 @@ def _objects(cuts: CutEpisodes, begun: Int[np.ndarray, "rows 2"]) -> pa.Table:
     is_attempt = np.asarray(states.attempt_object)[path, stage] == target[:, None]
     tried_at = np.asarray(states.attempt_occlusion, dtype=np.float64)[path, stage]
     succeeded = np.asarray(states.attempt_succeeded)[path, stage]
+    shown = {"grip": np.asarray(states.grip)[at], "seen": np.asarray(states.seen)[at]}
     return pa.table(
         {
             "path": path,
@@ -118,9 +119,8 @@ def _objects(cuts: CutEpisodes, begun: Int[np.ndarray, "rows 2"]) -> pa.Table:
             "object": target,
             "location": np.where(np.asarray(states.is_on_table)[at], TABLE, DISHWASHER).tolist(),
             "occlusion": occluded[at].astype(np.float64),
-            "grip": np.asarray(states.grip)[at].astype(np.float64),
+            **{name: values.astype(np.float64) for name, values in shown.items() if values.any()},
             "log_odds": np.asarray(states.log_odds)[at].astype(np.float64),
-            "seen": np.asarray(states.seen)[at].astype(np.float64),
             "successes": successes[at].astype(np.int64),
             "failures": failures[at].astype(np.int64),
             "lifts": np.asarray(states.lifts)[at].astype(np.int64),

@@ -68,5 +68,5 @@ def test_the_first_paths_tell_what_a_log_of_them_tells():
 
 def test_a_log_without_grips_has_grips_of_0():
     _, logs = recorded(5)
-    bare = Logs(logs.stages, logs.paths, logs.objects.drop(columns="grip"))
-    assert not watched(bare, WorldConfig()).grip.any()
+    assert "grip" not in logs.objects.columns
+    assert not watched(logs, WorldConfig()).grip.any()
