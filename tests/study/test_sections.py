@@ -8,8 +8,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Text
 
 from examples import CENSORING, GRASP, PLANNING, REGRET, REWARD, example_pieces, example_section, example_setting
+from halfseen.evaluation.estimate import Estimate
 from halfseen.pages.drawing import drawn
+from halfseen.pages.sentences import Claim
 from halfseen.study.experiments import EXPERIMENTS
+from halfseen.study.experiments.reward.opening import opening_of
 from halfseen.study.experiments.reward.peer import over_peer
 from halfseen.study.frames import row_of
 
@@ -98,6 +101,25 @@ def test_the_first_sentence_compares_on_the_same_episodes(lead, verdict, title):
     assert f"POMDP planner, 512 simulations): {verdict} (" in first
     assert f"{row['censored_q']:.2f} against {row['other']:.2f} a path on the same 300 episodes" in first
     assert title in section.drawings[0].title
+
+
+@pytest.mark.parametrize(
+    ("verdict", "words"),
+    [("supported", "better than"), ("inconclusive", "about as well as"), ("not supported", "worse")],
+)
+def test_the_report_opens_with_what_each_way_brings_above_leaving_the_table(verdict, words):
+    setting = example_setting(30)
+    figure1 = REWARD.tabulate(setting, example_pieces(REWARD, repetitions=30))["figure1"]
+    gain = {"supported": (0.5, 1.5), "inconclusive": (-0.5, 1.5), "not supported": (-1.5, -0.5)}[verdict]
+    rule = Claim("x", "earns more than", "earns less than", "y", Estimate(float(np.mean(gain)), *gain, 0.1, 30.0))
+    opening = opening_of(REWARD, setting, figure1, rule)
+    nothing = -5.0 * 0.6 * np.mean([scene.num_objects for scene in setting.scenes])
+    ours = row_of(figure1, policy="censored_q", num_paths=800, cut_share=0.5)["mean_reward"] - nothing
+    theirs = row_of(figure1, role="best_heuristic")["mean_reward"] - nothing
+    assert f"cut short, clears a table {words}" in opening.title
+    assert f"{ours:.1f} points a table, against {theirs:.1f}." in opening.title
+    bars = opening.draw("").axes[0].patches
+    assert [bar.get_width() for bar in bars[:2]] == pytest.approx([theirs, ours])
 
 
 def test_a_planner_in_figure_1_stands_as_far_from_the_learned_policy_as_on_the_episodes_of_both():

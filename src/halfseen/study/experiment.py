@@ -132,6 +132,8 @@ class Section(NamedTuple):
     listings: tuple[Listing, ...]
     num_leading: int = 1
     """Sentences that stand at the head of the report."""
+    opening: Drawing | None = None
+    """What the report opens with, its title being the sentence beside it; of one section at most."""
 
 
 @runtime_checkable

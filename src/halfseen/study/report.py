@@ -68,6 +68,7 @@ def report_of(results: StudyResults, pictures: Mapping[str, bytes]) -> str:
             )
     content = {
         "setting": setting,
+        "opening": next((each.opening for each in results.sections.values() if each.opening is not None), None),
         "answer": results.answer,
         "sections": results.sections,
         "scenes": [_scene(scene, pictures.get(scene.name)) for scene in setting.scenes],

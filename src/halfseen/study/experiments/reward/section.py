@@ -14,6 +14,7 @@ from halfseen.pages.palette import BAND_OPACITY
 from halfseen.pages.sentences import Claim, capitalised, counted, listed
 from halfseen.study.experiment import Drawing, Listing, Row, Section, Setting, Tables
 from halfseen.study.experiments.reward.design import RewardDesign
+from halfseen.study.experiments.reward.opening import opening_of
 from halfseen.study.experiments.reward.peer_words import peer_listing, peer_sentence
 from halfseen.study.experiments.reward.tables import BEST, MEASURES
 from halfseen.study.figures import MEAN, draw_by_cut_share, draw_by_size, draw_level
@@ -47,6 +48,7 @@ def section_of(design: RewardDesign, setting: Setting, tables: Tables) -> Sectio
             _weights(design, tables["weights"]),
         ),
         num_leading=3,
+        opening=opening_of(design, setting, figure1, rule),
     )
 
 

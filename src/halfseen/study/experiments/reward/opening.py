@@ -1,0 +1,108 @@
+"""What a reader sees first: one picture and one sentence, before any statistics.
+
+Points are counted above leaving a table as it is: what FINISH at once costs for the dirty objects left, in expectation.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from halfseen.pages.numbers import amount, share_in_words
+from halfseen.pages.sentences import INCONCLUSIVE, SUPPORTED, Claim
+from halfseen.study.experiment import Drawing, Setting
+from halfseen.study.experiments.reward.design import RewardDesign
+from halfseen.study.experiments.reward.tables import BEST
+from halfseen.study.frames import row_of
+from halfseen.study.policies import LEARNED, Contender
+
+_WIDTH_IN, _BAR_IN = 7.2, 0.55
+
+
+class _Bar(NamedTuple):
+    name: str
+    who: Contender
+    mean: float
+    low: float
+    high: float
+
+
+def opening_of(design: RewardDesign, setting: Setting, figure1: pd.DataFrame, rule: Claim) -> Drawing:
+    """Draw what each way of clearing a table brings, and say whether learning is the better one.
+
+    Parameters
+    ----------
+    design, setting
+        Of the experiment.
+    figure1
+        Its table.
+    rule
+        That the learned policy earns more than the strongest heuristic.
+    """
+    bars = _bars(design, figure1, _left_as_it_is(setting))
+    world, few = setting.world, f"{design.table_num_paths} old runs, {share_in_words(design.table_cut_share)} of them"
+    ours, theirs = (f"{amount(bars[k].mean, 1)}" for k in (1, 0))
+    sentence = (
+        f"A robot that learned from {few} cut short, clears a table {_verdict(rule.verdict)} the best rule of thumb: "
+        f"{ours} points a table, against {theirs}."
+    )
+    washed, spared = -world.reward_dirty_left + world.reward_wash_dirty, world.reward_wash_clean
+    caption = (
+        f"Points won on a table, above leaving it as it is: {amount(float(washed), 0)} for a dirty cup that is washed, "
+        f"{amount(float(spared), 0)} for a clean one, and {amount(float(world.reward_lift_per_s), 1)} for each second "
+        "that it takes to lift a cup and look behind it. The robot sees only part of each cup, and cannot know which "
+        "are dirty; even the planner that knows how often looks and grasps fail wins only so much. Thin lines: 95 % "
+        "intervals."
+    )
+    return Drawing("opening", "", sentence, caption, partial(_draw, bars))
+
+
+def _verdict(verdict: str) -> str:
+    if verdict == SUPPORTED:
+        return "better than"
+    return "about as well as" if verdict == INCONCLUSIVE else "worse than"
+
+
+def _left_as_it_is(setting: Setting) -> float:
+    """Expected reward of FINISH at once, the mean over the tables."""
+    num_objects = float(np.mean([scene.num_objects for scene in setting.scenes]))
+    return float(setting.world.reward_dirty_left) * float(setting.world.dirty_share) * num_objects
+
+
+def _bars(design: RewardDesign, figure1: pd.DataFrame, nothing: float) -> list[_Bar]:
+    place = {"num_paths": design.table_num_paths, "cut_share": design.table_cut_share}
+    rule, planner = (row_of(figure1, role=role) for role in BEST)
+    rows = (
+        ("the best rule of thumb", design.contenders[str(rule["policy"])], rule),
+        ("learned from the runs", LEARNED, row_of(figure1, policy=LEARNED.name, **place)),
+        ("plans ahead, with laws from the same runs", design.peer, row_of(figure1, policy=design.peer.name, **place)),
+        ("plans ahead, and knows the true laws", design.contenders[str(planner["policy"])], planner),
+    )
+    return [
+        _Bar(name, who, *(float(row[column]) - nothing for column in ("mean_reward", "low", "high")))
+        for name, who, row in rows
+    ]
+
+
+def _draw(bars: list[_Bar], title: str) -> Figure:
+    figure = Figure(figsize=(_WIDTH_IN, 0.75 + _BAR_IN * len(bars)), layout="constrained")
+    axes = figure.add_subplot()
+    for place, bar in enumerate(bars):
+        axes.barh(place, bar.mean, height=0.62, color=bar.who.colour)
+        axes.plot([bar.low, bar.high], [place, place], color="white", linewidth=3.4, solid_capstyle="butt")
+        axes.plot([bar.low, bar.high], [place, place], color="black", linewidth=1.2, solid_capstyle="butt")
+        axes.annotate(
+            amount(bar.mean, 1), (max(bar.high, bar.mean), place), xytext=(6, 0), textcoords="offset points",
+            va="center", fontsize=13, fontweight="bold", color=bar.who.colour,
+        )  # fmt: skip
+    axes.set_yticks(range(len(bars)), [bar.name for bar in bars], fontsize=12)
+    axes.invert_yaxis()
+    axes.set_xlim(0.0, 1.16 * max(max(bar.high, bar.mean) for bar in bars))
+    axes.set_xlabel("points won on a table, above leaving it as it is", fontsize=11)
+    axes.tick_params(axis="y", length=0)
+    axes.spines["left"].set_visible(False)
+    if title:
+        axes.set_title(title, loc="left", fontsize=11)
+    return figure
