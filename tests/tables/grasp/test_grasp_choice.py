@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 from tried import beta_attempts, cut_some
 
 from halfseen.censoring import censoring_weights
@@ -21,24 +22,40 @@ def attempts_of(num_objects, intercept, slope, seed=0):
     return tried.assign(path=tried["object"] // 2, stage=1, grip=0.0)
 
 
+def naive_beta(attempts):
+    """Chances by the intercept, slope and log s that a search without gradients finds, sum by sum."""
+
+    def chance(theta, occlusion, k, misses):
+        strength = np.exp(theta[2])
+        return (strength / (1 + np.exp(-theta[0] - theta[1] * occlusion)) + k) / (strength + k + misses)
+
+    def loss(theta):
+        total = (theta[0] / 5) ** 2 / 2 + (theta[1] / 5) ** 2 / 2 + ((theta[2] - np.log(2)) / 2) ** 2 / 2
+        for occlusion, k, misses, held, weight in attempts:
+            p = chance(theta, occlusion, k, misses)
+            total -= weight * np.log(p if held else 1 - p)
+        return total
+
+    options = {"xatol": 1e-4, "fatol": 1e-4, "maxiter": 400}
+    theta = minimize(loss, [0.0, 0.0, np.log(2)], method="Nelder-Mead", options=options).x
+    return lambda *of: chance(theta, *of)
+
+
 def by_hand(tried):
     """Squared errors of the rule and of the Beta, path by path."""
-    weight = censoring_weights(tried["time_s"], tried["is_finished"])
-    errors = []
+    tried = tried.assign(weight=censoring_weights(tried["time_s"], tried["is_finished"]))
     paths = sorted(set(tried["path"]))
-    for rank, path in enumerate(paths):
-        others = [p for r, p in enumerate(paths) if r % NUM_FOLDS != rank % NUM_FOLDS]
-        beta = BetaGrasp().fit(tried[tried["path"].isin(others)])
-        error = np.zeros(2)
-        for row in np.flatnonzero(tried["path"] == path):
-            one = tried.iloc[[row]]
-            if not one["is_finished"].item():
-                continue
-            held, k, misses = bool(one["succeeded"].item()), one["successes"].item(), one["failures"].item()
-            rule = (1 - one["occlusion"].item()) * (1 + k) / (1 + k + misses)
-            error += weight[row] * np.square(np.array([rule, beta.predict_proba(one)[0, 1]]) - held)
-        errors.append(error)
-    return np.array(errors).T
+    columns = ["occlusion", "successes", "failures", "succeeded", "weight"]
+    rows = {path: tried[(tried["path"] == path) & tried["is_finished"]][columns].to_numpy(float) for path in paths}
+    errors = np.zeros((len(paths), 2))
+    for k in range(NUM_FOLDS):
+        beta = naive_beta([row for rank, path in enumerate(paths) if rank % NUM_FOLDS != k for row in rows[path]])
+        for rank in range(k, len(paths), NUM_FOLDS):
+            for occlusion, successes, failures, held, weight in rows[paths[rank]]:
+                rule = (1 - occlusion) * (1 + successes) / (1 + successes + failures)
+                said = np.array([rule, beta(occlusion, successes, failures)])
+                errors[rank] += weight * (said - held) ** 2
+    return errors.T
 
 
 @pytest.mark.parametrize(("intercept", "slope"), [(6.0, 0.0), (3.0, 0.0), (1.5, -3.0)])

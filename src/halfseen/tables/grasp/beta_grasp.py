@@ -104,7 +104,7 @@ class BetaGrasp(BaseEstimator):
             A weight is not identified.
         """
         decided = checked_attempts(frame, self.censoring, self.truncate_at)
-        theta = _fitted(decided)
+        theta = fitted_theta(decided)
         self.intercept_, self.slope_, self.strength_ = float(theta[0]), float(theta[1]), float(np.exp(theta[2]))
         self.classes_ = np.array([False, True])
         self.diagnostics_ = decided.diagnostics
@@ -155,7 +155,8 @@ def _prior_mean(theta: Theta, history: History) -> Rows:
     return expit(theta[0] + theta[1] * history.occlusion)
 
 
-def _fitted(decided: Decided) -> Theta:
+def fitted_theta(decided: Decided) -> Theta:
+    """Intercept, slope and log s of the largest posterior density."""
     bounds = [(-15.0, 15.0), (-15.0, 15.0), (-10.0, 10.0)]
     options = {"ftol": 1e-15, "gtol": 1e-9, "maxiter": 1000}
     found = minimize(

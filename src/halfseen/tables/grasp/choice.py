@@ -15,16 +15,17 @@ from typing import Literal, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
+from jaxtyping import Float
 
 from halfseen.arrays import Rows
 from halfseen.errors import HalfseenError, HalfseenWarning
+from halfseen.learners.threads import one_thread
 from halfseen.logs import Logs
 from halfseen.tables.features import succession
 from halfseen.tables.grasp.attempts import attempts
-from halfseen.tables.grasp.beta_grasp import BetaGrasp
+from halfseen.tables.grasp.beta_grasp import BetaGrasp, fitted_theta, predictive
 from halfseen.tables.grasp.grasp_table import GraspTable, tabulate
-from halfseen.tables.grasp.grip_effect import fit_grip_effect
-from halfseen.tables.grasp.inputs import checked_attempts
+from halfseen.tables.grasp.inputs import History, checked_attempts
 
 AUTO: Literal["auto"] = "auto"
 NUM_FOLDS = 5
@@ -90,15 +91,15 @@ def choose_by(tried: pd.DataFrame, horizon: int) -> GraspChoice:
     num_decided = int(tried["is_finished"].sum())
     if num_decided < FEWEST_ATTEMPTS:
         return GraspChoice(None, f"{KEPT}: {num_decided} decided attempts are too few to learn it from")
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), one_thread():
         # Nobody asked for these weights, and the standard error tells how much they are worth.
         warnings.simplefilter("ignore", HalfseenWarning)
-        errors, grasp = _errors(tried), tabulate(BetaGrasp().fit(tried), horizon, tried)
+        errors = _errors(tried)
     lead = (1.0 - WORTH) * errors.rule - errors.beta
     left = f"{errors.beta.sum() / errors.rule.sum():.0%} of its squared error"
     if lead.mean() > CLEARLY * lead.std(ddof=1) / np.sqrt(len(lead)):
         return GraspChoice(
-            grasp,
+            tabulate(BetaGrasp().fit(tried), horizon, tried),
             "the probability of a grasp is learned from the log’s attempts: held out, a Beta regression foretells them "
             f"better than the rule of succession, with {left}",
         )
@@ -106,35 +107,29 @@ def choose_by(tried: pd.DataFrame, horizon: int) -> GraspChoice:
 
 
 class _Errors(NamedTuple):
-    """Squared errors of what is foretold, summed over the attempts of each path."""
+    """Squared errors of what is foretold, weighted and summed over the attempts of each path."""
 
     rule: Rows
     beta: Rows
 
 
 def _errors(tried: pd.DataFrame) -> _Errors:
-    """Errors of the rule, and of a Beta that was fitted to other paths."""
+    """Errors of the rule, and of a Beta that was fitted to other paths; both as far as they go by history alone."""
     decided = checked_attempts(tried)
     path = np.unique(tried["path"].to_numpy(), return_inverse=True)[1]
-    rows, fold = tried.iloc[decided.row], path % NUM_FOLDS
-    said = np.zeros(len(rows))
+    own = path[decided.row]
+    said = np.zeros(len(own))
     for k in range(NUM_FOLDS):
-        held_out, others = fold[decided.row] == k, pd.DataFrame(tried[fold != k])
-        said[held_out] = _by_beta(others, pd.DataFrame(rows[held_out]))
-    return _Errors(
-        *(
-            np.bincount(path[decided.row], decided.weight * np.square(each - decided.succeeded), path.max() + 1)
-            for each in (_by_succession(rows), said)
-        )
-    )
+        held_out = own % NUM_FOLDS == k
+        theta = fitted_theta(decided.among(~held_out))
+        said[held_out] = predictive(theta, decided.among(held_out).history)
+    rule = _by_succession(decided.history, tried["grip"].to_numpy(dtype=np.float32)[decided.row])
+    squared = (decided.weight * np.square(each - decided.succeeded) for each in (rule, said))
+    return _Errors(*(np.bincount(own, each, path.max() + 1) for each in squared))
 
 
-def _by_beta(learned_from: pd.DataFrame, rows: pd.DataFrame) -> Rows:
-    beta = BetaGrasp().fit(learned_from)
-    effect = fit_grip_effect(beta, learned_from)
-    return effect.moved(beta.predict_proba(rows)[:, 1], rows["grip"].to_numpy(dtype=np.float64))
-
-
-def _by_succession(rows: pd.DataFrame) -> Rows:
-    told = (jnp.asarray(rows[name].to_numpy(dtype=np.float32)) for name in ("successes", "failures", "grip"))
-    return (1.0 - rows["occlusion"].to_numpy(dtype=np.float64)) * np.asarray(succession(*told), dtype=np.float64)
+def _by_succession(history: History, grip: Float[np.ndarray, " n"]) -> Rows:
+    """What the features say: they take what shows of a grip in full."""
+    counts = (jnp.asarray(count, dtype=jnp.float32) for count in (history.successes, history.failures))
+    held = np.asarray(succession(*counts, jnp.asarray(grip)), dtype=np.float64)
+    return (1.0 - history.occlusion) * held

@@ -48,6 +48,12 @@ class Decided(NamedTuple):
     row: Int[np.ndarray, " n"]
     """Of the table that was given."""
 
+    def among(self, kept: RowMask) -> "Decided":
+        """Keep some, with the weights and the diagnostics that they had among all."""
+        history = History(*(values[kept] for values in self.history))
+        arrays = (values[kept] for values in (self.succeeded, self.weight, self.group))
+        return Decided(history, *arrays, self.diagnostics, self.row[kept])
+
 
 def checked_history(data: FrameLike) -> History:
     """Read the columns that a prediction needs.
