@@ -31,6 +31,7 @@ from halfseen.study.statistics import holm, signed_rank_test
 from halfseen.tables.fitted_world import fit_world
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Policy
+from halfseen.writing import write_file
 
 LEARNED = "learned"
 FITTED, PLANNER = "planner, fitted laws", "planner, calibrated law"
@@ -60,10 +61,15 @@ def told(name: str, summary: Summary) -> str:
 def compared(rewards: dict[str, np.ndarray]) -> dict[str, dict[str, float]]:
     """By how much the learned policy is ahead of each other one, table by table."""
     others = [name for name in rewards if name != LEARNED and LEARNED in rewards]
+    if not others:
+        return {}
     tests = [signed_rank_test(rewards[LEARNED] - rewards[other], "two-sided") for other in others]
     adjusted = holm(np.array([test.p_value for test in tests]))
     return {
-        f"{LEARNED} – {other}": {**asdict(test.effect), "p_holm": float(p)}
+        f"{LEARNED} – {other}": {
+            **{name: getattr(test.effect, name) for name in ("value", "low", "high", "standard_error")},
+            "p_holm": float(p),
+        }
         for other, test, p in zip(others, tests, adjusted, strict=True)
     }
 
@@ -72,7 +78,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--logs", type=Path, default=LOGS)
     parser.add_argument("--law", type=Path, default=shipped_law())
-    parser.add_argument("--tables", type=int, default=60)
+    parser.add_argument("--tables", type=int, default=200)
     parser.add_argument("--seed", type=int, default=2026)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--only", nargs="*", help="names of policies")
@@ -81,7 +87,7 @@ def main() -> None:
     law, logs = read_law(options.law).law, read_logs(options.logs)
     belief = Belief(law.config(), law.grip)
     rewards: dict[str, np.ndarray] = {}
-    results: dict[str, Any] = {"seed": options.seed, "logs": str(logs.summary()), "policies": {}}
+    results: dict[str, Any] = {"seed": options.seed, "logs": str(logs.summary()), "policies": {}, "differences": {}}
     print(f"learned from {logs.summary()}")
     print(f"{'':<26}{'in physics':>17}{'foretold':>17}{'gap':>17}{'washed':>22}{'robot':>7}")
     for name, policy in policies_of(logs, belief.config, options.seed).items():
@@ -95,14 +101,15 @@ def main() -> None:
             summary = summarised(runs, logs_of(folder, tables), policy, belief.config, options.seed)
         print(told(name, summary), flush=True)
         rewards[name] = np.array([run.reward for run in runs])
-        results["policies"][name] = asdict(summary)
-    results["differences"] = compared(rewards)
+        results["policies"][name] = asdict(summary) | {"rewards": rewards[name].tolist()}
+        results["differences"] = compared(rewards)
+        # What has been driven for so long is kept, whatever comes of the next.
+        options.out.parent.mkdir(parents=True, exist_ok=True)
+        write_file(options.out, json.dumps(results, indent=1) + "\n")
     print(f"\n{'table by table':<50}{'mean':>9}{'95 % interval':>20}{'p (Holm)':>10}")
     for name, row in results["differences"].items():
         within = f"{row['low']:+.2f} to {row['high']:+.2f}"
         print(f"{name:<50}{row['value']:>+9.2f}{within:>20}{row['p_holm']:>10.3f}")
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -130,6 +130,6 @@ def _errors(tried: pd.DataFrame) -> _Errors:
 
 def _by_succession(history: History, grip: Float[np.ndarray, " n"]) -> Rows:
     """What the features say: they take what shows of a grip in full."""
-    counts = (jnp.asarray(count, dtype=jnp.float32) for count in (history.successes, history.failures))
-    held = np.asarray(succession(*counts, jnp.asarray(grip)), dtype=np.float64)
-    return (1.0 - history.occlusion) * held
+    successes, failures = (jnp.asarray(each, dtype=jnp.float32) for each in (history.successes, history.failures))
+    held = succession(successes, failures, jnp.asarray(grip))
+    return (1.0 - history.occlusion) * np.asarray(held, dtype=np.float64)

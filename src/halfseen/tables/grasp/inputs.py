@@ -50,9 +50,13 @@ class Decided(NamedTuple):
 
     def among(self, kept: RowMask) -> "Decided":
         """Keep some, with the weights and the diagnostics that they had among all."""
-        history = History(*(values[kept] for values in self.history))
-        arrays = (values[kept] for values in (self.succeeded, self.weight, self.group))
-        return Decided(history, *arrays, self.diagnostics, self.row[kept])
+        return self._replace(
+            history=History(*(values[kept] for values in self.history)),
+            succeeded=self.succeeded[kept],
+            weight=self.weight[kept],
+            group=self.group[kept],
+            row=self.row[kept],
+        )
 
 
 def checked_history(data: FrameLike) -> History:
