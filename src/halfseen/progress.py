@@ -115,11 +115,11 @@ class Progress:
         from tqdm import tqdm
 
         form = _FORM_WITHOUT_END if self.total is None else _FORM_OF_UNITS if self.unit else _FORM
-        with tqdm(total=self.total, unit=self.unit, bar_format=form, file=terminal, leave=False) as bar:
+        with tqdm(desc=self.what, total=self.total, unit=self.unit, bar_format=form, file=terminal, leave=False) as bar:
             bar.start_t = time.time() - self._elapsed_s()
             while not self._is_over.is_set():
-                left_s = self.left_s()
-                bar.n = self.done if self.total is None else min(self.done, self.total)
+                left_s, done = self.left_s(), min(self.done, self.total or self.done)
+                bar.n = int(done) if self.unit else done
                 bar.set_description_str(self.what, refresh=False)
                 bar.set_postfix_str(f"{'?' if left_s is None else bar.format_interval(left_s)} left", refresh=False)
                 bar.refresh()

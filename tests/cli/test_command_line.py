@@ -1,13 +1,17 @@
 """What holds for every verb: what a mistyped word gets, colours, quiet, and completion."""
 
 import os
+import re
 import subprocess
 import sys
+import tomllib
+from pathlib import Path
 
 import click
 import pytest
 
 from halfseen.cli import VERBS, halfseen, messages
+from halfseen.cli.extras import EXTRAS, remedy
 from halfseen.progress import Progress, Telling, _telling
 from small_logs import flat_log
 
@@ -63,7 +67,7 @@ def test_a_word_that_is_like_none_is_refused_without_a_guess(refused):
     [("--covariates", "X1,x2", "x1"), ("--covariates", "coluor", "colour"), ("--censoring-covariates", "xx1", "x1")],
 )
 def test_a_mistyped_column_gets_the_one_that_was_meant(refused, flat, tmp_path, option, names, meant):
-    told = refused("learn", flat, "--out", tmp_path / "policy", "--no-verdict", option, names)
+    told = refused("learn", flat, "--out", tmp_path / "policy", "--no-verdict", "--censoring", "cox", option, names)
     assert f"; did you mean '{meant}'?" in told
     assert not any(tmp_path.iterdir())
 
@@ -130,7 +134,7 @@ def test_errors_are_red_on_a_terminal_unless_nobody_wants_colours(
 def completed(shell, words, incomplete):
     """What a shell would offer: names, by click's protocol of environment variables."""
     asked = {"_HALFSEEN_COMPLETE": f"{shell}_complete"}
-    if shell == "bash":
+    if shell != "fish":
         asked |= {"COMP_WORDS": " ".join(["halfseen", *words, incomplete]), "COMP_CWORD": str(len(words) + 1)}
     else:
         asked |= {"COMP_WORDS": " ".join(["halfseen", *words]), "COMP_CWORD": incomplete}
@@ -163,3 +167,26 @@ def test_other_shells_are_told_what_each_verb_does(shell):
     assert {"learn", VERBS["learn"].split()[-1]} <= set(
         " ".join(completed(shell, [], "learn")).replace(",", " ").split()
     )
+
+
+def test_a_library_that_is_not_there_is_told_with_the_extra_that_brings_it(refused, tmp_path, monkeypatch):
+    def fails(*_):
+        raise ModuleNotFoundError("none", name="skimage.measure")
+
+    monkeypatch.setattr("halfseen.logs.read_logs", fails)
+    assert refused("inspect", tmp_path).startswith("halfseen: skimage is not installed")
+    assert remedy(ModuleNotFoundError("none", name="skimage.measure")).endswith(
+        "run: pip install 'halfseen[perception]'"
+    )
+    assert remedy(ModuleNotFoundError("none", name="numpy")) is None
+
+
+def test_the_extras_of_the_command_line_are_those_of_the_package():
+    root = Path(__file__).parents[2]
+    declared = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    page = (root / "docs" / "guide" / "installation.md").read_text(encoding="utf-8")
+    of_import = {"skimage": "scikit-image", "h5py": "minari"}
+    for extra, libraries in EXTRAS.items():
+        named = {re.match(r"[\w-]+", needed)[0] for needed in declared[extra]}
+        assert {of_import.get(library, library) for library in libraries} <= named
+    assert all(f"`{extra}`" in page for extra in declared)

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from halfseen import __version__
+from halfseen.cli.extras import remedy
 from halfseen.cli.messages import tell_error, tell_warning
 from halfseen.cli.verb_group import VerbGroup
 from halfseen.errors import HalfseenError, HalfseenWarning
@@ -53,6 +54,11 @@ def main() -> None:
         _refuse(_of_option(error))
     except click.ClickException as error:
         _refuse(error.format_message())
+    except ModuleNotFoundError as error:
+        told = remedy(error)
+        if told is None:
+            raise
+        _refuse(told)
     except (click.Abort, KeyboardInterrupt):
         click.echo("halfseen: stopped", err=True)
         sys.exit(130)

@@ -5,9 +5,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from halfseen.suggestions import did_you_mean
+
 if TYPE_CHECKING:
-    from halfseen.suggestions import did_you_mean
-from halfseen.cell.calibration.law import Law
+    from halfseen.cell.calibration.law import Law
 
 ASSUMED, SHIPPED = "assumed", "shipped"
 
