@@ -28,10 +28,10 @@ def pages() -> dict[str, str]:
 
 
 HEAD = [
-    "Every verb has ``--help``, and where a program may read what it finds, ``--json`` prints one object. Results go to",
-    "stdout; progress and warnings go to stderr. Bad input gets one line there and exit status 2, and what is interrupted",
-    "ends with 130. :doc:`../../guide/installation` says how shells complete verbs and options, and how to do without",
-    "progress and colours.",
+    "Every verb has ``--help``, and where a program may read what it finds, ``--json`` prints one object. Results go",
+    "to stdout; progress and warnings go to stderr. Bad input gets one line there and exit status 2, and what is",
+    "interrupted ends with 130. :doc:`../../guide/installation` says how shells complete verbs and options, and how to",
+    "do without progress and colours.",
     "",
 ]
 
