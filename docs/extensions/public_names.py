@@ -48,7 +48,7 @@ def _constant(package: str, name: str, value: Any) -> list[str]:
     if not isinstance(value, str) or "\n" not in value:
         return [f".. data:: {name}", f"   :value: {value!r}", "", *(f"   {line}" for line in max(told, key=len))]
     # Several lines are shown as they would be printed.
-    block = ["", ".. code-block:: text", "", *(f"   {line}" for line in value.splitlines())]
+    block = ["", ".. code-block:: toml", "", *(f"   {line}" for line in value.splitlines())]
     return [f".. data:: {name}", "", *(f"   {line}" for line in [*max(told, key=len), *block])]
 
 
