@@ -107,10 +107,10 @@ def test_a_line_says_how_far_it_is():
         ([0.0], [0.0], 5.0, None),  # nothing is done yet
         ([0.0, 10.0], [0.0, 1.0], 10.0, 30.0),
         ([0.0, 10.0], [0.0, 1.0], 16.0, 24.0),  # it runs on between two marks
-        ([0.0, 10.0], [0.0, 1.0], 41.0, None),  # and is at a loss once all should be over
+        ([0.0, 10.0], [0.0, 1.0], 40.0, 24.0),  # and beyond what was expected: 2.5 of 4 in 40 s
         ([0.0, 10.0, 12.0, 14.0], [0.0, 1.0, 2.0, 3.0], 14.0, 14.0 / 3.0),  # the first step is in the latter half
         ([0.0, 0.1, 20.1], [0.0, 2.0, 3.0], 20.1, 20.0),  # two were kept of an earlier run
-        ([0.0, 10.0], [0.0, 4.0], 10.0, None),
+        ([0.0, 10.0], [0.0, 4.0], 10.0, 0.0),
     ],
 )
 def test_the_time_left_of_four_steps(marks_s, marks, now_s, left_s):

@@ -142,7 +142,8 @@ class Progress:
 def time_left_s(total: float | int, marks_s: list[float], marks: list[float], now_s: float) -> float | None:
     """Time left [s], by how fast the work went in the latter half of the time up to the last mark.
 
-    What was kept of an earlier run is read back at once, and so says nothing about the rest.
+    What was kept of an earlier run is read back at once, and so says nothing about the rest. Where a step drags on
+    beyond that, half of what was left is taken to be done by now.
 
     Parameters
     ----------
@@ -156,14 +157,14 @@ def time_left_s(total: float | int, marks_s: list[float], marks: list[float], no
     Returns
     -------
     float or None
-        None before the first mark, and where the step since the last one takes longer than all that is left should.
+        None before the first mark.
     """
     if len(marks) < 2 or marks_s[-1] <= 0.0:
         return None
     begin = min(bisect_right(marks_s, marks_s[-1] / 2) - 1, len(marks) - 2)
     pace_s = (marks_s[-1] - marks_s[begin]) / (marks[-1] - marks[begin])
-    left_s = (total - marks[-1]) * pace_s - (now_s - marks_s[-1])
-    return left_s if left_s > 0.0 else None
+    left = max(total - marks[-1], 0.0)
+    return max(left * pace_s - (now_s - marks_s[-1]), now_s * left / (total + marks[-1]))
 
 
 def in_words(time_s: float) -> str:

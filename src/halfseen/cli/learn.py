@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from halfseen.learners.q_learning.targets import Targets
 
 CENSORING = ("auto", *options.WEIGHTING, "buckley-james", "none")
-WORK = {"start": 3, "learn": 10, "judge": 8, "look": 1}
-"""What each step takes of the time, roughly: compiling takes most of it, which policies of the verdict need not do."""
+START, LEARN, FOLDS, JUDGE, LOOK = 3, 14, 6, 5, 1
+"""What each step takes of the time, roughly: compiling takes most of it, which the folds of the verdict need not do."""
 
 
 class _Or(click.ParamType):
@@ -111,7 +111,7 @@ def learn(logs: Path, out: Path, has_verdict: bool, overwrite: bool, as_json: bo
     from halfseen.policies.folder.files import check_target
 
     check_target(out, overwrite)
-    total = sum(WORK.values()) if has_verdict else WORK["start"] + WORK["learn"] + WORK["look"]
+    total = START + LEARN + (FOLDS + JUDGE if has_verdict else 0) + LOOK
     with Progress(total, "start") as bar, warnings.catch_warnings(record=True) as told:
         from halfseen.errors import HalfseenWarning
         from halfseen.evaluation.held_out import NUM_FOLDS, held_out_verdict
@@ -125,11 +125,12 @@ def learn(logs: Path, out: Path, has_verdict: bool, overwrite: bool, as_json: bo
         targets, seed = _targets(chosen), chosen.pop("seed")
         log = read_logs(logs)
         choice = learner_for(log, censoring=targets, random_state=seed, **chosen)
-        bar.begin("learn", WORK["start"])
+        bar.begin("learn", START)
         learner = choice.learner.fit(log)
-        bar.begin("judge" if has_verdict else "write", WORK["learn"])
-        judged = partial(bar.update, WORK["judge"] / (NUM_FOLDS + 1))
+        bar.begin("judge" if has_verdict else "write", LEARN)
+        judged = partial(bar.update, FOLDS / NUM_FOLDS)
         verdict = held_out_verdict(learner, log, on_progress=judged).as_dict() if has_verdict else None
+        bar.reach(total - LOOK)
         write_policy(learner, log, out, overwrite=overwrite, verdict=verdict)
         bar.begin("look", 0)
         shares = action_shares(learner.policy_, learner.model_.task, log)
