@@ -46,7 +46,7 @@ def flat(tmp_path_factory):
         (["learn", "x", "--out", "p", "--q-function", "smoth"], "; did you mean 'smooth'?"),
         (
             ["simulate", "--out", "x", "--law", "shiped"],
-            "--law shiped: there is no such folder; by their names",
+            "--law shiped: there is no such folder; let",
         ),
         (["simulate", "--out", "x", "--law", "shiped"], "; did you mean 'shipped'?"),
         (["study", "--only", "rewards"], "; did you mean 'reward'?"),

@@ -129,7 +129,7 @@ def _stored(folder: str, config: "WorldConfig") -> "Policy":
     from halfseen.policies import read_policy
 
     if not Path(folder).exists():
-        there = f"there is no such folder; by their names {', '.join(NAMES)} are known"
+        there = f"there is no such folder; let `halfseen learn` write one, or name one of {', '.join(NAMES)}"
         raise PolicyError(f"--policy {folder}: {there}{did_you_mean(folder, NAMES)}")
     stored = read_policy(folder)
     if not stored.is_table:

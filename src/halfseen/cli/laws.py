@@ -46,7 +46,7 @@ def law_folder(name: str) -> Path | None:
     if name == ASSUMED:
         return None
     if not Path(name).exists():
-        there = f"there is no such folder; by their names {SHIPPED} and {ASSUMED} are known"
+        there = f"there is no such folder; let `halfseen cell calibrate` write one, or name {SHIPPED} or {ASSUMED}"
         raise ArgumentError(f"--law {name}: {there}{did_you_mean(name, (SHIPPED, ASSUMED))}")
     return Path(name)
 
