@@ -16,7 +16,8 @@ copyright = "the halfseen authors, Apache-2.0"  # noqa: A001
 version = release = __version__
 language = "en-GB"
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "numpydoc", "citations", "public_names"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "numpydoc"]
+extensions += ["citations", "public_names", "verbs"]
 exclude_patterns = ["extensions", "_build"]
 myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3

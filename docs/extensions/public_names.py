@@ -45,7 +45,11 @@ def _constant(package: str, name: str, value: Any) -> list[str]:
     """A constant has no docstring of its own; the string below it is in the file that defines it."""
     modules = [module for module in sys.modules if module.startswith(f"{package}.")]
     told = [ModuleAnalyzer.for_module(module).find_attr_docs().get(("", name), []) for module in modules]
-    return [f".. data:: {name}", f"   :value: {value!r}", "", *(f"   {line}" for line in max(told, key=len))]
+    if not isinstance(value, str) or "\n" not in value:
+        return [f".. data:: {name}", f"   :value: {value!r}", "", *(f"   {line}" for line in max(told, key=len))]
+    # Several lines are shown as they would be printed.
+    block = ["", ".. code-block:: toml", "", *(f"   {line}" for line in value.splitlines())]
+    return [f".. data:: {name}", "", *(f"   {line}" for line in [*max(told, key=len), *block])]
 
 
 def shortened(

@@ -1,3 +1,4 @@
+import html
 import importlib
 import pkgutil
 import re
@@ -6,9 +7,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import click
 import pytest
 
 import halfseen
+from halfseen import cli
 
 DOCS = Path(__file__).parent.parent.parent / "docs"
 # What is run or shown, not imported, has no public names.
@@ -90,3 +93,20 @@ def test_no_page_loads_anything_from_elsewhere(built):
     pages = list(built.rglob("*.html"))
     assert len(pages) > len(PACKAGES)
     assert [page.name for page in pages if loads.search(page.read_text(encoding="utf-8"))] == []
+
+
+@pytest.mark.slow
+def test_every_verb_has_a_page_with_all_its_options(built):
+    index = html.unescape((built / "reference" / "verbs" / "index.html").read_text(encoding="utf-8"))
+    for verb, told in cli.VERBS.items():
+        page = html.unescape((built / "reference" / "verbs" / f"{verb}.html").read_text(encoding="utf-8"))
+        command = cli.halfseen.get_command(click.Context(cli.halfseen), verb)
+        names = [name for param in command.params for name in param.opts if name.startswith("-")]
+        assert f"<h1>halfseen {verb}<" in page
+        assert [name for name in names if f">{name}<" not in page] == []
+        assert told in index
+
+
+@pytest.mark.slow
+def test_no_reference_shows_a_line_break_as_two_characters(built):
+    assert [page.name for page in (built / "reference").rglob("*.html") if "\\n" in page.read_text("utf-8")] == []

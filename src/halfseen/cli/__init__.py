@@ -3,13 +3,16 @@
 import os
 import sys
 import warnings
-from importlib import import_module
 from typing import Any
 
 import click
 
 from halfseen import __version__
+from halfseen.cli.extras import remedy
+from halfseen.cli.messages import tell_error, tell_warning
+from halfseen.cli.verb_group import VerbGroup
 from halfseen.errors import HalfseenError, HalfseenWarning
+from halfseen.suggestions import did_you_mean
 
 COMPILES_QUICKLY = "--xla_backend_optimization_level=1 --xla_cpu_use_fusion_emitters=false"
 """A verb compiles for longer than it runs: this halves that, and what is compiled is as fast."""
@@ -28,23 +31,9 @@ VERBS = {
 }
 
 
-class _VerbGroup(click.Group):
-    """A group that imports a command's file when that command is called, so that ``--help`` stays instant."""
-
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(VERBS)
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name not in VERBS:
-            return None
-        return getattr(import_module(f"halfseen.cli.{cmd_name}"), cmd_name)
-
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        with formatter.section("Commands"):
-            formatter.write_dl(list(VERBS.items()))
-
-
-@click.group(cls=_VerbGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(
+    cls=VerbGroup, verbs=VERBS, modules="halfseen.cli.", context_settings={"help_option_names": ["-h", "--help"]}
+)
 @click.version_option(__version__, prog_name="halfseen")
 def halfseen() -> None:
     """Learn when to pick, when to look and when to stop, from cut logs and half-hidden views."""
@@ -61,8 +50,15 @@ def main() -> None:
         _refuse(str(error))
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.format_message())
+    except click.NoSuchOption as error:
+        _refuse(_of_option(error))
     except click.ClickException as error:
         _refuse(error.format_message())
+    except ModuleNotFoundError as error:
+        told = remedy(error)
+        if told is None:
+            raise
+        _refuse(told)
     except (click.Abort, KeyboardInterrupt):
         click.echo("halfseen: stopped", err=True)
         sys.exit(130)
@@ -74,13 +70,21 @@ def _say_in_one_line() -> None:
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
         if issubclass(category, HalfseenWarning):
-            click.echo("halfseen: " + " ".join(str(message).split()), err=True)
+            tell_warning(str(message))
         else:
             usual(message, category, *where, **more)
 
     warnings.showwarning = show
 
 
+def _of_option(error: click.NoSuchOption) -> str:
+    """Say which option there is instead of one that is not there."""
+    params = [] if error.ctx is None else error.ctx.command.get_params(error.ctx)
+    known = [name for param in params for name in (*param.opts, *param.secondary_opts) if name.startswith("--")]
+    ending = did_you_mean(error.option_name, known) or "; --help lists those that there are"
+    return f"there is no option {error.option_name}{ending}"
+
+
 def _refuse(message: str) -> None:
-    click.echo("halfseen: " + " ".join(message.split()), err=True)
+    tell_error(message)
     sys.exit(2)

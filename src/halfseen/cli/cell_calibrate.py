@@ -11,7 +11,7 @@ import click
 from halfseen.cli import options
 from halfseen.cli.arms import arm_options, robot_for
 from halfseen.cli.opengl import load_mujoco
-from halfseen.cli.progress import progress
+from halfseen.progress import Progress
 
 if TYPE_CHECKING:
     from halfseen.cell.calibration.law import Law
@@ -85,7 +85,10 @@ def calibrate(
     else:
         # What was recorded goes when the law is written, not before: attempts take hours.
         what = f"calibrate, seed {seed}" + (f", arm {arm_name}" if arm else "")
-        with working_folder(out, what, refuse) as folder, progress(attempts + visible_only, "attempts") as bar:
+        with (
+            working_folder(out, what, refuse) as folder,
+            Progress(attempts + visible_only, "calibrate", "attempts") as bar,
+        ):
             conditions, try_on = Conditions(robot=robot), partial(attempts_of, seed=seed, num_workers=workers)
             logs = try_on(attempts, folder=folder, conditions=conditions, on_table=bar.update)
             contrast = None

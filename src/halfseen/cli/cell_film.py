@@ -10,6 +10,10 @@ from halfseen.cli.arms import arm_options, robot_for
 from halfseen.cli.cell_run import belief_of, policy_of, policy_option
 from halfseen.cli.laws import SHIPPED, law_option
 from halfseen.cli.opengl import start_opengl
+from halfseen.progress import Progress
+
+DRAWING = 3
+"""What drawing takes, where a decision and what is done after it take 1."""
 
 
 @click.command(epilog="Example: halfseen cell film --policy planner --out film.gif")
@@ -51,11 +55,19 @@ def film(
     taken = Film()
     cell.cell.watches.append(taken)
     key = jax.random.fold_in(jax.random.key(seed), table)
-    with TemporaryDirectory() as folder, LogRecorder(folder) as recorder:
-        path = recorder.begin_path(table)
-        policy = policy_of(name, 0.0, belief.config)
-        run = play(cell, is_dirty, policy, belief, path, key, on_decision=taken.say)
-    taken.write(out, cell)
+    with Progress(belief.config.horizon + DRAWING, "play") as bar:
+
+        def follow(decision: str) -> None:
+            taken.say(decision)
+            bar.update()
+
+        with TemporaryDirectory() as folder, LogRecorder(folder) as recorder:
+            path = recorder.begin_path(table)
+            policy = policy_of(name, 0.0, belief.config)
+            run = play(cell, is_dirty, policy, belief, path, key, on_decision=follow)
+        bar.reach(belief.config.horizon)
+        bar.begin("draw", 0)
+        taken.write(out, cell)
     click.echo(
         f"{out}: {run.num_washed} of {run.num_dirty} dirty cups washed in {run.seconds:.0f} s, reward {run.reward:+.1f}"
     )

@@ -12,9 +12,11 @@ import click
 from halfseen.cli import options
 from halfseen.cli.arms import arm_options, robot_for
 from halfseen.cli.laws import SHIPPED, law_folder, law_option
+from halfseen.cli.messages import tell_warning
 from halfseen.cli.opengl import load_mujoco
-from halfseen.cli.progress import progress
 from halfseen.planners.named import HEURISTICS, PLANNER, exploring, named_policy
+from halfseen.progress import Progress
+from halfseen.suggestions import did_you_mean
 
 if TYPE_CHECKING:
     from halfseen.cell.table_state import Belief
@@ -80,7 +82,7 @@ def run(
     told = f"policy {name}{_digest(Path(name))}, law {law}{_digest(law_folder(law))}"
     what = f"run, seed {seed}, {told}, stops {stops}, random share {random_share}"
     what += f", arm {arm_name}" if arm else ""
-    with working_folder(out, what, refuse) as folder, progress(tables, "tables") as bar:
+    with working_folder(out, what, refuse) as folder, Progress(tables, "run", "tables") as bar:
         runs = []
         for _, each in campaign.runs(range(tables), folder, workers):
             runs.append(each)
@@ -110,7 +112,7 @@ def belief_of(name: str, arm_name: str) -> "Belief":
         return Belief(WorldConfig(), no_grip)
     stored = read_law(folder)
     if (its := stored.record.get("arm", JACO_2.name)) != arm_name:
-        click.echo(f"warning: {folder}: the law is of the arm {its}, and works here for {arm_name}", err=True)
+        tell_warning(f"{folder}: the law is of the arm {its}, and works here for {arm_name}")
     law = stored.law
     return Belief(law.config(), law.grip)
 
@@ -126,6 +128,9 @@ def _stored(folder: str, config: "WorldConfig") -> "Policy":
     from halfseen.errors import PolicyError
     from halfseen.policies import read_policy
 
+    if not Path(folder).exists():
+        there = f"there is no such folder; let `halfseen learn` write one, or name one of {', '.join(NAMES)}"
+        raise PolicyError(f"--policy {folder}: {there}{did_you_mean(folder, NAMES)}")
     stored = read_policy(folder)
     if not stored.is_table:
         raise PolicyError(

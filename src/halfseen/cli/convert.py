@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from halfseen.cli import options
+from halfseen.progress import Progress
 
 if TYPE_CHECKING:
     import numpy as np
@@ -133,15 +134,13 @@ def _read(
 
 
 def _read_bags(bags: list[Path], mapping: Path, see: bool, clouds: Path | None) -> "Logs":
-    from tqdm import tqdm
-
     from halfseen.logs.formats import read_bag
 
-    with tqdm(desc="clouds", unit=" steps", disable=None, leave=False) as progress:
+    with Progress(None, "convert", "clouds") as bar:
 
         def counted(work: Callable[..., Any]) -> Callable[..., Any]:
             def count(*cloud: Any) -> Any:
-                progress.update()
+                bar.update()
                 return work(*cloud)
 
             return count

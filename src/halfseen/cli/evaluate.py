@@ -12,12 +12,15 @@ import click
 from halfseen.cli import options
 from halfseen.cli.columns import aligned
 from halfseen.cli.laws import ASSUMED, law_of, law_option
-from halfseen.cli.progress import begin, progress
 from halfseen.cli.scenes import scenes_of
+from halfseen.progress import Progress
 
 if TYPE_CHECKING:
     from halfseen.evaluation.simulation import WorldComparison
     from halfseen.policies.folder import StoredPolicy
+
+WORK = {"start": 1, "evaluate": 4}
+"""What each step takes of the time, roughly."""
 
 
 @click.command(epilog="Example: halfseen evaluate policy --logs logs --against logging-rule --against rule.csv")
@@ -101,20 +104,19 @@ def _by_logs(
     propensity: str,
     **chosen: Any,
 ) -> tuple[dict[str, Any], list[str]]:
-    from halfseen.errors import HalfseenWarning
-    from halfseen.evaluation import evaluate as evaluated
-    from halfseen.evaluation.stored_model import specification_of
-    from halfseen.logs import read_logs
-    from halfseen.policies.folder import log_digest
+    with Progress(sum(WORK.values()), "start") as bar, warnings.catch_warnings(record=True) as caught:
+        from halfseen.errors import HalfseenWarning
+        from halfseen.evaluation import evaluate as evaluated
+        from halfseen.evaluation.stored_model import specification_of
+        from halfseen.logs import read_logs
+        from halfseen.policies.folder import log_digest
 
-    with progress(2, "read") as bar, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", HalfseenWarning)
         logs = read_logs(folder)
-        begin(bar, "evaluate")
+        bar.begin("evaluate", WORK["start"])
         spec = specification_of(stored, logs, **chosen)
         settings: Any = {"against": against, "propensity": propensity, "level": level, "random_state": seed}
         answer = evaluated(stored.policy, logs, censoring=spec.censoring, q=spec.q, **settings)
-        bar.update()
     notes = [*answer.notes, *(str(one.message) for one in caught if issubclass(one.category, HalfseenWarning))]
     is_own = log_digest(logs) == stored.record["log"].get("sha256")
     if is_own:
@@ -142,7 +144,7 @@ def _by_world(
 
     if not stored.is_table:
         raise ArgumentError("the policy takes named actions, and the simulated world is one of tables; give --logs")
-    with progress(episodes * (1 + len(HEURISTICS)), "play") as bar:
+    with Progress(episodes * (1 + len(HEURISTICS)), "play", "episodes") as bar:
         law, config = law_of(name), WorldConfig(horizon=stored.horizon)
         scenes = scenes_of(clouds, law)
         config = config if law is None else law.config(config)

@@ -10,6 +10,7 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.columns import aligned
+from halfseen.progress import Progress
 
 Row = Mapping[str, Any]
 
@@ -58,11 +59,13 @@ def inspect(logs: Path, as_json: bool, seed: int) -> None:
     The effective sample size tells how many equally weighted stages would say as much as those that were seen, once
     each stands for those that were cut.
     """
-    from halfseen.logs import read_logs
-    from halfseen.report.log_findings import log_findings, positivity_of
+    with Progress(2, "start") as bar:
+        from halfseen.logs import read_logs
+        from halfseen.report.log_findings import log_findings, positivity_of
 
-    read = read_logs(logs)
-    report = log_findings(read, positivity_of(read))
+        read = read_logs(logs)
+        bar.begin("look at the log")
+        report = log_findings(read, positivity_of(read))
     click.echo(json.dumps(report, indent=2) if as_json else "\n".join(lines(report)))
 
 

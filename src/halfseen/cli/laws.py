@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from halfseen.suggestions import did_you_mean
+
 if TYPE_CHECKING:
     from halfseen.cell.calibration.law import Law
 
@@ -30,12 +32,23 @@ def law_folder(name: str) -> Path | None:
     ----------
     name
         As ``--law`` takes it.
+
+    Raises
+    ------
+    ArgumentError
+        There is no such folder.
     """
     from halfseen.cell.calibration.shipped import shipped_law
+    from halfseen.errors import ArgumentError
 
     if name == SHIPPED:
         return shipped_law()
-    return None if name == ASSUMED else Path(name)
+    if name == ASSUMED:
+        return None
+    if not Path(name).exists():
+        there = f"there is no such folder; let `halfseen cell calibrate` write one, or name {SHIPPED} or {ASSUMED}"
+        raise ArgumentError(f"--law {name}: {there}{did_you_mean(name, (SHIPPED, ASSUMED))}")
+    return Path(name)
 
 
 def law_of(name: str) -> "Law | None":

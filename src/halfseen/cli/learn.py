@@ -3,6 +3,7 @@
 import json
 import warnings
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,12 +11,14 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.columns import aligned
-from halfseen.cli.progress import begin, progress
+from halfseen.progress import Progress
 
 if TYPE_CHECKING:
     from halfseen.learners.q_learning.targets import Targets
 
 CENSORING = ("auto", *options.WEIGHTING, "buckley-james", "none")
+START, LEARN, FOLDS, JUDGE, LOOK = 3, 14, 6, 5, 1
+"""What each step takes of the time, roughly: compiling takes most of it, which the folds of the verdict need not do."""
 
 
 class _Or(click.ParamType):
@@ -36,14 +39,14 @@ class _Or(click.ParamType):
 )
 @click.option(
     "--q-function",
-    type=click.Choice(["auto", "linear", "quadratic", "kernel", "smooth"]),
+    type=options.Choice(["auto", "linear", "quadratic", "kernel", "smooth"]),
     default="auto",
     show_default=True,
     help="What Q may be.",
 )
 @click.option(
     "--censoring",
-    type=click.Choice(CENSORING),
+    type=options.Choice(CENSORING),
     default="auto",
     show_default=True,
     help="What stands for what cuts took away: a model of the cuts for weights, or imputation.",
@@ -59,7 +62,7 @@ class _Or(click.ParamType):
 @click.option("--augmented", is_flag=True, help="Doubly robust: right if the censoring model or the regression is.")
 @click.option(
     "--stages",
-    type=click.Choice(["auto", "separate", "pooled"]),
+    type=options.Choice(["auto", "separate", "pooled"]),
     default="auto",
     show_default=True,
     help="One Q a stage, or one for all by steps to go.",
@@ -71,7 +74,7 @@ class _Or(click.ParamType):
 )
 @click.option(
     "--grasp",
-    type=click.Choice(["auto", "laplace", "beta"]),
+    type=options.Choice(["auto", "laplace", "beta"]),
     help="Of a table: what tells the probability of a grasp, the rule of succession (laplace) or a Beta regression; by "
     "default the log decides.",
 )
@@ -105,28 +108,32 @@ def learn(logs: Path, out: Path, has_verdict: bool, overwrite: bool, as_json: bo
     exploration? Five are learned from four fifths of LOGS each and judged by the rest, which they never saw. The
     verdict is kept with the policy, and `halfseen act` repeats it where nothing speaks for the policy.
     """
-    from halfseen.errors import HalfseenWarning
-    from halfseen.evaluation.held_out import NUM_FOLDS, held_out_verdict
-    from halfseen.logs import read_logs
-    from halfseen.policies.folder import check_target, read_policy, write_policy
-    from halfseen.policies.folder.json_values import plain
-    from halfseen.policies.learner_choice import learner_for
-    from halfseen.policies.shares import action_shares
+    from halfseen.policies.folder.files import check_target
 
     check_target(out, overwrite)
-    targets, seed = _targets(chosen), chosen.pop("seed")
-    with progress(4 + has_verdict * (NUM_FOLDS + 1), "read") as bar, warnings.catch_warnings(record=True) as told:
+    total = START + LEARN + (FOLDS + JUDGE if has_verdict else 0) + LOOK
+    with Progress(total, "start") as bar, warnings.catch_warnings(record=True) as told:
+        from halfseen.errors import HalfseenWarning
+        from halfseen.evaluation.held_out import NUM_FOLDS, held_out_verdict
+        from halfseen.logs import read_logs
+        from halfseen.policies.folder import read_policy, write_policy
+        from halfseen.policies.folder.json_values import plain
+        from halfseen.policies.learner_choice import learner_for
+        from halfseen.policies.shares import action_shares
+
         warnings.simplefilter("always", HalfseenWarning)
+        targets, seed = _targets(chosen), chosen.pop("seed")
         log = read_logs(logs)
         choice = learner_for(log, censoring=targets, random_state=seed, **chosen)
-        begin(bar, "learn")
+        bar.begin("learn", START)
         learner = choice.learner.fit(log)
-        begin(bar, "judge" if has_verdict else "write")
-        verdict = held_out_verdict(learner, log, on_progress=bar.update).as_dict() if has_verdict else None
+        bar.begin("judge" if has_verdict else "write", LEARN)
+        judged = partial(bar.update, FOLDS / NUM_FOLDS)
+        verdict = held_out_verdict(learner, log, on_progress=judged).as_dict() if has_verdict else None
+        bar.reach(total - LOOK)
         write_policy(learner, log, out, overwrite=overwrite, verdict=verdict)
-        begin(bar, "look")
+        bar.begin("look", 0)
         shares = action_shares(learner.policy_, learner.model_.task, log)
-        bar.update()
     notes = [
         *choice.notes,
         *learner.unseen_,

@@ -6,10 +6,26 @@ from typing import Any
 
 import click
 
+from halfseen.suggestions import did_you_mean
+
 PATH = click.Path(path_type=Path)
+
+
+class Choice(click.Choice):
+    """One of some words; of another one it says which may have been meant."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Take a word, or refuse it."""
+        try:
+            return super().convert(value, param, ctx)
+        except click.BadParameter as error:
+            ending = did_you_mean(value, self.choices)
+            self.fail(error.message.rstrip(".") + ending if ending else error.message, param, ctx)
+
+
 WEIGHTING = ("kaplan-meier", "cox", "kernel")
 """Censoring models that weight completed stages by 1/Ĝ."""
-CLOCKS = click.Choice(["path", "stage", "pooled"])
+CLOCKS = Choice(["path", "stage", "pooled"])
 
 as_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON object for programs.")
 unused_seed = click.option("--seed", type=int, default=0, help="Accepted by every command; nothing here is random.")
@@ -20,7 +36,7 @@ labels = click.option(
     "unknown) and, if wanted, share_in_view; or the same as .json.",
 )
 policys_censoring = click.option(
-    "--censoring", type=click.Choice(WEIGHTING), help="Censoring model; by default the policy's own."
+    "--censoring", type=Choice(WEIGHTING), help="Censoring model; by default the policy's own."
 )
 policys_truncation = click.option(
     "--truncate-at", type=float, help="Largest weight allowed; by default the policy's own."
@@ -34,7 +50,7 @@ against = click.option(
 )
 propensity = click.option(
     "--propensity",
-    type=click.Choice(["logged", "estimated"]),
+    type=Choice(["logged", "estimated"]),
     default="logged",
     show_default=True,
     help="How likely the logged actions were: as the log says, or estimated.",

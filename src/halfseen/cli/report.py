@@ -2,16 +2,16 @@
 
 import json
 import shlex
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 
 from halfseen.cli import options
-from halfseen.cli.progress import begin, progress
+from halfseen.progress import Progress
 
-NUM_STEPS = 6
+WORK = {"start": 10, "evaluate": 20, "look at the log": 1, "look at the policy": 1, "learn again": 18, "draw": 5}
+"""What each step takes of the time, roughly."""
 
 
 @click.command(epilog="Example: halfseen report logs policy --out report.html --seed 1")
@@ -49,27 +49,28 @@ def report(
     weights rest on, what was learned and what it would do differently, and what nobody can know from these logs. The
     page stands alone: mail it, print it.
     """
-    from halfseen.logs import read_logs
     from halfseen.logs.formats.extras import extra
-    from halfseen.policies.folder import read_policy
 
-    for module in ("jinja2", "matplotlib"):
-        extra(module, "study")
-    from halfseen.report.findings import find
-    from halfseen.report.page import check_page_target, page_of, write_page
+    with Progress(sum(WORK.values()), "start") as bar:
+        for module in ("jinja2", "matplotlib"):
+            extra(module, "study")
+        from halfseen.logs import read_logs
+        from halfseen.policies.folder import read_policy
+        from halfseen.report.findings import find
+        from halfseen.report.page import check_page_target, page_of, write_page
 
-    check_page_target(out, overwrite)
-    command = _command(logs, policy, against, seed, chosen)
-    with progress(NUM_STEPS, "read") as bar:
+        check_page_target(out, overwrite)
+        command = _command(logs, policy, against, seed, chosen)
         stored, log = read_policy(policy), read_logs(logs)
         num_replicates = chosen.pop("replicates")
-        on_progress = partial(begin, bar)
         told: dict[str, Any] = {"against": list(against) or None, "num_replicates": num_replicates}
-        findings = find(stored, log, seed=seed, on_progress=on_progress, **told, **chosen)
-        begin(bar, "draw")
-        page = page_of(findings, command)
-        bar.update()
-    write_page(page, out, overwrite=overwrite)
+
+        def begin(step: str) -> None:
+            bar.begin(step, WORK[bar.what])
+
+        findings = find(stored, log, seed=seed, on_progress=begin, **told, **chosen)
+        begin("draw")
+        write_page(page_of(findings, command), out, overwrite=overwrite)
     if as_json:
         numbers = {"page": str(out), "logs": str(logs), "policy_folder": str(policy), **findings.as_dict()}
         click.echo(json.dumps(numbers, indent=2, allow_nan=False))

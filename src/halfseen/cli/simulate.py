@@ -9,12 +9,14 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.laws import ASSUMED, law_of, law_option
-from halfseen.cli.progress import progress
 from halfseen.cli.scenes import scenes_of
 from halfseen.planners.named import HEURISTICS, UNIFORM, named_policy
+from halfseen.progress import Progress
 
 CUT_KINDS = ("independent", "occlusion", "attempt")
 _HORIZON = 10
+_START, _TABLE = 4, 2
+"""What starting takes, and playing one table, where looking at one takes 1."""
 
 
 @click.command(epilog="Example: halfseen simulate --out logs --episodes 500 --seed 1")
@@ -23,7 +25,7 @@ _HORIZON = 10
 @click.option("--episodes", type=click.IntRange(min=1), default=1000, show_default=True, help="Number of paths.")
 @click.option(
     "--policy",
-    type=click.Choice([UNIFORM, *HEURISTICS]),
+    type=options.Choice([UNIFORM, *HEURISTICS]),
     default="history-penalty",
     show_default=True,
     help="Who decides.",
@@ -42,7 +44,7 @@ _HORIZON = 10
     show_default=True,
     help="Proportion of the paths that is cut, in expectation.",
 )
-@click.option("--cut-kind", type=click.Choice(CUT_KINDS), default="independent", show_default=True, help="What cuts.")
+@click.option("--cut-kind", type=options.Choice(CUT_KINDS), default="independent", show_default=True, help="What cuts.")
 @click.option("--horizon", type=click.IntRange(min=1), default=_HORIZON, show_default=True, help="Steps of a path.")
 @law_option(ASSUMED)
 @options.seed("logs")
@@ -58,20 +60,22 @@ def simulate(clouds: tuple[Path, ...], out: Path, seed: int, as_json: bool, over
     """
     from halfseen.errors import ArgumentError
     from halfseen.scene import table_paths
-    from halfseen.world import TableWorld, WorldConfig
 
     if out.exists() and not overwrite:
         raise ArgumentError(f"{out}: it is there already; choose another folder, or pass --overwrite to replace it")
-    with progress(len(clouds or table_paths()) + 1, "look") as bar:
+    num_clouds = len(clouds or table_paths())
+    with Progress(_START + num_clouds * (1 + _TABLE), "start") as bar:
+        from halfseen.world import TableWorld, WorldConfig
+
         law, config = law_of(chosen["law"]), WorldConfig(horizon=chosen["horizon"])
+        bar.begin("look", _START)
         scenes = scenes_of(clouds, law, on_each=bar.update)
-        bar.set_description("simulate")
+        bar.begin("simulate", 0)
         config = config if law is None else law.config(config)
         logger = named_policy(chosen["policy"], config, chosen["random_share"])
         cuts = chosen["cut_share"], chosen["cut_kind"]
         logs = TableWorld(config).simulate(scenes, logger, chosen["episodes"], seed, *cuts)
-        bar.update()
-    logs.write(out, overwrite=overwrite)
+        logs.write(out, overwrite=overwrite)
     report = {"folder": str(out), "sentence": str(logs.summary()), **asdict(logs.summary())}
     report |= {"scenes": {scene.name: scene.num_objects for scene in scenes}, "seed": seed, **chosen}
     click.echo(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))

@@ -19,6 +19,7 @@ from halfseen.logs import Logs
 from halfseen.policies.folder import read_policy
 from halfseen.policies.rule import Rule
 from halfseen.policies.rule_table import read_rule_table
+from halfseen.suggestions import did_you_mean
 
 LOGGING, LOGGING_RULE = "logging", "logging-rule"
 """The logging policy as it was, and what it does where it does not explore."""
@@ -98,7 +99,7 @@ def _written_opponent(text: str, logs: Logs) -> Opponent:
         return Opponent(read_policy(path).policy, f"the policy {path.name}")
     raise ArgumentError(
         f"against is {text!r}; it is {LOGGING}, {LOGGING_RULE}, {SEQUENCE}A,B,A, a file with a rule (.csv or .toml), "
-        "or a policy folder"
+        f"or a policy folder{did_you_mean(text, (LOGGING, LOGGING_RULE))}"
     )
 
 

@@ -1,7 +1,6 @@
 """Which columns each table has, and of which types."""
 
 from collections.abc import Iterable
-from difflib import get_close_matches
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ from jaxtyping import Bool
 
 from halfseen.errors import LogError
 from halfseen.logs.refusal import place, shown, value_at
+from halfseen.suggestions import closest
 
 STAGE_COLUMNS = ("path", "stage", "elapsed_s", "action", "object", "reward", "probability")
 PATH_COLUMNS = ("path", "end_s", "ending", "cause")
@@ -27,8 +27,8 @@ def require_columns(name: str, frame: pd.DataFrame, needed: Iterable[str]) -> No
     there = list(frame.columns)
     for column in needed:
         if column not in there:
-            close = get_close_matches(column, there, n=1)
-            remedy = f"rename {close[0]!r}?" if close else "add it"
+            close = closest(column, there)
+            remedy = f"rename {close!r}?" if close else "add it"
             raise LogError(f"{name}: there is no column {column!r} among {', '.join(there) or 'none'}; {remedy}")
 
 

@@ -8,6 +8,7 @@ from halfseen.errors import ArgumentError
 from halfseen.learners.q_learning.covariates import unfit_covariates
 from halfseen.learners.q_learning.q_learner import CensoredQLearner
 from halfseen.logs import Logs
+from halfseen.suggestions import did_you_mean
 from halfseen.tables.grasp.beta_grasp import BetaGrasp
 from halfseen.tables.grasp.choice import AUTO
 
@@ -80,7 +81,8 @@ def _columns(logs: Logs, wanted: Sequence[str] | None) -> tuple[list[str], tuple
     if wanted is not None:
         unknown = [name for name in wanted if name not in there]
         if unknown:
-            raise ArgumentError(f"--covariates names {unknown[0]!r}; the stages have {', '.join(there) or 'none'}")
+            known = (", ".join(there) or "none") + did_you_mean(unknown[0], there)
+            raise ArgumentError(f"--covariates names {unknown[0]!r}; the stages have {known}")
         return list(wanted), ()
     unfit = unfit_covariates(logs)
     notes = tuple(f"it does not look at {name}, which {trouble}" for name, trouble in unfit.items())

@@ -4,9 +4,9 @@ import sys
 from pathlib import Path
 
 import click
-from tqdm import tqdm
 
 from halfseen.errors import HalfseenError
+from halfseen.progress import Progress, Telling, telling
 from halfseen.scene.shipped import NUM_TABLES, write_shipped
 from halfseen.writing import refuse_unwritable
 
@@ -25,8 +25,10 @@ def main(out: Path) -> None:
     """
     try:
         refuse_unwritable(out / "tables")
-        for k in tqdm(range(NUM_TABLES), desc="tables", unit="table", disable=None):
-            write_shipped(out, [k])
+        with telling(Telling.LINES), Progress(NUM_TABLES, "draw", "tables") as bar:
+            for k in range(NUM_TABLES):
+                write_shipped(out, [k])
+                bar.update()
     except HalfseenError as error:
         click.echo(f"halfseen.scene: {error}", err=True)
         sys.exit(2)

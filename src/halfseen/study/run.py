@@ -16,6 +16,7 @@ from halfseen.study.experiments import EXPERIMENTS
 from halfseen.study.report import StudyResults, report_of
 from halfseen.study.runner import design_of, run_all, store_of, versions
 from halfseen.study.store import as_json
+from halfseen.suggestions import did_you_mean
 from halfseen.writing import write_file
 
 
@@ -24,7 +25,8 @@ def chosen(names: Sequence[str], experiments: Sequence[Experiment] = EXPERIMENTS
     known = {each.name: each for each in experiments}
     for name in names:
         if name not in known:
-            raise ArgumentError(f"--only {name}: there is no such experiment; there are {', '.join(known)}")
+            there = f"there are {', '.join(known)}{did_you_mean(name, known)}"
+            raise ArgumentError(f"--only {name}: there is no such experiment; {there}")
     return tuple(each for each in experiments if not names or each.name in names)
 
 

@@ -1,21 +1,26 @@
 """One runner for all experiments: prepare once, repeat what is missing, tabulate."""
 
-from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, wait
 from dataclasses import asdict, is_dataclass
+from functools import partial
 from importlib.metadata import version
 from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from halfseen.errors import HalfseenError
+from halfseen.progress import Progress, Telling, telling
 from halfseen.study.experiment import Experiment, PieceOf, Pieces, Setting, Tables, Timed
 from halfseen.study.store import Store
 
 PACKAGES = ("halfseen", "jax", "jaxlib", "mujoco", "numpy", "pandas", "scipy")
+TABULATING = 0.1
+"""What measuring and tabulating an experiment take, where its repetitions take 1: about as long for each of them."""
+LOOK_S = 0.5
+"""Between two looks at how far the processes have come [s]."""
 
 
 def versions() -> dict[str, str]:
@@ -40,15 +45,19 @@ def design_of(experiment: Experiment) -> dict[str, Any]:
     return asdict(experiment) if is_dataclass(experiment) and not isinstance(experiment, type) else {}
 
 
-def run(experiment: Experiment, setting: Setting, store: Store) -> Tables:
+def run(
+    experiment: Experiment, setting: Setting, store: Store, on_repetition: Callable[[], object] = lambda: None
+) -> Tables:
     """Run an experiment to its tables; pieces that are kept are read back.
 
     Repetitions are made in turn: two threads that execute compiled code at once can wait for one another for ever (seen
     with jaxlib 0.10).
     """
     measured = measured_of(experiment, setting, store)
-    indices = tqdm(range(num_of(experiment, setting)), desc=experiment.name, unit="rep", disable=None, leave=False)
-    repetitions = [repetition_of(experiment, setting, store, index) for index in indices]
+    repetitions = []
+    for index in range(num_of(experiment, setting)):
+        repetitions.append(repetition_of(experiment, setting, store, index))
+        on_repetition()
     return experiment.tabulate(setting, Pieces(_prepared(experiment, setting, store), measured, repetitions))
 
 
@@ -79,28 +88,40 @@ def run_all(
 
     Times are measured while nothing else runs: after that, when what is timed has been compiled.
     """
-    if num_jobs > 1:
-        _repeat_in_processes(experiments, setting, stores, num_jobs)
-    return [run(experiment, setting, store) for experiment, store in zip(experiments, stores, strict=True)]
+    with Progress(len(experiments) * (1 + TABULATING), "study") as bar:
+        if num_jobs > 1:
+            _repeat_in_processes(experiments, setting, stores, num_jobs, bar)
+        tables = []
+        for experiment, store in zip(experiments, stores, strict=True):
+            bar.begin(f"study, {experiment.name}", 0)
+            share = 0 if num_jobs > 1 else 1 / num_of(experiment, setting)
+            tables.append(run(experiment, setting, store, partial(bar.update, share)))
+            bar.update(TABULATING)
+    return tables
 
 
 def _repeat_in_processes(
-    experiments: Sequence[Experiment], setting: Setting, stores: Sequence[Store], num_jobs: int
+    experiments: Sequence[Experiment], setting: Setting, stores: Sequence[Store], num_jobs: int, bar: Progress
 ) -> None:
     """Make all repetitions in processes of their own; which process makes one changes nothing in it."""
     # Those of few repetitions, which are long, come first, so that all processes end together.
     pairs = sorted(zip(experiments, stores, strict=True), key=lambda pair: num_of(pair[0], setting))
     context = get_context("spawn")
-    begun = context.Array("i", len(pairs))
-    with ProcessPoolExecutor(num_jobs, context, initializer=_share, initargs=(begun,)) as pool:
-        list(pool.map(_work, *zip(*[(pairs, setting)] * num_jobs, strict=True)))
+    begun, over = context.Array("i", len(pairs)), context.Array("i", len(pairs))
+    nums = [num_of(experiment, setting) for experiment, _ in pairs]
+    with ProcessPoolExecutor(num_jobs, context, initializer=_share, initargs=(begun, over)) as pool:
+        workers = [pool.submit(_work, pairs, setting) for _ in range(num_jobs)]
+        while wait(workers, LOOK_S).not_done:
+            bar.reach(sum(done / num for done, num in zip(over[:], nums, strict=True)))
+        for worker in workers:
+            worker.result()
 
 
 _shared: dict[str, Any] = {}
 
 
-def _share(begun: Any) -> None:
-    _shared["begun"] = begun
+def _share(begun: Any, over: Any) -> None:
+    _shared.update(begun=begun, over=over)
 
 
 def _work(pairs: Sequence[tuple[Experiment, Store]], setting: Setting) -> None:
@@ -114,7 +135,10 @@ def _work(pairs: Sequence[tuple[Experiment, Store]], setting: Setting) -> None:
             index = _shared["begun"][own]
             _shared["begun"][own] += 1
         experiment, store = pairs[own]
-        repetition_of(experiment, setting, store, index)
+        with telling(Telling.NOTHING):
+            repetition_of(experiment, setting, store, index)
+        with _shared["over"].get_lock():
+            _shared["over"][own] += 1
         _stop_if_abandoned()
 
 

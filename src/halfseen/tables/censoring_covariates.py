@@ -9,6 +9,7 @@ from halfseen.errors import ArgumentError
 from halfseen.learners.q_learning.named_actions import action_indicators
 from halfseen.learners.q_learning.task import ACTION
 from halfseen.logs import Logs
+from halfseen.suggestions import did_you_mean
 from halfseen.world.action_space import Verb
 from halfseen.world.recording import DISHWASHER
 
@@ -38,7 +39,8 @@ def table_covariates(logs: Logs, columns: Sequence[str]) -> pd.DataFrame:
     """
     unknown = [name for name in columns if name not in TABLE_COVARIATES]
     if unknown:
-        raise ArgumentError(f"censoring covariate {unknown[0]!r} is none of a table's: {', '.join(TABLE_COVARIATES)}")
+        known = ", ".join(TABLE_COVARIATES) + did_you_mean(unknown[0], TABLE_COVARIATES)
+        raise ArgumentError(f"censoring covariate {unknown[0]!r} is none of a table's: {known}")
     assert logs.objects is not None
     keys = ["path", "stage"]
     there = logs.objects[logs.objects["location"] != DISHWASHER]

@@ -4,6 +4,7 @@ Paths are drawn anew from the log with replacement. Ĝ, the weights and, where t
 estimated again from each such draw, and Q is fitted to it as it was to the log; features and λ's grid stay.
 """
 
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -13,7 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 from jaxtyping import Float, Int
-from tqdm import tqdm
 
 from halfseen.errors import ArgumentError
 from halfseen.learners.q_learning.fitting import BackwardOptions, in_float64
@@ -24,6 +24,7 @@ from halfseen.learners.q_learning.q_model import QModel
 from halfseen.learners.q_learning.recursion import backward
 from halfseen.learners.q_learning.transitions import QFunctions, Transitions
 from halfseen.logs import Logs
+from halfseen.progress import Progress, Telling, telling
 
 BATCH_SIZE = 10
 """Replicates that are fitted at once."""
@@ -122,12 +123,12 @@ def bootstrap(
     rng = np.random.default_rng(random_state)
     share = np.full(paths.num_paths, 1.0 / paths.num_paths)
     fits = []
-    with tqdm(total=num_replicates, desc="bootstrap", disable=True if is_quiet else None, leave=False) as progress:
+    with telling(Telling.NOTHING) if is_quiet else nullcontext(), Progress(num_replicates, "bootstrap", "draws") as bar:
         for start in range(0, num_replicates, BATCH_SIZE):
             size = min(BATCH_SIZE, num_replicates - start)
             drawn = [_redrawn(model, paths, counts) for counts in rng.multinomial(paths.num_paths, share, size=size)]
             fits.append(_fit_each(model, log, jax.tree.map(lambda *leaves: np.stack(leaves), *drawn)))
-            progress.update(size)
+            bar.update(size)
     q_functions = jax.tree.map(lambda *parts: np.concatenate(parts), *fits)
     return QBootstrap(learner.policy_, model.policy(q_functions))
 

@@ -18,6 +18,7 @@ from pandas.api.types import infer_dtype, is_numeric_dtype
 from halfseen.errors import LogError
 from halfseen.logs import Logs
 from halfseen.logs.refusal import place, value_at
+from halfseen.suggestions import did_you_mean
 
 Categories = Mapping[str, tuple[str, ...]]
 """Of each column of text, its categories in sorted order."""
@@ -80,7 +81,8 @@ class Covariates:
         """
         missing = [name for name in self.columns if name not in frame.columns]
         if missing:
-            raise LogError(f"covariate {missing[0]!r} is missing; there are {', '.join(map(str, frame.columns))}")
+            there = ", ".join(map(str, frame.columns)) + did_you_mean(missing[0], frame.columns)
+            raise LogError(f"covariate {missing[0]!r} is missing; there are {there}")
         numeric = [name for name in self.columns if name not in self.categories]
         numbers = _numbers(frame, numeric)
         if len(numeric) == len(self.columns):

@@ -15,6 +15,7 @@ from halfseen.learners.q_learning.path_arrays import stage_places
 from halfseen.learners.q_learning.support import seen_among
 from halfseen.learners.q_learning.task import ACTION, Encoded, LearnedQ
 from halfseen.logs import Logs
+from halfseen.suggestions import did_you_mean
 
 Actions = Sequence[Hashable] | Mapping[int, Sequence[Hashable]]
 
@@ -121,7 +122,7 @@ class NamedActions:
         """
         unknown = [name for name in names if name not in self.covariates]
         if unknown:
-            known = ", ".join(self.covariates)
+            known = ", ".join(self.covariates) + did_you_mean(unknown[0], self.covariates)
             raise ArgumentError(f"outcome_covariates names {unknown[0]!r}, which is none of the covariates {known}")
         return np.isin(np.array(self.looks_at.sources), list(names)).astype(np.float64)
 
@@ -138,7 +139,8 @@ class NamedActions:
         columns = [*self.covariates, *([] if is_by_path else [ACTION])] if names is None else names
         missing = [name for name in columns if name not in logs.stages.columns]
         if missing:
-            raise LogError(f"the stages have no column {missing[0]!r}; they have {', '.join(logs.stages.columns)}")
+            there = ", ".join(logs.stages.columns) + did_you_mean(missing[0], logs.stages.columns)
+            raise LogError(f"the stages have no column {missing[0]!r}; they have {there}")
         parts = [
             action_indicators(logs.stages[ACTION], self.names) if name == ACTION else self._numbers(logs, name)
             for name in columns
@@ -182,7 +184,7 @@ class NamedActions:
             raise ArgumentError(f"{type(policy).__name__} decides nothing about named actions, which the task is of")
         unknown = [name for name in policy.actions if name not in self.names]
         if unknown:
-            listed = ", ".join(map(repr, self.names))
+            listed = ", ".join(map(repr, self.names)) + did_you_mean(unknown[0], self.names)
             raise ArgumentError(f"the policy takes {unknown[0]!r}, which is none of the actions of the task: {listed}")
         column = [self.names.index(name) for name in policy.actions]
         path, _ = stage_places(logs)

@@ -13,7 +13,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
-from tqdm import tqdm
 
 from halfseen.censoring.cut_model import fit_path_cuts
 from halfseen.errors import ArgumentError
@@ -38,6 +37,7 @@ from halfseen.learners.q_learning.transitions import (
 )
 from halfseen.logs import Logs, LogStream
 from halfseen.logs.columns import FINISHED
+from halfseen.progress import Progress
 
 Parts = Callable[[], Iterator[Transitions]]
 """Reads the log once more, from its beginning."""
@@ -169,7 +169,7 @@ def fit_parts(parts: Parts, num_paths: int, model: QModel) -> QFunctions:
     options = model.options(num_paths)
     setting = _Setting(options.stages, options.num_blocks, options.num_folds, options.end_action)
     num_passes = model.horizon + (options.end_action is not None)
-    with in_float64(), tqdm(total=num_passes, desc="learn", disable=None, leave=False) as progress:
+    with in_float64(), Progress(num_passes, "learn", "passes") as bar:
 
         def run(step: _Step | None, stage: int, **changed: Any) -> Fit:
             used = setting._replace(**changed)
@@ -181,7 +181,7 @@ def fit_parts(parts: Parts, num_paths: int, model: QModel) -> QFunctions:
                     step = _first(log, options.num_blocks, stage)
                 sums = _sums(log, blocks, step._replace(stage=jnp.asarray(stage)), used)
                 gram, cross = sums if gram is None else (gram + sums[0], cross + sums[1])
-            progress.update()
+            bar.update()
             assert gram is not None
             assert cross is not None
             assert step is not None

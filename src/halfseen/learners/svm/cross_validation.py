@@ -5,13 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
-from tqdm import tqdm
 
 from halfseen.arrays import RowIds, Rows
 from halfseen.errors import ArgumentError
 from halfseen.learners.svm.designs import Design
 from halfseen.learners.svm.losses import ProximalLoss, SmoothLoss
 from halfseen.learners.svm.solver import Problem, Solution, solve
+from halfseen.progress import Progress
 
 _TOLERANCE = 1e-4
 _LEAST_OBJECTIVE = 1e-2
@@ -91,17 +91,14 @@ def choose(
     falling, splits = np.sort(regs)[::-1], _splits_of_seen(folds, seen)
     held_out = np.full((len(gammas), len(falling), len(task.y)), np.nan)
     lost = np.zeros((len(gammas), len(falling)))
-    bar = tqdm(
-        total=len(gammas) * len(splits), desc="cross-validation", unit="fold", delay=2, disable=None, leave=False
-    )
-    for g, gamma in enumerate(gammas):
-        design = design_of(gamma)
-        for fitted, held in splits:
-            values = _held_out(task, design, (fitted, held), num_rows * len(fitted) / len(seen), falling)
-            held_out[g][:, held] = values
-            lost[g] += [_loss(task, f, held) for f in values]
-            bar.update()
-    bar.close()
+    with Progress(len(gammas) * len(splits), "cross-validation", "folds") as bar:
+        for g, gamma in enumerate(gammas):
+            design = design_of(gamma)
+            for fitted, held in splits:
+                values = _held_out(task, design, (fitted, held), num_rows * len(fitted) / len(seen), falling)
+                held_out[g][:, held] = values
+                lost[g] += [_loss(task, f, held) for f in values]
+                bar.update()
     losses = np.where(np.isnan(lost), np.inf, lost) / sum(task.weight[held].sum() for _, held in splits)
     g, k = divmod(int(np.argmin(losses)), len(falling))
     return Choice(float(gammas[g]), float(falling[k]), held_out[g, k], falling, losses)

@@ -1,0 +1,18 @@
+"""Which of halfseen's extras brings a library that is not there."""
+
+EXTRAS = {
+    "perception": ("matplotlib", "plyfile", "pypcd4", "skimage"),
+    "scene": ("mujoco",),
+    "study": ("jinja2",),
+    "gym": ("gymnasium",),
+    "minari": ("h5py", "minari"),
+    "ros": ("rosbags",),
+}
+"""Libraries that some verbs need, by the extra that brings them."""
+
+
+def remedy(error: ModuleNotFoundError) -> str | None:
+    """Say how to install what is missing; None where no extra brings it."""
+    library = (error.name or "").partition(".")[0]
+    extra = next((name for name, libraries in EXTRAS.items() if library in libraries), None)
+    return extra and f"{library} is not installed, and this command needs it; run: pip install 'halfseen[{extra}]'"

@@ -1,0 +1,192 @@
+"""What holds for every verb: what a mistyped word gets, colours, quiet, and completion."""
+
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import click
+import pytest
+
+from halfseen.cli import VERBS, halfseen, messages
+from halfseen.cli.extras import EXTRAS, remedy
+from halfseen.progress import Progress, Telling, _telling
+from small_logs import flat_log
+
+VERB_PATHS = [(verb,) for verb in VERBS] + [("cell", name) for name in ("calibrate", "run", "film")]
+
+
+def command_of(path):
+    command, ctx = halfseen, click.Context(halfseen)
+    for name in path:
+        command = command.get_command(ctx, name)
+    return command
+
+
+@pytest.fixture(scope="module")
+def flat(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("typed") / "flat"
+    flat_log().write(folder)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["lern"], "lern: there is no such command; there are inspect, learn"),
+        (["lern"], "; did you mean 'learn'?"),
+        (["cell", "clibrate"], "clibrate: there is no such command of cell; there are calibrate, run, film; did you "),
+        (["learn", "--covariats", "x"], "there is no option --covariats; did you mean '--covariates'?"),
+        (["evaluate", "p", "--simpel"], "there is no option --simpel; did you mean '--simple'?"),
+        (["--quite", "learn"], "there is no option --quite; did you mean '--quiet'?"),
+        (["inspect", "--zzz"], "there is no option --zzz; --help lists those that there are"),
+        (["simulate", "--out", "x", "--policy", "histry"], "; did you mean 'history'?"),
+        (["learn", "x", "--out", "p", "--q-function", "smoth"], "; did you mean 'smooth'?"),
+        (
+            ["simulate", "--out", "x", "--law", "shiped"],
+            "--law shiped: there is no such folder; let",
+        ),
+        (["simulate", "--out", "x", "--law", "shiped"], "; did you mean 'shipped'?"),
+        (["study", "--only", "rewards"], "; did you mean 'reward'?"),
+    ],
+)
+def test_a_mistyped_word_gets_the_one_that_was_meant(refused, tmp_path, monkeypatch, arguments, told):
+    monkeypatch.chdir(tmp_path)
+    assert told in refused(*arguments)
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_word_that_is_like_none_is_refused_without_a_guess(refused):
+    assert "did you mean" not in refused("zzzzzz")
+
+
+@pytest.mark.parametrize(
+    ("option", "names", "meant"),
+    [("--covariates", "X1,x2", "x1"), ("--covariates", "coluor", "colour"), ("--censoring-covariates", "xx1", "x1")],
+)
+def test_a_mistyped_column_gets_the_one_that_was_meant(refused, flat, tmp_path, option, names, meant):
+    told = refused("learn", flat, "--out", tmp_path / "policy", "--no-verdict", "--censoring", "cox", option, names)
+    assert f"; did you mean '{meant}'?" in told
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_mistyped_opponent_and_policy_get_the_names_that_were_meant(refused, tmp_path):
+    from halfseen.cli.cell_run import policy_of
+    from halfseen.errors import ArgumentError, PolicyError
+    from halfseen.evaluation.opponents import opponents_of
+    from halfseen.world import WorldConfig
+
+    with pytest.raises(ArgumentError, match="did you mean 'logging-rule'"):
+        opponents_of("loging-rule", flat_log())
+    with pytest.raises(PolicyError, match="did you mean 'history-penalty'"):
+        policy_of(str(tmp_path / "history-penalty").removeprefix(str(tmp_path) + os.sep) + "y", 0.0, WorldConfig())
+
+
+@pytest.mark.parametrize("path", VERB_PATHS, ids=" ".join)
+def test_every_verb_takes_quiet_and_shows_an_example(path):
+    command = command_of(path)
+    assert sum("--quiet" in param.opts and "-q" in param.opts for param in command.params) == 1
+    assert command.epilog.startswith(f"Example: halfseen {path[0]}")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["inspect", "{}"], Telling.LINES),
+        (["--quiet", "inspect", "{}"], Telling.NOTHING),
+        (["inspect", "{}", "-q"], Telling.NOTHING),
+    ],
+)
+def test_quiet_goes_before_or_after_the_verb(typed, flat, monkeypatch, arguments, told):
+    seen, enter = [], Progress.__enter__
+    monkeypatch.setattr(Progress, "__enter__", lambda bar: seen.append(_telling.get()) or enter(bar))
+    plain = typed("inspect", flat).out
+    seen.clear()
+    result = typed(*(argument.format(flat) for argument in arguments))
+    assert (result.status, result.out, result.err, seen) == (0, plain, "", [told])
+    assert _telling.get() is Telling.BARS
+
+
+@pytest.mark.parametrize(
+    ("terminal", "environment", "is_coloured"),
+    [
+        (True, {}, True),
+        (True, {"NO_COLOR": ""}, True),
+        (True, {"NO_COLOR": "1"}, False),
+        (True, {"TERM": "dumb"}, False),
+        (False, {}, False),
+    ],
+)
+def test_errors_are_red_on_a_terminal_unless_nobody_wants_colours(
+    typed, monkeypatch, terminal, environment, is_coloured
+):
+    for name, value in ({"NO_COLOR": "", "TERM": "xterm"} | environment).items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal, raising=False)
+    coloured = messages.is_coloured()
+    assert coloured is is_coloured
+    assert ("\x1b[" in messages.headed("what went wrong", "red")) is is_coloured
+    assert messages.headed("what\n went wrong", "red").endswith(" what went wrong")
+
+
+def completed(shell, words, incomplete):
+    """What a shell would offer: names, by click's protocol of environment variables."""
+    asked = {"_HALFSEEN_COMPLETE": f"{shell}_complete"}
+    if shell != "fish":
+        asked |= {"COMP_WORDS": " ".join(["halfseen", *words, incomplete]), "COMP_CWORD": str(len(words) + 1)}
+    else:
+        asked |= {"COMP_WORDS": " ".join(["halfseen", *words]), "COMP_CWORD": incomplete}
+    code = "import sys; sys.argv = ['halfseen']; from halfseen.cli import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=os.environ | asked, capture_output=True, text=True, check=False
+    )
+    assert done.stderr == ""
+    return done.stdout.split()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("shell", "words", "incomplete", "expected"),
+    [
+        ("bash", [], "", [f"plain,{verb}" for verb in VERBS]),
+        ("bash", [], "le", ["plain,learn"]),
+        ("bash", ["cell"], "c", ["plain,calibrate"]),
+        ("bash", ["learn"], "--cens", ["plain,--censoring", "plain,--censoring-by", "plain,--censoring-covariates"]),
+        ("bash", ["simulate", "--cut-kind"], "o", ["plain,occlusion"]),
+    ],
+)
+def test_a_shell_completes_verbs_options_and_words(shell, words, incomplete, expected):
+    assert completed(shell, words, incomplete) == expected
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shell", ["zsh", "fish"])
+def test_other_shells_are_told_what_each_verb_does(shell):
+    assert {"learn", VERBS["learn"].split()[-1]} <= set(
+        " ".join(completed(shell, [], "learn")).replace(",", " ").split()
+    )
+
+
+def test_a_library_that_is_not_there_is_told_with_the_extra_that_brings_it(refused, tmp_path, monkeypatch):
+    def fails(*_):
+        raise ModuleNotFoundError("none", name="skimage.measure")
+
+    monkeypatch.setattr("halfseen.logs.read_logs", fails)
+    assert refused("inspect", tmp_path).startswith("halfseen: skimage is not installed")
+    assert remedy(ModuleNotFoundError("none", name="skimage.measure")).endswith(
+        "run: pip install 'halfseen[perception]'"
+    )
+    assert remedy(ModuleNotFoundError("none", name="numpy")) is None
+
+
+def test_the_extras_of_the_command_line_are_those_of_the_package():
+    root = Path(__file__).parents[2]
+    declared = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    page = (root / "docs" / "guide" / "installation.md").read_text(encoding="utf-8")
+    of_import = {"skimage": "scikit-image", "h5py": "minari"}
+    for extra, libraries in EXTRAS.items():
+        named = {re.match(r"[\w-]+", needed)[0] for needed in declared[extra]}
+        assert {of_import.get(library, library) for library in libraries} <= named
+    assert all(f"`{extra}`" in page for extra in declared)
