@@ -61,6 +61,17 @@ class StoredPolicy:
             told.insert(0, f"no evidence that this policy beats the rule that made the logs: {self.verdict['reason']}")
         return tuple(told)
 
+    @property
+    def pessimism(self) -> float | None:
+        """Standard errors of Q that the margin is; None in a folder without a margin."""
+        told = self.record["learner"].get("pessimism")
+        return float(told) if isinstance(told, int | float) and told > 0 and self.policy.margin is not None else None
+
+    @property
+    def least_rewards(self) -> dict[str, float]:
+        """Of each verb of a table, the least that it paid in the log [reward]; empty in a folder that does not say."""
+        return {verb: float(paid) for verb, paid in self.record["schema"].get("least_rewards", {}).items()}
+
     def ranges(self, stage: int) -> dict[str, Range] | None:
         """What the log showed of each covariate, where Q of this stage was taught; None if nowhere."""
         is_by_stage = self.record["reg"].get("rows") == "stage"
