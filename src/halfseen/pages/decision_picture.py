@@ -1,4 +1,4 @@
-"""A decision as a picture: what the camera sees, the chosen object and what is done to it, and what each action is worth.
+"""A decision as a picture: what the camera sees, the chosen object and what is done to it, what each action is worth.
 
 Beside the table stand bars of what the policy goes by, with the interval of Q and the chance of each action of being
 best; below stands the reason. A policy of named actions has the bars alone. Letters are large beside the width, so that

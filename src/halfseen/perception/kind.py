@@ -1,7 +1,8 @@
 """Are these cups? What perception and every law know are tables of them: tumblers and mugs that stand or lie.
 
-What counts as another thing: a height that no cup has; and, where more than a third of the objects show it, a shape that
-no vessel fits, or a width that no cup has. One such shape among cups is most likely two cups that were taken for one.
+What counts as another thing: a height that no cup has; and, where more than a third of the objects show it, a shape
+that no vessel fits, or a width that no cup has. One such shape among cups is most likely two cups that were taken for
+one.
 
 *What this cannot tell.* A can is a cup to it, and so is a bowl, a jar, a box that is partly hidden, or a thing of a
 cup's size that is round: it tells what is surely something else, and passes what may be a cup.

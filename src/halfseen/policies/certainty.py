@@ -6,10 +6,17 @@ the covariance of each block's coefficients. So with x = (1, φ(S, a)) and k the
     Q_a = Q̂_a + (Rₖᵀ x_a)ᵀ z_k,    z_k ~ N(0, I),
 
 where blocks share no rows and so no z: actions of one block err together, those of different blocks independently.
+That is the error of one regression. Q̂ also rests on those of the m − 1 stages that are still to come, on average, whose
+errors are taken to be as large:
 
-*What this assumes.* Errors are normal, and those of the regression of this stage alone: what comes after is taken to be
-worth what the policy says. So an interval is about what few stages leave open, not about a Q that its features cannot
-show, an unrecorded cause, or errors that add up over the stages that are left.
+- *An interval* is Q̂ ± 1.96 m·‖Rₖᵀ x_a‖. Regressions that share rows may all err the same way, and then their errors add
+  up; larger than that sum a standard error cannot be.
+- *The chance of being best* comes from draws with √m·z, as if these errors were independent: what actions have in
+  common of them is no reason to doubt which is better.
+
+*What this does not know:* that Q may not be of the form that was fitted, which no larger log mends; what was chosen
+because it looked best; causes that the log does not hold. So of a large log the intervals are rather too narrow:
+``benchmarks/calibration.py --stored`` says how often they hold the exact Q of small tables.
 """
 
 from collections.abc import Sequence
@@ -53,6 +60,7 @@ def certainty(
     deviations: Float[np.ndarray, "A F"],
     block_of_action: Int[np.ndarray, " A"],
     is_possible: Bool[np.ndarray, " A"],
+    stages_left: float = 1.0,
 ) -> Certainty:
     """Tell how sure Q̂ of one state is.
 
@@ -61,11 +69,13 @@ def certainty(
     q
         Q̂ of each action, without any margin [reward]; anything where it is impossible.
     deviations
-        Rₖᵀ (1, φ(S, a)) of each action: its length is the standard error of Q̂ [reward].
+        Rₖᵀ (1, φ(S, a)) of each action: its length is the standard error of this stage's regression [reward].
     block_of_action
         Block of coefficients of each action.
     is_possible
         Which actions there are to choose from; at least one.
+    stages_left
+        m, stages from this one to the end of a path, on average; 1 where this is the last.
 
     Returns
     -------
@@ -83,12 +93,18 @@ def certainty(
     >>> found.low.round(2), found.high.round(2), found.chance_best.round(2)
     (array([-0.96, -1.96]), array([2.96, 1.96]), array([0.76, 0.24]))
     """
-    half = float(ndtri((1.0 + LEVEL) / 2.0)) * np.linalg.norm(deviations, axis=1)
+    half = float(ndtri((1.0 + LEVEL) / 2.0)) * stages_left * np.linalg.norm(deviations, axis=1)
     low, high = (np.where(is_possible, q + side * half, -np.inf) for side in (-1.0, 1.0))
-    draws = _draws(q[is_possible], deviations[is_possible], block_of_action[is_possible])
+    together = np.sqrt(stages_left) * deviations
+    draws = _draws(q[is_possible], together[is_possible], block_of_action[is_possible])
     chance_best = np.zeros(len(q))
     chance_best[is_possible] = np.mean(draws >= draws.max(axis=1, keepdims=True) - SAME_VALUE, axis=0)
     return Certainty(low, high, chance_best)
+
+
+def stages_from(stage: int, horizon: int, stages_left: Sequence[float]) -> float:
+    """Stages from one to the end of a path, on average; all that the horizon leaves where nobody knows."""
+    return float(stages_left[stage - 1]) if stage <= len(stages_left) else float(horizon - stage + 1)
 
 
 def _draws(

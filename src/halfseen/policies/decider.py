@@ -1,5 +1,6 @@
 """From a policy in a folder, or one in memory, to what decides by it."""
 
+from collections.abc import Sequence
 from typing import Any
 
 from halfseen.errors import ArgumentError
@@ -18,6 +19,7 @@ def decider_of(
     *,
     extrapolates: bool = False,
     pessimism: float | None = None,
+    stages_left: Sequence[float] = (),
     least_rewards: dict[str, float] | None = None,
 ) -> Decider:
     """Put a policy behind the port.
@@ -33,6 +35,9 @@ def decider_of(
         True to decide, with a warning, even where something lies far outside these ranges; else that is refused.
     pessimism
         Standard errors of Q that its margin is; None if nobody knows, and then nobody knows how sure a decision is.
+    stages_left
+        By stage, how many there are from it to the end of a path, on average; empty if nobody knows, and then all that
+        the horizon leaves.
     least_rewards
         Of each verb of a table, the least that it paid in the logs [reward]; None if nobody knows.
 
@@ -47,12 +52,18 @@ def decider_of(
             policy.ranges,
             extrapolates=extrapolates,
             pessimism=policy.pessimism,
+            stages_left=policy.stages_left,
             least_rewards=policy.least_rewards,
         )
     if isinstance(policy, FlatPolicy):
-        return NamedDecider(policy, ranges, extrapolates, pessimism)
+        return NamedDecider(policy, ranges, extrapolates, pessimism, stages_left)
     if isinstance(policy, Policy):
         return TableDecider(
-            policy, ranges, extrapolates=extrapolates, pessimism=pessimism, least_rewards=least_rewards or {}
+            policy,
+            ranges,
+            extrapolates=extrapolates,
+            pessimism=pessimism,
+            stages_left=stages_left,
+            least_rewards=least_rewards or {},
         )
     raise ArgumentError(f"{type(policy).__name__} is no policy; give one of named actions or of tables")

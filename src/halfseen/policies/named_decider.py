@@ -1,12 +1,13 @@
 """Decisions of a policy of named actions."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
 from halfseen.learners.q_learning.flat_policy import FlatPolicy
-from halfseen.policies.certainty import certainty
+from halfseen.policies.certainty import certainty, stages_from
 from halfseen.policies.decision import Decision
 from halfseen.policies.ranges import RangesOfStage, beyond, everything, refuse_far
 from halfseen.policies.reasons import flat_reason, values_by_name
@@ -42,12 +43,15 @@ class NamedDecider:
         Whether to decide where a covariate lies far outside these ranges, too.
     pessimism
         Standard errors of Q that the margin of the policy is; None if nobody knows.
+    stages_left
+        By stage, how many there are from it to the end of a path, on average; empty for all that the horizon leaves.
     """
 
     policy: FlatPolicy
     ranges: RangesOfStage = everything
     extrapolates: bool = False
     pessimism: float | None = None
+    stages_left: Sequence[float] = ()
 
     def decide(self, observation: NamedObservation) -> Decision:
         """Take the possible action with the largest Q, with pessimism less its margin.
@@ -91,4 +95,6 @@ class NamedDecider:
         q = policy.q_values(row, stage)[0]
         error = (q - policy.lower_bounds(row, stage)[0]) / self.pessimism
         # Each action has coefficients of its own.
-        return certainty(q, error[:, None], np.arange(len(q)), policy.is_possible[stage - 1]).by_name(names)
+        left = stages_from(stage, policy.horizon, self.stages_left)
+        found = certainty(q, error[:, None], np.arange(len(q)), policy.is_possible[stage - 1], left)
+        return found.by_name(names)

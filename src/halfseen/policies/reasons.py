@@ -36,8 +36,8 @@ def table_reason(grounds: Grounds, q: Float[np.ndarray, " A"], chance_best: Mapp
     >>> from halfseen.world import Scene
     >>> state = first_state(Scene(np.array([[0.0, 0.5], [0.0, 0.0]])), horizon=10, dirty_share=0.6).state
     >>> table_reason(Grounds.of(state, 0.6), np.array([0.0, 1.0, 0.5, 0.0, 1.8]))
-    'LIFT 1: worth 0.80 more than WASH 0; it would lay bare 50% of object 0, of which nothing is known yet; as for WASH \
-0, it is half hidden (0.50), and nothing is known yet of whether it is dirty.'
+    'LIFT 1: worth 0.80 more than WASH 0; it would lay bare 50% of object 0, of which nothing is known yet; as for \
+WASH 0, it is half hidden (0.50), and nothing is known yet of whether it is dirty.'
     """
     names, best = ActionSpace(len(grounds.is_there)).names, int(np.argmax(q))
     own = table_grounds(grounds, best)

@@ -1,6 +1,6 @@
 """Decisions at a table: of a learned policy, a planner or a heuristic."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from halfseen.policies.certainty import certainty
+from halfseen.policies.certainty import certainty, stages_from
 from halfseen.policies.decision import Decision
 from halfseen.policies.ranges import RangesOfStage, beyond, everything, refuse_far
 from halfseen.policies.reasons import table_reason, values_by_name
@@ -41,6 +41,8 @@ class TableDecider:
         Whether to decide where there are far more or fewer objects than in the logs, too.
     pessimism
         Standard errors of Q that the margin of the policy is; None if nobody knows.
+    stages_left
+        By stage, how many there are from it to the end of a path, on average; empty for all that the horizon leaves.
     least_rewards
         Of each verb, the least that it paid in the logs [reward]; empty if nobody knows. A planner knows its own.
     """
@@ -50,6 +52,7 @@ class TableDecider:
     seed: int = 0
     extrapolates: bool = False
     pessimism: float | None = None
+    stages_left: Sequence[float] = ()
     least_rewards: Mapping[str, float] = field(default_factory=dict)
 
     def decide(self, observation: Present) -> Decision:
@@ -73,20 +76,22 @@ class TableDecider:
             return Decision(
                 names[action], {}, f"{names[action]}: by {rule}; {table_grounds(grounds, action)}.", warnings
             )
-        q, intervals, chance_best = self._valued(state, key, names)
+        q, intervals, chance_best = self._valued(observation, key, names)
         reason = table_reason(grounds, q, chance_best)
         return Decision(names[int(np.argmax(q))], values_by_name(names, q), reason, warnings, intervals, chance_best)
 
     def _valued(
-        self, state: TableState, key: jax.Array, names: tuple[str, ...]
+        self, observation: Present, key: jax.Array, names: tuple[str, ...]
     ) -> tuple[Float[np.ndarray, " A"], dict[str, tuple[float, float]], dict[str, float]]:
         """What the policy goes by, and how sure Q is, by name; nothing where nobody knows."""
         policy: Any = self.policy
+        state, stage = observation.state, observation.stage
         if not (isinstance(policy, LinearTablePolicy) and policy.margin is not None and self.pessimism):
             return _as_floats(jax.jit(type(policy).q_values)(policy, state, key)), {}, {}
         q, estimates, deviations = map(_as_floats, _told(policy, state))
         blocks = ActionSpace(state.num_objects).verbs
-        found = certainty(estimates, deviations / self.pessimism, blocks, np.isfinite(estimates))
+        left = stages_from(stage, stage + int(state.steps_to_go) - 1, self.stages_left)
+        found = certainty(estimates, deviations / self.pessimism, blocks, np.isfinite(estimates), left)
         return q, *found.by_name(names)
 
     def _worst_wash(self) -> float | None:

@@ -132,7 +132,7 @@ def table_grounds(grounds: Grounds, action: int) -> str:
     if action == FINISH:
         return _left(grounds)
     target = int(actions.target(action))
-    of_verb = _revealed if actions.verb(action) == Verb.LIFT else _washed
+    of_verb = _GROUNDS.get(actions.verb(action), _described)
     failures = int(grounds.failures[target])
     slipped = f"; it slipped {'once' if failures == 1 else f'{failures} times'}" if failures else ""
     return of_verb(grounds, target) + slipped
@@ -164,12 +164,19 @@ def _revealed(grounds: Grounds, target: int) -> str:
 
 def _washed(grounds: Grounds, target: int) -> str:
     """How sure it is that a WASH is right, and what it costs if it is not."""
-    hidden = grounds.hidden_by(target)
-    costs = []
-    if grounds.worst_wash is not None and grounds.worst_wash < 0.0 and grounds.is_dirty[target] < _SURE:
-        costs = [f"a wrong WASH costs up to {-grounds.worst_wash:.3g}"]
-    parts = [*_looks(grounds, target), *([f"it hides {_listed([str(k) for k in hidden])}"] if hidden else []), *costs]
-    return f"it is {_joined(parts)}"
+    if grounds.worst_wash is None or grounds.worst_wash >= 0.0 or grounds.is_dirty[target] >= _SURE:
+        return _described(grounds, target)
+    return _described(grounds, target, f"a wrong WASH costs up to {-grounds.worst_wash:.3g}")
+
+
+def _described(grounds: Grounds, target: int, *more: str) -> str:
+    """How it looks, and whom it hides."""
+    hidden = [f"it hides {_listed([str(k) for k in grounds.hidden_by(target)])}"] if grounds.hidden_by(target) else []
+    return f"it is {_joined([*_looks(grounds, target), *hidden, *more])}"
+
+
+_GROUNDS = {int(Verb.WASH): _washed, int(Verb.LIFT): _revealed}
+"""Of another verb there is to be said how its object looks."""
 
 
 def _known_as(grounds: Grounds, index: int) -> str:

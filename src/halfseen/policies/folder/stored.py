@@ -68,6 +68,11 @@ class StoredPolicy:
         return float(told) if isinstance(told, int | float) and told > 0 and self.policy.margin is not None else None
 
     @property
+    def stages_left(self) -> tuple[float, ...]:
+        """By stage, how many there are from it to the end of a path on average; empty in a folder that does not say."""
+        return tuple(float(each) for each in self.record.get("stages_left", ()))
+
+    @property
     def least_rewards(self) -> dict[str, float]:
         """Of each verb of a table, the least that it paid in the log [reward]; empty in a folder that does not say."""
         return {verb: float(paid) for verb, paid in self.record["schema"].get("least_rewards", {}).items()}

@@ -40,7 +40,7 @@ class TableKind:
     policy_type = LinearTablePolicy
 
     def schema(self, policy: LinearTablePolicy, logs: Logs) -> dict[str, Any]:
-        """Verbs, features, the prior of DIRTY that the log-odds of the log started from, how looks were counted, rewards."""
+        """Verbs, features, the prior of DIRTY that the log-odds of the log started from, what looks and verbs told."""
         return {
             "horizon": len(policy.coefficients),
             "actions": _VERBS,
@@ -116,8 +116,9 @@ def _is_seen(record: Mapping[str, Any]) -> Any:
 
 def _least_rewards(logs: Logs) -> dict[str, float]:
     """The least that each verb paid, where a stage of it was completed."""
-    paid = logs.stages[logs.stages["reward"].notna()].groupby("action", observed=True)["reward"].min()
-    return {verb: float(paid[verb]) for verb in _VERBS if verb in paid.index}
+    done: Any = logs.stages[logs.stages["reward"].notna()]
+    paid = {str(verb): float(least) for verb, least in done.groupby("action", observed=True)["reward"].min().items()}
+    return {verb: paid[verb] for verb in _VERBS if verb in paid}
 
 
 def counts_views(logs: Logs) -> bool:
