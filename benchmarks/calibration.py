@@ -26,7 +26,7 @@ from scipy.special import gammaln
 from halfseen.learners import CensoredQLearner
 from halfseen.planners import GreedyPolicy, solve_table
 from halfseen.planners.explanation import DEGREES_OF_FREEDOM, PlannerError, expected_q, explain, own_error, rollouts_of
-from halfseen.policies import decider_of
+from halfseen.policies import certainty, decider_of
 from halfseen.policies.folder.stages_left import stages_left
 from halfseen.tables import learned_explanation
 from halfseen.tables.learned_explanation import LASTING_ERROR, LearnedExplainer
@@ -176,7 +176,9 @@ def stored_calibration(sizes, num_tables, num_states):
         said, was, holds = [], [], []
         for (num_objects, horizon), seed in CHECK_TABLES.items():
             for _, learner, logs, found in fitted(num_objects, horizon, seed, [num_paths], num_tables, num_states):
-                decider = decider_of(learner.policy_, pessimism=learner.model_.pessimism, stages_left=stages_left(logs))
+                lasting = certainty.LASTING_ERROR * float(np.nanstd(logs.stages["reward"].astype(float)))
+                q_error = certainty.QError(learner.model_.pessimism, stages_left(logs), lasting)
+                decider = decider_of(learner.policy_, q_error=q_error)
                 names = ActionSpace(num_objects).names
                 for state, truth in found:
                     decision = decider.decide(Present(state, horizon - int(state.steps_to_go) + 1))

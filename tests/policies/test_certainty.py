@@ -9,7 +9,7 @@ from scipy.stats import norm
 from halfseen.learners import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.policies import NamedObservation, decider_of, read_policy
-from halfseen.policies.certainty import certainty, stages_from
+from halfseen.policies.certainty import QError, certainty
 from halfseen.policies.folder import write_policy
 from halfseen.policies.folder.stages_left import stages_left
 from small_logs import flat_log
@@ -84,6 +84,14 @@ def test_stages_to_come_widen_the_interval_by_their_number_and_the_draws_by_its_
     np.testing.assert_allclose(found.chance_best[0], norm.cdf(1.0 / np.hypot(2.0, 2.0)), atol=0.012)
 
 
+def test_an_error_that_no_log_takes_away_widens_both():
+    q, deviations = np.array([1.0, 0.0]), np.array([[0.6], [0.8]])
+    found = certainty(q, deviations, np.array([0, 1]), np.ones(2, dtype=bool), 4.0, 3.0)
+    np.testing.assert_allclose(found.high - q, 1.959964 * np.sqrt([2.4**2 + 9.0, 3.2**2 + 9.0]), rtol=1e-6)
+    together = np.sqrt(4.0 + 9.0 / 0.5) * np.hypot(0.6, 0.8)
+    np.testing.assert_allclose(found.chance_best[0], norm.cdf(1.0 / together), atol=0.012)
+
+
 def test_stages_to_come_are_counted_as_if_nothing_had_been_cut():
     """Paths go on with a chance of 0.6 at each of four stages; half of the stages of some are cut away at random."""
     rng, stages, paths = np.random.default_rng(2), [], []
@@ -102,8 +110,8 @@ def test_stages_to_come_are_counted_as_if_nothing_had_been_cut():
 
 
 def test_where_nobody_knows_how_many_stages_come_it_is_all_that_the_horizon_leaves():
-    assert stages_from(2, 5, ()) == 4.0
-    assert stages_from(2, 5, (3.0, 2.5)) == 2.5
+    assert QError(1.0).stages_from(2, 5) == 4.0
+    assert QError(1.0, (3.0, 2.5)).stages_from(2, 5) == 2.5
 
 
 def test_what_was_learned_holds_how_sure_it_is(tmp_path):
@@ -113,13 +121,15 @@ def test_what_was_learned_holds_how_sure_it_is(tmp_path):
     stored = read_policy(tmp_path / "p")
     row = pd.DataFrame({"x1": [0.1], "x2": [1]})
     decision = decider_of(stored).decide(NamedObservation(row, 1))
-    assert 1.0 < stored.stages_left[0] <= 2.0
-    assert stored.pessimism == pytest.approx(2.0 / np.sqrt(2.0))
+    known = stored.q_error
+    assert known is not None
+    assert 1.0 < known.stages_left[0] <= 2.0
+    assert known.pessimism == pytest.approx(2.0 / np.sqrt(2.0))
     design = np.array([1.0, 0.1, 1.0])
     for k, name in enumerate(("A", "B")):
         q = float(learner.policy_.coefficients[0, k] @ design)
-        error = np.linalg.norm(learner.policy_.margin[0, k].T @ design) / stored.pessimism
-        half = 1.959964 * stored.stages_left[0] * error
+        error = np.linalg.norm(learner.policy_.margin[0, k].T @ design) / known.pessimism
+        half = 1.959964 * np.hypot(known.stages_left[0] * error, 0.2 * np.nanstd(logs.stages["reward"].astype(float)))
         np.testing.assert_allclose(decision.intervals[name], (q - half, q + half), rtol=1e-5)
     assert list(decision.chance_best) == ["A", "B"]
     assert sum(decision.chance_best.values()) == pytest.approx(1.0, abs=1e-3)
@@ -132,5 +142,5 @@ def test_without_pessimism_nobody_knows(tmp_path):
     write_policy(learner, logs, tmp_path / "p")
     stored = read_policy(tmp_path / "p")
     decision = decider_of(stored).decide(NamedObservation(pd.DataFrame({"x1": [0.1], "x2": [1]}), 1))
-    assert (stored.pessimism, decision.intervals, decision.chance_best) == (None, {}, {})
+    assert (stored.q_error, decision.intervals, decision.chance_best) == (None, {}, {})
     assert "chance" not in decision.reason

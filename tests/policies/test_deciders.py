@@ -12,6 +12,7 @@ from halfseen.errors import ArgumentError, LogError, PolicyError
 from halfseen.learners import FlatPolicy
 from halfseen.planners import GreedyPolicy, POMDPPolicy
 from halfseen.policies import Decider, NamedObservation, decider_of
+from halfseen.policies.certainty import QError
 from halfseen.policies.table_decider import TableDecider
 from halfseen.tables import LinearTablePolicy
 from halfseen.tables.features import NUM_FEATURES, table_features
@@ -125,7 +126,7 @@ def test_on_a_table_the_interval_is_of_q_without_its_margin_and_the_chance_that_
     pessimism, size = 0.5, NUM_FEATURES + 1
     root = 0.1 * jax.random.normal(keys[0], (4, len(Verb), size, size))
     policy = LinearTablePolicy(COEFFICIENTS, margin=pessimism * root)
-    decision = decider_of(policy, pessimism=pessimism, stages_left=[1.0]).decide(NOW)
+    decision = decider_of(policy, q_error=QError(pessimism, [1.0])).decide(NOW)
     verbs = np.asarray(ActionSpace(2).verbs)
     design = np.concatenate([np.ones((len(verbs), 1)), np.asarray(table_features(NOW.state))], axis=1)
     q = np.einsum("af,af->a", design, np.asarray(COEFFICIENTS)[3][verbs])

@@ -1,10 +1,10 @@
 """From a policy in a folder, or one in memory, to what decides by it."""
 
-from collections.abc import Sequence
 from typing import Any
 
 from halfseen.errors import ArgumentError
 from halfseen.learners.q_learning.flat_policy import FlatPolicy
+from halfseen.policies.certainty import QError
 from halfseen.policies.decision import Decider
 from halfseen.policies.folder import StoredPolicy
 from halfseen.policies.named_decider import NamedDecider
@@ -18,8 +18,7 @@ def decider_of(
     ranges: RangesOfStage = everything,
     *,
     extrapolates: bool = False,
-    pessimism: float | None = None,
-    stages_left: Sequence[float] = (),
+    q_error: QError | None = None,
     least_rewards: dict[str, float] | None = None,
 ) -> Decider:
     """Put a policy behind the port.
@@ -33,11 +32,8 @@ def decider_of(
         What the logs showed where it was learned.
     extrapolates
         True to decide, with a warning, even where something lies far outside these ranges; else that is refused.
-    pessimism
-        Standard errors of Q that its margin is; None if nobody knows, and then nobody knows how sure a decision is.
-    stages_left
-        By stage, how many there are from it to the end of a path, on average; empty if nobody knows, and then all that
-        the horizon leaves.
+    q_error
+        What is known of the errors of its Q; None if nothing, and then nobody knows how sure a decision is.
     least_rewards
         Of each verb of a table, the least that it paid in the logs [reward]; None if nobody knows.
 
@@ -51,19 +47,12 @@ def decider_of(
             policy.policy,
             policy.ranges,
             extrapolates=extrapolates,
-            pessimism=policy.pessimism,
-            stages_left=policy.stages_left,
+            q_error=policy.q_error,
             least_rewards=policy.least_rewards,
         )
     if isinstance(policy, FlatPolicy):
-        return NamedDecider(policy, ranges, extrapolates, pessimism, stages_left)
+        return NamedDecider(policy, ranges, extrapolates, q_error)
     if isinstance(policy, Policy):
-        return TableDecider(
-            policy,
-            ranges,
-            extrapolates=extrapolates,
-            pessimism=pessimism,
-            stages_left=stages_left,
-            least_rewards=least_rewards or {},
-        )
+        least = least_rewards or {}
+        return TableDecider(policy, ranges, extrapolates=extrapolates, q_error=q_error, least_rewards=least)
     raise ArgumentError(f"{type(policy).__name__} is no policy; give one of named actions or of tables")

@@ -1,13 +1,12 @@
 """Decisions of a policy of named actions."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
 from halfseen.learners.q_learning.flat_policy import FlatPolicy
-from halfseen.policies.certainty import certainty, stages_from
+from halfseen.policies.certainty import QError, certainty
 from halfseen.policies.decision import Decision
 from halfseen.policies.ranges import RangesOfStage, beyond, everything, refuse_far
 from halfseen.policies.reasons import flat_reason, values_by_name
@@ -41,17 +40,14 @@ class NamedDecider:
         What the logs showed where it was learned.
     extrapolates
         Whether to decide where a covariate lies far outside these ranges, too.
-    pessimism
-        Standard errors of Q that the margin of the policy is; None if nobody knows.
-    stages_left
-        By stage, how many there are from it to the end of a path, on average; empty for all that the horizon leaves.
+    q_error
+        What is known of the errors of its Q; None if nothing.
     """
 
     policy: FlatPolicy
     ranges: RangesOfStage = everything
     extrapolates: bool = False
-    pessimism: float | None = None
-    stages_left: Sequence[float] = ()
+    q_error: QError | None = None
 
     def decide(self, observation: NamedObservation) -> Decision:
         """Take the possible action with the largest Q, with pessimism less its margin.
@@ -90,11 +86,11 @@ class NamedDecider:
     ) -> tuple[dict[str, tuple[float, float]], dict[str, float]]:
         """How sure Q is, by name; nothing where nobody knows."""
         policy = self.policy
-        if policy.margin is None or not self.pessimism:
+        if policy.margin is None or self.q_error is None:
             return {}, {}
         q = policy.q_values(row, stage)[0]
-        error = (q - policy.lower_bounds(row, stage)[0]) / self.pessimism
+        error = (q - policy.lower_bounds(row, stage)[0]) / self.q_error.pessimism
         # Each action has coefficients of its own.
-        left = stages_from(stage, policy.horizon, self.stages_left)
-        found = certainty(q, error[:, None], np.arange(len(q)), policy.is_possible[stage - 1], left)
-        return found.by_name(names)
+        of_stage = self.q_error.stages_from(stage, policy.horizon), self.q_error.lasting
+        blocks, is_possible = np.arange(len(q)), policy.is_possible[stage - 1]
+        return certainty(q, error[:, None], blocks, is_possible, *of_stage).by_name(names)

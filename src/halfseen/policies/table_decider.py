@@ -1,6 +1,6 @@
 """Decisions at a table: of a learned policy, a planner or a heuristic."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from halfseen.policies.certainty import certainty, stages_from
+from halfseen.policies.certainty import QError, certainty
 from halfseen.policies.decision import Decision
 from halfseen.policies.ranges import RangesOfStage, beyond, everything, refuse_far
 from halfseen.policies.reasons import table_reason, values_by_name
@@ -39,10 +39,8 @@ class TableDecider:
         Of a policy that draws, such as a planner; the same seed gives the same decision.
     extrapolates
         Whether to decide where there are far more or fewer objects than in the logs, too.
-    pessimism
-        Standard errors of Q that the margin of the policy is; None if nobody knows.
-    stages_left
-        By stage, how many there are from it to the end of a path, on average; empty for all that the horizon leaves.
+    q_error
+        What is known of the errors of a learned Q; None if nothing.
     least_rewards
         Of each verb, the least that it paid in the logs [reward]; empty if nobody knows. A planner knows its own.
     """
@@ -51,8 +49,7 @@ class TableDecider:
     ranges: RangesOfStage = everything
     seed: int = 0
     extrapolates: bool = False
-    pessimism: float | None = None
-    stages_left: Sequence[float] = ()
+    q_error: QError | None = None
     least_rewards: Mapping[str, float] = field(default_factory=dict)
 
     def decide(self, observation: Present) -> Decision:
@@ -86,13 +83,13 @@ class TableDecider:
         """What the policy goes by, and how sure Q is, by name; nothing where nobody knows."""
         policy: Any = self.policy
         state, stage = observation.state, observation.stage
-        if not (isinstance(policy, LinearTablePolicy) and policy.margin is not None and self.pessimism):
+        if not (isinstance(policy, LinearTablePolicy) and policy.margin is not None and self.q_error):
             return _as_floats(jax.jit(type(policy).q_values)(policy, state, key)), {}, {}
         q, estimates, deviations = map(_as_floats, _told(policy, state))
         blocks = ActionSpace(state.num_objects).verbs
-        left = stages_from(stage, stage + int(state.steps_to_go) - 1, self.stages_left)
-        found = certainty(estimates, deviations / self.pessimism, blocks, np.isfinite(estimates), left)
-        return q, *found.by_name(names)
+        of_stage = self.q_error.stages_from(stage, stage + int(state.steps_to_go) - 1), self.q_error.lasting
+        error = deviations / self.q_error.pessimism
+        return q, *certainty(estimates, error, blocks, np.isfinite(estimates), *of_stage).by_name(names)
 
     def _worst_wash(self) -> float | None:
         config = getattr(self.policy, "config", None)

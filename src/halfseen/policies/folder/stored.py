@@ -13,6 +13,7 @@ from halfseen.errors import PolicyError
 from halfseen.learners.q_learning.q_learner import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.logs.refusal import within
+from halfseen.policies.certainty import LASTING_ERROR, QError
 from halfseen.policies.folder.arrays import column_major, laid_out
 from halfseen.policies.folder.files import ARRAYS, RECORD, check_target, read_files, write_files
 from halfseen.policies.folder.json_values import horizon_of
@@ -62,15 +63,13 @@ class StoredPolicy:
         return tuple(told)
 
     @property
-    def pessimism(self) -> float | None:
-        """Standard errors of Q that the margin is; None in a folder without a margin."""
-        told = self.record["learner"].get("pessimism")
-        return float(told) if isinstance(told, int | float) and told > 0 and self.policy.margin is not None else None
-
-    @property
-    def stages_left(self) -> tuple[float, ...]:
-        """By stage, how many there are from it to the end of a path on average; empty in a folder that does not say."""
-        return tuple(float(each) for each in self.record.get("stages_left", ()))
+    def q_error(self) -> QError | None:
+        """What is known of the errors of Q; None in a folder without a margin."""
+        pessimism = self.record["learner"].get("pessimism")
+        if self.policy.margin is None or not isinstance(pessimism, int | float) or not pessimism > 0:
+            return None
+        lasting = LASTING_ERROR * float(self.record.get("reward_spread", 0.0))
+        return QError(float(pessimism), tuple(map(float, self.record.get("stages_left", ()))), lasting)
 
     @property
     def least_rewards(self) -> dict[str, float]:
