@@ -55,9 +55,9 @@ def act(
     For a policy of named actions, CLOUD is a JSON object such as {"x1": 0.3, "x2": 1, "stage": 2}, or a CSV file with a
     header and one row.
 
-    Intervals hold with 95 %, and "best" is the chance that no action is better; both tell of the errors of Q at this
-    stage alone, and are there for policies that were learned with pessimism. What lies farther outside the logs than
-    these reach is refused.
+    Beside each value, which is what the policy goes by, stand a 95 % interval of Q and the chance that no action is
+    better, for policies that were learned with pessimism. What lies farther outside the logs than these reach is
+    refused.
     """
     from halfseen.errors import ArgumentError
     from halfseen.policies import decider_of, read_policy
