@@ -181,7 +181,7 @@ def _draw_bars(axes: Axes, decision: Decision, shown: Sequence[str]) -> None:
     low, high = min(values.min(), ends.min()), max(values.max(), ends.max())
     room = 0.08 * (high - low) or 0.1 * max(1.0, abs(high))
     # Where all are far from 0, bars from 0 on would all look alike.
-    from_zero = low - 3.0 * (high - low) <= 0.0 <= high + 3.0 * (high - low)
+    from_zero = bool(low - 3.0 * (high - low) <= 0.0 <= high + 3.0 * (high - low))
     left, right = (min(low, 0.0), max(high, 0.0)) if from_zero else (low - room, high)
     axes.set_xlim(left - (room if left < 0.0 and from_zero else 0.0), right + room)
     rows = np.arange(len(shown))
