@@ -2,11 +2,13 @@
 
 python benchmarks/calibration.py [--out runs/benchmarks/calibration.json] [--tables 8] [--states 14] [--paths 50 800]
 python benchmarks/calibration.py --fit
+python benchmarks/calibration.py --stored
 
 States are those that the logging policy reaches on random small tables; the truth is the exact optimum. An action is
 best where its exact Q is within 1e-9 of the largest: of actions that are worth the same, all are. `--fit` prints what
 the constants of ``planners.explanation`` and ``tables.learned_explanation`` were chosen by, on tables that the check
-never sees.
+never sees. `--stored` checks what `halfseen act` says: 95 % intervals and chances by the margin that a policy's folder
+holds.
 """
 
 import argparse
@@ -24,9 +26,13 @@ from scipy.special import gammaln
 from halfseen.learners import CensoredQLearner
 from halfseen.planners import GreedyPolicy, solve_table
 from halfseen.planners.explanation import DEGREES_OF_FREEDOM, PlannerError, expected_q, explain, own_error, rollouts_of
+from halfseen.policies import certainty, decider_of
+from halfseen.policies.folder.stages_left import stages_left
 from halfseen.tables import learned_explanation
 from halfseen.tables.learned_explanation import LASTING_ERROR, LearnedExplainer
+from halfseen.tables.present import Present
 from halfseen.world import ExploringPolicy, Scene, TableWorld, WorldConfig
+from halfseen.world.action_space import ActionSpace
 from halfseen.world.episodes import play
 from halfseen.world.state import pad_scenes
 
@@ -148,14 +154,47 @@ def learned_calibration(sizes, num_tables, num_states):
 
 
 def learned(num_objects, horizon, seed, sizes, num_tables, num_states):
-    """Explainers that were learned from logs of other tables than those that the states are of."""
+    """Explainers of what was learned."""
+    for num_paths, learner, logs, found in fitted(num_objects, horizon, seed, sizes, num_tables, num_states):
+        yield num_paths, LearnedExplainer.of(learner, logs), found
+
+
+def fitted(num_objects, horizon, seed, sizes, num_tables, num_states):
+    """Learners of logs of other tables than those that the states are of."""
     config, found = states_with_truth(num_objects, horizon, seed, num_tables, num_states)
     rng = np.random.default_rng(LOG_SEED + seed)
     scenes = [random_scene(rng, num_objects) for _ in range(NUM_LOGGED_TABLES)]
     for num_paths in sizes:
         logs = TableWorld(config).simulate(scenes, logging_policy(config), num_paths, LOG_SEED + num_paths, CUT_SHARE)
-        learner = CensoredQLearner.for_table(horizon).fit(logs)
-        yield num_paths, LearnedExplainer.of(learner, logs), found
+        yield num_paths, CensoredQLearner.for_table(horizon).fit(logs), logs, found
+
+
+def stored_calibration(sizes, num_tables, num_states):
+    """Whether 95 % intervals hold the exact Q, and chances of being best come true, by size of the log."""
+    told = {}
+    for num_paths in sizes:
+        said, was, holds = [], [], []
+        for (num_objects, horizon), seed in CHECK_TABLES.items():
+            for _, learner, logs, found in fitted(num_objects, horizon, seed, [num_paths], num_tables, num_states):
+                lasting = certainty.LASTING_ERROR * float(np.nanstd(logs.stages["reward"].astype(float)))
+                q_error = certainty.QError(learner.model_.pessimism, stages_left(logs), lasting)
+                decider = decider_of(learner.policy_, q_error=q_error)
+                names = ActionSpace(num_objects).names
+                for state, truth in found:
+                    decision = decider.decide(Present(state, horizon - int(state.steps_to_go) + 1))
+                    for k, name in enumerate(names):
+                        if name in decision.intervals and np.isfinite(truth[k]):
+                            low, high = decision.intervals[name]
+                            holds.append(low <= truth[k] <= high)
+                            said.append(decision.chance_best[name])
+                            was.append(bool(truth[k] >= truth.max() - 1e-9))
+        told[str(num_paths)] = {"coverage_of_q": float(np.mean(holds)), "best": binned(said, was)}
+        print(f"stored, {num_paths} paths: 95 % intervals hold Q in {np.mean(holds):.3f}")
+        print(
+            "  best: "
+            + "  ".join(f"{b['said']:.2f}→{b['was']:.2f} ({b['count']})" for b in told[str(num_paths)]["best"])
+        )
+    return told
 
 
 def compared_stretches(sizes, num_tables, num_states):
@@ -212,6 +251,7 @@ def log_likelihood(rollouts, truth, error):
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--fit", action="store_true", help="show what the constants were chosen by, and stop")
+    parser.add_argument("--stored", action="store_true", help="check what `halfseen act` says, and stop")
     parser.add_argument("--out", type=Path, default=Path("runs/benchmarks/calibration.json"))
     parser.add_argument("--tables", type=int, default=8)
     parser.add_argument("--states", type=int, default=14)
@@ -220,6 +260,9 @@ def main() -> None:
     if args.fit:
         fitted_error(args.tables, args.states)
         compared_stretches(args.paths, args.tables, args.states)
+        return
+    if args.stored:
+        stored_calibration(args.paths, args.tables, args.states)
         return
     results = {"planner": planner_calibration(args.tables, args.states)}
     if args.paths:

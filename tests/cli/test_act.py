@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 from click.testing import CliRunner
 
+from drawn_boxes import boxes_cloud
 from halfseen import cli
 from halfseen.cell.calibration.law_folder import read_law
 from halfseen.cell.calibration.shipped import shipped_law
@@ -21,7 +22,7 @@ from halfseen.policies.observations import read_observation
 from halfseen.scene import table_paths
 from halfseen.world import TableWorld, UniformPolicy, WorldConfig
 from halfseen.world.seeing import label_evidence
-from small_logs import flat_log, table_log
+from small_logs import HIDES, flat_log, table_log
 
 TABLE = table_paths()[7]
 
@@ -36,7 +37,8 @@ def flat(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def tables(tmp_path_factory):
-    folder, logs = tmp_path_factory.mktemp("act") / "tables", table_log()
+    logs = table_log(num_objects=3, hides=np.pad(HIDES, (0, 1)))
+    folder = tmp_path_factory.mktemp("act") / "tables"
     write_policy(CensoredQLearner.for_table(3, reg=0.1).fit(logs), logs, folder)
     return folder
 
@@ -100,15 +102,25 @@ def test_csv_and_json_say_the_same_and_people_get_the_reason_first(flat, tmp_pat
     lines = as_json.splitlines()
     assert lines[0].startswith(("A: worth ", "C: worth "))
     assert lines[1:4] == [f"warning: {DULL}", "", "stage 2 of 2"]
-    assert [line.split()[0] for line in lines[5:]] in (["A", "C"], ["C", "A"])
+    assert [line.split()[0] for line in lines[5:]] in (["A", "C", "How"], ["C", "A", "How"])
+    assert lines[-1].startswith("How sure this is nobody knows: the policy was learned without pessimism")
     assert lines[5].split()[0] == lines[0][0]
 
 
 def test_what_lies_outside_the_logs_is_told(flat, tmp_path):
-    result = run(flat[0], state(tmp_path, text='{"x1": 40, "x2": 1}'))
-    assert "warning: x1 is 40, outside the logs (" in result.output
-    told = json.loads(run(flat[0], state(tmp_path, text='{"x1": 40, "x2": 1}'), "--json").output)
-    assert len(told["warnings"]) == 2
+    low, high = read_policy(flat[0]).ranges(1)["x1"]
+    outside = state(tmp_path, text=json.dumps({"x1": high + 0.9 * (high - low), "x2": 1}))
+    assert "warning: x1 is " in run(flat[0], outside).output
+    assert len(json.loads(run(flat[0], outside, "--json").output)["warnings"]) == 2
+
+
+def test_what_lies_far_outside_is_refused_unless_it_is_to_be_extrapolated(flat, tmp_path):
+    far = state(tmp_path, text='{"x1": 800, "x2": 1}')
+    error = refused(flat[0], far)
+    assert isinstance(error, PolicyError)
+    assert "x1 is 800, outside the logs (" in str(error)
+    assert "--extrapolate" in str(error)
+    assert "warning: x1 is 800, outside the logs (" in run(flat[0], far, "--extrapolate").output
 
 
 def test_that_nothing_speaks_for_the_policy_is_told_at_each_decision(flat, tmp_path):
@@ -121,11 +133,83 @@ def test_that_nothing_speaks_for_the_policy_is_told_at_each_decision(flat, tmp_p
 
 def test_a_table_is_decided_from_its_cloud(tables):
     report = json.loads(run(tables, TABLE, "--json").output)
+    assert list(report["intervals"]) == list(report["chance_best"]) == list(report["q_values"])
     assert list(report["q_values"]) == ["FINISH", *(f"{verb} {k}" for verb in ("WASH", "LIFT") for k in range(5))]
     assert report["action"] == max(report["q_values"], key=report["q_values"].get)
     assert report["reason"].startswith(f"{report['action']}: worth ")
-    assert report["warnings"][0] == "num_objects is 5, outside the logs (1 to 2); Q is extrapolated"
+    assert report["warnings"][0] == "num_objects is 5, outside the logs (1 to 3); Q is extrapolated"
     assert report["warnings"][1].startswith("occlusion of object ")
+
+
+def test_far_more_objects_than_the_logs_showed_are_refused(tmp_path):
+    logs = table_log()
+    write_policy(CensoredQLearner.for_table(3, reg=0.1).fit(logs), logs, tmp_path / "of_two")
+    assert "num_objects is 5, outside the logs (1 to 2) by more than" in str(refused(tmp_path / "of_two", TABLE))
+    told = run(tmp_path / "of_two", TABLE, "--extrapolate").output
+    assert "warning: num_objects is 5, outside the logs (1 to 2); Q is extrapolated" in told
+
+
+@pytest.fixture(scope="module")
+def sure(tmp_path_factory):
+    """A policy that was learned with pessimism, and so holds how sure its Q is."""
+    folder, logs = tmp_path_factory.mktemp("act") / "sure", flat_log(num_paths=60)
+    actions = {1: ["A", "B"], 2: ["A", "C"]}
+    learner = CensoredQLearner(2, actions, ["x1", "x2"], q_function="linear", stages="separate", reg=0.1).fit(logs)
+    write_policy(learner, logs, folder)
+    return folder
+
+
+def test_how_sure_it_is_stands_beside_each_value(sure, tmp_path):
+    report = json.loads(run(sure, state(tmp_path), "--json").output)
+    assert list(report["intervals"]) == list(report["chance_best"]) == ["A", "B"]
+    lines = run(sure, state(tmp_path)).output.splitlines()
+    at = next(k for k, line in enumerate(lines) if line.startswith("action"))
+    assert lines[at].split() == ["action", "value", "95", "%", "interval", "best"]
+    for line in lines[at + 1 :]:
+        name, value, low, _, high, best = line.split()
+        assert value == f"{report['q_values'][name]:+.2f}"
+        assert [low, high] == [f"{end:+.2f}" for end in report["intervals"][name]]
+        assert best == f"{report['chance_best'][name]:.0%}"
+
+
+def test_a_picture_is_drawn_and_stands_for_nothing_that_is_there(sure, tmp_path):
+    for ending, start in ((".png", b"\x89PNG"), (".svg", b"<?xml")):
+        target = tmp_path / "new" / f"decision{ending}"
+        plain = run(sure, state(tmp_path)).output
+        assert run(sure, state(tmp_path), "--picture", target).output == plain
+        drawn = target.read_bytes()
+        assert drawn.startswith(start)
+        assert "it is there already" in str(refused(sure, state(tmp_path), "--picture", target))
+        run(sure, state(tmp_path), "--picture", target, "--overwrite")
+        assert target.read_bytes() == drawn
+    assert len(list((tmp_path / "new").iterdir())) == 2
+
+
+def test_bad_pictures_are_refused_before_anything_is_drawn(sure, tables, tmp_path):
+    picked = state(tmp_path)
+    cloud = tmp_path / "cloud.png"
+    cloud.write_bytes(TABLE.read_bytes())
+    (tmp_path / "folder.png").mkdir()
+    cases = [
+        ((sure, picked, "--picture", tmp_path / "p.jpg"), "ends in .png or .svg"),
+        ((sure, picked, "--picture", tmp_path / "p"), "ends in .png or .svg"),
+        ((tables, cloud, "--picture", cloud, "--overwrite"), "it is what is to be looked at"),
+        ((sure, picked, "--picture", tmp_path / "folder.png", "--overwrite"), "it is a folder"),
+        ((sure, picked, "--picture", picked / "p.png"), "cannot be written"),
+    ]
+    for arguments, message in cases:
+        assert message in str(refused(*arguments))
+
+
+def test_a_table_of_other_things_is_told_of_first(tables, tmp_path):
+    cloud = boxes_cloud()
+    write_pcd(cloud, tmp_path / "boxes.pcd")
+    lines = run(tables, tmp_path / "boxes.pcd").output.splitlines()
+    assert lines[0].startswith("warning: this is no table of cups, and of other things nothing was learned: 0 is ")
+    assert lines[1].split()[0] in ("WASH", "LIFT", "FINISH")
+    report = json.loads(run(tables, tmp_path / "boxes.pcd", "--json").output)
+    assert f"warning: {report['warnings'][0]}" == lines[0]
+    assert "table of cups" not in run(tables, TABLE).output
 
 
 @pytest.fixture(scope="module")

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from halfseen.perception import Cloud, perceive, read_cloud
+from halfseen.perception.kind import other_things_in_words
 
 BESIDE = Path(__file__).parents[3] / "shared" / "clouds"
 FOLDER = Path(os.environ.get("HALFSEEN_CLOUDS", BESIDE))
@@ -50,3 +51,14 @@ def test_a_crop_to_the_table_shows_the_same_objects(name):
     again = perceive(cropped)
     assert again.table.normal @ view.table.normal > np.cos(np.deg2rad(2.5))
     assert abs(len(again.objects) - num_on_table(name)) <= 1
+
+
+@pytest.mark.parametrize("name", [*ALONE, *(f"{one}.npz" for one in CLUTTERED)])
+def test_cups_raise_no_alarm_and_clutter_of_other_things_does(name):
+    index = {entry["file"]: entry for entry in json.loads((FOLDER / "index.json").read_text())}
+    told = other_things_in_words(perceive(read_cloud(FOLDER / name)))
+    if index[name]["cups"]:
+        assert told == ""
+    # Cans and bowls of a cup's size are cups to it.
+    elif name.startswith(("mustard", "ycbv1", "ycbv2", "ycbv4", "ycbv5")):
+        assert told

@@ -8,10 +8,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from halfseen.errors import ArgumentError, LogError
+from halfseen.errors import ArgumentError, LogError, PolicyError
 from halfseen.learners import FlatPolicy
 from halfseen.planners import GreedyPolicy, POMDPPolicy
 from halfseen.policies import Decider, NamedObservation, decider_of
+from halfseen.policies.certainty import QError
 from halfseen.policies.table_decider import TableDecider
 from halfseen.tables import LinearTablePolicy
 from halfseen.tables.features import NUM_FEATURES, table_features
@@ -65,7 +66,8 @@ def test_what_is_not_possible_has_no_value():
 def test_a_rule_that_values_nothing_says_by_whom_it_decides():
     decision = decider_of(TABLES["heuristic"]).decide(NOW)
     assert decision.q_values == {}
-    assert "by GreedyPolicy; it is in plain sight (0.00)" in decision.reason
+    assert "by GreedyPolicy; it is in plain sight (0.00), nothing is known yet of" in decision.reason
+    assert (decision.intervals, decision.chance_best) == ({}, {})
 
 
 def test_the_seed_decides_for_a_policy_that_draws():
@@ -117,3 +119,52 @@ def test_on_a_table_a_margin_counts_as_far_as_the_log_does_something_else():
     leaning = np.clip((chances - 1 / is_possible.sum()) / (1 - 1 / is_possible.sum()), 0.0, 1.0)
     assert 0.0 < leaning.max() < 1.0
     np.testing.assert_allclose(score[is_possible], (q - (1 - leaning) * (q - low))[is_possible], rtol=1e-4, atol=1e-5)
+
+
+def test_on_a_table_the_interval_is_of_q_without_its_margin_and_the_chance_that_of_drawn_coefficients():
+    keys = jax.random.split(jax.random.key(3), 2)
+    pessimism, size = 0.5, NUM_FEATURES + 1
+    root = 0.1 * jax.random.normal(keys[0], (4, len(Verb), size, size))
+    policy = LinearTablePolicy(COEFFICIENTS, margin=pessimism * root)
+    decision = decider_of(policy, q_error=QError(pessimism, [1.0])).decide(NOW)
+    verbs = np.asarray(ActionSpace(2).verbs)
+    design = np.concatenate([np.ones((len(verbs), 1)), np.asarray(table_features(NOW.state))], axis=1)
+    q = np.einsum("af,af->a", design, np.asarray(COEFFICIENTS)[3][verbs])
+    covariance = np.einsum("kfg,khg->kfh", np.asarray(root)[3], np.asarray(root)[3])[verbs]
+    error = np.sqrt(np.einsum("af,afg,ag->a", design, covariance, design))
+    for name, middle, deviation in zip(NAMES, q, error, strict=True):
+        np.testing.assert_allclose(
+            decision.intervals[name], (middle - 1.959964 * deviation, middle + 1.959964 * deviation), atol=1e-4
+        )
+    rng = np.random.default_rng(5)
+    drawn = np.asarray(COEFFICIENTS)[3] + np.einsum(
+        "kfg,bkg->bkf", np.asarray(root)[3], rng.normal(size=(40_000, len(Verb), size))
+    )
+    worth = np.einsum("af,baf->ba", design, drawn[:, verbs])
+    often = np.bincount(worth.argmax(axis=1), minlength=len(verbs)) / len(worth)
+    assert 0.05 < often.max() < 0.95
+    for name, expected in zip(NAMES, often, strict=True):
+        assert abs(decision.chance_best[name] - expected) < 0.02
+    assert decider_of(policy).decide(NOW).intervals == {}
+
+
+def test_far_more_objects_than_in_the_logs_are_refused_unless_they_are_to_be_extrapolated():
+    ranges = {"num_objects": (5.0, 6.0), "occlusion": (0.0, 0.1), "log_odds": (8.0, 9.0), "num_attempts": (4.0, 4.0)}
+    with pytest.raises(PolicyError, match=r"num_objects is 2, outside the logs \(5 to 6\) by more than these span"):
+        decider_of(TABLES["learned"], lambda stage: ranges).decide(NOW)
+    told = decider_of(TABLES["learned"], lambda stage: ranges, extrapolates=True).decide(NOW)
+    assert told.warnings[0] == "num_objects is 2, outside the logs (5 to 6); Q is extrapolated"
+    near = ranges | {"num_objects": (3.0, 4.0)}
+    assert decider_of(TABLES["learned"], lambda stage: near).decide(NOW).warnings[0].startswith("num_objects is 2")
+
+
+def test_a_planner_tells_what_a_wrong_wash_costs_by_its_own_rewards():
+    costly = replace(CONFIG, reward_wash_clean=-123.0)
+    told = decider_of(POMDPPolicy(costly, 1)).decide(NOW)
+    assert "a wrong WASH costs up to 123" in told.reason or "WASH" not in told.reason
+    assert (
+        "a wrong WASH costs up to 7"
+        in decider_of(LinearTablePolicy(COEFFICIENTS.at[:, 1, 0].set(50.0)), least_rewards={"WASH": -7.0})
+        .decide(NOW)
+        .reason
+    )

@@ -285,6 +285,10 @@ def test_no_folder_and_a_folder_of_something_else_are_refused(tmp_path):
         (lambda r: r["schema"].update(actions=["A", "B", 0.5]), "each has a name of its own"),
         (lambda r: r["schema"]["possible"][1].append("D"), "possible is"),
         (lambda r: r.update(kind="table"), "looks at features None"),
+        (lambda r: r.update(stages_left=[0.5]), "stages_left is [0.5]"),
+        (lambda r: r.update(stages_left=["2"]), "stages_left is ['2']"),
+        (lambda r: r.update(reward_spread=-1.0), "reward_spread is -1.0"),
+        (lambda r: r.update(reward_spread="wide"), "reward_spread is 'wide' and not a standard deviation"),
     ],
 )
 def test_a_record_that_does_not_fit_is_refused(written, change, message):
@@ -326,6 +330,33 @@ def test_a_folder_from_before_there_were_verdicts_loads(written):
     edit(written, lambda record: (record.pop("verdict"), record.pop("warnings")))
     again = read_policy(written)
     assert (again.verdict, again.doubts) == (None, ())
+
+
+def test_a_folder_from_before_decisions_said_how_sure_they_are_loads(tmp_path, flat):
+    learner = CensoredQLearner(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], q_function="linear", reg=0.1).fit(flat)
+    write_policy(learner, flat, tmp_path / "policy")
+    known = read_policy(tmp_path / "policy").q_error
+    assert known is not None
+    assert len(known.stages_left) == 2
+    assert known.lasting > 0.0
+    edit(tmp_path / "policy", lambda record: (record.pop("stages_left"), record.pop("reward_spread")))
+    before = read_policy(tmp_path / "policy").q_error
+    assert before is not None
+    assert (before.pessimism, before.stages_from(1, 2), before.lasting) == (known.pessimism, 2.0, 0.0)
+    edit(tmp_path / "policy", lambda record: record["learner"].pop("pessimism"))
+    assert read_policy(tmp_path / "policy").q_error is None
+
+
+def test_what_verbs_paid_at_least_goes_with_a_policy_of_tables(tables, tables_fitted, tmp_path):
+    write_policy(tables_fitted, tables, tmp_path / "policy")
+    told_of = read_policy(tmp_path / "policy").least_rewards
+    for verb, least in told_of.items():
+        assert least == tables.stages["reward"][tables.stages["action"] == verb].min()
+    assert set(told_of) == {"WASH", "LIFT", "FINISH"}
+    edit(tmp_path / "policy", lambda record: record["schema"].update(least_rewards={"PUSH": -1.0}))
+    assert "least_rewards is {'PUSH': -1.0}" in told(tmp_path / "policy")
+    edit(tmp_path / "policy", lambda record: record["schema"].pop("least_rewards"))
+    assert read_policy(tmp_path / "policy").least_rewards == {}
 
 
 @pytest.mark.parametrize(

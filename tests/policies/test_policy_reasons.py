@@ -7,6 +7,7 @@ import pandas as pd
 from halfseen.learners import FlatPolicy
 from halfseen.policies.reasons import flat_reason, table_reason
 from halfseen.tables.present import first_state
+from halfseen.tables.reasons import Grounds
 from halfseen.world import Scene
 
 STATE = first_state(
@@ -21,45 +22,114 @@ POLICY = FlatPolicy(
 ROW = pd.DataFrame({"x1": [0.8], "x2": [3.0]})
 
 
-def test_a_lift_is_told_with_what_hides_it_and_what_it_hides():
-    told = table_reason(STATE, np.array([0.0, 1.2, -1.0, 0.0, 2.0, 0.0, 0.0]))
-    assert told == ("LIFT 0: worth 0.80 more than WASH 0; it is half hidden (0.62) and rather dirty than clean (0.60).")
-    told = table_reason(replace(STATE, log_odds=jnp.array([0.0, 0.0, 3.0])), np.array([0, 0, 0, 1.5, 0, 1.0, 0.0]))
+def of(**changed):
+    known = {name: changed.pop(name, None) for name in ("dirty_share", "worst_wash")}
+    return Grounds.of(replace(STATE, **changed), **known)
+
+
+def q_of(**worths):
+    """FINISH, WASH 0 to 2, LIFT 0 to 2; what is not named is worth −9."""
+    names = ("FINISH", "WASH_0", "WASH_1", "WASH_2", "LIFT_0", "LIFT_1", "LIFT_2")
+    return np.array([worths.get(name, -9.0) for name in names])
+
+
+def test_a_lift_is_told_by_what_it_would_reveal_and_the_prior_is_no_evidence():
+    told = table_reason(of(dirty_share=0.6), q_of(WASH_0=1.2, LIFT_2=2.0))
     assert told == (
-        "WASH 2: worth 0.50 more than LIFT 1; it is in plain sight (0.00) and almost surely dirty (0.95), and it "
-        "hides 0 and 1."
+        "LIFT 2: worth 0.80 more than WASH 0; it would lay bare 62% of object 0 and 30% of object 1, of which nothing "
+        "is known yet; as for WASH 0, it is half hidden (0.62), and nothing is known yet of whether it is dirty."
     )
+    assert "0.60" not in told
+    own = table_reason(of(dirty_share=0.6), q_of(LIFT_0=2.0, FINISH=0.0))
+    assert own == (
+        "LIFT 0: worth 2.00 more than FINISH; it would show its own hidden 62%, of which nothing is known yet; as for "
+        "FINISH, nothing is known yet of the 3 objects left."
+    )
+
+
+def test_what_labels_told_is_told_object_by_object():
+    prior = float(np.log(0.6 / 0.4))
+    told = table_reason(of(dirty_share=0.6, log_odds=jnp.array([2.0, prior, 0.0])), q_of(LIFT_2=1.0, LIFT_1=0.5))
+    behind = "62% of object 0 (probably dirty, 0.88) and 30% of object 1 (nothing is known of it yet)"
+    assert f"it would lay bare {behind}; as for LIFT 1, it would show its own hidden 34%" in told
+
+
+def test_a_wash_is_told_by_how_sure_it_is_and_what_it_costs_if_it_is_wrong():
+    log_odds = jnp.array([0.5, 0.5, 3.0])
+    grounds = of(log_odds=log_odds, dirty_share=0.6, worst_wash=-10.0)
+    assert table_reason(grounds, q_of(WASH_2=1.5, WASH_0=1.0)) == (
+        "WASH 2: worth 0.50 more than WASH 0; it is in plain sight (0.00) and almost surely dirty (0.95), and it hides "
+        "0 and 1; as for WASH 0, it is half hidden (0.62) and rather dirty than clean (0.62), and a wrong WASH costs "
+        "up to 10."
+    )
+    unknown = table_reason(of(log_odds=log_odds, dirty_share=0.6), q_of(WASH_0=1.0, LIFT_0=0.5))
+    assert "costs" not in unknown
+
+
+def test_where_looks_are_counted_what_no_label_told_of_is_what_a_lift_shows():
+    seen = jnp.array([0.3, 0.3, 0.4])
+    told = table_reason(of(seen=seen, dirty_share=0.6), q_of(LIFT_0=1.0))
+    assert "show its own hidden 62%" in told
+    alone = replace(STATE, hides=jnp.zeros((3, 3)), seen=seen)
+    told = table_reason(Grounds.of(alone, 0.6), q_of(LIFT_2=1.0))
+    assert "it would show the 60% of it that no label has told of (rather dirty than clean, 0.60)" in told
 
 
 def test_failed_attempts_count():
-    tried = replace(
-        STATE, attempt_object=jnp.array([0, 0, 1, -1]), attempt_succeeded=jnp.array([False, False, True, False])
+    tried = of(
+        attempt_object=jnp.array([0, 0, 1, -1]),
+        attempt_succeeded=jnp.array([False, False, True, False]),
+        dirty_share=0.6,
     )
-    q = np.array([0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    assert ", it slipped 2 times." in table_reason(tried, q)
-    assert "slipped" not in table_reason(tried, np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0]))
+    assert "; it slipped 2 times;" in table_reason(tried, q_of(WASH_0=1.0))
+    assert "slipped" not in table_reason(tried, q_of(WASH_1=1.0))
 
 
 def test_finish_tells_of_the_likeliest_dirty_object():
-    state = replace(STATE, log_odds=jnp.array([-2.5, -3.0, -0.1]))
-    assert table_reason(state, np.array([0.0, -1.0, -1.0, -1.0, -1.0, -1.0, -0.5])) == (
-        "FINISH: worth 0.50 more than LIFT 2; the likeliest dirty of the 3 objects left, 2, is in plain sight (0.00) "
-        "and as likely clean as dirty (0.48)."
+    grounds = of(log_odds=jnp.array([-2.5, -3.0, -0.1]), dirty_share=0.6)
+    assert table_reason(grounds, q_of(FINISH=0.0)).startswith(
+        "FINISH: worth 9.00 more than WASH 0; the likeliest dirty of the 3 objects left, 2, is in plain sight (0.00) "
+        "and as likely clean as dirty (0.48); as for WASH 0,"
     )
 
 
 def test_ties_and_lone_actions_are_told_as_such():
-    assert table_reason(STATE, np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0])).startswith("FINISH: worth as much as")
+    grounds = of(dirty_share=0.6)
+    assert table_reason(grounds, q_of(FINISH=1.0, WASH_0=1.0)).startswith("FINISH: worth as much as WASH 0")
     assert flat_reason(POLICY, ROW, 2, None) == "C: nothing else is possible."
+
+
+def test_how_sure_it_is_stands_with_what_it_is_worth():
+    grounds, q = of(dirty_share=0.6), q_of(FINISH=1.0, WASH_0=0.5)
+    assert ", and best with a chance of 71%; nothing" in table_reason(grounds, q, {"FINISH": 0.71, "WASH 0": 0.29})
+    doubted = table_reason(grounds, q, {"FINISH": 0.3, "WASH 0": 0.7})
+    assert "best with a chance of 30%; WASH 0 is likelier best (70%), but the logs bear it out less;" in doubted
 
 
 def test_the_covariate_that_speaks_most_for_an_action_is_told():
     ranges = {"x1": (-1.0, 1.0), "x2": (0.0, 4.0)}
     assert flat_reason(POLICY, ROW, 1, ranges) == (
-        "A: worth 0.30 more than B; x1 = 0.8 speaks for it most: at 0, it would be worth 0.50 less than B."
+        "A: worth 0.30 more than B; that x1 is 0.8 speaks for it most: were it 0, the middle in the logs, it would be "
+        "worth 0.50 less than B."
     )
     speaks_against = flat_reason(POLICY, ROW, 1, {"x1": (0.9, 1.1), "x2": (0.0, 4.0)})
     assert speaks_against == (
-        "A: worth 0.30 more than B; none of what it looks at speaks for it more than the middle of the logs does."
+        "A: worth 0.30 more than B; none of what it looks at speaks for it more than what is usual in the logs does."
     )
     assert flat_reason(POLICY, ROW, 1, None) == "A: worth 0.30 more than B."
+
+
+def test_what_is_0_or_1_is_told_by_the_other_of_the_two():
+    row = pd.DataFrame({"x1": [True], "x2": [1.0]})
+    assert flat_reason(POLICY, row, 1, {"x1": (0.0, 1.0), "x2": (0.0, 1.0)}) == (
+        "A: worth 0.50 more than B; that x1 is 1 speaks for it most: were it 0, it would be worth 0.50 less than B."
+    )
+    against = flat_reason(POLICY, row.assign(x1=False), 1, {"x1": (0.0, 1.0), "x2": (0.0, 1.0)})
+    assert against == (
+        "B: worth 0.50 more than A; that x1 is 0 speaks for it most: were it 1, it would be worth 0.50 less than A."
+    )
+
+
+def test_among_whole_numbers_the_middle_is_a_whole_number():
+    told = flat_reason(POLICY, pd.DataFrame({"x1": [3], "x2": [1]}), 1, {"x1": (0.0, 3.0), "x2": (0.0, 4.0)})
+    assert "that x1 is 3 speaks for it most: were it 1, the middle in the logs" in told

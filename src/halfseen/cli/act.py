@@ -8,10 +8,14 @@ from typing import TYPE_CHECKING
 import click
 
 from halfseen.cli import options
+from halfseen.cli.columns import aligned
 from halfseen.cli.laws import SHIPPED, law_of, law_option
 
 if TYPE_CHECKING:
     from halfseen.policies import Decision
+
+PICTURES = (".png", ".svg")
+UNKNOWN = "How sure this is nobody knows: the policy was learned without pessimism, and holds no error of its Q."
 
 
 @click.command(epilog="Example: halfseen act policy table.pcd --history logs")
@@ -23,6 +27,9 @@ if TYPE_CHECKING:
 )
 @options.labels
 @law_option(None, f"Of a table, where it is {SHIPPED} by default. ")
+@click.option("--picture", type=options.PATH, help="Draw the decision into this .png or .svg file.")
+@options.overwrite("a picture that is")
+@click.option("--extrapolate", is_flag=True, help="Decide even far outside what the logs showed, with a warning.")
 @options.as_json
 @options.unused_seed
 def act(
@@ -32,22 +39,32 @@ def act(
     stage: int | None,
     labels: Path | None,
     law: str | None,
+    picture: Path | None,
+    overwrite: bool,
+    extrapolate: bool,
     as_json: bool,
     seed: int,
 ) -> None:
-    """Decide what to do now, by the policy in the folder POLICY, and say why.
+    """Decide what to do now, by the policy in the folder POLICY, and say why, and how sure that is.
 
     For a policy of tables, CLOUD is a point cloud as `halfseen look` takes; if it has colour, what looks dirty counts.
     --history tells what was seen and tried on this table before. --law says what a label is worth, to policies that
-    learned from logs which count how much of an object has been in view; to others every look is news.
+    learned from logs which count how much of an object has been in view; to others every look is news. Where not all
+    on the table are cups, that is said first.
 
     For a policy of named actions, CLOUD is a JSON object such as {"x1": 0.3, "x2": 1, "stage": 2}, or a CSV file with a
     header and one row.
+
+    Beside each value, which is what the policy goes by, stand a 95 % interval of Q and the chance that no action is
+    better, for policies that were learned with pessimism. What lies farther outside the logs than these reach is
+    refused.
     """
     from halfseen.errors import ArgumentError
     from halfseen.policies import decider_of, read_policy
-    from halfseen.policies.observations import read_observation
+    from halfseen.policies.observations import read_observation, read_table
 
+    if picture is not None:
+        _refuse_picture(picture, overwrite, [cloud, *([labels] if labels else [])])
     stored = read_policy(policy)
     counts_views = stored.is_table and stored.record["schema"].get("counts_views", False)
     if law is not None and not counts_views:
@@ -56,27 +73,52 @@ def act(
             "label is news to it; leave --law out"
         )
     known = law_of(law or SHIPPED) if counts_views else None
-    observation = read_observation(stored, cloud, history, stage, labels, known)
+    table = read_table(stored, cloud, history, stage, labels, known) if stored.is_table else None
+    observation = table.present if table else read_observation(stored, cloud, history, stage, labels, known)
     seen = getattr(observation, "seen", "")  # of tables only
-    decision = decider_of(stored).decide(observation)
+    decision = decider_of(stored, extrapolates=extrapolate).decide(observation)
     decision = replace(decision, warnings=(*decision.warnings, *stored.doubts))
     where = {"stage": observation.stage, "horizon": stored.horizon}
+    if picture is not None:
+        from halfseen.pages.decision_picture import draw_decision
+
+        draw_decision(decision, picture, view=table.view if table else None, **where)
     report = {"policy": str(policy), "input": str(cloud), "action": decision.action, **where, **asdict(decision)}
     if seen:
         report["seen"] = seen
-    lines = _lines(decision, seen, **where)
+    lines = _lines(decision, seen, table.other_things if table else "", **where)
     click.echo(json.dumps(report, indent=2, allow_nan=False) if as_json else "\n".join(lines))
 
 
-def _lines(decision: "Decision", seen: str, stage: int, horizon: int) -> list[str]:
+def _refuse_picture(picture: Path, overwrite: bool, inputs: list[Path]) -> None:
+    """Refuse a picture that could not be drawn, or would take the place of something, before anything is decided."""
+    from halfseen.errors import ArgumentError
+    from halfseen.writing import refuse_unwritable
+
+    if picture.suffix.lower() not in PICTURES:
+        raise ArgumentError(f"{picture}: a picture ends in {' or '.join(PICTURES)}; give one of these endings")
+    if any(one.exists() and picture.exists() and picture.samefile(one) for one in inputs):
+        raise ArgumentError(f"{picture}: it is what is to be looked at, and is not replaced; choose another file")
+    if picture.is_dir():
+        raise ArgumentError(f"{picture}: it is a folder; give the name of a file in it")
+    if (picture.exists() or picture.is_symlink()) and not overwrite:
+        raise ArgumentError(f"{picture}: it is there already; choose another file, or pass --overwrite to replace it")
+    refuse_unwritable(picture.parent)
+
+
+def _lines(decision: "Decision", seen: str, other_things: str, stage: int, horizon: int) -> list[str]:
     known = sorted(((name, q) for name, q in decision.q_values.items() if q is not None), key=lambda one: -one[1])
-    width = max(len("action"), *(len(name) for name, _ in known))
-    return [
-        decision.reason,
-        *([seen] if seen else []),
-        *(f"warning: {one}" for one in decision.warnings),
-        "",
-        f"stage {stage} of {horizon}",
-        f"{'action':<{width}}  {'value':>9}",
-        *(f"{name:<{width}}  {q:>+9.2f}" for name, q in known),
-    ]
+    others = [f"warning: {one}" for one in decision.warnings if one == other_things]
+    warnings = [f"warning: {one}" for one in decision.warnings if one != other_things]
+    header = ["action", "value", *(["95 % interval", "best"] if decision.intervals else [])]
+    rows = [header, *([name, f"{q:+.2f}", *_how_sure(decision, name)] for name, q in known)]
+    unknown = [] if decision.intervals else [UNKNOWN]
+    told = [*others, decision.reason, *([seen] if seen else []), *warnings]
+    return [*told, "", f"stage {stage} of {horizon}", *aligned(rows, left=(0,)), *unknown]
+
+
+def _how_sure(decision: "Decision", name: str) -> list[str]:
+    if not decision.intervals:
+        return []
+    low, high = decision.intervals[name]
+    return [f"{low:+.2f} to {high:+.2f}", f"{decision.chance_best[name]:.0%}"]

@@ -4,7 +4,7 @@ Read down: `clouds` (what a camera returned), `formats` (the files that hold it)
 `range_image` → `plane` (the table) → `objects` (sheets above it) → `solids` (what completes them), `polygons`,
 `silhouette` → `splitting`, `grouping` (sheets → objects) → `extension` (hidden ends) → `occlusion` (who hides whom) →
 `view` (all of it) → `picture`, `tracking` (which object is which of the look before); `colours` (of its pixels) →
-`labels` (what looks dirty), `label_files`.
+`labels` (what looks dirty), `label_files`; `kind` (are these cups at all).
 """
 
 from halfseen.perception.clouds import Cloud

@@ -63,19 +63,35 @@ def draw(view: View, path: str | os.PathLike[str]) -> None:
     num_rows, num_columns = view.labels.shape
     figure = Figure(figsize=(WIDTH_INCHES, WIDTH_INCHES * num_rows / num_columns + 1.1), dpi=DOTS_PER_INCH)
     FigureCanvasAgg(figure)
-    axes = figure.add_axes((0.0, 0.06, 1.0, 0.86))
+    draw_view(figure.add_axes((0.0, 0.06, 1.0, 0.86)), view)
+    figure.text(0.5, 0.985, sentence(view), ha="center", va="top", fontsize=13)
+    figure.text(0.5, 0.02, _legend(view), ha="center", va="bottom", fontsize=9)
+    image = io.BytesIO()
+    figure.savefig(image, format="png")
+    write_file(Path(path), image.getvalue())
+
+
+def draw_view(axes: "Axes", view: View, number_size: float = 8.0, *, has_shares: bool = True) -> None:
+    """Draw a view into axes: depth, objects with their numbers and outlines, and who hides whom.
+
+    Parameters
+    ----------
+    axes
+        Axes of Matplotlib; pixels of the image become their units.
+    view
+        What a camera sees.
+    number_size
+        Of the objects' numbers [pt].
+    has_shares
+        Whether the hidden share stands beside each number.
+    """
     axes.imshow(_coloured(view), interpolation="nearest")
     axes.set_axis_off()
     for seen in view.objects:
         colour = COLOURS[seen.id % len(COLOURS)]
         axes.contour(view.silhouettes[seen.id].astype(float), levels=[0.5], colors=[colour], linewidths=1.2)
     _add_arrows(axes, view)
-    _add_numbers(axes, view)
-    figure.text(0.5, 0.985, sentence(view), ha="center", va="top", fontsize=13)
-    figure.text(0.5, 0.02, _legend(view), ha="center", va="bottom", fontsize=9)
-    image = io.BytesIO()
-    figure.savefig(image, format="png")
-    write_file(Path(path), image.getvalue())
+    _add_numbers(axes, view, number_size, has_shares)
 
 
 def _coloured(view: View) -> Float[np.ndarray, "H W 3"]:
@@ -117,15 +133,15 @@ def _add_arrows(axes: "Axes", view: View) -> None:
         )
 
 
-def _add_numbers(axes: "Axes", view: View) -> None:
+def _add_numbers(axes: "Axes", view: View, size: float, has_shares: bool) -> None:
     for seen in view.objects:
         box = {"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": "none", "alpha": 0.85}
         axes.text(
             *_middle_px(view, seen.id),
-            f"{seen.id}: {seen.occlusion:.2f}",
+            f"{seen.id}: {seen.occlusion:.2f}" if has_shares else str(seen.id),
             ha="center",
             va="center",
-            fontsize=8,
+            fontsize=size,
             bbox=box,
         )
 

@@ -63,7 +63,7 @@ def present_state(
     known = _known(last, same.was, unknown(scene, dirty_share))
     state = state_now(_hides(last, same.was, scene), known, tried, horizon, stage)
     new = tuple(np.flatnonzero(same.was < 0).tolist())
-    return Present(state, stage, tuple(notes), is_labelled=done is None, new=new)
+    return Present(state, stage, tuple(notes), is_labelled=done is None, new=new, dirty_share=dirty_share)
 
 
 class _Done(NamedTuple):

@@ -4,7 +4,7 @@ import json
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import pandas as pd
@@ -14,6 +14,7 @@ from halfseen.learners.q_learning.flat_policy import FlatPolicy
 from halfseen.logs import Logs, read_logs
 from halfseen.logs.refusal import within
 from halfseen.perception import Label, View, perceive, read_cloud
+from halfseen.perception.kind import other_things_in_words
 from halfseen.perception.label_files import labels_of
 from halfseen.perception.labels import WORDS
 from halfseen.policies.folder import StoredPolicy
@@ -38,6 +39,17 @@ class SeenLaw(Protocol):
     def scene(self, view: View) -> Scene:
         """What is seen of a table, grips included."""
         ...
+
+
+class TableSeen(NamedTuple):
+    """A table in front of the camera."""
+
+    present: Present
+    """Where its path stands; where not all are cups, the first note says so."""
+    view: View
+    """What the camera sees."""
+    other_things: str
+    """That not all on it are cups; nothing where all may be."""
 
 
 def read_observation(
@@ -72,7 +84,7 @@ def read_observation(
         A file cannot be read, or does not fit the policy.
     """
     if stored.is_table:
-        return _table_observation(stored, file, history, stage, labels, law)
+        return read_table(stored, file, history, stage, labels, law).present
     for option, given in (("--history", history), ("--labels", labels)):
         if given is not None:
             raise ArgumentError(f"{option} is for tables; this policy looks at the covariates of the stage alone")
@@ -80,15 +92,28 @@ def read_observation(
     return NamedObservation(row, _stage_of(file, row, stage, stored.horizon))
 
 
-def _table_observation(
+def read_table(
     stored: StoredPolicy,
     file: Path,
-    history: Path | None,
-    stage: int | None,
-    labels: Path | None,
-    law: SeenLaw | None,
-) -> Present:
-    """See the table, and put it where the path stands."""
+    history: Path | None = None,
+    stage: int | None = None,
+    labels: Path | None = None,
+    law: SeenLaw | None = None,
+) -> TableSeen:
+    """See the table, and put it where the path stands.
+
+    Parameters
+    ----------
+    stored
+        A policy of tables.
+    file, history, stage, labels, law
+        As `read_observation` takes them.
+
+    Raises
+    ------
+    HalfseenError
+        A file cannot be read, or does not fit the policy.
+    """
     if file.suffix in STATE_FILES:
         raise PolicyError(f"{file}: the policy is of tables, and this is no point cloud; give .pcd, .ply or .npz")
     logs = None if history is None else read_logs(history)
@@ -96,14 +121,16 @@ def _table_observation(
     view = perceive(cloud)
     if not view.objects:
         raise CloudError(f"{file}: no objects on the table; put the table with its objects whole into the view")
-    told = labels_of(view, cloud, labels)
+    told, others = labels_of(view, cloud, labels), other_things_in_words(view)
     scene = view.scene() if law is None else law.scene(view)
     now = _present(stored, view, scene, logs, history, stage)
+    if others:
+        now = replace(now, notes=(others, *now.notes))
     if told is None:
-        return now
+        return TableSeen(now, view, others)
     source = "colour" if labels is None else str(labels)
     after = labelled(now, [label.is_dirty for label in told], AssumedSeeing() if law is None else law.seeing)
-    return replace(after, seen=_seen(now, after, told, source))
+    return TableSeen(replace(after, seen=_seen(now, after, told, source)), view, others)
 
 
 def _present(

@@ -1,7 +1,9 @@
-"""What lies outside what the logs showed: there Q is extrapolated."""
+"""What lies outside what the logs showed: there Q is extrapolated, and far outside it says nothing."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
+
+from halfseen.errors import PolicyError
 
 Range = tuple[float, float] | Mapping[str, int]
 """Least and largest value of what is a number; of text, how many states showed each category."""
@@ -11,6 +13,14 @@ Ranges = Mapping[str, Range]
 
 RangesOfStage = Callable[[int], Ranges | None]
 """Ranges that the logs showed where Q of a stage was learned; None if no path came so far."""
+
+Values = Mapping[str, Mapping[str, Any]]
+"""For each name of a range, whose value, and which."""
+
+FARTHEST = 1.0
+"""Ranges beyond its own end, as wide as itself, from which on a value is far outside."""
+
+_SLACK = 1e-6
 
 
 def everything(stage: int) -> Ranges:
@@ -23,7 +33,7 @@ def middle_of(seen: Range) -> float | str:
     return max(seen, key=seen.__getitem__) if isinstance(seen, Mapping) else sum(seen) / 2.0
 
 
-def beyond(ranges: Ranges | None, values: Mapping[str, Mapping[str, Any]]) -> tuple[str, ...]:
+def beyond(ranges: Ranges | None, values: Values) -> tuple[str, ...]:
     """Say what lies outside, the first of each kind.
 
     Parameters
@@ -43,12 +53,45 @@ def beyond(ranges: Ranges | None, values: Mapping[str, Mapping[str, Any]]) -> tu
     return tuple(warnings)
 
 
+def refuse_far(ranges: Ranges | None, values: Values) -> None:
+    """Refuse what lies so far outside that Q says nothing of it: more than a whole range beyond an end of the range.
+
+    The range of what never varied is taken to be as wide as its value is large, and 1 at least.
+
+    Parameters
+    ----------
+    ranges
+        What the logs showed.
+    values
+        For each name of a range, whose value, and which.
+
+    Raises
+    ------
+    PolicyError
+        Something is; it is named with its value, the range and the remedy.
+    """
+    for name, seen in (ranges or {}).items():
+        far = [] if isinstance(seen, Mapping) else [one for one in values[name].items() if _is_far(seen, one[1])]
+        if far:
+            whose, value = far[0]
+            raise PolicyError(
+                f"{whose} is {_told(seen, value)} by more than these span, so that Q says nothing of it; look at its "
+                "unit, learn from logs that show it, or pass --extrapolate (extrapolates=True)"
+            )
+
+
 def _is_within(seen: Range, value: Any) -> bool:
     if isinstance(seen, Mapping):
         return value in seen
     low, high = seen
-    slack = 1e-6 * max(1.0, abs(low), abs(high))
+    slack = _SLACK * max(1.0, abs(low), abs(high))
     return low - slack <= value <= high + slack
+
+
+def _is_far(seen: tuple[float, float], value: float) -> bool:
+    low, high = seen
+    width = (high - low) or max(1.0, abs(high))
+    return max(low - value, value - high) > FARTHEST * width * (1.0 + _SLACK)
 
 
 def _told(seen: Range, value: Any) -> str:

@@ -1,6 +1,7 @@
 """Decisions at a table: of a learned policy, a planner or a heuristic."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import jax
@@ -8,14 +9,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from halfseen.policies.certainty import QError, certainty
 from halfseen.policies.decision import Decision
-from halfseen.policies.ranges import RangesOfStage, beyond, everything
+from halfseen.policies.ranges import RangesOfStage, beyond, everything, refuse_far
 from halfseen.policies.reasons import table_reason, values_by_name
 from halfseen.tables.present import Present
-from halfseen.tables.reasons import table_grounds
-from halfseen.world.action_space import ActionSpace
+from halfseen.tables.reasons import Grounds, table_grounds
+from halfseen.tables.table_policy import LinearTablePolicy
+from halfseen.world.action_space import ActionSpace, Verb
+from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Policy
 from halfseen.world.state import TableState
+
+UNBOUNDED = ("num_objects",)
+"""Of the ranges, what may grow without bound in what Q looks at: shares, chances and rates of success cannot."""
 
 
 @dataclass(frozen=True)
@@ -30,23 +37,71 @@ class TableDecider:
         What the logs showed where it was learned; nothing is outside for a policy that was not.
     seed
         Of a policy that draws, such as a planner; the same seed gives the same decision.
+    extrapolates
+        Whether to decide where there are far more or fewer objects than in the logs, too.
+    q_error
+        What is known of the errors of a learned Q; None if nothing.
+    least_rewards
+        Of each verb, the least that it paid in the logs [reward]; empty if nobody knows. A planner knows its own.
     """
 
     policy: Policy
     ranges: RangesOfStage = everything
     seed: int = 0
+    extrapolates: bool = False
+    q_error: QError | None = None
+    least_rewards: Mapping[str, float] = field(default_factory=dict)
 
     def decide(self, observation: Present) -> Decision:
-        """Decide where the path stands now."""
+        """Decide where the path stands now.
+
+        Raises
+        ------
+        PolicyError
+            Far more or fewer objects are there than the logs showed, and Q is not to be extrapolated.
+        """
         state, names = observation.state, ActionSpace(observation.state.num_objects).names
-        warnings = (*observation.notes, *beyond(self.ranges(observation.stage), observed_values(state)))
+        ranges, values = self.ranges(observation.stage), observed_values(state)
+        if not self.extrapolates:
+            refuse_far({name: seen for name, seen in (ranges or {}).items() if name in UNBOUNDED}, values)
+        warnings = (*observation.notes, *beyond(ranges, values))
         key = jax.random.key(self.seed)
+        grounds = Grounds.of(state, observation.dirty_share, self._worst_wash())
         if not hasattr(self.policy, "q_values"):
             action = int(jax.jit(type(self.policy).decide)(self.policy, state, key).action)
             rule = type(self.policy).__name__
-            return Decision(names[action], {}, f"{names[action]}: by {rule}; {table_grounds(state, action)}.", warnings)
-        q = _q_values(self.policy, state, key)
-        return Decision(names[int(np.argmax(q))], values_by_name(names, q), table_reason(state, q), warnings)
+            return Decision(
+                names[action], {}, f"{names[action]}: by {rule}; {table_grounds(grounds, action)}.", warnings
+            )
+        q, intervals, chance_best = self._valued(observation, key, names)
+        reason = table_reason(grounds, q, chance_best)
+        return Decision(names[int(np.argmax(q))], values_by_name(names, q), reason, warnings, intervals, chance_best)
+
+    def _valued(
+        self, observation: Present, key: jax.Array, names: tuple[str, ...]
+    ) -> tuple[Float[np.ndarray, " A"], dict[str, tuple[float, float]], dict[str, float]]:
+        """What the policy goes by, and how sure Q is, by name; nothing where nobody knows."""
+        policy: Any = self.policy
+        state, stage = observation.state, observation.stage
+        if not (isinstance(policy, LinearTablePolicy) and policy.margin is not None and self.q_error):
+            return _as_floats(jax.jit(type(policy).q_values)(policy, state, key)), {}, {}
+        q, estimates, deviations = map(_as_floats, _told(policy, state))
+        blocks = ActionSpace(state.num_objects).verbs
+        of_stage = self.q_error.stages_from(stage, stage + int(state.steps_to_go) - 1), self.q_error.lasting
+        error = deviations / self.q_error.pessimism
+        return q, *certainty(estimates, error, blocks, np.isfinite(estimates), *of_stage).by_name(names)
+
+    def _worst_wash(self) -> float | None:
+        config = getattr(self.policy, "config", None)
+        if isinstance(config, WorldConfig):
+            return float(config.reward_wash_clean)
+        return self.least_rewards.get(Verb.WASH.name)
+
+
+@jax.jit
+def _told(policy: LinearTablePolicy, state: TableState):
+    """What the policy goes by, Q itself, and what tells how sure that is."""
+    return policy.q_values(state), policy.estimates(state), policy.deviations(state)
 
 
 def observed_values(state: TableState) -> dict[str, dict[str, float]]:
@@ -61,6 +116,5 @@ def observed_values(state: TableState) -> dict[str, dict[str, float]]:
     return {"num_objects": {"num_objects": float(state.num_objects)}, **by_object}
 
 
-def _q_values(policy: Any, state: TableState, key: jax.Array) -> Float[np.ndarray, " A"]:
-    values = jax.jit(type(policy).q_values)(policy, state, key)
+def _as_floats(values: Any) -> np.ndarray:
     return np.asarray(jnp.asarray(values), dtype=np.float64)

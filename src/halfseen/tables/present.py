@@ -32,6 +32,8 @@ class Present:
         Numbers of the objects that the history lacks: their labels count all the same.
     seen
         What labels told, in one sentence.
+    dirty_share
+        P(DIRTY) of an object before any label; None if nobody knows it.
     """
 
     state: TableState
@@ -40,6 +42,7 @@ class Present:
     is_labelled: bool = False
     new: tuple[int, ...] = ()
     seen: str = ""
+    dirty_share: float | None = None
 
 
 class Known(NamedTuple):
@@ -85,7 +88,8 @@ def first_state(scene: Scene, horizon: int, dirty_share: float, stage: int = 1) 
     PolicyError
         There is no such stage, or `dirty_share` leaves nothing in doubt.
     """
-    return Present(state_now(scene.hides, unknown(scene, dirty_share), [], horizon, stage), stage)
+    state = state_now(scene.hides, unknown(scene, dirty_share), [], horizon, stage)
+    return Present(state, stage, dirty_share=dirty_share)
 
 
 def unknown(scene: Scene, dirty_share: float) -> Known:

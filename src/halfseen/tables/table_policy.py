@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from halfseen.errors import ArgumentError
 from halfseen.learners.q_learning.behaviour import leaning
 from halfseen.learners.q_learning.kernel_map import KernelMap
 from halfseen.learners.q_learning.support import seen_among
@@ -52,18 +53,31 @@ class LinearTablePolicy:
         """
         q = self._q(state)
         if self.margin is not None:
-            q = q - (1.0 - self._leaning(state)) * self._margins(state, self.margin[state.steps_to_go - 1])
+            q = q - (1.0 - self._leaning(state)) * jnp.linalg.norm(self.deviations(state), axis=-1)
         return jnp.where(self._possible(state), q, -jnp.inf)
+
+    def estimates(self, state: TableState) -> Float[Array, " A"]:
+        """Q̂ of every action of one table, without any margin; −∞ where an action is not possible."""
+        return jnp.where(self._possible(state), self._q(state), -jnp.inf)
+
+    def deviations(self, state: TableState) -> Float[Array, "A F"]:
+        """Mᵀ (1, features) of every action of one table: its length is the margin.
+
+        Raises
+        ------
+        ArgumentError
+            There is no margin.
+        """
+        if self.margin is None:
+            raise ArgumentError("the policy has no margin; learn with pessimism")
+        each = self.margin[state.steps_to_go - 1][self._verbs(state)]
+        return each[:, 0] + jnp.einsum("af,afg->ag", self._features(state), each[:, 1:])
 
     def _q(self, state: TableState) -> Float[Array, " A"]:
         coefficients = self.coefficients[state.steps_to_go - 1]
         if self.kernel_map is None:
             return table_q(coefficients, state, self.grasp)
         return q_values(coefficients, self._features(state), self._verbs(state))
-
-    def _margins(self, state: TableState, root: Float[Array, "K F F"]) -> Float[Array, " A"]:
-        each = root[self._verbs(state)]
-        return jnp.linalg.norm(each[:, 0] + jnp.einsum("af,afg->ag", self._features(state), each[:, 1:]), axis=-1)
 
     def _leaning(self, state: TableState) -> Float[Array, " A"]:
         if self.behaviour is None:

@@ -20,6 +20,7 @@ from halfseen.policies.folder.json_values import names_in, plain, typed
 from halfseen.policies.folder.kinds import KINDS, kind_name_of, kind_of
 from halfseen.policies.folder.log_digest import log_digest
 from halfseen.policies.folder.specification import described
+from halfseen.policies.folder.stages_left import stages_left
 
 FORMAT, VERSION = "halfseen-policy", 1
 
@@ -56,6 +57,8 @@ def record_of(learner: CensoredQLearner, logs: Logs, verdict: Mapping[str, Any] 
         "kind": name,
         "schema": schema,
         "seen": KINDS[name].seen(logs, policy, is_by_stage),
+        "stages_left": stages_left(logs),
+        "reward_spread": float(np.nanstd(logs.stages["reward"].to_numpy(dtype=np.float64, na_value=np.nan))),
         "learner": described(learner.model_),
         "chosen": list(learner.chosen_),
         "seed": int(learner.random_state),
@@ -100,6 +103,12 @@ def from_json(data: bytes) -> dict[str, Any]:
     for name in ("schema", "learner", "log", "diagnostics", "reg", "versions"):
         typed(record, name, dict, "an object")
     _check_doubts(record)
+    spread = typed({"reward_spread": 0.0, **record}, "reward_spread", float, "a standard deviation")
+    if not 0.0 <= spread < np.inf:
+        raise PolicyError(f"reward_spread is {spread}; it is a standard deviation: learn the policy anew")
+    left = typed({"stages_left": [], **record}, "stages_left", list, "a list")
+    if not all(isinstance(each, float) and each >= 1.0 for each in left):
+        raise PolicyError(f"stages_left is {left}; it holds a number from 1 on for each stage: learn the policy anew")
     return record
 
 

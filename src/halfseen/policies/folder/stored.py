@@ -13,6 +13,7 @@ from halfseen.errors import PolicyError
 from halfseen.learners.q_learning.q_learner import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.logs.refusal import within
+from halfseen.policies.certainty import LASTING_ERROR, QError
 from halfseen.policies.folder.arrays import column_major, laid_out
 from halfseen.policies.folder.files import ARRAYS, RECORD, check_target, read_files, write_files
 from halfseen.policies.folder.json_values import horizon_of
@@ -60,6 +61,20 @@ class StoredPolicy:
         if self.verdict is not None and self.verdict["verdict"] != "better":
             told.insert(0, f"no evidence that this policy beats the rule that made the logs: {self.verdict['reason']}")
         return tuple(told)
+
+    @property
+    def q_error(self) -> QError | None:
+        """What is known of the errors of Q; None in a folder without a margin."""
+        pessimism = self.record["learner"].get("pessimism")
+        if self.policy.margin is None or not isinstance(pessimism, int | float) or not pessimism > 0:
+            return None
+        lasting = LASTING_ERROR * float(self.record.get("reward_spread", 0.0))
+        return QError(float(pessimism), tuple(map(float, self.record.get("stages_left", ()))), lasting)
+
+    @property
+    def least_rewards(self) -> dict[str, float]:
+        """Of each verb of a table, the least that it paid in the log [reward]; empty in a folder that does not say."""
+        return {verb: float(paid) for verb, paid in self.record["schema"].get("least_rewards", {}).items()}
 
     def ranges(self, stage: int) -> dict[str, Range] | None:
         """What the log showed of each covariate, where Q of this stage was taught; None if nowhere."""

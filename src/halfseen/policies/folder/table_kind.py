@@ -40,7 +40,7 @@ class TableKind:
     policy_type = LinearTablePolicy
 
     def schema(self, policy: LinearTablePolicy, logs: Logs) -> dict[str, Any]:
-        """Verbs, features, the prior of DIRTY that the log-odds of the log started from, and how looks were counted."""
+        """Verbs, features, the prior of DIRTY that the log-odds of the log started from, what looks and verbs told."""
         return {
             "horizon": len(policy.coefficients),
             "actions": _VERBS,
@@ -48,6 +48,7 @@ class TableKind:
             "dirty_share": logged_dirty_share(logs),
             "counts_views": counts_views(logs),
             "seen": _seen_verbs(policy),
+            "least_rewards": _least_rewards(logs),
         }
 
     def seen(self, logs: Logs, policy: LinearTablePolicy, is_by_stage: bool) -> list[dict[str, Any]]:
@@ -113,6 +114,13 @@ def _is_seen(record: Mapping[str, Any]) -> Any:
     return None if rows.all() else jnp.asarray(rows)
 
 
+def _least_rewards(logs: Logs) -> dict[str, float]:
+    """The least that each verb paid, where a stage of it was completed."""
+    done: Any = logs.stages[logs.stages["reward"].notna()]
+    paid = {str(verb): float(least) for verb, least in done.groupby("action", observed=True)["reward"].min().items()}
+    return {verb: paid[verb] for verb in _VERBS if verb in paid}
+
+
 def counts_views(logs: Logs) -> bool:
     """Whether the recorder counted how much of an object has been in view, so that a second look may be no news."""
     return logs.objects is not None and "seen" in logs.objects.columns and bool((logs.objects["seen"] > 0.0).any())
@@ -126,6 +134,9 @@ def _check_schema(record: Mapping[str, Any]) -> None:
             f"the policy looks at features {features}, and this halfseen knows {_FEATURES}; use the halfseen that "
             f"wrote it ({record['versions'].get('halfseen')}), or learn the policy anew"
         )
+    least_rewards = typed({"least_rewards": {}, **schema}, "least_rewards", dict, "an object")
+    if not all(verb in _VERBS and isinstance(paid, float) for verb, paid in least_rewards.items()):
+        raise PolicyError(f"least_rewards is {least_rewards}; it holds a number for each verb: learn the policy anew")
     dirty_share = typed(schema, "dirty_share", float, "the probability that an object is dirty")
     if not 0.0 < dirty_share < 1.0:
         raise PolicyError(f"dirty_share is {dirty_share}; it lies between 0 and 1: learn the policy anew")

@@ -1,0 +1,146 @@
+"""Intervals and chances of being best, against exact numbers and a naive Monte Carlo."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.integrate import quad
+from scipy.stats import norm
+
+from halfseen.learners import CensoredQLearner
+from halfseen.logs import Logs
+from halfseen.policies import NamedObservation, decider_of, read_policy
+from halfseen.policies.certainty import QError, certainty
+from halfseen.policies.folder import write_policy
+from halfseen.policies.folder.stages_left import stages_left
+from small_logs import flat_log
+
+EVERY = np.ones(3, dtype=bool)
+
+
+def naive_chances(q, roots, designs, blocks, num_draws=100_000):
+    """Draw the coefficients of every block, one after the other, and count who is best."""
+    rng, won = np.random.default_rng(11), np.zeros(len(q))
+    centred = {block: rng.normal(size=(num_draws, root.shape[1])) @ root.T for block, root in roots.items()}
+    worth = np.stack([q[a] + centred[blocks[a]] @ designs[a] for a in range(len(q))], axis=1)
+    for row in worth:
+        won[int(np.argmax(row))] += 1
+    return won / num_draws
+
+
+def test_actions_of_one_block_err_together():
+    rng = np.random.default_rng(0)
+    roots = {block: 0.5 * rng.normal(size=(4, 4)) for block in (0, 1)}
+    blocks, designs = np.array([0, 0, 1]), rng.normal(size=(3, 4))
+    q = np.array([0.3, 0.0, 0.5])
+    deviations = np.stack([roots[block].T @ design for block, design in zip(blocks, designs, strict=True)])
+    found = certainty(q, deviations, blocks, EVERY)
+    error = [np.sqrt(x @ roots[k] @ roots[k].T @ x) for k, x in zip(blocks, designs, strict=True)]
+    np.testing.assert_allclose(found.high - q, 1.959963985 * np.array(error), rtol=1e-6)
+    np.testing.assert_allclose(q - found.low, 1.959963985 * np.array(error), rtol=1e-6)
+    np.testing.assert_allclose(found.chance_best, naive_chances(q, roots, designs, blocks), atol=0.012)
+
+
+def test_a_common_error_is_no_reason_to_doubt_which_is_best():
+    common, better = np.array([[5.0], [5.0]]), np.array([0.1, 0.0])
+    both = np.ones(2, dtype=bool)
+    assert certainty(better, common, np.array([0, 0]), both).chance_best.tolist() == [1.0, 0.0]
+    apart = certainty(better, common, np.array([0, 1]), both).chance_best
+    np.testing.assert_allclose(apart[0], norm.cdf(0.1 / np.hypot(5.0, 5.0)), atol=0.012)
+
+
+def test_of_independent_actions_the_chance_is_the_integral():
+    q, error = np.array([1.0, 0.5, 0.0]), np.array([0.5, 1.0, 2.0])
+    found = certainty(q, error[:, None], np.arange(3), EVERY)
+    for a in range(3):
+        rivals = [b for b in range(3) if b != a]
+        exact, _ = quad(
+            lambda x, a=a, rivals=rivals: norm.pdf(x, q[a], error[a]) * np.prod(norm.cdf(x, q[rivals], error[rivals])),
+            -12.0,
+            12.0,
+        )
+        assert found.chance_best[a] == pytest.approx(exact, abs=0.012)
+
+
+def test_equals_are_all_the_best_and_the_impossible_never_is():
+    q, deviations = np.array([2.0, 2.0, np.nan]), np.array([[1.0, 0.5], [1.0, 0.5], [np.nan, np.nan]])
+    found = certainty(q, deviations, np.zeros(3, dtype=int), np.array([True, True, False]))
+    assert found.chance_best.tolist() == [1.0, 1.0, 0.0]
+    assert found.low[2] == found.high[2] == -np.inf
+    assert list(found.by_name(["a", "b", "c"])[0]) == ["a", "b"]
+
+
+def test_one_state_has_one_answer_and_the_global_seed_changes_nothing():
+    q, deviations = np.array([0.0, 0.1, 0.2]), np.eye(3)
+    first = certainty(q, deviations, np.arange(3), EVERY)
+    np.random.seed(4)  # noqa: NPY002
+    again = certainty(q, deviations, np.arange(3), EVERY)
+    np.testing.assert_array_equal(first.chance_best, again.chance_best)
+
+
+def test_stages_to_come_widen_the_interval_by_their_number_and_the_draws_by_its_root():
+    q, deviations = np.array([1.0, 0.0]), np.array([[1.0], [1.0]])
+    found = certainty(q, deviations, np.array([0, 1]), np.ones(2, dtype=bool), 4.0)
+    np.testing.assert_allclose(found.high, q + 4.0 * 1.959964, rtol=1e-6)
+    np.testing.assert_allclose(found.chance_best[0], norm.cdf(1.0 / np.hypot(2.0, 2.0)), atol=0.012)
+
+
+def test_an_error_that_no_log_takes_away_widens_both():
+    q, deviations = np.array([1.0, 0.0]), np.array([[0.6], [0.8]])
+    found = certainty(q, deviations, np.array([0, 1]), np.ones(2, dtype=bool), 4.0, 3.0)
+    np.testing.assert_allclose(found.high - q, 1.959964 * np.sqrt([2.4**2 + 9.0, 3.2**2 + 9.0]), rtol=1e-6)
+    together = np.sqrt(4.0 + 9.0 / 0.5) * np.hypot(0.6, 0.8)
+    np.testing.assert_allclose(found.chance_best[0], norm.cdf(1.0 / together), atol=0.012)
+
+
+def test_stages_to_come_are_counted_as_if_nothing_had_been_cut():
+    """Paths go on with a chance of 0.6 at each of four stages; half of the stages of some are cut away at random."""
+    rng, stages, paths = np.random.default_rng(2), [], []
+    for path in range(4000):
+        num = 1 + int(np.argmax([*(rng.random(3) > 0.6), True]))
+        cut_in = int(rng.integers(1, 5)) if rng.random() < 0.5 else 9
+        for stage in range(1, min(num, cut_in) + 1):
+            done = stage < cut_in
+            row = {"path": path, "stage": stage, "action": "A"}
+            stages.append(row | {"elapsed_s": float(stage) if done else None, "reward": 0.0 if done else None})
+        is_cut = cut_in <= num
+        end_s = cut_in - 0.5 if is_cut else float(num)
+        paths.append({"path": path, "end_s": end_s, "ending": "cut" if is_cut else "finished"})
+    exact = [1 + 0.6 + 0.36 + 0.216, 1 + 0.6 + 0.36, 1.6, 1.0]
+    np.testing.assert_allclose(stages_left(Logs(pd.DataFrame(stages), pd.DataFrame(paths))), exact, atol=0.06)
+
+
+def test_where_nobody_knows_how_many_stages_come_it_is_all_that_the_horizon_leaves():
+    assert QError(1.0).stages_from(2, 5) == 4.0
+    assert QError(1.0, (3.0, 2.5)).stages_from(2, 5) == 2.5
+
+
+def test_what_was_learned_holds_how_sure_it_is(tmp_path):
+    logs = flat_log(num_paths=60)
+    learner = CensoredQLearner(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], q_function="linear", reg=0.1).fit(logs)
+    write_policy(learner, logs, tmp_path / "p")
+    stored = read_policy(tmp_path / "p")
+    row = pd.DataFrame({"x1": [0.1], "x2": [1]})
+    decision = decider_of(stored).decide(NamedObservation(row, 1))
+    known = stored.q_error
+    assert known is not None
+    assert 1.0 < known.stages_left[0] <= 2.0
+    assert known.pessimism == pytest.approx(2.0 / np.sqrt(2.0))
+    design = np.array([1.0, 0.1, 1.0])
+    for k, name in enumerate(("A", "B")):
+        q = float(learner.policy_.coefficients[0, k] @ design)
+        error = np.linalg.norm(learner.policy_.margin[0, k].T @ design) / known.pessimism
+        half = 1.959964 * np.hypot(known.stages_left[0] * error, 0.2 * np.nanstd(logs.stages["reward"].astype(float)))
+        np.testing.assert_allclose(decision.intervals[name], (q - half, q + half), rtol=1e-5)
+    assert list(decision.chance_best) == ["A", "B"]
+    assert sum(decision.chance_best.values()) == pytest.approx(1.0, abs=1e-3)
+    assert f"best with a chance of {decision.chance_best[decision.action]:.0%}" in decision.reason
+
+
+def test_without_pessimism_nobody_knows(tmp_path):
+    logs = flat_log()
+    learner = CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=0.1).fit(logs)
+    write_policy(learner, logs, tmp_path / "p")
+    stored = read_policy(tmp_path / "p")
+    decision = decider_of(stored).decide(NamedObservation(pd.DataFrame({"x1": [0.1], "x2": [1]}), 1))
+    assert (stored.q_error, decision.intervals, decision.chance_best) == (None, {}, {})
+    assert "chance" not in decision.reason
