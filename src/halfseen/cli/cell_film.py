@@ -54,7 +54,7 @@ def film(
     with TemporaryDirectory() as folder, LogRecorder(folder) as recorder:
         path = recorder.begin_path(table)
         policy = policy_of(name, 0.0, belief.config)
-        run = play(cell, is_dirty, policy, belief, path, key, on_decision=taken.say)
+        run = play(cell, is_dirty, policy, belief, path, key, on_decision=lambda moment: taken.say(moment.words))
     taken.write(out, cell)
     click.echo(
         f"{out}: {run.num_washed} of {run.num_dirty} dirty cups washed in {run.seconds:.0f} s, reward {run.reward:+.1f}"
