@@ -46,9 +46,10 @@ class CellParts:
             and model.geom_rbound[geom] < _OF_THE_ROOM_M
         ]
         self._geoms = np.array(shown, dtype=np.int64)
+        is_robot = [bool(model.geom_group[geom] == ROBOT_GROUP) for geom in shown]
         self.parts = tuple(
-            Part(convex_mesh(_points(model, geom)), _ARM if model.geom_group[geom] == ROBOT_GROUP else _WOOD)
-            for geom in shown
+            Part(convex_mesh(_points(model, geom)), _ARM if is_arm else _WOOD, is_arm)
+            for geom, is_arm in zip(shown, is_robot, strict=True)
         )
 
     def poses(self, cell: LiveCell) -> Float[np.ndarray, "parts 7"]:

@@ -27,7 +27,7 @@ _POINT_M = 0.0022
 _SHADOW, _ARROW, _GHOST, _HAND, _EYE = (40, 40, 60), (20, 20, 20), (0, 158, 115), (204, 121, 167), (30, 30, 30)
 _ABOVE_M = 0.10
 _LARGER = 1.05
-_FINGER_M = 0.06
+_FINGER_M, _FINGER_WIDE_M, _WAY_M = 0.06, 0.010, 0.004
 _SMALLEST_ARROW_SHARE = 0.02
 _THINNEST_M, _THICKEST_M = 0.0015, 0.006
 
@@ -147,12 +147,12 @@ class Drawing:
             self._drawn.append(handle)
 
     def _add_hand(self, hand: Hand) -> None:
-        for name, lines_m, width in (
-            ("way", np.stack([hand.way_m[:-1], hand.way_m[1:]], axis=1), 2.0),
-            ("hand", fingers_m(hand), 6.0),
+        for name, lines_m, thick_m in (
+            ("way", np.stack([hand.way_m[:-1], hand.way_m[1:]], axis=1), _WAY_M),
+            ("hand", fingers_m(hand), _FINGER_WIDE_M),
         ):
             handle = self._scene.add_line_segments(
-                f"/grasp/{name}", lines_m.astype(np.float32), np.array(_HAND, dtype=np.uint8), line_width=width
+                f"/grasp/{name}", lines_m.astype(np.float32), np.array(_HAND, dtype=np.uint8), thickness=thick_m
             )
             self._drawn.append(handle)
 

@@ -52,7 +52,7 @@ class Page:
     def close(self) -> None:
         """Serve no longer."""
         self._stop.set()
-        self._server.stop()
+        stop(self._server)
 
     def wait(self) -> None:
         """Serve until somebody interrupts."""
@@ -188,9 +188,15 @@ def local_server(port: int) -> "ViserServer":
         server = _OfThisMachine(host=HERE, port=port, label="halfseen watch", verbose=False)
     # The viewer goes on to the next port where one is taken.
     if port and server.get_port() != port:
-        server.stop()
+        stop(server)
         raise ArgumentError(f"--port is {port}, and something else is served there; choose another port, or 0 for any")
     return server
+
+
+def stop(server: "ViserServer") -> None:
+    """Serve no longer, without a word on standard output."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        server.stop()
 
 
 def _viser() -> Any:

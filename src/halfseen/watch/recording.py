@@ -99,19 +99,20 @@ def _packed(arrays: Arrays) -> bytes:
 
 
 def _unpacked(file: Path) -> Arrays:
-    with np.load(file, allow_pickle=False) as arrays:
+    with file.open("rb") as opened, np.load(opened, allow_pickle=False) as arrays:
         return dict(arrays)
 
 
 def _arrays_of_parts(parts: Sequence[Part]) -> Arrays:
     colours = np.array([part.colour for part in parts], dtype=np.int64).reshape(-1, 3)
-    return {"colours": colours, **_arrays_of_meshes("part", [part.solid for part in parts])}
+    is_robot = np.array([part.is_robot for part in parts], dtype=bool)
+    return {"colours": colours, "is_robot": is_robot, **_arrays_of_meshes("part", [part.solid for part in parts])}
 
 
 def _parts_of(arrays: Arrays) -> tuple[Part, ...]:
-    colours = [tuple(colour) for colour in arrays["colours"].tolist()]
-    solids = [_mesh_of("part", number, arrays) for number in range(len(colours))]
-    return tuple(Part(solid, colour) for solid, colour in zip(solids, colours, strict=True) if solid is not None)
+    about = zip(arrays["colours"].tolist(), arrays["is_robot"].tolist(), strict=True)
+    parts = [(_mesh_of("part", number, arrays), *each) for number, each in enumerate(about)]
+    return tuple(Part(solid, tuple(colour), is_robot) for solid, colour, is_robot in parts if solid is not None)
 
 
 def _arrays_of_meshes(name: str, meshes: Sequence[Mesh | None]) -> Arrays:

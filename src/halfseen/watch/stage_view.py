@@ -106,10 +106,13 @@ class Part:
         In its own frame.
     colour
         Red, green and blue, in [0, 255].
+    is_robot
+        Whether it is of a robot; else of what the cloud shows, too.
     """
 
     solid: Mesh
     colour: tuple[int, int, int]
+    is_robot: bool = True
 
 
 @dataclass(frozen=True, eq=False)

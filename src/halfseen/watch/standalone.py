@@ -8,7 +8,7 @@ from string import Template
 from typing import Any
 
 from halfseen.watch.drawing import Drawing, viewpoint
-from halfseen.watch.page import local_server
+from halfseen.watch.page import local_server, stop
 from halfseen.watch.stage_view import Watched
 from halfseen.watch.wording import stage_html
 from halfseen.writing import write_file
@@ -35,7 +35,7 @@ def write_html(watched: Watched, file: str | os.PathLike[str]) -> None:
     try:
         begins, scene = _played(server, watched)
     finally:
-        server.stop()
+        stop(server)
     page = Template(files("halfseen.watch").joinpath("standalone.html").read_text(encoding="utf-8"))
     filled = page.substitute(
         source=watched.source.replace("<", "&lt;"),
