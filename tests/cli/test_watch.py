@@ -34,6 +34,8 @@ def policies(tmp_path_factory):
         ([TABLE, "--clouds", "somewhere"], "--clouds is of logs"),
         ([TABLE, "--history", "logs"], "give a --policy"),
         ([TABLE, "--policy", "nowhere"], "nowhere"),
+        ([TABLE, "--stages", "3-2"], "no span of stages"),
+        ([TABLE, "--stages", "1-2"], "--stages is 1-2, and there are 1"),
     ],
 )
 def test_bad_input(refused, tmp_path, monkeypatch, words, told):

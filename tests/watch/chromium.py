@@ -105,7 +105,7 @@ def tab(url, width_px=1280, height_px=800):
         browser = subprocess.Popen(words, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
         try:
             port = _port_of(browser)
-            with connect(_page_of(port), max_size=None, open_timeout=60) as socket:
+            with connect(_page_of(port), max_size=None, open_timeout=60, ping_interval=None) as socket:
                 page = Tab(socket)
                 page.resize(width_px, height_px)
                 page.open(url)

@@ -1,6 +1,8 @@
 """``halfseen watch``: a page in the browser that shows a run in 3-D, and why."""
 
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +22,16 @@ port_option = click.option(
 FORMS = (".html", ".gif")
 
 
+def _span(_: click.Context, __: click.Parameter, given: str | None) -> tuple[int, int] | None:
+    """Take ``2-5`` apart, or ``2``."""
+    if given is None:
+        return None
+    first, _, last = given.partition("-")
+    if not (first.isdigit() and (last or first).isdigit() and 1 <= int(first) <= int(last or first)):
+        raise click.BadParameter(f"{given!r} is no span of stages; give one as 2-5")
+    return int(first), int(last or first)
+
+
 @click.command(epilog="Example: halfseen watch table.pcd --policy policy")
 @click.argument("source", type=options.PATH)
 @click.option("--policy", type=options.PATH, help="Of a cloud or of logs: the folder of a policy of tables.")
@@ -28,6 +40,7 @@ FORMS = (".html", ".gif")
 @law_option(None, f"Of a cloud, where it is {SHIPPED} by default. ")
 @click.option("--clouds", type=options.PATH, help="Of logs: folder with the cloud of each stage.")
 @click.option("--path", "number", type=click.IntRange(min=1), help="Of logs: which path, from 1; by default the first.")
+@click.option("--stages", callback=_span, metavar="FIRST-LAST", help="Only these, counted from 1.")
 @click.option(
     "--export",
     type=options.PATH,
@@ -44,6 +57,7 @@ def watch(
     law: str | None,
     clouds: Path | None,
     number: int | None,
+    stages: tuple[int, int] | None,
     export: tuple[Path, ...],
     port: int,
     seed: int,
@@ -86,9 +100,25 @@ def watch(
             _show_cloud(source, policy, history, labels, law, show)
 
     if export:
-        _exported(export, work)
+        _exported(export, partial(_of_stages, stages, work))
     else:
-        _served(port, work)
+        _served(port, partial(_of_stages, stages, work))
+
+
+def _of_stages(span: tuple[int, int] | None, work: Callable[[Shows], None], show: Shows) -> None:
+    """Show some stages of what is shown."""
+
+    def show_some(watched: "Watched") -> None:
+        from halfseen.errors import ArgumentError
+
+        first, last = span or (1, len(watched.stages))
+        if last > len(watched.stages):
+            raise ArgumentError(
+                f"--stages is {first}-{last}, and there are {len(watched.stages)}; leave it out for all"
+            )
+        show(replace(watched, stages=watched.stages[first - 1 : last]))
+
+    work(show_some)
 
 
 def _served(port: int, work: Callable[[Shows], None]) -> None:

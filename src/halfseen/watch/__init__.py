@@ -6,9 +6,10 @@ data, whatever it comes from) → `seen_objects` (a view's objects as they are s
 viewer), `page` (its controls, served on this machine), `standalone` (one file that opens without a server), `moving`
 (an animated picture).
 
-The viewer is viser. MuJoCo's own web viewer was tried beside it: it draws a MuJoCo model, for which a cloud of 300,000
-points would have to be as many geoms, its controls are a picture in the canvas that no screen reader or narrow screen
-can rearrange, and it needs its server, where viser draws points as points and keeps a scene as one file.
+The viewer is viser. MuJoCo's own web viewer was tried beside it: it draws a MuJoCo model, so that each point of a cloud
+would be a geom (with 20,000 of the 300,000, Chromium on a software renderer stopped answering), its controls are drawn
+into the canvas, where no narrow screen can rearrange them, and it needs its server; viser draws points as points and
+keeps a scene as one file.
 """
 
 from typing import TYPE_CHECKING

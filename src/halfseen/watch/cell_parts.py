@@ -76,7 +76,12 @@ def _points(model: mujoco.MjModel, geom: int) -> Points:
     radii_m = size if kind == _KINDS.mjGEOM_ELLIPSOID else np.full(3, size[0])
     rise = 0.5 * pi * np.linspace(-1.0, 1.0, 2 * _NUM_UP)
     rings = [
-        _ring(*(np.cos(angle) * radii_m[:2]), np.sin(angle) * radii_m[2] + np.sign(angle) * half_m) for angle in rise
+        _ring(
+            np.cos(angle) * radii_m[0],
+            np.cos(angle) * radii_m[1],
+            np.sin(angle) * radii_m[2] + np.sign(angle) * half_m,
+        )
+        for angle in rise
     ]
     return np.concatenate(rings)
 

@@ -2,6 +2,7 @@
 
 import io
 import os
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -71,7 +72,7 @@ class _Lens:
         """Where points are in the picture [px], and how far ahead [m]."""
         camera_m = (points_m - self._from_m) @ self._axes.T
         ahead_m = np.maximum(camera_m[:, 2], 1e-3)
-        middle_px = np.array([0.5 * _WIDTH_PX, 0.5 * _HEIGHT_PX])
+        middle_px = np.array([0.5 * _WIDTH_PX, 0.62 * _HEIGHT_PX])
         return middle_px + _FOCAL_PX * camera_m[:, :2] / ahead_m[:, None], camera_m[:, 2]
 
 
@@ -82,7 +83,7 @@ def _with_points(lens: _Lens, stage: StageView) -> UInt8[np.ndarray, "H W 3"]:
     order = np.argsort(-ahead_m, kind="stable")
     order = order[ahead_m[order] > 0.05]
     column, row = np.floor(pixels[order]).astype(np.int64).T
-    for down, along in ((1, 1), (1, 0), (0, 1), (0, 0)):
+    for down, along in (*product((-1, 0, 1), repeat=2), (0, 0)):
         inside = (row + down >= 0) & (row + down < _HEIGHT_PX) & (column + along >= 0) & (column + along < _WIDTH_PX)
         picture[row[inside] + down, column[inside] + along] = stage.colours[order][inside]
     return picture

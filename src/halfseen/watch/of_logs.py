@@ -10,6 +10,7 @@ import pandas as pd
 
 from halfseen.errors import ArgumentError, PolicyError
 from halfseen.logs import Logs
+from halfseen.logs.columns import as_floats
 from halfseen.perception import View, perceive, read_cloud
 from halfseen.perception.tracking import matched
 from halfseen.policies import Decision, StoredPolicy, TableDecider
@@ -98,10 +99,10 @@ def _chances(path: Logs, stage: Any, view: View) -> list[float]:
     chances = [_UNKNOWN] * len(view.objects)
     if path.objects is None or "log_odds" not in path.objects.columns:
         return chances
-    rows = path.objects[path.objects["stage"] == stage]
-    told = 1.0 / (1.0 + np.exp(-rows["log_odds"].to_numpy(dtype=np.float64)))
+    rows = pd.DataFrame(path.objects[path.objects["stage"] == stage])
+    told = 1.0 / (1.0 + np.exp(-as_floats("objects", rows, "log_odds").to_numpy()))
     if set(PLACE_COLUMNS) <= set(rows.columns):
-        places_m = rows[list(PLACE_COLUMNS)].to_numpy(dtype=np.float64)
+        places_m = np.stack([as_floats("objects", rows, column).to_numpy() for column in PLACE_COLUMNS], axis=1)
         now = matched(places_m, np.array([seen.solid.middle_m for seen in view.objects]).reshape(-1, 3)).now
     else:
         now = np.arange(len(rows))
@@ -117,9 +118,8 @@ def _decisions(path: Logs, stored: StoredPolicy | None) -> list[Decision | None]
         return [None] * path.horizon
     if not stored.is_table:
         raise PolicyError("the policy is of named actions, and shows nothing at a table; give one of tables")
-    states = jax.tree.map(lambda leaf: np.asarray(leaf)[0], states_of(path, stored.horizon))
+    states = states_of(path, stored.horizon)
     decider = TableDecider(stored.policy, stored.ranges)
     return [
-        decider.decide(Present(jax.tree.map(lambda leaf, t=t: jax.numpy.asarray(leaf[t]), states), t + 1))
-        for t in range(path.horizon)
+        decider.decide(Present(jax.tree.map(lambda leaf, t=t: leaf[0, t], states), t + 1)) for t in range(path.horizon)
     ]
