@@ -26,10 +26,11 @@ def _span(_: click.Context, __: click.Parameter, given: str | None) -> tuple[int
     """Take ``2-5`` apart, or ``2``."""
     if given is None:
         return None
-    first, _, last = given.partition("-")
-    if not (first.isdigit() and (last or first).isdigit() and 1 <= int(first) <= int(last or first)):
+    first, *last = given.split("-", 1)
+    last = last[0] if last else first
+    if not (first.isdigit() and last.isdigit() and 1 <= int(first) <= int(last)):
         raise click.BadParameter(f"{given!r} is no span of stages; give one as 2-5")
-    return int(first), int(last or first)
+    return int(first), int(last)
 
 
 @click.command(epilog="Example: halfseen watch table.pcd --policy policy")

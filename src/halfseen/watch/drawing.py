@@ -44,6 +44,9 @@ class Drawing:
     def __init__(self, scene: "SceneApi") -> None:
         self._scene = scene
         scene.configure_default_lights(cast_shadow=False)
+        # The viewer's picture of the surroundings takes most of the time of a renderer without a GPU.
+        scene.configure_environment_map(None)
+        scene.add_light_ambient("/light", intensity=2.2)
         self._layers = {name: scene.add_frame(f"/{name}", show_axes=False) for name in LAYERS}
         self._drawn: list[Any] = []
         self._bodies: list[Any] = []

@@ -19,10 +19,11 @@ from halfseen.watch.stage_view import Part, StageView, Watched
 from halfseen.watch.wording import dirty_colour
 from halfseen.writing import write_file
 
-_WIDTH_PX, _HEIGHT_PX, _CAPTION_PX, _MARGIN_PX = 720, 480, 52, 10
+_WIDTH_PX, _HEIGHT_PX, _CAPTION_PX, _MARGIN_PX = 640, 420, 52, 10
 _FOCAL_PX = 0.75 * _WIDTH_PX
-_MOMENT_MS, _STAGE_MS = 200, 1800
-_EVERY = 3
+_MOMENT_MS, _STAGE_MS = 300, 1800
+_NUM_COLOURS = 96
+_EVERY = 5
 """Every so manyth moment is drawn."""
 _SHADOW, _GHOST, _HAND, _ARROW = (40, 40, 60, 70), (0, 158, 115, 255), (204, 121, 167, 255), (20, 20, 20, 255)
 _SMALLEST_ARROW_SHARE = 0.02
@@ -54,7 +55,9 @@ def write_gif(watched: Watched, file: str | os.PathLike[str]) -> None:
         pictures += [_drawn(lens, behind, stage, watched.parts, moment) for moment in moments]
         held_ms += [*[_MOMENT_MS] * (len(moments) - 1), _STAGE_MS]
     content = io.BytesIO()
-    reduced = [picture.quantize(128) for picture in pictures]
+    # One palette for all, so that what stands still is stored once.
+    palette = pictures[len(pictures) // 2].quantize(_NUM_COLOURS, Image.Quantize.MAXCOVERAGE)
+    reduced = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     reduced[0].save(content, "GIF", save_all=True, append_images=reduced[1:], duration=held_ms, loop=0, optimize=True)
     write_file(Path(file), content.getvalue())
 
@@ -72,7 +75,7 @@ class _Lens:
         """Where points are in the picture [px], and how far ahead [m]."""
         camera_m = (points_m - self._from_m) @ self._axes.T
         ahead_m = np.maximum(camera_m[:, 2], 1e-3)
-        middle_px = np.array([0.5 * _WIDTH_PX, 0.62 * _HEIGHT_PX])
+        middle_px = np.array([0.5 * _WIDTH_PX, 0.7 * _HEIGHT_PX])
         return middle_px + _FOCAL_PX * camera_m[:, :2] / ahead_m[:, None], camera_m[:, 2]
 
 
