@@ -103,6 +103,7 @@ SLOW = {
     "physical-cell",
     "planners",
     "times-that-were-cut",
+    "watch",
     "what-looks-dirty",
     "what-the-intervals-mean",
 }

@@ -13,14 +13,14 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from threading import get_ident
-from typing import Any
+from typing import Any, Protocol
 
 import jax
 import numpy as np
 from jaxtyping import Bool
 from joblib import Parallel, delayed
 
-from halfseen.cell.episode import Run, play
+from halfseen.cell.episode import Moment, Run, play
 from halfseen.cell.model import Robot
 from halfseen.cell.stops import Stops
 from halfseen.cell.table_state import Belief
@@ -87,6 +87,32 @@ class Conditions:
         return cell, is_dirty
 
 
+class Follower(Protocol):
+    """Whoever follows a table."""
+
+    def decided(self, moment: Moment) -> None:
+        """Take in a decision, before it is carried out."""
+        ...
+
+    def ended(self, run: Run) -> None:
+        """Take in what came of it."""
+        ...
+
+
+Follow = Callable[[int, Workcell], Follower]
+"""Given the number of a table and its cell, before anything happens, who follows it."""
+
+
+class _Nobody:
+    """Follows nothing."""
+
+    def decided(self, moment: Moment) -> None:
+        """Nothing is done."""
+
+    def ended(self, run: Run) -> None:
+        """Nothing is done."""
+
+
 @dataclass(frozen=True)
 class Campaign:
     """A policy at work on many tables.
@@ -99,6 +125,8 @@ class Campaign:
         What the tables are like.
     seed
         Of everything that is drawn.
+    follow
+        Who follows each table, in this process; None for nobody.
     """
 
     policy: Policy
@@ -106,6 +134,7 @@ class Campaign:
     conditions: Conditions
     seed: int
     tells_truth: bool = False
+    follow: Follow | None = None
 
     def runs(self, tables: Sequence[int], folder: Path, num_workers: int) -> Iterator[tuple[int, Run]]:
         """Clear tables, record each below a folder, and tell what came of each as soon as it is over.
@@ -145,7 +174,18 @@ class Campaign:
         with LogRecorder(place) as recorder:
             path = recorder.begin_path(index, dirty_share=float(self.belief.config.dirty_share))
             key = jax.random.fold_in(jax.random.key(self.seed), index)
-            run = play(cell, is_dirty, self.policy, self.belief, path, key, tells_truth=self.tells_truth)
+            follower = _Nobody() if self.follow is None else self.follow(index, cell)
+            run = play(
+                cell,
+                is_dirty,
+                self.policy,
+                self.belief,
+                path,
+                key,
+                tells_truth=self.tells_truth,
+                on_decision=follower.decided,
+            )
+        follower.ended(run)
         write_file(place / RUN_FILE, json.dumps(asdict(run), indent=1))
         return run
 

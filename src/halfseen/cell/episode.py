@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -67,6 +67,21 @@ class Run:
         return bool(self.verbs)
 
 
+class Moment(NamedTuple):
+    """A decision, and what it was made from."""
+
+    stage: int
+    """From 1."""
+    state: TableState
+    """The table as the robot knows it."""
+    action: int
+    """What is done, as `ActionSpace` has it."""
+    words: str
+    """The same, for people."""
+    key: Array
+    """What the policy drew from."""
+
+
 def play(
     cell: Workcell,
     is_dirty: Bool[np.ndarray, " N"],
@@ -76,7 +91,7 @@ def play(
     key: Array,
     *,
     tells_truth: bool = False,
-    on_decision: Callable[[str], None] = lambda _: None,
+    on_decision: Callable[[Moment], None] = lambda _: None,
 ) -> Run:
     """Let a policy clear a table, and record it.
 
@@ -97,7 +112,7 @@ def play(
     tells_truth
         Record which objects are dirty, as whoever calibrates a cell knows.
     on_decision
-        Called with each decision, in words.
+        Called with each decision, before it is carried out.
 
     Returns
     -------
@@ -116,9 +131,11 @@ def play(
             state, rows = state_of(cell.memory, belief, config.horizon - step), rows_of(cell.memory, belief)
             if tells_truth:
                 truth.add_to(rows, cell)
-            verb, target = _decided(policy, state, rows, path, jax.random.fold_in(key, step))
+            drawn_from = jax.random.fold_in(key, step)
+            verb, target = _decided(policy, state, rows, path, drawn_from)
             _count(run.verbs, verb.name)
-            on_decision(_in_words(verb, target, rows))
+            action = int(ActionSpace(state.num_objects).encode(int(verb), target))
+            on_decision(Moment(step + 1, state, action, _in_words(verb, target, rows), drawn_from))
             reward = _acted(cell, truth, verb, target, config, run)
             is_over = verb is Verb.FINISH or step + 1 == config.horizon or truth.is_cleared(cell)
             if is_over:

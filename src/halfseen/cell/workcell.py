@@ -112,8 +112,10 @@ class Workcell:
     ----------
     memory
         What the robot knows.
-    view
-        What the last look showed; None before the first.
+    view, cloud
+        What the last look showed, and what the camera returned; None before the first.
+    planned
+        How the object of the last attempt was to be fetched; None where there was no way, or no attempt.
     cell, table, surfaces
         The running cell, and what it was made of: the truth, which no decision may look at.
     """
@@ -142,6 +144,8 @@ class Workcell:
         self.table, self.surfaces = table, surfaces
         self.robot, self.rack, self.memory = robot, rack, Memory()
         self.view: View | None = None
+        self.cloud: Cloud | None = None
+        self.planned: Plan | None = None
         self.cell = LiveCell(model, [robot])
         self._rng, self._grasping, self._labeller = rng, GRASPING[grasping], labeller
         self._eye = Eye(self.cell, table.camera, surfaces=surfaces)
@@ -204,7 +208,7 @@ class Workcell:
         return attempt
 
     def _take_in(self, cloud: Cloud) -> View:
-        self.view = perceive(cloud)
+        self.view, self.cloud = perceive(cloud), cloud
         self.memory.update(self.view, self.world_from_table)
         if cloud.colours is not None:
             for seen, label in zip(self.view.objects, self._labeller(self.view, cloud), strict=True):
@@ -231,9 +235,9 @@ class Workcell:
     def _fetched(self, number: int) -> tuple[Attempt, Plan | None]:
         """Try to fetch an object; the hand is home again, and open, where it holds nothing."""
         begin_s, occlusion = self.cell.time_s, self.memory.occlusion(number)
-        known = self.memory.objects[number]
+        known, self.planned = self.memory.objects[number], None
         try:
-            planned = self._planned(known)
+            planned = self.planned = self._planned(known)
         except PlanError as error:
             known.trials.append(Trial(occlusion, False, 0.0))
             return Attempt(False, 0.0, None, str(error)), None

@@ -22,6 +22,7 @@ VERBS = {
     "learn": "Learn a policy from a folder of logs.",
     "evaluate": "Say what a policy is worth, from logs of another one, before it runs.",
     "act": "Decide at one table, and say why.",
+    "watch": "Show in the browser what was seen and decided, in 3-D, and why.",
     "report": "Write one page about a folder of logs and a policy.",
     "convert": "Convert logs between Parquet, CSV, Minari datasets and ROS bags.",
     "look": "Say what a depth camera sees on a table, who hides whom, and what looks dirty.",

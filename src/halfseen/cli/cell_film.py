@@ -45,7 +45,7 @@ def film(
     import jax
 
     from halfseen.cell.campaign import Conditions
-    from halfseen.cell.episode import play
+    from halfseen.cell.episode import Moment, play
     from halfseen.cell.film import Film
     from halfseen.logs import LogRecorder
 
@@ -57,8 +57,8 @@ def film(
     key = jax.random.fold_in(jax.random.key(seed), table)
     with Progress(belief.config.horizon + DRAWING, "play") as bar:
 
-        def follow(decision: str) -> None:
-            taken.say(decision)
+        def follow(moment: Moment) -> None:
+            taken.say(moment.words)
             bar.update()
 
         with TemporaryDirectory() as folder, LogRecorder(folder) as recorder:

@@ -11,6 +11,7 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.arms import arm_options, robot_for
+from halfseen.cli.following import follow_options, following
 from halfseen.cli.laws import SHIPPED, law_folder, law_option
 from halfseen.cli.messages import tell_warning
 from halfseen.cli.opengl import load_mujoco
@@ -41,6 +42,7 @@ policy_option = click.option(
     show_default=True,
     help="Probability that a step takes an action uniformly at random instead, for logs that are learned from.",
 )
+@follow_options
 @arm_options
 @options.workers
 @options.seed("logs")
@@ -53,6 +55,9 @@ def run(
     law: str,
     stops: bool,
     random_share: float,
+    is_watched: bool,
+    port: int,
+    record: Path | None,
     arm: Path | None,
     flange: str | None,
     joints: list[str] | None,
@@ -64,7 +69,8 @@ def run(
     """Let a policy clear fresh tables in physics: look, decide, act, look again, until FINISH, ten steps or a cut.
 
     The same seed gives every policy the same tables. What comes of it stands beside what the simulated world foretells
-    for them under the law. A run that was stopped goes on where it was, if it is called again.
+    for them under the law. A run that was stopped goes on where it was, if it is called again. --watch and --record
+    follow the tables in one process; tables that were over before are not shown.
     """
     load_mujoco()
     from halfseen.cell.campaign import Campaign, Conditions, logs_of, working_folder
@@ -78,20 +84,23 @@ def run(
     robot, arm_name = robot_for(arm, flange, joints)
     belief = belief_of(law, arm_name)
     policy = policy_of(name, random_share, belief.config)
-    campaign = Campaign(policy, belief, Conditions(robot=robot, stops=Stops() if stops else None), seed)
+    conditions = Conditions(robot=robot, stops=Stops() if stops else None)
     told = f"policy {name}{_digest(Path(name))}, law {law}{_digest(law_folder(law))}"
     what = f"run, seed {seed}, {told}, stops {stops}, random share {random_share}"
     what += f", arm {arm_name}" if arm else ""
-    with working_folder(out, what, refuse) as folder, Progress(tables, "run", "tables") as bar:
-        runs = []
-        for _, each in campaign.runs(range(tables), folder, workers):
-            runs.append(each)
-            bar.update()
-        logs = logs_of(folder, range(tables))
-        summary = summarised(runs, logs, policy, belief.config, seed)
-        logs.write(out, overwrite=overwrite)
-    report = {"folder": str(out), "policy": name, "arm": arm_name, "sentence": str(logs.summary()), **asdict(summary)}
-    click.echo(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))
+    with following(policy, belief.config.horizon, is_watched, port, record, overwrite) as follow:
+        campaign = Campaign(policy, belief, conditions, seed, follow=follow)
+        with working_folder(out, what, refuse) as folder, Progress(tables, "run", "tables") as bar:
+            runs = []
+            for _, each in campaign.runs(range(tables), folder, workers if follow is None else 1):
+                runs.append(each)
+                bar.update()
+            logs = logs_of(folder, range(tables))
+            summary = summarised(runs, logs, policy, belief.config, seed)
+            logs.write(out, overwrite=overwrite)
+        report = {"folder": str(out), "policy": name, "arm": arm_name, "sentence": str(logs.summary())}
+        report |= asdict(summary)
+        click.echo(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))
 
 
 def _digest(folder: Path | None) -> str:

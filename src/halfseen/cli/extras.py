@@ -4,6 +4,7 @@ EXTRAS = {
     "perception": ("matplotlib", "plyfile", "pypcd4", "skimage"),
     "scene": ("mujoco",),
     "study": ("jinja2",),
+    "watch": ("viser",),
     "gym": ("gymnasium",),
     "minari": ("h5py", "minari"),
     "ros": ("rosbags",),

@@ -1,0 +1,125 @@
+"""A path of a log with the cloud of each stage, as `halfseen convert --clouds` keeps them beside a bag."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pandas as pd
+
+from halfseen.errors import ArgumentError, PolicyError
+from halfseen.logs import Logs
+from halfseen.logs.columns import as_floats
+from halfseen.perception import View, perceive, read_cloud
+from halfseen.perception.tracking import matched
+from halfseen.policies import Decision, StoredPolicy, TableDecider
+from halfseen.tables.present import Present
+from halfseen.watch.of_cloud import seen_stage
+from halfseen.watch.stage_view import StageView, Watched
+from halfseen.world.recording import states_of
+from halfseen.world.table_checks import PLACE_COLUMNS
+
+CLOUD = "cloud"
+"""Column of a log's stages: the file of each stage's cloud."""
+_UNKNOWN = 0.5
+
+
+def watched_logs(logs: Logs, clouds: Path, number: int, stored: StoredPolicy | None = None) -> Watched:
+    """Show a path of a log.
+
+    Parameters
+    ----------
+    logs
+        The log; its stages name the files of their clouds.
+    clouds
+        Folder with these files.
+    number
+        Which path, from 1.
+    stored
+        A policy of tables, to be asked at each stage; None for what the log says alone.
+
+    Raises
+    ------
+    HalfseenError
+        There is no such path, no cloud of a stage, or the policy is of other things.
+    """
+    if not 1 <= number <= logs.num_paths:
+        raise ArgumentError(f"--path is {number}, and the log has {logs.num_paths} paths; count from 1")
+    if CLOUD not in logs.stages.columns:
+        raise ArgumentError(
+            f"stages: no column {CLOUD!r} says which file holds the cloud of each stage; write it with "
+            "`halfseen convert BAG --clouds FOLDER`"
+        )
+    name = logs.path_ids[number - 1]
+    path = logs.select(logs.path_ids[number - 1 : number])
+    decisions = _decisions(path, stored)
+    stages, events = [], []
+    for t, row in enumerate(path.stages.to_dict("records")):
+        stage = _stage(path, row, clouds, f"path {name}, stage {t + 1} of {path.horizon}", decisions[t], events)
+        stages.append(stage)
+        events.append(_done(row))
+    ending = "came to its own end" if path.is_finished[0] else f"was cut: {path.paths['cause'].iloc[0]}"
+    stages[-1] = replace(stages[-1], events=(*stages[-1].events, events[-1], f"the path {ending}"))
+    return Watched(f"path {name}", tuple(stages))
+
+
+def _stage(
+    path: Logs, row: dict[str, Any], clouds: Path, title: str, decision: Decision | None, events: list[str]
+) -> StageView:
+    file = row[CLOUD]
+    if not isinstance(file, str):
+        raise ArgumentError(f"{title}: no cloud was kept of it; choose another path")
+    cloud = read_cloud(clouds / file)
+    view = perceive(cloud)
+    stage = seen_stage(cloud, view, title, _chances(path, row["stage"], view), decision, events)
+    action = _action(row)
+    if decision is None or stage.action == action:
+        said = stage.reason or (f"{action}: what the log says was done" if action else "")
+    else:
+        said = f"the log says {action or 'nothing'} was done; the policy: {stage.reason}"
+    return replace(stage, action=action, reason=said)
+
+
+def _action(row: dict[str, Any]) -> str:
+    if pd.isna(row["action"]):
+        return ""
+    has_object = "object" in row and not pd.isna(row["object"])
+    return f"{row['action']} {row['object']}" if has_object else str(row["action"])
+
+
+def _done(row: dict[str, Any]) -> str:
+    if pd.isna(row["reward"]):
+        return f"tried: {_action(row) or 'nothing'}, not completed"
+    return f"tried: {_action(row)}, reward {row['reward']:+.2f}, at {row['elapsed_s']:.1f} s"
+
+
+def _chances(path: Logs, stage: Any, view: View) -> list[float]:
+    """P(DIRTY) of each object of a view, as the log has it; one half where it says nothing."""
+    chances = [_UNKNOWN] * len(view.objects)
+    if path.objects is None or "log_odds" not in path.objects.columns:
+        return chances
+    rows = pd.DataFrame(path.objects[path.objects["stage"] == stage])
+    told = 1.0 / (1.0 + np.exp(-as_floats("objects", rows, "log_odds").to_numpy()))
+    if set(PLACE_COLUMNS) <= set(rows.columns):
+        places_m = np.stack([as_floats("objects", rows, column).to_numpy() for column in PLACE_COLUMNS], axis=1)
+        now = matched(places_m, np.array([seen.solid.middle_m for seen in view.objects]).reshape(-1, 3)).now
+    else:
+        now = np.arange(len(rows))
+    for chance, number in zip(told.tolist(), now.tolist(), strict=True):
+        if 0 <= number < len(chances):
+            chances[number] = chance
+    return chances
+
+
+def _decisions(path: Logs, stored: StoredPolicy | None) -> list[Decision | None]:
+    """What a policy would do at each stage."""
+    if stored is None:
+        return [None] * path.horizon
+    if not stored.is_table:
+        raise PolicyError("the policy is of named actions, and shows nothing at a table; give one of tables")
+    states = states_of(path, stored.horizon)
+    decider = TableDecider(stored.policy, stored.ranges)
+    return [
+        decider.decide(Present(jax.tree.map(lambda leaf, t=t: leaf[0, t], states), t + 1)) for t in range(path.horizon)
+    ]

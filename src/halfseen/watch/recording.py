@@ -1,0 +1,193 @@
+"""Stages in a folder: a file of words for all, and a file of arrays for each. Reading one runs no code.
+
+::
+
+    recording/
+      recording.json      format, source, number of stages
+      parts.npz           bodies of the cell
+      stage-0001.npz …    arrays of a stage, and its words as JSON
+"""
+
+import json
+import os
+import zipfile
+import zlib
+from collections.abc import Sequence
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from halfseen.errors import ArgumentError
+from halfseen.watch.shapes import Mesh
+from halfseen.watch.stage_view import Hand, Option, Part, Shown, StageView, Watched
+from halfseen.writing import placed
+
+MARKER = "recording.json"
+"""Every recording holds it."""
+_FORMAT = 1
+_PARTS = "parts.npz"
+_WORDS = "words"
+
+Arrays = dict[str, Any]
+
+
+def write_recording(watched: Watched, folder: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+    """Write a run to a folder, all or nothing.
+
+    Parameters
+    ----------
+    watched
+        The run.
+    folder
+        Where to.
+    overwrite
+        Replace a recording that is there.
+
+    Raises
+    ------
+    ArgumentError
+        Something is there already and is not to be replaced, or the folder cannot be written.
+    """
+    with placed(Path(folder), overwrite=overwrite, marker=MARKER, kind="recording") as fresh:
+        head = {"format": _FORMAT, "source": watched.source, "num_stages": len(watched.stages)}
+        (fresh / MARKER).write_text(json.dumps(head, indent=1), encoding="utf-8")
+        (fresh / _PARTS).write_bytes(_packed(_arrays_of_parts(watched.parts)))
+        for number, stage in enumerate(watched.stages):
+            (fresh / _stage_name(number)).write_bytes(_packed(_arrays_of_stage(stage)))
+
+
+def read_recording(folder: str | os.PathLike[str]) -> Watched:
+    """Read a run from a folder.
+
+    Parameters
+    ----------
+    folder
+        Where `write_recording` wrote it.
+
+    Raises
+    ------
+    ArgumentError
+        It is no recording, of a later format, or broken.
+    """
+    folder = Path(folder)
+    try:
+        head = json.loads((folder / MARKER).read_text(encoding="utf-8"))
+        if head["format"] != _FORMAT:
+            raise ArgumentError(
+                f"{folder}: its format is {head['format']}, and {_FORMAT} is read; use a later halfseen"
+            )
+        parts = _parts_of(_unpacked(folder / _PARTS))
+        stages = [_stage_of(_unpacked(folder / _stage_name(number))) for number in range(head["num_stages"])]
+        return Watched(head["source"], tuple(stages), parts)
+    except ArgumentError:
+        raise
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
+        raise ArgumentError(f"{folder}: not a whole recording ({reason}); record it again") from error
+
+
+def _stage_name(number: int) -> str:
+    return f"stage-{number + 1:04d}.npz"
+
+
+def _packed(arrays: Arrays) -> bytes:
+    content = BytesIO()
+    np.savez_compressed(content, **arrays)
+    return content.getvalue()
+
+
+def _unpacked(file: Path) -> Arrays:
+    with file.open("rb") as opened, np.load(opened, allow_pickle=False) as arrays:
+        return dict(arrays)
+
+
+def _arrays_of_parts(parts: Sequence[Part]) -> Arrays:
+    colours = np.array([part.colour for part in parts], dtype=np.int64).reshape(-1, 3)
+    is_robot = np.array([part.is_robot for part in parts], dtype=bool)
+    return {"colours": colours, "is_robot": is_robot, **_arrays_of_meshes("part", [part.solid for part in parts])}
+
+
+def _parts_of(arrays: Arrays) -> tuple[Part, ...]:
+    about = zip(arrays["colours"].tolist(), arrays["is_robot"].tolist(), strict=True)
+    parts = [(_mesh_of("part", number, arrays), *each) for number, each in enumerate(about)]
+    return tuple(Part(solid, tuple(colour), is_robot) for solid, colour, is_robot in parts if solid is not None)
+
+
+def _arrays_of_meshes(name: str, meshes: Sequence[Mesh | None]) -> Arrays:
+    arrays = {}
+    for number, mesh in enumerate(meshes):
+        if mesh is not None:
+            arrays[f"{name}_{number}_vertices_m"] = mesh.vertices_m.astype(np.float32)
+            arrays[f"{name}_{number}_faces"] = mesh.faces.astype(np.int32)
+    return arrays
+
+
+def _mesh_of(name: str, number: int, arrays: Arrays) -> Mesh | None:
+    key = f"{name}_{number}_vertices_m"
+    if key not in arrays:
+        return None
+    return Mesh(arrays[key].astype(np.float64), arrays[f"{name}_{number}_faces"].astype(np.int64))
+
+
+def _arrays_of_stage(stage: StageView) -> Arrays:
+    words = {
+        "title": stage.title,
+        "action": stage.action,
+        "reason": stage.reason,
+        "notes": stage.notes,
+        "events": stage.events,
+        "options": [[each.name, each.value, each.low, each.high, each.chance_best] for each in stage.options],
+        "objects": [[each.number, each.is_dirty, each.occlusion, *each.middle_m.tolist()] for each in stage.objects],
+        "opening_m": None if stage.hand is None else stage.hand.opening_m,
+    }
+    arrays: Arrays = {
+        _WORDS: np.frombuffer(json.dumps(words, allow_nan=False).encode(), dtype=np.uint8),
+        "points_m": stage.points_m.astype(np.float32, copy=False),
+        "colours": stage.colours,
+        "eye_m": stage.eye_m,
+        "hides": stage.hides,
+        "poses": stage.poses.astype(np.float32),
+        **_arrays_of_meshes("solid", [each.solid for each in stage.objects]),
+        **_arrays_of_meshes("shadow", [each.shadow for each in stage.objects]),
+    }
+    for number, each in enumerate(stage.objects):
+        arrays[f"revealed_{number}_m"] = each.revealed_m.astype(np.float32)
+    if stage.hand is not None:
+        arrays |= {"way_m": stage.hand.way_m, "at_m": stage.hand.at_m, "axes": stage.hand.axes}
+    return arrays
+
+
+def _stage_of(arrays: Arrays) -> StageView:
+    words = json.loads(arrays[_WORDS].tobytes())
+    objects = tuple(
+        Shown(
+            int(number),
+            is_dirty,
+            occlusion,
+            np.array(middle_m, dtype=np.float64),
+            _mesh_of("solid", row, arrays),
+            _mesh_of("shadow", row, arrays),
+            arrays[f"revealed_{row}_m"].astype(np.float64),
+        )
+        for row, (number, is_dirty, occlusion, *middle_m) in enumerate(words["objects"])
+    )
+    hand = None
+    if words["opening_m"] is not None:
+        hand = Hand(arrays["way_m"], arrays["at_m"], arrays["axes"], words["opening_m"])
+    return StageView(
+        words["title"],
+        arrays["points_m"],
+        arrays["colours"],
+        arrays["eye_m"],
+        objects,
+        arrays["hides"],
+        tuple(Option(*each) for each in words["options"]),
+        words["action"],
+        words["reason"],
+        tuple(words["notes"]),
+        tuple(words["events"]),
+        arrays["poses"].astype(np.float64),
+        hand,
+    )

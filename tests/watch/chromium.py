@@ -1,0 +1,130 @@
+"""A browser without a screen, driven by its DevTools protocol."""
+
+import base64
+import io
+import json
+import re
+import shutil
+import subprocess
+import tempfile
+import time
+from contextlib import contextmanager
+
+import numpy as np
+from PIL import Image
+
+BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+FLAGS = [
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--no-first-run",
+    "--remote-debugging-port=0",
+]
+
+
+class Tab:
+    """One page of a browser: what it asks for, what it says, how it looks."""
+
+    def __init__(self, socket):
+        self._socket, self._number = socket, 0
+        self.errors, self.requests = [], []
+        for domain in ("Page", "Runtime", "Log", "Network"):
+            self._call(f"{domain}.enable")
+
+    def _call(self, method, **parameters):
+        self._number += 1
+        self._socket.send(json.dumps({"id": self._number, "method": method, "params": parameters}))
+        while True:
+            message = json.loads(self._socket.recv(timeout=120))
+            if message.get("id") == self._number:
+                assert "error" not in message, message
+                return message["result"]
+            self._take(message)
+
+    def _take(self, message):
+        told, parameters = message.get("method"), message.get("params", {})
+        if told == "Runtime.exceptionThrown":
+            self.errors.append(json.dumps(parameters["exceptionDetails"])[:400])
+        elif told == "Runtime.consoleAPICalled" and parameters["type"] in ("error", "assert"):
+            self.errors.append(json.dumps(parameters["args"])[:400])
+        elif told == "Log.entryAdded" and parameters["entry"]["level"] == "error":
+            self.errors.append(json.dumps(parameters["entry"])[:400])
+        elif told in ("Network.requestWillBeSent", "Network.webSocketCreated"):
+            self.requests.append(parameters.get("url") or parameters["request"]["url"])
+
+    def resize(self, width_px, height_px):
+        self._call(
+            "Emulation.setDeviceMetricsOverride", width=width_px, height=height_px, deviceScaleFactor=1, mobile=False
+        )
+
+    def open(self, url):
+        self._call("Page.navigate", url=url)
+
+    def ask(self, script):
+        """The value of an expression of JavaScript; promises are awaited."""
+        answer = self._call("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
+        assert "exceptionDetails" not in answer, answer
+        return answer["result"].get("value")
+
+    def until(self, script, seconds=60.0):
+        """Wait until an expression is true; its value."""
+        end = time.monotonic() + seconds
+        while not (value := self.ask(script)):
+            assert time.monotonic() < end, f"not within {seconds} s: {script}; errors: {self.errors}"
+            time.sleep(0.1)
+        return value
+
+    def picture(self):
+        shot = self._call("Page.captureScreenshot", format="png")
+        return np.array(Image.open(io.BytesIO(base64.b64decode(shot["data"]))).convert("RGB"))
+
+    def drag(self, begin, end):
+        (x0, y0), (x1, y1) = begin, end
+        mouse = {"button": "left", "clickCount": 1}
+        self._call("Input.dispatchMouseEvent", type="mousePressed", x=x0, y=y0, **mouse)
+        for share in np.linspace(0.1, 1.0, 10):
+            x, y = x0 + share * (x1 - x0), y0 + share * (y1 - y0)
+            self._call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y, **mouse)
+        self._call("Input.dispatchMouseEvent", type="mouseReleased", x=x1, y=y1, **mouse)
+
+    def press(self, key, code):
+        for kind in ("rawKeyDown", "keyUp"):
+            self._call("Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=code)
+
+
+@contextmanager
+def tab(url, width_px=1280, height_px=800):
+    """Open a page in a fresh browser."""
+    from websockets.sync.client import connect
+
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
+        words = [BROWSER, *FLAGS, f"--user-data-dir={profile}", "about:blank"]
+        browser = subprocess.Popen(words, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+        try:
+            port = _port_of(browser)
+            with connect(_page_of(port), max_size=None, open_timeout=60, ping_interval=None) as socket:
+                page = Tab(socket)
+                page.resize(width_px, height_px)
+                page.open(url)
+                yield page
+        finally:
+            browser.terminate()
+            browser.wait(timeout=30)
+            browser.stderr.close()
+
+
+def _port_of(browser):
+    for line in browser.stderr:
+        if found := re.search(r"DevTools listening on ws://[^:]+:(\d+)/", line):
+            return int(found[1])
+    raise AssertionError("the browser did not start")
+
+
+def _page_of(port):
+    from urllib.request import urlopen
+
+    with urlopen(f"http://127.0.0.1:{port}/json/list", timeout=60) as answer:
+        return next(each["webSocketDebuggerUrl"] for each in json.load(answer) if each["type"] == "page")
