@@ -30,7 +30,7 @@ def policies(tmp_path_factory):
     ("words", "told"),
     [
         (["none.pcd"], "none.pcd: no such file or folder"),
-        ([TABLE, "--export", "film.mp4"], "film.mp4: a run is exported as .html or .gif"),
+        ([TABLE, "--export", "film.mp4"], "film.mp4: an exported run ends in .html or .gif"),
         ([TABLE, "--clouds", "somewhere"], "--clouds is of logs"),
         ([TABLE, "--history", "logs"], "give a --policy"),
         ([TABLE, "--policy", "nowhere"], "nowhere"),
@@ -43,6 +43,21 @@ def test_bad_input(refused, tmp_path, monkeypatch, words, told):
     export = [] if "--export" in words else ["--export", "out.html"]
     assert told in refused("watch", *words, *export)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_is_there_is_replaced_only_if_that_is_asked_for(refused, tmp_path):
+    there = tmp_path / "out.html"
+    there.write_text("mine")
+    assert "it is there already" in refused("watch", TABLE, "--export", there)
+    assert there.read_text() == "mine"
+    assert "is what is to be looked at" in refused("watch", there, "--export", there, "--overwrite")
+
+
+def test_no_page_is_announced_that_will_show_nothing(typed, tmp_path):
+    for what, told in ((tmp_path, "holds no logs"), (tmp_path / "cloud.pcd", "cloud.pcd")):
+        (tmp_path / "cloud.pcd").write_text("no cloud")
+        status, out, err = typed("watch", what, "--port", 0)
+        assert (status, out, told in err) == (2, "", True)
 
 
 def test_a_policy_of_other_things(refused, policies, tmp_path):

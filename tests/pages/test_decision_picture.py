@@ -26,8 +26,21 @@ def view():
     return perceive(read_cloud(table_paths()[7]))
 
 
+def bars_of(decision, path):
+    draw_decision(replace(decision, reason="because", warnings=()), path, horizon=10)
+    return {one.strip() for one in words_of(path)[1:]} & VALUES.keys()
+
+
 def words_of(path):
     return [re.sub(r"<[^>]*>", "", one) for one in re.findall(r"<text.*?</text>", path.read_text("utf-8"), re.DOTALL)]
+
+
+def test_what_may_well_be_the_best_has_a_bar_however_little_it_is_worth(tmp_path):
+    chances = {**DECISION.chance_best, "LIFT 4": 0.28}
+    assert "LIFT 4" not in bars_of(DECISION, tmp_path / "a.svg")
+    bars = bars_of(replace(DECISION, chance_best=chances), tmp_path / "b.svg")
+    assert "LIFT 4" in bars
+    assert len(bars) == MOST_BARS
 
 
 def test_what_is_said_stands_on_the_picture(view, tmp_path):
@@ -36,7 +49,7 @@ def test_what_is_said_stands_on_the_picture(view, tmp_path):
     for told in ("LIFT 0", "stage 2 of 10", "61\u00a0%", "best", "0", "1", "2", "3", "4"):
         assert told in words
     told = " ".join(words)
-    assert "value [reward]; 2 worth less" in told
+    assert "value [reward]; 2 more not shown" in told
     assert "line: 95 % interval of Q" in told
     assert DECISION.reason in told
     assert "Warning: num_objects is 5" in told

@@ -48,6 +48,7 @@ def test_a_policy_is_asked_at_each_stage(kept, tmp_path):
     watched = watched_logs(logs, folder, 1, read_policy(tmp_path / "policy"))
     for stage in watched.stages:
         assert stage.options
+        assert all(option.low < option.high and 0 <= option.chance_best <= 1 for option in stage.options)
         assert stage.action in stage.reason
 
 
@@ -59,5 +60,8 @@ def test_what_is_not_there_is_told(kept):
         watched_logs(Logs(logs.stages.drop(columns="cloud"), logs.paths, logs.objects), folder, 1)
     with pytest.raises(CloudError, match="no such file"):
         watched_logs(logs, folder / "elsewhere", 1)
+    for outside in ("../look.pcd", str(folder.parent / "look.pcd")):
+        with pytest.raises(ArgumentError, match="is not in"):
+            watched_logs(Logs(logs.stages.assign(cloud=outside), logs.paths, logs.objects), folder, 1)
     with pytest.raises(ArgumentError, match="no cloud was kept"):
         watched_logs(Logs(logs.stages.assign(cloud=None), logs.paths, logs.objects), folder, 1)

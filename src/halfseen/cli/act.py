@@ -10,6 +10,7 @@ import click
 from halfseen.cli import options
 from halfseen.cli.columns import aligned
 from halfseen.cli.laws import SHIPPED, law_of, law_option
+from halfseen.cli.output_files import refuse_output
 
 if TYPE_CHECKING:
     from halfseen.policies import Decision
@@ -64,7 +65,7 @@ def act(
     from halfseen.policies.observations import read_observation, read_table
 
     if picture is not None:
-        _refuse_picture(picture, overwrite, [cloud, *([labels] if labels else [])])
+        refuse_output(picture, "a picture", PICTURES, overwrite, [cloud, *([labels] if labels else [])])
     stored = read_policy(policy)
     counts_views = stored.is_table and stored.record["schema"].get("counts_views", False)
     if law is not None and not counts_views:
@@ -88,22 +89,6 @@ def act(
         report["seen"] = seen
     lines = _lines(decision, seen, table.other_things if table else "", **where)
     click.echo(json.dumps(report, indent=2, allow_nan=False) if as_json else "\n".join(lines))
-
-
-def _refuse_picture(picture: Path, overwrite: bool, inputs: list[Path]) -> None:
-    """Refuse a picture that could not be drawn, or would take the place of something, before anything is decided."""
-    from halfseen.errors import ArgumentError
-    from halfseen.writing import refuse_unwritable
-
-    if picture.suffix.lower() not in PICTURES:
-        raise ArgumentError(f"{picture}: a picture ends in {' or '.join(PICTURES)}; give one of these endings")
-    if any(one.exists() and picture.exists() and picture.samefile(one) for one in inputs):
-        raise ArgumentError(f"{picture}: it is what is to be looked at, and is not replaced; choose another file")
-    if picture.is_dir():
-        raise ArgumentError(f"{picture}: it is a folder; give the name of a file in it")
-    if (picture.exists() or picture.is_symlink()) and not overwrite:
-        raise ArgumentError(f"{picture}: it is there already; choose another file, or pass --overwrite to replace it")
-    refuse_unwritable(picture.parent)
 
 
 def _lines(decision: "Decision", seen: str, other_things: str, stage: int, horizon: int) -> list[str]:

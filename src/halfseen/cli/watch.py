@@ -10,6 +10,7 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.laws import SHIPPED, law_of, law_option
+from halfseen.cli.output_files import refuse_output
 
 if TYPE_CHECKING:
     from halfseen.watch import Watched
@@ -48,6 +49,7 @@ def _span(_: click.Context, __: click.Parameter, given: str | None) -> tuple[int
     multiple=True,
     help="Write it to a file instead, once or more: .html, which opens without a server, or .gif.",
 )
+@options.overwrite("a file of --export that is")
 @port_option
 @options.unused_seed
 def watch(
@@ -60,6 +62,7 @@ def watch(
     number: int | None,
     stages: tuple[int, int] | None,
     export: tuple[Path, ...],
+    overwrite: bool,
     port: int,
     seed: int,
 ) -> None:
@@ -72,8 +75,7 @@ def watch(
     from halfseen.watch.recording import MARKER
 
     for file in export:
-        if file.suffix.lower() not in FORMS:
-            raise ArgumentError(f"{file}: a run is exported as {' or '.join(FORMS)}; give a name that ends so")
+        refuse_output(file, "an exported run", FORMS, overwrite, [source])
     if not source.exists():
         raise ArgumentError(f"{source}: no such file or folder; give a cloud, a recording or a folder of logs")
     is_recording, is_logs = (source / MARKER).is_file(), source.is_dir()
@@ -126,8 +128,16 @@ def _served(port: int, work: Callable[[Shows], None]) -> None:
     from halfseen.watch.page import served
 
     with served(port) as page:
-        click.echo(f"{page.url}  (Ctrl+C ends)")
-        work(page.show)
+        is_told = False
+
+        def show(watched: "Watched") -> None:
+            nonlocal is_told
+            page.show(watched)
+            if not is_told:
+                click.echo(f"{page.url}  (Ctrl+C ends)")
+            is_told = True
+
+        work(show)
         page.wait()
 
 
@@ -185,10 +195,11 @@ def _show_logs(folder: Path, clouds: Path | None, number: int | None, policy: Pa
     from halfseen.policies import read_policy
     from halfseen.watch.of_logs import watched_logs
 
+    logs = read_logs(folder)
     if clouds is None:
         raise ArgumentError(
             f"{folder}: logs hold no clouds; give the folder that has one for each stage as --clouds, or record a run "
             "with `halfseen cell run --record`"
         )
     stored = None if policy is None else read_policy(policy)
-    show(watched_logs(read_logs(folder), clouds, number or 1, stored))
+    show(watched_logs(logs, clouds, number or 1, stored))

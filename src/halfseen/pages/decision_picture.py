@@ -25,6 +25,10 @@ from halfseen.policies.decision import Decision
 from halfseen.writing import write_file
 
 MOST_BARS = 8
+
+LIKELY = 0.05
+"""Chance of being the best from which an action has a bar, whatever it is worth."""
+
 WIDTH_INCHES = 7.2
 HEAD_INCHES, FOOT_INCHES = 0.5, 0.7
 LINE_INCHES, LETTER_SIZE, NUM_LETTERS = 0.215, 11.0, 84
@@ -90,9 +94,12 @@ def _figure(decision: Decision, view: View | None, stage: int, horizon: int) -> 
 
 
 def _shown(decision: Decision) -> list[str]:
-    """The best actions by name, the best first."""
-    known = [(name, q) for name, q in decision.q_values.items() if q is not None]
-    return [name for name, _ in sorted(known, key=lambda one: -one[1])][:MOST_BARS]
+    """Actions by name, the best first: those that may well be the best, and as many others as there is room for."""
+    known = {name: q for name, q in decision.q_values.items() if q is not None}
+    ranked = sorted(known, key=lambda name: -known[name])
+    likely = [name for name in ranked[1:] if decision.chance_best.get(name, 0.0) >= LIKELY]
+    first = [*ranked[:1], *likely, *(name for name in ranked[1:] if name not in likely)][:MOST_BARS]
+    return sorted(first, key=lambda name: -known[name])
 
 
 def _draw_table(axes: Axes, view: View, action: str) -> None:
@@ -209,7 +216,7 @@ def _draw_bars(axes: Axes, decision: Decision, shown: Sequence[str]) -> None:
 
 def _axis_label(decision: Decision, shown: Sequence[str], from_zero: bool) -> str:
     known = sum(q is not None for q in decision.q_values.values())
-    more = f"; {known - len(shown)} worth less" if known > len(shown) else ""
+    more = f"; {known - len(shown)} more not shown" if known > len(shown) else ""
     cut = "" if from_zero else ", not from 0"
     lines = "line: 95 % interval of Q" if decision.intervals else f"{MISSING} how sure nobody knows"
     return f"value [reward]{cut}{more}\n{lines}"

@@ -60,12 +60,21 @@ class TableDecider:
         PolicyError
             Far more or fewer objects are there than the logs showed, and Q is not to be extrapolated.
         """
+        return self.decide_with(observation, jax.random.key(self.seed))
+
+    def decide_with(self, observation: Present, key: jax.Array) -> Decision:
+        """Decide with a key of one's own, such as that of a decision to be told anew.
+
+        Raises
+        ------
+        PolicyError
+            As `decide`.
+        """
         state, names = observation.state, ActionSpace(observation.state.num_objects).names
         ranges, values = self.ranges(observation.stage), observed_values(state)
         if not self.extrapolates:
             refuse_far({name: seen for name, seen in (ranges or {}).items() if name in UNBOUNDED}, values)
         warnings = (*observation.notes, *beyond(ranges, values))
-        key = jax.random.key(self.seed)
         grounds = Grounds.of(state, observation.dirty_share, self._worst_wash())
         if not hasattr(self.policy, "q_values"):
             action = int(jax.jit(type(self.policy).decide)(self.policy, state, key).action)

@@ -5,14 +5,14 @@ from dataclasses import replace
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from halfseen.cell.episode import Moment, Run
 from halfseen.cell.live_cell import LiveCell
 from halfseen.cell.planning import Plan
 from halfseen.cell.workcell import Workcell
-from halfseen.policies.reasons import table_reason, values_by_name
+from halfseen.policies.table_decider import TableDecider
+from halfseen.tables.present import Present
 from halfseen.tables.reasons import Grounds, table_grounds
 from halfseen.watch.cell_parts import CellParts
 from halfseen.watch.of_cloud import options_of
@@ -231,22 +231,17 @@ def explained(policy: Policy, moment: Moment) -> tuple[tuple[Option, ...], str]:
     tuple
         Its options, best first, none where it values nothing; and the reason in one sentence.
     """
-    state, names = moment.state, ActionSpace(moment.state.num_objects).names
-    seen = Grounds.of(state)
-    grounds = f"{table_grounds(seen, moment.action)}."
+    state, name = moment.state, ActionSpace(moment.state.num_objects).names[moment.action]
     if isinstance(policy, ExploringPolicy):
         base_key, _, _ = jax.random.split(moment.key, 3)
         options, reason = explained(policy.base, moment._replace(key=base_key))
         usual = int(jax.jit(type(policy.base).decide)(policy.base, state, base_key).action)
-        is_usual = usual == moment.action
-        return options, reason if is_usual else f"{names[moment.action]}: by chance, to explore; {grounds}"
-    if not hasattr(policy, "q_values"):
-        return (), f"{names[moment.action]}: by {type(policy).__name__}; {grounds}"
-    values = jax.jit(type(policy).q_values)(policy, state, moment.key)  # pyright: ignore[reportAttributeAccessIssue]
-    q = np.asarray(jnp.asarray(values), dtype=np.float64)
-    is_best = int(np.argmax(q)) == moment.action
-    reason = table_reason(seen, q) if is_best else f"{names[moment.action]}: {grounds}"
-    return options_of(values_by_name(names, q)), reason
+        grounds = table_grounds(Grounds.of(state), moment.action)
+        return options, reason if usual == moment.action else f"{name}: by chance, to explore; {grounds}."
+    decision = TableDecider(policy).decide_with(Present(state, moment.stage), moment.key)
+    options = options_of(decision.q_values, decision.intervals, decision.chance_best)
+    is_same = decision.action == name
+    return options, decision.reason if is_same else f"{name}: {table_grounds(Grounds.of(state), moment.action)}."
 
 
 def _hand(cell: Workcell, planned: Plan) -> Hand:

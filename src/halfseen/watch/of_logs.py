@@ -13,7 +13,7 @@ from halfseen.logs import Logs
 from halfseen.logs.columns import as_floats
 from halfseen.perception import View, perceive, read_cloud
 from halfseen.perception.tracking import matched
-from halfseen.policies import Decision, StoredPolicy, TableDecider
+from halfseen.policies import Decision, StoredPolicy, decider_of
 from halfseen.tables.present import Present
 from halfseen.watch.of_cloud import seen_stage
 from halfseen.watch.stage_view import StageView, Watched
@@ -70,6 +70,8 @@ def _stage(
     file = row[CLOUD]
     if not isinstance(file, str):
         raise ArgumentError(f"{title}: no cloud was kept of it; choose another path")
+    if not (clouds / file).resolve().is_relative_to(clouds.resolve()):
+        raise ArgumentError(f"{title}: its cloud {file!r} is not in {clouds}; give the folder that holds it")
     cloud = read_cloud(clouds / file)
     view = perceive(cloud)
     stage = seen_stage(cloud, view, title, _chances(path, row["stage"], view), decision, events)
@@ -119,7 +121,7 @@ def _decisions(path: Logs, stored: StoredPolicy | None) -> list[Decision | None]
     if not stored.is_table:
         raise PolicyError("the policy is of named actions, and shows nothing at a table; give one of tables")
     states = states_of(path, stored.horizon)
-    decider = TableDecider(stored.policy, stored.ranges)
+    decider = decider_of(stored, extrapolates=True)
     return [
         decider.decide(Present(jax.tree.map(lambda leaf, t=t: leaf[0, t], states), t + 1)) for t in range(path.horizon)
     ]
