@@ -66,7 +66,7 @@ def test_what_is_not_possible_has_no_value():
 def test_a_rule_that_values_nothing_says_by_whom_it_decides():
     decision = decider_of(TABLES["heuristic"]).decide(NOW)
     assert decision.q_values == {}
-    assert "by GreedyPolicy; it is in plain sight (0.00), nothing is known yet of" in decision.reason
+    assert "by GreedyPolicy; it is in plain sight, nothing is known yet of" in decision.reason
     assert (decision.intervals, decision.chance_best) == ({}, {})
 
 

@@ -58,10 +58,13 @@ def test_a_wash_is_told_by_how_sure_it_is_and_what_it_costs_if_it_is_wrong():
     log_odds = jnp.array([0.5, 0.5, 3.0])
     grounds = of(log_odds=log_odds, dirty_share=0.6, worst_wash=-10.0)
     assert table_reason(grounds, q_of(WASH_2=1.5, WASH_0=1.0)) == (
-        "WASH 2: worth 0.50 more than WASH 0; it is in plain sight (0.00) and almost surely dirty (0.95), and it hides "
+        "WASH 2: worth 0.50 more than WASH 0; it is in plain sight and almost surely dirty (0.95), and it hides "
         "0 and 1; as for WASH 0, it is half hidden (0.62) and rather dirty than clean (0.62), and a wrong WASH costs "
         "up to 10."
     )
+    both = table_reason(grounds, q_of(WASH_0=1.5, WASH_1=1.0))
+    assert both.count("costs up to 10") == 1
+    assert "(0.62), and a wrong WASH costs up to 10; as for WASH 1" in both
     unknown = table_reason(of(log_odds=log_odds, dirty_share=0.6), q_of(WASH_0=1.0, LIFT_0=0.5))
     assert "costs" not in unknown
 
@@ -88,7 +91,7 @@ def test_failed_attempts_count():
 def test_finish_tells_of_the_likeliest_dirty_object():
     grounds = of(log_odds=jnp.array([-2.5, -3.0, -0.1]), dirty_share=0.6)
     assert table_reason(grounds, q_of(FINISH=0.0)).startswith(
-        "FINISH: worth 9.00 more than WASH 0; the likeliest dirty of the 3 objects left, 2, is in plain sight (0.00) "
+        "FINISH: worth 9.00 more than WASH 0; the likeliest dirty of the 3 objects left, 2, is in plain sight "
         "and as likely clean as dirty (0.48); as for WASH 0,"
     )
 

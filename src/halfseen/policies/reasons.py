@@ -1,6 +1,7 @@
 """Why a policy takes an action rather than the next best, in one sentence: what it is worth more, how sure, and why."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from math import isfinite
 from typing import Any
 
@@ -42,7 +43,10 @@ WASH 0, it is half hidden (0.50), and nothing is known yet of whether it is dirt
     names, best = ActionSpace(len(grounds.is_there)).names, int(np.argmax(q))
     own = table_grounds(grounds, best)
     told, other = [_lead(names, q, best, chance_best or {}), own], _next_best(q, best)
-    if other is not None and (against := table_grounds(grounds, other)) != own:
+    # What a wrong WASH costs is told once.
+    free = replace(grounds, worst_wash=None)
+    rest = grounds if table_grounds(free, best) == own else free
+    if other is not None and (against := table_grounds(rest, other)) != own:
         told.append(f"as for {names[other]}, {against}")
     return f"{'; '.join(told)}."
 

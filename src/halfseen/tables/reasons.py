@@ -25,7 +25,7 @@ _SAME_LOG_ODDS = 1e-5
 _MOST_TOLD = 2
 """Objects behind another that are told of one by one."""
 
-_HIDDEN = ((0.1, "in plain sight"), (0.35, "partly hidden"), (0.65, "half hidden"), (np.inf, "mostly hidden"))
+_HIDDEN = ((0.35, "partly hidden"), (0.65, "half hidden"), (np.inf, "mostly hidden"))
 _DIRTY = (
     (0.1, "almost surely clean"),
     (0.25, "probably clean"),
@@ -186,7 +186,8 @@ def _known_as(grounds: Grounds, index: int) -> str:
 
 
 def _looks(grounds: Grounds, index: int) -> list[str]:
-    hidden = f"{_word(_HIDDEN, grounds.occlusion[index])} ({abs(grounds.occlusion[index]):.2f})"
+    share = float(grounds.occlusion[index])
+    hidden = "in plain sight" if share < _HIDES else f"{_word(_HIDDEN, share)} ({share:.2f})"
     if not grounds.is_told[index]:
         return [hidden, "nothing is known yet of whether it is dirty"]
     return [f"{hidden} and {_word(_DIRTY, grounds.is_dirty[index])} ({grounds.is_dirty[index]:.2f})"]
