@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from halfseen.errors import ArgumentError
+from halfseen.learners.q_learning.automatic import AUTO
 from halfseen.learners.q_learning.covariates import unfit_covariates
 from halfseen.learners.q_learning.q_learner import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.suggestions import did_you_mean
 from halfseen.tables.grasp.beta_grasp import BetaGrasp
-from halfseen.tables.grasp.choice import AUTO
 
 TABLE_HORIZON = 10
 """Stages that a path on a table may have, unless the log has longer ones."""

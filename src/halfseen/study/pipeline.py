@@ -35,6 +35,7 @@ from jaxtyping import Float
 from halfseen.censoring import StageClocks, weight_diagnostics
 from halfseen.errors import ArgumentError
 from halfseen.learners import CensoredQLearner
+from halfseen.learners.q_learning.automatic import AUTO
 from halfseen.learners.q_learning.path_arrays import PathArrays
 from halfseen.learners.q_learning.q_model import QModel
 from halfseen.learners.q_learning.task import Encoded
@@ -43,7 +44,7 @@ from halfseen.study.experiment import Setting
 from halfseen.study.policies import logging_policy
 from halfseen.study.tried import tried_in
 from halfseen.tables.encoding import encoded_states
-from halfseen.tables.grasp.choice import AUTO, choose_by
+from halfseen.tables.grasp.choice import choose_by
 from halfseen.tables.table_policy import LinearTablePolicy
 from halfseen.world.action_space import ActionSpace, Verb
 from halfseen.world.config import WorldConfig

@@ -12,11 +12,12 @@ from jaxtyping import Bool, Float, Int
 
 from halfseen.censoring import is_fitted
 from halfseen.errors import ArgumentError
+from halfseen.learners.q_learning.automatic import AUTO
 from halfseen.learners.q_learning.task import Encoded, LearnedQ
 from halfseen.logs import Logs
 from halfseen.tables.censoring_covariates import NUM_AT_BEGIN, TABLE_COVARIATES, table_covariates
 from halfseen.tables.encoding import encode_tables
-from halfseen.tables.grasp.choice import AUTO, choose_grasp
+from halfseen.tables.grasp.choice import choose_grasp
 from halfseen.tables.grasp.grasp_table import grasp_model_of
 from halfseen.tables.grasp.protocol import GraspEstimator
 from halfseen.tables.table_policy import LinearTablePolicy

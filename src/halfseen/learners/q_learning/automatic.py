@@ -5,13 +5,15 @@ a task's own features are made for, a linear Q; and Q at its lower confidence bo
 the recipe with others, on logs that it was not chosen on.
 """
 
+from typing import Literal
+
 from halfseen.learners.q_learning.q_space import SMOOTH, LinearQ, QSpace
 from halfseen.learners.q_learning.targets import BuckleyJames, Targets, Weighted
 from halfseen.learners.q_learning.task import Task
 from halfseen.learners.q_learning.transitions import StageMode
 from halfseen.logs import Logs, LogStream
 
-AUTO = "auto"
+AUTO: Literal["auto"] = "auto"
 
 PESSIMISM = 2.0
 """Standard errors by which the value of a whole path is lowered, were the errors of its stages independent."""

@@ -10,7 +10,7 @@ fourth smaller; under the law of the cell, where the Beta leaves a fifth of it, 
 """
 
 import warnings
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -27,7 +27,6 @@ from halfseen.tables.grasp.beta_grasp import BetaGrasp, fitted_theta, predictive
 from halfseen.tables.grasp.grasp_table import GraspTable, tabulate
 from halfseen.tables.grasp.inputs import History, checked_attempts
 
-AUTO: Literal["auto"] = "auto"
 NUM_FOLDS = 5
 
 WORTH = 0.5
