@@ -221,7 +221,7 @@ def test_without_a_law_it_says_that_there_are_no_attempts():
     ("gain", "told"),
     [
         (0.01, "better than the Beta mean at every size, from 25 to 600 tables"),
-        (0.0, "not significantly differently than the Beta mean at every size, from 25 to 600 tables"),
+        (0.0, "neither clearly better nor worse than the Beta mean at any size, from 25 to 600 tables"),
         (-0.01, "worse than the Beta mean at every size, from 25 to 600 tables"),
     ],
 )
@@ -252,7 +252,7 @@ def test_sizes_are_told_by_verdict():
     verdicts = {25: WORSE, 50: UNDECIDED, 100: BETTER, 200: BETTER}
     tests = pd.DataFrame([pairs | {"num_tables": size, "verdict": verdict} for size, verdict in verdicts.items()])
     assert by_size(tests, "svm", "beta") == (
-        "better than the Beta mean from 100 and 200, worse from 25 and not significantly differently from 50 tables"
+        "better than the Beta mean from 100 and 200, worse from 25 and neither clearly better nor worse from 50 tables"
     )
 
 

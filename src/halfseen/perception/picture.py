@@ -21,6 +21,10 @@ MASK_OPACITY = 0.75
 SMALLEST_ARROW_SHARE = 0.02
 DOTS_PER_INCH = 150
 WIDTH_INCHES = 9.0
+THUMBNAIL_INCHES = (5.2, 3.9)
+THUMBNAIL_NUMBERS = 21.0
+"""Size of the objects' numbers [pt], legible where the picture is as wide as a thumb."""
+THUMBNAIL_MARGIN = 0.07
 
 
 def sentence(view: View) -> str:
@@ -69,6 +73,39 @@ def draw(view: View, path: str | os.PathLike[str]) -> None:
     image = io.BytesIO()
     figure.savefig(image, format="png")
     write_file(Path(path), image.getvalue())
+
+
+def thumbnail(view: View) -> bytes:
+    """Draw the objects of a view alone, close up, with numbers that are legible in a small picture; a PNG.
+
+    Parameters
+    ----------
+    view
+        What a camera sees.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=THUMBNAIL_INCHES, dpi=DOTS_PER_INCH)
+    FigureCanvasAgg(figure)
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    draw_view(axes, view, THUMBNAIL_NUMBERS, has_shares=False)
+    left, right, top, bottom = _frame_px(view)
+    axes.set_xlim(left, right)
+    axes.set_ylim(bottom, top)
+    image = io.BytesIO()
+    figure.savefig(image, format="png")
+    return image.getvalue()
+
+
+def _frame_px(view: View) -> tuple[float, float, float, float]:
+    """Left, right, top and bottom of the least frame of a thumbnail's shape that holds all objects [px]."""
+    rows, columns = np.nonzero(view.labels >= 0 if view.objects else view.image.is_return)
+    size_px = np.array([np.ptp(columns), np.ptp(rows)]) * (1.0 + 2.0 * THUMBNAIL_MARGIN)
+    half_px = 0.5 * max(size_px / np.array(THUMBNAIL_INCHES)) * np.array(THUMBNAIL_INCHES)
+    middle_px = np.array([columns.min() + columns.max(), rows.min() + rows.max()]) / 2.0
+    (left, top), (right, bottom) = middle_px - half_px, middle_px + half_px
+    return float(left), float(right), float(top), float(bottom)
 
 
 def draw_view(axes: "Axes", view: View, number_size: float = 8.0, *, has_shares: bool = True) -> None:

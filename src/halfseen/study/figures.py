@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from halfseen.pages.axes import PANEL_TITLE, WIDTH_INCHES, EndLabel, dodged, mark_sizes, write_end_labels, write_title
 from halfseen.pages.numbers import amount, share
-from halfseen.pages.palette import MARKERS, ordered_colours
+from halfseen.pages.palette import MARKERS, learned_shades
 from halfseen.study.frames import where
 from halfseen.study.policies import LEARNED, Contender, Kind
 from halfseen.study.wording import PATHS_AXIS
@@ -35,7 +35,7 @@ def draw_by_cut_share(
 ) -> list[EndLabel]:
     """Draw what was learned by size of the log, a curve for each proportion of cut paths."""
     labels, num = [], len(cut_shares)
-    for k, (cut_share, colour) in enumerate(zip(cut_shares, ordered_colours(num), strict=True)):
+    for k, (cut_share, colour) in enumerate(zip(cut_shares, learned_shades(num), strict=True)):
         rows = where(table, policy=LEARNED.name, cut_share=cut_share)
         across = dodged(rows["num_paths"], k, num, dodge)
         draw(axes, across, rows[columns], color=colour, marker=MARKERS[k % len(MARKERS)])

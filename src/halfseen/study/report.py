@@ -14,7 +14,8 @@ from halfseen.cell.calibration.shipped import shipped_law
 from halfseen.errors import ArgumentError
 from halfseen.pages.drawing import inline_svg
 from halfseen.pages.html import rendered
-from halfseen.pages.numbers import amount, share
+from halfseen.pages.numbers import percent, share
+from halfseen.pages.palette import HUES
 from halfseen.pages.sentences import INCONCLUSIVE, NOT_SUPPORTED, SUPPORTED, as_sentence
 from halfseen.study.experiment import Drawing, Experiment, Section, Setting, Tables
 from halfseen.study.laws import law_sentence
@@ -72,6 +73,8 @@ def report_of(results: StudyResults, pictures: Mapping[str, bytes]) -> str:
         "answer": results.answer,
         "sections": results.sections,
         "scenes": [_scene(scene, pictures.get(scene.name)) for scene in setting.scenes],
+        "smallest_hidden": SMALLEST_HIDDEN_SHARE,
+        "hues": HUES,
         "logging_rule": STRONGEST_RULE.label,
         "parameters": {
             "The world": parameters(setting.world),
@@ -81,7 +84,9 @@ def report_of(results: StudyResults, pictures: Mapping[str, bytes]) -> str:
         "versions": dict(sorted(results.versions.items())),
         "verdicts": (SUPPORTED, NOT_SUPPORTED, INCONCLUSIVE),
     }
-    return rendered("halfseen.study", "report.html.j2", content, inline=inline, amount=amount, as_sentence=as_sentence)
+    return rendered(
+        "halfseen.study", "report.html.j2", content, inline=inline, percent=percent, as_sentence=as_sentence
+    )
 
 
 def inline(drawing: Drawing) -> Markup:

@@ -3,11 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from halfseen.cell.calibration.law import Law
 from halfseen.perception import perceive, read_cloud
-from halfseen.perception.picture import draw
+from halfseen.perception.picture import thumbnail
 from halfseen.progress import Progress
 from halfseen.world.scene import Scene
 
@@ -18,13 +17,11 @@ def look_at(paths: Sequence[Path], law: Law | None = None) -> tuple[tuple[Scene,
     Under a law of a cell, what is seen of an object says how well it can be gripped.
     """
     scenes, pictures = [], {}
-    with TemporaryDirectory() as folder, Progress(len(paths), "look", "tables") as bar:
-        picture = Path(folder) / "picture.png"
+    with Progress(len(paths), "look", "tables") as bar:
         for path in paths:
             view = perceive(read_cloud(path))
-            draw(view, picture)
             scene = view.scene() if law is None else law.scene(view)
             scenes.append(replace(scene, name=path.stem))
-            pictures[path.stem] = picture.read_bytes()
+            pictures[path.stem] = thumbnail(view)
             bar.update()
     return tuple(scenes), pictures

@@ -23,7 +23,7 @@ from halfseen.pages.axes import (
     write_title,
 )
 from halfseen.pages.numbers import MISSING, amount, interval, share_in_words
-from halfseen.pages.palette import BLUE, GREEN, MARKERS, PINK, RED, SOFT
+from halfseen.pages.palette import BLUE, MARKERS, ORANGE, PINK, RED, SKY
 from halfseen.pages.sentences import NOT_SUPPORTED, SUPPORTED, Claim, capitalised, listed
 from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Section, Setting, Tables
 from halfseen.study.figures import MEAN
@@ -47,7 +47,7 @@ RIVALS = {
     "dropped": "dropping cut paths",
     "failures": "counting cuts as failures",
 }
-TREATMENT_COLOURS = {"imputed": BLUE, "weighted": GREEN, "unweighted": RED, "dropped": SOFT, "failures": PINK}
+TREATMENT_COLOURS = {"imputed": BLUE, "weighted": SKY, "unweighted": ORANGE, "dropped": RED, "failures": PINK}
 GAIN = ["behind_default", "behind_low", "behind_high"]
 GAIN_AXIS = "gain of the default over each other treatment"
 DODGE, BAR_DODGE = 1.02, 1.10
@@ -135,13 +135,14 @@ def claims_of(design: Censoring, figure4: pd.DataFrame) -> Claims:
 
 
 def _title(design: Censoring, claims: Claims) -> str:
-    parts = []
+    kinds: dict[str, list[str]] = {}
     for kind, of_kind in claims.items():
         verbs = {SUPPORTED: "earns more than", NOT_SUPPORTED: "less than"}
         rivals = {verdict: [each.rival for each in of_kind if each.verdict == verdict] for verdict in verbs}
         said = [f"{verb} {listed(rivals[verdict])}" for verdict, verb in verbs.items() if rivals[verdict]]
-        parts.append(f"under {CUT_KIND_NAMES[kind]} {' but '.join(said) or 'makes no significant difference'}")
-    return f"From {design.compared_num_paths} paths, imputing what was cut {'; '.join(parts)}"
+        kinds.setdefault(" but ".join(said) or "makes no significant difference", []).append(CUT_KIND_NAMES[kind])
+    parts = (f"{said} under {listed(names)}" for said, names in kinds.items())
+    return f"From {design.compared_num_paths} paths, imputing what was cut {'; it '.join(parts)}"
 
 
 def _sentence(design: Censoring, claims: Claims) -> str:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from halfseen.cell.calibration import law_folder
-from halfseen.pages.palette import BLUE, GREEN, INK, PINK, RED, SOFT
+from halfseen.pages.palette import BLUE, INK, ORANGE, PINK, RED, SKY
 
 RATE, BETA, SVM, SVM_FACTS, SVM_SET, LAW = "rate", "beta", "svm", "svm-facts", "svm-set", "law"
 MODEL_NAMES = {
@@ -16,7 +16,7 @@ MODEL_NAMES = {
     LAW: "logistic law",
 }
 """Model of the probability that an attempt holds → name for people."""
-MODEL_COLOURS = {RATE: SOFT, BETA: BLUE, SVM: RED, SVM_FACTS: GREEN, SVM_SET: PINK, LAW: INK}
+MODEL_COLOURS = {RATE: ORANGE, BETA: BLUE, SVM: RED, SVM_FACTS: SKY, SVM_SET: PINK, LAW: INK}
 SVMS = (SVM, SVM_FACTS, SVM_SET)
 MEASURES = {"log_loss": "log-loss", "brier": "Brier score"}
 """What models are judged by, on tables that they have not seen; smaller is better."""

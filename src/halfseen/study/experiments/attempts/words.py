@@ -39,7 +39,7 @@ NOUNS = {
     SVM_SET: "the SVM with a set kernel over past attempts",
     LAW: "the logistic law",
 }
-ADVERBS = {BETTER: "better", WORSE: "worse", UNDECIDED: "not significantly differently"}
+ADVERBS = {BETTER: "better", WORSE: "worse", UNDECIDED: "neither clearly better nor worse"}
 
 
 def by_size(tests: pd.DataFrame, model: str, rival: str) -> str:
@@ -50,7 +50,8 @@ def by_size(tests: pd.DataFrame, model: str, rival: str) -> str:
     first, *rest = met
     if not rest:
         least, most = rows[0]["num_tables"], rows[-1]["num_tables"]
-        return f"{ADVERBS[first]} than {NOUNS[rival]} at every size, from {least} to {most} tables"
+        which = "any" if first == UNDECIDED else "every"
+        return f"{ADVERBS[first]} than {NOUNS[rival]} at {which} size, from {least} to {most} tables"
     told = [f"{ADVERBS[first]} than {NOUNS[rival]} from {listed(met[first])}"]
     return f"{listed([*told, *(f'{ADVERBS[verdict]} from {listed(met[verdict])}' for verdict in rest)])} tables"
 

@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -12,7 +11,7 @@ from matplotlib.figure import Figure
 
 from halfseen.pages.axes import WIDTH_INCHES, write_above, write_title
 from halfseen.pages.numbers import MISSING, amount
-from halfseen.pages.palette import INK
+from halfseen.pages.palette import GAINS, INK
 from halfseen.study.experiment import Setting
 from halfseen.study.experiments.clutter.places import FACTORS, ClutterDesign, Place, label_number, label_share
 from halfseen.study.experiments.clutter.table import ENOUGH, LEARN, NO_SCALE, UNDECIDED
@@ -21,8 +20,6 @@ from halfseen.world.config import WorldConfig
 ROW_INCHES, HEAD_INCHES, FOOT_INCHES = 1.42, 0.75, 1.25
 GAP = 0.28
 """Between the two blocks, in widths of a panel."""
-# Diverging, and told apart by colour-blind eyes.
-COLOURS = "PuOr"
 STEPS = np.array([-0.25, -0.15, -0.10, -0.05, 0.0, 0.05, 0.10, 0.15, 0.25])
 """Bounds of the colours, as distances from the share that is worth the trouble."""
 DARK = 0.15
@@ -89,7 +86,7 @@ def _draw_panel(
     shares = rows["gain_share"].unstack().loc[sizes, occlusions].to_numpy(dtype=float)
     verdicts = rows["verdict"].unstack().loc[sizes, occlusions].to_numpy()
     beyond = np.clip(shares - design.worthwhile_share, 1.01 * STEPS[0], 1.01 * STEPS[-1])
-    axes.pcolormesh(np.ma.masked_invalid(beyond), cmap=COLOURS, norm=_norm(), edgecolors="white", linewidth=1.0)
+    axes.pcolormesh(np.ma.masked_invalid(beyond), cmap=GAINS, norm=_norm(), edgecolors="white", linewidth=1.0)
     for y, x in np.ndindex(shares.shape):
         _write_field(axes, x, y, float(shares[y, x]), verdicts[y, x], abs(float(beyond[y, x])) >= DARK)
     axes.set_xticks(np.arange(len(occlusions)) + 0.5, [_percent(each) for each in occlusions] if is_lowest else [])
@@ -108,13 +105,13 @@ def _write_field(axes: Axes, x: int, y: int, share: float, verdict: str, is_dark
 
 
 def _norm() -> BoundaryNorm:
-    return BoundaryNorm(STEPS, matplotlib.colormaps[COLOURS].N, extend="both")
+    return BoundaryNorm(STEPS, GAINS.N, extend="both")
 
 
 def _draw_scale(figure: Figure, worthwhile_share: float, height: float) -> None:
     axes = figure.add_axes((0.06, 0.52 / height, 0.93, 0.11 / height))
     bar: Any = figure.colorbar(
-        ScalarMappable(_norm(), COLOURS), cax=axes, orientation="horizontal", spacing="uniform", extendfrac=0.06
+        ScalarMappable(_norm(), GAINS), cax=axes, orientation="horizontal", spacing="uniform", extendfrac=0.06
     )
     bar.set_ticks(STEPS, labels=[amount(100 * (step + worthwhile_share), 0) for step in STEPS])
     bar.ax.tick_params(length=2, labelsize=SMALL)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from halfseen.pages.palette import BLUE, INK, RED, SKY, SOFT
+from halfseen.pages.palette import BLUE, INK, ORANGE, RED, SKY
 
 SUCCESSION, ORACLE, CLAIMED, RIVAL = "succession", "oracle", "svm", "beta"
 MODEL_NAMES = {
@@ -13,7 +13,7 @@ MODEL_NAMES = {
     ORACLE: "true model",
 }
 """Model of the probability of a grasp → name for people."""
-MODEL_COLOURS = {SUCCESSION: SOFT, RIVAL: BLUE, "beta-dropped": SKY, CLAIMED: RED, ORACLE: INK}
+MODEL_COLOURS = {SUCCESSION: ORANGE, RIVAL: BLUE, "beta-dropped": SKY, CLAIMED: RED, ORACLE: INK}
 MEASURES = {
     "log_loss": "log-loss on held-out attempts",
     "brier": "Brier score on held-out attempts",

@@ -95,7 +95,7 @@ def _draw(bars: list[_Bar], title: str) -> Figure:
         axes.plot([bar.low, bar.high], [place, place], color="black", linewidth=1.2, solid_capstyle="butt")
         axes.annotate(
             amount(bar.mean, 1), (max(bar.high, bar.mean), place), xytext=(6, 0), textcoords="offset points",
-            va="center", fontsize=13, fontweight="bold", color=bar.who.colour,
+            va="center", fontsize=13, fontweight="bold",
         )  # fmt: skip
     axes.set_yticks(range(len(bars)), [bar.name for bar in bars], fontsize=12)
     axes.invert_yaxis()

@@ -1,0 +1,37 @@
+"""Thumbnails show the objects of a view close up, all of them."""
+
+import io
+
+import numpy as np
+import pytest
+from drawn_tables import Can, draw
+from PIL import Image
+
+from halfseen.perception import perceive
+from halfseen.perception.picture import COLOURS, DOTS_PER_INCH, THUMBNAIL_INCHES, thumbnail
+
+
+def pixels_of(view):
+    with Image.open(io.BytesIO(thumbnail(view))) as image:
+        return np.asarray(image.convert("RGB"), dtype=float) / 255.0
+
+
+def is_colour(pixels, place):
+    wanted = np.array([int(COLOURS[place][k : k + 2], 16) for k in (1, 3, 5)]) / 255.0
+    return np.abs(pixels - wanted).max(axis=-1) < 0.02
+
+
+@pytest.mark.parametrize("places_m", [[(0.0, 0.0)], [(-0.2, 0.0), (0.2, 0.1)], [(0.0, -0.15), (0.02, 0.2)]])
+def test_all_objects_are_within_the_frame_and_fill_it(places_m):
+    view = perceive(draw(*(Can(*place) for place in places_m)).cloud)
+    pixels = pixels_of(view)
+    assert pixels.shape[:2] == (THUMBNAIL_INCHES[1] * DOTS_PER_INCH, THUMBNAIL_INCHES[0] * DOTS_PER_INCH)
+    outlines = np.logical_or.reduce([is_colour(pixels, place) for place in range(len(places_m))])
+    rows, columns = np.nonzero(outlines)
+    assert 0 < rows.min() and rows.max() < pixels.shape[0] - 1
+    assert 0 < columns.min() and columns.max() < pixels.shape[1] - 1
+    assert max(np.ptp(rows) / pixels.shape[0], np.ptp(columns) / pixels.shape[1]) > 0.75
+
+
+def test_an_empty_table_has_a_thumbnail():
+    assert pixels_of(perceive(draw().cloud)).std() > 0.0
