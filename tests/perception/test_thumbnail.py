@@ -27,10 +27,10 @@ def test_all_objects_are_within_the_frame_and_fill_it(places_m):
     pixels = pixels_of(view)
     assert pixels.shape[:2] == (THUMBNAIL_INCHES[1] * DOTS_PER_INCH, THUMBNAIL_INCHES[0] * DOTS_PER_INCH)
     outlines = np.logical_or.reduce([is_colour(pixels, place) for place in range(len(places_m))])
-    rows, columns = np.nonzero(outlines)
-    assert 0 < rows.min() and rows.max() < pixels.shape[0] - 1
-    assert 0 < columns.min() and columns.max() < pixels.shape[1] - 1
-    assert max(np.ptp(rows) / pixels.shape[0], np.ptp(columns) / pixels.shape[1]) > 0.75
+    inner = outlines[1:-1, 1:-1]
+    assert inner.sum() == outlines.sum()
+    extents = [np.ptp(each) / size for each, size in zip(np.nonzero(outlines), outlines.shape, strict=True)]
+    assert max(extents) > 0.75
 
 
 def test_an_empty_table_has_a_thumbnail():
