@@ -11,6 +11,7 @@ import click
 import pytest
 
 import halfseen
+from axe import PAGES, faults_of, in_browser
 from halfseen import cli
 
 DOCS = Path(__file__).parent.parent.parent / "docs"
@@ -110,3 +111,14 @@ def test_every_verb_has_a_page_with_all_its_options(built):
 @pytest.mark.slow
 def test_no_reference_shows_a_line_break_as_two_characters(built):
     assert [page.name for page in (built / "reference").rglob("*.html") if "\\n" in page.read_text("utf-8")] == []
+
+
+@in_browser
+@pytest.mark.slow
+@PAGES
+def test_everybody_can_read_the_pages(built, width_px, scheme):
+    guide, reference = sorted((built / "guide").glob("*.html")), sorted((built / "reference").rglob("*.html"))
+    others = sorted(built.glob("*.html"))
+    # One page of the reference is built as another.
+    pages = [*others, *guide, *reference] if scheme == "light" else [*others, *guide, *reference[::8]]
+    assert faults_of(pages, width_px, scheme) == []

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from tiny import SETTING, TINY
 
+from axe import PAGES, faults_of, in_browser
 from halfseen.cell.calibration.shipped import shipped_law
 from halfseen.errors import ArgumentError
 from halfseen.study.laws import under
@@ -178,3 +179,10 @@ def test_experiments_are_chosen_by_name():
 def test_a_design_that_contradicts_itself_is_refused(make, message):
     with pytest.raises(ArgumentError, match=message):
         make()
+
+
+@in_browser
+@pytest.mark.slow
+@PAGES
+def test_everybody_can_read_the_page(study_folder, width_px, scheme):
+    assert faults_of([study_folder / "report.html"], width_px, scheme) == []

@@ -60,6 +60,10 @@ class Tab:
             "Emulation.setDeviceMetricsOverride", width=width_px, height=height_px, deviceScaleFactor=1, mobile=False
         )
 
+    def prefer(self, scheme):
+        """Ask for a light or a dark page."""
+        self._call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+
     def open(self, url):
         self._call("Page.navigate", url=url)
 
