@@ -8,8 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
+from scipy.special import expit
 
-from halfseen.arrays import Points
+from halfseen.arrays import Points, Rows
+from halfseen.cell.luck import luck_of_table, luck_of_washing
 from halfseen.cell.stops import StoppedError
 from halfseen.cell.table_state import Belief, rows_of, state_of
 from halfseen.cell.workcell import Attempt, Workcell
@@ -36,6 +38,8 @@ class Run:
     ----------
     reward
         Sum of the rewards [-].
+    luck
+        Part of it that was the luck of which cups were dirty (`luck`) [-].
     seconds
         On the cell's clock [s].
     verbs, failures
@@ -50,6 +54,7 @@ class Run:
     """
 
     reward: float = 0.0
+    luck: float = 0.0
     seconds: float = 0.0
     verbs: dict[str, int] = field(default_factory=dict)
     failures: dict[str, int] = field(default_factory=dict)
@@ -129,6 +134,9 @@ def play(
             if all(known.is_gone for known in cell.memory.objects):
                 break
             state, rows = state_of(cell.memory, belief, config.horizon - step), rows_of(cell.memory, belief)
+            chances = chances_of(rows)
+            if step == 0:
+                run.luck = luck_of_table(int(is_dirty.sum()), len(is_dirty), chances, config)
             if tells_truth:
                 truth.add_to(rows, cell)
             drawn_from = jax.random.fold_in(key, step)
@@ -136,7 +144,7 @@ def play(
             _count(run.verbs, verb.name)
             action = int(ActionSpace(state.num_objects).encode(int(verb), target))
             on_decision(Moment(step + 1, state, action, _in_words(verb, target, rows), drawn_from))
-            reward = _acted(cell, truth, verb, target, config, run)
+            reward = _acted(cell, truth, verb, target, chances, config, run)
             is_over = verb is Verb.FINISH or step + 1 == config.horizon or truth.is_cleared(cell)
             if is_over:
                 reward += float(config.reward_dirty_left) * truth.num_dirty_left
@@ -174,14 +182,21 @@ def _decide(policy: Policy, state: TableState, key: Array):
     return policy.decide(state, key)
 
 
+def chances_of(rows: list[dict[str, Any]]) -> Rows:
+    """P(DIRTY) of the objects of a stage."""
+    return expit(np.array([row["log_odds"] for row in rows], dtype=float))
+
+
 def _in_words(verb: Verb, target: int, rows: list[dict[str, Any]]) -> str:
     if verb is Verb.FINISH:
         return "FINISH: nothing is worth another step"
-    chance = 1.0 / (1.0 + np.exp(-rows[target]["log_odds"]))
+    chance = chances_of(rows)[target]
     return f"{verb.name} object {target}: dirty with probability {chance:.2f}, {rows[target]['occlusion']:.0%} hidden"
 
 
-def _acted(cell: Workcell, truth: "Truth", verb: Verb, target: int, config: WorldConfig, run: Run) -> float:
+def _acted(
+    cell: Workcell, truth: "Truth", verb: Verb, target: int, chances: Rows, config: WorldConfig, run: Run
+) -> float:
     """Do it, and say what it earned."""
     begin_s = cell.cell.time_s
     if verb is Verb.FINISH:
@@ -193,6 +208,7 @@ def _acted(cell: Workcell, truth: "Truth", verb: Verb, target: int, config: Worl
     if verb is Verb.LIFT:
         return float(config.reward_lift_per_s) * (cell.cell.time_s - begin_s)
     washed = truth.newly_racked(cell)
+    run.luck += luck_of_washing(washed, float(chances[target]), config)
     earned = [float(config.reward_wash_dirty if dirty else config.reward_wash_clean) for dirty in washed]
     return sum(earned) if earned else float(config.reward_wash_failed)
 

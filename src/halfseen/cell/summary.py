@@ -37,8 +37,13 @@ class Summary:
         Mean of a table, cut ones stood for by those that were not; None where fewer than two were not cut.
     predicted
         What the simulated world gives for the same tables, as they looked at first.
+    luck
+        How much of the reward was the luck of which cups were dirty (`luck`): near 0 where P(DIRTY) is calibrated; None
+        as `reward`.
+    without_luck
+        Reward without that luck, which is better known; None as `reward`.
     gap
-        Of the reward in physics from what was predicted, table by table; None as `reward`.
+        Of the reward without luck from what was predicted, table by table; None as `reward`.
     seconds
         Mean on the cell's clock [s].
     counts
@@ -48,6 +53,8 @@ class Summary:
     """
 
     reward: Estimate | None
+    luck: Estimate | None
+    without_luck: Estimate | None
     predicted: Estimate
     gap: Estimate | None
     seconds: float
@@ -78,12 +85,15 @@ def summarised(
         Of the intervals.
     """
     seen = [run for run in runs if run.is_seen]
-    rewards, weights = np.array([run.reward for run in seen]), _weights(seen)
+    rewards, luck = (np.array([getattr(run, name) for run in seen]) for name in ("reward", "luck"))
+    weights = _weights(seen)
     foretold = predicted(scenes_of(logs), policy, config, seed)
     return Summary(
         reward=_mean(rewards, weights, level),
+        luck=_mean(luck, weights, level),
+        without_luck=_mean(rewards - luck, weights, level),
         predicted=estimate_of(foretold, len(foretold), level),
-        gap=_mean(rewards - foretold, weights, level),
+        gap=_mean(rewards - luck - foretold, weights, level),
         seconds=float(np.mean([run.seconds for run in runs])),
         counts={name: sum(getattr(run, name) for run in runs) for name in _COUNTS},
         verbs=_added(run.verbs for run in runs),

@@ -168,8 +168,10 @@ def _lines(report: dict[str, Any]) -> list[str]:
         f"{report['folder']}: {report['sentence']}",
         "",
         f"reward in physics   {told(report['reward'])}",
+        f"  by luck           {told(report['luck'])}: which cups were dirty, beyond what was believed",
+        f"  without luck      {told(report['without_luck'])}",
         f"foretold            {told(report['predicted'])}",
-        f"gap                 {told(report['gap'])}",
+        f"gap, without luck   {told(report['gap'])}",
         f"robot time          {report['seconds']:.0f} s a table, arm {report['arm']}",
         f"cups                {counts['num_racked']} of {counts['num_cups']} in the rack, {counts['num_washed']} of "
         f"{counts['num_dirty']} dirty ones; {counts['num_toppled']} toppled, {counts['num_fallen']} fell",
