@@ -33,7 +33,7 @@ COLUMNS = {
     "verdict",
     "regret": "policy num_paths cut_share regret se low high regret_share optimum repetitions",
 }
-FIGURES = ("figure1", "figure2", "figure3", "figure4", "figure5", "map", "regret")
+FIGURES = ("opening", "figure1", "figure2", "figure3", "figure4", "figure5", "map", "regret")
 MEASURED = ("decision_ms", "learning_s")
 
 

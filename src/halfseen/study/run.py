@@ -76,7 +76,7 @@ def write_results(results: StudyResults, pictures: Mapping[str, bytes], folder: 
         for name, table in tables.items():
             write_file(folder / f"{name}.csv", table.to_csv(index=False, lineterminator="\n"))
     for section in results.sections.values():
-        for drawing in section.drawings:
+        for drawing in filter(None, (section.opening, *section.drawings)):
             for kind in ("svg", "png"):
                 picture = drawn(partial(drawing.draw, drawing.title), kind)
                 write_file(folder / f"{drawing.name}.{kind}", picture)

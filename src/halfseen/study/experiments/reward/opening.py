@@ -3,6 +3,7 @@
 Points are counted above leaving a table as it is: what FINISH at once costs for the dirty objects left, in expectation.
 """
 
+import textwrap
 from functools import partial
 from typing import NamedTuple
 
@@ -19,6 +20,7 @@ from halfseen.study.frames import row_of
 from halfseen.study.policies import LEARNED, Contender
 
 _WIDTH_IN, _BAR_IN = 7.2, 0.55
+_LINE_IN, _TITLE_CHARS = 0.26, 62
 
 
 class _Bar(NamedTuple):
@@ -87,7 +89,9 @@ def _bars(design: RewardDesign, figure1: pd.DataFrame, nothing: float) -> list[_
 
 
 def _draw(bars: list[_Bar], title: str) -> Figure:
-    figure = Figure(figsize=(_WIDTH_IN, 0.75 + _BAR_IN * len(bars)), layout="constrained")
+    lines = textwrap.wrap(title, _TITLE_CHARS)
+    height_in = 0.75 + _BAR_IN * len(bars) + _LINE_IN * len(lines)
+    figure = Figure(figsize=(_WIDTH_IN, height_in), layout="constrained")
     axes = figure.add_subplot()
     for place, bar in enumerate(bars):
         axes.barh(place, bar.mean, height=0.62, color=bar.who.colour)
@@ -104,5 +108,5 @@ def _draw(bars: list[_Bar], title: str) -> Figure:
     axes.tick_params(axis="y", length=0)
     axes.spines["left"].set_visible(False)
     if title:
-        axes.set_title(title, loc="left", fontsize=11)
+        figure.suptitle("\n".join(lines), x=0.012, ha="left", fontsize=13, fontweight="bold", linespacing=1.3)
     return figure
