@@ -103,7 +103,7 @@ def _draw(bars: list[_Bar], title: str) -> Figure:
         )  # fmt: skip
     axes.set_yticks(range(len(bars)), [bar.name for bar in bars], fontsize=12)
     axes.invert_yaxis()
-    axes.set_xlim(0.0, 1.16 * max(max(bar.high, bar.mean) for bar in bars))
+    axes.set_xlim(0.0, 1.22 * max(max(bar.high, bar.mean) for bar in bars))
     axes.set_xlabel("points won on a table, above leaving it as it is", fontsize=11)
     axes.tick_params(axis="y", length=0)
     axes.spines["left"].set_visible(False)
