@@ -14,7 +14,7 @@ from halfseen.logs import read_logs
 from halfseen.tables.grasp.inputs import checked_attempts
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "physical_cell" / "logs"
-"""Logs of 300 tables."""
+"""Logs of 700 tables."""
 
 
 def test_its_attempts_give_it_again_to_the_last_bit(tmp_path):
@@ -37,8 +37,9 @@ def test_where_a_tenth_of_the_attempts_is_the_share_that_held_is_known_to_three_
     assert all((share.high - share.low) / 2 <= 0.03 for share in full)
 
 
-def test_the_logs_of_the_cell_are_of_300_tables_of_which_some_were_cut():
+def test_the_logs_of_the_cell_are_of_700_tables_of_which_some_were_cut():
     logs = read_logs(EXAMPLE)
-    assert logs.num_paths == 300
+    # At one table no object was in view before it was cut, so that nothing was decided.
+    assert logs.num_paths == 699
     assert 0.3 < logs.summary().cut_share < 0.6
     assert set(logs.paths["cause"].dropna()) == {"emergency-stop", "sensor-lost", "time-out"}
