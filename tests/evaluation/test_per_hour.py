@@ -16,12 +16,11 @@ TARGET = StatePolicy((0.1, 0.8))
 def true_duration_s(chance_b):
     """A stage lasts 2 s in the mean in state 0, and 3 s in state 1."""
     second_s = 2.5
-    first_s = sum(
+    return sum(
         0.5 * chance * (2.0 + state + (0.0 if leaves(state, action) else second_s))
         for state in (0, 1)
         for action, chance in enumerate((1.0 - chance_b[state], chance_b[state]))
     )
-    return first_s
 
 
 def test_the_logging_policy_on_uncut_logs_earns_sums_by_sums():
