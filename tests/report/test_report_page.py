@@ -1,12 +1,12 @@
 import re
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from markupsafe import Markup
+from page_reader import Reader
 from small_report import ACTIONS, CAUSE, COVARIATES, estimate, evaluation, hostile_log
 
 from halfseen.errors import ArgumentError
@@ -14,7 +14,9 @@ from halfseen.evaluation.targets import task_of
 from halfseen.learners import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.pages.drawing import MOST_MARKERS, inline_svg
+from halfseen.policies.decider import decider_of
 from halfseen.policies.folder import read_policy, write_policy
+from halfseen.policies.named_decider import NamedObservation
 from halfseen.report import content as content_module
 from halfseen.report import findings as found_in
 from halfseen.report.findings import find
@@ -27,7 +29,6 @@ from halfseen.report.watched_figure import draw_watched
 from small_logs import table_log
 
 SECTIONS = ("value", "log", "weights", "policy", "unknown", "again")
-EMPTY = {"meta", "br"}
 
 
 @pytest.fixture(scope="module")
@@ -67,41 +68,11 @@ def page(findings):
     return page_of(findings, "halfseen report 'a <b>' policy --seed 1")
 
 
-class Reader(HTMLParser):
-    """Balance of tags, ids, and the words that are read."""
-
-    def __init__(self, page):
-        super().__init__()
-        self.open, self.ids, self.links, self.tags, self.words = [], [], [], [], []
-        self.feed(page)
-        self.close()
-        assert self.open == []
-
-    def handle_starttag(self, tag, attributes):
-        given = dict(attributes)
-        self.tags.append(tag)
-        self.ids += [given["id"]] if "id" in given else []
-        self.links += [given[name] for name in ("href", "src") if name in given]
-        if tag not in EMPTY:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag, attributes):
-        self.handle_starttag(tag, attributes)
-        if tag not in EMPTY:
-            self.open.pop()
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        if not {"style", "svg"} & set(self.open) or "title" in self.open:
-            self.words.append(data)
-
-
-def test_every_section_and_figure_is_there_and_the_answer_comes_first(page):
+def test_every_section_and_figure_is_there_and_the_answer_comes_first(page, findings):
     read = Reader(page)
     assert [name for name in read.ids if name in SECTIONS] == list(SECTIONS)
-    assert read.tags.count("svg") == 5
+    # Values, paths along time, Ĝ, three of the weights, choices, Q, and maps of the stages that have states enough.
+    assert read.tags.count("svg") == 8 + len(findings.policy.maps) > 8
     text = " ".join("".join(read.words).split())
     first = "The learned policy is better than the logging policy: it earns <this> much."
     assert text.index(first) < text.index("What it is worth")
@@ -121,14 +92,15 @@ def test_the_answer_names_the_opponent_once(verdict):
     reason = "it earns between -1 and 2 more a path than the logging policy; if it is 1, twice as many paths would tell"
     said, remedy = answer(replace(evaluation(verdict), reason=reason))
     assert said.count("the logging policy") == 1
-    assert said.endswith(": it earns between -1 and 2 more a path.")
+    assert said.endswith(": it earns between −1 and 2 more a path.")
     assert remedy == "If it is 1, twice as many paths would tell."
 
 
 def test_the_page_stands_alone(page):
     read = Reader(page)
-    assert all(link.startswith("#") for link in read.links)
-    assert {link[1:] for link in read.links} <= set(read.ids)
+    inner = [link for link in read.links if not link.startswith("data:image/png;base64,")]
+    assert all(link.startswith("#") for link in inner)
+    assert {link[1:] for link in inner} <= set(read.ids)
     assert len(set(read.ids)) == len(read.ids)
     assert not {"script", "link", "iframe"} & set(read.tags)
     assert "http" not in page
@@ -243,7 +215,8 @@ def test_a_policy_of_tables_is_told_by_its_verbs(tmp_path, monkeypatch):
     assert set(told.policy.choices[0]["logged"]) == {"FINISH", "WASH", "LIFT"}
     assert sum(told.policy.choices[0]["logged"].values()) == pytest.approx(1.0)
     read = Reader(page_of(told, "x"))
-    assert read.tags.count("svg") == 4
+    assert told.policy.maps == []
+    assert read.tags.count("svg") == 7 + len(told.policy.table_map.share if told.policy.table_map else ())
     assert "who hides whom" in "".join(read.words)
 
 
@@ -290,3 +263,20 @@ def test_a_policy_from_other_logs_has_no_bands(stored):
     curves, band = q_curves(stored, hostile_log(seed=9), 2, 0)
     assert band is None
     assert {curve.low for curve in curves} == {None}
+
+
+def test_a_policy_that_knows_its_errors_has_their_bands_on_other_logs(logs, tmp_path):
+    learner = CensoredQLearner(2, ACTIONS, COVARIATES, reg=0.1, stages="pooled", pessimism=1.0).fit(logs)
+    write_policy(learner, logs, tmp_path / "policy")
+    stored = read_policy(tmp_path / "policy")
+    other = hostile_log(seed=9)
+    curves, band = q_curves(stored, other, 2, 0, is_own_log=False)
+    assert band == "regression"
+    curve = curves[0]
+    at = pd.DataFrame([other.stages.loc[other.stages["stage"] == 1, COVARIATES].median()]).assign(
+        **{COVARIATES[0]: curve.values[:1]}
+    )
+    decision = decider_of(stored, extrapolates=True).decide(NamedObservation(at, 1))
+    for name in ACTIONS:
+        assert (curve.low[name][0], curve.high[name][0]) == pytest.approx(decision.intervals[name])
+        assert np.all(curve.low[name] < curve.q[name])

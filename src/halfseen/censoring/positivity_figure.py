@@ -15,6 +15,8 @@ from halfseen.censoring.positivity_text import verdict
 INK, FAINT, TAIL_COLOUR = "#222222", "#8a8a8a", "#f3e3d3"
 # Okabe and Ito (2008).
 WEIGHT_COLOUR, CUT_COLOUR = "#0072B2", "#D55E00"
+CUT_INK = "#a84a00"
+"""The same for letters, which need more contrast."""
 SIZE_INCHES = (12.0, 4.2)
 PANEL_INCHES, TALL_INCHES = (4.1, 3.25), (4.1, 6.75)
 """Of one panel alone; the weights over time have more to show."""
@@ -129,7 +131,7 @@ def _draw_size(axes: Axes, facts: PositivityFacts, title_chars: int = 42) -> Non
             fontsize=8.5,
         )
     axes.set_ylim(0, 1.15 * max(*sizes, FEWEST_EFFECTIVE, facts.num_finished))
-    axes.text(bounds[-1], FEWEST_EFFECTIVE, "below 10: too few", ha="left", va="bottom", fontsize=8.5, color=CUT_COLOUR)
+    axes.text(bounds[-1], FEWEST_EFFECTIVE, "below 10: too few", ha="left", va="bottom", fontsize=8.5, color=CUT_INK)
     _bound_axis(axes, bounds)
     axes.set_ylabel("effective sample size [paths]")
     shown = "Effective sample size of the finishes; in per cent, the weight that the bound takes away"

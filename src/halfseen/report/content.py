@@ -18,6 +18,7 @@ from halfseen.report.curves_figure import draw_curves
 from halfseen.report.findings import Findings, PolicyFindings
 from halfseen.report.map_figure import draw_map
 from halfseen.report.opponents import gains_of, shares_of, values_of
+from halfseen.report.table_map_figure import draw_table_map
 from halfseen.report.timeline_figure import draw_timeline
 from halfseen.report.units import labelled
 from halfseen.report.values_figure import draw_values
@@ -74,6 +75,9 @@ def _drawings(findings: Findings, colours: dict[str, str]) -> dict[str, Drawing]
         drawings["choices"] = sentences.choices_title(policy.choices), [partial(draw_choices, policy.choices)]
     if policy.maps:
         drawings["map"] = sentences.map_title(policy.maps), [partial(draw_map, one, colours) for one in policy.maps]
+    if policy.table_map is not None:
+        verbs = [partial(draw_table_map, policy.table_map, verb) for verb in policy.table_map.share]
+        drawings["map"] = sentences.table_map_title(policy.table_map), verbs
     if policy.curves:
         is_cautious = bool(policy.record["learner"].get("pessimism"))
         draw = partial(draw_curves, policy.curves, colours, findings.unit)
@@ -121,7 +125,9 @@ def _value_rows(policy: PolicyFindings) -> list[dict[str, Any]]:
     evaluation = policy.evaluation
     shares, hourly = shares_of(evaluation), evaluation.per_hour
     own = None if hourly is None or hourly.logging is None else hourly.logging.per_hour
-    ours = None if hourly is None or hourly.policy is None else hourly.policy.per_hour
+    ours, share = None if hourly is None or hourly.policy is None else hourly.policy.per_hour, evaluation.share
+    if not sentences.is_believed(evaluation):
+        ours = share = None
     rows = [
         _value_row(name, value, "had nothing been cut", shares[name], own if k == 0 else None)
         for k, (name, value) in enumerate(values_of(evaluation).items())
@@ -129,7 +135,7 @@ def _value_rows(policy: PolicyFindings) -> list[dict[str, Any]]:
     best = "weights and model together, right if one is; read this one"
     return [
         *rows,
-        _value_row("learned, doubly robust", evaluation.doubly_robust, best, evaluation.share, ours),
+        _value_row("learned, doubly robust", evaluation.doubly_robust, best, share, ours),
         _value_row(
             "learned, importance sampling", evaluation.importance_sampling, "paths that did as the policy would"
         ),

@@ -5,7 +5,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
-from typing import Any
+from typing import Any, NamedTuple
 
 import halfseen
 from halfseen.censoring.positivity import PositivityReport
@@ -20,6 +20,7 @@ from halfseen.policies.folder.json_values import plain
 from halfseen.report.log_findings import Watched, log_findings, positivity_of, watched
 from halfseen.report.policy_findings import Band, QCurve, choices, most_telling, q_curves, telling
 from halfseen.report.policy_map import PolicyMap, policy_maps
+from halfseen.report.table_map import TableMap, table_map
 from halfseen.report.timeline import UNKNOWN_ACTION, Timeline, timeline
 
 ASKED = {"censoring_covariates": "covariates", "truncate_at": "truncate_at"}
@@ -32,8 +33,8 @@ class PolicyFindings:
     """What is known of a policy, by a log.
 
     `choices` are what it would do in the states of the log, `curves` Q along its covariates with `band` around it, and
-    `maps` what it does over two of them (neither for tables); `model` says how its value was judged, and `is_own_log`
-    whether it was learned from this very log.
+    `maps` what it does over two of them (neither for tables, which have a `table_map`). `model` says how its value was
+    judged, and `is_own_log` whether it was learned from this very log.
     """
 
     record: Mapping[str, Any]
@@ -41,6 +42,7 @@ class PolicyFindings:
     curves: list[QCurve]
     band: Band | None
     maps: list[PolicyMap]
+    table_map: TableMap | None
     evaluation: Evaluation
     model: Mapping[str, Any]
     is_own_log: bool
@@ -120,7 +122,8 @@ def find(
         judged = None
         if stored is not None:
             is_own = stored.record["log"].get("sha256") in (digest, None)
-            judged = _judged(stored, logs, against, propensity, seed, num_replicates, is_own, on_progress, chosen)
+            asked = _Asked(against, propensity, seed, num_replicates, is_own, chosen)
+            judged = _judged(stored, logs, asked, on_progress)
         on_progress("look at the log")
         positivity = positivity_of(logs)
         log = log_findings(logs, positivity)
@@ -142,37 +145,40 @@ def find(
     )
 
 
-def _judged(
-    stored: StoredPolicy,
-    logs: Logs,
-    against: list[str] | None,
-    propensity: str,
-    seed: int,
-    num_replicates: int,
-    is_own: bool,
-    on_progress: Callable[[str], object],
-    chosen: Mapping[str, Any],
-) -> PolicyFindings:
+class _Asked(NamedTuple):
+    """How a policy is to be judged."""
+
+    against: list[str] | None
+    propensity: str
+    seed: int
+    num_replicates: int
+    is_own_log: bool
+    """Whether the policy may have been learned from this very log."""
+    chosen: Mapping[str, Any]
+
+
+def _judged(stored: StoredPolicy, logs: Logs, asked: _Asked, on_progress: Callable[[str], object]) -> PolicyFindings:
     on_progress("evaluate")
-    spec = specification_of(stored, logs, **chosen)
+    spec = specification_of(stored, logs, **asked.chosen)
     task = (spec.q and spec.q.task) or task_of(stored.policy, logs)
-    options: Any = {"against": against, "propensity": propensity, "random_state": seed, "is_hourly": True}
-    evaluation = evaluate(stored.policy, logs, censoring=spec.censoring, q=spec.q, **options)
+    options: Any = {"against": asked.against, "propensity": asked.propensity, "random_state": asked.seed}
+    evaluation = evaluate(stored.policy, logs, censoring=spec.censoring, q=spec.q, is_hourly=True, **options)
     on_progress("look at the policy")
     decided = choices(stored, task, logs)
     on_progress("learn again")
-    curves, band = q_curves(stored, logs, num_replicates, seed, is_own_log=is_own)
+    curves, band = q_curves(stored, logs, asked.num_replicates, asked.seed, is_own_log=asked.is_own_log)
     maps = policy_maps(stored.policy, logs, telling(curves)) if isinstance(stored.policy, FlatPolicy) else []
-    asked = {name: getattr(spec.censoring, of, None) for name, of in ASKED.items()}
+    named = {name: getattr(spec.censoring, of, None) for name, of in ASKED.items()}
     return PolicyFindings(
         record=stored.record,
         choices=decided,
         curves=most_telling(curves),
         band=band,
         maps=maps,
+        table_map=table_map(stored.policy, task, logs) if stored.is_table else None,
         evaluation=evaluation,
-        model={"propensity": propensity, **spec.as_dict(), **asked},
-        is_own_log=is_own and stored.record["log"].get("sha256") is not None,
+        model={"propensity": asked.propensity, **spec.as_dict(), **named},
+        is_own_log=asked.is_own_log and stored.record["log"].get("sha256") is not None,
     )
 
 

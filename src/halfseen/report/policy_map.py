@@ -1,6 +1,7 @@
 """What a policy would do over the two covariates that tell most, beside what was done; and where the log has states."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -77,7 +78,7 @@ def policy_maps(policy: FlatPolicy, logs: Logs, telling: list[str]) -> list[Poli
         Covariates of numbers, those that sway the choice most first.
     """
     stages = range(1, min(MOST_STAGES, logs.horizon, policy.horizon) + 1)
-    frame = logs.stages
+    frame: Any = logs.stages
     maps = [_map_of(policy, frame[frame["stage"] == stage], stage, telling) for stage in stages]
     return [one for one in maps if one is not None and one.is_supported.mean() >= LEAST_SUPPORTED]
 
@@ -97,7 +98,7 @@ def _map_of(policy: FlatPolicy, states: pd.DataFrame, stage: int, telling: list[
     middle = middle_of(policy, states)
     at = pd.DataFrame(middle, index=range(len(grid))).assign(**dict(zip(names, grid.T, strict=True)))
     shape = (1 if up is None else len(up), len(across))
-    known = states[states["action"].notna().to_numpy()]
+    known: Any = states[states["action"].notna().to_numpy()]
     dots = _few_of(known)
     return PolicyMap(
         stage=stage,
@@ -117,7 +118,8 @@ def supported(places: Float[np.ndarray, "m d"], states: Float[np.ndarray, "n d"]
     spread = states.std(axis=0)
     if len(states) < FEWEST_NEAR:
         return np.zeros(len(places), dtype=bool)
-    farthest, _ = KDTree(states / spread).query(places / spread, k=[FEWEST_NEAR])
+    tree: Any = KDTree(states / spread)
+    farthest, _ = tree.query(places / spread, k=[FEWEST_NEAR])
     return farthest[:, 0] <= NEAR
 
 

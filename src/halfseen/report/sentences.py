@@ -9,12 +9,14 @@ import numpy as np
 from halfseen.evaluation import Evaluation
 from halfseen.evaluation.comparison import deciding
 from halfseen.evaluation.per_hour import Rate
+from halfseen.evaluation.verdict import FEWEST_PATHS
 from halfseen.pages.numbers import amount, percent, significant, with_interval
 from halfseen.pages.sentences import as_sentence, counted, listed
 from halfseen.report.findings import Findings, PolicyFindings
 from halfseen.report.log_findings import Watched
 from halfseen.report.policy_findings import QCurve
 from halfseen.report.policy_map import PolicyMap
+from halfseen.report.table_map import TableMap
 from halfseen.report.timeline import Timeline
 from halfseen.report.units import with_unit
 
@@ -134,6 +136,22 @@ def map_title(maps: list[PolicyMap]) -> str:
     return f"Over {where} the policy takes {listed(parts)} of the map of stage {first.stage}"
 
 
+def table_map_title(told: TableMap) -> str:
+    """How dirty the objects seem, and how hidden they are, to which the policy does each thing."""
+    chance = (told.chance_edges[1:] + told.chance_edges[:-1]) / 2.0
+    hidden = (told.hidden_edges[1:] + told.hidden_edges[:-1]) / 2.0
+    parts = []
+    for verb, share in told.share.items():
+        mass = np.nan_to_num(share) * told.num_objects
+        if mass.sum() > 0:
+            dirty, covered = (
+                float(mass.sum(axis=0) @ chance / mass.sum()),
+                float(mass.sum(axis=1) @ hidden / mass.sum()),
+            )
+            parts.append(f"{verb} is for objects that are dirty with {percent(dirty)} and hidden by {percent(covered)}")
+    return f"In the mean, {listed(parts)}" if parts else "The policy touches objects of no one kind"
+
+
 def timeline_title(told: Timeline, log: Mapping[str, Any]) -> str:
     """How long paths took that finished, and how long those had run that were cut."""
     if told.num_paths == 1:
@@ -153,6 +171,8 @@ def timeline_title(told: Timeline, log: Mapping[str, Any]) -> str:
 
 def standing(evaluation: Evaluation) -> str:
     """What the policy earns, in per cent of what is earned today, and in an hour; "" where only the value is known."""
+    if not is_believed(evaluation):
+        return ""
     share, unit = evaluation.share, evaluation.reward_unit
     hourly = evaluation.per_hour
     parts = []
@@ -167,6 +187,11 @@ def standing(evaluation: Evaluation) -> str:
         return ""
     earned = with_unit(significant(evaluation.doubly_robust.value), unit)
     return f"The best estimate is {earned} a path: {listed(parts)}."
+
+
+def is_believed(evaluation: Evaluation) -> bool:
+    """Whether enough paths follow the policy for its value to be told in other units, too."""
+    return evaluation.doubly_robust.effective_sample_size >= FEWEST_PATHS
 
 
 def _alike(value: float, other: str) -> str:
@@ -192,9 +217,10 @@ def duration_words(policy: PolicyFindings) -> str:
     hourly = policy.evaluation.per_hour
     if hourly is None or hourly.policy is None or hourly.logging is None:
         return ""
+    ours = f"{_seconds(hourly.policy)} with the learned policy and " if is_believed(policy.evaluation) else ""
     return (
-        f"A path takes {_seconds(hourly.policy)} with the learned policy and {_seconds(hourly.logging)} with the "
-        "logging policy, in the mean and had nothing been cut; what passes between two paths is not counted."
+        f"A path takes {ours}{_seconds(hourly.logging)} with the logging policy, in the mean and had nothing been cut; "
+        "what passes between two paths is not counted."
     )
 
 

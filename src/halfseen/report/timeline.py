@@ -92,7 +92,7 @@ def _evenly(paths: Int[np.ndarray, " k"], num: int) -> Int[np.ndarray, " r"]:
 def _stages_of(logs: Logs, paths: Int[np.ndarray, " r"]) -> Any:
     """Stages of these paths, with the row of each, and when it began and ended [s]."""
     row = pd.Series(np.arange(len(paths)), index=logs.path_ids[paths])
-    is_drawn = logs.stages["path"].isin(row.index)
+    is_drawn = logs.stages["path"].isin(list(row.index))
     stages: Any = logs.stages[is_drawn]
     own = stages["path"].map(row).to_numpy()
     end_s, is_completed = logs.end_s[paths][own], stages["elapsed_s"].notna().to_numpy()
