@@ -231,36 +231,40 @@ def _seconds(rate: Rate) -> str:
 
 def log_answer(findings: Findings) -> tuple[str, str, str]:
     """Of a log alone: whether all is well with it, in one word and its class; and what it holds, in a sentence."""
-    log, doubts = findings.log, len(findings.log["suspicions"])
-    is_sound = findings.positivity.is_sound and not doubts
-    held = counted(log["num_paths"], "path")
-    if log["num_cut"]:
-        cut = f"{percent(log['cut_share'])} were cut" if log["num_paths"] > 1 else "it was cut"
-        if not log["num_finished"]:
-            cut = "all were cut" if log["num_paths"] > 1 else "it was cut"
-        by = log["cuts"][0]
-        most = f"by {by['cause']}" if by["share"] == 1 else f"most often by {by['cause']}"
-        held = f"{held}: {cut}, {most}"
-    else:
-        held = f"{held}, none of them cut" if log["num_paths"] > 1 else f"{held}, which was not cut"
-    weights = "what was seen can stand for what the cuts took away" if log["num_cut"] else "every path counts once"
-    if not findings.positivity.is_sound:
-        weights = "what was seen stands badly for what the cuts took away"
-    wrong = (
-        f"; {counted(doubts, 'thing')} {'looks' if doubts == 1 else 'look'} wrong"
-        if doubts
-        else "; nothing looks wrong"
-    )
-    return (
-        ("sound", "supported", f"{held}; {weights}{wrong}.")
-        if is_sound
-        else ("look first", "cannot", f"{held}; {weights}{wrong}.")
-    )
+    doubts = len(findings.log["suspicions"])
+    is_well = findings.positivity.is_sound and not doubts
+    wrong = "nothing looks wrong"
+    if doubts:
+        wrong = f"{counted(doubts, 'thing')} {'looks' if doubts == 1 else 'look'} wrong"
+    badge = ("sound", "supported") if is_well else ("look first", "cannot")
+    return (*badge, f"{_held(findings.log)}; {_weights_words(findings)}; {wrong}.")
+
+
+def _held(log: Mapping[str, Any]) -> str:
+    """How many paths there are, and how many of them what cut."""
+    held, is_one = counted(log["num_paths"], "path"), log["num_paths"] == 1
+    if not log["num_cut"]:
+        return f"{held}, which was not cut" if is_one else f"{held}, none of them cut"
+    main = log["cuts"][0]
+    by = f"by {main['cause']}" if main["share"] == 1 else f"most often by {main['cause']}"
+    if is_one:
+        return f"{held}: it was cut, {by}"
+    return f"{held}: {percent(log['cut_share']) if log['num_finished'] else 'all'} were cut, {by}"
+
+
+def _weights_words(findings: Findings) -> str:
+    """Whether what was seen can stand for the rest."""
+    is_sound = findings.positivity.is_sound
+    if not findings.log["num_cut"]:
+        return "every path counts once" if is_sound else "every path counts once, and they are few"
+    return f"what was seen {'can stand' if is_sound else 'stands badly'} for what the cuts took away"
 
 
 def answer_of(findings: Findings) -> str:
     """The sentence that the page opens with, for a terminal."""
-    return log_answer(findings)[2] if findings.policy is None else findings.policy.evaluation.sentence
+    if findings.policy is not None:
+        return findings.policy.evaluation.sentence
+    return log_answer(findings)[2].replace("\u00a0", " ")
 
 
 def notes(findings: Findings) -> list[str]:
