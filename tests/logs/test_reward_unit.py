@@ -60,15 +60,21 @@ def test_a_log_without_a_unit_is_what_it_was(tmp_path):
     assert logs.reward_unit is None
 
 
-@pytest.mark.parametrize("unit", ["", "  ", "two\nlines", 3, "x" * 25, ["parts"]])
+TEXTS = ["", "  ", "two\nlines", "x" * 25]
+
+
+@pytest.mark.parametrize("unit", TEXTS)
 def test_what_is_no_short_text_is_refused_in_one_line(unit, tmp_path):
-    logs = flat_log(num_paths=4)
     with pytest.raises(LogError, match=r"reward_unit is .*; give a text of one line") as told:
-        logs.in_unit(unit)
+        flat_log(num_paths=4).in_unit(unit)
     assert "\n" not in str(told.value)
     with pytest.raises(LogError, match="reward_unit is"):
         LogRecorder(tmp_path / "recorded", reward_unit=unit)
-    logs.write(tmp_path / "logs")
+
+
+@pytest.mark.parametrize("unit", [*TEXTS, 3, ["parts"]])
+def test_a_manifest_whose_unit_is_no_short_text_is_refused(unit, tmp_path):
+    flat_log(num_paths=4).write(tmp_path / "logs")
     manifest = tmp_path / "logs" / "logs.json"
     manifest.write_text(json.dumps(json.loads(manifest.read_text()) | {"reward_unit": unit}))
     with pytest.raises(LogError, match=r"logs.json: reward_unit is"):

@@ -236,8 +236,8 @@ def log_answer(findings: Findings) -> tuple[str, str, str]:
     wrong = "nothing looks wrong"
     if doubts:
         wrong = f"{counted(doubts, 'thing')} {'looks' if doubts == 1 else 'look'} wrong"
-    badge = ("sound", "supported") if is_well else ("look first", "cannot")
-    return (*badge, f"{_held(findings.log)}; {_weights_words(findings)}; {wrong}.")
+    badge, kind = ("sound", "supported") if is_well else ("look first", "cannot")
+    return badge, kind, f"{_held(findings.log)}; {_weights_words(findings)}; {wrong}."
 
 
 def _held(log: Mapping[str, Any]) -> str:
