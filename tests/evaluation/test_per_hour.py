@@ -115,8 +115,9 @@ def test_a_clock_that_tells_nothing_is_said_to(of_stage, why):
     assert found.logging is None
 
 
-def test_rewards_that_are_times_have_no_rate():
+@pytest.mark.parametrize("scale", [1.0, 1.0 / 86400.0])
+def test_rewards_that_are_times_have_no_rate(scale):
     logs = trial(1)
     before = logs.stages.groupby("path")["elapsed_s"].shift(fill_value=0.0)
-    times = Logs(logs.stages.assign(reward=logs.stages["elapsed_s"] - before), logs.paths)
+    times = Logs(logs.stages.assign(reward=scale * (logs.stages["elapsed_s"] - before)), logs.paths)
     assert "is its duration" in evaluate(TARGET, times, **specified(), is_hourly=True).per_hour.why_unknown

@@ -100,6 +100,6 @@ def why_no_rate(paths: PathArrays) -> str | None:
         return "stages take no time on the clock of these logs"
     if len(took_s) > 1 and np.ptp(took_s) <= SAME_TIME * took_s.max():
         return "all stages take the same time, so the clock of these logs seems to count stages"
-    if np.allclose(reward, took_s):
-        return "the reward of a stage is its duration"
+    if np.allclose(reward * took_s.sum(), took_s * reward.sum(), rtol=1e-6, atol=0.0):
+        return "the reward of a stage is its duration, in whatever unit"
     return None

@@ -165,8 +165,9 @@ def timeline_title(told: Timeline, log: Mapping[str, Any]) -> str:
     if not log["cuts"]:
         return done
     cut = log["cuts"][0]
-    stopped = "those" if len(log["cuts"]) == 1 else "of those that were cut, those"
-    return f"{done}; {stopped} that {cut['cause']} cut had run for {significant(cut['median_s'])}\u00a0s in the median"
+    which = "that were cut" if len(log["cuts"]) == 1 else "with the most frequent cause of cuts"
+    ran = f"had run for {significant(cut['median_s'])}\u00a0s or less"
+    return f"{done}; half of those {which}, {cut['cause']}, {ran}"
 
 
 def standing(evaluation: Evaluation) -> str:
