@@ -2,10 +2,22 @@
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 import pandas as pd
-from cell_parts import ACTIONS, ACTIONS_ALL, COVARIATES, GRIPPERS, HAND_OVER, HORIZON, RATE, attempt, new_parts
+from cell_parts import (
+    ACTIONS,
+    ACTIONS_ALL,
+    COVARIATES,
+    GRIPPERS,
+    HAND_OVER,
+    HORIZON,
+    RATE,
+    REWARD_UNIT,
+    attempt,
+    new_parts,
+)
 from jaxtyping import Float, Int
 
 from halfseen.logs import LogRecorder, Logs, read_logs
@@ -75,7 +87,8 @@ def simulate(num_paths: int, seed: int, is_cut: bool = True, rate: float = RATE)
         goes_on = ~ends
         path, clock = path[goes_on], end[goes_on]
         parts = parts.assign(clutter=outcome.clutter).loc[goes_on].reset_index(drop=True)
-    return Logs(pd.concat(stages, ignore_index=True), pd.concat(paths, ignore_index=True))
+    tables: Any = (pd.concat(each, ignore_index=True) for each in (stages, paths))
+    return Logs(*tables, reward_unit=REWARD_UNIT)
 
 
 def record(folder: Path, num_paths: int, seed: int) -> None:
@@ -85,7 +98,7 @@ def record(folder: Path, num_paths: int, seed: int) -> None:
     """
     rng = np.random.default_rng(seed)
     with TemporaryDirectory() as journal:
-        with LogRecorder(journal) as recorder:
+        with LogRecorder(journal, reward_unit=REWARD_UNIT) as recorder:
             for _ in range(num_paths):
                 _record_one(recorder, rng)
         read_logs(journal).write(folder, overwrite=True)

@@ -161,6 +161,7 @@ BREAKS = {
         file("objects.parquet", lambda old: b"not Parquet at all"),
     ],
     "F09": [manifest(rows={"stages": 6, "paths": 3, "objects": 10})],
+    "F10": [manifest(reward_unit=" "), manifest(reward_unit="two\nlines"), manifest(reward_unit="x" * 25)],
     "C01": [
         *(renamed("stages", name, "x") for name in ("path", "stage", "elapsed_s", "action", "reward")),
         *(renamed("paths", name, "x") for name in ("path", "end_s", "ending")),

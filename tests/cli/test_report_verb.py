@@ -71,6 +71,43 @@ def test_the_page_is_against_whom_it_is_told(folder, tmp_path):
     assert f"--against {shlex.quote(sequence)} --against logging --replicates 4" in page
 
 
+def test_without_a_policy_the_page_is_of_the_log(folder, tmp_path):
+    told = run(folder / "logs", "--out", tmp_path / "a.html", "--unit", "parts")
+    answer, place = told.stdout.splitlines()
+    assert answer.startswith("24 paths: ")
+    assert place == f"The page: {tmp_path / 'a.html'}"
+    page = (tmp_path / "a.html").read_text()
+    assert f"halfseen report {folder / 'logs'} --unit parts --seed 0" in page
+    assert "Rewards are in parts." in page
+    numbers = json.loads(run(folder / "logs", "--out", tmp_path / "b.html", "--unit", "parts", "--json").stdout)
+    assert "policy_folder" not in numbers
+    assert numbers["log"]["reward_unit"] == "parts"
+    assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()
+
+
+def test_what_is_said_of_a_policy_needs_one(folder, tmp_path):
+    for option in (
+        ("--against", "logging"),
+        ("--censoring", "cox"),
+        ("--replicates", 7),
+        ("--propensity", "estimated"),
+    ):
+        result = CliRunner().invoke(
+            report, [str(folder / "logs"), "--out", str(tmp_path / "a.html"), *map(str, option)]
+        )
+        assert isinstance(result.exception, ArgumentError)
+        assert f"{option[0]} is said of a policy, and none is given" in str(result.exception)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_unit_stands_beside_every_reward(folder, tmp_path):
+    arguments = [folder / "logs", folder / "policy", "--replicates", 4, "--unit", "parts"]
+    run(*arguments, "--out", tmp_path / "a.html")
+    page = html.unescape((tmp_path / "a.html").read_text())
+    for words in ("parts", "mean reward of a path [parts]", "Q [parts]", "mean reward [parts]", "a path [parts]"):
+        assert words in page
+
+
 def test_bad_input_is_one_line_and_nothing_is_written(folder, tmp_path):
     out, there = tmp_path / "out.html", tmp_path / "there.html"
     there.write_text("mine")
@@ -81,6 +118,7 @@ def test_bad_input_is_one_line_and_nothing_is_written(folder, tmp_path):
         ((folder / "other", folder / "policy", "--out", out), LogError, "is missing"),
         ((folder / "tables", folder / "policy", "--out", out), HalfseenError, "covariate 'x<1>' is missing"),
         ((folder / "logs", folder / "policy", "--out", out, "--truncate-at", 0.5), ArgumentError, "truncate_at is 0.5"),
+        ((folder / "logs", folder / "policy", "--out", out, "--unit", "x" * 30), LogError, "reward_unit is 'xxx"),
         ((folder / "logs", folder / "policy", "--out", there), ArgumentError, "it is there already"),
         ((folder / "logs", folder / "policy", "--out", there, "--overwrite"), ArgumentError, "it is no page"),
     ]

@@ -1,12 +1,12 @@
 import re
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from markupsafe import Markup
+from page_reader import Reader
 from small_report import ACTIONS, CAUSE, COVARIATES, estimate, evaluation, hostile_log
 
 from halfseen.errors import ArgumentError
@@ -14,19 +14,21 @@ from halfseen.evaluation.targets import task_of
 from halfseen.learners import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.pages.drawing import MOST_MARKERS, inline_svg
+from halfseen.policies.decider import decider_of
 from halfseen.policies.folder import read_policy, write_policy
+from halfseen.policies.named_decider import NamedObservation
+from halfseen.report import content as content_module
 from halfseen.report import findings as found_in
-from halfseen.report import page as page_module
-from halfseen.report.figures import draw_values, draw_watched
 from halfseen.report.findings import find
 from halfseen.report.log_findings import watched
 from halfseen.report.page import MARK, page_of, write_page
 from halfseen.report.policy_findings import choices, q_curves
 from halfseen.report.sentences import answer
+from halfseen.report.values_figure import draw_values
+from halfseen.report.watched_figure import draw_watched
 from small_logs import table_log
 
 SECTIONS = ("value", "log", "weights", "policy", "unknown", "again")
-EMPTY = {"meta", "br"}
 
 
 @pytest.fixture(scope="module")
@@ -52,9 +54,13 @@ def findings(stored, logs):
         return find(stored, logs, num_replicates=4, seed=1)
 
 
+def judged_as(findings, **changed):
+    return replace(findings, policy=replace(findings.policy, **changed))
+
+
 @pytest.fixture
 def is_undrawn(monkeypatch):
-    monkeypatch.setattr(page_module, "inline_svg", lambda *_: Markup("<svg></svg>"))
+    monkeypatch.setattr(content_module, "inline_svg", lambda *_: Markup("<svg></svg>"))
 
 
 @pytest.fixture(scope="module")
@@ -62,41 +68,11 @@ def page(findings):
     return page_of(findings, "halfseen report 'a <b>' policy --seed 1")
 
 
-class Reader(HTMLParser):
-    """Balance of tags, ids, and the words that are read."""
-
-    def __init__(self, page):
-        super().__init__()
-        self.open, self.ids, self.links, self.tags, self.words = [], [], [], [], []
-        self.feed(page)
-        self.close()
-        assert self.open == []
-
-    def handle_starttag(self, tag, attributes):
-        given = dict(attributes)
-        self.tags.append(tag)
-        self.ids += [given["id"]] if "id" in given else []
-        self.links += [given[name] for name in ("href", "src") if name in given]
-        if tag not in EMPTY:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag, attributes):
-        self.handle_starttag(tag, attributes)
-        if tag not in EMPTY:
-            self.open.pop()
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        if not {"style", "svg"} & set(self.open) or "title" in self.open:
-            self.words.append(data)
-
-
-def test_every_section_and_figure_is_there_and_the_answer_comes_first(page):
+def test_every_section_and_figure_is_there_and_the_answer_comes_first(page, findings):
     read = Reader(page)
     assert [name for name in read.ids if name in SECTIONS] == list(SECTIONS)
-    assert read.tags.count("svg") == 5
+    # Values, paths along time, Ĝ, three of the weights, choices, Q, and maps of the stages that have states enough.
+    assert read.tags.count("svg") == 8 + len(findings.policy.maps) > 8
     text = " ".join("".join(read.words).split())
     first = "The learned policy is better than the logging policy: it earns <this> much."
     assert text.index(first) < text.index("What it is worth")
@@ -116,14 +92,15 @@ def test_the_answer_names_the_opponent_once(verdict):
     reason = "it earns between -1 and 2 more a path than the logging policy; if it is 1, twice as many paths would tell"
     said, remedy = answer(replace(evaluation(verdict), reason=reason))
     assert said.count("the logging policy") == 1
-    assert said.endswith(": it earns between -1 and 2 more a path.")
+    assert said.endswith(": it earns between −1 and 2 more a path.")
     assert remedy == "If it is 1, twice as many paths would tell."
 
 
 def test_the_page_stands_alone(page):
     read = Reader(page)
-    assert all(link.startswith("#") for link in read.links)
-    assert {link[1:] for link in read.links} <= set(read.ids)
+    inner = [link for link in read.links if not link.startswith("data:image/png;base64,")]
+    assert all(link.startswith("#") for link in inner)
+    assert {link[1:] for link in inner} <= set(read.ids)
     assert len(set(read.ids)) == len(read.ids)
     assert not {"script", "link", "iframe"} & set(read.tags)
     assert "http" not in page
@@ -141,7 +118,7 @@ def test_names_of_users_are_told_as_they_are_and_never_run(page):
 
 def test_what_is_no_number_is_a_dash(findings):
     nothing = replace(estimate(1.0, 0.1), value=np.nan, low=-np.inf, high=np.inf)
-    page = page_of(replace(findings, evaluation=evaluation(importance_sampling=nothing)), "x")
+    page = page_of(judged_as(findings, evaluation=evaluation(importance_sampling=nothing)), "x")
     words = " ".join(Reader(page).words)
     assert "–" in words
     assert not re.search(r"\b(nan|inf|None)\b", words, flags=re.IGNORECASE)
@@ -151,7 +128,7 @@ def test_what_is_no_number_is_a_dash(findings):
 @pytest.mark.parametrize("verdict", ["better", "not better", "cannot be said"])
 @pytest.mark.usefixtures("is_undrawn")
 def test_each_verdict_has_its_sentence_and_badge(findings, verdict):
-    page = page_of(replace(findings, evaluation=evaluation(verdict)), "x")
+    page = page_of(judged_as(findings, evaluation=evaluation(verdict)), "x")
     assert f'<p class="verdict {verdict.split()[0]}">{verdict}</p>' in page
     assert ("cannot be said: it earns" in page) == (verdict == "cannot be said")
     assert ("as far as these logs tell" in page) == (verdict == "cannot be said")
@@ -159,8 +136,8 @@ def test_each_verdict_has_its_sentence_and_badge(findings, verdict):
 
 @pytest.mark.usefixtures("is_undrawn")
 def test_the_verdict_of_learning_and_what_looked_wrong_are_told_with_the_policy(findings):
-    record = findings.record | {"verdict": {"sentence": "Better: so <it> is."}, "warnings": ["a dead sensor"]}
-    page = page_of(replace(findings, record=record), "x")
+    record = findings.policy.record | {"verdict": {"sentence": "Better: so <it> is."}, "warnings": ["a dead sensor"]}
+    page = page_of(judged_as(findings, record=record), "x")
     assert "Better: so &lt;it&gt; is." in page
     assert "a dead sensor" in page
 
@@ -170,7 +147,7 @@ def test_the_same_findings_are_the_same_bytes(findings, page, stored, logs, monk
     again = find(stored, logs, num_replicates=4, seed=1)
     assert page_of(again, "halfseen report 'a <b>' policy --seed 1") == page
     other = find(stored, logs, num_replicates=4, seed=2)
-    assert np.any(other.curves[0].low[ACTIONS[0]] != again.curves[0].low[ACTIONS[0]])
+    assert np.any(other.policy.curves[0].low[ACTIONS[0]] != again.policy.curves[0].low[ACTIONS[0]])
 
 
 def test_finishes_are_told_from_the_paths_that_finished(findings, logs):
@@ -203,7 +180,7 @@ def test_a_log_without_cuts_says_so_and_assumes_nothing_of_them(stored, monkeypa
     assert "No path was cut: each was watched to its own end." in page
     assert "explains the cuts" not in page
     assert "learned from other logs than these" in page
-    assert told.curves[0].low is None
+    assert told.policy.curves[0].low is None
 
 
 def test_choices_are_shares_of_the_same_states(stored, logs):
@@ -218,7 +195,7 @@ def test_choices_are_shares_of_the_same_states(stored, logs):
 
 
 def test_curves_follow_q_with_the_rest_at_its_median_and_within_bands(findings, stored, logs):
-    curve = findings.curves[0]
+    curve = findings.policy.curves[0]
     states = logs.stages.loc[logs.stages["stage"] == 1, COVARIATES]
     assert (curve.stage, curve.covariate) == (1, COVARIATES[0])
     at = pd.DataFrame([states.median()] * 2).assign(**{COVARIATES[0]: curve.values[[0, -1]]})
@@ -234,11 +211,12 @@ def test_a_policy_of_tables_is_told_by_its_verbs(tmp_path, monkeypatch):
     write_policy(CensoredQLearner.for_table(3, reg=0.1).fit(logs), logs, tmp_path / "policy")
     monkeypatch.setattr(found_in, "evaluate", lambda *_, **__: evaluation())
     told = find(read_policy(tmp_path / "policy"), logs, num_replicates=2)
-    assert told.curves == []
-    assert set(told.choices[0]["logged"]) == {"FINISH", "WASH", "LIFT"}
-    assert sum(told.choices[0]["logged"].values()) == pytest.approx(1.0)
+    assert told.policy.curves == []
+    assert set(told.policy.choices[0]["logged"]) == {"FINISH", "WASH", "LIFT"}
+    assert sum(told.policy.choices[0]["logged"].values()) == pytest.approx(1.0)
     read = Reader(page_of(told, "x"))
-    assert read.tags.count("svg") == 4
+    assert told.policy.maps == []
+    assert read.tags.count("svg") == 7 + len(told.policy.table_map.share if told.policy.table_map else ())
     assert "who hides whom" in "".join(read.words)
 
 
@@ -282,5 +260,23 @@ def test_only_a_page_of_its_own_is_replaced(tmp_path):
 
 
 def test_a_policy_from_other_logs_has_no_bands(stored):
-    curves = q_curves(stored, hostile_log(seed=9), 2, 0)
+    curves, band = q_curves(stored, hostile_log(seed=9), 2, 0)
+    assert band is None
     assert {curve.low for curve in curves} == {None}
+
+
+def test_a_policy_that_knows_its_errors_has_their_bands_on_other_logs(logs, tmp_path):
+    learner = CensoredQLearner(2, ACTIONS, COVARIATES, reg=0.1, stages="pooled", pessimism=1.0).fit(logs)
+    write_policy(learner, logs, tmp_path / "policy")
+    stored = read_policy(tmp_path / "policy")
+    other = hostile_log(seed=9)
+    curves, band = q_curves(stored, other, 2, 0, is_own_log=False)
+    assert band == "regression"
+    curve = curves[0]
+    at = pd.DataFrame([other.stages.loc[other.stages["stage"] == 1, COVARIATES].median()]).assign(
+        **{COVARIATES[0]: curve.values[:1]}
+    )
+    decision = decider_of(stored, extrapolates=True).decide(NamedObservation(at, 1))
+    for name in ACTIONS:
+        assert (curve.low[name][0], curve.high[name][0]) == pytest.approx(decision.intervals[name])
+        assert np.all(curve.low[name] < curve.q[name])

@@ -32,12 +32,23 @@ class PositivityReport(PositivityFacts):
     def __str__(self) -> str:
         return text(self)
 
-    def plot(self) -> "Figure":
-        """Draw the weights over time, and what bounding them would change, as a matplotlib figure."""
-        # matplotlib is optional.
-        from halfseen.censoring.positivity_figure import draw
+    @property
+    def panels(self) -> tuple[str, ...]:
+        """Names of the panels of its figure that have something to show."""
+        return ("weights", "means", "sizes") if self.truncations else ("weights",)
 
-        return draw(self)
+    def plot(self, panel: str | None = None) -> "Figure":
+        """Draw the weights over time, and what bounding them would change, as a matplotlib figure.
+
+        Parameters
+        ----------
+        panel
+            One of `panels`, to be drawn alone for where there is little room; None for all of them side by side.
+        """
+        # matplotlib is optional.
+        from halfseen.censoring.positivity_figure import draw, draw_panel
+
+        return draw(self) if panel is None else draw_panel(self, panel)
 
 
 def positivity_report(

@@ -15,7 +15,12 @@ from halfseen.censoring.positivity_text import verdict
 INK, FAINT, TAIL_COLOUR = "#222222", "#8a8a8a", "#f3e3d3"
 # Okabe and Ito (2008).
 WEIGHT_COLOUR, CUT_COLOUR = "#0072B2", "#D55E00"
+CUT_INK = "#a84a00"
+"""The same for letters, which need more contrast."""
 SIZE_INCHES = (12.0, 4.2)
+PANEL_INCHES, TALL_INCHES = (4.1, 3.25), (4.1, 6.75)
+"""Of one panel alone; the weights over time have more to show."""
+PANEL_TITLE_CHARS = 46
 
 
 def draw(facts: PositivityFacts) -> Figure:
@@ -34,7 +39,20 @@ def draw(facts: PositivityFacts) -> Figure:
     return figure
 
 
-def _draw_weights(axes: Axes, facts: PositivityFacts) -> None:
+def draw_panel(facts: PositivityFacts, panel: str) -> Figure:
+    """Draw one of the panels as a figure of its own, whose letters stay legible where it is narrow."""
+    figure = Figure(figsize=TALL_INCHES if panel == "weights" else PANEL_INCHES, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    {"weights": _draw_weights, "means": _draw_means, "sizes": _draw_size}[panel](axes, facts, PANEL_TITLE_CHARS)
+    if axes.get_legend_handles_labels()[0]:
+        figure.legend(loc="outside lower left", ncols=1, fontsize=9.0, frameon=False)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(labelsize=9.0)
+    return figure
+
+
+def _draw_weights(axes: Axes, facts: PositivityFacts, title_chars: int = 66) -> None:
     """Draw each finish at its weight, and each cut below."""
     is_finite = np.isfinite(facts.weights)
     time_s, weight = facts.finish_s[is_finite], facts.weights[is_finite]
@@ -72,10 +90,10 @@ def _draw_weights(axes: Axes, facts: PositivityFacts) -> None:
         )
     axes.set_xlabel("time [s]; dashed: last time that anything is known of")
     axes.set_ylabel("weight, 1/Ĝ")
-    _title(axes, _weights_title(facts), width=66)
+    _title(axes, _weights_title(facts), title_chars)
 
 
-def _draw_means(axes: Axes, facts: PositivityFacts) -> None:
+def _draw_means(axes: Axes, facts: PositivityFacts, title_chars: int = 40) -> None:
     rows = facts.truncations
     if not rows:
         _leave_empty(axes, "no path finished")
@@ -87,13 +105,13 @@ def _draw_means(axes: Axes, facts: PositivityFacts) -> None:
     axes.set_ylabel(f"weighted mean {facts.quantity}")
     first, last = rows[0].mean, rows[-1].mean
     if len(rows) == 1:
-        _title(axes, f"All weigh the same, and put the mean at {first:.4g}", width=40)
+        _title(axes, f"All weigh the same, and put the mean at {first:.4g}", title_chars)
         return
     begin = "Unbounded weights" if rows[0].truncate_at is None else f"Weights up to {rows[0].truncate_at:g}"
-    _title(axes, f"{begin} put the mean at {first:.4g}, equal weights at {last:.4g}", width=40)
+    _title(axes, f"{begin} put the mean at {first:.4g}, equal weights at {last:.4g}", title_chars)
 
 
-def _draw_size(axes: Axes, facts: PositivityFacts) -> None:
+def _draw_size(axes: Axes, facts: PositivityFacts, title_chars: int = 42) -> None:
     rows = facts.truncations
     if not rows:
         _leave_empty(axes, "no path finished")
@@ -110,13 +128,14 @@ def _draw_size(axes: Axes, facts: PositivityFacts) -> None:
             xytext=(4, 4),
             textcoords="offset points",
             ha="left",
-            fontsize=8,
+            fontsize=8.5,
         )
     axes.set_ylim(0, 1.15 * max(*sizes, FEWEST_EFFECTIVE, facts.num_finished))
-    axes.text(bounds[-1], FEWEST_EFFECTIVE, "below 10: too few", ha="left", va="bottom", fontsize=8, color=CUT_COLOUR)
+    axes.text(bounds[-1], FEWEST_EFFECTIVE, "below 10: too few", ha="left", va="bottom", fontsize=8.5, color=CUT_INK)
     _bound_axis(axes, bounds)
     axes.set_ylabel("effective sample size [paths]")
-    _title(axes, "Effective sample size of the finishes; in per cent, the weight that the bound takes away", width=42)
+    shown = "Effective sample size of the finishes; in per cent, the weight that the bound takes away"
+    _title(axes, shown, title_chars)
 
 
 def _bounds(facts: PositivityFacts) -> list[float]:

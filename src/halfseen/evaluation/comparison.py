@@ -86,6 +86,9 @@ class Comparison:
     gamma
         Γ, how strong an unrecorded cause of cuts would have to be to undo the verdict (see `sensitivity`); None where
         there is nothing to undo or nothing was cut.
+    share
+        What the opponent earns as a multiple of what the logging policy does; None where that is not known to be
+        above 0.
     """
 
     opponent: str
@@ -96,10 +99,15 @@ class Comparison:
     verdict: Verdict
     reason: str
     gamma: float | None = None
+    share: Estimate | None = None
 
 
 def compared(
-    ours: Contender, theirs: Sequence[Contender], level: float, excess: Float[np.ndarray, "n T"] | None = None
+    ours: Contender,
+    theirs: Sequence[Contender],
+    level: float,
+    excess: Float[np.ndarray, "n T"] | None = None,
+    unit: str | None = None,
 ) -> tuple[Comparison, ...]:
     """Compare a policy with its opponents.
 
@@ -111,12 +119,14 @@ def compared(
         Of the intervals, and of the verdicts.
     excess
         1/Ĝ − 1 of each completed stage, 0 elsewhere; None where nothing was cut.
+    unit
+        What rewards are counted in; None if nobody has said.
     """
     differences = [_difference(ours, each, level) for each in theirs]
     p = [_believed_p(ours, each, difference) for each, difference in zip(theirs, differences, strict=True)]
     adjusted = iter(hochberg(np.array([each for each in p if each is not None])))
     adjusted_p = [None if each is None else float(next(adjusted)) for each in p]
-    found = [_comparison(ours, *each, level) for each in zip(theirs, differences, p, adjusted_p, strict=True)]
+    found = [_comparison(ours, *each, level, unit) for each in zip(theirs, differences, p, adjusted_p, strict=True)]
     if excess is None or not excess.any():
         return tuple(found)
     gammas = [_gamma(one, ours, each, excess) for one, each in zip(found, theirs, strict=True)]
@@ -148,12 +158,13 @@ def _comparison(
     p: float | None,
     adjusted_p: float | None,
     level: float,
+    unit: str | None,
 ) -> Comparison:
     if difference is None or adjusted_p is None:
         why = ours.why_unknown or opponent.why_unknown
         verdict, reason = "cannot be said", why or f"nothing is known of what {opponent.name} earns"
     else:
-        verdict, reason = verdict_of(difference, opponent.name, adjusted_p <= 1.0 - level)
+        verdict, reason = verdict_of(difference, opponent.name, adjusted_p <= 1.0 - level, unit)
     value = None if opponent.values is None else opponent.estimate(level)
     return Comparison(opponent.name, value, difference, p, adjusted_p, verdict, reason)
 

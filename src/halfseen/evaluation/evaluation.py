@@ -6,6 +6,7 @@ from typing import Any
 
 from halfseen.evaluation.comparison import Comparison
 from halfseen.evaluation.estimate import Estimate
+from halfseen.evaluation.per_hour import PerHour
 from halfseen.evaluation.sensitivity import in_words
 from halfseen.evaluation.verdict import Verdict
 
@@ -41,6 +42,13 @@ class Evaluation:
         The policy against each opponent.
     notes
         How the logging policy without its exploration was found, or why it was not.
+    reward_unit
+        What rewards are counted in; None if nobody has said.
+    share
+        The doubly robust value as a multiple of what the logging policy earns; None where that is not known to be
+        above 0.
+    per_hour
+        What the policy and the logging policy earn in an hour of the clock; None where nobody asked.
     """
 
     importance_sampling: Estimate
@@ -55,6 +63,9 @@ class Evaluation:
     level: float
     comparisons: tuple[Comparison, ...] = ()
     notes: tuple[str, ...] = ()
+    reward_unit: str | None = None
+    share: Estimate | None = None
+    per_hour: PerHour | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Everything, ready for JSON."""

@@ -1,14 +1,14 @@
 """From a policy and a log to an `Evaluation`."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
 from halfseen.censoring import CensoringModel
 from halfseen.errors import ArgumentError
-from halfseen.evaluation.comparison import Contender, compared, deciding, joint_reason
+from halfseen.evaluation.comparison import Comparison, Contender, compared, deciding, joint_reason
 from halfseen.evaluation.estimate import around, check_level, estimate_of
 from halfseen.evaluation.evaluation import Evaluation
 from halfseen.evaluation.fitted_q import jackknifed
@@ -21,8 +21,10 @@ from halfseen.evaluation.opponents import (
     opponent_probabilities,
     opponents_of,
 )
+from halfseen.evaluation.per_hour import per_hour
 from halfseen.evaluation.problem import Problem, as_logged, following, logging_contribution, problem_of
 from halfseen.evaluation.propensity import Propensity, check_propensity
+from halfseen.evaluation.quotient import share_of
 from halfseen.evaluation.second_order import with_second_order
 from halfseen.evaluation.targets import horizon_of, task_of
 from halfseen.evaluation.verdict import why_unknown
@@ -74,6 +76,7 @@ def evaluate(
     level: float = 0.95,
     random_state: int = 0,
     num_folds: int = 10,
+    is_hourly: bool = False,
 ) -> Evaluation:
     """Estimate the value of a policy from a log of another one of which paths were right-censored.
 
@@ -104,6 +107,8 @@ def evaluate(
         Seed that deals paths into folds, and draws the landmarks of a kernel.
     num_folds
         Folds of the cross-fitting, and of the jackknife behind the interval of fitted Q.
+    is_hourly
+        Work out what is earned in an hour of the clock, too.
 
     Raises
     ------
@@ -127,7 +132,7 @@ def evaluate(
     targets = default_targets(logs) if censoring is None else targets_of(censoring)
     model = q_model_of(policy, widened, targets, spec, random_state)
     problem = problem_of(policy, widened, model, propensity, np.random.default_rng([random_state, 1]), num_folds)
-    return _evaluation(problem, logs, opponents, propensity == "logged", against is None, level)
+    return _evaluation(problem, logs, opponents, propensity == "logged", against is None, level, is_hourly)
 
 
 def default_targets(logs: Logs) -> Targets:
@@ -172,11 +177,12 @@ def _evaluation(
     has_probability: bool,
     is_default: bool,
     level: float,
+    is_hourly: bool,
 ) -> Evaluation:
     judged = problem.judged(problem.nuisances)
     ours, own = _contender("the policy", problem, judged), _logging(problem)
     theirs, notes = _contenders(opponents, own, problem, logs, has_probability, is_default)
-    comparisons = compared(ours, theirs, level, problem.excess)
+    comparisons = _with_shares(compared(ours, theirs, level, problem.excess, logs.reward_unit), theirs, own, level)
     main = deciding(comparisons)
     num_paths, num_folds = problem.paths.num_paths, int(problem.fold.max()) + 1
     completed = problem.completed
@@ -194,7 +200,17 @@ def _evaluation(
         level=level,
         comparisons=comparisons,
         notes=notes,
+        reward_unit=logs.reward_unit,
+        share=share_of(ours, own, level),
+        per_hour=per_hour(problem, ours, own, level) if is_hourly else None,
     )
+
+
+def _with_shares(
+    comparisons: Sequence[Comparison], theirs: Sequence[Contender], own: Contender, level: float
+) -> tuple[Comparison, ...]:
+    shares = [share_of(each, own, level) for each in theirs]
+    return tuple(replace(one, share=share) for one, share in zip(comparisons, shares, strict=True))
 
 
 def _contenders(

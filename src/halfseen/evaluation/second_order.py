@@ -25,7 +25,7 @@ def with_second_order(task: NamedActions, logs: Logs) -> tuple[NamedActions, Log
         terms = {}
     names = list(dict.fromkeys([*task.covariates, "stage", *terms]))
     wider = NamedActions(task.actions, names, fitted.categories)
-    return wider, Logs(logs.stages.assign(**terms), logs.paths, logs.objects)
+    return wider, Logs(logs.stages.assign(**terms), logs.paths, logs.objects, reward_unit=logs.reward_unit)
 
 
 def _terms(looks_at: Covariates, frame: pd.DataFrame) -> dict[str, np.ndarray]:

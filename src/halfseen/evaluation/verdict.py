@@ -71,7 +71,10 @@ def _remedy(num_paths: int, enough: float) -> str:
 
 
 def verdict_of(
-    difference: Estimate, opponent: str = "the logging policy", is_significant: bool = True
+    difference: Estimate,
+    opponent: str = "the logging policy",
+    is_significant: bool = True,
+    unit: str | None = None,
 ) -> tuple[Verdict, str]:
     """Judge by the interval of the paired difference.
 
@@ -83,14 +86,17 @@ def verdict_of(
         Its name.
     is_significant
         Whether an interval without 0 still counts, given how many were looked at.
+    unit
+        What rewards are counted in; None if nobody has said.
     """
+    of = f" {unit}" if unit else ""
     within = f"between {difference.low:.3g} and {difference.high:.3g}"
     if difference.low > 0 and is_significant:
-        return "better", f"it earns {difference.value:.3g} more a path than {opponent}, {within}"
+        return "better", f"it earns {difference.value:.3g}{of} more a path than {opponent}, {within}"
     if difference.high <= 0 and (is_significant or difference.standard_error == 0):
-        less = f"{-difference.value:.3g} less a path than" if difference.value < 0 else "as much a path as"
+        less = f"{-difference.value:.3g}{of} less a path than" if difference.value < 0 else "as much a path as"
         return "not better", f"it earns {less} {opponent}, {within} more"
-    reason = f"it earns {within} more a path than {opponent}"
+    reason = f"it earns {within}{of} more a path than {opponent}"
     if difference.low > 0 or difference.high <= 0:
         return "cannot be said", f"{reason}, which is not enough among so many opponents; name fewer"
     return "cannot be said", f"{reason}; {_more_paths(difference)}"

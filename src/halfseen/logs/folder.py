@@ -3,7 +3,7 @@
 ::
 
     FOLDER/
-      logs.json          format, version and the number of rows of each table
+      logs.json          format, version, the number of rows of each table and, if somebody said, the unit of rewards
       stages.parquet
       paths.parquet
       objects.parquet    where the stages have objects
@@ -12,7 +12,7 @@
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pandas as pd
 import pyarrow as pa
@@ -20,7 +20,9 @@ import pyarrow.parquet as pq
 
 from halfseen.errors import LogError
 from halfseen.logs.journal import JOURNAL
-from halfseen.logs.journal_tables import journal_tables
+from halfseen.logs.journal_tables import journal_log
+from halfseen.logs.refusal import within
+from halfseen.logs.reward_unit import checked_unit
 from halfseen.writing import placed
 
 MANIFEST = "logs.json"
@@ -28,8 +30,17 @@ FORMAT, VERSION = "halfseen-logs", 1
 TABLES = ("stages", "paths", "objects")
 
 
-def read_tables(folder: Path) -> Mapping[str, pd.DataFrame | pa.Table]:
-    """Read the tables of a folder, by name, whether `Logs.write` or a `LogRecorder` wrote it.
+class Manifest(NamedTuple):
+    """What logs.json says."""
+
+    rows: dict[str, int]
+    """Of each table."""
+    reward_unit: str | None
+    """What rewards are counted in; None if nobody has said."""
+
+
+def read_folder(folder: Path) -> dict[str, Any]:
+    """Read what `Logs` is made of, by name, whether `Logs.write` or a `LogRecorder` wrote the folder.
 
     Raises
     ------
@@ -37,11 +48,15 @@ def read_tables(folder: Path) -> Mapping[str, pd.DataFrame | pa.Table]:
         The folder or one of its files is missing, broken or of another version.
     """
     if (folder / JOURNAL).is_file() and not (folder / MANIFEST).exists():
-        return journal_tables(folder / JOURNAL)
-    return {name: _read_table(folder, name, count) for name, count in read_manifest(folder).items()}
+        return journal_log(folder / JOURNAL)
+    manifest = read_manifest(folder)
+    tables = {name: _read_table(folder, name, count) for name, count in manifest.rows.items()}
+    return {**tables, "reward_unit": manifest.reward_unit}
 
 
-def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame], *, overwrite: bool) -> None:
+def write_tables(
+    folder: Path, tables: Mapping[str, pd.DataFrame], *, overwrite: bool, reward_unit: str | None = None
+) -> None:
     """Write tables beside `folder`, then put them in its place by renaming.
 
     Parameters
@@ -52,6 +67,8 @@ def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame], *, overwrite:
         The tables by name.
     overwrite
         Replace logs that are already there.
+    reward_unit
+        What rewards are counted in; None if nobody has said.
 
     Raises
     ------
@@ -62,22 +79,24 @@ def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame], *, overwrite:
         for name, table in tables.items():
             arrow = pa.Table.from_pandas(table, preserve_index=False)
             pq.write_table(arrow, fresh / f"{name}.parquet", compression="zstd")
-        write_manifest(fresh, {name: len(table) for name, table in tables.items()})
+        write_manifest(fresh, Manifest({name: len(table) for name, table in tables.items()}, reward_unit))
 
 
-def write_manifest(folder: Path, rows: Mapping[str, int]) -> None:
-    """Write down how many rows each table of a folder has."""
-    manifest = {"format": FORMAT, "version": VERSION, "rows": dict(rows)}
-    (folder / MANIFEST).write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
+def write_manifest(folder: Path, told: Manifest) -> None:
+    """Write down how many rows each table of a folder has, and the unit of rewards if there is one."""
+    manifest: dict[str, Any] = {"format": FORMAT, "version": VERSION, "rows": told.rows}
+    if told.reward_unit is not None:
+        manifest["reward_unit"] = told.reward_unit
+    (folder / MANIFEST).write_text(json.dumps(manifest, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
-def read_manifest(folder: Path) -> dict[str, int]:
-    """Read how many rows each table of a folder has.
+def read_manifest(folder: Path) -> Manifest:
+    """Read how many rows each table of a folder has, and the unit of rewards.
 
     Raises
     ------
     LogError
-        The folder holds no logs, or those of another version.
+        The folder holds no logs or those of another version, or the unit is no short text.
     """
     file = folder / MANIFEST
     if not folder.is_dir():
@@ -99,7 +118,9 @@ def read_manifest(folder: Path) -> dict[str, int]:
             f"{file}: version {manifest.get('version')!r} is not the {VERSION} that this halfseen reads; read it with "
             "the halfseen that wrote it, or write the logs again"
         )
-    return _checked_rows(file, manifest.get("rows"))
+    with within(file):
+        unit = checked_unit(manifest.get("reward_unit"))
+    return Manifest(_checked_rows(file, manifest.get("rows")), unit)
 
 
 def _checked_rows(file: Path, rows: Any) -> dict[str, int]:

@@ -1,12 +1,14 @@
 """Several logs as one."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import pandas as pd
 import pyarrow as pa
 
 from halfseen.errors import LogError
 from halfseen.logs.logs import Logs
+from halfseen.logs.reward_unit import common_unit
 
 
 def joined(parts: Sequence[Logs]) -> Logs:
@@ -20,13 +22,14 @@ def joined(parts: Sequence[Logs]) -> Logs:
     Raises
     ------
     LogError
-        There is none, only some have objects, or a path is in two.
+        There is none, only some have objects, a path is in two, or rewards are in two units.
     """
     if not parts:
         raise LogError("there is no log to join; give at least one")
     if len({part.objects is None for part in parts}) > 1:
         raise LogError("only some of the logs have objects; join those that have and those that have none apart")
-    return Logs(**{name: _stacked([part.tables[name] for part in parts]) for name in parts[0].tables})
+    tables: Any = {name: _stacked([part.tables[name] for part in parts]) for name in parts[0].tables}
+    return Logs(**tables, reward_unit=common_unit(part.reward_unit for part in parts))
 
 
 def _stacked(frames: list[pd.DataFrame]) -> pa.Table:

@@ -8,7 +8,7 @@ Events, with the clock `at_s` of the path [s]:
 
 ==========  ===========================================================================================================
 journal     the first line: format and version
-session     a recorder was opened; a path in progress above it was torn
+session     a recorder was opened; a path in progress above it was torn; ``reward_unit`` where the recorder was told it
 stage       a stage began: path, stage, covariates, objects, action, object, probability; the first also has ``columns``
 done        the stage in progress was completed: reward; ``is_given`` where the clock was given, not read
 running     the path was still in progress
@@ -68,6 +68,8 @@ class JournalEvents:
         Whole lines read so far, and their bytes.
     checksum
         The checksum of the last of them.
+    reward_unit
+        What rewards are counted in, as the first recorder said that did; None if none did.
     """
 
     def __init__(self, file: Path) -> None:
@@ -75,6 +77,7 @@ class JournalEvents:
         self.num_lines = 0
         self.num_bytes = 0
         self.checksum = 0
+        self.reward_unit: str | None = None
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
         try:
@@ -85,6 +88,7 @@ class JournalEvents:
                     event = self._event(line)
                     self.num_lines += 1
                     self.num_bytes += len(line)
+                    self.reward_unit = self.reward_unit or event.get("reward_unit")
                     yield event
         except OSError as error:
             raise LogError(f"{self.file}: it cannot be read ({error.strerror}); copy it again") from error

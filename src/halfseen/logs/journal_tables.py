@@ -42,8 +42,8 @@ _TYPES = {
 }
 
 
-def journal_tables(file: Path) -> dict[str, pa.Table]:
-    """Read the journal of a recorder, finished, torn or at work, as the tables of `Logs`.
+def journal_log(file: Path) -> dict[str, Any]:
+    """Read the journal of a recorder, finished, torn or at work, as what `Logs` is made of.
 
     Rows go to Arrow in chunks, so that no more than a few thousand of them are Python objects at a time.
 
@@ -52,10 +52,10 @@ def journal_tables(file: Path) -> dict[str, pa.Table]:
     LogError
         The journal cannot be read, is corrupted, or holds no stage.
     """
-    was_recorded = is_being_recorded(file)
+    was_recorded, events = is_being_recorded(file), JournalEvents(file)
     tables = {"stages": _Table(), "paths": _Table(), "objects": _Table()}
     path = None
-    for path in recorded_paths(JournalEvents(file)):
+    for path in recorded_paths(events):
         if path.ending is None:
             is_live = was_recorded or is_being_recorded(file)
             path.end(CUT, None, STILL_RUNNING if is_live else CRASH)
@@ -63,11 +63,11 @@ def journal_tables(file: Path) -> dict[str, pa.Table]:
             table.add(path.rows[name])
     if path is None:
         raise LogError(f"{file}: no stage is recorded yet; record one first")
-    built = {name: table.build() for name, table in tables.items() if table}
+    built: dict[str, Any] = {name: table.build() for name, table in tables.items() if table}
     stages = built["stages"]
     if "probability" in stages.column_names and stages["probability"].null_count == stages.num_rows:
         built["stages"] = stages.drop_columns(["probability"])
-    return built
+    return {**built, "reward_unit": events.reward_unit}
 
 
 def recorded_paths(events: JournalEvents) -> Iterator["RecordedPath"]:

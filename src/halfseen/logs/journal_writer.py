@@ -8,6 +8,8 @@ from typing import Any
 
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs.journal import HEADER, JOURNAL, JournalEvents, journal_line
+from halfseen.logs.refusal import within
+from halfseen.logs.reward_unit import common_unit
 
 LOCK_TRIES, LOCK_PAUSE_S = 3, 0.02
 
@@ -32,16 +34,24 @@ class JournalWriter:
         Force each line to the disk.
     restore
         Called with each event that the journal already holds.
+    reward_unit
+        What rewards are counted in; None for what the journal already says, if it does.
 
     Raises
     ------
     ArgumentError
         Another recorder has the folder, or it cannot be written.
     LogError
-        The journal is corrupted.
+        The journal is corrupted, or rewards above are in another unit.
     """
 
-    def __init__(self, folder: Path, is_synced: bool, restore: Callable[[dict[str, Any]], None]) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        is_synced: bool,
+        restore: Callable[[dict[str, Any]], None],
+        reward_unit: str | None = None,
+    ) -> None:
         self.file = folder / JOURNAL
         self._is_synced = is_synced
         self._process = os.getpid()
@@ -51,12 +61,14 @@ class JournalWriter:
             events = JournalEvents(self.file)
             for event in events:
                 restore(event)
+            with within(self.file):
+                common_unit([events.reward_unit, reward_unit])
             self._end = events.num_bytes, events.checksum
             # What a kill tore.
             os.ftruncate(self._descriptor, events.num_bytes)
             if events.num_bytes == 0:
                 self.append(HEADER)
-            self.append({"event": "session"})
+            self.append({"event": "session"} | ({} if reward_unit is None else {"reward_unit": reward_unit}))
             if is_synced:
                 _sync_folder(folder)
         except BaseException:

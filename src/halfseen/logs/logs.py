@@ -1,5 +1,6 @@
 """The record of what happened: paths (trajectories), their stages, and the objects that stood there."""
 
+from copy import copy
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from halfseen.logs.frames import FrameLike, as_frame, through_arrow
 from halfseen.logs.object_checks import checked_objects
 from halfseen.logs.path_checks import checked_paths
 from halfseen.logs.refusal import shown
+from halfseen.logs.reward_unit import checked_unit
 from halfseen.logs.stage_checks import checked_stages
 from halfseen.logs.summary import LogsSummary, summarise
 
@@ -37,11 +39,14 @@ class Logs:
     objects
         One row an object of a stage: path, stage, object, and covariates of the object, lists included; None where
         the stages have no objects.
+    reward_unit
+        What rewards are counted in, such as "parts": a short text, for people; None if nobody has said.
 
     Raises
     ------
     LogError
-        The tables break an invariant; the path, the stage, the value and the remedy are named.
+        The tables break an invariant; the path, the stage, the value and the remedy are named. Or the unit is no short
+        text.
 
     Examples
     --------
@@ -61,7 +66,15 @@ class Logs:
            [nan, nan]])
     """
 
-    def __init__(self, stages: FrameLike, paths: FrameLike, objects: FrameLike | None = None) -> None:
+    def __init__(
+        self,
+        stages: FrameLike,
+        paths: FrameLike,
+        objects: FrameLike | None = None,
+        *,
+        reward_unit: str | None = None,
+    ) -> None:
+        self._reward_unit = checked_unit(reward_unit)
         paths_frame = checked_paths(as_frame("paths", paths))
         stages_frame, layout = checked_stages(as_frame("stages", stages), paths_frame)
         self._layout = layout
@@ -89,6 +102,23 @@ class Logs:
     def objects(self) -> pd.DataFrame | None:
         """One row an object of a stage, sorted by path, stage and object; None where there are none."""
         return self._objects
+
+    @property
+    def reward_unit(self) -> str | None:
+        """What rewards are counted in, such as "parts"; None if nobody has said."""
+        return self._reward_unit
+
+    def in_unit(self, reward_unit: str | None) -> "Logs":
+        """The same log with rewards that are said to be counted in this unit; no number changes.
+
+        Raises
+        ------
+        LogError
+            The unit is no short text.
+        """
+        same = copy(self)
+        same._reward_unit = checked_unit(reward_unit)
+        return same
 
     @property
     def tables(self) -> dict[str, pd.DataFrame]:
@@ -180,7 +210,7 @@ class Logs:
             raise LogError(f"path {shown(unknown[0])}: there is no such path; choose among path_ids")
 
         kept: Any = {name: table[pd.Index(table["path"]).isin(wanted)] for name, table in self.tables.items()}
-        return Logs(**kept)
+        return Logs(**kept, reward_unit=self._reward_unit)
 
     def summary(self) -> LogsSummary:
         """Count what is there: paths, endings and causes, stages, clock, actions."""
@@ -201,4 +231,4 @@ class Logs:
         ArgumentError
             The folder exists, or cannot be written.
         """
-        write_tables(Path(folder), self.tables, overwrite=overwrite)
+        write_tables(Path(folder), self.tables, overwrite=overwrite, reward_unit=self._reward_unit)

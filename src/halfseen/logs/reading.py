@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from halfseen.logs.folder import MANIFEST, read_tables
+from halfseen.logs.folder import MANIFEST, read_folder
 from halfseen.logs.logs import Logs
 from halfseen.logs.refusal import within
 
@@ -29,6 +29,6 @@ def read_logs(folder: str | Path) -> Logs:
         from halfseen.logs.formats.csv_folder import read_csv
 
         return read_csv(folder)
-    tables = read_tables(folder)
+    told = read_folder(folder)
     with within(folder):
-        return Logs(**tables)
+        return Logs(**told)

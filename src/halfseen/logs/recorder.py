@@ -26,6 +26,7 @@ from halfseen.logs.journal_values import Schema, checked_number
 from halfseen.logs.journal_writer import JournalWriter
 from halfseen.logs.path_clock import PathClock
 from halfseen.logs.refusal import shown
+from halfseen.logs.reward_unit import checked_unit
 
 CAUSES = ("operator", "emergency-stop", "time-out", "battery", "sensor-lost", CRASH)
 """Usual causes of cuts; any other text will do."""
@@ -48,13 +49,16 @@ class LogRecorder:
         Force each event to the disk. Without it, nothing that was written is lost when the process dies, but a power
         cut or a crash of the operating system may lose the last seconds. With it, they are not, as far as the disk
         keeps its word; an event then takes as long as the disk does, commonly 0.1 to 20 ms.
+    reward_unit
+        What rewards are counted in, such as "parts": a short text, for people; None for what was said before, if
+        anything was.
 
     Raises
     ------
     ArgumentError
         Another recorder has the folder, it holds finished logs, or it cannot be written.
     LogError
-        What was recorded there before is corrupted.
+        What was recorded there before is corrupted or in another unit, or the unit is no short text.
 
     Examples
     --------
@@ -70,14 +74,14 @@ class LogRecorder:
     1 path of up to 1 stage and 2.5 s: 1 finished, 0 cut (0%).
     """
 
-    def __init__(self, folder: str | Path, *, fsync: bool = False) -> None:
-        folder = Path(folder)
+    def __init__(self, folder: str | Path, *, fsync: bool = False, reward_unit: str | None = None) -> None:
+        folder, unit = Path(folder), checked_unit(reward_unit)
         if (folder / MANIFEST).exists():
             raise ArgumentError(f"{folder}: it holds logs that are written for good; record into another folder")
         self._schema = Schema()
         self._names: set[int | str] = set()
         self._path: PathRecorder | None = None
-        self._journal = JournalWriter(folder, fsync, self._restore)
+        self._journal = JournalWriter(folder, fsync, self._restore, unit)
 
     def __enter__(self) -> "LogRecorder":
         return self

@@ -11,11 +11,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from halfseen.errors import ArgumentError, LogError
-from halfseen.logs.folder import MANIFEST, opened_table, read_manifest, write_manifest
+from halfseen.logs.folder import MANIFEST, Manifest, opened_table, read_manifest, write_manifest
 from halfseen.logs.frames import as_frame
 from halfseen.logs.logs import Logs
 from halfseen.logs.path_checks import checked_paths
 from halfseen.logs.refusal import shown, within
+from halfseen.logs.reward_unit import common_unit
 from halfseen.writing import placed
 
 PATHS_AT_ONCE = 2_000
@@ -37,6 +38,11 @@ class LogStream:
     paths_at_once
         Paths of each part.
 
+    Attributes
+    ----------
+    reward_unit
+        What rewards are counted in; None if nobody has said.
+
     Raises
     ------
     LogError
@@ -50,7 +56,7 @@ class LogStream:
             raise ArgumentError(f"paths_at_once is {paths_at_once}; read at least 1")
         self.folder = Path(folder)
         self.paths_at_once = paths_at_once
-        self._rows = read_manifest(self.folder)
+        self._rows, self.reward_unit = read_manifest(self.folder)
         paths = opened_table(self.folder, "paths", self._rows["paths"]).read()
         with within(folder):
             self._paths = checked_paths(as_frame("paths", paths))
@@ -83,7 +89,7 @@ class LogStream:
             part = self._paths.iloc[start : start + self.paths_at_once]
             tables: dict[str, Any] = {name: reader.upto(part["path"]) for name, reader in readers.items()}
             with within(self.folder):
-                logs = Logs(paths=part, **tables)
+                logs = Logs(paths=part, **tables, reward_unit=self.reward_unit)
             yield logs
         for reader in readers.values():
             reader.refuse_leftover()
@@ -155,16 +161,17 @@ def write_stream(parts: Iterable[Logs], folder: str | Path, *, overwrite: bool =
     ArgumentError
         The folder exists or cannot be written, or there is no part.
     LogError
-        A path comes before one of an earlier part.
+        A path comes before one of an earlier part, or rewards are in two units.
     """
     with placed(Path(folder), overwrite=overwrite, marker=MANIFEST) as fresh, ExitStack() as stack:
         writers: dict[str, pq.ParquetWriter] = {}
         rows: dict[str, int] = {}
+        unit: str | None = None
         last: Any = None
         for part in parts:
             if last is not None and not part.path_ids[0] > last:
                 raise LogError(f"path {shown(part.path_ids[0])}: it comes after path {shown(last)}; sort the parts")
-            last = part.path_ids[-1]
+            last, unit = part.path_ids[-1], common_unit([unit, part.reward_unit])
             for name, table in part.tables.items():
                 if name not in writers:
                     schema = pa.Schema.from_pandas(table, preserve_index=False)
@@ -179,7 +186,7 @@ def write_stream(parts: Iterable[Logs], folder: str | Path, *, overwrite: bool =
         if not writers:
             raise ArgumentError("there is no part; give at least one log")
         stack.close()
-        write_manifest(fresh, rows)
+        write_manifest(fresh, Manifest(rows, unit))
 
 
 def _without_nulls(schema: pa.Schema) -> pa.Schema:

@@ -13,7 +13,7 @@ from markupsafe import Markup, escape
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from halfseen.pages.palette import INK
+from halfseen.pages.palette import INK, SOFT
 
 MOST_MARKERS = 3000
 """A line of more markers becomes a picture within the drawing, which stays small however long the log."""
@@ -36,6 +36,8 @@ STYLE: Any = {
     "ytick.color": INK,
     "axes.spines.top": False,
     "axes.spines.right": False,
+    "hatch.color": SOFT,
+    "hatch.linewidth": 0.7,
     "lines.linewidth": 1.8,
     "lines.markersize": 4.5,
 }

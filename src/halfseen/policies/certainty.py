@@ -127,7 +127,7 @@ def certainty(
     (array([-0.96, -1.96]), array([2.96, 1.96]), array([0.8, 0.2]))
     """
     error = np.linalg.norm(deviations, axis=1)
-    half = float(ndtri((1.0 + LEVEL) / 2.0)) * np.hypot(stages_left * error, lasting)
+    half = reach(error, stages_left, lasting)
     low, high = (np.where(is_possible, q + side * half, -np.inf) for side in (-1.0, 1.0))
     spread = float(np.sqrt(np.mean(error[is_possible] ** 2)))
     stretch = np.hypot(np.sqrt(stages_left), lasting / spread if spread > 0 else 0.0)
@@ -135,6 +135,11 @@ def certainty(
     chance_best = np.zeros(len(q))
     chance_best[is_possible] = np.mean(draws >= draws.max(axis=1, keepdims=True) - SAME_VALUE, axis=0)
     return Certainty(low, high, chance_best)
+
+
+def reach(error: Float[np.ndarray, "*S"], stages_left: float, lasting: float) -> Float[np.ndarray, "*S"]:
+    """Half the width of the interval of Q, given standard errors of this stage's regression [reward]."""
+    return np.asarray(float(ndtri((1.0 + LEVEL) / 2.0)) * np.hypot(stages_left * error, lasting))
 
 
 def _draws(

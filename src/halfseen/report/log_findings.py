@@ -11,10 +11,9 @@ from halfseen.censoring.positivity import PositivityReport
 from halfseen.logs import Logs
 from halfseen.logs.breakdown import by_action, by_cause, by_stage
 from halfseen.logs.suspicions import suspicions
+from halfseen.report.endings import endings
 
 NUM_RISK_TIMES = 7
-MOST_CAUSES = 5
-FINISHED_ROW = "finished"
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +39,7 @@ def log_findings(logs: Logs, positivity: PositivityReport) -> dict[str, Any]:
     return {
         "sentence": str(summary),
         **asdict(summary),
+        "reward_unit": logs.reward_unit,
         "covariates": logs.stage_covariates,
         "object_covariates": [] if logs.objects is None else [*logs.objects.columns.drop(["path", "stage", "object"])],
         "path_columns": logs.path_columns,
@@ -84,7 +84,7 @@ def watched(logs: Logs) -> Watched:
     return Watched(
         time_s=np.concatenate([[0.0], curve.times_, [curve.last_time_]]),
         survival=np.concatenate([[1.0], curve.survival_, curve.survival_[-1:] if len(curve.survival_) else [1.0]]),
-        ends_s=_ends(logs),
+        ends_s={name: np.sort(logs.end_s[is_own]) for name, is_own in endings(logs).items()},
         risk_time_s=risk_time_s,
         num_watched=len(logs.end_s) - np.searchsorted(np.sort(logs.end_s), risk_time_s, side="left"),
     )
@@ -99,20 +99,6 @@ def _finishes(logs: Logs) -> dict[str, Any]:
         return dict.fromkeys(names)
     times = (float(of(ends_s)) for of in (np.min, np.median, np.max))
     return dict(zip(names, (*times, int(last.min()), int(last.max())), strict=True))
-
-
-def _ends(logs: Logs) -> dict[str, Float[np.ndarray, " e"]]:
-    """Ends of each kind; causes beyond the most frequent are one."""
-    ends = {FINISHED_ROW: np.sort(logs.end_s[logs.is_finished])}
-    causes = [row["cause"] for row in by_cause(logs)]
-    told = causes if len(causes) <= MOST_CAUSES else causes[: MOST_CAUSES - 1]
-    cause = logs.paths["cause"].astype(str).to_numpy()
-    for name in told:
-        ends[f"cut: {name}"] = np.sort(logs.end_s[~logs.is_finished & (cause == name)])
-    if len(told) < len(causes):
-        others = ~logs.is_finished & ~np.isin(cause, told)
-        ends[f"cut: {len(causes) - len(told)} other causes"] = np.sort(logs.end_s[others])
-    return ends
 
 
 def _round_times(last_s: float) -> Float[np.ndarray, " r"]:

@@ -10,6 +10,16 @@ def values_of(evaluation: Evaluation) -> dict[str, Estimate]:
     return {"logging policy": evaluation.logging, **known}
 
 
+def shares_of(evaluation: Evaluation) -> dict[str, Estimate | None]:
+    """What each opponent earns as a multiple of what the logging policy does; None where that is not known."""
+    shares = {_short(each.opponent): each.share for each in evaluation.comparisons if each.value is not None}
+    today = next((each.share for each in evaluation.comparisons if each.value == evaluation.logging), None)
+    if today is None and evaluation.share is not None:
+        # Of what is known to be above 0, it is itself.
+        today = Estimate(1.0, 1.0, 1.0, 0.0, evaluation.logging.effective_sample_size)
+    return {"logging policy": today, **shares}
+
+
 def gains_of(evaluation: Evaluation) -> dict[str, tuple[Estimate, Verdict]]:
     """How much more the learned policy earns than each opponent, with the verdict on that."""
     gains: dict[str, tuple[Estimate, Verdict]] = {

@@ -1,7 +1,7 @@
 """What a policy looks at, and what it would do in the states of a log where another one decided."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -14,16 +14,22 @@ from halfseen.learners.q_learning.flat_policy import FlatPolicy
 from halfseen.learners.q_learning.targets import CENSORING_CHOICES
 from halfseen.learners.q_learning.task import Task
 from halfseen.logs import Logs
+from halfseen.policies.certainty import reach
 from halfseen.policies.folder import StoredPolicy, q_space_of_record
 from halfseen.policies.folder.specification import reg_of_record, targets_of_record
 from halfseen.policies.shares import action_shares
+from halfseen.report.states import middle_of, numeric_of
 
 MOST_STAGES, MOST_COVARIATES = 3, 4
+FEWEST_STATES = 10
+"""A stage of fewer has no curves."""
 NUM_POINTS = 41
 MIDDLE = (0.05, 0.95)
 """Q is shown between these quantiles of a covariate: beyond, it rests on few states."""
 SAME_COEFFICIENTS = 1e-6
 BAND_LEVEL = 0.95
+Band = Literal["bootstrap", "regression"]
+"""What bands around Q are: what is learned from resampled paths, or by standard errors in the policy's folder."""
 
 
 def choices(stored: StoredPolicy, task: Task, logs: Logs) -> list[dict[str, Any]]:
@@ -58,8 +64,9 @@ def choices(stored: StoredPolicy, task: Task, logs: Logs) -> list[dict[str, Any]
 class QCurve:
     """Q of the actions of one stage along one covariate of numbers; others at their medians or commonest categories.
 
-    `q` is Q of each possible action at the values of a covariate; `low` and `high` hold the central 95 % of what it is
-    when paths are resampled (bootstrap), where that can be told.
+    `q` is Q of each possible action at the values of a covariate; `low` and `high` are 95 % bands around it, where
+    there are any: the central 95 % of what it is when paths are resampled (bootstrap), or those of the errors of the
+    regression, as `halfseen.policies.certainty` has them.
     """
 
     stage: int
@@ -70,29 +77,61 @@ class QCurve:
     high: dict[str, Float[np.ndarray, " k"]] | None
 
 
-def q_curves(stored: StoredPolicy, logs: Logs, num_replicates: int, seed: int) -> list[QCurve]:
-    """Follow Q of named actions along the covariates that sway the choice most, in the first stages; [] for tables."""
+def q_curves(
+    stored: StoredPolicy, logs: Logs, num_replicates: int, seed: int, *, is_own_log: bool = True
+) -> tuple[list[QCurve], Band | None]:
+    """Follow Q of named actions along every covariate of numbers that varies, in the first stages; none for tables.
+
+    Parameters
+    ----------
+    stored
+        The policy.
+    logs
+        The log whose states it is followed through.
+    num_replicates, seed
+        Of the bootstrap.
+    is_own_log
+        Whether the policy may have been learned from this very log, so that resampling it tells of its errors.
+
+    Returns
+    -------
+    curves : list of QCurve
+    band
+        What their bands are; None where there are none.
+    """
     policy = stored.policy
-    if not isinstance(policy, FlatPolicy) or not _numeric(policy):
-        return []
-    replicates = _replicates(stored, logs, num_replicates, seed)
+    if not isinstance(policy, FlatPolicy):
+        return [], None
     frame: Any = logs.stages
-    stages = range(1, min(MOST_STAGES, logs.horizon) + 1)
-    curves = [
-        _curve(policy, replicates, frame[frame["stage"] == stage], stage, name)
-        for stage in stages
-        for name in _numeric(policy)
-    ]
-    sway = {name: sum(_sway(curve) for curve in curves if curve.covariate == name) for name in _numeric(policy)}
-    kept = sorted(sway, key=lambda name: -sway[name])[:MOST_COVARIATES]
+    states = {stage: frame[frame["stage"] == stage] for stage in range(1, min(MOST_STAGES, logs.horizon) + 1)}
+    states = {stage: rows for stage, rows in states.items() if len(rows) >= FEWEST_STATES}
+    names = [name for name in numeric_of(policy) if all(_varies(rows[name]) for rows in states.values())]
+    if not states or not names:
+        return [], None
+    replicates = _replicates(stored, logs, num_replicates, seed) if is_own_log else None
+    band: Band | None = "bootstrap" if replicates is not None else "regression" if stored.q_error else None
+    return [_curve(stored, replicates, rows, stage, name) for stage, rows in states.items() for name in names], band
+
+
+def telling(curves: list[QCurve]) -> list[str]:
+    """Covariates by how far they move the actions against one another, the farthest first."""
+    names = dict.fromkeys(curve.covariate for curve in curves)
+    sway = {name: sum(_sway(curve) for curve in curves if curve.covariate == name) for name in names}
+    return sorted(sway, key=lambda name: -sway[name])
+
+
+def most_telling(curves: list[QCurve]) -> list[QCurve]:
+    """Keep those along the covariates that sway the choice most."""
+    kept = telling(curves)[:MOST_COVARIATES]
     return [curve for curve in curves if curve.covariate in kept]
 
 
-def _curve(policy: FlatPolicy, replicates: Any, states: pd.DataFrame, stage: int, covariate: str) -> QCurve:
+def _curve(stored: StoredPolicy, replicates: Any, states: pd.DataFrame, stage: int, covariate: str) -> QCurve:
+    policy = stored.policy
     low, high = np.quantile(states[covariate].astype(float), MIDDLE)
     values = np.linspace(low, high, NUM_POINTS)
-    at = pd.DataFrame(_middle(policy, states), index=range(NUM_POINTS)).assign(**{covariate: values})
-    bands = None if replicates is None else replicates.q_interval(at, stage, BAND_LEVEL)
+    at = pd.DataFrame(middle_of(policy, states), index=range(NUM_POINTS)).assign(**{covariate: values})
+    bands = _regression_bands(stored, at, stage) if replicates is None else replicates.q_interval(at, stage, BAND_LEVEL)
 
     def by_name(q: Float[np.ndarray, "k A"]) -> dict[str, Float[np.ndarray, " k"]]:
         is_possible = policy.is_possible[stage - 1]
@@ -108,16 +147,22 @@ def _curve(policy: FlatPolicy, replicates: Any, states: pd.DataFrame, stage: int
     )
 
 
-def _numeric(policy: FlatPolicy) -> list[str]:
-    return [name for name in policy.covariates if name not in policy.categories]
+def _regression_bands(
+    stored: StoredPolicy, at: pd.DataFrame, stage: int
+) -> tuple[Float[np.ndarray, "k A"], Float[np.ndarray, "k A"]] | None:
+    """The intervals of `halfseen act`, from the margin in the policy's folder; None where it has none."""
+    known, policy = stored.q_error, stored.policy
+    if known is None:
+        return None
+    q = policy.q_values(at, stage)
+    error = (q - policy.lower_bounds(at, stage)) / known.pessimism
+    half = reach(error, known.stages_from(stage, policy.horizon), known.lasting)
+    return q - half, q + half
 
 
-def _middle(policy: FlatPolicy, states: Any) -> dict[str, Any]:
-    """Median of each covariate of numbers, and the commonest category of each of text, the first of those equal."""
-    return {
-        name: states[name].astype(str).mode()[0] if name in policy.categories else float(states[name].median())
-        for name in policy.covariates
-    }
+def _varies(values: pd.Series) -> bool:
+    low, high = np.quantile(values.astype(float), MIDDLE)
+    return bool(low < high)
 
 
 def _sway(curve: QCurve) -> float:

@@ -6,7 +6,8 @@
       stages.csv     one row a stage
       paths.csv      one row a path
       objects.csv    where the stages have objects
-      columns.json   the type of each column; may be missing, or name only some of the columns
+      columns.json   the type of each column and, if somebody said, the unit of rewards; may be missing, or name only
+                     some of the columns
 
 The files are UTF-8 with commas, and the first row names the columns. An empty cell is null; an empty text stands in
 quotes. Lists are JSON (``[0.1, 0.2]``), times ISO 8601. Columns that ``columns.json`` does not name are read by these
@@ -40,6 +41,7 @@ from halfseen.writing import placed
 
 TYPES_FILE = "columns.json"
 FORMAT, VERSION = "halfseen-csv", 1
+UNIT = "reward_unit"
 
 _KNOWN_TYPES = {"stage": "int64", "ending": "string", "cause": "string"}
 _KNOWN_TYPES |= dict.fromkeys(("elapsed_s", "reward", "probability", "end_s"), "double")
@@ -73,7 +75,9 @@ def write_csv(logs: Logs, folder: str | Path) -> None:
         for name, frame in logs.tables.items():
             cells = {column: as_cells(frame[column], kind) for column, kind in types[name].items()}
             arrow_csv.write_csv(pa.table(cells), fresh / f"{name}.csv")
-        manifest = {"format": FORMAT, "version": VERSION, "tables": types}
+        manifest: dict[str, Any] = {"format": FORMAT, "version": VERSION, "tables": types}
+        if logs.reward_unit is not None:
+            manifest[UNIT] = logs.reward_unit
         (fresh / TYPES_FILE).write_text(json.dumps(manifest, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
@@ -92,14 +96,15 @@ def read_csv(folder: str | Path) -> Logs:
         with the heading, and the column are named), or the tables break an invariant.
     """
     folder = Path(folder)
-    types = _read_types(folder / TYPES_FILE)
+    manifest = _read_manifest(folder / TYPES_FILE)
+    types: dict[str, dict[str, ColumnType]] = manifest.get("tables", {})
     names = ["stages", "paths", "objects"] if (folder / "objects.csv").exists() else ["stages", "paths"]
     tables = {name: _read_table(folder / f"{name}.csv", types.get(name, {})) for name in names}
     with within(folder):
-        return Logs(**tables)
+        return Logs(**tables, reward_unit=manifest.get(UNIT))
 
 
-def _read_types(file: Path) -> dict[str, dict[str, ColumnType]]:
+def _read_manifest(file: Path) -> dict[str, Any]:
     if not file.exists():
         return {}
     try:
@@ -116,7 +121,7 @@ def _read_types(file: Path) -> dict[str, dict[str, ColumnType]]:
     for table, types in tables.items():
         for column, kind in types.items():
             _check_type(f"{file}: tables.{table}.{column}", kind)
-    return tables
+    return manifest
 
 
 def _check_type(place: str, kind: Any) -> None:

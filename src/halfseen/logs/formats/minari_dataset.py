@@ -59,6 +59,7 @@ def write_minari(logs: Logs, dataset_id: str) -> None:
     metadata = {
         "version": VERSION,
         **asdict(schema),
+        "reward_unit": logs.reward_unit,
         "without_steps": [asdict(p) for p in episodes if not len(p.actions)],
     }
     with placed(target) as fresh, _datasets_in(fresh), warnings.catch_warnings():
@@ -158,7 +159,7 @@ def _read_own(dataset: Any, metadata: dict[str, Any]) -> Logs:
     is_whole = len(indices) == dataset.storage.total_episodes
     paths = [_steps(episode, note, schema) for episode, note in zip(dataset, notes, strict=True)]
     stepless = [_stepless(path) for path in metadata["without_steps"]] if is_whole else []
-    return logs_of([*paths, *stepless], schema)
+    return logs_of([*paths, *stepless], schema).in_unit(metadata.get("reward_unit"))
 
 
 def _steps(episode: Any, note: dict[str, Any], schema: Schema) -> Steps:

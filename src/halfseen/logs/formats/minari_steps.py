@@ -13,8 +13,9 @@ infos elapsed_s     clock at each observation [s]: 0, then the end of each compl
 infos stage         JSON: the rest of the stage (object, probability, covariates that are no numbers; the action where
                     the stage was not completed), and the objects that stood there, row by row
 episode metadata    JSON: the row of the path
-dataset metadata    names of the actions and of the observation's columns, types of all columns, and the paths that
-                    were cut in their first stage: they have no step, so that Minari has no episode for them
+dataset metadata    names of the actions and of the observation's columns, types of all columns, the unit of rewards,
+                    and the paths that were cut in their first stage: they have no step, so that Minari has no episode
+                    for them
 ==================  ==================================================================================================
 """
 

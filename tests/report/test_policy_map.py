@@ -1,0 +1,104 @@
+import numpy as np
+import pandas as pd
+import pytest
+from small_report import ACTIONS, COVARIATES, hostile_log
+
+from halfseen.evaluation.targets import task_of
+from halfseen.learners import CensoredQLearner
+from halfseen.logs import Logs
+from halfseen.pages.drawing import inline_svg
+from halfseen.report import table_map as table_map_module
+from halfseen.report.action_colours import action_colours
+from halfseen.report.map_figure import draw_map
+from halfseen.report.policy_map import FEWEST_NEAR, NEAR, policy_maps, supported
+from halfseen.report.table_map import table_map
+from halfseen.report.table_map_figure import draw_table_map
+from halfseen.world import ActionSpace
+from small_logs import table_log
+
+
+@pytest.fixture(scope="module")
+def logs():
+    return hostile_log(num_paths=80)
+
+
+@pytest.fixture(scope="module")
+def policy(logs):
+    return CensoredQLearner.of_paper(2, ACTIONS, COVARIATES, reg=0.1).fit(logs).policy_
+
+
+def test_a_map_is_what_the_policy_decides_with_the_rest_in_the_middle(policy, logs):
+    first, _ = policy_maps(policy, logs, COVARIATES)
+    states = logs.stages[logs.stages["stage"] == 1]
+    for row, column in ((0, 0), (40, 70), (89, 3)):
+        at = {COVARIATES[0]: [first.across[column]], COVARIATES[1]: [first.up[row]]}
+        assert first.taken[row, column] == policy.decide(pd.DataFrame(at), 1)[0]
+    assert first.across[[0, -1]] == pytest.approx(np.quantile(states[COVARIATES[0]], [0.01, 0.99]))
+    assert len(first.dots) == len(states)
+    assert first.done.tolist() == states["action"].tolist()
+    assert first.middle == {}
+
+
+def test_support_is_enough_states_nearby_by_a_loop():
+    rng = np.random.default_rng(0)
+    states, places = rng.normal(size=(60, 2)) * [1.0, 100.0], rng.normal(size=(40, 2)) * [1.5, 150.0]
+    scaled = states / states.std(axis=0)
+    by_loop = [
+        sum(np.linalg.norm(place / states.std(axis=0) - one) <= NEAR for one in scaled) >= FEWEST_NEAR
+        for place in places
+    ]
+    assert supported(places, states).tolist() == by_loop
+    assert 0 < sum(by_loop) < len(places)
+    assert not supported(places, states[: FEWEST_NEAR - 1]).any()
+
+
+def test_one_covariate_is_a_strip_and_none_is_nothing(logs):
+    one = CensoredQLearner.of_paper(2, ACTIONS, COVARIATES[:1], reg=0.1).fit(logs).policy_
+    maps = policy_maps(one, logs, COVARIATES[:1])
+    assert maps[0].up is None
+    assert maps[0].taken.shape[0] == 1
+    svg = inline_svg(lambda: draw_map(maps[0], action_colours(ACTIONS)), "f", "t")
+    assert "the policy" in svg
+    assert policy_maps(one, logs, []) == []
+
+
+def test_stages_of_few_states_have_no_map(policy):
+    assert policy_maps(policy, hostile_log(num_paths=6), COVARIATES) == []
+
+
+def test_a_covariate_that_never_varies_is_not_an_axis(policy, logs):
+    still = Logs(logs.stages.assign(**{COVARIATES[0]: 1.0}), logs.paths)
+    maps = policy_maps(policy, still, COVARIATES)
+    assert {one.covariates for one in maps} == {(COVARIATES[1],)}
+    assert maps[0].middle == {COVARIATES[0]: "1"}
+
+
+def test_a_drawn_map_names_its_covariates_and_hatches(policy, logs):
+    first = policy_maps(policy, logs, COVARIATES)[0]
+    svg = inline_svg(lambda: draw_map(first, action_colours(ACTIONS)), "f", "t")
+    assert "y_$2$" in svg
+    assert "x&lt;1&gt;" in svg
+    assert ("<pattern" in svg) == (not first.is_supported.all())
+    assert len(svg) < 100_000
+
+
+def test_objects_of_a_log_are_counted_by_what_the_policy_would_do_to_them(monkeypatch):
+    monkeypatch.setattr(table_map_module, "FEWEST_OBJECTS", 1)
+    logs = table_log(num_paths=60)
+    policy = CensoredQLearner.for_table(3, reg=0.1).fit(logs).policy_
+    task = task_of(policy, logs)
+    told = table_map(policy, task, logs)
+    taken = task.target_probabilities(policy, logs, 3)
+    num = {"WASH": 0, "LIFT": 0}
+    ids = list(logs.path_ids)
+    for path, stage in zip(logs.stages["path"], logs.stages["stage"], strict=True):
+        chances = taken[ids.index(path), stage - 1]
+        name = ActionSpace.of_size(len(chances)).names[int(np.argmax(chances))].split()[0]
+        num[name] = num.get(name, 0) + 1
+    on_table = (logs.objects["location"] == "TABLE").sum()
+    assert told.num_objects.sum() == on_table
+    for verb, share in told.share.items():
+        assert np.nansum(share * told.num_objects) == pytest.approx(num[verb])
+        assert verb in inline_svg(lambda verb=verb: draw_table_map(told, verb), "f", "t")
+    bare = Logs(logs.stages, logs.paths, logs.objects.drop(columns="log_odds"))
+    assert table_map(policy, task, bare) is None

@@ -1,0 +1,114 @@
+import numpy as np
+import pandas as pd
+import pytest
+
+from halfseen.logs import Logs
+from halfseen.pages.drawing import inline_svg
+from halfseen.report.action_colours import OTHERS, action_colours
+from halfseen.report.endings import endings
+from halfseen.report.timeline import MOST_ROWS, UNKNOWN_ACTION, timeline
+from halfseen.report.timeline_figure import draw_timeline
+
+
+def log_of(paths):
+    """Paths as (times of completed stages, time of the cut or None, cause, action of the stage in which it was cut)."""
+    stages, ends = [], []
+    for path, (times, cut_s, cause, last) in enumerate(paths):
+        for stage, elapsed_s in enumerate(times, start=1):
+            row = {"path": path, "stage": stage, "elapsed_s": elapsed_s, "action": f"a{stage}", "reward": 0.0}
+            stages.append(row)
+        if cut_s is not None:
+            stages.append({"path": path, "stage": len(times) + 1, "elapsed_s": None, "action": last, "reward": None})
+        end_s = times[-1] if cut_s is None else cut_s
+        ends.append({"path": path, "end_s": end_s, "ending": "cut" if cut_s else "finished", "cause": cause})
+    frame = pd.DataFrame(stages).astype({"elapsed_s": float, "reward": float})
+    return Logs(frame, pd.DataFrame(ends))
+
+
+def many(num_paths, num_stages=2, seed=0):
+    rng = np.random.default_rng(seed)
+    clocks = np.cumsum(rng.uniform(0.5, 2.0, (num_paths, num_stages)), axis=1)
+    return log_of([(clock.tolist(), None, None, None) for clock in clocks])
+
+
+def drawn(logs):
+    told = timeline(logs)
+    colours = action_colours(sorted(set(told.action) - {UNKNOWN_ACTION}))
+    return told, inline_svg(lambda: draw_timeline(told, colours), "f", "t")
+
+
+def test_rows_are_paths_by_how_they_ended_and_then_by_length():
+    told = timeline(
+        log_of(
+            [
+                ([1.0, 4.0], None, None, None),
+                ([1.0], 2.0, "operator", "b"),
+                ([3.0], None, None, None),
+                ([], 0.5, "operator", None),
+                ([1.0], 5.0, "battery", "b"),
+            ]
+        )
+    )
+    assert [(group.name, group.num_paths) for group in told.endings] == [
+        ("finished", 2),
+        ("cut: operator", 2),
+        ("cut: battery", 1),
+    ]
+    assert told.end_s.tolist() == [3.0, 4.0, 0.5, 2.0, 5.0]
+    pieces = set(zip(told.row, told.begin_s, told.until_s, told.action, told.is_completed, strict=True))
+    assert pieces == {
+        (0, 0.0, 3.0, "a1", True),
+        (1, 0.0, 1.0, "a1", True),
+        (1, 1.0, 4.0, "a2", True),
+        (2, 0.0, 0.5, UNKNOWN_ACTION, False),
+        (3, 0.0, 1.0, "a1", True),
+        (3, 1.0, 2.0, "b", False),
+        (4, 0.0, 1.0, "a1", True),
+        (4, 1.0, 5.0, "b", False),
+    }
+
+
+def test_every_way_to_end_has_its_paths():
+    logs = log_of([([1.0], 2.0, f"cause {k % 7}", "b") for k in range(21)] + [([1.0], None, None, None)])
+    ways = endings(logs)
+    assert np.sum(list(ways.values()), axis=0).tolist() == [1] * 22
+    assert list(ways)[-1] == "cut: 3 other causes"
+
+
+def test_many_paths_are_evenly_spaced_ones_of_each_way_to_end():
+    rare = ([1.0], 1.5, "battery", "b")
+    logs = many(2000)
+    rarely = log_of([rare])
+    both = Logs(
+        pd.concat([logs.stages, rarely.stages.assign(path=2000)]),
+        pd.concat([logs.paths, rarely.paths.assign(path=2000)]),
+    )
+    told = timeline(both)
+    assert [group.num_rows for group in told.endings] == [MOST_ROWS, 1]
+    ends_s = np.sort(logs.end_s)
+    assert told.end_s[[0, MOST_ROWS - 1]].tolist() == ends_s[[0, -1]].tolist()
+    assert told.end_s[: MOST_ROWS // 2].max() == pytest.approx(np.median(ends_s), abs=0.05)
+
+
+def test_a_log_of_many_long_paths_is_a_small_drawing_without_names_of_paths():
+    logs = many(3000, num_stages=30)
+    told, svg = drawn(logs)
+    assert told.num_rows == MOST_ROWS
+    assert len(svg) < 500_000
+    assert OTHERS in svg
+
+
+@pytest.mark.parametrize(
+    "paths",
+    [
+        [([1.0], None, None, None)],
+        [([], 0.5, "operator", None)],
+        [([], 0.5, "operator", "grip"), ([], 0.7, None, "grip")],
+        [([1.0, 2.0], 3.0, f"cause {k}", "b") for k in range(9)],
+    ],
+)
+def test_few_paths_are_drawn_too(paths):
+    told, svg = drawn(log_of(paths))
+    assert told.num_rows == len(paths)
+    for group in told.endings:
+        assert group.name in svg
