@@ -27,7 +27,7 @@ def draw_watched(watched: Watched) -> Figure:
     for place, (name, ends_s) in enumerate(watched.ends_s.items()):
         colour = INK if name == FINISHED_ROW else LINES[1:][(place - 1) % (len(LINES) - 1)]
         ends.plot(ends_s, np.full(len(ends_s), place), "|", ms=9, mew=0.9, alpha=0.7, color=colour)
-    names = [f"{name} ({len(ends_s)})" for name, ends_s in watched.ends_s.items()]
+    names = [f"{name} ({len(ends_s):,})" for name, ends_s in watched.ends_s.items()]
     ends.set_yticks(range(num_rows), names)
     ends.tick_params(axis="y", length=0)
     ends.set_ylim(num_rows - 0.4, -0.6)
