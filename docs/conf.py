@@ -3,12 +3,20 @@
 Neither the build nor a built page asks a network for anything: formulas are Unicode, fonts are the reader's own.
 """
 
+import os
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent / "extensions"))
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE / "extensions"))
+
+from sources import digest_of
 
 from halfseen import __version__
+
+# Notebooks compile more than they compute, and their processes read these when they start.
+os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 project = "halfseen"
 author = "the halfseen authors"
@@ -16,11 +24,17 @@ copyright = "the halfseen authors, Apache-2.0"  # noqa: A001
 version = release = __version__
 language = "en-GB"
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "numpydoc"]
+extensions = ["myst_nb", "sphinx_design", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "numpydoc"]
 extensions += ["citations", "public_names", "verbs"]
-exclude_patterns = ["extensions", "_build"]
+exclude_patterns = ["extensions", "pictures", "_build"]
 myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
+# What a notebook shows is kept until it, the package or the logs change.
+nb_execution_mode = "cache"
+nb_execution_cache_path = str(HERE.parent / "runs" / "notebooks" / digest_of(HERE.parent, "src/halfseen", "examples"))
+nb_execution_timeout = 300
+nb_execution_raise_on_error = True
+nb_merge_streams = True
 # Docstrings put names between single backticks; those that are public become links.
 default_role = "py:obj"
 # A reference that a page does not cite is no fault: the docstrings of private modules cite some.
