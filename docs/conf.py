@@ -7,8 +7,7 @@ import os
 import sys
 from pathlib import Path
 
-HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE / "extensions"))
+sys.path.insert(0, str(Path(__file__).parent / "extensions"))
 
 from sources import digest_of
 
@@ -31,7 +30,8 @@ myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
 # What a notebook shows is kept until it, the package or the logs change.
 nb_execution_mode = "cache"
-nb_execution_cache_path = str(HERE.parent / "runs" / "notebooks" / digest_of(HERE.parent, "src/halfseen", "examples"))
+root = Path(__file__).parents[1]
+nb_execution_cache_path = str(root / "runs" / "notebooks" / digest_of(root, "src/halfseen", "examples"))
 nb_execution_timeout = 300
 nb_execution_raise_on_error = True
 nb_merge_streams = True

@@ -12,6 +12,11 @@ from pictures.picture import ROOT, Picture
 SCRIPTS = ("linear_median", "quadratic_median", "dependent_cuts", "ten_covariates", "clinical_trial/clinical_trial")
 
 
+def importable(folder: str) -> None:
+    """Let the modules of an example be imported."""
+    sys.path.append(str(ROOT / "examples" / folder))
+
+
 def _made_by(script: str) -> bytes:
     with TemporaryDirectory() as folder:
         command = [sys.executable, str(ROOT / "examples" / f"{script}.py"), "--out", folder]

@@ -1,4 +1,4 @@
-"""Figures of the numbers that pages of the guide print in their tables, which other tests hold against what made them."""
+"""Figures of the numbers that pages of the guide print, which other tests hold against what made them."""
 
 import re
 

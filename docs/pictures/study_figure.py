@@ -1,4 +1,4 @@
-"""Figure 1 of the study, drawn from the tables that `halfseen study --only reward` writes, by the study's own drawing."""
+"""Figure 1 of the study, drawn by the study itself from the tables that `halfseen study --only reward` writes."""
 
 from collections.abc import Mapping
 from dataclasses import replace

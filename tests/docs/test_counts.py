@@ -1,14 +1,14 @@
-"""Counts that prose tells are those of the logs: of what comes with the repository, and of what pictures are drawn from."""
+"""Counts that prose tells are those of the logs that come with the repository."""
 
 import re
 
 import pytest
-from pictures.learned_figures import PICTURES as LEARNED
-from pictures.picture import ROOT
 
 from halfseen.cell.calibration.law_folder import ATTEMPTS, read_law
 from halfseen.cell.calibration.shipped import shipped_law
 from halfseen.logs import read_logs
+from pictures.intervals import INTERVALS
+from pictures.picture import ROOT
 
 TOLD = {
     "README.md": ("{logs} parts of a cell",),
@@ -45,7 +45,7 @@ def counts():
     )
     law, tried = read_law(shipped_law()).law.grasp, read_logs(shipped_law() / ATTEMPTS)
     by, stopped = later.paths["cause"].value_counts(), cleared.paths["cause"].value_counts()
-    (intervals,) = (picture.numbers.read() for picture in LEARNED if picture.name == "intervals")
+    intervals = INTERVALS.numbers.read()
     missed = sum(not row["low"] <= row["truth"] <= row["high"] for row in intervals)
     found = {
         "logs": len(logs.paths),

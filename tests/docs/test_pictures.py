@@ -1,4 +1,4 @@
-"""Every picture of README and docs has an entry, is what its entry draws, and rests on numbers that can be made again."""
+"""Every picture of README and docs has an entry, is what that draws, and rests on numbers that can be made again."""
 
 import io
 import re
@@ -10,6 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image, ImageSequence
+
+from halfseen.cell import film
+from halfseen.pages.drawing import drawn
 from pictures import way_of_the_data
 from pictures.films import CLOSED_LOOP
 from pictures.likeness import are_alike
@@ -17,9 +20,6 @@ from pictures.picture import NUMBERS, ROOT, Picture, plot
 from pictures.registry import PICTURES
 from pictures.study_figure import FIGURE1_NUMBERS
 from pictures.style import panel
-
-from halfseen.cell import film
-from halfseen.pages.drawing import drawn
 
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *(page for page in DOCS.rglob("*.md") if "verbs" not in page.parts)]
