@@ -24,7 +24,7 @@ version = release = __version__
 language = "en-GB"
 
 extensions = ["myst_nb", "sphinx_design", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "numpydoc"]
-extensions += ["citations", "public_names", "verbs"]
+extensions += ["captions", "citations", "public_names", "verbs"]
 exclude_patterns = ["extensions", "pictures", "_build"]
 myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
@@ -62,5 +62,5 @@ html_theme_options = {
     "dark_css_variables": {"color-brand-primary": "#7fb8dd", "color-brand-content": "#7fb8dd"},
     "navigation_with_keys": True,
 }
-pygments_style = "friendly"
-pygments_dark_style = "native"
+pygments_style = "a11y-high-contrast-light"
+pygments_dark_style = "a11y-high-contrast-dark"

@@ -64,6 +64,24 @@ def _with_labels() -> bytes:
     return _small(figure_of)
 
 
+def _table() -> bytes:
+    """A table that comes with halfseen, as `halfseen look` draws it."""
+    from halfseen.perception import perceive, read_cloud
+    from halfseen.perception.picture import draw_view
+    from halfseen.scene import table_paths
+
+    view = perceive(read_cloud(table_paths()[0]))
+
+    def figure_of() -> Figure:
+        window = _window([view])
+        made, (axes,) = _panels(1, window)
+        draw_view(axes, view, 9.0, has_shares=False)
+        axes.set(xlim=window[:2], ylim=window[2:])
+        return made
+
+    return _small(figure_of)
+
+
 def _two_cameras() -> bytes:
     from halfseen.perception.picture import draw_view
     from halfseen.scene import capture
@@ -87,6 +105,7 @@ def _two_cameras() -> bytes:
 
 
 PICTURES = (
+    Picture("table", "docs/static/guide/table.png", _table, seconds=4.0),
     Picture("stained", "docs/static/guide/stained.png", _with_labels, seconds=6.0),
     Picture("two-cameras", "docs/static/guide/two-cameras.png", _two_cameras, seconds=8.0),
 )
