@@ -3,6 +3,7 @@
 Neither the build nor a built page asks a network for anything: formulas are Unicode, fonts are the reader's own.
 """
 
+import logging
 import os
 import sys
 from pathlib import Path
@@ -16,6 +17,8 @@ from halfseen import __version__
 # Notebooks compile more than they compute, and their processes read these when they start.
 os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# The style of highlighting would let every library log to the terminal, if nobody else said where logs go.
+logging.getLogger().addHandler(logging.NullHandler())
 
 project = "halfseen"
 author = "the halfseen authors"
