@@ -10,6 +10,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent / "extensions"))
 
+from jupyter_client import KernelManager
 from sources import digest_of
 
 from halfseen import __version__
@@ -27,10 +28,12 @@ version = release = __version__
 language = "en-GB"
 
 extensions = ["myst_nb", "sphinx_design", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "numpydoc"]
-extensions += ["captions", "citations", "public_names", "verbs"]
+extensions += ["citations", "public_names", "read_aloud", "verbs"]
 exclude_patterns = ["extensions", "pictures", "_build"]
 myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
+# The processes of notebooks are talked with in cipher, or each would warn that they are not.
+KernelManager.transport_encryption.default_value = "auto"
 # What a notebook shows is kept until it, the package or the logs change.
 nb_execution_mode = "cache"
 root = Path(__file__).parents[1]

@@ -28,7 +28,7 @@ TOLD = {
     "docs/gallery.md": (
         "{logs} parts, three grippers and a person to hand a part over to; {logs_cut} paths were cut",
         "{later} parts that came later",
-        "The operator cut {by_operator},",
+        "The operator cut {by_operator};",
         "a sensor was lost in {by_sensor}.",
         "{cleared} tables that the arm cleared",
         "{cleared_cut} were cut: {hard} by a contact that was too hard, {lost} by a lost camera, {long} by an attempt",
