@@ -27,7 +27,7 @@ copyright = "the halfseen authors, Apache-2.0"  # noqa: A001
 version = release = __version__
 language = "en-GB"
 
-extensions = ["myst_nb", "sphinx_design", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "numpydoc"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "numpydoc"]
 extensions += ["citations", "public_names", "read_aloud", "verbs"]
 exclude_patterns = ["extensions", "pictures", "_build"]
 myst_enable_extensions = ["colon_fence", "deflist"]

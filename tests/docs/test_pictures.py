@@ -31,8 +31,7 @@ def shown_in(page):
     """Pictures of a page as (alternative text, file)."""
     text = page.read_text(encoding="utf-8")
     found = re.findall(r"!\[([^\]]*)\]\(([^)]+)\)", text)
-    found += [(alt.strip('"'), file) for file, alt in re.findall(r":img-top: (\S+)\n:img-alt: (.+)\n", text)]
-    assert len(found) == text.count("![") + text.count(":img-top:"), page
+    assert len(found) == text.count("!["), page
     return [(alt, (page.parent / file).resolve()) for alt, file in found]
 
 
