@@ -13,7 +13,10 @@ from pictures.picture import ROOT
 
 TOLD = {
     "README.md": ("{logs} parts of a cell",),
-    "examples/README.md": ("{logs} paths of which a third are cut",),
+    "examples/README.md": (
+        "{logs} paths of which a third are cut, and {later} later ones",
+        "holds {cleared} tables that an arm cleared",
+    ),
     "docs/guide/from-logs-to-a-policy.md": (
         "{logs} parts that differ in weight",
         "{logs} paths of up to",

@@ -4,6 +4,7 @@ import io
 import re
 import subprocess
 import sys
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,10 +13,13 @@ import pytest
 from PIL import Image, ImageSequence
 
 from halfseen.cell import film
+from halfseen.cli import VERBS
+from halfseen.cli.extras import EXTRAS
 from halfseen.pages.drawing import drawn
 from pictures import way_of_the_data
 from pictures.films import CLOSED_LOOP
 from pictures.likeness import are_alike
+from pictures.page_figures import ASKS_FOR
 from pictures.picture import NUMBERS, ROOT, Picture, plot
 from pictures.registry import PICTURES
 from pictures.study_figure import FIGURE1_NUMBERS
@@ -150,6 +154,14 @@ def test_the_boxes_are_the_folders_of_the_package(monkeypatch):
     monkeypatch.setattr(way_of_the_data, "BOXES", way_of_the_data.BOXES[1:])
     with pytest.raises(AssertionError, match="cell"):
         way_of_the_data.draw()
+
+
+def test_commands_ask_for_extras_that_there_are():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert set(ASKS_FOR) <= set(VERBS)
+    asked = {name for names in ASKS_FOR.values() for name in names}
+    assert asked | {"gym"} == set(EXTRAS)
+    assert set(EXTRAS) | {"docs", "dev"} == set(project["optional-dependencies"])
 
 
 def test_a_picture_that_is_not_there_is_refused_by_name():
