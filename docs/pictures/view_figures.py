@@ -54,7 +54,7 @@ def _with_labels() -> bytes:
         made, (coloured, seen) = _panels(2, window)
         coloured.imshow(cloud.colours.reshape(*view.labels.shape, 3))
         draw_view(seen, view, 9.0, has_shares=False)
-        for axes, told in ((coloured, "the colours of the cloud"), (seen, "what `look` makes of it")):
+        for axes, told in ((coloured, "the colours of the cloud"), (seen, "what halfseen look makes of it")):
             axes.set(xlim=window[:2], ylim=window[2:])
             axes.set_title(told, loc="left", fontsize=9.5)
         told = ", ".join(f"{k} {word}" for k, word in enumerate(words))
