@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PARALLEL := -n auto --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 
-.PHONY: study test test-slow check docs clouds benchmarks clean
+.PHONY: study test test-slow check docs pictures clouds benchmarks clean
 
 study: .venv/.installed
 	$(BIN)/halfseen study --out runs/study
@@ -23,6 +23,10 @@ check: .venv/.installed
 
 docs: .venv/.installed
 	$(BIN)/python -m sphinx -W --keep-going -q -E -a -b html docs runs/docs
+
+# All of them, or ONLY=name; with ANEW=1 their numbers, too, which takes as long as the study.
+pictures: .venv/.installed
+	PYTHONPATH=docs $(BIN)/python -m pictures $(ONLY) $(if $(ANEW),--anew)
 
 clouds: .venv/.installed
 	$(BIN)/python -m halfseen.scene

@@ -3,12 +3,23 @@
 Neither the build nor a built page asks a network for anything: formulas are Unicode, fonts are the reader's own.
 """
 
+import logging
+import os
 import sys
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent / "extensions"))
 
+from jupyter_client import KernelManager
+from sources import digest_of
+
 from halfseen import __version__
+
+# Notebooks compile more than they compute, and their processes read these when they start.
+os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# The style of highlighting would let every library log to the terminal, if nobody else said where logs go.
+logging.getLogger().addHandler(logging.NullHandler())
 
 project = "halfseen"
 author = "the halfseen authors"
@@ -16,11 +27,20 @@ copyright = "the halfseen authors, Apache-2.0"  # noqa: A001
 version = release = __version__
 language = "en-GB"
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "numpydoc"]
-extensions += ["accessible", "citations", "public_names", "verbs"]
-exclude_patterns = ["extensions", "_build"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "numpydoc"]
+extensions += ["citations", "public_names", "read_aloud", "verbs"]
+exclude_patterns = ["extensions", "pictures", "_build"]
 myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
+# The processes of notebooks are talked with in cipher, or each would warn that they are not.
+KernelManager.transport_encryption.default_value = "auto"
+# What a notebook shows is kept until it, the package or the logs change.
+nb_execution_mode = "cache"
+root = Path(__file__).parents[1]
+nb_execution_cache_path = str(root / "runs" / "notebooks" / digest_of(root, "src/halfseen", "examples"))
+nb_execution_timeout = 300
+nb_execution_raise_on_error = True
+nb_merge_streams = True
 # Docstrings put names between single backticks; those that are public become links.
 default_role = "py:obj"
 # A reference that a page does not cite is no fault: the docstrings of private modules cite some.

@@ -1,5 +1,6 @@
 import html
 import importlib
+import itertools
 import pkgutil
 import re
 import runpy
@@ -77,6 +78,43 @@ def test_the_docs_build_without_warnings_and_hold_every_public_name(built):
         page = (built / "reference" / f"{package}.html").read_text(encoding="utf-8")
         names = importlib.import_module(f"halfseen.{package}").__all__
         assert [name for name in names if f'id="halfseen.{package}.{name}"' not in page] == []
+
+
+NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.md"))
+
+
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
+def test_prose_of_a_notebook_tells_no_numbers(notebook):
+    _, _, text = notebook.read_text(encoding="utf-8").split("---\n", 2)
+    prose = re.sub(
+        r"^```.*?^```$|`[^`]+`|\(\.\./[^)]*\)|eq\. 3|\[0, 1\]|95 %", "", text, flags=re.DOTALL | re.MULTILINE | re.I
+    )
+    assert re.findall(r"\d+", prose) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_is_a_page_with_what_it_shows_and_can_be_taken_along(built, notebook):
+    page = (built / "notebooks" / f"{notebook.stem}.html").read_text(encoding="utf-8")
+    num_shown = notebook.read_text(encoding="utf-8").count("SVG(")
+    assert num_shown >= 3
+    assert len(re.findall(r'<img alt="[^"]{20,}" src="\.\./_images/\w+\.svg"', page)) == num_shown
+    assert "Traceback" not in page
+    (taken,) = re.findall(r'href="\.\./(_downloads/[^"]+\.md)"', page)
+    assert (built / taken).read_bytes() == notebook.read_bytes()
+
+
+@pytest.mark.slow
+def test_every_picture_of_a_page_is_told_in_words_and_no_level_of_headings_is_left_out(built):
+    for page in built.rglob("*.html"):
+        text = page.read_text(encoding="utf-8")
+        article = text.split('<article role="main"', 1)[-1].split("</article>", 1)[0]
+        assert [image for image in re.findall(r"<img[^>]*>", article) if not re.search(r'alt="[^"]+"', image)] == [], (
+            page
+        )
+        levels = [int(level) for level in re.findall(r"<h([1-6])[ >]", article)]
+        assert [pair for pair in itertools.pairwise(levels) if pair[1] > pair[0] + 1] == [], page
+        assert 'role="heading"><' not in text
 
 
 @pytest.mark.slow

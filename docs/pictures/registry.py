@@ -1,0 +1,24 @@
+"""All pictures that README and docs show."""
+
+from pictures.decision import DECISION
+from pictures.examples import EXAMPLES
+from pictures.films import CLOSED_LOOP, WATCHED
+from pictures.intervals import INTERVALS
+from pictures.law import HELD
+from pictures.log_figures import PICTURES as OF_LOGS
+from pictures.medians import MEDIANS
+from pictures.memory import MEMORY
+from pictures.page_figures import PICTURES as OF_PAGES
+from pictures.pick_cell_learners import PICK_CELL_LEARNERS
+from pictures.study_figure import FIGURE1
+from pictures.tiger_doors import TIGER
+from pictures.treatments import TREATMENTS
+from pictures.two_planners import TWO_PLANNERS
+from pictures.view_figures import PICTURES as OF_VIEWS
+from pictures.way_of_the_data import WAY_OF_THE_DATA
+
+PICTURES = (
+    *(FIGURE1, WAY_OF_THE_DATA, CLOSED_LOOP, WATCHED, HELD, *EXAMPLES),
+    *(*OF_LOGS, *OF_PAGES, *OF_VIEWS),
+    *(DECISION, TREATMENTS, MEDIANS, INTERVALS, TWO_PLANNERS, MEMORY, PICK_CELL_LEARNERS, TIGER),
+)

@@ -1,0 +1,107 @@
+"""Figure 1 of the study, drawn by the study itself from the tables that `halfseen study --only reward` writes."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache, partial
+from itertools import product
+from pathlib import Path
+
+import pandas as pd
+
+from halfseen.pages.drawing import drawn
+from halfseen.writing import write_file
+from pictures.picture import NUMBERS, ROOT, Numbers, Picture, Row, Table
+
+TABLES = ("figure1", "table1", "peer", "weights")
+"""What the study's section needs to draw its figure."""
+PIECES = Path("progress") / "reward"
+CHECKED_SIZE = 25
+STUDY = ROOT / "runs" / "pictures" / "study"
+
+
+@cache
+def _setting():
+    """The study's tables, under its law, as `halfseen study` sets them up."""
+    from halfseen.cell.calibration.shipped import shipped_law
+    from halfseen.perception import perceive, read_cloud
+    from halfseen.scene import table_paths
+    from halfseen.study.experiment import Setting
+    from halfseen.study.laws import under
+
+    setting, law = under(Setting(()), shipped_law())
+    scenes = tuple(replace(law.scene(perceive(read_cloud(path))), name=path.stem) for path in table_paths())
+    return replace(setting, scenes=scenes)
+
+
+def _draw() -> bytes:
+    from halfseen.study.experiments.reward.experiment import Reward
+
+    tables = {name: pd.read_csv(NUMBERS / f"study-{name}.csv", float_precision="round_trip") for name in TABLES}
+    drawing = Reward().section(_setting(), tables).drawings[0]
+    return drawn(partial(drawing.draw, drawing.title), "png")
+
+
+def repetitions_in(folder: Path) -> Table:
+    """What was earned in each repetition, from the pieces that a study keeps."""
+    import json
+
+    rows: Table = []
+    for file in sorted((folder / PIECES).glob("repetition-*.json")):
+        piece = json.loads(file.read_text(encoding="utf-8"))
+        rows += [
+            {"policy": "censored_q", "num_paths": row["num_paths"], "cut_share": row["cut_share"]}
+            | {"repetition": piece["index"], "reward": row["reward"]}
+            for row in piece["learned"]
+        ]
+        rows += [
+            {"policy": name, "num_paths": 0, "cut_share": 0.0}
+            | {"repetition": piece["index"], "reward": beside["other"]["reward"]}
+            for name, beside in piece["baselines"].items()
+            if "planner" not in name
+        ]
+    return rows
+
+
+def take_in(folder: Path) -> Table:
+    """Keep the tables that a study wrote into a folder."""
+    for name in TABLES:
+        write_file(NUMBERS / f"study-{name}.csv", (folder / f"{name}.csv").read_text(encoding="utf-8"))
+    return repetitions_in(folder)
+
+
+def _compute() -> Table:
+    from click.testing import CliRunner
+
+    from halfseen.cli import halfseen
+
+    done = CliRunner().invoke(halfseen, ["study", "--only", "reward", "--out", str(STUDY)], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    return take_in(STUDY)
+
+
+def _first_repetition() -> Mapping[int, Row]:
+    """What the heuristics, and policies learned from the smallest logs, earn in the first repetition."""
+    from halfseen.study.experiments.reward.experiment import CUT_KIND, Reward
+    from halfseen.study.pipeline import Source
+    from halfseen.study.policies import HEURISTICS
+
+    design, setting = Reward(), _setting()
+    source, num_all = Source.of(setting, 0), design.episodes_per_scene * len(setting.scenes)
+    found: dict[tuple[str, float, float], float] = {}
+    for each in HEURISTICS:
+        found[each.name, 0, 0.0] = source.evaluate(each.policy(source.world), num_all).means()["reward"]
+    episodes = source.play(max(design.num_paths))
+    rates = [source.cut_rate(share, CUT_KIND) for share in design.cut_shares]
+    logs = [(source.cut(episodes, rate, CUT_KIND), "weighted") for rate in rates]
+    learned = source.logged(episodes).learn_and_play(logs, [CHECKED_SIZE], num_all)
+    for (size, share), (_, played) in zip(product([CHECKED_SIZE], design.cut_shares), learned, strict=True):
+        found["censored_q", size, share] = played.means()["reward"]
+    return {
+        index: row | {"reward": found[row["policy"], row["num_paths"], row["cut_share"]]}
+        for index, row in enumerate(FIGURE1_NUMBERS.read())
+        if row["repetition"] == 0 and (row["policy"], row["num_paths"], row["cut_share"]) in found
+    }
+
+
+FIGURE1_NUMBERS = Numbers("figure1.csv", _compute, _first_repetition)
+FIGURE1 = Picture("figure1", "docs/figure1.png", _draw, FIGURE1_NUMBERS, seconds=15.0)
