@@ -10,7 +10,8 @@ from pictures.medians import MEDIANS
 from pictures.memory import MEMORY
 from pictures.page_figures import PICTURES as OF_PAGES
 from pictures.pick_cell_learners import PICK_CELL_LEARNERS
-from pictures.study_figure import FIGURE1
+from pictures.report_values import REPORT_VALUES
+from pictures.study_figure import FIGURE1, OPENING
 from pictures.tiger_doors import TIGER
 from pictures.treatments import TREATMENTS
 from pictures.two_planners import TWO_PLANNERS
@@ -18,7 +19,7 @@ from pictures.view_figures import PICTURES as OF_VIEWS
 from pictures.way_of_the_data import WAY_OF_THE_DATA
 
 PICTURES = (
-    *(FIGURE1, WAY_OF_THE_DATA, CLOSED_LOOP, WATCHED, HELD, *EXAMPLES),
+    *(OPENING, FIGURE1, WAY_OF_THE_DATA, CLOSED_LOOP, WATCHED, HELD, *EXAMPLES),
     *(*OF_LOGS, *OF_PAGES, *OF_VIEWS),
-    *(DECISION, TREATMENTS, MEDIANS, INTERVALS, TWO_PLANNERS, MEMORY, PICK_CELL_LEARNERS, TIGER),
+    *(DECISION, TREATMENTS, MEDIANS, INTERVALS, TWO_PLANNERS, MEMORY, PICK_CELL_LEARNERS, REPORT_VALUES, TIGER),
 )

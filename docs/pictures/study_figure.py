@@ -1,4 +1,4 @@
-"""Figure 1 of the study, drawn by the study itself from the tables that `halfseen study --only reward` writes."""
+"""Figures of the study, drawn by the study itself from the tables that `halfseen study --only reward` writes."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -33,11 +33,12 @@ def _setting():
     return replace(setting, scenes=scenes)
 
 
-def _draw() -> bytes:
+def _draw(name: str) -> bytes:
     from halfseen.study.experiments.reward.experiment import Reward
 
     tables = {name: pd.read_csv(NUMBERS / f"study-{name}.csv", float_precision="round_trip") for name in TABLES}
-    drawing = Reward().section(_setting(), tables).drawings[0]
+    section = Reward().section(_setting(), tables)
+    (drawing,) = (each for each in (section.opening, *section.drawings) if each is not None and each.name == name)
     return drawn(partial(drawing.draw, drawing.title), "png")
 
 
@@ -104,4 +105,7 @@ def _first_repetition() -> Mapping[int, Row]:
 
 
 FIGURE1_NUMBERS = Numbers("figure1.csv", _compute, _first_repetition)
-FIGURE1 = Picture("figure1", "docs/figure1.png", _draw, FIGURE1_NUMBERS, seconds=15.0)
+OPENING, FIGURE1 = (
+    Picture(name, f"docs/{name}.png", partial(_draw, name), FIGURE1_NUMBERS, seconds=15.0)
+    for name in ("opening", "figure1")
+)

@@ -5,9 +5,9 @@ import sys
 
 import numpy as np
 import pytest
-from chromium import BROWSER, tab
 from watched_runs import run
 
+from chromium import BROWSER, tab
 from halfseen.errors import ArgumentError
 
 viser = pytest.importorskip("viser", reason="the extra 'watch' is not installed")
