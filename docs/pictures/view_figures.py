@@ -11,13 +11,15 @@ from pictures.guide_pages import names_after
 from pictures.picture import Picture
 from pictures.style import WIDTH_INCHES
 
-NUM_COLOURS = 128
+NUM_COLOURS = 256
 
 
 def _small(figure_of) -> bytes:
     """Draw as PNG, in few colours, so that the file is small."""
     with Image.open(io.BytesIO(drawn(figure_of, "png"))) as image:
-        reduced = image.convert("RGB").quantize(NUM_COLOURS, dither=Image.Dither.NONE)
+        reduced = image.convert("RGB").quantize(
+            NUM_COLOURS, Image.Quantize.MEDIANCUT, kmeans=4, dither=Image.Dither.NONE
+        )
     content = io.BytesIO()
     reduced.save(content, "PNG", optimize=True)
     return content.getvalue()
@@ -54,11 +56,13 @@ def _with_labels() -> bytes:
         made, (coloured, seen) = _panels(2, window)
         coloured.imshow(cloud.colours.reshape(*view.labels.shape, 3))
         draw_view(seen, view, 9.0, has_shares=False)
-        for axes, told in ((coloured, "the colours of the cloud"), (seen, "what halfseen look makes of it")):
-            axes.set(xlim=window[:2], ylim=window[2:])
-            axes.set_title(told, loc="left", fontsize=9.5)
         told = ", ".join(f"{k} {word}" for k, word in enumerate(words))
-        seen.set_xlabel(told, fontsize=9.5)
+        for axes, heading in (
+            (coloured, "the colours of the cloud"),
+            (seen, f"what halfseen look makes of it:\n{told}"),
+        ):
+            axes.set(xlim=window[:2], ylim=window[2:])
+            axes.set_title(heading, loc="left", fontsize=9.5)
         return made
 
     return _small(figure_of)
