@@ -34,9 +34,16 @@ def test_the_python_example_runs_and_shows_what_is_said_of_it(clone, capsys):
 @pytest.mark.slow
 def test_the_engineers_path_can_be_walked(clone):
     (path,) = [block for block in blocks("sh") if "halfseen inspect" in block]
+    verdict = " ".join(line.removeprefix("> ") for line in README.splitlines() if line.startswith("> "))
+    printed = {}
     for line in path.replace("\\\n", " ").splitlines():
-        result = CliRunner().invoke(halfseen, shlex.split(line, comments=True)[1:], catch_exceptions=False)
+        words = shlex.split(line, comments=True)[1:]
+        result = CliRunner().invoke(halfseen, words, catch_exceptions=False)
         assert result.exit_code == 0, result.output
+        printed[words[0]] = result.output
+    # One verdict, and the one that is told.
+    assert printed["evaluate"].splitlines()[0] == verdict
+    assert "said" not in printed["learn"]
     assert Path("report.html").stat().st_size > 10_000
 
 
