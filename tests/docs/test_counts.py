@@ -12,7 +12,7 @@ from pictures.intervals import INTERVALS
 from pictures.picture import ROOT
 
 TOLD = {
-    "README.md": ("{logs} parts of a cell",),
+    "README.md": ("{logs} parts and {later} later ones",),
     "examples/README.md": (
         "{logs} paths of which a third are cut, and {later} later ones",
         "holds {cleared} tables that an arm cleared",

@@ -170,7 +170,7 @@ def test_a_picture_that_is_not_there_is_refused_by_name():
         [sys.executable, "-m", "pictures", "figure9"], capture_output=True, text=True, env=env, check=False
     )
     assert done.returncode == 2
-    assert "figure9: there is no such picture; there are figure1, " in done.stderr
+    assert "figure9: there is no such picture; there are opening, figure1, " in done.stderr
 
 
 def test_every_picture_is_listed():
