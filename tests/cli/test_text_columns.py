@@ -167,7 +167,7 @@ def test_evaluation_is_that_of_indicators(propensity):
 
 def test_q_is_drawn_along_numbers_with_bands_and_text_at_its_commonest(folder):
     logs, stored = stamped(0), read_policy(folder / "policy")
-    curves = q_curves(stored, logs, num_replicates=2, seed=0)
+    curves, _ = q_curves(stored, logs, num_replicates=2, seed=0)
     assert {curve.covariate for curve in curves} == {"x", "is_heavy"}
     assert all(curve.low is not None for curve in curves)
     first = next(curve for curve in curves if curve.covariate == "x" and curve.stage == 1)
