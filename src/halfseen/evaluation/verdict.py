@@ -96,7 +96,12 @@ def verdict_of(
     if difference.high <= 0 and (is_significant or difference.standard_error == 0):
         less = f"{-difference.value:.3g}{of} less a path than" if difference.value < 0 else "as much a path as"
         return "not better", f"it earns {less} {opponent}, {within} more"
-    reason = f"it earns {within}{of} more a path than {opponent}"
+    ends = (
+        f"between {-difference.low:.3g} less and {difference.high:.3g}"
+        if difference.low < 0 <= difference.high
+        else within
+    )
+    reason = f"it earns {ends}{of} more a path than {opponent}"
     if difference.low > 0 or difference.high <= 0:
         return "cannot be said", f"{reason}, which is not enough among so many opponents; name fewer"
     return "cannot be said", f"{reason}; {_more_paths(difference)}"
@@ -107,4 +112,5 @@ def _more_paths(difference: Estimate) -> str:
     times = (reach / abs(difference.value)) ** 2 if difference.value else np.inf
     if times > 100.0:
         return "there is no significant difference, nor would a log many times as large show one if that is all"
-    return f"if it is {difference.value:.3g}, some {np.ceil(times * 10) / 10:.1f} times as many paths would tell"
+    gain = f"{abs(difference.value):.3g} {'less' if difference.value < 0 else 'more'}"
+    return f"if it is {gain}, some {np.ceil(times * 10) / 10:.1f} times as many paths would tell"
