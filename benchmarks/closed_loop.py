@@ -52,7 +52,7 @@ def policies_of(logs: Logs, config: WorldConfig, seed: int) -> dict[str, Policy]
 
 def told(name: str, summary: Summary) -> str:
     """One line of the table."""
-    estimates = (summary.reward, summary.luck, summary.without_luck, summary.predicted, summary.gap)
+    estimates = (summary.reward, summary.predicted, summary.gap, summary.luck, summary.gap_without_luck)
     cells = ("–" if each is None else f"{each.value:+7.2f} ± {each.standard_error:.2f}" for each in estimates)
     cups = summary.counts
     washed = f"{cups['num_washed']}/{cups['num_dirty']} dirty, {cups['num_racked'] - cups['num_washed']} clean"
@@ -91,7 +91,7 @@ def main() -> None:
     without_luck: dict[str, np.ndarray] = {}
     results: dict[str, Any] = {"seed": options.seed, "logs": str(logs.summary()), "policies": {}, "differences": {}}
     print(f"learned from {logs.summary()}")
-    heads = ("in physics", "by luck", "without luck", "foretold", "gap")
+    heads = ("in physics", "foretold", "gap", "by luck", "gap without it")
     print(f"{'':<26}{''.join(f'{head:>17}' for head in heads)}{'washed':>24}{'robot':>7}")
     for name, policy in policies_of(logs, belief.config, options.seed).items():
         if options.only and name not in options.only:

@@ -44,6 +44,16 @@ def test_the_engineers_path_can_be_walked(clone):
     # One verdict, and the one that is told.
     assert printed["evaluate"].splitlines()[0] == verdict
     assert "said" not in printed["learn"]
+    values = dict(
+        re.findall(
+            r"^(doubly robust|the logging policy(?: without its exploration)?) +([\d.]+)", printed["evaluate"], re.M
+        )
+    )
+    earned = [
+        f"{float(values[name]):.2f}"
+        for name in ("the logging policy", "doubly robust", "the logging policy without its exploration")
+    ]
+    assert "earned {} a part, the policy {},\nthe cell's rule {}:".format(*earned) in README
     assert Path("report.html").stat().st_size > 10_000
 
 

@@ -5,23 +5,16 @@ from tempfile import TemporaryDirectory
 
 import pandas as pd
 
-from pictures.picture import ROOT, Picture, Table, whole
+from pictures.example_policy import example_policy
+from pictures.picture import Picture, Table, whole
 
 
 def _decided() -> Table:
     """What `halfseen act` says of the part of the guide, by the policy that `halfseen learn` makes."""
-    from click.testing import CliRunner
+    from halfseen.policies import NamedObservation, decider_of
 
-    from halfseen.cli import halfseen
-    from halfseen.policies import NamedObservation, decider_of, read_policy
-
-    with TemporaryDirectory() as folder:
-        command = ["learn", str(ROOT / "examples/pick_cell/logs"), "--out", f"{folder}/policy", "--no-verdict"]
-        done = CliRunner().invoke(halfseen, command, catch_exceptions=False)
-        assert done.exit_code == 0, done.output
-        stored = read_policy(Path(folder) / "policy")
     part = pd.DataFrame({"weight_kg": [0.8], "shine": [0.3], "clutter": [0.6]})
-    decision = decider_of(stored).decide(NamedObservation(part, stage=1))
+    decision = decider_of(example_policy()).decide(NamedObservation(part, stage=1))
     return [
         {
             "action": name,

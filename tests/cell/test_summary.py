@@ -44,7 +44,8 @@ def test_luck_is_told_apart_from_the_rest():
     found = told(runs)
     assert (found.luck.value, found.without_luck.value) == pytest.approx((-1.0, 5.0))
     assert found.without_luck.standard_error == pytest.approx(np.std([1, 3, 8], ddof=1) / np.sqrt(3))
-    assert found.gap.value == pytest.approx(5.0 - found.predicted.value)
+    assert found.gap.value == pytest.approx(4.0 - found.predicted.value)
+    assert found.gap_without_luck.value == pytest.approx(5.0 - found.predicted.value)
 
 
 def test_a_cut_table_is_stood_for_by_longer_ones():

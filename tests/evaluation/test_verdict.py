@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from enumerated_trial import CHANCE_B, StatePolicy, trial
 
+from halfseen.evaluation.estimate import Estimate
 from halfseen.evaluation.off_policy import default_q, default_targets, q_model_of
 from halfseen.evaluation.problem import as_logged, problem_of
-from halfseen.evaluation.verdict import why_unknown
+from halfseen.evaluation.verdict import verdict_of, why_unknown
 
 
 def problem(policy, logs):
@@ -49,3 +50,17 @@ def test_it_says_how_many_paths_would_do(paths_for_one, said):
     assert "the effective sample size is 2.6" in why
     assert said in why
     assert why_unknown("the policy", np.ones(2), 10.0, None, 400, paths_for_one) is None
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "words"),
+    [
+        (-0.2, 0.03, "earns between 0.2 less and 0.03 parts more a path than"),
+        (0.1, 0.3, "more a path than the logging policy, between 0.1 and 0.3 parts more"),
+        (-0.3, -0.1, "less a path than the logging policy, between 0.1 and 0.3 parts less"),
+        (-0.3, 0.0, "less a path than the logging policy, between 0 and 0.3 parts less"),
+    ],
+)
+def test_ends_of_the_interval_are_told_as_more_and_less_without_a_sign(low, high, words):
+    _, reason = verdict_of(Estimate((low + high) / 2.0, low, high, (high - low) / 4.0, 50.0), unit="parts")
+    assert words in reason

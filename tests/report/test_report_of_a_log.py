@@ -87,7 +87,7 @@ def test_the_smallest_logs_have_a_page_without_empty_parts(ends, says):
     assert says in words
     num_finished = sum(is_done for _, is_done in ends)
     assert ("Actions of completed stages" in words) == (num_finished > 0)
-    assert Reader(page).tags.count("svg") == (5 if num_finished else 3)
+    assert Reader(page).tags.count("svg") == (5 if num_finished else 2)
     assert not re.search(r"\b(nan|None)\b", words)
 
 

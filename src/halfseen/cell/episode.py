@@ -134,7 +134,7 @@ def play(
             if all(known.is_gone for known in cell.memory.objects):
                 break
             state, rows = state_of(cell.memory, belief, config.horizon - step), rows_of(cell.memory, belief)
-            chances = chances_of(rows)
+            chances = _chances_of(rows)
             if step == 0:
                 run.luck = luck_of_table(int(is_dirty.sum()), len(is_dirty), chances, config)
             if tells_truth:
@@ -182,7 +182,7 @@ def _decide(policy: Policy, state: TableState, key: Array):
     return policy.decide(state, key)
 
 
-def chances_of(rows: list[dict[str, Any]]) -> Rows:
+def _chances_of(rows: list[dict[str, Any]]) -> Rows:
     """P(DIRTY) of the objects of a stage."""
     return expit(np.array([row["log_odds"] for row in rows], dtype=float))
 
@@ -190,7 +190,7 @@ def chances_of(rows: list[dict[str, Any]]) -> Rows:
 def _in_words(verb: Verb, target: int, rows: list[dict[str, Any]]) -> str:
     if verb is Verb.FINISH:
         return "FINISH: nothing is worth another step"
-    chance = chances_of(rows)[target]
+    chance = _chances_of(rows)[target]
     return f"{verb.name} object {target}: dirty with probability {chance:.2f}, {rows[target]['occlusion']:.0%} hidden"
 
 

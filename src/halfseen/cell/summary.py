@@ -42,8 +42,9 @@ class Summary:
         as `reward`.
     without_luck
         Reward without that luck, which is better known; None as `reward`.
-    gap
-        Of the reward without luck from what was predicted, table by table; None as `reward`.
+    gap, gap_without_luck
+        Of the reward, and of the reward without luck, from what was predicted, table by table; None as `reward`. Where
+        P(DIRTY) is not calibrated, the second leaves out what that costs.
     seconds
         Mean on the cell's clock [s].
     counts
@@ -57,6 +58,7 @@ class Summary:
     without_luck: Estimate | None
     predicted: Estimate
     gap: Estimate | None
+    gap_without_luck: Estimate | None
     seconds: float
     counts: Mapping[str, int]
     verbs: Mapping[str, int]
@@ -93,7 +95,8 @@ def summarised(
         luck=_mean(luck, weights, level),
         without_luck=_mean(rewards - luck, weights, level),
         predicted=estimate_of(foretold, len(foretold), level),
-        gap=_mean(rewards - luck - foretold, weights, level),
+        gap=_mean(rewards - foretold, weights, level),
+        gap_without_luck=_mean(rewards - luck - foretold, weights, level),
         seconds=float(np.mean([run.seconds for run in runs])),
         counts={name: sum(getattr(run, name) for run in runs) for name in _COUNTS},
         verbs=_added(run.verbs for run in runs),

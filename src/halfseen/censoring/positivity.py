@@ -34,7 +34,9 @@ class PositivityReport(PositivityFacts):
 
     @property
     def panels(self) -> tuple[str, ...]:
-        """Names of the panels of its figure that have something to show."""
+        """Names of the panels of its figure that have something to show; none where no path finished."""
+        if not self.num_finished:
+            return ()
         return ("weights", "means", "sizes") if self.truncations else ("weights",)
 
     def plot(self, panel: str | None = None) -> "Figure":

@@ -171,7 +171,8 @@ def _lines(report: dict[str, Any]) -> list[str]:
         f"  by luck           {told(report['luck'])}: which cups were dirty, beyond what was believed",
         f"  without luck      {told(report['without_luck'])}",
         f"foretold            {told(report['predicted'])}",
-        f"gap, without luck   {told(report['gap'])}",
+        f"gap                 {told(report['gap'])}",
+        f"  without luck      {told(report['gap_without_luck'])}",
         f"robot time          {report['seconds']:.0f} s a table, arm {report['arm']}",
         f"cups                {counts['num_racked']} of {counts['num_cups']} in the rack, {counts['num_washed']} of "
         f"{counts['num_dirty']} dirty ones; {counts['num_toppled']} toppled, {counts['num_fallen']} fell",

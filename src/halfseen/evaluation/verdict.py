@@ -90,21 +90,25 @@ def verdict_of(
         What rewards are counted in; None if nobody has said.
     """
     of = f" {unit}" if unit else ""
-    within = f"between {difference.low:.3g} and {difference.high:.3g}"
+    within = _between(difference.low, difference.high, of)
     if difference.low > 0 and is_significant:
         return "better", f"it earns {difference.value:.3g}{of} more a path than {opponent}, {within}"
     if difference.high <= 0 and (is_significant or difference.standard_error == 0):
         less = f"{-difference.value:.3g}{of} less a path than" if difference.value < 0 else "as much a path as"
-        return "not better", f"it earns {less} {opponent}, {within} more"
-    ends = (
-        f"between {-difference.low:.3g} less and {difference.high:.3g}"
-        if difference.low < 0 <= difference.high
-        else within
-    )
-    reason = f"it earns {ends}{of} more a path than {opponent}"
+        return "not better", f"it earns {less} {opponent}, {within}"
+    reason = f"it earns {within} a path than {opponent}"
     if difference.low > 0 or difference.high <= 0:
         return "cannot be said", f"{reason}, which is not enough among so many opponents; name fewer"
     return "cannot be said", f"{reason}; {_more_paths(difference)}"
+
+
+def _between(low: float, high: float, of: str) -> str:
+    """Ends of an interval of a gain, as how much less and how much more."""
+    if low < 0 < high:
+        return f"between {-low:.3g} less and {high:.3g}{of} more"
+    if high <= 0:
+        return f"between {abs(high):.3g} and {-low:.3g}{of} less"
+    return f"between {low:.3g} and {high:.3g}{of} more"
 
 
 def _more_paths(difference: Estimate) -> str:

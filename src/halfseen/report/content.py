@@ -45,9 +45,10 @@ def content_of(findings: Findings, command: str) -> dict[str, Any]:
         "figures": {name: _inlined(name, *drawing) for name, drawing in drawings.items()},
         "stages": list(zip(findings.log["clock"], findings.log["weights"], strict=True)),
         "most_rows": MOST_ROWS,
+        "positivity_verdict": verdict,
         "positivity_words": rest,
         "is_sampled": findings.timeline.num_rows < findings.timeline.num_paths,
-        **(_of_log(findings, verdict) if policy is None else _of_policy(policy, findings, colours)),
+        **(_of_log(findings) if policy is None else _of_policy(policy, findings, colours)),
     }
 
 
@@ -68,7 +69,8 @@ def _drawings(findings: Findings, colours: dict[str, str]) -> dict[str, Drawing]
     timeline = sentences.timeline_title(findings.timeline, log)
     drawings["timeline"] = timeline, [partial(draw_timeline, findings.timeline, colours)]
     drawings["watched"] = sentences.watched_title(findings.watched, log), [partial(draw_watched, findings.watched)]
-    drawings["positivity"] = verdict, [partial(positivity.plot, panel) for panel in positivity.panels]
+    if positivity.panels:
+        drawings["positivity"] = verdict, [partial(positivity.plot, panel) for panel in positivity.panels]
     if policy is None:
         return drawings
     if drawn_actions(policy.choices):
@@ -92,9 +94,9 @@ def _inlined(name: str, title: str, panels: Sequence[Callable[[], Figure]]) -> l
     return [inline_svg(draw, f"f-{name}-{k}", f"{title} ({k} of {len(panels)})") for k, draw in numbered]
 
 
-def _of_log(findings: Findings, verdict: str) -> dict[str, Any]:
+def _of_log(findings: Findings) -> dict[str, Any]:
     badge, kind, answer = sentences.log_answer(findings)
-    return {"badge": badge, "badge_class": kind, "answer": answer, "remedy": "", "standing": "", "verdict": verdict}
+    return {"badge": badge, "badge_class": kind, "answer": answer, "remedy": "", "standing": ""}
 
 
 def _of_policy(policy: PolicyFindings, findings: Findings, colours: dict[str, str]) -> dict[str, Any]:

@@ -88,12 +88,13 @@ def watched_title(watched: Watched, log: Mapping[str, Any]) -> str:
     told = np.flatnonzero(watched.num_watched >= FEWEST_WATCHED)[-1:]
     at_s, last_s = float(watched.risk_time_s[told].sum()), float(watched.time_s[-1])
     left = float(watched.survival[np.searchsorted(watched.time_s, at_s, side="right") - 1])
+    told_at = f"after {at_s:g}\u00a0s with probability {left:.2f}, and " if at_s else ""
     cause, main = log["cuts"][0]["cause"], log["cuts"][0]["share"]
     who = f"the cause of all cuts is {cause}" if main == 1 else f"the cause of most cuts, {percent(main)}, is {cause}"
     who = who if main > 0.5 else f"the most frequent cause of cuts is {cause}, {percent(main)} of them"
     return (
-        f"A path that goes on is still uncut after {at_s:g}\u00a0s with probability {left:.2f}, and after "
-        f"{last_s:.3g}\u00a0s, where the last one ended, with {float(watched.survival[-1]):.2f}; {who}"
+        f"A path that goes on is still uncut {told_at}after {last_s:.3g}\u00a0s, where the last one ended, with "
+        f"{'' if told_at else 'probability '}{float(watched.survival[-1]):.2f}; {who}"
     )
 
 

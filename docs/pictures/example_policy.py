@@ -1,0 +1,25 @@
+"""The policy that `halfseen learn` makes of the pick cell's logs, which several pictures show something of."""
+
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from halfseen.policies.folder import StoredPolicy
+from pictures.picture import ROOT
+
+EXAMPLE = ROOT / "examples" / "pick_cell"
+
+
+@cache
+def example_policy() -> StoredPolicy:
+    """Learn it, as the command does."""
+    from click.testing import CliRunner
+
+    from halfseen.cli import halfseen
+    from halfseen.policies import read_policy
+
+    with TemporaryDirectory() as folder:
+        command = ["learn", str(EXAMPLE / "logs"), "--out", f"{folder}/policy", "--no-verdict"]
+        done = CliRunner().invoke(halfseen, command, catch_exceptions=False)
+        assert done.exit_code == 0, done.output
+        return read_policy(Path(folder) / "policy")
