@@ -12,12 +12,15 @@ from jaxtyping import Float
 from halfseen.arrays import Hides, Points
 from halfseen.cell.facts import Facts, facts_of
 from halfseen.cell.grasps import Grasp
+from halfseen.cell.vanishing import has_vanished
 from halfseen.perception.clouds import Vector
 from halfseen.perception.tracking import matched
 from halfseen.perception.view import SeenObject, View
 
 MORE_IN_VIEW = 0.02
 """A look from which so much less of an object is hidden than from any before shows more of it."""
+SAME_PLACE_M = 0.03
+"""What comes into view nearer than this to where an object was lost is that object again [m]."""
 
 
 class Glance(NamedTuple):
@@ -54,8 +57,13 @@ class Known:
         How it looks in the last view; None where that does not show it.
     facts
         What the last view that showed it told of it.
-    is_gone
+    surface_m
+        Points that the last view that showed it saw of it, in the world [m].
+    is_racked
         Whether the robot put it into the rack.
+    is_lost
+        Whether a look found it vanished: it fell, or never was an object of its own. It comes back where it was, or not
+        at all; what comes into view elsewhere is another one.
     glances, trials
         Of looks that showed more than any before, and of attempts, oldest first.
     failed
@@ -67,11 +75,18 @@ class Known:
     middle_m: Vector
     seen: SeenObject | None
     facts: Facts
-    is_gone: bool = False
+    surface_m: Points = field(default_factory=lambda: np.zeros((0, 3)))
+    is_racked: bool = False
+    is_lost: bool = False
     glances: list[Glance] = field(default_factory=list)
     trials: list[Trial] = field(default_factory=list)
     failed: list[Grasp] = field(default_factory=list)
     lifts: int = 0
+
+    @property
+    def is_gone(self) -> bool:
+        """Whether it is no longer on the table, as far as is known."""
+        return self.is_racked or self.is_lost
 
     def label(self, occlusion: float, says_dirty: bool, *, is_held: bool) -> None:
         """Keep what a look told, if it showed more than any before: else it repeats itself.
@@ -112,8 +127,8 @@ class Memory:
         self.hides: Hides = np.zeros((0, 0))
         self.doubts: tuple[str, ...] = ()
 
-    def update(self, view: View, world_from_table: Float[np.ndarray, "4 4"]) -> None:
-        """Take in a view: find again what was there, and add what came into sight.
+    def update(self, view: View, world_from_table: Float[np.ndarray, "4 4"], in_hand: Known | None = None) -> None:
+        """Take in a view: find again what was there, let go of what is not, and add what came into sight.
 
         Parameters
         ----------
@@ -121,23 +136,35 @@ class Memory:
             What is seen.
         world_from_table
             Takes homogeneous points of the table into the world [m].
+        in_hand
+            What is not on the table for now.
         """
         self.world_from_table = world_from_table
+        world_from_camera = world_from_table @ np.linalg.inv(view.camera_from_table)
         middles_m = [world_from_table @ [*seen.solid.middle_m, 1.0] for seen in view.objects]
         now_m = np.array(middles_m).reshape(-1, 4)[:, :3]
-        facts = facts_of(view)
-        here = [known for known in self.objects if not known.is_gone]
-        found = matched(np.array([known.middle_m for known in here]).reshape(-1, 3), now_m)
-        for known, now in zip(here, found.now.tolist(), strict=True):
-            known.seen = view.objects[now] if now >= 0 else None
-            if now >= 0:
-                known.middle_m, known.facts = now_m[now], facts[now]
-        self.objects.extend(Known(now_m[k], view.objects[k], facts[k]) for k in found.new(len(now_m)))
+        facts, surfaces_m = facts_of(view), [_surface_m(seen, view, world_from_camera) for seen in view.objects]
+        here = [known for known in self.objects if not known.is_gone and known is not in_hand]
+        found = matched(_middles_m(here), now_m)
         self.doubts = tuple(
             f"which object is number {self.objects.index(known)} is doubtful: another is nearly as near"
             for known, is_doubtful in zip(here, found.is_doubtful.tolist(), strict=True)
             if is_doubtful
         )
+        lost, new = [known for known in self.objects if known.is_lost], found.new(len(now_m))
+        back = matched(_middles_m(lost), now_m[new], SAME_PLACE_M)
+        number = [*found.now.tolist(), *(new[k] if k >= 0 else -1 for k in back.now.tolist())]
+        for known, k in zip([*here, *lost], number, strict=True):
+            known.seen, known.is_lost = (view.objects[k], False) if k >= 0 else (None, known.is_lost)
+            if k >= 0:
+                known.middle_m, known.facts, known.surface_m = now_m[k], facts[k], surfaces_m[k]
+            elif not known.is_lost:
+                seen_from_m = (known.surface_m - world_from_camera[:3, 3]) @ world_from_camera[:3, :3]
+                known.is_lost = has_vanished(seen_from_m, view)
+        if in_hand is not None:
+            in_hand.seen = None
+        first = sorted(set(range(len(now_m))) - set(number))
+        self.objects.extend(Known(now_m[k], view.objects[k], facts[k], surfaces_m[k]) for k in first)
         self.hides = self._hides_in(view)
 
     def _hides_in(self, view: View) -> Hides:
@@ -165,3 +192,12 @@ class Memory:
         """Which object has this number in the last view; None if none has."""
         numbers = [k for k, known in enumerate(self.objects) if known.seen is not None and known.seen.id == seen_id]
         return numbers[0] if numbers else None
+
+
+def _middles_m(objects: list[Known]) -> Points:
+    return np.array([known.middle_m for known in objects]).reshape(-1, 3)
+
+
+def _surface_m(seen: SeenObject, view: View, world_from_camera: Float[np.ndarray, "4 4"]) -> Points:
+    points_m = view.image.points_m.reshape(-1, 3)[seen.pixels]
+    return points_m @ world_from_camera[:3, :3].T + world_from_camera[:3, 3]

@@ -13,7 +13,7 @@ from halfseen.planners.belief import known_seeing
 from halfseen.world.config import WorldConfig
 from halfseen.world.seeing import label_evidence
 from halfseen.world.state import NO_ATTEMPT, TableState
-from halfseen.world.table_checks import DISHWASHER, PLACE_COLUMNS, TABLE
+from halfseen.world.table_checks import DISHWASHER, LOST, PLACE_COLUMNS, TABLE
 
 MOST_OBJECTS = 12
 """States are padded to so many objects, so that a policy is compiled once; tables with more are padded to more."""
@@ -104,7 +104,7 @@ def _row(number: int, known: Known, memory: Memory, belief: Belief) -> dict[str,
     log_odds, seen = _told(known, belief.config)
     return {
         "object": number,
-        "location": DISHWASHER if known.is_gone else TABLE,
+        "location": DISHWASHER if known.is_racked else LOST if known.is_lost else TABLE,
         "occlusion": memory.occlusion(number),
         "grip": belief.grip(known.facts),
         "log_odds": log_odds,

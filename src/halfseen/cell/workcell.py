@@ -184,7 +184,7 @@ class Workcell:
         if done is not None and before is not None and attempt.is_held:
             known.lifts += 1
             sides = turned(self.cell, self.robot, done, self._rng)
-            told = [self._label_of_held(before, done, is_first=side == 0) for side in sides]
+            told = [self._label_of_held(known, before, done, is_first=side == 0) for side in sides]
             if any(label is not None for label in told):
                 known.label(0.0, any(told), is_held=True)
             put_back(self.cell, self.robot, done)
@@ -203,13 +203,13 @@ class Workcell:
             put_back(self.cell, self.robot, done)
             known.trials[-1] = known.trials[-1]._replace(is_held=False)
             return replace(attempt, is_held=False, reason=str(error))
-        known.is_gone, known.seen = True, None
+        known.is_racked, known.seen = True, None
         self._num_racked += 1
         return attempt
 
-    def _take_in(self, cloud: Cloud) -> View:
+    def _take_in(self, cloud: Cloud, in_hand: Known | None = None) -> View:
         self.view, self.cloud = perceive(cloud), cloud
-        self.memory.update(self.view, self.world_from_table)
+        self.memory.update(self.view, self.world_from_table, in_hand)
         if cloud.colours is not None:
             for seen, label in zip(self.view.objects, self._labeller(self.view, cloud), strict=True):
                 number = self.memory.number_of(seen.id)
@@ -218,13 +218,13 @@ class Workcell:
                     known.label(self.memory.occlusion(number), label.is_dirty, is_held=False)
         return self.view
 
-    def _label_of_held(self, before: SeenObject, done: Plan, *, is_first: bool) -> bool | None:
+    def _label_of_held(self, known: Known, before: SeenObject, done: Plan, *, is_first: bool) -> bool | None:
         """What one side of what is held looks like; at the first side, see what it hid, too."""
         cloud = self._eye.look(self._rng).cloud
         hand = self.cell.kinematics[self.robot.name].hand(self.cell.angles_rad(self.robot))
         is_held = is_in_hand(self._believed.apply(cloud.points_m), hand, done)
         if is_first:
-            self._take_in(replace(cloud, points_m=np.where(is_held[:, None], np.nan, cloud.points_m)))
+            self._take_in(replace(cloud, points_m=np.where(is_held[:, None], np.nan, cloud.points_m)), known)
         if cloud.colours is None or not is_held.any():
             return None
         assert self.view is not None, "what is held was seen"

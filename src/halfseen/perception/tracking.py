@@ -32,24 +32,28 @@ class Matching:
         return sorted(set(range(num_now)) - set(self.now.tolist()))
 
 
-def matched(before_m: Float[np.ndarray, "n 3"], now_m: Float[np.ndarray, "m 3"]) -> Matching:
+def matched(
+    before_m: Float[np.ndarray, "n 3"], now_m: Float[np.ndarray, "m 3"], farthest_m: float = FARTHEST_M
+) -> Matching:
     """Match objects so that together they moved least.
 
     Parameters
     ----------
     before_m, now_m
         Where the objects were, and where objects are now, in one frame [m].
+    farthest_m
+        Longest way of a match [m].
 
     Returns
     -------
     Matching
-        No object now is given to two; none is matched over more than `FARTHEST_M`.
+        No object now is given to two; none is matched over more than `farthest_m`.
     """
     apart_m = np.linalg.norm(before_m[:, None] - now_m[None], axis=2).reshape(len(before_m), len(now_m))
     # Every object may also be lost, at the price of the longest match.
-    price = np.concatenate([apart_m, np.full((len(before_m), len(before_m)), FARTHEST_M)], axis=1)
+    price = np.concatenate([apart_m, np.full((len(before_m), len(before_m)), farthest_m)], axis=1)
     which = linear_sum_assignment(price)[1]
-    is_near = np.take_along_axis(price, which[:, None], axis=1)[:, 0] < FARTHEST_M
+    is_near = np.take_along_axis(price, which[:, None], axis=1)[:, 0] < farthest_m
     now = np.where(is_near & (which < len(now_m)), which, -1)
     return Matching(now, _is_doubtful(apart_m, now))
 

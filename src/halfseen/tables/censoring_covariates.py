@@ -11,7 +11,7 @@ from halfseen.learners.q_learning.task import ACTION
 from halfseen.logs import Logs
 from halfseen.suggestions import did_you_mean
 from halfseen.world.action_space import Verb
-from halfseen.world.recording import DISHWASHER
+from halfseen.world.table_checks import TABLE
 
 TABLE_COVARIATES = ("num_objects", "mean_occlusion", ACTION, "target_occlusion")
 """All of them; the first two are known as a path begins."""
@@ -43,7 +43,7 @@ def table_covariates(logs: Logs, columns: Sequence[str]) -> pd.DataFrame:
         raise ArgumentError(f"censoring covariate {unknown[0]!r} is none of a table's: {known}")
     assert logs.objects is not None
     keys = ["path", "stage"]
-    there = logs.objects[logs.objects["location"] != DISHWASHER]
+    there = logs.objects[logs.objects["location"] == TABLE]
     each = there.groupby(keys)["occlusion"]
     of_table = pd.DataFrame({"num_objects": each.size().astype(float), "mean_occlusion": each.mean()}).reset_index()
     stages = logs.stages[[*keys, "object"]]

@@ -1,10 +1,10 @@
 """From cut episodes to `Logs`, and from the logs of tables back to the states that a policy saw.
 
-Per object and stage a log holds: location ("TABLE" or "DISHWASHER"), occlusion, grip (mean of its grip offset, from
-what shows of it), log_odds (of DIRTY), seen (share of its surface that labels have told of), successes and failures (of
-past grasps), lifts, and three lists: hidden_by (the share of it that each object of the scene hides alone, in the order
-of the objects), attempt_occlusions and attempt_succeeded (its past attempts, oldest first). Where grip or seen are 0
-throughout, they are not written, and a log without them is read so.
+Per object and stage a log holds: location ("TABLE" or "DISHWASHER"; "LOST" where it is in neither), occlusion, grip
+(mean of its grip offset, from what shows of it), log_odds (of DIRTY), seen (share of its surface that labels have told
+of), successes and failures (of past grasps), lifts, and three lists: hidden_by (the share of it that each object of the
+scene hides alone, in the order of the objects), attempt_occlusions and attempt_succeeded (its past attempts, oldest
+first). Where grip or seen are 0 throughout, they are not written, and a log without them is read so.
 Per path it holds the scene's name, and dirty_share: P(DIRTY) of an object before any label, which log_odds start from.
 """
 

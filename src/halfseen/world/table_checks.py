@@ -14,7 +14,8 @@ from halfseen.logs.columns import as_floats, require_columns
 from halfseen.logs.refusal import refuse, shown, value_at
 from halfseen.world.action_space import Verb
 
-TABLE, DISHWASHER = "TABLE", "DISHWASHER"
+TABLE, DISHWASHER, LOST = LOCATIONS = ("TABLE", "DISHWASHER", "LOST")
+"""Where an object is; lost where it is no longer on the table and was not washed."""
 LIST_COLUMNS = ("hidden_by", "attempt_occlusions", "attempt_succeeded")
 OBJECT_COLUMNS = ("location", "occlusion", "log_odds", "lifts", *LIST_COLUMNS)
 OPTIONAL_COLUMNS = ("grip", "seen")
@@ -112,8 +113,8 @@ def _check_after_finish(stages: pd.DataFrame) -> None:
 
 
 def _check_locations(frame: pd.DataFrame) -> None:
-    wrong = ~frame["location"].isin([TABLE, DISHWASHER]).to_numpy(dtype=bool)
-    _refuse(frame, wrong, "location", f"is neither {TABLE} nor {DISHWASHER}; say in which of them the object is")
+    wrong = ~frame["location"].isin(LOCATIONS).to_numpy(dtype=bool)
+    _refuse(frame, wrong, "location", f"is none of {', '.join(LOCATIONS)}; say in which of them the object is")
 
 
 def _check_none_is_lost(frame: pd.DataFrame, number: Int[np.ndarray, " rows"], rank: Int[np.ndarray, " rows"]) -> None:
@@ -134,7 +135,7 @@ def _check_acted_on(stages: pd.DataFrame, frame: pd.DataFrame, rank: Int[np.ndar
     stage_row = np.cumsum(rank == 0) - 1
     acted_on = stages["object"].to_numpy(dtype=object, na_value=None)[stage_row]
     is_acted_on = np.asarray(frame["object"].to_numpy(dtype=object) == acted_on, dtype=bool)
-    gone = is_acted_on & (frame["location"] == DISHWASHER).to_numpy(dtype=bool)
+    gone = is_acted_on & (frame["location"] != TABLE).to_numpy(dtype=bool)
     wrong = np.bincount(stage_row[gone], minlength=len(stages)) > 0
 
     def gone_before(row: int) -> str:
@@ -145,9 +146,8 @@ def _check_acted_on(stages: pd.DataFrame, frame: pd.DataFrame, rank: Int[np.ndar
 
 
 def _check_return(frame: pd.DataFrame, number: Int[np.ndarray, " rows"]) -> None:
-    is_on_table = frame["location"].eq(TABLE)
-    was_there = is_on_table.astype(np.int8).groupby([frame["path"], number]).shift(fill_value=1).to_numpy(dtype=bool)
-    back = is_on_table.to_numpy(dtype=bool) & ~was_there
+    was_washed = frame["location"].eq(DISHWASHER).astype(np.int8).groupby([frame["path"], number]).shift(fill_value=0)
+    back = was_washed.to_numpy(dtype=bool) & frame["location"].ne(DISHWASHER).to_numpy(dtype=bool)
     _refuse(frame, back, "location", f"follows {DISHWASHER}, from where nothing returns; fix one, or begin a new path")
 
 
