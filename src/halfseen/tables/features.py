@@ -35,7 +35,7 @@ all: the largest of the *others* tells as much of the table, but is least for th
 """
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -43,6 +43,7 @@ from jaxtyping import Array, Bool, Float
 
 from halfseen.world.action_space import ActionSpace, Verb
 from halfseen.world.grasp_model import GraspModel
+from halfseen.world.number import namespace
 from halfseen.world.state import TableState, attempt_counts
 
 FEATURES_VERSION = 1
@@ -155,11 +156,9 @@ def _win_after_look(is_dirty: Float[Array, " N"], shown: Float[Array, " N"]) -> 
     return (jax.nn.relu(is_dirty - 0.5 + step) + jax.nn.relu(is_dirty - 0.5 - step)) / 2.0
 
 
-def succession(
-    successes: Float[Array, " N"], failures: Float[Array, " N"], grip: Float[Array, " N"]
-) -> Float[Array, " N"]:
+def succession(successes: Any, failures: Any, grip: Any) -> Any:
     """Rule of succession for a grip, times what shows of it: P(held) of objects that are wholly in sight."""
-    likelier = (1.0 + LIKELY_ODDS) / (LIKELY_ODDS + jnp.exp(-grip))
+    likelier = (1.0 + LIKELY_ODDS) / (LIKELY_ODDS + namespace(grip).exp(-grip))
     return (1.0 + successes) / (1.0 + successes + failures) * likelier
 
 

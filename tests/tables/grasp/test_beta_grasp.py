@@ -16,7 +16,7 @@ from tried import beta_attempts, cut_some
 from halfseen.censoring import KaplanMeier, censoring_weights
 from halfseen.errors import ArgumentError, HalfseenWarning, PositivityError
 from halfseen.tables import BetaGrasp
-from halfseen.tables.grasp.beta_grasp import CENTRE, SPREAD, negative_log_posterior, predictive
+from halfseen.tables.grasp.beta_grasp import CENTRE, SPREAD, fitted_thetas, negative_log_posteriors, predictive
 from halfseen.tables.grasp.inputs import checked_attempts, checked_history
 
 
@@ -28,6 +28,12 @@ def with_theta(intercept, slope, strength):
     model = BetaGrasp().fit(beta_attempts(40))
     model.intercept_, model.slope_, model.strength_ = intercept, slope, strength
     return model
+
+
+def negative_log_posterior(theta, decided):
+    """Value and gradient at one place, under the weights of the attempts."""
+    value, gradient, _ = negative_log_posteriors(np.asarray(theta)[None], decided, decided.weight[None])
+    return float(value[0]), gradient[0]
 
 
 def penalty(theta):
@@ -67,6 +73,9 @@ def test_the_gradient_is_that_of_the_objective():
     for theta in rng.normal(size=(10, 3)) * [2.0, 3.0, 1.5]:
         numeric = approx_fprime(theta, lambda at: negative_log_posterior(at, decided)[0], 1e-6)
         np.testing.assert_allclose(negative_log_posterior(theta, decided)[1], numeric, rtol=1e-4, atol=1e-3)
+        bends = approx_fprime(theta, lambda at: negative_log_posterior(at, decided)[1], 1e-6)
+        hessian = negative_log_posteriors(theta[None], decided, decided.weight[None])[2][0]
+        np.testing.assert_allclose(hessian, bends, rtol=1e-4, atol=1e-3)
 
 
 def test_nothing_on_a_fine_grid_is_better():
@@ -144,6 +153,18 @@ def test_a_fitted_model_of_the_cuts_is_used_as_it_is_and_cox_sees_the_history():
 
     by_cox = checked_attempts(frame, "cox").weight
     assert np.ptp(by_cox[frame.loc[frame["is_finished"], "time_s"] == 7.0]) > 1e-3
+
+
+def test_many_weightings_are_fitted_as_one_by_one():
+    decided = checked_attempts(cut_some(beta_attempts(200)))
+    rng = np.random.default_rng(0)
+    weight = np.concatenate([decided.weight * rng.integers(0, 2, (4, len(decided.weight))), decided.weight[None]])
+    together = fitted_thetas(decided, weight)
+    for theta, own in zip(together, weight, strict=True):
+        np.testing.assert_allclose(fitted_thetas(decided, own[None])[0], theta, atol=1e-8)
+        kept = decided.among(own > 0)
+        np.testing.assert_allclose(fitted_thetas(kept, own[None, own > 0])[0], theta, atol=1e-8)
+    assert np.ptp(together, axis=0).min() > 1e-3
 
 
 def test_one_outcome_gives_a_finite_model():

@@ -11,6 +11,7 @@ from halfseen.logs import Logs
 from halfseen.tables import BetaGrasp
 from halfseen.tables.grasp.choice import FEWEST_ATTEMPTS, NUM_FOLDS, choose_by, choose_grasp
 from halfseen.tables.grasp.grasp_table import GraspTable, tabulate
+from halfseen.tables.grasp.grip_effect import fit_grip_effect
 from halfseen.world import Scene, TableWorld, UniformPolicy
 
 HORIZON = 10
@@ -72,7 +73,8 @@ def test_where_what_is_hidden_is_as_easy_a_beta_is_taken_and_fitted_to_all():
     tried = attempts_of(60, 3.0, 0.0)
     chosen = choose_by(tried, HORIZON)
     assert chosen.grasp is not None
-    expected = tabulate(BetaGrasp().fit(tried), HORIZON, tried)
+    beta = BetaGrasp().fit(tried)
+    expected = tabulate(beta, HORIZON, fit_grip_effect(beta, tried))
     np.testing.assert_array_equal(chosen.grasp.probabilities, expected.probabilities)
     assert "learned from the log’s attempts" in chosen.sentence
 

@@ -14,13 +14,13 @@ Prior: p ~ Beta(s·m, s·(1 − m)). Predictive: P(success | occ, k, l) = (s·m(
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.optimize import minimize
 from scipy.special import expit
 from sklearn.base import BaseEstimator
 from sklearn.utils.validation import check_is_fitted
 
 from halfseen.arrays import Rows
 from halfseen.censoring import CensoringModel, WeightDiagnostics
+from halfseen.learners.newton_each import Derivatives, minimise_each
 from halfseen.logs.frames import FrameLike
 from halfseen.tables.grasp.inputs import Decided, History, checked_attempts, checked_history
 
@@ -31,6 +31,7 @@ SPREAD = np.array([5.0, 5.0, 2.0])
 """Its standard deviations: wide, yet nothing runs away when all grasps succeed, or no object was tried twice."""
 
 Theta = Float[np.ndarray, "3"]
+Weights = Float[np.ndarray, "K n"]
 
 
 class BetaGrasp(BaseEstimator):
@@ -104,7 +105,7 @@ class BetaGrasp(BaseEstimator):
             A weight is not identified.
         """
         decided = checked_attempts(frame, self.censoring, self.truncate_at)
-        theta = fitted_theta(decided)
+        theta = fitted_thetas(decided, decided.weight[None])[0]
         self.intercept_, self.slope_, self.strength_ = float(theta[0]), float(theta[1]), float(np.exp(theta[2]))
         self.classes_ = np.array([False, True])
         self.diagnostics_ = decided.diagnostics
@@ -132,34 +133,42 @@ class BetaGrasp(BaseEstimator):
 def predictive(theta: Theta, history: History) -> Rows:
     """P(success) of each attempt, (s·m + k) / (s + k + l); `theta` is intercept, slope, log s."""
     strength, tries = np.exp(theta[2]), history.successes + history.failures
-    return (strength * _prior_mean(theta, history) + history.successes) / (strength + tries)
+    mean = expit(theta[0] + theta[1] * history.occlusion)
+    return (strength * mean + history.successes) / (strength + tries)
 
 
-def negative_log_posterior(theta: Theta, decided: Decided) -> tuple[float, Theta]:
-    """What `BetaGrasp` minimises, and its gradient."""
-    history, strength = decided.history, np.exp(theta[2])
-    tries = history.successes + history.failures
-    mean, shift = _prior_mean(theta, history), (theta - CENTRE) / SPREAD
+def negative_log_posteriors(theta: Float[np.ndarray, "K 3"], decided: Decided, weight: Weights) -> Derivatives:
+    """What `BetaGrasp` minimises, its gradient and its Hessian, for K weightings of the same attempts at once.
+
+    With η the logit of m, μ = m of the outcome that was seen (m or 1 − m) and c its count (k or l), an attempt has
+    probability q = (s·μ + c) / (s + k + l); what is summed is −log q.
+    """
+    history, sign = decided.history, np.where(decided.succeeded, 1.0, -1.0)
+    tries, count = history.successes + history.failures, np.where(decided.succeeded, *history[1:])
+    strength = np.exp(theta[:, 2:])
     # Of the outcome that was seen: 1 − probability would round to 0 where a success is all but sure.
-    prior = np.where(decided.succeeded, mean, _prior_mean(-theta, history))
-    seen = (strength * prior + np.where(decided.succeeded, history.successes, history.failures)) / (strength + tries)
-    likelihood = decided.weight @ np.log(seen)
-    per_probability = np.where(decided.succeeded, decided.weight, -decided.weight) / seen
-    per_logit = per_probability * strength / (strength + tries) * mean * (1.0 - mean)
-    per_log_strength = per_probability * strength * (mean * tries - history.successes) / (strength + tries) ** 2
-    gradient = np.array([per_logit.sum(), per_logit @ history.occlusion, per_log_strength.sum()])
-    return float(shift @ shift / 2.0 - likelihood), shift / SPREAD - gradient
+    mean = expit(sign * (theta[:, :1] + theta[:, 1:2] * history.occlusion))
+    own, other = strength / (strength + tries), tries / (strength + tries)
+    above = strength * mean + count
+    share, rest = strength * mean / above, count / above
+    # ∂ log q / ∂η is sign·per_logit, and ∂ log q / ∂ log s is share − own.
+    per_logit = share * (1.0 - mean)
+    log_seen = np.log(above) - np.log(strength + tries)
+    shift = (theta - CENTRE) / SPREAD
+    loss = (shift**2).sum(axis=1) / 2.0 - (weight * log_seen).sum(axis=1)
+    first = np.stack([weight * sign * per_logit, weight * (share - own)])
+    bend = weight * (per_logit * (1.0 - 2.0 * mean) - per_logit**2)
+    twist, swell = weight * sign * per_logit * rest, weight * (share * rest - own * other)
+    occluded = history.occlusion
+    gradient = np.stack([first[0].sum(axis=1), first[0] @ occluded, first[1].sum(axis=1)], axis=1)
+    entries = (bend.sum(axis=1), bend @ occluded, twist.sum(axis=1))
+    entries += (bend @ occluded**2, twist @ occluded, swell.sum(axis=1))
+    hessian = np.stack(entries, axis=1)[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+    return loss, shift / SPREAD - gradient, np.diag(SPREAD**-2.0) - hessian
 
 
-def _prior_mean(theta: Theta, history: History) -> Rows:
-    return expit(theta[0] + theta[1] * history.occlusion)
-
-
-def fitted_theta(decided: Decided) -> Theta:
-    """Intercept, slope and log s of the largest posterior density."""
-    bounds = [(-15.0, 15.0), (-15.0, 15.0), (-10.0, 10.0)]
-    options = {"ftol": 1e-15, "gtol": 1e-9, "maxiter": 1000}
-    found = minimize(
-        negative_log_posterior, CENTRE, args=(decided,), jac=True, method="L-BFGS-B", bounds=bounds, options=options
+def fitted_thetas(decided: Decided, weight: Weights) -> Float[np.ndarray, "K 3"]:
+    """Intercept, slope and log s of the largest posterior density, under each of K weightings."""
+    return minimise_each(
+        lambda theta: negative_log_posteriors(theta, decided, weight), np.tile(CENTRE, (len(weight), 1))
     )
-    return np.asarray(found.x, dtype=np.float64)

@@ -10,22 +10,23 @@ fourth smaller; under the law of the cell, where the Beta leaves a fifth of it, 
 """
 
 import warnings
+from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from halfseen.arrays import Rows
+from halfseen.arrays import RowIds, Rows
 from halfseen.errors import HalfseenError, HalfseenWarning
 from halfseen.learners.threads import one_thread
 from halfseen.logs import Logs
 from halfseen.tables.features import succession
 from halfseen.tables.grasp.attempts import attempts
-from halfseen.tables.grasp.beta_grasp import BetaGrasp, fitted_theta, predictive
-from halfseen.tables.grasp.grasp_table import GraspTable, tabulate
-from halfseen.tables.grasp.inputs import History, checked_attempts
+from halfseen.tables.grasp.beta_grasp import Theta, fitted_thetas, predictive
+from halfseen.tables.grasp.grasp_table import GraspTable, every_history, table_of
+from halfseen.tables.grasp.grip_effect import fitted_effect
+from halfseen.tables.grasp.inputs import Decided, History, checked_attempts
 
 NUM_FOLDS = 5
 
@@ -93,16 +94,31 @@ def choose_by(tried: pd.DataFrame, horizon: int) -> GraspChoice:
     with warnings.catch_warnings(), one_thread():
         # Nobody asked for these weights, and the standard error tells how much they are worth.
         warnings.simplefilter("ignore", HalfseenWarning)
-        errors = _errors(tried)
+        decided = checked_attempts(tried)
+        grip = tried["grip"].to_numpy(dtype=np.float64)[decided.row]
+        *held_out, whole = fitted_thetas(decided, _weightings(decided, path := _paths(tried, decided)))
+        errors = _errors(decided, grip, path, held_out)
     lead = (1.0 - WORTH) * errors.rule - errors.beta
     left = f"{errors.beta.sum() / errors.rule.sum():.0%} of its squared error"
     if lead.mean() > CLEARLY * lead.std(ddof=1) / np.sqrt(len(lead)):
+        effect = fitted_effect(predictive(whole, decided.history), decided, grip)
         return GraspChoice(
-            tabulate(BetaGrasp().fit(tried), horizon, tried),
+            table_of(predictive(whole, every_history(horizon)), horizon, effect),
             "the probability of a grasp is learned from the log’s attempts: held out, a Beta regression foretells them "
             f"better than the rule of succession, with {left}",
         )
     return GraspChoice(None, f"{KEPT}: held out, a Beta regression does not clearly halve its error (it leaves {left})")
+
+
+def _paths(tried: pd.DataFrame, decided: Decided) -> RowIds:
+    """Number of the path of each decided attempt, among all that attempted anything."""
+    return np.unique(tried["path"].to_numpy(), return_inverse=True)[1][decided.row]
+
+
+def _weightings(decided: Decided, path: RowIds) -> Float[np.ndarray, "K n"]:
+    """Weights without the paths of each fold, and with all."""
+    kept = path % NUM_FOLDS != np.arange(NUM_FOLDS)[:, None]
+    return np.concatenate([kept * decided.weight, decided.weight[None]])
 
 
 class _Errors(NamedTuple):
@@ -112,23 +128,14 @@ class _Errors(NamedTuple):
     beta: Rows
 
 
-def _errors(tried: pd.DataFrame) -> _Errors:
+def _errors(decided: Decided, grip: Rows, path: RowIds, held_out: Sequence[Theta]) -> _Errors:
     """Errors of the rule, and of a Beta that was fitted to other paths; both as far as they go by history alone."""
-    decided = checked_attempts(tried)
-    path = np.unique(tried["path"].to_numpy(), return_inverse=True)[1]
-    own = path[decided.row]
-    said = np.zeros(len(own))
-    for k in range(NUM_FOLDS):
-        held_out = own % NUM_FOLDS == k
-        theta = fitted_theta(decided.among(~held_out))
-        said[held_out] = predictive(theta, decided.among(held_out).history)
-    rule = _by_succession(decided.history, tried["grip"].to_numpy(dtype=np.float32)[decided.row])
-    squared = (decided.weight * np.square(each - decided.succeeded) for each in (rule, said))
-    return _Errors(*(np.bincount(own, each, path.max() + 1) for each in squared))
+    said = np.stack([predictive(theta, decided.history) for theta in held_out])
+    beta, rule = said[path % NUM_FOLDS, np.arange(len(path))], _by_succession(decided.history, grip)
+    squared = (decided.weight * np.square(each - decided.succeeded) for each in (rule, beta))
+    return _Errors(*(np.bincount(path, each, path.max() + 1) for each in squared))
 
 
-def _by_succession(history: History, grip: Float[np.ndarray, " n"]) -> Rows:
+def _by_succession(history: History, grip: Rows) -> Rows:
     """What the features say: they take what shows of a grip in full."""
-    successes, failures = (jnp.asarray(each, dtype=jnp.float32) for each in (history.successes, history.failures))
-    held = succession(successes, failures, jnp.asarray(grip))
-    return (1.0 - history.occlusion) * np.asarray(held, dtype=np.float64)
+    return (1.0 - history.occlusion) * succession(history.successes, history.failures, grip)

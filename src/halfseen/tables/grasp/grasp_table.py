@@ -6,15 +6,16 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pandas as pd
 from jaxtyping import Array, Float
 from sklearn.base import clone
 
+from halfseen.arrays import Rows
 from halfseen.censoring import is_fitted
 from halfseen.errors import ArgumentError
 from halfseen.logs import Logs
 from halfseen.tables.grasp.attempts import attempts
-from halfseen.tables.grasp.grip_effect import GripEffect, fit_grip_effect
+from halfseen.tables.grasp.grip_effect import IN_FULL, GripEffect, fit_grip_effect
+from halfseen.tables.grasp.inputs import History
 from halfseen.tables.grasp.protocol import GraspEstimator
 from halfseen.world.grasp_model import GraspModel
 from halfseen.world.state import TableState, attempt_counts, occlusion
@@ -52,7 +53,7 @@ class GraspTable:
         return probability / (1.0 + (1.0 - probability) * jnp.expm1(-self.per_grip * state.grip))
 
 
-def tabulate(model: GraspEstimator, horizon: int, tried: pd.DataFrame | None = None) -> GraspTable:
+def tabulate(model: GraspEstimator, horizon: int, effect: GripEffect = IN_FULL) -> GraspTable:
     """Ask a fitted model for all probabilities that a path of `horizon` stages can need.
 
     Parameters
@@ -61,34 +62,42 @@ def tabulate(model: GraspEstimator, horizon: int, tried: pd.DataFrame | None = N
         The model.
     horizon
         T.
-    tried
-        Attempts that tell how much a grip counts, as `attempts` gives them; None to take it in full.
+    effect
+        How much a grip counts beside it.
 
     Raises
     ------
     ArgumentError
         `horizon` is below 1, or the model gives no probabilities.
-    PositivityError
-        A weight of the attempts is not identified.
     """
     if horizon < 1:
         raise ArgumentError(f"horizon is {horizon}; a path has at least 1 stage")
-    shape = NUM_OCCLUSIONS, horizon + 1, horizon + 1
-    level, successes, failures = (axis.ravel() for axis in np.indices(shape))
-    occluded = level / (NUM_OCCLUSIONS - 1)
-    probabilities = model.predict_proba({"occlusion": occluded, "successes": successes, "failures": failures})[:, 1]
+    asked = every_history(horizon)
+    probabilities = model.predict_proba(asked._asdict())[:, 1]
     wrong = ~((probabilities >= 0) & (probabilities <= 1))
     if wrong.any():
         at = int(np.argmax(wrong))
         raise ArgumentError(
-            f"{model!r} gives {probabilities[at]} at occlusion {occluded[at]:g}; a probability lies in [0, 1]"
+            f"{model!r} gives {probabilities[at]} at occlusion {asked.occlusion[at]:g}; a probability lies in [0, 1]"
         )
-    effect = GripEffect(per_grip=1.0) if tried is None else fit_grip_effect(model, tried)
-    if effect.shift:
-        probabilities = effect.moved(probabilities, 0.0)
-    return GraspTable(
-        jnp.asarray(probabilities.reshape(shape), dtype=jnp.float32), jnp.asarray(effect.per_grip, dtype=jnp.float32)
-    )
+    return table_of(probabilities, horizon, effect)
+
+
+def every_history(horizon: int) -> History:
+    """All that a path of `horizon` stages can tell of an object, occlusions in steps."""
+    level, successes, failures = (axis.ravel() for axis in np.indices(_shape(horizon)))
+    return History(level / (NUM_OCCLUSIONS - 1), successes.astype(np.float64), failures.astype(np.float64))
+
+
+def table_of(probabilities: Rows, horizon: int, effect: GripEffect) -> GraspTable:
+    """Make a table of the probabilities of `every_history`."""
+    moved = effect.moved(probabilities, 0.0) if effect.shift else probabilities
+    table, per_grip = moved.reshape(_shape(horizon)).astype(np.float32), np.float32(effect.per_grip)
+    return GraspTable(jnp.asarray(table), jnp.asarray(per_grip))
+
+
+def _shape(horizon: int) -> tuple[int, int, int]:
+    return NUM_OCCLUSIONS, horizon + 1, horizon + 1
 
 
 def grasp_model_of(grasp: Any, logs: Logs, horizon: int) -> GraspModel | None:
@@ -121,4 +130,5 @@ def grasp_model_of(grasp: Any, logs: Logs, horizon: int) -> GraspModel | None:
         return tabulate(grasp, horizon)
     estimator: Any = clone(grasp)
     tried = attempts(logs, horizon)
-    return tabulate(estimator.fit(tried), horizon, tried)
+    model = estimator.fit(tried)
+    return tabulate(model, horizon, fit_grip_effect(model, tried))

@@ -14,11 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy.optimize import minimize
 from scipy.special import expit, logit
 
 from halfseen.arrays import Rows
-from halfseen.tables.grasp.inputs import checked_attempts, checked_covariates
+from halfseen.learners.newton_each import Derivatives, Thetas, minimise_each
+from halfseen.tables.grasp.inputs import Decided, checked_attempts, checked_covariates
 from halfseen.tables.grasp.protocol import GraspEstimator
 
 SPREAD = np.array([1.0, 0.5])
@@ -47,6 +47,10 @@ class GripEffect(NamedTuple):
         return expit(logit(np.clip(probability, SURE, 1.0 - SURE)) + self.shift + self.per_grip * grip)
 
 
+IN_FULL = GripEffect(per_grip=1.0)
+"""A grip counts as it is."""
+
+
 def fit_grip_effect(model: GraspEstimator, tried: pd.DataFrame) -> GripEffect:
     """Fit by maximum a posteriori to decided attempts, weighted by 1/Ĝ; no effect where no grip was ever seen.
 
@@ -66,16 +70,23 @@ def fit_grip_effect(model: GraspEstimator, tried: pd.DataFrame) -> GripEffect:
     """
     decided = checked_attempts(tried)
     rows = tried.iloc[decided.row]
-    grip = checked_covariates(rows, ["grip"])[:, 0]
+    return fitted_effect(model.predict_proba(rows)[:, 1], decided, checked_covariates(rows, ["grip"])[:, 0])
+
+
+def fitted_effect(said: Rows, decided: Decided, grip: Rows) -> GripEffect:
+    """Fit as `fit_grip_effect`, to what a model says of decided attempts without their grips."""
     if not grip.any():
         return GripEffect()
-    said = logit(np.clip(model.predict_proba(rows)[:, 1], SURE, 1.0 - SURE))
-    design, sign = np.column_stack([np.ones_like(grip), grip]), np.where(decided.succeeded, 1.0, -1.0)
+    logits, sign = logit(np.clip(said, SURE, 1.0 - SURE)), np.where(decided.succeeded, 1.0, -1.0)
+    design = np.column_stack([np.ones_like(grip), grip])
 
-    def negative_log_posterior(theta: np.ndarray) -> tuple[float, np.ndarray]:
-        margin, scaled = sign * (said + design @ theta), theta / SPREAD
-        loss = decided.weight @ np.logaddexp(0.0, -margin) + scaled @ scaled / 2.0
-        return float(loss), scaled / SPREAD - design.T @ (decided.weight * sign * expit(-margin))
+    def derivatives(theta: Thetas) -> Derivatives:
+        margin, scaled = sign * (logits + theta @ design.T), theta / SPREAD
+        loss = np.logaddexp(0.0, -margin) @ decided.weight + (scaled**2).sum(axis=1) / 2.0
+        wrong = expit(-margin)
+        bend = (decided.weight * wrong * (1.0 - wrong))[:, :, None, None] * design[:, :, None] * design[:, None, :]
+        gradient = scaled / SPREAD - (decided.weight * sign * wrong) @ design
+        return loss, gradient, np.diag(SPREAD**-2.0) + bend.sum(axis=1)
 
-    found = minimize(negative_log_posterior, np.zeros(2), jac=True, method="BFGS", options={"gtol": 1e-8})
-    return GripEffect(*(float(value) for value in found.x))
+    shift, per_grip = minimise_each(derivatives, np.zeros((1, 2)))[0].tolist()
+    return GripEffect(shift, per_grip)

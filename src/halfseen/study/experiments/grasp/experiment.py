@@ -34,6 +34,7 @@ from halfseen.study.policies import STRONGEST_RULE
 from halfseen.tables.grasp.attempts import attempts
 from halfseen.tables.grasp.beta_grasp import BetaGrasp
 from halfseen.tables.grasp.grasp_table import tabulate
+from halfseen.tables.grasp.grip_effect import fit_grip_effect
 from halfseen.tables.grasp.protocol import GraspEstimator
 from halfseen.tables.grasp.splits import can_hold_out
 from halfseen.tables.grasp.svm_grasp import SVMGrasp
@@ -142,7 +143,11 @@ def _fitted(tried: pd.DataFrame) -> dict[str, GraspEstimator]:
 def _inside(setting: Setting, estimators: Mapping[str, GraspEstimator], name: str, tried: pd.DataFrame) -> GraspModel:
     """The model as it runs inside a policy, with what shows of a grip as far as the attempts say."""
     horizon = setting.world.horizon
-    return TrueGrasp(setting.world) if name == ORACLE else tabulate(estimators[name], horizon, tried)
+    return (
+        TrueGrasp(setting.world)
+        if name == ORACLE
+        else tabulate(model := estimators[name], horizon, fit_grip_effect(model, tried))
+    )
 
 
 @jax.jit
