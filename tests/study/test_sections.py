@@ -1,8 +1,10 @@
 """What the experiments draw and say, from made-up pieces: nothing overlaps, and claims follow the numbers."""
 
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Text
@@ -15,7 +17,9 @@ from halfseen.study.experiments import EXPERIMENTS
 from halfseen.study.experiments.reward.opening import opening_of
 from halfseen.study.experiments.reward.peer import over_peer
 from halfseen.study.frames import row_of
+from halfseen.study.policies import HEURISTICS
 
+RULES = [each.name for each in HEURISTICS]
 SVG = "{http://www.w3.org/2000/svg}"
 
 
@@ -256,3 +260,28 @@ def test_regret_is_told_beside_the_best_heuristic_and_planner():
     sentence = example_section(REGRET).sentences[0]
     assert "has less regret than the best heuristic (history, counting the penalty)" in sentence
     assert "of what the optimum gains over FINISH at once" in sentence
+
+
+def test_planners_that_play_in_few_repetitions_are_compared_on_those():
+    pieces = example_pieces(REWARD, repetitions=30)
+    few = [
+        piece
+        if k < 8
+        else piece | {"peer": [], "baselines": {name: of for name, of in piece["baselines"].items() if name in RULES}}
+        for k, piece in enumerate(pieces.repetitions)
+    ]
+    setting, design = example_setting(30), replace(REWARD, planned_repetitions=8)
+    tables = design.tabulate(setting, pieces._replace(repetitions=few))
+    alone = design.tabulate(setting, pieces._replace(repetitions=few[:8]))
+    figure1 = tables["figure1"].set_index(["policy", "num_paths", "cut_share"])
+    counts = figure1["repetitions"].groupby("policy").unique().map(list)
+    assert counts.to_dict() == {
+        name: [30 if name in (*RULES, "censored_q") else 8] for name in (*REWARD.baseline_names, "censored_q")
+    }
+    planned = [name for name in REWARD.baseline_names if name not in RULES]
+    of_planners = [of["figure1"][of["figure1"]["policy"].isin(planned)] for of in (tables, alone)]
+    pd.testing.assert_frame_equal(*of_planners)
+    pd.testing.assert_frame_equal(tables["peer"], alone["peer"])
+    caption = design.section(setting, tables).drawings[0].caption
+    assert "in 8 of the repetitions, plays some of the episodes" in caption
+    assert "in 8 of" not in design.section(replace(setting, repetitions=8), alone).drawings[0].caption

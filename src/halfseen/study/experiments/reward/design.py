@@ -12,9 +12,10 @@ class RewardDesign:
 
     `planners` are simulations a decision, and how many episodes of a repetition a planner of so many plays, as it takes
     its time. The first of them also plans with laws that were fitted to each log, and then plays `fitted_episodes`; for
-    Table 1 it plays as many as with the true laws. The strongest heuristic and planner are chosen on other episodes:
-    heuristics on `selection_blocks` times as many as a repetition has, planners on `selection_planned`. Table 1
-    compares the policy learned from `table_num_paths`, of which `table_cut_share` are cut.
+    Table 1 it plays as many as with the true laws. Planners play in the first `planned_repetitions` alone, as they take
+    longer than all else together. The strongest heuristic and planner are chosen on other episodes: heuristics on
+    `selection_blocks` times as many as a repetition has, planners on `selection_planned`. Table 1 compares the policy
+    learned from `table_num_paths`, of which `table_cut_share` are cut.
     """
 
     num_paths: tuple[int, ...] = (25, 50, 100, 200, 400, 800)
@@ -22,6 +23,7 @@ class RewardDesign:
     episodes_per_scene: int = 5
     planners: tuple[tuple[int, int], ...] = ((128, 10), (512, 3))
     fitted_episodes: int = 2
+    planned_repetitions: int = 40
     selection_blocks: int = 4
     selection_planned: int = 30
     table_num_paths: int = 800

@@ -63,18 +63,25 @@ class Reward(RewardDesign):
             for (size, share), (weights, played) in zip(places, learned, strict=True)
         ]
         earned = {place: played for place, (_, played) in zip(places, learned, strict=True)}
-        told = {share: told_by(cuts, CUT_KIND, setting) for share, (cuts, _) in zip(self.cut_shares, logs, strict=True)}
-        place = self.table_num_paths, self.table_cut_share
-        baselines = self._baselines(source, earned[place], told[place[1]].first(place[0]))
-        peer = peers_beside(self, source, told, earned)
+        headline = earned[self.table_num_paths, self.table_cut_share]
+        baselines, peer = self._ruled(source, headline), []
+        if index < self.planned_repetitions:
+            cut = {share: cuts for share, (cuts, _) in zip(self.cut_shares, logs, strict=True)}
+            told = {share: told_by(cuts, CUT_KIND, setting) for share, cuts in cut.items()}
+            first = told[self.table_cut_share].first(self.table_num_paths)
+            baselines = baselines | self._planned(source, headline, first)
+            peer = peers_beside(self, source, told, earned)
         return {"index": index, "learned": rows, "baselines": baselines, "peer": peer}
 
-    def _baselines(self, source: Source, headline: Played, told: Evidence) -> dict[str, Any]:
-        """What each baseline earned, and the policy of Table 1, which played all episodes, on the same."""
+    def _ruled(self, source: Source, headline: Played) -> dict[str, Any]:
+        """What each heuristic earned, and the policy of Table 1 on the same episodes."""
+        num_all = len(headline.reward)
+        each = {one.name: source.evaluate(one.policy(source.world), num_all) for one in HEURISTICS}
+        return {name: _beside(headline, range(num_all), played) for name, played in each.items()}
+
+    def _planned(self, source: Source, headline: Played, told: Evidence) -> dict[str, Any]:
+        """What each planner earned, and the policy of Table 1 on the same episodes."""
         num_all, found = len(headline.reward), {}
-        for each in HEURISTICS:
-            played = source.evaluate(each.policy(source.world), num_all)
-            found[each.name] = _beside(headline, range(num_all), played)
         for size, num_episodes in self.planners:
             some = episodes_in_turn(source.index, num_episodes, num_all)
             played = source.evaluate_some(planner(size).policy(source.world), some)

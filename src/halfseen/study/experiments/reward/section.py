@@ -40,7 +40,7 @@ def section_of(design: RewardDesign, setting: Setting, tables: Tables) -> Sectio
     return Section(
         "Reward against the size of the log",
         (both, _how_few_paths(design, figure1), peer_sentence(design, tables["peer"])),
-        (Drawing("figure1", "Figure 1", title, _caption(setting), partial(_draw, design, figure1)),),
+        (Drawing("figure1", "Figure 1", title, _caption(design, setting), partial(_draw, design, figure1)),),
         (
             _numbers(design, figure1),
             peer_listing(design, setting, tables["peer"]),
@@ -110,16 +110,18 @@ def _beats(design: RewardDesign, figure1: pd.DataFrame) -> str:
     return f"{start}, {'whatever proportion was cut' if len(set(sizes)) == 1 else 'by the proportion cut'}"
 
 
-def _caption(setting: Setting) -> str:
+def _caption(design: RewardDesign, setting: Setting) -> str:
+    few = min(design.planned_repetitions, setting.repetitions)
+    planned = f"in {few} of the repetitions, " if few < setting.repetitions else ""
     return (
         f"Markers: mean reward of the policy learned by censored Q-learning, weighted by 1/Ĝ, over "
         f"{setting.repetitions} repetitions, each with a fresh log and fresh evaluation episodes that all policies "
         "share; markers of one size stand side by side for legibility. Horizontal lines: baselines, which learn "
         "nothing from logs; bold: the heuristic and the planner that were the strongest on other episodes. A planner "
-        "has so many simulations for each decision, whatever time they take, and plays some of the episodes: its line "
-        "is the learned policy’s mean less their paired difference. Crosses: the planner with laws fitted to the "
-        "logs that the policy is learned from, mean over the proportions of cut paths; it plays few of the episodes, "
-        "and how hard these are is reckoned from what all learned policies earn on them. Shaded: 95 % "
+        f"has so many simulations for each decision, whatever time they take, and {planned}plays some of the episodes: "
+        "its line is the learned policy’s mean less their paired difference. Crosses: the planner with laws fitted to "
+        "the logs that the policy is learned from, mean over the proportions of cut paths; it plays few of the "
+        "episodes, and how hard these are is reckoned from what all learned policies earn on them. Shaded: 95 % "
         "intervals (Student’s t); of the lines across, for the two in bold. Cuts are independent of what happens on "
         f"the table. Logs: half of the actions are those of a heuristic ({STRONGEST_RULE.label}), half are uniformly "
         "random."

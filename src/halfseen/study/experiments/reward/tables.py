@@ -34,7 +34,8 @@ def tables_of(design: RewardDesign, setting: Setting, pieces: Pieces) -> Tables:
         the paired difference from that heuristic. A planner plays only some of the episodes: its mean is what the
         policy of Table 1 earned on all, less the paired difference on those. Of the planner with fitted laws there is a
         row for each log, as of the learned policy: what that earned, less what it earned over it; and one for each size
-        with the mean over all proportions of cut paths, where cut_share is null.
+        with the mean over all proportions of cut paths, where cut_share is null. Repetitions are those in which a
+        policy played.
         ``table1``: baseline, measure, censored_q, other, p_value, p_holm, effect, supported, effect_low, effect_high,
         num_episodes: one-sided paired tests that the learned policy is better (more reward, less time), on the
         episodes that both played; the effect is censored_q − other.
@@ -48,7 +49,7 @@ def tables_of(design: RewardDesign, setting: Setting, pieces: Pieces) -> Tables:
         "figure1": _figure1(design, pieces, strongest(design, pieces.prepared["selection"])),
         "table1": _table1(design, setting, pieces),
         "weights": weights.groupby(KEYS, sort=False)[WORTH].mean().reset_index(),
-        "peer": _peer(setting, pieces),
+        "peer": _peer(setting, _where_played(pieces, design.peer.name)),
     }
 
 
@@ -59,30 +60,39 @@ def strongest(design: RewardDesign, selection: dict[str, float]) -> dict[str, st
 
 
 def _figure1(design: RewardDesign, pieces: Pieces, chosen: dict[str, str]) -> pd.DataFrame:
-    headline, rule = _both(pieces, chosen[BEST[0]], "reward")
-    rows: list[dict[str, Any]] = []
-    for row in stacked(pieces.repetitions, "learned", "reward"):
-        gain = mean_columns(row["reward"] - rule, "gain", "gain_se", "gain_low", "gain_high")
-        place = {name: row[name] for name in KEYS}
-        rows.append({"policy": LEARNED.name} | place | mean_columns(row["reward"]) | gain)
+    rule = chosen[BEST[0]]
+    learned = stacked(pieces.repetitions, "learned", "reward")
+    rows = _rows_of(LEARNED.name, learned, _both(pieces, rule, "reward")[1])
     roles = {name: role for role, name in chosen.items()}
     for name in design.level_names:
-        own, other = _both(pieces, name, "reward")
-        rows.append({"policy": name, "role": roles.get(name)} | mean_columns(headline - (own - other)))
-    rows += _peer_rows(design, pieces, rule)
+        played = _where_played(pieces, name)
+        own, other = _both(played, name, "reward")
+        # The strongest heuristic plays all episodes, and the policy of Table 1 beside it.
+        headline = _both(played, rule, "reward")[0]
+        rows.append({"policy": name, "role": roles.get(name)} | _mean_of(headline - (own - other)))
+    planned = _where_played(pieces, design.peer.name)
+    rows += _rows_of(design.peer.name, _against_peer(planned), _both(planned, rule, "reward")[1])
     first = ["policy", *KEYS, "repetitions", "mean_reward", "se", "low", "high", "role"]
-    table = pd.DataFrame(rows).assign(repetitions=len(pieces.repetitions))
+    table = pd.DataFrame(rows)
     return table.loc[:, [*first, *table.columns.drop(first)]].astype({"num_paths": "Int64", "cut_share": "Float64"})
 
 
-def _peer_rows(design: RewardDesign, pieces: Pieces, rule: Float[np.ndarray, " R"]) -> list[dict[str, Any]]:
-    """The planner with fitted laws in Figure 1."""
+def _rows_of(name: str, logs: list[dict[str, Any]], rule: Float[np.ndarray, " R"]) -> list[dict[str, Any]]:
+    """What is learned or fitted from logs, in Figure 1: a row for each, beside the strongest heuristic."""
     rows = []
-    for row in _against_peer(pieces):
+    for row in logs:
         gain = mean_columns(row["reward"] - rule, "gain", "gain_se", "gain_low", "gain_high")
-        place = {name: row[name] for name in KEYS}
-        rows.append({"policy": design.peer.name} | place | mean_columns(row["reward"]) | gain)
+        rows.append({"policy": name} | {key: row[key] for key in KEYS} | _mean_of(row["reward"]) | gain)
     return rows
+
+
+def _mean_of(rewards: Float[np.ndarray, " R"]) -> dict[str, Any]:
+    return {"repetitions": len(rewards)} | mean_columns(rewards)
+
+
+def _where_played(pieces: Pieces, name: str) -> Pieces:
+    """Keep the repetitions in which a baseline played."""
+    return pieces._replace(repetitions=[piece for piece in pieces.repetitions if name in piece["baselines"]])
 
 
 def _against_peer(pieces: Pieces) -> list[dict[str, Any]]:
@@ -120,15 +130,16 @@ def _peer(setting: Setting, pieces: Pieces) -> pd.DataFrame:
 def _table1(design: RewardDesign, setting: Setting, pieces: Pieces) -> pd.DataFrame:
     rows, counts = [], []
     for name in design.baseline_names:
+        played = _where_played(pieces, name)
         for measure in MEASURES:
-            own, other = _both(pieces, name, measure)
+            own, other = _both(played, name, measure)
             means = {LEARNED.name: float(own.mean()), "other": float(other.mean())}
             if measure == "decision_ms":
                 test = {"p_value": np.nan, "effect": float((own - other)[0])}
             else:
                 test = tested_columns(paired_test(own, other, is_more_better=is_reward(measure)))
             rows.append({"baseline": name, "measure": measure} | means | test)
-            counts.append(sum(piece["baselines"][name]["num_episodes"] for piece in pieces.repetitions))
+            counts.append(sum(piece["baselines"][name]["num_episodes"] for piece in played.repetitions))
     return adjusted(pd.DataFrame(rows), setting.alpha).assign(num_episodes=counts)
 
 
