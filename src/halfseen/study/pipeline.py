@@ -20,11 +20,9 @@ A cut path is treated in one of five ways, as what the learner sees of it:
     end.
 """
 
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from operator import itemgetter
 from typing import Literal, NamedTuple
 
 import jax
@@ -39,7 +37,6 @@ from halfseen.learners.q_learning.automatic import AUTO
 from halfseen.learners.q_learning.path_arrays import PathArrays
 from halfseen.learners.q_learning.q_model import QModel
 from halfseen.learners.q_learning.task import Encoded
-from halfseen.learners.q_learning.transitions import Transitions
 from halfseen.study.experiment import Setting
 from halfseen.study.policies import logging_policy
 from halfseen.study.tried import tried_in
@@ -173,18 +170,17 @@ class LoggedPaths:
         self, logs: Sequence[tuple[CutEpisodes, str]], tried: Mapping[int, pd.DataFrame], num_paths: int
     ) -> list[tuple[LinearTablePolicy, dict[str, float]]]:
         chosen = {name: self._chosen(each, num_paths) for name, each in tried.items()}
-        models, rows, alike = [], [], defaultdict(list)
-        for k, (cuts, treatment) in enumerate(logs):
-            paths, own = self.lay_out(cuts, treatment, num_paths), chosen.get(id(cuts))
-            if own is not None:
-                paths = paths._replace(encoded=own.encoded)
-            models.append(self.model(treatment, self._common if own is None else own.grasp).with_cuts(paths))
-            rows.append(models[-1].transitions(paths))
-            alike[models[-1].targets.is_imputed, own and id(cuts)].append(k)
-        policies: dict[int, LinearTablePolicy] = {}
-        for some in alike.values():
-            policies |= zip(some, _fit_alike([models[k] for k in some], [rows[k] for k in some]), strict=True)
-        return [(policies[k], _weights(np.asarray(each.weight))) for k, each in enumerate(rows)]
+        return [self._learn_from(cuts, treatment, num_paths, chosen.get(id(cuts))) for cuts, treatment in logs]
+
+    def _learn_from(
+        self, cuts: CutEpisodes, treatment: str, num_paths: int, own: "_OwnGrasp | None"
+    ) -> tuple[LinearTablePolicy, dict[str, float]]:
+        paths, grasp = self.lay_out(cuts, treatment, num_paths), self._common
+        if own is not None:
+            paths, grasp = paths._replace(encoded=own.encoded), own.grasp
+        model = self.model(treatment, grasp).with_cuts(paths)
+        rows = model.transitions(paths)
+        return model.policy(model.fit(rows)), _weights(np.asarray(rows.weight))
 
     @property
     def _common(self) -> GraspModel | None:
@@ -216,13 +212,6 @@ class _OwnGrasp(NamedTuple):
 
     grasp: GraspModel
     encoded: Encoded
-
-
-def _fit_alike(models: Sequence[QModel], rows: Sequence[Transitions]) -> list[LinearTablePolicy]:
-    """Fit logs whose rows have the same arrays, of the same states however they were cut."""
-    batch = jax.tree.map(lambda *leaves: np.stack(leaves), *(row._replace(features=None) for row in rows))
-    fits = models[0].fit(batch._replace(features=rows[0].features))
-    return [model.policy(jax.tree.map(itemgetter(k), fits)) for k, model in enumerate(models)]
 
 
 def treated(paths: PathArrays, cuts: CutEpisodes, treatment: str, world: WorldConfig) -> PathArrays:

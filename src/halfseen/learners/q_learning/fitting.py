@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 
 from halfseen.errors import ArgumentError
 from halfseen.learners.q_learning.judging import Judged, judged
+from halfseen.learners.q_learning.packing import packed
 from halfseen.learners.q_learning.recursion import backward
 from halfseen.learners.q_learning.room import padded, with_room
 from halfseen.learners.q_learning.transitions import QFunctions, StageMode, Transitions
@@ -69,9 +70,13 @@ def fit_q_functions(
         )
     is_batch = log.action.ndim == 3
     with in_float64():
-        arrays = jax.tree.map(jnp.asarray, log if is_batch else with_room(log))
-        fit = backward_batch if is_batch else backward
-        more = options._asdict() | ({"pessimism": jnp.asarray(pessimism)} if pessimism else {})
+        more: dict[str, Any] = options._asdict() | ({"pessimism": jnp.asarray(pessimism)} if pessimism else {})
+        fit, ready = backward_batch if is_batch else backward, log
+        if not is_batch and options.stages == "pooled":
+            ready, more = packed(log, options.end_action), more | {"horizon": log.action.shape[1]}
+        elif not is_batch:
+            ready = with_room(log)
+        arrays = jax.tree.map(jnp.asarray, ready)
         return jax.tree.map(np.asarray, fit(arrays, jnp.asarray(blocks), jnp.asarray(regs), **more))
 
 

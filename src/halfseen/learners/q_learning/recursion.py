@@ -54,7 +54,7 @@ from halfseen.learners.q_learning.transitions import (
 )
 
 
-@partial(jax.jit, static_argnames=("num_blocks", "stages", "num_folds", "end_action", "is_scaled"))
+@partial(jax.jit, static_argnames=("num_blocks", "stages", "num_folds", "end_action", "is_scaled", "horizon"))
 def backward(
     log: Transitions,
     block_of_action: Int[Array, " A"],
@@ -67,6 +67,7 @@ def backward(
     is_scaled: bool = True,
     pessimism: Float[Array, ""] | None = None,
     value: Float[Array, "n T"] | None = None,
+    horizon: int | None = None,
 ) -> QFunctions:
     """Fit all Q-functions of one log.
 
@@ -94,12 +95,14 @@ def backward(
         Standard errors (see `spread`) by which Q is lowered wherever the largest is sought; None for eq. 3 as it is.
     value
         For separate stages: V̂ of every state, if it is not to follow from the stages after it.
+    horizon
+        T, where stages are pooled and rows are packed (see `packing`).
     """
     num_paths = log.action.shape[0] if log.num_paths is None else jnp.asarray(log.num_paths)
     regression = Regression(block_of_action, regs, num_blocks, num_folds, num_paths, is_scaled, pessimism)
     if stages == "separate":
         return _backward_separate(log, regression, value)
-    return _backward_pooled(log, regression, end_action)
+    return _backward_pooled(log, regression, end_action, horizon or log.action.shape[1])
 
 
 class Regression(NamedTuple):
@@ -175,9 +178,14 @@ class Regression(NamedTuple):
             features=features.reshape(log.action.size, features.shape[-1]),
             block=self.blocks(log),
             weight=weight.ravel(),
-            fold=jnp.repeat(log.fold, log.action.shape[1]),
+            fold=_fold_of_rows(log),
         )
         return design_of(rows, self.num_blocks, self.num_folds)
+
+
+def _fold_of_rows(log: Transitions) -> Int[Array, " R"]:
+    of_path = log.fold if log.fold.ndim == log.action.ndim else log.fold[:, None]
+    return jnp.broadcast_to(of_path, log.action.shape).ravel()
 
 
 class _Sums(NamedTuple):
@@ -216,7 +224,7 @@ def _backward_separate(
     return jax.lax.scan(step, jnp.zeros_like(log.reward[:, 0]), jnp.arange(log.action.shape[1]), reverse=True)[1]
 
 
-def _backward_pooled(log: Transitions, regression: Regression, end_action: int | None) -> QFunctions:
+def _backward_pooled(log: Transitions, regression: Regression, end_action: int | None, horizon: int) -> QFunctions:
     """All stages' rows at each number of steps to go: none, if the horizon forces an action upon a path, then one."""
     of_longer = jnp.where(goes_on(log, end_action), log.weight, 0.0)
     both = jax.vmap(lambda weight: regression.prepare(log, weight))(jnp.stack([log.weight, of_longer]))
@@ -236,16 +244,16 @@ def _backward_pooled(log: Transitions, regression: Regression, end_action: int |
 
     num_features = both.main.design.features.shape[-1]
     start = jnp.zeros_like(log.reward), jnp.zeros((regression.num_blocks, num_features), log.reward.dtype)
-    horizon = log.action.shape[1]
     first = 1 if end_action is None else 0
     _, fits = jax.lax.scan(advance, start, jnp.arange(first, horizon + 1))
     return jax.tree.map(lambda each: each[-horizon:], fits)
 
 
 def _end_values(fit: QFunctions, log: Transitions, end_action: int, block: Int[Array, ""]) -> Float[Array, "n T"]:
-    """Q of the action that the horizon forces upon a path."""
+    """Q of the action that the horizon forces upon a path; 0 of what is no state."""
     of_block = jnp.asarray(fit.coefficients)[block]
-    return of_block[0] + jnp.asarray(log.features)[:, :, end_action] @ of_block[1:]
+    forced = of_block[0] + jnp.asarray(log.features)[:, :, end_action] @ of_block[1:]
+    return jnp.where(jnp.any(log.is_possible, axis=-1), forced, 0.0)
 
 
 def bounded(

@@ -46,8 +46,8 @@ class Transitions(NamedTuple):
     """δ_t / Ĝ(U_t⁻): 0 where the stage was not completed. Where targets are imputed, that of a begun stage."""
     is_last: Bool[AnyArray, "*B n T"]
     """Completed stages after which the path had come to its own end."""
-    fold: Int[AnyArray, "*B n"]
-    """Fold of each path for cross-validation, from 0; below the number of folds."""
+    fold: Int[AnyArray, "*B n"] | Int[AnyArray, "*B n T"]
+    """Fold of each path for cross-validation, from 0, below the number of folds; of each row, where packed."""
     control_variates: Float[AnyArray, "*B n T Z"] | None = None
     """Of mean 0 given (S_t, A_t), if any are known; what they hold at a path's end does not count."""
     policy: Float[AnyArray, "*B n T A"] | None = None
@@ -55,6 +55,8 @@ class Transitions(NamedTuple):
     imputation: Imputation | None = None
     num_paths: Float[AnyArray, "*B"] | None = None
     """n, where there are rows that are no path of the log (see `room`)."""
+    is_longer: Bool[AnyArray, "*B n T"] | None = None
+    """Whether a row speaks of more than one step to go, where rows are packed (see `packing`)."""
 
 
 class QFunctions(NamedTuple):
@@ -130,6 +132,8 @@ def stage_of(log: Transitions, stage: Int[Array, ""]) -> Transitions:
 
 def goes_on(log: Transitions, end_action: int | None) -> Bool[Array, "n T"]:
     """Tell which rows speak of more than one step to go: the horizon did not end them."""
+    if log.is_longer is not None:
+        return jnp.asarray(log.is_longer)
     before_last = jnp.broadcast_to(jnp.arange(log.action.shape[1]) < log.action.shape[1] - 1, log.action.shape)
     return before_last if end_action is None else before_last | (log.action == end_action)
 

@@ -1,0 +1,81 @@
+"""Rows one after another are the same rows, and give the same Q as where they stand in their paths."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from random_logs import random_log
+
+from halfseen.learners.q_learning.fitting import in_float64
+from halfseen.learners.q_learning.packing import MOST_SPARE, packed
+from halfseen.learners.q_learning.recursion import backward
+from halfseen.learners.q_learning.transitions import goes_on, of_successor, target_of
+
+BLOCKS = (0, 1, 1, 2)
+
+
+def cut_log(seed=0, ends_with=0):
+    """Of 60 paths, some finished, some cut on the way, some cut after their last stage, and some never weighed."""
+    log = random_log(seed, blocks=BLOCKS, ends_with=ends_with)
+    rng = np.random.default_rng(seed)
+    num_paths, horizon = log.action.shape
+    weight, is_last = np.array(log.weight), np.array(log.is_last)
+    kept = rng.integers(0, horizon + 1, num_paths)
+    is_cut = rng.random(num_paths) < 0.5
+    weight[(np.arange(horizon) >= kept[:, None]) & is_cut[:, None]] = 0.0
+    is_last[is_cut] = False
+    weight[:2] = 0.0
+    # One was cut the moment its last possible stage was complete.
+    weight[2], is_last[2] = 1.0, False
+    return log._replace(weight=weight, is_last=is_last)
+
+
+@pytest.mark.parametrize("end_action", [None, 0])
+def test_each_row_of_weight_keeps_what_it_holds_and_what_follows_it(end_action):
+    log = cut_log(ends_with=end_action)
+    flat = packed(log, end_action)
+    # The value of a state is told by its features: so it can be found again.
+    value = np.where(log.is_possible.any(axis=2), np.asarray(log.features).sum(axis=(2, 3)), 0.0)
+    of_row = np.where(flat.is_possible.any(axis=2), flat.features.sum(axis=(2, 3)), 0.0)
+    has_weight, has_row = (np.asarray(each.weight) > 0 for each in (log, flat))
+    assert has_row.sum() == has_weight.sum()
+    for name in ("action", "reward", "weight", "is_last", "features", "is_possible"):
+        np.testing.assert_array_equal(getattr(flat, name)[has_row], np.asarray(getattr(log, name))[has_weight])
+    np.testing.assert_array_equal(flat.fold[has_row], np.broadcast_to(log.fold[:, None], log.action.shape)[has_weight])
+    np.testing.assert_array_equal(goes_on(flat, end_action)[has_row], goes_on(log, end_action)[has_weight])
+    np.testing.assert_allclose(
+        np.asarray(target_of(flat, of_successor(jnp.asarray(of_row))))[has_row],
+        np.asarray(target_of(log, of_successor(jnp.asarray(value))))[has_weight],
+        rtol=1e-4,
+        atol=1e-4,
+    )
+    assert flat.num_paths == len(log.action)
+
+
+@pytest.mark.parametrize("end_action", [None, 0])
+@pytest.mark.parametrize("pessimism", [None, 1.0])
+def test_q_is_the_same(end_action, pessimism):
+    log = cut_log(seed=3, ends_with=end_action)
+    log = log._replace(fold=log.fold % 3)
+    options = {"num_blocks": 3, "stages": "pooled", "num_folds": 3, "end_action": end_action, "pessimism": pessimism}
+    with in_float64():
+        blocks, regs = np.array(BLOCKS), np.array([0.01, 0.1, 1.0])
+        whole = backward(jax.tree.map(np.asarray, log), blocks, regs, **options)
+        flat = backward(packed(log, end_action), blocks, regs, **options, horizon=log.action.shape[1])
+    np.testing.assert_allclose(flat.coefficients, whole.coefficients, atol=1e-9)
+    np.testing.assert_array_equal(flat.reg, whole.reg)
+    if pessimism:
+        spreads = (np.einsum("tkfg,tkhg->tkfh", root, root) for root in (flat.root, whole.root))
+        np.testing.assert_allclose(*spreads, atol=1e-9)
+
+
+def test_there_is_room_for_few_rows_more_and_they_are_empty():
+    log = cut_log(seed=5)
+    flat = packed(log, None)
+    num_rows = flat.action.shape[1]
+    assert num_rows < log.action.size
+    num_used = np.flatnonzero(flat.weight[0])[-1] + 2
+    assert num_rows <= max(64, (1 + 1 / MOST_SPARE) * num_used + 1)
+    spare = flat.is_possible[0, num_used:]
+    assert not spare.any()
+    assert not flat.weight[0, num_used:].any()
