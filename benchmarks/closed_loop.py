@@ -6,8 +6,9 @@ From the logs, which a cell recorded and cut, `halfseen learn` as it is called b
 fitted for a planner. They, the heuristics and the planner that knows the law that is believed in clear the same tables,
 of which nothing is cut. It prints the reward of each in physics, how much of it was the luck of which cups were dirty
 (near 0 where P(DIRTY) is calibrated), what the world under the law foretells for the same tables, the gap, and by how
-much the learned policy is ahead, table by table: two-sided signed-rank tests, by Holm's procedure. A run that was
-stopped goes on where it was, if it is called again.
+much the learned policy is ahead, table by table: two-sided signed-rank tests, by Holm's procedure. Whether P(DIRTY) is
+calibrated is printed, too: of all objects as they looked at first and at last, and of those that were to be washed, how
+many were said to be dirty, and how many were. A run that was stopped goes on where it was, if it is called again.
 """
 
 import argparse
@@ -17,6 +18,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
+from scipy.special import expit
 from tqdm import tqdm
 
 from halfseen.cell.calibration.law_folder import read_law
@@ -30,8 +33,10 @@ from halfseen.planners.pomdp import POMDPPolicy
 from halfseen.policies.learner_choice import learner_for
 from halfseen.study.statistics import holm, signed_rank_test
 from halfseen.tables.fitted_world import fit_world
+from halfseen.world.action_space import Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Policy
+from halfseen.world.table_checks import TABLE
 from halfseen.writing import write_file
 
 LEARNED = "learned"
@@ -57,6 +62,23 @@ def told(name: str, summary: Summary) -> str:
     cups = summary.counts
     washed = f"{cups['num_washed']}/{cups['num_dirty']} dirty, {cups['num_racked'] - cups['num_washed']} clean"
     return f"{name:<26}" + "".join(f"{cell:>17}" for cell in cells) + f"{washed:>24}{summary.seconds:>7.0f}"
+
+
+def calibration(logs: Logs) -> dict[str, dict[str, float]]:
+    """P(DIRTY) beside the truth: the mean of what was said, the share that was found, and the z of their difference."""
+    objects, stages = pd.DataFrame(logs.objects), pd.DataFrame(logs.stages)
+    seen = objects.assign(said=expit(objects["log_odds"].astype(float)), found=objects["is_dirty"])
+    seen = pd.DataFrame(seen[seen["location"] == TABLE])
+    by_object = seen.sort_values("stage").groupby(["path", "object"])
+    washed = pd.DataFrame(stages[stages["action"] == Verb.WASH.name])[["path", "stage", "object"]]
+    meant = washed.merge(seen, on=["path", "stage", "object"]).groupby(["path", "object"]).tail(1)
+    groups = {"at first": by_object.head(1), "at last": by_object.tail(1), "to be washed": meant}
+    return {name: _beside_truth(rows["said"].to_numpy(), rows["found"].to_numpy()) for name, rows in groups.items()}
+
+
+def _beside_truth(said: np.ndarray, found: np.ndarray) -> dict[str, float]:
+    z = (found - said).sum() / np.sqrt((said * (1.0 - said)).sum())
+    return {"objects": len(said), "said": float(said.mean()), "found": float(found.mean()), "z": float(z)}
 
 
 def compared(rewards: dict[str, np.ndarray]) -> dict[str, dict[str, float]]:
@@ -96,16 +118,29 @@ def main() -> None:
     for name, policy in policies_of(logs, belief.config, options.seed).items():
         if options.only and name not in options.only:
             continue
-        campaign, tables = Campaign(policy, belief, Conditions(stops=None), options.seed), range(options.tables)
+        campaign, tables = (
+            Campaign(policy, belief, Conditions(stops=None), options.seed, tells_truth=True),
+            range(options.tables),
+        )
         what = f"{name}, seed {options.seed}, {logs.summary()}"
         with working_folder(options.out.with_name(f"closed-loop-{name.replace(', ', '-')}"), what) as folder:
             done = campaign.runs(tables, folder, options.workers)
             runs = [run for _, run in tqdm(done, name, options.tables, leave=False, disable=None)]
-            summary = summarised(runs, logs_of(folder, tables), policy, belief.config, options.seed)
+            driven = logs_of(folder, tables)
+            summary, dirty = summarised(runs, driven, policy, belief.config, options.seed), calibration(driven)
         print(told(name, summary), flush=True)
+        for which, row in dirty.items():
+            print(
+                f"  dirty {which + ',':<14}{row['objects']:>5.0f} objects: said {row['said']:.3f}, found "
+                f"{row['found']:.3f} (z {row['z']:+.1f})"
+            )
         rewards[name], luck = (np.array([getattr(run, of) for run in runs]) for of in ("reward", "luck"))
         without_luck[name] = rewards[name] - luck
-        results["policies"][name] = asdict(summary) | {"rewards": rewards[name].tolist(), "lucks": luck.tolist()}
+        results["policies"][name] = asdict(summary) | {
+            "rewards": rewards[name].tolist(),
+            "lucks": luck.tolist(),
+            "calibration": dirty,
+        }
         results["differences"] = {"in physics": compared(rewards), "without luck": compared(without_luck)}
         # What has been driven for so long is kept, whatever comes of the next.
         options.out.parent.mkdir(parents=True, exist_ok=True)
