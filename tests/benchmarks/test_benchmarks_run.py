@@ -21,6 +21,7 @@ pytestmark = pytest.mark.slow
         ("calibration.py", "--tables", "1", "--states", "2", "--paths", "30"),
         ("coverage.py", "--logs", "2", "--row", "cut 1/3"),
         ("verdicts.py", "--logs", "2", "--world", "trial", "--share", "1/3", "--setting", "default"),
+        ("repetition.py", "--repetitions", "1"),
         ("closed_loop.py", "--tables", "2", "--only", "greedy"),
         ("learners.py", "--logs", "1", "--worlds", "trial", "--shares", "0.3", "--methods", "quadratic, imputed"),
     ],

@@ -1,0 +1,83 @@
+"""What a repetition of Figure 1 takes without planners: 24 fits and 24 evaluations, by part; medians and JSON.
+
+python benchmarks/repetition.py [--out runs/benchmarks/repetition.json] [--repetitions 8]
+
+Every repetition is made twice, and the second time is told: programs of all shapes are compiled by then, as they soon
+are in a long study. Bar: 0.48 s of CPU for all, so that 10,000 repetitions take 40 minutes on two cores.
+"""
+
+import argparse
+import json
+import time
+from collections import defaultdict
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from halfseen.cell.calibration.law_folder import read_law
+from halfseen.cell.calibration.shipped import shipped_law
+from halfseen.scene import table_paths
+from halfseen.study.experiment import Setting
+from halfseen.study.experiments.reward import Reward
+from halfseen.study.experiments.reward.experiment import CUT_KIND
+from halfseen.study.laws import under
+from halfseen.study.pipeline import Source
+from halfseen.study.scenes import look_at
+
+BAR_S = 0.48
+
+
+class Clock:
+    """CPU time of parts that follow one another [s]."""
+
+    def __init__(self) -> None:
+        self.parts: dict[str, float] = defaultdict(float)
+        self._last = time.process_time()
+
+    def passed(self, part: str) -> None:
+        """Count what has passed since the last call to a part."""
+        now = time.process_time()
+        self.parts[part] += now - self._last
+        self._last = now
+
+
+def repeat(setting: Setting, design: Reward, rates: list[float], index: int) -> dict[str, float]:
+    """Make one repetition, and tell the CPU time of its parts [s]."""
+    clock, source = Clock(), Source.of(setting, index)
+    episodes = jax.block_until_ready(source.play(max(design.num_paths)))
+    clock.passed("play 800 paths")
+    num_episodes = design.episodes_per_scene * len(setting.scenes)
+    logs = [(source.cut(episodes, rate, CUT_KIND), "weighted") for rate in rates]
+    logged, policies = source.logged(episodes), []
+    for size in design.num_paths:
+        policies += [policy for policy, _ in logged.learn(logs, [size])]
+        clock.passed(f"{len(logs)} fits to {size} paths")
+    for policy in policies:
+        source.evaluate(policy, num_episodes)
+    clock.passed(f"{len(policies)} evaluations")
+    return clock.parts
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=Path("runs/benchmarks/repetition.json"))
+    parser.add_argument("--repetitions", type=int, default=8)
+    args = parser.parse_args()
+    scenes, _ = look_at(table_paths(), read_law(shipped_law()).law)
+    setting, _ = under(Setting(scenes), shipped_law())
+    design = Reward()
+    rates = [Source.of(setting).cut_rate(share, CUT_KIND) for share in design.cut_shares]
+    times = [[repeat(setting, design, rates, index) for index in range(args.repetitions)] for _ in range(2)][1]
+    medians_s = {part: float(np.median([each[part] for each in times])) for part in times[0]}
+    for part, median_s in medians_s.items():
+        print(f"{part:<22} {median_s:6.3f} s of CPU")
+    total_s = float(np.median([sum(each.values()) for each in times]))
+    holds = "holds" if total_s <= BAR_S else "does not hold"
+    print(f"{'all':<22} {total_s:6.3f} s of CPU\nbar: {BAR_S} s: {holds} ({total_s / BAR_S:.2f} times)")
+    args.out.parent.mkdir(parents=True, exist_ok=True)
+    args.out.write_text(json.dumps({"medians_s": medians_s, "total_s": total_s}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
