@@ -98,7 +98,7 @@ def first_replaced(name, value):
 @pytest.mark.parametrize(
     ("column", "value", "message"),
     [
-        ("location", "SINK", "location is neither"),
+        ("location", "SINK", "location is none of"),
         ("hidden_by", [0.0] * 9, "hidden_by does not give one share"),
         ("attempt_occlusions", [0.5], "attempt_occlusions and attempt_succeeded differ"),
     ],
