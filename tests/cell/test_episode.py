@@ -150,6 +150,32 @@ def test_what_a_cell_recorded_is_a_history_to_go_on_from(tmp_path, numbers):
     assert now[0].stage == 2
 
 
+def test_a_table_that_is_believed_empty_is_finished_and_what_is_left_is_paid_for(tmp_path, numbers, monkeypatch):
+    looks, look = [], Workcell.look
+
+    def losing(cell):
+        looks.append(look(cell))
+        for known in cell.memory.objects:
+            known.is_lost = len(looks) > 1
+
+    monkeypatch.setattr(Workcell, "look", losing)
+    _, logs, _ = played(tmp_path / "logs", scripted((Verb.LIFT, numbers[0]), (Verb.FINISH, 0)))
+    assert logs.stages["action"].tolist() == ["LIFT", "FINISH"]
+    assert logs.stages["reward"].iloc[-1] == -5.0
+    assert logs.objects["location"].tolist() == ["TABLE", "TABLE", "LOST", "LOST"]
+    assert not np.asarray(states_of(logs, 10).is_on_table)[0, 1].any()
+
+
+def test_who_lifts_at_random_finishes_where_nothing_is_left(numbers):
+    cell = Workcell(Table(CUPS, POSES, CAMERA), np.random.default_rng(0), SURFACES)
+    cell.look()
+    state = state_of(cell.memory, BELIEF, 10)
+    empty = replace(state, is_on_table=jnp.zeros_like(state.is_on_table))
+    some, none = (LiftAtRandom().decide(each, jax.random.key(0)) for each in (state, empty))
+    assert (int(ACTIONS.verb(some.action)), float(some.probability)) == (Verb.LIFT, 0.5)
+    assert (int(ACTIONS.verb(none.action)), float(none.probability)) == (Verb.FINISH, 1.0)
+
+
 def test_only_looks_that_show_more_are_news():
     known = Known(np.zeros(3), None, Facts(is_lying=False, width_m=0.08, room_m=0.05))
     for occlusion, says_dirty in ((0.5, False), (0.5 - 0.5 * MORE_IN_VIEW, True), (0.3, False), (0.4, True)):

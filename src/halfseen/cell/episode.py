@@ -131,8 +131,6 @@ def play(
             _look(cell)
             if not cell.memory.objects:
                 raise StoppedError(NOTHING_SEEN)
-            if all(known.is_gone for known in cell.memory.objects):
-                break
             state, rows = state_of(cell.memory, belief, config.horizon - step), rows_of(cell.memory, belief)
             chances = _chances_of(rows)
             if step == 0:

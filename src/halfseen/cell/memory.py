@@ -88,6 +88,18 @@ class Known:
         """Whether it is no longer on the table, as far as is known."""
         return self.is_racked or self.is_lost
 
+    def see(self, now: "Known | None") -> None:
+        """Take in how it looks in the last view; None where that does not show it.
+
+        Parameters
+        ----------
+        now
+            What the view shows of it.
+        """
+        self.seen = None if now is None else now.seen
+        if now is not None:
+            self.middle_m, self.facts, self.surface_m = now.middle_m, now.facts, now.surface_m
+
     def label(self, occlusion: float, says_dirty: bool, *, is_held: bool) -> None:
         """Keep what a look told, if it showed more than any before: else it repeats itself.
 
@@ -140,10 +152,9 @@ class Memory:
             What is not on the table for now.
         """
         self.world_from_table = world_from_table
-        world_from_camera = world_from_table @ np.linalg.inv(view.camera_from_table)
-        middles_m = [world_from_table @ [*seen.solid.middle_m, 1.0] for seen in view.objects]
-        now_m = np.array(middles_m).reshape(-1, 4)[:, :3]
-        facts, surfaces_m = facts_of(view), [_surface_m(seen, view, world_from_camera) for seen in view.objects]
+        camera = world_from_table @ np.linalg.inv(view.camera_from_table)
+        now = _objects_of(view, world_from_table, camera)
+        now_m = _middles_m(now)
         here = [known for known in self.objects if not known.is_gone and known is not in_hand]
         found = matched(_middles_m(here), now_m)
         self.doubts = tuple(
@@ -151,20 +162,17 @@ class Memory:
             for known, is_doubtful in zip(here, found.is_doubtful.tolist(), strict=True)
             if is_doubtful
         )
-        lost, new = [known for known in self.objects if known.is_lost], found.new(len(now_m))
+        lost, new = [known for known in self.objects if known.is_lost], found.new(len(now))
         back = matched(_middles_m(lost), now_m[new], SAME_PLACE_M)
-        number = [*found.now.tolist(), *(new[k] if k >= 0 else -1 for k in back.now.tolist())]
-        for known, k in zip([*here, *lost], number, strict=True):
-            known.seen, known.is_lost = (view.objects[k], False) if k >= 0 else (None, known.is_lost)
-            if k >= 0:
-                known.middle_m, known.facts, known.surface_m = now_m[k], facts[k], surfaces_m[k]
-            elif not known.is_lost:
-                seen_from_m = (known.surface_m - world_from_camera[:3, 3]) @ world_from_camera[:3, :3]
-                known.is_lost = has_vanished(seen_from_m, view)
+        for known, k in zip(here, found.now.tolist(), strict=True):
+            known.see(now[k] if k >= 0 else None)
+            known.is_lost = k < 0 and has_vanished((known.surface_m - camera[:3, 3]) @ camera[:3, :3], view)
+        for known, k in zip(lost, back.now.tolist(), strict=True):
+            known.see(now[new[k]] if k >= 0 else None)
+            known.is_lost = k < 0
         if in_hand is not None:
-            in_hand.seen = None
-        first = sorted(set(range(len(now_m))) - set(number))
-        self.objects.extend(Known(now_m[k], view.objects[k], facts[k], surfaces_m[k]) for k in first)
+            in_hand.see(None)
+        self.objects.extend(now[new[k]] for k in back.new(len(new)))
         self.hides = self._hides_in(view)
 
     def _hides_in(self, view: View) -> Hides:
@@ -194,10 +202,15 @@ class Memory:
         return numbers[0] if numbers else None
 
 
+def _objects_of(
+    view: View, world_from_table: Float[np.ndarray, "4 4"], world_from_camera: Float[np.ndarray, "4 4"]
+) -> list[Known]:
+    """What a view shows, as if it had never been seen before."""
+    points_m, turned, moved_m = view.image.points_m.reshape(-1, 3), world_from_camera[:3, :3], world_from_camera[:3, 3]
+    middles_m = [(world_from_table @ [*seen.solid.middle_m, 1.0])[:3] for seen in view.objects]
+    surfaces_m = [points_m[seen.pixels] @ turned.T + moved_m for seen in view.objects]
+    return [Known(*each) for each in zip(middles_m, view.objects, facts_of(view), surfaces_m, strict=True)]
+
+
 def _middles_m(objects: list[Known]) -> Points:
     return np.array([known.middle_m for known in objects]).reshape(-1, 3)
-
-
-def _surface_m(seen: SeenObject, view: View, world_from_camera: Float[np.ndarray, "4 4"]) -> Points:
-    points_m = view.image.points_m.reshape(-1, 3)[seen.pixels]
-    return points_m @ world_from_camera[:3, :3].T + world_from_camera[:3, 3]

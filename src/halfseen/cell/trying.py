@@ -14,12 +14,13 @@ from halfseen.world.state import TableState
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class LiftAtRandom:
-    """Lifts each object on the table with the same probability."""
+    """Lifts each object on the table with the same probability; finishes where none is left."""
 
     def decide(self, state: TableState, key: Array) -> Decision:
         """Choose for one table."""
         actions = ActionSpace(state.num_objects)
         every = jnp.arange(actions.num_actions)
-        may = possible_actions(state) & (actions.verb(every) == Verb.LIFT)
+        is_lift = possible_actions(state) & (actions.verb(every) == Verb.LIFT)
+        may = jnp.where(jnp.any(is_lift), is_lift, actions.verb(every) == Verb.FINISH)
         action = jax.random.categorical(key, jnp.where(may, 0.0, -jnp.inf))
         return Decision(action.astype(jnp.int32), 1.0 / jnp.sum(may))
