@@ -1,5 +1,6 @@
 """The two films, made by the commands that their captions name."""
 
+import os
 import shlex
 from collections.abc import Mapping
 from functools import partial
@@ -29,6 +30,11 @@ def _made_by(*commands: str) -> bytes:
 
 def _played() -> Table:
     """What the filmed arm decides, in words, and what that earns: the film without its pictures."""
+    from halfseen.cli.opengl import GL, load_mujoco
+
+    # It is loaded once, and what is drawn after this needs a way to draw.
+    os.environ.setdefault(GL, "egl")
+    load_mujoco()
     import jax
 
     from halfseen.cell.campaign import Conditions
