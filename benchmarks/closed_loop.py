@@ -118,11 +118,9 @@ def main() -> None:
     for name, policy in policies_of(logs, belief.config, options.seed).items():
         if options.only and name not in options.only:
             continue
-        campaign, tables = (
-            Campaign(policy, belief, Conditions(stops=None), options.seed, tells_truth=True),
-            range(options.tables),
-        )
-        what = f"{name}, seed {options.seed}, {logs.summary()}"
+        tables = range(options.tables)
+        campaign = Campaign(policy, belief, Conditions(stops=None), options.seed, tells_truth=True)
+        what = f"{name}, seed {options.seed}, with the truth, {logs.summary()}"
         with working_folder(options.out.with_name(f"closed-loop-{name.replace(', ', '-')}"), what) as folder:
             done = campaign.runs(tables, folder, options.workers)
             runs = [run for _, run in tqdm(done, name, options.tables, leave=False, disable=None)]

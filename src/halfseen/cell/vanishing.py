@@ -3,7 +3,7 @@
 import numpy as np
 
 from halfseen.arrays import Points
-from halfseen.perception.silhouette import NEAREST_M
+from halfseen.perception.silhouette import NEAREST_M, projected
 from halfseen.perception.view import View
 
 SAME_DEPTH_M = 0.015
@@ -24,9 +24,8 @@ def has_vanished(surface_m: Points, view: View) -> bool:
     view
         In which it was not found again.
     """
-    before = surface_m[surface_m[:, 2] > NEAREST_M]
-    K, (num_rows, num_columns) = view.image.intrinsics, view.image.depth_m.shape
-    columns, rows = np.rint(before[:, :2] / before[:, 2:] * [K[0, 0], K[1, 1]] + K[:2, 2]).astype(np.int64).T
+    before, (num_rows, num_columns) = surface_m[surface_m[:, 2] > NEAREST_M], view.image.depth_m.shape
+    columns, rows = np.rint(projected(before, view.image)).astype(np.int64).T
     is_inside = (columns >= 0) & (columns < num_columns) & (rows >= 0) & (rows < num_rows)
     at = rows[is_inside], columns[is_inside]
     farther_m = view.image.depth_m[at] - before[is_inside, 2]

@@ -68,14 +68,16 @@ def fit_q_functions(
         raise ArgumentError(
             f"fold {largest} of {options.num_folds}: folds are 0 to {options.num_folds - 1}; deal the paths anew"
         )
-    is_batch = log.action.ndim == 3
+    more: dict[str, Any] = options._asdict()
+    if log.action.ndim == 3:
+        fit, ready = backward_batch, log
+    elif options.stages == "pooled":
+        fit, ready, more["horizon"] = backward, packed(log, options.end_action), log.action.shape[1]
+    else:
+        fit, ready = backward, with_room(log)
     with in_float64():
-        more: dict[str, Any] = options._asdict() | ({"pessimism": jnp.asarray(pessimism)} if pessimism else {})
-        fit, ready = backward_batch if is_batch else backward, log
-        if not is_batch and options.stages == "pooled":
-            ready, more = packed(log, options.end_action), more | {"horizon": log.action.shape[1]}
-        elif not is_batch:
-            ready = with_room(log)
+        if pessimism:
+            more["pessimism"] = jnp.asarray(pessimism)
         arrays = jax.tree.map(jnp.asarray, ready)
         return jax.tree.map(np.asarray, fit(arrays, jnp.asarray(blocks), jnp.asarray(regs), **more))
 

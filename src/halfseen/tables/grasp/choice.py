@@ -96,7 +96,8 @@ def choose_by(tried: pd.DataFrame, horizon: int) -> GraspChoice:
         warnings.simplefilter("ignore", HalfseenWarning)
         decided = checked_attempts(tried)
         grip = tried["grip"].to_numpy(dtype=np.float64)[decided.row]
-        *held_out, whole = fitted_thetas(decided, _weightings(decided, path := _paths(tried, decided)))
+        path = np.unique(tried["path"].to_numpy(), return_inverse=True)[1][decided.row]
+        *held_out, whole = fitted_thetas(decided, _weightings(decided, path))
         errors = _errors(decided, grip, path, held_out)
     lead = (1.0 - WORTH) * errors.rule - errors.beta
     left = f"{errors.beta.sum() / errors.rule.sum():.0%} of its squared error"
@@ -108,11 +109,6 @@ def choose_by(tried: pd.DataFrame, horizon: int) -> GraspChoice:
             f"better than the rule of succession, with {left}",
         )
     return GraspChoice(None, f"{KEPT}: held out, a Beta regression does not clearly halve its error (it leaves {left})")
-
-
-def _paths(tried: pd.DataFrame, decided: Decided) -> RowIds:
-    """Number of the path of each decided attempt, among all that attempted anything."""
-    return np.unique(tried["path"].to_numpy(), return_inverse=True)[1][decided.row]
 
 
 def _weightings(decided: Decided, path: RowIds) -> Float[np.ndarray, "K n"]:
