@@ -143,7 +143,7 @@ def main() -> None:
         # What has been driven for so long is kept, whatever comes of the next.
         options.out.parent.mkdir(parents=True, exist_ok=True)
         write_file(options.out, json.dumps(results, indent=1) + "\n")
-    for measure, rows in results["differences"].items():
+    for measure, rows in results["differences"].items() if len(rewards) > 1 else ():
         print(f"\n{f'table by table, {measure}':<50}{'mean':>9}{'95 % interval':>20}{'p (Holm)':>10}")
         for name, row in rows.items():
             within = f"{row['low']:+.2f} to {row['high']:+.2f}"
