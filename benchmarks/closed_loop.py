@@ -33,6 +33,7 @@ from halfseen.planners.pomdp import POMDPPolicy
 from halfseen.policies.learner_choice import learner_for
 from halfseen.study.statistics import holm, signed_rank_test
 from halfseen.tables.fitted_world import fit_world
+from halfseen.workers import Workers
 from halfseen.world.action_space import Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Policy
@@ -103,7 +104,7 @@ def main() -> None:
     parser.add_argument("--law", type=Path, default=shipped_law())
     parser.add_argument("--tables", type=int, default=200)
     parser.add_argument("--seed", type=int, default=2026)
-    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--workers", type=int)
     parser.add_argument("--only", nargs="*", help="names of policies")
     parser.add_argument("--out", type=Path, default=Path("runs/benchmarks/closed_loop.json"))
     options = parser.parse_args()
@@ -121,8 +122,9 @@ def main() -> None:
         tables = range(options.tables)
         campaign = Campaign(policy, belief, Conditions(stops=None), options.seed, tells_truth=True)
         what = f"{name}, seed {options.seed}, with the truth, {logs.summary()}"
-        with working_folder(options.out.with_name(f"closed-loop-{name.replace(', ', '-')}"), what) as folder:
-            done = campaign.runs(tables, folder, options.workers)
+        place = options.out.with_name(f"closed-loop-{name.replace(', ', '-')}")
+        with working_folder(place, what) as folder, Workers(options.workers).ready() as pool:
+            done = campaign.runs(tables, folder, pool)
             runs = [run for _, run in tqdm(done, name, options.tables, leave=False, disable=None)]
             driven = logs_of(folder, tables)
             summary, dirty = summarised(runs, driven, policy, belief.config, options.seed), calibration(driven)

@@ -14,6 +14,7 @@ from pictures.picture import Table, plot, whole
 
 def _memory() -> Table:
     from halfseen.study import Setting, run_study
+    from halfseen.workers import Workers
     from halfseen.world import Scene
 
     hides = np.zeros((4, 4))
@@ -21,7 +22,7 @@ def _memory() -> Table:
     setting = Setting((Scene(hides, name="three behind one"),), repetitions=4)
     memory = names_after("another-figure", 0)["Memory"]()
     with TemporaryDirectory() as folder:
-        results = run_study(setting, Path(folder), (memory,), num_jobs=1)
+        results = run_study(setting, Path(folder), (memory,), workers=Workers(1))
     return [{name: float(value) for name, value in results.tables[0]["memory"].iloc[0].items()}]
 
 

@@ -113,12 +113,12 @@ def draw_extras() -> Figure:
     extras = [name for name in project["optional-dependencies"] if name not in ("docs", "dev")]
     asked = {verb: ASKS_FOR.get(verb, ()) for verb in VERBS}
     made, axes = panel(3.3, has_grid=False)
-    for row, (verb, names) in enumerate(asked.items()):
+    for row, names in enumerate(asked.values()):
         axes.axhline(row, color="#e9e9e9", lw=0.8, zorder=0)
         if not names:
             axes.text(-0.45, row, "none", va="center", color=SOFT)
         for name in names:
-            axes.plot(extras.index(name), row, "o", color=BLUE if verb != "convert" else SKY, ms=9)
+            axes.plot(extras.index(name), row, "o", color=SKY if name in ON_DEMAND else BLUE, ms=9)
     axes.set_yticks(range(len(asked)), [f"halfseen {verb}" for verb in asked])
     axes.set_xticks(range(len(extras)), extras, rotation=40, ha="left", rotation_mode="anchor")
     axes.xaxis.tick_top()
@@ -134,10 +134,12 @@ ASKS_FOR = {
     "convert": ("minari", "ros"),
     "look": ("perception",),
     "simulate": ("perception",),
-    "cell": ("scene",),
-    "study": ("study",),
+    "cell": ("scene", "ray", "dask"),
+    "study": ("study", "ray", "dask"),
 }
-"""Command → the extras that it asks for, some of which hold others; pale dots where a format alone needs one."""
+"""Command → the extras that it asks for, some of which hold others."""
+ON_DEMAND = ("minari", "ros", "ray", "dask")
+"""Extras that a format or an engine alone needs: pale dots."""
 
 PICTURES = (
     plot("bias-of-weights", draw_bias),

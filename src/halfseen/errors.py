@@ -9,6 +9,7 @@
     ├── PolicyError            a policy folder that cannot be read, or a policy that does not fit what it is shown
     ├── PositivityError        a weight that the data do not identify; names the path, the stage and the time
     ├── SceneError             a scene whose numbers contradict one another
+    ├── WorkerError            who should make the work cannot: nobody at the address, other versions, no memory
     └── ArgumentError          a value that an option or parameter cannot take
 
 Every message says what is wrong, where, the value, and the remedy. Warnings are `HalfseenWarning`.
@@ -41,6 +42,10 @@ class PositivityError(HalfseenError):
 
 class SceneError(HalfseenError):
     """A scene's numbers contradict one another."""
+
+
+class WorkerError(HalfseenError):
+    """Those who should make the work cannot: nobody answers, other versions are there, or they are lost."""
 
 
 class ArgumentError(HalfseenError, ValueError):

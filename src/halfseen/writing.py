@@ -10,6 +10,9 @@ from pathlib import Path
 
 from halfseen.errors import ArgumentError
 
+LOCK = ".lock"
+"""File by which a folder is held."""
+
 
 def write_file(target: Path, content: str | bytes) -> None:
     """Write a file, in place of what is there; missing parents are made.
@@ -98,6 +101,51 @@ def refuse_unwritable(target: Path) -> None:
     if not (nearest.is_dir() and os.access(nearest, os.W_OK)):
         kind = "may not be written by you" if nearest.is_dir() else "is no folder"
         raise ArgumentError(f"{target}: cannot be written, as {nearest} {kind}; choose another folder")
+
+
+@contextmanager
+def held_alone(folder: Path, what: str) -> Iterator[None]:
+    """Hold a folder, so that no other process that asks for it writes into it in the meantime; it is made if missing.
+
+    The kernel gives it back when this process ends, however it ends.
+
+    Parameters
+    ----------
+    folder
+        Which.
+    what
+        What writes there, for the message.
+
+    Raises
+    ------
+    ArgumentError
+        Another process holds it, or it cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
+    except OSError as error:
+        raise _unwritable(folder, error) from error
+    try:
+        if not is_locked(descriptor):
+            raise ArgumentError(
+                f"{folder}: another {what} writes into it; wait for its end, or choose another folder (the lock goes "
+                "with its process: there is nothing to remove after a crash)"
+            )
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def is_locked(descriptor: int, *, is_shared: bool = False) -> bool:
+    """Take the lock of a file, which the kernel gives back when the descriptor is closed or its process dies."""
+    import fcntl
+
+    try:
+        fcntl.flock(descriptor, (fcntl.LOCK_SH if is_shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
 
 
 def left_aside(target: Path) -> Path | None:

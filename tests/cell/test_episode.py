@@ -285,15 +285,18 @@ def test_what_was_stopped_of_another_run_is_neither_mixed_in_nor_lost(tmp_path):
 def test_any_number_of_processes_gives_the_same_bytes(tmp_path):
     campaign = Campaign(LiftAtRandom(), Belief(WorldConfig(horizon=2), no_grip), Conditions(), 5, tells_truth=True)
     tables = {}
-    for num_workers in (1, 2):
-        folder = tmp_path / str(num_workers)
-        runs = [run for _, run in campaign.runs(range(3), folder, num_workers)]
-        tables[num_workers] = runs, logs_of(folder, range(3)).tables
-    assert tables[1][0] == tables[2][0]
-    for name, table in tables[1][1].items():
-        assert table.equals(tables[2][1][name])
-    summary = summarised(tables[1][0], logs_of(folder, range(3)), LiftAtRandom(), WorldConfig(horizon=2), 0)
-    assert summary.counts["num_cups"] == sum(run.num_cups for run in tables[1][0])
+    for workers in (Workers(1), Workers(2), Workers(2, "dask")):
+        folder = tmp_path / f"{workers.num}-{workers.engine}"
+        with workers.ready() as pool:
+            runs = [run for _, run in campaign.runs(range(3), folder, pool)]
+        tables[workers] = runs, logs_of(folder, range(3)).tables
+    for runs, of_tables in tables.values():
+        assert runs == tables[Workers(1)][0]
+        for name, table in tables[Workers(1)][1].items():
+            assert table.equals(of_tables[name])
+    runs = tables[Workers(1)][0]
+    summary = summarised(runs, logs_of(folder, range(3)), LiftAtRandom(), WorldConfig(horizon=2), 0)
+    assert summary.counts["num_cups"] == sum(run.num_cups for run in runs)
     assert summary.verbs["LIFT"] <= 6
 
 

@@ -31,7 +31,8 @@ def test_a_law_that_is_not_there_is_refused_by_name(refused, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "option", ["--out", "--repetitions", "--only", "--seed", "--law", "--resume", "--jobs", "--json"]
+    "option",
+    ["--out", "--repetitions", "--only", "--seed", "--law", "--resume", "--workers", "--engine", "--address", "--json"],
 )
 def test_help_shows_an_example_and_every_option(option):
     shown = CliRunner().invoke(study, ["--help"]).output

@@ -3,13 +3,14 @@ from tiny import SETTING, TINY
 
 from halfseen.pages.drawing import style
 from halfseen.study.run import run_study
+from halfseen.workers import Workers
 
 
 @pytest.fixture(scope="session")
 def study_folder(tmp_path_factory):
     """Where the tiny study was run from end to end, once."""
     folder = tmp_path_factory.mktemp("study") / "new" / "folder"
-    run_study(SETTING, folder, TINY, num_jobs=1)
+    run_study(SETTING, folder, TINY, workers=Workers(1))
     return folder
 
 

@@ -1,12 +1,11 @@
-"""Which process makes which repetition."""
+import pytest
 
-from halfseen.study.runner import next_of
+from halfseen.study.runner import MOST_AT_ONCE, in_rows
 
 
-def test_a_process_stays_with_its_own_then_begins_another_then_helps():
-    assert next_of([1, 0, 0], [6, 8, 40], None) == 1
-    assert next_of([1, 3, 0], [6, 8, 40], 1) == 1
-    assert next_of([1, 8, 0], [6, 8, 40], 1) == 2
-    assert next_of([2, 8, 35], [6, 8, 40], 1) == 2
-    assert next_of([1, 8, 40], [6, 8, 40], 1) == 0
-    assert next_of([6, 8, 40], [6, 8, 40], 1) is None
+@pytest.mark.parametrize(("num", "num_workers"), [(0, 2), (1, 2), (40, 2), (41, 3), (10_000, 2), (10_000, 1000)])
+def test_rows_of_repetitions_hold_each_of_them_once_and_are_enough_for_all_workers(num, num_workers):
+    rows = in_rows(list(range(num)), num_workers)
+    assert [index for row in rows for index in row] == list(range(num))
+    assert all(1 <= len(row) <= MOST_AT_ONCE for row in rows)
+    assert len(rows) >= min(num, 8 * num_workers)

@@ -15,6 +15,7 @@ from halfseen.cell.calibration.shipped import shipped_law
 from halfseen.errors import ArgumentError
 from halfseen.study.laws import under
 from halfseen.study.run import chosen, run_study
+from halfseen.workers import Workers
 
 REWARD = "mean_reward se low high"
 COLUMNS = {
@@ -95,7 +96,7 @@ def test_resuming_a_killed_study_writes_the_same_bytes(study_folder, tmp_path):
     shutil.copytree(study_folder / "progress", tmp_path / "progress")
     for name in ("reward/repetition-00001", "censoring/repetition-00000", "regret/prepared"):
         (tmp_path / "progress" / f"{name}.json").unlink()
-    run_study(SETTING, tmp_path, TINY, is_resumed=True, num_jobs=1)
+    run_study(SETTING, tmp_path, TINY, is_resumed=True, workers=Workers(1))
     assert outputs(tmp_path) == outputs(study_folder)
 
 
@@ -106,7 +107,7 @@ def test_no_figure_depends_on_measured_times(study_folder, tmp_path):
         measured = json.loads(path.read_text())
         slower = {name: 100.0 * value for name, value in measured["decision_ms"].items()}
         path.write_text(json.dumps({**measured, "decision_ms": slower}))
-    run_study(SETTING, tmp_path, TINY, is_resumed=True, num_jobs=1)
+    run_study(SETTING, tmp_path, TINY, is_resumed=True, workers=Workers(1))
     before, after = outputs(study_folder), outputs(tmp_path)
     changed = {name for name in before if before[name] != after[name]}
     assert changed == {"figure2.csv", "figure3.csv", "table1.csv", "study.json", "report.html"}
@@ -125,13 +126,13 @@ def test_no_figure_depends_on_measured_times(study_folder, tmp_path):
 def test_another_seed_is_not_resumed(study_folder, tmp_path):
     folder = shutil.copytree(study_folder, tmp_path / "copy")
     with pytest.raises(ArgumentError, match="another design, seed or version"):
-        run_study(replace(SETTING, seed=1), folder, TINY, is_resumed=True, num_jobs=1)
+        run_study(replace(SETTING, seed=1), folder, TINY, is_resumed=True, workers=Workers(1))
     assert outputs(folder) == outputs(study_folder)
 
 
 @pytest.mark.slow
 def test_beginning_anew_in_two_processes_finds_the_same_pieces(study_folder, tmp_path):
-    run_study(SETTING, tmp_path, TINY, num_jobs=2)
+    run_study(SETTING, tmp_path, TINY, workers=Workers(2))
     for each in TINY:
         assert pieces(tmp_path, each.name) == pieces(study_folder, each.name)
 
@@ -142,7 +143,7 @@ def test_under_the_law_of_a_cell_everything_runs_and_says_so(tmp_path):
     setting = replace(
         setting, scenes=tuple(replace(scene, grip=np.linspace(-2, 0, scene.num_objects)) for scene in SETTING.scenes)
     )
-    results = run_study(setting, tmp_path, TINY, num_jobs=1)
+    results = run_study(setting, tmp_path, TINY, workers=Workers(1))
     assert "is estimated, not assumed" in results.answer[-1]
     told = pd.read_csv(tmp_path / "map.csv")
     assert told["is_assumed"].tolist() == [False] * 4 + [True] * 2

@@ -14,6 +14,7 @@ from halfseen.pages.sentences import Claim
 from halfseen.study.experiment import Drawing, Experiment, Listing, Section, Setting
 from halfseen.study.run import chosen, run_study
 from halfseen.study.statistics import columns, estimate_in, over_repetitions
+from halfseen.workers import Workers
 from halfseen.world.scene import Scene
 
 SETTING = Setting((Scene(np.zeros((2, 2)), name="two <cups>"),), repetitions=4)
@@ -65,7 +66,7 @@ class Coin:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("coin")
-    run_study(SETTING, folder, (Coin(),), num_jobs=1)
+    run_study(SETTING, folder, (Coin(),), workers=Workers(1))
     return folder
 
 
@@ -92,24 +93,24 @@ def test_it_is_run_drawn_claimed_and_reported(folder):
 
 
 def test_what_is_missing_is_made_again_to_the_same_bytes(folder, tmp_path):
-    run_study(SETTING, tmp_path, (Coin(),), num_jobs=1)
+    run_study(SETTING, tmp_path, (Coin(),), workers=Workers(1))
     assert outputs(tmp_path) == outputs(folder)
     (tmp_path / "progress/coin/repetition-00002.json").unlink()
-    run_study(SETTING, tmp_path, (Coin(),), is_resumed=True, num_jobs=1)
+    run_study(SETTING, tmp_path, (Coin(),), is_resumed=True, workers=Workers(1))
     assert outputs(tmp_path) == outputs(folder)
 
 
 def test_more_repetitions_add_to_those_that_are_there(folder, tmp_path):
-    run_study(SETTING, tmp_path, (Coin(),), num_jobs=1)
+    run_study(SETTING, tmp_path, (Coin(),), workers=Workers(1))
     kept = tmp_path / "progress/coin/repetition-00000.json"
     kept.write_text('{"heads": 7.0, "index": 0}')
-    run_study(replace(SETTING, repetitions=6), tmp_path, (Coin(),), is_resumed=True, num_jobs=1)
+    run_study(replace(SETTING, repetitions=6), tmp_path, (Coin(),), is_resumed=True, workers=Workers(1))
     assert len(list(kept.parent.glob("repetition-*.json"))) == 6
     assert "7.0" in kept.read_text()
 
 
 def test_no_more_repetitions_than_it_wants(tmp_path):
-    run_study(SETTING, tmp_path, (Coin(most_repetitions=3),), num_jobs=1)
+    run_study(SETTING, tmp_path, (Coin(most_repetitions=3),), workers=Workers(1))
     assert pd.read_csv(tmp_path / "coin.csv").loc[0, "repetitions"] == 3
 
 
@@ -119,5 +120,5 @@ def test_it_is_chosen_by_its_name():
 
 @pytest.mark.parametrize(("bias", "words"), [(0.5, "inconclusive"), (0.1, "not supported")])
 def test_a_claim_that_fails_is_said_to_fail(tmp_path, bias, words):
-    results = run_study(SETTING, tmp_path, (Coin(bias=bias),), num_jobs=1)
+    results = run_study(SETTING, tmp_path, (Coin(bias=bias),), workers=Workers(1))
     assert f"beats a fair one: {words}" in results.answer[0]

@@ -11,14 +11,15 @@ import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from threading import get_ident
-from typing import Any, Protocol
+from typing import Protocol
 
 import jax
 import numpy as np
 from jaxtyping import Bool
-from joblib import Parallel, delayed
 
 from halfseen.cell.episode import Moment, Run, play
 from halfseen.cell.model import Robot
@@ -30,8 +31,9 @@ from halfseen.logs import LogRecorder, Logs, read_logs
 from halfseen.logs.joining import joined
 from halfseen.scene.draw import random_table
 from halfseen.scene.stains import draw_surface
+from halfseen.workers import Pool
 from halfseen.world.policy import Policy
-from halfseen.writing import refuse_unwritable, write_file
+from halfseen.writing import placed, refuse_unwritable, write_file
 
 RUN_FILE = "run.json"
 """Beside the recording of a table once it is over: what came of it."""
@@ -136,7 +138,7 @@ class Campaign:
     tells_truth: bool = False
     follow: Follow | None = None
 
-    def runs(self, tables: Sequence[int], folder: Path, num_workers: int) -> Iterator[tuple[int, Run]]:
+    def runs(self, tables: Sequence[int], folder: Path, pool: Pool) -> Iterator[tuple[int, Run]]:
         """Clear tables, record each below a folder, and tell what came of each as soon as it is over.
 
         Parameters
@@ -145,16 +147,33 @@ class Campaign:
             Their numbers.
         folder
             Where to; tables that are over there already are not run again.
-        num_workers
-            Processes.
+        pool
+            Who clears them.
 
         Yields
         ------
         tuple of int and Run
             In the order of `tables`.
         """
-        parallel: Any = Parallel(n_jobs=num_workers, return_as="generator")
-        yield from zip(tables, parallel(delayed(self.run)(index, folder) for index in tables), strict=True)
+        if pool.is_here:
+            yield from zip(tables, pool.in_order(partial(self.run, folder=folder), tables), strict=True)
+            return
+        places = {index: folder / table_name(index) for index in tables}
+        recorded = pool.in_order(self.recorded, [index for index in tables if not _is_over(places[index])])
+        for index, place in places.items():
+            if not _is_over(place):
+                shutil.rmtree(place, ignore_errors=True)
+                with placed(place) as fresh:
+                    for name, content in next(recorded).items():
+                        write_file(fresh / name, content)
+            yield index, _run_of(place)
+
+    def recorded(self, index: int) -> dict[str, bytes]:
+        """Clear one table on a machine that has other folders, and give what was recorded, by the name of the file."""
+        with TemporaryDirectory() as name:
+            self.run(index, Path(name))
+            place = Path(name) / table_name(index)
+            return {path.name: path.read_bytes() for path in sorted(place.iterdir())}
 
     def run(self, index: int, folder: Path) -> Run:
         """Clear one table, or read what came of it.
@@ -167,7 +186,7 @@ class Campaign:
             Where it is recorded.
         """
         place = folder / table_name(index)
-        if (place / RUN_FILE).is_file():
+        if _is_over(place):
             return _run_of(place)
         shutil.rmtree(place, ignore_errors=True)
         cell, is_dirty = self.conditions.cell(self.seed, index)
@@ -267,6 +286,10 @@ def logs_of(folder: Path, tables: Sequence[int]) -> Logs:
             "read; run more tables, or mend what cuts them"
         )
     return joined([read_logs(place) for place in seen])
+
+
+def _is_over(place: Path) -> bool:
+    return (place / RUN_FILE).is_file()
 
 
 def _run_of(place: Path) -> Run:

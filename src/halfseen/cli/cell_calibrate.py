@@ -11,11 +11,13 @@ import click
 from halfseen.cli import options
 from halfseen.cli.arms import arm_options, robot_for
 from halfseen.cli.opengl import load_mujoco
+from halfseen.cli.workers import worker_options
 from halfseen.progress import Progress
 
 if TYPE_CHECKING:
     from halfseen.cell.calibration.law import Law
     from halfseen.logs import Logs
+    from halfseen.workers import Workers
 
 
 @click.command(epilog="Example: halfseen cell calibrate --attempts 6000 --out law")
@@ -32,7 +34,7 @@ if TYPE_CHECKING:
     "--from", "given", type=options.PATH, help="Fit the attempts of a law's folder, or of logs, again, and try nothing."
 )
 @arm_options
-@options.workers
+@worker_options
 @options.seed("law")
 @options.as_json
 @options.overwrite("a law that is")
@@ -44,7 +46,7 @@ def calibrate(
     arm: Path | None,
     flange: str | None,
     joints: list[str] | None,
-    workers: int,
+    workers: "Workers",
     seed: int,
     as_json: bool,
     overwrite: bool,
@@ -88,8 +90,9 @@ def calibrate(
         with (
             working_folder(out, what, refuse) as folder,
             Progress(attempts + visible_only, "calibrate", "attempts") as bar,
+            workers.ready() as pool,
         ):
-            conditions, try_on = Conditions(robot=robot), partial(attempts_of, seed=seed, num_workers=workers)
+            conditions, try_on = Conditions(robot=robot), partial(attempts_of, seed=seed, pool=pool)
             logs = try_on(attempts, folder=folder, conditions=conditions, on_table=bar.update)
             contrast = None
             if visible_only:

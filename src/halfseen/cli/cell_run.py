@@ -15,12 +15,14 @@ from halfseen.cli.following import follow_options, following
 from halfseen.cli.laws import SHIPPED, law_folder, law_option
 from halfseen.cli.messages import tell_warning
 from halfseen.cli.opengl import load_mujoco
+from halfseen.cli.workers import worker_options
 from halfseen.planners.named import HEURISTICS, PLANNER, exploring, named_policy
 from halfseen.progress import Progress
 from halfseen.suggestions import did_you_mean
 
 if TYPE_CHECKING:
     from halfseen.cell.table_state import Belief
+    from halfseen.workers import Workers
     from halfseen.world import Policy, WorldConfig
 
 NAMES = (*HEURISTICS, PLANNER)
@@ -44,7 +46,7 @@ policy_option = click.option(
 )
 @follow_options
 @arm_options
-@options.workers
+@worker_options
 @options.seed("logs")
 @options.as_json
 @options.overwrite("logs that are")
@@ -61,7 +63,7 @@ def run(
     arm: Path | None,
     flange: str | None,
     joints: list[str] | None,
-    workers: int,
+    workers: "Workers",
     seed: int,
     as_json: bool,
     overwrite: bool,
@@ -77,6 +79,7 @@ def run(
     from halfseen.cell.stops import Stops
     from halfseen.cell.summary import summarised
     from halfseen.logs.folder import MANIFEST
+    from halfseen.workers import Workers
     from halfseen.writing import refuse_taken
 
     refuse = partial(refuse_taken, out, overwrite, MANIFEST, "logs")
@@ -90,9 +93,13 @@ def run(
     what += f", arm {arm_name}" if arm else ""
     with following(policy, belief.config.horizon, is_watched, port, record, overwrite) as follow:
         campaign = Campaign(policy, belief, conditions, seed, follow=follow)
-        with working_folder(out, what, refuse) as folder, Progress(tables, "run", "tables") as bar:
+        with (
+            working_folder(out, what, refuse) as folder,
+            Progress(tables, "run", "tables") as bar,
+            (workers if follow is None else Workers(1)).ready() as pool,
+        ):
             runs = []
-            for _, each in campaign.runs(range(tables), folder, workers if follow is None else 1):
+            for _, each in campaign.runs(range(tables), folder, pool):
                 runs.append(each)
                 bar.update()
             logs = logs_of(folder, range(tables))

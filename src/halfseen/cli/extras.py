@@ -8,6 +8,8 @@ EXTRAS = {
     "gym": ("gymnasium",),
     "minari": ("h5py", "minari"),
     "ros": ("rosbags",),
+    "ray": ("ray",),
+    "dask": ("dask", "distributed"),
 }
 """Libraries that some verbs need, by the extra that brings them."""
 

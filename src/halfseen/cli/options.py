@@ -1,6 +1,5 @@
 """Options that several commands take alike."""
 
-import os
 from pathlib import Path
 from typing import Any
 
@@ -54,15 +53,6 @@ propensity = click.option(
     default="logged",
     show_default=True,
     help="How likely the logged actions were: as the log says, or estimated.",
-)
-
-
-workers = click.option(
-    "--workers",
-    type=click.IntRange(min=1),
-    default=os.cpu_count() or 1,
-    show_default="all cores",
-    help="Processes; their number changes nothing of what comes out.",
 )
 
 

@@ -3,11 +3,16 @@
 import os
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from halfseen.cli import options
 from halfseen.cli.laws import SHIPPED, law_folder, law_option
+from halfseen.cli.workers import worker_options
+
+if TYPE_CHECKING:
+    from halfseen.workers import Workers
 
 EPILOG = "Example: halfseen study --out runs/study --repetitions 200 --resume"
 
@@ -19,7 +24,7 @@ EPILOG = "Example: halfseen study --out runs/study --repetitions 200 --resume"
 @click.option("--seed", default=0, show_default=True, help="All but measured times follows from it.")
 @law_option(SHIPPED)
 @click.option("--resume", is_flag=True, help="Go on where a killed study stopped, or add repetitions to one.")
-@click.option("--jobs", default=None, type=click.IntRange(min=1), help="Processes; by default one a core.")
+@worker_options
 @click.option("--json", "is_json", is_flag=True, help="Print study.json instead of the answer.")
 @click.argument("clouds", nargs=-1, type=options.PATH)
 def study(
@@ -29,7 +34,7 @@ def study(
     seed: int,
     law: str,
     resume: bool,
-    jobs: int | None,
+    workers: "Workers",
     is_json: bool,
     clouds: tuple[Path, ...],
 ) -> None:
@@ -54,7 +59,7 @@ def study(
     refuse_unwritable(out)
     scenes, pictures = look_at(paths, known)
     setting = replace(setting, scenes=scenes)
-    results = run_study(setting, out, experiments, is_resumed=resume, num_jobs=jobs, pictures=pictures)
+    results = run_study(setting, out, experiments, is_resumed=resume, workers=workers, pictures=pictures)
     if is_json:
         click.echo((out / "study.json").read_text(encoding="utf-8"), nl=False)
         return

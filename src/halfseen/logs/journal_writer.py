@@ -10,6 +10,7 @@ from halfseen.errors import ArgumentError, LogError
 from halfseen.logs.journal import HEADER, JOURNAL, JournalEvents, journal_line
 from halfseen.logs.refusal import within
 from halfseen.logs.reward_unit import common_unit
+from halfseen.writing import is_locked
 
 LOCK_TRIES, LOCK_PAUSE_S = 3, 0.02
 
@@ -18,7 +19,7 @@ def is_being_recorded(file: Path) -> bool:
     """Tell whether some process has this journal open for writing."""
     descriptor = os.open(file, os.O_RDONLY)
     try:
-        return not _is_locked(descriptor, is_shared=True)
+        return not is_locked(descriptor, is_shared=True)
     finally:
         os.close(descriptor)
 
@@ -132,7 +133,7 @@ def _open(folder: Path, file: Path) -> int:
     for _ in range(LOCK_TRIES):
         descriptor = _opened(folder, file)
         if descriptor is not None:
-            if _is_locked(descriptor, is_shared=False) and _is_there(descriptor, file):
+            if is_locked(descriptor) and _is_there(descriptor, file):
                 return descriptor
             os.close(descriptor)
         # A reader that asks who records holds the lock for a moment; who recorded here may have removed the folder.
@@ -160,17 +161,6 @@ def _is_there(descriptor: int, file: Path) -> bool:
         return os.path.samestat(os.fstat(descriptor), file.stat())
     except FileNotFoundError:
         return False
-
-
-def _is_locked(descriptor: int, *, is_shared: bool) -> bool:
-    """Take the lock, which the kernel gives back when the descriptor is closed or its process dies."""
-    import fcntl
-
-    try:
-        fcntl.flock(descriptor, (fcntl.LOCK_SH if is_shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
 
 
 def _sync_folder(folder: Path) -> None:

@@ -1,6 +1,5 @@
 """The study from end to end: run experiments, write tables, figures and the report."""
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
@@ -14,10 +13,12 @@ from halfseen.pages.drawing import drawn
 from halfseen.study.experiment import Experiment, Setting
 from halfseen.study.experiments import EXPERIMENTS
 from halfseen.study.report import StudyResults, report_of
-from halfseen.study.runner import design_of, run_all, store_of, versions
+from halfseen.study.runner import design_of, run_all, store_of
 from halfseen.study.store import as_json
 from halfseen.suggestions import did_you_mean
-from halfseen.writing import write_file
+from halfseen.workers import Workers
+from halfseen.workers.piece import versions
+from halfseen.writing import held_alone, write_file
 
 
 def chosen(names: Sequence[str], experiments: Sequence[Experiment] = EXPERIMENTS) -> tuple[Experiment, ...]:
@@ -36,7 +37,7 @@ def run_study(
     experiments: Sequence[Experiment] = EXPERIMENTS,
     *,
     is_resumed: bool = False,
-    num_jobs: int | None = None,
+    workers: Workers = Workers(),  # noqa: B008 - frozen
     pictures: Mapping[str, bytes] | None = None,
 ) -> StudyResults:
     """Run experiments and write all that they make into a folder.
@@ -52,21 +53,24 @@ def run_study(
         Which.
     is_resumed
         Go on where a killed study stopped.
-    num_jobs
-        Processes; None for one on each core that this process may use.
+    workers
+        Who makes the repetitions; by default a process a core.
     pictures
         PNG of each scene by its name, for the report.
 
     Raises
     ------
     ArgumentError
-        The folder cannot be written, or holds another study that is to be resumed.
+        The folder cannot be written, another study writes into it, or it holds another one that is to be resumed.
+    WorkerError
+        The workers cannot do it.
     """
-    stores = [store_of(each, setting, folder, is_resumed) for each in experiments]
-    tables = run_all(experiments, setting, stores, num_jobs or len(os.sched_getaffinity(0)))
-    sections = {each.name: each.section(setting, of) for each, of in zip(experiments, tables, strict=True)}
-    results = StudyResults(setting, tuple(experiments), tuple(tables), sections, versions())
-    write_results(results, pictures or {}, folder)
+    with held_alone(folder / "progress", "study"):
+        stores = [store_of(each, setting, folder, is_resumed) for each in experiments]
+        tables = run_all(experiments, setting, stores, workers)
+        sections = {each.name: each.section(setting, of) for each, of in zip(experiments, tables, strict=True)}
+        results = StudyResults(setting, tuple(experiments), tuple(tables), sections, versions())
+        write_results(results, pictures or {}, folder)
     return results
 
 

@@ -1,31 +1,22 @@
 """One runner for all experiments: prepare once, repeat what is missing, tabulate."""
 
-from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, wait
-from dataclasses import asdict, is_dataclass
-from functools import partial
-from importlib.metadata import version
-from multiprocessing import get_context, parent_process
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, is_dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from halfseen.errors import HalfseenError
-from halfseen.progress import Progress, Telling, telling
+from halfseen.progress import Progress
 from halfseen.study.experiment import Experiment, PieceOf, Pieces, Setting, Tables, Timed
 from halfseen.study.store import Store
+from halfseen.workers import Pool, Workers
+from halfseen.workers.piece import versions
 
-PACKAGES = ("halfseen", "jax", "jaxlib", "mujoco", "numpy", "pandas", "scipy")
 TABULATING = 0.1
 """What measuring and tabulating an experiment take, where its repetitions take 1: about as long for each of them."""
-LOOK_S = 0.5
-"""Between two looks at how far the processes have come [s]."""
-
-
-def versions() -> dict[str, str]:
-    """Versions of the packages that the numbers depend on."""
-    return {name: version(name) for name in PACKAGES}
+MOST_AT_ONCE = 8
+"""Repetitions that a worker makes in a row: short ones together take a few seconds."""
 
 
 def store_of(experiment: Experiment, setting: Setting, folder: Path, is_resumed: bool) -> Store:
@@ -45,119 +36,106 @@ def design_of(experiment: Experiment) -> dict[str, Any]:
     return asdict(experiment) if is_dataclass(experiment) and not isinstance(experiment, type) else {}
 
 
-def run(
-    experiment: Experiment, setting: Setting, store: Store, on_repetition: Callable[[], object] = lambda: None
-) -> Tables:
-    """Run an experiment to its tables; pieces that are kept are read back.
+class Run(NamedTuple):
+    """An experiment, and where it keeps its pieces."""
 
-    Repetitions are made in turn: two threads that execute compiled code at once can wait for one another for ever (seen
-    with jaxlib 0.10).
-    """
-    measured = measured_of(experiment, setting, store)
-    repetitions = []
-    for index in range(num_of(experiment, setting)):
-        repetitions.append(repetition_of(experiment, setting, store, index))
-        on_repetition()
-    return experiment.tabulate(setting, Pieces(_prepared(experiment, setting, store), measured, repetitions))
+    experiment: Experiment
+    store: Store
 
+    def num(self, setting: Setting) -> int:
+        """Repetitions of the experiment."""
+        return min(setting.repetitions, self.experiment.most_repetitions or setting.repetitions)
 
-def num_of(experiment: Experiment, setting: Setting) -> int:
-    """Repetitions of an experiment."""
-    return min(setting.repetitions, experiment.most_repetitions or setting.repetitions)
+    def missing(self, setting: Setting) -> list[int]:
+        """Repetitions that are to be made."""
+        return [index for index in range(self.num(setting)) if not self.store.has(repetition(index))]
 
+    def tabulated(self, setting: Setting) -> Tables:
+        """Make the tables from the pieces that are kept."""
+        repetitions = [self.store.read(repetition(index)) for index in range(self.num(setting))]
+        pieces = Pieces(self.store.read(PREPARED), self.measured(setting), repetitions)
+        return self.experiment.tabulate(setting, pieces)
 
-def repetition_of(experiment: Experiment, setting: Setting, store: Store, index: int) -> PieceOf:
-    """Make one repetition, or read it back."""
-    prepared = _prepared(experiment, setting, store)
-    return store.kept(f"repetition-{index:05d}", lambda: experiment.repeat(setting, prepared, index))
-
-
-def _prepared(experiment: Experiment, setting: Setting, store: Store) -> PieceOf:
-    return store.kept("prepared", lambda: experiment.prepare(setting))
+    def measured(self, setting: Setting) -> dict[str, Any]:
+        """Times, measured once and kept: a resumed study reports what the killed one measured."""
+        its = self.experiment
+        return self.store.kept("measured", lambda: its.measure(setting)) if isinstance(its, Timed) else {}
 
 
-def measured_of(experiment: Experiment, setting: Setting, store: Store) -> dict[str, Any]:
-    """Times, measured once and kept: a resumed study reports what the killed one measured."""
-    return store.kept("measured", lambda: experiment.measure(setting)) if isinstance(experiment, Timed) else {}
+PREPARED = "prepared"
+
+
+def repetition(index: int) -> str:
+    """Name of the piece that a repetition is."""
+    return f"repetition-{index:05d}"
 
 
 def run_all(
-    experiments: Sequence[Experiment], setting: Setting, stores: Sequence[Store], num_jobs: int
+    experiments: Sequence[Experiment], setting: Setting, stores: Sequence[Store], workers: Workers
 ) -> list[Tables]:
-    """Run experiments, their repetitions in several processes at once where `num_jobs` is more than 1.
+    """Run experiments, whose repetitions workers make.
 
     Times are measured while nothing else runs: after that, when what is timed has been compiled.
     """
-    with Progress(len(experiments) * (1 + TABULATING), "study") as bar:
-        if num_jobs > 1:
-            _repeat_in_processes(experiments, setting, stores, num_jobs, bar)
+    runs = [Run(experiment, store) for experiment, store in zip(experiments, stores, strict=True)]
+    with Progress(len(runs) * (1 + TABULATING), "study") as bar:
+        # Those of few repetitions, which are long, come first, so that all workers end together.
+        by_num = sorted(runs, key=lambda run: run.num(setting))
+        with workers.ready() as pool:
+            _prepare(by_num, setting, pool)
+            _repeat(by_num, setting, pool, bar)
         tables = []
-        for experiment, store in zip(experiments, stores, strict=True):
-            bar.begin(f"study, {experiment.name}", 0)
-            share = 0 if num_jobs > 1 else 1 / num_of(experiment, setting)
-            tables.append(run(experiment, setting, store, partial(bar.update, share)))
+        for run in runs:
+            bar.begin(f"study, {run.experiment.name}", 0)
+            tables.append(run.tabulated(setting))
             bar.update(TABULATING)
     return tables
 
 
-def _repeat_in_processes(
-    experiments: Sequence[Experiment], setting: Setting, stores: Sequence[Store], num_jobs: int, bar: Progress
-) -> None:
-    """Make all repetitions in processes of their own; which process makes one changes nothing in it."""
-    # Those of few repetitions, which are long, come first, so that all processes end together.
-    pairs = sorted(zip(experiments, stores, strict=True), key=lambda pair: num_of(pair[0], setting))
-    context = get_context("spawn")
-    begun, over = context.Array("i", len(pairs)), context.Array("i", len(pairs))
-    nums = [num_of(experiment, setting) for experiment, _ in pairs]
-    with ProcessPoolExecutor(num_jobs, context, initializer=_share, initargs=(begun, over)) as pool:
-        workers = [pool.submit(_work, pairs, setting) for _ in range(num_jobs)]
-        while wait(workers, LOOK_S).not_done:
-            bar.reach(sum(done / num for done, num in zip(over[:], nums, strict=True)))
-        for worker in workers:
-            worker.result()
+def _prepare(runs: Sequence[Run], setting: Setting, pool: Pool) -> None:
+    left = [run for run in runs if not run.store.has(PREPARED)]
+    for number, piece in pool.each(_Preparing(setting), [run.experiment for run in left]):
+        left[number].store.keep(PREPARED, piece)
 
 
-_shared: dict[str, Any] = {}
+@dataclass(frozen=True)
+class _Preparing:
+    """Prepares experiments."""
+
+    setting: Setting
+
+    def __call__(self, experiment: Experiment) -> PieceOf:
+        return experiment.prepare(self.setting)
 
 
-def _share(begun: Any, over: Any) -> None:
-    _shared.update(begun=begun, over=over)
+def _repeat(runs: Sequence[Run], setting: Setting, pool: Pool, bar: Progress) -> None:
+    todo = [(k, some) for k, run in enumerate(runs) for some in in_rows(run.missing(setting), pool.num_workers)]
+    nums = [run.num(setting) for run in runs]
+    missing = sum(len(some) / nums[k] for k, some in todo)
+    bar.update(len(runs) - missing)
+    prepared = tuple(run.store.read(PREPARED) for run in runs)
+    repeat = _Repeating(tuple(run.experiment for run in runs), setting, prepared)
+    for number, pieces in pool.each(repeat, todo):
+        k, some = todo[number]
+        for index, piece in zip(some, pieces, strict=True):
+            runs[k].store.keep(repetition(index), piece)
+        bar.update(len(some) / nums[k])
 
 
-def _work(pairs: Sequence[tuple[Experiment, Store]], setting: Setting) -> None:
-    """Make repetitions until all are begun."""
-    nums, own = [num_of(experiment, setting) for experiment, _ in pairs], None
-    while True:
-        with _shared["begun"].get_lock():
-            own = next_of(_shared["begun"][:], nums, own)
-            if own is None:
-                return
-            index = _shared["begun"][own]
-            _shared["begun"][own] += 1
-        experiment, store = pairs[own]
-        with telling(Telling.NOTHING):
-            repetition_of(experiment, setting, store, index)
-        with _shared["over"].get_lock():
-            _shared["over"][own] += 1
-        _stop_if_abandoned()
+@dataclass(frozen=True)
+class _Repeating:
+    """Makes some repetitions of one of the experiments; who makes them changes nothing in them."""
+
+    experiments: tuple[Experiment, ...]
+    setting: Setting
+    prepared: tuple[PieceOf, ...]
+
+    def __call__(self, some: tuple[int, Sequence[int]]) -> list[PieceOf]:
+        k, indices = some
+        return [self.experiments[k].repeat(self.setting, self.prepared[k], index) for index in indices]
 
 
-def next_of(begun: Sequence[int], nums: Sequence[int], own: int | None) -> int | None:
-    """Choose the experiment of which a process makes one more repetition; None if all repetitions are begun.
-
-    It stays with its own, for which everything is compiled. After that it takes one that nobody began, the first; or
-    else helps with the one of which most are left.
-    """
-    left = [num - done for num, done in zip(nums, begun, strict=True)]
-    if own is not None and left[own]:
-        return own
-    fresh = [k for k, done in enumerate(begun) if not done and left[k]]
-    most = max(range(len(left)), key=lambda k: left[k])
-    return fresh[0] if fresh else most if left[most] else None
-
-
-def _stop_if_abandoned() -> None:
-    """End a process whose study was killed: what it would go on to make, the resumed study makes as well."""
-    parent = parent_process()
-    if parent is not None and not parent.is_alive():
-        raise HalfseenError("the study that asked for these repetitions has ended")
+def in_rows(indices: Sequence[int], num_workers: int) -> list[Sequence[int]]:
+    """Divide repetitions into rows for one worker each: long ones where there are many, so that all end together."""
+    length = max(1, min(MOST_AT_ONCE, len(indices) // (8 * num_workers)))
+    return [indices[begin : begin + length] for begin in range(0, len(indices), length)]

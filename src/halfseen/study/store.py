@@ -38,9 +38,23 @@ class Store:
             )
         write_file(path, claim)
 
+    def has(self, name: str) -> bool:
+        """Whether a piece is there."""
+        return self._path(name).exists()
+
+    def keep(self, name: str, piece: Any) -> None:
+        """Keep a piece."""
+        write_file(self._path(name), as_json(piece))
+
+    def read(self, name: str) -> Any:
+        """Read a piece."""
+        return json.loads(self._path(name).read_text(encoding="utf-8"))
+
     def kept(self, name: str, make: Callable[[], Any]) -> Any:
         """Read a piece, which is made if it is not there; what was made is returned as it will be read."""
-        path = self.folder / f"{name}.json"
-        if not path.exists():
-            write_file(path, as_json(make()))
-        return json.loads(path.read_text(encoding="utf-8"))
+        if not self.has(name):
+            self.keep(name, make())
+        return self.read(name)
+
+    def _path(self, name: str) -> Path:
+        return self.folder / f"{name}.json"

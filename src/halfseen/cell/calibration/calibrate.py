@@ -1,6 +1,6 @@
 """Calibrating a cell: it lifts what stands on fresh tables, at random, until so many attempts were begun."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +10,7 @@ from halfseen.cell.campaign import Campaign, Conditions, logs_of
 from halfseen.cell.table_state import Belief, no_grip
 from halfseen.cell.trying import LiftAtRandom
 from halfseen.logs import Logs
+from halfseen.workers import Pool
 from halfseen.world.config import WorldConfig
 
 HORIZON = 12
@@ -20,7 +21,7 @@ def attempts_of(
     num_attempts: int,
     seed: int,
     folder: Path,
-    num_workers: int,
+    pool: Pool,
     conditions: Conditions = Conditions(),  # noqa: B008 - frozen
     on_table: Callable[[int], None] = lambda _: None,
 ) -> Logs:
@@ -34,8 +35,8 @@ def attempts_of(
         Of everything that is drawn.
     folder
         Where tables are recorded while they run; a campaign that was killed goes on there.
-    num_workers
-        Processes.
+    pool
+        Who clears the tables.
     conditions
         What the tables and the cell are like.
     on_table
@@ -46,12 +47,17 @@ def attempts_of(
     begun: list[int] = []
     while sum(begun) < num_attempts:
         # A batch is waited for to its end: nothing records any more when this returns.
-        batch = range(len(begun), len(begun) + 4 * num_workers)
-        for _, run in campaign.runs(batch, folder, num_workers):
+        for _, run in campaign.runs(_batch(begun, num_attempts, pool.num_workers), folder, pool):
             begun.append(sum(run.verbs.values()))
             on_table(begun[-1])
     # As many tables as it takes, however many there were in a batch.
     return logs_of(folder, range(1 + int(np.searchsorted(np.cumsum(begun), num_attempts))))
+
+
+def _batch(begun: Sequence[int], num_attempts: int, num_workers: int) -> range:
+    """Tables that are begun next: most of those that are likely to be needed, as workers wait at the end of a batch."""
+    likely = 0.8 * (num_attempts - sum(begun)) * len(begun) / max(sum(begun), 1)
+    return range(len(begun), len(begun) + max(4 * num_workers, int(likely)))
 
 
 def law_of(logs: Logs, conditions: Conditions = Conditions()) -> Law:  # noqa: B008 - frozen

@@ -1,0 +1,102 @@
+"""What a worker does with a piece: it sees that it is like home, makes the piece, and sends back what came out."""
+
+import os
+import pickle
+import sys
+from collections.abc import Callable
+from functools import lru_cache
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any, NamedTuple
+
+from threadpoolctl import threadpool_limits
+
+from halfseen.errors import HalfseenError, WorkerError
+from halfseen.progress import Telling, telling
+
+PACKAGES = ("halfseen", "jax", "jaxlib", "mujoco", "numpy", "pandas", "scipy")
+"""What the numbers depend on."""
+SETTINGS = ("XLA_FLAGS", "JAX_")
+"""Beginnings of the names of environment variables that they depend on, too."""
+
+
+class Home(NamedTuple):
+    """Where pieces come from, as far as what comes out of them depends on it."""
+
+    versions: dict[str, str]
+    settings: dict[str, str]
+
+
+class Outcome(NamedTuple):
+    """What came out of a piece."""
+
+    number: int
+    result: Any
+    error: HalfseenError | None = None
+
+
+def versions() -> dict[str, str]:
+    """Versions of the packages that are installed here, by name."""
+    found = {}
+    for name in PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def home() -> Home:
+    """Describe this process."""
+    return Home(versions(), {name: value for name, value in os.environ.items() if name.startswith(SETTINGS)})
+
+
+def made(asker: Home, function: bytes, number: int, piece: Any) -> Outcome:
+    """Make a piece, in a worker; errors that a user can mend are sent back as they are."""
+    try:
+        _be_like(asker)
+        return Outcome(number, result_of(_function(function), piece))
+    except HalfseenError as error:
+        return Outcome(number, None, error)
+    except MemoryError:
+        return Outcome(number, None, WorkerError("a worker is out of memory; give --workers a smaller number"))
+
+
+def result_of(function: Callable[[Any], Any], piece: Any) -> Any:
+    """Make a piece as every worker does: it tells nothing, and matrices use one thread, as sums depend on that."""
+    with telling(Telling.NOTHING), threadpool_limits(1):
+        return function(piece)
+
+
+def _be_like(asker: Home) -> None:
+    """Take over the settings that numbers depend on.
+
+    Raises
+    ------
+    WorkerError
+        Other versions are installed here, or the compiler was set otherwise and has begun.
+    """
+    here = versions()
+    other = [name for name, wanted in asker.versions.items() if here.get(name) != wanted]
+    if other:
+        told = ", ".join(f"{name} {here.get(name, 'missing')} instead of {asker.versions[name]}" for name in other)
+        raise WorkerError(
+            f"a worker has other versions than the machine that asks: {told}; install the same on all machines"
+        )
+    flags = "XLA_FLAGS"
+    if "jax" in sys.modules and os.environ.get(flags) != asker.settings.get(flags):
+        raise WorkerError(
+            f"a worker has compiled with {flags}={os.environ.get(flags, '')!r} already, and is asked for "
+            f"{asker.settings.get(flags, '')!r}; start the workers anew"
+        )
+    os.environ.update(asker.settings)
+
+
+@lru_cache(maxsize=1)
+def _function(function: bytes) -> Callable[[Any], Any]:
+    # It came from the process that asks, and from nowhere else; what it has worked out serves the next piece.
+    try:
+        return pickle.loads(function)
+    except ModuleNotFoundError as error:
+        raise WorkerError(
+            f"a worker cannot import {error.name}, which is needed here; install it there, or set PYTHONPATH"
+        ) from error

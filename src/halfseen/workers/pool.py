@@ -1,0 +1,115 @@
+"""Pieces go to workers, and what comes out of them streams back; what a lost worker had is made again."""
+
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any, TypeVar
+
+import cloudpickle
+from joblib import Parallel, delayed, parallel_config
+
+from halfseen.errors import WorkerError
+from halfseen.workers.engine import Engine
+from halfseen.workers.piece import home, made, result_of
+
+Piece = TypeVar("Piece")
+Result = TypeVar("Result")
+
+MOST_LOST = 10
+"""Times that workers are lost one after another, while no piece gets done, before it is given up."""
+
+
+_STREAMED: dict[str, Any] = {"batch_size": 1, "pre_dispatch": "2*n_jobs"}
+"""No more pieces are under way than keep all workers busy: memory is bounded, and little is lost with a worker."""
+
+
+class Pool:
+    """Workers that are ready.
+
+    Parameters
+    ----------
+    engine
+        What runs them; None for this process alone.
+    """
+
+    def __init__(self, engine: Engine | None) -> None:
+        self._engine = engine
+
+    @property
+    def num_workers(self) -> int:
+        """Pieces that are made at once."""
+        return 1 if self._engine is None else self._engine.num_workers
+
+    @property
+    def is_here(self) -> bool:
+        """Whether all workers are processes of this machine, with its folders."""
+        return self._engine is None or self._engine.is_here
+
+    def each(self, function: Callable[[Piece], Result], pieces: Iterable[Piece]) -> Iterator[tuple[int, Result]]:
+        """Make pieces, and give each as soon as it is over.
+
+        Parameters
+        ----------
+        function
+            Makes one; it and the pieces can be pickled.
+        pieces
+            What there is to make.
+
+        Yields
+        ------
+        tuple of int and Result
+            Number of the piece, from 0 on, and what came out.
+
+        Raises
+        ------
+        HalfseenError
+            What the function raised.
+        WorkerError
+            Workers are lost again and again, or have other versions.
+        """
+        if self._engine is None:
+            yield from ((number, result_of(function, piece)) for number, piece in enumerate(pieces))
+            return
+        left, num_lost, lost = dict(enumerate(pieces)), 0, None
+        packed = cloudpickle.dumps(function)
+        while left:
+            try:
+                for number, result in _round(self._engine, packed, left):
+                    del left[number]
+                    num_lost = 0
+                    yield number, result
+            except self._engine.losses as error:
+                num_lost, lost = num_lost + 1, error
+            if num_lost == MOST_LOST:
+                raise WorkerError(
+                    f"workers of {self._engine.place} were lost {MOST_LOST} times, one after another "
+                    f"({type(lost).__name__}), with {len(left)} pieces left; most often they were killed for want of "
+                    "memory: give --workers a smaller number, and go on with what is done"
+                ) from lost
+
+    def in_order(self, function: Callable[[Piece], Result], pieces: Iterable[Piece]) -> Iterator[Result]:
+        """Make pieces, and give what came out in their order."""
+        waiting: dict[int, Result] = {}
+        following = 0
+        for number, result in self.each(function, pieces):
+            waiting[number] = result
+            while following in waiting:
+                yield waiting.pop(following)
+                following += 1
+
+
+def _round(engine: Engine, function: bytes, left: Mapping[int, Any]) -> Iterator[tuple[int, Any]]:
+    """Make what is left, until all is made or a worker is lost."""
+    with parallel_config(engine.backend, n_jobs=engine.num_workers, **engine.told):
+        parallel: Any = Parallel(return_as="generator_unordered", **_STREAMED)
+    asker = home()
+    outcomes = parallel(delayed(made)(asker, function, number, piece) for number, piece in list(left.items()))
+    try:
+        for number, result, error in outcomes:
+            if error is not None:
+                raise error
+            yield number, result
+    finally:
+        with warnings.catch_warnings():
+            # What an error or a reader who has seen enough cancels is nothing to be warned of.
+            warnings.simplefilter("ignore", UserWarning)
+            outcomes.close()

@@ -1,0 +1,84 @@
+"""Who makes the pieces."""
+
+import os
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from typing import Literal
+
+from halfseen.errors import ArgumentError
+from halfseen.workers.engine import Engine
+from halfseen.workers.pool import Pool
+
+ENGINES = ("processes", "ray", "dask")
+
+
+def num_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Workers, as a user asks for them; who they are changes nothing of what comes out.
+
+    Parameters
+    ----------
+    num
+        Processes on this machine; None for one a core. With an address the cluster has its own number.
+    engine
+        One of `ENGINES`.
+    address
+        Of a Ray or Dask cluster; None for one that lives on this machine for as long as the work takes.
+
+    Raises
+    ------
+    ArgumentError
+        Of no such engine, or an address for processes of this machine.
+    """
+
+    num: int | None = None
+    engine: Literal["processes", "ray", "dask"] = "processes"
+    address: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.engine not in ENGINES:
+            raise ArgumentError(f"--engine {self.engine}: there are {', '.join(ENGINES)}")
+        if self.address is not None and self.engine == "processes":
+            raise ArgumentError(f"--address {self.address}: processes of this machine have none; name an --engine")
+        if self.address is not None and self.num is not None:
+            raise ArgumentError(f"--workers {self.num}: the cluster at {self.address} has its own; leave --workers out")
+        if self.num is not None and self.num < 1:
+            raise ArgumentError(f"--workers {self.num}: it takes at least 1")
+
+    @contextmanager
+    def ready(self) -> Iterator[Pool]:
+        """Have them ready for the length of a ``with`` block.
+
+        Raises
+        ------
+        WorkerError
+            Nobody answers at the address.
+        """
+        if self.engine == "processes" and self._num == 1:
+            yield Pool(None)
+            return
+        with self._engine() as engine:
+            yield Pool(engine)
+
+    @property
+    def _num(self) -> int:
+        return self.num or num_cores()
+
+    def _engine(self) -> AbstractContextManager[Engine]:
+        if self.engine == "ray":
+            from halfseen.workers.on_ray import on_ray
+
+            return on_ray(self._num, self.address)
+        if self.engine == "dask":
+            from halfseen.workers.on_dask import on_dask
+
+            return on_dask(self._num, self.address)
+        from halfseen.workers.processes import processes
+
+        return processes(self._num)

@@ -1,0 +1,161 @@
+"""Pieces come back, all of them and once, whoever makes them and whatever happens to whoever makes them."""
+
+import os
+import signal
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import cloudpickle
+import numpy as np
+import pytest
+
+from halfseen.errors import ArgumentError, WorkerError
+from halfseen.workers import Workers
+from halfseen.workers.piece import Home, home, made
+
+ENGINES = [Workers(1), Workers(2), pytest.param(Workers(2, "dask"), marks=pytest.mark.slow)]
+ENGINES += [pytest.param(Workers(2, "ray"), marks=pytest.mark.slow)]
+# The workers of a cluster cannot import tests.
+cloudpickle.register_pickle_by_value(sys.modules[__name__])
+WORKED = [Workers(2), *ENGINES[2:]]
+
+
+def squared(number: int) -> int:
+    return number**2
+
+
+def drawn(number: int) -> bytes:
+    """Sums of which the bits depend on the number of threads that add up."""
+    rows = np.random.default_rng(number).normal(size=(300, 300))
+    return (rows @ rows @ np.linalg.inv(rows)).tobytes()
+
+
+def refused(number: int) -> int:
+    if number == 2:
+        raise ArgumentError("number is 2; take 3")
+    return number
+
+
+def killed_once(mark: Path, number: int) -> int:
+    """End the worker without a word, the first time that it gets to 3."""
+    if number == 3 and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+def always_killed(number: int) -> int:
+    if number == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+def out_of_memory(number: int) -> int:
+    raise MemoryError
+
+
+@pytest.mark.parametrize("workers", ENGINES)
+def test_every_piece_comes_back_once(workers):
+    with workers.ready() as pool:
+        assert dict(pool.each(squared, range(12))) == {number: number**2 for number in range(12)}
+        assert list(pool.in_order(squared, range(12))) == [number**2 for number in range(12)]
+        assert list(pool.each(squared, [])) == []
+
+
+@pytest.mark.parametrize("workers", ENGINES[1:])
+def test_the_bits_are_those_of_one_process(workers):
+    with Workers(1).ready() as alone, workers.ready() as pool:
+        assert list(pool.in_order(drawn, range(4))) == list(alone.in_order(drawn, range(4)))
+
+
+@pytest.mark.parametrize("workers", ENGINES)
+def test_an_error_that_a_user_can_mend_comes_back_as_it_is(workers):
+    with workers.ready() as pool:
+        with pytest.raises(ArgumentError, match=r"^number is 2; take 3$"):
+            list(pool.each(refused, range(6)))
+        assert dict(pool.each(squared, range(3))) == {0: 0, 1: 1, 2: 4}
+
+
+@pytest.mark.parametrize("workers", WORKED)
+def test_the_piece_of_a_killed_worker_is_made_again(workers, tmp_path):
+    with workers.ready() as pool:
+        assert sorted(pool.each(partial(killed_once, tmp_path / "killed"), range(8))) == [(k, k) for k in range(8)]
+    assert (tmp_path / "killed").exists()
+
+
+@pytest.mark.parametrize("workers", WORKED)
+def test_a_piece_that_kills_every_worker_is_given_up(workers):
+    with workers.ready() as pool, pytest.raises(WorkerError, match=r"were lost 10 times.* give --workers a smaller"):
+        list(pool.each(always_killed, range(2)))
+
+
+@pytest.mark.parametrize("workers", WORKED)
+def test_a_worker_without_memory_says_so(workers):
+    with workers.ready() as pool, pytest.raises(WorkerError, match="out of memory; give --workers a smaller number"):
+        list(pool.each(out_of_memory, range(2)))
+
+
+@pytest.mark.slow
+def test_a_node_of_two_goes_and_the_other_makes_what_it_had():
+    ray_cluster = pytest.importorskip("ray.cluster_utils")
+    cluster = ray_cluster.Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+    try:
+        second = cluster.add_node(num_cpus=1)
+        with Workers(engine="ray", address=cluster.address).ready() as pool:
+            assert pool.num_workers == 2
+            found = {}
+            for number, result in pool.each(_slow_square, range(12)):
+                found[number] = result
+                if len(found) == 3:
+                    cluster.remove_node(second, allow_graceful=False)
+        assert found == {number: number**2 for number in range(12)}
+    finally:
+        cluster.shutdown()
+
+
+def _slow_square(number: int) -> int:
+    time.sleep(0.3)
+    return number**2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("engine", "address"), [("ray", "127.0.0.1:9"), ("dask", "127.0.0.1:9"), ("dask", "there")])
+def test_an_address_at_which_nobody_answers_is_told(engine, address):
+    told = rf"^--address {address}: no (Ray|Dask) .* answers there \(.*\); start one"
+    with pytest.raises(WorkerError, match=told), Workers(engine=engine, address=address).ready():
+        pass
+
+
+@pytest.mark.parametrize(
+    ("told", "words"),
+    [
+        ({"engine": "spark"}, "--engine spark: there are processes, ray, dask"),
+        ({"address": "there"}, "--address there: processes of this machine have none; name an --engine"),
+        ({"engine": "ray", "address": "there", "num": 2}, "--workers 2: the cluster at there has its own"),
+        ({"num": 0}, "--workers 0: it takes at least 1"),
+    ],
+)
+def test_workers_that_there_cannot_be_are_refused(told, words):
+    with pytest.raises(ArgumentError, match=f"^{words}"):
+        Workers(**told)
+
+
+def test_other_versions_are_told_by_name():
+    asker = home()
+    asker = asker._replace(versions={**asker.versions, "numpy": "1.0"})
+    assert f"numpy {np.__version__} instead of 1.0; install the same" in str(made(asker, b"", 0, 0).error)
+
+
+def test_a_compiler_that_was_set_otherwise_is_told(monkeypatch):
+    pytest.importorskip("jax")
+    monkeypatch.setenv("XLA_FLAGS", "--here")
+    asker = Home(home().versions, {"XLA_FLAGS": "--there"})
+    assert "compiled with XLA_FLAGS='--here' already, and is asked for '--there'" in str(made(asker, b"", 0, 0).error)
+
+
+def test_what_a_worker_cannot_import_is_told():
+    packed = b"cnowhere_at_all\nsquared\n."
+    told = str(made(home(), packed, 0, 0).error)
+    assert told.startswith("a worker cannot import nowhere_at_all, which is needed here; install it there")
