@@ -6,6 +6,7 @@ from pictures.films import CLOSED_LOOP, WATCHED
 from pictures.intervals import INTERVALS
 from pictures.law import HELD
 from pictures.log_figures import PICTURES as OF_LOGS
+from pictures.lost_worker import LOST_WORKER
 from pictures.medians import MEDIANS
 from pictures.memory import MEMORY
 from pictures.page_figures import PICTURES as OF_PAGES
@@ -22,4 +23,5 @@ PICTURES = (
     *(OPENING, FIGURE1, WAY_OF_THE_DATA, CLOSED_LOOP, WATCHED, HELD, *EXAMPLES),
     *(*OF_LOGS, *OF_PAGES, *OF_VIEWS),
     *(DECISION, TREATMENTS, MEDIANS, INTERVALS, TWO_PLANNERS, MEMORY, PICK_CELL_LEARNERS, REPORT_VALUES, TIGER),
+    LOST_WORKER,
 )

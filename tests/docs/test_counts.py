@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from halfseen.cell.calibration.law_folder import ATTEMPTS, read_law
+from halfseen.cell.calibration.law_folder import ATTEMPTS, VISIBLE_ONLY, read_law
 from halfseen.cell.calibration.shipped import shipped_law
 from halfseen.cli.cell_calibrate import calibrate
 from halfseen.logs import read_logs
@@ -27,6 +27,7 @@ TOLD = {
     "docs/guide/physical-cell.md": (
         "the {calibrated} that `calibrate` makes",
         "of {attempts} attempts on {tables} tables, of which {attempts_cut} were cut and {last} were the last",
+        "holds {visible_only} attempts with grasps that were planned from visible points alone",
     ),
     "docs/guide/what-the-intervals-mean.md": ("{missed} of the {intervals} miss it, in orange",),
     "docs/gallery.md": (
@@ -67,6 +68,7 @@ def counts():
         "attempts_cut": law.num_cut,
         "last": len(tried.stages) - law.num_decided - law.num_cut,
         "tables": len(tried.paths),
+        "visible_only": len(read_logs(shipped_law() / VISIBLE_ONLY).stages),
         "calibrated": CALIBRATED,
     }
     return {name: f"{count:,}" for name, count in found.items()} | {
