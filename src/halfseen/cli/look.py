@@ -2,73 +2,67 @@
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from halfseen.cli import options
 from halfseen.cli.columns import aligned
+from halfseen.cli.look_at_many import clouds_in, look_at_many
+from halfseen.cli.view_facts import as_json, with_objects
+from halfseen.cli.workers import worker_options
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from halfseen.perception import Label, View
+    from halfseen.workers import Workers
 
 
 @click.command(epilog="Example: halfseen look table.pcd --picture table.png")
-@click.argument("cloud", type=options.PATH)
+@click.argument("clouds", nargs=-1, required=True, type=options.PATH)
 @click.option("--json", "is_json", is_flag=True, help="Print JSON, for programs.")
-@click.option("--picture", type=options.PATH, help="Draw what is seen into this PNG file.")
+@click.option("--picture", type=options.PATH, help="Draw what is seen into this PNG file; of one cloud.")
 @options.labels
-def look(cloud: Path, is_json: bool, picture: Path | None, labels: Path | None) -> None:
-    """Say what stands on the table of CLOUD, who hides whom, and, if it has colour, what looks dirty.
+@worker_options
+def look(
+    clouds: tuple[Path, ...], is_json: bool, picture: Path | None, labels: Path | None, workers: "Workers"
+) -> None:
+    """Say what stands on the table of a cloud, who hides whom, and, if it has colour, what looks dirty.
 
-    CLOUD is a .pcd or .ply point cloud in the camera frame [m], with packed rgb or red, green and blue if it has
+    A cloud is a .pcd or .ply point cloud in the camera frame [m], with packed rgb or red, green and blue if it has
     colour; or an .npz file with a depth image depth_m [m], a pinhole matrix K [px] and, if there is one, a picture rgb.
+    Of several, or of a folder, every cloud has one line; those that cannot be read, or show no object, are named below,
+    and the exit status is 2.
     """
-    from halfseen.errors import CloudError
+    from halfseen.errors import ArgumentError
+
+    if len(clouds) == 1 and not clouds[0].is_dir():
+        _look_at(clouds[0], is_json, picture, labels)
+        return
+    if picture is not None or labels is not None:
+        option, value = ("--picture", picture) if picture is not None else ("--labels", labels)
+        raise ArgumentError(f"{option} {value}: it is of one cloud, and there are several; look at that cloud alone")
+    look_at_many(clouds_in(clouds), workers, is_json)
+
+
+def _look_at(cloud: Path, is_json: bool, picture: Path | None, labels: Path | None) -> None:
     from halfseen.perception import perceive, read_cloud
     from halfseen.perception.label_files import labels_of
     from halfseen.perception.picture import draw, sentence
 
     seen = read_cloud(cloud)
-    view = perceive(seen)
-    if not view.objects:
-        cut = f" but {view.num_cut} that the image border cuts" if view.num_cut else ""
-        raise CloudError(f"{cloud}: no objects on the table{cut}; put the table with its objects whole into the view")
+    view = with_objects(perceive(seen), cloud)
     told = labels_of(view, seen, labels)
     if picture is not None:
         draw(view, picture)
     if is_json:
-        click.echo(json.dumps(_as_json(view, told)))
+        click.echo(json.dumps(as_json(view, told)))
         return
     click.echo(sentence(view))
     if view.num_cut:
         click.echo(f"Left out: {view.num_cut} that the image border cuts.")
     click.echo("\n".join(["", *_table(view, told)]))
-
-
-def _as_json(view: "View", told: "Sequence[Label] | None") -> dict[str, Any]:
-    labels = [{}] * len(view.objects)
-    if told is not None:
-        labels = [{"label": label.word, "share_in_view": label.share_in_view} for label in told]
-    return {
-        "table": {"normal": view.table.normal.tolist(), "offset_m": view.table.offset_m},
-        "objects": [
-            {
-                "id": seen.id,
-                "centroid_m": seen.centroid_m.tolist(),
-                "place_m": seen.solid.middle_m.tolist(),
-                "height_m": seen.height_m,
-                "occlusion": seen.occlusion,
-                "num_points": seen.num_points,
-                "is_upright": seen.is_upright,
-                **label,
-            }
-            for seen, label in zip(view.objects, labels, strict=True)
-        ],
-        "hides": view.hides.tolist(),
-    }
 
 
 def _table(view: "View", told: "Sequence[Label] | None") -> list[str]:
