@@ -1,10 +1,11 @@
 """Eq. 3 in passes over a log that need not fit in memory: Gram matrices of its parts add up.
 
 Each backward step reads the log once, part by part, and keeps sums only, so what is learned is what the whole log in
-memory would give, but for the rounding of the sums.
+memory would give, but for the rounding of the sums. The log itself is read and checked twice; after that its arrays are
+read from disk, where they were kept (`kept_parts`).
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -17,6 +18,7 @@ from jaxtyping import Array, Float, Int
 from halfseen.censoring.cut_model import fit_path_cuts
 from halfseen.errors import ArgumentError
 from halfseen.learners.q_learning.fitting import in_float64
+from halfseen.learners.q_learning.kept_parts import Parts, kept
 from halfseen.learners.q_learning.least_squares import Fit, factorise, gram_of, solve
 from halfseen.learners.q_learning.named_actions import NamedActions
 from halfseen.learners.q_learning.q_model import QModel, refuse_all_cut, refuse_too_few
@@ -29,6 +31,7 @@ from halfseen.learners.q_learning.transitions import (
     StageMode,
     Transitions,
     goes_on,
+    of_paths,
     of_successor,
     q_values,
     stage_of,
@@ -38,9 +41,6 @@ from halfseen.learners.q_learning.transitions import (
 from halfseen.logs import Logs, LogStream
 from halfseen.logs.columns import FINISHED
 from halfseen.progress import Progress
-
-Parts = Callable[[], Iterator[Transitions]]
-"""Reads the log once more, from its beginning."""
 
 
 class _Step(NamedTuple):
@@ -108,7 +108,8 @@ def fit_stream(model: QModel, stream: LogStream) -> tuple[QModel, Float[np.ndarr
             yield model.weighted(paths, weight, None, fold[start : start + paths.num_paths])
             start += paths.num_paths
 
-    q_functions = fit_parts(parts, stream.num_paths, model)
+    with kept(parts, -(-stream.num_paths // stream.paths_at_once)) as read:
+        q_functions = fit_parts(read, stream.num_paths, model)
     weight = np.concatenate(weights)
     if isinstance(model.reg, CrossValidation):
         refuse_too_few(weight)
@@ -175,11 +176,12 @@ def fit_parts(parts: Parts, num_paths: int, model: QModel) -> QFunctions:
             used = setting._replace(**changed)
             gram = cross = None
             for part in parts():
-                log = jax.tree.map(jnp.asarray, part)
+                here, at = (part, stage) if options.stages == "pooled" else _around(part, stage)
+                log = jax.tree.map(jnp.asarray, here)
                 blocks = jnp.asarray(model.task.block_of_action(part.is_possible.shape[-1]))
                 if step is None:
-                    step = _first(log, options.num_blocks, stage)
-                sums = _sums(log, blocks, step._replace(stage=jnp.asarray(stage)), used)
+                    step = _first(log, options.num_blocks)
+                sums = _sums(log, blocks, step._replace(stage=jnp.asarray(at)), used)
                 gram, cross = sums if gram is None else (gram + sums[0], cross + sums[1])
             bar.update()
             assert gram is not None
@@ -216,9 +218,16 @@ def _pooled(run: Any, parts: Parts, model: QModel) -> list[Fit]:
     return fits
 
 
-def _first(log: Transitions, num_blocks: int, stage: int) -> _Step:
+def _around(log: Transitions, stage: int) -> tuple[Transitions, int]:
+    """Keep a stage and the next one, which is all that a step looks at, and tell where in that the stage is."""
+    first = max(min(stage, log.action.shape[1] - 2), 0)
+    rows = of_paths(lambda leaf: leaf[:, first : first + 2], log._replace(fold=None))
+    return rows._replace(fold=log.fold), stage - first
+
+
+def _first(log: Transitions, num_blocks: int) -> _Step:
     zeros = jnp.zeros((num_blocks, log.features.shape[-1] + 1))
-    return _Step(jnp.asarray(stage), zeros, jnp.asarray(0.0), zeros)
+    return _Step(jnp.asarray(0), zeros, jnp.asarray(0.0), zeros)
 
 
 @partial(jax.jit, static_argnames="setting")
