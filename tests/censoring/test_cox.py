@@ -229,7 +229,7 @@ def test_keeps_scikit_learns_habits():
     assert copy.get_params() == {"ties": "breslow", "ridge": 0.5}
     assert not hasattr(copy, "coefficients_")
     assert repr(copy.set_params(ties="efron")) == "Cox(ridge=0.5)"
-    with pytest.raises(ValueError, match=r"Invalid parameter 'alpha' for estimator Cox.*'ridge', 'ties'"):
+    with pytest.raises(ValueError, match="Cox has no parameter alpha; there are: ties, ridge"):
         copy.set_params(alpha=1.0)
 
 

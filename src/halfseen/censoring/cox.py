@@ -16,7 +16,6 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
-from sklearn.base import BaseEstimator
 
 from halfseen.censoring.covariates import checked_covariates, checked_question, refuse_constant
 from halfseen.censoring.cox_checks import (
@@ -28,6 +27,7 @@ from halfseen.censoring.cox_checks import (
 from halfseen.censoring.inputs import checked_ends
 from halfseen.censoring.partial_likelihood import CutOrder, PartialLikelihood, cut_order, partial_likelihood
 from halfseen.errors import ArgumentError
+from halfseen.estimator import Estimator
 
 MAX_ITERATIONS = 60
 MAX_HALVINGS = 30
@@ -35,7 +35,7 @@ MAX_HALVINGS = 30
 STEP_TOLERANCE = 1e-8
 
 
-class Cox(BaseEstimator):
+class Cox(Estimator):
     """Proportional hazards of being cut (right-censored), P(C ≥ u | z) = exp(−Λ0(u⁻) exp((z − z̄)β)) [Cox1972]_.
 
     β maximises the partial likelihood of the cuts; a path that finishes at s leaves before those that are cut at s.

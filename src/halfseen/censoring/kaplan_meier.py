@@ -14,14 +14,14 @@ s         ``times_``: the distinct times at which paths were cut [s]
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
-from sklearn.base import BaseEstimator
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.censoring.inputs import checked_ends, checked_times
 from halfseen.errors import ArgumentError
+from halfseen.estimator import Estimator
 
 
-class KaplanMeier(BaseEstimator):
+class KaplanMeier(Estimator):
     """Product-limit estimate of the survival function of the censoring time, the same for all paths.
 
     Ĝ(u⁻) = Π_{s<u} (1 − cuts(s) / (at_risk(s) − finished(s))), where a path that finishes at s leaves before those that

@@ -17,16 +17,16 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
-from sklearn.base import BaseEstimator
 
 from halfseen.censoring.bandwidth import BANDWIDTHS, cross_validated
 from halfseen.censoring.covariates import checked_covariates, checked_question, refuse_constant
 from halfseen.censoring.inputs import checked_ends
 from halfseen.censoring.local_curve import KERNELS, LocalCurve
 from halfseen.errors import ArgumentError, PositivityError
+from halfseen.estimator import Estimator
 
 
-class KernelKaplanMeier(BaseEstimator):
+class KernelKaplanMeier(Estimator):
     """Product-limit estimate among the paths that are like the one asked about [Beran1981]_.
 
     A path that finishes at s leaves before those that are cut at s. As the bandwidth grows, Ĝ becomes `KaplanMeier`'s;
