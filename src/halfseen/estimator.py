@@ -55,3 +55,24 @@ class Estimator:
             return {}
         parameters = signature(cls.__init__).parameters
         return {name: parameter.default for name, parameter in parameters.items() if name != "self"}
+
+
+def check_fitted(estimator: object, attribute: str) -> None:
+    """Refuse an estimator that has not been fitted.
+
+    Parameters
+    ----------
+    estimator
+        Which.
+    attribute
+        What it has once it is fitted.
+
+    Raises
+    ------
+    sklearn.exceptions.NotFittedError
+        It has not.
+    """
+    if not hasattr(estimator, attribute):
+        from sklearn.exceptions import NotFittedError
+
+        raise NotFittedError(f"this {type(estimator).__name__} is not fitted yet; call fit first")

@@ -7,11 +7,10 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
-from sklearn.base import BaseEstimator
-from sklearn.utils.validation import check_is_fitted
 
 from halfseen.censoring import CensoringModel, CutModel, WeightDiagnostics, weight_diagnostics
 from halfseen.errors import ArgumentError
+from halfseen.estimator import Estimator, check_fitted
 from halfseen.learners.q_learning.automatic import (
     AUTO,
     Source,
@@ -41,7 +40,7 @@ from halfseen.learners.q_learning.transitions import QFunctions, StageMode
 from halfseen.logs import Logs, LogStream
 
 
-class CensoredQLearner(BaseEstimator):
+class CensoredQLearner(Estimator):
     """Learns a policy from paths of which some were right-censored (paper, eq. 3) [GoldbergKosorok2012]_.
 
     Backwards from Q̂_{T+1} ≡ 0, each Q̂_t regresses R_t + max_a' Q̂_{t+1}(S_{t+1}, a') on (S_t, A_t) over the completed
@@ -247,20 +246,20 @@ class CensoredQLearner(BaseEstimator):
     @property
     def cut_model_(self) -> CutModel | None:
         """Ĝ; None without one."""
-        check_is_fitted(self, "model_")
+        check_fitted(self, "model_")
         return self.model_.cut_model
 
     @property
     def unseen_(self) -> list[str]:
         """One sentence for each action that the log never saw completed, and that the policy therefore never takes."""
-        check_is_fitted(self, "model_")
+        check_fitted(self, "model_")
         assert self.model_.support is not None
         return unseen_in_words(self.model_.support, self.model_.task.block_names, self.model_.stages)
 
     @property
     def kernel_map_(self) -> KernelMap | None:
         """Features of the kernel; None for a linear Q."""
-        check_is_fitted(self, "model_")
+        check_fitted(self, "model_")
         return self.model_.kernel_map
 
     def _task(self) -> Task:
@@ -279,7 +278,7 @@ class CensoredQLearner(BaseEstimator):
     def _named_policy(self) -> Any:
         if isinstance(self.actions, Task):
             raise ArgumentError(f"{type(self.actions).__name__}'s own policy decides: ask policy_; or name the actions")
-        check_is_fitted(self, "policy_")
+        check_fitted(self, "policy_")
         return self.policy_
 
 

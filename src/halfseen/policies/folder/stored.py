@@ -7,9 +7,9 @@ from typing import Any
 
 import safetensors
 import safetensors.numpy
-from sklearn.utils.validation import check_is_fitted
 
 from halfseen.errors import PolicyError
+from halfseen.estimator import check_fitted
 from halfseen.learners.q_learning.q_learner import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.logs.refusal import within
@@ -124,7 +124,7 @@ def write_policy(
     PolicyError
         A number of the policy is not finite.
     """
-    check_is_fitted(learner, "policy_")
+    check_fitted(learner, "policy_")
     check_target(Path(folder), overwrite)
     record = record_of(learner, logs, verdict)
     arrays = kind_of(record).arrays_of(learner.policy_)

@@ -15,11 +15,10 @@ Prior: p ~ Beta(s·m, s·(1 − m)). Predictive: P(success | occ, k, l) = (s·m(
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.special import expit
-from sklearn.base import BaseEstimator
-from sklearn.utils.validation import check_is_fitted
 
 from halfseen.arrays import Rows
 from halfseen.censoring import CensoringModel, WeightDiagnostics
+from halfseen.estimator import Estimator, check_fitted
 from halfseen.learners.newton_each import Derivatives, minimise_each
 from halfseen.logs.frames import FrameLike
 from halfseen.tables.grasp.inputs import Decided, History, checked_attempts, checked_history
@@ -34,7 +33,7 @@ Theta = Float[np.ndarray, "3"]
 Weights = Float[np.ndarray, "K n"]
 
 
-class BetaGrasp(BaseEstimator):
+class BetaGrasp(Estimator):
     """Probability of a grasp as the mean of a Beta distribution over the object's own probability.
 
     The object's past attempts update a prior Beta(s·m, s·(1 − m)) whose mean m falls or rises with occlusion.
@@ -124,7 +123,7 @@ class BetaGrasp(BaseEstimator):
         ArgumentError
             A column or value is none that an attempt can have; the row is named.
         """
-        check_is_fitted(self, "strength_")
+        check_fitted(self, "strength_")
         theta = np.array([self.intercept_, self.slope_, np.log(self.strength_)])
         probability = predictive(theta, checked_history(frame))
         return np.column_stack([1.0 - probability, probability])

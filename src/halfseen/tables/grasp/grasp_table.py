@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from sklearn.base import clone
 
 from halfseen.arrays import Rows
 from halfseen.censoring import is_fitted
@@ -128,6 +127,9 @@ def grasp_model_of(grasp: Any, logs: Logs, horizon: int) -> GraspModel | None:
         )
     if is_fitted(grasp):
         return tabulate(grasp, horizon)
+    # It takes longer to import than a decision, which does not come here.
+    from sklearn.base import clone
+
     estimator: Any = clone(grasp)
     tried = attempts(logs, horizon)
     model = estimator.fit(tried)
