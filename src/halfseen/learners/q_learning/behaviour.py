@@ -16,7 +16,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.optimize import minimize
 from scipy.special import logsumexp
 
 from halfseen.learners.q_learning.path_arrays import PathArrays
@@ -132,6 +131,9 @@ def _fitted_logit(
         penalty[:, 0] = 0.0
         value = -(weight * log_probability[row, taken]).sum() + 0.5 * RIDGE * float((penalty**2).sum())
         return value, (slope + RIDGE * penalty).ravel()
+
+    # A decision does not come here, and the import takes longer than it.
+    from scipy.optimize import minimize
 
     fit = minimize(loss, np.zeros(shape[0] * shape[1]), jac=True, method="L-BFGS-B", options={"maxiter": 500})
     return fit.x.reshape(shape)
