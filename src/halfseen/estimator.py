@@ -48,6 +48,12 @@ class Estimator:
         ]
         return f"{type(self).__name__}({', '.join(told)})"
 
+    def __sklearn_tags__(self) -> Any:
+        """What scikit-learn asks of an estimator, if it is there to ask."""
+        from sklearn.base import BaseEstimator
+
+        return BaseEstimator().__sklearn_tags__()
+
     @classmethod
     def _defaults(cls) -> dict[str, Any]:
         # A class without parameters of its own has those of object.

@@ -9,7 +9,7 @@ EXTRAS = {
     "minari": ("h5py", "minari"),
     "ros": ("rosbags",),
     "ray": ("ray",),
-    "dask": ("dask", "distributed"),
+    "dask": ("distributed",),
 }
 """Libraries that some verbs need, by the extra that brings them."""
 

@@ -7,8 +7,8 @@ from typing import Any
 import click
 
 from halfseen.cli import options
+from halfseen.workers import ENGINES
 
-ENGINES = ["processes", "ray", "dask"]
 _OPTIONS = (
     click.option(
         "--workers",

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int
 from sklearn.base import clone
-from sklearn.utils.validation import check_is_fitted
 
 from halfseen.errors import ArgumentError, HalfseenError, HalfseenWarning
+from halfseen.estimator import check_fitted
 from halfseen.evaluation.evaluation import Evaluation
 from halfseen.evaluation.off_policy import evaluate
 from halfseen.evaluation.stored_model import specification
@@ -103,7 +103,7 @@ def held_out_verdict(
     ArgumentError
         There are fewer than 2 folds.
     """
-    check_is_fitted(learner, "policy_")
+    check_fitted(learner, "policy_")
     if num_folds < 2:
         raise ArgumentError(f"num_folds is {num_folds}; at least 2 are needed")
     try:

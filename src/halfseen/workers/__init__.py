@@ -1,11 +1,20 @@
 """Pieces of work, made by processes of this machine or by a cluster: what comes out is the same bytes.
 
 Read down: `workers` (who makes them) → `pool` (the pieces, streamed, and made again where a worker was lost) → `piece`
-(what a worker does with one), on an
-`engine`: `processes`, or a cluster's tasks (`task_backend`: `on_ray`, `on_dask`).
+(what a worker does with one), on an `engine`: `processes`, or a cluster's tasks (`task_backend`: `on_ray`, `on_dask`).
 """
 
-from halfseen.workers.pool import Pool
-from halfseen.workers.workers import ENGINES, Workers, num_cores
+from typing import TYPE_CHECKING
 
-__all__ = ["ENGINES", "Pool", "Workers", "num_cores"]
+from halfseen.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from halfseen.workers.pool import Pool
+    from halfseen.workers.workers import Workers
+
+ENGINES = ("processes", "ray", "dask")
+"""What may run workers, by name."""
+
+__all__ = ["ENGINES", "Pool", "Workers"]
+
+__getattr__ = lazy_names(__name__, {"Pool": "pool", "Workers": "workers"})

@@ -4,13 +4,11 @@ import os
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
-from typing import Literal
 
 from halfseen.errors import ArgumentError
+from halfseen.workers import ENGINES
 from halfseen.workers.engine import Engine
 from halfseen.workers.pool import Pool
-
-ENGINES = ("processes", "ray", "dask")
 
 
 def num_cores() -> int:
@@ -27,7 +25,7 @@ class Workers:
     num
         Processes on this machine; None for one a core. With an address the cluster has its own number.
     engine
-        One of `ENGINES`.
+        One of `halfseen.workers.ENGINES`.
     address
         Of a Ray or Dask cluster; None for one that lives on this machine for as long as the work takes.
 
@@ -38,7 +36,7 @@ class Workers:
     """
 
     num: int | None = None
-    engine: Literal["processes", "ray", "dask"] = "processes"
+    engine: str = "processes"
     address: str | None = None
 
     def __post_init__(self) -> None:
