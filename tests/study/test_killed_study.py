@@ -82,7 +82,7 @@ def test_the_bytes_are_those_of_one_worker(script, wanted, tmp_path, num, engine
 def test_workers_killed_at_random_moments_change_nothing(script, wanted, tmp_path):
     study, rng, num_killed = begun(script, tmp_path / "study", 2), random.Random(0), 0
     while study.poll() is None:
-        time.sleep(rng.uniform(2.0, 6.0))
+        time.sleep(rng.uniform(1.5, 4.0))
         workers = [each for each in psutil.Process(study.pid).children() if "loky" in " ".join(each.cmdline())]
         workers = [each for each in workers if "resource_tracker" not in " ".join(each.cmdline())]
         if workers and num_killed < 5:
@@ -90,7 +90,7 @@ def test_workers_killed_at_random_moments_change_nothing(script, wanted, tmp_pat
             num_killed += 1
     _, said = study.communicate()
     assert study.returncode == 0, said.decode()
-    assert num_killed >= 2
+    assert num_killed >= 1
     assert {name: (tmp_path / "study" / name).read_bytes() for name in OUTPUTS} == wanted
 
 
