@@ -28,6 +28,7 @@ from halfseen.scene.poses import Pose
 from halfseen.scene.stains import Stain, Surface
 from halfseen.scene.table import TABLE_TOP_M, Table
 from halfseen.scene.xtion import xtion_at
+from halfseen.workers import Workers
 from halfseen.world import ActionSpace, Scene, Verb, WorldConfig
 from halfseen.world.persistent_seeing import PersistentSeeing
 from halfseen.world.policy import surely

@@ -98,6 +98,7 @@ def test_a_worker_without_memory_says_so(workers):
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning")
 def test_a_node_of_two_goes_and_the_other_makes_what_it_had():
     ray_cluster = pytest.importorskip("ray.cluster_utils")
     cluster = ray_cluster.Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})

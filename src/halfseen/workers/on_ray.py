@@ -2,6 +2,7 @@
 
 import os
 import socket
+import warnings
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from importlib import metadata
@@ -63,10 +64,13 @@ def on_ray(num: int, address: str | None) -> Iterator[Engine]:
     if address is not None:
         _refuse_silent(address)
     try:
-        if address is None:
-            ray.init(num_cpus=num, include_dashboard=False, **quiet)
-        else:
-            ray.init(address=address, **quiet)
+        with warnings.catch_warnings():
+            # Ray forks to begin programs of its own at once, which no thread of a compiler has time to hinder.
+            warnings.filterwarnings("ignore", "os.fork", RuntimeWarning)
+            if address is None:
+                ray.init(num_cpus=num, include_dashboard=False, **quiet)
+            else:
+                ray.init(address=address, **quiet)
     except (ConnectionError, RuntimeError, ValueError) as error:
         raise _nobody_at(address, _first_line(error)) from error
     try:
