@@ -156,6 +156,15 @@ def test_a_compiler_that_was_set_otherwise_is_told(monkeypatch):
     assert "compiled with XLA_FLAGS='--here' already, and is asked for '--there'" in str(made(asker, b"", 0, 0).error)
 
 
+def test_a_worker_takes_over_settings_and_drops_its_own(monkeypatch):
+    for name, value in [("XLA_FLAGS", "--theirs"), ("JAX_PLATFORMS", "cpu"), ("JAX_HERE_ALONE", "1")]:
+        monkeypatch.setenv(name, value)
+    asker = Home(home().versions, {"XLA_FLAGS": "--theirs", "JAX_PLATFORMS": "", "JAX_THERE_ALONE": "2"})
+    monkeypatch.setenv("JAX_THERE_ALONE", "")  # so that it is put back afterwards
+    assert made(asker, cloudpickle.dumps(squared), 0, 3).result == 9
+    assert home().settings == asker.settings
+
+
 def test_what_a_worker_cannot_import_is_told():
     packed = b"cnowhere_at_all\nsquared\n."
     told = str(made(home(), packed, 0, 0).error)

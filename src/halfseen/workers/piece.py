@@ -47,7 +47,11 @@ def versions() -> dict[str, str]:
 
 def home() -> Home:
     """Describe this process."""
-    return Home(versions(), {name: value for name, value in os.environ.items() if name.startswith(SETTINGS)})
+    return Home(versions(), _settings())
+
+
+def _settings() -> dict[str, str]:
+    return {name: value for name, value in os.environ.items() if name.startswith(SETTINGS)}
 
 
 def made(asker: Home, function: bytes, number: int, piece: Any) -> Outcome:
@@ -88,6 +92,8 @@ def _be_like(asker: Home) -> None:
             f"a worker has compiled with {flags}={os.environ.get(flags, '')!r} already, and is asked for "
             f"{asker.settings.get(flags, '')!r}; start the workers anew"
         )
+    for name in _settings().keys() - asker.settings.keys():
+        del os.environ[name]
     os.environ.update(asker.settings)
 
 

@@ -75,6 +75,28 @@ def test_what_has_no_room_is_laid_out_in_each_pass(parts, monkeypatch, why):
     assert laid_out == [0, 1, 2, 0, 1, 2]
 
 
+def test_a_disk_that_fills_up_on_the_way_is_made_room_on(parts, monkeypatch, tmp_path):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    anew, laid_out = parts
+    save, num_saved = np.save, []
+
+    def until_full(*told, **more):
+        num_saved.append(1)
+        if len(num_saved) > 10:  # in the middle of the second part
+            raise OSError(28, "No space left on device")
+        save(*told, **more)
+
+    monkeypatch.setattr(np, "save", until_full)
+    with kept(anew, 3) as read:
+        assert_same(read)
+        assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+        num_saved.clear()
+        monkeypatch.setattr(np, "save", save)
+        for _ in range(2):
+            assert_same(read)
+    assert laid_out == [0, 1, 2, 0, 1, 2]
+
+
 def test_nothing_is_left_on_the_disk(parts, monkeypatch, tmp_path):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     anew, _ = parts

@@ -55,8 +55,7 @@ class _Kept:
         for part in self._parts():
             if has_room is None:
                 has_room = self._has_room(part)
-            if has_room:
-                self._save(part)
+            has_room = has_room and self._is_saved(part)
             yield part
         self._is_whole = bool(has_room)
 
@@ -64,12 +63,19 @@ class _Kept:
         num_bytes = self._num_parts * sum(np.asarray(leaf).nbytes for leaf in jax.tree.leaves(first))
         return num_bytes <= min(MOST_KEPT_BYTES, MOST_SHARE * shutil.disk_usage(self._folder).free)
 
-    def _save(self, part: Transitions) -> None:
+    def _is_saved(self, part: Transitions) -> bool:
+        """Keep a part; if the disk is full by now, keep none."""
         leaves, self._structure = jax.tree.flatten(part)
         self._files.append(self._folder / f"{len(self._files)}.npy")
-        with self._files[-1].open("wb") as file:
-            for leaf in leaves:
-                np.save(file, np.asarray(leaf), allow_pickle=False)
+        try:
+            with self._files[-1].open("wb") as file:
+                for leaf in leaves:
+                    np.save(file, np.asarray(leaf), allow_pickle=False)
+        except OSError:
+            for file in self._files:
+                file.unlink(missing_ok=True)
+            return False
+        return True
 
     def _load(self, path: Path) -> Transitions:
         assert self._structure is not None
