@@ -5,6 +5,7 @@ import shutil
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from errno import ENOSPC
 from glob import escape
 from pathlib import Path
 
@@ -161,7 +162,8 @@ def _beside(target: Path, suffix: str) -> Path:
 
 
 def _unwritable(target: Path, error: OSError) -> ArgumentError:
-    return ArgumentError(f"{target}: cannot be written ({error.strerror or error}); choose another folder")
+    remedy = "make room, or choose another folder" if error.errno == ENOSPC else "choose another folder"
+    return ArgumentError(f"{target}: cannot be written ({error.strerror or error}); {remedy}")
 
 
 def _swap(fresh: Path, target: Path) -> None:

@@ -52,6 +52,12 @@ def test_a_bad_cloud_stops_no_other_and_each_is_named(typed, folder):
     assert second == f"halfseen: {folder / 'missing.pcd'}: no such file"
 
 
+def test_where_no_cloud_can_be_looked_at_only_that_is_said(typed, tmp_path):
+    (tmp_path / "bad.ply").write_bytes(b"nonsense")
+    status, out, err = typed("look", tmp_path, "--workers", 1)
+    assert (status, out, len(err.splitlines())) == (2, "", 1)
+
+
 def test_what_is_of_one_cloud_is_refused_of_several(refused, folder, tmp_path):
     assert "--picture a.png: it is of one cloud" in refused("look", folder, "--picture", "a.png")
     assert "--labels a.csv: it is of one cloud" in refused("look", folder, "--labels", "a.csv")

@@ -11,8 +11,10 @@ from matplotlib.figure import Figure
 
 from halfseen.pages.axes import write_title
 from halfseen.pages.sentences import Claim
+from halfseen.progress import Progress
 from halfseen.study.experiment import Drawing, Experiment, Listing, Section, Setting
 from halfseen.study.run import chosen, run_study
+from halfseen.study.runner import repetition, run_all, store_of
 from halfseen.study.statistics import columns, estimate_in, over_repetitions
 from halfseen.workers import Workers
 from halfseen.world.scene import Scene
@@ -107,6 +109,18 @@ def test_more_repetitions_add_to_those_that_are_there(folder, tmp_path):
     run_study(replace(SETTING, repetitions=6), tmp_path, (Coin(),), is_resumed=True, workers=Workers(1))
     assert len(list(kept.parent.glob("repetition-*.json"))) == 6
     assert "7.0" in kept.read_text()
+
+
+@pytest.mark.parametrize("num_made", [0, 2])
+def test_before_anything_is_made_no_time_left_is_foretold(tmp_path, monkeypatch, num_made):
+    begun = []
+    monkeypatch.setattr(Progress, "begin", lambda self, what, by=1: begun.append((what, by)))
+    coins = [Coin(most_repetitions=3), type("Other", (Coin,), {"name": "other"})()]
+    stores = [store_of(coin, SETTING, tmp_path, is_resumed=False) for coin in coins]
+    for index in range(num_made):
+        stores[0].keep(repetition(index), coins[0].repeat(SETTING, coins[0].prepare(SETTING), index))
+    run_all(coins, SETTING, stores, Workers(1))
+    assert begun[0] == ("study", pytest.approx(num_made / 3, abs=0.0, rel=1e-12))
 
 
 def test_no_more_repetitions_than_it_wants(tmp_path):

@@ -62,7 +62,10 @@ def look_at_many(clouds: Sequence[Path], workers: "Workers", is_json: bool) -> N
     in_order = [told[number] for number in range(len(clouds))]
     seen = [each for each in in_order if not isinstance(each, CloudError)]
     refused = [each for each in in_order if isinstance(each, CloudError)]
-    click.echo(json.dumps(seen) if is_json else "\n".join(aligned([HEAD, *seen], left=(0,))))
+    if is_json:
+        click.echo(json.dumps(seen))
+    elif seen:
+        click.echo("\n".join(aligned([HEAD, *seen], left=(0,))))
     for error in refused[:-1]:
         tell_error(str(error))
     if refused:

@@ -78,7 +78,7 @@ def run_all(
     Times are measured while nothing else runs: after that, when what is timed has been compiled.
     """
     runs = [Run(experiment, store) for experiment, store in zip(experiments, stores, strict=True)]
-    with Progress(len(runs) * (1 + TABULATING), "study") as bar:
+    with Progress(len(runs) * (1 + TABULATING), "study, prepare") as bar:
         # Those of few repetitions, which are long, come first, so that all workers end together.
         by_num = sorted(runs, key=lambda run: run.num(setting))
         with workers.ready() as pool:
@@ -109,10 +109,9 @@ class _Preparing:
 
 
 def _repeat(runs: Sequence[Run], setting: Setting, pool: Pool, bar: Progress) -> None:
-    todo = [(k, some) for k, run in enumerate(runs) for some in in_rows(run.missing(setting), pool.num_workers)]
-    nums = [run.num(setting) for run in runs]
-    missing = sum(len(some) / nums[k] for k, some in todo)
-    bar.update(len(runs) - missing)
+    nums, missing = [run.num(setting) for run in runs], [run.missing(setting) for run in runs]
+    bar.begin("study", sum(1.0 - len(those) / num for num, those in zip(nums, missing, strict=True)))
+    todo = [(k, some) for k, those in enumerate(missing) for some in in_rows(those, pool.num_workers)]
     prepared = tuple(run.store.read(PREPARED) for run in runs)
     repeat = _Repeating(tuple(run.experiment for run in runs), setting, prepared)
     for number, pieces in pool.each(repeat, todo):
