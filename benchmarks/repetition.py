@@ -49,13 +49,11 @@ def repeat(setting: Setting, design: Reward, rates: list[float], index: int) -> 
     clock.passed("play 800 paths")
     num_episodes = design.episodes_per_scene * len(setting.scenes)
     logs = [(source.cut(episodes, rate, CUT_KIND), "weighted") for rate in rates]
-    logged, policies = source.logged(episodes), []
-    for size in design.num_paths:
-        policies += [policy for policy, _ in logged.learn(logs, [size])]
-        clock.passed(f"{len(logs)} fits to {size} paths")
-    for policy in policies:
+    learned = source.logged(episodes).learn(logs, design.num_paths)
+    clock.passed(f"{len(learned)} fits")
+    for policy, _ in learned:
         source.evaluate(policy, num_episodes)
-    clock.passed(f"{len(policies)} evaluations")
+    clock.passed(f"{len(learned)} evaluations")
     return clock.parts
 
 

@@ -51,7 +51,7 @@ def seen(treatment, is_cut=True):
     source = Source(CONFIG, pad_scenes([Scene(np.zeros((2, 2)))]), 0)
     cuts = cut_by_hand(is_cut)
     encoded = source.logged(cuts.episodes)
-    paths = encoded.lay_out(cuts, treatment, 5)
+    paths = encoded.lay_out(cuts, treatment).take(slice(5))
     model = encoded.model(treatment)
     weight = model.targets.weights(paths, model.targets.fit_cuts(paths.clocks))
     return paths.reward, weight, paths.is_last

@@ -1,5 +1,6 @@
 """Logs of tables whose objects come into view one after the other, as those of a cell do."""
 
+import jax
 import numpy as np
 import pandas as pd
 import pytest
@@ -65,7 +66,7 @@ def test_an_object_that_comes_into_view_late_is_padding_until_then():
     actions = ActionSpace(4)
     chosen = logged_actions(logs, 4, 4)[0]
     assert [actions.names[action] for action in chosen] == ["LIFT 1", "LIFT 2", "LIFT 3", "FINISH"]
-    features, is_possible = encode_states(states)
+    features, is_possible = jax.vmap(encode_states)(states)
     assert np.isfinite(features).all()
     assert np.asarray(is_possible)[0, 0].tolist() == [True, *[False, True, False, True] * 2]
 
@@ -73,7 +74,7 @@ def test_an_object_that_comes_into_view_late_is_padding_until_then():
 def test_what_is_not_in_view_yet_changes_nothing_of_what_is_decided():
     """Features of a stage are those of a log that ends there, and never lists the late ones."""
     listed = [["cup", "mug"], ["cup", "fork", "mug"]]
-    whole, begun = (encode_states(states_of(late(listed[:number]), 4))[0] for number in (2, 1))
+    whole, begun = (jax.vmap(encode_states)(states_of(late(listed[:number]), 4))[0] for number in (2, 1))
     kept = [0, *(1 + k for k in (0, 2)), *(4 + k for k in (0, 2))]
     np.testing.assert_allclose(np.asarray(whole)[0, 0, kept], np.asarray(begun)[0, 0], rtol=1e-6)
 

@@ -234,7 +234,7 @@ def test_a_verb_that_no_table_knows_is_named(logs):
 
 
 def test_finish_is_possible_even_on_an_empty_table(watched):
-    _, possible = encode_states(jax.tree.map(lambda leaf: leaf[:5], watched.states))
+    _, possible = jax.vmap(encode_states)(jax.tree.map(lambda leaf: leaf[:5], watched.states))
     assert np.asarray(possible)[..., 0].all()
 
 

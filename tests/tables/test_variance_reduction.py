@@ -32,7 +32,7 @@ def cuts():
 
 @pytest.fixture(scope="module")
 def encoded(cuts):
-    return encoded_states(cuts.episodes.states, cuts.episodes.action)
+    return encoded_states(cuts.episodes.states, np.asarray(cuts.episodes.action), np.asarray(cuts.episodes.is_taken))
 
 
 @pytest.fixture(scope="module")

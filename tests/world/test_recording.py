@@ -56,8 +56,8 @@ def test_the_states_come_back_from_the_log(recorded):
 
 def test_features_come_back_to_the_last_bit(recorded):
     cuts, logs = recorded
-    features, possible = (np.asarray(leaf) for leaf in encode_states(states_of(logs, 10)))
-    truth, possible_then = (np.asarray(leaf) for leaf in encode_states(cuts.episodes.states))
+    features, possible = (np.asarray(leaf) for leaf in jax.vmap(encode_states)(states_of(logs, 10)))
+    truth, possible_then = (np.asarray(leaf) for leaf in jax.vmap(encode_states)(cuts.episodes.states))
     seen = cuts.is_begun[..., None] & possible_then
     assert np.array_equal(possible[cuts.is_begun], possible_then[cuts.is_begun])
     assert np.array_equal(features[seen], truth[seen])
@@ -67,7 +67,7 @@ def test_what_was_not_begun_is_an_empty_table(recorded):
     cuts, logs = recorded
     states = states_of(logs, 10)
     assert not np.asarray(states.is_object)[~cuts.is_begun].any()
-    _, possible = encode_states(states)
+    _, possible = jax.vmap(encode_states)(states)
     assert not np.asarray(possible)[~cuts.is_begun][:, 1:].any()
 
 

@@ -57,7 +57,7 @@ class StageClocks(NamedTuple):
         age = np.maximum(np.round((until - self.begun_at_s) / SMALLEST_AGE_S) * SMALLEST_AGE_S, SMALLEST_AGE_S)
         return np.where(self.is_begun, age, 0.0)
 
-    def take(self, rows: Int[np.ndarray, " k"]) -> "StageClocks":
-        """Keep these paths, which may repeat, in this order."""
+    def take(self, rows: Int[np.ndarray, " k"] | slice) -> "StageClocks":
+        """Keep these paths, which may repeat, in this order; a slice of them copies nothing."""
         kept: Any = {name: leaf[rows] for name, leaf in self._asdict().items() if name != "covariate_names"}
         return self._replace(**kept)

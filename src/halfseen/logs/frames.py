@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
+import numpy as np
 import pandas as pd
 import pyarrow as pa
 
@@ -56,14 +57,25 @@ def as_frame(name: str, data: object) -> pd.DataFrame:
 
 def through_arrow(name: str, frame: pd.DataFrame) -> pd.DataFrame:
     """Copy a frame to Arrow and back, after which doing so again changes nothing."""
-    plain = frame.reset_index(drop=True)
+    plain = frame.reset_index(drop=True).copy()
     plain.attrs = {}
+    others = [label for label, dtype in plain.dtypes.items() if not _is_number(dtype)]
+    if not others:
+        return plain
     try:
-        table = pa.Table.from_pandas(plain, preserve_index=False)
+        table = pa.Table.from_pandas(plain[others], preserve_index=False)
     except (pa.ArrowException, TypeError, ValueError) as error:
         reason = "; ".join(str(part) for part in error.args)
         raise LogError(f"{name}: a column cannot be stored ({reason}); give each column one type") from error
-    return table.cast(_stored_schema(table.schema)).to_pandas().copy()
+    plain[others] = table.cast(_stored_schema(table.schema)).to_pandas()
+    return plain
+
+
+def _is_number(dtype: Any) -> bool:
+    """Tell whether Arrow gives a column of this type back as it is, and would cost time alone."""
+    if isinstance(dtype, pd.BooleanDtype):
+        return True
+    return isinstance(dtype, np.dtype) and dtype.isnative and dtype.kind in "biuf" and dtype.itemsize in (1, 4, 8)
 
 
 def _stored_schema(schema: pa.Schema) -> pa.Schema:

@@ -20,7 +20,7 @@ A cut path is treated in one of five ways, as what the learner sees of it:
     end.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Literal, NamedTuple
@@ -140,10 +140,9 @@ class LoggedPaths:
         """All paths as the learner sees them where no log has its own model of grasps."""
         return self._encoded(len(self.episodes.action), self._common)
 
-    def lay_out(self, cuts: CutEpisodes, treatment: str, num_paths: int) -> PathArrays:
-        """The first paths of a log as the learner sees them under a treatment."""
-        paths = _path_arrays(cuts, self.encoded)
-        return treated(paths, cuts, treatment, self.source.world).take(np.arange(num_paths))
+    def lay_out(self, cuts: CutEpisodes, treatment: str) -> PathArrays:
+        """A log as the learner sees it under a treatment."""
+        return treated(_path_arrays(cuts, self.encoded), cuts, treatment, self.source.world)
 
     def learn(
         self, logs: Sequence[tuple[CutEpisodes, str]], sizes: Sequence[int]
@@ -153,7 +152,15 @@ class LoggedPaths:
         Returns each policy with the effective sample size and the largest of its weights.
         """
         tried = {id(cuts): tried_in(cuts) for cuts, _ in logs} if isinstance(self.grasp, str) else {}
-        return [each for size in sizes for each in self._learn(logs, tried, size)]
+        laid_out = [(self.lay_out(cuts, treatment), treatment, id(cuts)) for cuts, treatment in logs]
+        learned = []
+        for size in sizes:
+            own = {name: self._chosen(each, size) for name, each in tried.items()}
+            learned += [
+                self._learn_from(paths.take(slice(size)), treatment, own.get(name))
+                for paths, treatment, name in laid_out
+            ]
+        return learned
 
     def learn_one(self, cuts: CutEpisodes, num_paths: int) -> LinearTablePolicy:
         """Learn from the first paths of a log, weighted."""
@@ -166,16 +173,10 @@ class LoggedPaths:
         learned = self.learn(logs, sizes)
         return [(weights, self.source.evaluate(policy, num_episodes)) for policy, weights in learned]
 
-    def _learn(
-        self, logs: Sequence[tuple[CutEpisodes, str]], tried: Mapping[int, pd.DataFrame], num_paths: int
-    ) -> list[tuple[LinearTablePolicy, dict[str, float]]]:
-        chosen = {name: self._chosen(each, num_paths) for name, each in tried.items()}
-        return [self._learn_from(cuts, treatment, num_paths, chosen.get(id(cuts))) for cuts, treatment in logs]
-
     def _learn_from(
-        self, cuts: CutEpisodes, treatment: str, num_paths: int, own: "_OwnGrasp | None"
+        self, paths: PathArrays, treatment: str, own: "_OwnGrasp | None"
     ) -> tuple[LinearTablePolicy, dict[str, float]]:
-        paths, grasp = self.lay_out(cuts, treatment, num_paths), self._common
+        grasp = self._common
         if own is not None:
             paths, grasp = paths._replace(encoded=own.encoded), own.grasp
         model = self.model(treatment, grasp).with_cuts(paths)
@@ -193,8 +194,8 @@ class LoggedPaths:
         return None if grasp is None else _OwnGrasp(grasp, self._encoded(num_paths, grasp))
 
     def _encoded(self, num_paths: int, grasp: GraspModel | None) -> Encoded:
-        states, action = jax.tree.map(lambda leaf: leaf[:num_paths], (self.episodes.states, self.episodes.action))
-        return encoded_states(states, action, grasp)
+        action, is_taken = (np.asarray(leaf)[:num_paths] for leaf in (self.episodes.action, self.episodes.is_taken))
+        return encoded_states(self.episodes.states, action, is_taken, grasp)
 
     def model(self, treatment: str, grasp: GraspModel | None = None) -> QModel:
         """How the product's own learner fits Q under a treatment."""

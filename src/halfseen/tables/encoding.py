@@ -3,11 +3,13 @@
 from functools import partial
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pandas as pd
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 
 from halfseen.learners.q_learning.path_arrays import stage_places
+from halfseen.learners.q_learning.room import room_for_rows
 from halfseen.learners.q_learning.task import Encoded
 from halfseen.logs import Logs
 from halfseen.logs.refusal import refuse, shown, value_at
@@ -21,17 +23,39 @@ from halfseen.world.table_checks import object_numbers
 
 @jax.jit
 def encode_states(states: TableState, grasp: GraspModel | None = None) -> tuple[jax.Array, jax.Array]:
-    """Features and possible actions of tables, axes (n, T); FINISH is possible even where there is no table."""
-    each = jax.vmap(jax.vmap(partial(table_features, grasp=grasp))), jax.vmap(jax.vmap(possible_actions))
-    return each[0](states), each[1](states)
+    """Features and possible actions of tables one after another; FINISH is possible even where there is no table."""
+    return jax.vmap(partial(table_features, grasp=grasp))(states), jax.vmap(possible_actions)(states)
 
 
 def encoded_states(
-    states: TableState, action: Int[np.ndarray, "n T"] | jax.Array, grasp: GraspModel | None = None
+    states: TableState,
+    action: Int[np.ndarray, "n T"],
+    is_state: Bool[np.ndarray, "n T"],
+    grasp: GraspModel | None = None,
 ) -> Encoded:
-    """Encode tables, and what was done at each."""
-    features, is_possible = (np.asarray(leaf) for leaf in encode_states(states, grasp))
-    return Encoded(features.astype(np.float64), is_possible, np.asarray(action))
+    """Encode tables, and what was done at each.
+
+    Parameters
+    ----------
+    states
+        Tables, axes (n, T); of more paths than n, the first are encoded.
+    action
+        What was done.
+    is_state
+        Where there is a table; elsewhere features are 0, and FINISH alone is possible.
+    grasp
+        What tells the probability of a grasp in the features; None for the rule of succession.
+    """
+    at = np.nonzero(is_state)
+    num_states = len(at[0])
+    # Of what there is, one after another: as few as there are, and in shapes that other logs share.
+    index = tuple(np.pad(each, (0, room_for_rows(num_states) - num_states)) for each in at)
+    each = encode_states(jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[index]), states), grasp)
+    found = [np.asarray(leaf)[:num_states].astype(kind) for leaf, kind in zip(each, (np.float64, bool), strict=True)]
+    features, is_possible = (np.zeros((*is_state.shape, *leaf.shape[1:]), leaf.dtype) for leaf in found)
+    is_possible[..., FINISH] = True
+    features[at], is_possible[at] = found
+    return Encoded(features, is_possible, action)
 
 
 def encode_tables(logs: Logs, horizon: int, grasp: GraspModel | None = None) -> Encoded:
@@ -52,7 +76,8 @@ def encode_tables(logs: Logs, horizon: int, grasp: GraspModel | None = None) -> 
         An action is none that a table knows, or is done to an object that is not on the table.
     """
     states = states_of(logs, horizon)
-    return encoded_states(states, logged_actions(logs, horizon, states.num_objects), grasp)
+    action = logged_actions(logs, horizon, states.num_objects)
+    return encoded_states(states, action, np.any(np.asarray(states.is_on_table), axis=-1), grasp)
 
 
 def logged_actions(logs: Logs, horizon: int, num_objects: int) -> Int[np.ndarray, "n T"]:

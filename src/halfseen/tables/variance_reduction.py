@@ -33,10 +33,11 @@ def wash_outcomes(encoded: Encoded) -> Float[np.ndarray, "n T 3"]:
     encoded
         A log of tables.
     """
-    verb, taken = _space(encoded).verbs[encoded.action], encoded.taken
-    after = np.take_along_axis(encoded.is_possible[:, 1:], encoded.action[:, :-1, None], axis=2)[..., 0]
+    verb, action = _space(encoded).verbs[encoded.action], encoded.action[..., None]
+    is_dirty = np.take_along_axis(encoded.features[..., WASH_DIRTY], action, axis=2)[..., 0]
+    after = np.take_along_axis(encoded.is_possible[:, 1:], action[:, :-1], axis=2)[..., 0]
     left = np.pad(~after, ((0, 0), (0, 1)))
-    outcome = np.stack([np.ones_like(left), left, left * taken[..., WASH_DIRTY]], axis=-1)
+    outcome = np.stack([np.ones_like(left), left, left * is_dirty], axis=-1)
     return np.where((verb == Verb.WASH)[..., None], outcome, 0.0)
 
 

@@ -7,11 +7,12 @@ import pytest
 from random_logs import random_log
 
 from halfseen.learners.q_learning.fitting import in_float64
-from halfseen.learners.q_learning.packing import MOST_SPARE, packed
+from halfseen.learners.q_learning.packing import packed
 from halfseen.learners.q_learning.recursion import backward
-from halfseen.learners.q_learning.transitions import goes_on, of_successor, target_of
+from halfseen.learners.q_learning.room import MOST_SPARE
+from halfseen.learners.q_learning.transitions import goes_on, of_successor, taken_of, target_of
 
-BLOCKS = (0, 1, 1, 2)
+BLOCKS = np.array([0, 1, 1, 2])
 
 
 def cut_log(seed=0, ends_with=0):
@@ -33,14 +34,17 @@ def cut_log(seed=0, ends_with=0):
 @pytest.mark.parametrize("end_action", [None, 0])
 def test_each_row_of_weight_keeps_what_it_holds_and_what_follows_it(end_action):
     log = cut_log(ends_with=end_action)
-    flat = packed(log, end_action)
-    # The value of a state is told by its features: so it can be found again.
-    value = np.where(log.is_possible.any(axis=2), np.asarray(log.features).sum(axis=(2, 3)), 0.0)
-    of_row = np.where(flat.is_possible.any(axis=2), flat.features.sum(axis=(2, 3)), 0.0)
+    flat = packed(log, end_action, BLOCKS)
+    # The value of a state is told by the features of what is possible: so it can be found again.
+    value = np.where(log.is_possible, np.asarray(log.features).sum(axis=3), 0.0).sum(axis=2)
+    of_row = np.zeros((1, flat.action.shape[1] + 1))
+    np.add.at(of_row[0], flat.choices.row, flat.choices.features.sum(axis=2))
+    of_row = of_row[:, :-1]
     has_weight, has_row = (np.asarray(each.weight) > 0 for each in (log, flat))
     assert has_row.sum() == has_weight.sum()
-    for name in ("action", "reward", "weight", "is_last", "features", "is_possible"):
+    for name in ("action", "reward", "weight", "is_last"):
         np.testing.assert_array_equal(getattr(flat, name)[has_row], np.asarray(getattr(log, name))[has_weight])
+    np.testing.assert_array_equal(taken_of(flat)[has_row], np.asarray(taken_of(log))[has_weight])
     np.testing.assert_array_equal(flat.fold[has_row], np.broadcast_to(log.fold[:, None], log.action.shape)[has_weight])
     np.testing.assert_array_equal(goes_on(flat, end_action)[has_row], goes_on(log, end_action)[has_weight])
     np.testing.assert_allclose(
@@ -59,9 +63,9 @@ def test_q_is_the_same(end_action, pessimism):
     log = log._replace(fold=log.fold % 3)
     options = {"num_blocks": 3, "stages": "pooled", "num_folds": 3, "end_action": end_action, "pessimism": pessimism}
     with in_float64():
-        blocks, regs = np.array(BLOCKS), np.array([0.01, 0.1, 1.0])
+        blocks, regs = BLOCKS, np.array([0.01, 0.1, 1.0])
         whole = backward(jax.tree.map(np.asarray, log), blocks, regs, **options)
-        flat = backward(packed(log, end_action), blocks, regs, **options, horizon=log.action.shape[1])
+        flat = backward(packed(log, end_action, BLOCKS), blocks, regs, **options, horizon=log.action.shape[1])
     np.testing.assert_allclose(flat.coefficients, whole.coefficients, atol=1e-9)
     np.testing.assert_array_equal(flat.reg, whole.reg)
     if pessimism:
@@ -71,11 +75,23 @@ def test_q_is_the_same(end_action, pessimism):
 
 def test_there_is_room_for_few_rows_more_and_they_are_empty():
     log = cut_log(seed=5)
-    flat = packed(log, None)
+    flat = packed(log, None, BLOCKS)
     num_rows = flat.action.shape[1]
     assert num_rows < log.action.size
     num_used = np.flatnonzero(flat.weight[0])[-1] + 2
     assert num_rows <= max(64, (1 + 1 / MOST_SPARE) * num_used + 1)
-    spare = flat.is_possible[0, num_used:]
-    assert not spare.any()
     assert not flat.weight[0, num_used:].any()
+    spare = ~np.isin(np.arange(num_used, num_rows), flat.choices.row)
+    assert spare.all()
+
+
+def test_choices_are_what_is_possible_where_something_came_before_in_chunks_of_one_block():
+    log = cut_log(seed=7)
+    flat = packed(log, None, BLOCKS)
+    chunks, is_real = flat.choices, flat.choices.row < flat.action.shape[1]
+    used = is_real.any(axis=1)
+    blocks = np.where(is_real, BLOCKS[chunks.action], BLOCKS[chunks.action[:, :1]])
+    assert (blocks[used] == blocks[used][:, :1]).all()
+    follows = np.asarray(log.weight[:, :-1] > 0) & ~np.asarray(log.is_last[:, :-1])
+    assert is_real.sum() >= np.asarray(log.is_possible)[:, 1:][follows].sum()
+    assert chunks.row.shape == chunks.action.shape == chunks.features.shape[:2]

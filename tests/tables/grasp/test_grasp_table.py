@@ -125,9 +125,9 @@ def test_a_policy_decides_with_its_own_table(beta, states):
     plain = np.asarray(jax.jit(jax.vmap(replace(policy, grasp=None).q_values))(states))
     is_possible = np.isfinite(q)
     assert np.abs(q[is_possible] - plain[is_possible]).max() > 0.1
-    features, _ = encode_states(jax.tree.map(lambda leaf: leaf[None], states), table)
+    features, _ = encode_states(states, table)
     wash = policy.coefficients[states.steps_to_go - 1, 1]
-    expected = wash[:, 0] + jnp.sum(features[0, :, 1] * wash[:, 1:], axis=-1)
+    expected = wash[:, 0] + jnp.sum(features[:, 1] * wash[:, 1:], axis=-1)
     np.testing.assert_allclose(np.where(np.isfinite(q[:, 1]), q[:, 1], expected), expected, rtol=1e-3, atol=1e-3)
 
 

@@ -72,14 +72,13 @@ def fit_q_functions(
     if log.action.ndim == 3:
         fit, ready = backward_batch, log
     elif options.stages == "pooled":
-        fit, ready, more["horizon"] = backward, packed(log, options.end_action), log.action.shape[1]
+        fit, ready, more["horizon"] = backward, packed(log, options.end_action, blocks), log.action.shape[1]
     else:
         fit, ready = backward, with_room(log)
     with in_float64():
         if pessimism:
             more["pessimism"] = jnp.asarray(pessimism)
-        arrays = jax.tree.map(jnp.asarray, ready)
-        return jax.tree.map(np.asarray, fit(arrays, jnp.asarray(blocks), jnp.asarray(regs), **more))
+        return jax.tree.map(np.asarray, fit(ready, blocks, regs, **more))
 
 
 @partial(jax.jit, static_argnames=BackwardOptions._fields)

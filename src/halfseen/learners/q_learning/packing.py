@@ -4,6 +4,9 @@ A log is padded to T stages a path, and most paths are over, or cut, long before
 (`recursion`, pooled) it does not matter in which path a row stands, but for what follows it. So each path keeps its
 rows up to the last of weight, and the state after that where the path went on; if that is beyond T, an empty row whose
 value is 0.
+
+Of a state that follows something, what was possible is kept (`Choices`), for V̂ is sought among it at every number of
+steps to go. It lies in chunks of one block each, so that each product is with the coefficients of that block alone.
 """
 
 from typing import Any
@@ -11,13 +14,16 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Int
 
-from halfseen.learners.q_learning.transitions import Transitions, of_paths
+from halfseen.learners.q_learning.room import room_for_rows
+from halfseen.learners.q_learning.transitions import Choices, Transitions, of_paths
 
-MOST_SPARE = 4
-"""At most one row in so many is appended, so that logs of about the same size share one compiled program."""
+CHUNK = 32
+"""Choices in a chunk."""
+CHOICES_PER_ROW = 2
+"""There is room for a multiple of so many choices a row, for the same reason."""
 
 
-def packed(log: Transitions, end_action: int | None) -> Transitions:
+def packed(log: Transitions, end_action: int | None, block_of_action: Int[np.ndarray, " A"]) -> Transitions:
     """Pack one log; NumPy arrays out.
 
     Parameters
@@ -26,15 +32,17 @@ def packed(log: Transitions, end_action: int | None) -> Transitions:
         The log, no batch.
     end_action
         The action that the horizon forces upon a path, as in `recursion.backward`.
+    block_of_action
+        Which block of coefficients each action uses.
 
     Returns
     -------
     Transitions
-        Of one path, with `fold` and `is_longer` of each row, and n in `num_paths`.
+        Of one path, with `fold` and `is_longer` of each row, `choices`, and n in `num_paths`.
     """
     num_paths, horizon = log.action.shape
     row, is_empty = _rows(np.asarray(log.weight) > 0, np.asarray(log.is_last))
-    spare = _room(len(row)) - len(row)
+    spare = room_for_rows(len(row)) - len(row)
     row, is_empty = np.pad(row, (0, spare)), np.pad(is_empty, (0, spare), constant_values=True)
 
     def pack(leaf: Any) -> np.ndarray:
@@ -43,9 +51,53 @@ def packed(log: Transitions, end_action: int | None) -> Transitions:
         return values[None]
 
     fold, stage = np.asarray(log.fold)[row // horizon], row % horizon
-    kept = of_paths(pack, log._replace(fold=None))
+    taken = np.asarray(log.action)[..., None]
+    choices = _choices(log, row, ~is_empty & (stage > 0), block_of_action)
+    narrow = log._replace(
+        features=np.take_along_axis(np.asarray(log.features), taken[..., None], axis=2),
+        is_possible=np.take_along_axis(np.asarray(log.is_possible), taken, axis=2),
+        policy=None,
+        fold=None,
+    )
+    kept = of_paths(pack, narrow)
     is_longer = (stage < horizon - 1) | (kept.action[0] == end_action)
-    return kept._replace(fold=fold[None], is_longer=is_longer[None], num_paths=np.asarray(float(num_paths)))
+    return kept._replace(
+        fold=fold[None], is_longer=is_longer[None], choices=choices, num_paths=np.asarray(float(num_paths))
+    )
+
+
+def _choices(
+    log: Transitions, row: Int[np.ndarray, " R"], is_state: Bool[np.ndarray, " R"], block_of_action: Any
+) -> Choices:
+    """What was possible in the states of these rows, in chunks of one block each."""
+    num_paths, horizon, num_actions = log.is_possible.shape
+
+    def by_row(leaf: Any) -> np.ndarray:
+        return np.asarray(leaf).reshape(num_paths * horizon, *leaf.shape[2:])
+
+    is_choice = by_row(log.is_possible) if log.policy is None else by_row(log.is_possible) | (by_row(log.policy) > 0)
+    at, action = np.nonzero(is_choice[row] & is_state[:, None])
+    block = np.asarray(block_of_action)[action]
+    in_turn = np.argsort(block, kind="stable")
+    num_of_block = np.bincount(block)
+    spare = -num_of_block % CHUNK
+    place = np.arange(len(at)) + np.repeat(np.cumsum(spare) - spare, num_of_block)
+    step = CHOICES_PER_ROW * len(row)
+    room = max(1, -(-(len(at) + int(spare.sum())) // step)) * step
+
+    def spread(values: np.ndarray, empty: float | int) -> np.ndarray:
+        filled = np.full(room, empty, values.dtype)
+        filled[place] = values[in_turn]
+        return filled.reshape(-1, CHUNK)
+
+    which = row[at] * num_actions + action
+    flat = np.asarray(log.features).reshape(log.is_possible.size, log.features.shape[-1])
+    return Choices(
+        features=flat[spread(which, 0)],
+        action=spread(action, 0),
+        row=spread(at, len(row)),
+        policy=None if log.policy is None else spread(by_row(log.policy).ravel()[which], 0.0),
+    )
 
 
 def _rows(
@@ -58,8 +110,3 @@ def _rows(
     path, stage = np.nonzero(np.arange(horizon + 1) < (length + ~is_over)[:, None])
     is_empty = stage == horizon
     return np.where(is_empty, 0, path * horizon + stage), is_empty
-
-
-def _room(num_rows: int) -> int:
-    step = max(1, (1 << max(num_rows - 1, 1).bit_length()) // (2 * MOST_SPARE))
-    return max(64, -(-num_rows // step) * step)

@@ -65,8 +65,8 @@ class PathArrays(NamedTuple):
         """Completed stages after which a path had come to its own end."""
         return self.clocks.is_last
 
-    def take(self, rows: Int[np.ndarray, " k"]) -> "PathArrays":
-        """Keep these paths, which may repeat, in this order."""
+    def take(self, rows: Int[np.ndarray, " k"] | slice) -> "PathArrays":
+        """Keep these paths, which may repeat, in this order; a slice of them copies nothing."""
         kept = jax.tree.map(lambda leaf: leaf[rows], tuple(self[1:]))
         return PathArrays(self.clocks.take(rows), *kept)
 

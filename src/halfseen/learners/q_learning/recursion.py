@@ -38,14 +38,22 @@ from halfseen.learners.q_learning.least_squares import (
     waiting_for,
     with_prior,
 )
-from halfseen.learners.q_learning.spread import Spread, roots, spread_of_rows, standard_errors
+from halfseen.learners.q_learning.spread import (
+    Spread,
+    roots,
+    spread_of_rows,
+    standard_errors,
+    standard_errors_of_choices,
+)
 from halfseen.learners.q_learning.transitions import (
     QFunctions,
     StageMode,
     Transitions,
     goes_on,
     imputed_target,
+    largest_of_choices,
     of_successor,
+    q_of_choices,
     q_values,
     stage_of,
     taken_of,
@@ -252,18 +260,27 @@ def _backward_pooled(log: Transitions, regression: Regression, end_action: int |
 def _end_values(fit: QFunctions, log: Transitions, end_action: int, block: Int[Array, ""]) -> Float[Array, "n T"]:
     """Q of the action that the horizon forces upon a path; 0 of what is no state."""
     of_block = jnp.asarray(fit.coefficients)[block]
+    if log.choices is not None:
+        forced = of_block[0] + log.choices.features @ of_block[1:]
+        return largest_of_choices(jnp.where(log.choices.action == end_action, forced, -jnp.inf), log)
     forced = of_block[0] + jnp.asarray(log.features)[:, :, end_action] @ of_block[1:]
     return jnp.where(jnp.any(log.is_possible, axis=-1), forced, 0.0)
 
 
 def bounded(
     fit: QFunctions, log: Transitions, block_of_action: Int[Array, " A"], pessimism: Float[Array, ""] | None
-) -> Float[Array, "n T A"]:
-    """Q of every action by one fit; with pessimism, less so many standard errors, unless a policy is given."""
-    q = q_values(jnp.asarray(fit.coefficients), log.features, block_of_action)
+) -> Float[Array, "n T A"] | Float[Array, "C S"]:
+    """Q of every action, or choice, by one fit; with pessimism, less so many standard errors, unless for a policy."""
+    if log.choices is not None:
+        q = q_of_choices(fit.coefficients, log.choices, block_of_action)
+    else:
+        q = q_values(jnp.asarray(fit.coefficients), log.features, block_of_action)
     if pessimism is None or fit.root is None or log.policy is not None:
         return q
-    return q - pessimism * standard_errors(jnp.asarray(fit.root), jnp.asarray(log.features), block_of_action)
+    root = jnp.asarray(fit.root)
+    if log.choices is not None:
+        return q - pessimism * standard_errors_of_choices(root, log.choices, block_of_action)
+    return q - pessimism * standard_errors(root, jnp.asarray(log.features), block_of_action)
 
 
 def _seen_control_variates(log: Transitions) -> Any:

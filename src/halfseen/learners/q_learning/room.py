@@ -11,6 +11,9 @@ from halfseen.learners.q_learning.transitions import AnyArray, Transitions, of_p
 FEWEST_PATHS, MOST_PATHS = 64, 4096
 """Fewer paths than that get room for so many; more get none."""
 
+MOST_SPARE = 4
+"""Of rows that lie one after another, at most one in so many is appended."""
+
 
 def with_room(log: Transitions) -> Transitions:
     """Append paths of weight 0, and keep n, by which λ is multiplied.
@@ -35,3 +38,9 @@ def room_for(num_paths: int) -> int:
     if num_paths > MOST_PATHS:
         return num_paths
     return max(FEWEST_PATHS, 1 << (num_paths - 1).bit_length())
+
+
+def room_for_rows(num_rows: int) -> int:
+    """How many rows that lie one after another there is room for, where there are so many."""
+    step = max(1, (1 << max(num_rows - 1, 1).bit_length()) // (2 * MOST_SPARE))
+    return max(FEWEST_PATHS, -(-num_rows // step) * step)

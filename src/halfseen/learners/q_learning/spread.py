@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from halfseen.learners.q_learning.least_squares import Design, Factor, factorise, gram_of, waiting_for
+from halfseen.learners.q_learning.transitions import Choices
 
 
 class Spread(NamedTuple):
@@ -78,6 +79,15 @@ def standard_errors(
 
     # One action after the other: its product is one of two matrices, where all at once would be slow ones in batches.
     return jnp.moveaxis(jax.lax.map(of_action, jnp.arange(features.shape[2])), 0, -1)
+
+
+def standard_errors_of_choices(
+    root: Float[Array, "K F F"], choices: Choices, block_of_action: Int[Array, " A"]
+) -> Float[Array, "C S"]:
+    """S of all that is possible."""
+    each = root[block_of_action[choices.action[:, 0]]]
+    along = each[:, :1] + jnp.einsum("csf,cfg->csg", jnp.asarray(choices.features), each[:, 1:])
+    return jnp.sqrt(jnp.sum(along**2, axis=-1))
 
 
 def _variance(design: Design, residual: Float[Array, " R"], fitted: Float[Array, " K"]) -> Float[Array, " K"]:

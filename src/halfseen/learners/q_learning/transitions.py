@@ -33,11 +33,24 @@ class Imputation(NamedTuple):
     """1 for each feature that this regression looks at, 0 for the others."""
 
 
+class Choices(NamedTuple):
+    """What is possible in the states of packed rows, in chunks of one block each (see `packing`)."""
+
+    features: Float[AnyArray, "C S F"]
+    """φ(S_t, a)."""
+    action: Int[AnyArray, "C S"]
+    row: Int[AnyArray, "C S"]
+    """That of S_t; beyond the last where a chunk has room to spare."""
+    policy: Float[AnyArray, "C S"] | None
+    """π(a | S_t), where Q of a given policy is wanted."""
+
+
 class Transitions(NamedTuple):
     """One log as dense arrays, padded to T stages; `jax.vmap` adds an axis of logs."""
 
     features: Float[AnyArray, "*B n T A F"]
-    """φ(S_t, a) of every action, without the constant; zeros where S_t was not seen."""
+    """φ(S_t, a) of every action, without the constant; zeros where S_t was not seen. Where rows are packed, of the
+    action alone that was taken."""
     is_possible: Bool[AnyArray, "*B n T A"]
     action: Int[AnyArray, "*B n T"]
     reward: Float[AnyArray, "*B n T"]
@@ -57,6 +70,8 @@ class Transitions(NamedTuple):
     """n, where there are rows that are no path of the log (see `room`)."""
     is_longer: Bool[AnyArray, "*B n T"] | None = None
     """Whether a row speaks of more than one step to go, where rows are packed (see `packing`)."""
+    choices: Choices | None = None
+    """What was possible, where rows are packed."""
 
 
 class QFunctions(NamedTuple):
@@ -112,16 +127,20 @@ def imputed_target(
 
 def taken_of(log: Transitions) -> Float[Array, "n T F"]:
     """Features of the action that was taken."""
+    if log.choices is not None:
+        return jnp.asarray(log.features)[:, :, 0]
     return jnp.take_along_axis(jnp.asarray(log.features), log.action[..., None, None], axis=2)[:, :, 0]
 
 
 def of_paths(change: Callable[[Any], Any], log: Transitions) -> Transitions:
     """Change each array that has a row for every path."""
     is_used = None if log.imputation is None else log.imputation.is_used
-    kept = log._replace(num_paths=None, imputation=log.imputation and log.imputation._replace(is_used=None))
+    kept = log._replace(
+        num_paths=None, choices=None, imputation=log.imputation and log.imputation._replace(is_used=None)
+    )
     changed = jax.tree.map(change, kept)
     imputed = changed.imputation and changed.imputation._replace(is_used=is_used)
-    return changed._replace(num_paths=log.num_paths, imputation=imputed)
+    return changed._replace(num_paths=log.num_paths, choices=log.choices, imputation=imputed)
 
 
 def stage_of(log: Transitions, stage: Int[Array, ""]) -> Transitions:
@@ -145,15 +164,39 @@ def state_values(
     return values_of(q_values(coefficients, log.features, block_of_action), log)
 
 
-def values_of(q: Float[Array, "n T A"], log: Transitions) -> Float[Array, "n T"]:
+def q_of_choices(
+    coefficients: Float[AnyArray, "K F"], choices: Choices, block_of_action: Int[Array, " A"]
+) -> Float[Array, "C S"]:
+    """Q of all that is possible."""
+    of_chunk = jnp.asarray(coefficients)[block_of_action[choices.action[:, 0]]]
+    return of_chunk[:, :1] + jnp.einsum("csf,cf->cs", choices.features, of_chunk[:, 1:])
+
+
+def values_of(q: Float[Array, "n T A"] | Float[Array, "C S"], log: Transitions) -> Float[Array, "n T"]:
     """V̂ of every state: max_a Q over the possible actions, or Σ_a π(a) Q of the policy that is given.
 
     Where no action is possible it is 0: such a row is padding, and must stay finite.
     """
+    if log.choices is not None:
+        if log.choices.policy is None:
+            return largest_of_choices(q, log)
+        return _by_row(jax.ops.segment_sum, jnp.asarray(log.choices.policy * q), log)
     if log.policy is not None:
         return jnp.sum(jnp.where(log.policy > 0, log.policy * q, 0.0), axis=-1)
     largest = jnp.max(jnp.where(log.is_possible, q, -jnp.inf), axis=-1)
     return jnp.where(jnp.any(log.is_possible, axis=-1), largest, 0.0)
+
+
+def largest_of_choices(q: Float[Array, "C S"], log: Transitions) -> Float[Array, "n T"]:
+    """Largest of what is possible in each state; 0 where nothing is."""
+    largest = _by_row(jax.ops.segment_max, q, log)
+    return jnp.where(jnp.isneginf(largest), 0.0, largest)
+
+
+def _by_row(reduce: Callable[..., Any], q: Float[Array, "C S"], log: Transitions) -> Float[Array, "n T"]:
+    assert log.choices is not None
+    shape = log.action.shape
+    return reduce(q.ravel(), log.choices.row.ravel(), math.prod(shape)).reshape(shape)
 
 
 def of_successor(value: Float[Array, "n T"]) -> Float[Array, "n T"]:

@@ -166,8 +166,8 @@ def negative_log_posteriors(theta: Float[np.ndarray, "K 3"], decided: Decided, w
     return loss, shift / SPREAD - gradient, np.diag(SPREAD**-2.0) - hessian
 
 
-def fitted_thetas(decided: Decided, weight: Weights) -> Float[np.ndarray, "K 3"]:
-    """Intercept, slope and log s of the largest posterior density, under each of K weightings."""
+def fitted_thetas(decided: Decided, weight: Weights, start: Theta = CENTRE) -> Float[np.ndarray, "K 3"]:
+    """Intercept, slope and log s of the largest posterior density, under each of K weightings; sought from `start`."""
     return minimise_each(
-        lambda theta: negative_log_posteriors(theta, decided, weight), np.tile(CENTRE, (len(weight), 1))
+        lambda theta: negative_log_posteriors(theta, decided, weight), np.tile(start, (len(weight), 1))
     )

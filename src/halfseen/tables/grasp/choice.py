@@ -10,7 +10,6 @@ fourth smaller; under the law of the cell, where the Beta leaves a fifth of it, 
 """
 
 import warnings
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +22,7 @@ from halfseen.learners.threads import one_thread
 from halfseen.logs import Logs
 from halfseen.tables.features import succession
 from halfseen.tables.grasp.attempts import attempts
-from halfseen.tables.grasp.beta_grasp import Theta, fitted_thetas, predictive
+from halfseen.tables.grasp.beta_grasp import fitted_thetas, predictive
 from halfseen.tables.grasp.grasp_table import GraspTable, every_history, table_of
 from halfseen.tables.grasp.grip_effect import fitted_effect
 from halfseen.tables.grasp.inputs import Decided, History, checked_attempts
@@ -97,7 +96,9 @@ def choose_by(tried: pd.DataFrame, horizon: int) -> GraspChoice:
         decided = checked_attempts(tried)
         grip = tried["grip"].to_numpy(dtype=np.float64)[decided.row]
         path = np.unique(tried["path"].to_numpy(), return_inverse=True)[1][decided.row]
-        *held_out, whole = fitted_thetas(decided, _weightings(decided, path))
+        whole = fitted_thetas(decided, decided.weight[None])[0]
+        # A fifth of the paths moves it little: so those without them are sought from there.
+        held_out = fitted_thetas(decided, _weightings(decided, path), start=whole)
         errors = _errors(decided, grip, path, held_out)
     lead = (1.0 - WORTH) * errors.rule - errors.beta
     left = f"{errors.beta.sum() / errors.rule.sum():.0%} of its squared error"
@@ -112,9 +113,8 @@ def choose_by(tried: pd.DataFrame, horizon: int) -> GraspChoice:
 
 
 def _weightings(decided: Decided, path: RowIds) -> Float[np.ndarray, "K n"]:
-    """Weights without the paths of each fold, and with all."""
-    kept = path % NUM_FOLDS != np.arange(NUM_FOLDS)[:, None]
-    return np.concatenate([kept * decided.weight, decided.weight[None]])
+    """Weights without the paths of each fold."""
+    return (path % NUM_FOLDS != np.arange(NUM_FOLDS)[:, None]) * decided.weight
 
 
 class _Errors(NamedTuple):
@@ -124,7 +124,7 @@ class _Errors(NamedTuple):
     beta: Rows
 
 
-def _errors(decided: Decided, grip: Rows, path: RowIds, held_out: Sequence[Theta]) -> _Errors:
+def _errors(decided: Decided, grip: Rows, path: RowIds, held_out: Float[np.ndarray, "V 3"]) -> _Errors:
     """Errors of the rule, and of a Beta that was fitted to other paths; both as far as they go by history alone."""
     said = np.stack([predictive(theta, decided.history) for theta in held_out])
     beta, rule = said[path % NUM_FOLDS, np.arange(len(path))], _by_succession(decided.history, grip)

@@ -161,6 +161,8 @@ def _weights(
 
 def _flags(frame: pd.DataFrame, column: str, is_read: RowMask) -> RowMask:
     values = frame[column]
+    if values.dtype == np.bool_:
+        return values.to_numpy()
     is_true, is_false = (values.isin([flag]).to_numpy(dtype=bool) for flag in (True, False))
     _refuse(frame, column, is_read & ~is_true & ~is_false, "give True or False")
     return is_true
