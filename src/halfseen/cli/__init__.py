@@ -16,6 +16,8 @@ from halfseen.suggestions import did_you_mean
 
 COMPILES_QUICKLY = "--xla_backend_optimization_level=1 --xla_cpu_use_fusion_emitters=false"
 """A verb compiles for longer than it runs: this halves that, and what is compiled is as fast."""
+ONE_THREAD = ("NPROC", "1")
+"""Threads of what JAX has compiled: its arrays are small here, and more would only wait for one another."""
 
 VERBS = {
     "inspect": "Say what a folder of logs holds: paths, endings, causes, weights, and what looks wrong.",
@@ -43,6 +45,7 @@ def halfseen() -> None:
 def main() -> None:
     """Run the command line; bad input is told in one line and ends with exit status 2."""
     os.environ.setdefault("XLA_FLAGS", COMPILES_QUICKLY)
+    os.environ.setdefault(*ONE_THREAD)
     try:
         with warnings.catch_warnings():
             _say_in_one_line()

@@ -24,6 +24,7 @@ from halfseen.evaluation.stored_model import specification
 from halfseen.evaluation.targets import CrossFitted
 from halfseen.evaluation.verdict import Verdict
 from halfseen.learners.q_learning.q_learner import CensoredQLearner
+from halfseen.learners.threads import in_one_thread
 from halfseen.logs import Logs
 from halfseen.policies.folder.specification import described
 
@@ -70,6 +71,7 @@ class HeldOutVerdict:
         }
 
 
+@in_one_thread
 def held_out_verdict(
     learner: CensoredQLearner,
     logs: Logs,

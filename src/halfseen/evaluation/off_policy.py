@@ -35,6 +35,7 @@ from halfseen.learners.q_learning.q_space import CrossValidation, QSpace, q_spac
 from halfseen.learners.q_learning.targets import DoublyRobust, Targets, Weighted, targets_of
 from halfseen.learners.q_learning.task import Task
 from halfseen.learners.q_learning.transitions import StageMode
+from halfseen.learners.threads import in_one_thread
 from halfseen.logs import Logs
 
 LARGEST_WEIGHT = 10.0
@@ -65,6 +66,7 @@ class QSpec:
     reg: CrossValidation | float | int | Literal["cv"] | str = "cv"
 
 
+@in_one_thread
 def evaluate(
     policy: Any,
     logs: Logs,

@@ -1,10 +1,28 @@
 """The matrices of a learner are small: a second thread would only wait for the first."""
 
+from collections.abc import Callable
 from contextlib import AbstractContextManager
-from functools import cache
-from typing import Any
+from functools import cache, wraps
+from typing import Any, ParamSpec, TypeVar
 
 from threadpoolctl import ThreadpoolController
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def in_one_thread(function: Callable[P, R]) -> Callable[P, R]:
+    """Let a function run in `one_thread`: where other programs keep the cores busy, it may take a fiftieth of the time.
+
+    And its sums, which depend on the number of threads, are the same on every machine.
+    """
+
+    @wraps(function)
+    def limited(*args: P.args, **kwargs: P.kwargs) -> R:
+        with one_thread():
+            return function(*args, **kwargs)
+
+    return limited
 
 
 def one_thread() -> AbstractContextManager[Any]:

@@ -46,16 +46,26 @@ def encoded_states(
     grasp
         What tells the probability of a grasp in the features; None for the rule of succession.
     """
-    at = np.nonzero(is_state)
-    num_states = len(at[0])
+    num_paths, horizon = is_state.shape
+    at = np.flatnonzero(is_state)
     # Of what there is, one after another: as few as there are, and in shapes that other logs share.
-    index = tuple(np.pad(each, (0, room_for_rows(num_states) - num_states)) for each in at)
-    each = encode_states(jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[index]), states), grasp)
-    found = [np.asarray(leaf)[:num_states].astype(kind) for leaf, kind in zip(each, (np.float64, bool), strict=True)]
-    features, is_possible = (np.zeros((*is_state.shape, *leaf.shape[1:]), leaf.dtype) for leaf in found)
-    is_possible[..., FINISH] = True
-    features[at], is_possible[at] = found
-    return Encoded(features, is_possible, action)
+    index = np.pad(at, (0, room_for_rows(len(at)) - len(at)))
+
+    def one_after_another(leaf: jax.Array) -> jax.Array:
+        each = np.asarray(leaf)[:num_paths]
+        return jnp.asarray(each.reshape(num_paths * horizon, *each.shape[2:]).take(index, axis=0))
+
+    features, is_possible = (
+        np.asarray(leaf)[: len(at)] for leaf in encode_states(jax.tree.map(one_after_another, states), grasp)
+    )
+    all_features = np.zeros((num_paths * horizon, *features.shape[1:]))
+    all_possible = np.zeros((num_paths * horizon, *is_possible.shape[1:]), dtype=bool)
+    all_possible[:, FINISH] = True
+    all_features[at], all_possible[at] = features, is_possible
+    shape = num_paths, horizon
+    return Encoded(
+        all_features.reshape(*shape, *features.shape[1:]), all_possible.reshape(*shape, *is_possible.shape[1:]), action
+    )
 
 
 def encode_tables(logs: Logs, horizon: int, grasp: GraspModel | None = None) -> Encoded:

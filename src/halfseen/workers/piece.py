@@ -15,7 +15,7 @@ from halfseen.progress import Telling, telling
 
 PACKAGES = ("halfseen", "jax", "jaxlib", "mujoco", "numpy", "pandas", "scipy")
 """What the numbers depend on."""
-SETTINGS = ("XLA_FLAGS", "JAX_")
+SETTINGS = ("XLA_FLAGS", "JAX_", "NPROC")
 """Beginnings of the names of environment variables that they depend on, too."""
 
 

@@ -3,11 +3,14 @@ import pandas as pd
 import pytest
 from sklearn.base import clone
 from sklearn.exceptions import NotFittedError
+from threadpoolctl import threadpool_info
 from trials import ACTIONS, FULL, REDUCED, cell_means, indicators, two_stage_trial
 
 from halfseen.censoring import KaplanMeier, stage_weights
 from halfseen.errors import ArgumentError, LogError, PositivityError
 from halfseen.learners import CensoredQLearner, CrossValidation, DoublyRobust, KernelQ, NamedActions, Weighted
+from halfseen.learners.q_learning import q_model
+from halfseen.learners.q_learning.behaviour import behaviour_of
 from halfseen.logs import Logs
 
 
@@ -246,3 +249,16 @@ def test_pooled_stages_index_by_steps_to_go(logs):
         + frame[["s1_1"]].to_numpy() * fitted.q_functions_.coefficients[0][:, 1]
     )
     assert not np.allclose(fitted.q_values(frame, 1), fitted.q_values(frame, 2))
+
+
+def test_learning_runs_in_one_thread(logs, monkeypatch):
+    # Where other programs keep the cores busy, products of small matrices in two threads take fifty times as long.
+    threads = []
+
+    def spied(*given):
+        threads.extend(each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas")
+        return behaviour_of(*given)
+
+    monkeypatch.setattr(q_model, "behaviour_of", spied)
+    CensoredQLearner(2, ACTIONS, FULL).fit(logs)
+    assert set(threads) == {1}

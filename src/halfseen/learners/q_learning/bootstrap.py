@@ -23,6 +23,7 @@ from halfseen.learners.q_learning.q_learner import CensoredQLearner
 from halfseen.learners.q_learning.q_model import QModel
 from halfseen.learners.q_learning.recursion import backward
 from halfseen.learners.q_learning.transitions import QFunctions, Transitions
+from halfseen.learners.threads import in_one_thread
 from halfseen.logs import Logs
 from halfseen.progress import Progress, Telling, telling
 
@@ -81,6 +82,7 @@ class QBootstrap:
         return np.stack([replace(self._flat, coefficients=one).q_values(frame, stage) for one in each])
 
 
+@in_one_thread
 def bootstrap(
     learner: CensoredQLearner,
     logs: Logs,

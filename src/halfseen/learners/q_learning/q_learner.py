@@ -37,6 +37,7 @@ from halfseen.learners.q_learning.support import unseen_in_words
 from halfseen.learners.q_learning.targets import Targets, targets_of
 from halfseen.learners.q_learning.task import Task, named_task
 from halfseen.learners.q_learning.transitions import QFunctions, StageMode
+from halfseen.learners.threads import in_one_thread
 from halfseen.logs import Logs, LogStream
 
 
@@ -168,6 +169,7 @@ class CensoredQLearner(Estimator):
         fixed = {"q_function": "linear", "censoring": "kaplan-meier", "stages": "separate", "pessimism": 0.0}
         return cls(horizon, actions, covariates, **(fixed | changed))
 
+    @in_one_thread
     def fit(self, logs: Logs | LogStream) -> "CensoredQLearner":
         """Learn from a log.
 
