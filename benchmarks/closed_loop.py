@@ -1,6 +1,7 @@
 """Who earns most in the physical cell? All policies on the same tables, beside what the calibrated world foretold.
 
-python benchmarks/closed_loop.py [--logs FOLDER] [--law FOLDER] [--tables 60] [--seed 2026] [--out FILE]
+python benchmarks/closed_loop.py [--logs FOLDER] [--law FOLDER] [--tables 200] [--seed 2026] [--out FILE]
+python benchmarks/closed_loop.py --from FILE [FILE …]
 
 From the logs, which a cell recorded and cut, `halfseen learn` as it is called by default learns a policy, and laws are
 fitted for a planner. They, the heuristics and the planner that knows the law that is believed in clear the same tables,
@@ -9,10 +10,12 @@ of which nothing is cut. It prints the reward of each in physics, how much of it
 much the learned policy is ahead, table by table: two-sided signed-rank tests, by Holm's procedure. Whether P(DIRTY) is
 calibrated is printed, too: of all objects as they looked at first and at last, and of those that were to be washed, how
 many were said to be dirty, and how many were. A run that was stopped goes on where it was, if it is called again.
+With --from, nothing is driven: what runs have written, of some policies each, or on other tables, is compared together.
 """
 
 import argparse
 import json
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -82,20 +85,58 @@ def _beside_truth(said: np.ndarray, found: np.ndarray) -> dict[str, float]:
     return {"objects": len(said), "said": float(said.mean()), "found": float(found.mean()), "z": float(z)}
 
 
-def compared(rewards: dict[str, np.ndarray]) -> dict[str, dict[str, float]]:
-    """By how much the learned policy is ahead of each other one, table by table."""
-    others = [name for name in rewards if name != LEARNED and LEARNED in rewards]
-    if not others:
+def ahead(policies: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, np.ndarray]]:
+    """By how much the learned policy is ahead of each other one, table by table, in physics and without luck."""
+    rewards, lucks = ({name: np.array(found[of]) for name, found in policies.items()} for of in ("rewards", "lucks"))
+    others = [name for name in policies if name != LEARNED and LEARNED in policies]
+    return {
+        "in physics": {other: rewards[LEARNED] - rewards[other] for other in others},
+        "without luck": {other: rewards[LEARNED] - lucks[LEARNED] - rewards[other] + lucks[other] for other in others},
+    }
+
+
+def compared(differences: Mapping[str, np.ndarray]) -> dict[str, dict[str, float]]:
+    """Test each of the differences, by name of the other policy."""
+    if not differences:
         return {}
-    tests = [signed_rank_test(rewards[LEARNED] - rewards[other], "two-sided") for other in others]
-    adjusted = holm(np.array([test.p_value for test in tests]))
+    tests = {other: signed_rank_test(each, "two-sided") for other, each in differences.items()}
+    adjusted = holm(np.array([test.p_value for test in tests.values()]))
     return {
         f"{LEARNED} – {other}": {
             **{name: getattr(test.effect, name) for name in ("value", "low", "high", "standard_error")},
             "p_holm": float(p),
+            "tables": len(differences[other]),
         }
-        for other, test, p in zip(others, tests, adjusted, strict=True)
+        for (other, test), p in zip(tests.items(), adjusted, strict=True)
     }
+
+
+def from_files(paths: Sequence[Path]) -> dict[str, dict[str, dict[str, float]]]:
+    """Compare what runs have written: of the same tables together, of others one after the other."""
+    by_tables: dict[tuple[int, str], dict[str, Any]] = {}
+    for path in paths:
+        found = json.loads(path.read_text())
+        by_tables.setdefault((found["seed"], found["logs"]), {}).update(found["policies"])
+    parts = [ahead(policies) for policies in by_tables.values()]
+    return {
+        measure: compared(
+            {
+                other: np.concatenate([part[measure][other] for part in parts if other in part[measure]])
+                for other in dict.fromkeys(name for part in parts for name in part[measure])
+            }
+        )
+        for measure in ("in physics", "without luck")
+    }
+
+
+def print_differences(differences: Mapping[str, Mapping[str, Mapping[str, float]]]) -> None:
+    """Tell by how much the learned policy is ahead."""
+    for measure, rows in differences.items():
+        head = f"\n{f'table by table, {measure}':<50}"
+        print(f"{head}{'tables':>8}{'mean':>9}{'95 % interval':>20}{'p (Holm)':>10}")
+        for name, row in rows.items():
+            within = f"{row['low']:+.2f} to {row['high']:+.2f}"
+            print(f"{name:<50}{row['tables']:>8}{row['value']:>+9.2f}{within:>20}{row['p_holm']:>10.3f}")
 
 
 def main() -> None:
@@ -107,11 +148,13 @@ def main() -> None:
     parser.add_argument("--workers", type=int)
     parser.add_argument("--only", nargs="*", help="names of policies")
     parser.add_argument("--out", type=Path, default=Path("runs/benchmarks/closed_loop.json"))
+    parser.add_argument("--from", type=Path, nargs="+", dest="written", help="files that earlier runs have written")
     options = parser.parse_args()
+    if options.written:
+        print_differences(from_files(options.written))
+        return
     law, logs = read_law(options.law).law, read_logs(options.logs)
     belief = Belief(law.config(), law.grip)
-    rewards: dict[str, np.ndarray] = {}
-    without_luck: dict[str, np.ndarray] = {}
     results: dict[str, Any] = {"seed": options.seed, "logs": str(logs.summary()), "policies": {}, "differences": {}}
     print(f"learned from {logs.summary()}")
     heads = ("in physics", "foretold", "gap", "by luck", "gap without it")
@@ -134,22 +177,17 @@ def main() -> None:
                 f"  dirty {which + ',':<14}{row['objects']:>5.0f} objects: said {row['said']:.3f}, found "
                 f"{row['found']:.3f} (z {row['z']:+.1f})"
             )
-        rewards[name], luck = (np.array([getattr(run, of) for run in runs]) for of in ("reward", "luck"))
-        without_luck[name] = rewards[name] - luck
         results["policies"][name] = asdict(summary) | {
-            "rewards": rewards[name].tolist(),
-            "lucks": luck.tolist(),
+            "rewards": [float(run.reward) for run in runs],
+            "lucks": [float(run.luck) for run in runs],
             "calibration": dirty,
         }
-        results["differences"] = {"in physics": compared(rewards), "without luck": compared(without_luck)}
+        each = ahead(results["policies"])
+        results["differences"] = {measure: compared(differences) for measure, differences in each.items()}
         # What has been driven for so long is kept, whatever comes of the next.
         options.out.parent.mkdir(parents=True, exist_ok=True)
         write_file(options.out, json.dumps(results, indent=1) + "\n")
-    for measure, rows in results["differences"].items() if len(rewards) > 1 else ():
-        print(f"\n{f'table by table, {measure}':<50}{'mean':>9}{'95 % interval':>20}{'p (Holm)':>10}")
-        for name, row in rows.items():
-            within = f"{row['low']:+.2f} to {row['high']:+.2f}"
-            print(f"{name:<50}{row['value']:>+9.2f}{within:>20}{row['p_holm']:>10.3f}")
+    print_differences(results["differences"])
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ import numpy as np
 
 from halfseen.cell.calibration.law_folder import read_law
 from halfseen.cell.calibration.shipped import shipped_law
+from halfseen.cli import set_compiler
 from halfseen.scene import table_paths
 from halfseen.study.experiment import Setting
 from halfseen.study.experiments.reward import Reward
@@ -62,6 +63,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/benchmarks/repetition.json"))
     parser.add_argument("--repetitions", type=int, default=8)
     args = parser.parse_args()
+    set_compiler()
     scenes, _ = look_at(table_paths(), read_law(shipped_law()).law)
     setting, _ = under(Setting(scenes), shipped_law())
     design = Reward()

@@ -14,10 +14,9 @@ from halfseen.cli.verb_group import VerbGroup
 from halfseen.errors import HalfseenError, HalfseenWarning
 from halfseen.suggestions import did_you_mean
 
-COMPILES_QUICKLY = "--xla_backend_optimization_level=1 --xla_cpu_use_fusion_emitters=false"
-"""A verb compiles for longer than it runs: this halves that, and what is compiled is as fast."""
-ONE_THREAD = ("NPROC", "1")
-"""Threads of what JAX has compiled: its arrays are small here, and more would only wait for one another."""
+COMPILER = {"XLA_FLAGS": "--xla_backend_optimization_level=1 --xla_cpu_use_fusion_emitters=false", "NPROC": "1"}
+"""A verb compiles for longer than it runs: the flags halve that, and what is compiled is as fast. Its arrays are small:
+more threads than one would only wait for one another."""
 
 VERBS = {
     "inspect": "Say what a folder of logs holds: paths, endings, causes, weights, and what looks wrong.",
@@ -42,10 +41,15 @@ def halfseen() -> None:
     """Learn when to pick, when to look and when to stop, from cut logs and half-hidden views."""
 
 
+def set_compiler() -> None:
+    """Set what JAX compiles with, unless the user has; before anything is compiled."""
+    for name, value in COMPILER.items():
+        os.environ.setdefault(name, value)
+
+
 def main() -> None:
     """Run the command line; bad input is told in one line and ends with exit status 2."""
-    os.environ.setdefault("XLA_FLAGS", COMPILES_QUICKLY)
-    os.environ.setdefault(*ONE_THREAD)
+    set_compiler()
     try:
         with warnings.catch_warnings():
             _say_in_one_line()
