@@ -3,11 +3,14 @@
 import numpy as np
 import pytest
 
+from halfseen.cell import summary
 from halfseen.cell.episode import Run
-from halfseen.cell.summary import summarised
+from halfseen.cell.summary import EPISODES_PER_TABLE, OF_A_PLANNER, summarised
 from halfseen.logs import Logs
+from halfseen.planners import POMDPPolicy
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.world import WorldConfig
+from halfseen.world.episodes import evaluate
 
 DECIDED = {"FINISH": 1}
 CONFIG = WorldConfig()
@@ -65,3 +68,21 @@ def test_where_nearly_all_was_cut_nothing_is_said(num_finished):
     ] * (4 - num_finished)
     assert told(runs).reward is None
     assert told(runs).gap is None
+
+
+@pytest.mark.parametrize(
+    ("policy", "per_table"),
+    [(GreedyPolicy(CONFIG), EPISODES_PER_TABLE), (POMDPPolicy(CONFIG, planning_horizon=1), OF_A_PLANNER)],
+)
+def test_a_planner_which_is_slow_foretells_from_few_episodes(policy, per_table, monkeypatch):
+    played = []
+
+    def counted(config, layouts, policy, key, num_episodes, size):
+        played.append(num_episodes)
+        return evaluate(config, layouts, policy, key, num_episodes, size)
+
+    monkeypatch.setattr(summary, "evaluate", counted)
+    runs = [Run(verbs=DECIDED, reward=reward, seconds=1.0) for reward in (1.0, 3.0)]
+    found = summarised(runs, logs(2), policy, CONFIG, 0)
+    assert played == [2 * per_table]
+    assert np.isfinite(found.predicted.value)
