@@ -19,7 +19,7 @@ from halfseen.learners.q_learning.transitions import Choices, Transitions, of_pa
 
 CHUNK = 32
 """Choices in a chunk."""
-CHOICES_PER_ROW = 2
+CHOICES_PER_ROW = 4
 """There is room for a multiple of so many choices a row, for the same reason."""
 
 
