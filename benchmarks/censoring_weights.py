@@ -6,13 +6,13 @@ The two differ where ends tie: ours takes the left limit, with completions befor
 """
 
 import argparse
-import json
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from sksurv.nonparametric import ipc_weights
+from timings import Row, write
 
 from halfseen.censoring import censoring_weights
 
@@ -39,8 +39,7 @@ def main() -> None:
     ]
     ours, peer = np.median(runs, axis=0)
     result = {"num_paths": NUM_PATHS, "runs": NUM_RUNS, "ours_s": ours, "scikit_survival_s": peer, "ratio": peer / ours}
-    out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    write(out, result, [Row(f"weights of {NUM_PATHS:,} paths, Kaplan–Meier", ours, "s", "scikit-survival", peer)])
     print(f"ours {1e3 * ours:.0f} ms, scikit-survival {1e3 * peer:.0f} ms: {peer / ours:.1f} times as fast")
 
 

@@ -10,7 +10,6 @@ a tight one tells how far the coefficients lie apart.
 """
 
 import argparse
-import json
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +18,7 @@ from typing import Any
 import numpy as np
 from sksurv.linear_model import CoxPHSurvivalAnalysis
 from sksurv.util import Surv
+from timings import Row, write
 
 from halfseen.censoring import Cox
 
@@ -86,8 +86,18 @@ def main() -> None:
     out = parser.parse_args().out
     results = [compare(is_tied) for is_tied in (False, True)]
     report = {"num_paths": NUM_PATHS, "num_covariates": NUM_COVARIATES, "runs": NUM_RUNS, "results": results}
-    out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+    rows = [
+        Row(
+            f"Cox, {NUM_PATHS:,} paths, {'ties' if each['is_tied'] else 'no ties'}: {task.replace('_', ' ')}",
+            each[task]["ours_s"],
+            "s",
+            "scikit-survival",
+            each[task]["scikit_survival_s"],
+        )
+        for each in results
+        for task in ("fit", "fit_and_survival")
+    ]
+    write(out, report, rows)
     for result in results:
         print("tied ends:" if result["is_tied"] else "untied ends:")
         for task in ("fit", "fit_and_survival"):

@@ -7,12 +7,12 @@ to the time that it takes, so its coefficients are zeros here.
 """
 
 import argparse
-import json
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from timings import Row, write
 
 from halfseen.study.policies import HEURISTICS, horizon_planner
 from halfseen.study.timing import decision_times_ms
@@ -59,8 +59,11 @@ def main() -> None:
     holds = "holds" if ratio <= 1.0 else "does not hold"
     print(f"bar: the learned policy is no slower than the {HISTORY} heuristic: {holds} ({ratio:.2f} times)")
     results = {"median_ms": medians_ms, "learned_to_history": ratio, "bar_holds": ratio <= 1.0}
-    args.out.parent.mkdir(parents=True, exist_ok=True)
-    args.out.write_text(json.dumps(results, indent=2), encoding="utf-8")
+    write(
+        args.out,
+        results,
+        [Row("a decision of the learned policy", medians_ms[LEARNED], "ms", HISTORY, medians_ms[HISTORY], bar=0.1)],
+    )
     print(f"Results: {args.out}")
 
 

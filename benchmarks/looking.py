@@ -9,7 +9,6 @@ turns in one process; what never moves is seen before. Times are those of the pr
 """
 
 import argparse
-import json
 import os
 import time
 from collections.abc import Callable
@@ -21,6 +20,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import mujoco
 import numpy as np
+from timings import Row, write
 
 from halfseen.cell import Eye, LiveCell, Robot, cell_model
 from halfseen.perception import perceive
@@ -113,8 +113,11 @@ def main() -> None:
         "num_cups": NUM_CUPS,
         "bar_holds": together_s <= bar_s,
     }
-    args.out.parent.mkdir(parents=True, exist_ok=True)
-    args.out.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+    rows = [
+        Row("a look into the cell", medians["view"], "s", "MuJoCo's rays", medians["view by rays"]),
+        Row("a look into the cell, and perception", together_s, "s", bar=bar_s),
+    ]
+    write(args.out, results, rows)
     print(f"Results: {args.out}")
 
 

@@ -16,6 +16,7 @@ import warnings
 from pathlib import Path
 
 import numpy as np
+from timings import Row, write
 
 from halfseen.errors import HalfseenWarning
 from halfseen.learners import CensoredSVC, CensoredSVR, survival_array
@@ -72,8 +73,11 @@ def main() -> None:
         command = [sys.executable, __file__, "--loss", loss]
         results.append(json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout))
         print(told(results[-1]), flush=True)
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    arguments.out.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    rows = [
+        Row(f"censored SVM, 100,000 rows, 500 landmarks, {each['loss']}", each["seconds"], "s", bar=BAR_S)
+        for each in results
+    ]
+    write(arguments.out, results, rows)
 
 
 if __name__ == "__main__":

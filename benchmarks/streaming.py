@@ -7,7 +7,6 @@ part by part; its Q is known to be learned as in memory by tests/learners/q_lear
 """
 
 import argparse
-import json
 import multiprocessing
 import resource
 import tempfile
@@ -16,7 +15,9 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import timings
 
+BAR_STAGES, BAR_S = 5_000_000, 60.0
 HORIZON, PATHS_AT_ONCE = 10, 2_000
 OUT = Path("runs/benchmarks/streaming.json")
 
@@ -76,7 +77,8 @@ def learn(folder, answers):
     learner = CensoredQLearner(HORIZON, ["A", "B"], ["x0", "x1", "x2"], stages="separate").fit(stream)
     seconds = time.perf_counter() - start
     # The truth: in the last stage B is worth x0 more, A x0 less.
-    slopes = learner.q_functions_.coefficients[-1][:, 1]
+    ends = learner.q_values(pd.DataFrame({"x0": [-1.0, 1.0], "x1": 0.0, "x2": 0.0}), stage=HORIZON)
+    slopes = (ends[1] - ends[0]) / 2.0
     answers.put(
         {
             "num_stages": stream.num_stages,
@@ -100,7 +102,7 @@ def run(job, answers=None):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--stages", type=int, default=5_000_000)
+    parser.add_argument("--stages", type=int, default=BAR_STAGES)
     parser.add_argument("--out", type=Path, default=OUT)
     args = parser.parse_args()
     context = multiprocessing.get_context("spawn")
@@ -117,8 +119,9 @@ def main():
     print(
         f"slopes of x0 in the last stage: {told['slopes_of_x0'][0]:+.4f}, {told['slopes_of_x0'][1]:+.4f} (truth -1, +1)"
     )
-    args.out.parent.mkdir(parents=True, exist_ok=True)
-    args.out.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
+    bar_s = BAR_S if told["num_stages"] >= BAR_STAGES else None
+    row = timings.Row(f"learning from {told['num_stages']:,} stages in passes", told["seconds"], "s", bar=bar_s)
+    timings.write(args.out, told, [row])
 
 
 if __name__ == "__main__":

@@ -7,7 +7,6 @@ ours regresses or classifies, so only speed is compared; it is run at n = 500.
 """
 
 import argparse
-import json
 import time
 import warnings
 from collections.abc import Callable
@@ -15,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from sksurv.svm import FastKernelSurvivalSVM
+from timings import Row, write
 
 from halfseen.errors import HalfseenWarning
 from halfseen.learners import CensoredSVC, CensoredSVR, survival_array
@@ -87,8 +87,18 @@ def main() -> None:
             for reg in REGS:
                 results.append(measured(loss, reg, num_rows))
                 print(told(results[-1]), flush=True)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    rows = [
+        Row(
+            f"censored SVM, {each['n']:,} rows, {each['loss']}, λ = {each['reg']:.0e}",
+            each["seconds"],
+            "s",
+            "scikit-survival" if "ratio" in each else None,
+            each.get("scikit_survival_s"),
+            each["bar_s"],
+        )
+        for each in results
+    ]
+    write(out, results, rows)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,6 @@ reset, and those are not counted; drawing its actions is inside its time too.
 """
 
 import argparse
-import json
 import os
 import time
 from collections.abc import Callable
@@ -24,6 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from timings import Row, write
 
 from halfseen.world import Scene, TableState, UniformPolicy, WorldConfig
 from halfseen.world.dynamics import start, step
@@ -142,8 +142,8 @@ def main() -> None:
         "num_cores": os.cpu_count(),
         "bar_holds": medians[default] >= BAR,
     }
-    args.out.parent.mkdir(parents=True, exist_ok=True)
-    args.out.write_text(json.dumps(results, indent=2), encoding="utf-8")
+    what = f"steps of {NUM_TABLES:,} tables of {NUM_OBJECTS}"
+    write(args.out, results, [Row(what, medians[default], "steps/s", vectorised, medians[vectorised], BAR)])
     print(f"Results: {args.out}")
 
 
