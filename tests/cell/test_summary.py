@@ -5,7 +5,7 @@ import pytest
 
 from halfseen.cell import summary
 from halfseen.cell.episode import Run
-from halfseen.cell.summary import EPISODES_PER_TABLE, OF_A_PLANNER, summarised
+from halfseen.cell.summary import EPISODES_OF_A_PLANNER, EPISODES_PER_TABLE, summarised
 from halfseen.logs import Logs
 from halfseen.planners import POMDPPolicy
 from halfseen.planners.heuristics import GreedyPolicy
@@ -72,7 +72,7 @@ def test_where_nearly_all_was_cut_nothing_is_said(num_finished):
 
 @pytest.mark.parametrize(
     ("policy", "per_table"),
-    [(GreedyPolicy(CONFIG), EPISODES_PER_TABLE), (POMDPPolicy(CONFIG, planning_horizon=1), OF_A_PLANNER)],
+    [(GreedyPolicy(CONFIG), EPISODES_PER_TABLE), (POMDPPolicy(CONFIG, planning_horizon=1), EPISODES_OF_A_PLANNER)],
 )
 def test_a_planner_which_is_slow_foretells_from_few_episodes(policy, per_table, monkeypatch):
     played = []

@@ -22,7 +22,7 @@ from halfseen.world.scene import Scene
 from halfseen.world.state import pad_scenes
 
 LEVEL = 0.95
-EPISODES_PER_TABLE, OF_A_PLANNER = 200, 4
+EPISODES_PER_TABLE, EPISODES_OF_A_PLANNER = 200, 4
 """Episodes of each table that foretell what is earned there. In physics there is one: a planner, of which each takes a
 thousand times as long, plays as many as add a fourth to its variance."""
 _BATCH, _LEAST = 500, 1e-12
@@ -122,7 +122,7 @@ def predicted(scenes: Sequence[Scene], policy: Policy, config: WorldConfig, seed
     seed
         Of what is drawn.
     """
-    per_table = OF_A_PLANNER if isinstance(policy, POMDPPolicy) else EPISODES_PER_TABLE
+    per_table = EPISODES_OF_A_PLANNER if isinstance(policy, POMDPPolicy) else EPISODES_PER_TABLE
     num_episodes, size = per_table * len(scenes), min(per_table * len(scenes), _BATCH)
     totals = evaluate(config, pad_scenes(scenes), policy, jax.random.key(seed), num_episodes, size)
     rewards = np.asarray(totals.reward, dtype=np.float64)

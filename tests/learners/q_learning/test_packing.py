@@ -93,5 +93,5 @@ def test_choices_are_what_is_possible_where_something_came_before_in_chunks_of_o
     blocks = np.where(is_real, BLOCKS[chunks.action], BLOCKS[chunks.action[:, :1]])
     assert (blocks[used] == blocks[used][:, :1]).all()
     follows = np.asarray(log.weight[:, :-1] > 0) & ~np.asarray(log.is_last[:, :-1])
-    assert is_real.sum() >= np.asarray(log.is_possible)[:, 1:][follows].sum()
+    assert is_real.sum() == np.asarray(log.is_possible)[:, 1:][follows].sum()
     assert chunks.row.shape == chunks.action.shape == chunks.features.shape[:2]

@@ -3,7 +3,7 @@ import pandas as pd
 import pytest
 from sklearn.base import clone
 from sklearn.exceptions import NotFittedError
-from threadpoolctl import threadpool_info
+from threadpoolctl import threadpool_info, threadpool_limits
 from trials import ACTIONS, FULL, REDUCED, cell_means, indicators, two_stage_trial
 
 from halfseen.censoring import KaplanMeier, stage_weights
@@ -260,5 +260,6 @@ def test_learning_runs_in_one_thread(logs, monkeypatch):
         return behaviour_of(*given)
 
     monkeypatch.setattr(q_model, "behaviour_of", spied)
-    CensoredQLearner(2, ACTIONS, FULL).fit(logs)
+    with threadpool_limits(2):
+        CensoredQLearner(2, ACTIONS, FULL).fit(logs)
     assert set(threads) == {1}

@@ -20,7 +20,7 @@ from halfseen.learners.q_learning.transitions import Choices, Transitions, of_pa
 CHUNK = 32
 """Choices in a chunk."""
 CHOICES_PER_ROW = 4
-"""There is room for a multiple of so many choices a row, for the same reason."""
+"""There is room for a multiple of so many choices a row, so that logs of about the same size share one program."""
 
 
 def packed(log: Transitions, end_action: int | None, block_of_action: Int[np.ndarray, " A"]) -> Transitions:

@@ -11,7 +11,7 @@ from halfseen.learners.q_learning.transitions import AnyArray, Transitions, of_p
 FEWEST_PATHS, MOST_PATHS = 64, 4096
 """Fewer paths than that get room for so many; more get none."""
 
-MOST_SPARE = 4
+FEWEST_ROWS, MOST_SPARE = 64, 4
 """Of rows that lie one after another, at most one in so many is appended."""
 
 
@@ -43,4 +43,4 @@ def room_for(num_paths: int) -> int:
 def room_for_rows(num_rows: int) -> int:
     """How many rows that lie one after another there is room for, where there are so many."""
     step = max(1, (1 << max(num_rows - 1, 1).bit_length()) // (2 * MOST_SPARE))
-    return max(FEWEST_PATHS, -(-num_rows // step) * step)
+    return max(FEWEST_ROWS, -(-num_rows // step) * step)

@@ -1,7 +1,6 @@
 """A fitted grasp model as a table of probabilities, so that it runs inside compiled decisions."""
 
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import jax
@@ -83,7 +82,6 @@ def tabulate(model: GraspEstimator, horizon: int, effect: GripEffect = IN_FULL) 
     return table_of(probabilities, horizon, effect)
 
 
-@cache
 def every_history(horizon: int) -> History:
     """All that a path of `horizon` stages can tell of an object, occlusions in steps."""
     level, successes, failures = (axis.ravel() for axis in np.indices(_shape(horizon)))
