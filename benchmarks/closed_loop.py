@@ -113,10 +113,14 @@ def compared(differences: Mapping[str, np.ndarray]) -> dict[str, dict[str, float
 
 def from_files(paths: Sequence[Path]) -> dict[str, dict[str, dict[str, float]]]:
     """Compare what runs have written: of the same tables together, of others one after the other."""
-    by_tables: dict[tuple[int, str], dict[str, Any]] = {}
+    by_tables: dict[tuple[int, str, int], dict[str, Any]] = {}
     for path in paths:
         found = json.loads(path.read_text())
-        by_tables.setdefault((found["seed"], found["logs"]), {}).update(found["policies"])
+        num_tables = len(next(iter(found["policies"].values()))["rewards"])
+        by_tables.setdefault((found["seed"], found["logs"], num_tables), {}).update(found["policies"])
+    for (seed, _, num_tables), policies in by_tables.items():
+        if LEARNED not in policies:
+            raise SystemExit(f"nothing learned has cleared the {num_tables} tables of seed {seed}; give its file, too")
     parts = [ahead(policies) for policies in by_tables.values()]
     return {
         measure: compared(
