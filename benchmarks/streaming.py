@@ -74,7 +74,7 @@ def learn(folder, answers):
 
     stream = LogStream(folder, PATHS_AT_ONCE)
     start = time.perf_counter()
-    learner = CensoredQLearner(HORIZON, ["A", "B"], ["x0", "x1", "x2"], stages="separate").fit(stream)
+    learner = CensoredQLearner(HORIZON, ["A", "B"], ["x0", "x1", "x2"]).fit(stream)
     seconds = time.perf_counter() - start
     # The truth: in the last stage B is worth x0 more, A x0 less.
     ends = learner.q_values(pd.DataFrame({"x0": [-1.0, 1.0], "x1": 0.0, "x2": 0.0}), stage=HORIZON)

@@ -1,4 +1,4 @@
-"""The task of tables: the prior that a log tells, and what of it a stream cannot learn."""
+"""The task of tables: the prior that a log tells."""
 
 import numpy as np
 import pandas as pd
@@ -8,7 +8,7 @@ from scipy.special import expit
 from halfseen.errors import ArgumentError, LogError
 from halfseen.learners import Task
 from halfseen.logs import Logs
-from halfseen.tables import BetaGrasp, TableTask
+from halfseen.tables import TableTask
 from halfseen.tables.prior import logged_dirty_share
 
 
@@ -42,11 +42,8 @@ def test_a_log_without_objects_is_no_tables():
         logged_dirty_share(Logs(logs.stages.drop(columns="object"), logs.paths))
 
 
-def test_what_a_stream_cannot_learn_is_named():
+def test_it_is_a_task():
     assert isinstance(TableTask(), Task)
-    assert TableTask().needs_whole_log == "reduces_variance=True"
-    assert TableTask(reduces_variance=False).needs_whole_log is None
-    assert TableTask(BetaGrasp(), reduces_variance=False).needs_whole_log == "grasp=BetaGrasp(), which is not fitted,"
 
 
 def test_features_of_a_table_have_no_names_to_choose_by():

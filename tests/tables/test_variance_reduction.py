@@ -7,10 +7,10 @@ import pytest
 from halfseen.censoring import stage_weights
 from halfseen.learners import CensoredQLearner, NamedActions
 from halfseen.learners.q_learning.path_arrays import path_arrays
-from halfseen.learners.q_learning.task import Encoded
+from halfseen.learners.q_learning.task import Encoded, RewardedStages
 from halfseen.planners import GreedyPolicy
 from halfseen.tables.encoding import encoded_states
-from halfseen.tables.variance_reduction import expected_rewards, label_control_variates, wash_outcomes
+from halfseen.tables.variance_reduction import expected_rewards, label_control_variates, wash_pay
 from halfseen.world import ExploringPolicy, Scene, TableWorld, WorldConfig
 from halfseen.world.action_space import ActionSpace, Verb
 from halfseen.world.cuts import cut, cut_rate
@@ -50,8 +50,12 @@ def of_target(values, action):
     return np.take_along_axis(np.asarray(values), target[..., None], axis=-1)[..., 0]
 
 
+def reduced(stages):
+    return expected_rewards(stages, wash_pay([stages]))
+
+
 def test_it_finds_what_a_wash_pays(cuts, encoded, seen, weight):
-    expected = expected_rewards(seen.reward, weight, seen.is_last, wash_outcomes(encoded))
+    expected = reduced(RewardedStages(encoded, seen.reward, weight, seen.is_last))
     there = np.asarray(cuts.episodes.states.is_on_table)
     is_wash = SPACE.verb(encoded.action) == Verb.WASH
     used = (weight > 0) & ~seen.is_last & is_wash
@@ -66,15 +70,22 @@ def test_it_finds_what_a_wash_pays(cuts, encoded, seen, weight):
 
 
 def test_the_weighted_mean_stays_what_it_was(cuts, encoded, seen, weight):
-    expected = expected_rewards(seen.reward, weight, seen.is_last, wash_outcomes(encoded))
+    expected = reduced(RewardedStages(encoded, seen.reward, weight, seen.is_last))
     assert (weight * expected).sum() == pytest.approx((weight * seen.reward).sum(), rel=1e-9)
-    flat = expected_rewards(seen.reward, (weight > 0) * 1.0, seen.is_last, wash_outcomes(encoded))
+    flat = reduced(RewardedStages(encoded, seen.reward, (weight > 0) * 1.0, seen.is_last))
     assert np.abs(flat - expected).max() > 1e-4, "the weights must matter"
 
 
 def test_without_a_wash_nothing_changes(cuts, encoded, seen, weight):
     lifted = encoded._replace(action=np.where(encoded.action > 0, SPACE.encode(Verb.LIFT, 0), 0))
-    assert np.array_equal(expected_rewards(seen.reward, weight, seen.is_last, wash_outcomes(lifted)), seen.reward)
+    assert np.array_equal(reduced(RewardedStages(lifted, seen.reward, weight, seen.is_last)), seen.reward)
+
+
+def test_parts_find_what_the_whole_does(encoded, seen, weight):
+    stages = RewardedStages(encoded, seen.reward, weight, seen.is_last)
+    parts = [jax.tree.map(lambda leaf: leaf[first : first + 90], stages) for first in range(0, len(weight), 90)]  # noqa: B023
+    assert len(parts) > 2
+    np.testing.assert_allclose(wash_pay(parts), wash_pay([stages]), rtol=1e-10)
 
 
 @pytest.mark.slow
@@ -109,6 +120,6 @@ def test_control_variates_have_mean_zero_whatever_was_done(cuts, encoded, seen):
 def test_named_actions_have_no_noise_that_is_known():
     reward = np.ones((4, 2))
     encoded = Encoded(np.zeros((4, 2, 1, 0)), np.ones((4, 2, 1), dtype=bool), np.zeros((4, 2), dtype=int))
-    reduced, variates = NamedActions(["A"]).reduce_variance(encoded, reward, reward, reward > 1)
-    assert reduced is reward
+    same, variates = NamedActions(["A"]).reduce_variance(RewardedStages(encoded, reward, reward, reward > 1))
+    assert same is reward
     assert variates is None

@@ -1,5 +1,6 @@
 """When each stage of each path began and ended, and who was cut: what models of the cuts by stage run on."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -61,3 +62,18 @@ class StageClocks(NamedTuple):
         """Keep these paths, which may repeat, in this order; a slice of them copies nothing."""
         kept: Any = {name: leaf[rows] for name, leaf in self._asdict().items() if name != "covariate_names"}
         return self._replace(**kept)
+
+    def begun(self) -> "StageClocks":
+        """Keep of each path its end and what it was like as it began: its first stage."""
+        first = {name: getattr(self, name)[:, :1] for name in ("elapsed_s", "is_begun", "covariates")}
+        return self._replace(**first)
+
+
+def stacked(parts: Sequence[StageClocks]) -> StageClocks:
+    """Put parts of a log together, of the same covariates."""
+    leaves: Any = {
+        name: np.concatenate([getattr(part, name) for part in parts])
+        for name in StageClocks._fields
+        if name != "covariate_names"
+    }
+    return parts[0]._replace(**leaves)

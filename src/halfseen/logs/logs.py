@@ -191,6 +191,11 @@ class Logs:
         values[rows] = self._stages[column].to_numpy(dtype=np.float64, na_value=np.nan)
         return values
 
+    @property
+    def has_all_actions(self) -> bool:
+        """Whether the action of every stage is known, also where a path was cut."""
+        return bool(self.stages["action"].notna().to_numpy().all())
+
     def select(self, paths: Any) -> "Logs":
         """Keep some of the paths, for folds and bootstraps without repetition.
 

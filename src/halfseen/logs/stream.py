@@ -81,6 +81,14 @@ class LogStream:
         """Whether the stages have objects."""
         return "objects" in self._rows
 
+    @property
+    def has_all_actions(self) -> bool:
+        """Whether the action of every stage is known, also where a path was cut; only that column is read."""
+        batches = opened_table(self.folder, "stages", self._rows["stages"]).iter_batches(
+            _ROWS_AT_ONCE, columns=["action"]
+        )
+        return all(batch.column(0).null_count == 0 for batch in batches)
+
     def __iter__(self) -> Iterator[Logs]:
         """Read the parts, one after the other, from the beginning."""
         names = ["stages", *(["objects"] if self.has_objects else [])]

@@ -1,6 +1,6 @@
 """The task of a table of objects: WASH, LIFT or FINISH, with one block of coefficients for each verb."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -8,21 +8,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
-from halfseen.censoring import is_fitted
 from halfseen.errors import ArgumentError
 from halfseen.learners.q_learning.automatic import AUTO
-from halfseen.learners.q_learning.task import Encoded, LearnedQ
+from halfseen.learners.q_learning.task import Encoded, LearnedQ, RewardedStages
 from halfseen.logs import Logs
 from halfseen.tables.censoring_covariates import NUM_AT_BEGIN, TABLE_COVARIATES, table_covariates
 from halfseen.tables.encoding import encode_tables
 from halfseen.tables.grasp.choice import choose_grasp
 from halfseen.tables.grasp.grasp_table import grasp_model_of
-from halfseen.tables.grasp.protocol import GraspEstimator
 from halfseen.tables.table_policy import LinearTablePolicy
 from halfseen.tables.target_probabilities import table_probabilities
-from halfseen.tables.variance_reduction import expected_rewards, label_control_variates, wash_outcomes
+from halfseen.tables.variance_reduction import expected_rewards, label_control_variates, wash_pay
 from halfseen.world.action_space import FINISH, ActionSpace, Verb
 from halfseen.world.grasp_model import GraspModel
 
@@ -43,23 +41,18 @@ class TableTask:
         of DIRTY being right (see `variance_reduction`).
     chosen
         What was chosen by itself, and why.
+    wash_pays
+        b of `variance_reduction`, where it was fitted beforehand, as to a log in parts; None to fit it to each log.
     """
 
     grasp: Any = AUTO
     reduces_variance: bool = True
     chosen: tuple[str, ...] = ()
+    wash_pays: tuple[float, ...] | None = None
 
     block_names = tuple(verb.name for verb in Verb)
     end_action = FINISH
     is_shared = False
-
-    @property
-    def needs_whole_log(self) -> str | None:
-        """What of the task cannot be learned from a stream, for a message; None if all can."""
-        if self.reduces_variance:
-            return "reduces_variance=True"
-        is_open = isinstance(self.grasp, GraspEstimator) and not is_fitted(self.grasp)
-        return f"grasp={self.grasp!r}, which is not fitted," if is_open else None
 
     @property
     def _is_open(self) -> bool:
@@ -93,17 +86,18 @@ class TableTask:
         known = TABLE_COVARIATES[: NUM_AT_BEGIN if is_by_path else None]
         return table_covariates(logs, known if names is None else names)
 
+    def fitted_to_rewards(self, parts: Iterable[RewardedStages]) -> "TableTask":
+        """Fit what a WASH pays to a log in parts."""
+        return replace(self, wash_pays=wash_pay(parts)) if self.reduces_variance else self
+
     def reduce_variance(
-        self,
-        encoded: Encoded,
-        reward: Float[np.ndarray, "n T"],
-        weight: Float[np.ndarray, "n T"],
-        is_last: Bool[np.ndarray, "n T"],
+        self, stages: RewardedStages
     ) -> tuple[Float[np.ndarray, "n T"], Float[np.ndarray, "n T Z"] | None]:
         """Expected rewards of WASH given what became of it, and what labels moved as control variates."""
         if not self.reduces_variance:
-            return reward, None
-        return expected_rewards(reward, weight, is_last, wash_outcomes(encoded)), label_control_variates(encoded)
+            return stages.reward, None
+        pays = wash_pay([stages]) if self.wash_pays is None else self.wash_pays
+        return expected_rewards(stages, pays), label_control_variates(stages.encoded)
 
     def policy(self, learned: LearnedQ) -> LinearTablePolicy:
         """Policy in single precision, as coarse as the states that it sees."""

@@ -17,12 +17,16 @@ Both rest on p being a probability: of the objects at p, the share p is dirty. W
 themselves, Q is learned without a bias from them by ``reduces_variance=False``.
 """
 
+from collections.abc import Iterable, Sequence
+
 import numpy as np
 from jaxtyping import Bool, Float
 
-from halfseen.learners.q_learning.task import Encoded
+from halfseen.learners.q_learning.task import Encoded, RewardedStages
 from halfseen.tables.features import WASH_DIRTY, WASH_EASE
 from halfseen.world.action_space import ActionSpace, Verb
+
+NUM_OUTCOMES = 3
 
 
 def wash_outcomes(encoded: Encoded) -> Float[np.ndarray, "n T 3"]:
@@ -69,37 +73,41 @@ def label_control_variates(encoded: Encoded) -> Float[np.ndarray, "n T 8"]:
     return np.stack(of_table + of_target, axis=-1)
 
 
-def expected_rewards(
-    reward: Float[np.ndarray, "n T"],
-    weight: Float[np.ndarray, "n T"],
-    is_last: Bool[np.ndarray, "n T"],
-    outcome: Float[np.ndarray, "n T Z"],
-) -> Float[np.ndarray, "n T"]:
-    """Replace each reward by its weighted regression on the stage's outcome, where there is one.
+def wash_pay(parts: Iterable[RewardedStages]) -> tuple[float, ...]:
+    """Regress the rewards of WASH on what became of it, weighted: b_0, b_1 and b_2.
 
     Parameters
     ----------
-    reward
-        0 where not completed.
-    weight
-        δ_t / Ĝ(U_t⁻).
-    is_last
-        Completed stages after which a path had come to its own end; they keep their reward.
-    outcome
-        What the regression looks at, a constant first; zeros where the stage keeps its reward.
-
-    Examples
-    --------
-    Two stages of the same kind share the mean of their rewards; the last one keeps its own.
-
-    >>> outcome = np.array([[[1.0], [1.0], [1.0]]])
-    >>> expected_rewards(np.array([[5.0, -10.0, 5.0]]), np.ones((1, 3)), np.array([[False, False, True]]), outcome)
-    array([[-2.5, -2.5,  5. ]])
+    parts
+        A log, whole or in parts.
     """
-    use = (weight > 0) & ~is_last & (outcome[..., 0] != 0)
-    root = np.sqrt(weight[use])
-    coefficients = np.linalg.lstsq(outcome[use] * root[:, None], reward[use] * root, rcond=None)[0]
-    return np.where(use, outcome @ coefficients, reward)
+    kept = np.zeros((0, NUM_OUTCOMES + 1))
+    for stages in parts:
+        outcome = wash_outcomes(stages.encoded)
+        use = _is_reduced(stages, outcome)
+        root = np.sqrt(stages.weight[use])[:, None]
+        rows = np.column_stack([outcome[use], stages.reward[use]]) * root
+        # What is kept of the parts before has the same normal equations as their rows.
+        kept = np.vstack([np.linalg.qr(kept, mode="r"), rows]) if len(kept) else rows
+    return tuple(np.linalg.lstsq(kept[:, :-1], kept[:, -1], rcond=None)[0].tolist())
+
+
+def expected_rewards(stages: RewardedStages, pays: Sequence[float]) -> Float[np.ndarray, "n T"]:
+    """Replace the reward of each WASH by what is expected of it; where its path came to its own end it stays.
+
+    Parameters
+    ----------
+    stages
+        What stages paid.
+    pays
+        The coefficients of `wash_pay`.
+    """
+    outcome = wash_outcomes(stages.encoded)
+    return np.where(_is_reduced(stages, outcome), outcome @ np.array(pays), stages.reward)
+
+
+def _is_reduced(stages: RewardedStages, outcome: Float[np.ndarray, "n T 3"]) -> Bool[np.ndarray, "n T"]:
+    return (stages.weight > 0) & ~stages.is_last & (outcome[..., 0] != 0)
 
 
 def _space(encoded: Encoded) -> ActionSpace:

@@ -10,7 +10,8 @@ from trials import ACTIONS, FULL, two_stage_trial
 from halfseen.censoring import Cox
 from halfseen.errors import ArgumentError
 from halfseen.learners import BuckleyJames, CensoredQLearner, DoublyRobust, Weighted
-from halfseen.learners.q_learning.imputation import fit_durations, imputation
+from halfseen.learners.q_learning.durations import fit_duration_model, fit_durations
+from halfseen.learners.q_learning.imputation import imputation
 from halfseen.logs import Logs
 
 NUM_PATIENTS, NUM_LOGS = 600, 24
@@ -109,18 +110,23 @@ def test_without_cuts_nothing_is_imputed(censoring):
     np.testing.assert_allclose(imputed, plain, atol=1e-8)
 
 
+def imputed_for(paths, cut_model):
+    every, blocks = np.ones(2), np.arange(2)
+    return imputation(paths, cut_model, every, blocks, fit_duration_model(paths, every, blocks))
+
+
 @pytest.mark.parametrize("truncate_at", [None, 1.5])
 @pytest.mark.parametrize("by", ["path", "stage", "pooled"])
 def test_what_a_constant_is_worth_adds_up_to_it(logs, by, truncate_at, monkeypatch):
     """With g = 1 the sums telescope: Y of a target that is always 1 is 1, ties, truncated weights and all."""
-    module = "halfseen.learners.q_learning.imputation._terms"
-    monkeypatch.setattr(module, lambda duration_s, knots: np.ones((*np.shape(duration_s), 1)))
+    module = "halfseen.learners.q_learning.imputation.duration_terms"
+    monkeypatch.setattr(module, lambda duration_s, knots: np.ones((*np.shape(duration_s), len(knots))))
     learner = CensoredQLearner.of_paper(
         2, ACTIONS, ["s1_1", "s2_1"], censoring=Weighted(by=by, truncate_at=truncate_at), reg=0.0
     )
     learner.fit(logs)
     paths = learner.model_.lay_out(logs)
-    imputed = imputation(paths, learner.cut_model_, np.ones(2), np.arange(2))
+    imputed = imputed_for(paths, learner.cut_model_)
     begun = paths.is_begun
     np.testing.assert_allclose(imputed.share[begun] + imputed.expected[begun][:, 0], 1.0, atol=1e-9)
     assert (imputed.share[~paths.is_completed] == 0.0).all()
@@ -129,7 +135,7 @@ def test_what_a_constant_is_worth_adds_up_to_it(logs, by, truncate_at, monkeypat
 def test_the_share_of_a_seen_target_is_what_the_stage_adds_to_the_weight(logs):
     learner = CensoredQLearner.of_paper(2, ACTIONS, ["s1_1", "s2_1"], reg=0.0).fit(logs)
     paths = learner.model_.lay_out(logs)
-    imputed = imputation(paths, learner.cut_model_, np.ones(2), np.arange(2))
+    imputed = imputed_for(paths, learner.cut_model_)
     weights, begun = learner.cut_model_.weights(paths.clocks), learner.cut_model_.begun_weights(paths.clocks)
     seen = paths.is_completed
     np.testing.assert_allclose(imputed.share[seen] * begun[seen], weights[seen])

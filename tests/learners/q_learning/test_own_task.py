@@ -40,7 +40,6 @@ class DoseTask:
     block_names = ("dose",)
     end_action = None
     is_shared = False
-    needs_whole_log = None
 
     def fitted(self, logs, horizon):
         return self
@@ -61,8 +60,11 @@ class DoseTask:
     def censoring_covariates(self, logs, names, is_by_path):
         return logs.stages[["need"] if names is None else list(names)].astype(float)
 
-    def reduce_variance(self, encoded, reward, weight, is_last):
-        return reward, None
+    def fitted_to_rewards(self, parts):
+        return self
+
+    def reduce_variance(self, stages):
+        return stages.reward, None
 
     def policy(self, learned):
         return DosePolicy(learned.coefficients)

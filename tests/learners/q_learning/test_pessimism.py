@@ -8,7 +8,7 @@ import pytest
 
 from halfseen.errors import ArgumentError
 from halfseen.learners import CensoredQLearner, QuadraticQ
-from halfseen.logs import Logs, LogStream
+from halfseen.logs import Logs
 
 REG = 0.02
 COVARIATES = ["x1", "x2"]
@@ -132,15 +132,6 @@ def test_cut_stages_count_as_nothing_seen():
 def test_a_strength_that_is_none_is_refused(strength):
     with pytest.raises(ArgumentError, match="pessimism is"):
         CensoredQLearner(1, ["A", "B"], pessimism=strength).fit(trial())
-
-
-def test_a_stream_has_none_and_refuses_one(tmp_path):
-    trial().write(tmp_path / "logs")
-    stream = LogStream(tmp_path / "logs", 25)
-    learner = CensoredQLearner(1, ["A", "B"], COVARIATES).fit(stream)
-    assert learner.policy_.margin is None
-    with pytest.raises(ArgumentError, match="pessimism=1 needs the whole log"):
-        CensoredQLearner(1, ["A", "B"], COVARIATES, pessimism=1, censoring="kaplan-meier").fit(stream)
 
 
 def test_a_quadratic_q_is_least_squares_on_products():

@@ -1,17 +1,27 @@
 import numpy as np
+import pandas as pd
 import pytest
 from trials import ACTIONS, FULL, two_stage_trial
 
 from halfseen.errors import ArgumentError, PositivityError
 from halfseen.learners import CensoredQLearner, DoublyRobust, Weighted
+from halfseen.learners.q_learning.sample import sampled
+from halfseen.learners.q_learning.streaming import sample_of
 from halfseen.logs import Logs, LogStream
-from halfseen.tables import BetaGrasp, TableTask
+from halfseen.tables import BetaGrasp
 from halfseen.world import Scene, TableWorld, UniformPolicy
 
 
 @pytest.fixture(scope="module")
 def trial():
     return two_stage_trial()
+
+
+@pytest.fixture(scope="module")
+def known(trial):
+    """The same with the actions of cut stages."""
+    by_lot = pd.Series(np.random.default_rng(0).choice(ACTIONS, trial.num_stages))
+    return Logs(trial.stages.assign(action=trial.stages["action"].fillna(by_lot)), trial.paths)
 
 
 @pytest.fixture(scope="module")
@@ -25,63 +35,91 @@ def streamed(logs, folder, paths_at_once):
     return LogStream(folder, paths_at_once)
 
 
+def squared_root(q_functions):
+    """R Rᵀ: R itself may be turned."""
+    root = q_functions.root
+    return None if root is None else root @ np.swapaxes(root, -1, -2)
+
+
+def assert_the_same(parts, whole, **tolerance):
+    ours, theirs = parts.q_functions_, whole.q_functions_
+    np.testing.assert_array_equal(ours.reg, theirs.reg)
+    for part in (lambda q: q.coefficients, lambda q: q.outcome, squared_root):
+        one, other = part(ours), part(theirs)
+        assert (one is None) == (other is None)
+        if other is not None:
+            scale = max(np.abs(other).max(), 1.0)
+            np.testing.assert_allclose(one / scale, other / scale, **tolerance)
+    np.testing.assert_array_equal(parts.weights_, whole.weights_)
+    assert parts.diagnostics_ == whole.diagnostics_
+    assert parts.chosen_ == whole.chosen_
+
+
+OF_PAPER = {"q_function": "linear", "censoring": "kaplan-meier", "stages": "separate", "pessimism": 0.0}
+
+
+@pytest.mark.parametrize("most", [5_000, 130], ids="a sample of {}".format)
 @pytest.mark.parametrize(
     "options",
     [
-        {"reg": 0.0},
-        {"reg": "cv"},
-        {"reg": "cv", "stages": "pooled"},
-        {"reg": 0.1, "censoring": "cox", "covariates": ["s1_1", "s1_2"], "actions": {1: ACTIONS, 2: ["B", "A"]}},
-        {"reg": 0.1, "censoring": Weighted(truncate_at=2.0)},
-        {"reg": 0.1, "censoring": "none"},
+        OF_PAPER | {"reg": 0.0},
+        OF_PAPER,
+        OF_PAPER | {"stages": "pooled"},
+        OF_PAPER
+        | {"reg": 0.1, "censoring": "cox", "covariates": ["s1_1", "s1_2"], "actions": {1: ACTIONS, 2: ["B", "A"]}},
+        OF_PAPER | {"reg": 0.1, "censoring": Weighted(truncate_at=2.0)},
+        OF_PAPER | {"reg": 0.1, "censoring": Weighted("cox", by="stage", truncate_at=9.0)},
+        OF_PAPER | {"reg": 0.1, "censoring": Weighted(by="pooled")},
+        OF_PAPER | {"reg": 0.1, "censoring": "none"},
+        OF_PAPER | {"censoring": "buckley-james"},
+        OF_PAPER | {"censoring": DoublyRobust(truncate_at=5.0), "stages": "pooled"},
+        OF_PAPER | {"censoring": DoublyRobust("cox", by="stage", outcome_covariates=["s2_1"], truncate_at=5.0)},
+        OF_PAPER | {"pessimism": 0.7, "covariates": ["s1_1", "s1_2"], "censoring": "cox"},
+        OF_PAPER | {"q_function": "kernel", "reg": 1e-3, "covariates": ["s1_1", "s2_1"]},
+        {"covariates": ["s1_1", "s2_1"]},
+        {"covariates": ["s1_1", "s2_1"], "stages": "separate"},
     ],
     ids=str,
 )
-def test_passes_learn_what_memory_does(trial, tmp_path, options):
+def test_passes_learn_what_memory_does(known, tmp_path, options, most, monkeypatch):
+    monkeypatch.setattr("halfseen.learners.q_learning.sample.MOST_PATHS", most)
     options = {"actions": ACTIONS, "covariates": FULL, **options}
-    whole = CensoredQLearner.of_paper(2, **options).fit(trial)
-    parts = CensoredQLearner.of_paper(2, **options).fit(streamed(trial, tmp_path / "logs", 90))
-    np.testing.assert_allclose(parts.q_functions_.coefficients, whole.q_functions_.coefficients, rtol=1e-9, atol=1e-9)
-    np.testing.assert_array_equal(parts.q_functions_.reg, whole.q_functions_.reg)
-    np.testing.assert_array_equal(parts.weights_, whole.weights_)
-    assert parts.diagnostics_ == whole.diagnostics_
+    whole = CensoredQLearner(2, **options).fit(known)
+    parts = CensoredQLearner(2, **options).fit(streamed(known, tmp_path / "logs", 90))
+    assert_the_same(parts, whole, rtol=1e-9, atol=1e-9)
+
+
+def test_weights_serve_where_actions_of_cuts_are_not_known(trial, tmp_path):
+    learner = CensoredQLearner(2, ACTIONS, FULL, reg=0.1).fit(streamed(trial, tmp_path / "logs", 90))
+    assert isinstance(learner.model_.targets, Weighted)
+
+
+def test_the_sample_is_one_of_the_log(trial, tmp_path, monkeypatch):
+    monkeypatch.setattr("halfseen.learners.q_learning.sample.MOST_PATHS", 50)
+    found = sample_of(streamed(trial, tmp_path / "logs", 90), seed=3)
+    np.testing.assert_array_equal(found.path_ids, trial.path_ids[sampled(trial.num_paths, 3)])
+    assert found.num_paths == 50
+    assert found.num_stages == trial.select(found.path_ids).num_stages
 
 
 @pytest.mark.slow
-def test_tables_too(tables, tmp_path):
+@pytest.mark.parametrize("most", [5_000, 40], ids="a sample of {}".format)
+@pytest.mark.parametrize(
+    "options",
+    [{"reduces_variance": False, "censoring": "kaplan-meier", "reg": 0.1}, {"grasp": BetaGrasp()}, {}],
+    ids=["of the paper", "Beta", "as it is"],
+)
+def test_tables_too(tables, tmp_path, options, most, monkeypatch):
     """Their features are in single precision, the sums are not."""
-    options = {"reduces_variance": False, "censoring": "kaplan-meier", "reg": 0.1}
+    monkeypatch.setattr("halfseen.learners.q_learning.sample.MOST_PATHS", most)
     whole = CensoredQLearner.for_table(10, **options).fit(tables)
     parts = CensoredQLearner.for_table(10, **options).fit(streamed(tables, tmp_path / "t", 25))
-    np.testing.assert_allclose(parts.q_functions_.coefficients, whole.q_functions_.coefficients, rtol=1e-7, atol=1e-7)
+    assert_the_same(parts, whole, rtol=1e-7, atol=1e-7)
 
 
-def test_a_kernels_landmarks_are_sought_in_the_first_part(trial, tmp_path):
-    options = {"q_function": "kernel", "reg": 1e-3, "actions": ACTIONS, "covariates": ["s1_1", "s2_1"]}
-    whole = CensoredQLearner.of_paper(2, **options).fit(trial)
-    parts = CensoredQLearner.of_paper(2, **options).fit(streamed(trial, tmp_path / "logs", 1000))
-    np.testing.assert_allclose(parts.q_values(trial.stages, 1), whole.q_values(trial.stages, 1), atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"censoring": Weighted(by="stage")}, "a model of the cuts by stage needs the whole log in memory"),
-        ({"censoring": DoublyRobust()}, "censoring=DoublyRobust(…) needs the whole log"),
-        ({"censoring": "buckley-james"}, "censoring=BuckleyJames(…) needs the whole log"),
-        ({"actions": TableTask(), "covariates": []}, "reduces_variance=True needs the whole log"),
-        (
-            {"actions": TableTask(BetaGrasp(), reduces_variance=False), "covariates": []},
-            "grasp=BetaGrasp(), which is not fitted, needs the whole log",
-        ),
-        ({"horizon": 1}, "horizon is 1, but a path has 2 stages; raise horizon"),
-    ],
-)
-def test_what_needs_the_whole_log_is_refused(trial, tmp_path, options, message):
-    stream = streamed(trial, tmp_path / "logs", 100)
-    with pytest.raises(ArgumentError) as refusal:
-        CensoredQLearner.of_paper(**{"horizon": 2, "actions": ACTIONS, "covariates": FULL, **options}).fit(stream)
-    assert message in str(refusal.value)
+def test_a_path_beyond_the_horizon_is_refused(trial, tmp_path):
+    with pytest.raises(ArgumentError, match="horizon is 1, but a path has 2 stages; raise horizon"):
+        CensoredQLearner.of_paper(1, ACTIONS, FULL).fit(streamed(trial, tmp_path / "logs", 100))
 
 
 def test_all_cut_is_not_identified(trial, tmp_path):

@@ -10,7 +10,6 @@ from typing import Literal
 from halfseen.learners.q_learning.q_space import SMOOTH, LinearQ, QSpace
 from halfseen.learners.q_learning.targets import BuckleyJames, Targets, Weighted
 from halfseen.learners.q_learning.task import Task
-from halfseen.learners.q_learning.transitions import StageMode
 from halfseen.logs import Logs, LogStream
 
 AUTO: Literal["auto"] = "auto"
@@ -22,13 +21,8 @@ Source = Logs | LogStream | None
 
 
 def automatic_targets(logs: Source) -> Targets:
-    """Impute what cuts took away; weights where that cannot be done.
-
-    It needs the whole log in memory, and the action of every stage in which a path was cut.
-    """
-    if logs is None or (isinstance(logs, Logs) and bool(logs.stages["action"].notna().to_numpy().all())):
-        return BuckleyJames()
-    return Weighted()
+    """Impute what cuts took away; weights where the action of a stage in which a path was cut is not known."""
+    return BuckleyJames() if logs is None or logs.has_all_actions else Weighted()
 
 
 def automatic_space(task: Task) -> QSpace:
@@ -36,11 +30,6 @@ def automatic_space(task: Task) -> QSpace:
     return SMOOTH if task.is_shared else LinearQ()
 
 
-def automatic_stages(task: Task, logs: Source) -> StageMode:
-    """Pooled until a log in memory tells otherwise; a stream cannot be asked, but is large enough for separate ones."""
-    return "separate" if isinstance(logs, LogStream) and task.end_action is None else "pooled"
-
-
-def automatic_pessimism(is_fixed: bool, logs: Source, horizon: int) -> float:
-    """2/√T for each of T stages, whose margins add up; 0, eq. 3 as it is, on a stream and where targets are fixed."""
-    return 0.0 if is_fixed or isinstance(logs, LogStream) else PESSIMISM / horizon**0.5
+def automatic_pessimism(is_fixed: bool, horizon: int) -> float:
+    """2/√T for each of T stages, whose margins add up; 0, eq. 3 as it is, where targets are fixed."""
+    return 0.0 if is_fixed else PESSIMISM / horizon**0.5

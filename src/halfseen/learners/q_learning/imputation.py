@@ -23,29 +23,17 @@ that is a little wrong had better be wrong where stages are short: for doubly ro
 δ/K̂(D⁻), truncated.
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
-from halfseen.censoring import Cox, CutModel
+from halfseen.censoring import CutModel
 from halfseen.censoring.stage_clocks import SMALLEST_AGE_S
 from halfseen.errors import ArgumentError
+from halfseen.learners.q_learning.durations import DurationModel, duration_features, duration_terms
 from halfseen.learners.q_learning.path_arrays import PathArrays
 from halfseen.learners.q_learning.transitions import Imputation
-
-NUM_AGES = 24
-"""Steps of m: between quantiles of the ages at which stages ended."""
-
-NUM_DURATIONS = 96
-"""Durations that the distribution of D is put on, at most."""
-
-KNOTS = (0.1, 0.25, 0.5, 0.75, 0.9, 0.97, 1.0)
-"""Quantiles of D at which its effect on X may bend; beyond the longest it stays what it was."""
-
-DURATION_RIDGE = 1.0
-"""Penalty of the proportional hazards of D: a prior of one event, so that separation has an end."""
 
 LARGEST_OUTCOME_WEIGHT = 3.0
 """Of a completed stage in the regression of X: it weighs δ/K̂, up to this."""
@@ -53,100 +41,27 @@ LARGEST_OUTCOME_WEIGHT = 3.0
 SMALLEST_PROBABILITY = 1e-12
 
 
-@dataclass(frozen=True)
-class Durations:
-    """The distribution of D given (S_t, A_t), on few durations.
-
-    Parameters
-    ----------
-    model
-        Proportional hazards; None where no covariate tells stages apart.
-    columns
-        Columns of the features that it uses.
-    at_s
-        Durations that carry mass, increasing [s].
-    hazard
-        Cumulative hazard just after each of them, at the mean features.
-    """
-
-    model: Cox | None
-    columns: np.ndarray
-    at_s: Float[np.ndarray, " J"]
-    hazard: Float[np.ndarray, " J"]
-
-    def expected(
-        self, features: Float[np.ndarray, "k P"], age_s: Float[np.ndarray, "k L"], terms: Float[np.ndarray, "J G"]
-    ) -> Float[np.ndarray, "k L G"]:
-        """E[g(D) | D > age] of each row, for several ages; `terms` holds g of each duration."""
-        ratio = np.ones(len(features))
-        if self.model is not None:
-            score = (features[:, self.columns] - self.model.means_) @ self.model.coefficients_
-            ratio = np.exp(np.clip(score, -50.0, 50.0))
-        # What outlives the last duration ends there: the mass adds up to 1.
-        survival = np.exp(-ratio[:, None] * np.concatenate([[0.0], self.hazard[:-1], [np.inf]]))
-        mass = -np.diff(survival, axis=1)
-        later = np.cumsum(mass[:, ::-1], axis=1)[:, ::-1]
-        first = np.minimum(np.searchsorted(self.at_s, age_s, side="right"), len(self.at_s) - 1)
-        row = np.arange(len(features))[:, None]
-        answer = np.empty((*age_s.shape, terms.shape[1]))
-        for g in range(terms.shape[1]):
-            sums = np.cumsum((mass * terms[:, g])[:, ::-1], axis=1)[:, ::-1]
-            known = later[row, first]
-            answer[..., g] = np.where(known > 1e-300, sums[row, first] / np.maximum(known, 1e-300), terms[first, g])
-        return answer
-
-
-def fit_durations(
-    watched_s: Float[np.ndarray, " k"], is_completed: Bool[np.ndarray, " k"], features: Float[np.ndarray, "k P"]
-) -> Durations:
-    """Fit D to begun stages, of which some were cut.
-
-    Parameters
-    ----------
-    watched_s
-        Until the stage was completed or cut [s].
-    is_completed
-        False where it was cut.
-    features
-        What D may depend on.
-    """
-    # Here completion is the event, and at equal times it comes before the cut.
-    ends = np.where(is_completed, watched_s, np.nextafter(watched_s, np.inf))
-    columns = np.flatnonzero(np.ptp(features, axis=0) > 0)
-    if len(columns):
-        model = Cox(ridge=DURATION_RIDGE).fit(ends, ~is_completed, features[:, columns])
-        times, hazard = model.times_, model.cumulative_hazard_
-    else:
-        model = None
-        times, events = np.unique(ends[is_completed], return_counts=True)
-        at_risk = len(ends) - np.searchsorted(np.sort(ends), times)
-        with np.errstate(divide="ignore"):
-            hazard = np.cumsum(-np.log1p(-events / at_risk))
-    kept = np.unique(np.linspace(0, len(times) - 1, min(NUM_DURATIONS, len(times))).astype(int))
-    return Durations(model, columns, times[kept], hazard[kept])
-
-
 def imputation(
     paths: PathArrays,
     cut_model: CutModel | None,
     is_used: Float[np.ndarray, " F"],
     block_of_action: Int[np.ndarray, " A"],
-    is_fitted: Bool[np.ndarray, " n"] | None = None,
+    durations: DurationModel,
 ) -> Imputation:
     """Work out what `recursion` needs to make Y of X.
 
     Parameters
     ----------
     paths
-        The log.
+        The log, or a part of it.
     cut_model
         Ĝ, for doubly robust targets; None for those of Buckley and James.
     is_used
         1 for each feature of the taken action that m may look at, 0 for the others.
     block_of_action
-        Which block of coefficients each action uses; each block has its own distribution of durations.
-    is_fitted
-        Paths that durations are fitted to; None for all.
+        Which block of coefficients each action uses.
+    durations
+        D of every block.
 
     Raises
     ------
@@ -154,33 +69,26 @@ def imputation(
         The action of a stage in which a path was cut was not logged.
     """
     _refuse_unknown_actions(paths, cut_model)
-    features = _duration_features(paths, is_used)
+    features, knots = duration_features(paths, is_used), durations.knots
     watched_s, is_completed = paths.clocks.watched_s, paths.is_completed
-    completed_s = watched_s[is_completed]
-    # Tied durations make knots that tie, so every log has as many terms.
-    knots = np.quantile(completed_s, KNOTS)
     expected, share = np.zeros((*paths.action.shape, len(knots))), is_completed.astype(np.float64)
-    fitted = paths.is_begun if is_fitted is None else paths.is_begun & is_fitted[:, None]
     blocks = block_of_action[paths.action]
-    augmented = None if cut_model is None else _augmentation(paths, cut_model)
-    for block in np.unique(blocks[paths.is_begun]):
-        rows, own = paths.is_begun & (blocks == block), fitted & (blocks == block)
-        # What was never seen to end lasts as long as the others.
-        known = own if (own & is_completed).any() else fitted
-        if not (known & is_completed).any():
+    augmented = None if cut_model is None else _augmentation(paths, cut_model, durations.ages_s)
+    for block, of_block in enumerate(durations.by_block):
+        rows = paths.is_begun & (blocks == block)
+        if not rows.any():
             continue
-        durations = fit_durations(watched_s[known], is_completed[known], features[known])
-        terms = _terms(durations.at_s, knots)
+        terms = duration_terms(of_block.at_s, knots)
         if augmented is None:
-            later = durations.expected(features[rows], watched_s[rows][:, None], terms)[:, 0]
+            later = of_block.expected(features[rows], watched_s[rows][:, None], terms)[:, 0]
             expected[rows] = np.where(is_completed[rows][:, None], 0.0, later)
         else:
             share[rows], steps = augmented.share[rows], augmented.steps[rows]
             ages = np.broadcast_to(augmented.age_s, steps.shape)
-            expected[rows] = np.einsum("kl,klg->kg", steps, durations.expected(features[rows], ages, terms))
+            expected[rows] = np.einsum("kl,klg->kg", steps, of_block.expected(features[rows], ages, terms))
     return Imputation(
         share=share,
-        terms=np.where(is_completed[..., None], _terms(watched_s, knots), 0.0),
+        terms=np.where(is_completed[..., None], duration_terms(watched_s, knots), 0.0),
         expected=expected,
         outcome_weight=np.where(is_completed, np.minimum(share, LARGEST_OUTCOME_WEIGHT), 0.0),
         is_used=is_used,
@@ -196,11 +104,10 @@ class _Augmentation(NamedTuple):
     """In the middle of each step."""
 
 
-def _augmentation(paths: PathArrays, cut_model: CutModel) -> _Augmentation:
+def _augmentation(paths: PathArrays, cut_model: CutModel, ages: Float[np.ndarray, " L"]) -> _Augmentation:
     """What depends on K̂ alone: the share of X, and the weights of the sums over m."""
     clocks, rows = paths.clocks, paths.is_begun
     ended_s, is_completed = clocks.watched_s, paths.is_completed
-    ages = np.unique(np.quantile(ended_s[rows], np.linspace(0.0, 1.0, NUM_AGES + 1)))
     ages = np.concatenate([[0.0], ages[:-1], [np.inf]])
     middle = np.append((ages[:-2] + ages[1:-1]) / 2.0, ages[-2])
     # A stage that was cut at c was at risk until just after c. Where K̂ falls to 0 with the last cut itself, the nearest
@@ -231,25 +138,6 @@ def _truncated(
         return within
     inverse = np.maximum(begun, 1.0)[..., None]
     return np.maximum(within, inverse / truncate_at)
-
-
-def _terms(duration_s: Float[np.ndarray, "*S"], knots: Float[np.ndarray, " k"]) -> Float[np.ndarray, "*S k"]:
-    """g(D): the duration up to the last knot, and how far it is beyond each other one, by the way to the next knot.
-
-    So a coefficient is what X gains by a bend before the next one comes, and is weighed against a prior (`with_prior`)
-    of about the noise of one stage. Without it, an action whose stages all end just beyond a knot has a slope that two
-    of them decide, and that those which were cut late would be valued along.
-    """
-    begin, length = np.concatenate([[0.0], knots[:-1]]), np.diff(knots, prepend=0.0)
-    beyond = np.maximum(np.minimum(duration_s, knots[-1])[..., None] - begin, 0.0)
-    # Knots of tied durations are one and the same: no way from one to the next, and no bend.
-    return beyond / np.where(length > 0, length, np.inf)
-
-
-def _duration_features(paths: PathArrays, is_used: Float[np.ndarray, " F"]) -> Float[np.ndarray, "n T P"]:
-    """Features of the action that was taken, and the stage."""
-    stage = np.broadcast_to(np.arange(paths.action.shape[1], dtype=np.float64), paths.action.shape)
-    return np.concatenate([paths.encoded.taken * is_used, stage[..., None]], axis=-1)
 
 
 def _refuse_unknown_actions(paths: PathArrays, cut_model: CutModel | None) -> None:

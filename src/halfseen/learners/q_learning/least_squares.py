@@ -10,7 +10,7 @@ over the rows, and the sums of parts of a log add up to those of the whole. One 
 thousands. In an RKHS, where x are features of the kernel, x keeps its scale, and ‖β‖² is the norm of the function.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import jax
@@ -56,6 +56,10 @@ class Design:
         """V · K."""
         return self.shape[0] * self.shape[1]
 
+    def weighing(self, weight: Float[Array, "*B R"]) -> "Design":
+        """Let the same rows weigh something else."""
+        return replace(self, weight=weight)
+
 
 class Factor(NamedTuple):
     """Normal equations by block, factorised without each fold (if there are several) and, last, with all of them.
@@ -87,15 +91,22 @@ def design_of(rows: Rows, num_blocks: int, num_folds: int) -> Design:
 
 def gram_of(design: Design) -> Float[Array, "V K F F"]:
     """Σ w x xᵀ by fold and block; those of parts of a log add up."""
+    return moment_of(design, design.features)
+
+
+def moment_of(design: Design, others: Float[Array, "R G"]) -> Float[Array, "V K F G"]:
+    """Σ w x zᵀ by fold and block, with z other numbers of each row; those of parts of a log add up."""
     place, group_of_chunk = _chunked(design)
-    num_chunks, num_features = len(group_of_chunk), design.features.shape[1]
-    empty = jnp.zeros((num_chunks * CHUNK, num_features), design.features.dtype)
-    shape = num_chunks, CHUNK, num_features
-    rows = empty.at[place].set(design.features).reshape(shape)
-    weighted = empty.at[place].set(design.features * design.weight[:, None]).reshape(shape)
-    of_chunk = jnp.einsum("crf,crg->cfg", weighted, rows)
-    gram = jax.ops.segment_sum(of_chunk, group_of_chunk, design.num_groups)
-    return gram.reshape(*design.shape, num_features, num_features)
+    num_chunks = len(group_of_chunk)
+
+    def in_chunks(values: Float[Array, "R G"]) -> Float[Array, "C r G"]:
+        empty = jnp.zeros((num_chunks * CHUNK, values.shape[1]), values.dtype)
+        return empty.at[place].set(values).reshape(num_chunks, CHUNK, values.shape[1])
+
+    weighted = in_chunks(design.features * design.weight[:, None])
+    of_chunk = jnp.einsum("crf,crg->cfg", weighted, in_chunks(others))
+    sums = jax.ops.segment_sum(of_chunk, group_of_chunk, design.num_groups)
+    return sums.reshape(*design.shape, *sums.shape[1:])
 
 
 def cross_of(design: Design, target: Float[Array, " R"]) -> Float[Array, "V K F"]:

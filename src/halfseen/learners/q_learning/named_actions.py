@@ -13,7 +13,7 @@ from halfseen.learners.q_learning.covariates import Categories, Covariates, lear
 from halfseen.learners.q_learning.flat_policy import FlatPolicy, NamedActionPolicy
 from halfseen.learners.q_learning.path_arrays import stage_places
 from halfseen.learners.q_learning.support import seen_among
-from halfseen.learners.q_learning.task import ACTION, Encoded, LearnedQ
+from halfseen.learners.q_learning.task import ACTION, Encoded, LearnedQ, RewardedStages
 from halfseen.logs import Logs
 from halfseen.suggestions import did_you_mean
 
@@ -45,7 +45,6 @@ class NamedActions:
 
     end_action = None
     is_shared = True
-    needs_whole_log = None
 
     def __post_init__(self) -> None:
         if isinstance(self.actions, str):
@@ -147,15 +146,13 @@ class NamedActions:
         ]
         return pd.concat([pd.DataFrame(index=logs.stages.index), *parts], axis=1)
 
-    def reduce_variance(
-        self,
-        encoded: Encoded,
-        reward: Float[np.ndarray, "n T"],
-        weight: Float[np.ndarray, "n T"],
-        is_last: Bool[np.ndarray, "n T"],
-    ) -> tuple[Float[np.ndarray, "n T"], None]:
+    def fitted_to_rewards(self, parts: Iterable[RewardedStages]) -> "NamedActions":
         """Nothing is known of the noise."""
-        return reward, None
+        return self
+
+    def reduce_variance(self, stages: RewardedStages) -> tuple[Float[np.ndarray, "n T"], None]:
+        """Rewards as they are."""
+        return stages.reward, None
 
     def policy(self, learned: LearnedQ) -> FlatPolicy:
         """Policy that follows Q-functions, or a batch of them, and takes what has a value."""

@@ -1,7 +1,6 @@
 """Censored Q-learning behind scikit-learn's habits: parameters in, `fit`, fitted names that end in ``_``."""
 
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -16,12 +15,10 @@ from halfseen.learners.q_learning.automatic import (
     Source,
     automatic_pessimism,
     automatic_space,
-    automatic_stages,
     automatic_targets,
 )
 from halfseen.learners.q_learning.kernel_map import KernelMap
 from halfseen.learners.q_learning.named_actions import NamedActions
-from halfseen.learners.q_learning.path_arrays import PathArrays
 from halfseen.learners.q_learning.q_model import QModel
 from halfseen.learners.q_learning.q_space import (
     CrossValidation,
@@ -31,7 +28,7 @@ from halfseen.learners.q_learning.q_space import (
     reg_of,
     stage_mode_of,
 )
-from halfseen.learners.q_learning.stage_choice import can_choose, choose_stages
+from halfseen.learners.q_learning.stage_choice import with_stages
 from halfseen.learners.q_learning.streaming import fit_stream
 from halfseen.learners.q_learning.support import unseen_in_words
 from halfseen.learners.q_learning.targets import Targets, targets_of
@@ -65,8 +62,8 @@ class CensoredQLearner(Estimator):
         What stands for what cuts took away: ``"kaplan-meier"``, ``"cox"``, ``"kernel"`` or a `CensoringModel`: weights
         by that model of the cuts, or ``Weighted(…)`` with its clock and covariates; ``DoublyRobust(…)``:
         pseudo-outcomes for every begun stage; ``"buckley-james"`` or ``BuckleyJames(…)``: imputed by a regression
-        alone; ``"none"``: completed stages count alike; ``"auto"``: imputed, or weights by Kaplan–Meier on a stream and
-        where the action of a cut stage is not known.
+        alone; ``"none"``: completed stages count alike; ``"auto"``: imputed, or weights by Kaplan–Meier where the
+        action of a cut stage is not known.
     stages
         ``"separate"``: one Q a stage; ``"pooled"``: one Q for each number of steps to go, on the rows of all stages;
         ``"auto"``: pooled, unless separate ones clearly predict better (`stage_choice`).
@@ -76,8 +73,7 @@ class CensoredQLearner(Estimator):
     pessimism
         Standard errors by which Q is lowered wherever the largest is sought, in eq. 3 and by the policy, so that what
         few stages speak for is not taken on their word (`spread`); by the policy less, the more the log takes an action
-        anyway (`behaviour`); 0 for eq. 3 as it stands. ``"auto"``: 2/√T, but
-        0 where `censoring` is given, and on a stream.
+        anyway (`behaviour`); 0 for eq. 3 as it stands. ``"auto"``: 2/√T, but 0 where `censoring` is given.
     random_state
         Seed that deals paths into folds and draws the landmarks of a kernel.
 
@@ -176,9 +172,8 @@ class CensoredQLearner(Estimator):
         Parameters
         ----------
         logs
-            The log. A `LogStream` is read in passes, one for each stage and one before, and never held whole. What is
-            learned is the same (a kernel's landmarks are sought in the first part), but Ĝ must be on the clock of
-            paths and targets weighted, and the task must need nothing of the whole log.
+            The log. A `LogStream` is read in passes, one for each stage and some before, and never held whole. What is
+            learned is the same. Ĝ on the clock of stages holds the clocks of all stages, and what cuts may depend on.
 
         Raises
         ------
@@ -190,12 +185,12 @@ class CensoredQLearner(Estimator):
             All paths were cut, or a weight is not identified.
         """
         model = self.compose(logs)
+        is_open = _is_auto(self.stages)
         if isinstance(logs, LogStream):
-            self.model_, self.weights_, self.q_functions_ = fit_stream(model, logs)
-            self.chosen_ = ()
+            self.model_, self.weights_, self.q_functions_, self.chosen_ = fit_stream(model, logs, is_open)
         else:
             model, paths = model.fitted(logs)
-            self.model_, self.chosen_ = self._with_stages(model, paths)
+            self.model_, self.chosen_ = with_stages(model, model.sample_of(paths)) if is_open else (model, model.chosen)
             log = self.model_.transitions(paths)
             self.weights_ = np.asarray(log.weight)
             self.q_functions_ = self.model_.fit(log)
@@ -217,25 +212,17 @@ class CensoredQLearner(Estimator):
             A parameter has a value that it cannot take.
         """
         task, is_fixed = self._task(), not _is_auto(self.censoring)
-        by_itself = automatic_pessimism(is_fixed, logs, self.horizon)
+        by_itself = automatic_pessimism(is_fixed, self.horizon)
         return QModel(
             horizon=self.horizon,
             task=task,
             targets=targets_of(self.censoring) if is_fixed else automatic_targets(logs),
             space=automatic_space(task) if _is_auto(self.q_function) else q_space_of(self.q_function),
             reg=reg_of(self.reg),
-            stages=automatic_stages(task, logs) if _is_auto(self.stages) else stage_mode_of(self.stages),
+            stages="pooled" if _is_auto(self.stages) else stage_mode_of(self.stages),
             pessimism=by_itself if _is_auto(self.pessimism) else pessimism_of(self.pessimism),
             random_state=self.random_state,
         )
-
-    def _with_stages(self, model: QModel, paths: PathArrays) -> tuple[QModel, tuple[str, ...]]:
-        """Choose between pooled and separate stages, where that is not said and makes a difference."""
-        by_task = tuple(getattr(model.task, "chosen", ()))
-        if not _is_auto(self.stages) or not can_choose(model, paths):
-            return model, by_task
-        choice = choose_stages(model, paths)
-        return replace(model, stages=choice.stages), (*by_task, choice.sentence)
 
     def q_values(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
         """Q̂ of every action in a stage (from 1), for each row of covariates; named actions only."""

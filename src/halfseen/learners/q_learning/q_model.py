@@ -3,6 +3,7 @@
 The learner, the bootstrap, streams and off-policy evaluation all start from a `QModel`.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,14 +13,17 @@ from jaxtyping import Bool, Float, Int
 from halfseen.censoring import CensoringSpec, CutModel
 from halfseen.errors import ArgumentError, PositivityError
 from halfseen.learners.q_learning.behaviour import behaviour_of
+from halfseen.learners.q_learning.durations import DurationModel, fit_duration_model
 from halfseen.learners.q_learning.fitting import BackwardOptions, fit_q_functions
 from halfseen.learners.q_learning.imputation import imputation
 from halfseen.learners.q_learning.kernel_map import KernelMap
+from halfseen.learners.q_learning.named_actions import NamedActions
 from halfseen.learners.q_learning.path_arrays import PathArrays, path_arrays
 from halfseen.learners.q_learning.q_space import CrossValidation, LinearQ, QSpace, Reg
+from halfseen.learners.q_learning.sample import sampled
 from halfseen.learners.q_learning.support import Support, seen_among, support_of
 from halfseen.learners.q_learning.targets import Targets, Weighted
-from halfseen.learners.q_learning.task import LearnedQ, Task
+from halfseen.learners.q_learning.task import LearnedQ, RewardedStages, Task
 from halfseen.learners.q_learning.transitions import Imputation, QFunctions, StageMode, Transitions
 from halfseen.logs import Logs
 
@@ -54,6 +58,8 @@ class QModel:
         Standard errors of Q by which it is lowered wherever the largest is sought, in eq. 3 and by the policy.
     behaviour
         Coefficients of the behaviour policy, once it is fitted, which is for pessimism alone.
+    durations
+        How long stages last, where that is fitted beforehand, as for a log in parts; None to fit it to each log.
 
     Raises
     ------
@@ -73,6 +79,7 @@ class QModel:
     support: Support | None = None
     pessimism: float = 0.0
     behaviour: Float[np.ndarray, "K G"] | None = None
+    durations: DurationModel | None = None
 
     def __post_init__(self) -> None:
         if self.horizon < 1:
@@ -89,10 +96,24 @@ class QModel:
             All paths were cut.
         """
         self.check_horizon(logs)
-        model = replace(self, task=self.task.fitted(logs, self.horizon))
+        rows = sampled(logs.num_paths, self.random_state)
+        some = logs if len(rows) == logs.num_paths else logs.select(logs.path_ids[rows])
+        model = self.with_task([logs], some)
         paths = model.lay_out(logs)
         refuse_all_cut(paths.clocks.is_finished)
-        return model.with_kernel(paths).with_cuts(paths).with_behaviour(paths), paths
+        sample = model.sample_of(paths)
+        return model.with_kernel(sample).with_cuts(paths).with_behaviour(sample), paths
+
+    def with_task(self, parts: Iterable[Logs], sample: Logs) -> "QModel":
+        """Fit what the task learns to a sample; but what categories there are only all parts can tell."""
+        task = self.task
+        fitted = task.fitted_to_parts(parts) if isinstance(task, NamedActions) else task.fitted(sample, self.horizon)
+        return replace(self, task=fitted)
+
+    def sample_of(self, paths: PathArrays) -> PathArrays:
+        """Paths that decide on what is no sum (see `sample`)."""
+        rows = sampled(paths.num_paths, self.random_state)
+        return paths if len(rows) == paths.num_paths else paths.take(rows)
 
     def with_cuts(self, paths: PathArrays) -> "QModel":
         """Fit Ĝ, and look at what was seen completed."""
@@ -155,8 +176,7 @@ class QModel:
         fold: Int[np.ndarray, " n"],
     ) -> Transitions:
         """Make the rows of eq. 3 with weights and folds that are given."""
-        observed = np.where(paths.is_completed, weight, 0.0)
-        reward, variates = self.task.reduce_variance(paths.encoded, paths.reward, observed, paths.is_last)
+        reward, variates = self.task.reduce_variance(self.rewarded(paths, weight))
         return Transitions(
             features=self._features(paths),
             is_possible=self.has_value(paths.is_possible),
@@ -168,6 +188,11 @@ class QModel:
             control_variates=variates,
             imputation=imputed,
         )
+
+    def rewarded(self, paths: PathArrays, weight: Float[np.ndarray, "n T"]) -> RewardedStages:
+        """What stages paid; those that were cut count for nothing."""
+        observed = np.where(paths.is_completed, weight, 0.0)
+        return RewardedStages(paths.encoded, paths.reward, observed, paths.is_last)
 
     def fit(self, log: Transitions) -> QFunctions:
         """Run eq. 3 on one log, or on a batch of logs."""
@@ -188,6 +213,11 @@ class QModel:
         return self.task.policy(learned)
 
     @property
+    def chosen(self) -> tuple[str, ...]:
+        """What the task chose by itself, and why."""
+        return tuple(getattr(self.task, "chosen", ()))
+
+    @property
     def regs(self) -> Float[np.ndarray, " L"]:
         """The λ to choose from."""
         return self.reg.regs_of(self.space)
@@ -202,18 +232,27 @@ class QModel:
         """Deal paths into folds, uniformly at random."""
         return np.random.default_rng(self.random_state).permutation(num_paths) % self.reg.folds_of(num_paths)
 
+    def with_durations(self, paths: PathArrays) -> "QModel":
+        """Fit how long stages last, if targets are imputed."""
+        return replace(self, durations=self._durations_of(paths)) if self.targets.is_imputed else self
+
     def _imputation(self, paths: PathArrays, is_fitted: Bool[np.ndarray, " n"] | None) -> Imputation:
-        blocks = self.task.block_of_action(paths.is_possible.shape[-1])
-        is_used = self._outcome_features(paths.features.shape[-1])
-        imputed = imputation(paths, self.cut_model, is_used, blocks, is_fitted)
+        blocks = self.blocks(paths.is_possible.shape[-1])
+        durations = self.durations or self._durations_of(paths, is_fitted)
+        imputed = imputation(paths, self.cut_model, self._outcome_features(paths), blocks, durations)
         if self.kernel_map is None:
             return imputed
         return imputed._replace(is_used=np.ones(self.kernel_map.num_features))
 
-    def _outcome_features(self, num_features: int) -> Float[np.ndarray, " F"]:
+    def _durations_of(self, paths: PathArrays, is_fitted: Bool[np.ndarray, " n"] | None = None) -> DurationModel:
+        blocks, rows = self.blocks(paths.is_possible.shape[-1]), sampled(paths.num_paths, self.random_state)
+        among = None if is_fitted is None else is_fitted[rows]
+        return fit_duration_model(self.sample_of(paths), self._outcome_features(paths), blocks, among)
+
+    def _outcome_features(self, paths: PathArrays) -> Float[np.ndarray, " F"]:
         names = self.targets.outcome_covariates
         if names is None:
-            return np.ones(num_features)
+            return np.ones(paths.features.shape[-1])
         if not isinstance(self.space, LinearQ):
             raise ArgumentError("outcome_covariates is given; it chooses among the covariates of a linear Q only")
         return self.task.outcome_features(names)

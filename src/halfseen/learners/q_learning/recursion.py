@@ -40,6 +40,7 @@ from halfseen.learners.q_learning.least_squares import (
 )
 from halfseen.learners.q_learning.spread import (
     Spread,
+    by_block,
     roots,
     spread_of_rows,
     standard_errors,
@@ -126,22 +127,20 @@ class Regression(NamedTuple):
 
     def prepare(self, log: Transitions, weight: Any) -> "_Prepared":
         """Sum and factorise what no target changes; rows of `weight` 0 do not count."""
-        design, taken = self.design(log, weight), taken_of(log)
+        design = self.design(log, weight)
         main = _Sums(design, factorise(gram_of(design), self.is_scaled))
         if log.imputation is None:
             return self._with_spread(_Prepared(main, None), log, weight)
-        given, used = log.imputation, taken * log.imputation.is_used
-        outcome = self._design(log, jnp.where(weight > 0, given.outcome_weight, 0.0), used, given.terms)
-        gram = waiting_for(main.factor.eigenvalues, with_prior(gram_of(outcome), given.terms.shape[-1]))
+        outcome = self.outcome_design(log, weight)
+        gram = waiting_for(main.factor.eigenvalues, self.outcome_gram(outcome, log))
         found = _Prepared(main, _Sums(outcome, factorise(gram, self.is_scaled)))
         return self._with_spread(found, log, weight)
 
     def _with_spread(self, prepared: "_Prepared", log: Transitions, weight: Any) -> "_Prepared":
         if self.pessimism is None:
             return prepared
-        seen = weight if log.imputation is None else weight * log.imputation.outcome_weight
-        design = self._design(log, seen, taken_of(log), None)
-        return prepared._replace(seen=spread_of_rows(design, prepared.last_eigenvalues, self.is_scaled))
+        design = self._design(log, seen_weight(log, weight), taken_of(log), None)
+        return prepared._replace(seen=_Seen(design, spread_of_rows(design, prepared.last_eigenvalues, self.is_scaled)))
 
     def fit(
         self, prepared: "_Prepared", log: Transitions, successor: Float[Array, "n T"], centre: Float[Array, "K F"]
@@ -159,7 +158,8 @@ class Regression(NamedTuple):
             return found
         q = jnp.sum(prepared.main.design.features * found.coefficients[self.blocks(log)], axis=-1)
         residual = target_of(log, successor).ravel() - q
-        return found._replace(root=roots(prepared.seen, fit.reg, self.num_paths, residual))
+        squares = by_block(prepared.seen.design.weight * residual**2, prepared.seen.design)
+        return found._replace(root=roots(prepared.seen.spread, fit.reg, self.num_paths, squares))
 
     def values(self, fit: QFunctions, log: Transitions) -> Float[Array, "n T"]:
         """V̂ of every state by one fit; with pessimism, by lower confidence bounds of its Q."""
@@ -168,6 +168,17 @@ class Regression(NamedTuple):
     def design(self, log: Transitions, weight: Any) -> Design:
         """Rows of eq. 3, with the control variates of its targets."""
         return self._design(log, weight, taken_of(log), _seen_control_variates(log))
+
+    def outcome_design(self, log: Transitions, weight: Any) -> Design:
+        """Rows of the regression of X on the features that it uses and the terms of the duration."""
+        assert log.imputation is not None
+        used = taken_of(log) * log.imputation.is_used
+        return self._design(log, jnp.where(weight > 0, log.imputation.outcome_weight, 0.0), used, log.imputation.terms)
+
+    def outcome_gram(self, design: Design, log: Transitions) -> Float[Array, "V K F F"]:
+        """Σ w x xᵀ of these rows, with the prior of the terms."""
+        assert log.imputation is not None
+        return with_prior(gram_of(design), log.imputation.terms.shape[-1])
 
     def cross(
         self, design: Design, log: Transitions, target: Float[Array, " R"], centre: Float[Array, "K F"]
@@ -201,16 +212,21 @@ class _Sums(NamedTuple):
     factor: Factor
 
 
+class _Seen(NamedTuple):
+    design: Design
+    spread: Spread
+
+
 class _Prepared(NamedTuple):
     main: _Sums
     outcome: _Sums | None
-    seen: Spread | None = None
+    seen: _Seen | None = None
     """With pessimism, the completed stages."""
 
     @property
     def last_eigenvalues(self) -> Float[Array, "..."]:
         """Of the factorisation that came last."""
-        return (self.seen or self.outcome or self.main).factor.eigenvalues
+        return (self.outcome or self.main).factor.eigenvalues
 
 
 def _backward_separate(
@@ -246,7 +262,7 @@ def _backward_pooled(log: Transitions, regression: Regression, end_action: int |
         if end_action is None:
             return (regression.values(found, log), jnp.asarray(fit.coefficients)), found
         is_over, block = steps_to_go == 0, regression.block_of_action[end_action]
-        of_end = partial(_end_values, end_action=end_action, block=block)
+        of_end = partial(end_values, end_action=end_action, block=block)
         value = jax.lax.cond(is_over, of_end, regression.values, found, log)
         return (value, jnp.where(is_over, fit.coefficients[block], jnp.asarray(fit.coefficients))), found
 
@@ -257,7 +273,7 @@ def _backward_pooled(log: Transitions, regression: Regression, end_action: int |
     return jax.tree.map(lambda each: each[-horizon:], fits)
 
 
-def _end_values(fit: QFunctions, log: Transitions, end_action: int, block: Int[Array, ""]) -> Float[Array, "n T"]:
+def end_values(fit: QFunctions, log: Transitions, end_action: int, block: Int[Array, ""]) -> Float[Array, "n T"]:
     """Q of the action that the horizon forces upon a path; 0 of what is no state."""
     of_block = jnp.asarray(fit.coefficients)[block]
     if log.choices is not None:
@@ -281,6 +297,11 @@ def bounded(
     if log.choices is not None:
         return q - pessimism * standard_errors_of_choices(root, log.choices, block_of_action)
     return q - pessimism * standard_errors(root, jnp.asarray(log.features), block_of_action)
+
+
+def seen_weight(log: Transitions, weight: Any) -> Any:
+    """Weight of the completed stages: what is imputed counts as nothing seen."""
+    return weight if log.imputation is None else weight * log.imputation.outcome_weight
 
 
 def _seen_control_variates(log: Transitions) -> Any:

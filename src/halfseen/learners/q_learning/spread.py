@@ -20,27 +20,43 @@ from halfseen.learners.q_learning.transitions import Choices
 
 
 class Spread(NamedTuple):
-    """What of s no target changes, by block."""
+    """What of s no target changes, by block; of the completed stages alone."""
 
-    design: Design
-    """The completed stages."""
     factor: Factor
-    """Of these, without folds."""
-    share: Float[Array, " K"]
-    """Σw² / Σw: heavy weights make of many stages few."""
+    """Without folds."""
+    weights: "WeightSums"
+
+
+class WeightSums(NamedTuple):
+    """Sums over the completed stages of each block; those of parts of a log add up."""
+
+    mass: Float[Array, " K"]
+    """Σw."""
+    squares: Float[Array, " K"]
+    """Σw²: heavy weights make of many stages few."""
+    count: Float[Array, " K"]
+    """Stages with a weight."""
 
 
 def spread_of_rows(design: Design, earlier: Float[Array, "..."], is_scaled: bool) -> Spread:
     """Sum and factorise the completed stages, once `earlier` is there."""
     gram = waiting_for(earlier, gram_of(design).sum(axis=0, keepdims=True))
-    block = design.group % design.shape[1]
-    squares = jax.ops.segment_sum(design.weight**2, block, design.shape[1])
-    mass = gram[0, :, 0, 0]
-    return Spread(design, factorise(gram, is_scaled), squares / jnp.where(mass > 0, mass, 1.0))
+    return Spread(factorise(gram, is_scaled), weight_sums(design))
+
+
+def weight_sums(design: Design) -> WeightSums:
+    """Sum the weights of each block."""
+    is_seen = (design.weight > 0).astype(design.weight.dtype)
+    return WeightSums(*(by_block(each, design) for each in (design.weight, design.weight**2, is_seen)))
+
+
+def by_block(values: Float[Array, " R"], design: Design) -> Float[Array, " K"]:
+    """Sum over the rows of each block."""
+    return jax.ops.segment_sum(values, design.group % design.shape[1], design.shape[1])
 
 
 def roots(
-    spread: Spread, regs: Float[Array, " K"], num_paths: int | Float[Array, ""], residual: Float[Array, " R"]
+    spread: Spread, regs: Float[Array, " K"], num_paths: int | Float[Array, ""], squares: Float[Array, " K"]
 ) -> Float[Array, "K F F"]:
     """R of every block, so that s(x) = ‖Rᵀ (1, φ(x))‖.
 
@@ -52,8 +68,8 @@ def roots(
         λ of each block.
     num_paths
         n.
-    residual
-        Target less Q̂ of each row.
+    squares
+        Σ w (X − Q̂)² of the completed stages.
     """
     factor, penalty = spread.factor, regs * num_paths
     gram, eigenvalues, eigenvectors = factor.gram[0], factor.eigenvalues[0], factor.eigenvectors[0]
@@ -65,7 +81,8 @@ def roots(
     first = jnp.zeros((len(mass), gram.shape[-1])).at[:, 0].set(1.0 / jnp.sqrt(mass))
     root = jnp.concatenate([first[..., None], jnp.concatenate([offset[:, None], slopes], axis=1)], axis=2)
     fitted = 1.0 + jnp.sum(jnp.maximum(eigenvalues, 0.0) / penalised, axis=-1)
-    return root * jnp.sqrt(spread.share * _variance(spread.design, residual, fitted))[:, None, None]
+    variance = _variance(spread.weights, squares, fitted) * spread.weights.squares / mass
+    return root * jnp.sqrt(variance)[:, None, None]
 
 
 def standard_errors(
@@ -90,12 +107,7 @@ def standard_errors_of_choices(
     return jnp.sqrt(jnp.sum(along**2, axis=-1))
 
 
-def _variance(design: Design, residual: Float[Array, " R"], fitted: Float[Array, " K"]) -> Float[Array, " K"]:
+def _variance(weights: WeightSums, squares: Float[Array, " K"], fitted: Float[Array, " K"]) -> Float[Array, " K"]:
     """σ² of each block; as many stages as there are coefficients that λ leaves are used up by the fit."""
-    num_blocks = design.shape[1]
-    block = design.group % num_blocks
-    squares = jax.ops.segment_sum(design.weight * residual**2, block, num_blocks)
-    mass = jax.ops.segment_sum(design.weight, block, num_blocks)
-    count = jax.ops.segment_sum((design.weight > 0).astype(residual.dtype), block, num_blocks)
-    left = count / jnp.maximum(count - fitted, 0.1 * count + 0.5)
-    return left * squares / jnp.where(mass > 0, mass, 1.0)
+    left = weights.count / jnp.maximum(weights.count - fitted, 0.1 * weights.count + 0.5)
+    return left * squares / jnp.where(weights.mass > 0, weights.mass, 1.0)

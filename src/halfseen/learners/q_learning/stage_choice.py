@@ -62,6 +62,22 @@ def can_choose(model: QModel, paths: PathArrays) -> bool:
     return model.horizon > 1 and model.task.end_action is None and paths.num_paths >= FEWEST_PATHS
 
 
+def with_stages(model: QModel, paths: PathArrays) -> tuple[QModel, tuple[str, ...]]:
+    """Choose between pooled and separate stages, where that makes a difference; and all that was chosen by itself.
+
+    Parameters
+    ----------
+    model
+        How Q is fitted, with what comes before Q fitted to the log.
+    paths
+        The log, or the sample of it that decides.
+    """
+    if not can_choose(model, paths):
+        return model, model.chosen
+    choice = choose_stages(model, paths)
+    return replace(model, stages=choice.stages), (*model.chosen, choice.sentence)
+
+
 def choose_stages(model: QModel, paths: PathArrays) -> StageChoice:
     """Choose between pooled and separate stages.
 

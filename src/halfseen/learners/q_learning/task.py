@@ -4,7 +4,7 @@
 task of one's own needs the names below and nothing else.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from importlib import import_module
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -34,6 +34,18 @@ class Encoded(NamedTuple):
     def taken(self) -> Float[np.ndarray, "n T F"]:
         """Features of the action that was taken."""
         return np.take_along_axis(self.features, self.action[..., None, None], axis=2)[:, :, 0]
+
+
+class RewardedStages(NamedTuple):
+    """What the stages of a log paid."""
+
+    encoded: Encoded
+    reward: Float[np.ndarray, "n T"]
+    """0 where not completed."""
+    weight: Float[np.ndarray, "n T"]
+    """Of completed stages in eq. 3; 0 elsewhere."""
+    is_last: Bool[np.ndarray, "n T"]
+    """Completed stages after which a path had come to its own end."""
 
 
 class LearnedQ(NamedTuple):
@@ -73,13 +85,8 @@ class Task(Protocol):
         """Whether every action of a state has the same features, apart by its block alone."""
         ...
 
-    @property
-    def needs_whole_log(self) -> str | None:
-        """What of the task cannot be learned from a stream, for a message; None if all can."""
-        ...
-
     def fitted(self, logs: Logs, horizon: int) -> "Task":
-        """Learn from a log what the features need; the task itself where they need nothing."""
+        """Learn from a log, or a sample of its paths, what the features need; the task itself if nothing."""
         ...
 
     def encode(self, logs: Logs, horizon: int) -> Encoded:
@@ -104,12 +111,12 @@ class Task(Protocol):
         """What cuts may depend on, a row for each stage of the log; None for all."""
         ...
 
+    def fitted_to_rewards(self, parts: Iterable["RewardedStages"]) -> "Task":
+        """Learn from a log in parts what `reduce_variance` needs of all of it; the task itself if nothing."""
+        ...
+
     def reduce_variance(
-        self,
-        encoded: Encoded,
-        reward: Float[np.ndarray, "n T"],
-        weight: Float[np.ndarray, "n T"],
-        is_last: Bool[np.ndarray, "n T"],
+        self, stages: RewardedStages
     ) -> tuple[Float[np.ndarray, "n T"], Float[np.ndarray, "n T Z"] | None]:
         """Rewards of the same mean and less noise, and control variates of mean 0; as they are and None if unknown."""
         ...
