@@ -8,7 +8,7 @@ of many paths, so many of them tell these as well as all would, in memory and in
 import numpy as np
 from jaxtyping import Int
 
-MOST_PATHS = 5_000
+MOST_PATHS = 2_000
 """Paths of the sample; of a log that has no more, it is the log."""
 
 

@@ -13,7 +13,6 @@ from jaxtyping import Array, Float, Int
 
 from halfseen.learners.q_learning.fitting import BackwardOptions
 from halfseen.learners.q_learning.least_squares import (
-    Design,
     cross_of,
     factorise,
     gram_of,
@@ -51,40 +50,51 @@ class Setting(NamedTuple):
     """What the compiled sums depend on."""
 
     options: BackwardOptions
+    is_pessimistic: bool
     is_end_value: bool = False
     """Whether the value of a state is Q of the end action."""
     only_going_on: bool = False
 
 
-class OutcomeSums(NamedTuple):
+class OutcomeGrams(NamedTuple):
     """Of imputed targets: the regression of X, and how Σ w x Y depends on its coefficients."""
 
     gram: Float[Array, "V K M M"]
-    cross: Float[Array, "V K M"]
     of_state: Float[Array, "V K F M1"]
     """Σ w x (1 − share) xᵀ, for the coefficients of the features."""
     of_time: Float[Array, "V K F G"]
     """Σ w x expectedᵀ, for those of the terms."""
 
 
-class SeenSums(NamedTuple):
+class SeenGrams(NamedTuple):
     """Of the completed stages, for pessimism."""
 
     gram: Float[Array, "K F F"]
-    cross: Float[Array, "K F"]
-    square: Float[Array, " K"]
-    """Σ w X²."""
     weights: WeightSums
 
 
-class StepSums(NamedTuple):
-    """All that a step needs of the rows."""
+class Grams(NamedTuple):
+    """Sums that no target changes."""
 
-    gram: Float[Array, "V K F F"]
-    cross: Float[Array, "V K F"]
-    """Of the targets, or of the share of X in them, less what the centre says."""
-    outcome: OutcomeSums | None
-    seen: SeenSums | None
+    main: Float[Array, "V K F F"]
+    outcome: OutcomeGrams | None
+    seen: SeenGrams | None
+
+
+class SeenCrosses(NamedTuple):
+    """Of the completed stages: Σ w x X and Σ w X²."""
+
+    cross: Float[Array, "K F"]
+    square: Float[Array, " K"]
+
+
+class Crosses(NamedTuple):
+    """Sums that depend on the targets X."""
+
+    main: Float[Array, "V K F"]
+    """Of X, or of its share in imputed targets, less what the centre says."""
+    outcome: Float[Array, "V K M"] | None
+    seen: SeenCrosses | None
 
 
 class StepFit(NamedTuple):
@@ -95,48 +105,98 @@ class StepFit(NamedTuple):
     """Those of control variates, which Q leaves out, come last."""
 
 
+def lean(log: Transitions, is_shared: bool) -> Transitions:
+    """Keep features once where all actions share them."""
+    return log._replace(features=log.features[:, :, :1]) if is_shared else log
+
+
+def _full(log: Transitions) -> Transitions:
+    shape = (*log.is_possible.shape, log.features.shape[-1])
+    return log._replace(features=jnp.broadcast_to(log.features, shape))
+
+
 @partial(jax.jit, static_argnames="setting")
-def step_sums(
-    log: Transitions,
-    block_of_action: Int[Array, " A"],
-    step: Step,
-    pessimism: Float[Array, ""] | None,
-    setting: Setting,
-) -> StepSums:
-    """Sum up the rows of one part.
+def grams_of(log: Transitions, block_of_action: Int[Array, " A"], stage: Int[Array, ""], setting: Setting) -> Grams:
+    """Sum up what no target changes over the rows of one part.
 
     Parameters
     ----------
     log
-        The part.
+        The part, `lean` or not.
+    block_of_action
+        Block of each action.
+    stage
+        For separate stages, which one.
+    setting
+        The rest.
+    """
+    regression, rows = _regression(log, block_of_action, setting), _rows(_full(log), stage, setting)
+    design, outcome, seen = regression.design(rows, rows.weight), None, None
+    if rows.imputation is not None:
+        of_outcome, given = regression.outcome_design(rows, rows.weight), rows.imputation
+        num_terms, rest = given.terms.shape[-1], (1.0 - jnp.asarray(given.share)).ravel()[:, None]
+        outcome = OutcomeGrams(
+            gram=gram_of(of_outcome),
+            of_state=moment_of(design, rest * of_outcome.features[:, :-num_terms]),
+            of_time=moment_of(design, jnp.asarray(given.expected).reshape(-1, num_terms)),
+        )
+    if setting.is_pessimistic:
+        of_seen = design.weighing(seen_weight(rows, rows.weight).ravel())
+        seen = SeenGrams(gram_of(of_seen).sum(axis=0), weight_sums(of_seen))
+    return Grams(gram_of(design), outcome, seen)
+
+
+@partial(jax.jit, static_argnames="setting")
+def crosses_of(
+    log: Transitions,
+    block_of_action: Int[Array, " A"],
+    step: Step,
+    pessimism: Float[Array, ""],
+    setting: Setting,
+) -> Crosses:
+    """Sum up what depends on the targets over the rows of one part.
+
+    Parameters
+    ----------
+    log
+        The part, `lean` or not.
     block_of_action
         Block of each action.
     step
         The step.
     pessimism
-        Standard errors by which Q is lowered wherever the largest is sought; None for eq. 3 as it is.
+        Standard errors by which Q is lowered wherever the largest is sought, if it is.
     setting
         The rest.
     """
-    options = setting.options
-    regs = jnp.zeros(1)
-    regression = Regression(
-        block_of_action, regs, options.num_blocks, options.num_folds, log.action.shape[0], options.is_scaled, pessimism
-    )
+    log, regression = _full(log), _regression(log, block_of_action, setting, pessimism)
     successor = of_successor(_value(log, regression, step, setting)) * step.has_after
-    rows = log
-    if setting.only_going_on:
-        rows = log._replace(weight=jnp.where(goes_on(log, options.end_action), log.weight, 0.0))
-    if options.stages == "separate":
-        rows, successor = stage_of(log, step.stage), jax.lax.dynamic_slice_in_dim(successor, step.stage, 1, axis=1)
+    rows = _rows(log, step.stage, setting)
+    if setting.options.stages == "separate":
+        successor = jax.lax.dynamic_slice_in_dim(successor, step.stage, 1, axis=1)
     design, target = regression.design(rows, rows.weight), target_of(rows, successor)
-    share = target if rows.imputation is None else jnp.asarray(rows.imputation.share) * target
-    return StepSums(
-        gram=gram_of(design),
-        cross=regression.cross(design, rows, share.ravel(), step.centre),
-        outcome=None if rows.imputation is None else _outcome_sums(rows, regression, design, target),
-        seen=None if pessimism is None else _seen_sums(rows, design, target),
-    )
+    share, outcome, seen = target, None, None
+    if rows.imputation is not None:
+        share = jnp.asarray(rows.imputation.share) * target
+        outcome = cross_of(regression.outcome_design(rows, rows.weight), target.ravel())
+    if setting.is_pessimistic:
+        of_seen, x = design.weighing(seen_weight(rows, rows.weight).ravel()), target.ravel()
+        seen = SeenCrosses(cross_of(of_seen, x).sum(axis=0), by_block(of_seen.weight * x**2, of_seen))
+    return Crosses(regression.cross(design, rows, share.ravel(), step.centre), outcome, seen)
+
+
+def _regression(
+    log: Transitions, block_of_action: Int[Array, " A"], setting: Setting, pessimism: Float[Array, ""] | None = None
+) -> Regression:
+    num_blocks, _, num_folds, _, is_scaled = setting.options
+    margin = pessimism if setting.is_pessimistic else None
+    return Regression(block_of_action, jnp.zeros(1), num_blocks, num_folds, log.action.shape[0], is_scaled, margin)
+
+
+def _rows(log: Transitions, stage: Int[Array, ""], setting: Setting) -> Transitions:
+    if setting.only_going_on:
+        log = log._replace(weight=jnp.where(goes_on(log, setting.options.end_action), log.weight, 0.0))
+    return stage_of(log, stage) if setting.options.stages == "separate" else log
 
 
 def _value(log: Transitions, regression: Regression, step: Step, setting: Setting) -> Float[Array, "n T"]:
@@ -146,34 +206,10 @@ def _value(log: Transitions, regression: Regression, step: Step, setting: Settin
     return regression.values(step.after, log)
 
 
-def _outcome_sums(
-    rows: Transitions, regression: Regression, design: Design, target: Float[Array, "n T"]
-) -> OutcomeSums:
-    assert rows.imputation is not None
-    outcome = regression.outcome_design(rows, rows.weight)
-    num_terms = rows.imputation.terms.shape[-1]
-    rest = (1.0 - jnp.asarray(rows.imputation.share)).ravel()[:, None]
-    return OutcomeSums(
-        gram=gram_of(outcome),
-        cross=cross_of(outcome, target.ravel()),
-        of_state=moment_of(design, rest * outcome.features[:, :-num_terms]),
-        of_time=moment_of(design, jnp.asarray(rows.imputation.expected).reshape(-1, num_terms)),
-    )
-
-
-def _seen_sums(rows: Transitions, design: Design, target: Float[Array, "n T"]) -> SeenSums:
-    seen, each = design.weighing(seen_weight(rows, rows.weight).ravel()), target.ravel()
-    return SeenSums(
-        gram=gram_of(seen).sum(axis=0),
-        cross=cross_of(seen, each).sum(axis=0),
-        square=by_block(seen.weight * each**2, seen),
-        weights=weight_sums(seen),
-    )
-
-
 @partial(jax.jit, static_argnames=("num_paths", "is_scaled", "num_features"))
 def solved(
-    sums: StepSums,
+    grams: Grams,
+    crosses: Crosses,
     centre: Float[Array, "K F"],
     regs: Float[Array, " L"],
     num_paths: int,
@@ -184,7 +220,7 @@ def solved(
 
     Parameters
     ----------
-    sums
+    grams, crosses
         Of all parts.
     centre
         That of the step.
@@ -197,27 +233,27 @@ def solved(
     num_features
         Of Q, the offset among them; what comes after it are control variates.
     """
-    factor, cross, outcome = factorise(sums.gram, is_scaled), sums.cross, None
+    factor, cross, outcome = factorise(grams.main, is_scaled), crosses.main, None
     last = factor.eigenvalues
-    if sums.outcome is not None:
-        num_terms = sums.outcome.of_time.shape[-1]
-        of_outcome = factorise(waiting_for(last, with_prior(sums.outcome.gram, num_terms)), is_scaled)
-        outcome, last = solve(of_outcome, sums.outcome.cross, regs, num_paths).coefficients, of_outcome.eigenvalues
-        cross = cross + jnp.einsum("vkfm,km->vkf", sums.outcome.of_state, outcome[:, :-num_terms])
-        cross = cross + jnp.einsum("vkfg,kg->vkf", sums.outcome.of_time, outcome[:, -num_terms:])
+    if grams.outcome is not None and crosses.outcome is not None:
+        num_terms = grams.outcome.of_time.shape[-1]
+        of_outcome = factorise(waiting_for(last, with_prior(grams.outcome.gram, num_terms)), is_scaled)
+        outcome, last = solve(of_outcome, crosses.outcome, regs, num_paths).coefficients, of_outcome.eigenvalues
+        cross = cross + jnp.einsum("vkfm,km->vkf", grams.outcome.of_state, outcome[:, :-num_terms])
+        cross = cross + jnp.einsum("vkfg,kg->vkf", grams.outcome.of_time, outcome[:, -num_terms:])
     fit = solve(factor, cross, regs, num_paths)
     coefficients = fit.coefficients + centre
     found = QFunctions(coefficients[:, :num_features], fit.reg, outcome)
-    if sums.seen is None:
+    if grams.seen is None or crosses.seen is None:
         return StepFit(found, coefficients)
-    gram = waiting_for(last, sums.seen.gram[None, :, :num_features, :num_features])
-    spread = Spread(factorise(gram, is_scaled), sums.seen.weights)
-    root = roots(spread, fit.reg, num_paths, _squared_residuals(sums.seen, coefficients))
+    gram = waiting_for(last, grams.seen.gram[None, :, :num_features, :num_features])
+    squares = _squared_residuals(grams.seen, crosses.seen, coefficients)
+    root = roots(Spread(factorise(gram, is_scaled), grams.seen.weights), fit.reg, num_paths, squares)
     return StepFit(found._replace(root=root), coefficients)
 
 
-def _squared_residuals(seen: SeenSums, coefficients: Float[Array, "K F"]) -> Float[Array, " K"]:
-    """Σ w (X − βᵀx)²."""
-    explained = 2.0 * jnp.sum(coefficients * seen.cross, axis=-1)
-    quadratic = jnp.einsum("kf,kfg,kg->k", coefficients, seen.gram, coefficients)
-    return jnp.maximum(seen.square - explained + quadratic, 0.0)
+def _squared_residuals(grams: SeenGrams, crosses: SeenCrosses, coefficients: Float[Array, "K F"]) -> Float[Array, " K"]:
+    """Σ w (X − βᵀx)² of the completed stages."""
+    explained = 2.0 * jnp.sum(coefficients * crosses.cross, axis=-1)
+    quadratic = jnp.einsum("kf,kfg,kg->k", coefficients, grams.gram, coefficients)
+    return jnp.maximum(crosses.square - explained + quadratic, 0.0)

@@ -6,7 +6,7 @@ memory would give, but for the rounding of the sums. What is no sum is fitted to
 kept (`kept_parts`).
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -23,7 +23,7 @@ from halfseen.learners.q_learning.q_model import QModel, refuse_all_cut, refuse_
 from halfseen.learners.q_learning.q_space import CrossValidation
 from halfseen.learners.q_learning.sample import sampled
 from halfseen.learners.q_learning.stage_choice import with_stages
-from halfseen.learners.q_learning.step_sums import Setting, Step, StepFit, StepSums, solved, step_sums
+from halfseen.learners.q_learning.step_sums import Grams, Setting, Step, StepFit, crosses_of, grams_of, lean, solved
 from halfseen.learners.q_learning.task import RewardedStages
 from halfseen.learners.q_learning.transitions import QFunctions, Transitions, of_paths
 from halfseen.logs import Logs, LogStream
@@ -69,7 +69,9 @@ def fit_stream(
             paths = model.lay_out(part)
             weight, imputed = model.weights_and_imputation(paths)
             weights.append(weight)
-            yield model.weighted(paths, weight, imputed, fold[start : start + paths.num_paths])
+            yield lean(
+                model.weighted(paths, weight, imputed, fold[start : start + paths.num_paths]), model.task.is_shared
+            )
             start += paths.num_paths
 
     with kept(parts, -(-stream.num_paths // stream.paths_at_once)) as read:
@@ -122,61 +124,77 @@ def fit_parts(parts: Parts, num_paths: int, model: QModel) -> QFunctions:
     Parameters
     ----------
     parts
-        The log, each part laid out as the whole would be.
+        The log, each part laid out as the whole would be, and `lean`.
     num_paths
         n, of all parts together.
     model
         How Q is fitted. For pooled stages with an action that ends a path there is one more pass than stages.
     """
-    options = model.options(num_paths)
-    num_passes = model.horizon + (options.end_action is not None)
+    is_pooled = model.stages == "pooled"
+    num_passes = model.horizon + (is_pooled and model.task.end_action is not None)
     with in_float64(), Progress(num_passes, "learn", "passes") as bar:
-        pessimism = jnp.asarray(model.pessimism) if model.pessimism else None
-        regs = jnp.asarray(model.regs)
-
-        def run(step: Step | None, stage: int, **changed: Any) -> StepFit:
-            setting, sums, num_features = Setting(options, **changed), None, 0
-            for part in parts():
-                here, at = (part, stage) if options.stages == "pooled" else _around(part, stage)
-                log = jax.tree.map(jnp.asarray, here)
-                blocks = jnp.asarray(model.task.block_of_action(part.is_possible.shape[-1]))
-                step, num_features = step or _first(log, options.num_blocks), log.features.shape[-1] + 1
-                sums = _added(sums, step_sums(log, blocks, step._replace(stage=jnp.asarray(at)), pessimism, setting))
-            bar.update()
-            assert sums is not None
-            assert step is not None
-            return solved(sums, step.centre, regs, num_paths, options.is_scaled, num_features)
-
-        fits = _pooled(run, parts, model) if options.stages == "pooled" else _separate(run, model.horizon)
+        passes = _Passes(parts, num_paths, model, bar.update)
+        fits = _pooled(passes) if is_pooled else _separate(passes)
     return jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *(fit.q for fit in fits))
 
 
-def _added(sums: StepSums | None, more: StepSums) -> StepSums:
+class _Passes:
+    """One backward step after the other, each by a pass over the parts."""
+
+    def __init__(self, parts: Parts, num_paths: int, model: QModel, on_pass: Callable[[], object]) -> None:
+        self.parts, self.num_paths, self.model, self._on_pass = parts, num_paths, model, on_pass
+        self._options = model.options(num_paths)
+        self._grams: dict[bool, Grams] = {}
+
+    def fit(self, step: Step | None, stage: int = 0, **changed: bool) -> StepFit:
+        """Fit one step; None is the first, which nothing follows."""
+        setting, is_pooled = Setting(self._options, self.model.pessimism > 0, **changed), self.model.stages == "pooled"
+        # The rows of pooled stages are the same at each step, but for those that the horizon ended.
+        known = self._grams.get(setting.only_going_on) if is_pooled else None
+        grams, crosses, num_features = known, None, 0
+        for part in self.parts():
+            rows, at = (part, 0) if is_pooled else _around(part, stage)
+            log = jax.tree.map(jnp.asarray, rows)
+            blocks = jnp.asarray(self.model.blocks(part.is_possible.shape[-1]))
+            step, num_features = step or _first(log, self._options.num_blocks), log.features.shape[-1] + 1
+            here = step._replace(stage=jnp.asarray(at))
+            crosses = _plus(crosses, crosses_of(log, blocks, here, jnp.asarray(self.model.pessimism), setting))
+            if known is None:
+                grams = _plus(grams, grams_of(log, blocks, here.stage, setting))
+        self._on_pass()
+        assert step is not None
+        assert grams is not None
+        self._grams[setting.only_going_on] = grams
+        regs, is_scaled = jnp.asarray(self.model.regs), self._options.is_scaled
+        return solved(grams, crosses, step.centre, regs, self.num_paths, is_scaled, num_features)
+
+
+def _plus(sums: Any, more: Any) -> Any:
     return more if sums is None else jax.tree.map(jnp.add, sums, more)
 
 
-def _separate(run: Any, horizon: int) -> list[StepFit]:
+def _separate(passes: _Passes) -> list[StepFit]:
     fits, step = [], None
-    for stage in reversed(range(horizon)):
-        fit = run(step, stage)
+    for stage in reversed(range(passes.model.horizon)):
+        fit = passes.fit(step, stage)
         fits.insert(0, fit)
         step = Step(jnp.asarray(stage), fit.q, jnp.asarray(1.0), jnp.zeros_like(fit.coefficients))
     return fits
 
 
-def _pooled(run: Any, parts: Parts, model: QModel) -> list[StepFit]:
-    step, end_action = None, model.task.end_action
+def _pooled(passes: _Passes) -> list[StepFit]:
+    step, end_action = None, passes.model.task.end_action
     if end_action is not None:
-        ended = run(None, 0)
-        num_actions = next(parts()).is_possible.shape[-1]
-        block = int(model.task.block_of_action(num_actions)[end_action])
+        ended = passes.fit(None)
+        num_actions = next(passes.parts()).is_possible.shape[-1]
+        block = int(passes.model.blocks(num_actions)[end_action])
         centre = jnp.broadcast_to(ended.coefficients[block], ended.coefficients.shape)
         step = Step(jnp.asarray(0), ended.q, jnp.asarray(1.0), centre)
-    fits = [run(step, 0, is_end_value=end_action is not None)]
-    for _ in range(model.horizon - 1):
+    fits = [passes.fit(step, is_end_value=end_action is not None)]
+    for _ in range(passes.model.horizon - 1):
         before = fits[-1]
         step = Step(jnp.asarray(0), before.q, jnp.asarray(1.0), before.coefficients)
-        fits.append(run(step, 0, only_going_on=True))
+        fits.append(passes.fit(step, only_going_on=True))
     return fits
 
 
