@@ -11,7 +11,7 @@ from halfseen.logs import Logs
 from halfseen.policies import NamedObservation, decider_of, read_policy
 from halfseen.policies.certainty import QError, certainty
 from halfseen.policies.folder import write_policy
-from halfseen.policies.folder.stages_left import stages_left
+from halfseen.policies.folder.stages_left import stage_counts, stages_left
 from small_logs import flat_log
 
 EVERY = np.ones(3, dtype=bool)
@@ -106,7 +106,9 @@ def test_stages_to_come_are_counted_as_if_nothing_had_been_cut():
         end_s = cut_in - 0.5 if is_cut else float(num)
         paths.append({"path": path, "end_s": end_s, "ending": "cut" if is_cut else "finished"})
     exact = [1 + 0.6 + 0.36 + 0.216, 1 + 0.6 + 0.36, 1.6, 1.0]
-    np.testing.assert_allclose(stages_left(Logs(pd.DataFrame(stages), pd.DataFrame(paths))), exact, atol=0.06)
+    np.testing.assert_allclose(
+        stages_left(stage_counts(Logs(pd.DataFrame(stages), pd.DataFrame(paths)))), exact, atol=0.06
+    )
 
 
 def test_where_nobody_knows_how_many_stages_come_it_is_all_that_the_horizon_leaves():

@@ -88,6 +88,13 @@ class _Or(click.ParamType):
 )
 @click.option("--truncate-at", type=float, help="Largest weight allowed; by default none is truncated.")
 @click.option(
+    "--in-passes/--in-memory",
+    "in_passes",
+    default=None,
+    help="Whether LOGS are read part by part, once for each stage and some times more, and never held whole; by "
+    "default where a Parquet folder has more than 500,000 stages. What is learned is the same.",
+)
+@click.option(
     "--verdict/--no-verdict",
     "has_verdict",
     default=True,
@@ -98,7 +105,9 @@ class _Or(click.ParamType):
 @options.seed("policy")
 @options.overwrite("a policy that is")
 @options.as_json
-def learn(logs: Path, out: Path, has_verdict: bool, overwrite: bool, as_json: bool, **chosen: Any) -> None:
+def learn(
+    logs: Path, out: Path, in_passes: bool | None, has_verdict: bool, overwrite: bool, as_json: bool, **chosen: Any
+) -> None:
     """Learn a policy from the folder LOGS, and write it to a folder of its own, all or nothing.
 
     Logs with objects are of tables: the policy chooses among WASH, LIFT and FINISH. Else, or with --covariates, it
@@ -114,8 +123,10 @@ def learn(logs: Path, out: Path, has_verdict: bool, overwrite: bool, as_json: bo
     total = START + LEARN + (FOLDS + JUDGE if has_verdict else 0) + LOOK
     with Progress(total, "start") as bar, warnings.catch_warnings(record=True) as told:
         from halfseen.errors import HalfseenWarning
-        from halfseen.evaluation.held_out import NUM_FOLDS, held_out_verdict
-        from halfseen.logs import read_logs
+        from halfseen.evaluation.held_out import MOST_JUDGED, NUM_FOLDS, held_out_verdict
+        from halfseen.learners.q_learning.streaming import sample_of
+        from halfseen.logs import Logs
+        from halfseen.logs.stream import opened, parts_of
         from halfseen.policies.folder import read_policy, write_policy
         from halfseen.policies.folder.json_values import plain
         from halfseen.policies.learner_choice import learner_for
@@ -123,19 +134,21 @@ def learn(logs: Path, out: Path, has_verdict: bool, overwrite: bool, as_json: bo
 
         warnings.simplefilter("always", HalfseenWarning)
         targets, seed = _targets(chosen), chosen.pop("seed")
-        log = read_logs(logs)
+        log = opened(logs, in_passes)
         choice = learner_for(log, censoring=targets, random_state=seed, **chosen)
         bar.begin("learn", START)
         learner = choice.learner.fit(log)
         bar.begin("judge" if has_verdict else "write", LEARN)
         judged = partial(bar.update, FOLDS / NUM_FOLDS)
-        verdict = held_out_verdict(learner, log, on_progress=judged).as_dict() if has_verdict else None
+        judging = log if isinstance(log, Logs) else sample_of(log, seed, MOST_JUDGED)
+        verdict = held_out_verdict(learner, judging, on_progress=judged).as_dict() if has_verdict else None
         bar.reach(total - LOOK)
         write_policy(learner, log, out, overwrite=overwrite, verdict=verdict)
         bar.begin("look", 0)
-        shares = action_shares(learner.policy_, learner.model_.task, log)
+        shares = action_shares(learner.policy_, learner.model_.task, parts_of(log))
     notes = [
         *choice.notes,
+        *_of_passes(log.num_paths, judging.num_paths, has_verdict),
         *learner.unseen_,
         *(str(one.message) for one in told if issubclass(one.category, HalfseenWarning)),
     ]
@@ -160,6 +173,12 @@ def _targets(chosen: dict[str, Any]) -> "Targets | str":
     # What is said of weights asks for weights.
     plain = {"by": "path", "covariates": None, "truncate_at": None, "is_doubly_robust": False}
     return "auto" if given == plain else named_targets(**given)
+
+
+def _of_passes(num_paths: int, num_judged: int, has_verdict: bool) -> tuple[str, ...]:
+    if num_judged == num_paths or not has_verdict:
+        return ()
+    return (f"the verdict is of policies learned from {num_judged:,} of the {num_paths:,} paths, drawn at random",)
 
 
 def _lines(report: Mapping[str, Any]) -> list[str]:

@@ -30,6 +30,9 @@ from halfseen.policies.folder.specification import described
 
 NUM_FOLDS = 5
 
+MOST_JUDGED = 10_000
+"""Paths by which what was learned from a log in passes is judged."""
+
 
 @dataclass(frozen=True)
 class HeldOutVerdict:

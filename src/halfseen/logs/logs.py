@@ -18,7 +18,7 @@ from halfseen.logs.path_checks import checked_paths
 from halfseen.logs.refusal import shown
 from halfseen.logs.reward_unit import checked_unit
 from halfseen.logs.stage_checks import checked_stages
-from halfseen.logs.summary import LogsSummary, summarise
+from halfseen.logs.summary import LogsSummary, SummaryTally
 
 
 class Logs:
@@ -192,6 +192,11 @@ class Logs:
         return values
 
     @property
+    def has_objects(self) -> bool:
+        """Whether the stages have objects."""
+        return self._objects is not None
+
+    @property
     def has_all_actions(self) -> bool:
         """Whether the action of every stage is known, also where a path was cut."""
         return bool(self.stages["action"].notna().to_numpy().all())
@@ -219,7 +224,9 @@ class Logs:
 
     def summary(self) -> LogsSummary:
         """Count what is there: paths, endings and causes, stages, clock, actions."""
-        return summarise(self._paths, self._stages, self._objects)
+        tally = SummaryTally()
+        tally.add(self._paths, self._stages, self._objects)
+        return tally.told()
 
     def write(self, folder: str | Path, *, overwrite: bool = False) -> None:
         """Write the tables as Parquet into a folder of their own, all or nothing.

@@ -10,17 +10,23 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from halfseen.arrays import RowMask, Rows
 from halfseen.errors import ArgumentError, LogError
+from halfseen.logs.columns import FINISHED, STAGE_COLUMNS
 from halfseen.logs.folder import MANIFEST, Manifest, opened_table, read_manifest, write_manifest
 from halfseen.logs.frames import as_frame
 from halfseen.logs.logs import Logs
 from halfseen.logs.path_checks import checked_paths
+from halfseen.logs.reading import read_logs
 from halfseen.logs.refusal import shown, within
 from halfseen.logs.reward_unit import common_unit
 from halfseen.writing import placed
 
 PATHS_AT_ONCE = 2_000
 """Paths that are held in memory at once."""
+
+MOST_STAGES_IN_MEMORY = 500_000
+"""A log of more is read in passes where nothing else is said (`opened`)."""
 
 _ROWS_AT_ONCE = 65_536
 
@@ -72,6 +78,31 @@ class LogStream:
         return len(self._paths)
 
     @property
+    def path_ids(self) -> np.ndarray:
+        """Names of the paths, shape (n,)."""
+        return self._paths["path"].to_numpy()
+
+    @property
+    def end_s(self) -> Rows:
+        """Observed end of each path [s]."""
+        return self._paths["end_s"].to_numpy()
+
+    @property
+    def is_finished(self) -> RowMask:
+        """True where the path reached its own end, False where it was cut."""
+        return (self._paths["ending"] == FINISHED).to_numpy(dtype=bool)
+
+    @property
+    def horizon(self) -> int:
+        """Number of stages T of the longest path."""
+        return max(int(frame["stage"].max()) for frame in self.stage_columns("stage"))
+
+    @property
+    def stage_covariates(self) -> list[str]:
+        """Names of the stages' covariates."""
+        return [name for name in self._opened("stages").schema_arrow.names if name not in STAGE_COLUMNS]
+
+    @property
     def num_stages(self) -> int:
         """Number of stages of all paths together."""
         return self._rows["stages"]
@@ -83,11 +114,13 @@ class LogStream:
 
     @property
     def has_all_actions(self) -> bool:
-        """Whether the action of every stage is known, also where a path was cut; only that column is read."""
-        batches = opened_table(self.folder, "stages", self._rows["stages"]).iter_batches(
-            _ROWS_AT_ONCE, columns=["action"]
-        )
-        return all(batch.column(0).null_count == 0 for batch in batches)
+        """Whether the action of every stage is known, also where a path was cut."""
+        return all(bool(frame["action"].notna().all()) for frame in self.stage_columns("action"))
+
+    def stage_columns(self, *names: str) -> Iterator[pd.DataFrame]:
+        """Read some columns of the stages alone, row by row as they stand."""
+        for batch in self._opened("stages").iter_batches(_ROWS_AT_ONCE, columns=list(names)):
+            yield batch.to_pandas()
 
     def __iter__(self) -> Iterator[Logs]:
         """Read the parts, one after the other, from the beginning."""
@@ -101,6 +134,40 @@ class LogStream:
             yield logs
         for reader in readers.values():
             reader.refuse_leftover()
+
+    def _opened(self, name: str) -> pq.ParquetFile:
+        return opened_table(self.folder, name, self._rows[name])
+
+
+def opened(folder: Path, in_passes: bool | None = None) -> Logs | LogStream:
+    """Read a log, or, if it is one of many stages, open it to be read in passes.
+
+    Parameters
+    ----------
+    folder
+        A log of any form.
+    in_passes
+        Whether it is to be read in passes; None for what suits its size.
+
+    Raises
+    ------
+    LogError
+        The folder or one of its files is missing or broken, or it is to be read in passes and its form cannot.
+    """
+    is_parquet = (folder / MANIFEST).is_file()
+    if in_passes and not is_parquet:
+        raise LogError(
+            f"{folder}: only folders of Parquet files are read in passes; make one of it: halfseen convert {folder} "
+            "--out FOLDER"
+        )
+    if in_passes is None:
+        in_passes = is_parquet and read_manifest(folder).rows["stages"] > MOST_STAGES_IN_MEMORY
+    return LogStream(folder) if in_passes else read_logs(folder)
+
+
+def parts_of(log: Logs | LogStream) -> Iterable[Logs]:
+    """Parts of a log, which is one in memory."""
+    return [log] if isinstance(log, Logs) else log
 
 
 class _PathReader:

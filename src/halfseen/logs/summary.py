@@ -1,5 +1,7 @@
 """What a log holds, in numbers and in one sentence."""
 
+import math
+from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
@@ -54,27 +56,53 @@ class LogsSummary:
         )
 
 
-def summarise(paths: pd.DataFrame, stages: pd.DataFrame, objects: pd.DataFrame | None) -> LogsSummary:
-    """Count checked tables."""
-    num_finished = int((paths["ending"] == FINISHED).sum())
-    completed = stages[stages["elapsed_s"].notna()]
-    return LogsSummary(
-        num_paths=len(paths),
-        num_finished=num_finished,
-        num_cut=len(paths) - num_finished,
-        cut_share=1.0 - num_finished / len(paths),
-        causes=_counts(paths["cause"]),
-        num_stages=len(stages),
-        num_completed=len(completed),
-        horizon=int(stages["stage"].max()),
-        shortest_s=float(paths["end_s"].min()),
-        longest_s=float(paths["end_s"].max()),
-        actions=_counts(completed["action"]),
-        num_objects=0 if objects is None else int(objects["object"].nunique()),
-    )
+class SummaryTally:
+    """Counts a log that comes in parts."""
+
+    def __init__(self) -> None:
+        self._num_paths = self._num_finished = self._num_stages = self._num_completed = self._horizon = 0
+        self._ends_s = math.inf, -math.inf
+        self._causes: Counter[str] = Counter()
+        self._actions: Counter[str] = Counter()
+        self._objects: set[Any] = set()
+
+    def add(self, paths: pd.DataFrame, stages: pd.DataFrame, objects: pd.DataFrame | None) -> None:
+        """Count the checked tables of a part."""
+        completed = stages[stages["elapsed_s"].notna()]
+        self._num_paths += len(paths)
+        self._num_finished += int((paths["ending"] == FINISHED).sum())
+        self._num_stages += len(stages)
+        self._num_completed += len(completed)
+        self._horizon = max(self._horizon, int(stages["stage"].max()))
+        end_s, (shortest_s, longest_s) = paths["end_s"], self._ends_s
+        self._ends_s = min(shortest_s, float(end_s.min())), max(longest_s, float(end_s.max()))
+        self._causes += _counts(paths["cause"])
+        self._actions += _counts(completed["action"])
+        if objects is not None:
+            self._objects.update(objects["object"].unique())
+
+    def told(self) -> LogsSummary:
+        """Tell what was counted."""
+        return LogsSummary(
+            num_paths=self._num_paths,
+            num_finished=self._num_finished,
+            num_cut=self._num_paths - self._num_finished,
+            cut_share=1.0 - self._num_finished / self._num_paths,
+            causes=_ranked(self._causes),
+            num_stages=self._num_stages,
+            num_completed=self._num_completed,
+            horizon=self._horizon,
+            shortest_s=self._ends_s[0],
+            longest_s=self._ends_s[1],
+            actions=_ranked(self._actions),
+            num_objects=len(self._objects),
+        )
 
 
-def _counts(values: Any) -> dict[str, int]:
-    """Count each value; equal counts stand in the order of the names, so that the same log reads the same."""
-    counts = [(str(value), int(count)) for value, count in values.value_counts(sort=False).items() if count]
-    return dict(sorted(counts, key=lambda item: (-item[1], item[0])))
+def _counts(values: Any) -> Counter[str]:
+    return Counter({str(value): int(count) for value, count in values.value_counts(sort=False).items() if count})
+
+
+def _ranked(counts: Counter[str]) -> dict[str, int]:
+    """Put the most frequent first; equal counts stand in the order of the names, so the same log reads the same."""
+    return dict(sorted(counts.items(), key=lambda item: (-item[1], item[0])))

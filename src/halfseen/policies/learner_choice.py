@@ -8,7 +8,8 @@ from halfseen.errors import ArgumentError
 from halfseen.learners.q_learning.automatic import AUTO
 from halfseen.learners.q_learning.covariates import unfit_covariates
 from halfseen.learners.q_learning.q_learner import CensoredQLearner
-from halfseen.logs import Logs
+from halfseen.logs import Logs, LogStream
+from halfseen.logs.stream import parts_of
 from halfseen.suggestions import did_you_mean
 from halfseen.tables.grasp.beta_grasp import BetaGrasp
 
@@ -28,7 +29,7 @@ class LearnerChoice:
 
 
 def learner_for(
-    logs: Logs,
+    logs: Logs | LogStream,
     *,
     covariates: Sequence[str] | None = None,
     horizon: int | None = None,
@@ -56,27 +57,33 @@ def learner_for(
     ArgumentError
         A parameter does not fit the log.
     """
-    if logs.objects is not None and covariates is None:
-        length = max(TABLE_HORIZON, logs.horizon) if horizon is None else horizon
+    longest = logs.horizon
+    if logs.has_objects and covariates is None:
+        length = max(TABLE_HORIZON, longest) if horizon is None else horizon
         estimator = GRASPS[grasp or AUTO]()
         learner = CensoredQLearner.for_table(length, grasp=estimator, **parameters)
-        return LearnerChoice(learner, _horizon_notes(logs, horizon, length))
+        return LearnerChoice(learner, _horizon_notes(longest, horizon, length))
     if grasp is not None:
         raise ArgumentError("--grasp is for logs of tables; these have named actions: leave it out")
     columns, notes = _columns(logs, covariates)
-    length = logs.horizon if horizon is None else horizon
+    length = longest if horizon is None else horizon
     actions = actions_by_stage(logs, length)
     return LearnerChoice(CensoredQLearner(length, actions, columns, **parameters), notes)
 
 
-def actions_by_stage(logs: Logs, horizon: int) -> dict[int, list[Any]]:
+def actions_by_stage(logs: Logs | LogStream, horizon: int) -> dict[int, list[Any]]:
     """Names of the actions seen at each stage; all of them where none was."""
-    frame: Any = logs.stages[["stage", "action"]].dropna()
-    names = {stage: sorted(set(group["action"].tolist())) for stage, group in frame.groupby("stage")}
-    return {stage: names.get(stage) or sorted(set(frame["action"].tolist())) for stage in range(1, horizon + 1)}
+    frames = [logs.stages] if isinstance(logs, Logs) else logs.stage_columns("stage", "action")
+    seen: dict[int, set[Any]] = {}
+    for frame in frames:
+        pairs = frame[["stage", "action"]].dropna().drop_duplicates()
+        for stage, action in zip(pairs["stage"].tolist(), pairs["action"].tolist(), strict=True):
+            seen.setdefault(stage, set()).add(action)
+    anywhere = sorted(set().union(*seen.values()))
+    return {stage: sorted(seen[stage]) if stage in seen else anywhere for stage in range(1, horizon + 1)}
 
 
-def _columns(logs: Logs, wanted: Sequence[str] | None) -> tuple[list[str], tuple[str, ...]]:
+def _columns(logs: Logs | LogStream, wanted: Sequence[str] | None) -> tuple[list[str], tuple[str, ...]]:
     there = logs.stage_covariates
     if wanted is not None:
         unknown = [name for name in wanted if name not in there]
@@ -84,15 +91,15 @@ def _columns(logs: Logs, wanted: Sequence[str] | None) -> tuple[list[str], tuple
             known = (", ".join(there) or "none") + did_you_mean(unknown[0], there)
             raise ArgumentError(f"--covariates names {unknown[0]!r}; the stages have {known}")
         return list(wanted), ()
-    unfit = unfit_covariates(logs)
+    unfit = unfit_covariates(parts_of(logs))
     notes = tuple(f"it does not look at {name}, which {trouble}" for name, trouble in unfit.items())
     return [name for name in there if name not in unfit], notes
 
 
-def _horizon_notes(logs: Logs, given: int | None, horizon: int) -> tuple[str, ...]:
-    if given is not None or logs.horizon == horizon:
+def _horizon_notes(longest: int, given: int | None, horizon: int) -> tuple[str, ...]:
+    if given is not None or longest == horizon:
         return ()
     return (
-        f"no path has more than {logs.horizon} stages, and horizon is {horizon}; if paths end by themselves after "
+        f"no path has more than {longest} stages, and horizon is {horizon}; if paths end by themselves after "
         f"fewer, pass --horizon",
     )

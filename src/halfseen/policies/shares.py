@@ -1,5 +1,6 @@
 """What a policy would have done in the states of a log."""
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from halfseen.learners.q_learning.task import Task
 from halfseen.logs import Logs
 
 
-def action_shares(policy: Any, task: Task, logs: Logs) -> pd.DataFrame:
+def action_shares(policy: Any, task: Task, parts: Iterable[Logs]) -> pd.DataFrame:
     """Count how often a policy takes each action in the states of each stage; on a table, each verb.
 
     Parameters
@@ -19,8 +20,8 @@ def action_shares(policy: Any, task: Task, logs: Logs) -> pd.DataFrame:
         A policy.
     task
         What it decides.
-    logs
-        A log that fits it.
+    parts
+        A log that fits it, whole or in parts.
 
     Returns
     -------
@@ -28,22 +29,35 @@ def action_shares(policy: Any, task: Task, logs: Logs) -> pd.DataFrame:
         One row a stage (the index): ``num_states``; ``as_logged``, the proportion of the states with a known action in
         which the policy takes that one (NaN without such states); and ``shares``, for each action its proportion.
     """
+    found: Any = pd.concat([_counted(policy, task, part) for part in parts]).groupby("stage").sum()
+    names = list(task.block_names)
+    taken = (found[names].to_numpy() / found[["num_states"]].to_numpy()).tolist()
+    return pd.DataFrame(
+        {
+            "num_states": found["num_states"],
+            # NaN, and no warning, where no action is known.
+            "as_logged": found["num_as_logged"] / found["num_known"].where(found["num_known"] > 0),
+            "shares": [dict(zip(names, row, strict=True)) for row in taken],
+        }
+    )
+
+
+def _counted(policy: Any, task: Task, logs: Logs) -> pd.DataFrame:
+    """Count in a part of a log, by stage, states, known actions, those that the policy takes, and what it takes."""
     at, horizon = stage_places(logs), horizon_of(policy)
     taken = task.target_probabilities(policy, logs, horizon)[at].argmax(axis=1)
     encoded = task.encode(logs, horizon)
     block = task.block_of_action(encoded.is_possible.shape[-1])[taken]
-    is_as_logged = (taken == encoded.action[at]).astype(float)
-    rows = pd.DataFrame({"stage": logs.stages["stage"].to_numpy(), "block": block, "as_logged": is_as_logged})
-    rows.loc[logs.stages["action"].isna().to_numpy(), "as_logged"] = np.nan
-    stages: Any = rows.groupby("stage")
-    names = task.block_names
-    return pd.DataFrame(
-        {
-            "num_states": stages.size(),
-            "as_logged": stages["as_logged"].mean(),
-            "shares": stages["block"].agg(lambda codes: {n: float(np.mean(codes == k)) for k, n in enumerate(names)}),
-        }
-    )
+    is_known = logs.stages["action"].notna().to_numpy()
+    rows: dict[str, Any] = {
+        "stage": logs.stages["stage"].to_numpy(),
+        "num_states": np.ones(len(block), dtype=int),
+        "num_known": is_known.astype(int),
+        "num_as_logged": (is_known & (taken == encoded.action[at])).astype(int),
+    }
+    rows |= {name: (block == k).astype(int) for k, name in enumerate(task.block_names)}
+    each: Any = pd.DataFrame(rows)
+    return each.groupby("stage", as_index=False).sum()
 
 
 def horizon_of(policy: Any) -> int:

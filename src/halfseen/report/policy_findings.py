@@ -41,7 +41,7 @@ def choices(stored: StoredPolicy, task: Task, logs: Logs) -> list[dict[str, Any]
         stage, num_states; as_logged, the proportion of the states with a known action in which the policy takes that
         one (None without such states); policy and logged, for each action its proportion.
     """
-    shares = action_shares(stored.policy, task, logs)
+    shares = action_shares(stored.policy, task, [logs])
     frame: Any = logs.stages[["stage", "action"]].dropna()
     logged = {
         stage: names.astype(str).value_counts(normalize=True) for stage, names in frame.groupby("stage")["action"]

@@ -1,5 +1,8 @@
 """P(DIRTY) of an object before any label, as a log tells it."""
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
 from scipy.special import expit
 
@@ -8,6 +11,16 @@ from halfseen.logs import Logs
 from halfseen.logs.columns import as_floats, require_columns
 
 COLUMN = "dirty_share"
+
+
+class PriorFacts(NamedTuple):
+    """What a log, or a part of it, tells of P(DIRTY)."""
+
+    stated: tuple[float, float] | None
+    """Least and largest of what its paths say; None where one does not."""
+    total: float
+    """Sum of P(DIRTY) over the objects of all first stages."""
+    count: int
 
 
 def logged_dirty_share(logs: Logs) -> float:
@@ -21,16 +34,46 @@ def logged_dirty_share(logs: Logs) -> float:
     LogError
         The log has no objects, or its paths had different priors.
     """
+    return dirty_share([prior_facts(logs)])
+
+
+def prior_facts(logs: Logs) -> PriorFacts:
+    """Look at a log, or a part of it.
+
+    Raises
+    ------
+    LogError
+        The log has no objects.
+    """
+    stated = None
     if COLUMN in logs.paths.columns and not logs.paths[COLUMN].isna().to_numpy().any():
         values = logs.paths[COLUMN].to_numpy(dtype=np.float64)
-        if np.ptp(values) > 0 or not 0.0 < values[0] < 1.0:
-            raise LogError(
-                f"paths: {COLUMN} goes from {values.min():g} to {values.max():g}; one policy has one prior between 0 "
-                "and 1: select the paths that share it"
-            )
-        return float(values[0])
+        stated = float(values.min()), float(values.max())
     if logs.objects is None:
+        if stated is not None:
+            return PriorFacts(stated, 0.0, 0)
         raise LogError("objects: the log has none; a table is learned from logs with an objects table")
     require_columns("objects", logs.objects, ("stage", "log_odds"))
     log_odds = as_floats("objects", logs.objects, "log_odds").to_numpy()
-    return float(expit(log_odds[logs.objects["stage"].to_numpy() == 1]).mean())
+    at_first = expit(log_odds[logs.objects["stage"].to_numpy() == 1])
+    return PriorFacts(stated, float(at_first.sum()), len(at_first))
+
+
+def dirty_share(parts: Sequence[PriorFacts]) -> float:
+    """Tell the prior by what the parts of a log tell.
+
+    Raises
+    ------
+    LogError
+        Paths had different priors.
+    """
+    stated = [part.stated for part in parts if part.stated is not None]
+    if len(stated) < len(parts):
+        return sum(part.total for part in parts) / sum(part.count for part in parts)
+    least, largest = min(low for low, _ in stated), max(high for _, high in stated)
+    if largest > least or not 0.0 < least < 1.0:
+        raise LogError(
+            f"paths: {COLUMN} goes from {least:g} to {largest:g}; one policy has one prior between 0 "
+            "and 1: select the paths that share it"
+        )
+    return least

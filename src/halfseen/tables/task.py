@@ -1,7 +1,7 @@
 """The task of a table of objects: WASH, LIFT or FINISH, with one block of coefficients for each verb."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import jax
@@ -48,7 +48,7 @@ class TableTask:
     grasp: Any = AUTO
     reduces_variance: bool = True
     chosen: tuple[str, ...] = ()
-    wash_pays: tuple[float, ...] | None = None
+    wash_pays: tuple[float, ...] | None = field(default=None, repr=False)
 
     block_names = tuple(verb.name for verb in Verb)
     end_action = FINISH

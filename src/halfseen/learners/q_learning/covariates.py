@@ -145,15 +145,15 @@ def learned_categories(parts: Iterable[Logs], wanted: Sequence[str], known: Cate
     return {**known, **learned}
 
 
-def unfit_covariates(logs: Logs) -> dict[str, str]:
-    """Tell which covariates of the stages cannot be looked at, and why."""
-    troubles = {name: _trouble(seen) for name, seen in _surveyed([logs], {}).items()}
+def unfit_covariates(parts: Iterable[Logs]) -> dict[str, str]:
+    """Tell which covariates of the stages of a log, whole or in parts, cannot be looked at, and why."""
+    troubles = {name: _trouble(seen) for name, seen in _surveyed(parts, {}).items()}
     return {name: trouble for name, trouble in troubles.items() if trouble is not None}
 
 
 def fit_covariates(logs: Logs) -> list[str]:
     """Name the covariates of the stages that can be looked at: numbers, and text of few categories."""
-    unfit = unfit_covariates(logs)
+    unfit = unfit_covariates([logs])
     return [name for name in logs.stage_covariates if name not in unfit]
 
 

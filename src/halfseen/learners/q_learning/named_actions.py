@@ -199,7 +199,7 @@ class NamedActions:
         if pd.api.types.is_numeric_dtype(logs.stages[name].dtype) and name not in self.categories:
             return logs.stages[[name]].astype(float)
         if name not in self.categories:
-            trouble = unfit_covariates(logs).get(name, "is no covariate of the stages; leave it out")
+            trouble = unfit_covariates([logs]).get(name, "is no covariate of the stages; leave it out")
             raise ArgumentError(f"censoring covariate {name!r} {trouble}")
         looks_at = Covariates((name,), self.categories)
         return pd.DataFrame(looks_at.encode(logs.stages), index=logs.stages.index, columns=pd.Index(looks_at.names))

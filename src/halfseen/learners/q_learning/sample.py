@@ -12,7 +12,7 @@ MOST_PATHS = 2_000
 """Paths of the sample; of a log that has no more, it is the log."""
 
 
-def sampled(num_paths: int, seed: int) -> Int[np.ndarray, " k"]:
+def sampled(num_paths: int, seed: int, most: int | None = None) -> Int[np.ndarray, " k"]:
     """Draw rows of paths, increasing and without replacement.
 
     Parameters
@@ -21,12 +21,15 @@ def sampled(num_paths: int, seed: int) -> Int[np.ndarray, " k"]:
         n.
     seed
         Of the draw.
+    most
+        Paths to draw, if there are as many; None for `MOST_PATHS`.
 
     Examples
     --------
     >>> sampled(3, seed=0)
     array([0, 1, 2])
     """
-    if num_paths <= MOST_PATHS:
+    size = MOST_PATHS if most is None else most
+    if num_paths <= size:
         return np.arange(num_paths)
-    return np.sort(np.random.default_rng([seed, 4]).choice(num_paths, MOST_PATHS, replace=False))
+    return np.sort(np.random.default_rng([seed, 4]).choice(num_paths, size, replace=False))

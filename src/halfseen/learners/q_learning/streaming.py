@@ -27,7 +27,6 @@ from halfseen.learners.q_learning.step_sums import Grams, Setting, Step, StepFit
 from halfseen.learners.q_learning.task import RewardedStages
 from halfseen.learners.q_learning.transitions import QFunctions, Transitions, of_paths
 from halfseen.logs import Logs, LogStream
-from halfseen.logs.columns import FINISHED
 from halfseen.logs.joining import joined
 from halfseen.progress import Progress
 
@@ -84,7 +83,7 @@ def fit_stream(
 
 def _first_pass(model: QModel, stream: LogStream) -> tuple[QModel, PathArrays]:
     """Fit what comes before Q: what is a sum to all paths, the rest to a sample, which is returned."""
-    refuse_all_cut((stream.paths["ending"] == FINISHED).to_numpy(dtype=bool))
+    refuse_all_cut(stream.is_finished)
     sample = sample_of(stream, model.random_state)
     model = model.with_task(stream, sample)
     support, clocks, by_path = None, [], getattr(model.targets, "by", "path") == "path"
@@ -107,9 +106,9 @@ def _rewarded(model: QModel, stream: LogStream) -> Iterator[RewardedStages]:
         yield model.rewarded(paths, model.targets.weights(paths, model.cut_model))
 
 
-def sample_of(stream: LogStream, seed: int) -> Logs:
-    """Read the sample of paths that decides on what is no sum, as `QModel.sample_of` takes it of a log in memory."""
-    rows, start, found = sampled(stream.num_paths, seed), 0, []
+def sample_of(stream: LogStream, seed: int, most: int | None = None) -> Logs:
+    """Read some of the paths; by default those that `QModel.sample_of` takes of a log in memory."""
+    rows, start, found = sampled(stream.num_paths, seed, most), 0, []
     for part in stream:
         here = rows[(rows >= start) & (rows < start + part.num_paths)] - start
         if len(here):

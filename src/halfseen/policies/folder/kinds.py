@@ -1,6 +1,6 @@
 """Kinds of policies that a folder can hold; another kind is one more file and one more entry here."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol, runtime_checkable
 
 from halfseen.errors import ArgumentError, PolicyError
@@ -17,7 +17,11 @@ class PolicyKind(Protocol):
     policy_type: type
     """Class of the policies."""
 
-    def schema(self, policy: Any, logs: Logs) -> dict[str, Any]:
+    def facts(self, logs: Logs) -> Any:
+        """What the schema needs of a log, or of a part of it."""
+        ...
+
+    def schema(self, policy: Any, facts: Sequence[Any]) -> dict[str, Any]:
         """What the policy looks at and chooses from, for policy.json; ``actions`` names the blocks of coefficients."""
         ...
 

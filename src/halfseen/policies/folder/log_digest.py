@@ -1,4 +1,4 @@
-"""One digest for a log: the same paths have the same, in memory and from any form on disk."""
+"""One digest for a log: the same paths have the same, in memory, in parts and from any form on disk."""
 
 import hashlib
 from collections.abc import Iterator
@@ -13,13 +13,28 @@ from halfseen.logs import Logs
 
 def log_digest(logs: Logs) -> str:
     """Give the SHA-256 of what a log says: names of tables and columns, and every value, row by row."""
-    told = hashlib.sha256()
-    for name, table in logs.tables.items():
-        for column in sorted(table.columns):
-            told.update(f"{name}.{column}:{len(table)}\n".encode())
-            for part in _parts(table[column]):
-                told.update(part)
-    return told.hexdigest()
+    digest = LogDigest()
+    digest.add(logs)
+    return digest.hexdigest()
+
+
+class LogDigest:
+    """The digest of a log that comes in parts, in the order of its paths."""
+
+    def __init__(self) -> None:
+        self._columns: dict[str, Any] = {}
+
+    def add(self, part: Logs) -> None:
+        """Go on with the next part."""
+        for name, table in part.tables.items():
+            for column in table.columns:
+                for k, told in enumerate(_parts(table[column])):
+                    self._columns.setdefault(f"{name}.{column}.{k}", hashlib.sha256()).update(told)
+
+    def hexdigest(self) -> str:
+        """Give the SHA-256 of the columns' own."""
+        columns = sorted(self._columns.items())
+        return hashlib.sha256("".join(f"{name}:{of.hexdigest()}\n" for name, of in columns).encode()).hexdigest()
 
 
 def _parts(values: Any) -> Iterator[bytes]:
@@ -32,7 +47,7 @@ def _parts(values: Any) -> Iterator[bytes]:
         yield from _parts(arrow.flatten().to_pandas())
         return
     texts = values.map(lambda value: repr(str(value)), na_action="ignore").fillna("null")
-    yield "\n".join(texts).encode()
+    yield "".join(f"{text}\n" for text in texts).encode()
 
 
 def _number_bytes(values: np.ndarray) -> bytes:

@@ -1,6 +1,6 @@
 """Policies of named actions in a folder."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,7 +30,10 @@ class NamedKind:
 
     policy_type = FlatPolicy
 
-    def schema(self, policy: FlatPolicy, logs: Logs) -> dict[str, Any]:
+    def facts(self, logs: Logs) -> None:
+        """The schema needs nothing of the log."""
+
+    def schema(self, policy: FlatPolicy, facts: Sequence[Any]) -> dict[str, Any]:
         """Covariates and their categories, names of the actions, and those that each stage allows.
 
         Raises

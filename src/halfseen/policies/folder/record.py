@@ -14,18 +14,21 @@ from halfseen.censoring import positivity_report, weight_diagnostics
 from halfseen.censoring.positivity import PositivityReport
 from halfseen.errors import PolicyError
 from halfseen.learners.q_learning.q_learner import CensoredQLearner
-from halfseen.logs import Logs
+from halfseen.learners.q_learning.streaming import sample_of
+from halfseen.logs import Logs, LogStream
+from halfseen.logs.stream import parts_of
 from halfseen.logs.suspicions import suspicions
 from halfseen.policies.folder.json_values import names_in, plain, typed
 from halfseen.policies.folder.kinds import KINDS, kind_name_of, kind_of
-from halfseen.policies.folder.log_digest import log_digest
+from halfseen.policies.folder.log_facts import log_facts
 from halfseen.policies.folder.specification import described
-from halfseen.policies.folder.stages_left import stages_left
 
 FORMAT, VERSION = "halfseen-policy", 1
 
 
-def record_of(learner: CensoredQLearner, logs: Logs, verdict: Mapping[str, Any] | None = None) -> dict[str, Any]:
+def record_of(
+    learner: CensoredQLearner, logs: Logs | LogStream, verdict: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
     """Describe a fitted learner and its log.
 
     Parameters
@@ -44,7 +47,8 @@ def record_of(learner: CensoredQLearner, logs: Logs, verdict: Mapping[str, Any] 
     """
     policy, name = learner.policy_, kind_name_of(learner.policy_)
     is_by_stage = learner.model_.stages == "separate"
-    schema = KINDS[name].schema(policy, logs)
+    facts = log_facts(parts_of(logs), KINDS[name], policy, is_by_stage)
+    sample = logs if isinstance(logs, Logs) else sample_of(logs, learner.random_state)
     positivity = positivity_report(logs.end_s, logs.is_finished, path_ids=logs.path_ids)
     return {
         "format": FORMAT,
@@ -55,21 +59,21 @@ def record_of(learner: CensoredQLearner, logs: Logs, verdict: Mapping[str, Any] 
             **{name: version(name) for name in ("numpy", "jax")},
         },
         "kind": name,
-        "schema": schema,
-        "seen": KINDS[name].seen(logs, policy, is_by_stage),
-        "stages_left": stages_left(logs),
-        "reward_spread": float(np.nanstd(logs.stages["reward"].to_numpy(dtype=np.float64, na_value=np.nan))),
+        "schema": facts.schema,
+        "seen": facts.seen,
+        "stages_left": facts.stages_left,
+        "reward_spread": facts.reward_spread,
         "learner": described(learner.model_),
         "chosen": list(learner.chosen_),
         "seed": int(learner.random_state),
         "reg": {
             "rows": "stage" if is_by_stage else "steps to go",
-            "columns": schema["actions"],
+            "columns": facts.schema["actions"],
             "values": np.asarray(learner.q_functions_.reg).tolist(),
         },
-        "log": {"sha256": log_digest(logs), "sentence": str(logs.summary()), **asdict(logs.summary())},
-        "diagnostics": _diagnostics(learner, logs, positivity),
-        "warnings": _warnings(logs, positivity),
+        "log": {"sha256": facts.sha256, "sentence": str(facts.summary), **asdict(facts.summary)},
+        "diagnostics": _diagnostics(learner, facts.summary.horizon, positivity),
+        "warnings": _warnings(sample, positivity),
         "verdict": None if verdict is None else dict(verdict),
     }
 
@@ -127,10 +131,10 @@ def _warnings(logs: Logs, positivity: PositivityReport) -> list[str]:
     return [*weights, *(each.sentence for each in suspicions(logs))]
 
 
-def _diagnostics(learner: CensoredQLearner, logs: Logs, positivity: PositivityReport) -> dict[str, Any]:
+def _diagnostics(learner: CensoredQLearner, horizon: int, positivity: PositivityReport) -> dict[str, Any]:
     by_stage = [
         weight_diagnostics(column, getattr(learner.model_.targets, "truncate_at", None))
-        for column in learner.weights_[:, : logs.horizon].T
+        for column in learner.weights_[:, :horizon].T
     ]
     return {
         "weights": asdict(learner.diagnostics_),

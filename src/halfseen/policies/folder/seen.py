@@ -1,5 +1,6 @@
 """What the states of a log looked like: beyond these ranges a policy was taught nothing."""
 
+from itertools import zip_longest
 from operator import index
 from typing import Any
 
@@ -51,6 +52,12 @@ def seen_tables(logs: Logs) -> list[dict[str, Any]]:
     return [_entry(1, logs.horizon, logs.num_stages, ranges)]
 
 
+def joined_seen(one: list[dict[str, Any]], other: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Join what two parts of a log have seen, stage by stage or of all stages."""
+    pairs = zip_longest(one, other)
+    return [first or second if not (first and second) else _joined(first, second) for first, second in pairs]
+
+
 def check_seen(seen: Any, names: tuple[str, ...]) -> None:
     """Refuse what does not give a range of each of these names.
 
@@ -70,6 +77,19 @@ def check_seen(seen: Any, names: tuple[str, ...]) -> None:
         raise PolicyError(
             f"seen does not give the range of {', '.join(names) or 'nothing'} in the log ({error}); learn anew"
         ) from error
+
+
+def _joined(one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
+    ranges = {name: _wider(seen, other["ranges"][name]) for name, seen in one["ranges"].items()}
+    last = max(one["stages"][1], other["stages"][1])
+    return _entry(one["stages"][0], last, one["num_states"] + other["num_states"], ranges)
+
+
+def _wider(one: Any, other: Any) -> Any:
+    if isinstance(one, dict):
+        # In the order of the categories, as one log alone would have them.
+        return {name: one.get(name, 0) + other.get(name, 0) for name in sorted({*one, *other})}
+    return [min(one[0], other[0]), max(one[1], other[1])]
 
 
 def _is_range(seen: Any) -> bool:

@@ -21,7 +21,7 @@ def described(model: QModel) -> dict[str, Any]:
     task: Any = model.task
     return {
         "horizon": model.horizon,
-        **{field.name: getattr(task, field.name) for field in fields(task)},
+        **{field.name: getattr(task, field.name) for field in fields(task) if field.repr},
         "q_function": name_of(model.space),
         **{name: getattr(model.space, name, None) for name in ("num_landmarks", "gamma", "trend")},
         "pessimism": model.pessimism,

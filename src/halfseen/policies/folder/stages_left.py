@@ -1,19 +1,45 @@
 """How many stages there are still to come: over so many the errors of Q add up."""
 
+from typing import NamedTuple
+
 import numpy as np
+from jaxtyping import Int
 
 from halfseen.logs import Logs
 
 
-def stages_left(logs: Logs) -> list[float]:
+class StageCounts(NamedTuple):
+    """How many paths began and completed each stage; those of parts of a log add up."""
+
+    begun: Int[np.ndarray, " T"]
+    done: Int[np.ndarray, " T"]
+
+    def plus(self, other: "StageCounts") -> "StageCounts":
+        """Join what another part has counted."""
+        horizon = max(len(self.begun), len(other.begun))
+        begun, done = (
+            np.pad(one, (0, horizon - len(one))) + np.pad(more, (0, horizon - len(more)))
+            for one, more in zip(self, other, strict=True)
+        )
+        return StageCounts(begun, done)
+
+
+def stage_counts(logs: Logs) -> StageCounts:
+    """Count the stages of a log."""
+    stage = logs.stages["stage"].to_numpy(dtype=np.int64)
+    is_done = logs.stages["elapsed_s"].notna().to_numpy(dtype=bool)
+    return StageCounts(*(np.bincount(one, minlength=logs.horizon + 1)[1:] for one in (stage, stage[is_done])))
+
+
+def stages_left(counts: StageCounts) -> list[float]:
     """Mean number of stages from each to the end of a path, by Kaplan and Meier: what a cut took away is made up for.
 
     Of the paths that completed a stage, some went on to the next; a cut within a stage tells nothing of that.
 
     Parameters
     ----------
-    logs
-        The log.
+    counts
+        Of the whole log.
 
     Examples
     --------
@@ -21,13 +47,10 @@ def stages_left(logs: Logs) -> list[float]:
 
     >>> stages = {"path": [0, 1, 1, 2], "stage": [1, 1, 2, 1], "elapsed_s": [1.0, 1.0, 2.0, None], "action": ["A"] * 4}
     >>> paths = {"path": [0, 1, 2], "end_s": [1.0, 2.0, 0.5], "ending": ["finished", "finished", "cut"]}
-    >>> stages_left(Logs(stages | {"reward": [1.0, 1.0, 1.0, None]}, paths))
+    >>> stages_left(stage_counts(Logs(stages | {"reward": [1.0, 1.0, 1.0, None]}, paths)))
     [1.5, 1.0]
     """
-    stage = logs.stages["stage"].to_numpy(dtype=np.int64)
-    is_done = logs.stages["elapsed_s"].notna().to_numpy(dtype=bool)
-    begun, done = (np.bincount(one, minlength=logs.horizon + 2)[1:] for one in (stage, stage[is_done]))
-    left = np.ones(logs.horizon)
-    for k in range(logs.horizon - 2, -1, -1):
-        left[k] += left[k + 1] * begun[k + 1] / max(int(done[k]), 1)
+    left = np.ones(len(counts.begun))
+    for k in range(len(left) - 2, -1, -1):
+        left[k] += left[k + 1] * counts.begun[k + 1] / max(int(counts.done[k]), 1)
     return left.tolist()

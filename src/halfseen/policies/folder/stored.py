@@ -11,7 +11,7 @@ import safetensors.numpy
 from halfseen.errors import PolicyError
 from halfseen.estimator import check_fitted
 from halfseen.learners.q_learning.q_learner import CensoredQLearner
-from halfseen.logs import Logs
+from halfseen.logs import Logs, LogStream
 from halfseen.logs.refusal import within
 from halfseen.policies.certainty import LASTING_ERROR, QError
 from halfseen.policies.folder.arrays import column_major, laid_out
@@ -95,7 +95,7 @@ def _range(seen: Any) -> Range:
 
 def write_policy(
     learner: CensoredQLearner,
-    logs: Logs,
+    logs: Logs | LogStream,
     folder: str | Path,
     *,
     overwrite: bool = False,

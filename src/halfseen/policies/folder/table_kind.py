@@ -1,8 +1,8 @@
 """Policies of tables in a folder."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -25,7 +25,7 @@ from halfseen.policies.folder.json_values import horizon_of, typed
 from halfseen.policies.folder.seen import TABLE_RANGES, seen_tables
 from halfseen.tables.features import FEATURES_VERSION, NUM_FEATURES
 from halfseen.tables.grasp.grasp_table import GraspTable
-from halfseen.tables.prior import logged_dirty_share
+from halfseen.tables.prior import PriorFacts, dirty_share, prior_facts
 from halfseen.tables.table_policy import LinearTablePolicy
 from halfseen.world.action_space import Verb
 
@@ -39,16 +39,21 @@ class TableKind:
 
     policy_type = LinearTablePolicy
 
-    def schema(self, policy: LinearTablePolicy, logs: Logs) -> dict[str, Any]:
+    def facts(self, logs: Logs) -> "TableFacts":
+        """What a log tells of the prior, of views and of rewards."""
+        return TableFacts(prior_facts(logs), counts_views(logs), _least_rewards(logs))
+
+    def schema(self, policy: LinearTablePolicy, facts: Sequence["TableFacts"]) -> dict[str, Any]:
         """Verbs, features, the prior of DIRTY that the log-odds of the log started from, what looks and verbs told."""
+        paid = {verb: [part.least_rewards[verb] for part in facts if verb in part.least_rewards] for verb in _VERBS}
         return {
             "horizon": len(policy.coefficients),
             "actions": _VERBS,
             "features": _FEATURES,
-            "dirty_share": logged_dirty_share(logs),
-            "counts_views": counts_views(logs),
+            "dirty_share": dirty_share([part.prior for part in facts]),
+            "counts_views": any(part.counts_views for part in facts),
             "seen": _seen_verbs(policy),
-            "least_rewards": _least_rewards(logs),
+            "least_rewards": {verb: min(least) for verb, least in paid.items() if least},
         }
 
     def seen(self, logs: Logs, policy: LinearTablePolicy, is_by_stage: bool) -> list[dict[str, Any]]:
@@ -95,11 +100,20 @@ class TableKind:
         return LinearTablePolicy(on_device[COEFFICIENTS], grasp, kernel_map, _is_seen(record), margin, behaviour)
 
 
+class TableFacts(NamedTuple):
+    """What the schema needs of a log, or of a part of it."""
+
+    prior: PriorFacts
+    counts_views: bool
+    least_rewards: dict[str, float]
+
+
 def _seen_verbs(policy: LinearTablePolicy) -> list[list[str]]:
-    """Verbs that have a value, by steps to go."""
+    """Verbs that have a value, by steps to go; where none has, as in a stage that no path reached, all may be taken."""
     if policy.is_seen is None:
         return [_VERBS] * len(policy.coefficients)
-    return [[verb for verb, is_it in zip(_VERBS, row, strict=True) if is_it] for row in np.asarray(policy.is_seen)]
+    rows = np.asarray(policy.is_seen)
+    return [[verb for verb, is_it in zip(_VERBS, row, strict=True) if is_it] or _VERBS for row in rows]
 
 
 def _is_seen(record: Mapping[str, Any]) -> Any:
