@@ -31,7 +31,7 @@ def _print_template(ctx: click.Context, _: click.Parameter, is_asked: bool) -> N
 
 
 @click.command(epilog="Example: halfseen convert recording.mcap --mapping cell.toml --out logs")
-@click.argument("source")
+@click.argument("sources", metavar="SOURCE...", nargs=-1, required=True)
 @click.option("--out", "target", required=True, help="FOLDER of Parquet, csv:FOLDER, or minari:NAME-v0.")
 @click.option("--mapping", type=options.PATH, help="Of a bag: which topic carries what (TOML).")
 @click.option(
@@ -48,14 +48,22 @@ def _print_template(ctx: click.Context, _: click.Parameter, is_asked: bool) -> N
 @click.option("--step-s", type=float, help="Of another's Minari dataset: how long a step lasts [s].")
 @options.unused_seed
 @options.as_json
-def convert(source: str, target: str, seed: int, as_json: bool, clouds: Path | None, **chosen: Any) -> None:
+def convert(
+    sources: tuple[str, ...], target: str, seed: int, as_json: bool, clouds: Path | None, **chosen: Any
+) -> None:
     """Read the logs of SOURCE and write them to another form, all or nothing.
 
     SOURCE is a folder of logs (Parquet or CSV), a ROS bag (its folder, its .mcap, .db3 or .bag file, or a folder of
-    bags), a folder of a Minari dataset, or minari:NAME-v0.
+    bags), a folder of a Minari dataset, or minari:NAME-v0. Several folders of logs, such as those of many recorders,
+    become one of Parquet files; paths that are still being recorded are left out.
     """
     from halfseen.writing import placed, refuse_taken
 
+    if len(sources) > 1:
+        _check_options("parquet", {**chosen, "clouds": clouds})
+        _compact(sources, target, as_json)
+        return
+    source = next(iter(sources))
     kind = _kind(source)
     _check_options(kind, {**chosen, "clouds": clouds})
     place = Path(target.removeprefix(CSV))
@@ -68,6 +76,20 @@ def convert(source: str, target: str, seed: int, as_json: bool, clouds: Path | N
     report = {"source": source, "format": kind, "target": target, "sentence": str(logs.summary())}
     report |= asdict(logs.summary())
     click.echo(json.dumps(report, indent=2) if as_json else f"{target}: {report['sentence']}")
+
+
+def _compact(sources: tuple[str, ...], target: str, as_json: bool) -> None:
+    from halfseen.errors import ArgumentError
+    from halfseen.logs import compact
+
+    if target.startswith((CSV, MINARI)):
+        raise ArgumentError(f"--out is {target}; several folders become one of Parquet files: give a FOLDER")
+    with Progress(2 * len(sources), "convert", "folders") as bar:
+        done = compact(sources, target, on_progress=bar.update)
+    left_out = f"; {done.num_running} still being recorded left out" if done.num_running else ""
+    told = f"{done.num_paths} paths with {done.num_stages} stages from {done.num_folders} folders{left_out}"
+    report = {"sources": list(sources), "target": target, "sentence": told, **done._asdict()}
+    click.echo(json.dumps(report, indent=2) if as_json else f"{target}: {told}")
 
 
 def _kind(source: str) -> str:

@@ -1,6 +1,6 @@
 """A log that need not fit in memory: read and written a few thousand whole paths at a time."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -219,7 +219,13 @@ class _PathReader:
         return True
 
 
-def write_stream(parts: Iterable[Logs], folder: str | Path, *, overwrite: bool = False) -> None:
+def write_stream(
+    parts: Iterable[Logs],
+    folder: str | Path,
+    *,
+    overwrite: bool = False,
+    schemas: Mapping[str, pa.Schema] | None = None,
+) -> None:
     """Write a log that comes in parts, all or nothing; no more than one part is in memory.
 
     Parameters
@@ -230,6 +236,8 @@ def write_stream(parts: Iterable[Logs], folder: str | Path, *, overwrite: bool =
         Where to.
     overwrite
         Replace logs that are already there.
+    schemas
+        Columns and types of each table; None for those of the first part.
 
     Raises
     ------
@@ -249,14 +257,14 @@ def write_stream(parts: Iterable[Logs], folder: str | Path, *, overwrite: bool =
             last, unit = part.path_ids[-1], common_unit([unit, part.reward_unit])
             for name, table in part.tables.items():
                 if name not in writers:
-                    schema = pa.Schema.from_pandas(table, preserve_index=False)
+                    schema = pa.Schema.from_pandas(table, preserve_index=False) if schemas is None else schemas[name]
                     writers[name] = stack.enter_context(
                         pq.ParquetWriter(fresh / f"{name}.parquet", _without_nulls(schema), compression="zstd")
                     )
                     rows[name] = 0
-                writers[name].write_table(
-                    pa.Table.from_pandas(table, schema=writers[name].schema, preserve_index=False)
-                )
+                schema = writers[name].schema
+                full = table.reindex(columns=schema.names)
+                writers[name].write_table(pa.Table.from_pandas(full, schema=schema, preserve_index=False))
                 rows[name] += len(table)
         if not writers:
             raise ArgumentError("there is no part; give at least one log")
