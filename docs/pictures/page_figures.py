@@ -131,14 +131,15 @@ def draw_extras() -> Figure:
 ASKS_FOR = {
     "watch": ("watch",),
     "report": ("study",),
-    "convert": ("minari", "ros"),
+    "convert": ("minari", "ros", "stores"),
+    "learn": ("stores",),
     "look": ("perception",),
     "simulate": ("perception",),
     "cell": ("scene", "ray", "dask"),
     "study": ("study", "ray", "dask"),
 }
 """Command → the extras that it asks for, some of which hold others."""
-ON_DEMAND = ("minari", "ros", "ray", "dask")
+ON_DEMAND = ("minari", "ros", "ray", "dask", "stores")
 """Extras that a format or an engine alone needs: pale dots."""
 
 PICTURES = (

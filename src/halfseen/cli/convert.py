@@ -93,12 +93,15 @@ def _compact(sources: tuple[str, ...], target: str, as_json: bool) -> None:
 
 
 def _kind(source: str) -> str:
-    """What a source is, by what stands there."""
+    """What a source is, by what stands there; in an object store there is one form alone."""
     from halfseen.errors import LogError
+    from halfseen.logs.place import is_remote
 
     path = Path(source)
     if source.startswith(MINARI) or (path / "data" / "metadata.json").is_file():
         return "minari"
+    if is_remote(source):
+        return "parquet"
     if not path.exists():
         raise LogError(f"{source}: there is no such file or folder; a Minari dataset is called {MINARI}NAME-v0")
     if (path / "stages.csv").exists() or (path / "paths.csv").exists():

@@ -10,6 +10,7 @@ EXTRAS = {
     "ros": ("rosbags",),
     "ray": ("ray",),
     "dask": ("distributed",),
+    "stores": ("upath",),
 }
 """Libraries that some verbs need, by the extra that brings them."""
 

@@ -32,7 +32,7 @@ class _Or(click.ParamType):
 
 
 @click.command(epilog="Example: halfseen learn logs --out policy --censoring cox --seed 1")
-@click.argument("logs", type=options.PATH)
+@click.argument("logs", type=options.PLACE)
 @click.option("--out", type=options.PATH, required=True, help="Folder that the policy is written to.")
 @options.names(
     "--covariates", "Columns of the stages to look at, as x1,x2; by default numbers and text of few categories."
@@ -106,9 +106,17 @@ class _Or(click.ParamType):
 @options.overwrite("a policy that is")
 @options.as_json
 def learn(
-    logs: Path, out: Path, in_passes: bool | None, has_verdict: bool, overwrite: bool, as_json: bool, **chosen: Any
+    logs: str | Path,
+    out: Path,
+    in_passes: bool | None,
+    has_verdict: bool,
+    overwrite: bool,
+    as_json: bool,
+    **chosen: Any,
 ) -> None:
     """Learn a policy from the folder LOGS, and write it to a folder of its own, all or nothing.
+
+    LOGS may lie in an object store, as Parquet files: s3://BUCKET/FOLDER and the like.
 
     Logs with objects are of tables: the policy chooses among WASH, LIFT and FINISH. Else, or with --covariates, it
     chooses among the actions that were seen at each stage. Stages of cut paths count, too.

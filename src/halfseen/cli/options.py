@@ -10,6 +10,16 @@ from halfseen.suggestions import did_you_mean
 PATH = click.Path(path_type=Path)
 
 
+class _Place(click.Path):
+    """A path, or the address of a folder in an object store."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        return value if "://" in str(value) else super().convert(value, param, ctx)
+
+
+PLACE = _Place(path_type=Path)
+
+
 class Choice(click.Choice):
     """One of some words; of another one it says which may have been meant."""
 

@@ -14,6 +14,7 @@ import pyarrow as pa
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs.joining import joined
 from halfseen.logs.logs import Logs
+from halfseen.logs.place import Place, place_of
 from halfseen.logs.reading import read_logs
 from halfseen.logs.reward_unit import common_unit
 from halfseen.logs.stream import PATHS_AT_ONCE, write_stream
@@ -35,7 +36,7 @@ class Compacted(NamedTuple):
 
 
 def compact(
-    folders: Sequence[str | Path],
+    folders: Sequence[str | Place],
     out: str | Path,
     *,
     overwrite: bool = False,
@@ -49,7 +50,7 @@ def compact(
     Parameters
     ----------
     folders
-        Logs of any form that `read_logs` reads.
+        Logs of any form that `read_logs` reads, or their addresses in an object store.
     out
         Folder to write.
     overwrite
@@ -65,7 +66,7 @@ def compact(
         A folder is none or broken; or two do not go together: a column is of two types, or only one has it; or rewards
         are in two units.
     """
-    runs = [Path(folder) for folder in folders]
+    runs = [place_of(folder) for folder in folders]
     _refuse_repeated(runs)
     refuse_taken(Path(out), overwrite, "logs.json", "logs")
     schemas: dict[str, pa.Schema] = {}
@@ -87,10 +88,10 @@ def compact(
     return counts
 
 
-def _refuse_repeated(runs: Sequence[Path]) -> None:
+def _refuse_repeated(runs: Sequence[Place]) -> None:
     if not runs:
         raise ArgumentError("no folder is given; give at least one")
-    seen: dict[Path, Path] = {}
+    seen: dict[Place, Place] = {}
     for run in runs:
         if run.resolve() in seen:
             raise ArgumentError(f"{run} and {seen[run.resolve()]} are the same folder; give it once")
@@ -106,7 +107,7 @@ def _ended(logs: Logs) -> tuple[Logs | None, int]:
     return ended, int(is_running.sum())
 
 
-def _parts(runs: Sequence[Path], on_progress: Callable[[], object]) -> Iterator[Logs]:
+def _parts(runs: Sequence[Place], on_progress: Callable[[], object]) -> Iterator[Logs]:
     """Logs of some thousand paths, numbered anew."""
     held, num_held, first = [], 0, 0
     for run in runs:
@@ -123,7 +124,7 @@ def _parts(runs: Sequence[Path], on_progress: Callable[[], object]) -> Iterator[
         yield joined(held)
 
 
-def _named(logs: Logs, run: Path, first: int) -> dict[str, pd.DataFrame]:
+def _named(logs: Logs, run: Place, first: int) -> dict[str, pd.DataFrame]:
     """Tables of a log whose paths are numbered from `first`, and say where they come from unless they do so already."""
     number = pd.Series(range(first, first + logs.num_paths), index=pd.Index(logs.path_ids))
     tables = {name: table.assign(path=number.loc[table["path"]].to_numpy()) for name, table in logs.tables.items()}
@@ -134,7 +135,7 @@ def _named(logs: Logs, run: Path, first: int) -> dict[str, pd.DataFrame]:
 
 
 def _agreed(
-    schemas: dict[str, pa.Schema], run: Path, first: Path, tables: dict[str, pd.DataFrame]
+    schemas: dict[str, pa.Schema], run: Place, first: Place, tables: dict[str, pd.DataFrame]
 ) -> dict[str, pa.Schema]:
     """Types that serve what was read so far and one folder more."""
     here = {name: pa.Schema.from_pandas(table, preserve_index=False) for name, table in tables.items()}
@@ -152,7 +153,7 @@ _MAY_LACK = {"stages": {"object"}, "objects": set()}
 """Columns that may be null; whatever else stages and objects have was seen of each, or of none. Of paths all may."""
 
 
-def _unified(table: str, before: pa.Schema, here: pa.Schema, run: Path, first: Path) -> pa.Schema:
+def _unified(table: str, before: pa.Schema, here: pa.Schema, run: Place, first: Place) -> pa.Schema:
     only_one = sorted(set(before.names) ^ set(here.names))
     missing = [column for column in only_one if table in _MAY_LACK and column not in _MAY_LACK[table]]
     if missing:

@@ -21,6 +21,7 @@ import pyarrow.parquet as pq
 from halfseen.errors import LogError
 from halfseen.logs.journal import JOURNAL
 from halfseen.logs.journal_tables import journal_log
+from halfseen.logs.place import Place, asking
 from halfseen.logs.refusal import within
 from halfseen.logs.reward_unit import checked_unit
 from halfseen.writing import placed
@@ -39,7 +40,7 @@ class Manifest(NamedTuple):
     """What rewards are counted in; None if nobody has said."""
 
 
-def read_folder(folder: Path) -> dict[str, Any]:
+def read_folder(folder: Place) -> dict[str, Any]:
     """Read what `Logs` is made of, by name, whether `Logs.write` or a `LogRecorder` wrote the folder.
 
     Raises
@@ -47,7 +48,8 @@ def read_folder(folder: Path) -> dict[str, Any]:
     LogError
         The folder or one of its files is missing, broken or of another version.
     """
-    if (folder / JOURNAL).is_file() and not (folder / MANIFEST).exists():
+    is_here = isinstance(folder, Path)
+    if is_here and (folder / JOURNAL).is_file() and not (folder / MANIFEST).exists():
         return journal_log(folder / JOURNAL)
     manifest = read_manifest(folder)
     tables = {name: _read_table(folder, name, count) for name, count in manifest.rows.items()}
@@ -90,7 +92,7 @@ def write_manifest(folder: Path, told: Manifest) -> None:
     (folder / MANIFEST).write_text(json.dumps(manifest, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
-def read_manifest(folder: Path) -> Manifest:
+def read_manifest(folder: Place) -> Manifest:
     """Read how many rows each table of a folder has, and the unit of rewards.
 
     Raises
@@ -99,12 +101,15 @@ def read_manifest(folder: Path) -> Manifest:
         The folder holds no logs or those of another version, or the unit is no short text.
     """
     file = folder / MANIFEST
-    if not folder.is_dir():
+    with asking(folder):
+        is_there = folder.is_dir()
+    if not is_there:
         raise LogError(
             f"{folder}: there is no such folder; give the folder that Logs.write or `halfseen simulate` wrote"
         )
     try:
-        manifest: Any = json.loads(file.read_text(encoding="utf-8"))
+        with asking(folder):
+            manifest: Any = json.loads(file.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise LogError(
             f"{file}: it is missing, so {folder} holds no logs; give a folder that Logs.write wrote"
@@ -130,7 +135,7 @@ def _checked_rows(file: Path, rows: Any) -> dict[str, int]:
     return rows
 
 
-def opened_table(folder: Path, name: str, num_rows: int) -> pq.ParquetFile:
+def opened_table(folder: Place, name: str, num_rows: int) -> pq.ParquetFile:
     """Open a table of a folder, which the manifest says to have so many rows.
 
     Raises
@@ -141,7 +146,8 @@ def opened_table(folder: Path, name: str, num_rows: int) -> pq.ParquetFile:
     file = folder / f"{name}.parquet"
     try:
         # Not read_table, which makes columns of a folder that is called a=b.
-        opened = pq.ParquetFile(file)
+        with asking(folder):
+            opened = pq.ParquetFile(file if isinstance(file, Path) else file.open("rb"))
     except FileNotFoundError as error:
         raise LogError(f"{file}: it is missing; copy the whole folder, or write the logs again") from error
     except (OSError, pa.ArrowException) as error:
@@ -154,13 +160,13 @@ def opened_table(folder: Path, name: str, num_rows: int) -> pq.ParquetFile:
     return opened
 
 
-def _read_table(folder: Path, name: str, num_rows: int) -> pd.DataFrame:
+def _read_table(folder: Place, name: str, num_rows: int) -> pd.DataFrame:
     try:
         return opened_table(folder, name, num_rows).read().to_pandas()
     except (OSError, pa.ArrowException) as error:
         raise _broken(folder / f"{name}.parquet", error) from error
 
 
-def _broken(file: Path, error: Exception) -> LogError:
+def _broken(file: Place, error: Exception) -> LogError:
     reason = str(error).splitlines()[0]
     return LogError(f"{file}: it is no whole Parquet file ({reason}); copy it again, or write the logs again")

@@ -17,6 +17,7 @@ from halfseen.logs.folder import MANIFEST, Manifest, opened_table, read_manifest
 from halfseen.logs.frames import as_frame
 from halfseen.logs.logs import Logs
 from halfseen.logs.path_checks import checked_paths
+from halfseen.logs.place import Place, place_of
 from halfseen.logs.reading import read_logs
 from halfseen.logs.refusal import shown, within
 from halfseen.logs.reward_unit import common_unit
@@ -40,7 +41,7 @@ class LogStream:
     Parameters
     ----------
     folder
-        A folder of Parquet files.
+        A folder of Parquet files, or its address in an object store.
     paths_at_once
         Paths of each part.
 
@@ -57,10 +58,10 @@ class LogStream:
         `paths_at_once` is below 1.
     """
 
-    def __init__(self, folder: str | Path, paths_at_once: int = PATHS_AT_ONCE) -> None:
+    def __init__(self, folder: str | Place, paths_at_once: int = PATHS_AT_ONCE) -> None:
         if paths_at_once < 1:
             raise ArgumentError(f"paths_at_once is {paths_at_once}; read at least 1")
-        self.folder = Path(folder)
+        self.folder = place_of(folder)
         self.paths_at_once = paths_at_once
         self._rows, self.reward_unit = read_manifest(self.folder)
         paths = opened_table(self.folder, "paths", self._rows["paths"]).read()
@@ -139,13 +140,13 @@ class LogStream:
         return opened_table(self.folder, name, self._rows[name])
 
 
-def opened(folder: Path, in_passes: bool | None = None) -> Logs | LogStream:
+def opened(folder: str | Place, in_passes: bool | None = None) -> Logs | LogStream:
     """Read a log, or, if it is one of many stages, open it to be read in passes.
 
     Parameters
     ----------
     folder
-        A log of any form.
+        A log of any form, or the address of one of Parquet files in an object store.
     in_passes
         Whether it is to be read in passes; None for what suits its size.
 
@@ -154,7 +155,9 @@ def opened(folder: Path, in_passes: bool | None = None) -> Logs | LogStream:
     LogError
         The folder or one of its files is missing or broken, or it is to be read in passes and its form cannot.
     """
-    is_parquet = (folder / MANIFEST).is_file()
+    folder = place_of(folder)
+    # In a store there is no other form.
+    is_parquet = not isinstance(folder, Path) or (folder / MANIFEST).is_file()
     if in_passes and not is_parquet:
         raise LogError(
             f"{folder}: only folders of Parquet files are read in passes; make one of it: halfseen convert {folder} "
@@ -173,7 +176,7 @@ def parts_of(log: Logs | LogStream) -> Iterable[Logs]:
 class _PathReader:
     """Hands out the rows of a table path by path; the rows of a path stand together, in the order of paths."""
 
-    def __init__(self, folder: Path, name: str, num_rows: int) -> None:
+    def __init__(self, folder: Place, name: str, num_rows: int) -> None:
         self._where = f"{folder / name}.parquet"
         self._batches = opened_table(folder, name, num_rows).iter_batches(batch_size=_ROWS_AT_ONCE)
         self._held: list[pa.Table] = []
