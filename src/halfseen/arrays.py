@@ -15,7 +15,8 @@ Axis letters, as they stand in shapes all over the package:
 Shapes are executed: the test run checks every annotated signature (`jaxtyping` with `beartype`).
 """
 
-from typing import TypeAlias
+import sys
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -29,3 +30,12 @@ Intrinsics: TypeAlias = Float[np.ndarray, "3 3"]
 Hides: TypeAlias = Float[np.ndarray, "N N"]
 PerObject: TypeAlias = Float[np.ndarray, " N"]
 ObjectMask: TypeAlias = Bool[np.ndarray, " N"]
+
+
+def library_of(array: Any) -> Any:
+    """Where the functions for an array are: ``jax.numpy`` for one of JAX's, ``numpy`` for others.
+
+    JAX takes half a second to load, so this does not: without it there are no arrays of its own.
+    """
+    jax = sys.modules.get("jax")
+    return jax.numpy if jax is not None and isinstance(array, jax.Array) else np

@@ -1,4 +1,5 @@
 import json
+import subprocess
 import sys
 from dataclasses import replace
 
@@ -70,6 +71,15 @@ def refused(*arguments):
     assert "\n" not in str(result.exception)
     assert result.output == ""
     return result.exception
+
+
+def test_a_decision_on_named_actions_loads_no_compiler_and_no_perception(flat, tmp_path):
+    words = ["act", str(flat[0]), str(state(tmp_path)), "--stage", "1"]
+    code = "import sys\nfrom halfseen.cli import main\nmain()\nprint(*sys.modules)"
+    said = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=True).stdout
+    loaded = set(said.splitlines()[-1].split())
+    heavy = {"jax", "scipy", "sklearn", "matplotlib", "halfseen.perception.view"}
+    assert loaded & heavy == set()
 
 
 DULL = (

@@ -12,8 +12,8 @@ from halfseen.evaluation import held_out
 from halfseen.logs import LogStream, read_logs, stream
 from halfseen.logs.formats.csv_folder import write_csv
 from halfseen.policies.folder import log_digest, read_policy
-from halfseen.policies.folder.kinds import KINDS
-from halfseen.policies.folder.log_digest import LogDigest
+from halfseen.policies.folder.digest import LogDigest
+from halfseen.policies.folder.kinds import kind_named
 from halfseen.policies.folder.log_facts import log_facts
 from small_logs import flat_log, table_log
 
@@ -74,7 +74,7 @@ def test_facts_of_parts_are_those_of_the_whole(tmp_path):
     policy = read_policy(tmp_path / "policy").policy
     for is_by_stage in (True, False):
         parts, whole = (
-            log_facts(log, KINDS["flat"], policy, is_by_stage)
+            log_facts(log, kind_named("flat"), policy, is_by_stage)
             for log in (LogStream(tmp_path / "logs", 7), [read_logs(tmp_path / "logs")])
         )
         assert parts.reward_spread == pytest.approx(whole.reward_spread, rel=1e-12)

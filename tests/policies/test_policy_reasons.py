@@ -5,7 +5,8 @@ import numpy as np
 import pandas as pd
 
 from halfseen.learners import FlatPolicy
-from halfseen.policies.reasons import flat_reason, table_reason
+from halfseen.policies.flat_reason import flat_reason
+from halfseen.policies.table_reason import table_reason
 from halfseen.tables.present import first_state
 from halfseen.tables.reasons import Grounds
 from halfseen.world import Scene

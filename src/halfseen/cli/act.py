@@ -62,7 +62,7 @@ def act(
     """
     from halfseen.errors import ArgumentError
     from halfseen.policies import decider_of, read_policy
-    from halfseen.policies.observations import read_observation, read_table
+    from halfseen.policies.observations import read_observation
 
     if picture is not None:
         refuse_output(picture, "a picture", PICTURES, overwrite, [cloud, *([labels] if labels else [])])
@@ -74,8 +74,12 @@ def act(
             "label is news to it; leave --law out"
         )
     known = law_of(law or SHIPPED) if counts_views else None
-    table = read_table(stored, cloud, history, stage, labels, known) if stored.is_table else None
-    observation = table.present if table else read_observation(stored, cloud, history, stage, labels, known)
+    table = None
+    if stored.is_table:
+        from halfseen.policies.table_observation import read_table
+
+        table = read_table(stored, cloud, history, stage, labels, known)
+    observation = table.present if table else read_observation(stored, cloud, history, stage, labels)
     seen = getattr(observation, "seen", "")  # of tables only
     decision = decider_of(stored, extrapolates=extrapolate).decide(observation)
     decision = replace(decision, warnings=(*decision.warnings, *stored.doubts))

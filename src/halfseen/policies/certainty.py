@@ -22,11 +22,11 @@ known.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.special import ndtri
 
 LEVEL = 0.95
 """Probability with which an interval is to hold."""
@@ -139,7 +139,7 @@ def certainty(
 
 def reach(error: Float[np.ndarray, "*S"], stages_left: float, lasting: float) -> Float[np.ndarray, "*S"]:
     """Half the width of the interval of Q, given standard errors of this stage's regression [reward]."""
-    return np.asarray(float(ndtri((1.0 + LEVEL) / 2.0)) * np.hypot(stages_left * error, lasting))
+    return np.asarray(NormalDist().inv_cdf((1.0 + LEVEL) / 2.0) * np.hypot(stages_left * error, lasting))
 
 
 def _draws(

@@ -9,8 +9,6 @@ from halfseen.policies.decision import Decider
 from halfseen.policies.folder import StoredPolicy
 from halfseen.policies.named_decider import NamedDecider
 from halfseen.policies.ranges import RangesOfStage, everything
-from halfseen.policies.table_decider import TableDecider
-from halfseen.world.policy import Policy
 
 
 def decider_of(
@@ -52,6 +50,10 @@ def decider_of(
         )
     if isinstance(policy, FlatPolicy):
         return NamedDecider(policy, ranges, extrapolates, q_error)
+    # Tables load JAX, which takes longer than a decision on named actions.
+    from halfseen.policies.table_decider import TableDecider
+    from halfseen.world.policy import Policy
+
     if isinstance(policy, Policy):
         least = least_rewards or {}
         return TableDecider(policy, ranges, extrapolates=extrapolates, q_error=q_error, least_rewards=least)

@@ -8,8 +8,9 @@ import pandas as pd
 from halfseen.learners.q_learning.flat_policy import FlatPolicy
 from halfseen.policies.certainty import QError, certainty
 from halfseen.policies.decision import Decision
+from halfseen.policies.flat_reason import flat_reason
 from halfseen.policies.ranges import RangesOfStage, beyond, everything, refuse_far
-from halfseen.policies.reasons import flat_reason, values_by_name
+from halfseen.policies.reasons import values_by_name
 
 
 @dataclass(frozen=True, eq=False)

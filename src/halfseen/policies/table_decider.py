@@ -12,7 +12,8 @@ from jaxtyping import Float
 from halfseen.policies.certainty import QError, certainty
 from halfseen.policies.decision import Decision
 from halfseen.policies.ranges import RangesOfStage, beyond, everything, refuse_far
-from halfseen.policies.reasons import table_reason, values_by_name
+from halfseen.policies.reasons import values_by_name
+from halfseen.policies.table_reason import table_reason
 from halfseen.tables.present import Present
 from halfseen.tables.reasons import Grounds, table_grounds
 from halfseen.tables.table_policy import LinearTablePolicy

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from halfseen.errors import ArgumentError
-from halfseen.learners.q_learning.behaviour import leaning
+from halfseen.learners.q_learning.choice import leaning
 from halfseen.learners.q_learning.kernel_map import KernelMap
 from halfseen.learners.q_learning.support import seen_among
 from halfseen.learners.q_learning.transitions import q_values

@@ -9,7 +9,8 @@ import pytest
 from sklearn.linear_model import LogisticRegression
 
 from halfseen.learners import CensoredQLearner, FlatPolicy
-from halfseen.learners.q_learning.behaviour import choice_probabilities, conditional_logit, fit_choice, leaning
+from halfseen.learners.q_learning.behaviour import conditional_logit, fit_choice
+from halfseen.learners.q_learning.choice import choice_probabilities, leaning
 from halfseen.logs import Logs
 
 COVARIATES = ["x1", "x2"]

@@ -5,7 +5,7 @@ from sklearn.kernel_ridge import KernelRidge
 
 from halfseen.errors import ArgumentError
 from halfseen.learners import CensoredQLearner, KernelQ
-from halfseen.learners.q_learning.kernel_map import fit_kernel_map
+from halfseen.learners.q_learning.landmarks import fit_kernel_map
 from halfseen.logs import Logs
 from halfseen.world import Scene, TableWorld, UniformPolicy
 

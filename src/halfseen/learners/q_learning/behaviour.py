@@ -10,16 +10,12 @@ was. So the margin of an action is waived as far as the behaviour policy leans t
 leaves the behaviour policy must be better beyond doubt, as in safe policy improvement [LarocheTrichelairTachet2019]_.
 """
 
-from typing import Any
-
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import logsumexp
 
+from halfseen.learners.q_learning.choice import choice_probabilities
 from halfseen.learners.q_learning.path_arrays import PathArrays
-from halfseen.learners.q_learning.transitions import AnyArray
 
 RIDGE = 1.0
 """Penalty ½·RIDGE·‖β‖² on features of unit variance, beside a log-likelihood that is summed over rows."""
@@ -69,26 +65,6 @@ def fit_choice(
     beta = _fitted_logit(design, is_possible, taken, blocks, np.ones(len(taken)) if weight is None else weight)
     slopes = beta[:, 1:] / scale
     return np.column_stack([beta[:, 0] - slopes @ mean, slopes])
-
-
-def choice_probabilities(
-    utility: Float[AnyArray, "*S A"], is_possible: Bool[AnyArray, "*#S A"]
-) -> Float[AnyArray, "*S A"]:
-    """How likely each action is; 0 where it is not possible."""
-    xp: Any = jnp if isinstance(utility, jax.Array) else np
-    among = xp.where(is_possible, utility, -xp.inf)
-    odds = xp.exp(among - among.max(axis=-1, keepdims=True))
-    return odds / odds.sum(axis=-1, keepdims=True)
-
-
-def leaning(utility: Float[AnyArray, "*S A"], is_possible: Bool[AnyArray, "*#S A"]) -> Float[AnyArray, "*S A"]:
-    """How far the choice is from chance towards each action: 0 at one time in k or less, 1 at always.
-
-    k counts the actions that there are to choose from.
-    """
-    xp: Any = jnp if isinstance(utility, jax.Array) else np
-    chance = 1.0 / xp.maximum(is_possible.sum(axis=-1, keepdims=True), 2)
-    return xp.clip((choice_probabilities(utility, is_possible) - chance) / (1.0 - chance), 0.0, 1.0)
 
 
 def conditional_logit(

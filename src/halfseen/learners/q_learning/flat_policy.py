@@ -9,7 +9,7 @@ import pandas as pd
 from jaxtyping import Bool, Float
 
 from halfseen.errors import ArgumentError
-from halfseen.learners.q_learning.behaviour import leaning
+from halfseen.learners.q_learning.choice import leaning
 from halfseen.learners.q_learning.covariates import Categories, Covariates
 from halfseen.learners.q_learning.kernel_map import KernelMap
 

@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from halfseen.errors import ArgumentError
-from halfseen.learners.q_learning.kernel_map import KernelMap, fit_kernel_map
+from halfseen.learners.q_learning.kernel_map import KernelMap
+from halfseen.learners.q_learning.landmarks import fit_kernel_map
 from halfseen.learners.q_learning.task import Encoded
 from halfseen.learners.q_learning.transitions import StageMode
 

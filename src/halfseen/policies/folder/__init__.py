@@ -8,14 +8,20 @@
       policy.sha256        digests of both (``sha256sum -c policy.sha256`` checks them, too)
 
 Read down: `files` (there whole or not at all, no byte changed) → `json_values`, `arrays` (numbers and text, checked) →
-`log_digest`, `seen` (what the log was) → `specification` (how it was learned) → `named_kind`, `table_kind`, `kinds`
-(what differs between kinds of policies) → `record` (policy.json) → `stored` (write and read).
+`digest`, `seen` (what the log was) → `specification` (how it was learned) → `named_kind`, `table_kind`, `kinds`
+(what differs between kinds of policies) → `record` (policy.json) → `stored` (read) → `log_facts`, `writing` (write).
 """
 
-from halfseen.policies.folder.files import check_target
-from halfseen.policies.folder.log_digest import log_digest
-from halfseen.policies.folder.specification import q_space_of_record, reg_of_record, targets_of_record
-from halfseen.policies.folder.stored import StoredPolicy, read_policy, write_policy
+from typing import TYPE_CHECKING
+
+from halfseen.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from halfseen.policies.folder.digest import log_digest
+    from halfseen.policies.folder.files import check_target
+    from halfseen.policies.folder.specification import q_space_of_record, reg_of_record, targets_of_record
+    from halfseen.policies.folder.stored import StoredPolicy, read_policy
+    from halfseen.policies.folder.writing import write_policy
 
 __all__ = [
     "StoredPolicy",
@@ -27,3 +33,17 @@ __all__ = [
     "targets_of_record",
     "write_policy",
 ]
+
+__getattr__ = lazy_names(
+    __name__,
+    {
+        "StoredPolicy": "stored",
+        "check_target": "files",
+        "log_digest": "digest",
+        "q_space_of_record": "specification",
+        "read_policy": "stored",
+        "reg_of_record": "specification",
+        "targets_of_record": "specification",
+        "write_policy": "writing",
+    },
+)

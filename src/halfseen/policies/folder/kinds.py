@@ -1,13 +1,13 @@
 """Kinds of policies that a folder can hold; another kind is one more file and one more entry here."""
 
 from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib import import_module
 from typing import Any, Protocol, runtime_checkable
 
 from halfseen.errors import ArgumentError, PolicyError
 from halfseen.logs import Logs
 from halfseen.policies.folder.arrays import Arrays
-from halfseen.policies.folder.named_kind import NamedKind
-from halfseen.policies.folder.table_kind import TableKind
 
 
 @runtime_checkable
@@ -42,7 +42,14 @@ class PolicyKind(Protocol):
         ...
 
 
-KINDS: dict[str, PolicyKind] = {"flat": NamedKind(), "table": TableKind()}
+_PLACES = {"flat": ("named_kind", "NamedKind"), "table": ("table_kind", "TableKind")}
+
+
+@cache
+def kind_named(name: str) -> PolicyKind:
+    """Load a kind; that of tables brings JAX, which takes longer than what the other is asked for."""
+    module, kind = _PLACES[name]
+    return getattr(import_module(f"{__package__}.{module}"), kind)()
 
 
 def kind_name_of(policy: Any) -> str:
@@ -53,10 +60,11 @@ def kind_name_of(policy: Any) -> str:
     ArgumentError
         It is of none.
     """
-    for name, kind in KINDS.items():
+    kinds = {name: kind_named(name) for name in _PLACES}
+    for name, kind in kinds.items():
         if isinstance(policy, kind.policy_type):
             return name
-    types = ", ".join(kind.policy_type.__name__ for kind in KINDS.values())
+    types = ", ".join(kind.policy_type.__name__ for kind in kinds.values())
     raise ArgumentError(f"a {type(policy).__name__} cannot be written to a folder; these can: {types}")
 
 
@@ -69,7 +77,7 @@ def kind_of(record: Mapping[str, Any]) -> PolicyKind:
         There is none of this name.
     """
     name = record.get("kind")
-    if not isinstance(name, str) or name not in KINDS:
-        listed = " or ".join(map(repr, KINDS))
+    if not isinstance(name, str) or name not in _PLACES:
+        listed = " or ".join(map(repr, _PLACES))
         raise PolicyError(f"kind is {name!r}; it is {listed}: learn the policy anew")
-    return KINDS[name]
+    return kind_named(name)

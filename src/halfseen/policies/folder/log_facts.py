@@ -8,8 +8,8 @@ import numpy as np
 
 from halfseen.logs import Logs, LogsSummary
 from halfseen.logs.summary import SummaryTally
+from halfseen.policies.folder.digest import LogDigest
 from halfseen.policies.folder.kinds import PolicyKind
-from halfseen.policies.folder.log_digest import LogDigest
 from halfseen.policies.folder.seen import joined_seen
 from halfseen.policies.folder.stages_left import stage_counts, stages_left
 

@@ -9,10 +9,6 @@ import pandas as pd
 from halfseen.errors import PolicyError
 from halfseen.learners.q_learning.covariates import Covariates
 from halfseen.logs import Logs
-from halfseen.world.table_checks import TABLE
-
-TABLE_RANGES = ("num_objects", "occlusion", "log_odds", "num_attempts")
-"""Of a table: objects on it; and of each, its occlusion, its log-odds of DIRTY and its past attempts."""
 
 
 def seen_covariates(logs: Logs, covariates: Covariates, is_by_stage: bool) -> list[dict[str, Any]]:
@@ -36,20 +32,9 @@ def seen_covariates(logs: Logs, covariates: Covariates, is_by_stage: bool) -> li
     """
     frame: Any = logs.stages
     if not is_by_stage:
-        return [_entry(1, logs.horizon, len(frame), _shown(frame, covariates))]
+        return [entry(1, logs.horizon, len(frame), _shown(frame, covariates))]
     parts = [(stage, frame[frame["stage"] == stage]) for stage in range(1, logs.horizon + 1)]
-    return [_entry(stage, stage, len(part), _shown(part, covariates)) for stage, part in parts]
-
-
-def seen_tables(logs: Logs) -> list[dict[str, Any]]:
-    """Do the same for tables, over all stages: they are alike in every stage."""
-    objects: Any = logs.objects
-    there = objects[objects["location"] == TABLE]
-    tried = there["attempt_occlusions"].map(len)
-    each = there[["occlusion", "log_odds"]].assign(num_attempts=tried)
-    counts = pd.DataFrame({"num_objects": there.groupby(["path", "stage"]).size()})
-    ranges = _ranges(counts, TABLE_RANGES[:1]) | _ranges(each, TABLE_RANGES[1:])
-    return [_entry(1, logs.horizon, logs.num_stages, ranges)]
+    return [entry(stage, stage, len(part), _shown(part, covariates)) for stage, part in parts]
 
 
 def joined_seen(one: list[dict[str, Any]], other: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -82,7 +67,7 @@ def check_seen(seen: Any, names: tuple[str, ...]) -> None:
 def _joined(one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
     ranges = {name: _wider(seen, other["ranges"][name]) for name, seen in one["ranges"].items()}
     last = max(one["stages"][1], other["stages"][1])
-    return _entry(one["stages"][0], last, one["num_states"] + other["num_states"], ranges)
+    return entry(one["stages"][0], last, one["num_states"] + other["num_states"], ranges)
 
 
 def _wider(one: Any, other: Any) -> Any:
@@ -99,7 +84,8 @@ def _is_range(seen: Any) -> bool:
     return float(low) <= float(high)
 
 
-def _entry(first: int, last: int, num_states: int, ranges: dict[str, Any]) -> dict[str, Any]:
+def entry(first: int, last: int, num_states: int, ranges: dict[str, Any]) -> dict[str, Any]:
+    """What so many states of some stages looked like."""
     return {"stages": [first, last], "num_states": num_states, "ranges": ranges}
 
 
@@ -109,10 +95,11 @@ def _shown(frame: pd.DataFrame, covariates: Covariates) -> dict[str, Any]:
     return {
         name: {one: int(counts[name][one]) for one in covariates.categories[name] if one in counts[name]}
         if name in counts
-        else _ranges(frame, (name,))[name]
+        else ranges(frame, (name,))[name]
         for name in covariates.columns
     }
 
 
-def _ranges(frame: pd.DataFrame, names: tuple[str, ...]) -> dict[str, list[float]]:
+def ranges(frame: pd.DataFrame, names: tuple[str, ...]) -> dict[str, list[float]]:
+    """Give the least and the largest value of some columns."""
     return {name: [float(frame[name].min()), float(frame[name].max())] for name in names}

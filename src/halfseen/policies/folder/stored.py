@@ -1,4 +1,4 @@
-"""Write what was learned into a folder, and read it back: what is read decides the same, to the last bit."""
+"""Read back what was learned: it decides the same, to the last bit."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,16 +9,13 @@ import safetensors
 import safetensors.numpy
 
 from halfseen.errors import PolicyError
-from halfseen.estimator import check_fitted
-from halfseen.learners.q_learning.q_learner import CensoredQLearner
-from halfseen.logs import Logs, LogStream
 from halfseen.logs.refusal import within
 from halfseen.policies.certainty import LASTING_ERROR, QError
-from halfseen.policies.folder.arrays import column_major, laid_out
-from halfseen.policies.folder.files import ARRAYS, RECORD, check_target, read_files, write_files
+from halfseen.policies.folder.arrays import laid_out
+from halfseen.policies.folder.files import ARRAYS, RECORD, read_files
 from halfseen.policies.folder.json_values import horizon_of
 from halfseen.policies.folder.kinds import kind_of
-from halfseen.policies.folder.record import as_json, from_json, record_of
+from halfseen.policies.folder.record import from_json
 from halfseen.policies.folder.seen import check_seen
 from halfseen.policies.ranges import Range
 
@@ -93,47 +90,6 @@ def _range(seen: Any) -> Range:
     return float(low), float(high)
 
 
-def write_policy(
-    learner: CensoredQLearner,
-    logs: Logs | LogStream,
-    folder: str | Path,
-    *,
-    overwrite: bool = False,
-    verdict: Mapping[str, Any] | None = None,
-) -> None:
-    """Write the policy of a fitted learner, all or nothing.
-
-    Parameters
-    ----------
-    learner
-        Fitted to `logs`.
-    logs
-        What it was learned from; only its ranges, counts and digest are kept.
-    folder
-        Where to; missing parents are made.
-    overwrite
-        Replace a policy that is already there.
-    verdict
-        On what was learned, such as `halfseen.evaluation.HeldOutVerdict.as_dict` gives; kept with it.
-
-    Raises
-    ------
-    ArgumentError
-        The folder exists or cannot be written, or the policy holds what no folder can: a grasp model of one's own,
-        or actions that are neither whole numbers nor text.
-    PolicyError
-        A number of the policy is not finite.
-    """
-    check_fitted(learner, "policy_")
-    check_target(Path(folder), overwrite)
-    record = record_of(learner, logs, verdict)
-    arrays = kind_of(record).arrays_of(learner.policy_)
-    record["column_major"] = column_major(arrays)
-    _policy_of(record, arrays)
-    numbers = safetensors.numpy.save(laid_out(arrays, ()))
-    write_files(Path(folder), as_json(record), numbers, overwrite=overwrite)
-
-
 def read_policy(folder: str | Path) -> StoredPolicy:
     """Read a policy that `write_policy` wrote, and check all of it; no code of the folder is run.
 
@@ -156,10 +112,11 @@ def read_policy(folder: str | Path) -> StoredPolicy:
     except (safetensors.SafetensorError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise PolicyError(f"{folder / ARRAYS}: it is no safetensors file ({error}); learn the policy anew") from error
     with within(folder):
-        return StoredPolicy(_policy_of(record, laid_out(arrays, record["column_major"])), record)
+        return StoredPolicy(policy_of(record, laid_out(arrays, record["column_major"])), record)
 
 
-def _policy_of(record: Mapping[str, Any], arrays: Any) -> Any:
+def policy_of(record: Mapping[str, Any], arrays: Any) -> Any:
+    """Put a policy together again; all of it is checked."""
     kind = kind_of(record)
     policy = kind.policy_of(record, arrays)
     check_seen(record.get("seen"), kind.range_names(policy))

@@ -22,7 +22,7 @@ from halfseen.policies.folder.arrays import (
     policy_arrays,
 )
 from halfseen.policies.folder.json_values import horizon_of, typed
-from halfseen.policies.folder.seen import TABLE_RANGES, seen_tables
+from halfseen.policies.folder.seen_tables import TABLE_RANGES, seen_tables
 from halfseen.tables.features import FEATURES_VERSION, NUM_FEATURES
 from halfseen.tables.grasp.grasp_table import GraspTable
 from halfseen.tables.prior import PriorFacts, dirty_share, prior_facts

@@ -1,0 +1,80 @@
+"""Why a policy takes one named action rather than the next best, in one sentence."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from halfseen.learners.q_learning.flat_policy import FlatPolicy
+from halfseen.policies.ranges import Range, Ranges, middle_of
+from halfseen.policies.reasons import SAME_VALUE, lead, next_best
+
+
+def flat_reason(
+    policy: FlatPolicy,
+    row: pd.DataFrame,
+    stage: int,
+    ranges: Ranges | None,
+    chance_best: Mapping[str, float] | None = None,
+) -> str:
+    """Say why the best action of a policy of named actions is best.
+
+    The covariate that is told of is the one without which the action would lead by least: were it in the middle of
+    what the log showed, the category that it showed most often, or, of what is 0 or 1, the other of the two.
+
+    Parameters
+    ----------
+    policy
+        A policy.
+    row
+        Covariates, one row.
+    stage
+        The stage, from 1.
+    ranges
+        What the log showed of each covariate; None if no path came so far.
+    chance_best
+        Probability that no action is better, by name; nothing where nobody knows it.
+    """
+    is_possible = policy.is_possible[stage - 1]
+    q = np.where(is_possible, policy.scores(row, stage)[0], -np.inf)
+    best = int(np.argmax(q))
+    names = [str(name) for name in policy.actions]
+    start, other = lead(names, q, best, chance_best or {}), next_best(q, best)
+    if not policy.covariates or ranges is None or other is None:
+        return f"{start}."
+    instead = {name: _instead(ranges[name], row[name].iloc[0]) for name in policy.covariates}
+    # What is true or false may be changed to a number.
+    numbers = row.astype({name: float for name in policy.covariates if name not in policy.categories})
+    changed = pd.concat([numbers.assign(**{name: instead[name]}) for name in policy.covariates], ignore_index=True)
+    each = policy.scores(changed, stage)
+    left = each[:, best] - each[:, other]
+    least = int(np.argmin(left))
+    name = policy.covariates[least]
+    if q[best] - q[other] - left[least] < SAME_VALUE:
+        return f"{start}; none of what it looks at speaks for it more than what is usual in the logs does."
+    is_value, is_other = _written(row[name].iloc[0], 6), _written(instead[name], 3)
+    would = f"worth {abs(left[least]):.2f} {'more' if left[least] >= 0 else 'less'} than {names[other]}"
+    usual = "" if _is_switch(ranges[name], row[name].iloc[0]) else f", {_usual(ranges[name])} in the logs"
+    return f"{start}; that {name} is {is_value} speaks for it most: were it {is_other}{usual}, it would be {would}."
+
+
+def _instead(seen: Range, value: Any) -> float | str:
+    """What a covariate might have been: of 0 and 1 the other; among whole numbers a whole number."""
+    if _is_switch(seen, value):
+        return 1.0 - float(value)
+    middle = middle_of(seen)
+    is_whole = not isinstance(seen, Mapping) and all(float(one).is_integer() for one in (*seen, value))
+    return float(np.floor(middle)) if is_whole else middle
+
+
+def _is_switch(seen: Range, value: Any) -> bool:
+    return not isinstance(seen, Mapping) and tuple(seen) == (0.0, 1.0) and float(value) in (0.0, 1.0)
+
+
+def _usual(seen: Range) -> str:
+    return "most often" if isinstance(seen, Mapping) else "the middle"
+
+
+def _written(value: Any, num_digits: int) -> str:
+    return value if isinstance(value, str) else f"{float(value):.{num_digits}g}"

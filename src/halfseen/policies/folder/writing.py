@@ -1,0 +1,145 @@
+"""Write what was learned into a folder: its numbers, what it was learned from and how."""
+
+import platform
+from collections.abc import Mapping
+from dataclasses import asdict
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import safetensors.numpy
+
+import halfseen
+from halfseen.censoring import positivity_report, weight_diagnostics
+from halfseen.censoring.positivity import PositivityReport
+from halfseen.estimator import check_fitted
+from halfseen.learners.q_learning.q_learner import CensoredQLearner
+from halfseen.learners.q_learning.streaming import sample_of
+from halfseen.logs import Logs, LogStream
+from halfseen.logs.stream import parts_of
+from halfseen.logs.suspicions import suspicions
+from halfseen.policies.folder.arrays import column_major, laid_out
+from halfseen.policies.folder.files import check_target, write_files
+from halfseen.policies.folder.kinds import kind_name_of, kind_named, kind_of
+from halfseen.policies.folder.log_facts import log_facts
+from halfseen.policies.folder.record import FORMAT, VERSION, as_json
+from halfseen.policies.folder.specification import described
+from halfseen.policies.folder.stored import policy_of
+
+
+def write_policy(
+    learner: CensoredQLearner,
+    logs: Logs | LogStream,
+    folder: str | Path,
+    *,
+    overwrite: bool = False,
+    verdict: Mapping[str, Any] | None = None,
+) -> None:
+    """Write the policy of a fitted learner, all or nothing.
+
+    Parameters
+    ----------
+    learner
+        Fitted to `logs`.
+    logs
+        What it was learned from; only its ranges, counts and digest are kept.
+    folder
+        Where to; missing parents are made.
+    overwrite
+        Replace a policy that is already there.
+    verdict
+        On what was learned, such as `halfseen.evaluation.HeldOutVerdict.as_dict` gives; kept with it.
+
+    Raises
+    ------
+    ArgumentError
+        The folder exists or cannot be written, or the policy holds what no folder can: a grasp model of one's own,
+        or actions that are neither whole numbers nor text.
+    PolicyError
+        A number of the policy is not finite.
+    """
+    check_fitted(learner, "policy_")
+    check_target(Path(folder), overwrite)
+    record = record_of(learner, logs, verdict)
+    arrays = kind_of(record).arrays_of(learner.policy_)
+    record["column_major"] = column_major(arrays)
+    policy_of(record, arrays)
+    numbers = safetensors.numpy.save(laid_out(arrays, ()))
+    write_files(Path(folder), as_json(record), numbers, overwrite=overwrite)
+
+
+def record_of(
+    learner: CensoredQLearner, logs: Logs | LogStream, verdict: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """Describe a fitted learner and its log.
+
+    Parameters
+    ----------
+    learner
+        Fitted to `logs`.
+    logs
+        What it was learned from.
+    verdict
+        On what was learned, if there is one: at least ``verdict``, ``reason`` and ``sentence``.
+
+    Raises
+    ------
+    ArgumentError
+        An action has a name that a JSON file cannot hold.
+    """
+    policy, name = learner.policy_, kind_name_of(learner.policy_)
+    is_by_stage = learner.model_.stages == "separate"
+    facts = log_facts(parts_of(logs), kind_named(name), policy, is_by_stage)
+    sample = logs if isinstance(logs, Logs) else sample_of(logs, learner.random_state)
+    positivity = positivity_report(logs.end_s, logs.is_finished, path_ids=logs.path_ids)
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "versions": {
+            "halfseen": halfseen.__version__,
+            "python": platform.python_version(),
+            **{name: version(name) for name in ("numpy", "jax")},
+        },
+        "kind": name,
+        "schema": facts.schema,
+        "seen": facts.seen,
+        "stages_left": facts.stages_left,
+        "reward_spread": facts.reward_spread,
+        "learner": described(learner.model_),
+        "chosen": list(learner.chosen_),
+        "seed": int(learner.random_state),
+        "reg": {
+            "rows": "stage" if is_by_stage else "steps to go",
+            "columns": facts.schema["actions"],
+            "values": np.asarray(learner.q_functions_.reg).tolist(),
+        },
+        "log": {"sha256": facts.sha256, "sentence": str(facts.summary), **asdict(facts.summary)},
+        "diagnostics": _diagnostics(learner, facts.summary.horizon, positivity),
+        "warnings": _warnings(sample, positivity),
+        "verdict": None if verdict is None else dict(verdict),
+    }
+
+
+def _warnings(logs: Logs, positivity: PositivityReport) -> list[str]:
+    """What `halfseen inspect` would say against the log, a line each."""
+    weights = [] if positivity.is_sound else [str(positivity).splitlines()[0]]
+    return [*weights, *(each.sentence for each in suspicions(logs))]
+
+
+def _diagnostics(learner: CensoredQLearner, horizon: int, positivity: PositivityReport) -> dict[str, Any]:
+    by_stage = [
+        weight_diagnostics(column, getattr(learner.model_.targets, "truncate_at", None))
+        for column in learner.weights_[:, :horizon].T
+    ]
+    return {
+        "weights": asdict(learner.diagnostics_),
+        "weights_by_stage": [asdict(one) for one in by_stage],
+        "positivity": {
+            "censoring": "kaplan-meier by path",
+            "text": str(positivity),
+            "is_sound": positivity.is_sound,
+            "mean_weight": positivity.mean_weight,
+            "identified_until_s": positivity.identified_until_s,
+        },
+    }

@@ -1,0 +1,117 @@
+"""From a cloud of a table, and its history, to what a policy decides from."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+
+from halfseen.errors import ArgumentError, CloudError, PolicyError
+from halfseen.logs import Logs, read_logs
+from halfseen.logs.refusal import within
+from halfseen.perception import Label, View, perceive, read_cloud
+from halfseen.perception.kind import other_things_in_words
+from halfseen.perception.label_files import labels_of
+from halfseen.perception.labels import WORDS
+from halfseen.policies.folder.stored import StoredPolicy
+from halfseen.policies.history import present_state
+from halfseen.policies.named_observation import STATE_FILES
+from halfseen.tables.present import Present, first_state, labelled
+from halfseen.world.scene import Scene
+from halfseen.world.seeing import AssumedSeeing, KnownSeeing
+
+
+@runtime_checkable
+class SeenLaw(Protocol):
+    """What a law of a cell tells of a view."""
+
+    @property
+    def seeing(self) -> KnownSeeing:
+        """What labels tell."""
+        ...
+
+    def scene(self, view: View) -> Scene:
+        """What is seen of a table, grips included."""
+        ...
+
+
+class TableSeen(NamedTuple):
+    """A table in front of the camera."""
+
+    present: Present
+    """Where its path stands; where not all are cups, the first note says so."""
+    view: View
+    """What the camera sees."""
+    other_things: str
+    """That not all on it are cups; nothing where all may be."""
+
+
+def read_table(
+    stored: StoredPolicy,
+    file: Path,
+    history: Path | None = None,
+    stage: int | None = None,
+    labels: Path | None = None,
+    law: SeenLaw | None = None,
+) -> TableSeen:
+    """See the table, and put it where the path stands.
+
+    Parameters
+    ----------
+    stored
+        A policy of tables.
+    file, history, stage, labels, law
+        As `read_observation` takes them.
+
+    Raises
+    ------
+    HalfseenError
+        A file cannot be read, or does not fit the policy.
+    """
+    if file.suffix in STATE_FILES:
+        raise PolicyError(f"{file}: the policy is of tables, and this is no point cloud; give .pcd, .ply or .npz")
+    logs = None if history is None else read_logs(history)
+    cloud = read_cloud(file)
+    view = perceive(cloud)
+    if not view.objects:
+        raise CloudError(f"{file}: no objects on the table; put the table with its objects whole into the view")
+    told, others = labels_of(view, cloud, labels), other_things_in_words(view)
+    scene = view.scene() if law is None else law.scene(view)
+    now = _present(stored, view, scene, logs, history, stage)
+    if others:
+        now = replace(now, notes=(others, *now.notes))
+    if told is None:
+        return TableSeen(now, view, others)
+    source = "colour" if labels is None else str(labels)
+    after = labelled(now, [label.is_dirty for label in told], AssumedSeeing() if law is None else law.seeing)
+    return TableSeen(replace(after, seen=_seen(now, after, told, source)), view, others)
+
+
+def _present(
+    stored: StoredPolicy, view: View, scene: Scene, logs: Logs | None, history: Path | None, stage: int | None
+) -> Present:
+    dirty_share = stored.record["schema"]["dirty_share"]
+    if logs is None:
+        return first_state(scene, stored.horizon, dirty_share, stage or 1)
+    places_m = np.array([seen.solid.middle_m for seen in view.objects])
+    with within(history):
+        now = present_state(scene, stored.horizon, logs, dirty_share=dirty_share, places_m=places_m)
+    if stage not in (None, now.stage):
+        raise ArgumentError(
+            f"--stage is {stage}, but by {history} the path has come to stage {now.stage}; leave it out"
+        )
+    return now
+
+
+def _seen(before: Present, after: Present, told: Sequence[Label], source: str) -> str:
+    """Say what labels told, and how much they count."""
+    named = {word: [k for k, label in enumerate(told) if label.word == word] for word in WORDS.values()}
+    listed = "; ".join(f"{word}: {', '.join(map(str, objects))}" for word, objects in named.items() if objects)
+    start = f"Labels by {source} ({listed})"
+    if before.is_labelled:
+        but = f", but for what is new to it: {', '.join(map(str, before.new))}" if before.new else ""
+        return f"{start} are not counted again: the history holds what was seen at this stage{but}."
+    moved = np.asarray(after.state.log_odds - before.state.log_odds, dtype=np.float64)[: len(told)]
+    by = f"by {moved.min():+.2f} to {moved.max():+.2f}" if np.ptp(moved) else f"by {moved[0]:+.2f}"
+    return f"{start} moved the log-odds of DIRTY {by}."
