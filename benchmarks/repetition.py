@@ -17,7 +17,7 @@ from timings import Row, write
 
 from halfseen.cell.calibration.law_folder import read_law
 from halfseen.cell.calibration.shipped import shipped_law
-from halfseen.cli import set_compiler
+from halfseen.cli.compiler import set_compiler
 from halfseen.scene import table_paths
 from halfseen.study.experiment import Setting
 from halfseen.study.experiments.reward import Reward

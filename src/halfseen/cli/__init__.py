@@ -1,6 +1,5 @@
 """The command line: one file a command, and heavy imports only inside a command."""
 
-import os
 import sys
 import warnings
 from typing import Any
@@ -8,15 +7,12 @@ from typing import Any
 import click
 
 from halfseen import __version__
+from halfseen.cli.compiler import is_of_kept_programs, set_compiler
 from halfseen.cli.extras import remedy
 from halfseen.cli.messages import tell_error, tell_warning
 from halfseen.cli.verb_group import VerbGroup
 from halfseen.errors import HalfseenError, HalfseenWarning
 from halfseen.suggestions import did_you_mean
-
-COMPILER = {"XLA_FLAGS": "--xla_backend_optimization_level=1 --xla_cpu_use_fusion_emitters=false", "NPROC": "1"}
-"""A verb compiles for longer than it runs: the flags halve that, and what is compiled is as fast. Its arrays are small:
-more threads than one would only wait for one another."""
 
 VERBS = {
     "inspect": "Say what a folder of logs holds: paths, endings, causes, weights, and what looks wrong.",
@@ -39,12 +35,6 @@ VERBS = {
 @click.version_option(__version__, prog_name="halfseen")
 def halfseen() -> None:
     """Learn when to pick, when to look and when to stop, from cut logs and half-hidden views."""
-
-
-def set_compiler() -> None:
-    """Set what JAX compiles with, unless the user has; before anything is compiled."""
-    for name, value in COMPILER.items():
-        os.environ.setdefault(name, value)
 
 
 def main() -> None:
@@ -73,13 +63,13 @@ def main() -> None:
 
 
 def _say_in_one_line() -> None:
-    """Let warnings that are meant for users read like all else; others stay as Python prints them."""
+    """Let warnings that are meant for users read like all else; what is about kept programs concerns nobody."""
     usual = warnings.showwarning
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
         if issubclass(category, HalfseenWarning):
             tell_warning(str(message))
-        else:
+        elif not is_of_kept_programs(str(message)):
             usual(message, category, *where, **more)
 
     warnings.showwarning = show

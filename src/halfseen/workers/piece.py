@@ -3,6 +3,7 @@
 import os
 import pickle
 import sys
+import warnings
 from collections.abc import Callable
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
@@ -17,6 +18,8 @@ PACKAGES = ("halfseen", "jax", "jaxlib", "mujoco", "numpy", "pandas", "scipy")
 """What the numbers depend on."""
 SETTINGS = ("XLA_FLAGS", "JAX_", "NPROC")
 """Beginnings of the names of environment variables that they depend on, too."""
+HERE = ("JAX_COMPILATION_CACHE", "JAX_PERSISTENT_CACHE")
+"""Beginnings of the names of those that only say where this machine keeps what it compiled."""
 
 
 class Home(NamedTuple):
@@ -51,7 +54,8 @@ def home() -> Home:
 
 
 def _settings() -> dict[str, str]:
-    return {name: value for name, value in os.environ.items() if name.startswith(SETTINGS)}
+    told = {name: value for name, value in os.environ.items() if name.startswith(SETTINGS)}
+    return {name: value for name, value in told.items() if not name.startswith(HERE)}
 
 
 def made(asker: Home, function: bytes, number: int, piece: Any) -> Outcome:
@@ -67,7 +71,9 @@ def made(asker: Home, function: bytes, number: int, piece: Any) -> Outcome:
 
 def result_of(function: Callable[[Any], Any], piece: Any) -> Any:
     """Make a piece as every worker does: it tells nothing, and matrices use one thread, as sums depend on that."""
-    with telling(Telling.NOTHING), threadpool_limits(1):
+    with telling(Telling.NOTHING), threadpool_limits(1), warnings.catch_warnings():
+        # Workers share what they compiled: one may find what another is just writing, and compiles it itself.
+        warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation cache")
         return function(piece)
 
 

@@ -1,0 +1,100 @@
+"""What JAX compiled is kept between calls, and nothing that happens to it is a user's concern."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from halfseen.cli import compiler
+from halfseen.workers import piece
+from small_logs import flat_log
+
+LEARN = "from halfseen.cli import main; main()"
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    """A user's cache of this test alone."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(os, "environ", os.environ.copy())
+    for name in (compiler.KEPT_IN, *compiler.KEPT):
+        os.environ.pop(name, None)
+    return compiler._place()
+
+
+def learned(tmp_path, name):
+    (tmp_path / "logs").exists() or flat_log().write(tmp_path / "logs")
+    words = ["learn", str(tmp_path / "logs"), "-q", "--no-verdict", "--out", str(tmp_path / name)]
+    done = subprocess.run(
+        [sys.executable, "-c", LEARN, *words], capture_output=True, text=True, check=True, env=os.environ
+    )
+    return done.stderr, (tmp_path / name / "policy.safetensors").read_bytes()
+
+
+@pytest.mark.slow
+def test_what_was_compiled_is_read_by_the_next_call_and_what_a_kill_cut_is_thrown_away(place, tmp_path):
+    told, numbers = learned(tmp_path, "compiled")
+    kept = {path: path.read_bytes() for path in place.iterdir()}
+    assert kept
+    assert place.stat().st_mode & 0o077 == 0
+    assert learned(tmp_path, "read") == (told, numbers)
+    assert {path: path.read_bytes() for path in place.iterdir()} == kept
+    for path, program in kept.items():
+        path.write_bytes(program[: len(program) // 2])
+    assert learned(tmp_path, "cut") == (told, numbers)
+    assert learned(tmp_path, "anew") == (told, numbers)
+
+
+def test_where_it_is_kept_is_the_users_choice_if_there_is_one(place, monkeypatch):
+    monkeypatch.setitem(os.environ, compiler.KEPT_IN, "elsewhere")
+    compiler.set_compiler()
+    assert os.environ[compiler.KEPT_IN] == "elsewhere"
+    assert not place.exists()
+    assert not set(compiler.KEPT) & set(os.environ)
+
+
+def test_no_folder_of_the_users_own_is_ever_thrown_away(place, tmp_path, monkeypatch):
+    (tmp_path / "own").mkdir()
+    monkeypatch.setitem(os.environ, compiler.KEPT_IN, str(tmp_path / "own"))
+    assert compiler.is_of_kept_programs(f"{compiler.UNREADABLE} for 'jit_f': it is cut")
+    assert (tmp_path / "own").is_dir()
+
+
+def test_what_others_may_write_is_not_run(place):
+    compiler.set_compiler()
+    assert os.environ.pop(compiler.KEPT_IN) == str(place)
+    place.chmod(0o777)
+    compiler.set_compiler()
+    assert compiler.KEPT_IN not in os.environ
+
+
+def test_nothing_is_kept_where_nothing_can_be_written(place):
+    place.parent.parent.write_text("a file, where a folder is wanted")
+    compiler.set_compiler()
+    assert compiler.KEPT_IN not in os.environ
+
+
+def test_too_much_is_thrown_away(place, monkeypatch):
+    compiler.set_compiler()
+    (place / "program-cache").write_bytes(b"0" * 100)
+    os.environ.pop(compiler.KEPT_IN)
+    monkeypatch.setattr(compiler, "MOST_BYTES", 99)
+    compiler.set_compiler()
+    assert not list(Path(place).glob("*"))
+
+
+def test_other_warnings_are_told(place):
+    assert not compiler.is_of_kept_programs("overflow encountered in exp")
+    assert compiler.is_of_kept_programs(f"{compiler.UNWRITABLE} for 'jit_f': OSError: disk full")
+
+
+def test_a_cluster_is_not_told_where_this_machine_keeps_what_it_compiled(place):
+    compiler.set_compiler()
+    assert compiler.KEPT_IN in os.environ
+    assert set(piece.home().settings) == {
+        name
+        for name in os.environ
+        if name in {"XLA_FLAGS", "NPROC"} or (name.startswith("JAX_") and not name.startswith(piece.HERE))
+    }
