@@ -30,6 +30,7 @@ pictures: .venv/.installed
 
 clouds: .venv/.installed
 	$(BIN)/python -m halfseen.scene
+	$(BIN)/python -m halfseen.cell.tables_seen
 
 benchmarks: .venv/.installed
 	for benchmark in benchmarks/*.py; do $(BIN)/python $$benchmark || exit 1; done

@@ -11,18 +11,23 @@ Read down: `inputs`, `covariates` (what every fit accepts) → `model` (what a c
 → `positivity`.
 """
 
-from halfseen.censoring.cox import Cox
-from halfseen.censoring.cut_model import CensoringBy, CutModel
-from halfseen.censoring.diagnostics import WeightDiagnostics, warn_if_few, weight_diagnostics
-from halfseen.censoring.kaplan_meier import KaplanMeier
-from halfseen.censoring.kernel_kaplan_meier import KernelKaplanMeier
-from halfseen.censoring.model import CensoringModel
-from halfseen.censoring.named import CENSORING_NAMES, is_fitted, named_model, uses_covariates
-from halfseen.censoring.positivity import PositivityReport, positivity_report
-from halfseen.censoring.positivity_facts import PositivityFacts
-from halfseen.censoring.specification import CensoringSpec
-from halfseen.censoring.stage_clocks import StageClocks
-from halfseen.censoring.weights import censoring_weights, stage_weights
+from typing import TYPE_CHECKING
+
+from halfseen.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from halfseen.censoring.cox import Cox
+    from halfseen.censoring.cut_model import CensoringBy, CutModel
+    from halfseen.censoring.diagnostics import WeightDiagnostics, warn_if_few, weight_diagnostics
+    from halfseen.censoring.kaplan_meier import KaplanMeier
+    from halfseen.censoring.kernel_kaplan_meier import KernelKaplanMeier
+    from halfseen.censoring.model import CensoringModel, is_fitted, uses_covariates
+    from halfseen.censoring.named import CENSORING_NAMES, named_model
+    from halfseen.censoring.positivity import PositivityReport, positivity_report
+    from halfseen.censoring.positivity_facts import PositivityFacts
+    from halfseen.censoring.specification import CensoringSpec
+    from halfseen.censoring.stage_clocks import StageClocks
+    from halfseen.censoring.weights import censoring_weights, stage_weights
 
 __all__ = [
     "CENSORING_NAMES",
@@ -46,3 +51,29 @@ __all__ = [
     "warn_if_few",
     "weight_diagnostics",
 ]
+
+__getattr__ = lazy_names(
+    __name__,
+    {
+        "CENSORING_NAMES": "named",
+        "CensoringBy": "cut_model",
+        "CensoringModel": "model",
+        "CensoringSpec": "specification",
+        "Cox": "cox",
+        "CutModel": "cut_model",
+        "KaplanMeier": "kaplan_meier",
+        "KernelKaplanMeier": "kernel_kaplan_meier",
+        "PositivityFacts": "positivity_facts",
+        "PositivityReport": "positivity",
+        "StageClocks": "stage_clocks",
+        "WeightDiagnostics": "diagnostics",
+        "censoring_weights": "weights",
+        "is_fitted": "model",
+        "named_model": "named",
+        "positivity_report": "positivity",
+        "stage_weights": "weights",
+        "uses_covariates": "model",
+        "warn_if_few": "diagnostics",
+        "weight_diagnostics": "diagnostics",
+    },
+)

@@ -21,8 +21,8 @@ from jaxtyping import Bool, Float, Int
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.censoring.cox import Cox
-from halfseen.censoring.model import CensoringModel
-from halfseen.censoring.named import is_fitted, named_model, uses_covariates
+from halfseen.censoring.model import CensoringModel, is_fitted, uses_covariates
+from halfseen.censoring.named import named_model
 from halfseen.censoring.stage_clocks import StageClocks
 from halfseen.censoring.weights import stage_weights
 from halfseen.errors import ArgumentError, HalfseenError, PositivityError

@@ -49,3 +49,16 @@ class CensoringModel(Protocol):
             The left limits, in the shape of `u`.
         """
         ...
+
+
+def is_fitted(model: Any) -> bool:
+    """Tell whether a model, or any estimator, was fitted, as scikit-learn does: by an attribute that ends in ``_``."""
+    own_word = getattr(model, "__sklearn_is_fitted__", None)
+    if own_word is not None:
+        return bool(own_word())
+    return any(name.endswith("_") and not name.startswith("_") for name in vars(model))
+
+
+def uses_covariates(model: CensoringModel) -> bool:
+    """Tell whether a model conditions on covariates; a model that does not say so does not."""
+    return bool(getattr(model, "uses_covariates", False))

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from halfseen.censoring.cox import Cox
 from halfseen.censoring.kaplan_meier import KaplanMeier
 from halfseen.censoring.kernel_kaplan_meier import KernelKaplanMeier
-from halfseen.censoring.model import CensoringModel
+from halfseen.censoring.model import CensoringModel, is_fitted
 from halfseen.errors import ArgumentError
 
 MODELS = {"kaplan-meier": KaplanMeier, "cox": Cox, "kernel": KernelKaplanMeier}
@@ -36,19 +36,6 @@ def named_model(censoring: str | CensoringModel) -> CensoringModel:
         names = ", ".join(repr(name) for name in MODELS)
         raise ArgumentError(f"censoring is {censoring!r}; it is {names}, or a model with fit and survival")
     return deepcopy(censoring)
-
-
-def is_fitted(model: Any) -> bool:
-    """Tell whether a model, or any estimator, was fitted, as scikit-learn does: by an attribute that ends in ``_``."""
-    own_word = getattr(model, "__sklearn_is_fitted__", None)
-    if own_word is not None:
-        return bool(own_word())
-    return any(name.endswith("_") and not name.startswith("_") for name in vars(model))
-
-
-def uses_covariates(model: CensoringModel) -> bool:
-    """Tell whether a model conditions on covariates; a model that does not say so does not."""
-    return bool(getattr(model, "uses_covariates", False))
 
 
 def fitted_model(

@@ -6,8 +6,8 @@ from typing import Any
 
 from halfseen.censoring.cut_model import CENSORING_BY, CensoringBy, CutModel, fit_cut_model
 from halfseen.censoring.inputs import checked_truncation
-from halfseen.censoring.model import CensoringModel
-from halfseen.censoring.named import CENSORING_NAMES, named_model, uses_covariates
+from halfseen.censoring.model import CensoringModel, uses_covariates
+from halfseen.censoring.named import CENSORING_NAMES, named_model
 from halfseen.censoring.stage_clocks import StageClocks
 from halfseen.errors import ArgumentError
 

@@ -38,13 +38,13 @@ def law_folder(name: str) -> Path | None:
     ArgumentError
         There is no such folder.
     """
+    if name == ASSUMED:
+        return None
     from halfseen.cell.calibration.shipped import shipped_law
     from halfseen.errors import ArgumentError
 
     if name == SHIPPED:
         return shipped_law()
-    if name == ASSUMED:
-        return None
     if not Path(name).exists():
         there = f"there is no such folder; let `halfseen cell calibrate` write one, or name {SHIPPED} or {ASSUMED}"
         raise ArgumentError(f"--law {name}: {there}{did_you_mean(name, (SHIPPED, ASSUMED))}")
@@ -59,7 +59,9 @@ def law_of(name: str) -> "Law | None":
     PolicyError
         The folder holds no law.
     """
+    folder = law_folder(name)
+    if folder is None:
+        return None
     from halfseen.cell.calibration.law_folder import read_law
 
-    folder = law_folder(name)
-    return None if folder is None else read_law(folder).law
+    return read_law(folder).law

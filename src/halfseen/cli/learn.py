@@ -14,7 +14,9 @@ from halfseen.cli.columns import aligned
 from halfseen.progress import Progress
 
 if TYPE_CHECKING:
+    from halfseen.learners.q_learning.q_learner import CensoredQLearner
     from halfseen.learners.q_learning.targets import Targets
+    from halfseen.logs import Logs, LogStream
 
 CENSORING = ("auto", *options.WEIGHTING, "buckley-james", "none")
 START, LEARN, FOLDS, JUDGE, LOOK = 3, 14, 6, 5, 1
@@ -131,9 +133,6 @@ def learn(
     total = START + LEARN + (FOLDS + JUDGE if has_verdict else 0) + LOOK
     with Progress(total, "start") as bar, warnings.catch_warnings(record=True) as told:
         from halfseen.errors import HalfseenWarning
-        from halfseen.evaluation.held_out import MOST_JUDGED, NUM_FOLDS, held_out_verdict
-        from halfseen.learners.q_learning.streaming import sample_of
-        from halfseen.logs import Logs
         from halfseen.logs.stream import opened, parts_of
         from halfseen.policies.folder import read_policy, write_policy
         from halfseen.policies.folder.json_values import plain
@@ -147,22 +146,37 @@ def learn(
         bar.begin("learn", START)
         learner = choice.learner.fit(log)
         bar.begin("judge" if has_verdict else "write", LEARN)
-        judged = partial(bar.update, FOLDS / NUM_FOLDS)
-        judging = log if isinstance(log, Logs) else sample_of(log, seed, MOST_JUDGED)
-        verdict = held_out_verdict(learner, judging, on_progress=judged).as_dict() if has_verdict else None
+        verdict, not_all = _judged(learner, log, seed, bar) if has_verdict else (None, ())
         bar.reach(total - LOOK)
         write_policy(learner, log, out, overwrite=overwrite, verdict=verdict)
         bar.begin("look", 0)
         shares = action_shares(learner.policy_, learner.model_.task, parts_of(log))
     notes = [
         *choice.notes,
-        *_of_passes(log.num_paths, judging.num_paths, has_verdict),
+        *not_all,
         *learner.unseen_,
         *(str(one.message) for one in told if issubclass(one.category, HalfseenWarning)),
     ]
     actions = plain(shares.reset_index().to_dict("records"))
     report = {"policy": str(out), "logs": str(logs), **read_policy(out).record, "actions": actions, "notes": notes}
     click.echo(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))
+
+
+def _judged(
+    learner: "CensoredQLearner", log: "Logs | LogStream", seed: int, bar: Progress
+) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Judge this way of learning by the log; beside the verdict stands a note if that is of a sample of its paths."""
+    # What judges takes longer to load than all that learns.
+    from halfseen.evaluation.held_out import MOST_JUDGED, NUM_FOLDS, held_out_verdict
+    from halfseen.learners.q_learning.streaming import sample_of
+    from halfseen.logs import Logs
+
+    judging = log if isinstance(log, Logs) else sample_of(log, seed, MOST_JUDGED)
+    verdict = held_out_verdict(learner, judging, on_progress=partial(bar.update, FOLDS / NUM_FOLDS)).as_dict()
+    if judging.num_paths == log.num_paths:
+        return verdict, ()
+    told = f"{judging.num_paths:,} of the {log.num_paths:,} paths, drawn at random"
+    return verdict, (f"the verdict is of policies learned from {told}",)
 
 
 def _targets(chosen: dict[str, Any]) -> "Targets | str":
@@ -181,12 +195,6 @@ def _targets(chosen: dict[str, Any]) -> "Targets | str":
     # What is said of weights asks for weights.
     plain = {"by": "path", "covariates": None, "truncate_at": None, "is_doubly_robust": False}
     return "auto" if given == plain else named_targets(**given)
-
-
-def _of_passes(num_paths: int, num_judged: int, has_verdict: bool) -> tuple[str, ...]:
-    if num_judged == num_paths or not has_verdict:
-        return ()
-    return (f"the verdict is of policies learned from {num_judged:,} of the {num_paths:,} paths, drawn at random",)
 
 
 def _lines(report: Mapping[str, Any]) -> list[str]:

@@ -9,6 +9,13 @@ if TYPE_CHECKING:
     from halfseen.world import Scene
 
 
+def num_scenes(clouds: Sequence[Path]) -> int:
+    """Count what `scenes_of` gives."""
+    from halfseen.cell.tables_seen import tables_seen
+
+    return len(clouds) or len(tables_seen())
+
+
 def scenes_of(
     clouds: Sequence[Path], law: "Law | None" = None, on_each: Callable[[], object] = lambda: None
 ) -> list["Scene"]:
@@ -19,16 +26,27 @@ def scenes_of(
     CloudError
         A cloud cannot be read, or shows no objects.
     """
+    if not clouds:
+        return _shipped(law, on_each)
     from halfseen.errors import CloudError
     from halfseen.perception import perceive, read_cloud
-    from halfseen.scene import table_paths
 
     scenes = []
-    for cloud in clouds or table_paths():
+    for cloud in clouds:
         view = perceive(read_cloud(cloud))
         scene = view.scene() if law is None else law.scene(view)
         if scene.num_objects == 0:
             raise CloudError(f"{cloud}: no objects on the table; put the table with its objects whole into the view")
         scenes.append(scene)
+        on_each()
+    return scenes
+
+
+def _shipped(law: "Law | None", on_each: Callable[[], object]) -> list["Scene"]:
+    from halfseen.cell.tables_seen import tables_seen
+
+    scenes = []
+    for seen in tables_seen():
+        scenes.append(seen.scene(law))
         on_each()
     return scenes

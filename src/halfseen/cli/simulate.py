@@ -9,7 +9,7 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.laws import ASSUMED, law_of, law_option
-from halfseen.cli.scenes import scenes_of
+from halfseen.cli.scenes import num_scenes, scenes_of
 from halfseen.planners.named import HEURISTICS, UNIFORM, named_policy
 from halfseen.progress import Progress
 
@@ -59,11 +59,10 @@ def simulate(clouds: tuple[Path, ...], out: Path, seed: int, as_json: bool, over
     hidden (occlusion), or when an attempt drags on (attempt).
     """
     from halfseen.errors import ArgumentError
-    from halfseen.scene import table_paths
 
     if out.exists() and not overwrite:
         raise ArgumentError(f"{out}: it is there already; choose another folder, or pass --overwrite to replace it")
-    num_clouds = len(clouds or table_paths())
+    num_clouds = num_scenes(clouds)
     with Progress(_START + num_clouds * (1 + _TABLE), "start") as bar:
         from halfseen.world import TableWorld, WorldConfig
 

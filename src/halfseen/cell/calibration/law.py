@@ -97,7 +97,11 @@ class Law:
         view
             What is seen.
         """
-        return replace(view.scene(), grip=np.array([self.grip(facts) for facts in facts_of(view)]))
+        return self.gripped(view.scene(), facts_of(view))
+
+    def gripped(self, scene: Scene, facts: Sequence[Facts]) -> Scene:
+        """Add the grips of its objects to a scene, from what is seen of each."""
+        return replace(scene, grip=np.array([self.grip(each) for each in facts]))
 
 
 def fit_law(logs: Logs, horizon: int, limit_s: float) -> Law:
