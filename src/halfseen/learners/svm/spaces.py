@@ -4,7 +4,7 @@ Both answer the same three questions, so that one solver serves them: the values
 step of λ‖g‖² + Σ φ_i(g_i + b), where φ has the derivatives −p and the second derivatives D on the rows.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -12,11 +12,11 @@ import scipy.linalg
 from jaxtyping import Bool, Float
 
 from halfseen.arrays import Rows
+from halfseen.learners.svm.edited_factor import EditedFactor, factored
 
 Coefficients = Float[np.ndarray, " c"]
 
 _NO_CURVATURE = 1e-12
-_JITTER = 1e-13
 
 
 @runtime_checkable
@@ -59,6 +59,10 @@ class GramSpace:
     """
 
     gram: Float[np.ndarray, "n n"]
+    _factor: EditedFactor = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_factor", EditedFactor(self.gram))
 
     def num_coefficients(self) -> int:
         return len(self.gram)
@@ -88,10 +92,8 @@ class GramSpace:
         wanted = ridge * step[curved]
         if len(curved) < len(self.gram):
             wanted = wanted - (self.gram @ rest)[curved]
-        system = self.gram[np.ix_(curved, curved)] if len(curved) < len(self.gram) else self.gram.copy()
-        system[np.diag_indices_from(system)] += ridge
         right = np.column_stack([wanted, np.ones(len(curved))])[:, : 1 + has_offset]
-        solved = _solve(system, right)
+        solved = self._factor.solve(curved, ridge, right)
         offset = 0.0
         step[curved] = solved[:, 0]
         if has_offset:
@@ -151,15 +153,8 @@ def _is_curved(curvature: Rows) -> Bool[np.ndarray, " n"]:
     return curvature > _NO_CURVATURE * curvature.max(initial=0.0)
 
 
-def _solve(system: Float[np.ndarray, "k k"], right: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+def _solve(system: Float[np.ndarray, "k k"], right: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
     """Solve a positive semidefinite system; a direction that it does not see gets as much curvature as rounding has."""
-    jitter = _JITTER * system.diagonal().max(initial=0.0)
-    if not jitter > 0.0:
+    if not system.diagonal().max(initial=0.0) > 0.0:
         return np.zeros_like(right)
-    while True:
-        try:
-            factor = scipy.linalg.cho_factor(system, lower=True, overwrite_a=False, check_finite=False)
-            return scipy.linalg.cho_solve(factor, right, check_finite=False)
-        except np.linalg.LinAlgError:
-            system[np.diag_indices_from(system)] += jitter
-            jitter *= 100.0
+    return scipy.linalg.cho_solve((factored(system)[0], True), right, check_finite=False)
