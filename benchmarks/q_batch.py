@@ -38,7 +38,7 @@ def drawn(num_logs, seed=0):
     is_completed = stage < num_completed
     signal = covariates[..., 0, 0] * (2 * action - 1) + rng.normal(size=shape)
     return Transitions(
-        features=np.repeat(covariates, NUM_ACTIONS, axis=3),
+        features=covariates,
         is_possible=np.ones((*shape, NUM_ACTIONS), dtype=bool),
         action=action,
         reward=np.where(is_completed, signal, 0.0),
@@ -56,12 +56,12 @@ def looped(log, is_chosen):
         q = np.zeros((NUM_PATHS, NUM_ACTIONS))
         for action in range(NUM_ACTIONS):
             rows = (log.action[:, stage] == action) & (log.weight[:, stage] > 0)
-            x, weight = log.features[rows, stage, action], log.weight[rows, stage]
+            x, weight = log.features[rows, stage, 0], log.weight[rows, stage]
             mean = np.average(x, axis=0, weights=weight)
             scale = np.sqrt(np.average((x - mean) ** 2, axis=0, weights=weight))
             reg = chosen(x / scale, target[rows], weight, log.fold[rows]) if is_chosen else REG
             ridge = Ridge(alpha=reg * NUM_PATHS).fit(x / scale, target[rows], sample_weight=weight)
-            q[:, action] = ridge.predict(log.features[:, stage, action] / scale)
+            q[:, action] = ridge.predict(log.features[:, stage, 0] / scale)
             coefficients[stage, action] = [ridge.intercept_, *(ridge.coef_ / scale)]
         after = q.max(axis=1)
     return coefficients

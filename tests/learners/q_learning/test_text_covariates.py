@@ -107,7 +107,7 @@ def test_what_cannot_be_looked_at_is_refused_where_it_is_asked_for(make, message
             ask()
         assert f"covariate 'other' {message}" in str(refusal.value)
         assert "\n" not in str(refusal.value)
-    assert unfit_covariates(log)["other"].startswith(message)
+    assert unfit_covariates([log])["other"].startswith(message)
     assert fit_covariates(log) == COVARIATES
     learner().fit(log)
 

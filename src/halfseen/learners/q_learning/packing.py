@@ -51,10 +51,10 @@ def packed(log: Transitions, end_action: int | None, block_of_action: Int[np.nda
         return values[None]
 
     fold, stage = np.asarray(log.fold)[row // horizon], row % horizon
-    taken = np.asarray(log.action)[..., None]
+    features, taken = np.asarray(log.features), np.asarray(log.action)[..., None]
     choices = _choices(log, row, ~is_empty & (stage > 0), block_of_action)
     narrow = log._replace(
-        features=np.take_along_axis(np.asarray(log.features), taken[..., None], axis=2),
+        features=features if features.shape[2] == 1 else np.take_along_axis(features, taken[..., None], axis=2),
         is_possible=np.take_along_axis(np.asarray(log.is_possible), taken, axis=2),
         policy=None,
         fold=None,
@@ -70,7 +70,7 @@ def _choices(
     log: Transitions, row: Int[np.ndarray, " R"], is_state: Bool[np.ndarray, " R"], block_of_action: Any
 ) -> Choices:
     """What was possible in the states of these rows, in chunks of one block each."""
-    num_paths, horizon, num_actions = log.is_possible.shape
+    num_paths, horizon = log.action.shape
 
     def by_row(leaf: Any) -> np.ndarray:
         return np.asarray(leaf).reshape(num_paths * horizon, *leaf.shape[2:])
@@ -90,13 +90,12 @@ def _choices(
         filled[place] = values[in_turn]
         return filled.reshape(-1, CHUNK)
 
-    which = row[at] * num_actions + action
-    flat = np.asarray(log.features).reshape(log.is_possible.size, log.features.shape[-1])
+    features = by_row(log.features)
     return Choices(
-        features=flat[spread(which, 0)],
+        features=features[spread(row[at], 0), spread(np.minimum(action, features.shape[1] - 1), 0)],
         action=spread(action, 0),
         row=spread(at, len(row)),
-        policy=None if log.policy is None else spread(by_row(log.policy).ravel()[which], 0.0),
+        policy=None if log.policy is None else spread(by_row(log.policy)[row[at], action], 0.0),
     )
 
 

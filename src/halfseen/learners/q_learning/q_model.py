@@ -257,12 +257,9 @@ class QModel:
             raise ArgumentError("outcome_covariates is given; it chooses among the covariates of a linear Q only")
         return self.task.outcome_features(names)
 
-    def _features(self, paths: PathArrays) -> Float[np.ndarray, "n T A F"]:
-        if self.kernel_map is None:
-            return paths.features
-        if not self.task.is_shared:
-            return np.asarray(self.kernel_map(paths.features))
-        return np.repeat(self.kernel_map(paths.features[:, :, :1]), paths.features.shape[2], axis=2)
+    def _features(self, paths: PathArrays) -> Float[np.ndarray, "n T E F"]:
+        own = paths.features[:, :, :1] if self.task.is_shared else paths.features
+        return own if self.kernel_map is None else np.asarray(self.kernel_map(own))
 
 
 def refuse_all_cut(is_finished: Bool[np.ndarray, " n"]) -> None:

@@ -143,7 +143,11 @@ class Regression(NamedTuple):
         return prepared._replace(seen=_Seen(design, spread_of_rows(design, prepared.last_eigenvalues, self.is_scaled)))
 
     def fit(
-        self, prepared: "_Prepared", log: Transitions, successor: Float[Array, "n T"], centre: Float[Array, "K F"]
+        self,
+        prepared: "_Prepared",
+        log: Transitions,
+        successor: Float[Array, "n T"],
+        centre: Float[Array, "K F"] | None = None,
     ) -> QFunctions:
         """Regress R_t + V̂(S_{t+1}), or what is imputed for it, shrunk towards `centre`; control variates come last."""
         target, outcome = target_of(log, successor).ravel(), None
@@ -151,9 +155,10 @@ class Regression(NamedTuple):
             cross = cross_of(prepared.outcome.design, target)
             outcome = solve(prepared.outcome.factor, cross, self.regs, self.num_paths).coefficients
             target = imputed_target(log, outcome, target.reshape(log.action.shape), self.block_of_action).ravel()
-        cross = self.cross(prepared.main.design, log, target, centre)
+        design = prepared.main.design
+        cross = cross_of(design, target) if centre is None else self.cross(design, log, target, centre)
         fit = solve(prepared.main.factor, cross, self.regs, self.num_paths)
-        found = QFunctions(fit.coefficients + centre, fit.reg, outcome)
+        found = QFunctions(fit.coefficients if centre is None else fit.coefficients + centre, fit.reg, outcome)
         if prepared.seen is None:
             return found
         q = jnp.sum(prepared.main.design.features * found.coefficients[self.blocks(log)], axis=-1)
@@ -239,9 +244,8 @@ def _backward_separate(
     def step(after: Float[Array, " n"], stage: Int[Array, ""]):
         rows = stage_of(log, stage)
         prepared = regression.prepare(rows, rows.weight)
-        centre = jnp.zeros((regression.num_blocks, prepared.main.design.features.shape[-1]), log.reward.dtype)
         successor = after[:, None] if given is None else jax.lax.dynamic_slice_in_dim(given, stage, 1, axis=1)
-        fit = regression.fit(prepared, rows, successor, centre)
+        fit = regression.fit(prepared, rows, successor)
         of_q = fit._replace(coefficients=fit.coefficients[:, :width])
         return regression.values(of_q, rows)[:, 0], of_q
 
@@ -279,7 +283,7 @@ def end_values(fit: QFunctions, log: Transitions, end_action: int, block: Int[Ar
     if log.choices is not None:
         forced = of_block[0] + log.choices.features @ of_block[1:]
         return largest_of_choices(jnp.where(log.choices.action == end_action, forced, -jnp.inf), log)
-    forced = of_block[0] + jnp.asarray(log.features)[:, :, end_action] @ of_block[1:]
+    forced = of_block[0] + jnp.asarray(log.features)[:, :, min(end_action, log.features.shape[2] - 1)] @ of_block[1:]
     return jnp.where(jnp.any(log.is_possible, axis=-1), forced, 0.0)
 
 

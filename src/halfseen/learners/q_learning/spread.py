@@ -86,16 +86,17 @@ def roots(
 
 
 def standard_errors(
-    root: Float[Array, "K F F"], features: Float[Array, "n T A F1"], block_of_action: Int[Array, " A"]
+    root: Float[Array, "K F F"], features: Float[Array, "n T E F1"], block_of_action: Int[Array, " A"]
 ) -> Float[Array, "n T A"]:
     """S of every action in every state."""
+    last = features.shape[2] - 1
 
     def of_action(action: Int[Array, ""]) -> Float[Array, "n T"]:
         each = root[block_of_action[action]]
-        return jnp.sqrt(jnp.sum((each[0] + features[:, :, action] @ each[1:]) ** 2, axis=-1))
+        return jnp.sqrt(jnp.sum((each[0] + features[:, :, jnp.minimum(action, last)] @ each[1:]) ** 2, axis=-1))
 
     # One action after the other: its product is one of two matrices, where all at once would be slow ones in batches.
-    return jnp.moveaxis(jax.lax.map(of_action, jnp.arange(features.shape[2])), 0, -1)
+    return jnp.moveaxis(jax.lax.map(of_action, jnp.arange(len(block_of_action))), 0, -1)
 
 
 def standard_errors_of_choices(

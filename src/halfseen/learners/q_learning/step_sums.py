@@ -105,16 +105,6 @@ class StepFit(NamedTuple):
     """Those of control variates, which Q leaves out, come last."""
 
 
-def lean(log: Transitions, is_shared: bool) -> Transitions:
-    """Keep features once where all actions share them."""
-    return log._replace(features=log.features[:, :, :1]) if is_shared else log
-
-
-def _full(log: Transitions) -> Transitions:
-    shape = (*log.is_possible.shape, log.features.shape[-1])
-    return log._replace(features=jnp.broadcast_to(log.features, shape))
-
-
 @partial(jax.jit, static_argnames="setting")
 def grams_of(log: Transitions, block_of_action: Int[Array, " A"], stage: Int[Array, ""], setting: Setting) -> Grams:
     """Sum up what no target changes over the rows of one part.
@@ -122,7 +112,7 @@ def grams_of(log: Transitions, block_of_action: Int[Array, " A"], stage: Int[Arr
     Parameters
     ----------
     log
-        The part, `lean` or not.
+        The part.
     block_of_action
         Block of each action.
     stage
@@ -130,7 +120,7 @@ def grams_of(log: Transitions, block_of_action: Int[Array, " A"], stage: Int[Arr
     setting
         The rest.
     """
-    regression, rows = _regression(log, block_of_action, setting), _rows(_full(log), stage, setting)
+    regression, rows = _regression(log, block_of_action, setting), _rows(log, stage, setting)
     design, outcome, seen = regression.design(rows, rows.weight), None, None
     if rows.imputation is not None:
         of_outcome, given = regression.outcome_design(rows, rows.weight), rows.imputation
@@ -159,7 +149,7 @@ def crosses_of(
     Parameters
     ----------
     log
-        The part, `lean` or not.
+        The part.
     block_of_action
         Block of each action.
     step
@@ -169,7 +159,7 @@ def crosses_of(
     setting
         The rest.
     """
-    log, regression = _full(log), _regression(log, block_of_action, setting, pessimism)
+    regression = _regression(log, block_of_action, setting, pessimism)
     successor = of_successor(_value(log, regression, step, setting)) * step.has_after
     rows = _rows(log, step.stage, setting)
     if setting.options.stages == "separate":

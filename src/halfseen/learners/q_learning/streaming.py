@@ -23,7 +23,7 @@ from halfseen.learners.q_learning.q_model import QModel, refuse_all_cut, refuse_
 from halfseen.learners.q_learning.q_space import CrossValidation
 from halfseen.learners.q_learning.sample import sampled
 from halfseen.learners.q_learning.stage_choice import with_stages
-from halfseen.learners.q_learning.step_sums import Grams, Setting, Step, StepFit, crosses_of, grams_of, lean, solved
+from halfseen.learners.q_learning.step_sums import Grams, Setting, Step, StepFit, crosses_of, grams_of, solved
 from halfseen.learners.q_learning.task import RewardedStages
 from halfseen.learners.q_learning.transitions import QFunctions, Transitions, of_paths
 from halfseen.logs import Logs, LogStream
@@ -68,9 +68,7 @@ def fit_stream(
             paths = model.lay_out(part)
             weight, imputed = model.weights_and_imputation(paths)
             weights.append(weight)
-            yield lean(
-                model.weighted(paths, weight, imputed, fold[start : start + paths.num_paths]), model.task.is_shared
-            )
+            yield model.weighted(paths, weight, imputed, fold[start : start + paths.num_paths])
             start += paths.num_paths
 
     with kept(parts, -(-stream.num_paths // stream.paths_at_once)) as read:
@@ -123,7 +121,7 @@ def fit_parts(parts: Parts, num_paths: int, model: QModel) -> QFunctions:
     Parameters
     ----------
     parts
-        The log, each part laid out as the whole would be, and `lean`.
+        The log, each part laid out as the whole would be.
     num_paths
         n, of all parts together.
     model

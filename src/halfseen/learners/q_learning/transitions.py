@@ -48,9 +48,9 @@ class Choices(NamedTuple):
 class Transitions(NamedTuple):
     """One log as dense arrays, padded to T stages; `jax.vmap` adds an axis of logs."""
 
-    features: Float[AnyArray, "*B n T A F"]
-    """φ(S_t, a) of every action, without the constant; zeros where S_t was not seen. Where rows are packed, of the
-    action alone that was taken."""
+    features: Float[AnyArray, "*B n T E F"]
+    """φ(S_t, a) of every action, without the constant; zeros where S_t was not seen. E is A, or 1 where all actions
+    have the same features; where rows are packed, they are those of the action that was taken."""
     is_possible: Bool[AnyArray, "*B n T A"]
     action: Int[AnyArray, "*B n T"]
     reward: Float[AnyArray, "*B n T"]
@@ -89,12 +89,12 @@ class QFunctions(NamedTuple):
 
 def q_values(
     coefficients: Float[AnyArray, "K F"],
-    features: Float[AnyArray, "*S A F1"],
+    features: Float[AnyArray, "*S E F1"],
     block_of_action: Int[AnyArray, " A"],
 ) -> Float[Array, "*S A"]:
-    """Q of every action: the offset of its block plus βᵀφ."""
+    """Q of every action: the offset of its block plus βᵀφ, of features of its own or of those that all share."""
     *shape, num_features = features.shape
-    if len(coefficients) == shape[-1]:
+    if len(coefficients) == len(block_of_action):
         # Each action has a block of its own: a product for all blocks would be needed in one of so many places.
         return coefficients[block_of_action, 0] + jnp.sum(features * coefficients[block_of_action, 1:], axis=-1)
     # One product for all blocks: in a batch of logs that share features, those are read once.
@@ -127,7 +127,7 @@ def imputed_target(
 
 def taken_of(log: Transitions) -> Float[Array, "n T F"]:
     """Features of the action that was taken."""
-    if log.choices is not None:
+    if log.features.shape[2] == 1:
         return jnp.asarray(log.features)[:, :, 0]
     return jnp.take_along_axis(jnp.asarray(log.features), log.action[..., None, None], axis=2)[:, :, 0]
 
