@@ -33,10 +33,11 @@ def _setting():
     return replace(setting, scenes=scenes)
 
 
-def _draw(name: str) -> bytes:
+def draw_figure(name: str, prefix: str = "study") -> bytes:
+    """Draw a figure as the study does, from the tables that are kept under a prefix."""
     from halfseen.study.experiments.reward.experiment import Reward
 
-    tables = {name: pd.read_csv(NUMBERS / f"study-{name}.csv", float_precision="round_trip") for name in TABLES}
+    tables = {name: pd.read_csv(NUMBERS / f"{prefix}-{name}.csv", float_precision="round_trip") for name in TABLES}
     section = Reward().section(_setting(), tables)
     (drawing,) = (each for each in (section.opening, *section.drawings) if each is not None and each.name == name)
     return drawn(partial(drawing.draw, drawing.title), "png")
@@ -64,20 +65,27 @@ def repetitions_in(folder: Path) -> Table:
 
 
 def take_in(folder: Path) -> Table:
-    """Keep the tables that a study wrote into a folder."""
-    for name in TABLES:
-        write_file(NUMBERS / f"study-{name}.csv", (folder / f"{name}.csv").read_text(encoding="utf-8"))
+    """Keep the tables that a study wrote into a folder, and what was earned in each of its repetitions."""
+    keep_tables(folder, "study")
     return repetitions_in(folder)
 
 
-def _compute() -> Table:
+def keep_tables(folder: Path, prefix: str) -> None:
+    """Keep the tables that a study wrote into a folder, under names that begin alike."""
+    for name in TABLES:
+        write_file(NUMBERS / f"{prefix}-{name}.csv", (folder / f"{name}.csv").read_text(encoding="utf-8"))
+
+
+def run_study(folder: Path, repetitions: int) -> Path:
+    """Repeat the study of rewards so often."""
     from click.testing import CliRunner
 
     from halfseen.cli import halfseen
 
-    done = CliRunner().invoke(halfseen, ["study", "--only", "reward", "--out", str(STUDY)], catch_exceptions=False)
+    words = ["study", "--only", "reward", "--repetitions", str(repetitions), "--out", str(folder)]
+    done = CliRunner().invoke(halfseen, words, catch_exceptions=False)
     assert done.exit_code == 0, done.output
-    return take_in(STUDY)
+    return folder
 
 
 def _first_repetition() -> Mapping[int, Row]:
@@ -104,8 +112,8 @@ def _first_repetition() -> Mapping[int, Row]:
     }
 
 
-FIGURE1_NUMBERS = Numbers("figure1.csv", _compute, _first_repetition)
+FIGURE1_NUMBERS = Numbers("figure1.csv", lambda: take_in(run_study(STUDY, 40)), _first_repetition)
 OPENING, FIGURE1 = (
-    Picture(name, f"docs/{name}.png", partial(_draw, name), FIGURE1_NUMBERS, seconds=15.0)
+    Picture(name, f"docs/{name}.png", partial(draw_figure, name), FIGURE1_NUMBERS, seconds=15.0)
     for name in ("opening", "figure1")
 )

@@ -1,0 +1,89 @@
+"""Figure 1 from ten thousand repetitions, as many as the paper has, and what forty of them could not tell."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from halfseen.pages.palette import BLUE, INK, SOFT
+from halfseen.study.statistics import over_repetitions
+from pictures.picture import ROOT, Numbers, Picture, Table, plot
+from pictures.study_figure import draw_figure, keep_tables, repetitions_in, run_study
+from pictures.style import LEGEND, panel
+
+FEW, MANY = 40, 10_000
+STUDY = ROOT / "runs" / "pictures" / "study-10000"
+PREFIX = "study-10000"
+SHARES = {0.0: "none", 1 / 6: "1/6", 1 / 3: "1/3", 0.5: "1/2"}
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two things that were played in each repetition: by how much the first earned more."""
+
+    question: str
+    against: str
+    num_paths: float
+    cut_share: float
+    more: np.ndarray
+
+
+def take_in(folder: Path) -> Table:
+    """Keep the tables of a study of ten thousand repetitions, and what forty and all of them tell."""
+    keep_tables(folder, PREFIX)
+    return [_row(each) for each in _comparisons(repetitions_in(folder))]
+
+
+def _comparisons(rows: Table) -> Iterator[Comparison]:
+    earned: dict[tuple[str, float, float], np.ndarray] = {}
+    for name in {(row["policy"], row["num_paths"], row["cut_share"]) for row in rows}:
+        of_name = [row for row in rows if (row["policy"], row["num_paths"], row["cut_share"]) == name]
+        earned[name] = np.array([row["reward"] for row in sorted(of_name, key=lambda row: row["repetition"])])
+    learned = {(size, share): each for (policy, size, share), each in earned.items() if policy == "censored_q"}
+    sizes, shares = (sorted({place[axis] for place in learned}) for axis in (0, 1))
+    for size in sizes:
+        for share in shares[1:]:
+            yield Comparison("cuts", "no cuts", size, share, learned[size, share] - learned[size, 0.0])
+    for before, after in pairwise(sizes):
+        for share in shares:
+            yield Comparison("more", f"{before:.0f}", after, share, learned[after, share] - learned[before, share])
+    for rule in sorted({policy for policy, *_ in earned} - {"censored_q"}):
+        for (size, share), each in sorted(learned.items()):
+            yield Comparison("rule", rule, size, share, each - earned[rule, 0, 0.0])
+
+
+def _row(one: Comparison) -> dict[str, object]:
+    few, many = over_repetitions(one.more[:FEW]), over_repetitions(one.more)
+    named = {"question": one.question, "against": one.against, "num_paths": one.num_paths, "cut_share": one.cut_share}
+    of_few = {"few_mean": few.value, "few_low": few.low, "few_high": few.high}
+    return named | of_few | {"mean": many.value, "low": many.low, "high": many.high, "repetitions": len(one.more)}
+
+
+def draw_costs(rows: Table) -> Figure:
+    """Draw what cuts of half of the paths cost, by the size of the log, from forty repetitions and from all."""
+    made, axes = panel(3.2, "paths in the log, half of them cut", "lost to the cuts [points a table]")
+    of_half = [row for row in rows if row["question"] == "cuts" and row["cut_share"] == 0.5]
+    for begin, colour, aside, told in (("few_", SOFT, -0.08, f"{FEW} repetitions"), ("", BLUE, 0.08, f"{MANY:,}")):
+        for at, row in enumerate(of_half):
+            low, high = -row[f"{begin}high"], -row[f"{begin}low"]
+            axes.plot([at + aside] * 2, [low, high], color=colour, lw=2.4, solid_capstyle="butt")
+            axes.plot(at + aside, -row[f"{begin}mean"], "o", color=colour, ms=4.5, label=None if at else told)
+    axes.axhline(0.0, color=INK, lw=0.8)
+    axes.set_xticks(range(len(of_half)), [f"{row['num_paths']:.0f}" for row in of_half])
+    made.legend(loc="outside lower center", ncols=2, **LEGEND)
+    return made
+
+
+TEN_THOUSAND_NUMBERS = Numbers("ten-thousand.csv", lambda: take_in(run_study(STUDY, MANY)), dict)
+TEN_THOUSAND = Picture(
+    "ten-thousand",
+    "docs/static/guide/ten-thousand.png",
+    partial(draw_figure, "figure1", PREFIX),
+    TEN_THOUSAND_NUMBERS,
+    15.0,
+)
+COST_OF_CUTS = plot("cost-of-cuts", draw_costs, TEN_THOUSAND_NUMBERS)
