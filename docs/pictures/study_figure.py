@@ -33,14 +33,14 @@ def _setting():
     return replace(setting, scenes=scenes)
 
 
-def draw_figure(name: str, prefix: str = "study") -> bytes:
+def draw_figure(name: str, prefix: str = "study", kind: str = "png") -> bytes:
     """Draw a figure as the study does, from the tables that are kept under a prefix."""
     from halfseen.study.experiments.reward.experiment import Reward
 
     tables = {name: pd.read_csv(NUMBERS / f"{prefix}-{name}.csv", float_precision="round_trip") for name in TABLES}
     section = Reward().section(_setting(), tables)
     (drawing,) = (each for each in (section.opening, *section.drawings) if each is not None and each.name == name)
-    return drawn(partial(drawing.draw, drawing.title), "png")
+    return drawn(partial(drawing.draw, drawing.title), kind)
 
 
 def repetitions_in(folder: Path) -> Table:

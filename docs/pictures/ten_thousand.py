@@ -81,8 +81,8 @@ def draw_costs(rows: Table) -> Figure:
 TEN_THOUSAND_NUMBERS = Numbers("ten-thousand.csv", lambda: take_in(run_study(STUDY, MANY)), dict)
 TEN_THOUSAND = Picture(
     "ten-thousand",
-    "docs/static/guide/ten-thousand.png",
-    partial(draw_figure, "figure1", PREFIX),
+    "docs/static/guide/ten-thousand.svg",
+    partial(draw_figure, "figure1", PREFIX, "svg"),
     TEN_THOUSAND_NUMBERS,
     15.0,
 )

@@ -10,6 +10,7 @@ from halfseen.cli.cell_calibrate import calibrate
 from halfseen.logs import read_logs
 from pictures.intervals import INTERVALS
 from pictures.picture import ROOT
+from pictures.ten_thousand import TEN_THOUSAND_NUMBERS
 
 TOLD = {
     "README.md": ("{logs} parts and {later} later ones",),
@@ -128,3 +129,39 @@ def test_no_page_tells_another_number_of_parts(counts):
     for page in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").rglob("*.md")]:
         told = re.findall(r"(\d[\d,]*) parts\b", page.read_text(encoding="utf-8"))
         assert set(told) <= {counts["logs"], counts["later"]}, page
+
+
+def test_what_ten_thousand_repetitions_tell_is_what_is_kept_of_them():
+    rows = TEN_THOUSAND_NUMBERS.read()
+    text = " ".join((ROOT / "docs/guide/ten-thousand-repetitions.md").read_text(encoding="utf-8").split())
+    for question in ("cuts", "more", "rule"):
+        some = [row for row in rows if row["question"] == question]
+        told = [sum(row[f"{begin}low"] > 0 or row[f"{begin}high"] < 0 for row in some) for begin in ("few_", "")]
+        assert f"| {len(some)} | {told[0]} | {told[1]} |" in text
+
+    def of(question, against, size, share):
+        (row,) = (
+            row
+            for row in rows
+            if (row["question"], str(row["against"]), row["num_paths"]) == (question, against, size)
+            and row["cut_share"] == pytest.approx(share)
+        )
+        return row
+
+    def between(low, high):
+        return f"{low:.2f} to {high:.2f}"
+
+    few, many = of("cuts", "no cuts", 25, 0.5), of("cuts", "no cuts", 800, 0.5)
+    assert f"{-few['mean']:.2f} points a table are lost with 25 paths ({between(-few['high'], -few['low'])})" in text
+    assert f"{-many['mean']:.2f} with 800 ({between(-many['high'], -many['low'])})" in text
+    assert f"{of('cuts', 'no cuts', 200, 0.5)['few_mean']:.2f} gained" in text
+    doubled = [of("more", "400.0", 800, share)["mean"] for share in (0, 1 / 6, 1 / 3, 0.5)]
+    assert f"still {between(min(doubled), max(doubled))} points a table" in text
+    uncut, half = (of("rule", "history-penalty", 800, share) for share in (0, 0.5))
+    assert f"{uncut['mean']:.2f} points more where nothing was cut ({between(uncut['low'], uncut['high'])})" in text
+    assert f"{half['mean']:.2f} where half was ({between(half['low'], half['high'])})" in text
+    assert f"between {-half['few_low']:.2f} less and {half['few_high']:.2f} more" in text
+    tie = of("rule", "history-penalty", 400, 1 / 6)
+    assert f"({tie['mean']:.2f}; −{-tie['low']:.2f} to {tie['high']:.2f})" in text
+    readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+    assert f"{half['mean']:.2f} points ({between(half['low'], half['high'])}), and by {uncut['mean']:.2f}" in readme
