@@ -12,6 +12,7 @@ import scipy.linalg
 from jaxtyping import Float, Int
 
 from halfseen.arrays import RowIds, Rows
+from halfseen.learners.threads import one_thread
 
 FEWEST_ROWS = 400
 """Smaller systems are factored anew: that takes no longer than to look what has changed."""
@@ -70,7 +71,9 @@ class EditedFactor:
         if len(rows) < FEWEST_ROWS:
             return scipy.linalg.cho_solve((_base_of(self._gram, rows, ridge).factor, True), right, check_finite=False)
         if self._base is not None and _is_near(self._base, rows, ridge):
-            solved = self._edited(self._base, rows, ridge, right)
+            # Many products of a few columns, in which a second thread would be waited for longer than it helps.
+            with one_thread():
+                solved = self._edited(self._base, rows, ridge, right)
             if solved is not None:
                 return solved
         self._base = None  # so that two factors are never held at once
