@@ -128,7 +128,7 @@ def read_manifest(folder: Place) -> Manifest:
     return Manifest(_checked_rows(file, manifest.get("rows")), unit)
 
 
-def _checked_rows(file: Path, rows: Any) -> dict[str, int]:
+def _checked_rows(file: Place, rows: Any) -> dict[str, int]:
     is_right = isinstance(rows, dict) and {"stages", "paths"} <= set(rows) <= set(TABLES)
     if not is_right:
         raise LogError(f"{file}: rows {rows!r} does not count stages and paths; write the logs again")

@@ -11,8 +11,11 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Float, Int
 
-from halfseen.arrays import RowIds, Rows
 from halfseen.learners.threads import one_thread
+
+Ids = Int[np.ndarray, " a"]
+OfIds = Float[np.ndarray, " a"]
+"""Some of the rows, by their number and rising; and a number of each."""
 
 FEWEST_ROWS = 400
 """Smaller systems are factored anew: that takes no longer than to look what has changed."""
@@ -27,8 +30,8 @@ _JITTER = 1e-13
 class _Base:
     """A set that was factored, and the columns of rows that joined or left it."""
 
-    rows: RowIds
-    ridge: Rows
+    rows: Ids
+    ridge: OfIds
     factor: Float[np.ndarray, "a a"]
     jitter: float
     place: Int[np.ndarray, " n"]
@@ -56,7 +59,7 @@ class EditedFactor:
         self._gram = gram
         self._base: _Base | None = None
 
-    def solve(self, rows: RowIds, ridge: Rows, right: Float[np.ndarray, "a k"]) -> Float[np.ndarray, "a k"]:
+    def solve(self, rows: Ids, ridge: OfIds, right: Float[np.ndarray, "a k"]) -> Float[np.ndarray, "a k"]:
         """Solve for one set; a direction that its system does not see gets as much curvature as rounding has.
 
         Parameters
@@ -81,7 +84,7 @@ class EditedFactor:
         return scipy.linalg.cho_solve((self._base.factor, True), right, check_finite=False)
 
     def _edited(
-        self, base: _Base, rows: RowIds, ridge: Rows, right: Float[np.ndarray, "a k"]
+        self, base: _Base, rows: Ids, ridge: OfIds, right: Float[np.ndarray, "a k"]
     ) -> Float[np.ndarray, "a k"] | None:
         """Solve by the factor of a set near this one; None if that is not exact enough."""
         place = base.place[rows]
@@ -118,7 +121,7 @@ class EditedFactor:
         solved += once(rest)
         return solved if (np.abs(missed(solved)).max(axis=0) <= least).all() else None
 
-    def _add(self, base: _Base, joined: RowIds, left: RowIds) -> None:
+    def _add(self, base: _Base, joined: Int[np.ndarray, " j"], left: Int[np.ndarray, " l"]) -> None:
         """Work out what rows take that joined or left for the first time."""
         joined, left = (
             np.array([row for row in some.tolist() if row not in base.number], dtype=np.int64)
@@ -141,7 +144,7 @@ class EditedFactor:
         base.product = product
         base.number |= {row: num_known + k for k, row in enumerate((*joined.tolist(), *left.tolist()))}
 
-    def _product(self, rows: RowIds, ridge: Rows, solved: Float[np.ndarray, "a k"]) -> Float[np.ndarray, "a k"]:
+    def _product(self, rows: Ids, ridge: OfIds, solved: Float[np.ndarray, "a k"]) -> Float[np.ndarray, "a k"]:
         """(K_AA + diag ρ) x: of all rows, as to gather those of A takes longer."""
         product = ridge[:, None] * solved
         for k in range(solved.shape[1]):
@@ -151,7 +154,7 @@ class EditedFactor:
         return product
 
 
-def _is_near(base: _Base, rows: RowIds, ridge: Rows) -> bool:
+def _is_near(base: _Base, rows: Ids, ridge: OfIds) -> bool:
     """Whether the ridge of what stayed is the same, and not too much joined or left."""
     place = base.place[rows]
     stays = place >= 0
@@ -163,7 +166,7 @@ def _is_near(base: _Base, rows: RowIds, ridge: Rows) -> bool:
     return num_new <= MOST_NEW * len(base.rows)
 
 
-def _base_of(gram: Float[np.ndarray, "n n"], rows: RowIds, ridge: Rows) -> _Base:
+def _base_of(gram: Float[np.ndarray, "n n"], rows: Ids, ridge: OfIds) -> _Base:
     system = gram[np.ix_(rows, rows)] if len(rows) < len(gram) else gram.copy()
     system[np.diag_indices_from(system)] += ridge
     factor, jitter = factored(system)
