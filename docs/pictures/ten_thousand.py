@@ -1,5 +1,6 @@
 """Figure 1 from ten thousand repetitions, as many as the paper has, and what forty of them could not tell."""
 
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -18,7 +19,6 @@ from pictures.style import LEGEND, panel
 FEW, MANY = 40, 10_000
 STUDY = ROOT / "runs" / "pictures" / "study-10000"
 PREFIX = "study-10000"
-SHARES = {0.0: "none", 1 / 6: "1/6", 1 / 3: "1/3", 0.5: "1/2"}
 
 
 @dataclass(frozen=True)
@@ -39,11 +39,11 @@ def take_in(folder: Path) -> Table:
 
 
 def _comparisons(rows: Table) -> Iterator[Comparison]:
-    earned: dict[tuple[str, float, float], np.ndarray] = {}
-    for name in {(row["policy"], row["num_paths"], row["cut_share"]) for row in rows}:
-        of_name = [row for row in rows if (row["policy"], row["num_paths"], row["cut_share"]) == name]
-        earned[name] = np.array([row["reward"] for row in sorted(of_name, key=lambda row: row["repetition"])])
-    learned = {(size, share): each for (policy, size, share), each in earned.items() if policy == "censored_q"}
+    each: dict[tuple[str, float, float], list[float]] = defaultdict(list)
+    for row in sorted(rows, key=lambda row: row["repetition"]):
+        each[row["policy"], row["num_paths"], row["cut_share"]].append(row["reward"])
+    earned = {place: np.array(rewards) for place, rewards in each.items()}
+    learned = {(size, share): one for (policy, size, share), one in earned.items() if policy == "censored_q"}
     sizes, shares = (sorted({place[axis] for place in learned}) for axis in (0, 1))
     for size in sizes:
         for share in shares[1:]:
@@ -52,8 +52,8 @@ def _comparisons(rows: Table) -> Iterator[Comparison]:
         for share in shares:
             yield Comparison("more", f"{before:.0f}", after, share, learned[after, share] - learned[before, share])
     for rule in sorted({policy for policy, *_ in earned} - {"censored_q"}):
-        for (size, share), each in sorted(learned.items()):
-            yield Comparison("rule", rule, size, share, each - earned[rule, 0, 0.0])
+        for size, share in sorted(learned):
+            yield Comparison("rule", rule, size, share, learned[size, share] - earned[rule, 0, 0.0])
 
 
 def _row(one: Comparison) -> dict[str, object]:

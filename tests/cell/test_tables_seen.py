@@ -1,7 +1,5 @@
 """What is kept of the shipped tables is what perception sees of them today."""
 
-import json
-
 import numpy as np
 import pytest
 
@@ -28,11 +26,3 @@ def test_a_table_that_is_kept_is_as_one_that_is_looked_at(law):
     assert kept.name == seen.name
     np.testing.assert_allclose(kept.hides, seen.hides, rtol=0, atol=1e-9)
     np.testing.assert_allclose(kept.grip, seen.grip, rtol=0, atol=1e-9)
-
-
-def test_facts_are_plain_json():
-    assert json.loads(json.dumps([one.facts for one in tables_seen()]))[0][0].keys() == {
-        "is_lying",
-        "width_m",
-        "room_m",
-    }

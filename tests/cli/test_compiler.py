@@ -55,10 +55,12 @@ def test_where_it_is_kept_is_the_users_choice_if_there_is_one(place, monkeypatch
     assert not set(compiler.KEPT) & set(os.environ)
 
 
-def test_no_folder_of_the_users_own_is_ever_thrown_away(place, tmp_path, monkeypatch):
-    (tmp_path / "own").mkdir()
+def test_what_happens_to_a_folder_of_the_users_own_is_told_and_nothing_is_thrown_away(place, tmp_path, monkeypatch):
+    for folder in (place, tmp_path / "own"):
+        folder.mkdir(parents=True)
     monkeypatch.setitem(os.environ, compiler.KEPT_IN, str(tmp_path / "own"))
-    assert compiler.is_of_kept_programs(f"{compiler.UNREADABLE} for 'jit_f': it is cut")
+    assert not compiler.is_of_kept_programs(f"{compiler.UNREADABLE} for 'jit_f': it is cut")
+    assert place.is_dir()
     assert (tmp_path / "own").is_dir()
 
 
@@ -82,19 +84,27 @@ def test_too_much_is_thrown_away(place, monkeypatch):
     os.environ.pop(compiler.KEPT_IN)
     monkeypatch.setattr(compiler, "MOST_BYTES", 99)
     compiler.set_compiler()
-    assert not list(Path(place).glob("*"))
+    assert not list(place.iterdir())
+    assert place.stat().st_mode & 0o077 == 0
+
+
+def test_a_user_without_a_home_keeps_nothing(place, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(compiler, "user_cache_path", lambda *_, **__: Path("~/.cache/halfseen"))
+    compiler.set_compiler()
+    assert compiler.KEPT_IN not in os.environ
+    assert not list(tmp_path.iterdir())
 
 
 def test_other_warnings_are_told(place):
+    compiler.set_compiler()
     assert not compiler.is_of_kept_programs("overflow encountered in exp")
     assert compiler.is_of_kept_programs(f"{compiler.UNWRITABLE} for 'jit_f': OSError: disk full")
 
 
 def test_a_cluster_is_not_told_where_this_machine_keeps_what_it_compiled(place):
     compiler.set_compiler()
+    told = piece.home().settings
     assert compiler.KEPT_IN in os.environ
-    assert set(piece.home().settings) == {
-        name
-        for name in os.environ
-        if name in {"XLA_FLAGS", "NPROC"} or (name.startswith("JAX_") and not name.startswith(piece.HERE))
-    }
+    assert not {compiler.KEPT_IN, *compiler.KEPT} & set(told)
+    assert set(compiler.SETTINGS) <= set(told)

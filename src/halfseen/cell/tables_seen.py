@@ -66,7 +66,7 @@ def _path() -> Path:
 def main() -> None:
     """Write what is seen now."""
     told = [{"name": seen.plain.name, "hides": seen.plain.hides.tolist(), "facts": seen.facts} for seen in look_again()]
-    write_file(_path(), json.dumps(told, indent=1, default=bool) + "\n")
+    write_file(_path(), "[\n" + ",\n".join(json.dumps(one, default=bool) for one in told) + "\n]\n")
 
 
 if __name__ == "__main__":

@@ -66,7 +66,7 @@ def main() -> None:
 
 
 def _say_in_one_line() -> None:
-    """Let warnings that are meant for users read like all else; what is about kept programs concerns nobody."""
+    """Let warnings that are meant for users read like all else; what is about kept programs concerns no user."""
     usual = warnings.showwarning
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:

@@ -17,7 +17,7 @@ KEPT = {"JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0", "JAX_PERSISTENT_CACHE
 """All is kept: programs are small, and there are many."""
 
 MOST_BYTES = 100_000_000
-"""What is kept is thrown away when it is more than this; what a hundred logs of different sizes take is a tenth."""
+"""What is kept is thrown away when it is more than this; what `benchmarks/verbs.py` compiles takes some 3 MB."""
 
 UNREADABLE, UNWRITABLE = (f"Error {doing} persistent compilation cache entry" for doing in ("reading", "writing"))
 """How warnings of JAX begin that say of a kept program that it could not be used, or not be kept."""
@@ -34,9 +34,15 @@ def set_compiler() -> None:
 
 
 def is_of_kept_programs(warning: str) -> bool:
-    """Whether a warning is only about what is kept; where it cannot be read, as after a kill, all is thrown away."""
+    """Whether a warning is only about what is kept here; where that cannot be read, as after a kill, it is thrown away.
+
+    Where the user says what is kept where, it concerns the user.
+    """
+    place = _place()
+    if os.environ.get(KEPT_IN) != str(place):
+        return False
     if warning.startswith(UNREADABLE):
-        shutil.rmtree(_place(), ignore_errors=True)
+        shutil.rmtree(place, ignore_errors=True)
     return warning.startswith((UNREADABLE, UNWRITABLE))
 
 
@@ -46,13 +52,17 @@ def _folder() -> Path | None:
     What is there is run, so nobody but the user may have written it.
     """
     folder = _place()
+    # A user without a home has no cache either.
+    if not folder.is_absolute():
+        return None
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         found = folder.stat()
         if hasattr(os, "getuid") and (found.st_uid != os.getuid() or found.st_mode & 0o022):
             return None
         if sum(entry.stat().st_size for entry in os.scandir(folder)) > MOST_BYTES:
-            shutil.rmtree(folder, ignore_errors=True)
+            shutil.rmtree(folder)
+            folder.mkdir(mode=0o700)
     except OSError:
         return None
     return folder

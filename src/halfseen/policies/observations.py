@@ -1,11 +1,16 @@
 """From files to what a policy decides from: covariates of one stage, or a cloud of a table and its history."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from halfseen.errors import ArgumentError
 from halfseen.policies.folder.stored import StoredPolicy
 from halfseen.policies.named_observation import read_covariates
+
+if TYPE_CHECKING:
+    from halfseen.policies.named_decider import NamedObservation
+    from halfseen.policies.table_observation import SeenLaw
+    from halfseen.tables.present import Present
 
 
 def read_observation(
@@ -14,8 +19,8 @@ def read_observation(
     history: Path | None = None,
     stage: int | None = None,
     labels: Path | None = None,
-    law: Any = None,
-) -> Any:
+    law: "SeenLaw | None" = None,
+) -> "NamedObservation | Present":
     """Read what a policy decides from.
 
     Parameters
@@ -32,7 +37,7 @@ def read_observation(
         For tables, what looks dirty, as `halfseen.perception.read_labels` takes it; None for what the colours of the
         cloud tell, if it has some.
     law
-        For tables, what a cell's law tells of labels and grips (a `SeenLaw`); None for the assumed law of labels.
+        For tables, what a cell's law tells of labels and grips; None for the assumed law of labels.
 
     Returns
     -------

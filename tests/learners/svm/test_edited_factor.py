@@ -66,6 +66,14 @@ def test_another_ridge_or_a_set_far_away_takes_another_factor(gram, factored_siz
     assert factored_sizes == [40, 41, 40]
 
 
+def test_what_is_held_does_not_grow_without_end(gram, factored_sizes, monkeypatch):
+    monkeypatch.setattr(edited_factor, "MOST_KNOWN", 0.1)
+    factor, ridge = EditedFactor(gram), np.full(NUM_ROWS, 0.1)
+    for rows in (np.arange(0, 40), np.arange(3, 40), np.r_[0:36, 37:40], np.r_[0:34, 35:40]):
+        check(factor, gram, rows, ridge)
+    assert factored_sizes == [40, 39]
+
+
 def test_where_it_is_not_exact_the_set_itself_is_factored(gram, factored_sizes, monkeypatch):
     monkeypatch.setattr(edited_factor, "SMALL_RESIDUAL", -1.0)
     factor, ridge = EditedFactor(gram), np.full(NUM_ROWS, 0.1)

@@ -19,8 +19,8 @@ OfIds = Float[np.ndarray, " a"]
 
 FEWEST_ROWS = 400
 """Smaller systems are factored anew: that takes no longer than to look what has changed."""
-MOST_NEW, MOST_EDITS = 1 / 8, 1 / 3
-"""Shares of a set whose columns are worked out, and that may differ, before it is factored anew."""
+MOST_NEW, MOST_KNOWN = 1 / 8, 1 / 3
+"""Shares of a set whose columns are worked out at once, and are held in all, before it is factored anew."""
 SMALL_RESIDUAL = 1e-11
 """What a solution may miss, as a share of the right side; where it misses more, the set is factored anew."""
 _JITTER = 1e-13
@@ -155,15 +155,15 @@ class EditedFactor:
 
 
 def _is_near(base: _Base, rows: Ids, ridge: OfIds) -> bool:
-    """Whether the ridge of what stayed is the same, and not too much joined or left."""
+    """Whether the ridge of what stayed is the same, and not too much has joined or left by now."""
     place = base.place[rows]
     stays = place >= 0
-    num_edits = len(base.rows) + len(rows) - 2 * int(stays.sum())
-    if num_edits > MOST_EDITS * len(base.rows) or (ridge[stays] != base.ridge[place[stays]]).any():
+    if (ridge[stays] != base.ridge[place[stays]]).any():
         return False
     left = np.setdiff1d(base.rows, rows, assume_unique=True)
     num_new = sum(row not in base.number for row in (*rows[~stays].tolist(), *left.tolist()))
-    return num_new <= MOST_NEW * len(base.rows)
+    num_known = len(base.number) + num_new
+    return num_new <= MOST_NEW * len(base.rows) and num_known <= MOST_KNOWN * len(base.rows)
 
 
 def _base_of(gram: Float[np.ndarray, "n n"], rows: Ids, ridge: OfIds) -> _Base:
