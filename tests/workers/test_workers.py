@@ -91,6 +91,26 @@ def test_a_piece_that_kills_every_worker_is_given_up(workers):
         list(pool.each(always_killed, range(2)))
 
 
+@pytest.mark.slow
+def test_workers_of_dask_that_closed_themselves_come_back():
+    distributed = pytest.importorskip("distributed")
+    with Workers(2, "dask").ready() as pool:
+        distributed.get_client().retire_workers()
+        assert dict(pool.each(squared, range(4))) == {number: number**2 for number in range(4)}
+
+
+@pytest.mark.slow
+def test_a_cluster_that_stays_without_workers_is_given_up(monkeypatch):
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr("halfseen.workers.on_dask.EMPTY_S", 1.0)
+    with (
+        distributed.LocalCluster(n_workers=0, dashboard_address=None) as cluster,
+        Workers(engine="dask", address=cluster.scheduler_address).ready() as pool,
+        pytest.raises(WorkerError, match=r"were lost 10 times.*FutureCancelledError"),
+    ):
+        list(pool.each(squared, range(2)))
+
+
 @pytest.mark.parametrize("workers", WORKED)
 def test_a_worker_without_memory_says_so(workers):
     with workers.ready() as pool, pytest.raises(WorkerError, match="out of memory; give --workers a smaller number"):

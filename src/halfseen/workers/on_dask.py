@@ -4,6 +4,7 @@ import warnings
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from importlib import metadata
+from threading import Event, Thread
 from typing import Any
 
 from joblib import register_parallel_backend
@@ -15,6 +16,12 @@ from halfseen.workers.task_backend import Call, Task, TaskBackend, called
 NAME = "halfseen-dask"
 CONNECT_S = 10
 """How long the scheduler has to answer [s]."""
+LOOK_S = 1.0
+"""Between two looks whether there are workers [s]."""
+EMPTY_S = 20.0
+"""How long there may be none before what was begun counts as lost [s]: Dask itself would wait for ever.
+
+Longer than it takes a cluster of this machine to let go of a worker that closed itself."""
 
 
 class DaskTasks(TaskBackend):
@@ -31,8 +38,11 @@ class DaskTasks(TaskBackend):
         task.add_done_callback(lambda _: tell())
 
     def result(self, task: Task) -> Any:
-        """Give what came out of a task that is over."""
-        return task.result()
+        """Give what came out of a task that is over, and have no worker keep it: Dask would make it again if lost."""
+        try:
+            return task.result()
+        finally:
+            task.release()
 
     def cancel(self, tasks: Collection[Task]) -> None:
         """Let go of tasks."""
@@ -81,4 +91,34 @@ def on_dask(num: int, address: str | None) -> Iterator[Engine]:
         losses = (KilledWorker, FutureCancelledError, CommClosedError)
         place = "a Dask cluster on this machine" if address is None else f"the Dask cluster at {address}"
         register_parallel_backend(NAME, DaskTasks)
-        yield Engine(NAME, max(len(threads), 1), losses, place, is_here=False)
+        with _watched(client, num if address is None else None):
+            yield Engine(NAME, max(len(threads), 1), losses, place, is_here=False)
+
+
+@contextmanager
+def _watched(client: Any, num_here: int | None) -> Iterator[None]:
+    """Cancel what a cluster without workers has begun, so that its loss is known; bring back workers of this machine.
+
+    A worker that closes itself because what it did was taken from it closes its nanny, too, and none comes after it.
+    """
+    from distributed import Future
+
+    is_over = Event()
+
+    def watch() -> None:
+        num_empty = 0
+        while not is_over.wait(LOOK_S):
+            num_empty = 0 if client.nthreads() else num_empty + 1
+            if num_empty * LOOK_S >= EMPTY_S:
+                num_empty = 0
+                if num_here is not None:
+                    client.cluster.scale(num_here)
+                client.cancel([Future(key, client=client) for key in list(client.futures)])
+
+    watcher = Thread(target=watch, daemon=True)
+    watcher.start()
+    try:
+        yield
+    finally:
+        is_over.set()
+        watcher.join()

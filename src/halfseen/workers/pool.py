@@ -99,7 +99,8 @@ class Pool:
 
 def _round(engine: Engine, function: bytes, left: Mapping[int, Any]) -> Iterator[tuple[int, Any]]:
     """Make what is left, until all is made or a worker is lost."""
-    with parallel_config(engine.backend, n_jobs=engine.num_workers, **engine.told):
+    # With one job joblib would make the pieces in this process, which a piece then could end.
+    with parallel_config(engine.backend, n_jobs=max(engine.num_workers, 2), **engine.told):
         parallel: Any = Parallel(return_as="generator_unordered", **_STREAMED)
     asker = home()
     outcomes = parallel(delayed(made)(asker, function, number, piece) for number, piece in list(left.items()))
