@@ -13,6 +13,7 @@ from halfseen.evaluation.held_out import learn_by_folds
 from halfseen.evaluation.targets import CrossFitted
 from halfseen.learners import CensoredQLearner
 from halfseen.logs import Logs
+from halfseen.workers import Workers
 
 LAST = "(said of policies learned the same way from four fifths of the log and judged on the rest)."
 
@@ -47,6 +48,15 @@ def test_each_fold_is_learned_as_the_learner_would_from_the_other_paths():
     crossed = learn_by_folds(learner(), logs, 5)
     alone = learner().fit(logs.select(logs.path_ids[crossed.fold != 2])).policy_
     np.testing.assert_array_equal(crossed.policies[2].coefficients, alone.coefficients)
+
+
+@pytest.mark.slow
+def test_workers_come_to_the_same_verdict():
+    logs = trial(1, num_paths=200, cut_rate=0.05)
+    fitted = learner(censoring="buckley-james").fit(logs)
+    alone, together = (held_out_verdict(fitted, logs, workers=Workers(num)) for num in (1, 2))
+    assert alone == together
+    assert alone.evaluation is not None
 
 
 def test_each_path_is_decided_by_the_policy_of_its_fold():

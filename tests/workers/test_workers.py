@@ -32,6 +32,10 @@ def drawn(number: int) -> bytes:
     return (rows @ rows @ np.linalg.inv(rows)).tobytes()
 
 
+def process_of(number: int) -> int:
+    return os.getpid()
+
+
 def refused(number: int) -> int:
     if number == 2:
         raise ArgumentError("number is 2; take 3")
@@ -68,6 +72,26 @@ def test_every_piece_comes_back_once(workers):
 def test_the_bits_are_those_of_one_process(workers):
     with Workers(1).ready() as alone, workers.ready() as pool:
         assert list(pool.in_order(drawn, range(4))) == list(alone.in_order(drawn, range(4)))
+
+
+def test_nobody_else_begins_for_little_work():
+    with Workers().ready_if_worth() as pool:
+        assert list(pool.in_order(process_of, range(6))) == [os.getpid()] * 6
+
+
+def test_workers_begin_where_much_is_left(monkeypatch):
+    monkeypatch.setattr("halfseen.workers.workers.num_cores", lambda: 2)
+    monkeypatch.setattr("halfseen.workers.pool.WORTH_S", 0.0)
+    with Workers().ready_if_worth() as pool:
+        first, *others = pool.in_order(process_of, range(6))
+        assert first == os.getpid()
+        assert os.getpid() not in others
+        assert os.getpid() not in list(pool.in_order(process_of, range(3)))
+
+
+def test_workers_that_were_asked_for_begin_at_once():
+    with Workers(2).ready_if_worth() as pool:
+        assert os.getpid() not in list(pool.in_order(process_of, range(3)))
 
 
 @pytest.mark.parametrize("workers", ENGINES)

@@ -13,11 +13,13 @@ from halfseen.cli import options
 from halfseen.cli.columns import aligned
 from halfseen.cli.laws import ASSUMED, law_of, law_option
 from halfseen.cli.scenes import scenes_of
+from halfseen.cli.workers import worker_options
 from halfseen.progress import Progress
 
 if TYPE_CHECKING:
     from halfseen.evaluation.simulation import WorldComparison
     from halfseen.policies.folder import StoredPolicy
+    from halfseen.workers import Workers
 
 WORK = {"start": 1, "evaluate": 4}
 """What each step takes of the time, roughly."""
@@ -52,6 +54,7 @@ WORK = {"start": 1, "evaluate": 4}
 @click.option(
     "--episodes", type=click.IntRange(min=2), default=10_000, show_default=True, help="Of --world: how many to play."
 )
+@worker_options
 @options.seed("numbers")
 @options.as_json
 def evaluate(
@@ -65,14 +68,15 @@ def evaluate(
     episodes: int,
     seed: int,
     as_json: bool,
+    workers: "Workers",
     **chosen: Any,
 ) -> None:
     """Say what the policy in the folder POLICY is worth before it runs.
 
     With --logs, from what another policy did, of which paths were cut: by importance sampling, by fitted Q evaluation
     and doubly robust, and whether it is better than the policy that made the logs, than that without its exploration,
-    or than whatever --against names: "better" is better than each. With --world, by playing the tables of CLOUDS, by
-    default the ten that come with halfseen, beside four heuristics.
+    or than whatever --against names: "better" is better than each; where that takes long, workers do it. With --world,
+    by playing the tables of CLOUDS, by default the ten that come with halfseen, beside four heuristics.
     """
     from halfseen.errors import ArgumentError
     from halfseen.policies.folder import read_policy
@@ -89,7 +93,7 @@ def evaluate(
     if logs is None:
         report, lines = _by_world(stored, clouds, law or ASSUMED, episodes, seed, level)
     else:
-        report, lines = _by_logs(stored, logs, seed, level, against=list(against) or None, **chosen)
+        report, lines = _by_logs(stored, logs, seed, level, against=list(against) or None, workers=workers, **chosen)
     report = {"policy": str(policy), "seed": seed, **report}
     click.echo(json.dumps(report, indent=2) if as_json else "\n".join(lines))
 
@@ -102,6 +106,7 @@ def _by_logs(
     *,
     against: list[str] | None,
     propensity: str,
+    workers: "Workers",
     **chosen: Any,
 ) -> tuple[dict[str, Any], list[str]]:
     with Progress(sum(WORK.values()), "start") as bar, warnings.catch_warnings(record=True) as caught:
@@ -116,6 +121,7 @@ def _by_logs(
         bar.begin("evaluate", WORK["start"])
         spec = specification_of(stored, logs, **chosen)
         settings: Any = {"against": against, "propensity": propensity, "level": level, "random_state": seed}
+        settings["workers"] = workers
         answer = evaluated(stored.policy, logs, censoring=spec.censoring, q=spec.q, **settings)
     notes = [*answer.notes, *(str(one.message) for one in caught if issubclass(one.category, HalfseenWarning))]
     is_own = log_digest(logs) == stored.record["log"].get("sha256")

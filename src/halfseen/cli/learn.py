@@ -11,12 +11,14 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.columns import aligned
+from halfseen.cli.workers import worker_options
 from halfseen.progress import Progress
 
 if TYPE_CHECKING:
     from halfseen.learners.q_learning.q_learner import CensoredQLearner
     from halfseen.learners.q_learning.targets import Targets
     from halfseen.logs import Logs, LogStream
+    from halfseen.workers import Workers
 
 CENSORING = ("auto", *options.WEIGHTING, "buckley-james", "none")
 START, LEARN, FOLDS, JUDGE, LOOK = 3, 14, 6, 5, 1
@@ -104,6 +106,7 @@ class _Or(click.ParamType):
     help="Judge policies learned from four fifths of LOGS by the rest, against what made LOGS; takes some six times as "
     "long.",
 )
+@worker_options
 @options.seed("policy")
 @options.overwrite("a policy that is")
 @options.as_json
@@ -114,6 +117,7 @@ def learn(
     has_verdict: bool,
     overwrite: bool,
     as_json: bool,
+    workers: "Workers",
     **chosen: Any,
 ) -> None:
     """Learn a policy from the folder LOGS, and write it to a folder of its own, all or nothing.
@@ -125,7 +129,8 @@ def learn(
 
     It ends with a verdict: do policies that are learned this way beat the one that made LOGS, and that without its
     exploration? Five are learned from four fifths of LOGS each and judged by the rest, which they never saw. The
-    verdict is kept with the policy, and `halfseen act` repeats it where nothing speaks for the policy.
+    verdict is kept with the policy, and `halfseen act` repeats it where nothing speaks for the policy. Where that takes
+    long, workers do it.
     """
     from halfseen.policies.folder.files import check_target
 
@@ -146,7 +151,7 @@ def learn(
         bar.begin("learn", START)
         learner = choice.learner.fit(log)
         bar.begin("judge" if has_verdict else "write", LEARN)
-        verdict, not_all = _judged(learner, log, seed, bar) if has_verdict else (None, ())
+        verdict, not_all = _judged(learner, log, seed, bar, workers) if has_verdict else (None, ())
         bar.reach(total - LOOK)
         write_policy(learner, log, out, overwrite=overwrite, verdict=verdict)
         bar.begin("look", 0)
@@ -163,7 +168,7 @@ def learn(
 
 
 def _judged(
-    learner: "CensoredQLearner", log: "Logs | LogStream", seed: int, bar: Progress
+    learner: "CensoredQLearner", log: "Logs | LogStream", seed: int, bar: Progress, workers: "Workers"
 ) -> tuple[dict[str, Any], tuple[str, ...]]:
     """Judge this way of learning by the log; beside the verdict stands a note if that is of a sample of its paths."""
     # What judges takes longer to load than all that learns.
@@ -172,7 +177,8 @@ def _judged(
     from halfseen.logs import Logs
 
     judging = log if isinstance(log, Logs) else sample_of(log, seed, MOST_JUDGED)
-    verdict = held_out_verdict(learner, judging, on_progress=partial(bar.update, FOLDS / NUM_FOLDS)).as_dict()
+    told = partial(bar.update, FOLDS / NUM_FOLDS)
+    verdict = held_out_verdict(learner, judging, on_progress=told, workers=workers).as_dict()
     if judging.num_paths == log.num_paths:
         return verdict, ()
     told = f"{judging.num_paths:,} of the {log.num_paths:,} paths, drawn at random"

@@ -54,7 +54,7 @@ def look_at_many(clouds: Sequence[Path], workers: "Workers", is_json: bool) -> N
     from halfseen.errors import CloudError
 
     look = _facts if is_json else _row
-    with Progress(len(clouds), "look", "clouds") as bar, workers.ready() as pool:
+    with Progress(len(clouds), "look", "clouds") as bar, workers.ready_if_worth() as pool:
         told: dict[int, Any] = {}
         for number, of_cloud in pool.each(partial(_told, look), clouds):
             told[number] = of_cloud

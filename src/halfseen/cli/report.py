@@ -4,12 +4,16 @@ import json
 import shlex
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from halfseen.cli import options
+from halfseen.cli.workers import worker_options
 from halfseen.progress import Progress
+
+if TYPE_CHECKING:
+    from halfseen.workers import Workers
 
 WORK = {"start": 10, "evaluate": 25, "look at the policy": 1, "learn again": 18, "look at the log": 1, "draw": 8}
 """What each step takes of the time, roughly."""
@@ -33,6 +37,7 @@ USUAL: dict[str, Any] = {"propensity": "logged", "replicates": 100}
     help="Draws of paths behind the bands around Q.",
 )
 @click.option("--unit", help="What rewards are counted in, such as parts; by default what the logs say.")
+@worker_options
 @options.seed("page")
 @options.overwrite("a page that is")
 @click.option("--json", "as_json", is_flag=True, help="Print the numbers behind the page as one JSON object.")
@@ -45,6 +50,7 @@ def report(
     overwrite: bool,
     seed: int,
     as_json: bool,
+    workers: "Workers",
     **chosen: Any,
 ) -> None:
     """Write one page about the folder LOGS and, if one is given, the policy in the folder POLICY.
@@ -72,7 +78,7 @@ def report(
         stored, log = None if policy is None else read_policy(policy), read_logs(logs)
         log = log if unit is None else log.in_unit(unit)
         num_replicates = chosen.pop("replicates")
-        told: dict[str, Any] = {"against": list(against) or None, "num_replicates": num_replicates}
+        told: dict[str, Any] = {"against": list(against) or None, "num_replicates": num_replicates, "workers": workers}
 
         def begin(step: str) -> None:
             bar.begin(step, WORK[bar.what])

@@ -57,7 +57,7 @@ def study(
     setting = Setting((), repetitions=DEFAULT_REPETITIONS if repetitions is None else repetitions, seed=seed)
     setting, known = under(setting, law_folder(law))
     refuse_unwritable(out)
-    scenes, pictures = look_at(paths, known)
+    scenes, pictures = look_at(paths, known, workers)
     setting = replace(setting, scenes=scenes)
     results = run_study(setting, out, experiments, is_resumed=resume, workers=workers, pictures=pictures)
     if is_json:

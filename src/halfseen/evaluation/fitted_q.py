@@ -6,6 +6,7 @@ standard error (the delete-a-group jackknife [Kott2001]_).
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -16,6 +17,7 @@ from halfseen.learners.q_learning.fitting import fit_and_judge
 from halfseen.learners.q_learning.judging import Judged
 from halfseen.learners.q_learning.q_model import QModel
 from halfseen.learners.q_learning.transitions import Transitions
+from halfseen.workers import Pool
 
 
 def judged_by_folds(
@@ -24,6 +26,7 @@ def judged_by_folds(
     reward: Float[np.ndarray, "n T"],
     fold: Int[np.ndarray, " n"],
     nuisances: Sequence[Nuisances],
+    pool: Pool,
 ) -> Judged:
     """What the Qs say that were fitted without each fold; and last that of all paths, if there are nuisances for it.
 
@@ -39,15 +42,29 @@ def judged_by_folds(
         Of each path.
     nuisances
         Fitted without each fold, and perhaps to all paths.
+    pool
+        Who fits.
     """
-    blocks = model.task.block_of_action(log.is_possible.shape[-1])
-    options = model.options(len(fold))
-    each = []
-    for k, given in enumerate(nuisances):
-        without = (fold != k).astype(np.float64)[None]
-        weighted = log._replace(weight=given.weight, imputation=given.imputation)
-        each.append(fit_and_judge(weighted, reward, without, blocks, model.regs, options))
+    each = pool.in_order(_Judging(model, log, reward, fold), enumerate(nuisances))
     return Judged(*(np.concatenate(leaves) for leaves in zip(*each, strict=True)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Judging:
+    """Fits Q without a fold, and lets it judge every path."""
+
+    model: QModel
+    log: Transitions
+    reward: Float[np.ndarray, "n T"]
+    fold: Int[np.ndarray, " n"]
+
+    def __call__(self, numbered: tuple[int, Nuisances]) -> Judged:
+        k, given = numbered
+        without = (self.fold != k).astype(np.float64)[None]
+        weighted = self.log._replace(weight=given.weight, imputation=given.imputation)
+        blocks = self.model.task.block_of_action(self.log.is_possible.shape[-1])
+        options = self.model.options(len(self.fold))
+        return fit_and_judge(weighted, self.reward, without, blocks, self.model.regs, options)
 
 
 def jackknifed(value: Float[np.ndarray, "B n"], fold: Int[np.ndarray, " n"]) -> tuple[float, float]:

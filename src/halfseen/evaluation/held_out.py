@@ -27,6 +27,7 @@ from halfseen.learners.q_learning.q_learner import CensoredQLearner
 from halfseen.learners.threads import in_one_thread
 from halfseen.logs import Logs
 from halfseen.policies.folder.specification import described
+from halfseen.workers import ALONE, Pool, Workers
 
 NUM_FOLDS = 5
 
@@ -83,6 +84,7 @@ def held_out_verdict(
     level: float = 0.95,
     num_folds: int = NUM_FOLDS,
     on_progress: Callable[[], object] = lambda: None,
+    workers: Workers = ALONE,
 ) -> HeldOutVerdict:
     """Judge a way of learning by the log that was learned from, cross-fitted.
 
@@ -102,6 +104,8 @@ def held_out_verdict(
         Number K of folds, and of policies that are learned.
     on_progress
         Called after each policy, and once at the end.
+    workers
+        Who learns and judges; they begin once a policy takes long. The verdict is the same.
 
     Raises
     ------
@@ -115,8 +119,9 @@ def held_out_verdict(
         with warnings.catch_warnings():
             # What is doubtful in a part of the log is so in all of it, and was said when that was learned.
             warnings.simplefilter("ignore", HalfseenWarning)
-            policy = learn_by_folds(learner, logs, num_folds, on_progress)
-            evaluation = _evaluation(policy, learner, logs, against, level)
+            with workers.ready_if_worth() as pool:
+                policy = learn_by_folds(learner, logs, num_folds, on_progress, pool)
+            evaluation = _evaluation(policy, learner, logs, against, level, workers)
     except HalfseenError as error:
         return HeldOutVerdict("cannot be said", str(error), num_folds)
     on_progress()
@@ -124,7 +129,11 @@ def held_out_verdict(
 
 
 def learn_by_folds(
-    learner: CensoredQLearner, logs: Logs, num_folds: int, on_progress: Callable[[], object] = lambda: None
+    learner: CensoredQLearner,
+    logs: Logs,
+    num_folds: int,
+    on_progress: Callable[[], object] = lambda: None,
+    pool: Pool = Pool(None),  # noqa: B008 - it has nothing that could change
 ) -> CrossFitted:
     """Learn one policy for each fold, from the paths outside it.
 
@@ -138,6 +147,8 @@ def learn_by_folds(
         Number K of folds.
     on_progress
         Called after each policy.
+    pool
+        Who learns them.
 
     Raises
     ------
@@ -152,11 +163,23 @@ def learn_by_folds(
     same.set_params(censoring=composed.targets, pessimism=composed.pessimism)
     fold = np.random.default_rng([learner.random_state, 3]).permutation(logs.num_paths) % num_folds
     policies = []
-    for k in range(num_folds):
-        fresh: Any = clone(same)
-        policies.append(fresh.fit(logs.select(logs.path_ids[_others(fold, k)])).policy_)
+    for policy in pool.in_order(_Learning(same, logs, fold), range(num_folds)):
+        policies.append(policy)
         on_progress()
     return CrossFitted(tuple(policies), fold, learner.horizon)
+
+
+@dataclass(frozen=True)
+class _Learning:
+    """Learns the policy of a fold."""
+
+    learner: CensoredQLearner
+    logs: Logs
+    fold: Int[np.ndarray, " n"]
+
+    def __call__(self, k: int) -> Any:
+        fresh: Any = clone(self.learner)
+        return fresh.fit(self.logs.select(self.logs.path_ids[_others(self.fold, k)])).policy_
 
 
 def _others(fold: Int[np.ndarray, " n"], k: int) -> Int[np.ndarray, " m"]:
@@ -164,7 +187,9 @@ def _others(fold: Int[np.ndarray, " n"], k: int) -> Int[np.ndarray, " m"]:
     return np.flatnonzero(fold != k)[: len(fold) - np.bincount(fold).max()]
 
 
-def _evaluation(policy: CrossFitted, learner: CensoredQLearner, logs: Logs, against: Any, level: float) -> Evaluation:
+def _evaluation(
+    policy: CrossFitted, learner: CensoredQLearner, logs: Logs, against: Any, level: float, workers: Workers
+) -> Evaluation:
     spec = specification(learner.policy_, described(learner.model_), logs)
     is_logged = "probability" in logs.stages.columns and bool(logs.stages["probability"].notna().to_numpy().any())
     return evaluate(
@@ -176,4 +201,5 @@ def _evaluation(policy: CrossFitted, learner: CensoredQLearner, logs: Logs, agai
         propensity="logged" if is_logged else "estimated",
         level=level,
         random_state=learner.random_state,
+        workers=workers,
     )

@@ -37,6 +37,7 @@ from halfseen.learners.q_learning.task import Task
 from halfseen.learners.q_learning.transitions import StageMode
 from halfseen.learners.threads import in_one_thread
 from halfseen.logs import Logs
+from halfseen.workers import ALONE, Workers
 
 LARGEST_WEIGHT = 10.0
 """Bound of 1/Ĝ where a user has said nothing of cuts."""
@@ -79,6 +80,7 @@ def evaluate(
     random_state: int = 0,
     num_folds: int = 10,
     is_hourly: bool = False,
+    workers: Workers = ALONE,
 ) -> Evaluation:
     """Estimate the value of a policy from a log of another one of which paths were right-censored.
 
@@ -111,6 +113,8 @@ def evaluate(
         Folds of the cross-fitting, and of the jackknife behind the interval of fitted Q.
     is_hourly
         Work out what is earned in an hour of the clock, too.
+    workers
+        Who fits Q without each fold; they begin once a fit takes long. The answer is the same.
 
     Raises
     ------
@@ -134,7 +138,9 @@ def evaluate(
     targets = default_targets(logs) if censoring is None else targets_of(censoring)
     model = q_model_of(policy, widened, targets, spec, random_state)
     problem = problem_of(policy, widened, model, propensity, np.random.default_rng([random_state, 1]), num_folds)
-    return _evaluation(problem, logs, opponents, propensity == "logged", against is None, level, is_hourly)
+    with workers.ready_if_worth() as pool:
+        shared = problem._replace(pool=pool)
+        return _evaluation(shared, logs, opponents, propensity == "logged", against is None, level, is_hourly)
 
 
 def default_targets(logs: Logs) -> Targets:

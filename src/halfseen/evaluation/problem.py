@@ -24,6 +24,7 @@ from halfseen.learners.q_learning.path_arrays import PathArrays
 from halfseen.learners.q_learning.q_model import QModel
 from halfseen.learners.q_learning.transitions import Transitions
 from halfseen.logs import Logs
+from halfseen.workers import Pool
 
 
 class Contribution(NamedTuple):
@@ -60,6 +61,8 @@ class Problem(NamedTuple):
     """E[ρ²] of whole paths."""
     is_revealed: bool = False
     """Whether the log itself says where the policy was followed."""
+    pool: Pool = Pool(None)
+    """Who fits Q."""
 
     @property
     def effective_sample_size(self) -> float:
@@ -84,7 +87,7 @@ class Problem(NamedTuple):
 
     def judged(self, nuisances: Sequence[Nuisances]) -> Judged:
         """What Qs of the policy say, each fitted with one of these."""
-        return judged_by_folds(self.model, self.log, self.paths.reward, self.fold, nuisances)
+        return judged_by_folds(self.model, self.log, self.paths.reward, self.fold, nuisances, self.pool)
 
     def contribution(self, judged: Judged) -> Contribution:
         """What each path adds to the doubly robust value."""

@@ -22,6 +22,7 @@ from halfseen.report.policy_findings import Band, QCurve, choices, most_telling,
 from halfseen.report.policy_map import PolicyMap, policy_maps
 from halfseen.report.table_map import TableMap, table_map
 from halfseen.report.timeline import UNKNOWN_ACTION, Timeline, timeline
+from halfseen.workers import ALONE, Workers
 
 ASKED = {"censoring_covariates": "covariates", "truncate_at": "truncate_at"}
 """Name on the page → name in the specification of the cuts, where it has one."""
@@ -109,12 +110,14 @@ def find(
     seed: int = 0,
     num_replicates: int = 100,
     on_progress: Callable[[str], object] = lambda what: None,
+    workers: Workers = ALONE,
     **chosen: Any,
 ) -> Findings:
     """Find out all that the page tells of a log and of the policy that is judged by it, if there is one.
 
     `against` is what the policy has to beat (see `evaluate`). `chosen` are parameters of the evaluation that are not to
     be the policy's own (`specification_of`); bootstrap bands around Q come from `num_replicates` draws of paths.
+    Where it takes long, `workers` judge and learn again.
     """
     digest = log_digest(logs)
     with warnings.catch_warnings(record=True) as told:
@@ -122,7 +125,7 @@ def find(
         judged = None
         if stored is not None:
             is_own = stored.record["log"].get("sha256") in (digest, None)
-            asked = _Asked(against, propensity, seed, num_replicates, is_own, chosen)
+            asked = _Asked(against, propensity, seed, num_replicates, is_own, chosen, workers)
             judged = _judged(stored, logs, asked, on_progress)
         on_progress("look at the log")
         positivity = positivity_of(logs)
@@ -155,6 +158,7 @@ class _Asked(NamedTuple):
     is_own_log: bool
     """Whether the policy may have been learned from this very log."""
     chosen: Mapping[str, Any]
+    workers: Workers
 
 
 def _judged(stored: StoredPolicy, logs: Logs, asked: _Asked, on_progress: Callable[[str], object]) -> PolicyFindings:
@@ -162,11 +166,13 @@ def _judged(stored: StoredPolicy, logs: Logs, asked: _Asked, on_progress: Callab
     spec = specification_of(stored, logs, **asked.chosen)
     task = (spec.q and spec.q.task) or task_of(stored.policy, logs)
     options: Any = {"against": asked.against, "propensity": asked.propensity, "random_state": asked.seed}
+    options["workers"] = asked.workers
     evaluation = evaluate(stored.policy, logs, censoring=spec.censoring, q=spec.q, is_hourly=True, **options)
     on_progress("look at the policy")
     decided = choices(stored, task, logs)
     on_progress("learn again")
-    curves, band = q_curves(stored, logs, asked.num_replicates, asked.seed, is_own_log=asked.is_own_log)
+    resampled: Any = {"is_own_log": asked.is_own_log, "workers": asked.workers}
+    curves, band = q_curves(stored, logs, asked.num_replicates, asked.seed, **resampled)
     maps = policy_maps(stored.policy, logs, telling(curves)) if isinstance(stored.policy, FlatPolicy) else []
     named = {name: getattr(spec.censoring, of, None) for name, of in ASKED.items()}
     return PolicyFindings(

@@ -19,6 +19,7 @@ from halfseen.policies.folder import StoredPolicy, q_space_of_record
 from halfseen.policies.folder.specification import reg_of_record, targets_of_record
 from halfseen.policies.shares import action_shares
 from halfseen.report.states import middle_of, numeric_of
+from halfseen.workers import ALONE, Workers
 
 MOST_STAGES, MOST_COVARIATES = 3, 4
 FEWEST_STATES = 10
@@ -78,7 +79,13 @@ class QCurve:
 
 
 def q_curves(
-    stored: StoredPolicy, logs: Logs, num_replicates: int, seed: int, *, is_own_log: bool = True
+    stored: StoredPolicy,
+    logs: Logs,
+    num_replicates: int,
+    seed: int,
+    *,
+    is_own_log: bool = True,
+    workers: Workers = ALONE,
 ) -> tuple[list[QCurve], Band | None]:
     """Follow Q of named actions along every covariate of numbers that varies, in the first stages; none for tables.
 
@@ -92,6 +99,8 @@ def q_curves(
         Of the bootstrap.
     is_own_log
         Whether the policy may have been learned from this very log, so that resampling it tells of its errors.
+    workers
+        Who learns again.
 
     Returns
     -------
@@ -108,7 +117,7 @@ def q_curves(
     names = [name for name in numeric_of(policy) if all(_varies(rows[name]) for rows in states.values())]
     if not states or not names:
         return [], None
-    replicates = _replicates(stored, logs, num_replicates, seed) if is_own_log else None
+    replicates = _replicates(stored, logs, num_replicates, seed, workers) if is_own_log else None
     band: Band | None = "bootstrap" if replicates is not None else "regression" if stored.q_error else None
     return [_curve(stored, replicates, rows, stage, name) for stage, rows in states.items() for name in names], band
 
@@ -171,7 +180,7 @@ def _sway(curve: QCurve) -> float:
     return float(np.ptp(q - q.mean(axis=0), axis=1).max())
 
 
-def _replicates(stored: StoredPolicy, logs: Logs, num_replicates: int, seed: int) -> Any:
+def _replicates(stored: StoredPolicy, logs: Logs, num_replicates: int, seed: int, workers: Workers) -> Any:
     """Learn again from paths resampled (bootstrap); None where learning from this log does not give this policy."""
     learned, policy = stored.record["learner"], stored.policy
     if learned.get("censoring") not in CENSORING_CHOICES:
@@ -190,4 +199,4 @@ def _replicates(stored: StoredPolicy, logs: Logs, num_replicates: int, seed: int
     scale = max(1.0, float(np.abs(ours).max()))
     if again.shape != ours.shape or np.abs(again - ours).max() > SAME_COEFFICIENTS * scale:
         return None
-    return bootstrap(learner, logs, num_replicates, seed)
+    return bootstrap(learner, logs, num_replicates, seed, workers=workers)

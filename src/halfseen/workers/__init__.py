@@ -10,11 +10,11 @@ from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
     from halfseen.workers.pool import Pool
-    from halfseen.workers.workers import Workers
+    from halfseen.workers.workers import ALONE, Workers
 
 ENGINES = ("processes", "ray", "dask")
 """What may run workers, by name."""
 
-__all__ = ["ENGINES", "Pool", "Workers"]
+__all__ = ["ALONE", "ENGINES", "Pool", "Workers"]
 
-__getattr__ = lazy_names(__name__, {"Pool": "pool", "Workers": "workers"})
+__getattr__ = lazy_names(__name__, {"ALONE": "workers", "Pool": "pool", "Workers": "workers"})

@@ -1,5 +1,6 @@
 """Pieces go to workers, and what comes out of them streams back; what a lost worker had is made again."""
 
+import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, TypeVar
@@ -18,6 +19,9 @@ MOST_LOST = 10
 """Times that workers are lost one after another, while no piece gets done, before it is given up."""
 
 
+WORTH_S = 20.0
+"""Workers are worth beginning where all that is left would take one process longer [s]."""
+
 _STREAMED: dict[str, Any] = {"batch_size": 1, "pre_dispatch": "2*n_jobs"}
 """No more pieces are under way than keep all workers busy: memory is bounded, and little is lost with a worker."""
 
@@ -29,10 +33,12 @@ class Pool:
     ----------
     engine
         What runs them; None for this process alone.
+    begin
+        Begins an engine for a process that is alone, once what is left is worth it; None to leave it alone.
     """
 
-    def __init__(self, engine: Engine | None) -> None:
-        self._engine = engine
+    def __init__(self, engine: Engine | None, begin: Callable[[], Engine] | None = None) -> None:
+        self._engine, self._begin = engine, begin
 
     @property
     def num_workers(self) -> int:
@@ -66,22 +72,38 @@ class Pool:
         WorkerError
             Workers are lost again and again, or have other versions.
         """
-        if self._engine is None:
-            yield from ((number, result_of(function, piece)) for number, piece in enumerate(pieces))
-            return
-        left, num_lost, lost = dict(enumerate(pieces)), 0, None
+        left = dict(enumerate(pieces))
+        while left and self._engine is None:
+            yield self._made_here(function, left)
+        if left and self._engine is not None:
+            yield from self._made_there(self._engine, function, left)
+
+    def _made_here(self, function: Callable[[Piece], Result], left: dict[int, Piece]) -> tuple[int, Result]:
+        """Make the next piece in this process."""
+        begun = time.monotonic()
+        number = next(iter(left))
+        result = result_of(function, left.pop(number))
+        if self._begin is not None and (time.monotonic() - begun) * len(left) > WORTH_S:
+            self._engine = self._begin()
+        return number, result
+
+    def _made_there(
+        self, engine: Engine, function: Callable[[Piece], Result], left: dict[int, Piece]
+    ) -> Iterator[tuple[int, Result]]:
+        """Have workers make what is left."""
+        num_lost, lost = 0, None
         packed = cloudpickle.dumps(function)
         while left:
             try:
-                for number, result in _round(self._engine, packed, left):
+                for number, result in _round(engine, packed, left):
                     del left[number]
                     num_lost = 0
                     yield number, result
-            except self._engine.losses as error:
+            except engine.losses as error:
                 num_lost, lost = num_lost + 1, error
             if num_lost == MOST_LOST:
                 raise WorkerError(
-                    f"workers of {self._engine.place} were lost {MOST_LOST} times, one after another "
+                    f"workers of {engine.place} were lost {MOST_LOST} times, one after another "
                     f"({type(lost).__name__}), with {len(left)} pieces left; most often they were killed for want of "
                     "memory: give --workers a smaller number, and go on with what is done"
                 ) from lost

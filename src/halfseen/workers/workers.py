@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 
 from halfseen.errors import ArgumentError
@@ -64,6 +64,22 @@ class Workers:
         with self._engine() as engine:
             yield Pool(engine)
 
+    @contextmanager
+    def ready_if_worth(self) -> Iterator[Pool]:
+        """Have them ready where there may be little to do: unless they were asked for, they begin once it is worth it.
+
+        Raises
+        ------
+        WorkerError
+            Nobody answers at the address.
+        """
+        if self.num is not None or self.engine != "processes" or self._num == 1:
+            with self.ready() as pool:
+                yield pool
+            return
+        with ExitStack() as stack:
+            yield Pool(None, lambda: stack.enter_context(self._engine()))
+
     @property
     def _num(self) -> int:
         return self.num or num_cores()
@@ -80,3 +96,7 @@ class Workers:
         from halfseen.workers.processes import processes
 
         return processes(self._num)
+
+
+ALONE = Workers(1)
+"""This process makes all pieces itself."""

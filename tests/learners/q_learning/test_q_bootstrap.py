@@ -7,6 +7,7 @@ from halfseen.censoring import Cox
 from halfseen.errors import ArgumentError
 from halfseen.learners import CensoredQLearner, DoublyRobust, Weighted, bootstrap
 from halfseen.logs import Logs
+from halfseen.workers import Workers
 
 NUM_PATHS = 60
 
@@ -45,6 +46,16 @@ def test_a_replicate_is_what_is_learned_from_the_paths_that_were_drawn(logs, cen
         np.testing.assert_allclose(
             found.replicates.coefficients[k], again.q_functions_.coefficients, rtol=1e-6, atol=1e-8
         )
+
+
+@pytest.mark.slow
+def test_workers_draw_the_same(logs):
+    learner = CensoredQLearner.of_paper(2, ACTIONS, ["s1_1", "s2_1"], reg=0.1, censoring="buckley-james").fit(logs)
+    alone, together = (
+        bootstrap(learner, logs, num_replicates=21, random_state=5, workers=Workers(num)) for num in (1, 2)
+    )
+    np.testing.assert_array_equal(alone.replicates.coefficients, together.replicates.coefficients)
+    assert len(alone.replicates.coefficients) == 21
 
 
 def test_intervals_and_shares(logs):

@@ -26,6 +26,7 @@ from halfseen.learners.q_learning.transitions import QFunctions, Transitions
 from halfseen.learners.threads import in_one_thread
 from halfseen.logs import Logs
 from halfseen.progress import Progress, Telling, telling
+from halfseen.workers import ALONE, Workers
 
 BATCH_SIZE = 10
 """Replicates that are fitted at once."""
@@ -89,6 +90,7 @@ def bootstrap(
     num_replicates: int = 100,
     random_state: int = 0,
     is_quiet: bool = True,
+    workers: Workers = ALONE,
 ) -> QBootstrap:
     """Learn again from paths drawn anew with replacement, in float64.
 
@@ -104,6 +106,8 @@ def bootstrap(
         Seed of the draws.
     is_quiet
         Shows no progress; else a bar, where the output is a terminal.
+    workers
+        Who learns again; they begin once some draws take long. What comes out is the same.
 
     Raises
     ------
@@ -121,18 +125,33 @@ def bootstrap(
         )
     model = learner.model_
     paths = model.lay_out(logs)
-    log = model.transitions(paths)
-    rng = np.random.default_rng(random_state)
     share = np.full(paths.num_paths, 1.0 / paths.num_paths)
+    counts = np.random.default_rng(random_state).multinomial(paths.num_paths, share, size=num_replicates)
+    batches = [counts[start : start + BATCH_SIZE] for start in range(0, num_replicates, BATCH_SIZE)]
     fits = []
-    with telling(Telling.NOTHING) if is_quiet else nullcontext(), Progress(num_replicates, "bootstrap", "draws") as bar:
-        for start in range(0, num_replicates, BATCH_SIZE):
-            size = min(BATCH_SIZE, num_replicates - start)
-            drawn = [_redrawn(model, paths, counts) for counts in rng.multinomial(paths.num_paths, share, size=size)]
-            fits.append(_fit_each(model, log, jax.tree.map(lambda *leaves: np.stack(leaves), *drawn)))
-            bar.update(size)
+    with (
+        telling(Telling.NOTHING) if is_quiet else nullcontext(),
+        Progress(num_replicates, "bootstrap", "draws") as bar,
+        workers.ready_if_worth() as pool,
+    ):
+        for fit in pool.in_order(_LearningAgain(model, paths, model.transitions(paths)), batches):
+            fits.append(fit)
+            bar.update(len(batches[len(fits) - 1]))
     q_functions = jax.tree.map(lambda *parts: np.concatenate(parts), *fits)
     return QBootstrap(learner.policy_, model.policy(q_functions))
+
+
+@dataclass(frozen=True, eq=False)
+class _LearningAgain:
+    """Learns from some draws of paths."""
+
+    model: QModel
+    paths: PathArrays
+    log: Transitions
+
+    def __call__(self, counts: Int[np.ndarray, "B n"]) -> QFunctions:
+        drawn = [_redrawn(self.model, self.paths, each) for each in counts]
+        return _fit_each(self.model, self.log, jax.tree.map(lambda *leaves: np.stack(leaves), *drawn))
 
 
 _OF_PATHS = ("share", "terms", "expected", "outcome_weight")
