@@ -190,7 +190,8 @@ class LoggedPaths:
 
     def _chosen(self, tried: pd.DataFrame, num_paths: int) -> "_OwnGrasp | None":
         """What the first paths of a log choose, if it is not the rule of succession."""
-        grasp = choose_by(pd.DataFrame(tried[tried["path"] < num_paths]), self.source.world.horizon).grasp
+        num_attempts = int(tried["path"].searchsorted(num_paths))
+        grasp = choose_by(tried.iloc[:num_attempts], self.source.world.horizon).grasp
         return None if grasp is None else _OwnGrasp(grasp, self._encoded(num_paths, grasp))
 
     def _encoded(self, num_paths: int, grasp: GraspModel | None) -> Encoded:

@@ -17,7 +17,7 @@ from halfseen.censoring import KaplanMeier, censoring_weights
 from halfseen.errors import ArgumentError, HalfseenWarning, PositivityError
 from halfseen.tables import BetaGrasp
 from halfseen.tables.grasp.beta_grasp import CENTRE, SPREAD, fitted_thetas, negative_log_posteriors, predictive
-from halfseen.tables.grasp.inputs import checked_attempts, checked_history
+from halfseen.tables.grasp.inputs import checked_attempts, checked_history, kinds
 
 
 def history(occlusion, successes, failures):
@@ -250,3 +250,13 @@ def test_the_prior_counts_as_stated():
     chance = predictive(theta, decided.history)
     likelihood = np.log(np.where(decided.succeeded, chance, 1 - chance)).sum()
     assert negative_log_posterior(theta, decided)[0] == pytest.approx(penalty(theta) - likelihood)
+
+
+def test_rows_of_a_kind_are_alike_in_all_columns():
+    rng = np.random.default_rng(0)
+    columns = rng.choice([0.0, 0.25, 1.0], 500), rng.integers(0, 3, 500).astype(float), rng.random(500) < 0.5
+    first, kind = kinds(*columns)
+    rows = list(zip(*(column.tolist() for column in columns), strict=True))
+    assert [rows[k] for k in first[kind]] == rows
+    assert len({rows[k] for k in first}) == len(first) == len(set(rows)) == 18
+    assert [rows.index(rows[k]) for k in first] == first.tolist()

@@ -21,7 +21,7 @@ from halfseen.censoring import CensoringModel, WeightDiagnostics
 from halfseen.estimator import Estimator, check_fitted
 from halfseen.learners.newton_each import Derivatives, minimise_each
 from halfseen.logs.frames import FrameLike
-from halfseen.tables.grasp.inputs import Decided, History, checked_attempts, checked_history
+from halfseen.tables.grasp.inputs import Decided, History, checked_attempts, checked_history, kinds
 
 CENTRE = np.array([0.0, 0.0, np.log(2.0)])
 """Mode of the weak normal prior on intercept, slope and log s: half succeed; strength of the rule of succession."""
@@ -166,8 +166,9 @@ def negative_log_posteriors(theta: Float[np.ndarray, "K 3"], decided: Decided, w
     return loss, shift / SPREAD - gradient, np.diag(SPREAD**-2.0) - hessian
 
 
-def fitted_thetas(decided: Decided, weight: Weights, start: Theta = CENTRE) -> Float[np.ndarray, "K 3"]:
-    """Intercept, slope and log s of the largest posterior density, under each of K weightings; sought from `start`."""
-    return minimise_each(
-        lambda theta: negative_log_posteriors(theta, decided, weight), np.tile(start, (len(weight), 1))
-    )
+def fitted_thetas(decided: Decided, weight: Weights) -> Float[np.ndarray, "K 3"]:
+    """Intercept, slope and log s of the largest posterior density, under each of K weightings."""
+    first, kind = kinds(*decided.history, decided.succeeded)
+    each = decided.among(first)
+    of_kind = np.stack([np.bincount(kind, row, len(first)) for row in weight])
+    return minimise_each(lambda theta: negative_log_posteriors(theta, each, of_kind), np.tile(CENTRE, (len(weight), 1)))

@@ -10,6 +10,7 @@ fourth smaller; under the law of the cell, where the Beta leaves a fifth of it, 
 """
 
 import warnings
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -96,9 +97,7 @@ def choose_by(tried: pd.DataFrame, horizon: int) -> GraspChoice:
         decided = checked_attempts(tried)
         grip = tried["grip"].to_numpy(dtype=np.float64)[decided.row]
         path = np.unique(tried["path"].to_numpy(), return_inverse=True)[1][decided.row]
-        whole = fitted_thetas(decided, decided.weight[None])[0]
-        # A fifth of the paths moves it little: so those without them are sought from there.
-        held_out = fitted_thetas(decided, _weightings(decided, path), start=whole)
+        *held_out, whole = fitted_thetas(decided, _weightings(decided, path))
         errors = _errors(decided, grip, path, held_out)
     lead = (1.0 - WORTH) * errors.rule - errors.beta
     left = f"{errors.beta.sum() / errors.rule.sum():.0%} of its squared error"
@@ -112,9 +111,9 @@ def choose_by(tried: pd.DataFrame, horizon: int) -> GraspChoice:
     return GraspChoice(None, f"{KEPT}: held out, a Beta regression does not clearly halve its error (it leaves {left})")
 
 
-def _weightings(decided: Decided, path: RowIds) -> Float[np.ndarray, "K n"]:
-    """Weights without the paths of each fold."""
-    return (path % NUM_FOLDS != np.arange(NUM_FOLDS)[:, None]) * decided.weight
+def _weightings(decided: Decided, path: RowIds) -> Float[np.ndarray, "V n"]:
+    """Weights without the paths of each fold, and those of all."""
+    return np.vstack([(path % NUM_FOLDS != np.arange(NUM_FOLDS)[:, None]) * decided.weight, decided.weight])
 
 
 class _Errors(NamedTuple):
@@ -124,7 +123,7 @@ class _Errors(NamedTuple):
     beta: Rows
 
 
-def _errors(decided: Decided, grip: Rows, path: RowIds, held_out: Float[np.ndarray, "V 3"]) -> _Errors:
+def _errors(decided: Decided, grip: Rows, path: RowIds, held_out: Sequence[Float[np.ndarray, "3"]]) -> _Errors:
     """Errors of the rule, and of a Beta that was fitted to other paths; both as far as they go by history alone."""
     said = np.stack([predictive(theta, decided.history) for theta in held_out])
     beta, rule = said[path % NUM_FOLDS, np.arange(len(path))], _by_succession(decided.history, grip)

@@ -18,7 +18,7 @@ from scipy.special import expit, logit
 
 from halfseen.arrays import Rows
 from halfseen.learners.newton_each import Derivatives, Thetas, minimise_each
-from halfseen.tables.grasp.inputs import Decided, checked_attempts, checked_covariates
+from halfseen.tables.grasp.inputs import Decided, checked_attempts, checked_covariates, kinds
 from halfseen.tables.grasp.protocol import GraspEstimator
 
 SPREAD = np.array([1.0, 0.5])
@@ -77,15 +77,17 @@ def fitted_effect(said: Rows, decided: Decided, grip: Rows) -> GripEffect:
     """Fit as `fit_grip_effect`, to what a model says of decided attempts without their grips."""
     if not grip.any():
         return GripEffect()
-    logits, sign = logit(np.clip(said, SURE, 1.0 - SURE)), np.where(decided.succeeded, 1.0, -1.0)
-    design = np.column_stack([np.ones_like(grip), grip])
+    first, kind = kinds(said, grip, decided.succeeded)
+    weight = np.bincount(kind, decided.weight, len(first))
+    logits, sign = logit(np.clip(said[first], SURE, 1.0 - SURE)), np.where(decided.succeeded[first], 1.0, -1.0)
+    design = np.column_stack([np.ones(len(first)), grip[first]])
 
     def derivatives(theta: Thetas) -> Derivatives:
         margin, scaled = sign * (logits + theta @ design.T), theta / SPREAD
-        loss = np.logaddexp(0.0, -margin) @ decided.weight + (scaled**2).sum(axis=1) / 2.0
+        loss = np.logaddexp(0.0, -margin) @ weight + (scaled**2).sum(axis=1) / 2.0
         wrong = expit(-margin)
-        bend = (decided.weight * wrong * (1.0 - wrong))[:, :, None, None] * design[:, :, None] * design[:, None, :]
-        gradient = scaled / SPREAD - (decided.weight * sign * wrong) @ design
+        bend = (weight * wrong * (1.0 - wrong))[:, :, None, None] * design[:, :, None] * design[:, None, :]
+        gradient = scaled / SPREAD - (weight * sign * wrong) @ design
         return loss, gradient, np.diag(SPREAD**-2.0) + bend.sum(axis=1)
 
     shift, per_grip = minimise_each(derivatives, np.zeros((1, 2)))[0].tolist()

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float, Int
 
-from halfseen.arrays import RowMask, Rows
+from halfseen.arrays import RowIds, RowMask, Rows
 from halfseen.censoring import (
     CensoringModel,
     WeightDiagnostics,
@@ -57,6 +57,24 @@ class Decided(NamedTuple):
             group=self.group[kept],
             row=self.row[kept],
         )
+
+
+def kinds(*columns: Float[np.ndarray, " n"] | Bool[np.ndarray, " n"]) -> tuple[RowIds, RowIds]:
+    """Number the rows of which all columns are alike: a fit needs to look at one of each kind alone.
+
+    Returns
+    -------
+    first : Int[ndarray, "k"]
+        A row of each kind.
+    kind : Int[ndarray, "n"]
+        Of each row.
+    """
+    code = np.zeros(len(columns[0]), dtype=np.int64)
+    for column in columns:
+        values, number = np.unique(column, return_inverse=True)
+        code = code * len(values) + number
+    _, first, kind = np.unique(code, return_index=True, return_inverse=True)
+    return first, kind
 
 
 def checked_history(data: FrameLike) -> History:
@@ -163,6 +181,9 @@ def _flags(frame: pd.DataFrame, column: str, is_read: RowMask) -> RowMask:
     values = frame[column]
     if values.dtype == np.bool_:
         return values.to_numpy()
+    if isinstance(values.dtype, pd.BooleanDtype):
+        _refuse(frame, column, is_read & values.isna().to_numpy(), "give True or False")
+        return values.to_numpy(dtype=bool, na_value=False)
     is_true, is_false = (values.isin([flag]).to_numpy(dtype=bool) for flag in (True, False))
     _refuse(frame, column, is_read & ~is_true & ~is_false, "give True or False")
     return is_true
