@@ -11,8 +11,9 @@ from halfseen.perception.objects import Labels
 from halfseen.perception.plane import Plane
 from halfseen.perception.range_image import PixelMask, RangeImage
 from halfseen.perception.silhouette import covered, middle_depth_m
-from halfseen.perception.solids import Hull, Vessel, fit_lying, fit_standing, flat_misfit, robust_cost, thinned
+from halfseen.perception.solids import Hull, Vessel
 from halfseen.perception.splitting import divided
+from halfseen.perception.vessel_fits import fit_lying, fit_standing, flat_misfit, robust_cost, thinned
 
 # A fit whose mean cost is worse is no vessel: residuals of 8 mm everywhere.
 WORST_VESSEL_MISFIT = 3.2
