@@ -64,15 +64,22 @@ def _room(i: int, vessel: Vessel, end: int, num_steps: int, labels: Labels, plan
     """How many steps an end can go on; the foot of a standing vessel is on the table and never does."""
     longest = _prolonged(vessel, end, num_steps)
     asked = covered(longest, plane, image)
-    depth = middle_depth_m(longest, plane, image, asked)
-    is_hiding = asked & (labels >= 0) & (labels != i) & (image.depth_m < depth)
-    is_against = asked & image.is_return & (labels != i) & ~is_hiding
-    before = covered(vessel, plane, image)
-    room, is_added = 0, np.zeros_like(before)
+    label, depth_m = labels.ravel()[asked], image.depth_m.ravel()[asked]
+    hiding = (label >= 0) & (label != i) & (depth_m < middle_depth_m(longest, plane, image, asked))
+    if not hiding.any():
+        return 0
+    is_hiding, is_against, is_before, is_added = np.zeros((4, labels.size), dtype=bool)
+    is_hiding[asked] = hiding
+    is_against[asked] = np.isfinite(depth_m) & (label != i) & ~hiding
+    is_before[covered(vessel, plane, image)] = True
+    room = 0
     for step in range(1, num_steps + 1):
         after = covered(_prolonged(vessel, end, step), plane, image) if step < num_steps else asked
-        added = after & ~before
-        if added.any() and is_against[added].mean() > CONTRADICTION_SHARE:
+        added = after[~is_before[after]]
+        if len(added) and is_against[added].mean() > CONTRADICTION_SHARE:
             break
-        room, before, is_added = step, after, is_added | (added & (labels != i))
+        room = step
+        is_before[:] = False
+        is_before[after] = True
+        is_added[added[labels.ravel()[added] != i]] = True
     return room if is_added.any() and is_hiding[is_added].mean() > HIDDEN_SHARE else 0

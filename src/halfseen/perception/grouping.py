@@ -1,18 +1,18 @@
 """From sheets to objects: a vessel shows its outer and its inner wall as two sheets, an occluder cuts a wall in two."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from jaxtyping import Int
 from scipy.spatial import KDTree
 
 from halfseen.arrays import Points
-from halfseen.perception.objects import Labels
+from halfseen.perception.objects import Labels, pixels_of
 from halfseen.perception.plane import Plane
-from halfseen.perception.range_image import PixelMask, RangeImage
+from halfseen.perception.range_image import PixelMask, Pixels, RangeImage
 from halfseen.perception.silhouette import covered, middle_depth_m
 from halfseen.perception.solids import Hull, Vessel
-from halfseen.perception.splitting import divided
+from halfseen.perception.splitting import FEWEST_POINTS, divided
 from halfseen.perception.vessel_fits import fit_lying, fit_standing, flat_misfit, robust_cost, thinned
 
 # A fit whose mean cost is worse is no vessel: residuals of 8 mm everywhere.
@@ -31,6 +31,8 @@ DOUBTFUL_VESSEL_MISFIT = 2.0
 SURE_VESSEL_MISFIT = 1.5
 # Pieces farther apart than the walls of a wide cup are not tried together [m].
 FARTHEST_PIECES_M = 0.12
+# What is nearer or farther by this much is so however a distance is rounded [m].
+SURE_M = 1e-9
 # Two pieces are walls of one vessel if the points of each lie this near to one common wall: mean robust cost.
 JOINT_MISFIT = 1.3
 # ... which is tried only if half of one is this near to the wall that the other shows [m]; a fit takes time.
@@ -59,9 +61,16 @@ BORDER_PX = 3
 
 @dataclass(frozen=True, eq=False)
 class _Piece:
+    """Sheets of one object; its points are in an order of chance, so that every thinning covers all of them."""
+
     sheets: tuple[int, ...]
     points_m: Points
-    solid: Vessel | Hull
+    given: Vessel | Hull | None = None
+
+    @cached_property
+    def solid(self) -> Vessel | Hull:
+        """Its completed shape, fitted when it is first asked for: some pieces are merged before."""
+        return completed(self.points_m) if self.given is None else self.given
 
 
 def objects_of_sheets(sheets: Labels, plane: Plane, image: RangeImage) -> tuple[Labels, tuple[Vessel | Hull, ...], int]:
@@ -85,15 +94,16 @@ def objects_of_sheets(sheets: Labels, plane: Plane, image: RangeImage) -> tuple[
     """
     sheets, pieces = _pieces(sheets, plane, image)
     pieces = _merged(pieces, sheets, plane, image)
+    of_sheet = pixels_of(sheets)
     kept, num_cut = [], 0
     for piece in pieces:
-        mask = _is_of(sheets, piece.sheets)
-        if not _is_object(mask, piece, image):
+        pixels = np.sort(np.concatenate([of_sheet[sheet] for sheet in piece.sheets]))
+        if not _is_object(pixels, piece, image):
             continue
-        if _is_cut(mask):
+        if _is_cut(pixels, sheets.shape):
             num_cut += 1
         else:
-            kept.append((int(mask.sum()), piece))
+            kept.append((len(pixels), piece))
     kept.sort(key=lambda pair: -pair[0])
     table = np.full(int(sheets.max()) + 2, -1)
     for index, (_, piece) in enumerate(kept):
@@ -102,42 +112,25 @@ def objects_of_sheets(sheets: Labels, plane: Plane, image: RangeImage) -> tuple[
 
 
 def _pieces(sheets: Labels, plane: Plane, image: RangeImage) -> tuple[Labels, list[_Piece]]:
-    """Complete each sheet; one that is no vessel and shows two is divided."""
+    """Make a piece of each sheet; one that is no vessel and shows two is divided."""
     sheets, points_m = sheets.copy(), image.points_m.reshape(-1, 3)
     pieces = []
-    for sheet, pixels in enumerate(_pixels_of(sheets)):
+    for sheet, pixels in enumerate(pixels_of(sheets)):
         points = plane.table_points(points_m[pixels])
-        piece = _piece((sheet,), points)
-        solid, is_first = piece.solid, None
-        if isinstance(solid, Hull) or solid.misfit > DOUBTFUL_VESSEL_MISFIT:
+        piece, is_first = _Piece((sheet,), _spread(points)), None
+        if len(points) >= FEWEST_POINTS and _is_doubtful(piece.solid):
             is_first = divided(points)
         if is_first is None or is_first.all() or not is_first.any():
             pieces.append(piece)
             continue
         new = int(sheets.max()) + 1
         sheets.ravel()[pixels[~is_first]] = new
-        pieces += [_piece((sheet,), points[is_first]), _piece((new,), points[~is_first])]
+        pieces += [_Piece((sheet,), _spread(points[is_first])), _Piece((new,), _spread(points[~is_first]))]
     return sheets, pieces
 
 
-def _piece(names: tuple[int, ...], points_m: Points) -> _Piece:
-    spread_m = _spread(points_m)
-    return _Piece(names, spread_m, completed(spread_m))
-
-
-def _pixels_of(sheets: Labels) -> list[Int[np.ndarray, " px"]]:
-    """Flat indices of the pixels of each sheet, rising."""
-    pixels = np.flatnonzero(sheets >= 0)
-    sheet = sheets.ravel()[pixels]
-    order = np.argsort(sheet, kind="stable")
-    return np.split(pixels[order], np.cumsum(np.bincount(sheet))[:-1]) if len(pixels) else []
-
-
-def _is_of(sheets: Labels, names: tuple[int, ...]) -> PixelMask:
-    """Pixels of some sheets."""
-    is_named = np.zeros(int(sheets.max()) + 2, dtype=bool)
-    is_named[list(names)] = True
-    return is_named[sheets]
+def _is_doubtful(solid: Vessel | Hull) -> bool:
+    return isinstance(solid, Hull) or solid.misfit > DOUBTFUL_VESSEL_MISFIT
 
 
 def completed(points_m: Points) -> Vessel | Hull:
@@ -176,40 +169,56 @@ def _spread(points_m: Points) -> Points:
 def _merged(pieces: list[_Piece], sheets: Labels, plane: Plane, image: RangeImage) -> list[_Piece]:
     """Merge pairs until none belongs together; the largest pieces take first."""
     pieces = sorted(pieces, key=lambda piece: -len(piece.points_m))
+    apart: set[tuple[_Piece, _Piece]] = set()
     i = 0
     while i < len(pieces):
         for j in range(i + 1, len(pieces)):
+            if (pieces[i], pieces[j]) in apart:
+                continue
             joint = _joined(pieces[i], pieces[j], sheets, plane, image)
             if joint is not None:
                 pieces = [joint, *(piece for k, piece in enumerate(pieces) if k not in (i, j))]
                 pieces.sort(key=lambda piece: -len(piece.points_m))
                 i = -1
                 break
+            apart.add((pieces[i], pieces[j]))
         i += 1
     return pieces
 
 
 def _joined(large: _Piece, small: _Piece, sheets: Labels, plane: Plane, image: RangeImage) -> _Piece | None:
     """Make one object of two pieces, or None if they are two objects."""
-    gap, _ = KDTree(thinned(large.points_m)).query(thinned(small.points_m))
-    if gap.min() > FARTHEST_PIECES_M:
+    if not _is_near(large, small):
         return None
-    names = large.sheets + small.sheets
     points = _spread(np.concatenate([large.points_m, small.points_m]))
+    joint = _Piece(large.sheets + small.sheets, points)
     if _is_handle(small, large):
-        return _Piece(names, points, large.solid)
+        return replace(joint, given=large.solid)
     if _is_claimed(small, large) or _is_claimed(large, small):
-        return _Piece(names, points, completed(points))
+        return joint
     if not (_is_near_wall(small, large) or _is_near_wall(large, small)):
         return None
-    solid = completed(points)
+    solid = joint.solid
     if not isinstance(solid, Vessel) or solid.misfit > SURE_VESSEL_MISFIT:
         return None
     if not (_is_part(large, solid) and _is_part(small, solid)):
         return None
-    if _contradiction(solid, _is_of(sheets, names), sheets, plane, image) > LARGEST_CONTRADICTION:
+    if _contradiction(solid, np.isin(sheets, joint.sheets), sheets, plane, image) > LARGEST_CONTRADICTION:
         return None
-    return _Piece(names, points, solid)
+    return joint
+
+
+def _is_near(large: _Piece, small: _Piece) -> bool:
+    """Whether some points of two pieces are near to one another; boxes around them, and one point, mostly tell."""
+    one, other = thinned(large.points_m), thinned(small.points_m)
+    apart = np.maximum(one.min(axis=0) - other.max(axis=0), other.min(axis=0) - one.max(axis=0))
+    if np.linalg.norm(np.maximum(apart, 0.0)) > FARTHEST_PIECES_M + SURE_M:
+        return False
+    nearest = one[np.argmin(np.square(one - other.mean(axis=0)).sum(axis=1))]
+    if np.square(other - nearest).sum(axis=1).min() < (FARTHEST_PIECES_M - SURE_M) ** 2:
+        return True
+    gap, _ = KDTree(one).query(other)
+    return bool(gap.min() <= FARTHEST_PIECES_M)
 
 
 def _is_part(piece: _Piece, vessel: Vessel) -> bool:
@@ -261,20 +270,22 @@ def _is_handle(small: _Piece, large: _Piece) -> bool:
 
 def _contradiction(vessel: Vessel, own: PixelMask, sheets: Labels, plane: Plane, image: RangeImage) -> float:
     """Share of a vessel's picture at which something behind it is seen, or the table where its wall should be."""
-    is_covered = covered(vessel, plane, image) & ~own
-    is_farther = image.depth_m > middle_depth_m(vessel, plane, image, is_covered)
-    is_room = is_covered & ~is_farther & image.is_return & (sheets < 0)
-    is_room[is_room] = np.abs(vessel.outside_m(plane.table_points(image.points_m[is_room]))) > AT_WALL_M
-    return float((is_farther | is_room).sum() / max(1, (is_covered | own).sum()))
+    asked = covered(vessel, plane, image)
+    asked = asked[~own.ravel()[asked]]
+    points_m = image.points_m.reshape(-1, 3)[asked]
+    is_farther = points_m[:, 2] > middle_depth_m(vessel, plane, image, asked)
+    is_room = ~is_farther & np.isfinite(points_m[:, 2]) & (sheets.ravel()[asked] < 0)
+    is_room[is_room] = np.abs(vessel.outside_m(plane.table_points(points_m[is_room]))) > AT_WALL_M
+    return float((is_farther | is_room).sum() / max(1, len(asked) + own.sum()))
 
 
-def _is_object(mask: PixelMask, piece: _Piece, image: RangeImage) -> bool:
+def _is_object(pixels: Pixels, piece: _Piece, image: RangeImage) -> bool:
     K = image.intrinsics
-    area = float(np.sum(image.depth_m[mask] ** 2) / (K[0, 0] * K[1, 1]))
+    area = float(np.sum(image.depth_m.ravel()[pixels] ** 2) / (K[0, 0] * K[1, 1]))
     return area > SMALLEST_OBJECT_M2 and float(np.percentile(piece.points_m[:, 2], 98)) > LOWEST_TOP_M
 
 
-def _is_cut(mask: PixelMask) -> bool:
-    frame = np.ones_like(mask)
-    frame[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX] = False
-    return float((mask & frame).sum()) / BORDER_PX > CUT_SHARE * float(np.sqrt(mask.sum()))
+def _is_cut(pixels: Pixels, shape: tuple[int, int]) -> bool:
+    at = np.stack(np.divmod(pixels, shape[1]))
+    is_in_frame = ((at < BORDER_PX) | (at >= np.array(shape)[:, None] - BORDER_PX)).any(axis=0)
+    return float(is_in_frame.sum()) / BORDER_PX > CUT_SHARE * float(np.sqrt(len(pixels)))

@@ -8,8 +8,9 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull
 from skimage.measure import label as measure_label
 
+from halfseen.arrays import Rows
 from halfseen.perception.plane import Plane, is_on_plane
-from halfseen.perception.range_image import PixelMask, RangeImage
+from halfseen.perception.range_image import PixelMask, Pixels, RangeImage
 
 # Points lower than this over the table are table: cloth, warp of the lens [m]; farther away, so many sigmas of noise.
 LOWEST_OBJECT_M = 0.008
@@ -50,7 +51,7 @@ def sheets_on_table(image: RangeImage, plane: Plane) -> Labels:
     if hull is None:
         return sheets
     is_sheet = sheets >= 0
-    across, sheet = plane.table_points(image.points_m[is_sheet])[:, :2], sheets[is_sheet]
+    across, sheet = plane.across_m(image.points_m[is_sheet]), sheets[is_sheet]
     is_inside = (across @ hull[:, :2].T + hull[:, 2] < OVERHANG_M).all(axis=1)
     share = np.bincount(sheet[is_inside], minlength=int(sheets.max()) + 1) / np.maximum(np.bincount(sheet), 1)
     return relabelled(sheets, np.flatnonzero(share >= SMALLEST_SHARE_ON_TABLE).tolist())
@@ -69,6 +70,20 @@ def relabelled(labels: Labels, kept: list[int]) -> Labels:
     table = np.full(int(labels.max()) + 2, -1)
     table[kept] = np.arange(len(kept))
     return table[labels]
+
+
+def pixels_of(labels: Labels) -> list[Pixels]:
+    """Flat indices of the pixels of each label, rising.
+
+    Parameters
+    ----------
+    labels
+        Label of each pixel; −1 where there is none.
+    """
+    pixels = np.flatnonzero(labels >= 0)
+    label = labels.ravel()[pixels]
+    order = np.argsort(label, kind="stable")
+    return np.split(pixels[order], np.cumsum(np.bincount(label))[:-1]) if len(pixels) else []
 
 
 def _is_above(image: RangeImage, plane: Plane) -> PixelMask:
@@ -109,19 +124,33 @@ def _largest_first(labels: Int[np.ndarray, " above"], fewest_px: int) -> Int[np.
 
 def _table_outline(image: RangeImage, plane: Plane) -> Float[np.ndarray, "edges 3"] | None:
     """Half-planes ``a·x + b·y + c ≤ 0`` of the convex outline of the largest connected piece of table."""
-    points = plane.table_points(image.points_m[is_on_plane(plane, image)])[:, :2]
-    cell = np.floor(points / TABLE_CELL_M).astype(np.int64)
-    low = cell.min(axis=0) - 2 * TABLE_GAP_CELLS
-    span = cell.max(axis=0) - low + 1 + 2 * TABLE_GAP_CELLS
-    occupied: Bool[np.ndarray, "cells cells"] = np.zeros(span, dtype=bool)
-    occupied[tuple((cell - low).T)] = True
-    closed = binary_closing(occupied, np.ones((2 * TABLE_GAP_CELLS + 1,) * 2))
+    pixels = np.flatnonzero(is_on_plane(plane, image))
+    right_m, away_m = plane.across_m(image.points_m.reshape(-1, 3)[pixels]).T
+    right, num_right, low_right = _cells(right_m)
+    away, num_away, low_away = _cells(away_m)
+    shape, low = (num_right, num_away), np.array([low_right, low_away])
+    num_points = np.bincount(right * num_away + away, minlength=num_right * num_away).reshape(shape)
+    closed = binary_closing(num_points > 0, np.ones((2 * TABLE_GAP_CELLS + 1,) * 2))
     pieces = np.asarray(measure_label(closed, connectivity=1))
-    num_pieces = int(pieces.max())
-    if not num_pieces:
+    if not pieces.any():
         return None
-    sizes = np.bincount(pieces[tuple((cell - low).T)], minlength=num_pieces + 1)
+    sizes = np.bincount(pieces.ravel(), weights=num_points.ravel())
     sizes[0] = 0
-    corners = np.argwhere(pieces == int(sizes.argmax())) + low
-    corners = np.concatenate([corners + np.array(shift) for shift in ((0, 0), (0, 1), (1, 0), (1, 1))]) * TABLE_CELL_M
+    cells = _ends_of_rows(pieces == int(sizes.argmax())) + low
+    corners = np.concatenate([cells + np.array(shift) for shift in ((0, 0), (0, 1), (1, 0), (1, 1))]) * TABLE_CELL_M
     return ConvexHull(corners).equations
+
+
+def _cells(place_m: Rows) -> tuple[Int[np.ndarray, " n"], int, int]:
+    """Cell of each place along one axis, how many cells there are, a margin included, and which is the first."""
+    cell = np.floor(place_m / TABLE_CELL_M).astype(np.int64)
+    margin = 2 * TABLE_GAP_CELLS
+    low = int(cell.min()) - margin
+    return cell - low, int(cell.max()) - low + 1 + margin, low
+
+
+def _ends_of_rows(mask: Bool[np.ndarray, "rows columns"]) -> Int[np.ndarray, "ends 2"]:
+    """First and last pixel of each row: those within have no part in a hull."""
+    rows = np.flatnonzero(mask.any(axis=1))
+    first, last = mask[rows].argmax(axis=1), mask.shape[1] - 1 - mask[rows, ::-1].argmax(axis=1)
+    return np.concatenate([np.stack([rows, first], axis=1), np.stack([rows, last], axis=1)])

@@ -4,12 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
-from halfseen.arrays import Hides, PerObject
+from halfseen.arrays import Hides, PerObject, Points
 from halfseen.perception.objects import Labels
 from halfseen.perception.plane import Plane
-from halfseen.perception.range_image import PixelMask, RangeImage
+from halfseen.perception.range_image import Pixels, RangeImage
 from halfseen.perception.silhouette import covered, middle_depth_m
 from halfseen.perception.solids import Hull, Vessel
 
@@ -17,6 +17,7 @@ from halfseen.perception.solids import Hull, Vessel
 OWN_M = 0.006
 
 Masks = Bool[np.ndarray, "N H W"]
+SeenMask = Bool[np.ndarray, " px"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,60 +55,85 @@ def occlusions(labels: Labels, solids: Sequence[Vessel | Hull], plane: Plane, im
     plane, image
         The table and what the camera sees.
     """
-    shape = (len(solids), *labels.shape)
-    covers, middles = np.zeros(shape, dtype=bool), np.empty(shape)
+    covers = [covered(solid, plane, image) for solid in solids]
+    seen = _Seen.of(covers, labels, image)
+    shape = (len(solids), len(seen.pixels))
+    is_covered, middles = np.zeros(shape, dtype=bool), np.full(shape, np.inf)
     for i, solid in enumerate(solids):
-        covers[i] = covered(solid, plane, image)
-        middles[i] = middle_depth_m(solid, plane, image, covers[i])
+        within = np.searchsorted(seen.pixels, covers[i])
+        is_covered[i, within] = True
+        middles[i, within] = middle_depth_m(solid, plane, image, covers[i])
     silhouettes, is_behind = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
     for i, solid in enumerate(solids):
-        is_behind[i] = _hidden(i, covers[i], middles, labels, image)
-        silhouettes[i] = is_behind[i] | _own(i, solid, covers[i], labels, plane, image)
+        is_behind[i] = _hidden(i, is_covered[i], middles, seen)
+        silhouettes[i] = is_behind[i] | _own(i, solid, is_covered[i], seen, plane)
     size = np.array([max(np.count_nonzero(silhouette), 1) for silhouette in silhouettes])
     num_behind = np.array([np.count_nonzero(mask) for mask in is_behind], dtype=int)
-    return Occlusion(silhouettes, num_behind / size, _hides(silhouettes, is_behind, middles, labels))
+    masks = np.zeros((len(solids), labels.size), dtype=bool)
+    masks[:, seen.pixels] = silhouettes
+    masks = masks.reshape(len(solids), *labels.shape)
+    return Occlusion(masks, num_behind / size, _hides(silhouettes, is_behind, middles, seen.labels))
 
 
-def _hidden(
-    i: int, is_covered: PixelMask, middles: Float[np.ndarray, "N H W"], labels: Labels, image: RangeImage
-) -> PixelMask:
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """Those pixels alone at which an object is seen, or a solid would be."""
+
+    pixels: Pixels
+    labels: Int[np.ndarray, " px"]
+    points_m: Points
+    is_return: Bool[np.ndarray, " px"]
+
+    @classmethod
+    def of(cls, covers: Sequence[Pixels], labels: Labels, image: RangeImage) -> "_Seen":
+        """Pick them."""
+        is_any = labels.ravel() >= 0
+        for cover in covers:
+            is_any[cover] = True
+        pixels = np.flatnonzero(is_any)
+        points_m = image.points_m.reshape(-1, 3)[pixels]
+        return cls(pixels, labels.ravel()[pixels], points_m, np.isfinite(points_m[:, 2]))
+
+
+def _hidden(i: int, is_covered: SeenMask, middles: Float[np.ndarray, "N px"], seen: _Seen) -> SeenMask:
     """Pixels of a solid at which a nearer object is seen, or would be had anything returned."""
     pixels = np.flatnonzero(is_covered)
-    flat = middles.reshape(len(middles), labels.size)
-    label, depth, middle = labels.ravel()[pixels], image.depth_m.ravel()[pixels], flat[i, pixels]
+    label, depth, middle = seen.labels[pixels], seen.points_m[pixels, 2], middles[i, pixels]
     is_before = (label >= 0) & (label != i) & (depth < middle)
-    is_missed = ~image.is_return.ravel()[pixels]
+    is_missed = ~seen.is_return[pixels]
     # Where another solid is not, its middle is infinitely far.
-    is_before[is_missed] |= (flat[:, pixels[is_missed]] < middle[is_missed]).any(axis=0)
+    is_before[is_missed] |= (middles[:, pixels[is_missed]] < middle[is_missed]).any(axis=0)
     hidden = np.zeros_like(is_covered)
-    hidden.ravel()[pixels] = is_before
+    hidden[pixels] = is_before
     return hidden
 
 
-def _own(
-    i: int, solid: Vessel | Hull, is_covered: PixelMask, labels: Labels, plane: Plane, image: RangeImage
-) -> PixelMask:
+def _own(i: int, solid: Vessel | Hull, is_covered: SeenMask, seen: _Seen, plane: Plane) -> SeenMask:
     """Pixels of an object that are seen, or that nothing returned from."""
-    own = (labels == i) | (is_covered & ~image.is_return)
+    own = (seen.labels == i) | (is_covered & ~seen.is_return)
     if isinstance(solid, Vessel):
-        low = is_covered & (labels < 0) & image.is_return
-        points = plane.table_points(image.points_m[low])
-        own[low] = np.abs(solid.outside_m(points)) < OWN_M
+        low = is_covered & (seen.labels < 0) & seen.is_return
+        own[low] = np.abs(solid.outside_m(plane.table_points(seen.points_m[low]))) < OWN_M
     return own
 
 
-def _hides(silhouettes: Masks, is_behind: Masks, middles: Float[np.ndarray, "N H W"], labels: Labels) -> Hides:
+def _hides(
+    silhouettes: Bool[np.ndarray, "N px"],
+    is_behind: Bool[np.ndarray, "N px"],
+    middles: Float[np.ndarray, "N px"],
+    labels: Int[np.ndarray, " px"],
+) -> Hides:
     """Share of each silhouette before which each other object lies, seen there or hidden itself."""
     num_objects = len(silhouettes)
     hides = np.zeros((num_objects, num_objects))
-    shown, flat = (each.reshape(num_objects, labels.size) for each in (silhouettes, middles))
     for i in range(num_objects):
         within = np.flatnonzero(silhouettes[i])
-        label, is_hidden, middle = labels.ravel()[within], is_behind[i].ravel()[within], flat[i, within]
+        label, is_hidden, middle = labels[within], is_behind[i, within], middles[i, within]
+        is_mine = label == i
         for j in range(num_objects):
             if i == j or not len(within):
                 continue
             is_other = label == j
-            is_inferred = (label != i) & ~is_other & shown[j, within] & (flat[j, within] < middle)
+            is_inferred = ~is_mine & ~is_other & silhouettes[j, within] & (middles[j, within] < middle)
             hides[i, j] = ((is_hidden & is_other) | is_inferred).mean()
     return hides

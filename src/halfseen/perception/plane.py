@@ -1,6 +1,7 @@
 """The table: which of the planes in view it is, and how far it reaches."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -65,11 +66,27 @@ class Plane:
 
     def axes(self) -> Float[np.ndarray, "2 3"]:
         """Two unit vectors in the plane: to the camera's right, and away from the camera."""
+        return self._axes
+
+    @cached_property
+    def _axes(self) -> Float[np.ndarray, "2 3"]:
         right = np.array([1.0, 0.0, 0.0]) - self.normal[0] * self.normal
         if np.linalg.norm(right) < 0.1:
             right = np.array([0.0, 0.0, 1.0]) - self.normal[2] * self.normal
         right /= np.linalg.norm(right)
-        return np.stack([right, np.cross(self.normal, right)])
+        axes = np.stack([right, np.cross(self.normal, right)])
+        axes.setflags(write=False)
+        return axes
+
+    def across_m(self, points_m: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 2"]:
+        """Points as (right, away) on the plane [m].
+
+        Parameters
+        ----------
+        points_m
+            Points in the camera frame [m].
+        """
+        return points_m @ self.axes().T
 
     def table_points(self, points_m: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
         """Points as (right, away, height) over the plane [m].
@@ -79,7 +96,7 @@ class Plane:
         points_m
             Points in the camera frame [m].
         """
-        across = points_m @ self.axes().T
+        across = self.across_m(points_m)
         return np.concatenate([across, self.height_m(points_m)[..., None]], axis=-1)
 
     def camera_points(self, table_m: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
@@ -131,9 +148,10 @@ def find_table(image: RangeImage) -> Plane:
             f"{image.name}: no table plane: the largest level plane covers less than {SMALLEST_TABLE_M2} m²; "
             "point the camera at the table from above"
         )
-    returns = image.points_m[image.is_return]
+    returns = np.flatnonzero(image.is_return)
     highest = max(tables, key=lambda plane: plane.offset_m)
-    return _fitted(returns[:: max(1, len(returns) // 40_000)], highest, image.sensor)
+    sample = image.points_m.reshape(-1, 3)[returns[:: max(1, len(returns) // 40_000)]]
+    return _fitted(sample, highest, image.sensor)
 
 
 def _is_on_another(plane: Plane, area_m2: float, members: list[tuple[Plane, float]]) -> bool:
@@ -179,7 +197,9 @@ def _best_plane(
     normals, firsts = normals[lengths >= 1e-9] / lengths[lengths >= 1e-9, None], corners[lengths >= 1e-9, 0]
     tolerance_m = _tolerance_m(sensor, points[:, 2])
     offsets_m = np.einsum("hi,hi->h", normals, firsts)
-    support = (np.abs(normals @ points[:, :3].T - offsets_m[:, None]) < tolerance_m).sum(axis=1)
+    apart_m = normals @ points[:, :3].T
+    apart_m -= offsets_m[:, None]
+    support = np.count_nonzero(np.abs(apart_m, out=apart_m) < tolerance_m, axis=1)
     if not support.any():
         return None
     best = int(support.argmax())
@@ -191,9 +211,10 @@ def _neighbours(
 ) -> Int[np.ndarray, "hypotheses 3"]:
     """Draw three points that are near to one another, for each hypothesis."""
     first = generator.integers(len(pixels), size=NUM_HYPOTHESES)
-    apart = [np.abs(axis - axis[first, None]) for axis in pixels.T]
-    is_near = np.maximum(*apart) < radius_px
-    near = [np.flatnonzero(row) for row in is_near]
+    # Whole numbers, and short ones: there are half a million pairs.
+    farthest = int(np.ceil(radius_px)) - 1
+    apart = [np.abs(axis - axis[first, None]) for axis in pixels.T.astype(np.int16)]
+    near = [np.flatnonzero(row) for row in np.maximum(*apart) <= farthest]
     return np.stack([each[generator.integers(len(each), size=3)] for each in near])
 
 
@@ -208,11 +229,12 @@ def _tolerance_m(sensor: DepthSensor, depth_m: Rows) -> Rows:
 
 def _fitted(points: Points, plane: Plane, sensor: DepthSensor, num_rounds: int = 3) -> Plane:
     """Total least squares over the inliers, weighted by the noise of each."""
+    tolerance_m, weights = _tolerance_m(sensor, points[:, 2]), 1.0 / sensor.noise_m(points[:, 2]) ** 2
     for _ in range(num_rounds):
-        inliers = points[np.abs(plane.height_m(points)) < _tolerance_m(sensor, points[:, 2])]
+        is_inlier = np.abs(plane.height_m(points)) < tolerance_m
+        inliers, weight = points[is_inlier], weights[is_inlier]
         if len(inliers) < 3:
             return plane
-        weight = 1.0 / sensor.noise_m(inliers[:, 2]) ** 2
         middle = np.average(inliers, axis=0, weights=weight)
         spread = (inliers - middle) * np.sqrt(weight)[:, None]
         plane = _facing(np.linalg.eigh(spread.T @ spread)[1][:, 0], middle)

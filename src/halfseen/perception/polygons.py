@@ -1,7 +1,7 @@
 """Pixels of a convex polygon."""
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from skimage.measure import points_in_poly
 
 # Pixels this far inside or outside of where a row crosses the polygon need no closer look [px].
@@ -10,8 +10,8 @@ SURE_PX = 1.0
 LEVEL_PX = 1e-6
 
 
-def convex_mask(corners_px: Float[np.ndarray, "v 2"], shape: tuple[int, int]) -> Bool[np.ndarray, "H W"]:
-    """Pixels within a convex polygon.
+def convex_pixels(corners_px: Float[np.ndarray, "v 2"], shape: tuple[int, int]) -> Int[np.ndarray, " px"]:
+    """Flat indices of the pixels within a convex polygon, rising.
 
     The same, pixel for pixel, as scikit-image's ``polygon2mask``, which asks all pixels of the box around it; here,
     those at the border alone are asked.
@@ -23,7 +23,6 @@ def convex_mask(corners_px: Float[np.ndarray, "v 2"], shape: tuple[int, int]) ->
     shape
         Rows and columns of the image [px].
     """
-    mask = np.zeros(shape, dtype=bool)
     last_px = np.array([shape[1], shape[0]]) - 1
     low = np.clip(np.floor(corners_px.min(axis=0)), 0, last_px + 1).astype(int)
     high = np.clip(np.ceil(corners_px.max(axis=0)), -1, last_px).astype(int)
@@ -34,8 +33,8 @@ def convex_mask(corners_px: Float[np.ndarray, "v 2"], shape: tuple[int, int]) ->
     is_asked = is_level | ((column > left_px - SURE_PX) & (column < right_px + SURE_PX) & ~is_sure)
     rows, columns = np.nonzero(is_asked)
     is_sure[rows, columns] = points_in_poly(np.column_stack([column[columns], row[rows]]).astype(float), corners_px)
-    mask[low[1] : high[1] + 1, low[0] : high[0] + 1] = is_sure
-    return mask
+    rows, columns = np.nonzero(is_sure)
+    return row[rows] * shape[1] + column[columns]
 
 
 def _crossings_px(

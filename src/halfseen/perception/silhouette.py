@@ -1,36 +1,35 @@
 """Silhouettes: what a solid covers of the image, and how far away it is there."""
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull, QhullError
 
 from halfseen.arrays import Points
 from halfseen.perception.plane import Plane
-from halfseen.perception.polygons import convex_mask
-from halfseen.perception.range_image import PixelMask, RangeImage
+from halfseen.perception.polygons import convex_pixels
+from halfseen.perception.range_image import Pixels, RangeImage
 from halfseen.perception.solids import Hull, Vessel
 
 # Points nearer than this to the camera's own plane do not project [m].
 NEAREST_M = 0.05
 
 
-def covered(solid: Vessel | Hull, plane: Plane, image: RangeImage) -> PixelMask:
-    """Pixels that a solid would cover if it stood there alone.
+def covered(solid: Vessel | Hull, plane: Plane, image: RangeImage) -> Pixels:
+    """Pixels that a solid would cover if it stood there alone, rising.
 
     Parameters
     ----------
     solid, plane, image
         The solid, the table that it stands on, and the image to project into.
     """
-    shape = image.depth_m.shape
-    pixels = projected(plane.camera_points(solid.outline_m()), image)
-    if len(pixels) < 3:
-        return np.zeros(shape, dtype=bool)
+    outline_px = projected(plane.camera_points(solid.outline_m()), image)
+    if len(outline_px) < 3:
+        return np.empty(0, dtype=np.int64)
     try:
-        corners = pixels[ConvexHull(pixels).vertices]
+        corners = outline_px[ConvexHull(outline_px).vertices]
     except QhullError:
-        return np.zeros(shape, dtype=bool)
-    return convex_mask(corners, shape)
+        return np.empty(0, dtype=np.int64)
+    return convex_pixels(corners, image.depth_m.shape)
 
 
 def projected(points_m: Points, image: RangeImage) -> Float[np.ndarray, "m 2"]:
@@ -48,8 +47,10 @@ def projected(points_m: Points, image: RangeImage) -> Float[np.ndarray, "m 2"]:
     return seen[:, :2] / seen[:, 2:] * [K[0, 0], K[1, 1]] + K[:2, 2]
 
 
-def middle_depth_m(solid: Vessel | Hull, plane: Plane, image: RangeImage, asked: PixelMask) -> Float[np.ndarray, "H W"]:
-    """Depth at which each pixel's ray passes the axis of a solid [m]; infinite where not asked.
+def middle_depth_m(
+    solid: Vessel | Hull, plane: Plane, image: RangeImage, asked: Int[np.ndarray, " px"]
+) -> Float[np.ndarray, " px"]:
+    """Depth at which each pixel's ray passes the axis of a solid [m].
 
     What is seen nearer than that hides the solid, what is seen farther does not.
 
@@ -60,7 +61,7 @@ def middle_depth_m(solid: Vessel | Hull, plane: Plane, image: RangeImage, asked:
     asked
         Pixels to work out.
     """
-    rows, columns = np.nonzero(asked)
+    rows, columns = np.divmod(asked, image.depth_m.shape[1])
     K = image.intrinsics
     across, down = (columns - K[0, 2]) / K[0, 0], (rows - K[1, 2]) / K[1, 1]
     ray = np.stack([across, down, np.ones(len(rows))], axis=1)
@@ -74,6 +75,4 @@ def middle_depth_m(solid: Vessel | Hull, plane: Plane, image: RangeImage, asked:
     apart = np.maximum(1.0 - cosine**2, 1e-6)
     along = np.clip((cosine * (ray @ start) - start @ axis) / apart, 0.0, length)
     nearest = start + along[:, None] * axis
-    depth = np.full(asked.shape, np.inf)
-    depth[rows, columns] = (nearest * ray).sum(axis=1) * ray[:, 2]
-    return depth
+    return (nearest * ray).sum(axis=1) * ray[:, 2]

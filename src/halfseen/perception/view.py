@@ -10,10 +10,10 @@ from halfseen.arrays import Hides
 from halfseen.perception.clouds import Cloud, Vector
 from halfseen.perception.extension import extended
 from halfseen.perception.grouping import objects_of_sheets
-from halfseen.perception.objects import Labels, sheets_on_table
+from halfseen.perception.objects import Labels, pixels_of, sheets_on_table
 from halfseen.perception.occlusion import Occlusion, occlusions
 from halfseen.perception.plane import Plane, find_table
-from halfseen.perception.range_image import RangeImage, range_image
+from halfseen.perception.range_image import Pixels, RangeImage, range_image
 from halfseen.perception.sensor import XTION, DepthSensor
 from halfseen.perception.solids import Hull, Vessel
 from halfseen.world.scene import Scene
@@ -133,7 +133,10 @@ def perceive(cloud: Cloud, sensor: DepthSensor = XTION) -> View:
     )
     found = occlusions(labels, solids, plane, image)
     counts = _points_of_pixels(image)
-    objects = tuple(_seen(i, solid, labels, found, plane, image, counts, cloud) for i, solid in enumerate(solids))
+    objects = tuple(
+        _seen(i, solid, pixels, found, plane, image, counts, cloud)
+        for i, (solid, pixels) in enumerate(zip(solids, pixels_of(labels), strict=True))
+    )
     normal = image.cloud_from_camera @ plane.normal
     table = Plane(normal, float(plane.offset_m + normal @ cloud.eye_m))
     from_table, from_camera = np.eye(4), np.eye(4)
@@ -162,14 +165,13 @@ def _points_of_pixels(image: RangeImage) -> np.ndarray:
 def _seen(
     i: int,
     solid: Vessel | Hull,
-    labels: Labels,
+    pixels: Pixels,
     found: Occlusion,
     plane: Plane,
     image: RangeImage,
     counts: np.ndarray,
     cloud: Cloud,
 ) -> SeenObject:
-    pixels = np.flatnonzero(labels == i)
     points = plane.table_points(image.points_m.reshape(-1, 3)[pixels])
     low, high = np.percentile(points, [EXTENT_PERCENT, 100 - EXTENT_PERCENT], axis=0)
     middle = plane.camera_points(solid.middle_m[None])[0]
