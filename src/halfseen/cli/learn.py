@@ -11,12 +11,14 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.columns import aligned
+from halfseen.cli.workers import worker_options
 from halfseen.progress import Progress
 
 if TYPE_CHECKING:
     from halfseen.learners.q_learning.q_learner import CensoredQLearner
     from halfseen.learners.q_learning.targets import Targets
     from halfseen.logs import Logs, LogStream
+    from halfseen.workers import Workers
 
 CENSORING = ("auto", *options.WEIGHTING, "buckley-james", "none")
 START, LEARN, FOLDS, JUDGE, LOOK = 3, 14, 6, 5, 1
@@ -104,6 +106,7 @@ class _Or(click.ParamType):
     help="Judge policies learned from four fifths of LOGS by the rest, against what made LOGS; takes some six times as "
     "long.",
 )
+@worker_options
 @options.seed("policy")
 @options.overwrite("a policy that is")
 @options.as_json
@@ -114,11 +117,13 @@ def learn(
     has_verdict: bool,
     overwrite: bool,
     as_json: bool,
+    workers: "Workers",
     **chosen: Any,
 ) -> None:
     """Learn a policy from the folder LOGS, and write it to a folder of its own, all or nothing.
 
-    LOGS may lie in an object store, as Parquet files: s3://BUCKET/FOLDER and the like.
+    LOGS may lie in an object store, as Parquet files: s3://BUCKET/FOLDER and the like. Where they are read in passes,
+    --workers share the work; those of a cluster must be able to read them, too.
 
     Logs with objects are of tables: the policy chooses among WASH, LIFT and FINISH. Else, or with --covariates, it
     chooses among the actions that were seen at each stage. Stages of cut paths count, too.
@@ -144,7 +149,7 @@ def learn(
         log = opened(logs, in_passes)
         choice = learner_for(log, censoring=targets, random_state=seed, **chosen)
         bar.begin("learn", START)
-        learner = choice.learner.fit(log)
+        learner = choice.learner.fit(log, workers)
         bar.begin("judge" if has_verdict else "write", LEARN)
         verdict, not_all = _judged(learner, log, seed, bar) if has_verdict else (None, ())
         bar.reach(total - LOOK)
