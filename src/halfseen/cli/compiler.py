@@ -16,6 +16,9 @@ KEPT_IN = "JAX_COMPILATION_CACHE_DIR"
 KEPT = {"JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0", "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1"}
 """All is kept: programs are small, and there are many."""
 
+PROGRAMS_IN = "HALFSEEN_PROGRAMS"
+"""Where `halfseen.programs` keeps those that verbs wait for, of which JAX need not even make anew what it compiles."""
+
 MOST_BYTES = 100_000_000
 """What is kept is thrown away when it is more than this; what `benchmarks/verbs.py` compiles takes some 3 MB."""
 
@@ -28,7 +31,7 @@ def set_compiler() -> None:
     for name, value in SETTINGS.items():
         os.environ.setdefault(name, value)
     if KEPT_IN not in os.environ and (folder := _folder()) is not None:
-        os.environ[KEPT_IN] = str(folder)
+        os.environ[KEPT_IN] = os.environ[PROGRAMS_IN] = str(folder)
         for name, value in KEPT.items():
             os.environ.setdefault(name, value)
 

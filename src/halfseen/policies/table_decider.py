@@ -14,6 +14,7 @@ from halfseen.policies.decision import Decision
 from halfseen.policies.ranges import RangesOfStage, beyond, everything, refuse_far
 from halfseen.policies.reasons import values_by_name
 from halfseen.policies.table_reason import table_reason
+from halfseen.programs import kept_jit
 from halfseen.tables.present import Present
 from halfseen.tables.reasons import Grounds, table_grounds
 from halfseen.tables.table_policy import LinearTablePolicy
@@ -108,7 +109,7 @@ class TableDecider:
         return self.least_rewards.get(Verb.WASH.name)
 
 
-@jax.jit
+@kept_jit
 def _told(policy: LinearTablePolicy, state: TableState):
     """What the policy goes by, Q itself, and what tells how sure that is."""
     return policy.q_values(state), policy.estimates(state), policy.deviations(state)

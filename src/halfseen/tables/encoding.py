@@ -13,6 +13,7 @@ from halfseen.learners.q_learning.room import room_for_rows
 from halfseen.learners.q_learning.task import Encoded
 from halfseen.logs import Logs
 from halfseen.logs.refusal import refuse, shown, value_at
+from halfseen.programs import kept_jit
 from halfseen.tables.features import table_features
 from halfseen.world.action_space import FINISH, ActionSpace, Verb, possible_actions
 from halfseen.world.grasp_model import GraspModel
@@ -21,7 +22,7 @@ from halfseen.world.state import TableState
 from halfseen.world.table_checks import object_numbers
 
 
-@jax.jit
+@kept_jit
 def encode_states(states: TableState, grasp: GraspModel | None = None) -> tuple[jax.Array, jax.Array]:
     """Features and possible actions of tables one after another; FINISH is possible even where there is no table."""
     return jax.vmap(partial(table_features, grasp=grasp))(states), jax.vmap(possible_actions)(states)

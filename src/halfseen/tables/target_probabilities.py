@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from halfseen.errors import ArgumentError
 from halfseen.logs import Logs
+from halfseen.programs import kept_jit
 from halfseen.world.action_space import possible_actions
 from halfseen.world.policy import ExploringPolicy, Policy, UniformPolicy
 from halfseen.world.recording import states_of
@@ -41,6 +42,6 @@ def action_probabilities(policy: Any, state: TableState) -> Float[Array, " A"]:
     return jnp.where(decision.probability == 1.0, is_taken.astype(uniform.dtype), jnp.nan)
 
 
-@jax.jit
+@kept_jit
 def _probabilities_at(policy: Any, states: TableState) -> Float[Array, "n T A"]:
     return jax.vmap(jax.vmap(lambda state: action_probabilities(policy, state)))(states)

@@ -22,6 +22,7 @@ from jaxtyping import Array, Bool, Float
 from scipy.optimize import root_scalar
 
 from halfseen.errors import ArgumentError
+from halfseen.programs import kept_jit
 from halfseen.world.episodes import Episodes
 from halfseen.world.state import TableState, occlusion
 
@@ -63,7 +64,7 @@ def unit_hazards(episodes: Episodes, kind: CutKind | str) -> Float[np.ndarray, "
     return np.where(np.asarray(episodes.is_taken), hazard, 0.0)
 
 
-@jax.jit
+@kept_jit
 def _occlusion_intensity(states: TableState) -> Float[Array, "B T"]:
     def intensity(state: TableState):
         num_left = jnp.maximum(jnp.sum(state.is_on_table), 1)

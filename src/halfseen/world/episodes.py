@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from halfseen.programs import kept_jit
 from halfseen.world.config import WorldConfig
 from halfseen.world.dynamics import Outcome, start, step
 from halfseen.world.policy import Decision, Policy
@@ -92,7 +93,7 @@ def play(config: WorldConfig, layouts: Layout, policy: Policy, key: Array, num_e
     return jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)[:num_episodes]), *batches)
 
 
-@partial(jax.jit, static_argnames="size")
+@partial(kept_jit, static_argnames="size")
 def _play_batch(
     config: WorldConfig, layouts: Layout, policy: Policy, key: Array, first: Int[Array, ""], size: int
 ) -> Episodes:
@@ -120,7 +121,7 @@ def evaluate(
     return evaluate_some(config, layouts, policy, key, jnp.arange(num_episodes), batch_size)
 
 
-@partial(jax.jit, static_argnames="batch_size")
+@partial(kept_jit, static_argnames="batch_size")
 def evaluate_some(
     config: WorldConfig,
     layouts: Layout,

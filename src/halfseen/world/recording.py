@@ -19,6 +19,7 @@ from jaxtyping import Bool, Float, Int
 
 from halfseen.errors import LogError
 from halfseen.logs import Logs
+from halfseen.programs import kept_jit
 from halfseen.world.action_space import ActionSpace, Verb
 from halfseen.world.cuts import CAUSES, CutEpisodes, CutKind
 from halfseen.world.number import Number
@@ -91,7 +92,7 @@ def _stages(cuts: CutEpisodes, begun: Int[np.ndarray, "rows 2"]) -> pd.DataFrame
     )
 
 
-@jax.jit
+@kept_jit
 def history_of(states: TableState) -> tuple[Float[jax.Array, "*B N"], ...]:
     """Occlusion, past successes and past failures of each object of tables, axes (n, T)."""
 

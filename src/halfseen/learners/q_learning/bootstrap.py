@@ -25,6 +25,7 @@ from halfseen.learners.q_learning.recursion import backward
 from halfseen.learners.q_learning.transitions import QFunctions, Transitions
 from halfseen.learners.threads import in_one_thread
 from halfseen.logs import Logs
+from halfseen.programs import kept_jit
 from halfseen.progress import Progress, Telling, telling
 
 BATCH_SIZE = 10
@@ -167,7 +168,7 @@ def _fit_each(model: QModel, log: Transitions, drawn: tuple[Any, Any]) -> QFunct
         return jax.tree.map(np.asarray, fits)
 
 
-@partial(jax.jit, static_argnames="options")
+@partial(kept_jit, static_argnames="options")
 def _fit_drawn(
     log: Transitions, drawn: tuple[Any, Any], blocks: jax.Array, regs: jax.Array, options: BackwardOptions
 ) -> QFunctions:

@@ -17,6 +17,7 @@ from halfseen.learners.q_learning.recursion import backward
 from halfseen.learners.q_learning.room import padded, with_room
 from halfseen.learners.q_learning.transitions import QFunctions, StageMode, Transitions
 from halfseen.learners.threads import one_thread
+from halfseen.programs import kept_jit
 
 
 @contextmanager
@@ -81,7 +82,7 @@ def fit_q_functions(
         return jax.tree.map(np.asarray, fit(ready, blocks, regs, **more))
 
 
-@partial(jax.jit, static_argnames=BackwardOptions._fields)
+@partial(kept_jit, static_argnames=BackwardOptions._fields)
 def backward_batch(log: Transitions, blocks: jax.Array, regs: jax.Array, **options) -> QFunctions:
     """Fit a batch of logs in one compiled call; logs of the same states may share features, which have no axis then."""
     is_shared = log.features.ndim == log.is_possible.ndim
@@ -119,7 +120,7 @@ def fit_and_judge(
         return Judged(*(np.stack([leaf[:num_paths] for leaf in leaves]) for leaves in zip(*each, strict=True)))
 
 
-@partial(jax.jit, static_argnames="options")
+@partial(kept_jit, static_argnames="options")
 def _judge(
     log: Transitions, reward: jax.Array, blocks: jax.Array, regs: jax.Array, counts: jax.Array, options: BackwardOptions
 ) -> Judged:

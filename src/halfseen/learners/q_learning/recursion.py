@@ -61,9 +61,10 @@ from halfseen.learners.q_learning.transitions import (
     target_of,
     values_of,
 )
+from halfseen.programs import kept_jit
 
 
-@partial(jax.jit, static_argnames=("num_blocks", "stages", "num_folds", "end_action", "is_scaled", "horizon"))
+@partial(kept_jit, static_argnames=("num_blocks", "stages", "num_folds", "end_action", "is_scaled", "horizon"))
 def backward(
     log: Transitions,
     block_of_action: Int[Array, " A"],

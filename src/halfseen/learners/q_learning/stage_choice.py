@@ -22,6 +22,7 @@ from halfseen.learners.q_learning.q_model import QModel
 from halfseen.learners.q_learning.recursion import backward
 from halfseen.learners.q_learning.room import padded, with_room
 from halfseen.learners.q_learning.transitions import StageMode, Transitions
+from halfseen.programs import kept_jit
 
 NUM_FOLDS = 2
 
@@ -103,7 +104,7 @@ def choose_stages(model: QModel, paths: PathArrays) -> StageChoice:
     return StageChoice("separate" if gain > CLEARLY * error else "pooled", gain, error)
 
 
-@partial(jax.jit, static_argnames="options")
+@partial(kept_jit, static_argnames="options")
 def _gains(
     log: Transitions,
     blocks: Int[Array, " A"],

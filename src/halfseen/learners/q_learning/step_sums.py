@@ -31,6 +31,7 @@ from halfseen.learners.q_learning.transitions import (
     stage_of,
     target_of,
 )
+from halfseen.programs import kept_jit
 
 
 class Step(NamedTuple):
@@ -105,7 +106,7 @@ class StepFit(NamedTuple):
     """Those of control variates, which Q leaves out, come last."""
 
 
-@partial(jax.jit, static_argnames="setting")
+@partial(kept_jit, static_argnames="setting")
 def grams_of(log: Transitions, block_of_action: Int[Array, " A"], stage: Int[Array, ""], setting: Setting) -> Grams:
     """Sum up what no target changes over the rows of one part.
 
@@ -136,7 +137,7 @@ def grams_of(log: Transitions, block_of_action: Int[Array, " A"], stage: Int[Arr
     return Grams(gram_of(design), outcome, seen)
 
 
-@partial(jax.jit, static_argnames="setting")
+@partial(kept_jit, static_argnames="setting")
 def crosses_of(
     log: Transitions,
     block_of_action: Int[Array, " A"],
@@ -196,7 +197,7 @@ def _value(log: Transitions, regression: Regression, step: Step, setting: Settin
     return regression.values(step.after, log)
 
 
-@partial(jax.jit, static_argnames=("num_paths", "is_scaled", "num_features"))
+@partial(kept_jit, static_argnames=("num_paths", "is_scaled", "num_features"))
 def solved(
     grams: Grams,
     crosses: Crosses,
