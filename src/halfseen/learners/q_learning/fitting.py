@@ -15,7 +15,7 @@ from halfseen.learners.q_learning.judging import Judged, judged
 from halfseen.learners.q_learning.packing import packed
 from halfseen.learners.q_learning.recursion import backward
 from halfseen.learners.q_learning.room import padded, with_room
-from halfseen.learners.q_learning.transitions import QFunctions, StageMode, Transitions
+from halfseen.learners.q_learning.transitions import AnyArray, QFunctions, StageMode, Transitions
 from halfseen.learners.threads import one_thread
 from halfseen.programs import kept_jit
 
@@ -112,23 +112,19 @@ def fit_and_judge(
         As for `fit_q_functions`.
     """
     num_paths = len(log.action)
+    fits = [fit_q_functions(counted(log, counts), blocks, regs, options) for counts in multiplicity]
     with in_float64():
-        arrays = jax.tree.map(jnp.asarray, (with_room(log), padded(reward, num_paths), blocks, regs))
-        # One after the other, each to its end: eigenproblems in flight at once can block for ever (`waiting_for`).
-        counts = [jnp.asarray(padded(one, num_paths)) for one in multiplicity]
-        each = [jax.block_until_ready(_judge(*arrays, one, options=options)) for one in counts]
-        return Judged(*(np.stack([leaf[:num_paths] for leaf in leaves]) for leaves in zip(*each, strict=True)))
+        arrays = jax.tree.map(jnp.asarray, (with_room(log), padded(reward, num_paths), blocks))
+        each = [jax.tree.map(np.asarray, _judged(fit, *arrays, stages=options.stages)) for fit in fits]
+    return Judged(*(np.stack([leaf[:num_paths] for leaf in leaves]) for leaves in zip(*each, strict=True)))
 
 
-@partial(kept_jit, static_argnames="options")
-def _judge(
-    log: Transitions, reward: jax.Array, blocks: jax.Array, regs: jax.Array, counts: jax.Array, options: BackwardOptions
-) -> Judged:
-    fits = backward(counted(log, counts), blocks, regs, **options._asdict())
-    return judged(fits, log, blocks, options.stages, reward)
+@partial(kept_jit, static_argnames="stages")
+def _judged(fits: QFunctions, log: Transitions, reward: jax.Array, blocks: jax.Array, stages: StageMode) -> Judged:
+    return judged(fits, log, blocks, stages, reward)
 
 
-def counted(log: Transitions, counts: Float[jax.Array, " n"]) -> Transitions:
+def counted(log: Transitions, counts: Float[AnyArray, " n"]) -> Transitions:
     """Let each path of a log count so often."""
     imputed = log.imputation
     if imputed is not None:
