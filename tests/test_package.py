@@ -18,7 +18,10 @@ def test_import_halfseen_is_instant():
     assert min(float(run(code)) for _ in range(3)) < 0.3
 
 
-@pytest.mark.parametrize("package", ["halfseen", "halfseen.world", "halfseen.learners", "halfseen.planners"])
+@pytest.mark.parametrize(
+    "package",
+    ["halfseen", *(f"halfseen.{name}" for name in ("cli", "evaluation", "learners", "planners", "policies", "world"))],
+)
 def test_a_package_loads_nothing_heavy(package):
     heavy = {"gymnasium", "jax", "mujoco", "pandas", "pyarrow", "sklearn", "scipy"}
     assert not loaded_after(f"import {package}") & heavy

@@ -102,6 +102,13 @@ def test_nothing_is_kept_where_nobody_says_where(tmp_path, monkeypatch):
     assert num_kept(tmp_path) == 0
 
 
+@pytest.mark.slow
+def test_nothing_is_kept_where_nothing_is_to_be(folder, monkeypatch):
+    monkeypatch.setenv("JAX_ENABLE_COMPILATION_CACHE", "false")
+    assert told("3", "2").startswith("traced")
+    assert num_kept(folder) == 0
+
+
 def test_a_folder_that_is_gone_is_not_made(folder, monkeypatch):
     monkeypatch.setenv(programs.KEPT_IN, str(folder / "gone"))
     assert kept_jit(lambda x: x + 1.0)(1.0) == 2.0

@@ -11,6 +11,7 @@ import hashlib
 import inspect
 import os
 import pickle
+import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cache, update_wrapper
@@ -62,7 +63,7 @@ class Program:
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         """Call it."""
         folder = os.environ.get(KEPT_IN)
-        if not folder or jax.default_backend() != "cpu":
+        if not folder or not jax.config.values["jax_enable_compilation_cache"] or jax.default_backend() != "cpu":
             return self._jitted(*args, **kwargs)
         static, varied = self._parted(args, kwargs)
         leaves, tree = jax.tree.flatten(varied)
@@ -92,10 +93,10 @@ class Program:
         # Some programs cannot be written, or not be read; they are compiled again. A folder that was thrown away
         # meanwhile is not for this to make: it would not be private.
         with suppress(Exception):
-            kept = pickle.dumps(_Kept("lapack" in lowered.as_text(), *serialize(compiled)))
+            kept = zlib.compress(pickle.dumps(_Kept("lapack" in lowered.as_text(), *serialize(compiled))), level=1)
             jax.block_until_ready(_loaded(kept)(**varied))
             if file.parent.is_dir():
-                write_file(file, hashlib.sha256(kept).digest() + kept)
+                write_file(file, kept)
         return compiled
 
 
@@ -141,27 +142,24 @@ def _origin() -> str:
 @contextmanager
 def _compiled_here() -> Iterator[None]:
     """Compile anew: what JAX has read from its own cache cannot be written again."""
-    was = jax.config.values["jax_enable_compilation_cache"]
     jax.config.update("jax_enable_compilation_cache", False)
     reset_cache()
     try:
         yield
     finally:
-        jax.config.update("jax_enable_compilation_cache", was)
+        jax.config.update("jax_enable_compilation_cache", True)
         reset_cache()
 
 
 def _read(file: Path) -> Callable[..., Any] | None:
     """Read a program; None where there is none, or not a whole one."""
     with suppress(Exception):
-        digest, kept = (content := file.read_bytes())[:32], content[32:]
-        if hashlib.sha256(kept).digest() == digest:
-            return _loaded(kept)
+        return _loaded(file.read_bytes())
     return None
 
 
 def _loaded(kept: bytes) -> Callable[..., Any]:
-    needs_lapack, *program = pickle.loads(kept)
+    needs_lapack, *program = pickle.loads(zlib.decompress(kept))
     if needs_lapack:
         _find_lapack()
     return deserialize_and_load(*program)

@@ -82,6 +82,13 @@ def test_a_decision_on_named_actions_loads_no_compiler_and_no_perception(flat, t
     assert loaded & heavy == set()
 
 
+def test_a_decision_at_a_table_loads_nothing_that_takes_long_and_has_no_part_in_it(tables):
+    words = ["act", str(tables), str(TABLE), "--extrapolate"]
+    code = "import sys\nfrom halfseen.cli import main\nmain()\nprint(*sys.modules)"
+    said = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=True).stdout
+    assert not set(said.splitlines()[-1].split()) & {"gymnasium", "matplotlib", "mujoco", "pydantic", "sklearn"}
+
+
 DULL = (
     f"its log: covariate colour is 'red' in all {flat_log().num_stages} rows: a dead sensor, or a column to leave out"
 )

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from halfseen import programs
 from halfseen.cli import compiler
 from halfseen.workers import piece
 from small_logs import flat_log
@@ -19,7 +20,7 @@ def place(tmp_path, monkeypatch):
     """A user's cache of this test alone."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr(os, "environ", os.environ.copy())
-    for name in (compiler.KEPT_IN, *compiler.KEPT):
+    for name in (compiler.KEPT_IN, compiler.PROGRAMS_IN, *compiler.KEPT):
         os.environ.pop(name, None)
     return compiler._place()
 
@@ -52,7 +53,7 @@ def test_where_it_is_kept_is_the_users_choice_if_there_is_one(place, monkeypatch
     compiler.set_compiler()
     assert os.environ[compiler.KEPT_IN] == "elsewhere"
     assert not place.exists()
-    assert not set(compiler.KEPT) & set(os.environ)
+    assert not {compiler.PROGRAMS_IN, *compiler.KEPT} & set(os.environ)
 
 
 def test_what_happens_to_a_folder_of_the_users_own_is_told_and_nothing_is_thrown_away(place, tmp_path, monkeypatch):
@@ -64,12 +65,16 @@ def test_what_happens_to_a_folder_of_the_users_own_is_told_and_nothing_is_thrown
     assert (tmp_path / "own").is_dir()
 
 
+def test_programs_are_read_from_where_they_are_said_to_be():
+    assert compiler.PROGRAMS_IN == programs.KEPT_IN
+
+
 def test_what_others_may_write_is_not_run(place):
     compiler.set_compiler()
-    assert os.environ.pop(compiler.KEPT_IN) == str(place)
+    assert os.environ.pop(compiler.KEPT_IN) == os.environ.pop(compiler.PROGRAMS_IN) == str(place)
     place.chmod(0o777)
     compiler.set_compiler()
-    assert compiler.KEPT_IN not in os.environ
+    assert not {compiler.KEPT_IN, compiler.PROGRAMS_IN} & set(os.environ)
 
 
 def test_nothing_is_kept_where_nothing_can_be_written(place):
@@ -106,5 +111,5 @@ def test_a_cluster_is_not_told_where_this_machine_keeps_what_it_compiled(place):
     compiler.set_compiler()
     told = piece.home().settings
     assert compiler.KEPT_IN in os.environ
-    assert not {compiler.KEPT_IN, *compiler.KEPT} & set(told)
+    assert not {compiler.KEPT_IN, compiler.PROGRAMS_IN, *compiler.KEPT} & set(told)
     assert set(compiler.SETTINGS) <= set(told)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from drawn_tables import NUM_COLUMNS, NUM_ROWS, Can, K, draw
 from plyfile import PlyData, PlyElement
+from pypcd4 import Encoding, PointCloud
 
 from halfseen.errors import ArgumentError, CloudError
 from halfseen.perception import Cloud, read_cloud, write_pcd
@@ -226,3 +227,14 @@ def test_writing_below_a_file_is_refused(tmp_path, points):
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(ArgumentError, match="cannot be written"):
         write_pcd(Cloud(points), tmp_path / "file" / "cloud.pcd")
+
+
+@pytest.mark.parametrize("encoding", ["binary", "binary_compressed"])
+def test_coordinates_are_found_among_fields_of_other_sizes(tmp_path, encoding):
+    rng = np.random.default_rng(3)
+    names, kinds = ["ring", "x", "normal", "z", "y"], [np.uint8, np.float32, np.float32, np.float64, np.float32]
+    columns = [rng.integers(0, 9, 50).astype(kinds[0]), *(np.round(rng.normal(size=50), 1) for _ in names[1:])]
+    written = PointCloud.from_points([c.astype(k) for c, k in zip(columns, kinds, strict=True)], names, kinds)
+    written.save(tmp_path / "cloud.pcd", Encoding(encoding))
+    expected = np.stack([columns[names.index(axis)].astype(kinds[names.index(axis)]) for axis in "xyz"], axis=1)
+    np.testing.assert_array_equal(read_cloud(tmp_path / "cloud.pcd").points_m, expected)

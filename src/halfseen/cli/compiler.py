@@ -20,7 +20,7 @@ PROGRAMS_IN = "HALFSEEN_PROGRAMS"
 """Where `halfseen.programs` keeps those that verbs wait for, of which JAX need not even make anew what it compiles."""
 
 MOST_BYTES = 100_000_000
-"""What is kept is thrown away when it is more than this; what `benchmarks/verbs.py` compiles takes some 3 MB."""
+"""What is kept is thrown away when it is more than this; what `benchmarks/verbs.py` compiles takes some 5 MB."""
 
 UNREADABLE, UNWRITABLE = (f"Error {doing} persistent compilation cache entry" for doing in ("reading", "writing"))
 """How warnings of JAX begin that say of a kept program that it could not be used, or not be kept."""
