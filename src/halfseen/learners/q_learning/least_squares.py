@@ -24,7 +24,7 @@ CHUNK = 64
 """Rows that one matrix product serves."""
 
 FEW_GROUPS = 4
-"""Up to so many, a product over all rows for each of them takes less than to deal the rows."""
+"""Up to so many, one product over all rows, most of it zeros, takes less than to deal the rows."""
 
 TIE_TOLERANCE = 1e-9
 """Held-out errors that differ by less than this share of the largest are equal."""
@@ -100,9 +100,10 @@ def gram_of(design: Design) -> Float[Array, "V K F F"]:
 def moment_of(design: Design, others: Float[Array, "R G"]) -> Float[Array, "V K F G"]:
     """Σ w x zᵀ by fold and block, with z other numbers of each row; those of parts of a log add up."""
     if design.num_groups <= FEW_GROUPS:
-        of_group = [jnp.where(design.group == group, design.weight, 0.0) for group in range(design.num_groups)]
-        sums = jnp.stack([(design.features * weight[:, None]).T @ others for weight in of_group])
-        return sums.reshape(*design.shape, *sums.shape[1:])
+        of_group = jnp.where(design.group[:, None] == jnp.arange(design.num_groups), design.weight[:, None], 0.0)
+        weighted = of_group[:, :, None] * design.features[:, None, :]
+        sums = weighted.reshape(len(weighted), design.num_groups * design.features.shape[1]).T @ others
+        return sums.reshape(*design.shape, design.features.shape[1], others.shape[1])
     place, group_of_chunk = _chunked(design)
     num_chunks = len(group_of_chunk)
 
