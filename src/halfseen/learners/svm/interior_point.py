@@ -89,6 +89,8 @@ def interior_points(
     for _ in range(MAX_STEPS):
         yield Point(state.coefficients, state.values, state.offset), _alpha(state.positive[0])
         state = _next(gram, edges, state, has_offset)
+        if not np.isfinite(state.positive).all():
+            return
 
 
 def _alpha(pulls: Sides) -> Rows:
@@ -149,14 +151,22 @@ def _longest(state: _State, move: _State) -> float:
 
 def _solver(gram: Float[np.ndarray, "n n"], ridge: Rows) -> Solve:
     """Solve (K + diag ρ) x = r by a factor in single precision, which takes half the time; in double if that misses."""
-    system = gram.astype(np.float32)
-    system[np.diag_indices_from(system)] += ridge.astype(np.float32)
+    return _solver_in_single(gram, ridge) or _solver_in_double(gram, ridge)
+
+
+def _solver_in_single(gram: Float[np.ndarray, "n n"], ridge: Rows) -> Solve | None:
+    # What is too large for it becomes infinite, and is missed.
+    with np.errstate(over="ignore"):
+        system = gram.astype(np.float32)
+        system[np.diag_indices_from(system)] += ridge.astype(np.float32)
     # LAPACK counts by columns, and to it the rows of a symmetric matrix are as good: nothing is copied.
     (potrf,) = scipy.linalg.get_lapack_funcs(["potrf"], [system])
     factor, failed = potrf(system.T, lower=1, clean=0, overwrite_a=1)
 
     def once(right: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
-        return scipy.linalg.cho_solve((factor, True), right.astype(np.float32), check_finite=False).astype(np.float64)
+        size = np.abs(right).max() or 1.0
+        solved = scipy.linalg.cho_solve((factor, True), (right / size).astype(np.float32), check_finite=False)
+        return size * solved.astype(np.float64)
 
     def missed(right: Float[np.ndarray, "n k"], solved: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
         return right - gram @ solved - ridge[:, None] * solved
@@ -168,7 +178,7 @@ def _solver(gram: Float[np.ndarray, "n n"], ridge: Rows) -> Solve:
     ones = np.ones((len(gram), 1))
     if not failed and np.abs(missed(ones, once(ones))).max() <= SINGLE_MISSES:
         return refined
-    return _solver_in_double(gram, ridge)
+    return None
 
 
 def _solver_in_double(gram: Float[np.ndarray, "n n"], ridge: Rows) -> Solve:

@@ -48,8 +48,8 @@ class Decided(NamedTuple):
     row: Int[np.ndarray, " n"]
     """Of the table that was given."""
 
-    def among(self, kept: RowMask) -> "Decided":
-        """Keep some, with the weights and the diagnostics that they had among all."""
+    def among(self, kept: RowMask | Int[np.ndarray, " k"]) -> "Decided":
+        """Keep some, by mask or by number, with the weights and the diagnostics that they had among all."""
         return self._replace(
             history=History(*(values[kept] for values in self.history)),
             succeeded=self.succeeded[kept],
@@ -59,7 +59,7 @@ class Decided(NamedTuple):
         )
 
 
-def kinds(*columns: Float[np.ndarray, " n"] | Bool[np.ndarray, " n"]) -> tuple[RowIds, RowIds]:
+def kinds(*columns: Float[np.ndarray, " n"] | Bool[np.ndarray, " n"]) -> tuple[Int[np.ndarray, " k"], RowIds]:
     """Number the rows of which all columns are alike: a fit needs to look at one of each kind alone.
 
     Returns
