@@ -86,7 +86,7 @@ def test_says_what_was_learned_from_and_what_to_do_next(folder, tmp_path):
 def test_ends_with_the_verdict_and_keeps_it(folder, tmp_path, monkeypatch, told):
     verdict, reason = told.lower().split(": ")
     judged = HeldOutVerdict(verdict, reason, 5)
-    monkeypatch.setattr(held_out, "held_out_verdict", lambda learner, logs, on_progress: judged)
+    monkeypatch.setattr(held_out, "held_out_verdict", lambda learner, logs, on_progress, workers: judged)
     arguments = (folder / "flat", "--out", tmp_path / "policy", "--reg", 0.1)
     lines = run(*arguments, has_verdict=True).stdout.splitlines()
     assert lines[-3] == judged.sentence
