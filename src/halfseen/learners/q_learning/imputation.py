@@ -80,8 +80,8 @@ def imputation(
             continue
         terms = duration_terms(of_block.at_s, knots)
         if augmented is None:
-            later = of_block.expected(features[rows], watched_s[rows][:, None], terms)[:, 0]
-            expected[rows] = np.where(is_completed[rows][:, None], 0.0, later)
+            cut = rows & ~is_completed
+            expected[cut] = of_block.expected(features[cut], watched_s[cut][:, None], terms)[:, 0]
         else:
             share[rows], steps = augmented.share[rows], augmented.steps[rows]
             ages = np.broadcast_to(augmented.age_s, steps.shape)

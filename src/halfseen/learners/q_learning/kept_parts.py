@@ -11,7 +11,7 @@ import numpy as np
 
 from halfseen.learners.q_learning.transitions import Transitions
 
-MOST_KEPT_BYTES = 8 << 30
+MOST_KEPT_BYTES = 32 << 30
 """Logs that take more than this are laid out anew in each pass."""
 MOST_SHARE = 0.5
 """Of the room that there is on the disk."""

@@ -71,18 +71,39 @@ def roots(
     squares
         Σ w (X − Q̂)² of the completed stages.
     """
-    factor, penalty = spread.factor, regs * num_paths
-    gram, eigenvalues, eigenvectors = factor.gram[0], factor.eigenvalues[0], factor.eigenvectors[0]
-    mass = jnp.maximum(gram[:, 0, 0], jnp.finfo(gram.dtype).tiny)
-    largest = jnp.max(eigenvalues, axis=-1, keepdims=True, initial=0.0)
-    penalised = jnp.maximum(eigenvalues + penalty[:, None], 1e-8 * largest + jnp.finfo(gram.dtype).tiny)
-    slopes = eigenvectors / factor.scale[..., None] / jnp.sqrt(penalised)[:, None, :]
+    deviation = deviations(spread, regs, num_paths, squares)
+    return unit_roots(spread, regs, num_paths) * deviation[:, None, None]
+
+
+def unit_roots(spread: Spread, regs: Float[Array, " K"], num_paths: int | Float[Array, ""]) -> Float[Array, "K F F"]:
+    """R of every block for targets of which one effective stage varies by 1 about Q̂: no target changes it but by λ."""
+    factor, penalised = spread.factor, _penalised(spread, regs, num_paths)
+    gram, mass = factor.gram[0], _mass(spread)
+    slopes = factor.eigenvectors[0] / factor.scale[..., None] / jnp.sqrt(penalised)[:, None, :]
     offset = -jnp.einsum("kf,kfe->ke", gram[:, 0, 1:] / mass[:, None], slopes)
     first = jnp.zeros((len(mass), gram.shape[-1])).at[:, 0].set(1.0 / jnp.sqrt(mass))
-    root = jnp.concatenate([first[..., None], jnp.concatenate([offset[:, None], slopes], axis=1)], axis=2)
+    return jnp.concatenate([first[..., None], jnp.concatenate([offset[:, None], slopes], axis=1)], axis=2)
+
+
+def deviations(
+    spread: Spread, regs: Float[Array, " K"], num_paths: int | Float[Array, ""], squares: Float[Array, " K"]
+) -> Float[Array, " K"]:
+    """What R is times its `unit_roots`, for each block."""
+    eigenvalues, penalised = spread.factor.eigenvalues[0], _penalised(spread, regs, num_paths)
     fitted = 1.0 + jnp.sum(jnp.maximum(eigenvalues, 0.0) / penalised, axis=-1)
-    variance = _variance(spread.weights, squares, fitted) * spread.weights.squares / mass
-    return root * jnp.sqrt(variance)[:, None, None]
+    return jnp.sqrt(_variance(spread.weights, squares, fitted) * spread.weights.squares / _mass(spread))
+
+
+def _penalised(spread: Spread, regs: Float[Array, " K"], num_paths: int | Float[Array, ""]) -> Float[Array, "K F1"]:
+    eigenvalues = spread.factor.eigenvalues[0]
+    largest = jnp.max(eigenvalues, axis=-1, keepdims=True, initial=0.0)
+    tiny = jnp.finfo(eigenvalues.dtype).tiny
+    return jnp.maximum(eigenvalues + (regs * num_paths)[:, None], 1e-8 * largest + tiny)
+
+
+def _mass(spread: Spread) -> Float[Array, " K"]:
+    gram = spread.factor.gram[0]
+    return jnp.maximum(gram[:, 0, 0], jnp.finfo(gram.dtype).tiny)
 
 
 def standard_errors(

@@ -8,6 +8,7 @@ kept (`kept_parts`).
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import reduce
 from typing import Any
 
 import jax
@@ -18,14 +19,17 @@ from jaxtyping import Float
 from halfseen.censoring.stage_clocks import stacked
 from halfseen.learners.q_learning.fitting import in_float64
 from halfseen.learners.q_learning.kept_parts import Parts, kept
+from halfseen.learners.q_learning.part_rows import ENDED, FOLLOWING, GOING_ON, part_rows
 from halfseen.learners.q_learning.path_arrays import PathArrays
 from halfseen.learners.q_learning.q_model import QModel, refuse_all_cut, refuse_too_few
 from halfseen.learners.q_learning.q_space import CrossValidation
+from halfseen.learners.q_learning.row_sums import Bound, Grams, Shape, Step, Successor, crosses_of, grams_of
 from halfseen.learners.q_learning.sample import sampled
 from halfseen.learners.q_learning.stage_choice import with_stages
-from halfseen.learners.q_learning.step_sums import Grams, Setting, Step, StepFit, crosses_of, grams_of, solved
+from halfseen.learners.q_learning.state_values import Norms, values_of
+from halfseen.learners.q_learning.step_fit import StepFit, solved
 from halfseen.learners.q_learning.task import RewardedStages
-from halfseen.learners.q_learning.transitions import QFunctions, Transitions, of_paths
+from halfseen.learners.q_learning.transitions import QFunctions, Transitions
 from halfseen.logs import Logs, LogStream
 from halfseen.logs.joining import joined
 from halfseen.progress import Progress
@@ -68,7 +72,8 @@ def fit_stream(
             paths = model.lay_out(part)
             weight, imputed = model.weights_and_imputation(paths)
             weights.append(weight)
-            yield model.weighted(paths, weight, imputed, fold[start : start + paths.num_paths])
+            log = model.weighted(paths, weight, imputed, fold[start : start + paths.num_paths])
+            yield part_rows(log, model.blocks(log.is_possible.shape[-1]), model.options(stream.num_paths))
             start += paths.num_paths
 
     with kept(parts, -(-stream.num_paths // stream.paths_at_once)) as read:
@@ -121,7 +126,7 @@ def fit_parts(parts: Parts, num_paths: int, model: QModel) -> QFunctions:
     Parameters
     ----------
     parts
-        The log, each part laid out as the whole would be.
+        The log, each part packed as the whole would be.
     num_paths
         n, of all parts together.
     model
@@ -141,70 +146,65 @@ class _Passes:
     def __init__(self, parts: Parts, num_paths: int, model: QModel, on_pass: Callable[[], object]) -> None:
         self.parts, self.num_paths, self.model, self._on_pass = parts, num_paths, model, on_pass
         self._options = model.options(num_paths)
-        self._grams: dict[bool, Grams] = {}
+        self._shape = Shape(self._options.num_folds, self._options.num_blocks, model.pessimism > 0)
+        self._grams: dict[tuple[int, ...], Grams] = {}
+        self._norms: dict[int, Norms | None] = {}
 
-    def fit(self, step: Step | None, stage: int = 0, **changed: bool) -> StepFit:
-        """Fit one step; None is the first, which nothing follows."""
-        setting, is_pooled = Setting(self._options, self.model.pessimism > 0, **changed), self.model.stages == "pooled"
-        # The rows of pooled stages are the same at each step, but for those that the horizon ended.
-        known = self._grams.get(setting.only_going_on) if is_pooled else None
-        grams, crosses, num_features = known, None, 0
-        for part in self.parts():
-            rows, at = (part, 0) if is_pooled else _around(part, stage)
-            log = jax.tree.map(jnp.asarray, rows)
-            blocks = jnp.asarray(self.model.blocks(part.is_possible.shape[-1]))
-            step, num_features = step or _first(log, self._options.num_blocks), log.features.shape[-1] + 1
-            here = step._replace(stage=jnp.asarray(at))
-            crosses = _plus(crosses, crosses_of(log, blocks, here, jnp.asarray(self.model.pessimism), setting))
-            if known is None:
-                grams = _plus(grams, grams_of(log, blocks, here.stage, setting))
+    def fit(self, step: Step) -> StepFit:
+        """Fit one step."""
+        wanted = [some for some in _summed_alone(step.slices) if some not in self._grams]
+        crosses, found = None, dict[tuple[int, ...], Grams]()
+        for number, rows in enumerate(self.parts()):
+            values, self._norms[number] = values_of(rows, step.successor, self._norms.get(number))
+            crosses = _plus(crosses, crosses_of(rows, step, values, self._shape))
+            for some in wanted:
+                found[some] = _plus(found.get(some), grams_of(rows, some, self._shape))
+            num_features = int(rows.widths[0])
         self._on_pass()
-        assert step is not None
-        assert grams is not None
-        self._grams[setting.only_going_on] = grams
+        self._grams |= found
+        grams = reduce(_plus, (self._grams[some] for some in _summed_alone(step.slices)))
+        centre = np.zeros(grams.main.shape[1:3]) if step.centre is None else step.centre
         regs, is_scaled = jnp.asarray(self.model.regs), self._options.is_scaled
-        return solved(grams, crosses, step.centre, regs, self.num_paths, is_scaled, num_features)
+        fit = solved(grams, crosses, centre, regs, self.num_paths, is_scaled, num_features)
+        return jax.tree.map(np.asarray, fit)
+
+    def bound(self, fit: StepFit) -> Bound | None:
+        """How far Q is lowered by its standard errors, if it is."""
+        if fit.unit_root is None:
+            return None
+        return Bound(np.asarray(fit.unit_root), self.model.pessimism * np.asarray(fit.deviation))
+
+
+def _summed_alone(slices: tuple[int, ...]) -> tuple[tuple[int, ...], ...]:
+    """Pooled stages differ in what the horizon ended, which is asked of some steps alone."""
+    return (GOING_ON, ENDED) if set(slices) == {*GOING_ON, *ENDED} else (slices,)
 
 
 def _plus(sums: Any, more: Any) -> Any:
-    return more if sums is None else jax.tree.map(jnp.add, sums, more)
+    return more if sums is None else jax.tree.map(np.add, sums, more)
 
 
 def _separate(passes: _Passes) -> list[StepFit]:
-    fits, step = [], None
+    fits, successor = [], None
     for stage in reversed(range(passes.model.horizon)):
-        fit = passes.fit(step, stage)
+        fit = passes.fit(Step((stage,), successor, None))
         fits.insert(0, fit)
-        step = Step(jnp.asarray(stage), fit.q, jnp.asarray(1.0), jnp.zeros_like(fit.coefficients))
+        successor = Successor((stage,), np.asarray(fit.q.coefficients), passes.bound(fit))
     return fits
 
 
 def _pooled(passes: _Passes) -> list[StepFit]:
-    step, end_action = None, passes.model.task.end_action
+    every, end_action = (*GOING_ON, *ENDED), passes.model.task.end_action
+    step = Step(every, None, None)
     if end_action is not None:
-        ended = passes.fit(None)
-        num_actions = next(passes.parts()).is_possible.shape[-1]
+        ended = passes.fit(step)
+        num_actions = len(next(passes.parts()).block_of_action)
         block = int(passes.model.blocks(num_actions)[end_action])
-        centre = jnp.broadcast_to(ended.coefficients[block], ended.coefficients.shape)
-        step = Step(jnp.asarray(0), ended.q, jnp.asarray(1.0), centre)
-    fits = [passes.fit(step, is_end_value=end_action is not None)]
+        centre = np.broadcast_to(ended.coefficients[block], ended.coefficients.shape)
+        step = Step(every, Successor(FOLLOWING, ended.q.coefficients, None, end_action), centre)
+    fits = [passes.fit(step)]
     for _ in range(passes.model.horizon - 1):
         before = fits[-1]
-        step = Step(jnp.asarray(0), before.q, jnp.asarray(1.0), before.coefficients)
-        fits.append(passes.fit(step, only_going_on=True))
+        successor = Successor(FOLLOWING, before.q.coefficients, passes.bound(before))
+        fits.append(passes.fit(Step(GOING_ON, successor, before.coefficients)))
     return fits
-
-
-def _around(log: Transitions, stage: int) -> tuple[Transitions, int]:
-    """Keep a stage and the next one, which is all that a step looks at, and tell where in that the stage is."""
-    first = max(min(stage, log.action.shape[1] - 2), 0)
-    rows = of_paths(lambda leaf: leaf[:, first : first + 2], log._replace(fold=None))
-    return rows._replace(fold=log.fold), stage - first
-
-
-def _first(log: Transitions, num_blocks: int) -> Step:
-    """Nothing follows the last stage."""
-    zeros = jnp.zeros((num_blocks, log.features.shape[-1] + 1))
-    num_variates = 0 if log.control_variates is None else log.control_variates.shape[-1]
-    centre = jnp.zeros((num_blocks, zeros.shape[1] + num_variates))
-    return Step(jnp.asarray(0), QFunctions(zeros, zeros[:, 0]), jnp.asarray(0.0), centre)
