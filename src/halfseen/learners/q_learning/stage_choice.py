@@ -6,15 +6,17 @@ separated only where this predicts better beyond noise, for a mistake costs more
 few, separate stages lose more by noise than pooled ones by bias.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
-from typing import NamedTuple
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from halfseen.learners.memory import give_back
 from halfseen.learners.q_learning.fitting import BackwardOptions, counted, in_float64
 from halfseen.learners.q_learning.judging import judged
 from halfseen.learners.q_learning.path_arrays import PathArrays
@@ -96,11 +98,25 @@ def choose_stages(model: QModel, paths: PathArrays) -> StageChoice:
     with in_float64():
         arrays = jax.tree.map(jnp.asarray, (with_room(log), blocks, model.regs))
         for k in range(NUM_FOLDS):
-            counts = padded((fold != k).astype(np.float64), paths.num_paths)
-            each = np.asarray(_gains(*arrays, jnp.asarray(counts), options=options))[: paths.num_paths]
+            counts = jnp.asarray(padded((fold != k).astype(np.float64), paths.num_paths))
+            each = np.asarray(_compiled(options, *arrays, counts)(*arrays, counts))[: paths.num_paths]
             gains = np.where(fold == k, each, gains)
     gain, error = float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(len(gains)))
     return StageChoice("separate" if gain > CLEARLY * error else "pooled", gain, error)
+
+
+def _compiled(options: BackwardOptions, *arrays: Any) -> Callable[..., Any]:
+    """`_gains` for arrays of these shapes; compiling and running it at once would take twice the memory."""
+    leaves, structure = jax.tree.flatten(arrays)
+    shapes = tuple(jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in leaves)
+    return _compiled_for(options, shapes, structure)
+
+
+@lru_cache(maxsize=64)
+def _compiled_for(options: BackwardOptions, shapes: tuple[Any, ...], structure: Any) -> Callable[..., Any]:
+    compiled = _gains.lower(*jax.tree.unflatten(structure, shapes), options=options).compile()
+    give_back()
+    return compiled
 
 
 @partial(jax.jit, static_argnames="options")
