@@ -5,7 +5,7 @@ import pickle
 import sys
 import warnings
 from collections.abc import Callable
-from functools import lru_cache
+from functools import cache, lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, NamedTuple
 
@@ -39,6 +39,12 @@ class Outcome(NamedTuple):
 
 def versions() -> dict[str, str]:
     """Versions of the packages that are installed here, by name."""
+    return dict(_installed())
+
+
+@cache
+def _installed() -> dict[str, str]:
+    # To find them takes as long as a small piece.
     found = {}
     for name in PACKAGES:
         try:
