@@ -65,26 +65,69 @@ def weight_diagnostics(weights: ArrayLike, truncate_at: float | int | None = Non
     ArgumentError
         A weight is negative or not finite.
     """
-    bound = checked_truncation(truncate_at)
-    values = np.asarray(weights, dtype=np.float64)
-    wrong = np.argwhere(~((values >= 0) & np.isfinite(values)))
-    if len(wrong):
-        at = tuple(wrong[0].tolist())
-        raise ArgumentError(f"weights{list(at)} is {values[at]}; a weight is finite and ≥ 0")
-    if not values.any():
-        return WeightDiagnostics(values.size, 0, 0.0, 0.0, None, 0.0)
-    total = values.sum()
-    largest_at = np.unravel_index(int(values.argmax()), values.shape)
-    # 1/(1/bound) may miss the bound by one unit in the last place.
-    truncated = 0.0 if bound is None else values[values >= bound * (1 - 1e-12)].sum() / total
-    return WeightDiagnostics(
-        num_weights=values.size,
-        num_seen=int(np.count_nonzero(values)),
-        effective_sample_size=float(total**2 / np.square(values).sum()),
-        largest_weight=float(values.max()),
-        largest_at=tuple(int(index) for index in largest_at),
-        share_truncated=float(truncated),
-    )
+    tally = WeightTally(truncate_at)
+    tally.add(weights)
+    return tally.told()
+
+
+class WeightTally:
+    """What is told of weights that come in parts, along their first axis.
+
+    Parameters
+    ----------
+    truncate_at
+        The bound that the weights were truncated at, if any.
+    """
+
+    def __init__(self, truncate_at: float | int | None = None) -> None:
+        self._bound = checked_truncation(truncate_at)
+        self._num_weights = self._num_seen = self._num_rows = self.num_rows_seen = 0
+        self._total = self._squares = self._truncated = self._largest = 0.0
+        self._largest_at: tuple[int, ...] | None = None
+
+    def add(self, weights: ArrayLike) -> None:
+        """Count the next rows.
+
+        Raises
+        ------
+        ArgumentError
+            A weight is negative or not finite.
+        """
+        values = np.asarray(weights, dtype=np.float64)
+        wrong = np.argwhere(~((values >= 0) & np.isfinite(values)))
+        if len(wrong):
+            at = tuple(wrong[0].tolist())
+            raise ArgumentError(f"weights{list(at)} is {values[at]}; a weight is finite and ≥ 0")
+        if values.any():
+            self._total += values.sum()
+            self._squares += np.square(values).sum()
+            self._note_largest(values)
+            if self._bound is not None:
+                # 1/(1/bound) may miss the bound by one unit in the last place.
+                self._truncated += values[values >= self._bound * (1 - 1e-12)].sum()
+        self._num_weights += values.size
+        self._num_seen += int(np.count_nonzero(values))
+        self._num_rows += len(values) if values.ndim else 1
+        self.num_rows_seen += int(values.any(axis=tuple(range(1, values.ndim))).sum())
+
+    def told(self) -> WeightDiagnostics:
+        """Summarise what was counted."""
+        if not self._num_seen:
+            return WeightDiagnostics(self._num_weights, 0, 0.0, 0.0, None, 0.0)
+        return WeightDiagnostics(
+            num_weights=self._num_weights,
+            num_seen=self._num_seen,
+            effective_sample_size=float(self._total**2 / self._squares),
+            largest_weight=self._largest,
+            largest_at=self._largest_at,
+            share_truncated=float(self._truncated / self._total),
+        )
+
+    def _note_largest(self, values: np.ndarray) -> None:
+        largest = float(values.max())
+        if largest > self._largest:
+            first, *others = np.unravel_index(int(values.argmax()), values.shape)
+            self._largest, self._largest_at = largest, (self._num_rows + int(first), *map(int, others))
 
 
 def warn_if_few(diagnostics: WeightDiagnostics, stacklevel: int = 3) -> None:

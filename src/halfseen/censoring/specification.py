@@ -70,6 +70,13 @@ class CensoringSpec:
         """Whether the model conditions on covariates."""
         return uses_covariates(named_model(self.model))
 
+    def looks_at(self, clocks: StageClocks) -> StageClocks | None:
+        """What of a part of a log Ĝ is fitted to, beyond the ends of the paths; None if nothing."""
+        if self.by != "path":
+            return clocks
+        # On the clock of paths, Ĝ looks at how each began alone.
+        return clocks.begun() if self.uses_covariates else None
+
     def fit_cuts(self, clocks: StageClocks) -> CutModel:
         """Fit Ĝ; a model that is fitted already is taken as it is.
 

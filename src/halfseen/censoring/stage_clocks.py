@@ -24,6 +24,20 @@ class StageClocks(NamedTuple):
     """What cuts may depend on; 0 where there is no such stage."""
     covariate_names: tuple[str, ...]
 
+    @classmethod
+    def of_ends(cls, end_s: Float[np.ndarray, " n"], is_finished: Bool[np.ndarray, " n"]) -> "StageClocks":
+        """Paths of which nothing is known but their ends; what is not known takes no memory."""
+        shape = (len(end_s), 1)
+        return cls(
+            path_ids=np.broadcast_to(None, len(end_s)),
+            elapsed_s=np.broadcast_to(np.nan, shape),
+            end_s=end_s,
+            is_finished=is_finished,
+            is_begun=np.broadcast_to(True, shape),
+            covariates=np.broadcast_to(0.0, (*shape, 0)),
+            covariate_names=(),
+        )
+
     @property
     def num_paths(self) -> int:
         """Number n of paths."""

@@ -122,7 +122,8 @@ def learn(
 ) -> None:
     """Learn a policy from the folder LOGS, and write it to a folder of its own, all or nothing.
 
-    LOGS may lie in an object store, as Parquet files: s3://BUCKET/FOLDER and the like.
+    LOGS may lie in an object store, as Parquet files: s3://BUCKET/FOLDER and the like. Where they are read in passes,
+    --workers share the work; those of a cluster must be able to read them, too.
 
     Logs with objects are of tables: the policy chooses among WASH, LIFT and FINISH. Else, or with --covariates, it
     chooses among the actions that were seen at each stage. Stages of cut paths count, too.
@@ -149,7 +150,7 @@ def learn(
         log = opened(logs, in_passes)
         choice = learner_for(log, censoring=targets, random_state=seed, **chosen)
         bar.begin("learn", START)
-        learner = choice.learner.fit(log)
+        learner = choice.learner.fit(log, workers)
         bar.begin("judge" if has_verdict else "write", LEARN)
         verdict, not_all = _judged(learner, log, seed, bar, workers) if has_verdict else (None, ())
         bar.reach(total - LOOK)

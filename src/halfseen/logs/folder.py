@@ -29,6 +29,8 @@ from halfseen.writing import placed
 MANIFEST = "logs.json"
 FORMAT, VERSION = "halfseen-logs", 1
 TABLES = ("stages", "paths", "objects")
+ROWS_IN_GROUP = 65_536
+"""Rows that are read at once by whoever wants one of them."""
 
 
 class Manifest(NamedTuple):
@@ -80,7 +82,7 @@ def write_tables(
     with placed(folder, overwrite=overwrite, marker=MANIFEST) as fresh:
         for name, table in tables.items():
             arrow = pa.Table.from_pandas(table, preserve_index=False)
-            pq.write_table(arrow, fresh / f"{name}.parquet", compression="zstd")
+            pq.write_table(arrow, fresh / f"{name}.parquet", ROWS_IN_GROUP, compression="zstd")
         write_manifest(fresh, Manifest({name: len(table) for name, table in tables.items()}, reward_unit))
 
 

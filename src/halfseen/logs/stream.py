@@ -21,6 +21,7 @@ from halfseen.logs.place import Place, place_of
 from halfseen.logs.reading import read_logs
 from halfseen.logs.refusal import shown, within
 from halfseen.logs.reward_unit import common_unit
+from halfseen.logs.shards import Folder, Shard, columns_of, shards_of, tables_of_size
 from halfseen.writing import placed
 
 PATHS_AT_ONCE = 2_000
@@ -35,8 +36,7 @@ _ROWS_AT_ONCE = 65_536
 class LogStream:
     """A folder of logs, read in parts of whole paths; every part is checked as `Logs` are.
 
-    Only the table of paths is held. Stages and objects must stand in the order of paths, as `Logs.write` and
-    `write_stream` leave them.
+    Of the paths only ends are held. All tables must be sorted by path, as `Logs.write` and `write_stream` leave them.
 
     Parameters
     ----------
@@ -64,34 +64,57 @@ class LogStream:
         self.folder = place_of(folder)
         self.paths_at_once = paths_at_once
         self._rows, self.reward_unit = read_manifest(self.folder)
-        paths = opened_table(self.folder, "paths", self._rows["paths"]).read()
-        with within(folder):
-            self._paths = checked_paths(as_frame("paths", paths))
+        # A table of millions of paths is larger than all that is held beside it.
+        ends = [(part["end_s"].to_numpy(), (part["ending"] == FINISHED).to_numpy(bool)) for part in self._path_tables()]
+        if not ends:
+            checked_paths(as_frame("paths", opened_table(self.folder, "paths", 0).read()))
+        self._end_s, self._is_finished = (np.concatenate(each) for each in zip(*ends, strict=True))
 
     @property
     def paths(self) -> pd.DataFrame:
-        """One row a path, sorted by path."""
-        return self._paths
+        """One row a path, sorted by path; it is read when it is asked for."""
+        return pd.concat(self._path_tables(), ignore_index=True)
 
     @property
     def num_paths(self) -> int:
         """Number n of paths."""
-        return len(self._paths)
+        return len(self._end_s)
 
     @property
     def path_ids(self) -> np.ndarray:
-        """Names of the paths, shape (n,)."""
-        return self._paths["path"].to_numpy()
+        """Names of the paths, shape (n,); they are read when they are asked for."""
+        return self.paths["path"].to_numpy()
 
     @property
     def end_s(self) -> Rows:
         """Observed end of each path [s]."""
-        return self._paths["end_s"].to_numpy()
+        return self._end_s
 
     @property
     def is_finished(self) -> RowMask:
         """True where the path reached its own end, False where it was cut."""
-        return (self._paths["ending"] == FINISHED).to_numpy(dtype=bool)
+        return self._is_finished
+
+    @property
+    def as_folder(self) -> Folder:
+        """What a worker needs to know, to read a shard."""
+        return Folder(self.folder, self._rows, self.reward_unit)
+
+    def shards(self) -> list[Shard]:
+        """Deal the parts into shards, by the size of the log alone.
+
+        Raises
+        ------
+        LogError
+            Stages or objects are not sorted by path.
+        """
+        try:
+            return shards_of(self.as_folder, self.paths_at_once)
+        except LogError:
+            # Whoever reads them one after the other can tell which path is out of place.
+            for _ in self:
+                pass
+            raise
 
     @property
     def horizon(self) -> int:
@@ -125,16 +148,32 @@ class LogStream:
 
     def __iter__(self) -> Iterator[Logs]:
         """Read the parts, one after the other, from the beginning."""
-        names = ["stages", *(["objects"] if self.has_objects else [])]
-        readers = {name: _PathReader(self.folder, name, self._rows[name]) for name in names}
-        for start in range(0, self.num_paths, self.paths_at_once):
-            part = self._paths.iloc[start : start + self.paths_at_once]
-            tables: dict[str, Any] = {name: reader.upto(part["path"]) for name, reader in readers.items()}
+        others = ["stages", *(["objects"] if self.has_objects else [])]
+        readers = {name: _PathReader(self.folder, name, self._rows[name]) for name in others}
+        for part in self._path_tables(self.paths_at_once):
+            names: Any = part["path"]
+            tables: dict[str, Any] = {name: reader.upto(names) for name, reader in readers.items()}
             with within(self.folder):
                 logs = Logs(paths=part, **tables, reward_unit=self.reward_unit)
             yield logs
         for reader in readers.values():
             reader.refuse_leftover()
+
+    def _path_tables(self, size: int = _ROWS_AT_ONCE) -> Iterator[pd.DataFrame]:
+        """Read the table of paths in parts of a size, each checked, and sorted after the one before."""
+        last: Any = None
+        for table in tables_of_size(columns_of(self.as_folder, "paths"), size):
+            with within(self.folder):
+                frame = as_frame("paths", table)
+                paths = checked_paths(frame)
+                names = paths["path"].to_numpy()
+                if not (names == frame["path"].to_numpy()).all() or (last is not None and not names[0] > last):
+                    raise LogError(
+                        "paths.parquet is not sorted by path, or has one twice; write the logs by Logs.write or "
+                        "write_stream, which sort them"
+                    )
+            last = names[-1]
+            yield paths
 
     def _opened(self, name: str) -> pq.ParquetFile:
         return opened_table(self.folder, name, self._rows[name])

@@ -1,106 +1,104 @@
-"""Parts that are kept on disk come back as they were, and where there is no room they are laid out anew."""
+"""Parts that are kept on disk come back as they were, and what cannot be kept is laid out anew."""
 
-import shutil
-from collections import namedtuple
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from halfseen.learners.q_learning import kept_parts
-from halfseen.learners.q_learning.kept_parts import kept
-from halfseen.learners.q_learning.transitions import Transitions
+from halfseen.learners.q_learning.kept_parts import KeptParts, num_bytes_of, told
+from halfseen.learners.q_learning.part_rows import PartRows
 
 
-def part(seed):
+def rows_of(seed):
     rng = np.random.default_rng(seed)
-    return Transitions(
-        features=rng.normal(size=(4, 3, 2, 5)),
-        is_possible=rng.random((4, 3, 2)) < 0.7,
-        action=rng.integers(0, 2, (4, 3)),
-        reward=rng.normal(size=(4, 3)),
-        weight=rng.random((4, 3)),
-        is_last=rng.random((4, 3)) < 0.2,
-        fold=rng.integers(0, 5, 4),
+    return PartRows(
+        matrix=rng.normal(size=(9, 4)),
+        reward=rng.normal(size=9),
+        weight=rng.random(9),
+        after=rng.integers(0, 10, 9),
+        groups=np.array([[0, 0, 0, 0, 9]]),
+        widths=np.array([4, 0, 0, 0]),
+        share=None,
+        outcome_weight=None,
+        is_used=None,
+        is_possible=None,
+        block_of_action=np.arange(2),
+        choices=None,
     )
 
 
-@pytest.fixture
-def parts():
-    """Three parts, and how often each was laid out."""
-    laid_out = []
+class Maker:
+    """Makes parts, and notes which."""
 
-    def read():
-        for seed in range(3):
-            laid_out.append(seed)
-            yield part(seed)
+    def __init__(self):
+        self.made = []
 
-    return read, laid_out
+    def __call__(self, number):
+        self.made.append(number)
+        return rows_of(number)
 
 
-def assert_same(read):
-    for found, wanted in zip(read(), map(part, range(3)), strict=True):
-        for here, there in zip(found, wanted, strict=True):
+def read_all(kept, maker):
+    found = [kept.found("rows", number, lambda number=number: maker(number)) for number in range(3)]
+    for rows, wanted in zip(found, map(rows_of, range(3)), strict=True):
+        for here, there in zip(rows, wanted, strict=True):
             np.testing.assert_array_equal(here, there)
             assert getattr(here, "dtype", None) == getattr(there, "dtype", None)
 
 
-def test_the_log_is_laid_out_once_and_read_back_as_it_was(parts):
-    anew, laid_out = parts
-    with kept(anew, 3) as read:
+@pytest.mark.parametrize("is_shared", [True, False], ids=["one folder", "one a worker"])
+def test_a_part_is_made_once_and_read_back_as_it_was(is_shared):
+    maker = Maker()
+    with kept_parts.kept_parts(3, is_shared) as kept:
         for _ in range(3):
-            assert_same(read)
-    assert laid_out == [0, 1, 2]
+            read_all(kept, maker)
+        assert maker.made == [0, 1, 2]
+        kept.forget("rows", 1)
+        assert kept.read("rows", 1) is None
+        read_all(kept, maker)
+    assert maker.made == [0, 1, 2, 1]
 
 
-def test_a_reader_that_stops_halfway_spoils_nothing(parts):
-    anew, laid_out = parts
-    with kept(anew, 3) as read:
-        next(read())
-        for _ in range(2):
-            assert_same(read)
-    assert laid_out == [0, 0, 1, 2]
+def test_what_has_no_room_is_made_in_each_pass(tmp_path):
+    maker, size = Maker(), num_bytes_of(rows_of(0))
+    assert size == sum(leaf.nbytes for leaf in rows_of(0) if leaf is not None)
+    for _ in range(2):
+        read_all(KeptParts(str(tmp_path), True, size - 1), maker)
+    assert maker.made == [0, 1, 2, 0, 1, 2]
+    assert list(tmp_path.iterdir()) == []
+    for _ in range(2):
+        read_all(KeptParts(str(tmp_path), True, size), maker)
+    assert maker.made == [0, 1, 2, 0, 1, 2, 0, 1, 2]
 
 
-@pytest.mark.parametrize("why", ["too large", "no room"])
-def test_what_has_no_room_is_laid_out_in_each_pass(parts, monkeypatch, why):
-    anew, laid_out = parts
-    if why == "too large":
-        monkeypatch.setattr(kept_parts, "MOST_KEPT_BYTES", 100)
-    else:
-        usage = namedtuple("usage", "total used free")(10, 10, 0)
-        monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
-    with kept(anew, 3) as read:
-        for _ in range(2):
-            assert_same(read)
-    assert laid_out == [0, 1, 2, 0, 1, 2]
+def test_a_disk_that_is_full_keeps_nothing_of_a_part(tmp_path, monkeypatch):
+    maker, kept, write = Maker(), KeptParts(str(tmp_path), True, 10**6), Path.write_bytes
 
-
-def test_a_disk_that_fills_up_on_the_way_is_made_room_on(parts, monkeypatch, tmp_path):
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    anew, laid_out = parts
-    save, num_saved = np.save, []
-
-    def until_full(*told, **more):
-        num_saved.append(1)
-        if len(num_saved) > 10:  # in the middle of the second part
+    def until_full(path, data):
+        if "rows-1" in path.name:
+            write(path, data[:7])
             raise OSError(28, "No space left on device")
-        save(*told, **more)
+        return write(path, data)
 
-    monkeypatch.setattr(np, "save", until_full)
-    with kept(anew, 3) as read:
-        assert_same(read)
-        assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
-        num_saved.clear()
-        monkeypatch.setattr(np, "save", save)
-        for _ in range(2):
-            assert_same(read)
-    assert laid_out == [0, 1, 2, 0, 1, 2]
+    monkeypatch.setattr(Path, "write_bytes", until_full)
+    for _ in range(2):
+        read_all(kept, maker)
+    assert maker.made == [0, 1, 2, 1]
+    assert not [file for file in tmp_path.iterdir() if "rows-1" in file.name]
 
 
-def test_nothing_is_left_on_the_disk(parts, monkeypatch, tmp_path):
+def test_nothing_is_left_on_the_disk(monkeypatch, tmp_path):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    anew, _ = parts
-    with kept(anew, 3) as read:
-        assert_same(read)
+    with kept_parts.kept_parts(3) as kept:
+        read_all(kept, Maker())
         assert list(tmp_path.iterdir())
     assert not list(tmp_path.iterdir())
+
+
+def test_what_is_told_comes_from_a_file_only_where_others_share_it(tmp_path):
+    shared, apart = KeptParts(str(tmp_path), True, 1), KeptParts("other", False, 1)
+    assert told({"a": 1}, shared, is_alone=False).value == {"a": 1}
+    assert len(list(tmp_path.iterdir())) == 1
+    assert told({"a": 1}, shared, is_alone=True).value == told({"a": 1}, apart, is_alone=False).value == {"a": 1}
+    assert len(list(tmp_path.iterdir())) == 1

@@ -1,14 +1,24 @@
+import multiprocessing
+import os
+import signal
+import sys
+
+import cloudpickle
+import jax
 import numpy as np
 import pandas as pd
 import pytest
 from trials import ACTIONS, FULL, two_stage_trial
 
-from halfseen.errors import ArgumentError, PositivityError
+from halfseen.censoring import KaplanMeier
+from halfseen.errors import ArgumentError, LogError, PositivityError
 from halfseen.learners import CensoredQLearner, DoublyRobust, Weighted
+from halfseen.learners.q_learning import kept_parts
 from halfseen.learners.q_learning.sample import sampled
 from halfseen.learners.q_learning.streaming import sample_of
-from halfseen.logs import Logs, LogStream
+from halfseen.logs import Logs, LogStream, shards
 from halfseen.tables import BetaGrasp
+from halfseen.workers import Workers
 from halfseen.world import Scene, TableWorld, UniformPolicy
 
 
@@ -51,7 +61,12 @@ def assert_the_same(parts, whole, **tolerance):
             scale = max(np.abs(other).max(), 1.0)
             np.testing.assert_allclose(one / scale, other / scale, **tolerance)
     np.testing.assert_array_equal(parts.weights_, whole.weights_)
-    assert parts.diagnostics_ == whole.diagnostics_
+    one, other = vars(parts.diagnostics_), vars(whole.diagnostics_)
+    assert {k: v for k, v in one.items() if not isinstance(v, float)} == {
+        k: v for k, v in other.items() if not isinstance(v, float)
+    }
+    for name in ("effective_sample_size", "largest_weight", "share_truncated"):
+        assert one[name] == pytest.approx(other[name], rel=1e-12)
     assert parts.chosen_ == whole.chosen_
 
 
@@ -127,3 +142,72 @@ def test_all_cut_is_not_identified(trial, tmp_path):
     cut = Logs(stages, trial.paths.assign(ending="cut", cause=None))
     with pytest.raises(PositivityError, match="all 400 paths were cut"):
         CensoredQLearner.of_paper(2, ACTIONS, FULL).fit(streamed(cut, tmp_path / "logs", 100))
+
+
+DEFAULT = {"covariates": ["s1_1", "s2_1"]}
+OTHERS = [OF_PAPER, OF_PAPER | {"censoring": DoublyRobust("cox", by="stage", truncate_at=5.0)}]
+
+
+def bits(learner):
+    return [leaf.tobytes() for leaf in jax.tree.leaves(learner.q_functions_)] + [learner.weights_.tobytes()]
+
+
+@pytest.mark.parametrize("options", [DEFAULT, *OTHERS], ids=["default", "paper", "doubly robust by stage"])
+def test_one_worker_and_two_learn_the_same_bytes(known, tmp_path, options, monkeypatch):
+    monkeypatch.setattr(shards, "NUM_SHARDS", 3)
+    stream = streamed(known, tmp_path / "logs", 40)
+    learner = CensoredQLearner(2, **{"actions": ACTIONS, "covariates": FULL, **options})
+    one = bits(learner.fit(stream))
+    assert len(stream.shards()) > 2
+    assert bits(learner.fit(stream, Workers(2))) == one
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["ray", "dask"])
+def test_a_cluster_learns_the_same_bytes(known, tmp_path, engine):
+    stream = streamed(known, tmp_path / "logs", 40)
+    learner = CensoredQLearner(2, ACTIONS, **DEFAULT)
+    assert bits(learner.fit(stream, Workers(2, engine))) == bits(learner.fit(stream))
+
+
+class Killing(KaplanMeier):
+    """Ends the worker that asks it first, without a word."""
+
+    def __init__(self, mark=None):
+        self.mark = mark
+
+    def survival(self, u, covariates=None):
+        if multiprocessing.parent_process() is not None and not self.mark.exists():
+            self.mark.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return super().survival(u)
+
+
+def test_a_shard_of_a_killed_worker_is_summed_again(known, tmp_path, monkeypatch):
+    monkeypatch.setattr(shards, "NUM_SHARDS", 3)
+    cloudpickle.register_pickle_by_value(sys.modules[__name__])
+    stream = streamed(known, tmp_path / "logs", 40)
+    options = {"actions": ACTIONS, "covariates": FULL, **OF_PAPER}
+    one = bits(CensoredQLearner(2, **options).fit(stream))
+    learner = CensoredQLearner(2, **options | {"censoring": Weighted(Killing(tmp_path / "killed"))})
+    assert bits(learner.fit(stream, Workers(2))) == one
+    assert (tmp_path / "killed").exists()
+
+
+def test_a_disk_without_room_changes_nothing(known, tmp_path, monkeypatch):
+    stream = streamed(known, tmp_path / "logs", 40)
+    learner = CensoredQLearner(2, ACTIONS, **DEFAULT)
+    one = bits(learner.fit(stream))
+    monkeypatch.setattr(kept_parts, "MOST_SHARE", 0.0)
+    assert bits(learner.fit(stream)) == one
+
+
+def test_a_bad_shard_names_its_path(known, tmp_path):
+    stream = streamed(known, tmp_path / "logs", 40)
+    file = tmp_path / "logs" / "stages.parquet"
+    table = pd.read_parquet(file)
+    table.loc[table["path"] == known.path_ids[210], "reward"] = np.nan
+    table.to_parquet(file, index=False)
+    for workers in (None, Workers(2)):
+        with pytest.raises(LogError, match=rf"logs: path {known.path_ids[210]}, stage 1: the stage is completed"):
+            CensoredQLearner(2, ACTIONS, **DEFAULT).fit(stream, workers)

@@ -1,84 +1,167 @@
-"""Parts of a log as they are laid out, kept on disk between passes: reading and checking them takes longest."""
+"""Parts of a log as they are laid out, kept on disk between passes: reading and checking them takes longest.
 
+What cannot be kept is no loss but of time: whoever asks lays it out anew, to the same bytes.
+"""
+
+import os
+import pickle
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any, TypeVar
+from uuid import uuid4
 
-import jax
+import cloudpickle
 import numpy as np
 
-from halfseen.learners.q_learning.transitions import Transitions
+from halfseen.learners.q_learning.part_rows import PartRows
 
-MOST_KEPT_BYTES = 32 << 30
-"""Logs that take more than this are laid out anew in each pass."""
 MOST_SHARE = 0.5
-"""Of the room that there is on the disk."""
+"""Of the room that there is on the disk, for all that is kept of a log."""
 
-Parts = Callable[[], Iterator[Transitions]]
-"""Reads the log once more, from its beginning."""
+_Any = TypeVar("_Any")
 
 
-@contextmanager
-def kept(parts: Parts, num_parts: int) -> Iterator[Parts]:
-    """Keep parts while they are read for the first time, and read them from there after that.
+@dataclass(frozen=True)
+class KeptParts:
+    """A folder of parts, by kind and number; every process that asks writes and reads whole files.
 
     Parameters
     ----------
-    parts
-        Lays out the log.
-    num_parts
-        In how many parts, which are about as large as the first.
+    name
+        Of the folder, or what to call one that each process makes for itself.
+    is_shared
+        Whether all that ask are on this machine, and the folder is there.
+    most_bytes
+        That a part may take.
+    """
 
-    Yields
-    ------
-    callable
-        The same arrays, as often as they are asked for. Where there is no room for all, each pass lays them out anew.
+    name: str
+    is_shared: bool
+    most_bytes: int
+
+    def found(self, kind: str, number: int, anew: Callable[[], _Any]) -> _Any:
+        """Read a part, or make it and keep it, where there is room."""
+        file = self._folder / f"{kind}-{number}"
+        known = _read(file)
+        if known is not None:
+            return known
+        made = anew()
+        self.keep(kind, number, made)
+        return made
+
+    def keep(self, kind: str, number: int, part: Any) -> None:
+        """Keep a part, if there is room; what is there already is replaced."""
+        if num_bytes_of(part) <= self.most_bytes:
+            _write(self._folder / f"{kind}-{number}", part)
+
+    def read(self, kind: str, number: int) -> Any:
+        """Read what is kept of a part; None if nothing is."""
+        return _read(self._folder / f"{kind}-{number}")
+
+    def forget(self, kind: str, number: int) -> None:
+        """Make room."""
+        file = self._folder / f"{kind}-{number}"
+        for each in (file, _matrix_of(file)):
+            each.unlink(missing_ok=True)
+
+    @property
+    def _folder(self) -> Path:
+        return Path(self.name if self.is_shared else _own_folder(self.name).name)
+
+
+@contextmanager
+def kept_parts(num_parts: int, is_shared: bool = True) -> Iterator[KeptParts]:
+    """Have a place for the parts of a log, for the length of a ``with`` block.
+
+    Parameters
+    ----------
+    num_parts
+        Of the log.
+    is_shared
+        Whether all workers are on this machine; else each keeps what it has laid out itself, until it has another log.
     """
     with TemporaryDirectory(prefix="halfseen-") as name:
-        yield _Kept(parts, num_parts, Path(name)).read
+        most = int(MOST_SHARE * shutil.disk_usage(name).free / num_parts)
+        yield KeptParts(name if is_shared else uuid4().hex, is_shared, most)
 
 
-class _Kept:
-    def __init__(self, parts: Parts, num_parts: int, folder: Path) -> None:
-        self._parts, self._num_parts, self._folder = parts, num_parts, folder
-        self._structure, self._files, self._is_whole = None, [], False
+@dataclass(frozen=True)
+class Told:
+    """What all workers are told; those of this machine read it from a file, as it is too much for every message.
 
-    def read(self) -> Iterator[Transitions]:
-        """Read all parts once."""
-        if self._is_whole:
-            yield from map(self._load, self._files)
-            return
-        self._files.clear()
-        has_room = None
-        for part in self._parts():
-            if has_room is None:
-                has_room = self._has_room(part)
-            has_room = has_room and self._is_saved(part)
-            yield part
-        self._is_whole = bool(has_room)
+    Parameters
+    ----------
+    packed
+        The thing, or the file that holds it.
+    """
 
-    def _has_room(self, first: Transitions) -> bool:
-        num_bytes = self._num_parts * sum(np.asarray(leaf).nbytes for leaf in jax.tree.leaves(first))
-        return num_bytes <= min(MOST_KEPT_BYTES, MOST_SHARE * shutil.disk_usage(self._folder).free)
+    packed: Any
 
-    def _is_saved(self, part: Transitions) -> bool:
-        """Keep a part; if the disk is full by now, keep none."""
-        leaves, self._structure = jax.tree.flatten(part)
-        self._files.append(self._folder / f"{len(self._files)}.npy")
-        try:
-            with self._files[-1].open("wb") as file:
-                for leaf in leaves:
-                    np.save(file, np.asarray(leaf), allow_pickle=False)
-        except OSError:
-            for file in self._files:
-                file.unlink(missing_ok=True)
-            return False
-        return True
+    @property
+    def value(self) -> Any:
+        """The thing."""
+        return _unpacked(self.packed) if isinstance(self.packed, Path) else self.packed
 
-    def _load(self, path: Path) -> Transitions:
-        assert self._structure is not None
-        with path.open("rb") as file:
-            leaves = [np.load(file, allow_pickle=False) for _ in range(self._structure.num_leaves)]
-        return jax.tree.unflatten(self._structure, leaves)
+
+def told(thing: Any, kept: KeptParts, is_alone: bool) -> Told:
+    """Tell something, to this process alone or to others."""
+    if is_alone or not kept.is_shared:
+        return Told(thing)
+    file = Path(kept.name) / f"told-{uuid4().hex}"
+    file.write_bytes(cloudpickle.dumps(thing))
+    return Told(file)
+
+
+@lru_cache(maxsize=1)
+def _unpacked(file: Path) -> Any:
+    return pickle.loads(file.read_bytes())
+
+
+@lru_cache(maxsize=1)
+def _own_folder(name: str) -> TemporaryDirectory:
+    return TemporaryDirectory(prefix="halfseen-")
+
+
+def num_bytes_of(part: Any) -> int:
+    """Bytes of the arrays of a part."""
+    if isinstance(part, np.ndarray):
+        # Arrays that repeat themselves are written out.
+        return part.nbytes
+    return sum(map(num_bytes_of, part)) if isinstance(part, tuple) else 0
+
+
+def _write(file: Path, part: Any) -> None:
+    """Write a part whole; if the disk is full, nothing of it is left."""
+    matrix = None
+    if isinstance(part, PartRows):
+        # Most of it is read by slices and not at all in others, so it has a file of its own.
+        matrix, part = part.matrix, part._replace(matrix=np.zeros((0, 0)))
+    beside = file.with_name(f"{file.name}.{os.getpid()}")
+    try:
+        if matrix is not None:
+            np.save(beside.with_suffix(".npy"), matrix, allow_pickle=False)
+            beside.with_suffix(".npy").replace(_matrix_of(file))
+        beside.write_bytes(pickle.dumps(part, protocol=5))
+        beside.replace(file)
+    except OSError:
+        for each in (beside, beside.with_suffix(".npy"), _matrix_of(file)):
+            each.unlink(missing_ok=True)
+
+
+def _read(file: Path) -> Any:
+    try:
+        part = pickle.loads(file.read_bytes())
+        if isinstance(part, PartRows):
+            part = part._replace(matrix=np.load(_matrix_of(file), mmap_mode="r"))
+    except FileNotFoundError:
+        return None
+    return part
+
+
+def _matrix_of(file: Path) -> Path:
+    return file.with_name(f"{file.name}.npy")

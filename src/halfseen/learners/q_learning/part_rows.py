@@ -6,7 +6,7 @@ Those of pooled stages are told apart by whether a row speaks of more than one s
 another one, so that V̂ is sought in its state: `LATER` and `LATER_ENDED` do, `FIRST` and `FIRST_ENDED` do not.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -131,7 +131,7 @@ def _groups(keys: Int[np.ndarray, "R 4"]) -> Int[np.ndarray, "N 5"]:
     return np.column_stack([keys[begin, :3], begin, np.append(begin[1:], len(keys))])
 
 
-def _columns(log: Transitions, at: tuple[np.ndarray, np.ndarray]) -> dict[str, np.ndarray | None]:
+def _columns(log: Transitions, at: tuple[np.ndarray, np.ndarray]) -> dict[str, Any]:
     """The matrix, how wide each kind of columns is, and what else belongs to imputed targets."""
     taken = 0 if log.features.shape[2] == 1 else log.action[at]
     kinds = [np.column_stack([np.ones(len(at[0])), np.asarray(log.features)[(*at, taken)]])]

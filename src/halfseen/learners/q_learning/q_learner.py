@@ -36,6 +36,7 @@ from halfseen.learners.q_learning.task import Task, named_task
 from halfseen.learners.q_learning.transitions import QFunctions, StageMode
 from halfseen.learners.threads import in_one_thread
 from halfseen.logs import Logs, LogStream
+from halfseen.workers import Workers
 
 
 class CensoredQLearner(Estimator):
@@ -166,7 +167,7 @@ class CensoredQLearner(Estimator):
         return cls(horizon, actions, covariates, **(fixed | changed))
 
     @in_one_thread
-    def fit(self, logs: Logs | LogStream) -> "CensoredQLearner":
+    def fit(self, logs: Logs | LogStream, workers: Workers | None = None) -> "CensoredQLearner":
         """Learn from a log.
 
         Parameters
@@ -174,6 +175,8 @@ class CensoredQLearner(Estimator):
         logs
             The log. A `LogStream` is read in passes, one for each stage and some before, and never held whole. What is
             learned is the same. Ĝ on the clock of stages holds the clocks of all stages, and what cuts may depend on.
+        workers
+            Who sums up the shards of a `LogStream`, to the same bytes; None for this process alone.
 
         Raises
         ------
@@ -187,14 +190,16 @@ class CensoredQLearner(Estimator):
         model = self.compose(logs)
         is_open = _is_auto(self.stages)
         if isinstance(logs, LogStream):
-            self.model_, self.weights_, self.q_functions_, self.chosen_ = fit_stream(model, logs, is_open)
+            found = fit_stream(model, logs, is_open, workers)
+            self.model_, self.q_functions_, self.chosen_ = found.model, found.q_functions, found.chosen
+            self.weights_, self.diagnostics_ = found.weights, found.diagnostics
         else:
             model, paths = model.fitted(logs)
             self.model_, self.chosen_ = with_stages(model, model.sample_of(paths)) if is_open else (model, model.chosen)
             log = self.model_.transitions(paths)
             self.weights_ = np.asarray(log.weight)
             self.q_functions_ = self.model_.fit(log)
-        self.diagnostics_ = weight_diagnostics(self.weights_, self.cut_model_ and self.cut_model_.truncate_at)
+            self.diagnostics_ = weight_diagnostics(self.weights_, self.cut_model_ and self.cut_model_.truncate_at)
         self.policy_ = self.model_.policy(self.q_functions_)
         return self
 

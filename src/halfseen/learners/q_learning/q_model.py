@@ -197,7 +197,7 @@ class QModel:
     def fit(self, log: Transitions) -> QFunctions:
         """Run eq. 3 on one log, or on a batch of logs."""
         if isinstance(self.reg, CrossValidation):
-            refuse_too_few(np.asarray(log.weight))
+            refuse_too_few(int((np.asarray(log.weight) > 0).any(axis=-1).sum()), log.weight.shape[-2])
         blocks = self.task.block_of_action(log.is_possible.shape[-1])
         return fit_q_functions(log, blocks, self.regs, self.options(log.weight.shape[-2]), self.pessimism)
 
@@ -277,7 +277,7 @@ def refuse_all_cut(is_finished: Bool[np.ndarray, " n"]) -> None:
         )
 
 
-def refuse_too_few(weight: Float[np.ndarray, "*B n T"]) -> None:
+def refuse_too_few(num_seen: int, num_paths: int) -> None:
     """Refuse to hold out paths where fewer than two completed a stage.
 
     Raises
@@ -285,9 +285,8 @@ def refuse_too_few(weight: Float[np.ndarray, "*B n T"]) -> None:
     ArgumentError
         The message says how many did.
     """
-    num_seen = int((weight > 0).any(axis=-1).sum())
     if num_seen < 2:
         raise ArgumentError(
-            f"reg is 'cv', which holds out paths, but {num_seen} of {weight.shape[-2]} completed a stage; give a "
+            f"reg is 'cv', which holds out paths, but {num_seen} of {num_paths} completed a stage; give a "
             "number for reg, or record more paths"
         )

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from halfseen.learners.q_learning.least_squares import Design, Factor, factorise, gram_of, waiting_for
-from halfseen.learners.q_learning.transitions import Choices
+from halfseen.learners.q_learning.transitions import AnyArray, Choices
 
 
 class Spread(NamedTuple):
@@ -30,11 +30,11 @@ class Spread(NamedTuple):
 class WeightSums(NamedTuple):
     """Sums over the completed stages of each block; those of parts of a log add up."""
 
-    mass: Float[Array, " K"]
+    mass: Float[AnyArray, " K"]
     """Σw."""
-    squares: Float[Array, " K"]
+    squares: Float[AnyArray, " K"]
     """Σw²: heavy weights make of many stages few."""
-    count: Float[Array, " K"]
+    count: Float[AnyArray, " K"]
     """Stages with a weight."""
 
 
@@ -132,4 +132,4 @@ def standard_errors_of_choices(
 def _variance(weights: WeightSums, squares: Float[Array, " K"], fitted: Float[Array, " K"]) -> Float[Array, " K"]:
     """σ² of each block; as many stages as there are coefficients that λ leaves are used up by the fit."""
     left = weights.count / jnp.maximum(weights.count - fitted, 0.1 * weights.count + 0.5)
-    return left * squares / jnp.where(weights.mass > 0, weights.mass, 1.0)
+    return jnp.asarray(left * squares / jnp.where(weights.mass > 0, weights.mass, 1.0))

@@ -1,7 +1,7 @@
 """Q of one backward step by the sums of all parts alone (`row_sums`)."""
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -51,22 +51,24 @@ def solved(
     num_features
         Of Q, the offset among them; what comes after it are control variates.
     """
-    factor, cross, outcome = factorise(grams.main, is_scaled), crosses.main, None
+    sums: Any = jax.tree.map(jnp.asarray, (grams, crosses))
+    fixed, moved = sums
+    factor, cross, outcome = factorise(fixed.main, is_scaled), moved.main, None
     last = factor.eigenvalues
-    if grams.outcome is not None and crosses.outcome is not None:
-        num_terms = grams.outcome.of_time.shape[-1]
-        of_outcome = factorise(waiting_for(last, with_prior(grams.outcome.gram, num_terms)), is_scaled)
-        outcome, last = solve(of_outcome, crosses.outcome, regs, num_paths).coefficients, of_outcome.eigenvalues
-        cross = cross + jnp.einsum("vkfm,km->vkf", grams.outcome.of_state, outcome[:, :-num_terms])
-        cross = cross + jnp.einsum("vkfg,kg->vkf", grams.outcome.of_time, outcome[:, -num_terms:])
+    if fixed.outcome is not None and moved.outcome is not None:
+        num_terms = fixed.outcome.of_time.shape[-1]
+        of_outcome = factorise(waiting_for(last, with_prior(fixed.outcome.gram, num_terms)), is_scaled)
+        outcome, last = solve(of_outcome, moved.outcome, regs, num_paths).coefficients, of_outcome.eigenvalues
+        cross = cross + jnp.einsum("vkfm,km->vkf", fixed.outcome.of_state, outcome[:, :-num_terms])
+        cross = cross + jnp.einsum("vkfg,kg->vkf", fixed.outcome.of_time, outcome[:, -num_terms:])
     fit = solve(factor, cross, regs, num_paths)
     coefficients = fit.coefficients + centre
     found = QFunctions(coefficients[:, :num_features], fit.reg, outcome)
-    if grams.seen is None or crosses.seen is None:
+    if fixed.seen is None or moved.seen is None:
         return StepFit(found, coefficients)
-    gram = waiting_for(last, grams.seen.gram[None, :, :num_features, :num_features])
-    squares = _squared_residuals(grams.seen, crosses.seen, coefficients)
-    spread = Spread(factorise(gram, is_scaled), grams.seen.weights)
+    gram = waiting_for(last, fixed.seen.gram[None, :, :num_features, :num_features])
+    squares = _squared_residuals(fixed.seen, moved.seen, coefficients)
+    spread = Spread(factorise(gram, is_scaled), fixed.seen.weights)
     unit_root = unit_roots(spread, fit.reg, num_paths)
     deviation = deviations(spread, fit.reg, num_paths, squares)
     return StepFit(found._replace(root=unit_root * deviation[:, None, None]), coefficients, unit_root, deviation)

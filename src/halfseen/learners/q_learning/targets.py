@@ -66,6 +66,9 @@ class BuckleyJames:
     name = "buckley-james"
     is_imputed = True
 
+    def looks_at(self, clocks: StageClocks) -> None:
+        """Nothing is fitted."""
+
     def fit_cuts(self, clocks: StageClocks) -> None:
         """No model of the cuts is needed."""
 
@@ -81,6 +84,9 @@ class Unweighted:
     name = "none"
     is_imputed = False
     outcome_covariates = None
+
+    def looks_at(self, clocks: StageClocks) -> None:
+        """Nothing is fitted."""
 
     def fit_cuts(self, clocks: StageClocks) -> None:
         """No model of the cuts is asked for."""

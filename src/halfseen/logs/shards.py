@@ -1,0 +1,213 @@
+"""Shards of a folder of logs: whole paths that stand one after another, which can be read alone, by anyone."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute
+
+from halfseen.errors import LogError
+from halfseen.logs.folder import opened_table
+from halfseen.logs.logs import Logs
+from halfseen.logs.place import Place
+from halfseen.logs.refusal import within
+
+MOST_PARTS = 64
+"""Of a shard; a worker that is lost takes with it what it was to read."""
+NUM_SHARDS = 64
+"""Of a log with enough parts, at least."""
+_ROWS_AT_ONCE = 65_536
+compute: Any = pyarrow.compute
+
+
+Tables = dict[str, pa.Table]
+"""By name."""
+
+
+class Part(NamedTuple):
+    """Paths that are held in memory at once."""
+
+    number: int
+    paths: tuple[int, int]
+    """Rows of the table of paths: the first, and the one after the last."""
+    rows: dict[str, tuple[int, int]]
+    """Of the other tables."""
+
+
+class Shard(NamedTuple):
+    """Parts that are read one after the other."""
+
+    number: int
+    parts: tuple[Part, ...]
+
+    @property
+    def paths(self) -> slice:
+        """Rows of the table of paths."""
+        return slice(self.parts[0].paths[0], self.parts[-1].paths[1])
+
+
+class Folder(NamedTuple):
+    """A folder of logs, as far as a worker needs to know it."""
+
+    place: Place
+    num_rows: dict[str, int]
+    reward_unit: str | None
+
+
+class ShardReader:
+    """Reads parts of a folder, each from the groups of rows that hold it.
+
+    Parameters
+    ----------
+    folder
+        The folder.
+    """
+
+    def __init__(self, folder: Folder) -> None:
+        self._folder = folder
+        self._tables = {name: _Table(folder, name) for name in folder.num_rows}
+
+    def read(self, part: Part) -> Logs:
+        """Read a part.
+
+        Raises
+        ------
+        LogError
+            A file is broken, or the part is; the path is named.
+        """
+        return logs_of(self._folder, [self.tables(part)])
+
+    def tables(self, part: Part, kept: np.ndarray | None = None) -> Tables:
+        """Read a part, or some of its paths, and check nothing.
+
+        Parameters
+        ----------
+        part
+            Which.
+        kept
+            Numbers of the paths to keep, counted from the beginning of the part; None for all.
+        """
+        tables = {name: self._tables[name].rows(*ends) for name, ends in {**part.rows, "paths": part.paths}.items()}
+        if kept is None:
+            return tables
+        names = tables["paths"]["path"].take(kept)
+        return {name: table.filter(compute.is_in(table["path"], names)) for name, table in tables.items()}
+
+
+def logs_of(folder: Folder, parts: Sequence[Tables]) -> Logs:
+    """Make a log of the tables of some parts.
+
+    Raises
+    ------
+    LogError
+        It is broken; the path is named.
+    """
+    tables: dict[str, Any] = {name: pa.concat_tables([part[name] for part in parts]) for name in folder.num_rows}
+    with within(folder.place):
+        return Logs(**tables, reward_unit=folder.reward_unit)
+
+
+class _Table:
+    def __init__(self, folder: Folder, name: str) -> None:
+        self._where = f"{folder.place / name}.parquet"
+        self._file = opened_table(folder.place, name, folder.num_rows[name])
+        sizes = [self._file.metadata.row_group(group).num_rows for group in range(self._file.num_row_groups)]
+        self._begin = np.concatenate([[0], np.cumsum(sizes, dtype=np.int64)])
+        self._held: tuple[int, pa.Table] | None = None
+
+    def rows(self, begin: int, end: int) -> pa.Table:
+        first = int(np.searchsorted(self._begin, begin, side="right")) - 1
+        last = int(np.searchsorted(self._begin, end, side="left"))
+        groups = [self._group(group) for group in range(first, last)]
+        return pa.concat_tables(groups).slice(begin - int(self._begin[first]), end - begin)
+
+    def _group(self, group: int) -> pa.Table:
+        if self._held is None or self._held[0] != group:
+            try:
+                self._held = group, self._file.read_row_group(group)
+            except (OSError, pa.ArrowException) as error:
+                raise LogError(f"{self._where}: it is no whole Parquet file ({error}); write the logs again") from error
+        return self._held[1]
+
+
+def shards_of(folder: Folder, paths_at_once: int) -> list[Shard]:
+    """Deal the parts of a folder into shards, by its size alone.
+
+    Parameters
+    ----------
+    folder
+        The folder, whose tables are sorted by path.
+    paths_at_once
+        Paths of a part.
+
+    Raises
+    ------
+    LogError
+        A table has not as many paths, one after another, as that of the paths.
+    """
+    num_paths = folder.num_rows["paths"]
+    of_paths = np.minimum(np.arange(0, num_paths + paths_at_once, paths_at_once), num_paths)
+    begins = {name: _begins(folder, name, paths_at_once) for name in folder.num_rows if name != "paths"}
+    parts = [
+        Part(
+            number,
+            (int(of_paths[number]), int(of_paths[number + 1])),
+            {name: (int(begin[number]), int(begin[number + 1])) for name, begin in begins.items()},
+        )
+        for number in range(-(-num_paths // paths_at_once))
+    ]
+    size = min(max(len(parts) // NUM_SHARDS, 1), MOST_PARTS)
+    groups = [parts[first : first + size] for first in range(0, len(parts), size)]
+    return [Shard(number, tuple(group)) for number, group in enumerate(groups)]
+
+
+def _begins(folder: Folder, name: str, paths_at_once: int) -> np.ndarray:
+    """Rows of a table in which parts begin, and the number of its rows."""
+    found, num_paths, num_rows, last = [], 0, 0, None
+    for column in columns_of(folder, name, ["path"]):
+        is_new = np.ones(len(column), dtype=bool)
+        values = column["path"]
+        differs = compute.fill_null(compute.not_equal(values.slice(1), values.slice(0, len(values) - 1)), True)
+        is_new[1:] = differs.to_numpy(zero_copy_only=False)
+        is_new[0] = last is None or values[0].as_py() != last
+        at = np.flatnonzero(is_new)
+        numbers = num_paths + np.arange(len(at))
+        found.append(num_rows + at[numbers % paths_at_once == 0])
+        num_paths, num_rows, last = num_paths + len(at), num_rows + len(column), values[-1].as_py()
+    if num_paths != folder.num_rows["paths"]:
+        raise LogError(
+            f"{folder.place / name}.parquet: the rows of its paths do not stand together, or a path has none; write "
+            "the logs by Logs.write or write_stream, which sort them"
+        )
+    return np.concatenate([*found, [num_rows]])
+
+
+def columns_of(folder: Folder, name: str, columns: list[str] | None = None) -> Iterator[pa.RecordBatch]:
+    """Read some columns of a table, or all, batch by batch.
+
+    Raises
+    ------
+    LogError
+        The file is missing or broken.
+    """
+    file = opened_table(folder.place, name, folder.num_rows[name])
+    try:
+        yield from (batch for batch in file.iter_batches(_ROWS_AT_ONCE, columns=columns) if len(batch))
+    except (OSError, pa.ArrowException) as error:
+        raise LogError(
+            f"{folder.place / name}.parquet: it is no whole Parquet file ({error}); write it again"
+        ) from error
+
+
+def tables_of_size(batches: Iterable[pa.RecordBatch], size: int) -> Iterator[pa.Table]:
+    """Put batches together, and cut them into tables of as many rows each, but for the last one."""
+    held: list[pa.RecordBatch] = []
+    for batch in batches:
+        held.append(batch)
+        while sum(map(len, held)) >= size:
+            table = pa.Table.from_batches(held)
+            yield table.slice(0, size)
+            held = table.slice(size).to_batches()
+    if held:
+        yield pa.Table.from_batches(held)

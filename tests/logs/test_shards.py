@@ -1,0 +1,82 @@
+"""Shards of a folder of logs, each read alone, are the log; who is out of place is told with its path."""
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+from test_log_stream import log_of
+
+from halfseen.errors import LogError
+from halfseen.logs import Logs, LogStream, shards
+from halfseen.logs.shards import ShardReader, logs_of
+
+
+def named(logs):
+    """The same with paths that have names."""
+    tables = {name: table.assign(path=table["path"].map("p{:03d}".format)) for name, table in logs.tables.items()}
+    return Logs(**tables)
+
+
+@pytest.mark.parametrize("kind", [log_of, lambda paths: log_of(paths, has_objects=True), lambda p: named(log_of(p))])
+@pytest.mark.parametrize(("paths_at_once", "rows_in_group"), [(1, 3), (4, 7), (10, 100), (100, 5)])
+def test_shards_put_together_are_the_log(tmp_path, monkeypatch, kind, paths_at_once, rows_in_group):
+    monkeypatch.setattr("halfseen.logs.folder.ROWS_IN_GROUP", rows_in_group)
+    monkeypatch.setattr(shards, "_ROWS_AT_ONCE", 3)
+    monkeypatch.setattr(shards, "NUM_SHARDS", 3)
+    logs = kind(range(23))
+    logs.write(tmp_path / "logs")
+    stream = LogStream(tmp_path / "logs", paths_at_once)
+    dealt, reader = stream.shards(), ShardReader(stream.as_folder)
+    parts = [part for shard in dealt for part in shard.parts]
+    assert [part.number for part in parts] == list(range(-(-23 // paths_at_once)))
+    assert len(dealt) >= min(3, len(parts))
+    # The last comes first: nothing that was read before is needed.
+    found = [reader.read(part) for part in reversed(parts)][::-1]
+    for name, table in logs.tables.items():
+        together = pd.concat([part.tables[name] for part in found], ignore_index=True)
+        pd.testing.assert_frame_equal(together, table, check_dtype=False)
+    some = logs_of(stream.as_folder, [reader.tables(part, np.array([0])) for part in parts])
+    assert some.path_ids.tolist() == [part.path_ids[0] for part in found]
+    assert some.num_stages == 2 * len(parts)
+
+
+def read_all(folder):
+    stream = LogStream(folder, 5)
+    reader = ShardReader(stream.as_folder)
+    return [reader.read(part) for shard in stream.shards() for part in shard.parts]
+
+
+def test_paths_that_stand_apart_are_told(tmp_path):
+    log_of(range(10)).write(tmp_path / "logs")
+    file = tmp_path / "logs" / "stages.parquet"
+    table = pq.read_table(file)
+    pq.write_table(table.take([*range(18), 0, 1]), file)
+    with pytest.raises(LogError, match=r"logs: path 0, stage 1: paths has no such path"):
+        read_all(tmp_path / "logs")
+    pq.write_table(table.take([0, 2, 1, 3, *range(4, 20)]), file)
+    with pytest.raises(LogError, match=r"stages\.parquet: the rows of its paths do not stand together"):
+        read_all(tmp_path / "logs")
+
+
+def test_a_broken_part_is_told_with_its_folder_and_its_path(tmp_path):
+    log_of(range(10)).write(tmp_path / "logs")
+    file = tmp_path / "logs" / "stages.parquet"
+    table = pq.read_table(file).to_pandas()
+    table.loc[15, "reward"] = np.nan
+    table.to_parquet(file, index=False)
+    stream = LogStream(tmp_path / "logs", 5)
+    reader = ShardReader(stream.as_folder)
+    first, second = [part for shard in stream.shards() for part in shard.parts]
+    assert reader.read(first).num_paths == 5
+    with pytest.raises(LogError, match=r"logs: path 7, stage 2: the stage is completed, yet its reward is nan"):
+        reader.read(second)
+
+
+def test_a_table_of_paths_out_of_order_is_refused(tmp_path):
+    log_of(range(10)).write(tmp_path / "logs")
+    file = tmp_path / "logs" / "paths.parquet"
+    table = pq.read_table(file)
+    for rows in ([1, 0, *range(2, 10)], [*range(5), 4, *range(6, 10)]):
+        pq.write_table(table.take(rows), file)
+        with pytest.raises(LogError, match=r"paths\.parquet is not sorted|in paths twice"):
+            LogStream(tmp_path / "logs", 5)
