@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 
 from halfseen.censoring import StageClocks
 from halfseen.censoring.stage_clocks import stacked
+from halfseen.learners.memory import give_back
 from halfseen.learners.q_learning.kept_parts import KeptParts, Told
 from halfseen.learners.q_learning.part_rows import PartRows, part_rows
 from halfseen.learners.q_learning.path_arrays import PathArrays
@@ -140,6 +141,8 @@ def look_at(told: Told, shard: Shard) -> Look:
         found = work.model.targets.looks_at(paths.clocks)
         clocks += [] if found is None else [found]
     assert support is not None
+    # This process may wait for long now, while another compiles.
+    give_back()
     return Look(support, stacked(clocks) if clocks else None)
 
 

@@ -107,6 +107,7 @@ def fit_stream(model: QModel, stream: LogStream, has_choice: bool = False, worke
         model = model.with_task(stream, sample)
         model = passes.looked_at(model)
         paths = model.lay_out(sample)
+        give_back()
         model = model.with_kernel(paths).with_behaviour(paths).with_durations(paths)
         model, chosen = with_stages(model, paths) if has_choice else (model, model.chosen)
         give_back()
