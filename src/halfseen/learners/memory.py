@@ -1,11 +1,14 @@
-"""Memory that a compiler leaves behind."""
+"""Memory that others leave behind."""
 
 import ctypes
 import sys
 
 
 def give_back() -> None:
-    """Hand what was freed back to the system: after XLA has compiled a large program, some hundred megabytes."""
+    """Hand what was freed back to the system: what Arrow has read, and some hundred megabytes where XLA compiled."""
+    arrow = sys.modules.get("pyarrow")
+    if arrow is not None:
+        arrow.default_memory_pool().release_unused()
     if sys.platform == "linux":
         # Other libraries of C do so by themselves, or cannot be told to.
         trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
