@@ -26,6 +26,13 @@ def squared(number: int) -> int:
     return number**2
 
 
+def as_bytes(function: bytes) -> np.ndarray:
+    return np.frombuffer(function, dtype=np.uint8)
+
+
+NOTHING = as_bytes(b"")
+
+
 def drawn(number: int) -> bytes:
     """Sums of which the bits depend on the number of threads that add up."""
     rows = np.random.default_rng(number).normal(size=(300, 300))
@@ -190,14 +197,15 @@ def test_workers_that_there_cannot_be_are_refused(told, words):
 def test_other_versions_are_told_by_name():
     asker = home()
     asker = asker._replace(versions={**asker.versions, "numpy": "1.0"})
-    assert f"numpy {np.__version__} instead of 1.0; install the same" in str(made(asker, b"", 0, 0).error)
+    assert f"numpy {np.__version__} instead of 1.0; install the same" in str(made(asker, NOTHING, 0, 0).error)
 
 
 def test_a_compiler_that_was_set_otherwise_is_told(monkeypatch):
     pytest.importorskip("jax")
     monkeypatch.setenv("XLA_FLAGS", "--here")
     asker = Home(home().versions, {"XLA_FLAGS": "--there"})
-    assert "compiled with XLA_FLAGS='--here' already, and is asked for '--there'" in str(made(asker, b"", 0, 0).error)
+    told = str(made(asker, NOTHING, 0, 0).error)
+    assert "compiled with XLA_FLAGS='--here' already, and is asked for '--there'" in told
 
 
 def test_a_worker_takes_over_settings_and_drops_its_own(monkeypatch):
@@ -205,11 +213,11 @@ def test_a_worker_takes_over_settings_and_drops_its_own(monkeypatch):
         monkeypatch.setenv(name, value)
     asker = Home(home().versions, {"XLA_FLAGS": "--theirs", "JAX_PLATFORMS": "", "JAX_THERE_ALONE": "2"})
     monkeypatch.setenv("JAX_THERE_ALONE", "")  # so that it is put back afterwards
-    assert made(asker, cloudpickle.dumps(squared), 0, 3).result == 9
+    assert made(asker, as_bytes(cloudpickle.dumps(squared)), 0, 3).result == 9
     assert home().settings == asker.settings
 
 
 def test_what_a_worker_cannot_import_is_told():
-    packed = b"cnowhere_at_all\nsquared\n."
-    told = str(made(home(), packed, 0, 0).error)
+    function = as_bytes(b"cnowhere_at_all\nsquared\n.")
+    told = str(made(home(), function, 0, 0).error)
     assert told.startswith("a worker cannot import nowhere_at_all, which is needed here; install it there")

@@ -29,7 +29,7 @@ class StageClocks(NamedTuple):
         """Paths of which nothing is known but their ends; what is not known takes no memory."""
         shape = (len(end_s), 1)
         return cls(
-            path_ids=np.broadcast_to(None, len(end_s)),
+            path_ids=np.broadcast_to(np.array(None), len(end_s)),
             elapsed_s=np.broadcast_to(np.nan, shape),
             end_s=end_s,
             is_finished=is_finished,

@@ -9,6 +9,8 @@ from functools import cache, lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, NamedTuple
 
+import numpy as np
+from jaxtyping import UInt8
 from threadpoolctl import threadpool_limits
 
 from halfseen.errors import HalfseenError, WorkerError
@@ -64,11 +66,11 @@ def _settings() -> dict[str, str]:
     return {name: value for name, value in told.items() if not name.startswith(HERE)}
 
 
-def made(asker: Home, function: bytes, number: int, piece: Any) -> Outcome:
+def made(asker: Home, function: UInt8[np.ndarray, " bytes"], number: int, piece: Any) -> Outcome:
     """Make a piece, in a worker; errors that a user can mend are sent back as they are."""
     try:
         _be_like(asker)
-        return Outcome(number, result_of(_function(function), piece))
+        return Outcome(number, result_of(_function(function.tobytes()), piece))
     except HalfseenError as error:
         return Outcome(number, None, error)
     except MemoryError:

@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, TypeVar
 
 import cloudpickle
+import numpy as np
+from jaxtyping import UInt8
 from joblib import Parallel, delayed, parallel_config
 
 from halfseen.errors import WorkerError
@@ -92,7 +94,8 @@ class Pool:
     ) -> Iterator[tuple[int, Result]]:
         """Have workers make what is left."""
         num_lost, lost = 0, None
-        packed = cloudpickle.dumps(function)
+        # As an array, so that joblib hands processes of this machine a large one by its memory, and not by their pipes.
+        packed = np.frombuffer(cloudpickle.dumps(function), dtype=np.uint8)
         while left:
             try:
                 for number, result in _round(engine, packed, left):
@@ -119,7 +122,7 @@ class Pool:
                 following += 1
 
 
-def _round(engine: Engine, function: bytes, left: Mapping[int, Any]) -> Iterator[tuple[int, Any]]:
+def _round(engine: Engine, function: UInt8[np.ndarray, " bytes"], left: Mapping[int, Any]) -> Iterator[tuple[int, Any]]:
     """Make what is left, until all is made or a worker is lost."""
     # With one job joblib would make the pieces in this process, which a piece then could end.
     with parallel_config(engine.backend, n_jobs=max(engine.num_workers, 2), **engine.told):

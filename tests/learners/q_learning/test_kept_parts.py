@@ -1,12 +1,11 @@
 """Parts that are kept on disk come back as they were, and what cannot be kept is laid out anew."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from halfseen.learners.q_learning import kept_parts
-from halfseen.learners.q_learning.kept_parts import KeptParts, num_bytes_of, told
+from halfseen.learners.q_learning.array_trees import num_bytes_of
+from halfseen.learners.q_learning.kept_parts import KeptParts
 from halfseen.learners.q_learning.part_rows import PartRows
 
 
@@ -73,15 +72,15 @@ def test_what_has_no_room_is_made_in_each_pass(tmp_path):
 
 
 def test_a_disk_that_is_full_keeps_nothing_of_a_part(tmp_path, monkeypatch):
-    maker, kept, write = Maker(), KeptParts(str(tmp_path), True, 10**6), Path.write_bytes
+    maker, kept, write = Maker(), KeptParts(str(tmp_path), True, 10**6), kept_parts.write_tree
 
-    def until_full(path, data):
-        if "rows-1" in path.name:
-            write(path, data[:7])
+    def until_full(file, tree):
+        write(file, tree)
+        if "rows-1" in file.name:
+            file.write_bytes(file.read_bytes()[:7])
             raise OSError(28, "No space left on device")
-        return write(path, data)
 
-    monkeypatch.setattr(Path, "write_bytes", until_full)
+    monkeypatch.setattr(kept_parts, "write_tree", until_full)
     for _ in range(2):
         read_all(kept, maker)
     assert maker.made == [0, 1, 2, 1]
@@ -94,11 +93,3 @@ def test_nothing_is_left_on_the_disk(monkeypatch, tmp_path):
         read_all(kept, Maker())
         assert list(tmp_path.iterdir())
     assert not list(tmp_path.iterdir())
-
-
-def test_what_is_told_comes_from_a_file_only_where_others_share_it(tmp_path):
-    shared, apart = KeptParts(str(tmp_path), True, 1), KeptParts("other", False, 1)
-    assert told({"a": 1}, shared, is_alone=False).value == {"a": 1}
-    assert len(list(tmp_path.iterdir())) == 1
-    assert told({"a": 1}, shared, is_alone=True).value == told({"a": 1}, apart, is_alone=False).value == {"a": 1}
-    assert len(list(tmp_path.iterdir())) == 1

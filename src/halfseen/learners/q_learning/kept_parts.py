@@ -4,7 +4,6 @@ What cannot be kept is no loss but of time: whoever asks lays it out anew, to th
 """
 
 import os
-import pickle
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,18 +11,15 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, TypeVar
 from uuid import uuid4
 
-import cloudpickle
 import numpy as np
 
+from halfseen.learners.q_learning.array_trees import Tree, num_bytes_of, read_tree, write_tree
 from halfseen.learners.q_learning.part_rows import PartRows
 
 MOST_SHARE = 0.5
 """Of the room that there is on the disk, for all that is kept of a log."""
-
-_Any = TypeVar("_Any")
 
 
 @dataclass(frozen=True)
@@ -44,7 +40,7 @@ class KeptParts:
     is_shared: bool
     most_bytes: int
 
-    def found(self, kind: str, number: int, anew: Callable[[], _Any]) -> _Any:
+    def found(self, kind: str, number: int, anew: Callable[[], Tree]) -> Tree:
         """Read a part, or make it and keep it, where there is room."""
         file = self._folder / f"{kind}-{number}"
         known = _read(file)
@@ -54,12 +50,12 @@ class KeptParts:
         self.keep(kind, number, made)
         return made
 
-    def keep(self, kind: str, number: int, part: Any) -> None:
+    def keep(self, kind: str, number: int, part: Tree) -> None:
         """Keep a part, if there is room; what is there already is replaced."""
         if num_bytes_of(part) <= self.most_bytes:
             _write(self._folder / f"{kind}-{number}", part)
 
-    def read(self, kind: str, number: int) -> Any:
+    def read(self, kind: str, number: int) -> Tree:
         """Read what is kept of a part; None if nothing is."""
         return _read(self._folder / f"{kind}-{number}")
 
@@ -90,52 +86,12 @@ def kept_parts(num_parts: int, is_shared: bool = True) -> Iterator[KeptParts]:
         yield KeptParts(name if is_shared else uuid4().hex, is_shared, most)
 
 
-@dataclass(frozen=True)
-class Told:
-    """What all workers are told; those of this machine read it from a file, as it is too much for every message.
-
-    Parameters
-    ----------
-    packed
-        The thing, or the file that holds it.
-    """
-
-    packed: Any
-
-    @property
-    def value(self) -> Any:
-        """The thing."""
-        return _unpacked(self.packed) if isinstance(self.packed, Path) else self.packed
-
-
-def told(thing: Any, kept: KeptParts, is_alone: bool) -> Told:
-    """Tell something, to this process alone or to others."""
-    if is_alone or not kept.is_shared:
-        return Told(thing)
-    file = Path(kept.name) / f"told-{uuid4().hex}"
-    file.write_bytes(cloudpickle.dumps(thing))
-    return Told(file)
-
-
-@lru_cache(maxsize=1)
-def _unpacked(file: Path) -> Any:
-    return pickle.loads(file.read_bytes())
-
-
 @lru_cache(maxsize=1)
 def _own_folder(name: str) -> TemporaryDirectory:
     return TemporaryDirectory(prefix="halfseen-")
 
 
-def num_bytes_of(part: Any) -> int:
-    """Bytes of the arrays of a part."""
-    if isinstance(part, np.ndarray):
-        # Arrays that repeat themselves are written out.
-        return part.nbytes
-    return sum(map(num_bytes_of, part)) if isinstance(part, tuple) else 0
-
-
-def _write(file: Path, part: Any) -> None:
+def _write(file: Path, part: Tree) -> None:
     """Write a part whole; if the disk is full, nothing of it is left."""
     matrix = None
     if isinstance(part, PartRows):
@@ -146,18 +102,18 @@ def _write(file: Path, part: Any) -> None:
         if matrix is not None:
             np.save(beside.with_suffix(".npy"), matrix, allow_pickle=False)
             beside.with_suffix(".npy").replace(_matrix_of(file))
-        beside.write_bytes(pickle.dumps(part, protocol=5))
+        write_tree(beside, part)
         beside.replace(file)
     except OSError:
         for each in (beside, beside.with_suffix(".npy"), _matrix_of(file)):
             each.unlink(missing_ok=True)
 
 
-def _read(file: Path) -> Any:
+def _read(file: Path) -> Tree:
     try:
-        part = pickle.loads(file.read_bytes())
+        part = read_tree(file)
         if isinstance(part, PartRows):
-            part = part._replace(matrix=np.load(_matrix_of(file), mmap_mode="r"))
+            part = part._replace(matrix=np.load(_matrix_of(file), mmap_mode="r", allow_pickle=False))
     except FileNotFoundError:
         return None
     return part

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from halfseen.censoring import StageClocks
 from halfseen.censoring.stage_clocks import stacked
 from halfseen.learners.memory import give_back
-from halfseen.learners.q_learning.kept_parts import KeptParts, Told
+from halfseen.learners.q_learning.kept_parts import KeptParts
 from halfseen.learners.q_learning.part_rows import PartRows, part_rows
 from halfseen.learners.q_learning.path_arrays import PathArrays
 from halfseen.learners.q_learning.q_model import QModel
@@ -131,9 +131,8 @@ class Look(NamedTuple):
     """What Ĝ is fitted to, beyond the ends of the paths; None if nothing."""
 
 
-def look_at(told: Told, shard: Shard) -> Look:
-    """Read, check and lay out a shard for the first time, as the `ShardWork` that is told says."""
-    work: ShardWork = told.value
+def look_at(work: ShardWork, shard: Shard) -> Look:
+    """Read, check and lay out a shard for the first time."""
     support, clocks = None, []
     for _, paths in work.paths_of(shard):
         here = work.model.support_in(paths)
@@ -176,9 +175,8 @@ class Ask(NamedTuple):
     """Whether the next step looks at the same states."""
 
 
-def sums_of(told: Told, ask: Ask, dealt: Dealt) -> Sums:
-    """Sum a shard up for one backward step, as the `ShardWork` that is told says."""
-    work: ShardWork = told.value
+def sums_of(work: ShardWork, ask: Ask, dealt: Dealt) -> Sums:
+    """Sum a shard up for one backward step."""
     total, weights, rows = None, [], None
     for part, rows, weight in work.packed(*dealt) if ask.is_first else work.rows_of(*dealt):
         weights.append(weight)

@@ -21,7 +21,7 @@ from halfseen.censoring.diagnostics import WeightTally
 from halfseen.censoring.stage_clocks import stacked
 from halfseen.learners.memory import give_back
 from halfseen.learners.q_learning.fitting import in_float64
-from halfseen.learners.q_learning.kept_parts import KeptParts, Told, kept_parts, told
+from halfseen.learners.q_learning.kept_parts import KeptParts, kept_parts
 from halfseen.learners.q_learning.part_rows import ENDED, FOLLOWING, GOING_ON
 from halfseen.learners.q_learning.q_model import QModel, refuse_all_cut, refuse_too_few
 from halfseen.learners.q_learning.q_space import CrossValidation
@@ -142,7 +142,7 @@ class _Log:
     def looked_at(self, model: QModel) -> QModel:
         """Look at all shards for the first time; fit Ĝ, and see what was completed."""
         support, clocks = None, []
-        for look in self._pool.in_order(partial(look_at, self._told(model)), self._shards):
+        for look in self._pool.in_order(partial(look_at, self._work(model)), self._shards):
             support = look.support if support is None else support.plus(look.support)
             clocks += [] if look.clocks is None else [look.clocks]
         of_ends = StageClocks.of_ends(self._stream.end_s, self._stream.is_finished)
@@ -161,12 +161,12 @@ class _Log:
         num_passes = model.horizon + (is_pooled and model.task.end_action is not None)
         fold = model.folds(num_paths).astype(np.min_scalar_type(-model.options(num_paths).num_folds))
         dealt = [Dealt(shard, fold[shard.paths]) for shard in self._shards]
-        known, bound = self._told(model), None if model.cut_model is None else model.cut_model.truncate_at
+        work, bound = self._work(model), None if model.cut_model is None else model.cut_model.truncate_at
         tally = WeightTally(bound)
         with in_float64(), StoredRows((num_paths, model.horizon)) as weights:
 
             def ask(ask: Ask) -> Iterator[Sums]:
-                for sums in self._pool.in_order(partial(sums_of, known, ask), dealt):
+                for sums in self._pool.in_order(partial(sums_of, work, ask), dealt):
                     if sums.weight is not None:
                         weights.add(sums.weight)
                         tally.add(sums.weight)
@@ -182,9 +182,6 @@ class _Log:
 
     def _work(self, model: QModel) -> ShardWork:
         return ShardWork(self._stream.as_folder, model, self._stream.num_paths, self._kept)
-
-    def _told(self, model: QModel) -> Told:
-        return told(self._work(model), self._kept, self._pool.num_workers == 1)
 
 
 class Passes:

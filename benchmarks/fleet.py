@@ -1,0 +1,40 @@
+"""What the logs of a fleet would take, on paper: from what `streaming.py --keep` measured.
+
+python benchmarks/fleet.py
+
+It prints the sentences of the guide, which tests/docs/test_fleet.py compares.
+"""
+
+import json
+
+from streaming import KEPT, slope_of
+
+NUM_STAGES, NUM_MACHINES, NUM_CORES = 10_000_000_000, 100, 2
+NAMES = {"paper": "eq. 3 of the paper", "default": "the default"}
+
+
+def hours(cpu_s):
+    """On all cores of all machines."""
+    return NUM_STAGES * cpu_s / (NUM_MACHINES * NUM_CORES) / 3600.0
+
+
+def sentences(results):
+    """What the guide says, a recipe a sentence."""
+    told = []
+    for recipe, name in NAMES.items():
+        kept, memory = slope_of(results, recipe)
+        forgotten, _ = slope_of(results, recipe, is_kept=False)
+        told.append(
+            f"By {name} a stage more takes {1e6 * kept:.1f} µs of a core and {memory:.0f} bytes: "
+            f"{hours(kept):.1f} hours and {NUM_STAGES * memory / 1e9:.0f} GB. Where nothing is kept between passes it "
+            f"is {1e6 * forgotten:.1f} µs, and {hours(forgotten):.1f} hours."
+        )
+    return told
+
+
+def main():
+    print("\n".join(sentences(json.loads(KEPT.read_text()))))
+
+
+if __name__ == "__main__":
+    main()
