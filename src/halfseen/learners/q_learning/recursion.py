@@ -255,7 +255,8 @@ def _backward_separate(
 def _backward_pooled(log: Transitions, regression: Regression, end_action: int | None, horizon: int) -> QFunctions:
     """All stages' rows at each number of steps to go: none, if the horizon forces an action upon a path, then one."""
     of_longer = jnp.where(goes_on(log, end_action), log.weight, 0.0)
-    both = jax.vmap(lambda weight: regression.prepare(log, weight))(jnp.stack([log.weight, of_longer]))
+    # One after the other: both at once would take twice the memory.
+    both = jax.lax.map(lambda weight: regression.prepare(log, weight), jnp.stack([log.weight, of_longer]))
     num_coefficients = log.features.shape[-1] + 1
 
     def advance(carry: tuple[Float[Array, "n T"], Float[Array, "K F"]], steps_to_go: Int[Array, ""]):

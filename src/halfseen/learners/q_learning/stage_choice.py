@@ -33,6 +33,10 @@ CLEARLY = 2.0
 """Standard errors by which separate stages must predict better."""
 
 
+_SOONER = {"xla_cpu_use_fusion_emitters": False}
+"""How XLA compiles in less time and memory a program that runs but twice."""
+
+
 class StageChoice(NamedTuple):
     """How stages are treated, and why.
 
@@ -114,7 +118,7 @@ def _compiled(options: BackwardOptions, *arrays: Any) -> Callable[..., Any]:
 
 @lru_cache(maxsize=64)
 def _compiled_for(options: BackwardOptions, shapes: tuple[Any, ...], structure: Any) -> Callable[..., Any]:
-    compiled = _gains.lower(*jax.tree.unflatten(structure, shapes), options=options).compile()
+    compiled = _gains.lower(*jax.tree.unflatten(structure, shapes), options=options).compile(_SOONER)
     give_back()
     return compiled
 
