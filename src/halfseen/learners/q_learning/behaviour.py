@@ -20,6 +20,9 @@ from halfseen.learners.q_learning.path_arrays import PathArrays
 RIDGE = 1.0
 """Penalty ½·RIDGE·‖β‖² on features of unit variance, beside a log-likelihood that is summed over rows."""
 
+_MOST_STEPS, _LEAST_SHARE, _TOLERANCE, _FLAT = 100, 1e-6, 1e-12, 1e-10
+"""Newton's steps, the least share of one, and the fall of the loss, as a share of it, that ends them."""
+
 
 def behaviour_of(paths: PathArrays, blocks: Int[np.ndarray, " A"]) -> Float[np.ndarray, "K F"]:
     """Fit the behaviour policy to all stages of a log whose action is known: coefficients, the offset first.
@@ -89,27 +92,55 @@ def _fitted_logit(
     blocks: Int[np.ndarray, " A"],
     weight: Float[np.ndarray, " rows"],
 ) -> Float[np.ndarray, "K F"]:
-    """Coefficients of each block, the offset first."""
-    membership = (np.arange(int(blocks.max()) + 1)[:, None] == blocks).astype(np.float64)
-    row = np.arange(len(taken))
-    shape = (len(membership), design.shape[-1])
+    """Coefficients of each block, the offset first, by Newton's steps, halved until the loss falls."""
+    members = [np.flatnonzero(blocks == k) for k in range(int(blocks.max()) + 1)]
+    parts = [np.ascontiguousarray(design[:, some]) for some in members]
+    row, num_features = np.arange(len(taken)), design.shape[-1]
+    penalty = RIDGE * np.tile(np.arange(num_features) > 0, len(members))
 
-    def loss(flat: np.ndarray) -> tuple[float, np.ndarray]:
-        beta = flat.reshape(shape)
-        of_block = design @ beta.T
-        utility = np.where(is_possible, of_block[:, np.arange(len(blocks)), blocks], -np.inf)
+    def judged(beta: np.ndarray) -> tuple[float, np.ndarray]:
+        """Loss, and how likely each action is."""
+        utility = np.empty(is_possible.shape)
+        for some, part, of_block in zip(members, parts, beta.reshape(len(members), -1), strict=True):
+            utility[:, some] = part @ of_block
+        utility = np.where(is_possible, utility, -np.inf)
         log_probability = utility - logsumexp(utility, axis=1, keepdims=True)
-        miss = np.exp(log_probability)
+        loss = -(weight * log_probability[row, taken]).sum() + 0.5 * float(penalty @ beta**2)
+        return loss, np.exp(log_probability)
+
+    beta = np.zeros(len(members) * num_features)
+    loss, probability = judged(beta)
+    for _ in range(_MOST_STEPS):
+        miss = probability.copy()
         miss[row, taken] -= 1.0
-        of_block = (membership[:, None] * (weight[:, None] * miss)).reshape(shape[0], -1)
-        slope = of_block @ design.reshape(-1, shape[1])
-        penalty = beta.copy()
-        penalty[:, 0] = 0.0
-        value = -(weight * log_probability[row, taken]).sum() + 0.5 * RIDGE * float((penalty**2).sum())
-        return value, (slope + RIDGE * penalty).ravel()
+        slope = penalty * beta + np.concatenate(
+            [np.einsum("ra,raf->f", weight[:, None] * miss[:, m], part) for m, part in zip(members, parts, strict=True)]
+        )
+        curvature = _curvature([probability[:, some] for some in members], parts, weight) + np.diag(penalty)
+        # The loss may be flat along offsets: there the slope is 0, and so is the step.
+        step = np.linalg.solve(curvature + _FLAT * np.diag(np.maximum(np.diag(curvature), 1.0)), slope)
+        fall, share = float(slope @ step), 1.0
+        if fall <= _TOLERANCE * (1.0 + loss):
+            break
+        found = judged(beta - step)
+        while share > _LEAST_SHARE and not found[0] <= loss - 0.25 * share * fall:
+            share /= 2.0
+            found = judged(beta - share * step)
+        if not found[0] < loss:
+            break
+        beta, (loss, probability) = beta - share * step, found
+    return beta.reshape(len(members), -1)
 
-    # A decision does not come here, and the import takes longer than it.
-    from scipy.optimize import minimize
 
-    fit = minimize(loss, np.zeros(shape[0] * shape[1]), jac=True, method="L-BFGS-B", options={"maxiter": 500})
-    return fit.x.reshape(shape)
+def _curvature(
+    probability: list[np.ndarray], parts: list[np.ndarray], weight: Float[np.ndarray, " rows"]
+) -> Float[np.ndarray, "P P"]:
+    """Σ w (Σ_a p_a x_a x_aᵀ − x̄ x̄ᵀ), x of the block of each action and x̄ = Σ_a p_a x_a."""
+    num_features = parts[0].shape[-1]
+    means = [np.matmul(p[:, None, :], part)[:, 0] for p, part in zip(probability, parts, strict=True)]
+    mean = np.concatenate(means, axis=1)
+    curvature = -(mean * weight[:, None]).T @ mean
+    for k, (p, part) in enumerate(zip(probability, parts, strict=True)):
+        flat, own = part.reshape(-1, num_features), slice(k * num_features, (k + 1) * num_features)
+        curvature[own, own] += flat.T @ (flat * (weight[:, None] * p).reshape(-1, 1))
+    return curvature
