@@ -191,11 +191,16 @@ def measured(num_stages, recipes, num_workers, is_kept):
     return found
 
 
+def is_judged(told):
+    """Whether the bars are meant for a log of this size."""
+    return BAR_STAGES <= told["num_stages"] < 2 * BAR_STAGES
+
+
 def show(told):
     print(f"{told['recipe']}: {told['num_stages']:,} stages of {told['num_paths']:,} paths, {told['file_mb']:.0f} MB")
     print(f"  learned in {told['seconds']:.0f} s ({told['cpu_s']:.0f} s of processors), {told['num_workers']} workers")
-    holds = "holds" if told["peak_gb"] < 1.0 else "missed"
-    print(f"  most memory {told['peak_gb']:.2f} GB (bar: 1 GB, {holds})")
+    bar = f" (bar: 1 GB, {'holds' if told['peak_gb'] < 1.0 else 'missed'})" if is_judged(told) else ""
+    print(f"  most memory {told['peak_gb']:.2f} GB{bar}")
     low, high = told["slopes_of_x0"]
     print(f"  slopes of x0 in the last stage: {low:+.4f}, {high:+.4f} (truth -1, +1)", flush=True)
 
@@ -239,7 +244,7 @@ def main():
             print(f"{recipe}: a million stages more take {1e6 * slope[0]:.1f} s of processors and {slope[1]:.0f} MB")
     rows = []
     for told in [] if args.forget else results:
-        bar_s = BAR_S if BAR_STAGES <= told["num_stages"] < 2 * BAR_STAGES else None
+        bar_s = BAR_S if is_judged(told) else None
         what = f"learning from {told['num_stages']:,} stages in passes, {NAMES[told['recipe']]}"
         rows.append(timings.Row(what, told["seconds"], "s", bar=bar_s))
     timings.write(args.out, results, rows)
