@@ -33,7 +33,7 @@ CLEARLY = 2.0
 """Standard errors by which separate stages must predict better."""
 
 
-_SOONER = {"xla_cpu_use_fusion_emitters": False}
+_SOONER: Any = {"xla_cpu_use_fusion_emitters": False}
 """How XLA compiles in less time and memory a program that runs but twice."""
 
 
