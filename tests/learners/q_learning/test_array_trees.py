@@ -58,7 +58,7 @@ def test_arrays_that_repeat_themselves_count_as_written_out():
     assert num_bytes_of((np.broadcast_to(0.0, (3, 4)), None, np.zeros(2, dtype=np.int8))) == 3 * 4 * 8 + 2
 
 
-@pytest.mark.parametrize("thing", [[1.0], {"a": 1}, 3, object()], ids=str)
+@pytest.mark.parametrize("thing", [[1.0], {"a": 1}, 3, pytest.param(object(), id="an object")], ids=str)
 def test_what_is_no_tree_is_refused(thing, tmp_path):
     with pytest.raises(TypeError, match="is no tree of arrays"):
         write_tree(tmp_path / "tree", (thing,))
