@@ -51,8 +51,10 @@ def test_it_agrees_with_the_rounds(loss, reg, monkeypatch):
     monkeypatch.setattr(solver, "_solve_from_inside", lambda *_: None)
     by_rounds = solve(given)
     assert inside.relative_gap <= 1e-8
-    assert inside.objective - by_rounds.objective <= inside.gap + by_rounds.rounding
-    assert by_rounds.objective - inside.objective <= by_rounds.gap + inside.rounding
+    # Pulls that cancel but for 1e-11 of their sum count as cancelling, so a gap is no more exact than that.
+    slack = 1e-10 * by_rounds.objective
+    assert inside.objective - by_rounds.objective <= inside.gap + slack
+    assert by_rounds.objective - inside.objective <= by_rounds.gap + slack
 
 
 def test_what_it_leaves_is_mended_by_rounds(monkeypatch):
