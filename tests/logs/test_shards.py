@@ -21,7 +21,7 @@ def named(logs):
 @pytest.mark.parametrize(("paths_at_once", "rows_in_group"), [(1, 3), (4, 7), (10, 100), (100, 5)])
 def test_shards_put_together_are_the_log(tmp_path, monkeypatch, kind, paths_at_once, rows_in_group):
     monkeypatch.setattr("halfseen.logs.folder.ROWS_IN_GROUP", rows_in_group)
-    monkeypatch.setattr(shards, "_ROWS_AT_ONCE", 3)
+    monkeypatch.setattr(shards, "ROWS_IN_GROUP", 3)
     monkeypatch.setattr(shards, "NUM_SHARDS", 3)
     logs = kind(range(23))
     logs.write(tmp_path / "logs")

@@ -153,7 +153,7 @@ def opened_table(folder: Place, name: str, num_rows: int) -> pq.ParquetFile:
     except FileNotFoundError as error:
         raise LogError(f"{file}: it is missing; copy the whole folder, or write the logs again") from error
     except (OSError, pa.ArrowException) as error:
-        raise _broken(file, error) from error
+        raise broken_table(file, error) from error
     if opened.metadata.num_rows != num_rows:
         raise LogError(
             f"{file}: it has {opened.metadata.num_rows} rows where {MANIFEST} counts {num_rows}; files of two logs are "
@@ -166,9 +166,10 @@ def _read_table(folder: Place, name: str, num_rows: int) -> pd.DataFrame:
     try:
         return opened_table(folder, name, num_rows).read().to_pandas()
     except (OSError, pa.ArrowException) as error:
-        raise _broken(folder / f"{name}.parquet", error) from error
+        raise broken_table(folder / f"{name}.parquet", error) from error
 
 
-def _broken(file: Place, error: Exception) -> LogError:
+def broken_table(file: Place, error: Exception) -> LogError:
+    """Say that a table cannot be read, and why."""
     reason = str(error).splitlines()[0]
     return LogError(f"{file}: it is no whole Parquet file ({reason}); copy it again, or write the logs again")

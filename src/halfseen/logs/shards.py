@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.compute
 
 from halfseen.errors import LogError
-from halfseen.logs.folder import opened_table
+from halfseen.logs.folder import ROWS_IN_GROUP, broken_table, opened_table
 from halfseen.logs.logs import Logs
 from halfseen.logs.place import Place
 from halfseen.logs.refusal import within
@@ -17,7 +17,6 @@ MOST_PARTS = 64
 """Of a shard; a worker that is lost takes with it what it was to read."""
 NUM_SHARDS = 64
 """Of a log with enough parts, at least."""
-_ROWS_AT_ONCE = 65_536
 compute: Any = pyarrow.compute
 
 
@@ -110,7 +109,7 @@ def logs_of(folder: Folder, parts: Sequence[Tables]) -> Logs:
 
 class _Table:
     def __init__(self, folder: Folder, name: str) -> None:
-        self._where = f"{folder.place / name}.parquet"
+        self._file_name = folder.place / f"{name}.parquet"
         self._file = opened_table(folder.place, name, folder.num_rows[name])
         sizes = [self._file.metadata.row_group(group).num_rows for group in range(self._file.num_row_groups)]
         self._begin = np.concatenate([[0], np.cumsum(sizes, dtype=np.int64)])
@@ -127,7 +126,7 @@ class _Table:
             try:
                 self._held = group, self._file.read_row_group(group)
             except (OSError, pa.ArrowException) as error:
-                raise LogError(f"{self._where}: it is no whole Parquet file ({error}); write the logs again") from error
+                raise broken_table(self._file_name, error) from error
         return self._held[1]
 
 
@@ -193,11 +192,9 @@ def columns_of(folder: Folder, name: str, columns: list[str] | None = None) -> I
     """
     file = opened_table(folder.place, name, folder.num_rows[name])
     try:
-        yield from (batch for batch in file.iter_batches(_ROWS_AT_ONCE, columns=columns) if len(batch))
+        yield from (batch for batch in file.iter_batches(ROWS_IN_GROUP, columns=columns) if len(batch))
     except (OSError, pa.ArrowException) as error:
-        raise LogError(
-            f"{folder.place / name}.parquet: it is no whole Parquet file ({error}); write it again"
-        ) from error
+        raise broken_table(folder.place / f"{name}.parquet", error) from error
 
 
 def tables_of_size(batches: Iterable[pa.RecordBatch], size: int) -> Iterator[pa.Table]:

@@ -13,7 +13,15 @@ import pyarrow.parquet as pq
 from halfseen.arrays import RowMask, Rows
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs.columns import FINISHED, STAGE_COLUMNS
-from halfseen.logs.folder import MANIFEST, Manifest, opened_table, read_manifest, write_manifest
+from halfseen.logs.folder import (
+    MANIFEST,
+    ROWS_IN_GROUP,
+    Manifest,
+    broken_table,
+    opened_table,
+    read_manifest,
+    write_manifest,
+)
 from halfseen.logs.frames import as_frame
 from halfseen.logs.logs import Logs
 from halfseen.logs.path_checks import checked_paths
@@ -29,8 +37,6 @@ PATHS_AT_ONCE = 2_000
 
 MOST_STAGES_IN_MEMORY = 500_000
 """A log of more is read in passes where nothing else is said (`opened`)."""
-
-_ROWS_AT_ONCE = 65_536
 
 
 class LogStream:
@@ -143,7 +149,7 @@ class LogStream:
 
     def stage_columns(self, *names: str) -> Iterator[pd.DataFrame]:
         """Read some columns of the stages alone, row by row as they stand."""
-        for batch in self._opened("stages").iter_batches(_ROWS_AT_ONCE, columns=list(names)):
+        for batch in self._opened("stages").iter_batches(ROWS_IN_GROUP, columns=list(names)):
             yield batch.to_pandas()
 
     def __iter__(self) -> Iterator[Logs]:
@@ -159,7 +165,7 @@ class LogStream:
         for reader in readers.values():
             reader.refuse_leftover()
 
-    def _path_tables(self, size: int = _ROWS_AT_ONCE) -> Iterator[pd.DataFrame]:
+    def _path_tables(self, size: int = ROWS_IN_GROUP) -> Iterator[pd.DataFrame]:
         """Read the table of paths in parts of a size, each checked, and sorted after the one before."""
         last: Any = None
         for table in tables_of_size(columns_of(self.as_folder, "paths"), size):
@@ -216,8 +222,8 @@ class _PathReader:
     """Hands out the rows of a table path by path; the rows of a path stand together, in the order of paths."""
 
     def __init__(self, folder: Place, name: str, num_rows: int) -> None:
-        self._where = f"{folder / name}.parquet"
-        self._batches = opened_table(folder, name, num_rows).iter_batches(batch_size=_ROWS_AT_ONCE)
+        self._file = folder / f"{name}.parquet"
+        self._batches = opened_table(folder, name, num_rows).iter_batches(batch_size=ROWS_IN_GROUP)
         self._held: list[pa.Table] = []
 
     def upto(self, paths: pd.Series) -> pa.Table:
@@ -236,7 +242,7 @@ class _PathReader:
                 break
         if not taken:
             raise LogError(
-                f"{self._where}: no row of path {shown(paths.iloc[0])} comes next, as paths.parquet has it; write the "
+                f"{self._file}: no row of path {shown(paths.iloc[0])} comes next, as paths.parquet has it; write the "
                 "logs by Logs.write or write_stream, which sort them"
             )
         return pa.concat_tables(taken)
@@ -246,7 +252,7 @@ class _PathReader:
         if self._held or self._read():
             path = self._held[0]["path"][0].as_py()
             raise LogError(
-                f"{self._where}: rows of path {shown(path)} stand where paths.parquet has none; write the logs by "
+                f"{self._file}: rows of path {shown(path)} stand where paths.parquet has none; write the logs by "
                 "Logs.write or write_stream, which sort them"
             )
 
@@ -254,7 +260,7 @@ class _PathReader:
         try:
             batch = next(self._batches, None)
         except (OSError, pa.ArrowException) as error:
-            raise LogError(f"{self._where}: it is no whole Parquet file ({error}); write the logs again") from error
+            raise broken_table(self._file, error) from error
         if batch is None:
             return False
         self._held.append(pa.Table.from_batches([batch]))

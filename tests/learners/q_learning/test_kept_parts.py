@@ -93,3 +93,18 @@ def test_nothing_is_left_on_the_disk(monkeypatch, tmp_path):
         read_all(kept, Maker())
         assert list(tmp_path.iterdir())
     assert not list(tmp_path.iterdir())
+
+
+def test_who_is_killed_while_writing_leaves_what_was_there(monkeypatch):
+    with kept_parts.kept_parts(1) as kept:
+        kept.keep("rows", 0, rows_of(0))
+
+        def killed(file, *_, **__):
+            file.write_bytes(b"half a matrix")
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(np, "save", killed)
+        with pytest.raises(KeyboardInterrupt):
+            kept.keep("rows", 0, rows_of(1))
+        monkeypatch.undo()
+        np.testing.assert_array_equal(kept.read("rows", 0).matrix, rows_of(0).matrix)

@@ -21,7 +21,8 @@ RIDGE = 1.0
 """Penalty ½·RIDGE·‖β‖² on features of unit variance, beside a log-likelihood that is summed over rows."""
 
 _MOST_STEPS, _LEAST_SHARE, _TOLERANCE, _FLAT = 100, 1e-6, 1e-12, 1e-10
-"""Newton's steps, the least share of one, and the fall of the loss, as a share of it, that ends them."""
+"""Newton's steps, the least share of one, the fall of the loss, as a share of it, that ends them, and the share of the
+curvature that is added where the loss may be flat."""
 
 
 def behaviour_of(paths: PathArrays, blocks: Int[np.ndarray, " A"]) -> Float[np.ndarray, "K F"]:

@@ -100,12 +100,12 @@ def _write(file: Path, part: Tree) -> None:
     beside = file.with_name(f"{file.name}.{os.getpid()}")
     try:
         if matrix is not None:
-            np.save(beside.with_suffix(".npy"), matrix, allow_pickle=False)
-            beside.with_suffix(".npy").replace(_matrix_of(file))
+            np.save(_matrix_of(beside), matrix, allow_pickle=False)
+            _matrix_of(beside).replace(_matrix_of(file))
         write_tree(beside, part)
         beside.replace(file)
     except OSError:
-        for each in (beside, beside.with_suffix(".npy"), _matrix_of(file)):
+        for each in (beside, _matrix_of(beside), _matrix_of(file)):
             each.unlink(missing_ok=True)
 
 
