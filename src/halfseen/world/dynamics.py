@@ -76,20 +76,20 @@ def step(
     grasp_key, see_key = jax.random.split(key)
     actions = ActionSpace(state.num_objects)
     verb, target = actions.verb(action), actions.target(action)
-    tried = _attempted(config, state, hidden, verb, target, grasp_key)
-    after = _after_attempt(state, verb, target, tried)
+    tried = attempted(config, state, hidden, verb, target, grasp_key)
+    after = after_attempt(state, verb, target, tried, occlusion(state)[target])
     hidden = replace(hidden, grasp_trait=tried.trait)
     is_held = (jnp.arange(state.num_objects) == target) & tried.is_held & (verb == Verb.LIFT)
     after, hidden = look(config, after, hidden, is_held, see_key)
     is_over = (verb == Verb.FINISH) | (after.steps_to_go == 0) | ~jnp.any(after.is_on_table)
     dirty_left = jnp.sum(after.is_on_table & hidden.is_dirty)
     duration_s = config.transport_s + tried.duration_s
-    reward = _action_reward(config, verb, tried.is_held, hidden.is_dirty[target], duration_s)
+    reward = action_reward(config, verb, tried.is_held, hidden.is_dirty[target], duration_s)
     reward = reward + jnp.where(is_over, config.reward_dirty_left * dirty_left, 0.0)
     return after, hidden, Outcome(reward, duration_s, is_over)
 
 
-def _attempted(
+def attempted(
     config: WorldConfig,
     state: TableState,
     hidden: HiddenState,
@@ -110,19 +110,23 @@ def _attempted(
     )
 
 
-def _action_reward(
+def action_reward(
     config: WorldConfig,
     verb: Int[Array, ""],
     is_grasped: Bool[Array, ""],
     is_dirty: Bool[Array, ""],
     duration_s: Float[Array, ""],
 ) -> Float[Array, ""]:
+    """What an action pays by itself, without what is left when the path ends."""
     washed = jnp.where(is_dirty, config.reward_wash_dirty, config.reward_wash_clean)
     wash = jnp.where(is_grasped, washed, config.reward_wash_failed)
     return jnp.select([verb == Verb.WASH, verb == Verb.LIFT], [wash, config.reward_lift_per_s * duration_s], 0.0)
 
 
-def _after_attempt(state: TableState, verb: Int[Array, ""], target: Int[Array, ""], tried: Attempt) -> TableState:
+def after_attempt(
+    state: TableState, verb: Int[Array, ""], target: Int[Array, ""], tried: Attempt, occlusion_then: Float[Array, ""]
+) -> TableState:
+    """What is seen of the table once an attempt is over, before the camera looks; its object was hidden so far then."""
     now = state.horizon - state.steps_to_go
     is_grasped = (jnp.arange(state.num_objects) == target) & tried.is_held
     return replace(
@@ -131,7 +135,7 @@ def _after_attempt(state: TableState, verb: Int[Array, ""], target: Int[Array, "
         is_on_table=state.is_on_table & ~(is_grasped & (verb == Verb.WASH)),
         lifts=state.lifts + (is_grasped & (verb == Verb.LIFT)),
         attempt_object=state.attempt_object.at[now].set(jnp.where(verb == Verb.FINISH, NO_ATTEMPT, target)),
-        attempt_occlusion=state.attempt_occlusion.at[now].set(occlusion(state)[target]),
+        attempt_occlusion=state.attempt_occlusion.at[now].set(occlusion_then),
         attempt_succeeded=state.attempt_succeeded.at[now].set(tried.is_held),
         steps_to_go=state.steps_to_go - 1,
     )

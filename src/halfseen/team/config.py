@@ -1,0 +1,58 @@
+"""The numbers of a team: the world that it works in, and what sets its robots apart."""
+
+from dataclasses import dataclass, field
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from halfseen.errors import ArgumentError
+from halfseen.world.config import WorldConfig
+from halfseen.world.number import Number
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class TeamConfig:
+    """Parameters of several robots at one table.
+
+    Parameters
+    ----------
+    world
+        The table; its `horizon` is counted in decisions of each robot.
+    speed
+        How fast each of the K robots works: what takes the world so many seconds takes it that, divided by its speed.
+    reward_per_s
+        Price of each second of the table's clock; 0 or below [1/s].
+
+    Raises
+    ------
+    ArgumentError
+        There is no robot.
+    """
+
+    world: WorldConfig = field(default_factory=WorldConfig)
+    speed: tuple[Number, ...] = (1.0,)
+    reward_per_s: Number = 0.0
+
+    def __post_init__(self) -> None:
+        if len(self.speed) < 1:
+            raise ArgumentError("speed is (): give the speed of each robot, at least one")
+
+    @property
+    def num_robots(self) -> int:
+        """K."""
+        return len(self.speed)
+
+
+def check_speeds(speed: Float[np.ndarray, " K"]) -> None:
+    """Refuse robots that stand still.
+
+    Raises
+    ------
+    ArgumentError
+        A speed is not a finite number above 0.
+    """
+    for robot, value in enumerate(speed):
+        if not (np.isfinite(value) and value > 0):
+            raise ArgumentError(f"robot {robot}: speed is {value}; give a finite number above 0, 1 for that of the law")

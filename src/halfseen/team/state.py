@@ -1,0 +1,90 @@
+"""What a robot of a team sees when it decides, and what nobody sees."""
+
+from dataclasses import dataclass
+
+import jax
+from jaxtyping import Array, Bool, Float, Int
+
+from halfseen.world.state import HiddenState, TableState
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Workspace:
+    """Where the robots of a team can work on one table.
+
+    Padding is in nobody's reach and near nothing.
+    """
+
+    is_in_reach: Bool[Array, "*B K N"]
+    """Which objects each robot reaches."""
+    is_near: Bool[Array, "*B N N"]
+    """Pairs of objects at which two robots cannot be at once; True on the diagonal."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Robots:
+    """What each of K robots is at, as all of them know."""
+
+    is_busy: Bool[Array, "*B K"]
+    """Whether it carries something out, waiting included."""
+    is_parked: Bool[Array, "*B K"]
+    """Whether it will do nothing more."""
+    verb: Int[Array, "*B K"]
+    """Of what it carries out; of no meaning where it is not busy."""
+    target: Int[Array, "*B K"]
+    """Object of that verb; 0 where it has none."""
+    since_s: Float[Array, "*B K"]
+    """For how long it has been at it [s]."""
+    decisions_to_go: Int[Array, "*B K"]
+    """Decisions that it may still make."""
+
+    @property
+    def num_robots(self) -> int:
+        """K."""
+        return self.is_busy.shape[-1]
+
+    @property
+    def is_undecided(self) -> Bool[Array, "*B K"]:
+        """Which are free to decide."""
+        return ~self.is_busy & ~self.is_parked & (self.decisions_to_go > 0)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class TeamState:
+    """S_t: the table, the robots, and which of them decides."""
+
+    table: TableState
+    robots: Robots
+    workspace: Workspace
+    decider: Int[Array, "*B"]
+    """Number of the robot that decides: of those that are free, the lowest."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Pending:
+    """How what each robot carries out will end, which nobody knows before."""
+
+    left_s: Float[Array, "*B K"]
+    """Until it is done; infinite for WAIT [s]."""
+    duration_s: Float[Array, "*B K"]
+    """From begin to end [s]."""
+    is_held: Bool[Array, "*B K"]
+    """Whether the object is grasped."""
+    occlusion: Float[Array, "*B K"]
+    """Of the object when the attempt began."""
+    hides: Float[Array, "*B K N N"]
+    """Who will hide whom, where `is_moved`."""
+    is_moved: Bool[Array, "*B K N N"]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class TeamHidden:
+    """What no robot sees."""
+
+    table: HiddenState
+    pending: Pending

@@ -1,0 +1,152 @@
+"""A team of one is the world of one robot, to the last bit; of several, each decides when it is free."""
+
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from halfseen.team import actions, dynamics
+from halfseen.team.config import TeamConfig
+from halfseen.team.state import Workspace
+from halfseen.world import Scene, WorldConfig
+from halfseen.world import dynamics as one_robot
+from halfseen.world.action_space import ActionSpace, Verb, possible_actions
+from halfseen.world.grasping import Attempt
+from halfseen.world.state import pad_scenes
+
+HIDES = np.array([[0.0, 0.4, 0.1], [0.0, 0.0, 0.3], [0.2, 0.0, 0.0]])
+
+
+def workspace(num_robots, num_objects, near=()):
+    is_near = np.eye(num_objects, dtype=bool)
+    for i, j in near:
+        is_near[i, j] = is_near[j, i] = True
+    return Workspace(jnp.ones((num_robots, num_objects), dtype=bool), jnp.asarray(is_near))
+
+
+def layout_of(hides=HIDES):
+    return jax.tree.map(lambda leaf: leaf[0], pad_scenes([Scene(hides)]))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_team_of_one_is_the_world_of_one_robot_to_the_last_bit(seed):
+    config, layout = WorldConfig(horizon=5), layout_of()
+    team, rng = TeamConfig(config), np.random.default_rng(seed)
+    key = jax.random.key(seed)
+    state, hidden = one_robot.start(config, layout, key)
+    of_team, secrets = dynamics.start(team, layout, workspace(1, 3), key)
+    step, team_step = jax.jit(one_robot.step), jax.jit(dynamics.step)
+    for t in range(config.horizon):
+        possible = np.flatnonzero(possible_actions(state))
+        of_one = np.asarray(actions.possible_actions(of_team))
+        np.testing.assert_array_equal(np.flatnonzero(of_one), possible)
+        action, at = jnp.asarray(rng.choice(possible)), jax.random.fold_in(key, t)
+        state, hidden, outcome = step(config, state, hidden, action, at)
+        of_team, secrets, same = team_step(team, of_team, secrets, action, at)
+        for one, other in zip(
+            jax.tree.leaves((state, hidden, outcome)),
+            jax.tree.leaves((of_team.table, secrets.table, same)),
+            strict=True,
+        ):
+            np.testing.assert_array_equal(one, other)
+        if outcome.is_over:
+            break
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class SureGrasping:
+    """Every attempt works, and takes two seconds for each number of its object, plus one."""
+
+    limit_s: float = 10.0
+
+    def draw_trait(self, num_objects, key):
+        return None
+
+    def attempt(self, arrangement, trait, verb, target, key):
+        return Attempt(jnp.asarray(True), 1.0 + 2.0 * target, arrangement.hides, None)
+
+
+def played(team, actions_taken, hides=HIDES, space=None, key=0):
+    """Deciders, durations and rewards of a team that takes these (verb, object), and the states."""
+    num_objects = len(hides)
+    space = workspace(team.num_robots, num_objects) if space is None else space
+    state, hidden = dynamics.start(team, layout_of(hides), space, jax.random.key(key))
+    table, step, rows, states = ActionSpace(num_objects), jax.jit(dynamics.step), [], [state]
+    for t, (verb, target) in enumerate(actions_taken):
+        action = actions.wait_of(num_objects) if verb == actions.WAIT else table.encode(int(verb), target)
+        assert bool(actions.possible_actions(state)[action]), (t, verb, target)
+        decider = int(state.decider)
+        state, hidden, outcome = step(team, state, hidden, jnp.asarray(action), jax.random.fold_in(jax.random.key(9), t))
+        rows.append((decider, float(outcome.duration_s), float(outcome.reward), bool(outcome.is_over)))
+        states.append(state)
+    return rows, states
+
+
+def team_of(num_robots=2, **others):
+    world = WorldConfig(grasping=SureGrasping(), dirty_share=1.0 - 1e-6, horizon=5)
+    return TeamConfig(world, speed=(1.0,) * num_robots, **others)
+
+
+def test_robots_work_side_by_side_and_each_decides_when_it_is_free():
+    rows, states = played(team_of(), [(Verb.WASH, 0), (Verb.WASH, 1), (Verb.WASH, 2)])
+    # Robot 0 takes 2 s for object 0, robot 1 takes 4 s for object 1; then robot 0 takes 6 s for object 2.
+    assert [row[:3] for row in rows] == [(0, 0.0, 0.0), (1, 2.0, 5.0), (0, 2.0, 5.0)]
+    assert int(states[-1].decider) == 1
+    np.testing.assert_allclose(states[-1].robots.since_s[0], 2.0)
+    assert np.flatnonzero(states[-1].table.is_on_table).tolist() == [2]
+
+
+def test_a_clear_table_ends_the_path_whoever_is_free():
+    rows, _ = played(team_of(), [(Verb.WASH, 0), (Verb.WASH, 1), (Verb.WASH, 2), (actions.WAIT, 0)])
+    assert rows[-1] == (1, 4.0, 5.0, True)
+    assert sum(row[1] for row in rows) == pytest.approx(8.0)
+
+
+def test_nobody_touches_what_another_is_at_or_what_is_near_it():
+    _, states = played(team_of(), [(Verb.WASH, 1)], space=workspace(2, 3, near=[(1, 2)]))
+    assert np.flatnonzero(actions.possible_actions(states[-1])).tolist() == [0, 1, 4, 7]  # FINISH, 0 twice, WAIT
+
+
+def test_nobody_waits_where_nothing_is_to_come():
+    _, states = played(team_of(), [])
+    assert not bool(actions.possible_actions(states[0])[actions.wait_of(3)])
+    _, states = played(team_of(3), [(Verb.WASH, 0), (actions.WAIT, 0)])
+    assert bool(actions.possible_actions(states[-1])[actions.wait_of(3)])
+
+
+def test_who_parks_does_nothing_more_and_the_path_ends_when_all_have():
+    rows, states = played(team_of(), [(Verb.FINISH, 0), (Verb.WASH, 1), (Verb.FINISH, 0)])
+    # Going home takes 1 s, the wash 4 s: nobody is asked in between.
+    assert [(row[0], row[1], row[3]) for row in rows] == [(0, 0.0, False), (1, 4.0, False), (1, 1.0, True)]
+    assert rows[-1][2] == pytest.approx(-10.0)
+    assert states[-1].robots.is_parked.tolist() == [True, True]
+
+
+def test_each_second_of_the_table_has_its_price():
+    dear, _ = played(team_of(reward_per_s=-0.5), [(Verb.WASH, 0), (Verb.WASH, 1), (Verb.WASH, 2)])
+    assert [row[2] for row in dear] == [0.0, 4.0, 4.0]
+
+
+def test_a_fast_robot_takes_less():
+    rows, _ = played(replace(team_of(), speed=(1.0, 4.0)), [(Verb.WASH, 0), (Verb.WASH, 1)])
+    assert rows[-1][:2] == (1, 1.0)
+
+
+def test_decisions_are_counted_for_each_robot():
+    team = team_of()
+    team = replace(team, world=replace(team.world, horizon=1))
+    rows, states = played(team, [(Verb.LIFT, 0), (Verb.LIFT, 1)])
+    assert rows[-1][3]
+    assert states[-1].robots.decisions_to_go.tolist() == [0, 0]
+    assert rows[-1][1] == pytest.approx(4.0)
+
+
+def test_what_another_holds_up_hides_nothing():
+    hides = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.9], [0.0, 0.0, 0.0]])
+    _, states = played(team_of(), [(Verb.LIFT, 2), (Verb.LIFT, 1)], hides)
+    # Robot 1 is done at 4 s; object 2 is in the air from 5 s on, and back on the table at 6 s.
+    assert int(states[-1].decider) == 1
+    assert states[-1].table.lifts.tolist() == [0, 1, 0]
