@@ -79,7 +79,9 @@ def played(team, actions_taken, hides=HIDES, space=None, key=0):
         action = actions.wait_of(num_objects) if verb == actions.WAIT else table.encode(int(verb), target)
         assert bool(actions.possible_actions(state)[action]), (t, verb, target)
         decider = int(state.decider)
-        state, hidden, outcome = step(team, state, hidden, jnp.asarray(action), jax.random.fold_in(jax.random.key(9), t))
+        state, hidden, outcome = step(
+            team, state, hidden, jnp.asarray(action), jax.random.fold_in(jax.random.key(9), t)
+        )
         rows.append((decider, float(outcome.duration_s), float(outcome.reward), bool(outcome.is_over)))
         states.append(state)
     return rows, states

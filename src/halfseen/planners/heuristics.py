@@ -80,12 +80,16 @@ class GreedyPolicy:
         if self.grasp is not None and not self.uses_history:
             raise ArgumentError("grasp is given and uses_history is False; a grasp model looks at the history")
 
-    def decide(self, state: TableState, key: Array) -> Decision:
-        """Choose for one table; nothing is drawn."""
+    def worth(self, state: TableState) -> Float[Array, " N"]:
+        """Expected reward of an attempt to WASH each object of one table; −∞ where it does not stand there."""
         grasp = TrueGrasp(self.config, self.uses_history) if self.grasp is None else self.grasp
         probability = grasp.probability(state)
         worth = wash_worth(self.config, jax.nn.sigmoid(state.log_odds), probability, self.counts_penalty)
-        worth = jnp.where(state.is_on_table, worth, -jnp.inf)
+        return jnp.where(state.is_on_table, worth, -jnp.inf)
+
+    def decide(self, state: TableState, key: Array) -> Decision:
+        """Choose for one table; nothing is drawn."""
+        worth = self.worth(state)
         best = jnp.argmax(worth)
         wash = ActionSpace(state.num_objects).encode(Verb.WASH, best)
         return surely(jnp.where(worth[best] > 0.0, wash, FINISH).astype(jnp.int32))

@@ -1,0 +1,86 @@
+"""What decides for a team, one robot at a time, knowing what the others are at."""
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from halfseen.planners.heuristics import GreedyPolicy
+from halfseen.team.actions import possible_actions, wait_of
+from halfseen.team.state import TeamState
+from halfseen.world.action_space import FINISH, ActionSpace, Verb
+from halfseen.world.number import Number
+from halfseen.world.policy import Decision, surely
+
+
+@runtime_checkable
+class TeamPolicy(Protocol):
+    """Decides for the robot that is free, on one table; a pytree, as a `Policy` is."""
+
+    def decide(self, state: TeamState, key: Array) -> Decision:
+        """Choose an action that is possible for the decider; `key` is the only source of randomness."""
+        ...
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class UniformTeam:
+    """Takes each possible action with the same probability."""
+
+    def decide(self, state: TeamState, key: Array) -> Decision:
+        """Choose uniformly at random."""
+        is_possible = possible_actions(state)
+        action = jax.random.categorical(key, jnp.where(is_possible, 0.0, -jnp.inf))
+        return Decision(action.astype(jnp.int32), 1.0 / jnp.sum(is_possible))
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class ExploringTeam:
+    """Follows a policy, but in a proportion of the decisions takes a possible action uniformly at random.
+
+    Parameters
+    ----------
+    base
+        The policy that is followed.
+    random_share
+        Probability that a decision is made uniformly at random instead.
+    """
+
+    base: TeamPolicy
+    random_share: Number = 0.5
+
+    def decide(self, state: TeamState, key: Array) -> Decision:
+        """Choose, and report the probability of that choice under the mixture."""
+        base_key, coin_key, uniform_key = jax.random.split(key, 3)
+        base, uniform = self.base.decide(state, base_key), UniformTeam().decide(state, uniform_key)
+        is_random = jax.random.uniform(coin_key) < self.random_share
+        action = jnp.where(is_random, uniform.action, base.action)
+        by_base = jnp.where(action == base.action, base.probability, 0.0)
+        return Decision(action, self.random_share * uniform.probability + (1.0 - self.random_share) * by_base)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class TeamOfRules:
+    """Every robot washes what promises most of what nobody else is at; it waits where that may change, or finishes.
+
+    Parameters
+    ----------
+    rule
+        The rule of thumb of one robot.
+    """
+
+    rule: GreedyPolicy
+
+    def decide(self, state: TeamState, key: Array) -> Decision:
+        """Choose for one table; nothing is drawn."""
+        is_possible, actions = possible_actions(state), ActionSpace(state.table.num_objects)
+        promising = jnp.where(state.workspace.is_in_reach[state.decider], self.rule.worth(state.table), -jnp.inf)
+        worth = jnp.where(is_possible[actions.of(Verb.WASH)], promising, -jnp.inf)
+        best, wait = jnp.argmax(worth), wait_of(state.table.num_objects)
+        can_hope = is_possible[wait] & jnp.any(promising > 0.0)
+        otherwise = jnp.where(can_hope, wait, FINISH)
+        return surely(jnp.where(worth[best] > 0.0, actions.encode(Verb.WASH, best), otherwise).astype(jnp.int32))
