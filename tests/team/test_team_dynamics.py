@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from naive_team import NaiveTeam
 
 from halfseen.team import actions, dynamics
 from halfseen.team.config import TeamConfig
@@ -152,3 +153,33 @@ def test_what_another_holds_up_hides_nothing():
     # Robot 1 is done at 4 s; object 2 is in the air from 5 s on, and back on the table at 6 s.
     assert int(states[-1].decider) == 1
     assert states[-1].table.lifts.tolist() == [0, 1, 0]
+
+
+@pytest.mark.parametrize("num_robots", [1, 2, 3])
+@pytest.mark.parametrize("seed", range(6))
+def test_what_happens_is_what_happens_event_by_event(num_robots, seed):
+    rng, num_objects = np.random.default_rng(seed), 4
+    world = WorldConfig(grasping=SureGrasping(), dirty_share=1.0 - 1e-6, horizon=4)
+    team, table = TeamConfig(world, speed=(1.0,) * num_robots), ActionSpace(num_objects)
+    reach = rng.random((num_robots, num_objects)) < 0.8
+    space = replace(workspace(num_robots, num_objects, near=[(0, 3)]), is_in_reach=jnp.asarray(reach))
+    naive = NaiveTeam(num_robots, num_objects, 4, {(0, 3)}, [set(np.flatnonzero(row)) for row in reach])
+    state, hidden = dynamics.start(team, layout_of(np.zeros((4, 4))), space, jax.random.key(seed))
+    step, number = jax.jit(dynamics.step), {"FINISH": 0, "WASH": int(Verb.WASH), "LIFT": int(Verb.LIFT)}
+
+    def encoded(verb, target):
+        return actions.wait_of(num_objects) if verb == "WAIT" else table.encode(number[verb], target)
+
+    for t in range(4 * num_robots):
+        possible = naive.possible()
+        assert np.flatnonzero(actions.possible_actions(state)).tolist() == sorted(encoded(*each) for each in possible)
+        assert int(state.decider) == naive.free[0]
+        chosen = possible[rng.integers(len(possible))]
+        reward, passed_s = naive.step(*chosen)
+        at = jax.random.fold_in(jax.random.key(seed), t)
+        state, hidden, outcome = step(team, state, hidden, jnp.asarray(encoded(*chosen)), at)
+        np.testing.assert_allclose([outcome.reward, outcome.duration_s], [reward, passed_s], atol=1e-4)
+        assert bool(outcome.is_over) == naive.is_over
+        if naive.is_over:
+            break
+    assert naive.is_over

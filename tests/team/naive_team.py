@@ -1,0 +1,66 @@
+"""A team at a table of surely dirty objects that are surely grasped, event by event, without arrays."""
+
+from dataclasses import dataclass, field
+
+WASH, LIFT, WAIT, FINISH = "WASH", "LIFT", "WAIT", "FINISH"
+
+
+@dataclass
+class NaiveTeam:
+    """Robots, what each is at and until when, and the clock."""
+
+    num_robots: int
+    num_objects: int
+    horizon: int
+    near: set[tuple[int, int]]
+    reach: list[set[int]]
+    clock_s: float = 0.0
+    there: set[int] = field(default_factory=set)
+    busy: dict[int, tuple[str, int, float, float]] = field(default_factory=dict)
+    """Robot: verb, object, begin and end of what it is at; a robot that waits has no end."""
+    parked: set[int] = field(default_factory=set)
+    spent: dict[int, int] = field(default_factory=dict)
+
+    def __post_init__(self):
+        self.there = set(range(self.num_objects))
+        self.spent = dict.fromkeys(range(self.num_robots), 0)
+
+    @property
+    def free(self):
+        can = [r for r in range(self.num_robots) if r not in self.busy and r not in self.parked]
+        return [r for r in can if self.spent[r] < self.horizon]
+
+    @property
+    def is_over(self):
+        return not self.there or (not self.busy and not self.free)
+
+    def possible(self):
+        """(verb, object) of the robot that decides."""
+        robot = self.free[0]
+        at_work = [task for r, task in self.busy.items() if r != robot and task[0] != WAIT]
+        taken = {i for task in at_work if task[0] in (WASH, LIFT) for i in self.there if self._are_near(i, task[1])}
+        objects = sorted((self.there & self.reach[robot]) - taken)
+        found = [(FINISH, 0), *((verb, i) for verb in (WASH, LIFT) for i in objects)]
+        return found + ([(WAIT, 0)] if at_work else [])
+
+    def _are_near(self, i, j):
+        return i == j or (i, j) in self.near or (j, i) in self.near
+
+    def step(self, verb, target):
+        """Reward of the stage and its time."""
+        robot, begun_s, reward = self.free[0], self.clock_s, 0.0
+        self.spent[robot] += 1
+        end_s = {WAIT: float("inf"), FINISH: self.clock_s + 1.0}.get(verb, self.clock_s + 2.0 + 2.0 * target)
+        self.busy[robot] = (verb, target, self.clock_s, end_s)
+        while not self.free and not self.is_over:
+            done = min(self.busy, key=lambda r: (self.busy[r][3], r))
+            verb, target, since_s, self.clock_s = self.busy.pop(done)
+            if verb == WASH:
+                self.there.discard(target)
+                reward += 5.0
+            elif verb == LIFT:
+                reward -= 0.1 * (self.clock_s - since_s)
+            else:
+                self.parked.add(done)
+            self.busy = {r: task for r, task in self.busy.items() if task[0] != WAIT}
+        return reward - (5.0 * len(self.there) if self.is_over else 0.0), self.clock_s - begun_s
