@@ -10,7 +10,7 @@ from naive_team import NaiveTeam
 
 from halfseen.team import actions, dynamics
 from halfseen.team.config import TeamConfig
-from halfseen.team.state import Workspace
+from halfseen.team.state import TeamLayout, Workspace
 from halfseen.world import Scene, WorldConfig
 from halfseen.world import dynamics as one_robot
 from halfseen.world.action_space import ActionSpace, Verb, possible_actions
@@ -37,7 +37,7 @@ def test_a_team_of_one_is_the_world_of_one_robot_to_the_last_bit(seed):
     team, rng = TeamConfig(config), np.random.default_rng(seed)
     key = jax.random.key(seed)
     state, hidden = one_robot.start(config, layout, key)
-    of_team, secrets = dynamics.start(team, layout, workspace(1, 3), key)
+    of_team, secrets = dynamics.start(team, TeamLayout(layout, workspace(1, 3)), key)
     step, team_step = jax.jit(one_robot.step), jax.jit(dynamics.step)
     for t in range(config.horizon):
         possible = np.flatnonzero(possible_actions(state))
@@ -74,7 +74,7 @@ def played(team, actions_taken, hides=HIDES, space=None, key=0):
     """Deciders, durations and rewards of a team that takes these (verb, object), and the states."""
     num_objects = len(hides)
     space = workspace(team.num_robots, num_objects) if space is None else space
-    state, hidden = dynamics.start(team, layout_of(hides), space, jax.random.key(key))
+    state, hidden = dynamics.start(team, TeamLayout(layout_of(hides), space), jax.random.key(key))
     table, step, rows, states = ActionSpace(num_objects), jax.jit(dynamics.step), [], [state]
     for t, (verb, target) in enumerate(actions_taken):
         action = actions.wait_of(num_objects) if verb == actions.WAIT else table.encode(int(verb), target)
@@ -164,7 +164,7 @@ def test_what_happens_is_what_happens_event_by_event(num_robots, seed):
     reach = rng.random((num_robots, num_objects)) < 0.8
     space = replace(workspace(num_robots, num_objects, near=[(0, 3)]), is_in_reach=jnp.asarray(reach))
     naive = NaiveTeam(num_robots, num_objects, 4, {(0, 3)}, [set(np.flatnonzero(row)) for row in reach])
-    state, hidden = dynamics.start(team, layout_of(np.zeros((4, 4))), space, jax.random.key(seed))
+    state, hidden = dynamics.start(team, TeamLayout(layout_of(np.zeros((4, 4))), space), jax.random.key(seed))
     step, number = jax.jit(dynamics.step), {"FINISH": 0, "WASH": int(Verb.WASH), "LIFT": int(Verb.LIFT)}
 
     def encoded(verb, target):

@@ -44,6 +44,11 @@ class TeamConfig:
         """K."""
         return len(self.speed)
 
+    @property
+    def num_stages(self) -> int:
+        """Decisions that a path may have, of all robots together."""
+        return self.num_robots * self.world.horizon
+
 
 def check_speeds(speed: Float[np.ndarray, " K"]) -> None:
     """Refuse robots that stand still.

@@ -14,17 +14,18 @@ from jaxtyping import Array, Bool, Float, Int
 
 from halfseen.team.actions import WAIT
 from halfseen.team.config import TeamConfig
-from halfseen.team.state import Pending, Robots, TeamHidden, TeamState, Workspace
+from halfseen.team.state import Pending, Robots, TeamHidden, TeamLayout, TeamState
 from halfseen.world import dynamics as table_dynamics
 from halfseen.world.action_space import ActionSpace, Verb
 from halfseen.world.dynamics import Outcome, action_reward, after_attempt, attempted, look
+from halfseen.world.episodes import Dynamics
 from halfseen.world.grasping import Attempt
-from halfseen.world.state import Layout, TableState, occlusion
+from halfseen.world.state import TableState, occlusion
 
 
-def start(config: TeamConfig, layout: Layout, workspace: Workspace, key: Array) -> tuple[TeamState, TeamHidden]:
+def start(config: TeamConfig, layout: TeamLayout, key: Array) -> tuple[TeamState, TeamHidden]:
     """Set one table before a team that is free: what is hidden is drawn, and the camera takes its first view."""
-    table, hidden = table_dynamics.start(config.world, layout, key)
+    table, hidden = table_dynamics.start(config.world, layout.table, key)
     size, num_objects = config.num_robots, table.num_objects
     table = _with_room(table, size * config.world.horizon)
     robots = Robots(
@@ -43,7 +44,7 @@ def start(config: TeamConfig, layout: Layout, workspace: Workspace, key: Array) 
         hides=jnp.zeros((size, num_objects, num_objects), dtype=jnp.float32),
         is_moved=jnp.zeros((size, num_objects, num_objects), dtype=bool),
     )
-    return TeamState(table, robots, workspace, jnp.asarray(0, dtype=jnp.int32)), TeamHidden(hidden, pending)
+    return TeamState(table, robots, layout.workspace, jnp.asarray(0, dtype=jnp.int32)), TeamHidden(hidden, pending)
 
 
 def step(
@@ -167,3 +168,6 @@ def _in_the_air(config: TeamConfig, robots: Robots, pending: Pending, table: Tab
     transport_s = config.world.transport_s / jnp.asarray(config.speed)
     is_holding = robots.is_busy & pending.is_held & (pending.left_s <= transport_s)
     return jnp.any(is_holding[:, None] & (robots.target[:, None] == jnp.arange(table.num_objects)), axis=0)
+
+
+TEAM = Dynamics(start, step)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import jax
 from jaxtyping import Array, Bool, Float, Int
 
-from halfseen.world.state import HiddenState, TableState
+from halfseen.world.state import HiddenState, Layout, TableState
 
 
 @jax.tree_util.register_dataclass
@@ -20,6 +20,15 @@ class Workspace:
     """Which objects each robot reaches."""
     is_near: Bool[Array, "*B N N"]
     """Pairs of objects at which two robots cannot be at once; True on the diagonal."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class TeamLayout:
+    """How a table stands before a team."""
+
+    table: Layout
+    workspace: Workspace
 
 
 @jax.tree_util.register_dataclass

@@ -50,3 +50,8 @@ class WorldConfig:
     reward_lift_per_s: Number = -0.1
     reward_dirty_left: Number = -5.0
     horizon: int = field(default=HORIZON, metadata={"static": True})
+
+    @property
+    def num_stages(self) -> int:
+        """Decisions that a path may have."""
+        return self.horizon
