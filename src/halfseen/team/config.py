@@ -3,8 +3,6 @@
 from dataclasses import dataclass, field
 
 import jax
-import numpy as np
-from jaxtyping import Float
 
 from halfseen.errors import ArgumentError
 from halfseen.world.config import WorldConfig
@@ -48,16 +46,3 @@ class TeamConfig:
     def num_stages(self) -> int:
         """Decisions that a path may have, of all robots together."""
         return self.num_robots * self.world.horizon
-
-
-def check_speeds(speed: Float[np.ndarray, " K"]) -> None:
-    """Refuse robots that stand still.
-
-    Raises
-    ------
-    ArgumentError
-        A speed is not a finite number above 0.
-    """
-    for robot, value in enumerate(speed):
-        if not (np.isfinite(value) and value > 0):
-            raise ArgumentError(f"robot {robot}: speed is {value}; give a finite number above 0, 1 for that of the law")
