@@ -12,7 +12,7 @@ from halfseen.errors import LogError
 from halfseen.logs.refusal import place, shown, value_at
 from halfseen.suggestions import closest
 
-STAGE_COLUMNS = ("path", "stage", "elapsed_s", "action", "object", "reward", "probability")
+STAGE_COLUMNS = ("path", "stage", "elapsed_s", "action", "object", "reward", "probability", "robot")
 PATH_COLUMNS = ("path", "end_s", "ending", "cause")
 OBJECT_COLUMNS = ("path", "stage", "object")
 

@@ -18,6 +18,7 @@ from halfseen.logs.columns import (
     require_columns,
 )
 from halfseen.logs.refusal import refuse, shown, value_at
+from halfseen.logs.robot_checks import ROBOT, check_robots
 
 UNIT_TOLERANCE = 1e-6
 """How near to a power of 1,000 the ratio of a path's end to its last stage must be to look like another unit."""
@@ -85,6 +86,7 @@ def checked_stages(frame: pd.DataFrame, paths: pd.DataFrame) -> tuple[pd.DataFra
     is_completed = stages["elapsed_s"].notna().to_numpy()
     _check_completion(stages, is_completed, layout, (paths["ending"] == CUT).to_numpy(dtype=bool))
     _check_clock(stages, is_completed, layout, paths["end_s"].to_numpy())
+    check_robots(stages, layout.path_row)
     _check_actions(stages, is_completed)
     _check_rewards(stages, is_completed)
     _check_probabilities(stages, is_completed)
@@ -104,6 +106,8 @@ def _typed_stages(frame: pd.DataFrame) -> pd.DataFrame:
         stages[column] = as_floats("stages", stages, column)
     for column in ("action", "object"):
         stages[column] = as_labels("stages", stages, column, is_null_allowed=True)
+    if ROBOT in stages.columns:
+        stages[ROBOT] = as_labels("stages", stages, ROBOT, is_null_allowed=False)
     return stages
 
 
@@ -155,7 +159,9 @@ def _check_completion(stages: pd.DataFrame, is_completed: np.ndarray, layout: La
 
 def _check_clock(stages: pd.DataFrame, is_completed: np.ndarray, layout: Layout, end_s: np.ndarray) -> None:
     clock = stages["elapsed_s"].to_numpy()
-    early = is_completed & ~((clock > 0) & np.isfinite(clock))
+    # Where two robots of a team are free at once, the stage between their decisions takes no time.
+    may_stand = ROBOT in stages.columns
+    early = is_completed & ~(((clock >= 0) if may_stand else (clock > 0)) & np.isfinite(clock))
     refuse(stages, early, lambda row: f"elapsed_s {clock[row]} is no time after the path's beginning; fix the clock")
     before = np.concatenate(([0.0], clock[:-1]))
 
@@ -164,7 +170,8 @@ def _check_clock(stages: pd.DataFrame, is_completed: np.ndarray, layout: Layout,
         what = f"elapsed_s {clock[row]} {word} the {before[row]} of stage {value_at(stages, 'stage', row) - 1}"
         return f"{what}; sort the stages or fix the clock"
 
-    refuse(stages, is_completed & ~layout.is_first & ~(clock > before), unsorted)
+    runs = clock >= before if may_stand else clock > before
+    refuse(stages, is_completed & ~layout.is_first & ~runs, unsorted)
     ends = end_s[layout.path_row]
     remedy = "fix end_s, or make this the stage in which the path was cut"
     late = is_completed & (clock > ends)
@@ -174,7 +181,7 @@ def _check_clock(stages: pd.DataFrame, is_completed: np.ndarray, layout: Layout,
 
 def _check_units(stages: pd.DataFrame, layout: Layout, clock: np.ndarray, ends: np.ndarray) -> None:
     """Refuse a path whose end is exactly a thousand, or a power of it, times its last stage's clock."""
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore"):
         thousands = np.log(ends / clock) / np.log(1000.0)
     mixed = layout.is_last & (np.abs(thousands - np.round(thousands)) < UNIT_TOLERANCE) & (np.round(thousands) > 0)
     refuse(

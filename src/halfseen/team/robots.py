@@ -1,4 +1,4 @@
-"""The robots of a team: where each stands, how far it reaches, how fast it works; and where they can work on a table."""
+"""The robots of a team: where each stands, how far it reaches, how fast it works; where they work on one table."""
 
 import warnings
 from collections.abc import Sequence
