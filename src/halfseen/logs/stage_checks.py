@@ -181,8 +181,10 @@ def _check_clock(stages: pd.DataFrame, is_completed: np.ndarray, layout: Layout,
 
 def _check_units(stages: pd.DataFrame, layout: Layout, clock: np.ndarray, ends: np.ndarray) -> None:
     """Refuse a path whose end is exactly a thousand, or a power of it, times its last stage's clock."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        thousands = np.log(ends / clock) / np.log(1000.0)
+    # A clock that still stands at 0 tells no unit.
+    ratio = ends / np.where(clock == 0.0, np.nan, clock)
+    with np.errstate(invalid="ignore"):
+        thousands = np.log(ratio) / np.log(1000.0)
     mixed = layout.is_last & (np.abs(thousands - np.round(thousands)) < UNIT_TOLERANCE) & (np.round(thousands) > 0)
     refuse(
         stages,
