@@ -42,7 +42,15 @@ def test_of_one_robot_it_runs():
 
 def test_two_robots_at_one_object_are_refused():
     with pytest.raises(LogError, match="stage 2: robot 'right' begins with object 0, which robot 'left' is at since"):
-        log(objects=(0, 0, 2))
+        log(objects=(0, 0, 2), elapsed_s=(1.0, 2.0, 5.0))
+
+
+def test_who_decides_at_the_same_clock_is_done_already():
+    # At 2 s both are free; left decides first, and takes what right has just let go of.
+    robots = ("right", "left", "right")
+    assert log(objects=(0, 0, 1), robots=robots, elapsed_s=(2.0, 2.0, 5.0)).num_paths == 1
+    with pytest.raises(LogError, match="stage 2: robot 'left' begins with object 0"):
+        log(objects=(0, 0, 1), robots=robots, elapsed_s=(2.0, 3.0, 5.0))
 
 
 def test_one_after_the_other_is_well():

@@ -1,7 +1,7 @@
 """What must hold for a log of several robots: no two of them are at one object at once.
 
-A stage belongs to the robot that decided at its beginning, and what a robot began lasts until it decides again; what it
-began last may end at any time.
+A stage belongs to the robot that decided at its beginning, and what a robot began is over, at the latest, by the clock
+at which it decides again; what it began last may end at any time.
 """
 
 import numpy as np
@@ -32,12 +32,13 @@ def check_robots(stages: pd.DataFrame, path_row: Int[np.ndarray, " rows"]) -> No
     if ROBOT not in stages.columns:
         return
     row = pd.Series(np.arange(len(stages)), index=stages.index)
-    decides_again = row.groupby([path_row, stages[ROBOT]]).shift(-1)
+    begin_s = stages["elapsed_s"].groupby(path_row).shift(fill_value=0.0)
+    decides_again_s = begin_s.groupby([path_row, stages[ROBOT]]).shift(-1).to_numpy()
     earlier = row.groupby([path_row, stages["object"]]).shift(1)
     there = earlier.notna().to_numpy()
     before = earlier.fillna(0).to_numpy(dtype=np.int64)
     robots = stages[ROBOT].to_numpy()
-    is_still_there = decides_again.to_numpy()[before] > row.to_numpy()
+    is_still_there = decides_again_s[before] > begin_s.to_numpy()
     at_once = there & (robots[before] != robots) & is_still_there
 
     def told(at: int) -> str:

@@ -143,7 +143,8 @@ def _next_end(
     robots, pending = state.robots, hidden.pending
     left_s = jnp.where(robots.is_busy, pending.left_s, jnp.inf)
     robot = jnp.argmin(left_s)
-    passed_s = left_s[robot]
+    # Nothing is to end where a path is over: what comes of that is thrown away, and is to be finite.
+    passed_s = jnp.where(jnp.isfinite(left_s[robot]), left_s[robot], 0.0)
     verb, target = robots.verb[robot], robots.target[robot]
     hides = jnp.where(pending.is_moved[robot], pending.hides[robot], state.table.hides)
     tried = Attempt(pending.is_held[robot], pending.duration_s[robot], hides, None)

@@ -19,14 +19,14 @@ from jaxtyping import Bool, Float, Int
 
 from halfseen.errors import LogError
 from halfseen.logs import Logs
-from halfseen.world.action_space import ActionSpace, Verb
+from halfseen.world.action_space import TARGETED, ActionSpace, Verb
 from halfseen.world.cuts import CAUSES, CutEpisodes, CutKind
 from halfseen.world.number import Number
 from halfseen.world.scene import Scene
 from halfseen.world.state import NO_ATTEMPT, TableState, attempt_counts, occlusion
 from halfseen.world.table_checks import DISHWASHER, TABLE, Lists, checked_objects, object_numbers
 
-_VERB_NAMES = np.array([verb.name for verb in Verb])
+VERB_NAMES = tuple(verb.name for verb in Verb)
 
 
 def to_logs(cuts: CutEpisodes, kind: CutKind | str, scenes: Sequence[Scene], dirty_share: Number | None = None) -> Logs:
@@ -44,10 +44,7 @@ def to_logs(cuts: CutEpisodes, kind: CutKind | str, scenes: Sequence[Scene], dir
         P(DIRTY) of an object before any label, from which the log-odds started; None if it is not to be told.
     """
     begun = np.argwhere(cuts.is_begun)
-    paths = _paths(cuts, kind, scenes)
-    if dirty_share is not None:
-        paths["dirty_share"] = float(dirty_share)
-    return Logs(stages=_stages(cuts, begun), paths=paths, objects=_objects(cuts, begun))
+    return Logs(stages_of(cuts, begun), paths_of(cuts, kind, scenes, dirty_share), objects_of(cuts, begun))
 
 
 def elapsed_s(cuts: CutEpisodes) -> Float[np.ndarray, "n T"]:
@@ -56,7 +53,10 @@ def elapsed_s(cuts: CutEpisodes) -> Float[np.ndarray, "n T"]:
     return np.where(cuts.is_completed, np.cumsum(np.where(cuts.is_completed, duration_s, 0.0), axis=1), np.nan)
 
 
-def _paths(cuts: CutEpisodes, kind: CutKind | str, scenes: Sequence[Scene]) -> pd.DataFrame:
+def paths_of(
+    cuts: CutEpisodes, kind: CutKind | str, scenes: Sequence[Scene], dirty_share: Number | None = None
+) -> pd.DataFrame:
+    """How each path ended, and where it began."""
     num_paths = len(cuts.end_s)
     cause = np.full(num_paths, CAUSES[kind], dtype=object)
     cause[cuts.is_finished] = None
@@ -67,11 +67,13 @@ def _paths(cuts: CutEpisodes, kind: CutKind | str, scenes: Sequence[Scene]) -> p
             "ending": np.where(cuts.is_finished, "finished", "cut"),
             "cause": cause,
             "scene": [scenes[k % len(scenes)].name for k in range(num_paths)],
+            **({} if dirty_share is None else {"dirty_share": float(dirty_share)}),
         }
     )
 
 
-def _stages(cuts: CutEpisodes, begun: Int[np.ndarray, "rows 2"]) -> pd.DataFrame:
+def stages_of(cuts: CutEpisodes, begun: Int[np.ndarray, "rows 2"], verbs: Sequence[str] = VERB_NAMES) -> pd.DataFrame:
+    """What was done in the stages that were begun, (path, stage) from 0; `verbs` names them all."""
     path, stage = begun.T
     episodes, actions = cuts.episodes, ActionSpace(cuts.episodes.states.num_objects)
     action = np.asarray(episodes.action)[path, stage]
@@ -83,8 +85,8 @@ def _stages(cuts: CutEpisodes, begun: Int[np.ndarray, "rows 2"]) -> pd.DataFrame
             "path": path,
             "stage": stage + 1,
             "elapsed_s": elapsed_s(cuts)[path, stage],
-            "action": _VERB_NAMES[verb],
-            "object": pd.Series(actions.target(action), dtype="Int64").mask(verb == Verb.FINISH),
+            "action": np.array(verbs)[verb],
+            "object": pd.Series(actions.target(action), dtype="Int64").mask(~np.isin(verb, TARGETED)),
             "reward": np.where(is_completed, reward, np.nan),
             "probability": np.asarray(episodes.probability, dtype=np.float64)[path, stage],
         }
@@ -101,7 +103,8 @@ def history_of(states: TableState) -> tuple[Float[jax.Array, "*B N"], ...]:
     return jax.vmap(jax.vmap(one))(states)
 
 
-def _objects(cuts: CutEpisodes, begun: Int[np.ndarray, "rows 2"]) -> pa.Table:
+def objects_of(cuts: CutEpisodes, begun: Int[np.ndarray, "rows 2"]) -> pa.Table:
+    """What was seen of each object in the stages that were begun."""
     states = cuts.episodes.states
     occluded, successes, failures = (np.asarray(leaf) for leaf in history_of(states))
     is_object = np.asarray(states.is_object)[:, 0]

@@ -1,0 +1,73 @@
+"""What a recorder keeps of a team: who decided, what the others were at, and one clock that never falls."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from halfseen.logs import read_logs
+from halfseen.planners.heuristics import GreedyPolicy
+from halfseen.team import episodes
+from halfseen.team.config import TeamConfig
+from halfseen.team.policy import ExploringTeam, TeamOfRules
+from halfseen.team.recording import to_logs
+from halfseen.team.state import TeamLayout, Workspace
+from halfseen.world import Scene, WorldConfig
+from halfseen.world.cuts import cut, cut_rate
+from halfseen.world.state import pad_scenes
+
+NUM_OBJECTS, NUM_PATHS = 4, 60
+SCENE = Scene(np.triu(np.full((NUM_OBJECTS, NUM_OBJECTS), 0.3), 1))
+
+
+@pytest.fixture(scope="module", params=[1, 2, 3])
+def played(request):
+    num_robots = request.param
+    team = TeamConfig(WorldConfig(horizon=5), speed=(1.0,) * num_robots)
+    reach = jnp.ones((1, num_robots, NUM_OBJECTS), dtype=bool)
+    layouts = TeamLayout(pad_scenes([SCENE]), Workspace(reach, jnp.eye(NUM_OBJECTS, dtype=bool)[None]))
+    rule = GreedyPolicy(team.world, uses_history=True, counts_penalty=True)
+    return episodes.play(team, layouts, ExploringTeam(TeamOfRules(rule)), jax.random.key(1), NUM_PATHS)
+
+
+@pytest.fixture(scope="module")
+def logs(played):
+    rate = cut_rate(played, 0.5, "independent")
+    return to_logs(cut(played, rate, "independent", np.random.default_rng(0)), "independent", [SCENE], 0.6)
+
+
+def test_a_log_of_a_team_is_a_log(logs, tmp_path):
+    assert logs.num_paths == NUM_PATHS
+    assert 0.2 < (logs.paths["ending"] == "cut").mean() < 0.8
+    logs.write(tmp_path / "log")
+    assert read_logs(tmp_path / "log").stages["robot"].tolist() == logs.stages["robot"].tolist()
+
+
+def test_the_clock_never_falls_and_adds_up(played, logs):
+    elapsed_s = np.asarray(played.elapsed_s)
+    assert (np.diff(elapsed_s, axis=1) >= 0).all()
+    first = logs.stages[logs.stages["path"] == 0].dropna(subset=["elapsed_s"])
+    np.testing.assert_allclose(first["elapsed_s"], elapsed_s[0, : len(first)], rtol=1e-5)
+
+
+def test_who_decides_is_free_and_the_others_are_as_they_are_said_to_be(logs):
+    stages = logs.stages
+    for row in stages.itertuples(index=False):
+        assert getattr(row, f"_{stages.columns.get_loc(f'{row.robot}_does')}") == "FREE"
+    num_robots = stages["robot"].max() + 1
+    for r in range(num_robots):
+        spent = stages[f"{r}_decisions_to_go"].groupby(stages["path"]).diff().dropna()
+        made = (stages["robot"] == r).groupby(stages["path"]).shift(fill_value=False)[spent.index]
+        np.testing.assert_array_equal(-spent, made)
+
+
+def test_nobody_is_at_what_another_is_at(logs):
+    stages = logs.stages.dropna(subset=["object"])
+    for r in range(stages["robot"].max() + 1):
+        others = stages[stages["robot"] != r]
+        at = others[f"{r}_does"].str.extract(r"(\d+)$")[0].astype("Int64")
+        assert not (at == others["object"]).fillna(False).any()
+
+
+def test_no_probability_is_that_of_something_impossible(logs):
+    assert ((logs.stages["probability"] > 0) & (logs.stages["probability"] <= 1)).all()
