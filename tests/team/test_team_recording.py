@@ -5,12 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from halfseen.logs import read_logs
+from halfseen.errors import LogError
+from halfseen.logs import Logs, read_logs
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.team import episodes
+from halfseen.team.actions import possible_actions
 from halfseen.team.config import TeamConfig
 from halfseen.team.policy import ExploringTeam, TeamOfRules
-from halfseen.team.recording import to_logs
+from halfseen.team.recording import states_of, to_logs
 from halfseen.team.state import TeamLayout, Workspace
 from halfseen.world import Scene, WorldConfig
 from halfseen.world.cuts import cut, cut_rate
@@ -71,3 +73,33 @@ def test_nobody_is_at_what_another_is_at(logs):
 
 def test_no_probability_is_that_of_something_impossible(logs):
     assert ((logs.stages["probability"] > 0) & (logs.stages["probability"] <= 1)).all()
+
+
+def test_from_a_log_come_the_states_that_the_team_saw(played, logs):
+    horizon = played.action.shape[1]
+    states = states_of(logs, horizon)
+    at = logs.stages["path"].to_numpy(), logs.stages["stage"].to_numpy() - 1
+    seen = played.states
+    for name in ("is_busy", "is_parked", "decisions_to_go"):
+        np.testing.assert_array_equal(np.asarray(getattr(states.robots, name))[at], getattr(seen.robots, name)[at])
+    is_busy = np.asarray(seen.robots.is_busy)[at]
+    for name in ("verb", "target", "since_s"):
+        found, truth = (np.asarray(getattr(each.robots, name))[at] for each in (states, seen))
+        np.testing.assert_allclose(np.where(is_busy, found, 0), np.where(is_busy, truth, 0), rtol=1e-6)
+    np.testing.assert_array_equal(np.asarray(states.decider)[at], np.asarray(seen.decider)[at])
+    possible = jax.vmap(jax.vmap(possible_actions))
+    np.testing.assert_array_equal(np.asarray(possible(states))[at], np.asarray(possible(seen))[at])
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"robot": lambda stages: stages["robot"] + 7}, r"path 0, stage 1: robot is 7, but its columns tell of robots"),
+        ({"0_does": "WASH"}, r"stage 1: 0_does is 'WASH'; it is FREE, PARKED"),
+        ({"0_does": "DANCE 1"}, r"0_does is 'DANCE 1'"),
+    ],
+)
+def test_what_no_team_does_is_refused(logs, change, told):
+    wrong = Logs(logs.stages.assign(**change), logs.paths, logs.objects)
+    with pytest.raises(LogError, match=told):
+        states_of(wrong, 15)

@@ -2,26 +2,37 @@
 
 Beside the columns of one robot's log, a stage holds `robot` (from 0) and, for each robot r, what it was at when that
 stage began: r_does ("WASH 3", "WAIT", "FREE", "PARKED"), r_since_s (for how long, 0 where it is free) and
-r_decisions_to_go.
+r_decisions_to_go. Per object it holds two lists more: reached_by (numbers of the robots that reach it) and near (the
+objects of the stage that are too near to it for two robots at once, by their place among these, itself included).
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 import pandas as pd
-from jaxtyping import Int
+import pyarrow as pa
+from jaxtyping import Array, Int
 
 from halfseen.logs import Logs
-from halfseen.team.state import TeamState
+from halfseen.logs.columns import require_columns
+from halfseen.logs.refusal import refuse, shown, value_at
+from halfseen.team.state import Robots, TeamState, Workspace
 from halfseen.world.action_space import TARGETED
 from halfseen.world.cuts import CutEpisodes, CutKind
 from halfseen.world.number import Number
-from halfseen.world.recording import VERB_NAMES, objects_of, paths_of, stages_of
+from halfseen.world.recording import VERB_NAMES, lists_of, objects_of, paths_of, stages_of
+from halfseen.world.recording import states_of as table_states_of
 from halfseen.world.scene import Scene
+from halfseen.world.state import TableState
+from halfseen.world.table_checks import lists_in, object_numbers
 
 TEAM_VERBS = (*VERB_NAMES, "WAIT")
 FREE, PARKED = "FREE", "PARKED"
+_OF_ROBOT = ("does", "since_s", "decisions_to_go")
+_FREE, _PARKED, _UNKNOWN = -1, -2, -3
+_IDLE = {FREE: _FREE, PARKED: _PARKED}
 
 
 def to_logs(cuts: CutEpisodes, kind: CutKind | str, scenes: Sequence[Scene], dirty_share: Number | None = None) -> Logs:
@@ -41,7 +52,110 @@ def to_logs(cuts: CutEpisodes, kind: CutKind | str, scenes: Sequence[Scene], dir
     states, begun = cuts.episodes.states, np.argwhere(cuts.is_begun)
     of_table = replace(cuts, episodes=replace(cuts.episodes, states=states.table))
     stages = stages_of(of_table, begun, TEAM_VERBS).assign(**_robots(states, begun))
-    return Logs(stages, paths_of(cuts, kind, scenes, dirty_share), objects_of(of_table, begun))
+    return Logs(stages, paths_of(cuts, kind, scenes, dirty_share), _objects(of_table, states.workspace, begun))
+
+
+def _objects(of_table: CutEpisodes, workspace: Workspace, begun: Int[np.ndarray, "rows 2"]) -> pa.Table:
+    objects = objects_of(of_table, begun)
+    path, stage, target = (objects[name].to_numpy() for name in ("path", "stage", "object"))
+    reached = np.asarray(workspace.is_in_reach)[path, stage - 1, :, target]
+    near = (
+        np.asarray(workspace.is_near)[path, stage - 1, target] & np.asarray(of_table.episodes.states.is_object)[path, 0]
+    )
+    for name, is_one in (("reached_by", reached), ("near", near)):
+        objects = objects.append_column(
+            name, lists_of(np.broadcast_to(np.arange(is_one.shape[1]), is_one.shape), is_one)
+        )
+    return objects
+
+
+def states_of(logs: Logs, horizon: int) -> TeamState:
+    """Rebuild S_t of every stage of a log of a team, axes (n, T); what has no row is an empty table that nobody is at.
+
+    Parameters
+    ----------
+    logs
+        The log.
+    horizon
+        T, the decisions of all robots together.
+
+    Raises
+    ------
+    LogError
+        The log breaks a rule of tables, a column of a robot is missing, or a robot is none of them.
+    """
+    stages = logs.stages
+    num_robots = sum(f"{r}_does" in stages.columns for r in range(stages.shape[1]))
+    require_columns(
+        "stages", stages, ("robot", *(f"{r}_{what}" for r in range(max(num_robots, 1)) for what in _OF_ROBOT))
+    )
+    table = table_states_of(logs, horizon)
+    at = pd.Index(logs.path_ids).get_indexer(stages["path"]), stages["stage"].to_numpy() - 1
+    decider = _decider(stages, num_robots)
+    shape = logs.num_paths, horizon
+
+    def spread(values: np.ndarray) -> Array:
+        found = np.zeros((*shape, *values.shape[1:]), dtype=values.dtype)
+        found[at] = values
+        return jnp.asarray(found)
+
+    does = np.stack([_doing(stages, r) for r in range(num_robots)], axis=1)
+    numbers = {
+        what: np.stack([stages[f"{r}_{what}"].to_numpy() for r in range(num_robots)], axis=1)
+        for what in ("since_s", "decisions_to_go")
+    }
+    robots = Robots(
+        is_busy=spread(does[..., 0] >= 0),
+        is_parked=spread(does[..., 0] == _PARKED),
+        verb=spread(np.maximum(does[..., 0], 0).astype(np.int32)),
+        target=spread(does[..., 1].astype(np.int32)),
+        since_s=spread(numbers["since_s"].astype(np.float32)),
+        decisions_to_go=spread(numbers["decisions_to_go"].astype(np.int32)),
+    )
+    return TeamState(table, robots, _workspaces(logs, table, num_robots), spread(decider))
+
+
+def _decider(stages: pd.DataFrame, num_robots: int) -> Int[np.ndarray, " rows"]:
+    decider = pd.Index(range(num_robots)).get_indexer(stages["robot"])
+    remedy = f"its columns tell of robots 0 to {num_robots - 1}; name it so, or add what it does"
+    refuse(stages, decider < 0, lambda row: f"robot is {shown(value_at(stages, 'robot', row))}, but {remedy}")
+    return decider.astype(np.int32)
+
+
+def _doing(stages: pd.DataFrame, robot: int) -> Int[np.ndarray, "rows 2"]:
+    """Verb (−1 if free, −2 if parked) and object of what a robot is at."""
+    code, words = pd.factorize(stages[f"{robot}_does"])
+    known = np.array([_parsed(str(each)) for each in words], dtype=np.int64).reshape(-1, 2)
+    wrong = known[:, 0] == _UNKNOWN
+    remedy = f"it is {FREE}, {PARKED}, {', '.join(TEAM_VERBS)}, the verbs of an object with its number"
+    refuse(stages, wrong[code], lambda row: f"{robot}_does is {shown(words[code[row]])}; {remedy}")
+    return known[code]
+
+
+def _parsed(words: str) -> tuple[int, int]:
+    verb, _, target = words.partition(" ")
+    if words in _IDLE:
+        return _IDLE[words], 0
+    if verb not in TEAM_VERBS or (target.isdecimal() != (TEAM_VERBS.index(verb) in TARGETED)):
+        return _UNKNOWN, 0
+    return TEAM_VERBS.index(verb), int(target or 0)
+
+
+def _workspaces(logs: Logs, table: TableState, num_robots: int) -> Workspace:
+    assert logs.objects is not None
+    objects = logs.objects
+    require_columns("objects", objects, ("reached_by", "near"))
+    number, shape = object_numbers(objects), table.is_object.shape
+    at = pd.Index(logs.path_ids).get_indexer(objects["path"]), objects["stage"].to_numpy() - 1, number
+    begin = np.arange(len(objects)) - objects.groupby(["path", "stage"]).cumcount().to_numpy()
+    reach, near = lists_in(objects, "reached_by"), lists_in(objects, "near")
+    is_in_reach = np.zeros((*shape[:2], num_robots, shape[2]), dtype=bool)
+    is_near = np.zeros((*shape, shape[2]), dtype=bool)
+    path, stage, target = at
+    is_in_reach[path[reach.row], stage[reach.row], reach.values.astype(np.int64), target[reach.row]] = True
+    other = number[begin[near.row] + near.values.astype(np.int64)]
+    is_near[path[near.row], stage[near.row], target[near.row], other] = True
+    return Workspace(jnp.asarray(is_in_reach), jnp.asarray(is_near))
 
 
 def _robots(states: TeamState, begun: Int[np.ndarray, "rows 2"]) -> dict[str, pd.Series]:

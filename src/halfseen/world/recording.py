@@ -127,14 +127,15 @@ def objects_of(cuts: CutEpisodes, begun: Int[np.ndarray, "rows 2"]) -> pa.Table:
             "successes": successes[at].astype(np.int64),
             "failures": failures[at].astype(np.int64),
             "lifts": np.asarray(states.lifts)[at].astype(np.int64),
-            "hidden_by": _lists(np.asarray(states.hides)[at].astype(np.float64), is_object[path]),
-            "attempt_occlusions": _lists(tried_at, is_attempt),
-            "attempt_succeeded": _lists(succeeded, is_attempt),
+            "hidden_by": lists_of(np.asarray(states.hides)[at].astype(np.float64), is_object[path]),
+            "attempt_occlusions": lists_of(tried_at, is_attempt),
+            "attempt_succeeded": lists_of(succeeded, is_attempt),
         }
     )
 
 
-def _lists(values: np.ndarray, is_kept: Bool[np.ndarray, "rows k"]) -> pa.ListArray:
+def lists_of(values: np.ndarray, is_kept: Bool[np.ndarray, "rows k"]) -> pa.ListArray:
+    """A list a row, of the values that are kept."""
     offsets = np.concatenate([[0], np.cumsum(is_kept.sum(axis=1))]).astype(np.int32)
     return pa.ListArray.from_arrays(pa.array(offsets), pa.array(values[is_kept]))
 

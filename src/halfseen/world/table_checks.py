@@ -12,6 +12,7 @@ from halfseen.errors import LogError
 from halfseen.logs import Logs
 from halfseen.logs.columns import as_floats, require_columns
 from halfseen.logs.refusal import refuse, shown, value_at
+from halfseen.logs.robot_checks import ROBOT
 from halfseen.world.action_space import Verb
 
 TABLE, DISHWASHER, LOST = LOCATIONS = ("TABLE", "DISHWASHER", "LOST")
@@ -49,7 +50,7 @@ def checked_objects(logs: Logs, horizon: int) -> "tuple[pd.DataFrame, dict[str, 
     _check_acted_on(logs.stages, frame, rank)
     _check_return(frame, number)
     _check_numbers(frame)
-    lists = {column: _lists(frame, column) for column in LIST_COLUMNS}
+    lists = {column: lists_in(frame, column) for column in LIST_COLUMNS}
     _check_hidden_by(frame, lists["hidden_by"], counts, rank)
     _check_attempts(frame, lists)
     return frame, lists
@@ -89,7 +90,8 @@ class Lists:
         return np.bincount(self.row[wrong], minlength=len(self.lengths)) > 0
 
 
-def _lists(frame: pd.DataFrame, column: str) -> Lists:
+def lists_in(frame: pd.DataFrame, column: str) -> Lists:
+    """Entries of a column of lists of numbers; null is refused."""
     lists = pa.array(frame[column], from_pandas=True)
     if not (pa.types.is_list(lists.type) and _is_number(lists.type.value_type)):
         raise LogError(f"objects: column {column!r} holds {lists.type}, not lists of numbers; give each object a list")
@@ -106,10 +108,12 @@ def _is_number(kind: pa.DataType) -> bool:
 
 
 def _check_after_finish(stages: pd.DataFrame) -> None:
-    path, is_finish = stages["path"].to_numpy(), stages["action"].eq(Verb.FINISH.name).to_numpy(dtype=bool)
-    late = np.zeros(len(stages), dtype=bool)
-    late[1:] = is_finish[:-1] & (path[1:] == path[:-1])
-    refuse(stages, late, "it comes after FINISH, which ends a path; drop the stage, or begin a new path with it")
+    """FINISH ends a path; of several robots, it ends what that robot does."""
+    who = ["path", *({ROBOT} & set(stages.columns))]
+    is_finish = stages["action"].eq(Verb.FINISH.name)
+    late = is_finish.groupby([stages[name] for name in who]).shift(fill_value=False).to_numpy(dtype=bool)
+    ends = "parks its robot for good" if ROBOT in stages.columns else "ends a path"
+    refuse(stages, late, f"it comes after FINISH, which {ends}; drop the stage, or begin a new path with it")
 
 
 def _check_locations(frame: pd.DataFrame) -> None:
