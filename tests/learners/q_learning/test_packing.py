@@ -7,7 +7,7 @@ import pytest
 from random_logs import random_log
 
 from halfseen.learners.q_learning.fitting import in_float64
-from halfseen.learners.q_learning.packing import packed
+from halfseen.learners.q_learning.packing import num_rows, packed
 from halfseen.learners.q_learning.recursion import backward
 from halfseen.learners.q_learning.room import MOST_SPARE
 from halfseen.learners.q_learning.transitions import goes_on, of_successor, taken_of, target_of
@@ -58,14 +58,17 @@ def test_each_row_of_weight_keeps_what_it_holds_and_what_follows_it(end_action):
 
 @pytest.mark.parametrize("end_action", [None, 0])
 @pytest.mark.parametrize("pessimism", [None, 1.0])
-def test_q_is_the_same(end_action, pessimism):
+@pytest.mark.parametrize("fewest_rows", [0, 2000])
+def test_q_is_the_same(end_action, pessimism, fewest_rows):
     log = cut_log(seed=3, ends_with=end_action)
     log = log._replace(fold=log.fold % 3)
     options = {"num_blocks": 3, "stages": "pooled", "num_folds": 3, "end_action": end_action, "pessimism": pessimism}
     with in_float64():
         blocks, regs = BLOCKS, np.array([0.01, 0.1, 1.0])
         whole = backward(jax.tree.map(np.asarray, log), blocks, regs, **options)
-        flat = backward(packed(log, end_action, BLOCKS), blocks, regs, **options, horizon=log.action.shape[1])
+        flat = packed(log, end_action, BLOCKS, fewest_rows)
+        assert flat.action.shape[1] >= fewest_rows
+        flat = backward(flat, blocks, regs, **options, horizon=log.action.shape[1])
     np.testing.assert_allclose(flat.coefficients, whole.coefficients, atol=1e-9)
     np.testing.assert_array_equal(flat.reg, whole.reg)
     if pessimism:
@@ -76,13 +79,21 @@ def test_q_is_the_same(end_action, pessimism):
 def test_there_is_room_for_few_rows_more_and_they_are_empty():
     log = cut_log(seed=5)
     flat = packed(log, None, BLOCKS)
-    num_rows = flat.action.shape[1]
-    assert num_rows < log.action.size
-    num_used = np.flatnonzero(flat.weight[0])[-1] + 2
-    assert num_rows <= max(64, (1 + 1 / MOST_SPARE) * num_used + 1)
+    num_there = flat.action.shape[1]
+    assert num_there < log.action.size
+    num_used = num_rows(log)
+    assert np.flatnonzero(flat.weight[0])[-1] + 1 <= num_used <= num_there
+    assert num_there <= max(64, (1 + 1 / MOST_SPARE) * num_used + 1)
     assert not flat.weight[0, num_used:].any()
-    spare = ~np.isin(np.arange(num_used, num_rows), flat.choices.row)
+    spare = ~np.isin(np.arange(num_used, num_there), flat.choices.row)
     assert spare.all()
+
+
+def test_parts_of_a_log_with_the_room_of_the_whole_are_of_one_shape():
+    log = cut_log(seed=6)
+    parts = [log._replace(weight=np.where(log.fold[:, None] == k, 0.0, log.weight)) for k in range(2)]
+    shapes = [[leaf.shape for leaf in jax.tree.leaves(packed(part, None, BLOCKS, num_rows(log)))] for part in parts]
+    assert shapes[0] == shapes[1]
 
 
 def test_choices_are_what_is_possible_where_something_came_before_in_chunks_of_one_block():

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from halfseen.errors import ArgumentError
 from halfseen.learners.q_learning.judging import Judged, judged
-from halfseen.learners.q_learning.packing import packed
+from halfseen.learners.q_learning.packing import num_rows, packed
 from halfseen.learners.q_learning.recursion import backward
 from halfseen.learners.q_learning.room import padded, with_room
 from halfseen.learners.q_learning.transitions import AnyArray, QFunctions, StageMode, Transitions
@@ -42,6 +42,7 @@ def fit_q_functions(
     regs: Float[np.ndarray, " L"],
     options: BackwardOptions,
     pessimism: float = 0.0,
+    fewest_rows: int = 0,
 ) -> QFunctions:
     """Run the recursion on one log, or on a batch of logs if the arrays have a leading axis for it.
 
@@ -57,6 +58,8 @@ def fit_q_functions(
         The rest.
     pessimism
         Standard errors by which Q is lowered wherever the largest is sought; 0 for eq. 3 as it is.
+    fewest_rows
+        There is room for so many, where the rows of all stages are pooled (`packing.packed`).
 
     Raises
     ------
@@ -72,7 +75,8 @@ def fit_q_functions(
     if log.action.ndim == 3:
         fit, ready = backward_batch, log
     elif options.stages == "pooled":
-        fit, ready, more["horizon"] = backward, packed(log, options.end_action, blocks), log.action.shape[1]
+        fit, ready = backward, packed(log, options.end_action, blocks, fewest_rows)
+        more["horizon"] = log.action.shape[1]
     else:
         fit, ready = backward, with_room(log)
     with in_float64():
@@ -111,7 +115,8 @@ def fit_and_judge(
         As for `fit_q_functions`.
     """
     num_paths = len(log.action)
-    fits = [fit_q_functions(counted(log, counts), blocks, regs, options) for counts in multiplicity]
+    room = num_rows(log)
+    fits = [fit_q_functions(counted(log, counts), blocks, regs, options, fewest_rows=room) for counts in multiplicity]
     with in_float64():
         arrays = jax.tree.map(jnp.asarray, (with_room(log), padded(reward, num_paths), blocks))
         each = [jax.tree.map(np.asarray, _judged(fit, *arrays, stages=options.stages)) for fit in fits]

@@ -23,7 +23,9 @@ CHOICES_PER_ROW = 4
 """There is room for a multiple of so many choices a row, so that logs of about the same size share one program."""
 
 
-def packed(log: Transitions, end_action: int | None, block_of_action: Int[np.ndarray, " A"]) -> Transitions:
+def packed(
+    log: Transitions, end_action: int | None, block_of_action: Int[np.ndarray, " A"], fewest_rows: int = 0
+) -> Transitions:
     """Pack one log; NumPy arrays out.
 
     Parameters
@@ -34,6 +36,8 @@ def packed(log: Transitions, end_action: int | None, block_of_action: Int[np.nda
         The action that the horizon forces upon a path, as in `recursion.backward`.
     block_of_action
         Which block of coefficients each action uses.
+    fewest_rows
+        There is room for so many at least: parts of one log with the room of the whole share one program.
 
     Returns
     -------
@@ -41,8 +45,8 @@ def packed(log: Transitions, end_action: int | None, block_of_action: Int[np.nda
         Of one path, with `fold` and `is_longer` of each row, `choices`, and n in `num_paths`.
     """
     num_paths, horizon = log.action.shape
-    row, is_empty = _rows(np.asarray(log.weight) > 0, np.asarray(log.is_last))
-    spare = room_for_rows(len(row)) - len(row)
+    row, is_empty = _rows(log)
+    spare = room_for_rows(max(len(row), fewest_rows)) - len(row)
     row, is_empty = np.pad(row, (0, spare)), np.pad(is_empty, (0, spare), constant_values=True)
 
     def pack(leaf: Any) -> np.ndarray:
@@ -99,10 +103,14 @@ def _choices(
     )
 
 
-def _rows(
-    has_weight: Bool[np.ndarray, "n T"], is_last: Bool[np.ndarray, "n T"]
-) -> tuple[Int[np.ndarray, " R"], Bool[np.ndarray, " R"]]:
+def num_rows(log: Transitions) -> int:
+    """How many rows a log has once it is packed, without the room for more."""
+    return len(_rows(log)[0])
+
+
+def _rows(log: Transitions) -> tuple[Int[np.ndarray, " R"], Bool[np.ndarray, " R"]]:
     """Which rows come one after another, and which of them are empty."""
+    has_weight, is_last = np.asarray(log.weight) > 0, np.asarray(log.is_last)
     num_paths, horizon = has_weight.shape
     length = np.where(has_weight.any(axis=1), horizon - np.argmax(has_weight[:, ::-1], axis=1), 0)
     is_over = (length == 0) | is_last[np.arange(num_paths), length - 1]
