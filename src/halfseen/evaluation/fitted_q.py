@@ -62,7 +62,7 @@ class _Judging:
         k, given = numbered
         without = (self.fold != k).astype(np.float64)[None]
         weighted = self.log._replace(weight=given.weight, imputation=given.imputation)
-        blocks = self.model.task.block_of_action(self.log.is_possible.shape[-1])
+        blocks = self.model.blocks(self.log.is_possible.shape[-1])
         options = self.model.options(len(self.fold))
         return fit_and_judge(weighted, self.reward, without, blocks, self.model.regs, options)
 

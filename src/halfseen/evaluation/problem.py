@@ -208,7 +208,7 @@ def _support(probabilities: Float[np.ndarray, "n T A"], paths: PathArrays) -> Fl
 def _unseen(probabilities: Float[np.ndarray, "n T A"], paths: PathArrays, model: QModel) -> str | None:
     """The first action that the policy would take in a stage that was begun, and that has no value."""
     assert model.support is not None
-    blocks = model.blocks(probabilities.shape[-1])
+    blocks = model.kinds(probabilities.shape[-1])
     is_taken = ((probabilities > 0) & paths.is_begun[..., None]).any(axis=0)
     lacking = np.argwhere(is_taken & ~model.support.is_seen(model.stages)[:, blocks])
     if not len(lacking):

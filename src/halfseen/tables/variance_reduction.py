@@ -17,7 +17,8 @@ Both rest on p being a probability: of the objects at p, the share p is dirty. W
 themselves, Q is learned without a bias from them by ``reduces_variance=False``.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -27,6 +28,9 @@ from halfseen.tables.features import WASH_DIRTY, WASH_EASE
 from halfseen.world.action_space import ActionSpace, Verb
 
 NUM_OUTCOMES = 3
+
+WeightedRows: TypeAlias = tuple[Float[np.ndarray, "R Z"], Float[np.ndarray, " R"], Float[np.ndarray, " R"]]
+"""Numbers of each row, what they foretell, and weights."""
 
 
 def wash_outcomes(encoded: Encoded) -> Float[np.ndarray, "n T 3"]:
@@ -59,18 +63,34 @@ def label_control_variates(encoded: Encoded) -> Float[np.ndarray, "n T 8"]:
     space = _space(encoded)
     washed = encoded.features[:, :, space.of(Verb.WASH)]
     is_dirty, ease = washed[..., WASH_DIRTY].astype(np.float64), washed[..., WASH_EASE]
-    is_there = encoded.is_possible[:, :, space.of(Verb.WASH)]
-    moved = np.zeros_like(is_dirty)
-    moved[:, :-1] = np.where(is_there[:, :-1] & is_there[:, 1:], np.diff(is_dirty, axis=1), 0.0)
-    plain, within_reach = moved, moved * ease
-    likely = [within_reach * (is_dirty > knot) for knot in (0.25, 0.5, 0.75)]
-    of_table = [values.sum(axis=-1) for values in (plain, within_reach, *likely)]
+    moved = label_moves(is_dirty, ease, encoded.is_possible[:, :, space.of(Verb.WASH)])
+    of_table = [values.sum(axis=-1) for values in moved]
     target = space.target(encoded.action)
     of_target = [
         np.where(encoded.action > 0, np.take_along_axis(values, target[..., None], axis=-1)[..., 0], 0.0)
-        for values in (plain, within_reach, likely[1])
+        for values in (moved[0], moved[1], moved[3])
     ]
     return np.stack(of_table + of_target, axis=-1)
+
+
+def label_moves(
+    is_dirty: Float[np.ndarray, "n T N"], ease: Float[np.ndarray, "n T N"], is_there: Bool[np.ndarray, "n T N"]
+) -> list[Float[np.ndarray, "n T N"]]:
+    """(p' − p)·m of each object that stays on the table, for each multiplier m of the table.
+
+    Parameters
+    ----------
+    is_dirty
+        p.
+    ease
+        Of a grasp.
+    is_there
+        Whether it stands on the table.
+    """
+    plain = np.zeros_like(is_dirty)
+    plain[:, :-1] = np.where(is_there[:, :-1] & is_there[:, 1:], np.diff(is_dirty, axis=1), 0.0)
+    within_reach = plain * ease
+    return [plain, within_reach, *(within_reach * (is_dirty > knot) for knot in (0.25, 0.5, 0.75))]
 
 
 def wash_pay(parts: Iterable[RewardedStages]) -> tuple[float, ...]:
@@ -81,12 +101,29 @@ def wash_pay(parts: Iterable[RewardedStages]) -> tuple[float, ...]:
     parts
         A log, whole or in parts.
     """
-    kept = np.zeros((0, NUM_OUTCOMES + 1))
+    return regressed(_washes(parts), NUM_OUTCOMES)
+
+
+def _washes(parts: Iterable[RewardedStages]) -> Iterator[WeightedRows]:
     for stages in parts:
         outcome = wash_outcomes(stages.encoded)
         use = _is_reduced(stages, outcome)
-        root = np.sqrt(stages.weight[use])[:, None]
-        rows = np.column_stack([outcome[use], stages.reward[use]]) * root
+        yield outcome[use], stages.reward[use], stages.weight[use]
+
+
+def regressed(parts: Iterable[WeightedRows], num_columns: int) -> tuple[float, ...]:
+    """Least squares of weighted rows that come in parts: the coefficients.
+
+    Parameters
+    ----------
+    parts
+        Numbers of each row, what they foretell, and weights.
+    num_columns
+        How many numbers a row has.
+    """
+    kept = np.zeros((0, num_columns + 1))
+    for numbers, told, weight in parts:
+        rows = np.column_stack([numbers, told]) * np.sqrt(weight)[:, None]
         # What is kept of the parts before has the same normal equations as their rows.
         kept = np.vstack([np.linalg.qr(kept, mode="r"), rows]) if len(kept) else rows
     return tuple(np.linalg.lstsq(kept[:, :-1], kept[:, -1], rcond=None)[0].tolist())

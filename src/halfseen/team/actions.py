@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from halfseen.team.state import TeamState
-from halfseen.world.action_space import TARGETED, ActionSpace
+from halfseen.world.action_space import TARGETED, ActionSpace, Verb
 
 WAIT = 1 + len(TARGETED)
 """Verb of doing nothing until the next event."""
@@ -33,3 +33,16 @@ def possible_actions(state: TeamState) -> Bool[Array, " A"]:
     is_free = state.table.is_on_table & state.workspace.is_in_reach[state.decider] & ~is_taken
     assert is_free.shape == (num_objects,)
     return jnp.concatenate([jnp.ones(1, dtype=bool), *[is_free] * len(TARGETED), jnp.any(is_at_work)[None]])
+
+
+def worthwhile_actions(state: TeamState) -> Bool[Array, " A"]:
+    """Which of the possible actions a policy that is learned chooses from: it waits for something, or not at all.
+
+    WAIT only where something that the robot reaches, and that is rather dirty than clean, is in another robot's hands or
+    way. Elsewhere the robot could as well do or leave now what it may do then; and as every decision more is one more
+    maximum over errors of Q, waiting for nothing looked better than it is.
+    """
+    is_possible, table = possible_actions(state), state.table
+    is_free = is_possible[ActionSpace(table.num_objects).of(Verb.WASH)]
+    is_wanted = table.is_on_table & state.workspace.is_in_reach[state.decider] & (table.log_odds > 0.0)
+    return is_possible.at[-1].set(is_possible[-1] & jnp.any(is_wanted & ~is_free))

@@ -6,12 +6,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from halfseen.learners.q_learning.choice import leaning
 from halfseen.learners.q_learning.support import seen_among
 from halfseen.learners.q_learning.transitions import q_values
-from halfseen.team.actions import WAIT, possible_actions
+from halfseen.team.actions import WAIT, worthwhile_actions
 from halfseen.team.features import team_features
 from halfseen.team.state import TeamState
 from halfseen.world.action_space import ActionSpace
+from halfseen.world.grasp_model import GraspModel
 from halfseen.world.policy import Decision, surely
 
 
@@ -23,29 +25,39 @@ class LinearTeamPolicy:
     Parameters
     ----------
     coefficients
-        Of Q_1 … Q_T, by decisions to go, verb and feature (offset first).
+        Of Q_1 … Q_T, by decisions to go, for all verbs alike (K = 1), the offset first.
+    grasp
+        What tells the probability of a grasp in the features; None for the rule of succession.
     is_seen
         Which verbs have a value, by decisions to go; None for all.
     margin
-        M by decisions to go and verb; None without pessimism.
+        M by decisions to go; None without pessimism.
+    behaviour
+        Coefficients of the behaviour policy, which waives margins; None if not known.
     """
 
     coefficients: Float[Array, "T K F"]
-    is_seen: Bool[Array, "T K"] | None = None
+    grasp: GraspModel | None = None
+    is_seen: Bool[Array, "T V"] | None = None
     margin: Float[Array, "T K F F"] | None = None
+    behaviour: Float[Array, "K G"] | None = None
 
     def q_values(self, state: TeamState, key: Array | None = None) -> Float[Array, " A"]:
-        """Q of every action, less its margin; −∞ where it is not possible."""
-        verbs = jnp.append(jnp.asarray(ActionSpace(state.table.num_objects).verbs), WAIT)
-        features = team_features(state)
+        """Q of every action, less its margin, measured from leaving the table; −∞ where it is not chosen from."""
+        features, allowed = team_features(state, self.grasp), worthwhile_actions(state)
+        one_block = jnp.zeros(len(allowed), dtype=jnp.int32)
         to_go = jnp.clip(jnp.sum(state.robots.decisions_to_go), 1, len(self.coefficients)) - 1
-        q = q_values(self.coefficients[to_go], features, verbs)
-        if self.margin is not None:
-            each = self.margin[to_go][verbs]
-            q = q - jnp.linalg.norm(each[:, 0] + jnp.einsum("af,afg->ag", features, each[:, 1:]), axis=-1)
-        allowed = possible_actions(state)
+        q = q_values(self.coefficients[to_go], features, one_block)
         if self.is_seen is not None:
+            verbs = jnp.append(jnp.asarray(ActionSpace(state.table.num_objects).verbs), WAIT)
             allowed = jnp.asarray(seen_among(allowed, self.is_seen[to_go][verbs]))
+        if self.margin is not None:
+            of_offset, slopes = self.margin[to_go, 0, 0], self.margin[to_go, 0, 1:]
+            margin = jnp.linalg.norm(of_offset + features @ slopes, axis=-1)
+            if self.behaviour is not None:
+                utility = q_values(self.behaviour, features, one_block)
+                margin = (1.0 - jnp.asarray(leaning(utility, allowed))) * margin
+            q = q - margin
         return jnp.where(allowed, q, -jnp.inf)
 
     def decide(self, state: TeamState, key: Array) -> Decision:

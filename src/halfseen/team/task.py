@@ -1,9 +1,9 @@
-"""The task of a team: one Q for all robots, decided one robot at a time, with a block for each verb and one for WAIT."""
+"""The task of a team: one Q for all robots, decided one robot at a time."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,51 +12,89 @@ import pandas as pd
 from jaxtyping import Float, Int
 
 from halfseen.errors import ArgumentError
+from halfseen.learners.q_learning.automatic import AUTO
 from halfseen.learners.q_learning.path_arrays import stage_places
 from halfseen.learners.q_learning.task import Encoded, LearnedQ, RewardedStages
 from halfseen.logs import Logs
 from halfseen.tables.censoring_covariates import TABLE_COVARIATES, table_covariates
-from halfseen.team.actions import WAIT, possible_actions, wait_of
+from halfseen.tables.grasp.choice import choose_by
+from halfseen.team.actions import WAIT, wait_of, worthwhile_actions
+from halfseen.team.attempts import team_attempts
 from halfseen.team.features import team_features
 from halfseen.team.learned_policy import LinearTeamPolicy
 from halfseen.team.recording import TEAM_VERBS, states_of
+from halfseen.team.rewards import Pays, outcomes_of, pays_of, shaped, team_control_variates
 from halfseen.team.state import TeamState
 from halfseen.world.action_space import TARGETED, ActionSpace
+from halfseen.world.grasp_model import GraspModel
 from halfseen.world.table_checks import object_numbers
 
 
 @jax.jit
-def _encoded(states: TeamState) -> tuple[jax.Array, jax.Array]:
-    each = jax.vmap(jax.vmap(lambda state: (team_features(state), possible_actions(state))))
+def _encoded(states: TeamState, grasp: GraspModel | None) -> tuple[jax.Array, jax.Array]:
+    each = jax.vmap(jax.vmap(lambda state: (team_features(state, grasp), worthwhile_actions(state))))
     return each(states)
 
 
 @dataclass(frozen=True)
 class TeamTask:
-    """Several robots at one table (a `Task`)."""
+    """Several robots at one table (a `Task`).
+
+    Parameters
+    ----------
+    grasp
+        What tells the probability of a grasp: None for the rule of succession, any `GraspModel`, or ``"auto"``, as for
+        one robot (`halfseen.tables.grasp.choice`); until it is fitted, the rule of succession.
+    reduces_variance
+        Takes the noise of dirty or clean and that of the labels out of the targets of eq. 3 (`team.rewards`).
+    chosen
+        What was chosen by itself, and why.
+    pays
+        What ended attempts pay and what is left costs, where it was fitted beforehand; None to fit it to each log.
+    """
+
+    grasp: Any = AUTO
+    reduces_variance: bool = True
+    chosen: tuple[str, ...] = ()
+    pays: Pays | None = field(default=None, repr=False)
 
     block_names = TEAM_VERBS
     end_action = None
     is_shared = False
+    is_joint = True
+
+    @property
+    def _is_open(self) -> bool:
+        return isinstance(self.grasp, str) and self.grasp == AUTO
+
+    @property
+    def _model(self) -> GraspModel | None:
+        return None if self._is_open else self.grasp
 
     def fitted(self, logs: Logs, horizon: int) -> "TeamTask":
-        """Nothing is learned beforehand."""
-        return self
+        """Choose the grasp model, unless it is given."""
+        if not self._is_open:
+            return self
+        read = _read(logs, horizon)
+        most = int(np.asarray(read.states.robots.decisions_to_go).sum(axis=-1).max(initial=1))
+        choice = choose_by(team_attempts(logs, read.states, read.verb, read.target), most)
+        return replace(self, grasp=choice.grasp, chosen=(choice.sentence,))
 
     def encode(self, logs: Logs, horizon: int) -> Encoded:
-        """Encode every stage of a log of a team."""
-        states = states_of(logs, horizon)
-        features, is_possible = (np.array(leaf) for leaf in _encoded(states))
+        """Encode every stage of a log of a team, and what ended in it."""
+        states, verb, target, action = read = _read(logs, horizon)
+        features, is_possible = (np.array(leaf) for leaf in _encoded(states, self._model))
         is_state = np.zeros((logs.num_paths, horizon), dtype=bool)
         is_state[stage_places(logs)] = True
         features[~is_state], is_possible[~is_state] = 0.0, False
         is_possible[~is_state, 0] = True
-        action = np.zeros(is_state.shape, dtype=np.int64)
-        action[stage_places(logs)] = _actions(logs, states.table.num_objects)
-        return Encoded(features.astype(np.float64), is_possible, action)
+        # What was done is possible, whatever a policy would choose from.
+        np.put_along_axis(is_possible, action[..., None], True, axis=2)
+        outcome = outcomes_of(read.states, verb, target, _duration_s(logs, horizon))
+        return Encoded(features.astype(np.float64), is_possible, action, outcome)
 
     def block_of_action(self, num_actions: int) -> Int[np.ndarray, " A"]:
-        """Block of each action: its verb."""
+        """Kind of each action: its verb."""
         return np.append(ActionSpace.of_size(num_actions - 1).verbs, WAIT)
 
     def outcome_features(self, names: Sequence[str]) -> Float[np.ndarray, " F"]:
@@ -68,33 +106,63 @@ class TeamTask:
         return table_covariates(logs, TABLE_COVARIATES if names is None else names)
 
     def fitted_to_rewards(self, parts: Iterable[RewardedStages]) -> "TeamTask":
-        """Nothing is learned from rewards."""
-        return self
+        """Fit what ended attempts pay, and what is left costs."""
+        return replace(self, pays=pays_of(parts))
 
     def reduce_variance(
         self, stages: RewardedStages
     ) -> tuple[Float[np.ndarray, "n T"], Float[np.ndarray, "n T Z"] | None]:
-        """Rewards as they are."""
-        return stages.reward, None
+        """Rewards measured from leaving the table, and what labels moved as control variates (`team.rewards`)."""
+        pays = pays_of([stages]) if self.pays is None else self.pays
+        variates = team_control_variates(stages.encoded) if self.reduces_variance else None
+        return shaped(stages, pays, self.reduces_variance), variates
 
     def policy(self, learned: LearnedQ) -> LinearTeamPolicy:
         """Policy in single precision."""
         single = partial(jnp.asarray, dtype=jnp.float32)
-        margin = None if learned.margin is None else single(learned.margin)
+
+        def given(values: Any) -> Any:
+            return None if values is None else single(values)
+
         seen = None if learned.is_seen is None else jnp.asarray(learned.is_seen)
-        return LinearTeamPolicy(single(learned.coefficients), seen, margin)
+        return LinearTeamPolicy(
+            single(learned.coefficients), self._model, seen, given(learned.margin), given(learned.behaviour)
+        )
 
     def target_probabilities(self, policy: Any, logs: Logs, horizon: int) -> Float[np.ndarray, "n T A"]:
         """Not known yet."""
         raise ArgumentError("policies of a team are not judged by logs yet; play them with halfseen.team.episodes")
 
 
-def _actions(logs: Logs, num_objects: int) -> Int[np.ndarray, " rows"]:
+class _Read(NamedTuple):
+    states: TeamState
+    verb: Int[np.ndarray, "n T"]
+    target: Int[np.ndarray, "n T"]
+    action: Int[np.ndarray, "n T"]
+
+
+def _read(logs: Logs, horizon: int) -> _Read:
+    """States of a log, and what was done."""
+    states, at = states_of(logs, horizon), stage_places(logs)
+    space = ActionSpace(states.table.num_objects)
+    action = np.zeros((logs.num_paths, horizon), dtype=np.int64)
+    action[at] = _actions(logs, space)
+    return _Read(states, np.asarray(space.verb(action)), np.asarray(space.target(action)), action)
+
+
+def _duration_s(logs: Logs, horizon: int) -> Float[np.ndarray, "n T"]:
+    """Of each completed stage; 0 of all else [s]."""
+    clock = np.full((logs.num_paths, horizon), np.nan)
+    clock[stage_places(logs)] = logs.stages["elapsed_s"].to_numpy(dtype=np.float64, na_value=np.nan)
+    return np.nan_to_num(np.diff(clock, axis=1, prepend=0.0))
+
+
+def _actions(logs: Logs, space: ActionSpace) -> Int[np.ndarray, " rows"]:
     stages = logs.stages
     verbs = pd.Index(TEAM_VERBS).get_indexer(stages["action"])
     assert logs.objects is not None
     numbered = logs.objects[["path", "stage", "object"]].assign(number=object_numbers(logs.objects))
     merged = stages[["path", "stage", "object"]].merge(numbered, on=["path", "stage", "object"], how="left")
     target = merged["number"].fillna(0).to_numpy(dtype=np.int64)
-    codes = ActionSpace(num_objects).encode(np.maximum(verbs, 0), target)
-    return np.select([np.isin(verbs, TARGETED), verbs == WAIT], [codes, wait_of(num_objects)], 0)
+    codes = space.encode(np.maximum(verbs, 0), target)
+    return np.select([np.isin(verbs, TARGETED), verbs == WAIT], [codes, wait_of(space.num_objects)], 0)

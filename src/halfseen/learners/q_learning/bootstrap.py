@@ -180,7 +180,7 @@ def _redrawn(model: QModel, paths: PathArrays, counts: Int[np.ndarray, " n"]) ->
 def _fit_each(model: QModel, log: Transitions, drawn: tuple[Any, Any]) -> QFunctions:
     options = model.options(len(log.action))
     with in_float64():
-        blocks = jnp.asarray(model.task.block_of_action(log.is_possible.shape[-1]))
+        blocks = jnp.asarray(model.blocks(log.is_possible.shape[-1]))
         arrays, replicates = jax.tree.map(jnp.asarray, (log, drawn))
         fits = _fit_drawn(arrays, replicates, blocks, jnp.asarray(model.regs), options)
         return jax.tree.map(np.asarray, fits)

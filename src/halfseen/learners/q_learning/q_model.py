@@ -127,17 +127,27 @@ class QModel:
 
     def support_in(self, paths: PathArrays) -> Support:
         """Count what a log has seen completed."""
-        return support_of(paths, self.blocks(paths.is_possible.shape[-1]), len(self.task.block_names))
+        return support_of(paths, self.kinds(paths.is_possible.shape[-1]), len(self.task.block_names))
+
+    @property
+    def num_blocks(self) -> int:
+        """Blocks of coefficients: one for each kind of action, or a single one where kinds are told apart by features."""
+        return 1 if _is_joint(self.task) else len(self.task.block_names)
 
     def blocks(self, num_actions: int) -> Int[np.ndarray, " A"]:
         """Block of coefficients of each action."""
+        kinds = self.kinds(num_actions)
+        return np.zeros_like(kinds) if _is_joint(self.task) else kinds
+
+    def kinds(self, num_actions: int) -> Int[np.ndarray, " A"]:
+        """Kind of each action, among `Task.block_names`: what the log has to have seen completed."""
         return np.asarray(self.task.block_of_action(num_actions))
 
     def has_value(self, allowed: Bool[np.ndarray, "*n T A"]) -> Bool[np.ndarray, "*n T A"]:
         """Which of the allowed actions have a value."""
         if self.support is None:
             return allowed
-        seen = self.support.is_seen(self.stages)[:, self.blocks(allowed.shape[-1])]
+        seen = self.support.is_seen(self.stages)[:, self.kinds(allowed.shape[-1])]
         return np.asarray(seen_among(allowed, seen))
 
     def check_horizon(self, logs: Logs) -> None:
@@ -198,7 +208,7 @@ class QModel:
         """Run eq. 3 on one log, or on a batch of logs."""
         if isinstance(self.reg, CrossValidation):
             refuse_too_few(int((np.asarray(log.weight) > 0).any(axis=-1).sum()), log.weight.shape[-2])
-        blocks = self.task.block_of_action(log.is_possible.shape[-1])
+        blocks = self.blocks(log.is_possible.shape[-1])
         return fit_q_functions(log, blocks, self.regs, self.options(log.weight.shape[-2]), self.pessimism)
 
     def policy(self, q_functions: QFunctions) -> Any:
@@ -226,7 +236,7 @@ class QModel:
         """Collect what the recursion is compiled for, on so many paths."""
         end_action = self.task.end_action if self.stages == "pooled" else None
         num_folds = self.reg.folds_of(num_paths)
-        return BackwardOptions(len(self.task.block_names), self.stages, num_folds, end_action, self.space.is_scaled)
+        return BackwardOptions(self.num_blocks, self.stages, num_folds, end_action, self.space.is_scaled)
 
     def folds(self, num_paths: int) -> Int[np.ndarray, " n"]:
         """Deal paths into folds, uniformly at random."""
@@ -290,3 +300,7 @@ def refuse_too_few(num_seen: int, num_paths: int) -> None:
             f"reg is 'cv', which holds out paths, but {num_seen} of {num_paths} completed a stage; give a "
             "number for reg, or record more paths"
         )
+
+
+def _is_joint(task: Task) -> bool:
+    return bool(getattr(task, "is_joint", False))

@@ -96,7 +96,7 @@ def choose_stages(model: QModel, paths: PathArrays) -> StageChoice:
     """
     log = replace(model, stages="pooled").transitions(paths)
     fold = np.random.default_rng([model.random_state, 2]).permutation(paths.num_paths) % NUM_FOLDS
-    blocks = model.task.block_of_action(paths.is_possible.shape[-1])
+    blocks = model.blocks(paths.is_possible.shape[-1])
     options = replace(model, stages="pooled").options(paths.num_paths)
     gains = np.zeros(paths.num_paths)
     with in_float64():

@@ -29,6 +29,8 @@ class Encoded(NamedTuple):
     features: Float[np.ndarray, "n T A F"]
     is_possible: Bool[np.ndarray, "n T A"]
     action: Int[np.ndarray, "n T"]
+    outcome: Float[np.ndarray, "n T Z"] | None = None
+    """What became of each stage, where the task's `reduce_variance` asks for more than the rest tells."""
 
     @property
     def taken(self) -> Float[np.ndarray, "n T F"]:
@@ -67,7 +69,9 @@ class LearnedQ(NamedTuple):
 class Task(Protocol):
     """How the logs of one kind of problem become arrays, and Q-functions a policy.
 
-    A task that chooses something by the log may say what and why in `chosen`, a tuple of sentences.
+    A task that chooses something by the log may say what and why in `chosen`, a tuple of sentences. One whose features
+    tell the kinds of actions apart by themselves, so that one block of coefficients serves them all, says so by
+    `is_joint`; `block_names` are then the kinds.
     """
 
     @property

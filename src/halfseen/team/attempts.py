@@ -1,0 +1,74 @@
+"""From the log of a team to its attempts to grasp, the cut ones included."""
+
+import jax
+import numpy as np
+import pandas as pd
+from jaxtyping import Int
+
+from halfseen.learners.q_learning.path_arrays import stage_places
+from halfseen.logs import Logs
+from halfseen.tables.grasp.attempts import COLUMNS
+from halfseen.team.state import TeamState
+from halfseen.world.action_space import TARGETED, Verb
+from halfseen.world.state import attempt_counts, occlusion
+
+
+def team_attempts(
+    logs: Logs, states: TeamState, verb: Int[np.ndarray, "n T"], target: Int[np.ndarray, "n T"]
+) -> pd.DataFrame:
+    """List every attempt to WASH or LIFT whose end, or cut, was seen (as `halfseen.tables.grasp.attempts` does).
+
+    An attempt of a robot lasts until that robot is free. Those of a robot's last decision are left out, as nobody wrote
+    down what became of most of them; that depends on the number of the decision alone.
+
+    Parameters
+    ----------
+    logs
+        Of a team.
+    states
+        S_t of its stages.
+    verb, target
+        What was begun in each.
+    """
+    table, robots = states.table, states.robots
+    hidden_share = np.asarray(jax.jit(jax.vmap(jax.vmap(occlusion)))(table))
+    successes, failures = (np.asarray(each) for each in jax.jit(jax.vmap(jax.vmap(attempt_counts)))(table))
+    is_stage = np.zeros(verb.shape, dtype=bool)
+    is_stage[stage_places(logs)] = True
+    begun_s = _begun_s(logs, verb.shape)
+    decider, to_go = np.asarray(states.decider), np.asarray(robots.decisions_to_go)
+    last_of_robot = np.take_along_axis(to_go, decider[..., None], axis=-1)[..., 0] <= 1
+    path, stage = np.nonzero(is_stage & np.isin(verb, TARGETED) & ~last_of_robot)
+    robot, at = decider[path, stage], target[path, stage]
+    # The first later stage in which this robot is free.
+    later = np.arange(verb.shape[1]) > stage[:, None]
+    is_free = later & is_stage[path] & ~np.asarray(robots.is_busy)[path, :, robot]
+    was_seen, end = is_free.any(axis=1), is_free.argmax(axis=1)
+    gained = successes[path, end, at] - successes[path, stage, at]
+    # A table that is clear ends a path while a WASH is under way, and no other end does.
+    is_clear = ~was_seen & logs.is_finished[path] & (verb[path, stage] == Verb.WASH)
+    is_finished = was_seen | is_clear
+    succeeded = pd.Series(np.where(was_seen, gained > 0, is_clear), dtype="boolean").mask(pd.Series(~is_finished))
+    end_s = np.where(was_seen, begun_s[path, end], logs.end_s[path])
+    number = path * target.max(initial=0) + path + at
+    columns = (
+        logs.path_ids[path],
+        stage + 1,
+        pd.factorize(number)[0],
+        hidden_share[path, stage, at].astype(np.float64),
+        np.asarray(table.grip)[path, stage, at].astype(np.float64),
+        successes[path, stage, at],
+        failures[path, stage, at],
+        succeeded,
+        end_s - begun_s[path, stage],
+        is_finished,
+    )
+    tried = pd.DataFrame(dict(zip(COLUMNS, columns, strict=True)))
+    return pd.DataFrame(tried[tried["time_s"] > 0]).reset_index(drop=True)
+
+
+def _begun_s(logs: Logs, shape: tuple[int, ...]) -> np.ndarray:
+    """Clock as each stage began [s]."""
+    elapsed_s = np.zeros(shape)
+    elapsed_s[stage_places(logs)] = logs.stages["elapsed_s"].to_numpy(dtype=np.float64, na_value=np.nan)
+    return np.pad(elapsed_s[:, :-1], ((0, 0), (1, 0)))

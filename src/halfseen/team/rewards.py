@@ -1,0 +1,155 @@
+"""What eq. 3 runs on where a team was paid: less noise, and measured from leaving the table as it is.
+
+*What is left.* What is left dirty is paid when a path ends, however long before it was given up: that a robot parks
+costs nothing then. So rewards are shaped [NgHaradaRussell1999]_,
+
+    R_t + β·(Σ p' − Σ p),    p = P(DIRTY) in S_t, p' in S_{t+1}, over what stands on the table, β the price of one left,
+
+with Σ p' = 0 after a path's own end, where what was left has been paid for. Every Q is then lower by β·Σ p, whatever the
+action: what is chosen stays, and 0 is to leave the table as it is. That is what the horizon forces upon a path, too, so
+Q̂_0 ≡ 0.
+
+*Less noise.* Which of the objects that left the table were dirty is a coin that no state shows
+(`tables.variance_reduction`). Where none left, the reward is certain, and its regression on
+
+    1 for each WASH that failed, the seconds of each LIFT, those of the stage
+
+tells the prices of these. What is paid beside them where objects left is replaced by its regression on their number
+and their Σ p; and where a FINISH ended a path, by its regression on the Σ p that it left, whose coefficient is β. A
+path that the horizon or a clear table ended keeps its last reward, for no state after it was seen.
+"""
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from halfseen.learners.q_learning.task import Encoded, RewardedStages
+from halfseen.tables.variance_reduction import WeightedRows, label_moves, regressed
+from halfseen.team.features import WASH_DIRTY, WASH_EASE
+from halfseen.team.state import TeamState
+from halfseen.world.action_space import ActionSpace, Verb
+
+_CERTAIN, _WASHED, _LEFT = slice(0, 3), slice(3, 5), slice(5, 6)
+"""Which outcomes tell rewards that are certain, what objects that left pay, and what is left costs."""
+
+
+class Pays(NamedTuple):
+    """Coefficients of the three regressions."""
+
+    certain: tuple[float, ...]
+    washed: tuple[float, ...]
+    left: tuple[float, ...]
+
+
+def outcomes_of(
+    states: TeamState,
+    verb: Int[np.ndarray, "n T"],
+    target: Int[np.ndarray, "n T"],
+    duration_s: Float[np.ndarray, "n T"],
+) -> Float[np.ndarray, "n T 6"]:
+    """What ended in each stage: failed WASHes, seconds of LIFTs, its own; objects that left, their Σ p; Σ p before.
+
+    Parameters
+    ----------
+    states
+        S_t; what is no state holds no object.
+    verb, target
+        What was begun.
+    duration_s
+        Of each stage; 0 where it is not known [s].
+    """
+    robots, num_robots = states.robots, states.robots.num_robots
+    is_decider = np.asarray(states.decider)[..., None] == np.arange(num_robots)
+    doing = np.where(is_decider, verb[..., None], np.where(np.asarray(robots.is_busy), np.asarray(robots.verb), -1))
+    at = np.where(is_decider, target[..., None], np.asarray(robots.target))
+    since_s = np.where(is_decider, 0.0, np.asarray(robots.since_s)) + duration_s[..., None]
+    has_ended = (doing > 0) & ~_next(np.asarray(robots.is_busy))
+    is_there = np.asarray(states.table.is_on_table)
+    is_dirty = np.where(is_there, 1.0 / (1.0 + np.exp(-np.asarray(states.table.log_odds, dtype=np.float64))), 0.0)
+    has_left = is_there & ~_next(is_there)
+    target_left = np.take_along_axis(has_left, at, axis=-1)
+    columns = [
+        (has_ended & (doing == Verb.WASH) & ~target_left).sum(axis=-1),
+        np.where(has_ended & (doing == Verb.LIFT), since_s, 0.0).sum(axis=-1),
+        duration_s,
+        has_left.sum(axis=-1),
+        (has_left * is_dirty).sum(axis=-1),
+        is_dirty.sum(axis=-1),
+    ]
+    return np.stack(columns, axis=-1).astype(np.float64)
+
+
+def _next(flags: Bool[np.ndarray, "n T *K"]) -> Bool[np.ndarray, "n T *K"]:
+    return np.concatenate([flags[:, 1:], np.zeros_like(flags[:, :1])], axis=1)
+
+
+def pays_of(parts: Iterable[RewardedStages]) -> Pays:
+    """Regress rewards on what ended, weighted.
+
+    Parameters
+    ----------
+    parts
+        A log, whole or in parts.
+    """
+    parts = list(parts)
+    certain = regressed((_rows(part, _is_certain(part), _CERTAIN) for part in parts), 3)
+    washed = regressed((_rows(part, _is_washed(part), _WASHED, certain) for part in parts), 2)
+    return Pays(certain, washed, regressed((_rows(part, _is_left(part), _LEFT, certain) for part in parts), 1))
+
+
+def _rows(
+    part: RewardedStages, use: Bool[np.ndarray, "n T"], columns: slice, certain: Sequence[float] = (0.0, 0.0, 0.0)
+) -> WeightedRows:
+    outcome = _outcome(part)[use]
+    return outcome[:, columns], part.reward[use] - outcome[:, _CERTAIN] @ np.array(certain), part.weight[use]
+
+
+def _outcome(part: RewardedStages) -> Float[np.ndarray, "n T 6"]:
+    assert part.encoded.outcome is not None, "TeamTask.encode tells what ended"
+    return part.encoded.outcome
+
+
+def _is_certain(part: RewardedStages) -> Bool[np.ndarray, "n T"]:
+    return (part.weight > 0) & ~part.is_last & (_outcome(part)[..., 3] == 0)
+
+
+def _is_washed(part: RewardedStages) -> Bool[np.ndarray, "n T"]:
+    return (part.weight > 0) & ~part.is_last & (_outcome(part)[..., 3] > 0)
+
+
+def _is_left(part: RewardedStages) -> Bool[np.ndarray, "n T"]:
+    """Stages in which the last robot parked."""
+    return (part.weight > 0) & part.is_last & (part.encoded.action == 0)
+
+
+def shaped(stages: RewardedStages, pays: Pays, reduces_variance: bool) -> Float[np.ndarray, "n T"]:
+    """Rewards for eq. 3.
+
+    Parameters
+    ----------
+    stages
+        What stages paid.
+    pays
+        As `pays_of` gives them.
+    reduces_variance
+        Whether rewards are replaced by what is expected of them.
+    """
+    outcome, reward = _outcome(stages), stages.reward
+    if reduces_variance:
+        certain = outcome[..., _CERTAIN] @ np.array(pays.certain)
+        reward = np.where(_is_washed(stages), certain + outcome[..., _WASHED] @ np.array(pays.washed), reward)
+        reward = np.where(_is_left(stages), certain + outcome[..., _LEFT] @ np.array(pays.left), reward)
+    left = outcome[..., 5]
+    after = np.where(stages.is_last, 0.0, np.pad(left[:, 1:], ((0, 0), (0, 1))))
+    return np.where(stages.weight > 0, reward + pays.left[0] * (after - left), 0.0)
+
+
+def team_control_variates(encoded: Encoded) -> Float[np.ndarray, "n T 5"]:
+    """What labels moved over what stays on the table (`tables.variance_reduction`)."""
+    space = ActionSpace.of_size(encoded.is_possible.shape[-1] - 1)
+    washed = encoded.features[:, :, space.of(Verb.WASH)]
+    is_dirty = washed[..., WASH_DIRTY].astype(np.float64)
+    moved = label_moves(is_dirty, washed[..., WASH_EASE], is_dirty > 0.0)
+    return np.stack([values.sum(axis=-1) for values in moved], axis=-1)
