@@ -1,6 +1,8 @@
 """The numbers of a team: the world that it works in, and what sets its robots apart."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from math import isfinite
 
 import jax
 
@@ -22,20 +24,43 @@ class TeamConfig:
         How fast each of the K robots works: what takes the world so many seconds takes it that, divided by its speed.
     reward_per_s
         Price of each second of the table's clock; 0 or below [1/s].
+    drop_out_rate
+        Hazard that each robot drops out (battery, e-stop), by the table's clock; None where nobody does [1/s].
 
     Raises
     ------
     ArgumentError
-        There is no robot.
+        There is no robot; a speed is not above 0, a price above 0, or a hazard below it; or there is not one hazard a
+        robot.
     """
 
     world: WorldConfig = field(default_factory=WorldConfig)
     speed: tuple[Number, ...] = (1.0,)
     reward_per_s: Number = 0.0
+    drop_out_rate: tuple[Number, ...] | None = None
 
     def __post_init__(self) -> None:
         if len(self.speed) < 1:
             raise ArgumentError("speed is (): give the speed of each robot, at least one")
+        for robot, speed in enumerate(self.speed):
+            if _is_wrong(speed, lambda value: value > 0):
+                raise ArgumentError(f"speed of robot {robot} is {speed}; give a finite number above 0")
+        if _is_wrong(self.reward_per_s, lambda value: value <= 0):
+            raise ArgumentError(f"reward_per_s is {self.reward_per_s}; give a finite price, 0 or below [1/s]")
+        self._check_rates()
+
+    def _check_rates(self) -> None:
+        rates = self.drop_out_rate
+        if rates is None:
+            return
+        if len(rates) != self.num_robots:
+            raise ArgumentError(
+                f"drop_out_rate has {len(rates)} entries for {self.num_robots} robots; give each its own, 0 for one "
+                "that never drops out"
+            )
+        for robot, rate in enumerate(rates):
+            if _is_wrong(rate, lambda value: value >= 0):
+                raise ArgumentError(f"drop_out_rate of robot {robot} is {rate}; give a finite hazard, 0 or above [1/s]")
 
     @property
     def num_robots(self) -> int:
@@ -46,3 +71,8 @@ class TeamConfig:
     def num_stages(self) -> int:
         """Decisions that a path may have, of all robots together."""
         return self.num_robots * self.world.horizon
+
+
+def _is_wrong(value: Number, is_right: Callable[[float], bool]) -> bool:
+    """Whether a plain number is not finite, or not right; what JAX makes of one in a compiled call is not looked at."""
+    return isinstance(value, float | int) and not (isfinite(value) and is_right(value))

@@ -4,9 +4,15 @@ A stage lasts from one decision to the next, whichever robot makes it. What a ro
 told when it ends: then the table changes, the camera looks, the reward falls, and robots that waited are free. Where
 another robot is free at once, the stage takes no time, and nothing is looked at in it. With one robot that is
 `world.dynamics`, draw by draw.
+
+A robot may drop out (battery, e-stop) while it is at something, waiting included; who has parked no longer does. What
+it carried out is abandoned: its object stays where it was, nothing is paid, and the attempt is not counted. Robots that
+waited are free, as after any event. Nothing is looked at: labels come with what was done, and nothing was, so that the
+table stays as it was seen. What ends at the very moment of a drop-out ends before it.
 """
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,13 +20,16 @@ from jaxtyping import Array, Bool, Float, Int
 
 from halfseen.team.actions import WAIT
 from halfseen.team.config import TeamConfig
-from halfseen.team.state import Pending, Robots, TeamHidden, TeamLayout, TeamState
+from halfseen.team.state import OfRobots, Pending, Robots, TeamHidden, TeamLayout, TeamState
 from halfseen.world import dynamics as table_dynamics
 from halfseen.world.action_space import ActionSpace, Verb
 from halfseen.world.dynamics import Outcome, action_reward, after_attempt, attempted, look
 from halfseen.world.episodes import Dynamics
 from halfseen.world.grasping import Attempt
 from halfseen.world.state import TableState, occlusion
+
+_DROP_OUT_KEY = 29
+"""Folded into the key of the start for the times of drop-outs, so that no other draw changes."""
 
 
 def start(config: TeamConfig, layout: TeamLayout, key: Array) -> tuple[TeamState, TeamHidden]:
@@ -35,6 +44,7 @@ def start(config: TeamConfig, layout: TeamLayout, key: Array) -> tuple[TeamState
         target=jnp.zeros(size, dtype=jnp.int32),
         since_s=jnp.zeros(size, dtype=jnp.float32),
         decisions_to_go=jnp.full(size, config.world.horizon, dtype=jnp.int32),
+        is_out=None if config.drop_out_rate is None else jnp.zeros(size, dtype=bool),
     )
     pending = Pending(
         left_s=jnp.full(size, jnp.inf, dtype=jnp.float32),
@@ -44,7 +54,16 @@ def start(config: TeamConfig, layout: TeamLayout, key: Array) -> tuple[TeamState
         hides=jnp.zeros((size, num_objects, num_objects), dtype=jnp.float32),
         is_moved=jnp.zeros((size, num_objects, num_objects), dtype=bool),
     )
-    return TeamState(table, robots, layout.workspace, jnp.asarray(0, dtype=jnp.int32)), TeamHidden(hidden, pending)
+    state = TeamState(table, robots, layout.workspace, jnp.asarray(0, dtype=jnp.int32))
+    return state, TeamHidden(hidden, pending, _until_out_s(config, jax.random.fold_in(key, _DROP_OUT_KEY)))
+
+
+def _until_out_s(config: TeamConfig, key: Array) -> Float[Array, " K"] | None:
+    if config.drop_out_rate is None:
+        return None
+    rate = jnp.asarray(config.drop_out_rate, dtype=jnp.float32)
+    survival = jax.random.exponential(key, rate.shape)
+    return jnp.where(rate > 0.0, survival / jnp.where(rate > 0.0, rate, 1.0), jnp.inf)
 
 
 def step(
@@ -63,23 +82,48 @@ def step(
     """
     grasp_key, see_key = jax.random.split(key)
     state, hidden = _begun(config, state, hidden, action, grasp_key)
-    reward, duration_s = jnp.zeros((), dtype=jnp.float32), jnp.zeros((), dtype=jnp.float32)
+    total = _Passed.nothing(config)
     for k in range(config.num_robots):
-        # A robot that parks frees nobody, so up to K things may end before anybody decides.
+        # What frees nobody ends a robot for good, parked or dropped out: up to K such events before anybody decides.
         is_idle = ~jnp.any(state.robots.is_undecided) & ~_is_over(state)
         of_event = see_key if k == 0 else jax.random.fold_in(see_key, k)
-        *after, gained, passed_s = _next_end(config, state, hidden, of_event)
+        *after, passed = _next_event(config, state, hidden, of_event)
         state, hidden = jax.tree.map(
             lambda new, old, is_idle=is_idle: jnp.where(is_idle, new, old), tuple(after), (state, hidden)
         )
-        reward = reward + jnp.where(is_idle, gained, 0.0)
-        duration_s = duration_s + jnp.where(is_idle, passed_s, 0.0)
+        total = total.and_then(passed, is_idle)
     is_over = _is_over(state)
     dirty_left = jnp.sum(state.table.is_on_table & hidden.table.is_dirty)
-    reward = reward + jnp.where(is_over, config.world.reward_dirty_left * dirty_left, 0.0)
-    reward = reward + config.reward_per_s * duration_s
+    reward = total.paid + jnp.where(is_over, config.world.reward_dirty_left * dirty_left, 0.0)
+    reward = reward + config.reward_per_s * total.duration_s
     decider = jnp.argmax(state.robots.is_undecided).astype(jnp.int32)
-    return replace(state, decider=decider), hidden, Outcome(reward, duration_s, is_over)
+    of_robots = OfRobots(total.paid_alone, total.out_s)
+    return replace(state, decider=decider), hidden, Outcome(reward, total.duration_s, is_over, of_robots)
+
+
+class _Passed(NamedTuple):
+    """What came of some time: what was paid, to all and to each alone, and how far into it each dropped out [s]."""
+
+    paid: Float[Array, ""]
+    duration_s: Float[Array, ""]
+    paid_alone: Float[Array, " K"]
+    out_s: Float[Array, " K"] | None
+
+    @classmethod
+    def nothing(cls, config: TeamConfig) -> "_Passed":
+        zero, each = jnp.zeros((), dtype=jnp.float32), jnp.zeros(config.num_robots, dtype=jnp.float32)
+        return cls(zero, zero, each, None if config.drop_out_rate is None else each + jnp.inf)
+
+    def and_then(self, later: "_Passed", is_so: Bool[Array, ""]) -> "_Passed":
+        out_s = None
+        if self.out_s is not None and later.out_s is not None:
+            out_s = jnp.where(is_so, jnp.minimum(self.out_s, self.duration_s + later.out_s), self.out_s)
+        return _Passed(
+            paid=self.paid + jnp.where(is_so, later.paid, 0.0),
+            duration_s=self.duration_s + jnp.where(is_so, later.duration_s, 0.0),
+            paid_alone=self.paid_alone + jnp.where(is_so, later.paid_alone, 0.0),
+            out_s=out_s,
+        )
 
 
 def _with_room(table: TableState, num_attempts: int) -> TableState:
@@ -100,9 +144,7 @@ def _with_room(table: TableState, num_attempts: int) -> TableState:
 
 def _is_over(state: TeamState) -> Bool[Array, ""]:
     """Whether all robots are done for good, or the table is clear."""
-    robots = state.robots
-    is_done = ~robots.is_busy & (robots.is_parked | (robots.decisions_to_go == 0))
-    return jnp.all(is_done) | ~jnp.any(state.table.is_on_table)
+    return jnp.all(state.robots.is_done) | ~jnp.any(state.table.is_on_table)
 
 
 def _begun(
@@ -133,35 +175,91 @@ def _begun(
         hides=pending.hides.at[robot].set(tried.hides),
         is_moved=pending.is_moved.at[robot].set(tried.hides != state.table.hides),
     )
-    return replace(state, robots=robots), TeamHidden(replace(hidden.table, grasp_trait=tried.trait), pending)
+    of_table = replace(hidden.table, grasp_trait=tried.trait)
+    return replace(state, robots=robots), replace(hidden, table=of_table, pending=pending)
 
 
-def _next_end(
+def _next_event(
     config: TeamConfig, state: TeamState, hidden: TeamHidden, key: Array
-) -> tuple[TeamState, TeamHidden, Float[Array, ""], Float[Array, ""]]:
-    """Let the first thing that ends end: what is seen and hidden then, what it pays, and the time until then [s]."""
+) -> tuple[TeamState, TeamHidden, _Passed]:
+    """Let the first thing that ends end, or a robot drop out before: what is seen and hidden then."""
     robots, pending = state.robots, hidden.pending
     left_s = jnp.where(robots.is_busy, pending.left_s, jnp.inf)
     robot = jnp.argmin(left_s)
     # Nothing is to end where a path is over: what comes of that is thrown away, and is to be finite.
     passed_s = jnp.where(jnp.isfinite(left_s[robot]), left_s[robot], 0.0)
+    *after, paid = _at_end(config, state, hidden, robot, passed_s, key)
+    is_out = None
+    if hidden.until_out_s is not None:
+        until_s = jnp.where(robots.is_busy, hidden.until_out_s, jnp.inf)
+        is_first = jnp.min(until_s) < left_s[robot]
+        is_out = is_first & (jnp.arange(robots.num_robots) == jnp.argmin(until_s))
+        passed_s, paid = jnp.where(is_first, jnp.min(until_s), passed_s), jnp.where(is_first, 0.0, paid)
+        without = _at_drop_out(state, hidden, jnp.argmin(until_s), passed_s)
+        after = jax.tree.map(lambda left, ended: jnp.where(is_first, left, ended), without, tuple(after))
+    state, hidden = after
+    if hidden.until_out_s is not None:
+        hidden = replace(hidden, until_out_s=hidden.until_out_s - passed_s)
+    is_mine = jnp.arange(robots.num_robots) == robot
+    alone = jnp.where(is_mine, paid, 0.0) + _own_price(config, robots.is_done, state, hidden, passed_s)
+    out_s = None if is_out is None else jnp.where(is_out, passed_s, jnp.inf)
+    return state, hidden, _Passed(paid, passed_s, alone, out_s)
+
+
+def _own_price(
+    config: TeamConfig, was_done: Bool[Array, " K"], state: TeamState, hidden: TeamHidden, passed_s: Float[Array, ""]
+) -> Float[Array, " K"]:
+    """Price of the seconds of each robot that goes on, and of what is left in its reach where it came to its end."""
+    robots = state.robots
+    is_at_end = robots.is_done & ~was_done
+    if robots.is_out is not None:
+        is_at_end = is_at_end & ~robots.is_out
+    left = jnp.sum(state.table.is_on_table & hidden.table.is_dirty & state.workspace.is_in_reach, axis=-1)
+    of_left = jnp.where(is_at_end, config.world.reward_dirty_left * left, 0.0)
+    return of_left + jnp.where(was_done, 0.0, config.reward_per_s * passed_s)
+
+
+def _at_end(
+    config: TeamConfig,
+    state: TeamState,
+    hidden: TeamHidden,
+    robot: Int[Array, ""],
+    passed_s: Float[Array, ""],
+    key: Array,
+) -> tuple[TeamState, TeamHidden, Float[Array, ""]]:
+    """What is seen and hidden once a robot has ended what it was at, and what that pays."""
+    robots, pending = state.robots, hidden.pending
     verb, target = robots.verb[robot], robots.target[robot]
     hides = jnp.where(pending.is_moved[robot], pending.hides[robot], state.table.hides)
     tried = Attempt(pending.is_held[robot], pending.duration_s[robot], hides, None)
     table = after_attempt(state.table, verb, target, tried, pending.occlusion[robot])
-    is_free = (jnp.arange(robots.num_robots) == robot) | (robots.is_busy & (robots.verb == WAIT))
-    robots = replace(
-        robots,
-        is_busy=robots.is_busy & ~is_free,
-        is_parked=robots.is_parked.at[robot].set(verb == Verb.FINISH),
-        since_s=robots.since_s + passed_s,
-    )
-    pending = replace(pending, left_s=jnp.where(robots.is_busy, left_s - passed_s, jnp.inf))
+    robots, pending = _freed(robots, pending, robot, passed_s)
+    robots = replace(robots, is_parked=robots.is_parked.at[robot].set(verb == Verb.FINISH))
     is_lifted = (jnp.arange(table.num_objects) == target) & tried.is_held & (verb == Verb.LIFT)
     held = is_lifted | _in_the_air(config, robots, pending, table)
     table, of_table = look(config.world, table, hidden.table, held, key)
     paid = action_reward(config.world, verb, tried.is_held, of_table.is_dirty[target], tried.duration_s)
-    return replace(state, table=table, robots=robots), TeamHidden(of_table, pending), paid, passed_s
+    return replace(state, table=table, robots=robots), replace(hidden, table=of_table, pending=pending), paid
+
+
+def _at_drop_out(
+    state: TeamState, hidden: TeamHidden, robot: Int[Array, ""], passed_s: Float[Array, ""]
+) -> tuple[TeamState, TeamHidden]:
+    """What is seen and hidden once a robot has dropped out: the table is as it was."""
+    robots, pending = _freed(state.robots, hidden.pending, robot, passed_s)
+    assert robots.is_out is not None
+    robots = replace(robots, is_out=robots.is_out.at[robot].set(True))
+    return replace(state, robots=robots), replace(hidden, pending=pending)
+
+
+def _freed(
+    robots: Robots, pending: Pending, robot: Int[Array, ""], passed_s: Float[Array, ""]
+) -> tuple[Robots, Pending]:
+    """A robot after so many seconds is at nothing any more, and neither is who waited."""
+    is_free = (jnp.arange(robots.num_robots) == robot) | (robots.is_busy & (robots.verb == WAIT))
+    left_s = jnp.where(robots.is_busy, pending.left_s, jnp.inf)
+    robots = replace(robots, is_busy=robots.is_busy & ~is_free, since_s=robots.since_s + passed_s)
+    return robots, replace(pending, left_s=jnp.where(robots.is_busy, left_s - passed_s, jnp.inf))
 
 
 def _in_the_air(config: TeamConfig, robots: Robots, pending: Pending, table: TableState) -> Bool[Array, " N"]:

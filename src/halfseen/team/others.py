@@ -29,7 +29,7 @@ def others_of(state: TeamState) -> Others:
     """Tell what the robots that do not decide are at."""
     robots = state.robots
     is_other = jnp.arange(robots.num_robots) != state.decider
-    goes_on = is_other & ~robots.is_parked & ((robots.decisions_to_go > 0) | robots.is_busy)
+    goes_on = is_other & ~robots.is_done
     at_work = is_other & robots.is_busy & (robots.verb != WAIT)
     is_at_object = at_work & (robots.verb > 0)
     is_target = robots.target[:, None] == jnp.arange(state.table.num_objects)

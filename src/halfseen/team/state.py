@@ -1,6 +1,7 @@
 """What a robot of a team sees when it decides, and what nobody sees."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 from jaxtyping import Array, Bool, Float, Int
@@ -48,6 +49,8 @@ class Robots:
     """For how long it has been at it [s]."""
     decisions_to_go: Int[Array, "*B K"]
     """Decisions that it may still make."""
+    is_out: Bool[Array, "*B K"] | None = None
+    """Whether it has dropped out (battery, e-stop), for good; None where nobody can."""
 
     @property
     def num_robots(self) -> int:
@@ -55,9 +58,19 @@ class Robots:
         return self.is_busy.shape[-1]
 
     @property
+    def is_gone(self) -> Bool[Array, "*B K"]:
+        """Which do nothing more: parked, or dropped out."""
+        return self.is_parked if self.is_out is None else self.is_parked | self.is_out
+
+    @property
     def is_undecided(self) -> Bool[Array, "*B K"]:
         """Which are free to decide."""
-        return ~self.is_busy & ~self.is_parked & (self.decisions_to_go > 0)
+        return ~self.is_busy & ~self.is_gone & (self.decisions_to_go > 0)
+
+    @property
+    def is_done(self) -> Bool[Array, "*B K"]:
+        """Which have come to their end: parked, dropped out, or out of decisions with nothing left to carry out."""
+        return ~self.is_busy & (self.is_gone | (self.decisions_to_go == 0))
 
 
 @jax.tree_util.register_dataclass
@@ -97,3 +110,15 @@ class TeamHidden:
 
     table: HiddenState
     pending: Pending
+    until_out_s: Float[Array, "*B K"] | None = None
+    """Until each robot drops out, infinite where it never does; None where nobody can [s]."""
+
+
+class OfRobots(NamedTuple):
+    """What a stage brought to each robot by itself."""
+
+    reward: Float[Array, "*B K"]
+    """What the stage would have paid it had it been alone: its own attempts that ended, the price of its seconds until
+    its own end, and there that of what is left dirty in its reach."""
+    out_s: Float[Array, "*B K"] | None
+    """How far into the stage it dropped out, infinite where it did not; None where nobody can [s]."""

@@ -1,7 +1,7 @@
 """One step of one table: attempt, reward, look. Pure functions; `jax.vmap` makes them a batch."""
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -31,6 +31,8 @@ class Outcome(NamedTuple):
     """Time that the action took [s]; always positive."""
     is_over: Bool[Array, "*B"]
     """Whether the path has come to its own end."""
+    of_robots: Any = None
+    """What it brought to each robot of a team; nothing more where there is one."""
 
 
 def look(

@@ -53,6 +53,8 @@ class Episodes(Generic[State, Hidden]):
     is_taken: Bool[Array, "*B T"]
     hidden: Hidden
     """As the table was set; for tests and oracles, it never reaches a log."""
+    of_robots: Any = None
+    """What each stage brought to each robot of a team; see `Outcome`."""
 
     @property
     def elapsed_s(self) -> Float[Array, "*B T"]:
@@ -132,6 +134,7 @@ def _play_batch(
         duration_s=stages.outcome.duration_s,
         is_taken=stages.is_taken,
         hidden=hidden,
+        of_robots=stages.outcome.of_robots,
     )
 
 
