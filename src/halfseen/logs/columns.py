@@ -1,5 +1,6 @@
 """Which columns each table has, and of which types."""
 
+import re
 from collections.abc import Iterable
 from typing import Any
 
@@ -15,11 +16,22 @@ from halfseen.suggestions import closest
 STAGE_COLUMNS = ("path", "stage", "elapsed_s", "action", "object", "reward", "probability", "robot")
 PATH_COLUMNS = ("path", "end_s", "ending", "cause")
 OBJECT_COLUMNS = ("path", "stage", "object")
+_OF_ONE_ROBOT = re.compile(r"\d+_reward")
 
 _OWN = {"stages": STAGE_COLUMNS, "paths": PATH_COLUMNS, "objects": OBJECT_COLUMNS}
 
 FINISHED, CUT = "finished", "cut"
 UNKNOWN_CAUSE = "unknown"
+
+
+def is_own_reward(column: str) -> bool:
+    """Whether a column of stages is what one robot of several brought, such as 0_reward."""
+    return _OF_ONE_ROBOT.fullmatch(column) is not None
+
+
+def is_stage_covariate(column: str) -> bool:
+    """Whether a column of stages tells what was known when the stage began, not what came of it."""
+    return column not in STAGE_COLUMNS and not is_own_reward(column)
 
 
 def require_columns(name: str, frame: pd.DataFrame, needed: Iterable[str]) -> None:

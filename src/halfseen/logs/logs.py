@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.errors import LogError
-from halfseen.logs.columns import FINISHED, PATH_COLUMNS, STAGE_COLUMNS, require_columns
+from halfseen.logs.columns import FINISHED, PATH_COLUMNS, is_stage_covariate, require_columns
 from halfseen.logs.folder import write_tables
 from halfseen.logs.frames import FrameLike, as_frame, through_arrow
 from halfseen.logs.object_checks import checked_objects
@@ -32,10 +32,12 @@ class Logs:
     stages
         One row a stage: path, stage (from 1), elapsed_s (clock at the end of the stage [s], null if not completed),
         action, object (null where the action has none; may be left out), reward (null if not completed), probability
-        (of the logged action; may be left out), and covariates.
+        (of the logged action; may be left out), and covariates. Of several robots also robot (which decided) and,
+        for each robot r from 0, r_reward (what it alone brought, null if not completed; may be left out).
     paths
         One row a path: path, end_s [s], ending ("finished" | "cut"), cause (null unless cut; may be left out), and
-        whatever else is known of the path.
+        whatever else is known of the path. Where a robot r may drop out alone, r_out_s and r_out_cause (null where it
+        did not).
     objects
         One row an object of a stage: path, stage, object, and covariates of the object, lists included; None where
         the stages have no objects.
@@ -164,7 +166,7 @@ class Logs:
     @property
     def stage_covariates(self) -> list[str]:
         """Names of the stages' covariates."""
-        return [column for column in self._stages.columns if column not in STAGE_COLUMNS]
+        return [column for column in self._stages.columns if is_stage_covariate(column)]
 
     @property
     def path_columns(self) -> list[str]:

@@ -7,6 +7,7 @@ from jaxtyping import Bool
 from halfseen.errors import LogError
 from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, as_floats, as_labels, refuse_misnamed, require_columns
 from halfseen.logs.refusal import refuse, shown, value_at
+from halfseen.logs.robot_checks import with_drop_outs
 
 EARLIEST_DATE_S = 1e9
 """What is longer is no path but a date, or counted in milliseconds or less [s]; 32 years."""
@@ -44,7 +45,7 @@ def checked_paths(frame: pd.DataFrame) -> pd.DataFrame:
     _check_ends(paths)
     is_cut = _checked_endings(paths)
     paths["cause"] = _checked_causes(paths, is_cut)
-    return paths
+    return with_drop_outs(paths)
 
 
 def _check_ids(paths: pd.DataFrame) -> None:

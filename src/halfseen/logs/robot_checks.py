@@ -1,38 +1,123 @@
-"""What must hold for a log of several robots: no two of them are at one object at once.
+"""What must hold for a log of several robots: no two of them are at one object at once, and who dropped out is gone.
 
 A stage belongs to the robot that decided at its beginning, and what a robot began is over, at the latest, by the clock
-at which it decides again; what it began last may end at any time.
+at which it decides again; what it began last may end at any time. A robot r that dropped out alone has the clock of
+that in r_out_s of its path.
 """
+
+import re
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Int
+from jaxtyping import Bool, Float, Int
 
+from halfseen.logs.columns import as_floats, as_labels, is_own_reward
 from halfseen.logs.refusal import refuse, shown, value_at
 
 ROBOT = "robot"
 """Column of the robot that decides in a stage; a log without it is of one robot."""
 
+_OUT_S = re.compile(r"(\d+)_out_s")
+_OUT_CAUSE = re.compile(r"(\d+)_out_cause")
 
-def check_robots(stages: pd.DataFrame, path_row: Int[np.ndarray, " rows"]) -> None:
-    """Refuse two robots at one object; stages without robots are left alone.
+
+def robots_that_may_drop_out(paths: pd.DataFrame) -> list[int]:
+    """Numbers of the robots of which the paths tell whether they dropped out."""
+    found = (_OUT_S.fullmatch(str(column)) for column in paths.columns)
+    return sorted(int(each[1]) for each in found if each is not None)
+
+
+def with_drop_outs(paths: pd.DataFrame) -> pd.DataFrame:
+    """Paths with the clocks and the causes of drop-outs in their types.
+
+    Parameters
+    ----------
+    paths
+        Columns path, end_s [s], ending, and for each robot r that may drop out r_out_s [s] and r_out_cause.
+
+    Raises
+    ------
+    LogError
+        A drop-out lies outside its path, or a cause has no clock.
+    """
+    end_s = paths["end_s"].to_numpy()
+    for found in filter(None, (_OUT_CAUSE.fullmatch(str(column)) for column in paths.columns)):
+        robot, column = found[1], found[0]
+        paths[column] = as_labels("paths", paths, column, is_null_allowed=True)
+        has_clock = paths[f"{robot}_out_s"].notna() if f"{robot}_out_s" in paths.columns else False
+        trouble = f"{column} is given, yet {robot}_out_s is not; give the clock at which robot {robot} dropped out"
+        refuse(paths, (paths[column].notna() & ~has_clock).to_numpy(dtype=bool), trouble, ("path",))
+    for robot in robots_that_may_drop_out(paths):
+        column = f"{robot}_out_s"
+        out_s = as_floats("paths", paths, column).to_numpy()
+        paths[column] = out_s
+        wrong = ~np.isnan(out_s) & ~((out_s > 0) & (out_s <= end_s))
+        refuse(paths, wrong, _outside(column, out_s, end_s), ("path",))
+    return paths
+
+
+def _outside(column: str, out_s: Float[np.ndarray, " n"], end_s: Float[np.ndarray, " n"]) -> Callable[[int], str]:
+    remedy = "null where the robot did not drop out before it"
+    return lambda row: f"{column} {out_s[row]} lies outside the path, which ends at {end_s[row]} s; fix it, {remedy}"
+
+
+def check_own_rewards(stages: pd.DataFrame, is_completed: Bool[np.ndarray, " rows"]) -> None:
+    """Refuse what one robot brought where it is null in a completed stage, or given in one that was not.
+
+    Raises
+    ------
+    LogError
+        As above; the path, the stage and the value are named.
+    """
+    for column in filter(is_own_reward, stages.columns):
+        value = stages[column].to_numpy(dtype=np.float64)
+        wrong = np.where(is_completed, ~np.isfinite(value), ~np.isnan(value))
+        refuse(stages, wrong, _no_own_reward(stages, column))
+
+
+def _no_own_reward(stages: pd.DataFrame, column: str) -> Callable[[int], str]:
+    remedy = "give a finite number for each completed stage, and null for one that was not, or leave it out"
+    return lambda row: f"{column} is {shown(value_at(stages, column, row))}; {remedy}"
+
+
+def check_robots(stages: pd.DataFrame, paths: pd.DataFrame, path_row: Int[np.ndarray, " rows"]) -> None:
+    """Refuse two robots at one object, and one that decides after it dropped out.
+
+    Stages without robots are left alone.
 
     Parameters
     ----------
     stages
         Sorted by path and stage.
+    paths
+        Checked paths.
     path_row
         Path of each row.
 
     Raises
     ------
     LogError
-        A robot began something with an object that another robot was at.
+        A robot began something with an object that another robot was at, or after it dropped out.
     """
     if ROBOT not in stages.columns:
         return
+    begin_s: Any = stages["elapsed_s"].groupby(path_row).shift(fill_value=0.0)
+    _check_two_at_one(stages, begin_s, path_row)
+    for robot in robots_that_may_drop_out(paths):
+        out_s = paths[f"{robot}_out_s"].to_numpy()[path_row]
+        late = stages[ROBOT].eq(robot).to_numpy(dtype=bool) & (begin_s.to_numpy() > out_s)
+        refuse(stages, late, _late(robot, begin_s.to_numpy(), out_s))
+
+
+def _late(robot: int, begin_s: Float[np.ndarray, " rows"], out_s: Float[np.ndarray, " rows"]) -> Callable[[int], str]:
+    remedy = f"fix {robot}_out_s or the stage's robot"
+    return lambda row: f"robot {robot} decides at {begin_s[row]} s, yet dropped out at {out_s[row]} s; {remedy}"
+
+
+def _check_two_at_one(stages: pd.DataFrame, begin_s: pd.Series, path_row: Int[np.ndarray, " rows"]) -> None:
     row = pd.Series(np.arange(len(stages)), index=stages.index)
-    begin_s = stages["elapsed_s"].groupby(path_row).shift(fill_value=0.0)
     decides_again_s = begin_s.groupby([path_row, stages[ROBOT]]).shift(-1).to_numpy()
     earlier = row.groupby([path_row, stages["object"]]).shift(1)
     there = earlier.notna().to_numpy()

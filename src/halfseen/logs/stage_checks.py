@@ -14,11 +14,12 @@ from halfseen.logs.columns import (
     as_floats,
     as_labels,
     check_covariates,
+    is_own_reward,
     refuse_misnamed,
     require_columns,
 )
 from halfseen.logs.refusal import refuse, shown, value_at
-from halfseen.logs.robot_checks import ROBOT, check_robots
+from halfseen.logs.robot_checks import ROBOT, check_own_rewards, check_robots
 
 UNIT_TOLERANCE = 1e-6
 """How near to a power of 1,000 the ratio of a path's end to its last stage must be to look like another unit."""
@@ -86,11 +87,12 @@ def checked_stages(frame: pd.DataFrame, paths: pd.DataFrame) -> tuple[pd.DataFra
     is_completed = stages["elapsed_s"].notna().to_numpy()
     _check_completion(stages, is_completed, layout, (paths["ending"] == CUT).to_numpy(dtype=bool))
     _check_clock(stages, is_completed, layout, paths["end_s"].to_numpy())
-    check_robots(stages, layout.path_row)
+    check_robots(stages, paths, layout.path_row)
+    check_own_rewards(stages, is_completed)
     _check_actions(stages, is_completed)
     _check_rewards(stages, is_completed)
     _check_probabilities(stages, is_completed)
-    check_covariates("stages", stages, STAGE_COLUMNS)
+    check_covariates("stages", stages, (*STAGE_COLUMNS, *filter(is_own_reward, stages.columns)))
     return stages, layout
 
 
@@ -102,7 +104,8 @@ def _typed_stages(frame: pd.DataFrame) -> pd.DataFrame:
         stages["object"] = pd.Series(None, index=stages.index, dtype=object)
     stages["path"] = as_labels("stages", stages, "path", is_null_allowed=False)
     stages["stage"] = as_counts("stages", stages, "stage")
-    for column in sorted({"elapsed_s", "reward", "probability"} & set(stages.columns)):
+    numbers = {"elapsed_s", "reward", "probability"} | set(filter(is_own_reward, stages.columns))
+    for column in sorted(numbers & set(stages.columns)):
         stages[column] = as_floats("stages", stages, column)
     for column in ("action", "object"):
         stages[column] = as_labels("stages", stages, column, is_null_allowed=True)

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.errors import ArgumentError, LogError
-from halfseen.logs.columns import FINISHED, STAGE_COLUMNS
+from halfseen.logs.columns import FINISHED, is_stage_covariate
 from halfseen.logs.folder import (
     MANIFEST,
     ROWS_IN_GROUP,
@@ -130,7 +130,7 @@ class LogStream:
     @property
     def stage_covariates(self) -> list[str]:
         """Names of the stages' covariates."""
-        return [name for name in self._opened("stages").schema_arrow.names if name not in STAGE_COLUMNS]
+        return [name for name in self._opened("stages").schema_arrow.names if is_stage_covariate(name)]
 
     @property
     def num_stages(self) -> int:

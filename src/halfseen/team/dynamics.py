@@ -12,7 +12,7 @@ table stays as it was seen. What ends at the very moment of a drop-out ends befo
 """
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -188,7 +188,8 @@ def _next_event(
     robot = jnp.argmin(left_s)
     # Nothing is to end where a path is over: what comes of that is thrown away, and is to be finite.
     passed_s = jnp.where(jnp.isfinite(left_s[robot]), left_s[robot], 0.0)
-    *after, paid = _at_end(config, state, hidden, robot, passed_s, key)
+    *ended, paid = _at_end(config, state, hidden, robot, passed_s, key)
+    after: Any = tuple(ended)
     is_out = None
     if hidden.until_out_s is not None:
         until_s = jnp.where(robots.is_busy, hidden.until_out_s, jnp.inf)
@@ -196,7 +197,7 @@ def _next_event(
         is_out = is_first & (jnp.arange(robots.num_robots) == jnp.argmin(until_s))
         passed_s, paid = jnp.where(is_first, jnp.min(until_s), passed_s), jnp.where(is_first, 0.0, paid)
         without = _at_drop_out(state, hidden, jnp.argmin(until_s), passed_s)
-        after = jax.tree.map(lambda left, ended: jnp.where(is_first, left, ended), without, tuple(after))
+        after = jax.tree.map(lambda left, ended: jnp.where(is_first, left, ended), without, after)
     state, hidden = after
     if hidden.until_out_s is not None:
         hidden = replace(hidden, until_out_s=hidden.until_out_s - passed_s)

@@ -1,0 +1,293 @@
+"""The part of a team's log that one robot made itself, as the log of one robot that works alone.
+
+Its stages are its own decisions, but for WAIT, which a robot alone does not have: while it waits, its clock stands and
+nothing is paid. A stage lasts from its decision to its next one, or to its end; it pays what r_reward tells for the
+time between (`team.recording`). Its table holds what it reaches, with its own attempts; what others take from there is
+in the dishwasher, and what hides something from outside its reach is not in its table.
+
+Its path ends
+
+- *cut*, with the cause, where it dropped out, or where the table was cut before it came to its own end;
+- *cut*, with the cause `SPENT`, where waiting had cost it decisions and the others were spent: alone it would have gone
+  on;
+- *finished*, where it parked, what it reaches was clear, the table was over, or its decisions were spent on other than
+  waiting. One that waits to its end finishes: the wait is a FINISH that takes as long.
+
+A path in which it began nothing that was seen is not in its log.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+from jaxtyping import Bool, Float, Int
+
+from halfseen.errors import ArgumentError, LogError
+from halfseen.logs import Logs
+from halfseen.logs.columns import CUT, FINISHED, require_columns
+from halfseen.team.recording import FREE, OUT, PARKED, TEAM_VERBS
+from halfseen.world.action_space import TARGETED, Verb
+from halfseen.world.table_checks import TABLE
+
+SPENT = "decisions-spent"
+"""Cause of a cut: waiting had cost the robot decisions that it would have had alone."""
+
+_WAIT = TEAM_VERBS[-1]
+_ATTEMPTS = tuple(TEAM_VERBS[verb] for verb in TARGETED)
+_LATEST_S = 1e-6
+"""What a wait to the end takes at least, so that the clock of one robot rises [s]."""
+
+
+def alone(logs: Logs, robot: int) -> Logs:
+    """Tell what one robot of a team did itself, as a log of one robot.
+
+    Parameters
+    ----------
+    logs
+        The log of a team, with r_reward of that robot.
+    robot
+        Its number.
+
+    Raises
+    ------
+    ArgumentError
+        The log tells of no such robot.
+    LogError
+        A column is missing, or it began nothing in any path.
+    """
+    needed = [f"{robot}_{what}" for what in ("does", "decisions_to_go")]
+    if robot not in set(logs.stages["robot"] if "robot" in logs.stages.columns else ()):
+        raise ArgumentError(f"robot is {robot}, and it decides in no stage of the log; choose among its column robot")
+    require_columns("stages", logs.stages, (*needed, f"{robot}_reward"))
+    if logs.objects is None:
+        raise LogError("objects: the log has none; what a robot reaches is told there")
+    require_columns("objects", logs.objects, ("reached_by", "location"))
+    mine = _objects_in_reach(logs.objects, robot)
+    has_left = set(mine.loc[mine["location"] == TABLE, ["path", "stage"]].itertuples(index=False, name=None))
+    paths = [_path(each, has_left) for each in _paths(logs, robot)]
+    kept = [path for path in paths if path is not None]
+    if not kept:
+        raise LogError(f"robot {robot} began nothing in any path; there is nothing to learn from it alone")
+    stages = pd.concat([path.stages for path in kept], ignore_index=True)
+    at = stages[["path", "of_team", "stage"]].rename(columns={"of_team": "stage", "stage": "own"})
+    objects = _own_history(logs, mine, robot).merge(at, on=["path", "stage"]).drop(columns="stage")
+    own_objects = objects.rename(columns={"own": "stage"})
+    ends = pd.DataFrame([path.end for path in kept])
+    known = logs.paths.drop(columns=["end_s", "ending", "cause", *_of_drop_outs(logs)])
+    tables: Any = (stages.drop(columns="of_team"), ends.merge(known, on="path"), _through_arrow(own_objects))
+    return Logs(*tables, reward_unit=logs.reward_unit)
+
+
+@dataclass(frozen=True)
+class _TeamPath:
+    """One path of a team, and what is told there of the robot."""
+
+    stages: pd.DataFrame
+    clock_s: Float[np.ndarray, " t"]
+    """At the end of each stage, NaN where it was not completed [s]."""
+    is_mine: Bool[np.ndarray, " t"]
+    does: list[str]
+    to_go: Int[np.ndarray, " t"]
+    reward: Float[np.ndarray, " t"]
+    end: dict[str, Any]
+    out_s: float
+    out_cause: Any
+
+    @property
+    def begin_s(self) -> Float[np.ndarray, " t"]:
+        """Clock at the begin of each stage [s]."""
+        return np.concatenate([[0.0], self.clock_s[:-1]])
+
+
+@dataclass(frozen=True)
+class _OwnPath:
+    stages: pd.DataFrame
+    end: dict[str, Any]
+
+
+def _of_drop_outs(logs: Logs) -> list[str]:
+    return [name for name in logs.paths.columns if name.endswith(("_out_s", "_out_cause"))]
+
+
+def _paths(logs: Logs, robot: int) -> Iterator[_TeamPath]:
+    ends = logs.paths.set_index("path", drop=False)
+    for path, stages in logs.stages.groupby("path", sort=False):
+        end: Any = ends.loc[path].to_dict()
+        yield _TeamPath(
+            stages=stages,
+            clock_s=stages["elapsed_s"].to_numpy(),
+            is_mine=(stages["robot"] == robot).to_numpy(dtype=bool),
+            does=stages[f"{robot}_does"].tolist(),
+            to_go=stages[f"{robot}_decisions_to_go"].to_numpy(),
+            reward=stages[f"{robot}_reward"].to_numpy(dtype=np.float64),
+            end=end,
+            out_s=float(end.get(f"{robot}_out_s", np.nan)),
+            out_cause=end.get(f"{robot}_out_cause"),
+        )
+
+
+def _path(path: _TeamPath, has_left: set[tuple[Any, int]]) -> _OwnPath | None:
+    """The robot's own path, or None where it began nothing."""
+    number = path.stages["stage"].to_numpy()
+    decisions = np.flatnonzero(path.is_mine)
+    is_clear = [(path.end["path"], int(number[at])) not in has_left for at in decisions]
+    is_cleared = any(is_clear)
+    last = 0 if not len(decisions) else _own_end(path, int(decisions[-1]))
+    if is_cleared:
+        decisions, last = decisions[: is_clear.index(True)], int(decisions[is_clear.index(True)]) - 1
+    if not len(decisions):
+        return None
+    is_out = not np.isnan(path.out_s) and not is_cleared
+    is_seen = not is_out and not np.isnan(path.clock_s[last])
+    runs = _runs(path, decisions, last)
+    return _told(path, runs, is_seen, is_out)
+
+
+def _own_end(path: _TeamPath, last_decision: int) -> int:
+    """The stage of the team in which the robot came to its end, or in which its log ends."""
+    for at in range(last_decision + 1, len(path.does)):
+        is_spent = path.does[at] == FREE and path.to_go[at] == 0
+        if path.does[at] in (PARKED, OUT) or is_spent:
+            return at - 1
+    return len(path.does) - 1
+
+
+@dataclass(frozen=True)
+class _Run:
+    """A stage of the robot: the stages of the team from its decision to its next."""
+
+    first: int
+    last: int
+    is_wait: bool
+
+
+def _runs(path: _TeamPath, decisions: Int[np.ndarray, " d"], last: int) -> list[_Run]:
+    """Its stages, those in which it waits one after another taken together."""
+    actions = path.stages["action"].tolist()
+    ends = [*(int(at) - 1 for at in decisions[1:]), last]
+    each = [_Run(int(at), end, actions[at] == _WAIT) for at, end in zip(decisions, ends, strict=True)]
+    runs = []
+    for is_wait, members in groupby(each, key=lambda run: run.is_wait):
+        together = list(members)
+        runs += [_Run(together[0].first, together[-1].last, True)] if is_wait else together
+    return runs
+
+
+def _told(path: _TeamPath, runs: list[_Run], is_seen: bool, is_out: bool) -> _OwnPath | None:
+    """Stages and end on the robot's own clock, which stands while it waits for what it does next."""
+    kept = [run for run in runs if not run.is_wait or run is runs[-1]]
+    begin_s, team_end_s = path.begin_s, path.out_s if is_out else path.end["end_s"]
+    elapsed_s, rows = 0.0, []
+    for run in kept:
+        is_whole = run is not kept[-1] or is_seen
+        until_s = path.clock_s[run.last] if is_whole else team_end_s
+        takes_s = max(until_s - begin_s[run.first], _LATEST_S if run.is_wait else 0.0)
+        # Cut while it waited: its clock had stood.
+        elapsed_s += takes_s if is_whole or not run.is_wait else 0.0
+        reward = float(np.sum(path.reward[run.first : run.last + 1])) if is_whole else np.nan
+        rows.append((run, elapsed_s if is_whole else np.nan, reward))
+    is_spent = is_seen and _is_short(path, runs)
+    if is_spent:
+        rows[-1] = (kept[-1], np.nan, np.nan)
+    if elapsed_s <= 0.0:
+        return None
+    return _OwnPath(_rows(path, rows, is_seen), _ending(path, elapsed_s, is_seen and not is_spent, is_out, is_spent))
+
+
+def _is_short(path: _TeamPath, runs: list[_Run]) -> bool:
+    """Whether an attempt was its last for want of decisions, of which waiting had cost some."""
+    last = path.stages["action"].iloc[runs[-1].first]
+    is_last_decision = path.to_go[runs[-1].first] == 1
+    is_cleared = path.end["ending"] == FINISHED and runs[-1].last == len(path.does) - 1 and _clears(path)
+    has_waited = any(run.is_wait for run in runs)
+    return bool(last in _ATTEMPTS and is_last_decision and has_waited and not is_cleared)
+
+
+def _clears(path: _TeamPath) -> bool:
+    """Whether the path ended while somebody still had decisions: then the table was clear."""
+    names = [name for name in path.stages.columns if str(name).endswith("_decisions_to_go")]
+    last = path.stages.iloc[-1]
+    goes_on = [
+        last[name] - (last["robot"] == int(name.split("_")[0])) > 0
+        and last[f"{name.split('_')[0]}_does"] not in (PARKED, OUT)
+        for name in names
+    ]
+    return any(goes_on)
+
+
+def _rows(path: _TeamPath, rows: list[tuple[_Run, float, float]], is_seen: bool) -> pd.DataFrame:
+    found = path.stages.iloc[[run.first for run, _, _ in rows]]
+    names = [name for name in ("path", "action", "object", "probability") if name in found.columns]
+    own = pd.DataFrame(found[names]).reset_index(drop=True)
+    is_wait = np.array([run.is_wait for run, _, _ in rows])
+    own["action"] = own["action"].mask(pd.Series(is_wait), Verb.FINISH.name if is_seen else None)
+    own["stage"], own["of_team"] = np.arange(1, len(own) + 1), found["stage"].to_numpy()
+    own["elapsed_s"] = [elapsed_s for _, elapsed_s, _ in rows]
+    own["reward"] = [reward for _, _, reward in rows]
+    return own
+
+
+def _ending(path: _TeamPath, end_s: float, is_finished: bool, is_out: bool, is_spent: bool) -> dict[str, Any]:
+    cause = SPENT if is_spent else path.out_cause if is_out else path.end["cause"]
+    of_end = {"ending": FINISHED, "cause": None} if is_finished else {"ending": CUT, "cause": cause}
+    return {"path": path.end["path"], "end_s": end_s, **of_end}
+
+
+def _objects_in_reach(objects: pd.DataFrame, robot: int) -> pd.DataFrame:
+    """What the robot reaches; what hides it, too, as far as it is reached."""
+    is_reached = np.array([robot in set(np.asarray(each).tolist()) for each in objects["reached_by"]], dtype=bool)
+    among = pd.Series(is_reached).groupby([objects["path"], objects["stage"]], sort=False)
+    of_stage = {key: np.asarray(each) for key, each in among}
+    mine = objects[is_reached].reset_index(drop=True)
+    keys = zip(mine["path"], mine["stage"], strict=True)
+    hidden_by = [np.asarray(each)[of_stage[key]] for each, key in zip(mine["hidden_by"], keys, strict=True)]
+    return mine.drop(columns=["reached_by", "near"], errors="ignore").assign(hidden_by=hidden_by)
+
+
+def _own_history(logs: Logs, mine: pd.DataFrame, robot: int) -> pd.DataFrame:
+    """Of the attempts at each object, those that the robot made, and those from before the path."""
+    made = _ended_attempts(logs)
+    first = mine[mine["stage"] == 1]
+    keys = list(zip(first["path"], first["object"], strict=True))
+    before = dict(zip(keys, map(len, first["attempt_succeeded"]), strict=True))
+    lifted = dict(zip(keys, first["lifts"], strict=True))
+    rows = []
+    for at in mine[["path", "object", "attempt_occlusions", "attempt_succeeded"]].itertuples(index=False, name=None):
+        key, occluded, succeeded = at[:2], np.asarray(at[2]), np.asarray(at[3], dtype=bool)
+        of_each = ([(robot, "")] * before.get(key, 0) + made.get(key, []))[: len(succeeded)]
+        is_own = np.array([by == robot for by, _ in of_each], dtype=bool)
+        is_lift = np.array([verb == Verb.LIFT.name for _, verb in of_each], dtype=bool)
+        successes = int(succeeded[is_own].sum())
+        lifts = int(lifted.get(key, 0) + (succeeded & is_own & is_lift).sum())
+        rows.append((occluded[is_own], succeeded[is_own], successes, int(is_own.sum()) - successes, lifts))
+    names = ("attempt_occlusions", "attempt_succeeded", "successes", "failures", "lifts")
+    return mine.assign(**dict(zip(names, map(list, zip(*rows, strict=True)), strict=True)))
+
+
+def _ended_attempts(logs: Logs) -> dict[tuple[Any, Any], list[tuple[Any, str]]]:
+    """Who tried each object of each path, and with which verb, in order; what was abandoned is no attempt."""
+    tried = pd.DataFrame(logs.stages[logs.stages["action"].isin(_ATTEMPTS)])
+    last = ~logs.stages.duplicated(["path", "robot"], keep="last")
+    is_out = np.zeros(len(logs.stages), dtype=bool)
+    path_row = pd.Index(logs.path_ids).get_indexer(logs.stages["path"])
+    for name in (name for name in logs.paths.columns if name.endswith("_out_s")):
+        dropped = logs.paths[name].notna().to_numpy(dtype=bool)[path_row]
+        is_out |= dropped & (logs.stages["robot"] == int(name.split("_")[0])).to_numpy(dtype=bool)
+    ended = tried[~(is_out & last.to_numpy())[tried.index]]
+    made: dict[tuple[Any, Any], list[tuple[Any, str]]] = {}
+    for path, target, robot, verb in ended[["path", "object", "robot", "action"]].itertuples(index=False, name=None):
+        made.setdefault((path, target), []).append((robot, verb))
+    return made
+
+
+def _through_arrow(objects: pd.DataFrame) -> pa.Table:
+    """Lists of a type of their own, also where each of them is empty."""
+    table = pa.Table.from_pandas(objects, preserve_index=False)
+    for name, kind in (("hidden_by", pa.float64()), ("attempt_occlusions", pa.float64())):
+        table = table.set_column(table.schema.get_field_index(name), name, pa.array(objects[name], pa.list_(kind)))
+    succeeded = pa.array(objects["attempt_succeeded"], pa.list_(pa.bool_()))
+    return table.set_column(table.schema.get_field_index("attempt_succeeded"), "attempt_succeeded", succeeded)

@@ -1,0 +1,164 @@
+"""What one robot of a team did is a log of one robot, from which the ordinary learner learns."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from played_teams import SureGrasping, logged, played, team_of
+
+from halfseen.errors import ArgumentError, LogError
+from halfseen.learners import CensoredQLearner
+from halfseen.logs import Logs
+from halfseen.tables.grasp.attempts import attempts
+from halfseen.team.alone import SPENT, alone
+from halfseen.team.config import TeamConfig
+from halfseen.world import WorldConfig
+
+HALF = np.array([[True, True, True, False], [False, True, True, True]])
+
+
+def test_of_one_robot_it_is_the_log_itself():
+    logs = logged(played(team_of(1, reward_per_s=-0.1), 60), 0.5)
+    own = alone(logs, 0)
+    names = ["path", "stage", "elapsed_s", "action", "object", "probability"]
+    pd.testing.assert_frame_equal(own.stages[names], logs.stages[names], rtol=1e-12)
+    np.testing.assert_allclose(own.stages["reward"], logs.stages["reward"], rtol=1e-5, atol=1e-6)
+    pd.testing.assert_frame_equal(own.paths, logs.paths)
+    pd.testing.assert_frame_equal(own.objects, logs.objects[own.objects.columns])
+
+
+@pytest.fixture(scope="module")
+def team_logs():
+    team = team_of(2, horizon=5, drop_out_rate=(0.02, 0.005), reward_per_s=-0.05)
+    return logged(played(team, 150, reach=HALF), 0.4)
+
+
+@pytest.mark.parametrize("robot", [0, 1])
+def test_its_stages_are_its_decisions_but_for_waits(team_logs, robot):
+    own = alone(team_logs, robot)
+    mine = team_logs.stages[team_logs.stages["robot"] == robot]
+    for path, stages in own.stages.groupby("path"):
+        of_team = mine[mine["path"] == path]
+        did = of_team[of_team["action"] != "WAIT"]
+        own_did = stages[stages["action"].isin(["WASH", "LIFT"])]
+        truth = did[did["action"] != "FINISH"]
+        assert own_did["object"].tolist() == truth["object"].tolist()[: len(own_did)]
+        assert len(truth) - len(own_did) in (0, 1)
+    assert set(own.stages["action"].dropna()) == {"WASH", "LIFT", "FINISH"}
+    assert not {"robot", "0_does", "0_reward"} & set(own.stages.columns)
+
+
+@pytest.mark.parametrize("robot", [0, 1])
+def test_its_attempts_take_what_an_attempt_takes_however_long_it_waited(team_logs, robot):
+    found = attempts(alone(team_logs, robot), 5)
+    finished = found[found["is_finished"]]
+    assert len(finished) > 100
+    assert finished["time_s"].min() > 1.0 - 1e-4
+    assert finished["time_s"].max() < 7.0 + 1e-4
+    # One that failed took the limit, one that succeeded less.
+    failed = ~finished["succeeded"].astype(bool)
+    np.testing.assert_allclose(finished["time_s"][failed], 7.0, rtol=1e-4)
+
+
+@pytest.mark.parametrize("robot", [0, 1])
+def test_it_ends_where_the_robot_does(team_logs, robot):
+    own = alone(team_logs, robot)
+    ends = own.paths.merge(team_logs.paths, on="path", suffixes=("", "_team"))
+    is_out = ends[f"{robot}_out_s"].notna()
+    assert is_out.sum() > 3
+    assert (ends["cause"][is_out] == "battery").mean() > 0.5
+    assert ends["cause"][~is_out].dropna().isin(["operator", SPENT]).all()
+    assert not ends["cause"][ends["ending_team"] == "finished"].eq("operator").any()
+    assert (ends["end_s"] <= ends["end_s_team"] + 1e-6).all()
+    assert 0.2 < (ends["ending"] == "finished").mean() < 0.9
+    reached = np.flatnonzero(HALF[robot]).tolist()
+    assert sorted(own.objects["object"].unique()) == reached
+    assert own.objects["hidden_by"].map(len).eq(len(reached)).all()
+
+
+def test_the_ordinary_learner_learns_from_it(team_logs):
+    for robot in (0, 1):
+        learner = CensoredQLearner.for_table(horizon=5, reg=1.0).fit(alone(team_logs, robot))
+        assert learner.policy_ is not None
+
+
+def one_by_one(rows, end, **paths):
+    """A log of two robots and two objects that are surely grasped, written by hand."""
+    names = ["robot", "action", "object", "elapsed_s", "reward", "0_reward", "1_reward", "0_does", "1_does"]
+    stages = pd.DataFrame(rows, columns=names)
+    stages["object"] = stages["object"].astype("Int64")
+    spent = [np.cumsum(stages["robot"] == r) - (stages["robot"] == r) for r in (0, 1)]
+    stages = stages.assign(path=0, stage=np.arange(1, len(stages) + 1))
+    stages = stages.assign(**{f"{r}_since_s": 0.0 for r in (0, 1)})
+    stages = stages.assign(**{f"{r}_decisions_to_go": 5 - spent[r] for r in (0, 1)})
+    objects = []
+    for stage, i in np.ndindex(len(rows), 2):
+        is_washed = i == 0 and stage >= 2
+        objects.append(
+            {
+                "path": 0, "stage": stage + 1, "object": i, "location": "DISHWASHER" if is_washed else "TABLE",
+                "occlusion": 0.0, "log_odds": 0.0, "lifts": 0, "successes": int(is_washed), "failures": 0,
+                "hidden_by": [0.0, 0.0], "attempt_occlusions": [0.0] * is_washed,
+                "attempt_succeeded": [True] * is_washed, "reached_by": [0, 1], "near": [i],
+            }
+        )  # fmt: skip
+    ending = {"path": [0], **{name: [value] for name, value in {**end, **paths}.items()}}
+    return Logs(stages, pd.DataFrame(ending), pd.DataFrame(objects))
+
+
+ROWS = [
+    (0, "WASH", 0, 0.0, 0.0, 0.0, 0.0, "FREE", "FREE"),
+    (1, "WASH", 1, 2.0, 5.0, 5.0, 0.0, "WASH 0", "FREE"),
+    (0, "WAIT", None, 3.0, -0.0, 0.0, 0.0, "FREE", "WASH 1"),
+    (0, "WASH", 1, 7.0, 5.0, 5.0, 0.0, "FREE", "OUT"),
+]
+
+
+def test_by_hand_the_clock_stands_while_it_waits_and_who_drops_out_is_cut():
+    end = {"end_s": 7.0, "ending": "finished", "cause": None, "0_out_s": np.nan, "0_out_cause": None}
+    logs = one_by_one(ROWS, end, **{"1_out_s": 3.0, "1_out_cause": "e-stop"})
+    left, right = alone(logs, 0), alone(logs, 1)
+    assert left.stages[["action", "object", "elapsed_s", "reward"]].values.tolist() == [
+        ["WASH", 0, 2.0, 5.0],
+        ["WASH", 1, 6.0, 5.0],
+    ]
+    assert left.paths[["end_s", "ending"]].values.tolist() == [[6.0, "finished"]]
+    assert right.stages["action"].tolist() == ["WASH"]
+    assert right.stages["elapsed_s"].isna().all()
+    assert right.paths[["end_s", "ending", "cause"]].values.tolist() == [[3.0, "cut", "e-stop"]]
+
+
+def test_who_waits_to_the_end_finishes_and_who_is_cut_while_it_waits_is_cut_at_once():
+    rows = [*ROWS[:2], (0, "WAIT", None, 6.0, 5.0, 0.0, 5.0, "FREE", "WASH 1")]
+    logs = one_by_one(rows, {"end_s": 6.0, "ending": "finished", "cause": None})
+    left = alone(logs, 0)
+    assert left.stages["action"].tolist() == ["WASH", "FINISH"]
+    assert left.stages["elapsed_s"].tolist() == [2.0, 6.0]
+    rows[2] = (0, "WAIT", None, np.nan, np.nan, np.nan, np.nan, "FREE", "WASH 1")
+    cut = alone(one_by_one(rows, {"end_s": 5.0, "ending": "cut", "cause": "operator"}), 0)
+    assert cut.stages["action"].tolist()[0] == "WASH"
+    assert cut.stages["action"].isna().tolist() == [False, True]
+    assert cut.paths[["end_s", "ending", "cause"]].values.tolist() == [[2.0, "cut", "operator"]]
+
+
+def test_what_cannot_be_told_is_refused(team_logs):
+    with pytest.raises(ArgumentError, match="robot is 7, and it decides in no stage"):
+        alone(team_logs, 7)
+    without = Logs(team_logs.stages.drop(columns="0_reward"), team_logs.paths, team_logs.objects)
+    with pytest.raises(LogError, match="no column '0_reward'"):
+        alone(without, 0)
+
+
+def test_own_rewards_add_up_to_the_teams_where_reaches_are_apart():
+    """With grasps that never fail and reaches that share nothing, each object left is the price of one robot."""
+    world = WorldConfig(grasping=SureGrasping(), horizon=5)
+    apart = np.array([[True, True, False, False], [False, False, True, True]])
+    logs = logged(played(TeamConfig(world, speed=(1.0, 1.0)), 60, reach=apart), 0.0)
+    total = logs.stages[["0_reward", "1_reward"]].sum(axis=1)
+    of_paths = total.groupby(logs.stages["path"]).sum() - logs.stages.groupby("path")["reward"].sum()
+    np.testing.assert_allclose(of_paths, 0.0, atol=1e-4)
+    for r in (0, 1):
+        own = alone(logs, r)
+        whole = own.paths.loc[own.paths["ending"] == "finished", "path"]
+        assert len(whole) > 50
+        paid = own.stages.groupby("path")["reward"].sum()[whole]
+        np.testing.assert_allclose(paid, logs.stages.groupby("path")[f"{r}_reward"].sum()[whole], atol=1e-9)
