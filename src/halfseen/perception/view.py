@@ -101,7 +101,8 @@ class View:
 
     def scene(self) -> Scene:
         """Return what the world needs to know of this view."""
-        return Scene(self.hides, self.name)
+        places_m = np.array([seen.solid.middle_m[:2] for seen in self.objects]).reshape(-1, 2)
+        return Scene(self.hides, self.name, places_m=places_m)
 
 
 def perceive(cloud: Cloud, sensor: DepthSensor = XTION) -> View:

@@ -1,1 +1,57 @@
-"""Several robots at one table (design, §9): who decides when, knowing what the others are at."""
+"""Several robots at one table (design, §9): who decides when, knowing what the others are at.
+
+Read down: `state` (what each robot is at) → `robots`, `team`, `team_file` (who they are, what they reach) → `config` →
+`actions` → `dynamics` (from one decision to the next; drop-outs) → `policy`, `fit` → `episodes` → `recording` (to and
+from logs) → `own_part`, `drop_outs` (parts of a log) → `features`, `task`, `learned_policy` (what a team learns) →
+`team_world`, `gymnasium_env`, `pettingzoo_env` (the faces).
+"""
+
+from typing import TYPE_CHECKING
+
+from halfseen.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from halfseen.team.config import TeamConfig
+    from halfseen.team.drop_outs import cut_at_drop_outs
+    from halfseen.team.own_part import alone
+    from halfseen.team.policy import ExploringTeam, TeamOfRules, TeamPolicy, UniformTeam
+    from halfseen.team.robots import Robot
+    from halfseen.team.state import TeamState, Workspace
+    from halfseen.team.team import Team
+    from halfseen.team.team_file import read_team
+    from halfseen.team.team_world import TeamWorld
+
+__all__ = [
+    "ExploringTeam",
+    "Robot",
+    "Team",
+    "TeamConfig",
+    "TeamOfRules",
+    "TeamPolicy",
+    "TeamState",
+    "TeamWorld",
+    "UniformTeam",
+    "Workspace",
+    "alone",
+    "cut_at_drop_outs",
+    "read_team",
+]
+
+__getattr__ = lazy_names(
+    __name__,
+    {
+        "ExploringTeam": "policy",
+        "Robot": "robots",
+        "Team": "team",
+        "TeamConfig": "config",
+        "TeamOfRules": "policy",
+        "TeamPolicy": "policy",
+        "TeamState": "state",
+        "TeamWorld": "team_world",
+        "UniformTeam": "policy",
+        "Workspace": "state",
+        "alone": "own_part",
+        "cut_at_drop_outs": "drop_outs",
+        "read_team": "team_file",
+    },
+)

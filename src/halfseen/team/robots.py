@@ -22,24 +22,27 @@ class Robot:
     Parameters
     ----------
     base_m
-        Where it stands, (x, y) in the frame of the table [m].
+        Where it stands, (x, y) in the frame of the table: to the camera's right, and away from it [m].
     reach_m
         How far from there it can grasp [m].
     speed
         What takes the law of the world so many seconds takes it that, divided by its speed.
     name
-        What it is called in logs and messages.
+        What it is called in messages.
+    drop_out_rate
+        Hazard that it drops out (battery, e-stop), by the table's clock [1/s].
 
     Raises
     ------
     ArgumentError
-        A number is not finite, or reach or speed is not above 0.
+        A number is not finite, reach or speed is not above 0, or the hazard is below it.
     """
 
     base_m: tuple[float, float]
     reach_m: float
     speed: float = 1.0
     name: str = "robot"
+    drop_out_rate: float = 0.0
 
     def __post_init__(self) -> None:
         if not np.isfinite(self.base_m).all():
@@ -48,6 +51,9 @@ class Robot:
             value = getattr(self, what)
             if not (np.isfinite(value) and value > 0):
                 raise ArgumentError(f"{self.name}: {what} is {value}; give a finite number above 0")
+        if not (np.isfinite(self.drop_out_rate) and self.drop_out_rate >= 0):
+            rate = self.drop_out_rate
+            raise ArgumentError(f"{self.name}: drop_out_rate is {rate}; give a finite hazard, 0 or above [1/s]")
 
 
 def workspace_of(
@@ -78,8 +84,8 @@ def workspace_of(
     if not np.isfinite(places_m).all():
         k = int(np.argmin(np.isfinite(places_m).all(axis=1)))
         raise ArgumentError(f"{name}: object {k} stands at {places_m[k]}; give a finite place [m]")
-    if not clearance_m >= 0:
-        raise ArgumentError(f"clearance_m is {clearance_m}; give 0 or more [m]")
+    if not (clearance_m >= 0 and np.isfinite(clearance_m)):
+        raise ArgumentError(f"clearance_m is {clearance_m}; give a finite distance, 0 or above [m]")
     bases = np.array([robot.base_m for robot in robots], dtype=np.float64)
     reaches = np.array([robot.reach_m for robot in robots], dtype=np.float64)
     is_in_reach = np.linalg.norm(places_m[None] - bases[:, None], axis=-1) <= reaches[:, None]

@@ -7,6 +7,7 @@ whether an object is dirty, and what nobody sees of its grip, are drawn when an 
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
 from halfseen.arrays import Hides, PerObject
 from halfseen.errors import SceneError
@@ -26,17 +27,21 @@ class Scene:
     grip
         Mean of each object's grip offset, from what is seen of it (it lies, it is wide), in units of the law of
         grasping; above 0 it is easier to grip than most. None for 0.
+    places_m
+        Where each object stands, to the camera's right and away from it, as perception has it [m]; None where nobody
+        has said. Only who reaches what needs it.
 
     Raises
     ------
     SceneError
-        `hides` is not square, leaves [0, 1], is not finite, or lets an object hide itself; `grip` is not finite, or not
-        one number an object.
+        `hides` is not square, leaves [0, 1], is not finite, or lets an object hide itself; `grip` or `places_m` is not
+        finite, or not one number, or one place, an object.
     """
 
     hides: Hides
     name: str = "scene"
     grip: PerObject | None = None
+    places_m: Float[np.ndarray, "N 2"] | None = None
 
     def __post_init__(self) -> None:
         hides = self._checked_hides()
@@ -45,6 +50,10 @@ class Scene:
         grip = self._checked_grip()
         grip.setflags(write=False)
         object.__setattr__(self, "grip", grip)
+        if self.places_m is not None:
+            places_m = self._checked_places(np.array(self.places_m, dtype=np.float64))
+            places_m.setflags(write=False)
+            object.__setattr__(self, "places_m", places_m)
 
     def _checked_hides(self) -> Hides:
         hides = np.array(self.hides, dtype=np.float64)
@@ -69,6 +78,15 @@ class Scene:
             i = int(np.argmin(np.isfinite(grip)))
             raise SceneError(f"{self.name}: grip[{i}] is {grip[i]}; give a finite offset, 0 where nothing is known")
         return grip
+
+    def _checked_places(self, places_m: np.ndarray) -> np.ndarray:
+        if places_m.shape != (self.num_objects, 2):
+            shape = self.num_objects, 2
+            raise SceneError(f"{self.name}: places_m has shape {places_m.shape}; give x and y an object, {shape}")
+        if not np.isfinite(places_m).all():
+            i = int(np.argmin(np.isfinite(places_m).all(axis=1)))
+            raise SceneError(f"{self.name}: places_m[{i}] is {places_m[i]}; give a finite place [m]")
+        return places_m
 
     @property
     def num_objects(self) -> int:

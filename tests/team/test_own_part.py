@@ -9,8 +9,8 @@ from halfseen.errors import ArgumentError, LogError
 from halfseen.learners import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.tables.grasp.attempts import attempts
-from halfseen.team.alone import SPENT, alone
 from halfseen.team.config import TeamConfig
+from halfseen.team.own_part import SPENT, alone
 from halfseen.world import WorldConfig
 
 HALF = np.array([[True, True, True, False], [False, True, True, True]])

@@ -1,0 +1,73 @@
+"""A team: its robots, how near two may work, and what its seconds cost; how scenes stand before it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+
+from halfseen.errors import ArgumentError, SceneError
+from halfseen.team.config import TeamConfig
+from halfseen.team.robots import CLEARANCE_M, Robot, workspace_of
+from halfseen.team.state import TeamLayout, Workspace
+from halfseen.world.config import WorldConfig
+from halfseen.world.scene import Scene
+from halfseen.world.state import pad_scenes
+
+
+@dataclass(frozen=True)
+class Team:
+    """Several robots at one table.
+
+    Parameters
+    ----------
+    robots
+        The robots, robot 0 first.
+    clearance_m
+        Objects nearer than that are too near for two robots at once [m].
+    reward_per_s
+        Price of each second of the table's clock; 0 or below [1/s].
+
+    Raises
+    ------
+    ArgumentError
+        There is no robot, or a number is none that it can be.
+    """
+
+    robots: tuple[Robot, ...]
+    clearance_m: float = CLEARANCE_M
+    reward_per_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "robots", tuple(self.robots))
+        if not self.robots:
+            raise ArgumentError("robots is empty: give at least one Robot")
+        if not (self.clearance_m >= 0 and np.isfinite(self.clearance_m)):
+            raise ArgumentError(f"clearance_m is {self.clearance_m}; give a finite distance, 0 or above [m]")
+        self.config(WorldConfig())
+
+    def config(self, world: WorldConfig) -> TeamConfig:
+        """Give the numbers of this team in a world."""
+        rates = tuple(robot.drop_out_rate for robot in self.robots)
+        speed = tuple(robot.speed for robot in self.robots)
+        return TeamConfig(world, speed, self.reward_per_s, rates if any(rates) else None)
+
+    def layouts(self, scenes: Sequence[Scene], num_objects: int | None = None) -> TeamLayout:
+        """Set scenes before the team, padded to a common number of objects.
+
+        Raises
+        ------
+        SceneError
+            There is no scene, one has more objects than `num_objects`, or one does not tell where its objects stand.
+        """
+        tables = pad_scenes(scenes, num_objects)
+        size = tables.is_object.shape[-1]
+        is_in_reach = np.zeros((len(scenes), len(self.robots), size), dtype=bool)
+        is_near = np.zeros((len(scenes), size, size), dtype=bool)
+        for k, scene in enumerate(scenes):
+            if scene.places_m is None:
+                raise SceneError(f"{scene.name}: places_m is None, so nobody knows who reaches what; give each a place")
+            found = workspace_of(self.robots, scene.places_m, self.clearance_m, scene.name)
+            is_in_reach[k, :, : scene.num_objects] = found.is_in_reach
+            is_near[k, : scene.num_objects, : scene.num_objects] = found.is_near
+        return TeamLayout(tables, Workspace(jnp.asarray(is_in_reach), jnp.asarray(is_near)))

@@ -1,0 +1,71 @@
+"""Robots come from a file; what is wrong in it is told in one line."""
+
+import json
+
+import pytest
+
+from halfseen.errors import ArgumentError
+from halfseen.team import Robot, TeamWorld, read_team
+
+TOML = """
+clearance_m = 0.1
+reward_per_s = -0.05
+
+[[robot]]
+name = "left"
+base_m = [-0.5, 0]
+reach_m = 0.7
+
+[[robot]]
+base_m = [0.5, 0.0]
+reach_m = 0.8
+speed = 1.5
+drop_out_rate = 0.001
+"""
+ROBOT = "[[robot]]\nbase_m = [0.0, 0.0]\nreach_m = 0.5\n"
+
+
+def test_a_team_comes_from_toml_or_json(tmp_path):
+    (tmp_path / "robots.toml").write_text(TOML)
+    team = read_team(tmp_path / "robots.toml")
+    left, right = Robot((-0.5, 0.0), 0.7, name="left"), Robot((0.5, 0.0), 0.8, 1.5, "robot 1", 0.001)
+    assert team.robots == (left, right)
+    assert (team.clearance_m, team.reward_per_s) == (0.1, -0.05)
+    assert TeamWorld.of(team).team_config.speed == (1.0, 1.5)
+    same = {"robot": [{"base_m": [0, 0], "reach_m": 1}]}
+    (tmp_path / "robots.json").write_text(json.dumps(same))
+    assert read_team(tmp_path / "robots.json").robots == (Robot((0.0, 0.0), 1.0, name="robot 0"),)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", r"robots.toml: there is no robot; give each a table of its own"),
+        ("robot = 3", "there is no robot"),
+        ("[[robot]", "is no TOML or JSON"),
+        ("[[robot]]\nreach_m = 1.0", "robot 0: base_m is missing"),
+        ("[[robot]]\nbase_m = [0, 0]", "robot 0: reach_m is missing"),
+        ("[[robot]]\nbase_m = [0]\nreach_m = 1", r"robot 0: base_m is \[0\]; give two numbers"),
+        ("[[robot]]\nbase_m = [0, true]\nreach_m = 1", r"robot 0: base_m is \[0, True\]"),
+        (ROBOT + "speed = 'fast'", "robot 0: speed is 'fast'; give a number"),
+        (ROBOT + "speed = nan", "robot 0: speed is nan; give a finite number above 0"),
+        (ROBOT + "speeed = 1.0", r"robot 0: there is no key 'speeed' among .*; did you mean 'speed'\?"),
+        (ROBOT + "name = 3", "robot 0: name is 3; give a text"),
+        (ROBOT + "drop_out_rate = -1", "drop_out_rate is -1.0"),
+        ("clearence_m = 0.1\n" + ROBOT, r"there is no key 'clearence_m' .* did you mean 'clearance_m'\?"),
+        ("clearance_m = -0.1\n" + ROBOT, "clearance_m is -0.1"),
+        ("reward_per_s = 1\n" + ROBOT, "reward_per_s is 1.0"),
+        (ROBOT + "name = 'a'\n" + ROBOT + "name = 'a'", "two robots are called 'a'"),
+    ],
+)
+def test_what_no_team_has_is_told_in_one_line(tmp_path, text, told):
+    (tmp_path / "robots.toml").write_text(text)
+    with pytest.raises(ArgumentError, match=told) as caught:
+        read_team(tmp_path / "robots.toml")
+    assert "\n" not in str(caught.value)
+    assert str(tmp_path / "robots.toml") in str(caught.value)
+
+
+def test_a_file_that_is_not_there_is_told(tmp_path):
+    with pytest.raises(ArgumentError, match=r"no\.toml: cannot be read"):
+        read_team(tmp_path / "no.toml")

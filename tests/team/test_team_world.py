@@ -1,0 +1,122 @@
+"""Scenes with places and a team in, logs out; one cut ends the table for all."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxtyping import TypeCheckError
+
+from halfseen.errors import ArgumentError, HalfseenWarning, PolicyError, SceneError
+from halfseen.planners.heuristics import GreedyPolicy
+from halfseen.team import ExploringTeam, Robot, Team, TeamOfRules, TeamWorld, UniformTeam, episodes
+from halfseen.team.learned_policy import LinearTeamPolicy
+from halfseen.team.robots import workspace_of
+from halfseen.world import Scene, TableWorld, WorldConfig
+
+PLACES = np.array([[-0.3, 0.0], [0.0, 0.0], [0.05, 0.0], [0.3, 0.0]])
+SCENES = [
+    Scene(np.triu(np.full((4, 4), 0.3), 1), "four", places_m=PLACES),
+    Scene(np.zeros((2, 2)), "two", places_m=PLACES[[0, 3]]),
+]
+TEAM = (Robot((-0.6, 0.0), 0.7, name="left"), Robot((0.6, 0.0), 0.7, speed=1.5, name="right"))
+WORLD = TeamWorld(WorldConfig(horizon=4), TEAM)
+
+
+def test_a_team_of_one_that_reaches_all_simulates_what_one_robot_does():
+    rule = GreedyPolicy(WorldConfig(), uses_history=True, counts_penalty=True)
+    mine = TeamWorld(robots=[Robot((0.0, -0.5), 5.0)]).simulate(SCENES, TeamOfRules(rule), 30, seed=3, cut_share=0.4)
+    theirs = TableWorld().simulate(SCENES, rule, 30, seed=3, cut_share=0.4)
+    assert mine.paths.equals(theirs.paths)
+    for name in ("stages", "objects"):
+        truth = theirs.tables[name]
+        assert mine.tables[name][truth.columns].equals(truth)
+
+
+@pytest.mark.parametrize("kind", ["independent", "occlusion", "attempt"])
+def test_the_wanted_share_is_cut_and_one_cut_ends_the_table_for_all(kind):
+    logs = WORLD.simulate(SCENES, UniformTeam(), 300, seed=0, cut_share=0.5, cut_kind=kind)
+    assert abs(logs.cut_share - 0.5) < 4 * 0.5 / np.sqrt(300)
+    assert logs.stages.groupby("path")["elapsed_s"].apply(lambda each: each.isna().sum()).max() == 1
+    assert logs.paths["scene"].tolist()[:3] == ["four", "two", "four"]
+
+
+def test_each_robot_touches_what_it_reaches_and_padding_is_nobodys():
+    logs = WORLD.simulate(SCENES, UniformTeam(), 40, seed=0)
+    did = logs.stages.dropna(subset=["object"])
+    truth = [np.asarray(workspace_of(TEAM, scene.places_m).is_in_reach) for scene in SCENES]
+    assert all(truth[path % 2][robot, target] for path, robot, target in did[["path", "robot", "object"]].values)
+    layouts = WORLD.team.layouts(SCENES)
+    assert not np.asarray(layouts.workspace.is_in_reach)[1, :, 2:].any()
+    assert not np.asarray(layouts.workspace.is_near)[1, 2:].any()
+
+
+def test_same_seed_same_logs_and_evaluate_plays_the_same_tables():
+    first, again = (WORLD.simulate(SCENES, UniformTeam(), 30, seed=5, cut_share=0.5) for _ in range(2))
+    assert first.stages.equals(again.stages)
+    totals = WORLD.evaluate(SCENES, UniformTeam(), 30, seed=5)
+    played = episodes.play(WORLD.team_config, WORLD.team.layouts(SCENES), UniformTeam(), jax.random.key(5), 30)
+    np.testing.assert_allclose(totals.reward, np.sum(np.where(played.is_taken, played.reward, 0.0), axis=1), rtol=1e-5)
+
+
+def test_robots_tell_when_they_drop_out():
+    world = TeamWorld(robots=[TEAM[0], Robot((0.6, 0.0), 0.7, drop_out_rate=0.05)])
+    assert world.team_config.drop_out_rate == (0.0, 0.05)
+    assert WORLD.team_config.drop_out_rate is None
+    logs = world.simulate(SCENES, UniformTeam(), 40, seed=0, drop_out_cause="e-stop")
+    assert set(logs.paths["1_out_cause"].dropna()) == {"e-stop"}
+    assert logs.paths["0_out_s"].isna().all()
+
+
+def test_perception_tells_where_objects_stand():
+    from halfseen.perception import perceive, read_cloud
+    from halfseen.scene import table_paths
+
+    view = perceive(read_cloud(table_paths()[0]))
+    np.testing.assert_array_equal(view.scene().places_m, [seen.solid.middle_m[:2] for seen in view.objects])
+
+
+def learned(num_decisions):
+    return LinearTeamPolicy(jnp.zeros((num_decisions, 4, 53)))
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "told"),
+    [
+        (lambda: TeamWorld(), ArgumentError, "robots is empty"),
+        (lambda: TeamWorld(robots=TEAM, clearance_m=np.nan), ArgumentError, "clearance_m is nan"),
+        (lambda: TeamWorld(robots=TEAM, reward_per_s=0.1), ArgumentError, "reward_per_s is 0.1"),
+        (lambda: Robot((0.0, 0.0), 1.0, drop_out_rate=-1.0), ArgumentError, "robot: drop_out_rate is -1.0"),
+        (lambda: Robot((0.0, 0.0), np.inf), ArgumentError, "robot: reach_m is inf"),
+        (lambda: WORLD.simulate(Scene(np.zeros((1, 1))), UniformTeam(), 1, 0), SceneError, "scene: places_m is None"),
+        (lambda: WORLD.simulate(SCENES, UniformTeam(), 0, 0), ArgumentError, "episodes is 0"),
+        (lambda: WORLD.simulate(SCENES, UniformTeam(), 1, 0, cut_share=1.0), ArgumentError, "cut share is 1.0"),
+        (lambda: WORLD.simulate(SCENES, learned(12), 1, 0), PolicyError, "learned for 12 decisions .* up to 8"),
+        (lambda: WORLD.evaluate(SCENES, ExploringTeam(learned(12)), 1, 0), PolicyError, "learned for 12 decisions"),
+        (lambda: Scene(np.zeros((1, 1)), places_m=np.array([[0.0, np.nan]])), SceneError, r"places_m\[0\] is"),
+    ],
+)
+def test_what_cannot_be_is_refused(make, error, told):
+    with pytest.raises(error, match=told):
+        make()
+
+
+def test_each_object_has_one_place():
+    with pytest.raises((SceneError, TypeCheckError), match=r"places_m has shape \(1, 2\)|f64\[1,2\]"):
+        Scene(np.zeros((2, 2)), places_m=np.zeros((1, 2)))
+
+
+class ForThree(UniformTeam):
+    num_robots = 3
+
+
+def test_a_policy_for_another_number_of_robots_is_refused():
+    with pytest.raises(PolicyError, match="the policy is for 3 robots, and the team has 2"):
+        WORLD.evaluate(SCENES, ForThree(), 1, 0)
+
+
+def test_what_nobody_reaches_is_told_of_and_left():
+    short = TeamWorld(robots=[Robot((-0.6, 0.0), 0.4)])
+    with pytest.warns(HalfseenWarning, match=r"two: object 1 at \(0.3, 0\) m is in no robot's reach"):
+        logs = short.simulate(SCENES[1], UniformTeam(), 20, seed=0)
+    assert not logs.stages["object"].eq(1).any()
+    assert isinstance(short.team, Team)
