@@ -9,7 +9,7 @@ from played_teams import logged, played, team_of
 from halfseen.errors import LogError
 from halfseen.logs import Logs, read_logs
 from halfseen.team.drop_outs import cut_at_drop_outs
-from halfseen.team.features import NUM_OWN, team_features
+from halfseen.team.others import others_of
 from halfseen.team.recording import states_of
 
 RATES = (0.03, 0.01, 0.0)
@@ -60,17 +60,17 @@ def test_from_then_on_stages_say_out_and_the_robot_decides_no_more(logs):
         assert not (is_out & (stages["robot"] == r)).any()
 
 
-def test_states_come_back_and_features_count_who_is_out_as_gone(paths, logs):
+def test_states_come_back_and_who_is_out_does_not_go_on(paths, logs):
     horizon = paths.action.shape[1]
     states = states_of(logs, horizon)
     at = logs.stages["path"].to_numpy(), logs.stages["stage"].to_numpy() - 1
     np.testing.assert_array_equal(np.asarray(states.robots.is_out)[at], np.asarray(paths.states.robots.is_out)[at])
     assert np.asarray(states.robots.is_out)[at].any()
-    goes_on = jax.vmap(team_features)(jax.tree.map(lambda leaf: leaf[at], states))[:, 0, -2 * NUM_OWN - 1]
+    goes_on = jax.vmap(others_of)(jax.tree.map(lambda leaf: leaf[at], states)).goes_on
     robots = jax.tree.map(lambda leaf: leaf[at], states.robots)
     others = np.arange(3) != np.asarray(states.decider)[at][:, None]
     truth = others & ~robots.is_parked & ~robots.is_out & (robots.is_busy | (robots.decisions_to_go > 0))
-    np.testing.assert_array_equal(goes_on, truth.sum(axis=1))
+    np.testing.assert_array_equal(goes_on, truth)
 
 
 def test_without_a_hazard_nothing_of_it_is_in_the_log():

@@ -21,7 +21,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from halfseen.learners.q_learning.task import Encoded, RewardedStages
 from halfseen.tables.features import WASH_DIRTY, WASH_EASE
@@ -50,10 +50,7 @@ def wash_outcomes(encoded: Encoded) -> Float[np.ndarray, "n T 3"]:
 
 
 def label_control_variates(encoded: Encoded) -> Float[np.ndarray, "n T 8"]:
-    """Σ_j (p'_j − p_j)·m_j over what stays on the table, and the same of the target alone, for some multipliers m.
-
-    They are 1 and ease, and ease where p is above ¼, ½ or ¾: the table has all five, the target 1, ease and the one
-    above ½.
+    """Control variates of a log of tables (`label_moves`).
 
     Parameters
     ----------
@@ -63,20 +60,21 @@ def label_control_variates(encoded: Encoded) -> Float[np.ndarray, "n T 8"]:
     space = _space(encoded)
     washed = encoded.features[:, :, space.of(Verb.WASH)]
     is_dirty, ease = washed[..., WASH_DIRTY].astype(np.float64), washed[..., WASH_EASE]
-    moved = label_moves(is_dirty, ease, encoded.is_possible[:, :, space.of(Verb.WASH)])
-    of_table = [values.sum(axis=-1) for values in moved]
-    target = space.target(encoded.action)
-    of_target = [
-        np.where(encoded.action > 0, np.take_along_axis(values, target[..., None], axis=-1)[..., 0], 0.0)
-        for values in (moved[0], moved[1], moved[3])
-    ]
-    return np.stack(of_table + of_target, axis=-1)
+    is_there = encoded.is_possible[:, :, space.of(Verb.WASH)]
+    return label_moves(is_dirty, ease, is_there, space.target(encoded.action), encoded.action > 0)
 
 
 def label_moves(
-    is_dirty: Float[np.ndarray, "n T N"], ease: Float[np.ndarray, "n T N"], is_there: Bool[np.ndarray, "n T N"]
-) -> list[Float[np.ndarray, "n T N"]]:
-    """(p' − p)·m of each object that stays on the table, for each multiplier m of the table.
+    is_dirty: Float[np.ndarray, "n T N"],
+    ease: Float[np.ndarray, "n T N"],
+    is_there: Bool[np.ndarray, "n T N"],
+    target: Int[np.ndarray, "n T"],
+    has_target: Bool[np.ndarray, "n T"],
+) -> Float[np.ndarray, "n T 8"]:
+    """Σ_j (p'_j − p_j)·m_j over what stays on the table, and the same of the target alone, for some multipliers m.
+
+    They are 1 and ease, and ease where p is above ¼, ½ or ¾: the table has all five, the target 1, ease and the one
+    above ½.
 
     Parameters
     ----------
@@ -86,11 +84,19 @@ def label_moves(
         Of a grasp.
     is_there
         Whether it stands on the table.
+    target, has_target
+        Of the action, if it has one.
     """
     plain = np.zeros_like(is_dirty)
     plain[:, :-1] = np.where(is_there[:, :-1] & is_there[:, 1:], np.diff(is_dirty, axis=1), 0.0)
     within_reach = plain * ease
-    return [plain, within_reach, *(within_reach * (is_dirty > knot) for knot in (0.25, 0.5, 0.75))]
+    likely = [within_reach * (is_dirty > knot) for knot in (0.25, 0.5, 0.75)]
+    of_table = [values.sum(axis=-1) for values in (plain, within_reach, *likely)]
+    of_target = [
+        np.where(has_target, np.take_along_axis(values, target[..., None], axis=-1)[..., 0], 0.0)
+        for values in (plain, within_reach, likely[1])
+    ]
+    return np.stack(of_table + of_target, axis=-1)
 
 
 def wash_pay(parts: Iterable[RewardedStages]) -> tuple[float, ...]:

@@ -45,11 +45,16 @@ def team_attempts(
     is_free = later & is_stage[path] & ~np.asarray(robots.is_busy)[path, :, robot]
     was_seen, end = is_free.any(axis=1), is_free.argmax(axis=1)
     gained = successes[path, end, at] - successes[path, stage, at]
+    # A robot that drops out abandons what it is at: that attempt was cut.
+    is_out = np.zeros_like(was_seen) if robots.is_out is None else np.asarray(robots.is_out)[path, end, robot]
+    was_dropped = was_seen & is_out
+    was_seen &= ~is_out
     # A table that is clear ends a path while a WASH is under way, and no other end does.
-    is_clear = ~was_seen & logs.is_finished[path] & (verb[path, stage] == Verb.WASH)
+    is_clear = ~was_seen & ~was_dropped & logs.is_finished[path] & (verb[path, stage] == Verb.WASH)
     is_finished = was_seen | is_clear
     succeeded = pd.Series(np.where(was_seen, gained > 0, is_clear), dtype="boolean").mask(pd.Series(~is_finished))
     end_s = np.where(was_seen, begun_s[path, end], logs.end_s[path])
+    end_s = np.where(was_dropped, _out_s(logs, robots.num_robots)[path, robot], end_s)
     number = path * target.max(initial=0) + path + at
     columns = (
         logs.path_ids[path],
@@ -65,6 +70,13 @@ def team_attempts(
     )
     tried = pd.DataFrame(dict(zip(COLUMNS, columns, strict=True)))
     return pd.DataFrame(tried[tried["time_s"] > 0]).reset_index(drop=True)
+
+
+def _out_s(logs: Logs, num_robots: int) -> np.ndarray:
+    """When each robot dropped out of each path; NaN where it did not [s]."""
+    names = [f"{robot}_out_s" for robot in range(num_robots)]
+    found = logs.paths.reindex(columns=names)
+    return found.to_numpy(dtype=np.float64, na_value=np.nan)
 
 
 def _begun_s(logs: Logs, shape: tuple[int, ...]) -> np.ndarray:

@@ -25,12 +25,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from halfseen.learners.q_learning.task import Encoded, RewardedStages
-from halfseen.tables.variance_reduction import WeightedRows, label_moves, regressed
-from halfseen.team.features import WASH_DIRTY, WASH_EASE
+from halfseen.learners.q_learning.task import RewardedStages
+from halfseen.tables.variance_reduction import WeightedRows, regressed
 from halfseen.team.state import TeamState
-from halfseen.world.action_space import ActionSpace, Verb
+from halfseen.world.action_space import Verb
 
+NUM_OUTCOMES = 6
 _CERTAIN, _WASHED, _LEFT = slice(0, 3), slice(3, 5), slice(5, 6)
 """Which outcomes tell rewards that are certain, what objects that left pay, and what is left costs."""
 
@@ -66,6 +66,9 @@ def outcomes_of(
     at = np.where(is_decider, target[..., None], np.asarray(robots.target))
     since_s = np.where(is_decider, 0.0, np.asarray(robots.since_s)) + duration_s[..., None]
     has_ended = (doing > 0) & ~_next(np.asarray(robots.is_busy))
+    if robots.is_out is not None:
+        # What a robot was at when it dropped out was abandoned.
+        has_ended &= ~_next(np.asarray(robots.is_out))
     is_there = np.asarray(states.table.is_on_table)
     is_dirty = np.where(is_there, 1.0 / (1.0 + np.exp(-np.asarray(states.table.log_odds, dtype=np.float64))), 0.0)
     has_left = is_there & ~_next(is_there)
@@ -108,7 +111,13 @@ def _rows(
 
 def _outcome(part: RewardedStages) -> Float[np.ndarray, "n T 6"]:
     assert part.encoded.outcome is not None, "TeamTask.encode tells what ended"
-    return part.encoded.outcome
+    return part.encoded.outcome[..., :NUM_OUTCOMES]
+
+
+def control_variates_of(stages: RewardedStages) -> Float[np.ndarray, "n T Z"]:
+    """What labels moved (`tables.variance_reduction.label_moves`), which follows the outcomes."""
+    assert stages.encoded.outcome is not None, "TeamTask.encode tells what labels moved"
+    return stages.encoded.outcome[..., NUM_OUTCOMES:]
 
 
 def _is_certain(part: RewardedStages) -> Bool[np.ndarray, "n T"]:
@@ -144,12 +153,3 @@ def shaped(stages: RewardedStages, pays: Pays, reduces_variance: bool) -> Float[
     left = outcome[..., 5]
     after = np.where(stages.is_last, 0.0, np.pad(left[:, 1:], ((0, 0), (0, 1))))
     return np.where(stages.weight > 0, reward + pays.left[0] * (after - left), 0.0)
-
-
-def team_control_variates(encoded: Encoded) -> Float[np.ndarray, "n T 5"]:
-    """What labels moved over what stays on the table (`tables.variance_reduction`)."""
-    space = ActionSpace.of_size(encoded.is_possible.shape[-1] - 1)
-    washed = encoded.features[:, :, space.of(Verb.WASH)]
-    is_dirty = washed[..., WASH_DIRTY].astype(np.float64)
-    moved = label_moves(is_dirty, washed[..., WASH_EASE], is_dirty > 0.0)
-    return np.stack([values.sum(axis=-1) for values in moved], axis=-1)

@@ -17,23 +17,33 @@ from halfseen.learners.q_learning.path_arrays import stage_places
 from halfseen.learners.q_learning.task import Encoded, LearnedQ, RewardedStages
 from halfseen.logs import Logs
 from halfseen.tables.censoring_covariates import TABLE_COVARIATES, table_covariates
+from halfseen.tables.features import table_columns
 from halfseen.tables.grasp.choice import choose_by
+from halfseen.tables.variance_reduction import label_moves
 from halfseen.team.actions import WAIT, wait_of, worthwhile_actions
 from halfseen.team.attempts import team_attempts
 from halfseen.team.features import team_features
 from halfseen.team.learned_policy import LinearTeamPolicy
 from halfseen.team.recording import TEAM_VERBS, states_of
-from halfseen.team.rewards import Pays, outcomes_of, pays_of, shaped, team_control_variates
+from halfseen.team.rewards import Pays, control_variates_of, outcomes_of, pays_of, shaped
 from halfseen.team.state import TeamState
-from halfseen.world.action_space import TARGETED, ActionSpace
+from halfseen.world.action_space import TARGETED, ActionSpace, Verb
 from halfseen.world.grasp_model import GraspModel
 from halfseen.world.table_checks import object_numbers
 
+_DIRTY, _EASE = 2, 4
+"""Where the columns of WASH hold them."""
+
 
 @jax.jit
-def _encoded(states: TeamState, grasp: GraspModel | None) -> tuple[jax.Array, jax.Array]:
-    each = jax.vmap(jax.vmap(lambda state: (team_features(state, grasp), worthwhile_actions(state))))
-    return each(states)
+def _encoded(states: TeamState, grasp: GraspModel | None) -> tuple[jax.Array, ...]:
+    """Features, what there is to choose from, and P(DIRTY) and ease of every object."""
+
+    def encode(state: TeamState) -> tuple[jax.Array, ...]:
+        washed = table_columns(state.table, grasp).of_verb[Verb.WASH]
+        return team_features(state, grasp), worthwhile_actions(state), washed[_DIRTY], washed[_EASE]
+
+    return jax.vmap(jax.vmap(encode))(states)
 
 
 @dataclass(frozen=True)
@@ -82,15 +92,18 @@ class TeamTask:
 
     def encode(self, logs: Logs, horizon: int) -> Encoded:
         """Encode every stage of a log of a team, and what ended in it."""
-        states, verb, target, action = read = _read(logs, horizon)
-        features, is_possible = (np.array(leaf) for leaf in _encoded(states, self._model))
+        states, verb, target, action = _read(logs, horizon)
+        features, is_possible, is_dirty, ease = (np.array(leaf) for leaf in _encoded(states, self._model))
         is_state = np.zeros((logs.num_paths, horizon), dtype=bool)
         is_state[stage_places(logs)] = True
         features[~is_state], is_possible[~is_state] = 0.0, False
         is_possible[~is_state, 0] = True
         # What was done is possible, whatever a policy would choose from.
         np.put_along_axis(is_possible, action[..., None], True, axis=2)
-        outcome = outcomes_of(read.states, verb, target, _duration_s(logs, horizon))
+        ended = outcomes_of(states, verb, target, _duration_s(logs, horizon))
+        is_there, has_target = np.asarray(states.table.is_on_table), np.isin(verb, TARGETED)
+        moved = label_moves(is_dirty.astype(np.float64), ease.astype(np.float64), is_there, target, has_target)
+        outcome = np.concatenate([ended, moved], axis=-1)
         return Encoded(features.astype(np.float64), is_possible, action, outcome)
 
     def block_of_action(self, num_actions: int) -> Int[np.ndarray, " A"]:
@@ -114,7 +127,7 @@ class TeamTask:
     ) -> tuple[Float[np.ndarray, "n T"], Float[np.ndarray, "n T Z"] | None]:
         """Rewards measured from leaving the table, and what labels moved as control variates (`team.rewards`)."""
         pays = pays_of([stages]) if self.pays is None else self.pays
-        variates = team_control_variates(stages.encoded) if self.reduces_variance else None
+        variates = control_variates_of(stages) if self.reduces_variance else None
         return shaped(stages, pays, self.reduces_variance), variates
 
     def policy(self, learned: LearnedQ) -> LinearTeamPolicy:
