@@ -20,7 +20,10 @@ def test_import_halfseen_is_instant():
 
 @pytest.mark.parametrize(
     "package",
-    ["halfseen", *(f"halfseen.{name}" for name in ("cli", "evaluation", "learners", "planners", "policies", "world"))],
+    [
+        "halfseen",
+        *(f"halfseen.{name}" for name in ("cli", "evaluation", "learners", "planners", "policies", "team", "world")),
+    ],
 )
 def test_a_package_loads_nothing_heavy(package):
     heavy = {"gymnasium", "jax", "mujoco", "pandas", "pyarrow", "sklearn", "scipy"}
@@ -55,8 +58,9 @@ print(dict(jax.config.values) == settings, (np.random.get_state()[1] == state).a
         ("import gymnasium; import halfseen", "halfseen/Cups-v0"),
         ("import halfseen; import gymnasium", "halfseen/Cups-v0"),
         ("import gymnasium", "halfseen.gym_registration:halfseen/Cups-v0"),
+        ("import gymnasium; import halfseen", "halfseen/TeamCups-v0"),
     ],
 )
 def test_gymnasium_knows_the_tables_and_loads_jax_only_to_make_one(first, env_id):
     code = f"import sys\n{first}\nprint('jax' in sys.modules, gymnasium.make('{env_id}').spec.id)"
-    assert run(code) == "False halfseen/Cups-v0"
+    assert run(code) == f"False {env_id.split(':')[-1]}"

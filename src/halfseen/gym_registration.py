@@ -10,17 +10,23 @@ from importlib.util import find_spec
 from typing import Any
 
 ENV_ID = "halfseen/Cups-v0"
+TEAM_ENV_ID = "halfseen/TeamCups-v0"
+_ENTRY_POINTS = {
+    ENV_ID: "halfseen.world.gymnasium_env:CupsEnv",
+    TEAM_ENV_ID: "halfseen.team.gymnasium_env:TeamCupsEnv",
+}
 
 
 def register() -> None:
-    """Register ``halfseen/Cups-v0``; registering twice changes nothing.
+    """Register ``halfseen/Cups-v0`` and ``halfseen/TeamCups-v0``; registering twice changes nothing.
 
-    There is no time limit to be wrapped around it: the horizon is the table's own end.
+    There is no time limit to be wrapped around them: the horizon is the table's own end.
     """
     from gymnasium.envs import registration
 
-    if ENV_ID not in registration.registry:
-        registration.register(id=ENV_ID, entry_point="halfseen.world.gymnasium_env:CupsEnv")
+    for name, entry_point in _ENTRY_POINTS.items():
+        if name not in registration.registry:
+            registration.register(id=name, entry_point=entry_point)
 
 
 class _RegisterAfterImport(MetaPathFinder):

@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from halfseen.team.actions import WAIT
+from halfseen.team.actions import WAIT, possible_actions
 from halfseen.team.config import TeamConfig
 from halfseen.team.state import OfRobots, Pending, Robots, TeamHidden, TeamLayout, TeamState
 from halfseen.world import dynamics as table_dynamics
@@ -80,8 +80,30 @@ def step(
     Outcome
         All reward of the time between, the price of its seconds and, where the path ends, of what is left dirty.
     """
+    return _stepped(config, state, hidden, action, key, jnp.asarray(True))
+
+
+def step_any(
+    config: TeamConfig, state: TeamState, hidden: TeamHidden, action: Int[Array, ""], key: Array
+) -> tuple[TeamState, TeamHidden, Outcome]:
+    """As `step`, also where the action is not possible for the robot that decides.
+
+    An attempt that is not possible closes on nothing: it fails, and takes as long as an attempt may. A WAIT for nothing
+    lasts as long as going home.
+    """
+    return _stepped(config, state, hidden, action, key, possible_actions(state)[action])
+
+
+def _stepped(
+    config: TeamConfig,
+    state: TeamState,
+    hidden: TeamHidden,
+    action: Int[Array, ""],
+    key: Array,
+    is_possible: Bool[Array, ""],
+) -> tuple[TeamState, TeamHidden, Outcome]:
     grasp_key, see_key = jax.random.split(key)
-    state, hidden = _begun(config, state, hidden, action, grasp_key)
+    state, hidden = _begun(config, state, hidden, action, grasp_key, is_possible)
     total = _Passed.nothing(config)
     for k in range(config.num_robots):
         # What frees nobody ends a robot for good, parked or dropped out: up to K such events before anybody decides.
@@ -148,14 +170,21 @@ def _is_over(state: TeamState) -> Bool[Array, ""]:
 
 
 def _begun(
-    config: TeamConfig, state: TeamState, hidden: TeamHidden, action: Int[Array, ""], key: Array
+    config: TeamConfig,
+    state: TeamState,
+    hidden: TeamHidden,
+    action: Int[Array, ""],
+    key: Array,
+    is_possible: Bool[Array, ""],
 ) -> tuple[TeamState, TeamHidden]:
     """Draw how the action of the robot that decides will go."""
     actions, robot = ActionSpace(state.table.num_objects), state.decider
     verb, target = actions.verb(action), actions.target(action)
     is_wait = verb == WAIT
-    # To the table, who waits does nothing, as who finishes.
-    tried = attempted(config.world, state.table, hidden.table, jnp.where(is_wait, Verb.FINISH, verb), target, key)
+    is_there = state.table.is_on_table & (is_possible | (jnp.arange(state.table.num_objects) != target))
+    tried = attempted(
+        config.world, replace(state.table, is_on_table=is_there), hidden.table, _to_the_table(verb), target, key
+    )
     speed = jnp.asarray(config.speed)[robot]
     duration_s = (config.world.transport_s + tried.duration_s) / speed
     robots, pending = state.robots, hidden.pending
@@ -168,7 +197,7 @@ def _begun(
         decisions_to_go=robots.decisions_to_go.at[robot].add(-1),
     )
     pending = Pending(
-        left_s=pending.left_s.at[robot].set(jnp.where(is_wait, jnp.inf, duration_s)),
+        left_s=pending.left_s.at[robot].set(jnp.where(is_wait & is_possible, jnp.inf, duration_s)),
         duration_s=pending.duration_s.at[robot].set(duration_s),
         is_held=pending.is_held.at[robot].set(tried.is_held),
         occlusion=pending.occlusion.at[robot].set(occlusion(state.table)[target]),
@@ -177,6 +206,11 @@ def _begun(
     )
     of_table = replace(hidden.table, grasp_trait=tried.trait)
     return replace(state, robots=robots), replace(hidden, table=of_table, pending=pending)
+
+
+def _to_the_table(verb: Int[Array, ""]) -> Int[Array, ""]:
+    """To the table, who waits does nothing, as who finishes."""
+    return jnp.where(verb == WAIT, Verb.FINISH, verb)
 
 
 def _next_event(
@@ -233,7 +267,7 @@ def _at_end(
     verb, target = robots.verb[robot], robots.target[robot]
     hides = jnp.where(pending.is_moved[robot], pending.hides[robot], state.table.hides)
     tried = Attempt(pending.is_held[robot], pending.duration_s[robot], hides, None)
-    table = after_attempt(state.table, verb, target, tried, pending.occlusion[robot])
+    table = after_attempt(state.table, _to_the_table(verb), target, tried, pending.occlusion[robot])
     robots, pending = _freed(robots, pending, robot, passed_s)
     robots = replace(robots, is_parked=robots.is_parked.at[robot].set(verb == Verb.FINISH))
     is_lifted = (jnp.arange(table.num_objects) == target) & tried.is_held & (verb == Verb.LIFT)

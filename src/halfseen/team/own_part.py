@@ -270,14 +270,14 @@ def _own_history(logs: Logs, mine: pd.DataFrame, robot: int) -> pd.DataFrame:
 
 def _ended_attempts(logs: Logs) -> dict[tuple[Any, Any], list[tuple[Any, str]]]:
     """Who tried each object of each path, and with which verb, in order; what was abandoned is no attempt."""
-    tried = pd.DataFrame(logs.stages[logs.stages["action"].isin(_ATTEMPTS)])
+    is_attempt = logs.stages["action"].isin(_ATTEMPTS).to_numpy(dtype=bool)
     last = ~logs.stages.duplicated(["path", "robot"], keep="last")
     is_out = np.zeros(len(logs.stages), dtype=bool)
     path_row = pd.Index(logs.path_ids).get_indexer(logs.stages["path"])
     for name in (name for name in logs.paths.columns if name.endswith("_out_s")):
         dropped = logs.paths[name].notna().to_numpy(dtype=bool)[path_row]
         is_out |= dropped & (logs.stages["robot"] == int(name.split("_")[0])).to_numpy(dtype=bool)
-    ended = tried[~(is_out & last.to_numpy())[tried.index]]
+    ended: Any = logs.stages[is_attempt & ~(is_out & last.to_numpy())]
     made: dict[tuple[Any, Any], list[tuple[Any, str]]] = {}
     for path, target, robot, verb in ended[["path", "object", "robot", "action"]].itertuples(index=False, name=None):
         made.setdefault((path, target), []).append((robot, verb))

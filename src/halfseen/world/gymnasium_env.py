@@ -102,7 +102,9 @@ class CupsEnv(gymnasium.Env[Observation, np.int64]):
         self._layouts = pad_scenes(self.scenes, num_objects)
         self.num_objects = int(self._layouts.is_object.shape[-1])
         self.action_space = spaces.Discrete(ActionSpace(self.num_objects).num_actions)
-        self.observation_space: spaces.Space[Observation] = _observation_space(self._layouts, self.config)
+        self.observation_space: spaces.Space[Observation] = spaces.Dict(
+            table_spaces(self._layouts, self.config, self.config.horizon)
+        )
         self._state: TableState | None = None
 
     def reset(
@@ -165,7 +167,7 @@ class CupsEnv(gymnasium.Env[Observation, np.int64]):
 
     def _observation(self) -> Observation:
         assert self._state is not None
-        return {name: np.asarray(value) for name, value in _observe(self._state).items()}
+        return {name: np.asarray(value) for name, value in observe_table(self._state).items()}
 
     def _info(self) -> dict[str, Any]:
         assert self._state is not None
@@ -181,8 +183,8 @@ def _mask(state: TableState) -> Int[Array, " A"]:
 
 
 @jax.jit
-def _observe(state: TableState) -> dict[str, Array]:
-    """S_t as arrays; padding reads 0."""
+def observe_table(state: TableState) -> dict[str, Array]:
+    """S_t of one table as arrays; padding reads 0."""
     successes, failures = attempt_counts(state)
     return {
         "is_object": state.is_object.astype(jnp.int8),
@@ -202,32 +204,31 @@ def _observe(state: TableState) -> dict[str, Array]:
     }
 
 
-def _observation_space(layouts: Layout, config: WorldConfig) -> spaces.Space[Observation]:
-    num_objects, horizon = layouts.is_object.shape[-1], config.horizon
+def table_spaces(layouts: Layout, config: WorldConfig, horizon: int) -> dict[str, Any]:
+    """Space of each array that `observe_table` gives, of tables on which so many attempts may be made."""
+    num_objects = layouts.is_object.shape[-1]
     share = partial(spaces.Box, 0.0, 1.0, dtype=np.float32)
     count = partial(spaces.Box, 0, horizon, dtype=np.int32)
-    bound, firmest = _largest_log_odds(config), float(np.nanmax(np.abs(layouts.grip), initial=1.0))
-    return spaces.Dict(
-        {
-            "is_object": spaces.MultiBinary(num_objects),
-            "is_on_table": spaces.MultiBinary(num_objects),
-            "occlusion": share((num_objects,)),
-            "grip": spaces.Box(-firmest, firmest, (num_objects,), dtype=np.float32),
-            "log_odds": spaces.Box(-bound, bound, (num_objects,), dtype=np.float32),
-            "seen": share((num_objects,)),
-            "successes": count((num_objects,)),
-            "failures": count((num_objects,)),
-            "lifts": count((num_objects,)),
-            "hides": share((num_objects, num_objects)),
-            "attempt_object": spaces.Box(-1, num_objects - 1, (horizon,), dtype=np.int32),
-            "attempt_occlusion": share((horizon,)),
-            "attempt_succeeded": spaces.MultiBinary(horizon),
-            "steps_to_go": count((1,)),
-        }
-    )
+    bound, firmest = _largest_log_odds(config, horizon), float(np.nanmax(np.abs(layouts.grip), initial=1.0))
+    return {
+        "is_object": spaces.MultiBinary(num_objects),
+        "is_on_table": spaces.MultiBinary(num_objects),
+        "occlusion": share((num_objects,)),
+        "grip": spaces.Box(-firmest, firmest, (num_objects,), dtype=np.float32),
+        "log_odds": spaces.Box(-bound, bound, (num_objects,), dtype=np.float32),
+        "seen": share((num_objects,)),
+        "successes": count((num_objects,)),
+        "failures": count((num_objects,)),
+        "lifts": count((num_objects,)),
+        "hides": share((num_objects, num_objects)),
+        "attempt_object": spaces.Box(-1, num_objects - 1, (horizon,), dtype=np.int32),
+        "attempt_occlusion": share((horizon,)),
+        "attempt_succeeded": spaces.MultiBinary(horizon),
+        "steps_to_go": count((1,)),
+    }
 
 
-def _largest_log_odds(config: WorldConfig) -> float:
+def _largest_log_odds(config: WorldConfig, num_looks: int) -> float:
     """Bound on |log-odds|: the prior's, and as many labels as there are, each the surest that a label can be.
 
     There is none where it is not known how sure a label can be, or labels are not independent.
@@ -237,4 +238,4 @@ def _largest_log_odds(config: WorldConfig) -> float:
     in_full_view = config.seeing.positive(0.0, 0.0)
     surest = max(abs(label_evidence(*in_full_view, says_dirty)) for says_dirty in (False, True))
     prior = np.abs(np.log(config.dirty_share) - np.log1p(-config.dirty_share))
-    return float(np.ceil(prior + (config.horizon + 1) * surest))
+    return float(np.ceil(prior + (num_looks + 1) * surest))
