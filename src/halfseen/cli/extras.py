@@ -6,6 +6,7 @@ EXTRAS = {
     "study": ("jinja2",),
     "watch": ("viser",),
     "gym": ("gymnasium",),
+    "pettingzoo": ("pettingzoo",),
     "minari": ("h5py", "minari"),
     "ros": ("rosbags",),
     "ray": ("ray",),

@@ -19,7 +19,7 @@ from halfseen.world.gymnasium_env import Observation
 from halfseen.world.scene import Scene
 
 
-class TeamCupsAEC(AECEnv[str, Observation, np.int64 | int | None]):
+class TeamCupsAEC(AECEnv[str, Observation, np.integer | int | None]):
     """A table of half-hidden cups before several robots: agents ``robot_0``, ``robot_1`` and so on.
 
     The agent that is selected is the robot that is free (of several, the lowest number); it begins its action, and time
@@ -104,7 +104,7 @@ class TeamCupsAEC(AECEnv[str, Observation, np.int64 | int | None]):
         robot = self.possible_agents.index(agent)
         return {"observation": self.table.observation(robot), "action_mask": self.table.action_mask(robot)}
 
-    def step(self, action: np.int64 | int | None) -> None:
+    def step(self, action: np.integer | int | None) -> None:
         """Let the selected robot begin an action; of an agent that has ended, the action is None.
 
         Raises

@@ -45,7 +45,7 @@ class TeamWorld:
     >>> scene = Scene(np.array([[0.0, 0.4], [0.0, 0.0]]), places_m=np.array([[-0.2, 0.0], [0.2, 0.0]]))
     >>> world = TeamWorld(robots=[Robot((-0.6, 0.0), 0.9), Robot((0.6, 0.0), 0.9)])
     >>> logs = world.simulate(scene, UniformTeam(), episodes=20, seed=0, cut_share=0.5)
-    >>> sorted(logs.stages["robot"].unique())
+    >>> sorted(logs.stages["robot"].unique().tolist())
     [0, 1]
     """
 
