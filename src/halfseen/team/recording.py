@@ -22,6 +22,7 @@ from halfseen.logs import Logs
 from halfseen.logs.columns import require_columns
 from halfseen.logs.refusal import refuse, shown, value_at
 from halfseen.logs.robot_checks import robots_that_may_drop_out
+from halfseen.team.log_checks import check_doings, check_lists, check_numbers, check_reached, robots_in
 from halfseen.team.state import Robots, TeamState, Workspace
 from halfseen.world.action_space import TARGETED
 from halfseen.world.cuts import CutEpisodes, CutKind
@@ -119,10 +120,11 @@ def states_of(logs: Logs, horizon: int) -> TeamState:
     Raises
     ------
     LogError
-        The log breaks a rule of tables, a column of a robot is missing, or a robot is none of them.
+        The log breaks a rule of tables or of teams (`team.log_checks`), a column of a robot is missing, or a robot is
+        none of them.
     """
     stages = logs.stages
-    num_robots = sum(f"{r}_does" in stages.columns for r in range(stages.shape[1]))
+    num_robots = robots_in(logs)
     require_columns(
         "stages", stages, ("robot", *(f"{r}_{what}" for r in range(max(num_robots, 1)) for what in _OF_ROBOT))
     )
@@ -137,6 +139,8 @@ def states_of(logs: Logs, horizon: int) -> TeamState:
         return jnp.asarray(found)
 
     does = np.stack([_doing(stages, r) for r in range(num_robots)], axis=1)
+    check_doings(logs, decider, does, _FREE, table.num_objects)
+    check_numbers(stages, decider, num_robots)
     numbers = {
         what: np.stack([stages[f"{r}_{what}"].to_numpy() for r in range(num_robots)], axis=1)
         for what in ("since_s", "decisions_to_go")
@@ -151,7 +155,9 @@ def states_of(logs: Logs, horizon: int) -> TeamState:
         decisions_to_go=spread(numbers["decisions_to_go"].astype(np.int32)),
         is_out=spread(is_out) if is_out.any() or robots_that_may_drop_out(logs.paths) else None,
     )
-    return TeamState(table, robots, _workspaces(logs, table, num_robots), spread(decider))
+    space = _workspaces(logs, table, num_robots)
+    check_reached(logs, decider, np.asarray(space.is_in_reach)[(*at, decider)])
+    return TeamState(table, robots, space, spread(decider))
 
 
 def _decider(stages: pd.DataFrame, num_robots: int) -> Int[np.ndarray, " rows"]:
@@ -188,6 +194,7 @@ def _workspaces(logs: Logs, table: TableState, num_robots: int) -> Workspace:
     at = pd.Index(logs.path_ids).get_indexer(objects["path"]), objects["stage"].to_numpy() - 1, number
     begin = np.arange(len(objects)) - objects.groupby(["path", "stage"]).cumcount().to_numpy()
     reach, near = lists_in(objects, "reached_by"), lists_in(objects, "near")
+    check_lists(objects, reach, near, num_robots)
     is_in_reach = np.zeros((*shape[:2], num_robots, shape[2]), dtype=bool)
     is_near = np.zeros((*shape, shape[2]), dtype=bool)
     path, stage, target = at
