@@ -19,7 +19,7 @@ A path in which it began nothing that was seen is not in its log.
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import groupby
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -38,7 +38,7 @@ SPENT = "decisions-spent"
 
 _WAIT = TEAM_VERBS[-1]
 _ATTEMPTS = tuple(TEAM_VERBS[verb] for verb in TARGETED)
-_LATEST_S = 1e-6
+_LEAST_S = 1e-6
 """What a wait to the end takes at least, so that the clock of one robot rises [s]."""
 
 
@@ -72,7 +72,7 @@ def alone(logs: Logs, robot: int) -> Logs:
     kept = [path for path in paths if path is not None]
     if not kept:
         raise LogError(f"robot {robot} began nothing in any path; there is nothing to learn from it alone")
-    stages = pd.concat([path.stages for path in kept], ignore_index=True)
+    stages = _own_stages(logs, [row for path in kept for row in path.rows])
     at = stages[["path", "of_team", "stage"]].rename(columns={"of_team": "stage", "stage": "own"})
     objects = _own_history(logs, mine, robot).merge(at, on=["path", "stage"]).drop(columns="stage")
     own_objects = objects.rename(columns={"own": "stage"})
@@ -82,11 +82,24 @@ def alone(logs: Logs, robot: int) -> Logs:
     return Logs(*tables, reward_unit=logs.reward_unit)
 
 
+class _Row(NamedTuple):
+    """A stage of the robot, and where the stage of the team stands in which it decided."""
+
+    at: int
+    stage: int
+    elapsed_s: float
+    reward: float
+    is_wait: bool
+    """Whether it is a wait: FINISH where it was the last thing, and no known action where it was cut."""
+
+
 @dataclass(frozen=True)
 class _TeamPath:
     """One path of a team, and what is told there of the robot."""
 
+    first_row: int
     stages: pd.DataFrame
+    actions: list[Any]
     clock_s: Float[np.ndarray, " t"]
     """At the end of each stage, NaN where it was not completed [s]."""
     is_mine: Bool[np.ndarray, " t"]
@@ -105,7 +118,7 @@ class _TeamPath:
 
 @dataclass(frozen=True)
 class _OwnPath:
-    stages: pd.DataFrame
+    rows: list[_Row]
     end: dict[str, Any]
 
 
@@ -114,16 +127,22 @@ def _of_drop_outs(logs: Logs) -> list[str]:
 
 
 def _paths(logs: Logs, robot: int) -> Iterator[_TeamPath]:
-    ends = logs.paths.set_index("path", drop=False)
-    for path, stages in logs.stages.groupby("path", sort=False):
-        end: Any = ends.loc[path].to_dict()
+    stages, ends = logs.stages, logs.paths.to_dict("records")
+    clock_s, reward = (stages[name].to_numpy(dtype=np.float64) for name in ("elapsed_s", f"{robot}_reward"))
+    is_mine, to_go = (stages["robot"] == robot).to_numpy(dtype=bool), stages[f"{robot}_decisions_to_go"].to_numpy()
+    actions, does = stages["action"].tolist(), stages[f"{robot}_does"].tolist()
+    begins = np.append(np.flatnonzero(stages["stage"].to_numpy() == 1), len(stages))
+    for end, first, after in zip(ends, begins[:-1].tolist(), begins[1:].tolist(), strict=True):
+        rows = slice(first, after)
         yield _TeamPath(
+            first_row=first,
             stages=stages,
-            clock_s=stages["elapsed_s"].to_numpy(),
-            is_mine=(stages["robot"] == robot).to_numpy(dtype=bool),
-            does=stages[f"{robot}_does"].tolist(),
-            to_go=stages[f"{robot}_decisions_to_go"].to_numpy(),
-            reward=stages[f"{robot}_reward"].to_numpy(dtype=np.float64),
+            actions=actions[rows],
+            clock_s=clock_s[rows],
+            is_mine=is_mine[rows],
+            does=does[rows],
+            to_go=to_go[rows],
+            reward=reward[rows],
             end=end,
             out_s=float(end.get(f"{robot}_out_s", np.nan)),
             out_cause=end.get(f"{robot}_out_cause"),
@@ -132,9 +151,8 @@ def _paths(logs: Logs, robot: int) -> Iterator[_TeamPath]:
 
 def _path(path: _TeamPath, has_left: set[tuple[Any, int]]) -> _OwnPath | None:
     """The robot's own path, or None where it began nothing."""
-    number = path.stages["stage"].to_numpy()
     decisions = np.flatnonzero(path.is_mine)
-    is_clear = [(path.end["path"], int(number[at])) not in has_left for at in decisions]
+    is_clear = [(path.end["path"], int(at) + 1) not in has_left for at in decisions]
     is_cleared = any(is_clear)
     last = 0 if not len(decisions) else _own_end(path, int(decisions[-1]))
     if is_cleared:
@@ -167,9 +185,8 @@ class _Run:
 
 def _runs(path: _TeamPath, decisions: Int[np.ndarray, " d"], last: int) -> list[_Run]:
     """Its stages, those in which it waits one after another taken together."""
-    actions = path.stages["action"].tolist()
     ends = [*(int(at) - 1 for at in decisions[1:]), last]
-    each = [_Run(int(at), end, actions[at] == _WAIT) for at, end in zip(decisions, ends, strict=True)]
+    each = [_Run(int(at), end, path.actions[at] == _WAIT) for at, end in zip(decisions, ends, strict=True)]
     runs = []
     for is_wait, members in groupby(each, key=lambda run: run.is_wait):
         together = list(members)
@@ -182,52 +199,53 @@ def _told(path: _TeamPath, runs: list[_Run], is_seen: bool, is_out: bool) -> _Ow
     kept = [run for run in runs if not run.is_wait or run is runs[-1]]
     begin_s, team_end_s = path.begin_s, path.out_s if is_out else path.end["end_s"]
     elapsed_s, rows = 0.0, []
-    for run in kept:
+    is_spent = is_seen and _is_short(path, runs)
+    for stage, run in enumerate(kept, start=1):
         is_whole = run is not kept[-1] or is_seen
         until_s = path.clock_s[run.last] if is_whole else team_end_s
-        takes_s = max(until_s - begin_s[run.first], _LATEST_S if run.is_wait else 0.0)
+        takes_s = max(until_s - begin_s[run.first], _LEAST_S if run.is_wait else 0.0)
         # Cut while it waited: its clock had stood.
         elapsed_s += takes_s if is_whole or not run.is_wait else 0.0
-        reward = float(np.sum(path.reward[run.first : run.last + 1])) if is_whole else np.nan
-        rows.append((run, elapsed_s if is_whole else np.nan, reward))
-    is_spent = is_seen and _is_short(path, runs)
-    if is_spent:
-        rows[-1] = (kept[-1], np.nan, np.nan)
+        reward = float(np.sum(path.reward[run.first : run.last + 1]))
+        is_told = is_whole and not (is_spent and run is kept[-1])
+        told = (elapsed_s, reward) if is_told else (np.nan, np.nan)
+        rows.append(_Row(path.first_row + run.first, stage, *told, run.is_wait))
     if elapsed_s <= 0.0:
         return None
-    return _OwnPath(_rows(path, rows, is_seen), _ending(path, elapsed_s, is_seen and not is_spent, is_out, is_spent))
+    return _OwnPath(rows, _ending(path, elapsed_s, is_seen and not is_spent, is_out, is_spent))
 
 
 def _is_short(path: _TeamPath, runs: list[_Run]) -> bool:
     """Whether an attempt was its last for want of decisions, of which waiting had cost some."""
-    last = path.stages["action"].iloc[runs[-1].first]
-    is_last_decision = path.to_go[runs[-1].first] == 1
-    is_cleared = path.end["ending"] == FINISHED and runs[-1].last == len(path.does) - 1 and _clears(path)
-    has_waited = any(run.is_wait for run in runs)
-    return bool(last in _ATTEMPTS and is_last_decision and has_waited and not is_cleared)
+    last = runs[-1]
+    is_last_decision = path.actions[last.first] in _ATTEMPTS and path.to_go[last.first] == 1
+    if not (is_last_decision and any(run.is_wait for run in runs)):
+        return False
+    return not (path.end["ending"] == FINISHED and last.last == len(path.does) - 1 and _clears(path))
 
 
 def _clears(path: _TeamPath) -> bool:
     """Whether the path ended while somebody still had decisions: then the table was clear."""
-    names = [name for name in path.stages.columns if str(name).endswith("_decisions_to_go")]
-    last = path.stages.iloc[-1]
+    last = path.stages.iloc[path.first_row + len(path.does) - 1]
     goes_on = [
-        last[name] - (last["robot"] == int(name.split("_")[0])) > 0
-        and last[f"{name.split('_')[0]}_does"] not in (PARKED, OUT)
-        for name in names
+        last[f"{r}_decisions_to_go"] - (last["robot"] == r) > 0 and last[f"{r}_does"] not in (PARKED, OUT)
+        for r in range(sum(name.endswith("_does") for name in path.stages.columns))
     ]
     return any(goes_on)
 
 
-def _rows(path: _TeamPath, rows: list[tuple[_Run, float, float]], is_seen: bool) -> pd.DataFrame:
-    found = path.stages.iloc[[run.first for run, _, _ in rows]]
+def _own_stages(logs: Logs, rows: list[_Row]) -> pd.DataFrame:
+    found = logs.stages.iloc[[row.at for row in rows]].reset_index(drop=True)
     names = [name for name in ("path", "action", "object", "probability") if name in found.columns]
-    own = pd.DataFrame(found[names]).reset_index(drop=True)
-    is_wait = np.array([run.is_wait for run, _, _ in rows])
-    own["action"] = own["action"].mask(pd.Series(is_wait), Verb.FINISH.name if is_seen else None)
-    own["stage"], own["of_team"] = np.arange(1, len(own) + 1), found["stage"].to_numpy()
-    own["elapsed_s"] = [elapsed_s for _, elapsed_s, _ in rows]
-    own["reward"] = [reward for _, _, reward in rows]
+    own = pd.DataFrame(found[names]).assign(
+        of_team=found["stage"],
+        stage=[row.stage for row in rows],
+        elapsed_s=[row.elapsed_s for row in rows],
+        reward=[row.reward for row in rows],
+    )
+    is_wait = pd.Series([row.is_wait for row in rows])
+    is_cut = own["elapsed_s"].isna()
+    own["action"] = own["action"].mask(is_wait & ~is_cut, Verb.FINISH.name).mask(is_wait & is_cut, None)
     return own
 
 
@@ -240,11 +258,14 @@ def _ending(path: _TeamPath, end_s: float, is_finished: bool, is_out: bool, is_s
 def _objects_in_reach(objects: pd.DataFrame, robot: int) -> pd.DataFrame:
     """What the robot reaches; what hides it, too, as far as it is reached."""
     is_reached = np.array([robot in set(np.asarray(each).tolist()) for each in objects["reached_by"]], dtype=bool)
-    among = pd.Series(is_reached).groupby([objects["path"], objects["stage"]], sort=False)
-    of_stage = {key: np.asarray(each) for key, each in among}
+    in_stage = objects.groupby(["path", "stage"], sort=False)["object"].transform("size").to_numpy()
+    begin = np.arange(len(objects)) - objects.groupby(["path", "stage"], sort=False).cumcount().to_numpy()
     mine = objects[is_reached].reset_index(drop=True)
-    keys = zip(mine["path"], mine["stage"], strict=True)
-    hidden_by = [np.asarray(each)[of_stage[key]] for each, key in zip(mine["hidden_by"], keys, strict=True)]
+    spans = zip(begin[is_reached].tolist(), in_stage[is_reached].tolist(), strict=True)
+    hidden_by = [
+        np.asarray(each)[is_reached[first : first + size]]
+        for each, (first, size) in zip(mine["hidden_by"], spans, strict=True)
+    ]
     return mine.drop(columns=["reached_by", "near"], errors="ignore").assign(hidden_by=hidden_by)
 
 
