@@ -158,7 +158,7 @@ def test_last_stage_weighs_what_its_path_weighs(ends):
 @pytest.mark.parametrize(
     ("clock", "message"),
     [
-        ([[1.0], [np.inf]], r"path 1, stage 1: elapsed_s inf is not in \(0, 2.0\]"),
+        ([[1.0], [np.inf]], r"path 1, stage 1: elapsed_s inf is not in \[0, 2.0\]"),
         ([[1.0], [-1.0]], "path 1, stage 1: elapsed_s -1.0"),
         ([[1.0], [2.5]], "path 1, stage 1: elapsed_s 2.5"),
         ([[1.0]], "elapsed_s has 1 rows and end_s has 2"),
@@ -194,3 +194,9 @@ def test_refuses_covariates_and_names_of_other_paths():
         censoring_weights([1.0, 2.0], [True, True], ByCovariate(), covariates=[[0.5]])
     with pytest.raises(ArgumentError, match=r"path_ids has shape \(1,\) for 2 paths"):
         censoring_weights([1.0, 2.0], [True, True], path_ids=[7])
+
+
+def test_a_stage_of_a_team_that_takes_no_time_weighs_one():
+    clock = np.array([[0.0, 1.0], [0.0, np.nan]])
+    weights = stage_weights(clock, np.array([1.0, 0.5]), np.array([True, False]))
+    np.testing.assert_allclose(weights, [[1.0, 2.0], [1.0, 0.0]])

@@ -82,7 +82,8 @@ def stage_weights(
     Parameters
     ----------
     elapsed_s
-        Clock at the end of each stage [s], NaN where the stage was not completed, shape (n, T).
+        Clock at the end of each stage [s], NaN where the stage was not completed, shape (n, T); 0 where a
+        robot of several decided at the begin, and another at once after it.
     end_s
         Observed end of each path [s], shape (n,).
     is_finished
@@ -155,11 +156,11 @@ def refuse_improbable(seen: Float[np.ndarray, " k"], describe: Any) -> None:
 def _check_clock(clock: Float[np.ndarray, "rows T"], ends: Rows, names: np.ndarray) -> None:
     if len(clock) != len(ends):
         raise ArgumentError(f"elapsed_s has {len(clock)} rows and end_s has {len(ends)}; give one of each per path")
-    wrong = np.argwhere((clock <= 0) | (clock > ends[:, None]))
+    wrong = np.argwhere((clock < 0) | (clock > ends[:, None]))
     if len(wrong):
         row, column = wrong[0]
         raise ArgumentError(
-            f"path {names[row]}, stage {column + 1}: elapsed_s {clock[row, column]} is not in (0, {ends[row]}], so not "
+            f"path {names[row]}, stage {column + 1}: elapsed_s {clock[row, column]} is not in [0, {ends[row]}], so not "
             "between the path's beginning and its end_s; fix the clock, or put NaN where the stage was not completed"
         )
 
