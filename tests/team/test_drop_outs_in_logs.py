@@ -6,6 +6,7 @@ import pandas as pd
 import pytest
 from played_teams import logged, played, team_of
 
+from halfseen.censoring.weights import stage_weights
 from halfseen.errors import LogError
 from halfseen.logs import Logs, read_logs
 from halfseen.team.drop_outs import cut_at_drop_outs
@@ -119,3 +120,27 @@ def test_what_a_robot_brought_is_a_number_where_the_stage_was_completed(logs):
         Logs(logs.stages.assign(**{"1_reward": np.nan}), logs.paths, logs.objects)
     assert "1_reward" not in logs.stage_covariates
     assert "1_since_s" in logs.stage_covariates
+
+
+@pytest.mark.slow
+def test_weights_take_out_of_a_log_cut_at_drop_outs_what_the_drop_outs_did_to_it():
+    num_paths = 6000
+    truth = total(logged(played(team_of(2, horizon=6), num_paths, seed=3), 0.0))
+    with_drop_outs = logged(played(team_of(2, horizon=6, drop_out_rate=(0.04, 0.04)), num_paths, seed=4), 0.0)
+    cut = cut_at_drop_outs(with_drop_outs)
+    assert cut.cut_share > 0.5
+    weights = stage_weights(cut.elapsed_s(), cut.end_s, cut.is_finished)
+    weighted = (weights * np.nan_to_num(cut.stage_values("reward"))).sum(axis=1)
+
+    def apart(values):
+        """Difference from the truth, in standard errors."""
+        spread = np.hypot(np.std(values), np.std(truth)) / np.sqrt(num_paths)
+        return abs(np.mean(values) - np.mean(truth)) / spread
+
+    assert apart(weighted) < 4.0
+    assert apart(total(with_drop_outs)) > 5.0
+    assert apart(total(cut)) > 5.0
+
+
+def total(logs):
+    return logs.stages.groupby("path")["reward"].sum().to_numpy()
