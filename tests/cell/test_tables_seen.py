@@ -26,3 +26,4 @@ def test_a_table_that_is_kept_is_as_one_that_is_looked_at(law):
     assert kept.name == seen.name
     np.testing.assert_allclose(kept.hides, seen.hides, rtol=0, atol=1e-9)
     np.testing.assert_allclose(kept.grip, seen.grip, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(kept.places_m, seen.places_m, rtol=0, atol=1e-6)

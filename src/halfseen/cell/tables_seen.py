@@ -26,7 +26,7 @@ class TableSeen:
     Parameters
     ----------
     plain
-        Which object hides which.
+        Which object hides which, and where each stands.
     facts
         Fields of `halfseen.cell.facts.Facts`, of each object.
     """
@@ -46,7 +46,10 @@ class TableSeen:
 def tables_seen() -> list[TableSeen]:
     """Read what is seen of the ten tables, in their order."""
     told = json.loads(_path().read_text(encoding="utf-8"))
-    return [TableSeen(Scene(np.array(one["hides"]), one["name"]), tuple(one["facts"])) for one in told]
+    return [
+        TableSeen(Scene(np.array(one["hides"]), one["name"], places_m=np.array(one["places_m"])), tuple(one["facts"]))
+        for one in told
+    ]
 
 
 def look_again() -> list[TableSeen]:
@@ -63,9 +66,15 @@ def _path() -> Path:
     return Path(str(files("halfseen.cell"))) / "tables_seen.json"
 
 
+def _told(seen: TableSeen) -> dict[str, Any]:
+    assert seen.plain.places_m is not None
+    places_m = seen.plain.places_m.round(6).tolist()
+    return {"name": seen.plain.name, "hides": seen.plain.hides.tolist(), "places_m": places_m, "facts": seen.facts}
+
+
 def main() -> None:
     """Write what is seen now."""
-    told = [{"name": seen.plain.name, "hides": seen.plain.hides.tolist(), "facts": seen.facts} for seen in look_again()]
+    told = [_told(seen) for seen in look_again()]
     write_file(_path(), "[\n" + ",\n".join(json.dumps(one, default=bool) for one in told) + "\n]\n")
 
 
