@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from jaxtyping import TypeCheckError
 
+from halfseen.cell.tables_seen import tables_seen
 from halfseen.errors import ArgumentError, HalfseenWarning, PolicyError, SceneError
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.team import ExploringTeam, Robot, Team, TeamOfRules, TeamWorld, UniformTeam, episodes
@@ -73,6 +74,15 @@ def test_perception_tells_where_objects_stand():
 
     view = perceive(read_cloud(table_paths()[0]))
     np.testing.assert_array_equal(view.scene().places_m, [seen.solid.middle_m[:2] for seen in view.objects])
+
+
+def test_the_tables_that_come_with_the_package_tell_where_their_objects_stand():
+    scenes = [seen.plain for seen in tables_seen()]
+    sides = [Robot((-0.5, 0.8), 0.6), Robot((0.5, 0.8), 0.6)]
+    logs = TeamWorld(robots=sides).simulate(scenes, UniformTeam(), 20, seed=0)
+    reached = logs.objects["reached_by"].map(tuple)
+    assert {len(each) for each in reached} == {1, 2}
+    assert {each[0] for each in reached} == {0, 1}
 
 
 def learned(num_decisions):

@@ -22,7 +22,7 @@ class Robot:
     Parameters
     ----------
     base_m
-        Where it stands, (x, y) in the frame of the table: to the camera's right, and away from it [m].
+        Where it stands, (x, y), in the frame of `Scene.places_m`: right of the camera's foot, and away from it [m].
     reach_m
         How far from there it can grasp [m].
     speed

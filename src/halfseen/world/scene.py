@@ -28,8 +28,8 @@ class Scene:
         Mean of each object's grip offset, from what is seen of it (it lies, it is wide), in units of the law of
         grasping; above 0 it is easier to grip than most. None for 0.
     places_m
-        Where each object stands, to the camera's right and away from it, as perception has it [m]; None where nobody
-        has said. Only who reaches what needs it.
+        Where each object stands on the table, to the right of the camera's foot and away from it, as perception has
+        it [m]; None where nobody has said. Only who reaches what needs it.
 
     Raises
     ------
