@@ -16,7 +16,8 @@ from halfseen.world import WorldConfig
 pettingzoo_test = pytest.importorskip("pettingzoo.test")
 
 FRAIL = Team((Robot((-0.5, 0.0), 0.8, drop_out_rate=0.1), Robot((0.5, 0.0), 0.8), Robot((0.0, -0.5), 0.8)))
-OPTIONS = [{}, {"team": FRAIL, "cut_rate": 0.02}]
+ONE = Team((Robot((0.0, 0.0), 5.0),))
+OPTIONS = [{}, {"team": FRAIL, "cut_rate": 0.02}, {"team": ONE, "cut_rate": 0.02}]
 
 
 @pytest.mark.parametrize("options", OPTIONS)
