@@ -38,9 +38,9 @@ def possible_actions(state: TeamState) -> Bool[Array, " A"]:
 def worthwhile_actions(state: TeamState) -> Bool[Array, " A"]:
     """Which of the possible actions a policy that is learned chooses from: it waits for something, or not at all.
 
-    WAIT only where something that the robot reaches, and that is rather dirty than clean, is in another robot's hands or
-    way. Elsewhere the robot could as well do or leave now what it may do then; and as every decision more is one more
-    maximum over errors of Q, waiting for nothing looked better than it is.
+    WAIT only where something that the robot reaches, and that is rather dirty than clean, is in another robot's hands
+    or way. Elsewhere the robot could as well do or leave now what it may do then; and as every decision more is one
+    more maximum over errors of Q, waiting for nothing looked better than it is.
     """
     is_possible, table = possible_actions(state), state.table
     is_free = is_possible[ActionSpace(table.num_objects).of(Verb.WASH)]

@@ -5,9 +5,9 @@ costs nothing then. So rewards are shaped [NgHaradaRussell1999]_,
 
     R_t + β·(Σ p' − Σ p),    p = P(DIRTY) in S_t, p' in S_{t+1}, over what stands on the table, β the price of one left,
 
-with Σ p' = 0 after a path's own end, where what was left has been paid for. Every Q is then lower by β·Σ p, whatever the
-action: what is chosen stays, and 0 is to leave the table as it is. That is what the horizon forces upon a path, too, so
-Q̂_0 ≡ 0.
+with Σ p' = 0 after a path's own end, where what was left has been paid for. Every Q is then lower by β·Σ p, whatever
+the action: what is chosen stays, and 0 is to leave the table as it is. That is what the horizon forces upon a path,
+too, so Q̂_0 ≡ 0.
 
 *Less noise.* Which of the objects that left the table were dirty is a coin that no state shows
 (`tables.variance_reduction`). Where none left, the reward is certain, and its regression on

@@ -131,7 +131,7 @@ class QModel:
 
     @property
     def num_blocks(self) -> int:
-        """Blocks of coefficients: one for each kind of action, or a single one where kinds are told apart by features."""
+        """Blocks of coefficients: one a kind of action, or a single one where features tell kinds apart."""
         return 1 if _is_joint(self.task) else len(self.task.block_names)
 
     def blocks(self, num_actions: int) -> Int[np.ndarray, " A"]:
