@@ -39,11 +39,14 @@ def test_a_cup_is_shown_from_two_opposite_sides_and_brought_back():
     done = fetched(cell)
     cell.move(ROBOT, done.lift)
     kinematics, closing = cell.kinematics[ROBOT.name], []
-    for side in turned(cell, ROBOT, done, np.random.default_rng(1)):
+
+    def look_at(side):
         hand = kinematics.hand(cell.angles_rad(ROBOT))
         assert side == len(closing)
         np.testing.assert_allclose(hand.position_m, SHOWN_AT_M, atol=0.01)
         closing.append(hand.rotation[:, 1])
+
+    cell.carry_out(ROBOT, turned(cell, ROBOT, done, np.random.default_rng(1), look_at))
     assert len(closing) == NUM_SIDES
     np.testing.assert_allclose(closing[0], -closing[1], atol=0.05)
     np.testing.assert_allclose(cell.angles_rad(ROBOT), done.lift[-1], atol=0.05)

@@ -3,7 +3,8 @@
 Read down: `contacts` (what holds in simulated contact) → `serial_arm` (what every arm is) → `arm`, or `chain` and
 `arm_file` (one of a table, or one of the user's file), `gripper` (what moves) → `cup_walls` (what is held) → `model`
 (room, cups, rack and arms as one MuJoCo model) → `kinematics` (which angles bring a hand to a place) → `home` (where
-any arm stands and waits) → `motion` (lines and schedules) → `live_cell` (physics that goes on) → `looking` (the
+any arm stands and waits) → `motion` (lines and schedules) → `commands` (what a robot is told) → `live_cell` (physics
+that goes on) → `looking` (the
 camera, and the truth apart from it) → `grasps`, `clearance` (where a hand could close, and what is in its way) →
 `planning` (how it gets there, or why not) → `fetching`, `racking`, `showing` (what is done with it) → `facts`,
 `memory` (what the robot knows) → `stops` (what cuts) → `workcell` (all of that as one table and one robot) →

@@ -2,7 +2,9 @@
 
 import numpy as np
 
+from halfseen.cell.commands import Activity, Grip, Move, Rest
 from halfseen.cell.grasps import Grasp
+from halfseen.cell.kinematics import Angles
 from halfseen.cell.live_cell import LiveCell
 from halfseen.cell.model import Robot
 from halfseen.cell.planning import Plan
@@ -15,24 +17,20 @@ _LEAST_FELT_ELSE_M = 0.016
 _SETTLE_S = 0.3
 
 
-def fetch(cell: LiveCell, robot: Robot, plan: Plan) -> None:
+def fetch(plan: Plan) -> Activity[None]:
     """Fetch what a plan is for, and lift it.
 
     Parameters
     ----------
-    cell
-        The running cell.
-    robot
-        Who fetches.
     plan
         How.
     """
-    cell.grip(robot, plan.grasp.opening_m, seconds=0.0)
-    cell.move(robot, plan.hover)
-    cell.move(robot, plan.approach, _COMING)
-    cell.grip(robot, _PRESSED_M.get(plan.grasp.kind, 0.0))
-    cell.move(robot, plan.lift, _LIFTING)
-    cell.wait(_SETTLE_S)
+    yield Grip(plan.grasp.opening_m, seconds=0.0)
+    yield Move(plan.hover)
+    yield Move(plan.approach, _COMING)
+    yield Grip(_PRESSED_M.get(plan.grasp.kind, 0.0))
+    yield Move(plan.lift, _LIFTING)
+    yield Rest(_SETTLE_S)
 
 
 def feels(cell: LiveCell, robot: Robot, grasp: Grasp) -> bool:
@@ -50,7 +48,7 @@ def feels(cell: LiveCell, robot: Robot, grasp: Grasp) -> bool:
     return cell.opening_m(robot) > _LEAST_FELT_M.get(grasp.kind, _LEAST_FELT_ELSE_M)
 
 
-def put_back(cell: LiveCell, robot: Robot, plan: Plan) -> None:
+def put_back(cell: LiveCell, robot: Robot, plan: Plan) -> Activity[None]:
     """Put what was lifted back where it was, let go, and go home.
 
     Parameters
@@ -62,20 +60,23 @@ def put_back(cell: LiveCell, robot: Robot, plan: Plan) -> None:
     plan
         How it was fetched.
     """
-    cell.move(robot, np.concatenate([plan.lift[-2::-1], plan.approach[-1:]]), _PUTTING)
-    let_go(cell, robot, plan)
+    yield Move(np.concatenate([plan.lift[-2::-1], plan.approach[-1:]]), _PUTTING)
+    yield from let_go(cell, robot, plan)
 
 
-def let_go(cell: LiveCell, robot: Robot, plan: Plan) -> None:
+def let_go(cell: LiveCell, robot: Robot, plan: Plan) -> Activity[None]:
     """Open the hand where it is, draw it back the way it came, and go home."""
-    cell.grip(robot, plan.grasp.opening_m, seconds=0.4)
-    cell.move(robot, np.concatenate([plan.approach[-2::-1], plan.hover[::-1]]), _PUTTING)
-    go_home(cell, robot)
+    yield Grip(plan.grasp.opening_m, seconds=0.4)
+    yield Move(np.concatenate([plan.approach[-2::-1], plan.hover[::-1]]), _PUTTING)
+    yield from go_home(cell, robot)
 
 
-def go_home(cell: LiveCell, robot: Robot) -> None:
+def go_home(cell: LiveCell, robot: Robot) -> Activity[None]:
     """Go where the robot waits."""
-    here = cell.angles_rad(robot)
-    home = cell.kinematics[robot.name].nearest_turn(np.array(robot.home_rad), here)
-    cell.move(robot, home[None])
-    cell.wait(_SETTLE_S)
+    yield Move(home_from(cell, robot, cell.angles_rad(robot))[None])
+    yield Rest(_SETTLE_S)
+
+
+def home_from(cell: LiveCell, robot: Robot, here_rad: Angles) -> Angles:
+    """Angles where the robot waits, at the turn that is nearest to some angles."""
+    return cell.kinematics[robot.name].nearest_turn(np.array(robot.home_rad), here_rad)

@@ -7,7 +7,9 @@ from collections.abc import Callable, Sequence
 
 import mujoco
 import numpy as np
+from jaxtyping import Float
 
+from halfseen.cell.commands import Activity, Command, Grip, Move, Rest, Result
 from halfseen.cell.kinematics import Angles, Kinematics
 from halfseen.cell.model import Robot
 from halfseen.cell.motion import Way, schedule
@@ -52,6 +54,11 @@ class LiveCell:
         mujoco.mj_forward(model, self.data)
 
     @property
+    def tick_s(self) -> float:
+        """Between two commands to the servos [s]."""
+        return NUM_STEPS * self.model.opt.timestep
+
+    @property
     def time_s(self) -> float:
         """The cell's clock [s]."""
         return float(self.data.time)
@@ -81,6 +88,35 @@ class LiveCell:
             for watch in self.watches:
                 watch(self)
 
+    def carry_out(self, robot: Robot, activity: Activity[Result]) -> Result:
+        """Let one robot do something while all others stand, and tell what came of it.
+
+        Parameters
+        ----------
+        robot
+            Who does it.
+        activity
+            What; whatever it wants to reserve is free.
+        """
+        try:
+            command = next(activity)
+            while True:
+                self._do(robot, command)
+                command = activity.send(True)
+        except StopIteration as ended:
+            return ended.value
+
+    def _do(self, robot: Robot, command: Command) -> None:
+        match command:
+            case Move():
+                self.move(robot, command.way, command.speed)
+            case Grip():
+                self.grip(robot, command.opening_m, command.seconds)
+            case Rest():
+                self.wait(command.seconds)
+            case _:
+                pass
+
     def move(self, robot: Robot, way: Way, speed: float = 1.0) -> None:
         """Move along a way, from rest to rest.
 
@@ -93,17 +129,27 @@ class LiveCell:
         speed
             Share of the joints' largest speeds.
         """
+        for angles in self.commanded_rad(robot, way, speed):
+            self.steer(robot, angles)
+            self.wait(self.tick_s)
+        self.steer(robot, way[-1])
+
+    def commanded_rad(self, robot: Robot, way: Way, speed: float) -> Float[np.ndarray, "ticks J"]:
+        """Angles for the servos, tick by tick, from where they are along a way; parameters are those of `move`."""
         begin = np.array([self.data.actuator(name).ctrl[0] for name in robot.joint_names])
         plan = schedule(begin, way, speed * robot.arm.speeds_rad_s)
-        step_s = NUM_STEPS * self.model.opt.timestep
-        servos = [self.model.actuator(name).id for name in robot.joint_names]
-        for angles in plan.at(step_s * np.arange(1, np.ceil(plan.duration_s / step_s) + 1)):
-            self.data.ctrl[servos] = angles
-            self.wait(step_s)
-        self.data.ctrl[servos] = way[-1]
+        return plan.at(self.tick_s * np.arange(1, np.ceil(plan.duration_s / self.tick_s) + 1))
+
+    def steer(self, robot: Robot, angles_rad: Angles) -> None:
+        """Tell a robot's servos where its joints are to be."""
+        self.data.ctrl[[self.model.actuator(name).id for name in robot.joint_names]] = angles_rad
 
     def grip(self, robot: Robot, opening_m: float, seconds: float = 0.5) -> None:
         """Open or close the hand to a distance between its pads [m], as far as its force goes; below 0 it presses."""
+        self.close(robot, opening_m)
+        self.wait(seconds)
+
+    def close(self, robot: Robot, opening_m: float) -> None:
+        """Tell the fingers how far to be apart [m]."""
         for name in robot.slide_names:
             self.data.actuator(name).ctrl = 0.5 * opening_m
-        self.wait(seconds)

@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from halfseen.cell.commands import Activity, Grip, Move
 from halfseen.cell.fetching import go_home
 from halfseen.cell.grasps import UP
 from halfseen.cell.kinematics import Angles, Kinematics
@@ -22,7 +23,7 @@ _CARRYING, _PUTTING = 1.0, 0.7  # shares of the joints' speeds
 
 def put_away(
     cell: LiveCell, robot: Robot, plan: Plan, middle_m: Vector, slot_m: Vector, rng: np.random.Generator
-) -> None:
+) -> Activity[None]:
     """Put what was lifted into a slot of the rack, and go home.
 
     Parameters
@@ -49,11 +50,11 @@ def put_away(
     here = plan.lift[-1]
     begins = beginnings(kinematics, here, rng)
     over, down = _ways(kinematics, plan, middle_m - np.array(plan.held.position_m), slot_m, begins)
-    cell.move(robot, over[None], _CARRYING)
-    cell.move(robot, down, _PUTTING)
-    cell.grip(robot, plan.grasp.opening_m, seconds=0.4)
-    cell.move(robot, np.concatenate([down[-2::-1], over[None]]), _PUTTING)
-    go_home(cell, robot)
+    yield Move(over[None], _CARRYING)
+    yield Move(down, _PUTTING)
+    yield Grip(plan.grasp.opening_m, seconds=0.4)
+    yield Move(np.concatenate([down[-2::-1], over[None]]), _PUTTING)
+    yield from go_home(cell, robot)
 
 
 def _ways(

@@ -1,12 +1,13 @@
 """Showing: what is held is turned before the camera, so that it is seen from all sides and hides nothing."""
 
-from collections.abc import Iterator
+from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from halfseen.arrays import Points
+from halfseen.cell.commands import Activity, Move
 from halfseen.cell.grasps import UP
 from halfseen.cell.kinematics import Angles, Kinematics
 from halfseen.cell.live_cell import LiveCell
@@ -22,27 +23,26 @@ _BESIDE_M, _ABOVE_M, _SLACK_M = 0.11, 0.08, 0.015
 """What is held lies so near to the point between the pads, to the sides and up; its shape errs by the last."""
 
 
-def turned(cell: LiveCell, robot: Robot, plan: Plan, rng: np.random.Generator) -> Iterator[int]:
+def turned(
+    cell: LiveCell, robot: Robot, plan: Plan, rng: np.random.Generator, on_side: Callable[[int], None]
+) -> Activity[None]:
     """Turn what was lifted before the camera, stop at each side, and bring it back to where it was lifted to.
 
     Parameters
     ----------
     cell, robot, plan, rng
         As for `halfseen.cell.racking.put_away`.
-
-    Yields
-    ------
-    int
-        How many sides were shown before, whenever one is shown; those out of reach are left out.
+    on_side
+        Called whenever a side is shown, with how many were shown before; those out of reach are left out.
     """
     kinematics, num_shown = cell.kinematics[robot.name], 0
     for side in range(NUM_SIDES):
         angles = _facing(kinematics, plan, 2 * np.pi * side / NUM_SIDES, cell.angles_rad(robot), rng)
         if angles is not None:
-            cell.move(robot, angles[None], _MOVING)
-            yield num_shown
+            yield Move(angles[None], _MOVING)
+            on_side(num_shown)
             num_shown += 1
-    cell.move(robot, plan.lift[-1:], _MOVING)
+    yield Move(plan.lift[-1:], _MOVING)
 
 
 def _facing(

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from halfseen.cell.clearance import ranked, surroundings
+from halfseen.cell.commands import Activity
 from halfseen.cell.fetching import feels, fetch, let_go, put_back
 from halfseen.cell.grasps import GRASPING
 from halfseen.cell.live_cell import LiveCell
@@ -179,28 +180,40 @@ class Workcell:
         StoppedError
             Something stopped the cell.
         """
-        known = self.memory.objects[number]
-        before, (attempt, done) = known.seen, self._fetched(number)
-        if done is not None and before is not None and attempt.is_held:
-            known.lifts += 1
-            sides = turned(self.cell, self.robot, done, self._rng)
-            told = [self._label_of_held(known, before, done, is_first=side == 0) for side in sides]
-            if any(label is not None for label in told):
-                known.label(0.0, any(told), is_held=True)
-            put_back(self.cell, self.robot, done)
-        return attempt
+        return self.cell.carry_out(self.robot, self.lifting(number))
 
     def wash(self, number: int) -> Attempt:
         """Attempt to put an object into the rack; its number, and what stops it, are as for `lift`."""
+        return self.cell.carry_out(self.robot, self.washing(number))
+
+    def lifting(self, number: int) -> Activity[Attempt]:
+        """Do what `lift` does, command by command."""
         known = self.memory.objects[number]
-        attempt, done = self._fetched(number)
+        before, (attempt, done) = known.seen, (yield from self._fetched(number))
+        if done is not None and before is not None and attempt.is_held:
+            known.lifts += 1
+            told: list[bool | None] = []
+
+            def look_at(side: int) -> None:
+                told.append(self._label_of_held(known, before, done, is_first=side == 0))
+
+            yield from turned(self.cell, self.robot, done, self._rng, look_at)
+            if any(label is not None for label in told):
+                known.label(0.0, any(told), is_held=True)
+            yield from put_back(self.cell, self.robot, done)
+        return attempt
+
+    def washing(self, number: int) -> Activity[Attempt]:
+        """Do what `wash` does, command by command."""
+        known = self.memory.objects[number]
+        attempt, done = yield from self._fetched(number)
         if done is None or not attempt.is_held:
             return attempt
         slot_m = self.rack.slots_m[self._num_racked % len(self.rack.slots_m)]
         try:
-            put_away(self.cell, self.robot, done, known.middle_m, slot_m, self._rng)
+            yield from put_away(self.cell, self.robot, done, known.middle_m, slot_m, self._rng)
         except PlanError as error:
-            put_back(self.cell, self.robot, done)
+            yield from put_back(self.cell, self.robot, done)
             known.trials[-1] = known.trials[-1]._replace(is_held=False)
             return replace(attempt, is_held=False, reason=str(error))
         known.is_racked, known.seen = True, None
@@ -232,7 +245,7 @@ class Workcell:
         (label,) = self._labeller(replace(self.view, image=range_image(cloud), objects=(held,)), cloud)
         return label.is_dirty
 
-    def _fetched(self, number: int) -> tuple[Attempt, Plan | None]:
+    def _fetched(self, number: int) -> Activity[tuple[Attempt, Plan | None]]:
         """Try to fetch an object; the hand is home again, and open, where it holds nothing."""
         begin_s, occlusion = self.cell.time_s, self.memory.occlusion(number)
         known, self.planned = self.memory.objects[number], None
@@ -242,12 +255,12 @@ class Workcell:
             known.trials.append(Trial(occlusion, False, 0.0))
             return Attempt(False, 0.0, None, str(error)), None
         with self._guard.timing(begin_s) if self._guard else nullcontext():
-            fetch(self.cell, self.robot, planned)
+            yield from fetch(planned)
         is_held, duration_s = feels(self.cell, self.robot, planned.grasp), self.cell.time_s - begin_s
         known.trials.append(Trial(occlusion, is_held, duration_s))
         if not is_held:
             known.failed.append(planned.grasp)
-            let_go(self.cell, self.robot, planned)
+            yield from let_go(self.cell, self.robot, planned)
         reason = "" if is_held else "the hand closed on nothing, or lost it"
         return Attempt(is_held, duration_s, planned.grasp.kind, reason), planned
 
