@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from halfseen.cell.episode import Moment, Run, play
-from halfseen.cell.model import Robot
+from halfseen.cell.model import Rack, Robot, Station
 from halfseen.cell.stops import Stops
 from halfseen.cell.table_state import Belief
 from halfseen.cell.workcell import Errors, Workcell
@@ -51,13 +51,15 @@ class Conditions:
         Probability that a cup is dirty.
     frictions
         Of a cup on pads, drawn evenly in its logarithm: smallest and largest [-].
-    robot, grasping, errors, stops
+    robot, rack, others, grasping, errors, stops
         As for `Workcell`.
     """
 
     dirty_share: float = 0.6
     frictions: tuple[float, float] = (0.1, 0.6)
     robot: Robot = Robot()  # noqa: RUF009 - frozen
+    rack: Rack = Rack()  # noqa: RUF009 - frozen
+    others: tuple[Station, ...] = ()
     grasping: str = "completed"
     errors: Errors = Errors()  # noqa: RUF009 - frozen
     stops: Stops | None = Stops()  # noqa: RUF009 - frozen
@@ -81,6 +83,8 @@ class Conditions:
             rng,
             surfaces,
             robot=self.robot,
+            rack=self.rack,
+            others=self.others,
             frictions=frictions,
             grasping=self.grasping,
             errors=self.errors,

@@ -14,8 +14,9 @@ import mujoco
 
 from halfseen.scene.rays import ROBOT_GROUP
 
-FURNITURE, WALLS, OBSTACLES = 1, 2, 4
-"""Contact bits: cups' hulls and furniture meet on the first; robots meet cups' walls and furniture on the others."""
+FURNITURE, WALLS, OBSTACLES, FIRST_ROBOT = 1, 2, 4, 8
+"""Contact bits: cups' hulls and furniture meet on the first; robots meet cups' walls and furniture on the next two, and
+one another on one for each robot, from the last on."""
 
 ROBOT: dict[str, Any] = {"contype": 0, "conaffinity": WALLS | OBSTACLES, "group": ROBOT_GROUP}
 """A robot's geoms meet what shows itself to robots, and nothing of their own; cameras tell them from cups."""

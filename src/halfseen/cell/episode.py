@@ -235,9 +235,21 @@ class Truth:
         """Dirty cups that are not in the rack."""
         return int((self.is_dirty & ~self.is_racked).sum())
 
-    def newly_racked(self, cell: Workcell) -> list[bool]:
-        """Of the cups that came into the rack since it was asked last, whether each is dirty."""
-        now = np.array([cell.rack.holds(place) for place in self._places_m(cell)], dtype=bool)
+    def newly_racked(self, cell: Workcell, arm: int | None = None) -> list[bool]:
+        """Of the cups that came into the rack since it was asked last, whether each is dirty.
+
+        Parameters
+        ----------
+        cell
+            The cell.
+        arm
+            Whose rack is looked at; None for all.
+        """
+        stations = cell.stations if arm is None else (cell.stations[arm],)
+        places_m = self._places_m(cell)
+        now = np.array([any(each.rack.holds(place) for each in stations) for place in places_m], dtype=bool)
+        if arm is not None:
+            now |= self.is_racked
         new = now & ~self.is_racked
         self.is_racked = now
         return self.is_dirty[new].tolist()

@@ -17,8 +17,8 @@ _LEAST_FELT_ELSE_M = 0.016
 _SETTLE_S = 0.3
 
 
-def fetch(plan: Plan) -> Activity[None]:
-    """Fetch what a plan is for, and lift it.
+def come(plan: Plan) -> Activity[None]:
+    """Come to what a plan is for, with an open hand.
 
     Parameters
     ----------
@@ -28,6 +28,16 @@ def fetch(plan: Plan) -> Activity[None]:
     yield Grip(plan.grasp.opening_m, seconds=0.0)
     yield Move(plan.hover)
     yield Move(plan.approach, _COMING)
+
+
+def pick_up(plan: Plan) -> Activity[None]:
+    """Close the hand there, and lift what it holds.
+
+    Parameters
+    ----------
+    plan
+        How it came there.
+    """
     yield Grip(_PRESSED_M.get(plan.grasp.kind, 0.0))
     yield Move(plan.lift, _LIFTING)
     yield Rest(_SETTLE_S)
@@ -67,7 +77,7 @@ def put_back(cell: LiveCell, robot: Robot, plan: Plan) -> Activity[None]:
 def let_go(cell: LiveCell, robot: Robot, plan: Plan) -> Activity[None]:
     """Open the hand where it is, draw it back the way it came, and go home."""
     yield Grip(plan.grasp.opening_m, seconds=0.4)
-    yield Move(np.concatenate([plan.approach[-2::-1], plan.hover[::-1]]), _PUTTING)
+    yield Move(plan.way_out, _PUTTING)
     yield from go_home(cell, robot)
 
 

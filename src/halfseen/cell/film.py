@@ -128,7 +128,8 @@ def _shown() -> mujoco.MjvOption:
 
 def _painted(cell: Workcell) -> mujoco.MjModel:
     """The same cell in colour: glazes, stains and spots, a wooden table, light from above."""
-    spec = cell_spec(cell.table.cups, cell.table.world_from_cup, (cell.robot,), cell.rack)
+    robots, racks = [each.robot for each in cell.stations], [each.rack for each in cell.stations]
+    spec = cell_spec(cell.table.cups, cell.table.world_from_cup, robots, racks)
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 960
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.45] * 3, [0.25] * 3
     spec.worldbody.add_light(pos=[0.6, -0.9, 2.4], dir=[-0.25, 0.45, -1.0], castshadow=True, diffuse=[0.55] * 3)

@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Int
 
+from halfseen.arrays import Image
 from halfseen.cell.live_cell import LiveCell
 from halfseen.perception.clouds import Cloud, Picture
 from halfseen.scene.camera import Camera
@@ -33,10 +34,13 @@ class Look:
         What the camera returns.
     labels
         The truth, for scoring alone: cup of each pixel; −1 where there is none.
+    robots_m
+        Distance of robots along the optical axis, whose place is known [m]; infinite where there is none.
     """
 
     cloud: Cloud
     labels: Int[np.ndarray, "H W"]
+    robots_m: Image
 
 
 class Eye:
@@ -70,7 +74,7 @@ class Eye:
         depth_m = sense(view, self.camera.focal_px[0], rng, self.sensor)
         picture = self._picture(view, rng)
         cloud = Cloud.from_depth(np.where(is_robot, np.nan, depth_m), self.camera.intrinsics, "look", picture)
-        return Look(cloud, np.where(is_robot, -1, view.labels))
+        return Look(cloud, np.where(is_robot, -1, view.labels), np.where(is_robot, view.depth_m, np.inf))
 
     def _picture(self, view: IdealView, rng: np.random.Generator) -> Picture | None:
         if self.surfaces is None:

@@ -3,6 +3,7 @@
 It knows no law: what looks told is kept as it was told, and whoever believes in a law of seeing makes chances of it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -139,7 +140,7 @@ class Memory:
         self.hides: Hides = np.zeros((0, 0))
         self.doubts: tuple[str, ...] = ()
 
-    def update(self, view: View, world_from_table: Float[np.ndarray, "4 4"], in_hand: Known | None = None) -> None:
+    def update(self, view: View, world_from_table: Float[np.ndarray, "4 4"], in_hand: Sequence[Known] = ()) -> None:
         """Take in a view: find again what was there, let go of what is not, and add what came into sight.
 
         Parameters
@@ -155,7 +156,7 @@ class Memory:
         camera = world_from_table @ np.linalg.inv(view.camera_from_table)
         now = _objects_of(view, world_from_table, camera)
         now_m = _middles_m(now)
-        here = [known for known in self.objects if not known.is_gone and known is not in_hand]
+        here = [known for known in self.objects if not known.is_gone and known not in in_hand]
         found = matched(_middles_m(here), now_m)
         self.doubts = tuple(
             f"which object is number {self.objects.index(known)} is doubtful: another is nearly as near"
@@ -170,8 +171,8 @@ class Memory:
         for known, k in zip(lost, back.now.tolist(), strict=True):
             known.see(now[new[k]] if k >= 0 else None)
             known.is_lost = k < 0
-        if in_hand is not None:
-            in_hand.see(None)
+        for known in in_hand:
+            known.see(None)
         self.objects.extend(now[new[k]] for k in back.new(len(new)))
         self.hides = self._hides_in(view)
 

@@ -6,14 +6,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import cos, pi, sin
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 from jaxtyping import Float
 
 from halfseen.cell.arm import JACO_2
-from halfseen.cell.contacts import FURNITURE, OBSTACLES, Contacts
+from halfseen.cell.contacts import FIRST_ROBOT, FURNITURE, OBSTACLES, Contacts
 from halfseen.cell.cup_walls import add_walls
 from halfseen.cell.gripper import Gripper
 from halfseen.cell.serial_arm import SerialArm
@@ -111,11 +111,20 @@ class Rack:
         return bool((away_m[:2] < 0.5 * np.array(self.size_m[:2])).all() and away_m[2] < _RACK_DEPTH_M)
 
 
+class Station(NamedTuple):
+    """A robot, and the rack that is its own."""
+
+    robot: Robot
+    """Who works."""
+    rack: Rack
+    """Where it puts washed cups."""
+
+
 def cell_model(
     cups: Sequence[Cup],
     world_from_cup: Sequence[Pose],
     robots: Sequence[Robot] = (Robot(),),
-    rack: Rack | None = Rack(),
+    rack: Rack | Sequence[Rack] | None = Rack(),
     contacts: Contacts = Contacts(),  # noqa: B008 - frozen
     frictions: Sequence[float] | None = None,
 ) -> mujoco.MjModel:
@@ -138,7 +147,7 @@ def cell_spec(
     cups: Sequence[Cup],
     world_from_cup: Sequence[Pose],
     robots: Sequence[Robot] = (Robot(),),
-    rack: Rack | None = Rack(),
+    rack: Rack | Sequence[Rack] | None = Rack(),
     contacts: Contacts = Contacts(),  # noqa: B008 - frozen
     frictions: Sequence[float] | None = None,
 ) -> mujoco.MjSpec:
@@ -151,7 +160,7 @@ def cell_spec(
     robots
         The robots; none for a room that is only looked at.
     rack
-        Where washed cups go; None without one.
+        Where washed cups go, one place or several; None without one.
     contacts
         What makes grasps hold.
     frictions
@@ -167,14 +176,34 @@ def cell_spec(
     contacts.solve(spec)
     for index, cup in enumerate(cups):
         add_walls(spec.body(cup_name(index)), cup, contacts, None if frictions is None else frictions[index])
-    if rack is not None:
-        _add_rack(spec, rack)
+    for each in _racks(rack):
+        _add_rack(spec, each)
     for geom in spec.worldbody.geoms:
         geom.contype |= OBSTACLES
         geom.group = FURNITURE_GROUP
     for robot in robots:
         _add_robot(spec, robot, contacts)
+    if len(robots) > 1:
+        _let_robots_meet(spec, robots)
     return spec
+
+
+def _racks(rack: "Rack | Sequence[Rack] | None") -> "Sequence[Rack]":
+    if rack is None:
+        return ()
+    return (rack,) if isinstance(rack, Rack) else rack
+
+
+def _let_robots_meet(spec: mujoco.MjSpec, robots: Sequence[Robot]) -> None:
+    """Parts of a robot meet those of every other, and none of its own."""
+    for number, robot in enumerate(robots):
+        own = FIRST_ROBOT << number
+        others = sum(FIRST_ROBOT << other for other in range(len(robots)) if other != number)
+        for body in spec.bodies:
+            if body.name.startswith(robot.of("")):
+                for geom in body.geoms:
+                    geom.contype |= own
+                    geom.conaffinity |= others
 
 
 def _check(
@@ -217,7 +246,7 @@ def _add_rack(spec: mujoco.MjSpec, rack: Rack) -> None:
         "solref": [0.006, 1.0],
     }
     world = spec.worldbody
-    world.add_geom(name="rack", type=_BOX, pos=[x_m, y_m, z_m - 0.005], size=[half_x_m, half_y_m, 0.005], **look)
+    world.add_geom(type=_BOX, pos=[x_m, y_m, z_m - 0.005], size=[half_x_m, half_y_m, 0.005], **look)
     for sign in (-1, 1):
         along_x, along_y = [x_m + sign * half_x_m, y_m, z_m + half_m], [x_m, y_m + sign * half_y_m, z_m + half_m]
         world.add_geom(type=_BOX, pos=along_x, size=[0.003, half_y_m, half_m], **look)

@@ -1,6 +1,6 @@
 """From a grasp to angles of the joints: hover, come straight, lift straight; or why not."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +19,10 @@ MOST_PLANS = 8
 """Grasps, no two of them alike, that are looked at before an object counts as out of reach."""
 _ALIKE_M, _ALIKE_COSINE = 0.03, 0.98
 _NUM_DRAWN = 3
+
+
+class OutOfReachError(PlanError):
+    """This robot reaches no grasp of an object; another may."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +49,26 @@ class Plan:
     approach: Float[np.ndarray, "coming J"]
     lift: Float[np.ndarray, "lifting J"]
 
+    @property
+    def below_m(self) -> float:
+        """How far below the hand what it holds reaches: as far as the hand was above the table [m]."""
+        return float(self.grasp.middle_m[2])
+
+    @property
+    def way_in(self) -> Way:
+        """All moves of fetching."""
+        return np.concatenate([self.hover, self.approach, self.lift])
+
+    @property
+    def way_out(self) -> Way:
+        """From where it was lifted to the way it came, hand empty."""
+        return np.concatenate([self.approach[-2::-1], self.hover[::-1]])
+
+    @property
+    def way_back(self) -> Way:
+        """From where it was lifted, down to where it stood, and back the way it came."""
+        return np.concatenate([self.lift[::-1], self.approach[-1:], self.way_out])
+
 
 def plan(
     grasps: Iterable[Grasp],
@@ -53,12 +77,23 @@ def plan(
     begin_rad: Angles,
     rng: np.random.Generator,
 ) -> Plan:
-    """Plan the first grasp that the robot can carry out.
+    """Plan the first grasp that the robot can carry out; parameters and errors are those of `plans`."""
+    return next(plans(grasps, world_from_table, kinematics, begin_rad, rng))
+
+
+def plans(
+    grasps: Iterable[Grasp],
+    world_from_table: Float[np.ndarray, "4 4"],
+    kinematics: Kinematics,
+    begin_rad: Angles,
+    rng: np.random.Generator,
+) -> Iterator[Plan]:
+    """Plan grasps that the robot can carry out.
 
     Parameters
     ----------
     grasps
-        Candidates, best first; `MOST_PLANS` of them are tried, and none that is like one that was refused.
+        Candidates, best first; until `MOST_PLANS` of them are refused, and none that is like one that was tried.
     world_from_table
         Takes homogeneous points of the table into the world [m].
     kinematics
@@ -68,24 +103,34 @@ def plan(
     rng
         Draws where the search for angles begins.
 
+    Yields
+    ------
+    Plan
+        At least one, the best first.
+
     Raises
     ------
     PlanError
-        There is no grasp, or none is within reach.
+        There is no grasp, or none is within reach: then it is an `OutOfReachError`.
     """
-    refused: list[tuple[Grasp, str]] = []
+    tried: list[Grasp] = []
+    refusals: list[str] = []
     for grasp in grasps:
-        if any(_is_alike(grasp, other) for other, _ in refused):
+        if any(_is_alike(grasp, other) for other in tried):
             continue
         try:
-            return _planned(grasp, world_from_table, kinematics, begin_rad, rng)
+            found = _planned(grasp, world_from_table, kinematics, begin_rad, rng)
         except PlanError as error:
-            refused.append((grasp, str(error)))
-        if len(refused) == MOST_PLANS:
+            refusals.append(str(error))
+        else:
+            yield found
+        tried.append(grasp)
+        if len(refusals) == MOST_PLANS:
             break
-    if not refused:
+    if not tried:
         raise PlanError("no grasp is free: something stands in the way of each; clear what is next to it first")
-    raise PlanError(f"no grasp is within reach; of {len(refused)} that were tried the best: {refused[0][1]}")
+    if len(refusals) == len(tried):
+        raise OutOfReachError(f"no grasp is within reach; of {len(refusals)} that were tried the best: {refusals[0]}")
 
 
 def _is_alike(grasp: Grasp, other: Grasp) -> bool:

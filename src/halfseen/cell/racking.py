@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from halfseen.cell.commands import Activity, Grip, Move
-from halfseen.cell.fetching import go_home
+from halfseen.cell.commands import Activity, Grip, Move, Reserve
+from halfseen.cell.fetching import go_home, home_from
 from halfseen.cell.grasps import UP
 from halfseen.cell.kinematics import Angles, Kinematics
 from halfseen.cell.live_cell import LiveCell
@@ -19,6 +19,10 @@ _ABOVE_M = 0.16  # over where it is put down, what is held passes over the rim a
 _DROP_M = 0.010
 _NUM_TURNS = 8
 _CARRYING, _PUTTING = 1.0, 0.7  # shares of the joints' speeds
+
+
+class GaveWayError(PlanError):
+    """A robot that held something was told to give way."""
 
 
 def put_away(
@@ -45,11 +49,18 @@ def put_away(
     ------
     PlanError
         The slot is out of reach with the hand as it holds.
+    GaveWayError
+        It was told to give way to another robot, and has the way back to where the object stood.
     """
     kinematics = cell.kinematics[robot.name]
     here = plan.lift[-1]
     begins = beginnings(kinematics, here, rng)
     over, down = _ways(kinematics, plan, middle_m - np.array(plan.held.position_m), slot_m, begins)
+    home = home_from(cell, robot, over)
+    into = np.concatenate([over[None], down, down[-2::-1], over[None], home[None]])
+    back = np.concatenate([plan.way_back, home_from(cell, robot, plan.hover[0])[None]])
+    if not (yield Reserve(into, back, below_m=plan.below_m)):
+        raise GaveWayError("another arm stood between it and the rack, so it gave way")
     yield Move(over[None], _CARRYING)
     yield Move(down, _PUTTING)
     yield Grip(plan.grasp.opening_m, seconds=0.4)

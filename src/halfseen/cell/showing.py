@@ -7,7 +7,8 @@ from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from halfseen.arrays import Points
-from halfseen.cell.commands import Activity, Move
+from halfseen.cell.commands import Activity, Move, Reserve
+from halfseen.cell.fetching import home_from
 from halfseen.cell.grasps import UP
 from halfseen.cell.kinematics import Angles, Kinematics
 from halfseen.cell.live_cell import LiveCell
@@ -25,7 +26,7 @@ _BESIDE_M, _ABOVE_M, _SLACK_M = 0.11, 0.08, 0.015
 
 def turned(
     cell: LiveCell, robot: Robot, plan: Plan, rng: np.random.Generator, on_side: Callable[[int], None]
-) -> Activity[None]:
+) -> Activity[bool]:
     """Turn what was lifted before the camera, stop at each side, and bring it back to where it was lifted to.
 
     Parameters
@@ -34,15 +35,25 @@ def turned(
         As for `halfseen.cell.racking.put_away`.
     on_side
         Called whenever a side is shown, with how many were shown before; those out of reach are left out.
+
+    Returns
+    -------
+    bool
+        Whether it was not told to give way to another robot; if so, it has the way back to where the object stood.
     """
     kinematics, num_shown = cell.kinematics[robot.name], 0
+    back = np.concatenate([plan.way_back, home_from(cell, robot, plan.hover[0])[None]])
     for side in range(NUM_SIDES):
         angles = _facing(kinematics, plan, 2 * np.pi * side / NUM_SIDES, cell.angles_rad(robot), rng)
         if angles is not None:
+            if not (yield Reserve(np.stack([angles, plan.lift[-1]]), back, below_m=plan.below_m)):
+                yield Move(plan.lift[-1:], _MOVING)
+                return False
             yield Move(angles[None], _MOVING)
             on_side(num_shown)
             num_shown += 1
     yield Move(plan.lift[-1:], _MOVING)
+    return True
 
 
 def _facing(

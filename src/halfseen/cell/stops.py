@@ -53,15 +53,15 @@ class Guard:
 
     def __init__(self, stops: Stops, now_s: float, rng: np.random.Generator) -> None:
         self.stops = stops
-        self._begun_s: float | None = None
+        self._begun_s: list[float] = []
         self._lost_s = now_s + float(rng.exponential()) / stops.camera_lost_per_s if stops.camera_lost_per_s else np.inf
 
     @contextmanager
     def timing(self, begun_s: float) -> Iterator[None]:
-        """Time an attempt that began at some time [s]."""
-        self._begun_s = begun_s
+        """Time an attempt that began at some time [s]; several robots may be at one each."""
+        self._begun_s.append(begun_s)
         yield
-        self._begun_s = None
+        self._begun_s.remove(begun_s)
 
     def __call__(self, cell: LiveCell) -> None:
         """Look whether something stops it.
@@ -73,7 +73,7 @@ class Guard:
         """
         if cell.time_s > self._lost_s:
             raise StoppedError(SENSOR_LOST)
-        if self._begun_s is not None and cell.time_s - self._begun_s > self.stops.limit_s:
+        if any(cell.time_s - begun_s > self.stops.limit_s for begun_s in self._begun_s):
             raise StoppedError(TIME_OUT)
         if largest_force_n(cell) > self.stops.force_n:
             raise StoppedError(EMERGENCY_STOP)

@@ -1,26 +1,34 @@
-"""A cell at work: a robot looks, fetches what it sees, and puts it back or into the rack."""
+"""A cell at work: robots look, fetch what they see, and put it back or into the rack.
+
+With several robots a look leaves out what an arm cuts, and what is not in view is fetched as it was seen last.
+"""
 
 # MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
 # pyright: reportAttributeAccessIssue=false
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from itertools import islice
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from halfseen.arrays import Image
 from halfseen.cell.clearance import ranked, surroundings
-from halfseen.cell.commands import Activity
-from halfseen.cell.fetching import feels, fetch, let_go, put_back
+from halfseen.cell.commands import Activity, Reserve
+from halfseen.cell.cut_by_arms import perceived_whole
+from halfseen.cell.fetching import come, feels, home_from, let_go, pick_up, put_back
 from halfseen.cell.grasps import GRASPING
 from halfseen.cell.live_cell import LiveCell
 from halfseen.cell.looking import Eye
 from halfseen.cell.memory import Known, Memory, Trial
-from halfseen.cell.model import Rack, Robot, cell_model
-from halfseen.cell.planning import Plan, plan
-from halfseen.cell.racking import put_away
+from halfseen.cell.model import Rack, Robot, Station, cell_model
+from halfseen.cell.motion import Way
+from halfseen.cell.planning import OutOfReachError, Plan, plans
+from halfseen.cell.racking import GaveWayError, put_away
 from halfseen.cell.showing import is_in_hand, turned
 from halfseen.cell.stops import Guard, Stops
 from halfseen.errors import PlanError, SceneError
@@ -33,6 +41,8 @@ from halfseen.scene.stains import Surface
 from halfseen.scene.table import TABLE_SIZE_M, TABLE_TOP_M, Table
 
 SETTLE_S = 0.3
+MOST_TAKEN = 4
+"""Plans whose way another robot takes, before the best of them is waited for."""
 
 
 @dataclass(frozen=True)
@@ -49,12 +59,26 @@ class Attempt:
         Of the grasp; None where there was none to try.
     reason
         Why it did not hold; empty where it did.
+    gave_way
+        Whether that was another robot, for which this one gave way.
+    is_too_far
+        Whether the robot reaches no grasp of it.
     """
 
     is_held: bool
     duration_s: float
     kind: str | None
     reason: str = ""
+    gave_way: bool = False
+    is_too_far: bool = False
+
+
+class _Sight(NamedTuple):
+    """An object as a look showed it, and that look."""
+
+    seen: SeenObject
+    view: View
+    world_from_table: Float[np.ndarray, "4 4"]
 
 
 @dataclass(frozen=True)
@@ -81,7 +105,7 @@ class Errors:
 
 
 class Workcell:
-    """One table, one robot.
+    """One table, one robot or several.
 
     Parameters
     ----------
@@ -93,6 +117,8 @@ class Workcell:
         What is on the walls of each cup; None where nothing is to be told by colour.
     robot, rack
         Who works, and where washed cups go.
+    others
+        Other robots that work there, with a rack each.
     frictions
         Of each cup on pads [-]; None for the usual one.
     grasping
@@ -115,8 +141,12 @@ class Workcell:
         What the robot knows.
     view, cloud
         What the last look showed, and what the camera returned; None before the first.
+    stations
+        The robots and their racks, `robot` first.
     planned
-        How the object of the last attempt was to be fetched; None where there was no way, or no attempt.
+        How the object of each robot's last attempt was to be fetched; None where there was no way, or no attempt.
+    in_hand
+        Objects on which hands have closed, by the number of the robot.
     cell, table, surfaces
         The running cell, and what it was made of: the truth, which no decision may look at.
     """
@@ -129,6 +159,7 @@ class Workcell:
         *,
         robot: Robot = Robot(),  # noqa: B008 - frozen
         rack: Rack = Rack(),  # noqa: B008 - frozen
+        others: Sequence[Station] = (),
         frictions: Sequence[float] | None = None,
         grasping: str = "completed",
         labeller: Labeller = StainCounter(),  # noqa: B008 - frozen
@@ -141,21 +172,38 @@ class Workcell:
                 f"{table.name}: the middle of cup {index} is at {table.centroid_m[index].round(2).tolist()} m, off the "
                 f"table, whose top is {TABLE_TOP_M} m high and {TABLE_SIZE_M} m wide about the origin; put it there"
             )
-        model = cell_model(table.cups, table.world_from_cup, (robot,), rack, frictions=frictions)
+        self.stations = (Station(robot, rack), *others)
+        robots, racks = [each.robot for each in self.stations], [each.rack for each in self.stations]
+        model = cell_model(table.cups, table.world_from_cup, robots, racks, frictions=frictions)
         self.table, self.surfaces = table, surfaces
-        self.robot, self.rack, self.memory = robot, rack, Memory()
+        self.memory, self.in_hand = Memory(), dict[int, Known]()
         self.view: View | None = None
         self.cloud: Cloud | None = None
-        self.planned: Plan | None = None
-        self.cell = LiveCell(model, [robot])
+        self.planned: list[Plan | None] = [None] * len(robots)
+        self.cell = LiveCell(model, robots)
         self._rng, self._grasping, self._labeller = rng, GRASPING[grasping], labeller
         self._eye = Eye(self.cell, table.camera, surfaces=surfaces)
         self._believed: Pose = from_matrix(errors.draw(rng) @ table.camera.world_from_camera.matrix)
-        self._num_racked = 0
+        self._num_racked = [0] * len(robots)
+        self._sights: dict[int, _Sight] = {}
         self.cell.wait(SETTLE_S)
         self._guard = None if stops is None else Guard(stops, self.cell.time_s, rng)
         if self._guard is not None:
             self.cell.watches.append(self._guard)
+
+    @property
+    def robot(self) -> Robot:
+        """The first robot."""
+        return self.stations[0].robot
+
+    @property
+    def rack(self) -> Rack:
+        """Its rack."""
+        return self.stations[0].rack
+
+    def is_in_rack(self, point_m: Float[np.ndarray, " 3"]) -> bool:
+        """Whether a point is in a rack."""
+        return any(station.rack.holds(point_m) for station in self.stations)
 
     @property
     def world_from_table(self) -> Float[np.ndarray, "4 4"]:
@@ -165,7 +213,8 @@ class Workcell:
 
     def look(self) -> View:
         """Look at the table, and remember what is seen."""
-        return self._take_in(self._eye.look(self._rng).cloud)
+        look = self._eye.look(self._rng)
+        return self._take_in(look.cloud, look.robots_m)
 
     def lift(self, number: int) -> Attempt:
         """Attempt to lift an object; it is turned before the camera and put back where it was.
@@ -186,58 +235,85 @@ class Workcell:
         """Attempt to put an object into the rack; its number, and what stops it, are as for `lift`."""
         return self.cell.carry_out(self.robot, self.washing(number))
 
-    def lifting(self, number: int) -> Activity[Attempt]:
-        """Do what `lift` does, command by command."""
-        known = self.memory.objects[number]
-        before, (attempt, done) = known.seen, (yield from self._fetched(number))
-        if done is not None and before is not None and attempt.is_held:
+    def lifting(self, number: int, arm: int = 0) -> Activity[Attempt]:
+        """Do what `lift` does, command by command, with the robot of a number."""
+        known, robot = self.memory.objects[number], self.stations[arm].robot
+        sight = self._sight(number)
+        attempt, done = yield from self._fetched(number, arm)
+        if done is not None and sight is not None and attempt.is_held:
             known.lifts += 1
             told: list[bool | None] = []
 
             def look_at(side: int) -> None:
-                told.append(self._label_of_held(known, before, done, is_first=side == 0))
+                told.append(self._label_of_held(known, sight.seen, done, arm, is_first=side == 0))
 
-            yield from turned(self.cell, self.robot, done, self._rng, look_at)
+            has_way = not (yield from turned(self.cell, robot, done, self._rng, look_at))
             if any(label is not None for label in told):
                 known.label(0.0, any(told), is_held=True)
-            yield from put_back(self.cell, self.robot, done)
+            yield from self._put_back(arm, done, has_way=has_way)
         return attempt
 
-    def washing(self, number: int) -> Activity[Attempt]:
-        """Do what `wash` does, command by command."""
-        known = self.memory.objects[number]
-        attempt, done = yield from self._fetched(number)
+    def washing(self, number: int, arm: int = 0) -> Activity[Attempt]:
+        """Do what `wash` does, command by command, with the robot of a number."""
+        known, (robot, rack) = self.memory.objects[number], self.stations[arm]
+        attempt, done = yield from self._fetched(number, arm)
         if done is None or not attempt.is_held:
             return attempt
-        slot_m = self.rack.slots_m[self._num_racked % len(self.rack.slots_m)]
+        slot_m = rack.slots_m[self._num_racked[arm] % len(rack.slots_m)]
         try:
-            yield from put_away(self.cell, self.robot, done, known.middle_m, slot_m, self._rng)
+            yield from put_away(self.cell, robot, done, known.middle_m, slot_m, self._rng)
+        except GaveWayError as error:
+            yield from self._put_back(arm, done, has_way=True)
+            return replace(attempt, is_held=False, reason=str(error), gave_way=True)
         except PlanError as error:
-            yield from put_back(self.cell, self.robot, done)
+            yield from self._put_back(arm, done, has_way=False)
             known.trials[-1] = known.trials[-1]._replace(is_held=False)
             return replace(attempt, is_held=False, reason=str(error))
         known.is_racked, known.seen = True, None
-        self._num_racked += 1
+        self.in_hand.pop(arm)
+        self._num_racked[arm] += 1
         return attempt
 
-    def _take_in(self, cloud: Cloud, in_hand: Known | None = None) -> View:
-        self.view, self.cloud = perceive(cloud), cloud
-        self.memory.update(self.view, self.world_from_table, in_hand)
-        if cloud.colours is not None:
-            for seen, label in zip(self.view.objects, self._labeller(self.view, cloud), strict=True):
+    def _put_back(self, arm: int, done: Plan, *, has_way: bool) -> Activity[None]:
+        """Put back what a robot holds, which may have been given the way there already."""
+        robot = self.stations[arm].robot
+        if not has_way:
+            way = self._with_home(robot, done.way_back)
+            yield Reserve(way, way, below_m=done.below_m)
+        yield from put_back(self.cell, robot, done)
+        self.in_hand.pop(arm)
+
+    def _with_home(self, robot: Robot, way: Way) -> Way:
+        return np.concatenate([way, home_from(self.cell, robot, way[-1])[None]])
+
+    def _take_in(self, cloud: Cloud, robots_m: Image) -> View:
+        if len(self.stations) > 1:
+            self.view, self.cloud = perceived_whole(cloud, robots_m)
+        else:
+            self.view, self.cloud = perceive(cloud), cloud
+        self.memory.update(self.view, self.world_from_table, tuple(self.in_hand.values()))
+        for number, known in enumerate(self.memory.objects):
+            if known.seen is not None:
+                self._sights[number] = _Sight(known.seen, self.view, self.world_from_table)
+        if self.cloud.colours is not None:
+            for seen, label in zip(self.view.objects, self._labeller(self.view, self.cloud), strict=True):
                 number = self.memory.number_of(seen.id)
                 if number is not None and label.is_dirty is not None:
                     known = self.memory.objects[number]
                     known.label(self.memory.occlusion(number), label.is_dirty, is_held=False)
         return self.view
 
-    def _label_of_held(self, known: Known, before: SeenObject, done: Plan, *, is_first: bool) -> bool | None:
+    def _label_of_held(
+        self, known: Known, before: SeenObject, done: Plan, arm: int, *, is_first: bool
+    ) -> bool | None:
         """What one side of what is held looks like; at the first side, see what it hid, too."""
-        cloud = self._eye.look(self._rng).cloud
-        hand = self.cell.kinematics[self.robot.name].hand(self.cell.angles_rad(self.robot))
+        look, robot = self._eye.look(self._rng), self.stations[arm].robot
+        cloud = look.cloud
+        hand = self.cell.kinematics[robot.name].hand(self.cell.angles_rad(robot))
         is_held = is_in_hand(self._believed.apply(cloud.points_m), hand, done)
         if is_first:
-            self._take_in(replace(cloud, points_m=np.where(is_held[:, None], np.nan, cloud.points_m)), known)
+            without = replace(cloud, points_m=np.where(is_held[:, None], np.nan, cloud.points_m))
+            self._take_in(without, look.robots_m)
         if cloud.colours is None or not is_held.any():
             return None
         assert self.view is not None, "what is held was seen"
@@ -245,29 +321,58 @@ class Workcell:
         (label,) = self._labeller(replace(self.view, image=range_image(cloud), objects=(held,)), cloud)
         return label.is_dirty
 
-    def _fetched(self, number: int) -> Activity[tuple[Attempt, Plan | None]]:
+    def _fetched(self, number: int, arm: int) -> Activity[tuple[Attempt, Plan | None]]:
         """Try to fetch an object; the hand is home again, and open, where it holds nothing."""
-        begin_s, occlusion = self.cell.time_s, self.memory.occlusion(number)
-        known, self.planned = self.memory.objects[number], None
+        occlusion, robot = self.memory.occlusion(number), self.stations[arm].robot
+        known, self.planned[arm] = self.memory.objects[number], None
         try:
-            planned = self.planned = self._planned(known)
+            planned = self.planned[arm] = yield from self._free_plan(number, arm)
         except PlanError as error:
-            known.trials.append(Trial(occlusion, False, 0.0))
-            return Attempt(False, 0.0, None, str(error)), None
+            is_too_far = isinstance(error, OutOfReachError)
+            # Where another robot may reach it, this tells nothing of the object.
+            if not (is_too_far and len(self.stations) > 1):
+                known.trials.append(Trial(occlusion, False, 0.0))
+            return Attempt(False, 0.0, None, str(error), is_too_far=is_too_far), None
+        if planned is None:
+            return Attempt(False, 0.0, None, "another arm was in the way of every grasp", gave_way=True), None
+        begin_s = self.cell.time_s
         with self._guard.timing(begin_s) if self._guard else nullcontext():
-            yield from fetch(planned)
-        is_held, duration_s = feels(self.cell, self.robot, planned.grasp), self.cell.time_s - begin_s
+            yield from come(planned)
+            self.in_hand[arm] = known
+            yield from pick_up(planned)
+        is_held, duration_s = feels(self.cell, robot, planned.grasp), self.cell.time_s - begin_s
         known.trials.append(Trial(occlusion, is_held, duration_s))
         if not is_held:
             known.failed.append(planned.grasp)
-            yield from let_go(self.cell, self.robot, planned)
+            self.in_hand.pop(arm)
+            way = self._with_home(robot, planned.way_out)
+            yield Reserve(way, way)
+            yield from let_go(self.cell, robot, planned)
         reason = "" if is_held else "the hand closed on nothing, or lost it"
         return Attempt(is_held, duration_s, planned.grasp.kind, reason), planned
 
-    def _planned(self, known: Known) -> Plan:
-        if self.view is None or known.seen is None:
+    def _free_plan(self, number: int, arm: int) -> Activity[Plan | None]:
+        """The best plan whose way no other robot takes; of those that are taken the best, when it is free at last."""
+        first: Plan | None = None
+        for found in islice(self._plans(number, arm), MOST_TAKEN):
+            first = first or found
+            if (yield Reserve(found.way_in, is_patient=False, below_m=found.below_m)):
+                return found
+        assert first is not None, "there is a plan, or an error"
+        return first if (yield Reserve(first.way_in, below_m=first.below_m)) else None
+
+    def _plans(self, number: int, arm: int) -> Iterator[Plan]:
+        sight = self._sight(number)
+        if sight is None:
             raise PlanError("the object is not in view; look again, or clear what stands before it")
-        around, gripper = surroundings(self.view, known.seen), self.robot.gripper
-        grasps = ranked(self._grasping(known.seen, around.own_m, gripper), around, gripper, known.failed)
-        kinematics = self.cell.kinematics[self.robot.name]
-        return plan(grasps, self.world_from_table, kinematics, self.cell.angles_rad(self.robot), self._rng)
+        robot = self.stations[arm].robot
+        around, gripper = surroundings(sight.view, sight.seen), robot.gripper
+        failed = self.memory.objects[number].failed
+        grasps = ranked(self._grasping(sight.seen, around.own_m, gripper), around, gripper, failed)
+        begin_rad = self.cell.angles_rad(robot)
+        return plans(grasps, sight.world_from_table, self.cell.kinematics[robot.name], begin_rad, self._rng)
+
+    def _sight(self, number: int) -> _Sight | None:
+        """The last look that showed an object; with one robot only if that is the last of all."""
+        is_now = self.memory.objects[number].seen is not None
+        return self._sights.get(number) if is_now or len(self.stations) > 1 else None

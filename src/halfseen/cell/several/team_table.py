@@ -1,0 +1,176 @@
+"""From what is known in a cell of several arms to the state that a team decides in, and to what its log adds."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool
+
+from halfseen.cell.memory import Known
+from halfseen.cell.table_state import Belief, state_of
+from halfseen.cell.workcell import Workcell
+from halfseen.team.actions import WAIT
+from halfseen.team.recording import FREE, PARKED, TEAM_VERBS
+from halfseen.team.state import Robots, TeamState, Workspace
+from halfseen.perception.clouds import Vector
+from halfseen.world.action_space import TARGETED, Verb
+
+CLEARANCE_M = 0.20
+"""Objects nearer than that are too near for two arms at once [m]: two open hands side by side, and their wrists."""
+_MOVED_M = 0.03
+
+
+@dataclass
+class Doing:
+    """What one arm is at.
+
+    Attributes
+    ----------
+    verb, target
+        Of it; None where it is free.
+    begun_s
+        When it began, on the cell's clock [s].
+    is_parked
+        Whether it does nothing more.
+    decisions_to_go
+        How many it may still make.
+    chance
+        P(DIRTY) of the target when it was decided.
+    """
+
+    decisions_to_go: int
+    verb: int | None = None
+    target: int = 0
+    begun_s: float = 0.0
+    is_parked: bool = False
+    chance: float = 0.0
+
+    @property
+    def is_free(self) -> bool:
+        """Whether it is to decide."""
+        return self.verb is None and not self.is_parked and self.decisions_to_go > 0
+
+    @property
+    def words(self) -> str:
+        """What it is at, as a log has it."""
+        if self.verb is None:
+            return PARKED if self.is_parked else FREE
+        return TEAM_VERBS[self.verb] + (f" {self.target}" if self.verb in TARGETED else "")
+
+
+@dataclass
+class TeamTable:
+    """The arms of a cell at one table, as its states have them.
+
+    Parameters
+    ----------
+    cell
+        The cell.
+    belief
+        What is believed of the world; its horizon is counted in decisions of each arm.
+    reach_m
+        How far from the middle of its base each arm grasps [m].
+
+    Attributes
+    ----------
+    doing
+        What each arm is at.
+    """
+
+    cell: Workcell
+    belief: Belief
+    reach_m: Sequence[float]
+    doing: list[Doing] = field(init=False)
+    _too_far: dict[tuple[int, int], Vector] = field(default_factory=dict, init=False)
+
+    def __post_init__(self) -> None:
+        self.doing = [Doing(self.belief.config.horizon) for _ in self.cell.stations]
+
+    def is_at_work(self, arm: int) -> bool:
+        """Whether an arm is at something that ends by itself."""
+        return self.doing[arm].verb not in (None, WAIT)
+
+    def count_too_far(self, arm: int, number: int) -> None:
+        """Remember that an arm found no grasp of an object within its reach, for as long as that stays where it is."""
+        self._too_far[arm, number] = self._objects[number].middle_m
+
+    @property
+    def _objects(self) -> list[Known]:
+        return self.cell.memory.objects
+
+    def state(self, decider: int, decisions_to_go: int) -> TeamState:
+        """Give what an arm decides in.
+
+        Parameters
+        ----------
+        decider
+            Its number.
+        decisions_to_go
+            Of all arms together, this one included.
+        """
+        table = state_of(self.cell.memory, self.belief, decisions_to_go)
+        size, num = table.num_objects, len(self._objects)
+        reached, near = np.zeros((len(self.doing), size), dtype=bool), np.zeros((size, size), dtype=bool)
+        reached[:, :num], near[:num, :num] = self.is_in_reach(), self.is_near()
+        workspace = Workspace(jnp.asarray(reached), jnp.asarray(near))
+        return TeamState(table, self._robots(), workspace, jnp.asarray(np.int32(decider)))
+
+    def is_in_reach(self) -> Bool[np.ndarray, "K N"]:
+        """Which objects each arm reaches."""
+        bases_m = np.array([station.robot.base_m[:2] for station in self.cell.stations])
+        apart_m = np.linalg.norm(self._places_m()[None] - bases_m[:, None], axis=-1)
+        reached = apart_m <= np.array(self.reach_m)[:, None]
+        for (arm, number), place_m in self._too_far.items():
+            if np.linalg.norm(self._objects[number].middle_m - place_m) < _MOVED_M:
+                reached[arm, number] = False
+        return reached
+
+    def is_near(self) -> Bool[np.ndarray, "N N"]:
+        """Which objects are too near to one another for two arms at once."""
+        places_m = self._places_m()
+        return np.linalg.norm(places_m[:, None] - places_m[None], axis=-1) < CLEARANCE_M
+
+    def _places_m(self) -> np.ndarray:
+        return np.array([known.middle_m[:2] for known in self._objects]).reshape(-1, 2)
+
+    def _robots(self) -> Robots:
+        def each(values: list[Any], kind: Any) -> Any:
+            return jnp.asarray(np.array(values, dtype=kind))
+
+        doing = self.doing
+        return Robots(
+            is_busy=each([one.verb is not None for one in doing], bool),
+            is_parked=each([one.is_parked for one in doing], bool),
+            verb=each([one.verb or 0 for one in doing], np.int32),
+            target=each([one.target for one in doing], np.int32),
+            since_s=each([self._since_s(one) for one in doing], np.float32),
+            decisions_to_go=each([one.decisions_to_go for one in doing], np.int32),
+        )
+
+    def _since_s(self, one: Doing) -> float:
+        return 0.0 if one.verb is None else self.cell.cell.time_s - one.begun_s
+
+    def columns(self, decider: int) -> dict[str, Any]:
+        """What a stage of the log holds of the arms, as `halfseen.team.recording` has it."""
+        told: dict[str, Any] = {"robot": decider}
+        for arm, one in enumerate(self.doing):
+            told |= {f"{arm}_does": one.words, f"{arm}_since_s": self._since_s(one)}
+            told[f"{arm}_decisions_to_go"] = one.decisions_to_go
+        return told
+
+    def add_to(self, rows: list[dict[str, Any]]) -> None:
+        """Add to the rows of the objects who reaches them, and what is near."""
+        reached, near = self.is_in_reach(), self.is_near()
+        for number, row in enumerate(rows):
+            row["reached_by"] = np.flatnonzero(reached[:, number]).tolist()
+            row["near"] = np.flatnonzero(near[number]).tolist()
+
+    def in_words(self, arm: int) -> str:
+        """What an arm is at, for people."""
+        one = self.doing[arm]
+        name = self.cell.stations[arm].robot.name
+        if one.verb in (Verb.WASH, Verb.LIFT):
+            return f"{name}: {one.words}"
+        return f"{name}: {one.words.lower()}"

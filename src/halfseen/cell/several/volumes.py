@@ -1,0 +1,153 @@
+"""The space that an arm takes, as spheres: where it is, and along a way."""
+
+# MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
+# pyright: reportAttributeAccessIssue=false
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial import KDTree
+
+from halfseen.arrays import Points
+from halfseen.cell.kinematics import Angles
+from halfseen.cell.model import Robot
+from halfseen.cell.motion import Way
+
+MARGIN_M = 0.04
+"""What the spaces of two arms keep from one another [m]: places along a way are this far apart at the hand, and servos
+are behind."""
+_SPACING_M = 0.04
+_TURN_RAD = 0.05  # of a joint, between two places of a way at which the space is taken
+_PART_M, _HELD_M = 0.045, 0.065  # radii of the spheres
+_KINDS = mujoco.mjtGeom
+
+
+@dataclass(frozen=True, eq=False)
+class Space:
+    """Spheres that hold an arm, place after place of a way.
+
+    Parameters
+    ----------
+    places_rad
+        Angles of the joints.
+    middles_m
+        Of the spheres at each place [m].
+    is_held
+        Which of them hold what the hand does: they are larger.
+    """
+
+    places_rad: Way
+    middles_m: Float[np.ndarray, "k spheres 3"]
+    is_held: Bool[np.ndarray, " spheres"]
+
+    def after(self, first: int) -> "Space":
+        """What is left of it from a place on."""
+        return Space(self.places_rad[first:], self.middles_m[first:], self.is_held)
+
+    def joined(self, other: "Space") -> "Space":
+        """Both, of the same arm with the same in its hand."""
+        return Space(
+            np.concatenate([self.places_rad, other.places_rad]),
+            np.concatenate([self.middles_m, other.middles_m]),
+            self.is_held,
+        )
+
+    def meets(self, other: "Space", margin_m: float = MARGIN_M) -> bool:
+        """Whether the spaces of two arms come nearer to one another than a margin."""
+        for mine, radius_m in self._parts():
+            tree = KDTree(mine)
+            for its, its_radius_m in other._parts():
+                reach_m = radius_m + its_radius_m + margin_m
+                apart_m, _ = tree.query(its, distance_upper_bound=reach_m)
+                if np.isfinite(apart_m).any():
+                    return True
+        return False
+
+    def _parts(self) -> list[tuple[Points, float]]:
+        parts = [(self.middles_m[:, ~self.is_held], _PART_M), (self.middles_m[:, self.is_held], _HELD_M)]
+        return [(middles_m.reshape(-1, 3), radius_m) for middles_m, radius_m in parts if middles_m.size]
+
+
+class Outline:
+    """Tells the space of one arm.
+
+    Parameters
+    ----------
+    model
+        The cell.
+    robot
+        The arm.
+    """
+
+    def __init__(self, model: mujoco.MjModel, robot: Robot) -> None:
+        self._model, self._data = model, mujoco.MjData(model)
+        self._joints = np.array([model.joint(name).qposadr[0] for name in robot.joint_names])
+        for name in robot.slide_names:
+            self._data.joint(name).qpos = 0.5 * robot.gripper.stroke_m
+        self._tcp = model.site(robot.of("gripper/tcp")).id
+        bodies = [body for body in range(model.nbody) if model.body(body).name.startswith(robot.of(""))]
+        geoms = [geom for geom in range(model.ngeom) if model.geom_bodyid[geom] in bodies]
+        parts = [_spheres_m(model, geom) for geom in geoms]
+        self._geom = np.repeat(geoms, [len(part) for part in parts])
+        self._local_m = np.concatenate(parts)
+
+    def along(self, begin_rad: Angles, way: Way, below_m: float = 0.0) -> Space:
+        """Give the space of a way.
+
+        Parameters
+        ----------
+        begin_rad
+            Where it begins.
+        way
+            Angles to go through; none for the space of an arm that stands.
+        below_m
+            How far below the hand what it holds reaches [m]; 0 where it holds nothing.
+        """
+        places = _places(begin_rad, way)
+        held_m = np.zeros((0, 3))
+        if below_m > 0:
+            depths_m = np.linspace(0.0, max(below_m - 0.5 * _HELD_M, 0.0), 1 + int(np.ceil(below_m / _SPACING_M)))
+            held_m = np.stack([0.0 * depths_m, 0.0 * depths_m, -depths_m], axis=1)
+        middles_m = np.empty((len(places), len(self._geom) + len(held_m), 3))
+        for row, angles in zip(middles_m, places, strict=True):
+            self._data.qpos[self._joints] = angles
+            mujoco.mj_kinematics(self._model, self._data)
+            turned = self._data.geom_xmat[self._geom].reshape(-1, 3, 3)
+            row[: len(self._geom)] = np.einsum("nij,nj->ni", turned, self._local_m) + self._data.geom_xpos[self._geom]
+            row[len(self._geom) :] = self._data.site(self._tcp).xpos + held_m
+        is_held = np.arange(middles_m.shape[1]) >= len(self._geom)
+        return Space(places, middles_m, is_held)
+
+
+def _places(begin_rad: Angles, way: Way) -> Way:
+    """Places along a way, none farther from the next than a small turn of a joint."""
+    places, here = [begin_rad], begin_rad
+    for there in way:
+        num = max(1, int(np.ceil(float(np.abs(there - here).max()) / _TURN_RAD)))
+        places += [here + (there - here) * step / num for step in range(1, num + 1)]
+        here = there
+    return np.array(places)
+
+
+def _spheres_m(model: mujoco.MjModel, geom: int) -> Points:
+    """Middles of spheres that hold a part, in its own frame [m]."""
+    kind, size = model.geom_type[geom], model.geom_size[geom]
+    half_m = {
+        int(_KINDS.mjGEOM_CAPSULE): [0.0, 0.0, size[1]],
+        int(_KINDS.mjGEOM_CYLINDER): [0.0, 0.0, size[1]],
+        int(_KINDS.mjGEOM_BOX): size,
+        int(_KINDS.mjGEOM_SPHERE): [0.0, 0.0, 0.0],
+    }.get(int(kind))
+    if half_m is None:
+        half_m = model.geom_aabb[geom, 3:]
+    lines = [_line(float(half)) for half in half_m]
+    return np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def _line(half_m: float) -> Float[np.ndarray, " n"]:
+    """Middles along one side: what is thinner than a sphere takes one."""
+    if half_m < 0.5 * _PART_M:
+        return np.zeros(1)
+    return np.linspace(-half_m, half_m, 1 + int(np.ceil(2 * half_m / _SPACING_M)))
