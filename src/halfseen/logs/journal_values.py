@@ -14,10 +14,11 @@ import numpy as np
 from halfseen.errors import LogError
 from halfseen.logs.columns import OBJECT_COLUMNS, PATH_COLUMNS, STAGE_COLUMNS
 from halfseen.logs.refusal import shown
+from halfseen.logs.robot_checks import ROBOT
 
 Kinds = Mapping[str, str]
 
-_OWN_NAMES = {*STAGE_COLUMNS, *PATH_COLUMNS, *OBJECT_COLUMNS}
+_OWN_NAMES = {*STAGE_COLUMNS, *PATH_COLUMNS, *OBJECT_COLUMNS} - {ROBOT}
 _LARGEST_WHOLE = 2**63
 _EMPTY_LIST = "list"
 
