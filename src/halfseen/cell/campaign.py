@@ -22,7 +22,8 @@ import numpy as np
 from jaxtyping import Bool
 
 from halfseen.cell.episode import Moment, Run, play
-from halfseen.cell.model import Rack, Robot, Station
+from halfseen.cell.model import Robot, Station
+from halfseen.cell.several.team_episode import TeamRun, play_team
 from halfseen.cell.stops import Stops
 from halfseen.cell.table_state import Belief
 from halfseen.cell.workcell import Errors, Workcell
@@ -31,6 +32,7 @@ from halfseen.logs import LogRecorder, Logs, read_logs
 from halfseen.logs.joining import joined
 from halfseen.scene.draw import random_table
 from halfseen.scene.stains import draw_surface
+from halfseen.team.policy import TeamPolicy
 from halfseen.workers import Pool
 from halfseen.world.policy import Policy
 from halfseen.writing import placed, refuse_unwritable, write_file
@@ -51,15 +53,14 @@ class Conditions:
         Probability that a cup is dirty.
     frictions
         Of a cup on pads, drawn evenly in its logarithm: smallest and largest [-].
-    robot, rack, others, grasping, errors, stops
+    robot, stations, grasping, errors, stops
         As for `Workcell`.
     """
 
     dirty_share: float = 0.6
     frictions: tuple[float, float] = (0.1, 0.6)
     robot: Robot = Robot()  # noqa: RUF009 - frozen
-    rack: Rack = Rack()  # noqa: RUF009 - frozen
-    others: tuple[Station, ...] = ()
+    stations: tuple[Station, ...] = ()
     grasping: str = "completed"
     errors: Errors = Errors()  # noqa: RUF009 - frozen
     stops: Stops | None = Stops()  # noqa: RUF009 - frozen
@@ -83,8 +84,7 @@ class Conditions:
             rng,
             surfaces,
             robot=self.robot,
-            rack=self.rack,
-            others=self.others,
+            stations=self.stations,
             frictions=frictions,
             grasping=self.grasping,
             errors=self.errors,
@@ -126,7 +126,7 @@ class Campaign:
     Parameters
     ----------
     policy, belief, tells_truth
-        As for `play`.
+        As for `play`; as for `play_team` where the conditions have stations.
     conditions
         What the tables are like.
     seed
@@ -135,7 +135,7 @@ class Campaign:
         Who follows each table, in this process; None for nobody.
     """
 
-    policy: Policy
+    policy: Policy | TeamPolicy
     belief: Belief
     conditions: Conditions
     seed: int
@@ -198,16 +198,9 @@ class Campaign:
             path = recorder.begin_path(index, dirty_share=float(self.belief.config.dirty_share))
             key = jax.random.fold_in(jax.random.key(self.seed), index)
             follower = _Nobody() if self.follow is None else self.follow(index, cell)
-            run = play(
-                cell,
-                is_dirty,
-                self.policy,
-                self.belief,
-                path,
-                key,
-                tells_truth=self.tells_truth,
-                on_decision=follower.decided,
-            )
+            clear = partial(play_team if self.conditions.stations else play, cell, is_dirty)
+            told = {"tells_truth": self.tells_truth, "on_decision": follower.decided}
+            run = clear(self.policy, self.belief, path, key, **told)
         follower.ended(run)
         write_file(place / RUN_FILE, json.dumps(asdict(run), indent=1))
         return run
@@ -297,7 +290,8 @@ def _is_over(place: Path) -> bool:
 
 
 def _run_of(place: Path) -> Run:
-    return Run(**json.loads((place / RUN_FILE).read_text(encoding="utf-8")))
+    told = json.loads((place / RUN_FILE).read_text(encoding="utf-8"))
+    return TeamRun(**told) if "num_collisions" in told else Run(**told)
 
 
 def table_name(index: int) -> str:

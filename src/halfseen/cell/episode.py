@@ -85,6 +85,10 @@ class Moment(NamedTuple):
     """The same, for people."""
     key: Array
     """What the policy drew from."""
+    arm: int = 0
+    """Number of the robot that does it."""
+    of_team: str | None = None
+    """Which robot does what, where there are several."""
 
 
 def play(

@@ -5,7 +5,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import cos, pi, sin
+from math import cos, inf, pi, sin
 from typing import Any, NamedTuple
 
 import mujoco
@@ -118,6 +118,8 @@ class Station(NamedTuple):
     """Who works."""
     rack: Rack
     """Where it puts washed cups."""
+    reach_m: float = inf
+    """How far from the middle of its base it is asked to grasp [m]."""
 
 
 def cell_model(

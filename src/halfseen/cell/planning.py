@@ -22,7 +22,7 @@ _NUM_DRAWN = 3
 
 
 class OutOfReachError(PlanError):
-    """This robot reaches no grasp of an object; another may."""
+    """One robot reaches no grasp of an object; another may."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -117,8 +117,8 @@ class Workcell:
         What is on the walls of each cup; None where nothing is to be told by colour.
     robot, rack
         Who works, and where washed cups go.
-    others
-        Other robots that work there, with a rack each.
+    stations
+        Several robots with a rack each, instead of `robot` and `rack`; none where these work alone.
     frictions
         Of each cup on pads [-]; None for the usual one.
     grasping
@@ -141,8 +141,6 @@ class Workcell:
         What the robot knows.
     view, cloud
         What the last look showed, and what the camera returned; None before the first.
-    stations
-        The robots and their racks, `robot` first.
     planned
         How the object of each robot's last attempt was to be fetched; None where there was no way, or no attempt.
     in_hand
@@ -159,7 +157,7 @@ class Workcell:
         *,
         robot: Robot = Robot(),  # noqa: B008 - frozen
         rack: Rack = Rack(),  # noqa: B008 - frozen
-        others: Sequence[Station] = (),
+        stations: Sequence[Station] = (),
         frictions: Sequence[float] | None = None,
         grasping: str = "completed",
         labeller: Labeller = StainCounter(),  # noqa: B008 - frozen
@@ -172,7 +170,7 @@ class Workcell:
                 f"{table.name}: the middle of cup {index} is at {table.centroid_m[index].round(2).tolist()} m, off the "
                 f"table, whose top is {TABLE_TOP_M} m high and {TABLE_SIZE_M} m wide about the origin; put it there"
             )
-        self.stations = (Station(robot, rack), *others)
+        self.stations = tuple(stations) or (Station(robot, rack),)
         robots, racks = [each.robot for each in self.stations], [each.rack for each in self.stations]
         model = cell_model(table.cups, table.world_from_cup, robots, racks, frictions=frictions)
         self.table, self.surfaces = table, surfaces
@@ -255,13 +253,14 @@ class Workcell:
 
     def washing(self, number: int, arm: int = 0) -> Activity[Attempt]:
         """Do what `wash` does, command by command, with the robot of a number."""
-        known, (robot, rack) = self.memory.objects[number], self.stations[arm]
+        known, station = self.memory.objects[number], self.stations[arm]
         attempt, done = yield from self._fetched(number, arm)
         if done is None or not attempt.is_held:
             return attempt
-        slot_m = rack.slots_m[self._num_racked[arm] % len(rack.slots_m)]
+        slots_m = station.rack.slots_m
+        slot_m = slots_m[self._num_racked[arm] % len(slots_m)]
         try:
-            yield from put_away(self.cell, robot, done, known.middle_m, slot_m, self._rng)
+            yield from put_away(self.cell, station.robot, done, known.middle_m, slot_m, self._rng)
         except GaveWayError as error:
             yield from self._put_back(arm, done, has_way=True)
             return replace(attempt, is_held=False, reason=str(error), gave_way=True)
@@ -303,9 +302,7 @@ class Workcell:
                     known.label(self.memory.occlusion(number), label.is_dirty, is_held=False)
         return self.view
 
-    def _label_of_held(
-        self, known: Known, before: SeenObject, done: Plan, arm: int, *, is_first: bool
-    ) -> bool | None:
+    def _label_of_held(self, known: Known, before: SeenObject, done: Plan, arm: int, *, is_first: bool) -> bool | None:
         """What one side of what is held looks like; at the first side, see what it hid, too."""
         look, robot = self._eye.look(self._rng), self.stations[arm].robot
         cloud = look.cloud

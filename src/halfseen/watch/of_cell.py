@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import jax
 import numpy as np
@@ -14,6 +14,7 @@ from halfseen.cell.workcell import Workcell
 from halfseen.policies.table_decider import TableDecider
 from halfseen.tables.present import Present
 from halfseen.tables.reasons import Grounds, table_grounds
+from halfseen.team.policy import TeamPolicy
 from halfseen.watch.cell_parts import CellParts
 from halfseen.watch.of_cloud import options_of
 from halfseen.watch.seen_objects import Known, coloured_points, eye_over_table, shown_objects
@@ -57,7 +58,7 @@ class CellWatch:
     def __init__(
         self,
         cell: Workcell,
-        policy: Policy,
+        policy: Policy | TeamPolicy,
         horizon: int,
         name: str,
         on_change: Callable[[], None] = lambda: None,
@@ -65,6 +66,7 @@ class CellWatch:
         self._cell, self._policy, self._horizon, self._name = cell, policy, horizon, name
         self._on_change, self._bodies = on_change, CellParts(cell.cell)
         self._poses: list[Any] = []
+        self._arm = 0
         self._next_s = np.inf
         self._old_plan: Plan | None = None
         self._events: list[str] = []
@@ -86,7 +88,7 @@ class CellWatch:
         self._tell_what_was_learned()
         self.stages.append(self._begun(moment))
         self._poses, self._next_s = [self._bodies.poses(self._cell.cell)], self._cell.cell.time_s + _BETWEEN_MOMENTS_S
-        self._old_plan = self._cell.planned
+        self._arm, self._old_plan = moment.arm, self._cell.planned[moment.arm]
         self._complete()
         self._on_change()
 
@@ -107,8 +109,9 @@ class CellWatch:
     def _complete(self) -> None:
         """Add to the last stage what came after its decision."""
         if self.stages and self._poses:
-            planned = None if self._cell.planned is self._old_plan else self._cell.planned
-            hand = None if planned is None else _hand(self._cell, planned)
+            planned = self._cell.planned[self._arm]
+            is_old = planned is None or planned is self._old_plan
+            hand = None if is_old else _hand(self._cell, self._arm, planned)
             self.stages[-1] = replace(self.stages[-1], poses=np.stack(self._poses), hand=hand)
 
     def _begun(self, moment: Moment) -> StageView:
@@ -132,7 +135,7 @@ class CellWatch:
         ]
         eye_m = eye_over_table(view, cloud)
         points_m, colours = coloured_points(cloud, world_from_table @ np.linalg.inv(view.cloud_from_table))
-        options, reason = explained(self._policy, moment)
+        options, reason = ((), moment.words) if moment.of_team else explained(cast(Policy, self._policy), moment)
         return StageView(
             f"{self._name}, stage {moment.stage} of {self._horizon}",
             points_m,
@@ -141,7 +144,7 @@ class CellWatch:
             shown_objects(known, eye_m, world_from_table),
             cell.memory.hides[np.ix_(there, there)],
             options,
-            ActionSpace(moment.state.num_objects).names[moment.action],
+            moment.of_team or ActionSpace(moment.state.num_objects).names[moment.action],
             reason,
             cell.memory.doubts,
             tuple(self._events),
@@ -189,7 +192,9 @@ class TablesWatch:
         The last `MOST_STAGES` stages; None before the first.
     """
 
-    def __init__(self, policy: Policy, horizon: int, on_change: Callable[[Watched], None] = lambda _: None) -> None:
+    def __init__(
+        self, policy: Policy | TeamPolicy, horizon: int, on_change: Callable[[Watched], None] = lambda _: None
+    ) -> None:
         self._policy, self._horizon, self.on_change = policy, horizon, on_change
         self._before: tuple[StageView, ...] = ()
         self.watched: Watched | None = None
@@ -244,8 +249,8 @@ def explained(policy: Policy, moment: Moment) -> tuple[tuple[Option, ...], str]:
     return options, decision.reason if is_same else f"{name}: {table_grounds(Grounds.of(state), moment.action)}."
 
 
-def _hand(cell: Workcell, planned: Plan) -> Hand:
-    kinematics = cell.cell.kinematics[cell.robot.name]
+def _hand(cell: Workcell, arm: int, planned: Plan) -> Hand:
+    kinematics = cell.cell.kinematics[cell.stations[arm].robot.name]
     angles = np.concatenate([planned.hover, planned.approach, planned.lift])
     way_m = np.array([kinematics.hand(each).position_m for each in angles], dtype=np.float64)
     at_m, axes = np.asarray(planned.held.position_m, dtype=np.float64), planned.held.rotation

@@ -241,13 +241,17 @@ class Crew:
                 self.tally.num_gave_way += 1
                 self._grant(arm, worker, back, is_free=False)
                 return
-        at_home = [arm for arm in stuck if not len(self._workers[arm].wanted.back)]
-        if not at_home:
+        if not self._refuse_those_at_home(stuck):
             raise StoppedError(DEADLOCK)
-        for arm in at_home:
-            worker = self._workers[arm]
+
+    def _refuse_those_at_home(self, stuck: list[int]) -> bool:
+        """Let arms that have nothing to go back from give up what they wanted; whether there are any."""
+        workers = [self._workers[arm] for arm in stuck]
+        at_home = [worker for worker in workers if worker.wanted is not None and not len(worker.wanted.back)]
+        for worker in at_home:
             self.tally.waited_s += self._cell.time_s - worker.since_s
             worker.wanted, worker.answer, worker.blocked_by = None, False, ()
+        return bool(at_home)
 
     def _is_impatient(self, arm: int) -> bool:
         return self._cell.time_s - self._workers[arm].since_s > self._patience_s

@@ -57,7 +57,7 @@ def play_team(
     path: PathRecorder,
     key: Array,
     *,
-    reach_m: tuple[float, ...],
+    tells_truth: bool = False,
     on_decision: Callable[[Moment], None] = lambda _: None,
 ) -> TeamRun:
     """Let a policy clear a table with all arms of a cell, and record it.
@@ -66,24 +66,24 @@ def play_team(
 
     Parameters
     ----------
-    cell, is_dirty, belief, path, key, on_decision
+    cell, is_dirty, belief, path, key, tells_truth, on_decision
         As for `halfseen.cell.episode.play`; the horizon of the belief's world is counted in decisions of each arm.
     policy
         What decides.
-    reach_m
-        How far from the middle of its base each arm grasps [m].
 
     Returns
     -------
     TeamRun
         What came of it.
     """
-    shift = _Shift(cell, Truth(cell, is_dirty), belief, reach_m)
+    shift = _Shift(cell, Truth(cell, is_dirty), belief)
     begin_s = cell.cell.time_s
     try:
         cell.cell.wait(PAUSE_S)
         for step in range(len(cell.stations) * belief.config.horizon):
             state, rows = shift.looked(step)
+            if tells_truth:
+                shift.truth.add_to(rows, cell)
             if step:
                 path.complete_stage(shift.paid(), elapsed_s=cell.cell.time_s - begin_s)
             drawn_from = jax.random.fold_in(key, step)
@@ -109,12 +109,12 @@ def _decide(policy: TeamPolicy, state: TeamState, key: Array):
 class _Shift:
     """The arms at one table: who decides, and what came of what they did."""
 
-    def __init__(self, cell: Workcell, truth: Truth, belief: Belief, reach_m: tuple[float, ...]) -> None:
+    def __init__(self, cell: Workcell, truth: Truth, belief: Belief) -> None:
         robots = [station.robot for station in cell.stations]
         horizon = belief.config.horizon * len(robots)
         self.cell, self.truth, self.belief = cell, truth, belief
         self.crew, self.touches = Crew(cell.cell, robots), Touches(cell.cell, robots)
-        self.table = TeamTable(cell, belief, reach_m)
+        self.table = TeamTable(cell, belief)
         # A state has room for the attempts of all arms.
         self.table.belief = belief._replace(config=replace(belief.config, horizon=horizon))
         self.run = TeamRun(busy_s=[0.0 for _ in robots])
@@ -171,8 +171,8 @@ class _Shift:
         if acted_on is not None:
             one.chance = float(expit(rows[target]["log_odds"]))
         self.run.verbs[TEAM_VERBS[verb]] = self.run.verbs.get(TEAM_VERBS[verb], 0) + 1
-        words = "; ".join(map(self.table.in_words, range(len(self.table.doing))))
-        on_decision(Moment(step + 1, state.table, action, words, key))
+        name = f"{self.table.name(arm)}: {one.words}"
+        on_decision(Moment(step + 1, state.table, action, self.table.in_words(), key, arm, name))
         if verb != WAIT:
             self.crew.begin(arm, self._activity(verb, target, arm))
 
@@ -189,17 +189,23 @@ class _Shift:
     def is_over_at_next_decision(self) -> bool:
         """Let time pass until an arm decides; whether the table is over before."""
         # A stage has a length, even where another arm is free at once.
-        for done in self.crew.work(1):
+        self._work(1)
+        while not self.truth.is_cleared(self.cell):
+            if any(one.is_free for one in self.table.doing):
+                return False
+            if not self._work():
+                return True
+        # It is over when the last arm is home.
+        while self._work():
+            pass
+        return True
+
+    def _work(self, most_ticks: int | None = None) -> bool:
+        """Let time pass until an arm has done what it was at; whether one has."""
+        ended = self.crew.work(most_ticks)
+        for done in ended:
             self._end(done)
-        while not any(one.is_free for one in self.table.doing):
-            ended = self.crew.work()
-            if not ended:
-                return True
-            for done in ended:
-                self._end(done)
-            if self.truth.is_cleared(self.cell):
-                return True
-        return self.truth.is_cleared(self.cell)
+        return bool(ended)
 
     def _end(self, done: Ended) -> None:
         one, attempt, config = self.table.doing[done.arm], done.result, self.belief.config

@@ -1,6 +1,5 @@
 """From what is known in a cell of several arms to the state that a team decides in, and to what its log adds."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,11 +10,11 @@ from jaxtyping import Bool
 from halfseen.cell.memory import Known
 from halfseen.cell.table_state import Belief, state_of
 from halfseen.cell.workcell import Workcell
+from halfseen.perception.clouds import Vector
 from halfseen.team.actions import WAIT
 from halfseen.team.recording import FREE, PARKED, TEAM_VERBS
 from halfseen.team.state import Robots, TeamState, Workspace
-from halfseen.perception.clouds import Vector
-from halfseen.world.action_space import TARGETED, Verb
+from halfseen.world.action_space import TARGETED
 
 CLEARANCE_M = 0.20
 """Objects nearer than that are too near for two arms at once [m]: two open hands side by side, and their wrists."""
@@ -70,8 +69,6 @@ class TeamTable:
         The cell.
     belief
         What is believed of the world; its horizon is counted in decisions of each arm.
-    reach_m
-        How far from the middle of its base each arm grasps [m].
 
     Attributes
     ----------
@@ -81,7 +78,6 @@ class TeamTable:
 
     cell: Workcell
     belief: Belief
-    reach_m: Sequence[float]
     doing: list[Doing] = field(init=False)
     _too_far: dict[tuple[int, int], Vector] = field(default_factory=dict, init=False)
 
@@ -121,7 +117,7 @@ class TeamTable:
         """Which objects each arm reaches."""
         bases_m = np.array([station.robot.base_m[:2] for station in self.cell.stations])
         apart_m = np.linalg.norm(self._places_m()[None] - bases_m[:, None], axis=-1)
-        reached = apart_m <= np.array(self.reach_m)[:, None]
+        reached = apart_m <= np.array([station.reach_m for station in self.cell.stations])[:, None]
         for (arm, number), place_m in self._too_far.items():
             if np.linalg.norm(self._objects[number].middle_m - place_m) < _MOVED_M:
                 reached[arm, number] = False
@@ -167,10 +163,10 @@ class TeamTable:
             row["reached_by"] = np.flatnonzero(reached[:, number]).tolist()
             row["near"] = np.flatnonzero(near[number]).tolist()
 
-    def in_words(self, arm: int) -> str:
-        """What an arm is at, for people."""
-        one = self.doing[arm]
-        name = self.cell.stations[arm].robot.name
-        if one.verb in (Verb.WASH, Verb.LIFT):
-            return f"{name}: {one.words}"
-        return f"{name}: {one.words.lower()}"
+    def name(self, arm: int) -> str:
+        """What an arm is called."""
+        return self.cell.stations[arm].robot.name
+
+    def in_words(self) -> str:
+        """What all arms are at, for people."""
+        return "; ".join(f"{self.name(arm)}: {one.words}" for arm, one in enumerate(self.doing))
