@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import TypeAlias, TypeVar
 
 import numpy as np
+from jaxtyping import Float
 
 from halfseen.cell.motion import Way
 
@@ -81,8 +82,8 @@ class Reserve:
         How far below the hand what it holds reaches [m]; 0 where it holds nothing.
     """
 
-    way: Way
-    back: Way = field(default_factory=_nowhere)
+    way: Float[np.ndarray, "going J"]
+    back: Float[np.ndarray, "returning _"] = field(default_factory=_nowhere)
     is_patient: bool = True
     below_m: float = 0.0
 

@@ -35,7 +35,8 @@ class Reservations:
 
     def taken(self, arm: int) -> Space:
         """What an arm has: where it is, and what is left of its way."""
-        here = self._outlines[arm].along(self._cell.angles_rad(self._robots[arm]), np.zeros((0, 0)), self._below_m[arm])
+        here_rad = self._cell.angles_rad(self._robots[arm])
+        here = self._outlines[arm].along(here_rad, np.zeros((0, len(here_rad))), self._below_m[arm])
         reserved = self._reserved[arm]
         # It may be a place behind where its servos are told to be.
         return here if reserved is None else here.joined(reserved.after(max(self._passed[arm] - 1, 0)))

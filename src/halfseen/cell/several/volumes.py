@@ -121,7 +121,7 @@ class Outline:
         return Space(places, middles_m, is_held)
 
 
-def _places(begin_rad: Angles, way: Way) -> Way:
+def _places(begin_rad: Angles, way: Way) -> Float[np.ndarray, "places J"]:
     """Places along a way, none farther from the next than a small turn of a joint."""
     places, here = [begin_rad], begin_rad
     for there in way:
