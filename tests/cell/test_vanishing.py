@@ -77,7 +77,7 @@ def test_what_something_stands_before_is_hidden_and_has_not_vanished():
 def test_what_is_in_hand_is_not_lost():
     memory = remembered(BOTH)
     held = nearest(memory, BACK)
-    memory.update(*seen(*ONE), in_hand=held)
+    memory.update(*seen(*ONE), in_hand=[held])
     assert (held.seen, held.is_lost) == (None, False)
 
 

@@ -1,12 +1,14 @@
 """Fetching in physics: open, hover, come, close, lift; and how it is put back or away."""
 
 import numpy as np
+from jaxtyping import Float
 
 from halfseen.cell.commands import Activity, Grip, Move, Rest
 from halfseen.cell.grasps import Grasp
 from halfseen.cell.kinematics import Angles
 from halfseen.cell.live_cell import LiveCell
 from halfseen.cell.model import Robot
+from halfseen.cell.motion import Way
 from halfseen.cell.planning import Plan
 
 _COMING, _LIFTING, _PUTTING = 0.6, 0.9, 0.9  # shares of the joints' speeds
@@ -85,6 +87,11 @@ def go_home(cell: LiveCell, robot: Robot) -> Activity[None]:
     """Go where the robot waits."""
     yield Move(home_from(cell, robot, cell.angles_rad(robot))[None])
     yield Rest(_SETTLE_S)
+
+
+def with_home(cell: LiveCell, robot: Robot, way: Way) -> Float[np.ndarray, "homeward J"]:
+    """Add to the end of a way where the robot waits, at the turn that is nearest."""
+    return np.concatenate([way, home_from(cell, robot, way[-1])[None]])
 
 
 def home_from(cell: LiveCell, robot: Robot, here_rad: Angles) -> Angles:

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from halfseen.cell.commands import Activity, Grip, Move, Reserve
-from halfseen.cell.fetching import go_home, home_from
+from halfseen.cell.fetching import go_home, with_home
 from halfseen.cell.grasps import UP
 from halfseen.cell.kinematics import Angles, Kinematics
 from halfseen.cell.live_cell import LiveCell
@@ -56,10 +56,8 @@ def put_away(
     here = plan.lift[-1]
     begins = beginnings(kinematics, here, rng)
     over, down = _ways(kinematics, plan, middle_m - np.array(plan.held.position_m), slot_m, begins)
-    home = home_from(cell, robot, over)
-    into = np.concatenate([over[None], down, down[-2::-1], over[None], home[None]])
-    back = np.concatenate([plan.way_back, home_from(cell, robot, plan.hover[0])[None]])
-    if not (yield Reserve(into, back, below_m=plan.below_m)):
+    into = with_home(cell, robot, np.concatenate([over[None], down, down[-2::-1], over[None]]))
+    if not (yield Reserve(into, with_home(cell, robot, plan.way_back), below_m=plan.below_m)):
         raise GaveWayError("another arm stood between it and the rack, so it gave way")
     yield Move(over[None], _CARRYING)
     yield Move(down, _PUTTING)

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from halfseen.arrays import Points
 from halfseen.cell.commands import Activity, Move, Reserve
-from halfseen.cell.fetching import home_from
+from halfseen.cell.fetching import with_home
 from halfseen.cell.grasps import UP
 from halfseen.cell.kinematics import Angles, Kinematics
 from halfseen.cell.live_cell import LiveCell
@@ -42,7 +42,7 @@ def turned(
         Whether it was not told to give way to another robot; if so, it has the way back to where the object stood.
     """
     kinematics, num_shown = cell.kinematics[robot.name], 0
-    back = np.concatenate([plan.way_back, home_from(cell, robot, plan.hover[0])[None]])
+    back = with_home(cell, robot, plan.way_back)
     for side in range(NUM_SIDES):
         angles = _facing(kinematics, plan, 2 * np.pi * side / NUM_SIDES, cell.angles_rad(robot), rng)
         if angles is not None:

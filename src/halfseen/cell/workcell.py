@@ -20,13 +20,12 @@ from halfseen.arrays import Image
 from halfseen.cell.clearance import ranked, surroundings
 from halfseen.cell.commands import Activity, Reserve
 from halfseen.cell.cut_by_arms import perceived_whole
-from halfseen.cell.fetching import come, feels, home_from, let_go, pick_up, put_back
+from halfseen.cell.fetching import come, feels, let_go, pick_up, put_back, with_home
 from halfseen.cell.grasps import GRASPING
 from halfseen.cell.live_cell import LiveCell
 from halfseen.cell.looking import Eye
 from halfseen.cell.memory import Known, Memory, Trial
 from halfseen.cell.model import Rack, Robot, Station, cell_model
-from halfseen.cell.motion import Way
 from halfseen.cell.planning import OutOfReachError, Plan, plans
 from halfseen.cell.racking import GaveWayError, put_away
 from halfseen.cell.showing import is_in_hand, turned
@@ -277,13 +276,10 @@ class Workcell:
         """Put back what a robot holds, which may have been given the way there already."""
         robot = self.stations[arm].robot
         if not has_way:
-            way = self._with_home(robot, done.way_back)
+            way = with_home(self.cell, robot, done.way_back)
             yield Reserve(way, way, below_m=done.below_m)
         yield from put_back(self.cell, robot, done)
         self.in_hand.pop(arm)
-
-    def _with_home(self, robot: Robot, way: Way) -> Way:
-        return np.concatenate([way, home_from(self.cell, robot, way[-1])[None]])
 
     def _take_in(self, cloud: Cloud, robots_m: Image) -> View:
         if len(self.stations) > 1:
@@ -342,7 +338,7 @@ class Workcell:
         if not is_held:
             known.failed.append(planned.grasp)
             self.in_hand.pop(arm)
-            way = self._with_home(robot, planned.way_out)
+            way = with_home(self.cell, robot, planned.way_out)
             yield Reserve(way, way)
             yield from let_go(self.cell, robot, planned)
         reason = "" if is_held else "the hand closed on nothing, or lost it"

@@ -59,8 +59,8 @@ def test_spaces_that_do_not_meet_are_of_arms_that_keep_their_distance(model):
         elif apart_m < 0.3:
             near.append(apart_m)
     assert near, "some of the arms come near"
-    # Spheres are larger than what they hold, but not by much.
-    assert np.max(near) < MARGIN_M + 0.05
+    # Spheres are larger than what they hold, but not by much: a finger is much thinner.
+    assert np.max(near) < MARGIN_M + 0.08
 
 
 def test_a_way_takes_the_space_of_all_its_places_and_of_what_lies_between(model):
