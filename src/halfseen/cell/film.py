@@ -54,6 +54,10 @@ class Shot:
     elevation_deg: float = -28.0
 
 
+OF_TWO_ARMS = Shot(looks_at_m=(0.0, 0.16, 0.78), distance_m=1.9, azimuth_deg=97.0, elevation_deg=-30.0)
+"""Shows both ends of the table."""
+
+
 class Film:
     """Takes pictures of a running cell; a `halfseen.cell.live_cell.Watch`.
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import jax
 import numpy as np
@@ -11,10 +11,12 @@ from jaxtyping import Float
 
 from halfseen.arrays import Rows
 from halfseen.cell.episode import Run
+from halfseen.cell.several.team_episode import TeamRun
 from halfseen.censoring import censoring_weights
 from halfseen.evaluation.estimate import Estimate, estimate_of
 from halfseen.logs import Logs
 from halfseen.planners.pomdp import POMDPPolicy
+from halfseen.team.policy import TeamPolicy
 from halfseen.world.config import WorldConfig
 from halfseen.world.episodes import evaluate
 from halfseen.world.policy import Policy
@@ -28,6 +30,7 @@ thousand times as long, plays as many as add a fourth to its variance."""
 _BATCH, _LEAST = 500, 1e-12
 _FEWEST_FINISHED = 2
 _COUNTS = ("num_cups", "num_racked", "num_toppled", "num_fallen", "num_dirty", "num_washed")
+_OF_TEAM = ("num_collisions", "num_waits", "waited_s", "num_deadlocks", "num_gave_way")
 
 
 @dataclass(frozen=True)
@@ -39,7 +42,7 @@ class Summary:
     reward
         Mean of a table, cut ones stood for by those that were not; None where fewer than two were not cut.
     predicted
-        What the simulated world gives for the same tables, as they looked at first.
+        What the simulated world gives for the same tables, as they looked at first; None for several arms.
     luck
         How much of the reward was the luck of which cups were dirty (`luck`): near 0 where P(DIRTY) is calibrated; None
         as `reward`.
@@ -54,12 +57,14 @@ class Summary:
         Cups, and what became of them, over all tables.
     verbs, failures, causes
         How often each verb was tried; why attempts did not hold; what cut tables.
+    together
+        How several arms got along, over all tables, as `TeamRun` has it; None for one arm.
     """
 
     reward: Estimate | None
     luck: Estimate | None
     without_luck: Estimate | None
-    predicted: Estimate
+    predicted: Estimate | None
     gap: Estimate | None
     gap_without_luck: Estimate | None
     seconds: float
@@ -67,10 +72,11 @@ class Summary:
     verbs: Mapping[str, int]
     failures: Mapping[str, int]
     causes: Mapping[str, int]
+    together: Mapping[str, float] | None = None
 
 
 def summarised(
-    runs: Sequence[Run], logs: Logs, policy: Policy, config: WorldConfig, seed: int, level: float = LEVEL
+    runs: Sequence[Run], logs: Logs, policy: Policy | TeamPolicy, config: WorldConfig, seed: int, level: float = LEVEL
 ) -> Summary:
     """Summarise the runs of a policy.
 
@@ -92,19 +98,21 @@ def summarised(
     seen = [run for run in runs if run.is_seen]
     rewards, luck = (np.array([getattr(run, name) for run in seen]) for name in ("reward", "luck"))
     weights = _weights(seen)
-    foretold = predicted(scenes_of(logs), policy, config, seed)
+    teams = [run for run in runs if isinstance(run, TeamRun)]
+    foretold = None if teams else predicted(scenes_of(logs), cast(Policy, policy), config, seed)
     return Summary(
         reward=_mean(rewards, weights, level),
         luck=_mean(luck, weights, level),
         without_luck=_mean(rewards - luck, weights, level),
-        predicted=estimate_of(foretold, len(foretold), level),
-        gap=_mean(rewards - foretold, weights, level),
-        gap_without_luck=_mean(rewards - luck - foretold, weights, level),
+        predicted=None if foretold is None else estimate_of(foretold, len(foretold), level),
+        gap=None if foretold is None else _mean(rewards - foretold, weights, level),
+        gap_without_luck=None if foretold is None else _mean(rewards - luck - foretold, weights, level),
         seconds=float(np.mean([run.seconds for run in runs])),
         counts={name: sum(getattr(run, name) for run in runs) for name in _COUNTS},
         verbs=_added(run.verbs for run in runs),
         failures=_added(run.failures for run in runs),
         causes=_added({run.cause: 1} for run in runs if run.cause is not None),
+        together={name: sum(getattr(run, name) for run in teams) for name in _OF_TEAM} if teams else None,
     )
 
 

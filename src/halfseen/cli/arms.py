@@ -1,4 +1,4 @@
-"""``--arm``: the arm of a cell, from a user's file."""
+"""``--arm`` and ``--arms``: the arm of a cell, from a user's file, and how many there are."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +10,7 @@ from halfseen.cli import options
 
 if TYPE_CHECKING:
     from halfseen.cell import Robot
+    from halfseen.cell.model import Station
 
 _OPTIONS = (
     click.option("--arm", type=options.PATH, help="MJCF or URDF file of another arm; by default the Jaco 2."),
@@ -23,6 +24,43 @@ def arm_options(command: Callable[..., None]) -> Callable[..., None]:
     for option in reversed(_OPTIONS):
         command = option(command)
     return command
+
+
+num_arms_option = click.option(
+    "--arms",
+    "num_arms",
+    type=click.IntRange(1, 2),
+    default=1,
+    show_default=True,
+    help="One arm behind the table, or two at its ends.",
+)
+
+
+def stations_for(num_arms: int, arm: Path | None) -> "tuple[Station, ...]":
+    """Give where several arms stand; nothing for one.
+
+    Parameters
+    ----------
+    num_arms
+        How many.
+    arm
+        File of the arm; None for the usual arm.
+
+    Raises
+    ------
+    ArgumentError
+        There are several, of a file.
+    """
+    if num_arms == 1:
+        return ()
+    from halfseen.cell.several.pair import PAIR
+    from halfseen.errors import ArgumentError
+
+    if arm is not None:
+        raise ArgumentError(
+            f"--arm is {arm} and --arms {num_arms}: only the usual arm stands there twice; leave one out"
+        )
+    return PAIR
 
 
 def robot_for(arm: Path | None, flange: str | None, joints: list[str] | None) -> "tuple[Robot, str]":

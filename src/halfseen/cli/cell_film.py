@@ -6,8 +6,8 @@ from tempfile import TemporaryDirectory
 import click
 
 from halfseen.cli import options
-from halfseen.cli.arms import arm_options, robot_for
-from halfseen.cli.cell_run import belief_of, policy_of, policy_option
+from halfseen.cli.arms import arm_options, num_arms_option, robot_for, stations_for
+from halfseen.cli.cell_run import belief_of, policy_of, policy_option, team_policy_of
 from halfseen.cli.laws import SHIPPED, law_option
 from halfseen.cli.opengl import start_opengl
 from halfseen.progress import Progress
@@ -21,6 +21,7 @@ DRAWING = 3
 @click.option("--out", type=options.PATH, required=True, help="File that the film is written to (.gif).")
 @law_option(SHIPPED)
 @click.option("--table", type=click.IntRange(min=0), default=0, show_default=True, help="Number of the table.")
+@num_arms_option
 @arm_options
 @options.seed("film")
 def film(
@@ -28,6 +29,7 @@ def film(
     out: Path,
     law: str,
     table: int,
+    num_arms: int,
     arm: Path | None,
     flange: str | None,
     joints: list[str] | None,
@@ -46,16 +48,18 @@ def film(
 
     from halfseen.cell.campaign import Conditions
     from halfseen.cell.episode import Moment, play
-    from halfseen.cell.film import Film
+    from halfseen.cell.film import OF_TWO_ARMS, Film, Shot
+    from halfseen.cell.several.team_episode import play_team
     from halfseen.logs import LogRecorder
 
     robot, arm_name = robot_for(arm, flange, joints)
-    belief = belief_of(law, arm_name)
-    cell, is_dirty = Conditions(robot=robot, stops=None).cell(seed, table)
-    taken = Film()
+    belief, stations = belief_of(law, arm_name), stations_for(num_arms, arm)
+    cell, is_dirty = Conditions(robot=robot, stations=stations, stops=None).cell(seed, table)
+    taken = Film(OF_TWO_ARMS if stations else Shot())
     cell.cell.watches.append(taken)
     key = jax.random.fold_in(jax.random.key(seed), table)
-    with Progress(belief.config.horizon + DRAWING, "play") as bar:
+    num_stages = num_arms * belief.config.horizon
+    with Progress(num_stages + DRAWING, "play") as bar:
 
         def follow(moment: Moment) -> None:
             taken.say(moment.words)
@@ -63,9 +67,13 @@ def film(
 
         with TemporaryDirectory() as folder, LogRecorder(folder) as recorder:
             path = recorder.begin_path(table)
-            policy = policy_of(name, 0.0, belief.config)
-            run = play(cell, is_dirty, policy, belief, path, key, on_decision=follow)
-        bar.reach(belief.config.horizon)
+            if stations:
+                team = team_policy_of(name, 0.0, belief.config)
+                run = play_team(cell, is_dirty, team, belief, path, key, on_decision=follow)
+            else:
+                policy = policy_of(name, 0.0, belief.config)
+                run = play(cell, is_dirty, policy, belief, path, key, on_decision=follow)
+        bar.reach(num_stages)
         bar.begin("draw", 0)
         taken.write(out, cell)
     click.echo(

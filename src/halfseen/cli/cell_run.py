@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from halfseen.cli import options
-from halfseen.cli.arms import arm_options, robot_for
+from halfseen.cli.arms import arm_options, num_arms_option, robot_for, stations_for
 from halfseen.cli.following import follow_options, following
 from halfseen.cli.laws import SHIPPED, law_folder, law_option
 from halfseen.cli.messages import tell_warning
@@ -22,6 +22,7 @@ from halfseen.suggestions import did_you_mean
 
 if TYPE_CHECKING:
     from halfseen.cell.table_state import Belief
+    from halfseen.team.policy import TeamPolicy
     from halfseen.workers import Workers
     from halfseen.world import Policy, WorldConfig
 
@@ -45,6 +46,7 @@ policy_option = click.option(
     help="Probability that a step takes an action uniformly at random instead, for logs that are learned from.",
 )
 @follow_options
+@num_arms_option
 @arm_options
 @worker_options
 @options.seed("logs")
@@ -60,6 +62,7 @@ def run(
     is_watched: bool,
     port: int,
     record: Path | None,
+    num_arms: int,
     arm: Path | None,
     flange: str | None,
     joints: list[str] | None,
@@ -72,7 +75,8 @@ def run(
 
     The same seed gives every policy the same tables. What comes of it stands beside what the simulated world foretells
     for them under the law. A run that was stopped goes on where it was, if it is called again. --watch and --record
-    follow the tables in one process; tables that were over before are not shown.
+    follow the tables in one process; tables that were over before are not shown. Two arms follow a rule of thumb, which
+    decides for the one that is free; the ten steps are each arm's.
     """
     load_mujoco()
     from halfseen.cell.campaign import Campaign, Conditions, logs_of, working_folder
@@ -85,13 +89,14 @@ def run(
     refuse = partial(refuse_taken, out, overwrite, MANIFEST, "logs")
     refuse()
     robot, arm_name = robot_for(arm, flange, joints)
-    belief = belief_of(law, arm_name)
-    policy = policy_of(name, random_share, belief.config)
-    conditions = Conditions(robot=robot, stops=Stops() if stops else None)
+    belief, stations = belief_of(law, arm_name), stations_for(num_arms, arm)
+    policy = (team_policy_of if stations else policy_of)(name, random_share, belief.config)
+    conditions = Conditions(robot=robot, stations=stations, stops=Stops() if stops else None)
     told = f"policy {name}{_digest(Path(name))}, law {law}{_digest(law_folder(law))}"
     what = f"run, seed {seed}, {told}, stops {stops}, random share {random_share}"
     what += f", arm {arm_name}" if arm else ""
-    with following(policy, belief.config.horizon, is_watched, port, record, overwrite) as follow:
+    what += f", {num_arms} arms" if stations else ""
+    with following(policy, num_arms * belief.config.horizon, is_watched, port, record, overwrite) as follow:
         campaign = Campaign(policy, belief, conditions, seed, follow=follow)
         with (
             working_folder(out, what, refuse) as folder,
@@ -105,7 +110,13 @@ def run(
             logs = logs_of(folder, range(tables))
             summary = summarised(runs, logs, policy, belief.config, seed)
             logs.write(out, overwrite=overwrite)
-        report = {"folder": str(out), "policy": name, "arm": arm_name, "sentence": str(logs.summary())}
+        report = {
+            "folder": str(out),
+            "policy": name,
+            "arm": arm_name,
+            "arms": num_arms,
+            "sentence": str(logs.summary()),
+        }
         report |= asdict(summary)
         click.echo(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))
 
@@ -140,6 +151,21 @@ def policy_of(name: str, random_share: float, config: "WorldConfig") -> "Policy"
     return exploring(_stored(name, config), random_share)
 
 
+def team_policy_of(name: str, random_share: float, config: "WorldConfig") -> "TeamPolicy":
+    """The policy of a name, for several arms."""
+    from halfseen.errors import ArgumentError
+    from halfseen.planners.heuristics import GreedyPolicy
+    from halfseen.team.policy import ExploringTeam, TeamOfRules
+
+    if name not in HEURISTICS:
+        raise ArgumentError(
+            f"--policy is {name}, which decides for one arm; for two name one of {', '.join(HEURISTICS)}"
+            f"{did_you_mean(name, tuple(HEURISTICS))}"
+        )
+    team = TeamOfRules(GreedyPolicy(config, *HEURISTICS[name]))
+    return ExploringTeam(team, random_share) if random_share else team
+
+
 def _stored(folder: str, config: "WorldConfig") -> "Policy":
     from halfseen.errors import PolicyError
     from halfseen.policies import read_policy
@@ -171,19 +197,30 @@ def _lines(report: dict[str, Any]) -> list[str]:
             return "cannot be said: fewer than two tables came to their own end"
         return f"{estimate['value']:+.2f} ({estimate['low']:+.2f} to {estimate['high']:+.2f})"
 
+    earned, together = f"reward in physics   {told(report['reward'])}", report["together"]
+    predicted = [] if report["predicted"] is None else [f"foretold            {told(report['predicted'])}"]
+    gaps = [f"gap                 {told(report['gap'])}", f"  without luck      {told(report['gap_without_luck'])}"]
     return [
         f"{report['folder']}: {report['sentence']}",
         "",
-        f"reward in physics   {told(report['reward'])}",
+        earned,
         f"  by luck           {told(report['luck'])}: which cups were dirty, beyond what was believed",
         f"  without luck      {told(report['without_luck'])}",
-        f"foretold            {told(report['predicted'])}",
-        f"gap                 {told(report['gap'])}",
-        f"  without luck      {told(report['gap_without_luck'])}",
-        f"robot time          {report['seconds']:.0f} s a table, arm {report['arm']}",
+        *predicted,
+        *(gaps if predicted else []),
+        f"{'table' if together else 'robot'} time          {report['seconds']:.0f} s a table, arm {report['arm']}",
         f"cups                {counts['num_racked']} of {counts['num_cups']} in the rack, {counts['num_washed']} of "
         f"{counts['num_dirty']} dirty ones; {counts['num_toppled']} toppled, {counts['num_fallen']} fell",
         f"tried               {listed(report['verbs'])}",
         f"did not hold        {listed(report['failures'])}",
         f"cut by              {listed(report['causes'])}",
+        *([] if together is None else [_together(together)]),
     ]
+
+
+def _together(told: dict[str, float]) -> str:
+    return (
+        f"arms                {told['num_collisions']:.0f} collisions; {told['num_waits']:.0f} waits for space, "
+        f"{told['waited_s']:.0f} s in all; {told['num_deadlocks']:.0f} deadlocks, {told['num_gave_way']:.0f} of which "
+        "sent an arm home"
+    )

@@ -16,7 +16,8 @@ from halfseen.watch.shapes import convex_mesh
 from halfseen.watch.stage_view import Part
 
 _NUM_AROUND, _NUM_UP = 20, 5
-_ARM, _WOOD = (150, 158, 168), (196, 170, 132)
+_ARMS, _WOOD = ((150, 158, 168), (214, 160, 96), (120, 170, 150)), (196, 170, 132)
+"""Of the first arm, the second, and so on in turn; and of furniture."""
 _OF_THE_ROOM_M = 1.0
 """What reaches farther from its middle is a wall or a floor, which the cloud shows [m]."""
 _KINDS = mujoco.mjtGeom
@@ -46,11 +47,15 @@ class CellParts:
             and model.geom_rbound[geom] < _OF_THE_ROOM_M
         ]
         self._geoms = np.array(shown, dtype=np.int64)
-        is_robot = [bool(model.geom_group[geom] == ROBOT_GROUP) for geom in shown]
-        self.parts = tuple(
-            Part(convex_mesh(_points(model, geom)), _ARM if is_arm else _WOOD, is_arm)
-            for geom, is_arm in zip(shown, is_robot, strict=True)
-        )
+        self.parts = tuple(self._part(cell, geom) for geom in shown)
+
+    def _part(self, cell: LiveCell, geom: int) -> Part:
+        solid, model = convex_mesh(_points(cell.model, geom)), cell.model
+        if model.geom_group[geom] != ROBOT_GROUP:
+            return Part(solid, _WOOD, is_robot=False)
+        body = model.body(model.geom_bodyid[geom]).name
+        (number,) = (k for k, name in enumerate(cell.kinematics) if body.startswith(f"{name}/"))
+        return Part(solid, _ARMS[number % len(_ARMS)])
 
     def poses(self, cell: LiveCell) -> Float[np.ndarray, "parts 7"]:
         """Where they are now: place [m] and quaternion (w, x, y, z)."""

@@ -1,5 +1,8 @@
 """The space of an arm holds every part of it, all along its way."""
 
+# MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
+# pyright: reportAttributeAccessIssue=false
+
 import mujoco
 import numpy as np
 import pytest
