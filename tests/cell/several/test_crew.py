@@ -159,6 +159,24 @@ def test_an_arm_that_waits_too_long_at_home_gives_up(cell, touches):
     np.testing.assert_allclose(cell.angles_rad(RIGHT), HOMES[1], atol=0.02)
 
 
+def test_an_arm_that_waits_too_long_with_no_free_way_home_waits_on_while_the_other_is_at_work(cell, touches):
+    def stay(place, home):
+        yield Reserve(np.stack([place, home]))
+        yield Move(place[None])
+        yield Rest(8.0)
+        yield Move(home[None])
+
+    def insist(place):
+        return (yield Reserve(place[None], place[None]))
+
+    crew = Crew(cell, ROBOTS, patience_s=2.0)
+    crew.begin(0, stay(over(cell, 0, 0.0), HOMES[0]))
+    crew.begin(1, insist(over(cell, 1, 0.0)))
+    results = {done.arm: done.result for _ in range(2) for done in crew.work()}
+    assert results == {0: None, 1: True}
+    assert crew.tally.num_deadlocks == 0
+
+
 def test_who_only_tries_is_answered_at_once(cell):
     def trying(place):
         return (yield Reserve(place[None], is_patient=False))

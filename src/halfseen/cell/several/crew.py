@@ -227,10 +227,17 @@ class Crew:
     def _settle(self) -> None:
         """Notice a deadlock, and let one arm give way."""
         blocked = [arm for arm, worker in enumerate(self._workers) if worker.wanted is not None and worker.blocked_by]
-        stuck = [arm for arm in blocked if self._waits_for_itself(arm) or self._is_impatient(arm)]
+        ring = [arm for arm in blocked if self._waits_for_itself(arm)]
+        stuck = ring or [arm for arm in blocked if self._is_impatient(arm)]
         if not stuck:
             return
-        self.tally.num_deadlocks += 1
+        if self._one_goes_home(stuck) or self._those_at_home_give_up(stuck):
+            self.tally.num_deadlocks += 1
+        elif ring:
+            raise StoppedError(DEADLOCK)
+
+    def _one_goes_home(self, stuck: list[int]) -> bool:
+        """Send home the arm that came last, of those whose way home is free; whether there is one."""
         for arm in sorted(stuck, key=lambda arm: -self._workers[arm].reserved_s):
             worker = self._workers[arm]
             assert worker.wanted is not None, "it is blocked"
@@ -240,12 +247,11 @@ class Crew:
             if not self._reservations.in_the_way(arm, back):
                 self.tally.num_gave_way += 1
                 self._grant(arm, worker, back, is_free=False)
-                return
-        if not self._refuse_those_at_home(stuck):
-            raise StoppedError(DEADLOCK)
+                return True
+        return False
 
-    def _refuse_those_at_home(self, stuck: list[int]) -> bool:
-        """Let arms that have nothing to go back from give up what they wanted; whether there are any."""
+    def _those_at_home_give_up(self, stuck: list[int]) -> bool:
+        """Refuse what arms wanted that have nothing to go back from; whether there are any."""
         workers = [self._workers[arm] for arm in stuck]
         at_home = [worker for worker in workers if worker.wanted is not None and not len(worker.wanted.back)]
         for worker in at_home:

@@ -1,0 +1,150 @@
+"""Two arms clear a table in physics: cups in their racks, no collision, and a log that a team learns from."""
+
+import jax
+import numpy as np
+import pytest
+
+from halfseen.cell.several.pair import PAIR
+from halfseen.cell.several.team_episode import play_team
+from halfseen.cell.several.team_table import TeamTable
+from halfseen.cell.stops import SENSOR_LOST, Stops
+from halfseen.cell.table_state import Belief, no_grip
+from halfseen.cell.workcell import Workcell
+from halfseen.logs import LogRecorder, read_logs
+from halfseen.planners.heuristics import GreedyPolicy
+from halfseen.scene.camera import look_at
+from halfseen.scene.cups import Cup
+from halfseen.scene.poses import Pose
+from halfseen.scene.table import TABLE_TOP_M, Table
+from halfseen.scene.xtion import xtion_at
+from halfseen.team.actions import WAIT, possible_actions
+from halfseen.team.policy import TeamOfRules, UniformTeam
+from halfseen.team.recording import states_of
+from halfseen.world.action_space import ActionSpace, Verb
+from halfseen.world.config import WorldConfig
+
+CAMERA = xtion_at(look_at(np.array([0.0, -0.78, 1.24]), np.array([0.0, 0.0, TABLE_TOP_M])))
+CONFIG = WorldConfig(horizon=6, dirty_share=0.8)
+BELIEF = Belief(CONFIG, no_grip)
+TEAM = TeamOfRules(GreedyPolicy(CONFIG, uses_history=True, counts_penalty=True))
+PLACES_M = ((-0.26, 0.0), (-0.12, 0.12), (0.26, 0.0), (0.12, 0.12))
+
+
+def workcell(places_m=PLACES_M, seed=0, **options):
+    cups = tuple(Cup(0.10, 0.036, 0.032) for _ in places_m)
+    poses = tuple(Pose((x_m, y_m, TABLE_TOP_M)) for x_m, y_m in places_m)
+    return Workcell(Table(cups, poses, CAMERA), np.random.default_rng(seed), stations=PAIR, **options)
+
+
+def played(cell, folder, policy=TEAM, on_decision=lambda _: None):
+    is_dirty = np.ones(cell.table.num_cups, dtype=bool)
+    with LogRecorder(folder) as recorder:
+        path = recorder.begin_path(0)
+        return play_team(cell, is_dirty, policy, BELIEF, path, jax.random.key(0), on_decision=on_decision)
+
+
+@pytest.fixture(scope="module")
+def cleared(tmp_path_factory):
+    folder, cell, moments = tmp_path_factory.mktemp("team") / "log", workcell(), []
+    return cell, played(cell, folder, on_decision=moments.append), read_logs(folder), moments
+
+
+def test_each_arm_fills_its_own_rack_and_none_touches_the_other(cleared):
+    cell, run, _, _ = cleared
+    assert run.num_racked == run.num_washed == 4
+    assert (run.num_collisions, run.num_fallen, run.num_deadlocks) == (0, 0, 0)
+    for station in PAIR:
+        held = [station.rack.holds(np.array(cell.cell.cup(k).position_m)) for k in range(4)]
+        assert sum(held) == 2
+    for station in PAIR:
+        np.testing.assert_allclose(cell.cell.angles_rad(station.robot), station.robot.home_rad, atol=0.02)
+
+
+def test_two_arms_work_at_once(cleared):
+    _, run, _, _ = cleared
+    assert len(run.busy_s) == 2
+    # What both did takes longer than the table did.
+    assert sum(run.busy_s) > 1.5 * run.seconds
+    assert max(run.busy_s) <= run.seconds
+
+
+def test_the_log_says_which_arm_decided_and_what_the_other_was_at(cleared):
+    _, run, logs, moments = cleared
+    stages = logs.stages
+    assert stages["robot"].tolist() == [moment.arm for moment in moments]
+    assert stages["0_does"].iloc[0] == stages["1_does"].iloc[0] == "FREE"
+    assert stages["0_does"].iloc[1] == f"WASH {stages['object'].iloc[0]}"
+    assert (np.diff(stages["elapsed_s"]) > 0).all()
+    assert stages["elapsed_s"].iloc[-1] == pytest.approx(run.seconds)
+    assert stages["reward"].sum() == pytest.approx(run.reward)
+    assert run.reward == pytest.approx(4 * CONFIG.reward_wash_dirty)
+
+
+def test_the_log_gives_back_the_states_that_the_team_decided_in(cleared):
+    _, _, logs, moments = cleared
+    states = states_of(logs, 2 * CONFIG.horizon)
+    for stage, moment in enumerate(moments):
+        state = jax.tree.map(lambda leaf, stage=stage: leaf[0, stage], states)
+        num_objects = state.table.num_objects
+        np.testing.assert_allclose(state.table.hides, moment.state.hides[:num_objects, :num_objects], atol=1e-6)
+        assert int(state.decider) == moment.arm
+        verb = int(ActionSpace(moment.state.num_objects).verb(moment.action))
+        target = int(ActionSpace(moment.state.num_objects).target(moment.action))
+        actions = ActionSpace(num_objects)
+        chosen = 1 + 2 * num_objects if verb == WAIT else int(actions.encode(verb, target)) if verb else 0
+        assert bool(possible_actions(state)[chosen])
+
+
+@pytest.mark.slow
+def test_arms_that_do_anything_at_all_do_not_collide(tmp_path):
+    run = played(workcell(seed=3), tmp_path / "log", UniformTeam())
+    assert {"WASH", "LIFT"} & set(run.verbs)
+    assert run.num_collisions == 0
+    assert run.cause is None
+
+
+def test_what_cuts_a_cell_cuts_the_table_of_a_team(tmp_path):
+    cell = workcell(stops=Stops(1e9, 1e9, camera_lost_per_s=0.2))
+    run = played(cell, tmp_path / "log")
+    assert run.cause == SENSOR_LOST
+    assert read_logs(tmp_path / "log").summary().num_cut == 1
+
+
+def test_places_tell_who_reaches_an_object_and_which_are_too_near():
+    cell = workcell(((-0.30, 0.0), (-0.02, 0.0), (0.30, 0.0), (0.20, 0.12)))
+    cell.look()
+    table = TeamTable(cell, BELIEF)
+    middles_m = np.array([known.middle_m for known in cell.memory.objects])
+    left, middle, right, beside = (
+        int(np.linalg.norm(middles_m[:, :2] - place, axis=1).argmin())
+        for place in ((-0.30, 0.0), (-0.02, 0.0), (0.30, 0.0), (0.20, 0.12))
+    )
+    reached, near = table.is_in_reach(), table.is_near()
+    assert reached[:, left].tolist() == [True, False]
+    assert reached[:, middle].tolist() == [True, True]
+    assert reached[:, right].tolist() == [False, True]
+    assert near[right, beside]
+    assert near[beside, right]
+    assert not near[left, middle]
+    assert near.diagonal().all()
+    # What an arm found to be too far it does not reach, as long as that stays there.
+    table.count_too_far(0, middle)
+    assert table.is_in_reach()[:, middle].tolist() == [False, True]
+    cell.memory.objects[middle].middle_m = middles_m[middle] + [0.05, 0.0, 0.0]
+    assert table.is_in_reach()[:, middle].tolist() == [True, True]
+
+
+def test_what_an_arm_is_at_is_told_to_the_one_that_decides():
+    cell = workcell()
+    cell.look()
+    table = TeamTable(cell, BELIEF)
+    one = table.doing[1]
+    one.verb, one.target, one.begun_s = Verb.WASH, 2, cell.cell.time_s - 3.0
+    state = table.state(0, 12)
+    assert state.robots.is_busy.tolist() == [False, True]
+    assert (int(state.robots.verb[1]), int(state.robots.target[1])) == (Verb.WASH, 2)
+    assert float(state.robots.since_s[1]) == pytest.approx(3.0, abs=1e-5)
+    assert table.columns(0)["1_does"] == "WASH 2"
+    one.verb = None
+    one.is_parked = True
+    assert table.columns(0)["1_does"] == "PARKED"
