@@ -111,13 +111,13 @@ def test_what_cuts_a_cell_cuts_the_table_of_a_team(tmp_path):
 
 
 def test_places_tell_who_reaches_an_object_and_which_are_too_near():
-    cell = workcell(((-0.30, 0.0), (-0.02, 0.0), (0.30, 0.0), (0.20, 0.12)))
+    cell = workcell(((-0.30, 0.0), (-0.02, 0.0), (0.30, 0.0), (0.24, 0.09)))
     cell.look()
     table = TeamTable(cell, BELIEF)
     middles_m = np.array([known.middle_m for known in cell.memory.objects])
     left, middle, right, beside = (
         int(np.linalg.norm(middles_m[:, :2] - place, axis=1).argmin())
-        for place in ((-0.30, 0.0), (-0.02, 0.0), (0.30, 0.0), (0.20, 0.12))
+        for place in ((-0.30, 0.0), (-0.02, 0.0), (0.30, 0.0), (0.24, 0.09))
     )
     reached, near = table.is_in_reach(), table.is_near()
     assert reached[:, left].tolist() == [True, False]

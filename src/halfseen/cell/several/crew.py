@@ -145,7 +145,8 @@ class Crew:
             ended = [done for arm in range(len(self._workers)) if (done := self._tick(arm)) is not None]
             if ended:
                 return ended
-            self._settle()
+            if num_ticks % _ASK_EVERY == 0:
+                self._settle()
             self._cell.wait(self._cell.tick_s)
             num_ticks += 1
         return []

@@ -13,11 +13,10 @@ from halfseen.cell.workcell import Workcell
 from halfseen.perception.clouds import Vector
 from halfseen.team.actions import WAIT
 from halfseen.team.recording import FREE, PARKED, TEAM_VERBS
+from halfseen.team.robots import CLEARANCE_M
 from halfseen.team.state import Robots, TeamState, Workspace
 from halfseen.world.action_space import TARGETED
 
-CLEARANCE_M = 0.20
-"""Objects nearer than that are too near for two arms at once [m]: two open hands side by side, and their wrists."""
 _MOVED_M = 0.03
 
 
