@@ -31,7 +31,7 @@ from halfseen.cell.racking import GaveWayError, put_away
 from halfseen.cell.showing import is_in_hand, turned
 from halfseen.cell.stops import Guard, Stops
 from halfseen.errors import PlanError, SceneError
-from halfseen.perception.clouds import Cloud
+from halfseen.perception.clouds import Cloud, Vector
 from halfseen.perception.labels import Labeller, StainCounter
 from halfseen.perception.range_image import range_image
 from halfseen.perception.view import SeenObject, View, perceive
@@ -181,7 +181,7 @@ class Workcell:
         self._rng, self._grasping, self._labeller = rng, GRASPING[grasping], labeller
         self._eye = Eye(self.cell, table.camera, surfaces=surfaces)
         self._believed: Pose = from_matrix(errors.draw(rng) @ table.camera.world_from_camera.matrix)
-        self._num_racked = [0] * len(robots)
+        self._used_slots: list[list[int]] = [[] for _ in robots]
         self._sights: dict[int, _Sight] = {}
         self.cell.wait(SETTLE_S)
         self._guard = None if stops is None else Guard(stops, self.cell.time_s, rng)
@@ -252,14 +252,12 @@ class Workcell:
 
     def washing(self, number: int, arm: int = 0) -> Activity[Attempt]:
         """Do what `wash` does, command by command, with the robot of a number."""
-        known, station = self.memory.objects[number], self.stations[arm]
+        known = self.memory.objects[number]
         attempt, done = yield from self._fetched(number, arm)
         if done is None or not attempt.is_held:
             return attempt
-        slots_m = station.rack.slots_m
-        slot_m = slots_m[self._num_racked[arm] % len(slots_m)]
         try:
-            yield from put_away(self.cell, station.robot, done, known.middle_m, slot_m, self._rng)
+            slot = yield from self._put_away(arm, done, known.middle_m)
         except GaveWayError as error:
             yield from self._put_back(arm, done, has_way=True)
             return replace(attempt, is_held=False, reason=str(error), gave_way=True)
@@ -269,8 +267,27 @@ class Workcell:
             return replace(attempt, is_held=False, reason=str(error))
         known.is_racked, known.seen = True, None
         self.in_hand.pop(arm)
-        self._num_racked[arm] += 1
+        self._used_slots[arm].append(slot)
         return attempt
+
+    def _put_away(self, arm: int, done: Plan, middle_m: Vector) -> Activity[int]:
+        """Put what a robot holds into a free slot of its rack; which one it took."""
+        robot, rack = self.stations[arm].robot, self.stations[arm].rack
+        used, slots_m = self._used_slots[arm], rack.slots_m
+        free = [slot for slot in range(len(slots_m)) if slot not in used] or [len(used) % len(slots_m)]
+        # A robot that is alone takes the next one or none.
+        choice = free if len(self.stations) > 1 else free[:1]
+        for slot in choice:
+            try:
+                yield from put_away(self.cell, robot, done, middle_m, slots_m[slot], self._rng)
+            except GaveWayError:
+                raise
+            except PlanError:
+                if slot == choice[-1]:
+                    raise
+            else:
+                return slot
+        raise AssertionError("the last slot is taken or refused")
 
     def _put_back(self, arm: int, done: Plan, *, has_way: bool) -> Activity[None]:
         """Put back what a robot holds, which may have been given the way there already."""
