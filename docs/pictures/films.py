@@ -1,17 +1,17 @@
-"""The two films, made by the commands that their captions name."""
+"""The films, made by the commands that their captions name."""
 
 import os
 import shlex
-from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from click.testing import CliRunner
 
-from pictures.picture import Numbers, Picture, Row, Table
+from pictures.picture import Numbers, Picture, Table
 
 FILM = "cell film --policy planner --seed 6 --out {folder}/film.gif"
+TWO_FILM = "cell film --policy history-penalty --arms 2 --seed 7 --out {folder}/film.gif"
 WATCH = (
     "cell run --policy history-penalty --tables 2 --seed 6 --out {folder}/logs --record {folder}/record",
     "watch {folder}/record --stages 1-4 --export {folder}/film.gif",
@@ -28,8 +28,8 @@ def _made_by(*commands: str) -> bytes:
         return (Path(folder) / "film.gif").read_bytes()
 
 
-def _played() -> Table:
-    """What the filmed arm decides, in words, and what that earns: the film without its pictures."""
+def _played(policy: str, seed: int, num_arms: int) -> Table:
+    """What the filmed arms decide, in words, and what that earns: the film without its pictures."""
     from halfseen.cli.opengl import GL, load_mujoco
 
     # It is loaded once, and what is drawn after this needs a way to draw.
@@ -39,36 +39,44 @@ def _played() -> Table:
 
     from halfseen.cell.campaign import Conditions
     from halfseen.cell.episode import Moment, play
-    from halfseen.cli.arms import robot_for
-    from halfseen.cli.cell_run import belief_of, policy_of
+    from halfseen.cell.film import Film
+    from halfseen.cell.several.team_episode import play_team
+    from halfseen.cli.arms import robot_for, stations_for
+    from halfseen.cli.cell_run import belief_of, policy_of, team_policy_of
     from halfseen.cli.laws import SHIPPED
     from halfseen.logs import LogRecorder
 
-    seed, table, rows = 6, 0, []
+    table, rows, taken = 0, [], Film()
     robot, arm_name = robot_for(None, None, None)
-    belief = belief_of(SHIPPED, arm_name)
-    cell, is_dirty = Conditions(robot=robot, stops=None).cell(seed, table)
+    belief, stations = belief_of(SHIPPED, arm_name), stations_for(num_arms, None)
+    cell, is_dirty = Conditions(robot=robot, stations=stations, stops=None).cell(seed, table)
 
     def follow(moment: Moment) -> None:
         rows.append({"stage": moment.stage, "words": moment.words})
+        taken.say(moment.words)
+
+    cell.cell.watches.append(taken)
 
     with TemporaryDirectory() as folder, LogRecorder(folder) as recorder:
         path = recorder.begin_path(table)
         key = jax.random.fold_in(jax.random.key(seed), table)
-        run = play(cell, is_dirty, policy_of("planner", 0.0, belief.config), belief, path, key, on_decision=follow)
+        if stations:
+            team = team_policy_of(policy, 0.0, belief.config)
+            run = play_team(cell, is_dirty, team, belief, path, key, on_decision=follow)
+        else:
+            run = play(cell, is_dirty, policy_of(policy, 0.0, belief.config), belief, path, key, on_decision=follow)
     told = f"{run.num_washed} of {run.num_dirty} dirty cups washed in {run.seconds:.0f} s, reward {run.reward:+.1f}"
-    return [*rows, {"stage": 0, "words": told}]
+    # What another arm decides a moment later is in no picture of its own.
+    return [*(row for row in rows if row["words"] in taken.captions), {"stage": 0, "words": told}]
 
 
-def _decisions() -> Mapping[int, Row]:
-    return dict(enumerate(_played()))
+def _film(name: str, command: str, policy: str, seed: int, num_arms: int) -> Picture:
+    table = partial(_played, policy, seed, num_arms)
+    numbers = Numbers(f"{name}.csv", table, lambda: dict(enumerate(table())))
+    return Picture(name, f"docs/static/{name}.gif", partial(_made_by, command), numbers, seconds=60.0)
 
 
-CLOSED_LOOP = Picture(
-    "closed-loop",
-    "docs/static/closed-loop.gif",
-    partial(_made_by, FILM),
-    Numbers("closed-loop.csv", _played, _decisions),
-    seconds=60.0,
-)
+CLOSED_LOOP = _film("closed-loop", FILM, "planner", 6, 1)
+TWO_ARMS = _film("two-arms", TWO_FILM, "history-penalty", 7, 2)
+FILMS = (CLOSED_LOOP, TWO_ARMS)
 WATCHED = Picture("watch", "docs/static/watch.gif", partial(_made_by, *WATCH), seconds=60.0)

@@ -2,7 +2,7 @@
 
 from pictures.decision import DECISION
 from pictures.examples import EXAMPLES
-from pictures.films import CLOSED_LOOP, WATCHED
+from pictures.films import FILMS, WATCHED
 from pictures.intervals import INTERVALS
 from pictures.law import HELD
 from pictures.log_figures import PICTURES as OF_LOGS
@@ -21,7 +21,7 @@ from pictures.view_figures import PICTURES as OF_VIEWS
 from pictures.way_of_the_data import WAY_OF_THE_DATA
 
 PICTURES = (
-    *(OPENING, FIGURE1, WAY_OF_THE_DATA, CLOSED_LOOP, WATCHED, HELD, *EXAMPLES),
+    *(OPENING, FIGURE1, WAY_OF_THE_DATA, *FILMS, WATCHED, HELD, *EXAMPLES),
     *(*OF_LOGS, *OF_PAGES, *OF_VIEWS),
     *(DECISION, TREATMENTS, MEDIANS, INTERVALS, TWO_PLANNERS, MEMORY, PICK_CELL_LEARNERS, REPORT_VALUES, TIGER),
     *(LOST_WORKER, TEN_THOUSAND, COST_OF_CUTS),

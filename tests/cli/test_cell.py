@@ -27,6 +27,18 @@ def test_a_policy_or_a_law_that_is_not_there(refused, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_two_arms_follow_a_rule_of_thumb_and_are_of_the_usual_kind(refused, tmp_path):
+    out = ["--out", tmp_path / "logs"]
+    line = refused("cell", "run", "--policy", "planner", "--arms", 2, *out)
+    assert "decides for one arm" in line
+    assert "history-penalty" in line
+    arm = tmp_path / "arm.xml"
+    arm.write_text("<mujoco/>")
+    assert "--arm" in refused("cell", *RUN, "--arms", 2, "--arm", arm, *out)
+    assert "--arms" in refused("cell", *RUN, "--arms", 3, *out)
+    assert list(tmp_path.iterdir()) == [arm]
+
+
 def test_what_is_there_is_replaced_only_if_it_is_of_the_kind(refused, tmp_path):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.txt").touch()

@@ -3,9 +3,11 @@
 import socket
 import sys
 
+import numpy as np
 import pytest
 
 from halfseen.learners import CensoredQLearner
+from halfseen.logs import read_logs
 from halfseen.perception import perceive, read_cloud
 from halfseen.policies import write_policy
 from halfseen.scene import table_paths
@@ -119,3 +121,25 @@ def test_a_running_cell_is_recorded_and_its_logs_are_the_same(typed, refused, tm
     assert any(stage.hand is not None for stage in watched.stages)
     assert any(event.startswith("tried: a grasp of") for event in watched.stages[-1].events)
     assert "--overwrite" in refused(*words, "--out", tmp_path / "third", "--record", tmp_path / "record")
+
+
+@pytest.mark.slow
+def test_two_arms_are_recorded_and_both_are_shown(typed, tmp_path):
+    words = ["cell", "run", "--policy", "history-penalty", "--arms", 2, "--tables", 2, "--seed", 7, "--no-stops"]
+    done = typed(*words, "--out", tmp_path / "logs", "--record", tmp_path / "record")
+    assert done.status == 0
+    assert "0 collisions" in done.out
+    watched = read_recording(tmp_path / "record")
+    assert watched.stages[0].title == "table 0, stage 1 of 20"
+    assert len({part.colour for part in watched.parts if part.is_robot}) == 2
+    names = {stage.action.split(":")[0] for stage in watched.stages}
+    assert names == {"left", "right"}
+    for stage in watched.stages:
+        assert stage.action in stage.reason
+        assert stage.target is None or stage.target in [shown.number for shown in stage.objects]
+    moved = np.concatenate([np.ptp(stage.poses[..., :3], axis=0).max(axis=1)[None] for stage in watched.stages])
+    for colour in {part.colour for part in watched.parts if part.is_robot}:
+        own = [index for index, part in enumerate(watched.parts) if part.is_robot and part.colour == colour]
+        assert moved[:, own].max() > 0.3
+    logs = read_logs(tmp_path / "logs")
+    assert set(logs.stages["robot"]) == {0, 1}

@@ -83,6 +83,11 @@ class Film:
         """Let words stand below the pictures that follow."""
         self._caption = caption
 
+    @property
+    def captions(self) -> list[str]:
+        """Words below each picture so far."""
+        return [caption for _, caption in self._kept]
+
     def write(self, file: Path, cell: Workcell) -> None:
         """Draw the film and write it as an animated GIF.
 

@@ -52,8 +52,9 @@ def film(
     from halfseen.cell.several.team_episode import play_team
     from halfseen.logs import LogRecorder
 
+    stations = stations_for(num_arms, arm)
     robot, arm_name = robot_for(arm, flange, joints)
-    belief, stations = belief_of(law, arm_name), stations_for(num_arms, arm)
+    belief = belief_of(law, arm_name)
     cell, is_dirty = Conditions(robot=robot, stations=stations, stops=None).cell(seed, table)
     taken = Film(OF_TWO_ARMS if stations else Shot())
     cell.cell.watches.append(taken)

@@ -88,8 +88,9 @@ def run(
 
     refuse = partial(refuse_taken, out, overwrite, MANIFEST, "logs")
     refuse()
+    stations = stations_for(num_arms, arm)
     robot, arm_name = robot_for(arm, flange, joints)
-    belief, stations = belief_of(law, arm_name), stations_for(num_arms, arm)
+    belief = belief_of(law, arm_name)
     policy = (team_policy_of if stations else policy_of)(name, random_share, belief.config)
     conditions = Conditions(robot=robot, stations=stations, stops=Stops() if stops else None)
     told = f"policy {name}{_digest(Path(name))}, law {law}{_digest(law_folder(law))}"
