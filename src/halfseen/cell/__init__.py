@@ -4,12 +4,12 @@ Read down: `contacts` (what holds in simulated contact) → `serial_arm` (what e
 `arm_file` (one of a table, or one of the user's file), `gripper` (what moves) → `cup_walls` (what is held) → `model`
 (room, cups, rack and arms as one MuJoCo model) → `kinematics` (which angles bring a hand to a place) → `home` (where
 any arm stands and waits) → `motion` (lines and schedules) → `commands` (what a robot is told) → `live_cell` (physics
-that goes on) → `looking` (the
-camera, and the truth apart from it) → `grasps`, `clearance` (where a hand could close, and what is in its way) →
-`planning` (how it gets there, or why not) → `fetching`, `racking`, `showing` (what is done with it) → `facts`,
-`memory` (what the robot knows) → `stops` (what cuts) → `workcell` (all of that as one table and one robot) →
-`table_state` (what a policy decides in) → `episode` (one table to its end) → `campaign` (many) → `summary`, `film`;
-`trying` → `calibration` (laws from what was tried).
+that goes on) → `looking`, `cut_by_arms` (the camera, the truth apart from it, and what an arm cuts from view) →
+`grasps`, `clearance` (where a hand could close, and what is in its way) → `planning` (how it gets there, or why not) →
+`fetching`, `racking`, `showing` (what is done with it) → `facts`, `memory` (what the robot knows) → `stops` (what cuts)
+→ `workcell` (all of that as one table and its robots) → `table_state` (what a policy decides in) → `episode` (one table
+to its end), `several` (the same with several arms) → `campaign` (many) → `summary`, `film`; `trying` → `calibration`
+(laws from what was tried).
 
 MuJoCo loads when one of these names is asked for, never when this package is imported.
 """
@@ -31,8 +31,10 @@ if TYPE_CHECKING:
     from halfseen.cell.live_cell import LiveCell
     from halfseen.cell.looking import Eye, Look
     from halfseen.cell.memory import Memory
-    from halfseen.cell.model import Rack, Robot, cell_model
+    from halfseen.cell.model import Rack, Robot, Station, cell_model
     from halfseen.cell.serial_arm import SerialArm
+    from halfseen.cell.several.pair import PAIR
+    from halfseen.cell.several.team_episode import TeamRun, play_team
     from halfseen.cell.stops import Stops
     from halfseen.cell.table_state import Belief
     from halfseen.cell.trying import LiftAtRandom
@@ -40,6 +42,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "JACO_2",
+    "PAIR",
     "Arm",
     "ArmFile",
     "Belief",
@@ -60,10 +63,13 @@ __all__ = [
     "Robot",
     "Run",
     "SerialArm",
+    "Station",
     "Stops",
+    "TeamRun",
     "Workcell",
     "cell_model",
     "play",
+    "play_team",
     "robot_of",
 ]
 
@@ -83,6 +89,7 @@ __getattr__ = lazy_names(
         "Motor": "arm",
         "Rack": "model",
         "Robot": "model",
+        "Station": "model",
         "SerialArm": "serial_arm",
         "cell_model": "model",
         "robot_of": "home",
@@ -96,5 +103,8 @@ __getattr__ = lazy_names(
         "Stops": "stops",
         "Workcell": "workcell",
         "play": "episode",
+        "PAIR": "several.pair",
+        "TeamRun": "several.team_episode",
+        "play_team": "several.team_episode",
     },
 )

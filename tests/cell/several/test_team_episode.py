@@ -18,7 +18,7 @@ from halfseen.scene.poses import Pose
 from halfseen.scene.table import TABLE_TOP_M, Table
 from halfseen.scene.xtion import xtion_at
 from halfseen.team.actions import WAIT, possible_actions
-from halfseen.team.policy import TeamOfRules, UniformTeam
+from halfseen.team.policy import TeamOfRules, TeamPolicy, UniformTeam
 from halfseen.team.recording import states_of
 from halfseen.world.action_space import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
@@ -36,7 +36,7 @@ def workcell(places_m=PLACES_M, seed=0, **options):
     return Workcell(Table(cups, poses, CAMERA), np.random.default_rng(seed), stations=PAIR, **options)
 
 
-def played(cell, folder, policy=TEAM, on_decision=lambda _: None):
+def played(cell, folder, policy: TeamPolicy = TEAM, on_decision=lambda _: None):
     is_dirty = np.ones(cell.table.num_cups, dtype=bool)
     with LogRecorder(folder) as recorder:
         path = recorder.begin_path(0)
