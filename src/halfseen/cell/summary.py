@@ -72,7 +72,7 @@ class Summary:
     verbs: Mapping[str, int]
     failures: Mapping[str, int]
     causes: Mapping[str, int]
-    together: Mapping[str, float] | None = None
+    together: Mapping[str, int | float] | None = None
 
 
 def summarised(

@@ -96,6 +96,14 @@ def test_the_log_gives_back_the_states_that_the_team_decided_in(cleared):
 
 
 @pytest.mark.slow
+def test_the_same_seed_gives_the_same_bits(cleared, tmp_path):
+    cell, run, _, _ = cleared
+    again = workcell()
+    assert played(again, tmp_path / "log") == run
+    np.testing.assert_array_equal(again.cell.data.qpos, cell.cell.data.qpos)
+
+
+@pytest.mark.slow
 def test_arms_that_do_anything_at_all_do_not_collide(tmp_path):
     run = played(workcell(seed=3), tmp_path / "log", UniformTeam())
     assert {"WASH", "LIFT"} & set(run.verbs)
