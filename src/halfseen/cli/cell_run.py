@@ -219,7 +219,7 @@ def _lines(report: dict[str, Any]) -> list[str]:
     ]
 
 
-def _together(told: dict[str, float]) -> str:
+def _together(told: dict[str, int | float]) -> str:
     return (
         f"arms                {told['num_collisions']:.0f} collisions; {told['num_waits']:.0f} waits for space, "
         f"{told['waited_s']:.0f} s in all; {told['num_deadlocks']:.0f} deadlocks, {told['num_gave_way']:.0f} of which "
