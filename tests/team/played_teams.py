@@ -37,7 +37,9 @@ class SureGrasping:
 
 def played(team, num_paths, seed=1, reach=None):
     """Uncut paths of an exploring team of rules."""
-    is_in_reach = np.ones((team.num_robots, NUM_OBJECTS), dtype=bool) if reach is None else np.asarray(reach)
+    is_in_reach = (
+        np.ones((team.num_robots, NUM_OBJECTS), dtype=bool) if reach is None else np.asarray(reach, dtype=bool)
+    )
     space = Workspace(jnp.asarray(is_in_reach)[None], jnp.eye(NUM_OBJECTS, dtype=bool)[None])
     rule = GreedyPolicy(WorldConfig(), uses_history=True, counts_penalty=True)
     policy = ExploringTeam(TeamOfRules(rule))

@@ -2,8 +2,9 @@
 
 Read down: `state` (what each robot is at) → `robots`, `team`, `team_file` (who they are, what they reach) → `config` →
 `actions` → `dynamics` (from one decision to the next; drop-outs) → `policy`, `fit` → `episodes` → `recording` (to and
-from logs) → `own_part`, `drop_outs` (parts of a log) → `features`, `task`, `learned_policy` (what a team learns) →
-`team_world`, `gymnasium_env`, `pettingzoo_env` (the faces).
+from logs) → `own_part`, `drop_outs` (parts of a log) → `others`, `makespan`, `features`, `attempts`, `rewards`, `task`,
+`learned_policy` (what a team learns) → `each_alone` (what it is compared with) → `team_world`, `gymnasium_env`,
+`pettingzoo_env` (the faces).
 """
 
 from typing import TYPE_CHECKING
@@ -13,15 +14,18 @@ from halfseen.lazy import lazy_names
 if TYPE_CHECKING:
     from halfseen.team.config import TeamConfig
     from halfseen.team.drop_outs import cut_at_drop_outs
+    from halfseen.team.each_alone import EachAlone
     from halfseen.team.own_part import alone
     from halfseen.team.policy import ExploringTeam, TeamOfRules, TeamPolicy, UniformTeam
     from halfseen.team.robots import Robot
     from halfseen.team.state import TeamState, Workspace
+    from halfseen.team.task import TeamTask
     from halfseen.team.team import Team
     from halfseen.team.team_file import read_team
     from halfseen.team.team_world import TeamWorld
 
 __all__ = [
+    "EachAlone",
     "ExploringTeam",
     "Robot",
     "Team",
@@ -29,6 +33,7 @@ __all__ = [
     "TeamOfRules",
     "TeamPolicy",
     "TeamState",
+    "TeamTask",
     "TeamWorld",
     "UniformTeam",
     "Workspace",
@@ -40,6 +45,7 @@ __all__ = [
 __getattr__ = lazy_names(
     __name__,
     {
+        "EachAlone": "each_alone",
         "ExploringTeam": "policy",
         "Robot": "robots",
         "Team": "team",
@@ -47,6 +53,7 @@ __getattr__ = lazy_names(
         "TeamOfRules": "policy",
         "TeamPolicy": "policy",
         "TeamState": "state",
+        "TeamTask": "task",
         "TeamWorld": "team_world",
         "UniformTeam": "policy",
         "Workspace": "state",

@@ -35,7 +35,7 @@ from halfseen.team.state import TeamState
 from halfseen.world.action_space import TARGETED, ActionSpace, Verb
 from halfseen.world.grasp_model import GraspModel
 
-NUM_WASH, NUM_LIFT, NUM_TEAM, NUM_WAIT, NUM_FINISH = 12, 5, 18, 8, 2
+NUM_WASH, NUM_LIFT, NUM_TEAM, NUM_WAIT, NUM_FINISH = 12, 6, 18, 8, 2
 NUM_FEATURES = NUM_WASH + NUM_LIFT + NUM_TEAM + 2 + 2 + NUM_WAIT + NUM_FINISH + 1
 
 _WIN_EASE, _SOON = 3, 9

@@ -46,8 +46,7 @@ class LinearTeamPolicy:
         """Q of every action, less its margin, measured from leaving the table; −∞ where it is not chosen from."""
         features, allowed = team_features(state, self.grasp), worthwhile_actions(state)
         one_block = jnp.zeros(len(allowed), dtype=jnp.int32)
-        left = jnp.sum(jnp.where(state.robots.is_gone, 0, state.robots.decisions_to_go))
-        to_go = jnp.clip(left, 1, len(self.coefficients)) - 1
+        to_go = jnp.clip(jnp.sum(state.robots.decisions_to_go), 1, len(self.coefficients)) - 1
         q = q_values(self.coefficients[to_go], features, one_block)
         if self.is_seen is not None:
             verbs = jnp.append(jnp.asarray(ActionSpace(state.table.num_objects).verbs), WAIT)

@@ -155,6 +155,39 @@ class CensoredQLearner(Estimator):
         return cls(horizon, task, **parameters)
 
     @classmethod
+    def for_team(
+        cls,
+        num_robots: int,
+        horizon: int = 10,
+        *,
+        grasp: Any = AUTO,
+        reduces_variance: bool = True,
+        **parameters: Any,
+    ) -> "CensoredQLearner":
+        """Make a learner for logs of several robots at one table (see `halfseen.team.TeamTask`).
+
+        Parameters
+        ----------
+        num_robots
+            K.
+        horizon
+            Decisions of each robot; T is K times as many.
+        grasp, reduces_variance
+            Of the task.
+        **parameters
+            Of the learner.
+
+        Raises
+        ------
+        ArgumentError
+            There is no robot.
+        """
+        if num_robots < 1:
+            raise ArgumentError(f"num_robots is {num_robots}; a team has at least 1")
+        task = named_task("team", grasp=grasp, reduces_variance=reduces_variance)
+        return cls(num_robots * horizon, task, **parameters)
+
+    @classmethod
     def of_paper(
         cls,
         horizon: int,

@@ -1,0 +1,103 @@
+"""A team learns: better than what logged it, only what is possible, the same again, and nothing that it never saw."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from played_teams import NUM_OBJECTS, SCENE, logged, played, team_of
+
+from halfseen.errors import ArgumentError
+from halfseen.learners import CensoredQLearner
+from halfseen.planners.heuristics import GreedyPolicy
+from halfseen.team import EachAlone, ExploringTeam, TeamOfRules, UniformTeam, Workspace, episodes
+from halfseen.team.actions import possible_actions
+from halfseen.team.recording import states_of
+from halfseen.team.state import TeamLayout
+from halfseen.world import UniformPolicy, WorldConfig
+from halfseen.world.action_space import ActionSpace, Verb
+from halfseen.world.episodes import evaluate
+from halfseen.world.state import pad_scenes
+
+REACH = np.array([[1, 1, 1, 0], [0, 1, 1, 1]], dtype=bool)
+LAYOUT = TeamLayout(pad_scenes([SCENE]), Workspace(jnp.asarray(REACH)[None], jnp.eye(NUM_OBJECTS, dtype=bool)[None]))
+TEAM = team_of(2)
+RULE = GreedyPolicy(WorldConfig(horizon=5), uses_history=True, counts_penalty=True)
+
+
+@pytest.fixture(scope="module")
+def logs():
+    return logged(played(TEAM, 200, seed=2, reach=REACH), 0.5)
+
+
+@pytest.fixture(scope="module")
+def learned(logs):
+    return CensoredQLearner.for_team(2, horizon=5).fit(logs)
+
+
+def earned(policy, num_episodes=1000):
+    return np.asarray(episodes.evaluate(TEAM, LAYOUT, policy, jax.random.key(11), num_episodes).reward)
+
+
+def test_it_earns_more_than_what_logged_it(learned):
+    gain = earned(learned.policy_) - earned(ExploringTeam(TeamOfRules(RULE)))
+    assert gain.mean() > 4.0 * gain.std(ddof=1) / np.sqrt(len(gain))
+
+
+def test_the_same_log_gives_the_same_policy(logs, learned):
+    again = CensoredQLearner.for_team(2, horizon=5).fit(logs).policy_
+    for ours, theirs in zip(jax.tree.leaves(learned.policy_), jax.tree.leaves(again), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_it_takes_what_is_possible(logs, learned):
+    states = states_of(logs, 10)
+    at = np.nonzero(np.asarray(states.table.is_on_table).any(axis=-1))
+    some = jax.tree.map(lambda leaf: leaf[at], states)
+    action = jax.vmap(learned.policy_.decide)(some, jax.random.split(jax.random.key(0), len(at[0]))).action
+    assert np.take_along_axis(np.asarray(jax.vmap(possible_actions)(some)), np.asarray(action)[:, None], axis=1).all()
+
+
+def test_what_was_never_seen_completed_has_no_value():
+    never_lifts = played(TEAM, 120, seed=8, reach=REACH)
+    logs = logged(never_lifts, 0.3)
+    kept = logs.stages.groupby("path")["action"].transform(lambda actions: not (actions == Verb.LIFT.name).any())
+    some = logs.select(logs.stages.loc[kept, "path"].unique())
+    learner = CensoredQLearner.for_team(2, horizon=5).fit(some)
+    assert [told.split(" was ")[0] for told in learner.unseen_] == ["LIFT"]
+    played_anew = episodes.play(TEAM, LAYOUT, learner.policy_, jax.random.key(1), 100)
+    verbs = np.asarray(ActionSpace(NUM_OBJECTS).verb(played_anew.action))[np.asarray(played_anew.is_taken)]
+    assert not (verbs == Verb.LIFT).any()
+
+
+def test_a_team_has_a_robot():
+    with pytest.raises(ArgumentError, match="num_robots is 0"):
+        CensoredQLearner.for_team(0)
+
+
+def test_one_robot_alone_does_what_it_does_as_a_team_of_one():
+    one = team_of(1)
+    everything = Workspace(jnp.ones((1, 1, NUM_OBJECTS), dtype=bool), jnp.eye(NUM_OBJECTS, dtype=bool)[None])
+    alone = episodes.evaluate(
+        one, TeamLayout(pad_scenes([SCENE]), everything), EachAlone((RULE,)), jax.random.key(3), 200
+    )
+    single = evaluate(one.world, pad_scenes([SCENE]), RULE, jax.random.key(3), 200)
+    np.testing.assert_allclose(alone.reward, single.reward, atol=1e-4)
+
+
+def test_each_for_itself_does_what_is_possible_and_keeps_its_own_policy():
+    each = EachAlone((RULE, UniformPolicy()))
+    paths = episodes.play(TEAM, LAYOUT, each, jax.random.key(5), 60)
+    taken = np.asarray(paths.is_taken)
+    possible = np.asarray(jax.vmap(jax.vmap(possible_actions))(paths.states))
+    assert np.take_along_axis(possible, np.asarray(paths.action)[..., None], axis=2)[..., 0][taken].all()
+    by = np.asarray(paths.probability)[taken], np.asarray(paths.states.decider)[taken]
+    assert (by[0][by[1] == 0] == 1.0).all()
+    assert (by[0][by[1] == 1] < 1.0).any()
+    with pytest.raises(ArgumentError, match="policies is"):
+        EachAlone(())
+
+
+@pytest.mark.slow
+def test_it_is_beyond_a_team_that_draws_its_actions(learned):
+    gain = earned(learned.policy_, 4000) - earned(UniformTeam(), 4000)
+    assert gain.mean() > 8.0 * gain.std(ddof=1) / np.sqrt(len(gain))
