@@ -3,8 +3,8 @@
 Read down: `state` (what each robot is at) → `robots`, `team`, `team_file` (who they are, what they reach) → `config` →
 `actions` → `dynamics` (from one decision to the next; drop-outs) → `policy`, `fit` → `episodes` → `recording` (to and
 from logs) → `own_part`, `drop_outs` (parts of a log) → `others`, `makespan`, `features`, `attempts`, `rewards`, `task`,
-`learned_policy` (what a team learns) → `each_alone` (what it is compared with) → `team_world`, `gymnasium_env`,
-`pettingzoo_env` (the faces).
+`learned_policy` (what a team learns) → `each_alone`, `rules`, `rollout` (what it is compared with) → `team_world`,
+`gymnasium_env`, `pettingzoo_env` (the faces).
 """
 
 from typing import TYPE_CHECKING
