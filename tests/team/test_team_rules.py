@@ -100,8 +100,10 @@ def test_what_is_dealt_to_another_is_left_alone_until_that_one_goes():
     paths = episodes.play(config, layouts, RoundRobin(RULE), KEY, 60)
     is_wash = np.asarray(paths.is_taken & (paths.action >= 1) & (paths.action <= NUM_OBJECTS))
     decider, robots = np.asarray(paths.states.decider), paths.states.robots
-    other_goes_on = ~np.take_along_axis(np.asarray(robots.is_done), 1 - decider[..., None], axis=-1)[..., 0]
-    is_dealt = np.equal((np.asarray(paths.action) - 1) % 2, decider)
+    other_goes_on = ~np.take_along_axis(np.asarray(robots.is_done), np.expand_dims(1 - decider, -1), axis=-1).squeeze(
+        -1
+    )
+    is_dealt: np.ndarray = np.equal(np.asarray(paths.action - 1) % 2, decider)
     assert is_dealt[is_wash & other_goes_on].all()
     assert not is_dealt[is_wash & ~other_goes_on].all()
 

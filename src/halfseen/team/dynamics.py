@@ -55,10 +55,11 @@ def start(config: TeamConfig, layout: TeamLayout, key: Array) -> tuple[TeamState
         is_moved=jnp.zeros((size, num_objects, num_objects), dtype=bool),
     )
     state = TeamState(table, robots, layout.workspace, jnp.asarray(0, dtype=jnp.int32))
-    return state, TeamHidden(hidden, pending, _until_out_s(config, jax.random.fold_in(key, _DROP_OUT_KEY)))
+    return state, TeamHidden(hidden, pending, until_out_s(config, jax.random.fold_in(key, _DROP_OUT_KEY)))
 
 
-def _until_out_s(config: TeamConfig, key: Array) -> Float[Array, " K"] | None:
+def until_out_s(config: TeamConfig, key: Array) -> Float[Array, " K"] | None:
+    """Draw until when each robot drops out, which knows nothing of what went before; None where nobody can [s]."""
     if config.drop_out_rate is None:
         return None
     rate = jnp.asarray(config.drop_out_rate, dtype=jnp.float32)
