@@ -8,7 +8,7 @@ import pytest
 
 from halfseen.cell import ArmFile, Robot, SerialArm, cell_model, robot_of
 from halfseen.cell.contacts import ROBOT
-from halfseen.cell.fetching import feels, fetch
+from halfseen.cell.fetching import come, feels, pick_up
 from halfseen.cell.grasps import Grasp, hand_axes
 from halfseen.cell.home import STANDS_M
 from halfseen.cell.live_cell import LiveCell
@@ -163,7 +163,9 @@ def test_it_fetches_a_cup(robots, kind):
     down = hand_axes(np.array([0.0, 0.0, -1.0]), np.array([1.0, 0.0, 0.0]))
     grasp = Grasp("around", np.array([*PLACE_M, CUP.height_m - 0.02]), down, 0.11)
     home, rng = np.array(robot.home_rad), np.random.default_rng(0)
-    fetch(cell, robot, plan([grasp], WORLD_FROM_TABLE, cell.kinematics[robot.name], home, rng))
+    found = plan([grasp], WORLD_FROM_TABLE, cell.kinematics[robot.name], home, rng)
+    cell.carry_out(robot, come(found))
+    cell.carry_out(robot, pick_up(found))
     assert feels(cell, robot, grasp)
     assert cell.cup(0).position_m[2] - TABLE_TOP_M == pytest.approx(0.2, abs=0.02)
     assert 0.06 < cell.opening_m(robot) < 0.085
