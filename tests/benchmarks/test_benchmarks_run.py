@@ -23,6 +23,7 @@ pytestmark = pytest.mark.slow
         ("verdicts.py", "--logs", "2", "--world", "trial", "--share", "1/3", "--setting", "default"),
         ("repetition.py", "--repetitions", "1"),
         ("closed_loop.py", "--tables", "2", "--only", "greedy"),
+        ("team_regret.py", "--horizon", "1", "--futures", "4"),
         ("learners.py", "--logs", "1", "--worlds", "trial", "--shares", "0.3", "--methods", "quadratic, imputed"),
     ],
     ids=lambda words: words[0],
