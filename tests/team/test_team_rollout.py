@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from halfseen.planners.futures import foreseen, future_rewards, imagined
+from halfseen.planners.futures import KnownRewards, foreseen, future_rewards, imagined
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.planners.pomdp import POMDPPolicy
 from halfseen.planners.rollout import sampled_values
@@ -27,7 +27,8 @@ NUM_OBJECTS = 3
 HIDES = np.array([[0.0, 0.5, 0.2], [0.0, 0.0, 0.4], [0.0, 0.0, 0.0]])
 WORLD = WorldConfig(horizon=4)
 RULE = GreedyPolicy(WORLD, uses_history=True, counts_penalty=True)
-KEY = jax.random.key(5)
+KEY, NUM_FUTURES = jax.random.key(5), 1500
+OF_TABLE, OF_TEAM = (KnownRewards(WORLD, table_of) for table_of in (lambda each: each, lambda each: each.table))
 
 
 def layouts_of(num_robots):
@@ -41,7 +42,7 @@ def first_of(layouts):
 
 def test_futures_are_worth_what_rollouts_in_beliefs_are():
     state, _ = one_robot.start(WORLD, first_of(layouts_of(1)).table, KEY)
-    in_beliefs = np.asarray(sampled_values(WORLD, state, KEY, 4000))
+    in_beliefs = np.asarray(sampled_values(WORLD, state, KEY, NUM_FUTURES))
     in_worlds = np.asarray(
         jax.jit(
             lambda key: future_rewards(
@@ -52,11 +53,12 @@ def test_futures_are_worth_what_rollouts_in_beliefs_are():
                 lambda key: imagined(WORLD, state, key),
                 POMDPPolicy(WORLD, planning_horizon=1),
                 key,
-                4000,
+                NUM_FUTURES,
+                OF_TABLE,
             )
         )(KEY)
     )
-    error = np.sqrt(in_beliefs.var(axis=0) + in_worlds.var(axis=0)) / np.sqrt(4000)
+    error = np.sqrt(in_beliefs.var(axis=0) + in_worlds.var(axis=0)) / np.sqrt(NUM_FUTURES)
     np.testing.assert_array_less(np.abs(in_beliefs.mean(axis=0) - in_worlds.mean(axis=0)), 4.0 * error + 1e-4)
 
 
@@ -70,7 +72,9 @@ def test_one_robot_has_the_futures_of_the_dynamics_of_one_robot(seed):
 
     is_possible = possible_of_table(state.table)
     alone = jax.jit(
-        lambda key: future_rewards(ONE_ROBOT, foreseen(WORLD), state.table, is_possible, imagine, RULE, key, 50)
+        lambda key: future_rewards(
+            ONE_ROBOT, foreseen(WORLD), state.table, is_possible, imagine, RULE, key, 50, OF_TABLE
+        )
     )(key)
     team = jax.jit(lambda key: team_future_rewards(config, state, ReservingTeam(config, RULE), key, 50))(key)
     np.testing.assert_allclose(team[:, :-1], alone, rtol=1e-5)
@@ -102,7 +106,7 @@ def test_what_another_is_at_ends_as_its_law_says_given_that_it_has_not_ended():
 
 @pytest.mark.parametrize("stage", [1, 3])
 def test_futures_of_a_team_are_worth_what_comes_of_it(stage):
-    config, num_paths = TeamConfig(WORLD, (1.0, 1.0), reward_per_s=-0.1), 400
+    config, num_paths = TeamConfig(WORLD, (1.0, 1.0), reward_per_s=-0.1), 200
     rule = ReservingTeam(config, RULE)
     paths = episodes.play(config, layouts_of(2), rule, KEY, num_paths)
     is_there = np.asarray(paths.is_taken[:, stage])
@@ -114,7 +118,7 @@ def test_futures_of_a_team_are_worth_what_comes_of_it(stage):
         only = jnp.arange(possible_actions(state).shape[0]) == action
         foreseeing = replace(config, world=foreseen(WORLD))
         return future_rewards(
-            dynamics.TEAM, foreseeing, state, only, lambda key: imagined_team(config, state, key), rule, key, 8
+            dynamics.TEAM, foreseeing, state, only, lambda key: imagined_team(config, state, key), rule, key, 8, OF_TEAM
         )[:, action].mean()
 
     keys = jax.random.split(jax.random.key(11), len(action))

@@ -60,6 +60,34 @@ def imagined(config: WorldConfig, state: TableState, key: Array) -> HiddenState:
     return HiddenState(is_dirty, offset_nodes(config)[node], None)
 
 
+@dataclass(frozen=True)
+class KnownRewards:
+    """Rewards expected given what is seen in a future, in place of those that depend on hidden attributes.
+
+    Whether an attempt holds tells nothing of DIRTY, so that a stage's rewards are expected to be the same: only their
+    noise falls (Rao–Blackwell).
+
+    Parameters
+    ----------
+    world
+        The world.
+    table_of
+        Takes the table out of a state, and what is hidden of it out of a hidden state.
+    """
+
+    world: WorldConfig
+    table_of: Callable[[Any], Any]
+
+    def less_luck(self, before: Any, after: Any, hidden: Any, is_over: Bool[Array, ""]) -> Float[Array, ""]:
+        """What is to be added to the reward of a stage that led from one state to another."""
+        was, now, is_dirty = self.table_of(before), self.table_of(after), self.table_of(hidden).is_dirty
+        washed = self.world.reward_wash_dirty - self.world.reward_wash_clean
+        is_washed, is_left = was.is_on_table & ~now.is_on_table, now.is_on_table & is_over
+        of_washed = jnp.sum(jnp.where(is_washed, jax.nn.sigmoid(was.log_odds) - is_dirty, 0.0))
+        of_left = jnp.sum(jnp.where(is_left, jax.nn.sigmoid(now.log_odds) - is_dirty, 0.0))
+        return washed * of_washed + self.world.reward_dirty_left * of_left
+
+
 def future_rewards(
     dynamics: Dynamics,
     config: Any,
@@ -69,6 +97,7 @@ def future_rewards(
     policy: Any,
     key: Array,
     num_futures: int,
+    rewards: KnownRewards,
 ) -> Float[Array, "S A"]:
     """Reward to the path's end of each action followed by a policy, in each of S futures; −∞ where it is impossible.
 
@@ -92,11 +121,15 @@ def future_rewards(
         What is drawn from.
     num_futures
         S.
+    rewards
+        What takes the luck of attributes out of what a future earns.
     """
     keys = jax.random.split(key, num_futures)
 
     def futures(action: Int[Array, ""]) -> Float[Array, " S"]:
-        return jax.vmap(lambda key: _future_reward(dynamics, config, state, action, imagine, policy, key))(keys)
+        return jax.vmap(lambda key: _future_reward(dynamics, config, state, action, imagine, policy, key, rewards))(
+            keys
+        )
 
     def tried(action: Int[Array, ""]) -> Float[Array, " S"]:
         nothing = jnp.full(num_futures, -jnp.inf, dtype=jnp.float32)
@@ -114,6 +147,7 @@ def _future_reward(
     imagine: Callable[[Array], Any],
     policy: Any,
     key: Array,
+    rewards: KnownRewards,
 ) -> Float[Array, ""]:
     hidden_key, world_key, policy_key = jax.random.split(key, 3)
 
@@ -122,9 +156,11 @@ def _future_reward(
 
     def advance(carry: tuple[Any, ...]) -> tuple[Any, ...]:
         state, hidden, action, _, total, t = carry
+        before = state
         state, hidden, outcome = dynamics.step(config, state, hidden, action, jax.random.fold_in(world_key, t))
+        reward = outcome.reward + rewards.less_luck(before, state, hidden, outcome.is_over)
         action = policy.decide(state, jax.random.fold_in(policy_key, t)).action.astype(action.dtype)
-        return state, hidden, action, outcome.is_over, total + outcome.reward, t + 1
+        return state, hidden, action, outcome.is_over, total + reward, t + 1
 
     begin = state, imagine(hidden_key), action, jnp.asarray(False), jnp.zeros(()), jnp.asarray(0)
     return jax.lax.while_loop(goes_on, advance, begin)[4]

@@ -7,7 +7,9 @@ Backwards over what all robots know, which is enough as all know the same [Small
 Each thing that may be known is valued once.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +22,7 @@ from halfseen.team.policy import TeamPolicy
 from halfseen.team.state import Robots, TeamState, Workspace
 from halfseen.world.state import NO_ATTEMPT, TableState
 
-_ASKED_AT_ONCE = 128
+_ASKED_AT_ONCE, _ASKED_IN_STEP = 128, 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +85,8 @@ def team_policy_value(team: SmallTeam, policy: TeamPolicy, key: Array | None = N
         The policy chose an action that is not possible.
     """
     key = jax.random.key(0) if key is None else key
-    decide = jax.jit(lambda states, keys: jax.lax.map(lambda each: policy.decide(*each).action, (states, keys)))
+    asked = partial(jax.lax.map, lambda each: policy.decide(*each).action, batch_size=_ASKED_IN_STEP)
+    decide = jax.jit(lambda *states_and_keys: asked(states_and_keys))
     total, reached = 0.0, _reached(team.first())
     for depth in range(team.config.num_stages):
         if not reached:
@@ -139,7 +142,7 @@ def _reached(branches: list[Branch]) -> dict[Known, float]:
     return masses
 
 
-def _asked(team: SmallTeam, reached: list[Known], decide, key: Array) -> list[int]:
+def _asked(team: SmallTeam, reached: list[Known], decide: Callable[..., Array], key: Array) -> list[int]:
     """What a policy does in each; asked many at a time, and always as many, so that it is compiled once."""
     actions: list[int] = []
     for begin in range(0, len(reached), _ASKED_AT_ONCE):

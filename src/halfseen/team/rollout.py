@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from halfseen.planners.futures import foreseen, future_rewards, imagined
+from halfseen.planners.futures import KnownRewards, foreseen, future_rewards, imagined
 from halfseen.team.actions import WAIT, possible_actions
 from halfseen.team.config import TeamConfig
 from halfseen.team.dynamics import TEAM, until_out_s
@@ -73,7 +73,8 @@ def team_future_rewards(
     def imagine(key: Array) -> TeamHidden:
         return imagined_team(config, state, key)
 
-    return future_rewards(TEAM, foreseeing, state, possible_actions(state), imagine, rule, key, num_futures)
+    is_possible, rewards = possible_actions(state), KnownRewards(config.world, lambda each: each.table)
+    return future_rewards(TEAM, foreseeing, state, is_possible, imagine, rule, key, num_futures, rewards)
 
 
 def imagined_team(config: TeamConfig, state: TeamState, key: Array) -> TeamHidden:
