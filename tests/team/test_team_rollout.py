@@ -145,7 +145,7 @@ def test_a_team_that_looks_ahead_earns_more_than_its_rule():
     config = TeamConfig(WORLD, (1.0, 1.0), reward_per_s=-0.1)
     rule = ReservingTeam(config, RULE)
     ahead, plain = (
-        np.asarray(episodes.evaluate(config, layouts_of(2), policy, KEY, 1000).reward)
+        np.asarray(episodes.evaluate(config, layouts_of(2), policy, KEY, 400).reward)
         for policy in (RolloutTeam(config, rule), rule)
     )
     gained = ahead - plain
