@@ -24,6 +24,7 @@ pytestmark = pytest.mark.slow
         ("repetition.py", "--repetitions", "1"),
         ("closed_loop.py", "--tables", "2", "--only", "greedy"),
         ("team_regret.py", "--horizon", "1", "--futures", "4"),
+        ("teams.py", "--robots", "2", "--price", "-0.05", "--paths", "60", "--logs", "1", "--episodes", "50"),
         ("learners.py", "--logs", "1", "--worlds", "trial", "--shares", "0.3", "--methods", "quadratic, imputed"),
     ],
     ids=lambda words: words[0],
