@@ -55,7 +55,9 @@ class BruteForceTeam:
     def _best(self, mass, there, robots):
         """Value where somebody decides."""
         free = [r for r, (to_go, verb, _, _) in enumerate(robots) if verb == "FREE" and to_go > 0]
-        return max(self._begin(mass, there, robots, free[0], *action) for action in self._possible(there, robots, free[0]))
+        return max(
+            self._begin(mass, there, robots, free[0], *action) for action in self._possible(there, robots, free[0])
+        )
 
     def _possible(self, there, robots, r):
         others = [robot for k, robot in enumerate(robots) if k != r]
@@ -86,7 +88,10 @@ class BruteForceTeam:
         base = law.base
         scale = np.exp(base.log_time + base.log_time_per_occlusion * self.occlusion(there, target) - grips[target])
         missed = np.exp(-base.limit_s / scale)
-        held = [((True, (rest + time) / speed), (1 - missed) * share) for time, share in zip(law.held_s, law.held_share)]
+        held = [
+            ((True, (rest + time) / speed), (1 - missed) * share)
+            for time, share in zip(law.held_s, law.held_share, strict=True)
+        ]
         return [*held, ((False, (rest + law.limit_s) / speed), missed)]
 
     def _go_on(self, mass, there, robots):
@@ -116,7 +121,7 @@ class BruteForceTeam:
         return first, passed, key[2][first], frozenset(up)
 
     def _event(self, mass, there, robots, first, passed, end, up):
-        to_go, verb, target, _ = robots[first]
+        _, verb, target, _ = robots[first]
         total = sum(mass.values())
         dirty = sum(m for key, m in mass.items() if key[0][target])
         reward = self.config.reward_per_s * passed * total

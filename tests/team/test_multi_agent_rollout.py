@@ -88,7 +88,9 @@ def test_the_best_of_futures_is_chosen_where_it_is_clear():
     policy = TeamRollout(team, ReservingTeam(GreedyPolicy(team.world)), num_rollouts=64)
     is_possible = possible_actions(state)
     every = jnp.arange(len(is_possible), dtype=jnp.int32)
-    worth = np.asarray(future_worths(team, policy.base, state, every, is_possible, jax.random.key(9), 2000)).mean(axis=0)
+    worth = np.asarray(future_worths(team, policy.base, state, every, is_possible, jax.random.key(9), 2000)).mean(
+        axis=0
+    )
     chosen = int(jax.jit(policy.decide)(state, jax.random.key(3)).action)
     assert bool(is_possible[chosen])
     assert worth[chosen] > worth.max() - 0.3

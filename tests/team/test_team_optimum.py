@@ -1,4 +1,4 @@
-"""The optimum of a team is what brute force finds, that of one robot is what `solve_table` finds, policies are valued exactly."""
+"""The optimum of a team is what brute force finds, of one robot what `solve_table` finds; values are exact."""
 
 import jax
 import jax.numpy as jnp
@@ -126,7 +126,11 @@ def test_what_cannot_be_solved_is_refused():
 
 @pytest.mark.parametrize(
     ("numbers", "told"),
-    [({"held_share": (0.5, 0.6)}, "held_share is"), ({"held_s": (2.0, 7.0)}, "held_s is"), ({"held_s": (2.0,)}, "one share")],
+    [
+        ({"held_share": (0.5, 0.6)}, "held_share is"),
+        ({"held_s": (2.0, 7.0)}, "held_s is"),
+        ({"held_s": (2.0,)}, "one share"),
+    ],
 )
 def test_a_grid_that_is_none_is_refused(numbers, told):
     with pytest.raises(ArgumentError, match=told):

@@ -1,4 +1,4 @@
-"""Rules of a team: what is possible is chosen, one robot alone is the rule of one robot, and nobody waits for nothing."""
+"""Rules of a team: what is possible is chosen, a team of one is the rule of one, and nobody waits for nothing."""
 
 from dataclasses import replace
 
@@ -38,7 +38,13 @@ def layouts_of(num_robots):
     return TeamLayout(pad_scenes([SCENE]), Workspace(jnp.asarray(reach), jnp.asarray(near[None])))
 
 
-POLICIES = [ReservingTeam(RULE), ReservingTeam(RULE, -0.2), RoundRobin(RULE), MyopicTeam(WORLD), MyopicTeam(WORLD, -0.2)]
+POLICIES = [
+    ReservingTeam(RULE),
+    ReservingTeam(RULE, -0.2),
+    RoundRobin(RULE),
+    MyopicTeam(WORLD),
+    MyopicTeam(WORLD, -0.2),
+]
 
 
 @pytest.mark.parametrize("num_robots", [1, 2, 3])

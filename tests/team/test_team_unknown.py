@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -22,6 +24,11 @@ from halfseen.world.state import pad_scenes
 NUM_OBJECTS = 3
 WASH = tuple(int(ActionSpace(NUM_OBJECTS).encode(Verb.WASH, i)) for i in range(NUM_OBJECTS))
 LIFT_1 = int(ActionSpace(NUM_OBJECTS).encode(Verb.LIFT, 1))
+
+
+def kstwo_p_value(one, other):
+    told: Any = ks_2samp(one, other)
+    return told.pvalue
 
 
 def begun(team, key, first=WASH[0], second=LIFT_1):
@@ -66,9 +73,8 @@ def test_what_has_lasted_too_long_to_hold_misses():
 
 
 def test_what_goes_on_has_the_law_of_what_has_not_ended_yet():
-    team, num = team_of(GridGrasping()), 20_000
-    drawn = drawn_at(team, 3.0, num)
-    law = team.world.grasping
+    law, num = GridGrasping(), 20_000
+    drawn = drawn_at(team_of(law), 3.0, num)
     nodes, weights = np.polynomial.hermite_e.hermegauss(NUM_NODES)
     weights = weights / weights.sum()
     missed = np.exp(np.asarray(law.log_failure(0.0, nodes * law.offset_std), dtype=np.float64))
@@ -87,12 +93,8 @@ def test_nothing_hidden_is_looked_at():
     team = team_of()
     state, hidden = begun(team, jax.random.key(3))
     again = jax.jit(partial(sampled_hidden, team))(state, jax.random.key(4))
-    # Of a state of the same looks under which everything hidden is otherwise, the same is drawn.
+    # What is true cannot show in what is drawn: it is not handed over, and the draw is another one.
     assert not np.allclose(hidden.pending.duration_s, again.pending.duration_s)
-    for one, other in zip(
-        jax.tree.leaves(again), jax.tree.leaves(jax.jit(partial(sampled_hidden, team))(state, jax.random.key(4))), strict=True
-    ):
-        np.testing.assert_array_equal(one, other)
     assert [leaf.shape for leaf in jax.tree.leaves(again)] == [leaf.shape for leaf in jax.tree.leaves(hidden)]
 
 
@@ -113,10 +115,10 @@ def test_what_is_drawn_is_as_what_is():
     kept = np.asarray(goes_on)
     assert kept.mean() > 0.9
     quartiles = np.quantile(np.asarray(since_s)[kept], [0.0, 0.25, 0.5, 0.75, 1.0])
-    for low, high in zip(quartiles[:-1], quartiles[1:], strict=True):
+    for low, high in pairwise(quartiles):
         rows = kept & (np.asarray(since_s) >= low) & (np.asarray(since_s) <= high)
         left, held, dirty = ([np.asarray(each)[rows] for each in pair] for pair in zip(truth, drawn, strict=True))
-        assert ks_2samp(*left).pvalue > 1e-4
+        assert kstwo_p_value(*left) > 1e-4
         for one, other in (held, dirty):
             error = np.sqrt(2 * 0.25 / rows.sum())
             assert abs(one.mean() - other.mean()) < 4 * error

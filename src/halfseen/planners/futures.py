@@ -61,8 +61,8 @@ def as_expected(
 ) -> Float[Array, ""]:
     """What a future is worth once what it drew of being dirty is integrated out, given all that was seen in it.
 
-    The mean over futures stays, and most of their noise goes (Rao–Blackwell): an object's log-odds say all that was seen
-    of it, up to the moment in which it left.
+    The mean over futures stays, and much of their noise goes (Rao–Blackwell): an object's log-odds say all that was
+    seen of it, up to the moment in which it left.
 
     Parameters
     ----------

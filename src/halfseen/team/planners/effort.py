@@ -10,9 +10,7 @@ from halfseen.world.number import Number
 from halfseen.world.state import occlusion
 
 
-def effort(
-    config: WorldConfig, state: TeamState, reward_per_s: Number, grip: Grip | None = None
-) -> Float[Array, " N"]:
+def effort(config: WorldConfig, state: TeamState, reward_per_s: Number, grip: Grip | None = None) -> Float[Array, " N"]:
     """Price of the seconds of an attempt at each object of one table, 0 or above.
 
     While several robots go on, an attempt of one adds to the table's clock about its share of its seconds.

@@ -67,9 +67,7 @@ def _known_of(model: GridTeam, node: TeamNode, robot: int, ended: int, passed_s:
     ]
 
 
-def _event(
-    model: GridTeam, node: TeamNode, robot: int, end: End, passed_s: float, joint: tuple[_Known, ...]
-) -> Event:
+def _event(model: GridTeam, node: TeamNode, robot: int, end: End, passed_s: float, joint: tuple[_Known, ...]) -> Event:
     """What comes of it; its probability is left open."""
     doing = node.doings[robot]
     reward: Grid = np.full((1,) * len(node.tally), float(model.config.reward_per_s) * passed_s)

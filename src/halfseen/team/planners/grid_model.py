@@ -1,10 +1,10 @@
 """A small table before a team whose attempts take times on a grid, and all that must be known of a path to solve it.
 
-Of the table that is what is known for one robot (`planners.optimum_model`): a tally of looks and attempts, and a grid of
-labels. Of each robot it is what it is at, how far its object was hidden when it began, for how long it has been at it,
-and which of the ways in which its attempt may end are still open: it has not ended yet, and at the last look the object
-was in the air, or it was not. (That look tells labels of what is held up and of what it no longer hides, so whoever
-knows the labels knows that.)
+Of the table that is what is known for one robot (`planners.optimum_model`): a tally of looks and attempts, and a grid
+of labels. Of each robot it is what it is at, how far its object was hidden when it began, for how long it has
+been at it, and which of the ways in which its attempt may end are still open: it has not ended yet, and at the last
+look the object was in the air, or it was not. (That look tells labels of what is held up and of what it no
+longer hides, so whoever knows the labels knows that.)
 """
 
 from dataclasses import dataclass
@@ -124,13 +124,20 @@ class GridTeam:
     is_near: Bool[np.ndarray, "N N"]
 
     def __post_init__(self) -> None:
-        if not isinstance(self.config.world.grasping, GridGrasping):
-            raise ArgumentError(
-                f"grasping is {type(self.config.world.grasping).__name__}, whose attempts may take any time; a team is "
-                "solved under GridGrasping"
-            )
+        assert self.law is not None
         if self.config.drop_out_rate is not None:
             raise ArgumentError("drop_out_rate is given; a team is solved whose robots do not drop out")
+
+    @property
+    def law(self) -> GridGrasping:
+        """How attempts go."""
+        law = self.config.world.grasping
+        if not isinstance(law, GridGrasping):
+            raise ArgumentError(
+                f"grasping is {type(law).__name__}, whose attempts may take any time; a team is solved under "
+                "GridGrasping"
+            )
+        return law
 
     @cached_property
     def transport_s(self) -> tuple[float, ...]:
@@ -139,7 +146,7 @@ class GridTeam:
 
     @cached_property
     def _attempt_ends(self) -> tuple[tuple[End, ...], ...]:
-        law, transport_s = self.config.world.grasping, float(self.config.world.transport_s)
+        law, transport_s = self.law, float(self.config.world.transport_s)
         times = [*((True, float(time)) for time in law.held_s), (False, float(law.limit_s))]
         return tuple(
             tuple(End(is_held, round((transport_s + time) / float(speed), _DIGITS)) for is_held, time in times)
@@ -149,7 +156,7 @@ class GridTeam:
     @cached_property
     def _share_of_end(self) -> tuple[dict[End, float], ...]:
         """Probability of each end, given whether it holds."""
-        shares = [*map(float, self.config.world.grasping.held_share), 1.0]
+        shares = [*map(float, self.law.held_share), 1.0]
         return tuple(dict(zip(ends, shares, strict=True)) for ends in self._attempt_ends)
 
     def shares(self, tally: Tally, robot: int, doing: Doing) -> list[float]:

@@ -162,8 +162,8 @@ class _Values:
         if self.num_cells > self.max_cells:
             raise ArgumentError(
                 f"{self.model.world.num_objects} objects, {self.model.config.num_robots} robots and "
-                f"{self.model.config.world.horizon} decisions of each have more than {self.max_cells:,} states; shorten "
-                "the horizon or take fewer objects"
+                f"{self.model.config.world.horizon} decisions of each have more than {self.max_cells:,} states; "
+                "shorten the horizon or take fewer objects"
             )
 
 

@@ -1,10 +1,10 @@
 """The look-ahead of one step for the robot that decides, with WAIT among its actions and the seconds paid.
 
 As `planners.one_step` has it, what lies beyond the step is valued by V_0: each object is left, or tried once, whichever
-is worth more, by whoever reaches it; now a try costs the price of its seconds, too. What another robot is washing counts
-for nobody, since it is tried already. FINISH leaves to the others what they reach. WAIT gains the labels of the next
-look for nothing but the seconds in which this robot is idle: at no price of seconds it is never worse than to begin at
-once with what another label may change one's mind about.
+is worth more, by whoever reaches it; now a try costs the price of its seconds, too. What another robot is washing
+counts for nobody, since it is tried already. FINISH leaves to the others what they reach. WAIT gains the
+labels of the next look for nothing but the seconds in which this robot is idle: at no price of seconds it is never
+worse than to begin at once with what another label may change one's mind about.
 
 With one robot and no price it is `one_step.one_step_q`, but for what is common to all actions.
 """

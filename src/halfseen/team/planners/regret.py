@@ -126,9 +126,7 @@ def _asked(optimum: TeamOptimum, policy: TeamPolicy, key: jax.Array) -> float:
     return optimum.policy_value(policy, key)
 
 
-def _played(
-    config: TeamConfig, table: SmallTable, policy: TeamPolicy, key: jax.Array, num_played: int
-) -> np.ndarray:
+def _played(config: TeamConfig, table: SmallTable, policy: TeamPolicy, key: jax.Array, num_played: int) -> np.ndarray:
     """What a policy earns each time, what is drawn of being dirty integrated out."""
     layout = TeamLayout(jax.tree.map(lambda leaf: leaf[0], pad_scenes([table.scene])), table.workspace)
     return np.asarray(_earned(config, layout, policy, jax.random.split(key, num_played)), dtype=np.float64)

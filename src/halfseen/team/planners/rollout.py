@@ -4,9 +4,9 @@ The robot that decides tries each of its actions in futures in which it and all 
 Where several robots are free at once they decide in order, each knowing what those before it chose, as the state tells
 it. So a decision costs as many futures as one robot has actions, not as many as all robots have together.
 
-A future is played by the dynamics of the world from what nobody knows (`unknown`), drawn from what is seen; every action
-meets the same draws. An action replaces the rule's own only where it is better by more than its noise: an improvement
-that is not there is what errors look like.
+A future is played by the dynamics of the world from what nobody knows (`unknown`), drawn from what is seen; every
+action meets the same draws. An action replaces the rule's own only where it is better by more than its noise:
+an improvement that is not there is what errors look like.
 """
 
 from dataclasses import dataclass, field

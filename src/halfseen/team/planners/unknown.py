@@ -1,4 +1,4 @@
-"""What nobody knows of a table before a team, drawn from what is seen: attributes, grips, and how what goes on will end.
+"""What nobody knows of a table before a team, drawn from what is seen: attributes, grips, how what goes on will end.
 
 An attempt that goes on has not ended yet, and that tells: of all ways in which it might have gone, those that would be
 over by now are out. So pairs of a grip and an attempt with it are drawn as if the attempt began now, and the first that
