@@ -128,6 +128,30 @@ def draw_extras() -> Figure:
     return made
 
 
+SHOWN_OF_TEAMS = {
+    ("1", "rule, reserving"): "one robot: rule",
+    ("1", "learned, one Q"): "one robot: learned",
+    ("2", "rule, reserving"): "two: rule",
+    ("2", "learned, one Q"): "two: learned, one Q",
+    ("2", "learned, each alone"): "two: learned, each alone",
+}
+
+
+def draw_teams() -> Figure:
+    """Draw what one and two robots earn where a second costs .05, and the seconds that they take."""
+    _, *rows = table_of("several-robots", "<!-- teams.py -->")
+    made, axes = panel(2.3, "points above leaving the table, price of seconds included")
+    for place, (key, name) in enumerate(SHOWN_OF_TEAMS.items()):
+        (row,) = (each for each in rows if (each[0], each[2]) == key and each[1] != "0")
+        points, error = numbers_in(row[3])
+        axes.barh(place, points, 0.62, color=BLUE if "learned" in name else SOFT)
+        axes.plot([points - 1.96 * error, points + 1.96 * error], [place, place], color=INK, lw=1.2)
+        axes.text(0.3, place, f"{name}, {round(numbers_in(row[5])[0])} s", va="center", color="white", fontsize=9.0)
+    axes.set_yticks([])
+    axes.invert_yaxis()
+    return made
+
+
 ASKS_FOR = {
     "watch": ("watch",),
     "report": ("study",),
@@ -148,4 +172,5 @@ PICTURES = (
     plot("said-to-be-best", draw_calibration),
     plot("push", draw_push),
     plot("extras", draw_extras),
+    plot("several-robots", draw_teams),
 )
