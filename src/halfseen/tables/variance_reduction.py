@@ -17,8 +17,7 @@ Both rest on p being a probability: of the objects at p, the share p is dirty. W
 themselves, Q is learned without a bias from them by ``reduces_variance=False``.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
-from typing import TypeAlias
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -28,9 +27,6 @@ from halfseen.tables.features import WASH_DIRTY, WASH_EASE
 from halfseen.world.action_space import ActionSpace, Verb
 
 NUM_OUTCOMES = 3
-
-WeightedRows: TypeAlias = tuple[Float[np.ndarray, "R Z"], Float[np.ndarray, " R"], Float[np.ndarray, " R"]]
-"""Numbers of each row, what they foretell, and weights."""
 
 
 def wash_outcomes(encoded: Encoded) -> Float[np.ndarray, "n T 3"]:
@@ -107,32 +103,41 @@ def wash_pay(parts: Iterable[RewardedStages]) -> tuple[float, ...]:
     parts
         A log, whole or in parts.
     """
-    return regressed(_washes(parts), NUM_OUTCOMES)
-
-
-def _washes(parts: Iterable[RewardedStages]) -> Iterator[WeightedRows]:
+    kept = no_rows(NUM_OUTCOMES)
     for stages in parts:
         outcome = wash_outcomes(stages.encoded)
         use = _is_reduced(stages, outcome)
-        yield outcome[use], stages.reward[use], stages.weight[use]
+        kept = with_rows(kept, outcome[use], stages.reward[use], stages.weight[use])
+    return coefficients_of(kept[:, :-1], kept[:, -1])
 
 
-def regressed(parts: Iterable[WeightedRows], num_columns: int) -> tuple[float, ...]:
-    """Least squares of weighted rows that come in parts: the coefficients.
+def no_rows(num_columns: int) -> Float[np.ndarray, "0 Z1"]:
+    """Begin a regression whose rows come in parts."""
+    return np.zeros((0, num_columns + 1))
+
+
+def with_rows(
+    kept: Float[np.ndarray, "K Z1"],
+    numbers: Float[np.ndarray, "R Z"],
+    told: Float[np.ndarray, " R"],
+    weight: Float[np.ndarray, " R"],
+) -> Float[np.ndarray, "K2 Z1"]:
+    """Add rows to a regression, and keep few of those before, with the same normal equations.
 
     Parameters
     ----------
-    parts
-        Numbers of each row, what they foretell, and weights.
-    num_columns
-        How many numbers a row has.
+    kept
+        Of the parts before: numbers and, last, what they foretell, weighted.
+    numbers, told, weight
+        Of the rows that are added.
     """
-    kept = np.zeros((0, num_columns + 1))
-    for numbers, told, weight in parts:
-        rows = np.column_stack([numbers, told]) * np.sqrt(weight)[:, None]
-        # What is kept of the parts before has the same normal equations as their rows.
-        kept = np.vstack([np.linalg.qr(kept, mode="r"), rows]) if len(kept) else rows
-    return tuple(np.linalg.lstsq(kept[:, :-1], kept[:, -1], rcond=None)[0].tolist())
+    rows = np.column_stack([numbers, told]) * np.sqrt(weight)[:, None]
+    return np.vstack([np.linalg.qr(kept, mode="r"), rows]) if len(kept) else rows
+
+
+def coefficients_of(numbers: Float[np.ndarray, "K Z"], told: Float[np.ndarray, " K"]) -> tuple[float, ...]:
+    """Least squares; 0 where there are no rows."""
+    return tuple(np.linalg.lstsq(numbers, told, rcond=None)[0].tolist())
 
 
 def expected_rewards(stages: RewardedStages, pays: Sequence[float]) -> Float[np.ndarray, "n T"]:

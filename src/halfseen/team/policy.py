@@ -12,7 +12,7 @@ from halfseen.team.actions import possible_actions, wait_of
 from halfseen.team.state import TeamState
 from halfseen.world.action_space import FINISH, ActionSpace, Verb
 from halfseen.world.number import Number
-from halfseen.world.policy import Decision, surely
+from halfseen.world.policy import Decision, mixed, surely, uniformly
 
 
 @runtime_checkable
@@ -31,9 +31,7 @@ class UniformTeam:
 
     def decide(self, state: TeamState, key: Array) -> Decision:
         """Choose uniformly at random."""
-        is_possible = possible_actions(state)
-        action = jax.random.categorical(key, jnp.where(is_possible, 0.0, -jnp.inf))
-        return Decision(action.astype(jnp.int32), 1.0 / jnp.sum(is_possible))
+        return uniformly(possible_actions(state), key)
 
 
 @jax.tree_util.register_dataclass
@@ -56,10 +54,7 @@ class ExploringTeam:
         """Choose, and report the probability of that choice under the mixture."""
         base_key, coin_key, uniform_key = jax.random.split(key, 3)
         base, uniform = self.base.decide(state, base_key), UniformTeam().decide(state, uniform_key)
-        is_random = jax.random.uniform(coin_key) < self.random_share
-        action = jnp.where(is_random, uniform.action, base.action)
-        by_base = jnp.where(action == base.action, base.probability, 0.0)
-        return Decision(action, self.random_share * uniform.probability + (1.0 - self.random_share) * by_base)
+        return mixed(base, uniform, self.random_share, coin_key)
 
 
 @jax.tree_util.register_dataclass

@@ -15,18 +15,18 @@ too, so Q̂_0 ≡ 0.
     1 for each WASH that failed, the seconds of each LIFT, those of the stage
 
 tells the prices of these. What is paid beside them where objects left is replaced by its regression on their number
-and their Σ p; and where a FINISH ended a path, by its regression on the Σ p that it left, whose coefficient is β. A
-path that the horizon or a clear table ended keeps its last reward, for no state after it was seen.
+and their Σ p; and where a FINISH ended a path, by its regression on the Σ p that it left, whose coefficient is β (0
+where none did). A path that the horizon or a clear table ended keeps its last reward, for no state after it was seen.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from halfseen.learners.q_learning.task import RewardedStages
-from halfseen.tables.variance_reduction import WeightedRows, regressed
+from halfseen.tables.variance_reduction import coefficients_of, no_rows, with_rows
 from halfseen.team.state import TeamState
 from halfseen.world.action_space import Verb
 
@@ -89,24 +89,27 @@ def _next(flags: Bool[np.ndarray, "n T *K"]) -> Bool[np.ndarray, "n T *K"]:
 
 
 def pays_of(parts: Iterable[RewardedStages]) -> Pays:
-    """Regress rewards on what ended, weighted.
+    """Regress rewards on what ended, weighted, in one pass.
 
     Parameters
     ----------
     parts
         A log, whole or in parts.
     """
-    parts = list(parts)
-    certain = regressed((_rows(part, _is_certain(part), _CERTAIN) for part in parts), 3)
-    washed = regressed((_rows(part, _is_washed(part), _WASHED, certain) for part in parts), 2)
-    return Pays(certain, washed, regressed((_rows(part, _is_left(part), _LEFT, certain) for part in parts), 1))
+    kept = [no_rows(NUM_OUTCOMES)] * 3
+    for part in parts:
+        outcome, uses = _outcome(part), (_is_certain(part), _is_washed(part), _is_left(part))
+        kept = [
+            with_rows(rows, outcome[use], part.reward[use], part.weight[use])
+            for rows, use in zip(kept, uses, strict=True)
+        ]
+    where_certain, where_washed, where_left = kept
+    certain = coefficients_of(where_certain[:, _CERTAIN], where_certain[:, -1])
 
+    def beside_that(rows: Float[np.ndarray, "K Z"], columns: slice) -> tuple[float, ...]:
+        return coefficients_of(rows[:, columns], rows[:, -1] - rows[:, _CERTAIN] @ np.array(certain))
 
-def _rows(
-    part: RewardedStages, use: Bool[np.ndarray, "n T"], columns: slice, certain: Sequence[float] = (0.0, 0.0, 0.0)
-) -> WeightedRows:
-    outcome = _outcome(part)[use]
-    return outcome[:, columns], part.reward[use] - outcome[:, _CERTAIN] @ np.array(certain), part.weight[use]
+    return Pays(certain, beside_that(where_washed, _WASHED), beside_that(where_left, _LEFT))
 
 
 def _outcome(part: RewardedStages) -> Float[np.ndarray, "n T 6"]:

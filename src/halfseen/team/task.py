@@ -82,8 +82,16 @@ class TeamTask:
         return None if self._is_open else self.grasp
 
     def fitted(self, logs: Logs, horizon: int) -> "TeamTask":
-        """Choose the grasp model, unless it is given."""
+        """Choose the grasp model, unless it is given.
+
+        Raises
+        ------
+        ArgumentError
+            What is given is no grasp model.
+        """
         if not self._is_open:
+            if self.grasp is not None and (isinstance(self.grasp, type) or not isinstance(self.grasp, GraspModel)):
+                raise ArgumentError(f"grasp is {self.grasp!r}; of a team it is None, 'auto', or a GraspModel")
             return self
         read = _read(logs, horizon)
         most = int(np.asarray(read.states.robots.decisions_to_go).sum(axis=-1).max(initial=1))

@@ -4,9 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import jax
-import numpy as np
 
-from halfseen.errors import ArgumentError
 from halfseen.logs import Logs
 from halfseen.team.config import TeamConfig
 from halfseen.team.episodes import TeamEpisodes, evaluate, play
@@ -16,10 +14,10 @@ from halfseen.team.recording import DROP_OUT_CAUSE, to_logs
 from halfseen.team.robots import CLEARANCE_M, Robot
 from halfseen.team.team import Team
 from halfseen.world.config import WorldConfig
-from halfseen.world.cuts import CutEpisodes, CutKind, check_share, cut, cut_rate
+from halfseen.world.cuts import CutEpisodes, CutKind
 from halfseen.world.episodes import Episodes, Totals
 from halfseen.world.scene import Scene
-from halfseen.world.table_world import NUM_PILOT_PATHS
+from halfseen.world.table_world import check_episodes, cut_at_share
 
 
 @dataclass(frozen=True)
@@ -125,30 +123,19 @@ class TeamWorld:
         cut_kind: CutKind | str = "independent",
     ) -> CutEpisodes:
         """Do as `simulate`, but keep the arrays as they are."""
-        _check_episodes(episodes)
-        check_share(cut_share)
         config, layouts = self.team_config, self.team.layouts(scenes)
         check_fits(policy, config)
-        pilot_key, play_key = jax.random.split(jax.random.key(seed))
-        rate = 0.0
-        if cut_share != 0.0:
-            pilot = play(config, layouts, policy, pilot_key, NUM_PILOT_PATHS)
-            rate = cut_rate(_of_tables(pilot), cut_share, cut_kind)
-        played = play(config, layouts, policy, play_key, episodes)
-        return replace(cut(_of_tables(played), rate, cut_kind, np.random.default_rng(seed)), episodes=played)
+        return cut_at_share(
+            lambda key, size: play(config, layouts, policy, key, size), episodes, seed, cut_share, cut_kind, _of_tables
+        )
 
     def evaluate(self, scenes: Scene | Sequence[Scene], policy: TeamPolicy, episodes: int, seed: int) -> Totals:
         """Play episodes to their end and tell what each earned, by the time the table took; see `simulate`."""
-        _check_episodes(episodes)
+        check_episodes(episodes)
         scenes = [scenes] if isinstance(scenes, Scene) else list(scenes)
         config, layouts = self.team_config, self.team.layouts(scenes)
         check_fits(policy, config)
         return evaluate(config, layouts, policy, jax.random.key(seed), episodes)
-
-
-def _check_episodes(episodes: int) -> None:
-    if episodes < 1:
-        raise ArgumentError(f"episodes is {episodes}; simulate at least 1")
 
 
 def _of_tables(played: TeamEpisodes) -> Episodes:

@@ -5,7 +5,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from halfseen.world.action_space import possible_actions
 from halfseen.world.number import Number
@@ -37,6 +37,12 @@ def surely(action: Int[Array, ""]) -> Decision:
     return Decision(action, jnp.ones((), dtype=jnp.float32))
 
 
+def uniformly(is_possible: Bool[Array, " A"], key: Array) -> Decision:
+    """Each possible action with the same probability."""
+    action = jax.random.categorical(key, jnp.where(is_possible, 0.0, -jnp.inf))
+    return Decision(action.astype(jnp.int32), 1.0 / jnp.sum(is_possible))
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class UniformPolicy:
@@ -44,9 +50,7 @@ class UniformPolicy:
 
     def decide(self, state: TableState, key: Array) -> Decision:
         """Choose uniformly at random."""
-        is_possible = possible_actions(state)
-        action = jax.random.categorical(key, jnp.where(is_possible, 0.0, -jnp.inf))
-        return Decision(action.astype(jnp.int32), 1.0 / jnp.sum(is_possible))
+        return uniformly(possible_actions(state), key)
 
 
 @jax.tree_util.register_dataclass
@@ -68,9 +72,13 @@ class ExploringPolicy:
     def decide(self, state: TableState, key: Array) -> Decision:
         """Choose, and report the probability of that choice under the mixture."""
         base_key, coin_key, uniform_key = jax.random.split(key, 3)
-        base = self.base.decide(state, base_key)
-        uniform = UniformPolicy().decide(state, uniform_key)
-        is_random = jax.random.uniform(coin_key) < self.random_share
-        action = jnp.where(is_random, uniform.action, base.action)
-        by_base = jnp.where(action == base.action, base.probability, 0.0)
-        return Decision(action, self.random_share * uniform.probability + (1.0 - self.random_share) * by_base)
+        base, uniform = self.base.decide(state, base_key), UniformPolicy().decide(state, uniform_key)
+        return mixed(base, uniform, self.random_share, coin_key)
+
+
+def mixed(base: Decision, uniform: Decision, random_share: Number, key: Array) -> Decision:
+    """Toss for one of two decisions, with the probability that the mixture of both gives to what comes out."""
+    is_random = jax.random.uniform(key) < random_share
+    action = jnp.where(is_random, uniform.action, base.action)
+    by_base = jnp.where(action == base.action, base.probability, 0.0)
+    return Decision(action, random_share * uniform.probability + (1.0 - random_share) * by_base)
