@@ -30,7 +30,7 @@ def test_a_policy_or_a_law_that_is_not_there(refused, tmp_path):
 def test_two_arms_follow_a_rule_of_thumb_and_are_of_the_usual_kind(refused, tmp_path):
     out = ["--out", tmp_path / "logs"]
     line = refused("cell", "run", "--policy", "planner", "--arms", 2, *out)
-    assert "decides for one arm" in line
+    assert "none that decides for two arms" in line
     assert "history-penalty" in line
     arm = tmp_path / "arm.xml"
     arm.write_text("<mujoco/>")

@@ -160,7 +160,7 @@ def team_policy_of(name: str, random_share: float, config: "WorldConfig") -> "Te
 
     if name not in HEURISTICS:
         raise ArgumentError(
-            f"--policy is {name}, which decides for one arm; for two name one of {', '.join(HEURISTICS)}"
+            f"--policy is {name}, which is none that decides for two arms; name one of {', '.join(HEURISTICS)}"
             f"{did_you_mean(name, tuple(HEURISTICS))}"
         )
     team = TeamOfRules(GreedyPolicy(config, *HEURISTICS[name]))

@@ -52,6 +52,39 @@ def there_and_back(place, home, told=None, seconds=0.2):
     return answers
 
 
+def resting(seconds):
+    yield Rest(seconds)
+    return "rested"
+
+
+def test_an_arm_loses_no_time_where_another_ends_again_and_again(cell):
+    crew, begun_s = Crew(cell, ROBOTS), cell.time_s
+    crew.begin(0, resting(50 * cell.tick_s))
+    ends = []
+    while not ends or ends[-1] != 0:
+        if not crew.is_busy(1):
+            crew.begin(1, resting(3 * cell.tick_s))
+        ends += [ended.arm for ended in crew.work()]
+    assert ends.count(1) > 10
+    alone_s = cell.time_s - begun_s
+    begun_s = cell.time_s
+    crew.begin(0, resting(50 * cell.tick_s))
+    while crew.is_busy(0):
+        crew.work()
+    assert alone_s == pytest.approx(cell.time_s - begun_s, abs=1.5 * cell.tick_s)
+
+
+def test_between_two_ends_time_passes(cell):
+    crew = Crew(cell, ROBOTS)
+    crew.begin(0, resting(10 * cell.tick_s))
+    crew.begin(1, resting(11 * cell.tick_s))
+    assert [ended.arm for ended in crew.work()] == [0]
+    first_s = cell.time_s
+    crew.begin(0, resting(10 * cell.tick_s))
+    assert [ended.arm for ended in crew.work()] == [1]
+    assert cell.time_s > first_s
+
+
 def test_one_arm_of_a_crew_goes_to_the_last_bit_as_one_that_is_alone():
     def work(home):
         yield Grip(0.05, 0.3)

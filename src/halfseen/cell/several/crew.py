@@ -103,6 +103,7 @@ class Crew:
         self._cell, self._robots, self._patience_s = cell, robots, patience_s
         self._reservations = Reservations(cell, robots)
         self._workers = [_Worker() for _ in robots]
+        self._told: set[int] = set()
         self.tally = Tally()
 
     def begin(self, arm: int, activity: Activity[Any]) -> None:
@@ -142,12 +143,16 @@ class Crew:
         """
         num_ticks = 0
         while any(worker.activity is not None for worker in self._workers) and num_ticks != most_ticks:
-            ended = [done for arm in range(len(self._workers)) if (done := self._tick(arm)) is not None]
+            # Who was told before another arm's end broke a tick off is not told twice in it.
+            told = {arm: self._tick(arm) for arm in range(len(self._workers)) if arm not in self._told}
+            ended = [done for done in told.values() if done is not None]
+            self._told |= {arm for arm, done in told.items() if done is None}
             if ended:
                 return ended
             if num_ticks % _ASK_EVERY == 0:
                 self._settle()
             self._cell.wait(self._cell.tick_s)
+            self._told.clear()
             num_ticks += 1
         return []
 
