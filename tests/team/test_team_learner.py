@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 from played_teams import NUM_OBJECTS, SCENE, logged, played, team_of
 
-from halfseen.errors import ArgumentError
+from halfseen.errors import ArgumentError, LogError, PolicyError
 from halfseen.learners import CensoredQLearner
+from halfseen.logs import Logs
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.team import EachAlone, ExploringTeam, TeamOfRules, UniformTeam, Workspace, episodes
 from halfseen.team.actions import possible_actions
+from halfseen.team.fit import check_fits
 from halfseen.team.recording import states_of
+from halfseen.team.rules import ReservingTeam
 from halfseen.team.state import TeamLayout
 from halfseen.world import UniformPolicy, WorldConfig
 from halfseen.world.action_space import ActionSpace, Verb
@@ -101,3 +104,35 @@ def test_each_for_itself_does_what_is_possible_and_keeps_its_own_policy():
 def test_it_is_beyond_a_team_that_draws_its_actions(learned):
     gain = earned(learned.policy_, 4000) - earned(UniformTeam(), 4000)
     assert gain.mean() > 8.0 * gain.std(ddof=1) / np.sqrt(len(gain))
+
+
+def test_a_log_of_another_number_of_robots_is_refused(logs):
+    with pytest.raises(LogError, match="of 2 robots, and it is to be learned for 3"):
+        CensoredQLearner.for_team(3, horizon=5).fit(logs)
+
+
+def test_a_policy_of_another_number_of_robots_does_not_play(learned):
+    with pytest.raises(PolicyError, match="is for 2 robots, and the team has 3"):
+        check_fits(learned.policy_, team_of(3))
+    with pytest.raises(PolicyError, match="is for 3 robots, and the team has 2"):
+        check_fits(ReservingTeam(team_of(3), RULE), TEAM)
+
+
+def test_a_team_is_no_robot(logs):
+    with pytest.raises(LogError, match="of 2 robots, and one table's policy decides for one; learn it with"):
+        CensoredQLearner.for_table(10).fit(logs)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"action": "PUSH"}, {"object": None}],
+    ids=["a verb that nobody knows", "a verb without its object"],
+)
+def test_what_a_team_does_not_know_is_refused(logs, change):
+    stages = logs.stages.copy()
+    row = int(np.flatnonzero(stages["action"] == "LIFT")[0])
+    for column, value in change.items():
+        stages.loc[row, column] = value
+    broken = Logs(stages, logs.paths, logs.objects)
+    with pytest.raises(LogError, match="is none that a team knows; give WASH or LIFT with an object"):
+        CensoredQLearner.for_team(2, horizon=5).fit(broken)

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Int
 
+from halfseen.errors import LogError
 from halfseen.learners.q_learning.path_arrays import stage_places
 from halfseen.learners.q_learning.room import room_for_rows
 from halfseen.learners.q_learning.task import Encoded
@@ -83,8 +84,14 @@ def encode_tables(logs: Logs, horizon: int, grasp: GraspModel | None = None) -> 
     Raises
     ------
     LogError
-        An action is none that a table knows, or is done to an object that is not on the table.
+        An action is none that a table knows, or is done to an object that is not on the table; several robots decided.
     """
+    robots = logs.stages["robot"].nunique() if "robot" in logs.stages.columns else 1
+    if robots > 1:
+        raise LogError(
+            f"stages: the log is of {robots} robots, and one table's policy decides for one; learn it with "
+            "CensoredQLearner.for_team, or the part of one robot, halfseen.team.alone(logs, robot)"
+        )
     states = states_of(logs, horizon)
     action = logged_actions(logs, horizon, states.num_objects)
     return encoded_states(states, action, np.any(np.asarray(states.is_on_table), axis=-1), grasp)

@@ -1,6 +1,6 @@
 """A learned Q of a team as a policy."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import jax
 import jax.numpy as jnp
@@ -34,6 +34,8 @@ class LinearTeamPolicy:
         M by decisions to go; None without pessimism.
     behaviour
         Coefficients of the behaviour policy, which waives margins; None if not known.
+    num_robots
+        For how many robots it was learned; None if nobody said so.
     """
 
     coefficients: Float[Array, "T K F"]
@@ -41,6 +43,7 @@ class LinearTeamPolicy:
     is_seen: Bool[Array, "T V"] | None = None
     margin: Float[Array, "T K F F"] | None = None
     behaviour: Float[Array, "K G"] | None = None
+    num_robots: int | None = field(default=None, metadata={"static": True})
 
     def q_values(self, state: TeamState, key: Array | None = None) -> Float[Array, " A"]:
         """Q of every action, less its margin, measured from leaving the table; −∞ where it is not chosen from."""

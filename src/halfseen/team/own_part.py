@@ -29,6 +29,7 @@ from jaxtyping import Bool, Float, Int
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs import Logs
 from halfseen.logs.columns import CUT, FINISHED, require_columns
+from halfseen.logs.robot_checks import robots_that_may_drop_out
 from halfseen.team.recording import FREE, OUT, PARKED, TEAM_VERBS
 from halfseen.world.action_space import TARGETED, Verb
 from halfseen.world.table_checks import TABLE
@@ -123,7 +124,8 @@ class _OwnPath:
 
 
 def _of_drop_outs(logs: Logs) -> list[str]:
-    return [name for name in logs.paths.columns if name.endswith(("_out_s", "_out_cause"))]
+    known = {f"{robot}_{what}" for robot in robots_that_may_drop_out(logs.paths) for what in ("out_s", "out_cause")}
+    return [name for name in logs.paths.columns if name in known]
 
 
 def _paths(logs: Logs, robot: int) -> Iterator[_TeamPath]:
@@ -295,9 +297,9 @@ def _ended_attempts(logs: Logs) -> dict[tuple[Any, Any], list[tuple[Any, str]]]:
     last = ~logs.stages.duplicated(["path", "robot"], keep="last")
     is_out = np.zeros(len(logs.stages), dtype=bool)
     path_row = pd.Index(logs.path_ids).get_indexer(logs.stages["path"])
-    for name in (name for name in logs.paths.columns if name.endswith("_out_s")):
-        dropped = logs.paths[name].notna().to_numpy(dtype=bool)[path_row]
-        is_out |= dropped & (logs.stages["robot"] == int(name.split("_")[0])).to_numpy(dtype=bool)
+    for robot in robots_that_may_drop_out(logs.paths):
+        dropped = logs.paths[f"{robot}_out_s"].notna().to_numpy(dtype=bool)[path_row]
+        is_out |= dropped & (logs.stages["robot"] == robot).to_numpy(dtype=bool)
     ended: Any = logs.stages[is_attempt & ~(is_out & last.to_numpy())]
     made: dict[tuple[Any, Any], list[tuple[Any, str]]] = {}
     for path, target, robot, verb in ended[["path", "object", "robot", "action"]].itertuples(index=False, name=None):

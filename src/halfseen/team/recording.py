@@ -169,7 +169,7 @@ def _decider(stages: pd.DataFrame, num_robots: int) -> Int[np.ndarray, " rows"]:
 
 def _doing(stages: pd.DataFrame, robot: int) -> Int[np.ndarray, "rows 2"]:
     """Verb (−1 if free, −2 if parked, −3 if out) and object of what a robot is at."""
-    code, words = pd.factorize(stages[f"{robot}_does"])
+    code, words = pd.factorize(stages[f"{robot}_does"], use_na_sentinel=False)
     known = np.array([_parsed(str(each)) for each in words], dtype=np.int64).reshape(-1, 2)
     wrong = known[:, 0] == _UNKNOWN
     remedy = f"it is {', '.join((*_IDLE, *TEAM_VERBS))}, the verbs of an object with its number"

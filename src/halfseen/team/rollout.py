@@ -51,6 +51,11 @@ class RolloutTeam:
     num_futures: int = field(default=NUM_FUTURES, metadata={"static": True})
     caution: float | Array = 1.0
 
+    @property
+    def num_robots(self) -> int:
+        """K."""
+        return self.config.num_robots
+
     def decide(self, state: TeamState, key: Array) -> Decision:
         """Choose for one table; the futures draw from `key` (the probability of a choice is not known)."""
         future_key, rule_key = jax.random.split(key)

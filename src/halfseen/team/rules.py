@@ -42,6 +42,11 @@ class ReservingTeam:
     config: TeamConfig
     rule: GreedyPolicy
 
+    @property
+    def num_robots(self) -> int:
+        """K."""
+        return self.config.num_robots
+
     def decide(self, state: TeamState, key: Array) -> Decision:
         """Choose for one table; nothing is drawn."""
         others, worth, price = others_of(state), _worth(self.rule, state), -self._price_of_attempts(state)

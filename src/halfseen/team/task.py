@@ -11,11 +11,12 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float, Int
 
-from halfseen.errors import ArgumentError
+from halfseen.errors import ArgumentError, LogError
 from halfseen.learners.q_learning.automatic import AUTO
 from halfseen.learners.q_learning.path_arrays import stage_places
 from halfseen.learners.q_learning.task import Encoded, LearnedQ, RewardedStages
 from halfseen.logs import Logs
+from halfseen.logs.refusal import refuse, shown, value_at
 from halfseen.tables.censoring_covariates import TABLE_COVARIATES, table_covariates
 from halfseen.tables.features import table_columns
 from halfseen.tables.grasp.choice import choose_by
@@ -24,13 +25,14 @@ from halfseen.team.actions import WAIT, wait_of, worthwhile_actions
 from halfseen.team.attempts import team_attempts
 from halfseen.team.features import team_features
 from halfseen.team.learned_policy import LinearTeamPolicy
+from halfseen.team.log_checks import begun_objects
 from halfseen.team.recording import TEAM_VERBS, states_of
 from halfseen.team.rewards import Pays, control_variates_of, outcomes_of, pays_of, shaped
 from halfseen.team.state import TeamState
 from halfseen.world.action_space import TARGETED, ActionSpace, Verb
 from halfseen.world.grasp_model import GraspModel
-from halfseen.world.table_checks import object_numbers
 
+_VERBS_IN_WORDS = "WASH or LIFT with an object, WAIT or FINISH without one"
 _DIRTY, _EASE = 2, 4
 """Where the columns of WASH hold them."""
 
@@ -61,12 +63,15 @@ class TeamTask:
         What was chosen by itself, and why.
     pays
         What ended attempts pay and what is left costs, where it was fitted beforehand; None to fit it to each log.
+    num_robots
+        K, which a log must have; None for any.
     """
 
     grasp: Any = AUTO
     reduces_variance: bool = True
     chosen: tuple[str, ...] = ()
     pays: Pays | None = field(default=None, repr=False)
+    num_robots: int | None = None
 
     block_names = TEAM_VERBS
     end_action = None
@@ -93,14 +98,14 @@ class TeamTask:
             if self.grasp is not None and (isinstance(self.grasp, type) or not isinstance(self.grasp, GraspModel)):
                 raise ArgumentError(f"grasp is {self.grasp!r}; of a team it is None, 'auto', or a GraspModel")
             return self
-        read = _read(logs, horizon)
+        read = _read(logs, horizon, self.num_robots)
         most = int(np.asarray(read.states.robots.decisions_to_go).sum(axis=-1).max(initial=1))
         choice = choose_by(team_attempts(logs, read.states, read.verb, read.target), most)
         return replace(self, grasp=choice.grasp, chosen=(choice.sentence,))
 
     def encode(self, logs: Logs, horizon: int) -> Encoded:
         """Encode every stage of a log of a team, and what ended in it."""
-        states, verb, target, action = _read(logs, horizon)
+        states, verb, target, action = _read(logs, horizon, self.num_robots)
         features, is_possible, is_dirty, ease = (np.array(leaf) for leaf in _encoded(states, self._model))
         is_state = np.zeros((logs.num_paths, horizon), dtype=bool)
         is_state[stage_places(logs)] = True
@@ -147,7 +152,8 @@ class TeamTask:
 
         seen = None if learned.is_seen is None else jnp.asarray(learned.is_seen)
         return LinearTeamPolicy(
-            single(learned.coefficients), self._model, seen, given(learned.margin), given(learned.behaviour)
+            *(single(learned.coefficients), self._model, seen, given(learned.margin), given(learned.behaviour)),
+            num_robots=self.num_robots,
         )
 
     def target_probabilities(self, policy: Any, logs: Logs, horizon: int) -> Float[np.ndarray, "n T A"]:
@@ -162,9 +168,20 @@ class _Read(NamedTuple):
     action: Int[np.ndarray, "n T"]
 
 
-def _read(logs: Logs, horizon: int) -> _Read:
-    """States of a log, and what was done."""
+def _read(logs: Logs, horizon: int, num_robots: int | None) -> _Read:
+    """States of a log, and what was done.
+
+    Raises
+    ------
+    LogError
+        It is of another number of robots, or an action is none of a team's.
+    """
     states, at = states_of(logs, horizon), stage_places(logs)
+    if num_robots not in (None, states.robots.num_robots):
+        raise LogError(
+            f"the log is of {states.robots.num_robots} robots, and it is to be learned for {num_robots}; give "
+            "the number of the log"
+        )
     space = ActionSpace(states.table.num_objects)
     action = np.zeros((logs.num_paths, horizon), dtype=np.int64)
     action[at] = _actions(logs, space)
@@ -181,9 +198,14 @@ def _duration_s(logs: Logs, horizon: int) -> Float[np.ndarray, "n T"]:
 def _actions(logs: Logs, space: ActionSpace) -> Int[np.ndarray, " rows"]:
     stages = logs.stages
     verbs = pd.Index(TEAM_VERBS).get_indexer(stages["action"])
-    assert logs.objects is not None
-    numbered = logs.objects[["path", "stage", "object"]].assign(number=object_numbers(logs.objects))
-    merged = stages[["path", "stage", "object"]].merge(numbered, on=["path", "stage", "object"], how="left")
-    target = merged["number"].fillna(0).to_numpy(dtype=np.int64)
+    has_object, is_given = stages["object"].notna().to_numpy(), stages["action"].notna().to_numpy()
+    wrong = is_given & ((verbs < 0) | (np.isin(verbs, TARGETED) != has_object))
+
+    def unknown(row: int) -> str:
+        verb, target = (shown(value_at(stages, column, row)) for column in ("action", "object"))
+        return f"action {verb} of object {target} is none that a team knows; give {_VERBS_IN_WORDS}"
+
+    refuse(stages, wrong, unknown)
+    target = np.maximum(begun_objects(logs), 0)
     codes = space.encode(np.maximum(verbs, 0), target)
     return np.select([np.isin(verbs, TARGETED), verbs == WAIT], [codes, wait_of(space.num_objects)], 0)

@@ -184,7 +184,7 @@ class CensoredQLearner(Estimator):
         """
         if num_robots < 1:
             raise ArgumentError(f"num_robots is {num_robots}; a team has at least 1")
-        task = named_task("team", grasp=grasp, reduces_variance=reduces_variance)
+        task = named_task("team", grasp=grasp, reduces_variance=reduces_variance, num_robots=num_robots)
         return cls(num_robots * horizon, task, **parameters)
 
     @classmethod
