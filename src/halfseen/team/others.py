@@ -7,13 +7,14 @@ from jaxtyping import Array, Bool, Float
 
 from halfseen.team.actions import WAIT
 from halfseen.team.state import TeamState
+from halfseen.world.action_space import Verb
 
 
 class Others(NamedTuple):
     """The robots that do not decide."""
 
     goes_on: Bool[Array, " K"]
-    """Which of them will do something yet."""
+    """Which of them will do something yet; who goes home no longer does."""
     is_at_object: Bool[Array, " K"]
     """Which of them are at an object."""
     reached: Bool[Array, " N"]
@@ -29,7 +30,7 @@ def others_of(state: TeamState) -> Others:
     """Tell what the robots that do not decide are at."""
     robots = state.robots
     is_other = jnp.arange(robots.num_robots) != state.decider
-    goes_on = is_other & ~robots.is_done
+    goes_on = is_other & ~robots.is_done & ~(robots.is_busy & (robots.verb == Verb.FINISH))
     at_work = is_other & robots.is_busy & (robots.verb != WAIT)
     is_at_object = at_work & (robots.verb > 0)
     is_target = robots.target[:, None] == jnp.arange(state.table.num_objects)
