@@ -35,16 +35,16 @@ UNLIMITED = 1_000_000
 """Steps to go that never run out."""
 
 
-class _Tries(NamedTuple):
+class Tries(NamedTuple):
     """One more try of each object, where it is worth it."""
 
     gain: Float[Array, "*S N"]
     number: Float[Array, "*S N"]
     """Probability that it is worth it."""
 
-    def among(self, is_there: Bool[Array, "*S N"]) -> "_Tries":
+    def among(self, is_there: Bool[Array, "*S N"]) -> "Tries":
         """Sum over objects."""
-        return _Tries(*(jnp.sum(jnp.where(is_there, each, 0.0), axis=-1) for each in self))
+        return Tries(*(jnp.sum(jnp.where(is_there, each, 0.0), axis=-1) for each in self))
 
 
 def leaf_value(config: WorldConfig, belief: Belief) -> Float[Array, ""]:
@@ -53,8 +53,8 @@ def leaf_value(config: WorldConfig, belief: Belief) -> Float[Array, ""]:
     probability = grasp_probability(config, occluded, belief.grip)
     is_dirty = jax.nn.sigmoid(belief.log_odds)
     gain = jax.nn.relu(wash_worth(config, is_dirty, probability, counts_penalty=True))
-    tries = _Tries(gain, jnp.where(gain > 0.0, 1.0, 0.0)).among(belief.is_on_table)
-    return _left_or_tried(_all_left(config, belief), tries, belief.steps_to_go)
+    tries = Tries(gain, jnp.where(gain > 0.0, 1.0, 0.0)).among(belief.is_on_table)
+    return left_or_tried(_all_left(config, belief), tries, belief.steps_to_go)
 
 
 def _all_left(config: WorldConfig, belief: Belief) -> Float[Array, ""]:
@@ -62,7 +62,7 @@ def _all_left(config: WorldConfig, belief: Belief) -> Float[Array, ""]:
     return config.reward_dirty_left * jnp.sum(jnp.where(belief.is_on_table, jax.nn.sigmoid(belief.log_odds), 0.0))
 
 
-def _left_or_tried(left: Float[Array, "*#S"], tries: _Tries, steps_to_go: Int[Array, ""]) -> Float[Array, "*S"]:
+def left_or_tried(left: Float[Array, "*#S"], tries: Tries, steps_to_go: Int[Array, ""]) -> Float[Array, "*S"]:
     """Value of leaving all, plus the gains of as many tries as there are steps (their mean stands for the best)."""
     return left + jnp.minimum(1.0, steps_to_go / jnp.maximum(tries.number, 1.0)) * tries.gain
 
@@ -75,10 +75,10 @@ def one_step_q(config: WorldConfig, belief: Belief) -> Float[Array, " A"]:
     others = belief.is_on_table & ~target
     occluded = occlusion_without(belief, jnp.zeros(num_objects, dtype=bool))
     occluded_without = jax.vmap(lambda taken: occlusion_without(belief, taken))(target)
-    probability, if_held, if_missed = _grasp_probabilities(config, occluded, belief.grip)
+    probability, if_held, if_missed = grasp_probabilities(config, occluded, belief.grip)
     if_cleared = grasp_probability(config, occluded_without, belief.grip)
 
-    tries = partial(_tries_after_label, config, is_dirty, belief.seen)
+    tries = partial(tries_after_label, config, is_dirty, belief.seen)
     # After a miss all is as before but the grip of the target.
     before = tries(occluded, probability)
     missed = jax.tree.map(
@@ -92,17 +92,17 @@ def one_step_q(config: WorldConfig, belief: Belief) -> Float[Array, " A"]:
     lifted = jax.tree.map(jnp.add, around, tries(jnp.zeros_like(occluded), if_held, is_held=True))
 
     left, steps = _all_left(config, belief), belief.steps_to_go - 1
-    after_miss = (1.0 - probability) * _left_or_tried(left, missed, steps)
+    after_miss = (1.0 - probability) * left_or_tried(left, missed, steps)
     worth = wash_worth(config, is_dirty, probability, counts_penalty=False)
     washed_left = left - config.reward_dirty_left * is_dirty
-    wash = worth + probability * _left_or_tried(washed_left, washed, steps) + after_miss
+    wash = worth + probability * left_or_tried(washed_left, washed, steps) + after_miss
     look = config.reward_lift_per_s * expected_attempt_s(config, occluded, belief.grip)
-    lift = look + probability * _left_or_tried(left, lifted, steps) + after_miss
+    lift = look + probability * left_or_tried(left, lifted, steps) + after_miss
     values = ActionSpace(num_objects).join(left, {Verb.WASH: wash, Verb.LIFT: lift})
     return jnp.where(possible_actions(belief), values, -jnp.inf)
 
 
-def _grasp_probabilities(
+def grasp_probabilities(
     config: WorldConfig, occluded: Float[Array, " N"], grip: Grip
 ) -> tuple[Float[Array, " N"], Float[Array, " N"], Float[Array, " N"]]:
     """P(an attempt succeeds), and P(the next one does) after a success and after a failure at the same occlusion."""
@@ -133,20 +133,21 @@ def _with_steps(belief: Belief, num_steps: Int[Array, ""]) -> Belief:
     return replace(belief, steps_to_go=num_steps)
 
 
-def _tries_after_label(
+def tries_after_label(
     config: WorldConfig,
     is_dirty: Float[Array, " N"],
     seen: Float[Array, " N"],
     occluded: Float[Array, "*S N"],
     probability: Float[Array, "*S N"],
     is_held: bool = False,
-) -> _Tries:
-    """E (worth of one more try)₊ over the next label, and P(it is positive)."""
+    effort: Float[Array, " N"] | float = 0.0,
+) -> Tries:
+    """E (worth of one more try, less the effort of it)₊ over the next label, and P(it is positive)."""
     says_dirty, if_dirty, if_clean = dirty_after_label(
         config, jnp.broadcast_to(is_dirty, occluded.shape), seen, occluded, is_held
     )
-    worth_dirty = wash_worth(config, if_dirty, probability, counts_penalty=True)
-    worth_clean = wash_worth(config, if_clean, probability, counts_penalty=True)
+    worth_dirty = wash_worth(config, if_dirty, probability, counts_penalty=True) - effort
+    worth_clean = wash_worth(config, if_clean, probability, counts_penalty=True) - effort
     gain = says_dirty * jax.nn.relu(worth_dirty) + (1.0 - says_dirty) * jax.nn.relu(worth_clean)
     number = jnp.where(worth_dirty > 0.0, says_dirty, 0.0) + jnp.where(worth_clean > 0.0, 1.0 - says_dirty, 0.0)
-    return _Tries(gain, number)
+    return Tries(gain, number)

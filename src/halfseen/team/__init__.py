@@ -3,8 +3,8 @@
 Read down: `state` (what each robot is at) → `robots`, `team`, `team_file` (who they are, what they reach) → `config` →
 `actions` → `dynamics` (from one decision to the next; drop-outs) → `policy`, `fit` → `episodes` → `recording` (to and
 from logs) → `own_part`, `drop_outs` (parts of a log) → `others`, `makespan`, `features`, `attempts`, `rewards`, `task`,
-`learned_policy` (what a team learns) → `each_alone`, `rules`, `rollout` (what it is compared with) → `team_world`,
-`gymnasium_env`, `pettingzoo_env` (the faces).
+`learned_policy` (what a team learns) → `each_alone`, `rules`, `myopic`, `rollout` (what it is compared with) →
+`team_world`, `gymnasium_env`, `pettingzoo_env` (the faces).
 """
 
 from typing import TYPE_CHECKING
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from halfseen.team.config import TeamConfig
     from halfseen.team.drop_outs import cut_at_drop_outs
     from halfseen.team.each_alone import EachAlone
+    from halfseen.team.myopic import MyopicTeam
     from halfseen.team.own_part import alone
     from halfseen.team.policy import ExploringTeam, TeamOfRules, TeamPolicy, UniformTeam
     from halfseen.team.robots import Robot
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 __all__ = [
     "EachAlone",
     "ExploringTeam",
+    "MyopicTeam",
     "Robot",
     "Team",
     "TeamConfig",
@@ -47,6 +49,7 @@ __getattr__ = lazy_names(
     {
         "EachAlone": "each_alone",
         "ExploringTeam": "policy",
+        "MyopicTeam": "myopic",
         "Robot": "robots",
         "Team": "team",
         "TeamConfig": "config",
