@@ -1,9 +1,11 @@
-"""What each policy of a team earns less than the exact optimum: two robots, three objects, no simulation noise.
+"""What each policy of a team earns less than the exact optimum: two robots, three objects.
 
-python benchmarks/team_regret.py [--out runs/benchmarks/team_regret.json] [--horizon 2] [--prices 0 -0.1] [--futures 64]
+python benchmarks/team_regret.py [--out runs/benchmarks/team_regret.json] [--horizon 2] [--prices 0 -0.1] [--futures 32]
+                                 [--keys 3]
 
-Both values are exact expectations in the model of `halfseen.team.optimum_model`. Robot 0 reaches objects 0 and 1, robot
-1 objects 1 and 2; each has so many decisions. A policy that samples is valued for the draws of one key.
+Robot 0 reaches objects 0 and 1, robot 1 objects 1 and 2; each has so many decisions, in the world of
+`halfseen.team.grid_grasping`. Both values are exact expectations. A rollout is asked once in every state for each of
+some keys, from which its futures are drawn; its interval is over them.
 """
 
 import argparse
@@ -12,15 +14,20 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.team.config import TeamConfig
-from halfseen.team.optimum import TeamOptimum, team_policy_value
-from halfseen.team.optimum_model import GridGrasping, SmallTeam
-from halfseen.team.policy import TeamOfRules, TeamPolicy
+from halfseen.team.each_alone import EachAlone
+from halfseen.team.grid_grasping import GridGrasping
+from halfseen.team.myopic import MyopicTeam
+from halfseen.team.optimum import TeamOptimum, solve_team
+from halfseen.team.policy import TeamOfRules, TeamPolicy, UniformTeam
 from halfseen.team.rollout import RolloutTeam
 from halfseen.team.rules import OneAtATime, ReservingTeam, RoundRobin
+from halfseen.team.state import Workspace
 from halfseen.world import WorldConfig
 
 HIDES = np.array([[0.0, 0.5, 0.2], [0.0, 0.0, 0.4], [0.0, 0.0, 0.0]])
@@ -28,27 +35,40 @@ REACH = np.array([[True, True, False], [False, True, True]])
 PRICES = (0.0, -0.1)
 
 
-def team_of(horizon: int, reward_per_s: float) -> SmallTeam:
-    """The team at its table."""
-    world = WorldConfig(horizon=horizon, grasping=GridGrasping())
-    config = TeamConfig(world, (1.0, 1.0), reward_per_s=reward_per_s)
-    return SmallTeam(config, HIDES, REACH, np.eye(len(HIDES), dtype=bool))
+def config_of(horizon: int, reward_per_s: float) -> TeamConfig:
+    """The team in its world."""
+    return TeamConfig(WorldConfig(horizon=horizon, grasping=GridGrasping()), (1.0, 1.0), reward_per_s)
 
 
-def policies_of(config: TeamConfig, num_futures: int) -> Mapping[str, TeamPolicy]:
-    """Everyone, by the name that is printed."""
+def policies_of(config: TeamConfig) -> Mapping[str, TeamPolicy]:
+    """Everyone who draws nothing, by the name that is printed."""
+    greedy = GreedyPolicy(config.world, counts_penalty=True)
     history = GreedyPolicy(config.world, uses_history=True, counts_penalty=True)
-    reserving = ReservingTeam(config, history)
     return {
-        "greedy": TeamOfRules(GreedyPolicy(config.world)),
-        "history": TeamOfRules(GreedyPolicy(config.world, uses_history=True)),
-        "history, counts what is left": TeamOfRules(history),
-        "and the price of time": reserving,
-        "round robin": RoundRobin(history),
-        "one at a time": OneAtATime(history),
-        f"rollout, {num_futures} futures": RolloutTeam(config, reserving, num_futures),
-        f"rollout, {num_futures} futures, bold": RolloutTeam(config, reserving, num_futures, caution=0.0),
+        "one step ahead": MyopicTeam(config),
+        "history, reserving": ReservingTeam(config, history),
+        "greedy, reserving": ReservingTeam(config, greedy),
+        "history, at no price": TeamOfRules(history),
+        "history, round robin": RoundRobin(history),
+        "history, one at a time": OneAtATime(history),
+        "history, each alone": EachAlone((history,) * config.num_robots),
     }
+
+
+def drawing_of(config: TeamConfig, num_futures: int) -> Mapping[str, TeamPolicy]:
+    """Everyone who draws."""
+    history = GreedyPolicy(config.world, uses_history=True, counts_penalty=True)
+    return {
+        "rollout over one step ahead": RolloutTeam(config, MyopicTeam(config), num_futures),
+        "rollout over history, reserving": RolloutTeam(config, ReservingTeam(config, history), num_futures),
+        "uniformly at random": UniformTeam(),
+    }
+
+
+def regrets(optimum: TeamOptimum, policy: TeamPolicy, num_keys: int) -> tuple[float, float]:
+    """Mean regret over keys, and its standard error; not a number for one key."""
+    found = [optimum.regret(policy, jax.random.key(k)) for k in range(num_keys)]
+    return float(np.mean(found)), float(np.std(found, ddof=1) / num_keys**0.5) if num_keys > 1 else float("nan")
 
 
 def main() -> None:
@@ -56,18 +76,23 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/benchmarks/team_regret.json"))
     parser.add_argument("--horizon", type=int, default=2, help="decisions of each robot")
     parser.add_argument("--prices", type=float, nargs="+", default=PRICES, help="of a second")
-    parser.add_argument("--futures", type=int, default=64, help="of each action, in a rollout")
+    parser.add_argument("--futures", type=int, default=32, help="of each action, in a rollout")
+    parser.add_argument("--keys", type=int, default=3, help="with which a policy that draws is asked")
     args = parser.parse_args()
-    rows = []
+    workspace, rows = Workspace(jnp.asarray(REACH), jnp.eye(len(HIDES), dtype=bool)), []
     for price in args.prices:
-        team, begin_s = team_of(args.horizon, price), time.perf_counter()
-        optimum = TeamOptimum(team)
+        config, begin_s = config_of(args.horizon, price), time.perf_counter()
+        optimum = solve_team(HIDES, config, workspace)
         print(f"\n{price} per second: optimum {optimum.value:.4f}, {optimum.num_states:,} states", end="")
         print(f", {time.perf_counter() - begin_s:.0f} s\n{'policy':34}{'value':>9}{'regret':>9}")
-        for name, policy in policies_of(team.config, args.futures).items():
-            value = team_policy_value(team, policy)
-            print(f"{name:34}{value:9.4f}{optimum.value - value:9.4f}", flush=True)
-            rows.append({"reward_per_s": price, "policy": name, "value": value, "regret": optimum.value - value})
+        told = [(name, policy, 1) for name, policy in policies_of(config).items()]
+        told += [(name, policy, args.keys) for name, policy in drawing_of(config, args.futures).items()]
+        for name, policy, num_keys in told:
+            regret, error = regrets(optimum, policy, num_keys)
+            interval = "" if np.isnan(error) else f" ± {error:.4f}"
+            print(f"{name:34}{optimum.value - regret:9.4f}{regret:9.4f}{interval}", flush=True)
+            rows.append({"reward_per_s": price, "policy": name, "value": optimum.value - regret, "regret": regret})
+            rows[-1] |= {"error": error if num_keys > 1 else 0.0}
     args.out.parent.mkdir(parents=True, exist_ok=True)
     args.out.write_text(json.dumps(rows, indent=2), encoding="utf-8")
     print(f"Results: {args.out}")

@@ -1,124 +1,137 @@
-"""The exact optimum of a small team against brute force, one robot's optimum, and the world that is simulated."""
+"""The optimum of a team is what brute force finds, of one robot what `solve_table` finds; values are exact."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from naive_small_team import BruteForceTeam
+from naive_team_optimum import BruteForceTeam
 
 from halfseen.errors import ArgumentError
-from halfseen.planners import solve_table
 from halfseen.planners.heuristics import GreedyPolicy
-from halfseen.team import episodes
-from halfseen.team.actions import possible_actions
+from halfseen.planners.optimum import solve_table
+from halfseen.planners.pomdp import POMDPPolicy
 from halfseen.team.config import TeamConfig
-from halfseen.team.optimum import TeamOptimum, team_policy_value, team_state
-from halfseen.team.optimum_model import GridGrasping, SmallTeam
-from halfseen.team.policy import TeamOfRules, UniformTeam
-from halfseen.team.rollout import RolloutTeam
-from halfseen.team.rules import OneAtATime, ReservingTeam, RoundRobin
+from halfseen.team.episodes import evaluate
+from halfseen.team.grid_grasping import GridGrasping
+from halfseen.team.myopic import MyopicTeam
+from halfseen.team.optimum import solve_team
+from halfseen.team.policy import UniformTeam
+from halfseen.team.rules import ReservingTeam
 from halfseen.team.state import TeamLayout, Workspace
 from halfseen.world import Scene, WorldConfig
-from halfseen.world.policy import surely
-from halfseen.world.seeing import AssumedSeeing
 from halfseen.world.state import pad_scenes
 
-HIDES = np.array([[0.0, 0.5, 0.2], [0.0, 0.0, 0.4], [0.0, 0.0, 0.0]])
-REACH = np.array([[True, True, False], [False, True, True]])
-GRASPING = GridGrasping(offset_std=1.0)
+TWO = np.array([[0.0, 0.4], [0.1, 0.0]])
+THREE = np.array([[0.0, 0.4, 0.0], [0.0, 0.0, 0.3], [0.2, 0.0, 0.0]])
 
 
-def small_team(num_objects, horizon, num_robots=2, near=(), num_nodes=2, grasping=GRASPING, **others):
-    world = {name: others.pop(name) for name in ("seeing",) if name in others}
-    config = TeamConfig(WorldConfig(horizon=horizon, grasping=grasping, **world), (1.0, 0.8)[:num_robots], **others)
-    is_near = np.eye(num_objects, dtype=bool)
+def team_of(horizon, num_robots=2, grasping=None, **others):
+    grasping = GridGrasping() if grasping is None else grasping
+    return TeamConfig(WorldConfig(horizon=horizon, grasping=grasping), (1.0,) * num_robots, **others)
+
+
+def workspace(num_robots, num_objects, out_of_reach=(), near=()):
+    reach, is_near = np.ones((num_robots, num_objects), dtype=bool), np.eye(num_objects, dtype=bool)
+    for robot, cup in out_of_reach:
+        reach[robot, cup] = False
     for i, j in near:
         is_near[i, j] = is_near[j, i] = True
-    reach = REACH[:, :num_objects] if num_objects == 3 else np.ones((num_robots, num_objects), dtype=bool)
-    return SmallTeam(config, HIDES[:num_objects, :num_objects], reach, is_near, num_nodes)
+    return Workspace(jnp.asarray(reach), jnp.asarray(is_near))
 
 
-def brute_force(team, near=()):
-    reach = [set(np.flatnonzero(row)) for row in team.is_in_reach]
-    return BruteForceTeam(team.config, team.hides, reach, [set(pair) for pair in near], team.num_grip_nodes).value()
+def hermite(config, num_nodes):
+    nodes, weights = np.polynomial.hermite_e.hermegauss(num_nodes)
+    std = config.world.grasping.offset_std
+    return [(std * node, weight / sum(weights)) for node, weight in zip(nodes, weights, strict=True)]
+
+
+def assert_equals_brute_force(config, hides, space, num_nodes):
+    brute = BruteForceTeam(
+        config, hides, np.asarray(space.is_in_reach), np.asarray(space.is_near), hermite(config, num_nodes)
+    )
+    optimum = solve_team(hides, config, space, num_grip_nodes=num_nodes)
+    np.testing.assert_allclose(optimum.value, brute.value(), atol=1e-9, rtol=0)
+
+
+# An attempt of 1 s and one of 3 s end at once with others, and are in the air when others look.
+FEW = GridGrasping(held_s=(1.0, 3.0), held_share=(0.25, 0.75), limit_s=3.0)
+ONE_TIME = GridGrasping(held_s=(1.0,), held_share=(1.0,), limit_s=3.0)
+
+
+@pytest.mark.parametrize("price", [0.0, -0.3])
+def test_two_robots_and_two_objects_equal_brute_force(price):
+    assert_equals_brute_force(team_of(1, reward_per_s=price, grasping=FEW), TWO, workspace(2, 2), 2)
+
+
+def test_two_robots_and_three_objects_equal_brute_force():
+    space = workspace(2, 3, out_of_reach=[(0, 2)], near=[(0, 1)])
+    assert_equals_brute_force(team_of(1, grasping=FEW, reward_per_s=-0.1), THREE, space, 2)
+
+
+def test_robots_of_other_speeds_equal_brute_force():
+    config = TeamConfig(WorldConfig(horizon=1, grasping=FEW), (1.0, 2.0), -0.2)
+    assert_equals_brute_force(config, TWO, workspace(2, 2), 2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("price", [0.0, -0.3])
+def test_two_decisions_of_each_of_two_robots_equal_brute_force(price):
+    space = workspace(2, 2, out_of_reach=[(1, 0)])
+    assert_equals_brute_force(team_of(2, reward_per_s=price, grasping=ONE_TIME), TWO, space, 2)
+
+
+def test_one_robot_is_the_optimum_of_one_robot():
+    config = team_of(3, num_robots=1)
+    of_team, of_one = solve_team(TWO, config, workspace(1, 2)), solve_table(TWO, config.world)
+    np.testing.assert_allclose(of_team.value, of_one.value, atol=1e-9, rtol=0)
+    rule = GreedyPolicy(config.world, uses_history=True, counts_penalty=True)
+    pairs = [(ReservingTeam(config, rule), rule), (MyopicTeam(config), POMDPPolicy(config.world, 1))]
+    for team, alone in pairs:
+        np.testing.assert_allclose(of_team.policy_value(team), of_one.policy_value(alone), atol=1e-9, rtol=0)
+
+
+def test_no_policy_beats_the_optimum_and_a_second_robot_is_worth_something():
+    config, space = team_of(2), workspace(2, 3)
+    optimum = solve_team(THREE, config, space)
+    rule = GreedyPolicy(config.world, uses_history=True, counts_penalty=True)
+    for policy in (ReservingTeam(config, rule), MyopicTeam(config), UniformTeam()):
+        assert optimum.regret(policy) > 0.01
+    one = solve_team(THREE, team_of(2, num_robots=1), workspace(1, 3))
+    assert optimum.value > one.value + 0.1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("price", [0.0, -0.2])
+def test_the_value_of_a_policy_is_what_it_earns(price):
+    config = team_of(3, reward_per_s=price)
+    space = workspace(2, 3, out_of_reach=[(0, 2), (1, 0)], near=[(0, 1)])
+    optimum = solve_team(THREE, config, space)
+    layouts = TeamLayout(pad_scenes([Scene(THREE)]), jax.tree.map(lambda leaf: leaf[None], space))
+    rule = GreedyPolicy(config.world, uses_history=True, counts_penalty=True)
+    for policy in (ReservingTeam(config, rule), MyopicTeam(config)):
+        earned = np.asarray(evaluate(config, layouts, policy, jax.random.key(11), 40_000).reward, dtype=np.float64)
+        error = earned.std() / np.sqrt(len(earned))
+        assert abs(earned.mean() - optimum.policy_value(policy)) < 4 * error
+
+
+def test_what_cannot_be_solved_is_refused():
+    space = workspace(2, 2)
+    with pytest.raises(ArgumentError, match="AssumedGrasping, whose attempts may take any time"):
+        solve_team(TWO, TeamConfig(WorldConfig(horizon=1), (1.0, 1.0)), space)
+    with pytest.raises(ArgumentError, match="have more than 100 states; shorten the horizon"):
+        solve_team(TWO, team_of(2), space, max_states=100)
+    with pytest.raises(ArgumentError, match="drop_out_rate is given"):
+        solve_team(TWO, team_of(1, drop_out_rate=(0.1, 0.1)), space)
 
 
 @pytest.mark.parametrize(
-    ("num_objects", "horizon", "near"),
-    [(1, 3, ()), (3, 1, [(0, 2)]), (2, 1, ()), pytest.param(2, 2, (), marks=pytest.mark.slow)],
+    ("numbers", "told"),
+    [
+        ({"held_share": (0.5, 0.6)}, "held_share is"),
+        ({"held_s": (2.0, 7.0)}, "held_s is"),
+        ({"held_s": (2.0,)}, "one share"),
+    ],
 )
-def test_the_optimum_is_that_of_brute_force(num_objects, horizon, near):
-    # Brute force grows beyond reach where all of it is large.
-    small: dict = {"num_nodes": 1} if num_objects == 3 else {}
-    if (num_objects, horizon) == (2, 2):
-        small = {"num_nodes": 1, "grasping": GridGrasping(held_s=(1.0,), missed_s=(2.0,))}
-    team = small_team(num_objects, horizon, near=near, reward_per_s=-0.2, **small)
-    assert TeamOptimum(team).value == pytest.approx(brute_force(team, near), abs=1e-9)
-
-
-@pytest.mark.parametrize(("num_objects", "horizon"), [(2, 3), (3, 2)])
-def test_the_optimum_of_one_robot_is_that_of_one_robot(num_objects, horizon):
-    world = WorldConfig(horizon=horizon, grasping=GRASPING)
-    everything = np.ones((1, num_objects), dtype=bool)
-    hides = HIDES[:num_objects, :num_objects]
-    team = SmallTeam(TeamConfig(world), hides, everything, np.eye(num_objects, dtype=bool), 3)
-    assert TeamOptimum(team).value == pytest.approx(solve_table(hides, world, num_grip_nodes=3).value, abs=1e-9)
-
-
-def test_the_value_of_a_policy_is_what_it_earns_in_the_world():
-    # Where a look tells the same however much is hidden, the model leaves nothing out.
-    seeing = AssumedSeeing(floor=0.8, gain=0.0)
-    team = small_team(3, 2, grasping=GridGrasping(), num_nodes=1, seeing=seeing, reward_per_s=-0.3)
-    rule = GreedyPolicy(team.config.world, uses_history=True, counts_penalty=True)
-    layouts = TeamLayout(
-        pad_scenes([Scene(HIDES)]), Workspace(jnp.asarray(REACH)[None], jnp.asarray(team.is_near)[None])
-    )
-    for policy in (ReservingTeam(team.config, rule), OneAtATime(rule)):
-        earned = np.asarray(episodes.evaluate(team.config, layouts, policy, jax.random.key(2), 20_000).reward)
-        found = team_policy_value(team, policy)
-        assert found == pytest.approx(earned.mean(), abs=4.0 * earned.std() / np.sqrt(len(earned)))
-
-
-def test_nobody_does_better_than_the_optimum_and_it_reaches_its_own_value():
-    team = small_team(3, 1, reward_per_s=-0.1)
-    optimum = TeamOptimum(team)
-    rule = GreedyPolicy(team.config.world, uses_history=True, counts_penalty=True)
-    reserving = ReservingTeam(team.config, rule)
-    policies = (UniformTeam(), TeamOfRules(rule), reserving, RoundRobin(rule), RolloutTeam(team.config, reserving, 16))
-    values = [team_policy_value(team, policy) for policy in policies]
-    assert max(values) <= optimum.value + 1e-9
-    assert values[0] < values[2]
-
-
-def test_the_same_actions_are_possible_as_in_the_world():
-    team = small_team(3, 2, near=[(1, 2)])
-    known = [branch.known for branch in team.first()][:1]
-    for _ in range(3):
-        for each in known:
-            assert np.flatnonzero(possible_actions(team_state(team, each))).tolist() == team.possible(each)
-        after = [b.known for each in known for action in team.possible(each) for b in team.branches(each, action)]
-        known = [each for each in after if not each.is_over][:: max(1, len(after) // 12)]
-
-
-def test_chances_add_up():
-    team = small_team(3, 2)
-    known = team.first()[0].known
-    for _ in range(3):
-        for action in team.possible(known):
-            branches = team.branches(known, action)
-            assert sum(branch.probability for branch in branches) == pytest.approx(1.0, abs=1e-12)
-        known = branches[0].known
-        if known.is_over:
-            break
-
-
-class Impossible:
-    """Lifts what is out of the robot's reach."""
-
-    def decide(self, state, key):
-        return surely(jnp.asarray(6, dtype=jnp.int32))
-
-
-def test_what_is_not_possible_is_refused():
-    with pytest.raises(ArgumentError, match="chose action 6"):
-        team_policy_value(small_team(3, 1), Impossible())
+def test_a_grid_that_is_none_is_refused(numbers, told):
+    with pytest.raises(ArgumentError, match=told):
+        GridGrasping(**numbers)

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from halfseen.errors import ArgumentError
 from halfseen.planners.futures import KnownRewards, foreseen, future_rewards, imagined
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.planners.pomdp import POMDPPolicy
@@ -14,13 +15,14 @@ from halfseen.planners.rollout import sampled_values
 from halfseen.team import dynamics, episodes
 from halfseen.team.actions import possible_actions
 from halfseen.team.config import TeamConfig
-from halfseen.team.optimum import TeamOptimum, team_policy_value
-from halfseen.team.optimum_model import GridGrasping, SmallTeam
+from halfseen.team.grid_grasping import GridGrasping
+from halfseen.team.optimum import solve_team
 from halfseen.team.rollout import RolloutTeam, imagined_team, team_future_rewards
 from halfseen.team.rules import ReservingTeam
 from halfseen.team.state import TeamLayout, Workspace
 from halfseen.world import Scene, WorldConfig
 from halfseen.world import dynamics as one_robot
+from halfseen.world.action_space import Verb
 from halfseen.world.action_space import possible_actions as possible_of_table
 from halfseen.world.episodes import ONE_ROBOT
 from halfseen.world.state import pad_scenes
@@ -142,15 +144,36 @@ def test_a_choice_rests_on_what_is_seen_alone_and_is_possible():
     assert bool(possible_actions(after[0][0])[choices[0]])
 
 
+def test_what_goes_on_is_not_yet_over_also_on_a_grid_of_times():
+    config = TeamConfig(replace(WORLD, grasping=GridGrasping()), (1.0, 1.0))
+    state, _ = dynamics.start(config, first_of(layouts_of(2)), KEY)
+    # Attempts take 3, 5 or 7 s. If robot 0 decides after 3 s, robot 1 may be at its end, too; not the other way round.
+    at = [(0, [0.0, 3.0], 1, {0.0, 2.0, 4.0}), (1, [3.0, 0.0], 0, {2.0, 4.0})]
+    for decider, since_s, robot, left_s in at:
+        robots = replace(
+            state.robots,
+            is_busy=jnp.arange(2) == robot,
+            verb=jnp.full(2, int(Verb.WASH)),
+            target=jnp.full(2, 1),
+            since_s=jnp.asarray(since_s),
+        )
+        seen = replace(state, robots=robots, decider=jnp.asarray(decider))
+        draws = jax.jit(jax.vmap(lambda key, seen=seen: imagined_team(config, seen, key)))(jax.random.split(KEY, 400))
+        assert set(np.asarray(draws.pending.left_s[:, robot]).tolist()) == left_s
+
+
+def test_a_scatter_needs_two_futures():
+    with pytest.raises(ArgumentError, match="num_futures is 1; give at least 2"):
+        RolloutTeam(TeamConfig(WORLD), ReservingTeam(TeamConfig(WORLD), RULE), num_futures=1)
+
+
 @pytest.mark.slow
 def test_a_team_that_looks_ahead_earns_more_than_its_rule_and_no_more_than_the_optimum():
     world = WorldConfig(horizon=2, grasping=GridGrasping())
     config = TeamConfig(world, (1.0, 1.0), reward_per_s=-0.1)
     rule = ReservingTeam(config, GreedyPolicy(world, uses_history=True, counts_penalty=True))
     hides, everything = np.array([[0.0, 0.5], [0.0, 0.0]]), np.ones((2, 2), dtype=bool)
-    team = SmallTeam(config, hides, everything, np.eye(2, dtype=bool))
-    plain, ahead = (team_policy_value(team, policy) for policy in (rule, RolloutTeam(config, rule, 32)))
-    optimum = TeamOptimum(team).value
+    optimum = solve_team(hides, config, Workspace(jnp.asarray(everything), jnp.eye(2, dtype=bool)))
     # Exact expectations: no luck is in them but that of the futures drawn.
-    assert plain < ahead < optimum
-    assert ahead - plain > 0.5 * (optimum - plain)
+    plain, ahead = (optimum.regret(policy) for policy in (rule, RolloutTeam(config, rule, 32)))
+    assert 0.0 < ahead < 0.5 * plain

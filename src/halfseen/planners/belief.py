@@ -86,6 +86,11 @@ def offset_nodes(config: WorldConfig) -> Float[Array, " G"]:
     return known_grasping(config).offset_std * jnp.asarray(_NODES, dtype=jnp.float32)
 
 
+def offset_prior() -> tuple[Float[np.ndarray, " G"], Float[np.ndarray, " G"]]:
+    """Values of u on `offset_nodes`, for a standard deviation of 1, and the prior probability of each."""
+    return _NODES.copy(), _WEIGHTS / _WEIGHTS.sum()
+
+
 def prior_grip(mean: Float[Array, "*S"]) -> Grip:
     """Grips before any attempt: u ~ N(0, std²)."""
     log_weights = jnp.log(jnp.asarray(_WEIGHTS / _WEIGHTS.sum(), dtype=jnp.float32))

@@ -13,7 +13,9 @@ from jaxtyping import Float
 from halfseen.errors import ArgumentError
 from halfseen.planners.optimum_labels import Look
 from halfseen.planners.optimum_model import (
+    NOTHING,
     GridWorld,
+    Held,
     Result,
     Tally,
     after_attempt,
@@ -58,9 +60,9 @@ def attempts_of(tally: Tally) -> list[Attempt]:
     return [(target, result) for target in is_there(tally) for result in Result]
 
 
-def held_after(attempt: Attempt) -> int | None:
-    """Return the object that is up in the air when the next look is taken."""
-    return attempt[0] if attempt[1] is Result.LIFTED else None
+def held_after(attempt: Attempt) -> Held:
+    """Return what is up in the air when the next look is taken."""
+    return frozenset([attempt[0]]) if attempt[1] is Result.LIFTED else NOTHING
 
 
 def layers_of(world: GridWorld, horizon: int, max_cells: int) -> list[Layer]:
@@ -100,7 +102,7 @@ def expected_over_labels(values: Grid, looks: tuple[Look | None, ...]) -> Grid:
     """Mean of `values`, on the grid after a look, over what the look may say; on the grid before it."""
     for axis, look in enumerate(looks):
         if look is not None:
-            says_dirty = _along(look.says_dirty, axis, len(looks))
+            says_dirty = along(look.says_dirty, axis, len(looks))
             if_clean, if_dirty = values.take(look.if_clean, axis), values.take(look.if_dirty, axis)
             values = if_clean + says_dirty * (if_dirty - if_clean)
     return values
@@ -110,7 +112,7 @@ def spread_over_labels(mass: Grid, looks: tuple[Look | None, ...], shape: tuple[
     """Probability of each cell of the grid (of `shape`) after a look, given that of each before it."""
     for axis, look in enumerate(looks):
         if look is not None:
-            says_dirty = _along(look.says_dirty, axis, len(looks))
+            says_dirty = along(look.says_dirty, axis, len(looks))
             after = np.zeros((*mass.shape[:axis], shape[axis], *mass.shape[axis + 1 :]))
             before_axis = (slice(None),) * axis
             after[(*before_axis, look.if_clean)] += mass * (1.0 - says_dirty)
@@ -119,7 +121,8 @@ def spread_over_labels(mass: Grid, looks: tuple[Look | None, ...], shape: tuple[
     return mass
 
 
-def _along(values: Float[np.ndarray, " cells"], axis: int, num_axes: int) -> Grid:
+def along(values: Float[np.ndarray, " cells"], axis: int, num_axes: int) -> Grid:
+    """Lay values along one axis of a grid."""
     return values.reshape([-1 if at == axis else 1 for at in range(num_axes)])
 
 
@@ -128,11 +131,11 @@ def grid_of_q(world: GridWorld, node: Node, after: list[Grid]) -> Float[np.ndarr
     config, tally, actions = world.config, node.tally, ActionSpace(len(node.tally))
     levels = current_levels(world, tally)
     q = np.full((actions.num_actions, *grid_shape(world, tally)), -np.inf)
-    q[FINISH] = _left(world, tally)
+    q[FINISH] = price_of_left(world, tally)
     for cup, told in enumerate(tally):
         if told is None:
             continue
-        dirty = _along(world.dirty(cup, told.looks), cup, len(tally))
+        dirty = along(world.dirty(cup, told.looks), cup, len(tally))
         probability, attempt_s = world.attempt(cup, told.failures, told.successes, levels[cup])
         washed = dirty * float(config.reward_wash_dirty) + (1.0 - dirty) * float(config.reward_wash_clean)
         wash = probability * washed + (1.0 - probability) * float(config.reward_wash_failed)
@@ -146,11 +149,11 @@ def grid_of_q(world: GridWorld, node: Node, after: list[Grid]) -> Float[np.ndarr
     return q
 
 
-def _left(world: GridWorld, tally: Tally, without: int | None = None) -> Grid:
+def price_of_left(world: GridWorld, tally: Tally, without: int | None = None) -> Grid:
     """Expected price of what is dirty on the table when the path ends now."""
     nothing = np.zeros((1,) * len(tally))
     there = [(cup, told) for cup, told in enumerate(tally) if told is not None and cup != without]
-    dirty = [_along(world.dirty(cup, told.looks), cup, len(tally)) for cup, told in there]
+    dirty = [along(world.dirty(cup, told.looks), cup, len(tally)) for cup, told in there]
     return float(world.config.reward_dirty_left) * sum(dirty, nothing)
 
 
@@ -161,6 +164,6 @@ def _future(world: GridWorld, node: Node, attempt: Attempt, after: list[Grid]) -
     """
     target, result = attempt
     if attempt not in node.successors:
-        return _left(world, node.tally, without=target if result is Result.WASHED else None)
+        return price_of_left(world, node.tally, without=target if result is Result.WASHED else None)
     looks = looks_of(world, after_attempt(world, node.tally, target, result), held_after(attempt))
     return expected_over_labels(after[node.successors[attempt]], looks)

@@ -52,6 +52,9 @@ class CupTally(NamedTuple):
 
 Tally: TypeAlias = tuple[CupTally | None, ...]
 """One entry for each object; None once it has left the table."""
+Held: TypeAlias = frozenset[int]
+"""Objects that are up in the air."""
+NOTHING: Held = frozenset()
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,21 +169,26 @@ def first_tally(world: GridWorld) -> Tally:
     return tuple(CupTally(labels.nothing, *[(0,) * len(levels)] * 2) for labels, levels in pairs)
 
 
-def current_levels(world: GridWorld, tally: Tally, held: int | None = None) -> list[int]:
-    """Index of the occlusion of each object now; one that is held hides nothing."""
-    subset = sum(1 << cup for cup in is_there(tally) if cup != held)
+def current_levels(world: GridWorld, tally: Tally, held: Held = NOTHING) -> list[int]:
+    """Index of the occlusion of each object now; what is held hides nothing."""
+    subset = sum(1 << cup for cup in is_there(tally) if cup not in held)
     return world.level_by_subset[:, subset].tolist()
 
 
-def current_views(world: GridWorld, tally: Tally, held: int | None = None) -> list[int]:
+def current_views(world: GridWorld, tally: Tally, held: Held = NOTHING) -> list[int]:
     """How each object is seen now."""
     views = current_levels(world, tally, held)
-    return [world.labels[cup].views.held if cup == held else view for cup, view in enumerate(views)]
+    return [world.labels[cup].views.held if cup in held else view for cup, view in enumerate(views)]
 
 
 def after_attempt(world: GridWorld, tally: Tally, target: int, result: Result) -> Tally:
     """Return the tally after an attempt, before the look that follows it."""
-    told, level = tally[target], current_levels(world, tally)[target]
+    return after_attempt_at(tally, target, result, current_levels(world, tally)[target])
+
+
+def after_attempt_at(tally: Tally, target: int, result: Result, level: int) -> Tally:
+    """Return the tally after an attempt that began at one of its object's occlusions, before the look that follows."""
+    told = tally[target]
     assert told is not None, "only what stands on the table is attempted"
     if result is Result.WASHED:
         after = None
@@ -191,7 +199,7 @@ def after_attempt(world: GridWorld, tally: Tally, target: int, result: Result) -
     return (*tally[:target], after, *tally[target + 1 :])
 
 
-def after_look(world: GridWorld, tally: Tally, held: int | None = None) -> Tally:
+def after_look(world: GridWorld, tally: Tally, held: Held = NOTHING) -> Tally:
     """Return the tally after every object on the table was looked at once."""
     return tuple(
         None if told is None else told._replace(looks=labels.after(told.looks, view))
@@ -199,7 +207,7 @@ def after_look(world: GridWorld, tally: Tally, held: int | None = None) -> Tally
     )
 
 
-def looks_of(world: GridWorld, tally: Tally, held: int | None = None) -> tuple[Look | None, ...]:
+def looks_of(world: GridWorld, tally: Tally, held: Held = NOTHING) -> tuple[Look | None, ...]:
     """Return what `after_look` does to each axis of the grid; None where nothing new is seen."""
     return tuple(
         None if told is None else labels.look(told.looks, view)

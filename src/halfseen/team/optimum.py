@@ -1,155 +1,215 @@
-"""The exact optimum of a small team, and the exact value of any policy of a team in the same model.
+"""The exact optimum of a small table before a team, and the exact value of any policy on it.
 
-Backwards over what all robots know, which is enough as all know the same [SmallwoodSondik1973]_:
+Backwards over what may happen, on the grids of labels of `planners.optimum`, which is enough as all robots know the
+same [SmallwoodSondik1973]_:
 
-    V(known) = max_a Σ_b P(b | known, a) (R_b + V(known_b)),    0 where the path is over.
+    V(n) = max_a C(n after a),    C(n) = V(n) if a robot is free, the price of what is left if the path is over,
+                                  and else Σ_events P(event | n)·(R + E_labels C(n')).
 
-Each thing that may be known is valued once.
+Under one node all labels that may have been told lie side by side, so that a node is valued once for all of them. It is
+the best of all that can be done by whoever remembers everything that was seen, and at which time; a policy of a state
+knows a little less (how far a thing was hidden when another began with it, what was in the air at the last look). All
+is exact in float64 in the team's world (`dynamics`) under a law of grasping whose times and grips lie on grids
+(`grid_grasping`).
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from numpy.typing import ArrayLike
 
 from halfseen.errors import ArgumentError
-from halfseen.team.optimum_model import Branch, Known, SmallTeam
+from halfseen.planners.belief import NUM_NODES
+from halfseen.planners.optimum_bellman import Grid, expected_over_labels, price_of_left, spread_over_labels
+from halfseen.planners.optimum_model import GridWorld, Tally, after_look, first_tally, grid_shape, looks_of
+from halfseen.team.config import TeamConfig
+from halfseen.team.optimum_asking import actions_in
+from halfseen.team.optimum_events import Event, events_of
+from halfseen.team.optimum_model import Doing, GridTeam, TeamNode
 from halfseen.team.policy import TeamPolicy
-from halfseen.team.state import Robots, TeamState, Workspace
-from halfseen.world.state import NO_ATTEMPT, TableState
+from halfseen.team.state import Workspace
+from halfseen.world.scene import Scene
 
-_ASKED_AT_ONCE, _ASKED_IN_STEP = 128, 32
+MAX_CELLS = 50_000_000
+"""Values that `solve_team` keeps unless told otherwise: 400 MB."""
 
 
 @dataclass(frozen=True, eq=False)
 class TeamOptimum:
-    """The best that a small team can do, as far as it was asked for.
+    """The best that a team can do on one table.
 
-    Parameters
+    Attributes
     ----------
-    team
-        The team and its table.
+    value
+        Expected reward of the best policy, before the first look.
     """
 
-    team: SmallTeam
-    _values: dict[Known, float] = field(default_factory=dict, repr=False)
-
-    @property
-    def value(self) -> float:
-        """Expected reward of the best policy, before the first look."""
-        return sum(branch.probability * self.value_of(branch.known) for branch in self.team.first())
+    value: float
+    _model: GridTeam
+    _values: "_Values"
 
     @property
     def num_states(self) -> int:
-        """How many different things to know were valued so far."""
-        return len(self._values)
+        """Number of different states that were valued."""
+        return self._values.num_cells
 
-    def value_of(self, known: Known) -> float:
-        """Expected reward of the best policy from here on."""
-        if known.is_over:
+    def policy_value(self, policy: TeamPolicy, key: jax.Array | None = None) -> float:
+        """Exact expected reward of a policy, before the first look.
+
+        The policy is asked once in every state that it can reach, with a key of its own. Paths that differ only in the
+        order of what happened, or in what is known of an object that has left, are one state.
+
+        Parameters
+        ----------
+        policy
+            Any policy of a team.
+        key
+            What it draws from, by default ``jax.random.key(0)``.
+
+        Raises
+        ------
+        ArgumentError
+            The policy chose an action that is not possible.
+        """
+        model, total = self._model, 0.0
+        key = jax.random.key(0) if key is None else key
+        before, node = _first(model)
+        looks, shape = looks_of(model.world, before), grid_shape(model.world, node.tally)
+        masses = {node: spread_over_labels(np.ones((1,) * model.world.num_objects), looks, shape)}
+        for step in range(model.config.num_stages):
+            if not masses:
+                break
+            nodes = list(masses)
+            asked = actions_in(model, nodes, list(masses.values()), policy, jax.random.fold_in(key, step))
+            following: dict[TeamNode, Grid] = {}
+            for each, actions in zip(nodes, asked, strict=True):
+                for action in np.unique(actions[masses[each] > 0.0]).tolist():
+                    mass = np.where(actions == action, masses[each], 0.0)
+                    total += self._moved(model.begun(each, action), mass, following)
+            masses = following
+        return float(total)
+
+    def regret(self, policy: TeamPolicy, key: jax.Array | None = None) -> float:
+        """What a policy earns less than the best one; see `policy_value`."""
+        return self.value - self.policy_value(policy, key)
+
+    def _moved(self, node: TeamNode, mass: Grid, following: dict[TeamNode, Grid]) -> float:
+        """Let mass go on until somebody decides; what it earns until then."""
+        if node.is_over or node.num_decisions == 0:
+            return float(np.sum(mass * self._values.after(node)))
+        if node.is_asked:
+            following[node] = following[node] + mass if node in following else mass
             return 0.0
-        if known not in self._values:
-            self._values[known] = max(self.q_values(known).values())
-        return self._values[known]
+        earned = 0.0
+        for event in self._values.events(node):
+            share = event.probability * mass
+            earned += float(np.sum(share * event.reward))
+            share = share if event.gone is None else share.sum(axis=event.gone, keepdims=True)
+            if event.looks is not None:
+                shape = grid_shape(self._model.world, event.after.tally)
+                share = spread_over_labels(share, event.looks, shape)
+            earned += self._moved(event.after, share, following)
+        return earned
 
-    def q_values(self, known: Known) -> dict[int, float]:
-        """Expected reward of each possible action, the best policy following."""
-        return {
-            action: sum(p * (reward + self.value_of(after)) for p, reward, after in self.team.branches(known, action))
-            for action in self.team.possible(known)
-        }
+
+@dataclass(eq=False)
+class _Values:
+    """Values of nodes, each found once."""
+
+    model: GridTeam
+    max_cells: int
+    num_cells: int = 0
+    _best: dict[TeamNode, Grid] = field(default_factory=dict)
+    _after: dict[TeamNode, Grid] = field(default_factory=dict)
+    _events: dict[TeamNode, list[Event]] = field(default_factory=dict)
+
+    def best(self, node: TeamNode) -> Grid:
+        """V: the value of a node in which a robot decides, in every cell."""
+        known = self._best.get(node)
+        if known is None:
+            shape = grid_shape(self.model.world, node.tally)
+            values = [self.after(self.model.begun(node, action)) for action in self.model.possible(node)]
+            known = self._best[node] = np.max([np.broadcast_to(value, shape) for value in values], axis=0)
+            self._count(known)
+        return known
+
+    def after(self, node: TeamNode) -> Grid:
+        """C: the value of what follows, whether or not a robot decides."""
+        if node.is_over:
+            return price_of_left(self.model.world, node.tally)
+        if node.is_asked:
+            return self.best(node)
+        known = self._after.get(node)
+        if known is None:
+            known = self._after[node] = np.asarray(sum(map(self._worth, events_of(self.model, node))))
+            self._count(known)
+        return known
+
+    def events(self, node: TeamNode) -> list[Event]:
+        """What may happen next."""
+        if node not in self._events:
+            self._events[node] = list(events_of(self.model, node))
+        return self._events[node]
+
+    def _worth(self, event: Event) -> Grid:
+        following = self.after(event.after)
+        if event.looks is not None:
+            following = expected_over_labels(following, event.looks)
+        return event.probability * (event.reward + following)
+
+    def _count(self, grid: Grid) -> None:
+        self.num_cells += np.size(grid)
+        if self.num_cells > self.max_cells:
+            raise ArgumentError(
+                f"{self.model.world.num_objects} objects, {self.model.config.num_robots} robots and "
+                f"{self.model.config.world.horizon} decisions of each have more than {self.max_cells:,} states; "
+                "shorten the horizon or take fewer objects"
+            )
 
 
-def team_policy_value(team: SmallTeam, policy: TeamPolicy, key: Array | None = None) -> float:
-    """Exact expected reward of a policy in a small team, before the first look.
-
-    It is asked once in everything that it can come to know, with a key of its own: a policy that samples is valued for
-    the draws of `key`.
+def solve_team(
+    scene: Scene | ArrayLike,
+    config: TeamConfig,
+    workspace: Workspace,
+    num_grip_nodes: int = NUM_NODES,
+    max_states: int = MAX_CELLS,
+) -> TeamOptimum:
+    """Find the best that a team can do on a small table, exactly.
 
     Parameters
     ----------
-    team
-        The team and its table.
-    policy
-        Any policy of a team.
-    key
-        What it draws from, by default ``jax.random.key(0)``.
+    scene
+        The table, or its ``hides``, shape (N, N).
+    config
+        The team; its world's law of grasping is a `GridGrasping`.
+    workspace
+        Who reaches what, on one table.
+    num_grip_nodes
+        Grip offsets lie on this many Gauss–Hermite nodes; by default on those of the planners' beliefs.
+    max_states
+        Refuse what has more states than this; each takes 8 bytes.
+
+    Returns
+    -------
+    TeamOptimum
+        Its `value`, and the exact value of any policy.
 
     Raises
     ------
     ArgumentError
-        The policy chose an action that is not possible.
+        The law is none on a grid, robots may drop out, or there are more than `max_states` states.
     """
-    key = jax.random.key(0) if key is None else key
-    asked = partial(jax.lax.map, lambda each: policy.decide(*each).action, batch_size=_ASKED_IN_STEP)
-    decide = jax.jit(lambda *states_and_keys: asked(states_and_keys))
-    total, reached = 0.0, _reached(team.first())
-    for depth in range(team.config.num_stages):
-        if not reached:
-            break
-        actions = _asked(team, list(reached), decide, jax.random.fold_in(key, depth))
-        branches: list[Branch] = []
-        for (known, mass), action in zip(reached.items(), actions, strict=True):
-            if action not in team.possible(known):
-                raise ArgumentError(f"the policy chose action {action}, and {team.possible(known)} are possible")
-            branches += [b._replace(probability=mass * b.probability) for b in team.branches(known, action)]
-        total += sum(p * reward for p, reward, _ in branches)
-        reached = _reached(branches)
-    return total
+    table = scene if isinstance(scene, Scene) else Scene(np.asarray(scene, dtype=np.float64))
+    world = GridWorld(table, config.world, num_grip_nodes)
+    model = GridTeam(world, config, np.asarray(workspace.is_in_reach), np.asarray(workspace.is_near))
+    values = _Values(model, max_states)
+    before, node = _first(model)
+    value = expected_over_labels(values.best(node), looks_of(world, before))
+    return TeamOptimum(float(value.item()), model, values)
 
 
-def team_state(team: SmallTeam, known: Known) -> TeamState:
-    """What a robot that decides sees, as policies take it."""
-    num_objects, room = len(known.cups), team.config.num_stages
-    attempts = [(i, *each) for i, cup in enumerate(known.cups) if cup is not None for each in cup.attempts]
-    spare = room - len(attempts)
-    cups = [(0.0, 0.0, ()) if cup is None else cup for cup in known.cups]
-    table = TableState(
-        hides=jnp.asarray(team.hides, dtype=jnp.float32),
-        is_object=jnp.ones(num_objects, dtype=bool),
-        is_on_table=jnp.asarray([cup is not None for cup in known.cups]),
-        grip=jnp.zeros(num_objects, dtype=jnp.float32),
-        log_odds=jnp.asarray([cup[0] for cup in cups], dtype=jnp.float32),
-        seen=jnp.asarray([cup[1] for cup in cups], dtype=jnp.float32),
-        lifts=jnp.asarray([sum(held for _, held in cup[2]) for cup in cups], dtype=jnp.int32),
-        attempt_object=jnp.asarray([i for i, _, _ in attempts] + [NO_ATTEMPT] * spare, dtype=jnp.int32),
-        attempt_occlusion=jnp.asarray([at for _, at, _ in attempts] + [0.0] * spare, dtype=jnp.float32),
-        attempt_succeeded=jnp.asarray([held for _, _, held in attempts] + [False] * spare),
-        steps_to_go=jnp.asarray(spare, dtype=jnp.int32),
-    )
-    robots = Robots(
-        is_busy=jnp.asarray([task is not None for task in known.tasks]),
-        is_parked=jnp.asarray(known.is_parked),
-        verb=jnp.asarray([0 if task is None else task.verb for task in known.tasks], dtype=jnp.int32),
-        target=jnp.asarray([0 if task is None else task.target for task in known.tasks], dtype=jnp.int32),
-        since_s=jnp.asarray([0.0 if task is None else task.since_s for task in known.tasks], dtype=jnp.float32),
-        decisions_to_go=jnp.asarray(known.to_go, dtype=jnp.int32),
-    )
-    workspace = Workspace(jnp.asarray(team.is_in_reach), jnp.asarray(team.is_near))
-    return TeamState(table, robots, workspace, jnp.asarray(known.free[0], dtype=jnp.int32))
-
-
-def _reached(branches: list[Branch]) -> dict[Known, float]:
-    """Probability of everything that may be known, and still asks for a decision."""
-    masses: dict[Known, float] = {}
-    for probability, _, known in branches:
-        if not known.is_over:
-            masses[known] = masses.get(known, 0.0) + probability
-    return masses
-
-
-def _asked(team: SmallTeam, reached: list[Known], decide: Callable[..., Array], key: Array) -> list[int]:
-    """What a policy does in each; asked many at a time, and always as many, so that it is compiled once."""
-    actions: list[int] = []
-    for begin in range(0, len(reached), _ASKED_AT_ONCE):
-        some = reached[begin : begin + _ASKED_AT_ONCE]
-        padded = some + some[-1:] * (_ASKED_AT_ONCE - len(some))
-        each = [team_state(team, known) for known in padded]
-        states = jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *each)
-        keys = jax.random.split(jax.random.fold_in(key, begin), _ASKED_AT_ONCE)
-        actions += np.asarray(decide(states, keys))[: len(some)].tolist()
-    return actions
+def _first(model: GridTeam) -> tuple[Tally, TeamNode]:
+    """The tally before anything was seen, and where the team begins."""
+    before, doings = first_tally(model.world), (Doing(model.config.world.horizon),) * model.config.num_robots
+    return before, TeamNode(after_look(model.world, before), doings)

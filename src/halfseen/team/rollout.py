@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from halfseen.errors import ArgumentError
 from halfseen.planners.futures import KnownRewards, foreseen, future_rewards, imagined
 from halfseen.team.actions import WAIT, possible_actions
 from halfseen.team.config import TeamConfig
@@ -44,12 +45,23 @@ class RolloutTeam:
         Futures in which each action is tried, ≥ 2.
     caution
         Standard errors by which another action must be better than the rule's.
+
+    Raises
+    ------
+    ArgumentError
+        `num_futures` is below 2.
     """
 
     config: TeamConfig
     rule: TeamPolicy
     num_futures: int = field(default=NUM_FUTURES, metadata={"static": True})
     caution: float | Array = 1.0
+
+    def __post_init__(self) -> None:
+        if self.num_futures < 2:
+            raise ArgumentError(
+                f"num_futures is {self.num_futures}; give at least 2, as their scatter tells how sure a gain is"
+            )
 
     @property
     def num_robots(self) -> int:
@@ -117,8 +129,9 @@ def _pending(config: TeamConfig, state: TeamState, robot: Int[Array, ""], key: A
         return duration_s, tried.is_held, tried.hides, drawn.grasp_trait[target]
 
     duration_s, is_held, hides, offset = jax.vmap(proposal)(jax.random.split(key, NUM_PROPOSALS))
+    # Of two that end at once the lower robot ends first, so that a higher one may be at its end.
+    goes_on = (duration_s > since_s) | ((duration_s == since_s) & (robot > state.decider))
     # They are alike before they are looked at: the first that goes on is as good as any.
-    goes_on = duration_s > since_s
     chosen = jnp.where(jnp.any(goes_on), jnp.argmax(goes_on), jnp.argmax(duration_s))
     left_s = jnp.where(is_wait, jnp.inf, jnp.maximum(duration_s[chosen] - since_s, 0.0))
     return (
