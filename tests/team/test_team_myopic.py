@@ -106,6 +106,15 @@ def test_what_another_washes_is_nobody_elses():
     np.testing.assert_allclose(MyopicTeam(team).q_values(sure), q, atol=1e-5)
 
 
+def test_who_has_no_decision_left_tries_nothing_more():
+    team = team_of(2)
+    state = while_the_other_washes(team)
+    spent = replace(state, robots=replace(state.robots, decisions_to_go=jnp.array([0, 3], dtype=jnp.int32)))
+    before, after = (np.asarray(MyopicTeam(team).q_values(each)) for each in (state, spent))
+    assert before[FINISH] > 0.0
+    assert after[FINISH] == 0.0
+
+
 def test_a_slow_robot_leaves_to_a_fast_one_what_that_reaches():
     state = while_the_other_washes(team_of(2))
     only = jnp.where(jnp.arange(NUM_OBJECTS) == 3, 3.0, -9.0)

@@ -1,9 +1,9 @@
 """A look one step ahead for the robot that decides, with WAIT among its actions and the seconds paid.
 
 As in `planners.one_step`, what lies beyond the step is valued by V_0: each object is left or tried once, whichever is
-worth more, by the fastest robot that reaches it; a try costs the price of its seconds, too. What another robot is
-washing counts for nobody, as it is tried already. FINISH leaves to the others what they reach. WAIT gains the labels of
-the next look for the seconds in which this robot is idle.
+worth more, by the fastest robot that reaches it and has a decision left; a try costs the price of its seconds, too.
+What another robot is washing counts for nobody, as it is tried already. FINISH leaves to the others what they reach.
+WAIT gains the labels of the next look for the seconds in which this robot is idle.
 
 While n robots go on, a second of one is taken to add 1/n of it to the table's clock. With one robot and no price it is
 `one_step.one_step_q`, but for what is common to all actions.
@@ -51,18 +51,17 @@ class MyopicTeam:
 
     def q_values(self, state: TeamState) -> Float[Array, " A"]:
         """Worth of each action of one table, WAIT last, above leaving all as it is; −∞ where it is impossible."""
-        others, robots = others_of(state), state.robots
+        others = others_of(state)
         is_me = jnp.arange(self.num_robots) == state.decider
         table = _table_of(self.config.world, state)
         with_me, without_me = (
             _crew(self.config, state, table, who) for who in (others.goes_on | is_me, others.goes_on)
         )
-        steps = jnp.sum(jnp.where(robots.is_done, 0, robots.decisions_to_go)) - 1
-        wash, lift = _attempts(with_me, jnp.asarray(self.config.speed)[state.decider], steps)
+        wash, lift = _attempts(with_me, jnp.asarray(self.config.speed)[state.decider])
         idle_s = _wait_s(self.config, state, others, table.attempt_s)
-        wait = _value(with_me.tries_now(), steps) + with_me.reward_per_s * idle_s
+        wait = with_me.value_now() + with_me.reward_per_s * idle_s
         # Whoever is last to leave ends the path, and nothing is looked at any more.
-        finish = _value(without_me.tries_now(), steps) * jnp.any(others.goes_on)
+        finish = without_me.value_now() * jnp.any(others.goes_on)
         values = ActionSpace(state.table.num_objects).join(finish, {Verb.WASH: wash, Verb.LIFT: lift})
         return jnp.where(possible_actions(state), jnp.append(values, wait), -jnp.inf)
 
@@ -93,6 +92,8 @@ class _Crew(NamedTuple):
     """Price of the seconds of a try by the fastest that reaches the object."""
     is_wanted: Bool[Array, " N"]
     """What is left for one of them to try."""
+    num_decisions: Int[Array, ""]
+    """That they have after this one."""
 
     def tries(self, occluded: Float[Array, "*S N"], probability: Float[Array, "*S N"], is_held: bool = False) -> Tries:
         """One more try of each object."""
@@ -107,9 +108,13 @@ class _Crew(NamedTuple):
         occluded = self.table.occluded
         return self.tries(occluded, grasp_probability(self.table.config, occluded, self.table.belief.grip))
 
-    def tries_now(self) -> Tries:
-        """All tries as the table stands."""
-        return self.each_now().among(self.is_wanted)
+    def value(self, tries: Tries) -> Float[Array, "*S"]:
+        """Gains of as many tries as there are decisions (their mean stands for the best)."""
+        return left_or_tried(jnp.zeros(()), tries, self.num_decisions)
+
+    def value_now(self) -> Float[Array, ""]:
+        """Value of the table as it stands."""
+        return self.value(self.each_now().among(self.is_wanted))
 
 
 def _table_of(config: WorldConfig, state: TeamState) -> _Table:
@@ -127,7 +132,9 @@ def _table_of(config: WorldConfig, state: TeamState) -> _Table:
 
 
 def _crew(config: TeamConfig, state: TeamState, table: _Table, goes_on: Bool[Array, " K"]) -> _Crew:
-    reach = goes_on[:, None] & state.workspace.is_in_reach
+    robots = state.robots
+    to_go = robots.decisions_to_go - (jnp.arange(robots.num_robots) == state.decider)
+    reach = (goes_on & (to_go > 0))[:, None] & state.workspace.is_in_reach
     fastest = jnp.max(jnp.where(reach, jnp.asarray(config.speed)[:, None], 0.0), axis=0)
     is_reached = fastest > 0.0
     reward_per_s = config.reward_per_s / jnp.maximum(jnp.sum(goes_on), 1)
@@ -136,12 +143,11 @@ def _crew(config: TeamConfig, state: TeamState, table: _Table, goes_on: Bool[Arr
         reward_per_s=reward_per_s,
         effort=-reward_per_s * table.attempt_s / jnp.where(is_reached, fastest, 1.0),
         is_wanted=state.table.is_on_table & is_reached & ~table.is_washed,
+        num_decisions=jnp.sum(jnp.where(goes_on, to_go, 0)),
     )
 
 
-def _attempts(
-    crew: _Crew, speed: Float[Array, ""], steps: Int[Array, ""]
-) -> tuple[Float[Array, " N"], Float[Array, " N"]]:
+def _attempts(crew: _Crew, speed: Float[Array, ""]) -> tuple[Float[Array, " N"], Float[Array, " N"]]:
     """Worth of WASH and of LIFT of each object by the robot that decides, one of the crew."""
     world, belief, occluded, attempt_s, _ = crew.table
     target = jnp.eye(len(occluded), dtype=bool)
@@ -161,16 +167,11 @@ def _attempts(
     held = crew.tries(jnp.zeros_like(occluded), if_held, is_held=True)
     lifted = jax.tree.map(lambda total, new: total + jnp.where(own, new, 0.0), around, held)
     own_s = attempt_s / speed
-    after_miss = (1.0 - probability) * _value(missed, steps) + crew.reward_per_s * own_s
+    after_miss = (1.0 - probability) * crew.value(missed) + crew.reward_per_s * own_s
     worth = wash_worth(world, jax.nn.sigmoid(belief.log_odds), probability, counts_penalty=True)
-    wash = worth + probability * _value(washed, steps) + after_miss
-    lift = world.reward_lift_per_s * own_s + probability * _value(lifted, steps) + after_miss
+    wash = worth + probability * crew.value(washed) + after_miss
+    lift = world.reward_lift_per_s * own_s + probability * crew.value(lifted) + after_miss
     return wash, lift
-
-
-def _value(tries: Tries, steps: Int[Array, ""]) -> Float[Array, "*S"]:
-    """Gains of as many tries as there are decisions (their mean stands for the best)."""
-    return left_or_tried(jnp.zeros(()), tries, steps)
 
 
 def _wait_s(config: TeamConfig, state: TeamState, others: Others, attempt_s: Float[Array, " N"]) -> Float[Array, ""]:
