@@ -1,7 +1,7 @@
 """What each policy of a team earns less than the exact optimum: two robots, three objects.
 
 python benchmarks/team_regret.py [--out runs/benchmarks/team_regret.json] [--horizon 2] [--prices 0 -0.1] [--futures 32]
-                                 [--keys 3]
+                                 [--keys 4]
 
 Robot 0 reaches objects 0 and 1, robot 1 objects 1 and 2; each has so many decisions, in the world of
 `halfseen.team.grid_grasping`. Both values are exact expectations. A rollout is asked once in every state for each of
@@ -77,7 +77,7 @@ def main() -> None:
     parser.add_argument("--horizon", type=int, default=2, help="decisions of each robot")
     parser.add_argument("--prices", type=float, nargs="+", default=PRICES, help="of a second")
     parser.add_argument("--futures", type=int, default=32, help="of each action, in a rollout")
-    parser.add_argument("--keys", type=int, default=3, help="with which a policy that draws is asked")
+    parser.add_argument("--keys", type=int, default=4, help="with which a policy that draws is asked")
     args = parser.parse_args()
     workspace, rows = Workspace(jnp.asarray(REACH), jnp.eye(len(HIDES), dtype=bool)), []
     for price in args.prices:

@@ -17,6 +17,7 @@ from halfseen.team.rules import OneAtATime, ReservingTeam, RoundRobin
 from halfseen.team.state import TeamLayout, Workspace
 from halfseen.world import Scene, WorldConfig
 from halfseen.world import episodes as one_robot
+from halfseen.world.action_space import Verb
 from halfseen.world.state import occlusion, pad_scenes
 
 NUM_OBJECTS = 4
@@ -46,13 +47,18 @@ def chosen(policy, states):
     return np.asarray(jax.jit(jax.vmap(lambda state: policy.decide(state, KEY).action))(states))
 
 
+def gone(robots):
+    """Who is done for good, or goes home."""
+    return robots.is_done | (robots.is_busy & (robots.verb == Verb.FINISH))
+
+
 def attempt_s_of(state):
     return expected_attempt_s(RULE.config, occlusion(state.table), grip_posterior(RULE.config, state.table))
 
 
-def naive_choice(price_per_s, me, is_done, is_on_table, worth, attempt_s, is_possible):
+def naive_choice(price_per_s, me, is_gone, is_on_table, worth, attempt_s, is_possible):
     """By plain loops: what a robot that knows the price of time begins."""
-    others = [r for r in range(2) if r != me and not is_done[r]]
+    others = [r for r in range(2) if r != me and not is_gone[r]]
     best, best_at, is_hope = None, 0, False
     for i in range(NUM_OBJECTS):
         price = price_per_s * attempt_s[i]
@@ -75,7 +81,7 @@ def test_a_team_with_reservation_washes_what_is_worth_its_time(price_per_s):
     worth, attempt_s, is_possible = jax.jit(
         jax.vmap(lambda state: (RULE.worth(state.table), attempt_s_of(state), possible_actions(state)))
     )(states)
-    columns = (states.decider, states.robots.is_done, states.table.is_on_table, worth, attempt_s, is_possible)
+    columns = (states.decider, gone(states.robots), states.table.is_on_table, worth, attempt_s, is_possible)
     naive = [naive_choice(price_per_s, *row) for row in zip(*map(np.asarray, columns), strict=True)]
     assert {0, WAIT} < set(naive)
     np.testing.assert_array_equal(chosen(ReservingTeam(config, RULE), states), naive)
@@ -100,9 +106,7 @@ def test_what_is_dealt_to_another_is_left_alone_until_that_one_goes():
     paths = episodes.play(config, layouts, RoundRobin(RULE), KEY, 60)
     is_wash = np.asarray(paths.is_taken & (paths.action >= 1) & (paths.action <= NUM_OBJECTS))
     decider, robots = np.asarray(paths.states.decider), paths.states.robots
-    other_goes_on = ~np.take_along_axis(np.asarray(robots.is_done), np.expand_dims(1 - decider, -1), axis=-1).squeeze(
-        -1
-    )
+    other_goes_on = ~np.take_along_axis(np.asarray(gone(robots)), np.expand_dims(1 - decider, -1), axis=-1).squeeze(-1)
     is_dealt: np.ndarray = np.equal(np.asarray(paths.action - 1) % 2, decider)
     assert is_dealt[is_wash & other_goes_on].all()
     assert not is_dealt[is_wash & ~other_goes_on].all()
