@@ -26,10 +26,10 @@ import numpy as np
 from jaxtyping import Array, Float
 from tqdm import tqdm
 
+from halfseen.cell.account import Run
 from halfseen.cell.calibration.law_folder import read_law
 from halfseen.cell.calibration.shipped import shipped_law
 from halfseen.cell.campaign import Campaign, Conditions, working_folder
-from halfseen.cell.episode import Run
 from halfseen.cell.several.pair import PAIR
 from halfseen.cell.table_state import Belief
 from halfseen.planners.heuristics import GreedyPolicy

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from halfseen.cell.campaign import RUN_FILE, Campaign, Conditions, logs_of, table_name, working_folder
-from halfseen.cell.episode import NOTHING_SEEN, play
+from halfseen.cell.clearing import NOTHING_SEEN
+from halfseen.cell.episode import play
 from halfseen.cell.facts import Facts
 from halfseen.cell.memory import MORE_IN_VIEW, Glance, Known, Memory
 from halfseen.cell.stops import Stops

@@ -19,6 +19,7 @@ from halfseen.scene.table import TABLE_TOP_M, Table
 from halfseen.scene.xtion import xtion_at
 
 CAMERA = xtion_at(look_at(np.array([0.0, -0.78, 1.24]), np.array([0.0, 0.0, TABLE_TOP_M])))
+NOTHING_HELD = np.zeros(np.prod(CAMERA.size_px), dtype=bool)
 CUPS_M = ((-0.20, 0.12), (0.25, 0.0))
 
 
@@ -44,7 +45,7 @@ def reach_before(cell, y_m, x_m=-0.20):
 
 def test_with_the_arms_at_home_both_cups_are_seen_whole(cell):
     look = Eye(cell.cell, CAMERA).look(np.random.default_rng(1))
-    view, cloud = perceived_whole(look.cloud, look.robots_m)
+    view, cloud = perceived_whole(look.cloud, look.robots_m, NOTHING_HELD)
     assert len(view.objects) == 2
     assert cloud is look.cloud
 
@@ -69,4 +70,4 @@ def test_a_cup_before_an_arm_is_seen(cell):
     reach_before(cell, 0.25)
     look = Eye(cell.cell, CAMERA).look(np.random.default_rng(1))
     assert np.isfinite(look.robots_m).any()
-    assert len(perceived_whole(look.cloud, look.robots_m)[0].objects) == 2
+    assert len(perceived_whole(look.cloud, look.robots_m, NOTHING_HELD)[0].objects) == 2

@@ -9,7 +9,7 @@ from halfseen.cell.several.team_episode import play_team
 from halfseen.cell.several.team_table import TeamTable
 from halfseen.cell.stops import SENSOR_LOST, Stops
 from halfseen.cell.table_state import Belief, no_grip
-from halfseen.cell.workcell import Workcell
+from halfseen.cell.workcell import Attempt, Workcell
 from halfseen.logs import LogRecorder, read_logs
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.scene.camera import look_at
@@ -27,6 +27,7 @@ CAMERA = xtion_at(look_at(np.array([0.0, -0.78, 1.24]), np.array([0.0, 0.0, TABL
 CONFIG = WorldConfig(horizon=6, dirty_share=0.8)
 BELIEF = Belief(CONFIG, no_grip)
 TEAM = TeamOfRules(GreedyPolicy(CONFIG, uses_history=True, counts_penalty=True))
+TOO_FAR = Attempt(False, 0.0, None, "no grasp is within reach", is_too_far=True)
 PLACES_M = ((-0.26, 0.0), (-0.12, 0.12), (0.26, 0.0), (0.12, 0.12))
 
 
@@ -136,10 +137,25 @@ def test_places_tell_who_reaches_an_object_and_which_are_too_near():
     assert not near[left, middle]
     assert near.diagonal().all()
     # What an arm found to be too far it does not reach, as long as that stays there.
-    table.count_too_far(0, middle)
+    table.learn(0, middle, TOO_FAR)
     assert table.is_in_reach()[:, middle].tolist() == [False, True]
     cell.memory.objects[middle].middle_m = middles_m[middle] + [0.05, 0.0, 0.0]
     assert table.is_in_reach()[:, middle].tolist() == [True, True]
+
+
+def test_what_was_too_far_is_tried_again_when_an_arm_has_left_the_table():
+    cell = workcell()
+    cell.look()
+    table = TeamTable(cell, BELIEF)
+    usual = table.is_in_reach()
+    number = int(np.flatnonzero(usual[0])[0])
+    table.learn(0, number, TOO_FAR)
+    # Who found nothing in reach never left home: two such arms do not free one another for ever.
+    table.learn(1, int(np.flatnonzero(usual[1])[0]), TOO_FAR)
+    table.learn(1, number, Attempt(False, 0.0, None, "another arm was in the way of every grasp"))
+    assert not table.is_in_reach()[0, number]
+    table.learn(1, number, Attempt(True, 5.0, "around"))
+    np.testing.assert_array_equal(table.is_in_reach(), usual)
 
 
 def test_what_an_arm_is_at_is_told_to_the_one_that_decides():
