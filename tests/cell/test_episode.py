@@ -323,6 +323,14 @@ def test_a_table_that_shows_no_cup_is_cut(tmp_path):
     assert (run.cause, run.is_seen) == (NOTHING_SEEN, False)
 
 
+def test_a_table_without_cups_is_over_at_once(tmp_path):
+    cell = Workcell(Table((), (), CAMERA), np.random.default_rng(0))
+    with LogRecorder(tmp_path / "logs") as recorder:
+        run = play(cell, IS_DIRTY[:0], *quits(), recorder.begin_path(0), jax.random.key(0))
+    assert (run.cause, run.is_seen, run.reward, run.num_cups) == (NOTHING_SEEN, False, 0.0, 0)
+    assert run.seconds < 1.0
+
+
 @pytest.mark.parametrize("place_m", [(0.0, 5.0, TABLE_TOP_M), (0.0, 0.0, 3.0), (0.6, 0.0, TABLE_TOP_M)])
 def test_a_cup_that_is_not_on_the_table_is_refused(place_m):
     table = Table(CUPS, (POSES[0], Pose(place_m)), CAMERA, "table 7")

@@ -1,15 +1,22 @@
 """Two arms clear a table in physics: cups in their racks, no collision, and a log that a team learns from."""
 
+from dataclasses import dataclass
+
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from halfseen.cell.account import Account
+from halfseen.cell.clearing import PAUSE_S
+from halfseen.cell.luck import luck_of_washing
 from halfseen.cell.several.pair import PAIR
-from halfseen.cell.several.team_episode import play_team
+from halfseen.cell.several.team_episode import TeamRun, play_team
 from halfseen.cell.several.team_table import TeamTable
 from halfseen.cell.stops import SENSOR_LOST, Stops
 from halfseen.cell.table_state import Belief, no_grip
 from halfseen.cell.workcell import Attempt, Workcell
+from halfseen.learners import CensoredQLearner
 from halfseen.logs import LogRecorder, read_logs
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.scene.camera import look_at
@@ -18,10 +25,12 @@ from halfseen.scene.poses import Pose
 from halfseen.scene.table import TABLE_TOP_M, Table
 from halfseen.scene.xtion import xtion_at
 from halfseen.team.actions import WAIT, possible_actions
+from halfseen.team.own_part import alone
 from halfseen.team.policy import TeamOfRules, TeamPolicy, UniformTeam
 from halfseen.team.recording import states_of
-from halfseen.world.action_space import ActionSpace, Verb
+from halfseen.world.action_space import FINISH, ActionSpace, Verb
 from halfseen.world.config import WorldConfig
+from halfseen.world.policy import surely
 
 CAMERA = xtion_at(look_at(np.array([0.0, -0.78, 1.24]), np.array([0.0, 0.0, TABLE_TOP_M])))
 CONFIG = WorldConfig(horizon=6, dirty_share=0.8)
@@ -94,6 +103,70 @@ def test_the_log_gives_back_the_states_that_the_team_decided_in(cleared):
         actions = ActionSpace(num_objects)
         chosen = 1 + 2 * num_objects if verb == WAIT else int(actions.encode(verb, target)) if verb else 0
         assert bool(possible_actions(state)[chosen])
+
+
+def test_each_arm_can_learn_from_its_own_part_of_the_log(cleared):
+    _, run, logs, _ = cleared
+    for arm in (0, 1):
+        own = alone(logs, arm)
+        attempts = own.stages[own.stages["action"] == "WASH"]
+        assert attempts["reward"].tolist() == [CONFIG.reward_wash_dirty] * 2
+        assert own.is_finished.all()
+        assert own.stages["elapsed_s"].iloc[-1] <= run.seconds
+        # What the other arm alone reaches is not on its table.
+        assert set(own.objects["object"]) < set(logs.objects["object"])
+        CensoredQLearner.for_table(CONFIG.horizon, reg=1.0).fit(own)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Parking:
+    """Everyone parks at its first decision, but for arm 0 if it is to lift object 0 before."""
+
+    is_to_lift: bool = False
+
+    def decide(self, state, key):
+        actions, is_new = ActionSpace(state.table.num_objects), state.table.attempt_object[0] < 0
+        is_lift = self.is_to_lift & is_new & (state.decider == 0)
+        return surely(jnp.where(is_lift, actions.encode(Verb.LIFT, 0), FINISH).astype(jnp.int32))
+
+
+def test_who_parks_has_left_what_is_dirty_in_its_own_reach(tmp_path):
+    """Two cups for the left arm alone, one that both reach, one for the right arm alone."""
+    cell = workcell(((-0.30, 0.0), (-0.30, 0.15), (0.0, 0.1), (0.30, 0.0)))
+    run = played(cell, tmp_path / "log", Parking())
+    stages, left = read_logs(tmp_path / "log").stages, float(CONFIG.reward_dirty_left)
+    assert stages["action"].tolist() == ["FINISH", "FINISH"]
+    assert run.reward == stages["reward"].sum() == 4 * left
+    assert stages["0_reward"].sum() == 3 * left
+    assert stages["1_reward"].sum() == 2 * left
+
+
+def test_reward_and_luck_are_booked_together_when_a_stage_is_completed(monkeypatch):
+    cell = workcell(((-0.26, 0.0), (0.26, 0.0)))
+    account = Account(TeamRun(), cell, np.ones(2, dtype=bool), CONFIG)
+    account.end(Attempt(False, 1.0, "rim", "the hand closed on nothing"), Verb.WASH, 0.5, 1.0, 0)
+    assert (account.run.reward, account.run.luck) == (0.0, 0.0)
+    monkeypatch.setattr(account.truth, "newly_racked", lambda *_: [True])
+    account.end(Attempt(True, 1.0, "rim"), Verb.WASH, 0.5, 1.0, 1)
+    assert (account.run.reward, account.run.luck) == (0.0, 0.0)
+    paid = account.pay(is_over=False)
+    assert paid == (CONFIG.reward_wash_failed + CONFIG.reward_wash_dirty, [-1.0, 5.0])
+    assert account.run.reward == paid.reward
+    assert account.run.luck == pytest.approx(luck_of_washing([True], 0.5, CONFIG))
+    assert account.pay(is_over=False) == (0.0, [0.0, 0.0])
+
+
+def test_a_lift_costs_an_arm_of_two_what_it_costs_one_that_is_alone(tmp_path):
+    """Its time until it is home; the look afterwards is nobody's."""
+    cell = workcell(((-0.26, 0.0),))
+    run = played(cell, tmp_path / "log", Parking(is_to_lift=True))
+    stages = read_logs(tmp_path / "log").stages
+    assert stages["action"].tolist() == ["LIFT", "FINISH", "FINISH"]
+    cost = CONFIG.reward_lift_per_s * (run.busy_s[0] - PAUSE_S)
+    # It ends in the stage in which the other arm has decided to park, and is its own share there.
+    assert stages["0_reward"].tolist() == pytest.approx([0.0, cost, CONFIG.reward_dirty_left])
+    assert stages["1_reward"].tolist() == [0.0, 0.0, 0.0]
 
 
 @pytest.mark.slow
