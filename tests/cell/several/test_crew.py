@@ -40,6 +40,11 @@ def over(cell, arm, x_m, y_m=0.0, z_m=0.98):
     return found
 
 
+def to_the_end(crew):
+    while crew.work():
+        pass
+
+
 def there_and_back(place, home, told=None, seconds=0.2):
     """Reserve, go to a place, stay, and come home; what the answers were."""
     answers = [(yield Reserve(np.stack([place, home])))]
@@ -141,8 +146,7 @@ def test_arms_that_do_not_wait_for_space_collide_and_that_is_counted(cell, touch
     crew = Crew(cell, ROBOTS)
     for arm in (0, 1):
         crew.begin(arm, recklessly(over(cell, arm, 0.0)))
-    while crew.work():
-        pass
+    to_the_end(crew)
     assert touches.num_collisions >= 1
     assert touches.begun_s[0] > 0.5
 
@@ -156,7 +160,7 @@ def test_what_one_arm_presses_on_another_is_a_force_that_stops_the_cell(cell):
     for arm in (0, 1):
         crew.begin(arm, recklessly(over(cell, arm, 0.0)))
     with pytest.raises(StoppedError, match=EMERGENCY_STOP):
-        crew.work()
+        to_the_end(crew)
     assert largest_force_n(cell) > 5.0
 
 

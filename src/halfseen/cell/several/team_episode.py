@@ -71,11 +71,11 @@ def play_team(
     TeamRun
         What came of it.
     """
-    run = TeamRun(busy_s=[0.0 for _ in cell.stations])
-    shift = _Arms(cell, Account(run, cell, is_dirty, belief.config), belief)
+    shift = _Arms(cell, Account(TeamRun(), cell, is_dirty, belief.config), belief)
     told = cleared(shift, policy, path, key, tells_truth=tells_truth, on_decision=on_decision)
     assert isinstance(told, TeamRun), "it is the run of the account"
-    return replace(told, num_collisions=shift.touches.num_collisions, **asdict(shift.crew.tally))
+    seen = {"num_collisions": shift.touches.num_collisions, "busy_s": shift.busy_s}
+    return replace(told, **seen, **asdict(shift.crew.tally))
 
 
 class _Done(NamedTuple):
@@ -95,7 +95,8 @@ class _Arms(Shift):
         self.table = TeamTable(cell, belief)
         # A state has room for the attempts of all arms.
         self.table.belief = belief._replace(config=replace(belief.config, horizon=self.num_decisions))
-        self._run, self._config = account.run, belief.config
+        self.busy_s = [0.0 for _ in robots]
+        self._config = belief.config
         cell.cell.watches.append(self.touches)
 
     @property
@@ -162,7 +163,8 @@ class _Arms(Shift):
         if one.verb == Verb.FINISH:
             one.is_parked = True
         else:
-            self._run.busy_s[ended.arm] += self.cell.cell.time_s - one.begun_s
+            assert one.verb is not None, "it was at something"
+            self.busy_s[ended.arm] += self.cell.cell.time_s - one.begun_s
             self.table.learn(ended.arm, one.target, done.attempt)
             self.account.end(done.attempt, one.verb, one.chance, done.seconds, ended.arm)
         one.verb = None
