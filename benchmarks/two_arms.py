@@ -19,14 +19,12 @@ import argparse
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from rules.of_arms import InTurn, WashEverything
 from tqdm import tqdm
 
 from halfseen.cell.calibration.law_folder import read_law
@@ -36,54 +34,17 @@ from halfseen.cell.several.pair import PAIR
 from halfseen.cell.table_state import Belief
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.planners.named import HEURISTICS
-from halfseen.team.actions import possible_actions, wait_of
 from halfseen.team.policy import TeamOfRules, TeamPolicy
-from halfseen.team.state import TeamState
 from halfseen.workers import Workers
-from halfseen.world.policy import Decision, Policy, surely
-from halfseen.world.state import TableState, attempt_counts, occlusion
+from halfseen.world.policy import Policy
 from halfseen.writing import write_file
 
 EVERYTHING = "everything"
 ONE, TWO, IN_TURN = "one arm", "two arms", "two arms in turn"
-MOST_FAILURES = 3
 MOST_DECISIONS = 25
 NUM_RESAMPLED, LEVEL = 10_000, 0.95
 Runs: TypeAlias = Sequence[Mapping[str, Any]]
 """What came of each table, as `Run` or `TeamRun` has it."""
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class WashEverything(GreedyPolicy):
-    """Washes the cup that failed least and is hidden least, dirty or not."""
-
-    def worth(self, state: TableState) -> Float[Array, " N"]:
-        """Above 0 as long as it is worth another try."""
-        _, failures = attempt_counts(state)
-        is_worth_it = state.is_on_table & (failures < MOST_FAILURES)
-        return jnp.where(is_worth_it, MOST_FAILURES - failures - 0.9 * occlusion(state), -jnp.inf)
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class InTurn:
-    """A team of which nobody begins while another is at work.
-
-    Parameters
-    ----------
-    base
-        Who decides else.
-    """
-
-    base: TeamPolicy
-
-    def decide(self, state: TeamState, key: Array) -> Decision:
-        """Choose for one table."""
-        wait = wait_of(state.table.num_objects)
-        usual = self.base.decide(state, key)
-        is_to_wait = possible_actions(state)[wait]
-        return surely(jnp.where(is_to_wait, wait, usual.action).astype(jnp.int32))
 
 
 def plans_of(rule: GreedyPolicy) -> dict[str, tuple[Policy | TeamPolicy, Conditions]]:
