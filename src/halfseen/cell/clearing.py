@@ -72,6 +72,14 @@ class Chosen(NamedTuple):
         return TEAM_VERBS[self.verb]
 
 
+class Told(NamedTuple):
+    """A decision in words, as `Moment` has it."""
+
+    words: str
+    arm: int = 0
+    of_team: str | None = None
+
+
 class Shift(ABC):
     """Who works at a table.
 
@@ -101,20 +109,12 @@ class Shift(ABC):
         """Give what else a log has of the stage that begins."""
 
     @abstractmethod
-    def begin(self, chosen: Chosen, rows: list[Row]) -> "Told":
+    def begin(self, chosen: Chosen, rows: list[Row]) -> Told:
         """Take up what was chosen, before any time passes."""
 
     @abstractmethod
     def go_on(self) -> bool:
         """Carry it out until somebody decides again; whether the table is over instead."""
-
-
-class Told(NamedTuple):
-    """A decision in words, as `Moment` has it."""
-
-    words: str
-    arm: int = 0
-    of_team: str | None = None
 
 
 def cleared(

@@ -51,7 +51,7 @@ class Attempt:
     Parameters
     ----------
     is_held
-        Whether the hand held something when it was lifted.
+        Whether the hand held something when it was lifted, and, of what was to be washed, put it into the rack.
     duration_s
         From the decision until that was known [s].
     kind

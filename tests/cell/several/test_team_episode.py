@@ -9,6 +9,7 @@ import pytest
 
 from halfseen.cell.account import Account
 from halfseen.cell.clearing import PAUSE_S
+from halfseen.cell.commands import Rest
 from halfseen.cell.luck import luck_of_washing
 from halfseen.cell.several.pair import PAIR
 from halfseen.cell.several.team_episode import TeamRun, play_team
@@ -135,11 +136,13 @@ def test_who_parks_has_left_what_is_dirty_in_its_own_reach(tmp_path):
     """Two cups for the left arm alone, one that both reach, one for the right arm alone."""
     cell = workcell(((-0.30, 0.0), (-0.30, 0.15), (0.0, 0.1), (0.30, 0.0)))
     run = played(cell, tmp_path / "log", Parking())
-    stages, left = read_logs(tmp_path / "log").stages, float(CONFIG.reward_dirty_left)
+    logs, left = read_logs(tmp_path / "log"), float(CONFIG.reward_dirty_left)
+    stages = logs.stages
     assert stages["action"].tolist() == ["FINISH", "FINISH"]
     assert run.reward == stages["reward"].sum() == 4 * left
     assert stages["0_reward"].sum() == 3 * left
     assert stages["1_reward"].sum() == 2 * left
+    assert [alone(logs, arm).stages["reward"].tolist() for arm in (0, 1)] == [[3 * left], [2 * left]]
 
 
 def test_reward_and_luck_are_booked_together_when_a_stage_is_completed(monkeypatch):
@@ -167,6 +170,25 @@ def test_a_lift_costs_an_arm_of_two_what_it_costs_one_that_is_alone(tmp_path):
     # It ends in the stage in which the other arm has decided to park, and is its own share there.
     assert stages["0_reward"].tolist() == pytest.approx([0.0, cost, CONFIG.reward_dirty_left])
     assert stages["1_reward"].tolist() == [0.0, 0.0, 0.0]
+
+
+def test_an_arm_that_found_nothing_in_reach_is_asked_again_when_the_other_has_been_there(tmp_path, monkeypatch):
+    washing, cell = Workcell.washing, workcell(((-0.02, 0.0), (0.30, 0.0)))
+
+    def too_far_for_the_left(cell, number, arm):
+        if arm == 0:
+            yield Rest(0.1)
+            return TOO_FAR
+        return (yield from washing(cell, number, arm))
+
+    monkeypatch.setattr(Workcell, "washing", too_far_for_the_left)
+    played(cell, tmp_path / "log")
+    logs = read_logs(tmp_path / "log")
+    middle = logs.stages["object"].iloc[0]
+    assert logs.stages["1_does"].tolist() == ["FREE", "FREE", "WASH 0" if middle else "WASH 1", "FREE"]
+    reached_by = logs.objects[logs.objects["object"] == middle]["reached_by"]
+    # Its try has ended by the third decision, the wash of the other arm by the fourth.
+    assert [list(each) for each in reached_by] == [[0, 1], [0, 1], [1], [0, 1]]
 
 
 @pytest.mark.slow

@@ -54,7 +54,7 @@ class Tally:
     waited_s
         For how long, all arms together [s].
     num_deadlocks
-        How often arms waited for one another, or one for too long.
+        How often arms waited for one another or for an idle one, or one for too long.
     num_gave_way
         How often one went home for that.
     """
