@@ -20,7 +20,7 @@ from halfseen.arrays import Image
 from halfseen.cell.clearance import ranked, surroundings
 from halfseen.cell.commands import Activity, Reserve
 from halfseen.cell.cut_by_arms import perceived_whole, without
-from halfseen.cell.fetching import come, feels, let_go, pick_up, put_back, with_home
+from halfseen.cell.fetching import come, draw_back, feels, open_hand, pick_up, put_down, with_home
 from halfseen.cell.grasps import GRASPING
 from halfseen.cell.live_cell import LiveCell
 from halfseen.cell.looking import Eye
@@ -289,8 +289,10 @@ class Workcell:
         if not has_way:
             way = with_home(self.cell, robot, done.way_back)
             yield Reserve(way, way, below_m=done.below_m)
-        yield from put_back(self.cell, robot, done)
+        yield from put_down(done)
+        # It stands on the table from now on: a look meanwhile would take it for another object.
         self.in_hand.pop(arm)
+        yield from draw_back(self.cell, robot, done)
 
     def _take_in(self, cloud: Cloud, robots_m: Image) -> View:
         is_held = np.zeros(len(cloud.points_m), dtype=bool)
@@ -360,7 +362,8 @@ class Workcell:
             self.in_hand.pop(arm)
             way = with_home(self.cell, robot, planned.way_out)
             yield Reserve(way, way)
-            yield from let_go(self.cell, robot, planned)
+            yield from open_hand(planned)
+            yield from draw_back(self.cell, robot, planned)
         reason = "" if is_held else "the hand closed on nothing, or lost it"
         return Attempt(is_held, duration_s, planned.grasp.kind, reason), planned
 

@@ -1,4 +1,4 @@
-"""An arm that is told to give way, wherever in an attempt it is: its cup is where it stood, and it is home."""
+"""An arm that is told to give way, wherever in an attempt it is: its cup stands where it stood, and it is home."""
 
 from typing import NamedTuple
 
@@ -150,3 +150,15 @@ def test_the_way_back_that_is_reserved_for_it_is_the_one_it_takes(cell, work, ph
     assert len(passed) > 100
     # Servos are a little behind, and cut corners by as much.
     assert max(np.abs(places_rad - angles).max(axis=1).min() for angles in passed) < 0.10
+
+
+def test_what_is_put_back_is_the_same_object_to_whoever_looks_meanwhile(cell):
+    """The other arm decides, and so looks, while this one has opened its hand and is on its way home."""
+    known, seen = cell.memory.objects[0], []
+    cell.cell.watches.append(lambda live: seen.append(cell.look()) if round(live.time_s, 2) % 0.5 == 0 else None)
+    told(cell, cell.lifting(0, 0), set())
+    assert len(seen) > 10
+    cell.look()
+    assert cell.memory.objects == [known]
+    assert known.seen is not None
+    assert not known.is_lost
