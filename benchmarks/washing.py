@@ -18,8 +18,8 @@ from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
 from halfseen.cell.campaign import Conditions
-from halfseen.cell.episode import Truth
 from halfseen.cell.memory import Known
+from halfseen.cell.truth import Truth
 from halfseen.cell.workcell import Workcell
 
 MOST_FAILURES = 3

@@ -38,7 +38,8 @@ def _played(policy: str, seed: int, num_arms: int) -> Table:
     import jax
 
     from halfseen.cell.campaign import Conditions
-    from halfseen.cell.episode import Moment, play
+    from halfseen.cell.clearing import Moment
+    from halfseen.cell.episode import play
     from halfseen.cell.film import Film
     from halfseen.cell.several.team_episode import play_team
     from halfseen.cli.arms import robot_for, stations_for

@@ -23,6 +23,7 @@ pytestmark = pytest.mark.slow
         ("verdicts.py", "--logs", "2", "--world", "trial", "--share", "1/3", "--setting", "default"),
         ("repetition.py", "--repetitions", "1"),
         ("closed_loop.py", "--tables", "2", "--only", "greedy"),
+        ("two_arms.py", "--tables", "1", "--only", "one arm", "two arms"),
         ("team_regret.py", "--horizon", "1", "--futures", "4"),
         ("teams.py", "--robots", "2", "--price", "-0.05", "--paths", "60", "--logs", "1", "--episodes", "50"),
         ("learners.py", "--logs", "1", "--worlds", "trial", "--shares", "0.3", "--methods", "quadratic, imputed"),

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from halfseen.cell.campaign import RUN_FILE, Campaign, Conditions, logs_of, table_name, working_folder
-from halfseen.cell.episode import NOTHING_SEEN, play
+from halfseen.cell.clearing import NOTHING_SEEN
+from halfseen.cell.episode import play
 from halfseen.cell.facts import Facts
 from halfseen.cell.memory import MORE_IN_VIEW, Glance, Known, Memory
 from halfseen.cell.stops import Stops
@@ -320,6 +321,14 @@ def test_a_table_that_shows_no_cup_is_cut(tmp_path):
     with LogRecorder(tmp_path / "logs") as recorder:
         run = play(cell, IS_DIRTY[:1], *quits(), recorder.begin_path(0), jax.random.key(0))
     assert (run.cause, run.is_seen) == (NOTHING_SEEN, False)
+
+
+def test_a_table_without_cups_is_over_at_once(tmp_path):
+    cell = Workcell(Table((), (), CAMERA), np.random.default_rng(0))
+    with LogRecorder(tmp_path / "logs") as recorder:
+        run = play(cell, IS_DIRTY[:0], *quits(), recorder.begin_path(0), jax.random.key(0))
+    assert (run.cause, run.is_seen, run.reward, run.num_cups) == (NOTHING_SEEN, False, 0.0, 0)
+    assert run.seconds < 1.0
 
 
 @pytest.mark.parametrize("place_m", [(0.0, 5.0, TABLE_TOP_M), (0.0, 0.0, 3.0), (0.6, 0.0, TABLE_TOP_M)])

@@ -477,3 +477,26 @@ def test_whole_numbers_and_fractions_may_mix_across_chunks(tmp_path, monkeypatch
     logs = read_logs(tmp_path)
     assert logs.stages["x"].tolist() == logs.paths["speed"].tolist() == [1.0, 2.0, 2.5, 3.0]
     assert [len(seen) for seen in logs.stages["seen"]] == [0, 1, 1, 1]
+
+
+def test_what_each_robot_brought_is_read_back_and_is_null_where_a_stage_was_cut(tmp_path):
+    with LogRecorder(tmp_path / "logs") as recorder:
+        path = recorder.begin_path()
+        for stage in (1, 2):
+            path.begin_stage({"x": 0.0}, action="PICK")
+            path.complete_stage(3.0, elapsed_s=float(stage), own_rewards=[1.0, 2.0 * stage])
+        path.begin_stage({"x": 0.0}, action="PICK")
+        path.cut("operator", elapsed_s=2.5)
+    with LogRecorder(tmp_path / "logs") as recorder:
+        path = recorder.begin_path()
+        path.begin_stage({"x": 0.0}, action="PICK")
+        # It is told when it is given, and the stage may still be completed.
+        with pytest.raises(LogError, match="own_rewards has 0 numbers, and the stages before it have 2"):
+            path.complete_stage(3.0, elapsed_s=1.0)
+        with pytest.raises(LogError, match="1_reward is nan"):
+            path.complete_stage(3.0, elapsed_s=1.0, own_rewards=[1.0, float("nan")])
+        path.complete_stage(3.0, elapsed_s=1.0, own_rewards=[1.0, 5.0])
+        path.finish(elapsed_s=1.0)
+    stages = read_logs(tmp_path / "logs").stages
+    np.testing.assert_array_equal(stages["0_reward"], [1.0, 1.0, np.nan, 1.0])
+    np.testing.assert_array_equal(stages["1_reward"], [2.0, 4.0, np.nan, 5.0])

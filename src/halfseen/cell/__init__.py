@@ -7,9 +7,9 @@ any arm stands and waits) → `motion` (lines and schedules) → `commands` (wha
 that goes on) → `looking`, `cut_by_arms` (the camera, the truth apart from it, and what an arm cuts from view) →
 `grasps`, `clearance` (where a hand could close, and what is in its way) → `planning` (how it gets there, or why not) →
 `fetching`, `racking`, `showing` (what is done with it) → `facts`, `memory` (what the robot knows) → `stops` (what cuts)
-→ `workcell` (all of that as one table and its robots) → `table_state` (what a policy decides in) → `episode` (one table
-to its end), `several` (the same with several arms) → `campaign` (many) → `summary`, `film`; `trying` → `calibration`
-(laws from what was tried).
+→ `workcell` (all of that as one table and its robots) → `table_state` (what a policy decides in) → `truth`, `luck`,
+`account` (what it earns) → `clearing`, `episode` (one table to its end), `several` (the same with several arms) →
+`campaign` (many) → `summary`, `film`; `trying` → `calibration` (laws from what was tried).
 
 MuJoCo loads when one of these names is asked for, never when this package is imported.
 """
@@ -19,11 +19,12 @@ from typing import TYPE_CHECKING
 from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from halfseen.cell.account import Run
     from halfseen.cell.arm import JACO_2, Arm, Joint, Motor
     from halfseen.cell.arm_file import ArmFile
     from halfseen.cell.campaign import Campaign, Conditions
     from halfseen.cell.contacts import Contacts
-    from halfseen.cell.episode import Run, play
+    from halfseen.cell.episode import play
     from halfseen.cell.grasps import Grasp
     from halfseen.cell.gripper import Gripper
     from halfseen.cell.home import robot_of
@@ -99,7 +100,7 @@ __getattr__ = lazy_names(
         "Grasp": "grasps",
         "LiftAtRandom": "trying",
         "Memory": "memory",
-        "Run": "episode",
+        "Run": "account",
         "Stops": "stops",
         "Workcell": "workcell",
         "play": "episode",

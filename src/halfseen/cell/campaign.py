@@ -21,7 +21,9 @@ import jax
 import numpy as np
 from jaxtyping import Bool
 
-from halfseen.cell.episode import Moment, Run, play
+from halfseen.cell.account import Run
+from halfseen.cell.clearing import Moment
+from halfseen.cell.episode import play
 from halfseen.cell.model import Robot, Station
 from halfseen.cell.several.team_episode import TeamRun, play_team
 from halfseen.cell.stops import Stops

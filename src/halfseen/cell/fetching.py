@@ -60,25 +60,35 @@ def feels(cell: LiveCell, robot: Robot, grasp: Grasp) -> bool:
     return cell.opening_m(robot) > _LEAST_FELT_M.get(grasp.kind, _LEAST_FELT_ELSE_M)
 
 
-def put_back(cell: LiveCell, robot: Robot, plan: Plan) -> Activity[None]:
-    """Put what was lifted back where it was, let go, and go home.
+def put_down(plan: Plan) -> Activity[None]:
+    """Put what was lifted back where it was, and let go.
+
+    Parameters
+    ----------
+    plan
+        How it was fetched.
+    """
+    yield Move(np.concatenate([plan.lift[-2::-1], plan.approach[-1:]]), _PUTTING)
+    yield from open_hand(plan)
+
+
+def open_hand(plan: Plan) -> Activity[None]:
+    """Open the hand where it is, as far as it was to fetch something."""
+    yield Grip(plan.grasp.opening_m, seconds=0.4)
+
+
+def draw_back(cell: LiveCell, robot: Robot, plan: Plan) -> Activity[None]:
+    """Draw an open hand back the way it came, and go home.
 
     Parameters
     ----------
     cell
         The running cell.
     robot
-        Who fetched.
+        Who came.
     plan
-        How it was fetched.
+        How.
     """
-    yield Move(np.concatenate([plan.lift[-2::-1], plan.approach[-1:]]), _PUTTING)
-    yield from let_go(cell, robot, plan)
-
-
-def let_go(cell: LiveCell, robot: Robot, plan: Plan) -> Activity[None]:
-    """Open the hand where it is, draw it back the way it came, and go home."""
-    yield Grip(plan.grasp.opening_m, seconds=0.4)
     yield Move(plan.way_out, _PUTTING)
     yield from go_home(cell, robot)
 

@@ -80,7 +80,7 @@ class Guard:
 
 
 def largest_force_n(cell: LiveCell) -> float:
-    """Largest force of a contact between a robot and what is no robot [N].
+    """Largest force of a contact of a robot with anything: a cup, furniture, or another robot [N].
 
     Parameters
     ----------

@@ -10,7 +10,7 @@ import pandas as pd
 from jaxtyping import Float
 
 from halfseen.arrays import Rows
-from halfseen.cell.episode import Run
+from halfseen.cell.account import Run
 from halfseen.cell.several.team_episode import TeamRun
 from halfseen.censoring import censoring_weights
 from halfseen.evaluation.estimate import Estimate, estimate_of

@@ -13,14 +13,14 @@ from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from halfseen.arrays import Image
 from halfseen.cell.clearance import ranked, surroundings
 from halfseen.cell.commands import Activity, Reserve
-from halfseen.cell.cut_by_arms import perceived_whole
-from halfseen.cell.fetching import come, feels, let_go, pick_up, put_back, with_home
+from halfseen.cell.cut_by_arms import perceived_whole, without
+from halfseen.cell.fetching import come, draw_back, feels, open_hand, pick_up, put_down, with_home
 from halfseen.cell.grasps import GRASPING
 from halfseen.cell.live_cell import LiveCell
 from halfseen.cell.looking import Eye
@@ -51,15 +51,13 @@ class Attempt:
     Parameters
     ----------
     is_held
-        Whether the hand held something when it was lifted.
+        Whether the hand held something when it was lifted, and, of what was to be washed, put it into the rack.
     duration_s
         From the decision until that was known [s].
     kind
         Of the grasp; None where there was none to try.
     reason
         Why it did not hold; empty where it did.
-    gave_way
-        Whether that was another robot, for which this one gave way.
     is_too_far
         Whether the robot reaches no grasp of it.
     """
@@ -68,7 +66,6 @@ class Attempt:
     duration_s: float
     kind: str | None
     reason: str = ""
-    gave_way: bool = False
     is_too_far: bool = False
 
 
@@ -198,10 +195,6 @@ class Workcell:
         """Its rack."""
         return self.stations[0].rack
 
-    def is_in_rack(self, point_m: Float[np.ndarray, " 3"]) -> bool:
-        """Whether a point is in a rack."""
-        return any(station.rack.holds(point_m) for station in self.stations)
-
     @property
     def world_from_table(self) -> Float[np.ndarray, "4 4"]:
         """Takes homogeneous points of the table, as seen, to where the robot believes them [m]."""
@@ -238,11 +231,12 @@ class Workcell:
         sight = self._sight(number)
         attempt, done = yield from self._fetched(number, arm)
         if done is not None and sight is not None and attempt.is_held:
-            known.lifts += 1
             told: list[bool | None] = []
 
             def look_at(side: int) -> None:
-                told.append(self._label_of_held(known, sight.seen, done, arm, is_first=side == 0))
+                # It may be told to give way before: who has seen nothing of it has not lifted it to see.
+                known.lifts += side == 0
+                told.append(self._label_of_held(known, sight.seen, arm, is_first=side == 0))
 
             has_way = not (yield from turned(self.cell, robot, done, self._rng, look_at))
             if any(label is not None for label in told):
@@ -260,7 +254,7 @@ class Workcell:
             slot = yield from self._put_away(arm, done, known.middle_m)
         except GaveWayError as error:
             yield from self._put_back(arm, done, has_way=True)
-            return replace(attempt, is_held=False, reason=str(error), gave_way=True)
+            return replace(attempt, is_held=False, reason=str(error))
         except PlanError as error:
             yield from self._put_back(arm, done, has_way=False)
             known.trials[-1] = known.trials[-1]._replace(is_held=False)
@@ -295,14 +289,20 @@ class Workcell:
         if not has_way:
             way = with_home(self.cell, robot, done.way_back)
             yield Reserve(way, way, below_m=done.below_m)
-        yield from put_back(self.cell, robot, done)
+        yield from put_down(done)
+        # It stands on the table from now on: a look meanwhile would take it for another object.
         self.in_hand.pop(arm)
+        yield from draw_back(self.cell, robot, done)
 
     def _take_in(self, cloud: Cloud, robots_m: Image) -> View:
+        is_held = np.zeros(len(cloud.points_m), dtype=bool)
+        for arm in self.in_hand:
+            is_held |= self._is_in_hand(cloud, arm)
         if len(self.stations) > 1:
-            self.view, self.cloud = perceived_whole(cloud, robots_m)
+            self.view, self.cloud = perceived_whole(cloud, robots_m, is_held)
         else:
-            self.view, self.cloud = perceive(cloud), cloud
+            self.cloud = without(cloud, is_held)
+            self.view = perceive(self.cloud)
         self.memory.update(self.view, self.world_from_table, tuple(self.in_hand.values()))
         for number, known in enumerate(self.memory.objects):
             if known.seen is not None:
@@ -315,15 +315,20 @@ class Workcell:
                     known.label(self.memory.occlusion(number), label.is_dirty, is_held=False)
         return self.view
 
-    def _label_of_held(self, known: Known, before: SeenObject, done: Plan, arm: int, *, is_first: bool) -> bool | None:
-        """What one side of what is held looks like; at the first side, see what it hid, too."""
-        look, robot = self._eye.look(self._rng), self.stations[arm].robot
-        cloud = look.cloud
+    def _is_in_hand(self, cloud: Cloud, arm: int) -> Bool[np.ndarray, " n"]:
+        """Which points of a cloud belong to what an arm holds."""
+        plan, robot = self.planned[arm], self.stations[arm].robot
+        assert plan is not None, "it was fetched"
         hand = self.cell.kinematics[robot.name].hand(self.cell.angles_rad(robot))
-        is_held = is_in_hand(self._believed.apply(cloud.points_m), hand, done)
+        return is_in_hand(self._believed.apply(cloud.points_m), hand, plan)
+
+    def _label_of_held(self, known: Known, before: SeenObject, arm: int, *, is_first: bool) -> bool | None:
+        """What one side of what is held looks like; at the first side, see what it hid, too."""
+        look = self._eye.look(self._rng)
+        cloud = look.cloud
+        is_held = self._is_in_hand(cloud, arm)
         if is_first:
-            without = replace(cloud, points_m=np.where(is_held[:, None], np.nan, cloud.points_m))
-            self._take_in(without, look.robots_m)
+            self._take_in(cloud, look.robots_m)
         if cloud.colours is None or not is_held.any():
             return None
         assert self.view is not None, "what is held was seen"
@@ -344,7 +349,7 @@ class Workcell:
                 known.trials.append(Trial(occlusion, False, 0.0))
             return Attempt(False, 0.0, None, str(error), is_too_far=is_too_far), None
         if planned is None:
-            return Attempt(False, 0.0, None, "another arm was in the way of every grasp", gave_way=True), None
+            return Attempt(False, 0.0, None, "another arm was in the way of every grasp"), None
         begin_s = self.cell.time_s
         with self._guard.timing(begin_s) if self._guard else nullcontext():
             yield from come(planned)
@@ -357,7 +362,8 @@ class Workcell:
             self.in_hand.pop(arm)
             way = with_home(self.cell, robot, planned.way_out)
             yield Reserve(way, way)
-            yield from let_go(self.cell, robot, planned)
+            yield from open_hand(planned)
+            yield from draw_back(self.cell, robot, planned)
         reason = "" if is_held else "the hand closed on nothing, or lost it"
         return Attempt(is_held, duration_s, planned.grasp.kind, reason), planned
 

@@ -47,7 +47,8 @@ def film(
     import jax
 
     from halfseen.cell.campaign import Conditions
-    from halfseen.cell.episode import Moment, play
+    from halfseen.cell.clearing import Moment
+    from halfseen.cell.episode import play
     from halfseen.cell.film import OF_TWO_ARMS, Film, Shot
     from halfseen.cell.several.team_episode import play_team
     from halfseen.logs import LogRecorder

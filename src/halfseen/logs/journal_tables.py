@@ -170,7 +170,8 @@ class RecordedPath:
         if self._done is None:
             raise KeyError("the stage before is not completed")
         at_s = self._done["at_s"] if self._done.get("is_given") or next_s is None else next_s
-        self.rows["stages"][-1] |= {"elapsed_s": at_s, "reward": self._done["reward"]}
+        shares = {f"{robot}_reward": share for robot, share in enumerate(self._done.get("own_rewards", ()))}
+        self.rows["stages"][-1] |= {"elapsed_s": at_s, "reward": self._done["reward"], **shares}
         self._clock_s = at_s
         self._done = None
 

@@ -14,6 +14,7 @@
 told as cut by ``crash`` at the last time at which it was known to run; `journal_tables` says how, and why that is fair.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -80,6 +81,7 @@ class LogRecorder:
             raise ArgumentError(f"{folder}: it holds logs that are written for good; record into another folder")
         self._schema = Schema()
         self._names: set[int | str] = set()
+        self._num_shares: int | None = None
         self._path: PathRecorder | None = None
         self._journal = JournalWriter(folder, fsync, self._restore, unit)
 
@@ -135,6 +137,8 @@ class LogRecorder:
 
     def _restore(self, event: dict[str, Any]) -> None:
         """Learn names and columns from what the folder holds."""
+        if event["event"] == "done":
+            self._num_shares = len(event.get("own_rewards", ()))
         if event["event"] != "stage":
             return
         where = f"path {shown(event['path'])}, stage {event['stage']}"
@@ -218,7 +222,7 @@ class PathRecorder:
         self._is_in_stage, self._has_action = True, action is not None
         self._clock.at_s = self._noted_s = event.get("at_s", self._clock.at_s)
 
-    def complete_stage(self, reward: Any, *, elapsed_s: Any = None) -> None:
+    def complete_stage(self, reward: Any, *, elapsed_s: Any = None, own_rewards: Sequence[Any] = ()) -> None:
         """Complete the stage in progress.
 
         Parameters
@@ -227,11 +231,15 @@ class PathRecorder:
             What it earned.
         elapsed_s
             Time since the path began [s], where the recorder shall not read it from its own clock.
+        own_rewards
+            What each of several robots brought, robot 0 first, for the columns 0_reward, 1_reward and so on; of the
+            same robots in every stage of the folder.
 
         Raises
         ------
         LogError
-            No stage is in progress, the reward is no number, or the clock does not run forward.
+            No stage is in progress, a reward is no number, one of a robot is missing, or the clock does not run
+            forward.
         """
         self._check_running()
         where = self._where(self._stage)
@@ -241,12 +249,24 @@ class PathRecorder:
         if not self._has_action:
             raise LogError(f"{where}: it began without an action; a stage without one can only be cut")
         earned = checked_number(reward, "reward", where, "give the finite reward that it earned")
+        shares = self._checked_shares(own_rewards, where)
         at_s = self._clock.time_of(elapsed_s, where, is_later=True)
-        event = {"event": "done", "at_s": at_s, "reward": earned}
+        event = {"event": "done", "at_s": at_s, "reward": earned} | ({"own_rewards": shares} if shares else {})
         self._recorder._write(event if elapsed_s is None else event | {"is_given": True})
+        self._recorder._num_shares = len(shares)
         self._is_in_stage = False
         self._completed_s = at_s
         self._clock.advance(at_s, elapsed_s)
+
+    def _checked_shares(self, own_rewards: Sequence[Any], where: str) -> list[float]:
+        """Rewards of robots as numbers, of as many robots as in the stages before."""
+        remedy, known = "give the finite reward that the robot brought", self._recorder._num_shares
+        if known not in (None, len(own_rewards)):
+            raise LogError(
+                f"{where}: own_rewards has {len(own_rewards)} numbers, and the stages before it have {known}; give one "
+                "for each robot, in every stage or in none"
+            )
+        return [checked_number(each, f"{robot}_reward", where, remedy) for robot, each in enumerate(own_rewards)]
 
     def still_running(self, *, elapsed_s: Any = None) -> None:
         """Note that the path is in progress, at most twice a second; call it from the control loop.

@@ -7,7 +7,8 @@ from typing import Any, cast
 import jax
 import numpy as np
 
-from halfseen.cell.episode import Moment, Run
+from halfseen.cell.account import Run
+from halfseen.cell.clearing import Moment
 from halfseen.cell.live_cell import LiveCell
 from halfseen.cell.planning import Plan
 from halfseen.cell.workcell import Workcell

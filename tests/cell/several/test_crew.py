@@ -9,7 +9,7 @@ from halfseen.cell.model import cell_model
 from halfseen.cell.several.crew import DEADLOCK, Crew
 from halfseen.cell.several.pair import PAIR
 from halfseen.cell.several.touches import Touches
-from halfseen.cell.stops import StoppedError
+from halfseen.cell.stops import EMERGENCY_STOP, Guard, StoppedError, Stops, largest_force_n
 from halfseen.scene.cups import Cup
 from halfseen.scene.poses import Pose
 from halfseen.scene.table import TABLE_TOP_M
@@ -38,6 +38,11 @@ def over(cell, arm, x_m, y_m=0.0, z_m=0.98):
     found = kinematics.solve_from(Pose((x_m, y_m, z_m), (0.0, 1.0, 0.0, 0.0)), begins, HOMES[arm])
     assert found is not None
     return found
+
+
+def to_the_end(crew):
+    while crew.work():
+        pass
 
 
 def there_and_back(place, home, told=None, seconds=0.2):
@@ -141,10 +146,22 @@ def test_arms_that_do_not_wait_for_space_collide_and_that_is_counted(cell, touch
     crew = Crew(cell, ROBOTS)
     for arm in (0, 1):
         crew.begin(arm, recklessly(over(cell, arm, 0.0)))
-    while crew.work():
-        pass
+    to_the_end(crew)
     assert touches.num_collisions >= 1
     assert touches.begun_s[0] > 0.5
+
+
+def test_what_one_arm_presses_on_another_is_a_force_that_stops_the_cell(cell):
+    def recklessly(place):
+        yield Move(place[None])
+
+    crew = Crew(cell, ROBOTS)
+    cell.watches.append(Guard(Stops(limit_s=1e9, force_n=5.0, camera_lost_per_s=0.0), 0.0, np.random.default_rng(0)))
+    for arm in (0, 1):
+        crew.begin(arm, recklessly(over(cell, arm, 0.0)))
+    with pytest.raises(StoppedError, match=EMERGENCY_STOP):
+        to_the_end(crew)
+    assert largest_force_n(cell) > 5.0
 
 
 def crossing(cell, arm, near_m, far_m):
@@ -237,6 +254,82 @@ def test_a_deadlock_without_a_way_home_stops_the_cell(cell):
     crew.begin(1, cornered(1, 0.14, -0.08))
     with pytest.raises(StoppedError, match=DEADLOCK):
         crew.work()
+
+
+def parked(place):
+    """Go to a place, and be idle there."""
+    yield Move(place[None])
+
+
+def wanting(near, far, back):
+    """Go to a place, then want another; who gives way goes back."""
+    assert (yield Reserve(near[None]))
+    yield Move(near[None])
+    if not (yield Reserve(far[None], back)):
+        yield Move(back)
+        return "gave way"
+    return "went on"
+
+
+def test_an_arm_whose_way_an_idle_one_blocks_goes_home_at_once(cell, touches):
+    crew = Crew(cell, ROBOTS, patience_s=60.0)
+    crew.begin(0, parked(over(cell, 0, 0.0)))
+    crew.work()
+    begun_s = cell.time_s
+    crew.begin(1, wanting(over(cell, 1, 0.35), over(cell, 1, 0.0), HOMES[1][None]))
+    (ended,) = crew.work(3000)
+    assert (ended.arm, ended.result) == (1, "gave way")
+    assert cell.time_s - begun_s < 10.0
+    assert (crew.tally.num_deadlocks, crew.tally.num_gave_way, touches.num_collisions) == (1, 1, 0)
+
+
+def test_an_arm_at_home_whose_way_an_idle_one_blocks_gives_up_at_once(cell):
+    crew = Crew(cell, ROBOTS, patience_s=60.0)
+    crew.begin(0, parked(over(cell, 0, 0.0)))
+    crew.work()
+    begun_s = cell.time_s
+    crew.begin(1, there_and_back(over(cell, 1, 0.0), HOMES[1]))
+    (ended,) = crew.work(3000)
+    assert ended.result == [False]
+    assert cell.time_s - begun_s < 1.0
+
+
+def test_an_arm_with_an_idle_one_in_its_way_and_its_way_home_stops_the_cell(cell):
+    crew = Crew(cell, ROBOTS)
+    crew.begin(0, parked(over(cell, 0, 0.0)))
+    crew.work()
+    same = over(cell, 1, 0.0)
+    crew.begin(1, wanting(over(cell, 1, 0.35), same, same[None]))
+    with pytest.raises(StoppedError, match=DEADLOCK):
+        crew.work(3000)
+
+
+@pytest.mark.parametrize("phase", [1, 4, 7])
+def test_an_arm_that_has_left_what_another_wants_is_in_no_deadlock(cell, phase):
+    """The one waits for space that the other no longer has since it asked; the other waits for the one by now."""
+    middle, aside, left = over(cell, 0, 0.08), over(cell, 1, 0.40), over(cell, 0, -0.14)
+
+    def waiting():
+        assert (yield Reserve(left[None]))
+        yield Move(left[None])
+        yield Rest(4.0 + phase * cell.tick_s)
+        is_free = yield Reserve(np.stack([middle, HOMES[0]]), HOMES[0][None])
+        yield Move(HOMES[0][None])
+        return is_free
+
+    def changing():
+        yield Move(aside[None])
+        assert (yield Reserve(np.stack([over(cell, 1, 0.14), aside])))
+        yield Rest(6.0)
+        return (yield Reserve(over(cell, 1, -0.08)[None], aside[None]))
+
+    crew = Crew(cell, ROBOTS, patience_s=60.0)
+    crew.begin(0, waiting())
+    crew.begin(1, changing())
+    ended = [done for _ in range(2) for done in crew.work(6000)]
+    assert {done.arm: done.result for done in ended} == {0: True, 1: True}
+    assert crew.tally.num_waits == 2
+    assert crew.tally.num_deadlocks == 0
 
 
 def test_an_arm_that_touches_what_another_holds_has_collided():

@@ -1,15 +1,23 @@
 """Two arms clear a table in physics: cups in their racks, no collision, and a log that a team learns from."""
 
+from dataclasses import dataclass
+
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from halfseen.cell.account import Account
+from halfseen.cell.clearing import PAUSE_S
+from halfseen.cell.commands import Rest
+from halfseen.cell.luck import luck_of_washing
 from halfseen.cell.several.pair import PAIR
-from halfseen.cell.several.team_episode import play_team
+from halfseen.cell.several.team_episode import TeamRun, play_team
 from halfseen.cell.several.team_table import TeamTable
 from halfseen.cell.stops import SENSOR_LOST, Stops
 from halfseen.cell.table_state import Belief, no_grip
-from halfseen.cell.workcell import Workcell
+from halfseen.cell.workcell import Attempt, Workcell
+from halfseen.learners import CensoredQLearner
 from halfseen.logs import LogRecorder, read_logs
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.scene.camera import look_at
@@ -18,15 +26,18 @@ from halfseen.scene.poses import Pose
 from halfseen.scene.table import TABLE_TOP_M, Table
 from halfseen.scene.xtion import xtion_at
 from halfseen.team.actions import WAIT, possible_actions
+from halfseen.team.own_part import alone
 from halfseen.team.policy import TeamOfRules, TeamPolicy, UniformTeam
 from halfseen.team.recording import states_of
-from halfseen.world.action_space import ActionSpace, Verb
+from halfseen.world.action_space import FINISH, ActionSpace, Verb
 from halfseen.world.config import WorldConfig
+from halfseen.world.policy import surely
 
 CAMERA = xtion_at(look_at(np.array([0.0, -0.78, 1.24]), np.array([0.0, 0.0, TABLE_TOP_M])))
 CONFIG = WorldConfig(horizon=6, dirty_share=0.8)
 BELIEF = Belief(CONFIG, no_grip)
 TEAM = TeamOfRules(GreedyPolicy(CONFIG, uses_history=True, counts_penalty=True))
+TOO_FAR = Attempt(False, 0.0, None, "no grasp is within reach", is_too_far=True)
 PLACES_M = ((-0.26, 0.0), (-0.12, 0.12), (0.26, 0.0), (0.12, 0.12))
 
 
@@ -95,6 +106,91 @@ def test_the_log_gives_back_the_states_that_the_team_decided_in(cleared):
         assert bool(possible_actions(state)[chosen])
 
 
+def test_each_arm_can_learn_from_its_own_part_of_the_log(cleared):
+    _, run, logs, _ = cleared
+    for arm in (0, 1):
+        own = alone(logs, arm)
+        attempts = own.stages[own.stages["action"] == "WASH"]
+        assert attempts["reward"].tolist() == [CONFIG.reward_wash_dirty] * 2
+        assert own.is_finished.all()
+        assert own.stages["elapsed_s"].iloc[-1] <= run.seconds
+        # What the other arm alone reaches is not on its table.
+        assert set(own.objects["object"]) < set(logs.objects["object"])
+        CensoredQLearner.for_table(CONFIG.horizon, reg=1.0).fit(own)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Parking:
+    """Everyone parks at its first decision, but for arm 0 if it is to lift object 0 before."""
+
+    is_to_lift: bool = False
+
+    def decide(self, state, key):
+        actions, is_new = ActionSpace(state.table.num_objects), state.table.attempt_object[0] < 0
+        is_lift = self.is_to_lift & is_new & (state.decider == 0)
+        return surely(jnp.where(is_lift, actions.encode(Verb.LIFT, 0), FINISH).astype(jnp.int32))
+
+
+def test_who_parks_has_left_what_is_dirty_in_its_own_reach(tmp_path):
+    """Two cups for the left arm alone, one that both reach, one for the right arm alone."""
+    cell = workcell(((-0.30, 0.0), (-0.30, 0.15), (0.0, 0.1), (0.30, 0.0)))
+    run = played(cell, tmp_path / "log", Parking())
+    logs, left = read_logs(tmp_path / "log"), float(CONFIG.reward_dirty_left)
+    stages = logs.stages
+    assert stages["action"].tolist() == ["FINISH", "FINISH"]
+    assert run.reward == stages["reward"].sum() == 4 * left
+    assert stages["0_reward"].sum() == 3 * left
+    assert stages["1_reward"].sum() == 2 * left
+    assert [alone(logs, arm).stages["reward"].tolist() for arm in (0, 1)] == [[3 * left], [2 * left]]
+
+
+def test_reward_and_luck_are_booked_together_when_a_stage_is_completed(monkeypatch):
+    cell = workcell(((-0.26, 0.0), (0.26, 0.0)))
+    account = Account(TeamRun(), cell, np.ones(2, dtype=bool), CONFIG)
+    account.end(Attempt(False, 1.0, "rim", "the hand closed on nothing"), Verb.WASH, 0.5, 1.0, 0)
+    assert (account.run.reward, account.run.luck) == (0.0, 0.0)
+    monkeypatch.setattr(account.truth, "newly_racked", lambda *_: [True])
+    account.end(Attempt(True, 1.0, "rim"), Verb.WASH, 0.5, 1.0, 1)
+    assert (account.run.reward, account.run.luck) == (0.0, 0.0)
+    paid = account.pay(is_over=False)
+    assert paid == (CONFIG.reward_wash_failed + CONFIG.reward_wash_dirty, [-1.0, 5.0])
+    assert account.run.reward == paid.reward
+    assert account.run.luck == pytest.approx(luck_of_washing([True], 0.5, CONFIG))
+    assert account.pay(is_over=False) == (0.0, [0.0, 0.0])
+
+
+def test_a_lift_costs_an_arm_of_two_what_it_costs_one_that_is_alone(tmp_path):
+    """Its time until it is home; the look afterwards is nobody's."""
+    cell = workcell(((-0.26, 0.0),))
+    run = played(cell, tmp_path / "log", Parking(is_to_lift=True))
+    stages = read_logs(tmp_path / "log").stages
+    assert stages["action"].tolist() == ["LIFT", "FINISH", "FINISH"]
+    cost = CONFIG.reward_lift_per_s * (run.busy_s[0] - PAUSE_S)
+    # It ends in the stage in which the other arm has decided to park, and is its own share there.
+    assert stages["0_reward"].tolist() == pytest.approx([0.0, cost, CONFIG.reward_dirty_left])
+    assert stages["1_reward"].tolist() == [0.0, 0.0, 0.0]
+
+
+def test_an_arm_that_found_nothing_in_reach_is_asked_again_when_the_other_has_been_there(tmp_path, monkeypatch):
+    washing, cell = Workcell.washing, workcell(((-0.02, 0.0), (0.30, 0.0)))
+
+    def too_far_for_the_left(cell, number, arm):
+        if arm == 0:
+            yield Rest(0.1)
+            return TOO_FAR
+        return (yield from washing(cell, number, arm))
+
+    monkeypatch.setattr(Workcell, "washing", too_far_for_the_left)
+    played(cell, tmp_path / "log")
+    logs = read_logs(tmp_path / "log")
+    middle = logs.stages["object"].iloc[0]
+    assert logs.stages["1_does"].tolist() == ["FREE", "FREE", "WASH 0" if middle else "WASH 1", "FREE"]
+    reached_by = logs.objects[logs.objects["object"] == middle]["reached_by"]
+    # Its try has ended by the third decision, the wash of the other arm by the fourth.
+    assert [list(each) for each in reached_by] == [[0, 1], [0, 1], [1], [0, 1]]
+
+
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_bits(cleared, tmp_path):
     cell, run, _, _ = cleared
@@ -136,10 +232,25 @@ def test_places_tell_who_reaches_an_object_and_which_are_too_near():
     assert not near[left, middle]
     assert near.diagonal().all()
     # What an arm found to be too far it does not reach, as long as that stays there.
-    table.count_too_far(0, middle)
+    table.learn(0, middle, TOO_FAR)
     assert table.is_in_reach()[:, middle].tolist() == [False, True]
     cell.memory.objects[middle].middle_m = middles_m[middle] + [0.05, 0.0, 0.0]
     assert table.is_in_reach()[:, middle].tolist() == [True, True]
+
+
+def test_what_was_too_far_is_tried_again_when_an_arm_has_left_the_table():
+    cell = workcell()
+    cell.look()
+    table = TeamTable(cell, BELIEF)
+    usual = table.is_in_reach()
+    number = int(np.flatnonzero(usual[0])[0])
+    table.learn(0, number, TOO_FAR)
+    # Who found nothing in reach never left home: two such arms do not free one another for ever.
+    table.learn(1, int(np.flatnonzero(usual[1])[0]), TOO_FAR)
+    table.learn(1, number, Attempt(False, 0.0, None, "another arm was in the way of every grasp"))
+    assert not table.is_in_reach()[0, number]
+    table.learn(1, number, Attempt(True, 5.0, "around"))
+    np.testing.assert_array_equal(table.is_in_reach(), usual)
 
 
 def test_what_an_arm_is_at_is_told_to_the_one_that_decides():

@@ -1,7 +1,9 @@
 """Arms that move together in one clock: each asks for the space of a way before it goes, and waits where it is taken.
 
-Where arms wait for one another in a ring, or one waits for too long, the one that came last and has a free way home is
-told to give way: what it then reserves is that way, and the others go on.
+Where arms wait for one another in a ring, where all that are at something wait (for one another, or for one that is
+idle and does not go), or where one waits for too long, the one that came last and has a free way home is told to give
+way: what it then reserves is that way, and the others go on. One that is at home already gives up what it wanted. If
+neither helps, and nobody moves who could change that, the cell is stopped.
 """
 
 from collections.abc import Sequence
@@ -19,7 +21,7 @@ from halfseen.cell.several.volumes import Space
 from halfseen.cell.stops import StoppedError
 
 DEADLOCK = "deadlock"
-"""Cause of a cut: arms wait for one another, and none has a free way home."""
+"""Cause of a cut: arms wait for one another, or for one that is idle, and none has a free way home."""
 PATIENCE_S = 15.0
 _ASK_EVERY = 10
 """Ticks between two looks whether a space is free by now."""
@@ -52,7 +54,7 @@ class Tally:
     waited_s
         For how long, all arms together [s].
     num_deadlocks
-        How often arms waited for one another, or one for too long.
+        How often arms waited for one another or for an idle one, or one for too long.
     num_gave_way
         How often one went home for that.
     """
@@ -139,7 +141,8 @@ class Crew:
         Raises
         ------
         StoppedError
-            Arms wait for one another, and none has a free way home; or what watches the cell stopped it.
+            Arms wait for one another, or for one that is idle, and none has a free way home; or what watches the cell
+            stopped it.
         """
         num_ticks = 0
         while any(worker.activity is not None for worker in self._workers) and num_ticks != most_ticks:
@@ -232,15 +235,26 @@ class Crew:
 
     def _settle(self) -> None:
         """Notice a deadlock, and let one arm give way."""
-        blocked = [arm for arm, worker in enumerate(self._workers) if worker.wanted is not None and worker.blocked_by]
-        ring = [arm for arm in blocked if self._waits_for_itself(arm)]
-        stuck = ring or [arm for arm in blocked if self._is_impatient(arm)]
+        blocked = self._blocked()
+        does_nobody_move = len(blocked) == sum(worker.activity is not None for worker in self._workers)
+        for_good = blocked if does_nobody_move else [arm for arm in blocked if self._waits_for_itself(arm)]
+        stuck = for_good or [arm for arm in blocked if self._is_impatient(arm)]
         if not stuck:
             return
         if self._one_goes_home(stuck) or self._those_at_home_give_up(stuck):
             self.tally.num_deadlocks += 1
-        elif ring:
+        elif for_good:
             raise StoppedError(DEADLOCK)
+
+    def _blocked(self) -> list[int]:
+        """Which arms wait for space that others have now: some may have left it since they asked."""
+        blocked = []
+        for arm, worker in enumerate(self._workers):
+            if worker.wanted is not None and worker.blocked_by:
+                assert worker.space is not None, "it asked"
+                worker.blocked_by = self._reservations.in_the_way(arm, worker.space)
+                blocked += [arm] if worker.blocked_by else []
+        return blocked
 
     def _one_goes_home(self, stuck: list[int]) -> bool:
         """Send home the arm that came last, of those whose way home is free; whether there is one."""

@@ -9,9 +9,8 @@ from jaxtyping import Bool
 
 from halfseen.cell.memory import Known
 from halfseen.cell.table_state import Belief, state_of
-from halfseen.cell.workcell import Workcell
+from halfseen.cell.workcell import Attempt, Workcell
 from halfseen.perception.clouds import Vector
-from halfseen.team.actions import WAIT
 from halfseen.team.recording import FREE, PARKED, TEAM_VERBS
 from halfseen.team.robots import CLEARANCE_M
 from halfseen.team.state import Robots, TeamState, Workspace
@@ -51,6 +50,11 @@ class Doing:
         return self.verb is None and not self.is_parked and self.decisions_to_go > 0
 
     @property
+    def is_done(self) -> bool:
+        """Whether it has come to its own end."""
+        return self.verb is None and (self.is_parked or self.decisions_to_go == 0)
+
+    @property
     def words(self) -> str:
         """What it is at, as a log has it."""
         if self.verb is None:
@@ -83,13 +87,25 @@ class TeamTable:
     def __post_init__(self) -> None:
         self.doing = [Doing(self.belief.config.horizon) for _ in self.cell.stations]
 
-    def is_at_work(self, arm: int) -> bool:
-        """Whether an arm is at something that ends by itself."""
-        return self.doing[arm].verb not in (None, WAIT)
+    def learn(self, arm: int, number: int, attempt: Attempt) -> None:
+        """Learn from an attempt what an arm does not reach.
 
-    def count_too_far(self, arm: int, number: int) -> None:
-        """Remember that an arm found no grasp of an object within its reach, for as long as that stays where it is."""
-        self._too_far[arm, number] = self._objects[number].middle_m
+        That it found no grasp within its reach is remembered for as long as the object stays where it is and nothing
+        changes on the table: an arm that was there, and has left, may have been in the way, or has moved what was.
+
+        Parameters
+        ----------
+        arm
+            Whose it was.
+        number
+            Of its object.
+        attempt
+            How it went.
+        """
+        if attempt.kind is not None:
+            self._too_far.clear()
+        if attempt.is_too_far:
+            self._too_far[arm, number] = self._objects[number].middle_m
 
     @property
     def _objects(self) -> list[Known]:

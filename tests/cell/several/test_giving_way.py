@@ -1,0 +1,164 @@
+"""An arm that is told to give way, wherever in an attempt it is: its cup stands where it stood, and it is home."""
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from halfseen.cell.commands import Grip, Move, Reserve, Rest
+from halfseen.cell.several.pair import PAIR
+from halfseen.cell.several.volumes import Outline
+from halfseen.cell.workcell import Workcell
+from halfseen.scene.camera import look_at
+from halfseen.scene.cups import Cup
+from halfseen.scene.poses import Pose
+from halfseen.scene.stains import draw_surface
+from halfseen.scene.table import TABLE_TOP_M, Table
+from halfseen.scene.xtion import xtion_at
+
+CAMERA = xtion_at(look_at(np.array([0.0, -0.78, 1.24]), np.array([0.0, 0.0, TABLE_TOP_M])))
+STOOD_M = (-0.26, 0.0, TABLE_TOP_M)
+LEFT = PAIR[0].robot
+
+
+@pytest.fixture
+def cell():
+    cup, rng = Cup(0.10, 0.036, 0.032), np.random.default_rng(2)
+    table = Table((cup,), (Pose(STOOD_M),), CAMERA)
+    cell = Workcell(table, np.random.default_rng(0), [draw_surface(cup, True, rng)], stations=PAIR)
+    cell.look()
+    return cell
+
+
+class Asked(NamedTuple):
+    """A reservation that was granted or refused for good, when it was asked for, and where the arm stood."""
+
+    command: Reserve
+    time_s: float
+    angles_rad: np.ndarray
+
+
+def told(cell, activity, refused):
+    """Carry out an activity, and answer no to the reservations whose numbers are in `refused`.
+
+    What is only tried is granted the first time, and no reservation of its own where that is refused: the patient one
+    after it is. Gives what came of it, and the reservations.
+    """
+    live, asked = cell.cell, []
+    command, answer = next(activity), True
+    while True:
+        match command:
+            case Move():
+                live.move(LEFT, command.way, command.speed)
+            case Grip():
+                live.grip(LEFT, command.opening_m, command.seconds)
+            case Rest():
+                live.wait(command.seconds)
+            case Reserve():
+                number = len(asked)
+                answer = number not in refused if command.is_patient or 0 not in refused else False
+                if command.is_patient or answer:
+                    asked.append(Asked(command, live.time_s, live.angles_rad(LEFT)))
+        try:
+            command, answer = activity.send(answer), True
+        except StopIteration as ended:
+            return ended.value, asked
+
+
+def assert_all_is_as_it_was(cell):
+    assert cell.in_hand == {}
+    np.testing.assert_allclose(cell.cell.angles_rad(LEFT), LEFT.home_rad, atol=0.02)
+    cup = cell.cell.cup(0)
+    np.testing.assert_allclose(cup.position_m, STOOD_M, atol=0.02)
+    assert cup.rotation[2, 2] > 0.99
+    assert not cell.memory.objects[0].is_racked
+
+
+@pytest.mark.parametrize("work", [Workcell.washing, Workcell.lifting])
+def test_before_it_has_left_home_it_has_tried_nothing(cell, work):
+    attempt, asked = told(cell, work(cell, 0, 0), {0})
+    assert (attempt.is_held, attempt.kind, attempt.duration_s) == (False, None, 0.0)
+    assert "another arm was in the way" in attempt.reason
+    assert len(asked) == 1
+    known = cell.memory.objects[0]
+    assert (known.trials, known.failed, known.lifts) == ([], [], 0)
+    assert_all_is_as_it_was(cell)
+
+
+def test_on_its_way_to_the_rack_it_puts_back_what_it_holds(cell):
+    attempt, asked = told(cell, cell.washing(0, 0), {1})
+    # The way back was granted with the answer: nothing more is asked for.
+    assert len(asked) == 2
+    assert not attempt.is_held
+    assert "gave way" in attempt.reason
+    # The grasp held: that is what a law of grasping is to learn.
+    assert [trial.is_held for trial in cell.memory.objects[0].trials] == [True]
+    assert_all_is_as_it_was(cell)
+    again, _ = told(cell, cell.washing(0, 0), set())
+    assert again.is_held
+    assert cell.memory.objects[0].is_racked
+
+
+def test_before_anything_is_shown_it_has_lifted_nothing_to_see_it(cell):
+    known, looks = cell.memory.objects[0], len(cell.memory.objects[0].glances)
+    attempt, asked = told(cell, cell.lifting(0, 0), {1})
+    assert len(asked) == 2
+    assert attempt.is_held
+    assert known.lifts == 0
+    assert len(known.glances) == looks
+    assert_all_is_as_it_was(cell)
+
+
+def test_between_two_sides_what_was_shown_counts(cell):
+    known = cell.memory.objects[0]
+    attempt, asked = told(cell, cell.lifting(0, 0), {2})
+    assert len(asked) == 3
+    assert attempt.is_held
+    assert known.lifts == 1
+    assert_all_is_as_it_was(cell)
+
+
+def test_after_both_sides_it_goes_back_all_the_same(cell):
+    attempt, asked = told(cell, cell.lifting(0, 0), {3})
+    assert len(asked) == 4
+    # Its way back is its way home: no answer leads elsewhere.
+    np.testing.assert_array_equal(asked[3].command.way, asked[3].command.back)
+    assert attempt.is_held
+    assert cell.memory.objects[0].lifts == 1
+    assert_all_is_as_it_was(cell)
+
+
+def test_whose_hand_closed_on_nothing_goes_home_all_the_same(cell, monkeypatch):
+    monkeypatch.setattr("halfseen.cell.workcell.feels", lambda *_: False)
+    attempt, asked = told(cell, cell.washing(0, 0), {1})
+    assert len(asked) == 2
+    np.testing.assert_array_equal(asked[1].command.way, asked[1].command.back)
+    assert not attempt.is_held
+    assert len(cell.memory.objects[0].failed) == 1
+    assert cell.in_hand == {}
+    np.testing.assert_allclose(cell.cell.angles_rad(LEFT), LEFT.home_rad, atol=0.02)
+
+
+@pytest.mark.parametrize(("work", "phase"), [("washing", 1), ("lifting", 1), ("lifting", 2)])
+def test_the_way_back_that_is_reserved_for_it_is_the_one_it_takes(cell, work, phase):
+    activity, gone = getattr(cell, work)(0, 0), []
+    cell.cell.watches.append(lambda live: gone.append((live.time_s, live.angles_rad(LEFT))))
+    _, asked = told(cell, activity, {phase})
+    last = asked[phase]
+    places_rad = Outline(cell.cell.model, LEFT).along(last.angles_rad, last.command.back).places_rad
+    passed = [angles for time_s, angles in gone if time_s > last.time_s]
+    assert len(passed) > 100
+    # Servos are a little behind, and cut corners by as much.
+    assert max(np.abs(places_rad - angles).max(axis=1).min() for angles in passed) < 0.10
+
+
+def test_what_is_put_back_is_the_same_object_to_whoever_looks_meanwhile(cell):
+    """The other arm decides, and so looks, while this one has opened its hand and is on its way home."""
+    known, seen = cell.memory.objects[0], []
+    cell.cell.watches.append(lambda live: seen.append(cell.look()) if round(live.time_s, 2) % 0.5 == 0 else None)
+    told(cell, cell.lifting(0, 0), set())
+    assert len(seen) > 10
+    cell.look()
+    assert cell.memory.objects == [known]
+    assert known.seen is not None
+    assert not known.is_lost
