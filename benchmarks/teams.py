@@ -1,12 +1,20 @@
 """What several robots earn and how long they take: one Q for the team, each alone, rules, beside one robot.
 
-python benchmarks/teams.py [--robots 1 2] [--paths 800] [--cut 0 0.5] [--price 0 -0.05] [--logs 3] [--episodes 4000]
-                           [--out runs/benchmarks/teams.json]
+python benchmarks/teams.py [--robots 1 2] [--paths 800] [--cut 0.5] [--price 0 -0.05] [--logs 3] [--episodes 4000]
+                           [--law shipped] [--out runs/benchmarks/teams.json]
 
-The ten shipped tables under the law of the shipped cell. One robot reaches everything; two stand to the left and to the
-right and share the middle; a third stands behind. Each log is played by the team's rule of thumb, half of whose
-decisions are made uniformly at random. What is learned from each log plays the same episodes as all others; intervals
-are over logs, and for who learns nothing over episodes. Points are counted above leaving the table as it is.
+The study of several robots: --robots 1 2 3 --paths 200 800 3200 --cut 0 0.5 --price -0.05 --logs 5
+
+The ten shipped tables under the law of the shipped cell, or under the laws that the package assumes. One robot
+reaches everything; two stand to the left and to the right and share the middle; a third stands behind. Each log is
+played by the team's rule of thumb, half of whose decisions are made uniformly at random. What is learned from each log
+plays the same episodes as all others; intervals are over logs, and for who learns nothing over episodes. Points are
+counted above leaving the table as it is.
+
+What coordination buys is told in pairs, log by log: the points of one Q less those of each alone, and of the best rule,
+which knows the true laws and the price. Seconds are told as a share of those that one robot takes by the same way,
+beside 1/K; and the least share that was to be had without doing less: the seconds that all robots were at work, shared
+evenly.
 """
 
 import argparse
@@ -16,6 +24,7 @@ from pathlib import Path
 
 import jax
 import numpy as np
+from scipy import stats
 from tqdm import tqdm
 
 from halfseen.cell.calibration.law_folder import read_law
@@ -23,88 +32,137 @@ from halfseen.cell.calibration.shipped import shipped_law
 from halfseen.cell.tables_seen import tables_seen
 from halfseen.learners import CensoredQLearner
 from halfseen.planners.heuristics import GreedyPolicy
-from halfseen.team import EachAlone, ExploringTeam, Robot, Team, alone
-from halfseen.team.episodes import evaluate
+from halfseen.team import EachAlone, ExploringTeam, MyopicTeam, Robot, Team, TeamWorld, alone
+from halfseen.team.actions import WAIT, wait_of
+from halfseen.team.episodes import play
 from halfseen.team.rules import OneAtATime, ReservingTeam, RoundRobin
-from halfseen.team.team_world import TeamWorld
 from halfseen.world import WorldConfig
 
 SEED = 1612
 LEFT, RIGHT, BEHIND = Robot((-0.45, 0.8), 0.55), Robot((0.45, 0.8), 0.55), Robot((0.0, 1.3), 0.6)
 TEAMS = {1: (Robot((0.0, 0.8), 0.8),), 2: (LEFT, RIGHT), 3: (LEFT, RIGHT, BEHIND)}
+LAWS = ("shipped", "assumed")
+RULES = ("rule, reserving", "one step ahead", "greedy, reserving", "rule, round robin", "rule, one at a time")
+ONE_Q, ALONE, RULE_ALONE = "learned, one Q", "learned, each alone", "rule, each alone"
 
 
-def setting(num_robots, price):
+def setting(law, num_robots, price):
     """World of a team, and the scenes."""
-    law = read_law(shipped_law()).law
-    scenes = [table.scene(law) for table in tables_seen()]
-    return TeamWorld.of(Team(TEAMS[num_robots], reward_per_s=price), law.config(WorldConfig())), scenes
+    shipped = read_law(shipped_law()).law
+    scenes = [table.scene(shipped) for table in tables_seen()]
+    config = shipped.config(WorldConfig()) if law == "shipped" else WorldConfig()
+    return TeamWorld.of(Team(TEAMS[num_robots], reward_per_s=price), config), scenes
 
 
 def rules(world):
     """Rules of thumb; the first plays the logs."""
     rule = GreedyPolicy(world.config, uses_history=True, counts_penalty=True)
     greedy = GreedyPolicy(world.config, counts_penalty=True)
-    found = {"rule, reserving": ReservingTeam(world.team_config, rule)}
+    reserving, ahead = ReservingTeam(world.team_config, rule), MyopicTeam(world.team_config)
     if len(world.robots) == 1:
-        return found
-    return found | {
-        "greedy, reserving": ReservingTeam(world.team_config, greedy),
-        "rule, round robin": RoundRobin(rule),
-        "rule, one at a time": OneAtATime(rule),
-        "rule, each alone": EachAlone((rule,) * len(world.robots)),
-    }
+        return dict(zip(RULES, (reserving, ahead), strict=False))
+    others = (ReservingTeam(world.team_config, greedy), RoundRobin(rule), OneAtATime(rule))
+    found = dict(zip(RULES, (reserving, ahead, *others), strict=True))
+    return found | {RULE_ALONE: EachAlone((rule,) * len(world.robots))}
 
 
 def learned(world, logs):
     """What is learned from a log: by the team, and by each robot from its own part."""
     num_robots = len(world.robots)
-    found = {"learned, one Q": CensoredQLearner.for_team(num_robots).fit(logs).policy_}
+    found = {ONE_Q: CensoredQLearner.for_team(num_robots).fit(logs).policy_}
     if num_robots == 1:
         return found
     each = tuple(CensoredQLearner.for_table().fit(alone(logs, robot)).policy_ for robot in range(num_robots))
-    return found | {"learned, each alone": EachAlone(each)}
+    return found | {ALONE: EachAlone(each)}
 
 
-def measured(num_robots, price, num_paths, cuts, num_logs, num_episodes, bar):
-    """Rows of one team at one price: reward and seconds of everyone, by the log that it learned from."""
-    world, scenes = setting(num_robots, price)
+def totals(world, layouts, policy, num_episodes):
+    """Reward and seconds of each table, and the seconds that its robots were at work, shared evenly."""
+    paths = play(world.team_config, layouts, policy, jax.random.key(SEED), num_episodes)
+    taken, seconds = np.asarray(paths.is_taken), np.asarray(paths.duration_s, dtype=float)
+    wait, robots = wait_of(paths.states.table.num_objects), paths.states.robots
+    is_at_work = np.asarray(robots.is_busy & (robots.verb != WAIT)).sum(axis=-1) + (np.asarray(paths.action) != wait)
+    reward = np.where(taken, np.asarray(paths.reward, dtype=float), 0.0).sum(axis=-1)
+    shared = np.where(taken, seconds * is_at_work, 0.0).sum(axis=-1) / len(world.robots)
+    return reward, np.where(taken, seconds, 0.0).sum(axis=-1), shared
+
+
+def measured(given, num_robots, price, bar):
+    """Rows of one team at one price: what everyone earns and takes, by the log that it learned from."""
+    world, scenes = setting(given.law, num_robots, price)
     left = float(world.config.reward_dirty_left) * float(world.config.dirty_share)
     nothing = left * np.mean([scene.num_objects for scene in scenes])
-    layouts, config = world.team.layouts(scenes), world.team_config
-    rows, behaviour = [], ExploringTeam(next(iter(rules(world).values())))
+    layouts, rows, behaviour = world.team.layouts(scenes), [], ExploringTeam(next(iter(rules(world).values())))
 
-    def play(name, policy, **place):
-        totals = evaluate(config, layouts, policy, jax.random.key(SEED), num_episodes)
-        reward, seconds = np.asarray(totals.reward, dtype=float), np.asarray(totals.robot_s, dtype=float)
+    def judge(name, policy, **place):
+        reward, seconds, shared = totals(world, layouts, policy, given.episodes)
         points = reward - nothing
         row = {"robots": num_robots, "price": price, "policy": name, **place, "points": points.mean()}
-        row |= {"se": points.std(ddof=1) / num_episodes**0.5, "unpriced": (points - price * seconds).mean()}
-        rows.append(row | {"seconds": seconds.mean()})
+        row |= {"se": points.std(ddof=1) / given.episodes**0.5, "unpriced": (points - price * seconds).mean()}
+        rows.append(row | {"seconds": seconds.mean(), "shared": shared.mean()})
         bar.update()
 
     for name, policy in rules(world).items():
-        play(name, policy)
-    for size, cut, log in product(num_paths, cuts, range(num_logs)):
+        judge(name, policy)
+    for size, cut, log in product(given.paths, given.cut, range(given.logs)):
         logs = world.simulate(scenes, behaviour, size, seed=SEED + log, cut_share=cut)
         for name, policy in learned(world, logs).items():
-            play(name, policy, paths=size, cut=cut, log=log)
+            judge(name, policy, paths=size, cut=cut, log=log)
     return rows
+
+
+KEYS = ("robots", "price", "policy", "paths", "cut")
+
+
+def by_place(rows):
+    """Rows that differ in the log alone."""
+    groups = {}
+    for row in rows:
+        groups.setdefault(tuple(row.get(key) for key in KEYS), []).append(row)
+    return groups
 
 
 def summed(rows):
     """Means over logs, and standard errors over logs where there are several."""
-    keys = ("robots", "price", "policy", "paths", "cut")
-    groups = {}
-    for row in rows:
-        groups.setdefault(tuple(row.get(key) for key in keys), []).append(row)
     found = []
-    for place, members in groups.items():
+    for place, members in by_place(rows).items():
         points = np.array([row["points"] for row in members])
         se = points.std(ddof=1) / len(points) ** 0.5 if len(points) > 1 else members[0]["se"]
-        means = {key: float(np.mean([row[key] for row in members])) for key in ("unpriced", "seconds")}
-        found.append(dict(zip(keys, place, strict=True)) | {"points": points.mean(), "se": se} | means)
+        means = {key: float(np.mean([row[key] for row in members])) for key in ("unpriced", "seconds", "shared")}
+        found.append(dict(zip(KEYS, place, strict=True)) | {"points": points.mean(), "se": se} | means)
     return found
+
+
+def interval(differences):
+    """Mean and 95 % interval by Student's t; none from a single log."""
+    mean, size = np.mean(differences), len(differences)
+    if size < 2:
+        return f"{mean:+.2f}"
+    half = stats.t.ppf(0.975, size - 1) * np.std(differences, ddof=1) / size**0.5
+    return f"{mean:+.2f} ({mean - half:+.2f} to {mean + half:+.2f})"
+
+
+def what_coordination_buys(rows):
+    """Lines: one Q less each alone, less the best rule, and seconds beside those of one robot."""
+    groups = by_place(rows)
+    for (num_robots, price, policy, size, cut), members in groups.items():
+        if policy != ONE_Q or num_robots == 1:
+            continue
+        points = np.array([row["points"] for row in members])
+        alone_points = np.array([row["points"] for row in groups[num_robots, price, ALONE, size, cut]])
+        team_rules = [name for name in (*RULES, RULE_ALONE) if (num_robots, price, name, None, None) in groups]
+        best = max(groups[num_robots, price, name, None, None][0]["points"] for name in team_rules)
+        told = f"{num_robots} robots, price {price}, {size} paths, {cut} cut: one Q less each alone "
+        told += f"{interval(points - alone_points)}, less the best rule {interval(points - best)}"
+        of_one = groups.get((1, price, ONE_Q, size, cut))
+        if of_one:
+            seconds, shared, reward = (
+                np.mean([row[key] for row in members]) for key in ("seconds", "shared", "unpriced")
+            )
+            single_s, single = (np.mean([row[key] for row in of_one]) for key in ("seconds", "unpriced"))
+            told += f"; {reward / single:.2f} of one robot's reward in {seconds / single_s:.2f} of its seconds "
+            told += f"(work shared evenly: {shared / single_s:.2f}; 1/K: {1 / num_robots:.2f})"
+        yield told
 
 
 def main():
@@ -115,27 +173,27 @@ def main():
     arguments.add_argument("--price", type=float, nargs="+", default=[0.0, -0.05])
     arguments.add_argument("--logs", type=int, default=3)
     arguments.add_argument("--episodes", type=int, default=4000)
+    arguments.add_argument("--law", choices=LAWS, default=LAWS[0])
     arguments.add_argument("--out", type=Path, default=Path("runs/benchmarks/teams.json"))
     given = arguments.parse_args()
     of_learners = len(given.paths) * len(given.cut) * given.logs
-    total = sum(len(given.price) * ((1 if k == 1 else 5) + (1 if k == 1 else 2) * of_learners) for k in given.robots)
+    total = sum(len(given.price) * ((2 + of_learners) if k == 1 else (6 + 2 * of_learners)) for k in given.robots)
     with tqdm(total=total, unit="policy", mininterval=2) as bar:
-        rows = [
-            row
-            for num_robots, price in product(given.robots, given.price)
-            for row in measured(num_robots, price, given.paths, given.cut, given.logs, given.episodes, bar)
-        ]
-    told = summed(rows)
-    print(f"{'robots':>6} {'price':>6} {'policy':22} {'paths':>5} {'cut':>4} {'points':>14} {'unpriced':>9} {'s':>6}")
-    for row in told:
+        rows = [row for k, price in product(given.robots, given.price) for row in measured(given, k, price, bar)]
+    place = f"{'robots':>6} {'price':>6} {'policy':22} {'paths':>5} {'cut':>4}"
+    print(f"{place} {'points':>14} {'unpriced':>9} {'s':>6} {'shared':>6}")
+    for row in summed(rows):
         place = f"{row['paths'] or '':>5} {'' if row['cut'] is None else row['cut']:>4}"
         points = f"{row['points']:.2f} ± {row['se']:.2f}"
         print(
             f"{row['robots']:>6} {row['price']:>6} {row['policy']:22} {place} {points:>14} {row['unpriced']:>9.2f} "
-            f"{row['seconds']:>6.1f}"
+            f"{row['seconds']:>6.1f} {row['shared']:>6.1f}"
         )
+    print(*what_coordination_buys(rows), sep="\n")
     given.out.parent.mkdir(parents=True, exist_ok=True)
-    given.out.write_text(json.dumps({"seed": SEED, "episodes": given.episodes, "rows": rows}, indent=1))
+    given.out.write_text(
+        json.dumps({"seed": SEED, "episodes": given.episodes, "law": given.law, "rows": rows}, indent=1)
+    )
 
 
 if __name__ == "__main__":
