@@ -24,9 +24,9 @@ from halfseen.team.each_alone import EachAlone
 from halfseen.team.grid_grasping import GridGrasping
 from halfseen.team.myopic import MyopicTeam
 from halfseen.team.optimum import TeamOptimum, solve_team
-from halfseen.team.policy import TeamOfRules, TeamPolicy, UniformTeam
+from halfseen.team.policy import TeamPolicy, UniformTeam
 from halfseen.team.rollout import RolloutTeam
-from halfseen.team.rules import OneAtATime, ReservingTeam, RoundRobin
+from halfseen.team.rules import OneAtATime, ReservingTeam, RoundRobin, TeamOfRules
 from halfseen.team.state import Workspace
 from halfseen.world import WorldConfig
 

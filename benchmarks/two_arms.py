@@ -34,7 +34,8 @@ from halfseen.cell.several.pair import PAIR
 from halfseen.cell.table_state import Belief
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.planners.named import HEURISTICS
-from halfseen.team.policy import TeamOfRules, TeamPolicy
+from halfseen.team.policy import TeamPolicy
+from halfseen.team.rules import TeamOfRules
 from halfseen.workers import Workers
 from halfseen.world.policy import Policy
 from halfseen.writing import write_file

@@ -9,8 +9,9 @@ import numpy as np
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.team import episodes
 from halfseen.team.config import TeamConfig
-from halfseen.team.policy import ExploringTeam, TeamOfRules
+from halfseen.team.policy import ExploringTeam
 from halfseen.team.recording import to_logs
+from halfseen.team.rules import TeamOfRules
 from halfseen.team.state import TeamLayout, Workspace
 from halfseen.world import Scene, WorldConfig
 from halfseen.world.cuts import cut, cut_rate

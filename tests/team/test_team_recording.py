@@ -11,8 +11,9 @@ from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.team import episodes
 from halfseen.team.actions import possible_actions
 from halfseen.team.config import TeamConfig
-from halfseen.team.policy import ExploringTeam, TeamOfRules
+from halfseen.team.policy import ExploringTeam
 from halfseen.team.recording import states_of, to_logs
+from halfseen.team.rules import TeamOfRules
 from halfseen.team.state import TeamLayout, Workspace
 from halfseen.world import Scene, WorldConfig
 from halfseen.world.cuts import cut, cut_rate

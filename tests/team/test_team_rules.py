@@ -12,8 +12,8 @@ from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.team import dynamics, episodes
 from halfseen.team.actions import possible_actions, wait_of
 from halfseen.team.config import TeamConfig
-from halfseen.team.policy import TeamOfRules, UniformTeam
-from halfseen.team.rules import OneAtATime, ReservingTeam, RoundRobin
+from halfseen.team.policy import UniformTeam
+from halfseen.team.rules import OneAtATime, ReservingTeam, RoundRobin, TeamOfRules
 from halfseen.team.state import TeamLayout, Workspace
 from halfseen.world import Scene, WorldConfig
 from halfseen.world import episodes as one_robot

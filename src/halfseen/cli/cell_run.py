@@ -156,7 +156,8 @@ def team_policy_of(name: str, random_share: float, config: "WorldConfig") -> "Te
     """The policy of a name, for several arms."""
     from halfseen.errors import ArgumentError
     from halfseen.planners.heuristics import GreedyPolicy
-    from halfseen.team.policy import ExploringTeam, TeamOfRules
+    from halfseen.team.policy import ExploringTeam
+    from halfseen.team.rules import TeamOfRules
 
     if name not in HEURISTICS:
         raise ArgumentError(

@@ -18,8 +18,9 @@ if TYPE_CHECKING:
     from halfseen.team.each_alone import EachAlone
     from halfseen.team.myopic import MyopicTeam
     from halfseen.team.own_part import alone
-    from halfseen.team.policy import ExploringTeam, TeamOfRules, TeamPolicy, UniformTeam
+    from halfseen.team.policy import ExploringTeam, TeamPolicy, UniformTeam
     from halfseen.team.robots import Robot
+    from halfseen.team.rules import TeamOfRules
     from halfseen.team.state import TeamState, Workspace
     from halfseen.team.task import TeamTask
     from halfseen.team.team import Team
@@ -54,7 +55,7 @@ __getattr__ = lazy_names(
         "Robot": "robots",
         "Team": "team",
         "TeamConfig": "config",
-        "TeamOfRules": "policy",
+        "TeamOfRules": "rules",
         "TeamPolicy": "policy",
         "TeamState": "state",
         "TeamTask": "task",

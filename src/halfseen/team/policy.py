@@ -4,15 +4,12 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import jax
-import jax.numpy as jnp
 from jaxtyping import Array
 
-from halfseen.planners.heuristics import GreedyPolicy
-from halfseen.team.actions import possible_actions, wait_of
+from halfseen.team.actions import possible_actions
 from halfseen.team.state import TeamState
-from halfseen.world.action_space import FINISH, ActionSpace, Verb
 from halfseen.world.number import Number
-from halfseen.world.policy import Decision, mixed, surely, uniformly
+from halfseen.world.policy import Decision, mixed, uniformly
 
 
 @runtime_checkable
@@ -55,27 +52,3 @@ class ExploringTeam:
         base_key, coin_key, uniform_key = jax.random.split(key, 3)
         base, uniform = self.base.decide(state, base_key), UniformTeam().decide(state, uniform_key)
         return mixed(base, uniform, self.random_share, coin_key)
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class TeamOfRules:
-    """Every robot washes what promises most of what nobody else is at; it waits where that may change, or finishes.
-
-    Parameters
-    ----------
-    rule
-        The rule of thumb of one robot.
-    """
-
-    rule: GreedyPolicy
-
-    def decide(self, state: TeamState, key: Array) -> Decision:
-        """Choose for one table; nothing is drawn."""
-        is_possible, actions = possible_actions(state), ActionSpace(state.table.num_objects)
-        promising = jnp.where(state.workspace.is_in_reach[state.decider], self.rule.worth(state.table), -jnp.inf)
-        worth = jnp.where(is_possible[actions.of(Verb.WASH)], promising, -jnp.inf)
-        best, wait = jnp.argmax(worth), wait_of(state.table.num_objects)
-        can_hope = is_possible[wait] & jnp.any(promising > 0.0)
-        otherwise = jnp.where(can_hope, wait, FINISH)
-        return surely(jnp.where(worth[best] > 0.0, actions.encode(Verb.WASH, best), otherwise).astype(jnp.int32))

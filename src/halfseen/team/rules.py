@@ -1,7 +1,8 @@
 """Rules of thumb of a team: wash what is worth its time, and leave alone what another robot is at.
 
 Whatever a robot begins is reserved: nobody else touches it, nor what is near it (`actions`). `ReservingTeam` is as
-strong a plain rule as we know. `RoundRobin` and `OneAtATime` coordinate less; a team's policy is to beat them all.
+strong a plain rule as we know. `TeamOfRules` knows no price of time, and `RoundRobin` and `OneAtATime` coordinate
+less; a team's policy is to beat them all.
 """
 
 from dataclasses import dataclass
@@ -19,6 +20,25 @@ from halfseen.team.state import TeamState
 from halfseen.world.action_space import FINISH, ActionSpace, Verb
 from halfseen.world.policy import Decision, surely
 from halfseen.world.state import occlusion
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class TeamOfRules:
+    """Every robot washes what promises most of what nobody else is at; it waits where that may change, or finishes.
+
+    Parameters
+    ----------
+    rule
+        The rule of thumb of one robot.
+    """
+
+    rule: GreedyPolicy
+
+    def decide(self, state: TeamState, key: Array) -> Decision:
+        """Choose for one table; nothing is drawn."""
+        gain = _worth(self.rule, state)
+        return _chosen(state, gain, gain)
 
 
 @jax.tree_util.register_dataclass

@@ -27,8 +27,9 @@ from halfseen.scene.table import TABLE_TOP_M, Table
 from halfseen.scene.xtion import xtion_at
 from halfseen.team.actions import WAIT, possible_actions
 from halfseen.team.own_part import alone
-from halfseen.team.policy import TeamOfRules, TeamPolicy, UniformTeam
+from halfseen.team.policy import TeamPolicy, UniformTeam
 from halfseen.team.recording import states_of
+from halfseen.team.rules import TeamOfRules
 from halfseen.world.action_space import FINISH, ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import surely
