@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxtyping import TypeCheckError
 from played_teams import NUM_OBJECTS, SCENE, logged, played, team_of
 
 from halfseen.errors import ArgumentError, LogError, PolicyError
@@ -72,9 +73,21 @@ def test_what_was_never_seen_completed_has_no_value():
     assert not (verbs == Verb.LIFT).any()
 
 
-def test_a_team_has_a_robot():
-    with pytest.raises(ArgumentError, match="num_robots is 0"):
-        CensoredQLearner.for_team(0)
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ((0,), "num_robots is 0; a team has a whole number of robots, at least 1"),
+        ((2.5,), "num_robots is 2.5; a team has a whole number"),
+        (("2",), "num_robots is '2'"),
+        ((True,), "num_robots is True"),
+        ((2, "3"), "horizon is '3'; give the decisions of each robot, a whole number, at least 1"),
+        ((2, 2.5), "horizon is 2.5"),
+        ((2, 0), "horizon is 0"),
+    ],
+)
+def test_a_team_has_a_whole_number_of_robots_and_of_their_decisions(given, told):
+    with pytest.raises((ArgumentError, TypeCheckError), match=f"{told}|Type-check error"):
+        CensoredQLearner.for_team(*given)
 
 
 def test_one_robot_alone_does_what_it_does_as_a_team_of_one():

@@ -102,6 +102,7 @@ def learned(num_decisions):
         (lambda: WORLD.simulate(SCENES, UniformTeam(), 1, 0, cut_share=1.0), ArgumentError, "cut share is 1.0"),
         (lambda: WORLD.simulate(SCENES, learned(12), 1, 0), PolicyError, "learned for 12 decisions .* up to 8"),
         (lambda: WORLD.evaluate(SCENES, ExploringTeam(learned(12)), 1, 0), PolicyError, "learned for 12 decisions"),
+        (lambda: ExploringTeam(UniformTeam(), 2.0), ArgumentError, r"random_share is 2.0; give .* in \[0, 1\]"),
         (lambda: Scene(np.zeros((1, 1)), places_m=np.array([[0.0, np.nan]])), SceneError, r"places_m\[0\] is"),
     ],
 )

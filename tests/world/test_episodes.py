@@ -5,10 +5,12 @@ import pytest
 from random_scenes import random_scene
 from rule_policies import InTurn, Suspicious
 
+from halfseen.errors import ArgumentError
 from halfseen.world import ExploringPolicy, UniformPolicy, WorldConfig, episodes
 from halfseen.world.action_space import ActionSpace
 from halfseen.world.dynamics import start, step
 from halfseen.world.episodes import evaluate, evaluate_some, play
+from halfseen.world.number import is_wrong
 from halfseen.world.state import pad_scenes
 
 CONFIG = WorldConfig()
@@ -179,6 +181,23 @@ def test_the_logged_probability_is_that_of_the_action(scenes):
     assert sorted(probability)[-1] == pytest.approx(0.7 + 0.3 / 7, abs=1e-6)
     error = np.sqrt(probability * (1.0 - probability) / num_draws)
     assert np.all(np.abs(count[taken] / num_draws - probability) < 4.0 * error)
+
+
+@pytest.mark.parametrize("share", [-0.1, 2.0, float("nan")])
+def test_a_share_of_random_decisions_lies_between_0_and_1(share):
+    with pytest.raises(ArgumentError, match=rf"random_share is {share}; give the share .*, in \[0, 1\]"):
+        ExploringPolicy(Suspicious(), share)
+
+
+def test_a_parameter_is_looked_at_where_it_is_a_plain_number():
+    def is_positive(value):
+        return value > 0
+
+    assert [is_wrong(value, is_positive) for value in (1, 0.5, np.float32(2.0), np.int64(3))] == [False] * 4
+    assert [is_wrong(value, is_positive) for value in (0, -0.5, np.float32(-2.0), np.int64(0), np.inf, "1")] == [
+        True
+    ] * 6
+    assert not jax.vmap(lambda value: jnp.asarray(is_wrong(value, is_positive)))(-jnp.ones(3)).any()
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0])

@@ -1,14 +1,12 @@
 """The numbers of a team: the world that it works in, and what sets its robots apart."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from math import isfinite
 
 import jax
 
 from halfseen.errors import ArgumentError
 from halfseen.world.config import WorldConfig
-from halfseen.world.number import Number
+from halfseen.world.number import Number, is_wrong
 
 
 @jax.tree_util.register_dataclass
@@ -43,10 +41,10 @@ class TeamConfig:
         if len(self.speed) < 1:
             raise ArgumentError("speed is (): give the speed of each robot, at least one")
         for robot, speed in enumerate(self.speed):
-            if _is_wrong(speed, lambda value: value > 0):
-                raise ArgumentError(f"speed of robot {robot} is {speed}; give a finite number above 0")
-        if _is_wrong(self.reward_per_s, lambda value: value <= 0):
-            raise ArgumentError(f"reward_per_s is {self.reward_per_s}; give a finite price, 0 or below [1/s]")
+            if is_wrong(speed, lambda value: value > 0):
+                raise ArgumentError(f"speed of robot {robot} is {speed!r}; give a finite number above 0")
+        if is_wrong(self.reward_per_s, lambda value: value <= 0):
+            raise ArgumentError(f"reward_per_s is {self.reward_per_s!r}; give a finite price, 0 or below [1/s]")
         self._check_rates()
 
     def _check_rates(self) -> None:
@@ -59,8 +57,10 @@ class TeamConfig:
                 "that never drops out"
             )
         for robot, rate in enumerate(rates):
-            if _is_wrong(rate, lambda value: value >= 0):
-                raise ArgumentError(f"drop_out_rate of robot {robot} is {rate}; give a finite hazard, 0 or above [1/s]")
+            if is_wrong(rate, lambda value: value >= 0):
+                raise ArgumentError(
+                    f"drop_out_rate of robot {robot} is {rate!r}; give a finite hazard, 0 or above [1/s]"
+                )
 
     @property
     def num_robots(self) -> int:
@@ -71,8 +71,3 @@ class TeamConfig:
     def num_stages(self) -> int:
         """Decisions that a path may have, of all robots together."""
         return self.num_robots * self.world.horizon
-
-
-def _is_wrong(value: Number, is_right: Callable[[float], bool]) -> bool:
-    """Whether a plain number is not finite, or not right; what JAX makes of one in a compiled call is not looked at."""
-    return isinstance(value, float | int) and not (isfinite(value) and is_right(value))

@@ -9,7 +9,7 @@ from jaxtyping import Array
 from halfseen.team.actions import possible_actions
 from halfseen.team.state import TeamState
 from halfseen.world.number import Number
-from halfseen.world.policy import Decision, mixed, uniformly
+from halfseen.world.policy import Decision, check_random_share, mixed, uniformly
 
 
 @runtime_checkable
@@ -42,10 +42,18 @@ class ExploringTeam:
         The policy that is followed.
     random_share
         Probability that a decision is made uniformly at random instead.
+
+    Raises
+    ------
+    ArgumentError
+        `random_share` is outside [0, 1].
     """
 
     base: TeamPolicy
     random_share: Number = 0.5
+
+    def __post_init__(self) -> None:
+        check_random_share(self.random_share)
 
     def decide(self, state: TeamState, key: Array) -> Decision:
         """Choose, and report the probability of that choice under the mixture."""

@@ -7,8 +7,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from halfseen.errors import ArgumentError
 from halfseen.world.action_space import possible_actions
-from halfseen.world.number import Number
+from halfseen.world.number import Number, is_wrong
 from halfseen.world.state import TableState
 
 
@@ -64,16 +65,30 @@ class ExploringPolicy:
         The policy that is followed.
     random_share
         Probability that a step takes one of the possible actions uniformly at random instead.
+
+    Raises
+    ------
+    ArgumentError
+        `random_share` is outside [0, 1].
     """
 
     base: Policy
     random_share: Number = 0.5
+
+    def __post_init__(self) -> None:
+        check_random_share(self.random_share)
 
     def decide(self, state: TableState, key: Array) -> Decision:
         """Choose, and report the probability of that choice under the mixture."""
         base_key, coin_key, uniform_key = jax.random.split(key, 3)
         base, uniform = self.base.decide(state, base_key), UniformPolicy().decide(state, uniform_key)
         return mixed(base, uniform, self.random_share, coin_key)
+
+
+def check_random_share(random_share: Number) -> None:
+    """Refuse a share of random decisions outside [0, 1]."""
+    if is_wrong(random_share, lambda value: 0 <= value <= 1):
+        raise ArgumentError(f"random_share is {random_share!r}; give the share of decisions made at random, in [0, 1]")
 
 
 def mixed(base: Decision, uniform: Decision, random_share: Number, key: Array) -> Decision:

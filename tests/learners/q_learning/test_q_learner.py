@@ -115,7 +115,7 @@ def test_an_unknown_action_is_named(logs):
         ({"covariates": ["weight_kg"]}, LogError, "covariate 'weight_kg' is missing; there are path, stage"),
         ({"covariates": ["action"]}, LogError, "covariate 'action' holds no numbers"),
         ({"horizon": 1}, ArgumentError, "horizon is 1, but a path has 2 stages; raise horizon"),
-        ({"horizon": 0}, ArgumentError, "horizon is 0"),
+        ({"horizon": 0}, ArgumentError, "horizon is 0; a path has a whole number of stages, at least 1"),
         ({"reg": -1.0}, ArgumentError, "reg is -1.0; it is a λ ≥ 0, or 'cv'"),
         ({"reg": float("nan")}, ArgumentError, "reg is nan"),
         ({"reg": "ridge"}, ArgumentError, "reg is 'ridge'"),

@@ -19,7 +19,7 @@ from halfseen.learners.q_learning.automatic import (
 )
 from halfseen.learners.q_learning.kernel_map import KernelMap
 from halfseen.learners.q_learning.named_actions import NamedActions
-from halfseen.learners.q_learning.q_model import QModel
+from halfseen.learners.q_learning.q_model import QModel, is_count
 from halfseen.learners.q_learning.q_space import (
     CrossValidation,
     QSpace,
@@ -180,10 +180,12 @@ class CensoredQLearner(Estimator):
         Raises
         ------
         ArgumentError
-            There is no robot.
+            `num_robots` or `horizon` is below 1, or no whole number.
         """
-        if num_robots < 1:
-            raise ArgumentError(f"num_robots is {num_robots}; a team has at least 1")
+        if not is_count(num_robots):
+            raise ArgumentError(f"num_robots is {num_robots!r}; a team has a whole number of robots, at least 1")
+        if not is_count(horizon):
+            raise ArgumentError(f"horizon is {horizon!r}; give the decisions of each robot, a whole number, at least 1")
         task = named_task("team", grasp=grasp, reduces_variance=reduces_variance, num_robots=num_robots)
         return cls(num_robots * horizon, task, **parameters)
 

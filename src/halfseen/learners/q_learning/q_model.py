@@ -28,6 +28,11 @@ from halfseen.learners.q_learning.transitions import Imputation, QFunctions, Sta
 from halfseen.logs import Logs
 
 
+def is_count(value: object) -> bool:
+    """Whether a value is a whole number, 1 or above."""
+    return isinstance(value, int | np.integer) and not isinstance(value, bool) and value >= 1
+
+
 @dataclass(frozen=True)
 class QModel:
     """How Q is fitted.
@@ -64,7 +69,7 @@ class QModel:
     Raises
     ------
     ArgumentError
-        The horizon is below 1.
+        The horizon is below 1, or no whole number.
     """
 
     horizon: int
@@ -82,8 +87,8 @@ class QModel:
     durations: DurationModel | None = None
 
     def __post_init__(self) -> None:
-        if self.horizon < 1:
-            raise ArgumentError(f"horizon is {self.horizon}; a path has at least 1 stage")
+        if not is_count(self.horizon):
+            raise ArgumentError(f"horizon is {self.horizon!r}; a path has a whole number of stages, at least 1")
 
     def fitted(self, logs: Logs) -> tuple["QModel", PathArrays]:
         """Fit to a log what comes before Q: what the task learns, Ĝ, and the features of the kernel.
