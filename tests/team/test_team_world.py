@@ -12,13 +12,14 @@ from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.team import ExploringTeam, Robot, Team, TeamOfRules, TeamWorld, UniformTeam, episodes
 from halfseen.team.learned_policy import LinearTeamPolicy
 from halfseen.team.robots import workspace_of
-from halfseen.world import Scene, TableWorld, WorldConfig
+from halfseen.world import Scene, TableWorld, UniformPolicy, WorldConfig
 
 PLACES = np.array([[-0.3, 0.0], [0.0, 0.0], [0.05, 0.0], [0.3, 0.0]])
 SCENES = [
     Scene(np.triu(np.full((4, 4), 0.3), 1), "four", places_m=PLACES),
     Scene(np.zeros((2, 2)), "two", places_m=PLACES[[0, 3]]),
 ]
+EMPTY = Scene(np.zeros((0, 0)), "empty", places_m=np.zeros((0, 2)))
 TEAM = (Robot((-0.6, 0.0), 0.7, name="left"), Robot((0.6, 0.0), 0.7, speed=1.5, name="right"))
 WORLD = TeamWorld(WorldConfig(horizon=4), TEAM)
 
@@ -98,6 +99,13 @@ def learned(num_decisions):
         (lambda: Robot((0.0, 0.0), 1.0, drop_out_rate=-1.0), ArgumentError, "robot: drop_out_rate is -1.0"),
         (lambda: Robot((0.0, 0.0), np.inf), ArgumentError, "robot: reach_m is inf"),
         (lambda: WORLD.simulate(Scene(np.zeros((1, 1))), UniformTeam(), 1, 0), SceneError, "scene: places_m is None"),
+        (
+            lambda: WORLD.simulate(EMPTY, UniformTeam(), 1, 0),
+            SceneError,
+            "empty: no object is on the table, .* leave it out",
+        ),
+        (lambda: WORLD.evaluate([*SCENES, EMPTY], UniformTeam(), 1, 0), SceneError, "empty: no object is on the table"),
+        (lambda: TableWorld().simulate(EMPTY, UniformPolicy(), 1, 0), SceneError, "empty: no object is on the table"),
         (lambda: WORLD.simulate(SCENES, UniformTeam(), 0, 0), ArgumentError, "episodes is 0"),
         (lambda: WORLD.simulate(SCENES, UniformTeam(), 1, 0, cut_share=1.0), ArgumentError, "cut share is 1.0"),
         (lambda: WORLD.simulate(SCENES, learned(12), 1, 0), PolicyError, "learned for 12 decisions .* up to 8"),

@@ -1,8 +1,9 @@
 """The robots of a team: where each stands, how far it reaches, how fast it works; where they work on one table."""
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +11,7 @@ from jaxtyping import Float
 
 from halfseen.errors import ArgumentError, HalfseenWarning
 from halfseen.team.state import Workspace
+from halfseen.world.number import is_number, is_wrong
 
 CLEARANCE_M = 0.12
 """Distance below which two objects are too near for two robots at once [m]: two open grippers side by side."""
@@ -35,29 +37,79 @@ class Robot:
     Raises
     ------
     ArgumentError
-        A number is not finite, reach or speed is not above 0, or the hazard is below it.
+        `base_m` is not two finite numbers, `name` no text, or another is no finite number, reach or speed not above 0,
+        or the hazard below it.
     """
 
-    base_m: tuple[float, float]
-    reach_m: float
-    speed: float = 1.0
+    base_m: Sequence[float | int]
+    reach_m: float | int
+    speed: float | int = 1.0
     name: str = "robot"
-    drop_out_rate: float = 0.0
+    drop_out_rate: float | int = 0.0
 
     def __post_init__(self) -> None:
-        if not np.isfinite(self.base_m).all():
-            raise ArgumentError(f"{self.name}: base_m is {self.base_m}; give finite x and y [m]")
-        for what in ("reach_m", "speed"):
-            value = getattr(self, what)
-            if not (np.isfinite(value) and value > 0):
-                raise ArgumentError(f"{self.name}: {what} is {value}; give a finite number above 0")
-        if not (np.isfinite(self.drop_out_rate) and self.drop_out_rate >= 0):
-            rate = self.drop_out_rate
-            raise ArgumentError(f"{self.name}: drop_out_rate is {rate}; give a finite hazard, 0 or above [1/s]")
+        check_robot(vars(self))
+        object.__setattr__(self, "base_m", tuple(map(float, self.base_m)))
+
+
+_NUMBERS: Mapping[str, tuple[Callable[[float], bool], str]] = {
+    "reach_m": (lambda value: value > 0, "a finite number above 0 [m]"),
+    "speed": (lambda value: value > 0, "a finite number above 0"),
+    "drop_out_rate": (lambda value: value >= 0, "a finite hazard, 0 or above [1/s]"),
+    "clearance_m": (lambda value: value >= 0, "a finite distance, 0 or above [m]"),
+    "reward_per_s": (lambda value: value <= 0, "a finite price, 0 or below [1/s]"),
+}
+"""What the numbers of a robot and of a team can be, and what to give where they are not."""
+
+
+def check_robot(told: Mapping[str, Any]) -> None:
+    """Refuse what no robot is: see `Robot`.
+
+    Parameters
+    ----------
+    told
+        Its parameters; those that have a default may be left out, but for the name.
+
+    Raises
+    ------
+    ArgumentError
+        As above.
+    """
+    base, name = told["base_m"], told["name"]
+    if not (isinstance(name, str) and name.strip()):
+        raise ArgumentError(f"the robot at {base!r}: name is {name!r}; give a text")
+    is_pair = isinstance(base, list | tuple | np.ndarray) and len(base) == 2
+    if not (is_pair and all(is_number(each) and np.isfinite(each) for each in base)):
+        raise ArgumentError(f"{name}: base_m is {base!r}; give two finite numbers, x and y [m]")
+    check_numbers(told, f"{name}: ")
+
+
+def check_numbers(told: Mapping[str, Any], where: str = "") -> None:
+    """Refuse numbers of a robot or a team that are none that they can be.
+
+    Parameters
+    ----------
+    told
+        Them, by name; what is no such number is not looked at.
+    where
+        What to put before the name in the message.
+
+    Raises
+    ------
+    ArgumentError
+        As above.
+    """
+    for what, value in told.items():
+        is_right, wanted = _NUMBERS.get(what, (None, ""))
+        if is_right is not None and (not is_number(value) or is_wrong(value, is_right)):
+            raise ArgumentError(f"{where}{what} is {value!r}; give {wanted}")
 
 
 def workspace_of(
-    robots: Sequence[Robot], places_m: Float[np.ndarray, "N 2"], clearance_m: float = CLEARANCE_M, name: str = "table"
+    robots: Sequence[Robot],
+    places_m: Float[np.ndarray, "N 2"],
+    clearance_m: float | int = CLEARANCE_M,
+    name: str = "table",
 ) -> Workspace:
     """Tell what each robot reaches, and which objects are too near one another for two robots at once.
 
@@ -84,8 +136,7 @@ def workspace_of(
     if not np.isfinite(places_m).all():
         k = int(np.argmin(np.isfinite(places_m).all(axis=1)))
         raise ArgumentError(f"{name}: object {k} stands at {places_m[k]}; give a finite place [m]")
-    if not (clearance_m >= 0 and np.isfinite(clearance_m)):
-        raise ArgumentError(f"clearance_m is {clearance_m}; give a finite distance, 0 or above [m]")
+    check_numbers({"clearance_m": clearance_m})
     bases = np.array([robot.base_m for robot in robots], dtype=np.float64)
     reaches = np.array([robot.reach_m for robot in robots], dtype=np.float64)
     is_in_reach = np.linalg.norm(places_m[None] - bases[:, None], axis=-1) <= reaches[:, None]

@@ -8,7 +8,7 @@ import numpy as np
 
 from halfseen.errors import ArgumentError, SceneError
 from halfseen.team.config import TeamConfig
-from halfseen.team.robots import CLEARANCE_M, Robot, workspace_of
+from halfseen.team.robots import CLEARANCE_M, Robot, check_numbers, workspace_of
 from halfseen.team.state import TeamLayout, Workspace
 from halfseen.world.config import WorldConfig
 from halfseen.world.scene import Scene
@@ -31,20 +31,21 @@ class Team:
     Raises
     ------
     ArgumentError
-        There is no robot, or a number is none that it can be.
+        There is no robot, what is among them is none, or a number is none that it can be.
     """
 
     robots: tuple[Robot, ...]
-    clearance_m: float = CLEARANCE_M
-    reward_per_s: float = 0.0
+    clearance_m: float | int = CLEARANCE_M
+    reward_per_s: float | int = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "robots", tuple(self.robots))
         if not self.robots:
             raise ArgumentError("robots is empty: give at least one Robot")
-        if not (self.clearance_m >= 0 and np.isfinite(self.clearance_m)):
-            raise ArgumentError(f"clearance_m is {self.clearance_m}; give a finite distance, 0 or above [m]")
-        self.config(WorldConfig())
+        for k, robot in enumerate(self.robots):
+            if not isinstance(robot, Robot):
+                raise ArgumentError(f"robots[{k}] is {robot!r}; give a Robot")
+        check_numbers(vars(self))
 
     def config(self, world: WorldConfig) -> TeamConfig:
         """Give the numbers of this team in a world."""
@@ -58,7 +59,7 @@ class Team:
         Raises
         ------
         SceneError
-            There is no scene, one has more objects than `num_objects`, or one does not tell where its objects stand.
+            There is no scene, one has no object, or more than `num_objects`, or does not tell where they stand.
         """
         tables = pad_scenes(scenes, num_objects)
         size = tables.is_object.shape[-1]

@@ -21,9 +21,9 @@ from pathlib import Path
 from typing import Any
 
 from halfseen.errors import ArgumentError
-from halfseen.logs.refusal import shown, within
+from halfseen.logs.refusal import within
 from halfseen.suggestions import did_you_mean
-from halfseen.team.robots import Robot
+from halfseen.team.robots import Robot, check_numbers, check_robot
 from halfseen.team.team import Team
 
 _NEEDED = ("base_m", "reach_m")
@@ -51,7 +51,9 @@ def read_team(path: str | Path) -> Team:
         robots = told.get("robot")
         if not (isinstance(robots, list) and robots and all(isinstance(each, Mapping) for each in robots)):
             raise ArgumentError("there is no robot; give each a table of its own, [[robot]] with base_m and reach_m")
-        team = Team(tuple(_robot(k, each) for k, each in enumerate(robots)), **_numbers("", told, _OF_TEAM))
+        of_team = {key: told[key] for key in _OF_TEAM if key in told}
+        check_numbers(of_team)
+        team = Team(tuple(_robot(k, each) for k, each in enumerate(robots)), **of_team)
         _check_names(team)
         return team
 
@@ -75,25 +77,9 @@ def _robot(k: int, told: Mapping[str, Any]) -> Robot:
     for key in _NEEDED:
         if key not in told:
             raise ArgumentError(f"{where}{key} is missing; give it [m]")
-    name = told.get("name", f"robot {k}")
-    if not (isinstance(name, str) and name.strip()):
-        raise ArgumentError(f"{where}name is {shown(name)}; give a text")
-    base = told["base_m"]
-    if not (isinstance(base, list) and len(base) == 2 and all(map(_is_number, base))):
-        raise ArgumentError(f"{where}base_m is {base}; give two numbers, [x, y] [m]")
-    numbers = _numbers(where, told, ("reach_m", "speed", "drop_out_rate"))
-    return Robot((float(base[0]), float(base[1])), name=name, **numbers)
-
-
-def _numbers(where: str, told: Mapping[str, Any], keys: tuple[str, ...]) -> dict[str, float]:
-    for key in keys:
-        if key in told and not _is_number(told[key]):
-            raise ArgumentError(f"{where}{key} is {shown(told[key])}; give a number")
-    return {key: float(told[key]) for key in keys if key in told}
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    named = {"name": f"robot {k}", **told}
+    check_robot(named)
+    return Robot(**named)
 
 
 def _check_keys(where: str, told: Mapping[str, Any], known: tuple[str, ...]) -> None:

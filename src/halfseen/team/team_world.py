@@ -49,8 +49,8 @@ class TeamWorld:
 
     config: WorldConfig = field(default_factory=WorldConfig)
     robots: Sequence[Robot] = ()
-    clearance_m: float = CLEARANCE_M
-    reward_per_s: float = 0.0
+    clearance_m: float | int = CLEARANCE_M
+    reward_per_s: float | int = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "robots", self.team.robots)

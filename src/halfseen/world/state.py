@@ -86,10 +86,13 @@ def pad_scenes(scenes: Sequence[Scene], num_objects: int | None = None) -> Layou
     Raises
     ------
     SceneError
-        There is no scene, or one has more objects than `num_objects`.
+        There is no scene, one has no object, or more than `num_objects`.
     """
     if not scenes:
         raise SceneError("no scenes: give at least one")
+    for scene in scenes:
+        if scene.num_objects == 0:
+            raise SceneError(f"{scene.name}: no object is on the table, so there is nothing to decide; leave it out")
     largest = max(scene.num_objects for scene in scenes)
     size = largest if num_objects is None else num_objects
     if size < largest:
