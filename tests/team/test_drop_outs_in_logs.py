@@ -12,6 +12,7 @@ from halfseen.logs import Logs, read_logs
 from halfseen.team.drop_outs import cut_at_drop_outs
 from halfseen.team.others import others_of
 from halfseen.team.recording import states_of
+from halfseen.world.action_space import Verb
 
 RATES = (0.03, 0.01, 0.0)
 
@@ -70,7 +71,8 @@ def test_states_come_back_and_who_is_out_does_not_go_on(paths, logs):
     goes_on = jax.vmap(others_of)(jax.tree.map(lambda leaf: leaf[at], states)).goes_on
     robots = jax.tree.map(lambda leaf: leaf[at], states.robots)
     others = np.arange(3) != np.asarray(states.decider)[at][:, None]
-    truth = others & ~robots.is_parked & ~robots.is_out & (robots.is_busy | (robots.decisions_to_go > 0))
+    is_at_it = robots.is_busy & (robots.verb != Verb.FINISH)
+    truth = others & ~robots.is_parked & ~robots.is_out & (is_at_it | (~robots.is_busy & (robots.decisions_to_go > 0)))
     np.testing.assert_array_equal(goes_on, truth)
 
 
