@@ -140,6 +140,52 @@ def test_who_waits_to_the_end_finishes_and_who_is_cut_while_it_waits_is_cut_at_o
     assert cut.paths[["end_s", "ending", "cause"]].values.tolist() == [[2.0, "cut", "operator"]]
 
 
+@pytest.mark.parametrize("robot", [0, 1])
+def test_of_a_simulated_team_who_tried_is_who_began(team_logs, robot):
+    """In the order of the stages, an attempt that was not abandoned ends before the next one at its object begins."""
+    of_older_logs = Logs(team_logs.stages, team_logs.paths, team_logs.objects.drop(columns="attempt_by"))
+    own, older = alone(team_logs, robot), alone(of_older_logs, robot)
+    assert own.objects["attempt_succeeded"].map(len).max() > 1
+    assert own.objects["lifts"].max() > 0
+    pd.testing.assert_frame_equal(own.objects, older.objects)
+
+
+def test_an_attempt_that_never_left_home_is_nobodys():
+    """Robot 0 began with object 0 and was told to give way at home, so what failed there is of robot 1."""
+    rows = [
+        (0, "WASH", 0, 1.0, 0.0, 0.0, 0.0, "FREE", "FREE"),
+        (0, "WASH", 1, 1.0, 0.0, 0.0, 0.0, "FREE", "FREE"),
+        (1, "WASH", 0, 2.0, -1.0, 0.0, -1.0, "WASH 1", "FREE"),
+        (1, "WASH", 0, 3.0, 5.0, 5.0, 0.0, "WASH 1", "FREE"),
+        (0, "WASH", 1, 4.0, 5.0, 0.0, 5.0, "FREE", "WASH 0"),
+    ]
+    plain = one_by_one(rows, {"end_s": 4.0, "ending": "finished", "cause": None})
+    at = plain.objects["object"]
+    held = [[False] if tried else [] for tried in (plain.objects["stage"] > 3 + at)]
+    objects = plain.objects.assign(
+        location="TABLE", attempt_succeeded=held, attempt_occlusions=[[0.0] * len(each) for each in held]
+    )
+    by = [[1 - target] * len(each) for target, each in zip(at, held, strict=True)]
+    left, right = (alone(Logs(plain.stages, plain.paths, objects.assign(attempt_by=by)), robot) for robot in (0, 1))
+
+    def failures(own, target):
+        return own.objects.loc[own.objects["object"] == target, "failures"].tolist()
+
+    assert "attempt_by" not in left.objects.columns
+    assert set(failures(left, 0)) == set(failures(right, 1)) == {0}
+    assert failures(left, 1) == [0, 0, 1]
+    assert failures(right, 0) == [0, 1]
+    # A log that does not say so lays it to who began first.
+    assert failures(alone(Logs(plain.stages, plain.paths, objects), 0), 0) == [0, 0, 1]
+
+
+def test_more_attempts_than_the_stages_tell_of_are_refused():
+    logs = one_by_one(ROWS[:2], {"end_s": 3.0, "ending": "finished", "cause": None})
+    logs.objects.at[2, "attempt_occlusions"], logs.objects.at[2, "attempt_succeeded"] = [0.0] * 2, [False] * 2
+    with pytest.raises(LogError, match="path 0, stage 2, object 0: it was tried more often than by the WASH and LIFT"):
+        alone(logs, 0)
+
+
 def test_what_cannot_be_told_is_refused(team_logs):
     with pytest.raises(ArgumentError, match="robot is 7, and it decides in no stage"):
         alone(team_logs, 7)

@@ -16,6 +16,7 @@ from halfseen.team.recording import states_of, to_logs
 from halfseen.team.rules import TeamOfRules
 from halfseen.team.state import TeamLayout, Workspace
 from halfseen.world import Scene, WorldConfig
+from halfseen.world.action_space import TARGETED, ActionSpace
 from halfseen.world.cuts import cut, cut_rate
 from halfseen.world.state import pad_scenes
 
@@ -74,6 +75,25 @@ def test_nobody_is_at_what_another_is_at(logs):
 
 def test_no_probability_is_that_of_something_impossible(logs):
     assert ((logs.stages["probability"] > 0) & (logs.stages["probability"] <= 1)).all()
+
+
+def test_the_log_tells_who_made_each_attempt(played, logs):
+    """By plain loops: who is at an object as its number of attempts grows has tried it."""
+    found = logs.objects.set_index(["path", "stage", "object"])["attempt_by"]
+    actions, num_robots = ActionSpace(NUM_OBJECTS), played.states.robots.num_robots
+    robots, tried = played.states.robots, np.asarray(played.states.table.attempt_object)
+    is_busy, verbs, targets = (np.asarray(each) for each in (robots.is_busy, robots.verb, robots.target))
+    action, decider = np.asarray(played.action), np.asarray(played.states.decider)
+    for path, rows in logs.stages.groupby("path"):
+        by = {target: [] for target in range(NUM_OBJECTS)}
+        for t, target in np.ndindex(len(rows), NUM_OBJECTS):
+            if (tried[path, t] == target).sum() > len(by[target]):
+                was = path, t - 1
+                verb, at = np.where(is_busy[was], verbs[was], 0), targets[was].copy()
+                verb[decider[was]], at[decider[was]] = actions.verb(action[was]), actions.target(action[was])
+                by[target] += [r for r in range(num_robots) if verb[r] in TARGETED and at[r] == target]
+            assert list(found[path, t + 1, target]) == by[target]
+    assert {robot for each in found for robot in each} == set(range(num_robots))
 
 
 def test_from_a_log_come_the_states_that_the_team_saw(played, logs):

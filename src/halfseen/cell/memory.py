@@ -44,6 +44,8 @@ class Trial(NamedTuple):
     """Whether it held."""
     duration_s: float
     """Until that was known [s]."""
+    arm: int = 0
+    """Number of the robot that made it."""
 
 
 @dataclass(eq=False)

@@ -346,7 +346,7 @@ class Workcell:
             is_too_far = isinstance(error, OutOfReachError)
             # Where another robot may reach it, this tells nothing of the object.
             if not (is_too_far and len(self.stations) > 1):
-                known.trials.append(Trial(occlusion, False, 0.0))
+                known.trials.append(Trial(occlusion, False, 0.0, arm))
             return Attempt(False, 0.0, None, str(error), is_too_far=is_too_far), None
         if planned is None:
             return Attempt(False, 0.0, None, "another arm was in the way of every grasp"), None
@@ -356,7 +356,7 @@ class Workcell:
             self.in_hand[arm] = known
             yield from pick_up(planned)
         is_held, duration_s = feels(self.cell, robot, planned.grasp), self.cell.time_s - begin_s
-        known.trials.append(Trial(occlusion, is_held, duration_s))
+        known.trials.append(Trial(occlusion, is_held, duration_s, arm))
         if not is_held:
             known.failed.append(planned.grasp)
             self.in_hand.pop(arm)

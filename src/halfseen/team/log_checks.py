@@ -9,12 +9,15 @@ from jaxtyping import Bool, Int
 
 from halfseen.errors import LogError
 from halfseen.logs import Logs
+from halfseen.logs.columns import as_floats
 from halfseen.logs.refusal import refuse, shown, value_at
-from halfseen.team.config import TeamConfig
+from halfseen.logs.robot_checks import robots_that_may_drop_out
 from halfseen.world.action_space import TARGETED
-from halfseen.world.table_checks import Lists, object_numbers
+from halfseen.world.table_checks import Lists, lists_in, object_numbers
 
 _ROW = ("path", "stage", "object")
+ATTEMPT_BY = "attempt_by"
+"""Column of the robots that made the past attempts at an object; older logs have none."""
 NOTHING = -1
 """Object of who is at none."""
 
@@ -25,32 +28,38 @@ def robots_in(logs: Logs) -> int:
     return sum(f"{r}_does" in stages.columns for r in range(stages.shape[1]))
 
 
-def check_same_robots(logs: Logs, config: TeamConfig) -> None:
-    """Refuse a log of another number of robots than a team has.
+def check_drop_outs(paths: pd.DataFrame, num_robots: int) -> None:
+    """Refuse drop-outs of a robot that there is none of.
 
     Raises
     ------
     LogError
-        As above.
+        The column is named.
     """
-    found, wanted = robots_in(logs), config.num_robots
-    if found != wanted:
-        names = f"{found} robots" + (f", 0_does to {found - 1}_does" if found else ": it has no column 0_does")
-        raise LogError(f"the log tells of {names}, and the team has {wanted}; name the team that made the log")
+    for robot in robots_that_may_drop_out(paths):
+        if robot >= num_robots:
+            raise LogError(
+                f"paths: column '{robot}_out_s' is of a robot that there is none of; the stages tell of robots 0 to "
+                f"{num_robots - 1}: rename it, or leave it out"
+            )
 
 
 def begun_objects(logs: Logs) -> Int[np.ndarray, " rows"]:
     """Number of the object that each stage's action is done to, −1 where it has none."""
     assert logs.objects is not None
-    keys = ["path", "stage", "object"]
-    numbered = logs.objects[keys].assign(number=object_numbers(logs.objects))
-    merged = logs.stages[keys].merge(numbered, on=keys, how="left")
-    return merged["number"].fillna(NOTHING).to_numpy(dtype=np.int64)
+    row = _rows_of_begun(logs)
+    return np.where(row >= 0, object_numbers(logs.objects)[row], NOTHING)
 
 
-def check_doings(
-    logs: Logs, decider: Int[np.ndarray, " rows"], does: Int[np.ndarray, "rows K 2"], free: int, num_objects: int
-) -> None:
+def _rows_of_begun(logs: Logs) -> Int[np.ndarray, " rows"]:
+    """Row, among the objects, of the one that each stage's action is done to; −1 where it has none."""
+    assert logs.objects is not None
+    keys = list(_ROW)
+    rows = logs.objects[keys].assign(row=np.arange(len(logs.objects)))
+    return logs.stages[keys].merge(rows, on=keys, how="left")["row"].fillna(-1).to_numpy(dtype=np.int64)
+
+
+def check_doings(logs: Logs, decider: Int[np.ndarray, " rows"], does: Int[np.ndarray, "rows K 2"], free: int) -> None:
     """Refuse a robot that decides while it is at something, and two robots at one object.
 
     Parameters
@@ -63,15 +72,14 @@ def check_doings(
         Verb and object of what each robot is at; verbs below 0 are none.
     free
         That of a robot that is free.
-    num_objects
-        N, the most objects that a path has.
 
     Raises
     ------
     LogError
         The path, the stage and the robots are named.
     """
-    stages, rows = logs.stages, np.arange(len(does))
+    assert logs.objects is not None
+    stages, rows, num_objects = logs.stages, np.arange(len(does)), int(object_numbers(logs.objects).max()) + 1
     is_at_object = np.isin(does[..., 0], TARGETED)
     target = np.where(is_at_object, does[..., 1], NOTHING)
     for r in range(does.shape[1]):
@@ -94,8 +102,10 @@ def check_doings(
     refuse(stages, is_taken.any(axis=1), taken)
 
 
-def check_numbers(stages: pd.DataFrame, decider: Int[np.ndarray, " rows"], num_robots: int) -> None:
-    """Refuse times and counts of decisions below 0, and a robot that decides with none to go.
+def check_numbers(
+    stages: pd.DataFrame, decider: Int[np.ndarray, " rows"], num_robots: int, horizon: int | None
+) -> None:
+    """Refuse times below 0, what counts no decisions, more than a path may have, and a robot that decides without one.
 
     Raises
     ------
@@ -103,10 +113,14 @@ def check_numbers(stages: pd.DataFrame, decider: Int[np.ndarray, " rows"], num_r
         The path, the stage and the value are named.
     """
     for r in range(num_robots):
-        since_s, to_go = (stages[f"{r}_{what}"].to_numpy(dtype=np.float64) for what in ("since_s", "decisions_to_go"))
+        names = f"{r}_since_s", f"{r}_decisions_to_go"
+        since_s, to_go = (as_floats("stages", stages, name).to_numpy() for name in names)
         refuse(stages, since_s < 0, _told(stages, f"{r}_since_s", "below 0; give the seconds that it has been at it"))
         wrong = (to_go < 0) | (to_go != np.floor(to_go))
         refuse(stages, wrong, _told(stages, f"{r}_decisions_to_go", "no count; give the decisions that it has left"))
+        if horizon is not None:
+            trouble = f"more than horizon={horizon} decisions of all robots together; raise horizon, or mend it"
+            refuse(stages, to_go > horizon, _told(stages, f"{r}_decisions_to_go", trouble))
         spent = (decider == r) & (to_go == 0)
         refuse(stages, spent, _told(stages, f"{r}_decisions_to_go", f"yet robot {r} decides; count this decision, too"))
 
@@ -119,16 +133,36 @@ def check_lists(objects: pd.DataFrame, reach: Lists, near: Lists, num_robots: in
     LogError
         The path, the stage, the object and the value are named.
     """
-    no_robot = reach.rows_with(_is_none_of(reach, np.full(len(objects), num_robots)))
-    remedy = f"names a robot that there is none of; the stages tell of robots 0 to {num_robots - 1}"
-    refuse(objects, no_robot, _told(objects, "reached_by", remedy), _ROW)
+    _check_robots_named(objects, "reached_by", reach, num_robots)
     in_stage = objects.groupby(["path", "stage"])["object"].transform("size").to_numpy()
     no_object = near.rows_with(_is_none_of(near, in_stage))
     remedy = "names an object that the stage has not; objects go by their place in it, from 0"
     refuse(objects, no_object, _told(objects, "near", remedy), _ROW)
 
 
-def check_reached(logs: Logs, decider: Int[np.ndarray, " rows"], is_reached: Bool[np.ndarray, "rows N"]) -> None:
+def check_attempts(objects: pd.DataFrame, num_robots: int) -> None:
+    """Refuse attempts of which attempt_by, where there is one, names no robot, or one that there is none of.
+
+    Raises
+    ------
+    LogError
+        The path, the stage, the object and the value are named.
+    """
+    if ATTEMPT_BY not in objects.columns:
+        return
+    by, tried = lists_in(objects, ATTEMPT_BY), lists_in(objects, "attempt_occlusions")
+    trouble = "attempt_by and attempt_occlusions differ in length; give the robot of each past attempt, or leave it out"
+    refuse(objects, by.lengths != tried.lengths, trouble, _ROW)
+    _check_robots_named(objects, ATTEMPT_BY, by, num_robots)
+
+
+def _check_robots_named(objects: pd.DataFrame, column: str, lists: Lists, num_robots: int) -> None:
+    wrong = lists.rows_with(_is_none_of(lists, np.full(len(objects), num_robots)))
+    remedy = f"names a robot that there is none of; the stages tell of robots 0 to {num_robots - 1}"
+    refuse(objects, wrong, _told(objects, column, remedy), _ROW)
+
+
+def check_reached(logs: Logs, decider: Int[np.ndarray, " rows"], is_reached: Bool[np.ndarray, "objects K"]) -> None:
     """Refuse an action on what the robot that decides does not reach.
 
     Raises
@@ -136,8 +170,8 @@ def check_reached(logs: Logs, decider: Int[np.ndarray, " rows"], is_reached: Boo
     LogError
         The path, the stage, the robot and the object are named.
     """
-    stages, begun = logs.stages, begun_objects(logs)
-    wrong = (begun >= 0) & ~is_reached[np.arange(len(begun)), np.maximum(begun, 0)]
+    stages, row = logs.stages, _rows_of_begun(logs)
+    wrong = (row >= 0) & ~is_reached[row, decider]
 
     def told(row: int) -> str:
         what = f"robot {decider[row]} begins with object {shown(value_at(stages, 'object', row))}"

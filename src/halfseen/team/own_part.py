@@ -29,10 +29,12 @@ from jaxtyping import Bool, Float, Int
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs import Logs
 from halfseen.logs.columns import CUT, FINISHED, require_columns
+from halfseen.logs.refusal import refuse
 from halfseen.logs.robot_checks import robots_that_may_drop_out
-from halfseen.team.recording import FREE, OUT, PARKED, TEAM_VERBS
+from halfseen.team.log_checks import ATTEMPT_BY
+from halfseen.team.recording import FREE, OUT, PARKED, TEAM_VERBS, told_by
 from halfseen.world.action_space import TARGETED, Verb
-from halfseen.world.table_checks import TABLE
+from halfseen.world.table_checks import TABLE, checked_objects
 
 SPENT = "decisions-spent"
 """Cause of a cut: waiting had cost the robot decisions that it would have had alone."""
@@ -58,16 +60,13 @@ def alone(logs: Logs, robot: int) -> Logs:
     ArgumentError
         The log tells of no such robot.
     LogError
-        A column is missing, or it began nothing in any path.
+        The log breaks a rule of tables or of teams, a column is missing, or it began nothing in any path.
     """
-    needed = [f"{robot}_{what}" for what in ("does", "decisions_to_go")]
     if robot not in set(logs.stages["robot"] if "robot" in logs.stages.columns else ()):
         raise ArgumentError(f"robot is {robot}, and it decides in no stage of the log; choose among its column robot")
-    require_columns("stages", logs.stages, (*needed, f"{robot}_reward"))
-    if logs.objects is None:
-        raise LogError("objects: the log has none; what a robot reaches is told there")
-    require_columns("objects", logs.objects, ("reached_by", "location"))
-    mine = _objects_in_reach(logs.objects, robot)
+    require_columns("stages", logs.stages, (f"{robot}_reward",))
+    objects, _ = checked_objects(logs, logs.horizon)
+    mine = _objects_in_reach(_own_history(logs, objects, robot), told_by(logs).is_reached[:, robot])
     has_left = set(mine.loc[mine["location"] == TABLE, ["path", "stage"]].itertuples(index=False, name=None))
     paths = [_path(each, has_left) for each in _paths(logs, robot)]
     kept = [path for path in paths if path is not None]
@@ -75,8 +74,7 @@ def alone(logs: Logs, robot: int) -> Logs:
         raise LogError(f"robot {robot} began nothing in any path; there is nothing to learn from it alone")
     stages = _own_stages(logs, [row for path in kept for row in path.rows])
     at = stages[["path", "of_team", "stage"]].rename(columns={"of_team": "stage", "stage": "own"})
-    objects = _own_history(logs, mine, robot).merge(at, on=["path", "stage"]).drop(columns="stage")
-    own_objects = objects.rename(columns={"own": "stage"})
+    own_objects = mine.merge(at, on=["path", "stage"]).drop(columns="stage").rename(columns={"own": "stage"})
     ends = pd.DataFrame([path.end for path in kept])
     known = logs.paths.drop(columns=["end_s", "ending", "cause", *_of_drop_outs(logs)])
     tables: Any = (stages.drop(columns="of_team"), ends.merge(known, on="path"), _through_arrow(own_objects))
@@ -257,9 +255,8 @@ def _ending(path: _TeamPath, end_s: float, is_finished: bool, is_out: bool, is_s
     return {"path": path.end["path"], "end_s": end_s, **of_end}
 
 
-def _objects_in_reach(objects: pd.DataFrame, robot: int) -> pd.DataFrame:
+def _objects_in_reach(objects: pd.DataFrame, is_reached: Bool[np.ndarray, " rows"]) -> pd.DataFrame:
     """What the robot reaches; what hides it, too, as far as it is reached."""
-    is_reached = np.array([robot in set(np.asarray(each).tolist()) for each in objects["reached_by"]], dtype=bool)
     in_stage = objects.groupby(["path", "stage"], sort=False)["object"].transform("size").to_numpy()
     begin = np.arange(len(objects)) - objects.groupby(["path", "stage"], sort=False).cumcount().to_numpy()
     mine = objects[is_reached].reset_index(drop=True)
@@ -268,31 +265,47 @@ def _objects_in_reach(objects: pd.DataFrame, robot: int) -> pd.DataFrame:
         np.asarray(each)[is_reached[first : first + size]]
         for each, (first, size) in zip(mine["hidden_by"], spans, strict=True)
     ]
-    return mine.drop(columns=["reached_by", "near"], errors="ignore").assign(hidden_by=hidden_by)
+    return mine.drop(columns=["reached_by", "near", ATTEMPT_BY], errors="ignore").assign(hidden_by=hidden_by)
 
 
-def _own_history(logs: Logs, mine: pd.DataFrame, robot: int) -> pd.DataFrame:
-    """Of the attempts at each object, those that the robot made, and those from before the path."""
-    made = _ended_attempts(logs)
-    first = mine[mine["stage"] == 1]
-    keys = list(zip(first["path"], first["object"], strict=True))
-    before = dict(zip(keys, map(len, first["attempt_succeeded"]), strict=True))
-    lifted = dict(zip(keys, first["lifts"], strict=True))
+def _own_history(logs: Logs, objects: pd.DataFrame, robot: int) -> pd.DataFrame:
+    """Of the attempts at each object, those that the robot made; what was lifted was lifted by its last attempt."""
+    made_by = _robots_of_attempts(logs, objects, robot)
     rows = []
-    for at in mine[["path", "object", "attempt_occlusions", "attempt_succeeded"]].itertuples(index=False, name=None):
-        key, occluded, succeeded = at[:2], np.asarray(at[2]), np.asarray(at[3], dtype=bool)
-        of_each = ([(robot, "")] * before.get(key, 0) + made.get(key, []))[: len(succeeded)]
-        is_own = np.array([by == robot for by, _ in of_each], dtype=bool)
-        is_lift = np.array([verb == Verb.LIFT.name for _, verb in of_each], dtype=bool)
-        successes = int(succeeded[is_own].sum())
-        lifts = int(lifted.get(key, 0) + (succeeded & is_own & is_lift).sum())
-        rows.append((occluded[is_own], succeeded[is_own], successes, int(is_own.sum()) - successes, lifts))
-    names = ("attempt_occlusions", "attempt_succeeded", "successes", "failures", "lifts")
-    return mine.assign(**dict(zip(names, map(list, zip(*rows, strict=True)), strict=True)))
+    for by, at, held in zip(made_by, objects["attempt_occlusions"], objects["attempt_succeeded"], strict=True):
+        occluded, succeeded = np.asarray(at)[by == robot], np.asarray(held, dtype=bool)[by == robot]
+        successes = int(succeeded.sum())
+        rows.append((occluded, succeeded, successes, len(succeeded) - successes))
+    names = ("attempt_occlusions", "attempt_succeeded", "successes", "failures")
+    own = dict(zip(names, map(list, zip(*rows, strict=True)), strict=True))
+    of_object = [objects["path"], objects["object"]]
+    gained = objects["lifts"].groupby(of_object).diff().fillna(objects["lifts"])
+    is_last = np.array([not len(by) or by[-1] == robot for by in made_by], dtype=bool)
+    return objects.assign(**own, lifts=gained.where(is_last, 0).groupby(of_object).cumsum().astype(np.int64))
 
 
-def _ended_attempts(logs: Logs) -> dict[tuple[Any, Any], list[tuple[Any, str]]]:
-    """Who tried each object of each path, and with which verb, in order; what was abandoned is no attempt."""
+def _robots_of_attempts(logs: Logs, objects: pd.DataFrame, robot: int) -> list[Int[np.ndarray, " attempts"]]:
+    """Who made each past attempt, by attempt_by; without it, who began it, or the robot itself before the path."""
+    if ATTEMPT_BY in objects.columns:
+        return [np.asarray(by, dtype=np.int64) for by in objects[ATTEMPT_BY]]
+    keys = list(zip(objects["path"], objects["object"], strict=True))
+    num_tried, is_first = objects["attempt_occlusions"].map(len).tolist(), (objects["stage"] == 1).tolist()
+    before = {key: number for key, number, is_it in zip(keys, num_tried, is_first, strict=True) if is_it}
+    begun = _begun_attempts(logs)
+    made_by = [
+        np.array(([robot] * before.get(key, 0) + begun.get(key, []))[:number], dtype=np.int64)
+        for key, number in zip(keys, num_tried, strict=True)
+    ]
+    unknown = np.array([len(by) < number for by, number in zip(made_by, num_tried, strict=True)], dtype=bool)
+    trouble = (
+        "it was tried more often than by the WASH and LIFT of the stages; mend its past attempts, or give attempt_by"
+    )
+    refuse(objects, unknown, trouble, ("path", "stage", "object"))
+    return made_by
+
+
+def _begun_attempts(logs: Logs) -> dict[tuple[Any, Any], list[int]]:
+    """Who tried each object of each path, in order; what was abandoned is no attempt."""
     is_attempt = logs.stages["action"].isin(_ATTEMPTS).to_numpy(dtype=bool)
     last = ~logs.stages.duplicated(["path", "robot"], keep="last")
     is_out = np.zeros(len(logs.stages), dtype=bool)
@@ -300,10 +313,10 @@ def _ended_attempts(logs: Logs) -> dict[tuple[Any, Any], list[tuple[Any, str]]]:
     for robot in robots_that_may_drop_out(logs.paths):
         dropped = logs.paths[f"{robot}_out_s"].notna().to_numpy(dtype=bool)[path_row]
         is_out |= dropped & (logs.stages["robot"] == robot).to_numpy(dtype=bool)
-    ended: Any = logs.stages[is_attempt & ~(is_out & last.to_numpy())]
-    made: dict[tuple[Any, Any], list[tuple[Any, str]]] = {}
-    for path, target, robot, verb in ended[["path", "object", "robot", "action"]].itertuples(index=False, name=None):
-        made.setdefault((path, target), []).append((robot, verb))
+    begun: Any = logs.stages[is_attempt & ~(is_out & last.to_numpy())]
+    made: dict[tuple[Any, Any], list[int]] = {}
+    for path, target, robot in begun[["path", "object", "robot"]].itertuples(index=False, name=None):
+        made.setdefault((path, target), []).append(robot)
     return made
 
 

@@ -5,33 +5,44 @@ stage began: r_does ("WASH 3", "WAIT", "FREE", "PARKED", "OUT"), r_since_s (for 
 r_decisions_to_go; and r_reward, what the stage would have paid it had it been alone (its own attempts that ended in it,
 the price of its seconds, and at its own end that of what was left dirty in its reach).
 Where robots may drop out, a path holds r_out_s and r_out_cause, null where robot r did not.
-Per object it holds two lists more: reached_by (numbers of the robots that reach it) and near (the objects of the stage
-that are too near to it for two robots at once, by their place among these, itself included).
+Per object it holds three lists more: reached_by (numbers of the robots that reach it), near (the objects of the stage
+that are too near to it for two robots at once, by their place among these, itself included) and attempt_by (which robot
+made each of its past attempts, oldest first), which a log may leave out.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-from jaxtyping import Array, Int
+from jaxtyping import Array, Bool, Int
 
 from halfseen.logs import Logs
 from halfseen.logs.columns import require_columns
 from halfseen.logs.refusal import refuse, shown, value_at
 from halfseen.logs.robot_checks import robots_that_may_drop_out
-from halfseen.team.log_checks import check_doings, check_lists, check_numbers, check_reached, robots_in
+from halfseen.team.log_checks import (
+    ATTEMPT_BY,
+    check_attempts,
+    check_doings,
+    check_drop_outs,
+    check_lists,
+    check_numbers,
+    check_reached,
+    robots_in,
+)
 from halfseen.team.state import Robots, TeamState, Workspace
-from halfseen.world.action_space import TARGETED
+from halfseen.world.action_space import TARGETED, ActionSpace
 from halfseen.world.cuts import CutEpisodes, CutKind
 from halfseen.world.number import Number
 from halfseen.world.recording import VERB_NAMES, lists_of, objects_of, paths_of, stages_of
 from halfseen.world.recording import states_of as table_states_of
 from halfseen.world.scene import Scene
-from halfseen.world.state import TableState
-from halfseen.world.table_checks import lists_in, object_numbers
+from halfseen.world.state import NO_ATTEMPT, TableState
+from halfseen.world.table_checks import Lists, lists_in, object_numbers
 
 TEAM_VERBS = (*VERB_NAMES, "WAIT")
 FREE, PARKED, OUT = "FREE", "PARKED", "OUT"
@@ -67,7 +78,7 @@ def to_logs(
     of_table = replace(cuts, episodes=replace(cuts.episodes, states=states.table))
     stages = stages_of(of_table, begun, TEAM_VERBS).assign(**_robots(states, begun), **_own_rewards(cuts, begun))
     paths = paths_of(cuts, kind, scenes, dirty_share).assign(**_drop_outs(cuts, drop_out_cause))
-    return Logs(stages, paths, _objects(of_table, states.workspace, begun))
+    return Logs(stages, paths, _objects(cuts, of_table, begun))
 
 
 def _own_rewards(cuts: CutEpisodes, begun: Int[np.ndarray, "rows 2"]) -> dict[str, pd.Series]:
@@ -93,18 +104,41 @@ def _drop_outs(cuts: CutEpisodes, cause: str) -> dict[str, pd.Series]:
     return found
 
 
-def _objects(of_table: CutEpisodes, workspace: Workspace, begun: Int[np.ndarray, "rows 2"]) -> pa.Table:
+def _objects(cuts: CutEpisodes, of_table: CutEpisodes, begun: Int[np.ndarray, "rows 2"]) -> pa.Table:
     objects = objects_of(of_table, begun)
     path, stage, target = (objects[name].to_numpy() for name in ("path", "stage", "object"))
+    workspace, table = cuts.episodes.states.workspace, of_table.episodes.states
     reached = np.asarray(workspace.is_in_reach)[path, stage - 1, :, target]
-    near = (
-        np.asarray(workspace.is_near)[path, stage - 1, target] & np.asarray(of_table.episodes.states.is_object)[path, 0]
-    )
-    for name, is_one in (("reached_by", reached), ("near", near)):
-        objects = objects.append_column(
-            name, lists_of(np.broadcast_to(np.arange(is_one.shape[1]), is_one.shape), is_one)
-        )
+    near = np.asarray(workspace.is_near)[path, stage - 1, target] & np.asarray(table.is_object)[path, 0]
+    is_attempt = np.asarray(table.attempt_object)[path, stage - 1] == target[:, None]
+    robots, others = np.arange(reached.shape[1]), np.arange(near.shape[1])
+    lists = {"reached_by": (robots, reached), "near": (others, near)}
+    lists[ATTEMPT_BY] = attempted_by(cuts.episodes.states, np.asarray(cuts.episodes.action))[path], is_attempt
+    for name, (values, is_one) in lists.items():
+        objects = objects.append_column(name, lists_of(np.broadcast_to(values, is_one.shape), is_one))
     return objects
+
+
+def attempted_by(states: TeamState, action: Int[np.ndarray, "n T"]) -> Int[np.ndarray, "n A"]:
+    """Which robot made each attempt of a path: who was at its object in the stage before a state that tells of it.
+
+    Parameters
+    ----------
+    states
+        S_t, axes (n, T).
+    action
+        What was begun in each.
+    """
+    table, robots, actions = states.table, states.robots, ActionSpace(states.table.num_objects)
+    tried = np.asarray(table.attempt_object)
+    stage = np.maximum(np.argmax(tried != NO_ATTEMPT, axis=1) - 1, 0)
+    path, slot = np.indices(stage.shape)
+    is_decider = np.asarray(states.decider)[path, stage][..., None] == np.arange(robots.num_robots)
+    verb, target = (np.asarray(of(action[path, stage]))[..., None] for of in (actions.verb, actions.target))
+    verb = np.where(is_decider, verb, np.where(np.asarray(robots.is_busy), np.asarray(robots.verb), -1)[path, stage])
+    target = np.where(is_decider, target, np.asarray(robots.target)[path, stage])
+    is_at_it = np.isin(verb, TARGETED) & (target == tried.max(axis=1)[path, slot][..., None])
+    return np.argmax(is_at_it, axis=-1)
 
 
 def states_of(logs: Logs, horizon: int) -> TeamState:
@@ -120,27 +154,18 @@ def states_of(logs: Logs, horizon: int) -> TeamState:
     Raises
     ------
     LogError
-        The log breaks a rule of tables or of teams (`team.log_checks`), a column of a robot is missing, or a robot is
-        none of them.
+        The log breaks a rule of tables or of teams; see `told_by`.
     """
-    stages = logs.stages
-    num_robots = robots_in(logs)
-    require_columns(
-        "stages", stages, ("robot", *(f"{r}_{what}" for r in range(max(num_robots, 1)) for what in _OF_ROBOT))
-    )
-    table = table_states_of(logs, horizon)
+    table, told = table_states_of(logs, horizon), told_by(logs, horizon)
+    stages, does = logs.stages, told.does
     at = pd.Index(logs.path_ids).get_indexer(stages["path"]), stages["stage"].to_numpy() - 1
-    decider = _decider(stages, num_robots)
-    shape = logs.num_paths, horizon
+    shape, num_robots = (logs.num_paths, horizon), does.shape[1]
 
     def spread(values: np.ndarray) -> Array:
         found = np.zeros((*shape, *values.shape[1:]), dtype=values.dtype)
         found[at] = values
         return jnp.asarray(found)
 
-    does = np.stack([_doing(stages, r) for r in range(num_robots)], axis=1)
-    check_doings(logs, decider, does, _FREE, table.num_objects)
-    check_numbers(stages, decider, num_robots)
     numbers = {
         what: np.stack([stages[f"{r}_{what}"].to_numpy() for r in range(num_robots)], axis=1)
         for what in ("since_s", "decisions_to_go")
@@ -155,9 +180,52 @@ def states_of(logs: Logs, horizon: int) -> TeamState:
         decisions_to_go=spread(numbers["decisions_to_go"].astype(np.int32)),
         is_out=spread(is_out) if is_out.any() or robots_that_may_drop_out(logs.paths) else None,
     )
-    space = _workspaces(logs, table, num_robots)
-    check_reached(logs, decider, np.asarray(space.is_in_reach)[(*at, decider)])
-    return TeamState(table, robots, space, spread(decider))
+    return TeamState(table, robots, _workspaces(logs, table, told), spread(told.decider))
+
+
+class Told(NamedTuple):
+    """What a log tells of its robots, a row a stage, or a row an object of a stage."""
+
+    decider: Int[np.ndarray, " rows"]
+    does: Int[np.ndarray, "rows K 2"]
+    """Verb (−1 if free, −2 if parked, −3 if out) and object of what each robot is at."""
+    is_reached: Bool[np.ndarray, "objects K"]
+    """By whom each object is reached."""
+    near: Lists
+
+
+def told_by(logs: Logs, horizon: int | None = None) -> Told:
+    """Check what a log of a team tells of its robots, and give it.
+
+    Parameters
+    ----------
+    logs
+        A log that holds what logs of tables must (`halfseen.world.table_checks`).
+    horizon
+        T, the decisions of all robots together; None where it is not known.
+
+    Raises
+    ------
+    LogError
+        A rule of teams is broken (`team.log_checks`), a column of a robot is missing, or a robot is none of them.
+    """
+    stages, objects, num_robots = logs.stages, logs.objects, robots_in(logs)
+    each = range(max(num_robots, 1))
+    require_columns("stages", stages, ("robot", *(f"{r}_{what}" for r in each for what in _OF_ROBOT)))
+    assert objects is not None, "a log of tables has objects"
+    require_columns("objects", objects, ("reached_by", "near"))
+    check_drop_outs(logs.paths, num_robots)
+    decider = _decider(stages, num_robots)
+    does = np.stack([_doing(stages, r) for r in range(num_robots)], axis=1)
+    check_doings(logs, decider, does, _FREE)
+    check_numbers(stages, decider, num_robots, horizon)
+    reach, near = lists_in(objects, "reached_by"), lists_in(objects, "near")
+    check_lists(objects, reach, near, num_robots)
+    check_attempts(objects, num_robots)
+    is_reached = np.zeros((len(objects), num_robots), dtype=bool)
+    is_reached[reach.row, reach.values.astype(np.int64)] = True
+    check_reached(logs, decider, is_reached)
+    return Told(decider, does, is_reached, near)
 
 
 def _decider(stages: pd.DataFrame, num_robots: int) -> Int[np.ndarray, " rows"]:
@@ -168,7 +236,7 @@ def _decider(stages: pd.DataFrame, num_robots: int) -> Int[np.ndarray, " rows"]:
 
 
 def _doing(stages: pd.DataFrame, robot: int) -> Int[np.ndarray, "rows 2"]:
-    """Verb (−1 if free, −2 if parked, −3 if out) and object of what a robot is at."""
+    """Verb and object of what a robot is at, as `Told` has them."""
     code, words = pd.factorize(stages[f"{robot}_does"], use_na_sentinel=False)
     known = np.array([_parsed(str(each)) for each in words], dtype=np.int64).reshape(-1, 2)
     wrong = known[:, 0] == _UNKNOWN
@@ -186,19 +254,15 @@ def _parsed(words: str) -> tuple[int, int]:
     return TEAM_VERBS.index(verb), int(target or 0)
 
 
-def _workspaces(logs: Logs, table: TableState, num_robots: int) -> Workspace:
+def _workspaces(logs: Logs, table: TableState, told: Told) -> Workspace:
     assert logs.objects is not None
-    objects = logs.objects
-    require_columns("objects", objects, ("reached_by", "near"))
+    objects, near = logs.objects, told.near
     number, shape = object_numbers(objects), table.is_object.shape
-    at = pd.Index(logs.path_ids).get_indexer(objects["path"]), objects["stage"].to_numpy() - 1, number
+    path, stage, target = pd.Index(logs.path_ids).get_indexer(objects["path"]), objects["stage"].to_numpy() - 1, number
     begin = np.arange(len(objects)) - objects.groupby(["path", "stage"]).cumcount().to_numpy()
-    reach, near = lists_in(objects, "reached_by"), lists_in(objects, "near")
-    check_lists(objects, reach, near, num_robots)
-    is_in_reach = np.zeros((*shape[:2], num_robots, shape[2]), dtype=bool)
+    is_in_reach = np.zeros((*shape[:2], told.is_reached.shape[1], shape[2]), dtype=bool)
     is_near = np.zeros((*shape, shape[2]), dtype=bool)
-    path, stage, target = at
-    is_in_reach[path[reach.row], stage[reach.row], reach.values.astype(np.int64), target[reach.row]] = True
+    is_in_reach[path, stage, :, target] = told.is_reached
     other = number[begin[near.row] + near.values.astype(np.int64)]
     is_near[path[near.row], stage[near.row], target[near.row], other] = True
     return Workspace(jnp.asarray(is_in_reach), jnp.asarray(is_near))

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from math import isfinite
 from types import ModuleType
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeGuard
 
 import jax.numpy as jnp
 import numpy as np
@@ -18,7 +18,7 @@ def namespace(*values: Any) -> ModuleType:
     return jnp if any(isinstance(value, Array) for value in values) else np
 
 
-def is_number(value: object) -> bool:
+def is_number(value: object) -> TypeGuard[int | float]:
     """Whether a value is a plain number, NumPy's included; a truth value is none."""
     return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
 

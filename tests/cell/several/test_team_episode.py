@@ -92,6 +92,16 @@ def test_the_log_says_which_arm_decided_and_what_the_other_was_at(cleared):
     assert run.reward == pytest.approx(4 * CONFIG.reward_wash_dirty)
 
 
+def test_the_log_says_which_arm_made_each_attempt(cleared):
+    _, run, logs, _ = cleared
+    assert run.num_gave_way == 0
+    began = logs.stages.dropna(subset=["object"]).groupby("object")["robot"].agg(list)
+    tried = logs.objects.groupby("object")["attempt_by"].last()
+    for target, by in tried.items():
+        assert list(by) == began[target][: len(by)]
+    assert {arm for by in tried for arm in by} == {0, 1}
+
+
 def test_the_log_gives_back_the_states_that_the_team_decided_in(cleared):
     _, _, logs, moments = cleared
     states = states_of(logs, 2 * CONFIG.horizon)

@@ -11,6 +11,7 @@ from halfseen.cell.memory import Known
 from halfseen.cell.table_state import Belief, state_of
 from halfseen.cell.workcell import Attempt, Workcell
 from halfseen.perception.clouds import Vector
+from halfseen.team.log_checks import ATTEMPT_BY
 from halfseen.team.recording import FREE, PARKED, TEAM_VERBS
 from halfseen.team.robots import CLEARANCE_M
 from halfseen.team.state import Robots, TeamState, Workspace
@@ -172,11 +173,12 @@ class TeamTable:
         return told
 
     def add_to(self, rows: list[dict[str, Any]]) -> None:
-        """Add to the rows of the objects who reaches them, and what is near."""
+        """Add to the rows of the objects who reaches them, what is near, and who tried them."""
         reached, near = self.is_in_reach(), self.is_near()
         for number, row in enumerate(rows):
             row["reached_by"] = np.flatnonzero(reached[:, number]).tolist()
             row["near"] = np.flatnonzero(near[number]).tolist()
+            row[ATTEMPT_BY] = [trial.arm for trial in self._objects[number].trials]
 
     def name(self, arm: int) -> str:
         """What an arm is called."""

@@ -30,7 +30,7 @@ from halfseen.logs import Logs
 
 def is_count(value: object) -> bool:
     """Whether a value is a whole number, 1 or above."""
-    return isinstance(value, int | np.integer) and not isinstance(value, bool) and value >= 1
+    return isinstance(value, int | np.integer) and not isinstance(value, bool) and int(value) >= 1
 
 
 @dataclass(frozen=True)
