@@ -9,10 +9,11 @@ from jaxtyping import TypeCheckError
 from halfseen.cell.tables_seen import tables_seen
 from halfseen.errors import ArgumentError, HalfseenWarning, PolicyError, SceneError
 from halfseen.planners.heuristics import GreedyPolicy
-from halfseen.team import ExploringTeam, Robot, Team, TeamOfRules, TeamWorld, UniformTeam, episodes
+from halfseen.team import EachAlone, ExploringTeam, Robot, TeamOfRules, TeamWorld, UniformTeam, episodes
 from halfseen.team.learned_policy import LinearTeamPolicy
 from halfseen.team.robots import workspace_of
-from halfseen.world import Scene, TableWorld, UniformPolicy, WorldConfig
+from halfseen.team.rules import ReservingTeam
+from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, WorldConfig
 
 PLACES = np.array([[-0.3, 0.0], [0.0, 0.0], [0.05, 0.0], [0.3, 0.0]])
 SCENES = [
@@ -22,6 +23,7 @@ SCENES = [
 EMPTY = Scene(np.zeros((0, 0)), "empty", places_m=np.zeros((0, 2)))
 TEAM = (Robot((-0.6, 0.0), 0.7, name="left"), Robot((0.6, 0.0), 0.7, speed=1.5, name="right"))
 WORLD = TeamWorld(WorldConfig(horizon=4), TEAM)
+RULE = GreedyPolicy(WORLD.config, uses_history=True, counts_penalty=True)
 
 
 def test_a_team_of_one_that_reaches_all_simulates_what_one_robot_does():
@@ -124,13 +126,24 @@ def test_each_object_has_one_place():
         Scene(np.zeros((2, 2)), places_m=np.zeros((1, 2)))
 
 
-class ForThree(UniformTeam):
-    num_robots = 3
+@pytest.mark.parametrize(
+    "policy", [EachAlone((RULE,) * 3), ReservingTeam(TeamWorld(robots=[*TEAM, TEAM[0]]).team_config, RULE)]
+)
+def test_a_policy_for_three_robots_plays_with_three_and_with_no_other_number(policy):
+    three = TeamWorld(WORLD.config, [*TEAM, TEAM[0]])
+    for explores in (lambda policy: policy, ExploringTeam):
+        assert len(three.evaluate(SCENES, explores(policy), 2, 0).reward) == 2
+        with pytest.raises(PolicyError, match="the policy is for 3 robots, and the team has 2"):
+            WORLD.evaluate(SCENES, explores(policy), 2, 0)
 
 
-def test_a_policy_for_another_number_of_robots_is_refused():
-    with pytest.raises(PolicyError, match="the policy is for 3 robots, and the team has 2"):
-        WORLD.evaluate(SCENES, ForThree(), 1, 0)
+@pytest.mark.parametrize("policy", [RULE, UniformPolicy(), ExploringPolicy(RULE), ExploringTeam(RULE)])
+def test_a_policy_of_one_robot_is_to_be_wrapped(policy):
+    of_one = type(policy if not isinstance(policy, ExploringTeam) else RULE).__name__
+    told = f"{of_one} decides for one robot, .*; give EachAlone, with such a policy for each robot, or ReservingTeam"
+    for play in (WORLD.simulate, WORLD.evaluate):
+        with pytest.raises(PolicyError, match=told):
+            play(SCENES, policy, 2, 0)
 
 
 def test_what_nobody_reaches_is_told_of_and_left():
@@ -138,4 +151,17 @@ def test_what_nobody_reaches_is_told_of_and_left():
     with pytest.warns(HalfseenWarning, match=r"two: object 1 at \(0.3, 0\) m is in no robot's reach"):
         logs = short.simulate(SCENES[1], UniformTeam(), 20, seed=0)
     assert not logs.stages["object"].eq(1).any()
-    assert isinstance(short.team, Team)
+    left = logs.objects[logs.objects["object"] == 1]
+    assert left["location"].eq("TABLE").all()
+    assert left["reached_by"].map(len).eq(0).all()
+
+
+def test_what_nobody_reaches_is_paid_for_as_left():
+    short = TeamWorld(robots=[Robot((-0.6, 0.0), 0.4)])
+    with pytest.warns(HalfseenWarning, match="in no robot's reach"):
+        layouts = short.team.layouts([SCENES[1]])
+    played = episodes.play(short.team_config, layouts, UniformTeam(), jax.random.key(0), 60)
+    parks_at_once, is_dirty = np.asarray(played.action)[:, 0] == 0, np.asarray(played.hidden.table.is_dirty)
+    assert (parks_at_once & is_dirty[:, 1] & ~is_dirty[:, 0]).any()
+    price = short.config.reward_dirty_left * is_dirty.sum(axis=1)
+    np.testing.assert_allclose(np.asarray(played.reward)[parks_at_once, 0], price[parks_at_once])

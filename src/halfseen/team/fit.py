@@ -5,12 +5,14 @@ from typing import Any
 from halfseen.errors import PolicyError
 from halfseen.team.config import TeamConfig
 from halfseen.team.learned_policy import LinearTeamPolicy
+from halfseen.world.state import TableState
 
 
 def check_fits(policy: Any, config: TeamConfig) -> None:
-    """Refuse a policy for another number of robots.
+    """Refuse a policy for another number of robots, or for one that works alone.
 
-    A policy tells by `num_robots` for how many it is, unless it is for any number; a learned one by its decisions.
+    A policy tells by `num_robots` for how many it is, unless it is for any number; a learned one by its decisions. One
+    that works alone says so by the type of the state that it decides in.
 
     Parameters
     ----------
@@ -22,8 +24,13 @@ def check_fits(policy: Any, config: TeamConfig) -> None:
     Raises
     ------
     PolicyError
-        It is for another number of robots, or for another number of their decisions.
+        It is for another number of robots, for another number of their decisions, or for a robot alone.
     """
+    if getattr(policy.decide, "__annotations__", {}).get("state") is TableState:
+        raise PolicyError(
+            f"{type(policy).__name__} decides for one robot, and a team's policy knows what the others are at; give "
+            "EachAlone, with such a policy for each robot, or ReservingTeam, with a rule of thumb"
+        )
     base = getattr(policy, "base", None)
     if base is not None:
         check_fits(base, config)
