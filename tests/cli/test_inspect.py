@@ -57,6 +57,19 @@ stage  begun  completed  cut  5 % [s]  median [s]  95 % [s]  effective sample si
         assert lines[first : first + len(table.splitlines()) - 1] == table.splitlines()[1:]
 
 
+def test_a_log_of_several_robots_says_so(folder, tmp_path):
+    stages = {"path": 1, "stage": range(1, 5), "elapsed_s": [1.0, 2.0, 3.0, 4.0], "action": "FINISH", "reward": 0.0}
+    robots = {"robot": [0, 1, 0, 0]}
+    paths = {"path": [1], "end_s": [4.0], "ending": ["finished"]}
+    Logs(pd.DataFrame(stages | robots), paths).write(tmp_path / "team")
+    assert "robots     2, of whose decisions 0 made 75%, 1 made 25%" in run(tmp_path / "team").splitlines()
+    assert json.loads(run(tmp_path / "team", "--json"))["robots"] == [
+        {"robot": "0", "num_decisions": 3, "share": 0.75},
+        {"robot": "1", "num_decisions": 1, "share": 0.25},
+    ]
+    assert not [line for line in run(folder).splitlines() if line.startswith("robots")]
+
+
 def test_what_looks_wrong_is_told_near_the_top_and_in_json(tmp_path):
     stages = {"path": range(20), "stage": 1, "elapsed_s": np.linspace(1.1, 3.3, 20), "action": ["A", "B"] * 10}
     chances = {"reward": 2.0, "probability": 1.0, "lamp": "on"}

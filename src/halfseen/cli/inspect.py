@@ -90,6 +90,7 @@ def _facts(report: dict[str, Any]) -> list[str]:
         ("share cut", f"{report['cut_share']:.1%}"),
         ("paths end", f"{report['shortest_s']:.4g} s to {report['longest_s']:.4g} s after they begin"),
         ("stages", f"{report['num_stages']}, of which {report['num_completed']} completed"),
+        ("robots", _robots(report["robots"])),
         ("covariates", _named(report["covariates"])),
         ("objects", str(report["num_objects"] or "none")),
         ("covariates of objects", _named(report["object_covariates"])),
@@ -98,6 +99,12 @@ def _facts(report: dict[str, Any]) -> list[str]:
     told = [(name, text) for name, text in rows if text != "none" or name == "objects"]
     width = max(len(name) for name, _ in told) + 2
     return [f"{name:<{width}}{text}" for name, text in told]
+
+
+def _robots(rows: Sequence[Row]) -> str:
+    """How many there are, and the share of the decisions that each made."""
+    shares = [f"{row['robot']} made {row['share']:.0%}" for row in rows]
+    return f"{len(rows)}, of whose decisions {', '.join(shares)}" if rows else "none"
 
 
 def _actions(choices: Sequence[Row]) -> list[str]:

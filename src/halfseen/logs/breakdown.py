@@ -1,10 +1,11 @@
-"""What a log holds, broken down by cause of the cuts, by action and by stage."""
+"""What a log holds, broken down by cause of the cuts, by action, by robot and by stage."""
 
 from typing import Any
 
 import numpy as np
 
 from halfseen.logs.logs import Logs
+from halfseen.logs.robot_checks import ROBOT
 
 
 def by_cause(logs: Logs) -> list[dict[str, Any]]:
@@ -47,6 +48,23 @@ def by_action(logs: Logs) -> list[dict[str, Any]]:
     stages = stages[stages["elapsed_s"].notna()]
     rows = [_action_row(str(action), taken, len(stages)) for action, taken in stages.groupby("action", observed=True)]
     return sorted(rows, key=lambda row: (-row["num_stages"], row["action"]))
+
+
+def by_robot(logs: Logs) -> list[dict[str, Any]]:
+    """Tell for each robot of a log of several, in the order of their names: the decisions that it made.
+
+    Returns
+    -------
+    list of dict
+        robot, num_decisions, share (a proportion of the stages); none where stages do not say which robot decided.
+    """
+    if ROBOT not in logs.stages.columns:
+        return []
+    made = logs.stages[ROBOT].value_counts().sort_index()
+    return [
+        {"robot": str(robot), "num_decisions": int(number), "share": int(number) / len(logs.stages)}
+        for robot, number in made.items()
+    ]
 
 
 def by_stage(logs: Logs) -> list[dict[str, Any]]:

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from halfseen.censoring import KaplanMeier, positivity_report, stage_weights, weight_diagnostics
 from halfseen.censoring.positivity import PositivityReport
 from halfseen.logs import Logs
-from halfseen.logs.breakdown import by_action, by_cause, by_stage
+from halfseen.logs.breakdown import by_action, by_cause, by_robot, by_stage
 from halfseen.logs.suspicions import suspicions
 from halfseen.report.endings import endings
 
@@ -47,6 +47,7 @@ def log_findings(logs: Logs, positivity: PositivityReport) -> dict[str, Any]:
         "finishes": _finishes(logs),
         "cuts": by_cause(logs),
         "choices": by_action(logs),
+        "robots": by_robot(logs),
         "clock": by_stage(logs),
         "nothing_seen_beyond_s": summary.longest_s,
         "positivity": {
