@@ -33,7 +33,8 @@ def plain(state):
         min(max(4.0 * (is_dirty[i] - 0.5), 0.0), 1.0) if table.is_on_table[i] and i not in taken else 0.0
         for i in range(num_objects)
     ]
-    others = [r != me and not bool(robots.is_done[r]) for r in range(num_robots)]
+    goes_home = [bool(robots.is_busy[r]) and int(robots.verb[r]) == 0 for r in range(num_robots)]
+    others = [r != me and not bool(robots.is_done[r]) and not goes_home[r] for r in range(num_robots)]
     everyone = [on or r == me for r, on in enumerate(others)]
 
     def after(goes_on, mine, left):
