@@ -24,7 +24,9 @@ def changed(logs, row, **values):
     return Logs(stages, logs.paths, logs.objects)
 
 
-READERS = pytest.mark.parametrize("read", [lambda logs: states_of(logs, 10), lambda logs: alone(logs, 0)])
+READERS = pytest.mark.parametrize(
+    "read", [lambda logs: states_of(logs, 10), lambda logs: alone(logs, 0)], ids=["states_of", "alone"]
+)
 """Who reads the states of a team, and who the part of one robot, refuse the same."""
 
 
