@@ -8,8 +8,9 @@
       policy.sha256        digests of both (``sha256sum -c policy.sha256`` checks them, too)
 
 Read down: `files` (there whole or not at all, no byte changed) → `json_values`, `arrays` (numbers and text, checked) →
-`digest`, `seen` (what the log was) → `specification` (how it was learned) → `named_kind`, `table_kind`, `kinds`
-(what differs between kinds of policies) → `record` (policy.json) → `stored` (read) → `log_facts`, `writing` (write).
+`digest`, `seen` (what the log was) → `specification` (how it was learned) → `table_parts`, `named_kind`, `table_kind`,
+`team_kind`, `kinds` (what differs between kinds of policies) → `record` (policy.json) → `stored` (read) → `log_facts`,
+`writing` (write).
 """
 
 from typing import TYPE_CHECKING

@@ -1,6 +1,6 @@
 """Policies as named arrays, and back; every shape and every number is checked on the way."""
 
-from collections.abc import Container, Mapping
+from collections.abc import Collection, Container, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,10 +40,11 @@ def policy_arrays(policy: Any) -> dict[str, np.ndarray]:
     if coefficients.ndim != 3:
         raise ArgumentError(f"coefficients have shape {coefficients.shape}, a batch of policies; write them one by one")
     arrays = {COEFFICIENTS: coefficients}
-    if policy.kernel_map is not None:
-        arrays |= {f"kernel.{name}": np.asarray(getattr(policy.kernel_map, name)) for name in KERNEL_NAMES}
-        if policy.kernel_map.trend is not None:
-            arrays[TREND] = np.asarray(policy.kernel_map.trend)
+    kernel_map = getattr(policy, "kernel_map", None)
+    if kernel_map is not None:
+        arrays |= {f"kernel.{name}": np.asarray(getattr(kernel_map, name)) for name in KERNEL_NAMES}
+        if kernel_map.trend is not None:
+            arrays[TREND] = np.asarray(kernel_map.trend)
     if policy.margin is not None:
         arrays[MARGIN] = np.asarray(policy.margin)
     if policy.behaviour is not None:
@@ -61,8 +62,8 @@ def laid_out(arrays: Arrays, by_column: Container[str]) -> dict[str, np.ndarray]
     return {name: np.array(array, order="F" if name in by_column else "C") for name, array in arrays.items()}
 
 
-def check_arrays(arrays: Arrays, shape: Shape, *, may_grasp: bool = False) -> None:
-    """Refuse arrays that are no policy of these sizes.
+def check_arrays(arrays: Arrays, shape: Shape, *, may_grasp: bool = False, others: Collection[str] = ()) -> None:
+    """Refuse arrays that are no policy of these sizes; those of `others` that are none of the usual may have any.
 
     Raises
     ------
@@ -91,7 +92,7 @@ def check_arrays(arrays: Arrays, shape: Shape, *, may_grasp: bool = False) -> No
         wanted[MARGIN] = (*wanted[COEFFICIENTS], 1 + num_inputs)
     if BEHAVIOUR in arrays:
         wanted[BEHAVIOUR] = (shape.num_blocks, 1 + shape.num_features)
-    for name in sorted({*wanted, *arrays}):
+    for name in sorted({*wanted, *arrays} - ({*others} - {*wanted})):
         _check_shape(name, arrays.get(name), wanted.get(name), shape.dtype)
     for name, array in arrays.items():
         _check_numbers(name, array)

@@ -22,7 +22,10 @@ class PolicyKind(Protocol):
         ...
 
     def schema(self, policy: Any, facts: Sequence[Any]) -> dict[str, Any]:
-        """What the policy looks at and chooses from, for policy.json; ``actions`` names the blocks of coefficients."""
+        """What the policy looks at and chooses from, for policy.json.
+
+        ``actions`` names the blocks of coefficients, unless ``blocks`` does.
+        """
         ...
 
     def seen(self, logs: Logs, policy: Any, is_by_stage: bool) -> list[dict[str, Any]]:
@@ -42,7 +45,7 @@ class PolicyKind(Protocol):
         ...
 
 
-_PLACES = {"flat": ("named_kind", "NamedKind"), "table": ("table_kind", "TableKind")}
+_PLACES = {"flat": ("named_kind", "NamedKind"), "table": ("table_kind", "TableKind"), "team": ("team_kind", "TeamKind")}
 
 
 @cache
@@ -78,6 +81,6 @@ def kind_of(record: Mapping[str, Any]) -> PolicyKind:
     """
     name = record.get("kind")
     if not isinstance(name, str) or name not in _PLACES:
-        listed = " or ".join(map(repr, _PLACES))
-        raise PolicyError(f"kind is {name!r}; it is {listed}: learn the policy anew")
+        listed = ", ".join(map(repr, _PLACES))
+        raise PolicyError(f"kind is {name!r}; it is one of {listed}: learn the policy anew")
     return kind_named(name)

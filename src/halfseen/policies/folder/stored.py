@@ -38,8 +38,13 @@ class StoredPolicy:
 
     @property
     def is_table(self) -> bool:
-        """Whether it decides for tables of objects; else it takes named actions."""
+        """Whether it decides for tables of objects, for one robot."""
         return self.record["kind"] == "table"
+
+    @property
+    def num_robots(self) -> int | None:
+        """For how many robots of a team it decides; None for one that decides for a robot by itself."""
+        return self.record["schema"]["num_robots"] if self.record["kind"] == "team" else None
 
     @property
     def horizon(self) -> int:

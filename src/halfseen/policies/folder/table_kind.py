@@ -7,14 +7,12 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from halfseen.errors import ArgumentError, PolicyError
+from halfseen.errors import PolicyError
 from halfseen.logs import Logs
 from halfseen.policies.folder.arrays import (
     BEHAVIOUR,
     COEFFICIENTS,
-    GRASP,
     MARGIN,
-    PER_GRIP,
     Arrays,
     Shape,
     check_arrays,
@@ -23,8 +21,8 @@ from halfseen.policies.folder.arrays import (
 )
 from halfseen.policies.folder.json_values import horizon_of, typed
 from halfseen.policies.folder.seen_tables import TABLE_RANGES, seen_tables
+from halfseen.policies.folder.table_parts import grasp_arrays, grasp_of, is_seen_of, seen_verbs
 from halfseen.tables.features import FEATURES_VERSION, NUM_FEATURES
-from halfseen.tables.grasp.grasp_table import GraspTable
 from halfseen.tables.prior import PriorFacts, dirty_share, prior_facts
 from halfseen.tables.table_policy import LinearTablePolicy
 from halfseen.world.action_space import Verb
@@ -52,7 +50,7 @@ class TableKind:
             "features": _FEATURES,
             "dirty_share": dirty_share([part.prior for part in facts]),
             "counts_views": any(part.counts_views for part in facts),
-            "seen": _seen_verbs(policy),
+            "seen": seen_verbs(_VERBS, policy.is_seen, len(policy.coefficients)),
             "least_rewards": {verb: min(least) for verb, least in paid.items() if least},
         }
 
@@ -72,16 +70,7 @@ class TableKind:
         ArgumentError
             The grasp model is no table of numbers.
         """
-        arrays = policy_arrays(policy)
-        if isinstance(policy.grasp, GraspTable):
-            arrays[GRASP] = np.asarray(policy.grasp.probabilities)
-            arrays[PER_GRIP] = np.asarray(policy.grasp.per_grip, dtype=np.float32)
-        elif policy.grasp is not None:
-            raise ArgumentError(
-                f"grasp is a {type(policy.grasp).__name__}, whose code a folder cannot hold; learn with BetaGrasp() or "
-                "SVMGrasp()"
-            )
-        return arrays
+        return policy_arrays(policy) | grasp_arrays(policy.grasp)
 
     def policy_of(self, record: Mapping[str, Any], arrays: Arrays) -> LinearTablePolicy:
         """Put a policy together again.
@@ -94,10 +83,9 @@ class TableKind:
         _check_schema(record)
         check_arrays(arrays, Shape(horizon_of(record), len(Verb), NUM_FEATURES, np.float32), may_grasp=True)
         on_device: Any = {name: jnp.asarray(array) for name, array in arrays.items()}
-        grasp = GraspTable(on_device[GRASP], on_device.get(PER_GRIP, 1.0)) if GRASP in arrays else None
-        kernel_map, margin = kernel_map_of(on_device), on_device.get(MARGIN)
-        behaviour = on_device.get(BEHAVIOUR)
-        return LinearTablePolicy(on_device[COEFFICIENTS], grasp, kernel_map, _is_seen(record), margin, behaviour)
+        grasp, kernel_map, margin = grasp_of(on_device), kernel_map_of(on_device), on_device.get(MARGIN)
+        is_seen, behaviour = is_seen_of(_VERBS, record), on_device.get(BEHAVIOUR)
+        return LinearTablePolicy(on_device[COEFFICIENTS], grasp, kernel_map, is_seen, margin, behaviour)
 
 
 class TableFacts(NamedTuple):
@@ -106,26 +94,6 @@ class TableFacts(NamedTuple):
     prior: PriorFacts
     counts_views: bool
     least_rewards: dict[str, float]
-
-
-def _seen_verbs(policy: LinearTablePolicy) -> list[list[str]]:
-    """Verbs that have a value, by steps to go; where none has, as in a stage that no path reached, all may be taken."""
-    if policy.is_seen is None:
-        return [_VERBS] * len(policy.coefficients)
-    rows = np.asarray(policy.is_seen)
-    return [[verb for verb, is_it in zip(_VERBS, row, strict=True) if is_it] or _VERBS for row in rows]
-
-
-def _is_seen(record: Mapping[str, Any]) -> Any:
-    """Which verbs have a value; None for all, as in a folder that does not say."""
-    if "seen" not in record["schema"]:
-        return None
-    seen = typed(record["schema"], "seen", list, "a list of verbs for each number of steps to go")
-    is_right = len(seen) == horizon_of(record) and all(isinstance(row, list) and row for row in seen)
-    if not is_right or not all(verb in _VERBS for row in seen for verb in row):
-        raise PolicyError(f"seen is {seen}; it lists verbs for each number of steps to go: learn the policy anew")
-    rows = np.array([[verb in row for verb in _VERBS] for row in seen])
-    return None if rows.all() else jnp.asarray(rows)
 
 
 def _least_rewards(logs: Logs) -> dict[str, float]:

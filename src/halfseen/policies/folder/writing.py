@@ -111,7 +111,7 @@ def record_of(
         "seed": int(learner.random_state),
         "reg": {
             "rows": "stage" if is_by_stage else "steps to go",
-            "columns": facts.schema["actions"],
+            "columns": facts.schema.get("blocks", facts.schema["actions"]),
             "values": np.asarray(learner.q_functions_.reg).tolist(),
         },
         "log": {"sha256": facts.sha256, "sentence": str(facts.summary), **asdict(facts.summary)},
