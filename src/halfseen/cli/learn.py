@@ -24,6 +24,8 @@ CENSORING = ("auto", *options.WEIGHTING, "buckley-james", "none")
 START, LEARN, FOLDS, JUDGE, LOOK = 3, 14, 6, 5, 1
 """What each step takes of the time, roughly: compiling takes most of it, which the folds of the verdict need not do."""
 
+UNJUDGED = "there is no verdict: policies of a team are not judged by logs yet"
+
 
 class _Or(click.ParamType):
     """A word, or a number."""
@@ -74,7 +76,8 @@ class _Or(click.ParamType):
 @click.option(
     "--horizon",
     type=click.IntRange(min=1),
-    help="Stages after which a path ends by itself; by default those of the longest path, for a table at least 10.",
+    help="Stages after which a path ends by itself; by default those of the longest path, for a table at least 10. "
+    "Of a team, decisions of each robot; by default what the log says.",
 )
 @click.option(
     "--grasp",
@@ -126,12 +129,13 @@ def learn(
     --workers share the work; those of a cluster must be able to read them, too.
 
     Logs with objects are of tables: the policy chooses among WASH, LIFT and FINISH. Else, or with --covariates, it
-    chooses among the actions that were seen at each stage. Stages of cut paths count, too.
+    chooses among the actions that were seen at each stage. Stages of cut paths count, too. Where LOGS tell of several
+    robots at a table, one policy decides for whichever is free, and may let it WAIT.
 
     It ends with a verdict: do policies that are learned this way beat the one that made LOGS, and that without its
     exploration? Five are learned from four fifths of LOGS each and judged by the rest, which they never saw. The
     verdict is kept with the policy, and `halfseen act` repeats it where nothing speaks for the policy. Where that takes
-    long, workers do it.
+    long, workers do it. Policies of a team are not judged by logs yet, and get none.
     """
     from halfseen.policies.folder.files import check_target
 
@@ -151,14 +155,16 @@ def learn(
         choice = learner_for(log, censoring=targets, random_state=seed, **chosen)
         bar.begin("learn", START)
         learner = choice.learner.fit(log, workers)
-        bar.begin("judge" if has_verdict else "write", LEARN)
-        verdict, not_all = _judged(learner, log, seed, bar, workers) if has_verdict else (None, ())
+        is_judged = has_verdict and choice.num_robots is None
+        bar.begin("judge" if is_judged else "write", LEARN)
+        verdict, not_all = _judged(learner, log, seed, bar, workers) if is_judged else (None, ())
         bar.reach(total - LOOK)
         write_policy(learner, log, out, overwrite=overwrite, verdict=verdict)
         bar.begin("look", 0)
         shares = action_shares(learner.policy_, learner.model_.task, parts_of(log))
     notes = [
         *choice.notes,
+        *([UNJUDGED] if has_verdict and not is_judged else []),
         *not_all,
         *learner.unseen_,
         *(str(one.message) for one in told if issubclass(one.category, HalfseenWarning)),
@@ -206,12 +212,12 @@ def _targets(chosen: dict[str, Any]) -> "Targets | str":
 
 def _lines(report: Mapping[str, Any]) -> list[str]:
     weights, learner, schema = report["diagnostics"]["weights"], report["learner"], report["schema"]
-    looks_at = "tables" if report["kind"] == "table" else ", ".join(schema["covariates"]) or "nothing but the stage"
+    num_robots, looks_at = schema.get("num_robots"), _looks_at(report["kind"], schema)
     cuts, positivity = learner["censoring"], report["diagnostics"]["positivity"]["text"].splitlines()[0]
     by = f", by {learner['censoring_by']}" if cuts in options.WEIGHTING else ""
     rows = [
         ("looks at", looks_at),
-        ("Q", f"{learner['q_function']}, stages {learner['stages']}, horizon {schema['horizon']}"),
+        ("Q", f"{learner['q_function']}, stages {learner['stages']}, horizon {_horizon(schema)}"),
         *(("chosen", sentence) for sentence in report["chosen"]),
         *([("pessimism", _pessimism(learner["pessimism"]))] if learner["pessimism"] else []),
         ("cuts", f"{cuts}{by}{', augmented' if learner['augmented'] else ''}"),
@@ -221,7 +227,7 @@ def _lines(report: Mapping[str, Any]) -> list[str]:
             f"{weights['effective_sample_size']:.1f}; the largest weight is {weights['largest_weight']:.3g}",
         ),
         ("positivity", positivity),
-        ("λ", _regs(report["reg"]["values"], report["reg"]["rows"])),
+        ("λ", _regs(**report["reg"])),
         *(("warning", one) for one in report["warnings"] if one != positivity),
         *(("note", note) for note in report["notes"]),
     ]
@@ -233,8 +239,25 @@ def _lines(report: Mapping[str, Any]) -> list[str]:
         *_action_lines(report["actions"]),
         "",
         *([report["verdict"]["sentence"], ""] if report["verdict"] else []),
-        f"Next: halfseen evaluate {report['policy']} --logs OTHER_LOGS; the ones learned from would flatter it",
+        _next(report["policy"], num_robots),
     ]
+
+
+def _looks_at(kind: str, schema: Mapping[str, Any]) -> str:
+    if kind == "team":
+        return f"tables of {schema['num_robots']} robots, and what each is at; it decides for whichever is free"
+    return "tables" if kind == "table" else ", ".join(schema["covariates"]) or "nothing but the stage"
+
+
+def _horizon(schema: Mapping[str, Any]) -> str:
+    horizon, num_robots = schema["horizon"], schema.get("num_robots")
+    return f"{horizon}" if num_robots is None else f"{horizon}, {horizon // num_robots} decisions of each robot"
+
+
+def _next(policy: str, num_robots: int | None) -> str:
+    if num_robots is None:
+        return f"Next: halfseen evaluate {policy} --logs OTHER_LOGS; the ones learned from would flatter it"
+    return f"Next: halfseen evaluate {policy} --world --team ROBOTS"
 
 
 def _pessimism(strength: float) -> str:
@@ -244,12 +267,12 @@ def _pessimism(strength: float) -> str:
     )
 
 
-def _regs(values: Sequence[Sequence[float]], rows: str) -> str:
+def _regs(values: Sequence[Sequence[float]], rows: str, columns: Sequence[str]) -> str:
     flat = sorted(value for row in values for value in row)
     if flat[0] == flat[-1]:
         return f"{flat[0]:.3g}"
     each = "stage" if rows == "stage" else f"number of {rows}"
-    return f"{flat[0]:.3g} to {flat[-1]:.3g}, chosen for each {each} and action"
+    return f"{flat[0]:.3g} to {flat[-1]:.3g}, chosen for each {each}{' and action' if len(columns) > 1 else ''}"
 
 
 def _action_lines(stages: Sequence[Mapping[str, Any]]) -> list[str]:

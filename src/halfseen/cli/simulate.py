@@ -3,15 +3,20 @@
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from halfseen.cli import options
 from halfseen.cli.laws import ASSUMED, law_of, law_option
 from halfseen.cli.scenes import num_scenes, scenes_of
+from halfseen.cli.team import read_robots, team_option
 from halfseen.planners.named import HEURISTICS, UNIFORM, named_policy
 from halfseen.progress import Progress
+
+if TYPE_CHECKING:
+    from halfseen.team import Team
+    from halfseen.world import WorldConfig
 
 CUT_KINDS = ("independent", "occlusion", "attempt")
 _HORIZON = 10
@@ -45,18 +50,36 @@ _START, _TABLE = 4, 2
     help="Proportion of the paths that is cut, in expectation.",
 )
 @click.option("--cut-kind", type=options.Choice(CUT_KINDS), default="independent", show_default=True, help="What cuts.")
-@click.option("--horizon", type=click.IntRange(min=1), default=_HORIZON, show_default=True, help="Steps of a path.")
+@click.option(
+    "--horizon",
+    type=click.IntRange(min=1),
+    default=_HORIZON,
+    show_default=True,
+    help="Steps of a path; of a team, of each robot.",
+)
+@team_option()
 @law_option(ASSUMED)
 @options.seed("logs")
 @options.as_json
 @options.overwrite("logs that are")
-def simulate(clouds: tuple[Path, ...], out: Path, seed: int, as_json: bool, overwrite: bool, **chosen: Any) -> None:
+def simulate(
+    clouds: tuple[Path, ...],
+    out: Path,
+    team: Path | None,
+    seed: int,
+    as_json: bool,
+    overwrite: bool,
+    **chosen: Any,
+) -> None:
     """Record logs of a policy on the tables of CLOUDS, by default the ten that come with halfseen.
 
     Every policy starts from the tables as the camera sees them; what is dirty and how well it can be gripped is drawn
     anew for each path. "greedy" washes what promises most now; "history" also learns from failed grasps; "-penalty"
     counts what leaving dirty things behind will cost. Cuts come at any time alike (independent), sooner where much is
     hidden (occlusion), or when an attempt drags on (attempt).
+
+    With --team, whichever robot is free decides, and a cut ends the table for all. The heuristics then leave alone what
+    another robot is at, and count what a second costs the team.
     """
     from halfseen.errors import ArgumentError
 
@@ -64,31 +87,47 @@ def simulate(clouds: tuple[Path, ...], out: Path, seed: int, as_json: bool, over
         raise ArgumentError(f"{out}: it is there already; choose another folder, or pass --overwrite to replace it")
     num_clouds = num_scenes(clouds)
     with Progress(_START + num_clouds * (1 + _TABLE), "start") as bar:
-        from halfseen.world import TableWorld, WorldConfig
+        from halfseen.world import WorldConfig
 
+        robots = read_robots(team)
         law, config = law_of(chosen["law"]), WorldConfig(horizon=chosen["horizon"])
         bar.begin("look", _START)
         scenes = scenes_of(clouds, law, on_each=bar.update)
         bar.begin("simulate", 0)
         config = config if law is None else law.config(config)
-        logger = named_policy(chosen["policy"], config, chosen["random_share"])
-        cuts = chosen["cut_share"], chosen["cut_kind"]
-        logs = TableWorld(config).simulate(scenes, logger, chosen["episodes"], seed, *cuts)
+        world, logger = _world_and_logger(robots, config, chosen["policy"], chosen["random_share"])
+        logs = world.simulate(scenes, logger, chosen["episodes"], seed, chosen["cut_share"], chosen["cut_kind"])
         logs.write(out, overwrite=overwrite)
     report = {"folder": str(out), "sentence": str(logs.summary()), **asdict(logs.summary())}
     report |= {"scenes": {scene.name: scene.num_objects for scene in scenes}, "seed": seed, **chosen}
+    if robots is not None:
+        report |= {"team": str(team), "robots": [robot.name for robot in robots.robots]}
     click.echo(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))
+
+
+def _world_and_logger(team: "Team | None", config: "WorldConfig", name: str, random_share: float) -> tuple[Any, Any]:
+    """The world of one robot or of a team, and the policy of a name that decides in it."""
+    if team is None:
+        from halfseen.world import TableWorld
+
+        return TableWorld(config), named_policy(name, config, random_share)
+    from halfseen.team import TeamWorld
+    from halfseen.team.named import named_team
+
+    world = TeamWorld.of(team, config)
+    return world, named_team(name, world.team_config, random_share)
 
 
 def _lines(report: dict[str, Any]) -> list[str]:
     def counts(named: dict[str, int]) -> str:
         return ", ".join(f"{name} {count}" for name, count in named.items()) or "none"
 
-    scenes = report["scenes"]
+    scenes, robots = report["scenes"], report.get("robots", [])
     return [
         f"{report['folder']}: {report['sentence']}",
         "",
         f"tables          {len(scenes)}, with {min(scenes.values())} to {max(scenes.values())} objects",
+        *([f"robots          {len(robots)}: {', '.join(robots)}"] if robots else []),
         f"stages          {report['num_completed']} completed of {report['num_stages']} begun",
         f"actions         {counts(report['actions'])}",
         f"causes of cuts  {counts(report['causes'])}",

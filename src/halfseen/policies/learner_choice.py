@@ -1,4 +1,4 @@
-"""Which learner suits a log: of tables where it has objects, else of the actions that were seen at each stage."""
+"""Which learner suits a log: of a team or a table where it has objects, else of the actions seen at each stage."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -12,6 +12,7 @@ from halfseen.logs import Logs, LogStream
 from halfseen.logs.stream import parts_of
 from halfseen.suggestions import did_you_mean
 from halfseen.tables.grasp.beta_grasp import BetaGrasp
+from halfseen.team.log_checks import most_decisions, robots_in
 
 TABLE_HORIZON = 10
 """Stages that a path on a table may have, unless the log has longer ones."""
@@ -22,10 +23,11 @@ GRASPS: dict[str, Callable[[], Any]] = {"auto": lambda: AUTO, "laplace": lambda:
 
 @dataclass(frozen=True)
 class LearnerChoice:
-    """What is to be learned, and what the user should know of it."""
+    """What is to be learned, and what the user should know of it; of a team, for how many robots."""
 
     learner: CensoredQLearner
     notes: tuple[str, ...] = ()
+    num_robots: int | None = None
 
 
 def learner_for(
@@ -46,7 +48,8 @@ def learner_for(
         Columns of the stages to look at, which makes the actions named ones; None for a table where the log has
         objects, else for all that hold numbers, or text of few categories.
     horizon
-        Stages after which a path ends by itself; None for those of the longest path, on a table at least 10.
+        Stages after which a path ends by itself; None for those of the longest path, on a table at least 10. Of a team,
+        decisions of each robot; None for what the log says.
     grasp
         On a table, one of `GRASPS`.
     parameters
@@ -59,6 +62,9 @@ def learner_for(
     """
     longest = logs.horizon
     if logs.has_objects and covariates is None:
+        num_robots = robots_in(logs)
+        if num_robots:
+            return _of_team(logs, num_robots, horizon, grasp, parameters)
         length = max(TABLE_HORIZON, longest) if horizon is None else horizon
         estimator = GRASPS[grasp or AUTO]()
         learner = CensoredQLearner.for_table(length, grasp=estimator, **parameters)
@@ -69,6 +75,20 @@ def learner_for(
     length = longest if horizon is None else horizon
     actions = actions_by_stage(logs, length)
     return LearnerChoice(CensoredQLearner(length, actions, columns, **parameters), notes)
+
+
+def _of_team(
+    logs: Logs | LogStream, num_robots: int, horizon: int | None, grasp: str | None, parameters: dict[str, Any]
+) -> LearnerChoice:
+    """Learn one Q for all robots, for as many decisions of each as the log says that it had."""
+    if grasp == "beta":
+        raise ArgumentError("--grasp is beta, and the log is of a team, which takes auto or laplace; name one of them")
+    had = most_decisions(logs, num_robots)
+    if horizon is not None and horizon < had:
+        raise ArgumentError(f"--horizon is {horizon}, and a robot of the log has {had} decisions to go; give {had}")
+    length = had if horizon is None else horizon
+    learner = CensoredQLearner.for_team(num_robots, length, grasp=GRASPS[grasp or AUTO](), **parameters)
+    return LearnerChoice(learner, num_robots=num_robots)
 
 
 def actions_by_stage(logs: Logs | LogStream, horizon: int) -> dict[int, list[Any]]:

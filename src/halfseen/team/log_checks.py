@@ -8,7 +8,7 @@ import pandas as pd
 from jaxtyping import Bool, Int
 
 from halfseen.errors import LogError
-from halfseen.logs import Logs
+from halfseen.logs import Logs, LogStream
 from halfseen.logs.columns import as_floats
 from halfseen.logs.refusal import refuse, shown, value_at
 from halfseen.logs.robot_checks import robots_that_may_drop_out
@@ -22,10 +22,29 @@ NOTHING = -1
 """Object of who is at none."""
 
 
-def robots_in(logs: Logs) -> int:
-    """Number of robots that a log tells of: 0_does, 1_does and so on."""
-    stages = logs.stages
-    return sum(f"{r}_does" in stages.columns for r in range(stages.shape[1]))
+def robots_in(logs: Logs | LogStream) -> int:
+    """Number of robots that a log tells of: 0_does, 1_does and so on; 0 for a log of one robot."""
+    there = logs.stage_covariates
+    return sum(f"{r}_does" in there for r in range(len(there)))
+
+
+def most_decisions(logs: Logs | LogStream, num_robots: int) -> int:
+    """Most decisions that a robot of a log has to go, which is where a path begins.
+
+    Raises
+    ------
+    LogError
+        A robot does not tell how many it has to go, or none has any.
+    """
+    columns = [f"{r}_decisions_to_go" for r in range(num_robots)]
+    for column in columns:
+        if column not in logs.stage_covariates:
+            raise LogError(f"stages: there is no column {column!r}; add it: the decisions that the robot has left")
+    frames = [logs.stages] if isinstance(logs, Logs) else logs.stage_columns(*columns)
+    most = max(float(as_floats("stages", frame, column).max()) for frame in frames for column in columns)
+    if not most >= 1:
+        raise LogError(f"stages: {', '.join(columns)} are {most:g} at most, yet robots decide; give what each has left")
+    return int(most)
 
 
 def check_drop_outs(paths: pd.DataFrame, num_robots: int) -> None:
