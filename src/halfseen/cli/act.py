@@ -63,10 +63,12 @@ def act(
     from halfseen.errors import ArgumentError
     from halfseen.policies import decider_of, read_policy
     from halfseen.policies.observations import read_observation
+    from halfseen.policies.of_team import UNDECIDED, refuse_team
 
     if picture is not None:
         refuse_output(picture, "a picture", PICTURES, overwrite, [cloud, *([labels] if labels else [])])
     stored = read_policy(policy)
+    refuse_team(stored, UNDECIDED, policy)
     counts_views = stored.is_table and stored.record["schema"].get("counts_views", False)
     if law is not None and not counts_views:
         raise ArgumentError(

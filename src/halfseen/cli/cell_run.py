@@ -171,11 +171,13 @@ def team_policy_of(name: str, random_share: float, config: "WorldConfig") -> "Te
 def _stored(folder: str, config: "WorldConfig") -> "Policy":
     from halfseen.errors import PolicyError
     from halfseen.policies import read_policy
+    from halfseen.policies.of_team import refuse_team
 
     if not Path(folder).exists():
         there = f"there is no such folder; let `halfseen learn` write one, or name one of {', '.join(NAMES)}"
         raise PolicyError(f"--policy {folder}: {there}{did_you_mean(folder, NAMES)}")
     stored = read_policy(folder)
+    refuse_team(stored, "and one arm clears the table; give a policy of one robot", folder)
     if not stored.is_table:
         raise PolicyError(
             f"{folder}: it is no policy of tables; learn one from logs of tables, as of `halfseen cell run`"

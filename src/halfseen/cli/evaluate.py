@@ -13,12 +13,14 @@ from halfseen.cli import options
 from halfseen.cli.columns import aligned
 from halfseen.cli.laws import ASSUMED, law_of, law_option
 from halfseen.cli.scenes import scenes_of
+from halfseen.cli.team import read_robots, team_option
 from halfseen.cli.workers import worker_options
 from halfseen.progress import Progress
 
 if TYPE_CHECKING:
     from halfseen.evaluation.simulation import WorldComparison
     from halfseen.policies.folder import StoredPolicy
+    from halfseen.team import Team
     from halfseen.workers import Workers
 
 WORK = {"start": 1, "evaluate": 4}
@@ -32,6 +34,7 @@ WORK = {"start": 1, "evaluate": 4}
 @options.against
 @click.option("--world", "in_world", is_flag=True, help="Play the tables of CLOUDS in the simulated world instead.")
 @law_option(None, f"Of --world, where it is {ASSUMED} by default. ")
+@team_option("Of --world: ")
 @options.policys_censoring
 @click.option(
     "--censoring-by", type=options.CLOCKS, help="Clock of the cuts, as in learn; by default the policy's own."
@@ -64,6 +67,7 @@ def evaluate(
     against: tuple[str, ...],
     in_world: bool,
     law: str | None,
+    team: Path | None,
     level: float,
     episodes: int,
     seed: int,
@@ -76,7 +80,8 @@ def evaluate(
     With --logs, from what another policy did, of which paths were cut: by importance sampling, by fitted Q evaluation
     and doubly robust, and whether it is better than the policy that made the logs, than that without its exploration,
     or than whatever --against names: "better" is better than each; where that takes long, workers do it. With --world,
-    by playing the tables of CLOUDS, by default the ten that come with halfseen, beside four heuristics.
+    by playing the tables of CLOUDS, by default the ten that come with halfseen, beside four heuristics; a policy of a
+    team by the robots of --team, and in no other way yet.
     """
     from halfseen.errors import ArgumentError
     from halfseen.policies.folder import read_policy
@@ -87,11 +92,14 @@ def evaluate(
         raise ArgumentError(f"{clouds[0]}: clouds are tables to play with --world, and --logs is given; leave one out")
     if law is not None and not in_world:
         raise ArgumentError(f"--law is {law}, a law of the world that --world plays, and --logs is given; leave it out")
+    if team is not None and not in_world:
+        raise ArgumentError(f"--team is {team}, robots of the world that --world plays; leave it out")
     if against and in_world:
         raise ArgumentError("--against compares by logs, and --world plays the heuristics anyway; leave one out")
     stored = read_policy(policy)
     if logs is None:
-        report, lines = _by_world(stored, clouds, law or ASSUMED, episodes, seed, level)
+        robots = _team_for(stored, policy, team)
+        report, lines = _by_world(stored, robots, clouds, law or ASSUMED, episodes, seed, level)
     else:
         report, lines = _by_logs(stored, logs, seed, level, against=list(against) or None, workers=workers, **chosen)
     report = {"policy": str(policy), "seed": seed, **report}
@@ -140,25 +148,70 @@ def _by_logs(
     return report, [*str(answer).splitlines(), *([""] if notes else []), *(f"note: {note}" for note in notes)]
 
 
+def _team_for(stored: "StoredPolicy", policy: Path, file: Path | None) -> "Team | None":
+    """The robots that are to play a policy; None for one alone.
+
+    Raises
+    ------
+    ArgumentError
+        The file holds no team, or there is none where the policy needs one.
+    PolicyError
+        The policy decides for another number of robots.
+    """
+    from halfseen.errors import ArgumentError, PolicyError
+
+    team, wanted = read_robots(file), stored.num_robots
+    if team is None:
+        if wanted is not None:
+            told = f"{policy}: it decides for a team of {wanted}, and nobody says which robots"
+            raise ArgumentError(f"{told}; give the file of those that made its logs by --team")
+        return None
+    found = len(team.robots)
+    if wanted is None:
+        raise PolicyError(
+            f"{policy}: it decides for one robot by itself, and {file} has a team of {found}; leave --team out, or "
+            "learn a policy from logs of such a team, as of `halfseen simulate --team`"
+        )
+    if wanted != found:
+        raise PolicyError(
+            f"{policy}: it decides for a team of {wanted}, and {file} has one of {found}; give the file of robots that "
+            "made its logs, or learn from logs of this team"
+        )
+    return team
+
+
 def _by_world(
-    stored: "StoredPolicy", clouds: Sequence[Path], name: str, episodes: int, seed: int, level: float
+    stored: "StoredPolicy",
+    team: "Team | None",
+    clouds: Sequence[Path],
+    name: str,
+    episodes: int,
+    seed: int,
+    level: float,
 ) -> tuple[dict[str, Any], list[str]]:
     from halfseen.errors import ArgumentError
-    from halfseen.evaluation.simulation import compare_in_world
+    from halfseen.evaluation.simulation import compare_in_world, compare_teams
     from halfseen.study.policies import HEURISTICS
+    from halfseen.team import TeamWorld
+    from halfseen.team.named import named_team
     from halfseen.world import WorldConfig
 
-    if not stored.is_table:
+    if not (stored.is_table or team):
         raise ArgumentError("the policy takes named actions, and the simulated world is one of tables; give --logs")
+    num_robots = 1 if team is None else len(team.robots)
     with Progress(episodes * (1 + len(HEURISTICS)), "play", "episodes") as bar:
-        law, config = law_of(name), WorldConfig(horizon=stored.horizon)
+        law, config = law_of(name), WorldConfig(horizon=stored.horizon // num_robots)
         scenes = scenes_of(clouds, law)
         config = config if law is None else law.config(config)
         played: Callable[[int], object] = bar.update
-        heuristics = {each.label: each.policy(config) for each in HEURISTICS}
-        answer, beside = compare_in_world(
-            stored.policy, heuristics, scenes, config, episodes=episodes, seed=seed, level=level, on_progress=played
-        )
+        how: Any = {"episodes": episodes, "seed": seed, "level": level, "on_progress": played}
+        if team is None:
+            heuristics = {each.label: each.policy(config) for each in HEURISTICS}
+            answer, beside = compare_in_world(stored.policy, heuristics, scenes, config, **how)
+        else:
+            world = TeamWorld.of(team, config)
+            rules = {each.label: named_team(each.name, world.team_config) for each in HEURISTICS}
+            answer, beside = compare_teams(stored.policy, rules, scenes, world, **how)
     value = answer.value
     sentence = (
         f"It earns {value.value:.3g} an episode, {value.low:.3g} to {value.high:.3g} ({level:.0%} interval), in "
@@ -166,10 +219,12 @@ def _by_world(
     )
     report = {"tables": [scene.name for scene in scenes], "episodes": episodes, "sentence": sentence, **asdict(answer)}
     report["comparisons"] = [asdict(each) for each in beside]
+    report |= {} if team is None else {"robots": [robot.name for robot in team.robots]}
+    by = "" if team is None else f", by {num_robots} robots ({', '.join(robot.name for robot in team.robots)})"
     return report, [
         sentence,
         "",
-        f"{episodes} episodes on {len(scenes)} tables of the simulated world; the same for the heuristics:",
+        f"{episodes} episodes on {len(scenes)} tables of the simulated world{by}; the same for the heuristics:",
         "",
         *aligned([("against", "value", "difference", "interval"), *(_beside(each) for each in beside)]),
     ]

@@ -177,9 +177,11 @@ def _show_cloud(
     from halfseen.errors import PolicyError
     from halfseen.policies import decider_of, read_policy
     from halfseen.policies.observations import read_observation
+    from halfseen.policies.of_team import UNDECIDED, refuse_team
     from halfseen.tables.present import Present
 
     stored = read_policy(policy)
+    refuse_team(stored, UNDECIDED, policy)
     if not stored.is_table:
         raise PolicyError(f"{policy}: it is no policy of tables, and {file} is a cloud; learn one from logs of tables")
     counts_views = stored.record["schema"].get("counts_views", False)

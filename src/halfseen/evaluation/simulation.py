@@ -2,7 +2,8 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, TypeAlias
 
 import jax
 import numpy as np
@@ -10,7 +11,12 @@ from jaxtyping import Float
 
 from halfseen.errors import ArgumentError
 from halfseen.evaluation.estimate import Estimate, check_level, estimate_of
+from halfseen.team.episodes import evaluate as play_out_team
+from halfseen.team.fit import check_fits
+from halfseen.team.policy import TeamPolicy
+from halfseen.team.team_world import TeamWorld
 from halfseen.world.config import WorldConfig
+from halfseen.world.episodes import Totals
 from halfseen.world.episodes import evaluate as play_out
 from halfseen.world.policy import Policy
 from halfseen.world.scene import Scene
@@ -18,6 +24,9 @@ from halfseen.world.state import pad_scenes
 
 CHUNK_SIZE = 2000
 """Episodes between two signs of progress."""
+
+Play: TypeAlias = Callable[[Any, jax.Array, int], Totals]
+"""Plays so many episodes by a policy."""
 
 
 @dataclass(frozen=True)
@@ -125,11 +134,71 @@ def compare_in_world(
     ArgumentError
         A policy decides nothing about tables, or `episodes` is below 2.
     """
+    layouts = pad_scenes(scenes)
+
+    def play(one: Any, key: jax.Array, num: int) -> Totals:
+        if not isinstance(one, Policy):
+            raise ArgumentError(
+                f"{type(one).__name__} decides nothing about tables, so there is no world to play it in"
+            )
+        return play_out(config, layouts, one, key, num)
+
+    return _compared(policy, opponents, play, episodes, seed, level, on_progress)
+
+
+def compare_teams(
+    policy: TeamPolicy,
+    opponents: Mapping[str, TeamPolicy],
+    scenes: Sequence[Scene],
+    world: TeamWorld,
+    *,
+    episodes: int = 10_000,
+    seed: int = 0,
+    level: float = 0.95,
+    on_progress: Callable[[int], object] = lambda done: None,
+) -> tuple[WorldEvaluation, tuple[WorldComparison, ...]]:
+    """Let a policy of a team and others play the same tables; robot time is that of the table's clock.
+
+    Parameters
+    ----------
+    policy, opponents, scenes, episodes, seed, level, on_progress
+        As for `compare_in_world`.
+    world
+        Of the team.
+
+    Raises
+    ------
+    ArgumentError
+        `episodes` is below 2.
+    PolicyError
+        A policy is for another number of robots, or of their decisions.
+    SceneError
+        A scene does not tell where its objects stand.
+    """
+    layouts, config = world.team.layouts(scenes), world.team_config
+    for each in (policy, *opponents.values()):
+        check_fits(each, config)
+
+    def play(one: TeamPolicy, key: jax.Array, num: int) -> Totals:
+        return play_out_team(config, layouts, one, key, num)
+
+    return _compared(policy, opponents, play, episodes, seed, level, on_progress)
+
+
+def _compared(
+    policy: Any,
+    opponents: Mapping[str, Any],
+    play: Play,
+    episodes: int,
+    seed: int,
+    level: float,
+    on_progress: Callable[[int], object],
+) -> tuple[WorldEvaluation, tuple[WorldComparison, ...]]:
     check_level(level)
     if episodes < 2:
         raise ArgumentError(f"episodes is {episodes}; at least 2 are needed for an interval")
     ours, *theirs = (
-        _played(each, scenes, config, episodes, seed, on_progress) for each in (policy, *opponents.values())
+        _played(partial(play, each), episodes, seed, on_progress) for each in (policy, *opponents.values())
     )
     means = [estimate_of(column, episodes, level) for column in ours]
     comparisons = (
@@ -140,21 +209,14 @@ def compare_in_world(
 
 
 def _played(
-    policy: Any,
-    scenes: Sequence[Scene],
-    config: WorldConfig,
-    episodes: int,
-    seed: int,
-    on_progress: Callable[[int], object],
+    play: Callable[[jax.Array, int], Totals], episodes: int, seed: int, on_progress: Callable[[int], object]
 ) -> Float[np.ndarray, "3 episodes"]:
     """Reward, number of steps and robot time of each episode."""
-    if not isinstance(policy, Policy):
-        raise ArgumentError(f"{type(policy).__name__} decides nothing about tables, so there is no world to play it in")
-    layouts, totals_of = pad_scenes(scenes), []
+    totals_of = []
     for chunk, start in enumerate(range(0, episodes, CHUNK_SIZE)):
         num = min(CHUNK_SIZE, episodes - start)
         key = jax.random.fold_in(jax.random.key(seed), chunk)
-        totals = play_out(config, layouts, policy, key, num)
+        totals = play(key, num)
         totals_of.append(
             [np.asarray(leaf, dtype=np.float64) for leaf in (totals.reward, totals.num_steps, totals.robot_s)]
         )

@@ -11,6 +11,7 @@ from halfseen.learners.q_learning.targets import DoublyRobust, Targets, named_ta
 from halfseen.learners.q_learning.task import Task, named_task
 from halfseen.logs import Logs
 from halfseen.policies.folder import StoredPolicy, q_space_of_record
+from halfseen.policies.of_team import UNJUDGED, refuse_log_of_team, refuse_team
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,15 @@ class EvaluationSpec:
 
 
 def specification_of(stored: StoredPolicy, logs: Logs, **chosen: Any) -> EvaluationSpec:
-    """Say how to evaluate a policy that was read: as it was learned, but for what is chosen (see `specification`)."""
+    """Say how to evaluate a policy that was read: as it was learned, but for what is chosen (see `specification`).
+
+    Raises
+    ------
+    PolicyError
+        The policy decides for a team, or the log is of one and the policy of one robot's tables.
+    """
+    refuse_team(stored, UNJUDGED)
+    refuse_log_of_team(stored, logs)
     return specification(stored.policy, stored.record["learner"], logs, **chosen)
 
 

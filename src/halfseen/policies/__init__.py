@@ -4,7 +4,8 @@ Read down: `folder` (policies on disk) → `decision` (the port: what is asked, 
 lies outside the logs), `reasons` with `flat_reason`, `table_reason` (why) → `named_decider`, `table_decider`, `decider`
 (policies behind the port) → `named_observation`, `table_observation`, `observations` (files → what is decided from;
 what is of tables is loaded for tables alone) → `shares` (what a policy does in the states of a log) → `learner_choice`
-(which learner suits a log). `rule`, `rule_table`: rules of thumb as policies of named actions.
+(which learner suits a log). `of_team` refuses the policy or the log of a team where one robot's is needed. `rule`,
+`rule_table`: rules of thumb as policies of named actions.
 """
 
 from typing import TYPE_CHECKING

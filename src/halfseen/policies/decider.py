@@ -8,6 +8,7 @@ from halfseen.policies.certainty import QError
 from halfseen.policies.decision import Decider
 from halfseen.policies.folder import StoredPolicy
 from halfseen.policies.named_decider import NamedDecider
+from halfseen.policies.of_team import UNDECIDED, refuse_team
 from halfseen.policies.ranges import RangesOfStage, everything
 
 
@@ -39,8 +40,11 @@ def decider_of(
     ------
     ArgumentError
         It is none of these.
+    PolicyError
+        It decides for a team.
     """
     if isinstance(policy, StoredPolicy):
+        refuse_team(policy, UNDECIDED)
         return decider_of(
             policy.policy,
             policy.ranges,

@@ -17,6 +17,7 @@ from halfseen.perception.labels import WORDS
 from halfseen.policies.folder.stored import StoredPolicy
 from halfseen.policies.history import present_state
 from halfseen.policies.named_observation import STATE_FILES
+from halfseen.policies.of_team import refuse_log_of_team
 from halfseen.tables.present import Present, first_state, labelled
 from halfseen.world.scene import Scene
 from halfseen.world.seeing import AssumedSeeing, KnownSeeing
@@ -96,6 +97,7 @@ def _present(
         return first_state(scene, stored.horizon, dirty_share, stage or 1)
     places_m = np.array([seen.solid.middle_m for seen in view.objects])
     with within(history):
+        refuse_log_of_team(stored, logs)
         now = present_state(scene, stored.horizon, logs, dirty_share=dirty_share, places_m=places_m)
     if stage not in (None, now.stage):
         raise ArgumentError(

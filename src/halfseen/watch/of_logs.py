@@ -14,6 +14,7 @@ from halfseen.logs.columns import as_floats
 from halfseen.perception import View, perceive, read_cloud
 from halfseen.perception.tracking import matched
 from halfseen.policies import Decision, StoredPolicy, decider_of
+from halfseen.policies.of_team import refuse_log_of_team, refuse_team
 from halfseen.tables.present import Present
 from halfseen.watch.of_cloud import seen_stage
 from halfseen.watch.stage_view import StageView, Watched
@@ -118,8 +119,10 @@ def _decisions(path: Logs, stored: StoredPolicy | None) -> list[Decision | None]
     """What a policy would do at each stage."""
     if stored is None:
         return [None] * path.horizon
+    refuse_team(stored, "and a log is shown with what one robot would do; leave the policy out")
     if not stored.is_table:
         raise PolicyError("the policy is of named actions, and shows nothing at a table; give one of tables")
+    refuse_log_of_team(stored, path)
     states = states_of(path, stored.horizon)
     decider = decider_of(stored, extrapolates=True)
     return [

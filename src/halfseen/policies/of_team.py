@@ -1,0 +1,61 @@
+"""Where the policy or the log of one robot is needed, and one of a team is given."""
+
+from pathlib import Path
+
+from halfseen.errors import PolicyError
+from halfseen.logs import Logs
+from halfseen.policies.folder.stored import StoredPolicy
+
+UNDECIDED = (
+    "which looks at what each robot is at, and that is not given here; ask read_policy(FOLDER).policy.decide of a "
+    "halfseen.team.TeamState"
+)
+UNJUDGED = (
+    "and how likely such a policy would have done what a log shows is not worked out yet; play it by "
+    "`halfseen evaluate POLICY --world --team ROBOTS`, or halfseen.team.TeamWorld.evaluate"
+)
+"""What comes of it, where it is to decide, or to be judged by a log."""
+
+
+def refuse_team(stored: StoredPolicy, trouble: str, folder: str | Path | None = None) -> None:
+    """Refuse a policy of a team.
+
+    Parameters
+    ----------
+    stored
+        The policy.
+    trouble
+        Why it is of no use here, and what to do instead.
+    folder
+        Where it was read.
+
+    Raises
+    ------
+    PolicyError
+        It is one of a team.
+    """
+    if stored.num_robots is not None:
+        where = "the policy" if folder is None else f"{folder}: it"
+        raise PolicyError(
+            f"{where} decides for a team of {stored.num_robots} robot{'' if stored.num_robots == 1 else 's'}, {trouble}"
+        )
+
+
+def refuse_log_of_team(stored: StoredPolicy, logs: Logs) -> None:
+    """Refuse a log of several robots for a policy of one robot's tables.
+
+    Raises
+    ------
+    PolicyError
+        The log is of several robots, or of a team of one.
+    """
+    if not stored.is_table:
+        return
+    # It brings JAX, which policies of named actions do without.
+    from halfseen.team.log_checks import robots_in
+
+    if robots_in(logs):
+        raise PolicyError(
+            f"the log is of a team of {robots_in(logs)}, and the policy decides for one robot; take the part of one, "
+            "halfseen.team.alone(logs, robot)"
+        )
