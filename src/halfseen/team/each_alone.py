@@ -7,7 +7,10 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from halfseen.errors import ArgumentError
+from halfseen.learners.q_learning.q_learner import CensoredQLearner
+from halfseen.logs import Logs
 from halfseen.team.actions import possible_actions
+from halfseen.team.own_part import alone
 from halfseen.team.state import TeamState
 from halfseen.world.action_space import ActionSpace, Verb
 from halfseen.world.policy import Decision, Policy
@@ -47,6 +50,27 @@ class EachAlone:
         decisions = [policy.decide(table, key) for policy in self.policies]
         each = jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves]), *decisions)
         return jax.tree.map(lambda leaf: leaf[state.decider], each)
+
+
+def learned_alone(logs: Logs, num_robots: int, horizon: int) -> EachAlone:
+    """Learn the policy of each robot from its own part of a log, by all defaults.
+
+    Parameters
+    ----------
+    logs
+        Of a team.
+    num_robots
+        K.
+    horizon
+        Decisions of each robot.
+
+    Raises
+    ------
+    ArgumentError, LogError, PositivityError
+        There is not enough to learn from in the part of a robot.
+    """
+    parts = (alone(logs, robot) for robot in range(num_robots))
+    return EachAlone(tuple(CensoredQLearner.for_table(horizon).fit(part).policy_ for part in parts))
 
 
 def own_table(state: TeamState) -> TableState:

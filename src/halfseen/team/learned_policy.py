@@ -1,4 +1,4 @@
-"""A learned Q of a team as a policy."""
+"""A learned Q of a team as a policy: what is best by it, or where it is sure to improve on what each does alone."""
 
 from dataclasses import dataclass, field
 
@@ -11,6 +11,7 @@ from halfseen.learners.q_learning.support import seen_among
 from halfseen.learners.q_learning.transitions import q_values
 from halfseen.team.actions import WAIT, worthwhile_actions
 from halfseen.team.features import team_features
+from halfseen.team.policy import TeamPolicy
 from halfseen.team.state import TeamState
 from halfseen.world.action_space import ActionSpace
 from halfseen.world.grasp_model import GraspModel
@@ -21,6 +22,9 @@ from halfseen.world.policy import Decision, surely
 @dataclass(frozen=True)
 class LinearTeamPolicy:
     """argmax over what the robot that decides may do of Q̂_h, with h the decisions to go of all robots together.
+
+    Where Q̂ is that of a base policy, the base decides unless that maximum is worth more than the base's own action by
+    more than `caution`: one step of policy iteration, one robot at a time, that Q̂'s errors are not to undo.
 
     Parameters
     ----------
@@ -36,6 +40,10 @@ class LinearTeamPolicy:
         Coefficients of the behaviour policy, which waives margins; None if not known.
     num_robots
         For how many robots it was learned; None if nobody said so.
+    base
+        The policy of a team whose Q this is; None if it is that of the best.
+    caution
+        By how much another action must be better than that of `base`, in units of reward.
     """
 
     coefficients: Float[Array, "T K F"]
@@ -44,6 +52,8 @@ class LinearTeamPolicy:
     margin: Float[Array, "T K F F"] | None = None
     behaviour: Float[Array, "K G"] | None = None
     num_robots: int | None = field(default=None, metadata={"static": True})
+    base: TeamPolicy | None = None
+    caution: float | Array = 0.0
 
     def q_values(self, state: TeamState, key: Array | None = None) -> Float[Array, " A"]:
         """Q of every action, less its margin, measured from leaving the table; −∞ where it is not chosen from."""
@@ -65,4 +75,9 @@ class LinearTeamPolicy:
 
     def decide(self, state: TeamState, key: Array) -> Decision:
         """Choose for one table; deterministic."""
-        return surely(jnp.argmax(self.q_values(state)).astype(jnp.int32))
+        q = self.q_values(state)
+        best = jnp.argmax(q).astype(jnp.int32)
+        if self.base is None:
+            return surely(best)
+        of_base = self.base.decide(state, key).action
+        return surely(jnp.where(q[best] - q[of_base] > self.caution, best, of_base).astype(jnp.int32))

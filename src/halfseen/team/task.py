@@ -1,4 +1,11 @@
-"""The task of a team: one Q for all robots, decided one robot at a time."""
+"""The task of a team: one Q for all robots, decided one robot at a time.
+
+It starts from what each robot learns from its own part of the log (`own_part.alone`). Q is then that of all robots each
+following its own policy: eq. 3 with that policy in the place of the maximum. Nothing is maximised over its errors, one
+decision after the other, which made a Q of the best policy worse than each alone wherever robots get little into each
+other's way. The team's policy leaves each alone only where that Q promises clearly more: one step of policy iteration,
+one robot at a time [Bertsekas2021]_.
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -11,7 +18,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float, Int
 
-from halfseen.errors import ArgumentError, LogError
+from halfseen.errors import ArgumentError, LogError, PositivityError
 from halfseen.learners.q_learning.automatic import AUTO
 from halfseen.learners.q_learning.path_arrays import stage_places
 from halfseen.learners.q_learning.task import Encoded, LearnedQ, RewardedStages
@@ -23,9 +30,11 @@ from halfseen.tables.grasp.choice import choose_by
 from halfseen.tables.variance_reduction import label_moves
 from halfseen.team.actions import WAIT, wait_of, worthwhile_actions
 from halfseen.team.attempts import team_attempts
+from halfseen.team.each_alone import learned_alone
 from halfseen.team.features import team_features
 from halfseen.team.learned_policy import LinearTeamPolicy
-from halfseen.team.log_checks import begun_objects
+from halfseen.team.log_checks import begun_objects, robots_in
+from halfseen.team.policy import TeamPolicy
 from halfseen.team.recording import TEAM_VERBS, states_of
 from halfseen.team.rewards import Pays, control_variates_of, outcomes_of, pays_of, shaped
 from halfseen.team.state import TeamState
@@ -33,6 +42,8 @@ from halfseen.world.action_space import TARGETED, ActionSpace, Verb
 from halfseen.world.grasp_model import GraspModel
 
 _VERBS_IN_WORDS = "WASH or LIFT with an object, WAIT or FINISH without one"
+CAUTION = 0.4
+"""By how much another action must be better than that of each alone, in standard deviations of a stage's reward."""
 _DIRTY, _EASE = 2, 4
 """Where the columns of WASH hold them."""
 
@@ -46,6 +57,13 @@ def _encoded(states: TeamState, grasp: GraspModel | None) -> tuple[jax.Array, ..
         return team_features(state, grasp), worthwhile_actions(state), washed[_DIRTY], washed[_EASE]
 
     return jax.vmap(jax.vmap(encode))(states)
+
+
+@jax.jit
+def _decided(policy: TeamPolicy, states: TeamState) -> Int[jax.Array, "n T"]:
+    """What a policy that draws nothing does in each state."""
+    key = jax.random.key(0)
+    return jax.vmap(jax.vmap(lambda state: policy.decide(state, key).action))(states)
 
 
 @dataclass(frozen=True)
@@ -65,6 +83,10 @@ class TeamTask:
         What ended attempts pay and what is left costs, where it was fitted beforehand; None to fit it to each log.
     num_robots
         K, which a log must have; None for any.
+    base
+        The policy of a team that is improved upon, ``"auto"`` for each alone, or None to learn Q of the best policy.
+    caution
+        By how much another action must be better than that of `base`, in units of reward; None to take `CAUTION`.
     """
 
     grasp: Any = AUTO
@@ -72,6 +94,8 @@ class TeamTask:
     chosen: tuple[str, ...] = ()
     pays: Pays | None = field(default=None, repr=False)
     num_robots: int | None = None
+    base: Any = AUTO
+    caution: float | None = None
 
     block_names = TEAM_VERBS
     end_action = None
@@ -86,14 +110,25 @@ class TeamTask:
     def _model(self) -> GraspModel | None:
         return None if self._is_open else self.grasp
 
+    @property
+    def _is_base_open(self) -> bool:
+        return isinstance(self.base, str) and self.base == AUTO
+
+    @property
+    def _base(self) -> TeamPolicy | None:
+        return None if self._is_base_open else self.base
+
     def fitted(self, logs: Logs, horizon: int) -> "TeamTask":
-        """Choose the grasp model, unless it is given.
+        """Choose the grasp model, and learn what each robot would do alone, unless they are given.
 
         Raises
         ------
         ArgumentError
-            What is given is no grasp model.
+            What is given is no grasp model, or no policy of a team.
         """
+        return self._with_grasp(logs, horizon)._with_base(logs, horizon)
+
+    def _with_grasp(self, logs: Logs, horizon: int) -> "TeamTask":
         if not self._is_open:
             if self.grasp is not None and (isinstance(self.grasp, type) or not isinstance(self.grasp, GraspModel)):
                 raise ArgumentError(f"grasp is {self.grasp!r}; of a team it is None, 'auto', or a GraspModel")
@@ -101,7 +136,27 @@ class TeamTask:
         read = _read(logs, horizon, self.num_robots)
         most = int(np.asarray(read.states.robots.decisions_to_go).sum(axis=-1).max(initial=1))
         choice = choose_by(team_attempts(logs, read.states, read.verb, read.target), most)
-        return replace(self, grasp=choice.grasp, chosen=(choice.sentence,))
+        return replace(self, grasp=choice.grasp, chosen=(*self.chosen, choice.sentence))
+
+    def _with_base(self, logs: Logs, horizon: int) -> "TeamTask":
+        if self.base is None:
+            return self
+        caution = CAUTION * float(logs.stages["reward"].std()) if self.caution is None else self.caution
+        if not self._is_base_open:
+            if isinstance(self.base, type) or not isinstance(self.base, TeamPolicy):
+                raise ArgumentError(f"base is {self.base!r}; it is None, 'auto', or a policy of a team")
+            return replace(self, caution=caution)
+        num_robots = robots_in(logs)
+        try:
+            base = learned_alone(logs, num_robots, horizon // num_robots)
+        except (ArgumentError, LogError, PositivityError) as error:
+            told = f"Q is that of the best policy, for what each robot does alone cannot be learned: {error}"
+            return replace(self, base=None, chosen=(*self.chosen, told))
+        told = (
+            f"what each robot learned alone is left where Q promises more by {caution:.3g}, {CAUTION} standard "
+            "deviations of a stage’s reward"
+        )
+        return replace(self, base=base, caution=caution, chosen=(*self.chosen, told))
 
     def encode(self, logs: Logs, horizon: int) -> Encoded:
         """Encode every stage of a log of a team, and what ended in it."""
@@ -110,6 +165,10 @@ class TeamTask:
         is_state = np.zeros((logs.num_paths, horizon), dtype=bool)
         is_state[stage_places(logs)] = True
         features[~is_state], is_possible[~is_state] = 0.0, False
+        of_base = None
+        if self._base is not None:
+            of_base = np.eye(is_possible.shape[-1])[np.asarray(_decided(self._base, states))]
+            of_base[~is_state] = 0.0
         is_possible[~is_state, 0] = True
         # What was done is possible, whatever a policy would choose from.
         np.put_along_axis(is_possible, action[..., None], True, axis=2)
@@ -117,7 +176,7 @@ class TeamTask:
         is_there, has_target = np.asarray(states.table.is_on_table), np.isin(verb, TARGETED)
         moved = label_moves(is_dirty.astype(np.float64), ease.astype(np.float64), is_there, target, has_target)
         outcome = np.concatenate([ended, moved], axis=-1)
-        return Encoded(features.astype(np.float64), is_possible, action, outcome)
+        return Encoded(features.astype(np.float64), is_possible, action, outcome, of_base)
 
     def block_of_action(self, num_actions: int) -> Int[np.ndarray, " A"]:
         """Kind of each action: its verb."""
@@ -154,6 +213,8 @@ class TeamTask:
         return LinearTeamPolicy(
             *(single(learned.coefficients), self._model, seen, given(learned.margin), given(learned.behaviour)),
             num_robots=self.num_robots,
+            base=self._base,
+            caution=0.0 if self._base is None or self.caution is None else self.caution,
         )
 
     def target_probabilities(self, policy: Any, logs: Logs, horizon: int) -> Float[np.ndarray, "n T A"]:

@@ -162,6 +162,7 @@ class CensoredQLearner(Estimator):
         *,
         grasp: Any = AUTO,
         reduces_variance: bool = True,
+        base: Any = AUTO,
         **parameters: Any,
     ) -> "CensoredQLearner":
         """Make a learner for logs of several robots at one table (see `halfseen.team.TeamTask`).
@@ -172,7 +173,7 @@ class CensoredQLearner(Estimator):
             K.
         horizon
             Decisions of each robot; T is K times as many.
-        grasp, reduces_variance
+        grasp, reduces_variance, base
             Of the task.
         **parameters
             Of the learner.
@@ -186,7 +187,7 @@ class CensoredQLearner(Estimator):
             raise ArgumentError(f"num_robots is {num_robots!r}; a team has a whole number of robots, at least 1")
         if not is_count(horizon):
             raise ArgumentError(f"horizon is {horizon!r}; give the decisions of each robot, a whole number, at least 1")
-        task = named_task("team", grasp=grasp, reduces_variance=reduces_variance, num_robots=num_robots)
+        task = named_task("team", grasp=grasp, reduces_variance=reduces_variance, num_robots=num_robots, base=base)
         return cls(num_robots * horizon, task, **parameters)
 
     @classmethod

@@ -201,6 +201,7 @@ class QModel:
             is_last=paths.is_last,
             fold=fold,
             control_variates=variates,
+            policy=paths.encoded.policy,
             imputation=imputed,
         )
 

@@ -31,6 +31,8 @@ class Encoded(NamedTuple):
     action: Int[np.ndarray, "n T"]
     outcome: Float[np.ndarray, "n T Z"] | None = None
     """What became of each stage, where the task's `reduce_variance` asks for more than the rest tells."""
+    policy: Float[np.ndarray, "n T A"] | None = None
+    """π(a | S_t) of the policy whose Q is wanted, where that is not the best one's."""
 
     @property
     def taken(self) -> Float[np.ndarray, "n T F"]:
