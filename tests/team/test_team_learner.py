@@ -13,10 +13,12 @@ from halfseen.logs import Logs
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.team import EachAlone, ExploringTeam, TeamOfRules, UniformTeam, Workspace, episodes
 from halfseen.team.actions import possible_actions
+from halfseen.team.decided import decisions
 from halfseen.team.fit import check_fits
 from halfseen.team.recording import states_of
 from halfseen.team.rules import ReservingTeam
 from halfseen.team.state import TeamLayout
+from halfseen.team.task import CAUTION
 from halfseen.world import UniformPolicy, WorldConfig
 from halfseen.world.action_space import ActionSpace, Verb
 from halfseen.world.episodes import evaluate
@@ -59,6 +61,42 @@ def test_it_takes_what_is_possible(logs, learned):
     some = jax.tree.map(lambda leaf: leaf[at], states)
     action = jax.vmap(learned.policy_.decide)(some, jax.random.split(jax.random.key(0), len(at[0]))).action
     assert np.take_along_axis(np.asarray(jax.vmap(possible_actions)(some)), np.asarray(action)[:, None], axis=1).all()
+
+
+def test_each_alone_is_left_where_q_promises_more_by_the_caution(logs, learned):
+    states, policy = states_of(logs, 10), learned.policy_
+    of_base, of_team = decisions(policy.base, states), decisions(policy, states)
+    q = np.asarray(jax.jit(jax.vmap(jax.vmap(policy.q_values)))(states))
+    best = q.argmax(axis=-1)
+    better = np.take_along_axis(q, best[..., None], -1)[..., 0] - np.take_along_axis(q, of_base[..., None], -1)[..., 0]
+    np.testing.assert_array_equal(of_team, np.where(better > policy.caution, best, of_base))
+    assert 0 < (of_team != of_base).mean() < 0.2
+
+
+def test_caution_is_in_units_of_reward(logs, learned):
+    assert learned.policy_.caution == pytest.approx(CAUTION * logs.stages["reward"].std(), rel=1e-6)
+
+
+def test_q_of_a_policy_is_not_lowered(logs):
+    with pytest.raises(ArgumentError, match=r"pessimism is 1\.0, but Q is that of a given policy"):
+        CensoredQLearner.for_team(2, horizon=5, pessimism=1.0).fit(logs)
+    best = CensoredQLearner.for_team(2, horizon=5, pessimism=1.0, base=None, reg=0.1).fit(logs)
+    assert best.policy_.base is None
+    assert best.policy_.margin is not None
+
+
+def test_a_base_that_is_given_is_improved_upon(logs):
+    policy = CensoredQLearner.for_team(2, horizon=5, base=TeamOfRules(RULE), reg=0.1).fit(logs).policy_
+    assert policy.base == TeamOfRules(RULE)
+    with pytest.raises(ArgumentError, match="base is 'each'; it is None, 'auto', or a policy of a team"):
+        CensoredQLearner.for_team(2, horizon=5, base="each").fit(logs)
+
+
+def test_q_is_of_the_best_policy_where_the_log_does_not_tell_each_robots_reward(logs):
+    some = Logs(logs.stages.drop(columns="1_reward"), logs.paths, logs.objects)
+    learner = CensoredQLearner.for_team(2, horizon=5, reg=0.1).fit(some)
+    assert learner.policy_.base is None
+    assert any("what each robot does alone cannot be learned: stages: there is no" in told for told in learner.chosen_)
 
 
 def test_what_was_never_seen_completed_has_no_value():

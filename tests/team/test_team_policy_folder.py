@@ -19,7 +19,9 @@ from halfseen.policies.folder.files import ARRAYS, DIGESTS, RECORD
 from halfseen.policies.folder.kinds import kind_named
 from halfseen.policies.folder.team_kind import FEATURES_VERSION
 from halfseen.tables.grasp.grasp_table import GraspTable
+from halfseen.team.decided import decisions
 from halfseen.team.features import team_features
+from halfseen.team.policy import UniformTeam
 from halfseen.team.recording import TEAM_VERBS, states_of
 from halfseen.team.state import Robots, TeamState, Workspace
 from halfseen.world.action_space import Verb
@@ -42,6 +44,10 @@ def learner(logs):
 def written(logs, learner, tmp_path):
     write_policy(learner, logs, tmp_path / "policy")
     return tmp_path / "policy"
+
+
+def edit_alone(folder, change):
+    edit(folder, lambda record: change(record["schema"]["alone"]))
 
 
 def told(folder):
@@ -152,9 +158,12 @@ def test_a_record_that_does_not_fit_is_refused(written, change, message):
         (lambda a: a.update(coefficients=a["coefficients"].astype(np.float64)), "is float64"),
         (lambda a: a.update(coefficients=a["coefficients"][:, :, 1:]), "of shape [6, 1, "),
         (lambda a: a["coefficients"].__setitem__((1, 0, 3), np.nan), "'coefficients' holds nan at [1, 0, 3]"),
-        (lambda a: a["margin"].__setitem__((5, 0, 0, 2), np.inf), "'margin' holds inf at [5, 0, 0, 2]"),
-        (lambda a: a.update(margin=a["margin"][..., 1:]), "array 'margin' is float32 of shape"),
-        (lambda a: a.update(behaviour=a["behaviour"][:, 1:]), "array 'behaviour' is float32 of shape"),
+        (lambda a: a["alone.0.margin"].__setitem__((2, 0, 0, 2), np.inf), "'margin' holds inf at [2, 0, 0, 2]"),
+        (lambda a: a.update({"alone.0.margin": a["alone.0.margin"][..., 1:]}), "array 'margin' is float32 of shape"),
+        (
+            lambda a: a.update({"alone.1.behaviour": a["alone.1.behaviour"][:, 1:]}),
+            "array 'behaviour' is float32 of shape",
+        ),
         (lambda a: a.update(more=np.zeros(2, dtype=np.float32)), "'more' is none that a policy has"),
     ],
 )
@@ -195,3 +204,43 @@ def test_features_of_teams_are_those_of_their_version():
     features = np.asarray(jax.jit(team_features)(TeamState(table, robots, reach, jnp.asarray(0))), dtype=np.float64)
     assert FEATURES_VERSION == 1
     np.testing.assert_allclose(features @ np.cos(np.arange(features.shape[1])), PROBE, rtol=1e-4)
+
+
+def test_what_is_improved_upon_comes_back(written, logs, learner):
+    again, states = read_policy(written).policy, states_of(logs, 6)
+    assert (len(again.base.policies), float(again.caution)) == (2, float(learner.policy_.caution))
+    np.testing.assert_array_equal(decisions(again, states), decisions(learner.policy_, states))
+    np.testing.assert_array_equal(decisions(again.base, states), decisions(learner.policy_.base, states))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda alone: alone.pop(), "it tells of each of 2 robots"),
+        (lambda alone: alone[0].update(horizon=4), "asks for float32 of shape [4, "),
+        (lambda alone: alone[1].update(features={}), "the policy looks at features {}"),
+    ],
+)
+def test_a_record_of_what_is_improved_upon_that_does_not_fit_is_refused(written, change, message):
+    edit_alone(written, change)
+    assert message in told(written)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda arrays: arrays.pop("alone.1.coefficients"), "array 'coefficients' is missing"),
+        (lambda arrays: arrays.update({"alone.2.coefficients": arrays["coefficients"]}), "belongs to no robot"),
+        (lambda arrays: arrays.update(caution=np.float32([1.0, 2.0])), "caution is [1.0, 2.0]"),
+        (lambda arrays: arrays.update(caution=np.array(-1.0, np.float32)), "caution is -1.0"),
+    ],
+)
+def test_arrays_of_what_is_improved_upon_that_do_not_fit_are_refused(written, change, message):
+    edit_arrays(written, change)
+    assert message in told(written)
+
+
+def test_a_base_of_code_is_not_written(logs, learner, tmp_path):
+    of_code = replace(learner.policy_, base=UniformTeam())
+    with pytest.raises(ArgumentError, match="base is a UniformTeam, whose code a folder cannot hold"):
+        kind_named("team").arrays_of(of_code)

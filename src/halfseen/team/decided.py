@@ -5,12 +5,12 @@ import numpy as np
 from jaxtyping import Array, Int
 
 from halfseen.logs import Logs
-from halfseen.team.learned_policy import LinearTeamPolicy
+from halfseen.team.policy import TeamPolicy
 from halfseen.team.recording import states_of
 from halfseen.team.state import TeamState
 
 
-def decided(policy: LinearTeamPolicy, logs: Logs, horizon: int) -> Int[np.ndarray, "n T"]:
+def decided(policy: TeamPolicy, logs: Logs, horizon: int) -> Int[np.ndarray, "n T"]:
     """Action of a policy that draws nothing in every stage of a log; of no meaning where a path has no stage.
 
     Parameters
@@ -22,9 +22,10 @@ def decided(policy: LinearTeamPolicy, logs: Logs, horizon: int) -> Int[np.ndarra
     horizon
         T, the decisions of all robots together.
     """
-    return np.asarray(_decided(policy, states_of(logs, horizon)))
+    return np.asarray(decisions(policy, states_of(logs, horizon)))
 
 
 @jax.jit
-def _decided(policy: LinearTeamPolicy, states: TeamState) -> Int[Array, "n T"]:
+def decisions(policy: TeamPolicy, states: TeamState) -> Int[Array, "n T"]:
+    """Action of a policy that draws nothing in each of some states."""
     return jax.vmap(jax.vmap(lambda state: policy.decide(state, jax.random.key(0)).action))(states)

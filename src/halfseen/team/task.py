@@ -30,6 +30,7 @@ from halfseen.tables.grasp.choice import choose_by
 from halfseen.tables.variance_reduction import label_moves
 from halfseen.team.actions import WAIT, wait_of, worthwhile_actions
 from halfseen.team.attempts import team_attempts
+from halfseen.team.decided import decisions
 from halfseen.team.each_alone import learned_alone
 from halfseen.team.features import team_features
 from halfseen.team.learned_policy import LinearTeamPolicy
@@ -57,13 +58,6 @@ def _encoded(states: TeamState, grasp: GraspModel | None) -> tuple[jax.Array, ..
         return team_features(state, grasp), worthwhile_actions(state), washed[_DIRTY], washed[_EASE]
 
     return jax.vmap(jax.vmap(encode))(states)
-
-
-@jax.jit
-def _decided(policy: TeamPolicy, states: TeamState) -> Int[jax.Array, "n T"]:
-    """What a policy that draws nothing does in each state."""
-    key = jax.random.key(0)
-    return jax.vmap(jax.vmap(lambda state: policy.decide(state, key).action))(states)
 
 
 @dataclass(frozen=True)
@@ -101,6 +95,11 @@ class TeamTask:
     end_action = None
     is_shared = False
     is_joint = True
+
+    @property
+    def is_of_policy(self) -> bool:
+        """Whether Q is that of `base`."""
+        return self.base is not None
 
     @property
     def _is_open(self) -> bool:
@@ -167,7 +166,7 @@ class TeamTask:
         features[~is_state], is_possible[~is_state] = 0.0, False
         of_base = None
         if self._base is not None:
-            of_base = np.eye(is_possible.shape[-1])[np.asarray(_decided(self._base, states))]
+            of_base = np.eye(is_possible.shape[-1])[np.asarray(decisions(self._base, states))]
             of_base[~is_state] = 0.0
         is_possible[~is_state, 0] = True
         # What was done is possible, whatever a policy would choose from.
@@ -214,7 +213,7 @@ class TeamTask:
             *(single(learned.coefficients), self._model, seen, given(learned.margin), given(learned.behaviour)),
             num_robots=self.num_robots,
             base=self._base,
-            caution=0.0 if self._base is None or self.caution is None else self.caution,
+            caution=single(0.0 if self._base is None else self.caution),
         )
 
     def target_probabilities(self, policy: Any, logs: Logs, horizon: int) -> Float[np.ndarray, "n T A"]:

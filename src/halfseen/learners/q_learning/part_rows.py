@@ -159,7 +159,9 @@ def _choices(
     blocks: Int[np.ndarray, " A"],
     num_blocks: int,
 ) -> StateChoices:
-    row, action = np.nonzero(np.asarray(log.is_possible)[at] & is_state[:, None])
+    # Of what a policy that draws nothing does, and of that alone, the largest Q is its own.
+    is_choice = np.asarray(log.is_possible)[at] if log.policy is None else np.asarray(log.policy)[at] > 0
+    row, action = np.nonzero(is_choice & is_state[:, None])
     by_block = np.argsort(blocks[action], kind="stable")
     row, action = row[by_block], action[by_block]
     features = np.asarray(log.features)[at[0][row], at[1][row], action]

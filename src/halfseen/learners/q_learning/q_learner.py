@@ -253,7 +253,12 @@ class CensoredQLearner(Estimator):
             A parameter has a value that it cannot take.
         """
         task, is_fixed = self._task(), not _is_auto(self.censoring)
-        by_itself = automatic_pessimism(is_fixed, self.horizon)
+        by_itself = 0.0 if _is_of_policy(task) else automatic_pessimism(is_fixed, self.horizon)
+        if _is_of_policy(task) and not _is_auto(self.pessimism) and pessimism_of(self.pessimism) > 0:
+            raise ArgumentError(
+                f"pessimism is {self.pessimism}, but Q is that of a given policy, where no largest is sought; leave it "
+                "out, or learn Q of the best one (base=None)"
+            )
         return QModel(
             horizon=self.horizon,
             task=task,
@@ -310,6 +315,10 @@ class CensoredQLearner(Estimator):
             raise ArgumentError(f"{type(self.actions).__name__}'s own policy decides: ask policy_; or name the actions")
         check_fitted(self, "policy_")
         return self.policy_
+
+
+def _is_of_policy(task: Task) -> bool:
+    return bool(getattr(task, "is_of_policy", False))
 
 
 def _is_auto(value: Any) -> bool:

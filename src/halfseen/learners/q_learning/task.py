@@ -32,7 +32,7 @@ class Encoded(NamedTuple):
     outcome: Float[np.ndarray, "n T Z"] | None = None
     """What became of each stage, where the task's `reduce_variance` asks for more than the rest tells."""
     policy: Float[np.ndarray, "n T A"] | None = None
-    """π(a | S_t) of the policy whose Q is wanted, where that is not the best one's."""
+    """π(a | S_t) of the policy whose Q is wanted, 0 or 1; None for the best one's."""
 
     @property
     def taken(self) -> Float[np.ndarray, "n T F"]:
@@ -73,7 +73,8 @@ class Task(Protocol):
 
     A task that chooses something by the log may say what and why in `chosen`, a tuple of sentences. One whose features
     tell the kinds of actions apart by themselves, so that one block of coefficients serves them all, says so by
-    `is_joint`; `block_names` are then the kinds.
+    `is_joint`; `block_names` are then the kinds. One that encodes a policy whose Q is wanted, which then draws nothing,
+    says so by `is_of_policy`.
     """
 
     @property

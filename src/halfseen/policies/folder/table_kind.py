@@ -45,12 +45,9 @@ class TableKind:
         """Verbs, features, the prior of DIRTY that the log-odds of the log started from, what looks and verbs told."""
         paid = {verb: [part.least_rewards[verb] for part in facts if verb in part.least_rewards] for verb in _VERBS}
         return {
-            "horizon": len(policy.coefficients),
-            "actions": _VERBS,
-            "features": _FEATURES,
+            **schema_of(policy),
             "dirty_share": dirty_share([part.prior for part in facts]),
             "counts_views": any(part.counts_views for part in facts),
-            "seen": seen_verbs(_VERBS, policy.is_seen, len(policy.coefficients)),
             "least_rewards": {verb: min(least) for verb, least in paid.items() if least},
         }
 
@@ -80,12 +77,32 @@ class TableKind:
         PolicyError
             Its features are not those of this halfseen, its prior is none, or arrays do not fit.
         """
-        _check_schema(record)
-        check_arrays(arrays, Shape(horizon_of(record), len(Verb), NUM_FEATURES, np.float32), may_grasp=True)
-        on_device: Any = {name: jnp.asarray(array) for name, array in arrays.items()}
-        grasp, kernel_map, margin = grasp_of(on_device), kernel_map_of(on_device), on_device.get(MARGIN)
-        is_seen, behaviour = is_seen_of(_VERBS, record), on_device.get(BEHAVIOUR)
-        return LinearTablePolicy(on_device[COEFFICIENTS], grasp, kernel_map, is_seen, margin, behaviour)
+        policy = policy_in(record, arrays)
+        _check_facts(record)
+        return policy
+
+
+def schema_of(policy: LinearTablePolicy) -> dict[str, Any]:
+    """What a record tells of the arrays of a policy: verbs, features, and which verbs have a value."""
+    horizon = len(policy.coefficients)
+    seen = seen_verbs(_VERBS, policy.is_seen, horizon)
+    return {"horizon": horizon, "actions": _VERBS, "features": _FEATURES, "seen": seen}
+
+
+def policy_in(record: Mapping[str, Any], arrays: Arrays) -> LinearTablePolicy:
+    """Put a policy together again by what a record tells of its arrays alone.
+
+    Raises
+    ------
+    PolicyError
+        Its features are not those of this halfseen, or arrays do not fit.
+    """
+    _check_features(record)
+    check_arrays(arrays, Shape(horizon_of(record), len(Verb), NUM_FEATURES, np.float32), may_grasp=True)
+    on_device: Any = {name: jnp.asarray(array) for name, array in arrays.items()}
+    grasp, kernel_map, margin = grasp_of(on_device), kernel_map_of(on_device), on_device.get(MARGIN)
+    is_seen, behaviour = is_seen_of(_VERBS, record), on_device.get(BEHAVIOUR)
+    return LinearTablePolicy(on_device[COEFFICIENTS], grasp, kernel_map, is_seen, margin, behaviour)
 
 
 class TableFacts(NamedTuple):
@@ -108,7 +125,7 @@ def counts_views(logs: Logs) -> bool:
     return logs.objects is not None and "seen" in logs.objects.columns and bool((logs.objects["seen"] > 0.0).any())
 
 
-def _check_schema(record: Mapping[str, Any]) -> None:
+def _check_features(record: Mapping[str, Any]) -> None:
     schema = record["schema"]
     features = schema.get("features")
     if features != _FEATURES or schema.get("actions") != _VERBS:
@@ -116,6 +133,10 @@ def _check_schema(record: Mapping[str, Any]) -> None:
             f"the policy looks at features {features}, and this halfseen knows {_FEATURES}; use the halfseen that "
             f"wrote it ({record['versions'].get('halfseen')}), or learn the policy anew"
         )
+
+
+def _check_facts(record: Mapping[str, Any]) -> None:
+    schema = record["schema"]
     least_rewards = typed({"least_rewards": {}, **schema}, "least_rewards", dict, "an object")
     if not all(verb in _VERBS and isinstance(paid, float) for verb, paid in least_rewards.items()):
         raise PolicyError(f"least_rewards is {least_rewards}; it holds a number for each verb: learn the policy anew")

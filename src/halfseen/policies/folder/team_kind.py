@@ -13,6 +13,7 @@ from halfseen.policies.folder.arrays import Arrays, Shape, check_arrays, kernel_
 from halfseen.policies.folder.json_values import horizon_of, typed
 from halfseen.policies.folder.seen_tables import TABLE_RANGES, seen_tables
 from halfseen.policies.folder.table_parts import grasp_arrays, grasp_of, is_seen_of, seen_verbs
+from halfseen.policies.folder.team_base import base_arrays, base_of, base_schema, split_arrays
 from halfseen.tables.features import FEATURES_VERSION as TABLE_FEATURES_VERSION
 from halfseen.team.features import NUM_FEATURES
 from halfseen.team.learned_policy import LinearTeamPolicy
@@ -28,7 +29,7 @@ _FEATURES = {
     "version_of_tables": TABLE_FEATURES_VERSION,
     "number": NUM_FEATURES,
 }
-_OTHERWISE = ("grasp", "is_seen", "kernel_map")
+_OTHERWISE = ("grasp", "is_seen", "kernel_map", "base")
 _STATIC = tuple(field.name for field in fields(LinearTeamPolicy) if field.metadata.get("static"))
 _ARRAYS = tuple(field.name for field in fields(LinearTeamPolicy) if field.name not in (*_OTHERWISE, *_STATIC))
 """Fields of a policy that are told in ways of their own, in the schema by their names, and as arrays of their names."""
@@ -64,6 +65,7 @@ class TeamKind:
             "blocks": ["all actions"],
             "features": _FEATURES,
             "seen": seen_verbs(_VERBS, policy.is_seen, horizon),
+            **base_schema(policy.base),
         }
 
     def seen(self, logs: Logs, policy: LinearTeamPolicy, is_by_stage: bool) -> list[dict[str, Any]]:
@@ -75,16 +77,16 @@ class TeamKind:
         return TABLE_RANGES
 
     def arrays_of(self, policy: LinearTeamPolicy) -> dict[str, np.ndarray]:
-        """Every field that holds numbers, by its name, and the grasp model if there is one.
+        """Every field that holds numbers, by its name, and those of the grasp model and of the base if there are.
 
         Raises
         ------
         ArgumentError
-            The grasp model is no table of numbers.
+            The grasp model is no table of numbers, or the base is not each alone.
         """
         given = {name: getattr(policy, name) for name in _ARRAYS}
         others = {name: np.asarray(value) for name, value in given.items() if value is not None}
-        return policy_arrays(policy) | others | grasp_arrays(policy.grasp)
+        return policy_arrays(policy) | others | grasp_arrays(policy.grasp) | base_arrays(policy.base)
 
     def policy_of(self, record: Mapping[str, Any], arrays: Arrays) -> LinearTeamPolicy:
         """Put a policy together again.
@@ -96,13 +98,22 @@ class TeamKind:
         """
         _check_schema(record)
         shape = Shape(horizon_of(record), 1, NUM_FEATURES, np.float32)
+        arrays, of_base = split_arrays(arrays)
         check_arrays(arrays, shape, may_grasp=True, others=_ARRAYS)
+        _check_caution(arrays.get("caution"))
+        base = base_of(record, of_base)
         on_device: Any = {name: jnp.asarray(array) for name, array in arrays.items()}
-        given: dict[str, Any] = {name: on_device.get(name) for name in _ARRAYS}
+        given: dict[str, Any] = {name: on_device[name] for name in _ARRAYS if name in on_device}
         given |= {name: record["schema"][name] for name in _STATIC if name in record["schema"]}
         kernel_map = kernel_map_of(on_device)
         given |= {} if kernel_map is None else {"kernel_map": kernel_map}
-        return LinearTeamPolicy(**given, grasp=grasp_of(on_device), is_seen=is_seen_of(_VERBS, record))
+        is_seen = is_seen_of(_VERBS, record)
+        return LinearTeamPolicy(**given, grasp=grasp_of(on_device), is_seen=is_seen, base=base)
+
+
+def _check_caution(caution: np.ndarray | None) -> None:
+    if caution is not None and not (caution.shape == () and caution >= 0):
+        raise PolicyError(f"caution is {caution.tolist()}; it is one number, 0 or above: learn the policy anew")
 
 
 def _check_schema(record: Mapping[str, Any]) -> None:
