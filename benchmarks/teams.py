@@ -32,7 +32,7 @@ from halfseen.cell.calibration.shipped import shipped_law
 from halfseen.cell.tables_seen import tables_seen
 from halfseen.learners import CensoredQLearner
 from halfseen.planners.heuristics import GreedyPolicy
-from halfseen.team import EachAlone, ExploringTeam, MyopicTeam, Robot, Team, TeamWorld, alone
+from halfseen.team import EachAlone, ExploringTeam, MyopicTeam, Robot, Team, TeamWorld
 from halfseen.team.actions import WAIT, wait_of
 from halfseen.team.episodes import play
 from halfseen.team.rules import OneAtATime, ReservingTeam, RoundRobin
@@ -69,11 +69,8 @@ def rules(world):
 def learned(world, logs):
     """What is learned from a log: by the team, and by each robot from its own part."""
     num_robots = len(world.robots)
-    found = {ONE_Q: CensoredQLearner.for_team(num_robots).fit(logs).policy_}
-    if num_robots == 1:
-        return found
-    each = tuple(CensoredQLearner.for_table().fit(alone(logs, robot)).policy_ for robot in range(num_robots))
-    return found | {ALONE: EachAlone(each)}
+    policy = CensoredQLearner.for_team(num_robots).fit(logs).policy_
+    return {ONE_Q: policy} | ({ALONE: policy.base} if num_robots > 1 else {})
 
 
 def totals(world, layouts, policy, num_episodes):
