@@ -74,8 +74,10 @@ def _rows_of_begun(logs: Logs) -> Int[np.ndarray, " rows"]:
     """Row, among the objects, of the one that each stage's action is done to; −1 where it has none."""
     assert logs.objects is not None
     keys = list(_ROW)
-    rows = logs.objects[keys].assign(row=np.arange(len(logs.objects)))
-    return logs.stages[keys].merge(rows, on=keys, how="left")["row"].fillna(-1).to_numpy(dtype=np.int64)
+    # Where nothing was begun in any stage, the column of its objects has another type than theirs.
+    stages, objects = (frame[keys].astype({"object": object}) for frame in (logs.stages, logs.objects))
+    rows = objects.assign(row=np.arange(len(objects)))
+    return stages.merge(rows, on=keys, how="left")["row"].fillna(-1).to_numpy(dtype=np.int64)
 
 
 def check_doings(logs: Logs, decider: Int[np.ndarray, " rows"], does: Int[np.ndarray, "rows K 2"], free: int) -> None:
