@@ -102,6 +102,7 @@ SLOW = {
     "from-logs-to-a-policy",
     "physical-cell",
     "planners",
+    "several-robots",
     "times-that-were-cut",
     "watch",
     "what-looks-dirty",
