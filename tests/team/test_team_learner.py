@@ -74,7 +74,7 @@ def test_each_alone_is_left_where_q_promises_more_by_the_caution(logs, learned):
 
 
 def test_caution_is_in_units_of_reward(logs, learned):
-    assert learned.policy_.caution == pytest.approx(CAUTION * logs.stages["reward"].std(), rel=1e-6)
+    assert learned.policy_.caution == pytest.approx(CAUTION * logs.stages["reward"].std(ddof=0), rel=1e-6)
 
 
 def test_q_of_a_policy_is_not_lowered(logs):
@@ -88,8 +88,20 @@ def test_q_of_a_policy_is_not_lowered(logs):
 def test_a_base_that_is_given_is_improved_upon(logs):
     policy = CensoredQLearner.for_team(2, horizon=5, base=TeamOfRules(RULE), reg=0.1).fit(logs).policy_
     assert policy.base == TeamOfRules(RULE)
-    with pytest.raises(ArgumentError, match="base is 'each'; it is None, 'auto', or a policy of a team"):
-        CensoredQLearner.for_team(2, horizon=5, base="each").fit(logs)
+
+
+@pytest.mark.parametrize(
+    ("base", "error", "told"),
+    [
+        ("each", ArgumentError, "base is 'each'; it is None, 'auto', or a policy of a team"),
+        (RULE, PolicyError, "GreedyPolicy decides for one robot"),
+        (EachAlone((RULE,) * 3), PolicyError, "the policy is for 3 robots, and the team has 2"),
+        (ExploringTeam(TeamOfRules(RULE)), ArgumentError, "ExploringTeam draws its actions"),
+    ],
+)
+def test_a_base_that_is_none_of_this_team_is_refused(logs, base, error, told):
+    with pytest.raises(error, match=told):
+        CensoredQLearner.for_team(2, horizon=5, base=base).fit(logs)
 
 
 def test_q_is_of_the_best_policy_where_the_log_does_not_tell_each_robots_reward(logs):

@@ -33,6 +33,7 @@ from halfseen.team.attempts import team_attempts
 from halfseen.team.decided import decisions
 from halfseen.team.each_alone import learned_alone
 from halfseen.team.features import team_features
+from halfseen.team.fit import check_decides_for
 from halfseen.team.learned_policy import LinearTeamPolicy
 from halfseen.team.log_checks import begun_objects, robots_in
 from halfseen.team.policy import TeamPolicy
@@ -124,6 +125,8 @@ class TeamTask:
         ------
         ArgumentError
             What is given is no grasp model, or no policy of a team.
+        PolicyError
+            The base is for another number of robots.
         """
         return self._with_grasp(logs, horizon)._with_base(logs, horizon)
 
@@ -140,10 +143,11 @@ class TeamTask:
     def _with_base(self, logs: Logs, horizon: int) -> "TeamTask":
         if self.base is None:
             return self
-        caution = CAUTION * float(logs.stages["reward"].std()) if self.caution is None else self.caution
+        caution = CAUTION * float(logs.stages["reward"].std(ddof=0)) if self.caution is None else self.caution
         if not self._is_base_open:
             if isinstance(self.base, type) or not isinstance(self.base, TeamPolicy):
                 raise ArgumentError(f"base is {self.base!r}; it is None, 'auto', or a policy of a team")
+            check_decides_for(self.base, robots_in(logs))
             return replace(self, caution=caution)
         num_robots = robots_in(logs)
         try:
@@ -158,7 +162,15 @@ class TeamTask:
         return replace(self, base=base, caution=caution, chosen=(*self.chosen, told))
 
     def encode(self, logs: Logs, horizon: int) -> Encoded:
-        """Encode every stage of a log of a team, and what ended in it."""
+        """Encode every stage of a log of a team, what ended in it, and what the base would have done.
+
+        Raises
+        ------
+        ArgumentError
+            The base draws its actions.
+        LogError
+            An action is none of a team's, or a column is missing.
+        """
         states, verb, target, action = _read(logs, horizon, self.num_robots)
         features, is_possible, is_dirty, ease = (np.array(leaf) for leaf in _encoded(states, self._model))
         is_state = np.zeros((logs.num_paths, horizon), dtype=bool)
@@ -166,7 +178,7 @@ class TeamTask:
         features[~is_state], is_possible[~is_state] = 0.0, False
         of_base = None
         if self._base is not None:
-            of_base = np.eye(is_possible.shape[-1])[np.asarray(decisions(self._base, states))]
+            of_base = np.eye(is_possible.shape[-1])[decisions(self._base, states)]
             of_base[~is_state] = 0.0
         is_possible[~is_state, 0] = True
         # What was done is possible, whatever a policy would choose from.
