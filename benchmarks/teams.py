@@ -43,7 +43,7 @@ LEFT, RIGHT, BEHIND = Robot((-0.45, 0.8), 0.55), Robot((0.45, 0.8), 0.55), Robot
 TEAMS = {1: (Robot((0.0, 0.8), 0.8),), 2: (LEFT, RIGHT), 3: (LEFT, RIGHT, BEHIND)}
 LAWS = ("shipped", "assumed")
 RULES = ("rule, reserving", "one step ahead", "greedy, reserving", "rule, round robin", "rule, one at a time")
-ONE_Q, ALONE, RULE_ALONE = "learned, one Q", "learned, each alone", "rule, each alone"
+ONE_Q, BEST_Q, ALONE, RULE_ALONE = "learned, one Q", "learned, Q of the best", "learned, each alone", "rule, each alone"
 
 
 def setting(law, num_robots, price):
@@ -67,10 +67,13 @@ def rules(world):
 
 
 def learned(world, logs):
-    """What is learned from a log: by the team, and by each robot from its own part."""
+    """What is learned from a log: by the team, upon each alone and without it, and by each from its own part."""
     num_robots = len(world.robots)
     policy = CensoredQLearner.for_team(num_robots).fit(logs).policy_
-    return {ONE_Q: policy} | ({ALONE: policy.base} if num_robots > 1 else {})
+    if num_robots == 1:
+        return {ONE_Q: policy}
+    best = CensoredQLearner.for_team(num_robots, base=None).fit(logs).policy_
+    return {ONE_Q: policy, BEST_Q: best, ALONE: policy.base}
 
 
 def totals(world, layouts, policy, num_episodes):
@@ -174,7 +177,7 @@ def main():
     arguments.add_argument("--out", type=Path, default=Path("runs/benchmarks/teams.json"))
     given = arguments.parse_args()
     of_learners = len(given.paths) * len(given.cut) * given.logs
-    total = sum(len(given.price) * ((2 + of_learners) if k == 1 else (6 + 2 * of_learners)) for k in given.robots)
+    total = sum(len(given.price) * ((2 + of_learners) if k == 1 else (6 + 3 * of_learners)) for k in given.robots)
     with tqdm(total=total, unit="policy", mininterval=2) as bar:
         rows = [row for k, price in product(given.robots, given.price) for row in measured(given, k, price, bar)]
     place = f"{'robots':>6} {'price':>6} {'policy':22} {'paths':>5} {'cut':>4}"
