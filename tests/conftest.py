@@ -1,8 +1,10 @@
 """The tests compile more than they compute: XLA does not optimise here, and compiles each computation once for all."""
 
+import gc
 import os
 from pathlib import Path
 
+import pytest
 from hypothesis import settings
 
 # How long an example takes depends on what else the machine does. A run tries few of them, as there are many runs.
@@ -25,6 +27,20 @@ for name, value in {
 
 LONG = ("study", "planners", "q_learning", "tables", "docs", "examples")
 """Folders whose files take long: they start first, so that no process is left with one of them at the end."""
+
+MAPPED = Path("/proc/self/maps")
+MOST_MAPPED = 20_000
+"""Regions of memory after which compiled code is let go. Linux maps 65,530 for a process, and kills it at the next."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _room_for_compiled_code():
+    """Let go of what files before this one compiled, where there is much of it: each computation maps some memory."""
+    import jax
+
+    if MAPPED.exists() and MAPPED.read_bytes().count(b"\n") > MOST_MAPPED:
+        jax.clear_caches()
+        gc.collect()
 
 
 def pytest_collection_modifyitems(items):
