@@ -75,6 +75,15 @@ def test_it_ends_where_the_robot_does(team_logs, robot):
     assert own.objects["hidden_by"].map(len).eq(len(reached)).all()
 
 
+def test_a_last_attempt_that_waiting_made_the_last_is_cut_whoever_goes_home_meanwhile():
+    logs = logged(played(team_of(2, horizon=3), 600), 0.0)
+    for robot in (0, 1):
+        own = alone(logs, robot)
+        assert own.paths["cause"].eq(SPENT).sum() > 10
+        tried = attempts(own, 3).merge(own.paths[own.paths["cause"].eq(SPENT)], on="path")
+        assert not tried.groupby("path").tail(1)["is_finished"].any()
+
+
 def test_the_ordinary_learner_learns_from_it(team_logs):
     for robot in (0, 1):
         learner = CensoredQLearner.for_table(horizon=5, reg=1.0).fit(alone(team_logs, robot))

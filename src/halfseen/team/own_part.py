@@ -39,7 +39,7 @@ from halfseen.world.table_checks import TABLE, checked_objects
 SPENT = "decisions-spent"
 """Cause of a cut: waiting had cost the robot decisions that it would have had alone."""
 
-_WAIT = TEAM_VERBS[-1]
+_WAIT, _FINISH = TEAM_VERBS[-1], Verb.FINISH.name
 _ATTEMPTS = tuple(TEAM_VERBS[verb] for verb in TARGETED)
 _LEAST_S = 1e-6
 """What a wait to the end takes at least, so that the clock of one robot rises [s]."""
@@ -225,13 +225,15 @@ def _is_short(path: _TeamPath, runs: list[_Run]) -> bool:
 
 
 def _clears(path: _TeamPath) -> bool:
-    """Whether the path ended while somebody still had decisions: then the table was clear."""
+    """Whether the path ended while somebody that does not go home still had decisions: then the table was clear."""
     last = path.stages.iloc[path.first_row + len(path.does) - 1]
-    goes_on = [
-        last[f"{r}_decisions_to_go"] - (last["robot"] == r) > 0 and last[f"{r}_does"] not in (PARKED, OUT)
-        for r in range(sum(name.endswith("_does") for name in path.stages.columns))
-    ]
-    return any(goes_on)
+
+    def goes_on(robot: int) -> bool:
+        decides = last["robot"] == robot
+        does = last["action"] if decides else last[f"{robot}_does"]
+        return bool(last[f"{robot}_decisions_to_go"] > decides) and does not in (PARKED, OUT, _FINISH)
+
+    return any(goes_on(r) for r in range(sum(name.endswith("_does") for name in path.stages.columns)))
 
 
 def _own_stages(logs: Logs, rows: list[_Row]) -> pd.DataFrame:
@@ -245,7 +247,7 @@ def _own_stages(logs: Logs, rows: list[_Row]) -> pd.DataFrame:
     )
     is_wait = pd.Series([row.is_wait for row in rows])
     is_cut = own["elapsed_s"].isna()
-    own["action"] = own["action"].mask(is_wait & ~is_cut, Verb.FINISH.name).mask(is_wait & is_cut, None)
+    own["action"] = own["action"].mask(is_wait & ~is_cut, _FINISH).mask(is_wait & is_cut, None)
     return own
 
 
