@@ -10,7 +10,7 @@ one robot at a time [Bertsekas2021]_.
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -23,27 +23,25 @@ from halfseen.learners.q_learning.automatic import AUTO
 from halfseen.learners.q_learning.path_arrays import stage_places
 from halfseen.learners.q_learning.task import Encoded, LearnedQ, RewardedStages
 from halfseen.logs import Logs
-from halfseen.logs.refusal import refuse, shown, value_at
 from halfseen.tables.censoring_covariates import TABLE_COVARIATES, table_covariates
 from halfseen.tables.features import table_columns
 from halfseen.tables.grasp.choice import choose_by
 from halfseen.tables.variance_reduction import label_moves
-from halfseen.team.actions import WAIT, wait_of, worthwhile_actions
+from halfseen.team.actions import WAIT, worthwhile_actions
 from halfseen.team.attempts import team_attempts
 from halfseen.team.decided import decisions
 from halfseen.team.each_alone import learned_alone
 from halfseen.team.features import team_features
 from halfseen.team.fit import check_decides_for
 from halfseen.team.learned_policy import LinearTeamPolicy
-from halfseen.team.log_checks import begun_objects, robots_in
+from halfseen.team.log_checks import robots_in
 from halfseen.team.policy import TeamPolicy
-from halfseen.team.recording import TEAM_VERBS, states_of
+from halfseen.team.recording import TEAM_VERBS
 from halfseen.team.rewards import Pays, control_variates_of, outcomes_of, pays_of, shaped
 from halfseen.team.state import TeamState
 from halfseen.world.action_space import TARGETED, ActionSpace, Verb
 from halfseen.world.grasp_model import GraspModel
 
-_VERBS_IN_WORDS = "WASH or LIFT with an object, WAIT or FINISH without one"
 CAUTION = 0.4
 """By how much another action must be better than that of each alone, in standard deviations of a stage's reward."""
 _DIRTY, _EASE = 2, 4
@@ -135,7 +133,7 @@ class TeamTask:
             if self.grasp is not None and (isinstance(self.grasp, type) or not isinstance(self.grasp, GraspModel)):
                 raise ArgumentError(f"grasp is {self.grasp!r}; of a team it is None, 'auto', or a GraspModel")
             return self
-        read = _read(logs, horizon, self.num_robots)
+        read = read_log(logs, horizon, self.num_robots)
         most = int(np.asarray(read.states.robots.decisions_to_go).sum(axis=-1).max(initial=1))
         choice = choose_by(team_attempts(logs, read.states, read.verb, read.target), most)
         return replace(self, grasp=choice.grasp, chosen=(*self.chosen, choice.sentence))
@@ -171,7 +169,7 @@ class TeamTask:
         LogError
             An action is none of a team's, or a column is missing.
         """
-        states, verb, target, action = _read(logs, horizon, self.num_robots)
+        states, verb, target, action = read_log(logs, horizon, self.num_robots)
         features, is_possible, is_dirty, ease = (np.array(leaf) for leaf in _encoded(states, self._model))
         is_state = np.zeros((logs.num_paths, horizon), dtype=bool)
         is_state[stage_places(logs)] = True
@@ -233,51 +231,8 @@ class TeamTask:
         raise ArgumentError("policies of a team are not judged by logs yet; play them with halfseen.team.episodes")
 
 
-class _Read(NamedTuple):
-    states: TeamState
-    verb: Int[np.ndarray, "n T"]
-    target: Int[np.ndarray, "n T"]
-    action: Int[np.ndarray, "n T"]
-
-
-def _read(logs: Logs, horizon: int, num_robots: int | None) -> _Read:
-    """States of a log, and what was done.
-
-    Raises
-    ------
-    LogError
-        It is of another number of robots, or an action is none of a team's.
-    """
-    states, at = states_of(logs, horizon), stage_places(logs)
-    if num_robots not in (None, states.robots.num_robots):
-        raise LogError(
-            f"the log is of {states.robots.num_robots} robots, and it is to be learned for {num_robots}; give "
-            "the number of the log"
-        )
-    space = ActionSpace(states.table.num_objects)
-    action = np.zeros((logs.num_paths, horizon), dtype=np.int64)
-    action[at] = _actions(logs, space)
-    return _Read(states, np.asarray(space.verb(action)), np.asarray(space.target(action)), action)
-
-
 def _duration_s(logs: Logs, horizon: int) -> Float[np.ndarray, "n T"]:
     """Of each completed stage; 0 of all else [s]."""
     clock = np.full((logs.num_paths, horizon), np.nan)
     clock[stage_places(logs)] = logs.stages["elapsed_s"].to_numpy(dtype=np.float64, na_value=np.nan)
     return np.nan_to_num(np.diff(clock, axis=1, prepend=0.0))
-
-
-def _actions(logs: Logs, space: ActionSpace) -> Int[np.ndarray, " rows"]:
-    stages = logs.stages
-    verbs = pd.Index(TEAM_VERBS).get_indexer(stages["action"])
-    has_object, is_given = stages["object"].notna().to_numpy(), stages["action"].notna().to_numpy()
-    wrong = is_given & ((verbs < 0) | (np.isin(verbs, TARGETED) != has_object))
-
-    def unknown(row: int) -> str:
-        verb, target = (shown(value_at(stages, column, row)) for column in ("action", "object"))
-        return f"action {verb} of object {target} is none that a team knows; give {_VERBS_IN_WORDS}"
-
-    refuse(stages, wrong, unknown)
-    target = np.maximum(begun_objects(logs), 0)
-    codes = space.encode(np.maximum(verbs, 0), target)
-    return np.select([np.isin(verbs, TARGETED), verbs == WAIT], [codes, wait_of(space.num_objects)], 0)
