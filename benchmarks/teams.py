@@ -1,9 +1,11 @@
 """What several robots earn and how long they take: one Q for the team, each alone, rules, beside one robot.
 
 python benchmarks/teams.py [--robots 1 2] [--paths 800] [--cut 0.5] [--price 0 -0.05] [--logs 3] [--episodes 4000]
-                           [--law shipped] [--out runs/benchmarks/teams.json]
+                           [--law shipped] [--without "learned, Q of the best"] [--out runs/benchmarks/teams.json]
 
-The study of several robots: --robots 1 2 3 --paths 200 800 3200 --cut 0 0.5 --price -0.05 --logs 5
+The study of several robots (two hours on two cores):
+    python benchmarks/teams.py --robots 1 2 3 --paths 100 400 1600 --cut 0 0.5 --price -0.05 --logs 4 --episodes 1000
+                               --without "learned, Q of the best" --out runs/benchmarks/team_study.json
 
 The ten shipped tables under the law of the shipped cell, or under the laws that the package assumes. One robot
 reaches everything; two stand to the left and to the right and share the middle; a third stands behind. Each log is
@@ -66,14 +68,16 @@ def rules(world):
     return found | {RULE_ALONE: EachAlone((rule,) * len(world.robots))}
 
 
-def learned(world, logs):
+def learned(world, logs, without=()):
     """What is learned from a log: by the team, upon each alone and without it, and by each from its own part."""
     num_robots = len(world.robots)
     policy = CensoredQLearner.for_team(num_robots).fit(logs).policy_
     if num_robots == 1:
         return {ONE_Q: policy}
-    best = CensoredQLearner.for_team(num_robots, base=None).fit(logs).policy_
-    return {ONE_Q: policy, BEST_Q: best, ALONE: policy.base}
+    found = {ONE_Q: policy, ALONE: policy.base}
+    if BEST_Q not in without:
+        found[BEST_Q] = CensoredQLearner.for_team(num_robots, base=None).fit(logs).policy_
+    return found
 
 
 def totals(world, layouts, policy, num_episodes):
@@ -106,7 +110,7 @@ def measured(given, num_robots, price, bar):
         judge(name, policy)
     for size, cut, log in product(given.paths, given.cut, range(given.logs)):
         logs = world.simulate(scenes, behaviour, size, seed=SEED + log, cut_share=cut)
-        for name, policy in learned(world, logs).items():
+        for name, policy in learned(world, logs, given.without).items():
             judge(name, policy, paths=size, cut=cut, log=log)
     return rows
 
@@ -165,6 +169,13 @@ def what_coordination_buys(rows):
         yield told
 
 
+def store(given, rows):
+    """What was measured so far."""
+    given.out.parent.mkdir(parents=True, exist_ok=True)
+    told = {"seed": SEED, "episodes": given.episodes, "law": given.law, "rows": rows}
+    given.out.write_text(json.dumps(told, indent=1))
+
+
 def main():
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("--robots", type=int, nargs="+", default=[1, 2], choices=TEAMS)
@@ -173,13 +184,18 @@ def main():
     arguments.add_argument("--price", type=float, nargs="+", default=[0.0, -0.05])
     arguments.add_argument("--logs", type=int, default=3)
     arguments.add_argument("--episodes", type=int, default=4000)
+    arguments.add_argument("--without", nargs="*", default=[], choices=[BEST_Q], help="what is not to be learned")
     arguments.add_argument("--law", choices=LAWS, default=LAWS[0])
     arguments.add_argument("--out", type=Path, default=Path("runs/benchmarks/teams.json"))
     given = arguments.parse_args()
     of_learners = len(given.paths) * len(given.cut) * given.logs
-    total = sum(len(given.price) * ((2 + of_learners) if k == 1 else (6 + 3 * of_learners)) for k in given.robots)
+    of_team = 6 + (3 - len(given.without)) * of_learners
+    total = sum(len(given.price) * ((2 + of_learners) if k == 1 else of_team) for k in given.robots)
+    rows = []
     with tqdm(total=total, unit="policy", mininterval=2) as bar:
-        rows = [row for k, price in product(given.robots, given.price) for row in measured(given, k, price, bar)]
+        for k, price in product(given.robots, given.price):
+            rows += measured(given, k, price, bar)
+            store(given, rows)
     place = f"{'robots':>6} {'price':>6} {'policy':22} {'paths':>5} {'cut':>4}"
     print(f"{place} {'points':>14} {'unpriced':>9} {'s':>6} {'shared':>6}")
     for row in summed(rows):
@@ -190,10 +206,6 @@ def main():
             f"{row['seconds']:>6.1f} {row['shared']:>6.1f}"
         )
     print(*what_coordination_buys(rows), sep="\n")
-    given.out.parent.mkdir(parents=True, exist_ok=True)
-    given.out.write_text(
-        json.dumps({"seed": SEED, "episodes": given.episodes, "law": given.law, "rows": rows}, indent=1)
-    )
 
 
 if __name__ == "__main__":
