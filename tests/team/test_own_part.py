@@ -217,3 +217,51 @@ def test_own_rewards_add_up_to_the_teams_where_reaches_are_apart():
         assert len(whole) > 50
         paid = own.stages.groupby("path")["reward"].sum()[whole]
         np.testing.assert_allclose(paid, logs.stages.groupby("path")[f"{r}_reward"].sum()[whole], atol=1e-9)
+
+
+def with_reach(logs, is_reached):
+    """The same log, where a robot reaches an object of a stage as `is_reached` of the row has it."""
+    reached_by = [
+        sorted({robot for robot in each if robot != 0} | ({0} if is_in else set()))
+        for each, is_in in zip(logs.objects["reached_by"], is_reached, strict=True)
+    ]
+    return Logs(logs.stages, logs.paths, logs.objects.assign(reached_by=reached_by))
+
+
+def test_what_it_no_longer_reaches_is_lost_to_it_and_comes_back(team_logs):
+    """In a cell an arm may find that it cannot get at something until what stands around it changes."""
+    stages, objects = team_logs.stages, team_logs.objects
+    begun = set(stages.loc[stages["robot"] == 0, ["path", "stage", "object"]].itertuples(index=False, name=None))
+    keys = list(objects[["path", "stage", "object"]].itertuples(index=False, name=None))
+    rng = np.random.default_rng(0)
+    is_reached = np.array([0 in by for by in objects["reached_by"]])
+    is_reached &= np.array([key in begun for key in keys]) | (rng.random(len(keys)) < 0.7)
+    own = alone(with_reach(team_logs, is_reached), 0)
+    now, seen = dict(zip(keys, is_reached.tolist(), strict=True)), set()
+    location = dict(zip(keys, objects["location"], strict=True))
+    # By plain loops: the stages of the team in which it decided on what is in its log.
+    expected = {}
+    for path, stage, target in keys:
+        if now[path, stage, target]:
+            seen.add((path, target))
+        if (path, target) in seen:
+            is_lost = location[path, stage, target] == "TABLE" and not now[path, stage, target]
+            expected[path, stage, target] = "LOST" if is_lost else location[path, stage, target]
+    decided = {path: rows["stage"].tolist() for path, rows in stages[stages["robot"] == 0].groupby("path")}
+    waits = set(stages.loc[stages["action"] == "WAIT", ["path", "stage"]].itertuples(index=False, name=None))
+    told = {}
+    for path, rows in own.objects.groupby("path"):
+        of_team = [stage for stage in decided[path] if (path, stage) not in waits]
+        own_stages = own.stages.loc[own.stages["path"] == path, "action"]
+        if own_stages.isin(["WASH", "LIFT"]).all():
+            for row in rows.itertuples():
+                told[path, of_team[row.stage - 1], row.object] = row.location
+    assert len(told) > 100
+    assert told == {key: expected[key] for key in told}
+    assert {"LOST", "TABLE", "DISHWASHER"} == set(told.values())
+    back = own.objects.groupby(["path", "object"])["location"].agg(list)
+    assert any("LOST" in each and "TABLE" in each[each.index("LOST") :] for each in back)
+    assert (
+        own.objects["hidden_by"].map(len).eq(own.objects.groupby(["path", "stage"])["object"].transform("size")).all()
+    )
+    CensoredQLearner.for_table(horizon=5, reg=1.0).fit(own)

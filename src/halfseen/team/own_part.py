@@ -2,8 +2,9 @@
 
 Its stages are its own decisions, but for WAIT, which a robot alone does not have: while it waits, its clock stands and
 nothing is paid. A stage lasts from its decision to its next one, or to its end; it pays what r_reward tells for the
-time between (`team.recording`). Its table holds what it reaches, with its own attempts; what others take from there is
-in the dishwasher, and what hides something from outside its reach is not in its table.
+time between (`team.recording`). Its table holds what it has reached so far, with its own attempts; what others take
+from there is in the dishwasher, what it no longer reaches is lost to it as long as that lasts, and what hides something
+from outside its reach is not in its table.
 
 Its path ends
 
@@ -34,7 +35,7 @@ from halfseen.logs.robot_checks import robots_that_may_drop_out
 from halfseen.team.log_checks import ATTEMPT_BY
 from halfseen.team.recording import FREE, OUT, PARKED, TEAM_VERBS, told_by
 from halfseen.world.action_space import TARGETED, Verb
-from halfseen.world.table_checks import TABLE, checked_objects
+from halfseen.world.table_checks import LOST, TABLE, checked_objects
 
 SPENT = "decisions-spent"
 """Cause of a cut: waiting had cost the robot decisions that it would have had alone."""
@@ -258,13 +259,16 @@ def _ending(path: _TeamPath, end_s: float, is_finished: bool, is_out: bool, is_s
 
 
 def _objects_in_reach(objects: pd.DataFrame, is_reached: Bool[np.ndarray, " rows"]) -> pd.DataFrame:
-    """What the robot reaches; what hides it, too, as far as it is reached."""
+    """What the robot has reached so far, lost where it does not now; what hides it, too, as far as that was reached."""
     in_stage = objects.groupby(["path", "stage"], sort=False)["object"].transform("size").to_numpy()
     begin = np.arange(len(objects)) - objects.groupby(["path", "stage"], sort=False).cumcount().to_numpy()
-    mine = objects[is_reached].reset_index(drop=True)
-    spans = zip(begin[is_reached].tolist(), in_stage[is_reached].tolist(), strict=True)
+    of_object = [objects["path"], objects["object"]]
+    was_reached = pd.Series(is_reached, index=objects.index).groupby(of_object).cummax().to_numpy(dtype=bool)
+    is_lost = (objects["location"] == TABLE) & ~is_reached
+    mine = objects.assign(location=objects["location"].mask(is_lost, LOST))[was_reached].reset_index(drop=True)
+    spans = zip(begin[was_reached].tolist(), in_stage[was_reached].tolist(), strict=True)
     hidden_by = [
-        np.asarray(each)[is_reached[first : first + size]]
+        np.asarray(each)[was_reached[first : first + size]]
         for each, (first, size) in zip(mine["hidden_by"], spans, strict=True)
     ]
     return mine.drop(columns=["reached_by", "near", ATTEMPT_BY], errors="ignore").assign(hidden_by=hidden_by)
