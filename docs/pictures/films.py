@@ -43,7 +43,8 @@ def _played(policy: str, seed: int, num_arms: int) -> Table:
     from halfseen.cell.film import Film
     from halfseen.cell.several.team_episode import play_team
     from halfseen.cli.arms import robot_for, stations_for
-    from halfseen.cli.cell_run import belief_of, policy_of, team_policy_of
+    from halfseen.cli.cell_policies import policy_of, team_policy_of
+    from halfseen.cli.cell_run import belief_of
     from halfseen.cli.laws import SHIPPED
     from halfseen.logs import LogRecorder
 
@@ -62,7 +63,7 @@ def _played(policy: str, seed: int, num_arms: int) -> Table:
         path = recorder.begin_path(table)
         key = jax.random.fold_in(jax.random.key(seed), table)
         if stations:
-            team = team_policy_of(policy, 0.0, belief.config)
+            team = team_policy_of(policy, 0.0, belief.config, num_arms)
             run = play_team(cell, is_dirty, team, belief, path, key, on_decision=follow)
         else:
             run = play(cell, is_dirty, policy_of(policy, 0.0, belief.config), belief, path, key, on_decision=follow)

@@ -27,11 +27,11 @@ def test_a_policy_or_a_law_that_is_not_there(refused, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_two_arms_follow_a_rule_of_thumb_and_are_of_the_usual_kind(refused, tmp_path):
+def test_two_arms_are_of_the_usual_kind(refused, tmp_path):
     out = ["--out", tmp_path / "logs"]
-    line = refused("cell", "run", "--policy", "planner", "--arms", 2, *out)
-    assert "none that decides for two arms" in line
-    assert "history-penalty" in line
+    line = refused("cell", "run", "--policy", "planer", "--arms", 2, *out)
+    assert "--policy planer: there is no such folder" in line
+    assert "did you mean 'planner'?" in line
     arm = tmp_path / "arm.xml"
     arm.write_text("<mujoco/>")
     assert "--arm" in refused("cell", *RUN, "--arms", 2, "--arm", arm, *out)
@@ -109,5 +109,6 @@ def test_a_policy_of_other_things_than_tables(refused, tmp_path):
     fixed = {"q_function": "linear", "censoring": "kaplan-meier", "stages": "separate", "reg": 0.1, "pessimism": 0.0}
     learner = CensoredQLearner(horizon=1, actions=["A", "B"], covariates=["x"], **fixed).fit(logs)
     write_policy(learner, logs, tmp_path / "policy")
-    line = refused("cell", "run", "--policy", tmp_path / "policy", "--out", tmp_path / "logs")
-    assert "no policy of tables" in line
+    words = ["cell", "run", "--policy", tmp_path / "policy", "--out", tmp_path / "logs"]
+    assert "no policy of tables" in refused(*words)
+    assert "it decides for no table, and 2 arms clear the table; learn one from" in refused(*words, "--arms", 2)

@@ -73,7 +73,7 @@ def test_a_mistyped_column_gets_the_one_that_was_meant(refused, flat, tmp_path, 
 
 
 def test_a_mistyped_opponent_and_policy_get_the_names_that_were_meant(refused, tmp_path):
-    from halfseen.cli.cell_run import policy_of
+    from halfseen.cli.cell_policies import policy_of
     from halfseen.errors import ArgumentError, PolicyError
     from halfseen.evaluation.opponents import opponents_of
     from halfseen.world import WorldConfig

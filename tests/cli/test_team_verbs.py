@@ -9,16 +9,19 @@ import pytest
 from click.testing import CliRunner
 
 from halfseen.cli import halfseen
+from halfseen.cli.cell_policies import team_policy_of
+from halfseen.errors import PolicyError
 from halfseen.learners import CensoredQLearner
 from halfseen.logs import Logs, read_logs
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.policies.folder import read_policy, write_policy
 from halfseen.scene import table_paths
-from halfseen.team import ExploringTeam, TeamWorld, UniformTeam, alone, read_team
+from halfseen.team import ExploringTeam, MyopicTeam, TeamWorld, UniformTeam, alone, read_team
 from halfseen.team.actions import WAIT
 from halfseen.team.log_checks import most_decisions, robots_in
 from halfseen.team.named import named_team
 from halfseen.team.recording import TEAM_VERBS, states_of
+from halfseen.team.rollout import RolloutTeam
 from halfseen.team.rules import ReservingTeam
 from halfseen.world import WorldConfig
 from small_logs import flat_log, table_log
@@ -83,8 +86,21 @@ def test_simulate_records_what_the_library_does(folder, recorded):
     )
 
 
+def test_a_cell_takes_the_policy_of_as_many_arms(folder, learned):
+    config, name = WorldConfig(horizon=3), str(folder / "policy")
+    stored = read_policy(name).policy
+    for ours, theirs in zip(*map(jax.tree.leaves, (team_policy_of(name, 0.0, config, 2), stored)), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    mixed = team_policy_of(name, 0.25, config, 2)
+    assert isinstance(mixed, ExploringTeam)
+    assert mixed.random_share == 0.25
+    with pytest.raises(PolicyError, match="it decides for a team of 2, and here are 3 arms; learn one from logs of 3"):
+        team_policy_of(name, 0.0, config, 3)
+
+
 def test_names_of_rules_are_those_of_one_robot(folder):
     config = TeamWorld.of(read_team(folder / "two.toml")).team_config
+    assert named_team("planner", config) == RolloutTeam(config, MyopicTeam(config))
     assert isinstance(named_team("uniform", config, 0.5), UniformTeam)
     assert named_team("greedy", config) == ReservingTeam(config, GreedyPolicy(config.world))
     mixed = named_team("history-penalty", config, 0.25)
@@ -200,6 +216,18 @@ def test_evaluate_plays_the_team_beside_the_rules(folder, learned):
         ),
         (["evaluate", "table-policy", "--world", "--team", "two.toml"], "for one robot by itself, and two.toml has a"),
         (["report", "logs", "policy", "--out", "new.html"], "the policy decides for a team of 2 robots"),
+        (
+            ["cell", "run", "--policy", "policy", "--out", "new"],
+            "policy: it decides for a team of 2 robots, and one arm",
+        ),
+        (
+            ["cell", "run", "--policy", "policy", "--arms", "2", "--out", "new"],
+            "policy: it was learned for 3 decisions of each robot, and each arm here has 10; learn it with a horizon",
+        ),
+        (
+            ["cell", "run", "--policy", "table-policy", "--arms", "2", "--out", "new"],
+            "table-policy: it decides for one robot by itself, and 2 arms clear the table; learn one from logs of 2",
+        ),
         (["report", "logs", "table-policy", "--out", "new.html"], "the log is of a team of 2, and the policy decides"),
     ],
 )

@@ -2,7 +2,7 @@
 
 import pytest
 
-from halfseen.cli import cell_run
+from halfseen.cli import cell_policies
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.planners.named import HEURISTICS, PLANNER, UNIFORM, named_policy
 from halfseen.planners.pomdp import POMDPPolicy
@@ -29,4 +29,4 @@ def test_others_go_by_names_too():
 def test_the_study_and_the_cell_know_the_same_names():
     assert [each.name for each in CONTENDERS] == list(HEURISTICS)
     assert [each.policy(CONFIG) for each in CONTENDERS] == [named_policy(name, CONFIG) for name in HEURISTICS]
-    assert (*HEURISTICS, PLANNER) == cell_run.NAMES
+    assert (*HEURISTICS, PLANNER) == cell_policies.NAMES

@@ -7,7 +7,8 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.arms import arm_options, num_arms_option, robot_for, stations_for
-from halfseen.cli.cell_run import belief_of, policy_of, policy_option, team_policy_of
+from halfseen.cli.cell_policies import policy_of, policy_option, team_policy_of
+from halfseen.cli.cell_run import belief_of
 from halfseen.cli.laws import SHIPPED, law_option
 from halfseen.cli.opengl import start_opengl
 from halfseen.progress import Progress
@@ -70,7 +71,7 @@ def film(
         with TemporaryDirectory() as folder, LogRecorder(folder) as recorder:
             path = recorder.begin_path(table)
             if stations:
-                team = team_policy_of(name, 0.0, belief.config)
+                team = team_policy_of(name, 0.0, belief.config, num_arms)
                 run = play_team(cell, is_dirty, team, belief, path, key, on_decision=follow)
             else:
                 policy = policy_of(name, 0.0, belief.config)

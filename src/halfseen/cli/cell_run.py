@@ -11,25 +11,19 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.arms import arm_options, num_arms_option, robot_for, stations_for
+from halfseen.cli.cell_policies import policy_of, policy_option, team_policy_of
 from halfseen.cli.following import follow_options, following
 from halfseen.cli.laws import SHIPPED, law_folder, law_option
 from halfseen.cli.messages import tell_warning
 from halfseen.cli.opengl import load_mujoco
 from halfseen.cli.workers import worker_options
-from halfseen.planners.named import HEURISTICS, PLANNER, exploring, named_policy
 from halfseen.progress import Progress
-from halfseen.suggestions import did_you_mean
 
 if TYPE_CHECKING:
     from halfseen.cell.table_state import Belief
     from halfseen.team.policy import TeamPolicy
     from halfseen.workers import Workers
-    from halfseen.world import Policy, WorldConfig
-
-NAMES = (*HEURISTICS, PLANNER)
-policy_option = click.option(
-    "--policy", "name", required=True, help=f"Who decides: the folder of a policy of tables, or {', '.join(NAMES)}."
-)
+    from halfseen.world import Policy
 
 
 @click.command(epilog="Example: halfseen cell run --policy history-penalty --tables 50 --out logs")
@@ -75,8 +69,8 @@ def run(
 
     The same seed gives every policy the same tables. What comes of it stands beside what the simulated world foretells
     for them under the law. A run that was stopped goes on where it was, if it is called again. --watch and --record
-    follow the tables in one process; tables that were over before are not shown. Two arms follow a rule of thumb, which
-    decides for the one that is free; the ten steps are each arm's.
+    follow the tables in one process; tables that were over before are not shown. Two arms follow the policy of a team,
+    which decides for the one that is free; the ten steps are each arm's.
     """
     load_mujoco()
     from halfseen.cell.campaign import Campaign, Conditions, logs_of, working_folder
@@ -91,7 +85,11 @@ def run(
     stations = stations_for(num_arms, arm)
     robot, arm_name = robot_for(arm, flange, joints)
     belief = belief_of(law, arm_name)
-    policy = (team_policy_of if stations else policy_of)(name, random_share, belief.config)
+    policy: Policy | TeamPolicy = (
+        team_policy_of(name, random_share, belief.config, num_arms)
+        if stations
+        else policy_of(name, random_share, belief.config)
+    )
     conditions = Conditions(robot=robot, stations=stations, stops=Stops() if stops else None)
     told = f"policy {name}{_digest(Path(name))}, law {law}{_digest(law_folder(law))}"
     what = f"run, seed {seed}, {told}, stops {stops}, random share {random_share}"
@@ -143,51 +141,6 @@ def belief_of(name: str, arm_name: str) -> "Belief":
         tell_warning(f"{folder}: the law is of the arm {its}, and works here for {arm_name}")
     law = stored.law
     return Belief(law.config(), law.grip)
-
-
-def policy_of(name: str, random_share: float, config: "WorldConfig") -> "Policy":
-    """The policy of a name or a folder."""
-    if name in NAMES:
-        return named_policy(name, config, random_share)
-    return exploring(_stored(name, config), random_share)
-
-
-def team_policy_of(name: str, random_share: float, config: "WorldConfig") -> "TeamPolicy":
-    """The policy of a name, for several arms."""
-    from halfseen.errors import ArgumentError
-    from halfseen.planners.heuristics import GreedyPolicy
-    from halfseen.team.policy import ExploringTeam
-    from halfseen.team.rules import TeamOfRules
-
-    if name not in HEURISTICS:
-        raise ArgumentError(
-            f"--policy is {name}, which is none that decides for two arms; name one of {', '.join(HEURISTICS)}"
-            f"{did_you_mean(name, tuple(HEURISTICS))}"
-        )
-    team = TeamOfRules(GreedyPolicy(config, *HEURISTICS[name]))
-    return ExploringTeam(team, random_share) if random_share else team
-
-
-def _stored(folder: str, config: "WorldConfig") -> "Policy":
-    from halfseen.errors import PolicyError
-    from halfseen.policies import read_policy
-    from halfseen.policies.of_team import refuse_team
-
-    if not Path(folder).exists():
-        there = f"there is no such folder; let `halfseen learn` write one, or name one of {', '.join(NAMES)}"
-        raise PolicyError(f"--policy {folder}: {there}{did_you_mean(folder, NAMES)}")
-    stored = read_policy(folder)
-    refuse_team(stored, "and one arm clears the table; give a policy of one robot", folder)
-    if not stored.is_table:
-        raise PolicyError(
-            f"{folder}: it is no policy of tables; learn one from logs of tables, as of `halfseen cell run`"
-        )
-    if stored.horizon != config.horizon:
-        raise PolicyError(
-            f"{folder}: it was learned for {stored.horizon} stages, and a table here has {config.horizon}; learn it "
-            f"with a horizon of {config.horizon}"
-        )
-    return stored.policy
 
 
 def _lines(report: dict[str, Any]) -> list[str]:

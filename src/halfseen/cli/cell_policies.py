@@ -1,0 +1,93 @@
+"""``--policy`` of a cell: who decides there, by a name or a folder, for one arm or for several."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from halfseen.planners.named import HEURISTICS, PLANNER, exploring, named_policy
+from halfseen.suggestions import did_you_mean
+
+if TYPE_CHECKING:
+    from halfseen.policies.folder import StoredPolicy
+    from halfseen.team.policy import TeamPolicy
+    from halfseen.world import Policy, WorldConfig
+
+NAMES = (*HEURISTICS, PLANNER)
+policy_option = click.option(
+    "--policy",
+    "name",
+    required=True,
+    help=f"Who decides: the folder of a policy of tables, of two arms that of a team's, or {', '.join(NAMES)}.",
+)
+
+
+def policy_of(name: str, random_share: float, config: "WorldConfig") -> "Policy":
+    """Find the policy of one arm.
+
+    Parameters
+    ----------
+    name
+        One of `NAMES`, or a folder.
+    random_share
+        Probability that a step takes an action uniformly at random instead.
+    config
+        The world that the arm believes in.
+
+    Raises
+    ------
+    PolicyError
+        There is no such folder, or the policy in it decides for something else.
+    """
+    if name in NAMES:
+        return named_policy(name, config, random_share)
+    from halfseen.errors import PolicyError
+    from halfseen.policies.of_team import refuse_team
+
+    stored = _stored(name)
+    refuse_team(stored, "and one arm clears the table; give a policy of one robot", name)
+    if not stored.is_table:
+        raise PolicyError(
+            f"{name}: it is no policy of tables; learn one from logs of tables, as of `halfseen cell run`"
+        )
+    if stored.horizon != config.horizon:
+        raise PolicyError(
+            f"{name}: it was learned for {stored.horizon} stages, and a table here has {config.horizon}; learn it "
+            f"with a horizon of {config.horizon}"
+        )
+    return exploring(stored.policy, random_share)
+
+
+def team_policy_of(name: str, random_share: float, config: "WorldConfig", num_arms: int) -> "TeamPolicy":
+    """Find the policy of several arms, whose seconds cost nothing; parameters and errors as in `policy_of`."""
+    from halfseen.errors import PolicyError
+    from halfseen.team.config import TeamConfig
+    from halfseen.team.named import exploring_team, named_team
+
+    if name in NAMES:
+        return named_team(name, TeamConfig(config, speed=(1.0,) * num_arms), random_share)
+    stored = _stored(name)
+    remedy = f"learn one from logs of {num_arms} arms, as of `halfseen cell run --arms {num_arms}`"
+    if stored.num_robots is None:
+        what = "one robot by itself" if stored.is_table else "no table"
+        raise PolicyError(f"{name}: it decides for {what}, and {num_arms} arms clear the table; {remedy}")
+    if stored.num_robots != num_arms:
+        raise PolicyError(
+            f"{name}: it decides for a team of {stored.num_robots}, and here are {num_arms} arms; {remedy}"
+        )
+    if stored.horizon != num_arms * config.horizon:
+        raise PolicyError(
+            f"{name}: it was learned for {stored.horizon // num_arms} decisions of each robot, and each arm here has "
+            f"{config.horizon}; learn it with a horizon of {config.horizon}"
+        )
+    return exploring_team(stored.policy, random_share)
+
+
+def _stored(folder: str) -> "StoredPolicy":
+    from halfseen.errors import PolicyError
+    from halfseen.policies import read_policy
+
+    if not Path(folder).exists():
+        there = f"there is no such folder; let `halfseen learn` write one, or name one of {', '.join(NAMES)}"
+        raise PolicyError(f"--policy {folder}: {there}{did_you_mean(folder, NAMES)}")
+    return read_policy(folder)
