@@ -104,6 +104,11 @@ class Shift(ABC):
     def known(self, step: int) -> tuple[TableState | TeamState, list[Row]]:
         """Give the state that is decided in, and its objects as a log has them."""
 
+    @property
+    @abstractmethod
+    def decider(self) -> int | None:
+        """Of several robots, the number of the one that decides next; None of one."""
+
     @abstractmethod
     def covariates(self) -> Row:
         """Give what else a log has of the stage that begins."""
@@ -156,7 +161,7 @@ def cleared(
                 account.truth.add_to(rows, cell)
             table, drawn_from = state.table if isinstance(state, TeamState) else state, jax.random.fold_in(key, step)
             chosen, chance = _chosen(policy, state, table.num_objects, drawn_from)
-            path.begin_stage(shift.covariates(), rows, chosen.name, chosen.acted_on, chance)
+            path.begin_stage(shift.covariates(), rows, chosen.name, chosen.acted_on, chance, shift.decider)
             account.decide(chosen.name)
             on_decision(_moment(step, table, chosen, shift.begin(chosen, rows), drawn_from))
             is_over = shift.go_on() or step + 1 == shift.num_decisions

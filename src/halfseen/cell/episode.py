@@ -73,6 +73,10 @@ class _OneRobot(Shift):
         memory = self.cell.memory
         return state_of(memory, self._belief, self.num_decisions - step), rows_of(memory, self._belief)
 
+    @property
+    def decider(self) -> None:
+        return None
+
     def covariates(self) -> Row:
         return {}
 

@@ -9,9 +9,11 @@ Events, with the clock `at_s` of the path [s]:
 ==========  ===========================================================================================================
 journal     the first line: format and version
 session     a recorder was opened; a path in progress above it was torn; ``reward_unit`` where the recorder was told it
-stage       a stage began: path, stage, covariates, objects, action, object, probability; the first also has ``columns``
+stage       a stage began: path, stage, covariates, objects, robot, action, object, probability; the first also has
+            ``columns``
 done        the stage in progress was completed: reward; ``is_given`` where the clock was given, not read
 running     the path was still in progress
+out         one of several robots dropped out: robot, cause
 finished    the path reached its own end
 cut         the path was cut: cause
 ==========  ===========================================================================================================

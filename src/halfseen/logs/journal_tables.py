@@ -8,7 +8,8 @@ count the path as at risk until its cut. Were the stage kept as completed, what 
 
 Where clocks are given, no time passes between two stages. Such a cut then stands just before the completion that it
 takes back: at equal times completions come before cuts, and a cut that stood at that time would leave the completion
-of this path unseen and unaccounted for.
+of this path unseen and unaccounted for. Of several robots, it takes back all stages that were completed at that time,
+and whatever dropped out then.
 
 A torn path is cut at the last time at which it was known to run. That is up to a stage earlier than the crash, so that
 Ĝ falls a little early and weights come out too large: where stages of 5 s are torn so often that two paths in five
@@ -24,9 +25,10 @@ import numpy as np
 import pyarrow as pa
 
 from halfseen.errors import LogError
-from halfseen.logs.columns import CUT, FINISHED
+from halfseen.logs.columns import CUT, FINISHED, is_own_reward
 from halfseen.logs.journal import JournalEvents
 from halfseen.logs.journal_writer import is_being_recorded
+from halfseen.logs.robot_checks import ROBOT
 
 CRASH, STILL_RUNNING = "crash", "still-running"
 RESOLUTION_S = 1e-9
@@ -53,21 +55,32 @@ def journal_log(file: Path) -> dict[str, Any]:
         The journal cannot be read, is corrupted, or holds no stage.
     """
     was_recorded, events = is_being_recorded(file), JournalEvents(file)
+
+    def ended() -> Iterator[RecordedPath]:
+        for path in recorded_paths(events):
+            if path.ending is None:
+                is_live = was_recorded or is_being_recorded(file)
+                path.end(CUT, None, STILL_RUNNING if is_live else CRASH)
+            yield path
+
+    built = tables_of(ended())
+    if not built:
+        raise LogError(f"{file}: no stage is recorded yet; record one first")
+    return {**built, "reward_unit": events.reward_unit}
+
+
+def tables_of(paths: Iterable["RecordedPath"]) -> dict[str, Any]:
+    """Put the rows of paths that have ended together, as what `Logs` is made of; nothing where there is no path."""
     tables = {"stages": _Table(), "paths": _Table(), "objects": _Table()}
-    path = None
-    for path in recorded_paths(events):
-        if path.ending is None:
-            is_live = was_recorded or is_being_recorded(file)
-            path.end(CUT, None, STILL_RUNNING if is_live else CRASH)
+    for path in paths:
         for name, table in tables.items():
             table.add(path.rows[name])
-    if path is None:
-        raise LogError(f"{file}: no stage is recorded yet; record one first")
     built: dict[str, Any] = {name: table.build() for name, table in tables.items() if table}
-    stages = built["stages"]
-    if "probability" in stages.column_names and stages["probability"].null_count == stages.num_rows:
-        built["stages"] = stages.drop_columns(["probability"])
-    return {**built, "reward_unit": events.reward_unit}
+    stages = built.get("stages")
+    if stages is not None and "probability" in stages.column_names:
+        is_never_given = stages["probability"].null_count == stages.num_rows
+        built["stages"] = stages.drop_columns(["probability"]) if is_never_given else stages
+    return built
 
 
 def recorded_paths(events: JournalEvents) -> Iterator["RecordedPath"]:
@@ -124,6 +137,8 @@ class RecordedPath:
         self._path = {"path": self.name, **event["columns"]}
         self._clock_s = 0.0
         self._done: dict[str, Any] | None = None
+        self._out_s: dict[int, float] = {}
+        self._out_cause: dict[int, str] = {}
         self._begin(event)
 
     def add(self, event: dict[str, Any]) -> None:
@@ -140,6 +155,9 @@ class RecordedPath:
                 self._clock_s = event["at_s"]
             case "running":
                 self._clock_s = event["at_s"]
+            case "out":
+                self._clock_s = self._out_s[event["robot"]] = event["at_s"]
+                self._out_cause[event["robot"]] = event["cause"]
             case "finished" | "cut" as ending:
                 self.end(ending, event["at_s"], event.get("cause"))
 
@@ -150,13 +168,18 @@ class RecordedPath:
             self._complete(end_s)
         elif self._done is not None and self._done.get("is_given"):
             end_s = float(np.nextafter(self._done["at_s"], 0.0))
-        self.ending = ending
-        self.rows["paths"] = [{**self._path, "end_s": max(end_s, RESOLUTION_S), "ending": ending, "cause": cause}]
+            self._take_back(end_s)
+        self.ending, end_s = ending, max(end_s, RESOLUTION_S)
+        row = {**self._path, "end_s": end_s, "ending": ending, "cause": cause}
+        for robot, out_s in self._out_s.items():
+            if out_s <= end_s:
+                row |= {f"{robot}_out_s": out_s, f"{robot}_out_cause": self._out_cause[robot]}
+        self.rows["paths"] = [row]
 
     def _begin(self, event: dict[str, Any]) -> None:
         key = {"path": event["path"], "stage": event["stage"]}
         row = {**key, "elapsed_s": None, "action": None, "object": None, "reward": None, "probability": None}
-        row |= {name: event[name] for name in ("action", "object", "probability") if name in event}
+        row |= {name: event[name] for name in ("action", "object", "probability", ROBOT) if name in event}
         self.rows["stages"].append(row | event["covariates"])
         self.rows["objects"] += [{**key, **seen} for seen in event.get("objects", ())]
 
@@ -164,6 +187,14 @@ class RecordedPath:
         """Ctrl-C came before the recorder knew that the stage had begun, and it was given again."""
         number = self.rows["stages"].pop()["stage"]
         self.rows["objects"] = [row for row in self.rows["objects"] if row["stage"] != number]
+
+    def _take_back(self, end_s: float) -> None:
+        """Of several robots that decided at one time, the path is cut in the first stage that had not ended before."""
+        stages = self.rows["stages"]
+        while len(stages) > 1 and stages[-2]["elapsed_s"] > end_s:
+            self._forget_stage()
+            last = stages[-1]
+            last |= {name: None for name in last if name in ("elapsed_s", "reward") or is_own_reward(name)}
 
     def _complete(self, next_s: float | None) -> None:
         """Complete the stage in progress, by its own clock if that was given, else when the next one begins."""

@@ -14,11 +14,10 @@ import numpy as np
 from halfseen.errors import LogError
 from halfseen.logs.columns import OBJECT_COLUMNS, PATH_COLUMNS, STAGE_COLUMNS
 from halfseen.logs.refusal import shown
-from halfseen.logs.robot_checks import ROBOT
 
 Kinds = Mapping[str, str]
 
-_OWN_NAMES = {*STAGE_COLUMNS, *PATH_COLUMNS, *OBJECT_COLUMNS} - {ROBOT}
+_OWN_NAMES = {*STAGE_COLUMNS, *PATH_COLUMNS, *OBJECT_COLUMNS}
 _LARGEST_WHOLE = 2**63
 _EMPTY_LIST = "list"
 
@@ -30,7 +29,7 @@ class Schema:
     Parameters
     ----------
     labels
-        Kind of the names of paths, actions and objects, where there are any.
+        Kind of the names of paths, actions, objects and robots, where there are any.
     paths
         Kind of each column of the paths.
     covariates
@@ -39,6 +38,8 @@ class Schema:
         Kind of each column of the objects; None before the first stage, empty where stages have none.
     has_probability
         Whether actions come with their probability; None before the first action.
+    has_robot
+        Whether stages say which robot decides; None before the first stage.
     """
 
     labels: Kinds = field(default_factory=dict)
@@ -46,6 +47,7 @@ class Schema:
     covariates: Kinds | None = None
     objects: Kinds | None = None
     has_probability: bool | None = None
+    has_robot: bool | None = None
 
     def with_path(self, name: Any, columns: Mapping[str, Any]) -> tuple["Schema", Any, dict[str, Any]]:
         """Check a path's name and columns; columns may differ between paths, and None leaves one out."""
@@ -70,7 +72,7 @@ class Schema:
         covariates, objects
             What was seen.
         chosen
-            action, object and probability, None where there is none.
+            robot, action, object and probability, None where there is none.
         where
             The path and the stage, for messages.
         """
@@ -78,9 +80,10 @@ class Schema:
         seen, kinds = _row(covariates, self.covariates, where, "covariate")
         schema = replace(self, covariates=_checked_names(kinds, self.covariates, where, "covariate"))
         schema, rows = schema._with_objects(objects, where)
+        schema, who = schema._with_robot(chosen.get("robot"), where)
         schema, choice = schema._with_choice(chosen, where)
         _refuse_absent(choice.get("object"), rows, where)
-        event = {"covariates": seen, **choice}
+        event = {"covariates": seen, **who, **choice}
         return schema, event if rows is None else {**event, "objects": rows}
 
     def _with_objects(self, objects: Any, where: str) -> tuple["Schema", list[dict[str, Any]] | None]:
@@ -112,6 +115,16 @@ class Schema:
         row, kinds = _row(values, self.objects, where, "covariate")
         names = _checked_names({"object": "name", **kinds}, self.objects, where, "covariate")
         return replace(self, labels=labels, objects=names), {"object": name, **row}
+
+    def _with_robot(self, robot: Any, where: str) -> tuple["Schema", dict[str, Any]]:
+        if self.has_robot not in (None, robot is not None):
+            word = "missing" if self.has_robot else "given"
+            raise LogError(f"{where}: robot is {word}, unlike in stages before; give it always or never")
+        schema = replace(self, has_robot=robot is not None)
+        if robot is None:
+            return schema, {}
+        labels, robot = schema._with_label("robot", robot, where)
+        return replace(schema, labels=labels), {"robot": robot}
 
     def _with_choice(self, chosen: Mapping[str, Any], where: str) -> tuple["Schema", dict[str, Any]]:
         action, acted_on, probability = (chosen.get(name) for name in ("action", "object", "probability"))
@@ -147,6 +160,14 @@ def checked_number(value: Any, what: str, where: str, remedy: str) -> float:
     if isinstance(plain, str | bytes) or not hasattr(plain, "__float__") or not isfinite(plain):
         raise LogError(f"{where}: {what} is {plain!r}; {remedy}")
     return float(plain)
+
+
+def checked_robot(value: Any, where: str) -> int:
+    """Turn the number of a robot, from 0, into an int."""
+    plain = value.item() if isinstance(value, np.generic) else value
+    if not isinstance(plain, int) or isinstance(plain, bool) or plain < 0:
+        raise LogError(f"{where}: robot {shown(plain)} is no number of one; give 0, 1, …")
+    return plain
 
 
 def _probability(value: Any, where: str) -> float:

@@ -55,7 +55,7 @@ class PathClock:
 
     def check_units(self, elapsed_s: Any, completed_s: float, where: str) -> None:
         """Refuse a given end at a power of a thousand times the last stage's clock, which `Logs` takes for a unit."""
-        if elapsed_s is None or not self.is_given:
+        if elapsed_s is None or not self.is_given or completed_s == 0.0:  # a clock that still stands tells no unit
             return
         at_s = self.time_of(elapsed_s, where)
         thousands = log(at_s / completed_s) / log(1000.0)

@@ -12,9 +12,12 @@
 
 `halfseen.logs.read_logs` reads the folder at any time, also while it is being recorded. A path that a crash tore is
 told as cut by ``crash`` at the last time at which it was known to run; `journal_tables` says how, and why that is fair.
+
+Where several robots work at once, each stage says which of them decides (``begin_stage(…, robot=1)``), and `drop_out`
+tells that one of them is gone while the others go on.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -23,8 +26,10 @@ from halfseen.errors import ArgumentError, LogError
 from halfseen.logs.columns import UNKNOWN_CAUSE
 from halfseen.logs.folder import MANIFEST
 from halfseen.logs.journal_tables import CRASH
-from halfseen.logs.journal_values import Schema, checked_number
+from halfseen.logs.journal_values import Schema, checked_number, checked_robot
 from halfseen.logs.journal_writer import JournalWriter
+from halfseen.logs.log_so_far import log_so_far
+from halfseen.logs.logs import Logs
 from halfseen.logs.path_clock import PathClock
 from halfseen.logs.refusal import shown
 from halfseen.logs.reward_unit import checked_unit
@@ -53,6 +58,10 @@ class LogRecorder:
     reward_unit
         What rewards are counted in, such as "parts": a short text, for people; None for what was said before, if
         anything was.
+    check
+        What a path must hold beyond what every log must, such as `halfseen.team.check_log` for a team at a table:
+        called with the path so far, cut just now, when a stage begins or a robot drops out, and raises `LogError`
+        where that is to be refused. It reads all of the path each time: meant for stages of a second or more.
 
     Raises
     ------
@@ -75,10 +84,18 @@ class LogRecorder:
     1 path of up to 1 stage and 2.5 s: 1 finished, 0 cut (0%).
     """
 
-    def __init__(self, folder: str | Path, *, fsync: bool = False, reward_unit: str | None = None) -> None:
+    def __init__(
+        self,
+        folder: str | Path,
+        *,
+        fsync: bool = False,
+        reward_unit: str | None = None,
+        check: Callable[[Logs], object] | None = None,
+    ) -> None:
         folder, unit = Path(folder), checked_unit(reward_unit)
         if (folder / MANIFEST).exists():
             raise ArgumentError(f"{folder}: it holds logs that are written for good; record into another folder")
+        self._check = check
         self._schema = Schema()
         self._names: set[int | str] = set()
         self._num_shares: int | None = None
@@ -158,7 +175,8 @@ class PathRecorder:
     """A path that is being recorded; `LogRecorder.begin_path` makes it.
 
     Its clock is read from `time.monotonic`, and each stage then lasts until the next begins. Or it is given as
-    ``elapsed_s``, always, and each stage then lasts as long as is said.
+    ``elapsed_s``, always, and each stage then lasts as long as is said. That of several robots may stand still: where
+    two are free at once, the stage between their decisions takes no time.
     """
 
     def __init__(self, recorder: LogRecorder, name: int | str, columns: dict[str, Any], schema: Schema) -> None:
@@ -170,6 +188,8 @@ class PathRecorder:
         self._stage = 0
         self._is_in_stage = False
         self._has_action = False
+        self._is_checked = False
+        self._events: list[dict[str, Any]] = []
         self._clock = PathClock()
         self._noted_s = 0.0
         self._completed_s = 0.0
@@ -181,6 +201,7 @@ class PathRecorder:
         action: Any = None,
         object: Any = None,  # noqa: A002
         probability: Any = None,
+        robot: Any = None,
     ) -> None:
         """Begin a stage: what was seen, and what is done about it.
 
@@ -198,18 +219,21 @@ class PathRecorder:
             What it is done to, if anything.
         probability
             The probability in (0, 1] with which the policy chose it; always or never.
+        robot
+            Of several robots, the number of the one that decides; always or never.
 
         Raises
         ------
         LogError
-            A stage is in progress, or a value is none that a log takes.
+            A stage is in progress, or a value is none that a log takes: of several robots also where two are at one
+            object, or one decides that dropped out.
         """
         self._check_running()
         where = self._where(self._stage + 1)
         if self._is_in_stage:
             raise LogError(f"{self._where(self._stage)}: it is in progress; complete_stage() it before the next begins")
         schema = self._recorder._schema if self._stage else self._path_schema
-        chosen = {"action": action, "object": object, "probability": probability}
+        chosen = {"robot": robot, "action": action, "object": object, "probability": probability}
         schema, seen = schema.with_stage(covariates or {}, objects, chosen, where)
         event: dict[str, Any] = {"event": "stage", "path": self.name, "stage": self._stage + 1}
         if self._stage == 0:
@@ -217,7 +241,11 @@ class PathRecorder:
             event |= {"at_s": 0.0, "columns": self._columns}
         elif not self._clock.is_given:
             event["at_s"] = self._clock.read_s()
-        self._recorder._write(event | seen, schema)
+        event |= seen
+        self._is_checked = bool(schema.has_robot) or self._recorder._check is not None
+        if self._is_checked:
+            self._check_path(event)
+        self._write(event, schema)
         self._stage += 1
         self._is_in_stage, self._has_action = True, action is not None
         self._clock.at_s = self._noted_s = event.get("at_s", self._clock.at_s)
@@ -239,7 +267,7 @@ class PathRecorder:
         ------
         LogError
             No stage is in progress, a reward is no number, one of a robot is missing, or the clock does not run
-            forward.
+            forward; of several robots, it may stand.
         """
         self._check_running()
         where = self._where(self._stage)
@@ -250,9 +278,9 @@ class PathRecorder:
             raise LogError(f"{where}: it began without an action; a stage without one can only be cut")
         earned = checked_number(reward, "reward", where, "give the finite reward that it earned")
         shares = self._checked_shares(own_rewards, where)
-        at_s = self._clock.time_of(elapsed_s, where, is_later=True)
+        at_s = self._clock.time_of(elapsed_s, where, is_later=not self._recorder._schema.has_robot)
         event = {"event": "done", "at_s": at_s, "reward": earned} | ({"own_rewards": shares} if shares else {})
-        self._recorder._write(event if elapsed_s is None else event | {"is_given": True})
+        self._write(event if elapsed_s is None else event | {"is_given": True})
         self._recorder._num_shares = len(shares)
         self._is_in_stage = False
         self._completed_s = at_s
@@ -268,6 +296,40 @@ class PathRecorder:
             )
         return [checked_number(each, f"{robot}_reward", where, remedy) for robot, each in enumerate(own_rewards)]
 
+    def drop_out(self, robot: Any, cause: str, *, elapsed_s: Any = None) -> None:
+        """Note that one of several robots dropped out alone; the path goes on without it.
+
+        Tell it before the stage in which it happens is completed.
+
+        Parameters
+        ----------
+        robot
+            Its number.
+        cause
+            Why, as in `cut`.
+        elapsed_s
+            Time since the path began [s], as in `complete_stage`.
+
+        Raises
+        ------
+        LogError
+            No robot decided so far, this one has dropped out before or is none of them, the cause is no text, or the
+            clock goes back.
+        """
+        self._check_running()
+        self._check_cause(cause)
+        where = self._where(self._stage)
+        if not (self._events and self._recorder._schema.has_robot):
+            raise LogError(f"{where}: no robot has decided yet, so none drops out; begin_stage() with its robot first")
+        number = checked_robot(robot, where)
+        if any(event["event"] == "out" and event["robot"] == number for event in self._events):
+            raise LogError(f"{where}: robot {number} has dropped out before; once is for good")
+        at_s = self._clock.time_of(elapsed_s, where)
+        event = {"event": "out", "at_s": at_s, "robot": number, "cause": cause}
+        self._check_path(event)
+        self._write(event)
+        self._clock.advance(at_s, elapsed_s)
+
     def still_running(self, *, elapsed_s: Any = None) -> None:
         """Note that the path is in progress, at most twice a second; call it from the control loop.
 
@@ -279,7 +341,7 @@ class PathRecorder:
             return
         at_s = self._clock.time_of(elapsed_s, self._where(self._stage))
         if at_s >= self._noted_s + STILL_RUNNING_EVERY_S:
-            self._recorder._write({"event": "running", "at_s": at_s})
+            self._write({"event": "running", "at_s": at_s})
             self._noted_s = at_s
         self._clock.advance(at_s, elapsed_s)
 
@@ -317,15 +379,29 @@ class PathRecorder:
             The cause is no text, or the clock goes back.
         """
         self._check_running()
-        if not isinstance(cause, str) or not cause.strip():
-            raise LogError(f"path {shown(self.name)}: cause {cause!r} is no cause; say {', '.join(CAUSES)}, or why")
+        self._check_cause(cause)
         self._end({"event": "cut", "cause": cause}, elapsed_s)
 
     def _end(self, event: dict[str, Any], elapsed_s: Any) -> None:
         if self._stage:
             at_s = self._clock.end_s(elapsed_s, self._where(self._stage))
-            self._recorder._write({**event, "at_s": at_s})
+            self._write({**event, "at_s": at_s})
         self.is_ended = True
+
+    def _write(self, event: dict[str, Any], schema: Schema | None = None) -> None:
+        self._recorder._write(event, schema)
+        if self._is_checked:
+            self._events.append(event)
+
+    def _check_path(self, event: dict[str, Any]) -> None:
+        """Let those who will read the path refuse an event now."""
+        logs = log_so_far([*self._events, event])
+        if self._recorder._check is not None:
+            self._recorder._check(logs)
+
+    def _check_cause(self, cause: Any) -> None:
+        if not isinstance(cause, str) or not cause.strip():
+            raise LogError(f"path {shown(self.name)}: cause {cause!r} is no cause; say {', '.join(CAUSES)}, or why")
 
     def _check_running(self) -> None:
         if self.is_ended:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from halfseen.team.myopic import MyopicTeam
     from halfseen.team.own_part import alone
     from halfseen.team.policy import ExploringTeam, TeamPolicy, UniformTeam
+    from halfseen.team.recording import check_log
     from halfseen.team.robots import Robot
     from halfseen.team.rules import TeamOfRules
     from halfseen.team.state import TeamState, Workspace
@@ -42,6 +43,7 @@ __all__ = [
     "UniformTeam",
     "Workspace",
     "alone",
+    "check_log",
     "cut_at_drop_outs",
     "read_team",
 ]
@@ -63,6 +65,7 @@ __getattr__ = lazy_names(
         "UniformTeam": "policy",
         "Workspace": "state",
         "alone": "own_part",
+        "check_log": "recording",
         "cut_at_drop_outs": "drop_outs",
         "read_team": "team_file",
     },

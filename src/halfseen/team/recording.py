@@ -42,7 +42,7 @@ from halfseen.world.recording import VERB_NAMES, lists_of, objects_of, paths_of,
 from halfseen.world.recording import states_of as table_states_of
 from halfseen.world.scene import Scene
 from halfseen.world.state import NO_ATTEMPT, TableState
-from halfseen.world.table_checks import Lists, lists_in, object_numbers
+from halfseen.world.table_checks import Lists, checked_objects, lists_in, object_numbers
 
 TEAM_VERBS = (*VERB_NAMES, "WAIT")
 FREE, PARKED, OUT = "FREE", "PARKED", "OUT"
@@ -226,6 +226,23 @@ def told_by(logs: Logs, horizon: int | None = None) -> Told:
     is_reached[reach.row, reach.values.astype(np.int64)] = True
     check_reached(logs, decider, is_reached)
     return Told(decider, does, is_reached, near)
+
+
+def check_log(logs: Logs) -> None:
+    """Refuse what is no log of a team at tables, as a learner would; a `LogRecorder` asks it at each stage, as `check`.
+
+    Parameters
+    ----------
+    logs
+        The log.
+
+    Raises
+    ------
+    LogError
+        It breaks a rule of tables (`halfseen.world.table_checks`) or of teams (`team.log_checks`).
+    """
+    checked_objects(logs, logs.horizon)
+    told_by(logs)
 
 
 def _decider(stages: pd.DataFrame, num_robots: int) -> Int[np.ndarray, " rows"]:

@@ -274,7 +274,7 @@ def test_what_an_arm_is_at_is_told_to_the_one_that_decides():
     assert state.robots.is_busy.tolist() == [False, True]
     assert (int(state.robots.verb[1]), int(state.robots.target[1])) == (Verb.WASH, 2)
     assert float(state.robots.since_s[1]) == pytest.approx(3.0, abs=1e-5)
-    assert table.columns(0)["1_does"] == "WASH 2"
+    assert table.columns()["1_does"] == "WASH 2"
     one.verb = None
     one.is_parked = True
-    assert table.columns(0)["1_does"] == "PARKED"
+    assert table.columns()["1_does"] == "PARKED"

@@ -100,7 +100,7 @@ class _Arms(Shift):
         cell.cell.watches.append(self.touches)
 
     @property
-    def _decider(self) -> int:
+    def decider(self) -> int:
         return next(arm for arm, one in enumerate(self.table.doing) if one.is_free)
 
     def look(self, step: int) -> None:
@@ -112,13 +112,13 @@ class _Arms(Shift):
     def known(self, step: int) -> tuple[TeamState, list[Row]]:
         rows = rows_of(self.cell.memory, self.table.belief)
         self.table.add_to(rows)
-        return self.table.state(self._decider, self.num_decisions - step), rows
+        return self.table.state(self.decider, self.num_decisions - step), rows
 
     def covariates(self) -> Row:
-        return self.table.columns(self._decider)
+        return self.table.columns()
 
     def begin(self, chosen: Chosen, rows: list[Row]) -> Told:
-        arm = self._decider
+        arm = self.decider
         one = self.table.doing[arm]
         one.verb, one.target, one.begun_s = chosen.verb, chosen.acted_on or 0, self.cell.cell.time_s
         one.decisions_to_go -= 1

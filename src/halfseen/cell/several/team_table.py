@@ -164,9 +164,9 @@ class TeamTable:
     def _since_s(self, one: Doing) -> float:
         return 0.0 if one.verb is None else self.cell.cell.time_s - one.begun_s
 
-    def columns(self, decider: int) -> dict[str, Any]:
+    def columns(self) -> dict[str, Any]:
         """What a stage of the log holds of the arms, as `halfseen.team.recording` has it."""
-        told: dict[str, Any] = {"robot": decider}
+        told: dict[str, Any] = {}
         for arm, one in enumerate(self.doing):
             told |= {f"{arm}_does": one.words, f"{arm}_since_s": self._since_s(one)}
             told[f"{arm}_decisions_to_go"] = one.decisions_to_go
