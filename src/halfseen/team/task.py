@@ -36,6 +36,7 @@ from halfseen.team.fit import check_decides_for
 from halfseen.team.learned_policy import LinearTeamPolicy
 from halfseen.team.log_checks import robots_in
 from halfseen.team.policy import TeamPolicy
+from halfseen.team.read_log import read_log
 from halfseen.team.recording import TEAM_VERBS
 from halfseen.team.rewards import Pays, control_variates_of, outcomes_of, pays_of, shaped
 from halfseen.team.state import TeamState
