@@ -124,8 +124,8 @@ class CutModel:
         return np.where(paths.is_begun, before, 0.0)
 
     def _ask(
-        self, which: int, paths: StageClocks, at_s: Float[np.ndarray, "k *S"], path: Any, stage: Any
-    ) -> Float[np.ndarray, "k *S"]:
+        self, which: int, paths: StageClocks, at_s: Float[np.ndarray, " k *S"], path: Any, stage: Any
+    ) -> Float[np.ndarray, " k *S"]:
         model, columns = self.fitted[which]
         return np.asarray(
             model.survival(at_s, _frame(paths.covariate_names, paths.covariates[path, stage], columns)),
@@ -251,5 +251,5 @@ def _refuse_unseen(paths: StageClocks, survival: Float[np.ndarray, "n T"]) -> No
         )
 
 
-def _add(start_s: Float[np.ndarray, " k"], age_s: Float[np.ndarray, "k *S"]) -> Float[np.ndarray, "k *S"]:
+def _add(start_s: Float[np.ndarray, " k"], age_s: Float[np.ndarray, " k *S"]) -> Float[np.ndarray, " k *S"]:
     return start_s.reshape((-1,) + (1,) * (age_s.ndim - 1)) + age_s

@@ -87,7 +87,7 @@ class ActionSpace:
         first = self.encode(int(verb), 0)
         return slice(first, first + self.num_objects)
 
-    def join(self, finish: Float[Array, "*S"], of_verb: Mapping[Verb, Float[Array, "N *S"]]) -> Float[Array, "A *S"]:
+    def join(self, finish: Float[Array, "*S"], of_verb: Mapping[Verb, Float[Array, " N *S"]]) -> Float[Array, " A *S"]:
         """Lay out values of FINISH, and by object of other verbs, in the order of the actions.
 
         A verb that is left out is worth −∞: whoever does not know it never takes it.

@@ -200,7 +200,7 @@ def _last_smallest(errors: Float[Array, "L K"]) -> Int[Array, " K"]:
     return errors.shape[0] - 1 - jnp.argmax(is_smallest[::-1], axis=0)
 
 
-def _leave_one_out(sums: Float[Array, "V *S"]) -> Float[Array, "V1 *S"]:
+def _leave_one_out(sums: Float[Array, " V *S"]) -> Float[Array, " V1 *S"]:
     total = sums.sum(axis=0, keepdims=True)
     # Without folds nothing is held out.
     return jnp.concatenate([total - sums, total]) if len(sums) > 1 else total

@@ -21,7 +21,7 @@ _TELLING = 30
 _HOPELESS = 1.2
 """Held-out rows whose loss tells something, and the share of the least loss above which a fold gives up."""
 
-Fold = tuple[Int[np.ndarray, "_"], Int[np.ndarray, "_"]]
+Fold = tuple[Int[np.ndarray, " _"], Int[np.ndarray, " _"]]
 """Rows fitted to, rows held out."""
 
 

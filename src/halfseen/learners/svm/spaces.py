@@ -153,7 +153,7 @@ def _is_curved(curvature: Rows) -> Bool[np.ndarray, " n"]:
     return curvature > _NO_CURVATURE * curvature.max(initial=0.0)
 
 
-def _solve(system: Float[np.ndarray, "k k"], right: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
+def _solve(system: Float[np.ndarray, "k k"], right: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
     """Solve a positive semidefinite system; a direction that it does not see gets as much curvature as rounding has."""
     if not system.diagonal().max(initial=0.0) > 0.0:
         return np.zeros_like(right)
