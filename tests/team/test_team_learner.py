@@ -37,7 +37,7 @@ def logs():
 
 @pytest.fixture(scope="module")
 def learned(logs):
-    return CensoredQLearner.for_team(2, horizon=5).fit(logs)
+    return CensoredQLearner.for_team(2, horizon=5, reg=0.1).fit(logs)
 
 
 def earned(policy, num_episodes=1000):
@@ -50,7 +50,7 @@ def test_it_earns_more_than_what_logged_it(learned):
 
 
 def test_the_same_log_gives_the_same_policy(logs, learned):
-    again = CensoredQLearner.for_team(2, horizon=5).fit(logs).policy_
+    again = CensoredQLearner.for_team(2, horizon=5, reg=0.1).fit(logs).policy_
     for ours, theirs in zip(jax.tree.leaves(learned.policy_), jax.tree.leaves(again), strict=True):
         np.testing.assert_array_equal(ours, theirs)
 
@@ -116,7 +116,7 @@ def test_what_was_never_seen_completed_has_no_value():
     logs = logged(never_lifts, 0.3)
     kept = logs.stages.groupby("path")["action"].transform(lambda actions: not (actions == Verb.LIFT.name).any())
     some = logs.select(logs.stages.loc[kept, "path"].unique())
-    learner = CensoredQLearner.for_team(2, horizon=5).fit(some)
+    learner = CensoredQLearner.for_team(2, horizon=5, reg=0.1).fit(some)
     assert [told.split(" was ")[0] for told in learner.unseen_] == ["LIFT"]
     played_anew = episodes.play(TEAM, LAYOUT, learner.policy_, jax.random.key(1), 100)
     verbs = np.asarray(ActionSpace(NUM_OBJECTS).verb(played_anew.action))[np.asarray(played_anew.is_taken)]

@@ -66,23 +66,25 @@ def test_futures_are_worth_what_rollouts_in_beliefs_are():
     np.testing.assert_array_less(np.abs(in_beliefs.mean(axis=0) - in_worlds.mean(axis=0)), 4.0 * error + 1e-4)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_one_robot_has_the_futures_of_the_dynamics_of_one_robot(seed):
-    config, layout, key = TeamConfig(WORLD), first_of(layouts_of(1)), jax.random.key(seed)
-    state, _ = dynamics.start(config, layout, key)
+def test_one_robot_has_the_futures_of_the_dynamics_of_one_robot():
+    config, layout = TeamConfig(WORLD), first_of(layouts_of(1))
 
-    def imagine(key):
-        return imagined(WORLD, state.table, jax.random.split(key)[0])
+    @jax.jit
+    def futures(key):
+        state, _ = dynamics.start(config, layout, key)
 
-    is_possible = possible_of_table(state.table)
-    alone = jax.jit(
-        lambda key: future_rewards(
-            ONE_ROBOT, foreseen(WORLD), state.table, is_possible, imagine, RULE, key, 50, OF_TABLE
-        )
-    )(key)
-    team = jax.jit(lambda key: team_future_rewards(config, state, ReservingTeam(config, RULE), key, 50))(key)
-    np.testing.assert_allclose(team[:, :-1], alone, rtol=1e-5)
-    assert np.isneginf(team[:, -1]).all()
+        def imagine(key):
+            return imagined(WORLD, state.table, jax.random.split(key)[0])
+
+        is_possible = possible_of_table(state.table)
+        world = foreseen(WORLD)
+        alone = future_rewards(ONE_ROBOT, world, state.table, is_possible, imagine, RULE, key, 50, OF_TABLE)
+        return alone, team_future_rewards(config, state, ReservingTeam(config, RULE), key, 50)
+
+    for seed in range(3):
+        alone, team = futures(jax.random.key(seed))
+        np.testing.assert_allclose(team[:, :-1], alone, rtol=1e-5)
+        assert np.isneginf(team[:, -1]).all()
 
 
 def test_what_another_is_at_ends_as_its_law_says_given_that_it_has_not_ended():
@@ -108,15 +110,11 @@ def test_what_another_is_at_ends_as_its_law_says_given_that_it_has_not_ended():
     assert np.isinf(draws.pending.left_s[:, 1]).all()
 
 
-@pytest.mark.parametrize("stage", [1, 3])
-def test_futures_of_a_team_are_worth_what_comes_of_it(stage):
+def test_futures_of_a_team_are_worth_what_comes_of_it():
     config, num_paths = TeamConfig(WORLD, (1.0, 1.0), reward_per_s=-0.1), 200
     rule = ReservingTeam(config, RULE)
     paths = episodes.play(config, layouts_of(2), rule, KEY, num_paths)
-    is_there = np.asarray(paths.is_taken[:, stage])
-    later = np.asarray(jnp.sum(jnp.where(paths.is_taken, paths.reward, 0.0)[:, stage:], axis=1))[is_there]
-    states = jax.tree.map(lambda leaf: leaf[is_there, stage], paths.states)
-    action = paths.action[is_there, stage]
+    keys = jax.random.split(jax.random.key(11), num_paths)
 
     def worth(state, action, key):
         only = jnp.arange(possible_actions(state).shape[0]) == action
@@ -125,11 +123,15 @@ def test_futures_of_a_team_are_worth_what_comes_of_it(stage):
             dynamics.TEAM, foreseeing, state, only, lambda key: imagined_team(config, state, key), rule, key, 8, OF_TEAM
         )[:, action].mean()
 
-    keys = jax.random.split(jax.random.key(11), len(action))
-    found = np.asarray(jax.jit(lambda given: jax.lax.map(lambda each: worth(*each), given))((states, action, keys)))
-    difference = found - later
-    assert abs(difference.mean()) < 4.0 * difference.std() / np.sqrt(len(difference))
-    assert np.corrcoef(found, later)[0, 1] > 0.1
+    worths = jax.jit(lambda given: jax.lax.map(lambda each: worth(*each), given))
+    for stage in (1, 3):
+        is_there = np.asarray(paths.is_taken[:, stage])
+        later = np.asarray(jnp.sum(jnp.where(paths.is_taken, paths.reward, 0.0)[:, stage:], axis=1))[is_there]
+        states = jax.tree.map(lambda leaf, stage=stage: leaf[:, stage], paths.states)
+        found = np.asarray(worths((states, paths.action[:, stage], keys)))[is_there]
+        difference = found - later
+        assert abs(difference.mean()) < 4.0 * difference.std() / np.sqrt(len(difference))
+        assert np.corrcoef(found, later)[0, 1] > 0.1
 
 
 def test_a_choice_rests_on_what_is_seen_alone_and_is_possible():
