@@ -129,7 +129,7 @@ def grip_posterior(config: WorldConfig, state: TableState) -> Grip:
     """Grip of each object, given all its attempts, each as likely as the law of who made it has it; one table."""
     mean = state.grip[jnp.maximum(state.attempt_object, 0)]
     tried = state.attempt_occlusion, mean, state.attempt_succeeded
-    if state.attempt_robot is None:
+    if state.attempt_robot is None or not isinstance(config.grasping, GraspingByRobot):
         evidence = attempt_evidence(config, *tried)
     else:
         of_robot = jax.vmap(lambda robot, *each: attempt_evidence(config.as_robot(robot), *each))

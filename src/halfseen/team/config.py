@@ -50,8 +50,8 @@ class TeamConfig:
         self._check_rates()
         if self.has_own_laws and len(self.worlds) != self.num_robots:
             raise ArgumentError(
-                f"grasping of the world has laws for {len(self.worlds)} robots, and the team has {self.num_robots}; give "
-                "each its own, or all one"
+                f"grasping of the world has laws for {len(self.worlds)} robots, and the team has {self.num_robots}; "
+                "give each its own, or all one"
             )
 
     def _check_rates(self) -> None:

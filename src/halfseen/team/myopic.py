@@ -169,9 +169,7 @@ def _crew(config: TeamConfig, state: TeamState, table: _Table, goes_on: Bool[Arr
     )
 
 
-def _attempts(
-    config: TeamConfig, crew: _Crew, robot: Int[Array, ""]
-) -> tuple[Float[Array, " N"], Float[Array, " N"]]:
+def _attempts(config: TeamConfig, crew: _Crew, robot: Int[Array, ""]) -> tuple[Float[Array, " N"], Float[Array, " N"]]:
     """Worth of WASH and of LIFT of each object by the robot that decides, one of the crew."""
     worlds, belief, occluded, _, _ = crew.table
     world = config.world.as_robot(robot)

@@ -5,8 +5,8 @@ strong a plain rule as we know. `TeamOfRules` knows no price of time, and `Round
 less; a team's policy is to beat them all.
 
 Where the world that a rule believes in has a law of grasping for each robot (`TeamWorld.team_config.world`), an attempt
-is worth what it is by the law of the robot that decides, and each past attempt tells of a grip what the law of the robot
-that made it says.
+is worth what it is by the law of the robot that decides, and a past attempt tells of a grip what the law of the robot
+says that made it.
 """
 
 from dataclasses import dataclass, replace

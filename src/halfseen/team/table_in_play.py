@@ -190,7 +190,9 @@ class TableInPlay:
         """Bound on what a robot may be at: the longest attempt of one, or a wait for it [s]."""
         worlds = (self.config.world.as_robot(robot) for robot in range(self.config.num_robots))
         longest_s = (float(world.grasping.limit_s + world.transport_s) for world in worlds)
-        return float(np.ceil(max(each / float(speed) for each, speed in zip(longest_s, self.config.speed, strict=True))))
+        return float(
+            np.ceil(max(each / float(speed) for each, speed in zip(longest_s, self.config.speed, strict=True)))
+        )
 
 
 _start, _step = jax.jit(start), jax.jit(step_any)

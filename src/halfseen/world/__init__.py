@@ -1,10 +1,11 @@
 """The decision process: state, actions, transition, seeing, reward → paths.
 
 Read down: `grasping`, `seeing` (the laws; another robot or gripper is another law of grasping), `fitted_grasping`,
-`persistent_seeing` (laws whose numbers attempts and labels tell), `grasping_by_robot` (of a team) → `config` (they and the numbers) → `scene` (where an
-episode starts) → `state` (what is seen, what is hidden) → `action_space` (the verbs) → `dynamics` (one step) → `policy`
-(what decides), `explanation` (how sure that is) → `episodes` (many tables to their end) → `cuts` → `recording` (to and
-from logs) → `table_world` and `gymnasium_env` (the faces).
+`persistent_seeing` (laws whose numbers attempts and labels tell), `grasping_by_robot` (a law for each robot of a team)
+→ `config` (they and the numbers) → `scene` (where an episode starts) → `state` (what is seen, what is hidden) →
+`action_space` (the verbs) → `dynamics` (one step) → `policy` (what decides), `explanation` (how sure that is) →
+`episodes` (many tables to their end) → `cuts` → `recording` (to and from logs) → `table_world` and `gymnasium_env` (the
+faces).
 """
 
 from typing import TYPE_CHECKING
