@@ -105,7 +105,9 @@ def test_a_robot_has_the_law_that_its_file_names(folder, refused):
     law = read_law(shipped_law()).law
     write_law(replace(law, limit_s=11.0), folder / "slow-law", {})
     (folder / "laws.toml").write_text(LEFT + 'law = "slow-law"\n' + RIGHT + 'law = "assumed"\n' + BEHIND)
-    own, *others = read_robots(folder / "laws.toml").robots
+    team = read_robots(folder / "laws.toml")
+    assert team is not None
+    own, *others = team.robots
     assert own.grasping == replace(law.grasping, limit_s=11.0)
     assert [each.grasping for each in others] == [AssumedGrasping(), None]
     few = ["--episodes", "4", "--horizon", "2", "--json"]

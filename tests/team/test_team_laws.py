@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass, replace
 
-import gymnasium
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from gymnasium import spaces
 from naive_myopic import NODES, WEIGHTS, NaiveMyopic, assumed, logistic, odds_to_share
 
 from halfseen.errors import ArgumentError
@@ -16,9 +16,11 @@ from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.team import MyopicTeam, Robot, Team, TeamConfig, TeamOfRules, TeamWorld, UniformTeam, dynamics, episodes
 from halfseen.team.actions import WAIT, possible_actions, wait_of
 from halfseen.team.grid_grasping import GridGrasping
+from halfseen.team.gymnasium_env import TeamCupsEnv
 from halfseen.team.named import named_team
 from halfseen.team.optimum import solve_team
 from halfseen.team.recording import attempted_by, states_of, to_logs
+from halfseen.team.robots import check_robot
 from halfseen.team.rollout import RolloutTeam, imagined_team
 from halfseen.team.rules import ReservingTeam, RoundRobin
 from halfseen.world import AssumedGrasping, FittedGrasping, GraspingByRobot, Scene, WorldConfig
@@ -355,10 +357,13 @@ def test_a_log_tells_who_tried_and_from_it_come_the_same_states():
 
 def test_the_face_of_gymnasium_tells_who_tried_and_how_long_that_may_take():
     team = Team(tuple(robots(None, LOGISTIC)))
-    env = gymnasium.make("halfseen/TeamCups-v0", scenes=SCENE, team=team, disable_env_checker=True)
-    shared = gymnasium.make("halfseen/TeamCups-v0", scenes=SCENE, disable_env_checker=True)
-    assert float(env.observation_space["since_s"].high[0]) == 10.0  # 9 s of the slower law, and transport
-    assert "attempt_robot" not in shared.observation_space.spaces
+    env, shared = TeamCupsEnv(SCENE, team), TeamCupsEnv(SCENE)
+    space, plain = env.observation_space, shared.observation_space
+    assert isinstance(space, spaces.Dict)
+    assert isinstance(plain, spaces.Dict)
+    assert space["since_s"].contains(np.full(2, 10.0, dtype=np.float32))  # 9 s of the slower law, and transport
+    assert not space["since_s"].contains(np.full(2, 10.1, dtype=np.float32))
+    assert "attempt_robot" not in plain.spaces
     seen, info = env.reset(seed=0)
     for action in (1, 2):
         seen, _, _, _, info = env.step(action)
@@ -366,18 +371,27 @@ def test_the_face_of_gymnasium_tells_who_tried_and_how_long_that_may_take():
         seen, _, is_over, _, info = env.step(int(np.flatnonzero(info["action_mask"])[-1]))
         if is_over:
             break
-    assert env.observation_space.contains(seen)
+    assert space.contains(seen)
     assert set(seen["attempt_robot"].tolist()) <= {0, 1}
+
+
+BARE = {"base_m": (0.0, 0.0), "reach_m": 1.0, "name": "robot"}
 
 
 @pytest.mark.parametrize(
     ("wrong", "told"),
     [
         (lambda: check_law(3, "left: grasping"), r"left: grasping is 3, no law of grasping of one robot; give one"),
-        (lambda: Robot((0.0, 0.0), 1.0, grasping=AssumedGrasping), "robot: grasping is <class .*, no law of grasping"),
+        (
+            lambda: check_robot({**BARE, "grasping": AssumedGrasping}),
+            "robot: grasping is <class .*, no law of grasping",
+        ),
         (lambda: Robot((0.0, 0.0), 1.0, grasping=GraspingByRobot((LOGISTIC,))), "robot: grasping is GraspingByRobot"),
         (lambda: GraspingByRobot(()), r"laws is \(\): give the law"),
-        (lambda: GraspingByRobot((LOGISTIC, Never)), r"laws\[1\] is <class .*, no law of grasping of one robot"),
+        (
+            lambda: GraspingByRobot((LOGISTIC, GraspingByRobot((LOGISTIC,)))),
+            r"laws\[1\] is GraspingByRobot.*, no law of grasping of one robot",
+        ),
         (
             lambda: TeamConfig(replace(WORLD, grasping=GraspingByRobot((LOGISTIC,))), (1.0, 1.0)),
             "grasping of the world has laws for 1 robots, and the team has 2; give each its own, or all one",
