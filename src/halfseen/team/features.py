@@ -51,20 +51,24 @@ def team_features(state: TeamState, grasp: GraspModel | None = None) -> Float[Ar
     """φ(S, a) of every action of the robot that decides, WAIT last."""
     table, others, num_objects = state.table, others_of(state), state.table.num_objects
     columns, mine = table_columns(table, grasp), reached_by_decider(state)
-    by_robot = [columns] * state.robots.num_robots
+    by_robot = [columns]
     if isinstance(grasp, GraspByRobot):
-        by_robot = [table_columns(table, grasp.of(robot)) for robot in range(len(by_robot))]
+        by_robot = [table_columns(table, grasp.of(robot)) for robot in range(state.robots.num_robots)]
     each = jnp.where(table.is_on_table[:, None], jnp.stack(columns.table, axis=-1), 0.0)
-    of_robots = jnp.stack([jnp.stack([robot.table[k] for k in (_WIN_EASE, _SOON)], axis=-1) for robot in by_robot])
-    own = jnp.where(table.is_on_table[:, None], of_robots[state.decider], 0.0)
-    two = each[:, jnp.array([_WIN_EASE, _SOON])]
+    two = own = each[:, jnp.array([_WIN_EASE, _SOON])]
+    if len(by_robot) > 1:
+        pairs = jnp.stack([jnp.stack([robot.table[k] for k in (_WIN_EASE, _SOON)], axis=-1) for robot in by_robot])
+        own = jnp.where(table.is_on_table[:, None], pairs[state.decider], 0.0)
     is_free = possible_actions(state)[ActionSpace(num_objects).of(Verb.WASH)]
     at = jnp.stack([others.num_at_work, others.since_s, jnp.sum(others.goes_on).astype(jnp.float32)])
     shared = jnp.where(others.reached[:, None], own, 0.0)
     team, without = (_of_team(each, two, reach, others, at) for reach in (mine, jnp.zeros_like(mine)))
     columns_of = partial(_columns, num_objects)
     groups = [
-        *(_under_way(verb, [robot.of_verb[verb] for robot in by_robot], state, others) for verb in TARGETED),
+        *(
+            _under_way(verb, [jnp.stack(robot.of_verb[verb], axis=-1) for robot in by_robot], state, others)
+            for verb in TARGETED
+        ),
         columns_of(finish=without, wash=team, lift=team, wait=team),
         columns_of(wash=shared),
         columns_of(lift=shared),
@@ -76,15 +80,21 @@ def team_features(state: TeamState, grasp: GraspModel | None = None) -> Float[Ar
 
 
 def _under_way(
-    verb: Verb, by_robot: Sequence[Sequence[Float[Array, " N"]]], state: TeamState, others: Others
+    verb: Verb, by_robot: Sequence[Float[Array, "N f"]], state: TeamState, others: Others
 ) -> Float[Array, "A f1"]:
-    """How many robots are at a verb after each action, and the sum of what it is about their targets, by each."""
-    each = jnp.stack([jnp.stack([jnp.ones_like(own[0]), *own], axis=-1) for own in by_robot])
-    counted = jnp.where(state.table.is_on_table[:, None], each, 0.0)
+    """How many robots are at a verb after each action, and the sum of what it is about their targets.
+
+    That is one for all robots, or by each robot.
+    """
+    counted = [jnp.concatenate([jnp.ones((len(own), 1)), own], axis=1) for own in by_robot]
+    counted = [jnp.where(state.table.is_on_table[:, None], each, 0.0) for each in counted]
     is_at_it = others.is_at_object & (state.robots.verb == verb)
-    of_targets = counted[jnp.arange(len(counted)), state.robots.target]
+    of_targets, of_decider = counted[0][state.robots.target], counted[0]
+    if len(counted) > 1:
+        each = jnp.stack(counted)
+        of_targets, of_decider = each[jnp.arange(len(each)), state.robots.target], each[state.decider]
     of_others = jnp.sum(jnp.where(is_at_it[:, None], of_targets, 0.0), axis=0)
-    return of_others + _columns(counted.shape[1], **{verb.name.lower(): counted[state.decider]})
+    return of_others + _columns(len(of_decider), **{verb.name.lower(): of_decider})
 
 
 def _of_team(
