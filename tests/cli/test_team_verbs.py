@@ -12,8 +12,8 @@ from halfseen.cell.calibration.law_folder import read_law, write_law
 from halfseen.cell.calibration.shipped import shipped_law
 from halfseen.cli import halfseen
 from halfseen.cli.cell_policies import team_policy_of
-from halfseen.errors import PolicyError
 from halfseen.cli.team import read_robots
+from halfseen.errors import PolicyError
 from halfseen.learners import CensoredQLearner
 from halfseen.logs import Logs, read_logs
 from halfseen.planners.heuristics import GreedyPolicy
