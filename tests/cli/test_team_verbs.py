@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from halfseen.cell.calibration.law_folder import read_law, write_law
+from halfseen.cell.calibration.shipped import shipped_law
 from halfseen.cli import halfseen
 from halfseen.cli.cell_policies import team_policy_of
+from halfseen.cli.team import read_robots
 from halfseen.errors import PolicyError
 from halfseen.learners import CensoredQLearner
 from halfseen.logs import Logs, read_logs
@@ -23,7 +26,7 @@ from halfseen.team.named import named_team
 from halfseen.team.recording import TEAM_VERBS, states_of
 from halfseen.team.rollout import RolloutTeam
 from halfseen.team.rules import ReservingTeam
-from halfseen.world import WorldConfig
+from halfseen.world import AssumedGrasping, WorldConfig
 from small_logs import flat_log, table_log
 
 TABLE = str(table_paths()[5])
@@ -96,6 +99,24 @@ def test_a_cell_takes_the_policy_of_as_many_arms(folder, learned):
     assert mixed.random_share == 0.25
     with pytest.raises(PolicyError, match="it decides for a team of 2, and here are 3 arms; learn one from logs of 3"):
         team_policy_of(name, 0.0, config, 3)
+
+
+def test_a_robot_has_the_law_that_its_file_names(folder, refused):
+    law = read_law(shipped_law()).law
+    write_law(replace(law, limit_s=11.0), folder / "slow-law", {})
+    (folder / "laws.toml").write_text(LEFT + 'law = "slow-law"\n' + RIGHT + 'law = "assumed"\n' + BEHIND)
+    team = read_robots(folder / "laws.toml")
+    assert team is not None
+    own, *others = team.robots
+    assert own.grasping == replace(law.grasping, limit_s=11.0)
+    assert [each.grasping for each in others] == [AssumedGrasping(), None]
+    few = ["--episodes", "4", "--horizon", "2", "--json"]
+    told = run("simulate", TABLE, "--team", folder / "laws.toml", "--out", folder / "by-law", "--law", "shipped", *few)
+    assert json.loads(told.stdout)["robots"] == ["left", "right", "behind"]
+    (folder / "no-law.toml").write_text(LEFT + 'law = "asumed"\n')
+    told = refused("simulate", TABLE, "--team", folder / "no-law.toml", "--out", folder / "none")
+    assert f"{folder / 'no-law.toml'}: robot 0: law: asumed: there is no such folder" in told
+    assert "did you mean 'assumed'?" in told
 
 
 def test_names_of_rules_are_those_of_one_robot(folder):

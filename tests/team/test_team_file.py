@@ -6,6 +6,7 @@ import pytest
 
 from halfseen.errors import ArgumentError
 from halfseen.team import Robot, TeamWorld, read_team
+from halfseen.world import AssumedGrasping, GraspingByRobot
 
 TOML = """
 clearance_m = 0.1
@@ -70,3 +71,19 @@ def test_what_no_team_has_is_told_in_one_line(tmp_path, text, told):
 def test_a_file_that_is_not_there_is_told(tmp_path):
     with pytest.raises(ArgumentError, match=r"no\.toml: cannot be read"):
         read_team(tmp_path / "no.toml")
+
+
+def test_a_robot_may_name_a_law_of_its_own(tmp_path):
+    (tmp_path / "robots.toml").write_text(ROBOT + "law = 'soft'\n" + ROBOT)
+    soft = AssumedGrasping(limit_s=9.0)
+    team = read_team(tmp_path / "robots.toml", law_of={"soft": soft}.__getitem__)
+    assert [robot.grasping for robot in team.robots] == [soft, None]
+    assert TeamWorld.of(team).team_config.world.grasping == GraspingByRobot((soft, AssumedGrasping()))
+    with pytest.raises(ArgumentError, match=r"robots\.toml: robot 0: law is 'soft', and nobody says which that is"):
+        read_team(tmp_path / "robots.toml")
+    (tmp_path / "robots.toml").write_text(ROBOT + "law = 3\n")
+    with pytest.raises(ArgumentError, match=r"robots\.toml: robot 0: law is 3; give the name of a law of grasping"):
+        read_team(tmp_path / "robots.toml", law_of={"soft": soft}.__getitem__)
+    (tmp_path / "robots.toml").write_text(ROBOT + "grasping = 'soft'\n")
+    with pytest.raises(ArgumentError, match="there is no key 'grasping' among"):
+        read_team(tmp_path / "robots.toml")

@@ -1,11 +1,13 @@
 """``--team``: the robots at a table, from a user's file, where there are several."""
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from halfseen.cli import options
+from halfseen.cli.laws import grasping_of
 
 if TYPE_CHECKING:
     from halfseen.team import Team
@@ -22,15 +24,17 @@ def team_option(of: str = "") -> Any:
 
 
 def read_robots(file: Path | None) -> "Team | None":
-    """Read the team of a file; None where there is none.
+    """Read the team of a file, a `law` of a robot being what ``--law`` takes; None where there is none.
 
     Raises
     ------
     ArgumentError
         The file holds no team.
+    PolicyError
+        A folder that it names holds no law.
     """
     if file is None:
         return None
     from halfseen.team import read_team
 
-    return read_team(file)
+    return read_team(file, partial(grasping_of, beside=file.parent))

@@ -6,7 +6,7 @@ Gauss–Hermite quadrature. Particles are drawn from it where a future is sample
 """
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +17,7 @@ from halfseen.errors import ArgumentError
 from halfseen.world.action_space import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.grasping import KnownGrasping
+from halfseen.world.grasping_by_robot import GraspingByRobot
 from halfseen.world.seeing import KnownSeeing, label_evidence
 from halfseen.world.state import TableState
 
@@ -54,11 +55,14 @@ def known_grasping(config: WorldConfig) -> KnownGrasping:
     Raises
     ------
     ArgumentError
-        The world's law can only be drawn from.
+        The world's law can only be drawn from, or so can that of a robot.
     """
-    if not isinstance(config.grasping, KnownGrasping):
-        raise _unknown("grasping", config.grasping, "AssumedGrasping")
-    return config.grasping
+    law = config.grasping
+    for each in law.laws if isinstance(law, GraspingByRobot) else (law,):
+        if not isinstance(each, KnownGrasping):
+            raise _unknown("grasping", each, "AssumedGrasping")
+    assert isinstance(law, KnownGrasping), "it is where each of its laws is"
+    return law
 
 
 def known_seeing(config: WorldConfig) -> KnownSeeing:
@@ -84,6 +88,15 @@ def _unknown(name: str, law: object, known: str) -> ArgumentError:
 def offset_nodes(config: WorldConfig) -> Float[Array, " G"]:
     """Values of u, what is hidden of a grip offset, at which posteriors are held."""
     return known_grasping(config).offset_std * jnp.asarray(_NODES, dtype=jnp.float32)
+
+
+def trait_at(config: WorldConfig, node: Int[Array, " N"]) -> Any:
+    """Hidden trait of the law of grasping with u of each object at one of `offset_nodes`, by number."""
+    law = known_grasping(config)
+    at = jnp.asarray(_NODES, dtype=jnp.float32)[node]
+    if isinstance(law, GraspingByRobot):
+        return tuple(replace(law, robot=k).offset_std * at for k in range(len(law.laws)))
+    return law.offset_std * at
 
 
 def offset_prior() -> tuple[Float[np.ndarray, " G"], Float[np.ndarray, " G"]]:
@@ -113,9 +126,14 @@ def attempt_evidence(
 
 
 def grip_posterior(config: WorldConfig, state: TableState) -> Grip:
-    """Grip of each object, given all its attempts; one table."""
+    """Grip of each object, given all its attempts, each as likely as the law of who made it has it; one table."""
     mean = state.grip[jnp.maximum(state.attempt_object, 0)]
-    evidence = attempt_evidence(config, state.attempt_occlusion, mean, state.attempt_succeeded)
+    tried = state.attempt_occlusion, mean, state.attempt_succeeded
+    if state.attempt_robot is None or not isinstance(config.grasping, GraspingByRobot):
+        evidence = attempt_evidence(config, *tried)
+    else:
+        of_robot = jax.vmap(lambda robot, *each: attempt_evidence(config.as_robot(robot), *each))
+        evidence = of_robot(state.attempt_robot, *tried)
     is_mine = jax.nn.one_hot(state.attempt_object, state.num_objects, dtype=evidence.dtype)
     prior = prior_grip(state.grip)
     return prior._replace(log_weights=prior.log_weights + is_mine.T @ evidence)

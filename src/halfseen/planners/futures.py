@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from halfseen.planners.belief import grip_posterior, known_seeing, offset_nodes
+from halfseen.planners.belief import grip_posterior, known_seeing, trait_at
 from halfseen.world.config import WorldConfig
 from halfseen.world.episodes import Dynamics
 from halfseen.world.seeing import Glimpse, KnownSeeing, Told, label_evidence
@@ -57,7 +57,7 @@ def imagined(config: WorldConfig, state: TableState, key: Array) -> HiddenState:
     dirty_key, grip_key = jax.random.split(key)
     is_dirty = jax.random.uniform(dirty_key, state.log_odds.shape) < jax.nn.sigmoid(state.log_odds)
     node = jax.random.categorical(grip_key, grip_posterior(config, state).log_weights, axis=-1)
-    return HiddenState(is_dirty, offset_nodes(config)[node], None)
+    return HiddenState(is_dirty, trait_at(config, node), None)
 
 
 @dataclass(frozen=True)

@@ -103,18 +103,26 @@ def one_step_q(config: WorldConfig, belief: Belief) -> Float[Array, " A"]:
 
 
 def grasp_probabilities(
-    config: WorldConfig, occluded: Float[Array, " N"], grip: Grip
+    config: WorldConfig, occluded: Float[Array, " N"], grip: Grip, next_config: WorldConfig | None = None
 ) -> tuple[Float[Array, " N"], Float[Array, " N"], Float[Array, " N"]]:
-    """P(an attempt succeeds), and P(the next one does) after a success and after a failure at the same occlusion."""
-    at_node = -jnp.expm1(failure_log_probability(config, occluded, grip.mean))
-    weight = jax.nn.softmax(grip.log_weights, axis=-1)
+    """P(an attempt succeeds), and P(the next one does) after a success and after a failure at the same occlusion.
+
+    The next one is made in `next_config`, where another robot makes it.
+    """
+    at_node, weight = _at_nodes(config, occluded, grip), jax.nn.softmax(grip.log_weights, axis=-1)
+    then = at_node if next_config is None else _at_nodes(next_config, occluded, grip)
 
     def again(after: Float[Array, "N G"]) -> Float[Array, " N"]:
         mass = jnp.maximum(jnp.sum(after, axis=-1), jnp.finfo(after.dtype).tiny)
-        return jnp.sum(after * at_node, axis=-1) / mass
+        return jnp.sum(after * then, axis=-1) / mass
 
     probability = grasp_probability(config, occluded, grip)
     return probability, again(weight * at_node), again(weight * (1.0 - at_node))
+
+
+def _at_nodes(config: WorldConfig, occluded: Float[Array, " N"], grip: Grip) -> Float[Array, "N G"]:
+    """P(an attempt succeeds) at each node of the grip offset."""
+    return -jnp.expm1(failure_log_probability(config, occluded, grip.mean))
 
 
 def rule_and_control(config: WorldConfig, belief: Belief) -> tuple[Float[Array, " A"], Float[Array, " A"]]:

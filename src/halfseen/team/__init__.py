@@ -2,10 +2,11 @@
 
 Read down: `state` (what each robot is at) → `robots`, `team`, `team_file` (who they are, what they reach) → `config` →
 `actions` → `dynamics` (from one decision to the next; drop-outs) → `policy`, `fit` → `episodes` → `recording` (to and
-from logs) → `own_part`, `drop_outs` (parts of a log) → `read_log`, `others`, `makespan`, `features`, `attempts`,
-`rewards`, `task`, `learned_policy`, `decided` (what a team learns, and what that does in a log) → `each_alone`,
-`rules`, `named`, `myopic`, `rollout` (what it is compared with) → `grid_grasping`, `optimum` with `optimum_model`,
-`_events`, `_asking` (the best there is on a small table) → `team_world`, `gymnasium_env`, `pettingzoo_env` (the faces).
+from logs) → `own_part`, `drop_outs` (parts of a log) → `read_log`, `others`, `makespan`, `attempts`, `grasp_by_robot`,
+`features`, `rewards`, `task`, `learned_policy`, `decided` (what a team learns, and what that does in a log) →
+`each_alone`, `rules`, `named`, `myopic`, `rollout` (what it is compared with) → `grid_grasping`, `optimum` with
+`optimum_model`, `_events`, `_asking` (the best there is on a small table) → `team_world`, `gymnasium_env`,
+`pettingzoo_env` (the faces).
 """
 
 from typing import TYPE_CHECKING

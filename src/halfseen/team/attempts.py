@@ -16,10 +16,11 @@ from halfseen.world.state import attempt_counts, occlusion
 def team_attempts(
     logs: Logs, states: TeamState, verb: Int[np.ndarray, "n T"], target: Int[np.ndarray, "n T"]
 ) -> pd.DataFrame:
-    """List every attempt to WASH or LIFT whose end, or cut, was seen (as `halfseen.tables.grasp.attempts` does).
+    """List every attempt to WASH or LIFT whose end, or cut, was seen, and the robot that made it.
 
-    An attempt of a robot lasts until that robot is free. Those of a robot's last decision are left out, as nobody wrote
-    down what became of most of them; that depends on the number of the decision alone.
+    The rest is as `halfseen.tables.grasp.attempts` has it. An attempt of a robot lasts until that robot is free. Those
+    of a robot's last decision are left out, as nobody wrote down what became of most of them; that depends on the
+    number of the decision alone.
 
     Parameters
     ----------
@@ -68,7 +69,7 @@ def team_attempts(
         end_s - begun_s[path, stage],
         is_finished,
     )
-    tried = pd.DataFrame(dict(zip(COLUMNS, columns, strict=True)))
+    tried = pd.DataFrame(dict(zip(COLUMNS, columns, strict=True))).assign(robot=robot)
     return pd.DataFrame(tried[tried["time_s"] > 0]).reset_index(drop=True)
 
 

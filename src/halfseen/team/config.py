@@ -6,6 +6,7 @@ import jax
 
 from halfseen.errors import ArgumentError
 from halfseen.world.config import WorldConfig
+from halfseen.world.grasping_by_robot import GraspingByRobot
 from halfseen.world.number import Number, is_wrong
 
 
@@ -17,7 +18,8 @@ class TeamConfig:
     Parameters
     ----------
     world
-        The table; its `horizon` is counted in decisions of each robot.
+        The table; its `horizon` is counted in decisions of each robot. Where these have laws of grasping of their own,
+        its `grasping` is a `GraspingByRobot` of all of them.
     speed
         How fast each of the K robots works: what takes the world so many seconds takes it that, divided by its speed.
     reward_per_s
@@ -28,8 +30,8 @@ class TeamConfig:
     Raises
     ------
     ArgumentError
-        There is no robot; a speed is not above 0, a price above 0, or a hazard below it; or there is not one hazard a
-        robot.
+        There is no robot; a speed is not above 0, a price above 0, or a hazard below it; or there is not one hazard, or
+        not one law of grasping, a robot.
     """
 
     world: WorldConfig = field(default_factory=WorldConfig)
@@ -46,6 +48,11 @@ class TeamConfig:
         if is_wrong(self.reward_per_s, lambda value: value <= 0):
             raise ArgumentError(f"reward_per_s is {self.reward_per_s!r}; give a finite price, 0 or below [1/s]")
         self._check_rates()
+        if self.has_own_laws and len(self.worlds) != self.num_robots:
+            raise ArgumentError(
+                f"grasping of the world has laws for {len(self.worlds)} robots, and the team has {self.num_robots}; "
+                "give each its own, or all one"
+            )
 
     def _check_rates(self) -> None:
         rates = self.drop_out_rate
@@ -66,6 +73,19 @@ class TeamConfig:
     def num_robots(self) -> int:
         """K."""
         return len(self.speed)
+
+    @property
+    def has_own_laws(self) -> bool:
+        """Whether each robot has a law of grasping of its own."""
+        return isinstance(self.world.grasping, GraspingByRobot)
+
+    @property
+    def worlds(self) -> tuple[WorldConfig, ...]:
+        """The world as each robot finds it; one where all find it alike."""
+        law = self.world.grasping
+        if not isinstance(law, GraspingByRobot):
+            return (self.world,)
+        return tuple(self.world.as_robot(robot) for robot in range(len(law.laws)))
 
     @property
     def num_stages(self) -> int:

@@ -37,6 +37,8 @@ def start(config: TeamConfig, layout: TeamLayout, key: Array) -> tuple[TeamState
     table, hidden = table_dynamics.start(config.world, layout.table, key)
     size, num_objects = config.num_robots, table.num_objects
     table = _with_room(table, size * config.world.horizon)
+    if config.has_own_laws:
+        table = replace(table, attempt_robot=jnp.zeros(table.horizon, dtype=jnp.int32))
     robots = Robots(
         is_busy=jnp.zeros(size, dtype=bool),
         is_parked=jnp.zeros(size, dtype=bool),
@@ -183,9 +185,8 @@ def _begun(
     verb, target = actions.verb(action), actions.target(action)
     is_wait = verb == WAIT
     is_there = state.table.is_on_table & (is_possible | (jnp.arange(state.table.num_objects) != target))
-    tried = attempted(
-        config.world, replace(state.table, is_on_table=is_there), hidden.table, _to_the_table(verb), target, key
-    )
+    world, there = config.world.as_robot(robot), replace(state.table, is_on_table=is_there)
+    tried = attempted(world, there, hidden.table, _to_the_table(verb), target, key)
     speed = jnp.asarray(config.speed)[robot]
     duration_s = (config.world.transport_s + tried.duration_s) / speed
     robots, pending = state.robots, hidden.pending
@@ -269,6 +270,9 @@ def _at_end(
     hides = jnp.where(pending.is_moved[robot], pending.hides[robot], state.table.hides)
     tried = Attempt(pending.is_held[robot], pending.duration_s[robot], hides, None)
     table = after_attempt(state.table, _to_the_table(verb), target, tried, pending.occlusion[robot])
+    if table.attempt_robot is not None:
+        now = table.horizon - state.table.steps_to_go
+        table = replace(table, attempt_robot=table.attempt_robot.at[now].set(robot))
     robots, pending = _freed(robots, pending, robot, passed_s)
     robots = replace(robots, is_parked=robots.is_parked.at[robot].set(verb == Verb.FINISH))
     is_lifted = (jnp.arange(table.num_objects) == target) & tried.is_held & (verb == Verb.LIFT)

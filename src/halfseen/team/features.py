@@ -19,9 +19,13 @@ of FINISH                              1 where another goes on, and how many are
 how long it will take                  the bound of `makespan`
 =====================================  ================================================================================
 
+Where robots differ in how they grasp (`grasp_by_robot`), what is about one object goes by the robot that is at it, or
+decides; what the team can clear is the same, whoever decides.
+
 Where no other robot goes on, all that FINISH looks at is 0, and Q is measured from leaving the table (`rewards`).
 """
 
+from collections.abc import Sequence
 from functools import partial
 
 import jax.numpy as jnp
@@ -29,6 +33,7 @@ from jaxtyping import Array, Bool, Float
 
 from halfseen.tables.features import table_columns
 from halfseen.team.actions import possible_actions
+from halfseen.team.grasp_by_robot import GraspByRobot
 from halfseen.team.makespan import makespans
 from halfseen.team.others import Others, others_of, reached_by_decider
 from halfseen.team.state import TeamState
@@ -45,33 +50,51 @@ _WIN_EASE, _SOON = 3, 9
 def team_features(state: TeamState, grasp: GraspModel | None = None) -> Float[Array, "A F"]:
     """φ(S, a) of every action of the robot that decides, WAIT last."""
     table, others, num_objects = state.table, others_of(state), state.table.num_objects
-    columns = table_columns(table, grasp)
+    columns, mine = table_columns(table, grasp), reached_by_decider(state)
+    by_robot = [columns]
+    if isinstance(grasp, GraspByRobot):
+        by_robot = [table_columns(table, grasp.of(robot)) for robot in range(state.robots.num_robots)]
     each = jnp.where(table.is_on_table[:, None], jnp.stack(columns.table, axis=-1), 0.0)
-    two, mine = each[:, jnp.array([_WIN_EASE, _SOON])], reached_by_decider(state)
+    two = own = each[:, jnp.array([_WIN_EASE, _SOON])]
+    if len(by_robot) > 1:
+        pairs = jnp.stack([jnp.stack([robot.table[k] for k in (_WIN_EASE, _SOON)], axis=-1) for robot in by_robot])
+        own = jnp.where(table.is_on_table[:, None], pairs[state.decider], 0.0)
     is_free = possible_actions(state)[ActionSpace(num_objects).of(Verb.WASH)]
     at = jnp.stack([others.num_at_work, others.since_s, jnp.sum(others.goes_on).astype(jnp.float32)])
-    shared = jnp.where(others.reached[:, None], two, 0.0)
+    shared = jnp.where(others.reached[:, None], own, 0.0)
     team, without = (_of_team(each, two, reach, others, at) for reach in (mine, jnp.zeros_like(mine)))
     columns_of = partial(_columns, num_objects)
     groups = [
-        *(_under_way(verb, jnp.stack(columns.of_verb[verb], axis=-1), state, others) for verb in TARGETED),
+        *(
+            _under_way(verb, [jnp.stack(robot.of_verb[verb], axis=-1) for robot in by_robot], state, others)
+            for verb in TARGETED
+        ),
         columns_of(finish=without, wash=team, lift=team, wait=team),
         columns_of(wash=shared),
         columns_of(lift=shared),
-        columns_of(wait=jnp.concatenate([jnp.ones(1), at, _largest(two, is_free), _largest(two, mine & ~is_free)])),
+        columns_of(wait=jnp.concatenate([jnp.ones(1), at, _largest(own, is_free), _largest(own, mine & ~is_free)])),
         columns_of(finish=jnp.stack([jnp.any(others.goes_on).astype(jnp.float32), others.num_at_work])),
         makespans(state, others)[:, None],
     ]
     return jnp.concatenate(groups, axis=1)
 
 
-def _under_way(verb: Verb, own: Float[Array, "N f"], state: TeamState, others: Others) -> Float[Array, "A f1"]:
-    """How many robots are at a verb after each action, and the sum of what it is about their targets."""
-    counted = jnp.concatenate([jnp.ones((len(own), 1)), own], axis=1)
-    counted = jnp.where(state.table.is_on_table[:, None], counted, 0.0)
+def _under_way(
+    verb: Verb, by_robot: Sequence[Float[Array, "N f"]], state: TeamState, others: Others
+) -> Float[Array, "A f1"]:
+    """How many robots are at a verb after each action, and the sum of what it is about their targets.
+
+    That is one for all robots, or by each robot.
+    """
+    counted = [jnp.concatenate([jnp.ones((len(own), 1)), own], axis=1) for own in by_robot]
+    counted = [jnp.where(state.table.is_on_table[:, None], each, 0.0) for each in counted]
     is_at_it = others.is_at_object & (state.robots.verb == verb)
-    of_others = jnp.sum(jnp.where(is_at_it[:, None], counted[state.robots.target], 0.0), axis=0)
-    return of_others + _columns(len(own), **{verb.name.lower(): counted})
+    of_targets, of_decider = counted[0][state.robots.target], counted[0]
+    if len(counted) > 1:
+        each = jnp.stack(counted)
+        of_targets, of_decider = each[jnp.arange(len(each)), state.robots.target], each[state.decider]
+    of_others = jnp.sum(jnp.where(is_at_it[:, None], of_targets, 0.0), axis=0)
+    return of_others + _columns(len(of_decider), **{verb.name.lower(): of_decider})
 
 
 def _of_team(

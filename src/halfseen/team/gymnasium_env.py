@@ -33,7 +33,8 @@ class TeamCupsEnv(gymnasium.Env[Observation, np.int64]):
 
     An observation holds what one of `CupsEnv` holds, and decider (number of the robot that decides); for each robot
     is_busy, is_parked, is_out, verb (0 FINISH, 1 WASH, 2 LIFT, 3 WAIT), target, since_s and decisions_to_go; and
-    is_in_reach (of row r, what robot r reaches) and is_near (pairs at which two robots cannot be at once).
+    is_in_reach (of row r, what robot r reaches) and is_near (pairs at which two robots cannot be at once). Where robots
+    have laws of grasping of their own, attempt_robot tells who made each attempt.
 
     Parameters
     ----------

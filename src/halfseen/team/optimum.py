@@ -198,7 +198,8 @@ def solve_team(
     Raises
     ------
     ArgumentError
-        The law is none on a grid, robots may drop out, or there are more than `max_states` states.
+        The law is none on a grid, or not one for all robots; robots may drop out; or there are more than `max_states`
+        states.
     """
     table = scene if isinstance(scene, Scene) else Scene(np.asarray(scene, dtype=np.float64))
     world = GridWorld(table, config.world, num_grip_nodes)

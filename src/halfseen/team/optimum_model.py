@@ -115,7 +115,7 @@ class GridTeam:
     Raises
     ------
     ArgumentError
-        The law of grasping is none on a grid, or robots may drop out.
+        The law of grasping is none on a grid, or not one for all robots, or robots may drop out.
     """
 
     world: GridWorld
@@ -125,6 +125,8 @@ class GridTeam:
 
     def __post_init__(self) -> None:
         law = self.config.world.grasping
+        if self.config.has_own_laws:
+            raise ArgumentError("robots have laws of grasping of their own; a team is solved whose robots have one law")
         if not isinstance(law, GridGrasping):
             raise ArgumentError(
                 f"grasping is {type(law).__name__}, whose attempts may take any time; a team is solved under "

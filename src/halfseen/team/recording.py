@@ -38,7 +38,7 @@ from halfseen.team.state import Robots, TeamState, Workspace
 from halfseen.world.action_space import TARGETED, ActionSpace
 from halfseen.world.cuts import CutEpisodes, CutKind
 from halfseen.world.number import Number
-from halfseen.world.recording import VERB_NAMES, lists_of, objects_of, paths_of, stages_of
+from halfseen.world.recording import VERB_NAMES, attempt_slots, lists_of, objects_of, paths_of, stages_of
 from halfseen.world.recording import states_of as table_states_of
 from halfseen.world.scene import Scene
 from halfseen.world.state import NO_ATTEMPT, TableState
@@ -180,6 +180,7 @@ def states_of(logs: Logs, horizon: int) -> TeamState:
         decisions_to_go=spread(numbers["decisions_to_go"].astype(np.int32)),
         is_out=spread(is_out) if is_out.any() or robots_that_may_drop_out(logs.paths) else None,
     )
+    table = replace(table, attempt_robot=_attempt_robots(logs, table))
     return TeamState(table, robots, _workspaces(logs, table, told), spread(told.decider))
 
 
@@ -269,6 +270,19 @@ def _parsed(words: str) -> tuple[int, int]:
     if verb not in TEAM_VERBS or (target.isdecimal() != (TEAM_VERBS.index(verb) in TARGETED)):
         return _UNKNOWN, 0
     return TEAM_VERBS.index(verb), int(target or 0)
+
+
+def _attempt_robots(logs: Logs, table: TableState) -> Int[Array, "n T A"] | None:
+    """Who made each past attempt; None where the log does not tell."""
+    assert logs.objects is not None
+    if ATTEMPT_BY not in logs.objects.columns:
+        return None
+    by = lists_in(logs.objects, ATTEMPT_BY)
+    path = pd.Index(logs.path_ids).get_indexer(logs.objects["path"])[by.row]
+    stage = logs.objects["stage"].to_numpy()[by.row] - 1
+    found = np.zeros(table.attempt_object.shape, dtype=np.int32)
+    found[path, stage, attempt_slots(path, stage)] = by.values
+    return jnp.asarray(found)
 
 
 def _workspaces(logs: Logs, table: TableState, told: Told) -> Workspace:

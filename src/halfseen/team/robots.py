@@ -11,6 +11,8 @@ from jaxtyping import Float
 
 from halfseen.errors import ArgumentError, HalfseenWarning
 from halfseen.team.state import Workspace
+from halfseen.world.grasping import GraspLaw
+from halfseen.world.grasping_by_robot import check_law
 from halfseen.world.number import is_number, is_wrong
 
 CLEARANCE_M = 0.12
@@ -33,12 +35,14 @@ class Robot:
         What it is called in messages.
     drop_out_rate
         Hazard that it drops out (battery, e-stop), by the table's clock [1/s].
+    grasping
+        How its attempts go; None for the law of the world.
 
     Raises
     ------
     ArgumentError
-        `base_m` is not two finite numbers, `name` no text, or another is no finite number, reach or speed not above 0,
-        or the hazard below it.
+        `base_m` is not two finite numbers, `name` no text, `grasping` no law, or another is no finite number, reach or
+        speed not above 0, or the hazard below it.
     """
 
     base_m: Sequence[float | int]
@@ -46,6 +50,7 @@ class Robot:
     speed: float | int = 1.0
     name: str = "robot"
     drop_out_rate: float | int = 0.0
+    grasping: GraspLaw | None = None
 
     def __post_init__(self) -> None:
         check_robot(vars(self))
@@ -82,6 +87,8 @@ def check_robot(told: Mapping[str, Any]) -> None:
     if not (is_pair and all(is_number(each) and np.isfinite(each) for each in base)):
         raise ArgumentError(f"{name}: base_m is {base!r}; give two finite numbers, x and y [m]")
     check_numbers(told, f"{name}: ")
+    if told.get("grasping") is not None:
+        check_law(told["grasping"], f"{name}: grasping")
 
 
 def check_numbers(told: Mapping[str, Any], where: str = "") -> None:

@@ -6,6 +6,7 @@ robot at a time costs as many tries as the robots have actions, added up and not
 """
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -109,24 +110,25 @@ def imagined_team(config: TeamConfig, state: TeamState, key: Array) -> TeamHidde
     is_at_object = state.robots.is_busy & (state.robots.verb > 0) & (state.robots.verb != WAIT)
     # What nobody is at is out of the table's range, and dropped.
     target = jnp.where(is_at_object, state.robots.target, state.table.num_objects)
-    table = replace(table, grasp_trait=table.grasp_trait.at[target].set(offset, mode="drop"))
+    trait = jax.tree.map(lambda all_of, own: all_of.at[target].set(own, mode="drop"), table.grasp_trait, offset)
+    table = replace(table, grasp_trait=trait)
     return TeamHidden(
         table, Pending(*of_pending), until_out_s(config, jax.random.fold_in(robots_key, config.num_robots))
     )
 
 
-def _pending(config: TeamConfig, state: TeamState, robot: Int[Array, ""], key: Array) -> tuple[Array, ...]:
+def _pending(config: TeamConfig, state: TeamState, robot: Int[Array, ""], key: Array) -> tuple[Any, ...]:
     """How what one robot carries out will end (the fields of `Pending`), and the grip offset of its object."""
-    world, robots, speed = config.world, state.robots, jnp.asarray(config.speed)[robot]
+    world, robots, speed = config.world.as_robot(robot), state.robots, jnp.asarray(config.speed)[robot]
     is_wait, target, since_s = robots.verb[robot] == WAIT, robots.target[robot], robots.since_s[robot]
     verb = jnp.where(is_wait, Verb.FINISH, robots.verb[robot])
 
-    def proposal(key: Array) -> tuple[Array, Array, Array, Array]:
+    def proposal(key: Array) -> tuple[Array, Array, Array, Any]:
         grip_key, attempt_key = jax.random.split(key)
         drawn = imagined(world, state.table, grip_key)
         tried = attempted(world, state.table, drawn, verb, target, attempt_key)
         duration_s = (world.transport_s + tried.duration_s) / speed
-        return duration_s, tried.is_held, tried.hides, drawn.grasp_trait[target]
+        return duration_s, tried.is_held, tried.hides, jax.tree.map(lambda offset: offset[target], drawn.grasp_trait)
 
     duration_s, is_held, hides, offset = jax.vmap(proposal)(jax.random.split(key, NUM_PROPOSALS))
     # Of two that end at once the lower robot ends first, so that a higher one may be at its end.
@@ -141,5 +143,5 @@ def _pending(config: TeamConfig, state: TeamState, robot: Int[Array, ""], key: A
         occlusion(state.table)[target],
         hides[chosen],
         hides[chosen] != state.table.hides,
-        offset[chosen],
+        jax.tree.map(lambda drawn: drawn[chosen], offset),
     )

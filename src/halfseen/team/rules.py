@@ -3,9 +3,13 @@
 Whatever a robot begins is reserved: nobody else touches it, nor what is near it (`actions`). `ReservingTeam` is as
 strong a plain rule as we know. `TeamOfRules` knows no price of time, and `RoundRobin` and `OneAtATime` coordinate
 less; a team's policy is to beat them all.
+
+Where the world that a rule believes in has a law of grasping for each robot (`TeamWorld.team_config.world`), an attempt
+is worth what it is by the law of the robot that decides, and a past attempt tells of a grip what the law of the robot
+says that made it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -76,7 +80,7 @@ class ReservingTeam:
 
     def _price_of_attempts(self, state: TeamState) -> Float[Array, " N"]:
         """Price of the time that the robot that decides is expected to take for each object, if nobody shares it."""
-        world, table = self.config.world, state.table
+        world, table = self.config.world.as_robot(state.decider), state.table
         grip = grip_posterior(world, table) if self.rule.uses_history else prior_grip(table.grip)
         attempt_s = expected_attempt_s(world, occlusion(table), grip) / jnp.asarray(self.config.speed)[state.decider]
         return self.config.reward_per_s * attempt_s
@@ -131,8 +135,9 @@ class OneAtATime:
 
 
 def _worth(rule: GreedyPolicy, state: TeamState) -> Float[Array, " N"]:
-    """What an attempt at each object is worth to the robot that decides; −∞ where it does not reach it."""
-    return jnp.where(state.workspace.is_in_reach[state.decider], rule.worth(state.table), -jnp.inf)
+    """What an attempt at each object is worth by the robot that decides; −∞ where it does not reach it."""
+    own = replace(rule, config=rule.config.as_robot(state.decider))
+    return jnp.where(state.workspace.is_in_reach[state.decider], own.worth(state.table), -jnp.inf)
 
 
 def _chosen(state: TeamState, gain: Float[Array, " N"], preferred: Float[Array, " N"]) -> Decision:

@@ -168,6 +168,7 @@ class TableInPlay:
     def space(self) -> spaces.Space[Observation]:
         """Space of `observation`."""
         num_robots, horizon = self.config.num_robots, self.config.world.horizon
+        by_robot = {"attempt_robot": spaces.Box(0, num_robots - 1, (self.config.num_stages,), dtype=np.int32)}
         return spaces.Dict(
             {
                 **table_spaces(self.layouts.table, self.config.world, self.config.num_stages),
@@ -181,13 +182,17 @@ class TableInPlay:
                 "decisions_to_go": spaces.Box(0, horizon, (num_robots,), dtype=np.int32),
                 "is_in_reach": spaces.MultiBinary((num_robots, self.num_objects)),
                 "is_near": spaces.MultiBinary((self.num_objects, self.num_objects)),
+                **(by_robot if self.config.has_own_laws else {}),
             }
         )
 
     def _longest_s(self) -> float:
-        """Bound on what a robot may be at: an attempt of the slowest, or a wait for it [s]."""
-        world = self.config.world
-        return float(np.ceil((world.grasping.limit_s + world.transport_s) / min(map(float, self.config.speed))))
+        """Bound on what a robot may be at: the longest attempt of one, or a wait for it [s]."""
+        worlds = (self.config.world.as_robot(robot) for robot in range(self.config.num_robots))
+        longest_s = (float(world.grasping.limit_s + world.transport_s) for world in worlds)
+        return float(
+            np.ceil(max(each / float(speed) for each, speed in zip(longest_s, self.config.speed, strict=True)))
+        )
 
 
 _start, _step = jax.jit(start), jax.jit(step_any)
@@ -200,7 +205,7 @@ def _mask(state: TeamState) -> Int[Array, " A"]:
 
 @jax.jit
 def _observe_robots(state: TeamState) -> dict[str, Array]:
-    """What each robot is at, 0 where it is at nothing; and who reaches what."""
+    """What each robot is at, 0 where it is at nothing; who reaches what, and who made each attempt, if that matters."""
     robots, space = state.robots, state.workspace
     is_out = jnp.zeros_like(robots.is_busy) if robots.is_out is None else robots.is_out
     return {
@@ -213,4 +218,5 @@ def _observe_robots(state: TeamState) -> dict[str, Array]:
         "decisions_to_go": robots.decisions_to_go,
         "is_in_reach": space.is_in_reach.astype(jnp.int8),
         "is_near": space.is_near.astype(jnp.int8),
+        **({} if state.table.attempt_robot is None else {"attempt_robot": state.table.attempt_robot}),
     }

@@ -33,6 +33,7 @@ from halfseen.team.decided import decisions
 from halfseen.team.each_alone import learned_alone
 from halfseen.team.features import team_features
 from halfseen.team.fit import check_decides_for
+from halfseen.team.grasp_by_robot import SENTENCE, choose_by_robot
 from halfseen.team.learned_policy import LinearTeamPolicy
 from halfseen.team.log_checks import robots_in
 from halfseen.team.policy import TeamPolicy
@@ -68,7 +69,8 @@ class TeamTask:
     ----------
     grasp
         What tells the probability of a grasp: None for the rule of succession, any `GraspModel`, or ``"auto"``, as for
-        one robot (`halfseen.tables.grasp.choice`); until it is fitted, the rule of succession.
+        one robot (`halfseen.tables.grasp.choice`), or by each robot's own attempts where robots clearly differ
+        (`halfseen.team.grasp_by_robot`); until it is fitted, the rule of succession.
     reduces_variance
         Takes the noise of dirty or clean and that of the labels out of the targets of eq. 3 (`team.rewards`).
     chosen
@@ -136,7 +138,11 @@ class TeamTask:
             return self
         read = read_log(logs, horizon, self.num_robots)
         most = int(np.asarray(read.states.robots.decisions_to_go).sum(axis=-1).max(initial=1))
-        choice = choose_by(team_attempts(logs, read.states, read.verb, read.target), most)
+        tried = team_attempts(logs, read.states, read.verb, read.target)
+        by_robot = choose_by_robot(tried, read.states.robots.num_robots, most)
+        if by_robot is not None:
+            return replace(self, grasp=by_robot, chosen=(*self.chosen, SENTENCE))
+        choice = choose_by(tried, most)
         return replace(self, grasp=choice.grasp, chosen=(*self.chosen, choice.sentence))
 
     def _with_base(self, logs: Logs, horizon: int) -> "TeamTask":

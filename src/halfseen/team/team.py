@@ -1,7 +1,7 @@
 """A team: its robots, how near two may work, and what its seconds cost; how scenes stand before it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +11,7 @@ from halfseen.team.config import TeamConfig
 from halfseen.team.robots import CLEARANCE_M, Robot, check_numbers, workspace_of
 from halfseen.team.state import TeamLayout, Workspace
 from halfseen.world.config import WorldConfig
+from halfseen.world.grasping_by_robot import GraspingByRobot
 from halfseen.world.scene import Scene
 from halfseen.world.state import pad_scenes
 
@@ -48,9 +49,13 @@ class Team:
         check_numbers(vars(self))
 
     def config(self, world: WorldConfig) -> TeamConfig:
-        """Give the numbers of this team in a world."""
+        """Give the numbers of this team in a world, and there the law of grasping of each robot, if one has its own."""
         rates = tuple(robot.drop_out_rate for robot in self.robots)
         speed = tuple(robot.speed for robot in self.robots)
+        laws = [robot.grasping for robot in self.robots]
+        if any(law is not None for law in laws):
+            own = tuple(world.grasping if law is None else law for law in laws)
+            world = replace(world, grasping=GraspingByRobot(own))
         return TeamConfig(world, speed, self.reward_per_s, rates if any(rates) else None)
 
     def layouts(self, scenes: Sequence[Scene], num_objects: int | None = None) -> TeamLayout:

@@ -11,11 +11,12 @@
     reach_m = 0.7
     speed = 1.0
     drop_out_rate = 0.001
+    law = "assumed"             # of grasping, by a name that whoever reads the file knows; the world's if left out
 """
 
 import json
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -25,19 +26,23 @@ from halfseen.logs.refusal import within
 from halfseen.suggestions import did_you_mean
 from halfseen.team.robots import Robot, check_numbers, check_robot
 from halfseen.team.team import Team
+from halfseen.world.grasping import GraspLaw
 
 _NEEDED = ("base_m", "reach_m")
-_OF_ROBOT = tuple(field.name for field in fields(Robot))
+_OF_ROBOT = (*(field.name for field in fields(Robot) if field.name != "grasping"), "law")
 _OF_TEAM = ("clearance_m", "reward_per_s")
 
 
-def read_team(path: str | Path) -> Team:
+def read_team(path: str | Path, law_of: Callable[[str], GraspLaw] | None = None) -> Team:
     """Read the robots of a team.
 
     Parameters
     ----------
     path
         A TOML file, or a JSON file of the same keys with the ending .json.
+    law_of
+        Gives the law of grasping of a name, for robots with a `law`; None where none has one. On the command line a
+        name is what `--law` takes, a folder being looked for beside the file.
 
     Raises
     ------
@@ -53,7 +58,7 @@ def read_team(path: str | Path) -> Team:
             raise ArgumentError("there is no robot; give each a table of its own, [[robot]] with base_m and reach_m")
         of_team = {key: told[key] for key in _OF_TEAM if key in told}
         check_numbers(of_team)
-        team = Team(tuple(_robot(k, each) for k, each in enumerate(robots)), **of_team)
+        team = Team(tuple(_robot(k, each, law_of) for k, each in enumerate(robots)), **of_team)
         _check_names(team)
         return team
 
@@ -71,15 +76,25 @@ def _read(path: Path) -> Mapping[str, Any]:
     return told
 
 
-def _robot(k: int, told: Mapping[str, Any]) -> Robot:
+def _robot(k: int, told: Mapping[str, Any], law_of: Callable[[str], GraspLaw] | None) -> Robot:
     where = f"robot {k}: "
     _check_keys(where, told, _OF_ROBOT)
     for key in _NEEDED:
         if key not in told:
             raise ArgumentError(f"{where}{key} is missing; give it [m]")
     named = {"name": f"robot {k}", **told}
+    law = named.pop("law", None)
     check_robot(named)
-    return Robot(**named)
+    return Robot(**named, grasping=None if law is None else _grasping(where, law, law_of))
+
+
+def _grasping(where: str, law: Any, law_of: Callable[[str], GraspLaw] | None) -> GraspLaw:
+    if not isinstance(law, str):
+        raise ArgumentError(f"{where}law is {law!r}; give the name of a law of grasping")
+    if law_of is None:
+        raise ArgumentError(f"{where}law is {law!r}, and nobody says which that is; give read_team a law_of that does")
+    with within(f"{where}law"):
+        return law_of(law)
 
 
 def _check_keys(where: str, told: Mapping[str, Any], known: tuple[str, ...]) -> None:

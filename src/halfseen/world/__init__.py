@@ -1,10 +1,11 @@
 """The decision process: state, actions, transition, seeing, reward → paths.
 
 Read down: `grasping`, `seeing` (the laws; another robot or gripper is another law of grasping), `fitted_grasping`,
-`persistent_seeing` (laws whose numbers attempts and labels tell) → `config` (they and the numbers) → `scene` (where an
-episode starts) → `state` (what is seen, what is hidden) → `action_space` (the verbs) → `dynamics` (one step) → `policy`
-(what decides), `explanation` (how sure that is) → `episodes` (many tables to their end) → `cuts` → `recording` (to and
-from logs) → `table_world` and `gymnasium_env` (the faces).
+`persistent_seeing` (laws whose numbers attempts and labels tell), `grasping_by_robot` (a law for each robot of a team)
+→ `config` (they and the numbers) → `scene` (where an episode starts) → `state` (what is seen, what is hidden) →
+`action_space` (the verbs) → `dynamics` (one step) → `policy` (what decides), `explanation` (how sure that is) →
+`episodes` (many tables to their end) → `cuts` → `recording` (to and from logs) → `table_world` and `gymnasium_env` (the
+faces).
 """
 
 from typing import TYPE_CHECKING
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from halfseen.world.explanation import Explanation
     from halfseen.world.fitted_grasping import FittedGrasping
     from halfseen.world.grasping import Arrangement, AssumedGrasping, Attempt, GraspLaw, KnownGrasping
+    from halfseen.world.grasping_by_robot import GraspingByRobot
     from halfseen.world.persistent_seeing import PersistentSeeing
     from halfseen.world.policy import Decision, ExploringPolicy, Policy, UniformPolicy
     from halfseen.world.scene import Scene
@@ -36,6 +38,7 @@ __all__ = [
     "FittedGrasping",
     "Glimpse",
     "GraspLaw",
+    "GraspingByRobot",
     "KnownGrasping",
     "KnownSeeing",
     "PersistentSeeing",
@@ -64,6 +67,7 @@ __getattr__ = lazy_names(
         "FittedGrasping": "fitted_grasping",
         "Glimpse": "seeing",
         "GraspLaw": "grasping",
+        "GraspingByRobot": "grasping_by_robot",
         "KnownGrasping": "grasping",
         "KnownSeeing": "seeing",
         "PersistentSeeing": "persistent_seeing",

@@ -4,11 +4,13 @@ The paper prints none of them. Whoever compares results must compare them under 
 prints it.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import jax
+from jax import Array
 
 from halfseen.world.grasping import AssumedGrasping, GraspLaw
+from halfseen.world.grasping_by_robot import GraspingByRobot
 from halfseen.world.number import Number
 from halfseen.world.seeing import AssumedSeeing, SeeingLaw
 
@@ -55,3 +57,9 @@ class WorldConfig:
     def num_stages(self) -> int:
         """Decisions that a path may have."""
         return self.horizon
+
+    def as_robot(self, robot: int | Array) -> "WorldConfig":
+        """Give the world as one robot of a team finds it: attempts go by its law, where each has its own."""
+        if not isinstance(self.grasping, GraspingByRobot):
+            return self
+        return replace(self, grasping=replace(self.grasping, robot=robot))

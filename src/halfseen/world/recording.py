@@ -190,6 +190,11 @@ def _hides(
     return hides
 
 
+def attempt_slots(path: Int[np.ndarray, " n"], stage: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+    """Where the state of a stage holds its past attempts, told object by object: one after the other."""
+    return pd.Series(path).groupby([path, stage]).cumcount().to_numpy()
+
+
 def _attempts(
     frame: pd.DataFrame, lists: Mapping[str, Lists], at: tuple, shape: tuple[int, int], horizon: int
 ) -> tuple[Int[np.ndarray, "n T T"], Float[np.ndarray, "n T T"], Bool[np.ndarray, "n T T"]]:
@@ -198,7 +203,7 @@ def _attempts(
     occluded = np.zeros(tried.shape, dtype=np.float32)
     succeeded = np.zeros(tried.shape, dtype=bool)
     row = lists["attempt_occlusions"].row
-    slot = pd.Series(row).groupby([at[0][row], at[1][row]]).cumcount().to_numpy()
+    slot = attempt_slots(at[0][row], at[1][row])
     if len(slot) and slot.max() >= horizon:
         where = frame.iloc[row[np.argmax(slot)]]
         raise LogError(

@@ -46,6 +46,8 @@ class TableState:
     """Whether it was grasped."""
     steps_to_go: Int[Array, "*B"]
     """Actions left, this one included."""
+    attempt_robot: Int[Array, "*B T"] | None = None
+    """Number of the robot that made it; None where that does not matter, as all have one law, or is not known."""
 
     @property
     def num_objects(self) -> int:

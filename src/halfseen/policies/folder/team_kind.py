@@ -12,8 +12,9 @@ from halfseen.logs import Logs
 from halfseen.policies.folder.arrays import Arrays, Shape, check_arrays, kernel_map_of, policy_arrays
 from halfseen.policies.folder.json_values import horizon_of, typed
 from halfseen.policies.folder.seen_tables import TABLE_RANGES, seen_tables
-from halfseen.policies.folder.table_parts import grasp_arrays, grasp_of, is_seen_of, seen_verbs
+from halfseen.policies.folder.table_parts import is_seen_of, seen_verbs
 from halfseen.policies.folder.team_base import base_arrays, base_of, base_schema, split_arrays
+from halfseen.policies.folder.team_grasp import split_grasp, team_grasp_arrays, team_grasp_of
 from halfseen.tables.features import FEATURES_VERSION as TABLE_FEATURES_VERSION
 from halfseen.team.features import NUM_FEATURES
 from halfseen.team.learned_policy import LinearTeamPolicy
@@ -86,7 +87,7 @@ class TeamKind:
         """
         given = {name: getattr(policy, name) for name in _ARRAYS}
         others = {name: np.asarray(value) for name, value in given.items() if value is not None}
-        return policy_arrays(policy) | others | grasp_arrays(policy.grasp) | base_arrays(policy.base)
+        return policy_arrays(policy) | others | team_grasp_arrays(policy.grasp) | base_arrays(policy.base)
 
     def policy_of(self, record: Mapping[str, Any], arrays: Arrays) -> LinearTeamPolicy:
         """Put a policy together again.
@@ -99,6 +100,7 @@ class TeamKind:
         _check_schema(record)
         shape = Shape(horizon_of(record), 1, NUM_FEATURES, np.float32)
         arrays, of_base = split_arrays(arrays)
+        arrays, of_grasp = split_grasp(arrays, record["schema"]["num_robots"])
         check_arrays(arrays, shape, may_grasp=True, others=_ARRAYS)
         _check_caution(arrays.get("caution"))
         base = base_of(record, of_base)
@@ -108,7 +110,7 @@ class TeamKind:
         kernel_map = kernel_map_of(on_device)
         given |= {} if kernel_map is None else {"kernel_map": kernel_map}
         is_seen = is_seen_of(_VERBS, record)
-        return LinearTeamPolicy(**given, grasp=grasp_of(on_device), is_seen=is_seen, base=base)
+        return LinearTeamPolicy(**given, grasp=team_grasp_of(on_device, of_grasp), is_seen=is_seen, base=base)
 
 
 def _check_caution(caution: np.ndarray | None) -> None:

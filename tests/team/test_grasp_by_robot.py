@@ -1,0 +1,87 @@
+"""Where robots clearly differ in how they grasp, the team learns it of each; else of all."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from test_team_laws import LOGISTIC, SCENE, WORLD, first_layout, world_of
+
+from halfseen.errors import PolicyError
+from halfseen.policies.folder.team_grasp import split_grasp, team_grasp_arrays, team_grasp_of
+from halfseen.tables.features import table_columns
+from halfseen.tables.grasp.grasp_table import GraspTable
+from halfseen.team import TeamTask, UniformTeam, dynamics
+from halfseen.team.features import NUM_LIFT, NUM_WASH, team_features
+from halfseen.team.grasp_by_robot import GraspByRobot
+from halfseen.world.action_space import Verb
+
+SURE, CLUMSY = replace(LOGISTIC, log_odds=3.0), replace(LOGISTIC, log_odds=-2.0)
+KEY = jax.random.key(2)
+
+
+def fitted(*laws, num_paths=300):
+    logs = world_of(*laws).simulate([SCENE], UniformTeam(), num_paths, seed=1, cut_share=0.2)
+    return TeamTask(base=None).fitted(logs, 2 * WORLD.horizon)
+
+
+def test_robots_that_differ_are_told_apart_and_those_that_do_not_are_not():
+    told = fitted(SURE, CLUMSY)
+    assert isinstance(told.grasp, GraspByRobot)
+    assert "own attempts" in told.chosen[-1]
+    state, _ = dynamics.start(world_of(SURE, CLUMSY).team_config, first_layout(), KEY)
+    # Of the object in full view before any attempt: the law, its hidden grip integrated out.
+    offsets = LOGISTIC.offset_std * np.random.default_rng(0).standard_normal(100_000)
+    for robot, law in enumerate((SURE, CLUMSY)):
+        known = np.mean(1.0 / (1.0 + np.exp(-law.log_odds - offsets)))
+        assert float(told.grasp.of(robot).probability(state.table)[-1]) == pytest.approx(known, abs=0.1)
+    assert not isinstance(fitted(SURE, SURE).grasp, GraspByRobot)
+    # Too few attempts tell nothing.
+    assert not isinstance(fitted(SURE, CLUMSY, num_paths=5).grasp, GraspByRobot)
+
+
+def by_robot():
+    shared, *own = (GraspTable(jnp.full((3, 2, 2), chance), jnp.asarray(1.0)) for chance in (0.5, 0.9, 0.2))
+    return GraspByRobot(shared, jax.tree.map(lambda *leaves: jnp.stack(leaves), *own)), shared, own
+
+
+def test_what_is_about_an_object_goes_by_who_is_at_it():
+    model, shared, own = by_robot()
+    config = world_of(None, None).team_config
+    state, hidden = dynamics.start(config, first_layout(), KEY)
+    state, hidden, _ = dynamics.step(config, state, hidden, jnp.asarray(2), KEY)  # robot 0 washes 1, robot 1 decides
+    assert int(state.decider) == 1
+    of_0, of_1 = (table_columns(state.table, each).of_verb[Verb.WASH] for each in own)
+    found, plain = (np.asarray(team_features(state, each)) for each in (model, shared))
+    # After WASH of 2 two are under way, each as its robot grasps; after FINISH that of robot 0.
+    of_wash = slice(1, NUM_WASH)
+    both = [one[1] + other[2] for one, other in zip(of_0, of_1, strict=True)]
+    for action, known in ((1 + 2, both), (0, [each[1] for each in of_0])):
+        np.testing.assert_allclose(found[action, of_wash], known, rtol=1e-5)
+    # What the team can clear is the same, whoever decides.
+    team = slice(NUM_WASH + NUM_LIFT, NUM_WASH + NUM_LIFT + 18)
+    np.testing.assert_array_equal(found[:, team], plain[:, team])
+    assert np.abs(found[:, of_wash] - plain[:, of_wash]).max() > 0.1
+    # Where all grasp alike, nothing changes.
+    alike = GraspByRobot(shared, jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), shared))
+    np.testing.assert_allclose(team_features(state, alike), plain, rtol=1e-6)
+
+
+def test_it_comes_back_from_a_folder_and_what_does_not_fit_is_refused():
+    model, _, _ = by_robot()
+    arrays = team_grasp_arrays(model)
+    shared, own = split_grasp(arrays, 2)
+    again = team_grasp_of({name: jnp.asarray(each) for name, each in shared.items()}, own)
+    assert isinstance(again, GraspByRobot)
+    for one, other in zip(jax.tree.leaves(again), jax.tree.leaves(model), strict=True):
+        np.testing.assert_array_equal(one, other)
+    without = {name: each for name, each in arrays.items() if name != "own.grasp.per_grip"}
+    twos = {**arrays, "own.grasp.chances": arrays["own.grasp.chances"] * 0.0 + 2.0}
+    for given, num_robots, told in (
+        (arrays, 3, "asks for float32 of shape"),
+        (without, 2, "'own.grasp.per_grip' or 'grasp.per_grip' is missing"),
+        (twos, 2, "'own.grasp.chances' holds 2.0"),
+    ):
+        with pytest.raises(PolicyError, match=told):
+            split_grasp(given, num_robots)
