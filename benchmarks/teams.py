@@ -7,11 +7,11 @@ The study of several robots (two hours on two cores):
     python benchmarks/teams.py --robots 1 2 3 --paths 100 400 1600 --cut 0 0.5 --price -0.05 --logs 4 --episodes 1000
                                --without "learned, Q of the best" --out runs/benchmarks/team_study.json
 
-The ten shipped tables under the law of the shipped cell, or under the laws that the package assumes. One robot
-reaches everything; two stand to the left and to the right and share the middle; a third stands behind. Each log is
-played by the team's rule of thumb, half of whose decisions are made uniformly at random. What is learned from each log
-plays the same episodes as all others; intervals are over logs, and for who learns nothing over episodes. Points are
-counted above leaving the table as it is.
+The ten shipped tables under the law of the shipped cell, of which robot 1 has a worse one where robots are unlike, or
+under the laws that the package assumes. One robot reaches everything; two stand to the left and to the right and share
+the middle; a third stands behind. Each log is played by the team's rule of thumb, half of whose decisions are made
+uniformly at random. What is learned from each log plays the same episodes as all others; intervals are over logs, and
+for who learns nothing over episodes. Points are counted above leaving the table as it is.
 
 What coordination buys is told in pairs, log by log: the points of one Q less those of each alone, and of the best rule,
 which knows the true laws and the price. Seconds are told as a share of those that one robot takes by the same way,
@@ -21,6 +21,7 @@ evenly.
 
 import argparse
 import json
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
@@ -43,7 +44,9 @@ from halfseen.world import WorldConfig
 SEED = 1612
 LEFT, RIGHT, BEHIND = Robot((-0.45, 0.8), 0.55), Robot((0.45, 0.8), 0.55), Robot((0.0, 1.3), 0.6)
 TEAMS = {1: (Robot((0.0, 0.8), 0.8),), 2: (LEFT, RIGHT), 3: (LEFT, RIGHT, BEHIND)}
-LAWS = ("shipped", "assumed")
+LAWS = ("shipped", "assumed", "unlike")
+CLUMSY = 8.0
+"""By how much the log-odds of robot 1 to hold are lower, where robots are unlike."""
 RULES = ("rule, reserving", "one step ahead", "greedy, reserving", "rule, round robin", "rule, one at a time")
 ONE_Q, BEST_Q, ALONE, RULE_ALONE = "learned, one Q", "learned, Q of the best", "learned, each alone", "rule, each alone"
 
@@ -52,14 +55,18 @@ def setting(law, num_robots, price):
     """World of a team, and the scenes."""
     shipped = read_law(shipped_law()).law
     scenes = [table.scene(shipped) for table in tables_seen()]
-    config = shipped.config(WorldConfig()) if law == "shipped" else WorldConfig()
-    return TeamWorld.of(Team(TEAMS[num_robots], reward_per_s=price), config), scenes
+    config = WorldConfig() if law == "assumed" else shipped.config(WorldConfig())
+    robots = list(TEAMS[num_robots])
+    if law == "unlike" and num_robots > 1:
+        clumsy = replace(config.grasping, log_odds=config.grasping.log_odds - CLUMSY)
+        robots[1] = replace(robots[1], grasping=clumsy)
+    return TeamWorld.of(Team(robots, reward_per_s=price), config), scenes
 
 
 def rules(world):
     """Rules of thumb; the first plays the logs."""
-    rule = GreedyPolicy(world.config, uses_history=True, counts_penalty=True)
-    greedy = GreedyPolicy(world.config, counts_penalty=True)
+    rule = GreedyPolicy(world.team_config.world, uses_history=True, counts_penalty=True)
+    greedy = GreedyPolicy(world.team_config.world, counts_penalty=True)
     reserving, ahead = ReservingTeam(world.team_config, rule), MyopicTeam(world.team_config)
     if len(world.robots) == 1:
         return dict(zip(RULES, (reserving, ahead), strict=False))
@@ -146,27 +153,53 @@ def interval(differences):
     return f"{mean:+.2f} ({mean - half:+.2f} to {mean + half:+.2f})"
 
 
+BOUGHT = (
+    "robots",
+    "price",
+    "paths",
+    "cut",
+    "one Q",
+    "less each alone",
+    "less the best rule",
+    "s",
+    "of one robot's reward",
+    "of its seconds",
+    "work shared evenly",
+    "1/K",
+)
+
+
 def what_coordination_buys(rows):
-    """Lines: one Q less each alone, less the best rule, and seconds beside those of one robot."""
+    """One Q less each alone and less the best rule, log by log, and reward and seconds beside those of one robot."""
     groups = by_place(rows)
     for (num_robots, price, policy, size, cut), members in groups.items():
-        if policy != ONE_Q or num_robots == 1:
+        if policy != ONE_Q:
             continue
         points = np.array([row["points"] for row in members])
-        alone_points = np.array([row["points"] for row in groups[num_robots, price, ALONE, size, cut]])
-        team_rules = [name for name in (*RULES, RULE_ALONE) if (num_robots, price, name, None, None) in groups]
-        best = max(groups[num_robots, price, name, None, None][0]["points"] for name in team_rules)
-        told = f"{num_robots} robots, price {price}, {size} paths, {cut} cut: one Q less each alone "
-        told += f"{interval(points - alone_points)}, less the best rule {interval(points - best)}"
-        of_one = groups.get((1, price, ONE_Q, size, cut))
-        if of_one:
-            seconds, shared, reward = (
-                np.mean([row[key] for row in members]) for key in ("seconds", "shared", "unpriced")
-            )
-            single_s, single = (np.mean([row[key] for row in of_one]) for key in ("seconds", "unpriced"))
-            told += f"; {reward / single:.2f} of one robot's reward in {seconds / single_s:.2f} of its seconds "
-            told += f"(work shared evenly: {shared / single_s:.2f}; 1/K: {1 / num_robots:.2f})"
-        yield told
+        best = max(
+            groups[num_robots, price, name, None, None][0]["points"]
+            for name in (*RULES, RULE_ALONE)
+            if (num_robots, price, name, None, None) in groups
+        )
+        alone = groups.get((num_robots, price, ALONE, size, cut))
+        less_alone = interval(points - np.array([row["points"] for row in alone])) if alone else ""
+        told = [num_robots, price, size, cut, f"{points.mean():.2f}", less_alone, interval(points - best)]
+        told.append(f"{np.mean([row['seconds'] for row in members]):.1f}")
+        yield [*told, *beside_one(members, groups.get((1, price, ONE_Q, size, cut))), f"{1 / num_robots:.2f}"]
+
+
+def beside_one(members, of_one):
+    """Shares of one robot's reward, seconds, and seconds if work were shared evenly; empty where it was not asked."""
+    if not of_one:
+        return ["", "", ""]
+    reward, seconds, shared = (np.mean([row[key] for row in members]) for key in ("unpriced", "seconds", "shared"))
+    single, single_s = (np.mean([row[key] for row in of_one]) for key in ("unpriced", "seconds"))
+    return [f"{reward / single:.2f}", f"{seconds / single_s:.2f}", f"{shared / single_s:.2f}"]
+
+
+def as_table(names, lines):
+    """A table as guides have it."""
+    return ["| " + " | ".join(map(str, line)) + " |" for line in (names, ["--:"] * len(names), *lines)]
 
 
 def store(given, rows):
@@ -205,7 +238,7 @@ def main():
             f"{row['robots']:>6} {row['price']:>6} {row['policy']:22} {place} {points:>14} {row['unpriced']:>9.2f} "
             f"{row['seconds']:>6.1f} {row['shared']:>6.1f}"
         )
-    print(*what_coordination_buys(rows), sep="\n")
+    print(*as_table(BOUGHT, what_coordination_buys(rows)), sep="\n")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Figures of the numbers that pages of the guide print, which other tests hold against what made them."""
 
 import re
+from itertools import product
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -152,6 +153,34 @@ def draw_teams() -> Figure:
     return made
 
 
+TEAM_COLOURS = {"1": SOFT, "2": BLUE, "3": GREEN}
+"""Number of robots → colour."""
+
+
+def draw_team_study() -> Figure:
+    """Draw what one to three robots earn, and their share of one robot's seconds, by the size of the log."""
+    head, *rows = table_of("several-robots", "<!-- teams.py, the study -->")
+    made = figure(3.3)
+    panels = dict(zip(("one Q", "of its seconds"), made.subplots(1, 2), strict=True))
+    for name, axes in panels.items():
+        for (robots, colour), (cut, style) in product(TEAM_COLOURS.items(), {"0": "-", "0.5": "--"}.items()):
+            mine = [row for row in rows if (row[head.index("robots")], row[head.index("cut")]) == (robots, cut)]
+            sizes, values = ([numbers_in(row[head.index(key)])[0] for row in mine] for key in ("paths", name))
+            label = f"{robots} robot{'s' if robots != '1' else ''}{', half cut' if cut != '0' else ''}"
+            axes.plot(sizes, values, style, color=colour, marker="o", ms=3.5, lw=1.6, label=label)
+        mark_sizes(axes, sorted({int(row[head.index("paths")]) for row in rows}))
+        axes.set_xlabel("paths of the log")
+    earned, took = panels.values()
+    earned.set_ylabel("points above leaving the table")
+    took.set_ylabel("share of one robot’s seconds")
+    took.set_ylim(0.0, 1.1)
+    for robots in (2, 3):
+        took.axhline(1 / robots, color=TEAM_COLOURS[str(robots)], lw=0.9, ls=":")
+        took.annotate(f"1/{robots}", (1.0, 1 / robots), xycoords=("axes fraction", "data"), fontsize=9.0, va="center")
+    earned.legend(**LEGEND)
+    return made
+
+
 ASKS_FOR = {
     "watch": ("watch",),
     "report": ("study",),
@@ -173,4 +202,5 @@ PICTURES = (
     plot("push", draw_push),
     plot("extras", draw_extras),
     plot("several-robots", draw_teams),
+    plot("team-study", draw_team_study),
 )
