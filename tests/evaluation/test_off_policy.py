@@ -180,6 +180,7 @@ def test_text_and_json_tell_the_same():
     ("policy", "parameters", "options", "message"),
     [
         (TARGET, {}, {"level": 1.0}, "level is 1.0"),
+        (TARGET, {}, {"level": 1.0 - 1e-12}, "it lies between 0 and 1, and is 0.999999 at most"),
         (TARGET, {}, {"propensity": "guessed"}, "propensity is 'guessed'"),
         (TARGET, {}, {"num_folds": 1}, "num_folds is 1"),
         (StatePolicy((0.0, 1.0), horizon=1), {}, {}, "but a path has 2 stages"),

@@ -214,7 +214,7 @@ def _by_world(
             answer, beside = compare_teams(stored.policy, rules, scenes, world, **how)
     value = answer.value
     sentence = (
-        f"It earns {value.value:.3g} an episode, {value.low:.3g} to {value.high:.3g} ({level:.0%} interval), in "
+        f"It earns {value.value:.3g} an episode, {value.low:.3g} to {value.high:.3g} ({100.0 * level:g}% interval), in "
         f"{answer.steps.value:.1f} steps and {answer.robot_s.value:.0f} s."
     )
     report = {"tables": [scene.name for scene in scenes], "episodes": episodes, "sentence": sentence, **asdict(answer)}

@@ -10,6 +10,9 @@ from scipy.optimize import brentq
 
 from halfseen.errors import ArgumentError
 
+LARGEST_LEVEL = 0.999999
+"""Beyond it an interval speaks of tails that no log shows, and 1 − level of rounding."""
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -122,6 +125,6 @@ def _quantile(level: float, shift: float, freedom: float) -> float:
 
 
 def check_level(level: float) -> None:
-    """Refuse a level that is not between 0 and 1."""
-    if not 0.0 < level < 1.0:
-        raise ArgumentError(f"level is {level}; it lies between 0 and 1")
+    """Refuse a level that is not above 0, or above `LARGEST_LEVEL`."""
+    if not 0.0 < level <= LARGEST_LEVEL:
+        raise ArgumentError(f"level is {level}; it lies between 0 and 1, and is {LARGEST_LEVEL} at most")

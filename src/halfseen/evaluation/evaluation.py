@@ -86,7 +86,7 @@ class Evaluation:
         return in_words((min if self.verdict == "better" else max)(gammas)) + "." if gammas else ""
 
     def __str__(self) -> str:
-        interval = f"{self.level:.0%} interval"
+        interval = f"{100.0 * self.level:g}% interval"
         rows = {
             "doubly robust": self.doubly_robust,
             "importance sampling": self.importance_sampling,

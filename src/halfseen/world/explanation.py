@@ -80,7 +80,7 @@ class Explanation:
     def __str__(self) -> str:
         possible = np.flatnonzero(np.isfinite(self.values))
         order = possible[np.argsort(-self.values[possible], kind="stable")]
-        lines = [f"{'action':10}{'value':>8}  {f'{self.level:.0%} interval':>16}{'best':>7}"]
+        lines = [f"{'action':10}{'value':>8}  {f'{100.0 * self.level:g}% interval':>16}{'best':>7}"]
         lines += [self._row(action) for action in order[:_NUM_SHOWN].tolist()]
         if len(order) > _NUM_SHOWN:
             lines.append(f"and {len(order) - _NUM_SHOWN} that are worth less")

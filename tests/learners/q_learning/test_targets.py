@@ -95,6 +95,14 @@ def test_plain_settings_make_the_same():
 
 
 @pytest.mark.parametrize("name", ["none", "buckley-james"])
+@pytest.mark.parametrize("said", [{"by": "stage"}, {"covariates": ["z"]}, {"truncate_at": 9.0}])
+def test_what_is_said_of_weights_is_refused_where_there_are_none(name, said):
+    (what,) = said
+    with pytest.raises(ArgumentError, match=f"{what} is .*, but censoring '{name}' makes no weights; leave it out"):
+        named_targets(name, **said)
+
+
+@pytest.mark.parametrize("name", ["none", "buckley-james"])
 def test_doubly_robust_targets_need_a_model_of_the_cuts(name):
     with pytest.raises(
         ArgumentError, match=f"doubly robust targets need a model of the cuts, but censoring is '{name}'"

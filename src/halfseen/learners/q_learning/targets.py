@@ -149,9 +149,17 @@ def named_targets(
     Raises
     ------
     ArgumentError
-        There is no such model, or doubly robust targets are wanted without one.
+        There is no such model, or doubly robust targets are wanted without one, or something is said of weights where
+        there are none.
     """
     if isinstance(censoring, str) and censoring in BY_NAME:
+        of_weights = {"by": None if by == "path" else by, "covariates": covariates, "truncate_at": truncate_at}
+        for name, value in of_weights.items():
+            if value is not None:
+                told = f"{name} is {value!r}, but censoring {censoring!r} makes no weights"
+                raise ArgumentError(
+                    f"{told}; leave it out, or choose a model of the cuts: 'kaplan-meier', 'cox', 'kernel'"
+                )
         if is_doubly_robust:
             raise ArgumentError(f"doubly robust targets need a model of the cuts, but censoring is {censoring!r}")
         return BuckleyJames(outcome_covariates) if censoring == BuckleyJames.name else Unweighted()
