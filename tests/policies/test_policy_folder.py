@@ -509,8 +509,9 @@ def test_what_no_folder_can_hold_is_refused(flat, flat_fitted, tables, tables_fi
     own.policy_ = replace(own.policy_, grasp=Mine())
     with pytest.raises(ArgumentError, match="grasp is a Mine"):
         write_policy(own, tables, tmp_path / "policy")
-    learner = copy(flat_fitted)
-    learner.policy_ = replace(flat_fitted.policy_, coefficients=flat_fitted.policy_.coefficients * np.nan)
-    with pytest.raises(PolicyError, match="it is finite"):
-        write_policy(learner, flat, tmp_path / "policy")
+    for factor in (np.nan, 1e38):
+        learner = copy(flat_fitted)
+        learner.policy_ = replace(flat_fitted.policy_, coefficients=flat_fitted.policy_.coefficients * factor)
+        with pytest.raises(PolicyError, match=r"it is finite, and 1e\+30 at most"):
+            write_policy(learner, flat, tmp_path / "policy")
     assert list(tmp_path.iterdir()) == []

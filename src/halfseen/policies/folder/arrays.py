@@ -14,6 +14,8 @@ COEFFICIENTS, MARGIN, BEHAVIOUR = "coefficients", "margin", "behaviour"
 GRASP, PER_GRIP = "grasp.chances", "grasp.per_grip"
 KERNEL_NAMES = ("centre", "scale", "landmarks", "projection", "gamma")
 TREND = "kernel.trend"
+LARGEST = 1e30
+"""Beyond it products of features and coefficients are no numbers in single precision."""
 
 
 class Shape(NamedTuple):
@@ -132,7 +134,7 @@ def _check_numbers(name: str, array: np.ndarray) -> None:
         # A feature that never varied has an infinite scale.
         wrong, rule = ~(array > 0) | (np.isinf(array) & (name == "kernel.gamma")), "it is positive"
     else:
-        wrong, rule = ~np.isfinite(array), "it is finite"
+        wrong, rule = ~(np.abs(array) <= LARGEST), f"it is finite, and {LARGEST:g} at most"
     if wrong.any():
         at = tuple(np.argwhere(wrong)[0].tolist())
         raise PolicyError(f"array {name!r} holds {array[at]} at {list(at)}; {rule}: learn the policy anew")
