@@ -160,10 +160,10 @@ TEAM_COLOURS = {"1": SOFT, "2": BLUE, "3": GREEN}
 def draw_team_study() -> Figure:
     """Draw what one to three robots earn, and their share of one robot's seconds, by the size of the log."""
     head, *rows = table_of("several-robots", "<!-- teams.py, the study -->")
-    made = figure(3.3)
+    made = figure(3.8)
     panels = dict(zip(("one Q", "of its seconds"), made.subplots(1, 2), strict=True))
     for name, axes in panels.items():
-        for (robots, colour), (cut, style) in product(TEAM_COLOURS.items(), {"0": "-", "0.5": "--"}.items()):
+        for (robots, colour), (cut, style) in product(TEAM_COLOURS.items(), {"0": "-", "1/2": "--"}.items()):
             mine = [row for row in rows if (row[head.index("robots")], row[head.index("cut")]) == (robots, cut)]
             sizes, values = ([numbers_in(row[head.index(key)])[0] for row in mine] for key in ("paths", name))
             label = f"{robots} robot{'s' if robots != '1' else ''}{', half cut' if cut != '0' else ''}"
@@ -177,7 +177,7 @@ def draw_team_study() -> Figure:
     for robots in (2, 3):
         took.axhline(1 / robots, color=TEAM_COLOURS[str(robots)], lw=0.9, ls=":")
         took.annotate(f"1/{robots}", (1.0, 1 / robots), xycoords=("axes fraction", "data"), fontsize=9.0, va="center")
-    earned.legend(**LEGEND)
+    made.legend(*earned.get_legend_handles_labels(), loc="outside lower center", ncols=3, **LEGEND)
     return made
 
 
