@@ -159,6 +159,6 @@ def _draws(
 
 @lru_cache(maxsize=8)
 def _normals(widths: tuple[int, ...]) -> list[Float[np.ndarray, "B _"]]:
-    """Standard normal numbers for blocks of these widths, from the fixed seed; a server asks for the same ones often."""
+    """Standard normal numbers for blocks of these widths, from the fixed seed; a server wants the same ones often."""
     rng = np.random.default_rng(SEED)
     return [rng.standard_normal((NUM_DRAWS, width)) for width in widths]

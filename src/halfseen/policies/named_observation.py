@@ -66,7 +66,7 @@ def known_covariates(policy: FlatPolicy, state: Mapping[str, Any], where: str) -
     looks_at, texts = policy.looks_at, policy.categories
     if not all(name in state and looks_at.is_known(name, state[name]) for name in policy.covariates):
         # What is not plain is looked at as if it stood in a file.
-        row = pd.DataFrame([dict(state)])
+        row = _row(state, where)
         _check_row(row, policy, where)
         state = {name: row[name].iloc[0] for name in policy.covariates}
     return {name: (str if name in texts else float)(state[name]) for name in policy.covariates}
@@ -107,9 +107,16 @@ def _read_states(file: Path, texts: Iterable[str]) -> pd.DataFrame:
     try:
         if file.suffix == ".json":
             state = json.loads(file.read_text(encoding="utf-8"))
-            return pd.DataFrame([state]) if isinstance(state, dict) else pd.DataFrame()
+            return _row(state, str(file)) if isinstance(state, dict) else pd.DataFrame()
         exact: Any = {"float_precision": "round_trip", "converters": dict.fromkeys(texts, str)}
         return pd.read_csv(file, **exact)
     except (OSError, ValueError, RecursionError) as error:
         reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
         raise PolicyError(f"{file}: it cannot be read ({reason}); give one state as .json or .csv") from error
+
+
+def _row(state: Mapping[str, Any], where: str) -> pd.DataFrame:
+    try:
+        return pd.DataFrame([dict(state)])
+    except OverflowError as error:
+        raise PolicyError(f"{where}: a number of it is too large for any covariate; look at its unit") from error
