@@ -182,6 +182,7 @@ def draw_team_study() -> Figure:
 
 
 ASKS_FOR = {
+    "serve": ("serve",),
     "watch": ("watch",),
     "report": ("study",),
     "convert": ("minari", "ros", "stores"),

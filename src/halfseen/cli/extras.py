@@ -5,7 +5,7 @@ EXTRAS = {
     "scene": ("mujoco",),
     "study": ("jinja2",),
     "watch": ("viser",),
-    "serve": ("multipart", "python_multipart", "starlette", "uvicorn"),
+    "serve": ("starlette", "uvicorn"),
     "gym": ("gymnasium",),
     "pettingzoo": ("pettingzoo",),
     "minari": ("h5py", "minari"),
