@@ -134,7 +134,8 @@ def certainty(
     stretch = np.hypot(np.sqrt(stages_left), lasting / spread if spread > 0 else 0.0)
     draws = _draws(q[is_possible], stretch * deviations[is_possible], block_of_action[is_possible])
     chance_best = np.zeros(len(q))
-    chance_best[is_possible] = np.mean(draws >= draws.max(axis=1, keepdims=True) - SAME_VALUE, axis=0)
+    is_best = draws >= draws.max(axis=1, keepdims=True) - SAME_VALUE
+    chance_best[is_possible] = [np.count_nonzero(of_action) / NUM_DRAWS for of_action in is_best.T]
     return Certainty(low, high, chance_best)
 
 
@@ -153,7 +154,8 @@ def _draws(
     # By action first, which makes the largest of each draw as fast to find as that of whole columns.
     draws = np.empty((len(q), NUM_DRAWS)).T
     for these, root, normal in zip(is_of, roots, _normals(tuple(map(len, roots))), strict=True):
-        draws[:, these] = q[these] + normal @ root
+        # A product of one number each is no matter for a matrix product.
+        draws[:, these] = q[these] + (normal * root if len(root) == 1 else normal @ root)
     return draws
 
 
