@@ -4,6 +4,8 @@ import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from halfseen.policies import NamedDecider, decider_of, read_policy
 from halfseen.policies.decision import Decider
 from halfseen.policies.folder.kinds import kind_of
@@ -11,6 +13,9 @@ from halfseen.policies.folder.record import as_json
 from halfseen.policies.folder.stored import StoredPolicy
 from halfseen.policies.of_team import UNDECIDED, refuse_team
 from halfseen.policies.ranges import middle_of
+
+MOST_WARMED = 12
+"""Objects of the largest table that is compiled for before the first request; a larger one is when it comes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,11 +65,20 @@ def taken_into_service(folder: Path, *, extrapolates: bool = False) -> InService
 
 
 def _warm(stored: StoredPolicy, decider: Decider) -> None:
+    """Decide once at each stage, or, of tables, for each number of objects in the logs: it is compiled then."""
     if isinstance(decider, NamedDecider):
         for stage in range(1, stored.horizon + 1):
             ranges = stored.ranges(stage)
             if ranges is not None:
                 decider.decide_known({name: middle_of(seen) for name, seen in ranges.items()}, stage)
+        return
+    from halfseen.tables.present import first_state
+    from halfseen.world.scene import Scene
+
+    fewest, most = (stored.ranges(1) or {}).get("num_objects", (1, 0))
+    for number in range(max(1, int(fewest)), min(int(most), MOST_WARMED) + 1):
+        nothing_hidden = Scene(np.zeros((number, number)))
+        decider.decide(first_state(nothing_hidden, stored.horizon, stored.record["schema"]["dirty_share"]))
 
 
 def _digest(stored: StoredPolicy) -> str:
