@@ -182,6 +182,8 @@ def draw_team_study() -> Figure:
 
 
 ASKS_FOR = {
+    "serve": ("serve",),
+    "export": ("onnx",),
     "watch": ("watch",),
     "report": ("study",),
     "convert": ("minari", "ros", "stores"),

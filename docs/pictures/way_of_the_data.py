@@ -54,7 +54,7 @@ BOXES = (
     Box("policies", "decisions", "the port: decide(observation) → Decision; folders", "a kind of policy", 3),
     Box("evaluation", "a verdict", "what a policy is worth, from logs of another", "an estimator of value", 3),
     Box("study, report, watch", "figures", "experiments drawn by pages; runs in 3-D", "a figure, an experiment", 3),
-    Box("cli", "what you read", "one file a verb: parses, calls, prints", "a command", 3),
+    Box("serving, cli", "what you read", "decisions over HTTP; one file a verb: parses, prints", "a command", 3),
 )
 
 

@@ -22,6 +22,7 @@ pytestmark = pytest.mark.slow
         ("coverage.py", "--logs", "2", "--row", "cut 1/3"),
         ("verdicts.py", "--logs", "2", "--world", "trial", "--share", "1/3", "--setting", "default"),
         ("repetition.py", "--repetitions", "1"),
+        ("serve.py", "--seconds", "3"),
         ("closed_loop.py", "--tables", "2", "--only", "greedy"),
         ("two_arms.py", "--tables", "1", "--only", "one arm", "two arms"),
         ("team_regret.py", "--horizon", "1", "--futures", "4"),

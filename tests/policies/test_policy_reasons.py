@@ -2,7 +2,6 @@ from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
-import pandas as pd
 
 from halfseen.learners import FlatPolicy
 from halfseen.policies.flat_reason import flat_reason
@@ -20,7 +19,7 @@ POLICY = FlatPolicy(
     is_possible=np.array([[True, True, False], [False, False, True]]),
     coefficients=np.array([[[0.0, 1.0, 0.0], [0.5, 0.0, 0.0], [9.0, 0.0, 0.0]]] * 2),
 )
-ROW = pd.DataFrame({"x1": [0.8], "x2": [3.0]})
+ROW = {"x1": 0.8, "x2": 3.0}
 
 
 def of(**changed):
@@ -124,16 +123,16 @@ def test_the_covariate_that_speaks_most_for_an_action_is_told():
 
 
 def test_what_is_0_or_1_is_told_by_the_other_of_the_two():
-    row = pd.DataFrame({"x1": [True], "x2": [1.0]})
+    row = {"x1": True, "x2": 1.0}
     assert flat_reason(POLICY, row, 1, {"x1": (0.0, 1.0), "x2": (0.0, 1.0)}) == (
         "A: worth 0.50 more than B; that x1 is 1 speaks for it most: were it 0, it would be worth 0.50 less than B."
     )
-    against = flat_reason(POLICY, row.assign(x1=False), 1, {"x1": (0.0, 1.0), "x2": (0.0, 1.0)})
+    against = flat_reason(POLICY, {**row, "x1": False}, 1, {"x1": (0.0, 1.0), "x2": (0.0, 1.0)})
     assert against == (
         "B: worth 0.50 more than A; that x1 is 0 speaks for it most: were it 1, it would be worth 0.50 less than A."
     )
 
 
 def test_among_whole_numbers_the_middle_is_a_whole_number():
-    told = flat_reason(POLICY, pd.DataFrame({"x1": [3], "x2": [1]}), 1, {"x1": (0.0, 3.0), "x2": (0.0, 4.0)})
+    told = flat_reason(POLICY, {"x1": 3, "x2": 1}, 1, {"x1": (0.0, 3.0), "x2": (0.0, 4.0)})
     assert "that x1 is 3 speaks for it most: were it 1, the middle in the logs" in told

@@ -20,6 +20,8 @@ VERBS = {
     "learn": "Learn a policy from a folder of logs.",
     "evaluate": "Say what a policy is worth, from logs of another one, before it runs.",
     "act": "Decide at one table, and say why.",
+    "serve": "Answer over HTTP what to do now, and record what was decided.",
+    "export": "Write a policy of named actions as ONNX, for controllers without Python.",
     "watch": "Show in the browser what was seen and decided, in 3-D, and why.",
     "report": "Write one page about a folder of logs and a policy.",
     "convert": "Convert logs between Parquet, CSV, Minari datasets and ROS bags.",

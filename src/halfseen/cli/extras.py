@@ -5,6 +5,8 @@ EXTRAS = {
     "scene": ("mujoco",),
     "study": ("jinja2",),
     "watch": ("viser",),
+    "onnx": ("onnx",),
+    "serve": ("starlette", "uvicorn"),
     "gym": ("gymnasium",),
     "pettingzoo": ("pettingzoo",),
     "minari": ("h5py", "minari"),

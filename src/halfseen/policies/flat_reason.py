@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from halfseen.learners.q_learning.flat_policy import FlatPolicy
 from halfseen.policies.ranges import Range, Ranges, middle_of
@@ -13,7 +12,7 @@ from halfseen.policies.reasons import SAME_VALUE, lead, next_best
 
 def flat_reason(
     policy: FlatPolicy,
-    row: pd.DataFrame,
+    row: Mapping[str, Any],
     stage: int,
     ranges: Ranges | None,
     chance_best: Mapping[str, float] | None = None,
@@ -28,7 +27,7 @@ def flat_reason(
     policy
         A policy.
     row
-        Covariates, one row.
+        The covariates of one state: numbers, and text of categories that the policy knows.
     stage
         The stage, from 1.
     ranges
@@ -36,26 +35,24 @@ def flat_reason(
     chance_best
         Probability that no action is better, by name; nothing where nobody knows it.
     """
-    is_possible = policy.is_possible[stage - 1]
-    q = np.where(is_possible, policy.scores(row, stage)[0], -np.inf)
+    # What is true or false may be changed to a number.
+    instead = {} if ranges is None else {name: _instead(ranges[name], row[name]) for name in policy.covariates}
+    rows = [row, *({**row, name: value} for name, value in instead.items())]
+    each = policy.valued(policy.looks_at.encode_known(rows), stage).scores
+    q = np.where(policy.is_possible[stage - 1], each[0], -np.inf)
     best = int(np.argmax(q))
     names = [str(name) for name in policy.actions]
     start, other = lead(names, q, best, chance_best or {}), next_best(q, best)
     if not policy.covariates or ranges is None or other is None:
         return f"{start}."
-    instead = {name: _instead(ranges[name], row[name].iloc[0]) for name in policy.covariates}
-    # What is true or false may be changed to a number.
-    numbers = row.astype({name: float for name in policy.covariates if name not in policy.categories})
-    changed = pd.concat([numbers.assign(**{name: instead[name]}) for name in policy.covariates], ignore_index=True)
-    each = policy.scores(changed, stage)
-    left = each[:, best] - each[:, other]
+    left = each[1:, best] - each[1:, other]
     least = int(np.argmin(left))
     name = policy.covariates[least]
     if q[best] - q[other] - left[least] < SAME_VALUE:
         return f"{start}; none of what it looks at speaks for it more than what is usual in the logs does."
-    is_value, is_other = _written(row[name].iloc[0], 6), _written(instead[name], 3)
+    is_value, is_other = _written(row[name], 6), _written(instead[name], 3)
     would = f"worth {abs(left[least]):.2f} {'more' if left[least] >= 0 else 'less'} than {names[other]}"
-    usual = "" if _is_switch(ranges[name], row[name].iloc[0]) else f", {_usual(ranges[name])} in the logs"
+    usual = "" if _is_switch(ranges[name], row[name]) else f", {_usual(ranges[name])} in the logs"
     return f"{start}; that {name} is {is_value} speaks for it most: were it {is_other}{usual}, it would be {would}."
 
 

@@ -1,11 +1,13 @@
 """Decisions of a policy of named actions."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from halfseen.learners.q_learning.flat_policy import FlatPolicy
+from halfseen.learners.q_learning.flat_policy import FlatPolicy, Valued
 from halfseen.policies.certainty import QError, certainty
 from halfseen.policies.decision import Decision
 from halfseen.policies.flat_reason import flat_reason
@@ -62,35 +64,55 @@ class NamedDecider:
         PolicyError
             A covariate lies far outside what the logs showed, and it is not to be extrapolated.
         """
-        policy, row, stage = self.policy, observation.row, observation.stage
-        q = policy.scores(row, stage)[0]
-        possible = np.where(policy.is_possible[stage - 1], q, -np.inf)
+        policy, row = self.policy, observation.row
+        policy.looks_at.encode(row)
+        texts = policy.categories
+        values = {name: (str if name in texts else float)(row[name].iloc[0]) for name in policy.covariates}
+        return self.decide_known(values, observation.stage)
+
+    def decide_known(self, values: Mapping[str, Any], stage: int) -> Decision:
+        """Decide as `decide` does, and faster, from covariates that `looks_at` knows all of.
+
+        Parameters
+        ----------
+        values
+            Finite numbers, and text of known categories, by name.
+        stage
+            The stage to decide, from 1.
+
+        Raises
+        ------
+        ArgumentError
+            There is no such stage.
+        PolicyError
+            As `decide`.
+        """
+        policy = self.policy
+        valued = policy.valued(policy.looks_at.encode_known([values]), stage)
+        possible = np.where(policy.is_possible[stage - 1], valued.scores[0], -np.inf)
         ranges = self.ranges(stage)
-        values = {
-            name: {name: (str if name in policy.categories else float)(row[name].iloc[0])} for name in policy.covariates
-        }
+        by_range = {name: {name: value} for name, value in values.items()}
         if not self.extrapolates:
-            refuse_far(ranges, values)
+            refuse_far(ranges, by_range)
         names = [str(name) for name in policy.actions]
-        intervals, chance_best = self._certainty(row, stage, names)
+        intervals, chance_best = self._certainty(valued, stage, names)
         return Decision(
             action=policy.actions[int(np.argmax(possible))],
             q_values=values_by_name(names, possible),
-            reason=flat_reason(policy, row, stage, ranges or None, chance_best),
-            warnings=beyond(ranges, values),
+            reason=flat_reason(policy, values, stage, ranges or None, chance_best),
+            warnings=beyond(ranges, by_range),
             intervals=intervals,
             chance_best=chance_best,
         )
 
     def _certainty(
-        self, row: pd.DataFrame, stage: int, names: list[str]
+        self, valued: Valued, stage: int, names: list[str]
     ) -> tuple[dict[str, tuple[float, float]], dict[str, float]]:
         """How sure Q is, by name; nothing where nobody knows."""
         policy = self.policy
         if policy.margin is None or self.q_error is None:
             return {}, {}
-        q = policy.q_values(row, stage)[0]
-        error = (q - policy.lower_bounds(row, stage)[0]) / self.q_error.pessimism
+        q, error = valued.q[0], valued.margins[0] / self.q_error.pessimism
         # Each action has coefficients of its own.
         of_stage = self.q_error.stages_from(stage, policy.horizon), self.q_error.lasting
         blocks, is_possible = np.arange(len(q)), policy.is_possible[stage - 1]

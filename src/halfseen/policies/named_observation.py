@@ -1,7 +1,7 @@
 """From a file with the covariates of one stage to what a policy of named actions decides from."""
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -30,39 +30,84 @@ def read_covariates(stored: StoredPolicy, file: Path, stage: int | None = None) 
     HalfseenError
         The file cannot be read, or does not fit the policy.
     """
-    row = _state_row(file, stored.policy)
-    return NamedObservation(row, _stage_of(file, row, stage, stored.horizon))
-
-
-def _state_row(file: Path, policy: FlatPolicy) -> pd.DataFrame:
-    """Read the covariates of one stage."""
-    covariates = policy.covariates
-    looks_at = ", ".join(covariates) or "no covariates"
+    policy = stored.policy
     if file.suffix not in STATE_FILES:
         raise PolicyError(
-            f"{file}: the policy is of named actions and looks at {looks_at}, not at clouds; give them as .json or .csv"
+            f"{file}: the policy is of named actions and looks at {_looks_at(policy)}, not at clouds; give them as "
+            ".json or .csv"
         )
     row = _read_states(file, policy.categories)
     if len(row) != 1:
         raise PolicyError(f"{file}: it holds {len(row)} states; give one: a JSON object, or a header and one row")
-    missing = [name for name in covariates if name not in row.columns]
+    _check_row(row, policy, str(file))
+    said = row["stage"].iloc[0] if "stage" in row.columns else None
+    if said is not None and stage not in (None, said):
+        raise ArgumentError(f"--stage is {stage}, but {file} says {said}; leave one of them out")
+    return NamedObservation(row, checked_stage(said if said is not None else stage or 1, stored.horizon, str(file)))
+
+
+def known_covariates(policy: FlatPolicy, state: Mapping[str, Any], where: str) -> dict[str, float | str]:
+    """Take what a policy looks at from a state in memory, as `NamedDecider.decide_known` does.
+
+    Parameters
+    ----------
+    policy
+        A policy of named actions.
+    state
+        Covariates by name, and whatever else there is.
+    where
+        Where it comes from, for messages.
+
+    Raises
+    ------
+    PolicyError
+        A covariate is missing, no finite number, null or of an unknown category.
+    """
+    looks_at, texts = policy.looks_at, policy.categories
+    if not all(name in state and looks_at.is_known(name, state[name]) for name in policy.covariates):
+        # What is not plain is looked at as if it stood in a file.
+        row = _row(state, where)
+        _check_row(row, policy, where)
+        state = {name: row[name].iloc[0] for name in policy.covariates}
+    return {name: (str if name in texts else float)(state[name]) for name in policy.covariates}
+
+
+def checked_stage(stage: Any, horizon: int, where: str) -> int:
+    """Take a stage as a number.
+
+    Raises
+    ------
+    PolicyError
+        The policy knows no such stage.
+    """
+    if isinstance(stage, bool) or not (hasattr(stage, "__index__") and 1 <= int(stage) <= horizon):
+        raise PolicyError(f"{where}: stage is {stage}; it is a whole number from 1 to the policy's horizon, {horizon}")
+    return int(stage)
+
+
+def _looks_at(policy: FlatPolicy) -> str:
+    return ", ".join(policy.covariates) or "no covariates"
+
+
+def _check_row(row: pd.DataFrame, policy: FlatPolicy, where: str) -> None:
+    """Refuse a row without what the policy looks at."""
+    missing = [name for name in policy.covariates if name not in row.columns]
     if missing:
         raise PolicyError(
-            f"{file}: the policy looks at {looks_at}, and there is no {missing[0]!r} among "
+            f"{where}: the policy looks at {_looks_at(policy)}, and there is no {missing[0]!r} among "
             f"{', '.join(map(str, row.columns)) or 'nothing'}; give what the policy was learned from"
         )
     try:
         policy.looks_at.encode(row)
     except LogError as error:
-        raise PolicyError(f"{file}: {error}") from error
-    return row
+        raise PolicyError(f"{where}: {error}") from error
 
 
 def _read_states(file: Path, texts: Iterable[str]) -> pd.DataFrame:
     try:
         if file.suffix == ".json":
             state = json.loads(file.read_text(encoding="utf-8"))
-            return pd.DataFrame([state]) if isinstance(state, dict) else pd.DataFrame()
+            return _row(state, str(file)) if isinstance(state, dict) else pd.DataFrame()
         exact: Any = {"float_precision": "round_trip", "converters": dict.fromkeys(texts, str)}
         return pd.read_csv(file, **exact)
     except (OSError, ValueError, RecursionError) as error:
@@ -70,10 +115,8 @@ def _read_states(file: Path, texts: Iterable[str]) -> pd.DataFrame:
         raise PolicyError(f"{file}: it cannot be read ({reason}); give one state as .json or .csv") from error
 
 
-def _stage_of(file: Path, row: pd.DataFrame, given: int | None, horizon: int) -> int:
-    stage = row["stage"].iloc[0] if "stage" in row.columns else given or 1
-    if isinstance(stage, bool) or not (hasattr(stage, "__index__") and 1 <= int(stage) <= horizon):
-        raise PolicyError(f"{file}: stage is {stage}; it is a whole number from 1 to the policy's horizon, {horizon}")
-    if given not in (None, int(stage)):
-        raise ArgumentError(f"--stage is {given}, but {file} says {stage}; leave one of them out")
-    return int(stage)
+def _row(state: Mapping[str, Any], where: str) -> pd.DataFrame:
+    try:
+        return pd.DataFrame([dict(state)])
+    except OverflowError as error:
+        raise PolicyError(f"{where}: a number of it is too large for any covariate; look at its unit") from error

@@ -5,6 +5,7 @@ indicators are never collinear with the offset, and eq. 3 without λ, or a propo
 fitted to them; every function class and every model looks at the same columns. True and false are the numbers 1 and 0.
 """
 
+import sys
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -96,6 +97,26 @@ class Covariates:
                     1, len(self.categories[name])
                 )
         return features
+
+    def encode_known(self, rows: Sequence[Mapping[str, Any]]) -> Float[np.ndarray, "m F"]:
+        """Turn values into numbers as `encode` does, without looking for faults: each is a number, or a known category.
+
+        Examples
+        --------
+        >>> Covariates(("x", "colour"), {"colour": ("blue", "red")}).encode_known([{"x": 2, "colour": "red"}])
+        array([[2., 1.]])
+        """
+        each = list(zip(self.columns, self._indicated, strict=True))
+        numbers = [
+            [row[name] if one is None else row[name] == one for name, some in each for one in some] for row in rows
+        ]
+        return np.array(numbers, dtype=np.float64).reshape(len(rows), -1)
+
+    def is_known(self, name: str, value: Any) -> bool:
+        """Whether a value of a column is a finite number of Python's own, or text of a known category."""
+        if name in self.categories:
+            return type(value) is str and value in self.categories[name]
+        return type(value) in (bool, int, float) and abs(value) <= sys.float_info.max
 
     @property
     def _indicated(self) -> list[tuple[str | None, ...]]:

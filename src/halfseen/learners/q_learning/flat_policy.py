@@ -2,7 +2,7 @@
 
 from collections.abc import Hashable
 from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import pandas as pd
@@ -28,6 +28,17 @@ class NamedActionPolicy(Protocol):
     def probabilities(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
         """π(a | S) in a stage (from 1), for each row of covariates."""
         ...
+
+
+class Valued(NamedTuple):
+    """What a policy knows of each action, for each row of covariates."""
+
+    q: Float[np.ndarray, "m A"]
+    """Q̂; of impossible actions, too."""
+    margins: Float[np.ndarray, "m A"]
+    """‖Mᵀ (1, features)‖; 0 without pessimism."""
+    scores: Float[np.ndarray, "m A"]
+    """What it goes by."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,21 +100,34 @@ class FlatPolicy:
         LogError
             A covariate is missing, no finite number, null or of a category that the log never showed.
         """
-        self._check_stage(stage)
-        features, each = self._features(frame), self.coefficients[stage - 1]
-        return each[:, 0] + features @ each[:, 1:].T
+        return self._valued(frame, stage).q
 
     def lower_bounds(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
         """Lower confidence bound of every Q̂; Q̂ itself without pessimism."""
-        return self.q_values(frame, stage) - self._margins(frame, stage)
+        valued = self._valued(frame, stage)
+        return valued.q - valued.margins
 
     def scores(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
         """What the policy goes by: Q̂ less its margin, which counts less, the more the log takes the action anyway."""
-        q, margins = self.q_values(frame, stage), self._margins(frame, stage)
+        return self._valued(frame, stage).scores
+
+    def valued(self, encoded: Float[np.ndarray, "m G"], stage: int) -> Valued:
+        """All that is known of the actions in a stage (from 1), for each row of covariates as `looks_at` encodes them.
+
+        Raises
+        ------
+        ArgumentError
+            There is no such stage.
+        """
+        self._check_stage(stage)
+        features = encoded if self.kernel_map is None else np.asarray(self.kernel_map(encoded))
+        each = self.coefficients[stage - 1]
+        q = each[:, 0] + features @ each[:, 1:].T
+        margins = self._margins(features, stage)
         if self.behaviour is None:
-            return q - margins
-        utility = self.behaviour[:, 0] + self.looks_at.encode(frame) @ self.behaviour[:, 1:].T
-        return q - (1.0 - leaning(utility, self.is_possible[stage - 1])) * margins
+            return Valued(q, margins, q - margins)
+        utility = self.behaviour[:, 0] + encoded @ self.behaviour[:, 1:].T
+        return Valued(q, margins, q - (1.0 - leaning(utility, self.is_possible[stage - 1])) * margins)
 
     def decide(self, frame: pd.DataFrame, stage: int) -> np.ndarray:
         """Name the possible action with the largest score, for each row of covariates; shape (m,)."""
@@ -120,15 +144,15 @@ class FlatPolicy:
         scores = self.scores(frame, stage)
         return np.argmax(np.where(self.is_possible[stage - 1], scores, -np.inf), axis=1)
 
-    def _margins(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
-        if self.margin is None:
-            return np.zeros((len(frame), len(self.actions)))
-        features, root = self._features(frame), self.margin[stage - 1]
-        return np.stack([np.linalg.norm(each[0] + features @ each[1:], axis=1) for each in root], axis=1)
+    def _valued(self, frame: pd.DataFrame, stage: int) -> Valued:
+        self._check_stage(stage)
+        return self.valued(self.looks_at.encode(frame), stage)
 
-    def _features(self, frame: pd.DataFrame) -> Float[np.ndarray, "m F1"]:
-        values = self.looks_at.encode(frame)
-        return values if self.kernel_map is None else np.asarray(self.kernel_map(values))
+    def _margins(self, features: Float[np.ndarray, "m F1"], stage: int) -> Float[np.ndarray, "m A"]:
+        if self.margin is None:
+            return np.zeros((len(features), len(self.actions)))
+        root = self.margin[stage - 1]
+        return np.stack([np.linalg.norm(each[0] + features @ each[1:], axis=1) for each in root], axis=1)
 
     def _check_stage(self, stage: int) -> None:
         if not 1 <= stage <= self.horizon:

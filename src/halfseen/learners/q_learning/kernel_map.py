@@ -6,6 +6,7 @@ the whole RKHS that the data can use (the representer theorem); with fewer it is
 kernels and Q that of a quadratic and of a smooth remainder.
 """
 
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -61,5 +62,11 @@ class KernelMap(NamedTuple):
 def quadratic(scaled: Float[Any, "*S F"]) -> Float[Any, "*S Q"]:
     """Features, and the product of each two of them, squares among them."""
     xp = library_of(scaled)
-    one, other = np.triu_indices(scaled.shape[-1])
+    one, other = _pairs(scaled.shape[-1])
     return xp.concatenate([scaled, scaled[..., one] * scaled[..., other]], axis=-1)
+
+
+@cache
+def _pairs(num_features: int) -> tuple[np.ndarray, np.ndarray]:
+    """Each two of so many features; to find them takes longer than to multiply those of one state."""
+    return np.triu_indices(num_features)

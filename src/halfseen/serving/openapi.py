@@ -1,0 +1,119 @@
+"""What can be asked, for programs: OpenAPI 3.1, made from the policy that answers."""
+
+from typing import Any
+
+import halfseen
+from halfseen.policies.ranges import middle_of
+from halfseen.serving.in_service import InService
+
+Schema = dict[str, Any]
+
+_NUMBER: Schema = {"type": "number"}
+_TEXT: Schema = {"type": "string"}
+_ELAPSED = {**_NUMBER, "description": "Seconds since the path began; always or never. Without it, the server's clock."}
+
+
+def described(service: InService, *, is_recording: bool) -> Schema:
+    """Describe what a server answers.
+
+    Parameters
+    ----------
+    service
+        The policy that answers.
+    is_recording
+        Whether what is decided is recorded.
+    """
+    decide, reload = _post("Decide what to do now, and say why.", _asked(service), _decision(service)), _reloaded()
+    paths = {"/decide": decide, "/reload": reload, "/health": _health()}
+    if is_recording:
+        paths |= {"/reward": _rewarded(), "/end": _ended()}
+    return {
+        "openapi": "3.1.0",
+        "info": {"title": f"halfseen policy {service.digest}", "version": halfseen.__version__},
+        "paths": paths,
+    }
+
+
+def _asked(service: InService) -> Schema:
+    """What `/decide` takes, by content type."""
+    stored = service.stored
+    stage = {"type": "integer", "minimum": 1, "maximum": stored.horizon, "description": "The stage to decide, from 1."}
+    if stored.is_table:
+        row = {"type": "object", "description": "The columns of the objects of a stage of a log."}
+        objects = {"type": "array", "minItems": 1, "items": row}
+        file: Schema = {"type": "string", "contentMediaType": "application/octet-stream"}
+        form = {"cloud": {**file, "description": ".pcd, .ply or .npz"}, "labels": file, "stage": stage}
+        return {
+            "application/json": {"schema": _object({"objects": objects, "stage": stage}, ["objects"])},
+            "multipart/form-data": {"schema": _object(form, ["cloud"])},
+        }
+    policy, seen = stored.policy, stored.ranges(1) or {}
+    covariates: Schema = {
+        name: {"enum": list(policy.categories[name])} if name in policy.categories else _seen(seen.get(name))
+        for name in policy.covariates
+    }
+    example = {name: middle_of(seen[name]) for name in policy.covariates if name in seen}
+    schema = _object({**covariates, "stage": stage}, list(policy.covariates))
+    return {"application/json": {"schema": schema, "example": example}}
+
+
+def _seen(seen: Any) -> Schema:
+    told = {} if seen is None else {"description": f"In the logs {seen[0]:.3g} to {seen[1]:.3g} at the first stage."}
+    return {**_NUMBER, **told}
+
+
+def _decision(service: InService) -> Schema:
+    values = {"type": "object", "additionalProperties": {"type": ["number", "null"]}}
+    stored = service.stored
+    actions = {} if stored.is_table else {"enum": list(stored.policy.actions)}
+    return _object(
+        {
+            "action": actions or _TEXT,
+            "probability": {**_NUMBER, "description": "With which this action was taken."},
+            "is_explored": {"type": "boolean", "description": "Whether it was drawn to explore."},
+            "stage": {"type": "integer"},
+            "q_values": {**values, "description": "What the policy goes by; null where not possible."},
+            "reason": _TEXT,
+            "warnings": {"type": "array", "items": _TEXT},
+            "policy": {**_TEXT, "description": "Digest of the policy that decided."},
+        },
+        ["action", "probability", "is_explored", "stage", "q_values", "reason", "warnings", "policy"],
+    )
+
+
+def _rewarded() -> Schema:
+    body = _object({"reward": _NUMBER, "elapsed_s": _ELAPSED}, ["reward"])
+    return _post("Complete the stage in progress.", {"application/json": {"schema": body}}, {"type": "object"})
+
+
+def _ended() -> Schema:
+    properties = {"ending": {"enum": ["finished", "cut"]}, "cause": _TEXT, "elapsed_s": _ELAPSED}
+    body = {"application/json": {"schema": _object(properties, ["ending"])}}
+    return _post("End the path in progress; what was cut has a cause.", body, {"type": "object"})
+
+
+def _reloaded() -> Schema:
+    answer = _object({"policy": _TEXT}, ["policy"])
+    return {"post": {"summary": "Read the policy's folder again.", "responses": _responses(answer)}}
+
+
+def _health() -> Schema:
+    answer = _object({"status": _TEXT, "policy": _TEXT, "kind": _TEXT}, ["status", "policy", "kind"])
+    return {"get": {"summary": "Say that it answers, and what.", "responses": _responses(answer)}}
+
+
+def _post(summary: str, content: Schema, answer: Schema) -> Schema:
+    body = {"required": True, "content": content}
+    return {"post": {"summary": summary, "requestBody": body, "responses": _responses(answer)}}
+
+
+def _responses(answer: Schema) -> Schema:
+    refused = {"schema": _object({"error": _TEXT}, ["error"])}
+    return {
+        "200": {"description": "The answer.", "content": {"application/json": {"schema": answer}}},
+        "4XX": {"description": "Refused, in one line.", "content": {"application/json": refused}},
+    }
+
+
+def _object(properties: Schema, required: list[str]) -> Schema:
+    return {"type": "object", "properties": properties, "required": required}

@@ -1,0 +1,119 @@
+"""From a request to what a policy decides from: covariates, the objects of a table as a log has them, or a cloud."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from halfseen.errors import HalfseenError
+from halfseen.policies.decision import Decision
+from halfseen.policies.named_decider import NamedDecider
+from halfseen.policies.named_observation import checked_stage, known_covariates
+from halfseen.serving.in_service import InService
+from halfseen.serving.refusal import Refusal
+
+if TYPE_CHECKING:
+    from halfseen.policies.table_observation import SeenLaw
+
+BODY = "the request"
+OBJECTS, STAGE = "objects", "stage"
+NO_TABLE = 'the policy is of tables; give {"objects": [...]} as a stage of a log has them, or a cloud as multipart'
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What a policy is asked about.
+
+    Parameters
+    ----------
+    decide
+        Asks it.
+    stage
+        The stage to decide, from 1.
+    covariates
+        To be recorded.
+    objects
+        To be recorded; None where there are none.
+    names
+        Of the objects, in the order of the numbers that actions have; none where nothing is acted on.
+    told
+        What labels told, in one sentence.
+    """
+
+    decide: Callable[[], Decision]
+    stage: int
+    covariates: Mapping[str, Any] = field(default_factory=dict)
+    objects: list[dict[str, Any]] | None = None
+    names: Sequence[Any] = ()
+    told: str = ""
+
+
+def seen_in_state(service: InService, state: Mapping[str, Any], next_stage: int | None = None) -> Seen:
+    """Take a state as JSON has it.
+
+    Parameters
+    ----------
+    service
+        What decides.
+    state
+        Covariates by name, or `OBJECTS`; and `STAGE`, if it is not the first.
+    next_stage
+        The stage that is recorded next; None if nothing is recorded.
+
+    Raises
+    ------
+    HalfseenError
+        It is not what the policy looks at.
+    Refusal
+        It says another stage than the one that is recorded next.
+    """
+    said = state.get(STAGE, next_stage or 1)
+    stage = checked_stage(said, service.stored.horizon, BODY)
+    if next_stage not in (None, stage):
+        raise Refusal(409, f"stage is {stage}, but the path in progress has come to {next_stage}; leave it out")
+    covariates = {name: value for name, value in state.items() if name not in (STAGE, OBJECTS)}
+    if service.stored.is_table:
+        return _table(service, state, covariates, stage)
+    decider = service.decider
+    assert isinstance(decider, NamedDecider), "what is not of tables is of named actions"
+    known = known_covariates(decider.policy, state, BODY)
+    return Seen(lambda: decider.decide_known(known, stage), stage, covariates)
+
+
+def _table(service: InService, state: Mapping[str, Any], covariates: Mapping[str, Any], stage: int) -> Seen:
+    objects = state.get(OBJECTS)
+    if not isinstance(objects, list) or not objects or not all(isinstance(one, dict) for one in objects):
+        raise Refusal(422, NO_TABLE)
+    from halfseen.serving.table_state import present_of
+
+    present, names = present_of(service.stored, objects, stage)
+    return Seen(lambda: service.decider.decide(present), stage, covariates, objects, names)
+
+
+def seen_in_cloud(
+    service: InService, cloud: Path, labels: Path | None, stage: int | None, law: "SeenLaw | None"
+) -> Seen:
+    """Take a cloud of a table that nothing is known of but this look.
+
+    Parameters
+    ----------
+    service
+        What decides.
+    cloud, labels, stage, law
+        As `halfseen.policies.table_observation.read_table` takes them.
+
+    Raises
+    ------
+    HalfseenError
+        The files cannot be read, or are not what the policy looks at; the folder of the cloud is left out of the line.
+    """
+    if not service.stored.is_table:
+        looks_at = ", ".join(service.stored.policy.covariates) or "no covariates"
+        raise Refusal(415, f"the policy looks at {looks_at}, not at clouds; give a JSON object of these")
+    from halfseen.policies.table_observation import read_table
+
+    try:
+        present = read_table(service.stored, cloud, None, stage, labels, law).present
+    except HalfseenError as error:
+        raise type(error)(str(error).replace(f"{cloud.parent}/", "")) from error
+    return Seen(lambda: service.decider.decide(present), present.stage, told=present.seen)

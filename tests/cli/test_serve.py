@@ -1,0 +1,107 @@
+"""``halfseen serve`` as a process: on its port, at its signals, and refused where it would be open to others."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+
+import httpx2
+import pytest
+
+from halfseen.learners import CensoredQLearner
+from halfseen.logs import read_logs
+from halfseen.policies.folder import write_policy
+from small_logs import flat_log
+
+SEEN = {"x1": 0.4, "x2": 1}
+
+
+@pytest.fixture
+def policy(tmp_path):
+    write(tmp_path / "policy", reg=0.1)
+    return tmp_path / "policy"
+
+
+def write(folder, reg, **options):
+    logs = flat_log()
+    learner = CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=reg)
+    write_policy(learner.fit(logs), logs, folder, **options)
+
+
+@contextmanager
+def served(*words, **environment):
+    """A server in a process of its own, and who asks it."""
+    command = [sys.executable, "-m", "halfseen.cli", "serve", *map(str, words), "--port", "0"]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(command, env=os.environ | environment, **pipes) as process:
+        try:
+            url = process.stdout.readline().split()[0]
+            with httpx2.Client(base_url=url, timeout=30) as client:
+                yield process, client
+        finally:
+            process.kill()
+
+
+def test_a_controller_without_python_gets_decisions_and_makes_the_next_log(policy, tmp_path):
+    with served(policy, "--record", tmp_path / "logs", "--explore", "0.2") as (process, client):
+        told = client.post("/decide", json=SEEN).json()
+        assert told["action"] in ("A", "B")
+        client.post("/reward", json={"reward": 2})
+        write(policy, reg=5.0, overwrite=True)
+        process.send_signal(signal.SIGHUP)
+        for _ in range(200):
+            if client.get("/health").json()["policy"] != told["policy"]:
+                break
+            time.sleep(0.05)
+        assert client.post("/decide", json=SEEN).json()["policy"] != told["policy"]
+        (policy / "policy.json").write_text("{}")
+        process.send_signal(signal.SIGHUP)
+        assert "the policy before goes on" in process.stderr.readline()
+        assert client.post("/reward", json={"reward": 1}).status_code == 200
+        process.send_signal(signal.SIGTERM)
+        process.wait(30)
+    logs = read_logs(tmp_path / "logs")
+    assert logs.paths["cause"].tolist() == ["server stopped"]
+    assert logs.stages["reward"].dropna().tolist() == [2.0]
+
+
+def test_ctrl_c_ends_it_without_a_word(policy):
+    with served(policy) as (process, client):
+        assert client.get("/health").status_code == 200
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 0
+        assert process.stderr.read() == ""
+
+
+def test_what_is_no_http_harms_nobody(policy):
+    with served(policy) as (_, client):
+        for sent in (b"\x16\x03\x01", b"GET / HTTP/1.1\r\nx: " + b"y" * 100_000, b"POST /decide HTTP/9\r\n\r\n"):
+            with socket.create_connection((client.base_url.host, client.base_url.port)) as raw:
+                raw.sendall(sent)
+                raw.settimeout(5)
+                assert b"400" in raw.recv(100)
+        assert client.post("/decide", json=SEEN).status_code == 200
+
+
+def test_a_token_may_come_from_the_environment(policy):
+    with served(policy, HALFSEEN_TOKEN="a-token-that-is-long") as (_, client):
+        assert client.get("/health").status_code == 401
+        known = {"authorization": "Bearer a-token-that-is-long"}
+        assert json.loads(client.get("/health", headers=known).text)["status"] == "ok"
+
+
+def test_it_is_not_open_to_others_by_mistake(policy, refused):
+    assert "--host is 0.0.0.0" in refused("serve", policy, "--host", "0.0.0.0")
+    assert "--token has 5 characters" in refused("serve", policy, "--token", "short")
+
+
+def test_a_port_that_is_taken_and_a_policy_that_is_none_are_refused(policy, refused, tmp_path):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        assert f"--port {port}: nobody can serve there" in refused("serve", policy, "--port", port)
+    assert "no such folder" in refused("serve", tmp_path / "nothing", "--port", 0)
+    assert "--explore" in refused("serve", policy, "--explore", 1)

@@ -1,0 +1,328 @@
+"""A policy over HTTP: it says what `halfseen act` says, records what it decided, and survives whoever asks."""
+
+import asyncio
+import json
+from collections import Counter
+
+import httpx2
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from starlette.testclient import TestClient
+
+from halfseen.cli.act import act
+from halfseen.errors import LogError
+from halfseen.learners import CensoredQLearner
+from halfseen.logs import read_logs
+from halfseen.policies.folder import write_policy
+from halfseen.scene import table_paths
+from halfseen.serving.answering import Answering
+from halfseen.serving.app import Served, app_of
+from halfseen.serving.bounds import Bounded
+from halfseen.serving.paths import RecordedPaths
+from small_logs import HIDES, flat_log, table_log
+
+SEEN = {"x1": 0.4, "x2": 1, "colour": "red"}
+NOT_OF_ACT = {"probability", "is_explored"}
+
+
+def learned(reg, **options):
+    return CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=reg, **options)
+
+
+@pytest.fixture(scope="module")
+def flat(tmp_path_factory):
+    folder, logs = tmp_path_factory.mktemp("serving") / "flat", flat_log()
+    write_policy(learned(0.1, pessimism=1.0).fit(logs), logs, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory):
+    logs = table_log(num_objects=3, hides=np.pad(HIDES, (0, 1)))
+    folder = tmp_path_factory.mktemp("serving") / "tables"
+    write_policy(CensoredQLearner.for_table(3, reg=0.1).fit(logs), logs, folder)
+    return folder
+
+
+def client_of(folder, token=None, largest_bytes=None, **answering):
+    app = app_of(Served(folder, Answering(**answering)), token, largest_bytes=largest_bytes)
+    return TestClient(app, base_url="http://127.0.0.1")
+
+
+@pytest.fixture
+def asked(flat):
+    with client_of(flat) as client:
+        yield client
+
+
+def acted(folder, tmp_path, *words, **state):
+    """What ``halfseen act --json`` says of a state."""
+    file = tmp_path / "state.json"
+    file.write_text(json.dumps(state))
+    done = CliRunner().invoke(act, [str(folder), str(file), "--json", *words], catch_exceptions=False)
+    return {name: told for name, told in json.loads(done.output).items() if name not in ("policy", "input")}
+
+
+def refused(response, status):
+    assert response.status_code == status, response.text
+    (line,) = response.json().values()
+    assert line
+    assert "\n" not in line
+    return line
+
+
+def test_it_says_what_act_says(asked, flat, tmp_path):
+    rng = np.random.default_rng(0)
+    for stage in (1, 2, 1, 2):
+        state = {"x1": float(rng.normal()), "x2": int(rng.integers(3)), "stage": stage}
+        told = asked.post("/decide", json=state).json()
+        said = acted(flat, tmp_path, **state)
+        assert said["intervals"]
+        assert {name: told[name] for name in said} == said
+        assert set(told) - set(said) == {*NOT_OF_ACT, "policy"}
+        assert (told["probability"], told["is_explored"]) == (1.0, False)
+
+
+def test_true_and_false_are_numbers_as_they_are_to_act(asked, flat, tmp_path):
+    state = {"x1": 0.5, "x2": True}
+    said = acted(flat, tmp_path, **state)
+    assert asked.post("/decide", json=state).json()["q_values"] == said["q_values"]
+
+
+@pytest.mark.parametrize(
+    ("body", "status", "says"),
+    [
+        (b"{", 400, "no JSON"),
+        (b"[" * 100_000, 400, "no JSON"),
+        (b'{"x1": NaN, "x2": 1}', 400, "NaN is no number of JSON"),
+        (b"\xff", 400, "no JSON"),
+        (b"[1]", 422, "JSON list; send one object"),
+        (b"{}", 422, "there is no 'x1' among nothing"),
+        (b'{"x1": 1, "X2": 1}', 422, "there is no 'x2' among x1, X2"),
+        (b'{"x1": null, "x2": 1}', 422, "covariate 'x1'"),
+        (b'{"x1": "red", "x2": 1}', 422, "'x1' holds no numbers"),
+        (b'{"x1": [1], "x2": {"a": 2}}', 422, "'x1' holds no numbers"),
+        (b'{"x1": 1e999, "x2": 1}', 422, "inf; give a finite number"),
+        (b'{"x1": 1' + b"0" * 400 + b', "x2": 1}', 422, "too large for any covariate"),
+        (b'{"x1": 1e9, "x2": 1}', 422, "outside the logs"),
+        (b'{"x1": 0, "x2": 1, "stage": 3}', 422, "stage is 3; it is a whole number from 1"),
+        (b'{"x1": 0, "x2": 1, "stage": true}', 422, "stage is True"),
+        (b'{"x1": 0, "x2": 1, "stage": "1"}', 422, "stage is 1"),
+        (b'{"x1": 0, "x2": 1, "stage": null}', 422, "stage is None"),
+    ],
+)
+def test_a_bad_request_gets_one_line_and_harms_no_other(asked, body, status, says):
+    before = asked.post("/decide", json=SEEN).json()
+    answer = asked.post("/decide", content=body, headers={"content-type": "application/json"})
+    assert says in refused(answer, status)
+    assert asked.post("/decide", json=SEEN).json() == before
+
+
+def test_other_addresses_and_forms_are_refused(asked):
+    assert "nothing at this address" in refused(asked.get("/decisions"), 404)
+    assert "GET is not answered" in refused(asked.get("/decide"), 405)
+    assert "content-type is 'text/plain'" in refused(
+        asked.post("/decide", content=b"{}", headers={"content-type": "text/plain"}), 415
+    )
+    assert "not at clouds" in refused(asked.post("/decide", files={"cloud": ("t.pcd", b"no")}), 415)
+    assert "records nothing" in refused(asked.post("/reward", json={"reward": 1}), 409)
+
+
+def test_a_page_of_another_site_cannot_ask(asked):
+    for name in ("evil.example", "127.0.0.1.evil.example", "evil.example:8080", ""):
+        assert "this server is asked as 127.0.0.1" in refused(asked.get("/health", headers={"host": name}), 403)
+    for name in ("localhost:8080", "127.0.0.1", "[::1]:8080", "[::1]"):
+        assert asked.get("/health", headers={"host": name}).json()["status"] == "ok"
+
+
+def test_with_a_token_only_who_has_it_is_answered(flat):
+    with client_of(flat, token="secret-of-16-let") as client:
+        for given in ({}, {"authorization": "Bearer other"}, {"authorization": "secret-of-16-let"}):
+            assert "Authorization: Bearer" in refused(client.get("/health", headers=given), 401)
+        known = {"authorization": "Bearer secret-of-16-let", "host": "cell-3"}
+        assert client.get("/health", headers=known).json()["kind"] == "flat"
+
+
+def test_what_is_too_large_is_refused_whether_it_says_so_or_not(flat):
+    with client_of(flat, largest_bytes=100) as client:
+        large = {"content-type": "application/json"}
+        assert "more than 100 bytes" in refused(client.post("/decide", content=b" " * 101, headers=large), 413)
+        parts = (b" " * 60 for _ in range(2))
+        assert "more than 100 bytes" in refused(client.post("/decide", content=parts, headers=large), 413)
+        assert client.post("/decide", json=SEEN).status_code == 200
+
+
+def test_what_comes_too_slowly_is_refused():
+    sent = []
+
+    async def never(*_):
+        await asyncio.sleep(60)
+
+    async def send(message):
+        sent.append(message)
+
+    async def refuse(refusal, scope, receive, send):
+        sent.append(refusal)
+
+    scope = {"type": "http", "headers": [(b"host", b"localhost")]}
+    asyncio.run(Bounded(never, refuse, None, 100, slowest_s=0.01)(scope, never, send))
+    assert [one.status for one in sent] == [408]
+
+
+def test_what_is_decided_becomes_a_log_with_probabilities(flat, tmp_path):
+    folder, rewards, taken = tmp_path / "logs", [], []
+    with RecordedPaths(folder) as paths, client_of(flat, epsilon=0.4, paths=paths) as client:
+        rng = np.random.default_rng(3)
+        for path in range(40):
+            for stage in (1, 2):
+                state = {"x1": float(rng.normal()), "x2": int(rng.integers(3)), "seen_by": "left"}
+                told = client.post("/decide", json=state).json()
+                assert (told["path"], told["stage"]) == (path + 1, stage)
+                taken.append((told["action"], told["probability"]))
+                assert "has no reward yet" in refused(client.post("/decide", json=state), 409)
+                assert "has no reward yet" in refused(client.post("/end", json={"ending": "finished"}), 409)
+                rewards.append(float(rng.normal()))
+                assert client.post("/reward", json={"reward": rewards[-1]}).json()["waits_for"] == "decision"
+                assert "no stage waits" in refused(client.post("/reward", json={"reward": 1.0}), 409)
+            cause = {"ending": "cut", "cause": "operator"} if path % 4 == 0 else {"ending": "finished"}
+            assert client.post("/end", json=cause).json()["stages"] == 2
+    logs = read_logs(folder)
+    # What the last stage of a path that was cut between two stages led to was not seen.
+    is_seen = (np.arange(40) % 4 > 0)[:, None] | [True, False]
+    np.testing.assert_array_equal(logs.stages["reward"], np.where(is_seen.ravel(), rewards, np.nan))
+    assert list(zip(logs.stages["action"], logs.stages["probability"], strict=True)) == taken
+    assert set(logs.stages["seen_by"]) == {"left"}
+    assert (logs.num_paths, int(logs.is_finished.sum())) == (40, 30)
+    assert set(logs.stages["probability"].round(9)) == {0.8, 0.2}
+    assert 4 <= sum(p < 0.5 for _, p in taken) <= 30
+    learned(0.1).fit(logs)
+
+
+def test_a_path_in_progress_is_told_and_cut_when_the_server_stops(flat, tmp_path):
+    with RecordedPaths(tmp_path / "logs") as paths, client_of(flat, paths=paths) as client:
+        assert client.get("/health").json()["recording"] == {"path": None, "stage": 0, "waits_for": "decision"}
+        client.post("/decide", json=SEEN)
+        assert client.get("/health").json()["recording"] == {"path": 1, "stage": 1, "waits_for": "reward"}
+        client.post("/reward", json={"reward": 1.0, "elapsed_s": 2.0})
+        assert "leave it out" in refused(client.post("/decide", json=SEEN | {"stage": 1}), 409)
+        assert "is before" in refused(client.post("/end", json={"ending": "finished", "elapsed_s": 1.0}), 422)
+    assert read_logs(tmp_path / "logs").paths["cause"].tolist() == ["server stopped"]
+
+
+@pytest.mark.parametrize(
+    "end",
+    [{}, {"ending": "done"}, {"ending": "cut"}, {"ending": "finished", "cause": "x"}, {"ending": "cut", "why": 1}],
+)
+def test_an_end_says_which(flat, tmp_path, end):
+    with RecordedPaths(tmp_path / "logs") as paths, client_of(flat, paths=paths) as client:
+        client.post("/decide", json=SEEN)
+        refused(client.post("/end", json=end), 422)
+        assert client.get("/health").json()["recording"]["path"] == 1
+
+
+def test_what_cannot_be_recorded_is_not_decided(flat, tmp_path):
+    with RecordedPaths(tmp_path / "logs") as paths, client_of(flat, paths=paths) as client:
+        assert "could not be recorded" in refused(client.post("/decide", json=SEEN | {"reward": 1.0}), 422)
+        assert client.get("/health").json()["recording"]["path"] is None
+        assert client.post("/decide", json=SEEN).json()["path"] == 1
+        assert "reward" in refused(client.post("/reward", json={"reward": "much"}), 422)
+        client.post("/reward", json={"reward": 1})
+        assert "could not be recorded" in refused(client.post("/decide", json={"x1": 0.4, "x2": 1}), 422)
+        client.post("/decide", json=SEEN)
+    assert len(read_logs(tmp_path / "logs").stages) == 2
+
+
+def test_a_draw_is_as_likely_as_it_says(flat):
+    with client_of(flat, epsilon=0.5) as client:
+        told = [client.post("/decide", json=SEEN).json() for _ in range(400)]
+    by_action = Counter((one["action"], round(one["probability"], 9), one["is_explored"]) for one in told)
+    assert {key[1:] for key in by_action} == {(0.75, False), (0.25, True)}
+    explored = [one for one in told if one["is_explored"]]
+    assert len(explored) == pytest.approx(100, abs=4 * np.sqrt(400 * 0.25 * 0.75))
+    assert "by chance, to explore" in explored[0]["reason"]
+
+
+def test_a_reload_changes_the_policy_and_a_bad_one_changes_nothing(flat, tmp_path):
+    folder, logs = tmp_path / "policy", flat_log()
+    write_policy(learned(0.1).fit(logs), logs, folder)
+    with client_of(folder) as client:
+        before = client.post("/decide", json=SEEN).json()
+        write_policy(learned(5.0).fit(logs), logs, folder, overwrite=True)
+        assert client.post("/decide", json=SEEN).json() == before
+        digest = client.post("/reload").json()["policy"]
+        after = client.post("/decide", json=SEEN).json()
+        assert after["policy"] == digest != before["policy"]
+        assert after["q_values"] != before["q_values"]
+        (folder / "policy.json").write_bytes(b"{}")
+        assert "policy.json" in refused(client.post("/reload"), 422)
+        assert client.post("/decide", json=SEEN).json() == after
+
+
+def test_no_request_is_lost_while_policies_are_reloaded(flat):
+    async def ask():
+        app = app_of(Served(flat))
+        transport = httpx2.ASGITransport(app)
+        async with httpx2.AsyncClient(transport=transport, base_url="http://localhost") as client:
+            decisions = [client.post("/decide", json=SEEN) for _ in range(40)]
+            reloads = [client.post("/reload") for _ in range(5)]
+            return await asyncio.gather(*decisions[:20], *reloads, *decisions[20:])
+
+    assert {answer.status_code for answer in asyncio.run(ask())} == {200}
+
+
+def test_the_description_and_the_page_tell_what_can_be_asked(asked, flat, tmp_path):
+    api = asked.get("/openapi.json").json()
+    decide = api["paths"]["/decide"]["post"]
+    taken = decide["requestBody"]["content"]["application/json"]
+    assert set(taken["schema"]["required"]) == {"x1", "x2"}
+    assert taken["schema"]["properties"]["stage"]["maximum"] == 2
+    told = asked.post("/decide", json=taken["example"]).json()
+    answer = decide["responses"]["200"]["content"]["application/json"]["schema"]
+    assert set(answer["required"]) <= set(told)
+    assert "/reward" not in api["paths"]
+    page = asked.get("/")
+    assert "POST /decide" in page.text
+    assert "http" not in page.text.replace("HTTP", "").replace("<!doctype html>", "")
+    assert "default-src 'none'" in page.headers["content-security-policy"]
+    with RecordedPaths(tmp_path / "logs") as paths, client_of(flat, paths=paths) as client:
+        assert {"/reward", "/end"} <= set(client.get("/openapi.json").json()["paths"])
+
+
+def test_a_table_is_decided_from_a_cloud_as_act_does(tables):
+    table = table_paths()[7]
+    done = CliRunner().invoke(act, [str(tables), str(table), "--json", "--stage", "2", "--extrapolate"])
+    said = {name: told for name, told in json.loads(done.output).items() if name not in ("policy", "input")}
+    with TestClient(app_of(Served(tables, extrapolates=True)), base_url="http://127.0.0.1") as client:
+        told = client.post("/decide", files={"cloud": (table.name, table.read_bytes())}, data={"stage": "2"}).json()
+        assert {name: told[name] for name in said} == said
+        broken = client.post("/decide", files={"cloud": ("../../x.pcd", b"VERSION .7\n")})
+        assert refused(broken, 422).startswith("cloud.pcd: ")
+        assert "no file 'cloud'" in refused(client.post("/decide", files={"other": ("t.pcd", b"")}), 422)
+        assert "give {" in refused(client.post("/decide", json={"x": 1}), 422)
+        openapi = client.get("/openapi.json").json()["paths"]["/decide"]["post"]["requestBody"]["content"]
+        assert set(openapi) == {"application/json", "multipart/form-data"}
+
+
+def test_a_table_as_a_log_has_it_is_decided_and_recorded(tables, tmp_path):
+    logs = table_log(num_paths=1, num_objects=3, hides=np.pad(HIDES, (0, 1)), seed=2)
+    columns = [name for name in logs.objects.columns if name not in ("path", "stage")]
+    rows = logs.objects[(logs.objects["path"] == 0) & (logs.objects["stage"] == 1)][columns]
+    objects = json.loads(rows.to_json(orient="records"))
+    with RecordedPaths(tmp_path / "logs") as paths, client_of(tables, paths=paths) as client:
+        told = client.post("/decide", json={"objects": objects}).json()
+        assert told["action"] == " ".join(str(one) for one in (told["verb"], told["object"]) if one is not None)
+        client.post("/reward", json={"reward": 1.0})
+        client.post("/end", json={"ending": "finished"})
+        assert "is not recorded" in refused(client.post("/decide", files={"cloud": ("t.pcd", b"")}), 409)
+        wrong = [{**one, "location": "NOWHERE"} for one in objects]
+        assert "NOWHERE" in refused(client.post("/decide", json={"objects": wrong}), 422)
+    stored = read_logs(tmp_path / "logs")
+    assert stored.stages[["action", "probability"]].to_numpy().tolist() == [[told["verb"], 1.0]]
+    assert len(stored.objects) == 3
+
+
+def test_a_folder_that_cannot_be_recorded_into_is_refused(tmp_path):
+    flat_log().write(tmp_path / "logs")
+    with pytest.raises((LogError, ValueError), match="written for good"):
+        RecordedPaths(tmp_path / "logs")
