@@ -306,7 +306,7 @@ def test_what_no_log_takes_is_refused_in_one_line_and_harms_nothing(recorder, tm
         STEPS[trouble](path)
     assert str(told.value).startswith("path 1")
     assert len(str(told.value).splitlines()) == 1
-    if not path._is_in_stage:
+    if not path.is_in_stage:
         begin(path)
     path.cut("operator", elapsed_s=3.0)
     assert read_logs(tmp_path / "logs").elapsed_s()[0, 0] == 1.0
@@ -450,7 +450,7 @@ def test_ctrl_c_at_any_moment_leaves_a_journal_that_reads(tmp_path):
                 try:
                     signal.setitimer(signal.ITIMER_REAL, next(delays_s))
                     while True:
-                        if not path._is_in_stage:
+                        if not path.is_in_stage:
                             begin(path)
                         path.complete_stage(1.0)
                 except Pressed:

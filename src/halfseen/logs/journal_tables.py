@@ -28,12 +28,10 @@ from halfseen.errors import LogError
 from halfseen.logs.columns import CUT, FINISHED, is_own_reward
 from halfseen.logs.journal import JournalEvents
 from halfseen.logs.journal_writer import is_being_recorded
+from halfseen.logs.path_clock import RESOLUTION_S
 from halfseen.logs.robot_checks import ROBOT
 
 CRASH, STILL_RUNNING = "crash", "still-running"
-RESOLUTION_S = 1e-9
-"""What a clock can tell apart [s]; a path that was torn before its clock moved ends there."""
-
 ROWS_A_CHUNK = 20_000
 _TYPES = {
     "elapsed_s": pa.float64(),

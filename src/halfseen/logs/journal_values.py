@@ -207,7 +207,7 @@ def _plain(value: Any, where: str, what: str) -> tuple[Any, str]:
             raise LogError(f"{where}: {what} is {value}; give the finite number that the policy saw")
         return value, "number"
     if isinstance(value, str):
-        return _text(value, where, what), "text"
+        return checked_text(value, where, what), "text"
     if isinstance(value, list | tuple):
         return _plain_list(value, where, what)
     raise LogError(f"{where}: {what} is {value!r}; give a number, text, or a flat list of these")
@@ -221,7 +221,8 @@ def _plain_list(values: list | tuple, where: str, what: str) -> tuple[list[Any],
     return [plain for plain, _ in pairs], f"list of {kinds.pop()}s" if kinds else _EMPTY_LIST
 
 
-def _text(value: str, where: str, what: str) -> str:
+def checked_text(value: str, where: str, what: str) -> str:
+    """Refuse text that no file holds."""
     try:
         value.encode()
     except UnicodeEncodeError as error:

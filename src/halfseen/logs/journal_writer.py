@@ -3,11 +3,13 @@
 import os
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs.journal import HEADER, JOURNAL, JournalEvents, journal_line
+from halfseen.logs.recorded import Recorded
 from halfseen.logs.refusal import within
 from halfseen.logs.reward_unit import common_unit
 from halfseen.writing import is_locked
@@ -22,6 +24,14 @@ def is_being_recorded(file: Path) -> bool:
         return not is_locked(descriptor, is_shared=True)
     finally:
         os.close(descriptor)
+
+
+class _Held(NamedTuple):
+    """What a journal holds for good."""
+
+    num_bytes: int
+    checksum: int
+    known: Recorded
 
 
 class JournalWriter:
@@ -56,7 +66,8 @@ class JournalWriter:
         self.file = folder / JOURNAL
         self._is_synced = is_synced
         self._process = os.getpid()
-        self._is_interrupted = False
+        self._held = _Held(0, 0, Recorded())
+        self._is_torn = False
         self._descriptor: int | None = _open(folder, self.file)
         try:
             events = JournalEvents(self.file)
@@ -64,12 +75,13 @@ class JournalWriter:
                 restore(event)
             with within(self.file):
                 common_unit([events.reward_unit, reward_unit])
-            self._end = events.num_bytes, events.checksum
             # What a kill tore.
             os.ftruncate(self._descriptor, events.num_bytes)
+            self._held = _Held(events.num_bytes, events.checksum, self.known)
             if events.num_bytes == 0:
-                self.append(HEADER)
-            self.append({"event": "session"} | ({} if reward_unit is None else {"reward_unit": reward_unit}))
+                self.append(HEADER, self.known)
+            session = {"event": "session"} | ({} if reward_unit is None else {"reward_unit": reward_unit})
+            self.append(session, self.known)
             if is_synced:
                 _sync_folder(folder)
         except BaseException:
@@ -81,8 +93,24 @@ class JournalWriter:
         """True once it takes no more events."""
         return self._descriptor is None
 
-    def append(self, event: dict[str, Any]) -> None:
+    @property
+    def known(self) -> Recorded:
+        """What the recorder knows after the last event."""
+        return self._held.known
+
+    @known.setter
+    def known(self, known: Recorded) -> None:
+        self._held = self._held._replace(known=known)
+
+    def append(self, event: dict[str, Any], known: Recorded) -> None:
         """Hand one event to the operating system, whole or not at all.
+
+        Parameters
+        ----------
+        event
+            The event.
+        known
+            What the recorder knows once it is written: both hold, or neither, whenever Ctrl-C comes.
 
         Raises
         ------
@@ -96,29 +124,38 @@ class JournalWriter:
                 f"{self.file}: the recorder belongs to process {self._process}, and this is its fork {os.getpid()}; "
                 "record in the process that opened it"
             )
-        num_bytes, checksum = self._end
-        if self._is_interrupted:
-            # Ctrl-C came between the write and its return: the caller does not know of the event.
-            os.ftruncate(self._descriptor, num_bytes)
-        line, checksum = journal_line(event, checksum)
-        self._is_interrupted = True
+        num_bytes, checksum, _ = self._held
         try:
+            self._take_back()
+            line, checksum = journal_line(event, checksum)
+            self._is_torn = True
             self._write(line)
         except OSError as error:
-            os.ftruncate(self._descriptor, num_bytes)
+            with suppress(OSError):
+                self._take_back()
             raise LogError(
                 f"{self.file}: the event cannot be written ({error.strerror}); make room and give it again; all before "
                 "it is kept"
             ) from error
-        self._end = num_bytes + len(line), checksum
-        self._is_interrupted = False
+        self._held = _Held(num_bytes + len(line), checksum, known)
+        self._is_torn = False
 
     def close(self) -> None:
         """Let the journal go; closing twice is no harm."""
         if self._descriptor is not None:
+            if os.getpid() == self._process:
+                with suppress(OSError):
+                    self._take_back()
             # Not unlocked: in a fork that would take the lock from the process that records.
             os.close(self._descriptor)
             self._descriptor = None
+
+    def _take_back(self) -> None:
+        """Take back what was written of an event that its caller does not know of: Ctrl-C or a full disk came first."""
+        assert self._descriptor is not None
+        if self._is_torn:
+            os.ftruncate(self._descriptor, self._held.num_bytes)
+            self._is_torn = False
 
     def _write(self, line: bytes) -> None:
         assert self._descriptor is not None
