@@ -203,7 +203,8 @@ def _row(
     for name, value in values.items():
         if not isinstance(name, str):
             raise LogError(f"{where}: {word} {name!r} has a name that is not text; rename it")
-        checked_text(name, where, f"name of {word}")
+        if known is None or name not in known:
+            checked_text(name, where, f"name of {word}")
         what = f"{word} {_written(name)}"
         row[name], kind = _plain(value, where, what)
         kinds[name] = _common_kind(None if known is None else known.get(name), kind, where, what)
@@ -212,15 +213,17 @@ def _row(
 
 def _common_kind(before: str | None, now: str, where: str, what: str) -> str:
     """The kind of a column that was of one kind, and is now given another."""
+    if before is None or before == now:
+        return now
     for kind, other in ((before, now), (now, before)):
-        if kind is not None and (other is None or _holds(kind, other)):
+        if _holds(kind, other):
             return kind
-    if before is not None and _told(before) == _told(now):
+    if _told(before) == _told(now):
         raise LogError(
             f"{where}: {what} has a whole number beyond 2^53 and a fraction, now or before, and no column holds both "
             "exactly; give such whole numbers as text"
         )
-    raise LogError(f"{where}: {what} is a {_told(now)}, before it was a {_told(str(before))}; give it one type")
+    raise LogError(f"{where}: {what} is a {_told(now)}, before it was a {_told(before)}; give it one type")
 
 
 def _holds(kind: str, other: str) -> bool:

@@ -25,6 +25,7 @@ from typing import Any
 
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs.columns import UNKNOWN_CAUSE
+from halfseen.logs.durability import synced_events
 from halfseen.logs.folder import MANIFEST
 from halfseen.logs.journal_tables import CRASH
 from halfseen.logs.journal_writer import JournalWriter
@@ -47,9 +48,11 @@ class LogRecorder:
     folder
         Where to; it is made where it is not there.
     fsync
-        Force each event to the disk. Without it, nothing that was written is lost when the process dies, but a power
-        cut or a crash of the operating system may lose the last seconds. With it, they are not, as far as the disk
-        keeps its word; an event then takes as long as the disk does, commonly 0.1 to 20 ms.
+        When to wait for the disk: "never"; each "path", when it ends; each "stage", when it begins; or each "event".
+        Without it, nothing that was written is lost when the process dies, but a loss of power or a crash of the
+        operating system may take the last half minute. With it they take, as far as the disk keeps its word, no more
+        than the path, stage or event in progress; a call that waits takes as long as the disk does, commonly 0.1 to
+        20 ms (`benchmarks/recorder.py` measures it). True is "event", False is "never".
     reward_unit
         What rewards are counted in, such as "parts": a short text, for people; None for what was said before, if
         anything was.
@@ -63,7 +66,7 @@ class LogRecorder:
     ArgumentError
         Another recorder has the folder, it holds finished logs, or it cannot be written.
     LogError
-        What was recorded there before is corrupted or in another unit, or the unit is no short text.
+        What was recorded there before is no journal or in another unit, or the unit is no short text.
 
     Examples
     --------
@@ -83,7 +86,7 @@ class LogRecorder:
         self,
         folder: str | Path,
         *,
-        fsync: bool = False,
+        fsync: bool | str = False,
         reward_unit: str | None = None,
         check: Callable[[Logs], object] | None = None,
     ) -> None:
@@ -94,7 +97,7 @@ class LogRecorder:
         self._names: set[int | str] = set()
         self._restored = Recorded()
         self._path: PathRecorder | None = None
-        self._journal = JournalWriter(folder, fsync, self._restore, unit)
+        self._journal = JournalWriter(folder, synced_events(fsync), self._restore, unit)
         self._journal.known = self._restored
 
     def __enter__(self) -> "LogRecorder":
