@@ -4,6 +4,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from halfseen.errors import LogError
 from halfseen.logs.columns import CUT, FINISHED
 from halfseen.logs.journal_tables import CRASH
@@ -116,7 +118,7 @@ class PathRecorder:
         )
         self._write(event | seen, replace(recorded, schema=schema), begun, is_news=True)
 
-    def complete_stage(self, reward: Any, *, elapsed_s: Any = None, own_rewards: Sequence[Any] = ()) -> None:
+    def complete_stage(self, reward: Any, *, elapsed_s: Any = None, own_rewards: Any = ()) -> None:
         """Complete the stage in progress.
 
         Parameters
@@ -150,9 +152,11 @@ class PathRecorder:
         clock = replace(state.clock.advanced(at_s, elapsed_s), completed_s=at_s)
         self._write(event, replace(recorded, num_shares=len(shares)), replace(state, is_in_stage=False, clock=clock))
 
-    def _checked_shares(self, own_rewards: Sequence[Any], where: str) -> list[float]:
+    def _checked_shares(self, own_rewards: Any, where: str) -> list[float]:
         """Rewards of robots as numbers, of as many robots as in the stages before."""
         remedy, known = "give the finite reward that the robot brought", self._journal.known.num_shares
+        if not isinstance(own_rewards, Sequence | np.ndarray) or isinstance(own_rewards, str):
+            raise LogError(f"{where}: own_rewards is {own_rewards!r}; give a list with the reward of each robot")
         if known not in (None, len(own_rewards)):
             raise LogError(
                 f"{where}: own_rewards has {len(own_rewards)} numbers, and the stages before it have {known}; give one "
@@ -160,7 +164,7 @@ class PathRecorder:
             )
         return [checked_number(each, f"{robot}_reward", where, remedy) for robot, each in enumerate(own_rewards)]
 
-    def drop_out(self, robot: Any, cause: str, *, elapsed_s: Any = None) -> None:
+    def drop_out(self, robot: Any, cause: Any, *, elapsed_s: Any = None) -> None:
         """Note that one of several robots dropped out alone; the path goes on without it.
 
         Tell it before the stage in which it happens is completed.
@@ -225,7 +229,7 @@ class PathRecorder:
         state.clock.check_units(state.clock.end_s(elapsed_s, where), where)
         self._end({"event": FINISHED}, state, elapsed_s)
 
-    def cut(self, cause: str, *, elapsed_s: Any = None) -> None:
+    def cut(self, cause: Any, *, elapsed_s: Any = None) -> None:
         """End the path where something outside the task ended it.
 
         Between two stages, the cut falls into the stage before: what that led to was not seen. If it was, begin the
