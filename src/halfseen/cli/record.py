@@ -1,6 +1,9 @@
 """``halfseen record``: record what a program in any language says, line by line."""
 
 import sys
+from collections.abc import Callable
+from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -53,20 +56,18 @@ def record(source: Path | None, out: Path, listen: str | None, fsync: str, rewar
         raise ArgumentError("SOURCE and --listen are both given; lines come from one of them")
     if source is not None and not source.is_file():
         raise ArgumentError(f"{source}: no such file; give one of JSON lines, or none for standard input")
-    with LogRecorder(out, fsync=fsync, reward_unit=reward_unit) as recorder:
-        if listen is not None:
-            _record_clients(recorder, int(listen) if listen.isdecimal() else Path(listen))
-        elif source is not None:
-            with source.open("rb") as lines:
-                record_lines(recorder, lines, click.echo)
-        else:
-            record_lines(recorder, sys.stdin.buffer, click.echo)
+    recorder_of = partial(LogRecorder, out, fsync=fsync, reward_unit=reward_unit)
+    if listen is not None:
+        _record_clients(recorder_of, int(listen) if listen.isdecimal() else Path(listen))
+        return
+    with recorder_of() as recorder, nullcontext(sys.stdin.buffer) if source is None else source.open("rb") as lines:
+        record_lines(recorder, lines, click.echo)
 
 
-def _record_clients(recorder: "LogRecorder", address: int | Path) -> None:
+def _record_clients(recorder_of: Callable[[], "LogRecorder"], address: int | Path) -> None:
     from halfseen.logs.line_socket import HOST, listening, record_clients
 
-    with listening(address) as listener:
+    with listening(address) as listener, recorder_of() as recorder:
         where = f"{HOST}:{listener.getsockname()[1]}" if isinstance(address, int) else address
         click.echo(f"{where}  (Ctrl+C ends)")
         record_clients(recorder, listener)

@@ -39,9 +39,10 @@ def listening(address: int | Path) -> Iterator[socket.socket]:
                 finally:
                     os.umask(before)
             listener.listen()
-        except OSError as error:
+        except (OSError, OverflowError) as error:
+            reason = getattr(error, "strerror", None) or error
             raise ArgumentError(
-                f"{address}: nobody can listen there ({error.strerror or error}); choose another port or file"
+                f"{address}: nobody can listen there ({reason}); choose another port or file"
             ) from error
         try:
             yield listener
