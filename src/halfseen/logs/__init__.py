@@ -6,8 +6,8 @@ Read down: `frames` (what is accepted) → `refusal` (how a broken log is told) 
 types) → `path_checks`, `stage_checks`, `object_checks` (the invariants) → `summary` → `journal`, `journal_tables`
 (what a recorder wrote) → `folder` (on disk) → `logs` (the record) → `reading` (whatever wrote it) → `stream` (a log
 that need not fit in memory) → `compaction` (many folders as one). While a robot runs: `journal_values`, `path_clock` →
-`recorded` → `journal_writer` → `path_recorder` → `recorder`. What `halfseen inspect` tells: `breakdown`,
-`suspicious_units` → `suspicions`.
+`recorded` → `durability`, `journal_writer` → `path_recorder` → `recorder` → `line_protocol` → `line_socket`. What
+`halfseen inspect` tells: `breakdown`, `suspicious_units` → `suspicions`.
 `formats`: from and to other forms.
 """
 
