@@ -27,6 +27,7 @@ pytestmark = pytest.mark.slow
         ("two_arms.py", "--tables", "1", "--only", "one arm", "two arms"),
         ("team_regret.py", "--horizon", "1", "--futures", "4"),
         ("teams.py", "--robots", "2", "--price", "-0.05", "--paths", "60", "--logs", "1", "--episodes", "50"),
+        ("recorder.py", "--paths", "3"),
         ("learners.py", "--logs", "1", "--worlds", "trial", "--shares", "0.3", "--methods", "quadratic, imputed"),
     ],
     ids=lambda words: words[0],

@@ -26,6 +26,7 @@ VERBS = {
     "report": "Write one page about a folder of logs and a policy.",
     "convert": "Convert logs between Parquet, CSV, Minari datasets and ROS bags.",
     "look": "Say what a depth camera sees on a table, who hides whom, and what looks dirty.",
+    "record": "Record what a program in any language says, in JSON lines.",
     "simulate": "Record logs of a policy in the simulated world, some of them cut.",
     "cell": "Let a simulated arm work in physics: calibrate its laws, or run a policy.",
     "study": "Regenerate the study: its figures, tables and report.",

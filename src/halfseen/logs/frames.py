@@ -9,6 +9,9 @@ import pyarrow as pa
 
 from halfseen.errors import LogError
 
+LARGEST_FRACTION = 2**53
+"""Beyond it, fractions tell no whole numbers apart."""
+
 
 @runtime_checkable
 class ArrowStream(Protocol):
@@ -90,8 +93,22 @@ def _from_other(data: object) -> pd.DataFrame:
     if isinstance(data, Mapping):
         return pd.DataFrame({key: _column(values) for key, values in data.items()})
     if isinstance(data, ArrowStream):
-        return pa.table(data).to_pandas()
+        return _from_arrow(pa.table(data))
     raise TypeError(f"it is a {type(data).__name__}")
+
+
+def _from_arrow(table: pa.Table) -> pd.DataFrame:
+    """Make a frame; whole numbers with nulls become fractions, but where fractions do not tell them apart."""
+    frame = table.to_pandas()
+    for name, column in zip(table.column_names, table.columns, strict=True):
+        if column.null_count and pa.types.is_integer(column.type) and _is_beyond_fractions(column):
+            frame[name] = column.to_pandas(types_mapper={column.type: pd.Int64Dtype()}.get)
+    return frame
+
+
+def _is_beyond_fractions(column: pa.ChunkedArray) -> bool:
+    numbers = column.drop_null().to_numpy()
+    return len(numbers) > 0 and max(-int(numbers.min()), int(numbers.max())) > LARGEST_FRACTION
 
 
 def _column(values: Any) -> Any:

@@ -4,6 +4,10 @@ A line is a JSON array of a checksum and an event: ``["9f3c2a11",{"event":"done"
 checksum is the CRC-32 of the event's bytes that goes on from the checksum of the line above, so that a line that was
 changed, moved or lost shows. A last line without its end was torn by a kill or a full disk, and is ignored.
 
+After a loss of power a page in the middle may hold zeros. Lines that do not check are left out: what is above them is
+kept, and so is what is below, from the first line whose checksum goes on from the one that the line above it states. A
+session that begins below such lines may begin from 0.
+
 Events, with the clock `at_s` of the path [s]:
 
 ==========  ===========================================================================================================
@@ -20,17 +24,26 @@ cut         the path was cut: cause
 """
 
 import json
+import warnings
 import zlib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from halfseen.errors import LogError
+from halfseen.errors import HalfseenWarning, LogError
 
 JOURNAL = "journal.jsonl"
 FORMAT, VERSION = "halfseen-journal", 1
 HEADER = {"event": "journal", "format": FORMAT, "version": VERSION}
 
+HOLE = {"event": "hole"}
+"""Given in the place of lines that do not check."""
+
+MOST_TOLD = 5
+"""Rows of such lines that a warning names."""
+
+_SESSION = b'{"event":"session"'
 _CHECKSUM, _EVENT = slice(2, 10), slice(12, -2)
 
 
@@ -69,7 +82,9 @@ class JournalEvents:
     num_lines, num_bytes
         Whole lines read so far, and their bytes.
     checksum
-        The checksum of the last of them.
+        What the last of them states; None where it states none.
+    holes
+        Numbers of the first and the last of lines that do not check, for each row of such lines.
     reward_unit
         What rewards are counted in, as the first recorder said that did; None if none did.
     """
@@ -78,7 +93,8 @@ class JournalEvents:
         self.file = file
         self.num_lines = 0
         self.num_bytes = 0
-        self.checksum = 0
+        self.checksum: int | None = 0
+        self.holes: list[tuple[int, int]] = []
         self.reward_unit: str | None = None
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
@@ -86,32 +102,89 @@ class JournalEvents:
             with self.file.open("rb") as stream:
                 for line in stream:
                     if not line.endswith(b"\n"):
-                        return
+                        break
                     event = self._event(line)
                     self.num_lines += 1
                     self.num_bytes += len(line)
-                    self.reward_unit = self.reward_unit or event.get("reward_unit")
-                    yield event
+                    if event is None:
+                        if not self._is_in_hole:
+                            yield HOLE
+                        self._leave_out()
+                    else:
+                        self.reward_unit = self.reward_unit or event.get("reward_unit")
+                        yield event
         except OSError as error:
             raise LogError(f"{self.file}: it cannot be read ({error.strerror}); copy it again") from error
+        if self.holes == [(1, self.num_lines)]:
+            raise LogError(
+                f"{self.file}: none of its lines checks, so it is no journal or all of it is lost; restore it"
+            )
+
+    @property
+    def _is_in_hole(self) -> bool:
+        """Whether the line above the one that is read does not check."""
+        return bool(self.holes) and self.holes[-1][1] >= self.num_lines - 1
+
+    def _leave_out(self) -> None:
+        first = self.holes.pop()[0] if self._is_in_hole else self.num_lines
+        self.holes.append((first, self.num_lines))
+
+    def tell_holes(self) -> None:
+        """Warn of lines that do not check, in one line."""
+        if not self.holes:
+            return
+        told = ", ".join(
+            str(first) if first == last else f"{first} to {last}" for first, last in self.holes[:MOST_TOLD]
+        )
+        more = ", …" if len(self.holes) > MOST_TOLD else ""
+        num_lost = sum(last - first + 1 for first, last in self.holes)
+        warnings.warn(
+            f"{self.file}: {num_lost} of {self.num_lines} lines do not check and are left out ({told}{more}), as after "
+            "a loss of power; all others are kept, and a path in progress there counts as cut by a crash",
+            HalfseenWarning,
+            stacklevel=3,
+        )
 
     def refusal(self, trouble: str) -> LogError:
         """Name the line that was read last."""
         return LogError(f"{self.file}, line {self.num_lines}: {trouble}")
 
-    def _event(self, line: bytes) -> dict[str, Any]:
-        checksum = zlib.crc32(line[_EVENT], self.checksum)
-        if line[_CHECKSUM] != b"%08x" % checksum:
-            what = f"{self.file}, line {self.num_lines + 1}: its checksum does not fit"
+    def _event(self, line: bytes) -> dict[str, Any] | None:
+        """The event of a line; None where it does not check."""
+        above, self.checksum = self.checksum, _stated(line)
+        body = line[_EVENT]
+        is_chained = above is not None and zlib.crc32(body, above) == self.checksum
+        is_anew = bool(self.holes) and body.startswith(_SESSION) and zlib.crc32(body) == self.checksum
+        event = _parsed(body) if is_chained or is_anew else None
+        if self.num_lines == 0 and event is not None and event != HEADER:
             raise LogError(
-                f"{what}, so it was changed, or lines above it are lost; restore the file from a copy, or delete from "
-                f"this line on to keep the {self.num_lines} above"
-            )
-        self.checksum = checksum
-        event = json.loads(line[_EVENT])
-        if self.num_lines == 0 and event != HEADER:
-            raise LogError(
-                f"{self.file}, line 1: {line[_EVENT].decode()} is not the {FORMAT} of version {VERSION} that this "
+                f"{self.file}, line 1: {body.decode()} is not the {FORMAT} of version {VERSION} that this "
                 "halfseen reads; read it with the halfseen that wrote it"
             )
         return event
+
+
+@contextmanager
+def following(events: JournalEvents) -> Iterator[None]:
+    """Refuse an event that checks and does not go on from those above it."""
+    try:
+        yield
+    except (KeyError, TypeError) as error:
+        raise events.refusal(
+            f"it cannot follow the lines above ({error}); delete from this line on to keep them"
+        ) from error
+
+
+def _stated(line: bytes) -> int | None:
+    try:
+        return int(line[_CHECKSUM], 16)
+    except ValueError:
+        return None
+
+
+def _parsed(body: bytes) -> dict[str, Any] | None:
+    try:
+        event = json.loads(body)
+    except (ValueError, RecursionError):
+        return None
+    return event if isinstance(event, dict) and "event" in event else None

@@ -26,14 +26,12 @@ import pyarrow as pa
 
 from halfseen.errors import LogError
 from halfseen.logs.columns import CUT, FINISHED, is_own_reward
-from halfseen.logs.journal import JournalEvents
+from halfseen.logs.journal import JournalEvents, following
 from halfseen.logs.journal_writer import is_being_recorded
+from halfseen.logs.path_clock import RESOLUTION_S
 from halfseen.logs.robot_checks import ROBOT
 
 CRASH, STILL_RUNNING = "crash", "still-running"
-RESOLUTION_S = 1e-9
-"""What a clock can tell apart [s]; a path that was torn before its clock moved ends there."""
-
 ROWS_A_CHUNK = 20_000
 _TYPES = {
     "elapsed_s": pa.float64(),
@@ -64,6 +62,7 @@ def journal_log(file: Path) -> dict[str, Any]:
             yield path
 
     built = tables_of(ended())
+    events.tell_holes()
     if not built:
         raise LogError(f"{file}: no stage is recorded yet; record one first")
     return {**built, "reward_unit": events.reward_unit}
@@ -87,18 +86,14 @@ def recorded_paths(events: JournalEvents) -> Iterator["RecordedPath"]:
     """Put the events of a journal together into paths; one that was never ended has no ending, and is the last."""
     path = None
     for event in events:
-        try:
-            if event["event"] == "session" and path is not None:
+        with following(events):
+            if event["event"] in ("session", "hole") and path is not None:
                 path.end(CUT, None, CRASH)
             elif event["event"] == "stage" and event["stage"] == 1:
                 _check_new(path, event)
                 path = RecordedPath(event)
             elif path is not None:
                 path.add(event)
-        except (KeyError, TypeError) as error:
-            raise events.refusal(
-                f"it cannot follow the lines above ({error}); delete from this line on to keep them"
-            ) from error
         if path is not None and path.ending is not None:
             yield path
             path = None

@@ -4,7 +4,7 @@
 value is given: after hours of recording it would be too late.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from math import isfinite
 from typing import Any
@@ -13,18 +13,25 @@ import numpy as np
 
 from halfseen.errors import LogError
 from halfseen.logs.columns import OBJECT_COLUMNS, PATH_COLUMNS, STAGE_COLUMNS
+from halfseen.logs.frames import LARGEST_FRACTION
 from halfseen.logs.refusal import shown
+from halfseen.logs.robot_checks import is_of_one_robot
 
 Kinds = Mapping[str, str]
 
 _OWN_NAMES = {*STAGE_COLUMNS, *PATH_COLUMNS, *OBJECT_COLUMNS}
 _LARGEST_WHOLE = 2**63
+
+_NUMBER, _FRACTION, _HUGE, _TEXT, _TRUTH = "number", "fraction", "whole number beyond 2^53", "text", "truth value"
 _EMPTY_LIST = "list"
 
 
 @dataclass(frozen=True)
 class Schema:
-    """Names and kinds of what was recorded so far; a kind is number, truth value, text, or a list of one of these.
+    """Names and kinds of what was recorded so far.
+
+    A kind is number, truth value, text, or a list of one of these. Numbers that include fractions, and those that
+    include whole numbers so large that a fraction cannot tell them apart, are kinds of their own.
 
     Parameters
     ----------
@@ -87,7 +94,10 @@ class Schema:
         return schema, event if rows is None else {**event, "objects": rows}
 
     def _with_objects(self, objects: Any, where: str) -> tuple["Schema", list[dict[str, Any]] | None]:
-        if objects is None or len(objects) == 0:
+        if objects is not None and not isinstance(objects, Iterable):
+            raise LogError(f"{where}: objects is {_short(objects)}; give a list with a dict for each")
+        objects = None if objects is None else list(objects)
+        if not objects:
             if self.objects:
                 raise LogError(f"{where}: it has no objects, though stages before it have; give those that stood there")
             if objects is not None:
@@ -107,7 +117,7 @@ class Schema:
 
     def _with_object(self, given: Any, where: str) -> tuple["Schema", dict[str, Any]]:
         if not isinstance(given, Mapping) or "object" not in given:
-            raise LogError(f"{where}: object {given!r} has no name; give a dict with 'object' and its covariates")
+            raise LogError(f"{where}: object {_short(given)} has no name; give a dict with 'object' and its covariates")
         labels, name = self._with_label("object", given["object"], where)
         where = f"{where}, object {shown(name)}"
         values = {column: value for column, value in given.items() if column != "object"}
@@ -147,19 +157,26 @@ class Schema:
     def _with_label(self, what: str, value: Any, where: str) -> tuple[Kinds, Any]:
         label, kind = _plain(value, where, what)
         if not isinstance(label, int | str) or isinstance(label, bool):
-            raise LogError(f"{where}: {what} {label!r} is no name; give a whole number or text")
+            raise LogError(f"{where}: {what} {_short(label)} is no name; give a whole number or text")
+        kind = _told(kind)
         known = self.labels.get(what, kind)
         if known != kind:
-            raise LogError(f"{where}: {what} {label!r} is a {kind}, those before are {known}; give names of one kind")
+            raise LogError(
+                f"{where}: {what} {_short(label)} is a {kind}, those before are {known}; give names of one kind"
+            )
         return {**self.labels, what: kind}, label
 
 
 def checked_number(value: Any, what: str, where: str, remedy: str) -> float:
     """Turn a number of any kind into a float; NaN and infinity are refused."""
     plain = value.item() if isinstance(value, np.generic | np.ndarray) and np.size(value) == 1 else value
-    if isinstance(plain, str | bytes) or not hasattr(plain, "__float__") or not isfinite(plain):
-        raise LogError(f"{where}: {what} is {plain!r}; {remedy}")
-    return float(plain)
+    try:
+        number = float("nan") if isinstance(plain, str | bytes) else float(plain)
+    except (TypeError, ValueError, OverflowError):
+        number = float("nan")
+    if not isfinite(number):
+        raise LogError(f"{where}: {what} is {_short(plain)}; {remedy}")
+    return number
 
 
 def checked_robot(value: Any, where: str) -> int:
@@ -186,14 +203,43 @@ def _row(
     for name, value in values.items():
         if not isinstance(name, str):
             raise LogError(f"{where}: {word} {name!r} has a name that is not text; rename it")
-        row[name], kind = _plain(value, where, f"{word} {name}")
-        before = kind if known is None else known.get(name, kind)
-        if before != kind and not (before.startswith(_EMPTY_LIST) and kind == _EMPTY_LIST):
-            if not (before == _EMPTY_LIST and kind.startswith(_EMPTY_LIST)):
-                raise LogError(f"{where}: {word} {name} is a {kind}, before it was a {before}; give it one type")
-            before = kind
-        kinds[name] = before
+        if known is None or name not in known:
+            checked_text(name, where, f"name of {word}")
+        what = f"{word} {_written(name)}"
+        row[name], kind = _plain(value, where, what)
+        kinds[name] = _common_kind(None if known is None else known.get(name), kind, where, what)
     return row, kinds
+
+
+def _common_kind(before: str | None, now: str, where: str, what: str) -> str:
+    """The kind of a column that was of one kind, and is now given another."""
+    if before is None or before == now:
+        return now
+    for kind, other in ((before, now), (now, before)):
+        if _holds(kind, other):
+            return kind
+    if _told(before) == _told(now):
+        raise LogError(
+            f"{where}: {what} has a whole number beyond 2^53 and a fraction, now or before, and no column holds both "
+            "exactly; give such whole numbers as text"
+        )
+    raise LogError(f"{where}: {what} is a {_told(now)}, before it was a {_told(before)}; give it one type")
+
+
+def _holds(kind: str, other: str) -> bool:
+    """Whether a column of one kind also holds what is of the other."""
+    if kind.startswith(_EMPTY_LIST) and other.startswith(_EMPTY_LIST):
+        return other == _EMPTY_LIST or (kind != _EMPTY_LIST and _holds(_item(kind), _item(other)))
+    return other in (kind, _NUMBER) if kind in (_FRACTION, _HUGE) else other == kind
+
+
+def _item(kind: str) -> str:
+    return kind.removeprefix("list of ").removesuffix("s")
+
+
+def _told(kind: str) -> str:
+    """A kind in words: numbers of all kinds are numbers."""
+    return kind.replace(_FRACTION, _NUMBER).replace(_HUGE, _NUMBER)
 
 
 def _plain(value: Any, where: str, what: str) -> tuple[Any, str]:
@@ -201,41 +247,61 @@ def _plain(value: Any, where: str, what: str) -> tuple[Any, str]:
     if isinstance(value, np.generic | np.ndarray):
         value = value.tolist()
     if isinstance(value, bool):
-        return value, "truth value"
+        return value, _TRUTH
     if isinstance(value, int | float):
-        if not isfinite(value) or (isinstance(value, int) and not -_LARGEST_WHOLE <= value < _LARGEST_WHOLE):
-            raise LogError(f"{where}: {what} is {value}; give the finite number that the policy saw")
-        return value, "number"
+        is_whole = isinstance(value, int)
+        if not (-_LARGEST_WHOLE <= value < _LARGEST_WHOLE if is_whole else isfinite(value)):
+            raise LogError(f"{where}: {what} is {_short(value)}; give the finite number that the policy saw")
+        is_huge = is_whole and abs(value) > LARGEST_FRACTION
+        return value, _HUGE if is_huge else _NUMBER if is_whole else _FRACTION
     if isinstance(value, str):
-        return _text(value, where, what), "text"
+        return checked_text(value, where, what), _TEXT
     if isinstance(value, list | tuple):
         return _plain_list(value, where, what)
-    raise LogError(f"{where}: {what} is {value!r}; give a number, text, or a flat list of these")
+    raise LogError(f"{where}: {what} is {_short(value)}; give a number, text, or a flat list of these")
 
 
 def _plain_list(values: list | tuple, where: str, what: str) -> tuple[list[Any], str]:
     pairs = [_plain(value, where, what) for value in values]
     kinds = {kind for _, kind in pairs}
-    if len(kinds) > 1 or any(kind.startswith(_EMPTY_LIST) for kind in kinds):
+    if any(kind.startswith(_EMPTY_LIST) for kind in kinds) or len({_told(kind) for kind in kinds}) > 1:
         raise LogError(f"{where}: {what} is no flat list of one type; give numbers or text, side by side")
-    return [plain for plain, _ in pairs], f"list of {kinds.pop()}s" if kinds else _EMPTY_LIST
+    common = None
+    for kind in kinds:
+        common = _common_kind(common, kind, where, what)
+    return [plain for plain, _ in pairs], _EMPTY_LIST if common is None else f"list of {common}s"
 
 
-def _text(value: str, where: str, what: str) -> str:
+def checked_text(value: str, where: str, what: str) -> str:
+    """Refuse text that files or tables do not hold, or do not tell apart."""
+    if "\0" in value:
+        raise LogError(f"{where}: {what} {_short(value)} holds the character NUL; end the text before it")
     try:
         value.encode()
     except UnicodeEncodeError as error:
-        raise LogError(f"{where}: {what} {value!r} is no Unicode text; decode it") from error
+        raise LogError(f"{where}: {what} {_short(value)} is no Unicode text; decode it") from error
     return value
+
+
+def _written(name: str) -> str:
+    return name if name.isprintable() else repr(name)
+
+
+def _short(value: Any) -> str:
+    """Write a value in a line, however long it is."""
+    if isinstance(value, int) and value.bit_length() > 200:
+        return f"a whole number of {value.bit_length()} bits"
+    told = repr(value)
+    return told if len(told) <= 80 else f"{told[:77]}…"
 
 
 def _checked_names(kinds: dict[str, str], known: Kinds | None, where: str, word: str) -> Kinds:
     if known is None:
         return kinds
     for name in (name for name in known if name not in kinds):
-        raise LogError(f"{where}: {word} {name} is missing, though it was there before; give it in every row")
+        raise LogError(f"{where}: {word} {_written(name)} is missing, though it was there before; give it in every row")
     for name in (name for name in kinds if name not in known):
-        raise LogError(f"{where}: {word} {name} was not there before; give the same in every row")
+        raise LogError(f"{where}: {word} {_written(name)} was not there before; give the same in every row")
     return kinds
 
 
@@ -243,7 +309,7 @@ def _refuse_names(values: Any, where: str) -> None:
     if not isinstance(values, Mapping):
         raise LogError(f"{where}: covariates are a {type(values).__name__}; give a dict of names and values")
     for name in values:
-        if isinstance(name, str) and name.strip().lower() in _OWN_NAMES:
+        if isinstance(name, str) and (name.strip().lower() in _OWN_NAMES or is_of_one_robot(name)):
             raise LogError(f"{where}: {name!r} is a name of the log's own; choose another for what you add")
 
 

@@ -2,16 +2,21 @@
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Container
+from contextlib import suppress
+from errno import EDQUOT, EFBIG, ENOSPC
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from halfseen.errors import ArgumentError, LogError
-from halfseen.logs.journal import HEADER, JOURNAL, JournalEvents, journal_line
+from halfseen.logs.durability import sync, sync_folder, unsynced_folders
+from halfseen.logs.journal import HEADER, JOURNAL, JournalEvents, following, journal_line
+from halfseen.logs.recorded import Recorded
 from halfseen.logs.refusal import within
 from halfseen.logs.reward_unit import common_unit
 from halfseen.writing import is_locked
 
+_NO_ROOM = (ENOSPC, EDQUOT, EFBIG)
 LOCK_TRIES, LOCK_PAUSE_S = 3, 0.02
 
 
@@ -24,6 +29,14 @@ def is_being_recorded(file: Path) -> bool:
         os.close(descriptor)
 
 
+class _Held(NamedTuple):
+    """What a journal holds for good."""
+
+    num_bytes: int
+    checksum: int
+    known: Recorded
+
+
 class JournalWriter:
     """A journal open for appending, locked for as long as the process lives.
 
@@ -31,8 +44,8 @@ class JournalWriter:
     ----------
     folder
         Where the journal lies or shall lie; missing parents are made.
-    is_synced
-        Force each line to the disk.
+    synced
+        The events after which the disk is waited for.
     restore
         Called with each event that the journal already holds.
     reward_unit
@@ -49,29 +62,36 @@ class JournalWriter:
     def __init__(
         self,
         folder: Path,
-        is_synced: bool,
+        synced: Container[str],
         restore: Callable[[dict[str, Any]], None],
         reward_unit: str | None = None,
     ) -> None:
         self.file = folder / JOURNAL
-        self._is_synced = is_synced
+        self._synced = synced
         self._process = os.getpid()
-        self._is_interrupted = False
+        self._held = _Held(0, 0, Recorded())
+        self._is_torn = False
+        folders = unsynced_folders(folder) if synced else []
         self._descriptor: int | None = _open(folder, self.file)
         try:
             events = JournalEvents(self.file)
             for event in events:
-                restore(event)
+                with following(events):
+                    restore(event)
+            events.tell_holes()
             with within(self.file):
                 common_unit([events.reward_unit, reward_unit])
-            self._end = events.num_bytes, events.checksum
             # What a kill tore.
             os.ftruncate(self._descriptor, events.num_bytes)
+            self._held = _Held(events.num_bytes, events.checksum or 0, self.known)
             if events.num_bytes == 0:
-                self.append(HEADER)
-            self.append({"event": "session"} | ({} if reward_unit is None else {"reward_unit": reward_unit}))
-            if is_synced:
-                _sync_folder(folder)
+                self.append(HEADER, self.known)
+            session = {"event": "session"} | ({} if reward_unit is None else {"reward_unit": reward_unit})
+            self.append(session, self.known)
+            if synced:
+                sync(self._descriptor)
+            for each in folders:
+                sync_folder(each)
         except BaseException:
             self.close()
             raise
@@ -81,8 +101,24 @@ class JournalWriter:
         """True once it takes no more events."""
         return self._descriptor is None
 
-    def append(self, event: dict[str, Any]) -> None:
+    @property
+    def known(self) -> Recorded:
+        """What the recorder knows after the last event."""
+        return self._held.known
+
+    @known.setter
+    def known(self, known: Recorded) -> None:
+        self._held = self._held._replace(known=known)
+
+    def append(self, event: dict[str, Any], known: Recorded) -> None:
         """Hand one event to the operating system, whole or not at all.
+
+        Parameters
+        ----------
+        event
+            The event.
+        known
+            What the recorder knows once it is written: both hold, or neither, whenever Ctrl-C comes.
 
         Raises
         ------
@@ -96,37 +132,47 @@ class JournalWriter:
                 f"{self.file}: the recorder belongs to process {self._process}, and this is its fork {os.getpid()}; "
                 "record in the process that opened it"
             )
-        num_bytes, checksum = self._end
-        if self._is_interrupted:
-            # Ctrl-C came between the write and its return: the caller does not know of the event.
-            os.ftruncate(self._descriptor, num_bytes)
-        line, checksum = journal_line(event, checksum)
-        self._is_interrupted = True
+        num_bytes, checksum, _ = self._held
         try:
-            self._write(line)
+            self._take_back()
+            line, checksum = journal_line(event, checksum)
+            self._is_torn = True
+            self._write(line, event["event"] in self._synced)
         except OSError as error:
-            os.ftruncate(self._descriptor, num_bytes)
+            with suppress(OSError):
+                self._take_back()
+            remedy = "make room" if error.errno in _NO_ROOM else "see to the disk"
             raise LogError(
-                f"{self.file}: the event cannot be written ({error.strerror}); make room and give it again; all before "
+                f"{self.file}: the event cannot be written ({error.strerror}); {remedy} and give it again; all before "
                 "it is kept"
             ) from error
-        self._end = num_bytes + len(line), checksum
-        self._is_interrupted = False
+        self._held = _Held(num_bytes + len(line), checksum, known)
+        self._is_torn = False
 
     def close(self) -> None:
         """Let the journal go; closing twice is no harm."""
         if self._descriptor is not None:
+            if os.getpid() == self._process:
+                with suppress(OSError):
+                    self._take_back()
             # Not unlocked: in a fork that would take the lock from the process that records.
             os.close(self._descriptor)
             self._descriptor = None
 
-    def _write(self, line: bytes) -> None:
+    def _take_back(self) -> None:
+        """Take back what was written of an event that its caller does not know of: Ctrl-C or a full disk came first."""
+        assert self._descriptor is not None
+        if self._is_torn:
+            os.ftruncate(self._descriptor, self._held.num_bytes)
+            self._is_torn = False
+
+    def _write(self, line: bytes, is_synced: bool) -> None:
         assert self._descriptor is not None
         num_written = os.write(self._descriptor, line)
         if num_written != len(line):
-            raise OSError(0, f"{num_written} of {len(line)} bytes fitted")
-        if self._is_synced:
-            os.fsync(self._descriptor)
+            raise OSError(ENOSPC, f"{num_written} of {len(line)} bytes fitted")
+        if is_synced:
+            sync(self._descriptor)
 
 
 def _open(folder: Path, file: Path) -> int:
@@ -161,11 +207,3 @@ def _is_there(descriptor: int, file: Path) -> bool:
         return os.path.samestat(os.fstat(descriptor), file.stat())
     except FileNotFoundError:
         return False
-
-
-def _sync_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

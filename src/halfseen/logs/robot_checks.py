@@ -23,6 +23,11 @@ _OUT_S = re.compile(r"(\d+)_out_s")
 _OUT_CAUSE = re.compile(r"(\d+)_out_cause")
 
 
+def is_of_one_robot(column: str) -> bool:
+    """Whether a column tells of one robot of several what it brought, or when or why it dropped out."""
+    return is_own_reward(column) or any(each.fullmatch(column) for each in (_OUT_S, _OUT_CAUSE))
+
+
 def robots_that_may_drop_out(paths: pd.DataFrame) -> list[int]:
     """Numbers of the robots of which the paths tell whether they dropped out."""
     found = (_OUT_S.fullmatch(str(column)) for column in paths.columns)

@@ -1,0 +1,156 @@
+r"""Recording without Python: one JSON object a line is a call of the recorder, and one JSON object a line answers it.
+
+::
+
+    {"call": "begin_path", "name": "left-1", "columns": {"cell": "left"}}
+    {"call": "begin_stage", "covariates": {"clutter": 0.3}, "action": "PICK", "probability": 0.5}
+    {"call": "complete_stage", "reward": 1.0, "elapsed_s": 2.5}
+    {"call": "finish"}
+
+The calls are those of `LogRecorder` and `PathRecorder`, and so are the names of what they take; what is left out or
+null is not given. The answer is ``{"ok": true, "path": …}``, or ``{"ok": false, "error": "…"}`` with the line that says
+what was wrong and what to do: nothing of it is then recorded, and the next call is taken as if it had not been made.
+Lines are UTF-8 and end with ``\n``. Where lines end, a path in progress is cut.
+"""
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+from halfseen.errors import HalfseenError, LogError
+from halfseen.logs.recorder import LogRecorder
+from halfseen.suggestions import did_you_mean
+
+MOST_BYTES = 1_000_000
+"""A longer line is refused, and none of it kept."""
+
+INPUT_ENDED = "input-ended"
+"""Cause of the cut of a path that was in progress where lines ended."""
+
+
+@runtime_checkable
+class Lines(Protocol):
+    """A file, pipe or socket that is read line by line."""
+
+    def readline(self, size: int, /) -> bytes:
+        """Give the next line, at most so many bytes of it; nothing where lines end."""
+        ...
+
+
+class Call(NamedTuple):
+    """What a call takes."""
+
+    names: tuple[str, ...]
+    num_needed: int = 0
+    """How many of them cannot be left out."""
+
+
+CALLS = {
+    "begin_path": Call(("name", "columns")),
+    "begin_stage": Call(("covariates", "objects", "action", "object", "probability", "robot")),
+    "complete_stage": Call(("reward", "elapsed_s", "own_rewards"), 1),
+    "drop_out": Call(("robot", "cause", "elapsed_s"), 2),
+    "still_running": Call(("elapsed_s",)),
+    "finish": Call(("elapsed_s",)),
+    "cut": Call(("cause", "elapsed_s"), 1),
+}
+
+
+def record_lines(recorder: LogRecorder, lines: Lines, answer: Callable[[str], object]) -> None:
+    """Record what lines say until they end, and then cut the path in progress.
+
+    Parameters
+    ----------
+    recorder
+        Where to.
+    lines
+        The calls.
+    answer
+        Takes the answer to each, a line without its end.
+
+    Raises
+    ------
+    LogError
+        The cut cannot be written.
+    """
+    for line in _bounded(lines):
+        if line.strip():
+            answer(answered(recorder, line))
+    if recorder.path is not None and not recorder.path.is_ended:
+        recorder.path.cut(INPUT_ENDED)
+
+
+def answered(recorder: LogRecorder, line: bytes) -> str:
+    """Make the call of one line, and give the answer to it."""
+    try:
+        name, given = call_of(line)
+        _make(recorder, name, given)
+    except HalfseenError as error:
+        return json.dumps({"ok": False, "error": " ".join(str(error).split())})
+    return json.dumps({"ok": True, "path": None if recorder.path is None else recorder.path.name})
+
+
+def call_of(line: bytes) -> tuple[str, dict[str, Any]]:
+    """Take a line apart into the name of a call and what is given.
+
+    Raises
+    ------
+    LogError
+        It is too long, no JSON object, or no such call.
+    """
+    if len(line) > MOST_BYTES:
+        raise LogError(f"the line is longer than {MOST_BYTES} bytes; record less in a stage, such as a file's name")
+    try:
+        given = json.loads(line, parse_constant=_no_number, object_pairs_hook=_once)
+    except (ValueError, RecursionError) as error:
+        reason = "it is nested too deep" if isinstance(error, RecursionError) else error
+        raise LogError(f"the line is no JSON ({reason}); give one JSON object a line") from error
+    name = given.pop("call", None) if isinstance(given, dict) else None
+    if not isinstance(name, str):
+        raise LogError(f'the line names no call; give a JSON object with "call", one of {", ".join(CALLS)}')
+    if name not in CALLS:
+        raise LogError(
+            f"there is no call {name[:40]!r}{did_you_mean(name[:40], CALLS) or '; give ' + ', '.join(CALLS)}"
+        )
+    takes = CALLS[name]
+    for key in given:
+        if key not in takes.names:
+            raise LogError(f"{name} takes no {key[:40]!r}; it takes {', '.join(takes.names)}")
+    given = {key: value for key, value in given.items() if value is not None}
+    for key in takes.names[: takes.num_needed]:
+        if key not in given:
+            raise LogError(f"{name} needs {key}; give it")
+    return name, given
+
+
+def _make(recorder: LogRecorder, name: str, given: dict[str, Any]) -> None:
+    if name == "begin_path":
+        columns = given.get("columns", {})
+        if not isinstance(columns, Mapping):
+            raise LogError("columns are no JSON object; give names and values")
+        recorder.begin_path(given.get("name"), **columns)
+    elif recorder.path is None:
+        raise LogError(f"{name}: no path has begun; begin_path first")
+    else:
+        getattr(recorder.path, name)(**given)
+
+
+def _bounded(lines: Lines) -> Iterator[bytes]:
+    """Lines, of those that are too long only the beginning; a connection that breaks ends them."""
+    with suppress(ConnectionError):
+        while line := lines.readline(MOST_BYTES + 1):
+            yield line
+            while len(line) > MOST_BYTES and not line.endswith(b"\n"):
+                line = lines.readline(MOST_BYTES + 1)
+
+
+def _no_number(word: str) -> Any:
+    raise ValueError(f"{word} is no number")
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    told = dict(pairs)
+    if len(told) < len(pairs):
+        raise ValueError("a name is given twice in an object")
+    return told

@@ -1,0 +1,97 @@
+"""``halfseen record``, as another program speaks to it."""
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import time
+
+import pytest
+
+from halfseen.cli.record import record
+from halfseen.logs import LogRecorder, read_logs
+from halfseen.logs.durability import FSYNC
+
+LINES = [
+    {"call": "begin_path"},
+    {"call": "begin_stage", "covariates": {"x": 1}, "action": "PICK"},
+    {"call": "complete_stage", "reward": 1.0, "elapsed_s": 2.0},
+    {"call": "finish"},
+]
+
+
+def as_lines(calls):
+    return b"".join(json.dumps(call).encode() + b"\n" for call in calls)
+
+
+def recording(*arguments):
+    command = [sys.executable, "-m", "halfseen.cli", "record", *map(str, arguments)]
+    return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+
+def test_a_program_speaks_over_a_pipe_and_each_line_is_answered_at_once(tmp_path):
+    with recording("--out", tmp_path / "logs", "--fsync", "stage", "--reward-unit", "parts") as other:
+        for call in LINES[:3]:
+            other.stdin.write(as_lines([call]))
+            other.stdin.flush()
+            assert json.loads(other.stdout.readline()) == {"ok": True, "path": 1}
+        assert read_logs(tmp_path / "logs").paths["cause"].tolist() == ["still-running"]
+        out, err = other.communicate(as_lines(LINES[3:]) + b"nonsense")
+        assert (other.returncode, err) == (0, b"")
+    assert [json.loads(line)["ok"] for line in out.splitlines()] == [True, False]
+    logs = read_logs(tmp_path / "logs")
+    assert (logs.is_finished.tolist(), logs.reward_unit) == ([True], "parts")
+
+
+def test_ctrl_c_cuts_the_path_in_progress_as_the_operator_does(tmp_path):
+    with recording("--out", tmp_path / "logs") as other:
+        other.stdin.write(as_lines(LINES[:2]))
+        other.stdin.flush()
+        other.stdout.readline()
+        other.stdout.readline()
+        other.send_signal(signal.SIGINT)
+        assert other.wait(timeout=30.0) == 130
+    assert read_logs(tmp_path / "logs").paths["cause"].tolist() == ["operator"]
+
+
+@pytest.mark.parametrize("is_port", [True, False])
+def test_a_program_speaks_over_a_socket(tmp_path, is_port):
+    with recording("--out", tmp_path / "logs", "--listen", "0" if is_port else tmp_path / "socket") as other:
+        where = other.stdout.readline().decode().split()[0]
+        host, _, port = where.partition(":")
+        with socket.socket(socket.AF_INET if is_port else socket.AF_UNIX) as client:
+            client.connect((host, int(port)) if is_port else where)
+            client.sendall(as_lines(LINES))
+            client.shutdown(socket.SHUT_WR)
+            with client.makefile("rb") as answers:
+                assert [json.loads(line)["ok"] for line in answers] == [True] * len(LINES)
+        time.sleep(0.2)
+        other.send_signal(signal.SIGINT)
+        assert other.wait(timeout=30.0) == 130
+    assert host == "127.0.0.1" if is_port else not (tmp_path / "socket").exists()
+    assert read_logs(tmp_path / "logs").is_finished.tolist() == [True]
+
+
+def test_lines_of_a_file_are_recorded(typed, tmp_path):
+    (tmp_path / "calls.jsonl").write_bytes(as_lines(LINES))
+    status, out, err = typed("record", tmp_path / "calls.jsonl", "--out", tmp_path / "logs")
+    assert (status, out.count('"ok": true'), err) == (0, len(LINES), "")
+    assert read_logs(tmp_path / "logs").num_paths == 1
+
+
+def test_what_cannot_be_recorded_from_or_into_is_refused(refused, tmp_path):
+    assert "no such file" in refused("record", tmp_path / "none", "--out", tmp_path / "logs")
+    assert "are both given" in refused("record", tmp_path / "none", "--listen", 0, "--out", tmp_path / "logs")
+    assert not (tmp_path / "logs").exists()
+    with LogRecorder(tmp_path / "logs"):
+        assert "another recorder" in refused("record", "--listen", 0, "--out", tmp_path / "logs")
+    (tmp_path / "taken").write_text("")
+    assert "nobody can listen there" in refused("record", "--listen", tmp_path / "taken", "--out", tmp_path / "logs")
+    assert "nobody can listen there" in refused("record", "--listen", 99999, "--out", tmp_path / "not")
+    assert not (tmp_path / "not").exists()
+
+
+def test_the_disk_is_waited_for_as_the_recorder_can():
+    [option] = [each for each in record.params if each.name == "fsync"]
+    assert list(option.type.choices) == list(FSYNC)
