@@ -76,7 +76,8 @@ class _Done(NamedTuple):
 def _last_table(path: Logs, horizon: int) -> Any:
     """The fields of the last state of a path, as NumPy arrays."""
     states = vars(states_of(path, max(horizon, path.horizon)))
-    return SimpleNamespace(**{name: np.asarray(leaf)[0, path.horizon - 1] for name, leaf in states.items()})
+    known = {name: leaf for name, leaf in states.items() if leaf is not None}
+    return SimpleNamespace(**{name: np.asarray(leaf)[0, path.horizon - 1] for name, leaf in known.items()})
 
 
 def _last_rows(path: Logs) -> pd.DataFrame:
