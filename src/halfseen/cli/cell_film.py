@@ -10,6 +10,7 @@ from halfseen.cli.arms import arm_options, num_arms_option, robot_for, stations_
 from halfseen.cli.cell_policies import policy_of, policy_option, team_policy_of
 from halfseen.cli.cell_run import belief_of
 from halfseen.cli.laws import SHIPPED, law_option
+from halfseen.cli.messages import say
 from halfseen.cli.opengl import start_opengl
 from halfseen.progress import Progress
 
@@ -79,6 +80,6 @@ def film(
         bar.reach(num_stages)
         bar.begin("draw", 0)
         taken.write(out, cell)
-    click.echo(
+    say(
         f"{out}: {run.num_washed} of {run.num_dirty} dirty cups washed in {run.seconds:.0f} s, reward {run.reward:+.1f}"
     )

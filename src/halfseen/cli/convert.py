@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from halfseen.cli import options
+from halfseen.cli.messages import say
 from halfseen.progress import Progress
 
 if TYPE_CHECKING:
@@ -75,7 +76,7 @@ def convert(
         _write(logs, target)
     report = {"source": source, "format": kind, "target": target, "sentence": str(logs.summary())}
     report |= asdict(logs.summary())
-    click.echo(json.dumps(report, indent=2) if as_json else f"{target}: {report['sentence']}")
+    say(json.dumps(report, indent=2) if as_json else f"{target}: {report['sentence']}")
 
 
 def _compact(sources: tuple[str, ...], target: str, as_json: bool) -> None:
@@ -89,7 +90,7 @@ def _compact(sources: tuple[str, ...], target: str, as_json: bool) -> None:
     left_out = f"; {done.num_running} still being recorded left out" if done.num_running else ""
     told = f"{done.num_paths} paths with {done.num_stages} stages from {done.num_folders} folders{left_out}"
     report = {"sources": list(sources), "target": target, "sentence": told, **done._asdict()}
-    click.echo(json.dumps(report, indent=2) if as_json else f"{target}: {told}")
+    say(json.dumps(report, indent=2) if as_json else f"{target}: {told}")
 
 
 def _kind(source: str) -> str:

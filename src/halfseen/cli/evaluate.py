@@ -12,6 +12,7 @@ import click
 from halfseen.cli import options
 from halfseen.cli.columns import aligned
 from halfseen.cli.laws import ASSUMED, law_of, law_option
+from halfseen.cli.messages import say
 from halfseen.cli.scenes import scenes_of
 from halfseen.cli.team import read_robots, team_option
 from halfseen.cli.workers import worker_options
@@ -103,7 +104,7 @@ def evaluate(
     else:
         report, lines = _by_logs(stored, logs, seed, level, against=list(against) or None, workers=workers, **chosen)
     report = {"policy": str(policy), "seed": seed, **report}
-    click.echo(json.dumps(report, indent=2) if as_json else "\n".join(lines))
+    say(json.dumps(report, indent=2) if as_json else "\n".join(lines))
 
 
 def _by_logs(

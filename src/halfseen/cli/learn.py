@@ -11,6 +11,7 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.columns import aligned
+from halfseen.cli.messages import say
 from halfseen.cli.workers import worker_options
 from halfseen.progress import Progress
 
@@ -171,7 +172,7 @@ def learn(
     ]
     actions = plain(shares.reset_index().to_dict("records"))
     report = {"policy": str(out), "logs": str(logs), **read_policy(out).record, "actions": actions, "notes": notes}
-    click.echo(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))
+    say(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))
 
 
 def _judged(

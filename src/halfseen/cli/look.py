@@ -9,6 +9,7 @@ import click
 from halfseen.cli import options
 from halfseen.cli.columns import aligned
 from halfseen.cli.look_at_many import clouds_in, look_at_many
+from halfseen.cli.messages import say
 from halfseen.cli.view_facts import as_json, with_objects
 from halfseen.cli.workers import worker_options
 
@@ -57,12 +58,12 @@ def _look_at(cloud: Path, is_json: bool, picture: Path | None, labels: Path | No
     if picture is not None:
         draw(view, picture)
     if is_json:
-        click.echo(json.dumps(as_json(view, told)))
+        say(json.dumps(as_json(view, told)))
         return
-    click.echo(sentence(view))
+    say(sentence(view))
     if view.num_cut:
-        click.echo(f"Left out: {view.num_cut} that the image border cuts.")
-    click.echo("\n".join(["", *_table(view, told)]))
+        say(f"Left out: {view.num_cut} that the image border cuts.")
+    say("\n".join(["", *_table(view, told)]))
 
 
 def _table(view: "View", told: "Sequence[Label] | None") -> list[str]:

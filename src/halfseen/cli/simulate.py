@@ -9,6 +9,7 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.laws import ASSUMED, law_of, law_option
+from halfseen.cli.messages import say
 from halfseen.cli.scenes import num_scenes, scenes_of
 from halfseen.cli.team import read_robots, team_option
 from halfseen.planners.named import HEURISTICS, UNIFORM, named_policy
@@ -102,7 +103,7 @@ def simulate(
     report |= {"scenes": {scene.name: scene.num_objects for scene in scenes}, "seed": seed, **chosen}
     if robots is not None:
         report |= {"team": str(team), "robots": [robot.name for robot in robots.robots]}
-    click.echo(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))
+    say(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))
 
 
 def _world_and_logger(team: "Team | None", config: "WorldConfig", name: str, random_share: float) -> tuple[Any, Any]:
