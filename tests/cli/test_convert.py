@@ -121,6 +121,14 @@ def test_no_clouds_are_left_where_the_logs_cannot_be_written():
     assert "cannot be written" in message
 
 
+@pytest.mark.parametrize(("out", "clouds"), [("x", "x"), ("csv:x", "./x"), ("x/logs", "x"), ("x", "x/clouds")])
+def test_clouds_and_logs_take_no_place_of_one_another(out, clouds):
+    seen_path()
+    message = refused("bag", "--mapping", "cell.toml", "--out", out, "--clouds", clouds)
+    assert "it is --out, or one lies in the other" in message
+    assert not Path("x").exists()
+
+
 def test_clouds_that_show_no_table_are_refused():
     seen_path()
     write_pcd(Cloud(np.zeros((4, 3)) + 1.0, name="dot"), "dot.pcd")

@@ -12,6 +12,7 @@ from halfseen.cli.cell_run import belief_of
 from halfseen.cli.laws import SHIPPED, law_option
 from halfseen.cli.messages import say
 from halfseen.cli.opengl import start_opengl
+from halfseen.cli.output_files import refuse_output
 from halfseen.progress import Progress
 
 DRAWING = 3
@@ -26,6 +27,7 @@ DRAWING = 3
 @num_arms_option
 @arm_options
 @options.seed("film")
+@options.overwrite("a film that is")
 def film(
     name: str,
     out: Path,
@@ -36,15 +38,13 @@ def film(
     flange: str | None,
     joints: list[str] | None,
     seed: int,
+    overwrite: bool,
 ) -> None:
     """Film how a policy clears a table in physics, eight times faster than it was, and say what it decides.
 
     Seed and number give the same table as in `halfseen cell run`. Drawing needs OpenGL; nothing else of halfseen does.
     """
-    from halfseen.errors import ArgumentError
-
-    if out.suffix.lower() != ".gif":
-        raise ArgumentError(f"{out}: a film is an animated .gif; give a name that ends so")
+    refuse_output(out, "a film", [".gif"], overwrite, [arm] if arm else [])
     start_opengl()
     import jax
 

@@ -25,6 +25,7 @@ class Store:
         claim, path = as_json(fingerprint), folder / FINGERPRINT
         try:
             if not is_resumed and folder.exists():
+                _refuse_foreign(folder)
                 shutil.rmtree(folder)
             held = path.read_text(encoding="utf-8") if path.exists() else claim
         except OSError as error:
@@ -58,3 +59,11 @@ class Store:
 
     def _path(self, name: str) -> Path:
         return self.folder / f"{name}.json"
+
+
+def _refuse_foreign(folder: Path) -> None:
+    """Refuse to begin anew where something lies that no study wrote."""
+    if not (folder / FINGERPRINT).is_file() and any(folder.iterdir()):
+        raise ArgumentError(
+            f"--out: {folder} holds no study ({FINGERPRINT} is missing), so it is not removed; name another folder"
+        )
