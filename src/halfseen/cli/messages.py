@@ -11,6 +11,9 @@ import click
 
 _UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
 
+MOST_TOLD = 2500
+"""Characters of a line; of a longer one, which quotes a value, its middle is left out."""
+
 
 def say(message: str) -> None:
     """Answer on stdout."""
@@ -46,7 +49,8 @@ def is_coloured() -> bool:
 def headed(message: str, colour: str) -> str:
     """Write a message in one line that says who speaks."""
     head = click.style("halfseen:", fg=colour, bold=True) if is_coloured() else "halfseen:"
-    return f"{head} {printable(' '.join(message.split()))}"
+    line = printable(" ".join(message.split()))
+    return f"{head} {line if len(line) <= MOST_TOLD else f'{line[: MOST_TOLD - 500]} … {line[-500:]}'}"
 
 
 def _tell(message: str, colour: str) -> None:
