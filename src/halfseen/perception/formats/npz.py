@@ -8,9 +8,6 @@ from halfseen.errors import CloudError
 from halfseen.perception.clouds import Cloud, check_intrinsics
 from halfseen.reading import CLOUD, names_in_archive, read_arrays
 
-# Depths of a table-top camera are below a dozen metres [m]: a median above this was stored in millimetres.
-LARGEST_MEDIAN_DEPTH_M = 50.0
-
 
 def read_npz(path: Path) -> Cloud:
     """Read ``depth_m`` [m] and ``K`` [px], and ``rgb``, uint8, if it is there.
@@ -36,12 +33,6 @@ def read_npz(path: Path) -> Cloud:
         raise CloudError(
             f"{path}: rgb is {picture.dtype} of shape {picture.shape}; it must be uint8 of shape {(*depth.shape, 3)}, "
             "a colour for each pixel of depth_m: register it to the depth image, or leave it out"
-        )
-    is_return = np.isfinite(depth) & (depth > 0)
-    if is_return.any() and np.median(depth[is_return]) > LARGEST_MEDIAN_DEPTH_M:
-        raise CloudError(
-            f"{path}: the median of depth_m is {np.median(depth[is_return]):g}; "
-            "depths are in metres: divide millimetres by 1000"
         )
     return Cloud.from_depth(depth.astype(np.float64), K.astype(np.float64), path.name, picture)
 
