@@ -242,3 +242,23 @@ def test_names_and_values_of_a_log_command_no_terminal(typed, tmp_path):
 @pytest.mark.parametrize("verb", [["study"], ["simulate", "--out", "x"]])
 def test_a_seed_that_is_none_is_refused_at_once(refused, verb, seed):
     assert f"{seed} is not in the range" in refused(*verb, "--seed", seed)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        ["simulate", "--out", "x", "--episodes", 10**12],
+        ["simulate", "--out", "x", "--horizon", 10**6],
+        ["evaluate", "x", "--world", "--episodes", 10**12],
+        ["learn", "x", "--out", "y", "--horizon", 10**6],
+    ],
+)
+def test_more_than_any_machine_can_play_is_refused_at_once(refused, line):
+    assert f"{line[-1]} is not in the range" in refused(*line)
+
+
+def test_records_and_lists_in_a_log_are_looked_at_without_harm(typed, tmp_path):
+    log = flat_log()
+    odd = log.stages.assign(record=[{"a": 1}] * len(log.stages), list=[[1.0]] * len(log.stages))
+    Logs(stages=odd, paths=log.paths).write(tmp_path / "logs")
+    assert typed("inspect", tmp_path / "logs").status == 0

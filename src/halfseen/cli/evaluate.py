@@ -56,7 +56,11 @@ WORK = {"start": 1, "evaluate": 4}
     help="Level of the intervals.",
 )
 @click.option(
-    "--episodes", type=click.IntRange(min=2), default=10_000, show_default=True, help="Of --world: how many to play."
+    "--episodes",
+    type=click.IntRange(2, options.MOST_EPISODES),
+    default=10_000,
+    show_default=True,
+    help="Of --world: how many to play.",
 )
 @worker_options
 @options.seed("numbers")

@@ -76,7 +76,7 @@ class _Or(click.ParamType):
 )
 @click.option(
     "--horizon",
-    type=click.IntRange(min=1),
+    type=click.IntRange(1, options.MOST_STAGES),
     help="Stages after which a path ends by itself; by default those of the longest path, for a table at least 10. "
     "Of a team, decisions of each robot; by default what the log says.",
 )

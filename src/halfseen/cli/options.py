@@ -66,6 +66,8 @@ propensity = click.option(
 )
 
 
+MOST_EPISODES, MOST_STAGES = 10_000_000, 1000
+"""That a command plays, and that a path has; programs that need more call the library, part by part."""
 MOST_SEED = 2**32 - 1
 """Generators tell no others apart."""
 

@@ -28,7 +28,13 @@ _START, _TABLE = 4, 2
 @click.command(epilog="Example: halfseen simulate --out logs --episodes 500 --seed 1")
 @click.argument("clouds", type=options.PATH, nargs=-1)
 @click.option("--out", type=options.PATH, required=True, help="Folder that the logs are written to.")
-@click.option("--episodes", type=click.IntRange(min=1), default=1000, show_default=True, help="Number of paths.")
+@click.option(
+    "--episodes",
+    type=click.IntRange(1, options.MOST_EPISODES),
+    default=1000,
+    show_default=True,
+    help="Number of paths.",
+)
 @click.option(
     "--policy",
     type=options.Choice([UNIFORM, *HEURISTICS]),
@@ -53,7 +59,7 @@ _START, _TABLE = 4, 2
 @click.option("--cut-kind", type=options.Choice(CUT_KINDS), default="independent", show_default=True, help="What cuts.")
 @click.option(
     "--horizon",
-    type=click.IntRange(min=1),
+    type=click.IntRange(1, options.MOST_STAGES),
     default=_HORIZON,
     show_default=True,
     help="Steps of a path; of a team, of each robot.",

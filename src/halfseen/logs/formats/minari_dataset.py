@@ -202,7 +202,7 @@ def _target(dataset_id: str) -> Path:
         namespace, _, _ = parse_dataset_id(dataset_id)
         if namespace and namespace not in list_local_namespaces():
             create_namespace(namespace)
-    except ValueError as error:
+    except (ValueError, TypeError) as error:  # TypeError where the version is missing
         raise ArgumentError(
             f"dataset {dataset_id!r}: it is no name of a dataset; call it (namespace/)name-v0"
         ) from error
