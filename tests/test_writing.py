@@ -1,9 +1,11 @@
+import os
 from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
 
 import pytest
 
 from halfseen.errors import ArgumentError
-from halfseen.writing import left_aside, placed, write_file
+from halfseen.writing import left_aside, placed, refuse_unwritable, write_file
 
 
 @pytest.fixture
@@ -78,3 +80,52 @@ def test_what_a_kill_left_aside_is_found(tmp_path):
 def test_a_folder_without_a_marker_is_never_replaced(tmp_path):
     with pytest.raises(ArgumentError, match="there already; choose another folder, or move it away"), placed(tmp_path):
         pass
+
+
+@pytest.mark.parametrize("is_overwritten", [False, True])
+def test_what_comes_in_the_meantime_stays(tmp_path, is_overwritten):
+    folder = tmp_path / "a"
+
+    def slow():
+        with placed(folder, overwrite=is_overwritten, marker="ours") as fresh:
+            (fresh / "ours").touch()
+            folder.mkdir()
+            (folder / "theirs").touch()
+
+    with pytest.raises(ArgumentError, match=r"in the meantime; what is there stays|so it is not replaced"):
+        slow()
+    assert (names(tmp_path), names(folder)) == (["a"], ["theirs"])
+
+
+def test_of_many_that_write_one_folder_exactly_one_does(tmp_path):
+    gate = Barrier(6)
+
+    def write(number):
+        with placed(tmp_path / "a") as fresh:
+            (fresh / str(number)).touch()
+            gate.wait()
+        return number
+
+    with ThreadPoolExecutor(6) as threads:
+        asked = [threads.submit(write, number) for number in range(6)]
+    refused = [each for each in asked if isinstance(each.exception(), ArgumentError)]
+    (number,) = (each.result() for each in asked if each not in refused)
+    assert (names(tmp_path), names(tmp_path / "a")) == (["a"], [str(number)])
+
+
+def test_no_device_is_replaced_and_a_link_goes_on_pointing(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    for there, told in (("pipe", "a device, a pipe or the like"), (".", "a folder")):
+        with pytest.raises(ArgumentError, match=told):
+            write_file(tmp_path / there, "")
+    (tmp_path / "link").symlink_to("file")
+    write_file(tmp_path / "link", "through")
+    assert (tmp_path / "file").read_text() == "through"
+    assert (tmp_path / "link").is_symlink()
+
+
+def test_a_name_that_is_too_long_is_refused_in_one_line(tmp_path):
+    with pytest.raises(ArgumentError, match=r"File name too long.; choose a shorter name"):
+        write_file(tmp_path / ("n" * 300), "")
+    with pytest.raises(ArgumentError, match=r"File name too long.; choose a shorter name"):
+        refuse_unwritable(tmp_path / ("n" * 300))

@@ -3,9 +3,9 @@
 import os
 import shutil
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from errno import ENOSPC
+from errno import EEXIST, ENAMETOOLONG, ENOSPC, ENOTDIR, ENOTEMPTY
 from glob import escape
 from pathlib import Path
 
@@ -16,15 +16,19 @@ LOCK = ".lock"
 
 
 def write_file(target: Path, content: str | bytes) -> None:
-    """Write a file, in place of what is there; missing parents are made.
+    """Write a file, in place of what is there; missing parents are made, and a link goes on pointing where it did.
 
     Raises
     ------
     ArgumentError
-        The file cannot be written there.
+        The file cannot be written there, or a device or the like is in its place.
     """
+    target = Path(os.path.realpath(target))
     fresh = _beside(target, "new")
     try:
+        if target.exists() and not target.is_file():
+            kind = "a folder" if target.is_dir() else "a device, a pipe or the like"
+            raise ArgumentError(f"{target}: it is {kind}, and no file; choose another name")
         target.parent.mkdir(parents=True, exist_ok=True)
         fresh.write_bytes(content.encode() if isinstance(content, str) else content)
         fresh.replace(target)
@@ -53,14 +57,18 @@ def placed(target: Path, *, overwrite: bool = False, marker: str | None = None, 
     Raises
     ------
     ArgumentError
-        Something is there already and is not to be replaced, or the folder cannot be written.
+        Something is there already, or has come in the meantime, and is not to be replaced, or the folder cannot be
+        written.
     """
     refuse_taken(target, overwrite, marker, kind)
     fresh = _beside(target, "new")
     try:
         fresh.mkdir(parents=True)
         yield fresh
-        _swap(fresh, target.absolute())
+        if overwrite and target.exists():
+            _swap(fresh, target.absolute(), lambda: refuse_taken(target, overwrite, marker, kind))
+        else:
+            _put(fresh, target)
     except OSError as error:
         raise _unwritable(target, error) from error
     finally:
@@ -98,7 +106,10 @@ def refuse_unwritable(target: Path) -> None:
         What is nearest to it is no folder, or one that this user may not write.
     """
     place = target.absolute()
-    nearest = next(each for each in (place, *place.parents) if each.exists())
+    try:
+        nearest = next(each for each in (place, *place.parents) if each.exists())
+    except OSError as error:
+        raise _unwritable(target, error) from error
     if not (nearest.is_dir() and os.access(nearest, os.W_OK)):
         kind = "may not be written by you" if nearest.is_dir() else "is no folder"
         raise ArgumentError(f"{target}: cannot be written, as {nearest} {kind}; choose another folder")
@@ -162,15 +173,29 @@ def _beside(target: Path, suffix: str) -> Path:
 
 
 def _unwritable(target: Path, error: OSError) -> ArgumentError:
-    remedy = "make room, or choose another folder" if error.errno == ENOSPC else "choose another folder"
+    remedies = {ENOSPC: "make room, or choose another folder", ENAMETOOLONG: "choose a shorter name"}
+    remedy = remedies.get(error.errno or 0, "choose another folder")
     return ArgumentError(f"{target}: cannot be written ({error.strerror or error}); {remedy}")
 
 
-def _swap(fresh: Path, target: Path) -> None:
-    """Put `fresh` in the place of `target`; what was there comes back if that fails."""
-    if not target.exists():
+def _put(fresh: Path, target: Path) -> None:
+    """Put a folder where nothing is: to rename never takes the place of what has come in the meantime.
+
+    An empty folder alone gives way, which loses nothing.
+    """
+    try:
         fresh.rename(target)
-        return
+    except OSError as error:
+        if error.errno in (EEXIST, ENOTEMPTY, ENOTDIR) and os.path.lexists(target):
+            raise ArgumentError(
+                f"{target}: somebody else wrote it in the meantime; what is there stays: choose another folder"
+            ) from error
+        raise
+
+
+def _swap(fresh: Path, target: Path, refuse: Callable[[], None]) -> None:
+    """Put `fresh` in the place of `target`, unless that is to be refused; what was there comes back if that fails."""
+    refuse()
     old = _beside(target, "old")
     target.rename(old)
     try:
@@ -178,4 +203,6 @@ def _swap(fresh: Path, target: Path) -> None:
     except OSError:
         old.rename(target)
         raise
+    if old.is_symlink():
+        old.unlink()
     shutil.rmtree(old, ignore_errors=True)

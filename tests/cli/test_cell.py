@@ -76,7 +76,7 @@ def test_a_run_is_not_gone_on_with_under_another_law_of_the_same_name(refused, t
 
 def test_a_film_that_is_no_gif(refused, tmp_path):
     line = refused("cell", "film", "--policy", "greedy", "--out", tmp_path / "film.mp4")
-    assert "film.mp4: a film is an animated .gif" in line
+    assert "film.mp4: a film ends in .gif" in line
 
 
 def alone(gl, *words):

@@ -12,6 +12,7 @@ import pytest
 
 from halfseen.cli import VERBS, halfseen, messages
 from halfseen.cli.extras import EXTRAS, remedy
+from halfseen.logs import Logs
 from halfseen.progress import Progress, Telling, _telling
 from small_logs import flat_log
 
@@ -190,3 +191,74 @@ def test_the_extras_of_the_command_line_are_those_of_the_package():
         named = {re.match(r"[\w-]+", needed)[0] for needed in declared[extra]}
         assert {of_import.get(library, library) for library in libraries} <= named
     assert all(f"`{extra}`" in page for extra in declared)
+
+
+@pytest.mark.parametrize(
+    ("raised", "told"),
+    [
+        (PermissionError(13, "Permission denied", "/a/b"), "/a/b: permission denied; ask for the right to it"),
+        (OSError(36, "File name too long", "n" * 300), "nnn: file name too long; give a shorter name"),
+        (OSError("Broken\nheader"), "broken; check the place"),
+        (
+            MemoryError("Unable to allocate 8.00 TiB"),
+            "memory does not suffice (Unable to allocate 8.00 TiB); give less",
+        ),
+        (RuntimeError("RESOURCE_EXHAUSTED: Out of memory"), "memory does not suffice (RESOURCE_EXHAUSTED"),
+        (RecursionError("maximum recursion depth exceeded"), "nested too deeply to be read; write it with fewer"),
+    ],
+)
+def test_what_nobody_foresaw_is_one_line(refused, monkeypatch, raised, told):
+    def fail(*_, **__):
+        raise raised
+
+    monkeypatch.setattr("halfseen.logs.read_logs", fail)
+    monkeypatch.setattr("halfseen.logs.stream.opened", fail)
+    assert told in refused("inspect", "x")
+
+
+def test_a_defect_of_halfseen_is_told_as_one(typed, monkeypatch):
+    def fail(*_, **__):
+        raise RuntimeError("a defect")
+
+    monkeypatch.setattr("halfseen.logs.read_logs", fail)
+    monkeypatch.setattr("halfseen.logs.stream.opened", fail)
+    with pytest.raises(RuntimeError, match="a defect"):
+        typed("inspect", "x")
+
+
+def test_names_and_values_of_a_log_command_no_terminal(typed, tmp_path):
+    log = flat_log()
+    paths = log.paths.copy()
+    paths.loc[paths["ending"] == "cut", "cause"] = "\x1b[2J\u202ecrash\x9b"
+    Logs(stages=log.stages, paths=paths).write(tmp_path / "logs")
+    status, out, _ = typed("inspect", tmp_path / "logs")
+    assert status == 0
+    assert "\\x1b[2J\\u202ecrash\\x9b" in out
+    assert not set(out) & {"\x1b", "\u202e", "\x9b"}
+    assert "\x1b" not in typed("inspect", f"{tmp_path}/\x1b[31m").err
+
+
+@pytest.mark.parametrize("seed", [-1, 2**32, 2**63])
+@pytest.mark.parametrize("verb", [["study"], ["simulate", "--out", "x"]])
+def test_a_seed_that_is_none_is_refused_at_once(refused, verb, seed):
+    assert f"{seed} is not in the range" in refused(*verb, "--seed", seed)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        ["simulate", "--out", "x", "--episodes", 10**12],
+        ["simulate", "--out", "x", "--horizon", 10**6],
+        ["evaluate", "x", "--world", "--episodes", 10**12],
+        ["learn", "x", "--out", "y", "--horizon", 10**6],
+    ],
+)
+def test_more_than_any_machine_can_play_is_refused_at_once(refused, line):
+    assert f"{line[-1]} is not in the range" in refused(*line)
+
+
+def test_records_and_lists_in_a_log_are_looked_at_without_harm(typed, tmp_path):
+    log = flat_log()
+    odd = log.stages.assign(record=[{"a": 1}] * len(log.stages), list=[[1.0]] * len(log.stages))
+    Logs(stages=odd, paths=log.paths).write(tmp_path / "logs")
+    assert typed("inspect", tmp_path / "logs").status == 0

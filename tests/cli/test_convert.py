@@ -121,6 +121,20 @@ def test_no_clouds_are_left_where_the_logs_cannot_be_written():
     assert "cannot be written" in message
 
 
+def test_a_name_that_is_none_of_minari_is_refused(logs):
+    logs.write("logs")
+    for name in ("x", "x-v0/../../y", ""):
+        assert "it is no name of a dataset" in refused("logs", "--out", f"minari:{name}")
+
+
+@pytest.mark.parametrize(("out", "clouds"), [("x", "x"), ("csv:x", "./x"), ("x/logs", "x"), ("x", "x/clouds")])
+def test_clouds_and_logs_take_no_place_of_one_another(out, clouds):
+    seen_path()
+    message = refused("bag", "--mapping", "cell.toml", "--out", out, "--clouds", clouds)
+    assert "it is --out, or one lies in the other" in message
+    assert not Path("x").exists()
+
+
 def test_clouds_that_show_no_table_are_refused():
     seen_path()
     write_pcd(Cloud(np.zeros((4, 3)) + 1.0, name="dot"), "dot.pcd")

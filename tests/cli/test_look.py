@@ -1,4 +1,5 @@
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -122,6 +123,19 @@ def test_the_picture_is_a_png_and_nothing_else_is_left(table, tmp_path):
     assert run(table, "--picture", folder / "table.png").exit_code == 0
     assert (folder / "table.png").read_bytes().startswith(b"\x89PNG")
     assert [path.name for path in folder.iterdir()] == ["table.png"]
+
+
+def test_a_picture_takes_no_place_of_a_file_unless_that_is_said(refused, table, tmp_path):
+    picture, cloud = tmp_path / "a.png", tmp_path / "cloud.png"
+    picture.write_bytes(b"mine")
+    assert "there already; choose another file, or pass --overwrite" in refused("look", table, "--picture", picture)
+    assert picture.read_bytes() == b"mine"
+    cloud.symlink_to(table)
+    assert "is what is to be looked at" in refused("look", table, "--picture", cloud, "--overwrite")
+    os.mkfifo(tmp_path / "pipe.png")
+    assert "a device, a pipe" in refused("look", table, "--picture", tmp_path / "pipe.png", "--overwrite")
+    assert run(table, "--picture", picture, "--overwrite").exit_code == 0
+    assert picture.read_bytes().startswith(b"\x89PNG")
 
 
 def test_an_empty_table_is_refused_with_status_2(refused, tmp_path):

@@ -181,6 +181,35 @@ def bad_files() -> dict[str, tuple[str, bytes, str]]:
             "cut short|not a whole",
         ),
         "cut header": ("cloud.pcd", pcd_header(20, 1, "ascii")[:60], "no DATA line"),
+        "many values": (
+            "cloud.pcd",
+            ascii_pcd.replace(b"COUNT 1 1 1", b"COUNT 1 1 1000000000"),
+            "a COUNT from 1 to 4096",
+        ),
+        "fewer counts": ("cloud.pcd", ascii_pcd.replace(b"COUNT 1 1 1", b"COUNT 1 1"), "3 TYPE and 2 COUNT"),
+        "odd type": ("cloud.pcd", ascii_pcd.replace(b"TYPE F F F", b"TYPE F F Q"), "a TYPE is F, U or I"),
+        "no points": (
+            "cloud.pcd",
+            ascii_pcd.replace(b"POINTS 20", b"POINTS -1"),
+            "POINTS is '-1'; it is a whole number",
+        ),
+        "many points": ("cloud.pcd", ascii_pcd.replace(b"POINTS 20", b"POINTS 9999999999"), "was cut short"),
+        "half a viewpoint": (
+            "cloud.pcd",
+            ascii_pcd.replace(b"VIEWPOINT 0 0 0 1 0 0 0", b"VIEWPOINT 1"),
+            "VIEWPOINT is '1'; give x, y and z",
+        ),
+        "words for a viewpoint": (
+            "cloud.pcd",
+            ascii_pcd.replace(b"VIEWPOINT 0 0 0 1", b"VIEWPOINT a b c 1"),
+            "VIEWPOINT is 'a b c'; give numbers",
+        ),
+        "bomb": (
+            "cloud.pcd",
+            pcd_header(10**9, 1, "binary_compressed") + pcd_body(points, "binary_compressed"),
+            "unpacked, it has 12,000 MB",
+        ),
+        "many vertices": ("cloud.ply", ply.replace(b"vertex 20", b"vertex 999999999999"), "999999999999 are announced"),
         "no z": ("cloud.pcd", pcd_header(2, 1, "ascii", fields="x y") + b"1 2\n3 4\n", "needs x, y and z"),
         "intrinsics": (
             "cloud.pcd",

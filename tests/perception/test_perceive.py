@@ -1,12 +1,14 @@
 import subprocess
 import sys
+from contextlib import suppress
 
 import numpy as np
 import pytest
 from drawn_tables import DOWN_RAD, EYE_M, TABLE_FROM_CAMERA, Can, Drawn, camera_point, draw
 
 from halfseen.errors import CloudError
-from halfseen.perception import Cloud, View, perceive
+from halfseen.perception import Cloud, View, perceive, read_cloud
+from halfseen.scene import table_paths
 from halfseen.world.scene import Scene
 
 
@@ -230,3 +232,50 @@ def test_perception_loads_neither_jax_nor_mujoco():
     code = "import halfseen.perception, sys; print([m for m in ('jax', 'mujoco', 'matplotlib') if m in sys.modules])"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"
+
+
+def far(metres, points):
+    """Move one return along its ray."""
+    moved, which = points.copy(), np.flatnonzero(np.isfinite(points[:, 2]))[1000]
+    moved[which] *= metres / moved[which, 2]
+    return moved
+
+
+@pytest.mark.parametrize("metres", [100.0, 999.0])
+def test_a_single_pixel_far_off_changes_no_object_and_asks_for_no_memory(metres):
+    cloud = read_cloud(table_paths()[0])
+    seen = perceive(Cloud(far(metres, cloud.points_m), cloud.shape, cloud.intrinsics))
+    plain = perceive(cloud)
+    assert (seen.labels != plain.labels).sum() <= 1
+    np.testing.assert_allclose(seen.hides, plain.hides, atol=0.01)
+
+
+def test_distances_that_no_camera_measures_are_refused():
+    cloud = read_cloud(table_paths()[0])
+    for points, told in (
+        (cloud.points_m * 1000, "divide millimetres by 1000"),
+        (far(1e5, cloud.points_m), r"a point is 1e\+05 m from the camera"),
+        (cloud.points_m * 1e300, "divide millimetres"),
+    ):
+        for shape in (cloud.shape, None):
+            with pytest.raises(CloudError, match=told):
+                Cloud(points, shape)
+
+
+@pytest.mark.parametrize("K", [np.diag([1e-9, 1e-9, 1.0]), np.diag([1e12, 1e12, 1.0])])
+def test_a_pinhole_that_is_none_is_refused(K):
+    with pytest.raises(CloudError, match="they are pixels, from 1 to 1e"):
+        Cloud(np.ones((4, 3)), (2, 2), K)
+
+
+@pytest.mark.parametrize("place", ["one point", "one ray", "one line", "behind"])
+def test_points_that_make_no_surface_are_refused_or_show_nothing(place):
+    along = np.linspace(0.5, 2.0, 5000)
+    points = {
+        "one point": np.tile([0.1, 0.2, 1.0], (5000, 1)),
+        "one ray": np.outer(along, [0.1, 0.2, 1.0]),
+        "one line": np.stack([along, 0.0 * along, 1.0 + 0.0 * along], axis=1),
+        "behind": np.stack([np.sin(9.0 * along), np.cos(7.0 * along), -along], axis=1),
+    }[place]
+    with suppress(CloudError):
+        assert not perceive(Cloud(points)).objects

@@ -44,3 +44,11 @@ def test_the_same_value_gives_the_same_bytes_and_nan_is_refused():
     assert as_json({"a": 1, "b": 2}) == as_json({"b": 2, "a": 1})
     with pytest.raises(ValueError, match="not JSON compliant"):
         as_json(float("nan"))
+
+
+def test_what_no_study_wrote_is_not_removed(tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+
+    with pytest.raises(ArgumentError, match=r"holds no study .design.json is missing., so it is not removed"):
+        Store(tmp_path, DESIGN, is_resumed=False)
+    assert (tmp_path / "notes.txt").read_text() == "mine"

@@ -104,3 +104,9 @@ def test_an_impossible_share_is_refused(played, share):
 def test_an_unknown_kind_is_refused_by_name(played):
     with pytest.raises(ArgumentError, match="'sunspots'; it is one of independent, occlusion, attempt"):
         unit_hazards(played, "sunspots")
+
+
+def test_a_share_that_is_next_to_nothing_is_the_rate_times_the_hazard(played):
+    total = unit_hazards(played, "independent").sum(axis=1).mean()
+    for share in (1e-300, 1e-20, 1e-14):
+        np.testing.assert_allclose(cut_rate(played, share, "independent"), share / total, rtol=0.05)

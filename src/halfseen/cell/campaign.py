@@ -32,6 +32,7 @@ from halfseen.cell.workcell import Errors, Workcell
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs import LogRecorder, Logs, read_logs
 from halfseen.logs.joining import joined
+from halfseen.reading import json_of, read_text
 from halfseen.scene.draw import random_table
 from halfseen.scene.stains import draw_surface
 from halfseen.team.policy import TeamPolicy
@@ -237,9 +238,9 @@ def working_folder(target: Path, what: str, refuse: Callable[[], None] = lambda:
             with _removed_if_refused(folder):
                 refuse()
             write_file(told, what)
-        elif told.read_text(encoding="utf-8") != what:
+        elif (held := read_text(told)) != what:
             raise ArgumentError(
-                f"{folder}: it holds what was stopped of another run ({told.read_text(encoding='utf-8')}), and this is "
+                f"{folder}: it holds what was stopped of another run ({held[:500]}), and this is "
                 f"{what}; call that again to go on with it, remove the folder, or choose another --out"
             )
         yield folder
@@ -292,8 +293,13 @@ def _is_over(place: Path) -> bool:
 
 
 def _run_of(place: Path) -> Run:
-    told = json.loads((place / RUN_FILE).read_text(encoding="utf-8"))
-    return TeamRun(**told) if "num_collisions" in told else Run(**told)
+    try:
+        told = json_of(read_text(place / RUN_FILE))
+        return TeamRun(**told) if "num_collisions" in told else Run(**told)
+    except (ValueError, TypeError) as error:
+        raise LogError(
+            f"{place / RUN_FILE}: it tells of no run ({error}); remove {place}, and it is made again"
+        ) from error
 
 
 def table_name(index: int) -> str:

@@ -11,6 +11,7 @@ from halfseen import __version__
 from halfseen.cli.compiler import is_of_kept_programs, set_compiler
 from halfseen.cli.extras import remedy
 from halfseen.cli.messages import tell_error, tell_warning
+from halfseen.cli.unforeseen import unforeseen
 from halfseen.cli.verb_group import VerbGroup
 from halfseen.errors import HalfseenError, HalfseenWarning
 from halfseen.suggestions import did_you_mean
@@ -66,6 +67,11 @@ def main() -> None:
     except (click.Abort, KeyboardInterrupt):
         click.echo("halfseen: stopped", err=True)
         sys.exit(130)
+    except (OSError, MemoryError, RecursionError, RuntimeError) as error:
+        told = unforeseen(error)
+        if told is None:
+            raise
+        _refuse(told)
 
 
 def _say_in_one_line() -> None:

@@ -10,6 +10,7 @@ import click
 from halfseen.cli import options
 from halfseen.cli.columns import aligned
 from halfseen.cli.laws import SHIPPED, law_of, law_option
+from halfseen.cli.messages import say
 from halfseen.cli.output_files import refuse_output
 
 if TYPE_CHECKING:
@@ -94,7 +95,7 @@ def act(
     if seen:
         report["seen"] = seen
     lines = _lines(decision, seen, table.other_things if table else "", **where)
-    click.echo(json.dumps(report, indent=2, allow_nan=False) if as_json else "\n".join(lines))
+    say(json.dumps(report, indent=2, allow_nan=False) if as_json else "\n".join(lines))
 
 
 def _lines(decision: "Decision", seen: str, other_things: str, stage: int, horizon: int) -> list[str]:

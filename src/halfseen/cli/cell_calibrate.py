@@ -10,6 +10,7 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.arms import arm_options, robot_for
+from halfseen.cli.messages import say
 from halfseen.cli.opengl import load_mujoco
 from halfseen.cli.workers import worker_options
 from halfseen.progress import Progress
@@ -101,7 +102,7 @@ def calibrate(
                     visible_only, folder=folder / VISIBLE_ONLY, conditions=conditions, on_table=bar.update
                 )
             report = fitted(logs, contrast)
-    click.echo(json.dumps(report, indent=2, allow_nan=False) if as_json else "\n".join(_lines(out, report)))
+    say(json.dumps(report, indent=2, allow_nan=False) if as_json else "\n".join(_lines(out, report)))
 
 
 def report_of(law: "Law", logs: "Logs") -> dict[str, Any]:

@@ -10,7 +10,9 @@ from halfseen.cli.arms import arm_options, num_arms_option, robot_for, stations_
 from halfseen.cli.cell_policies import policy_of, policy_option, team_policy_of
 from halfseen.cli.cell_run import belief_of
 from halfseen.cli.laws import SHIPPED, law_option
+from halfseen.cli.messages import say
 from halfseen.cli.opengl import start_opengl
+from halfseen.cli.output_files import refuse_output
 from halfseen.progress import Progress
 
 DRAWING = 3
@@ -25,6 +27,7 @@ DRAWING = 3
 @num_arms_option
 @arm_options
 @options.seed("film")
+@options.overwrite("a film that is")
 def film(
     name: str,
     out: Path,
@@ -35,15 +38,13 @@ def film(
     flange: str | None,
     joints: list[str] | None,
     seed: int,
+    overwrite: bool,
 ) -> None:
     """Film how a policy clears a table in physics, eight times faster than it was, and say what it decides.
 
     Seed and number give the same table as in `halfseen cell run`. Drawing needs OpenGL; nothing else of halfseen does.
     """
-    from halfseen.errors import ArgumentError
-
-    if out.suffix.lower() != ".gif":
-        raise ArgumentError(f"{out}: a film is an animated .gif; give a name that ends so")
+    refuse_output(out, "a film", [".gif"], overwrite, [arm] if arm else [])
     start_opengl()
     import jax
 
@@ -79,6 +80,6 @@ def film(
         bar.reach(num_stages)
         bar.begin("draw", 0)
         taken.write(out, cell)
-    click.echo(
+    say(
         f"{out}: {run.num_washed} of {run.num_dirty} dirty cups washed in {run.seconds:.0f} s, reward {run.reward:+.1f}"
     )

@@ -14,7 +14,7 @@ from halfseen.cli.arms import arm_options, num_arms_option, robot_for, stations_
 from halfseen.cli.cell_policies import policy_of, policy_option, team_policy_of
 from halfseen.cli.following import follow_options, following
 from halfseen.cli.laws import SHIPPED, law_folder, law_option
-from halfseen.cli.messages import tell_warning
+from halfseen.cli.messages import say, tell_warning
 from halfseen.cli.opengl import load_mujoco
 from halfseen.cli.workers import worker_options
 from halfseen.progress import Progress
@@ -117,7 +117,7 @@ def run(
             "sentence": str(logs.summary()),
         }
         report |= asdict(summary)
-        click.echo(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))
+        say(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))
 
 
 def _digest(folder: Path | None) -> str:

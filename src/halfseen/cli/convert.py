@@ -1,16 +1,19 @@
 """``halfseen convert``: logs from one form into another."""
 
 import json
+import os
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import asdict
 from functools import partial
+from itertools import permutations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from halfseen.cli import options
+from halfseen.cli.messages import say
 from halfseen.progress import Progress
 
 if TYPE_CHECKING:
@@ -69,13 +72,25 @@ def convert(
     place = Path(target.removeprefix(CSV))
     if not target.startswith(MINARI):
         refuse_taken(place, False, None, "logs")
+        _refuse_one_in_another(place, clouds)
     # The folder of clouds appears only once the logs are written too.
     with nullcontext() if clouds is None else placed(clouds) as cloud_folder:
         logs = _read(kind, source, cloud_folder, **chosen)
         _write(logs, target)
     report = {"source": source, "format": kind, "target": target, "sentence": str(logs.summary())}
     report |= asdict(logs.summary())
-    click.echo(json.dumps(report, indent=2) if as_json else f"{target}: {report['sentence']}")
+    say(json.dumps(report, indent=2) if as_json else f"{target}: {report['sentence']}")
+
+
+def _refuse_one_in_another(out: Path, clouds: Path | None) -> None:
+    """Refuse folders of which one would lie in the other, or take its place."""
+    from halfseen.errors import ArgumentError
+
+    if clouds is None:
+        return
+    places = [Path(os.path.realpath(place)) for place in (out, clouds)]
+    if any(one == other or one in other.parents for one, other in permutations(places)):
+        raise ArgumentError(f"--clouds {clouds}: it is --out, or one lies in the other; give each a folder of its own")
 
 
 def _compact(sources: tuple[str, ...], target: str, as_json: bool) -> None:
@@ -89,7 +104,7 @@ def _compact(sources: tuple[str, ...], target: str, as_json: bool) -> None:
     left_out = f"; {done.num_running} still being recorded left out" if done.num_running else ""
     told = f"{done.num_paths} paths with {done.num_stages} stages from {done.num_folders} folders{left_out}"
     report = {"sources": list(sources), "target": target, "sentence": told, **done._asdict()}
-    click.echo(json.dumps(report, indent=2) if as_json else f"{target}: {told}")
+    say(json.dumps(report, indent=2) if as_json else f"{target}: {told}")
 
 
 def _kind(source: str) -> str:

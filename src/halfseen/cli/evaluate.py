@@ -12,6 +12,7 @@ import click
 from halfseen.cli import options
 from halfseen.cli.columns import aligned
 from halfseen.cli.laws import ASSUMED, law_of, law_option
+from halfseen.cli.messages import say
 from halfseen.cli.scenes import scenes_of
 from halfseen.cli.team import read_robots, team_option
 from halfseen.cli.workers import worker_options
@@ -55,7 +56,11 @@ WORK = {"start": 1, "evaluate": 4}
     help="Level of the intervals.",
 )
 @click.option(
-    "--episodes", type=click.IntRange(min=2), default=10_000, show_default=True, help="Of --world: how many to play."
+    "--episodes",
+    type=click.IntRange(2, options.MOST_EPISODES),
+    default=10_000,
+    show_default=True,
+    help="Of --world: how many to play.",
 )
 @worker_options
 @options.seed("numbers")
@@ -103,7 +108,7 @@ def evaluate(
     else:
         report, lines = _by_logs(stored, logs, seed, level, against=list(against) or None, workers=workers, **chosen)
     report = {"policy": str(policy), "seed": seed, **report}
-    click.echo(json.dumps(report, indent=2) if as_json else "\n".join(lines))
+    say(json.dumps(report, indent=2) if as_json else "\n".join(lines))
 
 
 def _by_logs(

@@ -10,6 +10,7 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.columns import aligned
+from halfseen.cli.messages import say
 from halfseen.progress import Progress
 
 Row = Mapping[str, Any]
@@ -66,7 +67,7 @@ def inspect(logs: Path, as_json: bool, seed: int) -> None:
         read = read_logs(logs)
         bar.begin("look at the log")
         report = log_findings(read, positivity_of(read))
-    click.echo(json.dumps(report, indent=2) if as_json else "\n".join(lines(report)))
+    say(json.dumps(report, indent=2) if as_json else "\n".join(lines(report)))
 
 
 def lines(report: dict[str, Any]) -> list[str]:

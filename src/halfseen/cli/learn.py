@@ -11,6 +11,7 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.columns import aligned
+from halfseen.cli.messages import say
 from halfseen.cli.workers import worker_options
 from halfseen.progress import Progress
 
@@ -75,7 +76,7 @@ class _Or(click.ParamType):
 )
 @click.option(
     "--horizon",
-    type=click.IntRange(min=1),
+    type=click.IntRange(1, options.MOST_STAGES),
     help="Stages after which a path ends by itself; by default those of the longest path, for a table at least 10. "
     "Of a team, decisions of each robot; by default what the log says.",
 )
@@ -171,7 +172,7 @@ def learn(
     ]
     actions = plain(shares.reset_index().to_dict("records"))
     report = {"policy": str(out), "logs": str(logs), **read_policy(out).record, "actions": actions, "notes": notes}
-    click.echo(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))
+    say(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))
 
 
 def _judged(

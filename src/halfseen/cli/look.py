@@ -9,6 +9,8 @@ import click
 from halfseen.cli import options
 from halfseen.cli.columns import aligned
 from halfseen.cli.look_at_many import clouds_in, look_at_many
+from halfseen.cli.messages import say
+from halfseen.cli.output_files import refuse_output
 from halfseen.cli.view_facts import as_json, with_objects
 from halfseen.cli.workers import worker_options
 
@@ -23,10 +25,16 @@ if TYPE_CHECKING:
 @click.argument("clouds", nargs=-1, required=True, type=options.PATH)
 @click.option("--json", "is_json", is_flag=True, help="Print JSON, for programs.")
 @click.option("--picture", type=options.PATH, help="Draw what is seen into this PNG file; of one cloud.")
+@options.overwrite("a picture that is")
 @options.labels
 @worker_options
 def look(
-    clouds: tuple[Path, ...], is_json: bool, picture: Path | None, labels: Path | None, workers: "Workers"
+    clouds: tuple[Path, ...],
+    is_json: bool,
+    picture: Path | None,
+    overwrite: bool,
+    labels: Path | None,
+    workers: "Workers",
 ) -> None:
     """Say what stands on the table of a cloud, who hides whom, and, if it has colour, what looks dirty.
 
@@ -38,6 +46,8 @@ def look(
     from halfseen.errors import ArgumentError
 
     if len(clouds) == 1 and not clouds[0].is_dir():
+        if picture is not None:
+            refuse_output(picture, "a picture", [".png"], overwrite, [clouds[0], *([labels] if labels else [])])
         _look_at(clouds[0], is_json, picture, labels)
         return
     if picture is not None or labels is not None:
@@ -57,12 +67,12 @@ def _look_at(cloud: Path, is_json: bool, picture: Path | None, labels: Path | No
     if picture is not None:
         draw(view, picture)
     if is_json:
-        click.echo(json.dumps(as_json(view, told)))
+        say(json.dumps(as_json(view, told)))
         return
-    click.echo(sentence(view))
+    say(sentence(view))
     if view.num_cut:
-        click.echo(f"Left out: {view.num_cut} that the image border cuts.")
-    click.echo("\n".join(["", *_table(view, told)]))
+        say(f"Left out: {view.num_cut} that the image border cuts.")
+    say("\n".join(["", *_table(view, told)]))
 
 
 def _table(view: "View", told: "Sequence[Label] | None") -> list[str]:

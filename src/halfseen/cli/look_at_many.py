@@ -6,10 +6,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
 from halfseen.cli.columns import aligned
-from halfseen.cli.messages import tell_error
+from halfseen.cli.messages import say, tell_error
 from halfseen.cli.view_facts import as_json, with_objects
 from halfseen.progress import Progress
 
@@ -63,9 +61,9 @@ def look_at_many(clouds: Sequence[Path], workers: "Workers", is_json: bool) -> N
     seen = [each for each in in_order if not isinstance(each, CloudError)]
     refused = [each for each in in_order if isinstance(each, CloudError)]
     if is_json:
-        click.echo(json.dumps(seen))
+        say(json.dumps(seen))
     elif seen:
-        click.echo("\n".join(aligned([HEAD, *seen], left=(0,))))
+        say("\n".join(aligned([HEAD, *seen], left=(0,))))
     for error in refused[:-1]:
         tell_error(str(error))
     if refused:

@@ -66,10 +66,16 @@ propensity = click.option(
 )
 
 
+MOST_EPISODES, MOST_STAGES = 10_000_000, 1000
+"""That a command plays, and that a path has; programs that need more call the library, part by part."""
+MOST_SEED = 2**32 - 1
+"""Generators tell no others apart."""
+
+
 def seed(same: str) -> Any:
     """The option on which so much depends."""
     return click.option(
-        "--seed", type=click.IntRange(min=0), default=0, show_default=True, help=f"Same seed, same {same}."
+        "--seed", type=click.IntRange(0, MOST_SEED), default=0, show_default=True, help=f"Same seed, same {same}."
     )
 
 

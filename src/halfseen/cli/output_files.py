@@ -25,16 +25,18 @@ def refuse_output(file: Path, what: str, endings: Sequence[str], overwrite: bool
     Raises
     ------
     ArgumentError
-        It has another ending, is an input, a folder, there already, or in a folder that cannot be written.
+        It has another ending, is an input, no file, there already, or in a folder that cannot be written.
     """
     from halfseen.writing import refuse_unwritable
 
+    refuse_unwritable(file.parent)
     if file.suffix.lower() not in endings:
         raise ArgumentError(f"{file}: {what} ends in {' or '.join(endings)}; give one of these endings")
     if any(one.exists() and file.exists() and file.samefile(one) for one in inputs):
         raise ArgumentError(f"{file}: it is what is to be looked at, and is not replaced; choose another file")
     if file.is_dir():
         raise ArgumentError(f"{file}: it is a folder; give the name of a file in it")
+    if file.exists() and not file.is_file():
+        raise ArgumentError(f"{file}: it is a device, a pipe or the like, and not replaced; choose another file")
     if (file.exists() or file.is_symlink()) and not overwrite:
         raise ArgumentError(f"{file}: it is there already; choose another file, or pass --overwrite to replace it")
-    refuse_unwritable(file.parent)

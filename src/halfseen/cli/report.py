@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from halfseen.cli import options
+from halfseen.cli.messages import say
 from halfseen.cli.workers import worker_options
 from halfseen.progress import Progress
 
@@ -89,9 +90,9 @@ def report(
     if as_json:
         folders = {"logs": str(logs)} | ({} if policy is None else {"policy_folder": str(policy)})
         numbers = {"page": str(out), **folders, **findings.as_dict()}
-        click.echo(json.dumps(numbers, indent=2, allow_nan=False))
+        say(json.dumps(numbers, indent=2, allow_nan=False))
         return
-    click.echo(f"{answer_of(findings)}\nThe page: {out}")
+    say(f"{answer_of(findings)}\nThe page: {out}")
 
 
 def _refuse_without_policy(policy: Path | None, chosen: Mapping[str, Any]) -> None:

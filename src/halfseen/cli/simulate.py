@@ -9,6 +9,7 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.laws import ASSUMED, law_of, law_option
+from halfseen.cli.messages import say
 from halfseen.cli.scenes import num_scenes, scenes_of
 from halfseen.cli.team import read_robots, team_option
 from halfseen.planners.named import HEURISTICS, UNIFORM, named_policy
@@ -27,7 +28,13 @@ _START, _TABLE = 4, 2
 @click.command(epilog="Example: halfseen simulate --out logs --episodes 500 --seed 1")
 @click.argument("clouds", type=options.PATH, nargs=-1)
 @click.option("--out", type=options.PATH, required=True, help="Folder that the logs are written to.")
-@click.option("--episodes", type=click.IntRange(min=1), default=1000, show_default=True, help="Number of paths.")
+@click.option(
+    "--episodes",
+    type=click.IntRange(1, options.MOST_EPISODES),
+    default=1000,
+    show_default=True,
+    help="Number of paths.",
+)
 @click.option(
     "--policy",
     type=options.Choice([UNIFORM, *HEURISTICS]),
@@ -52,7 +59,7 @@ _START, _TABLE = 4, 2
 @click.option("--cut-kind", type=options.Choice(CUT_KINDS), default="independent", show_default=True, help="What cuts.")
 @click.option(
     "--horizon",
-    type=click.IntRange(min=1),
+    type=click.IntRange(1, options.MOST_STAGES),
     default=_HORIZON,
     show_default=True,
     help="Steps of a path; of a team, of each robot.",
@@ -102,7 +109,7 @@ def simulate(
     report |= {"scenes": {scene.name: scene.num_objects for scene in scenes}, "seed": seed, **chosen}
     if robots is not None:
         report |= {"team": str(team), "robots": [robot.name for robot in robots.robots]}
-    click.echo(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))
+    say(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))
 
 
 def _world_and_logger(team: "Team | None", config: "WorldConfig", name: str, random_share: float) -> tuple[Any, Any]:

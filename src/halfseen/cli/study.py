@@ -9,6 +9,7 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.laws import SHIPPED, law_folder, law_option
+from halfseen.cli.messages import say
 from halfseen.cli.workers import worker_options
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ EPILOG = "Example: halfseen study --out runs/study --repetitions 200 --resume"
 @click.option("--out", default="runs/study", show_default=True, type=options.PATH, help="Folder to fill.")
 @click.option("--repetitions", default=None, type=int, help="Fresh logs and episodes; the paper made 10,000.")
 @click.option("--only", multiple=True, metavar="NAME", help="Run this experiment alone; may be given more than once.")
-@click.option("--seed", default=0, show_default=True, help="All but measured times follows from it.")
+@options.seed("study but for measured times")
 @law_option(SHIPPED)
 @click.option("--resume", is_flag=True, help="Go on where a killed study stopped, or add repetitions to one.")
 @worker_options
@@ -64,5 +65,5 @@ def study(
         click.echo((out / "study.json").read_text(encoding="utf-8"), nl=False)
         return
     for sentence in results.answer:
-        click.echo(sentence)
-    click.echo(f"The report: {out / 'report.html'}")
+        say(sentence)
+    say(f"The report: {out / 'report.html'}")

@@ -10,6 +10,7 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.laws import SHIPPED, law_of, law_option
+from halfseen.cli.messages import say
 from halfseen.cli.output_files import refuse_output
 
 if TYPE_CHECKING:
@@ -134,7 +135,7 @@ def _served(port: int, work: Callable[[Shows], None]) -> None:
             nonlocal is_told
             page.show(watched)
             if not is_told:
-                click.echo(f"{page.url}  (Ctrl+C ends)")
+                say(f"{page.url}  (Ctrl+C ends)")
             is_told = True
 
         work(show)
@@ -153,7 +154,7 @@ def _exported(files: tuple[Path, ...], work: Callable[[Shows], None]) -> None:
             from halfseen.watch.standalone import write_html
 
             write_html(shown[-1], file)
-        click.echo(f"{file}: {len(shown[-1].stages)} stage{'' if len(shown[-1].stages) == 1 else 's'}")
+        say(f"{file}: {len(shown[-1].stages)} stage{'' if len(shown[-1].stages) == 1 else 's'}")
 
 
 def _show_cloud(

@@ -18,17 +18,19 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from halfseen.errors import LogError
+from halfseen.errors import HalfseenError, LogError
 from halfseen.logs.journal import JOURNAL
 from halfseen.logs.journal_tables import journal_log
 from halfseen.logs.place import Place, asking
 from halfseen.logs.refusal import within
 from halfseen.logs.reward_unit import checked_unit
+from halfseen.reading import TABLE, check_file, check_unpacked, json_of, read_text, reason_of
 from halfseen.writing import placed
 
 MANIFEST = "logs.json"
 FORMAT, VERSION = "halfseen-logs", 1
 TABLES = ("stages", "paths", "objects")
+BYTES_OF_VALUE = 8
 ROWS_IN_GROUP = 65_536
 """Rows that are read at once by whoever wants one of them."""
 
@@ -111,13 +113,13 @@ def read_manifest(folder: Place) -> Manifest:
         )
     try:
         with asking(folder):
-            manifest: Any = json.loads(file.read_text(encoding="utf-8"))
+            manifest = json_of(read_text(file) if isinstance(file, Path) else file.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise LogError(
             f"{file}: it is missing, so {folder} holds no logs; give a folder that Logs.write wrote"
         ) from error
     except (OSError, ValueError) as error:
-        raise LogError(f"{file}: it cannot be read ({error}); write the logs again") from error
+        raise LogError(f"{file}: it cannot be read ({reason_of(error)}); write the logs again") from error
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
         raise LogError(f"{file}: it does not describe logs; give a folder that Logs.write wrote")
     if manifest.get("version") != VERSION:
@@ -132,6 +134,7 @@ def read_manifest(folder: Place) -> Manifest:
 
 def _checked_rows(file: Place, rows: Any) -> dict[str, int]:
     is_right = isinstance(rows, dict) and {"stages", "paths"} <= set(rows) <= set(TABLES)
+    is_right = is_right and all(isinstance(num, int) and num >= 0 for num in rows.values())
     if not is_right:
         raise LogError(f"{file}: rows {rows!r} does not count stages and paths; write the logs again")
     return rows
@@ -149,10 +152,17 @@ def opened_table(folder: Place, name: str, num_rows: int) -> pq.ParquetFile:
     try:
         # Not read_table, which makes columns of a folder that is called a=b.
         with asking(folder):
-            opened = pq.ParquetFile(file if isinstance(file, Path) else file.open("rb"))
+            if isinstance(file, Path):
+                num_bytes = check_file(file, TABLE)
+                opened = pq.ParquetFile(file)
+                check_unpacked(num_bytes, bytes_of(opened.metadata))
+            else:
+                opened = pq.ParquetFile(file.open("rb"))
     except FileNotFoundError as error:
         raise LogError(f"{file}: it is missing; copy the whole folder, or write the logs again") from error
-    except (OSError, pa.ArrowException) as error:
+    except MemoryError:
+        raise
+    except Exception as error:  # a broken file raises nearly anything
         raise broken_table(file, error) from error
     if opened.metadata.num_rows != num_rows:
         raise LogError(
@@ -165,11 +175,19 @@ def opened_table(folder: Place, name: str, num_rows: int) -> pq.ParquetFile:
 def _read_table(folder: Place, name: str, num_rows: int) -> pd.DataFrame:
     try:
         return opened_table(folder, name, num_rows).read().to_pandas()
-    except (OSError, pa.ArrowException) as error:
+    except (HalfseenError, MemoryError):
+        raise
+    except Exception as error:  # pandas' own words in a broken file raise nearly anything
         raise broken_table(folder / f"{name}.parquet", error) from error
+
+
+def bytes_of(told: pq.FileMetaData) -> int:
+    """What a Parquet file takes once it is read, at least: by its values, as repeated ones take next to nothing [B]."""
+    groups = [told.row_group(k) for k in range(told.num_row_groups)]
+    columns = [group.column(k) for group in groups for k in range(group.num_columns)]
+    return sum(max(column.total_uncompressed_size, BYTES_OF_VALUE * column.num_values) for column in columns)
 
 
 def broken_table(file: Place, error: Exception) -> LogError:
     """Say that a table cannot be read, and why."""
-    reason = str(error).splitlines()[0]
-    return LogError(f"{file}: it is no whole Parquet file ({reason}); copy it again, or write the logs again")
+    return LogError(f"{file}: it is no whole Parquet file ({reason_of(error)}); copy it again, or write the logs again")

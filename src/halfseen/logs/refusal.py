@@ -9,12 +9,16 @@ import pandas as pd
 
 from halfseen.errors import HalfseenError, LogError
 
+MOST_SHOWN = 200
+"""Characters of a value that are told."""
+
 
 def shown(value: object) -> str:
     """Write a value as it stands in the table: 17, but '17' for text, and null whatever stands for it."""
     if pd.api.types.is_scalar(value) and bool(np.asarray(pd.isna(value))):
         return "null"
-    return repr(value.item() if isinstance(value, np.generic) else value)
+    told = repr(value.item() if isinstance(value, np.generic) else value)
+    return told if len(told) <= MOST_SHOWN else f"{told[:MOST_SHOWN]}…"
 
 
 def value_at(frame: pd.DataFrame, column: str, row: int) -> Any:

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import pandas as pd
 from pandas.util import hash_pandas_object
 
@@ -106,7 +105,7 @@ def _constant_covariates(logs: Logs) -> Iterator[str]:
     for name, values, _ in covariates(logs):
         if (
             len(values) < FEWEST_ROWS
-            or isinstance(values.iloc[0], np.ndarray | list)
+            or (values.dtype == object and not values.map(pd.api.types.is_hashable).all())  # lists, records
             or values.nunique(dropna=False) != 1
         ):
             continue

@@ -9,6 +9,11 @@ from jaxtyping import Float, Shaped, UInt8
 from halfseen.arrays import Image, Intrinsics, Points
 from halfseen.errors import CloudError
 
+# A table is nearer than this to the camera, and all that returns is nearer than that [m].
+LARGEST_MEDIAN_DISTANCE_M, LARGEST_DISTANCE_M = 50.0, 1000.0
+# Of a pinhole matrix; images are a few thousand pixels wide [px].
+LARGEST_INTRINSIC_PX = 1e6
+
 Vector: TypeAlias = Float[np.ndarray, "3"]
 Colours: TypeAlias = UInt8[np.ndarray, "n 3"]
 Picture: TypeAlias = UInt8[np.ndarray, "H W 3"]
@@ -37,8 +42,8 @@ class Cloud:
     Raises
     ------
     CloudError
-        Shape, colours and number of points disagree, or the pinhole matrix is not finite or has no positive focal
-        lengths.
+        Shape, colours and number of points disagree, distances are none in metres, or the pinhole matrix is not finite
+        or has no positive focal lengths.
     """
 
     points_m: Points
@@ -59,6 +64,7 @@ class Cloud:
         eye = np.array(self.eye_m, dtype=np.float64)
         if not np.isfinite(eye).all():
             raise CloudError(f"{self.name}: the viewpoint is {eye.tolist()}; it must be finite, in metres")
+        _check_metres(points - eye, self.name)
         K = self.intrinsics
         if K is not None:
             check_intrinsics(K, self.name)
@@ -107,6 +113,25 @@ class Cloud:
         return int(np.isfinite(self.points_m[:, 2]).sum())
 
 
+def _check_metres(from_eye: Points, name: str) -> None:
+    """Refuse distances that no depth camera measures [m]."""
+    is_return = np.isfinite(from_eye[:, 0])
+    if not is_return.any() or np.nanmax(np.abs(from_eye)) <= LARGEST_MEDIAN_DISTANCE_M:
+        return
+    distance = np.abs(from_eye[is_return]).max(axis=1)
+    median, farthest = float(np.median(distance)), float(distance.max())
+    if median > LARGEST_MEDIAN_DISTANCE_M:
+        raise CloudError(
+            f"{name}: half of the points are {median:.4g} m from the camera or farther, and a table is within "
+            f"{LARGEST_MEDIAN_DISTANCE_M:g} m; distances are in metres: divide millimetres by 1000"
+        )
+    if farthest > LARGEST_DISTANCE_M:
+        raise CloudError(
+            f"{name}: a point is {farthest:.4g} m from the camera, and no depth camera sees farther than "
+            f"{LARGEST_DISTANCE_M:g} m; leave out what did not return: 0 or NaN"
+        )
+
+
 def check_intrinsics(K: Shaped[np.ndarray, "..."], name: str) -> None:
     """Refuse a matrix that is no pinhole camera's.
 
@@ -126,6 +151,12 @@ def check_intrinsics(K: Shaped[np.ndarray, "..."], name: str) -> None:
         raise CloudError(f"{name}: the pinhole matrix K is {K.tolist()}; it must be 3 by 3 and finite, in pixels")
     if K[0, 0] <= 0 or K[1, 1] <= 0:
         raise CloudError(f"{name}: K has focal lengths {K[0, 0]} and {K[1, 1]} px; they must be positive")
+    focal, centre = K[[0, 1], [0, 1]], np.abs(K[[0, 1], [2, 2]])
+    if focal.min() < 1.0 or max(focal.max(), centre.max()) > LARGEST_INTRINSIC_PX:
+        raise CloudError(
+            f"{name}: K has focal lengths {focal.tolist()} and a centre {K[[0, 1], [2, 2]].tolist()}; they are pixels, "
+            f"from 1 to {LARGEST_INTRINSIC_PX:g} for a focal length: give the matrix of the camera"
+        )
 
 
 def _checked_colours(colours: Shaped[np.ndarray, "..."], num_points: int, name: str) -> Colours:

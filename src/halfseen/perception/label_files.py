@@ -1,7 +1,6 @@
 """Labels from a file, for whoever labels by other means than colour: CSV, or JSON, an entry an object."""
 
 import csv
-import json
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,6 +11,7 @@ from halfseen.errors import ArgumentError
 from halfseen.perception.clouds import Cloud
 from halfseen.perception.labels import WORDS, Label, StainCounter, share_in_view
 from halfseen.perception.view import View
+from halfseen.reading import json_of, opened_text, read_text, reason_of
 
 KEYS = ("object", "label", "share_in_view")
 _OF_WORD = {word: is_dirty for is_dirty, word in WORDS.items()}
@@ -103,8 +103,7 @@ def _entries(path: Path) -> list[dict[str, Any]]:
     try:
         entries = reader(path)
     except (OSError, ValueError, RecursionError, csv.Error) as error:
-        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
-        raise ArgumentError(f"{path}: it cannot be read as labels ({reason})") from error
+        raise ArgumentError(f"{path}: it cannot be read as labels ({reason_of(error)})") from error
     for number, entry in enumerate(entries, start=1):
         if not {"object", "label"} <= set(entry) <= set(KEYS):
             raise ArgumentError(
@@ -115,7 +114,7 @@ def _entries(path: Path) -> list[dict[str, Any]]:
 
 
 def _csv_entries(path: Path) -> list[dict[str, Any]]:
-    with path.open(newline="", encoding="utf-8-sig") as file:
+    with opened_text(path) as file:
         rows = [[cell.strip() for cell in row] for row in csv.reader(file) if any(cell.strip() for cell in row)]
     head, *rows = rows or [[]]
     for number, row in enumerate(rows, start=1):
@@ -125,7 +124,7 @@ def _csv_entries(path: Path) -> list[dict[str, Any]]:
 
 
 def _json_entries(path: Path) -> list[dict[str, Any]]:
-    read = json.loads(path.read_text(encoding="utf-8"))
+    read = json_of(read_text(path))
     if not isinstance(read, list) or not all(isinstance(entry, dict) for entry in read):
         raise ValueError("it is no list of objects with the keys object and label")
     return read

@@ -25,6 +25,8 @@ SMALLEST_SHEET_PX = 30
 # Cells of the table's top, and the widest stripe without return (shadow, gloss) that the table continues across [m].
 TABLE_CELL_M = 0.01
 TABLE_GAP_CELLS = 3
+# Farther from the middle of a plane than this is no table; a single pixel far off would ask for cells up to there [m].
+TABLE_REACH_M = 10.0
 # An object may overhang the part of the table that is seen [m]; its pixels on the table must be at least this share.
 OVERHANG_M = 0.01
 SMALLEST_SHARE_ON_TABLE = 0.5
@@ -125,7 +127,9 @@ def _largest_first(labels: Int[np.ndarray, " above"], fewest_px: int) -> Int[np.
 def _table_outline(image: RangeImage, plane: Plane) -> Float[np.ndarray, "edges 3"] | None:
     """Half-planes ``a·x + b·y + c ≤ 0`` of the convex outline of the largest connected piece of table."""
     pixels = np.flatnonzero(is_on_plane(plane, image))
-    right_m, away_m = plane.across_m(image.points_m.reshape(-1, 3)[pixels]).T
+    across_m = plane.across_m(image.points_m.reshape(-1, 3)[pixels])
+    is_near = (np.abs(across_m - np.median(across_m, axis=0)) < TABLE_REACH_M).all(axis=1)
+    right_m, away_m = across_m[is_near].T
     right, num_right, low_right = _cells(right_m)
     away, num_away, low_away = _cells(away_m)
     shape, low = (num_right, num_away), np.array([low_right, low_away])

@@ -136,6 +136,8 @@ def _virtual(cloud: Cloud, sensor: DepthSensor) -> RangeImage:
     slope = seen[:, :2] / seen[:, 2:]
     low, high = np.percentile(slope, [0.1, 99.9], axis=0)
     pitch = max(_ray_pitch(slope) * VIRTUAL_PIXEL_SCALE, float((high - low).max()) / LARGEST_VIRTUAL_SIDE_PX)
+    if not np.isfinite(pitch):
+        raise CloudError(f"{cloud.name}: all points lie on one ray from the camera; check its calibration and its lens")
     low = low - 4 * pitch
     num_columns, num_rows = np.ceil((high + 4 * pitch - low) / pitch).astype(int).tolist()
     pixel = np.floor((slope - low) / pitch).astype(np.int64)

@@ -5,8 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.spatial import QhullError
 
 from halfseen.arrays import Hides
+from halfseen.errors import CloudError
 from halfseen.perception.clouds import Cloud, Vector
 from halfseen.perception.extension import extended
 from halfseen.perception.grouping import objects_of_sheets
@@ -16,6 +18,7 @@ from halfseen.perception.plane import Plane, find_table
 from halfseen.perception.range_image import Pixels, RangeImage, range_image
 from halfseen.perception.sensor import XTION, DepthSensor
 from halfseen.perception.solids import Hull, Vessel
+from halfseen.reading import reason_of
 from halfseen.world.scene import Scene
 
 # Part of an object's height over the table that counts as its extent, from below and above [%]: single points err.
@@ -125,6 +128,16 @@ def perceive(cloud: Cloud, sensor: DepthSensor = XTION) -> View:
     CloudError
         There are too few points, or no table.
     """
+    try:
+        return _perceived(cloud, sensor)
+    except (ArithmeticError, LookupError, ValueError, np.linalg.LinAlgError, QhullError) as error:
+        raise CloudError(
+            f"{cloud.name}: its points make no surfaces that can be measured ({reason_of(error)}); look at the "
+            "cloud, and record it again"
+        ) from error
+
+
+def _perceived(cloud: Cloud, sensor: DepthSensor) -> View:
     image = range_image(cloud, sensor)
     plane = find_table(image)
     labels, solids, num_cut = objects_of_sheets(sheets_on_table(image, plane), plane, image)

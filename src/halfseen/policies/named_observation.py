@@ -1,7 +1,7 @@
 """From a file with the covariates of one stage to what a policy of named actions decides from."""
 
-import json
 from collections.abc import Iterable, Mapping
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ from halfseen.errors import ArgumentError, LogError, PolicyError
 from halfseen.learners.q_learning.flat_policy import FlatPolicy
 from halfseen.policies.folder.stored import StoredPolicy
 from halfseen.policies.named_decider import NamedObservation
+from halfseen.reading import json_of, read_bytes, read_text, reason_of
 
 STATE_FILES = (".json", ".csv")
 
@@ -106,13 +107,12 @@ def _check_row(row: pd.DataFrame, policy: FlatPolicy, where: str) -> None:
 def _read_states(file: Path, texts: Iterable[str]) -> pd.DataFrame:
     try:
         if file.suffix == ".json":
-            state = json.loads(file.read_text(encoding="utf-8"))
+            state = json_of(read_text(file))
             return _row(state, str(file)) if isinstance(state, dict) else pd.DataFrame()
         exact: Any = {"float_precision": "round_trip", "converters": dict.fromkeys(texts, str)}
-        return pd.read_csv(file, **exact)
-    except (OSError, ValueError, RecursionError) as error:
-        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
-        raise PolicyError(f"{file}: it cannot be read ({reason}); give one state as .json or .csv") from error
+        return pd.read_csv(BytesIO(read_bytes(file)), **exact)
+    except (OSError, ValueError) as error:
+        raise PolicyError(f"{file}: it cannot be read ({reason_of(error)}); give one state as .json or .csv") from error
 
 
 def _row(state: Mapping[str, Any], where: str) -> pd.DataFrame:

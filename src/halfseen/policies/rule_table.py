@@ -23,7 +23,6 @@ last row asks nothing, so every state matches one.
 
 import csv
 import operator
-import tomllib
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,6 +35,7 @@ from pandas.api.types import is_numeric_dtype
 
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs.columns import STAGE_COLUMNS
+from halfseen.reading import opened_text, read_text, reason_of, toml_of
 
 STAGE, ACTION = "stage", "action"
 COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
@@ -199,12 +199,12 @@ def read_rule_table(path: str | Path, horizon: int, names: Sequence[Hashable] = 
         return RuleTable(tuple(_row(k, *entry, known) for k, entry in enumerate(entries, start=1)), horizon)
     except ArgumentError as error:
         raise ArgumentError(f"{path}: {error}") from error
-    except (OSError, UnicodeDecodeError, csv.Error, tomllib.TOMLDecodeError) as error:
-        raise ArgumentError(f"{path}: it cannot be read as a rule ({error})") from error
+    except (OSError, ValueError, csv.Error) as error:
+        raise ArgumentError(f"{path}: it cannot be read as a rule ({reason_of(error)}); mend it there") from error
 
 
 def _csv_entries(path: Path) -> list[tuple[Mapping[str, Any], Any]]:
-    with path.open(newline="", encoding="utf-8-sig") as file:
+    with opened_text(path) as file:
         reader = csv.reader(file, skipinitialspace=True)
         head, *rows = [[cell.strip() for cell in row] for row in reader if any(cell.strip() for cell in row)] or [[]]
     if ACTION not in head or len(set(head)) < len(head) or "" in head:
@@ -217,8 +217,7 @@ def _csv_entries(path: Path) -> list[tuple[Mapping[str, Any], Any]]:
 
 
 def _toml_entries(path: Path) -> list[tuple[Mapping[str, Any], Any]]:
-    with path.open("rb") as file:
-        read = tomllib.load(file)
+    read = toml_of(read_text(path))
     rules: Any = read.get("rule")
     if set(read) != {"rule"} or not isinstance(rules, list) or not all(isinstance(rule, dict) for rule in rules):
         raise ArgumentError(f"it holds {', '.join(read) or 'nothing'}; give [[rule]] entries and nothing else")

@@ -9,7 +9,7 @@ from halfseen.pages.sentences import as_sentence, counted, listed
 from halfseen.report.content import content_of
 from halfseen.report.findings import Findings
 from halfseen.report.units import labelled
-from halfseen.writing import write_file
+from halfseen.writing import refuse_unwritable, write_file
 
 MARK = '<meta name="generator" content="halfseen report">'
 MARKED_CHARS = 1000
@@ -28,6 +28,7 @@ def page_of(findings: Findings, command: str) -> str:
 
 def check_page_target(file: Path, overwrite: bool) -> None:
     """Refuse a file that the page cannot be written to or that is no such page; call it before long work."""
+    refuse_unwritable(file.parent)
     try:
         if not (file.exists() or file.is_symlink()):
             return

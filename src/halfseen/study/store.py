@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from halfseen.errors import ArgumentError
+from halfseen.reading import NUMBERS, json_of, read_text, reason_of
 from halfseen.writing import write_file
 
 FINGERPRINT = "design.json"
@@ -25,11 +26,12 @@ class Store:
         claim, path = as_json(fingerprint), folder / FINGERPRINT
         try:
             if not is_resumed and folder.exists():
+                _refuse_foreign(folder)
                 shutil.rmtree(folder)
-            held = path.read_text(encoding="utf-8") if path.exists() else claim
-        except OSError as error:
+            held = read_text(path) if path.exists() else claim
+        except (OSError, UnicodeDecodeError) as error:
             raise ArgumentError(
-                f"--out {folder}: cannot be written ({error.strerror}); name a folder that you may write"
+                f"--out {folder}: cannot be written ({reason_of(error)}); name a folder that you may write"
             ) from error
         if held != claim:
             raise ArgumentError(
@@ -48,7 +50,14 @@ class Store:
 
     def read(self, name: str) -> Any:
         """Read a piece."""
-        return json.loads(self._path(name).read_text(encoding="utf-8"))
+        path = self._path(name)
+        try:
+            return json_of(read_text(path, NUMBERS))
+        except (OSError, ValueError) as error:
+            raise ArgumentError(
+                f"--out: {path} cannot be read ({reason_of(error)}); remove it and go on with "
+                "--resume: it is made again"
+            ) from error
 
     def kept(self, name: str, make: Callable[[], Any]) -> Any:
         """Read a piece, which is made if it is not there; what was made is returned as it will be read."""
@@ -58,3 +67,11 @@ class Store:
 
     def _path(self, name: str) -> Path:
         return self.folder / f"{name}.json"
+
+
+def _refuse_foreign(folder: Path) -> None:
+    """Refuse to begin anew where something lies that no study wrote."""
+    if not (folder / FINGERPRINT).is_file() and any(folder.iterdir()):
+        raise ArgumentError(
+            f"--out: {folder} holds no study ({FINGERPRINT} is missing), so it is not removed; name another folder"
+        )

@@ -14,8 +14,6 @@
     law = "assumed"             # of grasping, by a name that whoever reads the file knows; the world's if left out
 """
 
-import json
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -23,6 +21,7 @@ from typing import Any
 
 from halfseen.errors import ArgumentError
 from halfseen.logs.refusal import within
+from halfseen.reading import json_of, read_text, toml_of
 from halfseen.suggestions import did_you_mean
 from halfseen.team.robots import Robot, check_numbers, check_robot
 from halfseen.team.team import Team
@@ -65,11 +64,10 @@ def read_team(path: str | Path, law_of: Callable[[str], GraspLaw] | None = None)
 
 def _read(path: Path) -> Mapping[str, Any]:
     try:
-        text = path.read_text(encoding="utf-8")
-        told = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
+        told = (json_of if path.suffix.lower() == ".json" else toml_of)(read_text(path))
     except OSError as error:
         raise ArgumentError(f"cannot be read ({error.strerror}); give a TOML or JSON file of robots") from error
-    except (UnicodeDecodeError, ValueError) as error:
+    except ValueError as error:
         raise ArgumentError(f"is no TOML or JSON ({error}); mend it there") from error
     if not isinstance(told, Mapping):
         raise ArgumentError(f"holds {type(told).__name__}, not keys; write it as the documentation of read_team has it")

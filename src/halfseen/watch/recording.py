@@ -10,8 +10,6 @@
 
 import json
 import os
-import zipfile
-import zlib
 from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
@@ -20,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from halfseen.errors import ArgumentError
+from halfseen.reading import json_of, read_arrays, read_text, reason_of
 from halfseen.watch.shapes import Mesh
 from halfseen.watch.stage_view import Hand, Option, Part, Shown, StageView, Watched
 from halfseen.writing import placed
@@ -73,7 +72,7 @@ def read_recording(folder: str | os.PathLike[str]) -> Watched:
     """
     folder = Path(folder)
     try:
-        head = json.loads((folder / MARKER).read_text(encoding="utf-8"))
+        head = json_of(read_text(folder / MARKER))
         if head["format"] != _FORMAT:
             raise ArgumentError(
                 f"{folder}: its format is {head['format']}, and {_FORMAT} is read; use a later halfseen"
@@ -83,9 +82,8 @@ def read_recording(folder: str | os.PathLike[str]) -> Watched:
         return Watched(head["source"], tuple(stages), parts)
     except ArgumentError:
         raise
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
-        raise ArgumentError(f"{folder}: not a whole recording ({reason}); record it again") from error
+    except (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
+        raise ArgumentError(f"{folder}: not a whole recording ({reason_of(error)}); record it again") from error
 
 
 def _stage_name(number: int) -> str:
@@ -99,8 +97,7 @@ def _packed(arrays: Arrays) -> bytes:
 
 
 def _unpacked(file: Path) -> Arrays:
-    with file.open("rb") as opened, np.load(opened, allow_pickle=False) as arrays:
-        return dict(arrays)
+    return read_arrays(file)
 
 
 def _arrays_of_parts(parts: Sequence[Part]) -> Arrays:
@@ -160,7 +157,7 @@ def _arrays_of_stage(stage: StageView) -> Arrays:
 
 
 def _stage_of(arrays: Arrays) -> StageView:
-    words = json.loads(arrays[_WORDS].tobytes())
+    words = json_of(arrays[_WORDS].tobytes())
     objects = tuple(
         Shown(
             int(number),

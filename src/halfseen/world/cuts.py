@@ -72,6 +72,9 @@ def _occlusion_intensity(states: TableState) -> Float[Array, "B T"]:
     return jax.vmap(jax.vmap(intensity))(states)
 
 
+_LOWEST_LOG_RATE = -40.0
+
+
 def check_share(cut_share: float | int) -> None:
     """Refuse a share of cut paths outside [0, 1)."""
     if not 0.0 <= cut_share < 1.0:
@@ -94,7 +97,9 @@ def cut_rate(pilot: Episodes, cut_share: float | int, kind: CutKind | str) -> fl
     def excess(log_rate: float) -> float:
         return float(np.mean(-np.expm1(-np.exp(log_rate) * total))) - cut_share
 
-    return float(np.exp(root_scalar(excess, bracket=(-40.0, 40.0), method="brentq").root))
+    if excess(_LOWEST_LOG_RATE) > 0:  # so rare that no path is cut twice: the share is the rate times the hazard
+        return float(cut_share / np.mean(total))
+    return float(np.exp(root_scalar(excess, bracket=(_LOWEST_LOG_RATE, 40.0), method="brentq").root))
 
 
 def cut(episodes: Episodes, rate: float, kind: CutKind | str, rng: np.random.Generator) -> CutEpisodes:

@@ -29,6 +29,7 @@ from halfseen.errors import PolicyError
 from halfseen.logs import Logs
 from halfseen.policies.folder.files import Kind, read_files, write_files
 from halfseen.policies.folder.json_values import plain
+from halfseen.reading import json_of
 from halfseen.world.persistent_seeing import PersistentSeeing
 
 ATTEMPTS, VISIBLE_ONLY = "attempts", "attempts-visible-only"
@@ -122,8 +123,8 @@ def read_law(folder: str | Path) -> StoredLaw:
 
 def _record(text: bytes, file: Path) -> Mapping[str, Any]:
     try:
-        record = json.loads(text)
-    except (ValueError, RecursionError) as error:
+        record = json_of(text)
+    except ValueError as error:
         raise PolicyError(f"{file}: it cannot be read ({error}); {_ANEW}") from error
     if not isinstance(record, dict) or record.get("version") != VERSION:
         version = record.get("version") if isinstance(record, dict) else record

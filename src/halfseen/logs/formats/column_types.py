@@ -9,6 +9,7 @@ import pandas as pd
 import pyarrow as pa
 
 from halfseen.errors import LogError
+from halfseen.reading import MOST_LEVELS, check_levels
 
 ColumnType: TypeAlias = str | Mapping[str, Any]
 """Name of a type, such as ``"double"`` or ``"list<int64>"``; for categories ``{"categories": …, …}``."""
@@ -102,6 +103,8 @@ def arrow_type(name: str) -> pa.DataType:
         return pa.string()
     if _NULLABLE.fullmatch(name):
         return pa.type_for_alias(name.lower())
+    if name.count("list<") > MOST_LEVELS:
+        raise ValueError(f"it is nested more than {MOST_LEVELS} levels deep")
     if found := re.fullmatch(r"list<(.+)>", name):
         return pa.list_(arrow_type(found[1]))
     if found := re.fullmatch(r"timestamp\[(ms|us|ns)(?:, tz=(.+))?\]", name):
@@ -131,4 +134,20 @@ def _parsed(cells: Any, kind: pa.DataType) -> Any:
         return pa.nulls(len(cells))
     if not pa.types.is_list(kind):
         return cells.cast(kind)
-    return pa.array([None if cell is None else json.loads(cell) for cell in cells.to_pylist()], kind)
+    return pa.array([None if cell is None else list_of(cell) for cell in cells.to_pylist()], kind)
+
+
+def list_of(cell: str) -> Any:
+    """Read a JSON list from a cell; unlike a file of JSON, it may hold NaN.
+
+    Raises
+    ------
+    ValueError
+        It is none, or one that is nested too deeply.
+    """
+    try:
+        read = json.loads(cell)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+    check_levels(read)
+    return read

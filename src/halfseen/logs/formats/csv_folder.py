@@ -34,9 +34,10 @@ import pyarrow.csv as arrow_csv
 
 from halfseen.errors import LogError
 from halfseen.logs.columns import OBJECT_COLUMNS, PATH_COLUMNS, STAGE_COLUMNS
-from halfseen.logs.formats.column_types import ColumnType, as_cells, column_types, from_texts, type_name
+from halfseen.logs.formats.column_types import ColumnType, as_cells, column_types, from_texts, list_of, type_name
 from halfseen.logs.logs import Logs
-from halfseen.logs.refusal import within
+from halfseen.logs.refusal import shown, within
+from halfseen.reading import TABLE, json_of, opened_text, read_text, reason_of
 from halfseen.writing import placed
 
 TYPES_FILE = "columns.json"
@@ -108,10 +109,10 @@ def _read_manifest(file: Path) -> dict[str, Any]:
     if not file.exists():
         return {}
     try:
-        manifest: Any = json.loads(file.read_text(encoding="utf-8"))
+        manifest = json_of(read_text(file))
     except (OSError, ValueError) as error:
         raise LogError(
-            f"{file}: it cannot be read ({error}); mend it, or remove it and let types be guessed"
+            f"{file}: it cannot be read ({reason_of(error)}); mend it, or remove it and let types be guessed"
         ) from error
     if not isinstance(manifest, dict) or (manifest.get("format"), manifest.get("version")) != (FORMAT, VERSION):
         raise LogError(f"{file}: it is not of format {FORMAT!r}, version {VERSION}; remove it and let types be guessed")
@@ -130,7 +131,9 @@ def _check_type(place: str, kind: Any) -> None:
             raise TypeError("it is neither text nor a table of categories")
         from_texts([], kind)
     except _WRONG as error:
-        raise LogError(f"{place} is {kind!r}, which is no type ({error}); mend it, or leave the column out") from error
+        raise LogError(
+            f"{place} is {shown(kind)}, which is no type ({error}); mend it, or leave the column out"
+        ) from error
 
 
 def _read_table(file: Path, types: dict[str, ColumnType]) -> pd.DataFrame:
@@ -142,7 +145,7 @@ def _read_table(file: Path, types: dict[str, ColumnType]) -> pd.DataFrame:
 def _read_cells(file: Path) -> pa.Table:
     """Read every cell as text; only an empty cell without quotes is null."""
     try:
-        with file.open(encoding="utf-8-sig", newline="") as lines:
+        with opened_text(file, TABLE) as lines:
             header = next(csv.reader(lines), [])
         if len(header) == 1 and ";" in header[0]:
             raise LogError(f"{file}: its cells are separated by ';'; export it with commas, and points in numbers")
@@ -166,8 +169,9 @@ def _read_cells(file: Path) -> pa.Table:
     except FileNotFoundError as error:
         raise LogError(f"{file}: it is missing; logs as CSV need stages.csv and paths.csv") from error
     except (OSError, UnicodeDecodeError, csv.Error, pa.ArrowException) as error:
-        reason = str(error).splitlines()[0]
-        raise LogError(f"{file}: it is no CSV file of one table ({reason}); mend or export it again") from error
+        raise LogError(
+            f"{file}: it is no CSV file of one table ({reason_of(error)}); mend or export it again"
+        ) from error
 
 
 def _column(file: Path, name: str, cells: Any, kind: ColumnType | None) -> Any:
@@ -177,7 +181,7 @@ def _column(file: Path, name: str, cells: Any, kind: ColumnType | None) -> Any:
     except _WRONG as error:
         row = _first_wrong(cells, kind)
         raise LogError(
-            f"{_place(file, name, row)}: {cells[row].as_py()!r} is no {kind}; mend the cell, or leave it empty if "
+            f"{_place(file, name, row)}: {shown(cells[row].as_py())} is no {kind}; mend the cell, or leave it empty if "
             "there is no value"
         ) from error
 
@@ -204,8 +208,8 @@ def _guessed_type(file: Path, name: str, cells: Any) -> ColumnType:
     if name not in _NAMES and re.fullmatch(_NUMBER, different[0]):
         wrong = next(cell for cell in different if not re.fullmatch(_NUMBER, cell))
         raise LogError(
-            f"{_place(file, name, cells.to_pylist().index(wrong))}: {wrong!r} is no number, though the column begins "
-            f"with one; mend the cell, leave it empty if there is no value, or say 'string' for the column in "
+            f"{_place(file, name, cells.to_pylist().index(wrong))}: {shown(wrong)} is no number, though the column "
+            f"begins with one; mend the cell, leave it empty if there is no value, or say 'string' for the column in "
             f"{TYPES_FILE}"
         )
     return "string"
@@ -214,7 +218,7 @@ def _guessed_type(file: Path, name: str, cells: Any) -> ColumnType:
 def _list_type(cells: list[str]) -> ColumnType:
     """Type of a column of JSON lists; text if they are none after all."""
     try:
-        return type_name(pa.array([json.loads(cell) for cell in cells]).type) or "string"
+        return type_name(pa.array([list_of(cell) for cell in cells]).type) or "string"
     except (ValueError, pa.ArrowException):
         return "string"
 

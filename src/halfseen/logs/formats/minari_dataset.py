@@ -20,6 +20,7 @@ from halfseen.logs.formats.extras import extra
 from halfseen.logs.formats.minari_foreign import read_foreign
 from halfseen.logs.formats.minari_steps import Schema, Steps, logs_of, schema_of, steps_of
 from halfseen.logs.logs import Logs
+from halfseen.reading import TABLE, check_file, reason_of
 from halfseen.writing import placed
 
 KEY = "halfseen"
@@ -98,28 +99,20 @@ def read_minari(dataset: Any, *, clock: str | None = None, step_s: float | None 
     LogError
         The dataset is broken.
     """
-    dataset = _loaded(dataset)
-    metadata = dataset.storage.metadata
-    name = metadata.get("dataset_id", dataset.storage.data_path)
-    if KEY in metadata and (clock is not None or step_s is not None):
-        raise ArgumentError(f"dataset {name}: halfseen wrote it with its own clock; leave clock and step_s out")
+    name, dataset = dataset, _loaded(dataset)
     try:
+        metadata = dataset.storage.metadata
+        name = metadata.get("dataset_id", dataset.storage.data_path)
+        if KEY in metadata and (clock is not None or step_s is not None):
+            raise ArgumentError(f"dataset {name}: halfseen wrote it with its own clock; leave clock and step_s out")
         if KEY in metadata:
             return _read_own(dataset, json.loads(metadata[KEY]))
         return read_foreign(dataset, f"dataset {name}", clock, step_s)
-    except HalfseenError:
+    except (HalfseenError, MemoryError):
         raise
-    except (
-        KeyError,
-        ValueError,
-        TypeError,
-        IndexError,
-        AttributeError,
-        OSError,
-        RuntimeError,
-    ) as error:  # as h5py raises
+    except Exception as error:  # h5py raises nearly anything
         raise LogError(
-            f"dataset {name}: it is broken ({type(error).__name__}: {error}); write or download it again"
+            f"dataset {name}: it is broken ({type(error).__name__}: {reason_of(error)}); write or download it again"
         ) from error
 
 
@@ -188,13 +181,15 @@ def _loaded(dataset: Any) -> Any:
         return dataset
     is_folder = Path(dataset).is_dir()
     try:
+        for file in (Path(dataset) / "data").iterdir() if is_folder else ():
+            check_file(file, TABLE)
         return minari.MinariDataset(Path(dataset) / "data") if is_folder else minari.load_dataset(str(dataset))
     except ImportError as error:
         raise ArgumentError(f"dataset {dataset}: {error}; run: pip install 'halfseen[minari]'") from error
     except Exception as error:  # a broken dataset raises nearly anything
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise ArgumentError(
-            f"dataset {dataset}: it cannot be loaded ({reason}); `minari list local` names those that there are"
+            f"dataset {dataset}: it cannot be loaded ({reason_of(error)}); `minari list local` names those that there "
+            "are"
         ) from error
 
 
@@ -207,7 +202,7 @@ def _target(dataset_id: str) -> Path:
         namespace, _, _ = parse_dataset_id(dataset_id)
         if namespace and namespace not in list_local_namespaces():
             create_namespace(namespace)
-    except ValueError as error:
+    except (ValueError, TypeError) as error:  # TypeError where the version is missing
         raise ArgumentError(
             f"dataset {dataset_id!r}: it is no name of a dataset; call it (namespace/)name-v0"
         ) from error

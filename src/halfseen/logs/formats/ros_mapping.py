@@ -1,6 +1,5 @@
 """The small file that says which topic of a ROS bag carries what."""
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -8,6 +7,7 @@ from typing import Any, NoReturn
 
 from halfseen.errors import ArgumentError
 from halfseen.logs.columns import FINISHED, STAGE_COLUMNS
+from halfseen.reading import read_text, toml_of
 
 MAPPING_TEMPLATE = """\
 # Which topic of a bag carries what, for `halfseen convert BAG --mapping THIS --out LOGS`.
@@ -155,7 +155,7 @@ def read_mapping(file: str | Path) -> BagMapping:
         occlusion = {topic = "/camera/occlusion", field = "data"}
     """
     try:
-        tables = tomllib.loads(Path(file).read_text(encoding="utf-8"))
+        tables = toml_of(read_text(Path(file)))
     except OSError as error:
         raise ArgumentError(
             f"{file}: it cannot be read ({error.strerror}); `halfseen convert --mapping-template` prints one"

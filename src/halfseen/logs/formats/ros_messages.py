@@ -13,6 +13,7 @@ from jaxtyping import Float
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs.formats.extras import extra
 from halfseen.logs.formats.ros_mapping import BagMapping, Source
+from halfseen.reading import TABLE, check_file, reason_of
 
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 STORAGES = (".mcap", ".db3", ".bag")
@@ -45,6 +46,13 @@ def _storage_files(bag: Path) -> list[Path]:
     if bag.is_dir() and not (bag / "metadata.yaml").exists():
         return sorted(file for file in bag.iterdir() if file.suffix in STORAGES)
     return [bag]
+
+
+def _files_of(places: list[Path]) -> list[Path]:
+    """All files that rosbags may read of these."""
+    folders = [place for place in places if place.is_dir()]
+    inside = [file for folder in folders for file in folder.iterdir() if not file.is_dir()]
+    return [*inside, *(place for place in places if place not in folders)]
 
 
 def check_topics(bags: list[Path], mapping: BagMapping) -> None:
@@ -176,6 +184,8 @@ def _opened(bag: Path) -> Iterator[Any]:
     if not files:
         raise LogError(f"{bag}: it holds no bag ({', '.join(STORAGES)}); give the folder that `ros2 bag record` wrote")
     try:
+        for file in _files_of(files):
+            check_file(file, TABLE)
         reader = highlevel.AnyReader(files, default_typestore=typesys.get_typestore(typesys.Stores.LATEST))
         reader.open()
     except Exception as error:  # a broken bag raises nearly anything
@@ -203,9 +213,9 @@ def _deserialised(bag: Path, reader: Any, connection: Any, raw: bytes) -> Any:
 
 
 def _refuse_bag(bag: Path, error: Exception) -> Any:
-    reason = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
     raise LogError(
-        f"{bag}: it is no whole bag ({reason}); mend it with `ros2 bag reindex` or `mcap recover`, then convert again"
+        f"{bag}: it is no whole bag ({reason_of(error)}); mend it with `ros2 bag reindex` or `mcap recover`, then "
+        "convert again"
     ) from error
 
 

@@ -1,16 +1,12 @@
 """NPZ files: a depth image, its pinhole matrix, and the colour picture if there is one."""
 
-import zipfile
-import zlib
 from pathlib import Path
 
 import numpy as np
 
 from halfseen.errors import CloudError
 from halfseen.perception.clouds import Cloud, check_intrinsics
-
-# Depths of a table-top camera are below a dozen metres [m]: a median above this was stored in millimetres.
-LARGEST_MEDIAN_DEPTH_M = 50.0
+from halfseen.reading import CLOUD, names_in_archive, read_arrays
 
 
 def read_npz(path: Path) -> Cloud:
@@ -38,26 +34,18 @@ def read_npz(path: Path) -> Cloud:
             f"{path}: rgb is {picture.dtype} of shape {picture.shape}; it must be uint8 of shape {(*depth.shape, 3)}, "
             "a colour for each pixel of depth_m: register it to the depth image, or leave it out"
         )
-    is_return = np.isfinite(depth) & (depth > 0)
-    if is_return.any() and np.median(depth[is_return]) > LARGEST_MEDIAN_DEPTH_M:
-        raise CloudError(
-            f"{path}: the median of depth_m is {np.median(depth[is_return]):g}; "
-            "depths are in metres: divide millimetres by 1000"
-        )
     return Cloud.from_depth(depth.astype(np.float64), K.astype(np.float64), path.name, picture)
 
 
 def _arrays(path: Path) -> dict[str, np.ndarray]:
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-            missing = {"depth_m", "K"} - set(arrays.files)
-            if missing:
-                raise CloudError(
-                    f"{path}: has {sorted(arrays.files)} and lacks {sorted(missing)}; "
-                    "store the depth image as depth_m [m] and the pinhole matrix as K [px]"
-                )
-            return {name: arrays[name] for name in ("depth_m", "K", "rgb") if name in arrays.files}
-    except (zipfile.BadZipFile, zlib.error, EOFError) as error:
-        raise CloudError(f"{path}: cut short or no .npz file ({error}); record or export it again") from error
+        there = names_in_archive(path, CLOUD)
+        missing = {"depth_m", "K"} - set(there)
+        if missing:
+            raise CloudError(
+                f"{path}: has {sorted(there)[:20]} and lacks {sorted(missing)}; "
+                "store the depth image as depth_m [m] and the pinhole matrix as K [px]"
+            )
+        return read_arrays(path, ("depth_m", "K", "rgb"), CLOUD)
     except ValueError as error:
-        raise CloudError(f"{path}: {error}; only plain arrays are read, never pickled objects") from error
+        raise CloudError(f"{path}: {error}; record or export it again") from error

@@ -11,11 +11,18 @@ from jaxtyping import Float, Shaped
 from halfseen.arrays import Intrinsics, Points
 from halfseen.errors import CloudError
 from halfseen.perception.clouds import Cloud, Colours, Vector
+from halfseen.reading import CLOUD, check_file, check_unpacked
 from halfseen.writing import write_file
 
 # Comment of a header that carries the pinhole camera [px]: PCD has no field for it, and readers skip comments.
 INTRINSICS_COMMENT = "# intrinsics"
 
+
+# A header has a dozen lines; what goes on and on is none.
+MOST_HEADER_LINES, MOST_LINE_BYTES = 1000, 65_536
+# Values of one field; the longest descriptors of points have some hundreds.
+MOST_COUNT = 4096
+_KINDS = {*(kind + size for kind in "UI" for size in "1248"), "F4", "F8"}
 
 # Fields that hold a colour as 0x00RRGGBB in four bytes, of a whole number or a float that means nothing else.
 PACKED_COLOURS = ("rgb", "rgba")
@@ -36,23 +43,60 @@ def read_pcd(path: Path) -> Cloud:
     CloudError
         The file is cut short, lacks coordinates, or holds colours or intrinsics of another kind.
     """
+    check_file(path, CLOUD)
     header, num_header_lines = _pcd_header(path)
     fields = header.get("FIELDS", "").split()
     if not {"x", "y", "z"} <= set(fields):
         raise CloudError(f"{path}: has fields {fields} and needs x, y and z; export it with coordinates in metres")
     packed = next((name for name in PACKED_COLOURS if name in fields), None)
     names = ["x", "y", "z"] if packed is None else ["x", "y", "z", packed]
+    num_points, width, height = (_whole(header, key, path) for key in ("POINTS", "WIDTH", "HEIGHT"))
+    _check_layout(header, num_points, path)
     is_text = header["DATA"] == "ascii"
     columns = _text_columns(path, header, num_header_lines, names) if is_text else _binary_columns(path, names)
     points = np.stack([columns[axis].astype(np.float64) for axis in "xyz"], axis=1)
-    num_points, width, height = (int(header[key]) for key in ("POINTS", "WIDTH", "HEIGHT"))
     if len(points) != num_points:
         raise CloudError(
             f"{path}: holds {len(points)} points and announces {num_points}; it was cut short: export it again"
         )
     colours = None if packed is None else _unpacked(columns[packed], points, _packed_kind(header, packed, path))
     shape = (height, width) if height > 1 else None
-    return Cloud(points, shape, _pcd_intrinsics(header, path), path.name, _pcd_eye(header), colours)
+    return Cloud(points, shape, _pcd_intrinsics(header, path), path.name, _pcd_eye(header, path), colours)
+
+
+def _whole(header: dict[str, str], key: str, path: Path) -> int:
+    digits = header.get(key, "1" if key == "HEIGHT" else "nothing")
+    if not (digits.isascii() and digits.isdigit() and len(digits) < 16):
+        raise CloudError(f"{path}: {key} is {digits[:40]!r}; it is a whole number from 0 on: export it again")
+    return int(digits)
+
+
+def _check_layout(header: dict[str, str], num_points: int, path: Path) -> None:
+    """Refuse a header whose columns contradict one another, or announce more than the file can hold."""
+    fields = header["FIELDS"].split()
+    kinds, sizes, counts = (header.get(key, "").split() for key in ("TYPE", "SIZE", "COUNT"))
+    counts = counts or ["1"] * len(fields)
+    if len(set(fields) - {"_"}) < len(fields) - fields.count("_"):
+        raise CloudError(f"{path}: two FIELDS have one name ({header['FIELDS'][:80]}); give each its own")
+    if not len(fields) == len(kinds) == len(sizes) == len(counts):
+        raise CloudError(
+            f"{path}: there are {len(fields)} FIELDS, {len(sizes)} SIZE, {len(kinds)} TYPE and {len(counts)} COUNT; "
+            "give one of each for every field"
+        )
+    for name, kind, size, count in zip(fields, kinds, sizes, counts, strict=True):
+        if kind + size not in _KINDS or not (count.isascii() and count.isdigit() and 0 < int(count[:9]) <= MOST_COUNT):
+            raise CloudError(
+                f"{path}: field {name[:40]} has TYPE {kind[:9]}, SIZE {size[:9]} and COUNT {count[:12]}; a TYPE is F, "
+                f"U or I of 1, 2, 4 or 8 bytes (F: 4 or 8), a COUNT from 1 to {MOST_COUNT}"
+            )
+    num_bytes, of_point = path.stat().st_size, sum(int(size) * int(n) for size, n in zip(sizes, counts, strict=True))
+    at_least = {"ascii": 2 * len(fields) - 1, "binary": of_point}.get(header["DATA"], 0) * num_points
+    if at_least > num_bytes:
+        raise CloudError(
+            f"{path}: {num_points} points are announced, which take {at_least} bytes, and the file has {num_bytes}; it "
+            "was cut short: export it again"
+        )
+    check_unpacked(num_bytes, of_point * num_points)
 
 
 def _binary_columns(path: Path, names: list[str]) -> Columns:
@@ -75,7 +119,8 @@ def _pcd_header(path: Path) -> tuple[dict[str, str], int]:
     """Header entries of a PCD file, and how many lines they take; pypcd4 would drop the comment with the intrinsics."""
     header: dict[str, str] = {}
     with path.open("rb") as file:
-        for number, line in enumerate(file, start=1):
+        for number in range(1, MOST_HEADER_LINES):
+            line = file.readline(MOST_LINE_BYTES)
             text = line.decode("ascii", errors="replace").strip()
             if text.startswith(INTRINSICS_COMMENT):
                 header[INTRINSICS_COMMENT] = text.removeprefix(INTRINSICS_COMMENT)
@@ -84,11 +129,13 @@ def _pcd_header(path: Path) -> tuple[dict[str, str], int]:
                 header[key] = value.strip()
             if text.startswith("DATA"):
                 return header, number
+            if not line:
+                break
     raise CloudError(f"{path}: has no DATA line; it is no PCD file or was cut short in the header")
 
 
 def _counts(header: dict[str, str]) -> list[int]:
-    return [int(count) for count in header.get("COUNT", "1 " * len(header["FIELDS"].split())).split()]
+    return [int(count) for count in (header.get("COUNT") or "1 " * len(header["FIELDS"].split())).split()]
 
 
 def _packed_kind(header: dict[str, str], name: str, path: Path) -> str:
@@ -125,14 +172,25 @@ def _pcd_intrinsics(header: dict[str, str], path: Path) -> Intrinsics | None:
     values = header[INTRINSICS_COMMENT].split()
     if len(values) != 4:
         raise CloudError(f"{path}: the intrinsics comment is {values}; it must be 'fx fy cx cy' in pixels")
-    fx, fy, cx, cy = (float(value) for value in values)
+    fx, fy, cx, cy = _numbers(values, "the intrinsics comment", path)
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
-def _pcd_eye(header: dict[str, str]) -> Vector:
+def _pcd_eye(header: dict[str, str], path: Path) -> Vector:
     # Only the position of VIEWPOINT is used: recorders disagree about whether its rotation was applied to the points.
-    values = header.get("VIEWPOINT", "0 0 0").split()[:3]
-    return np.array([float(value) for value in values])
+    values = (header.get("VIEWPOINT") or "0 0 0").split()
+    if len(values) < 3:
+        raise CloudError(
+            f"{path}: VIEWPOINT is {' '.join(values)!r}; give x, y and z [m] and a rotation, or leave it out"
+        )
+    return np.array(_numbers(values[:3], "VIEWPOINT", path))
+
+
+def _numbers(values: list[str], what: str, path: Path) -> list[float]:
+    try:
+        return [float(value) for value in values]
+    except ValueError:
+        raise CloudError(f"{path}: {what} is {' '.join(values)[:80]!r}; give numbers") from None
 
 
 def write_pcd(cloud: Cloud, path: str | os.PathLike[str]) -> None:

@@ -8,7 +8,10 @@ from jaxtyping import Shaped
 
 from halfseen.errors import CloudError
 from halfseen.perception.clouds import Cloud, Colours
+from halfseen.reading import CLOUD, read_bytes
 
+# A header has a few dozen lines.
+MOST_HEADER_BYTES = 10**6
 COLOURS = ("red", "green", "blue")
 
 
@@ -28,12 +31,27 @@ def read_ply(path: Path) -> Cloud:
     from plyfile import PlyData
 
     # From memory: plyfile maps files that it opens itself, and keeps them open.
-    ply = PlyData.read(io.BytesIO(path.read_bytes()))
+    content = read_bytes(path, CLOUD)
+    _check_counts(content, path)
+    ply = PlyData.read(io.BytesIO(content))
     if "vertex" not in ply or not {"x", "y", "z"} <= set(ply["vertex"].data.dtype.names):
         raise CloudError(f"{path}: has no element 'vertex' with x, y and z; export it as a point cloud in metres")
     vertex = ply["vertex"].data
     points = np.stack([vertex[axis].astype(np.float64) for axis in "xyz"], axis=1)
     return Cloud(points, name=path.name, colours=_colours(vertex, path))
+
+
+def _check_counts(content: bytes, path: Path) -> None:
+    """Refuse a header that announces more rows than there are bytes: memory would be asked for all of them."""
+    header = content[: content.find(b"end_header")][:MOST_HEADER_BYTES].decode("ascii", errors="replace")
+    for line in header.splitlines():
+        word, _, rest = line.strip().partition(" ")
+        count = rest.rpartition(" ")[2]
+        if word == "element" and count.isascii() and count.isdigit() and int(count[:18]) > len(content):
+            raise CloudError(
+                f"{path}: {rest.strip()[:60]} are announced, and the file has {len(content)} bytes; it was cut short: "
+                "export it again"
+            )
 
 
 def _colours(vertex: Shaped[np.ndarray, " n"], path: Path) -> Colours | None:

@@ -9,6 +9,7 @@ from halfseen.perception.clouds import Cloud
 from halfseen.perception.formats.npz import read_npz
 from halfseen.perception.formats.pcd import read_pcd
 from halfseen.perception.formats.ply import read_ply
+from halfseen.reading import reason_of
 
 _READERS: dict[str, Callable[[Path], Cloud]] = {".pcd": read_pcd, ".ply": read_ply, ".npz": read_npz}
 
@@ -43,11 +44,10 @@ def read_cloud(path: str | os.PathLike[str]) -> Cloud:
     except CloudError:
         raise
     except OSError as error:
-        raise CloudError(f"{path}: cannot be read: {error.strerror or error}") from error
+        raise CloudError(f"{path}: cannot be read: {reason_of(error)}") from error
     except Exception as error:  # parsers of broken files raise nearly anything
-        reason = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
         raise CloudError(
-            f"{path}: not a whole {path.suffix.lower()} file: {reason}; record or export it again"
+            f"{path}: not a whole {path.suffix.lower()} file: {reason_of(error)}; record or export it again"
         ) from error
     if not cloud.num_returns:
         raise CloudError(f"{path}: not one of {len(cloud.points_m)} points is finite; nothing returned to the camera")

@@ -7,6 +7,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from halfseen.errors import PolicyError
+from halfseen.reading import NUMBERS, read_bytes
 from halfseen.writing import left_aside, placed, refuse_taken
 
 
@@ -112,7 +113,7 @@ def _line(name: str, data: bytes) -> bytes:
 
 def _read(file: Path, kind: Kind) -> bytes:
     try:
-        return file.read_bytes()
+        return read_bytes(file, NUMBERS)
     except FileNotFoundError as error:
         raise PolicyError(
             f"{file}: it is missing, so {file.parent} is no whole {kind.name}; copy the whole folder again, or make it "

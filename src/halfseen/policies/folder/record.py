@@ -10,6 +10,7 @@ import halfseen
 from halfseen.errors import PolicyError
 from halfseen.policies.folder.json_values import names_in, plain, typed
 from halfseen.policies.folder.kinds import kind_of
+from halfseen.reading import json_of
 
 FORMAT, VERSION = "halfseen-policy", 1
 
@@ -28,8 +29,8 @@ def from_json(data: bytes) -> dict[str, Any]:
         It is no JSON, describes no policy, or one of another version.
     """
     try:
-        record: Any = json.loads(data.decode(), parse_constant=_refuse_constant)
-    except (ValueError, RecursionError) as error:
+        record = json_of(data)
+    except ValueError as error:
         raise PolicyError(f"it is no JSON ({error}); learn the policy anew") from error
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise PolicyError("it describes no policy; give a folder that `halfseen learn` wrote")
@@ -59,7 +60,3 @@ def _check_doubts(record: Mapping[str, Any]) -> None:
     if record.get("verdict") is not None:
         for name in ("verdict", "reason", "sentence"):
             typed(typed(record, "verdict", dict, "an object"), name, str, "a text")
-
-
-def _refuse_constant(name: str) -> None:
-    raise ValueError(f"{name} is no number of JSON")

@@ -1,0 +1,261 @@
+"""The one door for bytes: what comes in is a regular file of bounded size, and what is in it is nested boundedly.
+
+Whatever is refused here is refused before it is read, as an `OSError` with its file, or as a `ValueError` without one;
+a reader puts its own words around either. Where a file is meant to be so large, the environment variable
+``HALFSEEN_LARGEST_MB`` says how large one may be, packed or unpacked.
+"""
+
+import json
+import os
+import stat
+import tomllib
+import zipfile
+import zlib
+from collections.abc import Callable, Collection, Iterable
+from errno import EFBIG, EINVAL
+from io import BufferedReader, TextIOWrapper
+from math import isfinite, prod
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+LARGEST_MB = "HALFSEEN_LARGEST_MB"
+"""Environment variable that overrides every bound below [MB]."""
+WORDS, CLOUD, NUMBERS, TABLE = 64 * 10**6, 10**9, 4 * 10**9, 64 * 10**9
+"""Most bytes of a file of words (settings, labels, rules), of a cloud, of stored numbers, and of a table of a log."""
+UNPACKED = 16 * 10**9
+"""Most bytes that anything may take once it is unpacked."""
+ALWAYS_UNPACKED, LARGEST_RATIO = 256 * 10**6, 200
+"""Bytes that anything may take unpacked; above, no more than this many times what it takes packed."""
+MOST_LEVELS = 64
+"""Of lists and objects in one another."""
+
+_KINDS = (
+    (stat.S_ISDIR, "a folder"),
+    (stat.S_ISFIFO, "a pipe"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+)
+_HEADERS: dict[tuple[int, int], Callable[..., Any]] = {
+    (1, 0): np.lib.format.read_array_header_1_0,
+    (2, 0): np.lib.format.read_array_header_2_0,
+}
+
+
+def check_file(path: Path, most_bytes: int = WORDS) -> int:
+    """Refuse what is no regular file, once links are followed, or is larger than it may be; give its size [B].
+
+    Parameters
+    ----------
+    path
+        Of the file.
+    most_bytes
+        How large it may be [B].
+
+    Raises
+    ------
+    OSError
+        It is refused, is not there, or cannot be asked for.
+    """
+    told = path.stat()
+    if not stat.S_ISREG(told.st_mode):
+        kind = next((kind for is_kind, kind in _KINDS if is_kind(told.st_mode)), "something else")
+        link = f", where the link leads ({os.path.realpath(path)})" if path.is_symlink() else ""
+        raise OSError(EINVAL, f"it is {kind} and no file{link}; give a file", str(path))
+    if told.st_size > _most(most_bytes):
+        raise OSError(EFBIG, _too_large(told.st_size, most_bytes), str(path))
+    return told.st_size
+
+
+def opened(path: Path, most_bytes: int = WORDS) -> BufferedReader:
+    """Open a regular file that is no larger than it may be; the errors are those of `check_file`."""
+    check_file(path, most_bytes)
+    return path.open("rb")
+
+
+def opened_text(path: Path, most_bytes: int = WORDS) -> TextIOWrapper:
+    """Open a regular file of UTF-8, whose line ends stay, for `csv`; the errors are those of `check_file`."""
+    return TextIOWrapper(opened(path, most_bytes), encoding="utf-8-sig", newline="")
+
+
+def read_bytes(path: Path, most_bytes: int = WORDS) -> bytes:
+    """Read a regular file that is no larger than it may be; the errors are those of `check_file`.
+
+    A file that grows meanwhile is refused, too.
+    """
+    with opened(path, most_bytes) as file:
+        content = file.read(_most(most_bytes) + 1)
+    if len(content) > _most(most_bytes):
+        raise OSError(EFBIG, _too_large(len(content), most_bytes), str(path))
+    return content
+
+
+def read_text(path: Path, most_bytes: int = WORDS) -> str:
+    """Read a regular file of UTF-8; the errors are those of `check_file`, and UnicodeDecodeError."""
+    return read_bytes(path, most_bytes).decode("utf-8")
+
+
+def json_of(text: str | bytes) -> Any:
+    """Read JSON whose numbers are finite and have 64 bits, and which is nested no deeper than `MOST_LEVELS`.
+
+    Raises
+    ------
+    ValueError
+        It is no such JSON.
+    """
+    read = _parsed(lambda: json.loads(text, parse_constant=_refuse_constant, parse_int=_whole, parse_float=_number))
+    check_levels(read)
+    return read
+
+
+def toml_of(text: str) -> dict[str, Any]:
+    """Read TOML that is nested no deeper than `MOST_LEVELS`.
+
+    Raises
+    ------
+    ValueError
+        It is no such TOML.
+    """
+    read = _parsed(lambda: tomllib.loads(text))
+    check_levels(read)
+    return read
+
+
+def check_levels(value: Any) -> None:
+    """Refuse lists and objects that are nested deeper than `MOST_LEVELS`.
+
+    Raises
+    ------
+    ValueError
+        They are.
+    """
+    level: list[Any] = [value]
+    for _ in range(MOST_LEVELS + 1):
+        within: Iterable[Any] = (
+            each.values() if isinstance(each, dict) else each for each in level if isinstance(each, dict | list)
+        )
+        level = [child for children in within for child in children if isinstance(child, dict | list)]
+        if not level:
+            return
+    raise ValueError(f"it is nested more than {MOST_LEVELS} levels deep")
+
+
+def check_unpacked(packed_bytes: int, unpacked_bytes: int) -> None:
+    """Refuse what would take far more memory than its size tells.
+
+    Parameters
+    ----------
+    packed_bytes, unpacked_bytes
+        What it takes, and what it would [B].
+
+    Raises
+    ------
+    OSError
+        It would take more than `UNPACKED`, or more than `LARGEST_RATIO` times what it takes now.
+    """
+    asked = max(ALWAYS_UNPACKED, min(UNPACKED, LARGEST_RATIO * packed_bytes))
+    if unpacked_bytes > _most(asked):
+        raise OSError(EFBIG, f"unpacked, {_too_large(unpacked_bytes, asked)}")
+
+
+def read_arrays(path: Path, names: Collection[str] | None = None, most_bytes: int = NUMBERS) -> dict[str, np.ndarray]:
+    """Read arrays of an ``.npz`` file; sizes are checked against what its members and their headers state.
+
+    Parameters
+    ----------
+    path
+        Of the file.
+    names
+        Which arrays are read of those that are there; None for all.
+    most_bytes
+        How large the file may be [B].
+
+    Raises
+    ------
+    OSError
+        As in `check_file`; or the arrays would take far more than the file does.
+    ValueError
+        It is no such file, is cut short, or holds objects.
+    """
+    num_bytes = check_file(path, most_bytes)
+    try:
+        with path.open("rb") as file, zipfile.ZipFile(file) as archive:
+            members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+            wanted = {name: info for name, info in members.items() if names is None or name in names}
+            check_unpacked(num_bytes, sum(info.file_size for info in wanted.values()))
+            return {name: _array(archive, info) for name, info in wanted.items()}
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
+        raise ValueError(f"cut short or no .npz file: {str(error) or 'it ends too early'}") from error
+
+
+def names_in_archive(path: Path, most_bytes: int = NUMBERS) -> list[str]:
+    """Name the arrays of an ``.npz`` file; the errors are those of `read_arrays`."""
+    check_file(path, most_bytes)
+    try:
+        with path.open("rb") as file, zipfile.ZipFile(file) as archive:
+            return [name.removesuffix(".npy") for name in archive.namelist()]
+    except (zipfile.BadZipFile, EOFError, NotImplementedError) as error:
+        raise ValueError(f"cut short or no .npz file: {str(error) or 'it ends too early'}") from error
+
+
+def reason_of(error: Exception) -> str:
+    """Say in one short line why something could not be read.
+
+    Parameters
+    ----------
+    error
+        What was raised, here or by another's library.
+    """
+    told = getattr(error, "strerror", None) or str(error)
+    return (told.splitlines() or [type(error).__name__])[0][:200]
+
+
+def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
+    with archive.open(info) as member:
+        version = np.lib.format.read_magic(member)
+        if version not in _HEADERS:
+            raise ValueError(f"{info.filename} has the version {version} of its format, which is not read")
+        shape, _, dtype = _HEADERS[version](member)
+        if dtype.hasobject:
+            raise ValueError(f"{info.filename} holds objects; only plain arrays are read, never pickled objects")
+        if member.tell() + prod(shape) * dtype.itemsize != info.file_size:
+            raise ValueError(f"{info.filename} announces {dtype} of shape {shape} and holds {info.file_size} bytes")
+    with archive.open(info) as member:
+        return np.lib.format.read_array(member, allow_pickle=False)
+
+
+def _parsed(parse: Callable[[], Any]) -> Any:
+    try:
+        return parse()
+    except RecursionError:
+        raise ValueError(f"it is nested more than {MOST_LEVELS} levels deep") from None
+
+
+def _whole(digits: str) -> int:
+    number = int(digits) if len(digits) <= 20 else 2**64
+    if not -(2**63) <= number < 2**64:
+        raise ValueError(f"{digits[:24]}… is no whole number of 64 bits")
+    return number
+
+
+def _number(digits: str) -> float:
+    number = float(digits)
+    return number if isfinite(number) else _refuse_constant(digits[:24])
+
+
+def _refuse_constant(name: str) -> NoReturn:
+    raise ValueError(f"{name} is no number of JSON")
+
+
+def _most(most_bytes: int) -> int:
+    given = os.environ.get(LARGEST_MB, "")
+    return int(given) * 10**6 if given.isascii() and given.isdigit() else most_bytes
+
+
+def _too_large(num_bytes: int, most_bytes: int) -> str:
+    return (
+        f"it has {num_bytes / 1e6:,.0f} MB, and at most {_most(most_bytes) / 1e6:,.0f} MB are read; give a smaller "
+        f"one, or set {LARGEST_MB} if it is meant"
+    )

@@ -1,0 +1,174 @@
+"""No reader of a user's file hangs on a pipe, reads what is too large or too deep, or tells it in many lines."""
+
+import json
+import os
+from contextlib import suppress
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from halfseen.cell.calibration.law_folder import read_law
+from halfseen.errors import HalfseenError, LogError
+from halfseen.logs import LogStream, read_logs
+from halfseen.logs.formats import read_csv, read_mapping, write_csv
+from halfseen.perception import read_cloud
+from halfseen.perception.label_files import read_labels
+from halfseen.policies import read_policy
+from halfseen.policies.rule_table import read_rule_table
+from halfseen.study.store import Store
+from halfseen.team.team_file import read_team
+from halfseen.watch.recording import read_recording
+from small_logs import flat_log
+
+DEEP = "[" * 100_000
+
+
+def of_folder(read):
+    return lambda file: read(file.parent)
+
+
+def labels(file):
+    return read_labels(file, 1)
+
+
+def rule(file):
+    return read_rule_table(file, 1)
+
+
+def piece(file):
+    return Store(file.parent, {}, is_resumed=True).read(file.stem)
+
+
+READERS = {
+    "logs.json": of_folder(read_logs),
+    "logs/stages.parquet": of_folder(read_logs),
+    "csv/columns.json": of_folder(read_csv),
+    "csv/stages.csv": of_folder(read_csv),
+    "mapping.toml": read_mapping,
+    "cloud.npz": read_cloud,
+    "cloud.pcd": read_cloud,
+    "cloud.ply": read_cloud,
+    "labels.json": labels,
+    "labels.csv": labels,
+    "rule.toml": rule,
+    "rule.csv": rule,
+    "policy.json": of_folder(read_policy),
+    "policy.safetensors": of_folder(read_policy),
+    "law.json": of_folder(read_law),
+    "team.toml": read_team,
+    "team.json": read_team,
+    "recording.json": of_folder(read_recording),
+    "piece.json": piece,
+}
+
+
+@pytest.fixture
+def place(tmp_path):
+    flat_log().write(tmp_path / "logs")
+    write_csv(flat_log(), tmp_path / "csv")
+    return tmp_path
+
+
+def refused(read, file):
+    with pytest.raises(HalfseenError) as caught:
+        read(file)
+    line = str(caught.value)
+    assert "\n" not in line
+    assert len(line) < 600
+    return line
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_a_pipe_and_a_device_are_refused(place, name):
+    file = place / name
+    file.unlink(missing_ok=True)
+    for kind, put in (("pipe", os.mkfifo), ("device", lambda link: link.symlink_to("/dev/zero"))):
+        put(file)
+        # A folder is known by its record, which is not there where another of its files is asked for.
+        if name not in ("policy.safetensors",):
+            assert any(word in refused(READERS[name], file) for word in (f"it is a {kind}", "no such", "missing"))
+        file.unlink()
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_what_is_too_large_is_refused_unread(place, name):
+    with (place / name).open("wb") as file:
+        file.truncate(65 * 10**9)  # a hole: nothing is written
+    assert any(word in refused(READERS[name], place / name) for word in ("65,000 MB", "missing"))
+
+
+@pytest.mark.parametrize("name", [name for name in READERS if name.endswith((".json", ".toml"))])
+def test_what_is_too_deep_or_no_text_is_refused(place, name):
+    for content in (DEEP, "a = " + DEEP, b"\xff\xfe\x00", "1e999", "9" * 5000):
+        (place / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+        refused(READERS[name], place / name)
+
+
+def test_a_byte_of_what_pandas_says_in_parquet_is_refused_in_one_line(place):
+    file = place / "logs" / "stages.parquet"
+    table = pq.read_table(file)
+    whole = json.loads(table.schema.metadata[b"pandas"])
+    for broken in (
+        b"{",
+        b"\xff",
+        json.dumps({**whole, "columns": 1}).encode(),
+        b'{"index_columns": [{}]}',
+        DEEP.encode(),
+    ):
+        pq.write_table(table.replace_schema_metadata({b"pandas": broken}), file)
+        refused(read_logs, place / "logs")
+
+
+def test_a_table_of_few_bytes_and_many_values_is_refused_before_it_is_read(place, monkeypatch):
+    monkeypatch.setattr("halfseen.reading.ALWAYS_UNPACKED", 10**5)
+    file = place / "logs" / "stages.parquet"
+    table = pa.table({"path": np.zeros(10**6, np.int64), "stage": np.zeros(10**6, np.int64)})
+    pq.write_table(table, file)
+    assert "unpacked, it has 16 MB" in refused(read_logs, place / "logs")
+    assert "unpacked, it has 16 MB" in refused(lambda folder: list(LogStream(folder)), place / "logs")
+
+
+@pytest.mark.parametrize(
+    "rows", [{"stages": "2", "paths": 1}, {"stages": -1, "paths": 1}, {"stages": 1e9, "paths": []}]
+)
+def test_counts_that_are_none_are_refused(place, rows):
+    manifest = json.loads((place / "logs" / "logs.json").read_text())
+    (place / "logs" / "logs.json").write_text(json.dumps({**manifest, "rows": rows}))
+    assert "does not count stages and paths" in refused(read_logs, place / "logs")
+
+
+CELLS = {
+    "struct": [{"a": 1}],
+    "list": [[1.0]],
+    "list of structs": [[{"a": 1}]],
+    "bytes": [b"x"],
+    "category": None,
+}
+
+
+@pytest.mark.parametrize("column", ["path", "stage", "elapsed_s", "action", "reward", "probability"])
+@pytest.mark.parametrize("kind", CELLS)
+def test_cells_of_another_kind_are_refused_or_read_as_they_are(place, column, kind):
+    file = place / "logs" / "stages.parquet"
+    table = pq.read_table(file)
+    values = table[column].to_pylist() if column in table.column_names else [0.5] * len(table)
+    cells = pa.array(values).dictionary_encode() if CELLS[kind] is None else pa.array(CELLS[kind] * len(table))
+    table = table.drop_columns([column]) if column in table.column_names else table
+    pq.write_table(table.append_column(column, cells).replace_schema_metadata(None), file)
+    with suppress(LogError):
+        read_logs(place / "logs")
+
+
+def test_a_type_that_is_nested_too_deeply_is_refused(place):
+    file = place / "csv" / "columns.json"
+    told = json.loads(file.read_text())
+    told["tables"]["stages"]["x1"] = "list<" * 5000 + "double" + ">" * 5000
+    file.write_text(json.dumps(told))
+    assert "nested more than 64 levels" in refused(read_csv, place / "csv")
+    file.unlink()
+    stages = pd.read_csv(place / "csv" / "stages.csv", float_precision="round_trip").assign(x1="[" * 3000 + "]" * 3000)
+    stages.to_csv(place / "csv" / "stages.csv", index=False)
+    read_csv(place / "csv")
