@@ -33,6 +33,22 @@ def test_pieces_of_another_design_are_never_mixed_in(tmp_path):
     assert Store(tmp_path, DESIGN, is_resumed=True).kept("piece", again) == [1]
 
 
+@pytest.mark.parametrize("change", [("1.5", "1.6"), ('"sha256"', '"sha512"'), ("1.5", ""), ("{", "[")])
+def test_a_piece_that_was_changed_is_not_believed(tmp_path, change):
+    Store(tmp_path, DESIGN, is_resumed=False).keep("piece", {"value": 1.5})
+    file = tmp_path / "piece.json"
+    file.write_text(file.read_text().replace(*change, 1))
+    with pytest.raises(ArgumentError, match=r"piece.json cannot be read .*; remove it and go on with --resume"):
+        Store(tmp_path, DESIGN, is_resumed=True).read("piece")
+
+
+def test_a_piece_that_another_study_wrote_meanwhile_is_not_believed(tmp_path):
+    ours = Store(tmp_path, DESIGN, is_resumed=False)
+    Store(tmp_path, {"seed": 1}, is_resumed=False).keep("piece", 1.5)
+    with pytest.raises(ArgumentError, match="it was changed, or another study wrote it"):
+        ours.read("piece")
+
+
 def test_a_folder_below_a_file_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
 

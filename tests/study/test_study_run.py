@@ -15,6 +15,7 @@ from halfseen.cell.calibration.shipped import shipped_law
 from halfseen.errors import ArgumentError
 from halfseen.study.laws import under
 from halfseen.study.run import chosen, run_study
+from halfseen.study.runner import store_of
 from halfseen.workers import Workers
 
 REWARD = "mean_reward se low high"
@@ -43,7 +44,8 @@ def outputs(folder):
 
 
 def pieces(folder, name):
-    return [json.loads(path.read_text()) for path in sorted((folder / "progress" / name).glob("repetition-*.json"))]
+    kept = sorted((folder / "progress" / name).glob("repetition-*.json"))
+    return [json.loads(path.read_text())["piece"] for path in kept]
 
 
 @pytest.mark.slow
@@ -103,10 +105,10 @@ def test_resuming_a_killed_study_writes_the_same_bytes(study_folder, tmp_path):
 @pytest.mark.slow
 def test_no_figure_depends_on_measured_times(study_folder, tmp_path):
     shutil.copytree(study_folder / "progress", tmp_path / "progress")
-    for path in tmp_path.glob("progress/*/measured.json"):
-        measured = json.loads(path.read_text())
-        slower = {name: 100.0 * value for name, value in measured["decision_ms"].items()}
-        path.write_text(json.dumps({**measured, "decision_ms": slower}))
+    for store in (store_of(experiment, SETTING, tmp_path, is_resumed=True) for experiment in TINY):
+        if store.has("measured") and (measured := store.read("measured")):
+            slower = {name: 100.0 * value for name, value in measured["decision_ms"].items()}
+            store.keep("measured", {**measured, "decision_ms": slower})
     run_study(SETTING, tmp_path, TINY, is_resumed=True, workers=Workers(1))
     before, after = outputs(study_folder), outputs(tmp_path)
     changed = {name for name in before if before[name] != after[name]}

@@ -104,11 +104,11 @@ def test_what_is_missing_is_made_again_to_the_same_bytes(folder, tmp_path):
 
 def test_more_repetitions_add_to_those_that_are_there(folder, tmp_path):
     run_study(SETTING, tmp_path, (Coin(),), workers=Workers(1))
-    kept = tmp_path / "progress/coin/repetition-00000.json"
-    kept.write_text('{"heads": 7.0, "index": 0}')
+    store = store_of(Coin(), SETTING, tmp_path, is_resumed=True)
+    store.keep("repetition-00000", {"heads": 7.0, "index": 0})
     run_study(replace(SETTING, repetitions=6), tmp_path, (Coin(),), is_resumed=True, workers=Workers(1))
-    assert len(list(kept.parent.glob("repetition-*.json"))) == 6
-    assert "7.0" in kept.read_text()
+    assert len(list(store.folder.glob("repetition-*.json"))) == 6
+    assert store.read("repetition-00000")["heads"] == 7.0
 
 
 @pytest.mark.parametrize("num_made", [0, 2])

@@ -1,5 +1,10 @@
-"""What is done stays done: one file a piece, whole or not there, so that a killed study goes on."""
+"""What is done stays done: one file a piece, whole or not there, so that a killed study goes on.
 
+A piece is kept with a digest of itself and of the study that it belongs to: one that was changed, or that another study
+wrote into the same folder meanwhile, is refused and not believed.
+"""
+
+import hashlib
 import json
 import shutil
 from collections.abc import Callable
@@ -39,6 +44,7 @@ class Store:
                 "to begin anew, or name another --out"
             )
         write_file(path, claim)
+        self._claim = claim
 
     def has(self, name: str) -> bool:
         """Whether a piece is there."""
@@ -46,24 +52,36 @@ class Store:
 
     def keep(self, name: str, piece: Any) -> None:
         """Keep a piece."""
-        write_file(self._path(name), as_json(piece))
+        write_file(self._path(name), as_json({"piece": piece, "sha256": self._digest(piece)}))
 
     def read(self, name: str) -> Any:
-        """Read a piece."""
+        """Read a piece.
+
+        Raises
+        ------
+        ArgumentError
+            It cannot be read, was changed, or is of another study.
+        """
         path = self._path(name)
         try:
-            return json_of(read_text(path, NUMBERS))
+            kept = json_of(read_text(path, NUMBERS))
+            if not (isinstance(kept, dict) and kept.get("sha256") == self._digest(kept.get("piece"))):
+                raise ValueError("it was changed, or another study wrote it")
         except (OSError, ValueError) as error:
             raise ArgumentError(
                 f"--out: {path} cannot be read ({reason_of(error)}); remove it and go on with "
                 "--resume: it is made again"
             ) from error
+        return kept["piece"]
 
     def kept(self, name: str, make: Callable[[], Any]) -> Any:
         """Read a piece, which is made if it is not there; what was made is returned as it will be read."""
         if not self.has(name):
             self.keep(name, make())
         return self.read(name)
+
+    def _digest(self, piece: Any) -> str:
+        return hashlib.sha256((self._claim + as_json(piece)).encode()).hexdigest()
 
     def _path(self, name: str) -> Path:
         return self.folder / f"{name}.json"
