@@ -18,6 +18,7 @@ from starlette.responses import HTMLResponse, Response
 from starlette.routing import Route
 
 from halfseen.errors import HalfseenError
+from halfseen.reading import json_of
 from halfseen.serving.answering import Answering
 from halfseen.serving.bounds import LARGEST_CLOUD_BYTES, LARGEST_STATE_BYTES, App, Bounded
 from halfseen.serving.forms import cloud_in
@@ -213,8 +214,8 @@ async def _object(request: Request, required: tuple[str, ...] = (), others: tupl
     if _content_type(request) != "application/json":
         raise Refusal(415, f"content-type is {_content_type(request)!r}; send JSON, as application/json")
     try:
-        told = json.loads(await request.body(), parse_constant=_refuse_constant)
-    except (ValueError, RecursionError) as error:
+        told = json_of(await request.body())
+    except ValueError as error:
         raise Refusal(400, f"the request is no JSON ({str(error)[:100]})") from error
     if not isinstance(told, dict):
         raise Refusal(422, f"the request is a JSON {type(told).__name__}; send one object")
@@ -224,10 +225,6 @@ async def _object(request: Request, required: tuple[str, ...] = (), others: tupl
         wrong = f"there is no {missing[0]!r}" if missing else f"nothing is known of {unknown[0][:40]!r}"
         raise Refusal(422, f"the request: {wrong}; give {', '.join(required)} and, if wanted, {', '.join(others)}")
     return told
-
-
-def _refuse_constant(name: str) -> Any:
-    raise ValueError(f"{name} is no number of JSON")
 
 
 def _content_type(request: Request) -> str:
