@@ -6,6 +6,8 @@ import socket
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
+from subprocess import PIPE
 
 import pytest
 
@@ -25,9 +27,19 @@ def as_lines(calls):
     return b"".join(json.dumps(call).encode() + b"\n" for call in calls)
 
 
+@contextmanager
 def recording(*arguments):
     command = [sys.executable, "-m", "halfseen.cli", "record", *map(str, arguments)]
-    return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    with subprocess.Popen(command, stdin=PIPE, stdout=PIPE, stderr=PIPE, preexec_fn=hears_ctrl_c) as other:
+        try:
+            yield other
+        finally:
+            other.kill()
+
+
+def hears_ctrl_c():
+    """Where the tests run in the background of a shell, what they start would be deaf to it."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def test_a_program_speaks_over_a_pipe_and_each_line_is_answered_at_once(tmp_path):
