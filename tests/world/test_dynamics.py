@@ -57,7 +57,8 @@ def row(tree, k):
 
 def tables_of(states, hidden):
     """Each row of a batch as plain lists."""
-    values = {field.name: np.asarray(getattr(states, field.name)) for field in fields(states)}
+    told = {field.name: getattr(states, field.name) for field in fields(states)}
+    values = {name: np.asarray(leaf) for name, leaf in told.items() if leaf is not None}
     values |= {"is_dirty": np.asarray(hidden.is_dirty), "grasp_trait": np.asarray(hidden.grasp_trait)}
     return [
         table_of(SimpleNamespace(**{name: leaf[k] for name, leaf in values.items()}))
@@ -173,6 +174,7 @@ def test_attempts_are_counted_by_object(steps):
 def test_a_policy_sees_nothing_hidden(scenes):
     names = {field.name for field in fields(TableState)}
     assert names == {
+        "attempt_robot",
         "hides",
         "is_object",
         "is_on_table",

@@ -5,3 +5,19 @@ and then another action, with its probability) → `paths` (what was decided bec
 (requests → what a policy decides from) → `answering` (a question, an answer) → `openapi`, `page` (what can be asked,
 for programs and for people) → `bounds` (who may ask, how much and how slowly) → `forms`, `hang_up`, `app` → `server`.
 """
+
+from typing import TYPE_CHECKING
+
+from halfseen.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from halfseen.serving.answering import Answering
+    from halfseen.serving.app import Served, app_of
+    from halfseen.serving.paths import RecordedPaths
+
+__all__ = ["Answering", "RecordedPaths", "Served", "app_of"]
+
+__getattr__ = lazy_names(
+    __name__,
+    {"Answering": "answering", "RecordedPaths": "paths", "Served": "app", "app_of": "app"},
+)

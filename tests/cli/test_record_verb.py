@@ -27,19 +27,19 @@ def as_lines(calls):
     return b"".join(json.dumps(call).encode() + b"\n" for call in calls)
 
 
+# Where the tests run in the background of a shell, what they start would be deaf to Ctrl-C.
+HEARS_CTRL_C = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
+MAIN = f"{HEARS_CTRL_C}; from halfseen.cli import main; main()"
+
+
 @contextmanager
 def recording(*arguments):
-    command = [sys.executable, "-m", "halfseen.cli", "record", *map(str, arguments)]
-    with subprocess.Popen(command, stdin=PIPE, stdout=PIPE, stderr=PIPE, preexec_fn=hears_ctrl_c) as other:
+    command = [sys.executable, "-c", MAIN, "record", *map(str, arguments)]
+    with subprocess.Popen(command, stdin=PIPE, stdout=PIPE, stderr=PIPE) as other:
         try:
             yield other
         finally:
             other.kill()
-
-
-def hears_ctrl_c():
-    """Where the tests run in the background of a shell, what they start would be deaf to it."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def test_a_program_speaks_over_a_pipe_and_each_line_is_answered_at_once(tmp_path):
