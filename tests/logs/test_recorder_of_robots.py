@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from halfseen.errors import LogError
@@ -223,6 +223,7 @@ def refusal_of(decisions):
     return None
 
 
+@settings(max_examples=20)
 @given(DECISIONS)
 def test_a_stage_is_refused_where_the_log_with_it_would_not_be_read(tmp_path_factory, decisions):
     folder, taken = tmp_path_factory.mktemp("robots") / "logs", []

@@ -136,8 +136,10 @@ def test_an_object_that_is_hard_to_grip_is_so_for_all():
 @pytest.mark.parametrize("policy_of", [
     lambda config: ReservingTeam(config, GreedyPolicy(config.world, uses_history=True, counts_penalty=True)),
     lambda config: RoundRobin(GreedyPolicy(config.world, uses_history=True, counts_penalty=True)),
-    MyopicTeam,
-    lambda config: RolloutTeam(config, named_team("history-penalty", config), num_futures=4),
+    pytest.param(MyopicTeam, marks=pytest.mark.slow),
+    pytest.param(
+        lambda config: RolloutTeam(config, named_team("history-penalty", config), num_futures=4), marks=pytest.mark.slow
+    ),
 ])  # fmt: skip
 def test_where_each_has_the_law_of_the_world_all_is_as_without(policy_of):
     own, shared = (world_of(law, law, price=-0.1) for law in (AssumedGrasping(), None))
@@ -314,6 +316,7 @@ def _normal_cdf(at):
     return float(jax.scipy.stats.norm.cdf(at))
 
 
+@pytest.mark.slow
 def test_futures_are_worth_what_comes_of_them():
     world, stage = world_of(None, LOGISTIC, price=-0.1), 2
     config, table_of = world.team_config, lambda each: each.table

@@ -111,6 +111,7 @@ def test_q_is_of_the_best_policy_where_the_log_does_not_tell_each_robots_reward(
     assert any("what each robot does alone cannot be learned: stages: there is no" in told for told in learner.chosen_)
 
 
+@pytest.mark.slow
 def test_what_was_never_seen_completed_has_no_value():
     never_lifts = played(TEAM, 120, seed=8, reach=REACH)
     logs = logged(never_lifts, 0.3)

@@ -90,6 +90,7 @@ def test_one_robot_is_the_optimum_of_one_robot():
         np.testing.assert_allclose(of_team.policy_value(team), of_one.policy_value(alone), atol=1e-9, rtol=0)
 
 
+@pytest.mark.slow
 def test_no_policy_beats_the_optimum_and_a_second_robot_is_worth_something():
     config, space = team_of(2), workspace(2, 3)
     optimum = solve_team(THREE, config, space)

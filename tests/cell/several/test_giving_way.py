@@ -152,6 +152,7 @@ def test_the_way_back_that_is_reserved_for_it_is_the_one_it_takes(cell, work, ph
     assert max(np.abs(places_rad - angles).max(axis=1).min() for angles in passed) < 0.10
 
 
+@pytest.mark.slow
 def test_what_is_put_back_is_the_same_object_to_whoever_looks_meanwhile(cell):
     """The other arm decides, and so looks, while this one has opened its hand and is on its way home."""
     known, seen = cell.memory.objects[0], []
