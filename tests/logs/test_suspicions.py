@@ -58,6 +58,30 @@ def test_simulated_logs_raise_none(cut_kind):
     assert suspicions(logs) == ()
 
 
+def test_where_every_path_was_cut_it_is_the_first_that_is_said(tables):
+    was_cut = tables["paths"].loc[tables["paths"]["ending"] == "cut", "path"]
+    told = found({name: table[table["path"].isin(was_cut)] for name, table in tables.items()})
+    assert next(iter(told)) == "all-cut"
+    assert told["all-cut"].startswith(f"all {len(was_cut)} paths were cut: nobody saw one come to its own end")
+
+
+@pytest.mark.parametrize("name", ["done", "Success", " finished "])
+def test_an_end_of_the_task_among_the_causes_of_cuts_is_asked_about(tables, name):
+    is_cut = tables["paths"]["ending"] == "cut"
+    tables["paths"].loc[is_cut, "cause"] = "operator"
+    tables["paths"].loc[np.flatnonzero(is_cut)[:3], "cause"] = name
+    told = found(tables)
+    assert set(told) == {"end-among-causes"}
+    assert told["end-among-causes"].startswith(f"3 paths are cut by {name!r}: if that is how the task ends")
+
+
+def test_actions_without_a_probability_are_told_of(tables):
+    tables["stages"] = tables["stages"].drop(columns="probability")
+    told = found(tables)
+    assert set(told) == {"no-probability"}
+    assert told["no-probability"].startswith("no action has a probability: learning needs none, but evaluating asks")
+
+
 def test_cuts_at_one_time_look_like_a_horizon(tables):
     is_cut = tables["paths"]["ending"] == "cut"
     late_s = tables["paths"]["end_s"].max() + 1

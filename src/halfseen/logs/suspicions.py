@@ -20,6 +20,11 @@ SAME_END = 0.01
 FEWEST_STAGES, RARE_SHARE = 200, 0.01
 FEWEST_ROWS = 10
 NUM_NAMED = 3
+NAMES_OF_ENDS = {
+    *("finished", "finish", "done", "success", "succeeded", "complete", "completed"),
+    *("goal", "goal-reached", "cleared", "terminated", "terminal", "ok"),
+}
+"""Of what a task does by itself."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +46,21 @@ class Suspicion:
 def suspicions(logs: Logs) -> tuple[Suspicion, ...]:
     """Look for what is legal in logs and probably not meant; empty where nothing was found."""
     return tuple(Suspicion(kind, sentence) for kind, check in _CHECKS.items() for sentence in check(logs))
+
+
+def _all_cut(logs: Logs) -> Iterator[str]:
+    if not logs.is_finished.any():
+        yield f"all {logs.num_paths} paths were cut: nobody saw one come to its own end, which no weight makes up for"
+
+
+def _ends_among_causes(logs: Logs) -> Iterator[str]:
+    """What the task itself does is its end, whatever it is called."""
+    for cause, num_paths in logs.paths["cause"].dropna().value_counts().sort_index().items():
+        if str(cause).casefold().strip() in NAMES_OF_ENDS:
+            yield (
+                f"{num_paths} {'path is' if num_paths == 1 else 'paths are'} cut by {str(cause)!r}: if that is how the "
+                "task ends, the ending is 'finished', without a cause"
+            )
 
 
 def _horizons(logs: Logs) -> Iterator[str]:
@@ -84,6 +104,16 @@ def _rare_actions(logs: Logs) -> Iterator[str]:
     rare = [f"{name} ({counts[name]})" for name in names if 0 < counts.get(name, 0) < RARE_SHARE * total]
     if rare and total >= FEWEST_STAGES:
         yield f"{_named('action', rare)} {_was(rare)} taken in less than 1 % of {total} stages: too few to learn from"
+
+
+def _no_probability(logs: Logs) -> Iterator[str]:
+    """Only where there was something to choose from."""
+    actions = logs.stages["action"].dropna()
+    if "probability" not in logs.stages.columns and len(actions) >= FEWEST_ROWS and actions.nunique() > 1:
+        yield (
+            "no action has a probability: learning needs none, but evaluating asks for it, or estimates it if told to "
+            "(--propensity estimated)"
+        )
 
 
 def _no_exploration(logs: Logs) -> Iterator[str]:
@@ -151,12 +181,15 @@ def _was(names: list[str]) -> str:
 
 
 _CHECKS: dict[str, Callable[[Logs], Iterable[Any]]] = {
+    "all-cut": _all_cut,
+    "end-among-causes": _ends_among_causes,
     "horizon-as-cut": _horizons,
     "cuts-in-one-stage": _one_stage,
     "mixed-clock-units": mixed_clocks,
     "mixed-covariate-units": mixed_covariates,
     "spelling": _spelling,
     "rare-action": _rare_actions,
+    "no-probability": _no_probability,
     "no-exploration": _no_exploration,
     "equal-rewards": _equal_rewards,
     "constant-covariate": _constant_covariates,
