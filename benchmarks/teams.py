@@ -14,9 +14,9 @@ uniformly at random. What is learned from each log plays the same episodes as al
 for who learns nothing over episodes. Points are counted above leaving the table as it is.
 
 What coordination buys is told in pairs, log by log: the points of one Q less those of each alone, and of the best rule,
-which knows the true laws and the price. Seconds are told as a share of those that one robot takes by the same way,
-beside 1/K; and the least share that was to be had without doing less: the seconds that all robots were at work, shared
-evenly.
+which knows the true laws and the price; and less those of the same log before it was cut. Seconds are told as a share
+of those that one robot takes by the same way, to be held beside 1/K; and the least share that was to be had without
+doing less: the seconds that all robots were at work, shared evenly.
 """
 
 import argparse
@@ -161,16 +161,16 @@ BOUGHT = (
     "one Q",
     "less each alone",
     "less the best rule",
+    "less none cut",
     "s",
     "of one robot's reward",
     "of its seconds",
     "work shared evenly",
-    "1/K",
 )
 
 
 def what_coordination_buys(rows):
-    """One Q less each alone and less the best rule, log by log, and reward and seconds beside those of one robot."""
+    """One Q less each alone, the best rule and none cut, log by log; reward and seconds beside those of one robot."""
     groups = by_place(rows)
     for (num_robots, price, policy, size, cut), members in groups.items():
         if policy != ONE_Q:
@@ -181,11 +181,14 @@ def what_coordination_buys(rows):
             for name in (*RULES, RULE_ALONE)
             if (num_robots, price, name, None, None) in groups
         )
-        alone = groups.get((num_robots, price, ALONE, size, cut))
-        less_alone = interval(points - np.array([row["points"] for row in alone])) if alone else ""
-        told = [num_robots, price, size, cut, f"{points.mean():.2f}", less_alone, interval(points - best)]
+        alone, uncut = (
+            groups.get((num_robots, price, *place))
+            for place in ((ALONE, size, cut), (ONE_Q, size, 0.0 if cut else None))
+        )
+        paired = [interval(points - [row["points"] for row in others]) if others else "" for others in (alone, uncut)]
+        told = [num_robots, price, size, cut, f"{points.mean():.2f}", paired[0], interval(points - best), paired[1]]
         told.append(f"{np.mean([row['seconds'] for row in members]):.1f}")
-        yield [*told, *beside_one(members, groups.get((1, price, ONE_Q, size, cut))), f"{1 / num_robots:.2f}"]
+        yield [*told, *beside_one(members, groups.get((1, price, ONE_Q, size, cut)))]
 
 
 def beside_one(members, of_one):

@@ -29,7 +29,7 @@ def synced_events(fsync: bool | str) -> Container[str]:
     ArgumentError
         It is none of those that there are.
     """
-    name = {True: "event", False: "never"}.get(fsync, fsync) if isinstance(fsync, bool) else fsync
+    name = ("never", "event")[fsync] if isinstance(fsync, bool) else fsync
     if name not in FSYNC:
         raise ArgumentError(f"fsync is {fsync!r}; give one of {', '.join(map(repr, FSYNC))}")
     return FSYNC[name]

@@ -50,7 +50,8 @@ def suspicions(logs: Logs) -> tuple[Suspicion, ...]:
 
 def _all_cut(logs: Logs) -> Iterator[str]:
     if not logs.is_finished.any():
-        yield f"all {logs.num_paths} paths were cut: nobody saw one come to its own end, which no weight makes up for"
+        which = "the only path was" if logs.num_paths == 1 else f"all {logs.num_paths} paths were"
+        yield f"{which} cut: nobody saw one come to its own end, which no weight makes up for"
 
 
 def _ends_among_causes(logs: Logs) -> Iterator[str]:
