@@ -52,9 +52,14 @@ def _asked(service: InService) -> Schema:
         name: {"enum": list(policy.categories[name])} if name in policy.categories else _seen(seen.get(name))
         for name in policy.covariates
     }
-    example = {name: middle_of(seen[name]) for name in policy.covariates if name in seen}
+    example = {name: _short(middle_of(seen[name])) for name in policy.covariates if name in seen}
     schema = _object({**covariates, "stage": stage}, list(policy.covariates))
     return {"application/json": {"schema": schema, "example": example}}
+
+
+def _short(value: float | str) -> float | str:
+    """A number as people write one."""
+    return value if isinstance(value, str) else float(f"{value:.3g}")
 
 
 def _seen(seen: Any) -> Schema:
