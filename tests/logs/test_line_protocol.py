@@ -5,6 +5,7 @@ import json
 import re
 import socket
 import threading
+from contextlib import suppress
 
 import pandas as pd
 import pytest
@@ -147,8 +148,12 @@ def served(request, tmp_path):
     gone = threading.Semaphore(0)
     address = 0 if request.param == "port" else tmp_path / "socket"
     with LogRecorder(tmp_path / "logs") as recorder, listening(address) as listener:
-        serving = threading.Thread(target=record_clients, args=(recorder, listener, gone.release), daemon=True)
-        serving.start()
+
+        def serve():
+            with suppress(OSError):  # the listener is closed at the end of a test, perhaps before the next accept
+                record_clients(recorder, listener, gone.release)
+
+        threading.Thread(target=serve, daemon=True).start()
         yield listener.getsockname(), lambda: gone.acquire(timeout=10.0)
 
 

@@ -122,9 +122,10 @@ def record_of(
 
 
 def _warnings(logs: Logs, positivity: PositivityReport) -> list[str]:
-    """What `halfseen inspect` would say against the log, a line each."""
+    """What `halfseen inspect` would say against the log and what was learned from it, a line each."""
     weights = [] if positivity.is_sound else [str(positivity).splitlines()[0]]
-    return [*weights, *(each.sentence for each in suspicions(logs))]
+    # Learning asks for no probabilities, so that there are none is no reason to doubt a decision.
+    return [*weights, *(each.sentence for each in suspicions(logs) if each.kind != "no-probability")]
 
 
 def _diagnostics(learner: CensoredQLearner, horizon: int, positivity: PositivityReport) -> dict[str, Any]:
