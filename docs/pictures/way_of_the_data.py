@@ -15,7 +15,18 @@ KINDS = {
 }
 WIDTH_PX, BOX_PX, STEP_PX, LETTERS = 572, (258, 106), (286, 138), 34
 MARGIN_PX, TOP_PX, COLUMNS, LEGEND_PX = 14, 66, 2, 24
-PASSED_OVER = {"workers", "estimator", "pages", "writing", "reading", "arrays", "errors", "progress", "suggestions"}
+PASSED_OVER = {
+    "workers",
+    "estimator",
+    "pages",
+    "writing",
+    "reading",
+    "locks",
+    "arrays",
+    "errors",
+    "progress",
+    "suggestions",
+}
 """Layers of the package that data does not pass: what all of it stands on."""
 HEADING = "The folders are the way that data takes;", "imports point back along it"
 

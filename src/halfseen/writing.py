@@ -10,6 +10,7 @@ from glob import escape
 from pathlib import Path
 
 from halfseen.errors import ArgumentError
+from halfseen.locks import is_locked
 
 LOCK = ".lock"
 """File by which a folder is held."""
@@ -147,17 +148,6 @@ def held_alone(folder: Path, what: str) -> Iterator[None]:
         yield
     finally:
         os.close(descriptor)
-
-
-def is_locked(descriptor: int, *, is_shared: bool = False) -> bool:
-    """Take the lock of a file, which the kernel gives back when the descriptor is closed or its process dies."""
-    import fcntl
-
-    try:
-        fcntl.flock(descriptor, (fcntl.LOCK_SH if is_shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
 
 
 def left_aside(target: Path) -> Path | None:

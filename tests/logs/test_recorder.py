@@ -15,7 +15,7 @@ from valid_logs import small_tables, valid_tables
 
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs import LogRecorder, Logs, read_logs
-from halfseen.logs.journal import JOURNAL
+from halfseen.logs.journal_parts import JOURNAL
 
 # JAX warns of forks where other tests have loaded it; the children here do not touch it.
 pytestmark = pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning")

@@ -62,7 +62,7 @@ def until_it_is_taken(call, *given, **named):
 def check_faults(folder, monkeypatch, num_paths, seed):
     disk = FailingDisk(random.Random(seed), 0.3)
     num_refused = 0
-    with LogRecorder(folder, fsync="stage") as recorder:
+    with LogRecorder(folder, fsync="stage", part_bytes=1) as recorder:
         monkeypatch.setattr("halfseen.logs.journal_writer.os", disk)
         monkeypatch.setattr("halfseen.logs.durability.os", disk)
         for number in range(1, num_paths + 1):

@@ -8,6 +8,7 @@ import pytest
 import halfseen.logs
 from halfseen.errors import LogError
 from halfseen.logs import LogRecorder, read_logs
+from halfseen.logs.journal_parts import PART_BYTES
 
 FOLDER = str(Path(halfseen.logs.__file__).parent)
 
@@ -49,7 +50,7 @@ def record(recorder, elapsed_s):
 def interrupted(folder, at, elapsed_s):
     """Record with Ctrl-C at one line, and go on; False where there is no such line."""
     interrupter = Interrupter(at)
-    with LogRecorder(folder) as recorder:
+    with LogRecorder(folder, part_bytes=PART_BYTES if elapsed_s else 1) as recorder:
         try:
             with interrupter:
                 record(recorder, elapsed_s)

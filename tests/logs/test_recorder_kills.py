@@ -25,7 +25,7 @@ REPORT = struct.Struct("<BII")
 
 def record_at_full_speed(folder, pipe):
     """Record without end, and report each event once it is returned from."""
-    recorder = LogRecorder(folder)
+    recorder = LogRecorder(folder, part_bytes=2000)
     while True:
         path = recorder.begin_path()
         for stage in range(1, STAGES_A_PATH + 1):

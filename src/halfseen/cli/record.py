@@ -30,9 +30,24 @@ if TYPE_CHECKING:
     show_default=True,
     help="How often to wait for the disk, so that a loss of power takes no more than that.",
 )
+@click.option(
+    "--part-mb",
+    type=click.IntRange(min=1, max=10**6),
+    default=256,
+    show_default=True,
+    help="Size from which on a path begins in another file of OUT [MB].",
+)
 @click.option("--reward-unit", help="What rewards are counted in, such as parts.")
 @options.unused_seed
-def record(source: Path | None, out: Path, listen: str | None, fsync: str, reward_unit: str | None, seed: int) -> None:
+def record(
+    source: Path | None,
+    out: Path,
+    listen: str | None,
+    fsync: str,
+    part_mb: int,
+    reward_unit: str | None,
+    seed: int,
+) -> None:
     """Record what JSON lines say, each answered by one; lines come from SOURCE, or from standard input.
 
     \b
@@ -56,7 +71,7 @@ def record(source: Path | None, out: Path, listen: str | None, fsync: str, rewar
         raise ArgumentError("SOURCE and --listen are both given; lines come from one of them")
     if source is not None and not source.is_file():
         raise ArgumentError(f"{source}: no such file; give one of JSON lines, or none for standard input")
-    recorder_of = partial(LogRecorder, out, fsync=fsync, reward_unit=reward_unit)
+    recorder_of = partial(LogRecorder, out, fsync=fsync, reward_unit=reward_unit, part_bytes=part_mb * 10**6)
     if listen is not None:
         _record_clients(recorder_of, int(listen) if listen.isdecimal() else Path(listen))
         return

@@ -19,7 +19,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from halfseen.errors import HalfseenError, LogError
-from halfseen.logs.journal import JOURNAL
+from halfseen.logs.journal_parts import is_journal
 from halfseen.logs.journal_tables import journal_log
 from halfseen.logs.place import Place, asking
 from halfseen.logs.refusal import within
@@ -53,8 +53,8 @@ def read_folder(folder: Place) -> dict[str, Any]:
         The folder or one of its files is missing, broken or of another version.
     """
     is_here = isinstance(folder, Path)
-    if is_here and (folder / JOURNAL).is_file() and not (folder / MANIFEST).exists():
-        return journal_log(folder / JOURNAL)
+    if is_here and not (folder / MANIFEST).exists() and is_journal(folder):
+        return journal_log(folder)
     manifest = read_manifest(folder)
     tables = {name: _read_table(folder, name, count) for name, count in manifest.rows.items()}
     return {**tables, "reward_unit": manifest.reward_unit}

@@ -33,7 +33,6 @@ from typing import Any
 
 from halfseen.errors import HalfseenWarning, LogError
 
-JOURNAL = "journal.jsonl"
 FORMAT, VERSION = "halfseen-journal", 1
 HEADER = {"event": "journal", "format": FORMAT, "version": VERSION}
 

@@ -27,8 +27,11 @@ import pyarrow as pa
 from halfseen.errors import LogError
 from halfseen.logs.columns import CUT, FINISHED, is_own_reward
 from halfseen.logs.journal import JournalEvents, following
+from halfseen.logs.journal_parts import journal_parts, tell_missing
 from halfseen.logs.journal_writer import is_being_recorded
 from halfseen.logs.path_clock import RESOLUTION_S
+from halfseen.logs.refusal import within
+from halfseen.logs.reward_unit import common_unit
 from halfseen.logs.robot_checks import ROBOT
 
 CRASH, STILL_RUNNING = "crash", "still-running"
@@ -42,7 +45,7 @@ _TYPES = {
 }
 
 
-def journal_log(file: Path) -> dict[str, Any]:
+def journal_log(folder: Path) -> dict[str, Any]:
     """Read the journal of a recorder, finished, torn or at work, as what `Logs` is made of.
 
     Rows go to Arrow in chunks, so that no more than a few thousand of them are Python objects at a time.
@@ -50,22 +53,28 @@ def journal_log(file: Path) -> dict[str, Any]:
     Raises
     ------
     LogError
-        The journal cannot be read, is corrupted, or holds no stage.
+        The journal cannot be read, is corrupted, or holds no stage; or its parts count rewards in different units.
     """
-    was_recorded, events = is_being_recorded(file), JournalEvents(file)
+    was_recorded, parts = is_being_recorded(folder), journal_parts(folder)
+    tell_missing(parts)
+    units: list[str | None] = []
 
     def ended() -> Iterator[RecordedPath]:
-        for path in recorded_paths(events):
-            if path.ending is None:
-                is_live = was_recorded or is_being_recorded(file)
-                path.end(CUT, None, STILL_RUNNING if is_live else CRASH)
-            yield path
+        for part in parts:
+            events = JournalEvents(part)
+            for path in recorded_paths(events):
+                if path.ending is None:
+                    is_live = part == parts[-1] and (was_recorded or is_being_recorded(folder))
+                    path.end(CUT, None, STILL_RUNNING if is_live else CRASH)
+                yield path
+            events.tell_holes()
+            units.append(events.reward_unit)
 
     built = tables_of(ended())
-    events.tell_holes()
     if not built:
-        raise LogError(f"{file}: no stage is recorded yet; record one first")
-    return {**built, "reward_unit": events.reward_unit}
+        raise LogError(f"{folder}: no stage is recorded yet; record one first")
+    with within(folder):
+        return {**built, "reward_unit": common_unit(units)}
 
 
 def tables_of(paths: Iterable["RecordedPath"]) -> dict[str, Any]:

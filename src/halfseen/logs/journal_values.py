@@ -60,7 +60,7 @@ class Schema:
         """Check a path's name and columns; columns may differ between paths, and None leaves one out."""
         where = f"path {shown(name)}"
         labels, name = self._with_label("path", name, where)
-        _refuse_names(columns, where)
+        _refuse_names(columns, self.paths, where)
         given = {column: value for column, value in columns.items() if value is not None}
         row, kinds = _row(given, self.paths, where, "column")
         return replace(self, labels=labels, paths={**self.paths, **kinds}), name, row
@@ -83,7 +83,7 @@ class Schema:
         where
             The path and the stage, for messages.
         """
-        _refuse_names(covariates, where)
+        _refuse_names(covariates, self.covariates, where)
         seen, kinds = _row(covariates, self.covariates, where, "covariate")
         schema = replace(self, covariates=_checked_names(kinds, self.covariates, where, "covariate"))
         schema, rows = schema._with_objects(objects, where)
@@ -121,10 +121,11 @@ class Schema:
         labels, name = self._with_label("object", given["object"], where)
         where = f"{where}, object {shown(name)}"
         values = {column: value for column, value in given.items() if column != "object"}
-        _refuse_names(values, where)
+        _refuse_names(values, self.objects, where)
         row, kinds = _row(values, self.objects, where, "covariate")
         names = _checked_names({"object": "name", **kinds}, self.objects, where, "covariate")
-        return replace(self, labels=labels, objects=names), {"object": name, **row}
+        is_known = labels == self.labels and names == self.objects
+        return self if is_known else replace(self, labels=labels, objects=names), {"object": name, **row}
 
     def _with_robot(self, robot: Any, where: str) -> tuple["Schema", dict[str, Any]]:
         if self.has_robot not in (None, robot is not None):
@@ -305,11 +306,15 @@ def _checked_names(kinds: dict[str, str], known: Kinds | None, where: str, word:
     return kinds
 
 
-def _refuse_names(values: Any, where: str) -> None:
+def _refuse_names(values: Any, known: Kinds | None, where: str) -> None:
     if not isinstance(values, Mapping):
         raise LogError(f"{where}: covariates are a {type(values).__name__}; give a dict of names and values")
     for name in values:
-        if isinstance(name, str) and (name.strip().lower() in _OWN_NAMES or is_of_one_robot(name)):
+        if (
+            isinstance(name, str)
+            and (known is None or name not in known)
+            and (name.strip().lower() in _OWN_NAMES or is_of_one_robot(name))
+        ):
             raise LogError(f"{where}: {name!r} is a name of the log's own; choose another for what you add")
 
 

@@ -2,36 +2,45 @@
 
 import os
 import time
-from collections.abc import Callable, Container
-from contextlib import suppress
+from collections.abc import Callable, Container, Iterator
+from contextlib import contextmanager, suppress
 from errno import EDQUOT, EFBIG, ENOSPC
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from halfseen.errors import ArgumentError, LogError
+from halfseen.locks import is_locked
 from halfseen.logs.durability import sync, sync_folder, unsynced_folders
-from halfseen.logs.journal import HEADER, JOURNAL, JournalEvents, following, journal_line
+from halfseen.logs.journal import HEADER, JournalEvents, following, journal_line
+from halfseen.logs.journal_parts import JOURNAL, PART_BYTES, journal_parts, part_after, tell_missing
 from halfseen.logs.recorded import Recorded
 from halfseen.logs.refusal import within
 from halfseen.logs.reward_unit import common_unit
-from halfseen.writing import is_locked
 
 _NO_ROOM = (ENOSPC, EDQUOT, EFBIG)
+_FLAGS = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0)
 LOCK_TRIES, LOCK_PAUSE_S = 3, 0.02
 
 
-def is_being_recorded(file: Path) -> bool:
-    """Tell whether some process has this journal open for writing."""
-    descriptor = os.open(file, os.O_RDONLY)
+def is_being_recorded(folder: Path) -> bool:
+    """Tell whether some process records into this folder; none does where files cannot be locked."""
+    try:
+        descriptor = os.open(folder / JOURNAL, os.O_RDONLY)
+    except FileNotFoundError:
+        return False
     try:
         return not is_locked(descriptor, is_shared=True)
+    except OSError:
+        return False
     finally:
         os.close(descriptor)
 
 
 class _Held(NamedTuple):
-    """What a journal holds for good."""
+    """What a journal holds for good, of the part that is written."""
 
+    part: Path
+    descriptor: int
     num_bytes: int
     checksum: int
     known: Recorded
@@ -50,6 +59,8 @@ class JournalWriter:
         Called with each event that the journal already holds.
     reward_unit
         What rewards are counted in; None for what the journal already says, if it does.
+    part_bytes
+        Size from which on a path begins in another part [B].
 
     Raises
     ------
@@ -65,31 +76,26 @@ class JournalWriter:
         synced: Container[str],
         restore: Callable[[dict[str, Any]], None],
         reward_unit: str | None = None,
+        part_bytes: int = PART_BYTES,
     ) -> None:
-        self.file = folder / JOURNAL
         self._synced = synced
+        self._part_bytes = part_bytes
         self._process = os.getpid()
-        self._held = _Held(0, 0, Recorded())
         self._is_torn = False
         folders = unsynced_folders(folder) if synced else []
-        self._descriptor: int | None = _open(folder, self.file)
+        first = folder / JOURNAL
+        self._lock: int | None = _locked(folder, first)
+        self._held = _Held(first, self._lock, 0, 0, Recorded())
         try:
-            events = JournalEvents(self.file)
-            for event in events:
-                with following(events):
-                    restore(event)
-            events.tell_holes()
-            with within(self.file):
-                common_unit([events.reward_unit, reward_unit])
-            # What a kill tore.
-            os.ftruncate(self._descriptor, events.num_bytes)
-            self._held = _Held(events.num_bytes, events.checksum or 0, self.known)
-            if events.num_bytes == 0:
-                self.append(HEADER, self.known)
-            session = {"event": "session"} | ({} if reward_unit is None else {"reward_unit": reward_unit})
-            self.append(session, self.known)
-            if synced:
-                sync(self._descriptor)
+            parts = journal_parts(folder)
+            tell_missing(parts)
+            read = [_restored(part, restore) for part in parts]
+            with within(folder):
+                self._reward_unit = common_unit([*(events.reward_unit for events in read), reward_unit])
+            last = read[-1]
+            with self._telling():
+                descriptor = self._lock if last.file == first else os.open(last.file, _FLAGS)
+                self._begin(last.file, descriptor, last.num_bytes, last.checksum or 0)
             for each in folders:
                 sync_folder(each)
         except BaseException:
@@ -99,7 +105,7 @@ class JournalWriter:
     @property
     def is_closed(self) -> bool:
         """True once it takes no more events."""
-        return self._descriptor is None
+        return self._lock is None
 
     @property
     def known(self) -> Recorded:
@@ -125,62 +131,112 @@ class JournalWriter:
         LogError
             The journal is closed, belongs to another process, or the disk is full.
         """
-        if self._descriptor is None:
-            raise LogError(f"{self.file}: the recorder is closed; open a new one on the folder, which goes on")
+        if self._lock is None:
+            raise LogError(f"{self._held.part}: the recorder is closed; open a new one on the folder, which goes on")
         if os.getpid() != self._process:
             raise LogError(
-                f"{self.file}: the recorder belongs to process {self._process}, and this is its fork {os.getpid()}; "
-                "record in the process that opened it"
+                f"{self._held.part}: the recorder belongs to process {self._process}, and this is its fork "
+                f"{os.getpid()}; record in the process that opened it"
             )
-        num_bytes, checksum, _ = self._held
-        try:
+        with self._telling():
             self._take_back()
+            if self._held.num_bytes >= self._part_bytes and event["event"] == "stage" and event["stage"] == 1:
+                self._begin_part()
+            part, descriptor, num_bytes, checksum, _ = self._held
             line, checksum = journal_line(event, checksum)
             self._is_torn = True
-            self._write(line, event["event"] in self._synced)
+            _write(descriptor, line, event["event"] in self._synced)
+        self._held = _Held(part, descriptor, num_bytes + len(line), checksum, known)
+        self._is_torn = False
+
+    def close(self) -> None:
+        """Let the journal go; closing twice is no harm."""
+        if self._lock is None:
+            return
+        if os.getpid() == self._process:
+            with suppress(OSError):
+                self._take_back()
+        # Not unlocked: in a fork that would take the lock from the process that records.
+        lock, self._lock = self._lock, None
+        for each in {lock, self._held.descriptor}:
+            os.close(each)
+
+    def _begin(self, part: Path, descriptor: int, num_bytes: int, checksum: int) -> None:
+        """Begin a session below what a part holds so far, and take it for the one that is written."""
+        session = {"event": "session"} | ({} if self._reward_unit is None else {"reward_unit": self._reward_unit})
+        lines = b""
+        for event in (session,) if num_bytes else (HEADER, session):
+            line, checksum = journal_line(event, checksum)
+            lines += line
+        os.ftruncate(descriptor, num_bytes)  # what a kill tore
+        _write(descriptor, lines, bool(self._synced))
+        self._held = _Held(part, descriptor, num_bytes + len(lines), checksum, self.known)
+
+    def _begin_part(self) -> None:
+        """Go on in the part that follows; until that is there whole, the one before is the one that is written."""
+        before, part = self._held.descriptor, part_after(self._held.part)
+        descriptor = os.open(part, _FLAGS)
+        try:
+            self._begin(part, descriptor, 0, 0)
+        finally:
+            for each in {before, descriptor} - {self._held.descriptor, self._lock}:
+                os.close(each)
+        if self._synced:
+            sync_folder(part.parent)
+
+    def _take_back(self) -> None:
+        """Take back what was written of an event that its caller does not know of: Ctrl-C or a full disk came first."""
+        if self._is_torn:
+            os.ftruncate(self._held.descriptor, self._held.num_bytes)
+            self._is_torn = False
+
+    @contextmanager
+    def _telling(self) -> Iterator[None]:
+        """Take back what the disk did not take, and say so."""
+        try:
+            yield
         except OSError as error:
             with suppress(OSError):
                 self._take_back()
             remedy = "make room" if error.errno in _NO_ROOM else "see to the disk"
             raise LogError(
-                f"{self.file}: the event cannot be written ({error.strerror}); {remedy} and give it again; all before "
-                "it is kept"
+                f"{self._held.part}: the event cannot be written ({error.strerror}); {remedy} and give it again; all "
+                "before it is kept"
             ) from error
-        self._held = _Held(num_bytes + len(line), checksum, known)
-        self._is_torn = False
-
-    def close(self) -> None:
-        """Let the journal go; closing twice is no harm."""
-        if self._descriptor is not None:
-            if os.getpid() == self._process:
-                with suppress(OSError):
-                    self._take_back()
-            # Not unlocked: in a fork that would take the lock from the process that records.
-            os.close(self._descriptor)
-            self._descriptor = None
-
-    def _take_back(self) -> None:
-        """Take back what was written of an event that its caller does not know of: Ctrl-C or a full disk came first."""
-        assert self._descriptor is not None
-        if self._is_torn:
-            os.ftruncate(self._descriptor, self._held.num_bytes)
-            self._is_torn = False
-
-    def _write(self, line: bytes, is_synced: bool) -> None:
-        assert self._descriptor is not None
-        num_written = os.write(self._descriptor, line)
-        if num_written != len(line):
-            raise OSError(ENOSPC, f"{num_written} of {len(line)} bytes fitted")
-        if is_synced:
-            sync(self._descriptor)
 
 
-def _open(folder: Path, file: Path) -> int:
+def _restored(part: Path, restore: Callable[[dict[str, Any]], None]) -> JournalEvents:
+    """Read a part to its end, an event at a time."""
+    events = JournalEvents(part)
+    for event in events:
+        with following(events):
+            restore(event)
+    events.tell_holes()
+    return events
+
+
+def _write(descriptor: int, lines: bytes, is_synced: bool) -> None:
+    num_written = os.write(descriptor, lines)
+    if num_written != len(lines):
+        raise OSError(ENOSPC, f"{num_written} of {len(lines)} bytes fitted")
+    if is_synced:
+        sync(descriptor)
+
+
+def _locked(folder: Path, file: Path) -> int:
+    """Open the file whose lock stands for the folder, once nobody else has it."""
     for _ in range(LOCK_TRIES):
         descriptor = _opened(folder, file)
         if descriptor is not None:
-            if is_locked(descriptor) and _is_there(descriptor, file):
-                return descriptor
+            try:
+                if is_locked(descriptor) and _is_there(descriptor, file):
+                    return descriptor
+            except OSError as error:
+                os.close(descriptor)
+                raise ArgumentError(
+                    f"{folder}: its files cannot be locked ({error.strerror}), which keeps two recorders apart; record "
+                    "into a folder on a disk of this machine"
+                ) from error
             os.close(descriptor)
         # A reader that asks who records holds the lock for a moment; who recorded here may have removed the folder.
         time.sleep(LOCK_PAUSE_S)
@@ -194,7 +250,7 @@ def _opened(folder: Path, file: Path) -> int | None:
     """Open the journal; None where the folder goes just now."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        return os.open(file, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+        return os.open(file, _FLAGS, 0o644)
     except FileNotFoundError:
         return None
     except OSError as error:

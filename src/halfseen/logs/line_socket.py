@@ -26,6 +26,8 @@ def listening(address: int | Path) -> Iterator[socket.socket]:
         Somebody else listens there, or something else is there.
     """
     is_port = isinstance(address, int)
+    if not is_port and not hasattr(socket, "AF_UNIX"):
+        raise ArgumentError(f"{address}: Python has no Unix sockets on this system; give a port, such as 0 for any")
     with socket.socket(socket.AF_INET if is_port else socket.AF_UNIX) as listener:
         try:
             if is_port:

@@ -27,6 +27,7 @@ from halfseen.errors import ArgumentError, LogError
 from halfseen.logs.columns import UNKNOWN_CAUSE
 from halfseen.logs.durability import synced_events
 from halfseen.logs.folder import MANIFEST
+from halfseen.logs.journal_parts import PART_BYTES
 from halfseen.logs.journal_tables import CRASH
 from halfseen.logs.journal_writer import JournalWriter
 from halfseen.logs.logs import Logs
@@ -60,11 +61,14 @@ class LogRecorder:
         What a path must hold beyond what every log must, such as `halfseen.team.check_log` for a team at a table:
         called with the path so far, cut just now, when a stage begins or a robot drops out, and raises `LogError`
         where that is to be refused. It reads all of the path each time: meant for stages of a second or more.
+    part_bytes
+        Size of the journal from which on a path begins in another file of the folder [B].
 
     Raises
     ------
     ArgumentError
-        Another recorder has the folder, it holds finished logs, or it cannot be written.
+        Another recorder has the folder, it holds finished logs, or it cannot be written; or `part_bytes` is no
+        positive whole number.
     LogError
         What was recorded there before is no journal or in another unit, or the unit is no short text.
 
@@ -89,15 +93,18 @@ class LogRecorder:
         fsync: bool | str = False,
         reward_unit: str | None = None,
         check: Callable[[Logs], object] | None = None,
+        part_bytes: int = PART_BYTES,
     ) -> None:
         folder, unit = Path(folder), checked_unit(reward_unit)
         if (folder / MANIFEST).exists():
             raise ArgumentError(f"{folder}: it holds logs that are written for good; record into another folder")
+        if not isinstance(part_bytes, int) or part_bytes < 1:
+            raise ArgumentError(f"part_bytes is {part_bytes!r}; give a whole number of bytes, such as {PART_BYTES}")
         self._check = check
         self._names: set[int | str] = set()
         self._restored = Recorded()
         self._path: PathRecorder | None = None
-        self._journal = JournalWriter(folder, synced_events(fsync), self._restore, unit)
+        self._journal = JournalWriter(folder, synced_events(fsync), self._restore, unit, part_bytes)
         self._journal.known = self._restored
 
     def __enter__(self) -> "LogRecorder":
