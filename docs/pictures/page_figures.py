@@ -183,7 +183,7 @@ def draw_team_study() -> Figure:
 
 ASKS_FOR = {
     "serve": ("serve",),
-    "export": ("onnx",),
+    "export": ("onnx", "onnx-tables"),
     "watch": ("watch",),
     "report": ("study",),
     "convert": ("minari", "ros", "stores"),

@@ -6,6 +6,7 @@ EXTRAS = {
     "study": ("jinja2",),
     "watch": ("viser",),
     "onnx": ("onnx",),
+    "onnx-tables": ("jax2onnx",),
     "serve": ("starlette", "uvicorn"),
     "gym": ("gymnasium",),
     "pettingzoo": ("pettingzoo",),

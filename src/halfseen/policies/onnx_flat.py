@@ -6,18 +6,13 @@ action. The metadata of the model name actions and covariates; text among these 
 first. Each function below is the line of `FlatPolicy.valued`, or of `KernelMap`, that it is named after.
 """
 
-import json
 from typing import Any
 
 import numpy as np
-import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-import halfseen
-from halfseen.errors import ArgumentError, PolicyError
 from halfseen.learners.q_learning.flat_policy import FlatPolicy
 from halfseen.learners.q_learning.kernel_map import KernelMap
-from halfseen.policies.folder.stored import StoredPolicy
 
 OPSET, IR_VERSION = 18, 9
 COVARIATES, STAGE, SCORES, ACTION = "covariates", "stage", "scores", "action"
@@ -49,25 +44,8 @@ class _Graph:
         return name
 
 
-def onnx_model(stored: StoredPolicy) -> bytes:
-    """Write a policy as an ONNX model.
-
-    Parameters
-    ----------
-    stored
-        A policy of named actions.
-
-    Raises
-    ------
-    PolicyError
-        It is of tables.
-    ArgumentError
-        It holds what ONNX cannot.
-    """
-    policy = stored.policy
-    if not isinstance(policy, FlatPolicy):
-        kind = stored.record["kind"]
-        raise PolicyError(f"the policy is of kind {kind!r}; those of named actions alone are exported yet, so serve it")
+def flat_graph(policy: FlatPolicy) -> tuple[Any, dict[str, Any]]:
+    """Write a policy of named actions as an ONNX model, and what is to be known of it."""
     graph = _Graph()
     at = graph("Sub", STAGE, np.int64(1))
     possible = graph("Gather", policy.is_possible, at)
@@ -84,12 +62,8 @@ def onnx_model(stored: StoredPolicy) -> bytes:
         scores = graph("Sub", scores, margins)
     graph("Where", possible, scores, np.float64(-np.inf), to=SCORES)
     graph("ArgMax", SCORES, axis=1, keepdims=0, to=ACTION)
-    model = _model(graph, policy)
-    try:
-        onnx.checker.check_model(model)
-    except onnx.checker.ValidationError as error:
-        raise ArgumentError(f"the policy is none that ONNX can hold ({str(error).splitlines()[0]})") from error
-    return model.SerializeToString()
+    told = {"actions": list(policy.actions), "covariates": list(policy.looks_at.names), "horizon": policy.horizon}
+    return _model(graph, policy), told
 
 
 def _features(graph: _Graph, psi: KernelMap) -> str:
@@ -139,8 +113,4 @@ def _model(graph: _Graph, policy: FlatPolicy) -> Any:
         ],
         graph.constants,
     )
-    model = helper.make_model(made, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION)
-    model.producer_name, model.producer_version = "halfseen", halfseen.__version__
-    told = {"actions": list(policy.actions), "covariates": list(policy.looks_at.names), "horizon": policy.horizon}
-    helper.set_model_props(model, {name: json.dumps(value) for name, value in told.items()})
-    return model
+    return helper.make_model(made, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION)

@@ -1,0 +1,135 @@
+"""A policy as an ONNX graph decides as the policy does."""
+
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import onnx
+import onnxruntime
+import pandas as pd
+import pytest
+
+from halfseen.errors import ArgumentError, PolicyError
+from halfseen.learners import CensoredQLearner
+from halfseen.policies import read_policy, write_policy
+from halfseen.policies.folder.stored import StoredPolicy
+from halfseen.policies.onnx_model import onnx_model
+from halfseen.world.state import NO_ATTEMPT, TableState
+from small_logs import flat_log, table_log
+
+KINDS = {
+    "linear": {"reg": 0.1},
+    "linear, pessimistic": {"reg": 0.1, "pessimism": 1.0},
+    "kernel": {"reg": 0.1, "q_function": "kernel"},
+    "smooth, pessimistic": {"reg": 0.1, "q_function": "smooth", "pessimism": 0.5, "stages": "pooled"},
+}
+
+
+@pytest.mark.parametrize("options", KINDS.values(), ids=KINDS)
+def test_it_decides_ten_thousand_states_alike(options, tmp_path):
+    logs, rng = flat_log(), np.random.default_rng(0)
+    learner = CensoredQLearner(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], **options)
+    write_policy(learner.fit(logs), logs, tmp_path / "policy")
+    stored = read_policy(tmp_path / "policy")
+    session = onnxruntime.InferenceSession(onnx_model(stored))
+    frame = pd.DataFrame({"x1": rng.normal(size=5000), "x2": rng.integers(0, 3, 5000).astype(float)})
+    for stage in (1, 2):
+        given = {"covariates": stored.policy.looks_at.encode(frame), "stage": np.array(stage)}
+        scores, action = session.run(["scores", "action"], given)
+        is_possible = stored.policy.is_possible[stage - 1]
+        wanted = np.where(is_possible, stored.policy.scores(frame, stage), -np.inf)
+        np.testing.assert_allclose(scores, wanted, rtol=1e-5, atol=1e-5)
+        two_best = np.sort(wanted, axis=1)[:, -2:]
+        is_clear = two_best[:, 1] - two_best[:, 0] > 1e-9
+        assert is_clear.mean() > 0.99
+        np.testing.assert_array_equal(
+            np.array(stored.policy.actions)[action[is_clear]], stored.policy.decide(frame, stage)[is_clear]
+        )
+
+
+def test_the_model_names_what_it_takes_and_gives(tmp_path):
+    logs = flat_log()
+    write_policy(CensoredQLearner(2, ["A", "B", "C"], ["x1", "x2"], reg=0.1).fit(logs), logs, tmp_path / "policy")
+    model = onnx.load_from_string(onnx_model(read_policy(tmp_path / "policy")))
+    told = {each.key: json.loads(each.value) for each in model.metadata_props}
+    assert told == {"actions": ["A", "B", "C"], "covariates": ["x1", "x2"], "horizon": 2}
+
+
+def random_state(num_objects, horizon, rng):
+    """Any state with an object on the table and a step to go; of objects that are not there all is 0 and False."""
+    is_object = np.arange(num_objects) < rng.integers(1, num_objects + 1)
+    is_on_table = is_object & (rng.random(num_objects) < 0.8)
+    is_on_table[0] |= not is_on_table.any()
+    hides = rng.random((num_objects, num_objects)) * (rng.random((num_objects, num_objects)) < 0.4)
+    np.fill_diagonal(hides, 0.0)
+    steps_to_go = rng.integers(1, horizon + 1)
+    is_tried = np.arange(horizon) < rng.integers(0, horizon - steps_to_go + 1)
+    tried = np.where(is_tried, rng.integers(0, is_object.sum(), horizon), NO_ATTEMPT)
+
+    def of_objects(values):
+        return np.where(is_object, values, 0).astype(np.float32)
+
+    fields = {
+        "hides": (hides * is_object * is_object[:, None]).astype(np.float32),
+        "is_object": is_object,
+        "is_on_table": is_on_table,
+        "grip": of_objects(rng.normal(size=num_objects)),
+        "log_odds": of_objects(rng.normal(0.4, 2.0, num_objects)),
+        "seen": of_objects(rng.random(num_objects)),
+        "lifts": of_objects(rng.integers(0, 3, num_objects)).astype(np.int32),
+        "attempt_object": tried.astype(np.int32),
+        "attempt_occlusion": np.where(is_tried, rng.random(horizon), 0.0).astype(np.float32),
+        "attempt_succeeded": is_tried & (rng.random(horizon) < 0.5),
+        "steps_to_go": np.int32(steps_to_go),
+    }
+    return TableState(**{name: jnp.asarray(value) for name, value in fields.items()})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("options", "num_states"), [({"reg": 0.1}, 500), ({}, 10_000)], ids=["linear", "default"])
+def test_it_decides_tables_alike(options, num_states, tmp_path):
+    from halfseen.policies.onnx_table import table_inputs
+
+    logs, horizon, num_objects = table_log(num_paths=60), 3, 4
+    write_policy(CensoredQLearner.for_table(horizon, **options).fit(logs), logs, tmp_path / "policy")
+    stored, rng = read_policy(tmp_path / "policy"), np.random.default_rng(1)
+    session = onnxruntime.InferenceSession(onnx_model(stored, num_objects))
+    states = [random_state(num_objects, horizon, rng) for _ in range(num_states)]
+    together = jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *states)
+    wanted = np.asarray(jax.vmap(stored.policy.q_values)(together))
+    given = [session.run(["scores", "action"], table_inputs(state)) for state in states]
+    scores, action = (np.stack(each) for each in zip(*given, strict=True))
+    np.testing.assert_allclose(scores, wanted, rtol=1e-5, atol=1e-5)
+    two_best = np.sort(wanted, axis=1)[:, -2:]
+    is_clear = two_best[:, 1] - two_best[:, 0] > 1e-5
+    assert is_clear.mean() > 0.9
+    np.testing.assert_array_equal(action[is_clear], wanted[is_clear].argmax(axis=1))
+
+
+@pytest.mark.slow
+def test_a_model_of_tables_is_for_as_many_objects_as_the_log_showed_and_pads(tmp_path):
+    from halfseen.policies.onnx_table import table_inputs
+
+    logs = table_log()
+    write_policy(CensoredQLearner.for_table(3, reg=0.1).fit(logs), logs, tmp_path / "policy")
+    stored = read_policy(tmp_path / "policy")
+    model = onnx.load_from_string(onnx_model(stored))
+    told = {each.key: json.loads(each.value) for each in model.metadata_props}
+    assert told == {"actions": ["FINISH", "WASH 0", "WASH 1", "LIFT 0", "LIFT 1"], "objects": 2, "horizon": 3}
+    of_three = onnxruntime.InferenceSession(onnx_model(stored, 3))
+    state = random_state(3, 3, np.random.default_rng(0))
+    assert [each.name for each in of_three.get_inputs()] == list(table_inputs(state))
+
+
+def test_a_policy_of_a_team_is_refused():
+    stored = StoredPolicy(policy=None, record={"kind": "team"})
+    with pytest.raises(PolicyError, match="of kind 'team', which is not exported: serve it"):
+        onnx_model(stored)
+
+
+def test_a_number_of_objects_is_for_tables(tmp_path):
+    logs = flat_log()
+    write_policy(CensoredQLearner(2, ["A", "B", "C"], ["x1", "x2"], reg=0.1).fit(logs), logs, tmp_path / "policy")
+    with pytest.raises(ArgumentError, match="leave it out"):
+        onnx_model(read_policy(tmp_path / "policy"), 3)
