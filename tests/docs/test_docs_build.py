@@ -158,5 +158,5 @@ def test_everybody_can_read_the_pages(built, width_px, scheme):
     guide, reference = sorted((built / "guide").glob("*.html")), sorted((built / "reference").rglob("*.html"))
     others = sorted(built.glob("*.html"))
     # One page of the reference is built as another.
-    pages = [*others, *guide, *reference] if scheme == "light" else [*others, *guide, *reference[::8]]
-    assert faults_of(pages, width_px, scheme) == []
+    some = reference[:: 4 if scheme == "light" else 8]
+    assert faults_of([*others, *guide, *some], width_px, scheme) == []

@@ -12,6 +12,7 @@ import pytest
 
 from halfseen.errors import ArgumentError, PolicyError
 from halfseen.learners import CensoredQLearner
+from halfseen.logs import Logs
 from halfseen.policies import read_policy, write_policy
 from halfseen.policies.folder.stored import StoredPolicy
 from halfseen.policies.onnx_model import onnx_model
@@ -133,3 +134,18 @@ def test_a_number_of_objects_is_for_tables(tmp_path):
     write_policy(CensoredQLearner(2, ["A", "B", "C"], ["x1", "x2"], reg=0.1).fit(logs), logs, tmp_path / "policy")
     with pytest.raises(ArgumentError, match="leave it out"):
         onnx_model(read_policy(tmp_path / "policy"), 3)
+
+
+def test_text_comes_as_an_indicator_of_each_category_but_the_first(tmp_path):
+    plain, rng = flat_log(), np.random.default_rng(3)
+    kind = rng.choice(["mug", "glass", "bowl"], len(plain.stages))
+    logs = Logs(plain.stages.assign(kind=kind), plain.paths)
+    write_policy(CensoredQLearner(2, ["A", "B", "C"], ["x1", "kind"], reg=0.1).fit(logs), logs, tmp_path / "policy")
+    policy = read_policy(tmp_path / "policy")
+    model = onnx_model(policy)
+    told = {each.key: json.loads(each.value) for each in onnx.load_from_string(model).metadata_props}
+    assert told["covariates"] == ["x1", "kind=glass", "kind=mug"]
+    frame = pd.DataFrame({"x1": [0.3, -1.0, 0.0], "kind": ["bowl", "glass", "mug"]})
+    encoded = np.array([[0.3, 0.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    scores, _ = onnxruntime.InferenceSession(model).run(None, {"covariates": encoded, "stage": np.array(1)})
+    np.testing.assert_allclose(scores, policy.policy.scores(frame, 1), rtol=1e-9)
