@@ -26,6 +26,7 @@ def fitted(*laws, num_paths=300):
     return TeamTask(base=None).fitted(logs, 2 * WORLD.horizon)
 
 
+@pytest.mark.slow
 def test_robots_that_differ_are_told_apart_and_those_that_do_not_are_not():
     told = fitted(SURE, CLUMSY)
     assert isinstance(told.grasp, GraspByRobot)

@@ -44,6 +44,7 @@ def earned(policy, num_episodes=1000):
     return np.asarray(episodes.evaluate(TEAM, LAYOUT, policy, jax.random.key(11), num_episodes).reward)
 
 
+@pytest.mark.slow
 def test_it_earns_more_than_what_logged_it(learned):
     gain = earned(learned.policy_) - earned(ExploringTeam(TeamOfRules(RULE)))
     assert gain.mean() > 4.0 * gain.std(ddof=1) / np.sqrt(len(gain))

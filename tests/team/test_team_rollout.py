@@ -110,6 +110,7 @@ def test_what_another_is_at_ends_as_its_law_says_given_that_it_has_not_ended():
     assert np.isinf(draws.pending.left_s[:, 1]).all()
 
 
+@pytest.mark.slow
 def test_futures_of_a_team_are_worth_what_comes_of_it():
     config, num_paths = TeamConfig(WORLD, (1.0, 1.0), reward_per_s=-0.1), 200
     rule = ReservingTeam(config, RULE)

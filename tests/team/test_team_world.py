@@ -26,6 +26,7 @@ WORLD = TeamWorld(WorldConfig(horizon=4), TEAM)
 RULE = GreedyPolicy(WORLD.config, uses_history=True, counts_penalty=True)
 
 
+@pytest.mark.slow
 def test_a_team_of_one_that_reaches_all_simulates_what_one_robot_does():
     rule = GreedyPolicy(WorldConfig(), uses_history=True, counts_penalty=True)
     mine = TeamWorld(robots=[Robot((0.0, -0.5), 5.0)]).simulate(SCENES, TeamOfRules(rule), 30, seed=3, cut_share=0.4)
