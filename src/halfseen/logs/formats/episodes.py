@@ -8,7 +8,8 @@ not, into the last step itself, whose reward is passed over, as a stage that was
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from math import prod
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -41,7 +42,7 @@ class StepRules:
     step_s
         How long a step lasts [s], where there is no clock.
     truncated
-        Whether an episode that did not terminate was cut, or finished at its horizon.
+        "cut" or "finished" (at its horizon): what an episode is that did not terminate.
 
     Raises
     ------
@@ -54,7 +55,7 @@ class StepRules:
     done: str | None = None
     clock: str | None = None
     step_s: float | None = None
-    truncated: Literal["cut", "finished"] = CUT
+    truncated: str = CUT
 
     def __post_init__(self) -> None:
         if self.step_s is not None and not (np.isfinite(self.step_s) and self.step_s > 0):
@@ -212,7 +213,7 @@ def columns_of(name: str, values: Shaped[np.ndarray, "N ..."]) -> dict[str, Shap
     """Take an array with a row a step apart into columns: NAME, or NAME_0, NAME_1, … where it has more than one."""
     if values.ndim == 1:
         return {name: values}
-    flat = values.reshape(len(values), -1)
+    flat = values.reshape(len(values), prod(values.shape[1:]))
     return {f"{name}_{k}": flat[:, k] for k in range(flat.shape[1])}
 
 

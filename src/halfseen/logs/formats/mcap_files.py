@@ -169,7 +169,7 @@ class _Bounded:
 
 def _decoder(schema: Any, encoding: str) -> Callable[[bytes], Any]:
     if encoding == "json":
-        return json_of
+        return lambda content: json_of(content.decode("utf-8"))
     if encoding == "protobuf":
         decode = extra("mcap_protobuf.decoder", "mcap").DecoderFactory().decoder_for(encoding, schema)
         if decode is None:

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -76,7 +76,7 @@ def read_minari(
     *,
     clock: str | None = None,
     step_s: float | None = None,
-    truncated: Literal["cut", "finished"] = CUT,
+    truncated: str = CUT,
 ) -> Logs:
     """Read a Minari dataset that `write_minari` or anybody else wrote.
 
@@ -91,7 +91,7 @@ def read_minari(
         Only for datasets of others, without `clock`: how long a step lasts [s]; 1 s, with a warning, if neither is
         given.
     truncated
-        Only for datasets of others: whether an episode that was only truncated was cut, or finished at its horizon.
+        Only for datasets of others: "cut" or "finished" (at its horizon), what an episode is that was only truncated.
 
     Returns
     -------

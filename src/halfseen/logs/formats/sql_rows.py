@@ -21,10 +21,12 @@ from halfseen.logs.formats.column_types import from_list_texts
 from halfseen.logs.formats.extras import extra
 from halfseen.logs.logs import Logs
 from halfseen.logs.refusal import shown, within
-from halfseen.reading import TABLE, UNPACKED, check_file, check_unpacked, read_text, reason_of, toml_of
+from halfseen.reading import TABLE, UNPACKED, check_file, read_text, reason_of, toml_of
 
 ROWS_AT_ONCE = 10_000
 BYTES_OF_VALUE = 8
+MOST_BYTES = UNPACKED
+"""Of the rows of one table."""
 _NAMES = {*STAGE_COLUMNS, *PATH_COLUMNS, *OBJECT_COLUMNS}
 _COMMENTS_AND_TEXT = re.compile(r"--[^\n]*|/\*.*?\*/|'(?:[^']|'')*'|\"(?:[^\"]|\"\")*\"", re.DOTALL)
 _SELECTS = re.compile(r"\(*\s*(select|with|values|table)\b", re.IGNORECASE)
@@ -192,7 +194,10 @@ def _rows(connection: Any, place: str, query: str) -> pa.Table:
             for column, values in zip(cells, zip(*rows, strict=True), strict=True):
                 column.extend(values)
                 num_bytes += sum(len(v) if isinstance(v, str | bytes) else BYTES_OF_VALUE for v in values)
-            check_unpacked(UNPACKED, num_bytes)
+            if num_bytes > MOST_BYTES:
+                raise LogError(
+                    f"{place}: {shown(query)} gives more than {MOST_BYTES / 1e6:,.0f} MB; ask for fewer rows"
+                )
     except (HalfseenError, MemoryError):
         raise
     except Exception as error:  # drivers raise nearly anything
