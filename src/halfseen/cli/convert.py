@@ -2,6 +2,7 @@
 
 import json
 import os
+import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
@@ -118,7 +119,7 @@ def convert(
     report |= asdict(logs.summary()) | _kept_and_lost(logs, target) | {"warnings": warned}
     say(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report, is_check)))
     if is_check and report["losses"]:
-        raise click.exceptions.Exit(1)
+        sys.exit(1)
 
 
 @contextmanager
@@ -300,7 +301,7 @@ def _shown(source: str) -> str:
     """A source as it may be printed: without a password."""
     from halfseen.logs.formats.sql_rows import shown_url
 
-    return shown_url(source) if source.startswith(SQL) else source
+    return SQL + shown_url(source.removeprefix(SQL)) if source.startswith(SQL) else source
 
 
 def _read_bags(bags: list[Path], mapping: Path, see: bool, clouds: Path | None) -> "Logs":

@@ -153,5 +153,7 @@ def test_what_steps_cannot_carry_is_named():
         "stages.object", "stages.probability", "paths.cause", "paths.scene", "objects",
     ]  # fmt: skip
     plain = small_tables()
-    logs = Logs(plain["stages"].drop(columns=["object", "probability"]), plain["paths"].drop(columns="scene")).select([1])
+    logs = Logs(plain["stages"].drop(columns=["object", "probability"]), plain["paths"].drop(columns="scene")).select(
+        [1]
+    )
     assert seen_by_halfseen_alone(logs) == []

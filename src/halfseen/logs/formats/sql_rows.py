@@ -31,7 +31,7 @@ _NAMES = {*STAGE_COLUMNS, *PATH_COLUMNS, *OBJECT_COLUMNS}
 _COMMENTS_AND_TEXT = re.compile(r"--[^\n]*|/\*.*?\*/|'(?:[^']|'')*'|\"(?:[^\"]|\"\")*\"", re.DOTALL)
 _SELECTS = re.compile(r"\(*\s*(select|with|values|table)\b", re.IGNORECASE)
 _SECRET = re.compile(r"(?i)((?:password|passwd|pwd|token|secret|key)[^=&;]*=)[^&;]*")
-_OF_USER = re.compile(r"(?<=://)([^:/@]*):.*@", re.DOTALL)
+_OF_USER = re.compile(r"(?:(?<=://)|^)([^:/@]*):(?!//).*@", re.DOTALL)
 
 
 @dataclass(frozen=True)
