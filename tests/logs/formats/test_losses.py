@@ -16,8 +16,9 @@ from halfseen.logs import Logs, read_logs
 from halfseen.logs.formats import losses, read_csv, read_minari, seen_by_halfseen_alone, write_csv, write_minari
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning:minari.utils")
+WORDS = ["", "ä", "007", "true", "[1", '"', ",", "a\r\nb", "nan"]
 KINDS = {
-    "text": lambda rng, n: [str(word) for word in rng.choice(["", "ä", "007", "true", "[1", '"', ",", "a\r\nb", "nan"], n)],
+    "text": lambda rng, n: rng.choice(WORDS, n).tolist(),
     "text or null": lambda rng, n: [None if rng.random() < 0.4 else "" for _ in range(n)],
     "all null": lambda rng, n: [None] * n,
     "bytes": lambda rng, n: [bytes([k]) for k in rng.integers(0, 256, n)],
@@ -36,7 +37,8 @@ KINDS = {
     "string": lambda rng, n: pd.array([str(k) for k in rng.integers(0, 9, n)], dtype="string"),
     "bool": lambda rng, n: rng.random(n) < 0.5,
     "arrow": lambda rng, n: pd.array(rng.integers(0, 9, n), dtype=pd.ArrowDtype(pa.int32())),
-    "categories": lambda rng, n: pd.Categorical(rng.choice(["a", "b"], n), ["z", "b", "a"], ordered=bool(rng.random() < 0.5)),
+    "categories": lambda rng, n: pd.Categorical(rng.choice(["a", "b"], n), ["z", "b", "a"]),
+    "categories in order": lambda rng, n: pd.Categorical(rng.choice(["a", "b"], n), ["z", "b", "a"], ordered=True),
     "categories of numbers": lambda rng, n: pd.Categorical(rng.choice([1, 2], n), [3, 2, 1]),
     "categories of null": lambda rng, n: pd.Categorical([None] * n),
     "list": lambda rng, n: [rng.normal(size=rng.integers(0, 3)).tolist() for _ in range(n)],

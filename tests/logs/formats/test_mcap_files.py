@@ -220,7 +220,8 @@ def test_what_is_not_set_in_protobuf_is_told(tmp_path):
 
 def test_clouds_of_ros_stand_beside_other_encodings(tmp_path):
     points = np.arange(18.0).reshape(6, 3)
-    messages = sorted([*two_paths(), cloud(1.2, "/camera/points", points, (2, 3)), cloud(11.3, "/camera/points", points + 1, (2, 3))], key=lambda m: m[0])  # fmt: skip
+    clouds = [cloud(1.2, "/camera/points", points, (2, 3)), cloud(11.3, "/camera/points", points + 1, (2, 3))]
+    messages = sorted([*two_paths(), *clouds], key=lambda message: message[0])
 
     def encode(topic, kind, message):
         return (as_ros if topic == "/camera/points" else as_json)(topic, kind, message)
@@ -234,8 +235,8 @@ def test_clouds_of_ros_stand_beside_other_encodings(tmp_path):
     )
     assert kept == [(0.0, (2, 3)), (1.0, (2, 3))]
     assert logs.stages["cloud"].tolist() == ["a-0.pcd", "a-0.pcd", "a-1.pcd", "a-1.pcd"]
+    (tmp_path / "cell.toml").write_text(MAPPING_TEMPLATE.replace("/camera/points", "/camera/occlusion"))
     with pytest.raises(ArgumentError, match=r"/camera/occlusion carries cell\.Said, not sensor_msgs"):
-        (tmp_path / "cell.toml").write_text(MAPPING_TEMPLATE.replace("/camera/points", "/camera/occlusion"))
         read_bag(tmp_path / "a.mcap", tmp_path / "cell.toml")
 
 

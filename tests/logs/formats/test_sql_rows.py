@@ -87,7 +87,7 @@ def test_what_is_read_stays_as_it_is(database):
 @pytest.mark.parametrize(
     ("stages", "told"),
     [
-        ("SELECT * FROM stage", r"cell\.db, stages: the database refuses 'SELECT \* FROM stage' \(no such table: stage\)"),
+        ("SELECT * FROM stage", r"cell\.db, stages: the database refuses 'SELECT \* FROM stage' \(no such table"),
         ("SELECT FROM stages", r"the database refuses .*syntax error"),
         ("SELECT path, stage FROM stages", r"cell\.db: stages: there is no column 'elapsed_s'"),
         ("SELECT *, path FROM stages", r"stages: there are two columns 'path'"),
@@ -171,7 +171,15 @@ def test_queries_come_from_a_file(tmp_path, content, told):
 
 
 def test_secrets_are_never_shown():
-    for url in ("pg://a:se:cret@h/d", "pg://a:se/cret@h/d", "pg://:secret@h", "pg://h/d?passwd=secret&x=1", "pg://h/d?sslpassword=secret"):  # fmt: skip
+    places = (
+        "a:se:cret@h/d",
+        "a:se/cret@h/d",
+        "a:se@cret@h/d",
+        ":secret@h",
+        "h/d?passwd=secret&x=1",
+        "h?sslpassword=secret",
+    )
+    for url in [*(f"pg://{place}" for place in places), "a:secret@h"]:
         assert "cret" not in shown_url(url)
     assert shown_url("sqlite:///a/b@c.db") == "sqlite:///a/b@c.db"
     assert shown_url("pg://a@h:5432/d?x=1") == "pg://a@h:5432/d?x=1"
