@@ -186,8 +186,8 @@ YES, NO = True, False
         (changed(observation=[[1.0], [2.0], [3.0], [4.0], [5.0, 6.0]]), r"row 4: observation has 2 values"),
         (changed(observation=[[float("nan"), 1.0]] * 5), r"path 'e0', stage 1: covariate observation_0 is null"),
         (changed(observation=[[1.0, float("inf")]] * 5), r"covariate observation_1 is inf"),
-        (changed(episode_id=["a", "b", "c", "c", "c"], is_first=[YES, YES, YES, NO, NO], is_last=[YES, YES, NO, NO, YES],
-                 is_terminal=[YES, YES, NO, NO, NO]), r"episode 'a': it has no step"),
+        (changed(episode_id=["a", "b", "c", "c", "c"], is_first=[YES, YES, YES, NO, NO],
+                 is_last=[YES, YES, NO, NO, YES], is_terminal=[YES, YES, NO, NO, NO]), r"'a': it has no step"),
     ],
 )  # fmt: skip
 @pytest.mark.filterwarnings("ignore:.*nothing was done any more:halfseen.errors.HalfseenWarning")

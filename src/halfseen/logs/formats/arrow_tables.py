@@ -126,6 +126,11 @@ def _read(file: Path, columns: list[str] | None) -> pa.Table:
         table = _wrapped(file, lambda: _csv(file))
     else:
         table = _wrapped(file, lambda: _arrow(file))
+    missing = [name for name in columns or () if name not in table.column_names]
+    if missing:
+        raise LogError(
+            f"{file}: there is no column {missing[0]!r} among {', '.join(table.column_names)}; copy it again"
+        )
     repeated = [name for k, name in enumerate(table.column_names) if name in table.column_names[:k]]
     if repeated:
         raise LogError(f"{file}: there are two columns {shown(repeated[0])}; drop or rename one")
@@ -156,8 +161,11 @@ def _arrow(file: Path) -> pa.Table:
     with file.open("rb") as held, mmap.mmap(held.fileno(), 0, access=mmap.ACCESS_READ) as content:
         check_unpacked(num_bytes, _unpacked(content))
         is_file = content[:6] == b"ARROW1"
-    with pa.OSFile(str(file)) as source:
-        table = (pa.ipc.open_file if is_file else pa.ipc.open_stream)(source).read_all()
+    try:
+        with pa.OSFile(str(file)) as source:
+            table = (pa.ipc.open_file if is_file else pa.ipc.open_stream)(source).read_all()
+    except MemoryError as error:
+        raise OSError(f"it asks for more memory than there is: {error}") from error
     table.validate(full=True)
     return table
 

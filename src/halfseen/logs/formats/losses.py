@@ -65,7 +65,7 @@ def losses(logs: Logs, form: str) -> list[Loss]:
     found = [loss for loss in told if loss is not None]
     if form == CSV:
         found += [_of_name(table, column) for table, column in _columns(logs) if _is_broken(column)]
-    if form == MINARI and not logs.stages["elapsed_s"].notna().any():
+    if form == MINARI and not logs.stages["elapsed_s"].notna().to_numpy().any():
         trouble = "none was completed, so that Minari would have no step; record longer, or write Parquet"
         found.append(Loss("stages", None, trouble, is_refused=True))
     return found
