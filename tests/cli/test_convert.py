@@ -295,7 +295,7 @@ def test_check_says_what_is_lost_and_writes_nothing(typed):
     status, out, err = typed("convert", "a", "--out", "csv:b", "--check")
     _, second, *rest = out.splitlines()
     assert (status, err, second) == (1, "", "It would not be written whole:")
-    assert [line[:32] for line in rest] == ["- stages, column 'pose': holds s", "- paths, column 'raw': holds bin"]
+    assert [line[:33] for line in rest] == ["- stages: column 'pose' holds str", "- paths: column 'raw' holds binar"]
     report = json.loads(typed("convert", "a", "--out", "minari:b-v0", "--check", "--json").out)
     assert [(loss["table"], loss["column"], loss["is_refused"]) for loss in report["losses"]] == [
         ("stages", "pose", True),
@@ -305,8 +305,8 @@ def test_check_says_what_is_lost_and_writes_nothing(typed):
     assert os.listdir() == ["a"]
     refusal = typed("convert", "a", "--out", "csv:b")
     assert refusal.status == 2
-    assert "stages, column 'pose'" in refusal.err
-    assert "paths, column 'raw'" in refusal.err
+    assert "stages: column 'pose' holds" in refusal.err
+    assert "paths: column 'raw' holds" in refusal.err
     assert os.listdir() == ["a"]
     assert "it is there already" in refused("a", "--out", "a", "--check")
     assert "--check is for one SOURCE" in refused("a", "a", "--out", "b", "--check")
@@ -319,7 +319,7 @@ def test_what_is_lost_or_kept_for_halfseen_alone_is_told_of_what_is_written(logs
     told = run("a", "--out", "csv:b").output.splitlines()[1:]
     assert told == [
         "What is lost:",
-        "- paths, column 'serial': its values come back as pandas keeps them, not as int32[pyarrow]",
+        "- paths: column 'serial' comes back as pandas keeps such values, not as int32[pyarrow]",
     ]
     checked = CliRunner().invoke(convert, ["a", "--out", "minari:c-v0", "--check"])
     assert checked.exit_code == 1

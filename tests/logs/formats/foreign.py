@@ -56,6 +56,12 @@ def assert_is(logs, wanted, rtol=0.0):
                     assert ours == theirs, column
 
 
+def last_of(found, flags):
+    """A column that is true in the last frame of some episodes."""
+    lengths = [len(each["actions"]) for each in found]
+    return [flag and k == length - 1 for length, flag in zip(lengths, flags, strict=True) for k in range(length)]
+
+
 def write_lerobot(
     folder, found, *, fps=10, extra=None, features=None, info=None, tasks=None, lengths=None, stamps=None
 ):

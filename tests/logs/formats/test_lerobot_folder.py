@@ -4,7 +4,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from foreign import assert_is, episodes, expected, write_lerobot
+from foreign import assert_is, episodes, expected, last_of, write_lerobot
 
 from halfseen.errors import ArgumentError, HalfseenError, HalfseenWarning, LogError
 from halfseen.logs.formats import StepRules, read_lerobot
@@ -16,12 +16,6 @@ CUT, FINISHED = ("cut", "truncated"), ("finished", None)
 def frames(found, fps):
     """Ends of the frames of each episode."""
     return [[(k + 1) / fps for k in range(len(each["actions"]))] for each in found]
-
-
-def last_of(found, flags):
-    """A column that is true in the last frame of some episodes."""
-    lengths = [len(each["actions"]) for each in found]
-    return [flag and k == length - 1 for length, flag in zip(lengths, flags, strict=True) for k in range(length)]
 
 
 @pytest.mark.parametrize("fps", [10, 29.97, 0.5])

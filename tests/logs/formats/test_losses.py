@@ -129,14 +129,14 @@ def test_each_loss_is_named_with_its_column():
     tables["paths"]["serial"] = pd.array([1, 2, 3], dtype=pd.ArrowDtype(pa.int32()))
     logs = Logs(**tables)
     told = "holds struct<x: double>, which has no form as text; drop it or turn it into numbers, text, times or lists"
-    assert [str(loss).startswith(f"stages, column 'pose': {told}") for loss in losses(logs, "csv")][:1] == [True]
+    assert [str(loss).startswith(f"stages: column 'pose' {told}") for loss in losses(logs, "csv")][:1] == [True]
     assert [(loss.table, loss.column) for loss in losses(logs, "csv")] == [
         ("stages", "pose"), ("paths", "raw"), ("paths", "serial"), ("paths", "two\nlines"),
     ]  # fmt: skip
     assert [(loss.column, loss.is_refused) for loss in losses(logs, "minari")] == [
         ("pose", True), ("raw", True), ("serial", False),
     ]  # fmt: skip
-    assert "its values come back as pandas keeps them, not as int32[pyarrow]" in str(losses(logs, "minari")[2])
+    assert "comes back as pandas keeps such values, not as int32[pyarrow]" in str(losses(logs, "minari")[2])
     assert losses(logs, "parquet") == []
     with pytest.raises(ArgumentError, match="form 'xml': it is none of parquet, csv, minari"):
         losses(logs, "xml")

@@ -72,6 +72,13 @@ def test_each_form_of_table_is_the_same_log(tmp_path, kind, is_text):
     assert_is(logs, expected(found, [FINISHED, CUT, FINISHED], ends(found), SEEN, names=names))
 
 
+def test_an_action_may_be_called_as_others_write_null(tmp_path):
+    found = episodes(lengths=(3,))
+    found[0]["actions"] = ["NA", "null", "nan"]
+    logs = read_steps(write(tmp_path / "steps", rows_of(found, [True]), kind="csv"), StepRules(step_s=1.0))
+    assert logs.stages["action"].tolist() == ["NA", "null", "nan"]
+
+
 def test_several_files_follow_one_another_and_must_be_of_one_table(tmp_path):
     found = episodes()
     rows = rows_of(found, [True, False, True])

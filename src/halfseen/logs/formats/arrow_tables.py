@@ -150,7 +150,9 @@ def _csv(file: Path) -> pa.Table:
             bytes_in,
             read_options=arrow_csv.ReadOptions(use_threads=False),
             parse_options=arrow_csv.ParseOptions(newlines_in_values=True),
-            convert_options=arrow_csv.ConvertOptions(strings_can_be_null=True, quoted_strings_can_be_null=False),
+            convert_options=arrow_csv.ConvertOptions(
+                null_values=[""], strings_can_be_null=True, quoted_strings_can_be_null=False
+            ),
         )
     lists = {name: from_list_texts(table[name]) for name in table.column_names}
     return pa.table({name: table[name] if lists[name] is None else lists[name] for name in table.column_names})

@@ -38,8 +38,7 @@ class Loss:
     is_refused: bool
 
     def __str__(self) -> str:
-        where = self.table if self.column is None else f"{self.table}, column {self.column!r}"
-        return f"{where}: {self.trouble}"
+        return f"{self.table}: {'' if self.column is None else f'column {self.column!r} '}{self.trouble}"
 
 
 def losses(logs: Logs, form: str) -> list[Loss]:
@@ -108,7 +107,7 @@ def _as_text(table: str, frame: pd.DataFrame, column: str) -> Loss | None:
         return Loss(table, column, str(error).partition(f"column {column!r} ")[2], is_refused=True)
     dtype: Any = frame[column].dtype
     if isinstance(dtype, pd.ArrowDtype):
-        return Loss(table, column, f"its values come back as pandas keeps them, not as {dtype}", is_refused=False)
+        return Loss(table, column, f"comes back as pandas keeps such values, not as {dtype}", is_refused=False)
     return None
 
 
@@ -117,4 +116,4 @@ def _is_broken(column: str) -> bool:
 
 
 def _of_name(table: str, column: str) -> Loss:
-    return Loss(table, column, "its name is not one line; rename it", is_refused=True)
+    return Loss(table, column, "has a name that is not one line; rename it", is_refused=True)
