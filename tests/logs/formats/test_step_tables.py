@@ -143,6 +143,23 @@ def test_structs_are_taken_apart_and_the_rest_is_left_out_and_told(tmp_path):
     assert logs.stages["observation.lit"].tolist() == [False, True, False]
 
 
+@pytest.mark.parametrize("kind", [pa.list_(pa.float32(), 2), pa.large_list(pa.float64())], ids=["fixed", "large"])
+def test_lists_of_any_kind_are_columns(tmp_path, kind):
+    found = episodes(lengths=(2,))
+    rows = rows_of(found, [False])
+    lists = pa.array([row["observation"] for row in rows], kind)
+    table = pa.Table.from_pylist(rows).drop_columns(["observation"]).append_column("observation", lists)
+    pq.write_table(table, tmp_path / "steps.parquet")
+    logs = read_steps(tmp_path / "steps.parquet", StepRules(step_s=1.0))
+    assert_is(logs, expected(found, [CUT], ends(found), SEEN, names=["e0"]), rtol=1e-6)
+
+
+def test_columns_of_one_name_are_refused(tmp_path):
+    rows = [{**row, "observation": {"a": 1.0}, "observation.a": 2.0} for row in rows_of(episodes(lengths=(2,)), [True])]
+    with pytest.raises(HalfseenError, match=r"there are two columns 'observation\.a'; drop or rename one"):
+        read_steps(write(tmp_path / "steps", rows), StepRules(step_s=1.0))
+
+
 def test_what_is_no_column_of_a_stage_is_passed_over(tmp_path):
     rows = [{**row, "observation.image": [0] * 1001} for row in rows_of(episodes(lengths=(1,)), [True])]
     with pytest.warns(HalfseenWarning, match=r"observation\.image \(int64 of shape \(1001,\)\): no columns"):

@@ -3,6 +3,7 @@
 import mmap
 import re
 import struct
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -64,12 +65,26 @@ def names_in(file: Path) -> list[str]:
     return [str(name) for name in _wrapped(file, lambda: _parquet(file).schema_arrow.names)]
 
 
-def flattened(table: pa.Table) -> pa.Table:
-    """Take structs apart into columns of their own, named ``outer.inner``."""
+def flattened(place: str, table: pa.Table) -> pa.Table:
+    """Take structs apart into columns of their own, named ``outer.inner``.
+
+    Parameters
+    ----------
+    place
+        What to call the table in messages.
+    table
+        As it was read.
+
+    Raises
+    ------
+    LogError
+        Two columns have the same name then.
+    """
     for _ in range(MOST_LEVELS):
         if not any(pa.types.is_struct(kind) for kind in table.schema.types):
             break
         table = table.flatten()
+    _refuse_repeated(place, table.column_names)
     return table
 
 
@@ -90,9 +105,14 @@ def as_array(place: str, table: pa.Table, name: str) -> Shaped[np.ndarray, "N ..
     Raises
     ------
     LogError
-        Lists differ in length, or one is missing.
+        Lists differ in length, one is missing, or the column is of a type that no array holds.
     """
-    return _array(place, name, table[name].combine_chunks())
+    try:
+        return _array(place, name, table[name].combine_chunks())
+    except (pa.ArrowException, ValueError, NotImplementedError) as error:
+        raise LogError(
+            f"{place}: {name} holds {table.schema.field(name).type}, which is not read; convert it"
+        ) from error
 
 
 def _array(place: str, name: str, values: Any) -> np.ndarray:
@@ -131,10 +151,14 @@ def _read(file: Path, columns: list[str] | None) -> pa.Table:
         raise LogError(
             f"{file}: there is no column {missing[0]!r} among {', '.join(table.column_names)}; copy it again"
         )
-    repeated = [name for k, name in enumerate(table.column_names) if name in table.column_names[:k]]
-    if repeated:
-        raise LogError(f"{file}: there are two columns {shown(repeated[0])}; drop or rename one")
+    _refuse_repeated(str(file), table.column_names)
     return table.replace_schema_metadata(None)
+
+
+def _refuse_repeated(place: str, names: list[str]) -> None:
+    counted = Counter(names)
+    if len(counted) < len(names):
+        raise LogError(f"{place}: there are two columns {shown(counted.most_common(1)[0][0])}; drop or rename one")
 
 
 def _parquet(file: Path) -> pq.ParquetFile:

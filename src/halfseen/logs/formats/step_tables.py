@@ -68,7 +68,7 @@ def read_steps(files: str | Path | Sequence[str | Path], rules: StepRules | None
     paths = [Path(files)] if isinstance(files, str | Path) else [Path(file) for file in files]
     rules = StepRules() if rules is None else rules
     place = ", ".join(map(str, paths[:3])) + (f" and {len(paths) - 3} more" if len(paths) > 3 else "")
-    table = flattened(read_tables(paths))
+    table = flattened(place, read_tables(paths))
     named = {"action": "action", "reward": "reward", "done": TERMINAL} | rules.named
     require(place, table.column_names, LAST, "end of an episode", "add it")
     for role, name in named.items():
