@@ -2,7 +2,9 @@
 
 import json
 import os
+import sys
 from contextlib import suppress
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -13,7 +15,19 @@ import pytest
 from halfseen.cell.calibration.law_folder import read_law
 from halfseen.errors import HalfseenError, LogError
 from halfseen.logs import LogStream, read_logs
-from halfseen.logs.formats import read_csv, read_mapping, write_csv
+from halfseen.logs.formats import (
+    MAPPING_TEMPLATE,
+    Queries,
+    read_bag,
+    read_csv,
+    read_lerobot,
+    read_mapping,
+    read_queries,
+    read_sql,
+    read_step_arrays,
+    read_steps,
+    write_csv,
+)
 from halfseen.perception import read_cloud
 from halfseen.perception.label_files import read_labels
 from halfseen.policies import read_policy
@@ -22,6 +36,9 @@ from halfseen.study.store import Store
 from halfseen.team.team_file import read_team
 from halfseen.watch.recording import read_recording
 from small_logs import flat_log
+
+sys.path.insert(0, str(Path(__file__).parent / "logs" / "formats"))
+from foreign import episodes, write_lerobot
 
 DEEP = "[" * 100_000
 
@@ -40,6 +57,19 @@ def rule(file):
 
 def piece(file):
     return Store(file.parent, {}, is_resumed=True).read(file.stem)
+
+
+def lerobot(file):
+    return read_lerobot(next(folder for folder in file.parents if folder.name == "lerobot"))
+
+
+def mcap(file):
+    (file.parent / "cell.toml").write_text(MAPPING_TEMPLATE)
+    return read_bag(file, file.parent / "cell.toml")
+
+
+def database(file):
+    return read_sql(f"sqlite:///{file}", Queries("SELECT * FROM stages", "SELECT * FROM paths"))
 
 
 READERS = {
@@ -62,6 +92,16 @@ READERS = {
     "team.json": read_team,
     "recording.json": of_folder(read_recording),
     "piece.json": piece,
+    "lerobot/meta/info.json": lerobot,
+    "lerobot/meta/episodes/chunk-000/file-000.parquet": lerobot,
+    "lerobot/data/chunk-000/file-000.parquet": lerobot,
+    "steps.parquet": read_steps,
+    "steps.csv": read_steps,
+    "steps.feather": read_steps,
+    "steps.hdf5": read_step_arrays,
+    "cell.mcap": mcap,
+    "cell.db": database,
+    "queries.toml": read_queries,
 }
 
 
@@ -69,6 +109,8 @@ READERS = {
 def place(tmp_path):
     flat_log().write(tmp_path / "logs")
     write_csv(flat_log(), tmp_path / "csv")
+    (tmp_path / "lerobot").mkdir()
+    write_lerobot(tmp_path / "lerobot", episodes())
     return tmp_path
 
 

@@ -8,6 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from halfseen.logs import Logs, read_logs
+from halfseen.logs.columns import CUT
+from halfseen.logs.formats.episodes import TRUNCATED, Episode, logs_of_episodes
 from halfseen.pages.palette import BLUE, GREEN, INK, ORANGE, PINK, RED, SKY, SOFT
 from pictures.guide_pages import names_after
 from pictures.picture import ROOT, plot
@@ -58,6 +60,44 @@ def draw_two_paths() -> Figure:
     axes.set_yticks(range(len(logs.paths)), list(logs.paths["path"]))
     axes.set(xlim=(0.0, 5.6), ylim=(1.45, -0.45))
     axes.tick_params(axis="y", length=0)
+    return made
+
+
+def draw_steps() -> Figure:
+    """Draw three steps of another's dataset, and the stages that they become, with and without what was seen last."""
+    made, axes = panel(3.0, has_grid=False)
+    actions, rewards = np.array(["look", "pick", "look"]), np.array([-0.1, 5.0, -0.1])
+    for row, has_last in enumerate((True, False)):
+        seen = np.arange(1.0, 4.0 + has_last)
+        episode = Episode(0, {"x": seen}, actions, rewards, np.arange(1.0, 4.0), CUT, TRUNCATED, has_last)
+        stages = logs_of_episodes("three steps", [episode]).stages
+        top = 2.6 * row
+        for number, x in enumerate(seen.tolist()):
+            told = f"saw {x:g}\ndid {actions[number]}" if number < len(actions) else f"saw {x:g}"
+            axes.barh(top, 0.94, 0.8, number, fc="white", ec=SOFT, lw=1.0)
+            axes.text(number + 0.47, top, told, ha="center", va="center", fontsize=9.0)
+        for number, stage in enumerate(stages.itertuples()):
+            is_seen, colour = not pd.isna(stage.elapsed_s), COLOURS.get(str(stage.action), SOFT)
+            look: Any = {"color": colour} if is_seen else {"fc": "white", "ec": RED, "hatch": "///", "lw": 1.0}
+            axes.barh(top + 1.0, 0.94, 0.8, number, **look)
+            action = "no action" if pd.isna(stage.action) else stage.action
+            told = f"{action}\n{stage.reward:+.1f}" if is_seen else f"cut\n{action}"
+            box = None if is_seen else {"fc": "white", "ec": "none", "pad": 1.0}
+            axes.text(
+                number + 0.47,
+                top + 1.0,
+                told,
+                ha="center",
+                va="center",
+                fontsize=9.0,
+                color="white" if is_seen else RED,
+                bbox=box,
+            )
+    rows = ["rows, the last one\nonly seen", "stages", "rows, every one\na step", "stages"]
+    axes.set_yticks([0.0, 1.0, 2.6, 3.6], rows)
+    axes.set(xlim=(0.0, 4.0), ylim=(4.2, -0.6), xticks=[])
+    axes.tick_params(axis="y", length=0)
+    axes.spines[:].set_visible(False)
     return made
 
 
@@ -112,6 +152,7 @@ def draw_causes(folder: str) -> Figure:
 
 PICTURES = (
     plot("two-paths", draw_two_paths),
+    plot("steps", draw_steps),
     plot("pick-cell-paths", lambda: draw_paths_of("examples/pick_cell/logs", 24)),
     plot("later-logs", lambda: draw_causes("examples/pick_cell/later_logs")),
     plot("physical-cell-logs", lambda: draw_causes("examples/physical_cell/logs")),

@@ -186,7 +186,7 @@ ASKS_FOR = {
     "export": ("onnx", "onnx-tables"),
     "watch": ("watch",),
     "report": ("study",),
-    "convert": ("minari", "ros", "stores"),
+    "convert": ("minari", "hdf5", "mcap", "ros", "sql", "stores"),
     "learn": ("stores",),
     "look": ("perception",),
     "simulate": ("perception",),
@@ -194,7 +194,7 @@ ASKS_FOR = {
     "study": ("study", "ray", "dask"),
 }
 """Command → the extras that it asks for, some of which hold others."""
-ON_DEMAND = ("minari", "ros", "ray", "dask", "stores")
+ON_DEMAND = ("minari", "hdf5", "mcap", "ros", "sql", "ray", "dask", "stores")
 """Extras that a format or an engine alone needs: pale dots."""
 
 PICTURES = (

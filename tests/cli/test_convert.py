@@ -1,14 +1,19 @@
 import json
 import os
+import sqlite3
 import sys
 from pathlib import Path
 
+import h5py
 import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 
 from halfseen.cli.convert import convert
-from halfseen.errors import ArgumentError, HalfseenError, LogError
+from halfseen.errors import ArgumentError, HalfseenError, HalfseenWarning, LogError
 from halfseen.logs import Logs, read_logs
 from halfseen.logs.formats import MAPPING_TEMPLATE, read_csv
 from halfseen.perception import Cloud, read_cloud, write_pcd
@@ -16,6 +21,7 @@ from halfseen.scene import table_paths
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "logs" / "formats"))
 from bags import cloud, number, text, two_paths, write_bag
+from foreign import episodes, write_lerobot
 
 WITHOUT_CLOUD = MAPPING_TEMPLATE[: MAPPING_TEMPLATE.index("# sensor_msgs/PointCloud2")]
 
@@ -175,8 +181,158 @@ def test_what_fits_not_together_is_refused(logs):
         run("a", "--out", "minari:no name")
 
 
-def test_help_has_an_example():
-    assert "Example: halfseen convert" in CliRunner().invoke(convert, ["--help"]).output
+def test_help_has_an_example_and_a_line_for_each_source():
+    told = CliRunner().invoke(convert, ["--help"]).output
+    assert "Example: halfseen convert" in told
+    for source in ("FOLDER ", "BAG ", "minari:NAME-v0 ", "FOLDER of LeRobot ", "TABLE ", "FILE.hdf5 ", "sql:URL "):
+        assert f"\n  {source}" in told
+
+
+@pytest.fixture
+def sources(logs):
+    """The same two episodes as LeRobot, as a step table and as HDF5, and a log in a database."""
+    found = episodes(lengths=(2, 3))
+    write_lerobot(Path("lerobot"), found, extra={"next.done": [False, True, False, False, False]})
+    rows = [
+        {
+            "is_first": k == 0,
+            "is_last": k == len(each["actions"]),
+            "is_terminal": number == 0 and k == len(each["actions"]),
+        }
+        | {"observation": row, "action": [*each["actions"], 0][k], "reward": [*each["rewards"], 0.0][k]}
+        for number, each in enumerate(found)
+        for k, row in enumerate(each["observed"])
+    ]
+    Path("tables").mkdir()
+    pq.write_table(pa.Table.from_pylist(rows[:3]), "tables/0.parquet")
+    pq.write_table(pa.Table.from_pylist(rows[3:]), "tables/1.parquet")
+    with h5py.File("steps.hdf5", "w") as root:
+        root["observations"] = [row for each in found for row in each["observed"][:-1]]
+        root["actions"] = [action for each in found for action in each["actions"]]
+        root["rewards"] = [reward for each in found for reward in each["rewards"]]
+        root["terminals"] = [False, True, False, False, False]
+        root["timeouts"] = [False, False, False, False, True]
+    with sqlite3.connect("cell.db") as connection:
+        for name, table in logs.tables.items():
+            table.to_sql(name, connection, index=False)
+    connection.close()
+    return found
+
+
+STARS = ("--stages", "SELECT * FROM stages", "--paths", "SELECT * FROM paths")
+KINDS = {
+    "lerobot": ("lerobot", ["--step-s", "0.5"]),
+    "tables": ("steps", ["--step-s", "0.5"]),
+    "tables/0.parquet": ("steps", ["--step-s", "0.5"]),
+    "steps.hdf5": ("hdf5", ["--step-s", "0.5"]),
+    "sql:sqlite:///cell.db": ("sql", STARS),
+}
+
+
+@pytest.mark.parametrize("source", KINDS)
+def test_each_source_is_known_by_what_stands_there(sources, logs, source):
+    kind, chosen = KINDS[source]
+    report = json.loads(run(source, "--out", "out", "--json", *chosen).output)
+    assert (report["format"], report["losses"], report["warnings"]) == (kind, [], [])
+    back = read_logs("out")
+    if kind == "sql":
+        assert same(back, logs)
+    else:
+        assert back.stages["reward"].tolist()[:2] == sources[0]["rewards"]
+        assert back.end_s.tolist()[0] == 1.0
+
+
+def test_others_steps_take_the_same_options(sources):
+    for source in ("lerobot", "tables", "steps.hdf5"):
+        run(source, "--out", f"{source}.out", "--step-s", "1", "--truncated", "finished")
+        assert read_logs(f"{source}.out").is_finished.tolist() == [True, True]
+    assert "--done is for a source of kind lerobot, steps or hdf5; this is sql" in refused(
+        "sql:sqlite:///cell.db", "--out", "x", "--done", "d"
+    )
+    assert "--stages is for a source of kind sql; this is lerobot" in refused(
+        "lerobot", "--out", "x", "--stages", "SELECT 1"
+    )
+    assert "step_s 0.0: a step lasts" in refused("lerobot", "--out", "x", "--step-s", "0")
+
+
+def test_warnings_of_readers_stand_in_the_answer_too(sources):
+    with pytest.warns(HalfseenWarning, match="every step counts as 1 s"):
+        report = json.loads(run("tables", "--out", "out", "--json").output)
+    assert len(report["warnings"]) == 1
+    assert "every step counts as 1 s" in report["warnings"][0]
+
+
+def test_a_database_takes_its_queries_from_options_or_a_file(sources, logs):
+    Path("cell.toml").write_text('stages = "SELECT * FROM stages"\npaths = "SELECT * FROM paths"\n')
+    run("sql:sqlite:///cell.db", "--mapping", "cell.toml", "--out", "out")
+    assert same(read_logs("out"), logs)
+    assert "a database needs --stages and --paths" in refused(
+        "sql:sqlite:///cell.db", "--out", "x", "--stages", "SELECT 1"
+    )
+    both = refused("sql:sqlite:///cell.db", "--out", "x", "--mapping", "cell.toml", "--paths", "SELECT 1")
+    assert "say the same; give one of them" in both
+
+
+def test_a_password_is_never_printed(sources, typed):
+    select = ("--stages", "SELECT 1", "--paths", "SELECT 1", "--out", "x")
+    for kind in ("postgresql+psycopg2://", "mysql+pymysql://", "no://", ""):
+        url = f"{kind}me:hidden@127.0.0.1:1/d"
+        status, out, err = typed("convert", f"sql:{url}", *select)
+        assert status == 2
+        assert "hidden" not in out + err
+        assert err.count("\n") == 1
+    report = json.loads(typed("convert", "sql:sqlite:///cell.db?password=hidden", "--out", "x", "--json", *STARS).out)
+    assert report["source"] == "sql:sqlite:///cell.db?password=***"
+
+
+def lossy():
+    stages = {"path": [1], "stage": [1], "elapsed_s": [2.0], "action": ["A"], "reward": [0.5], "pose": [{"x": 1.0}]}
+    return Logs(stages=stages, paths={"path": [1], "end_s": [2.0], "ending": ["finished"], "raw": [b"a"]})
+
+
+def test_check_says_what_is_lost_and_writes_nothing(typed):
+    lossy().write("a")
+    status, out, err = typed("convert", "a", "--out", "csv:b", "--check")
+    _, second, *rest = out.splitlines()
+    assert (status, err, second) == (1, "", "It would not be written whole:")
+    assert [line[:33] for line in rest] == ["- stages: column 'pose' holds str", "- paths: column 'raw' holds binar"]
+    report = json.loads(typed("convert", "a", "--out", "minari:b-v0", "--check", "--json").out)
+    assert [(loss["table"], loss["column"], loss["is_refused"]) for loss in report["losses"]] == [
+        ("stages", "pose", True),
+        ("paths", "raw", True),
+    ]
+    assert typed("convert", "a", "--out", "b", "--check").out.splitlines()[1] == "Nothing would be lost."
+    assert os.listdir() == ["a"]
+    refusal = typed("convert", "a", "--out", "csv:b")
+    assert refusal.status == 2
+    assert "stages: column 'pose' holds" in refusal.err
+    assert "paths: column 'raw' holds" in refusal.err
+    assert os.listdir() == ["a"]
+    assert "it is there already" in refused("a", "--out", "a", "--check")
+    assert "--check is for one SOURCE" in refused("a", "a", "--out", "b", "--check")
+
+
+def test_what_is_lost_or_kept_for_halfseen_alone_is_told_of_what_is_written(logs):
+    tables = logs.tables
+    serial = pd.array([1, 2], dtype=pd.ArrowDtype(pa.int32()))
+    Logs(tables["stages"].assign(lamp="on"), tables["paths"].assign(serial=serial)).write("a")
+    told = run("a", "--out", "csv:b").output.splitlines()[1:]
+    assert told == [
+        "What is lost:",
+        "- paths: column 'serial' comes back as pandas keeps such values, not as int32[pyarrow]",
+    ]
+    checked = CliRunner().invoke(convert, ["a", "--out", "minari:c-v0", "--check"])
+    assert checked.exit_code == 1
+    last = "Kept as notes that halfseen alone reads: stages.lamp, paths.cause, paths.serial."
+    assert checked.output.splitlines()[-1] == last
+    assert run("a", "--out", "minari:c-v0").output.splitlines()[-1] == last
+
+
+def test_clouds_are_not_written_by_check():
+    seen_path()
+    result = run("bag", "--mapping", "cell.toml", "--out", "logs", "--clouds", "clouds", "--check")
+    assert result.output.endswith("Nothing would be lost.\n")
+    assert sorted(os.listdir()) == ["bag", "cell.toml"]
 
 
 def test_bad_input_is_one_line_and_status_two(logs, typed, refused):

@@ -25,7 +25,7 @@ VERBS = {
     "export": "Write a policy of named actions as ONNX, for controllers without Python.",
     "watch": "Show in the browser what was seen and decided, in 3-D, and why.",
     "report": "Write one page about a folder of logs and a policy.",
-    "convert": "Convert logs between Parquet, CSV, Minari datasets and ROS bags.",
+    "convert": "Convert logs of other programs: CSV, SQL, bags, MCAP, Minari, LeRobot, RLDS, D4RL.",
     "look": "Say what a depth camera sees on a table, who hides whom, and what looks dirty.",
     "record": "Record what a program in any language says, in JSON lines.",
     "simulate": "Record logs of a policy in the simulated world, some of them cut.",

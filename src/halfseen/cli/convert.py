@@ -2,8 +2,10 @@
 
 import json
 import os
-from collections.abc import Callable, Mapping
-from contextlib import nullcontext
+import sys
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext
 from dataclasses import asdict
 from functools import partial
 from itertools import permutations
@@ -21,7 +23,15 @@ if TYPE_CHECKING:
 
     from halfseen.logs import Logs
 
-CSV, MINARI = "csv:", "minari:"
+CSV, MINARI, SQL = "csv:", "minari:", "sql:"
+OPTIONS_OF = {
+    ("mapping",): ("bag", "sql"),
+    ("clouds", "see"): ("bag",),
+    ("stages", "paths", "objects"): ("sql",),
+    ("action", "reward", "done"): ("lerobot", "steps", "hdf5"),
+    ("clock", "step_s", "truncated"): ("minari", "lerobot", "steps", "hdf5"),
+}
+"""Which kinds of sources take an option."""
 
 
 def _print_template(ctx: click.Context, _: click.Parameter, is_asked: bool) -> None:
@@ -33,10 +43,29 @@ def _print_template(ctx: click.Context, _: click.Parameter, is_asked: bool) -> N
     ctx.exit()
 
 
-@click.command(epilog="Example: halfseen convert recording.mcap --mapping cell.toml --out logs")
+HELP = """Read the logs of SOURCE and write them to another form, all or nothing.
+
+\b
+FOLDER              logs, as Parquet or CSV
+BAG                 ROS 1 or 2, or MCAP with ROS 2, JSON or protobuf (or a folder of bags)
+minari:NAME-v0      a Minari dataset, also by its folder
+FOLDER of LeRobot   a dataset of its version 3
+TABLE               steps as of RLDS: .parquet, .csv or .arrow (or a folder of them)
+FILE.hdf5           steps as of D4RL
+sql:URL             rows of a database, as SQLAlchemy reaches it
+
+Several folders of logs, such as those of many recorders, become one of Parquet files; paths that are still being
+recorded are left out.
+"""
+
+
+@click.command(help=HELP, epilog="Example: halfseen convert recording.mcap --mapping cell.toml --out logs")
 @click.argument("sources", metavar="SOURCE...", nargs=-1, required=True)
 @click.option("--out", "target", required=True, help="FOLDER of Parquet, csv:FOLDER, or minari:NAME-v0.")
-@click.option("--mapping", type=options.PATH, help="Of a bag: which topic carries what (TOML).")
+@click.option(
+    "--check", "is_check", is_flag=True, help="Only say what --out cannot hold; status 1 if anything is lost."
+)
+@click.option("--mapping", type=options.PATH, help="Of a bag: which topic carries what; of sql: the SELECTs (TOML).")
 @click.option(
     "--mapping-template",
     is_flag=True,
@@ -47,24 +76,32 @@ def _print_template(ctx: click.Context, _: click.Parameter, is_asked: bool) -> N
 )
 @click.option("--clouds", type=options.PATH, help="Of a bag: write each stage's cloud there as .pcd.")
 @click.option("--see", is_flag=True, help="Of a bag: what each stage's cloud shows becomes its objects.")
-@click.option("--clock", help="Of another's Minari dataset: the info that holds the time [s].")
-@click.option("--step-s", type=float, help="Of another's Minari dataset: how long a step lasts [s].")
+@click.option("--stages", metavar="SELECT", help="Of sql: the rows that are the stages, by the columns of a log.")
+@click.option("--paths", metavar="SELECT", help="Of sql: the rows that are the paths.")
+@click.option("--objects", metavar="SELECT", help="Of sql: the rows that are the objects, if there are any.")
+@click.option("--action", metavar="NAME", help="Of others' steps: the column that holds the action.")
+@click.option("--reward", metavar="NAME", help="Of others' steps: the column that holds the reward.")
+@click.option("--done", metavar="NAME", help="Of others' steps: the column that is true where an episode terminated.")
+@click.option(
+    "--clock", metavar="NAME", help="Of others' steps: the column (Minari: the info) that holds the time [s]."
+)
+@click.option("--step-s", type=float, help="Of others' steps: how long a step lasts [s].")
+@click.option(
+    "--truncated",
+    type=options.Choice(["cut", "finished"]),
+    help="Of others' steps: what an episode is that did not terminate; by default cut.",
+)
 @options.unused_seed
 @options.as_json
 def convert(
-    sources: tuple[str, ...], target: str, seed: int, as_json: bool, clouds: Path | None, **chosen: Any
+    sources: tuple[str, ...], target: str, is_check: bool, seed: int, as_json: bool, clouds: Path | None, **chosen: Any
 ) -> None:
-    """Read the logs of SOURCE and write them to another form, all or nothing.
-
-    SOURCE is a folder of logs (Parquet or CSV), a ROS bag (its folder, its .mcap, .db3 or .bag file, or a folder of
-    bags), a folder of a Minari dataset, or minari:NAME-v0. Several folders of logs, such as those of many recorders,
-    become one of Parquet files; paths that are still being recorded are left out.
-    """
+    """Read the logs of SOURCE and write them to another form."""
     from halfseen.writing import placed, refuse_taken
 
     if len(sources) > 1:
         _check_options("parquet", {**chosen, "clouds": clouds})
-        _compact(sources, target, as_json)
+        _compact(sources, target, is_check, as_json)
         return
     source = next(iter(sources))
     kind = _kind(source)
@@ -74,12 +111,55 @@ def convert(
         refuse_taken(place, False, None, "logs")
         _refuse_one_in_another(place, clouds)
     # The folder of clouds appears only once the logs are written too.
-    with nullcontext() if clouds is None else placed(clouds) as cloud_folder:
+    with _noted() as warned, nullcontext() if clouds is None or is_check else placed(clouds) as cloud_folder:
         logs = _read(kind, source, cloud_folder, **chosen)
-        _write(logs, target)
-    report = {"source": source, "format": kind, "target": target, "sentence": str(logs.summary())}
-    report |= asdict(logs.summary())
-    say(json.dumps(report, indent=2) if as_json else f"{target}: {report['sentence']}")
+        if not is_check:
+            _write(logs, target)
+    report = {"source": _shown(source), "format": kind, "target": target, "sentence": str(logs.summary())}
+    report |= asdict(logs.summary()) | _kept_and_lost(logs, target) | {"warnings": warned}
+    say(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report, is_check)))
+    if is_check and report["losses"]:
+        sys.exit(1)
+
+
+@contextmanager
+def _noted() -> Iterator[list[str]]:
+    """Keep the warnings that are meant for users, too, for whoever reads the answer alone."""
+    from halfseen.errors import HalfseenWarning
+
+    usual, noted = warnings.showwarning, []
+
+    def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+        if issubclass(category, HalfseenWarning):
+            noted.append(str(message))
+        usual(message, category, *where, **more)
+
+    warnings.showwarning = show
+    try:
+        yield noted
+    finally:
+        warnings.showwarning = usual
+
+
+def _kept_and_lost(logs: "Logs", target: str) -> dict[str, Any]:
+    """What does not come back from a target, and what nobody but halfseen finds in it."""
+    from halfseen.logs.formats import losses, seen_by_halfseen_alone
+
+    form = next((kind for prefix, kind in ((CSV, "csv"), (MINARI, "minari")) if target.startswith(prefix)), "parquet")
+    lost = losses(logs, form)
+    is_written = not any(loss.is_refused for loss in lost)
+    hidden = seen_by_halfseen_alone(logs) if form == "minari" and is_written else []
+    return {"losses": [{**asdict(loss), "sentence": str(loss)} for loss in lost], "for_halfseen_alone": hidden}
+
+
+def _lines(report: dict[str, Any], is_check: bool) -> list[str]:
+    """Write a report for people."""
+    lost = [f"- {loss['sentence']}" for loss in report["losses"]]
+    hidden = report["for_halfseen_alone"]
+    told = [f"{report['target']}: {report['sentence']}"]
+    told += ["It would not be written whole:" if is_check else "What is lost:", *lost] if lost else []
+    told += ["Nothing would be lost."] if is_check and not lost else []
+    return told + ([f"Kept as notes that halfseen alone reads: {', '.join(hidden)}."] if hidden else [])
 
 
 def _refuse_one_in_another(out: Path, clouds: Path | None) -> None:
@@ -93,10 +173,12 @@ def _refuse_one_in_another(out: Path, clouds: Path | None) -> None:
         raise ArgumentError(f"--clouds {clouds}: it is --out, or one lies in the other; give each a folder of its own")
 
 
-def _compact(sources: tuple[str, ...], target: str, as_json: bool) -> None:
+def _compact(sources: tuple[str, ...], target: str, is_check: bool, as_json: bool) -> None:
     from halfseen.errors import ArgumentError
     from halfseen.logs import compact
 
+    if is_check:
+        raise ArgumentError("--check is for one SOURCE; several folders become one of Parquet files, which holds them")
     if target.startswith((CSV, MINARI)):
         raise ArgumentError(f"--out is {target}; several folders become one of Parquet files: give a FOLDER")
     with Progress(2 * len(sources), "convert", "folders") as bar:
@@ -113,15 +195,36 @@ def _kind(source: str) -> str:
     from halfseen.logs.place import is_remote
 
     path = Path(source)
+    if source.startswith(SQL):
+        return "sql"
     if source.startswith(MINARI) or (path / "data" / "metadata.json").is_file():
         return "minari"
     if is_remote(source):
         return "parquet"
     if not path.exists():
-        raise LogError(f"{source}: there is no such file or folder; a Minari dataset is called {MINARI}NAME-v0")
+        raise LogError(
+            f"{source}: there is no such file or folder; a Minari dataset is called {MINARI}NAME-v0, and a database "
+            f"{SQL}URL"
+        )
+    if (path / "meta" / "info.json").exists():
+        return "lerobot"
     if (path / "stages.csv").exists() or (path / "paths.csv").exists():
         return "csv"
+    if not path.is_dir() and path.suffix in (".h5", ".hdf5"):
+        return "hdf5"
+    if _step_files(path):
+        return "steps"
     return "bag" if _bags(path) else "parquet"
+
+
+def _step_files(path: Path) -> list[Path]:
+    """The files of a step table: itself, or those that lie in a folder that is no log."""
+    from halfseen.logs.formats.arrow_tables import TABLE_FILES
+
+    if not path.is_dir():
+        return [path] if path.suffix in TABLE_FILES else []
+    files = sorted(file for file in path.iterdir() if file.suffix in TABLE_FILES)
+    return [] if any(file.stem in ("stages", "paths", "objects") for file in files) else files
 
 
 def _bags(path: Path) -> list[Path]:
@@ -140,37 +243,65 @@ def _is_bag(path: Path) -> bool:
 def _check_options(kind: str, chosen: Mapping[str, Any]) -> None:
     from halfseen.errors import ArgumentError
 
-    belongs_to = dict.fromkeys(("mapping", "clouds", "see"), "bag") | dict.fromkeys(("clock", "step_s"), "minari")
-    for name, owner in belongs_to.items():
-        is_given = chosen[name] is not None and chosen[name] is not False
-        if is_given and owner != kind:
-            raise ArgumentError(
-                f"--{name.replace('_', '-')} is for a source of kind {owner}; this is {kind}: leave it out"
-            )
+    for names, owners in OPTIONS_OF.items():
+        for name in names:
+            is_given = chosen[name] is not None and chosen[name] is not False
+            if is_given and kind not in owners:
+                kinds = " or ".join(filter(None, [", ".join(owners[:-1]), owners[-1]]))
+                raise ArgumentError(
+                    f"--{name.replace('_', '-')} is for a source of kind {kinds}; this is {kind}: leave it out"
+                )
     if kind == "bag" and chosen["mapping"] is None:
         raise ArgumentError(
             "a bag needs --mapping FILE, which says what its topics carry; --mapping-template prints one to start from"
         )
 
 
-def _read(
-    kind: str,
-    source: str,
-    clouds: Path | None,
-    mapping: Path | None,
-    see: bool,
-    clock: str | None,
-    step_s: float | None,
-) -> "Logs":
+def _read(kind: str, source: str, clouds: Path | None, **chosen: Any) -> "Logs":
     from halfseen.logs import formats, read_logs
 
     if kind == "csv":
         return formats.read_csv(source)
+    if kind == "parquet":
+        return read_logs(source)
+    if kind == "bag":
+        return _read_bags(_bags(Path(source)), chosen["mapping"], chosen["see"], clouds)
+    if kind == "sql":
+        return _read_sql(source.removeprefix(SQL), **chosen)
+    timed: dict[str, Any] = {name: chosen[name] for name in ("clock", "step_s")}
+    timed["truncated"] = chosen["truncated"] or "cut"
     if kind == "minari":
-        return formats.read_minari(source.removeprefix(MINARI), clock=clock, step_s=step_s)
-    if kind == "bag" and mapping is not None:
-        return _read_bags(_bags(Path(source)), mapping, see, clouds)
-    return read_logs(source)
+        return formats.read_minari(source.removeprefix(MINARI), **timed)
+    rules = formats.StepRules(**{name: chosen[name] for name in ("action", "reward", "done")}, **timed)
+    if kind == "lerobot":
+        return formats.read_lerobot(source, rules)
+    if kind == "hdf5":
+        return formats.read_step_arrays(source, rules)
+    return formats.read_steps(_step_files(Path(source)), rules)
+
+
+def _read_sql(
+    url: str, stages: str | None, paths: str | None, objects: str | None, mapping: Path | None, **_: Any
+) -> "Logs":
+    """Read a database by its queries, which options say, or a file."""
+    from halfseen.errors import ArgumentError
+    from halfseen.logs.formats import Queries, read_queries, read_sql
+
+    queries = {"stages": stages, "paths": paths, "objects": objects}
+    if mapping is not None and any(query is not None for query in queries.values()):
+        raise ArgumentError(f"--mapping {mapping}: --stages, --paths and --objects say the same; give one of them")
+    if mapping is not None:
+        return read_sql(url, read_queries(mapping))
+    if stages is None or paths is None:
+        raise ArgumentError("a database needs --stages and --paths, a SELECT each, or a --mapping FILE that has both")
+    return read_sql(url, Queries(stages, paths, objects))
+
+
+def _shown(source: str) -> str:
+    """A source as it may be printed: without a password."""
+    from halfseen.logs.formats.sql_rows import shown_url
+
+    return SQL + shown_url(source.removeprefix(SQL)) if source.startswith(SQL) else source
 
 
 def _read_bags(bags: list[Path], mapping: Path, see: bool, clouds: Path | None) -> "Logs":

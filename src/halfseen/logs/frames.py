@@ -82,8 +82,10 @@ def _is_number(dtype: Any) -> bool:
 
 
 def _stored_schema(schema: pa.Schema) -> pa.Schema:
-    """Parquet has no time stamps of whole seconds and keeps them as milliseconds; so do we from the start."""
+    """Parquet has no time stamps of whole seconds, nor categories but of text; so we have none from the start."""
     for i, field in enumerate(schema):
+        if pa.types.is_dictionary(field.type) and not pa.types.is_string(field.type.value_type):
+            schema = schema.set(i, field.with_type(field.type.value_type))
         if pa.types.is_timestamp(field.type) and field.type.unit == "s":
             schema = schema.set(i, field.with_type(pa.timestamp("ms", field.type.tz)))
     return schema

@@ -144,7 +144,7 @@ def test_what_halfseen_noted_is_checked(flat):
 
 def test_a_clock_is_refused_where_halfseen_wrote_its_own(flat):
     write_minari(flat, "pick-v0")
-    with pytest.raises(ArgumentError, match="leave clock and step_s out"):
+    with pytest.raises(ArgumentError, match="leave clock, step_s and truncated out"):
         read_minari("pick-v0", step_s=2.0)
 
 
@@ -206,7 +206,7 @@ NO, LAST = [False, False, False], [False, False, True]
 @pytest.mark.filterwarnings("ignore:Implicitly cleaning up:ResourceWarning")  # Minari's own temporary folders
 def test_episodes_of_a_data_collector_are_read_with_steps_as_seconds():
     dataset = cartpole(range(6))
-    with pytest.warns(HalfseenWarning, match="every step counts as 1 s; name the info that holds it as clock"):
+    with pytest.warns(HalfseenWarning, match="every step counts as 1 s; name what holds it as clock"):
         logs = read_minari(dataset)
     episodes = list(dataset)
     assert logs.num_paths == 6
@@ -229,6 +229,12 @@ def test_each_ending_has_its_meaning(by_hand):
     assert logs.paths["cause"].tolist() == [None, "truncated", None, "unknown"]
     assert logs.end_s.tolist() == [1.5] * 4
     assert logs.stages.groupby("path").size().tolist() == [3, 4, 3, 4]
+
+
+def test_what_was_truncated_may_be_a_horizon_and_what_just_stops_is_none(by_hand):
+    logs = read_minari(by_hand([(NO, LAST), (NO, NO)]), step_s=0.5, truncated="finished")
+    assert logs.paths["ending"].tolist() == ["finished", "cut"]
+    assert logs.stages.groupby("path").size().tolist() == [3, 4]
 
 
 def test_a_named_info_is_the_clock(by_hand):

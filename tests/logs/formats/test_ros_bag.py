@@ -270,14 +270,15 @@ def test_what_is_no_bag_is_told(tmp_path, mapping):
         read_bag(tmp_path / "empty", mapping())
 
 
-def test_without_rosbags_the_remedy_is_named(bag, mapping, monkeypatch):
-    folder, file = bag(two_paths()), mapping()
+@pytest.mark.parametrize(("storage", "name"), [("sqlite3", "ros"), ("mcap", "mcap")])
+def test_without_a_library_the_remedy_is_named(bag, mapping, monkeypatch, storage, name):
+    folder, file = bag(two_paths(), storage=storage), mapping()
 
     def missing(module):
         raise ModuleNotFoundError(f"No module named {module!r}")
 
     monkeypatch.setattr(extras, "import_module", missing)
-    with pytest.raises(ArgumentError, match=r"run: pip install 'halfseen\[ros\]'"):
+    with pytest.raises(ArgumentError, match=rf"run: pip install 'halfseen\[{name}\]'"):
         read_bag(folder, file)
 
 

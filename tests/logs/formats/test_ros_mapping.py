@@ -56,7 +56,7 @@ def test_the_smallest_mapping_has_three_tables(tmp_path):
             'topic = "/r"\ntype = "x"',
             r"cell\.toml, reward\.type: it is unknown; there are topic, field",
         ),
-        ("[action]", 'clock = "sim"\n[action]', r"cell\.toml, clock: 'sim' is none of 'log', 'header'"),
+        ("[action]", 'clock = "sim"\n[action]', r"cell\.toml, clock: 'sim' is none of 'log', 'publish', 'header'"),
         ("[action]", "covariates = 1\n[action]", r"cell\.toml, covariates: 1 is no table"),
         ("[action]", "path = 1\n[action]", r"cell\.toml, path: 1 is no table"),
         (

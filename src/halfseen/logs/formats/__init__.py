@@ -1,22 +1,40 @@
-"""Logs in other forms: CSV folders, Minari datasets, ROS bags.
+"""Logs in other forms: CSV folders, databases, bags, MCAP files, and datasets of Minari, LeRobot, RLDS and D4RL.
 
-Read down: `column_types` (what a column is, and its cells as text) → `csv_folder` → `minari_steps`, `minari_foreign`,
-`minari_dataset` → `ros_mapping`, `ros_messages`, `ros_paths`, `ros_bag`. Minari and rosbags are `extras`; they load
-when they are used.
+Read down: `column_types` (what a column is, and its cells as text) → `losses` (what a form cannot hold) →
+`csv_folder` → `sql_rows` → `episodes` (steps of others as stages) → `minari_steps`, `minari_foreign`,
+`minari_dataset` → `arrow_tables`, `lerobot_folder`, `step_tables` → `step_arrays` → `ros_mapping`, `mcap_files`,
+`ros_messages`, `ros_paths`, `ros_bag`. The libraries of Minari, HDF5, MCAP, ROS and SQL are `extras`; they load when
+they are used.
 """
 
 from halfseen.logs.formats.csv_folder import read_csv, write_csv
+from halfseen.logs.formats.episodes import StepRules
+from halfseen.logs.formats.lerobot_folder import read_lerobot
+from halfseen.logs.formats.losses import Loss, losses, seen_by_halfseen_alone
 from halfseen.logs.formats.minari_dataset import read_minari, write_minari
 from halfseen.logs.formats.ros_bag import read_bag
 from halfseen.logs.formats.ros_mapping import MAPPING_TEMPLATE, BagMapping, read_mapping
+from halfseen.logs.formats.sql_rows import Queries, read_queries, read_sql
+from halfseen.logs.formats.step_arrays import read_step_arrays
+from halfseen.logs.formats.step_tables import read_steps
 
 __all__ = [
     "MAPPING_TEMPLATE",
     "BagMapping",
+    "Loss",
+    "Queries",
+    "StepRules",
+    "losses",
     "read_bag",
     "read_csv",
+    "read_lerobot",
     "read_mapping",
     "read_minari",
+    "read_queries",
+    "read_sql",
+    "read_step_arrays",
+    "read_steps",
+    "seen_by_halfseen_alone",
     "write_csv",
     "write_minari",
 ]

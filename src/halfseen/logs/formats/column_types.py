@@ -151,3 +151,25 @@ def list_of(cell: str) -> Any:
         raise ValueError("it is nested too deeply") from None
     check_levels(read)
     return read
+
+
+def from_list_texts(cells: Any) -> pa.Array | None:
+    """Read a column of text whose every cell is a JSON list; None where it is none.
+
+    Parameters
+    ----------
+    cells
+        A column of Arrow; null stays null.
+    """
+    kind = list_type(cells.drop_null().unique().to_pylist()) if pa.types.is_string(cells.type) else None
+    return None if kind is None else _parsed(cells, arrow_type(kind))
+
+
+def list_type(cells: list[str]) -> str | None:
+    """Name the type of JSON lists; None if they are none after all, or there are none."""
+    if not cells or not all(cell.startswith("[") for cell in cells):
+        return None
+    try:
+        return type_name(pa.array([list_of(cell) for cell in cells]).type)
+    except (ValueError, pa.ArrowException):
+        return None

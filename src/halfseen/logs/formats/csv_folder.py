@@ -34,7 +34,8 @@ import pyarrow.csv as arrow_csv
 
 from halfseen.errors import LogError
 from halfseen.logs.columns import OBJECT_COLUMNS, PATH_COLUMNS, STAGE_COLUMNS
-from halfseen.logs.formats.column_types import ColumnType, as_cells, column_types, from_texts, list_of, type_name
+from halfseen.logs.formats.column_types import ColumnType, as_cells, column_types, from_texts, list_type
+from halfseen.logs.formats.losses import CSV, refuse_lost
 from halfseen.logs.logs import Logs
 from halfseen.logs.refusal import shown, within
 from halfseen.reading import TABLE, json_of, opened_text, read_text, reason_of
@@ -69,8 +70,9 @@ def write_csv(logs: Logs, folder: str | Path) -> None:
     ArgumentError
         Something is there already, or the folder cannot be written.
     LogError
-        A column holds what has no form as text, such as records or bytes.
+        A column holds what has no form as text, such as records or bytes, or its name is not one line.
     """
+    refuse_lost(logs, CSV)
     types = column_types(logs.tables)
     with placed(Path(folder)) as fresh:
         for name, frame in logs.tables.items():
@@ -204,7 +206,7 @@ def _guessed_type(file: Path, name: str, cells: Any) -> ColumnType:
         if all(re.fullmatch(shape, cell) for cell in different) and (kind == "int64" or name not in _NAMES):
             return kind
     if all(cell.startswith("[") for cell in different):
-        return _list_type(different)
+        return list_type(different) or "string"
     if name not in _NAMES and re.fullmatch(_NUMBER, different[0]):
         wrong = next(cell for cell in different if not re.fullmatch(_NUMBER, cell))
         raise LogError(
@@ -213,14 +215,6 @@ def _guessed_type(file: Path, name: str, cells: Any) -> ColumnType:
             f"{TYPES_FILE}"
         )
     return "string"
-
-
-def _list_type(cells: list[str]) -> ColumnType:
-    """Type of a column of JSON lists; text if they are none after all."""
-    try:
-        return type_name(pa.array([list_of(cell) for cell in cells]).type) or "string"
-    except (ValueError, pa.ArrowException):
-        return "string"
 
 
 def _place(file: Path, name: str, row: int) -> str:

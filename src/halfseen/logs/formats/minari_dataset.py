@@ -16,7 +16,10 @@ from typing import Any
 import numpy as np
 
 from halfseen.errors import ArgumentError, HalfseenError, LogError
+from halfseen.logs.columns import CUT
+from halfseen.logs.formats.episodes import StepRules
 from halfseen.logs.formats.extras import extra
+from halfseen.logs.formats.losses import MINARI, refuse_lost
 from halfseen.logs.formats.minari_foreign import read_foreign
 from halfseen.logs.formats.minari_steps import Schema, Steps, logs_of, schema_of, steps_of
 from halfseen.logs.logs import Logs
@@ -52,9 +55,8 @@ def write_minari(logs: Logs, dataset_id: str) -> None:
     """
     minari = extra("minari", "minari")
     extra("h5py", "minari")
+    refuse_lost(logs, MINARI)
     schema = schema_of(logs)
-    if not schema.actions:
-        raise LogError("stages: none was completed, so that Minari would have no step; record longer, or write Parquet")
     target = _target(dataset_id)
     episodes = list(steps_of(logs, schema))
     metadata = {
@@ -69,7 +71,13 @@ def write_minari(logs: Logs, dataset_id: str) -> None:
         _lift(fresh, dataset_id)
 
 
-def read_minari(dataset: Any, *, clock: str | None = None, step_s: float | None = None) -> Logs:
+def read_minari(
+    dataset: Any,
+    *,
+    clock: str | None = None,
+    step_s: float | None = None,
+    truncated: str = CUT,
+) -> Logs:
     """Read a Minari dataset that `write_minari` or anybody else wrote.
 
     Parameters
@@ -82,14 +90,16 @@ def read_minari(dataset: Any, *, clock: str | None = None, step_s: float | None 
     step_s
         Only for datasets of others, without `clock`: how long a step lasts [s]; 1 s, with a warning, if neither is
         given.
+    truncated
+        Only for datasets of others: "cut" or "finished" (at its horizon), what an episode is that was only truncated.
 
     Returns
     -------
     Logs
         Of another's dataset: ``obs_0``, ``obs_1``, … hold the observation that each action was taken on. An episode
         that terminated finished, also where it was truncated in the same step; one that was only truncated was cut
-        (cause ``truncated``) in the stage of its last observation, and so was one that just stops (cause
-        ``unknown``).
+        (cause ``truncated``) in the stage of its last observation, unless `truncated` says otherwise, and so was one
+        that just stops (cause ``unknown``).
 
     Raises
     ------
@@ -99,15 +109,19 @@ def read_minari(dataset: Any, *, clock: str | None = None, step_s: float | None 
     LogError
         The dataset is broken.
     """
+    rules = StepRules(clock=clock, step_s=step_s, truncated=truncated)
     name, dataset = dataset, _loaded(dataset)
     try:
         metadata = dataset.storage.metadata
         name = metadata.get("dataset_id", dataset.storage.data_path)
-        if KEY in metadata and (clock is not None or step_s is not None):
-            raise ArgumentError(f"dataset {name}: halfseen wrote it with its own clock; leave clock and step_s out")
+        if KEY in metadata and rules != StepRules():
+            raise ArgumentError(
+                f"dataset {name}: halfseen wrote it with its own clock and endings; leave clock, step_s and truncated "
+                "out"
+            )
         if KEY in metadata:
             return _read_own(dataset, json.loads(metadata[KEY]))
-        return read_foreign(dataset, f"dataset {name}", clock, step_s)
+        return read_foreign(dataset, f"dataset {name}", rules)
     except (HalfseenError, MemoryError):
         raise
     except Exception as error:  # h5py raises nearly anything

@@ -1,21 +1,26 @@
 """Minari datasets that others wrote: observations become columns, and steps become seconds."""
 
-import warnings
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from jaxtyping import Float, Shaped
 
-from halfseen.errors import ArgumentError, HalfseenWarning, LogError
+from halfseen.errors import ArgumentError, LogError
 from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE
+from halfseen.logs.formats.episodes import (
+    Episode,
+    StepRules,
+    columns_of,
+    ends_of,
+    even_ends,
+    logs_of_episodes,
+    refuse_early,
+    step_of,
+)
 from halfseen.logs.logs import Logs
-from halfseen.logs.refusal import within
-
-TRUNCATED = "truncated"
 
 
-def read_foreign(dataset: Any, name: str, clock: str | None, step_s: float | None) -> Logs:
+def read_foreign(dataset: Any, name: str, rules: StepRules) -> Logs:
     """Read a dataset of which halfseen knows no more than Minari does.
 
     Parameters
@@ -24,7 +29,7 @@ def read_foreign(dataset: Any, name: str, clock: str | None, step_s: float | Non
         A ``minari.MinariDataset``.
     name
         What to call it in messages.
-    clock, step_s
+    rules
         As in `read_minari`.
 
     Raises
@@ -35,25 +40,24 @@ def read_foreign(dataset: Any, name: str, clock: str | None, step_s: float | Non
         An episode is broken, or has no such clock.
     """
     _check_spaces(dataset, name)
-    if clock is None and step_s is None:
-        warnings.warn(
-            f"{name}: no clock is named, so that every step counts as 1 s; name the info that holds it as clock, or "
-            "give step_s",
-            HalfseenWarning,
-            stacklevel=3,
-        )
-    paths, stages = [], []
-    for episode in dataset:
-        place = f"{name}, episode {episode.id}"
-        observed = _observations(episode.observations, len(episode), place)
-        seconds = _clock(episode, clock, 1.0 if step_s is None else step_s, place)
-        ending, cause = _ending(episode, place)
-        paths.append({"path": int(episode.id), "end_s": seconds[-1], "ending": ending, "cause": cause})
-        stages.append(_stages(episode, observed, seconds, ending))
-    if not paths:
-        raise LogError(f"{name}: it has no episodes; a log has at least one path")
-    with within(name):
-        return Logs(stages=pd.concat(stages, ignore_index=True), paths=pd.DataFrame(paths))
+    step_s = step_of(name, rules)
+    return logs_of_episodes(name, [_episode(episode, name, rules, step_s) for episode in dataset])
+
+
+def _episode(episode: Any, name: str, rules: StepRules, step_s: float) -> Episode:
+    place = f"{name}, episode {episode.id}"
+    num_steps = len(episode)
+    ending, cause = _ending(episode, name, rules)
+    return Episode(
+        name=int(episode.id),
+        observed=_observations(episode.observations, num_steps, place),
+        actions=np.asarray(episode.actions).astype(np.int64),
+        rewards=np.asarray(episode.rewards, dtype=np.float64),
+        ends_s=even_ends(num_steps, step_s) if rules.clock is None else _clock(episode, rules.clock, place),
+        ending=ending,
+        cause=cause,
+        has_last=True,
+    )
 
 
 def _check_spaces(dataset: Any, name: str) -> None:
@@ -84,18 +88,13 @@ def _observations(observed: Any, num_steps: int, place: str) -> dict[str, Shaped
             raise LogError(
                 f"{place}: {len(values)} observations for {num_steps} steps; Minari keeps one more than there are steps"
             )
-        flat = values.reshape(len(values), -1)
-        columns |= {f"{key}_{i}": flat[:, i] for i in range(flat.shape[1])}
+        columns |= columns_of(key, values.reshape(len(values), -1))
     return columns
 
 
-def _clock(episode: Any, clock: str | None, step_s: float, place: str) -> Float[np.ndarray, " T"]:
+def _clock(episode: Any, clock: str, place: str) -> Float[np.ndarray, " T"]:
     """Time from the beginning to the end of each step [s]."""
     num_steps = len(episode)
-    if clock is None:
-        if not (np.isfinite(step_s) and step_s > 0):
-            raise ArgumentError(f"step_s {step_s}: a step lasts a finite time above 0 s")
-        return step_s * np.arange(1.0, num_steps + 1)
     infos = episode.infos or {}
     if clock not in infos:
         raise LogError(f"{place}: there is no info {clock!r} among {', '.join(infos) or 'none'}; name another clock")
@@ -105,37 +104,14 @@ def _clock(episode: Any, clock: str | None, step_s: float, place: str) -> Float[
             f"{place}: info {clock!r} is {values.dtype} of shape {values.shape}, no time for each of {num_steps} steps "
             "[s]; name another clock"
         )
-    seconds = values.astype(np.float64)
-    return seconds if len(seconds) == num_steps else seconds[1:] - seconds[0]
+    return ends_of(values.astype(np.float64), num_steps)
 
 
-def _ending(episode: Any, place: str) -> tuple[str, str | None]:
+def _ending(episode: Any, name: str, rules: StepRules) -> tuple[str, str | None]:
     terminated, truncated = (np.asarray(flags, dtype=bool) for flags in (episode.terminations, episode.truncations))
     if not len(terminated):
-        raise LogError(f"{place}: it has no step; leave the episode out")
-    early = (terminated | truncated)[:-1]
-    if early.any():
-        raise LogError(
-            f"{place}: step {int(np.argmax(early)) + 1} of {len(terminated)} ends it; make two episodes of it"
-        )
+        raise LogError(f"{name}, episode {episode.id}: it has no step; leave the episode out")
+    refuse_early(name, int(episode.id), terminated | truncated)
     if terminated[-1]:
         return FINISHED, None
-    return CUT, TRUNCATED if truncated[-1] else UNKNOWN_CAUSE
-
-
-def _stages(episode: Any, observed: dict[str, np.ndarray], seconds: np.ndarray, ending: str) -> pd.DataFrame:
-    """Steps as stages; a cut path has one more, that of the last observation."""
-    extra = 0 if ending == FINISHED else 1
-    num_stages = len(episode) + extra
-    missing = np.full(extra, np.nan)
-    actions = np.asarray(episode.actions).tolist() + [None] * extra
-    return pd.DataFrame(
-        {
-            "path": int(episode.id),
-            "stage": np.arange(1, num_stages + 1),
-            "elapsed_s": np.append(seconds, missing),
-            "action": pd.array(actions, dtype="Int64"),
-            "reward": np.append(np.asarray(episode.rewards, dtype=np.float64), missing),
-            **{name: values[:num_stages] for name, values in observed.items()},
-        }
-    )
+    return rules.of_truncated if truncated[-1] else (CUT, UNKNOWN_CAUSE)

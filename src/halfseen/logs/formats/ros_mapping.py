@@ -14,7 +14,8 @@ MAPPING_TEMPLATE = """\
 # A field is a path into the message: "data", "pose.position.x", "data.2" (the third number of an array).
 # [action], [reward] and [ending] are needed; leave out what you do not record.
 
-# "log": the time at which the recorder got a message. "header": header.stamp, which every topic below must then have.
+# "log": the time at which the recorder got a message. "publish": that at which it was sent, which MCAP alone knows.
+# "header": header.stamp, which every topic below must then have.
 clock = "log"
 
 # A message that begins a path, and its name (leave field out to number the paths). Without this table a bag is one
@@ -60,7 +61,7 @@ topic = "/camera/points"
 """
 """A whole mapping file, with comments."""
 
-_CLOCKS = ("log", "header")
+_CLOCKS = ("log", "publish", "header")
 _NEEDED = ("action", "reward", "ending")
 _FIELDS = ("object", "probability")
 
@@ -97,7 +98,7 @@ class BagMapping:
     finished
         Values of the ending that mean finished.
     clock
-        "log" or "header".
+        "log", "publish" or "header".
     path, object, probability, cloud
         What a bag may have.
     covariates

@@ -1,7 +1,7 @@
-"""Messages of ROS bags: opened with rosbags, brought into the order of one clock, their fields read by path."""
+"""Messages of bags: opened with rosbags or as MCAP, brought into the order of one clock, their fields read by path."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,12 +12,14 @@ from jaxtyping import Float
 
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs.formats.extras import extra
+from halfseen.logs.formats.mcap_files import Channel, McapFiles, Recorded
 from halfseen.logs.formats.ros_mapping import BagMapping, Source
 from halfseen.reading import TABLE, check_file, reason_of
 
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 STORAGES = (".mcap", ".db3", ".bag")
 
+_SECONDS, _NANOSECONDS = ("sec", "seconds", "secs"), ("nanosec", "nsec", "nanos", "nsecs")
 # Types of a PointCloud2's fields [ROS's numbers]; coordinates are one of these.
 _FLOATS = {7: "f4", 8: "f8"}
 
@@ -68,7 +70,7 @@ def check_topics(bags: list[Path], mapping: BagMapping) -> None:
     types: dict[str, str] = {}
     for bag in bags:
         with _opened(bag) as reader:
-            types |= {connection.topic: connection.msgtype for connection in reader.connections}
+            types |= {channel.topic: channel.kind for channel in reader.channels}
     for source in mapping.sources:
         if source.topic not in types:
             there = ", ".join(sorted(types)) or "none"
@@ -105,16 +107,16 @@ def read_events(bag: Path, mapping: BagMapping) -> list[Event]:
         by_topic.setdefault(source.topic, []).append(source)
     events = []
     with _opened(bag) as reader:
-        wanted = [connection for connection in reader.connections if connection.topic in by_topic]
+        wanted = [channel for channel in reader.channels if channel.topic in by_topic]
         num_clouds = 0
-        for connection, log_ns, raw in _messages(bag, reader, wanted):
-            message = _deserialised(bag, reader, connection, raw)
-            stamp_ns = _stamp(message, connection, log_ns, mapping)
-            for source in by_topic[connection.topic]:
+        for recorded in _messages(bag, reader, wanted):
+            message, channel = _decoded(bag, reader, recorded), recorded.channel
+            stamp_ns = _stamp(message, recorded, mapping)
+            for source in by_topic[channel.topic]:
                 if source.key == "cloud":
                     value, num_clouds = num_clouds, num_clouds + 1
                 else:
-                    value = _value(message, connection.msgtype, source, mapping)
+                    value = _value(message, channel.kind, source, mapping)
                 events.append(Event(stamp_ns, source, value))
     return sorted(events, key=lambda event: event.stamp_ns)
 
@@ -137,10 +139,10 @@ def read_clouds(bag: Path, topic: str, wanted: set[int]) -> Iterator[tuple[int, 
         The bag is broken.
     """
     with _opened(bag) as reader:
-        connections = [connection for connection in reader.connections if connection.topic == topic]
-        for number, (connection, _, raw) in enumerate(_messages(bag, reader, connections)):
+        channels = [channel for channel in reader.channels if channel.topic == topic]
+        for number, recorded in enumerate(_messages(bag, reader, channels)):
             if number in wanted:
-                yield number, _deserialised(bag, reader, connection, raw)
+                yield number, _decoded(bag, reader, recorded)
 
 
 def points_of(message: Any, where: str) -> tuple[Float[np.ndarray, "n 3"], tuple[int, int]]:
@@ -175,9 +177,26 @@ def points_of(message: Any, where: str) -> tuple[Float[np.ndarray, "n 3"], tuple
     return np.stack([points[axis].astype(np.float64) for axis in "xyz"], axis=1), (rows, columns)
 
 
+class _RosBag:
+    """A bag that rosbags opened; it speaks as `McapFiles` does."""
+
+    def __init__(self, reader: Any) -> None:
+        self._reader = reader
+        self._connections = dict(enumerate(reader.connections))
+        self.channels = [Channel(each.topic, each.msgtype, key) for key, each in self._connections.items()]
+
+    def messages(self, channels: Collection[Channel]) -> Iterator[Recorded]:
+        by_id = {id(self._connections[channel.key]): channel for channel in channels}
+        wanted = [self._connections[channel.key] for channel in channels]
+        for connection, log_ns, content in self._reader.messages(connections=wanted):
+            yield Recorded(by_id[id(connection)], log_ns, None, content)
+
+    def decoded(self, message: Recorded) -> Any:
+        return self._reader.deserialize(message.content, message.channel.kind)
+
+
 @contextmanager
 def _opened(bag: Path) -> Iterator[Any]:
-    highlevel, typesys = extra("rosbags.highlevel", "ros"), extra("rosbags.typesys", "ros")
     if not bag.exists():
         raise LogError(f"{bag}: there is no such bag; give the folder that `ros2 bag record` wrote, or its .mcap file")
     files = _storage_files(bag)
@@ -186,28 +205,47 @@ def _opened(bag: Path) -> Iterator[Any]:
     try:
         for file in _files_of(files):
             check_file(file, TABLE)
-        reader = highlevel.AnyReader(files, default_typestore=typesys.get_typestore(typesys.Stores.LATEST))
-        reader.open()
+        mcap = _mcap_files(files)
+        reader = _by_rosbags(files) if mcap is None else None
+        bag_reader = McapFiles(mcap or []) if reader is None else _RosBag(reader)
+    except ArgumentError:
+        raise
     except Exception as error:  # a broken bag raises nearly anything
         _refuse_bag(bag, error)
     try:
-        yield reader
+        yield bag_reader
     finally:
-        reader.close()
+        if reader is not None:
+            reader.close()
 
 
-def _messages(bag: Path, reader: Any, connections: list[Any]) -> Iterator[tuple[Any, int, bytes]]:
-    if not connections:
+def _mcap_files(places: list[Path]) -> list[Path] | None:
+    """The files of a bag, if all that it stores is MCAP; None if not."""
+    stored = [file for file in _files_of(places) if file.suffix != ".yaml"]
+    return sorted(stored) if stored and all(file.suffix == ".mcap" for file in stored) else None
+
+
+def _by_rosbags(files: list[Path]) -> Any:
+    highlevel, typesys = extra("rosbags.highlevel", "ros"), extra("rosbags.typesys", "ros")
+    reader = highlevel.AnyReader(files, default_typestore=typesys.get_typestore(typesys.Stores.LATEST))
+    reader.open()
+    return reader
+
+
+def _messages(bag: Path, reader: Any, channels: list[Channel]) -> Iterator[Recorded]:
+    if not channels:
         return
     try:
-        yield from reader.messages(connections=connections)
+        yield from reader.messages(channels)
     except Exception as error:
         _refuse_bag(bag, error)
 
 
-def _deserialised(bag: Path, reader: Any, connection: Any, raw: bytes) -> Any:
+def _decoded(bag: Path, reader: Any, message: Recorded) -> Any:
     try:
-        return reader.deserialize(raw, connection.msgtype)
+        return reader.decoded(message)
+    except ArgumentError:
+        raise
     except Exception as error:
         _refuse_bag(bag, error)
 
@@ -219,15 +257,28 @@ def _refuse_bag(bag: Path, error: Exception) -> Any:
     ) from error
 
 
-def _stamp(message: Any, connection: Any, log_ns: int, mapping: BagMapping) -> int:
+def _stamp(message: Any, recorded: Recorded, mapping: BagMapping) -> int:
+    where = f"{mapping.file}, clock: {recorded.channel.topic} ({recorded.channel.kind})"
     if mapping.clock == "log":
-        return log_ns
-    stamp = getattr(getattr(message, "header", None), "stamp", None)
-    if stamp is None:
-        raise ArgumentError(
-            f'{mapping.file}, clock: {connection.topic} ({connection.msgtype}) has no header.stamp; say clock = "log"'
-        )
-    return int(stamp.sec) * 10**9 + int(stamp.nanosec)
+        return recorded.log_ns
+    if mapping.clock == "publish":
+        if recorded.publish_ns is None:
+            raise ArgumentError(f'{where} is of a bag that does not say when it was sent; say clock = "log"')
+        return recorded.publish_ns
+    stamp = _part(_part(message, "header"), "stamp")
+    seconds, rest_ns = (_first_part(stamp, names) for names in (_SECONDS, _NANOSECONDS))
+    if not isinstance(seconds, int | np.integer) or not isinstance(rest_ns, int | np.integer):
+        raise ArgumentError(f'{where} has no header.stamp; say clock = "log"')
+    return int(seconds) * 10**9 + int(rest_ns)
+
+
+def _part(value: Any, name: str) -> Any:
+    """A field of a message; None where it has none."""
+    return value.get(name) if isinstance(value, Mapping) else getattr(value, name, None)
+
+
+def _first_part(value: Any, names: tuple[str, ...]) -> Any:
+    return next((part for name in names if (part := _part(value, name)) is not None), None)
 
 
 def _value(message: Any, msgtype: str, source: Source, mapping: BagMapping) -> Any:
@@ -249,9 +300,16 @@ def _entered(value: Any, step: str, path: str, where: str) -> Any:
         if int(step) >= len(value):
             raise ArgumentError(f"{where}, field {path!r}: there are {len(value)} entries, counted from 0; name one")
         return value[int(step)]
-    if step.startswith("_") or step not in getattr(value, "__dataclass_fields__", {}):
+    if step not in _fields(value):
         raise ArgumentError(f"{where} has no field {path!r}; name {_inside(value, '')}")
-    return getattr(value, step)
+    return _part(value, step)
+
+
+def _fields(value: Any) -> list[str]:
+    """What a message, or a part of one, consists of, by name."""
+    if isinstance(value, Mapping):
+        return list(value)
+    return [name for name in getattr(value, "__dataclass_fields__", {}) if not name.startswith("_")]
 
 
 def _inside(value: Any, path: str) -> str:
@@ -259,8 +317,7 @@ def _inside(value: Any, path: str) -> str:
     prefix = f"{path}." if path else ""
     if isinstance(value, list | np.ndarray):
         return f"one of its {len(value)} entries, {prefix}0 to {prefix}{len(value) - 1}" if len(value) else "another"
-    names = [name for name in getattr(value, "__dataclass_fields__", {}) if not name.startswith("_")]
-    return ", ".join(prefix + name for name in names) or "a field above it"
+    return ", ".join(prefix + name for name in _fields(value)[:40]) or "a field above it"
 
 
 def _check_kind(value: Any, source: Source, where: str) -> None:

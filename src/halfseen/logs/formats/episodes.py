@@ -1,0 +1,398 @@
+"""Episodes of other people's datasets as paths: what was seen before each action, and how the last step ended.
+
+A step is a stage: what was observed, the action that was taken on it, what it earned, and when it ended. Where a
+dataset also has what was observed after the last step, a cut falls into the stage of that observation; where it has
+not, into the last step itself, whose reward is passed over, as a stage that was not completed has none.
+"""
+
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from math import prod
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Bool, Float, Shaped
+
+from halfseen.errors import ArgumentError, HalfseenWarning, LogError
+from halfseen.logs.columns import CUT, FINISHED
+from halfseen.logs.logs import Logs
+from halfseen.logs.refusal import shown, within
+
+TRUNCATED = "truncated"
+MOST_NUMBERS = 1000
+"""Of one observation; what has more is an image or the like, of which no columns are made."""
+Columns = Mapping[str, Shaped[np.ndarray, "N ..."]]
+"""What a dataset holds, by name: one row a step."""
+
+
+@dataclass(frozen=True)
+class StepRules:
+    """What the reader of another's dataset is told; None leaves it to what the format usually has.
+
+    Parameters
+    ----------
+    action, reward
+        Columns that hold the action, one of finitely many, and what it earned.
+    done
+        Column that is true where an episode reached its own end.
+    clock
+        Column that holds the time [s].
+    step_s
+        How long a step lasts [s], where there is no clock.
+    truncated
+        "cut" or "finished" (at its horizon): what an episode is that did not terminate.
+
+    Raises
+    ------
+    ArgumentError
+        A step takes no time, both `clock` and `step_s` are given, or `truncated` is neither.
+    """
+
+    action: str | None = None
+    reward: str | None = None
+    done: str | None = None
+    clock: str | None = None
+    step_s: float | None = None
+    truncated: str = CUT
+
+    def __post_init__(self) -> None:
+        if self.step_s is not None and not (np.isfinite(self.step_s) and self.step_s > 0):
+            raise ArgumentError(f"step_s {self.step_s}: a step lasts a finite time above 0 s")
+        if self.step_s is not None and self.clock is not None:
+            raise ArgumentError(f"step_s {self.step_s} and clock {self.clock!r}: both tell the time; give one of them")
+        if self.truncated not in (CUT, FINISHED):
+            raise ArgumentError(f"truncated {self.truncated!r}: it is neither {CUT!r} nor {FINISHED!r}; say one")
+
+    @property
+    def named(self) -> dict[str, str]:
+        """The columns that are named, by what they hold."""
+        roles = {"action": self.action, "reward": self.reward, "done": self.done, "clock": self.clock}
+        return {role: name for role, name in roles.items() if name is not None}
+
+    @property
+    def of_truncated(self) -> tuple[str, str | None]:
+        """Ending and cause of an episode that did not terminate."""
+        return (FINISHED, None) if self.truncated == FINISHED else (CUT, TRUNCATED)
+
+
+@dataclass(frozen=True)
+class Episode:
+    """An episode of T steps.
+
+    Parameters
+    ----------
+    name
+        Of its path.
+    observed
+        Columns of what was observed, T rows each, or one more where `has_last`.
+    actions
+        Action of each step, shape (T,): whole numbers or text.
+    rewards
+        What each step earned, shape (T,).
+    ends_s
+        Time from the beginning to the end of each step [s], shape (T,).
+    ending, cause
+        As in `paths` of `Logs`.
+    has_last
+        Whether what was observed after the last step is known.
+    """
+
+    name: int | str
+    observed: Mapping[str, Shaped[np.ndarray, " O"]]
+    actions: Shaped[np.ndarray, " T"]
+    rewards: Float[np.ndarray, " T"]
+    ends_s: Float[np.ndarray, " T"]
+    ending: str
+    cause: str | None
+    has_last: bool
+
+
+@dataclass(frozen=True)
+class StepColumns:
+    """Steps of all episodes of a dataset, one below the other in N rows.
+
+    Parameters
+    ----------
+    observed
+        Columns of what was observed.
+    actions, rewards
+        As in `Episode`.
+    """
+
+    observed: Mapping[str, Shaped[np.ndarray, " N"]]
+    actions: Shaped[np.ndarray, " N"]
+    rewards: Float[np.ndarray, " N"]
+
+    def episode(
+        self,
+        name: int | str,
+        rows: slice,
+        ends_s: Float[np.ndarray, " T"],
+        ending: tuple[str, str | None],
+        *,
+        after: Mapping[str, Any] | None = None,
+    ) -> Episode:
+        """Take the steps of one episode.
+
+        Parameters
+        ----------
+        name
+            Of its path.
+        rows
+            Its steps.
+        ends_s
+            As in `Episode`.
+        ending
+            Ending and cause.
+        after
+            What was observed after its last step; None where that is not known.
+        """
+        observed = {column: values[rows] for column, values in self.observed.items()}
+        if after is not None:
+            observed = {column: np.append(values, after[column]) for column, values in observed.items()}
+        return Episode(
+            name, observed, self.actions[rows], self.rewards[rows], ends_s, *ending, has_last=after is not None
+        )
+
+
+def logs_of_episodes(place: str, episodes: Sequence[Episode]) -> Logs:
+    """Make paths of episodes.
+
+    Parameters
+    ----------
+    place
+        What to call the dataset in messages.
+    episodes
+        With the same columns each.
+
+    Raises
+    ------
+    LogError
+        There is none, one has no step, or the log breaks an invariant.
+    """
+    if not episodes:
+        raise LogError(f"{place}: it has no episodes; a log has at least one path")
+    for episode in episodes:
+        if not len(episode.actions):
+            raise LogError(f"{place}, episode {shown(episode.name)}: it has no step; leave the episode out")
+    stages = [_stages(episode) for episode in episodes]
+    columns: dict[str, Any] = {name: np.concatenate([part[name] for part in stages]) for name in stages[0]}
+    is_whole = all(episode.actions.dtype.kind == "i" for episode in episodes)
+    columns["action"] = pd.array(columns["action"].tolist(), dtype="Int64" if is_whole else object)
+    ends: dict[str, list[Any]] = {
+        "path": [episode.name for episode in episodes],
+        "end_s": [episode.ends_s[-1] for episode in episodes],
+        "ending": [episode.ending for episode in episodes],
+        "cause": [episode.cause for episode in episodes],
+    }
+    with within(place):
+        return Logs(stages=pd.DataFrame(columns), paths=pd.DataFrame(ends))
+
+
+def _stages(episode: Episode) -> dict[str, np.ndarray]:
+    is_cut = episode.ending == CUT
+    num_steps = len(episode.actions)
+    num_completed = num_steps - (is_cut and not episode.has_last)
+    num_stages = num_completed + is_cut
+    unknown = np.full(int(is_cut), np.nan)
+    actions = np.full(num_stages, None, dtype=object)
+    actions[: min(num_steps, num_stages)] = episode.actions[:num_stages]
+    return {
+        "path": np.repeat(np.array([episode.name], dtype=object), num_stages),
+        "stage": np.arange(1, num_stages + 1),
+        "elapsed_s": np.append(episode.ends_s[:num_completed], unknown),
+        "action": actions,
+        "reward": np.append(episode.rewards[:num_completed], unknown),
+        **{name: values[:num_stages] for name, values in episode.observed.items()},
+    }
+
+
+def columns_of(name: str, values: Shaped[np.ndarray, "N ..."]) -> dict[str, Shaped[np.ndarray, " N"]]:
+    """Take an array with a row a step apart into columns: NAME, or NAME_0, NAME_1, … where it has more than one."""
+    if values.ndim == 1:
+        return {name: values}
+    flat = values.reshape(len(values), prod(values.shape[1:]))
+    return {f"{name}_{k}": flat[:, k] for k in range(flat.shape[1])}
+
+
+def observed_columns(place: str, columns: Columns) -> dict[str, Shaped[np.ndarray, " N"]]:
+    """Make columns of observations; what is neither numbers nor text, or too long, is passed over with a warning.
+
+    Parameters
+    ----------
+    place
+        What to call the dataset in messages.
+    columns
+        The observations.
+
+    Raises
+    ------
+    LogError
+        Two observations make the same column.
+    """
+    observed: dict[str, np.ndarray] = {}
+    passed_over = []
+    for name, values in columns.items():
+        if values.dtype.kind not in "biufO" or values[:1].size > MOST_NUMBERS or _is_strange(values):
+            passed_over.append(f"{name} ({values.dtype} of shape {values.shape[1:]})")
+            continue
+        for column, entries in columns_of(name, values).items():
+            if column in observed:
+                raise LogError(f"{place}: two observations make a column {column!r}; rename one")
+            observed[column] = entries
+    if passed_over:
+        warn(place, f"{', '.join(passed_over)}: no columns of a stage hold it, so it is left out")
+    return observed
+
+
+def _is_strange(values: np.ndarray) -> bool:
+    """Whether objects are anything but text and null."""
+    return values.dtype == object and not all(value is None or isinstance(value, str) for value in values.flat)
+
+
+def actions_of(place: str, name: str, values: Shaped[np.ndarray, "N ..."]) -> Shaped[np.ndarray, " N"]:
+    """Bring actions into whole numbers (null as None) or text.
+
+    Raises
+    ------
+    ArgumentError
+        They are not one of finitely many each.
+    """
+    flat = values.reshape(len(values)) if values.ndim > 1 and values[:1].size == 1 else values
+    if flat.ndim == 1 and flat.dtype.kind in "biu":
+        return flat.astype(np.int64)
+    if flat.ndim == 1 and flat.dtype == object and not _is_strange(flat):
+        return flat
+    if flat.ndim == 1 and flat.dtype.kind == "f":
+        is_null = np.isnan(flat)
+        if (is_null | (np.isfinite(flat) & (flat == np.floor(flat)) & (np.abs(flat) < 2**53))).all():
+            whole = np.where(is_null, 0, flat).astype(np.int64)
+            return _with_null(whole, is_null) if is_null.any() else whole
+    raise ArgumentError(
+        f"{place}: {name} holds {values.dtype} of shape {values.shape[1:]}, and the action of a stage is one of "
+        "finitely many; discretise it (say, with numpy.digitize), or name another column, of whole numbers or text, as "
+        "action"
+    )
+
+
+def _with_null(values: np.ndarray, is_null: np.ndarray) -> np.ndarray:
+    told = values.astype(object)
+    told[is_null] = None
+    return told
+
+
+def rewards_of(place: str, name: str, values: Shaped[np.ndarray, "N ..."]) -> Float[np.ndarray, " N"]:
+    """Bring rewards into numbers; true counts 1.
+
+    Raises
+    ------
+    ArgumentError
+        They are no single numbers.
+    """
+    return _single(place, name, values, "reward", "a number").astype(np.float64)
+
+
+def flags_of(place: str, name: str, values: Shaped[np.ndarray, "N ..."]) -> Bool[np.ndarray, " N"]:
+    """Bring a column into true and false; 1 and 0 are such.
+
+    Raises
+    ------
+    ArgumentError
+        It holds anything else.
+    """
+    flat = _single(place, name, values, "done", "true or false")
+    wrong = ~((flat == 0) | (flat == 1))
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise LogError(f"{place}, row {row}: {name} is {shown(flat[row])}, neither true nor false; mend it")
+    return flat.astype(bool)
+
+
+def times_of(place: str, name: str, values: Shaped[np.ndarray, "N ..."]) -> Float[np.ndarray, " N"]:
+    """Bring a clock into seconds.
+
+    Raises
+    ------
+    ArgumentError
+        It holds no numbers.
+    """
+    return _single(place, name, values, "clock", "a time [s]").astype(np.float64)
+
+
+def ends_of(times_s: Float[np.ndarray, " O"], num_steps: int) -> Float[np.ndarray, " T"]:
+    """Ends of steps by the times of their observations, one more than there are steps, or by those ends themselves."""
+    return times_s if len(times_s) == num_steps else times_s[1:] - times_s[0]
+
+
+def even_ends(num_steps: int, step_s: float) -> Float[np.ndarray, " T"]:
+    """Ends of steps that last the same time each."""
+    return step_s * np.arange(1.0, num_steps + 1)
+
+
+def step_of(place: str, rules: StepRules) -> float:
+    """How long a step lasts where there is no clock [s]; 1 s, with a warning, where nobody says."""
+    if rules.clock is None and rules.step_s is None:
+        warn(place, "no clock is named, so that every step counts as 1 s; name what holds it as clock, or give step_s")
+    return 1.0 if rules.step_s is None else rules.step_s
+
+
+def refuse_early(place: str, name: int | str, ends: Bool[np.ndarray, " T"]) -> None:
+    """Refuse an episode that ends before its last step.
+
+    Raises
+    ------
+    LogError
+        It does.
+    """
+    if ends[:-1].any():
+        raise LogError(
+            f"{place}, episode {shown(name)}: step {int(np.argmax(ends)) + 1} of {len(ends)} ends it; make two "
+            "episodes of it"
+        )
+
+
+def require(place: str, names: Iterable[str], wanted: str, role: str, remedy: str | None = None) -> None:
+    """Refuse a dataset that lacks a column.
+
+    Parameters
+    ----------
+    place
+        What to call the dataset in messages.
+    names
+        Its columns.
+    wanted
+        The one that is needed.
+    role
+        What it tells.
+    remedy
+        What to do; by default another column is to be named for that role.
+
+    Raises
+    ------
+    ArgumentError
+        It does; those that are there are named.
+    """
+    there = list(names)
+    if wanted not in there:
+        raise ArgumentError(
+            f"{place}: there is no {wanted!r} for the {role} among {', '.join(there[:40]) or 'none'}; "
+            f"{remedy or f'name another as {role}'}"
+        )
+
+
+def warn(place: str, trouble: str) -> None:
+    """Tell what is read otherwise than somebody may think."""
+    warnings.warn(f"{place}: {trouble}", HalfseenWarning, stacklevel=4)
+
+
+def _single(place: str, name: str, values: np.ndarray, role: str, meant: str) -> Shaped[np.ndarray, " N"]:
+    """A column of numbers or truth values, one each step."""
+    flat = values.reshape(len(values)) if values.ndim > 1 and values[:1].size == 1 else values
+    if flat.ndim != 1 or flat.dtype.kind not in "biuf":
+        raise ArgumentError(
+            f"{place}: {name} holds {values.dtype} of shape {values.shape[1:]}, and not {meant} for each step; name "
+            f"another column as {role}"
+        )
+    return flat

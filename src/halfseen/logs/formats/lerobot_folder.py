@@ -1,0 +1,240 @@
+"""LeRobot datasets (v3): a folder of Parquet files with what they mean beside them.
+
+::
+
+    FOLDER/
+      meta/info.json                          features, frames a second (fps), how many episodes and frames there are
+      meta/tasks.parquet                      task_index → what the robot was told to do
+      meta/episodes/chunk-*/file-*.parquet    how many frames each episode has
+      data/chunk-*/file-*.parquet             one row a frame
+      videos/…                                not read
+
+A frame is a step. What was seen are the features ``observation…`` and the task; images and videos are passed over, and
+so is what came of a step (``next…``) or was commanded in it.
+"""
+
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from jaxtyping import Float, Int, Shaped
+
+from halfseen.errors import LogError
+from halfseen.logs.columns import FINISHED
+from halfseen.logs.formats.arrow_tables import as_array, names_in, read_tables
+from halfseen.logs.formats.episodes import (
+    Columns,
+    StepColumns,
+    StepRules,
+    actions_of,
+    even_ends,
+    flags_of,
+    logs_of_episodes,
+    observed_columns,
+    refuse_early,
+    require,
+    rewards_of,
+    times_of,
+    warn,
+)
+from halfseen.logs.logs import Logs
+from halfseen.logs.refusal import shown
+from halfseen.reading import json_of, read_text, reason_of
+
+INFO = Path("meta") / "info.json"
+VERSION = "v3"
+SEEN = "observation"
+DONE = ("next.done", "next.success")
+EPISODE, TASK_INDEX, TIMESTAMP = "episode_index", "task_index", "timestamp"
+_PICTURES = ("image", "video")
+_BOOKKEEPING = (EPISODE, TASK_INDEX, TIMESTAMP, "frame_index", "index")
+
+
+def read_lerobot(folder: str | Path, rules: StepRules | None = None) -> Logs:
+    """Read a LeRobot dataset (v3) from its folder.
+
+    Parameters
+    ----------
+    folder
+        Holds ``meta`` and ``data``.
+    rules
+        Which features hold the action (default: ``action``), the reward (``next.reward``), whether the episode
+        reached its own end (``next.done`` or ``next.success``), and the time of each frame (the frames, counted, by
+        ``fps``); and what becomes of an episode that did not, or of which nothing says so.
+
+    Returns
+    -------
+    Logs
+        Each episode a path, each frame a stage. A cut falls into the last frame, whose reward is passed over.
+
+    Raises
+    ------
+    ArgumentError
+        A feature is not there, or the actions are not finitely many.
+    LogError
+        A file is missing or broken, files of two datasets are mixed, or the log breaks an invariant.
+    """
+    folder, rules = Path(folder), StepRules() if rules is None else rules
+    place, info = str(folder), _info(folder / INFO)
+    action, reward = rules.action or "action", rules.reward or "next.reward"
+    columns = _columns(folder, info["features"], {"action": action, "reward": reward, **rules.named})
+    begins = _begins(folder, columns[EPISODE])
+    _check_counts(folder, info, columns[EPISODE], begins)
+    steps = StepColumns(
+        observed_columns(place, _seen(folder, columns)),
+        actions_of(place, action, columns[action]),
+        rewards_of(place, reward, columns[reward]),
+    )
+    endings = _endings(place, columns, rules, begins)
+    ends_s = _ends(place, columns, float(info["fps"]), rules, begins)
+    names = columns[EPISODE][begins[:-1]].tolist()
+    rows = [slice(*bounds) for bounds in pairwise(begins.tolist())]
+    return logs_of_episodes(place, [steps.episode(*each) for each in zip(names, rows, ends_s, endings, strict=True)])
+
+
+def _info(file: Path) -> dict[str, Any]:
+    try:
+        info = json_of(read_text(file))
+    except (OSError, ValueError) as error:
+        raise LogError(f"{file}: it cannot be read ({reason_of(error)}); copy the whole dataset again") from error
+    version = info.get("codebase_version") if isinstance(info, dict) else None
+    if not isinstance(version, str) or not version.startswith(VERSION):
+        raise LogError(
+            f"{file}: codebase_version is {shown(version)}, and {VERSION} is read; bring the dataset to it with LeRobot"
+        )
+    fps, features = info.get("fps"), info.get("features")
+    if isinstance(fps, bool) or not isinstance(fps, int | float) or not fps > 0:
+        raise LogError(f"{file}: fps is {shown(fps)}, no number of frames a second; mend it")
+    if not isinstance(features, dict) or not all(isinstance(feature, dict) for feature in features.values()):
+        raise LogError(f"{file}: features does not describe the columns of the data; copy the dataset again")
+    return info
+
+
+def _columns(folder: Path, features: dict[str, Any], named: dict[str, str]) -> dict[str, np.ndarray]:
+    """Read what is wanted of the data, and tell what is passed over."""
+    files = _files(folder, "data")
+    pictures = [name for name, feature in features.items() if feature.get("dtype") in _PICTURES]
+    there = [name for name in names_in(files[0]) if name not in pictures]
+    for role, name in {**named, "number of each episode": EPISODE}.items():
+        require(str(folder), there, name, role)
+    seen = [name for name in there if name.startswith(SEEN)]
+    known = dict.fromkeys([*seen, *named.values(), EPISODE, TIMESTAMP, TASK_INDEX, *DONE])
+    wanted = [name for name in known if name in there]
+    left_out = [name for name in features if name not in (*wanted, *_BOOKKEEPING)]
+    if left_out:
+        told = ", ".join(f"{name} (pictures)" if name in pictures else name for name in left_out)
+        warn(str(folder), f"left out are {told}: no columns of a stage hold them, or nobody saw them before the action")
+    table = read_tables(files, wanted)
+    return {name: as_array(str(folder / "data"), table, name) for name in wanted}
+
+
+def _files(folder: Path, below: str) -> list[Path]:
+    files = sorted((folder / below).glob("chunk-*/file-*.parquet"))
+    if not files:
+        raise LogError(f"{folder / below}: there is no chunk-*/file-*.parquet; copy the whole dataset again")
+    return files
+
+
+def _begins(folder: Path, episode: Shaped[np.ndarray, "N ..."]) -> Int[np.ndarray, " E1"]:
+    """Rows in which episodes begin, and the number of rows."""
+    if episode.dtype.kind not in "iu" or episode.ndim != 1:
+        raise LogError(f"{folder / 'data'}: {EPISODE} holds {episode.dtype}, no whole numbers; copy the dataset again")
+    at = np.append(0, np.flatnonzero(episode[1:] != episode[:-1]) + 1) if len(episode) else np.zeros(0, np.int64)
+    names, counts = np.unique(episode[at], return_counts=True)
+    if (counts > 1).any():
+        raise LogError(
+            f"{folder / 'data'}: the frames of episode {names[np.argmax(counts > 1)]} do not stand together; copy the "
+            "dataset again"
+        )
+    return np.append(at, len(episode)).astype(np.int64)
+
+
+def _check_counts(folder: Path, info: dict[str, Any], episode: np.ndarray, begins: np.ndarray) -> None:
+    """Refuse data of which some frames are missing, by what is noted of each episode."""
+    noted = read_tables(_files(folder, "meta/episodes"), (EPISODE, "length"))
+    lengths = dict(zip(*(noted[name].to_pylist() for name in (EPISODE, "length")), strict=True))
+    found = dict(zip(episode[begins[:-1]].tolist(), np.diff(begins).tolist(), strict=True))
+    for name in sorted({*lengths, *found}, key=str):
+        if lengths.get(name) != found.get(name):
+            raise LogError(
+                f"{folder}, episode {shown(name)}: meta/episodes counts {lengths.get(name, 0)} frames, and data has "
+                f"{found.get(name, 0)}; copy the whole dataset again"
+            )
+    if info.get("total_frames", len(episode)) != len(episode):
+        raise LogError(
+            f"{folder / INFO}: total_frames is {shown(info['total_frames'])}, and data has {len(episode)}; copy the "
+            "whole dataset again"
+        )
+
+
+def _endings(
+    place: str, columns: Columns, rules: StepRules, begins: Int[np.ndarray, " E1"]
+) -> list[tuple[str, str | None]]:
+    """Ending and cause of each episode."""
+    told = [name for name in ((rules.done,) if rules.done else DONE) if name in columns]
+    if not told:
+        became = "finished" if rules.truncated == FINISHED else "was cut (truncated)"
+        warn(
+            place,
+            f"neither {' nor '.join(DONE)} says how an episode ended, so that each {became}; name another feature as "
+            "done, or say by truncated what they are",
+        )
+        return [rules.of_truncated] * (len(begins) - 1)
+    is_done = np.any([flags_of(place, name, columns[name]) for name in told], axis=0)
+    if rules.done is not None:
+        for begin, end in pairwise(begins.tolist()):
+            refuse_early(place, int(columns[EPISODE][begin]), is_done[begin:end])
+    return [(FINISHED, None) if is_over else rules.of_truncated for is_over in is_done[begins[1:] - 1]]
+
+
+def _ends(
+    place: str, columns: Columns, fps: float, rules: StepRules, begins: Int[np.ndarray, " E1"]
+) -> list[Float[np.ndarray, " T"]]:
+    """Time from the beginning of its episode to the end of each frame [s], by episode."""
+    step_s = rules.step_s or 1.0 / fps
+    bounds = list(pairwise(begins.tolist()))
+    if rules.clock is None:
+        if rules.step_s is None and TIMESTAMP in columns:
+            _check_stamps(place, columns, fps, begins)
+        return [even_ends(end - begin, step_s) for begin, end in bounds]
+    times_s = times_of(place, rules.clock, columns[rules.clock])
+    return [np.append(times_s[begin + 1 : end], times_s[end - 1] + step_s) - times_s[begin] for begin, end in bounds]
+
+
+def _check_stamps(place: str, columns: Columns, fps: float, begins: Int[np.ndarray, " E1"]) -> None:
+    """Refuse to count frames where the time stamps tell otherwise."""
+    stamps = times_of(place, TIMESTAMP, columns[TIMESTAMP])
+    first = np.repeat(begins[:-1], np.diff(begins))
+    counted = (np.arange(len(stamps)) - first) / fps
+    wrong = ~(np.abs(stamps - stamps[first] - counted) < 0.5 / fps)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise LogError(
+            f"{place}, episode {shown(columns[EPISODE][row])}: frame {row - first[row]} has the {TIMESTAMP} "
+            f"{stamps[row]:g} s, and by {fps:g} frames a second it is {counted[row]:g} s; name {TIMESTAMP} as clock, "
+            "or give step_s"
+        )
+
+
+def _seen(folder: Path, columns: Columns) -> dict[str, np.ndarray]:
+    seen = {name: values for name, values in columns.items() if name.startswith(SEEN)}
+    file = folder / "meta" / "tasks.parquet"
+    if TASK_INDEX in columns and file.exists():
+        seen["task"] = _tasks(file, columns[TASK_INDEX])
+    return seen
+
+
+def _tasks(file: Path, numbers: np.ndarray) -> np.ndarray:
+    table = read_tables([file])
+    words = [
+        field.name for field in table.schema if pa.types.is_string(field.type) or pa.types.is_large_string(field.type)
+    ]
+    if TASK_INDEX not in table.column_names or len(words) != 1:
+        raise LogError(f"{file}: it has no {TASK_INDEX} and text for each task; copy the dataset again")
+    told = dict(zip(table[TASK_INDEX].to_pylist(), table[words[0]].to_pylist(), strict=True))
+    wrong = [number for number in np.unique(numbers).tolist() if number not in told]
+    if wrong:
+        raise LogError(f"{file}: there is no task {shown(wrong[0])}, which a frame has; copy the dataset again")
+    return np.array([told[number] for number in numbers.tolist()], dtype=object)

@@ -1,0 +1,234 @@
+"""Logs as rows of a database that SQLAlchemy reaches: one SELECT a table of the log.
+
+The columns are those of the CSV form, and text whose every cell is a JSON list is read as lists. The database is only
+read: one SELECT a table, in a transaction that is said to be read-only where the database knows that, and taken back.
+"""
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import pyarrow as pa
+
+from halfseen.errors import ArgumentError, HalfseenError, LogError
+from halfseen.logs.columns import OBJECT_COLUMNS, PATH_COLUMNS, STAGE_COLUMNS
+from halfseen.logs.formats.column_types import from_list_texts
+from halfseen.logs.formats.extras import extra
+from halfseen.logs.logs import Logs
+from halfseen.logs.refusal import shown, within
+from halfseen.reading import TABLE, UNPACKED, check_file, read_text, reason_of, toml_of
+
+ROWS_AT_ONCE = 10_000
+BYTES_OF_VALUE = 8
+MOST_BYTES = UNPACKED
+"""Of the rows of one table."""
+_NAMES = {*STAGE_COLUMNS, *PATH_COLUMNS, *OBJECT_COLUMNS}
+_COMMENTS_AND_TEXT = re.compile(r"--[^\n]*|/\*.*?\*/|'(?:[^']|'')*'|\"(?:[^\"]|\"\")*\"", re.DOTALL)
+_SELECTS = re.compile(r"\(*\s*(select|with|values|table)\b", re.IGNORECASE)
+_SECRET = re.compile(r"(?i)((?:password|passwd|pwd|token|secret|key)[^=&;]*=)[^&;]*")
+_OF_USER = re.compile(r"(?:(?<=://)|^)([^:/@]*):(?!//).*@", re.DOTALL)
+
+
+@dataclass(frozen=True)
+class Queries:
+    """What is asked of a database.
+
+    Parameters
+    ----------
+    stages, paths, objects
+        A SELECT each; None where the log has no objects.
+
+    Raises
+    ------
+    ArgumentError
+        One is more than one statement, or none that only reads.
+    """
+
+    stages: str
+    paths: str
+    objects: str | None = None
+
+    def __post_init__(self) -> None:
+        for name, query in self.by_table.items():
+            bare = _COMMENTS_AND_TEXT.sub(" ", query).strip().rstrip(";")
+            if ";" in bare or not _SELECTS.match(bare):
+                raise ArgumentError(f"{name} {shown(query)}: it is not one SELECT; nothing else is asked of a database")
+
+    @property
+    def by_table(self) -> dict[str, str]:
+        """The queries that there are."""
+        queries = {"stages": self.stages, "paths": self.paths, "objects": self.objects}
+        return {name: query for name, query in queries.items() if query is not None}
+
+
+def read_queries(file: str | Path) -> Queries:
+    """Read a file (TOML) whose keys ``stages``, ``paths`` and, if there are any, ``objects`` are SELECTs.
+
+    Raises
+    ------
+    ArgumentError
+        It is missing or no TOML, a key is missing or unknown, or a query is none.
+    """
+    try:
+        found = toml_of(read_text(Path(file)))
+    except OSError as error:
+        raise ArgumentError(f"{file}: it cannot be read ({error.strerror}); give a file of queries") from error
+    except ValueError as error:
+        raise ArgumentError(f"{file}: it is no TOML ({reason_of(error)}); mend it") from error
+    unknown = [key for key in found if key not in ("stages", "paths", "objects")]
+    if unknown:
+        raise ArgumentError(f"{file}, {unknown[0]}: it is unknown; there are stages, paths, objects")
+    for key in ("stages", "paths"):
+        if key not in found:
+            raise ArgumentError(f"{file}, {key}: it is missing; say which SELECT gives the {key}")
+    for key, query in found.items():
+        if not isinstance(query, str):
+            raise ArgumentError(f"{file}, {key}: {shown(query)} is no text; give a SELECT")
+    with within(file):
+        return Queries(**found)
+
+
+def read_sql(url: str, queries: Queries) -> Logs:
+    """Read a log from a database.
+
+    Parameters
+    ----------
+    url
+        As SQLAlchemy takes it: ``sqlite:///cell.db``, ``postgresql+psycopg://user:password@host/cell``. The password
+        is never shown.
+    queries
+        Which rows are the stages, the paths and the objects.
+
+    Raises
+    ------
+    ArgumentError
+        SQLAlchemy or the driver is not installed, or the URL is none.
+    LogError
+        The database cannot be read, a query is refused by it, or the rows break an invariant.
+    """
+    place = shown_url(url)
+    with _connected(url, place) as connection:
+        tables = {name: _rows(connection, f"{place}, {name}", query) for name, query in queries.by_table.items()}
+    with within(place):
+        return Logs(**tables)
+
+
+def shown_url(url: str) -> str:
+    """Write a URL without what is secret in it."""
+    head, question, options = _OF_USER.sub(r"\1:***@", url).partition("?")
+    return head + question + _SECRET.sub(r"\1***", options)
+
+
+@contextmanager
+def _connected(url: str, place: str) -> Iterator[Any]:
+    sqlalchemy = extra("sqlalchemy", "sql")
+    try:
+        parsed = sqlalchemy.make_url(url)
+        engine = _engine(sqlalchemy, parsed)
+    except HalfseenError:
+        raise
+    except ModuleNotFoundError as error:
+        raise ArgumentError(
+            f"{place}: its driver {error.name} is not installed; run: pip install {error.name}"
+        ) from None
+    except sqlalchemy.exc.NoSuchModuleError:
+        kind = url.partition(":")[0][:40]
+        raise ArgumentError(
+            f"{place}: {kind!r} is no kind of database that is installed here; install its dialect"
+        ) from None
+    except OSError as error:
+        raise LogError(f"{place}: it cannot be read ({reason_of(error)}); give the file of a database") from error
+    except Exception:  # what it says may hold the password
+        raise ArgumentError(
+            f"{place}: it is no address of a database; give DIALECT://USER:PASSWORD@HOST/NAME"
+        ) from None
+    try:
+        with engine.connect() as connection:
+            connection = connection.execution_options(no_parameters=True, stream_results=True, **_read_only(engine))
+            if engine.dialect.name in ("mysql", "mariadb"):
+                connection.exec_driver_sql("SET SESSION TRANSACTION READ ONLY")
+            yield connection
+            connection.rollback()
+    except (HalfseenError, MemoryError):
+        raise
+    except Exception as error:  # drivers raise nearly anything
+        raise LogError(f"{place}: it cannot be reached or read ({_reason(error, parsed)}); check the address") from None
+    finally:
+        engine.dispose()
+
+
+def _engine(sqlalchemy: Any, url: Any) -> Any:
+    if url.get_backend_name() != "sqlite" or url.get_driver_name() != "pysqlite":
+        return sqlalchemy.create_engine(url)
+    import sqlite3
+
+    file = Path(url.database or "")
+    if not url.database or str(file).startswith((":memory:", "file:")):
+        raise ArgumentError(f"{shown_url(str(url))}: it names no file; give sqlite:///FILE")
+    check_file(file, TABLE)
+    address = f"file:{quote(str(file.absolute()))}?mode=ro"
+    return sqlalchemy.create_engine(
+        url.set(database=None, query={}), creator=lambda: sqlite3.connect(address, uri=True)
+    )
+
+
+def _read_only(engine: Any) -> dict[str, Any]:
+    return {"postgresql_readonly": True} if engine.dialect.name == "postgresql" else {}
+
+
+def _rows(connection: Any, place: str, query: str) -> pa.Table:
+    try:
+        result = connection.exec_driver_sql(query.strip().rstrip(";"))
+        names = list(map(str, result.keys()))
+        repeated = [name for k, name in enumerate(names) if name in names[:k]]
+        if repeated:
+            raise LogError(f"{place}: there are two columns {shown(repeated[0])}; name one otherwise (AS)")
+        cells: list[list[Any]] = [[] for _ in names]
+        num_bytes = 0
+        for rows in result.partitions(ROWS_AT_ONCE):
+            for column, values in zip(cells, zip(*rows, strict=True), strict=True):
+                column.extend(values)
+                num_bytes += sum(len(v) if isinstance(v, str | bytes) else BYTES_OF_VALUE for v in values)
+            if num_bytes > MOST_BYTES:
+                raise LogError(
+                    f"{place}: {shown(query)} gives more than {MOST_BYTES / 1e6:,.0f} MB; ask for fewer rows"
+                )
+    except (HalfseenError, MemoryError):
+        raise
+    except Exception as error:  # drivers raise nearly anything
+        raise LogError(f"{place}: the database refuses {shown(query)} ({_reason(error)}); mend the query") from None
+    return pa.table({name: _column(place, name, values) for name, values in zip(names, cells, strict=True)})
+
+
+def _column(place: str, name: str, values: list[Any]) -> Any:
+    plain = [_value(value) for value in values]
+    try:
+        column = pa.array(plain)
+    except (pa.ArrowException, ValueError, TypeError, OverflowError) as error:
+        kinds = ", ".join(sorted({type(value).__name__ for value in plain if value is not None}))
+        raise LogError(
+            f"{place}: column {shown(name)} mixes {kinds} ({reason_of(error)}); give it one type (CAST)"
+        ) from error
+    lists = None if name in _NAMES else from_list_texts(column)
+    return column if lists is None else lists
+
+
+def _value(value: Any) -> Any:
+    """What Python's types of databases are in a log: decimal numbers are numbers, and identifiers text."""
+    if isinstance(value, Decimal):
+        return int(value) if value == value.to_integral_value() and value.as_tuple().exponent == 0 else float(value)
+    if isinstance(value, memoryview):
+        return bytes(value)
+    return str(value) if type(value).__name__ == "UUID" else value
+
+
+def _reason(error: Exception, url: Any = None) -> str:
+    """What a driver says, in one line and without the password."""
+    told = reason_of(getattr(error, "orig", None) or error)
+    secret = None if url is None else url.password
+    return told.replace(str(secret), "***") if secret else told

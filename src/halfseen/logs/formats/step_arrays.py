@@ -1,0 +1,205 @@
+"""Arrays of steps in an HDF5 file, like those of D4RL: all episodes one below the other, one row a step.
+
+``observations``, ``actions``, ``rewards`` and ``terminals`` are needed; ``timeouts`` says where an episode was
+truncated, and ``next_observations`` what was observed after each step. ``observations`` may be a group of arrays. What
+is in ``infos`` and elsewhere is read where it is named as the action, the reward, the end or the clock.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+from math import prod
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool
+
+from halfseen.errors import HalfseenError, LogError
+from halfseen.logs.columns import CUT, FINISHED
+from halfseen.logs.formats.episodes import (
+    Columns,
+    StepColumns,
+    StepRules,
+    actions_of,
+    even_ends,
+    flags_of,
+    logs_of_episodes,
+    observed_columns,
+    require,
+    rewards_of,
+    step_of,
+    times_of,
+    warn,
+)
+from halfseen.logs.formats.extras import extra
+from halfseen.logs.logs import Logs
+from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, reason_of
+
+SEEN, NEXT_SEEN, TIMEOUTS = "observations", "next_observations", "timeouts"
+END_OF_DATA = "end-of-data"
+SUFFIXES = (".h5", ".hdf5")
+MOST_GROUPS = 1000
+"""Side by side, as groups may hold one another."""
+
+
+def read_step_arrays(file: str | Path, rules: StepRules | None = None) -> Logs:
+    """Read an HDF5 file of steps, such as those of D4RL.
+
+    Parameters
+    ----------
+    file
+        The file.
+    rules
+        Which arrays hold the action (default: ``actions``), the reward (``rewards``), whether the episode reached its
+        own end (``terminals``) and the end of each step since its episode began (by default every step counts as 1 s,
+        with a warning); and whether a timeout is a cut or the horizon.
+
+    Returns
+    -------
+    Logs
+        Each episode a path, each row a stage. A cut falls into the stage of the last ``next_observations``, or, without
+        these, into the last row. What the end of the file breaks off is cut by ``end-of-data``.
+
+    Raises
+    ------
+    ArgumentError
+        h5py is not installed, an array is not there, or the actions are not finitely many.
+    LogError
+        The file is missing or broken, its arrays differ in length, or the log breaks an invariant.
+    """
+    file, rules = Path(file), StepRules() if rules is None else rules
+    place = str(file)
+    named = {"action": "actions", "reward": "rewards", "done": "terminals"} | rules.named
+    columns = _arrays(file, named)
+    is_terminal = flags_of(place, named["done"], columns[named["done"]])
+    is_timeout = _timeouts(place, columns, len(is_terminal))
+    steps = StepColumns(
+        observed_columns(place, _below(columns, SEEN)),
+        actions_of(place, named["action"], columns[named["action"]]),
+        rewards_of(place, named["reward"], columns[named["reward"]]),
+    )
+    following = _following(place, columns, steps.observed)
+    step_s = step_of(place, rules)
+    times_s = None if rules.clock is None else times_of(place, rules.clock, columns[rules.clock])
+    episodes = []
+    ends = np.flatnonzero(is_terminal | is_timeout) + 1
+    for name, (begin, end) in enumerate(pairwise(sorted({0, *ends.tolist(), len(is_terminal)}))):
+        ending = rules.of_truncated if is_timeout[end - 1] else (CUT, END_OF_DATA)
+        after = None if following is None else {column: values[end - 1] for column, values in following.items()}
+        episodes.append(
+            steps.episode(
+                name,
+                slice(begin, end),
+                even_ends(end - begin, step_s) if times_s is None else times_s[begin:end],
+                (FINISHED, None) if is_terminal[end - 1] else ending,
+                after=after,
+            )
+        )
+    return logs_of_episodes(place, episodes)
+
+
+def _timeouts(place: str, columns: Columns, num_steps: int) -> Bool[np.ndarray, " N"]:
+    if TIMEOUTS in columns:
+        return flags_of(place, TIMEOUTS, columns[TIMEOUTS])
+    warn(place, f"there are no {TIMEOUTS}, so that an episode ends where it terminated, and nowhere else")
+    return np.zeros(num_steps, dtype=bool)
+
+
+def _arrays(file: Path, names: dict[str, str]) -> dict[str, np.ndarray]:
+    """Read the arrays that are wanted, and tell which are left out."""
+    with _opened(file) as (root, num_bytes):
+        there = _named(file, root)
+        for role, name in names.items():
+            require(str(file), there, name, role)
+        asked = {*names.values(), TIMEOUTS}
+        wanted = [name for name in there if name in asked or _is_below(name, SEEN) or _is_below(name, NEXT_SEEN)]
+        if not any(_is_below(name, SEEN) for name in wanted):
+            require(str(file), there, SEEN, "observations", "rename it")
+        check_unpacked(num_bytes, sum(prod(there[name].shape) * there[name].dtype.itemsize for name in wanted))
+        num_steps = there[names["done"]].shape[:1]
+        for name in wanted:
+            if there[name].shape[:1] != num_steps or not num_steps:
+                raise LogError(
+                    f"{file}: {name} has the shape {there[name].shape}, and {names['done']} "
+                    f"{there[names['done']].shape}; every array has one row a step: write the file again"
+                )
+        left_out = [name for name in there if name not in wanted]
+        if left_out:
+            more = f" and {len(left_out) - 20} more" if len(left_out) > 20 else ""
+            warn(str(file), f"left out are {', '.join(left_out[:20])}{more}: nobody saw them before the action")
+        return {name: _read(file, name, there[name]) for name in wanted}
+
+
+@contextmanager
+def _opened(file: Path) -> Iterator[tuple[Any, int]]:
+    h5py = extra("h5py", "hdf5")
+    try:
+        num_bytes = check_file(file, TABLE)
+        with h5py.File(file, "r") as root:
+            yield root, num_bytes
+    except FileNotFoundError as error:
+        raise LogError(f"{file}: there is no such file; give the one that holds the steps") from error
+    except (HalfseenError, MemoryError):
+        raise
+    except Exception as error:  # h5py raises nearly anything
+        raise LogError(
+            f"{file}: it is no whole HDF5 file of steps ({reason_of(error)}); copy or write it again"
+        ) from error
+
+
+def _named(file: Path, root: Any) -> dict[str, Any]:
+    """The arrays of a file by their paths; what leads out of it is refused."""
+    h5py = extra("h5py", "hdf5")
+    found: dict[str, Any] = {}
+    level = [("", root)]
+    for _ in range(MOST_LEVELS):
+        below = []
+        for prefix, group in level:
+            for key in group:
+                name = f"{prefix}{key}"
+                if not isinstance(group.get(key, getlink=True), h5py.HardLink):
+                    raise LogError(f"{file}: {name} is a link; write what it leads to in its place")
+                entry = group[key]
+                if isinstance(entry, h5py.Group):
+                    below.append((f"{name}/", entry))
+                elif isinstance(entry, h5py.Dataset):
+                    if entry.external or entry.is_virtual:
+                        raise LogError(f"{file}: {name} stands in another file; write it into this one")
+                    found[name] = entry
+        level = below
+        if not level:
+            return found
+        if len(level) > MOST_GROUPS:
+            break
+    raise LogError(f"{file}: its groups are too many, or nested more than {MOST_LEVELS} levels deep; write fewer")
+
+
+def _read(file: Path, name: str, array: Any) -> np.ndarray:
+    if array.dtype.hasobject:
+        strings = extra("h5py", "hdf5").check_string_dtype(array.dtype)
+        if strings is None:
+            raise LogError(f"{file}: {name} holds {array.dtype}, neither numbers nor text; leave it out")
+        return np.asarray(array.asstr()[...], dtype=object)
+    values = array[...]
+    return values.astype(str).astype(object) if values.dtype.kind == "S" else values
+
+
+def _is_below(name: str, group: str) -> bool:
+    return name == group or name.startswith(f"{group}/")
+
+
+def _below(columns: Columns, group: str) -> dict[str, np.ndarray]:
+    return {name: values for name, values in columns.items() if _is_below(name, group)}
+
+
+def _following(place: str, columns: Columns, observed: Columns) -> dict[str, np.ndarray] | None:
+    """What was observed after each step, by the names of what was observed before it; None where it is not there."""
+    found = {f"{SEEN}{name.removeprefix(NEXT_SEEN)}": values for name, values in _below(columns, NEXT_SEEN).items()}
+    if not found:
+        return None
+    following = observed_columns(place, found)
+    if set(following) != set(observed):
+        differing = ", ".join(sorted(set(following) ^ set(observed))[:10])
+        raise LogError(f"{place}: {NEXT_SEEN} and {SEEN} differ in {differing}; write both of the same shape")
+    return following

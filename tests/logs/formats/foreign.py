@@ -1,0 +1,95 @@
+"""Episodes as plain lists, and the log that they are: by a loop over rows, which shares nothing with the readers."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+
+def episodes(seed=0, lengths=(3, 1, 4), *, is_text=False):
+    """Of each episode: rows of what was observed (one more than there are steps), actions and rewards."""
+    rng = np.random.default_rng(seed)
+    names = ["look", "pick", "stop"]
+    return [
+        {
+            "observed": rng.normal(size=(length + 1, 2)).tolist(),
+            "actions": [names[k] if is_text else int(k) for k in rng.integers(0, 3, length)],
+            "rewards": rng.normal(size=length).tolist(),
+        }
+        for length in lengths
+    ]
+
+
+def expected(found, endings, ends_s, columns, *, has_last=True, names=None):
+    """Rows of stages and of paths, episode by episode and step by step."""
+    stages, paths = [], []
+    for number, (episode, (ending, cause), times) in enumerate(zip(found, endings, ends_s, strict=True)):
+        name = number if names is None else names[number]
+        paths.append((name, times[-1], ending, cause))
+        num_steps = len(episode["actions"])
+        for step in range(num_steps):
+            is_cut_here = ending == "cut" and not has_last and step == num_steps - 1
+            done = (None, None) if is_cut_here else (times[step], episode["rewards"][step])
+            stages.append((name, step + 1, *done, episode["actions"][step], *episode["observed"][step]))
+        if ending == "cut" and has_last:
+            stages.append((name, num_steps + 1, None, None, None, *episode["observed"][num_steps]))
+    return {
+        "stages": pd.DataFrame(stages, columns=["path", "stage", "elapsed_s", "reward", "action", *columns]),
+        "paths": pd.DataFrame(paths, columns=["path", "end_s", "ending", "cause"]),
+    }
+
+
+def assert_is(logs, wanted, rtol=0.0):
+    for name, table in wanted.items():
+        found = getattr(logs, name)[list(table)]
+        for column in table:
+            left, right = found[column].tolist(), table[column].tolist()
+            assert len(left) == len(right), column
+            for ours, theirs in zip(left, right, strict=True):
+                if theirs is None or pd.isna(theirs):
+                    assert pd.isna(ours), (column, ours)
+                elif isinstance(theirs, float):
+                    np.testing.assert_allclose(ours, theirs, rtol=rtol, atol=rtol, err_msg=column)
+                else:
+                    assert ours == theirs, column
+
+
+def last_of(found, flags):
+    """A column that is true in the last frame of some episodes."""
+    lengths = [len(each["actions"]) for each in found]
+    return [flag and k == length - 1 for length, flag in zip(lengths, flags, strict=True) for k in range(length)]
+
+
+def write_lerobot(
+    folder, found, *, fps=10, extra=None, features=None, info=None, tasks=None, lengths=None, stamps=None
+):
+    """Write a dataset of version 3 with two files of data; episodes lack what was observed after their last step."""
+    rows = {
+        "observation.state": [row for each in found for row in each["observed"][:-1]],
+        "action": [action for each in found for action in each["actions"]],
+        "next.reward": [reward for each in found for reward in each["rewards"]],
+        "frame_index": [k for each in found for k in range(len(each["actions"]))],
+        "episode_index": [number for number, each in enumerate(found) for _ in each["actions"]],
+        **(extra or {}),
+    }
+    num_rows = len(rows["action"])
+    stamps = [k / fps for k in rows["frame_index"]] if stamps is None else stamps
+    rows |= {"timestamp": np.float32(stamps), "index": list(range(num_rows))}
+    table = pa.table(rows)
+    half = num_rows // 2
+    for number, part in enumerate([table.slice(0, half), table.slice(half)]):
+        file = folder / "data" / "chunk-000" / f"file-{number:03d}.parquet"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        pq.write_table(part, file)
+    described = {name: {"dtype": "float32", "shape": [1], "names": None} for name in rows} | (features or {})
+    told = {"codebase_version": "v3.0", "fps": fps, "total_frames": num_rows, "features": described, **(info or {})}
+    (folder / "meta" / "episodes" / "chunk-000").mkdir(parents=True)
+    (folder / "meta" / "info.json").write_text(json.dumps(told))
+    counted = [len(each["actions"]) for each in found] if lengths is None else lengths
+    noted = pa.table({"episode_index": list(range(len(counted))), "length": counted, "stats/action/min": counted})
+    pq.write_table(noted, folder / "meta" / "episodes" / "chunk-000" / "file-000.parquet")
+    if tasks is not None:
+        pd.DataFrame({"task_index": range(len(tasks))}, index=tasks).to_parquet(folder / "meta" / "tasks.parquet")
+    return folder
