@@ -53,10 +53,11 @@ def build(out: Path) -> tuple[Path, Path]:
 
 def add_pages(out: Path, name: str, seconds: int) -> None:
     """Build the pages anew and pack them."""
-    pages = CLONE / "runs" / "docs"
-    shutil.rmtree(pages, ignore_errors=True)
-    python("sphinx", "-W", "--keep-going", "-q", "-E", "-a", "-b", "html", "docs", pages)
-    pack(pages, out / f"{name}-docs.tar.gz", seconds)
+    with TemporaryDirectory() as folder:
+        pages = Path(folder) / "pages"
+        python("sphinx", "-W", "--keep-going", "-q", "-b", "html", "-d", Path(folder) / "read", "docs", pages)
+        (pages / ".buildinfo").unlink()
+        pack(pages, out / f"{name}-docs.tar.gz", seconds)
 
 
 def add_bill(out: Path, wheel: Path, name: str) -> None:
@@ -65,6 +66,15 @@ def add_bill(out: Path, wheel: Path, name: str) -> None:
         bare = Bare(Path(folder))
         walk(bare, wheel)
         (out / f"{name}.cdx.json").write_text(bill_of(bare.python), encoding="utf-8")
+
+
+def refuse_faults(out: Path) -> None:
+    """End if anything that was built holds what it should not."""
+    faults = [fault for archive in (*out.glob("*.whl"), *out.glob("*.tar.gz")) for fault in faults_of(archive)]
+    for file in out.glob("*.json"):
+        faults += [f"{file.name} tells of this machine ({word})" for word in of_this_machine(file.read_bytes())]
+    if faults:
+        sys.exit("\n".join(faults))
 
 
 def sums(out: Path) -> str:
@@ -95,15 +105,9 @@ def main() -> None:
         sys.exit(f"release: the tag is {tag}, and {sdist.name} was built; name the tag vMAJOR.MINOR.PATCH")
     add_pages(out, name, seconds)
     (out / "RELEASE_NOTES.md").write_text(notes + "\n", encoding="utf-8")
+    refuse_faults(out)
     add_bill(out, wheel, name)
-    faults = [fault for archive in (wheel, *out.glob("*.tar.gz")) for fault in faults_of(archive)]
-    faults += [
-        f"{file.name} tells of this machine: {word}"
-        for file in out.iterdir()
-        for word in of_this_machine(file.read_bytes())
-    ]
-    if faults:
-        sys.exit("\n".join(faults))
+    refuse_faults(out)
     (out / "SHA256SUMS").write_text(sums(out), encoding="utf-8")
     print((out / "SHA256SUMS").read_text(encoding="utf-8"), end="")
     if not tag:
