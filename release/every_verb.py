@@ -28,8 +28,6 @@ LINES = (
     "record lines.jsonl --out recorded",
     "look table.pcd",
     "simulate --out tables --episodes 30",
-    "learn tables --out washer --no-verdict",
-    "act washer table.pcd",
     "cell calibrate --from law --out law_again",
     "cell run --policy greedy --tables 2 --out cell",
     "study table.pcd --only grasp --repetitions 2 --out study",

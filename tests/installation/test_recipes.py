@@ -2,9 +2,10 @@
 
 import json
 import re
-import shutil
 import subprocess
+import sys
 import tomllib
+from pathlib import Path
 
 import pytest
 import yaml
@@ -70,7 +71,10 @@ def test_both_are_told_the_version_as_the_builder_reads_it():
     assert RECIPE["build"]["script"]["env"] == {"SETUPTOOLS_SCM_PRETEND_VERSION": "${{ version }}"}
 
 
-@pytest.mark.skipif(shutil.which("hadolint") is None, reason="hadolint is not installed")
+HADOLINT = Path(sys.executable).parent / "hadolint"
+
+
+@pytest.mark.skipif(not HADOLINT.exists(), reason="hadolint is not installed")
 def test_hadolint_finds_nothing():
-    done = subprocess.run(["hadolint", CLONE / "Dockerfile"], capture_output=True, text=True, check=False)
+    done = subprocess.run([HADOLINT, CLONE / "Dockerfile"], capture_output=True, text=True, check=False)
     assert done.stdout + done.stderr == ""
