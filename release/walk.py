@@ -20,7 +20,7 @@ from release.every_verb import CLONE, Ended, prepare
 
 WITHOUT_EXTRAS = {"inspect", "learn", "evaluate", "act", "record", "convert", "simulate"}
 """Verbs that a plain installation has."""
-HINT = re.compile(r"; run: (\S.* install 'halfseen\[\w+\]')\n")
+HINT = re.compile(r"; run: (\S.* install 'halfseen\[[\w-]+\]')\n")
 
 
 class Bare:
