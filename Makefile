@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PARALLEL := -n auto --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 
-.PHONY: study test test-slow check docs pictures clouds benchmarks clean
+.PHONY: study test test-slow check docs pictures clouds benchmarks wheel-test release audit image clean
 
 study: .venv/.installed
 	$(BIN)/halfseen study --out runs/study
@@ -35,6 +35,21 @@ clouds: .venv/.installed
 benchmarks: .venv/.installed
 	for benchmark in benchmarks/*.py; do $(BIN)/python $$benchmark || exit 1; done
 
+# The wheel in a bare environment of PYTHON, away from the clone: the way of the README in five commands, and each verb without extras.
+wheel-test:
+	$(PYTHON) -m release.walk
+
+# What is to be given away: dist. A commit without a tag is built, too; a tag that the changelog does not tell of is not.
+release: .venv/.tools
+	$(BIN)/python -m release
+
+# Whether faults of what is pinned are known. A package that cannot be looked up fails, too: it was not found to be well.
+audit: .venv/.tools
+	$(BIN)/pip-audit --strict --disable-pip --no-deps --progress-spinner off --requirement constraints.txt
+
+image: .venv/.installed
+	docker build --build-arg VERSION="$$($(BIN)/hatchling version)" --tag halfseen .
+
 clean:
 	rm -rf .venv runs
 
@@ -42,4 +57,8 @@ clean:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "halfseen needs Python 3.11 or newer: set PYTHON=python3.11")'
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	touch $@
+
+.venv/.tools: .venv/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[release]'
 	touch $@

@@ -6,6 +6,7 @@ import pytest
 from click.testing import CliRunner
 
 from halfseen.cli import VERBS, halfseen
+from release.walk import engineers_path
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -33,10 +34,9 @@ def test_the_python_example_runs_and_shows_what_is_said_of_it(clone, capsys):
 
 @pytest.mark.slow
 def test_the_engineers_path_can_be_walked(clone):
-    (path,) = [block for block in blocks("sh") if "halfseen inspect" in block]
     verdict = " ".join(line.removeprefix("> ") for line in README.splitlines() if line.startswith("> "))
     printed = {}
-    for line in path.replace("\\\n", " ").splitlines():
+    for line in engineers_path():
         words = shlex.split(line, comments=True)[1:]
         result = CliRunner().invoke(halfseen, words, catch_exceptions=False)
         assert result.exit_code == 0, result.output

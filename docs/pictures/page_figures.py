@@ -111,7 +111,7 @@ def draw_extras() -> Figure:
     from halfseen.cli import VERBS
 
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    extras = [name for name in project["optional-dependencies"] if name not in ("all", "docs", "dev")]
+    extras = [name for name in project["optional-dependencies"] if name not in ("all", "docs", "dev", "release")]
     asked = {verb: ASKS_FOR.get(verb, ()) for verb in VERBS}
     made, axes = panel(3.3, has_grid=False)
     for row, names in enumerate(asked.values()):

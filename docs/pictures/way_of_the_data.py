@@ -21,6 +21,7 @@ PASSED_OVER = {
     "pages",
     "writing",
     "reading",
+    "installation",
     "locks",
     "arrays",
     "errors",

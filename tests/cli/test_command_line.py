@@ -11,7 +11,8 @@ import click
 import pytest
 
 from halfseen.cli import VERBS, halfseen, messages
-from halfseen.cli.extras import EXTRAS, remedy
+from halfseen.cli.extras import EXTRAS, HELD, remedy
+from halfseen.installation import command_for
 from halfseen.logs import Logs
 from halfseen.progress import Progress, Telling, _telling
 from small_logs import flat_log
@@ -176,10 +177,21 @@ def test_a_library_that_is_not_there_is_told_with_the_extra_that_brings_it(refus
 
     monkeypatch.setattr("halfseen.logs.read_logs", fails)
     assert refused("inspect", tmp_path).startswith("halfseen: skimage is not installed")
-    assert remedy(ModuleNotFoundError("none", name="skimage.measure")).endswith(
-        "run: pip install 'halfseen[perception]'"
-    )
+    assert remedy(ModuleNotFoundError("none", name="skimage.measure")).endswith(f"run: {command_for('perception')}")
     assert remedy(ModuleNotFoundError("none", name="numpy")) is None
+
+
+@pytest.mark.parametrize(
+    ("verb", "library", "extra"),
+    [
+        ("watch", "skimage", "watch"),
+        ("study", "mujoco", "study"),
+        ("look", "skimage", "perception"),
+        ("study", "distributed", "dask"),
+    ],
+)
+def test_an_extra_that_holds_others_is_told_at_once(verb, library, extra):
+    assert remedy(ModuleNotFoundError("none", name=library), verb).endswith(command_for(extra))
 
 
 def test_the_extras_of_the_command_line_are_those_of_the_package():
@@ -191,6 +203,11 @@ def test_the_extras_of_the_command_line_are_those_of_the_package():
         named = {re.match(r"[\w-]+", needed)[0] for needed in declared[extra]}
         assert {of_import.get(library, library) for library in libraries} <= named
     assert all(f"`{extra}`" in page for extra in declared)
+    for extra, held in HELD.items():
+        told = " ".join(declared[extra])
+        assert all(
+            name in told or any(name in HELD.get(other, ()) and other in told for other in held) for name in held
+        )
 
 
 @pytest.mark.parametrize(

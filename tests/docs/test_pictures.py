@@ -171,7 +171,7 @@ def test_commands_ask_for_extras_that_there_are():
     assert set(ASKS_FOR) <= set(VERBS)
     asked = {name for names in ASKS_FOR.values() for name in names}
     assert asked | {"gym", "pettingzoo"} == set(EXTRAS)
-    assert set(EXTRAS) | {"all", "docs", "dev"} == set(project["optional-dependencies"])
+    assert set(EXTRAS) | {"all", "docs", "dev", "release"} == set(project["optional-dependencies"])
 
 
 def test_a_picture_that_is_not_there_is_refused_by_name():

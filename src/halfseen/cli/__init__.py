@@ -7,7 +7,6 @@ from typing import Any
 
 import click
 
-from halfseen import __version__
 from halfseen.cli.compiler import is_of_kept_programs, set_compiler
 from halfseen.cli.extras import remedy
 from halfseen.cli.messages import tell_error, tell_warning
@@ -34,10 +33,20 @@ VERBS = {
 }
 
 
+def _tell_version(ctx: click.Context, _: click.Parameter, is_asked: bool) -> None:
+    if is_asked and not ctx.resilient_parsing:
+        from halfseen.installation import version
+
+        click.echo(f"halfseen, version {version()}")
+        ctx.exit()
+
+
 @click.group(
     cls=VerbGroup, verbs=VERBS, modules="halfseen.cli.", context_settings={"help_option_names": ["-h", "--help"]}
 )
-@click.version_option(__version__, prog_name="halfseen")
+@click.option(
+    "--version", is_flag=True, expose_value=False, is_eager=True, callback=_tell_version, help="Show the version."
+)
 def halfseen() -> None:
     """Learn when to pick, when to look and when to stop, from cut logs and half-hidden views."""
 
@@ -60,7 +69,7 @@ def main() -> None:
     except click.ClickException as error:
         _refuse(error.format_message())
     except ModuleNotFoundError as error:
-        told = remedy(error)
+        told = remedy(error, next((word for word in sys.argv[1:] if word in VERBS), None))
         if told is None:
             raise
         _refuse(told)

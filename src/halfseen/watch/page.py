@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from halfseen.errors import ArgumentError
+from halfseen.installation import command_for
 from halfseen.watch.drawing import LAYERS, Drawing, viewpoint
 from halfseen.watch.stage_view import Watched
 from halfseen.watch.wording import stage_html
@@ -203,7 +204,7 @@ def _viser() -> Any:
     try:
         import viser
     except ImportError as error:
-        raise ArgumentError(f"the viewer is not installed ({error}); run: pip install 'halfseen[watch]'") from error
+        raise ArgumentError(f"the viewer is not installed ({error}); run: {command_for('watch')}") from error
     return viser
 
 

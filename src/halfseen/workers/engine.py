@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from halfseen import __version__
+import halfseen
 from halfseen.errors import WorkerError
 
 
@@ -27,4 +27,4 @@ class Engine(NamedTuple):
 
 def without_halfseen(place: str) -> WorkerError:
     """What is said of a cluster that cannot read a piece."""
-    return WorkerError(f"{place} has workers without halfseen; install halfseen {__version__} there")
+    return WorkerError(f"{place} has workers without halfseen; install halfseen {halfseen.__version__} there")

@@ -190,7 +190,7 @@ def test_without_sqlalchemy_the_remedy_is_named(database, monkeypatch):
         raise ModuleNotFoundError(f"No module named {module!r}")
 
     monkeypatch.setattr(extras, "import_module", missing)
-    with pytest.raises(HalfseenError, match=r"run: pip install 'halfseen\[sql\]'"):
+    with pytest.raises(HalfseenError, match=r"run: .*pip install .*\[sql\]'"):
         read_sql(database, TWO)
 
 

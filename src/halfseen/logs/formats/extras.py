@@ -4,6 +4,7 @@ from importlib import import_module
 from types import ModuleType
 
 from halfseen.errors import ArgumentError
+from halfseen.installation import command_for
 
 
 def extra(module: str, name: str) -> ModuleType:
@@ -24,4 +25,4 @@ def extra(module: str, name: str) -> ModuleType:
     try:
         return import_module(module)
     except ImportError as error:
-        raise ArgumentError(f"{module} cannot be imported ({error}); run: pip install 'halfseen[{name}]'") from error
+        raise ArgumentError(f"{module} cannot be imported ({error}); run: {command_for(name)}") from error

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from halfseen.errors import ArgumentError, HalfseenError, LogError
+from halfseen.installation import command_for
 from halfseen.logs.columns import CUT
 from halfseen.logs.formats.episodes import StepRules
 from halfseen.logs.formats.extras import extra
@@ -199,7 +200,7 @@ def _loaded(dataset: Any) -> Any:
             check_file(file, TABLE)
         return minari.MinariDataset(Path(dataset) / "data") if is_folder else minari.load_dataset(str(dataset))
     except ImportError as error:
-        raise ArgumentError(f"dataset {dataset}: {error}; run: pip install 'halfseen[minari]'") from error
+        raise ArgumentError(f"dataset {dataset}: {error}; run: {command_for('minari')}") from error
     except Exception as error:  # a broken dataset raises nearly anything
         raise ArgumentError(
             f"dataset {dataset}: it cannot be loaded ({reason_of(error)}); `minari list local` names those that there "

@@ -1,0 +1,130 @@
+"""The engineer's path with the built wheel, in a bare environment and away from the clone: ``make wheel-test``.
+
+First without extras: each verb works, or one line says what to install, and what it says is done. Then with all of them
+the commands of the README, in its order. ``python -m release.walk [--wheel WHEEL]``; the environment is of that Python.
+"""
+
+import argparse
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from release.every_verb import CLONE, Ended, prepare
+
+WITHOUT_EXTRAS = {"inspect", "learn", "evaluate", "act", "record", "convert", "simulate"}
+"""Verbs that a plain installation has."""
+HINT = re.compile(r"; run: (\S.* install 'halfseen\[[\w-]+\]')\n")
+
+
+class Bare:
+    """An environment with nothing but pip, and a folder with nothing but what an engineer has.
+
+    Parameters
+    ----------
+    folder
+        Where it is made.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.python, self._folder = folder / "bare" / "bin" / "python", folder
+        subprocess.run([sys.executable, "-m", "venv", folder / "bare"], check=True)
+        # Pins are those of the clone; nothing else of the clone, of this user or of another Python comes in.
+        mine = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "HALFSEEN_"))}
+        self._env = mine | {"PATH": f"{self.python.parent}{os.pathsep}{os.environ['PATH']}"}
+        self._for_pip = self._env | {"PIP_CONSTRAINT": str(CLONE / "constraints.txt")}
+        self._for_halfseen = self._env | {
+            "XDG_CACHE_HOME": str(folder / "cache"),
+            "XLA_FLAGS": "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false",
+            "MINARI_DATASETS_PATH": str(folder / "minari"),
+        }
+        self.begin("own")
+
+    def begin(self, name: str) -> None:
+        """Go on in a fresh folder."""
+        self._own = self._folder / name
+        self._own.mkdir()
+        prepare(self._own)
+
+    def pip(self, *words: str | Path) -> None:
+        """Install or ask something."""
+        self._run([self.python, "-m", "pip", "--quiet", "--disable-pip-version-check", *words], self._for_pip)
+
+    def as_told(self, command: str) -> None:
+        """Type what a message says."""
+        self._run(["sh", "-c", command], self._for_pip)
+
+    def halfseen(self, line: str) -> str:
+        """Type a line; what it prints."""
+        return self._run(shlex.split(line, comments=True), self._for_halfseen)
+
+    def every_verb(self) -> list[Ended]:
+        """Run each verb once."""
+        told = self._run([self.python, CLONE / "release" / "every_verb.py"], self._for_halfseen)
+        return [Ended(*each) for each in json.loads(told)]
+
+    def _run(self, command: list, env: dict[str, str]) -> str:
+        begun_s = time.monotonic()
+        done = subprocess.run(command, env=env, cwd=self._own, capture_output=True, text=True, check=False)
+        words = " ".join(Path(word).name if Path(word).is_absolute() else str(word) for word in command)
+        print(f"{time.monotonic() - begun_s:5.1f} s  {words}", flush=True)
+        if done.returncode:
+            sys.exit(f"{words} ended with {done.returncode}:\n{done.stdout}{done.stderr}")
+        return done.stdout
+
+
+def engineers_path() -> list[str]:
+    """Commands of the README that lead from logs to a policy."""
+    readme = (CLONE / "README.md").read_text(encoding="utf-8")
+    (path,) = (block for block in re.findall(r"```sh\n(.*?)```", readme, re.DOTALL) if "halfseen inspect" in block)
+    return path.replace("\\\n", " ").splitlines()
+
+
+def faults_without_extras(ended: Iterable[Ended]) -> list[str]:
+    """Say which lines neither worked nor told what to install."""
+    return [
+        f"halfseen {line} ended with {status}: {err}"
+        for line, status, err in ended
+        if status != 0 and (status != 2 or err.count("\n") != 1 or not HINT.search(err))
+    ]
+
+
+def walk(bare: Bare, wheel: Path) -> None:
+    """Install the wheel without and with its extras, and go the ways that each opens."""
+    bare.pip("install", "--no-compile", wheel)
+    ended = bare.every_verb()
+    if faults := faults_without_extras(ended):
+        sys.exit("\n".join(faults))
+    if missing := WITHOUT_EXTRAS - {told.line.split()[0] for told in ended if told.status == 0}:
+        sys.exit(f"these need no extra, and do not work without: {', '.join(sorted(missing))}")
+    refused = next(told for told in ended if told.line.startswith("look"))
+    bare.as_told(HINT.findall(refused.err)[0])
+    bare.halfseen(f"halfseen {refused.line}")
+    bare.pip("install", "--no-compile", f"{wheel}[all]")
+    bare.pip("check")
+    bare.begin("path")
+    for line in engineers_path():
+        bare.halfseen(line)
+
+
+def main() -> None:
+    """Walk with a wheel that is built first, unless one is given."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--wheel", type=Path)
+    chosen = parser.parse_args()
+    with TemporaryDirectory() as folder:
+        bare = Bare(Path(folder))
+        if chosen.wheel is None:
+            bare.pip("wheel", "--no-deps", "--wheel-dir", Path(folder) / "dist", CLONE)
+        (wheel,) = [chosen.wheel] if chosen.wheel else Path(folder).glob("dist/*.whl")
+        walk(bare, wheel.absolute())
+
+
+if __name__ == "__main__":
+    main()

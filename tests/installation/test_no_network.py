@@ -1,0 +1,146 @@
+"""No verb uses a network, not even this machine's, but those that serve; these answer this machine alone.
+
+Workers of a Dask cluster that is asked for talk over ports of this machine. What a cluster of Ray does is Ray's own
+affair: its programs listen at the machine's address, and ask whether they run in a cloud.
+"""
+
+import http.client
+import json
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from halfseen.cli import VERBS
+from release.every_verb import CLONE, LINES, SERVERS, Ended, prepare
+
+HERE = Path(__file__).parent
+TINY_STUDY = """
+import json
+import halfseen.study.run as run
+from release.every_verb import LINES, run as run_line
+from tiny import TINY
+run.chosen = lambda only: TINY[-1:]
+print(json.dumps([run_line(line) for line in LINES]))
+"""
+
+
+def environment(folder, **more):
+    """Environment of a Python to which the network is forbidden."""
+    path = os.pathsep.join(map(str, (HERE / "no_sockets", CLONE, HERE.parent / "study", *filter(None, sys.path))))
+    told = {"PYTHONPATH": path, "FORBIDDEN_SOCKETS": str(folder / "forbidden"), "MINARI_DATASETS_PATH": str(folder)}
+    return os.environ | told | more
+
+
+def asked_for(folder):
+    file = folder / "forbidden"
+    return file.read_text(encoding="utf-8") if file.exists() else ""
+
+
+def test_no_verb_is_left_out():
+    assert {line.split()[0] for line in LINES} | set(SERVERS) == set(VERBS)
+
+
+@pytest.mark.parametrize(
+    ("asking", "allowed"),
+    [
+        ("socket.create_connection(('10.0.0.1', 80), timeout=0.1)", ()),
+        ("socket.create_connection(('127.0.0.1', PORT), timeout=0.1)", ("1",)),
+        ("socket.socket().bind(('127.0.0.1', 0))", ("1",)),
+        ("socket.socket().bind(('0.0.0.0', 0))", ()),
+        ("socket.socket().bind(('', 0))", ()),
+        ("socket.socket(type=socket.SOCK_DGRAM).sendto(b'x', ('10.0.0.1', 80))", ()),
+        ("socket.getaddrinfo('example.invalid', 80)", ()),
+        ("socket.gethostbyname('example.invalid')", ()),
+        ("__import__('urllib.request').request.urlopen('http://10.0.0.1')", ()),
+        ("socket.socketpair()", ("0", "1")),
+        ("socket.socket(socket.AF_UNIX).bind('talk')", ("0", "1")),
+    ],
+)
+@pytest.mark.parametrize("this_machine", ["0", "1"])
+def test_what_forbids_the_network_does(tmp_path, asking, allowed, this_machine):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        code = f"import socket; {asking.replace('PORT', str(server.getsockname()[1]))}"
+        # A process that is started by one that is watched.
+        command = [sys.executable, "-c", f"import subprocess, sys; subprocess.run([sys.executable, '-c', {code!r}])"]
+        done = subprocess.run(
+            command, env=environment(tmp_path, THIS_MACHINE=this_machine), cwd=tmp_path, capture_output=True, text=True
+        )
+    is_forbidden = this_machine not in allowed
+    assert ("no network is used here" in done.stderr) == bool(asked_for(tmp_path)) == is_forbidden, done.stderr
+
+
+@pytest.fixture(scope="module")
+def walked(tmp_path_factory):
+    """A folder in which each verb that ends by itself has run, without a network, and what each ended with."""
+    folder = tmp_path_factory.mktemp("no_network")
+    prepare(folder)
+    done = subprocess.run(
+        [sys.executable, "-c", TINY_STUDY], env=environment(folder), cwd=folder, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    return folder, [Ended(*told) for told in json.loads(done.stdout)]
+
+
+@pytest.mark.slow
+def test_every_verb_works_without_a_network(walked):
+    folder, ended = walked
+    assert [told for told in ended if told.status != 0] == []
+    assert asked_for(folder) == ""
+
+
+@contextmanager
+def serving(folder, *words):
+    """Run a verb that serves this machine, and give the port that it tells."""
+    command = [sys.executable, "-m", "halfseen.cli", *words]
+    with subprocess.Popen(
+        command, env=environment(folder, THIS_MACHINE="1"), cwd=folder, stdout=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            yield next(int(found[1]) for line in process.stdout if (found := re.search(r"127\.0\.0\.1:(\d+)", line)))
+        finally:
+            process.send_signal(signal.SIGINT)
+            process.wait(timeout=60)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("words", "page"), [(["serve", "policy"], "/health"), (["watch", "table.pcd"], "/")])
+def test_what_is_served_is_served_to_this_machine_alone(walked, words, page):
+    folder, _ = walked
+    with serving(folder, *words, "--port", "0") as port:
+        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=60)
+        connection.request("GET", page)
+        assert connection.getresponse().status == 200
+        connection.close()
+    assert asked_for(folder) == ""
+
+
+@pytest.mark.slow
+def test_a_recorder_listens_to_this_machine_alone(walked):
+    folder, _ = walked
+    listening = serving(folder, "record", "--listen", "0", "--out", "heard")
+    with listening as port, socket.create_connection(("127.0.0.1", port), timeout=60) as client:
+        client.sendall((folder / "lines.jsonl").read_bytes())
+        assert b'"ok": true' in client.makefile("rb").readline()
+    assert asked_for(folder) == ""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["processes", "dask"])
+def test_workers_talk_on_this_machine_alone(walked, engine):
+    folder, _ = walked
+    shutil.copy(folder / "table.pcd", folder / f"{engine}.pcd")
+    command = [sys.executable, "-m", "halfseen.cli", "look", "table.pcd", f"{engine}.pcd", "--workers", "2"]
+    told = {"THIS_MACHINE": "0" if engine == "processes" else "1"}
+    done = subprocess.run(
+        [*command, "--engine", engine], env=environment(folder, **told), cwd=folder, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert asked_for(folder) == ""
