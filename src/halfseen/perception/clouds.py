@@ -151,6 +151,7 @@ def check_intrinsics(K: Shaped[np.ndarray, "..."], name: str) -> None:
         raise CloudError(f"{name}: the pinhole matrix K is {K.tolist()}; it must be 3 by 3 and finite, in pixels")
     if K[0, 0] <= 0 or K[1, 1] <= 0:
         raise CloudError(f"{name}: K has focal lengths {K[0, 0]} and {K[1, 1]} px; they must be positive")
+    K = K.astype(np.float64)
     focal, centre = K[[0, 1], [0, 1]], np.abs(K[[0, 1], [2, 2]])
     if focal.min() < 1.0 or max(focal.max(), centre.max()) > LARGEST_INTRINSIC_PX:
         raise CloudError(

@@ -37,7 +37,8 @@ def read_ply(path: Path) -> Cloud:
     if "vertex" not in ply or not {"x", "y", "z"} <= set(ply["vertex"].data.dtype.names):
         raise CloudError(f"{path}: has no element 'vertex' with x, y and z; export it as a point cloud in metres")
     vertex = ply["vertex"].data
-    points = np.stack([vertex[axis].astype(np.float64) for axis in "xyz"], axis=1)
+    with np.errstate(invalid="ignore"):  # signalling NaN
+        points = np.stack([vertex[axis].astype(np.float64) for axis in "xyz"], axis=1)
     return Cloud(points, name=path.name, colours=_colours(vertex, path))
 
 
