@@ -34,8 +34,8 @@ MOST_LEVELS = 64
 
 _OF_PROGRAMMERS = re.compile(
     r"object has no|object of type|not (iterable|subscriptable|callable|supported between)|unhashable|NoneType|"
-    r"index out of (range|bounds)|unsupported operand|broadcast|\d validation errors? for|to unpack|positional argument|"
-    r"<(class|function|module) |must be (real number|str)|[Aa]ssert"
+    r"index out of (range|bounds)|unsupported operand|broadcast|\d validation errors? for|to unpack|"
+    r"positional argument|<(class|function|module) |must be (real number|str)|[Aa]ssert"
 )
 """Words of libraries to those who call them wrongly, as with what is in a broken file."""
 

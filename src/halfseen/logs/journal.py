@@ -32,6 +32,7 @@ from pathlib import Path
 from typing import Any
 
 from halfseen.errors import HalfseenWarning, LogError
+from halfseen.reading import reason_of
 
 FORMAT, VERSION = "halfseen-journal", 1
 HEADER = {"event": "journal", "format": FORMAT, "version": VERSION}
@@ -168,9 +169,9 @@ def following(events: JournalEvents) -> Iterator[None]:
     """Refuse an event that checks and does not go on from those above it."""
     try:
         yield
-    except (KeyError, TypeError) as error:
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         raise events.refusal(
-            f"it cannot follow the lines above ({error}); delete from this line on to keep them"
+            f"it cannot follow the lines above ({reason_of(error)}); delete from this line on to keep them"
         ) from error
 
 

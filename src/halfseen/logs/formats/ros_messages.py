@@ -174,7 +174,8 @@ def points_of(message: Any, where: str) -> tuple[Float[np.ndarray, "n 3"], tuple
     )
     lines = data.reshape(rows, message.row_step)[:, : columns * message.point_step]
     points = np.frombuffer(lines.tobytes(), dtype=layout)
-    return np.stack([points[axis].astype(np.float64) for axis in "xyz"], axis=1), (rows, columns)
+    with np.errstate(invalid="ignore"):  # signalling NaN
+        return np.stack([points[axis].astype(np.float64) for axis in "xyz"], axis=1), (rows, columns)
 
 
 class _RosBag:
@@ -208,6 +209,8 @@ def _opened(bag: Path) -> Iterator[Any]:
         mcap = _mcap_files(files)
         reader = _by_rosbags(files) if mcap is None else None
         bag_reader = McapFiles(mcap or []) if reader is None else _RosBag(reader)
+        if not all(isinstance(told, str) for each in bag_reader.channels for told in (each.topic, each.kind)):
+            raise ValueError("a topic has a name or a type that is no text")
     except ArgumentError:
         raise
     except Exception as error:  # a broken bag raises nearly anything
