@@ -9,6 +9,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -61,7 +62,7 @@ class Worker:
         cache.mkdir(parents=True, exist_ok=True)
         known = {name: value for name, value in os.environ.items() if not name.startswith(("JAX_", "XLA_"))}
         paths = os.pathsep.join([str(TESTS), str(TESTS.parent / "src"), *filter(None, [known.get("PYTHONPATH")])])
-        self._log = tempfile.TemporaryFile()
+        self._log = tempfile.TemporaryFile()  # noqa: SIM115
         self._process = subprocess.Popen(
             [sys.executable, "-m", "fuzz.worker"],
             stdin=subprocess.PIPE,
@@ -92,17 +93,13 @@ class Worker:
 
     def end(self) -> str:
         """End the process, whatever it does; the last of what it said to nobody."""
-        try:
+        with suppress(ProcessLookupError):
             os.killpg(self._process.pid, signal.SIGKILL)
-        except ProcessLookupError:
-            pass
         self._process.wait()
         self._hears.join()
         for stream in (self._process.stdin, self._process.stdout):
-            try:
+            with suppress(BrokenPipeError):
                 stream.close()
-            except BrokenPipeError:
-                pass
         self._log.seek(0)
         with self._log as log:
             return log.read().decode(errors="replace")[-3000:]

@@ -18,7 +18,7 @@ IN_TEXT = (
     *("9" * 400, "4294967296", "9223372036854775808", "-9223372036854775809", "1.5", "", "true", "null", "[]", "{}"),
     *('"a"', "\x1b[31m", "\x00", LONG, "[" * 200, "é"),
 )
-IN_TEXT_BYTES = tuple(word.encode() for word in IN_TEXT) + (b"\xff\xfe", b"\xed\xa0\x80")
+IN_TEXT_BYTES = (*(word.encode() for word in IN_TEXT), b"\xff\xfe", b"\xed\xa0\x80")
 FOR_OPTIONS = (
     *("nan", "inf", "-inf", "1e308", "1e-308", "-1", "0", "1", "2", "0.5", "1.5", "1000000000000", "1e400", "0x10"),
     *("9223372036854775808", "-9223372036854775809", "9" * 400, "", " ", "nope", "\x1b[31mred", LONG, "1,2", "a,b"),

@@ -20,21 +20,22 @@ from fuzz.cases import INPUT, Case, drawn, remade
 from fuzz.corpus import SEEDS, made
 from fuzz.oracle import Outcome
 
-MOST_MORE = 6 * 10**9
+MOST_MORE = 8 * 10**9
 """Bytes of private memory that a case may ask for beyond what the process has: the machine is spared."""
 
-MOST_KEPT_MB = 2000.0
+MOST_KEPT_MB = 3500.0
 """Memory that a process may keep of its cases; then another one takes its place."""
 
 
 def main() -> None:
-    """Take orders from stdin until it ends: each names a case; what is said is when it was made, and what came of it."""
-    told = os.fdopen(os.dup(1), "w", buffering=1)
-    os.dup2(os.open(os.devnull, os.O_RDWR), 1)  # what makes an input may talk
+    """Take orders from stdin until it ends: each names a case; said is when it was made, and what came of it."""
+    told, orders = os.fdopen(os.dup(1), "w", buffering=1), os.fdopen(os.dup(0))
+    for descriptor in (0, 1):  # what makes an input may talk, and a verb may listen
+        os.dup2(os.open(os.devnull, os.O_RDWR), descriptor)
     _load()
     rest_mb = _memory_mb("VmData")
     print(json.dumps({"ready": True}), file=told)
-    for line in sys.stdin:
+    for line in orders:
         order = json.loads(line)
         folder, corpus = Path(order["folder"]), Path(order["corpus"])
         shutil.rmtree(folder, ignore_errors=True)
@@ -113,13 +114,7 @@ def ran(words: Any, folder: Path) -> Outcome:
 
 
 def _load() -> None:
-    """Import what the verbs import, once."""
-    import jax  # noqa: F401
-    import matplotlib.pyplot  # noqa: F401
-    import minari  # noqa: F401
-    import pandas  # noqa: F401
-    import pyarrow.parquet  # noqa: F401
-
+    """Set what a process of its own would have; what verbs import stays from case to case."""
     from halfseen.cli.compiler import set_compiler
 
     set_compiler()
