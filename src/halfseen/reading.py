@@ -96,9 +96,11 @@ def read_bytes(path: Path, most_bytes: int = WORDS) -> bytes:
     A file that grows meanwhile is refused, too.
     """
     with opened(path, most_bytes) as file:
-        content = file.read(_most(most_bytes) + 1)
-    if len(content) > _most(most_bytes):
-        raise OSError(EFBIG, _too_large(len(content), most_bytes), str(path))
+        num_bytes = os.fstat(file.fileno()).st_size
+        # As much as is asked for is taken of memory at once.
+        content = file.read(num_bytes + 1)
+    if len(content) > num_bytes:
+        raise OSError(EINVAL, "it grows while it is read; wait until it is written", str(path))
     return content
 
 
@@ -197,7 +199,7 @@ def read_arrays(path: Path, names: Collection[str] | None = None, most_bytes: in
             check_unpacked(num_bytes, sum(info.file_size for info in wanted.values()))
             return {name: _array(archive, info) for name, info in wanted.items()}
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
-        raise ValueError(f"cut short or no .npz file: {str(error) or 'it ends too early'}") from error
+        raise ValueError(f"cut short or no .npz file: {reason_of(error)}") from error
 
 
 def names_in_archive(path: Path, most_bytes: int = NUMBERS) -> list[str]:
@@ -206,7 +208,7 @@ def names_in_archive(path: Path, most_bytes: int = NUMBERS) -> list[str]:
         with opened(path, most_bytes) as file, zipfile.ZipFile(file) as archive:
             return [name.removesuffix(".npy") for name in archive.namelist()]
     except (zipfile.BadZipFile, EOFError, NotImplementedError) as error:
-        raise ValueError(f"cut short or no .npz file: {str(error) or 'it ends too early'}") from error
+        raise ValueError(f"cut short or no .npz file: {reason_of(error)}") from error
 
 
 def reason_of(error: Exception) -> str:

@@ -1,6 +1,7 @@
 """``python -m fuzz``, from the folder of tests: many cases, a table of what came of them, and files of what failed."""
 
 import argparse
+import sys
 import time
 from collections import Counter
 from pathlib import Path
@@ -32,7 +33,7 @@ def main() -> int:
         else numbered(chosen.seed, numbers, not chosen.light)
     )
     began = time.monotonic()
-    with tqdm(total=len(orders), unit="case", disable=None) as bar:
+    with tqdm(total=len(orders), unit="case", mininterval=0.2 if sys.stderr.isatty() else 60.0) as bar:
 
         def tell(result: Result) -> None:
             bar.update()

@@ -6,6 +6,7 @@ import os
 import shlex
 import shutil
 import stat
+import zlib
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,8 @@ from fuzz.in_words import other_words
 from fuzz.neutral import NEUTRAL
 
 INPUT = "in"
+MOST_TEXT = 8000
+"""Bytes that a kept case shows as they are."""
 
 
 @dataclass(frozen=True)
@@ -131,10 +134,9 @@ def _told(place: Path) -> dict[str, Any]:
     if found.st_size > 10**9:
         return {"hole": found.st_size}
     data = place.read_bytes()
-    try:
-        return {"text": data.decode("ascii")}
-    except UnicodeDecodeError:
-        return {"base64": base64.b64encode(data).decode()}
+    if data.isascii() and len(data) < MOST_TEXT:
+        return {"text": data.decode()}
+    return {"packed": base64.b64encode(zlib.compress(data, 9)).decode()}
 
 
 def _put(place: Path, how: dict[str, Any]) -> None:
@@ -153,4 +155,4 @@ def _put(place: Path, how: dict[str, Any]) -> None:
         with place.open("wb") as file:
             file.truncate(value)
     elif kind != "gone":
-        place.write_bytes(value.encode() if kind == "text" else base64.b64decode(value))
+        place.write_bytes(value.encode() if kind == "text" else zlib.decompress(base64.b64decode(value)))

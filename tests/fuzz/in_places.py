@@ -18,7 +18,7 @@ def another_kind(rng: np.random.Generator, place: Path) -> str:
         rng, ("pipe", "folder", "/dev/zero", "itself", "nowhere", "empty", "huge", "gone", "unreadable", "file")
     )
     name = place.name
-    if kind == "unreadable":
+    if kind == "unreadable" and not place.is_symlink():
         place.chmod(0)
         return f"{name}: unreadable"
     shutil.rmtree(place) if place.is_dir() else place.unlink()

@@ -245,7 +245,7 @@ def of_npz(rng: Rng, file: Path) -> str:
         arrays[name] = np.asarray(pick(rng, shapes))
     elif kind == "dropped":
         del arrays[name]
-    elif kind == "picture" and "depth_m" in arrays:
+    elif kind == "picture" and arrays.get("depth_m", np.zeros(0)).dtype.kind == "f":
         arrays["depth_m"] = strange_depth(rng, arrays["depth_m"])
     np.savez_compressed(file, allow_pickle=True, **arrays)
     if kind == "header":

@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any, NoReturn
 
 from fuzz.cases import Case
@@ -106,13 +107,16 @@ def _is_named(name: str, case: Case) -> bool:
 
 
 def _asks_for_json(case: Case) -> bool:
-    return "--json" in case.words and not {"--help", "-h", "--mapping-template", "--version"} & set(case.words)
+    options = {before for before, word in pairwise(case.words) if word == "--json"}
+    is_value = any(before.startswith("-") and before not in ("--no-verdict", "-q", "--json") for before in options)
+    others = {"--help", "-h", "--mapping-template", "--version"} & set(case.words)
+    return "--json" in case.words and not is_value and not others
 
 
 def _is_one_line(case: Case, outcome: Outcome) -> bool:
-    """Of several clouds each has a line, and what was seen of the others is said."""
+    """Of several clouds each has a line, and what was seen of the others is said; warnings may stand above the line."""
     is_of_many = case.words[:1] == ("look",)
-    return (is_of_many or outcome.out == "") and (outcome.err.count("\n") == 1 or is_of_many)
+    return (is_of_many or outcome.out == "") and outcome.err.endswith("\n") and outcome.err != "\n"
 
 
 def _evidence(fault: str, outcome: Outcome) -> str:

@@ -96,6 +96,7 @@ REFUSAL = "halfseen: no; give another\n"
         (Outcome(2, "", "halfseen: memory does not suffice; give less at once, or more memory\n"), "fault: net"),
         (Outcome(2, "", f"halfseen: {'a' * 2000}\n"), "fault: long line"),
         (Outcome(2, "half of it", REFUSAL), "fault: no one line"),
+        (Outcome(2), "fault: no one line"),
         (Outcome(0, "{}", grown_mb=3000.0), "fault: memory"),
         (Outcome(None, death="crash"), "fault: crash"),
     ],

@@ -19,6 +19,13 @@ PATH_COLUMNS = ("path", "end_s", "ending", "cause")
 OBJECT_COLUMNS = ("path", "stage", "object")
 _OF_ONE_ROBOT = re.compile(r"\d+_reward")
 
+NEEDED = {
+    "stages": ("path", "stage", "elapsed_s", "action", "reward"),
+    "paths": ("path", "end_s", "ending"),
+    "objects": OBJECT_COLUMNS,
+}
+"""Columns that each table has, whatever else is known."""
+
 _OWN = {"stages": STAGE_COLUMNS, "paths": PATH_COLUMNS, "objects": OBJECT_COLUMNS}
 
 FINISHED, CUT = "finished", "cut"

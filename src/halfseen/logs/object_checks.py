@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 
 from halfseen.logs.columns import (
+    NEEDED,
     OBJECT_COLUMNS,
     as_counts,
     as_labels,
@@ -35,7 +36,7 @@ def checked_objects(frame: pd.DataFrame, stages: pd.DataFrame, paths: pd.DataFra
     LogError
         An invariant is broken; the path, the stage, the object and the remedy are named.
     """
-    require_columns("objects", frame, OBJECT_COLUMNS)
+    require_columns("objects", frame, NEEDED["objects"])
     refuse_misnamed("objects", frame)
     objects = frame.copy()
     objects["path"] = as_labels("objects", objects, "path", is_null_allowed=False)

@@ -5,7 +5,16 @@ import pandas as pd
 from jaxtyping import Bool
 
 from halfseen.errors import LogError
-from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, as_floats, as_labels, refuse_misnamed, require_columns
+from halfseen.logs.columns import (
+    CUT,
+    FINISHED,
+    NEEDED,
+    UNKNOWN_CAUSE,
+    as_floats,
+    as_labels,
+    refuse_misnamed,
+    require_columns,
+)
 from halfseen.logs.refusal import refuse, shown, value_at
 from halfseen.logs.robot_checks import with_drop_outs
 
@@ -33,7 +42,7 @@ def checked_paths(frame: pd.DataFrame) -> pd.DataFrame:
     LogError
         A column is missing, a path is there twice, or its end is no end.
     """
-    require_columns("paths", frame, ("path", "end_s", "ending"))
+    require_columns("paths", frame, NEEDED["paths"])
     refuse_misnamed("paths", frame)
     if len(frame) == 0:
         raise LogError("paths: there are none; a log has at least one path")

@@ -239,7 +239,10 @@ def _messages(bag: Path, reader: Any, channels: list[Channel]) -> Iterator[Recor
     if not channels:
         return
     try:
-        yield from reader.messages(channels)
+        for message in reader.messages(channels):
+            if not isinstance(message.log_ns, int):
+                raise ValueError("the time stamp of a message is no whole number")
+            yield message
     except Exception as error:
         _refuse_bag(bag, error)
 
