@@ -10,6 +10,9 @@ from tqdm import tqdm
 
 from fuzz.campaign import TESTS, Result, numbered, run, saved
 
+LONG_S = 10.0
+SLOWEST = "slowest [s]"
+
 
 def main() -> int:
     """Run a campaign, or cases that were kept; the status says whether something is to be mended."""
@@ -46,20 +49,25 @@ def main() -> int:
 
         results = run(orders, chosen.place, chosen.workers, chosen.limit_s, tell)
     print(table(results))
+    for result in sorted(results, key=lambda each: -each.seconds)[:5]:
+        if result.seconds > LONG_S and result.case is not None:
+            print(f"{result.name}: {result.seconds:.0f} s: {' '.join(result.case.words)!r} {result.case.told}")
     print(f"{len(results)} cases in {time.monotonic() - began:.0f} s")
     return int(any(result.is_fault for result in results))
 
 
 def table(results: list[Result]) -> str:
     """Inputs by what came of them."""
-    counts = Counter((result.case.seed if result.case else "?", result.label) for result in results)
+    counts = Counter((result.of, result.label) for result in results)
     inputs, labels = (sorted({key[k] for key in counts}) for k in (0, 1))
     width = max(map(len, inputs), default=0) + 2
+    labels = [*labels, SLOWEST]
     rows = [" " * width + "  ".join(labels)]
     for name in (*inputs, "all"):
-        cells = (
+        cells = [
             sum(n for (of, told), n in counts.items() if told == label and name in (of, "all")) for label in labels
-        )
+        ]
+        cells[-1] = f"{max((each.seconds for each in results if name in (each.of, 'all')), default=0.0):.1f}"
         rows.append(
             f"{name:<{width}}" + "  ".join(f"{n:>{len(label)}}" for n, label in zip(cells, labels, strict=True))
         )

@@ -49,6 +49,11 @@ class Result:
     seconds: float
 
     @property
+    def of(self) -> str:
+        """Name of its valid input."""
+        return "?" if self.case is None else self.case.seed
+
+    @property
     def is_fault(self) -> bool:
         """Whether something is to be mended."""
         return self.label.startswith("fault")

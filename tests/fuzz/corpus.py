@@ -39,6 +39,7 @@ reach_m = 0.55
 drop_out_rate = 0.001
 law = "assumed"
 """
+BAG_OF_ROS_1 = {"action": "action", "reward": "reward", "ending": "end"}
 RULE = '[[rule]]\nwhen = { x1 = "> 0.5" }\naction = "A"\n\n[[rule]]\naction = "A"\n'
 
 
@@ -236,6 +237,32 @@ def bag(folder: Path, storage: str, with_cloud: bool = False) -> None:
     write_bag(folder / "bag", sorted(messages, key=lambda one: one[0]), storage)
 
 
+def bag_of_ros_1(folder: Path) -> None:
+    from bags import number, text
+    from rosbags.rosbag1 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC)
+    messages = [text(1.0, "/action", "A"), number(2.0, "/reward", 1.0), text(2.5, "/end", "finished")]
+    with Writer(folder / "old.bag") as writer:
+        for seconds, topic, kind, message in messages:
+            connection = writer.add_connection(topic, kind, typestore=store)
+            writer.write(connection, int(seconds * 1e9), store.serialize_ros1(message, kind))
+    tables = (f'[{key}]\ntopic = "/{topic}"\nfield = "data"\n' for key, topic in BAG_OF_ROS_1.items())
+    (folder / "cell.toml").write_text("".join(tables))
+
+
+def journal_of_objects(folder: Path) -> None:
+    seen = [{"object": name, "occlusion": 0.2 * k, "hidden_by": [0.0, 0.0]} for k, name in enumerate(("cup", "mug"))]
+    with LogRecorder(folder / "logs", reward_unit="cups") as recorder:
+        for number in range(4):
+            path = recorder.begin_path(f"table-{number}", cell="left")
+            for stage in range(1, 3):
+                path.begin_stage({"light": 0.5}, objects=seen, action="WASH", object="cup", probability=0.5)
+                path.complete_stage(1.0, elapsed_s=2.0 * stage)
+            path.finish()
+
+
 def calls(folder: Path) -> None:
     lines = [
         {"call": "begin_path", "name": 1, "columns": {"cell": "left"}},
@@ -276,6 +303,33 @@ def table_policy(folder: Path) -> None:
     logs = table_log()
     write_policy(CensoredQLearner.for_table(3, reg=0.1).fit(logs), logs, folder / "policy")
     npz(folder)
+
+
+def begun(folder: Path) -> None:
+    """A policy, a table, and logs whose last path is what was seen and done there so far."""
+    from halfseen.perception import perceive, read_cloud
+
+    table_policy(folder)
+    scene = perceive(read_cloud(folder / "table.npz")).scene()
+    logs = table_log(num_paths=4, num_objects=scene.num_objects, hides=scene.hides, seed=1)
+    stages, objects, paths = (frame.copy() for frame in (logs.stages, logs.objects, logs.paths))
+    stages, objects = (rows[(rows["path"] < 3) | (rows["stage"] == 1)] for rows in (stages, objects))
+    is_now = stages["path"] == 3
+    stages.loc[is_now, ["elapsed_s", "reward"]] = np.nan
+    stages.loc[is_now, ["action", "object"]] = None
+    paths.loc[paths["path"] == 3, ["end_s", "ending", "cause"]] = [1.0, "cut", "crash"]
+    Logs(stages, paths, objects).write(folder / "history")
+
+
+def attempts(folder: Path) -> None:
+    """Attempts of a cell, fewer than its law needs to be sure."""
+    from halfseen.cell.calibration.shipped import shipped_law
+    from halfseen.logs import read_logs
+
+    logs = read_logs(shipped_law() / "attempts")
+    first = set(logs.paths["path"][:200])
+    kept = (frame[frame["path"].isin(first)] for frame in (logs.stages, logs.paths, logs.objects))
+    Logs(*kept).write(folder / "attempts")
 
 
 def law(folder: Path) -> None:
@@ -351,6 +405,8 @@ LOGS = (
         lambda folder: bag(folder, "mcap", with_cloud=True),
         ("convert in/bag --mapping in/cell.toml --out out --clouds out-clouds --json",),
     ),
+    Seed("bag-of-ros-1", bag_of_ros_1, ("convert in/old.bag --mapping in/cell.toml --out out --json",)),
+    Seed("journal-of-objects", journal_of_objects, ("inspect in/logs --json", "convert in/logs --out csv:out --json")),
     Seed("calls", calls, ("record in/calls.jsonl --out out",)),
 )
 HEAVY = (
@@ -404,6 +460,17 @@ HEAVY = (
         ("act in/policy in/table.npz --json", "act in/policy in/table.npz --picture out.png"),
         True,
     ),
+    Seed(
+        "begun",
+        begun,
+        (
+            "act in/policy in/table.npz --history in/history --json",
+            "watch in/table.npz --policy in/policy --export out.html",
+            "evaluate in/policy in/table.npz --world --episodes 8 --json",
+        ),
+        True,
+    ),
+    Seed("attempts", attempts, ("cell calibrate --from in/attempts --out out --workers 1 --json",), True),
     Seed("law", law, ("simulate in/table.npz --law in/law --episodes 4 --out out --json",), True),
     Seed(
         "team",
