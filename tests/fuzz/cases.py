@@ -16,7 +16,7 @@ import numpy as np
 from fuzz.corpus import CLOUDS, COMMAND_LINES, HEAVY, LOGS, SEEDS, made
 from fuzz.hostile import pick
 from fuzz.in_bytes import OF_BYTES, OF_TEXT, TEXT
-from fuzz.in_places import another_kind, sealed
+from fuzz.in_places import another_file, another_kind, sealed
 from fuzz.in_structure import OF_FORMAT
 from fuzz.in_words import other_words
 from fuzz.neutral import NEUTRAL
@@ -76,6 +76,8 @@ def broken(rng: np.random.Generator, folder: Path) -> str:
     if not files or not rng.integers(10):
         return another_kind(rng, pick(rng, places)) if places else "nothing there"
     file = pick(rng, files)
+    if not rng.integers(12):
+        return another_file(rng, file, files)
     kinds: list[Any] = [OF_BYTES]
     if file.suffix in TEXT:
         kinds += [OF_TEXT] * 2

@@ -36,6 +36,13 @@ def another_kind(rng: np.random.Generator, place: Path) -> str:
     return f"{name}: {kind}"
 
 
+def another_file(rng: np.random.Generator, place: Path, others: list[Path]) -> str:
+    """Put another file of the inputs in the place of one."""
+    other = pick(rng, others)
+    place.write_bytes(other.read_bytes())
+    return f"{place.name}: {other.name} in its place"
+
+
 def sealed(folder: Path) -> None:
     """Make digests and checksums right again, so that what was changed is read."""
     for digests in folder.rglob("*.sha256"):

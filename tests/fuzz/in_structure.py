@@ -17,6 +17,9 @@ from fuzz.hostile import IN_TEXT, LONG, NUMBERS, WORDS, any_value, pick
 
 Rng = np.random.Generator
 
+CSV_KINDS = ("cell", "cell", "cell", "elsewhere", "elsewhere", "header", "dropped", "more", ";")
+OF_COLUMNS = ("turned", "turned", "elsewhere")
+
 
 def of_json(rng: Rng, file: Path) -> str:
     """Another value, key or order somewhere in a JSON document, or in one line of several."""
@@ -44,9 +47,14 @@ def _changed_json(rng: Rng, text: str) -> tuple[str, str]:
         return _dumped(any_value(rng)), "another document"
     parent = pick(rng, parents)
     key = pick(rng, list(parent) if isinstance(parent, dict) else range(len(parent)))
-    kind = pick(rng, ("value", "value", "value", "dropped", "renamed"))
+    kind = pick(rng, ("value", "value", "value", "elsewhere", "elsewhere", "scaled", "scaled", "dropped", "renamed"))
     if kind == "value":
         parent[key] = any_value(rng)
+    elif kind == "elsewhere":
+        other = pick(rng, parents)
+        parent[key] = json.loads(json.dumps(pick(rng, list(other.values()) if isinstance(other, dict) else other)))
+    elif kind == "scaled":
+        parent[key] = _scaled(rng, parent[key])
     elif kind == "dropped":
         del parent[key]
     elif isinstance(parent, dict):
@@ -54,6 +62,19 @@ def _changed_json(rng: Rng, text: str) -> tuple[str, str]:
     else:
         parent.insert(key, any_value(rng))
     return _dumped(value), f"{str(key)[:40]}: {kind}"
+
+
+def _scaled(rng: Rng, value: Any) -> Any:
+    """A value of the same kind: longer, shorter, turned or of another sign."""
+    if isinstance(value, bool):
+        return not value
+    if isinstance(value, int | float):
+        return pick(rng, (-value, value + 1, value - 1, 2 * value, 1000 * value, value / 7, round(value)))
+    if isinstance(value, str):
+        return pick(rng, (value + "x", value[:-1], value.upper(), value[::-1], value * 20))
+    if isinstance(value, list):
+        return pick(rng, (value[:-1], value[1:], value[::-1], value + value, [value], value[:1] * len(value)))
+    return list(value.items()) if isinstance(value, dict) else [value]
 
 
 def _parents(value: Any) -> Any:
@@ -72,11 +93,13 @@ def of_csv(rng: Rng, file: Path) -> str:
     rows = list(csv.reader(io.StringIO(file.read_text(errors="replace")))) or [[""]]
     row, kind = (
         rows[int(rng.integers(len(rows)))],
-        pick(rng, ("cell", "cell", "cell", "header", "dropped", "more", ";")),
+        pick(rng, CSV_KINDS),
     )
     column = int(rng.integers(max(1, len(rows[0]))))
     if kind == "cell" and row:
         row[column % len(row)] = pick(rng, IN_TEXT)
+    elif kind == "elsewhere" and row:
+        row[column % len(row)] = pick(rng, pick(rng, rows) or [""])
     elif kind == "header" and rows[0]:
         rows[0][column] = pick(rng, (*WORDS, *rows[0]))
     elif kind == "dropped":
@@ -128,7 +151,7 @@ def of_parquet(rng: Rng, file: Path) -> str:
         return f"{file.name}: as it is"
     if not len(table) or not table.num_columns:
         return f"{file.name}: as it is"
-    kind = pick(rng, ("cell", "cell", "type", "type", "name", "rows", "dropped", "metadata", "added"))
+    kind = pick(rng, ("cell", "cell", "type", "type", "name", "rows", "dropped", "metadata", "added", *OF_COLUMNS))
     name = pick(rng, table.column_names)
     place = table.column_names.index(name)
     if kind == "cell":
@@ -145,6 +168,10 @@ def of_parquet(rng: Rng, file: Path) -> str:
         table = table.take(pa.array(rng.integers(len(table), size=int(rng.integers(len(table) + 4)))))
     elif kind == "dropped":
         table = table.drop_columns([name])
+    elif kind == "turned":
+        table = table.set_column(place, name, table[name].take(pa.array(rng.permutation(len(table)))))
+    elif kind == "elsewhere":
+        table = table.set_column(place, name, table[pick(rng, table.column_names)])
     else:
         broken = (
             b"{",
@@ -245,12 +272,16 @@ def of_npz(rng: Rng, file: Path) -> str:
         arrays[name] = np.asarray(pick(rng, shapes))
     elif kind == "dropped":
         del arrays[name]
-    elif kind == "picture" and arrays.get("depth_m", np.zeros(0)).dtype.kind == "f":
+    elif kind == "picture" and _is_image(arrays.get("depth_m")):
         arrays["depth_m"] = strange_depth(rng, arrays["depth_m"])
     np.savez_compressed(file, allow_pickle=True, **arrays)
     if kind == "header":
         _lie_in_header(rng, file, name)
     return f"{file.name}: {name}: {kind}"
+
+
+def _is_image(array: np.ndarray | None) -> bool:
+    return array is not None and array.ndim == 2 and array.dtype.kind == "f"
 
 
 def strange_depth(rng: Rng, depth: np.ndarray) -> np.ndarray:

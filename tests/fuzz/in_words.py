@@ -21,6 +21,35 @@ NEVER = (
     "--help",
 )
 """Options that are left as they are: they start processes of their own, wait for others, or say where to write."""
+SENSIBLE = (
+    *(
+        "x1",
+        "x1,x2",
+        "x1,x2,colour",
+        "action",
+        "x1,action",
+        "occlusion",
+        "log_odds",
+        "t",
+        "cv",
+        "auto",
+        "0.1",
+        "0",
+        "10",
+    ),
+    *(
+        "in/logs",
+        "in/policy",
+        "in/law",
+        "in/team.toml",
+        "in/rule.toml",
+        "in/state.json",
+        "in/table.npz",
+        "in/labels.csv",
+    ),
+    *("in/history", "in/cell.toml", "logging", "logging-rule", "sequence:A,C", "sequence:A,nope", "assumed", "shipped"),
+    *("A", "parts", "x" * 24, "1-2"),
+)
 LASTS = {"study", "cell", "serve", "watch", "record"}
 """Verbs that take minutes, or have no end, where their words are right."""
 
@@ -37,9 +66,25 @@ def options_of(verb: str) -> list[click.Option]:
 def other_words(rng: np.random.Generator, line: str) -> list[str]:
     """Another command line."""
     words = shlex.split(line)
+    if rng.integers(2) and words[0] not in LASTS:
+        for option in (pick(rng, options_of(words[0])) for _ in range(int(rng.integers(1, 5)))):
+            words += [option.opts[0], *([] if option.is_flag else [sensible_value(rng, option)])]
+        return words
     for _ in range(int(rng.integers(1, 3))):
         words = _changed(rng, words)
     return words
+
+
+def sensible_value(rng: np.random.Generator, option: click.Option) -> str:
+    """A value that an option may well have; with others it may contradict the input."""
+    kind = option.type
+    if isinstance(kind, click.Choice):
+        return str(pick(rng, list(kind.choices)))
+    if isinstance(kind, click.IntRange | click.types.IntParamType):
+        return str(pick(rng, (1, 2, 3, 5, 10)))
+    if isinstance(kind, click.FloatRange | click.types.FloatParamType):
+        return str(pick(rng, (0.05, 0.3, 0.5, 0.9, 1.0, 2.0, 20.0)))
+    return str(pick(rng, SENSIBLE))
 
 
 def _changed(rng: np.random.Generator, words: Sequence[str]) -> list[str]:

@@ -73,7 +73,9 @@ def _check_ends(paths: pd.DataFrame) -> None:
 
 def _checked_endings(paths: pd.DataFrame) -> Bool[np.ndarray, " n"]:
     endings = paths["ending"].to_numpy(dtype=object)
-    is_cut, is_finished = (pd.Series(endings).eq(word).to_numpy(dtype=bool) for word in (CUT, FINISHED))
+    # A list in a cell compares with a word element by element.
+    words = pd.Series([ending if isinstance(ending, str) else "" for ending in endings], dtype=object)
+    is_cut, is_finished = (words.eq(word).to_numpy(dtype=bool) for word in (CUT, FINISHED))
     remedy = f"{FINISHED!r} where the path reached its own end, and {CUT!r} where something outside the task ended it"
     wrong = ~(is_cut | is_finished)
     refuse(paths, wrong, lambda row: f"ending {shown(endings[row])} is unknown; say {remedy}", _ROW)
