@@ -32,10 +32,13 @@ from pathlib import Path
 from typing import Any
 
 from halfseen.errors import HalfseenWarning, LogError
-from halfseen.reading import reason_of
+from halfseen.reading import TABLE, opened, reason_of
 
 FORMAT, VERSION = "halfseen-journal", 1
 HEADER = {"event": "journal", "format": FORMAT, "version": VERSION}
+
+MOST_LINE_BYTES = 256 * 10**6
+"""Of an event; memory holds one at a time."""
 
 HOLE = {"event": "hole"}
 """Given in the place of lines that do not check."""
@@ -99,8 +102,13 @@ class JournalEvents:
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
         try:
-            with self.file.open("rb") as stream:
-                for line in stream:
+            with opened(self.file, TABLE) as stream:
+                while line := stream.readline(MOST_LINE_BYTES + 1):
+                    if len(line) > MOST_LINE_BYTES:
+                        raise LogError(
+                            f"{self.file}, line {self.num_lines + 1}: it has more than {MOST_LINE_BYTES // 10**6} MB, "
+                            "and no event is so large; restore it, or delete from there on to keep what is above"
+                        )
                     if not line.endswith(b"\n"):
                         break
                     event = self._event(line)
@@ -114,7 +122,7 @@ class JournalEvents:
                         self.reward_unit = self.reward_unit or event.get("reward_unit")
                         yield event
         except OSError as error:
-            raise LogError(f"{self.file}: it cannot be read ({error.strerror}); copy it again") from error
+            raise LogError(f"{self.file}: it cannot be read ({reason_of(error)}); copy it again") from error
         if self.holes == [(1, self.num_lines)]:
             raise LogError(
                 f"{self.file}: none of its lines checks, so it is no journal or all of it is lost; restore it"
