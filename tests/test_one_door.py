@@ -70,7 +70,7 @@ def test_the_reason_is_one_short_line_for_users(error, told):
 def test_a_file_that_is_too_large_is_refused_unless_that_is_meant(tmp_path, monkeypatch):
     with (tmp_path / "a").open("wb") as file:
         file.truncate(70 * 10**6)  # a hole: nothing is written
-    with pytest.raises(OSError, match=r"70 MB, and at most 64 MB are read; .* set HALFSEEN_LARGEST_MB"):
+    with pytest.raises(OSError, match=r"70 MB, and at most 32 MB are read; .* set HALFSEEN_LARGEST_MB"):
         read_bytes(tmp_path / "a")
     monkeypatch.setenv(reading.LARGEST_MB, "71")
     assert len(read_bytes(tmp_path / "a")) == 70 * 10**6

@@ -23,7 +23,7 @@ import numpy as np
 
 LARGEST_MB = "HALFSEEN_LARGEST_MB"
 """Environment variable that overrides every bound below [MB]."""
-WORDS, CLOUD, NUMBERS, TABLE = 64 * 10**6, 10**9, 4 * 10**9, 64 * 10**9
+WORDS, CLOUD, NUMBERS, TABLE = 32 * 10**6, 10**9, 4 * 10**9, 64 * 10**9
 """Most bytes of a file of words (settings, labels, rules), of a cloud, of stored numbers, and of a table of a log."""
 UNPACKED = 16 * 10**9
 """Most bytes that anything may take once it is unpacked."""

@@ -8,6 +8,7 @@ from typing import Any, NoReturn
 
 from fuzz.cases import Case
 
+OUTPUTS = ("--out", "--record", "--clouds", "--export", "--picture", "--onnx")
 REFUSED, RIGHT = "refused", "right"
 LONGEST_LINE = 1200
 """Characters of a line that a person reads."""
@@ -75,7 +76,7 @@ def judged(case: Case, outcome: Outcome, answer: str | None) -> tuple[str, str]:
         "traceback": bool(outcome.traceback) or "Traceback (most recent" in outcome.err,
         "status": outcome.status not in (0, 2),
         "memory": outcome.grown_mb > MOST_GROWN_MB,
-        "input changed": bool(outcome.changed),
+        "input changed": bool(outcome.changed) and not _writes_into_input(case),
         "left behind": any(outcome.status == 2 or not _is_named(name, case) for name in outcome.left),
         "another's line": any(not line.startswith("halfseen: ") for line in lines),
         "escape code": bool(UNPRINTABLE.search(outcome.out + outcome.err)),
@@ -104,6 +105,11 @@ def is_json(text: str) -> bool:
 def _is_named(name: str, case: Case) -> bool:
     """Whether a command line says that this is written."""
     return any(word.removeprefix("csv:").split("/")[0] == name for word in case.words)
+
+
+def _writes_into_input(case: Case) -> bool:
+    """Whether the words ask for an output in the folder of the input."""
+    return any(before in OUTPUTS and word.startswith("in") for before, word in pairwise(case.words))
 
 
 def _asks_for_json(case: Case) -> bool:

@@ -14,6 +14,9 @@ LARGEST_MEDIAN_DISTANCE_M, LARGEST_DISTANCE_M = 50.0, 1000.0
 # Of a pinhole matrix; images are a few thousand pixels wide [px].
 LARGEST_INTRINSIC_PX = 1e6
 
+# Of a file; the largest depth cameras have 5 million pixels. Looking at so many takes 1 GB.
+MOST_POINTS = 6_000_000
+
 Vector: TypeAlias = Float[np.ndarray, "3"]
 Colours: TypeAlias = UInt8[np.ndarray, "n 3"]
 Picture: TypeAlias = UInt8[np.ndarray, "H W 3"]
@@ -129,6 +132,28 @@ def _check_metres(from_eye: Points, name: str) -> None:
         raise CloudError(
             f"{name}: a point is {farthest:.4g} m from the camera, and no depth camera sees farther than "
             f"{LARGEST_DISTANCE_M:g} m; leave out what did not return: 0 or NaN"
+        )
+
+
+def check_num_points(num_points: int, name: str) -> None:
+    """Refuse more points than a depth camera returns, before memory is asked for them.
+
+    Parameters
+    ----------
+    num_points
+        How many a file announces, or holds.
+    name
+        Where they come from.
+
+    Raises
+    ------
+    CloudError
+        There are too many.
+    """
+    if num_points > MOST_POINTS:
+        raise CloudError(
+            f"{name}: it has {num_points:,} points, and no depth camera returns more than {MOST_POINTS:,} at once; "
+            "thin it, or cut out the table"
         )
 
 

@@ -10,7 +10,7 @@ from jaxtyping import Float, Shaped
 
 from halfseen.arrays import Intrinsics, Points
 from halfseen.errors import CloudError
-from halfseen.perception.clouds import Cloud, Colours, Vector
+from halfseen.perception.clouds import Cloud, Colours, Vector, check_num_points
 from halfseen.reading import CLOUD, check_unpacked, opened
 from halfseen.writing import write_file
 
@@ -51,6 +51,7 @@ def read_pcd(path: Path) -> Cloud:
     names = ["x", "y", "z"] if packed is None else ["x", "y", "z", packed]
     num_points, width, height = (_whole(header, key, path) for key in ("POINTS", "WIDTH", "HEIGHT"))
     _check_layout(header, num_points, path)
+    check_num_points(num_points, str(path))
     is_text = header["DATA"] == "ascii"
     if header["DATA"] == "binary_compressed":
         _check_packed(path, num_header_lines, _bytes_of_point(header) * num_points)

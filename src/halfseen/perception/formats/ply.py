@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from halfseen.errors import CloudError
-from halfseen.perception.clouds import Cloud, Colours
+from halfseen.perception.clouds import Cloud, Colours, check_num_points
 from halfseen.reading import CLOUD, read_bytes
 
 # A header has a few dozen lines.
@@ -53,6 +53,8 @@ def _check_counts(content: bytes, path: Path) -> None:
                 f"{path}: {rest.strip()[:60]} are announced, and the file has {len(content)} bytes; it was cut short: "
                 "export it again"
             )
+        if word == "element" and rest.startswith("vertex ") and count.isascii() and count.isdigit():
+            check_num_points(int(count[:18]), str(path))
 
 
 def _colours(vertex: Shaped[np.ndarray, " n"], path: Path) -> Colours | None:
