@@ -80,7 +80,8 @@ def _check_every_stage(stages: pd.DataFrame, stage_row: np.ndarray) -> None:
 
 def _check_acted_on(stages: pd.DataFrame, stage_row: np.ndarray, name: np.ndarray, names: pd.Index) -> None:
     acted_on = stages["object"].notna().to_numpy()
-    acted_name = names.get_indexer(pd.Index(stages["object"]))
+    acted_name = np.full(len(stages), -1)
+    acted_name[acted_on] = names.get_indexer(pd.Index(stages["object"][acted_on]))
     there = stage_row * len(names) + name
     absent = acted_on & ((acted_name < 0) | ~np.isin(np.arange(len(stages)) * len(names) + acted_name, there))
 
