@@ -10,7 +10,7 @@ from fuzz.cases import Case
 
 OUTPUTS = ("--out", "--record", "--clouds", "--export", "--picture", "--onnx")
 REFUSED, RIGHT = "refused", "right"
-LONGEST_LINE = 1200
+LONGEST_LINE = 1250
 """Characters of a line that a person reads."""
 MOST_GROWN_MB = 2000
 UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f]")

@@ -73,7 +73,7 @@ def check_topics(bags: list[Path], mapping: BagMapping) -> None:
             types |= {channel.topic: channel.kind for channel in reader.channels}
     for source in mapping.sources:
         if source.topic not in types:
-            there = ", ".join(sorted(types)) or "none"
+            there = ", ".join(topic[:80] for topic in sorted(types)[:20]) or "none"
             raise ArgumentError(
                 f"{mapping.file}, {source.key}.topic: there is no topic {source.topic!r} in "
                 f"{', '.join(map(str, bags))}; there are {there}; give a bag that broke off early together with others"
