@@ -10,7 +10,7 @@ from fuzz.corpus import CLOUDS, LOGS, SEEDS
 from fuzz.oracle import Outcome, judged
 
 KEPT_FILES = sorted(KEPT.glob("*.json"))
-SHORT, LONG = 40, 500
+SHORT, LONG = 25, 500
 """Cases of the run that every test run makes, and of the one beside the slow tests."""
 RIGHT = Case("npz", ("look", "in/table.npz", "--json"), ())
 
