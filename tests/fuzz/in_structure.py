@@ -250,7 +250,7 @@ def of_npz(rng: Rng, file: Path) -> str:
     except Exception:  # what an earlier mutation broke
         return f"{file.name}: as it is"
     name = pick(rng, list(arrays))
-    array = arrays[name]
+    array = np.atleast_1d(arrays[name])
     kind = pick(rng, ("cell", "type", "shape", "dropped", "header", "picture", "picture"))
     if kind == "cell":
         arrays[name] = _hostile_cells(rng, array)
@@ -267,7 +267,7 @@ def of_npz(rng: Rng, file: Path) -> str:
             array.T,
             array[()].sum(),
             array[None],
-            array[:3, :3],
+            array[..., :3],
         )
         arrays[name] = np.asarray(pick(rng, shapes))
     elif kind == "dropped":
