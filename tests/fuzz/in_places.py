@@ -56,7 +56,7 @@ def sealed(folder: Path) -> None:
 
 
 def _chain(journal: Path) -> None:
-    checksum, lines = 0, []
+    checksum, lines, is_whole = 0, [], journal.read_bytes().endswith(b"\n")
     for line in journal.read_bytes().splitlines():
         try:
             event = json.dumps(json.loads(line)[1], separators=(",", ":"))
@@ -65,4 +65,4 @@ def _chain(journal: Path) -> None:
             continue
         checksum = zlib.crc32(event.encode(), checksum)
         lines.append(f'["{checksum:08x}",{event}]'.encode())
-    journal.write_bytes(b"\n".join(lines) + b"\n")
+    journal.write_bytes(b"\n".join(lines) + (b"\n" if is_whole else b""))
