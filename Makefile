@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PARALLEL := -n auto --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 
-.PHONY: study test test-slow check docs pictures clouds benchmarks wheel-test release audit image clean
+.PHONY: study test test-slow check docs pictures clouds benchmarks fuzz wheel-test release audit image clean
 
 study: .venv/.installed
 	$(BIN)/halfseen study --out runs/study
@@ -31,6 +31,10 @@ pictures: .venv/.installed
 clouds: .venv/.installed
 	$(BIN)/python -m halfseen.scene
 	$(BIN)/python -m halfseen.cell.tables_seen
+
+# Broken inputs and command lines; what fails is written to runs/fuzz. CASES and SEED say how many, and which.
+fuzz: .venv/.installed
+	cd tests && ../$(BIN)/python -m fuzz --cases $(or $(CASES),20000) --seed $(or $(SEED),0)
 
 benchmarks: .venv/.installed
 	for benchmark in benchmarks/*.py; do $(BIN)/python $$benchmark || exit 1; done

@@ -15,6 +15,7 @@ import pytest
 from halfseen.cell.calibration.law_folder import read_law
 from halfseen.errors import HalfseenError, LogError
 from halfseen.logs import LogStream, read_logs
+from halfseen.logs.folder import bytes_of_texts
 from halfseen.logs.formats import (
     MAPPING_TEMPLATE,
     Queries,
@@ -171,6 +172,24 @@ def test_a_table_of_few_bytes_and_many_values_is_refused_before_it_is_read(place
     pq.write_table(table, file)
     assert "unpacked, it has 16 MB" in refused(read_logs, place / "logs")
     assert "unpacked, it has 16 MB" in refused(lambda folder: list(LogStream(folder)), place / "logs")
+
+
+@pytest.mark.parametrize("nested", [False, True])
+def test_a_text_that_is_stored_once_counts_in_every_row(place, monkeypatch, nested):
+    monkeypatch.setattr("halfseen.logs.folder.ALWAYS_UNPACKED", 10**5)
+    file = place / "texts.parquet"
+    texts = pa.DictionaryArray.from_arrays(pa.array([0, 1, None] * 1000), ["n" * 700, "m" * 50])
+    plain = texts.cast(pa.string())
+    column = pa.ListArray.from_arrays(np.arange(0, 3001, 3), plain) if nested else plain
+    pq.write_table(pa.table({"x": column, "y": np.arange(len(column))}), file)
+    assert bytes_of_texts(file, pq.ParquetFile(file)) == sum(len(text or "") for text in plain.to_pylist())
+
+
+@pytest.mark.parametrize("column", ["path", "stage", "action"])
+def test_part_by_part_a_missing_column_is_refused_too(place, column):
+    file = place / "logs" / "stages.parquet"
+    pq.write_table(pq.read_table(file).drop_columns([column]), file)
+    assert f"there is no column '{column}'" in refused(LogStream, place / "logs")
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@ import io
 import json
 import os
 import socket
+import tracemalloc
 import zipfile
 
 import numpy as np
@@ -34,10 +35,42 @@ def test_what_is_no_file_is_refused_and_nothing_hangs(tmp_path):
         read_bytes(tmp_path / "none")
 
 
+def test_a_pipe_that_takes_the_place_of_a_file_is_neither_waited_for_nor_read(tmp_path, monkeypatch):
+    os.mkfifo(tmp_path / "pipe")
+    monkeypatch.setattr("halfseen.reading.check_file", lambda *_: 0)
+    with pytest.raises(OSError, match="it is a pipe and no file"):
+        read_bytes(tmp_path / "pipe")
+
+
+def test_no_more_memory_is_asked_for_than_a_file_has(tmp_path):
+    (tmp_path / "a").write_bytes(bytes(1000))
+    tracemalloc.start()
+    read_bytes(tmp_path / "a", reading.NUMBERS)
+    _, peak_bytes = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak_bytes < 10**6
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (OSError(2, "No such file or directory", "a"), "No such file or directory"),
+        (ValueError("line 1\nline 2"), "line 1"),
+        (KeyError("paths"), "it lacks 'paths'"),
+        (TypeError("'NoneType' object is not subscriptable"), "its parts do not fit together"),
+        (ValueError("1 validation error for MetaData"), "its parts do not fit together"),
+        (RuntimeError(), "RuntimeError"),
+        (ValueError("x" * 300), "x" * 200),
+    ],
+)
+def test_the_reason_is_one_short_line_for_users(error, told):
+    assert reading.reason_of(error) == told
+
+
 def test_a_file_that_is_too_large_is_refused_unless_that_is_meant(tmp_path, monkeypatch):
     with (tmp_path / "a").open("wb") as file:
         file.truncate(70 * 10**6)  # a hole: nothing is written
-    with pytest.raises(OSError, match=r"70 MB, and at most 64 MB are read; .* set HALFSEEN_LARGEST_MB"):
+    with pytest.raises(OSError, match=r"70 MB, and at most 32 MB are read; .* set HALFSEEN_LARGEST_MB"):
         read_bytes(tmp_path / "a")
     monkeypatch.setenv(reading.LARGEST_MB, "71")
     assert len(read_bytes(tmp_path / "a")) == 70 * 10**6

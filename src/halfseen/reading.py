@@ -7,6 +7,7 @@ a reader puts its own words around either. Where a file is meant to be so large,
 
 import json
 import os
+import re
 import stat
 import tomllib
 import zipfile
@@ -22,7 +23,7 @@ import numpy as np
 
 LARGEST_MB = "HALFSEEN_LARGEST_MB"
 """Environment variable that overrides every bound below [MB]."""
-WORDS, CLOUD, NUMBERS, TABLE = 64 * 10**6, 10**9, 4 * 10**9, 64 * 10**9
+WORDS, CLOUD, NUMBERS, TABLE = 32 * 10**6, 10**9, 4 * 10**9, 64 * 10**9
 """Most bytes of a file of words (settings, labels, rules), of a cloud, of stored numbers, and of a table of a log."""
 UNPACKED = 16 * 10**9
 """Most bytes that anything may take once it is unpacked."""
@@ -30,6 +31,13 @@ ALWAYS_UNPACKED, LARGEST_RATIO = 256 * 10**6, 200
 """Bytes that anything may take unpacked; above, no more than this many times what it takes packed."""
 MOST_LEVELS = 64
 """Of lists and objects in one another."""
+
+_OF_PROGRAMMERS = re.compile(
+    r"object has no|object of type|not (iterable|subscriptable|callable|supported between)|unhashable|NoneType|"
+    r"index out of (range|bounds)|unsupported operand|broadcast|\d validation errors? for|to unpack|"
+    r"positional argument|<(class|function|module) |must be (real number|str)|[Aa]ssert"
+)
+"""Words of libraries to those who call them wrongly, as with what is in a broken file."""
 
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
@@ -59,20 +67,22 @@ def check_file(path: Path, most_bytes: int = WORDS) -> int:
     OSError
         It is refused, is not there, or cannot be asked for.
     """
-    told = path.stat()
-    if not stat.S_ISREG(told.st_mode):
-        kind = next((kind for is_kind, kind in _KINDS if is_kind(told.st_mode)), "something else")
-        link = f", where the link leads ({os.path.realpath(path)})" if path.is_symlink() else ""
-        raise OSError(EINVAL, f"it is {kind} and no file{link}; give a file", str(path))
-    if told.st_size > _most(most_bytes):
-        raise OSError(EFBIG, _too_large(told.st_size, most_bytes), str(path))
-    return told.st_size
+    return _checked(path.stat(), path, most_bytes)
 
 
 def opened(path: Path, most_bytes: int = WORDS) -> BufferedReader:
-    """Open a regular file that is no larger than it may be; the errors are those of `check_file`."""
+    """Open a regular file that is no larger than it may be; the errors are those of `check_file`.
+
+    What was opened is asked again, as another file may have taken its place since; a pipe is not waited for.
+    """
     check_file(path, most_bytes)
-    return path.open("rb")
+    file = os.fdopen(os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)), "rb")
+    try:
+        _checked(os.fstat(file.fileno()), path, most_bytes)
+    except OSError:
+        file.close()
+        raise
+    return file
 
 
 def opened_text(path: Path, most_bytes: int = WORDS) -> TextIOWrapper:
@@ -86,9 +96,11 @@ def read_bytes(path: Path, most_bytes: int = WORDS) -> bytes:
     A file that grows meanwhile is refused, too.
     """
     with opened(path, most_bytes) as file:
-        content = file.read(_most(most_bytes) + 1)
-    if len(content) > _most(most_bytes):
-        raise OSError(EFBIG, _too_large(len(content), most_bytes), str(path))
+        num_bytes = os.fstat(file.fileno()).st_size
+        # As much as is asked for is taken of memory at once.
+        content = file.read(num_bytes + 1)
+    if len(content) > num_bytes:
+        raise OSError(EINVAL, "it grows while it is read; wait until it is written", str(path))
     return content
 
 
@@ -179,25 +191,24 @@ def read_arrays(path: Path, names: Collection[str] | None = None, most_bytes: in
     ValueError
         It is no such file, is cut short, or holds objects.
     """
-    num_bytes = check_file(path, most_bytes)
     try:
-        with path.open("rb") as file, zipfile.ZipFile(file) as archive:
+        with opened(path, most_bytes) as file, zipfile.ZipFile(file) as archive:
+            num_bytes = os.fstat(file.fileno()).st_size
             members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
             wanted = {name: info for name, info in members.items() if names is None or name in names}
             check_unpacked(num_bytes, sum(info.file_size for info in wanted.values()))
             return {name: _array(archive, info) for name, info in wanted.items()}
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
-        raise ValueError(f"cut short or no .npz file: {str(error) or 'it ends too early'}") from error
+        raise ValueError(f"cut short or no .npz file: {reason_of(error)}") from error
 
 
 def names_in_archive(path: Path, most_bytes: int = NUMBERS) -> list[str]:
     """Name the arrays of an ``.npz`` file; the errors are those of `read_arrays`."""
-    check_file(path, most_bytes)
     try:
-        with path.open("rb") as file, zipfile.ZipFile(file) as archive:
+        with opened(path, most_bytes) as file, zipfile.ZipFile(file) as archive:
             return [name.removesuffix(".npy") for name in archive.namelist()]
     except (zipfile.BadZipFile, EOFError, NotImplementedError) as error:
-        raise ValueError(f"cut short or no .npz file: {str(error) or 'it ends too early'}") from error
+        raise ValueError(f"cut short or no .npz file: {reason_of(error)}") from error
 
 
 def reason_of(error: Exception) -> str:
@@ -209,7 +220,20 @@ def reason_of(error: Exception) -> str:
         What was raised, here or by another's library.
     """
     told = getattr(error, "strerror", None) or str(error)
-    return (told.splitlines() or [type(error).__name__])[0][:200]
+    line = (told.splitlines() or [type(error).__name__])[0][:200]
+    if isinstance(error, KeyError) and " " not in line:
+        return f"it lacks {line}"
+    return "its parts do not fit together" if _OF_PROGRAMMERS.search(line) else line
+
+
+def _checked(told: os.stat_result, path: Path, most_bytes: int) -> int:
+    if not stat.S_ISREG(told.st_mode):
+        kind = next((kind for is_kind, kind in _KINDS if is_kind(told.st_mode)), "something else")
+        link = f", where the link leads ({os.path.realpath(path)})" if path.is_symlink() else ""
+        raise OSError(EINVAL, f"it is {kind} and no file{link}; give a file", str(path))
+    if told.st_size > _most(most_bytes):
+        raise OSError(EFBIG, _too_large(told.st_size, most_bytes), str(path))
+    return told.st_size
 
 
 def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:

@@ -5,13 +5,16 @@ import re
 import subprocess
 import sys
 import tomllib
+import warnings
 from pathlib import Path
+from types import SimpleNamespace
 
 import click
 import pytest
 
 from halfseen.cli import VERBS, halfseen, messages
 from halfseen.cli.extras import EXTRAS, HELD, remedy
+from halfseen.errors import HalfseenWarning
 from halfseen.installation import command_for
 from halfseen.logs import Logs
 from halfseen.progress import Progress, Telling, _telling
@@ -279,3 +282,21 @@ def test_records_and_lists_in_a_log_are_looked_at_without_harm(typed, tmp_path):
     odd = log.stages.assign(record=[{"a": 1}] * len(log.stages), list=[[1.0]] * len(log.stages))
     Logs(stages=odd, paths=log.paths).write(tmp_path / "logs")
     assert typed("inspect", tmp_path / "logs").status == 0
+
+
+@pytest.mark.filterwarnings("always")
+@pytest.mark.parametrize(
+    ("asked", "told"), [([], ["halfseen: mean it"]), (["default"], ["halfseen: mean it", "inner"])]
+)
+def test_what_libraries_warn_each_other_of_is_told_where_it_is_asked_for(typed, monkeypatch, asked, told):
+    @click.command()
+    def warn():
+        warnings.warn("inner", RuntimeWarning, stacklevel=1)
+        warnings.warn("mean it", HalfseenWarning, stacklevel=1)
+
+    shown = []
+    monkeypatch.setattr(warnings, "showwarning", lambda message, *_: shown.append(str(message)))
+    monkeypatch.setattr(sys, "warnoptions", asked)
+    monkeypatch.setitem(VERBS, "warn", "Warn.")
+    monkeypatch.setitem(sys.modules, "halfseen.cli.warn", SimpleNamespace(warn=warn))
+    assert [*typed("warn").err.splitlines(), *shown] == told

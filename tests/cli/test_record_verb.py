@@ -93,7 +93,7 @@ def test_lines_of_a_file_are_recorded(typed, tmp_path):
 
 
 def test_what_cannot_be_recorded_from_or_into_is_refused(refused, tmp_path):
-    assert "no such file" in refused("record", tmp_path / "none", "--out", tmp_path / "logs")
+    assert "No such file" in refused("record", tmp_path / "none", "--out", tmp_path / "logs")
     assert "are both given" in refused("record", tmp_path / "none", "--listen", 0, "--out", tmp_path / "logs")
     assert not (tmp_path / "logs").exists()
     with LogRecorder(tmp_path / "logs"):

@@ -279,3 +279,13 @@ def test_points_that_make_no_surface_are_refused_or_show_nothing(place):
     }[place]
     with suppress(CloudError):
         assert not perceive(Cloud(points)).objects
+
+
+@pytest.mark.parametrize(
+    ("bound", "told"),
+    [("MOST_JOINT_FITS", "too many might belong together"), ("MOST_PIECES", "a table of things into")],
+)
+def test_what_falls_into_too_many_pieces_is_refused_and_not_fitted_for_minutes(monkeypatch, bound, told):
+    monkeypatch.setattr(f"halfseen.perception.grouping.{bound}", 0)
+    with pytest.raises(CloudError, match=told):
+        perceive(read_cloud(table_paths()[4]))

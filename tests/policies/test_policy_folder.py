@@ -225,6 +225,12 @@ def test_the_same_learner_writes_the_same_bytes(written, flat, tmp_path):
     ]
 
 
+def test_categories_are_the_texts_that_they_stand_for():
+    logs = text_log(8)
+    stages = logs.stages.astype({"colour": "category"})
+    assert log_digest(Logs(stages, logs.paths)) == log_digest(logs)
+
+
 def test_a_log_has_one_digest_wherever_it_lies(tables, tmp_path):
     tables.write(tmp_path / "logs")
     assert log_digest(read_logs(tmp_path / "logs")) == log_digest(tables)

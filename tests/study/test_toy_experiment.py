@@ -9,12 +9,14 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
+from halfseen.errors import ArgumentError
 from halfseen.pages.axes import write_title
 from halfseen.pages.sentences import Claim
 from halfseen.progress import Progress
 from halfseen.study.experiment import Drawing, Experiment, Listing, Section, Setting
 from halfseen.study.run import chosen, run_study
 from halfseen.study.runner import repetition, run_all, store_of
+from halfseen.study.scenes import look_at
 from halfseen.study.statistics import columns, estimate_in, over_repetitions
 from halfseen.workers import Workers
 from halfseen.world.scene import Scene
@@ -109,6 +111,22 @@ def test_more_repetitions_add_to_those_that_are_there(folder, tmp_path):
     run_study(replace(SETTING, repetitions=6), tmp_path, (Coin(),), is_resumed=True, workers=Workers(1))
     assert len(list(store.folder.glob("repetition-*.json"))) == 6
     assert store.read("repetition-00000")["heads"] == 7.0
+
+
+@pytest.mark.parametrize(
+    "other", [{"hides": np.array([[0.0, 0.1], [0.0, 0.0]])}, {"grip": np.ones(2)}, {"places_m": np.ones((2, 2))}]
+)
+def test_a_scene_of_the_same_name_and_other_content_is_another_study(tmp_path, other):
+    store_of(Coin(), SETTING, tmp_path, is_resumed=False)
+    store_of(Coin(), SETTING, tmp_path, is_resumed=True)
+    scenes = (replace(SETTING.scenes[0], **other),)
+    with pytest.raises(ArgumentError, match="a study of another design"):
+        store_of(Coin(), replace(SETTING, scenes=scenes), tmp_path, is_resumed=True)
+
+
+def test_two_clouds_of_one_name_are_refused(tmp_path):
+    with pytest.raises(ArgumentError, match="have one name"):
+        look_at([tmp_path / "a" / "table.pcd", tmp_path / "b" / "table.pcd"])
 
 
 @pytest.mark.parametrize("num_made", [0, 2])

@@ -84,13 +84,16 @@ def main() -> None:
 
 
 def _say_in_one_line() -> None:
-    """Let warnings that are meant for users read like all else; what is about kept programs concerns no user."""
+    """Let warnings that are meant for users read like all else.
+
+    What libraries say to one another concerns no user, but where one asks for it, as by PYTHONWARNINGS or Python's -W.
+    """
     usual = warnings.showwarning
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
         if issubclass(category, HalfseenWarning):
             tell_warning(str(message))
-        elif not is_of_kept_programs(str(message)):
+        elif not is_of_kept_programs(str(message)) and sys.warnoptions:
             usual(message, category, *where, **more)
 
     warnings.showwarning = show

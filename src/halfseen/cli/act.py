@@ -25,7 +25,9 @@ UNKNOWN = "How sure this is nobody knows: the policy was learned without pessimi
 @click.argument("cloud", type=options.PATH)
 @click.option("--history", type=options.PATH, help="Of a table: logs whose last path is the one so far.")
 @click.option(
-    "--stage", type=click.IntRange(min=1), help="Stage to decide, from 1; by default as the input says, or 1."
+    "--stage",
+    type=click.IntRange(1, options.MOST_STAGES),
+    help="Stage to decide, from 1; by default as the input says, or 1.",
 )
 @options.labels
 @law_option(None, f"Of a table, where it is {SHIPPED} by default. ")

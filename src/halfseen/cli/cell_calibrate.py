@@ -23,10 +23,16 @@ if TYPE_CHECKING:
 
 @click.command(epilog="Example: halfseen cell calibrate --attempts 6000 --out law")
 @click.option("--out", type=options.PATH, required=True, help="Folder that the law is written to.")
-@click.option("--attempts", type=click.IntRange(min=50), default=6000, show_default=True, help="Attempts to begin.")
+@click.option(
+    "--attempts",
+    type=click.IntRange(50, options.MOST_EPISODES),
+    default=6000,
+    show_default=True,
+    help="Attempts to begin.",
+)
 @click.option(
     "--visible-only",
-    type=click.IntRange(min=0),
+    type=click.IntRange(0, options.MOST_EPISODES),
     default=0,
     show_default=True,
     help="Attempts to begin on the same tables with grasps that are planned from visible points alone, as a contrast.",

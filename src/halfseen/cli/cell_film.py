@@ -23,7 +23,9 @@ DRAWING = 3
 @policy_option
 @click.option("--out", type=options.PATH, required=True, help="File that the film is written to (.gif).")
 @law_option(SHIPPED)
-@click.option("--table", type=click.IntRange(min=0), default=0, show_default=True, help="Number of the table.")
+@click.option(
+    "--table", type=click.IntRange(0, options.MOST_EPISODES), default=0, show_default=True, help="Number of the table."
+)
 @num_arms_option
 @arm_options
 @options.seed("film")

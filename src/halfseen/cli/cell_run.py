@@ -29,7 +29,13 @@ if TYPE_CHECKING:
 @click.command(epilog="Example: halfseen cell run --policy history-penalty --tables 50 --out logs")
 @policy_option
 @click.option("--out", type=options.PATH, required=True, help="Folder that the logs are written to.")
-@click.option("--tables", type=click.IntRange(min=2), default=50, show_default=True, help="Number of fresh tables.")
+@click.option(
+    "--tables",
+    type=click.IntRange(2, options.MOST_EPISODES),
+    default=50,
+    show_default=True,
+    help="Number of fresh tables.",
+)
 @law_option(SHIPPED)
 @click.option("--stops/--no-stops", default=True, show_default=True, help="Whether something may cut a table.")
 @click.option(

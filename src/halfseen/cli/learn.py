@@ -157,12 +157,12 @@ def learn(
         bar.begin("learn", START)
         learner = choice.learner.fit(log, workers)
         is_judged = has_verdict and choice.num_robots is None
-        bar.begin("judge" if is_judged else "write", LEARN)
+        bar.begin("judge" if is_judged else "look", LEARN)
         verdict, not_all = _judged(learner, log, seed, bar, workers) if is_judged else (None, ())
         bar.reach(total - LOOK)
-        write_policy(learner, log, out, overwrite=overwrite, verdict=verdict)
         bar.begin("look", 0)
         shares = action_shares(learner.policy_, learner.model_.task, parts_of(log))
+        write_policy(learner, log, out, overwrite=overwrite, verdict=verdict)
     notes = [
         *choice.notes,
         *([UNJUDGED] if has_verdict and not is_judged else []),

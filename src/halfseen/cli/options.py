@@ -68,6 +68,10 @@ propensity = click.option(
 
 MOST_EPISODES, MOST_STAGES = 10_000_000, 1000
 """That a command plays, and that a path has; programs that need more call the library, part by part."""
+MOST_WORKERS = 1024
+"""Processes; each takes some hundred MB."""
+MOST_REPLICATES = 100_000
+"""Each learns anew; a thousand tell a band to a few percent."""
 MOST_SEED = 2**32 - 1
 """Generators tell no others apart."""
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, BinaryIO
 
 import click
 
@@ -69,14 +69,27 @@ def record(
 
     if source is not None and listen is not None:
         raise ArgumentError("SOURCE and --listen are both given; lines come from one of them")
-    if source is not None and not source.is_file():
-        raise ArgumentError(f"{source}: no such file; give one of JSON lines, or none for standard input")
     recorder_of = partial(LogRecorder, out, fsync=fsync, reward_unit=reward_unit, part_bytes=part_mb * 10**6)
     if listen is not None:
         _record_clients(recorder_of, int(listen) if listen.isdecimal() else Path(listen))
         return
-    with recorder_of() as recorder, nullcontext(sys.stdin.buffer) if source is None else source.open("rb") as lines:
+    with (
+        nullcontext(sys.stdin.buffer) if source is None else _lines_of(source) as lines,
+        recorder_of() as recorder,
+    ):
         record_lines(recorder, lines, click.echo)
+
+
+def _lines_of(source: Path) -> BinaryIO:
+    from halfseen.errors import ArgumentError
+    from halfseen.reading import NUMBERS, opened, reason_of
+
+    try:
+        return opened(source, NUMBERS)
+    except OSError as error:
+        raise ArgumentError(
+            f"{source}: it cannot be read ({reason_of(error)}); give a file of JSON lines, or none for standard input"
+        ) from error
 
 
 def _record_clients(recorder_of: Callable[[], "LogRecorder"], address: int | Path) -> None:

@@ -32,7 +32,7 @@ USUAL: dict[str, Any] = {"propensity": "logged", "replicates": 100}
 @options.policys_truncation
 @click.option(
     "--replicates",
-    type=click.IntRange(min=2),
+    type=click.IntRange(2, options.MOST_REPLICATES),
     default=100,
     show_default=True,
     help="Draws of paths behind the bands around Q.",

@@ -59,11 +59,12 @@ def serve(
     from halfseen.serving.server import serve as answer
 
     _check_token(host, token)
+    # A folder of logs is begun only where there is something to record.
+    served = Served(policy, extrapolates=extrapolate)
+    if served.service.counts_views:
+        served.law = law_of(law or SHIPPED)
     with bound_socket(host, port) as at, nullcontext() if record is None else RecordedPaths(record) as paths:
-        answering = Answering(explore, np.random.default_rng(seed), paths)
-        served = Served(policy, answering, extrapolate)
-        if served.service.counts_views:
-            served.law = law_of(law or SHIPPED)
+        served.answering = Answering(explore, np.random.default_rng(seed), paths)
         address, number = at.getsockname()[:2]
         url = f"http://{f'[{address}]' if ':' in address else address}:{number}"
         answer(app_of(served, token), at, lambda: click.echo(f"{url}  (Ctrl+C ends)"))

@@ -20,7 +20,12 @@ EPILOG = "Example: halfseen study --out runs/study --repetitions 200 --resume"
 
 @click.command(epilog=EPILOG)
 @click.option("--out", default="runs/study", show_default=True, type=options.PATH, help="Folder to fill.")
-@click.option("--repetitions", default=None, type=int, help="Fresh logs and episodes; the paper made 10,000.")
+@click.option(
+    "--repetitions",
+    default=None,
+    type=click.IntRange(max=options.MOST_EPISODES),
+    help="Fresh logs and episodes; the paper made 10,000.",
+)
 @click.option("--only", multiple=True, metavar="NAME", help="Run this experiment alone; may be given more than once.")
 @options.seed("study but for measured times")
 @law_option(SHIPPED)

@@ -42,7 +42,12 @@ def _span(_: click.Context, __: click.Parameter, given: str | None) -> tuple[int
 @options.labels
 @law_option(None, f"Of a cloud, where it is {SHIPPED} by default. ")
 @click.option("--clouds", type=options.PATH, help="Of logs: folder with the cloud of each stage.")
-@click.option("--path", "number", type=click.IntRange(min=1), help="Of logs: which path, from 1; by default the first.")
+@click.option(
+    "--path",
+    "number",
+    type=click.IntRange(1, options.MOST_EPISODES),
+    help="Of logs: which path, from 1; by default the first.",
+)
 @click.option("--stages", callback=_span, metavar="FIRST-LAST", help="Only these, counted from 1.")
 @click.option(
     "--export",

@@ -13,7 +13,7 @@ _OPTIONS = (
     click.option(
         "--workers",
         "num_workers",
-        type=click.IntRange(min=1),
+        type=click.IntRange(1, options.MOST_WORKERS),
         show_default="all cores",
         help="Processes; their number changes nothing of what comes out.",
     ),

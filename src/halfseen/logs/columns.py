@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from halfseen.errors import LogError
+from halfseen.logs.frames import LARGEST_FRACTION
 from halfseen.logs.refusal import place, shown, value_at
 from halfseen.suggestions import closest
 
@@ -17,6 +18,13 @@ STAGE_COLUMNS = ("path", "stage", "elapsed_s", "action", "object", "reward", "pr
 PATH_COLUMNS = ("path", "end_s", "ending", "cause")
 OBJECT_COLUMNS = ("path", "stage", "object")
 _OF_ONE_ROBOT = re.compile(r"\d+_reward")
+
+NEEDED = {
+    "stages": ("path", "stage", "elapsed_s", "action", "reward"),
+    "paths": ("path", "end_s", "ending"),
+    "objects": OBJECT_COLUMNS,
+}
+"""Columns that each table has, whatever else is known."""
 
 _OWN = {"stages": STAGE_COLUMNS, "paths": PATH_COLUMNS, "objects": OBJECT_COLUMNS}
 
@@ -73,7 +81,7 @@ def as_floats(name: str, frame: pd.DataFrame, column: str) -> pd.Series:
 def as_counts(name: str, frame: pd.DataFrame, column: str) -> pd.Series:
     """Turn a column of whole numbers into int64."""
     numbers = as_floats(name, frame, column).to_numpy()
-    wrong = ~(np.isfinite(numbers) & (numbers == np.floor(numbers)))
+    wrong = ~_is_whole(numbers)
     if wrong.any():
         row = int(np.argmax(wrong))
         raise LogError(
@@ -97,11 +105,16 @@ def as_labels(name: str, frame: pd.DataFrame, column: str, *, is_null_allowed: b
     if not pd.api.types.is_float_dtype(values.dtype) or is_null.all():
         return values
     numbers = values.to_numpy(dtype=np.float64, na_value=np.nan)
-    wrong = ~is_null & ~(np.isfinite(numbers) & (numbers == np.floor(numbers)))
+    wrong = ~is_null & ~_is_whole(numbers)
     if wrong.any():
         row = int(np.argmax(wrong))
         raise LogError(f"{name}, row {row}: {column} {numbers[row]} is no name; give whole numbers or text")
     return values.astype("Int64" if is_null.any() else "int64")
+
+
+def _is_whole(numbers: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Which are whole numbers that fractions tell apart."""
+    return (np.abs(numbers) <= LARGEST_FRACTION) & (numbers == np.floor(numbers))
 
 
 def check_covariates(name: str, frame: pd.DataFrame, known: tuple[str, ...]) -> None:

@@ -4,6 +4,7 @@ The folders are read twice, one after the other: for the types of their columns,
 more than some thousand paths are in memory.
 """
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -91,11 +92,13 @@ def compact(
 def _refuse_repeated(runs: Sequence[Place]) -> None:
     if not runs:
         raise ArgumentError("no folder is given; give at least one")
-    seen: dict[Place, Place] = {}
+    seen: dict[object, Place] = {}
     for run in runs:
-        if run.resolve() in seen:
-            raise ArgumentError(f"{run} and {seen[run.resolve()]} are the same folder; give it once")
-        seen[run.resolve()] = run
+        # A path's own `resolve` raises where links go in a circle.
+        place = os.path.realpath(run) if isinstance(run, Path) else run.resolve()
+        if place in seen:
+            raise ArgumentError(f"{run} and {seen[place]} are the same folder; give it once")
+        seen[place] = run
 
 
 def _ended(logs: Logs) -> tuple[Logs | None, int]:

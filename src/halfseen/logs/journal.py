@@ -32,9 +32,13 @@ from pathlib import Path
 from typing import Any
 
 from halfseen.errors import HalfseenWarning, LogError
+from halfseen.reading import TABLE, opened, reason_of
 
 FORMAT, VERSION = "halfseen-journal", 1
 HEADER = {"event": "journal", "format": FORMAT, "version": VERSION}
+
+MOST_LINE_BYTES = 256 * 10**6
+"""Of an event; memory holds one at a time."""
 
 HOLE = {"event": "hole"}
 """Given in the place of lines that do not check."""
@@ -98,8 +102,13 @@ class JournalEvents:
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
         try:
-            with self.file.open("rb") as stream:
-                for line in stream:
+            with opened(self.file, TABLE) as stream:
+                while line := stream.readline(MOST_LINE_BYTES + 1):
+                    if len(line) > MOST_LINE_BYTES:
+                        raise LogError(
+                            f"{self.file}, line {self.num_lines + 1}: it has more than {MOST_LINE_BYTES // 10**6} MB, "
+                            "and no event is so large; restore it, or delete from there on to keep what is above"
+                        )
                     if not line.endswith(b"\n"):
                         break
                     event = self._event(line)
@@ -113,7 +122,7 @@ class JournalEvents:
                         self.reward_unit = self.reward_unit or event.get("reward_unit")
                         yield event
         except OSError as error:
-            raise LogError(f"{self.file}: it cannot be read ({error.strerror}); copy it again") from error
+            raise LogError(f"{self.file}: it cannot be read ({reason_of(error)}); copy it again") from error
         if self.holes == [(1, self.num_lines)]:
             raise LogError(
                 f"{self.file}: none of its lines checks, so it is no journal or all of it is lost; restore it"
@@ -168,9 +177,9 @@ def following(events: JournalEvents) -> Iterator[None]:
     """Refuse an event that checks and does not go on from those above it."""
     try:
         yield
-    except (KeyError, TypeError) as error:
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         raise events.refusal(
-            f"it cannot follow the lines above ({error}); delete from this line on to keep them"
+            f"it cannot follow the lines above ({reason_of(error)}); delete from this line on to keep them"
         ) from error
 
 

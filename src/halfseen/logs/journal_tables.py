@@ -30,9 +30,10 @@ from halfseen.logs.journal import JournalEvents, following
 from halfseen.logs.journal_parts import journal_parts, tell_missing
 from halfseen.logs.journal_writer import is_being_recorded
 from halfseen.logs.path_clock import RESOLUTION_S
-from halfseen.logs.refusal import within
+from halfseen.logs.refusal import shown, within
 from halfseen.logs.reward_unit import common_unit
 from halfseen.logs.robot_checks import ROBOT
+from halfseen.reading import reason_of
 
 CRASH, STILL_RUNNING = "crash", "still-running"
 ROWS_A_CHUNK = 20_000
@@ -65,7 +66,8 @@ def journal_log(folder: Path) -> dict[str, Any]:
             for path in recorded_paths(events):
                 if path.ending is None:
                     is_live = part == parts[-1] and (was_recorded or is_being_recorded(folder))
-                    path.end(CUT, None, STILL_RUNNING if is_live else CRASH)
+                    with following(events):
+                        path.end(CUT, None, STILL_RUNNING if is_live else CRASH)
                 yield path
             events.tell_holes()
             units.append(events.reward_unit)
@@ -230,10 +232,23 @@ class _Table:
         if self._rows:
             self._pack()
         # A column may be whole numbers in one chunk and fractions in the next, or lists that are all empty at first.
-        return pa.concat_tables(self._chunks, promote_options="permissive")
+        try:
+            return pa.concat_tables(self._chunks, promote_options="permissive")
+        except pa.ArrowException as error:
+            raise LogError(f"its rows make no table ({reason_of(error)}); record one kind in a column") from error
 
     def _pack(self) -> None:
         names = dict.fromkeys(name for row in self._rows for name in row)
-        columns = {name: pa.array([row.get(name) for row in self._rows], _TYPES.get(name)) for name in names}
+        columns = {name: _column(name, [row.get(name) for row in self._rows]) for name in names}
         self._chunks.append(pa.table(columns))
         self._rows = []
+
+
+def _column(name: str, values: list[Any]) -> pa.Array:
+    try:
+        name.encode()
+        return pa.array(values, _TYPES.get(name))
+    except (pa.ArrowException, OverflowError, UnicodeError) as error:
+        raise LogError(
+            f"what it holds of {shown(name)} makes no column ({reason_of(error)}); record one kind of value in it"
+        ) from error

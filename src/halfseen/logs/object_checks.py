@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 
 from halfseen.logs.columns import (
+    NEEDED,
     OBJECT_COLUMNS,
     as_counts,
     as_labels,
@@ -35,7 +36,7 @@ def checked_objects(frame: pd.DataFrame, stages: pd.DataFrame, paths: pd.DataFra
     LogError
         An invariant is broken; the path, the stage, the object and the remedy are named.
     """
-    require_columns("objects", frame, OBJECT_COLUMNS)
+    require_columns("objects", frame, NEEDED["objects"])
     refuse_misnamed("objects", frame)
     objects = frame.copy()
     objects["path"] = as_labels("objects", objects, "path", is_null_allowed=False)
@@ -79,7 +80,8 @@ def _check_every_stage(stages: pd.DataFrame, stage_row: np.ndarray) -> None:
 
 def _check_acted_on(stages: pd.DataFrame, stage_row: np.ndarray, name: np.ndarray, names: pd.Index) -> None:
     acted_on = stages["object"].notna().to_numpy()
-    acted_name = names.get_indexer(pd.Index(stages["object"]))
+    acted_name = np.full(len(stages), -1)
+    acted_name[acted_on] = names.get_indexer(pd.Index(stages["object"][acted_on]))
     there = stage_row * len(names) + name
     absent = acted_on & ((acted_name < 0) | ~np.isin(np.arange(len(stages)) * len(names) + acted_name, there))
 

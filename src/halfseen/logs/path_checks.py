@@ -5,7 +5,16 @@ import pandas as pd
 from jaxtyping import Bool
 
 from halfseen.errors import LogError
-from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, as_floats, as_labels, refuse_misnamed, require_columns
+from halfseen.logs.columns import (
+    CUT,
+    FINISHED,
+    NEEDED,
+    UNKNOWN_CAUSE,
+    as_floats,
+    as_labels,
+    refuse_misnamed,
+    require_columns,
+)
 from halfseen.logs.refusal import refuse, shown, value_at
 from halfseen.logs.robot_checks import with_drop_outs
 
@@ -33,7 +42,7 @@ def checked_paths(frame: pd.DataFrame) -> pd.DataFrame:
     LogError
         A column is missing, a path is there twice, or its end is no end.
     """
-    require_columns("paths", frame, ("path", "end_s", "ending"))
+    require_columns("paths", frame, NEEDED["paths"])
     refuse_misnamed("paths", frame)
     if len(frame) == 0:
         raise LogError("paths: there are none; a log has at least one path")
@@ -64,7 +73,9 @@ def _check_ends(paths: pd.DataFrame) -> None:
 
 def _checked_endings(paths: pd.DataFrame) -> Bool[np.ndarray, " n"]:
     endings = paths["ending"].to_numpy(dtype=object)
-    is_cut, is_finished = (pd.Series(endings).eq(word).to_numpy(dtype=bool) for word in (CUT, FINISHED))
+    # A list in a cell compares with a word element by element.
+    words = pd.Series([ending if isinstance(ending, str) else "" for ending in endings], dtype=object)
+    is_cut, is_finished = (words.eq(word).to_numpy(dtype=bool) for word in (CUT, FINISHED))
     remedy = f"{FINISHED!r} where the path reached its own end, and {CUT!r} where something outside the task ended it"
     wrong = ~(is_cut | is_finished)
     refuse(paths, wrong, lambda row: f"ending {shown(endings[row])} is unknown; say {remedy}", _ROW)

@@ -17,7 +17,7 @@ def shown(value: object) -> str:
     """Write a value as it stands in the table: 17, but '17' for text, and null whatever stands for it."""
     if pd.api.types.is_scalar(value) and bool(np.asarray(pd.isna(value))):
         return "null"
-    told = repr(value.item() if isinstance(value, np.generic) else value)
+    told = " ".join(map(str.strip, repr(value.item() if isinstance(value, np.generic) else value).splitlines()))
     return told if len(told) <= MOST_SHOWN else f"{told[:MOST_SHOWN]}…"
 
 

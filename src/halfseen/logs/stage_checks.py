@@ -9,6 +9,7 @@ from jaxtyping import Bool, Int
 from halfseen.errors import LogError
 from halfseen.logs.columns import (
     CUT,
+    NEEDED,
     STAGE_COLUMNS,
     as_counts,
     as_floats,
@@ -97,7 +98,7 @@ def checked_stages(frame: pd.DataFrame, paths: pd.DataFrame) -> tuple[pd.DataFra
 
 
 def _typed_stages(frame: pd.DataFrame) -> pd.DataFrame:
-    require_columns("stages", frame, ("path", "stage", "elapsed_s", "action", "reward"))
+    require_columns("stages", frame, NEEDED["stages"])
     refuse_misnamed("stages", frame)
     stages = frame.copy()
     if "object" not in stages.columns:

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.errors import ArgumentError, LogError
-from halfseen.logs.columns import FINISHED, is_stage_covariate
+from halfseen.logs.columns import FINISHED, NEEDED, as_counts, is_stage_covariate, require_columns
 from halfseen.logs.folder import (
     MANIFEST,
     ROWS_IN_GROUP,
@@ -70,6 +70,10 @@ class LogStream:
         self.folder = place_of(folder)
         self.paths_at_once = paths_at_once
         self._rows, self.reward_unit = read_manifest(self.folder)
+        for name in self._rows:
+            with within(self.folder):
+                columns = as_frame(name, self._opened(name).schema_arrow.empty_table())
+                require_columns(name, columns, NEEDED[name])
         # A table of millions of paths is larger than all that is held beside it.
         ends = [(part["end_s"].to_numpy(), (part["ending"] == FINISHED).to_numpy(bool)) for part in self._path_tables()]
         if not ends:
@@ -125,7 +129,8 @@ class LogStream:
     @property
     def horizon(self) -> int:
         """Number of stages T of the longest path."""
-        return max(int(frame["stage"].max()) for frame in self.stage_columns("stage"))
+        with within(self.folder):
+            return max(int(as_counts("stages", frame, "stage").max()) for frame in self.stage_columns("path", "stage"))
 
     @property
     def stage_covariates(self) -> list[str]:
@@ -149,7 +154,7 @@ class LogStream:
 
     def stage_columns(self, *names: str) -> Iterator[pd.DataFrame]:
         """Read some columns of the stages alone, row by row as they stand."""
-        for batch in self._opened("stages").iter_batches(ROWS_IN_GROUP, columns=list(names)):
+        for batch in columns_of(self.as_folder, "stages", list(names)):
             yield batch.to_pandas()
 
     def __iter__(self) -> Iterator[Logs]:

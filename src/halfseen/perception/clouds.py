@@ -14,6 +14,9 @@ LARGEST_MEDIAN_DISTANCE_M, LARGEST_DISTANCE_M = 50.0, 1000.0
 # Of a pinhole matrix; images are a few thousand pixels wide [px].
 LARGEST_INTRINSIC_PX = 1e6
 
+# Of a file; the largest depth cameras have 5 million pixels. Looking at so many takes 1 GB.
+MOST_POINTS = 6_000_000
+
 Vector: TypeAlias = Float[np.ndarray, "3"]
 Colours: TypeAlias = UInt8[np.ndarray, "n 3"]
 Picture: TypeAlias = UInt8[np.ndarray, "H W 3"]
@@ -132,6 +135,28 @@ def _check_metres(from_eye: Points, name: str) -> None:
         )
 
 
+def check_num_points(num_points: int, name: str) -> None:
+    """Refuse more points than a depth camera returns, before memory is asked for them.
+
+    Parameters
+    ----------
+    num_points
+        How many a file announces, or holds.
+    name
+        Where they come from.
+
+    Raises
+    ------
+    CloudError
+        There are too many.
+    """
+    if num_points > MOST_POINTS:
+        raise CloudError(
+            f"{name}: it has {num_points:,} points, and no depth camera returns more than {MOST_POINTS:,} at once; "
+            "thin it, or cut out the table"
+        )
+
+
 def check_intrinsics(K: Shaped[np.ndarray, "..."], name: str) -> None:
     """Refuse a matrix that is no pinhole camera's.
 
@@ -151,6 +176,7 @@ def check_intrinsics(K: Shaped[np.ndarray, "..."], name: str) -> None:
         raise CloudError(f"{name}: the pinhole matrix K is {K.tolist()}; it must be 3 by 3 and finite, in pixels")
     if K[0, 0] <= 0 or K[1, 1] <= 0:
         raise CloudError(f"{name}: K has focal lengths {K[0, 0]} and {K[1, 1]} px; they must be positive")
+    K = K.astype(np.float64)
     focal, centre = K[[0, 1], [0, 1]], np.abs(K[[0, 1], [2, 2]])
     if focal.min() < 1.0 or max(focal.max(), centre.max()) > LARGEST_INTRINSIC_PX:
         raise CloudError(

@@ -57,6 +57,9 @@ LOWEST_TOP_M = 0.011
 # An object whose contact with the image border is longer than this share of the root of its area is cut [1].
 CUT_SHARE = 0.5
 BORDER_PX = 3
+# Surfaces of a table of things, and pairs of them to which a common wall is fitted; crowded tables have a dozen of
+# either. Stripes, checks and noise have hundreds, and a fit takes time.
+MOST_PIECES, MOST_JOINT_FITS = 150, 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +94,15 @@ def objects_of_sheets(sheets: Labels, plane: Plane, image: RangeImage) -> tuple[
         Completed shape of each object.
     num_cut
         Objects left out because the border of the image cuts them.
+
+    Raises
+    ------
+    ValueError
+        The sheets are far more, or belong together in far more ways, than those of a table of things.
     """
+    num_sheets = int(sheets.max()) + 1
+    if num_sheets > MOST_PIECES:
+        raise ValueError(f"they fall into {num_sheets} pieces, and a table of things into {MOST_PIECES} at most")
     sheets, pieces = _pieces(sheets, plane, image)
     pieces = _merged(pieces, sheets, plane, image)
     of_sheet = pixels_of(sheets)
@@ -170,13 +181,16 @@ def _merged(pieces: list[_Piece], sheets: Labels, plane: Plane, image: RangeImag
     """Merge pairs until none belongs together; the largest pieces take first."""
     pieces = sorted(pieces, key=lambda piece: -len(piece.points_m))
     apart: set[tuple[_Piece, _Piece]] = set()
-    i = 0
+    i = num_fits = 0
     while i < len(pieces):
         for j in range(i + 1, len(pieces)):
             if (pieces[i], pieces[j]) in apart:
                 continue
-            joint = _joined(pieces[i], pieces[j], sheets, plane, image)
-            if joint is not None:
+            joint, is_sure = _candidate(pieces[i], pieces[j])
+            num_fits += joint is not None and not is_sure
+            if num_fits > MOST_JOINT_FITS:
+                raise ValueError(f"they fall into {len(pieces)} pieces, of which too many might belong together")
+            if joint is not None and (is_sure or _is_one(pieces[i], pieces[j], joint, sheets, plane, image)):
                 pieces = [joint, *(piece for k, piece in enumerate(pieces) if k not in (i, j))]
                 pieces.sort(key=lambda piece: -len(piece.points_m))
                 i = -1
@@ -186,26 +200,27 @@ def _merged(pieces: list[_Piece], sheets: Labels, plane: Plane, image: RangeImag
     return pieces
 
 
-def _joined(large: _Piece, small: _Piece, sheets: Labels, plane: Plane, image: RangeImage) -> _Piece | None:
-    """Make one object of two pieces, or None if they are two objects."""
+def _candidate(large: _Piece, small: _Piece) -> tuple[_Piece | None, bool]:
+    """Put two pieces together, and say whether they are surely one object; None if they are two."""
     if not _is_near(large, small):
-        return None
+        return None, False
     points = _spread(np.concatenate([large.points_m, small.points_m]))
     joint = _Piece(large.sheets + small.sheets, points)
     if _is_handle(small, large):
-        return replace(joint, given=large.solid)
+        return replace(joint, given=large.solid), True
     if _is_claimed(small, large) or _is_claimed(large, small):
-        return joint
-    if not (_is_near_wall(small, large) or _is_near_wall(large, small)):
-        return None
+        return joint, True
+    return (joint if _is_near_wall(small, large) or _is_near_wall(large, small) else None), False
+
+
+def _is_one(large: _Piece, small: _Piece, joint: _Piece, sheets: Labels, plane: Plane, image: RangeImage) -> bool:
+    """Whether two pieces are walls of one vessel, which is fitted to both."""
     solid = joint.solid
     if not isinstance(solid, Vessel) or solid.misfit > SURE_VESSEL_MISFIT:
-        return None
+        return False
     if not (_is_part(large, solid) and _is_part(small, solid)):
-        return None
-    if _contradiction(solid, np.isin(sheets, joint.sheets), sheets, plane, image) > LARGEST_CONTRADICTION:
-        return None
-    return joint
+        return False
+    return _contradiction(solid, np.isin(sheets, joint.sheets), sheets, plane, image) <= LARGEST_CONTRADICTION
 
 
 def _is_near(large: _Piece, small: _Piece) -> bool:

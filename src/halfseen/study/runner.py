@@ -21,7 +21,7 @@ MOST_AT_ONCE = 8
 
 def store_of(experiment: Experiment, setting: Setting, folder: Path, is_resumed: bool) -> Store:
     """Open the store of an experiment; more repetitions add pieces and change none."""
-    scenes = [[scene.name, scene.hides.tolist(), np.asarray(scene.grip).tolist()] for scene in setting.scenes]
+    scenes = [[scene.name, *map(_numbers, (scene.hides, scene.grip, scene.places_m))] for scene in setting.scenes]
     # Of the law the numbers count, and not where it lies.
     fixed = asdict(setting) | {"scenes": scenes, "law": setting.law is not None}
     fixed.pop("repetitions")
@@ -29,6 +29,10 @@ def store_of(experiment: Experiment, setting: Setting, folder: Path, is_resumed:
     design.pop("most_repetitions", None)
     fingerprint = {"design": design, "setting": fixed, "versions": versions()}
     return Store(folder / "progress" / experiment.name, fingerprint, is_resumed)
+
+
+def _numbers(array: np.ndarray | None) -> Any:
+    return None if array is None else array.tolist()
 
 
 def design_of(experiment: Experiment) -> dict[str, Any]:

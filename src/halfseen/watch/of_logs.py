@@ -1,5 +1,6 @@
 """A path of a log with the cloud of each stage, as `halfseen convert --clouds` keeps them beside a bag."""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -71,7 +72,7 @@ def _stage(
     file = row[CLOUD]
     if not isinstance(file, str):
         raise ArgumentError(f"{title}: no cloud was kept of it; choose another path")
-    if not (clouds / file).resolve().is_relative_to(clouds.resolve()):
+    if "\0" in file or not Path(os.path.realpath(clouds / file)).is_relative_to(os.path.realpath(clouds)):
         raise ArgumentError(f"{title}: its cloud {file!r} is not in {clouds}; give the folder that holds it")
     cloud = read_cloud(clouds / file)
     view = perceive(cloud)

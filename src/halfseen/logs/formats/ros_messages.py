@@ -73,7 +73,7 @@ def check_topics(bags: list[Path], mapping: BagMapping) -> None:
             types |= {channel.topic: channel.kind for channel in reader.channels}
     for source in mapping.sources:
         if source.topic not in types:
-            there = ", ".join(sorted(types)) or "none"
+            there = ", ".join(topic[:80] for topic in sorted(types)[:20]) or "none"
             raise ArgumentError(
                 f"{mapping.file}, {source.key}.topic: there is no topic {source.topic!r} in "
                 f"{', '.join(map(str, bags))}; there are {there}; give a bag that broke off early together with others"
@@ -174,7 +174,8 @@ def points_of(message: Any, where: str) -> tuple[Float[np.ndarray, "n 3"], tuple
     )
     lines = data.reshape(rows, message.row_step)[:, : columns * message.point_step]
     points = np.frombuffer(lines.tobytes(), dtype=layout)
-    return np.stack([points[axis].astype(np.float64) for axis in "xyz"], axis=1), (rows, columns)
+    with np.errstate(invalid="ignore"):  # signalling NaN
+        return np.stack([points[axis].astype(np.float64) for axis in "xyz"], axis=1), (rows, columns)
 
 
 class _RosBag:
@@ -208,6 +209,8 @@ def _opened(bag: Path) -> Iterator[Any]:
         mcap = _mcap_files(files)
         reader = _by_rosbags(files) if mcap is None else None
         bag_reader = McapFiles(mcap or []) if reader is None else _RosBag(reader)
+        if not all(isinstance(told, str) for each in bag_reader.channels for told in (each.topic, each.kind)):
+            raise ValueError("a topic has a name or a type that is no text")
     except ArgumentError:
         raise
     except Exception as error:  # a broken bag raises nearly anything
@@ -236,7 +239,10 @@ def _messages(bag: Path, reader: Any, channels: list[Channel]) -> Iterator[Recor
     if not channels:
         return
     try:
-        yield from reader.messages(channels)
+        for message in reader.messages(channels):
+            if not isinstance(message.log_ns, int):
+                raise ValueError("the time stamp of a message is no whole number")
+            yield message
     except Exception as error:
         _refuse_bag(bag, error)
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from halfseen.errors import CloudError
-from halfseen.perception.clouds import Cloud, check_intrinsics
+from halfseen.perception.clouds import Cloud, check_intrinsics, check_num_points
 from halfseen.reading import CLOUD, names_in_archive, read_arrays
 
 
@@ -29,6 +29,7 @@ def read_npz(path: Path) -> Cloud:
         raise CloudError(
             f"{path}: depth_m is {depth.dtype} of shape {depth.shape}; it must be an image of floats in metres"
         )
+    check_num_points(depth.size, str(path))
     if picture is not None and (picture.shape != (*depth.shape, 3) or picture.dtype != np.uint8):
         raise CloudError(
             f"{path}: rgb is {picture.dtype} of shape {picture.shape}; it must be uint8 of shape {(*depth.shape, 3)}, "

@@ -10,8 +10,8 @@ from jaxtyping import Float, Shaped
 
 from halfseen.arrays import Intrinsics, Points
 from halfseen.errors import CloudError
-from halfseen.perception.clouds import Cloud, Colours, Vector
-from halfseen.reading import CLOUD, check_file, check_unpacked
+from halfseen.perception.clouds import Cloud, Colours, Vector, check_num_points
+from halfseen.reading import CLOUD, check_unpacked, opened
 from halfseen.writing import write_file
 
 # Comment of a header that carries the pinhole camera [px]: PCD has no field for it, and readers skip comments.
@@ -43,7 +43,6 @@ def read_pcd(path: Path) -> Cloud:
     CloudError
         The file is cut short, lacks coordinates, or holds colours or intrinsics of another kind.
     """
-    check_file(path, CLOUD)
     header, num_header_lines = _pcd_header(path)
     fields = header.get("FIELDS", "").split()
     if not {"x", "y", "z"} <= set(fields):
@@ -52,9 +51,13 @@ def read_pcd(path: Path) -> Cloud:
     names = ["x", "y", "z"] if packed is None else ["x", "y", "z", packed]
     num_points, width, height = (_whole(header, key, path) for key in ("POINTS", "WIDTH", "HEIGHT"))
     _check_layout(header, num_points, path)
+    check_num_points(num_points, str(path))
     is_text = header["DATA"] == "ascii"
+    if header["DATA"] == "binary_compressed":
+        _check_packed(path, num_header_lines, _bytes_of_point(header) * num_points)
     columns = _text_columns(path, header, num_header_lines, names) if is_text else _binary_columns(path, names)
-    points = np.stack([columns[axis].astype(np.float64) for axis in "xyz"], axis=1)
+    with np.errstate(invalid="ignore"):  # signalling NaN
+        points = np.stack([columns[axis].astype(np.float64) for axis in "xyz"], axis=1)
     if len(points) != num_points:
         raise CloudError(
             f"{path}: holds {len(points)} points and announces {num_points}; it was cut short: export it again"
@@ -89,7 +92,7 @@ def _check_layout(header: dict[str, str], num_points: int, path: Path) -> None:
                 f"{path}: field {name[:40]} has TYPE {kind[:9]}, SIZE {size[:9]} and COUNT {count[:12]}; a TYPE is F, "
                 f"U or I of 1, 2, 4 or 8 bytes (F: 4 or 8), a COUNT from 1 to {MOST_COUNT}"
             )
-    num_bytes, of_point = path.stat().st_size, sum(int(size) * int(n) for size, n in zip(sizes, counts, strict=True))
+    num_bytes, of_point = path.stat().st_size, _bytes_of_point(header)
     at_least = {"ascii": 2 * len(fields) - 1, "binary": of_point}.get(header["DATA"], 0) * num_points
     if at_least > num_bytes:
         raise CloudError(
@@ -99,11 +102,33 @@ def _check_layout(header: dict[str, str], num_points: int, path: Path) -> None:
     check_unpacked(num_bytes, of_point * num_points)
 
 
+def _bytes_of_point(header: dict[str, str]) -> int:
+    return sum(int(size) * count for size, count in zip(header["SIZE"].split(), _counts(header), strict=True))
+
+
+def _check_packed(path: Path, num_header_lines: int, num_bytes: int) -> None:
+    """Refuse packed points that announce another size than they have: memory would be asked for all of it."""
+    with opened(path, CLOUD) as file:
+        for _ in range(num_header_lines):
+            file.readline(MOST_LINE_BYTES)
+        announced = int.from_bytes(file.read(8)[4:], "little")
+    if announced != num_bytes:
+        raise CloudError(
+            f"{path}: its packed points announce {announced} bytes, and its header {num_bytes}; it was cut short or "
+            "changed: export it again"
+        )
+
+
 def _binary_columns(path: Path, names: list[str]) -> Columns:
     from pypcd4.pypcd4 import PointCloud
 
-    with path.open("rb") as file:
-        parsed = PointCloud.from_fileobj(file)
+    with opened(path, CLOUD) as file:
+        try:
+            parsed = PointCloud.from_fileobj(file)
+        except TypeError as error:  # what does not unpack is None
+            raise CloudError(
+                f"{path}: its packed points do not unpack; it was cut short or changed: export it again"
+            ) from error
     return {name: np.ascontiguousarray(parsed.pc_data[name]) for name in names}
 
 
@@ -111,14 +136,15 @@ def _text_columns(path: Path, header: dict[str, str], num_header_lines: int, nam
     """Columns of text; pypcd4 would split rows at single spaces only."""
     fields, counts = header["FIELDS"].split(), _counts(header)
     places = [sum(counts[: fields.index(name)]) for name in names]
-    rows = np.loadtxt(path, skiprows=num_header_lines, usecols=places, ndmin=2, dtype=np.float64)
+    with opened(path, CLOUD) as file:
+        rows = np.loadtxt(file, skiprows=num_header_lines, usecols=places, ndmin=2, dtype=np.float64)
     return dict(zip(names, rows.T, strict=True))
 
 
 def _pcd_header(path: Path) -> tuple[dict[str, str], int]:
     """Header entries of a PCD file, and how many lines they take; pypcd4 would drop the comment with the intrinsics."""
     header: dict[str, str] = {}
-    with path.open("rb") as file:
+    with opened(path, CLOUD) as file:
         for number in range(1, MOST_HEADER_LINES):
             line = file.readline(MOST_LINE_BYTES)
             text = line.decode("ascii", errors="replace").strip()

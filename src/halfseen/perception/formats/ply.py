@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from halfseen.errors import CloudError
-from halfseen.perception.clouds import Cloud, Colours
+from halfseen.perception.clouds import Cloud, Colours, check_num_points
 from halfseen.reading import CLOUD, read_bytes
 
 # A header has a few dozen lines.
@@ -37,7 +37,8 @@ def read_ply(path: Path) -> Cloud:
     if "vertex" not in ply or not {"x", "y", "z"} <= set(ply["vertex"].data.dtype.names):
         raise CloudError(f"{path}: has no element 'vertex' with x, y and z; export it as a point cloud in metres")
     vertex = ply["vertex"].data
-    points = np.stack([vertex[axis].astype(np.float64) for axis in "xyz"], axis=1)
+    with np.errstate(invalid="ignore"):  # signalling NaN
+        points = np.stack([vertex[axis].astype(np.float64) for axis in "xyz"], axis=1)
     return Cloud(points, name=path.name, colours=_colours(vertex, path))
 
 
@@ -52,6 +53,8 @@ def _check_counts(content: bytes, path: Path) -> None:
                 f"{path}: {rest.strip()[:60]} are announced, and the file has {len(content)} bytes; it was cut short: "
                 "export it again"
             )
+        if word == "element" and rest.startswith("vertex ") and count.isascii() and count.isdigit():
+            check_num_points(int(count[:18]), str(path))
 
 
 def _colours(vertex: Shaped[np.ndarray, " n"], path: Path) -> Colours | None:

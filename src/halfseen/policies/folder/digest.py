@@ -46,7 +46,7 @@ def _parts(values: Any) -> Iterator[bytes]:
         yield _number_bytes(np.asarray(arrow.value_lengths().fill_null(-1), dtype=np.float64))
         yield from _parts(arrow.flatten().to_pandas())
         return
-    texts = values.map(lambda value: repr(str(value)), na_action="ignore").fillna("null")
+    texts = values.astype(object).map(lambda value: repr(str(value)), na_action="ignore").fillna("null")
     yield "".join(f"{text}\n" for text in texts).encode()
 
 

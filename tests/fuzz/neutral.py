@@ -1,0 +1,99 @@
+"""Mutations that must not matter: the answer is that for the unbroken input."""
+
+import csv
+import io
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+
+from fuzz.hostile import pick
+
+Rng = np.random.Generator
+
+
+def parquet_packed_otherwise(rng: Rng, file: Path) -> None:
+    table = pq.ParquetFile(io.BytesIO(file.read_bytes())).read()
+    packed = pick(rng, ("snappy", "zstd", "gzip", "none", "lz4"))
+    pq.write_table(
+        table,
+        file,
+        compression=packed,
+        row_group_size=int(rng.integers(1, 100)),
+        use_dictionary=bool(rng.integers(2)),
+        write_statistics=bool(rng.integers(2)),
+        data_page_version=pick(rng, ("1.0", "2.0")),
+    )
+
+
+def parquet_with_metadata(rng: Rng, file: Path) -> None:
+    table = pq.ParquetFile(io.BytesIO(file.read_bytes())).read()
+    pq.write_table(table.replace_schema_metadata({**(table.schema.metadata or {}), b"note": b"of no matter"}), file)
+
+
+def json_in_other_order(rng: Rng, file: Path) -> None:
+    read = json.loads(file.read_text())
+    file.write_text(json.dumps(_reversed(read), indent=int(rng.integers(5))) + "\n")
+
+
+def csv_quoted(rng: Rng, file: Path) -> None:
+    rows = list(csv.reader(io.StringIO(file.read_text(), newline="")))
+    text = io.StringIO(newline="")
+    # Quotes tell an empty text from a null in the folders of halfseen; what needs none has none there.
+    csv.writer(text, lineterminator="\r\n").writerows(rows)
+    file.write_bytes(pick(rng, (b"", b"\xef\xbb\xbf")) + text.getvalue().encode())
+
+
+def toml_commented(rng: Rng, file: Path) -> None:
+    lines = file.read_text().splitlines()
+    at = int(rng.integers(len(lines) + 1))
+    file.write_text("\n".join([*lines[:at], "# of no matter", "", *(f"{line}  " for line in lines[at:])]) + "\n")
+
+
+def npz_packed_otherwise(rng: Rng, file: Path) -> None:
+    with zipfile.ZipFile(file) as archive:
+        members = {info.filename: archive.read(info) for info in archive.infolist()}
+    packed = pick(rng, (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2))
+    extra = io.BytesIO()
+    np.save(extra, np.arange(3))
+    with zipfile.ZipFile(file, "w", packed) as archive:
+        for name in reversed(members):
+            archive.writestr(name, members[name])
+        archive.writestr("of_no_matter.npy", extra.getvalue())
+
+
+def pcd_commented(rng: Rng, file: Path) -> None:
+    first, rest = file.read_bytes().split(b"\n", 1)
+    file.write_bytes(first + b"\n# of no matter\n" + rest)
+
+
+def ply_commented(rng: Rng, file: Path) -> None:
+    kind, form, rest = file.read_bytes().split(b"\n", 2)
+    file.write_bytes(b"\n".join([kind, form, b"comment of no matter", rest]))
+
+
+def torn_tail(rng: Rng, file: Path) -> None:
+    """What a kill leaves of a line of a journal."""
+    if file.name != "journal.jsonl":
+        return
+    with file.open("ab") as journal:
+        journal.write(b'["9f3c2a11",{"event":"do'[: int(rng.integers(1, 24))])
+
+
+NEUTRAL: dict[str, tuple[Any, ...]] = {
+    ".parquet": (parquet_packed_otherwise, parquet_with_metadata),
+    ".json": (json_in_other_order,),
+    ".csv": (csv_quoted,),
+    ".toml": (toml_commented,),
+    ".npz": (npz_packed_otherwise,),
+    ".pcd": (pcd_commented,),
+    ".ply": (ply_commented,),
+    ".jsonl": (torn_tail,),
+}
+
+
+def _reversed(value: Any) -> Any:
+    return dict(reversed(value.items())) if isinstance(value, dict) else value
