@@ -1,11 +1,17 @@
 """What a footer says of columns: as the library that wrote it says, and whatever stands there it is told or refused."""
 
+import json
+import shutil
+from pathlib import Path
+
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from halfseen.errors import LogError
+from halfseen.logs import read_logs
 from halfseen.logs.parquet_footer import MAGIC, chunks_of
 
 TABLE = pa.table({"x": [0.5, None, 2.0] * 20, "name": ["a", "b", "a"] * 20, "lists": [[1, 2], [], None] * 20})
@@ -64,3 +70,14 @@ def test_what_is_no_footer_is_refused(tmp_path, content):
     (tmp_path / "t.parquet").write_bytes(content)
     with pytest.raises(ValueError, match="its footer"):
         chunks_of(tmp_path / "t.parquet")
+
+
+def test_a_file_that_ends_the_library_s_process_is_refused(tmp_path):
+    """Its footer has a histogram that is longer than there are levels: asked for a column, Arrow 26 dies."""
+    broken = Path(__file__).with_name("histogram_too_long.parquet")
+    tell = {"format": "halfseen-logs", "version": 1, "rows": {"stages": 3, "paths": 3}}
+    (tmp_path / "logs.json").write_text(json.dumps(tell))
+    for name in ("stages", "paths"):
+        shutil.copy(broken, tmp_path / f"{name}.parquet")
+    with pytest.raises(LogError, match="histogram size mismatch"):
+        read_logs(tmp_path)

@@ -14,30 +14,25 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 import pandas as pd
 import pyarrow as pa
-import pyarrow.compute
 import pyarrow.parquet as pq
 
 from halfseen.errors import HalfseenError, LogError
 from halfseen.logs.journal_parts import is_journal
 from halfseen.logs.journal_tables import journal_log
+from halfseen.logs.parquet_size import check_unpacked_table
 from halfseen.logs.place import Place, asking
 from halfseen.logs.refusal import within
 from halfseen.logs.reward_unit import checked_unit
-from halfseen.reading import ALWAYS_UNPACKED, TABLE, check_file, check_unpacked, json_of, read_text, reason_of
+from halfseen.reading import TABLE, check_file, json_of, read_text, reason_of
 from halfseen.writing import placed
 
 MANIFEST = "logs.json"
 FORMAT, VERSION = "halfseen-logs", 1
 TABLES = ("stages", "paths", "objects")
-BYTES_OF_VALUE = 8
 ROWS_IN_GROUP = 65_536
 """Rows that are read at once by whoever wants one of them."""
-
-
-compute: Any = pyarrow.compute
 
 
 class Manifest(NamedTuple):
@@ -160,8 +155,7 @@ def opened_table(folder: Place, name: str, num_rows: int) -> pq.ParquetFile:
             if isinstance(file, Path):
                 num_bytes = check_file(file, TABLE)
                 opened = pq.ParquetFile(file)
-                check_unpacked(num_bytes, bytes_of(opened.metadata))
-                check_unpacked(num_bytes, bytes_of_texts(file, opened))
+                check_unpacked_table(file, num_bytes, opened)
             else:
                 opened = pq.ParquetFile(file.open("rb"))
     except FileNotFoundError as error:
@@ -185,49 +179,6 @@ def _read_table(folder: Place, name: str, num_rows: int) -> pd.DataFrame:
         raise
     except Exception as error:  # pandas' own words in a broken file raise nearly anything
         raise broken_table(folder / f"{name}.parquet", error) from error
-
-
-def bytes_of(told: pq.FileMetaData) -> int:
-    """What a Parquet file takes once it is read, at least: by its values, as repeated ones take next to nothing [B]."""
-    groups = [told.row_group(k) for k in range(told.num_row_groups)]
-    sizes = [max(BYTES_OF_VALUE, told.schema.column(k).length) for k in range(told.num_columns)]
-    return sum(
-        max(group.column(k).total_uncompressed_size, size * group.column(k).num_values)
-        for group in groups
-        for k, size in enumerate(sizes)
-    )
-
-
-def bytes_of_texts(file: Path, opened: pq.ParquetFile) -> int:
-    """What the texts of a Parquet file take once they are read [B], where that could be much.
-
-    A text that is stored once may stand in every row, so it is counted as often. Of a text no more is held meanwhile
-    than is stored.
-    """
-    told, names = opened.metadata, opened.schema
-    groups = range(told.num_row_groups)
-    texts = [k for k in range(len(names)) if names.column(k).physical_type == "BYTE_ARRAY"]
-    num_bytes = 0
-    for k in texts:
-        chunks = [told.row_group(group).column(k) for group in groups]
-        if sum(chunk.num_values * chunk.total_uncompressed_size for chunk in chunks) > ALWAYS_UNPACKED:
-            path = names.column(k).path
-            stored = pq.ParquetFile(file, read_dictionary=[path], metadata=told)
-            for group in groups:
-                num_bytes += sum(map(_bytes_as_often, stored.read_row_group(group, [path]).column(0).chunks))
-    return num_bytes
-
-
-def _bytes_as_often(values: pa.Array) -> int:
-    """What texts take that are stored once each, at the bottom of lists and structs [B]."""
-    kind = values.type
-    if pa.types.is_dictionary(kind):
-        lengths = compute.binary_length(values.dictionary).fill_null(0).to_numpy(zero_copy_only=False)
-        counts = np.bincount(values.indices.drop_null().to_numpy(), minlength=len(lengths))
-        return int(counts @ lengths.astype(np.int64))
-    if pa.types.is_struct(kind):
-        return sum(map(_bytes_as_often, values.flatten()))
-    return _bytes_as_often(values.flatten()) if pa.types.is_nested(kind) else values.nbytes
 
 
 def broken_table(file: Place, error: Exception) -> LogError:

@@ -15,8 +15,8 @@ import pyarrow.parquet as pq
 from jaxtyping import Shaped
 
 from halfseen.errors import HalfseenError, LogError
-from halfseen.logs.folder import bytes_of
 from halfseen.logs.formats.column_types import from_list_texts
+from halfseen.logs.parquet_size import check_unpacked_table
 from halfseen.logs.refusal import shown
 from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, opened, reason_of
 
@@ -164,7 +164,7 @@ def _refuse_repeated(place: str, names: list[str]) -> None:
 def _parquet(file: Path) -> pq.ParquetFile:
     num_bytes = check_file(file, TABLE)
     table = pq.ParquetFile(file)
-    check_unpacked(num_bytes, bytes_of(table.metadata))
+    check_unpacked_table(file, num_bytes, table)
     return table
 
 
