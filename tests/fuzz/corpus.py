@@ -10,6 +10,7 @@ import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +41,7 @@ drop_out_rate = 0.001
 law = "assumed"
 """
 BAG_OF_ROS_1 = {"action": "action", "reward": "reward", "ending": "end"}
+OF_SQL = "--stages 'SELECT * FROM stages' --paths 'SELECT * FROM paths'"
 RULE = '[[rule]]\nwhen = { x1 = "> 0.5" }\naction = "A"\n\n[[rule]]\naction = "A"\n'
 
 
@@ -252,6 +254,46 @@ def bag_of_ros_1(folder: Path) -> None:
     (folder / "cell.toml").write_text("".join(tables))
 
 
+def lerobot(folder: Path) -> None:
+    from foreign import episodes, last_of, write_lerobot
+
+    found = episodes()
+    write_lerobot(folder / "robot", found, extra={"next.done": last_of(found, [True, False, True])}, tasks=["pick"])
+
+
+def steps(folder: Path, kind: str) -> None:
+    import test_step_tables
+
+    found = test_step_tables.episodes()
+    test_step_tables.write(folder / f"steps.{kind}", test_step_tables.rows_of(found, [True, False, True]), kind=kind)
+
+
+def step_arrays(folder: Path) -> None:
+    import test_step_arrays
+
+    found = test_step_arrays.episodes()
+    test_step_arrays.write(folder / "steps.hdf5", test_step_arrays.arrays(found, terminated=[0], timed_out=[1]))
+
+
+def sqlite(folder: Path) -> None:
+    import sqlite3
+    from contextlib import closing
+
+    logs = flat_log(8)
+    with closing(sqlite3.connect(folder / "logs.db")) as database:
+        for name in ("stages", "paths"):
+            logs.tables[name].to_sql(name, database, index=False)
+
+
+def mcap_of_other_encodings(folder: Path, encoding: str) -> None:
+    import test_mcap_files
+    from bags import two_paths
+
+    encode = getattr(test_mcap_files, f"as_{encoding}")
+    test_mcap_files.write_mcap(folder / "cell.mcap", two_paths(), encode)
+    test_mcap_files.mapping(folder, encode)
+
+
 def journal_of_objects(folder: Path) -> None:
     seen = [{"object": name, "occlusion": 0.2 * k, "hidden_by": [0.0, 0.0]} for k, name in enumerate(("cup", "mug"))]
     with LogRecorder(folder / "logs", reward_unit="cups") as recorder:
@@ -405,6 +447,27 @@ LOGS = (
         lambda folder: bag(folder, "mcap", with_cloud=True),
         ("convert in/bag --mapping in/cell.toml --out out --clouds out-clouds --json",),
     ),
+    Seed(
+        "lerobot", lerobot, ("convert in/robot --out out --json", "convert in/robot --out csv:out --step-s 0.5 --json")
+    ),
+    *(
+        Seed(f"steps-{kind}", partial(steps, kind=kind), (f"convert in/steps.{kind} --out out --json",))
+        for kind in ("parquet", "csv", "arrow")
+    ),
+    Seed(
+        "steps-hdf5",
+        step_arrays,
+        ("convert in/steps.hdf5 --out out --json", "convert in/steps.hdf5 --out out --check --truncated finished"),
+    ),
+    *(
+        Seed(
+            f"mcap-{encoding}",
+            partial(mcap_of_other_encodings, encoding=encoding),
+            ("convert in/cell.mcap --mapping in/cell.toml --out out --json",),
+        )
+        for encoding in ("json", "protobuf")
+    ),
+    Seed("sqlite", sqlite, (f"convert sql:sqlite:///in/logs.db {OF_SQL} --out out --json",)),
     Seed("bag-of-ros-1", bag_of_ros_1, ("convert in/old.bag --mapping in/cell.toml --out out --json",)),
     Seed("journal-of-objects", journal_of_objects, ("inspect in/logs --json", "convert in/logs --out csv:out --json")),
     Seed("calls", calls, ("record in/calls.jsonl --out out",)),
