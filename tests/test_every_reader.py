@@ -15,7 +15,6 @@ import pytest
 from halfseen.cell.calibration.law_folder import read_law
 from halfseen.errors import HalfseenError, LogError
 from halfseen.logs import LogStream, read_logs
-from halfseen.logs.folder import bytes_of_texts
 from halfseen.logs.formats import (
     MAPPING_TEMPLATE,
     Queries,
@@ -29,6 +28,8 @@ from halfseen.logs.formats import (
     read_steps,
     write_csv,
 )
+from halfseen.logs.parquet_footer import chunks_of
+from halfseen.logs.parquet_size import bytes_of_texts
 from halfseen.perception import read_cloud
 from halfseen.perception.label_files import read_labels
 from halfseen.policies import read_policy
@@ -176,13 +177,14 @@ def test_a_table_of_few_bytes_and_many_values_is_refused_before_it_is_read(place
 
 @pytest.mark.parametrize("nested", [False, True])
 def test_a_text_that_is_stored_once_counts_in_every_row(place, monkeypatch, nested):
-    monkeypatch.setattr("halfseen.logs.folder.ALWAYS_UNPACKED", 10**5)
+    monkeypatch.setattr("halfseen.logs.parquet_size.ALWAYS_UNPACKED", 10**5)
     file = place / "texts.parquet"
     texts = pa.DictionaryArray.from_arrays(pa.array([0, 1, None] * 1000), ["n" * 700, "m" * 50])
     plain = texts.cast(pa.string())
     column = pa.ListArray.from_arrays(np.arange(0, 3001, 3), plain) if nested else plain
     pq.write_table(pa.table({"x": column, "y": np.arange(len(column))}), file)
-    assert bytes_of_texts(file, pq.ParquetFile(file)) == sum(len(text or "") for text in plain.to_pylist())
+    told = bytes_of_texts(chunks_of(file), file, pq.ParquetFile(file))
+    assert told == sum(len(text or "") for text in plain.to_pylist())
 
 
 @pytest.mark.parametrize("column", ["path", "stage", "action"])

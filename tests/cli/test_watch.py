@@ -86,8 +86,8 @@ def test_a_port_that_is_taken(typed):
 
 def test_a_viewer_that_is_not_there(refused, monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "viser", None)
-    assert "halfseen[watch]" in refused("watch", TABLE)
-    assert "halfseen[watch]" in refused("watch", TABLE, "--export", tmp_path / "out.html")
+    assert "[watch]" in refused("watch", TABLE)
+    assert "[watch]" in refused("watch", TABLE, "--export", tmp_path / "out.html")
     assert list(tmp_path.iterdir()) == []
 
 

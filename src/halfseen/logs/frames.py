@@ -1,6 +1,6 @@
 """What a table may come as, and the one form in which it is kept: a pandas frame that survives Parquet unchanged."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
@@ -25,11 +25,12 @@ class ArrowStream(Protocol):
 FrameLike: TypeAlias = pd.DataFrame | ArrowStream | Mapping[str, Any]
 
 
-def as_frame(name: str, data: object) -> pd.DataFrame:
+def as_frame(name: str, data: object, own_columns: Collection[str] = ()) -> pd.DataFrame:
     """Copy a table into the form in which it is kept.
 
     The copy goes through Arrow, so that what is kept in memory and what comes back from disk are the same to the last
-    type: lists become arrays, and text is text.
+    type: lists become arrays, and text is text. Parquet knows no categories but of text, so that numbers that are said
+    to be categories become text.
 
     Parameters
     ----------
@@ -37,6 +38,8 @@ def as_frame(name: str, data: object) -> pd.DataFrame:
         What the table is called, for messages.
     data
         A pandas frame, an Arrow table or a dict of arrays.
+    own_columns
+        Columns in which categories are names, and stay what they are.
 
     Raises
     ------
@@ -55,7 +58,7 @@ def as_frame(name: str, data: object) -> pd.DataFrame:
     repeated = frame.columns[frame.columns.duplicated()]
     if len(repeated):
         raise LogError(f"{name}: there are two columns {repeated[0]!r}; drop or rename one")
-    return through_arrow(name, frame)
+    return through_arrow(name, _with_categories_of_text(frame, own_columns))
 
 
 def through_arrow(name: str, frame: pd.DataFrame) -> pd.DataFrame:
@@ -74,6 +77,15 @@ def through_arrow(name: str, frame: pd.DataFrame) -> pd.DataFrame:
     return plain
 
 
+def _with_categories_of_text(frame: pd.DataFrame, but: Collection[str]) -> pd.DataFrame:
+    texts = {
+        label: frame[label].cat.rename_categories(dtype.categories.map(str))
+        for label, dtype in frame.dtypes.items()
+        if isinstance(dtype, pd.CategoricalDtype) and len(dtype.categories) and label not in but
+    }
+    return frame.assign(**texts) if texts else frame
+
+
 def _is_number(dtype: Any) -> bool:
     """Tell whether Arrow gives a column of this type back as it is, and would cost time alone."""
     if isinstance(dtype, pd.BooleanDtype):
@@ -82,7 +94,7 @@ def _is_number(dtype: Any) -> bool:
 
 
 def _stored_schema(schema: pa.Schema) -> pa.Schema:
-    """Parquet has no time stamps of whole seconds, nor categories but of text; so we have none from the start."""
+    """Parquet has no time stamps of whole seconds, nor categories but of text; so we have none."""
     for i, field in enumerate(schema):
         if pa.types.is_dictionary(field.type) and not pa.types.is_string(field.type.value_type):
             schema = schema.set(i, field.with_type(field.type.value_type))

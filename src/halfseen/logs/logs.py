@@ -10,7 +10,14 @@ from jaxtyping import Float
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.errors import LogError
-from halfseen.logs.columns import FINISHED, PATH_COLUMNS, is_stage_covariate, require_columns
+from halfseen.logs.columns import (
+    FINISHED,
+    OBJECT_COLUMNS,
+    PATH_COLUMNS,
+    STAGE_COLUMNS,
+    is_stage_covariate,
+    require_columns,
+)
 from halfseen.logs.folder import write_tables
 from halfseen.logs.frames import FrameLike, as_frame, through_arrow
 from halfseen.logs.object_checks import checked_objects
@@ -77,14 +84,16 @@ class Logs:
         reward_unit: str | None = None,
     ) -> None:
         self._reward_unit = checked_unit(reward_unit)
-        paths_frame = checked_paths(as_frame("paths", paths))
-        stages_frame, layout = checked_stages(as_frame("stages", stages), paths_frame)
+        paths_frame = checked_paths(as_frame("paths", paths, PATH_COLUMNS))
+        stages_frame, layout = checked_stages(as_frame("stages", stages, STAGE_COLUMNS), paths_frame)
         self._layout = layout
         self._paths = through_arrow("paths", paths_frame)
         self._stages = through_arrow("stages", stages_frame)
         self._objects = None
         if objects is not None:
-            objects_frame = checked_objects(as_frame("objects", objects), stages_frame, paths_frame, layout)
+            objects_frame = checked_objects(
+                as_frame("objects", objects, OBJECT_COLUMNS), stages_frame, paths_frame, layout
+            )
             self._objects = through_arrow("objects", objects_frame)
 
     def __repr__(self) -> str:

@@ -37,7 +37,7 @@ def check_unpacked_table(file: Path, num_bytes: int, opened: pq.ParquetFile) -> 
     if any(len(group) != opened.metadata.num_columns for group in groups):
         raise ValueError("its footer tells of other columns than its schema")
     check_unpacked(num_bytes, _bytes_of_values(groups, opened.schema))
-    check_unpacked(num_bytes, _bytes_of_texts(groups, file, opened))
+    check_unpacked(num_bytes, bytes_of_texts(groups, file, opened))
 
 
 def _bytes_of_values(groups: list[list[Chunk]], schema: pq.ParquetSchema) -> int:
@@ -50,7 +50,7 @@ def _bytes_of_values(groups: list[list[Chunk]], schema: pq.ParquetSchema) -> int
     )
 
 
-def _bytes_of_texts(groups: list[list[Chunk]], file: Path, opened: pq.ParquetFile) -> int:
+def bytes_of_texts(groups: list[list[Chunk]], file: Path, opened: pq.ParquetFile) -> int:
     """What its texts take [B], where that could be much.
 
     A text that is stored once may stand in every row, so it is counted as often. Of a text no more is held meanwhile
