@@ -3,9 +3,10 @@
 import csv
 import io
 import json
+import math
 import sqlite3
 import zipfile
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -68,7 +69,7 @@ def _scaled(rng: Rng, value: Any) -> Any:
     """A value of the same kind: longer, shorter, turned or of another sign."""
     if isinstance(value, bool):
         return not value
-    if isinstance(value, int | float):
+    if isinstance(value, int) or (isinstance(value, float) and math.isfinite(value)):
         return pick(rng, (-value, value + 1, value - 1, 2 * value, 1000 * value, value // 7, round(value)))
     if isinstance(value, str):
         return pick(rng, (value + "x", value[:-1], value.upper(), value[::-1], value * 20))
