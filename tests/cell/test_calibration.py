@@ -16,10 +16,13 @@ from halfseen.cell.calibration.grasp_fit import CENTRES, SCALES, fit_grasping
 from halfseen.cell.calibration.law import Law
 from halfseen.cell.calibration.law_folder import LAW, read_law, write_law
 from halfseen.cell.calibration.seeing_fit import VIEWS, fit_seeing, found_by, intervals
+from halfseen.cell.calibration.shipped import shipped_law
 from halfseen.cell.calibration.time_fit import fit_times
+from halfseen.cell.calibration.trials import trials
 from halfseen.cell.facts import Facts
 from halfseen.cli.cell_run import belief_of
 from halfseen.errors import LogError, PolicyError
+from halfseen.logs import Logs, read_logs
 from halfseen.perception.labels import FACING_SHARE
 from halfseen.policies.folder.files import write_files
 
@@ -274,3 +277,11 @@ def test_a_law_of_another_arm_is_believed_with_a_warning(law, tmp_path, capsys):
     assert capsys.readouterr().err == ""
     belief_of(str(tmp_path / "law"), JACO_2.name)
     assert f"the law is of the arm six.xml (1234), and works here for {JACO_2.name}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("length_m", [1e300, -1e6])
+def test_what_is_no_length_on_a_table_is_refused(length_m):
+    logs = read_logs(shipped_law() / "attempts")
+    log = Logs(logs.stages, logs.paths, logs.objects.assign(room_m=length_m))
+    with pytest.raises(LogError, match=r"path .*, stage 1: room_m is (1e\+300|-1e\+06), no length on a table"):
+        trials(log, 10)

@@ -19,6 +19,7 @@ from jaxtyping import Array, Float, Int
 from scipy.optimize import minimize
 
 from halfseen.cell.calibration.trials import FACTS
+from halfseen.errors import LogError
 from halfseen.tables.grasp.inputs import checked_attempts
 
 CENTRES, SCALES = (
@@ -90,6 +91,8 @@ def fit_grasping(trials: pd.DataFrame, censoring: str = "kaplan-meier") -> Grasp
         A value is none that an attempt can have, or none was decided.
     PositivityError
         A weight is not identified.
+    LogError
+        No finite numbers fit them.
     """
     decided = checked_attempts(trials, censoring)
     kept = trials["is_finished"].to_numpy(dtype=bool)
@@ -122,7 +125,10 @@ def _fitted(data: tuple, clusters: Int[np.ndarray, " n"], num_cut: int, size: fl
     bread = np.linalg.inv(np.asarray(curvature))
     by_table = np.zeros((int(clusters.max()) + 1, len(estimate)))
     np.add.at(by_table, of_object, np.asarray(scores)[:num_objects])
-    return GraspFit(estimate, bread @ (by_table.T @ by_table) @ bread, len(clusters), num_cut, size)
+    covariance = bread @ (by_table.T @ by_table) @ bread
+    if not (np.isfinite(estimate).all() and np.isfinite(covariance).all()):
+        raise LogError("no finite numbers fit these attempts; look for facts of objects that are out of all proportion")
+    return GraspFit(estimate, covariance, len(clusters), num_cut, size)
 
 
 def _padded(data: tuple, num_objects: int) -> tuple[tuple, int]:

@@ -9,12 +9,15 @@ from jaxtyping import Float
 from halfseen.cell.facts import Facts
 from halfseen.errors import LogError
 from halfseen.logs import Logs
-from halfseen.logs.columns import require_columns
+from halfseen.logs.columns import as_floats, require_columns
+from halfseen.logs.refusal import refuse
 from halfseen.tables.grasp.attempts import attempts
 
 FACTS = tuple(each.name for each in fields(Facts))
 """What is seen of an object that may make it hard to grip."""
 GLANCES = ("glance_occlusions", "glance_held", "glance_dirty")
+LARGEST_M = 100.0
+"""Of what stands on a table [m]."""
 _AT = ["path", "stage", "object"]
 
 
@@ -37,11 +40,12 @@ def trials(logs: Logs, horizon: int) -> pd.DataFrame:
     Raises
     ------
     LogError
-        The log is not of a cell.
+        The log is not of a cell, or a fact is none that an object on a table can have.
     """
     table = attempts(logs, horizon)
     assert logs.objects is not None, "attempts are read from logs with objects"
     require_columns("objects", logs.objects, (*FACTS, "attempt_s"))
+    _check_facts(logs.objects)
     acted_on = pd.DataFrame(logs.stages[_AT])
     seen = acted_on.merge(logs.objects[[*_AT, *FACTS]], on=_AT)
     after = acted_on.assign(stage=acted_on["stage"] + 1).merge(logs.objects[[*_AT, "attempt_s"]], on=_AT)
@@ -49,6 +53,13 @@ def trials(logs: Logs, horizon: int) -> pd.DataFrame:
     at = ["path", "stage"]
     table = table.merge(seen.drop(columns="object"), on=at).merge(after.drop(columns="object"), on=at, how="left")
     return table.assign(is_lying=table["is_lying"].astype(np.float64))
+
+
+def _check_facts(objects: pd.DataFrame) -> None:
+    for name in (name for name in FACTS if name.endswith("_m")):
+        lengths_m = as_floats("objects", objects, name).to_numpy()
+        wrong = ~(np.abs(lengths_m) <= LARGEST_M)
+        refuse(objects, wrong, lambda row, told=lengths_m, name=name: f"{name} is {told[row]:g}, no length on a table")
 
 
 def _last(durations_s: list[float] | Float[np.ndarray, " past"]) -> float:
