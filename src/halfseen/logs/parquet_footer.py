@@ -5,6 +5,7 @@ struct of Thrift's compact protocol: a number for each field, and a value for it
 """
 
 from collections.abc import Iterator
+from operator import index
 from pathlib import Path
 from struct import unpack
 from typing import Any, NamedTuple
@@ -44,7 +45,7 @@ def chunks_of(file: Path) -> list[list[Chunk]]:
     try:
         groups = footer.struct().get(_ROW_GROUPS, [])
         told = [[chunk[_META_DATA] for chunk in group[_COLUMNS]] for group in groups]
-        chunks = [[Chunk(int(of[_NUM_VALUES]), int(of[_UNCOMPRESSED])) for of in group] for group in told]
+        chunks = [[Chunk(index(of[_NUM_VALUES]), index(of[_UNCOMPRESSED])) for of in group] for group in told]
     except (IndexError, KeyError, TypeError, AttributeError) as error:
         raise ValueError("its footer is broken") from error
     if any(number < 0 for group in chunks for chunk in group for number in chunk):
