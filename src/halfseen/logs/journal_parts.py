@@ -7,7 +7,8 @@
       journal-2.jsonl
       journal-3.jsonl    the last, which is gone on with
 
-Each is a whole journal by itself: parts may be copied, read or moved away one by one.
+Each is a whole journal by itself: parts may be copied and read one by one, and those between the first and the last
+moved away. The first stays as long as somebody records: without it another recorder would find no lock.
 """
 
 import re

@@ -247,3 +247,9 @@ def test_a_table_of_few_bytes_and_many_values_is_refused_before_it_is_read(tmp_p
     monkeypatch.setattr("pyarrow.ipc.open_file", None)
     with pytest.raises(HalfseenError, match="unpacked, it has 8 MB"):
         read_steps(file)
+
+
+def test_a_table_without_rows_is_told(tmp_path):
+    (tmp_path / "steps.csv").write_text("is_first,is_last,is_terminal,observation.x,action,reward\n")
+    with pytest.raises(HalfseenError, match=r"steps\.csv: there is no row; give a table"):
+        read_steps(tmp_path / "steps.csv")

@@ -39,7 +39,7 @@ def read_tables(files: Sequence[Path], columns: Iterable[str] | None = None) -> 
     Raises
     ------
     LogError
-        A file is missing, broken, too large, or has other columns than the first.
+        A file is missing, broken, too large, or has other columns than the first; or there is no row in any.
     """
     wanted = None if columns is None else list(columns)
     tables = [_read(file, wanted) for file in files]
@@ -51,6 +51,8 @@ def read_tables(files: Sequence[Path], columns: Iterable[str] | None = None) -> 
                 f"{file}: its columns are not those of {files[0]} ({names}); give files of one table, or convert each "
                 "alone"
             )
+    if not any(table.num_rows for table in tables):
+        raise LogError(f"{', '.join(map(str, files[:3]))}: there is no row; give a table with one at least")
     return pa.concat_tables(tables)
 
 
