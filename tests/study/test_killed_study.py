@@ -1,11 +1,13 @@
 """A study whose workers and whose parent are killed at any moment goes on, and ends in the same bytes."""
 
+import contextlib
 import os
 import random
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import psutil
@@ -60,6 +62,28 @@ def begun(script: Path, folder: Path, num: int, engine: str = "processes", *more
     return subprocess.Popen([sys.executable, str(script), str(folder), str(num), engine, *more], stderr=subprocess.PIPE)
 
 
+@contextlib.contextmanager
+def left_to_nobody(study: subprocess.Popen[bytes]) -> Iterator[None]:
+    """Whatever a test says, the study that it began has ended after it."""
+    with study:
+        try:
+            yield
+        finally:
+            study.kill()
+
+
+def workers_of(study: subprocess.Popen[bytes]) -> list[psutil.Process]:
+    """Workers of a study that live, but for what tells its processes of memory; any may end while it is looked at."""
+    found = []
+    with contextlib.suppress(psutil.NoSuchProcess):
+        for child in psutil.Process(study.pid).children():
+            with contextlib.suppress(psutil.NoSuchProcess):
+                told = " ".join(child.cmdline())
+                if "loky" in told and "resource_tracker" not in told:
+                    found.append(child)
+    return found
+
+
 def finished(script: Path, folder: Path, *told) -> dict[str, bytes]:
     study = begun(script, folder, *told)
     _, said = study.communicate(timeout=120)
@@ -81,15 +105,16 @@ def test_the_bytes_are_those_of_one_worker(script, wanted, tmp_path, num, engine
 @pytest.mark.slow
 def test_workers_killed_at_random_moments_change_nothing(script, wanted, tmp_path):
     study, rng, num_killed = begun(script, tmp_path / "study", 2), random.Random(0), 0
-    while study.poll() is None:
-        time.sleep(rng.uniform(1.5, 4.0))
-        workers = [each for each in psutil.Process(study.pid).children() if "loky" in " ".join(each.cmdline())]
-        workers = [each for each in workers if "resource_tracker" not in " ".join(each.cmdline())]
-        if workers and num_killed < 5:
-            rng.choice(workers).kill()
-            num_killed += 1
-    _, said = study.communicate()
-    assert study.returncode == 0, said.decode()
+    with left_to_nobody(study):
+        while study.poll() is None:
+            time.sleep(rng.uniform(1.5, 4.0))
+            workers = workers_of(study)
+            if workers and num_killed < 5:
+                with contextlib.suppress(psutil.NoSuchProcess):
+                    rng.choice(workers).kill()
+                    num_killed += 1
+        _, said = study.communicate()
+        assert study.returncode == 0, said.decode()
     assert num_killed >= 1
     assert {name: (tmp_path / "study" / name).read_bytes() for name in OUTPUTS} == wanted
 
@@ -112,11 +137,12 @@ def test_a_parent_killed_twenty_times_goes_on_and_leaves_nobody_behind(script, w
 @pytest.mark.slow
 def test_a_second_study_into_the_same_folder_is_refused(script, tmp_path):
     study = begun(script, tmp_path / "study", 2)
-    while not (tmp_path / "study/progress/slow").exists():
-        time.sleep(0.02)
-    second = begun(script, tmp_path / "study", 2, "processes", "--resume")
-    _, said = second.communicate()
-    assert second.returncode != 0
-    assert "another study writes into it; wait for its end" in said.decode()
-    study.communicate()
-    assert study.returncode == 0
+    with left_to_nobody(study):
+        while not (tmp_path / "study/progress/slow").exists():
+            time.sleep(0.02)
+        second = begun(script, tmp_path / "study", 2, "processes", "--resume")
+        _, said = second.communicate()
+        assert second.returncode != 0
+        assert "another study writes into it; wait for its end" in said.decode()
+        study.communicate()
+        assert study.returncode == 0
