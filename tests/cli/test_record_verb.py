@@ -13,7 +13,7 @@ import pytest
 
 from halfseen.cli.record import record
 from halfseen.logs import LogRecorder, read_logs
-from halfseen.logs.durability import FSYNC
+from halfseen.logs.journal.durability import FSYNC
 
 LINES = [
     {"call": "begin_path"},

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from halfseen.cli import halfseen
 from halfseen.logs import read_logs
-from halfseen.logs.suspicions import suspicions
+from halfseen.logs.inspection.suspicions import suspicions
 from halfseen.team import read_team
 from halfseen.team.recording import states_of
 from halfseen.team.team_world import TeamWorld

@@ -6,7 +6,7 @@ import pytest
 from valid_logs import small_tables
 
 from halfseen.logs import Logs
-from halfseen.logs.suspicions import suspicions
+from halfseen.logs.inspection.suspicions import suspicions
 
 
 def sound_tables(num_paths=120, num_stages=4, seed=0):

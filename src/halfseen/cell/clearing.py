@@ -18,7 +18,7 @@ from halfseen.arrays import Rows
 from halfseen.cell.account import Account, Run
 from halfseen.cell.stops import StoppedError
 from halfseen.cell.workcell import Workcell
-from halfseen.logs.path_recorder import PathRecorder
+from halfseen.logs.recording.path_recorder import PathRecorder
 from halfseen.team.policy import TeamPolicy
 from halfseen.team.recording import TEAM_VERBS
 from halfseen.team.state import TeamState

@@ -9,7 +9,7 @@ from halfseen.cell.account import Account, Run
 from halfseen.cell.clearing import PAUSE_S, Chosen, Moment, Row, Shift, Told, chances_of, cleared
 from halfseen.cell.table_state import Belief, rows_of, state_of
 from halfseen.cell.workcell import Workcell
-from halfseen.logs.path_recorder import PathRecorder
+from halfseen.logs.recording.path_recorder import PathRecorder
 from halfseen.world.action_space import Verb
 from halfseen.world.policy import Policy
 from halfseen.world.state import TableState

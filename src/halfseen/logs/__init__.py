@@ -3,19 +3,17 @@
 A *path* is a trajectory: one episode. It ends *finished*, or *cut*: right-censored by something outside the task.
 
 Read down: `frames` (what is accepted) → `refusal` (how a broken log is told) → `columns` (which columns, of which
-types) → `path_checks`, `stage_checks`, `object_checks` (the invariants) → `summary` → `journal`, `journal_tables`
-(what a recorder wrote) → `folder` (on disk) → `logs` (the record) → `reading` (whatever wrote it) → `stream` (a log
-that need not fit in memory) → `compaction` (many folders as one). While a robot runs: `journal_values`, `path_clock` →
-`recorded` → `durability`, `journal_writer` → `path_recorder` → `recorder` → `line_protocol` → `line_socket`. What
-`halfseen inspect` tells: `breakdown`, `suspicious_units` → `suspicions`.
-`formats`: from and to other forms.
+types) → `reward_unit` → `checks` (the invariants) → `summary` → `parquet` (what a file takes) → `journal` (what a
+recorder wrote) → `place`, `folder` (on disk) → `logs` (the record) → `reading` (whatever wrote it) → `shards`, `stream`
+(a log that need not fit in memory) → `joining`, `compaction` (many folders as one). While a robot runs: `recording`.
+What `halfseen inspect` tells: `inspection`. From and to other forms: `formats`.
 """
 
 from halfseen.logs.compaction import Compacted, compact
 from halfseen.logs.logs import Logs
-from halfseen.logs.path_recorder import CAUSES, PathRecorder
 from halfseen.logs.reading import read_logs
-from halfseen.logs.recorder import LogRecorder
+from halfseen.logs.recording.path_recorder import CAUSES, PathRecorder
+from halfseen.logs.recording.recorder import LogRecorder
 from halfseen.logs.stream import LogStream, write_stream
 from halfseen.logs.summary import LogsSummary
 

@@ -19,9 +19,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from halfseen.errors import HalfseenError, LogError
-from halfseen.logs.journal_parts import is_journal
-from halfseen.logs.journal_tables import journal_log
-from halfseen.logs.parquet_size import check_unpacked_table
+from halfseen.logs.journal.parts import is_journal
+from halfseen.logs.journal.tables import journal_log
+from halfseen.logs.parquet.size import check_unpacked_table
 from halfseen.logs.place import Place, asking
 from halfseen.logs.refusal import within
 from halfseen.logs.reward_unit import checked_unit

@@ -10,6 +10,9 @@ from jaxtyping import Float
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.errors import LogError
+from halfseen.logs.checks.objects import checked_objects
+from halfseen.logs.checks.paths import checked_paths
+from halfseen.logs.checks.stages import checked_stages
 from halfseen.logs.columns import (
     FINISHED,
     OBJECT_COLUMNS,
@@ -20,11 +23,8 @@ from halfseen.logs.columns import (
 )
 from halfseen.logs.folder import write_tables
 from halfseen.logs.frames import FrameLike, as_frame, through_arrow
-from halfseen.logs.object_checks import checked_objects
-from halfseen.logs.path_checks import checked_paths
 from halfseen.logs.refusal import shown
 from halfseen.logs.reward_unit import checked_unit
-from halfseen.logs.stage_checks import checked_stages
 from halfseen.logs.summary import LogsSummary, SummaryTally
 
 

@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.errors import ArgumentError, LogError
+from halfseen.logs.checks.paths import checked_paths
 from halfseen.logs.columns import FINISHED, NEEDED, as_counts, is_stage_covariate, require_columns
 from halfseen.logs.folder import (
     MANIFEST,
@@ -24,7 +25,6 @@ from halfseen.logs.folder import (
 )
 from halfseen.logs.frames import as_frame
 from halfseen.logs.logs import Logs
-from halfseen.logs.path_checks import checked_paths
 from halfseen.logs.place import Place, place_of
 from halfseen.logs.reading import read_logs
 from halfseen.logs.refusal import shown, within

@@ -9,8 +9,8 @@ from jaxtyping import Float, Int
 from halfseen.censoring import KaplanMeier, positivity_report, stage_weights, weight_diagnostics
 from halfseen.censoring.positivity import PositivityReport
 from halfseen.logs import Logs
-from halfseen.logs.breakdown import by_action, by_cause, by_robot, by_stage
-from halfseen.logs.suspicions import suspicions
+from halfseen.logs.inspection.breakdown import by_action, by_cause, by_robot, by_stage
+from halfseen.logs.inspection.suspicions import suspicions
 from halfseen.report.endings import endings
 
 NUM_RISK_TIMES = 7

@@ -10,7 +10,7 @@ from types import TracebackType
 from typing import Any
 
 from halfseen.errors import LogError
-from halfseen.logs.recorder import LogRecorder, PathRecorder
+from halfseen.logs.recording.recorder import LogRecorder, PathRecorder
 from halfseen.serving.refusal import Refusal
 
 STOPPED = "server stopped"

@@ -7,8 +7,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from halfseen.logs.journal_values import Schema
-from halfseen.logs.log_so_far import log_so_far
+from halfseen.logs.journal.values import Schema
+from halfseen.logs.recording.log_so_far import log_so_far
 from halfseen.policies.folder.stored import StoredPolicy
 from halfseen.tables.present import Present
 from halfseen.world.recording import states_of

@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 
 from halfseen.logs import Logs
+from halfseen.logs.checks.robots import robots_that_may_drop_out
 from halfseen.logs.columns import CUT, is_own_reward
-from halfseen.logs.robot_checks import robots_that_may_drop_out
 
 
 def cut_at_drop_outs(logs: Logs) -> Logs:

@@ -9,9 +9,9 @@ from jaxtyping import Bool, Int
 
 from halfseen.errors import LogError
 from halfseen.logs import Logs, LogStream
+from halfseen.logs.checks.robots import robots_that_may_drop_out
 from halfseen.logs.columns import as_floats
 from halfseen.logs.refusal import refuse, shown, value_at
-from halfseen.logs.robot_checks import robots_that_may_drop_out
 from halfseen.world.action_space import TARGETED
 from halfseen.world.table_checks import Lists, lists_in, object_numbers
 

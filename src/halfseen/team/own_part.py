@@ -29,9 +29,9 @@ from jaxtyping import Bool, Float, Int
 
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs import Logs
+from halfseen.logs.checks.robots import robots_that_may_drop_out
 from halfseen.logs.columns import CUT, FINISHED, require_columns
 from halfseen.logs.refusal import refuse
-from halfseen.logs.robot_checks import robots_that_may_drop_out
 from halfseen.team.log_checks import ATTEMPT_BY
 from halfseen.team.recording import FREE, OUT, PARKED, TEAM_VERBS, told_by
 from halfseen.world.action_space import TARGETED, Verb

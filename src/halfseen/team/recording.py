@@ -21,9 +21,9 @@ import pyarrow as pa
 from jaxtyping import Array, Bool, Int
 
 from halfseen.logs import Logs
+from halfseen.logs.checks.robots import robots_that_may_drop_out
 from halfseen.logs.columns import require_columns
 from halfseen.logs.refusal import refuse, shown, value_at
-from halfseen.logs.robot_checks import robots_that_may_drop_out
 from halfseen.team.log_checks import (
     ATTEMPT_BY,
     check_attempts,

@@ -10,9 +10,9 @@ from jaxtyping import Bool, Float, Int
 
 from halfseen.errors import LogError
 from halfseen.logs import Logs
+from halfseen.logs.checks.robots import ROBOT
 from halfseen.logs.columns import as_floats, require_columns
 from halfseen.logs.refusal import refuse, shown, value_at
-from halfseen.logs.robot_checks import ROBOT
 from halfseen.world.action_space import Verb
 
 TABLE, DISHWASHER, LOST = LOCATIONS = ("TABLE", "DISHWASHER", "LOST")

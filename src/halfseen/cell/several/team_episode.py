@@ -15,7 +15,7 @@ from halfseen.cell.several.team_table import TeamTable
 from halfseen.cell.several.touches import Touches
 from halfseen.cell.table_state import Belief, rows_of
 from halfseen.cell.workcell import Attempt, Workcell
-from halfseen.logs.path_recorder import PathRecorder
+from halfseen.logs.recording.path_recorder import PathRecorder
 from halfseen.team.actions import WAIT
 from halfseen.team.policy import TeamPolicy
 from halfseen.team.state import TeamState

@@ -16,7 +16,7 @@ from jaxtyping import Shaped
 
 from halfseen.errors import HalfseenError, LogError
 from halfseen.logs.formats.column_types import from_list_texts
-from halfseen.logs.parquet_size import check_unpacked_table
+from halfseen.logs.parquet.size import check_unpacked_table
 from halfseen.logs.refusal import shown
 from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, opened, reason_of
 

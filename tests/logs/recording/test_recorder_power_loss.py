@@ -12,7 +12,7 @@ import pytest
 
 from halfseen.errors import ArgumentError, HalfseenWarning, LogError
 from halfseen.logs import LogRecorder, read_logs
-from halfseen.logs.journal_parts import JOURNAL
+from halfseen.logs.journal.parts import JOURNAL
 
 NUM_PATHS, NUM_STAGES, LINES_A_PATH = 6, 3, 7
 LINES_BEFORE = 2

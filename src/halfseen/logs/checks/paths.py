@@ -5,6 +5,7 @@ import pandas as pd
 from jaxtyping import Bool
 
 from halfseen.errors import LogError
+from halfseen.logs.checks.robots import with_drop_outs
 from halfseen.logs.columns import (
     CUT,
     FINISHED,
@@ -16,7 +17,6 @@ from halfseen.logs.columns import (
     require_columns,
 )
 from halfseen.logs.refusal import refuse, shown, value_at
-from halfseen.logs.robot_checks import with_drop_outs
 
 EARLIEST_DATE_S = 1e9
 """What is longer is no path but a date, or counted in milliseconds or less [s]; 32 years."""

@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
+from halfseen.logs.checks.robots import ROBOT
 from halfseen.logs.logs import Logs
-from halfseen.logs.robot_checks import ROBOT
 
 
 def by_cause(logs: Logs) -> list[dict[str, Any]]:

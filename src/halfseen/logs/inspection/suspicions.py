@@ -11,9 +11,9 @@ from typing import Any
 import pandas as pd
 from pandas.util import hash_pandas_object
 
+from halfseen.logs.inspection.units import covariates, mixed_clocks, mixed_covariates
 from halfseen.logs.logs import Logs
 from halfseen.logs.refusal import shown
-from halfseen.logs.suspicious_units import covariates, mixed_clocks, mixed_covariates
 
 FEWEST_CUTS = 5
 SAME_END = 0.01

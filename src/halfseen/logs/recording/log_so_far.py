@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from halfseen.logs.columns import CUT
-from halfseen.logs.journal_tables import STILL_RUNNING, RecordedPath, tables_of
+from halfseen.logs.journal.tables import STILL_RUNNING, RecordedPath, tables_of
 from halfseen.logs.logs import Logs
 
 

@@ -8,12 +8,12 @@ import numpy as np
 
 from halfseen.errors import LogError
 from halfseen.logs.columns import CUT, FINISHED
-from halfseen.logs.journal_tables import CRASH
-from halfseen.logs.journal_values import Schema, checked_number, checked_robot, checked_text
-from halfseen.logs.journal_writer import JournalWriter
-from halfseen.logs.log_so_far import log_so_far
+from halfseen.logs.journal.state import PathState, Recorded
+from halfseen.logs.journal.tables import CRASH
+from halfseen.logs.journal.values import Schema, checked_number, checked_robot, checked_text
+from halfseen.logs.journal.writer import JournalWriter
 from halfseen.logs.logs import Logs
-from halfseen.logs.recorded import PathState, Recorded
+from halfseen.logs.recording.log_so_far import log_so_far
 from halfseen.logs.refusal import shown
 
 CAUSES = ("operator", "emergency-stop", "time-out", "battery", "sensor-lost", CRASH)

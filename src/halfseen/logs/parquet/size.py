@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.compute
 import pyarrow.parquet as pq
 
-from halfseen.logs.parquet_footer import Chunk, chunks_of
+from halfseen.logs.parquet.footer import Chunk, chunks_of
 from halfseen.reading import ALWAYS_UNPACKED, check_unpacked
 
 BYTES_OF_VALUE = 8

@@ -25,14 +25,14 @@ from typing import Any
 
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs.columns import UNKNOWN_CAUSE
-from halfseen.logs.durability import synced_events
 from halfseen.logs.folder import MANIFEST
-from halfseen.logs.journal_parts import PART_BYTES
-from halfseen.logs.journal_tables import CRASH
-from halfseen.logs.journal_writer import JournalWriter
+from halfseen.logs.journal.durability import synced_events
+from halfseen.logs.journal.parts import PART_BYTES
+from halfseen.logs.journal.state import Recorded
+from halfseen.logs.journal.tables import CRASH
+from halfseen.logs.journal.writer import JournalWriter
 from halfseen.logs.logs import Logs
-from halfseen.logs.path_recorder import PathRecorder
-from halfseen.logs.recorded import Recorded
+from halfseen.logs.recording.path_recorder import PathRecorder
 from halfseen.logs.refusal import shown
 from halfseen.logs.reward_unit import checked_unit
 

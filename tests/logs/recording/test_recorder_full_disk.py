@@ -63,8 +63,8 @@ def check_faults(folder, monkeypatch, num_paths, seed):
     disk = FailingDisk(random.Random(seed), 0.3)
     num_refused = 0
     with LogRecorder(folder, fsync="stage", part_bytes=1) as recorder:
-        monkeypatch.setattr("halfseen.logs.journal_writer.os", disk)
-        monkeypatch.setattr("halfseen.logs.durability.os", disk)
+        monkeypatch.setattr("halfseen.logs.journal.writer.os", disk)
+        monkeypatch.setattr("halfseen.logs.journal.durability.os", disk)
         for number in range(1, num_paths + 1):
             path = recorder.begin_path()
             for stage in (1, 2):
@@ -92,7 +92,7 @@ def test_a_disk_that_stays_broken_leaves_what_was_taken(tmp_path, monkeypatch):
     disk, recorder = FailingDisk(random.Random(1), 0.0), LogRecorder(tmp_path)
     path = recorder.begin_path()
     path.begin_stage({"x": 1.0}, action="PICK")
-    monkeypatch.setattr("halfseen.logs.journal_writer.os", disk)
+    monkeypatch.setattr("halfseen.logs.journal.writer.os", disk)
     disk.is_broken = True
     with pytest.raises(LogError, match="cannot be written"):
         path.complete_stage(1.0)

@@ -7,8 +7,8 @@ and the event is then taken back, or after both.
 from dataclasses import dataclass, field
 from typing import Any
 
-from halfseen.logs.journal_values import Schema
-from halfseen.logs.path_clock import PathClock
+from halfseen.logs.journal.clock import PathClock
+from halfseen.logs.journal.values import Schema
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import pytest
 
 from halfseen.errors import ArgumentError, HalfseenWarning, LogError
 from halfseen.logs import LogRecorder, read_logs
-from halfseen.logs.journal_parts import JOURNAL, journal_parts, part_after
+from halfseen.logs.journal.parts import JOURNAL, journal_parts, part_after
 
 NUM_PATHS = 12
 

@@ -19,7 +19,7 @@ from contextlib import suppress
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from halfseen.errors import HalfseenError, LogError
-from halfseen.logs.recorder import LogRecorder
+from halfseen.logs.recording.recorder import LogRecorder
 from halfseen.suggestions import did_you_mean
 
 MOST_BYTES = 1_000_000

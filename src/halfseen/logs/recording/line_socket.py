@@ -9,8 +9,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from halfseen.errors import ArgumentError
-from halfseen.logs.line_protocol import MOST_BYTES, answered, record_lines
-from halfseen.logs.recorder import LogRecorder
+from halfseen.logs.recording.line_protocol import MOST_BYTES, answered, record_lines
+from halfseen.logs.recording.recorder import LogRecorder
 
 HOST = "127.0.0.1"
 """No other machine reaches it."""

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 
+from halfseen.logs.checks.stages import Layout
 from halfseen.logs.columns import (
     NEEDED,
     OBJECT_COLUMNS,
@@ -13,7 +14,6 @@ from halfseen.logs.columns import (
     require_columns,
 )
 from halfseen.logs.refusal import refuse, shown, value_at
-from halfseen.logs.stage_checks import Layout
 
 
 def checked_objects(frame: pd.DataFrame, stages: pd.DataFrame, paths: pd.DataFrame, layout: Layout) -> pd.DataFrame:

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from halfseen.errors import LogError
+from halfseen.logs.checks.robots import is_of_one_robot
 from halfseen.logs.columns import OBJECT_COLUMNS, PATH_COLUMNS, STAGE_COLUMNS
 from halfseen.logs.frames import LARGEST_FRACTION
 from halfseen.logs.refusal import shown
-from halfseen.logs.robot_checks import is_of_one_robot
 
 Kinds = Mapping[str, str]
 

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs import LogRecorder, read_logs
-from halfseen.logs.line_protocol import CALLS, MOST_BYTES, call_of, record_lines
-from halfseen.logs.line_socket import listening, record_clients
+from halfseen.logs.recording.line_protocol import CALLS, MOST_BYTES, call_of, record_lines
+from halfseen.logs.recording.line_socket import listening, record_clients
 
 PATH = [
     {"call": "begin_path", "columns": {"cell": "left"}},

@@ -160,7 +160,7 @@ def test_a_cut_between_stages_takes_back_all_that_was_completed_just_then(record
 
 def test_on_its_own_clock_a_drop_out_has_its_time(tmp_path, monkeypatch):
     now_s = [50.0]
-    monkeypatch.setattr("halfseen.logs.path_clock.time.monotonic", lambda: now_s[0])
+    monkeypatch.setattr("halfseen.logs.journal.clock.time.monotonic", lambda: now_s[0])
     with LogRecorder(tmp_path / "logs") as recorder:
         path = recorder.begin_path()
         begin(path, 0, 0)

@@ -26,7 +26,7 @@ class Clock:
 
 
 def recorded(folder, monkeypatch, readings_s):
-    monkeypatch.setattr("halfseen.logs.path_clock.time", Clock(readings_s))
+    monkeypatch.setattr("halfseen.logs.journal.clock.time", Clock(readings_s))
     with LogRecorder(folder) as recorder:
         path = recorder.begin_path()
         for stage in (1, 2, 3):

@@ -25,14 +25,14 @@ import numpy as np
 import pyarrow as pa
 
 from halfseen.errors import LogError
+from halfseen.logs.checks.robots import ROBOT
 from halfseen.logs.columns import CUT, FINISHED, is_own_reward
-from halfseen.logs.journal import JournalEvents, following
-from halfseen.logs.journal_parts import journal_parts, tell_missing
-from halfseen.logs.journal_writer import is_being_recorded
-from halfseen.logs.path_clock import RESOLUTION_S
+from halfseen.logs.journal.clock import RESOLUTION_S
+from halfseen.logs.journal.lines import JournalEvents, following
+from halfseen.logs.journal.parts import journal_parts, tell_missing
+from halfseen.logs.journal.writer import is_being_recorded
 from halfseen.logs.refusal import shown, within
 from halfseen.logs.reward_unit import common_unit
-from halfseen.logs.robot_checks import ROBOT
 from halfseen.reading import reason_of
 
 CRASH, STILL_RUNNING = "crash", "still-running"

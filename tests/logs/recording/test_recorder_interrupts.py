@@ -8,7 +8,7 @@ import pytest
 import halfseen.logs
 from halfseen.errors import LogError
 from halfseen.logs import LogRecorder, read_logs
-from halfseen.logs.journal_parts import PART_BYTES
+from halfseen.logs.journal.parts import PART_BYTES
 
 FOLDER = str(Path(halfseen.logs.__file__).parent)
 

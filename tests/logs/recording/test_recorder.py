@@ -15,7 +15,7 @@ from valid_logs import small_tables, valid_tables
 
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs import LogRecorder, Logs, read_logs
-from halfseen.logs.journal_parts import JOURNAL
+from halfseen.logs.journal.parts import JOURNAL
 
 # JAX warns of forks where other tests have loaded it; the children here do not touch it.
 pytestmark = pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning")
@@ -34,7 +34,7 @@ class HandClock:
 @pytest.fixture
 def clock(monkeypatch):
     clock = HandClock()
-    monkeypatch.setattr("halfseen.logs.path_clock.time.monotonic", clock)
+    monkeypatch.setattr("halfseen.logs.journal.clock.time.monotonic", clock)
     return clock
 
 
@@ -357,7 +357,7 @@ def test_paths_that_no_log_takes_are_refused(recorder):
 
 
 def test_a_journal_of_another_version_is_refused(tmp_path):
-    from halfseen.logs.journal import HEADER, journal_line
+    from halfseen.logs.journal.lines import HEADER, journal_line
 
     (tmp_path / JOURNAL).write_bytes(journal_line(HEADER | {"version": 9}, 0)[0])
     with pytest.raises(LogError, match=r"line 1:.*read it with the halfseen that wrote it"):
@@ -449,7 +449,7 @@ def test_ctrl_c_at_any_moment_leaves_a_journal_that_reads(tmp_path):
 
 
 def test_whole_numbers_and_fractions_may_mix_across_chunks(tmp_path, monkeypatch):
-    monkeypatch.setattr("halfseen.logs.journal_tables.ROWS_A_CHUNK", 2)
+    monkeypatch.setattr("halfseen.logs.journal.tables.ROWS_A_CHUNK", 2)
     with LogRecorder(tmp_path) as recorder:
         for x in [1, 2, 2.5, 3]:
             path = recorder.begin_path(speed=x)

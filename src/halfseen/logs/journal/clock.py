@@ -6,9 +6,9 @@ from math import log
 from typing import Any
 
 from halfseen.errors import LogError
-from halfseen.logs.journal_values import checked_number
-from halfseen.logs.path_checks import EARLIEST_DATE_S
-from halfseen.logs.stage_checks import UNIT_TOLERANCE
+from halfseen.logs.checks.paths import EARLIEST_DATE_S
+from halfseen.logs.checks.stages import UNIT_TOLERANCE
+from halfseen.logs.journal.values import checked_number
 
 RESOLUTION_S = 1e-9
 """What a clock can tell apart [s]; a path that was torn before its clock moved ends there."""
