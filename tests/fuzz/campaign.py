@@ -16,6 +16,7 @@ from typing import Any
 
 from fuzz.cases import Case, drawn, kept
 from fuzz.oracle import Outcome, judged
+from fuzz.worker import last_words
 
 TESTS = Path(__file__).parents[1]
 KEPT = Path(__file__).parent / "kept"
@@ -73,7 +74,8 @@ class Worker:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._log,
-            env={**known, "PYTHONPATH": paths, "XDG_CACHE_HOME": str(cache)},
+            # MuJoCo asks once a process for its way to draw, and here verbs that draw come after others that do not.
+            env={**known, "PYTHONPATH": paths, "XDG_CACHE_HOME": str(cache), "MUJOCO_GL": "egl"},
             cwd=place,
             start_new_session=True,
         )
@@ -97,7 +99,8 @@ class Worker:
         return json.loads(line) if line else {}
 
     def end(self) -> str:
-        """End the process, whatever it does; the last of what it said to nobody."""
+        """End the process, whatever it does; how it ended, if it did, and the last of what it said to nobody."""
+        status = self._process.poll()
         with suppress(ProcessLookupError):
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
@@ -107,7 +110,7 @@ class Worker:
                 stream.close()
         self._log.seek(0)
         with self._log as log:
-            return log.read().decode(errors="replace")[-3000:]
+            return f"exit status {status}: {log.read().decode(errors='replace')[-3000:]}"
 
     def _hear(self) -> None:
         for line in self._process.stdout:
@@ -160,6 +163,7 @@ def run(
             if is_over or worker.num_cases >= MOST_CASES:
                 said = worker.end()
                 if result.label == "fault: crash":
+                    said += last_words(folder).read_text(errors="replace")[-3000:] if result.case else ""
                     result = Result(result.name, result.case, result.label, said, result.seconds)
                 worker = None
             with lock:

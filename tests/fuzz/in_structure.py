@@ -183,9 +183,11 @@ def of_parquet(rng: Rng, file: Path) -> str:
             b'{"index_columns": ["x"]}',
         )
         table = table.replace_schema_metadata({b"pandas": pick(rng, broken), b"halfseen": b"\x00"})
+    whole = file.read_bytes()
     try:
         pq.write_table(table, file)
     except (pa.ArrowException, NotImplementedError):
+        file.write_bytes(whole)  # Arrow deletes what it cannot write
         return flip_tail(rng, file)
     return f"{file.name}: {name[:40]}: {kind}"
 

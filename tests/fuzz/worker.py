@@ -69,6 +69,11 @@ def answer_to(case: Case, corpus: Path) -> str:
     return kept.read_text()
 
 
+def last_words(folder: Path) -> Path:
+    """Where a case that runs in a folder writes to standard error."""
+    return folder.with_name(f"{folder.name}.err")
+
+
 def ran(words: Any, folder: Path) -> Outcome:
     """Run a command line in a folder, and see what it says, takes, changes and leaves."""
     from halfseen import cli
@@ -86,7 +91,8 @@ def ran(words: Any, folder: Path) -> Outcome:
     os.chdir(folder)
     status: Any = 0
     raised, began = "", time.monotonic()
-    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
+    # Where the process dies, what it said last is read by who asked.
+    with tempfile.TemporaryFile() as out, last_words(folder).open("w+b") as err:
         with _into(1, out), _into(2, err), _temporary_files_in(folder):
             cli.unforeseen = noted
             try:
