@@ -63,7 +63,11 @@ def serve(
     served = Served(policy, extrapolates=extrapolate)
     if served.service.counts_views:
         served.law = law_of(law or SHIPPED)
-    with bound_socket(host, port) as at, nullcontext() if record is None else RecordedPaths(record) as paths:
+    is_table = served.service.stored.is_table
+    with (
+        bound_socket(host, port) as at,
+        nullcontext() if record is None else RecordedPaths(record, is_of_tables=is_table) as paths,
+    ):
         served.answering = Answering(explore, np.random.default_rng(seed), paths)
         address, number = at.getsockname()[:2]
         url = f"http://{f'[{address}]' if ':' in address else address}:{number}"
