@@ -57,7 +57,7 @@ def present_state(
     PolicyError
         The cloud shows other objects than the history, or no step is left.
     """
-    path = history.select(history.path_ids[-1:])
+    path = history if history.num_paths == 1 else history.select(history.path_ids[-1:])
     last, done = _last_table(path, horizon), _last_action(path)
     same = _identities(path, last, done, held, scene, places_m)
     tried, notes = _attempts(last, same.was), [*same.notes]

@@ -130,12 +130,13 @@ def seen_in_cloud(
         table = see_table(service.stored, cloud, past, stage, labels, law)
     except HalfseenError as error:
         raise type(error)(str(error).replace(f"{cloud.parent}/", "")) from error
-    present = table.present
-    seen = Seen(lambda: service.decider.decide(present), present.stage, told=present.seen)
+    present, told = table.present, table.present.seen.replace(f"{cloud.parent}/", "")
+    seen = Seen(lambda: service.decider.decide(present), present.stage, told=told)
     if paths is None:
         return seen
     from halfseen.serving.table_state import rows_of
 
-    rows, names = rows_of(present, table.view.places_m, () if so_far is None else so_far.objects)
+    before = () if so_far is None else so_far.objects
+    rows, names = rows_of(present, table.view.places_m, before, counts_views=law is not None)
     columns = {"dirty_share": present.dirty_share}
     return replace(seen, begun=Begun({}, rows, columns, is_of_cloud=True), names=names)

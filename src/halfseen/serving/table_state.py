@@ -56,7 +56,9 @@ def present_of(stored: StoredPolicy, objects: Sequence[dict[str, Any]], stage: i
     return Present(state, stage, is_labelled=True, dirty_share=dirty_share), sorted(one["object"] for one in objects)
 
 
-def rows_of(present: Present, places_m: Points, before: Sequence[Row] = ()) -> tuple[list[Row], list[int]]:
+def rows_of(
+    present: Present, places_m: Points, before: Sequence[Row] = (), *, counts_views: bool = False
+) -> tuple[list[Row], list[int]]:
     """Put down the objects of a stage: all that ever came into view on its path.
 
     They are named by numbers, counted in the order in which they came into view, so that a name stays with its object.
@@ -69,6 +71,8 @@ def rows_of(present: Present, places_m: Points, before: Sequence[Row] = ()) -> t
         Where the objects are that are seen, the first of `present` [m].
     before
         The rows of the stage before, in the order of names; none if this is the first.
+    counts_views
+        Whether a law tells how much of an object was seen and how well it is gripped; else that is 0, and not written.
 
     Returns
     -------
@@ -83,7 +87,7 @@ def rows_of(present: Present, places_m: Points, before: Sequence[Row] = ()) -> t
     num_rows = next(new)
     nothing = [0.0] * num_rows
     rows = {row["object"]: _washed(row) | {"hidden_by": nothing} for row in before}
-    for number, (name, row) in enumerate(zip(names, _rows_on_table(present.state), strict=True)):
+    for number, (name, row) in enumerate(zip(names, _rows_on_table(present.state, counts_views), strict=True)):
         place_m = (
             places_m[number].tolist() if number < len(places_m) else [before[name][axis] for axis in PLACE_COLUMNS]
         )
@@ -106,8 +110,9 @@ def _washed(row: Row) -> Row:
     return {**gone, **tried, "successes": row["successes"] + 1}
 
 
-def _rows_on_table(state: TableState) -> list[Row]:
-    """Rows of the objects of one state, as `halfseen.world.recording` writes them, with all columns."""
+def _rows_on_table(state: TableState, counts_views: bool) -> list[Row]:
+    """Rows of the objects of one state, as `halfseen.world.recording` writes them, in every stage the same columns."""
     stage = jax.tree.map(lambda leaf: leaf[None, None], state)
     table = objects_of(stage, np.zeros((1, 2), dtype=np.int64)).drop_columns(["path", "stage"])
-    return [dict.fromkeys(OPTIONAL_COLUMNS, 0.0) | row for row in table.to_pylist()]
+    zeros = dict.fromkeys(OPTIONAL_COLUMNS, 0.0) if counts_views else {}
+    return [zeros | row for row in table.to_pylist()]
