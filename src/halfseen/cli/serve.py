@@ -48,7 +48,8 @@ def serve(
     be asked. POST /reload, or the signal SIGHUP, reads the folder again.
 
     With --record, each decision begins a stage of a log, with its probability; POST /reward completes it, and POST /end
-    ends its path: {"ending": "finished"}, or {"ending": "cut", "cause": "operator"}.
+    ends its path: {"ending": "finished"}, or {"ending": "cut", "cause": "operator"}. A cloud is then put where the path
+    stands, and {"reward": 5.0, "held": true} says whether its WASH or LIFT held.
     """
     import numpy as np
 

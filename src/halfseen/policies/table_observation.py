@@ -115,7 +115,10 @@ def see_table(
     cloud = read_cloud(file)
     view = perceive(cloud)
     if not view.objects:
-        raise CloudError(f"{file}: no objects on the table; put the table with its objects whole into the view")
+        cleared = "" if past is None else "; where it is cleared, the path is over"
+        raise CloudError(
+            f"{file}: no objects on the table; put the table with its objects whole into the view{cleared}"
+        )
     told, others = labels_of(view, cloud, labels), other_things_in_words(view)
     scene = view.scene() if law is None else law.scene(view)
     now = _present(stored, view, scene, past, stage)
