@@ -37,14 +37,6 @@ def flat(tmp_path_factory):
     return folder
 
 
-@pytest.fixture(scope="module")
-def tables(tmp_path_factory):
-    logs = table_log(num_objects=3, hides=np.pad(HIDES, (0, 1)))
-    folder = tmp_path_factory.mktemp("serving") / "tables"
-    write_policy(CensoredQLearner.for_table(3, reg=0.1).fit(logs), logs, folder)
-    return folder
-
-
 def client_of(folder, token=None, largest_bytes=None, **answering):
     app = app_of(Served(folder, Answering(**answering)), token, largest_bytes=largest_bytes)
     return TestClient(app, base_url="http://127.0.0.1")

@@ -35,20 +35,11 @@ from halfseen.serving.answering import Answering
 from halfseen.serving.app import Served, app_of
 from halfseen.serving.paths import RecordedPaths
 from halfseen.world.recording import states_of
-from small_logs import HIDES, table_log
 
 # The middle one hides the last in part.
 CANS = LEFT, MIDDLE, BEHIND = Can(-0.12, 0.05), Can(0.02, 0.0), Can(0.05, 0.14)
 ELSEWHERE = Can(-0.3, -0.25)
 HORIZON = 4
-
-
-@pytest.fixture(scope="module")
-def policy(tmp_path_factory):
-    logs = table_log(horizon=HORIZON, num_objects=3, hides=np.pad(HIDES, (0, 1)))
-    folder = tmp_path_factory.mktemp("serving") / "policy"
-    write_policy(CensoredQLearner.for_table(HORIZON, reg=0.1).fit(logs), logs, folder)
-    return folder
 
 
 @pytest.fixture(autouse=True)
@@ -89,8 +80,8 @@ def client_of(policy, folder, *exploring, law=None):
 
 
 @pytest.fixture
-def recorded(policy, tmp_path):
-    with client_of(policy, tmp_path / "logs") as client:
+def recorded(tables, tmp_path):
+    with client_of(tables, tmp_path / "logs") as client:
         yield client
 
 
@@ -154,12 +145,12 @@ def checked_stage(logs, seen, told):
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_what_is_recorded_is_what_was_decided_in(policy, shows, tmp_path, seed):
+def test_what_is_recorded_is_what_was_decided_in(tables, shows, tmp_path, seed):
     """Stage by stage: the state by the log before and the cloud, the decision, the log after, and a naive account."""
-    stored, rng, folder, file = read_policy(policy), np.random.default_rng(seed), tmp_path / "logs", tmp_path / "t.pcd"
+    stored, rng, folder, file = read_policy(tables), np.random.default_rng(seed), tmp_path / "logs", tmp_path / "t.pcd"
     decider, labels = decider_of(stored, extrapolates=True), tmp_path / "l.csv"
     table, held, tried, lifted = list(CANS), None, {can: [] for can in CANS}, dict.fromkeys(CANS, 0)
-    with client_of(policy, folder, 0.9, rng) as client:
+    with client_of(tables, folder, 0.9, rng) as client:
         for stage in range(1, HORIZON + 1):
             file.write_bytes(shows(*table))
             labels.write_text(labels_of(rng, len(table)))
@@ -192,13 +183,13 @@ def test_what_is_recorded_is_what_was_decided_in(policy, shows, tmp_path, seed):
                 break
 
 
-def test_where_nobody_says_what_held_it_is_taken_as_act_takes_it(recorded, policy, shows, tmp_path):
+def test_where_nobody_says_what_held_it_is_taken_as_act_takes_it(recorded, tables, shows, tmp_path):
     table, folder, done = list(CANS), tmp_path / "logs", ""
     for stage in range(1, HORIZON + 1):
         cloud = shows(*table)
         (tmp_path / "t.pcd").write_bytes(cloud)
         history = [] if stage == 1 else ["--history", str(folder)]
-        words = [str(policy), str(tmp_path / "t.pcd"), "--json", "--extrapolate", *history]
+        words = [str(tables), str(tmp_path / "t.pcd"), "--json", "--extrapolate", *history]
         said = json.loads(CliRunner().invoke(act, words, catch_exceptions=False).output)
         told = decided(recorded, cloud, stage=str(stage))
         for name in ("stage", "q_values", "intervals", "chance_best", "warnings"):
@@ -215,14 +206,14 @@ def test_where_nobody_says_what_held_it_is_taken_as_act_takes_it(recorded, polic
             break
 
 
-def test_what_a_law_tells_of_looks_is_recorded(policy, shows, tmp_path):
+def test_what_a_law_tells_of_looks_is_recorded(tables, shows, tmp_path):
     folder, law, labels = tmp_path / "logs", law_of("shipped"), "object,label\n0,dirty\n1,clean\n2,dirty\n"
     (tmp_path / "t.pcd").write_bytes(shows(*CANS))
     (tmp_path / "l.csv").write_text(labels)
-    with client_of(policy, folder, law=law) as client:
+    with client_of(tables, folder, law=law) as client:
         for stage in (1, 2):
             past = None if stage == 1 else Past(read_logs(folder), held=False)
-            seen = see_table(read_policy(policy), tmp_path / "t.pcd", past, labels=tmp_path / "l.csv", law=law)
+            seen = see_table(read_policy(tables), tmp_path / "t.pcd", past, labels=tmp_path / "l.csv", law=law)
             told = decided(client, shows(*CANS), labels)
             rows = checked_stage(read_logs(folder), seen, told)
             assert (rows["seen"] > 0.0).all()
@@ -325,7 +316,7 @@ def test_the_log_is_there_whenever_the_server_is_killed(recorded, shows, tmp_pat
     assert len(left().objects) == 6
 
 
-def test_others_are_answered_while_a_cloud_is_looked_at_and_the_order_stays(policy, shows, tmp_path, monkeypatch):
+def test_others_are_answered_while_a_cloud_is_looked_at_and_the_order_stays(tables, shows, tmp_path, monkeypatch):
     may_go_on, is_looking = threading.Event(), threading.Event()
 
     def slowly(cloud):
@@ -346,14 +337,14 @@ def test_others_are_answered_while_a_cloud_is_looked_at_and_the_order_stays(poli
 
     monkeypatch.setattr(table_observation, "perceive", slowly)
     with RecordedPaths(tmp_path / "logs", is_of_tables=True) as paths:
-        served = Served(policy, Answering(paths=paths), extrapolates=True)
+        served = Served(tables, Answering(paths=paths), extrapolates=True)
         health, told, rewarded = asyncio.run(ask(app_of(served), shows(*CANS)))
     assert health["recording"] == {"path": None, "stage": 0, "waits_for": "decision"}
     assert told["stage"] == 1
     assert rewarded == {"path": 1, "stage": 1, "waits_for": "decision"}
 
 
-def test_nothing_is_decided_for_a_client_that_has_gone(policy, shows, tmp_path, monkeypatch):
+def test_nothing_is_decided_for_a_client_that_has_gone(tables, shows, tmp_path, monkeypatch):
     has_gone, sent = threading.Event(), []
 
     def hung_up(cloud):
@@ -377,17 +368,17 @@ def test_nothing_is_decided_for_a_client_that_has_gone(policy, shows, tmp_path, 
     scope = {"type": "http", "method": "POST", "path": "/decide", "query_string": b"", "headers": headers}
     monkeypatch.setattr(table_observation, "perceive", hung_up)
     with RecordedPaths(tmp_path / "logs", is_of_tables=True) as paths:
-        app = app_of(Served(policy, Answering(paths=paths), extrapolates=True))
+        app = app_of(Served(tables, Answering(paths=paths), extrapolates=True))
         asyncio.run(app(scope, receive, send))
         assert paths.facts == {"path": None, "stage": 0, "waits_for": "decision"}
     assert b"the client has gone" in sent[-1]["body"]
 
 
 @pytest.mark.slow
-def test_what_was_served_from_clouds_makes_the_next_log(policy, shows, tmp_path):
+def test_what_was_served_from_clouds_makes_the_next_log(tables, shows, tmp_path):
     rng, folder = np.random.default_rng(2), tmp_path / "logs"
     clouds, cans = {k: shows(*CANS[:k]) for k in (2, 3)}, None
-    with client_of(policy, folder, 0.5, rng) as client:
+    with client_of(tables, folder, 0.5, rng) as client:
         for path in range(30):
             num_left = len(CANS)
             for _ in range(2):
@@ -413,7 +404,7 @@ def test_what_was_served_from_clouds_makes_the_next_log(policy, shows, tmp_path)
     assert np.isfinite(told.doubly_robust.value)
 
 
-def test_the_verb_records_clouds(policy, shows, tmp_path, monkeypatch):
+def test_the_verb_records_clouds(tables, shows, tmp_path, monkeypatch):
     def ask(app, at, on_start):
         with TestClient(app, base_url="http://127.0.0.1") as client:
             for _ in range(2):
@@ -421,7 +412,7 @@ def test_the_verb_records_clouds(policy, shows, tmp_path, monkeypatch):
                 rewarded(client)
 
     monkeypatch.setattr("halfseen.serving.server.serve", ask)
-    words = ["serve", str(policy), "--record", str(tmp_path / "logs"), "--port", "0", "--extrapolate"]
+    words = ["serve", str(tables), "--record", str(tmp_path / "logs"), "--port", "0", "--extrapolate"]
     assert CliRunner().invoke(halfseen, words, catch_exceptions=False).exit_code == 0
     logs = read_logs(tmp_path / "logs")
     assert (logs.paths["cause"].tolist(), logs.stages["stage"].tolist()) == (["server stopped"], [1, 2])

@@ -76,9 +76,11 @@ def _decision(service: InService) -> Schema:
     values = {"type": "object", "additionalProperties": {"type": ["number", "null"]}}
     stored = service.stored
     actions = {} if stored.is_table else {"enum": list(stored.policy.actions)}
+    in_log = {"verb": _TEXT, "object": {"description": "As the log names it."}} if stored.is_table else {}
     return _object(
         {
             "action": actions or _TEXT,
+            **in_log,
             "probability": {**_NUMBER, "description": "With which this action was taken."},
             "is_explored": {"type": "boolean", "description": "Whether it was drawn to explore."},
             "stage": {"type": "integer"},

@@ -157,9 +157,9 @@ class RecordedPaths:
             if not isinstance(error, LogError):
                 raise
             raise Refusal(422, f"nothing is decided, for it could not be recorded: {error}") from error
-        self._path, self._num_begun, self._is_waiting = path, self._num_begun + 1, True
         self._begun, self._held = begun, None
         self._decided = {name: told[name] for name in ("action", "object") if name in told}
+        self._path, self._num_begun, self._is_waiting = path, self._num_begun + 1, True
         return path.name
 
     def _check_table(self, logs: Logs) -> None:
