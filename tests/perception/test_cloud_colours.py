@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from drawn_tables import K
 from jaxtyping import TypeCheckError
 from plyfile import PlyData, PlyElement
 from pypcd4 import Encoding, PointCloud
 
+from drawn_tables import K
 from halfseen.errors import CloudError
 from halfseen.perception import Cloud, read_cloud, write_pcd
 from halfseen.perception.colours import pixel_colours

@@ -4,9 +4,9 @@ import struct
 import lzf
 import numpy as np
 import pytest
-from drawn_tables import NUM_COLUMNS, NUM_ROWS, Can, K, draw
 from plyfile import PlyData, PlyElement
 
+from drawn_tables import NUM_COLUMNS, NUM_ROWS, Can, K, draw
 from halfseen.errors import ArgumentError, CloudError
 from halfseen.perception import Cloud, read_cloud, write_pcd
 

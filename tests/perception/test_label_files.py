@@ -1,8 +1,8 @@
 import json
 
 import pytest
-from drawn_tables import Can, draw
 
+from drawn_tables import Can, draw
 from halfseen.errors import ArgumentError
 from halfseen.perception import Label, LabelFile, Labeller, perceive, read_labels
 from halfseen.perception.labels import share_in_view

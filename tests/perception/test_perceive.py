@@ -4,8 +4,8 @@ from contextlib import suppress
 
 import numpy as np
 import pytest
-from drawn_tables import DOWN_RAD, EYE_M, TABLE_FROM_CAMERA, Can, Drawn, camera_point, draw
 
+from drawn_tables import DOWN_RAD, EYE_M, TABLE_FROM_CAMERA, Can, Drawn, camera_point, draw
 from halfseen.errors import CloudError
 from halfseen.perception import Cloud, View, perceive, read_cloud
 from halfseen.scene import table_paths

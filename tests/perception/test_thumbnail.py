@@ -4,9 +4,9 @@ import io
 
 import numpy as np
 import pytest
-from drawn_tables import Can, draw
 from PIL import Image
 
+from drawn_tables import Can, draw
 from halfseen.perception import perceive
 from halfseen.perception.picture import COLOURS, DOTS_PER_INCH, THUMBNAIL_INCHES, thumbnail
 

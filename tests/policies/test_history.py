@@ -54,8 +54,8 @@ SCENE = Scene(HIDES[np.ix_([2, 1, 0], [2, 1, 0])])
 ORDER = "objects of the history have no places (x_m, y_m, z_m): they are taken in their order"
 
 
-def present(scene, horizon, logs, places_m=None):
-    return present_state(scene, horizon, logs, dirty_share=0.6, places_m=places_m)
+def present(scene, horizon, logs, places_m=None, held=None):
+    return present_state(scene, horizon, logs, dirty_share=0.6, places_m=places_m, held=held)
 
 
 def test_a_first_state_is_what_the_world_begins_with_before_it_sees():
@@ -98,6 +98,33 @@ def test_what_became_of_a_lift_is_not_guessed():
     assert now.stage == 3
     assert np.asarray(attempt_counts(now.state)).tolist() == [[0, 0, 0], [0, 1, 0]]
     assert now.notes == (ORDER, "whether LIFT of 'mug' in stage 2 held is not known; it is not counted")
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_a_lift_counts_where_it_is_known_whether_it_held(held):
+    now = present(SCENE, 4, history("LIFT", "cup"), held=held)
+    assert (now.stage, now.notes, now.was) == (3, (ORDER,), (0, 1, 2))
+    assert now.state.lifts.tolist() == [1, int(held), 0]
+    assert np.asarray(attempt_counts(now.state)).tolist() == [[0, int(held), 0], [0, 2 - int(held), 0]]
+
+
+def test_whether_a_wash_held_is_not_guessed_where_it_is_known():
+    left = Scene(SCENE.hides[np.ix_([1, 2], [1, 2])])
+    assert present(left, 4, history("WASH", "bowl"), held=True).was == (1, 2)
+    failed = present(SCENE, 4, history("WASH", "bowl"), held=False)
+    assert np.asarray(attempt_counts(failed.state)).tolist() == [[0, 0, 0], [1, 1, 0]]
+    # By their places, objects may have been hidden or come into view as well.
+    scene, places_m = shows(2, 1)
+    hidden = present(scene, 4, placed("WASH", "bowl"), places_m, held=False)
+    assert (hidden.was, hidden.state.num_objects) == ((2, 1, 0), 3)
+    assert np.asarray(attempt_counts(hidden.state)).tolist() == [[0, 0, 0], [0, 1, 1]]
+    scene, places_m = shows(2, 1, 0)
+    back = present(scene, 4, placed("WASH", "bowl"), places_m, held=True)
+    assert (back.was, back.new) == ((2, 1, -1), (2,))
+    assert back.notes == ("WASH of 'bowl' held, but object 2 stands where it was: it is taken for another",)
+    for other in (True, False):
+        with pytest.raises(PolicyError, match="objects are on the table, and the cloud shows"):
+            present(Scene(np.zeros((4, 4))), 4, history("WASH", "bowl"), held=other)
 
 
 def test_what_is_washed_is_left_out():

@@ -37,14 +37,6 @@ def flat(tmp_path_factory):
     return folder
 
 
-@pytest.fixture(scope="module")
-def tables(tmp_path_factory):
-    logs = table_log(num_objects=3, hides=np.pad(HIDES, (0, 1)))
-    folder = tmp_path_factory.mktemp("serving") / "tables"
-    write_policy(CensoredQLearner.for_table(3, reg=0.1).fit(logs), logs, folder)
-    return folder
-
-
 def client_of(folder, token=None, largest_bytes=None, **answering):
     app = app_of(Served(folder, Answering(**answering)), token, largest_bytes=largest_bytes)
     return TestClient(app, base_url="http://127.0.0.1")
@@ -202,8 +194,9 @@ def test_what_is_decided_becomes_a_log_with_probabilities(flat, tmp_path):
 def test_a_path_in_progress_is_told_and_cut_when_the_server_stops(flat, tmp_path):
     with RecordedPaths(tmp_path / "logs") as paths, client_of(flat, paths=paths) as client:
         assert client.get("/health").json()["recording"] == {"path": None, "stage": 0, "waits_for": "decision"}
-        client.post("/decide", json=SEEN)
-        assert client.get("/health").json()["recording"] == {"path": 1, "stage": 1, "waits_for": "reward"}
+        told = client.post("/decide", json=SEEN).json()
+        where = {"path": 1, "stage": 1, "waits_for": "reward", "action": told["action"]}
+        assert client.get("/health").json()["recording"] == where
         client.post("/reward", json={"reward": 1.0, "elapsed_s": 2.0})
         assert "leave it out" in refused(client.post("/decide", json=SEEN | {"stage": 1}), 409)
         assert "is before" in refused(client.post("/end", json={"ending": "finished", "elapsed_s": 1.0}), 422)
@@ -314,7 +307,7 @@ def test_a_table_as_a_log_has_it_is_decided_and_recorded(tables, tmp_path):
         assert told["action"] == " ".join(str(one) for one in (told["verb"], told["object"]) if one is not None)
         client.post("/reward", json={"reward": 1.0})
         client.post("/end", json={"ending": "finished"})
-        assert "is not recorded" in refused(client.post("/decide", files={"cloud": ("t.pcd", b"")}), 409)
+        assert "not of tables" in refused(client.post("/decide", files={"cloud": ("t.pcd", b"")}), 409)
         wrong = [{**one, "location": "NOWHERE"} for one in objects]
         assert "NOWHERE" in refused(client.post("/decide", json={"objects": wrong}), 422)
     stored = read_logs(tmp_path / "logs")

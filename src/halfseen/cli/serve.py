@@ -48,7 +48,8 @@ def serve(
     be asked. POST /reload, or the signal SIGHUP, reads the folder again.
 
     With --record, each decision begins a stage of a log, with its probability; POST /reward completes it, and POST /end
-    ends its path: {"ending": "finished"}, or {"ending": "cut", "cause": "operator"}.
+    ends its path: {"ending": "finished"}, or {"ending": "cut", "cause": "operator"}. A cloud is then put where the path
+    stands, and {"reward": 5.0, "held": true} says whether its WASH or LIFT held.
     """
     import numpy as np
 
@@ -63,7 +64,11 @@ def serve(
     served = Served(policy, extrapolates=extrapolate)
     if served.service.counts_views:
         served.law = law_of(law or SHIPPED)
-    with bound_socket(host, port) as at, nullcontext() if record is None else RecordedPaths(record) as paths:
+    is_table = served.service.stored.is_table
+    with (
+        bound_socket(host, port) as at,
+        nullcontext() if record is None else RecordedPaths(record, is_of_tables=is_table) as paths,
+    ):
         served.answering = Answering(explore, np.random.default_rng(seed), paths)
         address, number = at.getsockname()[:2]
         url = f"http://{f'[{address}]' if ':' in address else address}:{number}"

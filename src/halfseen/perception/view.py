@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import QhullError
 
-from halfseen.arrays import Hides
+from halfseen.arrays import Hides, Points
 from halfseen.errors import CloudError
 from halfseen.perception.clouds import Cloud, Vector
 from halfseen.perception.extension import extended
@@ -102,10 +102,14 @@ class View:
     num_cut: int
     name: str
 
+    @property
+    def places_m(self) -> Points:
+        """Where each object is on the table: to the right of the camera's foot, away from it, and up [m]."""
+        return np.array([seen.solid.middle_m for seen in self.objects], dtype=np.float64).reshape(-1, 3)
+
     def scene(self) -> Scene:
         """Return what the world needs to know of this view."""
-        places_m = np.array([seen.solid.middle_m[:2] for seen in self.objects]).reshape(-1, 2)
-        return Scene(self.hides, self.name, places_m=places_m)
+        return Scene(self.hides, self.name, places_m=self.places_m[:, :2])
 
 
 def perceive(cloud: Cloud, sensor: DepthSensor = XTION) -> View:

@@ -21,12 +21,18 @@ from halfseen.world.table_checks import PLACE_COLUMNS
 
 
 def present_state(
-    scene: Scene, horizon: int, history: Logs, *, dirty_share: float, places_m: Points | None = None
+    scene: Scene,
+    horizon: int,
+    history: Logs,
+    *,
+    dirty_share: float,
+    places_m: Points | None = None,
+    held: bool | None = None,
 ) -> Present:
     """State of a table whose path is the last of a log.
 
     The log knows a table as it was when its last stage began. Where that stage has an action, it is taken as carried
-    out; a WASH succeeded if its object is gone.
+    out. Where nobody knows whether it held, a WASH did if its object is gone, and a LIFT is not counted.
 
     Parameters
     ----------
@@ -41,6 +47,8 @@ def present_state(
         P(DIRTY) of an object before any label; in (0, 1).
     places_m
         Where the objects of the scene are, in the frame of the history's places [m]; None if nobody knows.
+    held
+        Whether the last action held; None if nobody knows, or nothing was done.
 
     Raises
     ------
@@ -49,21 +57,26 @@ def present_state(
     PolicyError
         The cloud shows other objects than the history, or no step is left.
     """
-    path = history.select(history.path_ids[-1:])
+    path = history if history.num_paths == 1 else history.select(history.path_ids[-1:])
     last, done = _last_table(path, horizon), _last_action(path)
-    same = _identities(path, last, done, scene, places_m)
+    same = _identities(path, last, done, held, scene, places_m)
     tried, notes = _attempts(last, same.was), [*same.notes]
-    if done is not None and done.verb != Verb.WASH.name:
-        held = f"whether {done.verb} of {shown(_names(path)[done.target])} in stage {path.horizon} held"
-        notes.append(f"{held} is not known; it is not counted")
-    elif done is not None and not same.is_washed:
-        occluded = 1.0 - np.prod(1.0 - last.hides[done.target][last.is_on_table])
-        tried.append(Tried(int(np.flatnonzero(same.was == done.target)[0]), float(occluded), False))
-    stage = path.horizon + (done is not None)
     known = _known(last, same.was, unknown(scene, dirty_share))
+    if done is not None:
+        is_wash = done.verb == Verb.WASH.name
+        is_held = same.is_washed if held is None and is_wash else held
+        if is_held is None:
+            whether = f"whether {done.verb} of {shown(_names(path)[done.target])} in stage {path.horizon} held"
+            notes.append(f"{whether} is not known; it is not counted")
+        elif not (is_held and is_wash):
+            target = int(np.flatnonzero(same.was == done.target)[0])
+            occluded = 1.0 - np.prod(1.0 - last.hides[done.target][last.is_on_table])
+            tried.append(Tried(target, float(occluded), is_held))
+            known.lifts[target] += is_held and done.verb == Verb.LIFT.name
+    stage = path.horizon + (done is not None)
     state = state_now(_hides(last, same.was, scene), known, tried, horizon, stage)
-    new = tuple(np.flatnonzero(same.was < 0).tolist())
-    return Present(state, stage, tuple(notes), is_labelled=done is None, new=new, dirty_share=dirty_share)
+    new, was = tuple(np.flatnonzero(same.was < 0).tolist()), tuple(same.was.tolist())
+    return Present(state, stage, tuple(notes), done is None, new, was, dirty_share=dirty_share)
 
 
 class _Done(NamedTuple):
@@ -108,15 +121,18 @@ def _last_action(path: Logs) -> _Done | None:
     return _Done(verb, listed.index(name))
 
 
-def _identities(path: Logs, last: Any, done: _Done | None, scene: Scene, places_m: Points | None) -> Identities:
-    kept = np.flatnonzero(last.is_on_table)
+def _identities(
+    path: Logs, last: Any, done: _Done | None, held: bool | None, scene: Scene, places_m: Points | None
+) -> Identities:
+    kept, rows = np.flatnonzero(last.is_on_table), _last_rows(path)
     washed = done.target if done is not None and done.verb == Verb.WASH.name else None
-    rows = _last_rows(path)
+    racked = washed if held else None
+    kept, washed = kept[kept != racked], washed if held is None else None
     try:
         if places_m is None or not set(PLACE_COLUMNS) <= set(rows.columns):
             return by_order(kept, last.hides, scene.hides, washed)
         was_m = np.stack([as_floats("objects", rows, column).to_numpy() for column in PLACE_COLUMNS], axis=1)
-        return by_place(kept, rows["object"].tolist(), was_m, places_m, washed)
+        return by_place(kept, rows["object"].tolist(), was_m, places_m, washed, racked)
     except PolicyError as error:
         raise PolicyError(f"{place(path.stages, -1)}: {error}") from error
 

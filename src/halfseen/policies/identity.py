@@ -35,6 +35,7 @@ def by_place(
     was_m: Float[np.ndarray, "n 3"],
     now_m: Float[np.ndarray, "m 3"],
     washed: int | None,
+    racked: int | None = None,
 ) -> Identities:
     """Find the objects of a history again where they were, or near.
 
@@ -51,6 +52,8 @@ def by_place(
         Where the objects of the cloud are, in the same frame [m].
     washed
         Rank of the object of a WASH of which nobody wrote down whether it held; None if there was none.
+    racked
+        Rank of the object of a WASH that held just now, not among those kept; None if there was none.
 
     Raises
     ------
@@ -65,7 +68,7 @@ def by_place(
         raise PolicyError(
             f"none of the {len(now_m)} objects that the cloud shows is within {FARTHEST_M:.2f} m of where one of the "
             f"{len(kept)} objects on the table was: the history is of another table, or its camera stood elsewhere; "
-            "give the log of this table"
+            "give the log of this table, or begin a new path"
         )
     was = np.full(len(now_m), -1)
     for rank, now in number_of.items():
@@ -84,6 +87,12 @@ def by_place(
                 f"WASH of {shown(names[washed])} is taken to have failed: object {number_of[washed]}, {away_m:.2f} m "
                 "from where it was, is taken for it"
             )
+    if racked is not None:
+        stands = (was < 0) & (np.linalg.norm(now_m - was_m[racked], axis=1) < NEARLY_AS_NEAR_M)
+        notes += [
+            f"WASH of {shown(names[racked])} held, but object {now} stands where it was: it is taken for another"
+            for now in np.flatnonzero(stands).tolist()
+        ]
     notes += [
         f"object {len(now_m) + k} is {shown(names[rank])} of the history, which the cloud does not show: it is taken "
         "to be hidden where it was"

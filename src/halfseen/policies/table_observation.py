@@ -1,6 +1,7 @@
 """From a cloud of a table, and its history, to what a policy decides from."""
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -37,6 +38,17 @@ class SeenLaw(Protocol):
         ...
 
 
+class Past(NamedTuple):
+    """The path so far of a table that is seen again."""
+
+    logs: Logs
+    """It is the last one of these."""
+    held: bool | None = None
+    """Whether its last action held; None if nobody knows."""
+    folder: Path | None = None
+    """Where the logs were read, for messages; None if nowhere."""
+
+
 class TableSeen(NamedTuple):
     """A table in front of the camera."""
 
@@ -56,7 +68,7 @@ def read_table(
     labels: Path | None = None,
     law: SeenLaw | None = None,
 ) -> TableSeen:
-    """See the table, and put it where the path stands.
+    """See the table, and put it where the path stands by a folder of logs.
 
     Parameters
     ----------
@@ -70,16 +82,46 @@ def read_table(
     HalfseenError
         A file cannot be read, or does not fit the policy.
     """
+    past = None if history is None else Past(read_logs(history), folder=history)
+    return see_table(stored, file, past, stage, labels, law)
+
+
+def see_table(
+    stored: StoredPolicy,
+    file: Path,
+    past: Past | None = None,
+    stage: int | None = None,
+    labels: Path | None = None,
+    law: SeenLaw | None = None,
+) -> TableSeen:
+    """See the table, and put it where the path stands.
+
+    Parameters
+    ----------
+    stored
+        A policy of tables.
+    file, stage, labels, law
+        As `read_observation` takes them.
+    past
+        The path so far; None where it begins.
+
+    Raises
+    ------
+    HalfseenError
+        A file cannot be read, or does not fit the policy.
+    """
     if file.suffix in STATE_FILES:
         raise PolicyError(f"{file}: the policy is of tables, and this is no point cloud; give .pcd, .ply or .npz")
-    logs = None if history is None else read_logs(history)
     cloud = read_cloud(file)
     view = perceive(cloud)
     if not view.objects:
-        raise CloudError(f"{file}: no objects on the table; put the table with its objects whole into the view")
+        cleared = "" if past is None else "; where it is cleared, the path is over"
+        raise CloudError(
+            f"{file}: no objects on the table; put the table with its objects whole into the view{cleared}"
+        )
     told, others = labels_of(view, cloud, labels), other_things_in_words(view)
     scene = view.scene() if law is None else law.scene(view)
-    now = _present(stored, view, scene, logs, history, stage)
+    now = _present(stored, view, scene, past, stage)
     if others:
         now = replace(now, notes=(others, *now.notes))
     if told is None:
@@ -89,19 +131,18 @@ def read_table(
     return TableSeen(replace(after, seen=_seen(now, after, told, source)), view, others)
 
 
-def _present(
-    stored: StoredPolicy, view: View, scene: Scene, logs: Logs | None, history: Path | None, stage: int | None
-) -> Present:
+def _present(stored: StoredPolicy, view: View, scene: Scene, past: Past | None, stage: int | None) -> Present:
     dirty_share = stored.record["schema"]["dirty_share"]
-    if logs is None:
+    if past is None:
         return first_state(scene, stored.horizon, dirty_share, stage or 1)
-    places_m = np.array([seen.solid.middle_m for seen in view.objects])
-    with within(history):
-        refuse_log_of_team(stored, logs)
-        now = present_state(scene, stored.horizon, logs, dirty_share=dirty_share, places_m=places_m)
+    with nullcontext() if past.folder is None else within(past.folder):
+        refuse_log_of_team(stored, past.logs)
+        now = present_state(
+            scene, stored.horizon, past.logs, dirty_share=dirty_share, places_m=view.places_m, held=past.held
+        )
     if stage not in (None, now.stage):
         raise ArgumentError(
-            f"--stage is {stage}, but by {history} the path has come to stage {now.stage}; leave it out"
+            f"--stage is {stage}, but by {past.folder} the path has come to stage {now.stage}; leave it out"
         )
     return now
 

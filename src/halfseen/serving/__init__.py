@@ -2,8 +2,9 @@
 
 Read down: `refusal` (what is said where a request is refused) → `in_service` (a policy that is warm) → `exploring` (now
 and then another action, with its probability) → `paths` (what was decided becomes the next log) → `table_state`, `seen`
-(requests → what a policy decides from) → `answering` (a question, an answer) → `openapi`, `page` (what can be asked,
-for programs and for people) → `bounds` (who may ask, how much and how slowly) → `forms`, `hang_up`, `app` → `server`.
+(requests → what a policy decides from, and what is recorded of it) → `answering` (a question, an answer) → `openapi`,
+`page` (what can be asked, for programs and for people) → `bounds` (who may ask, how much and how slowly) → `forms`,
+`hang_up`, `app` → `server`.
 """
 
 from typing import TYPE_CHECKING

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from halfseen.serving.exploring import Taken, taken
+from halfseen.serving.exploring import taken
 from halfseen.serving.in_service import InService
 from halfseen.serving.paths import RecordedPaths
 from halfseen.serving.seen import Seen
@@ -30,14 +30,12 @@ class Answering:
     paths: RecordedPaths | None = None
 
     def answer(self, service: InService, seen: Seen) -> dict[str, Any]:
-        """Decide, record it, and say so.
+        """Decide, and say so.
 
         Raises
         ------
         HalfseenError
             The policy cannot decide from this.
-        Refusal
-            It cannot be recorded; then nothing was decided.
         """
         made = taken(seen.decide(), self.epsilon, self.rng)
         decision, stored = made.decision, service.stored
@@ -53,17 +51,17 @@ class Answering:
         }
         if seen.told:
             told["seen"] = seen.told
-        verb, target = _acted_on(made, seen)
         if seen.names:
-            told |= {"verb": verb, "object": target}
-        if self.paths is not None:
-            told["path"] = self.paths.decided(seen.covariates, verb, made.probability, target, seen.objects)
+            verb, _, number = str(decision.action).partition(" ")
+            told |= {"verb": verb, "object": seen.names[int(number)] if number else None}
         return told
 
+    def recorded(self, seen: Seen, told: dict[str, Any]) -> dict[str, Any]:
+        """Record what was decided, where that is wanted, and say so.
 
-def _acted_on(made: Taken, seen: Seen) -> tuple[Any, Any]:
-    """Take the name of an action at a table apart: what is done, and to which object."""
-    if not seen.names:
-        return made.decision.action, None
-    verb, _, number = made.decision.action.partition(" ")
-    return verb, seen.names[int(number)] if number else None
+        Raises
+        ------
+        Refusal
+            It cannot be recorded; then nothing was decided.
+        """
+        return told if self.paths is None else told | {"path": self.paths.decided(seen.begun, told)}

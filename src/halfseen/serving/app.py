@@ -91,15 +91,32 @@ class Served:
             raise Refusal(409, "this server records nothing; start it with --record LOGS")
         return self.answering.paths
 
-    async def answer(self, look: Callable[[InService], Seen]) -> dict[str, Any]:
-        """Look, decide and record, one at a time; tables decide beside the loop, so that others are answered."""
+    async def answer(self, request: Request, look: Callable[[InService], Seen]) -> dict[str, Any]:
+        """Look, decide and record, one at a time; tables decide beside the loop, so that others are answered.
+
+        Raises
+        ------
+        Refusal
+            It cannot be recorded, or nobody would learn what was decided; then nothing was.
+        """
         async with self.lock:
             service = self.service
 
-            def decide() -> dict[str, Any]:
-                return self.answering.answer(service, look(service))
+            def decide() -> tuple[Seen, dict[str, Any]]:
+                seen = look(service)
+                return seen, self.answering.answer(service, seen)
 
-            return await run_in_threadpool(decide) if service.stored.is_table else decide()
+            if not service.stored.is_table:
+                return self.answering.recorded(*decide())
+            await _check_is_there(request)
+            seen, told = await run_in_threadpool(decide)
+            await _check_is_there(request)
+            return await run_in_threadpool(self.answering.recorded, seen, told)
+
+
+async def _check_is_there(request: Request) -> None:
+    if await request.is_disconnected():
+        raise Refusal(408, "the client has gone; nothing is decided")
 
 
 def app_of(served: Served, token: str | None = None, *, largest_bytes: int | None = None) -> App:
@@ -154,26 +171,24 @@ async def _decide(served: Served, request: Request) -> dict[str, Any]:
     kind = _content_type(request)
     if kind == "multipart/form-data":
         return await _decide_cloud(served, request)
-    state = await _object(request)
+    state, paths = await _object(request), served.answering.paths
 
     def look(service: InService) -> Seen:
-        paths = served.answering.paths
-        return seen_in_state(service, state, None if paths is None else paths.next_stage)
+        return seen_in_state(service, state, None if paths is None else paths.next_stage())
 
-    return await served.answer(look)
+    return await served.answer(request, look)
 
 
 async def _decide_cloud(served: Served, request: Request) -> dict[str, Any]:
-    if served.answering.paths is not None:
-        raise Refusal(409, "what a cloud shows is not recorded; POST the objects as JSON, or serve without --record")
     async with cloud_in(request) as given:
-        return await served.answer(lambda service: seen_in_cloud(service, *given, served.law))
+        paths = served.answering.paths
+        return await served.answer(request, lambda service: seen_in_cloud(service, *given, served.law, paths))
 
 
 async def _reward(served: Served, request: Request) -> dict[str, Any]:
-    told = await _object(request, required=("reward",), others=("elapsed_s",))
+    told = await _object(request, required=("reward",), others=("elapsed_s", "held"))
     async with served.lock:
-        return served.paths.rewarded(told["reward"], told.get("elapsed_s"))
+        return served.paths.rewarded(told["reward"], told.get("elapsed_s"), told.get("held"))
 
 
 async def _end(served: Served, request: Request) -> dict[str, Any]:

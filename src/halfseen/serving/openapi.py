@@ -10,6 +10,11 @@ Schema = dict[str, Any]
 
 _NUMBER: Schema = {"type": "number"}
 _TEXT: Schema = {"type": "string"}
+_HELD = {
+    "type": "boolean",
+    "description": "Of clouds: whether the WASH or LIFT held. Without it, a WASH did if its object is gone, and a LIFT "
+    "is not counted.",
+}
 _ELAPSED = {**_NUMBER, "description": "Seconds since the path began; always or never. Without it, the server's clock."}
 
 
@@ -26,7 +31,7 @@ def described(service: InService, *, is_recording: bool) -> Schema:
     decide, reload = _post("Decide what to do now, and say why.", _asked(service), _decision(service)), _reloaded()
     paths = {"/decide": decide, "/reload": reload, "/health": _health()}
     if is_recording:
-        paths |= {"/reward": _rewarded(), "/end": _ended()}
+        paths |= {"/reward": _rewarded(service), "/end": _ended()}
     return {
         "openapi": "3.1.0",
         "info": {"title": f"halfseen policy {service.digest}", "version": halfseen.__version__},
@@ -71,9 +76,11 @@ def _decision(service: InService) -> Schema:
     values = {"type": "object", "additionalProperties": {"type": ["number", "null"]}}
     stored = service.stored
     actions = {} if stored.is_table else {"enum": list(stored.policy.actions)}
+    in_log = {"verb": _TEXT, "object": {"description": "As the log names it."}} if stored.is_table else {}
     return _object(
         {
             "action": actions or _TEXT,
+            **in_log,
             "probability": {**_NUMBER, "description": "With which this action was taken."},
             "is_explored": {"type": "boolean", "description": "Whether it was drawn to explore."},
             "stage": {"type": "integer"},
@@ -86,8 +93,9 @@ def _decision(service: InService) -> Schema:
     )
 
 
-def _rewarded() -> Schema:
-    body = _object({"reward": _NUMBER, "elapsed_s": _ELAPSED}, ["reward"])
+def _rewarded(service: InService) -> Schema:
+    held = {"held": _HELD} if service.stored.is_table else {}
+    body = _object({"reward": _NUMBER, "elapsed_s": _ELAPSED, **held}, ["reward"])
     return _post("Complete the stage in progress.", {"application/json": {"schema": body}}, {"type": "object"})
 
 

@@ -5,16 +5,49 @@ the end. So the client is asked for no more than what `LogRecorder` is told, and
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, NamedTuple
 
 from halfseen.errors import LogError
+from halfseen.logs import Logs
 from halfseen.logs.recording.recorder import LogRecorder, PathRecorder
 from halfseen.serving.refusal import Refusal
 
 STOPPED = "server stopped"
 """Cause of the cut of a path that was in progress when the server stopped."""
+
+
+@dataclass(frozen=True, eq=False)
+class Begun:
+    """What is recorded of a stage that begins, besides what is done.
+
+    Parameters
+    ----------
+    covariates, objects
+        As `PathRecorder.begin_stage` takes them.
+    columns
+        Of its path, if this is the first stage.
+    is_of_cloud
+        Whether the objects are what a cloud shows.
+    """
+
+    covariates: Mapping[str, Any] = field(default_factory=dict)
+    objects: list[dict[str, Any]] | None = None
+    columns: Mapping[str, Any] = field(default_factory=dict)
+    is_of_cloud: bool = False
+
+
+class SoFar(NamedTuple):
+    """A path in progress, to go on from."""
+
+    logs: Logs
+    """It alone, as whoever reads it later has it."""
+    objects: list[dict[str, Any]]
+    """Of its last stage."""
+    held: bool | None
+    """Whether its last action held; None if nobody said."""
 
 
 class RecordedPaths:
@@ -24,6 +57,9 @@ class RecordedPaths:
     ----------
     folder
         Where to, as `LogRecorder` takes it.
+    is_of_tables
+        Whether stages are of tables: then what would break a rule of theirs is not recorded, and a path can be gone on
+        from.
 
     Raises
     ------
@@ -31,11 +67,16 @@ class RecordedPaths:
         The folder cannot be recorded into.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self._recorder = LogRecorder(folder)
+    def __init__(self, folder: Path, *, is_of_tables: bool = False) -> None:
+        self._recorder = LogRecorder(folder, check=self._check_table if is_of_tables else None)
+        self._is_of_tables = is_of_tables
+        self._checked: Logs | None = None
         self._path: PathRecorder | None = None
         self._num_begun = 0
         self._is_waiting = False
+        self._begun = Begun()
+        self._decided: dict[str, Any] = {}
+        self._held: bool | None = None
 
     def __enter__(self) -> "RecordedPaths":
         return self
@@ -43,65 +84,99 @@ class RecordedPaths:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self._recorder.close(STOPPED)
 
-    @property
-    def next_stage(self) -> int:
+    def next_stage(self, *, is_of_cloud: bool = False) -> int:
         """Stage that the next decision begins, from 1.
+
+        Parameters
+        ----------
+        is_of_cloud
+            As `Begun` has it.
 
         Raises
         ------
         Refusal
-            The stage before has no reward yet.
+            The stage before has no reward yet, or the path goes on in another form than it began.
         """
+        self._check_rewarded()
+        if is_of_cloud and not self._is_of_tables:
+            raise Refusal(
+                409, "recording began with a policy that is not of tables; serve this one into another folder"
+            )
+        if self._path is not None and self._begun.is_of_cloud != is_of_cloud:
+            began, other = ("a cloud", "JSON") if self._begun.is_of_cloud else ("JSON", "a cloud")
+            raise Refusal(409, f"{self._where}: it came as {began}, and now {other}; give one form from end to end")
+        return self._num_begun + 1
+
+    def _check_rewarded(self) -> None:
         if self._is_waiting:
             raise Refusal(409, f"{self._where}: it has no reward yet; POST it to /reward, or the path's end to /end")
-        return self._num_begun + 1
+
+    @property
+    def so_far(self) -> SoFar | None:
+        """The path of tables in progress; None where none is."""
+        if self._path is None or self._checked is None or self._begun.objects is None:
+            return None
+        return SoFar(self._checked, self._begun.objects, self._held)
 
     @property
     def facts(self) -> dict[str, Any]:
-        """Where it stands, for a client that has forgotten it: the path, its last stage, and what is waited for."""
-        waits_for = "reward" if self._is_waiting else "decision"
-        return {"path": self._path and self._path.name, "stage": self._num_begun, "waits_for": waits_for}
+        """Where it stands, for a client that has forgotten it: the path, its last stage, and what is waited for.
 
-    def decided(
-        self,
-        covariates: Mapping[str, Any],
-        action: Any,
-        probability: float,
-        target: Any = None,
-        objects: list[dict[str, Any]] | None = None,
-    ) -> Any:
+        Where that is a reward, it is told for what: the answer may have been lost.
+        """
+        told = {"path": self._path and self._path.name, "stage": self._num_begun}
+        return told | ({"waits_for": "reward", **self._decided} if self._is_waiting else {"waits_for": "decision"})
+
+    def decided(self, begun: Begun, told: Mapping[str, Any]) -> Any:
         """Begin a stage with what was seen and is done, and name its path.
 
         Parameters
         ----------
-        covariates, action, probability, objects
-            As `PathRecorder.begin_stage` takes them.
-        target
-            The object that is acted on, if any.
+        begun
+            What was seen.
+        told
+            What is answered: action and probability, and at a table verb and object.
 
         Raises
         ------
         Refusal
             The stage before has no reward yet, or a value is none that this log takes.
         """
-        _ = self.next_stage
+        self.next_stage(is_of_cloud=begun.is_of_cloud)
+        verb, target = told.get("verb", told["action"]), told.get("object")
+        before = self._checked
         try:
-            path = self._path or self._recorder.begin_path()
-            path.begin_stage(covariates, objects, action=action, object=target, probability=probability)
-        except LogError as error:
-            if self._path is None:
-                path.cut(STOPPED)  # nothing is written of a path that has no stage yet
+            path = self._path or self._recorder.begin_path(**begun.columns)
+            path.begin_stage(
+                begun.covariates, begun.objects, action=verb, object=target, probability=told["probability"]
+            )
+        except Exception as error:
+            self._checked, begun_path = before, self._recorder.path
+            if self._path is None and begun_path is not None and not begun_path.is_ended:
+                begun_path.cut(STOPPED)  # nothing is written of a path that has no stage yet
+            if not isinstance(error, LogError):
+                raise
             raise Refusal(422, f"nothing is decided, for it could not be recorded: {error}") from error
+        self._begun, self._held = begun, None
+        self._decided = {name: told[name] for name in ("action", "object") if name in told}
         self._path, self._num_begun, self._is_waiting = path, self._num_begun + 1, True
         return path.name
 
-    def rewarded(self, reward: Any, elapsed_s: Any = None) -> dict[str, Any]:
+    def _check_table(self, logs: Logs) -> None:
+        from halfseen.world.table_checks import checked_objects
+
+        checked_objects(logs, logs.horizon)
+        self._checked = logs
+
+    def rewarded(self, reward: Any, elapsed_s: Any = None, held: Any = None) -> dict[str, Any]:
         """Complete the stage in progress.
 
         Parameters
         ----------
         reward, elapsed_s
             As `PathRecorder.complete_stage` takes them.
+        held
+            Of a path of clouds, whether the attempt held; None if nobody knows.
 
         Raises
         ------
@@ -110,12 +185,23 @@ class RecordedPaths:
         """
         if self._path is None or not self._is_waiting:
             raise Refusal(409, "no stage waits for a reward; POST what is seen to /decide first")
+        self._check_held(held)
         try:
             self._path.complete_stage(reward, elapsed_s=elapsed_s)
         except LogError as error:
             raise Refusal(422, str(error)) from error
-        self._is_waiting = False
+        self._is_waiting, self._held = False, held
         return self.facts
+
+    def _check_held(self, held: Any) -> None:
+        if held is None:
+            return
+        if not isinstance(held, bool):
+            raise Refusal(422, f"{self._where}: held is {str(held)[:20]!r}; it is true or false")
+        if not self._begun.is_of_cloud:
+            raise Refusal(422, f"{self._where}: held is for clouds, and this came as JSON, which tells it itself")
+        if self._decided["object"] is None:
+            raise Refusal(422, f"{self._where}: held is {held}, but {self._decided['action']} tries nothing")
 
     def ended(self, cause: str | None, elapsed_s: Any = None) -> dict[str, Any]:
         """End the path in progress.
@@ -135,7 +221,7 @@ class RecordedPaths:
         if self._path is None:
             raise Refusal(409, "no path is in progress; POST what is seen to /decide, which begins one")
         if cause is None:
-            _ = self.next_stage
+            self._check_rewarded()
         try:
             if cause is None:
                 self._path.finish(elapsed_s=elapsed_s)
@@ -144,7 +230,7 @@ class RecordedPaths:
         except LogError as error:
             raise Refusal(422, str(error)) from error
         told = {"path": self._path.name, "stages": self._num_begun, "ending": "finished" if cause is None else "cut"}
-        self._path, self._num_begun = None, 0
+        self._path, self._checked, self._num_begun = None, None, 0
         self._is_waiting = False
         return told
 

@@ -1,7 +1,7 @@
 """From a request to what a policy decides from: covariates, the objects of a table as a log has them, or a cloud."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +10,7 @@ from halfseen.policies.decision import Decision
 from halfseen.policies.named_decider import NamedDecider
 from halfseen.policies.named_observation import checked_stage, known_covariates
 from halfseen.serving.in_service import InService
+from halfseen.serving.paths import Begun, RecordedPaths
 from halfseen.serving.refusal import Refusal
 
 if TYPE_CHECKING:
@@ -30,10 +31,8 @@ class Seen:
         Asks it.
     stage
         The stage to decide, from 1.
-    covariates
+    begun
         To be recorded.
-    objects
-        To be recorded; None where there are none.
     names
         Of the objects, in the order of the numbers that actions have; none where nothing is acted on.
     told
@@ -42,8 +41,7 @@ class Seen:
 
     decide: Callable[[], Decision]
     stage: int
-    covariates: Mapping[str, Any] = field(default_factory=dict)
-    objects: list[dict[str, Any]] | None = None
+    begun: Begun = field(default_factory=Begun)
     names: Sequence[Any] = ()
     told: str = ""
 
@@ -67,17 +65,20 @@ def seen_in_state(service: InService, state: Mapping[str, Any], next_stage: int 
     Refusal
         It says another stage than the one that is recorded next.
     """
-    said = state.get(STAGE, next_stage or 1)
-    stage = checked_stage(said, service.stored.horizon, BODY)
-    if next_stage not in (None, stage):
-        raise Refusal(409, f"stage is {stage}, but the path in progress has come to {next_stage}; leave it out")
+    stage = checked_stage(state.get(STAGE, next_stage or 1), service.stored.horizon, BODY)
+    _check_next(stage, next_stage)
     covariates = {name: value for name, value in state.items() if name not in (STAGE, OBJECTS)}
     if service.stored.is_table:
         return _table(service, state, covariates, stage)
     decider = service.decider
     assert isinstance(decider, NamedDecider), "what is not of tables is of named actions"
     known = known_covariates(decider.policy, state, BODY)
-    return Seen(lambda: decider.decide_known(known, stage), stage, covariates)
+    return Seen(lambda: decider.decide_known(known, stage), stage, Begun(covariates))
+
+
+def _check_next(stage: int | None, next_stage: int | None) -> None:
+    if next_stage is not None and stage not in (None, next_stage):
+        raise Refusal(409, f"stage is {stage}, but the path in progress has come to {next_stage}; leave it out")
 
 
 def _table(service: InService, state: Mapping[str, Any], covariates: Mapping[str, Any], stage: int) -> Seen:
@@ -87,33 +88,55 @@ def _table(service: InService, state: Mapping[str, Any], covariates: Mapping[str
     from halfseen.serving.table_state import present_of
 
     present, names = present_of(service.stored, objects, stage)
-    return Seen(lambda: service.decider.decide(present), stage, covariates, objects, names)
+    return Seen(lambda: service.decider.decide(present), stage, Begun(covariates, objects), names)
 
 
 def seen_in_cloud(
-    service: InService, cloud: Path, labels: Path | None, stage: int | None, law: "SeenLaw | None"
+    service: InService,
+    cloud: Path,
+    labels: Path | None,
+    stage: int | None,
+    law: "SeenLaw | None",
+    paths: RecordedPaths | None = None,
 ) -> Seen:
-    """Take a cloud of a table that nothing is known of but this look.
+    """Take a cloud of a table that nothing is known of but this look, and what is recorded of its path.
 
     Parameters
     ----------
     service
         What decides.
     cloud, labels, stage, law
-        As `halfseen.policies.table_observation.read_table` takes them.
+        As `halfseen.policies.table_observation.see_table` takes them.
+    paths
+        What records; None if nothing is recorded, and then the cloud begins a path.
 
     Raises
     ------
     HalfseenError
         The files cannot be read, or are not what the policy looks at; the folder of the cloud is left out of the line.
+    Refusal
+        The policy is not of tables, the stage is another than the one that is recorded next, or that cannot begin.
     """
     if not service.stored.is_table:
         looks_at = ", ".join(service.stored.policy.covariates) or "no covariates"
         raise Refusal(415, f"the policy looks at {looks_at}, not at clouds; give a JSON object of these")
-    from halfseen.policies.table_observation import read_table
+    from halfseen.policies.table_observation import Past, see_table
 
+    if paths is not None:
+        _check_next(stage, paths.next_stage(is_of_cloud=True))
+    so_far = None if paths is None else paths.so_far
+    past = None if so_far is None else Past(so_far.logs, so_far.held)
     try:
-        present = read_table(service.stored, cloud, None, stage, labels, law).present
+        table = see_table(service.stored, cloud, past, stage, labels, law)
     except HalfseenError as error:
         raise type(error)(str(error).replace(f"{cloud.parent}/", "")) from error
-    return Seen(lambda: service.decider.decide(present), present.stage, told=present.seen)
+    present, told = table.present, table.present.seen.replace(f"{cloud.parent}/", "")
+    seen = Seen(lambda: service.decider.decide(present), present.stage, told=told)
+    if paths is None:
+        return seen
+    from halfseen.serving.table_state import rows_of
+
+    before = () if so_far is None else so_far.objects
+    rows, names = rows_of(present, table.view.places_m, before, counts_views=law is not None)
+    columns = {"dirty_share": present.dirty_share}
+    return replace(seen, begun=Begun({}, rows, columns, is_of_cloud=True), names=names)

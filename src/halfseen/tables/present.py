@@ -30,6 +30,9 @@ class Present:
         True if the log-odds hold what this look told: labels of it must not be added again.
     new
         Numbers of the objects that the history lacks: their labels count all the same.
+    was
+        Of each object, its number among those of the history's last stage; −1 where that lacks it. Empty without a
+        history.
     seen
         What labels told, in one sentence.
     dirty_share
@@ -41,6 +44,7 @@ class Present:
     notes: tuple[str, ...] = ()
     is_labelled: bool = False
     new: tuple[int, ...] = ()
+    was: tuple[int, ...] = ()
     seen: str = ""
     dirty_share: float | None = None
 

@@ -105,7 +105,7 @@ def _drop_outs(cuts: CutEpisodes, cause: str) -> dict[str, pd.Series]:
 
 
 def _objects(cuts: CutEpisodes, of_table: CutEpisodes, begun: Int[np.ndarray, "rows 2"]) -> pa.Table:
-    objects = objects_of(of_table, begun)
+    objects = objects_of(of_table.episodes.states, begun)
     path, stage, target = (objects[name].to_numpy() for name in ("path", "stage", "object"))
     workspace, table = cuts.episodes.states.workspace, of_table.episodes.states
     reached = np.asarray(workspace.is_in_reach)[path, stage - 1, :, target]

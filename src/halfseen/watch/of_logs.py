@@ -107,7 +107,7 @@ def _chances(path: Logs, stage: Any, view: View) -> list[float]:
     told = 1.0 / (1.0 + np.exp(-as_floats("objects", rows, "log_odds").to_numpy()))
     if set(PLACE_COLUMNS) <= set(rows.columns):
         places_m = np.stack([as_floats("objects", rows, column).to_numpy() for column in PLACE_COLUMNS], axis=1)
-        now = matched(places_m, np.array([seen.solid.middle_m for seen in view.objects]).reshape(-1, 3)).now
+        now = matched(places_m, view.places_m).now
     else:
         now = np.arange(len(rows))
     for chance, number in zip(told.tolist(), now.tolist(), strict=True):

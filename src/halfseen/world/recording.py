@@ -44,7 +44,9 @@ def to_logs(cuts: CutEpisodes, kind: CutKind | str, scenes: Sequence[Scene], dir
         P(DIRTY) of an object before any label, from which the log-odds started; None if it is not to be told.
     """
     begun = np.argwhere(cuts.is_begun)
-    return Logs(stages_of(cuts, begun), paths_of(cuts, kind, scenes, dirty_share), objects_of(cuts, begun))
+    return Logs(
+        stages_of(cuts, begun), paths_of(cuts, kind, scenes, dirty_share), objects_of(cuts.episodes.states, begun)
+    )
 
 
 def elapsed_s(cuts: CutEpisodes) -> Float[np.ndarray, "n T"]:
@@ -103,9 +105,8 @@ def history_of(states: TableState) -> tuple[Float[jax.Array, "*B N"], ...]:
     return jax.vmap(jax.vmap(one))(states)
 
 
-def objects_of(cuts: CutEpisodes, begun: Int[np.ndarray, "rows 2"]) -> pa.Table:
-    """What was seen of each object in the stages that were begun."""
-    states = cuts.episodes.states
+def objects_of(states: TableState, begun: Int[np.ndarray, "rows 2"]) -> pa.Table:
+    """What was seen of each object in the stages that were begun, (path, stage) from 0; of states with axes (n, T)."""
     occluded, successes, failures = (np.asarray(leaf) for leaf in history_of(states))
     is_object = np.asarray(states.is_object)[:, 0]
     stage_row, target = np.nonzero(is_object[begun[:, 0]])
