@@ -188,7 +188,7 @@ def test_names_of_cups_do_not_matter_to_what_a_plan_with_chance_is_worth():
     config = replace(CONFIG, horizon=3)
     optima = [solve_table(hides, config) for hides in (THREE, THREE[::-1, ::-1])]
     values = np.array(
-        [[one.policy_value(POMDPPolicy(config, 2), jax.random.key(k)) for k in range(6)] for one in optima]
+        [[one.policy_value(POMDPPolicy(config, 2, 32), jax.random.key(k)) for k in range(6)] for one in optima]
     )
 
     error = np.hypot(*(values.std(axis=1, ddof=1) / np.sqrt(6)))
