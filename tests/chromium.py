@@ -3,12 +3,12 @@
 import base64
 import io
 import json
-import re
 import shutil
 import subprocess
 import tempfile
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 
 import numpy as np
 from PIL import Image
@@ -38,7 +38,7 @@ class Tab:
         self._number += 1
         self._socket.send(json.dumps({"id": self._number, "method": method, "params": parameters}))
         while True:
-            message = json.loads(self._socket.recv(timeout=120))
+            message = json.loads(self._socket.recv(timeout=300))
             if message.get("id") == self._number:
                 assert "error" not in message, message
                 return message["result"]
@@ -73,7 +73,7 @@ class Tab:
         assert "exceptionDetails" not in answer, answer
         return answer["result"].get("value")
 
-    def until(self, script, seconds=60.0):
+    def until(self, script, seconds=120.0):
         """Wait until an expression is true; its value."""
         end = time.monotonic() + seconds
         while not (value := self.ask(script)):
@@ -106,29 +106,35 @@ def tab(url, width_px=1280, height_px=800):
 
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         words = [BROWSER, *FLAGS, f"--user-data-dir={profile}", "about:blank"]
-        browser = subprocess.Popen(words, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+        # What it says goes nowhere: a pipe that nobody empties would stop it.
+        browser = subprocess.Popen(words, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
         try:
-            port = _port_of(browser)
-            with connect(_page_of(port), max_size=None, open_timeout=60, ping_interval=None) as socket:
+            port = _port_of(browser, Path(profile))
+            with connect(_page_of(port), max_size=None, open_timeout=120, ping_interval=None) as socket:
                 page = Tab(socket)
                 page.resize(width_px, height_px)
                 page.open(url)
                 yield page
         finally:
             browser.terminate()
-            browser.wait(timeout=30)
-            browser.stderr.close()
+            try:
+                browser.wait(timeout=60)
+            except subprocess.TimeoutExpired:
+                browser.kill()
+                browser.wait()
 
 
-def _port_of(browser):
-    for line in browser.stderr:
-        if found := re.search(r"DevTools listening on ws://[^:]+:(\d+)/", line):
-            return int(found[1])
-    raise AssertionError("the browser did not start")
+def _port_of(browser, profile):
+    """The port that a browser writes into its profile once it listens there."""
+    while browser.poll() is None:
+        with suppress(FileNotFoundError, IndexError, ValueError):
+            return int((profile / "DevToolsActivePort").read_text("ascii").splitlines()[0])
+        time.sleep(0.05)
+    raise AssertionError(f"the browser did not start: it ended with {browser.returncode}")
 
 
 def _page_of(port):
     from urllib.request import urlopen
 
-    with urlopen(f"http://127.0.0.1:{port}/json/list", timeout=60) as answer:
+    with urlopen(f"http://127.0.0.1:{port}/json/list", timeout=120) as answer:
         return next(each["webSocketDebuggerUrl"] for each in json.load(answer) if each["type"] == "page")

@@ -1,6 +1,8 @@
 import io
 import re
+import sys
 import time
+from functools import partial
 
 import pytest
 
@@ -28,45 +30,52 @@ def shown(monkeypatch, file, what, work):
     return file.getvalue()
 
 
-def two_steps():
+def linger(shows=None):
+    """Stay until something is shown, however long that takes; or for a while, if nothing is to be."""
+    end_s = time.monotonic() + 60.0
+    if shows is None:
+        time.sleep(0.15)
+    while shows is not None and not re.search(shows, sys.stderr.getvalue()):
+        assert time.monotonic() < end_s, sys.stderr.getvalue()
+        time.sleep(0.01)
+
+
+def two_steps(shows=None):
     with Progress(4, "read") as bar:
         bar.begin("learn")
-        time.sleep(0.15)
+        linger(shows)
 
 
-def nested():
+def nested(shows):
     with Progress(2, "outside"), Progress(2, "inside", "draws") as bar:
         bar.update()
-        time.sleep(0.15)
+        linger(shows)
 
 
 def test_a_terminal_sees_a_bar_with_the_time_left_that_goes_when_it_is_over(fast, monkeypatch):
-    told = shown(monkeypatch, Terminal(), Telling.BARS, two_steps)
-    assert re.search(r"learn +25%\|.*\| 00:00, (\?|00:00) left", told)
+    bar = r"learn +25%\|.*\| \d\d:\d\d, (\?|\d\d:\d\d) left"
+    told = shown(monkeypatch, Terminal(), Telling.BARS, partial(two_steps, bar))
     assert told.split("\r")[-1].strip() == ""
 
 
 def test_a_part_has_its_bar_below_on_a_terminal(fast, monkeypatch):
-    told = shown(monkeypatch, Terminal(), Telling.LINES, nested)
-    assert "outside   0%" in told
-    assert re.search(r"inside +50%\|.*\| 1/2 draws 00:00", told)
+    below = r"(?s)outside   0%.*inside +50%\|[^|]*\| 1/2 draws \d\d:\d\d|inside +50%\|[^|]*\| 1/2 draws.*outside   0%"
+    shown(monkeypatch, Terminal(), Telling.LINES, partial(nested, below))
 
 
 def test_elsewhere_lines_are_for_the_command_line_alone(fast, monkeypatch):
     assert shown(monkeypatch, io.StringIO(), Telling.BARS, two_steps) == ""
-    told = shown(monkeypatch, io.StringIO(), Telling.LINES, two_steps)
-    assert re.fullmatch(r"(halfseen: learn, 25%, 0 s so far(, about 0 s left)?\n){1,3}", told)
+    told = shown(monkeypatch, io.StringIO(), Telling.LINES, partial(two_steps, "learn.*\n"))
+    assert re.fullmatch(r"(halfseen: learn, 25%, \d+ s so far(, about \d+ s left)?\n)+", told)
 
 
 def test_lines_are_of_the_work_and_not_of_its_parts(fast, monkeypatch):
-    told = shown(monkeypatch, io.StringIO(), Telling.LINES, nested)
-    assert "outside" in told
-    assert "inside" not in told
+    assert "inside" not in shown(monkeypatch, io.StringIO(), Telling.LINES, partial(nested, "outside"))
 
 
 @pytest.mark.parametrize("file", [io.StringIO, Terminal])
 def test_quiet_is_quiet(fast, monkeypatch, file):
-    assert shown(monkeypatch, file(), Telling.NOTHING, nested) == ""
+    assert shown(monkeypatch, file(), Telling.NOTHING, partial(nested, None)) == ""
 
 
 @pytest.mark.parametrize("file", [io.StringIO, Terminal])
@@ -81,7 +90,7 @@ def test_what_is_over_at_once_shows_nothing(monkeypatch, file):
 def test_an_error_leaves_no_bar_and_the_same_telling(fast, monkeypatch):
     def stop():
         with Progress(None, "convert", "clouds"):
-            time.sleep(0.15)
+            linger("convert 0 clouds")
             raise KeyError
 
     def fails():
@@ -89,7 +98,6 @@ def test_an_error_leaves_no_bar_and_the_same_telling(fast, monkeypatch):
             stop()
 
     told = shown(monkeypatch, Terminal(), Telling.BARS, fails)
-    assert "convert 0 clouds" in told
     assert told.split("\r")[-1].strip() == ""
     assert shown(monkeypatch, io.StringIO(), Telling.BARS, two_steps) == ""
 

@@ -54,19 +54,28 @@ def policies_of(world: World) -> dict[str, Drawn]:
 def _near(world: World, share: float) -> Chances:
     def chances(frame: pd.DataFrame, stage: int) -> np.ndarray:
         own = world.logging(frame, stage)
-        nearer, farther = world.best(frame, stage), _worst(world, frame, stage)
+        nearer = world.best(frame, stage)
+        farther = _worst(world, nearer, stage)
         return np.where(_is_low(world, frame), 0.8 * own + 0.2 * nearer, (1.0 - share) * own + share * farther)
 
     return chances
 
 
 def _far(world: World, share: float) -> Chances:
-    return lambda frame, stage: (1.0 - share) * world.best(frame, stage) + share * _worst(world, frame, stage)
+    def chances(frame: pd.DataFrame, stage: int) -> np.ndarray:
+        best = world.best(frame, stage)
+        return (1.0 - share) * best + share * _worst(world, best, stage)
+
+    return chances
 
 
 def _split(world: World, share: float) -> Chances:
-    far = _far(world, share)
-    return lambda frame, stage: np.where(_is_low(world, frame), world.best(frame, stage), far(frame, stage))
+    def chances(frame: pd.DataFrame, stage: int) -> np.ndarray:
+        best = world.best(frame, stage)
+        far = (1.0 - share) * best + share * _worst(world, best, stage)
+        return np.where(_is_low(world, frame), best, far)
+
+    return chances
 
 
 def _is_low(world: World, frame: pd.DataFrame) -> np.ndarray:
@@ -74,8 +83,8 @@ def _is_low(world: World, frame: pd.DataFrame) -> np.ndarray:
     return (frame[name].to_numpy() < middle)[:, None]
 
 
-def _worst(world: World, frame: pd.DataFrame, stage: int) -> np.ndarray:
+def _worst(world: World, best: np.ndarray, stage: int) -> np.ndarray:
     """The possible action after the best one, in their order: seldom a good one."""
     possible = np.flatnonzero(is_possible(world, stage))
-    place = np.searchsorted(possible, world.best(frame, stage).argmax(axis=1))
+    place = np.searchsorted(possible, best.argmax(axis=1))
     return np.eye(len(world.actions))[possible[(place + 1) % len(possible)]]

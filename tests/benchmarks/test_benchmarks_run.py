@@ -1,6 +1,5 @@
 """Benchmarks still run: what they import and unpack changes, and nothing else calls them."""
 
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -36,7 +35,7 @@ def test_it_runs_and_stores_what_it_found(words, tmp_path):
     script, *options = words
     out = tmp_path / "found.json"
     command = [sys.executable, str(BENCHMARKS / script), "--out", str(out), *options]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=dict(os.environ), timeout=600)
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip()
     assert out.stat().st_size > 100

@@ -40,7 +40,7 @@ def served(*words, **environment):
     with subprocess.Popen(command, env=os.environ | environment, **pipes) as process:
         try:
             url = process.stdout.readline().split()[0]
-            with httpx2.Client(base_url=url, timeout=30) as client:
+            with httpx2.Client(base_url=url, timeout=120) as client:
                 yield process, client
         finally:
             process.kill()
@@ -53,7 +53,7 @@ def test_a_controller_without_python_gets_decisions_and_makes_the_next_log(polic
         client.post("/reward", json={"reward": 2})
         write(policy, reg=5.0, overwrite=True)
         process.send_signal(signal.SIGHUP)
-        for _ in range(200):
+        for _ in range(2000):
             if client.get("/health").json()["policy"] != told["policy"]:
                 break
             time.sleep(0.05)
@@ -63,7 +63,7 @@ def test_a_controller_without_python_gets_decisions_and_makes_the_next_log(polic
         assert "the policy before goes on" in process.stderr.readline()
         assert client.post("/reward", json={"reward": 1}).status_code == 200
         process.send_signal(signal.SIGTERM)
-        process.wait(30)
+        process.wait(120)
     logs = read_logs(tmp_path / "logs")
     assert logs.paths["cause"].tolist() == ["server stopped"]
     assert logs.stages["reward"].dropna().tolist() == [2.0]
@@ -73,7 +73,7 @@ def test_ctrl_c_ends_it_without_a_word(policy):
     with served(policy) as (process, client):
         assert client.get("/health").status_code == 200
         process.send_signal(signal.SIGINT)
-        assert process.wait(30) == 0
+        assert process.wait(120) == 0
         assert process.stderr.read() == ""
 
 
@@ -82,7 +82,7 @@ def test_what_is_no_http_harms_nobody(policy):
         for sent in (b"\x16\x03\x01", b"GET / HTTP/1.1\r\nx: " + b"y" * 100_000, b"POST /decide HTTP/9\r\n\r\n"):
             with socket.create_connection((client.base_url.host, client.base_url.port)) as raw:
                 raw.sendall(sent)
-                raw.settimeout(5)
+                raw.settimeout(120)
                 assert b"400" in raw.recv(100)
         assert client.post("/decide", json=SEEN).status_code == 200
 

@@ -9,7 +9,6 @@ import json
 import os
 import re
 import shutil
-import signal
 import socket
 import subprocess
 import sys
@@ -106,8 +105,8 @@ def serving(folder, *words):
         try:
             yield next(int(found[1]) for line in process.stdout if (found := re.search(r"127\.0\.0\.1:(\d+)", line)))
         finally:
-            process.send_signal(signal.SIGINT)
-            process.wait(timeout=60)
+            # Where the tests run in the background of a shell, what they start is deaf to Ctrl-C.
+            process.terminate()
 
 
 @pytest.mark.slow

@@ -156,10 +156,10 @@ def test_on_two_cups_a_long_look_earns_no_less_than_heuristics():
     def rewards(policy):
         return np.asarray(evaluate(CONFIG, layouts, policy, jax.random.key(0), num).reward, dtype=float)
 
-    found = rewards(POMDPPolicy(CONFIG, CONFIG.horizon))
+    found = rewards(POMDPPolicy(CONFIG, CONFIG.horizon, 32))
     greedy = found - rewards(GreedyPolicy(CONFIG, uses_history=True, counts_penalty=True))
     one_step = found - rewards(POMDPPolicy(CONFIG, 1))
-    assert greedy.mean() > 0
+    assert greedy.mean() > 2 * greedy.std() / np.sqrt(num)
     assert one_step.mean() > -2 * one_step.std() / np.sqrt(num)
 
 

@@ -35,6 +35,16 @@ COLUMNS = {
     "verdict",
     "regret": "policy num_paths cut_share regret se low high regret_share optimum repetitions",
 }
+OF_LAW = (
+    replace(TINY[0], num_paths=(50,), cut_shares=(0.5,), planners=((4, 2),)),
+    replace(TINY[1], simulations=((4, 2),)),
+    replace(TINY[2], num_paths=(50,)),
+    replace(TINY[3], num_paths=(50,)),
+    TINY[4],
+    replace(TINY[5], num_paths=(50,), cut_shares=(0.5,)),
+    TINY[6],
+)
+"""With fewer sizes of logs: what they come to is asked of the others."""
 FIGURES = ("opening", "figure1", "figure2", "figure3", "figure4", "figure5", "map", "regret")
 MEASURED = ("decision_ms", "learning_s")
 
@@ -94,12 +104,16 @@ def test_nobody_is_better_than_the_optimum(study_folder):
 
 
 @pytest.mark.slow
-def test_resuming_a_killed_study_writes_the_same_bytes(study_folder, tmp_path):
+def test_resuming_a_killed_study_in_two_processes_writes_the_same_bytes(study_folder, tmp_path):
+    """The others make anew how each experiment is prepared, and its last repetition."""
     shutil.copytree(study_folder / "progress", tmp_path / "progress")
-    for name in ("reward/repetition-00001", "censoring/repetition-00000", "regret/prepared"):
-        (tmp_path / "progress" / f"{name}.json").unlink()
-    run_study(SETTING, tmp_path, TINY, is_resumed=True, workers=Workers(1))
+    for each in TINY:
+        for name in ("prepared", "repetition-00001"):
+            (tmp_path / "progress" / each.name / f"{name}.json").unlink()
+    run_study(SETTING, tmp_path, TINY, is_resumed=True, workers=Workers(2))
     assert outputs(tmp_path) == outputs(study_folder)
+    for each in TINY:
+        assert pieces(tmp_path, each.name) == pieces(study_folder, each.name)
 
 
 @pytest.mark.slow
@@ -133,19 +147,12 @@ def test_another_seed_is_not_resumed(study_folder, tmp_path):
 
 
 @pytest.mark.slow
-def test_beginning_anew_in_two_processes_finds_the_same_pieces(study_folder, tmp_path):
-    run_study(SETTING, tmp_path, TINY, workers=Workers(2))
-    for each in TINY:
-        assert pieces(tmp_path, each.name) == pieces(study_folder, each.name)
-
-
-@pytest.mark.slow
 def test_under_the_law_of_a_cell_everything_runs_and_says_so(tmp_path):
     setting, law = under(SETTING, shipped_law())
     setting = replace(
         setting, scenes=tuple(replace(scene, grip=np.linspace(-2, 0, scene.num_objects)) for scene in SETTING.scenes)
     )
-    results = run_study(setting, tmp_path, TINY, workers=Workers(1))
+    results = run_study(setting, tmp_path, OF_LAW, workers=Workers(1))
     assert "is estimated, not assumed" in results.answer[-1]
     told = pd.read_csv(tmp_path / "map.csv")
     assert told["is_assumed"].tolist() == [False] * 4 + [True] * 2

@@ -74,10 +74,9 @@ def test_robots_of_other_speeds_equal_brute_force():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("price", [0.0, -0.3])
-def test_two_decisions_of_each_of_two_robots_equal_brute_force(price):
+def test_two_decisions_of_each_of_two_robots_equal_brute_force():
     space = workspace(2, 2, out_of_reach=[(1, 0)])
-    assert_equals_brute_force(team_of(2, reward_per_s=price, grasping=ONE_TIME), TWO, space, 2)
+    assert_equals_brute_force(team_of(2, reward_per_s=-0.3, grasping=ONE_TIME), TWO, space, 2)
 
 
 def test_one_robot_is_the_optimum_of_one_robot():
@@ -102,9 +101,8 @@ def test_no_policy_beats_the_optimum_and_a_second_robot_is_worth_something():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("price", [0.0, -0.2])
-def test_the_value_of_a_policy_is_what_it_earns(price):
-    config = team_of(3, reward_per_s=price)
+def test_the_value_of_a_policy_is_what_it_earns():
+    config = team_of(3, reward_per_s=-0.2)
     space = workspace(2, 3, out_of_reach=[(0, 2), (1, 0)], near=[(0, 1)])
     optimum = solve_team(THREE, config, space)
     layouts = TeamLayout(pad_scenes([Scene(THREE)]), jax.tree.map(lambda leaf: leaf[None], space))

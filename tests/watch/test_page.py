@@ -111,9 +111,9 @@ def test_a_port_that_is_taken_is_told():
 def test_nobody_else_is_served():
     with served(0) as page_of:
         port = int(page_of.url.rsplit(":", 1)[1])
-        with socket.create_connection((HERE, port), timeout=10):
+        with socket.create_connection((HERE, port), timeout=60):
             pass
-        with pytest.raises(OSError), socket.create_connection(("127.0.0.2", port), timeout=10):  # noqa: PT011
+        with pytest.raises(OSError), socket.create_connection(("127.0.0.2", port), timeout=60):  # noqa: PT011
             pass
 
 

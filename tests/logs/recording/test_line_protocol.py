@@ -154,12 +154,12 @@ def served(request, tmp_path):
                 record_clients(recorder, listener, gone.release)
 
         threading.Thread(target=serve, daemon=True).start()
-        yield listener.getsockname(), lambda: gone.acquire(timeout=10.0)
+        yield listener.getsockname(), lambda: gone.acquire(timeout=60.0)
 
 
 def connected(where):
     client = socket.socket(socket.AF_UNIX if isinstance(where, str) else socket.AF_INET)
-    client.settimeout(10.0)
+    client.settimeout(60.0)
     client.connect(where)
     return client
 
