@@ -50,7 +50,7 @@ def pytest_collection_modifyitems(items):
 
 
 def pytest_collection_finish():
-    """What is imported and collected stays to the end: no collection of garbage looks through it again, and few look."""
+    """What is imported and collected stays to the end: garbage is not looked for in it, and seldom elsewhere."""
     gc.collect()
     gc.freeze()
     gc.set_threshold(50_000, 20, 20)

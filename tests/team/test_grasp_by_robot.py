@@ -20,6 +20,7 @@ from halfseen.world.action_space import Verb
 SURE, CLUMSY = replace(LOGISTIC, log_odds=3.0), replace(LOGISTIC, log_odds=-2.0)
 KEY = jax.random.key(2)
 START, STEP = jax.jit(dynamics.start), jax.jit(dynamics.step)
+COLUMNS, FEATURES = jax.jit(table_columns), jax.jit(team_features)
 
 
 def fitted(*laws, num_paths=300):
@@ -54,8 +55,8 @@ def test_what_is_about_an_object_goes_by_who_is_at_it():
     state, hidden = START(config, first_layout(), KEY)
     state, hidden, _ = STEP(config, state, hidden, jnp.asarray(2), KEY)  # robot 0 washes 1, robot 1 decides
     assert int(state.decider) == 1
-    of_0, of_1 = (table_columns(state.table, each).of_verb[Verb.WASH] for each in own)
-    found, plain = (np.asarray(team_features(state, each)) for each in (model, shared))
+    of_0, of_1 = (COLUMNS(state.table, each).of_verb[Verb.WASH] for each in own)
+    found, plain = (np.asarray(FEATURES(state, each)) for each in (model, shared))
     # After WASH of 2 two are under way, each as its robot grasps; after FINISH that of robot 0.
     of_wash = slice(1, NUM_WASH)
     both = [one[1] + other[2] for one, other in zip(of_0, of_1, strict=True)]
@@ -67,7 +68,7 @@ def test_what_is_about_an_object_goes_by_who_is_at_it():
     assert np.abs(found[:, of_wash] - plain[:, of_wash]).max() > 0.1
     # Where all grasp alike, nothing changes.
     alike = GraspByRobot(shared, jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), shared))
-    np.testing.assert_allclose(team_features(state, alike), plain, rtol=1e-6)
+    np.testing.assert_allclose(FEATURES(state, alike), plain, rtol=1e-6)
 
 
 def test_it_comes_back_from_a_folder_and_what_does_not_fit_is_refused():

@@ -23,10 +23,10 @@ from halfseen.learners.q_learning.q_learner import CensoredQLearner
 from halfseen.learners.q_learning.q_model import QModel
 from halfseen.learners.q_learning.recursion import backward
 from halfseen.learners.q_learning.transitions import QFunctions, Transitions
-from halfseen.learners.threads import in_one_thread
 from halfseen.logs import Logs
 from halfseen.progress import Progress, Telling, telling
 from halfseen.workers import ALONE, Workers
+from halfseen.workers.threads import in_one_thread
 
 BATCH_SIZE = 10
 """Replicates that are fitted at once."""

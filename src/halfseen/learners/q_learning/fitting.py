@@ -17,7 +17,7 @@ from halfseen.learners.q_learning.packing import num_rows, packed
 from halfseen.learners.q_learning.recursion import backward
 from halfseen.learners.q_learning.room import padded, with_room
 from halfseen.learners.q_learning.transitions import AnyArray, QFunctions, StageMode, Transitions
-from halfseen.learners.threads import one_thread
+from halfseen.workers.threads import one_thread
 
 
 @contextmanager

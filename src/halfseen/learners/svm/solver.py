@@ -25,7 +25,7 @@ from halfseen.learners.svm.interior_point import interior_points
 from halfseen.learners.svm.losses import DeadZone, ProximalLoss, SmoothLoss
 from halfseen.learners.svm.newton import Point, minimise
 from halfseen.learners.svm.spaces import Coefficients, FeatureSpace, GramSpace, Space
-from halfseen.learners.threads import one_thread
+from halfseen.workers.threads import one_thread
 
 SMALL = 2000
 """Rows up to which one BLAS thread serves: a second gains little, and on a busy machine each waits for the other."""
