@@ -16,6 +16,7 @@ The distance between the two objectives, the *duality gap*, bounds how far the s
 
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from typing import no_type_check
 
 import numpy as np
 from jaxtyping import Float
@@ -264,6 +265,7 @@ def _scale(problem: Problem) -> float:
     return float(problem.mass @ np.abs(problem.loss.value(problem.y, np.zeros(len(problem.y))))) or 1.0
 
 
+@no_type_check
 @dataclass(frozen=True)
 class _Smooth:
     """Σ c_i L(y_i, f_i)."""
