@@ -15,10 +15,11 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "few"))
 COMPILED = Path(__file__).parents[1] / "runs" / "compiled"
 
 # Set before JAX and BLAS are imported, which read them once; processes that tests start read them too. One test process
-# a core leaves a second thread of BLAS nothing but to wait.
+# a core leaves a second thread of BLAS nothing but to wait, nor one of LLVM, for which XLA splits what it compiles.
 for name, value in {
     "OPENBLAS_NUM_THREADS": "1",
-    "XLA_FLAGS": "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false",
+    "XLA_FLAGS": "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false "
+    "--xla_cpu_parallel_codegen_split_count=1",
     "JAX_COMPILATION_CACHE_DIR": str(COMPILED),
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
     "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
@@ -46,6 +47,13 @@ def _room_for_compiled_code():
 def pytest_collection_modifyitems(items):
     """Order the files: the one with the small study, which takes longest, comes first."""
     items.sort(key=lambda item: (not _asks_for_study(item), not set(LONG) & set(item.path.parts)))
+
+
+def pytest_collection_finish():
+    """What is imported and collected stays to the end: garbage is not looked for in it, and seldom elsewhere."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(50_000, 20, 20)
 
 
 def _asks_for_study(item):

@@ -27,6 +27,7 @@ from halfseen.team.recording import TEAM_VERBS, states_of
 from halfseen.team.rollout import RolloutTeam
 from halfseen.team.rules import ReservingTeam
 from halfseen.world import AssumedGrasping, WorldConfig
+from picked import picked
 from small_logs import flat_log, table_log
 
 TABLE = str(table_paths()[5])
@@ -158,10 +159,7 @@ def test_learn_learns_what_the_library_does_and_counts_what_it_takes(folder, lea
         paths = np.searchsorted(logs.path_ids, stages["path"].to_numpy()[at])
         num_objects = states.table.num_objects
         verbs = [0, *[1] * num_objects, *[2] * num_objects, WAIT]
-        taken = [
-            verbs[int(decide(jax.tree.map(lambda leaf, p=p: leaf[p, row["stage"] - 1], states)))]  # noqa: B023
-            for p in paths
-        ]
+        taken = [verbs[int(decide(picked(states, (p, row["stage"] - 1))))] for p in paths]
         told = {name: np.mean([verb == k for verb in taken]) for k, name in enumerate(TEAM_VERBS)}
         assert row["shares"] == pytest.approx(told)
         assert row["num_states"] == len(at)

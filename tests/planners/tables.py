@@ -1,9 +1,9 @@
 """Tables in the middle of a path, made by hand."""
 
-import jax.numpy as jnp
 import numpy as np
 from naive_planner import CONFIG
 
+from halfseen.arrays import on_device
 from halfseen.world.state import NO_ATTEMPT, TableState
 
 
@@ -15,16 +15,17 @@ def state_of(cups, hides, steps_to_go=10, num_padding=0):
     padding = [np.nan] * num_padding
     tried = [(i, *attempt) for i, cup in enumerate(cups) for attempt in cup.attempts]
     rest = horizon - len(tried)
-    return TableState(
-        hides=jnp.asarray(padded_hides),
-        is_object=jnp.arange(size) < num_objects,
-        is_on_table=jnp.asarray([cup.is_on_table for cup in cups] + [False] * num_padding),
-        grip=jnp.asarray([cup.grip for cup in cups] + padding, dtype=jnp.float32),
-        log_odds=jnp.asarray([cup.log_odds for cup in cups] + padding, dtype=jnp.float32),
-        seen=jnp.asarray([cup.seen for cup in cups] + padding, dtype=jnp.float32),
-        lifts=jnp.zeros(size, dtype=jnp.int32),
-        attempt_object=jnp.asarray([i for i, _, _ in tried] + [NO_ATTEMPT] * rest, dtype=jnp.int32),
-        attempt_occlusion=jnp.asarray([occluded for _, occluded, _ in tried] + [0.0] * rest, dtype=jnp.float32),
-        attempt_succeeded=jnp.asarray([is_grasped for _, _, is_grasped in tried] + [False] * rest, dtype=bool),
-        steps_to_go=jnp.asarray(steps_to_go, dtype=jnp.int32),
-    )
+    leaves = {
+        "hides": padded_hides,
+        "is_object": np.arange(size) < num_objects,
+        "is_on_table": np.array([cup.is_on_table for cup in cups] + [False] * num_padding),
+        "grip": np.array([cup.grip for cup in cups] + padding, dtype=np.float32),
+        "log_odds": np.array([cup.log_odds for cup in cups] + padding, dtype=np.float32),
+        "seen": np.array([cup.seen for cup in cups] + padding, dtype=np.float32),
+        "lifts": np.zeros(size, dtype=np.int32),
+        "attempt_object": np.array([i for i, _, _ in tried] + [NO_ATTEMPT] * rest, dtype=np.int32),
+        "attempt_occlusion": np.array([occluded for _, occluded, _ in tried] + [0.0] * rest, dtype=np.float32),
+        "attempt_succeeded": np.array([is_grasped for _, _, is_grasped in tried] + [False] * rest, dtype=bool),
+        "steps_to_go": np.int32(steps_to_go),
+    }
+    return TableState(**on_device(leaves))

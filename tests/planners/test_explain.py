@@ -16,6 +16,7 @@ from halfseen.planners.rollout import sampled_values
 from halfseen.world import ExploringPolicy, Scene, WorldConfig
 from halfseen.world.episodes import evaluate, play
 from halfseen.world.state import pad_scenes
+from picked import picked
 from tables import state_of
 
 HIDES = np.array([[0.0, 0.6, 0.3], [0.1, 0.0, 0.2], [0.4, 0.05, 0.0]])
@@ -123,7 +124,7 @@ def test_the_mean_of_the_rollouts_is_what_the_rule_earns_in_the_world(steps_to_g
         q = one_step_q(config, belief_of(config, state))
         return jnp.mean(sampled_values(config, state, key, 64)[:, jnp.argmax(q)])
 
-    first = jax.tree.map(lambda leaf: leaf[:, 0], starts)
+    first = picked(starts, np.s_[:, 0])
     sampled = np.asarray(jax.lax.map(lambda at: worth(*at), (first, jax.random.split(KEY, 256))), dtype=np.float64)
     error = np.hypot(earned.std() / np.sqrt(len(earned)), sampled.std() / np.sqrt(len(sampled)))
     assert sampled.mean() == pytest.approx(earned.mean(), abs=4 * error + 0.02)
@@ -182,7 +183,7 @@ def test_what_is_said_to_be_likely_best_is_so_as_often_against_the_exact_optimum
         optimum = solve_table(scene, config, num_grip_nodes=31)
         played = play(config, pad_scenes([scene]), policy, jax.random.key(table), 24)
         for i, t in rng.permutation(np.argwhere(np.asarray(played.is_taken)))[:24]:
-            state = jax.tree.map(lambda leaf, at=(i, t): leaf[*at], played.states)
+            state = picked(played.states, (i, t))
             told, truth = explain(config, state, jax.random.key(len(said))), optimum.q_values(state)
             possible = np.isfinite(truth)
             said += told.probability_best[possible].tolist()

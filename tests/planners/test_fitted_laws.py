@@ -28,6 +28,7 @@ from halfseen.planners.rollout import sampled_values
 from halfseen.world import AssumedGrasping, AssumedSeeing, Scene, UniformPolicy, WorldConfig
 from halfseen.world.episodes import evaluate, play
 from halfseen.world.state import pad_scenes
+from picked import picked
 from tables import state_of
 
 TWO = Scene(np.array([[0.0, 0.6], [0.1, 0.0]]), grip=np.array([-1.0, 0.5]))
@@ -79,8 +80,8 @@ def test_grips_that_show_hold_under_the_assumed_laws_too():
 def played():
     """States along the way of somebody who acts by lot, on three cups over four steps."""
     episodes = play(replace(FITTED, horizon=4), pad_scenes([THREE]), UniformPolicy(), jax.random.key(0), 40)
-    states = jax.tree.map(lambda leaf: leaf[np.asarray(episodes.is_taken)], episodes.states)
-    return [jax.tree.map(lambda leaf, k=k: leaf[k], states) for k in range(len(states.steps_to_go))]
+    states = picked(episodes.states, np.asarray(episodes.is_taken))
+    return [picked(states, k) for k in range(len(states.steps_to_go))]
 
 
 def test_beliefs_of_grips_are_those_of_bayes(played):

@@ -20,8 +20,13 @@ PENALTY = GreedyPolicy(CONFIG, counts_penalty=True)
 ALL = [SIMPLE, HISTORY, PENALTY, GreedyPolicy(CONFIG, uses_history=True, counts_penalty=True)]
 
 
+@jax.jit
+def decided(policy, state):
+    return policy.decide(state, jax.random.key(0)).action
+
+
 def chosen(policy, cups, hides=OPEN):
-    return int(policy.decide(state_of(cups, hides), jax.random.key(0)).action)
+    return int(decided(policy, state_of(cups, hides)))
 
 
 def test_history_turns_away_from_a_cup_that_failed_thrice():

@@ -18,6 +18,7 @@ from halfseen.world import AssumedGrasping, AssumedSeeing, Scene, UniformPolicy,
 from halfseen.world.episodes import evaluate, play
 from halfseen.world.policy import surely
 from halfseen.world.state import pad_scenes
+from picked import picked
 from tables import state_of
 
 TWO = np.array([[0.0, 0.6], [0.1, 0.0]])
@@ -119,8 +120,8 @@ def played():
     """States along the way of somebody who acts by lot, on two cups over four steps."""
     config = WorldConfig(horizon=4)
     episodes = play(config, pad_scenes([Scene(TWO)]), UniformPolicy(), jax.random.key(0), 16)
-    states = jax.tree.map(lambda leaf: leaf[np.asarray(episodes.is_taken)], episodes.states)
-    return [jax.tree.map(lambda leaf, k=k: leaf[k], states) for k in range(len(states.steps_to_go))]
+    states = picked(episodes.states, np.asarray(episodes.is_taken))
+    return [picked(states, k) for k in range(len(states.steps_to_go))]
 
 
 def cups_of(state):

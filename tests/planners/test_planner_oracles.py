@@ -23,6 +23,7 @@ from halfseen.planners.optimum_decisions import Reached, drawn
 from halfseen.world import Scene, UniformPolicy, WorldConfig
 from halfseen.world.episodes import play
 from halfseen.world.state import TableState, initial_state, pad_scenes
+from picked import picked
 
 CONFIG = WorldConfig(horizon=2)
 ONE, TWO = np.zeros((1, 1)), np.array([[0.0, 0.6], [0.1, 0.0]])
@@ -40,7 +41,7 @@ def labels_of(num_cups):
 def state_after_first_look(config, hides, labels):
     """What a policy is shown once each cup was labelled."""
     layouts = pad_scenes([Scene(hides)])
-    fresh = initial_state(config, jax.tree.map(lambda leaf: leaf[0], layouts))
+    fresh = initial_state(config, picked(layouts, 0))
     right = config.seeing.floor + config.seeing.gain * (1 - Scene(hides).occlusion) ** config.seeing.power
     update = np.where(labels, 1.0, -1.0) * (np.log(right) - np.log1p(-right))
     return replace(fresh, log_odds=fresh.log_odds + jnp.asarray(update, dtype=jnp.float32))
@@ -141,7 +142,7 @@ def states():
     """Along the way of somebody who acts by lot on three cups, over four steps."""
     config = replace(CONFIG, horizon=4)
     played = play(config, pad_scenes([Scene(THREE)]), UniformPolicy(), jax.random.key(3), 12)
-    return jax.tree.map(lambda leaf: leaf[np.asarray(played.is_taken)], played.states)
+    return picked(played.states, np.asarray(played.is_taken))
 
 
 @pytest.mark.parametrize("order", [[2, 0, 1], [1, 0, 2]])
@@ -155,10 +156,7 @@ def test_names_of_cups_do_not_matter_to_optimum_and_bound(states, order):
     assert renamed.num_states == plain.num_states
     other = relabelled(states, order)
     for k in range(len(states.steps_to_go)):
-        q, q_renamed = (
-            optimum.q_values(jax.tree.map(lambda leaf, k=k: leaf[k], of))
-            for optimum, of in ((plain, states), (renamed, other))
-        )
+        q, q_renamed = (optimum.q_values(picked(of, k)) for optimum, of in ((plain, states), (renamed, other)))
         np.testing.assert_allclose(q_renamed, q[of_action], atol=1e-9)
     for reveals in ("looks", "hidden"):
         bounds = [

@@ -13,6 +13,7 @@ from halfseen.world.action_space import Verb, possible_actions
 from halfseen.world.episodes import play
 from halfseen.world.policy import ExploringPolicy, Policy
 from halfseen.world.state import pad_scenes
+from picked import picked
 
 CONFIG = WorldConfig()
 GREEDY = {
@@ -41,7 +42,7 @@ def states():
     rng = np.random.default_rng(0)
     scenes = [Scene(rng.uniform(0, 0.5, (n, n)) * ~np.eye(n, dtype=bool)) for n in (1, 3, 4)]
     episodes = play(CONFIG, pad_scenes(scenes, 5), UniformPolicy(), jax.random.key(0), 12)
-    return jax.tree.map(lambda leaf: leaf[np.asarray(episodes.is_taken)], episodes.states)
+    return picked(episodes.states, np.asarray(episodes.is_taken))
 
 
 @pytest.fixture(scope="session")
@@ -52,7 +53,7 @@ def keys(states):
 @every_policy
 def test_it_takes_possible_actions_only_and_says_how_likely_it_was_to(policy, states, keys):
     decision = decide_each(policy, states, keys)
-    is_possible = jax.vmap(possible_actions)(states)
+    is_possible = jax.jit(jax.vmap(possible_actions))(states)
     probability = np.asarray(decision.probability)
 
     assert decision.action.dtype == jnp.int32
@@ -81,7 +82,7 @@ def test_the_tables_of_a_batch_do_not_know_of_each_other(policy, states, keys):
 
 
 def test_a_policy_that_says_how_likely_its_choice_was_is_right(states):
-    one = jax.tree.map(lambda leaf: leaf[0], states)
+    one = picked(states, 0)
     same = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (len(states.steps_to_go), *leaf.shape)), one)
     actions, told = [], {}
     for seed in range(40):

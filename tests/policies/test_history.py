@@ -10,6 +10,7 @@ from halfseen.tables.present import first_state, labelled
 from halfseen.world import Scene, WorldConfig
 from halfseen.world.seeing import AssumedSeeing
 from halfseen.world.state import attempt_counts, initial_state, occlusion, pad_scenes
+from picked import picked
 
 HIDES = np.array([[0.0, 0.5, 0.0], [0.0, 0.0, 0.2], [0.4, 0.0, 0.0]])
 NAMES = ["mug", "cup", "bowl"]
@@ -59,7 +60,7 @@ def present(scene, horizon, logs, places_m=None, held=None):
 
 
 def test_a_first_state_is_what_the_world_begins_with_before_it_sees():
-    layout = jax.tree.map(lambda leaf: leaf[0], pad_scenes([SCENE]))
+    layout = picked(pad_scenes([SCENE]), 0)
     known = initial_state(WorldConfig(horizon=4), layout)
     now = first_state(SCENE, horizon=4, dirty_share=0.6)
     for mine, its in zip(jax.tree.leaves(now.state), jax.tree.leaves(known), strict=True):

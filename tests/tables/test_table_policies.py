@@ -30,6 +30,7 @@ from halfseen.world.episodes import evaluate, play
 from halfseen.world.policy import surely
 from halfseen.world.recording import to_logs
 from halfseen.world.state import occlusion_without, pad_scenes
+from picked import picked
 
 CONFIG = WorldConfig()
 NUM_OBJECTS = 4
@@ -72,7 +73,7 @@ def learner(logs):
 
 def states_in(watched):
     path, stage = np.nonzero(np.asarray(watched.is_taken)[:60])
-    return jax.tree.map(lambda leaf: leaf[path, stage], watched.states)
+    return picked(watched.states, (path, stage))
 
 
 PER_OBJECT = "is_object", "is_on_table", "grip", "log_odds", "seen", "lifts"
@@ -148,7 +149,7 @@ def test_a_policy_values_what_was_regressed_on(watched):
     states, policy = states_in(watched), random_policy()
     by_policy = np.asarray(jax.jit(jax.vmap(policy.q_values))(states))
     features = jax.jit(jax.vmap(table_features))(states)
-    blocks, possible = ActionSpace(NUM_OBJECTS).verbs, np.asarray(jax.vmap(possible_actions)(states))
+    blocks, possible = ActionSpace(NUM_OBJECTS).verbs, np.asarray(jax.jit(jax.vmap(possible_actions))(states))
     by_features = jax.vmap(q_values, in_axes=(0, 0, None))(
         policy.coefficients[states.steps_to_go - 1], features, blocks
     )
@@ -159,14 +160,20 @@ def test_a_policy_values_what_was_regressed_on(watched):
 def test_what_is_laid_bare_is_the_occlusion_that_goes(watched, hidden):
     states = replace(states_in(watched), hides=states_in(watched).hides.at[:, 2, 0].set(hidden))
     target = jnp.eye(NUM_OBJECTS, dtype=bool)
+
+    @jax.jit
+    def shown(state):
+        nothing = jnp.zeros(NUM_OBJECTS, dtype=bool)
+        each = jax.vmap(occlusion_without, in_axes=(None, 0))(state, target)
+        return occlusion_without(state, nothing), each, table_features(state)
+
     for k in range(20):
-        state = jax.tree.map(lambda leaf, k=k: leaf[k], states)
+        state = picked(states, k)
         there = np.asarray(state.is_on_table)
         is_dirty = 1.0 / (1.0 + np.exp(-np.asarray(state.log_odds, dtype=float)))
-        now = np.asarray(occlusion_without(state, jnp.zeros(NUM_OBJECTS, dtype=bool)))
-        without = np.asarray(jax.vmap(occlusion_without, in_axes=(None, 0))(state, target))
+        now, without, features = map(np.asarray, shown(state))
         gone = (now - without) * (there[:, None] & there) * ~np.eye(NUM_OBJECTS, dtype=bool)
-        washed = np.asarray(table_features(state))[1 : 1 + NUM_OBJECTS]
+        washed = features[1 : 1 + NUM_OBJECTS]
         laid_bare = washed[:, WASH_EASE] * (gone @ np.maximum(is_dirty - 0.5, 0.0))
         np.testing.assert_allclose(washed[there, NUM_TABLE_FEATURES], laid_bare[there], atol=1e-5)
         np.testing.assert_allclose(washed[there, WASH_DIRTY], is_dirty[there], atol=1e-5)
@@ -176,7 +183,10 @@ def test_the_policy_takes_the_best_possible_action(watched):
     states = states_in(watched)
     policy = random_policy()
     action = np.asarray(jax.jit(jax.vmap(lambda state: policy.decide(state, jax.random.key(0)).action))(states))
-    q, possible = np.asarray(jax.jit(jax.vmap(policy.q_values))(states)), np.asarray(jax.vmap(possible_actions)(states))
+    q, possible = (
+        np.asarray(jax.jit(jax.vmap(policy.q_values))(states)),
+        np.asarray(jax.jit(jax.vmap(possible_actions))(states)),
+    )
     assert possible[np.arange(len(action)), action].all()
     assert (q[np.arange(len(action)), action] == np.where(possible, q, -np.inf).max(axis=1)).all()
     assert not possible.all()
@@ -234,7 +244,7 @@ def test_a_verb_that_no_table_knows_is_named(logs):
 
 
 def test_finish_is_possible_even_on_an_empty_table(watched):
-    _, possible = jax.vmap(encode_states)(jax.tree.map(lambda leaf: leaf[:5], watched.states))
+    _, possible = jax.vmap(encode_states)(picked(watched.states, np.s_[:5]))
     assert np.asarray(possible)[..., 0].all()
 
 

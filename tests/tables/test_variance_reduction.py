@@ -17,6 +17,7 @@ from halfseen.world.cuts import cut, cut_rate
 from halfseen.world.episodes import play
 from halfseen.world.recording import to_logs
 from halfseen.world.state import pad_scenes
+from picked import picked
 
 CONFIG = WorldConfig()
 SCENE = Scene(np.array([[0.0, 0.5, 0.0], [0.0, 0.0, 0.0], [0.3, 0.3, 0.0]]), name="three")
@@ -91,7 +92,7 @@ def test_parts_find_what_the_whole_does(encoded, seen, weight):
 @pytest.mark.slow
 def test_q_varies_less_between_logs():
     layouts = pad_scenes([SCENE])
-    states = jax.tree.map(lambda leaf: leaf[:, 0], play(CONFIG, layouts, LOGGER, jax.random.key(1), 50).states)
+    states = picked(play(CONFIG, layouts, LOGGER, jax.random.key(1), 50).states, np.s_[:, 0])
     watched = [TableWorld().simulate([SCENE], LOGGER, episodes=100, seed=seed, cut_share=0.3) for seed in range(6)]
 
     def spread(reduces_variance):

@@ -15,8 +15,10 @@ from halfseen.team.rules import TeamOfRules
 from halfseen.team.state import TeamLayout, Workspace
 from halfseen.world import Scene, WorldConfig
 from halfseen.world.cuts import cut, cut_rate
+from halfseen.world.episodes import BATCH
 from halfseen.world.grasping import Attempt
 from halfseen.world.state import pad_scenes
+from picked import picked
 
 NUM_OBJECTS = 4
 SCENE = Scene(np.triu(np.full((NUM_OBJECTS, NUM_OBJECTS), 0.3), 1))
@@ -37,14 +39,16 @@ class SureGrasping:
 
 
 def played(team, num_paths, seed=1, reach=None):
-    """Uncut paths of an exploring team of rules."""
+    """Uncut paths of an exploring team of rules: the first of as many as one program plays, whatever their number."""
     is_in_reach = (
         np.ones((team.num_robots, NUM_OBJECTS), dtype=bool) if reach is None else np.asarray(reach, dtype=bool)
     )
     space = Workspace(jnp.asarray(is_in_reach)[None], jnp.eye(NUM_OBJECTS, dtype=bool)[None])
     rule = GreedyPolicy(WorldConfig(), uses_history=True, counts_penalty=True)
     policy = ExploringTeam(TeamOfRules(rule))
-    return episodes.play(team, TeamLayout(pad_scenes([SCENE]), space), policy, jax.random.key(seed), num_paths)
+    layouts = TeamLayout(pad_scenes([SCENE]), space)
+    paths = episodes.play(team, layouts, policy, jax.random.key(seed), max(num_paths, BATCH))
+    return picked(paths, np.s_[:num_paths])
 
 
 def logged(paths, cut_share):

@@ -13,6 +13,7 @@ from halfseen.team.drop_outs import cut_at_drop_outs
 from halfseen.team.others import others_of
 from halfseen.team.recording import states_of
 from halfseen.world.action_space import Verb
+from picked import picked
 
 RATES = (0.03, 0.01, 0.0)
 
@@ -68,8 +69,8 @@ def test_states_come_back_and_who_is_out_does_not_go_on(paths, logs):
     at = logs.stages["path"].to_numpy(), logs.stages["stage"].to_numpy() - 1
     np.testing.assert_array_equal(np.asarray(states.robots.is_out)[at], np.asarray(paths.states.robots.is_out)[at])
     assert np.asarray(states.robots.is_out)[at].any()
-    goes_on = jax.vmap(others_of)(jax.tree.map(lambda leaf: leaf[at], states)).goes_on
-    robots = jax.tree.map(lambda leaf: leaf[at], states.robots)
+    goes_on = jax.jit(jax.vmap(others_of))(picked(states, at)).goes_on
+    robots = picked(states.robots, at)
     others = np.arange(3) != np.asarray(states.decider)[at][:, None]
     is_at_it = robots.is_busy & (robots.verb != Verb.FINISH)
     truth = others & ~robots.is_parked & ~robots.is_out & (is_at_it | (~robots.is_busy & (robots.decisions_to_go > 0)))

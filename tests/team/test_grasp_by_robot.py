@@ -19,6 +19,8 @@ from halfseen.world.action_space import Verb
 
 SURE, CLUMSY = replace(LOGISTIC, log_odds=3.0), replace(LOGISTIC, log_odds=-2.0)
 KEY = jax.random.key(2)
+START, STEP = jax.jit(dynamics.start), jax.jit(dynamics.step)
+COLUMNS, FEATURES = jax.jit(table_columns), jax.jit(team_features)
 
 
 def fitted(*laws, num_paths=300):
@@ -31,7 +33,7 @@ def test_robots_that_differ_are_told_apart_and_those_that_do_not_are_not():
     told = fitted(SURE, CLUMSY)
     assert isinstance(told.grasp, GraspByRobot)
     assert "own attempts" in told.chosen[-1]
-    state, _ = dynamics.start(world_of(SURE, CLUMSY).team_config, first_layout(), KEY)
+    state, _ = START(world_of(SURE, CLUMSY).team_config, first_layout(), KEY)
     # Of the object in full view before any attempt: the law, its hidden grip integrated out.
     offsets = LOGISTIC.offset_std * np.random.default_rng(0).standard_normal(100_000)
     for robot, law in enumerate((SURE, CLUMSY)):
@@ -50,11 +52,11 @@ def by_robot():
 def test_what_is_about_an_object_goes_by_who_is_at_it():
     model, shared, own = by_robot()
     config = world_of(None, None).team_config
-    state, hidden = dynamics.start(config, first_layout(), KEY)
-    state, hidden, _ = dynamics.step(config, state, hidden, jnp.asarray(2), KEY)  # robot 0 washes 1, robot 1 decides
+    state, hidden = START(config, first_layout(), KEY)
+    state, hidden, _ = STEP(config, state, hidden, jnp.asarray(2), KEY)  # robot 0 washes 1, robot 1 decides
     assert int(state.decider) == 1
-    of_0, of_1 = (table_columns(state.table, each).of_verb[Verb.WASH] for each in own)
-    found, plain = (np.asarray(team_features(state, each)) for each in (model, shared))
+    of_0, of_1 = (COLUMNS(state.table, each).of_verb[Verb.WASH] for each in own)
+    found, plain = (np.asarray(FEATURES(state, each)) for each in (model, shared))
     # After WASH of 2 two are under way, each as its robot grasps; after FINISH that of robot 0.
     of_wash = slice(1, NUM_WASH)
     both = [one[1] + other[2] for one, other in zip(of_0, of_1, strict=True)]
@@ -66,7 +68,7 @@ def test_what_is_about_an_object_goes_by_who_is_at_it():
     assert np.abs(found[:, of_wash] - plain[:, of_wash]).max() > 0.1
     # Where all grasp alike, nothing changes.
     alike = GraspByRobot(shared, jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), shared))
-    np.testing.assert_allclose(team_features(state, alike), plain, rtol=1e-6)
+    np.testing.assert_allclose(FEATURES(state, alike), plain, rtol=1e-6)
 
 
 def test_it_comes_back_from_a_folder_and_what_does_not_fit_is_refused():

@@ -8,6 +8,7 @@ from played_teams import played, team_of
 from halfseen.team.actions import WAIT
 from halfseen.team.makespan import FADES_PER_S, WAITS, makespans
 from halfseen.team.others import others_of
+from picked import picked
 
 REACH = {1: [[1, 1, 1, 0]], 2: [[1, 1, 0, 0], [0, 1, 1, 1]], 3: [[1, 1, 0, 0], [0, 1, 1, 0], [0, 0, 1, 1]]}
 
@@ -53,5 +54,5 @@ def test_it_is_the_bound_of_scheduling_theory(num_robots):
     taken = np.argwhere(np.asarray(paths.is_taken))
     bounds = jax.jit(lambda state: makespans(state, others_of(state)))
     for path, stage in taken:
-        state = jax.tree.map(lambda leaf, at=(path, stage): leaf[at], paths.states)
+        state = picked(paths.states, (path, stage))
         np.testing.assert_allclose(bounds(state), plain(state), rtol=1e-5, atol=1e-6)

@@ -17,6 +17,7 @@ from halfseen.world import dynamics as one_robot
 from halfseen.world.action_space import ActionSpace, Verb, possible_actions
 from halfseen.world.grasping import Attempt
 from halfseen.world.state import pad_scenes
+from picked import picked
 
 START, STEP, POSSIBLE = jax.jit(dynamics.start), jax.jit(dynamics.step), jax.jit(actions.possible_actions)
 HIDES = np.array([[0.0, 0.4, 0.1], [0.0, 0.0, 0.3], [0.2, 0.0, 0.0]])
@@ -30,7 +31,7 @@ def workspace(num_robots, num_objects, near=()):
 
 
 def layout_of(hides=HIDES):
-    return jax.tree.map(lambda leaf: leaf[0], pad_scenes([Scene(hides)]))
+    return picked(pad_scenes([Scene(hides)]), 0)
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -38,12 +39,12 @@ def test_a_team_of_one_is_the_world_of_one_robot_to_the_last_bit(seed):
     config, layout = WorldConfig(horizon=5), layout_of()
     team, rng = TeamConfig(config), np.random.default_rng(seed)
     key = jax.random.key(seed)
-    state, hidden = one_robot.start(config, layout, key)
-    of_team, secrets = dynamics.start(team, TeamLayout(layout, workspace(1, 3)), key)
+    state, hidden = jax.jit(one_robot.start)(config, layout, key)
+    of_team, secrets = START(team, TeamLayout(layout, workspace(1, 3)), key)
     step, team_step = jax.jit(one_robot.step), jax.jit(dynamics.step)
     for t in range(config.horizon):
         possible = np.flatnonzero(possible_actions(state))
-        of_one = np.asarray(actions.possible_actions(of_team))
+        of_one = np.asarray(POSSIBLE(of_team))
         np.testing.assert_array_equal(np.flatnonzero(of_one), possible)
         action, at = jnp.asarray(rng.choice(possible)), jax.random.fold_in(key, t)
         state, hidden, outcome = step(config, state, hidden, action, at)
@@ -77,11 +78,11 @@ def played(team, actions_taken, hides=HIDES, space=None, key=0):
     """Deciders, durations and rewards of a team that takes these (verb, object), and the states."""
     num_objects = len(hides)
     space = workspace(team.num_robots, num_objects) if space is None else space
-    state, hidden = dynamics.start(team, TeamLayout(layout_of(hides), space), jax.random.key(key))
+    state, hidden = START(team, TeamLayout(layout_of(hides), space), jax.random.key(key))
     table, step, rows, states = ActionSpace(num_objects), jax.jit(dynamics.step), [], [state]
     for t, (verb, target) in enumerate(actions_taken):
         action = actions.wait_of(num_objects) if verb == actions.WAIT else table.encode(int(verb), target)
-        assert bool(actions.possible_actions(state)[action]), (t, verb, target)
+        assert bool(POSSIBLE(state)[action]), (t, verb, target)
         decider = int(state.decider)
         state, hidden, outcome = step(
             team, state, hidden, jnp.asarray(action), jax.random.fold_in(jax.random.key(9), t)

@@ -11,21 +11,23 @@ from played_teams import NUM_OBJECTS, played, team_of
 from halfseen.team.actions import WAIT, possible_actions, wait_of, worthwhile_actions
 from halfseen.team.features import NUM_FEATURES, NUM_WASH, team_features
 from halfseen.world.action_space import ActionSpace, Verb
+from picked import picked
 
 REACH = [[1, 1, 1, 0], [0, 1, 1, 1]]
 SPACE = ActionSpace(NUM_OBJECTS)
+FEATURES = jax.jit(jax.vmap(team_features))
 
 
 @pytest.fixture(scope="module")
 def states():
     paths = played(team_of(2), 40, seed=5, reach=REACH)
     at = np.nonzero(np.asarray(paths.is_taken))
-    return jax.tree.map(lambda leaf: leaf[at], paths.states)
+    return picked(paths.states, at)
 
 
 @pytest.fixture(scope="module")
 def features(states):
-    return np.asarray(jax.vmap(team_features)(states))
+    return np.asarray(FEATURES(states))
 
 
 def test_one_row_for_each_action(features):
@@ -49,19 +51,19 @@ def test_the_order_of_objects_is_irrelevant(states, features):
     reached = replace(space, is_in_reach=space.is_in_reach[:, :, order], is_near=space.is_near[:, order][:, :, order])
     turned = replace(states, table=moved, workspace=reached, robots=replace(robots, target=new[robots.target]))
     rows = np.concatenate([[0], 1 + order, 1 + NUM_OBJECTS + order, [wait_of(NUM_OBJECTS)]])
-    np.testing.assert_allclose(jax.vmap(team_features)(turned), features[:, rows], rtol=2e-5, atol=2e-5)
+    np.testing.assert_allclose(FEATURES(turned), features[:, rows], rtol=2e-5, atol=2e-5)
 
 
 def test_the_names_of_robots_are_irrelevant(states, features):
     robots, space = states.robots, states.workspace
-    other = jax.tree.map(lambda leaf: leaf[:, ::-1], robots)
+    other = picked(robots, np.s_[:, ::-1])
     turned = replace(
         states,
         robots=other,
         workspace=replace(space, is_in_reach=space.is_in_reach[:, ::-1]),
         decider=1 - states.decider,
     )
-    np.testing.assert_allclose(jax.vmap(team_features)(turned), features, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(FEATURES(turned), features, rtol=1e-5, atol=1e-6)
 
 
 def test_a_wash_of_another_counts_as_one_of_ones_own(states, features):
@@ -87,7 +89,9 @@ def test_finish_of_the_last_robot_looks_at_nothing(states, features):
 
 
 def test_it_waits_only_for_something_that_another_robot_is_in_the_way_of(states):
-    allowed, possible = (np.asarray(jax.vmap(which)(states)) for which in (worthwhile_actions, possible_actions))
+    allowed, possible = (
+        np.asarray(jax.jit(jax.vmap(which))(states)) for which in (worthwhile_actions, possible_actions)
+    )
     np.testing.assert_array_equal(allowed[:, :-1], possible[:, :-1])
     reach = np.asarray(states.workspace.is_in_reach)[np.arange(len(allowed)), np.asarray(states.decider)]
     wanted = reach & np.asarray(states.table.is_on_table) & (np.asarray(states.table.log_odds) > 0)

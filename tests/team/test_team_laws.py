@@ -28,6 +28,7 @@ from halfseen.world.action_space import Verb
 from halfseen.world.grasping import Arrangement, Attempt
 from halfseen.world.grasping_by_robot import check_law
 from halfseen.world.state import NO_ATTEMPT, occlusion
+from picked import picked
 
 NUM_OBJECTS = 4
 HIDES = np.triu(np.full((NUM_OBJECTS, NUM_OBJECTS), 0.25), 1)
@@ -44,6 +45,7 @@ LOGISTIC = FittedGrasping(
 )
 NAIVE_LAWS = [assumed, logistic(0.4, -2.0, 2.0, 4.0)]
 KEY = jax.random.key(5)
+START, STEP = jax.jit(dynamics.start), jax.jit(dynamics.step)
 
 
 @jax.tree_util.register_dataclass
@@ -92,7 +94,7 @@ def played(world, policy, num_paths=60, seed=0):
 
 def met(paths):
     """All states that were decided in; axis B."""
-    return jax.tree.map(lambda leaf: leaf[paths.is_taken], paths.states)
+    return picked(paths.states, paths.is_taken)
 
 
 def test_attempts_go_by_the_law_of_who_makes_them():
@@ -111,7 +113,7 @@ def test_attempts_go_by_the_law_of_who_makes_them():
 
 def test_a_trait_is_changed_by_the_attempts_of_its_own_robot():
     law = GraspingByRobot((Always(), Never()))
-    table = dynamics.start(world_of(Always(), Never()).team_config, first_layout(), KEY)[0].table
+    table = START(world_of(Always(), Never()).team_config, first_layout(), KEY)[0].table
     arrangement = (table.hides, table.is_on_table, occlusion(table), table.grip)
     trait = law.draw_trait(NUM_OBJECTS, KEY)
     for robot, tried in ((0, 0), (1, 1)):
@@ -124,7 +126,7 @@ def test_a_trait_is_changed_by_the_attempts_of_its_own_robot():
 
 def first_layout(world=None):
     layouts = (world_of(None, None) if world is None else world).team.layouts([SCENE])
-    return jax.tree.map(lambda leaf: leaf[0], layouts)
+    return picked(layouts, 0)
 
 
 def test_an_object_that_is_hard_to_grip_is_so_for_all():
@@ -191,7 +193,7 @@ def mixed():
     """States of a team of two laws that acts by chance, one by one, and its world."""
     world = world_of(None, LOGISTIC, price=-0.1)
     states = met(played(world, UniformTeam(), 40))
-    return world, [jax.tree.map(lambda leaf, k=k: leaf[k], states) for k in range(0, len(states.decider), 2)]
+    return world, [picked(states, k) for k in range(0, len(states.decider), 2)]
 
 
 def test_each_attempt_tells_of_a_grip_what_the_law_of_its_robot_says(mixed):
@@ -285,9 +287,9 @@ def test_rules_leave_to_the_other_what_they_never_hold():
 def test_what_another_is_at_ends_as_its_own_law_says():
     world = world_of(None, replace(LOGISTIC, log_std=0.3))
     config = world.team_config
-    state, hidden = dynamics.start(config, first_layout(world), KEY)
+    state, hidden = START(config, first_layout(world), KEY)
     for action in (1, 1 + 2):  # robot 0 washes 0, robot 1 washes 2
-        state, hidden, _ = dynamics.step(config, state, hidden, jnp.asarray(action), KEY)
+        state, hidden, _ = STEP(config, state, hidden, jnp.asarray(action), KEY)
     robots = replace(
         state.robots,
         is_busy=jnp.array([False, True]),
@@ -324,7 +326,7 @@ def test_futures_are_worth_what_comes_of_them():
     paths = played(world, rule, 200)
     is_there = np.asarray(paths.is_taken[:, stage])
     later = np.asarray(jnp.sum(jnp.where(paths.is_taken, paths.reward, 0.0)[:, stage:], axis=1))[is_there]
-    states = jax.tree.map(lambda leaf: leaf[is_there, stage], paths.states)
+    states = picked(paths.states, (is_there, stage))
 
     def worth(state, action, key):
         only = jnp.arange(possible_actions(state).shape[0]) == action
@@ -349,7 +351,7 @@ def test_a_log_tells_who_tried_and_from_it_come_the_same_states():
     posterior = jax.jit(
         jax.vmap(lambda table: jax.nn.softmax(grip_posterior(world.team_config.world, table).log_weights))
     )
-    found, known = (posterior(jax.tree.map(lambda leaf: leaf[at], each.table)) for each in (told, paths.states))
+    found, known = (posterior(picked(each.table, at)) for each in (told, paths.states))
     np.testing.assert_allclose(found, known, rtol=1e-3, atol=1e-6)
     # Who made each attempt shows in what each robot was at, too.
     by, tried = attempted_by(paths.states, np.asarray(paths.action)), np.asarray(paths.states.table.attempt_object)
@@ -401,7 +403,7 @@ BARE = {"base_m": (0.0, 0.0), "reach_m": 1.0, "name": "robot"}
         ),
         (
             lambda: MyopicTeam(world_of(None, Never()).team_config).q_values(
-                dynamics.start(world_of(None, Never()).team_config, first_layout(), KEY)[0]
+                START(world_of(None, Never()).team_config, first_layout(), KEY)[0]
             ),
             "grasping of the config is Never, a law that can be drawn from but",
         ),

@@ -23,6 +23,7 @@ from halfseen.world import UniformPolicy, WorldConfig
 from halfseen.world.action_space import ActionSpace, Verb
 from halfseen.world.episodes import evaluate
 from halfseen.world.state import pad_scenes
+from picked import picked
 
 REACH = np.array([[1, 1, 1, 0], [0, 1, 1, 1]], dtype=bool)
 LAYOUT = TeamLayout(pad_scenes([SCENE]), Workspace(jnp.asarray(REACH)[None], jnp.eye(NUM_OBJECTS, dtype=bool)[None]))
@@ -59,9 +60,11 @@ def test_the_same_log_gives_the_same_policy(logs, learned):
 def test_it_takes_what_is_possible(logs, learned):
     states = states_of(logs, 10)
     at = np.nonzero(np.asarray(states.table.is_on_table).any(axis=-1))
-    some = jax.tree.map(lambda leaf: leaf[at], states)
-    action = jax.vmap(learned.policy_.decide)(some, jax.random.split(jax.random.key(0), len(at[0]))).action
-    assert np.take_along_axis(np.asarray(jax.vmap(possible_actions)(some)), np.asarray(action)[:, None], axis=1).all()
+    some = picked(states, at)
+    action = jax.jit(jax.vmap(learned.policy_.decide))(some, jax.random.split(jax.random.key(0), len(at[0]))).action
+    assert np.take_along_axis(
+        np.asarray(jax.jit(jax.vmap(possible_actions))(some)), np.asarray(action)[:, None], axis=1
+    ).all()
 
 
 def test_each_alone_is_left_where_q_promises_more_by_the_caution(logs, learned):
@@ -156,7 +159,7 @@ def test_each_for_itself_does_what_is_possible_and_keeps_its_own_policy():
     each = EachAlone((RULE, UniformPolicy()))
     paths = episodes.play(TEAM, LAYOUT, each, jax.random.key(5), 60)
     taken = np.asarray(paths.is_taken)
-    possible = np.asarray(jax.vmap(jax.vmap(possible_actions))(paths.states))
+    possible = np.asarray(jax.jit(jax.vmap(jax.vmap(possible_actions)))(paths.states))
     assert np.take_along_axis(possible, np.asarray(paths.action)[..., None], axis=2)[..., 0][taken].all()
     by = np.asarray(paths.probability)[taken], np.asarray(paths.states.decider)[taken]
     assert (by[0][by[1] == 0] == 1.0).all()

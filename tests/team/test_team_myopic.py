@@ -17,12 +17,14 @@ from halfseen.team.state import TeamLayout, Workspace
 from halfseen.world import Scene, WorldConfig
 from halfseen.world.action_space import FINISH
 from halfseen.world.state import pad_scenes
+from picked import picked
 
 NUM_OBJECTS = 5
 WORLD = WorldConfig(horizon=6)
 RULE = GreedyPolicy(WORLD, uses_history=True, counts_penalty=True)
 KEY = jax.random.key(0)
 WAIT = wait_of(NUM_OBJECTS)
+START, STEP = jax.jit(dynamics.start), jax.jit(dynamics.step)
 
 
 def team_of(num_robots, **others):
@@ -44,14 +46,28 @@ def states_of(team, num_paths=40):
     """States that a team meets, half by chance; axis B."""
     behaviour = ExploringTeam(TeamOfRules(RULE))
     paths = episodes.play(team, layouts_of(team.num_robots), behaviour, jax.random.key(3), num_paths)
-    return jax.tree.map(lambda leaf: leaf[paths.is_taken], paths.states)
+    return picked(paths.states, paths.is_taken)
 
 
 def while_the_other_washes(team):
     """A state in which robot 1 decides while robot 0 washes object 0."""
-    layout = jax.tree.map(lambda leaf: leaf[0], layouts_of(team.num_robots))
-    state, hidden = dynamics.start(team, layout, KEY)
-    return dynamics.step(team, state, hidden, jnp.asarray(1), KEY)[0]
+    layout = picked(layouts_of(team.num_robots), 0)
+    state, hidden = START(team, layout, KEY)
+    return STEP(team, state, hidden, jnp.asarray(1), KEY)[0]
+
+
+@jax.jit
+def _q_of(team, state):
+    return MyopicTeam(team).q_values(state)
+
+
+def q_of(team, state):
+    return np.asarray(_q_of(team, state))
+
+
+@jax.jit
+def chosen_by(team, states):
+    return jax.vmap(lambda state: MyopicTeam(team).decide(state, KEY).action)(states)
 
 
 @pytest.mark.parametrize("num_robots", [1, 2, 3])
@@ -59,8 +75,8 @@ def while_the_other_washes(team):
 def test_what_is_chosen_is_possible(num_robots, price):
     team = team_of(num_robots, reward_per_s=price)
     states = states_of(team)
-    chosen = jax.jit(jax.vmap(lambda state: MyopicTeam(team).decide(state, KEY).action))(states)
-    possible = np.asarray(jax.vmap(possible_actions)(states))
+    chosen = chosen_by(team, states)
+    possible = np.asarray(jax.jit(jax.vmap(possible_actions))(states))
     assert np.take_along_axis(possible, np.asarray(chosen)[:, None], axis=-1).all()
 
 
@@ -78,11 +94,11 @@ def test_one_robot_looks_ahead_as_it_does_without_a_team():
 def test_a_price_is_paid_for_every_try_and_once_by_one_robot():
     # All surely dirty and surely grasped: whoever is alone pays the seconds of each object, now or later.
     price = -0.01
-    free, dear = (MyopicTeam(team_of(1, reward_per_s=each)) for each in (0.0, price))
-    layout = jax.tree.map(lambda leaf: leaf[0], layouts_of(1))
-    state, _ = dynamics.start(team_of(1), layout, KEY)
+    free, dear = (team_of(1, reward_per_s=each) for each in (0.0, price))
+    layout = picked(layouts_of(1), 0)
+    state, _ = START(team_of(1), layout, KEY)
     state = replace(state, table=replace(state.table, log_odds=jnp.full(NUM_OBJECTS, 9.0), hides=state.table.hides * 0))
-    paid = np.asarray(dear.q_values(state) - free.q_values(state))[1 : 1 + NUM_OBJECTS]
+    paid = np.subtract(*(q_of(team, state)[1 : 1 + NUM_OBJECTS] for team in (dear, free)))
     attempt_s = expected_attempt_s(WORLD, jnp.zeros(NUM_OBJECTS), grip_posterior(WORLD, state.table))
     # What is missed now is tried once more.
     assert (paid <= price * float(jnp.sum(attempt_s)) + 1e-4).all()
@@ -90,10 +106,7 @@ def test_a_price_is_paid_for_every_try_and_once_by_one_robot():
 
 
 def test_at_no_price_it_waits_for_a_label_and_at_a_high_one_it_leaves():
-    free, dear = (
-        np.asarray(MyopicTeam(team).q_values(while_the_other_washes(team)))
-        for team in (team_of(2), team_of(2, reward_per_s=-5.0))
-    )
+    free, dear = (q_of(team, while_the_other_washes(team)) for team in (team_of(2), team_of(2, reward_per_s=-5.0)))
     assert free[WAIT] >= free[FINISH]
     assert np.argmax(dear) == FINISH
 
@@ -101,16 +114,16 @@ def test_at_no_price_it_waits_for_a_label_and_at_a_high_one_it_leaves():
 def test_what_another_washes_is_nobody_elses():
     team = team_of(2)
     state = while_the_other_washes(team)
-    q = np.asarray(MyopicTeam(team).q_values(state))
+    q = q_of(team, state)
     sure = replace(state, table=replace(state.table, log_odds=state.table.log_odds.at[0].set(9.0)))
-    np.testing.assert_allclose(MyopicTeam(team).q_values(sure), q, atol=1e-5)
+    np.testing.assert_allclose(q_of(team, sure), q, atol=1e-5)
 
 
 def test_who_has_no_decision_left_tries_nothing_more():
     team = team_of(2)
     state = while_the_other_washes(team)
     spent = replace(state, robots=replace(state.robots, decisions_to_go=jnp.array([0, 3], dtype=jnp.int32)))
-    before, after = (np.asarray(MyopicTeam(team).q_values(each)) for each in (state, spent))
+    before, after = (q_of(team, each) for each in (state, spent))
     assert before[FINISH] > 0.0
     assert after[FINISH] == 0.0
 
@@ -120,5 +133,5 @@ def test_a_slow_robot_leaves_to_a_fast_one_what_that_reaches():
     only = jnp.where(jnp.arange(NUM_OBJECTS) == 3, 3.0, -9.0)
     state = replace(state, table=replace(state.table, log_odds=only))
     even, slow = (TeamConfig(WORLD, speed, reward_per_s=-0.1) for speed in ((1.0, 1.0), (1.0, 0.02)))
-    assert int(MyopicTeam(even).decide(state, KEY).action) == 1 + 3
-    assert int(MyopicTeam(slow).decide(state, KEY).action) in (FINISH, WAIT)
+    assert int(chosen_by(even, picked(state, None))[0]) == 1 + 3
+    assert int(chosen_by(slow, picked(state, None))[0]) in (FINISH, WAIT)

@@ -1,37 +1,24 @@
 """What a recorder keeps of a team: who decided, what the others were at, and one clock that never falls."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
+import played_teams
 import pytest
+from played_teams import NUM_OBJECTS, SCENE
 
 from halfseen.errors import LogError
 from halfseen.logs import Logs, read_logs
-from halfseen.planners.heuristics import GreedyPolicy
-from halfseen.team import episodes
 from halfseen.team.actions import possible_actions
-from halfseen.team.config import TeamConfig
-from halfseen.team.policy import ExploringTeam
 from halfseen.team.recording import states_of, to_logs
-from halfseen.team.rules import TeamOfRules
-from halfseen.team.state import TeamLayout, Workspace
-from halfseen.world import Scene, WorldConfig
 from halfseen.world.action_space import TARGETED, ActionSpace
 from halfseen.world.cuts import cut, cut_rate
-from halfseen.world.state import pad_scenes
 
-NUM_OBJECTS, NUM_PATHS = 4, 60
-SCENE = Scene(np.triu(np.full((NUM_OBJECTS, NUM_OBJECTS), 0.3), 1))
+NUM_PATHS = 60
 
 
 @pytest.fixture(scope="module", params=[1, 2, 3])
 def played(request):
-    num_robots = request.param
-    team = TeamConfig(WorldConfig(horizon=5), speed=(1.0,) * num_robots)
-    reach = jnp.ones((1, num_robots, NUM_OBJECTS), dtype=bool)
-    layouts = TeamLayout(pad_scenes([SCENE]), Workspace(reach, jnp.eye(NUM_OBJECTS, dtype=bool)[None]))
-    rule = GreedyPolicy(team.world, uses_history=True, counts_penalty=True)
-    return episodes.play(team, layouts, ExploringTeam(TeamOfRules(rule)), jax.random.key(1), NUM_PATHS)
+    return played_teams.played(played_teams.team_of(request.param), NUM_PATHS)
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +95,7 @@ def test_from_a_log_come_the_states_that_the_team_saw(played, logs):
         found, truth = (np.asarray(getattr(each.robots, name))[at] for each in (states, seen))
         np.testing.assert_allclose(np.where(is_busy, found, 0), np.where(is_busy, truth, 0), rtol=1e-6)
     np.testing.assert_array_equal(np.asarray(states.decider)[at], np.asarray(seen.decider)[at])
-    possible = jax.vmap(jax.vmap(possible_actions))
+    possible = jax.jit(jax.vmap(jax.vmap(possible_actions)))
     np.testing.assert_array_equal(np.asarray(possible(states))[at], np.asarray(possible(seen))[at])
 
 

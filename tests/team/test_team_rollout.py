@@ -26,12 +26,14 @@ from halfseen.world.action_space import Verb
 from halfseen.world.action_space import possible_actions as possible_of_table
 from halfseen.world.episodes import ONE_ROBOT
 from halfseen.world.state import pad_scenes
+from picked import picked
 
 NUM_OBJECTS = 3
 HIDES = np.array([[0.0, 0.5, 0.2], [0.0, 0.0, 0.4], [0.0, 0.0, 0.0]])
 WORLD = WorldConfig(horizon=4)
 RULE = GreedyPolicy(WORLD, uses_history=True, counts_penalty=True)
 KEY, NUM_FUTURES = jax.random.key(5), 1500
+START, STEP = jax.jit(dynamics.start), jax.jit(dynamics.step)
 OF_TABLE, OF_TEAM = (KnownRewards(WORLD, table_of) for table_of in (lambda each: each, lambda each: each.table))
 
 
@@ -41,11 +43,11 @@ def layouts_of(num_robots):
 
 
 def first_of(layouts):
-    return jax.tree.map(lambda leaf: leaf[0], layouts)
+    return picked(layouts, 0)
 
 
 def test_futures_are_worth_what_rollouts_in_beliefs_are():
-    state, _ = one_robot.start(WORLD, first_of(layouts_of(1)).table, KEY)
+    state, _ = jax.jit(one_robot.start)(WORLD, first_of(layouts_of(1)).table, KEY)
     in_beliefs = np.asarray(sampled_values(WORLD, state, KEY, NUM_FUTURES))
     in_worlds = np.asarray(
         jax.jit(
@@ -89,8 +91,8 @@ def test_one_robot_has_the_futures_of_the_dynamics_of_one_robot():
 
 def test_what_another_is_at_ends_as_its_law_says_given_that_it_has_not_ended():
     config, layout = TeamConfig(WORLD, speed=(1.0, 1.0)), first_of(layouts_of(2))
-    state, hidden = dynamics.start(config, layout, KEY)
-    state, _, _ = dynamics.step(config, state, hidden, jnp.asarray(1), KEY)
+    state, hidden = START(config, layout, KEY)
+    state, _, _ = STEP(config, state, hidden, jnp.asarray(1), KEY)
     since_s = 3.0
     state = replace(state, robots=replace(state.robots, since_s=jnp.array([since_s, 0.0])))
     draws = jax.jit(jax.vmap(lambda key: imagined_team(config, state, key)))(jax.random.split(KEY, 20_000))
@@ -128,7 +130,7 @@ def test_futures_of_a_team_are_worth_what_comes_of_it():
     for stage in (1, 3):
         is_there = np.asarray(paths.is_taken[:, stage])
         later = np.asarray(jnp.sum(jnp.where(paths.is_taken, paths.reward, 0.0)[:, stage:], axis=1))[is_there]
-        states = jax.tree.map(lambda leaf, stage=stage: leaf[:, stage], paths.states)
+        states = picked(paths.states, np.s_[:, stage])
         found = np.asarray(worths((states, paths.action[:, stage], keys)))[is_there]
         difference = found - later
         assert abs(difference.mean()) < 4.0 * difference.std() / np.sqrt(len(difference))
@@ -139,7 +141,7 @@ def test_a_choice_rests_on_what_is_seen_alone_and_is_possible():
     config, layout = TeamConfig(WORLD, speed=(1.0, 1.0)), first_of(layouts_of(2))
     policy = RolloutTeam(config, ReservingTeam(config, RULE), num_futures=16)
     decide, step = jax.jit(policy.decide), jax.jit(dynamics.step)
-    state, hidden = dynamics.start(config, layout, KEY)
+    state, hidden = START(config, layout, KEY)
     other = replace(hidden, table=replace(hidden.table, is_dirty=~hidden.table.is_dirty))
     after = [step(config, state, each, jnp.asarray(1), KEY) for each in (hidden, other)]
     choices = [decide(each[0], KEY).action for each in after]
@@ -149,7 +151,7 @@ def test_a_choice_rests_on_what_is_seen_alone_and_is_possible():
 
 def test_what_goes_on_is_not_yet_over_also_on_a_grid_of_times():
     config = TeamConfig(replace(WORLD, grasping=GridGrasping()), (1.0, 1.0))
-    state, _ = dynamics.start(config, first_of(layouts_of(2)), KEY)
+    state, _ = START(config, first_of(layouts_of(2)), KEY)
     # Attempts take 3, 5 or 7 s. If robot 0 decides after 3 s, robot 1 may be at its end, too; not the other way round.
     at = [(0, [0.0, 3.0], 1, {0.0, 2.0, 4.0}), (1, [3.0, 0.0], 0, {2.0, 4.0})]
     for decider, since_s, robot, left_s in at:

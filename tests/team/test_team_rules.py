@@ -19,6 +19,7 @@ from halfseen.world import Scene, WorldConfig
 from halfseen.world import episodes as one_robot
 from halfseen.world.action_space import Verb
 from halfseen.world.state import occlusion, pad_scenes
+from picked import picked
 
 NUM_OBJECTS = 4
 HIDES = np.triu(np.full((NUM_OBJECTS, NUM_OBJECTS), 0.2), 1)
@@ -40,11 +41,16 @@ def config_of(price=0.0, num_robots=2):
 def states_of(config, num_paths=60):
     """States that two robots meet by chance; axis B."""
     paths = episodes.play(config, layouts_of(REACH), UniformTeam(), KEY, num_paths)
-    return jax.tree.map(lambda leaf: leaf[paths.is_taken], paths.states)
+    return picked(paths.states, paths.is_taken)
+
+
+@jax.jit
+def decide_each(policy, states):
+    return jax.vmap(lambda state: policy.decide(state, KEY).action)(states)
 
 
 def chosen(policy, states):
-    return np.asarray(jax.jit(jax.vmap(lambda state: policy.decide(state, KEY).action))(states))
+    return np.asarray(decide_each(policy, states))
 
 
 def gone(robots):
@@ -121,10 +127,10 @@ def test_one_at_a_time_never_has_two_at_work():
 
 
 def test_a_second_costs_a_slow_robot_more():
-    layout = jax.tree.map(lambda leaf: leaf[0], layouts_of(REACH))
+    layout = picked(layouts_of(REACH), 0)
     config = config_of(-0.6)
-    state, _ = dynamics.start(config, layout, jax.random.key(1))
+    state, _ = jax.jit(dynamics.start)(config, layout, jax.random.key(1))
     state = replace(state, table=replace(state.table, log_odds=jnp.full(NUM_OBJECTS, 2.0)))
     slow = replace(config, speed=(0.1, 1.0))
-    assert int(ReservingTeam(config, RULE).decide(state, KEY).action) != 0
-    assert int(ReservingTeam(slow, RULE).decide(state, KEY).action) == 0
+    assert int(chosen(ReservingTeam(config, RULE), picked(state, None))[0]) != 0
+    assert int(chosen(ReservingTeam(slow, RULE), picked(state, None))[0]) == 0

@@ -56,10 +56,10 @@ def test_each_robot_touches_what_it_reaches_and_padding_is_nobodys():
 
 
 def test_same_seed_same_logs_and_evaluate_plays_the_same_tables():
-    first, again = (WORLD.simulate(SCENES, UniformTeam(), 30, seed=5, cut_share=0.5) for _ in range(2))
+    first, again = (WORLD.simulate(SCENES, UniformTeam(), 40, seed=5, cut_share=0.5) for _ in range(2))
     assert first.stages.equals(again.stages)
-    totals = WORLD.evaluate(SCENES, UniformTeam(), 30, seed=5)
-    played = episodes.play(WORLD.team_config, WORLD.team.layouts(SCENES), UniformTeam(), jax.random.key(5), 30)
+    totals = WORLD.evaluate(SCENES, UniformTeam(), 40, seed=5)
+    played = episodes.play(WORLD.team_config, WORLD.team.layouts(SCENES), UniformTeam(), jax.random.key(5), 40)
     np.testing.assert_allclose(totals.reward, np.sum(np.where(played.is_taken, played.reward, 0.0), axis=1), rtol=1e-5)
 
 

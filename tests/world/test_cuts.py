@@ -1,10 +1,10 @@
-import jax
 import numpy as np
 import pytest
 from naive_world import hidden_share
 
 from halfseen.errors import ArgumentError
 from halfseen.world.cuts import CUT_KINDS, cut, cut_rate, unit_hazards
+from picked import picked
 
 SHARES = (1 / 6, 1 / 3, 1 / 2)
 
@@ -42,7 +42,7 @@ def test_a_cut_falls_after_what_was_completed_and_before_the_next(played, kind):
 
 
 def test_the_hazards_are_those_of_the_text(played):
-    sample = jax.tree.map(lambda leaf: leaf[:60], played)
+    sample = picked(played, np.s_[:60])
     duration = np.asarray(sample.duration_s, dtype=float)
     expected = {kind: np.zeros(duration.shape) for kind in CUT_KINDS}
     for path, stage in np.argwhere(np.asarray(sample.is_taken)):

@@ -11,6 +11,7 @@ from halfseen.world import AssumedGrasping, Scene, WorldConfig
 from halfseen.world.action_space import ActionSpace, Verb, possible_actions
 from halfseen.world.dynamics import Outcome, look, start, step
 from halfseen.world.state import HiddenState, Layout, TableState, attempt_counts, occlusion, pad_scenes
+from picked import picked
 
 CONFIG = WorldConfig()
 NUM_OBJECTS = 5
@@ -42,17 +43,17 @@ def draws(key):
 def steps(played):
     """A few hundred states of all kinds, with the action taken there and one step from each."""
     path, stage = np.nonzero(np.asarray(played.is_taken)[:150])
-    states = jax.tree.map(lambda leaf: leaf[path, stage], played.states)
-    hidden = jax.tree.map(lambda leaf: leaf[path], played.hidden)
+    states = picked(played.states, (path, stage))
+    hidden = picked(played.hidden, path)
     action = played.action[path, stage]
     keys = jax.random.split(jax.random.key(11), len(path))
     after, _, outcome = jax.jit(jax.vmap(step, in_axes=(None, 0, 0, 0, 0)))(CONFIG, states, hidden, action, keys)
-    exponential, uniforms = jax.vmap(draws)(keys)
+    exponential, uniforms = jax.jit(jax.vmap(draws))(keys)
     return states, hidden, np.asarray(action), np.asarray(exponential), np.asarray(uniforms), after, outcome
 
 
 def row(tree, k):
-    return jax.tree.map(lambda leaf: leaf[k], tree)
+    return picked(tree, k)
 
 
 def tables_of(states, hidden):
@@ -153,7 +154,7 @@ def test_labels_are_right_as_often_as_the_accuracy_says():
 
 def test_only_what_stands_on_the_table_can_be_acted_on(steps):
     states, *_ = steps
-    possible = np.asarray(jax.vmap(possible_actions)(states))
+    possible = np.asarray(jax.jit(jax.vmap(possible_actions))(states))
     on_table = np.asarray(states.is_on_table)
     assert possible[:, 0].all()
     assert (possible[:, 1:] == np.concatenate([on_table, on_table], axis=1)).all()
@@ -161,7 +162,7 @@ def test_only_what_stands_on_the_table_can_be_acted_on(steps):
 
 def test_attempts_are_counted_by_object(steps):
     states, hidden, *_ = steps
-    successes, failures = (np.asarray(count) for count in jax.vmap(attempt_counts)(states))
+    successes, failures = (np.asarray(count) for count in jax.jit(jax.vmap(attempt_counts))(states))
     for k, table in enumerate(tables_of(states, hidden)):
         attempts = table["attempts"]
         for i in range(NUM_OBJECTS):

@@ -12,6 +12,7 @@ from halfseen.world.dynamics import start, step
 from halfseen.world.episodes import evaluate, evaluate_some, play
 from halfseen.world.number import is_wrong
 from halfseen.world.state import pad_scenes
+from picked import picked
 
 CONFIG = WorldConfig()
 
@@ -66,10 +67,10 @@ def test_a_batch_is_a_loop(scenes):
     one_start, one_step = jax.jit(start), jax.jit(step)
     for k in range(6):
         start_key, world_key, policy_key = jax.random.split(jax.random.fold_in(key, k), 3)
-        layout = jax.tree.map(lambda leaf: leaf[k % 3], layouts)  # noqa: B023
+        layout = picked(layouts, k % 3)
         state, hidden = one_start(CONFIG, layout, start_key)
         for t in range(10):
-            assert same(state, jax.tree.map(lambda leaf: leaf[k, t], batch.states))  # noqa: B023
+            assert same(state, picked(batch.states, (k, t)))
             action = InTurn().decide(state, policy_key).action
             state, hidden, outcome = one_step(CONFIG, state, hidden, action, jax.random.fold_in(world_key, t))
             assert bool(batch.is_taken[k, t])
@@ -86,7 +87,7 @@ def test_other_members_of_a_batch_do_not_leak_in(scenes):
     others = [random_scene(4, 5), scenes[1], random_scene(2, 6)]
     here = play(CONFIG, pad_scenes(scenes), InTurn(), jax.random.key(1), 6)
     there = play(CONFIG, pad_scenes(others, num_objects=5), InTurn(), jax.random.key(1), 6)
-    assert same(jax.tree.map(lambda leaf: leaf[1::3], here), jax.tree.map(lambda leaf: leaf[1::3], there))
+    assert same(picked(here, np.s_[1::3]), picked(there, np.s_[1::3]))
     assert not same(here, there)
 
 
@@ -129,7 +130,7 @@ def test_some_episodes_are_those_of_all(scenes, in_turn):
 
 def test_policies_meet_the_same_world(played, scenes):
     suspicious = play(CONFIG, pad_scenes(scenes), Suspicious(), jax.random.key(7), 300)
-    assert same(suspicious.hidden, jax.tree.map(lambda leaf: leaf[:300], played.hidden))
+    assert same(suspicious.hidden, picked(played.hidden, np.s_[:300]))
     assert not np.array_equal(suspicious.action, played.action[:300])
 
 
@@ -166,7 +167,7 @@ def test_the_clock_runs_and_a_path_ends_once(played):
 
 
 def test_the_logged_probability_is_that_of_the_action(scenes):
-    state, _ = jax.jit(start)(CONFIG, jax.tree.map(lambda leaf: leaf[1], pad_scenes(scenes)), jax.random.key(0))
+    state, _ = jax.jit(start)(CONFIG, picked(pad_scenes(scenes), 1), jax.random.key(0))
     num_draws = 20_000
     policy = ExploringPolicy(Suspicious(), random_share=0.3)
     keys = jax.random.split(jax.random.key(2), num_draws)
@@ -202,7 +203,7 @@ def test_a_parameter_is_looked_at_where_it_is_a_plain_number():
 
 @pytest.mark.parametrize("share", [0.0, 1.0])
 def test_the_ends_of_exploring(scenes, share):
-    state, _ = jax.jit(start)(CONFIG, jax.tree.map(lambda leaf: leaf[1], pad_scenes(scenes)), jax.random.key(0))
+    state, _ = jax.jit(start)(CONFIG, picked(pad_scenes(scenes), 1), jax.random.key(0))
     base = Suspicious().decide(state, jax.random.key(0))
     keys = jax.random.split(jax.random.key(2), 200)
     decide = jax.jit(jax.vmap(ExploringPolicy(Suspicious(), share).decide, in_axes=(None, 0)))

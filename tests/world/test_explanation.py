@@ -10,6 +10,7 @@ from halfseen.world import Scene, WorldConfig
 from halfseen.world.action_space import ActionSpace
 from halfseen.world.explanation import alike, explained
 from halfseen.world.state import initial_state, pad_scenes
+from picked import picked
 
 # FINISH, WASH 0, WASH 1, LIFT 0, LIFT 1
 VALUES = np.array([0.0, 1.0, -2.0, 1.5, 0.5])
@@ -131,7 +132,7 @@ def test_what_makes_no_sense_is_refused(change, message):
 
 
 def state_of(hides, **changes):
-    layout = jax.tree.map(lambda leaf: leaf[0], pad_scenes([Scene(np.array(hides, dtype=float))]))
+    layout = picked(pad_scenes([Scene(np.array(hides, dtype=float))]), 0)
     state = initial_state(WorldConfig(horizon=4), layout)
     return jax.tree_util.tree_map(jnp.asarray, state.__class__(**{**vars(state), **changes}))
 

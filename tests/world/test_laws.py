@@ -30,6 +30,7 @@ from halfseen.world.gymnasium_env import CupsEnv
 from halfseen.world.recording import states_of
 from halfseen.world.seeing import label_evidence
 from halfseen.world.state import pad_scenes
+from picked import picked
 
 SCENE = Scene(np.array([[0.0, 0.5, 0.2], [0.0, 0.0, 0.3], [0.1, 0.0, 0.0]]))
 OTHER = WorldConfig(grasping=Nudging(), seeing=Persisting(), horizon=6)
@@ -90,7 +91,7 @@ def test_formulas_are_the_same_in_numpy_and_jax():
 
 
 def test_an_attempt_may_move_what_it_lifts():
-    state, hidden = jax.jit(start)(OTHER, jax.tree.map(lambda leaf: leaf[0], pad_scenes([SCENE])), jax.random.key(0))
+    state, hidden = jax.jit(start)(OTHER, picked(pad_scenes([SCENE]), 0), jax.random.key(0))
     after, hidden, outcome = jax.jit(step)(OTHER, state, hidden, jnp.asarray(LIFT + 1), jax.random.key(1))
     expected = SCENE.hides.copy()
     expected[1], expected[:, 1] = 0.0, 0.0
@@ -104,7 +105,7 @@ def test_an_attempt_may_move_what_it_lifts():
 
 def test_the_same_view_tells_nothing_new():
     config = replace(OTHER, seeing=Persisting())
-    state, hidden = jax.jit(start)(config, jax.tree.map(lambda leaf: leaf[0], pad_scenes([SCENE])), jax.random.key(3))
+    state, hidden = jax.jit(start)(config, picked(pad_scenes([SCENE]), 0), jax.random.key(3))
     after, hidden, _ = jax.jit(step)(config, state, hidden, jnp.asarray(LIFT), jax.random.key(4))
     # Object 0 was held up and seen whole, and no longer hid object 2; object 1 was seen as before.
     assert (np.asarray(after.log_odds) != np.asarray(state.log_odds)).tolist() == [True, False, True]
@@ -157,7 +158,7 @@ def test_gymnasium_plays_by_the_same_laws(episodes):
 
 def test_what_is_not_there_cannot_be_held():
     config = replace(OTHER, seeing=AssumedSeeing())
-    state, hidden = jax.jit(start)(config, jax.tree.map(lambda leaf: leaf[0], pad_scenes([SCENE])), jax.random.key(3))
+    state, hidden = jax.jit(start)(config, picked(pad_scenes([SCENE]), 0), jax.random.key(3))
     gone = replace(state, is_on_table=jnp.array([False, True, True]))
     after, hidden, outcome = jax.jit(step)(config, gone, hidden, jnp.asarray(LIFT), jax.random.key(4))
     assert not after.attempt_succeeded[0]
@@ -179,7 +180,7 @@ def test_planners_say_which_law_they_do_not_know(config, message):
 
 
 def test_a_policy_that_needs_no_law_decides_under_any(episodes):
-    state = jax.tree.map(lambda leaf: leaf[0, 0], episodes.states)
+    state = picked(episodes.states, (0, 0))
     with pytest.raises(ArgumentError, match="planners need them"):
         belief_of(OTHER, state)
     with pytest.raises(ArgumentError, match="Nudging"):

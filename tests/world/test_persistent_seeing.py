@@ -16,6 +16,7 @@ from halfseen.world.dynamics import start, step
 from halfseen.world.episodes import play
 from halfseen.world.seeing import is_independent, label_evidence
 from halfseen.world.state import pad_scenes
+from picked import picked
 
 LOOKS = st.lists(st.tuples(st.sampled_from(np.linspace(0.0, 1.0, 11).tolist()), st.booleans()), min_size=1, max_size=5)
 SCENE = Scene(np.array([[0.0, 0.5, 0.2], [0.0, 0.0, 0.3], [0.1, 0.0, 0.0]]))
@@ -135,7 +136,7 @@ def test_numbers_must_be_given():
 
 
 def test_an_object_in_the_hand_shows_what_the_table_hid():
-    layout = jax.tree.map(lambda leaf: leaf[0], pad_scenes([SCENE]))
+    layout = picked(pad_scenes([SCENE]), 0)
 
     def lifted(key):
         state, hidden = start(FITTED, layout, key)
@@ -188,7 +189,7 @@ def test_one_look_is_not_counted_ten_times(played):
 
 @pytest.mark.slow
 def test_drawn_labels_say_dirty_as_often_as_the_law_says():
-    layout = jax.tree.map(lambda leaf: leaf[0], pad_scenes([SCENE]))
+    layout = picked(pad_scenes([SCENE]), 0)
     keys = jax.random.split(jax.random.key(0), 100_000)
     state, hidden = jax.vmap(lambda key: start(FITTED, layout, key))(keys)
     says_dirty, is_dirty = np.asarray(state.seen) == 1.0, np.asarray(hidden.is_dirty)

@@ -8,11 +8,12 @@ from halfseen.tables.encoding import encode_states
 from halfseen.world import TableWorld, UniformPolicy, table_world
 from halfseen.world.cuts import cut, cut_rate
 from halfseen.world.recording import states_of, to_logs
+from picked import picked
 
 
 @pytest.fixture(scope="module")
 def recorded(played, scenes):
-    sample = jax.tree.map(lambda leaf: leaf[:90], played)
+    sample = picked(played, np.s_[:90])
     cuts = cut(sample, cut_rate(sample, 0.4, "occlusion"), "occlusion", np.random.default_rng(0))
     return cuts, to_logs(cuts, "occlusion", scenes)
 

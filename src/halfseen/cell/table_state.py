@@ -4,9 +4,9 @@ from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
+from halfseen.arrays import on_device
 from halfseen.cell.facts import Facts
 from halfseen.cell.memory import Known, Memory
 from halfseen.planners.belief import known_seeing
@@ -55,20 +55,20 @@ def state_of(memory: Memory, belief: Belief, steps_to_go: int) -> TableState:
     told = [_told(known, belief.config) for known in objects]
 
     def padded(values: list[Any], kind: Any) -> Any:
-        return jnp.asarray(np.array([*values, *[0] * (size - len(values))], dtype=kind))
+        return on_device(np.array([*values, *[0] * (size - len(values))], dtype=kind))
 
     return TableState(
-        hides=jnp.asarray(hides),
+        hides=on_device(hides),
         is_object=padded([True] * len(objects), bool),
         grip=padded([belief.grip(known.facts) for known in objects], np.float32),
         is_on_table=padded([not known.is_gone for known in objects], bool),
         log_odds=padded([log_odds for log_odds, _ in told], np.float32),
         seen=padded([seen for _, seen in told], np.float32),
         lifts=padded([known.lifts for known in objects], np.int32),
-        attempt_object=jnp.asarray(np.array(target, dtype=np.int32)),
-        attempt_occlusion=jnp.asarray(np.array(occluded, dtype=np.float32)),
-        attempt_succeeded=jnp.asarray(np.array(succeeded, dtype=bool)),
-        steps_to_go=jnp.asarray(np.int32(steps_to_go)),
+        attempt_object=on_device(np.array(target, dtype=np.int32)),
+        attempt_occlusion=on_device(np.array(occluded, dtype=np.float32)),
+        attempt_succeeded=on_device(np.array(succeeded, dtype=bool)),
+        steps_to_go=on_device(np.int32(steps_to_go)),
     )
 
 

@@ -24,10 +24,10 @@ from halfseen.evaluation.stored_model import specification
 from halfseen.evaluation.targets import CrossFitted
 from halfseen.evaluation.verdict import Verdict
 from halfseen.learners.q_learning.q_learner import CensoredQLearner
-from halfseen.learners.threads import in_one_thread
 from halfseen.logs import Logs
 from halfseen.policies.folder.specification import described
 from halfseen.workers import ALONE, Pool, Workers
+from halfseen.workers.threads import in_one_thread
 
 NUM_FOLDS = 5
 

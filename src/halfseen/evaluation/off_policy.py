@@ -35,9 +35,9 @@ from halfseen.learners.q_learning.q_space import CrossValidation, QSpace, q_spac
 from halfseen.learners.q_learning.targets import DoublyRobust, Targets, Weighted, targets_of
 from halfseen.learners.q_learning.task import Task
 from halfseen.learners.q_learning.transitions import StageMode
-from halfseen.learners.threads import in_one_thread
 from halfseen.logs import Logs
 from halfseen.workers import ALONE, Workers
+from halfseen.workers.threads import in_one_thread
 
 LARGEST_WEIGHT = 10.0
 """Bound of 1/Ĝ where a user has said nothing of cuts."""

@@ -7,12 +7,15 @@ than the sums of so few parameters do; and here fits from several starts ask for
 Parameters are scaled by the root of their room, the distance to the bound that each moves towards (1 where there is
 none). ``g`` is the slope of the cost, ``J`` how residuals change with scaled parameters, and ``U s Vᵀ`` the
 decomposition of J above the curvature that bounds add.
+
+Shapes are checked where places and bounds come in. What a step asks of them, thousands of times a cloud, is not checked
+again, which takes longer than the step.
 """
 
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import Protocol, TypeAlias, runtime_checkable
+from typing import Protocol, TypeAlias, no_type_check, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -78,6 +81,7 @@ class Bounds:
         """Parameters that have bounds."""
         return np.flatnonzero(np.isfinite(self.low)).tolist()
 
+    @no_type_check
     def hold(self, p: Free) -> bool:
         """Whether parameters are within."""
         return bool(((p >= self.low) & (p <= self.high)).all())
@@ -101,6 +105,7 @@ class Bounds:
         nearest = np.min(far)
         return nearest, (far == nearest) * np.sign(way)
 
+    @no_type_check
     def inside(self, p: Free) -> Free:
         """Move what is on a bound, or beyond, just off it."""
         if ((p > self.low) & (p < self.high)).all():
@@ -170,6 +175,7 @@ def _path(start: Free, bounds: Bounds) -> Generator[Free, Place, Place]:
     return here
 
 
+@no_type_check
 class _Model:
     """The cost near to a place, as a quadratic of scaled parameters."""
 
@@ -295,6 +301,7 @@ def soft_l1(residuals: Rows) -> Rows:
     return 2 * (np.sqrt(1 + residuals**2) - 1)
 
 
+@no_type_check
 def _next_radius(radius: float, gain: float, hoped_gain: float, length: float) -> tuple[float, float]:
     """Radius after a step, and which share of what was hoped for it gained."""
     ratio = gain / hoped_gain if hoped_gain > 0 else float(hoped_gain == gain == 0)
@@ -303,6 +310,7 @@ def _next_radius(radius: float, gain: float, hoped_gain: float, length: float) -
     return (2.0 * radius if ratio > 0.75 and length > 0.95 * radius else radius), ratio
 
 
+@no_type_check
 def _to_edge(start: Free, way: Free, radius: float) -> float:
     """How far a way leads to the edge of the trust region, in multiples of it."""
     a, b, c = way.dot(way), start.dot(way), start.dot(start) - radius**2
@@ -310,6 +318,7 @@ def _to_edge(start: Free, way: Free, radius: float) -> float:
     return max(q / a, c / q)
 
 
+@no_type_check
 def _lowest(a: float, b: float, c: float, near: float, far: float) -> tuple[float, float]:
     """Where ``a·t² + b·t + c`` is least between two places, and how low it is there."""
     places = [near, far]
@@ -320,6 +329,7 @@ def _lowest(a: float, b: float, c: float, near: float, far: float) -> tuple[floa
     return places[best], values[best]
 
 
+@no_type_check
 def _length(vector: Free) -> float:
     return np.sqrt(vector.dot(vector))
 

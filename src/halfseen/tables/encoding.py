@@ -3,11 +3,11 @@
 from functools import partial
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Int
 
+from halfseen.arrays import on_device
 from halfseen.errors import LogError
 from halfseen.learners.q_learning.path_arrays import stage_places
 from halfseen.learners.q_learning.room import room_for_rows
@@ -54,7 +54,7 @@ def encoded_states(
 
     def one_after_another(leaf: jax.Array) -> jax.Array:
         each = np.asarray(leaf)[:num_paths]
-        return jnp.asarray(each.reshape(num_paths * horizon, *each.shape[2:]).take(index, axis=0))
+        return on_device(each.reshape(num_paths * horizon, *each.shape[2:]).take(index, axis=0))
 
     features, is_possible = (
         np.asarray(leaf)[: len(at)] for leaf in encode_states(jax.tree.map(one_after_another, states), grasp)

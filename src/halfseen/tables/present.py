@@ -4,10 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
-from halfseen.arrays import Hides, PerObject
+from halfseen.arrays import Hides, PerObject, on_device
 from halfseen.errors import PolicyError
 from halfseen.world.scene import Scene
 from halfseen.world.seeing import KnownSeeing, label_evidence
@@ -146,19 +145,20 @@ def state_now(hides: Hides, known: Known, tried: Sequence[Tried], horizon: int, 
     empty = [Tried(NO_ATTEMPT, 0.0, False)] * (horizon - len(tried))
     target, occluded, succeeded = (np.array(column) for column in zip(*tried, *empty, strict=True))
     there = np.ones(len(hides), dtype=bool)
-    return TableState(
-        hides=jnp.asarray(hides.astype(np.float32)),
-        is_object=jnp.asarray(there),
-        is_on_table=jnp.asarray(there),
-        grip=jnp.asarray(known.grip.astype(np.float32)),
-        log_odds=jnp.asarray(known.log_odds.astype(np.float32)),
-        seen=jnp.asarray(known.seen.astype(np.float32)),
-        lifts=jnp.asarray(known.lifts.astype(np.int32)),
-        attempt_object=jnp.asarray(target.astype(np.int32)),
-        attempt_occlusion=jnp.asarray(occluded.astype(np.float32)),
-        attempt_succeeded=jnp.asarray(succeeded.astype(bool)),
-        steps_to_go=jnp.asarray(np.int32(horizon - stage + 1)),
-    )
+    leaves = {
+        "hides": hides.astype(np.float32),
+        "is_object": there,
+        "is_on_table": there,
+        "grip": known.grip.astype(np.float32),
+        "log_odds": known.log_odds.astype(np.float32),
+        "seen": known.seen.astype(np.float32),
+        "lifts": known.lifts.astype(np.int32),
+        "attempt_object": target.astype(np.int32),
+        "attempt_occlusion": occluded.astype(np.float32),
+        "attempt_succeeded": succeeded.astype(bool),
+        "steps_to_go": np.int32(horizon - stage + 1),
+    }
+    return TableState(**on_device(leaves))
 
 
 def labelled(present: Present, is_dirty: Sequence[bool | None], seeing: KnownSeeing) -> Present:
@@ -181,7 +181,7 @@ def labelled(present: Present, is_dirty: Sequence[bool | None], seeing: KnownSee
     evidence = label_evidence(*seeing.positive(occluded, seen), says_dirty)
     state = replace(
         present.state,
-        log_odds=jnp.asarray((log_odds + np.where(is_told, evidence, 0.0)).astype(np.float32)),
-        seen=jnp.asarray(np.where(is_told, seeing.after(occluded, seen, says_dirty), seen).astype(np.float32)),
+        log_odds=on_device((log_odds + np.where(is_told, evidence, 0.0)).astype(np.float32)),
+        seen=on_device(np.where(is_told, seeing.after(occluded, seen, says_dirty), seen).astype(np.float32)),
     )
     return replace(present, state=state, is_labelled=True, new=())

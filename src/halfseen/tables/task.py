@@ -5,11 +5,11 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 from jaxtyping import Float, Int
 
+from halfseen.arrays import on_device
 from halfseen.errors import ArgumentError
 from halfseen.learners.q_learning.automatic import AUTO
 from halfseen.learners.q_learning.task import Encoded, LearnedQ, RewardedStages
@@ -102,12 +102,12 @@ class TableTask:
     def policy(self, learned: LearnedQ) -> LinearTablePolicy:
         """Policy in single precision, as coarse as the states that it sees."""
         numbers, seen = learned._replace(is_seen=None), learned.is_seen
-        single: Any = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=jnp.float32), numbers)
+        single: Any = jax.tree.map(lambda leaf: on_device(np.asarray(leaf, dtype=np.float32)), numbers)
         return LinearTablePolicy(
             coefficients=single.coefficients,
             grasp=self._model,
             kernel_map=single.kernel_map,
-            is_seen=None if seen is None or seen.all() else jnp.asarray(seen),
+            is_seen=None if seen is None or seen.all() else on_device(seen),
             margin=single.margin,
             behaviour=single.behaviour,
         )

@@ -16,12 +16,12 @@ from jaxtyping import Array, Float, Int
 
 from halfseen.arrays import Rows
 from halfseen.errors import HalfseenWarning
-from halfseen.learners.threads import one_thread
 from halfseen.tables.grasp.beta_grasp import fitted_thetas, predictive
 from halfseen.tables.grasp.choice import CLEARLY, FEWEST_ATTEMPTS, NUM_FOLDS
 from halfseen.tables.grasp.grasp_table import GraspTable, every_history, table_of
 from halfseen.tables.grasp.grip_effect import fitted_effect
 from halfseen.tables.grasp.inputs import Decided, checked_attempts
+from halfseen.workers.threads import one_thread
 from halfseen.world.state import TableState
 
 SENTENCE = (

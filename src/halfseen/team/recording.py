@@ -14,12 +14,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import pyarrow as pa
 from jaxtyping import Array, Bool, Int
 
+from halfseen.arrays import on_device
 from halfseen.logs import Logs
 from halfseen.logs.checks.robots import robots_that_may_drop_out
 from halfseen.logs.columns import require_columns
@@ -164,7 +164,7 @@ def states_of(logs: Logs, horizon: int) -> TeamState:
     def spread(values: np.ndarray) -> Array:
         found = np.zeros((*shape, *values.shape[1:]), dtype=values.dtype)
         found[at] = values
-        return jnp.asarray(found)
+        return on_device(found)
 
     numbers = {
         what: np.stack([stages[f"{r}_{what}"].to_numpy() for r in range(num_robots)], axis=1)
@@ -282,7 +282,7 @@ def _attempt_robots(logs: Logs, table: TableState) -> Int[Array, "n T A"] | None
     stage = logs.objects["stage"].to_numpy()[by.row] - 1
     found = np.zeros(table.attempt_object.shape, dtype=np.int32)
     found[path, stage, attempt_slots(path, stage)] = by.values
-    return jnp.asarray(found)
+    return on_device(found)
 
 
 def _workspaces(logs: Logs, table: TableState, told: Told) -> Workspace:
@@ -296,7 +296,7 @@ def _workspaces(logs: Logs, table: TableState, told: Told) -> Workspace:
     is_in_reach[path, stage, :, target] = told.is_reached
     other = number[begin[near.row] + near.values.astype(np.int64)]
     is_near[path[near.row], stage[near.row], target[near.row], other] = True
-    return Workspace(jnp.asarray(is_in_reach), jnp.asarray(is_near))
+    return Workspace(*on_device((is_in_reach, is_near)))
 
 
 def _robots(states: TeamState, begun: Int[np.ndarray, "rows 2"]) -> dict[str, pd.Series]:

@@ -5,10 +5,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from halfseen.arrays import on_device
 from halfseen.errors import ArgumentError, HalfseenWarning
 from halfseen.team.state import Workspace
 from halfseen.world.grasping import GraspLaw
@@ -153,4 +153,4 @@ def workspace_of(
         warnings.warn(f"{message}; move a base, or leave it out", HalfseenWarning, stacklevel=2)
     apart_m = np.linalg.norm(places_m[:, None] - places_m[None], axis=-1)
     is_near = (apart_m < clearance_m) | np.eye(len(places_m), dtype=bool)
-    return Workspace(jnp.asarray(is_in_reach), jnp.asarray(is_near))
+    return Workspace(*on_device((is_in_reach, is_near)))

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import jax.numpy as jnp
 import numpy as np
 
+from halfseen.arrays import on_device
 from halfseen.errors import ArgumentError, SceneError
 from halfseen.team.config import TeamConfig
 from halfseen.team.robots import CLEARANCE_M, Robot, check_numbers, workspace_of
@@ -76,4 +76,4 @@ class Team:
             found = workspace_of(self.robots, scene.places_m, self.clearance_m, scene.name)
             is_in_reach[k, :, : scene.num_objects] = found.is_in_reach
             is_near[k, : scene.num_objects, : scene.num_objects] = found.is_near
-        return TeamLayout(tables, Workspace(jnp.asarray(is_in_reach), jnp.asarray(is_near)))
+        return TeamLayout(tables, Workspace(*on_device((is_in_reach, is_near))))

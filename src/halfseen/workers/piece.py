@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import UInt8
-from threadpoolctl import threadpool_limits
 
 from halfseen.errors import HalfseenError, WorkerError
 from halfseen.progress import Telling, telling
+from halfseen.workers.threads import one_thread
 
 PACKAGES = ("halfseen", "jax", "jaxlib", "mujoco", "numpy", "pandas", "scipy")
 """What the numbers depend on."""
@@ -79,7 +79,7 @@ def made(asker: Home, function: UInt8[np.ndarray, " bytes"], number: int, piece:
 
 def result_of(function: Callable[[Any], Any], piece: Any) -> Any:
     """Make a piece as every worker does: it tells nothing, and matrices use one thread, as sums depend on that."""
-    with telling(Telling.NOTHING), threadpool_limits(1), warnings.catch_warnings():
+    with telling(Telling.NOTHING), one_thread(), warnings.catch_warnings():
         # Workers share what they compiled: one may find what another is just writing, and compiles it itself.
         warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation cache")
         return function(piece)

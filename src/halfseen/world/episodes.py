@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from halfseen.arrays import on_device
 from halfseen.world.config import WorldConfig
 from halfseen.world.dynamics import Outcome, start, step
 from halfseen.world.policy import Decision, Policy
@@ -116,7 +117,7 @@ def play_by(
     batches = [_play_batch(dynamics, config, layouts, policy, key, jnp.asarray(first), size) for first in starts]
     if num_episodes == size:
         return batches[0]
-    return jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)[:num_episodes]), *batches)
+    return jax.tree.map(lambda *leaves: on_device(np.concatenate(leaves)[:num_episodes]), *batches)
 
 
 @partial(jax.jit, static_argnames=("dynamics", "size"))

@@ -11,12 +11,12 @@ Per path it holds the scene's name, and dirty_share: P(DIRTY) of an object befor
 from collections.abc import Mapping, Sequence
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import pyarrow as pa
 from jaxtyping import Bool, Float, Int
 
+from halfseen.arrays import on_device
 from halfseen.errors import LogError
 from halfseen.logs import Logs
 from halfseen.world.action_space import TARGETED, ActionSpace, Verb
@@ -176,7 +176,7 @@ def states_of(logs: Logs, horizon: int) -> TableState:
         "attempt_succeeded": succeeded,
         "steps_to_go": np.broadcast_to(horizon - np.arange(horizon, dtype=np.int32), shape[:2]),
     }
-    return TableState(**{name: jnp.asarray(leaf) for name, leaf in leaves.items()})
+    return TableState(**on_device(leaves))
 
 
 def _hides(

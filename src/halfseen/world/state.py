@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from halfseen.arrays import on_device
 from halfseen.errors import ArgumentError, SceneError
 from halfseen.world.config import WorldConfig
 from halfseen.world.scene import Scene
@@ -105,7 +106,7 @@ def pad_scenes(scenes: Sequence[Scene], num_objects: int | None = None) -> Layou
         hides[k, : scene.num_objects, : scene.num_objects] = scene.hides
         grip[k, : scene.num_objects] = scene.grip
     is_object = np.arange(size) < np.array([[scene.num_objects] for scene in scenes])
-    return Layout(jnp.asarray(hides), jnp.asarray(is_object), jnp.asarray(grip))
+    return Layout(*on_device((hides, is_object, grip)))
 
 
 def initial_state(config: WorldConfig, layout: Layout) -> TableState:

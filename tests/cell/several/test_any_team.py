@@ -16,6 +16,7 @@ from halfseen.team.myopic import MyopicTeam
 from halfseen.team.named import named_team
 from halfseen.team.recording import TEAM_VERBS, states_of
 from halfseen.world.action_space import ActionSpace
+from picked import picked
 
 PAIR_CONFIG = TeamConfig(CONFIG, speed=(1.0, 1.0))
 CUPS_M = ((-0.26, 0.0), (0.26, 0.0), (0.0, 0.1))
@@ -26,7 +27,7 @@ def decided_by_log(policy, logs):
     states, decided = states_of(logs, PAIR_CONFIG.num_stages), []
     decide = jax.jit(policy.decide)
     for step in range(len(logs.stages)):
-        state = jax.tree.map(lambda leaf, step=step: leaf[0, step], states)
+        state = picked(states, (0, step))
         actions = ActionSpace(state.table.num_objects)
         action = int(decide(state, jax.random.fold_in(jax.random.key(0), step)).action)
         verb, target = int(actions.verb(action)), int(actions.target(action))

@@ -33,6 +33,7 @@ from halfseen.team.rules import TeamOfRules
 from halfseen.world.action_space import FINISH, ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import surely
+from picked import picked
 
 CAMERA = xtion_at(look_at(np.array([0.0, -0.78, 1.24]), np.array([0.0, 0.0, TABLE_TOP_M])))
 CONFIG = WorldConfig(horizon=6, dirty_share=0.8)
@@ -106,7 +107,7 @@ def test_the_log_gives_back_the_states_that_the_team_decided_in(cleared):
     _, _, logs, moments = cleared
     states = states_of(logs, 2 * CONFIG.horizon)
     for stage, moment in enumerate(moments):
-        state = jax.tree.map(lambda leaf, stage=stage: leaf[0, stage], states)
+        state = picked(states, (0, stage))
         num_objects = state.table.num_objects
         np.testing.assert_allclose(state.table.hides, moment.state.hides[:num_objects, :num_objects], atol=1e-6)
         assert int(state.decider) == moment.arm

@@ -8,7 +8,8 @@ from halfseen.learners.q_learning.least_squares import Rows, cross_of, design_of
 
 NUM_PATHS, NUM_FOLDS = 50, 5
 DESIGN, FACTORISE = jax.jit(design_of, static_argnums=(1, 2)), jax.jit(factorise, static_argnums=1)
-SOLVE = jax.jit(solve, static_argnums=3)
+SOLVE, GRAM, CROSS = jax.jit(solve, static_argnums=3), jax.jit(gram_of), jax.jit(cross_of)
+PRIOR = jax.jit(with_prior, static_argnums=1)
 REGS = np.logspace(-3, 2, 11)
 
 
@@ -33,9 +34,9 @@ def target_of(rows):
 def fitted(rows, target, regs, num_folds=1):
     with jax.enable_x64(True):
         given = dict(rows) if num_folds > 1 else {**rows, "fold": np.zeros_like(rows["fold"])}
-        design = DESIGN(Rows(**jax.tree.map(jax.numpy.asarray, given)), 3, num_folds)
-        cross = cross_of(design, jax.numpy.asarray(target))
-        fit = SOLVE(FACTORISE(gram_of(design)), cross, jax.numpy.asarray(regs, dtype=float), NUM_PATHS)
+        design = DESIGN(Rows(**given), 3, num_folds)
+        cross = CROSS(design, target)
+        fit = SOLVE(FACTORISE(GRAM(design)), cross, np.asarray(regs, dtype=float), NUM_PATHS)
         return np.asarray(fit.coefficients), np.asarray(fit.reg)
 
 
@@ -61,9 +62,9 @@ def test_a_prior_of_one_row_is_a_penalty_of_one(num_folds):
     y = 3.0 * x[:, 0] + 1e3 * x[:, 1] + 0.1 * rng.normal(size=200)
     rows = {"features": x, "block": np.zeros(200, int), "weight": np.ones(200), "fold": np.arange(200) % num_folds}
     with jax.enable_x64(True):
-        design = DESIGN(Rows(**jax.tree.map(jax.numpy.asarray, rows)), 1, num_folds)
-        factor = FACTORISE(with_prior(gram_of(design), 1))
-        found = np.asarray(SOLVE(factor, cross_of(design, jax.numpy.asarray(y)), np.zeros(1), 200).coefficients)[0]
+        design = DESIGN(Rows(**rows), 1, num_folds)
+        factor = FACTORISE(PRIOR(GRAM(design), 1))
+        found = np.asarray(SOLVE(factor, CROSS(design, y), np.zeros(1), 200).coefficients)[0]
     given = np.column_stack([np.ones(200), x])
     expected = np.linalg.solve(given.T @ given + np.diag([0.0, 0.0, 1.0]), given.T @ y)
     np.testing.assert_allclose(found, expected, rtol=1e-9)
@@ -77,8 +78,8 @@ def test_sums_by_fold_and_block_are_those_of_a_loop(sizes):
     group = rng.permutation(np.repeat(np.arange(6), sizes))
     x, weight, y = rng.normal(size=(len(group), 3)), rng.uniform(size=len(group)), rng.normal(size=len(group))
     with jax.enable_x64(True):
-        design = design_of(Rows(*map(jax.numpy.asarray, (x, group % 3, weight, group // 3))), 3, 2)
-        gram, cross = np.asarray(gram_of(design)), np.asarray(cross_of(design, jax.numpy.asarray(y)))
+        design = DESIGN(Rows(x, group % 3, weight, group // 3), 3, 2)
+        gram, cross = np.asarray(GRAM(design)), np.asarray(CROSS(design, y))
     rows = np.column_stack([np.ones(len(group)), x])
     for k in range(6):
         mine = group == k

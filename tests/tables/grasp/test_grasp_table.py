@@ -19,6 +19,7 @@ from halfseen.world import Scene, TableWorld, UniformPolicy, WorldConfig
 from halfseen.world.episodes import play
 from halfseen.world.grasp_model import GraspModel
 from halfseen.world.state import attempt_counts, occlusion, pad_scenes
+from picked import picked
 
 HORIZON = 10
 
@@ -34,7 +35,7 @@ def scene():
 def states(scene):
     episodes = play(WorldConfig(), pad_scenes([scene]), UniformPolicy(), jax.random.key(1), 40)
     path, stage = np.nonzero(np.asarray(episodes.is_taken))
-    return jax.tree.map(lambda leaf: leaf[path, stage], episodes.states)
+    return picked(episodes.states, (path, stage))
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +53,7 @@ def probabilities(model, states):
 
 
 def test_a_table_says_what_the_model_says(beta, states):
-    seen = jax.vmap(lambda state: (occlusion(state), *attempt_counts(state)))(states)
+    seen = jax.jit(jax.vmap(lambda state: (occlusion(state), *attempt_counts(state))))(states)
     asked = dict(
         zip(
             ("occlusion", "successes", "failures"),
@@ -73,7 +74,7 @@ def test_it_is_exact_at_its_occlusions_and_linear_between(states):
         hides = np.zeros((4, 4), dtype=np.float32)
         hides[0, 1] = hidden
         state = replace(
-            jax.tree.map(lambda leaf: leaf[0], states),
+            picked(states, 0),
             hides=jnp.asarray(hides),
             is_on_table=jnp.ones(4, dtype=bool),
             attempt_object=jnp.asarray([0, 0, 0, 1, *[-1] * 6]),
@@ -86,7 +87,7 @@ def test_it_is_exact_at_its_occlusions_and_linear_between(states):
 
 def test_more_attempts_than_the_table_holds_count_as_the_most(beta, states):
     state = replace(
-        jax.tree.map(lambda leaf: leaf[0], states),
+        picked(states, 0),
         attempt_object=jnp.zeros(10, dtype=jnp.int32),
         attempt_succeeded=jnp.zeros(10, dtype=bool),
     )
@@ -98,7 +99,7 @@ def test_more_attempts_than_the_table_holds_count_as_the_most(beta, states):
 def test_a_batch_of_tables_is_each_of_them(beta, states):
     other = GraspTable(1.0 - tabulate(beta, HORIZON).probabilities)
     batch = jax.tree.map(lambda *leaves: jnp.stack(leaves), tabulate(beta, HORIZON), other)
-    state = jax.tree.map(lambda leaf: leaf[7], states)
+    state = picked(states, 7)
     together = jax.vmap(lambda table: table.probability(state))(batch)
     np.testing.assert_array_equal(together[0], tabulate(beta, HORIZON).probability(state))
     np.testing.assert_array_equal(together[1], other.probability(state))

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool
 
+from halfseen.arrays import on_device
 from halfseen.cell.memory import Known
 from halfseen.cell.table_state import Belief, state_of
 from halfseen.cell.workcell import Attempt, Workcell
@@ -126,7 +127,7 @@ class TeamTable:
         size, num = table.num_objects, len(self._objects)
         reached, near = np.zeros((len(self.doing), size), dtype=bool), np.zeros((size, size), dtype=bool)
         reached[:, :num], near[:num, :num] = self.is_in_reach(), self.is_near()
-        workspace = Workspace(jnp.asarray(reached), jnp.asarray(near))
+        workspace = Workspace(*on_device((reached, near)))
         return TeamState(table, self._robots(), workspace, jnp.asarray(np.int32(decider)))
 
     def is_in_reach(self) -> Bool[np.ndarray, "K N"]:

@@ -10,11 +10,11 @@ from functools import partial
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 from jaxtyping import Float, Int
 
+from halfseen.arrays import on_device
 from halfseen.errors import ArgumentError
 from halfseen.learners.q_learning.fitting import BackwardOptions, in_float64
 from halfseen.learners.q_learning.flat_policy import FlatPolicy
@@ -23,10 +23,10 @@ from halfseen.learners.q_learning.q_learner import CensoredQLearner
 from halfseen.learners.q_learning.q_model import QModel
 from halfseen.learners.q_learning.recursion import backward
 from halfseen.learners.q_learning.transitions import QFunctions, Transitions
-from halfseen.learners.threads import in_one_thread
 from halfseen.logs import Logs
 from halfseen.progress import Progress, Telling, telling
 from halfseen.workers import ALONE, Workers
+from halfseen.workers.threads import in_one_thread
 
 BATCH_SIZE = 10
 """Replicates that are fitted at once."""
@@ -180,9 +180,9 @@ def _redrawn(model: QModel, paths: PathArrays, counts: Int[np.ndarray, " n"]) ->
 def _fit_each(model: QModel, log: Transitions, drawn: tuple[Any, Any]) -> QFunctions:
     options = model.options(len(log.action))
     with in_float64():
-        blocks = jnp.asarray(model.blocks(log.is_possible.shape[-1]))
-        arrays, replicates = jax.tree.map(jnp.asarray, (log, drawn))
-        fits = _fit_drawn(arrays, replicates, blocks, jnp.asarray(model.regs), options)
+        blocks = on_device(model.blocks(log.is_possible.shape[-1]))
+        arrays, replicates = on_device((log, drawn))
+        fits = _fit_drawn(arrays, replicates, blocks, on_device(model.regs), options)
         return jax.tree.map(np.asarray, fits)
 
 

@@ -10,13 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from halfseen.arrays import on_device
 from halfseen.errors import ArgumentError
 from halfseen.learners.q_learning.judging import Judged, judged
 from halfseen.learners.q_learning.packing import num_rows, packed
 from halfseen.learners.q_learning.recursion import backward
 from halfseen.learners.q_learning.room import padded, with_room
 from halfseen.learners.q_learning.transitions import AnyArray, QFunctions, StageMode, Transitions
-from halfseen.learners.threads import one_thread
+from halfseen.workers.threads import one_thread
 
 
 @contextmanager
@@ -118,7 +119,7 @@ def fit_and_judge(
     room = num_rows(log)
     fits = [fit_q_functions(counted(log, counts), blocks, regs, options, fewest_rows=room) for counts in multiplicity]
     with in_float64():
-        arrays = jax.tree.map(jnp.asarray, (with_room(log), padded(reward, num_paths), blocks))
+        arrays = on_device((with_room(log), padded(reward, num_paths), blocks))
         each = [jax.tree.map(np.asarray, _judged(fit, *arrays, stages=options.stages)) for fit in fits]
     return Judged(*(np.stack([leaf[:num_paths] for leaf in leaves]) for leaves in zip(*each, strict=True)))
 

@@ -34,9 +34,9 @@ from halfseen.learners.q_learning.support import unseen_in_words
 from halfseen.learners.q_learning.targets import Targets, targets_of
 from halfseen.learners.q_learning.task import Task, named_task
 from halfseen.learners.q_learning.transitions import QFunctions, StageMode
-from halfseen.learners.threads import in_one_thread
 from halfseen.logs import Logs, LogStream
 from halfseen.workers import Workers
+from halfseen.workers.threads import in_one_thread
 
 
 class CensoredQLearner(Estimator):

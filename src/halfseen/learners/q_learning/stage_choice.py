@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from halfseen.arrays import on_device
 from halfseen.learners.memory import give_back
 from halfseen.learners.q_learning.fitting import BackwardOptions, counted, in_float64
 from halfseen.learners.q_learning.judging import judged
@@ -100,9 +101,9 @@ def choose_stages(model: QModel, paths: PathArrays) -> StageChoice:
     options = replace(model, stages="pooled").options(paths.num_paths)
     gains = np.zeros(paths.num_paths)
     with in_float64():
-        arrays = jax.tree.map(jnp.asarray, (with_room(log), blocks, model.regs))
+        arrays = on_device((with_room(log), blocks, model.regs))
         for k in range(NUM_FOLDS):
-            counts = jnp.asarray(padded((fold != k).astype(np.float64), paths.num_paths))
+            counts = on_device(padded((fold != k).astype(np.float64), paths.num_paths))
             each = np.asarray(_compiled(options, *arrays, counts)(*arrays, counts))[: paths.num_paths]
             gains = np.where(fold == k, each, gains)
     gain, error = float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(len(gains)))

@@ -12,10 +12,10 @@ from functools import partial, reduce
 from itertools import chain
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from halfseen.arrays import on_device
 from halfseen.censoring import StageClocks, WeightDiagnostics
 from halfseen.censoring.diagnostics import WeightTally
 from halfseen.censoring.stage_clocks import stacked
@@ -219,7 +219,7 @@ class Passes:
         self._grams = (self._grams if is_pooled else {}) | dict(zip(wanted, total[0], strict=True))
         grams = reduce(plus, (self._grams[some] for some in parts))
         centre = np.zeros(grams.main.shape[1:3]) if step.centre is None else step.centre
-        is_scaled, regs = self.model.options(self._num_paths).is_scaled, jnp.asarray(self.model.regs)
+        is_scaled, regs = self.model.options(self._num_paths).is_scaled, on_device(self.model.regs)
         fit = solved(grams, total[1], centre, regs, self._num_paths, is_scaled, sums.num_features)
         self._on_pass()
         return jax.tree.map(np.asarray, fit)

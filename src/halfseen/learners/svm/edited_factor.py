@@ -11,7 +11,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Float, Int
 
-from halfseen.learners.threads import one_thread
+from halfseen.workers.threads import one_thread
 
 Ids = Int[np.ndarray, " a"]
 OfIds = Float[np.ndarray, " a"]

@@ -16,6 +16,7 @@ The distance between the two objectives, the *duality gap*, bounds how far the s
 
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from typing import no_type_check
 
 import numpy as np
 from jaxtyping import Float
@@ -25,7 +26,7 @@ from halfseen.learners.svm.interior_point import interior_points
 from halfseen.learners.svm.losses import DeadZone, ProximalLoss, SmoothLoss
 from halfseen.learners.svm.newton import Point, minimise
 from halfseen.learners.svm.spaces import Coefficients, FeatureSpace, GramSpace, Space
-from halfseen.learners.threads import one_thread
+from halfseen.workers.threads import one_thread
 
 SMALL = 2000
 """Rows up to which one BLAS thread serves: a second gains little, and on a busy machine each waits for the other."""
@@ -264,6 +265,7 @@ def _scale(problem: Problem) -> float:
     return float(problem.mass @ np.abs(problem.loss.value(problem.y, np.zeros(len(problem.y))))) or 1.0
 
 
+@no_type_check
 @dataclass(frozen=True)
 class _Smooth:
     """Σ c_i L(y_i, f_i)."""

@@ -4,9 +4,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
+from halfseen.arrays import on_device
 from halfseen.errors import PolicyError
 from halfseen.logs import Logs
 from halfseen.policies.folder.arrays import (
@@ -99,10 +99,10 @@ def policy_in(record: Mapping[str, Any], arrays: Arrays) -> LinearTablePolicy:
     """
     _check_features(record)
     check_arrays(arrays, Shape(horizon_of(record), len(Verb), NUM_FEATURES, np.float32), may_grasp=True)
-    on_device: Any = {name: jnp.asarray(array) for name, array in arrays.items()}
-    grasp, kernel_map, margin = grasp_of(on_device), kernel_map_of(on_device), on_device.get(MARGIN)
-    is_seen, behaviour = is_seen_of(_VERBS, record), on_device.get(BEHAVIOUR)
-    return LinearTablePolicy(on_device[COEFFICIENTS], grasp, kernel_map, is_seen, margin, behaviour)
+    single: Any = on_device(dict(arrays))
+    grasp, kernel_map, margin = grasp_of(single), kernel_map_of(single), single.get(MARGIN)
+    is_seen, behaviour = is_seen_of(_VERBS, record), single.get(BEHAVIOUR)
+    return LinearTablePolicy(single[COEFFICIENTS], grasp, kernel_map, is_seen, margin, behaviour)
 
 
 class TableFacts(NamedTuple):

@@ -3,10 +3,10 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool
 
+from halfseen.arrays import on_device
 from halfseen.errors import ArgumentError, PolicyError
 from halfseen.policies.folder.arrays import GRASP, PER_GRIP
 from halfseen.policies.folder.json_values import horizon_of, typed
@@ -38,7 +38,7 @@ def is_seen_of(verbs: Sequence[str], record: Mapping[str, Any]) -> Any:
     if not is_right or not all(verb in verbs for row in seen for verb in row):
         raise PolicyError(f"seen is {seen}; it lists verbs for each number of steps to go: learn the policy anew")
     rows = np.array([[verb in row for verb in verbs] for row in seen])
-    return None if rows.all() else jnp.asarray(rows)
+    return None if rows.all() else on_device(rows)
 
 
 def grasp_arrays(grasp: GraspModel | None) -> dict[str, np.ndarray]:

@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
+from halfseen.arrays import on_device
 from halfseen.errors import PolicyError
 from halfseen.policies.folder.arrays import GRASP, PER_GRIP, Arrays
 from halfseen.policies.folder.table_parts import grasp_arrays, grasp_of
@@ -63,4 +63,4 @@ def team_grasp_of(arrays: Mapping[str, Any], own: Mapping[str, np.ndarray]) -> G
     shared = grasp_of(arrays)
     if shared is None or not own:
         return shared
-    return GraspByRobot(shared, GraspTable(jnp.asarray(own[GRASP]), jnp.asarray(own[PER_GRIP])))
+    return GraspByRobot(shared, GraspTable(*on_device((own[GRASP], own[PER_GRIP]))))

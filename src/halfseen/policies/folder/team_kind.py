@@ -4,9 +4,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
+from halfseen.arrays import on_device
 from halfseen.errors import ArgumentError, PolicyError
 from halfseen.logs import Logs
 from halfseen.policies.folder.arrays import Arrays, Shape, check_arrays, kernel_map_of, policy_arrays
@@ -104,13 +104,13 @@ class TeamKind:
         check_arrays(arrays, shape, may_grasp=True, others=_ARRAYS)
         _check_caution(arrays.get("caution"))
         base = base_of(record, of_base)
-        on_device: Any = {name: jnp.asarray(array) for name, array in arrays.items()}
-        given: dict[str, Any] = {name: on_device[name] for name in _ARRAYS if name in on_device}
+        arrays = on_device(dict(arrays))
+        given: dict[str, Any] = {name: arrays[name] for name in _ARRAYS if name in arrays}
         given |= {name: record["schema"][name] for name in _STATIC if name in record["schema"]}
-        kernel_map = kernel_map_of(on_device)
+        kernel_map = kernel_map_of(arrays)
         given |= {} if kernel_map is None else {"kernel_map": kernel_map}
         is_seen = is_seen_of(_VERBS, record)
-        return LinearTeamPolicy(**given, grasp=team_grasp_of(on_device, of_grasp), is_seen=is_seen, base=base)
+        return LinearTeamPolicy(**given, grasp=team_grasp_of(arrays, of_grasp), is_seen=is_seen, base=base)
 
 
 def _check_caution(caution: np.ndarray | None) -> None:

@@ -19,7 +19,6 @@ from jaxtyping import Float
 
 from halfseen.arrays import RowIds, Rows
 from halfseen.errors import HalfseenError, HalfseenWarning
-from halfseen.learners.threads import one_thread
 from halfseen.logs import Logs
 from halfseen.tables.features import succession
 from halfseen.tables.grasp.attempts import attempts
@@ -27,6 +26,7 @@ from halfseen.tables.grasp.beta_grasp import fitted_thetas, predictive
 from halfseen.tables.grasp.grasp_table import GraspTable, every_history, table_of
 from halfseen.tables.grasp.grip_effect import fitted_effect
 from halfseen.tables.grasp.inputs import Decided, History, checked_attempts
+from halfseen.workers.threads import one_thread
 
 NUM_FOLDS = 5
 

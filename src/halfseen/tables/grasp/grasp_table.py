@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from halfseen.arrays import Rows
+from halfseen.arrays import Rows, on_device
 from halfseen.censoring import is_fitted
 from halfseen.errors import ArgumentError
 from halfseen.logs import Logs
@@ -92,7 +92,7 @@ def table_of(probabilities: Rows, horizon: int, effect: GripEffect) -> GraspTabl
     """Make a table of the probabilities of `every_history`."""
     moved = effect.moved(probabilities, 0.0) if effect.shift else probabilities
     table, per_grip = moved.reshape(_shape(horizon)).astype(np.float32), np.float32(effect.per_grip)
-    return GraspTable(jnp.asarray(table), jnp.asarray(per_grip))
+    return GraspTable(*on_device((table, per_grip)))
 
 
 def _shape(horizon: int) -> tuple[int, int, int]:

@@ -11,7 +11,6 @@ import pandas as pd
 from jaxtyping import Int
 
 from halfseen.arrays import RowMask, Rows
-from halfseen.learners.threads import one_thread
 from halfseen.study.experiment import PieceOf, Setting
 from halfseen.study.experiments.attempts.design import COMPLETED, MODEL_NAMES, PLANNERS, SVMS, AttemptsDesign
 from halfseen.study.experiments.attempts.models import predicted
@@ -21,6 +20,7 @@ from halfseen.study.experiments.attempts.splits import sizes_of, split_of
 from halfseen.study.experiments.attempts.tables import tables_of
 from halfseen.tables.grasp.inputs import checked_attempts
 from halfseen.tables.grasp.splits import can_hold_out
+from halfseen.workers.threads import one_thread
 
 SUREST = 1e-9
 """No prediction counts as surer than this in the log-loss: one miss would cost endlessly much."""

@@ -13,7 +13,6 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from halfseen.learners.threads import one_thread
 from halfseen.logs.frames import FrameLike, as_frame
 from halfseen.planners.heuristics import TrueGrasp
 from halfseen.study.experiment import PieceOf, Setting
@@ -38,6 +37,7 @@ from halfseen.tables.grasp.grip_effect import fit_grip_effect
 from halfseen.tables.grasp.protocol import GraspEstimator
 from halfseen.tables.grasp.splits import can_hold_out
 from halfseen.tables.grasp.svm_grasp import SVMGrasp
+from halfseen.workers.threads import one_thread
 from halfseen.world.action_space import ActionSpace
 from halfseen.world.cuts import CutKind, cut
 from halfseen.world.grasp_model import GraspModel

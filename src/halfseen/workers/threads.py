@@ -1,8 +1,9 @@
-"""The matrices of a learner are small: a second thread would only wait for the first."""
+"""The matrices of a piece, and of a learner, are small: a second thread would only wait for the first."""
 
+import sys
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from functools import cache, wraps
+from functools import lru_cache, wraps
 from typing import Any, ParamSpec, TypeVar
 
 from threadpoolctl import ThreadpoolController
@@ -27,10 +28,10 @@ def in_one_thread(function: Callable[P, R]) -> Callable[P, R]:
 
 def one_thread() -> AbstractContextManager[Any]:
     """Let BLAS, LAPACK and OpenMP use one thread in a ``with`` block; eigenvectors of 100 rows take a third as long."""
-    return _threads().limit(limits=1)
+    return _threads(len(sys.modules)).limit(limits=1)
 
 
-@cache
-def _threads() -> ThreadpoolController:
-    # It lists the libraries that are loaded, which takes longer than a small fit.
+@lru_cache(maxsize=1)
+def _threads(num_modules: int) -> ThreadpoolController:
+    # It lists the libraries that are loaded, which takes longer than a small fit; they are more where modules are.
     return ThreadpoolController()
