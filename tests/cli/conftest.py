@@ -1,11 +1,12 @@
 """The command line as it is typed, without the start of a process."""
 
 import sys
+import threading
 from typing import NamedTuple
 
 import pytest
 
-from halfseen import cli
+from halfseen import cli, progress
 
 
 class Typed(NamedTuple):
@@ -14,6 +15,14 @@ class Typed(NamedTuple):
     status: int
     out: str
     err: str
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _no_lines_of_progress():
+    """What is said does not depend on how long a machine takes."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(progress, "LINE_S", threading.TIMEOUT_MAX)
+        yield
 
 
 @pytest.fixture
