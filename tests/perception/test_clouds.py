@@ -243,12 +243,15 @@ def test_bad_files_are_refused_in_one_line(tmp_path, case, capsys):
     assert capsys.readouterr().out == ""
 
 
-def test_a_missing_file_and_a_folder_are_refused(tmp_path):
+def test_a_missing_file_is_refused_and_what_is_no_file_is_named(tmp_path):
     with pytest.raises(CloudError, match="no such file"):
         read_cloud(tmp_path / "none.pcd")
     (tmp_path / "folder.pcd").mkdir()
-    with pytest.raises(CloudError, match="no such file"):
+    with pytest.raises(CloudError, match="it is a folder and no file"):
         read_cloud(tmp_path / "folder.pcd")
+    (tmp_path / "link.npz").symlink_to("/dev/zero")
+    with pytest.raises(CloudError, match="it is a device and no file, where the link leads"):
+        read_cloud(tmp_path / "link.npz")
 
 
 def test_writing_below_a_file_is_refused(tmp_path, points):

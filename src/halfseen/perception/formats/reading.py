@@ -37,7 +37,7 @@ def read_cloud(path: str | os.PathLike[str]) -> Cloud:
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         raise CloudError(f"{path}: files ending in {path.suffix!r} are not read; use one of {', '.join(_READERS)}")
-    if not path.is_file():
+    if not path.exists():
         raise CloudError(f"{path}: no such file")
     try:
         cloud = reader(path)
