@@ -54,22 +54,23 @@ def state_of(memory: Memory, belief: Belief, steps_to_go: int) -> TableState:
     target, occluded, succeeded = zip(*tried[:horizon], *empty, strict=True)
     told = [_told(known, belief.config) for known in objects]
 
-    def padded(values: list[Any], kind: Any) -> Any:
-        return on_device(np.array([*values, *[0] * (size - len(values))], dtype=kind))
+    def padded(values: list[Any], kind: Any) -> np.ndarray:
+        return np.array([*values, *[0] * (size - len(values))], dtype=kind)
 
-    return TableState(
-        hides=on_device(hides),
-        is_object=padded([True] * len(objects), bool),
-        grip=padded([belief.grip(known.facts) for known in objects], np.float32),
-        is_on_table=padded([not known.is_gone for known in objects], bool),
-        log_odds=padded([log_odds for log_odds, _ in told], np.float32),
-        seen=padded([seen for _, seen in told], np.float32),
-        lifts=padded([known.lifts for known in objects], np.int32),
-        attempt_object=on_device(np.array(target, dtype=np.int32)),
-        attempt_occlusion=on_device(np.array(occluded, dtype=np.float32)),
-        attempt_succeeded=on_device(np.array(succeeded, dtype=bool)),
-        steps_to_go=on_device(np.int32(steps_to_go)),
-    )
+    leaves = {
+        "hides": hides,
+        "is_object": padded([True] * len(objects), bool),
+        "grip": padded([belief.grip(known.facts) for known in objects], np.float32),
+        "is_on_table": padded([not known.is_gone for known in objects], bool),
+        "log_odds": padded([log_odds for log_odds, _ in told], np.float32),
+        "seen": padded([seen for _, seen in told], np.float32),
+        "lifts": padded([known.lifts for known in objects], np.int32),
+        "attempt_object": np.array(target, dtype=np.int32),
+        "attempt_occlusion": np.array(occluded, dtype=np.float32),
+        "attempt_succeeded": np.array(succeeded, dtype=bool),
+        "steps_to_go": np.int32(steps_to_go),
+    }
+    return TableState(**on_device(leaves))
 
 
 def _told(known: Known, config: WorldConfig) -> tuple[float, float]:
