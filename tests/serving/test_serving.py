@@ -282,6 +282,19 @@ def test_the_description_and_the_page_tell_what_can_be_asked(asked, flat, tmp_pa
         assert {"/reward", "/end"} <= set(client.get("/openapi.json").json()["paths"])
 
 
+def test_whatever_is_asked_for_is_told_in_words_in_the_order_of_a_path(tables, tmp_path):
+    with RecordedPaths(tmp_path / "logs", is_of_tables=True) as paths, client_of(tables, paths=paths) as client:
+        api, page = client.get("/openapi.json").json()["paths"], client.get("/").text
+    assert list(api) == ["/decide", "/reward", "/end", "/reload", "/health"]
+    assert sorted(map(page.index, api)) == list(map(page.index, api))
+    asked = [each.get("post", {}).get("requestBody", {}).get("content", {}) for each in api.values()]
+    for name, told in [
+        item for kinds in asked for kind in kinds.values() for item in kind["schema"]["properties"].items()
+    ]:
+        assert told["description"].endswith("."), name
+    assert "file. What the camera sees" in page
+
+
 def test_a_table_is_decided_from_a_cloud_as_act_does(tables):
     table = table_paths()[7]
     done = CliRunner().invoke(act, [str(tables), str(table), "--json", "--stage", "2", "--extrapolate"])

@@ -29,9 +29,8 @@ def described(service: InService, *, is_recording: bool) -> Schema:
         Whether what is decided is recorded.
     """
     decide, reload = _post("Decide what to do now, and say why.", _asked(service), _decision(service)), _reloaded()
-    paths = {"/decide": decide, "/reload": reload, "/health": _health()}
-    if is_recording:
-        paths |= {"/reward": _rewarded(service), "/end": _ended()}
+    recorded = {"/reward": _rewarded(service), "/end": _ended()} if is_recording else {}
+    paths = {"/decide": decide, **recorded, "/reload": reload, "/health": _health()}
     return {
         "openapi": "3.1.0",
         "info": {"title": f"halfseen policy {service.digest}", "version": halfseen.__version__},
@@ -44,10 +43,12 @@ def _asked(service: InService) -> Schema:
     stored = service.stored
     stage = {"type": "integer", "minimum": 1, "maximum": stored.horizon, "description": "The stage to decide, from 1."}
     if stored.is_table:
-        row = {"type": "object", "description": "The columns of the objects of a stage of a log."}
-        objects = {"type": "array", "minItems": 1, "items": row}
+        told = "One for each object on the table, with the columns that a stage of a log has."
+        objects = {"type": "array", "minItems": 1, "items": {"type": "object"}, "description": told}
         file: Schema = {"type": "string", "contentMediaType": "application/octet-stream"}
-        form = {"cloud": {**file, "description": ".pcd, .ply or .npz"}, "labels": file, "stage": stage}
+        labels = {**file, "description": "What looks dirty, as halfseen look --labels takes it: .csv or .json."}
+        form = {"cloud": {**file, "description": "What the camera sees: .pcd, .ply or .npz."}, "labels": labels}
+        form |= {"stage": stage}
         return {
             "application/json": {"schema": _object({"objects": objects, "stage": stage}, ["objects"])},
             "multipart/form-data": {"schema": _object(form, ["cloud"])},
@@ -95,12 +96,15 @@ def _decision(service: InService) -> Schema:
 
 def _rewarded(service: InService) -> Schema:
     held = {"held": _HELD} if service.stored.is_table else {}
-    body = _object({"reward": _NUMBER, "elapsed_s": _ELAPSED, **held}, ["reward"])
+    reward = {**_NUMBER, "description": "Of the stage, in the unit of the log."}
+    body = _object({"reward": reward, "elapsed_s": _ELAPSED, **held}, ["reward"])
     return _post("Complete the stage in progress.", {"application/json": {"schema": body}}, {"type": "object"})
 
 
 def _ended() -> Schema:
-    properties = {"ending": {"enum": ["finished", "cut"]}, "cause": _TEXT, "elapsed_s": _ELAPSED}
+    cause = {**_TEXT, "description": "What cut it, such as operator; with cut alone."}
+    ending = {"enum": ["finished", "cut"], "description": "Whether the path came to its own end."}
+    properties = {"ending": ending, "cause": cause, "elapsed_s": _ELAPSED}
     body = {"application/json": {"schema": _object(properties, ["ending"])}}
     return _post("End the path in progress; what was cut has a cause.", body, {"type": "object"})
 

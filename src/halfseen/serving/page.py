@@ -10,7 +10,7 @@ def page_of(api: dict[str, Any]) -> str:
     """Write the page of what `halfseen.serving.openapi.described` describes."""
     css = files("halfseen.pages").joinpath("page.css").read_text(encoding="utf-8")
     title = escape(api["info"]["title"])
-    parts = [_address(path, how, told) for path, each in sorted(api["paths"].items()) for how, told in each.items()]
+    parts = [_address(path, how, told) for path, each in api["paths"].items() for how, told in each.items()]
     return (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
         f'<meta name="viewport" content="width=device-width"><style>{css}</style></head>\n'
@@ -36,6 +36,9 @@ def _takes(kind: str, content: dict[str, Any]) -> str:
 
 
 def _in_words(schema: dict[str, Any], is_required: bool) -> str:
-    kind = " or ".join(map(str, schema["enum"])) if "enum" in schema else str(schema.get("type", "anything"))
+    if "enum" in schema:
+        kind = " or ".join(map(str, schema["enum"]))
+    else:
+        kind = "file" if "contentMediaType" in schema else str(schema.get("type", "anything"))
     more = f". {schema['description']}" if "description" in schema else "."
     return f"{kind}{'' if is_required else ', if wanted'}{more}"
