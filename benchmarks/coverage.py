@@ -30,8 +30,8 @@ from scipy.optimize import brentq
 from scipy.stats import beta
 
 from halfseen.evaluation import QSpec, evaluate
-from halfseen.learners import DoublyRobust, NamedActions, Weighted
-from halfseen.learners.q_learning.targets import Targets
+from halfseen.learning import DoublyRobust, NamedActions, Weighted
+from halfseen.learning.targets import Targets
 from halfseen.logs import Logs
 
 NUM_PATIENTS, HORIZON, NUM_STATES, ACTIONS = 400, 3, 3, ("A", "B")

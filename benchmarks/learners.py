@@ -33,7 +33,7 @@ from worlds.wide import Wide
 from worlds.world import Chances, World
 
 from halfseen.censoring import Cox
-from halfseen.learners import CensoredQLearner, DoublyRobust
+from halfseen.learning import CensoredQLearner, DoublyRobust
 from halfseen.logs import Logs
 from halfseen.writing import write_file
 

@@ -20,8 +20,8 @@ import pandas as pd
 
 from halfseen.evaluation import Opponent, evaluate
 from halfseen.evaluation.logging_rule import logging_rule
-from halfseen.learners import DoublyRobust, NamedActions
-from halfseen.learners.q_learning.path_arrays import path_arrays
+from halfseen.learning import DoublyRobust, NamedActions
+from halfseen.learning.path_arrays import path_arrays
 from halfseen.policies import Rule
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "examples" / "pick_cell"))

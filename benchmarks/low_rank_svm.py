@@ -19,8 +19,8 @@ import numpy as np
 from timings import Row, write
 
 from halfseen.errors import HalfseenWarning
-from halfseen.learners import CensoredSVC, CensoredSVR, survival_array
-from halfseen.learners.svm.losses import CLASSIFICATION, REGRESSION
+from halfseen.learning import CensoredSVC, CensoredSVR, survival_array
+from halfseen.learning.svm.losses import CLASSIFICATION, REGRESSION
 
 NUM_ROWS, NUM_FEATURES, NUM_LANDMARKS = 100_000, 10, 500
 REG = 1e-4

@@ -19,9 +19,9 @@ import numpy as np
 from sklearn.linear_model import Ridge
 from timings import Row, write
 
-from halfseen.learners.q_learning.fitting import BackwardOptions, fit_q_functions
-from halfseen.learners.q_learning.q_space import REGS
-from halfseen.learners.q_learning.transitions import Transitions
+from halfseen.learning.fitting import BackwardOptions, fit_q_functions
+from halfseen.learning.q_space import REGS
+from halfseen.learning.transitions import Transitions
 
 NUM_LOGS, NUM_PATHS, HORIZON, NUM_ACTIONS, NUM_COVARIATES = 1_000, 200, 10, 2, 4
 NUM_FOLDS, REG = 5, 0.1

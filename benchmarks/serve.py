@@ -25,7 +25,7 @@ import numpy as np
 import psutil
 from timings import Row, write
 
-from halfseen.learners import CensoredQLearner
+from halfseen.learning import CensoredQLearner
 from halfseen.logs import read_logs
 from halfseen.policies import decider_of, read_policy, write_policy
 

@@ -83,7 +83,7 @@ def write(folder, num_stages):
 
 
 def learner_of(recipe):
-    from halfseen.learners import CensoredQLearner
+    from halfseen.learning import CensoredQLearner
 
     make = CensoredQLearner.of_paper if recipe == "paper" else CensoredQLearner
     return make(HORIZON, ["A", "B"], ["x0", "x1", "x2"])
@@ -136,7 +136,7 @@ def cpu_s():
 def learn(folder, recipe, num_workers, is_kept, answers):
     from joblib.externals.loky import get_reusable_executor
 
-    from halfseen.learners.q_learning import kept_parts
+    from halfseen.learning import kept_parts
     from halfseen.logs import LogStream
     from halfseen.workers import Workers
 

@@ -19,8 +19,8 @@ from sksurv.svm import FastKernelSurvivalSVM
 from timings import Row, write
 
 from halfseen.errors import HalfseenWarning
-from halfseen.learners import CensoredSVC, CensoredSVR, survival_array
-from halfseen.learners.svm.losses import CLASSIFICATION, REGRESSION
+from halfseen.learning import CensoredSVC, CensoredSVR, survival_array
+from halfseen.learning.svm.losses import CLASSIFICATION, REGRESSION
 
 REGS = (1e-2, 1e-4, 1e-6)
 NUM_FEATURES = 10

@@ -33,7 +33,7 @@ from tqdm import tqdm
 from halfseen.cell.calibration.law_folder import read_law
 from halfseen.cell.calibration.shipped import shipped_law
 from halfseen.cell.tables_seen import tables_seen
-from halfseen.learners import CensoredQLearner
+from halfseen.learning import CensoredQLearner
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.team import EachAlone, ExploringTeam, MyopicTeam, Robot, Team, TeamWorld
 from halfseen.team.actions import WAIT, wait_of

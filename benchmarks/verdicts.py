@@ -25,7 +25,7 @@ from worlds.wide import Wide
 from worlds.world import World
 
 from halfseen.evaluation import Evaluation, evaluate
-from halfseen.learners import DoublyRobust, Weighted
+from halfseen.learning import DoublyRobust, Weighted
 from halfseen.logs import Logs
 
 NUM_PATHS = 800

@@ -3,7 +3,7 @@
 from functools import cached_property
 from typing import Any
 
-from halfseen.learners import CensoredQLearner
+from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.scene.shipped import table_paths
 from halfseen.study.pipeline import Source

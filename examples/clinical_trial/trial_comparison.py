@@ -11,7 +11,7 @@ from tqdm import tqdm
 from trial_optimum import optimum, policy_value
 from trial_patients import ACTIONS, COVARIATES, HORIZON, TREATMENTS, Decision, trial
 
-from halfseen.learners import CensoredQLearner, DoublyRobust
+from halfseen.learning import CensoredQLearner, DoublyRobust
 from halfseen.logs import Logs
 
 CUT_SHARES = (0.0, 0.3, 0.5)

@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from trial_optimum import GRID, STATES, WELLNESS, optimum
 
-from halfseen.learners import CensoredQLearner
+from halfseen.learning import CensoredQLearner
 
 DOTS_PER_INCH = 140
 COLOURS = "PuOr"

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from cut_regression.settings import TAU, Sample, Setting, TrueCuts
 from halfseen.censoring import CensoringModel, Cox
-from halfseen.learners import CensoredSVR, survival_array
+from halfseen.learning import CensoredSVR, survival_array
 
 Predictor = Callable[[Float[np.ndarray, "m F"]], Float[np.ndarray, " m"]]
 

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
 from halfseen.censoring import Cox
-from halfseen.learners import CensoredQLearner, DoublyRobust, Weighted
+from halfseen.learning import CensoredQLearner, DoublyRobust, Weighted
 from halfseen.logs import Logs
 
 

@@ -19,7 +19,7 @@ from record import LOGS
 from scipy import stats
 from threadpoolctl import threadpool_limits
 
-from halfseen.learners import bootstrap
+from halfseen.learning import bootstrap
 from halfseen.logs import Logs, read_logs
 
 FIRST, RULE = "default", "rule of thumb"

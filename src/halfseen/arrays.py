@@ -32,13 +32,14 @@ PerObject: TypeAlias = Float[np.ndarray, " N"]
 ObjectMask: TypeAlias = Bool[np.ndarray, " N"]
 
 
-def library_of(array: Any) -> Any:
-    """Where the functions for an array are: ``jax.numpy`` for one of JAX's, ``numpy`` for others.
+def library_of(*values: Any) -> Any:
+    """Where the functions for some arrays are: ``jax.numpy`` if one of them is JAX's, ``numpy`` for others.
 
     JAX takes half a second to load, so this does not: without it there are no arrays of its own.
     """
     jax = sys.modules.get("jax")
-    return jax.numpy if jax is not None and isinstance(array, jax.Array) else np
+    is_jax = jax is not None and any(isinstance(value, jax.Array) for value in values)
+    return jax.numpy if is_jax else np
 
 
 def on_device(tree: Any) -> Any:

@@ -14,7 +14,7 @@ from halfseen.cell.calibration.law_folder import read_law
 from halfseen.cell.calibration.shipped import shipped_law
 from halfseen.cli.act import act
 from halfseen.errors import ArgumentError, CloudError, HalfseenError, LogError, PolicyError
-from halfseen.learners import CensoredQLearner
+from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs, read_logs
 from halfseen.perception import Cloud, perceive, read_cloud, write_pcd
 from halfseen.policies import read_policy

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from halfseen import cli
-from halfseen.learners import NamedActions
+from halfseen.learning import NamedActions
 from halfseen.logs import Logs, read_logs
 from halfseen.tables import TableTask
 

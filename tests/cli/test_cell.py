@@ -11,7 +11,7 @@ import pytest
 from halfseen.cell.calibration.law_folder import read_law, write_law
 from halfseen.cell.calibration.shipped import shipped_law
 from halfseen.cell.campaign import WHAT_FILE
-from halfseen.learners import CensoredQLearner
+from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.policies import write_policy
 

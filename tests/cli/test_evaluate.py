@@ -11,7 +11,7 @@ from halfseen import cli
 from halfseen.cli.evaluate import evaluate
 from halfseen.evaluation import evaluate as evaluated
 from halfseen.evaluation.stored_model import specification_of
-from halfseen.learners import CensoredQLearner
+from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs, read_logs
 from halfseen.policies.folder import read_policy, write_policy
 

@@ -1,7 +1,7 @@
 import onnxruntime
 import pytest
 
-from halfseen.learners import CensoredQLearner
+from halfseen.learning import CensoredQLearner
 from halfseen.policies.folder import write_policy
 from small_logs import flat_log, table_log
 

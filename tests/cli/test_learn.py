@@ -11,7 +11,7 @@ from halfseen import cli
 from halfseen.cli.learn import learn
 from halfseen.errors import ArgumentError, HalfseenError, LogError, PositivityError
 from halfseen.evaluation import HeldOutVerdict, held_out
-from halfseen.learners import CensoredQLearner
+from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.policies.folder import read_policy
 from halfseen.world.recording import states_of

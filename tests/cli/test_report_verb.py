@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from halfseen import cli
 from halfseen.cli.report import report
 from halfseen.errors import ArgumentError, HalfseenError, LogError, PolicyError
-from halfseen.learners import CensoredQLearner
+from halfseen.learning import CensoredQLearner
 from halfseen.policies.folder import write_policy
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "report"))

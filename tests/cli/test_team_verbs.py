@@ -14,7 +14,7 @@ from halfseen.cli import halfseen
 from halfseen.cli.cell_policies import team_policy_of
 from halfseen.cli.team import read_robots
 from halfseen.errors import PolicyError
-from halfseen.learners import CensoredQLearner
+from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs, read_logs
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.policies.folder import read_policy, write_policy

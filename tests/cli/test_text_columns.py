@@ -11,8 +11,8 @@ from halfseen.cli import halfseen
 from halfseen.errors import HalfseenError, LogError, PolicyError
 from halfseen.evaluation import QSpec
 from halfseen.evaluation import evaluate as evaluated
-from halfseen.learners import CensoredQLearner
-from halfseen.learners.q_learning.named_actions import NamedActions
+from halfseen.learning import CensoredQLearner
+from halfseen.learning.named_task import NamedActions
 from halfseen.logs import Logs
 from halfseen.policies import Rule, read_policy
 from halfseen.report.policy_findings import q_curves

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from halfseen.learners import CensoredQLearner
+from halfseen.learning import CensoredQLearner
 from halfseen.logs import read_logs
 from halfseen.perception import perceive, read_cloud
 from halfseen.policies import write_policy

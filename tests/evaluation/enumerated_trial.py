@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from halfseen.evaluation import QSpec
-from halfseen.learners import NamedActions
+from halfseen.learning import NamedActions
 from halfseen.logs import Logs
 
 ACTIONS = ("A", "B")

@@ -11,7 +11,7 @@ from halfseen.evaluation.cross_fitting import nuisances_by_folds, nuisances_of
 from halfseen.evaluation.estimate import estimate_of
 from halfseen.evaluation.off_policy import q_model_of
 from halfseen.evaluation.second_order import with_second_order
-from halfseen.learners import DoublyRobust, NamedActions
+from halfseen.learning import DoublyRobust, NamedActions
 from halfseen.logs import Logs
 
 TARGET = StatePolicy((0.1, 0.8))

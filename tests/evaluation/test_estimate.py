@@ -9,7 +9,7 @@ from halfseen.evaluation import evaluate
 from halfseen.evaluation.estimate import around
 from halfseen.evaluation.off_policy import default_q, q_model_of
 from halfseen.evaluation.problem import as_logged, problem_of
-from halfseen.learners import DoublyRobust
+from halfseen.learning import DoublyRobust
 
 TARGET = StatePolicy((0.1, 0.8))
 BOUNDED = DoublyRobust("cox", by="pooled", truncate_at=3)

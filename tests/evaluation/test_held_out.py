@@ -11,7 +11,7 @@ from halfseen.errors import ArgumentError
 from halfseen.evaluation import FixedSequence, evaluate, held_out_verdict
 from halfseen.evaluation.held_out import learn_by_folds
 from halfseen.evaluation.targets import CrossFitted
-from halfseen.learners import CensoredQLearner
+from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.workers import Workers
 

@@ -6,8 +6,8 @@ import pytest
 
 from halfseen.evaluation import Opponent, evaluate
 from halfseen.evaluation.logging_rule import logging_rule
-from halfseen.learners import NamedActions
-from halfseen.learners.q_learning.path_arrays import path_arrays
+from halfseen.learning import NamedActions
+from halfseen.learning.path_arrays import path_arrays
 from halfseen.logs import Logs
 from halfseen.policies import Rule
 from halfseen.tables import TableTask

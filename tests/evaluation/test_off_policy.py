@@ -8,8 +8,8 @@ from halfseen.censoring import KaplanMeier
 from halfseen.errors import ArgumentError, LogError
 from halfseen.evaluation import FixedSequence, QSpec, evaluate
 from halfseen.evaluation.off_policy import q_model_of
-from halfseen.learners import DoublyRobust, NamedActions, Unweighted
-from halfseen.learners.q_learning import fitting
+from halfseen.learning import DoublyRobust, NamedActions, Unweighted
+from halfseen.learning import fitting
 from halfseen.logs import Logs
 from halfseen.tables import TableTask
 

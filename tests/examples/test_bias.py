@@ -9,7 +9,7 @@ from cut_regression.methods import cox_median
 from cut_regression.settings import CUT_SLOPE, SHAPE, TAU, Setting, TrueCuts
 from threadpoolctl import threadpool_limits
 
-from halfseen.learners import CensoredSVR, survival_array
+from halfseen.learning import CensoredSVR, survival_array
 
 NUM_ROWS, NUM_SAMPLES, REG = 1500, 4, 1e-3
 HEAVY = [Setting(median, 1, cuts, 0.5) for median in ("linear", "quadratic") for cuts in ("uniform", "dependent")]

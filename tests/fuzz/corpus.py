@@ -321,7 +321,7 @@ def calls(folder: Path) -> None:
 
 
 def flat_policy(folder: Path) -> None:
-    from halfseen.learners import CensoredQLearner
+    from halfseen.learning import CensoredQLearner
     from halfseen.policies.folder import write_policy
 
     logs = flat_log()
@@ -339,7 +339,7 @@ def judged(folder: Path) -> None:
 
 
 def table_policy(folder: Path) -> None:
-    from halfseen.learners import CensoredQLearner
+    from halfseen.learning import CensoredQLearner
     from halfseen.policies.folder import write_policy
 
     logs = table_log()

@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from halfseen.cli.convert import convert
 from halfseen.errors import ArgumentError, LogError
-from halfseen.learners import CensoredQLearner
+from halfseen.learning import CensoredQLearner
 from halfseen.logs import LogRecorder, Logs, compact, compaction, read_logs
 from halfseen.logs.formats import write_csv
 from small_logs import flat_log, table_log

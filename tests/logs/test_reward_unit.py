@@ -4,7 +4,7 @@ import pytest
 
 from halfseen.errors import LogError
 from halfseen.evaluation.second_order import with_second_order
-from halfseen.learners.q_learning.named_actions import NamedActions
+from halfseen.learning.named_task import NamedActions
 from halfseen.logs import LogRecorder, Logs, LogStream, read_logs, write_stream
 from halfseen.logs.formats import read_csv, read_minari, write_csv, write_minari
 from halfseen.logs.joining import joined

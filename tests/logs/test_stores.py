@@ -8,7 +8,7 @@ from click.testing import CliRunner
 from halfseen.cli.convert import convert
 from halfseen.cli.learn import learn
 from halfseen.errors import LogError
-from halfseen.learners import CensoredQLearner
+from halfseen.learning import CensoredQLearner
 from halfseen.logs import LogStream, compact, read_logs
 from halfseen.policies.folder import read_policy
 from small_logs import flat_log, table_log

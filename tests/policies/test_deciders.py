@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from halfseen.errors import ArgumentError, LogError, PolicyError
-from halfseen.learners import FlatPolicy
+from halfseen.learning import FlatPolicy
 from halfseen.planners import GreedyPolicy, POMDPPolicy
 from halfseen.policies import Decider, NamedObservation, decider_of
 from halfseen.policies.certainty import QError

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from halfseen.errors import ArgumentError, PolicyError
-from halfseen.learners import CensoredQLearner
+from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.policies import read_policy, write_policy
 from halfseen.policies.folder.stored import StoredPolicy

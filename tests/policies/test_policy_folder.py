@@ -13,7 +13,7 @@ import pytest
 import safetensors.numpy
 
 from halfseen.errors import ArgumentError, PolicyError
-from halfseen.learners import CensoredQLearner, KernelQ
+from halfseen.learning import CensoredQLearner, KernelQ
 from halfseen.logs import Logs, read_logs
 from halfseen.policies.folder import log_digest, read_policy, write_policy
 from halfseen.policies.folder.files import ARRAYS, DIGESTS, RECORD

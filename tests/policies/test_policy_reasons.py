@@ -3,7 +3,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 
-from halfseen.learners import FlatPolicy
+from halfseen.learning import FlatPolicy
 from halfseen.policies.flat_reason import flat_reason
 from halfseen.policies.table_reason import table_reason
 from halfseen.tables.present import first_state

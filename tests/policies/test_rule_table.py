@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from halfseen.errors import ArgumentError, LogError
-from halfseen.learners.q_learning.flat_policy import NamedActionPolicy
+from halfseen.learning.flat_policy import NamedActionPolicy
 from halfseen.policies import Rule, read_rule_table
 
 PARTS = pd.DataFrame({"weight_kg": [2.0, 1.5, 0.2, 2.9], "shine": [0.9, 0.7, 0.1, 0.5], "colour": list("rgbr")})

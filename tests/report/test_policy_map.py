@@ -4,7 +4,7 @@ import pytest
 from small_report import ACTIONS, COVARIATES, hostile_log
 
 from halfseen.evaluation.targets import task_of
-from halfseen.learners import CensoredQLearner
+from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.pages.drawing import inline_svg
 from halfseen.report import table_map as table_map_module

@@ -11,7 +11,7 @@ from small_report import ACTIONS, CAUSE, COVARIATES, estimate, evaluation, hosti
 
 from halfseen.errors import ArgumentError
 from halfseen.evaluation.targets import task_of
-from halfseen.learners import CensoredQLearner
+from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.pages.drawing import MOST_MARKERS, inline_svg
 from halfseen.policies.decider import decider_of

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from halfseen.learners import CensoredQLearner
+from halfseen.learning import CensoredQLearner
 from halfseen.policies.folder import write_policy
 from small_logs import HIDES, table_log
 

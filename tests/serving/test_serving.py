@@ -12,7 +12,7 @@ from starlette.testclient import TestClient
 
 from halfseen.cli.act import act
 from halfseen.errors import LogError
-from halfseen.learners import CensoredQLearner
+from halfseen.learning import CensoredQLearner
 from halfseen.logs import read_logs
 from halfseen.policies.folder import write_policy
 from halfseen.scene import table_paths

@@ -23,7 +23,7 @@ from halfseen.cli import halfseen
 from halfseen.cli.act import act
 from halfseen.cli.laws import law_of
 from halfseen.evaluation import evaluate
-from halfseen.learners import CensoredQLearner
+from halfseen.learning import CensoredQLearner
 from halfseen.logs import read_logs
 from halfseen.logs.inspection.suspicions import suspicions
 from halfseen.perception import perceive, read_cloud

@@ -9,7 +9,7 @@ import pytest
 from tiny import SETTING
 
 from halfseen.errors import ArgumentError
-from halfseen.learners import CensoredQLearner
+from halfseen.learning import CensoredQLearner
 from halfseen.study.pipeline import TREATMENTS, Source, episodes_in_turn
 from halfseen.study.policies import HEURISTICS, horizon_planner
 from halfseen.world import Scene, UniformPolicy, WorldConfig

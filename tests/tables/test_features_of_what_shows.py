@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fitted_laws import FITTED
-from halfseen.learners import CensoredQLearner
+from halfseen.learning import CensoredQLearner
 from halfseen.planners import GreedyPolicy
 from halfseen.policies.history import present_state
 from halfseen.tables import BetaGrasp, TableTask

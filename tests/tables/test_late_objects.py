@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from halfseen.errors import LogError
-from halfseen.learners import CensoredQLearner
+from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.tables.encoding import encode_states, logged_actions
 from halfseen.tables.laws.labels import labels

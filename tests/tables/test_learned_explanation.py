@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from halfseen.errors import ArgumentError
-from halfseen.learners import CensoredQLearner
+from halfseen.learning import CensoredQLearner
 from halfseen.tables.learned_explanation import LearnedExplainer
 from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, WorldConfig
 from halfseen.world.dynamics import start

@@ -6,7 +6,7 @@ import pytest
 from scipy.special import expit
 
 from halfseen.errors import ArgumentError, LogError
-from halfseen.learners import Task
+from halfseen.learning import Task
 from halfseen.logs import Logs
 from halfseen.tables import TableTask
 from halfseen.tables.prior import logged_dirty_share

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from halfseen.censoring import stage_weights
-from halfseen.learners import CensoredQLearner, NamedActions
-from halfseen.learners.q_learning.path_arrays import path_arrays
-from halfseen.learners.q_learning.task import Encoded, RewardedStages
+from halfseen.learning import CensoredQLearner, NamedActions
+from halfseen.learning.path_arrays import path_arrays
+from halfseen.learning.task import Encoded, RewardedStages
 from halfseen.planners import GreedyPolicy
 from halfseen.tables.encoding import encoded_states
 from halfseen.tables.variance_reduction import expected_rewards, label_control_variates, wash_pay

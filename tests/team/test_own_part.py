@@ -6,7 +6,7 @@ import pytest
 from played_teams import SureGrasping, logged, played, team_of
 
 from halfseen.errors import ArgumentError, LogError
-from halfseen.learners import CensoredQLearner
+from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.tables.grasp.attempts import attempts
 from halfseen.team.config import TeamConfig

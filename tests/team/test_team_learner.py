@@ -8,7 +8,7 @@ from jaxtyping import TypeCheckError
 from played_teams import NUM_OBJECTS, SCENE, logged, played, team_of
 
 from halfseen.errors import ArgumentError, LogError, PolicyError
-from halfseen.learners import CensoredQLearner
+from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.team import EachAlone, ExploringTeam, TeamOfRules, UniformTeam, Workspace, episodes

@@ -12,7 +12,7 @@ import safetensors.numpy
 from played_teams import logged, played, team_of
 
 from halfseen.errors import ArgumentError, PolicyError
-from halfseen.learners import CensoredQLearner
+from halfseen.learning import CensoredQLearner
 from halfseen.policies import decider_of
 from halfseen.policies.folder import read_policy, write_policy
 from halfseen.policies.folder.files import ARRAYS, DIGESTS, RECORD

@@ -7,7 +7,7 @@ import pytest
 from played_teams import logged, played, team_of
 
 from halfseen.errors import LogError
-from halfseen.learners import CensoredQLearner
+from halfseen.learning import CensoredQLearner
 from halfseen.logs import LogRecorder, read_logs
 from halfseen.team import check_log
 from halfseen.team.recording import states_of

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from played_teams import SCENE, logged, played, team_of
 
-from halfseen.learners import CensoredQLearner
+from halfseen.learning import CensoredQLearner
 from halfseen.team import TeamConfig, TeamTask
 from halfseen.team.rewards import outcomes_of, pays_of, shaped
 from halfseen.world import WorldConfig

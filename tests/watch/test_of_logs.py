@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from halfseen.errors import ArgumentError, CloudError
-from halfseen.learners import CensoredQLearner
+from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.perception import perceive, read_cloud, write_pcd
 from halfseen.policies import read_policy, write_policy

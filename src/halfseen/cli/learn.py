@@ -16,8 +16,8 @@ from halfseen.cli.workers import worker_options
 from halfseen.progress import Progress
 
 if TYPE_CHECKING:
-    from halfseen.learners.q_learning.q_learner import CensoredQLearner
-    from halfseen.learners.q_learning.targets import Targets
+    from halfseen.learning.q_learner import CensoredQLearner
+    from halfseen.learning.targets import Targets
     from halfseen.logs import Logs, LogStream
     from halfseen.workers import Workers
 
@@ -181,7 +181,7 @@ def _judged(
     """Judge this way of learning by the log; beside the verdict stands a note if that is of a sample of its paths."""
     # What judges takes longer to load than all that learns.
     from halfseen.evaluation.held_out import MOST_JUDGED, NUM_FOLDS, held_out_verdict
-    from halfseen.learners.q_learning.streaming import sample_of
+    from halfseen.learning.streaming import sample_of
     from halfseen.logs import Logs
 
     judging = log if isinstance(log, Logs) else sample_of(log, seed, MOST_JUDGED)
@@ -195,7 +195,7 @@ def _judged(
 
 def _targets(chosen: dict[str, Any]) -> "Targets | str":
     """What stands for what cuts took away, taken from the options that say it; auto where none does."""
-    from halfseen.learners.q_learning.targets import named_targets
+    from halfseen.learning.targets import named_targets
 
     model = chosen.pop("censoring")
     given = {

@@ -17,9 +17,9 @@ from jaxtyping import Bool, Float, Int
 
 from halfseen.censoring import CensoringSpec
 from halfseen.errors import HalfseenError
-from halfseen.learners.q_learning.path_arrays import PathArrays
-from halfseen.learners.q_learning.q_model import QModel
-from halfseen.learners.q_learning.transitions import Imputation
+from halfseen.learning.path_arrays import PathArrays
+from halfseen.learning.q_model import QModel
+from halfseen.learning.transitions import Imputation
 
 
 class Nuisances(NamedTuple):

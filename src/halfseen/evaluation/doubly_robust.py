@@ -26,7 +26,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from halfseen.evaluation.ratios import StageWeights
-from halfseen.learners.q_learning.judging import Judged
+from halfseen.learning.judging import Judged
 
 
 def doubly_robust(judged: Judged, weights: StageWeights) -> Float[np.ndarray, " n"]:

@@ -1,23 +1,24 @@
 """Fitted Q evaluation under censoring [Le2019]_: eq. 3 with the policy's own action in place of the best one.
 
-One compiled function fits Q to many weightings of the same log: to all paths, and to all but each fold in turn. So no
-path is judged by a Q that it shaped (*cross-fitting*), and how much the value changes from fold to fold tells its
-standard error (the delete-a-group jackknife [Kott2001]_).
+Q is fitted to all paths, and to all but each fold in turn. So no path is judged by a Q that it shaped
+(*cross-fitting*), and how much the value changes from fold to fold tells its standard error (the delete-a-group
+jackknife [Kott2001]_).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from halfseen.evaluation.cross_fitting import Nuisances
 from halfseen.evaluation.estimate import jackknife_error
-from halfseen.learners.q_learning.fitting import fit_and_judge
-from halfseen.learners.q_learning.judging import Judged
-from halfseen.learners.q_learning.q_model import QModel
-from halfseen.learners.q_learning.transitions import Transitions
+from halfseen.learning.judging import Judged, judged
+from halfseen.learning.q_model import QModel
+from halfseen.learning.recursion import fit_q
+from halfseen.learning.transitions import Transitions
 from halfseen.workers import Pool
+from halfseen.workers.threads import one_thread
 
 
 def judged_by_folds(
@@ -46,7 +47,7 @@ def judged_by_folds(
         Who fits.
     """
     each = pool.in_order(_Judging(model, log, reward, fold), enumerate(nuisances))
-    return Judged(*(np.concatenate(leaves) for leaves in zip(*each, strict=True)))
+    return Judged(*(np.stack(leaves) for leaves in zip(*each, strict=True)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,11 +61,11 @@ class _Judging:
 
     def __call__(self, numbered: tuple[int, Nuisances]) -> Judged:
         k, given = numbered
-        without = (self.fold != k).astype(np.float64)[None]
-        weighted = self.log._replace(weight=given.weight, imputation=given.imputation)
-        blocks = self.model.blocks(self.log.is_possible.shape[-1])
-        options = self.model.options(len(self.fold))
-        return fit_and_judge(weighted, self.reward, without, blocks, self.model.regs, options)
+        log = self.log._replace(weight=given.weight, imputation=given.imputation)
+        regression = replace(self.model, pessimism=0.0).regression(*log.is_possible.shape[::2])
+        with one_thread():
+            q = fit_q(log.counted((self.fold != k).astype(np.float64)), regression)
+            return judged(q, log, regression.block_of_action, regression.stages, self.reward)
 
 
 def jackknifed(value: Float[np.ndarray, "B n"], fold: Int[np.ndarray, " n"]) -> tuple[float, float]:

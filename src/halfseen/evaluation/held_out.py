@@ -23,7 +23,7 @@ from halfseen.evaluation.off_policy import evaluate
 from halfseen.evaluation.stored_model import specification
 from halfseen.evaluation.targets import CrossFitted
 from halfseen.evaluation.verdict import Verdict
-from halfseen.learners.q_learning.q_learner import CensoredQLearner
+from halfseen.learning.q_learner import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.policies.folder.specification import described
 from halfseen.workers import ALONE, Pool, Workers

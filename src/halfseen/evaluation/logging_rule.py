@@ -26,11 +26,11 @@ from sklearn.linear_model import LogisticRegression
 from sklearn.pipeline import Pipeline
 from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
-from halfseen.learners.q_learning.behaviour import conditional_logit
-from halfseen.learners.q_learning.covariates import Covariates
-from halfseen.learners.q_learning.named_actions import NamedActions
-from halfseen.learners.q_learning.path_arrays import PathArrays, stage_places
-from halfseen.learners.q_learning.task import Task
+from halfseen.learning.behaviour import conditional_logit
+from halfseen.learning.covariates import Covariates
+from halfseen.learning.named_task import NamedActions
+from halfseen.learning.path_arrays import PathArrays, stage_places
+from halfseen.learning.task import Task
 from halfseen.logs import Logs
 
 NAME = "the logging policy without its exploration"

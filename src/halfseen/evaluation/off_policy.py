@@ -28,13 +28,13 @@ from halfseen.evaluation.quotient import share_of
 from halfseen.evaluation.second_order import with_second_order
 from halfseen.evaluation.targets import horizon_of, task_of
 from halfseen.evaluation.verdict import why_unknown
-from halfseen.learners.q_learning.judging import Judged
-from halfseen.learners.q_learning.named_actions import NamedActions
-from halfseen.learners.q_learning.q_model import QModel
-from halfseen.learners.q_learning.q_space import CrossValidation, QSpace, q_space_of, reg_of, stage_mode_of
-from halfseen.learners.q_learning.targets import DoublyRobust, Targets, Weighted, targets_of
-from halfseen.learners.q_learning.task import Task
-from halfseen.learners.q_learning.transitions import StageMode
+from halfseen.learning.judging import Judged
+from halfseen.learning.named_task import NamedActions
+from halfseen.learning.q_model import QModel
+from halfseen.learning.q_space import CrossValidation, QSpace, q_space_of, reg_of, stage_mode_of
+from halfseen.learning.targets import DoublyRobust, Targets, Weighted, targets_of
+from halfseen.learning.task import Task
+from halfseen.learning.transitions import StageMode
 from halfseen.logs import Logs
 from halfseen.workers import ALONE, Workers
 from halfseen.workers.threads import in_one_thread
@@ -56,7 +56,7 @@ class QSpec:
     task
         What is decided; None for what the policy says.
     q_function, reg
-        As for `halfseen.learners.CensoredQLearner`.
+        As for `halfseen.learning.CensoredQLearner`.
     stages
         The same; None for pooled ones where an action ends a path wherever it is taken, as on a table, else separate.
     """

@@ -11,10 +11,10 @@ from jaxtyping import Float
 from halfseen.errors import ArgumentError
 from halfseen.evaluation.logging_rule import NAME as LOGGING_RULE_NAME
 from halfseen.evaluation.targets import FixedSequence, horizon_of, target_probabilities
-from halfseen.learners.q_learning.flat_policy import NamedActionPolicy
-from halfseen.learners.q_learning.named_actions import NamedActions
-from halfseen.learners.q_learning.path_arrays import PathArrays
-from halfseen.learners.q_learning.task import Task
+from halfseen.learning.flat_policy import NamedActionPolicy
+from halfseen.learning.named_task import NamedActions
+from halfseen.learning.path_arrays import PathArrays
+from halfseen.learning.task import Task
 from halfseen.logs import Logs
 from halfseen.policies.folder import read_policy
 from halfseen.policies.of_team import UNJUDGED, refuse_team

@@ -19,10 +19,10 @@ from halfseen.evaluation.ratios import (
     mean_squared_ratio,
 )
 from halfseen.evaluation.targets import target_probabilities
-from halfseen.learners.q_learning.judging import Judged
-from halfseen.learners.q_learning.path_arrays import PathArrays
-from halfseen.learners.q_learning.q_model import QModel
-from halfseen.learners.q_learning.transitions import Transitions
+from halfseen.learning.judging import Judged
+from halfseen.learning.path_arrays import PathArrays
+from halfseen.learning.q_model import QModel
+from halfseen.learning.transitions import Transitions
 from halfseen.logs import Logs
 from halfseen.workers import Pool
 

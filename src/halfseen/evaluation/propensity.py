@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from halfseen.errors import ArgumentError, LogError
-from halfseen.learners.q_learning.behaviour import conditional_logit
-from halfseen.learners.q_learning.path_arrays import PathArrays
+from halfseen.learning.behaviour import conditional_logit
+from halfseen.learning.path_arrays import PathArrays
 
 Propensity = Literal["logged", "estimated"]
 

@@ -9,8 +9,8 @@ from itertools import combinations_with_replacement
 import numpy as np
 import pandas as pd
 
-from halfseen.learners.q_learning.covariates import Covariates
-from halfseen.learners.q_learning.named_actions import NamedActions
+from halfseen.learning.covariates import Covariates
+from halfseen.learning.named_task import NamedActions
 from halfseen.logs import Logs
 
 PATHS_PER_TERM = 10

@@ -6,9 +6,9 @@ from typing import Any
 
 from halfseen.censoring import CENSORING_NAMES
 from halfseen.evaluation.off_policy import LARGEST_WEIGHT, QSpec, default_targets
-from halfseen.learners.q_learning.flat_policy import NamedActionPolicy
-from halfseen.learners.q_learning.targets import DoublyRobust, Targets, named_targets
-from halfseen.learners.q_learning.task import Task, named_task
+from halfseen.learning.flat_policy import NamedActionPolicy
+from halfseen.learning.targets import DoublyRobust, Targets, named_targets
+from halfseen.learning.task import Task, named_task
 from halfseen.logs import Logs
 from halfseen.policies.folder import StoredPolicy, q_space_of_record
 from halfseen.policies.of_team import UNJUDGED, refuse_log_of_team, refuse_team

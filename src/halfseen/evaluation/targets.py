@@ -9,11 +9,11 @@ import pandas as pd
 from jaxtyping import Float, Int
 
 from halfseen.errors import ArgumentError
-from halfseen.learners.q_learning.covariates import fit_covariates
-from halfseen.learners.q_learning.flat_policy import NamedActionPolicy
-from halfseen.learners.q_learning.named_actions import NamedActions
-from halfseen.learners.q_learning.path_arrays import PathArrays
-from halfseen.learners.q_learning.task import Task, named_task
+from halfseen.learning.covariates import fit_covariates
+from halfseen.learning.flat_policy import NamedActionPolicy
+from halfseen.learning.named_task import NamedActions
+from halfseen.learning.path_arrays import PathArrays
+from halfseen.learning.task import Task, named_task
 from halfseen.logs import Logs
 
 

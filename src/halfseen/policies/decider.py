@@ -3,7 +3,7 @@
 from typing import Any
 
 from halfseen.errors import ArgumentError
-from halfseen.learners.q_learning.flat_policy import FlatPolicy
+from halfseen.learning.flat_policy import FlatPolicy
 from halfseen.policies.certainty import QError
 from halfseen.policies.decision import Decider
 from halfseen.policies.folder import StoredPolicy

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from halfseen.learners.q_learning.flat_policy import FlatPolicy
+from halfseen.learning.flat_policy import FlatPolicy
 from halfseen.policies.ranges import Range, Ranges, middle_of
 from halfseen.policies.reasons import SAME_VALUE, lead, next_best
 

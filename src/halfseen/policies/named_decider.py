@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from halfseen.learners.q_learning.flat_policy import FlatPolicy, Valued
+from halfseen.learning.flat_policy import FlatPolicy, Valued
 from halfseen.policies.certainty import QError, certainty
 from halfseen.policies.decision import Decision
 from halfseen.policies.flat_reason import flat_reason

@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 
 from halfseen.errors import ArgumentError, LogError, PolicyError
-from halfseen.learners.q_learning.flat_policy import FlatPolicy
+from halfseen.learning.flat_policy import FlatPolicy
 from halfseen.policies.folder.stored import StoredPolicy
 from halfseen.policies.named_decider import NamedObservation
 from halfseen.reading import json_of, read_bytes, read_text, reason_of

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from onnx import TensorProto, helper, numpy_helper
 
-from halfseen.learners.q_learning.flat_policy import FlatPolicy
-from halfseen.learners.q_learning.kernel_map import KernelMap
+from halfseen.learning.flat_policy import FlatPolicy
+from halfseen.learning.kernel_map import KernelMap
 
 OPSET, IR_VERSION = 18, 9
 COVARIATES, STAGE, SCORES, ACTION = "covariates", "stage", "scores", "action"

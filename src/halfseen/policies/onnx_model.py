@@ -7,7 +7,7 @@ from onnx import helper
 
 import halfseen
 from halfseen.errors import ArgumentError, PolicyError
-from halfseen.learners.q_learning.flat_policy import FlatPolicy
+from halfseen.learning.flat_policy import FlatPolicy
 from halfseen.policies.folder.stored import StoredPolicy
 from halfseen.policies.onnx_flat import flat_graph
 from halfseen.tables.table_policy import LinearTablePolicy

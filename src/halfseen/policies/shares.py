@@ -7,8 +7,8 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Int
 
-from halfseen.learners.q_learning.path_arrays import stage_places
-from halfseen.learners.q_learning.task import Task
+from halfseen.learning.path_arrays import stage_places
+from halfseen.learning.task import Task
 from halfseen.logs import Logs
 from halfseen.team.decided import decided
 from halfseen.team.learned_policy import LinearTeamPolicy

@@ -13,7 +13,7 @@ from halfseen.errors import HalfseenWarning
 from halfseen.evaluation import Evaluation, evaluate
 from halfseen.evaluation.stored_model import specification_of
 from halfseen.evaluation.targets import task_of
-from halfseen.learners.q_learning.flat_policy import FlatPolicy
+from halfseen.learning.flat_policy import FlatPolicy
 from halfseen.logs import Logs
 from halfseen.policies.folder import StoredPolicy, log_digest
 from halfseen.policies.folder.json_values import plain

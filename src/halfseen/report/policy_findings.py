@@ -8,11 +8,11 @@ import pandas as pd
 from jaxtyping import Float
 
 from halfseen.evaluation.targets import task_of
-from halfseen.learners import CensoredQLearner
-from halfseen.learners.q_learning.bootstrap import bootstrap
-from halfseen.learners.q_learning.flat_policy import FlatPolicy
-from halfseen.learners.q_learning.targets import CENSORING_CHOICES
-from halfseen.learners.q_learning.task import Task
+from halfseen.learning import CensoredQLearner
+from halfseen.learning.bootstrap import bootstrap
+from halfseen.learning.flat_policy import FlatPolicy
+from halfseen.learning.targets import CENSORING_CHOICES
+from halfseen.learning.task import Task
 from halfseen.logs import Logs
 from halfseen.policies.certainty import reach
 from halfseen.policies.folder import StoredPolicy, q_space_of_record

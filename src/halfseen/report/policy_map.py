@@ -8,7 +8,7 @@ import pandas as pd
 from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 
-from halfseen.learners.q_learning.flat_policy import FlatPolicy
+from halfseen.learning.flat_policy import FlatPolicy
 from halfseen.logs import Logs
 from halfseen.report.states import middle_of
 

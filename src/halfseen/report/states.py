@@ -4,7 +4,7 @@ from typing import Any
 
 import pandas as pd
 
-from halfseen.learners.q_learning.flat_policy import FlatPolicy
+from halfseen.learning.flat_policy import FlatPolicy
 
 
 def numeric_of(policy: FlatPolicy) -> list[str]:

@@ -11,8 +11,8 @@ import pandas as pd
 from jaxtyping import Float, Int
 from scipy.special import expit
 
-from halfseen.learners.q_learning.path_arrays import stage_places
-from halfseen.learners.q_learning.task import Task
+from halfseen.learning.path_arrays import stage_places
+from halfseen.learning.task import Task
 from halfseen.logs import Logs
 from halfseen.policies.shares import horizon_of
 from halfseen.world.action_space import TARGETED, ActionSpace

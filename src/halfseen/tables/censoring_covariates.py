@@ -6,8 +6,8 @@ from typing import Any
 import pandas as pd
 
 from halfseen.errors import ArgumentError
-from halfseen.learners.q_learning.named_actions import action_indicators
-from halfseen.learners.q_learning.task import ACTION
+from halfseen.learning.named_task import action_indicators
+from halfseen.learning.task import ACTION
 from halfseen.logs import Logs
 from halfseen.suggestions import did_you_mean
 from halfseen.world.action_space import Verb

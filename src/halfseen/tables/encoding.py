@@ -9,9 +9,8 @@ from jaxtyping import Bool, Int
 
 from halfseen.arrays import on_device
 from halfseen.errors import LogError
-from halfseen.learners.q_learning.path_arrays import stage_places
-from halfseen.learners.q_learning.room import room_for_rows
-from halfseen.learners.q_learning.task import Encoded
+from halfseen.learning.path_arrays import stage_places
+from halfseen.learning.task import Encoded
 from halfseen.logs import Logs
 from halfseen.logs.refusal import refuse, shown, value_at
 from halfseen.tables.features import table_features
@@ -49,8 +48,8 @@ def encoded_states(
     """
     num_paths, horizon = is_state.shape
     at = np.flatnonzero(is_state)
-    # Of what there is, one after another: as few as there are, and in shapes that other logs share.
-    index = np.pad(at, (0, room_for_rows(len(at)) - len(at)))
+    # Shapes that logs of about the same size share, for each is compiled for.
+    index = np.pad(at, (0, -len(at) % 1024))
 
     def one_after_another(leaf: jax.Array) -> jax.Array:
         each = np.asarray(leaf)[:num_paths]

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from halfseen.errors import ArgumentError
-from halfseen.learners.q_learning.choice import leaning
-from halfseen.learners.q_learning.kernel_map import KernelMap
-from halfseen.learners.q_learning.support import seen_among
-from halfseen.learners.q_learning.transitions import q_values
+from halfseen.learning.choice import leaning
+from halfseen.learning.kernel_map import KernelMap
+from halfseen.learning.support import seen_among
+from halfseen.learning.transitions import q_values
 from halfseen.tables.features import table_features, table_q
 from halfseen.world.action_space import ActionSpace, possible_actions
 from halfseen.world.grasp_model import GraspModel

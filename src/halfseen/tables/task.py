@@ -11,8 +11,8 @@ from jaxtyping import Float, Int
 
 from halfseen.arrays import on_device
 from halfseen.errors import ArgumentError
-from halfseen.learners.q_learning.automatic import AUTO
-from halfseen.learners.q_learning.task import Encoded, LearnedQ, RewardedStages
+from halfseen.learning.automatic import AUTO
+from halfseen.learning.task import Encoded, LearnedQ, RewardedStages
 from halfseen.logs import Logs
 from halfseen.tables.censoring_covariates import NUM_AT_BEGIN, TABLE_COVARIATES, table_covariates
 from halfseen.tables.encoding import encode_tables

@@ -22,7 +22,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from halfseen.learners.q_learning.task import Encoded, RewardedStages
+from halfseen.learning.task import Encoded, RewardedStages
 from halfseen.tables.features import WASH_DIRTY, WASH_EASE
 from halfseen.world.action_space import ActionSpace, Verb
 

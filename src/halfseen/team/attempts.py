@@ -5,7 +5,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Int
 
-from halfseen.learners.q_learning.path_arrays import stage_places
+from halfseen.learning.path_arrays import stage_places
 from halfseen.logs import Logs
 from halfseen.tables.grasp.attempts import COLUMNS
 from halfseen.team.state import TeamState

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from halfseen.errors import ArgumentError
-from halfseen.learners.q_learning.q_learner import CensoredQLearner
+from halfseen.learning.q_learner import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.team.actions import possible_actions
 from halfseen.team.own_part import alone

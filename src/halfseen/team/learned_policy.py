@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from halfseen.learners.q_learning.choice import leaning
-from halfseen.learners.q_learning.support import seen_among
-from halfseen.learners.q_learning.transitions import q_values
+from halfseen.learning.choice import leaning
+from halfseen.learning.support import seen_among
+from halfseen.learning.transitions import q_values
 from halfseen.team.actions import WAIT, worthwhile_actions
 from halfseen.team.features import team_features
 from halfseen.team.policy import TeamPolicy

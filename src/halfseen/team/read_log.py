@@ -7,7 +7,7 @@ import pandas as pd
 from jaxtyping import Int
 
 from halfseen.errors import LogError
-from halfseen.learners.q_learning.path_arrays import stage_places
+from halfseen.learning.path_arrays import stage_places
 from halfseen.logs import Logs
 from halfseen.logs.refusal import refuse, shown, value_at
 from halfseen.team.actions import WAIT, wait_of

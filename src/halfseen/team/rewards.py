@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from halfseen.learners.q_learning.task import RewardedStages
+from halfseen.learning.task import RewardedStages
 from halfseen.tables.variance_reduction import coefficients_of, no_rows, with_rows
 from halfseen.team.state import TeamState
 from halfseen.world.action_space import Verb

@@ -19,9 +19,9 @@ import pandas as pd
 from jaxtyping import Float, Int
 
 from halfseen.errors import ArgumentError, LogError, PositivityError
-from halfseen.learners.q_learning.automatic import AUTO
-from halfseen.learners.q_learning.path_arrays import stage_places
-from halfseen.learners.q_learning.task import Encoded, LearnedQ, RewardedStages
+from halfseen.learning.automatic import AUTO
+from halfseen.learning.path_arrays import stage_places
+from halfseen.learning.task import Encoded, LearnedQ, RewardedStages
 from halfseen.logs import Logs
 from halfseen.tables.censoring_covariates import TABLE_COVARIATES, table_covariates
 from halfseen.tables.features import table_columns

@@ -6,7 +6,7 @@ from scipy.optimize import minimize
 from tried import beta_attempts, cut_some
 
 from halfseen.censoring import censoring_weights
-from halfseen.learners import CensoredQLearner
+from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.tables import BetaGrasp
 from halfseen.tables.grasp.choice import FEWEST_ATTEMPTS, NUM_FOLDS, choose_by, choose_grasp

@@ -10,7 +10,7 @@ from sklearn.base import clone
 from tried import beta_attempts
 
 from halfseen.errors import ArgumentError
-from halfseen.learners import CensoredQLearner
+from halfseen.learning import CensoredQLearner
 from halfseen.tables import BetaGrasp, LinearTablePolicy, SVMGrasp, attempts
 from halfseen.tables.encoding import encode_states
 from halfseen.tables.features import NUM_FEATURES, table_features

@@ -8,7 +8,7 @@ from sklearn.exceptions import NotFittedError
 from tried import beta_attempts, cut_some
 
 from halfseen.errors import ArgumentError
-from halfseen.learners import CensoredSVC
+from halfseen.learning import CensoredSVC
 from halfseen.tables import BetaGrasp, SVMGrasp
 from halfseen.tables.grasp.inputs import checked_attempts
 from halfseen.tables.grasp.splits import splits_of

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from halfseen.errors import ArgumentError, PolicyError
-from halfseen.learners.q_learning.covariates import Categories, Covariates
-from halfseen.learners.q_learning.flat_policy import FlatPolicy
+from halfseen.learning.covariates import Categories, Covariates
+from halfseen.learning.flat_policy import FlatPolicy
 from halfseen.logs import Logs
 from halfseen.policies.folder.arrays import (
     BEHAVIOUR,

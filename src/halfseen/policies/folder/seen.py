@@ -7,7 +7,7 @@ from typing import Any
 import pandas as pd
 
 from halfseen.errors import PolicyError
-from halfseen.learners.q_learning.covariates import Covariates
+from halfseen.learning.covariates import Covariates
 from halfseen.logs import Logs
 
 

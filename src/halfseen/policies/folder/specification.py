@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
-from halfseen.learners.q_learning.q_model import QModel
-from halfseen.learners.q_learning.q_space import CrossValidation, KernelQ, QSpace, name_of, q_space_of
-from halfseen.learners.q_learning.targets import DoublyRobust, Targets, named_targets
+from halfseen.learning.q_model import QModel
+from halfseen.learning.q_space import CrossValidation, KernelQ, QSpace, name_of, q_space_of
+from halfseen.learning.targets import DoublyRobust, Targets, named_targets
 
 
 def described(model: QModel) -> dict[str, Any]:

@@ -14,8 +14,8 @@ import halfseen
 from halfseen.censoring import positivity_report, weight_diagnostics
 from halfseen.censoring.positivity import PositivityReport
 from halfseen.estimator import check_fitted
-from halfseen.learners.q_learning.q_learner import CensoredQLearner
-from halfseen.learners.q_learning.streaming import sample_of
+from halfseen.learning.q_learner import CensoredQLearner
+from halfseen.learning.streaming import sample_of
 from halfseen.logs import Logs, LogStream
 from halfseen.logs.inspection.suspicions import suspicions
 from halfseen.logs.stream import parts_of

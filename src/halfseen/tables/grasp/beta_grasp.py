@@ -19,7 +19,7 @@ from scipy.special import expit
 from halfseen.arrays import Rows
 from halfseen.censoring import CensoringModel, WeightDiagnostics
 from halfseen.estimator import Estimator, check_fitted
-from halfseen.learners.newton_each import Derivatives, minimise_each
+from halfseen.learning.newton_each import Derivatives, minimise_each
 from halfseen.logs.frames import FrameLike
 from halfseen.tables.grasp.inputs import Decided, History, checked_attempts, checked_history, kinds
 

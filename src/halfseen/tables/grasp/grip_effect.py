@@ -17,7 +17,7 @@ import pandas as pd
 from scipy.special import expit, logit
 
 from halfseen.arrays import Rows
-from halfseen.learners.newton_each import Derivatives, Thetas, minimise_each
+from halfseen.learning.newton_each import Derivatives, Thetas, minimise_each
 from halfseen.tables.grasp.inputs import Decided, checked_attempts, checked_covariates, kinds
 from halfseen.tables.grasp.protocol import GraspEstimator
 

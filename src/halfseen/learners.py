@@ -1,0 +1,3 @@
+"""The names of `halfseen.learning`, where other programs look for them."""
+
+from halfseen.learning import __all__, __getattr__  # noqa: F401

@@ -1,0 +1,67 @@
+"""From weighted logs to predictions and policies.
+
+Two learners: `svm` (targets that may be cut, paper, eqs. 1 and 2) and, in this folder, censored Q-learning
+(policies, eq. 3). Neither knows of tables; `halfseen.tables` does.
+"""
+
+from typing import TYPE_CHECKING
+
+from halfseen.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from halfseen.learning.bootstrap import QBootstrap, bootstrap
+    from halfseen.learning.flat_policy import FlatPolicy
+    from halfseen.learning.named_task import NamedActions
+    from halfseen.learning.q_learner import CensoredQLearner
+    from halfseen.learning.q_space import CrossValidation, KernelQ, LinearQ, QuadraticQ
+    from halfseen.learning.targets import BuckleyJames, DoublyRobust, Unweighted, Weighted
+    from halfseen.learning.task import Task
+    from halfseen.learning.svm.classifier import CensoredSVC
+    from halfseen.learning.svm.regressor import CensoredSVR
+    from halfseen.learning.svm.set_kernel import SetKernel
+    from halfseen.learning.svm.targets import survival_array
+
+__all__ = [
+    "BuckleyJames",
+    "CensoredQLearner",
+    "CensoredSVC",
+    "CensoredSVR",
+    "CrossValidation",
+    "DoublyRobust",
+    "FlatPolicy",
+    "KernelQ",
+    "LinearQ",
+    "NamedActions",
+    "QBootstrap",
+    "QuadraticQ",
+    "SetKernel",
+    "Task",
+    "Unweighted",
+    "Weighted",
+    "bootstrap",
+    "survival_array",
+]
+
+__getattr__ = lazy_names(
+    __name__,
+    {
+        "BuckleyJames": "targets",
+        "CensoredQLearner": "q_learner",
+        "CensoredSVC": "svm.classifier",
+        "CensoredSVR": "svm.regressor",
+        "CrossValidation": "q_space",
+        "DoublyRobust": "targets",
+        "FlatPolicy": "flat_policy",
+        "KernelQ": "q_space",
+        "LinearQ": "q_space",
+        "NamedActions": "named_task",
+        "QBootstrap": "bootstrap",
+        "QuadraticQ": "q_space",
+        "SetKernel": "svm.set_kernel",
+        "Task": "task",
+        "Unweighted": "targets",
+        "Weighted": "targets",
+        "bootstrap": "bootstrap",
+        "survival_array": "svm.targets",
+    },
+)

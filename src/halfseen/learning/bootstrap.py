@@ -1,0 +1,176 @@
+"""How much what was learned hangs on which paths happened to be logged: the bootstrap over paths [Efron1979]_.
+
+Paths are drawn anew from the log with replacement. Ĝ, the weights and, where targets are imputed, the durations are
+estimated again from each such draw, and Q is fitted to it as it was to the log; features and λ's grid stay.
+"""
+
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float, Int
+
+from halfseen.errors import ArgumentError
+from halfseen.learning.flat_policy import FlatPolicy
+from halfseen.learning.path_arrays import PathArrays
+from halfseen.learning.q_learner import CensoredQLearner
+from halfseen.learning.q_model import QModel
+from halfseen.learning.recursion import fit_q
+from halfseen.learning.transitions import QFunctions, Transitions, stack_q
+from halfseen.logs import Logs
+from halfseen.progress import Progress, Telling, telling
+from halfseen.workers import ALONE, Workers
+from halfseen.workers.threads import in_one_thread
+
+BATCH_SIZE = 10
+"""Replicates that a worker fits at once."""
+
+
+@dataclass(frozen=True, eq=False)
+class QBootstrap:
+    """What was learned, and what would have been learned from paths drawn anew.
+
+    Parameters
+    ----------
+    policy
+        What was learned.
+    replicates
+        The same for each draw; its coefficients have a leading axis of B.
+    """
+
+    policy: Any
+    replicates: Any
+
+    def q_interval(
+        self, frame: pd.DataFrame, stage: int, level: float = 0.95
+    ) -> tuple[Float[np.ndarray, "m A"], Float[np.ndarray, "m A"]]:
+        """Central interval of Q for each row of covariates and action; named actions only.
+
+        Raises
+        ------
+        ArgumentError
+            `level` is not between 0 and 1, or this is no policy of named actions.
+        """
+        if not 0.0 < level < 1.0:
+            raise ArgumentError(f"level is {level}; it lies between 0 and 1")
+        draws = self._draws(frame, stage)
+        low, high = np.quantile(draws, [(1.0 - level) / 2.0, (1.0 + level) / 2.0], axis=0)
+        return low, high
+
+    def decision_shares(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
+        """Share of the draws in which each action is the best possible one; named actions only."""
+        possible = np.where(self._flat.is_possible[stage - 1], self._draws(frame, stage), -np.inf)
+        best = np.argmax(possible, axis=-1)
+        return (best[..., None] == np.arange(possible.shape[-1])).mean(axis=0)
+
+    @property
+    def _flat(self) -> FlatPolicy:
+        if not isinstance(self.policy, FlatPolicy):
+            raise ArgumentError(
+                f"a {type(self.policy).__name__} does not decide by covariates alone; compare policy and replicates, "
+                "as LearnedExplainer does for tables"
+            )
+        return self.policy
+
+    def _draws(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "B m A"]:
+        each = self.replicates.coefficients
+        return np.stack([replace(self._flat, coefficients=one).q_values(frame, stage) for one in each])
+
+
+@in_one_thread
+def bootstrap(
+    learner: CensoredQLearner,
+    logs: Logs,
+    num_replicates: int = 100,
+    random_state: int = 0,
+    is_quiet: bool = True,
+    workers: Workers = ALONE,
+) -> QBootstrap:
+    """Learn again from paths drawn anew with replacement.
+
+    Parameters
+    ----------
+    learner
+        Fitted to `logs`.
+    logs
+        The log that it was fitted to.
+    num_replicates
+        B, draws of as many paths as the log has.
+    random_state
+        Seed of the draws.
+    is_quiet
+        Shows no progress; else a bar, where the output is a terminal.
+    workers
+        Who learns again; they begin once some draws take long. What comes out is the same.
+
+    Raises
+    ------
+    ArgumentError
+        The learner has not been fitted to this log, or `num_replicates` is below 2.
+    """
+    if num_replicates < 2:
+        raise ArgumentError(f"num_replicates is {num_replicates}; at least 2 are needed")
+    if not hasattr(learner, "policy_"):
+        raise ArgumentError("the learner has no policy_; fit it to this log first")
+    if learner.weights_.shape[0] != logs.num_paths:
+        raise ArgumentError(
+            f"the log has {logs.num_paths} paths, but the learner was fitted to {learner.weights_.shape[0]}; give it "
+            "the log that it was fitted to"
+        )
+    model = learner.model_
+    paths = model.lay_out(logs)
+    share = np.full(paths.num_paths, 1.0 / paths.num_paths)
+    counts = np.random.default_rng(random_state).multinomial(paths.num_paths, share, size=num_replicates)
+    batches = [counts[start : start + BATCH_SIZE] for start in range(0, num_replicates, BATCH_SIZE)]
+    fits = []
+    with (
+        telling(Telling.NOTHING) if is_quiet else nullcontext(),
+        Progress(num_replicates, "bootstrap", "draws") as bar,
+        workers.ready_if_worth() as pool,
+    ):
+        for fit in pool.in_order(_LearningAgain(model, paths, model.transitions(paths)), batches):
+            fits.append(fit)
+            bar.update(len(batches[len(fits) - 1]))
+    q_functions = stack_q([q for each in fits for q in each])
+    return QBootstrap(learner.policy_, model.policy(q_functions))
+
+
+@dataclass(frozen=True, eq=False)
+class _LearningAgain:
+    """Learns from some draws of paths."""
+
+    model: QModel
+    paths: PathArrays
+    log: Transitions
+
+    def __call__(self, counts: Int[np.ndarray, "B n"]) -> list[QFunctions]:
+        plain = replace(self.model, pessimism=0.0)
+        regression = plain.regression(*self.log.is_possible.shape[::2])
+        drawn = (_redrawn(self.model, self.paths, each) for each in counts)
+        return [fit_q(self.log._replace(weight=weight, imputation=imputed), regression) for weight, imputed in drawn]
+
+
+_OF_PATHS = ("share", "terms", "expected", "outcome_weight")
+
+
+def _redrawn(model: QModel, paths: PathArrays, counts: Int[np.ndarray, " n"]) -> tuple[Any, Any]:
+    """Weights and imputation of each path in a draw, estimated from that draw; 0 where it was not drawn."""
+    rows = np.repeat(np.arange(paths.num_paths), counts)
+    drawn = paths.take(rows)
+    again = replace(model, cut_model=model.targets.fit_cuts(drawn.clocks))
+    weight, imputed = again.weights_and_imputation(drawn)
+    first = np.cumsum(counts) - counts
+    was_drawn = counts > 0
+
+    def back(leaf: np.ndarray) -> np.ndarray:
+        spread = np.zeros((paths.num_paths, *leaf.shape[1:]))
+        spread[was_drawn] = leaf[first[was_drawn]]
+        return spread
+
+    if imputed is not None:
+        imputed = imputed._replace(**{name: back(getattr(imputed, name)) for name in _OF_PATHS})
+        imputed = imputed._replace(outcome_weight=imputed.outcome_weight * counts[:, None])
+    return back(weight) * counts[:, None], imputed
+

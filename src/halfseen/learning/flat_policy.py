@@ -1,0 +1,159 @@
+"""A learned Q of named actions as a policy: numbers, and nothing of the learner."""
+
+from collections.abc import Hashable
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Bool, Float
+
+from halfseen.errors import ArgumentError
+from halfseen.learning.choice import leaning
+from halfseen.learning.covariates import Categories, Covariates
+from halfseen.learning.kernel_map import KernelMap
+
+
+@runtime_checkable
+class NamedActionPolicy(Protocol):
+    """Tells the probability of each named action from plain covariates; `FlatPolicy` is one."""
+
+    actions: tuple[Hashable, ...]
+
+    @property
+    def horizon(self) -> int:
+        """Number T of stages."""
+        ...
+
+    def probabilities(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
+        """π(a | S) in a stage (from 1), for each row of covariates."""
+        ...
+
+
+class Valued(NamedTuple):
+    """What a policy knows of each action, for each row of covariates."""
+
+    q: Float[np.ndarray, "m A"]
+    """Q̂; of impossible actions, too."""
+    margins: Float[np.ndarray, "m A"]
+    """‖Mᵀ (1, features)‖; 0 without pessimism."""
+    scores: Float[np.ndarray, "m A"]
+    """What it goes by."""
+
+
+@dataclass(frozen=True, eq=False)
+class FlatPolicy:
+    """argmax over the possible actions of Q̂_t(S, a), with pessimism less a margin (`scores`).
+
+    Parameters
+    ----------
+    actions
+        Names, in the order of the columns of Q.
+    covariates
+        Columns that Q looks at.
+    is_possible
+        Which actions each stage allows.
+    coefficients
+        Of Q_1 … Q_T by stage, action and feature, the offset first (with axes in front for a batch of policies).
+    kernel_map
+        Features of the RKHS; None where Q is linear in the covariates.
+    margin
+        M of each stage and action: the lower confidence bound is Q̂ − ‖Mᵀ (1, features)‖; None without pessimism.
+    behaviour
+        Coefficients of the behaviour policy on the covariates, the offset first (`behaviour`); None if not known.
+    categories
+        Of the covariates that hold text, those that the log showed.
+    """
+
+    actions: tuple[Hashable, ...]
+    covariates: tuple[str, ...]
+    is_possible: Bool[np.ndarray, "T A"]
+    coefficients: Float[np.ndarray, "*B T A F"]
+    kernel_map: KernelMap | None = None
+    margin: Float[np.ndarray, "*B T A F F"] | None = None
+    behaviour: Float[np.ndarray, "A G"] | None = None
+    categories: Categories = field(default_factory=dict)
+
+    @property
+    def looks_at(self) -> Covariates:
+        """How the covariates become numbers."""
+        return Covariates(self.covariates, self.categories)
+
+    @property
+    def horizon(self) -> int:
+        """Number T of stages."""
+        return len(self.is_possible)
+
+    @property
+    def actions_by_stage(self) -> dict[int, list[Hashable]]:
+        """Names of the actions that each stage allows, from 1."""
+        rows = enumerate(self.is_possible, start=1)
+        return {stage: [name for name, is_it in zip(self.actions, row, strict=True) if is_it] for stage, row in rows}
+
+    def q_values(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
+        """Q̂ of every action in a stage (from 1), for each row of covariates; of impossible ones, too.
+
+        Raises
+        ------
+        ArgumentError
+            There is no such stage.
+        LogError
+            A covariate is missing, no finite number, null or of a category that the log never showed.
+        """
+        return self._valued(frame, stage).q
+
+    def lower_bounds(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
+        """Lower confidence bound of every Q̂; Q̂ itself without pessimism."""
+        valued = self._valued(frame, stage)
+        return valued.q - valued.margins
+
+    def scores(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
+        """What the policy goes by: Q̂ less its margin, which counts less, the more the log takes the action anyway."""
+        return self._valued(frame, stage).scores
+
+    def valued(self, encoded: Float[np.ndarray, "m G"], stage: int) -> Valued:
+        """All that is known of the actions in a stage (from 1), for each row of covariates as `looks_at` encodes them.
+
+        Raises
+        ------
+        ArgumentError
+            There is no such stage.
+        """
+        self._check_stage(stage)
+        features = encoded if self.kernel_map is None else np.asarray(self.kernel_map(encoded))
+        each = self.coefficients[stage - 1]
+        q = each[:, 0] + features @ each[:, 1:].T
+        margins = self._margins(features, stage)
+        if self.behaviour is None:
+            return Valued(q, margins, q - margins)
+        utility = self.behaviour[:, 0] + encoded @ self.behaviour[:, 1:].T
+        return Valued(q, margins, q - (1.0 - leaning(utility, self.is_possible[stage - 1])) * margins)
+
+    def decide(self, frame: pd.DataFrame, stage: int) -> np.ndarray:
+        """Name the possible action with the largest score, for each row of covariates; shape (m,)."""
+        names = np.empty(len(self.actions), dtype=object)
+        names[:] = self.actions
+        return names[self._best(frame, stage)]
+
+    def probabilities(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
+        """π(a | S): 1 for the action that it takes."""
+        best = self._best(frame, stage)
+        return (best[:, None] == np.arange(len(self.actions))).astype(np.float64)
+
+    def _best(self, frame: pd.DataFrame, stage: int) -> np.ndarray:
+        scores = self.scores(frame, stage)
+        return np.argmax(np.where(self.is_possible[stage - 1], scores, -np.inf), axis=1)
+
+    def _valued(self, frame: pd.DataFrame, stage: int) -> Valued:
+        self._check_stage(stage)
+        return self.valued(self.looks_at.encode(frame), stage)
+
+    def _margins(self, features: Float[np.ndarray, "m F1"], stage: int) -> Float[np.ndarray, "m A"]:
+        if self.margin is None:
+            return np.zeros((len(features), len(self.actions)))
+        root = self.margin[stage - 1]
+        return np.stack([np.linalg.norm(each[0] + features @ each[1:], axis=1) for each in root], axis=1)
+
+    def _check_stage(self, stage: int) -> None:
+        if not 1 <= stage <= self.horizon:
+            raise ArgumentError(f"stage is {stage}; it lies in 1 to the horizon, {self.horizon}")

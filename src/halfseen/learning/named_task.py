@@ -1,0 +1,225 @@
+"""The task of named actions: each has its own coefficients on the same plain covariates of the stage."""
+
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Bool, Float, Int
+
+from halfseen.errors import ArgumentError, LogError
+from halfseen.learning.covariates import Categories, Covariates, learned_categories, unfit_covariates
+from halfseen.learning.flat_policy import FlatPolicy, NamedActionPolicy
+from halfseen.learning.path_arrays import stage_places
+from halfseen.learning.support import seen_among
+from halfseen.learning.task import ACTION, Encoded, LearnedQ, RewardedStages
+from halfseen.logs import Logs
+from halfseen.suggestions import did_you_mean
+
+Actions = Sequence[Hashable] | Mapping[int, Sequence[Hashable]]
+
+
+@dataclass(frozen=True)
+class NamedActions:
+    """Named actions on plain covariates (a `Task`).
+
+    Parameters
+    ----------
+    actions
+        Their names; or, by stage from 1, the names of those that are possible there.
+    covariates
+        Columns of the stages that Q looks at.
+    categories
+        Of the columns that hold text; of those that are not given they are learned by `fitted`.
+
+    Raises
+    ------
+    ArgumentError
+        A stage has no action, or one twice; or names are given as one text.
+    """
+
+    actions: Actions
+    covariates: Sequence[str] = ()
+    categories: Categories = field(default_factory=dict)
+
+    end_action = None
+    is_shared = True
+
+    def __post_init__(self) -> None:
+        if isinstance(self.actions, str):
+            raise ArgumentError(f"actions is {self.actions!r}; give a list of names, or one for each stage")
+        if isinstance(self.covariates, str):
+            raise ArgumentError(f"covariates is {self.covariates!r}; give a list of names")
+        lists = self.actions if isinstance(self.actions, Mapping) else {"any": self.actions}
+        for stage, names in lists.items():
+            if len(names) == 0 or len(set(names)) < len(names):
+                raise ArgumentError(f"actions of stage {stage} are {list(names)}; name at least one, and none twice")
+
+    @property
+    def names(self) -> list[Hashable]:
+        """All actions, in the order in which they first appear."""
+        if isinstance(self.actions, Mapping):
+            return list(dict.fromkeys(name for stage in sorted(self.actions) for name in self.actions[stage]))
+        return list(self.actions)
+
+    @property
+    def block_names(self) -> tuple[str, ...]:
+        """Names of the actions."""
+        return tuple(map(str, self.names))
+
+    def fitted(self, logs: Logs, horizon: int) -> "NamedActions":
+        """Learn the categories of what is text in a log, whether Q looks at it or cuts may depend on it.
+
+        Raises
+        ------
+        LogError
+            A covariate of Q holds text that cannot be looked at; the message says why.
+        """
+        return self.fitted_to_parts([logs])
+
+    def fitted_to_parts(self, parts: Iterable[Logs]) -> "NamedActions":
+        """Do so from a log in parts of whole paths."""
+        return replace(self, categories=learned_categories(parts, self.covariates, self.categories))
+
+    @property
+    def looks_at(self) -> Covariates:
+        """How the covariates of Q become numbers."""
+        return Covariates(tuple(self.covariates), self.categories)
+
+    def block_of_action(self, num_actions: int) -> Int[np.ndarray, " A"]:
+        """Block of each action: its own."""
+        return np.arange(num_actions)
+
+    def possible(self, stage: int) -> Bool[np.ndarray, " A"]:
+        """Which actions are possible in a stage (from 1)."""
+        if not isinstance(self.actions, Mapping):
+            return np.ones(len(self.names), dtype=bool)
+        if stage not in self.actions:
+            raise ArgumentError(f"actions: none for stage {stage}; give a list for each stage from 1 to the horizon")
+        return np.isin(np.arange(len(self.names)), [self.names.index(name) for name in self.actions[stage]])
+
+    def encode(self, logs: Logs, horizon: int) -> Encoded:
+        """Encode every stage of a log of named actions."""
+        shape = (logs.num_paths, horizon, len(self.names))
+        at = stage_places(logs)
+        values = self.looks_at.encode(logs.stages)
+        features = np.zeros((*shape, values.shape[1]))
+        features[at] = values[:, None, :]
+        is_possible = np.broadcast_to(self._possible_by_stage(horizon), shape)
+        action = np.zeros(shape[:2], dtype=np.int64)
+        action[at] = self._codes(logs, is_possible)
+        return Encoded(features, is_possible, action)
+
+    def outcome_features(self, names: Sequence[str]) -> Float[np.ndarray, " F"]:
+        """1 for each feature of these covariates, 0 for the others.
+
+        Raises
+        ------
+        ArgumentError
+            One of them is none of the covariates of Q.
+        """
+        unknown = [name for name in names if name not in self.covariates]
+        if unknown:
+            known = ", ".join(self.covariates) + did_you_mean(unknown[0], self.covariates)
+            raise ArgumentError(f"outcome_covariates names {unknown[0]!r}, which is none of the covariates {known}")
+        return np.isin(np.array(self.looks_at.sources), list(names)).astype(np.float64)
+
+    def censoring_covariates(self, logs: Logs, names: Sequence[str] | None, is_by_path: bool) -> pd.DataFrame:
+        """Columns of the stages as numbers, and indicators of all actions but the last; NaN where it is not known.
+
+        Raises
+        ------
+        LogError
+            The log lacks a column.
+        ArgumentError
+            A column holds neither numbers nor text that can be looked at.
+        """
+        columns = [*self.covariates, *([] if is_by_path else [ACTION])] if names is None else names
+        missing = [name for name in columns if name not in logs.stages.columns]
+        if missing:
+            there = ", ".join(logs.stages.columns) + did_you_mean(missing[0], logs.stages.columns)
+            raise LogError(f"the stages have no column {missing[0]!r}; they have {there}")
+        parts = [
+            action_indicators(logs.stages[ACTION], self.names) if name == ACTION else self._numbers(logs, name)
+            for name in columns
+        ]
+        return pd.concat([pd.DataFrame(index=logs.stages.index), *parts], axis=1)
+
+    def fitted_to_rewards(self, parts: Iterable[RewardedStages]) -> "NamedActions":
+        """Nothing is known of the noise."""
+        return self
+
+    def reduce_variance(self, stages: RewardedStages) -> tuple[Float[np.ndarray, "n T"], None]:
+        """Rewards as they are."""
+        return stages.reward, None
+
+    def policy(self, learned: LearnedQ) -> FlatPolicy:
+        """Policy that follows Q-functions, or a batch of them, and takes what has a value."""
+        coefficients, seen, margin = learned.coefficients, learned.is_seen, learned.margin
+        possible = self._possible_by_stage(coefficients.shape[-3])
+        return FlatPolicy(
+            actions=tuple(self.names),
+            covariates=tuple(self.covariates),
+            is_possible=possible if seen is None else np.asarray(seen_among(possible, seen[::-1])),
+            coefficients=np.asarray(coefficients[..., ::-1, :, :]),
+            kernel_map=learned.kernel_map,
+            margin=None if margin is None else margin[..., ::-1, :, :, :],
+            behaviour=learned.behaviour,
+            categories={name: self.categories[name] for name in self.covariates if name in self.categories},
+        )
+
+    def target_probabilities(self, policy: Any, logs: Logs, horizon: int) -> Float[np.ndarray, "n T A"]:
+        """π(a | S_t) of a `NamedActionPolicy` in every stage of a log.
+
+        Raises
+        ------
+        ArgumentError
+            The policy is none, or takes an action that the task does not have.
+        """
+        if not isinstance(policy, NamedActionPolicy):
+            raise ArgumentError(f"{type(policy).__name__} decides nothing about named actions, which the task is of")
+        unknown = [name for name in policy.actions if name not in self.names]
+        if unknown:
+            listed = ", ".join(map(repr, self.names)) + did_you_mean(unknown[0], self.names)
+            raise ArgumentError(f"the policy takes {unknown[0]!r}, which is none of the actions of the task: {listed}")
+        column = [self.names.index(name) for name in policy.actions]
+        path, _ = stage_places(logs)
+        probabilities = np.zeros((logs.num_paths, horizon, len(self.names)))
+        for stage in range(1, logs.horizon + 1):
+            rows = (logs.stages["stage"] == stage).to_numpy()
+            frame: Any = logs.stages[rows]
+            probabilities[path[rows][:, None], stage - 1, column] = policy.probabilities(frame, stage)
+        return probabilities
+
+    def _possible_by_stage(self, horizon: int) -> Bool[np.ndarray, "T A"]:
+        return np.stack([self.possible(stage) for stage in range(1, horizon + 1)])
+
+    def _numbers(self, logs: Logs, name: str) -> Any:
+        if pd.api.types.is_numeric_dtype(logs.stages[name].dtype) and name not in self.categories:
+            return logs.stages[[name]].astype(float)
+        if name not in self.categories:
+            trouble = unfit_covariates([logs]).get(name, "is no covariate of the stages; leave it out")
+            raise ArgumentError(f"censoring covariate {name!r} {trouble}")
+        looks_at = Covariates((name,), self.categories)
+        return pd.DataFrame(looks_at.encode(logs.stages), index=logs.stages.index, columns=pd.Index(looks_at.names))
+
+    def _codes(self, logs: Logs, is_possible: Bool[np.ndarray, "n T A"]) -> Int[np.ndarray, " rows"]:
+        stages = logs.stages
+        codes = pd.Index(self.names).get_indexer(stages["action"])
+        is_given = stages["action"].notna().to_numpy()
+        is_allowed = is_possible[0, stages["stage"].to_numpy() - 1, codes] & (codes >= 0)
+        if (is_given & ~is_allowed).any():
+            row = stages.iloc[int(np.argmax(is_given & ~is_allowed))]
+            raise LogError(
+                f"path {row['path']}, stage {row['stage']}: action {row['action']!r} was not possible there; the "
+                f"learner was given {', '.join(map(repr, self.names))}"
+            )
+        return np.where(is_given, codes, 0)
+
+
+def action_indicators(taken: Any, actions: Sequence[Hashable]) -> pd.DataFrame:
+    """Indicators of all actions but the last, ``action=NAME``; NaN where the action is not known."""
+    is_unknown = taken.isna().to_numpy()
+    columns = {f"action={name}": np.where(is_unknown, np.nan, taken.eq(name).to_numpy(float)) for name in actions[:-1]}
+    return pd.DataFrame(columns, index=taken.index)

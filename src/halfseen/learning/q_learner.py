@@ -1,0 +1,325 @@
+"""Censored Q-learning behind scikit-learn's habits: parameters in, `fit`, fitted names that end in ``_``."""
+
+from collections.abc import Hashable, Mapping, Sequence
+from typing import Any, Literal
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
+
+from halfseen.censoring import CensoringModel, CutModel, WeightDiagnostics, weight_diagnostics
+from halfseen.errors import ArgumentError
+from halfseen.estimator import Estimator, check_fitted
+from halfseen.learning.automatic import (
+    AUTO,
+    Source,
+    automatic_pessimism,
+    automatic_space,
+    automatic_targets,
+)
+from halfseen.learning.kernel_map import KernelMap
+from halfseen.learning.named_task import NamedActions
+from halfseen.learning.q_model import QModel, is_count
+from halfseen.learning.q_space import (
+    CrossValidation,
+    QSpace,
+    pessimism_of,
+    q_space_of,
+    reg_of,
+    stage_mode_of,
+)
+from halfseen.learning.stage_choice import with_stages
+from halfseen.learning.streaming import fit_stream
+from halfseen.learning.support import unseen_in_words
+from halfseen.learning.targets import Targets, targets_of
+from halfseen.learning.task import Task, named_task
+from halfseen.learning.transitions import QFunctions, StageMode
+from halfseen.logs import Logs, LogStream
+from halfseen.workers import Workers
+from halfseen.workers.threads import in_one_thread
+
+
+class CensoredQLearner(Estimator):
+    """Learns a policy from paths of which some were right-censored (paper, eq. 3) [GoldbergKosorok2012]_.
+
+    Backwards from Q̂_{T+1} ≡ 0, each Q̂_t regresses R_t + max_a' Q̂_{t+1}(S_{t+1}, a') on (S_t, A_t) over the completed
+    stages, weighted by δ_t / Ĝ(U_t⁻).
+
+    Parameters
+    ----------
+    horizon
+        T, stages that a path may have.
+    actions
+        Names of the actions, or for each stage (from 1) the names of those possible there; or a `Task`, such as that of
+        tables (see `for_table`).
+    covariates
+        Columns of the stages that Q looks at, for named actions: numbers, or text of at most 20 categories, each of
+        which but the first has an indicator (`covariates`).
+    q_function
+        ``"linear"``: Q is linear in the covariates (for another task, in its features); ``"quadratic"``: in them and
+        their products; ``"kernel"`` or ``KernelQ(…)``: Q is in the RKHS of a Gaussian kernel on them; ``"smooth"``: a
+        quadratic and such a function; ``"auto"``: smooth, but linear where a task makes features of its own.
+    censoring
+        What stands for what cuts took away: ``"kaplan-meier"``, ``"cox"``, ``"kernel"`` or a `CensoringModel`: weights
+        by that model of the cuts, or ``Weighted(…)`` with its clock and covariates; ``DoublyRobust(…)``:
+        pseudo-outcomes for every begun stage; ``"buckley-james"`` or ``BuckleyJames(…)``: imputed by a regression
+        alone; ``"none"``: completed stages count alike; ``"auto"``: imputed, or weights by Kaplan–Meier where the
+        action of a cut stage is not known.
+    stages
+        ``"separate"``: one Q a stage; ``"pooled"``: one Q for each number of steps to go, on the rows of all stages;
+        ``"auto"``: pooled, unless separate ones clearly predict better (`stage_choice`).
+    reg
+        λ; ``"cv"`` or ``CrossValidation(…)`` to choose it for each regression and block by weighted cross-validation
+        over paths.
+    pessimism
+        Standard errors by which Q is lowered wherever the largest is sought, in eq. 3 and by the policy, so that what
+        few stages speak for is not taken on their word (`spread`); by the policy less, the more the log takes an action
+        anyway (`behaviour`); 0 for eq. 3 as it stands. ``"auto"``: 2/√T, but 0 where `censoring` is given.
+    random_state
+        Seed that deals paths into folds and draws the landmarks of a kernel.
+
+    Attributes
+    ----------
+    model_ : QModel
+        What was composed of the parameters, with all that was fitted before Q.
+    q_functions_ : QFunctions
+        Coefficients and λ of every Q.
+    weights_ : Float[ndarray, "n T"]
+        Weight of every stage in eq. 3.
+    diagnostics_ : WeightDiagnostics
+        Effective sample size, largest weight, share truncated.
+    chosen_ : tuple of str
+        What was chosen by itself, and why; a sentence each.
+    policy_ : FlatPolicy, or what the task makes
+        The policy that was learned, with nothing of the learner.
+
+    Examples
+    --------
+    >>> from halfseen.logs import Logs
+    >>> logs = Logs(
+    ...     stages={
+    ...         "path": [0, 1, 2, 3],
+    ...         "stage": [1, 1, 1, 1],
+    ...         "elapsed_s": [1.0, 1.0, 2.0, None],
+    ...         "action": ["A", "B", "B", "A"],
+    ...         "reward": [0.0, 1.0, 2.0, None],
+    ...     },
+    ...     paths={"path": [0, 1, 2, 3], "end_s": [1.0, 1.0, 2.0, 1.5], "ending": ["finished"] * 3 + ["cut"]},
+    ... )
+    >>> learner = CensoredQLearner.of_paper(horizon=1, actions=["A", "B"], reg=0.0).fit(logs)
+    >>> learner.decide(pd.DataFrame(index=[0]), stage=1)
+    array(['B'], dtype=object)
+    """
+
+    model_: QModel
+    q_functions_: QFunctions
+    weights_: Float[np.ndarray, "n T"]
+    diagnostics_: WeightDiagnostics
+    chosen_: tuple[str, ...]
+    policy_: Any
+
+    def __init__(
+        self,
+        horizon: int,
+        actions: Sequence[Hashable] | Mapping[int, Sequence[Hashable]] | Task,
+        covariates: Sequence[str] = (),
+        *,
+        q_function: QSpace | Literal["auto", "linear", "quadratic", "kernel", "smooth"] | str = AUTO,
+        censoring: Targets | CensoringModel | str = AUTO,
+        stages: StageMode | str = AUTO,
+        reg: CrossValidation | float | int | Literal["cv"] | str = "cv",
+        pessimism: float | int | Literal["auto"] | str = AUTO,
+        random_state: int = 0,
+    ) -> None:
+        self.horizon = horizon
+        self.actions = actions
+        self.covariates = covariates
+        self.q_function = q_function
+        self.censoring = censoring
+        self.stages = stages
+        self.reg = reg
+        self.pessimism = pessimism
+        self.random_state = random_state
+
+    @classmethod
+    def for_table(
+        cls,
+        horizon: int = 10,
+        *,
+        grasp: Any = AUTO,
+        reduces_variance: bool = True,
+        **parameters: Any,
+    ) -> "CensoredQLearner":
+        """Make a learner for logs of tables of objects: WASH, LIFT and FINISH (see `halfseen.tables.TableTask`)."""
+        task = named_task("table", grasp=grasp, reduces_variance=reduces_variance)
+        return cls(horizon, task, **parameters)
+
+    @classmethod
+    def for_team(
+        cls,
+        num_robots: int,
+        horizon: int = 10,
+        *,
+        grasp: Any = AUTO,
+        reduces_variance: bool = True,
+        base: Any = AUTO,
+        **parameters: Any,
+    ) -> "CensoredQLearner":
+        """Make a learner for logs of several robots at one table (see `halfseen.team.TeamTask`).
+
+        Parameters
+        ----------
+        num_robots
+            K.
+        horizon
+            Decisions of each robot; T is K times as many.
+        grasp, reduces_variance, base
+            Of the task.
+        **parameters
+            Of the learner.
+
+        Raises
+        ------
+        ArgumentError
+            `num_robots` or `horizon` is below 1, or no whole number.
+        """
+        if not is_count(num_robots):
+            raise ArgumentError(f"num_robots is {num_robots!r}; a team has a whole number of robots, at least 1")
+        if not is_count(horizon):
+            raise ArgumentError(f"horizon is {horizon!r}; give the decisions of each robot, a whole number, at least 1")
+        task = named_task("team", grasp=grasp, reduces_variance=reduces_variance, num_robots=num_robots, base=base)
+        return cls(num_robots * horizon, task, **parameters)
+
+    @classmethod
+    def of_paper(
+        cls,
+        horizon: int,
+        actions: Sequence[Hashable] | Mapping[int, Sequence[Hashable]] | Task,
+        covariates: Sequence[str] = (),
+        **changed: Any,
+    ) -> "CensoredQLearner":
+        """Make the learner of eq. 3 as it stands: weights by Kaplan–Meier, a linear Q for each stage, no pessimism."""
+        fixed = {"q_function": "linear", "censoring": "kaplan-meier", "stages": "separate", "pessimism": 0.0}
+        return cls(horizon, actions, covariates, **(fixed | changed))
+
+    @in_one_thread
+    def fit(self, logs: Logs | LogStream, workers: Workers | None = None) -> "CensoredQLearner":
+        """Learn from a log.
+
+        Parameters
+        ----------
+        logs
+            The log. A `LogStream` is read in passes, one for each stage and some before, and never held whole. What is
+            learned is the same. Ĝ on the clock of stages holds the clocks of all stages, and what cuts may depend on.
+        workers
+            Who sums up the shards of a `LogStream`, to the same bytes; None for this process alone.
+
+        Raises
+        ------
+        ArgumentError
+            A parameter has a value that it cannot take.
+        LogError
+            The log lacks a column, is longer than the horizon, or holds an action that was not possible.
+        PositivityError
+            All paths were cut, or a weight is not identified.
+        """
+        model = self.compose(logs)
+        is_open = _is_auto(self.stages)
+        if isinstance(logs, LogStream):
+            found = fit_stream(model, logs, is_open, workers)
+            self.model_, self.q_functions_, self.chosen_ = found.model, found.q_functions, found.chosen
+            self.weights_, self.diagnostics_ = found.weights, found.diagnostics
+        else:
+            model, paths = model.fitted(logs)
+            self.model_, self.chosen_ = with_stages(model, model.sample_of(paths)) if is_open else (model, model.chosen)
+            log = self.model_.transitions(paths)
+            self.weights_ = np.asarray(log.weight)
+            self.q_functions_ = self.model_.fit(log)
+            self.diagnostics_ = weight_diagnostics(self.weights_, self.cut_model_ and self.cut_model_.truncate_at)
+        self.policy_ = self.model_.policy(self.q_functions_)
+        return self
+
+    def compose(self, logs: Source = None) -> QModel:
+        """Check the parameters and compose what they say; nothing is fitted.
+
+        Parameters
+        ----------
+        logs
+            The log that it is for, which decides what ``"auto"`` stands for; None for one in memory.
+
+        Raises
+        ------
+        ArgumentError
+            A parameter has a value that it cannot take.
+        """
+        task, is_fixed = self._task(), not _is_auto(self.censoring)
+        by_itself = 0.0 if _is_of_policy(task) else automatic_pessimism(is_fixed, self.horizon)
+        if _is_of_policy(task) and not _is_auto(self.pessimism) and pessimism_of(self.pessimism) > 0:
+            raise ArgumentError(
+                f"pessimism is {self.pessimism}, but Q is that of a given policy, where no largest is sought; leave it "
+                "out, or learn Q of the best one (base=None)"
+            )
+        return QModel(
+            horizon=self.horizon,
+            task=task,
+            targets=targets_of(self.censoring) if is_fixed else automatic_targets(logs),
+            space=automatic_space(task) if _is_auto(self.q_function) else q_space_of(self.q_function),
+            reg=reg_of(self.reg),
+            stages="pooled" if _is_auto(self.stages) else stage_mode_of(self.stages),
+            pessimism=by_itself if _is_auto(self.pessimism) else pessimism_of(self.pessimism),
+            random_state=self.random_state,
+        )
+
+    def q_values(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
+        """Q̂ of every action in a stage (from 1), for each row of covariates; named actions only."""
+        return self._named_policy().q_values(frame, stage)
+
+    def decide(self, frame: pd.DataFrame, stage: int) -> np.ndarray:
+        """Name the action that the policy takes, for each row of covariates; named actions only."""
+        return self._named_policy().decide(frame, stage)
+
+    @property
+    def cut_model_(self) -> CutModel | None:
+        """Ĝ; None without one."""
+        check_fitted(self, "model_")
+        return self.model_.cut_model
+
+    @property
+    def unseen_(self) -> list[str]:
+        """One sentence for each action that the log never saw completed, and that the policy therefore never takes."""
+        check_fitted(self, "model_")
+        assert self.model_.support is not None
+        return unseen_in_words(self.model_.support, self.model_.task.block_names, self.model_.stages)
+
+    @property
+    def kernel_map_(self) -> KernelMap | None:
+        """Features of the kernel; None for a linear Q."""
+        check_fitted(self, "model_")
+        return self.model_.kernel_map
+
+    def _task(self) -> Task:
+        if isinstance(self.actions, type) or not isinstance(self.actions, (Sequence, Mapping, Task)):
+            raise ArgumentError(
+                f"actions is {self.actions!r}; give a list of names, one for each stage, or an object that is a Task"
+            )
+        if not isinstance(self.actions, Task):
+            return NamedActions(self.actions, self.covariates)
+        if len(self.covariates):
+            raise ArgumentError(
+                f"covariates is {list(self.covariates)}, but the task says what Q looks at; leave it out"
+            )
+        return self.actions
+
+    def _named_policy(self) -> Any:
+        if isinstance(self.actions, Task):
+            raise ArgumentError(f"{type(self.actions).__name__}'s own policy decides: ask policy_; or name the actions")
+        check_fitted(self, "policy_")
+        return self.policy_
+
+
+def _is_of_policy(task: Task) -> bool:
+    return bool(getattr(task, "is_of_policy", False))
+
+
+def _is_auto(value: Any) -> bool:
+    return isinstance(value, str) and value == AUTO

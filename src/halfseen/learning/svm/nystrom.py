@@ -1,0 +1,226 @@
+"""A low-rank kernel: features Φ with ΦΦᵀ ≈ K, from a few landmark rows [WilliamsSeeger2000]_.
+
+The landmarks are drawn one after the other with a probability proportional to what the earlier ones leave unexplained
+of k(x, x): randomly pivoted Cholesky [ChenEpperlyTroppWebber2025]_, here in blocks with rejection, which draws from the
+same distribution [EpperlyTroppWebber2025]_.
+
+=========  =============================================================
+Here       There
+=========  =============================================================
+diagonal   diag A
+residual   u, the diagonal of A − F Fᵀ
+factor     F
+proposals  S′, drawn at once from u
+accepted   S, those kept
+=========  =============================================================
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.linalg import eigh, solve_triangular
+
+from halfseen.arrays import Rows
+from halfseen.errors import ArgumentError
+from halfseen.learning.svm.kernels import checked_gram, kernel_diagonal
+from halfseen.learning.svm.set_kernel import as_sets
+from halfseen.learning.svm.vector_kernels import Kernel, row_blocks
+
+MOST_CANDIDATES = 20_000
+"""Rows among which landmarks are sought, where the landmarks are not many; a random sample of larger logs."""
+
+CANDIDATES_A_LANDMARK = 10
+
+FRESH_ROWS = 4_000
+"""Rows beyond the candidates on which the trace error is estimated."""
+
+ROWS_CHECKED = 32
+"""Rows on which a kernel must first look like one."""
+
+MOST_PROPOSALS = 128
+"""Landmarks proposed at once."""
+
+PROPOSALS_A_LANDMARK = 4
+
+RESIDUAL_TOLERANCE = 1e-12
+"""A row whose residual is below this share of the largest k(x, x) is explained: nothing more is to be had from it."""
+
+NEGATIVE_TOLERANCE = 1e-8
+"""A residual this far below 0, as a share of the largest k(x, x), is no rounding."""
+
+FEATURES_AT_ONCE = 2**22
+"""Entries of K(rows, landmarks) that are held at once (32 MiB)."""
+
+
+@dataclass(frozen=True)
+class Nystrom:
+    """Features φ(x) = Rᵀ k(landmarks, x), so that φ(x)·φ(z) ≈ k(x, z).
+
+    Attributes
+    ----------
+    kernel
+        k.
+    landmarks
+        Shape (m, F), or (m,) of sets.
+    landmark_rows
+        Where the landmarks stood in the rows that were fitted, shape (m,).
+    projection
+        R, shape (m, r): R Rᵀ is the inverse of k between landmarks, without the directions that they don't span.
+    trace_error_share
+        1 − tr(ΦΦᵀ)/tr(K) over the rows of positive weight, in [0, 1]; of a log with more rows than were candidates, the
+        share of the others is estimated on `FRESH_ROWS` of them.
+    """
+
+    kernel: Kernel
+    landmarks: np.ndarray
+    landmark_rows: Int[np.ndarray, " m"]
+    projection: Float[np.ndarray, "m r"]
+    trace_error_share: float
+
+    @property
+    def num_features(self) -> int:
+        """r, at most the number of landmarks."""
+        return self.projection.shape[1]
+
+    def transform(self, rows: Sequence[Any] | np.ndarray) -> Float[np.ndarray, "n r"]:
+        """Φ of the rows, in blocks: no second buffer of its size is needed.
+
+        Parameters
+        ----------
+        rows
+            Shape (n, F), or n sets.
+
+        Raises
+        ------
+        ArgumentError
+            The kernel of a row is not finite.
+        """
+        features = np.empty((len(rows), self.num_features))
+        for few in row_blocks(len(rows), len(self.landmarks), FEATURES_AT_ONCE):
+            np.matmul(self.kernel(rows[few], self.landmarks), self.projection, out=features[few])
+            wrong = ~np.isfinite(features[few]).all(axis=1)
+            if wrong.any():
+                raise ArgumentError(
+                    f"row {few.start + int(np.argmax(wrong))}: its kernel with a landmark is not finite; "
+                    "give finite values, and scale them if the kernel overflows"
+                )
+        return features
+
+
+def fit_nystrom(
+    kernel: Kernel,
+    rows: Sequence[Any] | np.ndarray,
+    num_landmarks: int,
+    rng: np.random.Generator,
+    weights: Rows | None = None,
+) -> Nystrom:
+    """Choose landmarks among the rows of positive weight.
+
+    Parameters
+    ----------
+    kernel
+        k, positive semidefinite.
+    rows
+        Shape (n, F), or n sets.
+    num_landmarks
+        m, at most; fewer serve where they explain all rows. With as many as there are rows, ΦΦᵀ is K.
+    rng
+        Draws the landmarks.
+    weights
+        A row of weight 0 is no landmark; None weighs all alike. Shape (n,).
+
+    Raises
+    ------
+    ArgumentError
+        No row has a positive weight, no landmark is asked for, or the kernel's values are not those of one.
+    """
+    if num_landmarks < 1:
+        raise ArgumentError(f"num_landmarks is {num_landmarks}; give at least 1")
+    rows = rows if isinstance(rows, np.ndarray) else as_sets(rows)
+    eligible = np.arange(len(rows)) if weights is None else np.flatnonzero(np.asarray(weights) > 0)
+    if len(eligible) == 0:
+        raise ArgumentError(
+            f"none of {len(rows)} rows has a positive weight; give at least one that was seen to its end"
+        )
+    most = max(MOST_CANDIDATES, CANDIDATES_A_LANDMARK * num_landmarks)
+    order = rng.permutation(eligible) if len(eligible) > most else eligible
+    candidates, others = rows[order[:most]], order[most:]
+    checked_gram(kernel, few := candidates[:ROWS_CHECKED], few)
+    chosen, unexplained = _pivots(kernel, candidates, num_landmarks, rng)
+    landmarks = candidates[chosen]
+    projection = _inverse_root(checked_gram(kernel, landmarks, landmarks))
+    model = Nystrom(kernel, landmarks, order[chosen], projection, 0.0)
+    trace = float(kernel_diagonal(kernel, candidates).sum())
+    if len(others):
+        fresh = rows[others[:FRESH_ROWS]]
+        diagonal, times = kernel_diagonal(kernel, fresh), len(others) / len(fresh)
+        unexplained += times * float(np.sum(diagonal - np.square(model.transform(fresh)).sum(axis=1)))
+        trace += times * float(diagonal.sum())
+    share = min(max(unexplained / trace, 0.0), 1.0) if trace > 0 else 0.0
+    return Nystrom(kernel, landmarks, order[chosen], projection, share)
+
+
+def _pivots(
+    kernel: Kernel, rows: np.ndarray, num_landmarks: int, rng: np.random.Generator
+) -> tuple[Int[np.ndarray, " m"], float]:
+    """Landmarks among the rows, and the trace that they leave unexplained."""
+    diagonal = kernel_diagonal(kernel, rows)
+    floor = RESIDUAL_TOLERANCE * diagonal.max()
+    residual = np.where(diagonal > floor, diagonal, 0.0)
+    factor = np.empty((len(rows), min(num_landmarks, len(rows))))
+    chosen = np.empty(0, dtype=np.int64)
+    while len(chosen) < factor.shape[1] and residual.any():
+        done = len(chosen)
+        num_proposals = min(MOST_PROPOSALS, PROPOSALS_A_LANDMARK * (factor.shape[1] - done))
+        proposals = rng.choice(len(rows), size=num_proposals, p=residual / residual.sum())
+        known = factor[proposals, :done]
+        schur = kernel(rows[proposals], rows[proposals]) - known @ known.T
+        accepted, lower = _accept(schur, residual[proposals], floor, factor.shape[1] - done, rng)
+        if len(accepted) == 0:
+            # Rounding alone is left of those rows.
+            residual[proposals] = 0.0
+            continue
+        pivots = proposals[accepted]
+        columns = kernel(rows, rows[pivots])
+        columns -= factor[:, :done] @ factor[pivots, :done].T
+        new = slice(done, done + len(pivots))
+        factor[:, new] = solve_triangular(lower, columns.T, lower=True, check_finite=False).T
+        residual -= np.einsum("nk,nk->n", factor[:, new], factor[:, new])
+        if residual.min() < -NEGATIVE_TOLERANCE * diagonal.max():
+            raise ArgumentError(
+                f"landmarks explain more of a row than its k(x, x), by {-residual.min():.3g}; "
+                "give a positive semidefinite kernel"
+            )
+        residual[pivots] = 0.0
+        residual[residual <= floor] = 0.0
+        chosen = np.concatenate([chosen, pivots])
+    return chosen, float(residual.sum())
+
+
+def _accept(
+    schur: Float[np.ndarray, "p p"], drawn_with: Float[np.ndarray, " p"], floor: float, most: int, rng: Any
+) -> tuple[Int[np.ndarray, " a"], Float[np.ndarray, "a a"]]:
+    """Accept each proposal with probability residual / residual when drawn; and the Cholesky factor of the accepted."""
+    left, columns, accepted = schur.copy(), [], []
+    uniform = rng.random(len(schur))
+    for proposal in range(len(schur)):
+        residual = left[proposal, proposal]
+        if len(accepted) == most or residual <= max(floor, uniform[proposal] * drawn_with[proposal]):
+            continue
+        column = left[:, proposal] / np.sqrt(residual)
+        left -= np.outer(column, column)
+        accepted.append(proposal)
+        columns.append(column)
+    kept = np.array(accepted, dtype=np.int64)
+    lower = np.array(columns).reshape(len(kept), len(schur))[:, kept].T
+    return kept, np.tril(lower)
+
+
+def _inverse_root(gram: Float[np.ndarray, "m m"]) -> Float[np.ndarray, "m r"]:
+    """R with R Rᵀ = K⁻¹ on the directions that K spans."""
+    values, vectors = eigh(gram)
+    is_spanned = values > len(values) * np.finfo(np.float64).eps * values.max(initial=0.0)
+    return vectors[:, is_spanned] / np.sqrt(values[is_spanned])

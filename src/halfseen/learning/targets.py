@@ -1,0 +1,169 @@
+"""What stands for what a cut took away: weights, doubly robust targets, Buckley and James's, or nothing.
+
+Each kind brings its own settings, so none can be given where it means nothing. All answer the same questions: which
+model of the cuts, what each stage weighs in eq. 3, and whether targets are imputed, and by which covariates.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from halfseen.censoring import CENSORING_NAMES, CensoringModel, CensoringSpec, CutModel, StageClocks
+from halfseen.errors import ArgumentError
+from halfseen.learning.path_arrays import PathArrays
+
+
+@dataclass(frozen=True)
+class Weighted(CensoringSpec):
+    """Completed stages count δ_t / Ĝ(U_t⁻), as eq. 3 has it (IPCW); parameters as in `CensoringSpec`."""
+
+    is_imputed = False
+    outcome_covariates = None
+
+    def weights(self, paths: PathArrays, cut_model: CutModel | None) -> Float[np.ndarray, "n T"]:
+        """Weight of each stage in eq. 3."""
+        assert cut_model is not None
+        return cut_model.weights(paths.clocks)
+
+
+@dataclass(frozen=True)
+class DoublyRobust(CensoringSpec):
+    """Every begun stage has a pseudo-outcome (AIPCW), right if Ĝ is or if the outcome regression is (`imputation`).
+
+    Parameters
+    ----------
+    model, by, covariates, truncate_at
+        As in `CensoringSpec`.
+    outcome_covariates
+        What the outcome regression looks at: some of the covariates of a linear Q; None for all.
+    """
+
+    outcome_covariates: Sequence[str] | None = None
+
+    is_imputed = True
+
+    def weights(self, paths: PathArrays, cut_model: CutModel | None) -> Float[np.ndarray, "n T"]:
+        """1 / Ĝ(U_{t−1}⁻) of each begun stage."""
+        assert cut_model is not None
+        return cut_model.begun_weights(paths.clocks)
+
+
+@dataclass(frozen=True)
+class BuckleyJames:
+    """No weights: what a cut stage would have brought is imputed by a regression alone (see `imputation`).
+
+    Parameters
+    ----------
+    outcome_covariates
+        What the outcome regression looks at: some of the covariates of a linear Q; None for all.
+    """
+
+    outcome_covariates: Sequence[str] | None = None
+
+    name = "buckley-james"
+    is_imputed = True
+
+    def looks_at(self, clocks: StageClocks) -> None:
+        """Nothing is fitted."""
+
+    def fit_cuts(self, clocks: StageClocks) -> None:
+        """No model of the cuts is needed."""
+
+    def weights(self, paths: PathArrays, cut_model: CutModel | None) -> Float[np.ndarray, "n T"]:
+        """1 for each begun stage."""
+        return paths.is_begun.astype(np.float64)
+
+
+@dataclass(frozen=True)
+class Unweighted:
+    """Completed stages count alike, and cut ones not at all: biased where cuts are many, and the contrast to it."""
+
+    name = "none"
+    is_imputed = False
+    outcome_covariates = None
+
+    def looks_at(self, clocks: StageClocks) -> None:
+        """Nothing is fitted."""
+
+    def fit_cuts(self, clocks: StageClocks) -> None:
+        """No model of the cuts is asked for."""
+
+    def weights(self, paths: PathArrays, cut_model: CutModel | None) -> Float[np.ndarray, "n T"]:
+        """1 for each completed stage."""
+        return paths.is_completed.astype(np.float64)
+
+
+Targets = Weighted | DoublyRobust | BuckleyJames | Unweighted
+
+BY_NAME: dict[str, Callable[[], Targets]] = {"buckley-james": BuckleyJames, "none": Unweighted}
+CENSORING_CHOICES = (*CENSORING_NAMES, *BY_NAME)
+"""Names that ``censoring`` takes."""
+
+
+def targets_of(censoring: Targets | CensoringModel | str) -> Targets:
+    """Read what a user says of censoring: a name, a model of the cuts (weights by it), or the targets themselves.
+
+    Raises
+    ------
+    ArgumentError
+        It is none of these.
+    """
+    if isinstance(censoring, Weighted | DoublyRobust | BuckleyJames | Unweighted):
+        return censoring
+    if isinstance(censoring, str) and censoring in BY_NAME:
+        return BY_NAME[censoring]()
+    named: Any = censoring
+    if isinstance(censoring, str) and censoring not in CENSORING_NAMES:
+        listed = ", ".join(map(repr, CENSORING_CHOICES))
+        raise ArgumentError(
+            f"censoring is {censoring!r}; it is {listed}, Weighted(…), DoublyRobust(…) or a CensoringModel"
+        )
+    return Weighted(named)
+
+
+def named_targets(
+    censoring: CensoringModel | str = "kaplan-meier",
+    *,
+    by: str = "path",
+    covariates: Sequence[str] | None = None,
+    truncate_at: float | int | None = None,
+    is_doubly_robust: bool = False,
+    outcome_covariates: Sequence[str] | None = None,
+) -> Targets:
+    """Compose targets from plain settings, as a command line or a record on disk has them.
+
+    Parameters
+    ----------
+    censoring
+        One of `CENSORING_CHOICES`, or a model.
+    by, covariates, truncate_at
+        As in `CensoringSpec`.
+    is_doubly_robust
+        `DoublyRobust`, and not `Weighted`.
+    outcome_covariates
+        What the outcome regression looks at, where there is one.
+
+    Raises
+    ------
+    ArgumentError
+        There is no such model, or doubly robust targets are wanted without one, or something is said of weights where
+        there are none.
+    """
+    if isinstance(censoring, str) and censoring in BY_NAME:
+        of_weights = {"by": None if by == "path" else by, "covariates": covariates, "truncate_at": truncate_at}
+        for name, value in of_weights.items():
+            if value is not None:
+                told = f"{name} is {value!r}, but censoring {censoring!r} makes no weights"
+                raise ArgumentError(
+                    f"{told}; leave it out, or choose a model of the cuts: 'kaplan-meier', 'cox', 'kernel'"
+                )
+        if is_doubly_robust:
+            raise ArgumentError(f"doubly robust targets need a model of the cuts, but censoring is {censoring!r}")
+        return BuckleyJames(outcome_covariates) if censoring == BuckleyJames.name else Unweighted()
+    targets_of(censoring)
+    if is_doubly_robust:
+        return DoublyRobust(censoring, by, covariates, truncate_at, outcome_covariates)
+    return Weighted(censoring, by, covariates, truncate_at)

@@ -1,0 +1,153 @@
+"""Losses against their definitions: slopes, curvature, proximal steps and conjugates by plain numbers."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import minimize_scalar
+
+from halfseen.errors import ArgumentError
+from halfseen.learning.svm.losses import (
+    CLASSIFICATION,
+    REGRESSION,
+    Absolute,
+    ProximalLoss,
+    SmoothLoss,
+    named_loss,
+    pinball,
+)
+from halfseen.learning.svm.solver import best_constant
+
+FORMULAS = {
+    "squared": lambda y, s: (y - s) ** 2,
+    "absolute": lambda y, s: abs(y - s),
+    "pinball": lambda y, s: max(0.3 * (y - s), 0.7 * (s - y)),
+    "epsilon-insensitive": lambda y, s: max(abs(y - s) - 0.1, 0),
+    "huber": lambda y, s: 0.5 * (y - s) ** 2 if abs(y - s) <= 0.7 else 0.7 * (abs(y - s) - 0.35),
+    "hinge": lambda y, s: max(1 - y * s, 0),
+    "squared-hinge": lambda y, s: max(1 - y * s, 0) ** 2,
+    "logistic": lambda y, s: np.log(1 + np.exp(-y * s)),
+}
+NAMES = list(FORMULAS)
+SMOOTH = ["squared", "huber", "squared-hinge", "logistic"]
+PROXIMAL = ["absolute", "pinball", "epsilon-insensitive", "hinge"]
+NUMBERS = st.floats(-20, 20)
+
+
+def loss_of(name):
+    return named_loss(name, epsilon=0.1, quantile=0.3, delta=0.7)
+
+
+def target(name, y):
+    return np.array([np.sign(y) or 1.0 if name in CLASSIFICATION else y])
+
+
+def test_every_name_is_told_apart():
+    assert set(NAMES) == {*REGRESSION, *CLASSIFICATION}
+    assert {name for name in NAMES if isinstance(loss_of(name), SmoothLoss)} == set(SMOOTH)
+    assert {name for name in NAMES if isinstance(loss_of(name), ProximalLoss)} == set(PROXIMAL)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@given(y=NUMBERS, s=NUMBERS)
+def test_value_is_the_formula(name, y, s):
+    y = target(name, y)
+    assert loss_of(name).value(y, np.array([s]))[0] == pytest.approx(FORMULAS[name](y[0], s), rel=1e-12, abs=1e-13)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@given(y=NUMBERS, shift=NUMBERS, s=NUMBERS)
+def test_what_is_said_of_differences_holds(name, y, shift, s):
+    loss = loss_of(name)
+    if loss.is_of_difference:
+        moved = loss.value(np.array([y + shift]), np.array([s + shift]))
+        assert moved == pytest.approx(loss.value(np.array([y]), np.array([s])), rel=1e-9, abs=1e-9)
+    assert loss.is_of_difference == (name in REGRESSION)
+
+
+@pytest.mark.parametrize("name", SMOOTH)
+@given(y=NUMBERS, s=NUMBERS, other=NUMBERS)
+def test_derivative_and_curvature_are_those_of_the_value(name, y, s, other):
+    loss, y, step = loss_of(name), target(name, y), 1e-5
+    s, other = np.array([s]), np.array([other])
+    rise = (loss.value(y, s + step) - loss.value(y, s - step)) / (2 * step)
+    np.testing.assert_allclose(loss.derivative(y, s), rise, atol=1e-4)
+    np.testing.assert_array_less(-1e-12, (loss.derivative(y, other) - loss.derivative(y, s)) * (other - s))
+    bends = [(loss.derivative(y, s + way * step) - loss.derivative(y, s)) / (way * step) for way in (1, -1)]
+    is_kink = abs(bends[0] - bends[1]) > 1e-3
+    assert is_kink or loss.curvature(y, s) == pytest.approx(bends[0], abs=1e-3)
+
+
+@pytest.mark.parametrize("name", PROXIMAL)
+@given(y=NUMBERS, v=NUMBERS, step=st.sampled_from([1e-3, 0.3, 5.0]))
+def test_proximal_step_is_the_least_of_its_definition(name, y, v, step):
+    loss, y, v = loss_of(name), target(name, y), np.array([v])
+    s = loss.proximal(y, v, step)
+
+    def cost(candidate):
+        return float(loss.value(y, np.array([candidate]))[0] + (candidate - v[0]) ** 2 / (2 * step))
+
+    found = minimize_scalar(cost, bounds=(v[0] - 2 * step - 1e-6, v[0] + 2 * step + 1e-6), method="bounded")
+    assert cost(s[0]) <= found.fun + 1e-12
+    nudge = 1e-7
+    slope = (loss.proximal(y, v + nudge, step) - s) / nudge
+    back = (s - loss.proximal(y, v - nudge, step)) / nudge
+    own = loss.proximal_slope(y, v, step)
+    assert 0 <= own <= 1
+    assert min(abs(own - slope), abs(own - back)) < 1e-5
+
+
+@pytest.mark.parametrize("name", NAMES)
+@given(y=NUMBERS, s=NUMBERS, t=NUMBERS)
+def test_fenchel_and_young(name, y, s, t):
+    loss, y, s = loss_of(name), target(name, y), np.array([s])
+    assert loss.value(y, s) + loss.conjugate(y, np.array([t])) >= t * s - 1e-7
+    if isinstance(loss, SmoothLoss):
+        slope = loss.derivative(y, s)
+    else:
+        slope = s - loss.proximal(y, s, 1.0)
+        s = s - slope
+    assert loss.value(y, s) + loss.conjugate(y, slope) == pytest.approx(slope * s, abs=1e-7)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("t", [-25.0, -1.2, -0.6, -0.2, 0.0, 0.2, 0.6, 1.2, 25.0])
+@pytest.mark.parametrize("y", [-1.0, 1.0])
+def test_conjugate_is_the_supremum(name, t, y):
+    loss, y = loss_of(name), np.array([y])
+    s = np.concatenate([np.linspace(-30, 30, 600_001), [-1e9, 1e9]])
+    gains = t * s - loss.value(np.full(len(s), y[0]), s)
+    found = loss.conjugate(y, np.array([t]))[0]
+    if found == np.inf:
+        assert gains.argmax() >= len(s) - 2
+    else:
+        assert found == pytest.approx(gains.max(), abs=1e-6)
+
+
+@pytest.mark.parametrize("quantile", [0.05, 0.5, 0.9])
+def test_the_best_constant_of_pinball_is_the_weighted_quantile(quantile):
+    rng = np.random.default_rng(0)
+    y, weight = rng.normal(size=101), rng.exponential(size=101)
+    order = np.argsort(y)
+    at = np.searchsorted(np.cumsum(weight[order]), quantile * weight.sum())
+    assert best_constant(y, weight, pinball(quantile)) == pytest.approx(y[order][at], abs=1e-7)
+    assert best_constant(y, weight, named_loss("squared")) == pytest.approx(np.average(y, weights=weight), abs=1e-12)
+    assert best_constant(y + 1e6, np.ones(101), Absolute()) == pytest.approx(1e6 + np.median(y), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "says"),
+    [
+        ("pinball", {"quantile": 0}, "quantile is 0"),
+        ("pinball", {"quantile": 1.0}, "quantile is 1.0"),
+        ("pinball", {"quantile": np.nan}, "quantile is nan"),
+        ("epsilon-insensitive", {"epsilon": -0.1}, "epsilon is -0.1"),
+        ("epsilon-insensitive", {"epsilon": np.inf}, "epsilon is inf"),
+        ("huber", {"delta": 0}, "delta is 0"),
+        ("huber", {"delta": np.nan}, "delta is nan"),
+        ("hingee", {}, "there is no loss 'hingee'; there are squared, absolute"),
+    ],
+)
+def test_refuses(name, parameters, says):
+    with pytest.raises(ArgumentError, match=says):
+        named_loss(name, **parameters)

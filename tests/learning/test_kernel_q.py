@@ -1,0 +1,96 @@
+import numpy as np
+import pandas as pd
+import pytest
+from sklearn.kernel_ridge import KernelRidge
+
+from halfseen.errors import ArgumentError
+from halfseen.learning import CensoredQLearner, KernelQ
+from halfseen.learning.landmarks import fit_kernel_map
+from halfseen.logs import Logs
+from halfseen.world import Scene, TableWorld, UniformPolicy
+
+GAMMA, REG = 0.7, 1e-3
+
+
+def one_stage(num_paths=80, seed=0):
+    rng = np.random.default_rng(seed)
+    x = rng.normal(size=(num_paths, 2)) * [1.0, 10.0] + [0.0, 5.0]
+    action = rng.choice(["A", "B"], num_paths)
+    reward = np.where(action == "A", np.sin(2.0 * x[:, 0]), np.cos(x[:, 1] / 5.0))
+    path = np.arange(num_paths)
+    stages = {"path": path, "stage": 1, "elapsed_s": rng.uniform(1, 2, num_paths), "action": action, "reward": reward}
+    stages |= {"x1": x[:, 0], "x2": x[:, 1]}
+    return Logs(pd.DataFrame(stages), {"path": path, "end_s": stages["elapsed_s"], "ending": ["finished"] * num_paths})
+
+
+def test_with_all_rows_as_landmarks_it_is_kernel_ridge_with_a_free_offset():
+    """Equal to scikit-learn's on targets and kernel that are centred in feature space."""
+    logs = one_stage()
+    learner = CensoredQLearner.of_paper(1, ["A", "B"], ["x1", "x2"], q_function=KernelQ(1000, GAMMA), reg=REG).fit(logs)
+    x, n = logs.stages[["x1", "x2"]].to_numpy(), logs.num_paths
+    scaled = (x - x.mean(axis=0)) / x.std(axis=0)
+    gram = np.exp(-GAMMA * ((scaled[:, None] - scaled[None]) ** 2).sum(axis=-1))
+    q = learner.q_values(logs.stages, 1)
+    for column, name in enumerate(["A", "B"]):
+        mine = (logs.stages["action"] == name).to_numpy()
+        y = logs.stages["reward"].to_numpy()[mine]
+        centred = gram[np.ix_(mine, mine)]
+        mean = centred.mean(axis=0)
+        asked = gram[:, mine] - mean - gram[:, mine].mean(axis=1, keepdims=True) + mean.mean()
+        centred = centred - mean - mean[:, None] + mean.mean()
+        ridge = KernelRidge(alpha=REG * n, kernel="precomputed").fit(centred, y - y.mean())
+        np.testing.assert_allclose(q[:, column], ridge.predict(asked) + y.mean(), atol=1e-6)
+
+
+def test_the_low_rank_form_is_near_the_exact_one():
+    logs = one_stage(400)
+    exact, few = (
+        CensoredQLearner.of_paper(1, ["A", "B"], ["x1", "x2"], q_function=KernelQ(size, gamma=0.5), reg=REG).fit(logs)
+        for size in (400, 60)
+    )
+    assert few.kernel_map_ is not None
+    assert few.kernel_map_.projection.shape[0] == 60
+    difference = few.q_values(logs.stages, 1) - exact.q_values(logs.stages, 1)
+    assert np.abs(difference).max() < 0.02 * np.ptp(exact.q_values(logs.stages, 1))
+
+
+def test_a_kernel_sees_what_a_line_does_not():
+    logs, fresh = one_stage(400), one_stage(400, seed=1)
+    truth = np.column_stack([np.sin(2.0 * fresh.stages["x1"]), np.cos(fresh.stages["x2"] / 5.0)])
+    error = {}
+    for q_function in ("linear", "kernel"):
+        learner = CensoredQLearner.of_paper(1, ["A", "B"], ["x1", "x2"], q_function=q_function).fit(logs)
+        error[q_function] = np.mean((learner.q_values(fresh.stages, 1) - truth) ** 2)
+    assert error["kernel"] < 0.1 * error["linear"]
+
+
+def test_a_covariate_that_never_varies_is_ignored():
+    rows = np.random.default_rng(0).normal(size=(30, 3))
+    rows[:, 1] = 4.2
+    features = fit_kernel_map(rows, 30, None, np.random.default_rng(0))
+    moved = rows + np.array([0.0, 3.0, 0.0])
+    np.testing.assert_allclose(features(moved), features(rows))
+    np.testing.assert_allclose(features(rows) @ features(rows).T, features_gram(rows[:, [0, 2]]), atol=1e-6)
+
+
+def features_gram(rows):
+    scaled = (rows - rows.mean(axis=0)) / rows.std(axis=0)
+    return np.exp(-((scaled[:, None] - scaled[None]) ** 2).sum(axis=-1) / 2.0)
+
+
+@pytest.mark.slow
+def test_a_table_has_a_kernel_q_too():
+    scene = Scene(np.array([[0.0, 0.5], [0.0, 0.0]]))
+    logs = TableWorld().simulate(scene, UniformPolicy(), episodes=60, seed=0, cut_share=0.3)
+    learner = CensoredQLearner.for_table(10, q_function=KernelQ(40)).fit(logs)
+    played = TableWorld().simulate(scene, learner.policy_, episodes=60, seed=1)
+    logged = TableWorld().simulate(scene, UniformPolicy(), episodes=60, seed=1)
+    earned = [one.stages.groupby("path")["reward"].sum().mean() for one in (played, logged)]
+    assert earned[0] > earned[1] + 2.0
+
+
+def test_widths_and_landmarks_that_cannot_be_are_refused():
+    with pytest.raises(ArgumentError, match="gamma is -1; it is a finite number > 0"):
+        KernelQ(gamma=-1)
+    with pytest.raises(ArgumentError, match="num_landmarks is 0"):
+        KernelQ(num_landmarks=0)

@@ -1,0 +1,265 @@
+import numpy as np
+import pandas as pd
+import pytest
+from sklearn.base import clone
+from sklearn.exceptions import NotFittedError
+from threadpoolctl import threadpool_info, threadpool_limits
+from trials import ACTIONS, FULL, REDUCED, cell_means, indicators, two_stage_trial
+
+from halfseen.censoring import KaplanMeier, stage_weights
+from halfseen.errors import ArgumentError, LogError, PositivityError
+from halfseen.learning import CensoredQLearner, CrossValidation, DoublyRobust, KernelQ, NamedActions, Weighted
+from halfseen.learning import q_model
+from halfseen.learning.behaviour import behaviour_of
+from halfseen.logs import Logs
+
+
+@pytest.fixture(scope="module")
+def logs():
+    return two_stage_trial()
+
+
+def learner(**changed):
+    return CensoredQLearner.of_paper(**{"horizon": 2, "actions": ACTIONS, "covariates": FULL, "reg": 0, **changed})
+
+
+def states_of(stage):
+    return pd.DataFrame([indicators(stage, state) for state in range(4 - stage)])
+
+
+@pytest.mark.parametrize("covariates", [FULL, REDUCED])
+def test_a_saturated_q_is_the_weighted_mean_of_each_cell(logs, covariates):
+    fitted = learner(covariates=covariates).fit(logs)
+    for stage, means in enumerate(cell_means(logs), start=1):
+        assert fitted.q_values(states_of(stage), stage) == pytest.approx(means.to_numpy(), abs=1e-8)
+        assert fitted.decide(states_of(stage), stage).tolist() == means.idxmax(axis=1).tolist()
+
+
+def test_the_trial_has_ties_and_cuts_in_both_stages(logs):
+    last = logs.stages.groupby("path").tail(1)
+    cut = last[last["elapsed_s"].isna()]
+    assert set(cut["stage"]) == {1, 2}
+    assert set(logs.stages[logs.stages["stage"] == 1]["path"]) != set(logs.stages[logs.stages["stage"] == 2]["path"])
+    assert set(logs.end_s[logs.is_finished]) & set(logs.end_s[~logs.is_finished])
+    assert logs.stages["action"].isna().any()
+
+
+def test_weights_change_the_answer(logs):
+    weighted, unweighted = learner().fit(logs), learner(censoring="none").fit(logs)
+    assert set(np.unique(unweighted.weights_)) == {0.0, 1.0}
+    difference = weighted.q_values(states_of(2), 2) - unweighted.q_values(states_of(2), 2)
+    assert np.abs(difference).max() > 0.01
+
+
+def test_a_model_given_is_used_and_not_changed(logs):
+    unfitted, fitted = KaplanMeier(), KaplanMeier().fit([1.0, 9.5], [False, True])
+    assert learner(censoring=unfitted).fit(logs).weights_ == pytest.approx(learner().fit(logs).weights_)
+    assert not hasattr(unfitted, "times_")
+    weights = learner(censoring=fitted).fit(logs).weights_
+    assert set(np.unique(weights)) == {0.0, 1.0, 2.0}
+
+
+@pytest.mark.parametrize("name", ["cox", "kernel"])
+def test_cuts_may_depend_on_what_a_path_begins_with(logs, name):
+    first = logs.stages[logs.stages["stage"] == 1].set_index("path").loc[logs.path_ids, ["s1_1", "s1_2"]]
+    elapsed_s = logs.elapsed_s()
+    weights = stage_weights(elapsed_s, logs.end_s, logs.is_finished, name, covariates=first.reset_index(drop=True))
+    fitted = learner(covariates=REDUCED, censoring=name).fit(logs)
+    assert fitted.weights_ == pytest.approx(weights)
+    assert not np.allclose(fitted.weights_, learner(covariates=REDUCED).fit(logs).weights_)
+
+
+def test_cuts_that_may_depend_on_nothing_are_refused(logs):
+    with pytest.raises(ArgumentError, match="none of those of a path's first stage differs between paths"):
+        learner(covariates=["s2_1"], censoring="cox").fit(logs)
+    with pytest.raises(LogError, match="the stages have no column 'weather'"):
+        learner(censoring=Weighted("cox", covariates=["weather"])).fit(logs)
+
+
+def test_diagnostics_are_kept(logs):
+    fitted = learner(censoring=Weighted(truncate_at=1.5)).fit(logs)
+    assert fitted.diagnostics_.largest_weight <= 1.5 + 1e-12
+    assert fitted.diagnostics_.share_truncated > 0
+    assert fitted.weights_.shape == (400, 2)
+
+
+def test_all_cut_is_not_identified(logs):
+    cut = Logs(
+        logs.stages.groupby("path").head(1).assign(elapsed_s=None, reward=None),
+        logs.paths.assign(ending="cut", cause=None),
+    )
+    with pytest.raises(PositivityError, match="all 400 paths were cut"):
+        learner().fit(cut)
+
+
+def test_a_weight_that_is_not_identified_names_path_and_stage():
+    # The last cut comes before path 1 finishes, and path 1 stands for nobody else who was watched that long.
+    stages = {"path": [0, 1, 2], "stage": [1, 1, 1], "elapsed_s": [1.0, 3.0, None], "reward": [1.0, 1.0, None]}
+    paths = {"path": [0, 1, 2], "end_s": [1.0, 3.0, 3.5], "ending": ["finished", "finished", "cut"]}
+    logs = Logs({**stages, "action": ["A", "A", "A"]}, paths)
+    gone = KaplanMeier().fit([0.5, 2.0], [True, False])
+    with pytest.raises(PositivityError, match=r"path 1, stage 1: completed at 3 s"):
+        learner(horizon=1, covariates=[], censoring=gone).fit(logs)
+
+
+def test_an_unknown_action_is_named(logs):
+    strange = logs.stages.assign(action=logs.stages["action"].where(logs.stages.index != 5, "C"))
+    row = strange.iloc[5]
+    with pytest.raises(LogError, match=f"path {row['path']}, stage {row['stage']}: action 'C' was not possible"):
+        learner().fit(Logs(strange, logs.paths))
+
+
+@pytest.mark.parametrize(
+    ("changed", "error", "message"),
+    [
+        ({"covariates": ["weight_kg"]}, LogError, "covariate 'weight_kg' is missing; there are path, stage"),
+        ({"covariates": ["action"]}, LogError, "covariate 'action' holds no numbers"),
+        ({"horizon": 1}, ArgumentError, "horizon is 1, but a path has 2 stages; raise horizon"),
+        ({"horizon": 0}, ArgumentError, "horizon is 0; a path has a whole number of stages, at least 1"),
+        ({"reg": -1.0}, ArgumentError, "reg is -1.0; it is a λ ≥ 0, or 'cv'"),
+        ({"reg": float("nan")}, ArgumentError, "reg is nan"),
+        ({"reg": "ridge"}, ArgumentError, "reg is 'ridge'"),
+        ({"q_function": "forest"}, ArgumentError, "q_function is 'forest'"),
+        ({"stages": "merged"}, ArgumentError, "stages is 'merged'; it is 'separate' or 'pooled'"),
+        (
+            {"censoring": "weibull"},
+            ArgumentError,
+            "'kaplan-meier', 'cox', 'kernel', 'buckley-james', 'none', Weighted(…), DoublyRobust(…) or a",
+        ),
+        ({"actions": "tables"}, ArgumentError, "actions is 'tables'"),
+        ({"actions": []}, ArgumentError, "name at least one"),
+        ({"actions": ["A", "A"]}, ArgumentError, "none twice"),
+        ({"actions": {1: ["A", "B"]}}, ArgumentError, "actions: none for stage 2"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_words(logs, changed, error, message):
+    with pytest.raises(error) as refusal:
+        learner(**changed).fit(logs)
+    assert message in str(refusal.value)
+
+
+def test_specifications_refuse_what_they_cannot_mean_where_they_are_written():
+    with pytest.raises(ArgumentError, match="num_folds is 1; cross-validation needs at least 2"):
+        CrossValidation(1)
+    with pytest.raises(ArgumentError, match=r"truncate_at is 0\.5; weights are at least 1"):
+        Weighted(by="stage", truncate_at=0.5)
+    with pytest.raises(ArgumentError, match="covariates is 'clutter'; give a list of names"):
+        DoublyRobust("cox", covariates="clutter")
+    with pytest.raises(ArgumentError, match="covariates is 'x'; give a list of names"):
+        NamedActions(ACTIONS, "x")
+
+
+def test_one_path_cannot_be_held_out():
+    stages = {"path": [0], "stage": [1], "elapsed_s": [1.0], "action": ["A"], "reward": [2.0]}
+    logs = Logs(stages, {"path": [0], "end_s": [1.0], "ending": ["finished"]})
+    one = learner(horizon=1, covariates=[], reg="cv")
+    with pytest.raises(ArgumentError, match="1 of 1 completed a stage; give a number for reg"):
+        one.fit(logs)
+    fitted = learner(horizon=1, covariates=[]).fit(logs)
+    assert fitted.q_values(pd.DataFrame(index=[0]), 1)[0, 0] == pytest.approx(2.0)
+
+
+def test_only_possible_actions_are_chosen_and_maximised_over(logs):
+    # B pays in stage 2 where s2_1, so forbidding it there lowers what stage 1 is worth.
+    no_b = logs.stages[(logs.stages["stage"] == 1) | (logs.stages["action"] != "B")]
+    kept = no_b.groupby("path")["stage"].size()
+    paths = logs.paths[logs.paths["path"].isin(kept.index[kept == logs.stages.groupby("path")["stage"].size()])]
+    part = Logs(no_b[no_b["path"].isin(paths["path"])], paths)
+    by_stage = learner(actions={1: ["A", "B"], 2: ["A"]}).fit(part)
+    assert set(by_stage.decide(states_of(2), 2)) == {"A"}
+    assert set(by_stage.decide(states_of(1), 1)) <= {"A", "B"}
+    first, second = cell_means(part)
+    assert by_stage.q_values(states_of(2), 2)[:, 0] == pytest.approx(second["A"].to_numpy(), abs=1e-8)
+    assert by_stage.q_values(states_of(1), 1) == pytest.approx(first.to_numpy(), abs=1e-8)
+    with pytest.raises(LogError, match="stage 2: action 'B' was not possible there"):
+        learner(actions={1: ["A", "B"], 2: ["A"]}).fit(logs)
+
+
+def test_an_impossible_action_that_looks_best_is_not_in_the_maximum(logs):
+    # C is possible in stage 1 only; its Q in stage 2 would be 0, above a stage 2 that costs 100.
+    dear = logs.stages.assign(
+        reward=logs.stages["reward"].where(logs.stages["stage"] == 1, logs.stages["reward"] - 100)
+    )
+    dear = Logs(dear.assign(reward=dear["reward"].where(dear["elapsed_s"].notna())), logs.paths)
+    fitted = learner(actions={1: ["A", "B", "C"], 2: ["A", "B"]}).fit(dear)
+    first, _ = cell_means(dear)
+    assert fitted.q_values(states_of(1), 1)[:, :2] == pytest.approx(first.to_numpy(), abs=1e-8)
+    assert set(fitted.decide(states_of(2), 2)) <= {"A", "B"}
+
+
+def test_it_follows_scikit_learn(logs):
+    original = learner(censoring=DoublyRobust("cox", by="pooled"), reg=CrossValidation(3), q_function=KernelQ(50))
+    copy = clone(original)
+    assert copy.get_params() == original.get_params()
+    assert copy.set_params(reg=0.5).reg == 0.5
+    assert copy.set_params(censoring=Weighted(truncate_at=4.0)).compose().targets == Weighted(truncate_at=4.0)
+    assert original.censoring == DoublyRobust("cox", by="pooled"), "the copy is its own"
+    assert len(original.get_params()) <= 9
+    plain = learner()
+    assert plain.fit(logs) is plain
+    with pytest.raises(NotFittedError):
+        clone(plain).q_values(states_of(1), 1)
+    with pytest.raises(ArgumentError, match="stage is 3; it lies in 1 to the horizon, 2"):
+        plain.q_values(states_of(1), 3)
+
+
+def test_the_actions_cannot_be_forgotten(logs):
+    with pytest.raises(TypeError, match=r"missing .* 'actions'"):
+        CensoredQLearner.of_paper(2)
+    with pytest.raises(ArgumentError, match="actions is 'A'; give a list of names, or one for each stage"):
+        learner(actions="A").fit(logs)
+    for no_task in (NamedActions, None):
+        forgotten = learner()
+        forgotten.actions = no_task
+        with pytest.raises(ArgumentError, match="or an object that is a Task"):
+            forgotten.fit(logs)
+
+
+def test_a_task_says_itself_what_q_looks_at(logs):
+    by_task = learner(actions=NamedActions(ACTIONS, FULL), covariates=()).fit(logs)
+    np.testing.assert_array_equal(by_task.q_functions_.coefficients, learner().fit(logs).q_functions_.coefficients)
+    with pytest.raises(ArgumentError, match="the task says what Q looks at; leave it out"):
+        learner(actions=NamedActions(ACTIONS, FULL)).fit(logs)
+    with pytest.raises(ArgumentError, match="NamedActions's own policy decides: ask policy_"):
+        by_task.decide(states_of(1), 1)
+
+
+def test_the_random_state_deals_the_folds_and_nothing_else_does(logs):
+    few = logs.select(range(30))
+    first = learner(reg="cv", random_state=1).fit(few).q_functions_
+    np.random.seed(99)  # noqa: NPY002
+    again = learner(reg="cv", random_state=1).fit(few).q_functions_
+    assert np.array_equal(first.coefficients, again.coefficients)
+    others = [learner(reg="cv", random_state=seed).fit(few).q_functions_.reg for seed in range(2, 6)]
+    assert any(not np.array_equal(first.reg, reg) for reg in others)
+
+
+def test_the_order_of_rows_is_irrelevant(logs):
+    shuffled = Logs(logs.stages.sample(frac=1.0, random_state=0), logs.paths.sample(frac=1.0, random_state=1))
+    assert learner(reg=0.1).fit(shuffled).q_functions_.coefficients == pytest.approx(
+        learner(reg=0.1).fit(logs).q_functions_.coefficients, abs=1e-12
+    )
+
+
+def test_pooled_stages_index_by_steps_to_go(logs):
+    fitted = learner(stages="pooled", covariates=["s1_1"]).fit(logs)
+    frame = states_of(1)
+    assert fitted.q_values(frame, 2) == pytest.approx(
+        fitted.q_functions_.coefficients[0][:, 0]
+        + frame[["s1_1"]].to_numpy() * fitted.q_functions_.coefficients[0][:, 1]
+    )
+    assert not np.allclose(fitted.q_values(frame, 1), fitted.q_values(frame, 2))
+
+
+def test_learning_runs_in_one_thread(logs, monkeypatch):
+    # Where other programs keep the cores busy, products of small matrices in two threads take fifty times as long.
+    threads = []
+
+    def spied(*given):
+        threads.extend(each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas")
+        return behaviour_of(*given)
+
+    monkeypatch.setattr(q_model, "behaviour_of", spied)
+    with threadpool_limits(2):
+        CensoredQLearner(2, ACTIONS, FULL).fit(logs)
+    assert set(threads) == {1}

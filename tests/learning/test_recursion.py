@@ -1,0 +1,176 @@
+import jax
+import numpy as np
+import pytest
+from naive_q_learning import naive_backward, naive_q
+from random_logs import Blocks, random_log
+
+from halfseen.errors import ArgumentError
+
+from halfseen.learning.transitions import q_values
+
+BLOCKS = (0, 1, 1, 2)
+FLAT, ENDING = Blocks(BLOCKS), Blocks(BLOCKS, end_action=0)
+MODES = [("separate", FLAT), ("pooled", FLAT), ("pooled", ENDING)]
+
+
+def fit(log, task, stages, reg=0.1, num_folds=1):
+    log = log._replace(fold=log.fold % num_folds)
+    end_action = task.end_action if stages == "pooled" else None
+    options = BackwardOptions(task.num_blocks, stages, num_folds, end_action, is_scaled=True)
+    return fit_q_functions(log, np.array(task.blocks), np.atleast_1d(np.asarray(reg, dtype=float)), options)
+
+
+def log_for(task, seed=0, **options):
+    return random_log(seed, blocks=BLOCKS, ends_with=task.end_action, **options)
+
+
+@pytest.mark.parametrize("num_features", [3, 0])
+@pytest.mark.parametrize("blocks", [(2, 0, 1), (1, 0, 1, 0), (0, 0)])
+def test_q_is_that_of_the_block_of_each_action(blocks, num_features):
+    rng = np.random.default_rng(0)
+    features = rng.normal(size=(5, 2, len(blocks), num_features))
+    coefficients = rng.normal(size=(max(blocks) + 1, 1 + num_features))
+    q = np.asarray(q_values(coefficients, features, np.array(blocks)))
+    assert q.shape == features.shape[:-1]
+    for at in np.ndindex(q.shape):
+        own = coefficients[blocks[at[-1]]]
+        assert q[at] == pytest.approx(own[0] + features[at] @ own[1:], abs=1e-5)
+
+
+@pytest.mark.parametrize("reg", [0.0, 0.1])
+@pytest.mark.parametrize(("stages", "task"), MODES)
+def test_equation_three_by_loops(stages, task, reg):
+    log = log_for(task)
+    expected = naive_backward(log, BLOCKS, 3, reg, stages, task.end_action)
+    fitted = fit(log, task, stages, reg)
+    assert fitted.coefficients == pytest.approx(expected, abs=1e-8)
+    assert (fitted.reg == reg).all()
+    assert np.ptp(expected, axis=0).max() > 0.1, "the stages differ, or the test shows nothing"
+
+
+@pytest.mark.parametrize(("stages", "task"), MODES)
+def test_cross_validation_by_loops(stages, task):
+    regs = np.array([1e-3, 0.03, 0.3, 3.0])
+    log = log_for(task, seed=2)
+    expected = naive_backward(log, BLOCKS, 3, regs, stages, task.end_action, num_folds=4)
+    fitted = fit(log, task, stages, regs, num_folds=4)
+    assert fitted.coefficients == pytest.approx(expected, abs=1e-8)
+    assert len(np.unique(fitted.reg)) > 1
+
+
+def test_without_cuts_it_is_ordinary_q_learning():
+    log = random_log(3, num_paths=60, blocks=(0, 1), num_features=2, is_cut=False)
+    assert (log.weight[log.weight > 0] == 1.0).all()
+    fitted = fit(log, Blocks((0, 1)), "separate", 0.0).coefficients
+    after = None
+    for t in (2, 1, 0):
+        seen = log.weight[:, t] > 0
+        beta = np.zeros((2, 3))
+        for action in (0, 1):
+            rows = np.flatnonzero(seen & (log.action[:, t] == action))
+            target = log.reward[rows, t].copy()
+            for k, i in enumerate(rows):
+                if not log.is_last[i, t]:
+                    q = naive_q(after, log.features[i, t + 1], (0, 1))
+                    target[k] += q[log.is_possible[i, t + 1]].max()
+            design = np.column_stack([np.ones(len(rows)), log.features[rows, t, action]])
+            beta[action] = np.linalg.lstsq(design, target, rcond=None)[0]
+        assert fitted[t] == pytest.approx(beta, abs=1e-10)
+        after = beta
+
+
+@pytest.mark.parametrize(("stages", "task"), MODES)
+def test_a_batch_of_logs_is_a_loop(stages, task):
+    logs = [log_for(task, seed) for seed in range(3)]
+    batch = fit(jax.tree.map(lambda *leaves: np.stack(leaves), *logs), task, stages)
+    for k, log in enumerate(logs):
+        assert batch.coefficients[k] == pytest.approx(fit(log, task, stages).coefficients, abs=1e-10)
+
+
+@pytest.mark.parametrize(("stages", "task"), MODES)
+def test_logs_of_the_same_states_may_share_their_features(stages, task):
+    log = log_for(task)
+    other = log._replace(weight=log.weight * np.arange(len(log.weight))[:, None], reward=2.0 * log.reward)
+    apart = jax.tree.map(lambda *leaves: np.stack(leaves), log, other)
+    shared = fit(apart._replace(features=log.features), task, stages)
+    assert shared.coefficients == pytest.approx(fit(apart, task, stages).coefficients, abs=1e-10)
+
+
+@pytest.mark.parametrize(("stages", "task"), MODES)
+def test_what_does_not_count_may_hold_anything(stages, task):
+    log = log_for(task)
+    is_seen = (np.abs(log.features).sum(axis=(2, 3)) > 0)[..., None, None]
+    is_completed = log.weight > 0
+    poisoned = log._replace(
+        features=np.where(is_seen, log.features, 1e6),
+        is_possible=log.is_possible & is_seen[..., 0],
+        reward=np.where(is_completed, log.reward, 1e6),
+        action=np.where(is_completed, log.action, 3),
+    )
+    clean = fit(log, task, stages).coefficients
+    assert fit(poisoned, task, stages).coefficients == pytest.approx(clean, abs=1e-9)
+    unused = jax.tree.map(lambda leaf: np.concatenate([leaf, leaf[:5]]), poisoned)
+    unused.weight[-5:] = 0.0
+    unused.reward[-5:] = -1e6
+    at_zero = fit(log, task, stages, 0.0).coefficients
+    assert fit(unused, task, stages, 0.0).coefficients == pytest.approx(at_zero, abs=1e-8)
+
+
+@pytest.mark.parametrize("stages", ["separate", "pooled"])
+def test_what_a_policy_never_does_may_hold_anything(stages):
+    log = log_for(FLAT)
+    seen = log.is_possible & (np.abs(log.features).sum(axis=-1) > 0)
+    policy = seen / np.maximum(seen.sum(axis=-1, keepdims=True), 1)
+    poison = np.where((policy > 0) | (np.arange(4) == log.action[..., None]), 0.0, np.nan)[..., None]
+    clean, poisoned = log._replace(policy=policy), log._replace(policy=policy, features=log.features + poison)
+    assert np.isnan(poisoned.features).any()
+    options = BackwardOptions(3, stages, 1, None, is_scaled=True)
+    everyone = np.ones((1, len(log.action)))
+    found, again = (
+        fit_and_judge(one._replace(fold=one.fold * 0), log.reward, everyone, np.array(BLOCKS), np.ones(1), options)
+        for one in (clean, poisoned)
+    )
+    np.testing.assert_array_equal(again.value, found.value)
+    np.testing.assert_array_equal(again.target, found.target)
+    assert np.isfinite(again.value).all()
+
+
+@pytest.mark.parametrize(("stages", "task"), MODES)
+def test_the_order_of_paths_is_irrelevant(stages, task):
+    log = log_for(task)
+    order = np.random.default_rng(5).permutation(len(log.action))
+    shuffled = jax.tree.map(lambda leaf: leaf[order], log)
+    clean = fit(log, task, stages).coefficients
+    assert fit(shuffled, task, stages).coefficients == pytest.approx(clean, abs=1e-10)
+
+
+def test_a_path_in_no_fold_is_refused():
+    with pytest.raises(ArgumentError, match="fold 3 of 2: folds are 0 to 1"):
+        fit_q_functions(log_for(FLAT), np.array(BLOCKS), np.ones(1), BackwardOptions(3, "separate", 2, None, True))
+
+
+def test_the_weights_matter():
+    log = log_for(FLAT)
+    flat = log._replace(weight=(log.weight > 0).astype(float))
+    assert np.abs(fit(log, FLAT, "separate").coefficients - fit(flat, FLAT, "separate").coefficients).max() > 0.01
+
+
+def test_the_maximum_runs_over_possible_actions_only():
+    log = log_for(FLAT)
+    everything = log._replace(is_possible=np.ones_like(log.is_possible))
+    assert np.abs(fit(log, FLAT, "separate").coefficients - fit(everything, FLAT, "separate").coefficients).max() > 0.01
+
+
+@pytest.mark.parametrize(("stages", "task"), MODES)
+def test_what_a_control_variate_adds_to_a_reward_changes_nothing(stages, task):
+    log = log_for(task, num_paths=150)
+    variates = np.random.default_rng(7).normal(size=(*log.action.shape, 2))
+    seen = np.where(log.is_last[..., None], 0.0, variates)
+    noisy = log._replace(reward=log.reward + seen @ np.array([3.0, -5.0]))
+    calm, quiet = (fit(one._replace(control_variates=variates), task, stages, 0.0) for one in (log, noisy))
+    if stages == "separate":
+        assert quiet.coefficients[-1] == pytest.approx(calm.coefficients[-1], abs=1e-8)
+    loud, plain = fit(noisy, task, stages, 0.0), fit(log, task, stages, 0.0)
+    assert loud.coefficients.shape == quiet.coefficients.shape
+    error = [np.abs(one.coefficients - plain.coefficients).mean() for one in (quiet, loud)]
+    assert error[0] < 0.5 * error[1]

@@ -1,0 +1,213 @@
+import multiprocessing
+import os
+import signal
+import sys
+
+import cloudpickle
+import jax
+import numpy as np
+import pandas as pd
+import pytest
+from trials import ACTIONS, FULL, two_stage_trial
+
+from halfseen.censoring import KaplanMeier
+from halfseen.errors import ArgumentError, LogError, PositivityError
+from halfseen.learning import CensoredQLearner, DoublyRobust, Weighted
+from halfseen.learning import kept_parts
+from halfseen.learning.sample import sampled
+from halfseen.learning.streaming import sample_of
+from halfseen.logs import Logs, LogStream, shards
+from halfseen.tables import BetaGrasp
+from halfseen.workers import Workers
+from halfseen.world import Scene, TableWorld, UniformPolicy
+
+
+@pytest.fixture(scope="module")
+def trial():
+    return two_stage_trial()
+
+
+@pytest.fixture(scope="module")
+def known(trial):
+    """The same with the actions of cut stages."""
+    by_lot = pd.Series(np.random.default_rng(0).choice(ACTIONS, trial.num_stages))
+    return Logs(trial.stages.assign(action=trial.stages["action"].fillna(by_lot)), trial.paths)
+
+
+@pytest.fixture(scope="module")
+def tables():
+    scene = Scene(np.array([[0.0, 0.6], [0.0, 0.0]]))
+    return TableWorld().simulate(scene, UniformPolicy(), episodes=60, seed=0, cut_share=0.3)
+
+
+def streamed(logs, folder, paths_at_once):
+    logs.write(folder, overwrite=True)
+    return LogStream(folder, paths_at_once)
+
+
+def squared_root(q_functions):
+    """R Rᵀ: R itself may be turned."""
+    root = q_functions.root
+    return None if root is None else root @ np.swapaxes(root, -1, -2)
+
+
+def assert_the_same(parts, whole, **tolerance):
+    ours, theirs = parts.q_functions_, whole.q_functions_
+    np.testing.assert_array_equal(ours.reg, theirs.reg)
+    for part in (lambda q: q.coefficients, lambda q: q.outcome, squared_root):
+        one, other = part(ours), part(theirs)
+        assert (one is None) == (other is None)
+        if other is not None:
+            scale = max(np.abs(other).max(), 1.0)
+            np.testing.assert_allclose(one / scale, other / scale, **tolerance)
+    np.testing.assert_array_equal(parts.weights_, whole.weights_)
+    one, other = vars(parts.diagnostics_), vars(whole.diagnostics_)
+    assert {k: v for k, v in one.items() if not isinstance(v, float)} == {
+        k: v for k, v in other.items() if not isinstance(v, float)
+    }
+    for name in ("effective_sample_size", "largest_weight", "share_truncated"):
+        assert one[name] == pytest.approx(other[name], rel=1e-12)
+    assert parts.chosen_ == whole.chosen_
+
+
+OF_PAPER = {"q_function": "linear", "censoring": "kaplan-meier", "stages": "separate", "pessimism": 0.0}
+
+
+@pytest.mark.parametrize("most", [5_000, 130], ids="a sample of {}".format)
+@pytest.mark.parametrize(
+    "options",
+    [
+        OF_PAPER | {"reg": 0.0},
+        OF_PAPER,
+        OF_PAPER | {"stages": "pooled"},
+        OF_PAPER
+        | {"reg": 0.1, "censoring": "cox", "covariates": ["s1_1", "s1_2"], "actions": {1: ACTIONS, 2: ["B", "A"]}},
+        OF_PAPER | {"reg": 0.1, "censoring": Weighted(truncate_at=2.0)},
+        OF_PAPER | {"reg": 0.1, "censoring": Weighted("cox", by="stage", truncate_at=9.0)},
+        OF_PAPER | {"reg": 0.1, "censoring": Weighted(by="pooled")},
+        OF_PAPER | {"reg": 0.1, "censoring": "none"},
+        OF_PAPER | {"censoring": "buckley-james"},
+        OF_PAPER | {"censoring": DoublyRobust(truncate_at=5.0), "stages": "pooled"},
+        OF_PAPER | {"censoring": DoublyRobust("cox", by="stage", outcome_covariates=["s2_1"], truncate_at=5.0)},
+        OF_PAPER | {"pessimism": 0.7, "covariates": ["s1_1", "s1_2"], "censoring": "cox"},
+        OF_PAPER | {"q_function": "kernel", "reg": 1e-3, "covariates": ["s1_1", "s2_1"]},
+        {"covariates": ["s1_1", "s2_1"]},
+        {"covariates": ["s1_1", "s2_1"], "stages": "separate"},
+    ],
+    ids=str,
+)
+def test_passes_learn_what_memory_does(known, tmp_path, options, most, monkeypatch):
+    monkeypatch.setattr("halfseen.learning.sample.MOST_PATHS", most)
+    options = {"actions": ACTIONS, "covariates": FULL, **options}
+    whole = CensoredQLearner(2, **options).fit(known)
+    parts = CensoredQLearner(2, **options).fit(streamed(known, tmp_path / "logs", 90))
+    assert_the_same(parts, whole, rtol=1e-9, atol=1e-9)
+
+
+def test_weights_serve_where_actions_of_cuts_are_not_known(trial, tmp_path):
+    learner = CensoredQLearner(2, ACTIONS, FULL, reg=0.1).fit(streamed(trial, tmp_path / "logs", 90))
+    assert isinstance(learner.model_.targets, Weighted)
+
+
+def test_the_sample_is_one_of_the_log(trial, tmp_path, monkeypatch):
+    monkeypatch.setattr("halfseen.learning.sample.MOST_PATHS", 50)
+    found = sample_of(streamed(trial, tmp_path / "logs", 90), seed=3)
+    np.testing.assert_array_equal(found.path_ids, trial.path_ids[sampled(trial.num_paths, 3)])
+    assert found.num_paths == 50
+    assert found.num_stages == trial.select(found.path_ids).num_stages
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("most", [5_000, 40], ids="a sample of {}".format)
+@pytest.mark.parametrize(
+    "options",
+    [{"reduces_variance": False, "censoring": "kaplan-meier", "reg": 0.1}, {"grasp": BetaGrasp()}, {}],
+    ids=["of the paper", "Beta", "as it is"],
+)
+def test_tables_too(tables, tmp_path, options, most, monkeypatch):
+    """Their features are in single precision, the sums are not."""
+    monkeypatch.setattr("halfseen.learning.sample.MOST_PATHS", most)
+    whole = CensoredQLearner.for_table(10, **options).fit(tables)
+    parts = CensoredQLearner.for_table(10, **options).fit(streamed(tables, tmp_path / "t", 25))
+    assert_the_same(parts, whole, rtol=1e-7, atol=1e-7)
+
+
+def test_a_path_beyond_the_horizon_is_refused(trial, tmp_path):
+    with pytest.raises(ArgumentError, match="horizon is 1, but a path has 2 stages; raise horizon"):
+        CensoredQLearner.of_paper(1, ACTIONS, FULL).fit(streamed(trial, tmp_path / "logs", 100))
+
+
+def test_all_cut_is_not_identified(trial, tmp_path):
+    stages = trial.stages.groupby("path").head(1).assign(elapsed_s=None, reward=None)
+    cut = Logs(stages, trial.paths.assign(ending="cut", cause=None))
+    with pytest.raises(PositivityError, match="all 400 paths were cut"):
+        CensoredQLearner.of_paper(2, ACTIONS, FULL).fit(streamed(cut, tmp_path / "logs", 100))
+
+
+DEFAULT = {"covariates": ["s1_1", "s2_1"]}
+OTHERS = [OF_PAPER, OF_PAPER | {"censoring": DoublyRobust("cox", by="stage", truncate_at=5.0)}]
+
+
+def bits(learner):
+    return [leaf.tobytes() for leaf in jax.tree.leaves(learner.q_functions_)] + [learner.weights_.tobytes()]
+
+
+@pytest.mark.parametrize("options", [DEFAULT, *OTHERS], ids=["default", "paper", "doubly robust by stage"])
+def test_one_worker_and_two_learn_the_same_bytes(known, tmp_path, options, monkeypatch):
+    monkeypatch.setattr(shards, "NUM_SHARDS", 3)
+    stream = streamed(known, tmp_path / "logs", 40)
+    learner = CensoredQLearner(2, **{"actions": ACTIONS, "covariates": FULL, **options})
+    one = bits(learner.fit(stream))
+    assert len(stream.shards()) > 2
+    assert bits(learner.fit(stream, Workers(2))) == one
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["ray", "dask"])
+def test_a_cluster_learns_the_same_bytes(known, tmp_path, engine):
+    stream = streamed(known, tmp_path / "logs", 40)
+    learner = CensoredQLearner(2, ACTIONS, **DEFAULT)
+    assert bits(learner.fit(stream, Workers(2, engine))) == bits(learner.fit(stream))
+
+
+class Killing(KaplanMeier):
+    """Ends the worker that asks it first, without a word."""
+
+    def __init__(self, mark=None):
+        self.mark = mark
+
+    def survival(self, u, covariates=None):
+        if multiprocessing.parent_process() is not None and not self.mark.exists():
+            self.mark.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return super().survival(u)
+
+
+def test_a_shard_of_a_killed_worker_is_summed_again(known, tmp_path, monkeypatch):
+    monkeypatch.setattr(shards, "NUM_SHARDS", 3)
+    cloudpickle.register_pickle_by_value(sys.modules[__name__])
+    stream = streamed(known, tmp_path / "logs", 40)
+    options = {"actions": ACTIONS, "covariates": FULL, **OF_PAPER}
+    one = bits(CensoredQLearner(2, **options).fit(stream))
+    learner = CensoredQLearner(2, **options | {"censoring": Weighted(Killing(tmp_path / "killed"))})
+    assert bits(learner.fit(stream, Workers(2))) == one
+    assert (tmp_path / "killed").exists()
+
+
+def test_a_disk_without_room_changes_nothing(known, tmp_path, monkeypatch):
+    stream = streamed(known, tmp_path / "logs", 40)
+    learner = CensoredQLearner(2, ACTIONS, **DEFAULT)
+    one = bits(learner.fit(stream))
+    monkeypatch.setattr(kept_parts, "MOST_SHARE", 0.0)
+    assert bits(learner.fit(stream)) == one
+
+
+def test_a_bad_shard_names_its_path(known, tmp_path):
+    stream = streamed(known, tmp_path / "logs", 40)
+    file = tmp_path / "logs" / "stages.parquet"
+    table = pd.read_parquet(file)
+    table.loc[table["path"] == known.path_ids[210], "reward"] = np.nan
+    table.to_parquet(file, index=False)
+    for workers in (None, Workers(2)):
+        with pytest.raises(LogError, match=rf"logs: path {known.path_ids[210]}, stage 1: the stage is completed"):
+            CensoredQLearner(2, ACTIONS, **DEFAULT).fit(stream, workers)
