@@ -9,7 +9,7 @@ from halfseen.errors import ArgumentError, LogError
 from halfseen.evaluation import FixedSequence, QSpec, evaluate
 from halfseen.evaluation.off_policy import q_model_of
 from halfseen.learning import DoublyRobust, NamedActions, Unweighted
-from halfseen.learning import fitting
+from halfseen.evaluation import fitted_q
 from halfseen.logs import Logs
 from halfseen.tables import TableTask
 
@@ -232,13 +232,13 @@ def test_a_log_without_cuts_needs_no_model_of_them():
 
 @pytest.mark.parametrize("censoring", ["kaplan-meier", DoublyRobust()], ids=["weighted", "doubly robust"])
 def test_no_best_policy_is_learned_on_the_way(censoring, monkeypatch):
-    fits, backward = [], fitting.backward
-    monkeypatch.setattr(fitting, "backward", lambda log, *rest, **options: seen(log) or backward(log, *rest, **options))
+    fits, fit_q = [], fitted_q.fit_q
 
-    def seen(log):
+    def seen(log, regression):
         fits.append(log.policy is not None)
+        return fit_q(log, regression)
 
-    # No other test has this number of paths, so that the recursion is traced here.
+    monkeypatch.setattr(fitted_q, "fit_q", seen)
     evaluate(TARGET, trial(20, num_paths=117, cut_rate=0.1), **specified(censoring))
     assert fits
     assert all(fits)

@@ -49,8 +49,10 @@ def naive_q(beta, features, blocks):
     return np.array([beta[k][0] + features[a] @ beta[k][1:] for a, k in enumerate(blocks)])
 
 
-def _best(beta, log, blocks, path, stage):
+def _best(beta, log, blocks, path, stage, policy=None):
     q = naive_q(beta, log.features[path, stage], blocks)
+    if policy is not None:
+        return sum(policy[path, stage, a] * q[a] for a in range(len(blocks)))
     return max(q[a] for a in range(len(blocks)) if log.is_possible[path, stage, a])
 
 
@@ -70,7 +72,7 @@ def _fit(rows, blocks, num_blocks, log, centre, reg, num_folds):
     return np.array(beta)
 
 
-def naive_backward(log, blocks, num_blocks, reg, stages, end_action=None, num_folds=1):
+def naive_backward(log, blocks, num_blocks, reg, stages, end_action=None, num_folds=1, policy=None):
     """Coefficients of Q_1 … Q_T (separate), or of one to T steps to go (pooled)."""
     num_paths, horizon = log.action.shape
     completed = [(i, t) for i in range(num_paths) for t in range(horizon) if log.weight[i, t] > 0]
@@ -84,7 +86,7 @@ def naive_backward(log, blocks, num_blocks, reg, stages, end_action=None, num_fo
         for t in reversed(range(horizon)):
             after = fitted.get(t + 1)
             rows = [
-                (i, s, target(i, s, lambda i, u, after=after: _best(after, log, blocks, i, u)))
+                (i, s, target(i, s, lambda i, u, after=after: _best(after, log, blocks, i, u, policy)))
                 for i, s in completed
                 if s == t
             ]
@@ -110,6 +112,6 @@ def naive_backward(log, blocks, num_blocks, reg, stages, end_action=None, num_fo
         fitted.append(centre)
 
         def value(i, u, beta=centre):
-            return _best(beta, log, blocks, i, u)
+            return _best(beta, log, blocks, i, u, policy)
 
     return np.array(fitted)

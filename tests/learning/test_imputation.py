@@ -189,23 +189,3 @@ def test_a_model_of_ones_own_is_doubly_robust_too(logs):
     censoring = DoublyRobust(Cox(ridge=1.0), by="pooled")
     fitted = CensoredQLearner.of_paper(2, ACTIONS, FULL, censoring=censoring, stages="pooled", reg=0.1).fit(logs)
     assert np.isfinite(fitted.q_functions_.coefficients).all()
-
-
-FITS_OF_NEW_SHAPES = """
-from test_imputation import one_stage
-from halfseen.learning import BuckleyJames, CensoredQLearner, DoublyRobust, Weighted
-logs = one_stage(0)
-for num_paths in range(60, 68):
-    few = logs.select(range(num_paths))
-    for stages in ("separate", "pooled"):
-        CensoredQLearner.of_paper(1, ["A", "B"], ["x"], stages=stages, censoring=DoublyRobust()).fit(few)
-print("done")
-"""
-
-
-@pytest.mark.slow
-def test_two_factorisations_in_a_pool_of_two_threads_do_not_wait_for_ever():
-    """A batched eigh of jaxlib 0.10 does, beside another one; one hang in two such runs was seen."""
-    code = f"import sys\nsys.path.insert(0, {str(Path(__file__).parent)!r})\n{FITS_OF_NEW_SHAPES}"
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
-    assert run.stdout.strip() == "done", run.stderr

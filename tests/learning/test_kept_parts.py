@@ -6,12 +6,12 @@ import pytest
 from halfseen.learning import kept_parts
 from halfseen.learning.array_trees import num_bytes_of
 from halfseen.learning.kept_parts import KeptParts
-from halfseen.learning.rows import PartRows
+from halfseen.learning.rows import Rows
 
 
 def rows_of(seed):
     rng = np.random.default_rng(seed)
-    return PartRows(
+    return Rows(
         matrix=rng.normal(size=(9, 4)),
         reward=rng.normal(size=9),
         weight=rng.random(9),

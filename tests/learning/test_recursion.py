@@ -1,12 +1,12 @@
-import jax
 import numpy as np
 import pytest
 from naive_q_learning import naive_backward, naive_q
 from random_logs import Blocks, random_log
 
 from halfseen.errors import ArgumentError
-
-from halfseen.learning.transitions import q_values
+from halfseen.learning.judging import judged
+from halfseen.learning.recursion import Regression, fit_q
+from halfseen.learning.transitions import Transitions, q_values
 
 BLOCKS = (0, 1, 1, 2)
 FLAT, ENDING = Blocks(BLOCKS), Blocks(BLOCKS, end_action=0)
@@ -15,9 +15,14 @@ MODES = [("separate", FLAT), ("pooled", FLAT), ("pooled", ENDING)]
 
 def fit(log, task, stages, reg=0.1, num_folds=1):
     log = log._replace(fold=log.fold % num_folds)
-    end_action = task.end_action if stages == "pooled" else None
-    options = BackwardOptions(task.num_blocks, stages, num_folds, end_action, is_scaled=True)
-    return fit_q_functions(log, np.array(task.blocks), np.atleast_1d(np.asarray(reg, dtype=float)), options)
+    end_action, regs = task.end_action if stages == "pooled" else None, np.atleast_1d(np.asarray(reg, dtype=float))
+    return fit_q(log, Regression(np.array(task.blocks), task.num_blocks, regs, num_folds, stages, end_action))
+
+
+def of_paths(change, *logs):
+    """Change every array of logs, each of which has a row a path."""
+    leaves = zip(*logs, strict=True)
+    return Transitions(*(None if each[0] is None else change(*each) for each in leaves))
 
 
 def log_for(task, seed=0, **options):
@@ -80,23 +85,6 @@ def test_without_cuts_it_is_ordinary_q_learning():
 
 
 @pytest.mark.parametrize(("stages", "task"), MODES)
-def test_a_batch_of_logs_is_a_loop(stages, task):
-    logs = [log_for(task, seed) for seed in range(3)]
-    batch = fit(jax.tree.map(lambda *leaves: np.stack(leaves), *logs), task, stages)
-    for k, log in enumerate(logs):
-        assert batch.coefficients[k] == pytest.approx(fit(log, task, stages).coefficients, abs=1e-10)
-
-
-@pytest.mark.parametrize(("stages", "task"), MODES)
-def test_logs_of_the_same_states_may_share_their_features(stages, task):
-    log = log_for(task)
-    other = log._replace(weight=log.weight * np.arange(len(log.weight))[:, None], reward=2.0 * log.reward)
-    apart = jax.tree.map(lambda *leaves: np.stack(leaves), log, other)
-    shared = fit(apart._replace(features=log.features), task, stages)
-    assert shared.coefficients == pytest.approx(fit(apart, task, stages).coefficients, abs=1e-10)
-
-
-@pytest.mark.parametrize(("stages", "task"), MODES)
 def test_what_does_not_count_may_hold_anything(stages, task):
     log = log_for(task)
     is_seen = (np.abs(log.features).sum(axis=(2, 3)) > 0)[..., None, None]
@@ -109,7 +97,7 @@ def test_what_does_not_count_may_hold_anything(stages, task):
     )
     clean = fit(log, task, stages).coefficients
     assert fit(poisoned, task, stages).coefficients == pytest.approx(clean, abs=1e-9)
-    unused = jax.tree.map(lambda leaf: np.concatenate([leaf, leaf[:5]]), poisoned)
+    unused = of_paths(lambda leaf: np.concatenate([leaf, leaf[:5]]), poisoned)
     unused.weight[-5:] = 0.0
     unused.reward[-5:] = -1e6
     at_zero = fit(log, task, stages, 0.0).coefficients
@@ -124,11 +112,8 @@ def test_what_a_policy_never_does_may_hold_anything(stages):
     poison = np.where((policy > 0) | (np.arange(4) == log.action[..., None]), 0.0, np.nan)[..., None]
     clean, poisoned = log._replace(policy=policy), log._replace(policy=policy, features=log.features + poison)
     assert np.isnan(poisoned.features).any()
-    options = BackwardOptions(3, stages, 1, None, is_scaled=True)
-    everyone = np.ones((1, len(log.action)))
     found, again = (
-        fit_and_judge(one._replace(fold=one.fold * 0), log.reward, everyone, np.array(BLOCKS), np.ones(1), options)
-        for one in (clean, poisoned)
+        judged(fit(one, FLAT, stages, 1.0), one, np.array(BLOCKS), stages, one.reward) for one in (clean, poisoned)
     )
     np.testing.assert_array_equal(again.value, found.value)
     np.testing.assert_array_equal(again.target, found.target)
@@ -136,17 +121,27 @@ def test_what_a_policy_never_does_may_hold_anything(stages):
 
 
 @pytest.mark.parametrize(("stages", "task"), MODES)
+def test_q_of_a_policy_that_draws_is_that_of_a_loop(stages, task):
+    log = log_for(task)
+    seen = log.is_possible & (np.abs(log.features).sum(axis=-1) > 0)
+    policy = np.where(seen, np.random.default_rng(6).uniform(size=seen.shape), 0.0)
+    policy = policy / np.maximum(policy.sum(axis=-1, keepdims=True), 1e-9)
+    expected = naive_backward(log, BLOCKS, 3, 0.1, stages, task.end_action, policy=policy)
+    assert fit(log._replace(policy=policy), task, stages).coefficients == pytest.approx(expected, abs=1e-8)
+
+
+@pytest.mark.parametrize(("stages", "task"), MODES)
 def test_the_order_of_paths_is_irrelevant(stages, task):
     log = log_for(task)
     order = np.random.default_rng(5).permutation(len(log.action))
-    shuffled = jax.tree.map(lambda leaf: leaf[order], log)
+    shuffled = of_paths(lambda leaf: leaf[order], log)
     clean = fit(log, task, stages).coefficients
     assert fit(shuffled, task, stages).coefficients == pytest.approx(clean, abs=1e-10)
 
 
 def test_a_path_in_no_fold_is_refused():
     with pytest.raises(ArgumentError, match="fold 3 of 2: folds are 0 to 1"):
-        fit_q_functions(log_for(FLAT), np.array(BLOCKS), np.ones(1), BackwardOptions(3, "separate", 2, None, True))
+        fit_q(log_for(FLAT), Regression(np.array(BLOCKS), 3, np.ones(1), 2, "separate"))
 
 
 def test_the_weights_matter():

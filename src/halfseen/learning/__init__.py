@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from halfseen.learning.bootstrap import QBootstrap, bootstrap
+    from halfseen.learning.resampling import QBootstrap, bootstrap
     from halfseen.learning.flat_policy import FlatPolicy
     from halfseen.learning.named_task import NamedActions
     from halfseen.learning.q_learner import CensoredQLearner
@@ -55,13 +55,13 @@ __getattr__ = lazy_names(
         "KernelQ": "q_space",
         "LinearQ": "q_space",
         "NamedActions": "named_task",
-        "QBootstrap": "bootstrap",
+        "QBootstrap": "resampling",
         "QuadraticQ": "q_space",
         "SetKernel": "svm.set_kernel",
         "Task": "task",
         "Unweighted": "targets",
         "Weighted": "targets",
-        "bootstrap": "bootstrap",
+        "bootstrap": "resampling",
         "survival_array": "svm.targets",
     },
 )

@@ -7,10 +7,6 @@ from halfseen.learning.kernel_map import KernelMap, quadratic
 from halfseen.learning.svm.nystrom import fit_nystrom
 from halfseen.learning.svm.vector_kernels import RbfKernel
 
-RANK_STEP = 16
-"""The number of features is a multiple of this."""
-
-
 def fit_kernel_map(
     rows: Float[np.ndarray, "k F"],
     num_landmarks: int,
@@ -43,10 +39,7 @@ def fit_kernel_map(
     if num_landmarks == 0:
         return KernelMap(centre, scale, scaled[:0], np.zeros((0, 0)), np.asarray(width), weight)
     found = fit_nystrom(RbfKernel(width), scaled, num_landmarks, rng)
-    # Features that are 0 change nothing, and logs of about the same rank share one compiled fit.
-    padding = -found.num_features % RANK_STEP
-    projection = np.ascontiguousarray(np.pad(found.projection, ((0, 0), (0, padding))))
-    return KernelMap(centre, scale, found.landmarks, projection, np.asarray(width), weight)
+    return KernelMap(centre, scale, found.landmarks, found.projection, np.asarray(width), weight)
 
 
 def _trend_weights(scaled: Float[np.ndarray, "k F"], sizes: tuple[float, float]) -> Float[np.ndarray, " Q"]:

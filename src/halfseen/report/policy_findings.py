@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from halfseen.evaluation.targets import task_of
 from halfseen.learning import CensoredQLearner
-from halfseen.learning.bootstrap import bootstrap
+from halfseen.learning.resampling import bootstrap
 from halfseen.learning.flat_policy import FlatPolicy
 from halfseen.learning.targets import CENSORING_CHOICES
 from halfseen.learning.task import Task

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from halfseen.errors import ArgumentError
-from halfseen.learning.bootstrap import bootstrap
+from halfseen.learning.resampling import bootstrap
 from halfseen.learning.q_learner import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.tables.table_policy import LinearTablePolicy

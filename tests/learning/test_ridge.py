@@ -1,16 +1,22 @@
-import jax
 import numpy as np
 import pytest
 from naive_q_learning import naive_choice
 from sklearn.linear_model import Ridge
 
-from halfseen.learning.ridge import Rows, cross_of, design_of, factorise, gram_of, solve, with_prior
+from halfseen.learning.ridge import factorise, solve, with_prior
 
 NUM_PATHS, NUM_FOLDS = 50, 5
-DESIGN, FACTORISE = jax.jit(design_of, static_argnums=(1, 2)), jax.jit(factorise, static_argnums=1)
-SOLVE, GRAM, CROSS = jax.jit(solve, static_argnums=3), jax.jit(gram_of), jax.jit(cross_of)
-PRIOR = jax.jit(with_prior, static_argnums=1)
 REGS = np.logspace(-3, 2, 11)
+
+
+def sums(features, block, weight, fold, target, num_blocks=3, num_folds=1):
+    """Σ w x xᵀ and Σ w x y by fold and block, by a loop."""
+    size = features.shape[1] + 1
+    gram, cross = np.zeros((num_folds, num_blocks, size, size)), np.zeros((num_folds, num_blocks, size))
+    for x, k, w, v, y in zip(np.insert(features, 0, 1.0, axis=1), block, weight, fold, target, strict=True):
+        gram[v, k] += w * np.outer(x, x)
+        cross[v, k] += w * x * y
+    return gram, cross
 
 
 @pytest.fixture
@@ -32,12 +38,9 @@ def target_of(rows):
 
 
 def fitted(rows, target, regs, num_folds=1):
-    with jax.enable_x64(True):
-        given = dict(rows) if num_folds > 1 else {**rows, "fold": np.zeros_like(rows["fold"])}
-        design = DESIGN(Rows(**given), 3, num_folds)
-        cross = CROSS(design, target)
-        fit = SOLVE(FACTORISE(GRAM(design)), cross, np.asarray(regs, dtype=float), NUM_PATHS)
-        return np.asarray(fit.coefficients), np.asarray(fit.reg)
+    given = dict(rows) if num_folds > 1 else {**rows, "fold": np.zeros_like(rows["fold"])}
+    gram, cross = sums(**given, target=target, num_folds=num_folds)
+    return solve(factorise(gram), cross, np.asarray(regs, dtype=float), NUM_PATHS)
 
 
 @pytest.mark.parametrize("reg", [1e-3, 0.1, 10.0])
@@ -60,32 +63,12 @@ def test_a_prior_of_one_row_is_a_penalty_of_one(num_folds):
     x = np.column_stack([rng.normal(size=200), np.zeros(200)])
     x[:2, 1] = 1e-3
     y = 3.0 * x[:, 0] + 1e3 * x[:, 1] + 0.1 * rng.normal(size=200)
-    rows = {"features": x, "block": np.zeros(200, int), "weight": np.ones(200), "fold": np.arange(200) % num_folds}
-    with jax.enable_x64(True):
-        design = DESIGN(Rows(**rows), 1, num_folds)
-        factor = FACTORISE(PRIOR(GRAM(design), 1))
-        found = np.asarray(SOLVE(factor, CROSS(design, y), np.zeros(1), 200).coefficients)[0]
+    gram, cross = sums(x, np.zeros(200, int), np.ones(200), np.arange(200) % num_folds, y, 1, num_folds)
+    found = solve(factorise(with_prior(gram, 1)), cross, np.zeros(1), 200).coefficients[0]
     given = np.column_stack([np.ones(200), x])
     expected = np.linalg.solve(given.T @ given + np.diag([0.0, 0.0, 1.0]), given.T @ y)
     np.testing.assert_allclose(found, expected, rtol=1e-9)
     assert abs(found[2]) < 0.01
-
-
-@pytest.mark.parametrize("sizes", [(0, 64, 65, 1, 200, 63), (0, 0, 0, 0, 0, 5), (64, 64, 64, 64, 64, 64)], ids=str)
-def test_sums_by_fold_and_block_are_those_of_a_loop(sizes):
-    """Rows are summed in chunks of 64: groups that are empty, just fill a chunk, or spill over."""
-    rng = np.random.default_rng(3)
-    group = rng.permutation(np.repeat(np.arange(6), sizes))
-    x, weight, y = rng.normal(size=(len(group), 3)), rng.uniform(size=len(group)), rng.normal(size=len(group))
-    with jax.enable_x64(True):
-        design = DESIGN(Rows(x, group % 3, weight, group // 3), 3, 2)
-        gram, cross = np.asarray(GRAM(design)), np.asarray(CROSS(design, y))
-    rows = np.column_stack([np.ones(len(group)), x])
-    for k in range(6):
-        mine = group == k
-        expected = (rows[mine] * weight[mine, None]).T
-        np.testing.assert_allclose(gram[k // 3, k % 3], expected @ rows[mine], atol=1e-12)
-        np.testing.assert_allclose(cross[k // 3, k % 3], expected @ y[mine], atol=1e-12)
 
 
 def test_the_unit_of_a_feature_is_irrelevant(rows):
