@@ -8,7 +8,7 @@ for each stage. Memory is the most that all processes ever held together: the su
 With --forget nothing is kept on disk between passes, as for a worker of a cluster that another one's shard comes to.
 
 Writing and learning run in processes of their own, so that the memory of one is not that of the other. The log is made
-part by part; its Q is known to be learned as in memory by tests/learners/q_learning/test_streaming.py. With --keep the
+part by part; its Q is known to be learned as in memory by tests/learning/test_streaming.py. With --keep the
 results are written to benchmarks/streaming.json, from which the guide computes what a fleet would take.
 """
 

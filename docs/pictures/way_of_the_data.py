@@ -54,7 +54,7 @@ BOXES = (
     Box("world", "episodes", "action space, laws, state, transition, reward", "a verb, a law, a reward", 0),
     Box("logs", "Logs", "stages, endings and their causes; on disk", "a log format", 1),
     Box("censoring", "weights", "Ĝ by trajectory or by stage; positivity", "a censoring model", 1),
-    Box("learners", "Q-functions", "censored SVM and Q-learning on arrays", "a function class, targets", 2),
+    Box("learning", "Q-functions", "censored SVM and Q-learning on arrays", "a function class, targets", 2),
     Box("tables", "a Task", "the task of tables: features, grasp models, reasons", "a feature, a grasp model", 2),
     Box(
         "planners, team",

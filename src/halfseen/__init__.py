@@ -1,7 +1,7 @@
 """halfseen learns when to pick, when to look and when to stop, from cut logs and half-hidden views.
 
 The folders are the way that data takes: ``scene`` → ``perception`` → ``world`` → ``logs`` → ``censoring`` →
-``learners`` → ``tables`` (a task) | ``planners`` → ``policies`` → ``evaluation`` → ``study`` | ``report`` → ``cli``.
+``learning`` → ``tables`` (a task) | ``planners`` → ``policies`` → ``evaluation`` → ``study`` | ``report`` → ``cli``.
 Importing this package loads none of them; it only tells Gymnasium, where that is installed, of ``halfseen/Cups-v0``.
 """
 

@@ -1,3 +1,5 @@
 """The names of `halfseen.learning`, where other programs look for them."""
 
-from halfseen.learning import __all__, __getattr__  # noqa: F401
+from halfseen.learning import __all__, __getattr__
+
+__all__ = [*__all__]

@@ -6,10 +6,9 @@ from enumerated_trial import CHANCE_B, StatePolicy, specified, trial, truth
 
 from halfseen.censoring import KaplanMeier
 from halfseen.errors import ArgumentError, LogError
-from halfseen.evaluation import FixedSequence, QSpec, evaluate
+from halfseen.evaluation import FixedSequence, QSpec, evaluate, fitted_q
 from halfseen.evaluation.off_policy import q_model_of
 from halfseen.learning import DoublyRobust, NamedActions, Unweighted
-from halfseen.evaluation import fitted_q
 from halfseen.logs import Logs
 from halfseen.tables import TableTask
 

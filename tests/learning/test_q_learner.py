@@ -8,8 +8,7 @@ from trials import ACTIONS, FULL, REDUCED, cell_means, indicators, two_stage_tri
 
 from halfseen.censoring import KaplanMeier, stage_weights
 from halfseen.errors import ArgumentError, LogError, PositivityError
-from halfseen.learning import CensoredQLearner, CrossValidation, DoublyRobust, KernelQ, NamedActions, Weighted
-from halfseen.learning import q_model
+from halfseen.learning import CensoredQLearner, CrossValidation, DoublyRobust, KernelQ, NamedActions, Weighted, q_model
 from halfseen.learning.behaviour import behaviour_of
 from halfseen.logs import Logs
 

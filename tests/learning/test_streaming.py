@@ -11,8 +11,7 @@ from trials import ACTIONS, FULL, two_stage_trial
 
 from halfseen.censoring import KaplanMeier
 from halfseen.errors import ArgumentError, LogError, PositivityError
-from halfseen.learning import CensoredQLearner, DoublyRobust, Weighted
-from halfseen.learning import kept_parts
+from halfseen.learning import CensoredQLearner, DoublyRobust, Weighted, kept_parts
 from halfseen.learning.sample import sampled
 from halfseen.learning.streaming import sample_of
 from halfseen.logs import Logs, LogStream, shards

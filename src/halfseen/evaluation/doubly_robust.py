@@ -2,7 +2,7 @@
 
     φ_i = V̂_1(S_i1) + Σ_t w_it (Y_it − Q̂_t(S_it, A_it))
 
-*Doubly robust towards cuts* (AIPCW): Y is the pseudo-outcome of `learners.q_learning.imputation`, which every begun
+*Doubly robust towards cuts* (AIPCW): Y is the pseudo-outcome of `learning.imputation`, which every begun
 stage has, and w_it = ρ_it / Ĝ(U_{i,t−1}⁻). Given that a stage began, E[Y | S_t, A_t] = E[X | S_t, A_t] if Ĝ is right or
 if the regressions m of X and of the duration are. So
 

@@ -1,6 +1,6 @@
 """How likely the logging policy was to take what it took: as logged, or estimated.
 
-The estimate is a conditional logit of the logged actions (`learners.q_learning.behaviour`). Each stage has its own, or
+The estimate is a conditional logit of the logged actions (`learning.behaviour`). Each stage has its own, or
 pooled stages share one.
 """
 

@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING
 from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from halfseen.learning.resampling import QBootstrap, bootstrap
     from halfseen.learning.flat_policy import FlatPolicy
     from halfseen.learning.named_task import NamedActions
     from halfseen.learning.q_learner import CensoredQLearner
     from halfseen.learning.q_space import CrossValidation, KernelQ, LinearQ, QuadraticQ
-    from halfseen.learning.targets import BuckleyJames, DoublyRobust, Unweighted, Weighted
-    from halfseen.learning.task import Task
+    from halfseen.learning.resampling import QBootstrap, bootstrap
     from halfseen.learning.svm.classifier import CensoredSVC
     from halfseen.learning.svm.regressor import CensoredSVR
     from halfseen.learning.svm.set_kernel import SetKernel
     from halfseen.learning.svm.targets import survival_array
+    from halfseen.learning.targets import BuckleyJames, DoublyRobust, Unweighted, Weighted
+    from halfseen.learning.task import Task
 
 __all__ = [
     "BuckleyJames",

@@ -10,8 +10,8 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from halfseen.censoring import StageClocks
-from halfseen.learning.rows import Rows, StateChoices
 from halfseen.learning.path_arrays import PathArrays
+from halfseen.learning.rows import Rows, StateChoices
 from halfseen.learning.state_values import Norms
 from halfseen.learning.task import Encoded
 

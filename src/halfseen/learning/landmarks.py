@@ -7,6 +7,7 @@ from halfseen.learning.kernel_map import KernelMap, quadratic
 from halfseen.learning.svm.nystrom import fit_nystrom
 from halfseen.learning.svm.vector_kernels import RbfKernel
 
+
 def fit_kernel_map(
     rows: Float[np.ndarray, "k F"],
     num_landmarks: int,

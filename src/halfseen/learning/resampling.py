@@ -173,4 +173,3 @@ def _redrawn(model: QModel, paths: PathArrays, counts: Int[np.ndarray, " n"]) ->
         imputed = imputed._replace(**{name: back(getattr(imputed, name)) for name in _OF_PATHS})
         imputed = imputed._replace(outcome_weight=imputed.outcome_weight * counts[:, None])
     return back(weight) * counts[:, None], imputed
-

@@ -7,20 +7,20 @@ the same bytes; so it does not matter which worker sums a shard, nor how often o
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from halfseen.censoring import StageClocks
 from halfseen.censoring.stage_clocks import stacked
-from halfseen.learning.memory import give_back
 from halfseen.learning.kept_parts import KeptParts
-from halfseen.learning.rows import Rows, rows_of
+from halfseen.learning.memory import give_back
 from halfseen.learning.path_arrays import PathArrays
 from halfseen.learning.q_model import QModel
-from halfseen.learning.sums import Crosses, Grams, Shape, Step, crosses_of, grams_of, plus
+from halfseen.learning.rows import Rows, rows_of
 from halfseen.learning.state_values import values_of
+from halfseen.learning.sums import Crosses, Grams, Shape, Step, crosses_of, grams_of, plus
 from halfseen.learning.support import Support
 from halfseen.logs import Logs
 from halfseen.logs.shards import Folder, Part, Shard, ShardReader, Tables
@@ -188,4 +188,3 @@ def sums_of(work: ShardWork, ask: Ask, dealt: Dealt) -> Sums:
     weight = np.concatenate(weights) if ask.is_first else None
     grams, crosses = total
     return Sums(grams, crosses, int(rows.widths[0]), weight)
-

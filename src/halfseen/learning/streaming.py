@@ -18,18 +18,16 @@ from jaxtyping import Float, Int
 from halfseen.censoring import StageClocks, WeightDiagnostics
 from halfseen.censoring.diagnostics import WeightTally
 from halfseen.censoring.stage_clocks import stacked
-from halfseen.learning.memory import give_back
 from halfseen.learning.kept_parts import KeptParts, kept_parts
+from halfseen.learning.memory import give_back
 from halfseen.learning.q_model import QModel, refuse_all_cut, refuse_too_few
 from halfseen.learning.q_space import CrossValidation
-from halfseen.learning.sums import Step, plus
 from halfseen.learning.recursion import Found, backward
 from halfseen.learning.sample import sampled
 from halfseen.learning.shards import (
     Ask,
     Dealt,
     ShardWork,
-    Sums,
     Wanted,
     look_at,
     sampled_of,
@@ -37,6 +35,7 @@ from halfseen.learning.shards import (
 )
 from halfseen.learning.stage_choice import with_stages
 from halfseen.learning.stored_rows import StoredRows
+from halfseen.learning.sums import Step, plus
 from halfseen.learning.task import RewardedStages
 from halfseen.learning.transitions import QFunctions
 from halfseen.logs import Logs, LogStream

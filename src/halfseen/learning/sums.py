@@ -12,7 +12,6 @@ from jaxtyping import Float
 from halfseen.learning.rows import Rows
 from halfseen.learning.spread import WeightSums
 
-
 Sums = TypeVar("Sums")
 
 

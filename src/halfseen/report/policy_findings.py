@@ -9,8 +9,8 @@ from jaxtyping import Float
 
 from halfseen.evaluation.targets import task_of
 from halfseen.learning import CensoredQLearner
-from halfseen.learning.resampling import bootstrap
 from halfseen.learning.flat_policy import FlatPolicy
+from halfseen.learning.resampling import bootstrap
 from halfseen.learning.targets import CENSORING_CHOICES
 from halfseen.learning.task import Task
 from halfseen.logs import Logs

@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from halfseen.errors import ArgumentError
-from halfseen.learning.resampling import bootstrap
 from halfseen.learning.q_learner import CensoredQLearner
+from halfseen.learning.resampling import bootstrap
 from halfseen.logs import Logs
 from halfseen.tables.table_policy import LinearTablePolicy
 from halfseen.world.action_space import possible_actions
