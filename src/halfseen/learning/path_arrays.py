@@ -1,6 +1,6 @@
 """A log as dense arrays, one row a path, padded to T stages: what all that is estimated from it runs on."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -66,8 +66,8 @@ class PathArrays(NamedTuple):
 
     def take(self, rows: Int[np.ndarray, " k"] | slice) -> "PathArrays":
         """Keep these paths, which may repeat, in this order; a slice of them copies nothing."""
-        encoded = Encoded(*(None if leaf is None else leaf[rows] for leaf in self.encoded))
-        return PathArrays(self.clocks.take(rows), encoded, *(leaf[rows] for leaf in self[2:]))
+        kept: Any = (None if leaf is None else leaf[rows] for leaf in self.encoded)
+        return PathArrays(self.clocks.take(rows), Encoded(*kept), *(leaf[rows] for leaf in self[2:]))
 
 
 def path_arrays(logs: Logs, encoded: Encoded, covariates: pd.DataFrame | None) -> PathArrays:

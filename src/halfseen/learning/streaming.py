@@ -179,7 +179,8 @@ class _Log:
                     total = plus(total, (sums.grams, sums.crosses))
                 is_first = False
                 bar.update()
-                return Found(*total, sums.num_features)
+                grams, crosses = total
+                return Found(grams, crosses, sums.num_features)
 
             q = backward(ask, (num_paths, model.horizon), model.regression(num_paths, self.num_actions))
             if isinstance(model.reg, CrossValidation):

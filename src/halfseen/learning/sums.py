@@ -4,15 +4,13 @@ An imputed target Y is linear in the coefficients of the regression of X (see `t
 only once all parts were read. So Σ w x Y is kept as what it is of the share of X, and what it is for each coefficient.
 """
 
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from halfseen.learning.rows import Rows
 from halfseen.learning.spread import WeightSums
-
-Sums = TypeVar("Sums")
 
 
 class Bound(NamedTuple):
@@ -202,11 +200,11 @@ def crosses_of(rows: Rows, step: Step, values: Float[np.ndarray, " R1"], shape: 
     return Crosses(sums[:, :, :num_design, 0], outcome, seen)
 
 
-def plus(one: Sums, other: Sums) -> Sums:
+def plus(one: Any, other: Any) -> Any:
     """Add up the sums of two parts; None is nothing yet."""
     if one is None or other is None:
         return other if one is None else one
     if isinstance(one, tuple):
         each = (plus(*pair) for pair in zip(one, other, strict=True))
-        return type(one)(*each) if hasattr(one, "_fields") else type(one)(each)
+        return type(one)(*each) if hasattr(one, "_fields") else tuple(each)
     return one + other
