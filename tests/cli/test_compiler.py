@@ -9,9 +9,8 @@ import pytest
 
 from halfseen.cli import compiler
 from halfseen.workers import piece
-from small_logs import flat_log
 
-LEARN = "from halfseen.cli import main; main()"
+SIMULATE = "from halfseen.cli import main; main()"
 
 
 @pytest.fixture
@@ -24,27 +23,26 @@ def place(tmp_path, monkeypatch):
     return compiler._place()
 
 
-def learned(tmp_path, name):
-    (tmp_path / "logs").exists() or flat_log().write(tmp_path / "logs")
-    words = ["learn", str(tmp_path / "logs"), "-q", "--no-verdict", "--out", str(tmp_path / name)]
+def simulated(tmp_path, name):
+    words = ["simulate", "-q", "--episodes", "5", "--out", str(tmp_path / name)]
     done = subprocess.run(
-        [sys.executable, "-c", LEARN, *words], capture_output=True, text=True, check=True, env=os.environ
+        [sys.executable, "-c", SIMULATE, *words], capture_output=True, text=True, check=True, env=os.environ
     )
-    return done.stderr, (tmp_path / name / "policy.safetensors").read_bytes()
+    return done.stderr, (tmp_path / name / "stages.parquet").read_bytes()
 
 
 @pytest.mark.slow
 def test_what_was_compiled_is_read_by_the_next_call_and_what_a_kill_cut_is_thrown_away(place, tmp_path):
-    told, numbers = learned(tmp_path, "compiled")
+    told, numbers = simulated(tmp_path, "compiled")
     kept = {path: path.read_bytes() for path in place.iterdir()}
     assert kept
     assert place.stat().st_mode & 0o077 == 0
-    assert learned(tmp_path, "read") == (told, numbers)
+    assert simulated(tmp_path, "read") == (told, numbers)
     assert {path: path.read_bytes() for path in place.iterdir()} == kept
     for path, program in kept.items():
         path.write_bytes(program[: len(program) // 2])
-    assert learned(tmp_path, "cut") == (told, numbers)
-    assert learned(tmp_path, "anew") == (told, numbers)
+    assert simulated(tmp_path, "cut") == (told, numbers)
+    assert simulated(tmp_path, "anew") == (told, numbers)
 
 
 def test_where_it_is_kept_is_the_users_choice_if_there_is_one(place, monkeypatch):
