@@ -37,7 +37,7 @@ def library_of(*values: Any) -> Any:
 
     JAX takes half a second to load, so this does not: without it there are no arrays of its own.
     """
-    jax = sys.modules.get("jax")
+    jax: Any = sys.modules.get("jax")
     is_jax = jax is not None and any(isinstance(value, jax.Array) for value in values)
     return jax.numpy if is_jax else np
 

@@ -1,5 +1,11 @@
 """The names of `halfseen.learning`, where other programs look for them."""
 
-from halfseen.learning import __all__, __getattr__  # noqa: F401 - it answers for every name
+from typing import Any
 
-__all__ = [*__all__]
+from halfseen import learning
+
+__all__ = list(learning.__all__)
+
+
+def __getattr__(name: str) -> Any:
+    return getattr(learning, name)

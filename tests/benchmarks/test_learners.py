@@ -1,5 +1,6 @@
 """The worlds and the bookkeeping of the benchmark of learners; no learner of ours is fitted here."""
 
+import learners
 import numpy as np
 import pandas as pd
 import pytest
@@ -10,8 +11,6 @@ from worlds.examples import Cell, Trial
 from worlds.haze import Haze
 from worlds.policies import policies_of
 from worlds.wide import Wide
-
-import learners
 
 
 def rows_of(scores, method, cpu_s=1.0):
