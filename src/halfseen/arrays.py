@@ -37,9 +37,10 @@ def library_of(*values: Any) -> Any:
 
     JAX takes half a second to load, so this does not: without it there are no arrays of its own.
     """
-    jax: Any = sys.modules.get("jax")
-    is_jax = jax is not None and any(isinstance(value, jax.Array) for value in values)
-    return jax.numpy if is_jax else np
+    jax = sys.modules.get("jax")
+    if jax is None or not any(isinstance(value, jax.Array) for value in values):
+        return np
+    return jax.numpy
 
 
 def on_device(tree: Any) -> Any:

@@ -4,8 +4,5 @@ from typing import Any
 
 from halfseen import learning
 
-__all__ = list(learning.__all__)
-
-
 def __getattr__(name: str) -> Any:
     return getattr(learning, name)
