@@ -4,5 +4,6 @@ from typing import Any
 
 from halfseen import learning
 
+
 def __getattr__(name: str) -> Any:
     return getattr(learning, name)
