@@ -26,7 +26,7 @@ for name, value in {
 }.items():
     os.environ.setdefault(name, value)
 
-LONG = ("study", "planners", "q_learning", "tables", "docs", "examples")
+LONG = ("study", "planners", "learning", "tables", "docs", "examples")
 """Folders whose files take long: they start first, so that no process is left with one of them at the end."""
 
 MAPPED = Path("/proc/self/maps")
