@@ -11,7 +11,6 @@ study: .venv/.installed
 test: .venv/.installed
 	$(BIN)/pytest $(PARALLEL)
 
-# These compile more than they compute, too, and much of it is what `make test` compiled.
 test-slow: .venv/.installed
 	$(BIN)/pytest -m slow $(PARALLEL)
 

@@ -18,11 +18,11 @@ from dataclasses import replace
 from pathlib import Path
 from unittest.mock import patch
 
-import jax
 import numpy as np
 from scipy.optimize import minimize
 from scipy.special import gammaln
 
+from halfseen.arrays import mapped
 from halfseen.learning import CensoredQLearner
 from halfseen.planners import GreedyPolicy, solve_table
 from halfseen.planners.explanation import DEGREES_OF_FREEDOM, PlannerError, expected_q, explain, own_error, rollouts_of
@@ -31,9 +31,9 @@ from halfseen.policies.folder.stages_left import stages_left
 from halfseen.tables import learned_explanation
 from halfseen.tables.learned_explanation import LASTING_ERROR, LearnedExplainer
 from halfseen.tables.present import Present
-from halfseen.world import ExploringPolicy, Scene, TableWorld, WorldConfig
-from halfseen.world.action_space import ActionSpace
-from halfseen.world.episodes import play
+from halfseen.world import ExploringPolicy, Scene, TableWorld, WorldConfig, random
+from halfseen.world.actions import ActionSpace
+from halfseen.world.rollout import play
 from halfseen.world.state import pad_scenes
 
 FIT_TABLES = {(3, 6): 1, (2, 8): 2}
@@ -62,10 +62,10 @@ def states_with_truth(num_objects, horizon, seed, num_tables, num_states):
     for table in range(num_tables):
         scene = random_scene(rng, num_objects)
         optimum = solve_table(scene, config, num_grip_nodes=NUM_GRIP_NODES)
-        key = jax.random.key(1000 * seed + table)
+        key = random.key_of(1000 * seed + table)
         played = play(config, pad_scenes([scene]), logging_policy(config), key, num_states + 2)
         reached = rng.permutation(np.argwhere(np.asarray(played.is_taken)))[:num_states]
-        states = [jax.tree.map(lambda leaf, at=(i, t): leaf[*at], played.states) for i, t in reached]
+        states = [mapped(lambda leaf, at=(i, t): leaf[*at], played.states) for i, t in reached]
         found += [(state, optimum.q_values(state)) for state in states]
     return config, found
 
@@ -131,7 +131,7 @@ def planner_calibration(num_tables, num_states):
         calibration = Calibration()
         for k, (state, truth) in enumerate(found):
             begin_s = time.perf_counter()
-            one = explain(config, state, jax.random.key(k), num_rollouts=NUM_ROLLOUTS)
+            one = explain(config, state, random.key_of(k), num_rollouts=NUM_ROLLOUTS)
             seconds.append(time.perf_counter() - begin_s)
             calibration.add(one, truth)
             everything.add(one, truth)
@@ -218,7 +218,7 @@ def fitted_error(num_tables, num_states):
     for (num_objects, horizon), seed in FIT_TABLES.items():
         config, found = states_with_truth(num_objects, horizon, seed, num_tables, num_states)
         known += [
-            (rollouts_of(config, state, jax.random.key(k), NUM_ROLLOUTS), truth)
+            (rollouts_of(config, state, random.key_of(k), NUM_ROLLOUTS), truth)
             for k, (state, truth) in enumerate(found)
         ]
 

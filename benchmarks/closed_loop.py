@@ -37,10 +37,10 @@ from halfseen.policies.learner_choice import learner_for
 from halfseen.study.statistics import holm, signed_rank_test
 from halfseen.tables.fitted_world import fit_world
 from halfseen.workers import Workers
-from halfseen.world.action_space import Verb
+from halfseen.world.actions import Verb
 from halfseen.world.config import WorldConfig
+from halfseen.world.log_checks import TABLE
 from halfseen.world.policy import Policy
-from halfseen.world.table_checks import TABLE
 from halfseen.writing import write_file
 
 LEARNED = "learned"

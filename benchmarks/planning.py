@@ -14,20 +14,20 @@ import argparse
 import gc
 import json
 import random
-import time
 from collections.abc import Callable, Mapping
 from functools import cache, partial
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
-import jax
 import numpy as np
 
-from halfseen.planners import plan, warm_up
+from halfseen.arrays import mapped
+from halfseen.planners import plan
 from halfseen.world import Scene, TableState, WorldConfig
-from halfseen.world.dynamics import start, step
+from halfseen.world.random import fold_in, key_of, split
 from halfseen.world.state import Layout, pad_scenes
+from halfseen.world.transition import start, step
 
 try:
     from peers import table as peer
@@ -74,7 +74,7 @@ def hides(table: int) -> np.ndarray:
 
 
 def layout_of(table: int) -> Layout:
-    return jax.tree.map(lambda leaf: leaf[0], pad_scenes([Scene(hides(table))]))
+    return mapped(lambda leaf: leaf[0], pad_scenes([Scene(hides(table))]))
 
 
 @cache
@@ -83,7 +83,7 @@ def peer_model(table: int):
 
 
 def ours(seen: TableState, table: int, budget_s: float, seed: int) -> Decision:
-    found = plan(CONFIG, seen, jax.random.key(seed), seconds=budget_s)
+    found = plan(CONFIG, seen, key_of(seed), seconds=budget_s)
     return Decision(found.action, int(found.num_rollouts.sum()), found.elapsed_s)
 
 
@@ -94,16 +94,13 @@ def theirs(seen: TableState, table: int, budget_s: float, seed: int, settings: M
     return Decision(*peer.decided(model, states, budget_s=budget_s, **settings[budget_s]))
 
 
-_start, _step = jax.jit(start), jax.jit(step)
-
-
 def episode_of(decide: Decide, budget_s: float, episode: int) -> Played:
-    start_key, world_key = jax.random.split(jax.random.key(episode))
+    start_key, world_key = split(key_of(episode))
     table, reward, decisions = episode % NUM_TABLES, 0.0, []
-    seen, hidden = _start(CONFIG, layout_of(table), start_key)
+    seen, hidden = start(CONFIG, layout_of(table), start_key)
     for t in range(CONFIG.horizon):
         decisions.append(decide(seen, table, budget_s, CONFIG.horizon * episode + t))
-        seen, hidden, outcome = _step(CONFIG, seen, hidden, decisions[-1].action, jax.random.fold_in(world_key, t))
+        seen, hidden, outcome = step(CONFIG, seen, hidden, np.asarray(decisions[-1].action), fold_in(world_key, t))
         reward += float(outcome.reward)
         if outcome.is_over:
             break
@@ -203,9 +200,6 @@ def main() -> None:
         planners["pomdp-py"] = partial(theirs, settings=SETTINGS)
     else:
         print("pomdp-py is not installed (pip install pomdp-py): ours runs alone")
-    begin_s = time.perf_counter()
-    warm_up(CONFIG, _start(CONFIG, layout_of(0), jax.random.key(0))[0])
-    print(f"compiled in {time.perf_counter() - begin_s:.1f} s")
     results = compared(planners, episodes)
     args.out.parent.mkdir(parents=True, exist_ok=True)
     args.out.write_text(json.dumps(results, indent=2), encoding="utf-8")

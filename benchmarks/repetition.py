@@ -11,13 +11,12 @@ import time
 from collections import defaultdict
 from pathlib import Path
 
-import jax
 import numpy as np
+from halfseen.cli.compiler import set_compiler
 from timings import Row, write
 
 from halfseen.cell.calibration.law_folder import read_law
 from halfseen.cell.calibration.shipped import shipped_law
-from halfseen.cli.compiler import set_compiler
 from halfseen.scene import table_paths
 from halfseen.study.experiment import Setting
 from halfseen.study.experiments.reward import Reward
@@ -46,7 +45,7 @@ class Clock:
 def repeat(setting: Setting, design: Reward, rates: list[float], index: int) -> dict[str, float]:
     """Make one repetition, and tell the CPU time of its parts [s]."""
     clock, source = Clock(), Source.of(setting, index)
-    episodes = jax.block_until_ready(source.play(max(design.num_paths)))
+    episodes = source.play(max(design.num_paths))
     clock.passed("play 800 paths")
     num_episodes = design.episodes_per_scene * len(setting.scenes)
     logs = [(source.cut(episodes, rate, CUT_KIND), "weighted") for rate in rates]

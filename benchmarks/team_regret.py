@@ -3,8 +3,8 @@
 python benchmarks/team_regret.py [--out runs/benchmarks/team_regret.json] [--horizon 2] [--prices 0 -0.1] [--futures 32]
                                  [--keys 4]
 
-Robot 0 reaches objects 0 and 1, robot 1 objects 1 and 2; each has so many decisions, in the world of
-`halfseen.team.grid_grasping`. Both values are exact expectations. A rollout is asked once in every state for each of
+Robot 0 reaches objects 0 and 1, robot 1 objects 1 and 2; each has so many decisions, under the law of grasping
+`GridGrasping`. Both values are exact expectations. A rollout is asked once in every state for each of
 some keys, from which its futures are drawn; its interval is over them.
 """
 
@@ -14,60 +14,57 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
+from halfseen.planners.exact_team import TeamOptimum, solve_team
+from halfseen.planners.grid_grasping import GridGrasping
 from halfseen.planners.heuristics import GreedyPolicy
-from halfseen.team.config import TeamConfig
-from halfseen.team.each_alone import EachAlone
-from halfseen.team.grid_grasping import GridGrasping
-from halfseen.team.myopic import MyopicTeam
-from halfseen.team.optimum import TeamOptimum, solve_team
-from halfseen.team.policy import TeamPolicy, UniformTeam
-from halfseen.team.rollout import RolloutTeam
-from halfseen.team.rules import OneAtATime, ReservingTeam, RoundRobin, TeamOfRules
-from halfseen.team.state import Workspace
-from halfseen.world import WorldConfig
+from halfseen.planners.multi_agent_rollout import RolloutPolicy
+from halfseen.planners.myopic import MyopicPolicy
+from halfseen.planners.rules import OneAtATime, ReservingPolicy, RoundRobin, TeamOfRules
+from halfseen.tables.independent import IndependentPolicies
+from halfseen.world import WorldConfig, random
+from halfseen.world.policy import Policy, UniformPolicy
+from halfseen.world.state import Workspace
 
 HIDES = np.array([[0.0, 0.5, 0.2], [0.0, 0.0, 0.4], [0.0, 0.0, 0.0]])
 REACH = np.array([[True, True, False], [False, True, True]])
 PRICES = (0.0, -0.1)
 
 
-def config_of(horizon: int, reward_per_s: float) -> TeamConfig:
+def config_of(horizon: int, reward_per_s: float) -> WorldConfig:
     """The team in its world."""
-    return TeamConfig(WorldConfig(horizon=horizon, grasping=GridGrasping()), (1.0, 1.0), reward_per_s)
+    return WorldConfig(horizon=horizon, grasping=GridGrasping(), speed=(1.0, 1.0), reward_per_s=reward_per_s)
 
 
-def policies_of(config: TeamConfig) -> Mapping[str, TeamPolicy]:
+def policies_of(config: WorldConfig) -> Mapping[str, Policy]:
     """Everyone who draws nothing, by the name that is printed."""
-    greedy = GreedyPolicy(config.world, counts_penalty=True)
-    history = GreedyPolicy(config.world, uses_history=True, counts_penalty=True)
+    greedy = GreedyPolicy(config, counts_penalty=True)
+    history = GreedyPolicy(config, uses_history=True, counts_penalty=True)
     return {
-        "one step ahead": MyopicTeam(config),
-        "history, reserving": ReservingTeam(config, history),
-        "greedy, reserving": ReservingTeam(config, greedy),
+        "one step ahead": MyopicPolicy(config),
+        "history, reserving": ReservingPolicy(config, history),
+        "greedy, reserving": ReservingPolicy(config, greedy),
         "history, at no price": TeamOfRules(history),
         "history, round robin": RoundRobin(history),
         "history, one at a time": OneAtATime(history),
-        "history, each alone": EachAlone((history,) * config.num_robots),
+        "history, each alone": IndependentPolicies((history,) * config.num_robots),
     }
 
 
-def drawing_of(config: TeamConfig, num_futures: int) -> Mapping[str, TeamPolicy]:
+def drawing_of(config: WorldConfig, num_futures: int) -> Mapping[str, Policy]:
     """Everyone who draws."""
-    history = GreedyPolicy(config.world, uses_history=True, counts_penalty=True)
+    history = GreedyPolicy(config, uses_history=True, counts_penalty=True)
     return {
-        "rollout over one step ahead": RolloutTeam(config, MyopicTeam(config), num_futures),
-        "rollout over history, reserving": RolloutTeam(config, ReservingTeam(config, history), num_futures),
-        "uniformly at random": UniformTeam(),
+        "rollout over one step ahead": RolloutPolicy(config, MyopicPolicy(config), num_futures),
+        "rollout over history, reserving": RolloutPolicy(config, ReservingPolicy(config, history), num_futures),
+        "uniformly at random": UniformPolicy(),
     }
 
 
-def regrets(optimum: TeamOptimum, policy: TeamPolicy, num_keys: int) -> tuple[float, float]:
+def regrets(optimum: TeamOptimum, policy: Policy, num_keys: int) -> tuple[float, float]:
     """Mean regret over keys, and its standard error; not a number for one key."""
-    found = [optimum.regret(policy, jax.random.key(k)) for k in range(num_keys)]
+    found = [optimum.regret(policy, random.key_of(k)) for k in range(num_keys)]
     return float(np.mean(found)), float(np.std(found, ddof=1) / num_keys**0.5) if num_keys > 1 else float("nan")
 
 
@@ -79,7 +76,7 @@ def main() -> None:
     parser.add_argument("--futures", type=int, default=32, help="of each action, in a rollout")
     parser.add_argument("--keys", type=int, default=4, help="with which a policy that draws is asked")
     args = parser.parse_args()
-    workspace, rows = Workspace(jnp.asarray(REACH), jnp.eye(len(HIDES), dtype=bool)), []
+    workspace, rows = Workspace(REACH, np.eye(len(HIDES), dtype=bool)), []
     for price in args.prices:
         config, begin_s = config_of(args.horizon, price), time.perf_counter()
         optimum = solve_team(HIDES, config, workspace)

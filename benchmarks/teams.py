@@ -25,7 +25,6 @@ from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
-import jax
 import numpy as np
 from scipy import stats
 from tqdm import tqdm
@@ -35,11 +34,12 @@ from halfseen.cell.calibration.shipped import shipped_law
 from halfseen.cell.tables_seen import tables_seen
 from halfseen.learning import CensoredQLearner
 from halfseen.planners.heuristics import GreedyPolicy
-from halfseen.team import EachAlone, ExploringTeam, MyopicTeam, Robot, Team, TeamWorld
-from halfseen.team.actions import WAIT, wait_of
-from halfseen.team.episodes import play
-from halfseen.team.rules import OneAtATime, ReservingTeam, RoundRobin
-from halfseen.world import WorldConfig
+from halfseen.planners.myopic import MyopicPolicy
+from halfseen.planners.rules import OneAtATime, ReservingPolicy, RoundRobin
+from halfseen.tables.independent import IndependentPolicies
+from halfseen.world import ExploringPolicy, Robot, TableWorld, Team, WorldConfig, random
+from halfseen.world.actions import WAIT, wait_of
+from halfseen.world.rollout import play
 
 SEED = 1612
 LEFT, RIGHT, BEHIND = Robot((-0.45, 0.8), 0.55), Robot((0.45, 0.8), 0.55), Robot((0.0, 1.3), 0.6)
@@ -60,19 +60,19 @@ def setting(law, num_robots, price):
     if law == "unlike" and num_robots > 1:
         clumsy = replace(config.grasping, log_odds=config.grasping.log_odds - CLUMSY)
         robots[1] = replace(robots[1], grasping=clumsy)
-    return TeamWorld.of(Team(robots, reward_per_s=price), config), scenes
+    return TableWorld.of(Team(robots, reward_per_s=price), config), scenes
 
 
 def rules(world):
     """Rules of thumb; the first plays the logs."""
-    rule = GreedyPolicy(world.team_config.world, uses_history=True, counts_penalty=True)
-    greedy = GreedyPolicy(world.team_config.world, counts_penalty=True)
-    reserving, ahead = ReservingTeam(world.team_config, rule), MyopicTeam(world.team_config)
+    rule = GreedyPolicy(world.played_config, uses_history=True, counts_penalty=True)
+    greedy = GreedyPolicy(world.played_config, counts_penalty=True)
+    reserving, ahead = ReservingPolicy(world.played_config, rule), MyopicPolicy(world.played_config)
     if len(world.robots) == 1:
         return dict(zip(RULES, (reserving, ahead), strict=False))
-    others = (ReservingTeam(world.team_config, greedy), RoundRobin(rule), OneAtATime(rule))
+    others = (ReservingPolicy(world.played_config, greedy), RoundRobin(rule), OneAtATime(rule))
     found = dict(zip(RULES, (reserving, ahead, *others), strict=True))
-    return found | {RULE_ALONE: EachAlone((rule,) * len(world.robots))}
+    return found | {RULE_ALONE: IndependentPolicies((rule,) * len(world.robots))}
 
 
 def learned(world, logs, without=()):
@@ -89,7 +89,7 @@ def learned(world, logs, without=()):
 
 def totals(world, layouts, policy, num_episodes):
     """Reward and seconds of each table, and the seconds that its robots were at work, shared evenly."""
-    paths = play(world.team_config, layouts, policy, jax.random.key(SEED), num_episodes)
+    paths = play(world.played_config, layouts, policy, random.key_of(SEED), num_episodes)
     taken, seconds = np.asarray(paths.is_taken), np.asarray(paths.duration_s, dtype=float)
     wait, robots = wait_of(paths.states.table.num_objects), paths.states.robots
     is_at_work = np.asarray(robots.is_busy & (robots.verb != WAIT)).sum(axis=-1) + (np.asarray(paths.action) != wait)
@@ -103,7 +103,7 @@ def measured(given, num_robots, price, bar):
     world, scenes = setting(given.law, num_robots, price)
     left = float(world.config.reward_dirty_left) * float(world.config.dirty_share)
     nothing = left * np.mean([scene.num_objects for scene in scenes])
-    layouts, rows, behaviour = world.team.layouts(scenes), [], ExploringTeam(next(iter(rules(world).values())))
+    layouts, rows, behaviour = world.team.layouts(scenes), [], ExploringPolicy(next(iter(rules(world).values())))
 
     def judge(name, policy, **place):
         reward, seconds, shared = totals(world, layouts, policy, given.episodes)

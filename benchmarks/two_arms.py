@@ -34,8 +34,7 @@ from halfseen.cell.several.pair import PAIR
 from halfseen.cell.table_state import Belief
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.planners.named import HEURISTICS
-from halfseen.team.policy import TeamPolicy
-from halfseen.team.rules import TeamOfRules
+from halfseen.planners.rules import TeamOfRules
 from halfseen.workers import Workers
 from halfseen.world.policy import Policy
 from halfseen.writing import write_file
@@ -48,7 +47,7 @@ Runs: TypeAlias = Sequence[Mapping[str, Any]]
 """What came of each table, as `Run` or `TeamRun` has it."""
 
 
-def plans_of(rule: GreedyPolicy) -> dict[str, tuple[Policy | TeamPolicy, Conditions]]:
+def plans_of(rule: GreedyPolicy) -> dict[str, tuple[Policy | Policy, Conditions]]:
     """Who clears the tables, and in which cell."""
     one, two = Conditions(stops=None), Conditions(stops=None, stations=PAIR)
     team = TeamOfRules(rule)

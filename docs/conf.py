@@ -15,8 +15,7 @@ from sources import digest_of
 
 from halfseen import __version__
 
-# Notebooks compile more than they compute, and their processes read these when they start.
-os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false")
+# The processes of notebooks read it when they start.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # The style of highlighting would let every library log to the terminal, if nobody else said where logs go.
 logging.getLogger().addHandler(logging.NullHandler())

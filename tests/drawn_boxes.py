@@ -2,13 +2,9 @@
 
 import numpy as np
 
+from drawn_tables import EYE_M, TABLE_HALF_M, K, rays
 from halfseen.perception import Cloud
 
-NUM_ROWS, NUM_COLUMNS = 240, 320
-K = np.array([[290.0, 0.0, 159.5], [0.0, 290.0, 119.5], [0.0, 0.0, 1.0]])
-EYE_M = np.array([0.0, -0.75, 0.50])
-DOWN_RAD = np.deg2rad(33.0)
-TABLE_HALF_M = (0.45, 0.32)
 TURN_RAD = 0.6
 BOXES_M = ((-0.16, 0.0, 0.05, 0.035, 0.11), (0.12, -0.04, 0.04, 0.06, 0.09))
 """Each box: middle (right, away), half its width and depth, and its height [m]."""
@@ -16,10 +12,7 @@ BOXES_M = ((-0.16, 0.0, 0.05, 0.035, 0.11), (0.12, -0.04, 0.04, 0.06, 0.09))
 
 def boxes_cloud(boxes_m=BOXES_M):
     """What a camera sees of boxes that are turned by 0.6 radians."""
-    row, column = np.mgrid[:NUM_ROWS, :NUM_COLUMNS]
-    seen = np.stack([(column - K[0, 2]) / K[0, 0], (row - K[1, 2]) / K[1, 1], np.ones(row.shape)], axis=-1)
-    sin, cos = np.sin(DOWN_RAD), np.cos(DOWN_RAD)
-    way = seen @ np.array([[1.0, 0.0, 0.0], [0.0, -sin, -cos], [0.0, cos, -sin]])
+    way = rays()
     depth = -EYE_M[2] / np.where(way[..., 2] < 0, way[..., 2], -1e-9)
     across = EYE_M[:2] + depth[..., None] * way[..., :2]
     depth[(np.abs(across) > TABLE_HALF_M).any(axis=-1)] = np.inf

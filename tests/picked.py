@@ -1,11 +1,22 @@
-"""Some rows of what was played, without the programs that indexing compiles for each leaf and shape."""
+"""Some rows of what was played."""
 
-import jax
 import numpy as np
 
-from halfseen.arrays import on_device
+from halfseen.arrays import mapped
 
 
 def picked(tree, at):
     """The same tree, each leaf at an index."""
-    return jax.tree.map(lambda leaf: on_device(np.asarray(leaf)[at]), tree)
+    return mapped(lambda leaf: leaf[at], tree)
+
+
+def leaves_of(tree):
+    """All arrays and numbers of a record, in order."""
+    found = []
+    mapped(found.append, tree)
+    return found
+
+
+def repeated(tree, num):
+    """A batch of so many that are all alike."""
+    return mapped(lambda leaf: np.repeat(np.asarray(leaf)[None], num, axis=0), tree)

@@ -35,8 +35,8 @@ from halfseen.perception.label_files import read_labels
 from halfseen.policies import read_policy
 from halfseen.policies.rule_table import read_rule_table
 from halfseen.study.store import Store
-from halfseen.team.team_file import read_team
 from halfseen.watch.recording import read_recording
+from halfseen.world.team_file import read_team
 from small_logs import flat_log
 
 sys.path.insert(0, str(Path(__file__).parent / "logs" / "formats"))

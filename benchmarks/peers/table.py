@@ -16,7 +16,6 @@ from operator import add
 from random import random
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from peers.belief import ByIdentity, planned, pomdp_py
 
@@ -91,7 +90,7 @@ class TableModel(pomdp_py.BlackboxModel):
         self.failed, self.lift_per_s = float(config.reward_wash_failed), float(config.reward_lift_per_s)
         self.left = [float(config.reward_dirty_left) * mask.bit_count() for mask in range(2**self.num_objects)]
         nodes = np.asarray(offset_nodes(config), dtype=float)
-        weights = np.exp(prior_grip(jnp.zeros(())).log_weights)
+        weights = np.exp(prior_grip(np.zeros(())).log_weights)
         self.offset_std = float(np.sqrt(weights @ nodes**2))
         self.prior = Grip(np.exp(nodes).tolist(), weights.tolist())
         self._name_actions()
@@ -175,21 +174,21 @@ class TableModel(pomdp_py.BlackboxModel):
         return [attempt for attempt in past if attempt[0] >= 0]
 
     def _rates(self, occluded: np.ndarray) -> np.ndarray:
-        log_failure = failure_log_probability(self.config, jnp.float32(occluded), jnp.zeros(()))
+        log_failure = failure_log_probability(self.config, np.float32(occluded), np.zeros(()))
         return -np.asarray(log_failure[..., NUM_NODES // 2], dtype=float)
 
     def _limit_s(self) -> float:
         """Of an attempt: of an exponential time, the probability and the mean of min(T, limit) tell the limit."""
         at_zero = np.where(np.arange(NUM_NODES) == NUM_NODES // 2, 0.0, -np.inf).astype(np.float32)
         rate = float(self._rates(np.zeros(1))[0])
-        at_zero = prior_grip(jnp.zeros(1))._replace(log_weights=jnp.asarray(at_zero)[None])
-        tried_s = float(expected_attempt_s(self.config, jnp.zeros(1), at_zero)[0]) - self.transport_s
+        at_zero = prior_grip(np.zeros(1))._replace(log_weights=np.asarray(at_zero)[None])
+        tried_s = float(expected_attempt_s(self.config, np.zeros(1), at_zero)[0]) - self.transport_s
         return tried_s * rate / -math.expm1(-rate)
 
     def _accuracy(self, occluded: np.ndarray) -> np.ndarray:
         """Probability that the label of a dirty object says so."""
-        seen_at = jnp.float32(occluded)
-        told = dirty_after_label(self.config, jnp.ones_like(seen_at), jnp.zeros(()), seen_at)
+        seen_at = np.float32(occluded)
+        told = dirty_after_label(self.config, np.ones_like(seen_at), np.zeros(()), seen_at)
         return np.asarray(told[0], dtype=float)
 
     def _label(self) -> None:

@@ -1,35 +1,30 @@
 """Rules by which arms clear tables in benchmarks: here, where processes of workers find them, too."""
 
-from dataclasses import dataclass
+import numpy as np
+from jaxtyping import Float
 
-import jax
-import jax.numpy as jnp
-from jaxtyping import Array, Float
-
+from halfseen.arrays import Array, record
 from halfseen.planners.heuristics import GreedyPolicy
-from halfseen.team.actions import possible_actions, wait_of
-from halfseen.team.policy import TeamPolicy
-from halfseen.team.state import TeamState
-from halfseen.world.policy import Decision, surely
+from halfseen.world.actions import possible_actions, wait_of
+from halfseen.world.policy import Decision, Policy, surely
+from halfseen.world.random import Key
 from halfseen.world.state import TableState, attempt_counts, occlusion
 
 MOST_FAILURES = 3
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@record
 class WashEverything(GreedyPolicy):
     """Washes the cup that failed least and is hidden least, dirty or not."""
 
-    def worth(self, state: TableState) -> Float[Array, " N"]:
+    def worth(self, state: TableState) -> Float[Array, "*B N"]:
         """Above 0 as long as it is worth another try."""
         _, failures = attempt_counts(state)
         is_worth_it = state.is_on_table & (failures < MOST_FAILURES)
-        return jnp.where(is_worth_it, MOST_FAILURES - failures - 0.9 * occlusion(state), -jnp.inf)
+        return np.where(is_worth_it, MOST_FAILURES - failures - 0.9 * occlusion(state), -np.inf)
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@record
 class InTurn:
     """A team of which nobody begins while another is at work.
 
@@ -39,11 +34,11 @@ class InTurn:
         Who decides else.
     """
 
-    base: TeamPolicy
+    base: Policy
 
-    def decide(self, state: TeamState, key: Array) -> Decision:
+    def decide(self, state: TableState, key: Key) -> Decision:
         """Choose for one table."""
-        wait = wait_of(state.table.num_objects)
+        wait = wait_of(state.num_objects)
         usual = self.base.decide(state, key)
-        is_to_wait = possible_actions(state)[wait]
-        return surely(jnp.where(is_to_wait, wait, usual.action).astype(jnp.int32))
+        is_to_wait = possible_actions(state)[..., wait]
+        return surely(np.where(is_to_wait, wait, usual.action))

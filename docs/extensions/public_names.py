@@ -19,8 +19,6 @@ BASES = "BaseEstimator, IntEnum, object, int, tuple, dict, Exception, Protocol"
 ROUTING = re.compile(r"get_metadata_routing|set_\w+_request")
 # NumPy's alias has no name of its own once it is written out.
 WRITTEN_OUT = stringify_annotation(ArrayLike, "smart")
-# Where JAX's array comes from is no affair of whoever reads its shape.
-JAX_ARRAY = "jaxlib._jax.Array"
 
 
 def documented(package: str) -> str:
@@ -65,13 +63,6 @@ def _short(written: str | None) -> str | None:
     return written and written.replace(WRITTEN_OUT, "ArrayLike")
 
 
-def with_short_arrays(app: Sphinx, page: nodes.document) -> None:
-    """Write JAX's array by its name alone, in signatures and in the types of fields."""
-    for text in list(page.findall(nodes.Text)):
-        if JAX_ARRAY in text:
-            text.parent.replace(text, nodes.Text(text.replace(JAX_ARRAY, "Array")))
-
-
 def without_field_numbers(app: Sphinx, what: str, name: str, value: Any, options: Any, lines: list[str]) -> None:
     """Drop what Python writes below the fields of a named tuple."""
     lines[:] = [line for line in lines if not line.startswith("Alias for field number")]
@@ -92,7 +83,6 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.add_directive("public-names", PublicNames)
     app.connect("autodoc-process-signature", shortened)
     app.connect("autodoc-process-docstring", without_field_numbers)
-    app.connect("doctree-read", with_short_arrays)
     # A summary ends at the first full stop; that of "eq. 3" is none.
     autosummary.WELL_KNOWN_ABBREVIATIONS += ("eq.", "eqs.")
     return {"parallel_read_safe": True, "parallel_write_safe": True}

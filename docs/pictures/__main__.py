@@ -1,9 +1,6 @@
 """python -m pictures [NAME …] [--anew] [--list]: draw the pictures of README and docs, all or those that are named."""
 
 import argparse
-import os
-
-os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=1 --xla_cpu_use_fusion_emitters=false")
 
 from pictures.registry import PICTURES
 

@@ -8,6 +8,7 @@ from tempfile import TemporaryDirectory
 
 from click.testing import CliRunner
 
+from halfseen.world import random
 from pictures.picture import Numbers, Picture, Table
 
 FILM = "cell film --policy planner --seed 6 --out {folder}/film.gif"
@@ -35,7 +36,6 @@ def _played(policy: str, seed: int, num_arms: int) -> Table:
     # It is loaded once, and what is drawn after this needs a way to draw.
     os.environ.setdefault(GL, "egl")
     load_mujoco()
-    import jax
 
     from halfseen.cell.campaign import Conditions
     from halfseen.cell.clearing import Moment
@@ -61,7 +61,7 @@ def _played(policy: str, seed: int, num_arms: int) -> Table:
 
     with TemporaryDirectory() as folder, LogRecorder(folder) as recorder:
         path = recorder.begin_path(table)
-        key = jax.random.fold_in(jax.random.key(seed), table)
+        key = random.fold_in(random.key_of(seed), table)
         if stations:
             team = team_policy_of(policy, 0.0, belief.config, num_arms)
             run = play_team(cell, is_dirty, team, belief, path, key, on_decision=follow)

@@ -183,7 +183,7 @@ def draw_team_study() -> Figure:
 
 ASKS_FOR = {
     "serve": ("serve",),
-    "export": ("onnx", "onnx-tables"),
+    "export": ("onnx",),
     "watch": ("watch",),
     "report": ("study",),
     "convert": ("minari", "hdf5", "mcap", "ros", "sql", "stores"),

@@ -40,6 +40,10 @@ class Estimator:
             setattr(self, name, value)
         return self
 
+    def unfitted(self: Its) -> Its:
+        """Make another with the same parameters, as `sklearn.base.clone` does."""
+        return type(self)(**self.get_params())
+
     def __repr__(self) -> str:
         told = [
             f"{name}={getattr(self, name)!r}"

@@ -1,6 +1,6 @@
 """Tells Gymnasium of the tables; ``import halfseen`` does it, before or after ``import gymnasium``.
 
-It loads neither JAX nor the world, which load when a table is made, nor Gymnasium: importing that takes longer than all
+It loads not the world, which loads when a table is made, nor Gymnasium: importing that takes longer than all
 else here, so where it is not loaded yet, it is told once it is.
 """
 
@@ -12,8 +12,8 @@ from typing import Any
 ENV_ID = "halfseen/Cups-v0"
 TEAM_ENV_ID = "halfseen/TeamCups-v0"
 _ENTRY_POINTS = {
-    ENV_ID: "halfseen.world.gymnasium_env:CupsEnv",
-    TEAM_ENV_ID: "halfseen.team.gymnasium_env:TeamCupsEnv",
+    ENV_ID: "halfseen.world.envs:CupsEnv",
+    TEAM_ENV_ID: "halfseen.world.envs:TeamCupsEnv",
 }
 
 

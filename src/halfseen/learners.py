@@ -1,9 +1,5 @@
 """The names of `halfseen.learning`, where other programs look for them."""
 
-from typing import Any
+from halfseen.learning import __all__
 
-from halfseen import learning
-
-
-def __getattr__(name: str) -> Any:
-    return getattr(learning, name)
+__all__ = [*__all__]

@@ -2,18 +2,18 @@
 
 import random
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.special import expit
 
+from halfseen.arrays import mapped
 from halfseen.planners import GreedyPolicy
 from halfseen.planners.belief import belief_of, grasp_probability
 from halfseen.world import Scene, UniformPolicy, WorldConfig
-from halfseen.world.action_space import ActionSpace
-from halfseen.world.dynamics import start, step
-from halfseen.world.episodes import play
+from halfseen.world.actions import ActionSpace
+from halfseen.world.rollout import play
 from halfseen.world.state import HiddenState, pad_scenes
+from halfseen.world.transition import start, step
 
 # It needs pomdp-py, which is optional.
 table = pytest.importorskip("peers.table")
@@ -28,12 +28,12 @@ NUM = 8_000
 @pytest.fixture(scope="module")
 def states():
     """States along random paths, past attempts included."""
-    episodes = play(CONFIG, pad_scenes([Scene(HIDES)]), UniformPolicy(), jax.random.key(0), 60)
-    return jax.tree.map(lambda leaf: leaf[np.asarray(episodes.is_taken)], episodes.states)
+    episodes = play(CONFIG, pad_scenes([Scene(HIDES)]), UniformPolicy(), random.key_of(0), 60)
+    return mapped(lambda leaf: leaf[np.asarray(episodes.is_taken)], episodes.states)
 
 
 def one_of(states, k):
-    return jax.tree.map(lambda leaf: leaf[k], states)
+    return mapped(lambda leaf: leaf[k], states)
 
 
 def drawn(seen, num_draws=NUM):
@@ -44,27 +44,25 @@ def hidden_of(states):
     """The hidden parts that the peer has drawn, as ours."""
     is_dirty = [[state.dirty >> i & 1 for i in range(3)] for state in states]
     grip_offset = np.log([state.ease for state in states])
-    return HiddenState(jnp.asarray(is_dirty, dtype=bool), jnp.asarray(grip_offset, dtype=jnp.float32))
+    return HiddenState(np.asarray(is_dirty, dtype=bool), np.asarray(grip_offset, dtype=np.float32))
 
 
-@jax.jit
 def ours(seen, hidden, actions):
     """Rewards, labels and grasps of each step, and what the best heuristic would do then; zeros once it is over."""
 
-    def run(hidden, key):
-        def advance(carry, t):
-            seen, is_over = carry
-            after, _, outcome = step(CONFIG, seen, hidden, actions[t], jax.random.fold_in(key, t))
-            now = CONFIG.horizon - seen.steps_to_go
-            bits = jnp.append(after.log_odds > seen.log_odds, after.attempt_succeeded[now])
-            choice = jax.nn.one_hot(BEST.decide(after, key).action, 7)
-            is_last = is_over | outcome.is_over
-            shown = jnp.where(is_last, 0.0, jnp.concatenate([bits, choice]))
-            return (after, is_last), jnp.append(shown, jnp.where(is_over, 0.0, outcome.reward))
-
-        return jax.lax.scan(advance, (seen, jnp.asarray(False)), jnp.arange(len(actions)))[1]
-
-    return jax.vmap(run)(hidden, jax.random.split(jax.random.key(2), NUM))
+    seen = mapped(lambda leaf: np.broadcast_to(leaf, (NUM, *np.shape(leaf))), seen)
+    keys, is_over, shown = random.keys_of(random.key_of(2), NUM), np.zeros(NUM, dtype=bool), []
+    for t, action in enumerate(actions):
+        taken = np.full(NUM, action, dtype=np.int32)
+        after, _, outcome = step(CONFIG, seen, hidden, taken, random.fold_in(keys, t))
+        now = CONFIG.horizon - seen.steps_to_go[0]
+        bits = np.column_stack([after.log_odds > seen.log_odds, after.attempt_succeeded[:, now]])
+        choice = np.eye(7)[BEST.decide(after, keys).action]
+        is_last = is_over | outcome.is_over
+        told = np.where(is_last[:, None], 0.0, np.concatenate([bits, choice], axis=1))
+        shown.append(np.column_stack([told, np.where(is_over, 0.0, outcome.reward)]))
+        seen, is_over = after, is_last
+    return np.stack(shown, axis=1)
 
 
 def theirs(states, actions):
@@ -97,13 +95,13 @@ def assert_same_means(one, other):
 @pytest.mark.parametrize("steps_to_go", [10, 4])
 def test_the_table_is_the_same_world(actions, steps_to_go):
     layout = one_of(pad_scenes([Scene(HIDES)]), 0)
-    seen, hidden = jax.jit(start)(CONFIG, layout, jax.random.key(3))
+    seen, hidden = start(CONFIG, layout, random.key_of(3))
     for t, action in enumerate((LIFT_1, LIFT_1, LIFT_0, LIFT_2, LIFT_1, LIFT_2)[: CONFIG.horizon - steps_to_go]):
-        seen, _ = jax.jit(step)(CONFIG, seen, hidden, action, jax.random.key(t))
+        seen, _ = step(CONFIG, seen, hidden, action, random.key_of(t))
     random.seed(0)
 
     states = drawn(seen)
-    shown = np.asarray(ours(seen, hidden_of(states), jnp.array(actions)), dtype=float)
+    shown = np.asarray(ours(seen, hidden_of(states), np.array(actions)), dtype=float)
     assert_same_means(shown, theirs(states, actions))
 
 
@@ -112,18 +110,18 @@ def test_hidden_parts_are_drawn_from_the_belief(states):
         seen = one_of(states, k)
         hidden, belief = hidden_of(drawn(seen, 20_000)), belief_of(CONFIG, seen)
         noise = 4 * 0.5 / np.sqrt(20_000)
-        np.testing.assert_allclose(hidden.is_dirty.mean(axis=0), jax.nn.sigmoid(seen.log_odds), atol=noise)
-        there = jnp.zeros(3)
-        grasped = -jnp.expm1(CONFIG.grasping.log_failure(there[None], hidden.grasp_trait)).mean(axis=0)
+        np.testing.assert_allclose(hidden.is_dirty.mean(axis=0), expit(seen.log_odds), atol=noise)
+        there = np.zeros(3)
+        grasped = -np.expm1(CONFIG.grasping.log_failure(there[None], hidden.grasp_trait)).mean(axis=0)
         np.testing.assert_allclose(grasped, grasp_probability(CONFIG, there, belief.grip), atol=noise + 0.01)
 
 
 def test_rollouts_are_our_best_heuristic(states):
-    policy, decide = table.HeuristicPolicy(MODEL), jax.jit(BEST.decide)
+    policy, decide = table.HeuristicPolicy(MODEL), BEST.decide
     for k in range(len(states.steps_to_go)):
         seen = one_of(states, k)
         (state,) = drawn(seen, num_draws=1)
-        assert policy.rollout(state).number == decide(seen, jax.random.key(0)).action
+        assert policy.rollout(state).number == decide(seen, random.key_of(0)).action
 
 
 @pytest.mark.parametrize(("rollouts", "visits"), [("random", 0), ("heuristic", 3)])

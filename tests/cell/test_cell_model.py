@@ -4,7 +4,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from halfseen.cell.contacts import Contacts
 from halfseen.cell.gripper import Gripper
 from halfseen.cell.kinematics import Kinematics
 from halfseen.cell.model import Rack, Robot, cell_model
@@ -33,25 +32,6 @@ def step(model, data, seconds):
         mujoco.mj_step(model, data)
 
 
-def test_cups_and_arm_stay_where_they_are():
-    model = cell_model([CUP, MUG], [Pose((0.0, 0.0, TABLE_TOP_M)), Pose((0.2, 0.1, TABLE_TOP_M))])
-    data = at_rest(model)
-    step(model, data, 1.0)
-    for name, place in (("cup_0", (0.0, 0.0)), ("cup_1", (0.2, 0.1))):
-        np.testing.assert_allclose(data.body(name).xpos, [*place, TABLE_TOP_M], atol=2e-3)
-    now = [data.joint(name).qpos[0] for name in ROBOT.joint_names]
-    np.testing.assert_allclose(now, RAISED, atol=1e-4)
-
-
-def test_walls_weigh_nothing_and_are_not_seen():
-    bare = cell_model([MUG], [Pose((0.0, 0.0, TABLE_TOP_M))], robots=())
-    walls = bare.geom_group == UNSEEN_GROUP
-    assert walls.sum() == 16 + 1 + 5
-    plain = room_model([MUG], [Pose((0.0, 0.0, TABLE_TOP_M))], is_free=True)
-    assert bare.body("cup_0").mass == plain.body("cup_0").mass
-    np.testing.assert_array_equal(bare.body("cup_0").inertia, plain.body("cup_0").inertia)
-
-
 def test_fingers_open_and_close_alike():
     model = cell_model([], [])
     data = at_rest(model)
@@ -61,14 +41,6 @@ def test_fingers_open_and_close_alike():
         step(model, data, 1.0)
         left, right = (data.geom(ROBOT.of(f"gripper/pad_{side}")).xpos for side in ("left", "right"))
         assert np.linalg.norm(left - right) - Gripper().pad_thickness_m == pytest.approx(wanted, abs=1e-3)
-
-
-def test_robots_are_entries_of_a_list():
-    two = (Robot("near"), Robot("far", base_m=(0.0, -0.6, 0.56), turn_rad=0.0))
-    model = cell_model([CUP], [Pose((0.0, 0.0, TABLE_TOP_M))], robots=two, rack=None)
-    assert model.nu == 16
-    for robot in two:
-        assert np.isfinite(Kinematics(model, robot).hand(RAISED).position_m).all()
 
 
 @pytest.mark.parametrize("friction", [0.15, 0.9])
@@ -101,11 +73,6 @@ def test_a_cup_that_is_gripped_around_is_lifted(cup, friction):
     assert data.body("cup_0").xpos[2] - TABLE_TOP_M == pytest.approx(0.15, abs=0.02)
 
 
-def test_a_cup_may_have_a_friction_of_its_own():
-    assert Contacts().of_pad(0.3)["friction"][0] == 0.3
-    assert Contacts().of_pad()["friction"][0] == Contacts().pad_friction[0]
-
-
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
@@ -118,3 +85,22 @@ def test_what_does_not_fit_together_is_refused(changed, message):
     given = {"cups": [CUP], "world_from_cup": [Pose((0.0, 0.0, TABLE_TOP_M))]}
     with pytest.raises(SceneError, match=message):
         cell_model(**(given | changed))
+
+
+def test_cups_and_arm_stay_where_they_are():
+    model = cell_model([CUP, MUG], [Pose((0.0, 0.0, TABLE_TOP_M)), Pose((0.2, 0.1, TABLE_TOP_M))])
+    data = at_rest(model)
+    step(model, data, 1.0)
+    for name, place in (("cup_0", (0.0, 0.0)), ("cup_1", (0.2, 0.1))):
+        np.testing.assert_allclose(data.body(name).xpos, [*place, TABLE_TOP_M], atol=2e-3)
+    now = [data.joint(name).qpos[0] for name in ROBOT.joint_names]
+    np.testing.assert_allclose(now, RAISED, atol=1e-4)
+
+
+def test_walls_weigh_nothing_and_are_not_seen():
+    bare = cell_model([MUG], [Pose((0.0, 0.0, TABLE_TOP_M))], robots=())
+    walls = bare.geom_group == UNSEEN_GROUP
+    assert walls.sum() == 16 + 1 + 5
+    plain = room_model([MUG], [Pose((0.0, 0.0, TABLE_TOP_M))], is_free=True)
+    assert bare.body("cup_0").mass == plain.body("cup_0").mass
+    np.testing.assert_array_equal(bare.body("cup_0").inertia, plain.body("cup_0").inertia)

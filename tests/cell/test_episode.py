@@ -1,14 +1,11 @@
 """One table in physics: what is earned is what the truth says, and the log tells all that the robot saw."""
 
-import time
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from halfseen.arrays import record
 from halfseen.cell.campaign import RUN_FILE, Campaign, Conditions, logs_of, table_name, working_folder
 from halfseen.cell.clearing import NOTHING_SEEN
 from halfseen.cell.episode import play
@@ -30,10 +27,10 @@ from halfseen.scene.stains import Stain, Surface
 from halfseen.scene.table import TABLE_TOP_M, Table
 from halfseen.scene.xtion import xtion_at
 from halfseen.workers import Workers
-from halfseen.world import ActionSpace, Scene, Verb, WorldConfig
+from halfseen.world import ActionSpace, Scene, Verb, WorldConfig, random
+from halfseen.world.logs import states_of
 from halfseen.world.persistent_seeing import PersistentSeeing
 from halfseen.world.policy import surely
-from halfseen.world.recording import states_of
 from halfseen.world.state import attempt_counts
 
 CAMERA = xtion_at(look_at(np.array([0.0, -0.78, 1.24]), np.array([0.0, 0.0, TABLE_TOP_M])))
@@ -48,12 +45,11 @@ BELIEF = Belief(WorldConfig(), no_grip)
 ACTIONS = ActionSpace(MOST_OBJECTS)
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@record
 class Scripted:
     """Takes actions in turn."""
 
-    actions: jax.Array
+    actions: np.ndarray
 
     def decide(self, state, key):
         return surely(self.actions[state.horizon - state.steps_to_go])
@@ -62,14 +58,14 @@ class Scripted:
 def scripted(*steps):
     """A policy of verbs and objects, in turn."""
     actions = [int(ACTIONS.encode(verb, target)) for verb, target in steps]
-    return Scripted(jnp.array([*actions, *[0] * (10 - len(actions))], dtype=jnp.int32))
+    return Scripted(np.array([*actions, *[0] * (10 - len(actions))], dtype=np.int32))
 
 
 def played(folder, policy, stops=None, *, is_dirty=IS_DIRTY):
     cell = Workcell(Table(CUPS, POSES, CAMERA), np.random.default_rng(0), SURFACES, stops=stops)
     with LogRecorder(folder) as recorder:
         path = recorder.begin_path(0, dirty_share=0.6)
-        run = play(cell, is_dirty, policy, BELIEF, path, jax.random.key(0), tells_truth=True)
+        run = play(cell, is_dirty, policy, BELIEF, path, random.key_of(0), tells_truth=True)
     return run, read_logs(folder), cell
 
 
@@ -108,11 +104,6 @@ def test_washing_the_dirty_cup_and_finishing_earns_five(tmp_path, numbers):
     last = states_of(logs, 10)
     np.testing.assert_allclose(np.asarray(last.log_odds)[0, 1], np.asarray(state.log_odds)[:2], atol=1e-5)
     assert np.asarray(last.is_on_table)[0, 1].tolist() == np.asarray(state.is_on_table)[:2].tolist()
-
-
-def test_washing_a_clean_cup_costs_ten_and_a_dirty_one_left_five(tmp_path, numbers):
-    run, _, _ = played(tmp_path / "logs", scripted((Verb.WASH, numbers[1]), (Verb.FINISH, 0)))
-    assert run.reward == -10.0 - 5.0
 
 
 def test_a_lift_costs_its_time_and_shows_all_sides(tmp_path, numbers):
@@ -168,36 +159,6 @@ def test_a_table_that_is_believed_empty_is_finished_and_what_is_left_is_paid_for
     assert not np.asarray(states_of(logs, 10).is_on_table)[0, 1].any()
 
 
-def test_who_lifts_at_random_finishes_where_nothing_is_left(numbers):
-    cell = Workcell(Table(CUPS, POSES, CAMERA), np.random.default_rng(0), SURFACES)
-    cell.look()
-    state = state_of(cell.memory, BELIEF, 10)
-    empty = replace(state, is_on_table=jnp.zeros_like(state.is_on_table))
-    some, none = (LiftAtRandom().decide(each, jax.random.key(0)) for each in (state, empty))
-    assert (int(ACTIONS.verb(some.action)), float(some.probability)) == (Verb.LIFT, 0.5)
-    assert (int(ACTIONS.verb(none.action)), float(none.probability)) == (Verb.FINISH, 1.0)
-
-
-def test_only_looks_that_show_more_are_news():
-    known = Known(np.zeros(3), None, Facts(is_lying=False, width_m=0.08, room_m=0.05))
-    for occlusion, says_dirty in ((0.5, False), (0.5 - 0.5 * MORE_IN_VIEW, True), (0.3, False), (0.4, True)):
-        known.label(occlusion, says_dirty, is_held=False)
-    assert [glance.occlusion for glance in known.glances] == [0.5, 0.3]
-    known.label(0.0, True, is_held=True)
-    known.label(0.0, False, is_held=False)
-    assert [glance.is_held for glance in known.glances] == [False, False, True]
-
-
-def test_states_are_padded_and_padding_is_no_object(numbers):
-    cell = Workcell(Table(CUPS, POSES, CAMERA), np.random.default_rng(0), SURFACES)
-    cell.look()
-    state = state_of(cell.memory, BELIEF, 10)
-    assert np.asarray(state.is_object).tolist() == [True, True] + [False] * (MOST_OBJECTS - 2)
-    hidden = np.asarray(state.hides)
-    assert hidden[numbers[1], numbers[0]] > 0.1
-    assert hidden.sum() == pytest.approx(hidden[numbers[1], numbers[0]])
-
-
 def test_a_label_that_cannot_be_news_changes_nothing():
     seeing = PersistentSeeing(0.3, (0.3, 1.0), (0.5, 0.9), (0.1, 0.2))
     known = Known(np.zeros(3), None, Facts(False, 0.08, 0.05))
@@ -241,32 +202,6 @@ def test_two_campaigns_into_one_folder_are_refused(tmp_path):
     ):
         pass
     assert not (tmp_path / "logs.running").exists()
-
-
-def test_of_ten_campaigns_into_one_folder_one_runs(tmp_path):
-    target = tmp_path / "logs"
-
-    def refuse():
-        if target.exists():
-            raise ArgumentError("it is there already")
-
-    def record(number):
-        try:
-            with working_folder(target, "seed 1", refuse) as folder:
-                (folder / "mine").touch(exist_ok=False)
-                time.sleep(0.05)
-                assert (folder / "mine").exists()
-                target.mkdir()
-        except ArgumentError as error:
-            return str(error)
-        return "ran"
-
-    with ThreadPoolExecutor(10) as pool:
-        told = list(pool.map(record, range(10)))
-    assert told.count("ran") == 1
-    refused = [one for one in told if one != "ran"]
-    assert [one for one in refused if "another recorder" not in one and "it is there already" not in one] == []
-    assert [path.name for path in tmp_path.iterdir()] == ["logs"]
 
 
 def test_what_was_stopped_of_another_run_is_neither_mixed_in_nor_lost(tmp_path):
@@ -315,24 +250,33 @@ def test_a_table_of_which_nothing_is_seen_is_no_path(tmp_path):
         logs_of(tmp_path, [1])
 
 
-def test_a_table_that_shows_no_cup_is_cut(tmp_path):
-    hidden = Pose((-0.42, -0.28, TABLE_TOP_M))
-    cell = Workcell(Table(CUPS[:1], (hidden,), CAMERA), np.random.default_rng(0))
-    with LogRecorder(tmp_path / "logs") as recorder:
-        run = play(cell, IS_DIRTY[:1], *quits(), recorder.begin_path(0), jax.random.key(0))
-    assert (run.cause, run.is_seen) == (NOTHING_SEEN, False)
-
-
-def test_a_table_without_cups_is_over_at_once(tmp_path):
-    cell = Workcell(Table((), (), CAMERA), np.random.default_rng(0))
-    with LogRecorder(tmp_path / "logs") as recorder:
-        run = play(cell, IS_DIRTY[:0], *quits(), recorder.begin_path(0), jax.random.key(0))
-    assert (run.cause, run.is_seen, run.reward, run.num_cups) == (NOTHING_SEEN, False, 0.0, 0)
-    assert run.seconds < 1.0
-
-
 @pytest.mark.parametrize("place_m", [(0.0, 5.0, TABLE_TOP_M), (0.0, 0.0, 3.0), (0.6, 0.0, TABLE_TOP_M)])
 def test_a_cup_that_is_not_on_the_table_is_refused(place_m):
     table = Table(CUPS, (POSES[0], Pose(place_m)), CAMERA, "table 7")
     with pytest.raises(SceneError, match=r"table 7: the middle of cup 1 is at .* off the table, .*; put it there"):
         Workcell(table, np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("poses", [(), (Pose((-0.42, -0.28, TABLE_TOP_M)),)], ids=["no cup", "a hidden cup"])
+def test_a_table_that_shows_no_cup_is_cut(tmp_path, poses):
+    num = len(poses)
+    cell = Workcell(Table(CUPS[:num], poses, CAMERA), np.random.default_rng(0))
+    with LogRecorder(tmp_path / "logs") as recorder:
+        run = play(cell, IS_DIRTY[:num], *quits(), recorder.begin_path(0), random.key_of(0))
+    assert (run.cause, run.is_seen, run.num_cups) == (NOTHING_SEEN, False, num)
+    assert run.seconds < 1.0
+
+
+def test_washing_a_clean_cup_costs_ten_and_a_dirty_one_left_five(tmp_path, numbers):
+    run, _, _ = played(tmp_path / "logs", scripted((Verb.WASH, numbers[1]), (Verb.FINISH, 0)))
+    assert run.reward == -10.0 - 5.0
+
+
+def test_only_looks_that_show_more_are_news():
+    known = Known(np.zeros(3), None, Facts(is_lying=False, width_m=0.08, room_m=0.05))
+    for occlusion, says_dirty in ((0.5, False), (0.5 - 0.5 * MORE_IN_VIEW, True), (0.3, False), (0.4, True)):
+        known.label(occlusion, says_dirty, is_held=False)
+    assert [glance.occlusion for glance in known.glances] == [0.5, 0.3]
+    known.label(0.0, True, is_held=True)
+    known.label(0.0, False, is_held=False)
+    assert [glance.is_held for glance in known.glances] == [False, False, True]

@@ -59,16 +59,6 @@ def test_a_grasp_out_of_reach_or_through_furniture_says_so(kinematics):
         plan([], WORLD_FROM_TABLE, kinematics, HOME, np.random.default_rng(0))
 
 
-def test_slots_lie_in_the_rack_apart_from_one_another():
-    rack = Rack()
-    slots_m = rack.slots_m
-    apart_m = np.linalg.norm(slots_m[:, None] - slots_m[None], axis=2) + np.eye(len(slots_m))
-    assert len(slots_m) == 12
-    assert apart_m.min() >= SLOT_M
-    assert all(rack.holds(slot) for slot in slots_m)
-    assert not rack.holds(np.array([0.0, 0.0, TABLE_TOP_M]))
-
-
 def test_a_cup_is_lifted_and_stands_where_it_was_then_goes_into_the_rack_and_stays_forgotten():
     cell = workcell()
     assert len(cell.look().objects) == 2
@@ -91,17 +81,6 @@ def test_a_cup_is_lifted_and_stands_where_it_was_then_goes_into_the_rack_and_sta
     assert cell.memory.objects[front].is_gone
 
 
-def test_the_same_seed_gives_the_same_bits():
-    def run():
-        cell = workcell(3)
-        cell.look()
-        return cell.lift(0).duration_s, cell.cell.data.qpos.copy()
-
-    (first_s, first), (second_s, second) = run(), run()
-    assert first_s == second_s
-    np.testing.assert_array_equal(first, second)
-
-
 @pytest.mark.parametrize(
     ("stops", "cause"),
     [
@@ -115,12 +94,6 @@ def test_a_cell_stops_with_its_cause(stops, cause):
     cell.look()
     with pytest.raises(StoppedError, match=cause):
         cell.lift(0)
-
-
-def test_a_cell_that_nothing_stops_goes_on():
-    cell = workcell(stops=Stops(1e9, 1e9, 0.0))
-    cell.look()
-    assert cell.lift(0).is_held
 
 
 @pytest.mark.slow
@@ -153,3 +126,13 @@ def test_washing_until_nothing_is_left_fills_the_rack():
         num_racked += sum(cell.rack.holds(np.array(cell.cell.cup(k).position_m)) for k in range(table.num_cups))
     print(f"{num_racked} of {num_cups} cups in the rack")
     assert num_racked >= 0.9 * num_cups
+
+
+def test_slots_lie_in_the_rack_apart_from_one_another():
+    rack = Rack()
+    slots_m = rack.slots_m
+    apart_m = np.linalg.norm(slots_m[:, None] - slots_m[None], axis=2) + np.eye(len(slots_m))
+    assert len(slots_m) == 12
+    assert apart_m.min() >= SLOT_M
+    assert all(rack.holds(slot) for slot in slots_m)
+    assert not rack.holds(np.array([0.0, 0.0, TABLE_TOP_M]))

@@ -63,12 +63,6 @@ def test_a_hand_around_a_cup_has_the_axis_in_its_middle_and_room_on_either_side(
         assert abs(grasp.axes[2, 1]) < 1e-9  # it closes level
 
 
-def test_what_is_wider_than_the_hand_is_not_taken_around():
-    narrow = replace(GRIPPER, stroke_m=0.07)
-    assert {grasp.kind for grasp in grasps(STANDING, narrow)} == {"rim"}
-    assert grasps(LYING, narrow) == []
-
-
 def test_a_hand_across_a_lying_cup_closes_square_to_it():
     for grasp in grasps(LYING):
         assert grasp.kind == "across"
@@ -124,11 +118,6 @@ def test_a_hand_comes_only_where_nothing_that_is_seen_stands(beside_m, is_free):
     assert len(ranked([TOP_DOWN], around_nothing(OWN, other_m), GRIPPER)) == is_free
 
 
-def test_single_points_are_noise():
-    other_m = np.repeat([[0.0, 0.5 + FINGER_M, 0.05]], 2, axis=0)
-    assert ranked([TOP_DOWN], around_nothing(OWN, other_m), GRIPPER)
-
-
 def test_a_hand_does_not_dip_into_the_table_nor_into_what_it_fetches():
     low = replace(TOP_DOWN, middle_m=np.array([0.0, 0.5, 0.01]))
     assert ranked([low], around_nothing(OWN), GRIPPER) == []
@@ -148,3 +137,9 @@ def test_hidden_space_and_a_former_failure_cost_and_the_cheapest_comes_first():
     elsewhere = replace(TOP_DOWN, middle_m=np.array([0.0, 0.53, 0.05]), cost=0.3)
     order = ranked([TOP_DOWN, elsewhere], around_nothing(OWN), GRIPPER, failed=[TOP_DOWN])
     assert order[0].cost == pytest.approx(0.3)
+
+
+def test_what_is_wider_than_the_hand_is_not_taken_around():
+    narrow = replace(GRIPPER, stroke_m=0.07)
+    assert {grasp.kind for grasp in grasps(STANDING, narrow)} == {"rim"}
+    assert grasps(LYING, narrow) == []

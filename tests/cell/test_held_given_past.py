@@ -1,7 +1,6 @@
 """The regression as a predictor: beside adaptive quadrature, and shares beside a naive loop and an exact interval."""
 
 import numpy as np
-import pandas as pd
 import pytest
 from scipy.integrate import quad
 from scipy.special import expit
@@ -11,7 +10,6 @@ from attempt_logs import TRUTH, attempt_log
 from halfseen.cell.calibration.clustered_share import clustered_share, wilson
 from halfseen.cell.calibration.grasp_fit import CENTRES, SCALES, design
 from halfseen.cell.calibration.held_given_past import held_given_past, held_share
-from halfseen.cell.calibration.occlusion_bins import OCCLUSION_EDGES, occlusion_bins
 from halfseen.cell.calibration.trials import trials
 
 
@@ -48,12 +46,6 @@ def test_the_order_of_rows_is_irrelevant_and_later_attempts_tell_nothing():
     np.testing.assert_allclose(held_given_past(TRUTH, tried.iloc[order]), said[order], rtol=1e-12)
     early = tried["stage"] <= 3
     np.testing.assert_allclose(held_given_past(TRUTH, tried[early]), said[early.to_numpy()], rtol=1e-12)
-
-
-def test_a_first_attempt_knows_no_offset():
-    tried = trials(attempt_log(10), 12)
-    firsts = tried[(tried["successes"] == 0) & (tried["failures"] == 0)]
-    np.testing.assert_allclose(held_given_past(TRUTH, firsts), held_share(TRUTH, design(firsts)), rtol=1e-12)
 
 
 def naive_variance(held, predicted, weight, tables):
@@ -112,11 +104,7 @@ def test_intervals_hold_the_truth_where_attempts_of_a_table_are_alike():
     assert np.mean(inside) > 0.92
 
 
-def test_the_lower_end_belongs_to_a_bin():
-    edges = OCCLUSION_EDGES
-    assert occlusion_bins(edges[:-1]).tolist() == [0, 1, 2, 3, 4]
-    assert occlusion_bins(np.array([1.0, 0.3])).tolist() == [4, 2]
-    assert (
-        pd.cut(pd.Series([0.05]), list(edges), right=False).cat.codes.tolist()
-        == occlusion_bins(np.array([0.05])).tolist()
-    )
+def test_a_first_attempt_knows_no_offset():
+    tried = trials(attempt_log(10), 12)
+    firsts = tried[(tried["successes"] == 0) & (tried["failures"] == 0)]
+    np.testing.assert_allclose(held_given_past(TRUTH, firsts), held_share(TRUTH, design(firsts)), rtol=1e-12)

@@ -45,11 +45,6 @@ def test_pictures_lie_beside_the_numbers_and_no_digest_knows_of_them(kept, tmp_p
     np.testing.assert_array_equal(read_law(tmp_path / "again").law.grasp.estimate, law.grasp.estimate)
 
 
-def test_a_law_without_its_log_has_no_pictures(kept, tmp_path):
-    write_law(kept[1], tmp_path / "law", {})
-    assert {path.name for path in (tmp_path / "law").iterdir()} == {"law.json", "law.safetensors", "law.sha256"}
-
-
 def test_every_grouping_counts_every_decided_attempt(kept):
     tried = trials(kept[2], HORIZON)
     panels = held_shares(kept[1].grasp.estimate, tried)

@@ -34,11 +34,3 @@ def test_without_it_the_reward_is_the_expected_one_whatever_is_dirty():
         found.add(round(reward - luck, 4))
     expected = sum(p * float(CONFIG.reward_wash_dirty) + (1 - p) * float(CONFIG.reward_wash_clean) for p in chances[:2])
     assert found == {round(expected + float(CONFIG.reward_dirty_left) * chances[2], 4)}
-
-
-def test_an_attempt_that_brought_nothing_into_the_rack_has_no_luck():
-    assert luck_of_washing([], 0.9, CONFIG) == 0.0
-
-
-def test_more_objects_than_cups_are_no_fault():
-    assert np.isfinite(luck_of_table(1, 1, np.array([0.5, 0.5]), CONFIG))

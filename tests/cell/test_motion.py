@@ -57,12 +57,6 @@ def test_a_schedule_begins_and_ends_at_rest_and_keeps_to_the_speeds(turn):
     assert np.abs(speed[[0, -1]]).max() < 0.02 * SPEEDS.max()
 
 
-def test_no_way_at_all_takes_next_to_no_time():
-    plan = schedule(HOME, HOME[None], SPEEDS)
-    assert plan.duration_s < 1.0
-    np.testing.assert_array_equal(plan.at(np.array([0.1])), HOME[None])
-
-
 def picked(friction=0.6):
     """Fetch a cup: hover, approach, close, lift."""
     cell = LiveCell(cell_model([CUP], [Pose((0.05, 0.05, TABLE_TOP_M))], frictions=[friction]), [ROBOT])

@@ -10,7 +10,7 @@ from halfseen.logs import Logs
 from halfseen.planners import POMDPPolicy
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.world import WorldConfig
-from halfseen.world.episodes import evaluate
+from halfseen.world.rollout import evaluate
 
 DECIDED = {"FINISH": 1}
 CONFIG = WorldConfig()
@@ -40,15 +40,6 @@ def test_without_cuts_the_mean_is_the_mean():
     assert found.reward.value == pytest.approx(4.0)
     assert found.reward.standard_error == pytest.approx(np.std([1, 3, 8], ddof=1) / np.sqrt(3))
     assert found.gap.value == pytest.approx(4.0 - found.predicted.value)
-
-
-def test_luck_is_told_apart_from_the_rest():
-    runs = [Run(verbs=DECIDED, reward=r, luck=2.0 * r - 9.0, seconds=10.0 + r) for r in (1.0, 3.0, 8.0)]
-    found = told(runs)
-    assert (found.luck.value, found.without_luck.value) == pytest.approx((-1.0, 5.0))
-    assert found.without_luck.standard_error == pytest.approx(np.std([1, 3, 8], ddof=1) / np.sqrt(3))
-    assert found.gap.value == pytest.approx(4.0 - found.predicted.value)
-    assert found.gap_without_luck.value == pytest.approx(5.0 - found.predicted.value)
 
 
 def test_a_cut_table_is_stood_for_by_longer_ones():
@@ -86,3 +77,12 @@ def test_a_planner_which_is_slow_foretells_from_few_episodes(policy, per_table, 
     found = summarised(runs, logs(2), policy, CONFIG, 0)
     assert played == [2 * per_table]
     assert np.isfinite(found.predicted.value)
+
+
+def test_luck_is_told_apart_from_the_rest():
+    runs = [Run(verbs=DECIDED, reward=r, luck=2.0 * r - 9.0, seconds=10.0 + r) for r in (1.0, 3.0, 8.0)]
+    found = told(runs)
+    assert (found.luck.value, found.without_luck.value) == pytest.approx((-1.0, 5.0))
+    assert found.without_luck.standard_error == pytest.approx(np.std([1, 3, 8], ddof=1) / np.sqrt(3))
+    assert found.gap.value == pytest.approx(4.0 - found.predicted.value)
+    assert found.gap_without_luck.value == pytest.approx(5.0 - found.predicted.value)

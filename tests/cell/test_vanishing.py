@@ -60,12 +60,6 @@ def test_what_comes_back_where_it_was_is_the_same_object():
     assert not any(known.is_lost or known.seen is None for known in memory.objects)
 
 
-def test_what_comes_into_view_elsewhere_is_another_object():
-    memory = remembered(BOTH, ONE, ((CUP, ASIDE), (CUP, FRONT)))
-    assert [known.is_lost for known in memory.objects].count(True) == 1
-    assert len(memory.objects) == 3
-
-
 def test_what_something_stands_before_is_hidden_and_has_not_vanished():
     was, now = seen((CUP, BACK), (TALL, ASIDE))[0], seen((TALL, FRONT), (CUP, ASIDE))[0]
     behind = max(was.objects, key=lambda each: each.centroid_m @ [-1.0, 0.0, 0.0])
@@ -81,13 +75,13 @@ def test_what_is_in_hand_is_not_lost():
     assert (held.seen, held.is_lost) == (None, False)
 
 
-def test_a_piece_of_what_is_seen_as_another_object_has_vanished():
-    view, _ = seen(*BOTH)
-    surface_m = view.image.points_m.reshape(-1, 3)[view.objects[0].pixels]
-    assert has_vanished(surface_m, view)
-
-
 @pytest.mark.parametrize("place_m", [[0.0, 0.0, -1.0], [9.0, 0.0, 1.0]], ids=["behind the camera", "out of its view"])
 def test_a_place_that_is_not_in_the_image_tells_nothing(place_m):
     view, _ = seen(*ONE)
     assert not has_vanished(np.array([place_m] * 5), view)
+
+
+def test_what_comes_into_view_elsewhere_is_another_object():
+    memory = remembered(BOTH, ONE, ((CUP, ASIDE), (CUP, FRONT)))
+    assert [known.is_lost for known in memory.objects].count(True) == 1
+    assert len(memory.objects) == 3

@@ -18,8 +18,3 @@ def test_import_loads_neither_jax_nor_matplotlib():
     )
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert not {"jax", "matplotlib"} & set(loaded)
-
-
-def test_public_names_are_listed():
-    assert all(hasattr(censoring, name) for name in censoring.__all__)
-    assert list(censoring.__all__) == sorted(censoring.__all__, key=lambda name: (name[0].islower(), name))

@@ -3,102 +3,11 @@ import pandas as pd
 import pytest
 from scipy.optimize import linprog
 
-from halfseen.censoring import Cox, KernelKaplanMeier
+from halfseen.censoring import Cox
 from halfseen.errors import ArgumentError
 
 TIME = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
-IS_FINISHED = np.array([False, True, False, True, False, True])
 Z = np.array([[0.3, 1.0], [0.1, -1.0], [0.9, 0.2], [0.2, 0.6], [0.4, -0.3], [0.6, 0.1]])
-MODELS = pytest.mark.parametrize("model", [Cox(), KernelKaplanMeier(bandwidth=1.0)])
-
-
-@MODELS
-def test_needs_covariates_and_says_what_does_not(model):
-    with pytest.raises(ArgumentError, match="needs covariates, one row for each path; give them, or use KaplanMeier"):
-        model.fit(TIME, IS_FINISHED)
-    with pytest.raises(ArgumentError, match="needs covariates"):
-        model.fit(TIME, IS_FINISHED, Z).survival(TIME)
-
-
-@MODELS
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_refuses_a_missing_value_by_row_and_column(model, value):
-    wrong = Z.copy()
-    wrong[2, 1] = value
-    with pytest.raises(ArgumentError, match=rf"covariates, row 2, column 1: {value} is no value; fill it in"):
-        model.fit(TIME, IS_FINISHED, wrong)
-    with pytest.raises(ArgumentError, match="covariates, row 2, speed: "):
-        model.fit(TIME, IS_FINISHED, pd.DataFrame(wrong, columns=["clutter", "speed"]))
-    with pytest.raises(ArgumentError, match="covariates, row 2, column 1: "):
-        model.fit(TIME, IS_FINISHED, Z).survival(TIME, wrong)
-
-
-@MODELS
-def test_refuses_a_constant_covariate(model):
-    constant = np.column_stack([Z, np.full(6, 0.1)])
-    with pytest.raises(ArgumentError, match=r"covariates, column 2: 0.1 in every row.*leave it out"):
-        model.fit(TIME, IS_FINISHED, constant)
-
-
-@MODELS
-@pytest.mark.parametrize(
-    ("covariates", "message"),
-    [
-        (Z[:3], "covariates has 3 rows for 6 paths"),
-        (Z[:, 0], r"covariates has shape \(6,\); give one row per path and one column per covariate"),
-        (np.empty((6, 0)), "covariates has no columns"),
-        ([["a"]] * 6, "covariates is not made of numbers"),
-        (pd.DataFrame({"arm": list("ababab")}), "covariates, arm: not made of numbers.*encode its categories"),
-        (pd.DataFrame(Z, columns=["x", "x"]), "covariates has two columns 'x'; rename one"),
-    ],
-)
-def test_refuses_what_is_no_table_of_numbers(model, covariates, message):
-    with pytest.raises(ArgumentError, match=message):
-        model.fit(TIME, IS_FINISHED, covariates)
-
-
-@MODELS
-@pytest.mark.parametrize("value", [np.nan, np.inf, 0.0, -1.0])
-def test_refuses_a_time_that_is_no_end_of_a_path(model, value):
-    with pytest.raises(ArgumentError, match=rf"time, row 1: {value} is no end of a path"):
-        model.fit([1.0, value, 3.0, 4.0, 5.0, 6.0], IS_FINISHED, Z)
-
-
-@MODELS
-def test_refuses_to_answer_before_it_is_fitted_and_at_no_time(model):
-    with pytest.raises(ArgumentError, match="is not fitted; call fit"):
-        type(model)().survival([1.0], [[1.0, 1.0]])
-    with pytest.raises(ArgumentError, match="u, row 1: nan is no time"):
-        model.fit(TIME, IS_FINISHED, Z).survival([1.0, np.nan], Z[:2])
-
-
-@MODELS
-def test_refuses_questions_whose_covariates_do_not_match(model):
-    fitted = model.fit(TIME, IS_FINISHED, Z)
-    with pytest.raises(ArgumentError, match="covariates has 2 rows for 3 paths"):
-        fitted.survival(TIME[:3], Z[:2])
-    with pytest.raises(ArgumentError, match="covariates has 1 columns, and the fit had 2"):
-        fitted.survival(TIME, Z[:, :1])
-
-
-@MODELS
-def test_one_path(model):
-    np.testing.assert_array_equal(model.fit([1.0], [True], [[0.3]]).survival([1.0], [[0.3]]), [1.0])
-    with pytest.raises(ArgumentError, match=r"column 0: 0.3 in every row"):
-        model.fit([1.0], [False], [[0.3]])
-
-
-@pytest.mark.parametrize(
-    ("parameters", "message"),
-    [
-        ({"ties": "exact"}, "ties is 'exact'; it is 'efron' or 'breslow'"),
-        ({"ridge": -1.0}, "ridge is -1.0; it is a finite number ≥ 0"),
-        ({"ridge": np.nan}, "ridge is nan"),
-    ],
-)
-def test_refuses_parameters_that_do_not_exist(parameters, message):
-    with pytest.raises(ArgumentError, match=message):
-        Cox().set_params(**parameters).fit(TIME, IS_FINISHED, Z)
 
 
 def test_refuses_fewer_cuts_than_covariates_unless_penalised():

@@ -5,11 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles import naive_local_survival, tied_ends
-from sklearn.base import clone
 
-from halfseen.censoring import CensoringModel, KaplanMeier, KernelKaplanMeier, censoring_weights
+from halfseen.censoring import KaplanMeier, KernelKaplanMeier, censoring_weights
 from halfseen.censoring import local_curve as local_curve_module
-from halfseen.errors import ArgumentError, PositivityError
+from halfseen.errors import PositivityError
 
 
 def drawn(seed, n=60, p=2, clock=0.4):
@@ -59,11 +58,6 @@ def test_epanechnikov_looks_no_further_than_its_bandwidth():
     np.testing.assert_allclose(local.survival([3.0], [[0.0]]), [near / (1 + near)], rtol=1e-12)
 
 
-def test_is_exactly_zero_once_all_near_are_cut():
-    local = KernelKaplanMeier(0.7).fit([1.0, 2.0, 2.0], [True, False, False], [[0.1], [0.2], [0.7]])
-    np.testing.assert_array_equal(local.survival([2.5], [[0.2]]), [0.0])
-
-
 def test_a_question_out_of_reach_is_refused_by_row_and_time():
     time, is_finished, covariates = drawn(1, p=1)
     local = KernelKaplanMeier(0.3).fit(time, is_finished, covariates)
@@ -88,24 +82,6 @@ def test_blocks_change_nothing(block_size):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(local_curve_module, "BLOCK_SIZE", block_size)
         np.testing.assert_array_equal(local.survival(time, covariates), whole)
-
-
-def test_equal_questions_and_a_clock_answer_like_one_by_one():
-    time, is_finished, covariates = drawn(4)
-    local = KernelKaplanMeier(0.5).fit(time, is_finished, covariates)
-    rows = np.array([5, 5, 0, 5, 9])
-    singly = [local.survival(time[i : i + 1], covariates[r : r + 1])[0] for i, r in enumerate(rows)]
-    np.testing.assert_array_equal(local.survival(time[:5], covariates[rows]), singly)
-    clock = np.stack([time / 2, time], axis=1)
-    np.testing.assert_array_equal(local.survival(clock, covariates)[:, 1], local.survival(time, covariates))
-
-
-def test_order_of_paths_is_irrelevant():
-    time, is_finished, covariates = drawn(5)
-    order = np.random.default_rng(0).permutation(len(time))
-    forward = KernelKaplanMeier(0.5).fit(time, is_finished, covariates).survival(time, covariates)
-    shuffled = KernelKaplanMeier(0.5).fit(time[order], is_finished[order], covariates[order])
-    np.testing.assert_allclose(shuffled.survival(time, covariates), forward, rtol=0, atol=1e-13)
 
 
 def cut_by_group(n, effect, seed=0):
@@ -145,44 +121,6 @@ def test_seed_decides_the_folds_and_the_global_one_does_not():
     assert scores[0] == scores[1] != scores[2]
 
 
-def test_few_paths_are_cross_validated_too():
-    fitted = KernelKaplanMeier().fit([1.0, 2.0], [False, True], [[0.0], [1.0]])
-    assert fitted.bandwidth_ in fitted.cv_scores_
-
-
-def test_nothing_cut_gives_one_everywhere():
-    fitted = KernelKaplanMeier().fit([1.0, 2.0], [True, True], [[1.0], [1.0]])
-    np.testing.assert_array_equal(fitted.survival([1.0, 9.0], [[5.0], [-1e9]]), [1.0, 1.0])
-    assert (fitted.num_paths_, fitted.num_cut_, fitted.last_time_, fitted.cv_scores_) == (2, 0, 2.0, {})
-
-
-@pytest.mark.parametrize("bandwidth", [0.0, -1.0, np.nan, "wide", True, None])
-def test_refuses_a_bandwidth_that_is_none(bandwidth):
-    with pytest.raises(ArgumentError, match=r"bandwidth is .*; it is a number of standard deviations > 0, or 'cv'"):
-        KernelKaplanMeier().set_params(bandwidth=bandwidth).fit(*drawn(0))
-
-
-@pytest.mark.parametrize(
-    ("parameters", "message"),
-    [
-        ({"kernel": "tricube"}, "kernel is 'tricube'; it is 'gaussian' or 'epanechnikov'"),
-        ({"num_folds": 1}, "num_folds is 1; cross-validation needs at least 2"),
-    ],
-)
-def test_refuses_parameters_that_do_not_exist(parameters, message):
-    with pytest.raises(ArgumentError, match=message):
-        KernelKaplanMeier().set_params(**parameters).fit(*drawn(0))
-
-
-def test_keeps_scikit_learns_habits():
-    fitted = KernelKaplanMeier(bandwidth=2.0, random_state=4).fit(*drawn(0))
-    assert isinstance(fitted, CensoringModel)
-    copy = clone(fitted)
-    assert copy.get_params() == {"bandwidth": 2.0, "kernel": "gaussian", "num_folds": 5, "random_state": 4}
-    assert not hasattr(copy, "bandwidth_")
-    assert repr(copy) == "KernelKaplanMeier(bandwidth=2.0, random_state=4)"
-
-
 def test_weights_recover_a_mean_that_a_line_cannot():
     """Cuts come sooner in the middle, and finishes later: no log-linear hazard says so."""
     rng = np.random.default_rng(0)
@@ -210,3 +148,13 @@ def test_memory_stays_bounded():
         tracemalloc.stop()
     # All questions by all paths would take 72 MB.
     assert peak < 10e6
+
+
+def test_equal_questions_and_a_clock_answer_like_one_by_one():
+    time, is_finished, covariates = drawn(4)
+    local = KernelKaplanMeier(0.5).fit(time, is_finished, covariates)
+    rows = np.array([5, 5, 0, 5, 9])
+    singly = [local.survival(time[i : i + 1], covariates[r : r + 1])[0] for i, r in enumerate(rows)]
+    np.testing.assert_array_equal(local.survival(time[:5], covariates[rows]), singly)
+    clock = np.stack([time / 2, time], axis=1)
+    np.testing.assert_array_equal(local.survival(clock, covariates)[:, 1], local.survival(time, covariates))

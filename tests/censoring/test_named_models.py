@@ -1,6 +1,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from sklearn.base import clone
 
 from halfseen.censoring import (
     CensoringModel,
@@ -42,13 +43,6 @@ def test_a_name_gives_a_fresh_model(name, kind):
     assert uses_covariates(model) == (name != "kaplan-meier")
 
 
-def test_a_model_is_copied_with_its_parameters():
-    model = Cox(ridge=0.5)
-    copy = named_model(model)
-    assert copy is not model
-    assert copy.get_params() == {"ties": "efron", "ridge": 0.5}
-
-
 def test_a_users_own_model_is_taken_and_taken_not_to_need_covariates():
     assert isinstance(named_model(Own()), Own)
     assert not uses_covariates(Own())
@@ -62,12 +56,6 @@ def test_refuses_a_name_that_is_none_and_lists_those_that_are(wrong):
         named_model(wrong)
     with pytest.raises(ArgumentError, match="'kaplan-meier', 'cox', 'kernel'"):
         censoring_weights(TIME, IS_FINISHED, wrong)
-
-
-def test_refuses_a_class():
-    # As a caller without type checks would meet it.
-    with pytest.raises(ArgumentError, match=r"censoring is <class .*Cox'>; it is 'kaplan-meier'"):
-        named_model(Cox)
 
 
 @pytest.mark.parametrize(("name", "kind"), NAMES)
@@ -103,3 +91,132 @@ def test_covariates_reach_a_model_that_refuses_them():
         censoring_weights(TIME, IS_FINISHED, "kaplan-meier", covariates=Z)
     with pytest.raises(ArgumentError, match="Cox needs covariates"):
         censoring_weights(TIME, IS_FINISHED, "cox")
+
+
+MODELS = pytest.mark.parametrize("model", [KaplanMeier(), Cox(), KernelKaplanMeier(bandwidth=0.5)], ids=repr)
+
+
+def covariates_of(model, rows=slice(None)):
+    return Z[rows] if uses_covariates(model) else None
+
+
+@MODELS
+def test_order_of_paths_is_irrelevant(model):
+    order = np.random.default_rng(0).permutation(len(TIME))
+    survival = [
+        named_model(model)
+        .fit(TIME[rows], IS_FINISHED[rows], covariates_of(model, rows))
+        .survival(TIME, covariates_of(model))
+        for rows in (slice(None), order)
+    ]
+    np.testing.assert_allclose(*survival, rtol=0, atol=1e-12)
+
+
+@MODELS
+def test_where_nothing_was_cut_survival_is_one(model):
+    fitted = named_model(model).fit(TIME, np.ones(80, dtype=bool), covariates_of(model))
+    assert (fitted.num_paths_, fitted.num_cut_, fitted.last_time_) == (80, 0, TIME.max())
+    np.testing.assert_array_equal(fitted.survival(TIME + 5.0, covariates_of(model)), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("model", "parameters", "text"),
+    [
+        (KaplanMeier(), {}, "KaplanMeier()"),
+        (Cox("breslow", ridge=0.5), {"ties": "breslow", "ridge": 0.5}, "Cox(ties='breslow', ridge=0.5)"),
+        (
+            KernelKaplanMeier(2.0, random_state=4),
+            {"bandwidth": 2.0, "kernel": "gaussian", "num_folds": 5, "random_state": 4},
+            "KernelKaplanMeier(bandwidth=2.0, random_state=4)",
+        ),
+    ],
+)
+def test_models_keep_scikit_learns_habits(model, parameters, text):
+    model.fit(TIME, IS_FINISHED, covariates_of(model))
+    copy = clone(model)
+    assert (copy.get_params(), repr(copy)) == (parameters, text)
+    assert not is_fitted(copy)
+    with pytest.raises(ValueError, match=f"{type(model).__name__} has no parameter alpha; there are: "):
+        model.set_params(alpha=1.0)
+
+
+@MODELS
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 0.0, -1.0])
+def test_a_time_that_is_no_end_of_a_path_is_refused(model, value):
+    with pytest.raises(ArgumentError, match=rf"time, row 1: {value} is no end of a path"):
+        model.fit([1.0, value, *TIME[2:]], IS_FINISHED, covariates_of(model))
+
+
+@MODELS
+def test_a_question_is_of_a_fitted_model_and_of_a_time(model):
+    with pytest.raises(ArgumentError, match="not fitted; call fit"):
+        named_model(model).survival([1.0], covariates_of(model, slice(1)))
+    with pytest.raises(ArgumentError, match="u, row 1: nan is no time"):
+        model.fit(TIME, IS_FINISHED, covariates_of(model)).survival([1.0, np.nan], covariates_of(model, slice(2)))
+
+
+@pytest.mark.parametrize(
+    ("model", "message"),
+    [
+        (Cox("exact"), "ties is 'exact'; it is 'efron' or 'breslow'"),
+        (Cox(ridge=-1.0), "ridge is -1.0; it is a finite number ≥ 0"),
+        (Cox(ridge=np.nan), "ridge is nan"),
+        (KernelKaplanMeier(kernel="tricube"), "kernel is 'tricube'; it is 'gaussian' or 'epanechnikov'"),
+        (KernelKaplanMeier(num_folds=1), "num_folds is 1; cross-validation needs at least 2"),
+        *(
+            (
+                KernelKaplanMeier().set_params(bandwidth=width),
+                r"bandwidth is .*; it is a number of",
+            )
+            for width in (0.0, -1.0, np.nan, "wide", True, None)
+        ),
+    ],
+)
+def test_parameters_that_do_not_exist_are_refused(model, message):
+    with pytest.raises(ArgumentError, match=message):
+        model.fit(TIME, IS_FINISHED, Z)
+
+
+WITH_COVARIATES = pytest.mark.parametrize("model", [Cox(), KernelKaplanMeier(bandwidth=1.0)], ids=repr)
+NAMED = pd.DataFrame(Z, columns=["clutter", "speed"])
+
+
+def missing(value, wrap=np.array):
+    return wrap(np.where(np.arange(160).reshape(80, 2) == 5, value, Z))
+
+
+@WITH_COVARIATES
+@pytest.mark.parametrize(
+    ("covariates", "message"),
+    [
+        (None, "needs covariates, one row for each path; give them, or use KaplanMeier"),
+        (Z[:3], "covariates has 3 rows for 80 paths"),
+        (Z[:, 0], r"covariates has shape \(80,\); give one row per path and one column per covariate"),
+        (np.empty((80, 0)), "covariates has no columns"),
+        ([["a"]] * 80, "covariates is not made of numbers"),
+        (pd.DataFrame({"arm": list("ab") * 40}), "covariates, arm: not made of numbers.*encode its categories"),
+        (pd.DataFrame(Z, columns=["x", "x"]), "covariates has two columns 'x'; rename one"),
+        (np.column_stack([Z, np.full(80, 0.1)]), r"covariates, column 2: 0.1 in every row.*leave it out"),
+        *((missing(value), f"covariates, row 2, column 1: {value} is no value") for value in (np.nan, np.inf, -np.inf)),
+        (NAMED.where(NAMED["speed"] != Z[2, 1], np.nan), "covariates, row 2, clutter: "),
+    ],
+)
+def test_covariates_that_no_model_can_be_fitted_to_are_refused(model, covariates, message):
+    with pytest.raises(ArgumentError, match=message):
+        model.fit(TIME, IS_FINISHED, covariates)
+
+
+@WITH_COVARIATES
+@pytest.mark.parametrize(
+    ("covariates", "message"),
+    [
+        (None, "needs covariates"),
+        (Z[:2], "covariates has 2 rows for 80 paths"),
+        (Z[:, :1], "covariates has 1 columns, and the fit had 2"),
+        (missing(np.nan), "covariates, row 2, column 1: "),
+    ],
+)
+def test_questions_whose_covariates_do_not_match_are_refused(model, covariates, message):
+    fitted = model.fit(TIME, IS_FINISHED, Z)
+    with pytest.raises(ArgumentError, match=message):
+        fitted.survival(TIME, covariates)

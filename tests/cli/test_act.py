@@ -2,21 +2,20 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pandas as pd
 import pytest
-from click.testing import CliRunner
+import shell
 
 from drawn_boxes import boxes_cloud
-from halfseen import cli
 from halfseen.cell.calibration.law_folder import read_law
 from halfseen.cell.calibration.shipped import shipped_law
-from halfseen.cli.act import act
-from halfseen.errors import ArgumentError, CloudError, HalfseenError, LogError, PolicyError
+from halfseen.errors import ArgumentError, PolicyError
 from halfseen.learning import CensoredQLearner
-from halfseen.logs import Logs, read_logs
-from halfseen.perception import Cloud, perceive, read_cloud, write_pcd
+from halfseen.logs import Logs
+from halfseen.perception import perceive, read_cloud, write_pcd
 from halfseen.policies import read_policy
 from halfseen.policies.folder import write_policy
 from halfseen.policies.observations import read_observation
@@ -24,6 +23,8 @@ from halfseen.scene import table_paths
 from halfseen.world import TableWorld, UniformPolicy, WorldConfig
 from halfseen.world.seeing import label_evidence
 from small_logs import HIDES, flat_log, table_log
+
+run, refused = partial(shell.run, "act"), partial(shell.refusal, "act")
 
 TABLE = table_paths()[7]
 
@@ -59,18 +60,6 @@ def begun(tmp_path_factory):
     folder = tmp_path_factory.mktemp("act") / "history"
     Logs(stages, paths, objects).write(folder)
     return folder, scene
-
-
-def run(*arguments):
-    return CliRunner().invoke(act, [str(argument) for argument in arguments], catch_exceptions=False)
-
-
-def refused(*arguments):
-    result = CliRunner().invoke(act, [str(argument) for argument in arguments])
-    assert isinstance(result.exception, HalfseenError), result.output
-    assert "\n" not in str(result.exception)
-    assert result.output == ""
-    return result.exception
 
 
 def test_a_decision_on_named_actions_loads_no_compiler_and_no_perception(flat, tmp_path):
@@ -117,13 +106,6 @@ def test_csv_and_json_say_the_same_and_people_get_the_reason_first(flat, tmp_pat
     assert lines[5].split()[0] == lines[0][0]
 
 
-def test_what_lies_outside_the_logs_is_told(flat, tmp_path):
-    low, high = read_policy(flat[0]).ranges(1)["x1"]
-    outside = state(tmp_path, text=json.dumps({"x1": high + 0.9 * (high - low), "x2": 1}))
-    assert "warning: x1 is " in run(flat[0], outside).output
-    assert len(json.loads(run(flat[0], outside, "--json").output)["warnings"]) == 2
-
-
 def test_what_lies_far_outside_is_refused_unless_it_is_to_be_extrapolated(flat, tmp_path):
     far = state(tmp_path, text='{"x1": 800, "x2": 1}')
     error = refused(flat[0], far)
@@ -149,14 +131,6 @@ def test_a_table_is_decided_from_its_cloud(tables):
     assert report["reason"].startswith(f"{report['action']}: worth ")
     assert report["warnings"][0] == "num_objects is 5, outside the logs (1 to 3); Q is extrapolated"
     assert report["warnings"][1].startswith("occlusion of object ")
-
-
-def test_far_more_objects_than_the_logs_showed_are_refused(tmp_path):
-    logs = table_log()
-    write_policy(CensoredQLearner.for_table(3, reg=0.1).fit(logs), logs, tmp_path / "of_two")
-    assert "num_objects is 5, outside the logs (1 to 2) by more than" in str(refused(tmp_path / "of_two", TABLE))
-    told = run(tmp_path / "of_two", TABLE, "--extrapolate").output
-    assert "warning: num_objects is 5, outside the logs (1 to 2); Q is extrapolated" in told
 
 
 @pytest.fixture(scope="module")
@@ -289,17 +263,6 @@ def test_what_a_history_holds_is_not_counted_again(tables, begun, coloured):
     assert "are not counted again: the history holds" in run(tables, coloured[0], "--history", begun[0]).output
 
 
-def test_a_look_after_the_last_action_of_a_history_counts(tables, begun, coloured, tmp_path):
-    logs = read_logs(begun[0])
-    stages = logs.stages.copy()
-    last = stages.index[stages["path"] == 3][-1]
-    stages.loc[last, ["action", "object"]] = ["LIFT", logs.objects["object"].iloc[0]]
-    Logs(stages, logs.paths, logs.objects).write(tmp_path / "lifted")
-    held = log_odds_of(tables, TABLE, history=tmp_path / "lifted")
-    moved = log_odds_of(tables, coloured[0], history=tmp_path / "lifted") - held
-    assert np.sign(moved).tolist() == [1, -1, -1, -1, -1]
-
-
 def test_bad_labels_are_refused(tables, flat, tmp_path):
     (tmp_path / "labels.csv").write_text("object,label\n0,clean\n")
     assert "object 1 of 5 has no label" in str(refused(tables, TABLE, "--labels", tmp_path / "labels.csv"))
@@ -313,30 +276,6 @@ def test_a_history_tells_what_was_seen_before(tables, begun):
     assert report["stage"] == 1
     assert report["q_values"]["FINISH"] != fresh["q_values"]["FINISH"]
     assert "leave it out" in str(refused(tables, TABLE, "--history", folder, "--stage", 2))
-
-
-def test_a_history_of_other_objects_is_refused(tables, begun):
-    error = refused(tables, table_paths()[9], "--history", begun[0])
-    assert isinstance(error, PolicyError)
-    assert "5 objects are on the table, and the cloud shows 6: the history is of other objects" in str(error)
-
-
-def test_a_history_without_objects_is_refused(tables, tmp_path):
-    flat_log().write(tmp_path / "logs")
-    error = refused(tables, TABLE, "--history", tmp_path / "logs")
-    assert isinstance(error, LogError)
-    assert "the log has none" in str(error)
-
-
-def test_a_table_without_objects_is_refused(tables, tmp_path):
-    row, _ = np.mgrid[:120, :160]
-    depth = np.where(row > 60, 60.0 / np.maximum(row - 60, 1), np.nan)
-    depth[(depth > 3.0) | (depth < 0.5)] = np.nan
-    K = np.array([[100.0, 0.0, 79.5], [0.0, 100.0, 59.5], [0.0, 0.0, 1.0]])
-    write_pcd(Cloud.from_depth(depth, K, "empty"), tmp_path / "empty.pcd")
-    error = refused(tables, tmp_path / "empty.pcd")
-    assert isinstance(error, CloudError)
-    assert "no objects on the table" in str(error)
 
 
 def test_a_policy_that_does_not_fit_what_it_is_shown_is_refused(flat, tables, tmp_path):
@@ -368,16 +307,3 @@ def test_a_policy_that_does_not_fit_what_it_is_shown_is_refused(flat, tables, tm
         error = refused(*arguments)
         assert isinstance(error, kind), (arguments, error)
         assert message in str(error)
-
-
-def test_from_the_shell_bad_input_is_one_line_and_status_2(flat, monkeypatch, capsys):
-    monkeypatch.setitem(cli.VERBS, "act", "")
-    monkeypatch.setattr(sys, "argv", ["halfseen", "act", str(flat[0]), str(TABLE)])
-    with pytest.raises(SystemExit) as stop:
-        cli.main()
-    told = capsys.readouterr()
-    assert (stop.value.code, told.out, told.err.count("\n")) == (2, "", 1)
-
-
-def test_help_has_an_example():
-    assert "Example: halfseen act policy table.pcd" in run("--help").output

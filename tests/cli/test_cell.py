@@ -74,11 +74,6 @@ def test_a_run_is_not_gone_on_with_under_another_law_of_the_same_name(refused, t
     assert first != second
 
 
-def test_a_film_that_is_no_gif(refused, tmp_path):
-    line = refused("cell", "film", "--policy", "greedy", "--out", tmp_path / "film.mp4")
-    assert "film.mp4: a film ends in .gif" in line
-
-
 def alone(gl, *words):
     """What a fresh process says, with this way to draw."""
     environment = {**os.environ, "MUJOCO_GL": gl}
@@ -94,11 +89,6 @@ def test_a_film_without_opengl(tmp_path, gl):
     assert f"no picture can be drawn here: OpenGL does not start with MUJOCO_GL={gl}" in line
     assert told.returncode == 2
     assert list(tmp_path.iterdir()) == []
-
-
-def test_physics_needs_no_opengl():
-    program = "from halfseen.cli.opengl import load_mujoco; load_mujoco(); import halfseen.cell.workcell"
-    assert alone("none", "-c", program).stderr == ""
 
 
 def test_a_policy_of_other_things_than_tables(refused, tmp_path):

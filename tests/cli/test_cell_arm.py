@@ -5,7 +5,6 @@ import json
 import pytest
 from click.testing import CliRunner
 
-from halfseen.cell.campaign import WHAT_FILE
 from halfseen.cli.arms import robot_for
 from halfseen.cli.cell_run import run
 from halfseen.logs import read_logs
@@ -53,20 +52,6 @@ def test_an_arm_is_known_by_what_it_is_not_by_where_its_file_lies(six, tmp_path)
     assert name.startswith("six.xml (")
     assert robot_for(tmp_path / "else" / "six.xml", "attachment_site", None)[1] == name
     assert robot_for(tmp_path / "longer.xml", None, None)[1].split("(")[1] != name.split("(")[1]
-
-
-def test_another_arm_does_not_go_on_with_a_run(refused, six, tmp_path):
-    (tmp_path / "logs.running").mkdir()
-    before = "run, seed 0, policy greedy, law assumed, stops True, random share 0.0"
-    (tmp_path / "logs.running" / WHAT_FILE).write_text(before)
-    line = refused("cell", *RUN, "--law", "assumed", "--out", tmp_path / "logs", "--arm", six)
-    assert "random share 0.0, arm six.xml (" in line
-
-
-def test_attempts_that_were_made_have_their_arm(refused, six, tmp_path):
-    line = refused("cell", "calibrate", "--from", tmp_path, "--arm", six, "--out", tmp_path / "law")
-    assert "--arm" in line
-    assert "leave it out" in line
 
 
 @pytest.mark.slow

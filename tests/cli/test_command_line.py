@@ -63,10 +63,6 @@ def test_a_mistyped_word_gets_the_one_that_was_meant(refused, tmp_path, monkeypa
     assert not any(tmp_path.iterdir())
 
 
-def test_a_word_that_is_like_none_is_refused_without_a_guess(refused):
-    assert "did you mean" not in refused("zzzzzz")
-
-
 @pytest.mark.parametrize(
     ("option", "names", "meant"),
     [("--covariates", "X1,x2", "x1"), ("--covariates", "coluor", "colour"), ("--censoring-covariates", "xx1", "x1")],
@@ -75,18 +71,6 @@ def test_a_mistyped_column_gets_the_one_that_was_meant(refused, flat, tmp_path, 
     told = refused("learn", flat, "--out", tmp_path / "policy", "--no-verdict", "--censoring", "cox", option, names)
     assert f"; did you mean '{meant}'?" in told
     assert not any(tmp_path.iterdir())
-
-
-def test_a_mistyped_opponent_and_policy_get_the_names_that_were_meant(refused, tmp_path):
-    from halfseen.cli.cell_policies import policy_of
-    from halfseen.errors import ArgumentError, PolicyError
-    from halfseen.evaluation.opponents import opponents_of
-    from halfseen.world import WorldConfig
-
-    with pytest.raises(ArgumentError, match="did you mean 'logging-rule'"):
-        opponents_of("loging-rule", flat_log())
-    with pytest.raises(PolicyError, match="did you mean 'history-penalty'"):
-        policy_of(str(tmp_path / "history-penalty").removeprefix(str(tmp_path) + os.sep) + "y", 0.0, WorldConfig())
 
 
 @pytest.mark.parametrize("path", VERB_PATHS, ids=" ".join)
@@ -166,14 +150,6 @@ def test_a_shell_completes_verbs_options_and_words(shell, words, incomplete, exp
     assert completed(shell, words, incomplete) == expected
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("shell", ["zsh", "fish"])
-def test_other_shells_are_told_what_each_verb_does(shell):
-    assert {"learn", VERBS["learn"].split()[-1]} <= set(
-        " ".join(completed(shell, [], "learn")).replace(",", " ").split()
-    )
-
-
 def test_a_library_that_is_not_there_is_told_with_the_extra_that_brings_it(refused, tmp_path, monkeypatch):
     def fails(*_):
         raise ModuleNotFoundError("none", name="skimage.measure")
@@ -219,10 +195,7 @@ def test_the_extras_of_the_command_line_are_those_of_the_package():
         (PermissionError(13, "Permission denied", "/a/b"), "/a/b: permission denied; ask for the right to it"),
         (OSError(36, "File name too long", "n" * 300), "nnn: file name too long; give a shorter name"),
         (OSError("Broken\nheader"), "broken; check the place"),
-        (
-            MemoryError("Unable to allocate 8.00 TiB"),
-            "memory does not suffice (Unable to allocate 8.00 TiB); give less",
-        ),
+        (MemoryError("Unable to allocate 8.00 TiB"), "memory does not suffice (Unable to allocate 8.00 TiB)"),
         (RuntimeError("RESOURCE_EXHAUSTED: Out of memory"), "memory does not suffice (RESOURCE_EXHAUSTED"),
         (RecursionError("maximum recursion depth exceeded"), "nested too deeply to be read; write it with fewer"),
     ],
@@ -234,16 +207,6 @@ def test_what_nobody_foresaw_is_one_line(refused, monkeypatch, raised, told):
     monkeypatch.setattr("halfseen.logs.read_logs", fail)
     monkeypatch.setattr("halfseen.logs.stream.opened", fail)
     assert told in refused("inspect", "x")
-
-
-def test_a_defect_of_halfseen_is_told_as_one(typed, monkeypatch):
-    def fail(*_, **__):
-        raise RuntimeError("a defect")
-
-    monkeypatch.setattr("halfseen.logs.read_logs", fail)
-    monkeypatch.setattr("halfseen.logs.stream.opened", fail)
-    with pytest.raises(RuntimeError, match="a defect"):
-        typed("inspect", "x")
 
 
 def test_names_and_values_of_a_log_command_no_terminal(typed, tmp_path):
@@ -277,13 +240,6 @@ def test_more_than_any_machine_can_play_is_refused_at_once(refused, line):
     assert f"{line[-1]} is not in the range" in refused(*line)
 
 
-def test_records_and_lists_in_a_log_are_looked_at_without_harm(typed, tmp_path):
-    log = flat_log()
-    odd = log.stages.assign(record=[{"a": 1}] * len(log.stages), list=[[1.0]] * len(log.stages))
-    Logs(stages=odd, paths=log.paths).write(tmp_path / "logs")
-    assert typed("inspect", tmp_path / "logs").status == 0
-
-
 @pytest.mark.filterwarnings("always")
 @pytest.mark.parametrize(
     ("asked", "told"), [([], ["halfseen: mean it"]), (["default"], ["halfseen: mean it", "inner"])]
@@ -300,3 +256,13 @@ def test_what_libraries_warn_each_other_of_is_told_where_it_is_asked_for(typed, 
     monkeypatch.setitem(VERBS, "warn", "Warn.")
     monkeypatch.setitem(sys.modules, "halfseen.cli.warn", SimpleNamespace(warn=warn))
     assert [*typed("warn").err.splitlines(), *shown] == told
+
+
+def test_a_defect_of_halfseen_is_told_as_one(typed, monkeypatch):
+    def fail(*_, **__):
+        raise RuntimeError("a defect")
+
+    monkeypatch.setattr("halfseen.logs.read_logs", fail)
+    monkeypatch.setattr("halfseen.logs.stream.opened", fail)
+    with pytest.raises(RuntimeError, match="a defect"):
+        typed("inspect", "x")

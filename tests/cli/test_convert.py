@@ -2,6 +2,7 @@ import json
 import os
 import sqlite3
 import sys
+from functools import partial
 from pathlib import Path
 
 import h5py
@@ -10,13 +11,12 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from click.testing import CliRunner
+import shell
 
-from halfseen.cli.convert import convert
-from halfseen.errors import ArgumentError, HalfseenError, HalfseenWarning, LogError
+from halfseen.errors import ArgumentError, HalfseenWarning, LogError
 from halfseen.logs import Logs, read_logs
 from halfseen.logs.formats import MAPPING_TEMPLATE, read_csv
-from halfseen.perception import Cloud, read_cloud, write_pcd
+from halfseen.perception import read_cloud
 from halfseen.scene import table_paths
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "logs" / "formats"))
@@ -42,17 +42,14 @@ def place(tmp_path, monkeypatch):
     return tmp_path
 
 
-def run(*arguments):
-    return CliRunner().invoke(convert, [str(argument) for argument in arguments], catch_exceptions=False)
+run = partial(shell.run, "convert")
 
 
 def refused(*arguments):
     before = sorted(str(file) for file in Path().rglob("*"))
-    result = CliRunner().invoke(convert, [str(argument) for argument in arguments])
-    assert isinstance(result.exception, HalfseenError), result.output
-    assert result.output == ""
+    error = shell.refusal("convert", *arguments)
     assert sorted(str(file) for file in Path().rglob("*")) == before
-    return str(result.exception)
+    return str(error)
 
 
 def same(left, right):
@@ -67,12 +64,6 @@ def test_round_the_forms_and_back(logs):
     assert run(Path("minari") / "cell" / "c-v0", "--out", "csv:e").exit_code == 0
     assert same(read_logs("d"), logs)
     assert same(read_csv("e"), logs)
-
-
-def test_json_tells_what_was_read(logs):
-    logs.write("a")
-    report = json.loads(run("a", "--out", "csv:b", "--json").output)
-    assert (report["format"], report["target"], report["num_cut"]) == ("parquet", "csv:b", 1)
 
 
 @pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
@@ -141,28 +132,6 @@ def test_clouds_and_logs_take_no_place_of_one_another(out, clouds):
     assert not Path("x").exists()
 
 
-def test_clouds_that_show_no_table_are_refused():
-    seen_path()
-    write_pcd(Cloud(np.zeros((4, 3)) + 1.0, name="dot"), "dot.pcd")
-    write_bag(
-        Path("dots"),
-        [
-            text(0.0, "/begin", "p"),
-            cloud(0.1, "/points", read_cloud("dot.pcd").points_m, (1, 4)),
-            text(1.0, "/action", "A"),
-            number(2.0, "/reward", 1.0),
-            text(3.0, "/end", "operator"),
-        ],
-        "mcap",
-    )
-    assert "dots-0" in refused("dots", "--mapping", "cell.toml", "--out", "logs", "--see")
-
-
-def test_the_template_is_printed_without_a_source():
-    result = run("--mapping-template")
-    assert (result.exit_code, result.output) == (0, MAPPING_TEMPLATE)
-
-
 def test_what_fits_not_together_is_refused(logs):
     logs.write("a")
     write_bag(Path("bag"), two_paths())
@@ -179,13 +148,6 @@ def test_what_fits_not_together_is_refused(logs):
         run("nowhere", "--out", "b")
     with pytest.raises(ArgumentError, match="no name of a dataset"):
         run("a", "--out", "minari:no name")
-
-
-def test_help_has_an_example_and_a_line_for_each_source():
-    told = CliRunner().invoke(convert, ["--help"]).output
-    assert "Example: halfseen convert" in told
-    for source in ("FOLDER ", "BAG ", "minari:NAME-v0 ", "FOLDER of LeRobot ", "TABLE ", "FILE.hdf5 ", "sql:URL "):
-        assert f"\n  {source}" in told
 
 
 @pytest.fixture
@@ -321,23 +283,8 @@ def test_what_is_lost_or_kept_for_halfseen_alone_is_told_of_what_is_written(logs
         "What is lost:",
         "- paths: column 'serial' comes back as pandas keeps such values, not as int32[pyarrow]",
     ]
-    checked = CliRunner().invoke(convert, ["a", "--out", "minari:c-v0", "--check"])
+    checked = run("a", "--out", "minari:c-v0", "--check")
     assert checked.exit_code == 1
     last = "Kept as notes that halfseen alone reads: stages.lamp, paths.cause, paths.serial."
     assert checked.output.splitlines()[-1] == last
     assert run("a", "--out", "minari:c-v0").output.splitlines()[-1] == last
-
-
-def test_clouds_are_not_written_by_check():
-    seen_path()
-    result = run("bag", "--mapping", "cell.toml", "--out", "logs", "--clouds", "clouds", "--check")
-    assert result.output.endswith("Nothing would be lost.\n")
-    assert sorted(os.listdir()) == ["bag", "cell.toml"]
-
-
-def test_bad_input_is_one_line_and_status_two(logs, typed, refused):
-    logs.write("a")
-    assert typed("convert", "a", "--out", "csv:b").out.startswith("csv:b: 2 paths")
-    again = refused("convert", "a", "--out", "csv:b")
-    assert again == "halfseen: b: it is there already; choose another folder, or move it away first\n"
-    assert sorted(os.listdir()) == ["a", "b"]

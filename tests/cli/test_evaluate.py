@@ -2,18 +2,20 @@
 
 import json
 import sys
+from functools import partial
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+import shell
 
 from halfseen import cli
-from halfseen.cli.evaluate import evaluate
 from halfseen.evaluation import evaluate as evaluated
 from halfseen.evaluation.stored_model import specification_of
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs, read_logs
 from halfseen.policies.folder import read_policy, write_policy
+
+told = partial(shell.run, "evaluate")
 
 
 def clinic(seed, num_paths=300):
@@ -51,10 +53,6 @@ def folders(tmp_path_factory):
     return folder
 
 
-def told(*arguments):
-    return CliRunner().invoke(evaluate, [str(argument) for argument in arguments], catch_exceptions=False)
-
-
 def test_says_the_verdict_first_then_the_numbers(folders):
     lines = told(folders / "policy", "--logs", folders / "aside").output.splitlines()
     assert lines[0].startswith("Better: it earns ")
@@ -82,14 +80,6 @@ def test_each_opponent_has_a_line_and_an_entry(folders):
     assert {"value", "difference", "p", "adjusted_p", "verdict", "reason"} < set(report["comparisons"][0])
 
 
-def test_better_than_all_names_all(folders):
-    options = "--against", "logging", "--against", "sequence:B"
-    sentence = told(folders / "policy", "--logs", folders / "aside", *options).output.splitlines()[0]
-    assert sentence.startswith("Better: it earns ")
-    assert "the logging policy" in sentence
-    assert "the sequence B" in sentence
-
-
 def test_json_carries_what_the_library_says(folders):
     report = json.loads(told(folders / "policy", "--logs", folders / "aside", "--json", "--seed", 3).output)
     stored, logs = read_policy(folders / "policy"), read_logs(folders / "aside")
@@ -109,10 +99,6 @@ def test_options_reach_the_model(folders):
 
 def test_the_logs_that_it_was_learned_from_are_told_apart(folders):
     assert "note: it was learned from these very logs" in told(folders / "policy", "--logs", folders / "learned").output
-
-
-def test_help_has_an_example():
-    assert "halfseen evaluate policy --logs logs --against" in told("--help").output
 
 
 @pytest.mark.parametrize(

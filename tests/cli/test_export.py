@@ -24,10 +24,3 @@ def test_a_policy_of_tables_is_exported_for_a_number_of_objects(typed, tmp_path)
     assert typed("export", tmp_path / "policy", "--onnx", out, "--objects", 4).status == 0
     shapes = {each.name: each.shape for each in onnxruntime.InferenceSession(out).get_inputs()}
     assert (shapes["hides"], shapes["log_odds"], shapes["steps_to_go"]) == ([4, 4], [4], [])
-
-
-def test_an_option_of_tables_is_refused_elsewhere_and_leaves_nothing(refused, tmp_path):
-    logs, out = flat_log(), tmp_path / "policy.onnx"
-    write_policy(CensoredQLearner(2, ["A", "B", "C"], ["x1", "x2"], reg=0.1).fit(logs), logs, tmp_path / "policy")
-    assert "is for policies of tables" in refused("export", tmp_path / "policy", "--onnx", out, "--objects", 3)
-    assert not out.exists()

@@ -5,9 +5,8 @@ import sys
 import numpy as np
 import pandas as pd
 import pytest
-from click.testing import CliRunner
+import shell
 
-from halfseen.cli.inspect import inspect
 from halfseen.logs import LogRecorder, Logs
 
 
@@ -27,8 +26,8 @@ def folder(tmp_path):
     return tmp_path / "logs"
 
 
-def run(*arguments):
-    return CliRunner().invoke(inspect, [str(argument) for argument in arguments], catch_exceptions=False).output
+def run(*words):
+    return shell.run("inspect", *words).output
 
 
 def test_says_one_plain_sentence_first_then_what_looks_wrong_then_aligned_numbers(folder):
@@ -122,31 +121,10 @@ def test_says_what_the_weights_rest_on(folder):
     assert "Largest weights: 2 (path 1, 5 s), 1 (path 3, 2 s)." in output
 
 
-def test_json_carries_the_same_numbers(folder):
-    report = json.loads(run(folder, "--json"))
-    assert (report["num_paths"], report["num_cut"], report["causes"]) == (3, 1, {"unknown": 1})
-    assert report["weights"][1] == {
-        "stage": 2,
-        "num_completed": 1,
-        "effective_sample_size": 1.0,
-        "largest_weight": 2.0,
-    }
-
-
 def test_json_tells_whose_the_largest_weights_are(folder):
     positivity = json.loads(run(folder, "--json"))["positivity"]
     assert not positivity["is_sound"]
     assert positivity["heaviest"][0] == {"path": "1", "time_s": 5.0, "weight": 2.0}
-
-
-def test_help_has_an_example():
-    assert "halfseen inspect logs" in CliRunner().invoke(inspect, ["--help"]).output
-
-
-@pytest.mark.parametrize("arguments", [["nowhere"], []])
-def test_bad_input_is_told_in_one_line_with_status_two(arguments, refused, monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
-    refused("inspect", *arguments)
 
 
 def test_from_the_shell(folder, refused):

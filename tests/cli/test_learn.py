@@ -1,20 +1,18 @@
 import json
-import sys
+from functools import partial
 from operator import itemgetter
 
-import jax
 import numpy as np
 import pytest
-from click.testing import CliRunner
+import shell
 
-from halfseen import cli
-from halfseen.cli.learn import learn
-from halfseen.errors import ArgumentError, HalfseenError, LogError, PositivityError
+from halfseen.arrays import mapped
+from halfseen.errors import ArgumentError, LogError, PositivityError
 from halfseen.evaluation import HeldOutVerdict, held_out
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.policies.folder import read_policy
-from halfseen.world.recording import states_of
+from halfseen.world.logs import states_of
 from small_logs import flat_log, table_log
 
 
@@ -27,16 +25,10 @@ def folder(tmp_path_factory):
 
 
 def run(*arguments, has_verdict=False):
-    arguments = [str(argument) for argument in arguments] + ([] if has_verdict else ["--no-verdict"])
-    return CliRunner().invoke(learn, arguments, catch_exceptions=False)
+    return shell.run("learn", *arguments, *([] if has_verdict else ["--no-verdict"]))
 
 
-def refused(*arguments):
-    result = CliRunner().invoke(learn, [str(argument) for argument in arguments])
-    assert isinstance(result.exception, HalfseenError), result.output
-    assert "\n" not in str(result.exception)
-    assert result.output == ""
-    return result.exception
+refused = partial(shell.refusal, "learn")
 
 
 def shares_by_hand(learner, logs, stage):
@@ -63,23 +55,6 @@ def test_a_flat_log_is_learned_with_its_actions_by_stage_and_its_numeric_covaria
         shares, as_logged = shares_by_hand(by_hand, logs, stage)
         assert told["shares"] == pytest.approx(shares)
         assert told["as_logged"] == pytest.approx(as_logged)
-
-
-def test_says_what_was_learned_from_and_what_to_do_next(folder, tmp_path):
-    out = tmp_path / "policy"
-    result = run(folder / "flat", "--out", out, "--covariates", "x2, x1", "--reg", 0.1)
-    lines = result.stdout.splitlines()
-    assert lines[0].startswith(f"{out}: learned from 40 paths of up to 2 stages and ")
-    assert "looks at    x2, x1" in lines
-    assert "Q           smooth, stages pooled, horizon 2" in lines
-    assert any(
-        line.startswith("pessimism   Q is lowered by 1.4 times its standard error, less where") for line in lines
-    )
-    assert any(line.startswith("weights     ") and "the largest weight is" in line for line in lines)
-    assert lines[-1].startswith(f"Next: halfseen evaluate {out} --logs OTHER_LOGS;")
-    header = next(k for k, line in enumerate(lines) if line.startswith("stage  states"))
-    assert len(lines[header]) == len(lines[header + 1]) == len(lines[header + 2])
-    assert result.stderr == ""
 
 
 @pytest.mark.parametrize("told", ["Cannot be said: it earns", "Better: it earns"])
@@ -116,12 +91,12 @@ def test_a_table_log_is_learned_as_tables(folder, tmp_path):
     assert set(policy.ranges(3)) == {"num_objects", "occlusion", "log_odds", "num_attempts"}
     assert policy.ranges(3)["num_objects"] == (1.0, 2.0)
     logs = table_log()
-    states, decide = states_of(logs, 3), jax.jit(policy.policy.q_values)
+    states, decide = states_of(logs, 3), policy.policy.q_values
     for row in report["actions"]:
         stages = logs.stages[logs.stages["stage"] == row["stage"]]
         taken = []
         for path in stages["path"]:
-            one = jax.tree.map(itemgetter((path, row["stage"] - 1)), states)
+            one = mapped(itemgetter((path, row["stage"] - 1)), states)
             taken.append(int(np.asarray(decide(one)).argmax()))
         verbs = ["FINISH", "WASH", "WASH", "LIFT", "LIFT"]
         told = {verb: np.mean([verbs[action] == verb for action in taken]) for verb in ("FINISH", "WASH", "LIFT")}
@@ -174,24 +149,3 @@ def test_bad_input_leaves_nothing_behind(folder, tmp_path):
         assert isinstance(error, kind)
         assert message in str(error)
     assert [path.name for path in tmp_path.iterdir()] == ["cut"]
-
-
-def test_reg_is_cv_or_a_number(folder, tmp_path):
-    result = CliRunner().invoke(learn, [str(folder / "flat"), "--out", str(tmp_path / "p"), "--reg", "much"])
-    assert result.exit_code == 2
-    assert "'much' is not a valid float" in result.output
-
-
-def test_from_the_shell_bad_input_is_one_line_and_status_2(folder, tmp_path, monkeypatch, capsys):
-    (tmp_path / "there").mkdir()
-    monkeypatch.setitem(cli.VERBS, "learn", "")
-    monkeypatch.setattr(sys, "argv", ["halfseen", "learn", str(folder / "flat"), "--out", str(tmp_path / "there")])
-    with pytest.raises(SystemExit) as stop:
-        cli.main()
-    told = capsys.readouterr()
-    assert (stop.value.code, told.out, told.err.count("\n")) == (2, "", 1)
-    assert list((tmp_path / "there").iterdir()) == []
-
-
-def test_help_has_an_example():
-    assert "Example: halfseen learn logs" in run("--help").output

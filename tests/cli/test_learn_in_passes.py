@@ -1,25 +1,20 @@
 """`halfseen learn` on a log that is read part by part tells and decides what it does on one in memory."""
 
 import json
+from functools import partial
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+import shell
 
-from halfseen.cli.learn import learn
 from halfseen.errors import LogError
 from halfseen.evaluation import held_out
-from halfseen.logs import LogStream, read_logs, stream
+from halfseen.logs import LogStream, stream
 from halfseen.logs.formats.csv_folder import write_csv
-from halfseen.policies.folder import log_digest, read_policy
-from halfseen.policies.folder.digest import LogDigest
-from halfseen.policies.folder.kinds import kind_named
-from halfseen.policies.folder.log_facts import log_facts
+from halfseen.policies.folder import read_policy
 from small_logs import flat_log, table_log
 
-
-def run(*arguments):
-    return CliRunner().invoke(learn, [str(argument) for argument in arguments], catch_exceptions=False)
+run = partial(shell.run, "learn")
 
 
 @pytest.fixture
@@ -57,29 +52,6 @@ def test_all_that_is_told_is_the_same(log, stages, tmp_path, by_sevens):
     assert_alike(told["in-passes"], told["in-memory"])
     policies = [read_policy(tmp_path / way).policy for way in told]
     np.testing.assert_allclose(policies[0].coefficients, policies[1].coefficients, rtol=1e-5, atol=1e-6)
-
-
-@pytest.mark.parametrize("log", [flat_log, table_log], ids=["named actions", "tables"])
-def test_parts_have_the_digest_of_the_whole(log, tmp_path):
-    log().write(tmp_path / "logs")
-    digest = LogDigest()
-    for part in LogStream(tmp_path / "logs", 7):
-        digest.add(part)
-    assert digest.hexdigest() == log_digest(log())
-
-
-def test_facts_of_parts_are_those_of_the_whole(tmp_path):
-    run_of = run(*_written(flat_log(), tmp_path), "--no-verdict", "--reg", 0.1)
-    assert run_of.exit_code == 0
-    policy = read_policy(tmp_path / "policy").policy
-    for is_by_stage in (True, False):
-        parts, whole = (
-            log_facts(log, kind_named("flat"), policy, is_by_stage)
-            for log in (LogStream(tmp_path / "logs", 7), [read_logs(tmp_path / "logs")])
-        )
-        assert parts.reward_spread == pytest.approx(whole.reward_spread, rel=1e-12)
-        for name in ("summary", "sha256", "schema", "seen", "stages_left"):
-            assert getattr(parts, name) == getattr(whole, name)
 
 
 def test_many_stages_are_read_in_passes_and_few_are_not(tmp_path, monkeypatch):

@@ -1,14 +1,15 @@
 import json
 import os
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+import shell
 
-from halfseen.cli.look import look
-from halfseen.errors import ArgumentError
 from halfseen.perception import Cloud, write_pcd
+
+run = partial(shell.run, "look")
 
 K = np.array([[290.0, 0.0, 159.5], [0.0, 290.0, 119.5], [0.0, 0.0, 1.0]])
 
@@ -34,10 +35,6 @@ def table(tmp_path) -> Path:
     depth = depth_of_boxes((-0.05, 0.06, 0.8), (0.0, 0.12, 0.95))
     write_pcd(Cloud.from_depth(depth, K, "table"), tmp_path / "table.pcd")
     return tmp_path / "table.pcd"
-
-
-def run(*arguments: object) -> Result:
-    return CliRunner().invoke(look, [str(argument) for argument in arguments])
 
 
 def test_the_first_line_is_a_plain_sentence_and_the_table_is_aligned(table):
@@ -104,19 +101,6 @@ def test_labels_of_a_file_stand_before_colour_and_without_it(stained, table, tmp
         assert told[1]["share_in_view"] == 0.9
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [("object,label\n0,dirty\n", "object 1 of 2 has no label"), ("object,label\n0,nice\n", "label is 'nice'")],
-)
-def test_bad_labels_are_one_line_and_status_2(refused, table, tmp_path, content, message):
-    (tmp_path / "labels.csv").write_text(content)
-    assert message in refused("look", table, "--labels", tmp_path / "labels.csv")
-
-
-def test_two_runs_print_the_same_bytes(table):
-    assert run(table, "--json").output == run(table, "--json").output
-
-
 def test_the_picture_is_a_png_and_nothing_else_is_left(table, tmp_path):
     folder = tmp_path / "pictures"
     folder.mkdir()
@@ -143,14 +127,6 @@ def test_an_empty_table_is_refused_with_status_2(refused, tmp_path):
     assert "no objects on the table" in refused("look", tmp_path / "empty.pcd", "--json")
 
 
-def test_an_unwritable_picture_is_refused(table, tmp_path):
-    (tmp_path / "file").write_text("in the way")
-    result = run(table, "--picture", tmp_path / "file" / "table.png")
-    assert isinstance(result.exception, ArgumentError)
-    assert "cannot be written" in str(result.exception)
-    assert result.output == ""
-
-
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [("cloud.xyz", b"", "not read"), ("cloud.npz", b"nonsense", "cloud.npz"), ("missing.pcd", None, "no such file")],
@@ -159,9 +135,3 @@ def test_bad_input_is_one_line_and_status_2(refused, tmp_path, name, content, me
     if content is not None:
         (tmp_path / name).write_bytes(content)
     assert message in refused("look", tmp_path / name)
-
-
-def test_help_has_an_example():
-    result = run("--help")
-    assert result.exit_code == 0
-    assert "Example: halfseen look" in result.output

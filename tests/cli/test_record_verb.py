@@ -11,9 +11,7 @@ from subprocess import PIPE
 
 import pytest
 
-from halfseen.cli.record import record
 from halfseen.logs import LogRecorder, read_logs
-from halfseen.logs.journal.durability import FSYNC
 
 LINES = [
     {"call": "begin_path"},
@@ -102,8 +100,3 @@ def test_what_cannot_be_recorded_from_or_into_is_refused(refused, tmp_path):
     assert "nobody can listen there" in refused("record", "--listen", tmp_path / "taken", "--out", tmp_path / "logs")
     assert "nobody can listen there" in refused("record", "--listen", 99999, "--out", tmp_path / "not")
     assert not (tmp_path / "not").exists()
-
-
-def test_the_disk_is_waited_for_as_the_recorder_can():
-    [option] = [each for each in record.params if each.name == "fsync"]
-    assert list(option.type.choices) == list(FSYNC)

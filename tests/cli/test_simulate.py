@@ -25,15 +25,6 @@ def run(arguments, monkeypatch):
     cli.main()
 
 
-def test_says_one_plain_sentence_first_then_the_numbers(recorded):
-    folder, result = recorded
-    lines = result.stdout.splitlines()
-    assert result.exit_code == 0
-    assert lines[0].startswith(f"{folder}: 12 paths of up to ")
-    assert any(line.startswith("tables          2, with 5 to 5 objects") for line in lines)
-    assert result.stderr == ""
-
-
 def test_the_logs_are_there_and_whole(recorded):
     logs = read_logs(recorded[0])
     assert logs.num_paths == 12
@@ -86,24 +77,3 @@ def test_bad_input_is_told_in_one_line_with_status_two(arguments, message, monke
     assert len(told.err.splitlines()) == 1
     assert message in told.err
     assert not (tmp_path / "logs").exists()
-
-
-def test_a_folder_that_cannot_be_is_refused(monkeypatch, capsys, tmp_path):
-    (tmp_path / "file").write_text("in the way")
-    with pytest.raises(SystemExit) as stop:
-        run(["--out", str(tmp_path / "file" / "logs"), *TABLES, *FEW], monkeypatch)
-    assert stop.value.code == 2
-    assert "cannot be written" in capsys.readouterr().err
-
-
-def test_help_has_an_example():
-    assert "halfseen simulate --out logs" in CliRunner().invoke(simulate, ["--help"]).output
-
-
-def test_another_policy_and_horizon_and_never_in_the_place_of_others(typed, refused, tmp_path):
-    command = ["simulate", "--out", tmp_path / "logs", TABLES[0], "--episodes", "6"]
-    options = ["--policy", "history-penalty", "--cut-share", "0", "--horizon", "4"]
-    good = typed(*command, *options)
-    assert (good.status, good.err) == (0, "")
-    assert "6 paths of up to 4 stages" in good.out
-    assert "it is there already" in refused(*command, *options)

@@ -5,17 +5,15 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
-from click.testing import CliRunner
+import shell
 
-from halfseen.cli import halfseen
-from halfseen.errors import HalfseenError, LogError, PolicyError
+from halfseen.errors import LogError, PolicyError
 from halfseen.evaluation import QSpec
 from halfseen.evaluation import evaluate as evaluated
 from halfseen.learning import CensoredQLearner
 from halfseen.learning.named_task import NamedActions
 from halfseen.logs import Logs
 from halfseen.policies import Rule, read_policy
-from halfseen.report.policy_findings import q_curves
 from text_logs import ACTIONS, BY_HAND, COVARIATES, by_hand, text_log, with_indicators
 
 
@@ -29,11 +27,6 @@ def stamped(seed, **columns):
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("text")
     stamped(0).write(folder / "logs")
-    stamped(1).write(folder / "later")
-    strange = stamped(1)
-    Logs(strange.stages.assign(colour=strange.stages["colour"].replace("green", "mauve")), strange.paths).write(
-        folder / "strange"
-    )
     learned = json.loads(
         run("learn", folder / "logs", "--out", folder / "policy", *QUICK, "--stages", "separate", "--json")
     )
@@ -44,16 +37,14 @@ def folder(tmp_path_factory):
 QUICK = ("--reg", 0.01, "--q-function", "linear", "--censoring", "kaplan-meier", "--pessimism", 0)
 
 
-def run(*arguments):
-    return CliRunner().invoke(halfseen, [str(one) for one in arguments], catch_exceptions=False).stdout
+def run(*words):
+    return shell.run(*words).stdout
 
 
-def refused(kind, *arguments):
-    result = CliRunner().invoke(halfseen, [str(one) for one in arguments])
-    assert isinstance(result.exception, HalfseenError), result.output
-    assert isinstance(result.exception, kind)
-    assert "\n" not in str(result.exception)
-    return str(result.exception)
+def refused(kind, *words):
+    error = shell.refusal(*words)
+    assert isinstance(error, kind)
+    return str(error)
 
 
 def state(folder, name, text):
@@ -138,14 +129,6 @@ def test_codes_that_are_text_are_read_as_text(tmp_path):
         assert run("act", tmp_path / "policy", as_csv) == run("act", tmp_path / "policy", as_json)
 
 
-def test_evaluate_looks_at_text_and_names_what_the_policy_does_not_know(folder):
-    again = json.loads(run("evaluate", folder / "policy", "--logs", folder / "later", "--json"))
-    assert again["verdict"] == "better"
-    told = refused(LogError, "evaluate", folder / "policy", "--logs", folder / "strange")
-    assert "covariate 'colour' is 'mauve'" in told
-    assert "known are 'blue', 'green', 'red'" in told
-
-
 @pytest.mark.parametrize("propensity", ["logged", "estimated"])
 def test_evaluation_is_that_of_indicators(propensity):
     def red(frame, stage):
@@ -163,23 +146,3 @@ def test_evaluation_is_that_of_indicators(propensity):
     assert [one.difference.value for one in ours.comparisons if one.difference] == pytest.approx(
         [one.difference.value for one in theirs.comparisons if one.difference], abs=1e-9
     )
-
-
-def test_q_is_drawn_along_numbers_with_bands_and_text_at_its_commonest(folder):
-    logs, stored = stamped(0), read_policy(folder / "policy")
-    curves, _ = q_curves(stored, logs, num_replicates=2, seed=0)
-    assert {curve.covariate for curve in curves} == {"x", "is_heavy"}
-    assert all(curve.low is not None for curve in curves)
-    first = next(curve for curve in curves if curve.covariate == "x" and curve.stage == 1)
-    states = logs.stages.query("stage == 1")
-    middle = {"colour": states["colour"].mode()[0], "is_heavy": float(states["is_heavy"].median())}
-    q = stored.policy.q_values(pd.DataFrame({"x": first.values, **middle}), 1)
-    np.testing.assert_allclose(first.q["B"], q[:, 1])
-
-
-@pytest.mark.slow
-def test_a_page_is_made_of_text_too(folder, tmp_path):
-    run("report", folder / "later", folder / "policy", "--out", tmp_path / "page.html", "--replicates", 4)
-    page = (tmp_path / "page.html").read_text()
-    assert "x, colour and is_heavy" in page
-    assert "2 of 3 covariates" in page

@@ -47,21 +47,6 @@ def test_bad_input(refused, tmp_path, monkeypatch, words, told):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_file_that_is_there_is_replaced_only_if_that_is_asked_for(refused, tmp_path):
-    there = tmp_path / "out.html"
-    there.write_text("mine")
-    assert "it is there already" in refused("watch", TABLE, "--export", there)
-    assert there.read_text() == "mine"
-    assert "is what is to be looked at" in refused("watch", there, "--export", there, "--overwrite")
-
-
-def test_no_page_is_announced_that_will_show_nothing(typed, tmp_path):
-    for what, told in ((tmp_path, "holds no logs"), (tmp_path / "cloud.pcd", "cloud.pcd")):
-        (tmp_path / "cloud.pcd").write_text("no cloud")
-        status, out, err = typed("watch", what, "--port", 0)
-        assert (status, out, told in err) == (2, "", True)
-
-
 def test_a_policy_of_other_things(refused, policies, tmp_path):
     line = refused("watch", TABLE, "--policy", policies / "flat", "--export", tmp_path / "out.html")
     assert "it is no policy of tables" in line

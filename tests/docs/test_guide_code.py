@@ -145,7 +145,7 @@ def test_another_verb_earns_what_the_page_says_it_adds(tmp_path, monkeypatch):
 
 def test_a_patch_that_no_longer_applies_is_told(tmp_path):
     stale = patch_in(VERB_PAGE.read_text(encoding="utf-8")).replace("LIFT = 2", "LIFT = 7")
-    with pytest.raises(AssertionError, match=r"page\.md: its diff blocks no longer apply[\s\S]*action_space"):
+    with pytest.raises(AssertionError, match=r"page\.md: its diff blocks no longer apply[\s\S]*world/actions"):
         apply_to_copy(stale, "page.md", tmp_path)
 
 

@@ -170,7 +170,7 @@ def test_commands_ask_for_extras_that_there_are():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert set(ASKS_FOR) <= set(VERBS)
     asked = {name for names in ASKS_FOR.values() for name in names}
-    assert asked | {"gym", "pettingzoo"} == set(EXTRAS)
+    assert asked | {"gym", "jax", "pettingzoo"} == set(EXTRAS)
     assert set(EXTRAS) | {"all", "docs", "dev", "release"} == set(project["optional-dependencies"])
 
 

@@ -12,7 +12,6 @@ from scipy import stats
 from halfseen.errors import ArgumentError
 from halfseen.evaluation import FixedSequence, Opponent, evaluate
 from halfseen.evaluation.comparison import Contender, compared, deciding, hochberg, joint_reason
-from halfseen.logs import Logs
 
 TARGET = StatePolicy((0.1, 0.8))
 
@@ -124,21 +123,6 @@ def test_an_opponent_of_unseen_actions_spoils_its_own_comparison_alone():
     assert "NaN" not in json.dumps(found.as_dict())
 
 
-def test_an_opponent_that_no_stage_of_the_log_follows():
-    logs = trial(3)
-    rare = logs.stages.assign(action=np.where(logs.stages["stage"] == 2, "A", logs.stages["action"]))
-    found = evaluate(StatePolicy((1.0, 1.0)), Logs(rare, logs.paths), against=FixedSequence(("B", "B")), **specified())
-    assert found.verdict == "cannot be said"
-
-
-def test_too_few_paths_that_follow_an_opponent_are_no_evidence():
-    ours, (opponent,) = drawn(9.0)
-    (found,) = compared(ours, [opponent._replace(why_unknown="too few paths")], 0.95)
-    assert (found.verdict, found.reason, found.p) == ("cannot be said", "too few paths", None)
-    (found,) = compared(ours._replace(why_unknown="nothing is known of it"), [opponent], 0.95)
-    assert found.reason == "nothing is known of it"
-
-
 def test_the_default_is_the_logging_policy_with_and_without_its_exploration():
     found = evaluate(TARGET, trial(4, num_paths=1000), **specified())
     names = [each.opponent for each in found.comparisons]
@@ -194,14 +178,6 @@ def test_what_is_no_opponent_is_told_in_one_line(against, message):
     with pytest.raises(ArgumentError, match=message) as refusal:
         evaluate(TARGET, trial(6), against=against, **specified())
     assert "\n" not in str(refusal.value)
-
-
-def test_actions_that_are_numbers_may_be_written_as_texts():
-    logs = trial(7)
-    numbered = Logs(logs.stages.assign(action=logs.stages["action"].map({"A": 0, "B": 1})), logs.paths)
-    sequence = FixedSequence((1, 0))
-    found = evaluate(sequence, numbered, against="sequence:1,0", q=specified(actions=(0, 1))["q"])
-    assert found.comparisons[0].difference.value == 0.0
 
 
 def test_a_verdict_says_what_would_undo_it_and_an_open_one_nothing():

@@ -7,7 +7,6 @@ import pandas as pd
 import pytest
 from enumerated_trial import trial
 
-from halfseen.errors import ArgumentError
 from halfseen.evaluation import FixedSequence, evaluate, held_out_verdict
 from halfseen.evaluation.held_out import learn_by_folds
 from halfseen.evaluation.targets import CrossFitted
@@ -106,12 +105,6 @@ def test_too_few_paths_are_said_to_be_too_few():
     assert "3 path(s) for 5 folds" in held_out_verdict(learner().fit(few), few).reason
 
 
-def test_without_probabilities_they_are_estimated():
-    logs = trial(6, num_paths=200, has_probability=False)
-    found = held_out_verdict(learner().fit(logs), logs, against="logging")
-    assert found.evaluation is not None
-
-
 def test_a_fold_that_cannot_be_learned_is_a_reason_and_no_error():
     """One path finished: without it, every path was cut."""
     paths = pd.DataFrame({"path": range(30), "end_s": 2.0, "ending": ["finished"] + ["cut"] * 29})
@@ -123,9 +116,3 @@ def test_a_fold_that_cannot_be_learned_is_a_reason_and_no_error():
     found = held_out_verdict(learner().set_params(horizon=1).fit(logs), logs)
     assert (found.verdict, found.evaluation) == ("cannot be said", None)
     assert "cut" in found.reason
-
-
-def test_one_fold_is_none():
-    logs = trial(0, num_paths=20)
-    with pytest.raises(ArgumentError, match="num_folds is 1"):
-        held_out_verdict(learner().fit(logs), logs, num_folds=1)

@@ -6,11 +6,9 @@ from enumerated_trial import CHANCE_B, StatePolicy, specified, trial, truth
 
 from halfseen.censoring import KaplanMeier
 from halfseen.errors import ArgumentError, LogError
-from halfseen.evaluation import FixedSequence, QSpec, evaluate, fitted_q
-from halfseen.evaluation.off_policy import q_model_of
+from halfseen.evaluation import FixedSequence, QSpec, evaluate
 from halfseen.learning import DoublyRobust, NamedActions, Unweighted
 from halfseen.logs import Logs
-from halfseen.tables import TableTask
 
 TARGET = StatePolicy((0.1, 0.8))
 
@@ -131,11 +129,6 @@ def test_the_action_of_the_cut_stage_is_needed_by_pseudo_outcomes_alone():
         evaluate(TARGET, logs, **specified(DoublyRobust()))
 
 
-def test_a_fixed_sequence_is_worth_what_enumeration_says():
-    found = evaluate(FixedSequence(("B", "B")), trial(10, num_paths=2000), **specified())
-    assert abs(found.doubly_robust.value - truth((1.0, 1.0))) < 3.0 * found.doubly_robust.standard_error
-
-
 def test_verdicts_of_all_three_kinds():
     logs = trial(11, num_paths=1000, cut_rate=0.1)
     assert evaluate(StatePolicy((0.0, 1.0)), logs, against="logging", **specified()).verdict == "better"
@@ -164,17 +157,6 @@ def test_an_action_that_a_stage_never_saw_is_named():
     assert "the policy takes B in stage 2, which no path" in found.reason
 
 
-def test_text_and_json_tell_the_same():
-    found = evaluate(TARGET, trial(15), **specified(), level=0.9)
-    lines = str(found).splitlines()
-    assert lines[0] == found.sentence
-    assert "90% interval" in lines[2]
-    assert f"{found.doubly_robust.value:.4g}" in lines[3]
-    assert found.as_dict()["doubly_robust"]["low"] == found.doubly_robust.low
-    wide = evaluate(TARGET, trial(15), **specified(), level=0.99)
-    assert wide.doubly_robust.high > found.doubly_robust.high
-
-
 @pytest.mark.parametrize(
     ("policy", "parameters", "options", "message"),
     [
@@ -195,13 +177,6 @@ def test_what_does_not_fit_is_told_in_one_line(policy, parameters, options, mess
     assert "\n" not in str(refusal.value)
 
 
-def test_a_policy_that_takes_what_is_not_possible_is_refused():
-    logs = trial(17)
-    only_a = logs.stages.assign(action=np.where(logs.stages["stage"] == 2, "A", logs.stages["action"]))
-    with pytest.raises(ArgumentError, match="stage 2: the policy takes action number 2, which is not possible"):
-        evaluate(FixedSequence(("B", "B")), Logs(only_a, logs.paths), **specified(actions={1: ["A", "B"], 2: ["A"]}))
-
-
 def test_what_is_not_said_is_one_q_for_all_stages_and_cox_on_their_clock():
     logs = trial(18, cut_rate=0.1)
     # x has two values, so its square says nothing new.
@@ -215,29 +190,12 @@ def test_what_is_not_said_is_one_q_for_all_stages_and_cox_on_their_clock():
         evaluate("no policy", logs)
 
 
-@pytest.mark.parametrize(
-    ("q", "stages"),
-    [(QSpec(), "separate"), (QSpec(TableTask()), "pooled"), (QSpec(TableTask(), stages="separate"), "separate")],
-)
-def test_stages_are_pooled_where_an_action_ends_a_path(q, stages):
-    assert q_model_of(TARGET, trial(0, num_paths=5), Unweighted(), q).stages == stages
+def test_a_fixed_sequence_is_worth_what_enumeration_says():
+    found = evaluate(FixedSequence(("B", "B")), trial(10, num_paths=2000), **specified())
+    assert abs(found.doubly_robust.value - truth((1.0, 1.0))) < 3.0 * found.doubly_robust.standard_error
 
 
 def test_a_log_without_cuts_needs_no_model_of_them():
     logs = trial(19)
     by_weights, alike = (evaluate(TARGET, logs, **specified(one)) for one in ("kaplan-meier", Unweighted()))
     assert by_weights.doubly_robust.value == pytest.approx(alike.doubly_robust.value, rel=1e-12)
-
-
-@pytest.mark.parametrize("censoring", ["kaplan-meier", DoublyRobust()], ids=["weighted", "doubly robust"])
-def test_no_best_policy_is_learned_on_the_way(censoring, monkeypatch):
-    fits, fit_q = [], fitted_q.fit_q
-
-    def seen(log, regression):
-        fits.append(log.policy is not None)
-        return fit_q(log, regression)
-
-    monkeypatch.setattr(fitted_q, "fit_q", seen)
-    evaluate(TARGET, trial(20, num_paths=117, cut_rate=0.1), **specified(censoring))
-    assert fits
-    assert all(fits)

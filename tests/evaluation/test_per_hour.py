@@ -86,14 +86,6 @@ def test_shares_stand_beside_each_value():
     assert found.per_hour is None
 
 
-def test_the_unit_of_rewards_is_in_the_sentence():
-    logs = trial(0, cut_rate=0.1)
-    plain, named = (evaluate(TARGET, each, **specified()) for each in (logs, logs.in_unit("parts")))
-    assert named.reward_unit == "parts"
-    assert " parts less a path" in named.sentence
-    assert named.sentence.replace(" parts", "") == plain.sentence
-
-
 def with_clock(logs, of_stage):
     """The same log on another clock."""
     stages = logs.stages.copy()

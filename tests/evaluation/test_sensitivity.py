@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import linprog
 
 from halfseen.evaluation.estimate import around
-from halfseen.evaluation.sensitivity import STRONGEST, in_words, shift, undone_at
+from halfseen.evaluation.sensitivity import STRONGEST, shift, undone_at
 
 
 @pytest.fixture
@@ -59,11 +59,3 @@ def test_a_hidden_cause_of_that_strength_shifts_the_mean_by_no_more():
     assert bias > 0.1
     assert bias < -shift(excess, -outcome[:, None], gamma)
     assert bias > -shift(excess, -outcome[:, None], 1.1)
-
-
-@pytest.mark.parametrize(
-    ("gamma", "said"),
-    [(1.0, "Any cause of cuts"), (1.84, "by a factor of 1.8"), (STRONGEST, "by a factor of more than")],
-)
-def test_it_is_said_in_words(gamma, said):
-    assert said in in_words(gamma)

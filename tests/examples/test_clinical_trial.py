@@ -68,13 +68,6 @@ def test_the_log_has_its_cuts_its_actions_and_times_as_rewards(share):
     assert spent_s[~np.isnan(spent_s)] / YEAR_S == pytest.approx(rewards, rel=1e-9)
 
 
-def test_the_same_patients_are_followed_under_all_cuts():
-    full, cut = trial(300, 0.0, seed=3), trial(300, 0.5, seed=3)
-    kept = cut.stages["elapsed_s"].notna()
-    there = full.stages.merge(cut.stages.loc[kept, ["path", "stage"]], on=["path", "stage"])
-    assert there["reward"].to_numpy() == pytest.approx(cut.stages.loc[kept, "reward"].to_numpy())
-
-
 def test_a_policy_is_learned_and_told():
     found = compare(100, 1, seed=4, cut_shares=(0.5,), methods=("kernel",))
     assert found["ratio"].item() > 0.8
@@ -118,3 +111,10 @@ def test_from_1000_patients_the_policy_nearly_is_the_optimum_and_cut_patients_co
         print(f"{column[0]:.0%} cut, {column[1]}: {values.mean():.2%} ± {standard_error(values):.2%} of the optimum")
     assert ratios[0.3, "kernel"].mean() >= 0.95
     assert ratios[0.5, "kernel"].mean() > ratios[0.5, "uncut only"].mean()
+
+
+def test_the_same_patients_are_followed_under_all_cuts():
+    full, cut = trial(300, 0.0, seed=3), trial(300, 0.5, seed=3)
+    kept = cut.stages["elapsed_s"].notna()
+    there = full.stages.merge(cut.stages.loc[kept, ["path", "stage"]], on=["path", "stage"])
+    assert there["reward"].to_numpy() == pytest.approx(cut.stages.loc[kept, "reward"].to_numpy())

@@ -3,16 +3,14 @@
 from itertools import product
 
 import numpy as np
-import pandas as pd
 import pytest
-from cut_regression.comparison import Comparison
-from cut_regression.methods import METHODS, cox_median
+from cut_regression.methods import cox_median
 from cut_regression.settings import CUT_SHARES, TAU, Sample, Setting, TrueCuts
-from cut_regression.words import contrast, headline, sentence, table
+from cut_regression.words import contrast
 from sksurv.linear_model import CoxPHSurvivalAnalysis
 from sksurv.util import Surv
 
-from halfseen.censoring import CensoringModel, Cox, censoring_weights
+from halfseen.censoring import Cox, censoring_weights
 
 SETTINGS = [
     Setting(median, num_covariates, cuts, share)
@@ -43,10 +41,6 @@ def test_true_weights_recover_the_true_median(setting):
         assert below[here].sum() / here.sum() == pytest.approx(0.5, abs=0.03)
 
 
-def test_the_truth_is_a_censoring_model():
-    assert isinstance(TrueCuts(SETTINGS[0]), CensoringModel)
-
-
 @pytest.mark.parametrize("setting", SETTINGS)
 def test_cox_median_is_scikit_survivals(setting):
     sample = setting.sample(150, np.random.default_rng(3))
@@ -68,45 +62,8 @@ def test_cox_answers_tau_where_its_curve_stays_above_a_half():
     assert ((cox_median(sample)(z) == TAU) == ends_above).all()
 
 
-def found(errors_s: dict[str, list[float]]) -> Comparison:
-    """A comparison in one setting, 0.9 s for who is not named."""
-    setting = SETTINGS[0]
-    rows = [
-        {"setting": setting, "num_rows": 400, "repetition": r, "method": method, "error_s": error}
-        for method in [*METHODS, "constant"]
-        for r, error in enumerate(errors_s.get(method, [0.9, 0.8, 0.9]))
-    ]
-    frame = pd.DataFrame(rows).assign(share_at_tau=0.0, cut_share=0.25)
-    return Comparison(frame, {}, {setting: setting.sample(50, np.random.default_rng(0))})
-
-
 def test_the_interval_is_that_of_the_paired_t_test():
     ours, other = np.array([0.1, 0.3, 0.2]), np.array([0.4, 0.5, 0.6])
     result = contrast(ours, other)
     # Differences −0.3, −0.2, −0.4: mean −0.3, standard error 0.1/√3, and t(0.975, 2) = 4.30265.
     assert result == pytest.approx((0.2, 0.5, -0.3 - 4.30265 * 0.1 / 3**0.5, -0.3 + 4.30265 * 0.1 / 3**0.5), abs=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("weighted", "verdict"),
-    [
-        ([0.1, 0.11, 0.1], "is nearer to the truth in 1 of 1 settings (mean error 0.10 against 0.30 s)"),
-        ([0.6, 0.61, 0.6], "is further from the truth in 1 of 1 settings (mean error 0.60 against 0.30 s)"),
-        ([0.1, 0.6, 0.2], "is not told apart by 3 samples in 1 of 1 settings (mean error 0.30 against 0.30 s)"),
-    ],
-)
-def test_the_sentence_follows_the_numbers(weighted, verdict):
-    comparison = found({"kaplan-meier": weighted, "uncut": [0.3, 0.31, 0.3]})
-    assert sentence(comparison, [("kaplan-meier", "uncut")]) == (
-        "With 400 rows, compared with the SVM on uncut rows only, the SVM weighted by Kaplan–Meier " + verdict + "."
-    )
-
-
-def test_table_and_title_tell_the_means():
-    comparison = found({"kaplan-meier": [0.1, 0.2, 0.3], "uncut": [0.4, 0.4, 0.4], "cox-times": [0.7, 0.7, 0.7]})
-    numbers = table(comparison).splitlines()[2].split()
-    assert numbers == ["linear", "1", "uniform", "400", "25.0%", "0.200", *["0.867"] * 3, "0.400", "0.700", "0.867"]
-    assert headline(comparison, SETTINGS[0]) == (
-        "the SVM misses the truth by 0.40 s on uncut rows only and 0.20 s weighted by Kaplan–Meier; "
-        "Cox's model of the times by 0.70 s"
-    )

@@ -4,9 +4,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from cut_regression import command
 from cut_regression.comparison import compare
-from cut_regression.layouts import sizes_figure
 from cut_regression.methods import METHODS, REG
 from cut_regression.settings import Setting
 from matplotlib.image import imread
@@ -66,22 +64,3 @@ def test_what_else_is_asked_for_changes_no_number():
     for method in METHODS:
         assert few.errors_of(setting, 60, method) == more.errors_of(setting, 60, method)[0]
     assert (more.sizes, more.num_repetitions) == ([60, 80], 2)
-
-
-@pytest.mark.parametrize(
-    ("option", "value"),
-    [
-        ("--repetitions", "0"),
-        ("--repetitions", "many"),
-        ("--rows", "10"),
-        ("--seed", "-1"),
-        ("--reg", "0"),
-        ("--reg", "few"),
-    ],
-)
-def test_a_wrong_option_gets_one_line(option, value, tmp_path, capsys):
-    out = tmp_path / "none"
-    with pytest.raises(SystemExit, match=r"^2$"):
-        command.run("none", None, [], [100], 1, [], sizes_figure, [f"{option}={value}", "--out", str(out)])
-    assert f"'{value}' is n" in capsys.readouterr().err.splitlines()[-1]
-    assert not out.exists()

@@ -3,7 +3,6 @@
 import re
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -41,11 +40,6 @@ def simulated(decide, num_parts=40_000):
         goes_on = ~outcome.is_over
         parts, part = parts.assign(clutter=outcome.clutter).loc[goes_on].reset_index(drop=True), part[goes_on]
     return total.mean(), stats.sem(total)
-
-
-def is_alike(one, other):
-    found: Any = stats.ks_2samp(one, other)
-    return found.pvalue > 1e-3
 
 
 def test_values_are_those_of_simulated_parts():
@@ -100,32 +94,6 @@ def test_the_shipped_logs_are_those_that_record_writes(tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_paths_recorded_one_by_one_are_like_those_simulated_at_once(tmp_path):
-    cell_paths.record(tmp_path / "logs", 1000, seed=5)
-    one_by_one, at_once = read_logs(tmp_path / "logs"), simulate(20_000, seed=6)
-    assert one_by_one.cut_share == pytest.approx(at_once.cut_share, abs=0.05)
-    for column in ("reward", *COVARIATES):
-        assert is_alike(one_by_one.stages[column].dropna(), at_once.stages[column].dropna())
-    assert is_alike(one_by_one.end_s, at_once.end_s)
-
-
-def test_values_and_differences_are_told():
-    assert pick_cell.plain_policies() == (
-        "Expected reward of a part: optimum 0.706; rule of thumb 0.641; best fixed order (parallel, suction, hand "
-        "over) 0.535."
-    )
-    values = {"default": [0.60, 0.64], "uncut only": [0.50, 0.56]}
-    rows = [
-        {"log": r, "method": m, "value": v, "cut_share": 0.35} for m, vs in values.items() for r, v in enumerate(vs)
-    ]
-    lines = [line.split() for line in pick_cell.table(pd.DataFrame(rows)).splitlines()]
-    assert lines[1] == ["default", "0.620", "87.8%"]
-    # Differences 0.10 and 0.08: mean 0.09, standard error 0.01, and t(0.975, 1) = 12.706.
-    assert lines[2] == ["uncut", "only", "0.530", "75.0%", "+0.090", "±", "0.127"]
-    assert lines[3][:5] == ["rule", "of", "thumb", "0.641", "90.7%"]
-
-
-@pytest.mark.slow
 def test_the_recorded_logs_give_intervals():
     text = pick_cell.intervals(read_logs(record.LOGS), num_replicates=4, seed=0)
     head, _, *rows = text.splitlines()
@@ -160,3 +128,19 @@ def test_cox_by_stage_beats_uncut_paths():
         print(f"Cox − {other}: {difference.mean():+.2%}, standard error {difference.sem():.2%}")
     gain = ratios["Cox"] - ratios["uncut only"]
     assert gain.mean() > 2 * gain.sem()
+
+
+def test_values_and_differences_are_told():
+    assert pick_cell.plain_policies() == (
+        "Expected reward of a part: optimum 0.706; rule of thumb 0.641; best fixed order (parallel, suction, hand "
+        "over) 0.535."
+    )
+    values = {"default": [0.60, 0.64], "uncut only": [0.50, 0.56]}
+    rows = [
+        {"log": r, "method": m, "value": v, "cut_share": 0.35} for m, vs in values.items() for r, v in enumerate(vs)
+    ]
+    lines = [line.split() for line in pick_cell.table(pd.DataFrame(rows)).splitlines()]
+    assert lines[1] == ["default", "0.620", "87.8%"]
+    # Differences 0.10 and 0.08: mean 0.09, standard error 0.01, and t(0.975, 1) = 12.706.
+    assert lines[2] == ["uncut", "only", "0.530", "75.0%", "+0.090", "±", "0.127"]
+    assert lines[3][:5] == ["rule", "of", "thumb", "0.641", "90.7%"]

@@ -1,25 +1,28 @@
 """Mutators that know a format: what they write is whole, and a value, a type or a name in it is another."""
 
-import csv
 import io
 import json
 import math
-import sqlite3
 import zipfile
-from contextlib import closing, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
-from fuzz.hostile import IN_TEXT, LONG, NUMBERS, WORDS, any_value, pick
+from fuzz.hostile import LONG, NUMBERS, WORDS, any_value, pick
+from fuzz.in_tables import bomb, flip_tail, of_csv, of_parquet, of_sqlite
 
 Rng = np.random.Generator
-
-CSV_KINDS = ("cell", "cell", "cell", "elsewhere", "elsewhere", "header", "dropped", "more", ";")
-OF_COLUMNS = ("turned", "turned", "elsewhere")
+IN_TOML = (
+    *("nan", "inf", "-inf", "1e308", "-1", "0", "9223372036854775808", "1e-320", '""', '"\\u001b[31mred"', "true"),
+    *(f'"{LONG}"', "[]", "{}", "[nan, 0.0]", "[1e308, -1e308]", "[[[1]]]", "[" * 100 + "]" * 100, "1979-05-27"),
+    *('"/dev/zero"', '"../law"', '"> 1e308"', '"> nan"', '"> "', "{ stage = 1 }", "'''a\nb'''", "0x7fffffffffffffff"),
+)
+SHAPED = (
+    *(lambda array: array[..., None], lambda array: array[:0], np.ravel, lambda array: array[:1], np.transpose),
+    *(lambda array: array[()].sum(), lambda array: array[None], lambda array: array[..., :3]),
+)
 
 
 def of_json(rng: Rng, file: Path) -> str:
@@ -89,160 +92,20 @@ def _dumped(value: Any) -> str:
     return json.dumps(value, ensure_ascii=True)
 
 
-def of_csv(rng: Rng, file: Path) -> str:
-    """Another cell, column, header or separator."""
-    rows = list(csv.reader(io.StringIO(file.read_text(errors="replace")))) or [[""]]
-    row, kind = (
-        rows[int(rng.integers(len(rows)))],
-        pick(rng, CSV_KINDS),
-    )
-    column = int(rng.integers(max(1, len(rows[0]))))
-    if kind == "cell" and row:
-        row[column % len(row)] = pick(rng, IN_TEXT)
-    elif kind == "elsewhere" and row:
-        row[column % len(row)] = pick(rng, pick(rng, rows) or [""])
-    elif kind == "header" and rows[0]:
-        rows[0][column] = pick(rng, (*WORDS, *rows[0]))
-    elif kind == "dropped":
-        rows = [[cell for k, cell in enumerate(one) if k != column] for one in rows]
-    else:
-        row.append(pick(rng, IN_TEXT))
-    text = io.StringIO()
-    csv.writer(text, delimiter=";" if kind == ";" else ",").writerows(rows)
-    file.write_bytes(text.getvalue().encode("utf-8", errors="surrogatepass"))
-    return f"{file.name}: {kind}"
-
-
 def of_toml(rng: Rng, file: Path) -> str:
     """Another value, key or table."""
     lines = file.read_text(errors="replace").splitlines()
     places = [k for k, line in enumerate(lines) if "=" in line and not line.lstrip().startswith("#")]
-    values = (
-        *("nan", "inf", "-inf", "1e308", "-1", "0", "9223372036854775808", "1e-320", '""', '"\\u001b[31mred"', "true"),
-        *(f'"{LONG}"', "[]", "{}", "[nan, 0.0]", "[1e308, -1e308]", "[[[1]]]", "[" * 100 + "]" * 100, "1979-05-27"),
-        *(
-            '"/dev/zero"',
-            '"../law"',
-            '"> 1e308"',
-            '"> nan"',
-            '"> "',
-            "{ stage = 1 }",
-            "'''a\nb'''",
-            "0x7fffffffffffffff",
-        ),
-    )
     if not places:
-        lines.append(f"a = {pick(rng, values)}")
+        lines.append(f"a = {pick(rng, IN_TOML)}")
     elif rng.integers(4):
         k = pick(rng, places)
-        lines[k] = f"{lines[k].partition('=')[0]}= {pick(rng, values)}"
+        lines[k] = f"{lines[k].partition('=')[0]}= {pick(rng, IN_TOML)}"
     else:
-        lines.insert(
-            int(rng.integers(len(lines))), pick(rng, ("[[robot]]", "[rule]", "x = 1", lines[pick(rng, places)]))
-        )
+        added = ("[[robot]]", "[rule]", "x = 1", lines[pick(rng, places)])
+        lines.insert(int(rng.integers(len(lines))), pick(rng, added))
     file.write_text("\n".join(lines) + "\n")
     return f"{file.name}: another value"
-
-
-def of_parquet(rng: Rng, file: Path) -> str:
-    """Another cell, type, name or number of rows, and metadata that lie."""
-    try:
-        table = pq.ParquetFile(io.BytesIO(file.read_bytes())).read()
-    except Exception:  # what an earlier mutation broke
-        return f"{file.name}: as it is"
-    if not len(table) or not table.num_columns:
-        return f"{file.name}: as it is"
-    kind = pick(rng, ("cell", "cell", "type", "type", "name", "rows", "dropped", "metadata", "added", *OF_COLUMNS))
-    name = pick(rng, table.column_names)
-    place = table.column_names.index(name)
-    if kind == "cell":
-        table = table.set_column(place, name, _with_cell(rng, table[name]))
-    elif kind in ("type", "added"):
-        told = name if kind == "type" else pick(rng, (*WORDS[5:8], "x9", "reward", "robot", "Reward", "probability"))
-        told = told.encode("utf-8", "replace").decode()
-        table = table.set_column(place, told, _of_type(rng, table[name])) if kind == "type" else table
-        table = table if kind == "type" else table.append_column(told, _of_type(rng, table[name]))
-    elif kind == "name":
-        names = [word.encode("utf-8", "replace").decode() for word in (*WORDS, *table.column_names)]
-        table = table.rename_columns([pick(rng, names) if each == name else each for each in table.column_names])
-    elif kind == "rows":
-        table = table.take(pa.array(rng.integers(len(table), size=int(rng.integers(len(table) + 4)))))
-    elif kind == "dropped":
-        table = table.drop_columns([name])
-    elif kind == "turned":
-        table = table.set_column(place, name, table[name].take(pa.array(rng.permutation(len(table)))))
-    elif kind == "elsewhere":
-        table = table.set_column(place, name, table[pick(rng, table.column_names)])
-    else:
-        broken = (
-            b"{",
-            b"\xff",
-            b"[" * 10_000,
-            b'{"columns": 1}',
-            b'{"index_columns": [{}]}',
-            b'{"index_columns": ["x"]}',
-        )
-        table = table.replace_schema_metadata({b"pandas": pick(rng, broken), b"halfseen": b"\x00"})
-    whole = file.read_bytes()
-    try:
-        pq.write_table(table, file)
-    except (pa.ArrowException, NotImplementedError):
-        file.write_bytes(whole)  # Arrow deletes what it cannot write
-        return flip_tail(rng, file)
-    return f"{file.name}: {name[:40]}: {kind}"
-
-
-def flip_tail(rng: Rng, file: Path) -> str:
-    data = bytearray(file.read_bytes())
-    data[-1 - int(rng.integers(min(len(data), 2000)))] ^= 1 << int(rng.integers(8))
-    file.write_bytes(bytes(data))
-    return f"{file.name}: a bit of the footer flipped"
-
-
-def _with_cell(rng: Rng, column: pa.ChunkedArray) -> pa.Array:
-    values = column.to_pylist()
-    which = range(len(values)) if not rng.integers(4) else [int(rng.integers(len(values)))]
-    for _ in range(20):
-        new = pick(rng, (*NUMBERS, *WORDS, None, [], [None], [float("nan")], [1e308] * 3, True))
-        changed = [new if k in which else value for k, value in enumerate(values)]
-        try:
-            return pa.array(changed, type=column.type if rng.integers(3) else None)
-        except (pa.ArrowException, TypeError, ValueError, OverflowError, UnicodeError):
-            continue
-    return column.combine_chunks()
-
-
-def _of_type(rng: Rng, column: pa.ChunkedArray) -> pa.Array:
-    values, num = column.to_pylist(), len(column)
-    whole = pa.array(range(num))
-    makers = (
-        lambda: pa.array(values).dictionary_encode(),
-        lambda: pa.array([str(value) for value in values]).dictionary_encode(),
-        lambda: pa.array([{"a": value} for value in values]),
-        lambda: pa.array([[value] for value in values]),
-        lambda: pa.array([[[{"a": value}]] for value in values]),
-        lambda: pa.array([str(value) for value in values]),
-        lambda: pa.array([str(value).encode() for value in values]),
-        lambda: pa.array([value is not None for value in values]),
-        lambda: pa.nulls(num),
-        lambda: pa.nulls(num, pa.float64()),
-        lambda: pa.array([[0.5] * 3] * num, pa.list_(pa.float64(), 3)),
-        lambda: pa.array([[("a", 1)]] * num, pa.map_(pa.string(), pa.int64())),
-        lambda: whole.cast(pa.timestamp("ns")),
-        lambda: whole.cast(pa.duration("s")),
-        lambda: whole.cast(pa.decimal128(38, 10)),
-        lambda: whole.cast(pa.float16()) if num < 2000 else whole,
-        lambda: whole.cast(pa.uint64()),
-        lambda: pa.array([2**63 + k for k in range(num)], pa.uint64()),
-        lambda: pa.array(rng.normal(size=num).astype(np.float32)),
-        lambda: pa.array(rng.normal(size=num) * 1e300),
-        lambda: pa.array(np.full(num, pick(rng, NUMBERS[:15]), dtype=np.float64)),
-        lambda: pa.array(values),
-    )
-    try:
-        return pick(rng, makers)()
-    except (pa.ArrowException, TypeError, ValueError, OverflowError):
-        return whole
 
 
 def of_npz(rng: Rng, file: Path) -> str:
@@ -262,17 +125,7 @@ def of_npz(rng: Rng, file: Path) -> str:
         with np.errstate(all="ignore"), suppress(ValueError):  # text that is no time stays text
             arrays[name] = np.nan_to_num(array).astype(pick(rng, types))
     elif kind == "shape":
-        shapes = (
-            array[..., None],
-            array[:0],
-            array.ravel(),
-            array[:1],
-            array.T,
-            array[()].sum(),
-            array[None],
-            array[..., :3],
-        )
-        arrays[name] = np.asarray(pick(rng, shapes))
+        arrays[name] = np.asarray(pick(rng, SHAPED)(array))
     elif kind == "dropped":
         del arrays[name]
     elif kind == "picture" and _is_image(arrays.get("depth_m")):
@@ -367,76 +220,27 @@ def of_hdf5(rng: Rng, file: Path) -> str:
                 del opened[place]
             elif kind == "link":
                 del opened[place]
-                opened[place] = pick(
-                    rng, (h5py.SoftLink("/none"), h5py.SoftLink(f"/{place}"), h5py.ExternalLink("/dev/zero", "/"))
-                )
+                links = (h5py.SoftLink("/none"), h5py.SoftLink(f"/{place}"), h5py.ExternalLink("/dev/zero", "/"))
+                opened[place] = pick(rng, links)
             else:
                 shape = node.shape if isinstance(node, h5py.Dataset) else (3,)
-                size = (shape[0] if shape else 1) + int(rng.integers(-1, 2))
-                new = pick(
-                    rng,
-                    (
-                        np.full(max(0, size), pick(rng, NUMBERS[:15]), float),
-                        np.arange(max(0, size)),
-                        np.array([b"a"] * max(0, size)),
-                        np.zeros((max(0, size), 0)),
-                        np.zeros((max(0, size), 2, 2)),
-                        np.array(3.0),
-                        np.zeros(max(0, size), bool),
-                        np.zeros(max(0, size), complex),
-                    ),
-                )
                 del opened[place]
-                opened[place] = new
+                opened[place] = _dataset(rng, max(0, (shape[0] if shape else 1) + int(rng.integers(-1, 2))))
     except Exception:  # what an earlier mutation broke, or HDF5 does not allow
         return flip_tail(rng, file)
     return f"{file.name}: {place}: {kind}"
 
 
-def of_sqlite(rng: Rng, file: Path) -> str:
-    """Another cell of a table, or a table less."""
-    try:
-        with closing(sqlite3.connect(file)) as base:
-            tables = [row[0] for row in base.execute("select name from sqlite_master where type = 'table'")]
-            table = pick(rng, tables)
-            columns = [row[1] for row in base.execute(f'pragma table_info("{table}")')]
-            if not rng.integers(8):
-                base.execute(f'drop table "{table}"')
-            else:
-                value = pick(rng, (None, -1, 2**63 - 1, 0, "word", LONG, b"", b"\x00\x01\x00\x00" + b"\xff" * 8, 1e308))
-                base.execute(
-                    f'update "{table}" set "{pick(rng, columns)}" = ? where rowid = 1 + abs(random()) % 3', (value,)
-                )
-            base.commit()
-    except (sqlite3.Error, OverflowError):
-        return flip_tail(rng, file)
-    return f"{file.name}: {table}: another cell"
-
-
-def bomb(rng: Rng, file: Path) -> str:
-    """Few bytes that take many: a table or an array of one value, well packed."""
-    num = 2 * 10**8
-    if file.suffix == ".npz":
-        with (
-            zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
-            archive.open("depth_m.npy", "w") as member,
-        ):
-            member.write(
-                b"\x93NUMPY\x01\x00v\x00"
-                + f"{{'descr': '<f8', 'fortran_order': False, 'shape': ({num}, 1), }}".ljust(117).encode()
-                + b"\n"
-            )
-            for _ in range(num // 10**6):
-                member.write(bytes(8 * 10**6))
-        return f"{file.name}: a bomb"
-    values = pick(rng, ([0] * 10, ["n" * 10**6] * 10, [[0.0] * 1000] * 10))
-    block = pa.table({"path": pa.array([1] * 10), "stage": pa.array(range(10)), "x9": values})
-    repeated = pa.concat_tables([block] * 3000).combine_chunks() if not isinstance(values[0], str) else None
-    table = repeated or pa.table(
-        {"path": [1] * 20_000, "x9": pa.DictionaryArray.from_arrays([0] * 20_000, ["n" * 10**5])}
+def _dataset(rng: Rng, size: int) -> np.ndarray:
+    values = (
+        np.full(size, pick(rng, NUMBERS[:15]), float),
+        np.arange(size),
+        np.array([b"a"] * size),
+        np.array(3.0),
+        *(np.zeros(shape) for shape in ((size, 0), (size, 2, 2))),
+        *(np.zeros(size, kind) for kind in (bool, complex)),
     )
-    pq.write_table(table, file, compression="zstd")
-    return f"{file.name}: a bomb"
+    return pick(rng, values)
 
 
 OF_FORMAT = {
@@ -444,9 +248,10 @@ OF_FORMAT = {
     ".jsonl": (of_json,),
     ".csv": (of_csv,),
     ".toml": (of_toml,),
-    ".parquet": (of_parquet, of_parquet, of_parquet, of_parquet, of_parquet, of_parquet, bomb),
+    ".parquet": (*[of_parquet] * 6, bomb),
     ".npz": (of_npz,),
     ".safetensors": (of_safetensors,),
     ".hdf5": (of_hdf5,),
     ".db3": (of_sqlite,),
+    ".db": (of_sqlite,),
 }

@@ -8,47 +8,16 @@ import numpy as np
 
 from fuzz.hostile import FOR_OPTIONS, pick
 
-NEVER = (
-    "--engine",
-    "--address",
-    "--listen",
-    "--port",
-    "--workers",
-    "--out",
-    "--onnx",
-    "--export",
-    "--picture",
-    "--help",
-)
+NEVER = {
+    *("--engine", "--address", "--listen", "--port", "--workers"),
+    *("--out", "--onnx", "--export", "--picture", "--help"),
+}
 """Options that are left as they are: they start processes of their own, wait for others, or say where to write."""
 SENSIBLE = (
-    *(
-        "x1",
-        "x1,x2",
-        "x1,x2,colour",
-        "action",
-        "x1,action",
-        "occlusion",
-        "log_odds",
-        "t",
-        "cv",
-        "auto",
-        "0.1",
-        "0",
-        "10",
-    ),
-    *(
-        "in/logs",
-        "in/policy",
-        "in/law",
-        "in/team.toml",
-        "in/rule.toml",
-        "in/state.json",
-        "in/table.npz",
-        "in/labels.csv",
-    ),
-    *("in/history", "in/cell.toml", "logging", "logging-rule", "sequence:A,C", "sequence:A,nope", "assumed", "shipped"),
-    *("A", "parts", "x" * 24, "1-2"),
+    *("x1", "x1,x2", "x1,x2,colour", "action", "x1,action", "occlusion", "log_odds", "t", "cv", "auto", "0.1", "0"),
+    *("in/logs", "in/policy", "in/law", "in/team.toml", "in/rule.toml", "in/state.json", "in/table.npz"),
+    *("in/labels.csv", "in/history", "in/cell.toml", "logging", "logging-rule", "sequence:A,C", "sequence:A,nope"),
+    *("assumed", "shipped", "A", "parts", "x" * 24, "1-2", "10"),
 )
 LASTS = {"study", "cell", "serve", "watch", "record"}
 """Verbs that take minutes, or have no end, where their words are right."""
@@ -60,7 +29,7 @@ def options_of(verb: str) -> list[click.Option]:
 
     command = halfseen.get_command(click.Context(halfseen), verb)
     found = [] if command is None else [each for each in command.params if isinstance(each, click.Option)]
-    return [option for option in found if not set(option.opts) & set(NEVER)]
+    return [option for option in found if not NEVER & set(option.opts)]
 
 
 def other_words(rng: np.random.Generator, line: str) -> list[str]:
@@ -89,10 +58,8 @@ def sensible_value(rng: np.random.Generator, option: click.Option) -> str:
 
 def _changed(rng: np.random.Generator, words: Sequence[str]) -> list[str]:
     words = list(words)
-    verb, kind = (
-        words[0] if words else "",
-        pick(rng, ("value", "option", "option", "option", "argument", "word", "drop")),
-    )
+    verb = words[0] if words else ""
+    kind = pick(rng, ("value", "option", "option", "option", "argument", "word", "drop"))
     if kind == "option" and (options := options_of(verb)) and verb not in LASTS:
         option = pick(rng, options)
         return [*words, option.opts[0], *([] if option.is_flag else [_value_for(rng, option)])]

@@ -121,9 +121,6 @@ def ran(words: Any, folder: Path) -> Outcome:
 
 def _load() -> None:
     """Set what a process of its own would have; what verbs import stays from case to case."""
-    from halfseen.cli.compiler import set_compiler
-
-    set_compiler()
     warnings.simplefilter("default")
     has_bytes = int(_memory_mb("VmData") * 1e6)
     resource.setrlimit(resource.RLIMIT_DATA, (has_bytes + MOST_MORE, resource.RLIM_INFINITY))

@@ -1,6 +1,5 @@
 import numpy as np
 import pandas as pd
-import pyarrow.parquet as pq
 import pytest
 
 from halfseen.errors import ArgumentError, LogError
@@ -62,26 +61,8 @@ def test_nothing_is_left_of_what_went_wrong(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_stages_out_of_order_are_refused(tmp_path):
+def test_a_stream_of_no_folder_or_of_no_parts_is_refused(tmp_path):
     log_of(range(10)).write(tmp_path / "logs")
-    file = tmp_path / "logs" / "stages.parquet"
-    table = pq.read_table(file)
-    pq.write_table(table.take([*range(10, 20), *range(10)]), file)
-    with pytest.raises(LogError, match=r"stages\.parquet: no row of path 0 comes next"):
-        list(LogStream(tmp_path / "logs", 5))
-    pq.write_table(table.take([*range(18), 0, 1]), file)
-    with pytest.raises(LogError, match=r"path 9: it has no stage|rows of path 0 stand where|no row of path 9"):
-        list(LogStream(tmp_path / "logs", 5))
-
-
-def test_a_broken_part_is_told_with_its_folder(tmp_path):
-    log_of(range(10)).write(tmp_path / "logs")
-    file = tmp_path / "logs" / "stages.parquet"
-    table = pq.read_table(file).to_pandas()
-    table.loc[15, "reward"] = np.nan
-    table.to_parquet(file, index=False)
-    with pytest.raises(LogError, match=r"logs: path 7, stage 2: the stage is completed, yet its reward is nan"):
-        list(LogStream(tmp_path / "logs", 5))
     with pytest.raises(ArgumentError, match="paths_at_once is 0"):
         LogStream(tmp_path / "logs", 0)
     with pytest.raises(LogError, match="there is no such folder"):

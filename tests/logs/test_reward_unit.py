@@ -6,7 +6,7 @@ from halfseen.errors import LogError
 from halfseen.evaluation.second_order import with_second_order
 from halfseen.learning.named_task import NamedActions
 from halfseen.logs import LogRecorder, Logs, LogStream, read_logs, write_stream
-from halfseen.logs.formats import read_csv, read_minari, write_csv, write_minari
+from halfseen.logs.formats import read_csv, write_csv
 from halfseen.logs.joining import joined
 from small_logs import flat_log
 
@@ -41,13 +41,6 @@ def test_the_unit_goes_where_the_log_goes(logs, tmp_path):
     ]
     assert {one.reward_unit for one in same} == {"Körbe"}
     assert json.loads((tmp_path / "logs" / "logs.json").read_text(encoding="utf-8"))["reward_unit"] == "Körbe"
-
-
-def test_minari_keeps_the_unit(logs, tmp_path, monkeypatch):
-    pytest.importorskip("minari")
-    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
-    write_minari(logs, "units-v0")
-    assert read_minari("units-v0").reward_unit == "Körbe"
 
 
 def test_a_log_without_a_unit_is_what_it_was(tmp_path):

@@ -29,35 +29,43 @@ def test_a_clock_may_stand_where_two_robots_are_free_at_once(tmp_path):
     assert read_logs(tmp_path / "log").stages["robot"].tolist() == ["left", "right", "left"]
 
 
-def test_but_it_never_falls():
-    with pytest.raises(LogError, match=r"elapsed_s 1.0 is before the 2.0 of stage 2"):
-        log(elapsed_s=(0.0, 2.0, 1.0))
-
-
 def test_of_one_robot_it_runs():
     stages = log().stages.drop(columns="robot")
     with pytest.raises(LogError, match=r"elapsed_s 0.0 is no time after the path's beginning"):
         Logs(stages, {"path": [0], "end_s": [5.0], "ending": ["finished"]})
 
 
-def test_two_robots_at_one_object_are_refused():
-    with pytest.raises(LogError, match="stage 2: robot 'right' begins with object 0, which robot 'left' is at since"):
-        log(objects=(0, 0, 2), elapsed_s=(1.0, 2.0, 5.0))
+TURNS = ("right", "left", "right")
 
 
-def test_who_decides_at_the_same_clock_is_done_already():
-    # At 2 s both are free; left decides first, and takes what right has just let go of.
-    robots = ("right", "left", "right")
-    assert log(objects=(0, 0, 1), robots=robots, elapsed_s=(2.0, 2.0, 5.0)).num_paths == 1
-    with pytest.raises(LogError, match="stage 2: robot 'left' begins with object 0"):
-        log(objects=(0, 0, 1), robots=robots, elapsed_s=(2.0, 3.0, 5.0))
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"elapsed_s": (0.0, 2.0, 1.0)}, r"elapsed_s 1.0 is before the 2.0 of stage 2"),
+        (
+            {"objects": (0, 0, 2), "elapsed_s": (1.0, 2.0, 5.0)},
+            "stage 2: robot 'right' begins with object 0, which robot 'left' is at since",
+        ),
+        (
+            {"objects": (0, 0, 1), "robots": TURNS, "elapsed_s": (2.0, 3.0, 5.0)},
+            "stage 2: robot 'left' begins with object 0",
+        ),
+        ({"robots": ("left", None, "left")}, "robot is null"),
+    ],
+)
+def test_clocks_that_fall_two_at_one_object_and_stages_of_nobody_are_refused(given, message):
+    with pytest.raises(LogError, match=message):
+        log(**given)
 
 
-def test_one_after_the_other_is_well():
-    assert log(objects=(0, 1, 1), robots=("left", "right", "right")).num_paths == 1
-    assert log(objects=(0, 1, 0), robots=("left", "left", "right")).num_paths == 1
-
-
-def test_each_stage_has_its_robot():
-    with pytest.raises(LogError, match="robot is null"):
-        log(robots=("left", None, "left"))
+@pytest.mark.parametrize(
+    "given",
+    [
+        # At 2 s both are free; left decides first, and takes what right has just let go of.
+        {"objects": (0, 0, 1), "robots": TURNS, "elapsed_s": (2.0, 2.0, 5.0)},
+        {"objects": (0, 1, 1), "robots": ("left", "right", "right")},
+        {"objects": (0, 1, 0), "robots": ("left", "left", "right")},
+    ],
+)
+def test_one_after_the_other_is_well(given):
+    assert log(**given).num_paths == 1

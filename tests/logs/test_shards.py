@@ -46,16 +46,30 @@ def read_all(folder):
     return [reader.read(part) for shard in stream.shards() for part in shard.parts]
 
 
-def test_paths_that_stand_apart_are_told(tmp_path):
+@pytest.mark.parametrize(
+    ("rows", "in_stream", "in_shards"),
+    [
+        ([*range(10, 20), *range(10)], r"stages\.parquet: no row of path 0 comes next", None),
+        (
+            [*range(18), 0, 1],
+            r"path 9: it has no stage|rows of path 0 stand where|no row of path 9",
+            r"logs: path 0, stage 1: paths has no such path",
+        ),
+        (
+            [0, 2, 1, 3, *range(4, 20)],
+            None,  # a stream sorts the rows of its parts
+            r"stages\.parquet: the rows of its paths do not stand together",
+        ),
+    ],
+)
+def test_paths_that_stand_apart_are_told(tmp_path, rows, in_stream, in_shards):
     log_of(range(10)).write(tmp_path / "logs")
     file = tmp_path / "logs" / "stages.parquet"
-    table = pq.read_table(file)
-    pq.write_table(table.take([*range(18), 0, 1]), file)
-    with pytest.raises(LogError, match=r"logs: path 0, stage 1: paths has no such path"):
-        read_all(tmp_path / "logs")
-    pq.write_table(table.take([0, 2, 1, 3, *range(4, 20)]), file)
-    with pytest.raises(LogError, match=r"stages\.parquet: the rows of its paths do not stand together"):
-        read_all(tmp_path / "logs")
+    pq.write_table(pq.read_table(file).take(rows), file)
+    for read, told in ((lambda folder: list(LogStream(folder, 5)), in_stream), (read_all, in_shards)):
+        if told is not None:
+            with pytest.raises(LogError, match=told):
+                read(tmp_path / "logs")
 
 
 def test_a_broken_part_is_told_with_its_folder_and_its_path(tmp_path):
@@ -68,8 +82,9 @@ def test_a_broken_part_is_told_with_its_folder_and_its_path(tmp_path):
     reader = ShardReader(stream.as_folder)
     first, second = [part for shard in stream.shards() for part in shard.parts]
     assert reader.read(first).num_paths == 5
-    with pytest.raises(LogError, match=r"logs: path 7, stage 2: the stage is completed, yet its reward is nan"):
-        reader.read(second)
+    for read in (lambda: reader.read(second), lambda: list(stream)):
+        with pytest.raises(LogError, match=r"logs: path 7, stage 2: the stage is completed, yet its reward is nan"):
+            read()
 
 
 def test_a_table_of_paths_out_of_order_is_refused(tmp_path):

@@ -41,16 +41,6 @@ def packed(colours: np.ndarray, alpha: int = 0) -> np.ndarray:
     return np.array([alpha << 24 | int(r) << 16 | int(g) << 8 | int(b) for r, g, b in colours], dtype=np.uint32)
 
 
-@pytest.mark.parametrize("shape", [(ROWS, COLUMNS), None])
-def test_a_pcd_keeps_every_bit_of_colour(tmp_path, points, colours, shape):
-    write_pcd(Cloud(points, shape, K, colours=colours), tmp_path / "cloud.pcd")
-    read = read_cloud(tmp_path / "cloud.pcd")
-    np.testing.assert_array_equal(read.points_m, points)
-    np.testing.assert_array_equal(read.colours, colours)
-    assert read.colours.dtype == np.uint8
-    assert read.shape == shape
-
-
 def test_another_library_reads_the_colours_that_were_written(tmp_path, points, colours):
     write_pcd(Cloud(points, colours=colours), tmp_path / "cloud.pcd")
     other = PointCloud.from_path(tmp_path / "cloud.pcd")
@@ -99,12 +89,6 @@ def test_ply_files_of_another_library_are_read_right(tmp_path, points, colours, 
         vertex[axis], vertex[name] = points[:, k], colours[:, k]
     PlyData([PlyElement.describe(vertex, "vertex")], text=is_text).write(str(tmp_path / "cloud.ply"))
     np.testing.assert_array_equal(read_cloud(tmp_path / "cloud.ply").colours, colours)
-
-
-def test_an_npz_has_a_colour_for_each_pixel(tmp_path, colours):
-    picture = colours.reshape(ROWS, COLUMNS, 3)
-    np.savez(tmp_path / "cloud.npz", depth_m=np.ones((ROWS, COLUMNS)), K=K, rgb=picture)
-    np.testing.assert_array_equal(read_cloud(tmp_path / "cloud.npz").colours, colours)
 
 
 def bad_npz(path: Path, rgb: np.ndarray) -> None:
@@ -158,13 +142,6 @@ def a_wall(num_rows: int = 30, num_columns: int = 40) -> tuple[Cloud, np.ndarray
     return Cloud.from_depth(depth, focal, "wall", picture), picture
 
 
-def test_pixels_of_an_organised_cloud_have_their_own_colours():
-    cloud, picture = a_wall()
-    seen = pixel_colours(range_image(cloud), cloud)
-    picture[2, 3] = 0
-    np.testing.assert_array_equal(seen, picture)
-
-
 def test_pixels_of_an_unorganised_cloud_have_the_colour_of_their_nearest_point():
     cloud, _ = a_wall()
     near = np.flatnonzero(np.isfinite(cloud.points_m[:, 2]))
@@ -180,3 +157,20 @@ def test_pixels_of_an_unorganised_cloud_have_the_colour_of_their_nearest_point()
         which = np.argmin(np.linalg.norm(points - image.points_m[row, column], axis=1))
         np.testing.assert_array_equal(seen[row, column], colours[which])
     assert not seen[~image.is_return].any()
+
+
+@pytest.mark.parametrize("shape", [(ROWS, COLUMNS), None])
+def test_a_pcd_keeps_every_bit_of_colour(tmp_path, points, colours, shape):
+    write_pcd(Cloud(points, shape, K, colours=colours), tmp_path / "cloud.pcd")
+    read = read_cloud(tmp_path / "cloud.pcd")
+    np.testing.assert_array_equal(read.points_m, points)
+    np.testing.assert_array_equal(read.colours, colours)
+    assert read.colours.dtype == np.uint8
+    assert read.shape == shape
+
+
+def test_pixels_of_an_organised_cloud_have_their_own_colours():
+    cloud, picture = a_wall()
+    seen = pixel_colours(range_image(cloud), cloud)
+    picture[2, 3] = 0
+    np.testing.assert_array_equal(seen, picture)

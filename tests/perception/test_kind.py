@@ -7,7 +7,7 @@ from drawn_boxes import boxes_cloud
 from halfseen.perception import perceive, read_cloud
 from halfseen.perception.kind import HIGHEST_M, LOWEST_M, other_things, other_things_in_words
 from halfseen.perception.solids import Hull
-from halfseen.scene import capture, random_table, table_paths
+from halfseen.scene import table_paths
 
 
 @pytest.fixture(scope="module")
@@ -34,11 +34,6 @@ def test_boxes_are_no_cups():
     )
 
 
-@pytest.mark.parametrize("path", table_paths(), ids=lambda path: path.stem)
-def test_the_tables_that_come_along_are_of_cups(path):
-    assert other_things_in_words(perceive(read_cloud(path))) == ""
-
-
 def test_a_height_that_no_cup_has_is_enough(cups):
     assert other_things(changed(cups, o2=HIGHEST_M + 0.01)) == (2,)
     view = changed(cups, o0=LOWEST_M - 0.01)
@@ -52,9 +47,3 @@ def test_one_shape_among_cups_may_be_two_cups_that_were_taken_for_one(cups):
     assert other_things(changed(cups, o3="hull")) == ()
     assert other_things(changed(cups, o3="hull", o4="hull")) == (3, 4)
     assert other_things(changed(cups, o3="hull", o4=0.3)) == (3, 4)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(2000, 2012))
-def test_random_tables_raise_no_alarm(seed):
-    assert other_things(perceive(capture(random_table(seed), seed).cloud)) == ()

@@ -63,8 +63,3 @@ def test_bad_files_are_refused_in_one_line(tmp_path, case):
         read_labels(tmp_path / name, 2)
     assert name in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_a_missing_file_is_refused(tmp_path):
-    with pytest.raises(ArgumentError, match="No such file"):
-        read_labels(tmp_path / "none.csv", 2)

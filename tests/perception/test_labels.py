@@ -8,7 +8,7 @@ import pytest
 from scores import matched
 
 from halfseen.errors import CloudError
-from halfseen.perception import Cloud, Label, Labeller, StainCounter, perceive
+from halfseen.perception import Cloud, StainCounter, perceive
 from halfseen.scene import Stain, Surface, capture, draw_surface, random_table, read_table
 from halfseen.scene.colours import is_within
 from halfseen.scene.stains import SURFACES
@@ -62,12 +62,6 @@ def test_stains_are_told_from_every_glaze_in_light_and_shade(glaze, stain):
     assert told[~is_stained].sum() <= 2
 
 
-def test_one_colour_in_any_light_has_no_stain():
-    light = np.linspace(0.3, 1.0, 500)[:, None]
-    for glaze in (*SURFACES.glazes, *SURFACES.stain_colours):
-        assert not StainCounter().is_stained(np.rint(light * glaze).astype(np.uint8)).any()
-
-
 def test_stained_pixels_are_counted_as_geometry_has_them(table, surfaces, seen):
     picture, view = seen
     labels, pairs = StainCounter()(view, picture.cloud), matched(view, picture.truth)
@@ -87,12 +81,6 @@ def test_a_label_is_dirty_from_the_fewest_stained_pixels_on(seen):
     most = max(StainCounter()(view, picture.cloud), key=lambda label: label.num_stained_px).num_stained_px
     dirty = [StainCounter(fewest_px=fewest)(view, picture.cloud) for fewest in (most, most + 1)]
     assert [sum(label.is_dirty is True for label in labels) for labels in dirty] == [1, 0]
-
-
-def test_what_has_too_few_pixels_is_not_labelled(seen):
-    picture, view = seen
-    labels = StainCounter(fewest_px=10**6)(view, picture.cloud)
-    assert [(label.is_dirty, label.word) for label in labels] == [(None, "unknown")] * 5
 
 
 def test_the_share_in_view_falls_with_occlusion(seen):
@@ -136,17 +124,6 @@ def test_a_cloud_without_colour_is_refused(seen):
     picture, view = seen
     with pytest.raises(CloudError, match=r"no colour.*labels in a file"):
         StainCounter()(view, replace(picture.cloud, colours=None))
-
-
-def test_a_function_of_ones_own_is_a_labeller(seen):
-    picture, view = seen
-
-    def all_dirty(view, cloud):
-        return [Label(is_dirty=True) for _ in view.objects]
-
-    assert isinstance(all_dirty, Labeller)
-    assert isinstance(StainCounter(), Labeller)
-    assert [label.word for label in all_dirty(view, picture.cloud)] == ["dirty"] * 5
 
 
 @cache
@@ -235,3 +212,9 @@ def test_a_stain_on_the_far_side_is_not_seen(table, seen):
         told.append([label.is_dirty for label in StainCounter()(seen[1], capture(table, 1, surfaces=walls).cloud)])
     share = np.mean(told, axis=0)
     assert ((share > 0) & (share < 1)).all()
+
+
+def test_one_colour_in_any_light_has_no_stain():
+    light = np.linspace(0.3, 1.0, 500)[:, None]
+    for glaze in (*SURFACES.glazes, *SURFACES.stain_colours):
+        assert not StainCounter().is_stained(np.rint(light * glaze).astype(np.uint8)).any()

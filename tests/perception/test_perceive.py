@@ -84,17 +84,6 @@ def test_a_hidden_hider_still_hides():
     assert view.hides[middle, first] == pytest.approx(draw(cans[0], cans[1]).occlusion[1], abs=0.03)
 
 
-@pytest.mark.parametrize("is_open", [True, False])
-def test_one_can_is_one_object_open_or_closed(is_open):
-    drawn = draw(Can(0.05, 0.02, 0.045, 0.08, is_open=is_open))
-    view = perceive(drawn.cloud)
-    assert len(view.objects) == 1
-    np.testing.assert_array_equal(view.hides, [[0.0]])
-    assert view.objects[0].occlusion == 0
-    claimed = set(view.objects[0].pixels) & set(np.flatnonzero(drawn.labels == 0))
-    assert len(claimed) > 0.85 * (drawn.labels == 0).sum()
-
-
 def test_inner_and_outer_wall_are_two_sheets_of_one_cup():
     drawn = draw(Can(0.0, 0.0, 0.05, 0.10))
     depth = drawn.depth_m.copy()
@@ -112,37 +101,6 @@ def test_a_cup_cut_in_two_by_a_thin_one_is_one_object():
     assert sorted(owner_of(view, drawn)) == [0, 1]
     back = owner_of(view, drawn).index(1)
     assert view.objects[back].occlusion == pytest.approx(drawn.occlusion[1], abs=0.03)
-
-
-def test_shadow_neither_splits_the_table_nor_loses_a_cup():
-    cans = (*PAIR, Can(-0.16, 0.05, 0.04, 0.12), Can(0.2, 0.1, 0.03, 0.07))
-    drawn = draw(*cans, has_shadow=True)
-    assert np.isnan(drawn.depth_m).sum() > np.isnan(draw(*cans).depth_m).sum() + 300
-    view = perceive(drawn.cloud)
-    owner = owner_of(view, drawn)
-    assert sorted(owner) == [0, 1, 2, 3]
-    found = [seen.occlusion for seen in view.objects]
-    np.testing.assert_allclose(found, drawn.occlusion[owner], atol=0.04)
-
-
-def test_noise_does_not_matter():
-    drawn = draw(*PAIR, noise_m=0.002)
-    view = perceive(drawn.cloud)
-    owner = owner_of(view, drawn)
-    assert sorted(owner) == [0, 1]
-    np.testing.assert_allclose([seen.occlusion for seen in view.objects], drawn.occlusion[owner], atol=0.04)
-
-
-def test_a_table_without_its_room_is_the_same_table():
-    whole, bare = perceive(draw(*PAIR).cloud), perceive(draw(*PAIR, is_bare=True).cloud)
-    np.testing.assert_allclose(bare.table.normal, whole.table.normal, atol=1e-3)
-    np.testing.assert_allclose(bare.hides, whole.hides, atol=0.01)
-
-
-def test_zero_and_nan_are_the_same_no_return():
-    drawn = draw(*PAIR, has_shadow=True)
-    zero = Cloud.from_depth(np.nan_to_num(drawn.depth_m), drawn.cloud.intrinsics)
-    np.testing.assert_array_equal(perceive(zero).hides, perceive(drawn.cloud).hides)
 
 
 def test_one_cloud_gives_one_view_whatever_the_global_seed(pair):
@@ -185,47 +143,12 @@ def test_a_cloud_in_another_frame_is_seen_from_its_viewpoint(pair):
         np.testing.assert_allclose(one.centroid_m, expected, atol=0.005)
 
 
-def test_organised_clouds_need_no_intrinsics(pair):
-    drawn, view = pair
-    bare = Cloud(drawn.cloud.points_m, drawn.cloud.shape)
-    seen = perceive(bare)
-    np.testing.assert_allclose(seen.image.intrinsics, drawn.cloud.intrinsics, atol=1e-6)
-    np.testing.assert_allclose(seen.hides, view.hides, atol=1e-6)
-
-
-def test_an_empty_table_has_no_objects():
-    view = perceive(draw().cloud)
-    assert view.objects == ()
-    assert view.hides.shape == (0, 0)
-    assert view.scene().num_objects == 0
-
-
 def test_what_the_border_cuts_is_counted_and_left_out():
     drawn = draw(Can(0.0, 0.0), Can(-0.40, -0.10, 0.05, 0.10))
     assert (drawn.labels[:, 0] == 1).any()
     view = perceive(drawn.cloud)
     assert owner_of(view, drawn) == [0]
     assert view.num_cut == 1
-
-
-def test_no_returns_at_all_is_an_error():
-    with pytest.raises(CloudError, match="0 of 76800 points"):
-        perceive(Cloud.from_depth(np.full((240, 320), np.nan), draw().cloud.intrinsics, "dark"))
-
-
-def test_a_ball_of_points_is_no_table():
-    way = np.random.default_rng(0).standard_normal((4000, 3))
-    ball = way / np.linalg.norm(way, axis=1, keepdims=True) * 0.1 + [0.0, 0.0, 1.0]
-    with pytest.raises(CloudError, match="ball: no table plane"):
-        perceive(Cloud(ball, name="ball"))
-
-
-def test_a_wall_is_no_table():
-    # Seen by a camera that looks down, a wall is farther where it is lower.
-    way = (np.arange(240) - 119.5) / 290.0
-    depth = np.repeat((1.0 / (np.cos(DOWN_RAD) - np.sin(DOWN_RAD) * way))[:, None], 320, axis=1)
-    with pytest.raises(CloudError, match="wall: no table plane"):
-        perceive(Cloud.from_depth(depth, draw().cloud.intrinsics, "wall"))
 
 
 def test_perception_loads_neither_jax_nor_mujoco():
@@ -289,3 +212,49 @@ def test_what_falls_into_too_many_pieces_is_refused_and_not_fitted_for_minutes(m
     monkeypatch.setattr(f"halfseen.perception.grouping.{bound}", 0)
     with pytest.raises(CloudError, match=told):
         perceive(read_cloud(table_paths()[4]))
+
+
+FOUR = (*PAIR, Can(-0.16, 0.05, 0.04, 0.12), Can(0.2, 0.1, 0.03, 0.07))
+
+
+@pytest.mark.parametrize(
+    ("cans", "options"),
+    [
+        (FOUR, {"has_shadow": True}),
+        (PAIR, {"noise_m": 0.002}),
+        (PAIR, {"is_bare": True}),
+        ((Can(0.05, 0.02, 0.045, 0.08, is_open=True),), {}),
+        ((Can(0.05, 0.02, 0.045, 0.08, is_open=False),), {}),
+        ((), {}),
+    ],
+    ids=["shadow", "noise", "no room", "open", "closed", "empty"],
+)
+def test_every_can_is_one_object_with_its_occlusion(cans, options):
+    drawn = draw(*cans, **options)
+    view = perceive(drawn.cloud)
+    owner = owner_of(view, drawn)
+    assert sorted(owner) == list(range(len(cans)))
+    assert view.hides.shape == (len(cans), len(cans))
+    np.testing.assert_allclose([seen.occlusion for seen in view.objects], drawn.occlusion[owner], atol=0.04)
+
+
+def no_table(kind):
+    K = draw().cloud.intrinsics
+    if kind == "dark":
+        return Cloud.from_depth(np.full((240, 320), np.nan), K, kind)
+    if kind == "ball":
+        way = np.random.default_rng(0).standard_normal((4000, 3))
+        return Cloud(way / np.linalg.norm(way, axis=1, keepdims=True) * 0.1 + [0.0, 0.0, 1.0], name=kind)
+    # Seen by a camera that looks down, a wall is farther where it is lower.
+    way = (np.arange(240) - 119.5) / 290.0
+    depth = np.repeat((1.0 / (np.cos(DOWN_RAD) - np.sin(DOWN_RAD) * way))[:, None], 320, axis=1)
+    return Cloud.from_depth(depth, K, kind)
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [("dark", "0 of 76800 points"), ("ball", "ball: no table plane"), ("wall", "wall: no table plane")],
+)
+def test_what_shows_no_table_is_refused(kind, message):
+    with pytest.raises(CloudError, match=message):
+        perceive(no_table(kind))

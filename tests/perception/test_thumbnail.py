@@ -31,7 +31,3 @@ def test_all_objects_are_within_the_frame_and_fill_it(places_m):
     assert inner.sum() == outlines.sum()
     extents = [np.ptp(each) / size for each, size in zip(np.nonzero(outlines), outlines.shape, strict=True)]
     assert max(extents) > 0.75
-
-
-def test_an_empty_table_has_a_thumbnail():
-    assert pixels_of(perceive(draw().cloud)).std() > 0.0

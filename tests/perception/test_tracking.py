@@ -51,8 +51,3 @@ def test_one_that_was_knocked_is_found_again_and_two_that_may_be_swapped_are_dou
     moved = matched(near_m, np.array([[0.025, 0.0, 0.05], [0.045, 0.0, 0.05]]))
     assert moved.now.tolist() == [0, 1]
     assert moved.is_doubtful.all()
-
-
-def test_no_match_is_longer_than_asked():
-    now = matched(np.array([[0.0, 0.0, 0.0]]), np.array([[0.05, 0.0, 0.0]]), farthest_m=0.03).now
-    assert now.tolist() == [-1]

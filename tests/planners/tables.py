@@ -3,8 +3,15 @@
 import numpy as np
 from naive_planner import CONFIG
 
-from halfseen.arrays import on_device
+from halfseen.planners.one_step import outlook_of
+from halfseen.planners.trajectories import Draws, draws_of, successor
 from halfseen.world.state import NO_ATTEMPT, TableState
+
+
+def drawn_successor(config, belief, action, key):
+    """What would be believed after an attempt, of each table by its key."""
+    draws = draws_of(key, 1, belief.is_on_table.shape[-1])
+    return successor(config, belief, outlook_of(config, belief).chances, action, Draws(*(each[0] for each in draws)))
 
 
 def state_of(cups, hides, steps_to_go=10, num_padding=0):
@@ -28,4 +35,4 @@ def state_of(cups, hides, steps_to_go=10, num_padding=0):
         "attempt_succeeded": np.array([is_grasped for _, _, is_grasped in tried] + [False] * rest, dtype=bool),
         "steps_to_go": np.int32(steps_to_go),
     }
-    return TableState(**on_device(leaves))
+    return TableState(**leaves)

@@ -1,9 +1,8 @@
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from naive_planner import CONFIG, Cup, attempt_s, chance, over_grips
 
+from halfseen.arrays import expit, softmax
 from halfseen.planners.belief import (
     Grip,
     belief_of,
@@ -14,9 +13,10 @@ from halfseen.planners.belief import (
     occlusion_without,
     offset_nodes,
     prior_grip,
-    sample_successor,
 )
-from tables import state_of
+from halfseen.world import random
+from picked import repeated
+from tables import drawn_successor, state_of
 
 GRID = np.linspace(-6.0, 6.0, 1201)
 NORMAL = np.exp(-(GRID**2) / 2)
@@ -40,7 +40,7 @@ def test_the_chance_of_a_first_grasp_integrates_the_prior_of_the_grip(occluded):
     drawn = np.random.default_rng(0).normal(size=200_000)
     sampled = np.mean(-np.expm1(-6.0 / np.exp(0.6 + 2.2 * occluded - drawn)))
 
-    planned = float(grasp_probability(CONFIG, jnp.asarray(occluded), prior_grip(jnp.zeros(()))))
+    planned = float(grasp_probability(CONFIG, np.float32(occluded), prior_grip(np.zeros((), dtype=np.float32))))
 
     assert planned == pytest.approx(sampled, abs=0.005)
     assert planned == pytest.approx(exact_chance(Cup(0.5), occluded), abs=0.002)
@@ -52,14 +52,14 @@ def test_the_chance_after_attempts_agrees_with_integration_on_a_fine_grid(attemp
     grip = Grip(*(leaf[1] for leaf in grip_posterior(CONFIG, state_of(cups, np.zeros((2, 2))))))
 
     for occluded in (0.0, 0.4, 0.8):
-        planned = float(grasp_probability(CONFIG, jnp.asarray(occluded), grip))
+        planned = float(grasp_probability(CONFIG, np.float32(occluded), grip))
         assert planned == pytest.approx(exact_chance(cups[1], occluded), abs=0.02)
 
 
 @pytest.mark.parametrize("attempts", HISTORIES)
 def test_the_expected_grip_agrees_with_integration_on_a_fine_grid(attempts):
     cup = Cup(0.5, attempts)
-    weights = jax.nn.softmax(grip_posterior(CONFIG, state_of([cup], np.zeros((1, 1)))).log_weights[0])
+    weights = softmax(grip_posterior(CONFIG, state_of([cup], np.zeros((1, 1)))).log_weights[0])
 
     assert float(weights @ offset_nodes(CONFIG)) == pytest.approx(over_grips(cup, float, GRID, NORMAL), abs=0.06)
 
@@ -68,7 +68,7 @@ def test_the_time_of_an_attempt_agrees_with_simulated_attempts():
     rng = np.random.default_rng(1)
     drawn_s = np.exp(0.6 + 2.2 * 0.3 - rng.normal(size=200_000)) * rng.exponential(size=200_000)
 
-    planned_s = float(expected_attempt_s(CONFIG, jnp.asarray(0.3), prior_grip(jnp.zeros(()))))
+    planned_s = float(expected_attempt_s(CONFIG, np.float32(0.3), prior_grip(np.zeros((), dtype=np.float32))))
 
     assert planned_s == pytest.approx(1.0 + np.minimum(drawn_s, 6.0).mean(), abs=0.02)
     assert planned_s == pytest.approx(attempt_s(Cup(0.5), 0.3), abs=1e-4)
@@ -79,15 +79,15 @@ def test_a_cup_that_was_taken_hides_nothing():
     hides = np.array([[0.0, 0.5, 0.9], [0.2, 0.0, 0.9], [0.0, 0.0, 0.0]])
     belief = belief_of(CONFIG, state_of(cups, hides))
 
-    without = occlusion_without(belief, jnp.array([False, True, False]))
+    without = occlusion_without(belief, np.array([False, True, False]))
 
     np.testing.assert_allclose(without[:2], [0.0, 0.2], atol=1e-6)
 
 
 def test_labels_leave_the_expected_chance_of_dirt_as_it_was():
-    dirty = jnp.asarray([0.1, 0.5, 0.9])
+    dirty = np.array([0.1, 0.5, 0.9])
 
-    says_dirty, if_dirty, if_clean = dirty_after_label(CONFIG, dirty, jnp.zeros(3), jnp.asarray([0.0, 0.5, 1.0]))
+    says_dirty, if_dirty, if_clean = dirty_after_label(CONFIG, dirty, np.zeros(3), np.array([0.0, 0.5, 1.0]))
 
     np.testing.assert_allclose(says_dirty * if_dirty + (1 - says_dirty) * if_clean, dirty, rtol=1e-5)
     np.testing.assert_allclose(if_dirty[0], 0.1 * 0.8 / (0.1 * 0.8 + 0.9 * 0.2), rtol=1e-5)
@@ -98,12 +98,12 @@ def test_labels_leave_the_expected_chance_of_dirt_as_it_was():
 def test_sampled_futures_of_a_wash_take_the_cup_away_as_often_as_it_is_grasped():
     cups, hides = [Cup(0.7, ((0.2, False),)), Cup(0.4)], [[0.0, 0.6], [0.0, 0.0]]
     belief = belief_of(CONFIG, state_of(cups, hides))
-    keys = jax.random.split(jax.random.key(0), 20_000)
+    keys = random.keys_of(random.key_of(0), 20_000)
 
-    futures = jax.vmap(lambda key: sample_successor(CONFIG, belief, jnp.asarray(1), key))(keys)
+    futures = drawn_successor(CONFIG, repeated(belief, 20_000), np.full(20_000, 1), keys)
 
     assert 1 - futures.is_on_table[:, 0].mean() == pytest.approx(chance(cups[0], 0.6), abs=0.015)
     assert bool(futures.is_on_table[:, 1].all())
-    assert set(np.asarray(futures.steps_to_go)) == {9}
+    assert set(futures.steps_to_go) == {9}
     # What is believed of dirt is a martingale: labels on average change nothing.
-    assert jax.nn.sigmoid(futures.log_odds[:, 1]).mean() == pytest.approx(0.4, abs=0.01)
+    assert expit(futures.log_odds[:, 1]).mean() == pytest.approx(0.4, abs=0.01)

@@ -1,16 +1,14 @@
-from dataclasses import dataclass
-
-import jax
-import jax.numpy as jnp
 import naive_planner
 import numpy as np
 import pytest
 from naive_planner import CONFIG, Cup
 
+from halfseen.arrays import record
 from halfseen.errors import ArgumentError
 from halfseen.planners import GreedyPolicy
 from halfseen.planners.heuristics import TrueGrasp
-from halfseen.world.action_space import FINISH
+from halfseen.world import random
+from halfseen.world.actions import FINISH
 from tables import state_of
 
 OPEN = np.zeros((2, 2))
@@ -20,13 +18,8 @@ PENALTY = GreedyPolicy(CONFIG, counts_penalty=True)
 ALL = [SIMPLE, HISTORY, PENALTY, GreedyPolicy(CONFIG, uses_history=True, counts_penalty=True)]
 
 
-@jax.jit
-def decided(policy, state):
-    return policy.decide(state, jax.random.key(0)).action
-
-
 def chosen(policy, cups, hides=OPEN):
-    return int(decided(policy, state_of(cups, hides)))
+    return int(policy.decide(state_of(cups, hides), random.key_of(0)).action)
 
 
 def test_history_turns_away_from_a_cup_that_failed_thrice():
@@ -80,12 +73,11 @@ def test_a_table_that_looks_clean_is_left(policy):
     assert chosen(policy, [Cup(0.2), Cup(0.3)]) == FINISH
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@record
 class Fixed:
     """A grasp model that says what it was told."""
 
-    probabilities: jax.Array
+    probabilities: np.ndarray
 
     def probability(self, state):
         return self.probabilities
@@ -115,12 +107,12 @@ def test_the_true_probability_is_that_of_plain_python(hidden):
 def test_another_grasp_model_replaces_the_true_probability():
     cups = [Cup(0.95), Cup(0.95)]
     for best in (0, 1):
-        believed = Fixed(jnp.where(jnp.arange(2) == best, 0.9, 0.1))
+        believed = Fixed(np.where(np.arange(2) == best, 0.9, 0.1))
         assert chosen(GreedyPolicy(CONFIG, uses_history=True, grasp=believed), cups) == 1 + best
-    hopeless = Fixed(jnp.full(2, 0.01))
+    hopeless = Fixed(np.full(2, 0.01))
     assert chosen(GreedyPolicy(CONFIG, uses_history=True, grasp=hopeless), cups) == FINISH
 
 
 def test_a_grasp_model_without_history_is_refused():
     with pytest.raises(ArgumentError, match="uses_history is False"):
-        GreedyPolicy(CONFIG, grasp=Fixed(jnp.ones(2)))
+        GreedyPolicy(CONFIG, grasp=Fixed(np.ones(2)))

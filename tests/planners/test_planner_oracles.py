@@ -4,8 +4,6 @@ from dataclasses import replace
 from functools import partial
 from itertools import product
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from table_as_arrays import TableArrays
@@ -19,9 +17,9 @@ from halfseen.planners import (
     solve_discrete,
     solve_table,
 )
-from halfseen.planners.optimum_decisions import Reached, drawn
-from halfseen.world import Scene, UniformPolicy, WorldConfig
-from halfseen.world.episodes import play
+from halfseen.planners.exact_decisions import Reached, drawn
+from halfseen.world import Scene, UniformPolicy, WorldConfig, random
+from halfseen.world.rollout import play
 from halfseen.world.state import TableState, initial_state, pad_scenes
 from picked import picked
 
@@ -31,7 +29,7 @@ ONE, TWO = np.zeros((1, 1)), np.array([[0.0, 0.6], [0.1, 0.0]])
 HIDDEN = np.array([[0.0, 1.0], [0.0, 0.0]])
 THREE = np.array([[0.0, 0.6, 0.3], [0.1, 0.0, 0.2], [0.4, 0.05, 0.0]])
 GREEDY = [GreedyPolicy(CONFIG, uses_history=h, counts_penalty=p) for h in (False, True) for p in (False, True)]
-KEY = jax.random.key(0)
+KEY = random.key_of(0)
 
 
 def labels_of(num_cups):
@@ -44,7 +42,7 @@ def state_after_first_look(config, hides, labels):
     fresh = initial_state(config, picked(layouts, 0))
     right = config.seeing.floor + config.seeing.gain * (1 - Scene(hides).occlusion) ** config.seeing.power
     update = np.where(labels, 1.0, -1.0) * (np.log(right) - np.log1p(-right))
-    return replace(fresh, log_odds=fresh.log_odds + jnp.asarray(update, dtype=jnp.float32))
+    return replace(fresh, log_odds=fresh.log_odds + np.asarray(update, dtype=np.float32))
 
 
 def agree(hides, num_nodes, num_steps=2):
@@ -130,7 +128,7 @@ def relabelled(states, order):
         log_odds=states.log_odds[:, order],
         seen=states.seen[:, order],
         lifts=states.lifts[:, order],
-        attempt_object=jnp.asarray(np.where(tried < 0, tried, place[tried]), dtype=jnp.int32),
+        attempt_object=np.asarray(np.where(tried < 0, tried, place[tried]), dtype=np.int32),
         attempt_occlusion=states.attempt_occlusion,
         attempt_succeeded=states.attempt_succeeded,
         steps_to_go=states.steps_to_go,
@@ -141,7 +139,7 @@ def relabelled(states, order):
 def states():
     """Along the way of somebody who acts by lot on three cups, over four steps."""
     config = replace(CONFIG, horizon=4)
-    played = play(config, pad_scenes([Scene(THREE)]), UniformPolicy(), jax.random.key(3), 12)
+    played = play(config, pad_scenes([Scene(THREE)]), UniformPolicy(), random.key_of(3), 12)
     return picked(played.states, np.asarray(played.is_taken))
 
 
@@ -171,9 +169,9 @@ def test_names_of_cups_do_not_matter_to_optimum_and_bound(states, order):
     "policy", [GREEDY[0], GREEDY[3], POMDPPolicy(CONFIG, 1)], ids=["greedy", "history", "one step ahead"]
 )
 def test_names_of_cups_do_not_matter_to_who_plans_without_chance(states, policy):
-    decide = jax.jit(jax.vmap(lambda state: policy.decide(state, KEY).action))
+    keys = random.keys_of(KEY, len(states.steps_to_go))
     order = np.array([2, 0, 1])
-    plain, renamed = (np.asarray(decide(of)) for of in (states, relabelled(states, order)))
+    plain, renamed = (policy.decide(of, keys).action for of in (states, relabelled(states, order)))
 
     of_action = np.array([0, *(1 + np.argsort(order)), *(4 + np.argsort(order))])
     np.testing.assert_array_equal(renamed, of_action[plain])
@@ -186,7 +184,7 @@ def test_names_of_cups_do_not_matter_to_what_a_plan_with_chance_is_worth():
     config = replace(CONFIG, horizon=3)
     optima = [solve_table(hides, config) for hides in (THREE, THREE[::-1, ::-1])]
     values = np.array(
-        [[one.policy_value(POMDPPolicy(config, 2, 32), jax.random.key(k)) for k in range(6)] for one in optima]
+        [[one.policy_value(POMDPPolicy(config, 2, 32), random.key_of(k)) for k in range(6)] for one in optima]
     )
 
     error = np.hypot(*(values.std(axis=1, ddof=1) / np.sqrt(6)))
@@ -227,7 +225,7 @@ def test_some_states_stand_for_all_on_average():
     mass = np.random.default_rng(0).dirichlet(np.full(100, 0.3))
     reached = Reached(np.repeat([0, 3], [40, 60]), np.arange(100), mass[None])
     worth = np.random.default_rng(1).normal(size=100)
-    lots = [drawn(reached, 20, jax.random.key(seed)) for seed in range(400)]
+    lots = [drawn(reached, 20, random.key_of(seed)) for seed in range(400)]
 
     values = [lot.mass[0] @ worth[lot.cell] for lot in lots]
     assert {len(lot.cell) for lot in lots} == {20}
@@ -257,7 +255,7 @@ def test_what_a_policy_keeps_does_not_depend_on_whom_it_is_drawn_with():
 def test_a_policy_asked_in_some_states_is_valued_right_on_average():
     optimum = solve_table(THREE, CONFIG, 4)
     policy = partial(optimum.policy_value, GREEDY[1])
-    exact, lots = policy(), [policy(jax.random.key(seed), 24) for seed in range(60)]
+    exact, lots = policy(), [policy(random.key_of(seed), 24) for seed in range(60)]
 
     assert policy(max_states=10**6) == pytest.approx(exact, abs=1e-12)
     assert np.mean(lots) == pytest.approx(exact, abs=float(4 * np.std(lots) / np.sqrt(60)))

@@ -1,10 +1,9 @@
-import jax
 import numpy as np
 import pytest
 
 from halfseen.planners import GreedyPolicy, POMDPPolicy
-from halfseen.world import Scene, WorldConfig
-from halfseen.world.episodes import evaluate
+from halfseen.world import Scene, WorldConfig, random
+from halfseen.world.rollout import evaluate
 from halfseen.world.state import pad_scenes
 
 CONFIG = WorldConfig()
@@ -18,7 +17,7 @@ def test_looking_further_ahead_earns_more_on_the_same_tables():
     layouts = pad_scenes(scenes)
 
     def rewards(policy):
-        return np.asarray(evaluate(CONFIG, layouts, policy, jax.random.key(0), NUM_EPISODES, 250).reward)
+        return np.asarray(evaluate(CONFIG, layouts, policy, random.key_of(0), NUM_EPISODES).reward)
 
     heuristics = [
         rewards(GreedyPolicy(CONFIG, uses_history=h, counts_penalty=p)) for h in (False, True) for p in (False, True)
@@ -37,7 +36,7 @@ def test_more_simulations_earn_no_less_on_the_same_tables():
     layouts = pad_scenes(scenes)
 
     def rewards(policy):
-        return np.asarray(evaluate(config, layouts, policy, jax.random.key(0), 300, 150).reward, dtype=float)
+        return np.asarray(evaluate(config, layouts, policy, random.key_of(0), 300).reward, dtype=float)
 
     myopic, few, many = (rewards(POMDPPolicy(config, h, n)) for h, n in ((1, 1), (5, 16), (5, 128)))
 

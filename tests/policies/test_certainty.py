@@ -9,7 +9,7 @@ from scipy.stats import norm
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.policies import NamedObservation, decider_of, read_policy
-from halfseen.policies.certainty import QError, certainty
+from halfseen.policies.certainty import certainty
 from halfseen.policies.folder import write_policy
 from halfseen.policies.folder.stages_left import stage_counts, stages_left
 from small_logs import flat_log
@@ -69,14 +69,6 @@ def test_equals_are_all_the_best_and_the_impossible_never_is():
     assert list(found.by_name(["a", "b", "c"])[0]) == ["a", "b"]
 
 
-def test_one_state_has_one_answer_and_the_global_seed_changes_nothing():
-    q, deviations = np.array([0.0, 0.1, 0.2]), np.eye(3)
-    first = certainty(q, deviations, np.arange(3), EVERY)
-    np.random.seed(4)  # noqa: NPY002
-    again = certainty(q, deviations, np.arange(3), EVERY)
-    np.testing.assert_array_equal(first.chance_best, again.chance_best)
-
-
 def test_stages_to_come_widen_the_interval_by_their_number_and_the_draws_by_its_root():
     q, deviations = np.array([1.0, 0.0]), np.array([[1.0], [1.0]])
     found = certainty(q, deviations, np.array([0, 1]), np.ones(2, dtype=bool), 4.0)
@@ -111,11 +103,6 @@ def test_stages_to_come_are_counted_as_if_nothing_had_been_cut():
     )
 
 
-def test_where_nobody_knows_how_many_stages_come_it_is_all_that_the_horizon_leaves():
-    assert QError(1.0).stages_from(2, 5) == 4.0
-    assert QError(1.0, (3.0, 2.5)).stages_from(2, 5) == 2.5
-
-
 def test_what_was_learned_holds_how_sure_it_is(tmp_path):
     logs = flat_log(num_paths=60)
     learner = CensoredQLearner(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], q_function="linear", reg=0.1).fit(logs)
@@ -146,3 +133,11 @@ def test_without_pessimism_nobody_knows(tmp_path):
     decision = decider_of(stored).decide(NamedObservation(pd.DataFrame({"x1": [0.1], "x2": [1]}), 1))
     assert (stored.q_error, decision.intervals, decision.chance_best) == (None, {}, {})
     assert "chance" not in decision.reason
+
+
+def test_one_state_has_one_answer_and_the_global_seed_changes_nothing():
+    q, deviations = np.array([0.0, 0.1, 0.2]), np.eye(3)
+    first = certainty(q, deviations, np.arange(3), EVERY)
+    np.random.seed(4)  # noqa: NPY002
+    again = certainty(q, deviations, np.arange(3), EVERY)
+    np.testing.assert_array_equal(first.chance_best, again.chance_best)

@@ -2,20 +2,21 @@
 
 import json
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import onnx
 import onnxruntime
 import pandas as pd
 import pytest
 
+from halfseen.arrays import stacked
 from halfseen.errors import ArgumentError, PolicyError
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.policies import read_policy, write_policy
 from halfseen.policies.folder.stored import StoredPolicy
 from halfseen.policies.onnx_model import onnx_model
+from halfseen.policies.onnx_table import table_inputs
+from halfseen.tables import BetaGrasp
 from halfseen.world.state import NO_ATTEMPT, TableState
 from small_logs import flat_log, table_log
 
@@ -84,21 +85,26 @@ def random_state(num_objects, horizon, rng):
         "attempt_succeeded": is_tried & (rng.random(horizon) < 0.5),
         "steps_to_go": np.int32(steps_to_go),
     }
-    return TableState(**{name: jnp.asarray(value) for name, value in fields.items()})
+    return TableState(**fields)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("options", "num_states"), [({"reg": 0.1}, 500), ({}, 10_000)], ids=["linear", "default"])
-def test_it_decides_tables_alike(options, num_states, tmp_path):
-    from halfseen.policies.onnx_table import table_inputs
+TABLES = {
+    "linear": {"reg": 0.1},
+    "default": {},
+    "grasps, pessimistic": {"reg": 0.1, "pessimism": 1.0, "grasp": BetaGrasp()},
+    "smooth, pessimistic": {"reg": 0.1, "q_function": "smooth", "pessimism": 0.5},
+}
 
+
+@pytest.mark.parametrize("options", TABLES.values(), ids=TABLES)
+def test_it_decides_a_thousand_tables_alike(options, tmp_path):
+    num_states = 1_000
     logs, horizon, num_objects = table_log(num_paths=60), 3, 4
     write_policy(CensoredQLearner.for_table(horizon, **options).fit(logs), logs, tmp_path / "policy")
     stored, rng = read_policy(tmp_path / "policy"), np.random.default_rng(1)
     session = onnxruntime.InferenceSession(onnx_model(stored, num_objects))
     states = [random_state(num_objects, horizon, rng) for _ in range(num_states)]
-    together = jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *states)
-    wanted = np.asarray(jax.vmap(stored.policy.q_values)(together))
+    wanted = stored.policy.q_values(stacked(states))
     given = [session.run(["scores", "action"], table_inputs(state)) for state in states]
     scores, action = (np.stack(each) for each in zip(*given, strict=True))
     np.testing.assert_allclose(scores, wanted, rtol=1e-5, atol=1e-5)
@@ -108,10 +114,7 @@ def test_it_decides_tables_alike(options, num_states, tmp_path):
     np.testing.assert_array_equal(action[is_clear], wanted[is_clear].argmax(axis=1))
 
 
-@pytest.mark.slow
 def test_a_model_of_tables_is_for_as_many_objects_as_the_log_showed_and_pads(tmp_path):
-    from halfseen.policies.onnx_table import table_inputs
-
     logs = table_log()
     write_policy(CensoredQLearner.for_table(3, reg=0.1).fit(logs), logs, tmp_path / "policy")
     stored = read_policy(tmp_path / "policy")

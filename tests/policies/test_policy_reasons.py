@@ -1,7 +1,7 @@
 from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from halfseen.learning import FlatPolicy
 from halfseen.policies.flat_reason import flat_reason
@@ -19,6 +19,7 @@ POLICY = FlatPolicy(
     is_possible=np.array([[True, True, False], [False, False, True]]),
     coefficients=np.array([[[0.0, 1.0, 0.0], [0.5, 0.0, 0.0], [9.0, 0.0, 0.0]]] * 2),
 )
+PRIOR = float(np.log(0.6 / 0.4))
 ROW = {"x1": 0.8, "x2": 3.0}
 
 
@@ -47,15 +48,8 @@ def test_a_lift_is_told_by_what_it_would_reveal_and_the_prior_is_no_evidence():
     )
 
 
-def test_what_labels_told_is_told_object_by_object():
-    prior = float(np.log(0.6 / 0.4))
-    told = table_reason(of(dirty_share=0.6, log_odds=jnp.array([2.0, prior, 0.0])), q_of(LIFT_2=1.0, LIFT_1=0.5))
-    behind = "62% of object 0 (probably dirty, 0.88) and 30% of object 1 (nothing is known of it yet)"
-    assert f"it would lay bare {behind}; as for LIFT 1, it would show its own hidden 34%" in told
-
-
 def test_a_wash_is_told_by_how_sure_it_is_and_what_it_costs_if_it_is_wrong():
-    log_odds = jnp.array([0.5, 0.5, 3.0])
+    log_odds = np.array([0.5, 0.5, 3.0])
     grounds = of(log_odds=log_odds, dirty_share=0.6, worst_wash=-10.0)
     assert table_reason(grounds, q_of(WASH_2=1.5, WASH_0=1.0)) == (
         "WASH 2: worth 0.50 more than WASH 0; it is in plain sight and almost surely dirty (0.95), and it hides "
@@ -69,37 +63,12 @@ def test_a_wash_is_told_by_how_sure_it_is_and_what_it_costs_if_it_is_wrong():
     assert "costs" not in unknown
 
 
-def test_where_looks_are_counted_what_no_label_told_of_is_what_a_lift_shows():
-    seen = jnp.array([0.3, 0.3, 0.4])
-    told = table_reason(of(seen=seen, dirty_share=0.6), q_of(LIFT_0=1.0))
-    assert "show its own hidden 62%" in told
-    alone = replace(STATE, hides=jnp.zeros((3, 3)), seen=seen)
-    told = table_reason(Grounds.of(alone, 0.6), q_of(LIFT_2=1.0))
-    assert "it would show the 60% of it that no label has told of (rather dirty than clean, 0.60)" in told
-
-
-def test_failed_attempts_count():
-    tried = of(
-        attempt_object=jnp.array([0, 0, 1, -1]),
-        attempt_succeeded=jnp.array([False, False, True, False]),
-        dirty_share=0.6,
-    )
-    assert "; it slipped 2 times;" in table_reason(tried, q_of(WASH_0=1.0))
-    assert "slipped" not in table_reason(tried, q_of(WASH_1=1.0))
-
-
 def test_finish_tells_of_the_likeliest_dirty_object():
-    grounds = of(log_odds=jnp.array([-2.5, -3.0, -0.1]), dirty_share=0.6)
+    grounds = of(log_odds=np.array([-2.5, -3.0, -0.1]), dirty_share=0.6)
     assert table_reason(grounds, q_of(FINISH=0.0)).startswith(
         "FINISH: worth 9.00 more than WASH 0; the likeliest dirty of the 3 objects left, 2, is in plain sight "
         "and as likely clean as dirty (0.48); as for WASH 0,"
     )
-
-
-def test_ties_and_lone_actions_are_told_as_such():
-    grounds = of(dirty_share=0.6)
-    assert table_reason(grounds, q_of(FINISH=1.0, WASH_0=1.0)).startswith("FINISH: worth as much as WASH 0")
-    assert flat_reason(POLICY, ROW, 2, None) == "C: nothing else is possible."
 
 
 def test_how_sure_it_is_stands_with_what_it_is_worth():
@@ -122,17 +91,47 @@ def test_the_covariate_that_speaks_most_for_an_action_is_told():
     assert flat_reason(POLICY, ROW, 1, None) == "A: worth 0.30 more than B."
 
 
-def test_what_is_0_or_1_is_told_by_the_other_of_the_two():
-    row = {"x1": True, "x2": 1.0}
-    assert flat_reason(POLICY, row, 1, {"x1": (0.0, 1.0), "x2": (0.0, 1.0)}) == (
-        "A: worth 0.50 more than B; that x1 is 1 speaks for it most: were it 0, it would be worth 0.50 less than B."
-    )
-    against = flat_reason(POLICY, {**row, "x1": False}, 1, {"x1": (0.0, 1.0), "x2": (0.0, 1.0)})
-    assert against == (
-        "B: worth 0.50 more than A; that x1 is 0 speaks for it most: were it 1, it would be worth 0.50 less than A."
-    )
+@pytest.mark.parametrize(
+    ("changed", "worths", "told"),
+    [
+        (
+            {"log_odds": [2.0, PRIOR, 0.0]},
+            {"LIFT_2": 1.0, "LIFT_1": 0.5},
+            "62% of object 0 (probably dirty, 0.88)",
+        ),
+        ({"seen": [0.3, 0.3, 0.4]}, {"LIFT_0": 1.0}, "show its own hidden 62%"),
+        (
+            {"seen": [0.3, 0.3, 0.4], "hides": [[0.0] * 3] * 3},
+            {"LIFT_2": 1.0},
+            "show the 60% of it that no label",
+        ),
+        ({"attempt_object": [0, 0, 1, -1]}, {"WASH_0": 1.0}, "; it slipped 2 times;"),
+        ({}, {"FINISH": 1.0, "WASH_0": 1.0}, "FINISH: worth as much as WASH 0"),
+    ],
+)
+def test_what_is_known_is_told_object_by_object(changed, worths, told):
+    changed = {name: np.array(value) for name, value in changed.items()}
+    assert told in table_reason(of(dirty_share=0.6, **changed), q_of(**worths))
 
 
-def test_among_whole_numbers_the_middle_is_a_whole_number():
-    told = flat_reason(POLICY, {"x1": 3, "x2": 1}, 1, {"x1": (0.0, 3.0), "x2": (0.0, 4.0)})
-    assert "that x1 is 3 speaks for it most: were it 1, the middle in the logs" in told
+@pytest.mark.parametrize(
+    ("row", "stage", "ranges", "told"),
+    [
+        (
+            {"x1": True, "x2": 1.0},
+            1,
+            {"x1": (0.0, 1.0), "x2": (0.0, 1.0)},
+            "that x1 is 1 speaks for it most: were it 0, it",
+        ),
+        (
+            {"x1": False, "x2": 1.0},
+            1,
+            {"x1": (0.0, 1.0), "x2": (0.0, 1.0)},
+            "x1 is 0 speaks for it most: were it 1",
+        ),
+        ({"x1": 3, "x2": 1}, 1, {"x1": (0.0, 3.0), "x2": (0.0, 4.0)}, "most: were it 1, the middle in the logs"),
+        (ROW, 2, None, "C: nothing else is possible."),
+    ],
+)
+def test_a_covariate_is_held_against_the_middle_of_its_range(row, stage, ranges, told):
+    assert told in flat_reason(POLICY, row, stage, ranges)

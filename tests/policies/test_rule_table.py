@@ -79,11 +79,6 @@ def test_texts_are_compared_as_texts_and_numbers_of_toml_as_numbers(tmp_path):
     assert (taken(number, 1), taken(number, 2)) == ([7] * 4, ["b"] * 4)
 
 
-def test_an_action_that_the_log_has_as_a_number_is_that_number(tmp_path):
-    rule = read_rule_table(written(tmp_path, "stage,action\n1,3\n,stay\n"), horizon=2, names=[3, 4])
-    assert rule.actions == (3, "stay")
-
-
 @pytest.mark.parametrize(
     ("text", "name", "message"),
     [
@@ -116,11 +111,6 @@ def test_what_is_no_rule_is_told_in_one_line(tmp_path, text, name, message):
     assert message in told
     assert name in told
     assert "\n" not in told
-
-
-def test_a_file_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(ArgumentError, match=r"nowhere\.csv: it cannot be read"):
-        read_rule_table(tmp_path / "nowhere.csv", horizon=1)
 
 
 @pytest.mark.parametrize(

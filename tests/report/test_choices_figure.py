@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from halfseen.report.choices_figure import FEW_STATES, draw_choices, drawn_actions
+from halfseen.report.choices_figure import FEW_STATES, draw_choices
 
 
 def rows(num_actions, counts=(800, 40, 3)):
@@ -28,12 +28,6 @@ def test_every_cell_has_an_action_or_the_legend(num_actions):
     assert len(blank) <= 1
     assert all(axes.get_legend() is not None for axes in blank)
     assert bool(figure.legends) != bool(blank)
-
-
-def test_what_nobody_takes_has_no_panel():
-    assert drawn_actions(rows(2)) == ["action 0", "action 1"]
-    unknown = [row | {"logged": dict.fromkeys(row["logged"])} for row in rows(2)]
-    assert drawn_actions(unknown) == ["action 0", "action 1"]
 
 
 def test_few_states_are_small_and_hollow_and_their_number_is_told():

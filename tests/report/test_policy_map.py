@@ -62,17 +62,6 @@ def test_one_covariate_is_a_strip_and_none_is_nothing(logs):
     assert policy_maps(one, logs, []) == []
 
 
-def test_stages_of_few_states_have_no_map(policy):
-    assert policy_maps(policy, hostile_log(num_paths=6), COVARIATES) == []
-
-
-def test_a_covariate_that_never_varies_is_not_an_axis(policy, logs):
-    still = Logs(logs.stages.assign(**{COVARIATES[0]: 1.0}), logs.paths)
-    maps = policy_maps(policy, still, COVARIATES)
-    assert {one.covariates for one in maps} == {(COVARIATES[1],)}
-    assert maps[0].middle == {COVARIATES[0]: "1"}
-
-
 def test_a_drawn_map_names_its_covariates_and_hatches(policy, logs):
     first = policy_maps(policy, logs, COVARIATES)[0]
     svg = inline_svg(lambda: draw_map(first, action_colours(ACTIONS)), "f", "t")

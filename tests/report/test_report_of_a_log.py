@@ -48,14 +48,6 @@ def test_it_tells_of_the_log_and_of_nothing_else(findings):
     assert page_of(find(None, hostile_log().in_unit(UNIT)), "halfseen report logs --seed 0") == page
 
 
-def test_its_numbers_are_those_of_the_log(findings):
-    told = findings.as_dict()
-    assert "policy" not in told
-    assert "value" not in told
-    assert told["log"]["reward_unit"] == UNIT
-    assert told["log"]["num_paths"] == 40
-
-
 def one_stage(ends):
     """Paths of one stage: (end, whether it finished)."""
     stages = {
@@ -109,8 +101,3 @@ def test_what_is_earned_is_told_of_today_and_in_an_hour():
     # Where too few paths follow the policy, its value is not to be believed, in whatever unit.
     few = replace(known, doubly_robust=replace(known.doubly_robust, effective_sample_size=3.0))
     assert standing(few) == ""
-
-
-def test_a_clock_that_tells_no_hours_is_named():
-    silent = evaluation(per_hour=PerHour(why_unknown="stages take no time on the clock of these logs"))
-    assert why_no_hours(silent) == "Nothing is said of an hour: stages take no time on the clock of these logs."

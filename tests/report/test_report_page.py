@@ -24,7 +24,6 @@ from halfseen.report.log_findings import watched
 from halfseen.report.page import MARK, page_of, write_page
 from halfseen.report.policy_findings import choices, q_curves
 from halfseen.report.sentences import answer
-from halfseen.report.values_figure import draw_values
 from halfseen.report.watched_figure import draw_watched
 from small_logs import table_log
 
@@ -125,36 +124,12 @@ def test_what_is_no_number_is_a_dash(findings):
     assert "NaN" not in page
 
 
-@pytest.mark.parametrize("verdict", ["better", "not better", "cannot be said"])
-@pytest.mark.usefixtures("is_undrawn")
-def test_each_verdict_has_its_sentence_and_badge(findings, verdict):
-    page = page_of(judged_as(findings, evaluation=evaluation(verdict)), "x")
-    assert f'<p class="verdict {verdict.split()[0]}">{verdict}</p>' in page
-    assert ("cannot be said: it earns" in page) == (verdict == "cannot be said")
-    assert ("as far as these logs tell" in page) == (verdict == "cannot be said")
-
-
-@pytest.mark.usefixtures("is_undrawn")
-def test_the_verdict_of_learning_and_what_looked_wrong_are_told_with_the_policy(findings):
-    record = findings.policy.record | {"verdict": {"sentence": "Better: so <it> is."}, "warnings": ["a dead sensor"]}
-    page = page_of(judged_as(findings, record=record), "x")
-    assert "Better: so &lt;it&gt; is." in page
-    assert "a dead sensor" in page
-
-
 def test_the_same_findings_are_the_same_bytes(findings, page, stored, logs, monkeypatch):
     monkeypatch.setattr(found_in, "evaluate", lambda *_, **__: evaluation())
     again = find(stored, logs, num_replicates=4, seed=1)
     assert page_of(again, "halfseen report 'a <b>' policy --seed 1") == page
     other = find(stored, logs, num_replicates=4, seed=2)
     assert np.any(other.policy.curves[0].low[ACTIONS[0]] != again.policy.curves[0].low[ACTIONS[0]])
-
-
-def test_finishes_are_told_from_the_paths_that_finished(findings, logs):
-    ends_s = logs.end_s[logs.is_finished]
-    told = findings.log["finishes"]
-    assert (told["earliest_s"], told["median_s"], told["latest_s"]) == (min(ends_s), np.median(ends_s), max(ends_s))
-    assert (told["first_stage"], told["last_stage"]) == (2, 2)
 
 
 def test_watched_is_kaplan_meier_with_the_numbers_still_watched():
@@ -220,13 +195,6 @@ def test_a_policy_of_tables_is_told_by_its_verbs(tmp_path, monkeypatch):
     assert "who hides whom" in "".join(read.words)
 
 
-def test_an_interval_beyond_all_others_does_not_hide_them():
-    figure = draw_values(evaluation(importance_sampling=estimate(2.0, 1e4)))
-    low, high = figure.axes[0].get_xlim()
-    assert 0.0 < high - low < 10.0
-    assert {line.get_marker() for line in figure.axes[0].lines} >= {"<", ">"}
-
-
 def test_a_long_log_becomes_a_small_drawing(logs):
     told = watched(logs)
     long = replace(told, ends_s={"finished": np.linspace(0.0, 5.0, 50 * MOST_MARKERS)})
@@ -248,21 +216,6 @@ def test_a_page_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
             write_page(f"{MARK} third", file, overwrite=True)
     assert file.read_text() == f"{MARK} second"
     assert [path.name for path in file.parent.iterdir()] == ["report.html"]
-
-
-def test_only_a_page_of_its_own_is_replaced(tmp_path):
-    file = tmp_path / "thesis.html"
-    file.write_text("<h1>years of work</h1>")
-    for target in (file, tmp_path):
-        with pytest.raises(ArgumentError, match="no page of halfseen report"):
-            write_page("page", target, overwrite=True)
-    assert file.read_text() == "<h1>years of work</h1>"
-
-
-def test_a_policy_from_other_logs_has_no_bands(stored):
-    curves, band = q_curves(stored, hostile_log(seed=9), 2, 0)
-    assert band is None
-    assert {curve.low for curve in curves} == {None}
 
 
 def test_a_policy_that_knows_its_errors_has_their_bands_on_other_logs(logs, tmp_path):

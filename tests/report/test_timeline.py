@@ -96,19 +96,3 @@ def test_a_log_of_many_long_paths_is_a_small_drawing_without_names_of_paths():
     assert told.num_rows == MOST_ROWS
     assert len(svg) < 500_000
     assert OTHERS in svg
-
-
-@pytest.mark.parametrize(
-    "paths",
-    [
-        [([1.0], None, None, None)],
-        [([], 0.5, "operator", None)],
-        [([], 0.5, "operator", "grip"), ([], 0.7, None, "grip")],
-        [([1.0, 2.0], 3.0, f"cause {k}", "b") for k in range(9)],
-    ],
-)
-def test_few_paths_are_drawn_too(paths):
-    told, svg = drawn(log_of(paths))
-    assert told.num_rows == len(paths)
-    for group in told.endings:
-        assert group.name in svg

@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 
-from halfseen.errors import SceneError
 from halfseen.scene import Camera, Pose
 from halfseen.scene.camera import look_at
 from halfseen.scene.poses import about_axis, compose
@@ -37,11 +36,6 @@ def test_pixel_rays_are_what_project_undoes(rng):
     assert camera.project(point_m)[0] == pytest.approx([column, row], abs=1e-9)
 
 
-def test_point_behind_the_lens_is_refused(small_camera):
-    with pytest.raises(SceneError, match="behind"):
-        small_camera.project(np.array([[0.0, 0.0, -1.0]]))
-
-
 def test_pose_inverse_and_composition(rng):
     points_m = rng.normal(size=(5, 3))
     first, then = about_axis((1.0, 0.0, 0.0), 0.7), about_axis((0.0, 0.0, 1.0), -1.1)
@@ -49,9 +43,3 @@ def test_pose_inverse_and_composition(rng):
     assert np.allclose(pose.apply_inverse(pose.apply(points_m)), points_m)
     one_by_one = Pose((0.0, 0.0, 0.0), then).apply(Pose((0.0, 0.0, 0.0), first).apply(points_m))
     assert np.allclose(pose.apply(points_m) - [1.0, 2.0, 3.0], one_by_one)
-
-
-@pytest.mark.parametrize("quaternion", [(2.0, 0.0, 0.0, 0.0), (float("nan"), 0.0, 0.0, 0.0)])
-def test_broken_pose_is_refused(quaternion):
-    with pytest.raises(SceneError, match="pose"):
-        Pose((0.0, 0.0, 0.0), quaternion)

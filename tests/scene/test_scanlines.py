@@ -72,11 +72,3 @@ def test_the_order_of_the_rays_is_that_of_the_answers():
         first_met(corners, INTRINSICS, RowRays(row[shuffled], column[shuffled])).depth_m, met.depth_m[shuffled]
     )
     assert np.isfinite(met.depth_m).any()
-
-
-def test_without_rays_or_facets_nothing_is_met():
-    none = first_met(np.zeros((0, 3, 3)), INTRINSICS, RowRays(np.arange(3), np.zeros(3)))
-    assert np.isinf(none.depth_m).all()
-    assert (none.facet == -1).all()
-    facets = solids(np.random.default_rng(0), 1, ([-1, -1, 1.5], [1, 1, 4]))
-    assert not len(first_met(facets, INTRINSICS, RowRays(np.zeros(0, dtype=int), np.zeros(0))).depth_m)

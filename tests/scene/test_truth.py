@@ -46,13 +46,6 @@ def test_a_cup_behind_another_loses_what_the_pictures_say():
     assert truth.hides == pytest.approx(np.array([[0.0, truth.occlusion[0]], [0.0, 0.0]]))
 
 
-def test_cups_side_by_side_hide_nothing():
-    table = table_with((-0.1, 0.0), (0.1, 0.0))
-    truth = truth_of(table, lone_depths_m(table))
-    assert truth.occlusion.tolist() == [0.0, 0.0]
-    assert not truth.hides.any()
-
-
 @pytest.mark.slow
 def test_pairs_agree_with_pictures_of_pairs(table, picture):
     for i, j in [(0, 1), (1, 0), *np.argwhere(picture.truth.hides > 0.05)[:3].tolist()]:

@@ -8,7 +8,6 @@ from halfseen.scene.xtion import (
     XTION,
     depth_from_disparity_m,
     disparity_noise_px,
-    loss_probability,
     noisy_disparity_px,
     sense,
 )
@@ -60,20 +59,6 @@ def test_disparity_comes_in_eighths_of_a_pixel(picture):
     assert len(np.unique(np.round(eighths))) > 100
 
 
-def test_disparity_without_noise_is_the_nearest_eighth():
-    depth_m = np.array([[0.6, 1.0, 3.0, np.nan]])
-    measured_px = noisy_disparity_px(depth_m, np.zeros((1, 4)), FOCAL_PX)
-    exact_px = FOCAL_PX * XTION.baseline_m / depth_m
-    assert np.all(np.abs(measured_px - exact_px)[:, :3] <= XTION.disparity_step_px / 2)
-    assert np.isnan(measured_px[0, 3])
-
-
-def test_no_depth_without_positive_disparity():
-    depth_m = depth_from_disparity_m(np.array([[0.0, -0.125, 43.275, np.nan]]), FOCAL_PX)
-    assert np.isnan(depth_m[0, [0, 1, 3]]).all()
-    assert depth_m[0, 2] == pytest.approx(1.0)
-
-
 @pytest.mark.parametrize(("depth_m", "is_returned"), [(0.4, False), (0.6, True), (3.2, True), (4.0, False)])
 def test_returns_come_from_the_range_only(depth_m, is_returned, rng):
     returned = np.isfinite(sense(flat_view(depth_m), FOCAL_PX, rng))
@@ -84,10 +69,6 @@ def test_returns_come_from_the_range_only(depth_m, is_returned, rng):
 def test_grazing_rays_are_lost(angle_deg, share, rng):
     lost = np.isnan(sense(flat_view(1.0, float(np.cos(np.deg2rad(angle_deg)))), FOCAL_PX, rng))
     assert np.mean(lost) == pytest.approx(share, abs=0.01)
-
-
-def test_a_ray_that_meets_nothing_is_lost():
-    assert loss_probability(np.array([np.nan]))[0] == 1.0
 
 
 def test_shadow_of_the_projector_is_where_geometry_puts_it(rng):
@@ -119,3 +100,17 @@ def test_ideal_view_of_nothing_is_nan(small_camera):
     assert np.isnan(view.depth_m).all()
     assert (view.labels == -1).all()
     assert not view.is_lit.any()
+
+
+def test_disparity_without_noise_is_the_nearest_eighth():
+    depth_m = np.array([[0.6, 1.0, 3.0, np.nan]])
+    measured_px = noisy_disparity_px(depth_m, np.zeros((1, 4)), FOCAL_PX)
+    exact_px = FOCAL_PX * XTION.baseline_m / depth_m
+    assert np.all(np.abs(measured_px - exact_px)[:, :3] <= XTION.disparity_step_px / 2)
+    assert np.isnan(measured_px[0, 3])
+
+
+def test_no_depth_without_positive_disparity():
+    depth_m = depth_from_disparity_m(np.array([[0.0, -0.125, 43.275, np.nan]]), FOCAL_PX)
+    assert np.isnan(depth_m[0, [0, 1, 3]]).all()
+    assert depth_m[0, 2] == pytest.approx(1.0)

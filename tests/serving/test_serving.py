@@ -11,7 +11,6 @@ from click.testing import CliRunner
 from starlette.testclient import TestClient
 
 from halfseen.cli.act import act
-from halfseen.errors import LogError
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import read_logs
 from halfseen.policies.folder import write_policy
@@ -76,12 +75,6 @@ def test_it_says_what_act_says(asked, flat, tmp_path):
         assert (told["probability"], told["is_explored"]) == (1.0, False)
 
 
-def test_true_and_false_are_numbers_as_they_are_to_act(asked, flat, tmp_path):
-    state = {"x1": 0.5, "x2": True}
-    said = acted(flat, tmp_path, **state)
-    assert asked.post("/decide", json=state).json()["q_values"] == said["q_values"]
-
-
 @pytest.mark.parametrize(
     ("body", "status", "says"),
     [
@@ -143,23 +136,6 @@ def test_what_is_too_large_is_refused_whether_it_says_so_or_not(flat):
         parts = (b" " * 60 for _ in range(2))
         assert "more than 100 bytes" in refused(client.post("/decide", content=parts, headers=large), 413)
         assert client.post("/decide", json=SEEN).status_code == 200
-
-
-def test_what_comes_too_slowly_is_refused():
-    sent = []
-
-    async def never(*_):
-        await asyncio.sleep(60)
-
-    async def send(message):
-        sent.append(message)
-
-    async def refuse(refusal, scope, receive, send):
-        sent.append(refusal)
-
-    scope = {"type": "http", "headers": [(b"host", b"localhost")]}
-    asyncio.run(Bounded(never, refuse, None, 100, slowest_s=0.01)(scope, never, send))
-    assert [one.status for one in sent] == [408]
 
 
 def test_what_is_decided_becomes_a_log_with_probabilities(flat, tmp_path):
@@ -328,7 +304,18 @@ def test_a_table_as_a_log_has_it_is_decided_and_recorded(tables, tmp_path):
     assert len(stored.objects) == 3
 
 
-def test_a_folder_that_cannot_be_recorded_into_is_refused(tmp_path):
-    flat_log().write(tmp_path / "logs")
-    with pytest.raises((LogError, ValueError), match="written for good"):
-        RecordedPaths(tmp_path / "logs")
+def test_what_comes_too_slowly_is_refused():
+    sent = []
+
+    async def never(*_):
+        await asyncio.sleep(60)
+
+    async def send(message):
+        sent.append(message)
+
+    async def refuse(refusal, scope, receive, send):
+        sent.append(refusal)
+
+    scope = {"type": "http", "headers": [(b"host", b"localhost")]}
+    asyncio.run(Bounded(never, refuse, None, 100, slowest_s=0.01)(scope, never, send))
+    assert [one.status for one in sent] == [408]

@@ -12,14 +12,13 @@ from itertools import count, pairwise
 from pathlib import Path
 
 import httpx2
-import jax
 import numpy as np
 import pytest
 from click.testing import CliRunner
 from starlette.testclient import TestClient
 
 from drawn_tables import EYE_M, Can, draw
-from halfseen.cli import halfseen
+from halfseen.arrays import mapped
 from halfseen.cli.act import act
 from halfseen.cli.laws import law_of
 from halfseen.evaluation import evaluate
@@ -34,7 +33,7 @@ from halfseen.policies.table_observation import Past, see_table
 from halfseen.serving.answering import Answering
 from halfseen.serving.app import Served, app_of
 from halfseen.serving.paths import RecordedPaths
-from halfseen.world.recording import states_of
+from halfseen.world.logs import states_of
 
 # The middle one hides the last in part.
 CANS = LEFT, MIDDLE, BEHIND = Can(-0.12, 0.05), Can(0.02, 0.0), Can(0.05, 0.14)
@@ -131,7 +130,7 @@ def checked_stage(logs, seen, told):
     rows, stage, now = last_rows(logs), seen.present.stage, seen.present.state
     places_m = rows[["x_m", "y_m", "z_m"]].to_numpy()
     name_of = [int(np.flatnonzero((places_m == place_m).all(axis=1))[0]) for place_m in seen.view.places_m]
-    state = jax.tree.map(lambda leaf: leaf[0, stage - 1], states_of(logs, HORIZON))
+    state = mapped(lambda leaf: leaf[0, stage - 1], states_of(logs, HORIZON))
     assert np.flatnonzero(state.is_on_table).tolist() == sorted(name_of)
     for name in ("grip", "log_odds", "seen", "lifts"):
         np.testing.assert_array_equal(np.asarray(getattr(state, name))[name_of], getattr(now, name))
@@ -239,23 +238,6 @@ def test_what_comes_into_view_has_a_name_of_its_own_and_keeps_it(recorded, shows
     assert "which the cloud does not show" in told["warnings"][0]
 
 
-def test_a_reward_says_whether_an_attempt_held(recorded, shows):
-    told = decided(recorded, shows(*CANS))
-    assert told["object"] is not None
-    assert "held is 'yes'; it is true or false" in refused(
-        recorded.post("/reward", json={"reward": 1, "held": "yes"}), 422
-    )
-    assert "held is '1'" in refused(recorded.post("/reward", json={"reward": 1, "held": 1}), 422)
-    assert recorded.get("/health").json()["recording"] == {
-        "path": 1,
-        "stage": 1,
-        "waits_for": "reward",
-        "action": told["action"],
-        "object": told["object"],
-    }
-    assert rewarded(recorded, held=True)["waits_for"] == "decision"
-
-
 def test_what_cannot_be_gone_on_from_leaves_the_path_as_it_was(recorded, shows, tmp_path):
     def journal():
         return {file.name: file.read_bytes() for file in sorted((tmp_path / "logs").iterdir())}
@@ -292,15 +274,6 @@ def test_names_and_columns_that_a_folder_has_not_are_refused(recorded, shows, tm
     assert recorded.get("/health").json()["recording"]["path"] is None
     assert recorded.post("/decide", json={"objects": objects}).json()["path"] == 2
     assert read_logs(tmp_path / "logs").num_paths == 2
-
-
-def test_no_step_is_left_after_the_last(recorded, shows):
-    for _ in range(HORIZON):
-        if decided(recorded, shows(*CANS))["verb"] == "FINISH":
-            pytest.fail("the seed of the fixture lets no path end here")
-        rewarded(recorded, held=False)
-    assert f"beyond the policy's horizon of {HORIZON} stages" in refused(post(recorded, shows(*CANS)), 422)
-    assert recorded.post("/end", json={"ending": "finished"}).json()["stages"] == HORIZON
 
 
 def test_the_log_is_there_whenever_the_server_is_killed(recorded, shows, tmp_path):
@@ -402,20 +375,6 @@ def test_what_was_served_from_clouds_makes_the_next_log(tables, shows, tmp_path)
     assert read_policy(tmp_path / "next").record["schema"]["dirty_share"] == prior
     told = evaluate(learner.policy_, logs, against="logging", censoring="kaplan-meier", num_folds=2)
     assert np.isfinite(told.doubly_robust.value)
-
-
-def test_the_verb_records_clouds(tables, shows, tmp_path, monkeypatch):
-    def ask(app, at, on_start):
-        with TestClient(app, base_url="http://127.0.0.1") as client:
-            for _ in range(2):
-                decided(client, shows(*CANS))
-                rewarded(client)
-
-    monkeypatch.setattr("halfseen.serving.server.serve", ask)
-    words = ["serve", str(tables), "--record", str(tmp_path / "logs"), "--port", "0", "--extrapolate"]
-    assert CliRunner().invoke(halfseen, words, catch_exceptions=False).exit_code == 0
-    logs = read_logs(tmp_path / "logs")
-    assert (logs.paths["cause"].tolist(), logs.stages["stage"].tolist()) == (["server stopped"], [1, 2])
 
 
 def test_the_path_of_the_guide_is_answered_and_recorded(recorded, shows, tmp_path):

@@ -20,8 +20,6 @@ from halfseen.study.experiments.attempts.occlusion import assumed_share
 from halfseen.study.experiments.attempts.set_svm import SEEN, of_one_kind, sets_of
 from halfseen.study.experiments.attempts.sources import fit_of, frame_of
 from halfseen.study.experiments.attempts.splits import sizes_of, split_of
-from halfseen.study.experiments.attempts.tables import BETTER, UNDECIDED, WORSE
-from halfseen.study.experiments.attempts.words import by_size, fall
 from halfseen.study.statistics import holm
 from halfseen.study.store import as_json
 from halfseen.tables.grasp.inputs import checked_attempts
@@ -60,21 +58,6 @@ def test_no_table_is_both_learned_from_and_held_out():
     again = split_of(design, tables[::-1], 3, 8)
     np.testing.assert_array_equal(again.learned, splits[0].learned)
     assert list(split_of(design, tables, 4, 8).learned) != list(again.learned)
-
-
-def test_only_sizes_that_every_repetition_has_are_learned_from():
-    design = AttemptsDesign(num_tables=(10, 30, 50), num_folds=4)
-    for num in (40, 41, 43, 67):
-        least = min(len(split_of(design, np.arange(num), 0, index).learned) for index in range(4))
-        assert sizes_of(design, num) == tuple(size for size in (10, 30, 50) if size <= least)
-    assert sizes_of(design, 8) == (6,)
-
-
-def test_the_same_seed_gives_the_same_bytes(setting, pieces):
-    again, other = (pickle.loads(pickle.dumps(each)) for each in (TINY, setting))
-    np.random.seed(1)  # noqa: NPY002 - nothing may depend on it
-    assert as_json(again.repeat(other, pieces.prepared, 2)) == as_json(pieces.repetitions[2])
-    assert as_json(TINY.repeat(replace(setting, seed=6), pieces.prepared, 2)) != as_json(pieces.repetitions[2])
 
 
 def test_scores_are_those_of_attempts_that_were_held_out(setting, pieces):
@@ -236,31 +219,16 @@ def test_the_answer_is_told_either_way(gain, told):
     assert section.num_leading == 3
 
 
-def test_both_ways_to_plan_grasps_are_told_where_both_were_tried():
-    setting, design = Setting(()), Attempts()
-    both, one = (
-        design.section(setting, design.tabulate(setting, example_pieces(has_both=each))).sentences[1]
-        for each in (True, False)
-    )
-    assert both.startswith(one.removesuffix("."))
-    assert "; where only visible points count, success " in both
-    assert "the second slope less the first is " in both
+def test_the_same_seed_gives_the_same_bytes(setting, pieces):
+    again, other = (pickle.loads(pickle.dumps(each)) for each in (TINY, setting))
+    np.random.seed(1)  # noqa: NPY002 - nothing may depend on it
+    assert as_json(again.repeat(other, pieces.prepared, 2)) == as_json(pieces.repetitions[2])
+    assert as_json(TINY.repeat(replace(setting, seed=6), pieces.prepared, 2)) != as_json(pieces.repetitions[2])
 
 
-def test_sizes_are_told_by_verdict():
-    pairs = {"measure": "log_loss", "model": "svm", "rival": "beta"}
-    verdicts = {25: WORSE, 50: UNDECIDED, 100: BETTER, 200: BETTER}
-    tests = pd.DataFrame([pairs | {"num_tables": size, "verdict": verdict} for size, verdict in verdicts.items()])
-    assert by_size(tests, "svm", "beta") == (
-        "better than the Beta mean from 100 and 200, worse from 25 and neither clearly better nor worse from 50 tables"
-    )
-
-
-@pytest.mark.parametrize(
-    ("low", "high", "told"),
-    [(-3.0, -1.0, "falls"), (-3.0, 1.0, "does not change significantly"), (1.0, 3.0, "rises")],
-)
-def test_success_is_said_to_fall_only_where_it_does(low, high, told):
-    law = Attempts().tabulate(Setting(()), example_pieces(has_both=False))["attempts_law"]
-    law.loc[law["parameter"] == "occlusion", ["estimate", "low", "high"]] = (low + high) / 2, low, high
-    assert f"success {told} with occlusion: the log-odds" in fall({"attempts_law": law})
+def test_only_sizes_that_every_repetition_has_are_learned_from():
+    design = AttemptsDesign(num_tables=(10, 30, 50), num_folds=4)
+    for num in (40, 41, 43, 67):
+        least = min(len(split_of(design, np.arange(num), 0, index).learned) for index in range(4))
+        assert sizes_of(design, num) == tuple(size for size in (10, 30, 50) if size <= least)
+    assert sizes_of(design, 8) == (6,)

@@ -29,12 +29,6 @@ def test_nearer_objects_hide_farther_ones_alone():
         assert sorted(np.count_nonzero(table.hides, axis=1)) == [0, 1, 2, 3, 4, 5]
 
 
-def test_few_pairs_hide_much():
-    hides = np.concatenate([table.hides.ravel() for table in random_tables(9, 0.3, 50, np.random.default_rng(0))])
-    pairs = np.sort(hides)[::-1][: 50 * 36]
-    assert pairs[: len(pairs) // 4].sum() > pairs.sum() / 2
-
-
 def test_the_same_seed_gives_the_same_tables_denser_or_looser():
     loose, dense, again = (random_tables(5, each, 4, np.random.default_rng(7)) for each in (0.2, 0.5, 0.5))
     for thin, thick, same in zip(loose, dense, again, strict=True):
@@ -60,14 +54,6 @@ def test_labels_and_costs_are_crossed_and_spreads_vary_the_worlds_own():
         (0.3, -10.0)
     }
     assert len({(place.num_objects, place.occlusion) for place in places}) == 9
-
-
-def test_a_place_changes_its_own_three_numbers_of_the_world():
-    base = WorldConfig(dirty_share=0.7, horizon=5)
-    place = ClutterDesign(label_scales=(0.5,)).places(Setting((), world=base))[0]
-    world = place.world(base)
-    assert (world.seeing.gain, world.reward_wash_clean, world.grasping.offset_std) == (0.15, -5.0, 1.0)
-    assert (world.dirty_share, world.horizon, world.reward_dirty_left) == (0.7, 5, -5.0)
 
 
 def test_under_a_law_of_a_cell_the_assumed_laws_are_one_more_row(tmp_path):

@@ -2,8 +2,6 @@
 
 from dataclasses import replace
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from tiny import SETTING
@@ -12,10 +10,10 @@ from halfseen.errors import ArgumentError
 from halfseen.learning import CensoredQLearner
 from halfseen.study.pipeline import TREATMENTS, Source, episodes_in_turn
 from halfseen.study.policies import HEURISTICS, horizon_planner
-from halfseen.world import Scene, UniformPolicy, WorldConfig
+from halfseen.world import Scene, UniformPolicy, WorldConfig, random
 from halfseen.world.cuts import CutEpisodes
-from halfseen.world.episodes import play
-from halfseen.world.recording import to_logs
+from halfseen.world.logs import to_logs
+from halfseen.world.rollout import play
 from halfseen.world.state import pad_scenes
 
 CONFIG = WorldConfig(horizon=3)
@@ -24,19 +22,19 @@ FINISH, WASH_0, LIFT_1 = 0, 1, 4
 
 def cut_by_hand(is_cut=True):
     """Five paths of two dirty cups: 0 finished; others cut in stage 1 (WASH), 2 (LIFT), 2 (FINISH), 1 (LIFT)."""
-    episodes = play(CONFIG, pad_scenes([Scene(np.zeros((2, 2)))]), UniformPolicy(), jax.random.key(0), 5)
+    episodes = play(CONFIG, pad_scenes([Scene(np.zeros((2, 2)))]), UniformPolicy(), random.key_of(0), 5)
     there = np.ones((5, 3, 2), dtype=bool)
     there[0, 1:, 0] = there[3, 1:, 0] = False
     action = np.array([[WASH_0, LIFT_1, FINISH], [WASH_0] * 3, [WASH_0, LIFT_1, FINISH], [WASH_0, FINISH, 0], [4] * 3])
     reward = [[5, -0.2, -5], [9, 9, 9], [-1, 9, 9], [5, 9, 9], [9, 9, 9]]
     episodes = replace(
         episodes,
-        states=replace(episodes.states, is_on_table=jnp.asarray(there)),
-        action=jnp.asarray(action),
-        reward=jnp.asarray(reward, dtype=jnp.float32),
-        duration_s=jnp.full((5, 3), 2.0),
-        is_taken=jnp.ones((5, 3), dtype=bool),
-        hidden=replace(episodes.hidden, is_dirty=jnp.ones((5, 2), dtype=bool)),
+        states=replace(episodes.states, is_on_table=np.asarray(there)),
+        action=np.asarray(action),
+        reward=np.asarray(reward, dtype=np.float32),
+        duration_s=np.full((5, 3), 2.0),
+        is_taken=np.ones((5, 3), dtype=bool),
+        hidden=replace(episodes.hidden, is_dirty=np.ones((5, 2), dtype=bool)),
     )
     num_completed = np.array([3, 0, 1, 1, 0]) if is_cut else np.full(5, 3)
     stage = np.arange(3)
@@ -57,33 +55,28 @@ def seen(treatment, is_cut=True):
     return paths.reward, weight, paths.is_last
 
 
-def test_weighted_gives_completed_stages_the_inverse_of_what_was_left_uncut():
-    reward, weight, is_last = seen("weighted")
-    # At 2 s two of five were cut; at 3 s one more of three, at 3.5 s one of the last two.
-    np.testing.assert_allclose(weight, [[5 / 3, 5, 5], [0] * 3, [5 / 3, 0, 0], [5 / 3, 0, 0], [0] * 3], rtol=1e-12)
-    np.testing.assert_allclose(reward, [[5, -0.2, -5], [0] * 3, [-1, 0, 0], [5, 0, 0], [0] * 3], rtol=1e-6)
-    np.testing.assert_array_equal(np.argwhere(is_last), [[0, 2]])
+COMPLETED = [[5, -0.2, -5], [0, 0, 0], [-1, 0, 0], [5, 0, 0], [0, 0, 0]]
+# WASH failed with two dirty left; LIFT for 1 s with two left; FINISH with one left; LIFT for 1 s with two left.
+FAILED = [[5, -0.2, -5], [-11, 0, 0], [-1, -10.1, 0], [5, -5, 0], [-10.1, 0, 0]]
 
 
-def test_unweighted_counts_completed_stages_alike():
-    _, weight, is_last = seen("unweighted")
-    np.testing.assert_array_equal(weight, [[1, 1, 1], [0, 0, 0], [1, 0, 0], [1, 0, 0], [0, 0, 0]])
-    np.testing.assert_array_equal(np.argwhere(is_last), [[0, 2]])
-
-
-def test_dropped_leaves_only_what_finished():
-    _, weight, is_last = seen("dropped")
-    np.testing.assert_array_equal(weight, [[1, 1, 1]] + 4 * [[0, 0, 0]])
-    np.testing.assert_array_equal(np.argwhere(is_last), [[0, 2]])
-
-
-def test_failures_make_the_stage_of_the_cut_a_failed_last_one():
-    reward, weight, is_last = seen("failures")
-    np.testing.assert_array_equal(weight, [[1, 1, 1], [1, 0, 0], [1, 1, 0], [1, 1, 0], [1, 0, 0]])
-    np.testing.assert_array_equal(np.argwhere(is_last), [[0, 2], [1, 0], [2, 1], [3, 1], [4, 0]])
-    # WASH failed with two dirty left; LIFT for 1 s with two left; FINISH with one left; LIFT for 1 s with two left.
-    expected = [[5, -0.2, -5], [-11, 0, 0], [-1, -10.1, 0], [5, -5, 0], [-10.1, 0, 0]]
-    np.testing.assert_allclose(reward, expected, rtol=1e-6)
+@pytest.mark.parametrize(
+    ("treatment", "weight", "rewards", "last"),
+    [
+        # At 2 s two of five were cut; at 3 s one more of three, at 3.5 s one of the last two.
+        ("weighted", [[5 / 3, 5, 5], [0] * 3, [5 / 3, 0, 0], [5 / 3, 0, 0], [0] * 3], COMPLETED, [2, 0, 0, 0, 0]),
+        ("unweighted", [[1, 1, 1], [0, 0, 0], [1, 0, 0], [1, 0, 0], [0, 0, 0]], COMPLETED, [2, 0, 0, 0, 0]),
+        ("dropped", [[1, 1, 1]] + 4 * [[0, 0, 0]], None, [2, 0, 0, 0, 0]),
+        ("failures", [[1, 1, 1], [1, 0, 0], [1, 1, 0], [1, 1, 0], [1, 0, 0]], FAILED, [2, 0, 1, 1, 0]),
+    ],
+)
+def test_each_treatment_has_the_rows_weights_and_ends_by_hand(treatment, weight, rewards, last):
+    found, weights, is_last = seen(treatment)
+    np.testing.assert_allclose(weights, weight, rtol=1e-12)
+    if rewards is not None:
+        np.testing.assert_allclose(found, rewards, rtol=1e-6)
+    ended = range(5) if treatment == "failures" else range(1)
+    np.testing.assert_array_equal(np.argwhere(is_last), [[path, last[path]] for path in ended])
 
 
 @pytest.mark.parametrize("treatment", TREATMENTS)

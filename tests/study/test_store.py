@@ -42,20 +42,6 @@ def test_a_piece_that_was_changed_is_not_believed(tmp_path, change):
         Store(tmp_path, DESIGN, is_resumed=True).read("piece")
 
 
-def test_a_piece_that_another_study_wrote_meanwhile_is_not_believed(tmp_path):
-    ours = Store(tmp_path, DESIGN, is_resumed=False)
-    Store(tmp_path, {"seed": 1}, is_resumed=False).keep("piece", 1.5)
-    with pytest.raises(ArgumentError, match="it was changed, or another study wrote it"):
-        ours.read("piece")
-
-
-def test_a_folder_below_a_file_is_refused(tmp_path):
-    (tmp_path / "file").write_text("")
-
-    with pytest.raises(ArgumentError, match=r"file/study.*cannot be written"):
-        Store(tmp_path / "file" / "study", DESIGN, is_resumed=False)
-
-
 def test_the_same_value_gives_the_same_bytes_and_nan_is_refused():
     assert as_json({"a": 1, "b": 2}) == as_json({"b": 2, "a": 1})
     with pytest.raises(ValueError, match="not JSON compliant"):

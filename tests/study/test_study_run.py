@@ -1,7 +1,6 @@
 """The tiny study from end to end: its files, and that a killed one goes on to the same bytes."""
 
 import json
-import pickle
 import shutil
 from dataclasses import replace
 
@@ -14,7 +13,7 @@ from axe import PAGES, faults_of, in_browser
 from halfseen.cell.calibration.shipped import shipped_law
 from halfseen.errors import ArgumentError
 from halfseen.study.laws import under
-from halfseen.study.run import chosen, run_study
+from halfseen.study.run import run_study
 from halfseen.study.runner import store_of
 from halfseen.workers import Workers
 
@@ -46,7 +45,6 @@ OF_LAW = (
 )
 """With fewer sizes of logs: what they come to is asked of the others."""
 FIGURES = ("opening", "figure1", "figure2", "figure3", "figure4", "figure5", "map", "regret")
-MEASURED = ("decision_ms", "learning_s")
 
 
 def outputs(folder):
@@ -139,14 +137,6 @@ def test_no_figure_depends_on_measured_times(study_folder, tmp_path):
 
 
 @pytest.mark.slow
-def test_another_seed_is_not_resumed(study_folder, tmp_path):
-    folder = shutil.copytree(study_folder, tmp_path / "copy")
-    with pytest.raises(ArgumentError, match="another design, seed or version"):
-        run_study(replace(SETTING, seed=1), folder, TINY, is_resumed=True, workers=Workers(1))
-    assert outputs(folder) == outputs(study_folder)
-
-
-@pytest.mark.slow
 def test_under_the_law_of_a_cell_everything_runs_and_says_so(tmp_path):
     setting, law = under(SETTING, shipped_law())
     setting = replace(
@@ -159,20 +149,6 @@ def test_under_the_law_of_a_cell_everything_runs_and_says_so(tmp_path):
     assert sorted(set(told["labels"])) == pytest.approx(sorted({0.3, law.seeing.facing}))
     assert (pd.read_csv(tmp_path / "regret.csv")["regret"] > -1e-6).all()
     assert json.loads((tmp_path / "study.json").read_text())["scenes"][0]["grip"][0] == -2
-
-
-def test_a_repetition_can_be_sent_anywhere():
-    for each in TINY:
-        again, setting = pickle.loads(pickle.dumps((each, SETTING)))
-        assert again == each
-        assert (setting.seed, setting.scenes[0].name) == (SETTING.seed, "table_3")
-
-
-def test_experiments_are_chosen_by_name():
-    assert [each.name for each in chosen(("regret", "reward"))] == ["reward", "regret"]
-    assert len(chosen(())) == 7
-    with pytest.raises(ArgumentError, match="--only rewards: there is no such experiment; there are reward, planning"):
-        chosen(("rewards",))
 
 
 @pytest.mark.parametrize(

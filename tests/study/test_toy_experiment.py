@@ -14,9 +14,8 @@ from halfseen.pages.axes import write_title
 from halfseen.pages.sentences import Claim
 from halfseen.progress import Progress
 from halfseen.study.experiment import Drawing, Experiment, Listing, Section, Setting
-from halfseen.study.run import chosen, run_study
+from halfseen.study.run import run_study
 from halfseen.study.runner import repetition, run_all, store_of
-from halfseen.study.scenes import look_at
 from halfseen.study.statistics import columns, estimate_in, over_repetitions
 from halfseen.workers import Workers
 from halfseen.world.scene import Scene
@@ -124,11 +123,6 @@ def test_a_scene_of_the_same_name_and_other_content_is_another_study(tmp_path, o
         store_of(Coin(), replace(SETTING, scenes=scenes), tmp_path, is_resumed=True)
 
 
-def test_two_clouds_of_one_name_are_refused(tmp_path):
-    with pytest.raises(ArgumentError, match="have one name"):
-        look_at([tmp_path / "a" / "table.pcd", tmp_path / "b" / "table.pcd"])
-
-
 @pytest.mark.parametrize("num_made", [0, 2])
 def test_before_anything_is_made_no_time_left_is_foretold(tmp_path, monkeypatch, num_made):
     begun = []
@@ -139,15 +133,6 @@ def test_before_anything_is_made_no_time_left_is_foretold(tmp_path, monkeypatch,
         stores[0].keep(repetition(index), coins[0].repeat(SETTING, coins[0].prepare(SETTING), index))
     run_all(coins, SETTING, stores, Workers(1))
     assert begun[0] == ("study", pytest.approx(num_made / 3, abs=0.0, rel=1e-12))
-
-
-def test_no_more_repetitions_than_it_wants(tmp_path):
-    run_study(SETTING, tmp_path, (Coin(most_repetitions=3),), workers=Workers(1))
-    assert pd.read_csv(tmp_path / "coin.csv").loc[0, "repetitions"] == 3
-
-
-def test_it_is_chosen_by_its_name():
-    assert chosen(("coin",), (Coin(), Coin(bias=0.1))) == (Coin(), Coin(bias=0.1))
 
 
 @pytest.mark.parametrize(("bias", "words"), [(0.5, "inconclusive"), (0.1, "not supported")])

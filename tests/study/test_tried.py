@@ -8,7 +8,7 @@ from tiny import SETTING
 from halfseen.study.pipeline import Source
 from halfseen.study.tried import tried_in
 from halfseen.tables import attempts
-from halfseen.world.recording import to_logs
+from halfseen.world.logs import to_logs
 
 
 @pytest.mark.parametrize("kind", ["independent", "attempt"])

@@ -2,8 +2,6 @@
 
 from dataclasses import replace
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -16,56 +14,54 @@ from halfseen.tables.features import table_columns, table_features, table_q
 from halfseen.tables.grasp.grasp_table import GraspTable
 from halfseen.tables.learned_explanation import LearnedExplainer
 from halfseen.tables.present import first_state
-from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, Verb
-from halfseen.world.episodes import evaluate
+from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, Verb, random
+from halfseen.world.rollout import evaluate
 from halfseen.world.state import pad_scenes
 
 HIDES = np.array([[0.0, 0.5, 0.0], [0.0, 0.0, 0.0], [0.0, 0.2, 0.0]])
 STATE = first_state(Scene(HIDES), horizon=10, dirty_share=0.6).state
 EASE, CLEARER = 4, -1
-COLUMNS, FEATURES, Q = jax.jit(table_columns), jax.jit(table_features), jax.jit(table_q)
-PROBABILITY = jax.jit(lambda model, state: model.probability(state))
 
 
 def of_verb(state, verb, place, grasp=None):
-    return np.asarray(COLUMNS(state, grasp).of_verb[verb][place])
+    return table_columns(state, grasp).of_verb[verb][place]
 
 
 def test_what_shows_of_a_grip_changes_what_is_within_reach():
-    shown = replace(STATE, grip=jnp.array([-2.0, 0.0, 1.0]))
+    shown = replace(STATE, grip=np.float32([-2.0, 0.0, 1.0]))
     ratio = of_verb(shown, Verb.WASH, EASE) / of_verb(STATE, Verb.WASH, EASE)
     assert ratio[0] < 0.5 < ratio[1] == 1.0 < ratio[2] < 4 / 3
 
 
 def test_a_grasp_model_counts_what_shows_as_log_odds():
-    model = GraspTable(jnp.full((33, 3, 3), 0.8))
-    shown = replace(STATE, grip=jnp.array([-2.0, 0.0, 1.0]))
+    model = GraspTable(np.full((33, 3, 3), 0.8, dtype=np.float32))
+    shown = replace(STATE, grip=np.float32([-2.0, 0.0, 1.0]))
     expected = 1.0 / (1.0 + np.exp(-(np.log(4.0) + np.array([-2.0, 0.0, 1.0]))))
-    np.testing.assert_allclose(PROBABILITY(model, shown), expected, rtol=1e-5)
-    assert np.array_equal(PROBABILITY(model, shown)[1], PROBABILITY(model, STATE)[1])
-    assert np.array_equal(of_verb(shown, Verb.WASH, EASE, model), PROBABILITY(model, shown))
+    np.testing.assert_allclose(model.probability(shown), expected, rtol=1e-5)
+    assert np.array_equal(model.probability(shown)[1], model.probability(STATE)[1])
+    assert np.array_equal(of_verb(shown, Verb.WASH, EASE, model), model.probability(shown))
 
 
 def test_where_all_was_seen_nothing_is_gained_by_a_look():
-    seen = replace(STATE, seen=jnp.array([0.3, 1.0, 0.2]))
+    seen = replace(STATE, seen=np.float32([0.3, 1.0, 0.2]))
     clearer = of_verb(seen, Verb.LIFT, CLEARER)
     assert clearer[1] == 0.0
     assert clearer[2] > 0.01
     laid_bare = of_verb(seen, Verb.LIFT, 0)
     assert laid_bare[1] < of_verb(STATE, Verb.LIFT, 0)[1]
     # One more look from where the last was taken shows nothing new: what there is to win is won as it stands.
-    columns = COLUMNS(seen)
-    is_dirty, ease = np.asarray(columns.table[0]), np.asarray(columns.of_verb[Verb.WASH][EASE])
+    columns = table_columns(seen)
+    is_dirty, ease = columns.table[0], columns.of_verb[Verb.WASH][EASE]
     np.testing.assert_allclose(columns.table[-1], ease * np.maximum(is_dirty - 0.5, 0.0), rtol=1e-6)
 
 
 def test_q_is_the_same_with_and_without_the_features_put_together():
-    state = replace(STATE, grip=jnp.array([-2.0, 0.0, 1.0]), seen=jnp.array([0.3, 1.0, 0.6]))
-    coefficients = jnp.asarray(np.random.default_rng(0).normal(size=(3, 23)), dtype=jnp.float32)
-    features = np.asarray(FEATURES(state))
+    state = replace(STATE, grip=np.float32([-2.0, 0.0, 1.0]), seen=np.float32([0.3, 1.0, 0.6]))
+    coefficients = np.random.default_rng(0).normal(size=(3, 23)).astype(np.float32)
+    features = table_features(state)
     verb = np.repeat([0, 1, 2], [1, 3, 3])
-    expected = np.asarray(coefficients)[verb, 0] + np.sum(features * np.asarray(coefficients)[verb, 1:], axis=1)
-    np.testing.assert_allclose(Q(coefficients, state), expected, rtol=1e-4)
+    expected = coefficients[verb, 0] + np.sum(features * coefficients[verb, 1:], axis=1)
+    np.testing.assert_allclose(table_q(coefficients, state), expected, rtol=1e-4)
 
 
 def test_the_present_takes_grips_from_the_cloud_and_what_was_seen_from_the_log():
@@ -96,7 +92,7 @@ def test_a_policy_is_learned_where_grips_show_and_errors_persist(grasp):
     learner = CensoredQLearner(10, TableTask(grasp)).fit(logs)
     rules = learner.policy_, UniformPolicy(), ExploringPolicy(heuristic, 0.5)
     learned, by_lot, logging = (
-        float(evaluate(FITTED, pad_scenes(scenes), rule, jax.random.key(1), 2_000).reward.mean()) for rule in rules
+        float(evaluate(FITTED, pad_scenes(scenes), rule, random.key_of(1), 2_000).reward.mean()) for rule in rules
     )
     assert learned > logging > by_lot
     told = LearnedExplainer.of(learner, logs, num_replicates=5).explain(first_state(scenes[0], 10, 0.6).state)

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import jax
 import numpy as np
 import pytest
 
@@ -12,9 +11,9 @@ from halfseen.logs import Logs
 from halfseen.planners import POMDPPolicy
 from halfseen.tables import fit_world
 from halfseen.tables.fitted_world import evidence_of, fitted_to
-from halfseen.world import AssumedGrasping, AssumedSeeing, Scene, TableWorld, UniformPolicy, WorldConfig
-from halfseen.world.episodes import evaluate
+from halfseen.world import AssumedGrasping, AssumedSeeing, Scene, TableWorld, UniformPolicy, WorldConfig, random
 from halfseen.world.grasping import KnownGrasping
+from halfseen.world.rollout import evaluate
 from halfseen.world.seeing import KnownSeeing
 from halfseen.world.state import pad_scenes
 
@@ -42,7 +41,7 @@ def test_what_is_known_stays_and_the_laws_are_of_the_families_that_made_the_log(
 def test_planners_plan_with_laws_of_the_other_families():
     short = replace(FITTED, horizon=2)
     planner = POMDPPolicy(fit_world(logs_of(short), short), num_simulations=8)
-    played = evaluate(short, pad_scenes([Scene(HIDES)]), planner, jax.random.key(0), 4)
+    played = evaluate(short, pad_scenes([Scene(HIDES)]), planner, random.key_of(0), 4)
     assert np.isfinite(played.reward).all()
 
 

@@ -1,6 +1,5 @@
 """Logs of tables whose objects come into view one after the other, as those of a cell do."""
 
-import jax
 import numpy as np
 import pandas as pd
 import pytest
@@ -8,10 +7,12 @@ import pytest
 from halfseen.errors import LogError
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
-from halfseen.tables.encoding import encode_states, logged_actions
+from halfseen.tables.encoding import logged_actions
+from halfseen.tables.features import table_features
 from halfseen.tables.laws.labels import labels
 from halfseen.world import ActionSpace, WorldConfig
-from halfseen.world.recording import states_of
+from halfseen.world.actions import possible_actions
+from halfseen.world.logs import states_of
 from small_logs import table_log
 
 LATE_HIDES = {"bowl": {"cup": 0.1, "fork": 0.2}, "cup": {"bowl": 0.3}, "fork": {"mug": 0.4}, "mug": {"cup": 0.5}}
@@ -66,17 +67,16 @@ def test_an_object_that_comes_into_view_late_is_padding_until_then():
     actions = ActionSpace(4)
     chosen = logged_actions(logs, 4, 4)[0]
     assert [actions.names[action] for action in chosen] == ["LIFT 1", "LIFT 2", "LIFT 3", "FINISH"]
-    features, is_possible = jax.vmap(encode_states)(states)
-    assert np.isfinite(features).all()
-    assert np.asarray(is_possible)[0, 0].tolist() == [True, *[False, True, False, True] * 2]
+    assert np.isfinite(table_features(states)).all()
+    assert possible_actions(states)[0, 0].tolist() == [True, *[False, True, False, True] * 2]
 
 
 def test_what_is_not_in_view_yet_changes_nothing_of_what_is_decided():
     """Features of a stage are those of a log that ends there, and never lists the late ones."""
     listed = [["cup", "mug"], ["cup", "fork", "mug"]]
-    whole, begun = (jax.vmap(encode_states)(states_of(late(listed[:number]), 4))[0] for number in (2, 1))
+    whole, begun = (table_features(states_of(late(listed[:number]), 4)) for number in (2, 1))
     kept = [0, *(1 + k for k in (0, 2)), *(4 + k for k in (0, 2))]
-    np.testing.assert_allclose(np.asarray(whole)[0, 0, kept], np.asarray(begun)[0, 0], rtol=1e-6)
+    np.testing.assert_allclose(whole[0, 0, kept], begun[0, 0], rtol=1e-6)
 
 
 def test_an_object_that_is_not_listed_again_is_named():

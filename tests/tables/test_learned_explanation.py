@@ -1,16 +1,15 @@
 from dataclasses import replace
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from halfseen.errors import ArgumentError
 from halfseen.learning import CensoredQLearner
 from halfseen.tables.learned_explanation import LearnedExplainer
-from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, WorldConfig
-from halfseen.world.dynamics import start
+from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, WorldConfig, random
 from halfseen.world.state import pad_scenes
+from halfseen.world.transition import start
+from picked import picked
 
 pytestmark = pytest.mark.slow
 
@@ -40,15 +39,15 @@ def explainer(learner, logs):
 
 @pytest.fixture(scope="module")
 def state():
-    layout = jax.tree.map(lambda leaf: leaf[0], pad_scenes([SCENE]))
-    return start(CONFIG, layout, jax.random.key(0))[0]
+    layout = picked(pad_scenes([SCENE]), 0)
+    return start(CONFIG, layout, random.key_of(0))[0]
 
 
 def test_what_was_learned_is_what_is_explained(learner, explainer, state):
     found = explainer.explain(state)
 
     np.testing.assert_allclose(found.values, learner.policy_.q_values(state), rtol=1e-5)
-    assert found.best == int(learner.policy_.decide(state, jax.random.key(0)).action)
+    assert found.best == int(learner.policy_.decide(state, random.key_of(0)).action)
     assert found.probability_best.sum() == pytest.approx(1.0, abs=0.1)
 
 
@@ -79,7 +78,7 @@ def test_intervals_are_about_q_and_not_about_its_lower_bound(learner, explainer,
 def test_a_verb_that_was_never_seen_completed_is_impossible(explainer, state):
     is_seen = np.ones((HORIZON, 3), dtype=bool)
     is_seen[:, 2] = False
-    policies = (replace(policy, is_seen=jnp.asarray(is_seen)) for policy in (explainer.policy, explainer.replicates))
+    policies = (replace(policy, is_seen=is_seen) for policy in (explainer.policy, explainer.replicates))
     found = replace(explainer, **dict(zip(("policy", "replicates"), policies, strict=True))).explain(state)
     assert np.isfinite(found.values[:4]).all()
     assert (found.values[4:] == -np.inf).all()
@@ -87,7 +86,7 @@ def test_a_verb_that_was_never_seen_completed_is_impossible(explainer, state):
 
 
 def test_objects_that_nothing_tells_apart_are_equally_good(explainer, state):
-    alike = replace(state, hides=jnp.zeros((3, 3)), log_odds=jnp.array([2.0, 2.0, 0.0]))
+    alike = replace(state, hides=np.zeros((3, 3), dtype=np.float32), log_odds=np.float32([2.0, 2.0, 0.0]))
     found = explainer.explain(alike)
 
     assert found.probability_best[1] == found.probability_best[2]
@@ -105,7 +104,7 @@ def test_new_numbers_for_the_objects_only_permute_the_explanation(explainer, sta
 
 
 def test_what_is_off_the_table_is_impossible(explainer, state):
-    found = explainer.explain(replace(state, is_on_table=jnp.array([True, False, True])))
+    found = explainer.explain(replace(state, is_on_table=np.array([True, False, True])))
 
     np.testing.assert_array_equal(np.isfinite(found.values), [True, True, False, True, True, False, True])
 
@@ -127,4 +126,4 @@ def test_what_cannot_be_explained_is_refused(learner, logs, explainer, state):
     with pytest.raises(ArgumentError, match="num_replicates is 1"):
         LearnedExplainer.of(learner, logs, num_replicates=1)
     with pytest.raises(ArgumentError, match="the path is over"):
-        explainer.explain(replace(state, steps_to_go=jnp.asarray(0)))
+        explainer.explain(replace(state, steps_to_go=np.asarray(0)))

@@ -1,12 +1,11 @@
 """Learning on tables: features that know neither N nor order, and a policy that earns more than what it watched."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from halfseen.arrays import record
 from halfseen.censoring import Cox, stage_weights
 from halfseen.errors import ArgumentError, LogError
 from halfseen.learning import CensoredQLearner, Weighted
@@ -15,7 +14,6 @@ from halfseen.logs import Logs
 from halfseen.policies.folder import read_policy, write_policy
 from halfseen.tables import LinearTablePolicy, TableTask
 from halfseen.tables.censoring_covariates import table_covariates
-from halfseen.tables.encoding import encode_states
 from halfseen.tables.features import (
     NUM_FEATURES,
     NUM_TABLE_FEATURES,
@@ -23,28 +21,26 @@ from halfseen.tables.features import (
     WASH_EASE,
     table_features,
 )
-from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, WorldConfig
-from halfseen.world.action_space import ActionSpace, Verb, possible_actions
+from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, WorldConfig, random
+from halfseen.world.actions import ActionSpace, Verb, possible_actions
 from halfseen.world.cuts import cut, cut_rate
-from halfseen.world.episodes import evaluate, play
+from halfseen.world.logs import to_logs
 from halfseen.world.policy import surely
-from halfseen.world.recording import to_logs
-from halfseen.world.state import occlusion_without, pad_scenes
+from halfseen.world.rollout import evaluate, play
+from halfseen.world.state import occlusion, occlusion_by, pad_scenes
 from picked import picked
 
 CONFIG = WorldConfig()
 NUM_OBJECTS = 4
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@record
 class Hasty:
     """WASH what looks dirtiest, FINISH when all looks clean; hidden things and grips are nothing to it."""
 
     def decide(self, state, key):
-        worth = jnp.where(state.is_on_table, state.log_odds, -jnp.inf)
-        worst = jnp.argmax(worth)
-        return surely(jnp.where(worth[worst] > 0, 1 + worst, 0).astype(jnp.int32))
+        worth = np.where(state.is_on_table, state.log_odds, -np.inf)
+        return surely(np.where(worth.max(axis=-1) > 0, 1 + worth.argmax(axis=-1), 0))
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +53,7 @@ def scene():
 @pytest.fixture(scope="module")
 def watched(scene):
     logger = ExploringPolicy(Hasty(), 0.5)
-    return play(CONFIG, pad_scenes([scene]), logger, jax.random.key(0), 400)
+    return play(CONFIG, pad_scenes([scene]), logger, random.key_of(0), 400)
 
 
 @pytest.fixture(scope="module")
@@ -81,13 +77,13 @@ PER_OBJECT = "is_object", "is_on_table", "grip", "log_odds", "seen", "lifts"
 
 def permuted(states, order):
     """Object k of the result is object order[k] of the given states."""
-    rank = jnp.argsort(jnp.asarray(order))
+    rank = np.argsort(order)
     tried = states.attempt_object
     return replace(
         states,
         hides=states.hides[:, order][:, :, order],
         **{name: getattr(states, name)[:, order] for name in PER_OBJECT},
-        attempt_object=jnp.where(tried < 0, tried, rank[tried]),
+        attempt_object=np.where(tried < 0, tried, rank[tried]),
     )
 
 
@@ -95,10 +91,9 @@ def padded(states, num_objects):
     more = num_objects - states.num_objects
     extra = {"is_object": False, "is_on_table": False, "grip": -3.0, "log_odds": 7.0, "seen": 0.4, "lifts": 3}
     grown = {
-        name: jnp.pad(getattr(states, name), ((0, 0), (0, more)), constant_values=value)
-        for name, value in extra.items()
+        name: np.pad(getattr(states, name), ((0, 0), (0, more)), constant_values=value) for name, value in extra.items()
     }
-    return replace(states, hides=jnp.pad(states.hides, ((0, 0), (0, more), (0, more)), constant_values=0.9), **grown)
+    return replace(states, hides=np.pad(states.hides, ((0, 0), (0, more), (0, more)), constant_values=0.9), **grown)
 
 
 def by_verb(values, num_objects):
@@ -109,12 +104,12 @@ def by_verb(values, num_objects):
 
 def random_policy():
     coefficients = np.random.default_rng(3).normal(size=(10, 3, NUM_FEATURES + 1))
-    return LinearTablePolicy(jnp.asarray(coefficients, dtype=jnp.float32))
+    return LinearTablePolicy(coefficients.astype(np.float32))
 
 
 def test_q_follows_the_objects_when_they_change_places(watched):
     states, order = states_in(watched), np.array([2, 0, 3, 1])
-    q = jax.jit(jax.vmap(random_policy().q_values))
+    q = random_policy().q_values
     before = by_verb(q(states), NUM_OBJECTS)
     after = by_verb(q(permuted(states, order)), NUM_OBJECTS)
     for k in (0, 1):
@@ -125,7 +120,7 @@ def test_q_follows_the_objects_when_they_change_places(watched):
 
 def test_q_does_not_see_padding(watched):
     states = states_in(watched)
-    q = jax.jit(jax.vmap(random_policy().q_values))
+    q = random_policy().q_values
     before, after = by_verb(q(states), NUM_OBJECTS), by_verb(q(padded(states, 7)), 7)
     for left, right in zip(before, after, strict=True):
         np.testing.assert_allclose(right[:, : left.shape[1]], left, rtol=1e-4, atol=1e-4)
@@ -140,39 +135,31 @@ def test_a_block_is_a_verb():
 
 
 def test_features_are_finite_whatever_happened(watched):
-    features = np.asarray(jax.jit(jax.vmap(table_features))(states_in(watched)))
+    features = table_features(states_in(watched))
     assert features.shape[1:] == (1 + 2 * NUM_OBJECTS, NUM_FEATURES)
     assert np.isfinite(features).all()
 
 
 def test_a_policy_values_what_was_regressed_on(watched):
     states, policy = states_in(watched), random_policy()
-    by_policy = np.asarray(jax.jit(jax.vmap(policy.q_values))(states))
-    features = jax.jit(jax.vmap(table_features))(states)
-    blocks, possible = ActionSpace(NUM_OBJECTS).verbs, np.asarray(jax.jit(jax.vmap(possible_actions))(states))
-    by_features = jax.vmap(q_values, in_axes=(0, 0, None))(
-        policy.coefficients[states.steps_to_go - 1], features, blocks
-    )
-    np.testing.assert_allclose(by_policy[possible], np.asarray(by_features)[possible], rtol=1e-4, atol=1e-4)
+    by_policy, features = policy.q_values(states), table_features(states)
+    blocks, possible = ActionSpace(NUM_OBJECTS).verbs, possible_actions(states)
+    by_features = q_values(policy.coefficients[states.steps_to_go - 1], features, blocks)
+    np.testing.assert_allclose(by_policy[possible], by_features[possible], rtol=1e-4, atol=1e-4)
 
 
 @pytest.mark.parametrize("hidden", [0.7, 1.0])
 def test_what_is_laid_bare_is_the_occlusion_that_goes(watched, hidden):
-    states = replace(states_in(watched), hides=states_in(watched).hides.at[:, 2, 0].set(hidden))
-    target = jnp.eye(NUM_OBJECTS, dtype=bool)
-
-    @jax.jit
-    def shown(state):
-        nothing = jnp.zeros(NUM_OBJECTS, dtype=bool)
-        each = jax.vmap(occlusion_without, in_axes=(None, 0))(state, target)
-        return occlusion_without(state, nothing), each, table_features(state)
-
+    seen = states_in(watched)
+    hides = seen.hides.copy()
+    hides[:, 2, 0] = hidden
+    states, others = replace(seen, hides=hides), ~np.eye(NUM_OBJECTS, dtype=bool)
     for k in range(20):
         state = picked(states, k)
-        there = np.asarray(state.is_on_table)
-        is_dirty = 1.0 / (1.0 + np.exp(-np.asarray(state.log_odds, dtype=float)))
-        now, without, features = map(np.asarray, shown(state))
-        gone = (now - without) * (there[:, None] & there) * ~np.eye(NUM_OBJECTS, dtype=bool)
+        there, features = state.is_on_table, table_features(state)
+        is_dirty = 1.0 / (1.0 + np.exp(-state.log_odds.astype(float)))
+        without = occlusion_by(state.hides, there & others)
+        gone = (occlusion(state) - without) * (there[:, None] & there) * others
         washed = features[1 : 1 + NUM_OBJECTS]
         laid_bare = washed[:, WASH_EASE] * (gone @ np.maximum(is_dirty - 0.5, 0.0))
         np.testing.assert_allclose(washed[there, NUM_TABLE_FEATURES], laid_bare[there], atol=1e-5)
@@ -182,11 +169,8 @@ def test_what_is_laid_bare_is_the_occlusion_that_goes(watched, hidden):
 def test_the_policy_takes_the_best_possible_action(watched):
     states = states_in(watched)
     policy = random_policy()
-    action = np.asarray(jax.jit(jax.vmap(lambda state: policy.decide(state, jax.random.key(0)).action))(states))
-    q, possible = (
-        np.asarray(jax.jit(jax.vmap(policy.q_values))(states)),
-        np.asarray(jax.jit(jax.vmap(possible_actions))(states)),
-    )
+    action = policy.decide(states, random.keys_of(random.key_of(0), len(states.lifts))).action
+    q, possible = policy.q_values(states), possible_actions(states)
     assert possible[np.arange(len(action)), action].all()
     assert (q[np.arange(len(action)), action] == np.where(possible, q, -np.inf).max(axis=1)).all()
     assert not possible.all()
@@ -194,7 +178,7 @@ def test_the_policy_takes_the_best_possible_action(watched):
 
 @pytest.mark.slow
 def test_what_was_learned_beats_chance_and_what_it_watched(learner, scene):
-    key, layouts = jax.random.key(9), pad_scenes([scene])
+    key, layouts = random.key_of(9), pad_scenes([scene])
     earned = {
         name: np.asarray(evaluate(CONFIG, layouts, policy, key, 1500).reward, dtype=float)
         for name, policy in (
@@ -211,8 +195,7 @@ def test_what_was_learned_beats_chance_and_what_it_watched(learner, scene):
 def test_it_learns_the_same_from_the_same_log(learner, logs):
     again = CensoredQLearner.for_table(horizon=10).fit(logs)
     assert np.array_equal(again.q_functions_.coefficients, learner.q_functions_.coefficients)
-    assert again.policy_.coefficients.dtype == jnp.float32
-    assert jnp.ones(1).dtype == jnp.float32, "double precision stays inside the fit"
+    assert again.policy_.coefficients.dtype == np.float32
 
 
 def test_the_names_of_objects_do_not_matter(learner, logs):
@@ -244,8 +227,9 @@ def test_a_verb_that_no_table_knows_is_named(logs):
 
 
 def test_finish_is_possible_even_on_an_empty_table(watched):
-    _, possible = jax.vmap(encode_states)(picked(watched.states, np.s_[:5]))
-    assert np.asarray(possible)[..., 0].all()
+    empty = replace(watched.states, is_on_table=np.zeros_like(watched.states.is_on_table))
+    assert possible_actions(empty)[..., 0].all()
+    assert not possible_actions(empty)[..., 1:].any()
 
 
 @pytest.mark.slow
@@ -278,14 +262,14 @@ def test_cuts_at_a_table_may_depend_on_the_attempt():
 
 @pytest.mark.slow
 def test_a_verb_that_was_never_completed_is_never_taken(scene, tmp_path):
-    played = play(CONFIG, pad_scenes([scene]), Hasty(), jax.random.key(3), 60)
+    played = play(CONFIG, pad_scenes([scene]), Hasty(), random.key_of(3), 60)
     logs = to_logs(cut(played, 0.0, "independent", np.random.default_rng(0)), "independent", [scene])
     learner = CensoredQLearner.for_table(CONFIG.horizon).fit(logs)
     assert [told.split()[0] for told in learner.unseen_] == ["LIFT"]
     write_policy(learner, logs, tmp_path / "policy")
     for policy in (learner.policy_, read_policy(tmp_path / "policy").policy):
         assert np.asarray(policy.is_seen).tolist() == [[True, True, False]] * CONFIG.horizon
-        again = play(CONFIG, pad_scenes([scene]), policy, jax.random.key(4), 40)
-        verbs = np.asarray(ActionSpace(NUM_OBJECTS).verb(again.action))[np.asarray(again.is_taken)]
+        again = play(CONFIG, pad_scenes([scene]), policy, random.key_of(4), 40)
+        verbs = ActionSpace(NUM_OBJECTS).verb(again.action)[again.is_taken]
         assert Verb.LIFT not in set(verbs)
         assert Verb.WASH in set(verbs)

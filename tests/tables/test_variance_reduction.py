@@ -1,9 +1,9 @@
 """Less noise, the same mean: what a WASH pays, what labels say; and Q varies less from log to log."""
 
-import jax
 import numpy as np
 import pytest
 
+from halfseen.arrays import mapped
 from halfseen.censoring import stage_weights
 from halfseen.learning import CensoredQLearner, NamedActions
 from halfseen.learning.path_arrays import path_arrays
@@ -11,11 +11,11 @@ from halfseen.learning.task import Encoded, RewardedStages
 from halfseen.planners import GreedyPolicy
 from halfseen.tables.encoding import encoded_states
 from halfseen.tables.variance_reduction import expected_rewards, label_control_variates, wash_pay
-from halfseen.world import ExploringPolicy, Scene, TableWorld, WorldConfig
-from halfseen.world.action_space import ActionSpace, Verb
+from halfseen.world import ExploringPolicy, Scene, TableWorld, WorldConfig, random
+from halfseen.world.actions import ActionSpace, Verb
 from halfseen.world.cuts import cut, cut_rate
-from halfseen.world.episodes import play
-from halfseen.world.recording import to_logs
+from halfseen.world.logs import to_logs
+from halfseen.world.rollout import play
 from halfseen.world.state import pad_scenes
 from picked import picked
 
@@ -27,7 +27,7 @@ LOGGER = ExploringPolicy(GreedyPolicy(CONFIG, uses_history=True, counts_penalty=
 
 @pytest.fixture(scope="module")
 def cuts():
-    episodes = play(CONFIG, pad_scenes([SCENE]), LOGGER, jax.random.key(0), 2000)
+    episodes = play(CONFIG, pad_scenes([SCENE]), LOGGER, random.key_of(0), 2000)
     return cut(episodes, cut_rate(episodes, 0.4, "independent"), "independent", np.random.default_rng(0))
 
 
@@ -84,7 +84,7 @@ def test_without_a_wash_nothing_changes(cuts, encoded, seen, weight):
 
 def test_parts_find_what_the_whole_does(encoded, seen, weight):
     stages = RewardedStages(encoded, seen.reward, weight, seen.is_last)
-    parts = [jax.tree.map(lambda leaf: leaf[first : first + 90], stages) for first in range(0, len(weight), 90)]  # noqa: B023
+    parts = [mapped(lambda leaf: leaf[first : first + 90], stages) for first in range(0, len(weight), 90)]  # noqa: B023
     assert len(parts) > 2
     np.testing.assert_allclose(wash_pay(parts), wash_pay([stages]), rtol=1e-10)
 
@@ -92,14 +92,14 @@ def test_parts_find_what_the_whole_does(encoded, seen, weight):
 @pytest.mark.slow
 def test_q_varies_less_between_logs():
     layouts = pad_scenes([SCENE])
-    states = picked(play(CONFIG, layouts, LOGGER, jax.random.key(1), 50).states, np.s_[:, 0])
+    states = picked(play(CONFIG, layouts, LOGGER, random.key_of(1), 50).states, np.s_[:, 0])
     watched = [TableWorld().simulate([SCENE], LOGGER, episodes=100, seed=seed, cut_share=0.3) for seed in range(6)]
 
     def spread(reduces_variance):
         learners = [
             CensoredQLearner.for_table(reg=0.1, reduces_variance=reduces_variance).fit(logs) for logs in watched
         ]
-        return np.std([jax.vmap(learner.policy_.q_values)(states) for learner in learners], axis=0).mean()
+        return np.std([learner.policy_.q_values(states) for learner in learners], axis=0).mean()
 
     assert spread(True) < 0.8 * spread(False)
 

@@ -1,14 +1,12 @@
 """The page in a browser without a screen: it loads, draws, its slider moves, and it asks nobody else."""
 
 import socket
-import sys
 
 import numpy as np
 import pytest
 from watched_runs import run
 
 from chromium import BROWSER, tab
-from halfseen.errors import ArgumentError
 
 viser = pytest.importorskip("viser", reason="the extra 'watch' is not installed")
 
@@ -99,15 +97,6 @@ def test_no_text_of_a_run_ends_the_script_of_its_file(tmp_path):
     assert "https://" not in text.split("const stages")[0]
 
 
-def test_a_port_that_is_taken_is_told():
-    with socket.socket() as taken:
-        taken.bind((HERE, 0))
-        taken.listen()
-        port = taken.getsockname()[1]
-        with pytest.raises(ArgumentError, match=f"--port is {port}, and something else is served there"), served(port):
-            pass
-
-
 def test_nobody_else_is_served():
     with served(0) as page_of:
         port = int(page_of.url.rsplit(":", 1)[1])
@@ -115,9 +104,3 @@ def test_nobody_else_is_served():
             pass
         with pytest.raises(OSError), socket.create_connection(("127.0.0.2", port), timeout=60):  # noqa: PT011
             pass
-
-
-def test_a_viewer_that_is_not_installed_is_named(monkeypatch):
-    monkeypatch.setitem(sys.modules, "viser", None)
-    with pytest.raises(ArgumentError, match=r"pip install .*\[watch\]'"), served(0):
-        pass

@@ -14,7 +14,7 @@ import pytest
 
 from halfseen.errors import ArgumentError, WorkerError
 from halfseen.workers import Workers
-from halfseen.workers.piece import Home, home, made
+from halfseen.workers.piece import home, made
 
 ENGINES = [Workers(1), Workers(2), pytest.param(Workers(2, "dask"), marks=pytest.mark.slow)]
 ENGINES += [pytest.param(Workers(2, "ray"), marks=pytest.mark.slow)]
@@ -130,14 +130,6 @@ def test_a_piece_that_kills_every_worker_is_given_up(workers, monkeypatch):
 
 
 @pytest.mark.slow
-def test_workers_of_dask_that_closed_themselves_come_back():
-    distributed = pytest.importorskip("distributed")
-    with Workers(2, "dask").ready() as pool:
-        distributed.get_client().retire_workers()
-        assert dict(pool.each(squared, range(4))) == {number: number**2 for number in range(4)}
-
-
-@pytest.mark.slow
 def test_a_cluster_that_stays_without_workers_is_given_up(monkeypatch):
     distributed = pytest.importorskip("distributed")
     monkeypatch.setattr("halfseen.workers.on_dask.EMPTY_S", 1.0)
@@ -205,23 +197,6 @@ def test_other_versions_are_told_by_name():
     asker = home()
     asker = asker._replace(versions={**asker.versions, "numpy": "1.0"})
     assert f"numpy {np.__version__} instead of 1.0; install the same" in str(made(asker, NOTHING, 0, 0).error)
-
-
-def test_a_compiler_that_was_set_otherwise_is_told(monkeypatch):
-    pytest.importorskip("jax")
-    monkeypatch.setenv("XLA_FLAGS", "--here")
-    asker = Home(home().versions, {"XLA_FLAGS": "--there"})
-    told = str(made(asker, NOTHING, 0, 0).error)
-    assert "compiled with XLA_FLAGS='--here' already, and is asked for '--there'" in told
-
-
-def test_a_worker_takes_over_settings_and_drops_its_own(monkeypatch):
-    for name, value in [("XLA_FLAGS", "--theirs"), ("JAX_PLATFORMS", "cpu"), ("JAX_HERE_ALONE", "1")]:
-        monkeypatch.setenv(name, value)
-    asker = Home(home().versions, {"XLA_FLAGS": "--theirs", "JAX_PLATFORMS": "", "JAX_THERE_ALONE": "2"})
-    monkeypatch.setenv("JAX_THERE_ALONE", "")  # so that it is put back afterwards
-    assert made(asker, as_bytes(cloudpickle.dumps(squared)), 0, 3).result == 9
-    assert home().settings == asker.settings
 
 
 def test_what_a_worker_cannot_import_is_told():

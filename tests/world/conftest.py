@@ -1,9 +1,8 @@
-import jax
 import pytest
 from random_scenes import random_scene
 
-from halfseen.world import UniformPolicy, WorldConfig
-from halfseen.world.episodes import play
+from halfseen.world import UniformPolicy, WorldConfig, random
+from halfseen.world.rollout import play
 from halfseen.world.state import pad_scenes
 
 NUM_EPISODES = 3000
@@ -16,9 +15,9 @@ def scenes():
 
 @pytest.fixture(scope="session")
 def played(scenes):
-    return play(WorldConfig(), pad_scenes(scenes), UniformPolicy(), jax.random.key(7), NUM_EPISODES)
+    return play(WorldConfig(), pad_scenes(scenes), UniformPolicy(), random.key_of(7), NUM_EPISODES)
 
 
 @pytest.fixture(scope="session")
 def played_again(scenes):
-    return play(WorldConfig(), pad_scenes(scenes), UniformPolicy(), jax.random.key(8), NUM_EPISODES)
+    return play(WorldConfig(), pad_scenes(scenes), UniformPolicy(), random.key_of(8), NUM_EPISODES)

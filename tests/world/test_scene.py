@@ -1,4 +1,3 @@
-import jax
 import numpy as np
 import pytest
 
@@ -15,7 +14,7 @@ def test_a_scene_that_says_nothing_of_grips_sets_no_object_apart():
 
 def test_what_shows_of_grips_reaches_the_state_and_padding_holds_none():
     layouts = pad_scenes([Scene(HIDES, grip=np.array([-1.5, 0.5])), Scene(np.zeros((1, 1)))])
-    states = jax.vmap(initial_state, in_axes=(None, 0))(WorldConfig(), layouts)
+    states = initial_state(WorldConfig(), layouts)
     assert np.isnan(np.asarray(layouts.grip)[1, 1])
     assert np.asarray(states.grip).tolist() == [[-1.5, 0.5], [0.0, 0.0]]
     assert not np.asarray(states.seen).any()

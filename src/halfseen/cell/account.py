@@ -15,7 +15,7 @@ from halfseen.arrays import Rows
 from halfseen.cell.luck import luck_of_table, luck_of_washing
 from halfseen.cell.truth import Truth
 from halfseen.cell.workcell import Attempt, Workcell
-from halfseen.world.action_space import Verb
+from halfseen.world.actions import Verb
 from halfseen.world.config import WorldConfig
 
 

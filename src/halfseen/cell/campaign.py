@@ -17,7 +17,6 @@ from tempfile import TemporaryDirectory
 from threading import get_ident
 from typing import Protocol
 
-import jax
 import numpy as np
 from jaxtyping import Bool
 
@@ -35,8 +34,8 @@ from halfseen.logs.joining import joined
 from halfseen.reading import json_of, read_text
 from halfseen.scene.draw import random_table
 from halfseen.scene.stains import draw_surface
-from halfseen.team.policy import TeamPolicy
 from halfseen.workers import Pool
+from halfseen.world import random
 from halfseen.world.policy import Policy
 from halfseen.writing import placed, refuse_unwritable, write_file
 
@@ -138,7 +137,7 @@ class Campaign:
         Who follows each table, in this process; None for nobody.
     """
 
-    policy: Policy | TeamPolicy
+    policy: Policy
     belief: Belief
     conditions: Conditions
     seed: int
@@ -199,7 +198,7 @@ class Campaign:
         cell, is_dirty = self.conditions.cell(self.seed, index)
         with LogRecorder(place) as recorder:
             path = recorder.begin_path(index, dirty_share=float(self.belief.config.dirty_share))
-            key = jax.random.fold_in(jax.random.key(self.seed), index)
+            key = random.fold_in(random.key_of(self.seed), index)
             follower = _Nobody() if self.follow is None else self.follow(index, cell)
             clear = partial(play_team if self.conditions.stations else play, cell, is_dirty)
             told = {"tells_truth": self.tells_truth, "on_decision": follower.decided}

@@ -8,10 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 from scipy.special import expit
 
 from halfseen.arrays import Rows
@@ -19,11 +16,10 @@ from halfseen.cell.account import Account, Run
 from halfseen.cell.stops import StoppedError
 from halfseen.cell.workcell import Workcell
 from halfseen.logs.recording.path_recorder import PathRecorder
-from halfseen.team.policy import TeamPolicy
-from halfseen.team.recording import TEAM_VERBS
-from halfseen.team.state import TeamState
-from halfseen.world.action_space import TARGETED, ActionSpace
+from halfseen.world import random
+from halfseen.world.actions import TARGETED, VERB_NAMES, ActionSpace
 from halfseen.world.policy import Policy
+from halfseen.world.random import Key
 from halfseen.world.state import TableState
 
 PAUSE_S = 0.5
@@ -45,7 +41,7 @@ class Moment(NamedTuple):
     """What is done, as `ActionSpace` has it."""
     words: str
     """The same, for people."""
-    key: Array
+    key: Key
     """What the policy drew from."""
     arm: int = 0
     """Number of the robot that does it."""
@@ -69,7 +65,7 @@ class Chosen(NamedTuple):
     @property
     def name(self) -> str:
         """Of its verb."""
-        return TEAM_VERBS[self.verb]
+        return VERB_NAMES[self.verb]
 
 
 class Told(NamedTuple):
@@ -101,7 +97,7 @@ class Shift(ABC):
         """Look at the table before a decision, the first of which is number 0."""
 
     @abstractmethod
-    def known(self, step: int) -> tuple[TableState | TeamState, list[Row]]:
+    def known(self, step: int) -> tuple[TableState, list[Row]]:
         """Give the state that is decided in, and its objects as a log has them."""
 
     @property
@@ -124,9 +120,9 @@ class Shift(ABC):
 
 def cleared(
     shift: Shift,
-    policy: Policy | TeamPolicy,
+    policy: Policy,
     path: PathRecorder,
-    key: Array,
+    key: Key,
     *,
     tells_truth: bool,
     on_decision: Callable[[Moment], None],
@@ -159,11 +155,11 @@ def cleared(
                 account.see(chances_of(rows))
             if tells_truth:
                 account.truth.add_to(rows, cell)
-            table, drawn_from = state.table if isinstance(state, TeamState) else state, jax.random.fold_in(key, step)
-            chosen, chance = _chosen(policy, state, table.num_objects, drawn_from)
+            drawn_from = random.fold_in(key, step)
+            chosen, chance = _chosen(policy, state, drawn_from)
             path.begin_stage(shift.covariates(), rows, chosen.name, chosen.acted_on, chance, shift.decider)
             account.decide(chosen.name)
-            on_decision(_moment(step, table, chosen, shift.begin(chosen, rows), drawn_from))
+            on_decision(_moment(step, state, chosen, shift.begin(chosen, rows), drawn_from))
             is_over = shift.go_on() or step + 1 == shift.num_decisions
             paid, elapsed_s = account.pay(is_over=is_over), cell.cell.time_s - begin_s
             path.complete_stage(paid.reward, elapsed_s=elapsed_s, own_rewards=paid.of_robots)
@@ -177,23 +173,16 @@ def cleared(
     return replace(account.run, **account.truth.counts(cell))
 
 
-def _moment(step: int, table: TableState, chosen: Chosen, told: Told, key: Array) -> Moment:
+def _moment(step: int, table: TableState, chosen: Chosen, told: Told, key: Key) -> Moment:
     return Moment(step + 1, table, chosen.action, told.words, key, told.arm, told.of_team)
 
 
-def _chosen(
-    policy: Policy | TeamPolicy, state: TableState | TeamState, num_objects: int, key: Array
-) -> tuple[Chosen, float | None]:
+def _chosen(policy: Policy, state: TableState, key: Key) -> tuple[Chosen, float | None]:
     """Decide; how likely that was, too, where the policy can say it: a planner cannot."""
-    decision, actions = _decide(policy, state, key), ActionSpace(num_objects)
+    decision, actions = policy.decide(state, key), ActionSpace(state.num_objects)
     action = int(decision.action)
-    chance = None if jnp.isnan(decision.probability) else float(decision.probability)
+    chance = None if np.isnan(decision.probability) else float(decision.probability)
     return Chosen(action, int(actions.verb(action)), int(actions.target(action))), chance
-
-
-@jax.jit
-def _decide(policy: Any, state: Any, key: Array):
-    return policy.decide(state, key)
 
 
 def chances_of(rows: list[Row]) -> Rows:

@@ -3,15 +3,16 @@
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Array, Bool
+from jaxtyping import Bool
 
 from halfseen.cell.account import Account, Run
 from halfseen.cell.clearing import PAUSE_S, Chosen, Moment, Row, Shift, Told, chances_of, cleared
 from halfseen.cell.table_state import Belief, rows_of, state_of
 from halfseen.cell.workcell import Workcell
 from halfseen.logs.recording.path_recorder import PathRecorder
-from halfseen.world.action_space import Verb
+from halfseen.world.actions import Verb
 from halfseen.world.policy import Policy
+from halfseen.world.random import Key
 from halfseen.world.state import TableState
 
 
@@ -21,7 +22,7 @@ def play(
     policy: Policy,
     belief: Belief,
     path: PathRecorder,
-    key: Array,
+    key: Key,
     *,
     tells_truth: bool = False,
     on_decision: Callable[[Moment], None] = lambda _: None,

@@ -4,7 +4,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
-import jax
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
@@ -16,10 +15,10 @@ from halfseen.censoring import censoring_weights
 from halfseen.evaluation.estimate import Estimate, estimate_of
 from halfseen.logs import Logs
 from halfseen.planners.pomdp import POMDPPolicy
-from halfseen.team.policy import TeamPolicy
+from halfseen.world import random
 from halfseen.world.config import WorldConfig
-from halfseen.world.episodes import evaluate
 from halfseen.world.policy import Policy
+from halfseen.world.rollout import evaluate
 from halfseen.world.scene import Scene
 from halfseen.world.state import pad_scenes
 
@@ -27,7 +26,7 @@ LEVEL = 0.95
 EPISODES_PER_TABLE, EPISODES_OF_A_PLANNER = 200, 4
 """Episodes of each table that foretell what is earned there. In physics there is one: a planner, of which each takes a
 thousand times as long, plays as many as add a fourth to its variance."""
-_BATCH, _LEAST = 500, 1e-12
+_LEAST = 1e-12
 _FEWEST_FINISHED = 2
 _COUNTS = ("num_cups", "num_racked", "num_toppled", "num_fallen", "num_dirty", "num_washed")
 _OF_TEAM = ("num_collisions", "num_waits", "waited_s", "num_deadlocks", "num_gave_way")
@@ -76,7 +75,7 @@ class Summary:
 
 
 def summarised(
-    runs: Sequence[Run], logs: Logs, policy: Policy | TeamPolicy, config: WorldConfig, seed: int, level: float = LEVEL
+    runs: Sequence[Run], logs: Logs, policy: Policy, config: WorldConfig, seed: int, level: float = LEVEL
 ) -> Summary:
     """Summarise the runs of a policy.
 
@@ -131,8 +130,7 @@ def predicted(scenes: Sequence[Scene], policy: Policy, config: WorldConfig, seed
         Of what is drawn.
     """
     per_table = EPISODES_OF_A_PLANNER if isinstance(policy, POMDPPolicy) else EPISODES_PER_TABLE
-    num_episodes, size = per_table * len(scenes), min(per_table * len(scenes), _BATCH)
-    totals = evaluate(config, pad_scenes(scenes), policy, jax.random.key(seed), num_episodes, size)
+    totals = evaluate(config, pad_scenes(scenes), policy, random.key_of(seed), per_table * len(scenes))
     rewards = np.asarray(totals.reward, dtype=np.float64)
     # Episodes begin from the tables in turn.
     return rewards.reshape(per_table, len(scenes)).mean(axis=0)

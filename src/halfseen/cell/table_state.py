@@ -6,17 +6,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from halfseen.arrays import on_device
 from halfseen.cell.facts import Facts
 from halfseen.cell.memory import Known, Memory
 from halfseen.planners.belief import known_seeing
 from halfseen.world.config import WorldConfig
+from halfseen.world.log_checks import DISHWASHER, LOST, PLACE_COLUMNS, TABLE
 from halfseen.world.seeing import label_evidence
 from halfseen.world.state import NO_ATTEMPT, TableState
-from halfseen.world.table_checks import DISHWASHER, LOST, PLACE_COLUMNS, TABLE
 
 MOST_OBJECTS = 12
-"""States are padded to so many objects, so that a policy is compiled once; tables with more are padded to more."""
+"""States are padded to so many objects, among which whoever explores draws; tables with more are padded to more."""
 
 
 class Belief(NamedTuple):
@@ -70,7 +69,7 @@ def state_of(memory: Memory, belief: Belief, steps_to_go: int) -> TableState:
         "attempt_succeeded": np.array(succeeded, dtype=bool),
         "steps_to_go": np.int32(steps_to_go),
     }
-    return TableState(**on_device(leaves))
+    return TableState(**leaves)
 
 
 def _told(known: Known, config: WorldConfig) -> tuple[float, float]:

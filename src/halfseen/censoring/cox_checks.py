@@ -1,7 +1,6 @@
 """When a partial likelihood has no maximum, or more than one: say so, and say what to do."""
 
 import numpy as np
-import scipy.linalg
 from jaxtyping import Float
 
 from halfseen.errors import ArgumentError
@@ -62,6 +61,8 @@ def refuse_separation(
     ArgumentError
         A coefficient runs off; its covariate is named.
     """
+    import scipy.linalg
+
     shares, directions = scipy.linalg.eigh(information, initial)
     if shares[0] < INFORMATION_LOST:
         raise ArgumentError(separation_message(names[int(np.argmax(np.abs(directions[:, 0])))]))

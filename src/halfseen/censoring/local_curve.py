@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.distance import cdist
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.censoring.partial_likelihood import CutOrder, cut_order
@@ -87,6 +86,8 @@ class LocalCurve:
         ones = np.ones((len(covariates), 1))
         if len(paths.times) == 0:
             return ones
+        from scipy.spatial.distance import cdist
+
         with np.errstate(over="ignore"):
             near = KERNELS[kernel](np.square(cdist(covariates, self.covariates) / bandwidth))
         # One column more: nobody is left after the last path.

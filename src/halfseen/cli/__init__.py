@@ -7,7 +7,6 @@ from typing import Any
 
 import click
 
-from halfseen.cli.compiler import is_of_kept_programs, set_compiler
 from halfseen.cli.extras import remedy
 from halfseen.cli.messages import tell_error, tell_warning
 from halfseen.cli.unforeseen import unforeseen
@@ -53,8 +52,7 @@ def halfseen() -> None:
 
 def main() -> None:
     """Run the command line; bad input is told in one line and ends with exit status 2."""
-    set_compiler()
-    # A verb loads and traces much that it keeps: looking for garbage as often as Python does takes a tenth of its time.
+    # A verb loads much that it keeps: looking for garbage as often as Python does takes a tenth of its time.
     gc.set_threshold(100_000, 50, 100)
     try:
         with warnings.catch_warnings():
@@ -93,7 +91,7 @@ def _say_in_one_line() -> None:
     def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
         if issubclass(category, HalfseenWarning):
             tell_warning(str(message))
-        elif not is_of_kept_programs(str(message)) and sys.warnoptions:
+        elif sys.warnoptions:
             usual(message, category, *where, **more)
 
     warnings.showwarning = show

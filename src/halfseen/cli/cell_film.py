@@ -48,14 +48,13 @@ def film(
     """
     refuse_output(out, "a film", [".gif"], overwrite, [arm] if arm else [])
     start_opengl()
-    import jax
-
     from halfseen.cell.campaign import Conditions
     from halfseen.cell.clearing import Moment
     from halfseen.cell.episode import play
     from halfseen.cell.film import OF_TWO_ARMS, Film, Shot
     from halfseen.cell.several.team_episode import play_team
     from halfseen.logs import LogRecorder
+    from halfseen.world import random
 
     stations = stations_for(num_arms, arm)
     robot, arm_name = robot_for(arm, flange, joints)
@@ -63,7 +62,7 @@ def film(
     cell, is_dirty = Conditions(robot=robot, stations=stations, stops=None).cell(seed, table)
     taken = Film(OF_TWO_ARMS if stations else Shot())
     cell.cell.watches.append(taken)
-    key = jax.random.fold_in(jax.random.key(seed), table)
+    key = random.fold_in(random.key_of(seed), table)
     num_stages = num_arms * belief.config.horizon
     with Progress(num_stages + DRAWING, "play") as bar:
 

@@ -1,5 +1,6 @@
 """``--policy`` of a cell: who decides there, by a name or a folder, for one arm or for several."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,7 +11,6 @@ from halfseen.suggestions import did_you_mean
 
 if TYPE_CHECKING:
     from halfseen.policies.folder import StoredPolicy
-    from halfseen.team.policy import TeamPolicy
     from halfseen.world import Policy, WorldConfig
 
 NAMES = (*HEURISTICS, PLANNER)
@@ -58,14 +58,12 @@ def policy_of(name: str, random_share: float, config: "WorldConfig") -> "Policy"
     return exploring(stored.policy, random_share)
 
 
-def team_policy_of(name: str, random_share: float, config: "WorldConfig", num_arms: int) -> "TeamPolicy":
+def team_policy_of(name: str, random_share: float, config: "WorldConfig", num_arms: int) -> "Policy":
     """Find the policy of several arms, whose seconds cost nothing; parameters and errors as in `policy_of`."""
     from halfseen.errors import PolicyError
-    from halfseen.team.config import TeamConfig
-    from halfseen.team.named import exploring_team, named_team
 
     if name in NAMES:
-        return named_team(name, TeamConfig(config, speed=(1.0,) * num_arms), random_share)
+        return named_policy(name, replace(config, speed=(1.0,) * num_arms), random_share)
     stored = _stored(name)
     remedy = f"learn one from logs of {num_arms} arms, as of `halfseen cell run --arms {num_arms}`"
     if stored.num_robots is None:
@@ -80,7 +78,7 @@ def team_policy_of(name: str, random_share: float, config: "WorldConfig", num_ar
             f"{name}: it was learned for {stored.horizon // num_arms} decisions of each robot, and each arm here has "
             f"{config.horizon}; learn it with a horizon of {config.horizon}"
         )
-    return exploring_team(stored.policy, random_share)
+    return exploring(stored.policy, random_share)
 
 
 def _stored(folder: str) -> "StoredPolicy":

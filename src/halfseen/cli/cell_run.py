@@ -21,7 +21,6 @@ from halfseen.progress import Progress
 
 if TYPE_CHECKING:
     from halfseen.cell.table_state import Belief
-    from halfseen.team.policy import TeamPolicy
     from halfseen.workers import Workers
     from halfseen.world import Policy
 
@@ -91,7 +90,7 @@ def run(
     stations = stations_for(num_arms, arm)
     robot, arm_name = robot_for(arm, flange, joints)
     belief = belief_of(law, arm_name)
-    policy: Policy | TeamPolicy = (
+    policy: Policy = (
         team_policy_of(name, random_share, belief.config, num_arms)
         if stations
         else policy_of(name, random_share, belief.config)

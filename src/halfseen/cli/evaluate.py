@@ -21,8 +21,8 @@ from halfseen.progress import Progress
 if TYPE_CHECKING:
     from halfseen.evaluation.simulation import WorldComparison
     from halfseen.policies.folder import StoredPolicy
-    from halfseen.team import Team
     from halfseen.workers import Workers
+    from halfseen.world import Team
 
 WORK = {"start": 1, "evaluate": 4}
 """What each step takes of the time, roughly."""
@@ -195,10 +195,9 @@ def _by_world(
     level: float,
 ) -> tuple[dict[str, Any], list[str]]:
     from halfseen.errors import ArgumentError
-    from halfseen.evaluation.simulation import compare_in_world, compare_teams
+    from halfseen.evaluation.simulation import compare_in_world
+    from halfseen.planners.named import named_policy
     from halfseen.study.policies import HEURISTICS
-    from halfseen.team import TeamWorld
-    from halfseen.team.named import named_team
     from halfseen.world import WorldConfig
 
     if not (stored.is_table or team):
@@ -210,13 +209,9 @@ def _by_world(
         config = config if law is None else law.config(config)
         played: Callable[[int], object] = bar.update
         how: Any = {"episodes": episodes, "seed": seed, "level": level, "on_progress": played}
-        if team is None:
-            heuristics = {each.label: each.policy(config) for each in HEURISTICS}
-            answer, beside = compare_in_world(stored.policy, heuristics, scenes, config, **how)
-        else:
-            world = TeamWorld.of(team, config)
-            rules = {each.label: named_team(each.name, world.team_config) for each in HEURISTICS}
-            answer, beside = compare_teams(stored.policy, rules, scenes, world, **how)
+        believed = config if team is None else team.config(config)
+        rules = {each.label: named_policy(each.name, believed, is_team=team is not None) for each in HEURISTICS}
+        answer, beside = compare_in_world(stored.policy, rules, scenes, config, team=team, **how)
     value = answer.value
     sentence = (
         f"It earns {value.value:.3g} an episode, {value.low:.3g} to {value.high:.3g} ({100.0 * level:g}% interval), in "

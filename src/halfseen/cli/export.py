@@ -21,7 +21,7 @@ def export(policy: Path, onnx: Path, objects: int | None, overwrite: bool, seed:
     (n, actions), and the number of the best action.
 
     Of tables, it takes the fields of TableState as halfseen.world describes them, for a fixed number of objects; it
-    gives scores, one for each action, and the number of the best. Needs the extra onnx-tables.
+    gives scores, one for each action, and the number of the best.
 
     Names of actions and covariates are in its metadata. It refuses nothing: what lies far outside the logs is for the
     controller to look at.

@@ -12,7 +12,6 @@ from halfseen.cli.watch import port_option
 
 if TYPE_CHECKING:
     from halfseen.cell.campaign import Follow
-    from halfseen.team.policy import TeamPolicy
     from halfseen.world import Policy
 
 _OPTIONS = (
@@ -33,7 +32,7 @@ def follow_options(command: Callable[..., None]) -> Callable[..., None]:
 
 @contextmanager
 def following(
-    policy: "Policy | TeamPolicy", horizon: int, is_watched: bool, port: int, record: Path | None, overwrite: bool
+    policy: "Policy | Policy", horizon: int, is_watched: bool, port: int, record: Path | None, overwrite: bool
 ) -> "Iterator[Follow | None]":
     """Follow tables while they are cleared; then write what was seen, and show it until somebody interrupts.
 

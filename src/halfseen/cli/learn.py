@@ -25,8 +25,6 @@ CENSORING = ("auto", *options.WEIGHTING, "buckley-james", "none")
 START, LEARN, FOLDS, JUDGE, LOOK = 3, 14, 6, 5, 1
 """What each step takes of the time, roughly: compiling takes most of it, which the folds of the verdict need not do."""
 
-UNJUDGED = "there is no verdict: policies of a team are not judged by logs yet"
-
 
 class _Or(click.ParamType):
     """A word, or a number."""
@@ -136,7 +134,7 @@ def learn(
     It ends with a verdict: do policies that are learned this way beat the one that made LOGS, and that without its
     exploration? Five are learned from four fifths of LOGS each and judged by the rest, which they never saw. The
     verdict is kept with the policy, and `halfseen act` repeats it where nothing speaks for the policy. Where that takes
-    long, workers do it. Policies of a team are not judged by logs yet, and get none.
+    long, workers do it.
     """
     from halfseen.policies.folder.files import check_target
 
@@ -156,16 +154,14 @@ def learn(
         choice = learner_for(log, censoring=targets, random_state=seed, **chosen)
         bar.begin("learn", START)
         learner = choice.learner.fit(log, workers)
-        is_judged = has_verdict and choice.num_robots is None
-        bar.begin("judge" if is_judged else "look", LEARN)
-        verdict, not_all = _judged(learner, log, seed, bar, workers) if is_judged else (None, ())
+        bar.begin("judge" if has_verdict else "look", LEARN)
+        verdict, not_all = _judged(learner, log, seed, bar, workers) if has_verdict else (None, ())
         bar.reach(total - LOOK)
         bar.begin("look", 0)
         shares = action_shares(learner.policy_, learner.model_.task, parts_of(log))
         write_policy(learner, log, out, overwrite=overwrite, verdict=verdict)
     notes = [
         *choice.notes,
-        *([UNJUDGED] if has_verdict and not is_judged else []),
         *not_all,
         *learner.unseen_,
         *(str(one.message) for one in told if issubclass(one.category, HalfseenWarning)),

@@ -16,8 +16,7 @@ from halfseen.planners.named import HEURISTICS, UNIFORM, named_policy
 from halfseen.progress import Progress
 
 if TYPE_CHECKING:
-    from halfseen.team import Team
-    from halfseen.world import WorldConfig
+    from halfseen.world import Team, WorldConfig
 
 CUT_KINDS = ("independent", "occlusion", "attempt")
 _HORIZON = 10
@@ -114,15 +113,10 @@ def simulate(
 
 def _world_and_logger(team: "Team | None", config: "WorldConfig", name: str, random_share: float) -> tuple[Any, Any]:
     """The world of one robot or of a team, and the policy of a name that decides in it."""
-    if team is None:
-        from halfseen.world import TableWorld
+    from halfseen.world import TableWorld
 
-        return TableWorld(config), named_policy(name, config, random_share)
-    from halfseen.team import TeamWorld
-    from halfseen.team.named import named_team
-
-    world = TeamWorld.of(team, config)
-    return world, named_team(name, world.team_config, random_share)
+    world = TableWorld.of(team, config)
+    return world, named_policy(name, world.played_config, random_share)
 
 
 def _lines(report: dict[str, Any]) -> list[str]:

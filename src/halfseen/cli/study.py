@@ -1,6 +1,5 @@
 """``halfseen study``: regenerate the study."""
 
-import os
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -50,8 +49,6 @@ def study(
 
     Experiments: reward, planning, censoring, grasp, attempts, clutter, regret.
     """
-    # What one process compiled serves the others, and the study that goes on.
-    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(out.absolute() / "progress" / "compiled"))
     from halfseen.scene import table_paths
     from halfseen.study.experiment import DEFAULT_REPETITIONS, Setting
     from halfseen.study.laws import under

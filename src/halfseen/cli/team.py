@@ -10,7 +10,7 @@ from halfseen.cli import options
 from halfseen.cli.laws import grasping_of
 
 if TYPE_CHECKING:
-    from halfseen.team import Team
+    from halfseen.world import Team
 
 
 def team_option(of: str = "") -> Any:
@@ -18,7 +18,7 @@ def team_option(of: str = "") -> Any:
     return click.option(
         "--team",
         type=options.PATH,
-        help=f"{of}Robots that clear the tables together, a .toml or .json file (see `halfseen.team.read_team`); by "
+        help=f"{of}Robots that clear the tables together, a .toml or .json file (see `halfseen.world.read_team`); by "
         "default there is one.",
     )
 
@@ -35,6 +35,6 @@ def read_robots(file: Path | None) -> "Team | None":
     """
     if file is None:
         return None
-    from halfseen.team import read_team
+    from halfseen.world import read_team
 
     return read_team(file, partial(grasping_of, beside=file.parent))

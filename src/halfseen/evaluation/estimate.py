@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from scipy import stats
-from scipy.optimize import brentq
+from scipy.special import stdtr, stdtrit
 
 from halfseen.errors import ArgumentError
 
@@ -112,14 +111,17 @@ def around(
 
 def _beyond(x: float, shift: float, freedom: float) -> float:
     """P(|T + shift| > x)."""
-    return float(stats.t.sf(x - shift, freedom) + stats.t.sf(x + shift, freedom))
+    return float(stdtr(freedom, shift - x) + stdtr(freedom, -shift - x))
 
 
 def _quantile(level: float, shift: float, freedom: float) -> float:
     """The x that |T + shift| does not exceed with probability `level`."""
-    centred = float(stats.t.ppf((1.0 + level) / 2.0, freedom))
+    centred = float(stdtrit(freedom, (1.0 + level) / 2.0))
     if shift == 0.0:
         return centred
+    # Most intervals allow for no bias, and need no search.
+    from scipy.optimize import brentq
+
     root: Any = brentq(lambda x: _beyond(x, shift, freedom) - (1.0 - level), 0.0, centred + shift)
     return float(root)
 

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Int
-from sklearn.base import clone
 
 from halfseen.errors import ArgumentError, HalfseenError, HalfseenWarning
 from halfseen.estimator import check_fitted
@@ -159,8 +158,7 @@ def learn_by_folds(
         raise ArgumentError(f"the log has {logs.num_paths} path(s) for {num_folds} folds; record more")
     # How cuts are dealt with is settled by the whole log; whatever else is chosen is chosen anew in each fold.
     composed = learner.compose(logs)
-    same: Any = clone(learner)
-    same.set_params(censoring=composed.targets, pessimism=composed.pessimism)
+    same = learner.unfitted().set_params(censoring=composed.targets, pessimism=composed.pessimism)
     fold = np.random.default_rng([learner.random_state, 3]).permutation(logs.num_paths) % num_folds
     policies = []
     for policy in pool.in_order(_Learning(same, logs, fold), range(num_folds)):
@@ -178,13 +176,12 @@ class _Learning:
     fold: Int[np.ndarray, " n"]
 
     def __call__(self, k: int) -> Any:
-        fresh: Any = clone(self.learner)
-        return fresh.fit(self.logs.select(self.logs.path_ids[_others(self.fold, k)])).policy_
+        return self.learner.unfitted().fit(self.logs.select(self.logs.path_ids[_others(self.fold, k)])).policy_
 
 
 def _others(fold: Int[np.ndarray, " n"], k: int) -> Int[np.ndarray, " m"]:
-    """Paths outside a fold; one may be left out, so that there are as many for each fold and one program fits all."""
-    return np.flatnonzero(fold != k)[: len(fold) - np.bincount(fold).max()]
+    """Paths outside a fold."""
+    return np.flatnonzero(fold != k)
 
 
 def _evaluation(

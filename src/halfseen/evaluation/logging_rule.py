@@ -15,16 +15,11 @@ Each path is judged by a model that was fitted without it; one that knew a path'
 
 import warnings
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from pandas.api.types import is_numeric_dtype
-from sklearn.ensemble import RandomForestClassifier
-from sklearn.exceptions import ConvergenceWarning
-from sklearn.linear_model import LogisticRegression
-from sklearn.pipeline import Pipeline
-from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
 from halfseen.learning.behaviour import conditional_logit
 from halfseen.learning.covariates import Covariates
@@ -32,6 +27,11 @@ from halfseen.learning.named_task import NamedActions
 from halfseen.learning.path_arrays import PathArrays, stage_places
 from halfseen.learning.task import Task
 from halfseen.logs import Logs
+
+if TYPE_CHECKING:
+    # It takes longer to load than most rules to be found.
+    from sklearn.ensemble import RandomForestClassifier
+    from sklearn.pipeline import Pipeline
 
 NAME = "the logging policy without its exploration"
 POWER = 4
@@ -179,12 +179,18 @@ def _states(logs: Logs, paths: PathArrays, task: NamedActions) -> Float[np.ndarr
     return spread[paths.is_begun]
 
 
-def _forest() -> RandomForestClassifier:
+def _forest() -> "RandomForestClassifier":
+    from sklearn.ensemble import RandomForestClassifier
+
     every: Any = None
     return RandomForestClassifier(NUM_TREES, min_samples_leaf=LEAF_SIZE, max_features=every, random_state=0)
 
 
-def _quadratic() -> Pipeline:
+def _quadratic() -> "Pipeline":
+    from sklearn.linear_model import LogisticRegression
+    from sklearn.pipeline import Pipeline
+    from sklearn.preprocessing import PolynomialFeatures, StandardScaler
+
     logit = LogisticRegression(C=10.0, tol=1e-3, max_iter=200)
     return Pipeline([("scale", StandardScaler()), ("square", PolynomialFeatures(2)), ("logit", logit)])
 
@@ -197,13 +203,15 @@ def _likeliest(
     possible: Bool[np.ndarray, "rows A"],
 ) -> Int[np.ndarray, " rows"]:
     """Fit a classifier, and take the action that it thinks most probable of those that are possible."""
+    from sklearn.exceptions import ConvergenceWarning
+
     rows = weight > 0
     kinds = np.unique(taken[rows])
     chances = np.zeros(possible.shape)
     if len(kinds) == 1:
         chances[:, kinds] = 1.0
     else:
-        last = f"{model.steps[-1][0]}__" if isinstance(model, Pipeline) else ""
+        last = f"{model.steps[-1][0]}__" if hasattr(model, "steps") else ""
         with warnings.catch_warnings():
             # A rule without noise has a border that can be ever steeper; where it lies is found long before that ends.
             warnings.simplefilter("ignore", ConvergenceWarning)

@@ -26,7 +26,7 @@ from halfseen.evaluation.problem import Problem, as_logged, following, logging_c
 from halfseen.evaluation.propensity import Propensity, check_propensity
 from halfseen.evaluation.quotient import share_of
 from halfseen.evaluation.second_order import with_second_order
-from halfseen.evaluation.targets import horizon_of, task_of
+from halfseen.evaluation.targets import horizon_of, is_alike, task_of
 from halfseen.evaluation.verdict import why_unknown
 from halfseen.learning.judging import Judged
 from halfseen.learning.named_task import NamedActions
@@ -58,7 +58,7 @@ class QSpec:
     q_function, reg
         As for `halfseen.learning.CensoredQLearner`.
     stages
-        The same; None for pooled ones where an action ends a path wherever it is taken, as on a table, else separate.
+        The same; None for pooled ones where stages are alike, as on tables, else separate.
     """
 
     task: Task | None = None
@@ -166,7 +166,7 @@ def default_q(policy: Any, logs: Logs) -> tuple[QSpec, Logs]:
 def q_model_of(policy: Any, logs: Logs, targets: Targets, q: QSpec, random_state: int = 0) -> QModel:
     """Compose how Q of a policy is fitted to a log."""
     task = task_of(policy, logs) if q.task is None else q.task
-    by_task = "separate" if task.end_action is None else "pooled"
+    by_task = "pooled" if is_alike(task) else "separate"
     return QModel(
         horizon=horizon_of(policy, logs.horizon),
         task=task,

@@ -17,7 +17,6 @@ from halfseen.learning.path_arrays import PathArrays
 from halfseen.learning.task import Task
 from halfseen.logs import Logs
 from halfseen.policies.folder import read_policy
-from halfseen.policies.of_team import UNJUDGED, refuse_team
 from halfseen.policies.rule import Rule
 from halfseen.policies.rule_table import read_rule_table
 from halfseen.suggestions import did_you_mean
@@ -97,9 +96,7 @@ def _written_opponent(text: str, logs: Logs) -> Opponent:
     if path.suffix.lower() in (".csv", ".toml"):
         return Opponent(read_rule_table(path, logs.horizon, _logged_actions(logs)), f"the rule {path.name}")
     if path.is_dir():
-        stored = read_policy(path)
-        refuse_team(stored, UNJUDGED, path)
-        return Opponent(stored.policy, f"the policy {path.name}")
+        return Opponent(read_policy(path).policy, f"the policy {path.name}")
     raise ArgumentError(
         f"against is {text!r}; it is {LOGGING}, {LOGGING_RULE}, {SEQUENCE}A,B,A, a file with a rule (.csv or .toml), "
         f"or a policy folder{did_you_mean(text, (LOGGING, LOGGING_RULE))}"

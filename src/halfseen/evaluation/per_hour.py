@@ -86,7 +86,7 @@ def with_durations(problem: Problem) -> Problem:
     """The same log, with durations of completed stages for rewards."""
     paths = problem.paths
     took_s = np.where(paths.is_completed, paths.clocks.watched_s, 0.0)
-    # What is known of the noise of rewards says nothing of durations; zeros keep what is compiled.
+    # What is known of the noise of rewards says nothing of durations.
     variates = problem.log.control_variates
     still = None if variates is None else np.zeros_like(variates)
     log = problem.log._replace(reward=took_s, control_variates=still)

@@ -18,7 +18,7 @@ from halfseen.evaluation.ratios import (
     likelihood_ratios,
     mean_squared_ratio,
 )
-from halfseen.evaluation.targets import target_probabilities
+from halfseen.evaluation.targets import is_alike, target_probabilities
 from halfseen.learning.judging import Judged
 from halfseen.learning.path_arrays import PathArrays
 from halfseen.learning.q_model import QModel
@@ -147,7 +147,7 @@ def problem_of(
     if propensity == "logged":
         likely = logged_propensity(paths, needed)
     else:
-        is_pooled = model.stages == "pooled" and model.task.end_action is not None
+        is_pooled = model.stages == "pooled" and is_alike(model.task)
         likely = estimated_propensity(paths, needed, model.blocks(probabilities.shape[-1]), is_pooled)
     fold = rng.permutation(paths.num_paths) % num_folds
     nuisances = (*nuisances_by_folds(model, paths, whole, fold), whole)

@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import brentq
 
 from halfseen.evaluation.estimate import Estimate
 
@@ -67,6 +66,8 @@ def undone_at(difference: Estimate, excess: Float[np.ndarray, "n T"], error: Flo
     signed = error if is_above else -error
     if lead + shift(excess, signed, STRONGEST) > 0:
         return STRONGEST
+    from scipy.optimize import brentq
+
     root: Any = brentq(lambda log_gamma: lead + shift(excess, signed, np.exp(log_gamma)), 0.0, np.log(STRONGEST))
     return float(np.exp(root))
 

@@ -6,12 +6,13 @@ from typing import Any
 
 from halfseen.censoring import CENSORING_NAMES
 from halfseen.evaluation.off_policy import LARGEST_WEIGHT, QSpec, default_targets
+from halfseen.evaluation.targets import task_by
 from halfseen.learning.flat_policy import NamedActionPolicy
 from halfseen.learning.targets import DoublyRobust, Targets, named_targets
-from halfseen.learning.task import Task, named_task
+from halfseen.learning.task import Task
 from halfseen.logs import Logs
 from halfseen.policies.folder import StoredPolicy, q_space_of_record
-from halfseen.policies.of_team import UNJUDGED, refuse_log_of_team, refuse_team
+from halfseen.policies.of_team import refuse_log_of_team
 
 
 @dataclass(frozen=True)
@@ -42,9 +43,8 @@ def specification_of(stored: StoredPolicy, logs: Logs, **chosen: Any) -> Evaluat
     Raises
     ------
     PolicyError
-        The policy decides for a team, or the log is of one and the policy of one robot's tables.
+        The log is of a team, and the policy of one robot's tables.
     """
-    refuse_team(stored, UNJUDGED)
     refuse_log_of_team(stored, logs)
     return specification(stored.policy, stored.record["learner"], logs, **chosen)
 
@@ -107,4 +107,4 @@ def _own_covariates(learned: Mapping[str, Any], model: str) -> list[str] | None:
 
 
 def _task(policy: Any, learned: Mapping[str, Any]) -> Task:
-    return named_task("table", grasp=policy.grasp, reduces_variance=bool(learned.get("reduces_variance", True)))
+    return task_by(policy, reduces_variance=bool(learned.get("reduces_variance", True)))

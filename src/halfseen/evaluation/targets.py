@@ -106,7 +106,35 @@ def task_of(policy: Any, logs: Logs) -> Task:
         return task.fitted(logs, policy.horizon)
     if logs.objects is None:
         raise ArgumentError(f"{type(policy).__name__} decides nothing about named actions, which the log is of")
-    return named_task("table", grasp=getattr(policy, "grasp", None))
+    return task_by(policy, num_robots=robots_of(logs))
+
+
+def robots_of(logs: Logs) -> int | None:
+    """K of a log that tells what several robots did; None for any other."""
+    # Policies of named actions do without the world.
+    from halfseen.world.robot_checks import robots_in
+
+    return robots_in(logs) or None
+
+
+def task_by(policy: Any, num_robots: int | None = None, **parameters: Any) -> Task:
+    """Find the task of tables by which a policy of tables is evaluated: that of several robots if it is for such.
+
+    Parameters
+    ----------
+    policy
+        What decides.
+    num_robots
+        K of the log; None for what the policy says.
+    **parameters
+        Of the task.
+    """
+    grasp = getattr(policy, "grasp", None)
+    of_policy = None if getattr(type(policy), "num_robots", None) == 1 else getattr(policy, "num_robots", None)
+    known = num_robots or of_policy
+    if known is None:
+        return named_task("table", grasp=grasp, **parameters)
+    return named_task("team", grasp=grasp, num_robots=known, base=None, is_evaluating=True, **parameters)
 
 
 def _with_logged(own: dict[int, list[Hashable]], logs: Logs) -> dict[int, list[Hashable]]:
@@ -116,6 +144,11 @@ def _with_logged(own: dict[int, list[Hashable]], logs: Logs) -> dict[int, list[H
         return sorted(stages.loc[stages["stage"] == stage, "action"].dropna().unique().tolist(), key=str)
 
     return {stage: list(dict.fromkeys([*names, *logged(stage)])) for stage, names in own.items()}
+
+
+def is_alike(task: Task) -> bool:
+    """Whether stages of a task are alike, as those of tables are, so that one model may serve them all."""
+    return task.end_action is not None or bool(getattr(task, "is_joint", False))
 
 
 def horizon_of(policy: Any, default: int) -> int:

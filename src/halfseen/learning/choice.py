@@ -1,4 +1,4 @@
-"""How likely each action is in a choice among those that are possible, and how far that is from chance."""
+"""How likely each action is in a choice among those that are possible, how far that is from chance, and which count."""
 
 from typing import Any
 
@@ -23,3 +23,9 @@ def leaning(utility: Float[Any, "*S A"], is_possible: Bool[Any, "*#S A"]) -> Flo
     xp = library_of(utility)
     chance = 1.0 / xp.maximum(is_possible.sum(axis=-1, keepdims=True), 2)
     return xp.clip((choice_probabilities(utility, is_possible) - chance) / (1.0 - chance), 0.0, 1.0)
+
+
+def seen_among(allowed: Bool[Any, "*S A"], seen: Bool[Any, "*T A"]) -> Bool[Any, "*S A"]:
+    """Keep the actions that were seen; all that are allowed where none was."""
+    both = allowed & seen
+    return both | (allowed & ~both.any(axis=-1, keepdims=True))

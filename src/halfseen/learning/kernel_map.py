@@ -16,7 +16,7 @@ from halfseen.arrays import library_of
 
 
 class KernelMap(NamedTuple):
-    """ψ(x) = (c · q(z), Rᵀ k(landmarks, z)) with z = (x − centre)/scale and q(z) all z_i and z_i z_j (a pytree).
+    """ψ(x) = (c · q(z), Rᵀ k(landmarks, z)) with z = (x − centre)/scale and q(z) all z_i and z_i z_j.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class KernelMap(NamedTuple):
         return (0 if self.trend is None else len(self.trend)) + self.projection.shape[1]
 
     def __call__(self, features: Float[Any, "*S F"]) -> Float[Any, "*S r"]:
-        """Map features of states and actions, in NumPy or in JAX as they come."""
+        """Map features of states and actions, in the library of their array."""
         xp = library_of(features)
         scaled = (features - self.centre) / self.scale
         if self.trend is None:

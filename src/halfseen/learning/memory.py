@@ -5,7 +5,7 @@ import sys
 
 
 def give_back() -> None:
-    """Hand what was freed back to the system: what Arrow has read, and some hundred megabytes where XLA compiled."""
+    """Hand what was freed back to the system: what Arrow has read, and what the allocator keeps."""
     arrow = sys.modules.get("pyarrow")
     if arrow is not None:
         arrow.default_memory_pool().release_unused()

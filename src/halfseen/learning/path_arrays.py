@@ -66,8 +66,9 @@ class PathArrays(NamedTuple):
 
     def take(self, rows: Int[np.ndarray, " k"] | slice) -> "PathArrays":
         """Keep these paths, which may repeat, in this order; a slice of them copies nothing."""
-        kept: Any = (None if leaf is None else leaf[rows] for leaf in self.encoded)
-        return PathArrays(self.clocks.take(rows), Encoded(*kept), *(leaf[rows] for leaf in self[2:]))
+        leaves: list[Any] = [None if leaf is None else leaf[rows] for leaf in self.encoded]
+        encoded = Encoded(*leaves)
+        return PathArrays(self.clocks.take(rows), encoded, *(leaf[rows] for leaf in self[2:]))
 
 
 def path_arrays(logs: Logs, encoded: Encoded, covariates: pd.DataFrame | None) -> PathArrays:

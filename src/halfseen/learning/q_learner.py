@@ -165,7 +165,7 @@ class CensoredQLearner(Estimator):
         base: Any = AUTO,
         **parameters: Any,
     ) -> "CensoredQLearner":
-        """Make a learner for logs of several robots at one table (see `halfseen.team.TeamTask`).
+        """Make a learner for logs of several robots at one table (see `halfseen.tables.TeamTask`).
 
         Parameters
         ----------

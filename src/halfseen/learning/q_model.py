@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 from halfseen.censoring import CensoringSpec, CutModel
 from halfseen.errors import ArgumentError, PositivityError
 from halfseen.learning.behaviour import behaviour_of
+from halfseen.learning.choice import seen_among
 from halfseen.learning.durations import DurationModel, fit_duration_model
 from halfseen.learning.imputation import imputation
 from halfseen.learning.kernel_map import KernelMap
@@ -21,7 +22,7 @@ from halfseen.learning.path_arrays import PathArrays, path_arrays
 from halfseen.learning.q_space import CrossValidation, LinearQ, QSpace, Reg
 from halfseen.learning.recursion import Regression, fit_q
 from halfseen.learning.sample import sampled
-from halfseen.learning.support import Support, seen_among, support_of
+from halfseen.learning.support import Support, support_of
 from halfseen.learning.targets import Targets, Weighted
 from halfseen.learning.task import LearnedQ, RewardedStages, Task
 from halfseen.learning.transitions import Imputation, QFunctions, StageMode, Transitions

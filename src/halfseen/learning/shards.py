@@ -138,7 +138,7 @@ def look_at(work: ShardWork, shard: Shard) -> Look:
         found = work.model.targets.looks_at(paths.clocks)
         clocks += [] if found is None else [found]
     assert support is not None
-    # This process may wait for long now, while another compiles.
+    # This process may wait for long now, for others that read.
     give_back()
     return Look(support, num_actions, stacked(clocks) if clocks else None)
 

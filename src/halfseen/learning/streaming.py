@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -170,17 +169,17 @@ class _Log:
 
             def ask(step: Step, wanted: tuple[tuple[int, ...], ...]) -> Found:
                 nonlocal is_first
-                total: Any = None
+                total, num_features = None, 0
                 asked = Ask(step, wanted, is_first, keeps_norms=is_pooled)
                 for sums in self._pool.in_order(partial(sums_of, work, asked), dealt):
                     if sums.weight is not None:
                         weights.add(sums.weight)
                         tally.add(sums.weight)
-                    total = plus(total, (sums.grams, sums.crosses))
+                    total, num_features = plus(total, (sums.grams, sums.crosses)), sums.num_features
+                assert total is not None
                 is_first = False
                 bar.update()
-                grams, crosses = total
-                return Found(grams, crosses, sums.num_features)
+                return Found(*total, num_features=num_features)
 
             q = backward(ask, (num_paths, model.horizon), model.regression(num_paths, self.num_actions))
             if isinstance(model.reg, CrossValidation):

@@ -4,6 +4,7 @@ An imputed target Y is linear in the coefficients of the regression of X (see `t
 only once all parts were read. So Σ w x Y is kept as what it is of the share of X, and what it is for each coefficient.
 """
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -125,9 +126,9 @@ def grams_of(rows: Rows, slices: tuple[int, ...], shape: Shape) -> Grams:
     sums = np.zeros((3, shape.num_blocks))
     for which, fold, block, begin, end in rows.groups:
         if which in slices:
-            of_group = [each[begin:end] for each in weights]
-            moments[:, fold, block] += _moments(rows.matrix[begin:end], of_group)
-            seen = of_group[2]
+            for each, found in _moments(rows.matrix[begin:end], [weight[begin:end] for weight in weights]):
+                moments[each, fold, block] += found
+            seen = weights.seen[begin:end]
             sums[:, block] += seen.sum(), seen @ seen, np.count_nonzero(seen)
     num_features, num_variates, num_terms, _ = rows.widths
     num_design = num_features + num_variates
@@ -147,19 +148,17 @@ def grams_of(rows: Rows, slices: tuple[int, ...], shape: Shape) -> Grams:
     return Grams(main, outcome, seen)
 
 
-def _moments(matrix: Float[np.ndarray, "r M"], weights: list[Float[np.ndarray, " r"]]) -> Float[np.ndarray, "W M M"]:
-    """Σ w z zᵀ for several weights; those that are the same are summed once."""
-    found: list[Float[np.ndarray, "M M"]] = []
-    for number, weight in enumerate(weights):
-        same = next((k for k in range(number) if np.array_equal(weights[k], weight)), None)
-        if same is not None:
-            found.append(found[same])
-        elif not weight.any():
-            found.append(np.zeros((matrix.shape[1],) * 2))
-        else:
-            weighted = matrix if (weight == 1.0).all() else matrix * weight[:, None]
-            found.append(matrix.T @ weighted)
-    return np.stack(found)
+def _moments(
+    matrix: Float[np.ndarray, "r M"], weights: list[Float[np.ndarray, " r"]]
+) -> Iterator[tuple[list[int], Float[np.ndarray, "M M"]]]:
+    """Σ w z zᵀ for several weights: those that are the same are summed once, and those that are 0 not at all."""
+    left = [number for number, weight in enumerate(weights) if weight.any()]
+    while left:
+        weight = weights[left[0]]
+        same = [number for number in left if (weights[number] == weight).all()]
+        weighted = matrix if (weight == 1.0).all() else matrix * weight[:, None]
+        yield same, matrix.T @ weighted
+        left = [number for number in left if number not in same]
 
 
 def crosses_of(rows: Rows, step: Step, values: Float[np.ndarray, " R1"], shape: Shape) -> Crosses:
@@ -189,7 +188,7 @@ def crosses_of(rows: Rows, step: Step, values: Float[np.ndarray, " R1"], shape: 
         if step.centre is not None:
             of_share = of_share - rows.design[group] @ step.centre[block]
         of_seen = weights.seen[group] * target
-        each = np.stack([weights.main[group] * of_share, weights.outcome[group] * target, of_seen], axis=1)
+        each = np.array([weights.main[group] * of_share, weights.outcome[group] * target, of_seen]).T
         sums[fold, block] += rows.matrix[group, :width].T @ each
         squares[block] += of_seen @ target
     seen = SeenCrosses(sums[:, :, :num_design, 2].sum(axis=0), squares) if shape.is_pessimistic else None
@@ -206,5 +205,5 @@ def plus(one: Any, other: Any) -> Any:
         return other if one is None else one
     if isinstance(one, tuple):
         each = (plus(*pair) for pair in zip(one, other, strict=True))
-        return type(one)(*each) if hasattr(one, "_fields") else tuple(each)
+        return type(one)(*each) if hasattr(one, "_fields") else type(one)(each)
     return one + other

@@ -4,7 +4,7 @@ An action of a block without completed stages has no value, which is not the val
 in eq. 3 and for the policy. Only where a state allows nothing that was seen do all actions stay that it allows.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Int
@@ -52,12 +52,6 @@ def support_of(paths: PathArrays, blocks: Int[np.ndarray, " A"], num_blocks: int
         num_completed=(is_block & (known & paths.is_completed)[..., None]).sum(axis=0),
         is_allowed=(paths.is_possible & paths.is_begun[..., None]).any(axis=0) @ of_block,
     )
-
-
-def seen_among(allowed: Bool[Any, "*S A"], seen: Bool[Any, "*T A"]) -> Bool[Any, "*S A"]:
-    """Keep the actions that were seen; all that are allowed where none was."""
-    both = allowed & seen
-    return both | (allowed & ~both.any(axis=-1, keepdims=True))
 
 
 def unseen_in_words(support: Support, names: tuple[str, ...], stages: StageMode) -> list[str]:

@@ -75,12 +75,13 @@ class QFunctions(NamedTuple):
 
 def stack_q(each: list[QFunctions]) -> QFunctions:
     """Stack Q-functions along a new first axis."""
-    stacked: Any = (None if leaves[0] is None else np.stack(leaves) for leaves in zip(*each, strict=True))
+    columns: list[Any] = list(zip(*each, strict=True))
+    stacked: list[Any] = [None if leaves[0] is None else np.stack(leaves) for leaves in columns]
     return QFunctions(*stacked)
 
 
 def q_values(
-    coefficients: Float[Any, "*#S K F"], features: Float[Any, "*S E F1"], block_of_action: Int[Any, " A"]
+    coefficients: Float[Any, "*#S K F"], features: Float[Any, "*S E F1"], block_of_action: Int[np.ndarray, " A"]
 ) -> Float[Any, "*S A"]:
     """Q of every action: the offset of its block plus βᵀφ, of features of its own or of those that all share."""
     each = coefficients[..., block_of_action, :]

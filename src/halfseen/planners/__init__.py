@@ -1,10 +1,12 @@
 """A known model → policies: what learning is compared with.
 
 Read down: `belief` (what can be known) → `heuristics` (greedy, with and without history, with and without the penalty
-that a WASH avoids) → `one_step` (the myopic look-ahead) → `rollout` (rollouts under it, most of them of the actions
-that promise most) → `pomdp` (looking h steps ahead, as a policy), `anytime` (the same until the time is up),
-`explanation` (what each action is worth, and how sure that is). What they are measured by: `optimum` (the best there
-is, on small tables), `optimum_bound` (what nobody can beat, on any). `discrete` stands apart: any POMDP given as
+that a WASH avoids) → `one_step` (the myopic look-ahead) → `trajectories` (what follows under it) → `rollout` (what
+actions are worth then, those looked at most that promise most) → `pomdp` (looking h steps ahead, as a policy),
+`anytime` (the same until the time is up), `explanation` (what each action is worth, and how sure that is). Of several
+robots: `rules` (of thumb), `myopic` (the look one step ahead), `futures` → `multi_agent_rollout` (rollouts, one robot
+at a time). `named` makes those that go by a name. What they are measured by: `exact_table` and `exact_team` (the best
+there is, on small tables), `relaxation` (what nobody can beat, on any). `discrete` stands apart: any POMDP given as
 arrays, solved exactly.
 """
 
@@ -13,27 +15,40 @@ from typing import TYPE_CHECKING
 from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from halfseen.planners.anytime import Plan, plan, warm_up
+    from halfseen.planners.anytime import Plan, plan
     from halfseen.planners.discrete import DiscreteSolution, solve_discrete
+    from halfseen.planners.exact_table import TableOptimum, solve_table
+    from halfseen.planners.exact_team import TeamOptimum, solve_team
     from halfseen.planners.explanation import explain
     from halfseen.planners.heuristics import GreedyPolicy
-    from halfseen.planners.optimum import TableOptimum, solve_table
-    from halfseen.planners.optimum_bound import RelaxationBound, information_relaxation_bound
+    from halfseen.planners.multi_agent_rollout import RolloutPolicy
+    from halfseen.planners.myopic import MyopicPolicy
+    from halfseen.planners.named import named_policy
     from halfseen.planners.pomdp import POMDPPolicy
+    from halfseen.planners.relaxation import RelaxationBound, information_relaxation_bound
+    from halfseen.planners.rules import OneAtATime, ReservingPolicy, RoundRobin, TeamOfRules
 
 __all__ = [
     "DiscreteSolution",
     "GreedyPolicy",
+    "MyopicPolicy",
+    "OneAtATime",
     "POMDPPolicy",
     "Plan",
     "RelaxationBound",
+    "ReservingPolicy",
+    "RolloutPolicy",
+    "RoundRobin",
     "TableOptimum",
+    "TeamOfRules",
+    "TeamOptimum",
     "explain",
     "information_relaxation_bound",
+    "named_policy",
     "plan",
     "solve_discrete",
     "solve_table",
-    "warm_up",
+    "solve_team",
 ]
 
 __getattr__ = lazy_names(
@@ -41,15 +56,23 @@ __getattr__ = lazy_names(
     {
         "DiscreteSolution": "discrete",
         "GreedyPolicy": "heuristics",
+        "MyopicPolicy": "myopic",
+        "OneAtATime": "rules",
         "POMDPPolicy": "pomdp",
         "Plan": "anytime",
-        "RelaxationBound": "optimum_bound",
-        "TableOptimum": "optimum",
+        "RelaxationBound": "relaxation",
+        "ReservingPolicy": "rules",
+        "RolloutPolicy": "multi_agent_rollout",
+        "RoundRobin": "rules",
+        "TableOptimum": "exact_table",
+        "TeamOfRules": "rules",
+        "TeamOptimum": "exact_team",
         "explain": "explanation",
-        "information_relaxation_bound": "optimum_bound",
+        "information_relaxation_bound": "relaxation",
+        "named_policy": "named",
         "plan": "anytime",
         "solve_discrete": "discrete",
-        "solve_table": "optimum",
-        "warm_up": "anytime",
+        "solve_table": "exact_table",
+        "solve_team": "exact_team",
     },
 )

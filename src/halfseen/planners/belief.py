@@ -5,24 +5,23 @@ So the belief factors, and is held exactly: log-odds of DIRTY, and for each grip
 Gauss–Hermite quadrature. Particles are drawn from it where a future is sampled.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
+from halfseen.arrays import Array, library_of, record, softmax
 from halfseen.errors import ArgumentError
-from halfseen.world.action_space import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.grasping import KnownGrasping
 from halfseen.world.grasping_by_robot import GraspingByRobot
-from halfseen.world.seeing import KnownSeeing, label_evidence
-from halfseen.world.state import TableState
+from halfseen.world.seeing import KnownSeeing
+from halfseen.world.state import TableState, occlusion_by
 
 NUM_NODES = 7
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(NUM_NODES)
+_LOG_PRIOR = np.log(_WEIGHTS / _WEIGHTS.sum()).astype(np.float32)
 
 
 class Grip(NamedTuple):
@@ -34,10 +33,9 @@ class Grip(NamedTuple):
     """Log posterior weights of u on `offset_nodes`, not normalised."""
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@record
 class Belief:
-    """Belief over one table (`jax.vmap` adds batch axes)."""
+    """Belief over tables."""
 
     hides: Float[Array, "*B N N"]
     is_on_table: Bool[Array, "*B N"]
@@ -49,6 +47,10 @@ class Belief:
     steps_to_go: Int[Array, "*B"]
 
 
+_KNOWN: set[type] = set()
+"""Laws of one robot whose probabilities are known: to look for every method of a protocol takes as long as a step."""
+
+
 def known_grasping(config: WorldConfig) -> KnownGrasping:
     """How attempts go, with its probabilities.
 
@@ -58,10 +60,14 @@ def known_grasping(config: WorldConfig) -> KnownGrasping:
         The world's law can only be drawn from, or so can that of a robot.
     """
     law = config.grasping
+    if type(law) in _KNOWN:
+        return law  # type: ignore[return-value]
     for each in law.laws if isinstance(law, GraspingByRobot) else (law,):
         if not isinstance(each, KnownGrasping):
             raise _unknown("grasping", each, "AssumedGrasping")
     assert isinstance(law, KnownGrasping), "it is where each of its laws is"
+    if not isinstance(law, GraspingByRobot):
+        _KNOWN.add(type(law))
     return law
 
 
@@ -73,9 +79,13 @@ def known_seeing(config: WorldConfig) -> KnownSeeing:
     ArgumentError
         The world's law can only be drawn from.
     """
-    if not isinstance(config.seeing, KnownSeeing):
-        raise _unknown("seeing", config.seeing, "AssumedSeeing")
-    return config.seeing
+    law = config.seeing
+    if type(law) in _KNOWN:
+        return law  # type: ignore[return-value]
+    if not isinstance(law, KnownSeeing):
+        raise _unknown("seeing", law, "AssumedSeeing")
+    _KNOWN.add(type(law))
+    return law
 
 
 def _unknown(name: str, law: object, known: str) -> ArgumentError:
@@ -85,18 +95,20 @@ def _unknown(name: str, law: object, known: str) -> ArgumentError:
     )
 
 
-def offset_nodes(config: WorldConfig) -> Float[Array, " G"]:
-    """Values of u, what is hidden of a grip offset, at which posteriors are held."""
-    return known_grasping(config).offset_std * jnp.asarray(_NODES, dtype=jnp.float32)
+def offset_nodes(config: WorldConfig) -> Float[Array, "*R G"]:
+    """Values of u, what is hidden of a grip offset, at which posteriors are held; of each robot that tries, if many."""
+    std = known_grasping(config).offset_std
+    xp = library_of(std)
+    return (xp.asarray(std)[..., None] * _NODES).astype(np.float32)
 
 
-def trait_at(config: WorldConfig, node: Int[Array, " N"]) -> Any:
+def trait_at(config: WorldConfig, node: Int[Array, "*B N"]) -> Any:
     """Hidden trait of the law of grasping with u of each object at one of `offset_nodes`, by number."""
     law = known_grasping(config)
-    at = jnp.asarray(_NODES, dtype=jnp.float32)[node]
+    drawn = library_of(node).asarray(_NODES, dtype=np.float32)[node]
     if isinstance(law, GraspingByRobot):
-        return tuple(replace(law, robot=k).offset_std * at for k in range(len(law.laws)))
-    return law.offset_std * at
+        return tuple(replace(law, robot=k).offset_std * drawn for k in range(len(law.laws)))
+    return law.offset_std * drawn
 
 
 def offset_prior() -> tuple[Float[np.ndarray, " G"], Float[np.ndarray, " G"]]:
@@ -106,67 +118,87 @@ def offset_prior() -> tuple[Float[np.ndarray, " G"], Float[np.ndarray, " G"]]:
 
 def prior_grip(mean: Float[Array, "*S"]) -> Grip:
     """Grips before any attempt: u ~ N(0, std²)."""
-    log_weights = jnp.log(jnp.asarray(_WEIGHTS / _WEIGHTS.sum(), dtype=jnp.float32))
-    return Grip(mean, jnp.broadcast_to(log_weights, (*mean.shape, NUM_NODES)))
+    xp = library_of(mean)
+    return Grip(mean, xp.broadcast_to(xp.asarray(_LOG_PRIOR), (*mean.shape, NUM_NODES)))
+
+
+def grip_offsets(config: WorldConfig, mean: Float[Array, "*S"]) -> Float[Array, "*S G"]:
+    """Grip offsets at each of `offset_nodes`."""
+    xp, nodes = library_of(mean), offset_nodes(config)
+    if nodes.ndim > 1:
+        # Nodes of many robots have their axes first.
+        between = (1,) * max(mean.ndim + 1 - nodes.ndim, 0)
+        return mean[..., None] + nodes.reshape(nodes.shape[:-1] + between + nodes.shape[-1:])
+    # The nodes first, so that in memory their axis does not come between those of objects and tables.
+    return xp.moveaxis(nodes.reshape(-1, *(1,) * mean.ndim) + mean, 0, -1)
 
 
 def failure_log_probability(
     config: WorldConfig, occluded: Float[Array, "*#S"], mean: Float[Array, "*#S"]
 ) -> Float[Array, "*S G"]:
     """Log P(an attempt fails | occ, u) at each of `offset_nodes`."""
-    return known_grasping(config).log_failure(occluded[..., None], mean[..., None] + offset_nodes(config))
+    return known_grasping(config).log_failure(occluded[..., None], grip_offsets(config, mean))
 
 
 def attempt_evidence(
-    config: WorldConfig, occluded: Float[Array, "*#S"], mean: Float[Array, "*#S"], succeeded: Array
+    config: WorldConfig, occluded: Float[Array, "*#S"], mean: Float[Array, "*#S"], succeeded: Bool[Array, "*#S"]
 ) -> Float[Array, "*S G"]:
     """Log-likelihood of an attempt's result at each of `offset_nodes`."""
     failed = failure_log_probability(config, occluded, mean)
-    return jnp.where(succeeded[..., None], jnp.log(-jnp.expm1(failed)), failed)
+    xp = library_of(failed)
+    held = -xp.expm1(failed)
+    # Where an attempt cannot succeed, it did not.
+    return xp.where(succeeded[..., None], xp.log(xp.maximum(held, np.finfo(np.float32).tiny)), failed)
 
 
 def grip_posterior(config: WorldConfig, state: TableState) -> Grip:
-    """Grip of each object, given all its attempts, each as likely as the law of who made it has it; one table."""
-    mean = state.grip[jnp.maximum(state.attempt_object, 0)]
-    tried = state.attempt_occlusion, mean, state.attempt_succeeded
-    if state.attempt_robot is None or not isinstance(config.grasping, GraspingByRobot):
-        evidence = attempt_evidence(config, *tried)
-    else:
-        of_robot = jax.vmap(lambda robot, *each: attempt_evidence(config.as_robot(robot), *each))
-        evidence = of_robot(state.attempt_robot, *tried)
-    is_mine = jax.nn.one_hot(state.attempt_object, state.num_objects, dtype=evidence.dtype)
-    prior = prior_grip(state.grip)
-    return prior._replace(log_weights=prior.log_weights + is_mine.T @ evidence)
+    """Grip of each object, given all its attempts, each as likely as the law of who made it has it."""
+    xp, prior = library_of(state.attempt_object), prior_grip(state.grip)
+    if xp is np and (state.attempt_object < 0).all():
+        return prior
+    tried = xp.take_along_axis(state.grip, xp.maximum(state.attempt_object, 0), axis=-1)
+    world = config if state.attempt_robot is None else config.as_robot(state.attempt_robot)
+    evidence = attempt_evidence(world, state.attempt_occlusion, tried, state.attempt_succeeded)
+    is_mine = state.attempt_object[..., None, :] == xp.arange(state.num_objects)[:, None]
+    return prior._replace(log_weights=prior.log_weights + is_mine.astype(evidence.dtype) @ evidence)
 
 
 def belief_of(config: WorldConfig, state: TableState) -> Belief:
-    """What the state of one table says."""
+    """What states say.
+
+    Raises
+    ------
+    ArgumentError
+        The world's law of grasping can only be drawn from.
+    """
+    # Also where nothing was tried yet, so that nothing is asked of the law.
+    known_grasping(config)
     grip = grip_posterior(config, state)
     return Belief(state.hides, state.is_on_table, state.log_odds, state.seen, grip, state.steps_to_go)
 
 
 def grasp_probability(config: WorldConfig, occluded: Float[Array, "*S"], grip: Grip) -> Float[Array, "*S"]:
     """P(an attempt succeeds), the grip offset integrated out."""
-    failed = jnp.exp(failure_log_probability(config, occluded, grip.mean))
-    return 1.0 - jnp.sum(jax.nn.softmax(grip.log_weights, axis=-1) * failed, axis=-1)
+    failed = failure_log_probability(config, occluded, grip.mean)
+    xp = library_of(failed)
+    return 1.0 - xp.sum(softmax(grip.log_weights) * xp.exp(failed), axis=-1)
 
 
 def expected_attempt_s(config: WorldConfig, occluded: Float[Array, "*S"], grip: Grip) -> Float[Array, "*S"]:
     """Expected duration of an attempt with its transport [s], the grip offset integrated out."""
-    offset = grip.mean[..., None] + offset_nodes(config)
-    attempt_s = known_grasping(config).expected_s(occluded[..., None], offset)
-    return config.transport_s + jnp.sum(jax.nn.softmax(grip.log_weights, axis=-1) * attempt_s, axis=-1)
+    attempt_s = known_grasping(config).expected_s(occluded[..., None], grip_offsets(config, grip.mean))
+    xp = library_of(attempt_s)
+    return config.transport_s + xp.sum(softmax(grip.log_weights) * attempt_s, axis=-1)
 
 
-def occlusion_without(belief: Belief, is_taken: Bool[Array, " N"]) -> Float[Array, " N"]:
+def occlusion_without(belief: Belief, is_taken: Bool[Array, "*B N"]) -> Float[Array, "*B N"]:
     """Occlusion if the objects in `is_taken` hid nothing."""
-    is_hiding = belief.is_on_table & ~is_taken
-    return 1.0 - jnp.prod(jnp.where(is_hiding, 1.0 - belief.hides, 1.0), axis=1)
+    return occlusion_by(belief.hides, belief.is_on_table & ~is_taken)
 
 
 def dirty_after_label(
     config: WorldConfig,
-    is_dirty: Float[Array, "*S"],
+    is_dirty: Float[Array, "*#S"],
     seen: Float[Array, "*#S"],
     occluded: Float[Array, "*#S"],
     is_held: bool = False,
@@ -175,42 +207,5 @@ def dirty_after_label(
     if_dirty, if_clean = known_seeing(config).positive(occluded, seen, is_held)
     says_dirty = is_dirty * if_dirty + (1.0 - is_dirty) * if_clean
     # Where nothing is new, no label says dirty.
-    mass = jnp.maximum(says_dirty, jnp.finfo(says_dirty.dtype).tiny)
+    mass = library_of(says_dirty).maximum(says_dirty, np.finfo(np.float32).tiny)
     return says_dirty, is_dirty * if_dirty / mass, is_dirty * (1.0 - if_dirty) / (1.0 - says_dirty)
-
-
-def sample_successor(config: WorldConfig, belief: Belief, action: Int[Array, ""], key: Array) -> Belief:
-    """Draw what would be believed after an attempt to WASH or LIFT: one particle's future."""
-    grasp_key, label_key = jax.random.split(key)
-    num_objects = belief.is_on_table.shape[0]
-    actions = ActionSpace(num_objects)
-    verb, target = actions.verb(action), actions.target(action)
-    is_target = jnp.arange(num_objects) == target
-    occluded = occlusion_without(belief, jnp.zeros_like(is_target))[target]
-    grip = Grip(*(leaf[target] for leaf in belief.grip))
-    is_grasped = jax.random.uniform(grasp_key) < grasp_probability(config, occluded, grip)
-    evidence = attempt_evidence(config, occluded, grip.mean, is_grasped)
-    after = replace(
-        belief,
-        is_on_table=belief.is_on_table & ~(is_target & is_grasped & (verb == Verb.WASH)),
-        grip=belief.grip._replace(log_weights=belief.grip.log_weights + jnp.where(is_target[:, None], evidence, 0.0)),
-        steps_to_go=belief.steps_to_go - 1,
-    )
-    return _looked(config, after, is_target & is_grasped & (verb == Verb.LIFT), label_key)
-
-
-def _looked(config: WorldConfig, belief: Belief, is_held: Bool[Array, " N"], key: Array) -> Belief:
-    """Draw what a look tells, and believe it."""
-    law, is_there = known_seeing(config), belief.is_on_table
-    occluded = jnp.where(is_held, 0.0, occlusion_without(belief, is_held))
-    if_dirty, if_clean = law.positive(occluded, belief.seen, is_held)
-    is_dirty = jax.nn.sigmoid(belief.log_odds)
-    chance = is_dirty * if_dirty + (1.0 - is_dirty) * if_clean
-    says_dirty = jax.random.uniform(key, chance.shape) < chance
-    update = label_evidence(if_dirty, if_clean, says_dirty)
-    seen = law.after(occluded, belief.seen, says_dirty, is_held)
-    return replace(
-        belief,
-        log_odds=belief.log_odds + jnp.where(is_there, update, 0.0),
-        seen=jnp.where(is_there, seen, belief.seen),
-    )

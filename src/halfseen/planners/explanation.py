@@ -22,15 +22,16 @@ tie all are; interchangeable objects are known to tie (`halfseen.world.explanati
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import jax
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
 from halfseen.errors import ArgumentError
 from halfseen.planners.rollout import sampled_values
-from halfseen.world.action_space import FINISH, ActionSpace, Verb
+from halfseen.world import random
+from halfseen.world.actions import FINISH, ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.explanation import Explanation, alike, explained
+from halfseen.world.random import Key
 from halfseen.world.state import TableState, check_goes_on
 
 _NUM_DRAWS = 2000
@@ -88,7 +89,7 @@ class Rollouts:
         return self.steps_to_go * float(np.sqrt(1.0 + variance))
 
 
-def rollouts_of(config: WorldConfig, state: TableState, key: Array, num_rollouts: int) -> Rollouts:
+def rollouts_of(config: WorldConfig, state: TableState, key: Key, num_rollouts: int) -> Rollouts:
     """Draw rollouts of one table; see `explain`."""
     sampled = np.asarray(sampled_values(config, state, key, num_rollouts), dtype=np.float64)
     # A verb that the look-ahead does not know is as good as impossible.
@@ -101,7 +102,7 @@ def rollouts_of(config: WorldConfig, state: TableState, key: Array, num_rollouts
 
 
 def explain(
-    config: WorldConfig, state: TableState, key: Array, *, num_rollouts: int = 512, level: float = 0.9
+    config: WorldConfig, state: TableState, key: Key, *, num_rollouts: int = 512, level: float = 0.9
 ) -> Explanation:
     """Explain what is best to do at one table: worths with intervals, probabilities of being best, worth of each LIFT.
 
@@ -130,20 +131,21 @@ def explain(
 
     Examples
     --------
-    >>> from halfseen.world import Scene, WorldConfig
+    >>> from halfseen.arrays import mapped
+    >>> from halfseen.world import Scene, WorldConfig, random
     >>> from halfseen.world.state import initial_state, pad_scenes
     >>> config = WorldConfig()
-    >>> layout = jax.tree.map(lambda leaf: leaf[0], pad_scenes([Scene(np.zeros((1, 1)))]))
-    >>> told = explain(config, initial_state(config, layout), jax.random.key(0))
+    >>> layout = mapped(lambda leaf: leaf[0], pad_scenes([Scene(np.zeros((1, 1)))]))
+    >>> told = explain(config, initial_state(config, layout), random.key_of(0))
     >>> told.actions[told.best]
     'LIFT 0'
     """
     if num_rollouts < 2:
         raise ArgumentError(f"num_rollouts is {num_rollouts}; at least 2 are needed to tell their spread")
     check_goes_on(state)
-    rollout_key, draw_key = jax.random.split(key)
+    rollout_key, draw_key = random.split(key)
     rollouts = rollouts_of(config, state, rollout_key, num_rollouts)
-    rng = np.random.default_rng(np.asarray(jax.random.key_data(draw_key)))
+    rng = np.random.default_rng(draw_key)
     values = expected_q(rollouts, FITTED_ERROR)
     return explained(values, drawn_q(rollouts, FITTED_ERROR, rng, _NUM_DRAWS), rollouts.is_possible, level)
 

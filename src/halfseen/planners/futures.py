@@ -1,27 +1,33 @@
-"""Futures of a table, by the dynamics of one robot or of a team: what is hidden is drawn from the belief, then played.
+"""Futures of a table: what is hidden is drawn from the belief, then played, whoever works at it.
 
-Where `rollout` moves a belief, a future here moves the world itself, so that all that the dynamics know (robots, times,
-prices) counts. Nothing that is truly hidden is read: attributes and grips are drawn as `belief` has them, and labels by
-their probabilities given what is known.
+Where `rollout` moves a belief, a future here moves the world itself, so that all that the transition knows (robots,
+times, prices) counts. Nothing that is truly hidden is read: attributes and grips are drawn as `belief` has them, and
+labels by their probabilities given what is known.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
-import jax
-import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+import numpy as np
+from jaxtyping import Bool, Float, Int
 
+from halfseen.arrays import Array, at, chosen, expit, library_of, mapped, record
 from halfseen.planners.belief import grip_posterior, known_seeing, trait_at
+from halfseen.world import random
+from halfseen.world.actions import WAIT, Verb, possible_actions
+from halfseen.world.attempts import attempted
 from halfseen.world.config import WorldConfig
-from halfseen.world.episodes import Dynamics
+from halfseen.world.policy import Policy
+from halfseen.world.random import Key
 from halfseen.world.seeing import Glimpse, KnownSeeing, Told, label_evidence
-from halfseen.world.state import HiddenState, TableState
+from halfseen.world.state import HiddenState, Pending, TableState, occlusion
+from halfseen.world.transition import step, until_out_s
+
+NUM_PROPOSALS = 16
+"""Attempts drawn for each robot that is at work; one of those that have not yet ended is taken."""
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@record
 class ForeseenSeeing:
     """Labels by the probabilities of a law, given the truth and what is known: no hidden trait is needed.
 
@@ -33,16 +39,17 @@ class ForeseenSeeing:
 
     law: KnownSeeing
 
-    def draw_trait(self, num_objects: int, key: Array) -> None:
+    def draw_trait(self, num_objects: int, key: Key) -> None:
         """No trait: what persists is in `Glimpse.seen`."""
         return
 
     def look(
-        self, glimpse: Glimpse, log_odds: Float[Array, " N"], is_dirty: Bool[Array, " N"], trait: None, key: Array
+        self, glimpse: Glimpse, log_odds: Float[Array, "*B N"], is_dirty: Bool[Array, "*B N"], trait: None, key: Key
     ) -> Told:
         """Label each object once."""
         if_dirty, if_clean = self.law.positive(glimpse.occluded, glimpse.seen, glimpse.is_held)
-        says_dirty = jax.random.uniform(key, is_dirty.shape) < jnp.where(is_dirty, if_dirty, if_clean)
+        positive = library_of(is_dirty).where(is_dirty, if_dirty, if_clean)
+        says_dirty = random.uniform(key, is_dirty.shape[-1]) < positive
         seen = self.law.after(glimpse.occluded, glimpse.seen, says_dirty, glimpse.is_held)
         return Told(log_odds + label_evidence(if_dirty, if_clean, says_dirty), seen, None)
 
@@ -52,115 +59,170 @@ def foreseen(config: WorldConfig) -> WorldConfig:
     return replace(config, seeing=ForeseenSeeing(known_seeing(config)))
 
 
-def imagined(config: WorldConfig, state: TableState, key: Array) -> HiddenState:
-    """Draw what is hidden of one table, given all that is seen."""
-    dirty_key, grip_key = jax.random.split(key)
-    is_dirty = jax.random.uniform(dirty_key, state.log_odds.shape) < jax.nn.sigmoid(state.log_odds)
-    node = jax.random.categorical(grip_key, grip_posterior(config, state).log_weights, axis=-1)
+def imagined(config: WorldConfig, state: TableState, key: Key) -> HiddenState:
+    """Draw what is hidden of tables, given all that is seen.
+
+    Of several robots, too, how what they are at will end: for each, `NUM_PROPOSALS` attempts are drawn, grip and all,
+    as if begun on the table as it is now; one of those that last longer than the robot has been at it is taken
+    (rejection sampling). If none does, the longest is, and ends at once. Whether a robot will drop out is drawn afresh,
+    as a constant hazard remembers nothing.
+    """
+    if state.robots is None:
+        return _imagined_table(config, state, key)
+    table_key, robots_key = random.split(key)
+    hidden, robots = _imagined_table(config, state, table_key), state.robots
+    xp, num_robots = library_of(robots.is_busy), config.num_robots
+    each = [_pending(config, state, robot, random.fold_in(robots_key, robot)) for robot in range(num_robots)]
+    pending = mapped(lambda *leaves: _beside(leaves, state.steps_to_go.ndim, xp), *(one[0] for one in each))
+    trait = hidden.grasp_trait
+    for robot, (_, offset) in enumerate(each):
+        is_at_object = robots.is_busy & (robots.verb > 0) & (robots.verb != WAIT)
+        is_its = is_at_object[..., robot, None] & (xp.arange(state.num_objects) == robots.target[..., robot, None])
+        trait = mapped(lambda all_of, own, is_its=is_its: xp.where(is_its, own[..., None], all_of), trait, offset)
+    until_s = until_out_s(config, random.fold_in(robots_key, num_robots))
+    return replace(hidden, grasp_trait=trait, pending=pending, until_out_s=until_s)
+
+
+def _beside(leaves: tuple[Array, ...], axis: int, xp: Any) -> Array:
+    return xp.stack(leaves, axis=axis)
+
+
+def _imagined_table(config: WorldConfig, state: TableState, key: Key) -> HiddenState:
+    dirty_key, grip_key = random.split(key)
+    is_dirty = random.uniform(dirty_key, state.num_objects) < expit(state.log_odds)
+    node = random.categorical(grip_key, grip_posterior(config, state).log_weights)
     return HiddenState(is_dirty, trait_at(config, node), None)
 
 
-@dataclass(frozen=True)
-class KnownRewards:
-    """Rewards expected given what is seen in a future, in place of those that depend on hidden attributes.
+def _pending(config: WorldConfig, state: TableState, robot: int, key: Key) -> tuple[Pending, Any]:
+    """How what one robot carries out will end (`Pending` without the axis of robots), and the grip of its object."""
+    world, robots, speed = config.as_robot(robot), state.robots, config.speed[robot]
+    assert robots is not None
+    assert state.decider is not None
+    xp, never = library_of(robots.is_busy), np.float32(np.inf)
+    verb, target, since_s = (each[..., robot] for each in (robots.verb, robots.target, robots.since_s))
+    is_busy, is_wait = robots.is_busy[..., robot], verb == WAIT
+    wide = mapped(lambda leaf: leaf[(slice(None),) * verb.ndim + (None,)], replace(state, robots=None, workspace=None))
+    grip_key, attempt_key = random.split(random.keys_of(key, NUM_PROPOSALS))
+    drawn = _imagined_table(world, _repeated(wide, NUM_PROPOSALS, verb.ndim, xp), grip_key)
+    occluded, own = occlusion(state), target[..., None]
+    verb_of_table = xp.where(is_wait, Verb.FINISH, verb)[..., None]
+    tried = attempted(world, wide, drawn, verb_of_table, own, attempt_key, occluded[..., None, :])
+    duration_s = (world.transport_s + tried.duration_s) / speed
+    # Of two that end at once the lower robot ends first, so that a higher one may be at its end.
+    is_later = (robot > state.decider)[..., None]
+    goes_on = (duration_s > since_s[..., None]) | ((duration_s == since_s[..., None]) & is_later)
+    # They are alike before they are looked at: the first that goes on is as good as any.
+    first = xp.where(xp.any(goes_on, axis=-1), xp.argmax(goes_on, axis=-1), xp.argmax(duration_s, axis=-1))
+    chosen_s = at(duration_s, first)
+    left_s = xp.where(is_wait, never, xp.maximum(chosen_s - since_s, np.float32(0.0)))
+    hides = xp.broadcast_to(tried.hides, (*duration_s.shape, *tried.hides.shape[-2:]))
+    hides = xp.take_along_axis(hides, first[..., None, None, None], axis=-3)[..., 0, :, :]
+    pending = Pending(
+        left_s=xp.where(is_busy, left_s, never),
+        duration_s=chosen_s,
+        is_held=at(tried.is_held, first),
+        occlusion=at(occluded, target),
+        hides=hides,
+        is_moved=hides != state.hides,
+    )
+    return pending, mapped(lambda offset: at(at(offset, own), first), drawn.grasp_trait)
+
+
+def _repeated(state: TableState, num: int, axis: int, xp: Any) -> TableState:
+    """The same with an axis of 1 repeated."""
+
+    def repeat(leaf: Array) -> Array:
+        return xp.broadcast_to(leaf, (*leaf.shape[:axis], num, *leaf.shape[axis + 1 :]))
+
+    return mapped(repeat, state)
+
+
+def less_luck(
+    config: WorldConfig, before: TableState, after: TableState, hidden: HiddenState, is_over: Bool[Array, "*B"]
+) -> Float[Array, "*B"]:
+    """What is to be added to the reward of a stage so that hidden attributes count as far as they are known.
 
     Whether an attempt holds tells nothing of DIRTY, so that a stage's rewards are expected to be the same: only their
     noise falls (Rao–Blackwell).
-
-    Parameters
-    ----------
-    world
-        The world.
-    table_of
-        Takes the table out of a state, and what is hidden of it out of a hidden state.
     """
-
-    world: WorldConfig
-    table_of: Callable[[Any], Any]
-
-    def less_luck(self, before: Any, after: Any, hidden: Any, is_over: Bool[Array, ""]) -> Float[Array, ""]:
-        """What is to be added to the reward of a stage that led from one state to another."""
-        was, now, is_dirty = self.table_of(before), self.table_of(after), self.table_of(hidden).is_dirty
-        washed = self.world.reward_wash_dirty - self.world.reward_wash_clean
-        is_washed, is_left = was.is_on_table & ~now.is_on_table, now.is_on_table & is_over
-        of_washed = jnp.sum(jnp.where(is_washed, jax.nn.sigmoid(was.log_odds) - is_dirty, 0.0))
-        of_left = jnp.sum(jnp.where(is_left, jax.nn.sigmoid(now.log_odds) - is_dirty, 0.0))
-        return washed * of_washed + self.world.reward_dirty_left * of_left
+    xp, is_dirty, zero = library_of(is_over), hidden.is_dirty, np.float32(0.0)
+    washed = config.reward_wash_dirty - config.reward_wash_clean
+    is_washed, is_left = before.is_on_table & ~after.is_on_table, after.is_on_table & is_over[..., None]
+    of_washed = xp.sum(xp.where(is_washed, expit(before.log_odds) - is_dirty, zero), axis=-1)
+    of_left = xp.sum(xp.where(is_left, expit(after.log_odds) - is_dirty, zero), axis=-1)
+    return washed * of_washed + config.reward_dirty_left * of_left
 
 
 def future_rewards(
-    dynamics: Dynamics,
-    config: Any,
-    state: Any,
-    is_possible: Bool[Array, " A"],
-    imagine: Callable[[Array], Any],
-    policy: Any,
-    key: Array,
-    num_futures: int,
-    rewards: KnownRewards,
-) -> Float[Array, "S A"]:
-    """Reward to the path's end of each action followed by a policy, in each of S futures; −∞ where it is impossible.
+    config: WorldConfig, state: TableState, policy: Policy, key: Key, num_futures: int
+) -> Float[Array, "*B S A"]:
+    """Reward to the trajectory's end of each action followed by a policy, in each of S futures; −∞ if impossible.
 
     All actions meet the same hidden truth and the same draws.
 
     Parameters
     ----------
-    dynamics
-        Of one robot or of a team.
     config
-        As `dynamics` takes it, with a world that is `foreseen`.
+        The world that is believed in.
     state
-        Of one table.
-    is_possible
-        Which actions are tried.
-    imagine
-        Draws what is hidden from a key.
+        Tables.
     policy
-        What decides ever after.
+        What decides ever after, for all robots.
     key
         What is drawn from.
     num_futures
         S.
-    rewards
-        What takes the luck of attributes out of what a future earns.
     """
-    keys = jax.random.split(key, num_futures)
+    xp, is_possible, num_axes = library_of(state.is_on_table), possible_actions(state), state.steps_to_go.ndim
+    hidden_key, world_key, policy_key = random.split(random.keys_of(key, num_futures), 3)
+    of_future = mapped(lambda leaf: leaf[(slice(None),) * num_axes + (None,)], state)
+    hidden = imagined(config, _repeated(of_future, num_futures, num_axes, xp), hidden_key)
+    shape = (*is_possible.shape[:-1], num_futures, is_possible.shape[-1])
+    tried = xp.broadcast_to(is_possible[..., None, :], shape)
+    rows = np.nonzero(tried) if xp is np else tuple(xp.indices(shape).reshape(len(shape), -1))
+    table, future = rows[:num_axes], rows[:-1]
+    state = mapped(lambda leaf: leaf[table], state) if num_axes else _tiled(state, len(rows[0]), xp)
+    hidden, keys = mapped(lambda leaf: leaf[future], hidden), (world_key[future], policy_key[future])
+    total = _played(foreseen(config), state, hidden, rows[-1].astype(np.int32), policy, *keys)
+    if xp is not np:
+        return xp.where(tried, total.reshape(shape), np.float32(-np.inf))
+    found = np.full(shape, -np.inf, dtype=np.float32)
+    found[rows] = total
+    return found
 
-    def futures(action: Int[Array, ""]) -> Float[Array, " S"]:
-        return jax.vmap(lambda key: _future_reward(dynamics, config, state, action, imagine, policy, key, rewards))(
-            keys
-        )
 
-    def tried(action: Int[Array, ""]) -> Float[Array, " S"]:
-        nothing = jnp.full(num_futures, -jnp.inf, dtype=jnp.float32)
-        return jax.lax.cond(is_possible[action], futures, lambda _: nothing, action)
-
-    # One action after the other: what is impossible costs nothing, and memory stays small.
-    return jax.lax.map(tried, jnp.arange(is_possible.shape[0], dtype=jnp.int32)).T
+def _tiled(state: TableState, num: int, xp: Any) -> TableState:
+    return mapped(lambda leaf: xp.broadcast_to(leaf, (num, *xp.shape(leaf))), state)
 
 
-def _future_reward(
-    dynamics: Dynamics,
-    config: Any,
-    state: Any,
-    action: Int[Array, ""],
-    imagine: Callable[[Array], Any],
-    policy: Any,
-    key: Array,
-    rewards: KnownRewards,
-) -> Float[Array, ""]:
-    hidden_key, world_key, policy_key = jax.random.split(key, 3)
-
-    def goes_on(carry: tuple[Any, ...]) -> Array:
-        return ~carry[3]
-
-    def advance(carry: tuple[Any, ...]) -> tuple[Any, ...]:
-        state, hidden, action, _, total, t = carry
-        before = state
-        state, hidden, outcome = dynamics.step(config, state, hidden, action, jax.random.fold_in(world_key, t))
-        reward = outcome.reward + rewards.less_luck(before, state, hidden, outcome.is_over)
-        action = policy.decide(state, jax.random.fold_in(policy_key, t)).action.astype(action.dtype)
-        return state, hidden, action, outcome.is_over, total + reward, t + 1
-
-    begin = state, imagine(hidden_key), action, jnp.asarray(False), jnp.zeros(()), jnp.asarray(0)
-    return jax.lax.while_loop(goes_on, advance, begin)[4]
+def _played(
+    config: WorldConfig,
+    state: TableState,
+    hidden: HiddenState,
+    action: Int[Array, " R"],
+    policy: Policy,
+    world_key: Key,
+    policy_key: Key,
+) -> Float[Array, " R"]:
+    """What each row earns to its end; in NumPy, rows that are over are left out of what is computed."""
+    xp = library_of(state.is_on_table)
+    total, is_active, number = xp.zeros(action.shape, dtype=np.float32), xp.ones(action.shape, dtype=bool), None
+    if xp is np:
+        number = np.arange(len(action))
+    for t in range(config.num_stages):
+        after, of_hidden, outcome = step(config, state, hidden, action, random.fold_in(world_key, t))
+        reward = outcome.reward + less_luck(config, state, after, of_hidden, outcome.is_over)
+        if number is None:
+            total = total + xp.where(is_active, reward, np.float32(0.0))
+            state, hidden = chosen(is_active, (after, of_hidden), (state, hidden))
+            is_active = is_active & ~outcome.is_over
+        else:
+            total = total + np.bincount(number, reward, len(total)).astype(np.float32)
+            goes_on = ~outcome.is_over
+            if not goes_on.any():
+                break
+            rows = (after, of_hidden, number, world_key, policy_key)
+            state, hidden, number, world_key, policy_key = mapped(lambda leaf, kept=goes_on: leaf[kept], rows)
+        action = policy.decide(state, random.fold_in(policy_key, t)).action
+    return total

@@ -1,22 +1,27 @@
 """Rules of thumb: wash what promises most now, stop when nothing promises anything. They never lift to look."""
 
-from dataclasses import dataclass, field
+from dataclasses import field
+from typing import ClassVar
 
-import jax
-import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Bool, Float
 
+from halfseen.arrays import STATIC, Array, expit, library_of, record
 from halfseen.errors import ArgumentError
 from halfseen.planners.belief import grasp_probability, grip_posterior, prior_grip
-from halfseen.world.action_space import FINISH, ActionSpace, Verb
+from halfseen.world.actions import FINISH, ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.grasp_model import GraspModel
 from halfseen.world.policy import Decision, surely
+from halfseen.world.random import Key
 from halfseen.world.state import TableState, occlusion
 
 
 def wash_worth(
-    config: WorldConfig, is_dirty: Float[Array, "*S"], probability: Float[Array, "*S"], counts_penalty: bool | Array
+    config: WorldConfig,
+    is_dirty: Float[Array, "*#S"],
+    probability: Float[Array, "*#S"],
+    counts_penalty: bool | Bool[Array, ""],
 ) -> Float[Array, "*S"]:
     """Expected reward of one attempt to WASH an object that is dirty with probability `is_dirty`.
 
@@ -27,8 +32,7 @@ def wash_worth(
     return probability * washed + (1.0 - probability) * config.reward_wash_failed
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@record
 class TrueGrasp:
     """The true probability of a grasp, the hidden grip offset integrated out: a `GraspModel` that knows the world.
 
@@ -41,16 +45,15 @@ class TrueGrasp:
     """
 
     config: WorldConfig
-    uses_history: bool = field(default=True, metadata={"static": True})
+    uses_history: bool = field(default=True, metadata=STATIC)
 
-    def probability(self, state: TableState) -> Float[Array, " N"]:
-        """P(an attempt succeeds) for each object of one table."""
+    def probability(self, state: TableState) -> Float[Array, "*B N"]:
+        """P(an attempt succeeds) for each object."""
         grip = grip_posterior(self.config, state) if self.uses_history else prior_grip(state.grip)
         return grasp_probability(self.config, occlusion(state), grip)
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@record
 class GreedyPolicy:
     """WASH the object with the largest expected reward; FINISH when none is positive.
 
@@ -72,24 +75,25 @@ class GreedyPolicy:
     """
 
     config: WorldConfig
-    uses_history: bool = field(default=False, metadata={"static": True})
+    uses_history: bool = field(default=False, metadata=STATIC)
     counts_penalty: bool | Array = False
     grasp: GraspModel | None = None
+
+    num_robots: ClassVar[int] = 1
 
     def __post_init__(self) -> None:
         if self.grasp is not None and not self.uses_history:
             raise ArgumentError("grasp is given and uses_history is False; a grasp model looks at the history")
 
-    def worth(self, state: TableState) -> Float[Array, " N"]:
-        """Expected reward of an attempt to WASH each object of one table; −∞ where it does not stand there."""
+    def worth(self, state: TableState) -> Float[Array, "*B N"]:
+        """Expected reward of an attempt to WASH each object; −∞ where it does not stand on the table."""
         grasp = TrueGrasp(self.config, self.uses_history) if self.grasp is None else self.grasp
-        probability = grasp.probability(state)
-        worth = wash_worth(self.config, jax.nn.sigmoid(state.log_odds), probability, self.counts_penalty)
-        return jnp.where(state.is_on_table, worth, -jnp.inf)
+        worth = wash_worth(self.config, expit(state.log_odds), grasp.probability(state), self.counts_penalty)
+        return library_of(worth).where(state.is_on_table, worth, np.float32(-np.inf))
 
-    def decide(self, state: TableState, key: Array) -> Decision:
-        """Choose for one table; nothing is drawn."""
+    def decide(self, state: TableState, key: Key) -> Decision:
+        """Choose for each table; nothing is drawn."""
         worth = self.worth(state)
-        best = jnp.argmax(worth)
-        wash = ActionSpace(state.num_objects).encode(Verb.WASH, best)
-        return surely(jnp.where(worth[best] > 0.0, wash, FINISH).astype(jnp.int32))
+        xp = library_of(worth)
+        wash = ActionSpace(state.num_objects).encode(Verb.WASH, xp.argmax(worth, axis=-1))
+        return surely(xp.where(xp.max(worth, axis=-1) > 0.0, wash, FINISH))

@@ -14,12 +14,14 @@ HEURISTICS = MappingProxyType(
         "history-penalty": (True, True),
     }
 )
-"""Of each `GreedyPolicy`: whether it uses history, and whether it counts the penalty."""
+"""Of each `GreedyPolicy`: whether it uses history, and whether it counts the penalty; of several robots, reserving."""
 UNIFORM, PLANNER = "uniform", "planner"
-"""`UniformPolicy`, and a `POMDPPolicy` that looks to the end."""
+"""`UniformPolicy`; and a `POMDPPolicy` to the end, of several robots a `RolloutPolicy` over a `MyopicPolicy`."""
 
 
-def named_policy(name: str, config: "WorldConfig", random_share: float = 0.0) -> "Policy":
+def named_policy(
+    name: str, config: "WorldConfig", random_share: float = 0.0, *, is_team: bool | None = None
+) -> "Policy":
     """Make the policy of a name.
 
     Parameters
@@ -30,19 +32,36 @@ def named_policy(name: str, config: "WorldConfig", random_share: float = 0.0) ->
         The world that it believes in.
     random_share
         Probability that a step takes an action uniformly at random instead.
+    is_team
+        Whether robots with a reach of their own work there; None where several do.
     """
-    # Names are asked for where JAX is not loaded yet.
+    is_team = config.num_robots > 1 if is_team is None else is_team
+    # Names are asked for where no world is loaded yet.
     from halfseen.planners.heuristics import GreedyPolicy
-    from halfseen.planners.pomdp import POMDPPolicy
     from halfseen.world import UniformPolicy
 
     if name == UNIFORM:
         return UniformPolicy()
     if name == PLANNER:
-        policy: Policy = POMDPPolicy(config, planning_horizon=config.horizon)
-    else:
+        policy: Policy = _planner(config, is_team)
+    elif not is_team:
         policy = GreedyPolicy(config, *HEURISTICS[name])
+    else:
+        from halfseen.planners.rules import ReservingPolicy
+
+        policy = ReservingPolicy(config, GreedyPolicy(config, *HEURISTICS[name]))
     return exploring(policy, random_share)
+
+
+def _planner(config: "WorldConfig", is_team: bool) -> "Policy":
+    if not is_team:
+        from halfseen.planners.pomdp import POMDPPolicy
+
+        return POMDPPolicy(config, planning_horizon=config.horizon)
+    from halfseen.planners.multi_agent_rollout import RolloutPolicy
+    from halfseen.planners.myopic import MyopicPolicy
+
+    return RolloutPolicy(config, MyopicPolicy(config))
 
 
 def exploring(policy: "Policy", random_share: float) -> "Policy":

@@ -7,32 +7,38 @@ expected number of tries stands for their number).
 
 With unlimited steps that exception falls away: V° is V_0 with more steps than any try could want, and
 Q°(b, a) = E[R + V°(b')] is exact, for any steps to go but the last. It is no good rule near the end, but takes noise
-out of rollouts (`rollout`).
+out of rollouts (`rollout`). Both are read off one `Outlook`.
 """
 
-from dataclasses import replace
-from functools import partial
-from typing import NamedTuple
+from functools import lru_cache
+from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+import numpy as np
+from jaxtyping import Bool, Float, Int
 
+from halfseen.arrays import Array, expit, library_of, softmax
 from halfseen.planners.belief import (
     Belief,
-    Grip,
-    dirty_after_label,
-    expected_attempt_s,
-    failure_log_probability,
     grasp_probability,
+    grip_offsets,
+    known_grasping,
+    known_seeing,
     occlusion_without,
 )
 from halfseen.planners.heuristics import wash_worth
-from halfseen.world.action_space import ActionSpace, Verb, possible_actions
+from halfseen.world.actions import ActionSpace, Verb, possible_actions
 from halfseen.world.config import WorldConfig
 
-UNLIMITED = 1_000_000
-"""Steps to go that never run out."""
+_ZERO, _ONE, _NEVER, _TINY = np.float32(0.0), np.float32(1.0), np.float32(-np.inf), np.finfo(np.float32).tiny
+
+
+class Label(NamedTuple):
+    """What the next label of each object may say."""
+
+    hit: Float[Array, "*S N"]
+    """P(it says dirty, and the object is)."""
+    alarm: Float[Array, "*S N"]
+    """P(it says dirty, and the object is not)."""
 
 
 class Tries(NamedTuple):
@@ -44,118 +50,228 @@ class Tries(NamedTuple):
 
     def among(self, is_there: Bool[Array, "*S N"]) -> "Tries":
         """Sum over objects."""
-        return Tries(*(jnp.sum(jnp.where(is_there, each, 0.0), axis=-1) for each in self))
-
-
-def leaf_value(config: WorldConfig, belief: Belief) -> Float[Array, ""]:
-    """V_0: every object is left where it stands, or tried once if that is worth more."""
-    occluded = occlusion_without(belief, jnp.zeros_like(belief.is_on_table))
-    probability = grasp_probability(config, occluded, belief.grip)
-    is_dirty = jax.nn.sigmoid(belief.log_odds)
-    gain = jax.nn.relu(wash_worth(config, is_dirty, probability, counts_penalty=True))
-    tries = Tries(gain, jnp.where(gain > 0.0, 1.0, 0.0)).among(belief.is_on_table)
-    return left_or_tried(_all_left(config, belief), tries, belief.steps_to_go)
-
-
-def _all_left(config: WorldConfig, belief: Belief) -> Float[Array, ""]:
-    """Expected price of the dirty objects on the table."""
-    return config.reward_dirty_left * jnp.sum(jnp.where(belief.is_on_table, jax.nn.sigmoid(belief.log_odds), 0.0))
-
-
-def left_or_tried(left: Float[Array, "*#S"], tries: Tries, steps_to_go: Int[Array, ""]) -> Float[Array, "*S"]:
-    """Value of leaving all, plus the gains of as many tries as there are steps (their mean stands for the best)."""
-    return left + jnp.minimum(1.0, steps_to_go / jnp.maximum(tries.number, 1.0)) * tries.gain
-
-
-def one_step_q(config: WorldConfig, belief: Belief) -> Float[Array, " A"]:
-    """Q_1 of every action of one table, in closed form; −∞ where an action is impossible."""
-    num_objects = belief.is_on_table.shape[0]
-    is_dirty = jax.nn.sigmoid(belief.log_odds)
-    target = jnp.eye(num_objects, dtype=bool)
-    others = belief.is_on_table & ~target
-    occluded = occlusion_without(belief, jnp.zeros(num_objects, dtype=bool))
-    occluded_without = jax.vmap(lambda taken: occlusion_without(belief, taken))(target)
-    probability, if_held, if_missed = grasp_probabilities(config, occluded, belief.grip)
-    if_cleared = grasp_probability(config, occluded_without, belief.grip)
-
-    tries = partial(tries_after_label, config, is_dirty, belief.seen)
-    # After a miss all is as before but the grip of the target.
-    before = tries(occluded, probability)
-    missed = jax.tree.map(
-        lambda sum_before, own, new: sum_before - own + new,
-        before.among(belief.is_on_table),
-        before,
-        tries(occluded, if_missed),
-    )
-    washed = tries(occluded_without, if_cleared).among(others)
-    around = tries(occluded_without, jnp.broadcast_to(probability, target.shape)).among(others)
-    lifted = jax.tree.map(jnp.add, around, tries(jnp.zeros_like(occluded), if_held, is_held=True))
-
-    left, steps = _all_left(config, belief), belief.steps_to_go - 1
-    after_miss = (1.0 - probability) * left_or_tried(left, missed, steps)
-    worth = wash_worth(config, is_dirty, probability, counts_penalty=False)
-    washed_left = left - config.reward_dirty_left * is_dirty
-    wash = worth + probability * left_or_tried(washed_left, washed, steps) + after_miss
-    look = config.reward_lift_per_s * expected_attempt_s(config, occluded, belief.grip)
-    lift = look + probability * left_or_tried(left, lifted, steps) + after_miss
-    values = ActionSpace(num_objects).join(left, {Verb.WASH: wash, Verb.LIFT: lift})
-    return jnp.where(possible_actions(belief), values, -jnp.inf)
-
-
-def grasp_probabilities(
-    config: WorldConfig, occluded: Float[Array, " N"], grip: Grip, next_config: WorldConfig | None = None
-) -> tuple[Float[Array, " N"], Float[Array, " N"], Float[Array, " N"]]:
-    """P(an attempt succeeds), and P(the next one does) after a success and after a failure at the same occlusion.
-
-    The next one is made in `next_config`, where another robot makes it.
-    """
-    at_node, weight = _at_nodes(config, occluded, grip), jax.nn.softmax(grip.log_weights, axis=-1)
-    then = at_node if next_config is None else _at_nodes(next_config, occluded, grip)
-
-    def again(after: Float[Array, "N G"]) -> Float[Array, " N"]:
-        mass = jnp.maximum(jnp.sum(after, axis=-1), jnp.finfo(after.dtype).tiny)
-        return jnp.sum(after * then, axis=-1) / mass
-
-    probability = grasp_probability(config, occluded, grip)
-    return probability, again(weight * at_node), again(weight * (1.0 - at_node))
-
-
-def _at_nodes(config: WorldConfig, occluded: Float[Array, " N"], grip: Grip) -> Float[Array, "N G"]:
-    """P(an attempt succeeds) at each node of the grip offset."""
-    return -jnp.expm1(failure_log_probability(config, occluded, grip.mean))
-
-
-def rule_and_control(config: WorldConfig, belief: Belief) -> tuple[Float[Array, " A"], Float[Array, " A"]]:
-    """Q_1 and Q°; with one step to go, both are Q_1, which is exact there."""
-    steps = jnp.stack([belief.steps_to_go, jnp.where(belief.steps_to_go == 1, 1, UNLIMITED)])
-    both = jax.vmap(lambda num_steps: one_step_q(config, _with_steps(belief, num_steps)))(steps)
-    return both[0], both[1]
-
-
-def control_value(config: WorldConfig, belief: Belief) -> Float[Array, ""]:
-    """V°: every object is left where it stands, or tried once if that is worth more, however few steps remain."""
-    return leaf_value(config, _with_steps(belief, jnp.asarray(UNLIMITED, dtype=jnp.int32)))
-
-
-def _with_steps(belief: Belief, num_steps: Int[Array, ""]) -> Belief:
-    return replace(belief, steps_to_go=num_steps)
+        xp = library_of(self.gain)
+        return Tries(*(xp.sum(xp.where(is_there, each, _ZERO), axis=-1) for each in self))
 
 
 def tries_after_label(
     config: WorldConfig,
-    is_dirty: Float[Array, " N"],
-    seen: Float[Array, " N"],
-    occluded: Float[Array, "*S N"],
+    is_dirty: Float[Array, "*#S N"],
+    label: Label,
     probability: Float[Array, "*S N"],
-    is_held: bool = False,
-    effort: Float[Array, " N"] | float = 0.0,
+    effort: Any = 0.0,
 ) -> Tries:
     """E (worth of one more try, less the effort of it)₊ over the next label, and P(it is positive)."""
-    says_dirty, if_dirty, if_clean = dirty_after_label(
-        config, jnp.broadcast_to(is_dirty, occluded.shape), seen, occluded, is_held
+    xp, missed = library_of(probability), config.reward_wash_failed
+    of_dirty = config.reward_wash_dirty - config.reward_dirty_left - missed
+    of_clean = config.reward_wash_clean - missed
+    # By the probability of what the label says, so that nothing is divided by it.
+    says = label.hit + label.alarm
+    says_not = _ONE - says
+    if_said = of_dirty * label.hit + of_clean * label.alarm
+    if_not = (of_clean + (of_dirty - of_clean) * is_dirty) - if_said
+    worth_said = probability * if_said + (missed - effort) * says
+    worth_not = probability * if_not + (missed - effort) * says_not
+    return Tries(
+        gain=xp.maximum(worth_said, _ZERO) + xp.maximum(worth_not, _ZERO),
+        number=(worth_said > _ZERO) * says + (worth_not > _ZERO) * says_not,
     )
-    worth_dirty = wash_worth(config, if_dirty, probability, counts_penalty=True) - effort
-    worth_clean = wash_worth(config, if_clean, probability, counts_penalty=True) - effort
-    gain = says_dirty * jax.nn.relu(worth_dirty) + (1.0 - says_dirty) * jax.nn.relu(worth_clean)
-    number = jnp.where(worth_dirty > 0.0, says_dirty, 0.0) + jnp.where(worth_clean > 0.0, 1.0 - says_dirty, 0.0)
-    return Tries(gain, number)
+
+
+def left_or_tried(left: Float[Array, "*#S"], tries: Tries, steps_to_go: Int[Array, "*#S"]) -> Float[Array, "*S"]:
+    """Value of leaving all, plus the gains of as many tries as there are steps (their mean stands for the best)."""
+    xp = library_of(tries.gain)
+    steps = xp.asarray(steps_to_go).astype(np.float32)
+    return left + xp.minimum(_ONE, steps / xp.maximum(tries.number, _ONE)) * tries.gain
+
+
+def occlusions_of_each(belief: Belief) -> Float[Array, "*B M N"]:
+    """Occlusion of each object in M = N + 2 ways: now, without the first, the second, … object, and in the hand."""
+    xp, num_objects = library_of(belief.hides), belief.is_on_table.shape[-1]
+    # What hides nothing lets all be seen, also where its share is padding (NaN).
+    visible = xp.fmax(_ONE - belief.hides, (~belief.is_on_table).astype(np.float32)[..., None, :])
+    visible = xp.fmax(visible[..., None, :, :], ways_of(num_objects).hides_nothing[:, None, :])
+    return _ONE - visible.prod(axis=-1)
+
+
+class _Ways(NamedTuple):
+    """The ways in which an object may be hidden: now, without each of the others, and in the hand."""
+
+    hides_nothing: Float[np.ndarray, "M N"]
+    """1 for the objects that hide nothing, else 0."""
+    is_in_hand: Bool[np.ndarray, "M 1"]
+    is_other: Bool[np.ndarray, "M N"]
+    """Which objects are tried in each of them, of those that are wanted."""
+
+
+@lru_cache(maxsize=64)
+def ways_of(num_objects: int) -> _Ways:
+    """The M ways of so many objects."""
+    one, each = np.ones((1, num_objects), dtype=bool), ~np.eye(num_objects, dtype=bool)
+    is_in_hand = np.arange(num_objects + 2)[:, None] == num_objects + 1
+    return _Ways(
+        1.0 - np.concatenate([one, each, ~one]).astype(np.float32), is_in_hand, np.concatenate([one, each, one])
+    )
+
+
+def label_in_each(
+    config: WorldConfig, seen: Float[Array, "*B N"], occluded: Float[Array, "*B M N"]
+) -> tuple[Float[Array, "*B M N"], Float[Array, "*B M N"]]:
+    """P(the next label says dirty) of what is dirty, and of what is clean, in each of the ways."""
+    return known_seeing(config).positive(occluded, seen[..., None, :], ways_of(seen.shape[-1]).is_in_hand)
+
+
+def label_of_tries(
+    is_dirty: Float[Array, "*B N"], if_dirty: Float[Array, "*B M N"], if_clean: Float[Array, "*B M N"]
+) -> Label:
+    """What the label before each of the tries of `probabilities_of_tries` may say; axes (B, 1, M, N)."""
+    is_dirty = is_dirty[..., None, None, :]
+    return Label(is_dirty * if_dirty[..., None, :, :], (_ONE - is_dirty) * if_clean[..., None, :, :])
+
+
+def probabilities_of_tries(
+    by_way: Float[Array, "*B V N"], if_held: Float[Array, "*B N"], if_missed: Float[Array, "*B N"]
+) -> Float[Array, "*B 2 M N"]:
+    """P(it succeeds) of the tries that may follow an attempt, by how each object is hidden then.
+
+    First now, without each of the others, which is in the dishwasher, and of what was held; then after a miss, and as
+    now, where the other is held up and only shows what is behind it. `by_way` has no way in the hand.
+    """
+    xp, now = library_of(by_way), by_way[..., :1, :]
+    num_ways, num_objects = by_way.shape[-2] + 1, by_way.shape[-1]
+    each = [by_way, if_held[..., None, :], if_missed[..., None, :], *[now] * (num_ways - 1)]
+    found = xp.concatenate(each, axis=-2)
+    return found.reshape(*found.shape[:-2], 2, num_ways, num_objects)
+
+
+def summed_tries(tries: Tries, is_wanted: Bool[Array, "*B N"]) -> Tries:
+    """All tries of what is wanted after a miss, a WASH and a LIFT of each, by those of `probabilities_of_tries`."""
+    xp, num = library_of(is_wanted), is_wanted.shape[-1]
+    # No more than 0 of what is not, also where it is padding (NaN); of the others as much as there is.
+    most = xp.where(is_wanted[..., None, None, :] & ways_of(num).is_other, -_NEVER, _ZERO)
+    each = xp.fmin(xp.concatenate([each[None] for each in tries]), most)
+    total = each.sum(axis=-1)
+    # After a miss all is as before but the grip of the target.
+    missed = total[..., 0, :1] - each[..., 0, 0, :] + each[..., 1, 0, :]
+    washed, lifted = total[..., 0, 1:-1], total[..., 1, 1:-1] + each[..., 0, -1, :]
+    found = xp.concatenate([each[..., None, :] for each in (missed, washed, lifted)], axis=-2)
+    return Tries(found[0], found[1])
+
+
+class Chances(NamedTuple):
+    """How an attempt now may go, and what is seen then: what a future is drawn by."""
+
+    is_dirty: Float[Array, "*B N"]
+    occluded: Float[Array, "*B M N"]
+    """As `occlusions_of_each` has it."""
+    label: tuple[Float[Array, "*B M N"], Float[Array, "*B M N"]]
+    """As `label_in_each` has it."""
+    failed: Float[Array, "*B N G"]
+    """Log P(an attempt fails) now at each node of the grip offset."""
+    probability: Float[Array, "*B N"]
+    """P(an attempt succeeds) now."""
+
+
+class Outlook(NamedTuple):
+    """What may follow one attempt at each object of a table: what Q_1, Q° and V° are made of."""
+
+    chances: Chances
+    worth: Float[Array, "*B N"]
+    """Of an attempt to WASH, the penalty that it avoids included."""
+    attempt_s: Float[Array, "*B N"]
+    """Expected duration of an attempt with its transport [s]."""
+    left: Float[Array, "*B"]
+    """Price of leaving all."""
+    tries: Tries
+    """As `summed_tries` has them."""
+
+
+def outlook_of(config: WorldConfig, belief: Belief) -> Outlook:
+    """Look one attempt ahead, at each object."""
+    xp, law = library_of(belief.hides), known_grasping(config)
+    is_dirty, weights = expit(belief.log_odds), softmax(belief.grip.log_weights)
+    occluded, offset = occlusions_of_each(belief), grip_offsets(config, belief.grip.mean)
+    failed = law.log_failure(occluded[..., :-1, :, None], offset[..., None, :, :])
+    missing = xp.exp(failed)
+    by_way = _ONE - (weights[..., None, :, :] * missing).sum(axis=-1)
+    failed, probability = failed[..., 0, :, :], by_way[..., 0, :]
+    label = label_in_each(config, belief.seen, occluded)
+    tries = tries_after_label(
+        config,
+        is_dirty[..., None, None, :],
+        label_of_tries(is_dirty, *label),
+        probabilities_of_tries(by_way, *once_more(weights, _ONE - missing[..., 0, :, :])[1:]),
+    )
+    attempt_s = (weights * law.expected_s(occluded[..., 0, :, None], offset)).sum(axis=-1)
+    return Outlook(
+        chances=Chances(is_dirty, occluded, (label[0], label[1]), failed, probability),
+        worth=wash_worth(config, is_dirty, probability, counts_penalty=True),
+        attempt_s=config.transport_s + attempt_s,
+        left=_all_left(config, is_dirty, belief.is_on_table),
+        tries=summed_tries(tries, belief.is_on_table),
+    )
+
+
+def once_more(
+    weights: Float[Array, "*S G"], held: Float[Array, "*S G"], then: Float[Array, "*S G"] | None = None
+) -> tuple[Float[Array, "*S"], Float[Array, "*S"], Float[Array, "*S"]]:
+    """P(an attempt succeeds), and P(the next one does) after a success and after a failure.
+
+    `held` and `then` are P(this, and the next attempt succeeds) at each node of the grip offset; one where both are
+    made alike.
+    """
+    xp = library_of(weights)
+    this = weights * held
+    probability, both = this.sum(axis=-1), (this * (held if then is None else then)).sum(axis=-1)
+    next_one = probability if then is None else (weights * then).sum(axis=-1)
+    if_missed = (next_one - both) / xp.maximum(_ONE - probability, _TINY)
+    return probability, both / xp.maximum(probability, _TINY), if_missed
+
+
+def _all_left(
+    config: WorldConfig, is_dirty: Float[Array, "*B N"], is_on_table: Bool[Array, "*B N"]
+) -> Float[Array, "*B"]:
+    """Expected price of the dirty objects on the table."""
+    xp = library_of(is_dirty)
+    return config.reward_dirty_left * xp.where(is_on_table, is_dirty, _ZERO).sum(axis=-1)
+
+
+def one_step_q(config: WorldConfig, belief: Belief) -> Float[Array, "*B A"]:
+    """Q_1 of every action, in closed form; −∞ where an action is impossible."""
+    return rule_and_control(config, belief, outlook_of(config, belief))[0]
+
+
+def rule_and_control(
+    config: WorldConfig, belief: Belief, outlook: Outlook
+) -> tuple[Float[Array, "*B A"], Float[Array, "*B A"]]:
+    """Q_1 and Q°; with one step to go, both are Q_1, which is exact there."""
+    xp, steps = library_of(belief.hides), belief.steps_to_go - 1
+    probability, left, gain = outlook.chances.probability, outlook.left, outlook.tries.gain
+    rule = left_or_tried(_ZERO, outlook.tries, steps[..., None, None])
+    control = gain * (steps > 0).astype(np.float32)[..., None, None]
+    gains = xp.concatenate([rule[None], control[None]])
+    after_miss = (_ONE - probability) * gains[..., 0, :] + left[..., None]
+    wash = outlook.worth + probability * gains[..., 1, :] + after_miss
+    look = config.reward_lift_per_s * outlook.attempt_s
+    lift = look + probability * gains[..., 2, :] + after_miss
+    values = ActionSpace(probability.shape[-1]).join(
+        xp.concatenate([left[None]] * 2), {Verb.WASH: wash, Verb.LIFT: lift}
+    )
+    values = xp.where(possible_actions(belief), values, _NEVER)
+    return values[0], values[1]
+
+
+def control_value(belief: Belief, outlook: Outlook) -> Float[Array, "*B"]:
+    """V°: every object is left where it stands, or tried once if that is worth more, however few steps remain."""
+    xp = library_of(outlook.worth)
+    return outlook.left + xp.where(belief.is_on_table, xp.maximum(outlook.worth, _ZERO), _ZERO).sum(axis=-1)
+
+
+def leaf_value(config: WorldConfig, belief: Belief) -> Float[Array, "*B"]:
+    """V_0: every object is left where it stands, or tried once if that is worth more."""
+    xp, is_dirty = library_of(belief.hides), expit(belief.log_odds)
+    occluded = occlusion_without(belief, xp.zeros_like(belief.is_on_table))
+    probability = grasp_probability(config, occluded, belief.grip)
+    worth = wash_worth(config, is_dirty, probability, counts_penalty=True)
+    tries = Tries(xp.maximum(worth, _ZERO), (worth > _ZERO).astype(np.float32)).among(belief.is_on_table)
+    return left_or_tried(_all_left(config, is_dirty, belief.is_on_table), tries, belief.steps_to_go)

@@ -4,29 +4,29 @@ Q_1 is the myopic look-ahead of `one_step`. Further ahead, Q_h(b, a) is the wort
 by that look-ahead, the last of them worth Q_1, which stands for all that comes after; by rollouts (`rollout`). With h
 as long as the path, the number of rollouts is all that bounds it.
 
-This is the planner under `jax.jit` and `jax.vmap`, its budget a number of rollouts; `anytime.plan` is the same one
-against a clock.
+Its budget is a number of rollouts; `anytime.plan` is the same planner against a clock.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import field
+from typing import ClassVar
 
-import jax
-import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Float
 
+from halfseen.arrays import STATIC, Array, library_of, record
 from halfseen.errors import ArgumentError
 from halfseen.planners.belief import belief_of
 from halfseen.planners.one_step import one_step_q
 from halfseen.planners.rollout import searched_values
-from halfseen.world.config import Number, WorldConfig
+from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Decision
+from halfseen.world.random import Key
 from halfseen.world.state import TableState
 
 NUM_SIMULATIONS = 256
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@record
 class POMDPPolicy:
     """The best action by a look of `planning_horizon` steps ahead.
 
@@ -46,13 +46,12 @@ class POMDPPolicy:
     """
 
     config: WorldConfig
-    planning_horizon: Number = 2
-    num_simulations: int = field(default=NUM_SIMULATIONS, metadata={"static": True})
+    planning_horizon: int = field(default=2, metadata=STATIC)
+    num_simulations: int = field(default=NUM_SIMULATIONS, metadata=STATIC)
+
+    num_robots: ClassVar[int] = 1
 
     def __post_init__(self) -> None:
-        # Under a transformation the horizon may be a placeholder without a value.
-        if not isinstance(self.planning_horizon, (int, float)):
-            return
         if not float(self.planning_horizon).is_integer():
             raise ArgumentError(f"planning_horizon is {self.planning_horizon}; it is a whole number")
         if self.planning_horizon == 1:
@@ -62,13 +61,14 @@ class POMDPPolicy:
             if getattr(self, name) < 1:
                 raise ArgumentError(f"{name} is {getattr(self, name)}; it is at least 1")
 
-    def decide(self, state: TableState, key: Array) -> Decision:
-        """Choose for one table; the rollouts draw from `key` (the probability of a choice is not known)."""
+    def decide(self, state: TableState, key: Key) -> Decision:
+        """Choose for each table; the rollouts draw from `key` (the probability of a choice is not known)."""
         q = self.q_values(state, key)
-        return Decision(jnp.argmax(q).astype(jnp.int32), jnp.full((), jnp.nan, dtype=jnp.float32))
+        xp = library_of(q)
+        return Decision(xp.argmax(q, axis=-1).astype(np.int32), xp.full(q.shape[:-1], np.nan, dtype=np.float32))
 
-    def q_values(self, state: TableState, key: Array) -> Float[Array, " A"]:
-        """Q_h of every action of one table; −∞ where an action is impossible."""
+    def q_values(self, state: TableState, key: Key) -> Float[Array, "*B A"]:
+        """Q_h of every action; −∞ where an action is impossible."""
         if self.num_simulations == 0:
             return one_step_q(self.config, belief_of(self.config, state))
         return searched_values(self.config, state, key, self.num_simulations, self.planning_horizon)

@@ -54,7 +54,7 @@ def decider_of(
         )
     if isinstance(policy, FlatPolicy):
         return NamedDecider(policy, ranges, extrapolates, q_error)
-    # Tables load JAX, which takes longer than a decision on named actions.
+    # Tables load the world, which takes longer than a decision on named actions.
     from halfseen.policies.table_decider import TableDecider
     from halfseen.world.policy import Policy
 

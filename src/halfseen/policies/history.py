@@ -14,10 +14,10 @@ from halfseen.logs.columns import as_floats
 from halfseen.logs.refusal import place, shown, value_at
 from halfseen.policies.identity import Identities, by_order, by_place
 from halfseen.tables.present import Known, Present, Tried, state_now, unknown
-from halfseen.world.action_space import TARGETED, Verb
-from halfseen.world.recording import states_of
+from halfseen.world.actions import TARGETED, Verb
+from halfseen.world.log_checks import PLACE_COLUMNS
+from halfseen.world.logs import states_of
 from halfseen.world.scene import Scene
-from halfseen.world.table_checks import PLACE_COLUMNS
 
 
 def present_state(
@@ -89,8 +89,8 @@ class _Done(NamedTuple):
 def _last_table(path: Logs, horizon: int) -> Any:
     """The fields of the last state of a path, as NumPy arrays."""
     states = vars(states_of(path, max(horizon, path.horizon)))
-    known = {name: leaf for name, leaf in states.items() if leaf is not None}
-    return SimpleNamespace(**{name: np.asarray(leaf)[0, path.horizon - 1] for name, leaf in known.items()})
+    known = {name: leaf for name, leaf in states.items() if isinstance(leaf, np.ndarray)}
+    return SimpleNamespace(**{name: leaf[0, path.horizon - 1] for name, leaf in known.items()})
 
 
 def _last_rows(path: Logs) -> pd.DataFrame:

@@ -8,13 +8,9 @@ from halfseen.policies.folder.stored import StoredPolicy
 
 UNDECIDED = (
     "which looks at what each robot is at, and that is not given here; ask read_policy(FOLDER).policy.decide of a "
-    "halfseen.team.TeamState"
+    "halfseen.world.TableState"
 )
-UNJUDGED = (
-    "and how likely such a policy would have done what a log shows is not worked out yet; play it by "
-    "`halfseen evaluate POLICY --world --team ROBOTS`, or halfseen.team.TeamWorld.evaluate"
-)
-"""What comes of it, where it is to decide, or to be judged by a log."""
+"""What comes of it, where it is to decide."""
 
 
 def refuse_team(stored: StoredPolicy, trouble: str, folder: str | Path | None = None) -> None:
@@ -42,20 +38,25 @@ def refuse_team(stored: StoredPolicy, trouble: str, folder: str | Path | None = 
 
 
 def refuse_log_of_team(stored: StoredPolicy, logs: Logs) -> None:
-    """Refuse a log of several robots for a policy of one robot's tables.
+    """Refuse a log of several robots for a policy of one robot's tables, and one of one robot for a policy of a team.
 
     Raises
     ------
     PolicyError
-        The log is of several robots, or of a team of one.
+        The log is of several robots, or of a team of one; or it is not, and the policy is a team's.
     """
-    if not stored.is_table:
+    if not stored.is_table and stored.num_robots is None:
         return
-    # It brings JAX, which policies of named actions do without.
-    from halfseen.team.log_checks import robots_in
+    # Policies of named actions do without the world.
+    from halfseen.world.robot_checks import robots_in
 
-    if robots_in(logs):
+    if stored.num_robots is not None and not robots_in(logs):
+        raise PolicyError(
+            f"the log is of one robot, and the policy decides for a team of {stored.num_robots}; give a log of such a "
+            "team"
+        )
+    if stored.is_table and robots_in(logs):
         raise PolicyError(
             f"the log is of a team of {robots_in(logs)}, and the policy decides for one robot; take the part of one, "
-            "halfseen.team.alone(logs, robot)"
+            "halfseen.tables.agent_view(logs, robot)"
         )

@@ -10,7 +10,7 @@ from halfseen.errors import ArgumentError, PolicyError
 from halfseen.learning.flat_policy import FlatPolicy
 from halfseen.policies.folder.stored import StoredPolicy
 from halfseen.policies.onnx_flat import flat_graph
-from halfseen.tables.table_policy import LinearTablePolicy
+from halfseen.tables.policy import LinearTablePolicy
 
 
 def onnx_model(stored: StoredPolicy, num_objects: int | None = None) -> bytes:
@@ -29,8 +29,6 @@ def onnx_model(stored: StoredPolicy, num_objects: int | None = None) -> bytes:
         It is of another kind.
     ArgumentError
         It holds what ONNX cannot, or `num_objects` is not for it.
-    ModuleNotFoundError
-        For a policy of tables, jax2onnx is not installed.
     """
     policy = stored.policy
     if isinstance(policy, FlatPolicy):

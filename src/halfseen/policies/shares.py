@@ -5,13 +5,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Int
 
 from halfseen.learning.path_arrays import stage_places
 from halfseen.learning.task import Task
 from halfseen.logs import Logs
-from halfseen.team.decided import decided
-from halfseen.team.learned_policy import LinearTeamPolicy
 
 
 def action_shares(policy: Any, task: Task, parts: Iterable[Logs]) -> pd.DataFrame:
@@ -48,7 +45,7 @@ def action_shares(policy: Any, task: Task, parts: Iterable[Logs]) -> pd.DataFram
 def _counted(policy: Any, task: Task, logs: Logs) -> pd.DataFrame:
     """Count in a part of a log, by stage, states, known actions, those that the policy takes, and what it takes."""
     at, horizon = stage_places(logs), horizon_of(policy)
-    taken = _taken(policy, task, logs, horizon)[at]
+    taken = task.target_probabilities(policy, logs, horizon)[at].argmax(axis=1)
     encoded = task.encode(logs, horizon)
     block = task.block_of_action(encoded.is_possible.shape[-1])[taken]
     is_known = logs.stages["action"].notna().to_numpy()
@@ -61,12 +58,6 @@ def _counted(policy: Any, task: Task, logs: Logs) -> pd.DataFrame:
     rows |= {name: (block == k).astype(int) for k, name in enumerate(task.block_names)}
     each: Any = pd.DataFrame(rows)
     return each.groupby("stage", as_index=False).sum()
-
-
-def _taken(policy: Any, task: Task, logs: Logs, horizon: int) -> Int[np.ndarray, "n T"]:
-    if isinstance(policy, LinearTeamPolicy):
-        return decided(policy, logs, horizon)
-    return task.target_probabilities(policy, logs, horizon).argmax(axis=2)
 
 
 def horizon_of(policy: Any) -> int:

@@ -4,8 +4,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -14,12 +12,13 @@ from halfseen.policies.decision import Decision
 from halfseen.policies.ranges import RangesOfStage, beyond, everything, refuse_far
 from halfseen.policies.reasons import values_by_name
 from halfseen.policies.table_reason import table_reason
+from halfseen.tables.policy import LinearTablePolicy
 from halfseen.tables.present import Present
 from halfseen.tables.reasons import Grounds, table_grounds
-from halfseen.tables.table_policy import LinearTablePolicy
-from halfseen.world.action_space import ActionSpace, Verb
+from halfseen.world.actions import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Policy
+from halfseen.world.random import Key, key_of
 from halfseen.world.state import TableState
 
 UNBOUNDED = ("num_objects",)
@@ -61,9 +60,9 @@ class TableDecider:
         PolicyError
             Far more or fewer objects are there than the logs showed, and Q is not to be extrapolated.
         """
-        return self.decide_with(observation, jax.random.key(self.seed))
+        return self.decide_with(observation, key_of(self.seed))
 
-    def decide_with(self, observation: Present, key: jax.Array) -> Decision:
+    def decide_with(self, observation: Present, key: Key) -> Decision:
         """Decide with a key of one's own, such as that of a decision to be told anew.
 
         Raises
@@ -78,7 +77,7 @@ class TableDecider:
         warnings = (*observation.notes, *beyond(ranges, values))
         grounds = Grounds.of(state, observation.dirty_share, self._worst_wash())
         if not hasattr(self.policy, "q_values"):
-            action = int(jax.jit(type(self.policy).decide)(self.policy, state, key).action)
+            action = int(self.policy.decide(state, key).action)
             rule = type(self.policy).__name__
             return Decision(
                 names[action], {}, f"{names[action]}: by {rule}; {table_grounds(grounds, action)}.", warnings
@@ -88,14 +87,15 @@ class TableDecider:
         return Decision(names[int(np.argmax(q))], values_by_name(names, q), reason, warnings, intervals, chance_best)
 
     def _valued(
-        self, observation: Present, key: jax.Array, names: tuple[str, ...]
+        self, observation: Present, key: Key, names: tuple[str, ...]
     ) -> tuple[Float[np.ndarray, " A"], dict[str, tuple[float, float]], dict[str, float]]:
         """What the policy goes by, and how sure Q is, by name; nothing where nobody knows."""
         policy: Any = self.policy
         state, stage = observation.state, observation.stage
         if not (isinstance(policy, LinearTablePolicy) and policy.margin is not None and self.q_error):
-            return _as_floats(jax.jit(type(policy).q_values)(policy, state, key)), {}, {}
-        q, estimates, deviations = map(_as_floats, _told(policy, state))
+            return _as_floats(policy.q_values(state, key)), {}, {}
+        told = policy.q_values(state), policy.estimates(state), policy.deviations(state)
+        q, estimates, deviations = map(_as_floats, told)
         blocks = ActionSpace(state.num_objects).verbs
         of_stage = self.q_error.stages_from(stage, stage + int(state.steps_to_go) - 1), self.q_error.lasting
         error = deviations / self.q_error.pessimism
@@ -106,12 +106,6 @@ class TableDecider:
         if isinstance(config, WorldConfig):
             return float(config.reward_wash_clean)
         return self.least_rewards.get(Verb.WASH.name)
-
-
-@jax.jit
-def _told(policy: LinearTablePolicy, state: TableState):
-    """What the policy goes by, Q itself, and what tells how sure that is."""
-    return policy.q_values(state), policy.estimates(state), policy.deviations(state)
 
 
 def observed_values(state: TableState) -> dict[str, dict[str, float]]:
@@ -127,4 +121,4 @@ def observed_values(state: TableState) -> dict[str, dict[str, float]]:
 
 
 def _as_floats(values: Any) -> np.ndarray:
-    return np.asarray(jnp.asarray(values), dtype=np.float64)
+    return np.asarray(values, dtype=np.float64)

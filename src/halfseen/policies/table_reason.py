@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from halfseen.policies.reasons import lead, next_best
 from halfseen.tables.reasons import Grounds, table_grounds
-from halfseen.world.action_space import ActionSpace
+from halfseen.world.actions import ActionSpace
 
 
 def table_reason(grounds: Grounds, q: Float[np.ndarray, " A"], chance_best: Mapping[str, float] | None = None) -> str:

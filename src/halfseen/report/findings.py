@@ -26,7 +26,7 @@ from halfseen.workers import ALONE, Workers
 
 ASKED = {"censoring_covariates": "covariates", "truncate_at": "truncate_at"}
 """Name on the page → name in the specification of the cuts, where it has one."""
-LIBRARIES = ("jax", "matplotlib", "numpy", "pandas", "scikit-learn", "scipy")
+LIBRARIES = ("matplotlib", "numpy", "pandas", "scikit-learn", "scipy")
 
 
 @dataclass(frozen=True, eq=False)

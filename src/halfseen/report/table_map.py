@@ -15,7 +15,7 @@ from halfseen.learning.path_arrays import stage_places
 from halfseen.learning.task import Task
 from halfseen.logs import Logs
 from halfseen.policies.shares import horizon_of
-from halfseen.world.action_space import TARGETED, ActionSpace
+from halfseen.world.actions import TARGETED, ActionSpace
 
 NUM_CELLS = 10
 FEWEST_OBJECTS = 20

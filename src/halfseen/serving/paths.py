@@ -163,7 +163,7 @@ class RecordedPaths:
         return path.name
 
     def _check_table(self, logs: Logs) -> None:
-        from halfseen.world.table_checks import checked_objects
+        from halfseen.world.log_checks import checked_objects
 
         checked_objects(logs, logs.horizon)
         self._checked = logs

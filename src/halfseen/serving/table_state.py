@@ -5,18 +5,16 @@ from dataclasses import replace
 from itertools import count
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from halfseen.arrays import Points
+from halfseen.arrays import Points, mapped
 from halfseen.logs.journal.values import Schema
 from halfseen.logs.recording.log_so_far import log_so_far
 from halfseen.policies.folder.stored import StoredPolicy
 from halfseen.tables.present import Present
-from halfseen.world.recording import objects_of, states_of
+from halfseen.world.log_checks import DISHWASHER, OPTIONAL_COLUMNS, PLACE_COLUMNS, TABLE
+from halfseen.world.logs import objects_of, states_of
 from halfseen.world.state import TableState
-from halfseen.world.table_checks import DISHWASHER, OPTIONAL_COLUMNS, PLACE_COLUMNS, TABLE
 
 Row = dict[str, Any]
 
@@ -31,7 +29,7 @@ def present_of(stored: StoredPolicy, objects: Sequence[dict[str, Any]], stage: i
     stored
         A policy of tables.
     objects
-        A dict for each, with the columns that `halfseen.world.recording` writes.
+        A dict for each, with the columns that `halfseen.world.logs` writes.
     stage
         The stage to decide, from 1.
 
@@ -50,8 +48,8 @@ def present_of(stored: StoredPolicy, objects: Sequence[dict[str, Any]], stage: i
     _, told = Schema().with_stage({}, list(objects), _NOTHING_DONE, "the request")
     begun = {"event": "stage", "path": 1, "stage": 1, "at_s": 0.0, "columns": {}, **told}
     states = states_of(log_so_far([begun]), stored.horizon)
-    state = jax.tree.map(lambda leaf: leaf[0, 0], states)
-    state = replace(state, steps_to_go=jnp.int32(stored.horizon - stage + 1))
+    state = mapped(lambda leaf: leaf[0, 0], states)
+    state = replace(state, steps_to_go=np.int32(stored.horizon - stage + 1))
     dirty_share = stored.record["schema"]["dirty_share"]
     return Present(state, stage, is_labelled=True, dirty_share=dirty_share), sorted(one["object"] for one in objects)
 
@@ -111,8 +109,8 @@ def _washed(row: Row) -> Row:
 
 
 def _rows_on_table(state: TableState, counts_views: bool) -> list[Row]:
-    """Rows of the objects of one state, as `halfseen.world.recording` writes them, in every stage the same columns."""
-    stage = jax.tree.map(lambda leaf: leaf[None, None], state)
+    """Rows of the objects of one state, as `halfseen.world.logs` writes them, in every stage the same columns."""
+    stage = mapped(lambda leaf: leaf[None, None], state)
     table = objects_of(stage, np.zeros((1, 2), dtype=np.int64)).drop_columns(["path", "stage"])
     zeros = dict.fromkeys(OPTIONAL_COLUMNS, 0.0) if counts_views else {}
     return [zeros | row for row in table.to_pylist()]

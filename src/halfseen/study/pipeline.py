@@ -25,7 +25,6 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Literal, NamedTuple
 
-import jax
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
@@ -42,14 +41,16 @@ from halfseen.study.policies import logging_policy
 from halfseen.study.tried import tried_in
 from halfseen.tables.encoding import encoded_states
 from halfseen.tables.grasp.choice import choose_by
-from halfseen.tables.table_policy import LinearTablePolicy
-from halfseen.world.action_space import ActionSpace, Verb
+from halfseen.tables.policy import LinearTablePolicy
+from halfseen.world import random
+from halfseen.world.actions import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.cuts import CutEpisodes, CutKind, cut, cut_rate
-from halfseen.world.episodes import Episodes, evaluate_some, play
 from halfseen.world.grasp_model import GraspModel
+from halfseen.world.logs import elapsed_s
 from halfseen.world.policy import Policy
-from halfseen.world.recording import elapsed_s
+from halfseen.world.random import Key
+from halfseen.world.rollout import Episodes, evaluate_some, play
 from halfseen.world.state import Layout
 from halfseen.world.table_world import NUM_PILOT_PATHS
 
@@ -64,9 +65,9 @@ Grasp = GraspModel | Literal["auto"] | None
 
 
 @lru_cache(maxsize=64)
-def random_key(seed: int, purpose: int, index: int = 0) -> jax.Array:
+def random_key(seed: int, purpose: int, index: int = 0) -> Key:
     """Key of one purpose of a repetition."""
-    return jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), purpose), index)
+    return random.fold_in(random.fold_in(random.key_of(seed), purpose), index)
 
 
 class Played(NamedTuple):

@@ -7,18 +7,17 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from halfseen.arrays import mapped
 from halfseen.study.experiment import Setting
 from halfseen.study.pipeline import Source
 from halfseen.study.policies import Contender
 from halfseen.tables.features import NUM_FEATURES
-from halfseen.tables.table_policy import LinearTablePolicy
-from halfseen.world.action_space import Verb
-from halfseen.world.episodes import BATCH
+from halfseen.tables.policy import LinearTablePolicy
+from halfseen.world import random
+from halfseen.world.actions import Verb
 from halfseen.world.policy import Policy
 from halfseen.world.state import TableState
 
@@ -27,45 +26,29 @@ MOST_TIMED_S = 0.25
 FEWEST_TIMED = 3
 
 
-@jax.jit
-def decided(policy: Policy, state: TableState, key: jax.Array) -> jax.Array:
-    """Decide for one table, compiled once for all policies of a kind."""
-    return policy.decide(state, key).action
-
-
 def states_along_the_way(source: Source, num_states: int) -> list[TableState]:
     """One state from each of many paths of the logging policy, early and late ones in turn."""
-    # As many as other paths are played at once: for these, the program is there.
-    episodes = source.play(max(num_states, BATCH))
+    episodes = source.play(num_states)
     num_stages = np.asarray(episodes.is_taken).sum(axis=1)
-    return [jax.tree.map(lambda leaf, k=k: leaf[k, k % num_stages[k]], episodes.states) for k in range(num_states)]
+    return [mapped(lambda leaf, k=k: leaf[k, k % num_stages[k]], episodes.states) for k in range(num_states)]
 
 
 def decision_times_ms(
     policies: Mapping[str, Policy], states: Sequence[TableState]
 ) -> dict[str, Float[np.ndarray, " S"]]:
-    """Time of a decision of each policy, on one core, after compilation [ms].
+    """Time of a decision of each policy, on one core [ms].
 
     Each decides once on each state, the policies in turn, so that what slows the machine slows them alike; a policy
     stops once `MOST_TIMED_S` are spent on it.
     """
-    key = jax.random.key(0)
-    for policy in policies.values():
-        decided(policy, states[0], key).block_until_ready()
+    key = random.key_of(0)
     times: dict[str, list[float]] = {name: [] for name in policies}
     with one_core():
         for state in states:
             for name, policy in policies.items():
                 if sum(times[name]) < 1e3 * MOST_TIMED_S or len(times[name]) < FEWEST_TIMED:
-                    times[name].append(1e3 * seconds(partial(_decided, policy, state, key)))
+                    times[name].append(1e3 * seconds(partial(policy.decide, state, key)))
     return {name: np.array(values) for name, values in times.items()}
-
-
-def compile_decisions(setting: Setting, contenders: Iterable[Contender]) -> None:
-    """Compile what is timed later, when nothing else runs: all processes share what is compiled."""
-    state = states_along_the_way(Source.of(setting), 1)[0]
-    for policy in _timed_policies(setting, contenders).values():
-        decided(policy, state, jax.random.key(0))
 
 
 def measured_times(setting: Setting, contenders: Iterable[Contender], num_states: int) -> dict[str, float]:
@@ -77,12 +60,8 @@ def measured_times(setting: Setting, contenders: Iterable[Contender], num_states
 
 def _timed_policies(setting: Setting, contenders: Iterable[Contender]) -> dict[str, Policy]:
     # The time of a learned decision does not depend on what was learned.
-    unlearned = jnp.zeros((setting.world.horizon, len(Verb), NUM_FEATURES + 1), dtype=jnp.float32)
+    unlearned = np.zeros((setting.world.horizon, len(Verb), NUM_FEATURES + 1), dtype=np.float32)
     return {each.name: each.policy(setting.world) if each.make else LinearTablePolicy(unlearned) for each in contenders}
-
-
-def _decided(policy: Policy, state: TableState, key: jax.Array) -> None:
-    decided(policy, state, key).block_until_ready()
 
 
 def seconds(function: Callable[[], object]) -> float:

@@ -3,9 +3,9 @@
 import numpy as np
 import pandas as pd
 
-from halfseen.world.action_space import FINISH, ActionSpace
+from halfseen.world.actions import FINISH, ActionSpace
 from halfseen.world.cuts import CutEpisodes
-from halfseen.world.recording import elapsed_s, history_of
+from halfseen.world.logs import elapsed_s, history_of
 
 
 def tried_in(cuts: CutEpisodes) -> pd.DataFrame:

@@ -1,10 +1,13 @@
 """The task of tables: where the learners meet the world.
 
 Read down: `features` (what Q looks at) → `grasp` (how likely a grasp is to succeed, learned from attempts) → `encoding`
-(logs → features) → `censoring_covariates` → `prior` → `variance_reduction` (less noise in the targets) → `table_policy`
-(what was learned) → `target_probabilities` → `task` (all of it behind one seam) → `learned_explanation` (how sure it
-may be) → `present` (what is seen now, and what was logged of the path so far → the state to decide in). Beside them,
-`laws` → `fitted_world`: a world whose laws were fitted to the same log, for planners that know no law.
+(logs → features) → `censoring_covariates` → `prior` → `variance_reduction` (less noise in the targets) → `margins`,
+`policy` (what was learned) → `target_probabilities` → `task` (all of it behind one seam) → `learned_explanation` (how
+sure it may be) → `present` (what is seen now, and what was logged of the path so far → the state to decide in).
+
+Of several robots: `agent_logs`, `independent` (each for itself) → `team_features` → `team_rewards` → `team_policy` →
+`team_task`. Beside them, `laws` → `fitted_world`: a world whose laws were fitted to the same log, for planners that
+know no law.
 """
 
 from typing import TYPE_CHECKING
@@ -12,24 +15,44 @@ from typing import TYPE_CHECKING
 from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from halfseen.tables.agent_logs import agent_view
     from halfseen.tables.fitted_world import fit_world
     from halfseen.tables.grasp.attempts import attempts
     from halfseen.tables.grasp.beta_grasp import BetaGrasp
     from halfseen.tables.grasp.svm_grasp import SVMGrasp
+    from halfseen.tables.independent import IndependentPolicies
     from halfseen.tables.learned_explanation import LearnedExplainer
-    from halfseen.tables.table_policy import LinearTablePolicy
+    from halfseen.tables.policy import LinearTablePolicy
     from halfseen.tables.task import TableTask
+    from halfseen.tables.team_policy import LinearTeamPolicy
+    from halfseen.tables.team_task import TeamTask
 
-__all__ = ["BetaGrasp", "LearnedExplainer", "LinearTablePolicy", "SVMGrasp", "TableTask", "attempts", "fit_world"]
+__all__ = [
+    "BetaGrasp",
+    "IndependentPolicies",
+    "LearnedExplainer",
+    "LinearTablePolicy",
+    "LinearTeamPolicy",
+    "SVMGrasp",
+    "TableTask",
+    "TeamTask",
+    "agent_view",
+    "attempts",
+    "fit_world",
+]
 
 __getattr__ = lazy_names(
     __name__,
     {
         "BetaGrasp": "grasp.beta_grasp",
+        "IndependentPolicies": "independent",
         "LearnedExplainer": "learned_explanation",
-        "LinearTablePolicy": "table_policy",
+        "LinearTablePolicy": "policy",
+        "LinearTeamPolicy": "team_policy",
         "SVMGrasp": "grasp.svm_grasp",
         "TableTask": "task",
+        "TeamTask": "team_task",
+        "agent_view": "agent_logs",
         "attempts": "grasp.attempts",
         "fit_world": "fitted_world",
     },

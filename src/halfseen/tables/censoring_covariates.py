@@ -10,8 +10,8 @@ from halfseen.learning.named_task import action_indicators
 from halfseen.learning.task import ACTION
 from halfseen.logs import Logs
 from halfseen.suggestions import did_you_mean
-from halfseen.world.action_space import Verb
-from halfseen.world.table_checks import TABLE
+from halfseen.world.actions import Verb
+from halfseen.world.log_checks import TABLE
 
 TABLE_COVARIATES = ("num_objects", "mean_occlusion", ACTION, "target_occlusion")
 """All of them; the first two are known as a path begins."""

@@ -1,30 +1,24 @@
 """From logs of tables to the dense arrays that the learner runs on."""
 
-from functools import partial
+from dataclasses import replace
 
-import jax
 import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Int
 
-from halfseen.arrays import on_device
+from halfseen.arrays import mapped
 from halfseen.errors import LogError
 from halfseen.learning.path_arrays import stage_places
 from halfseen.learning.task import Encoded
 from halfseen.logs import Logs
 from halfseen.logs.refusal import refuse, shown, value_at
 from halfseen.tables.features import table_features
-from halfseen.world.action_space import FINISH, ActionSpace, Verb, possible_actions
+from halfseen.world.actions import FINISH, TARGETED, VERB_NAMES, WAIT, ActionSpace, possible_actions, wait_of
 from halfseen.world.grasp_model import GraspModel
-from halfseen.world.recording import states_of
+from halfseen.world.logs import states_of
+from halfseen.world.robot_checks import begun_objects, robots_in
+from halfseen.world.robot_logs import told_by
 from halfseen.world.state import TableState
-from halfseen.world.table_checks import object_numbers
-
-
-@jax.jit
-def encode_states(states: TableState, grasp: GraspModel | None = None) -> tuple[jax.Array, jax.Array]:
-    """Features and possible actions of tables one after another; FINISH is possible even where there is no table."""
-    return jax.vmap(partial(table_features, grasp=grasp))(states), jax.vmap(possible_actions)(states)
 
 
 def encoded_states(
@@ -46,26 +40,14 @@ def encoded_states(
     grasp
         What tells the probability of a grasp in the features; None for the rule of succession.
     """
-    num_paths, horizon = is_state.shape
-    at = np.flatnonzero(is_state)
-    # Shapes that logs of about the same size share, for each is compiled for.
-    index = np.pad(at, (0, -len(at) % 1024))
-
-    def one_after_another(leaf: jax.Array) -> jax.Array:
-        each = np.asarray(leaf)[:num_paths]
-        return on_device(each.reshape(num_paths * horizon, *each.shape[2:]).take(index, axis=0))
-
-    features, is_possible = (
-        np.asarray(leaf)[: len(at)] for leaf in encode_states(jax.tree.map(one_after_another, states), grasp)
-    )
-    all_features = np.zeros((num_paths * horizon, *features.shape[1:]))
-    all_possible = np.zeros((num_paths * horizon, *is_possible.shape[1:]), dtype=bool)
-    all_possible[:, FINISH] = True
+    num_paths, at = len(is_state), np.nonzero(is_state)
+    there = mapped(lambda leaf: leaf[:num_paths][at], states)
+    features, is_possible = table_features(there, grasp), possible_actions(there)
+    all_features = np.zeros((*is_state.shape, *features.shape[1:]))
+    all_possible = np.zeros((*is_state.shape, is_possible.shape[1]), dtype=bool)
+    all_possible[..., FINISH] = True
     all_features[at], all_possible[at] = features, is_possible
-    shape = num_paths, horizon
-    return Encoded(
-        all_features.reshape(*shape, *features.shape[1:]), all_possible.reshape(*shape, *is_possible.shape[1:]), action
-    )
+    return Encoded(all_features, all_possible, action)
 
 
 def encode_tables(logs: Logs, horizon: int, grasp: GraspModel | None = None) -> Encoded:
@@ -85,50 +67,94 @@ def encode_tables(logs: Logs, horizon: int, grasp: GraspModel | None = None) -> 
     LogError
         An action is none that a table knows, or is done to an object that is not on the table; several robots decided.
     """
-    robots = logs.stages["robot"].nunique() if "robot" in logs.stages.columns else 1
-    if robots > 1:
-        raise LogError(
-            f"stages: the log is of {robots} robots, and one table's policy decides for one; learn it with "
-            "CensoredQLearner.for_team, or the part of one robot, halfseen.team.alone(logs, robot)"
-        )
-    states = states_of(logs, horizon)
+    states = table_states(logs, horizon)
     action = logged_actions(logs, horizon, states.num_objects)
-    return encoded_states(states, action, np.any(np.asarray(states.is_on_table), axis=-1), grasp)
+    return encoded_states(states, action, np.any(states.is_on_table, axis=-1), grasp)
 
 
-def logged_actions(logs: Logs, horizon: int, num_objects: int) -> Int[np.ndarray, "n T"]:
-    """Action number of every stage; FINISH where the log has no stage, or no action.
+def table_states(logs: Logs, horizon: int) -> TableState:
+    """Rebuild S_t of every stage of a log of one robot, axes (n, T), as one that works alone.
 
     Raises
     ------
     LogError
-        An action is none that a table knows.
+        Several robots decided, or the log breaks a rule of tables.
     """
-    stages = logs.stages
-    verbs = pd.Index([verb.name for verb in Verb]).get_indexer(stages["action"])
-    is_given = stages["action"].notna().to_numpy()
-    needs_object = is_given & (verbs > 0)
-    wrong = is_given & ((verbs < 0) | (needs_object & stages["object"].isna().to_numpy()))
+    robots = logs.stages["robot"].nunique() if "robot" in logs.stages.columns else 1
+    if robots > 1:
+        raise LogError(
+            f"stages: the log is of {robots} robots, and one table's policy decides for one; learn it with "
+            "CensoredQLearner.for_team, or the part of one robot, halfseen.tables.agent_view(logs, robot)"
+        )
+    return replace(states_of(logs, horizon), robots=None, workspace=None, decider=None)
+
+
+def team_states(logs: Logs, horizon: int, num_robots: int | None = None) -> TableState:
+    """Rebuild S_t of every stage of a log of several robots, axes (n, T).
+
+    Parameters
+    ----------
+    logs
+        The log.
+    horizon
+        T, the decisions of all robots together.
+    num_robots
+        K, which the log must have; None for any.
+
+    Raises
+    ------
+    LogError
+        It is of another number of robots, or breaks a rule of tables or of robots.
+    """
+    if not robots_in(logs):
+        # It says which of the columns of robots are missing.
+        told_by(logs, horizon)
+    states = states_of(logs, horizon)
+    if num_robots not in (None, states.num_robots):
+        raise LogError(
+            f"the log is of {states.num_robots} robots, and it is to be learned for {num_robots}; give "
+            "the number of the log"
+        )
+    return states
+
+
+def logged_actions(logs: Logs, horizon: int, num_objects: int, *, is_team: bool = False) -> Int[np.ndarray, "n T"]:
+    """Action number of every stage; FINISH where the log has no stage, or no action.
+
+    Parameters
+    ----------
+    logs
+        The log.
+    horizon
+        T.
+    num_objects
+        N.
+    is_team
+        Whether several robots decided, who WAIT as well.
+
+    Raises
+    ------
+    LogError
+        An action is none that a table, or a team, knows.
+    """
+    stages, known = logs.stages, VERB_NAMES[: None if is_team else -1]
+    verb = pd.Index(known).get_indexer(stages["action"])
+    has_object, is_given = stages["object"].notna().to_numpy(), stages["action"].notna().to_numpy()
+    has_target = is_given & np.isin(verb, TARGETED)
+    wrong = is_given & ((verb < 0) | (has_target & ~has_object) | (is_team & ~has_target & has_object))
 
     def unknown(row: int) -> str:
-        verb, target = (shown(value_at(stages, column, row)) for column in ("action", "object"))
-        return f"action {verb} of object {target} is none that a table knows; give {_verb_list()}"
+        said, target = (shown(value_at(stages, column, row)) for column in ("action", "object"))
+        who = "a team knows" if is_team else "a table knows"
+        return f"action {said} of object {target} is none that {who}; give {_in_words(is_team)}"
 
     refuse(stages, wrong, unknown)
     action = np.full((logs.num_paths, horizon), FINISH, dtype=np.int64)
-    codes = ActionSpace(num_objects).encode(np.maximum(verbs, 0), _number_of_target(logs))
-    action[stage_places(logs)] = np.where(needs_object, codes, FINISH)
+    codes = ActionSpace(num_objects).encode(verb, np.maximum(begun_objects(logs), 0))
+    action[stage_places(logs)] = np.select([has_target, verb == WAIT], [codes, wait_of(num_objects)], FINISH)
     return action
 
 
-def _verb_list() -> str:
-    *first, last = [verb.name for verb in Verb if verb is not Verb.FINISH]
-    return f"{', '.join(first)} or {last} with an object, or FINISH"
-
-
-def _number_of_target(logs: Logs) -> Int[np.ndarray, " rows"]:
-    """Number of each stage's object among those of its path; 0 where the action has none."""
-    assert logs.objects is not None
-    numbered = logs.objects[["path", "stage", "object"]].assign(number=object_numbers(logs.objects))
-    merged = logs.stages[["path", "stage", "object"]].merge(numbered, on=["path", "stage", "object"], how="left")
-    return merged["number"].fillna(0).to_numpy(dtype=np.int64)
+def _in_words(is_team: bool) -> str:
+    *first, last = [verb.name for verb in TARGETED]
+    return f"{', '.join(first)} or {last} with an object, {'WAIT or FINISH without one' if is_team else 'or FINISH'}"

@@ -34,16 +34,15 @@ What differs between targets decides between them. So the largest `soon` stands 
 all: the largest of the *others* tells as much of the table, but is least for the best target, and turned Q against it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+import numpy as np
+from jaxtyping import Bool, Float
 
-from halfseen.world.action_space import ActionSpace, Verb
+from halfseen.arrays import Array, expit, library_of
+from halfseen.world.actions import ActionSpace, Verb
 from halfseen.world.grasp_model import GraspModel
-from halfseen.world.number import namespace
 from halfseen.world.state import TableState, attempt_counts
 
 FEATURES_VERSION = 1
@@ -68,103 +67,110 @@ ROUNDING = 1e-6
 class Columns(NamedTuple):
     """What the features are made of, one number an object."""
 
-    is_there: Bool[Array, " N"]
-    table: list[Float[Array, " N"]]
+    is_there: Bool[Array, "*B N"]
+    table: list[Float[Array, "*B N"]]
     """To be summed over the objects on the table."""
-    idle: Float[Array, ""]
+    idle: Float[Array, "*B"]
     """What follows the sums."""
-    of_verb: Mapping[Verb, list[Float[Array, " N"]]]
+    of_verb: Mapping[Verb, list[Float[Array, "*B N"]]]
     """Of each object as a target of the verb."""
+
+    def of_table(self) -> Float[Array, "*B 11"]:
+        """Describe the table: the sums, and what follows them."""
+        xp, each = library_of(self.idle), stacked_columns(self.table)
+        sums = xp.sum(xp.where(self.is_there[..., None, :], each, np.float32(0.0)), axis=-1)
+        return xp.concatenate([sums, self.idle[..., None]], axis=-1)
+
+
+def stacked_columns(values: Sequence[Float[Array, "*B N"]]) -> Float[Array, "*B f N"]:
+    """Stack what is known of each object."""
+    return library_of(*values).stack(values, axis=-2)
 
 
 def table_columns(state: TableState, grasp: GraspModel | None = None) -> Columns:
-    """Find what the features of one table are made of."""
-    is_dirty = jax.nn.sigmoid(state.log_odds)
-    win, sure = jax.nn.relu(is_dirty - 0.5), jax.nn.relu(is_dirty - 0.75)
-    doubt = 4.0 * is_dirty * (1.0 - is_dirty)
+    """Find what the features of tables are made of."""
+    xp, is_dirty = library_of(state.log_odds), expit(state.log_odds)
+    win, sure = _above(is_dirty, 0.5), _above(is_dirty, 0.75)
+    doubt, unseen = 4.0 * is_dirty * (1.0 - is_dirty), 1.0 - state.seen
     in_sight, laid_bare = _sight(state)
-    unseen = 1.0 - state.seen
     ease = in_sight * succession(*attempt_counts(state), state.grip) if grasp is None else grasp.probability(state)
-    soon = ease * _win_after_look(is_dirty, jnp.where(state.seen > 0.0, 0.0, in_sight))
+    soon = ease * _win_after_look(is_dirty, xp.where(state.seen > 0.0, np.float32(0.0), in_sight))
     clearer = ease * (ease * _win_after_look(is_dirty, unseen) - soon)
-    best = jnp.max(jnp.where(state.is_on_table, soon, 0.0), initial=0.0)
-    laid_bare_doubt = ease * jnp.sum(laid_bare * (doubt * unseen), axis=1)
+    best = xp.max(xp.where(state.is_on_table, soon, np.float32(0.0)), axis=-1)
+    behind = stacked_columns([win, doubt * unseen]) @ laid_bare
+    laid_bare_win, laid_bare_doubt = ease * behind[..., 0, :], ease * behind[..., 1, :]
     in_doubt, left_to_see = ([part, ease, part * ease] for part in (doubt, doubt * unseen))
     at_stake = [win, win * ease, sure, sure * ease]
+    washed = [laid_bare_win, laid_bare_doubt, is_dirty, is_dirty * ease, ease, *at_stake, soon, soon * ease]
+    # Rounding is no variance: where nothing else varies, a regression would scale it up.
+    gained = xp.where(clearer > ROUNDING, clearer, np.float32(0.0))
     return Columns(
         is_there=state.is_on_table,
-        table=[is_dirty, jnp.ones_like(is_dirty), *at_stake, *in_doubt, soon],
-        idle=jnp.exp(-8.0 * best),
-        of_verb={
-            Verb.WASH: [
-                ease * jnp.sum(laid_bare * win, axis=1),
-                laid_bare_doubt,
-                is_dirty,
-                is_dirty * ease,
-                ease,
-                *at_stake,
-                soon,
-                soon * ease,
-            ],
-            # Rounding is no variance: where nothing else varies, a regression would scale it up.
-            Verb.LIFT: [laid_bare_doubt, *left_to_see, jnp.where(clearer > ROUNDING, clearer, 0.0)],
-        },
+        table=[is_dirty, xp.ones_like(is_dirty), *at_stake, *in_doubt, soon],
+        idle=xp.exp(-8.0 * best),
+        of_verb={Verb.WASH: washed, Verb.LIFT: [laid_bare_doubt, *left_to_see, gained]},
     )
 
 
-def table_features(state: TableState, grasp: GraspModel | None = None) -> Float[Array, "A F"]:
-    """φ(S, a) of every action of one table, in the order of the actions, padded with zeros to F = 22."""
+def table_features(state: TableState, grasp: GraspModel | None = None) -> Float[Array, "*B A F"]:
+    """φ(S, a) of every action of tables, in the order of the actions, padded with zeros to F = 22."""
     columns = table_columns(state, grasp)
-    sums = jnp.sum(jnp.where(columns.is_there[:, None], jnp.stack(columns.table, axis=-1), 0.0), axis=0)
-    table = jnp.append(sums, columns.idle)
-    shared = jnp.broadcast_to(table, (state.num_objects, len(table)))
-    each = {
-        verb: _padded(jnp.concatenate([shared, jnp.stack(values, axis=-1)], axis=1))
-        for verb, values in columns.of_verb.items()
-    }
-    return ActionSpace(state.num_objects).join(_padded(table[None, :1])[0], each)
+    table = columns.of_table()
+    xp, shape = library_of(table), (*table.shape[:-1], state.num_objects)
+    shared = xp.broadcast_to(table[..., None, :], (*shape, NUM_TABLE_FEATURES))
+
+    def of_verb(values: Sequence[Float[Array, "*B N"]]) -> Float[Array, "*B N F"]:
+        padding = xp.zeros((*shape, NUM_FEATURES - NUM_TABLE_FEATURES - len(values)), dtype=np.float32)
+        return xp.concatenate([shared, xp.stack(values, axis=-1), padding], axis=-1)
+
+    rest = xp.zeros((*table.shape[:-1], NUM_FEATURES - 1), dtype=np.float32)
+    finish = xp.concatenate([table[..., :1], rest], axis=-1)[..., None, :]
+    return xp.concatenate([finish, *map(of_verb, columns.of_verb.values())], axis=-2)
 
 
 def table_q(
-    coefficients: Float[Array, "K F"], state: TableState, grasp: GraspModel | None = None
-) -> Float[Array, " A"]:
-    """Q of every action of one table, with the offset first in `coefficients`: what `q_values` makes of the features.
+    coefficients: Float[Array, "*#B K F"], state: TableState, grasp: GraspModel | None = None
+) -> Float[Array, "*B A"]:
+    """Q of every action of tables, with the offset first in `coefficients`: what `q_values` makes of the features.
 
-    The features are never put together: each sum runs over objects and features at once, and a decision takes half
-    the time.
+    The features are never put together, so that a decision takes a third of the time.
     """
     columns = table_columns(state, grasp)
-    offset, shared, own = jnp.split(coefficients, [1, 1 + NUM_TABLE_FEATURES], axis=1)
+    table = columns.of_table()[..., None]
     # FINISH looks at the first alone.
-    shared = shared.at[Verb.FINISH, 1:].set(0.0)
-    per_object = sum(value[:, None] * shared[None, :, f] for f, value in enumerate(columns.table))
-    sums = jnp.sum(jnp.where(columns.is_there[:, None], per_object, 0.0), axis=0)
-    table = offset[:, 0] + sums + columns.idle * shared[:, -1]
-    each = {
-        verb: table[verb] + sum(value * own[verb, f] for f, value in enumerate(values))
-        for verb, values in columns.of_verb.items()
-    }
-    return ActionSpace(state.num_objects).join(table[Verb.FINISH], each)
+    finish = coefficients[..., Verb.FINISH, 0] + coefficients[..., Verb.FINISH, 1] * table[..., 0, 0]
+    each = {verb: _q_of_verb(coefficients[..., verb, :], table, values) for verb, values in columns.of_verb.items()}
+    return ActionSpace(state.num_objects).join(finish, each)
 
 
-def _padded(features: Float[Array, "M f"]) -> Float[Array, "M F"]:
-    return jnp.pad(features, ((0, 0), (0, NUM_FEATURES - features.shape[1])))
+def _q_of_verb(
+    coefficients: Float[Array, "*#B F"], table: Float[Array, "*B 11 1"], values: Sequence[Float[Array, "*B N"]]
+) -> Float[Array, "*B N"]:
+    first = 1 + NUM_TABLE_FEATURES
+    offset, shared = coefficients[..., :1], coefficients[..., None, 1:first] @ table
+    own = coefficients[..., None, first : first + len(values)] @ stacked_columns(values)
+    return offset + shared[..., 0] + own[..., 0, :]
 
 
-def _win_after_look(is_dirty: Float[Array, " N"], shown: Float[Array, " N"]) -> Float[Array, " N"]:
+def _above(values: Float[Array, "*B N"], least: Any) -> Float[Array, "*B N"]:
+    return library_of(values).maximum(values - least, np.float32(0.0))
+
+
+def _win_after_look(is_dirty: Float[Array, "*B N"], shown: Float[Array, "*B N"]) -> Float[Array, "*B N"]:
     step = shown / 4.0
-    return (jax.nn.relu(is_dirty - 0.5 + step) + jax.nn.relu(is_dirty - 0.5 - step)) / 2.0
+    return (_above(is_dirty, 0.5 - step) + _above(is_dirty, 0.5 + step)) / 2.0
 
 
 def succession(successes: Any, failures: Any, grip: Any) -> Any:
     """Rule of succession for a grip, times what shows of it: P(held) of objects that are wholly in sight."""
-    likelier = (1.0 + LIKELY_ODDS) / (LIKELY_ODDS + namespace(grip).exp(-grip))
+    likelier = (1.0 + LIKELY_ODDS) / (LIKELY_ODDS + library_of(grip).exp(-grip))
     return (1.0 + successes) / (1.0 + successes + failures) * likelier
 
 
-def _sight(state: TableState) -> tuple[Float[Array, " N"], Float[Array, "N N"]]:
-    """Share of each object in sight; and [i, j], how much more of j would be without i, 0 for what is not there."""
-    left = jnp.where(state.is_on_table[None, :], jnp.maximum(1.0 - state.hides, LEAST_IN_SIGHT), 1.0)
-    in_sight = jnp.prod(left, axis=1)
-    more = jnp.where(state.is_on_table[:, None], in_sight[:, None] * (1.0 / left - 1.0), 0.0)
-    return in_sight, more.T
+def _sight(state: TableState) -> tuple[Float[Array, "*B N"], Float[Array, "*B N N"]]:
+    """Share of each object in sight; and [j, i], how much more of j would be without i, 0 for what is not there."""
+    xp, is_there = library_of(state.hides), state.is_on_table
+    left = xp.where(is_there[..., None, :], xp.maximum(1.0 - state.hides, LEAST_IN_SIGHT), np.float32(1.0))
+    in_sight = xp.prod(left, axis=-1)
+    more = xp.where(is_there[..., None], in_sight[..., None] * (1.0 / left - 1.0), np.float32(0.0))
+    return in_sight, more

@@ -9,7 +9,6 @@ over eight, in the world's default numbers, and checked on others: ``benchmarks/
 
 from dataclasses import dataclass, replace
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -17,8 +16,8 @@ from halfseen.errors import ArgumentError
 from halfseen.learning.q_learner import CensoredQLearner
 from halfseen.learning.resampling import bootstrap
 from halfseen.logs import Logs
-from halfseen.tables.table_policy import LinearTablePolicy
-from halfseen.world.action_space import possible_actions
+from halfseen.tables.policy import LinearTablePolicy
+from halfseen.world.actions import possible_actions
 from halfseen.world.explanation import Explanation, alike, explained
 from halfseen.world.state import TableState, check_goes_on
 
@@ -27,14 +26,6 @@ WIDENED = 1.5
 
 LASTING_ERROR = 0.1
 """Error of Q that no log takes away, in standard deviations of what a stage pays."""
-
-
-@jax.jit
-def _told(policy: LinearTablePolicy, replicates: jax.Array, state: TableState):
-    """What the policy goes by, Q itself, draws of it, and what is possible."""
-    bare = replace(policy, margin=None)
-    draws = jax.vmap(lambda coefficients: replace(bare, coefficients=coefficients).q_values(state))(replicates)
-    return policy.q_values(state), bare.q_values(state), draws, possible_actions(state)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,11 +98,12 @@ class LearnedExplainer:
             `level` is out of range, or the path is over.
         """
         check_goes_on(state)
-        leaves = _told(self.policy, self.replicates.coefficients, state)
-        values, q, draws, is_possible = (np.asarray(leaf) for leaf in leaves)
+        bare = replace(self.policy, margin=None)
+        drawn = replace(bare, coefficients=self.replicates.coefficients).q_values(state)
+        values, q, is_possible = self.policy.q_values(state), bare.q_values(state), possible_actions(state)
         # In float32 interchangeable objects differ by rounding, and that must not choose.
         same = alike(state)
-        values, q, draws = (leaf[..., same].astype(np.float64) for leaf in (values, q, draws))
+        values, q, draws = (leaf[..., same].astype(np.float64) for leaf in (values, q, drawn))
         is_known = is_possible & np.isfinite(values)
         return explained(values, _stretched(q, draws, is_known, self.lasting_error), is_known, level)
 

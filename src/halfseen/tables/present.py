@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from halfseen.arrays import Hides, PerObject, on_device
+from halfseen.arrays import Hides, PerObject
 from halfseen.errors import PolicyError
 from halfseen.world.scene import Scene
 from halfseen.world.seeing import KnownSeeing, label_evidence
@@ -158,7 +158,7 @@ def state_now(hides: Hides, known: Known, tried: Sequence[Tried], horizon: int, 
         "attempt_succeeded": succeeded.astype(bool),
         "steps_to_go": np.int32(horizon - stage + 1),
     }
-    return TableState(**on_device(leaves))
+    return TableState(**leaves)
 
 
 def labelled(present: Present, is_dirty: Sequence[bool | None], seeing: KnownSeeing) -> Present:
@@ -181,7 +181,7 @@ def labelled(present: Present, is_dirty: Sequence[bool | None], seeing: KnownSee
     evidence = label_evidence(*seeing.positive(occluded, seen), says_dirty)
     state = replace(
         present.state,
-        log_odds=on_device((log_odds + np.where(is_told, evidence, 0.0)).astype(np.float32)),
-        seen=on_device(np.where(is_told, seeing.after(occluded, seen, says_dirty), seen).astype(np.float32)),
+        log_odds=(log_odds + np.where(is_told, evidence, 0.0)).astype(np.float32),
+        seen=np.where(is_told, seeing.after(occluded, seen, says_dirty), seen).astype(np.float32),
     )
     return replace(present, state=state, is_labelled=True, new=())

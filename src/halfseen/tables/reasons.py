@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from halfseen.arrays import Hides
-from halfseen.world.action_space import FINISH, ActionSpace, Verb
+from halfseen.world.actions import FINISH, ActionSpace, Verb
 from halfseen.world.state import TableState
 
 _HIDES = 0.1

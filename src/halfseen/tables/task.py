@@ -4,24 +4,23 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import jax
 import numpy as np
 import pandas as pd
 from jaxtyping import Float, Int
 
-from halfseen.arrays import on_device
+from halfseen.arrays import mapped
 from halfseen.errors import ArgumentError
 from halfseen.learning.automatic import AUTO
 from halfseen.learning.task import Encoded, LearnedQ, RewardedStages
 from halfseen.logs import Logs
 from halfseen.tables.censoring_covariates import NUM_AT_BEGIN, TABLE_COVARIATES, table_covariates
-from halfseen.tables.encoding import encode_tables
+from halfseen.tables.encoding import encode_tables, table_states
 from halfseen.tables.grasp.choice import choose_grasp
 from halfseen.tables.grasp.grasp_table import grasp_model_of
-from halfseen.tables.table_policy import LinearTablePolicy
+from halfseen.tables.policy import LinearTablePolicy
 from halfseen.tables.target_probabilities import table_probabilities
 from halfseen.tables.variance_reduction import expected_rewards, label_control_variates, wash_pay
-from halfseen.world.action_space import FINISH, ActionSpace, Verb
+from halfseen.world.actions import FINISH, ActionSpace, Verb
 from halfseen.world.grasp_model import GraspModel
 
 
@@ -102,16 +101,16 @@ class TableTask:
     def policy(self, learned: LearnedQ) -> LinearTablePolicy:
         """Policy in single precision, as coarse as the states that it sees."""
         numbers, seen = learned._replace(is_seen=None), learned.is_seen
-        single: Any = jax.tree.map(lambda leaf: on_device(np.asarray(leaf, dtype=np.float32)), numbers)
+        single: Any = mapped(lambda leaf: np.asarray(leaf, dtype=np.float32), numbers)
         return LinearTablePolicy(
             coefficients=single.coefficients,
             grasp=self._model,
             kernel_map=single.kernel_map,
-            is_seen=None if seen is None or seen.all() else on_device(seen),
+            is_seen=None if seen is None or seen.all() else seen,
             margin=single.margin,
             behaviour=single.behaviour,
         )
 
     def target_probabilities(self, policy: Any, logs: Logs, horizon: int) -> Float[np.ndarray, "n T A"]:
         """π(a | S_t) of a policy of tables in every stage of a log."""
-        return table_probabilities(policy, logs, horizon)
+        return table_probabilities(policy, table_states(logs, horizon))

@@ -24,7 +24,7 @@ from jaxtyping import Bool, Float, Int
 
 from halfseen.learning.task import Encoded, RewardedStages
 from halfseen.tables.features import WASH_DIRTY, WASH_EASE
-from halfseen.world.action_space import ActionSpace, Verb
+from halfseen.world.actions import ActionSpace, Verb
 
 NUM_OUTCOMES = 3
 

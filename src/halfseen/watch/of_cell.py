@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, cast
 
-import jax
 import numpy as np
 
 from halfseen.cell.account import Run
@@ -15,13 +14,13 @@ from halfseen.cell.workcell import Workcell
 from halfseen.policies.table_decider import TableDecider
 from halfseen.tables.present import Present
 from halfseen.tables.reasons import Grounds, table_grounds
-from halfseen.team.policy import TeamPolicy
 from halfseen.watch.cell_parts import CellParts
 from halfseen.watch.of_cloud import options_of
 from halfseen.watch.seen_objects import Known, coloured_points, eye_over_table, shown_objects
 from halfseen.watch.shapes import moved
 from halfseen.watch.stage_view import Hand, Option, Part, StageView, Watched
-from halfseen.world.action_space import ActionSpace
+from halfseen.world import random
+from halfseen.world.actions import ActionSpace
 from halfseen.world.policy import ExploringPolicy, Policy
 
 MOST_STAGES = 100
@@ -59,7 +58,7 @@ class CellWatch:
     def __init__(
         self,
         cell: Workcell,
-        policy: Policy | TeamPolicy,
+        policy: Policy,
         horizon: int,
         name: str,
         on_change: Callable[[], None] = lambda: None,
@@ -194,9 +193,7 @@ class TablesWatch:
         The last `MOST_STAGES` stages; None before the first.
     """
 
-    def __init__(
-        self, policy: Policy | TeamPolicy, horizon: int, on_change: Callable[[Watched], None] = lambda _: None
-    ) -> None:
+    def __init__(self, policy: Policy, horizon: int, on_change: Callable[[Watched], None] = lambda _: None) -> None:
         self._policy, self._horizon, self.on_change = policy, horizon, on_change
         self._before: tuple[StageView, ...] = ()
         self.watched: Watched | None = None
@@ -240,9 +237,9 @@ def explained(policy: Policy, moment: Moment) -> tuple[tuple[Option, ...], str]:
     """
     state, name = moment.state, ActionSpace(moment.state.num_objects).names[moment.action]
     if isinstance(policy, ExploringPolicy):
-        base_key, _, _ = jax.random.split(moment.key, 3)
+        base_key, _, _ = random.split(moment.key, 3)
         options, reason = explained(policy.base, moment._replace(key=base_key))
-        usual = int(jax.jit(type(policy.base).decide)(policy.base, state, base_key).action)
+        usual = int(policy.base.decide(state, base_key).action)
         grounds = table_grounds(Grounds.of(state), moment.action)
         return options, reason if usual == moment.action else f"{name}: by chance, to explore; {grounds}."
     decision = TableDecider(policy).decide_with(Present(state, moment.stage), moment.key)

@@ -5,10 +5,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 import pandas as pd
 
+from halfseen.arrays import mapped
 from halfseen.errors import ArgumentError, PolicyError
 from halfseen.logs import Logs
 from halfseen.logs.columns import as_floats
@@ -19,8 +19,8 @@ from halfseen.policies.of_team import refuse_log_of_team, refuse_team
 from halfseen.tables.present import Present
 from halfseen.watch.of_cloud import seen_stage
 from halfseen.watch.stage_view import StageView, Watched
-from halfseen.world.recording import states_of
-from halfseen.world.table_checks import PLACE_COLUMNS
+from halfseen.world.log_checks import PLACE_COLUMNS
+from halfseen.world.logs import states_of
 
 CLOUD = "cloud"
 """Column of a log's stages: the file of each stage's cloud."""
@@ -126,6 +126,4 @@ def _decisions(path: Logs, stored: StoredPolicy | None) -> list[Decision | None]
     refuse_log_of_team(stored, path)
     states = states_of(path, stored.horizon)
     decider = decider_of(stored, extrapolates=True)
-    return [
-        decider.decide(Present(jax.tree.map(lambda leaf, t=t: leaf[0, t], states), t + 1)) for t in range(path.horizon)
-    ]
+    return [decider.decide(Present(mapped(lambda leaf, t=t: leaf[0, t], states), t + 1)) for t in range(path.horizon)]

@@ -1,9 +1,6 @@
 """What a worker does with a piece: it sees that it is like home, makes the piece, and sends back what came out."""
 
-import os
 import pickle
-import sys
-import warnings
 from collections.abc import Callable
 from functools import cache, lru_cache
 from importlib.metadata import PackageNotFoundError, version
@@ -16,19 +13,14 @@ from halfseen.errors import HalfseenError, WorkerError
 from halfseen.progress import Telling, telling
 from halfseen.workers.threads import one_thread
 
-PACKAGES = ("halfseen", "jax", "jaxlib", "mujoco", "numpy", "pandas", "scipy")
+PACKAGES = ("halfseen", "mujoco", "numpy", "pandas", "scipy")
 """What the numbers depend on."""
-SETTINGS = ("XLA_FLAGS", "JAX_", "NPROC")
-"""Beginnings of the names of environment variables that they depend on, too."""
-HERE = ("JAX_COMPILATION_CACHE", "JAX_PERSISTENT_CACHE")
-"""Beginnings of the names of those that only say where this machine keeps what it compiled."""
 
 
 class Home(NamedTuple):
     """Where pieces come from, as far as what comes out of them depends on it."""
 
     versions: dict[str, str]
-    settings: dict[str, str]
 
 
 class Outcome(NamedTuple):
@@ -58,18 +50,13 @@ def _installed() -> dict[str, str]:
 
 def home() -> Home:
     """Describe this process."""
-    return Home(versions(), _settings())
-
-
-def _settings() -> dict[str, str]:
-    told = {name: value for name, value in os.environ.items() if name.startswith(SETTINGS)}
-    return {name: value for name, value in told.items() if not name.startswith(HERE)}
+    return Home(versions())
 
 
 def made(asker: Home, function: UInt8[np.ndarray, " bytes"], number: int, piece: Any) -> Outcome:
     """Make a piece, in a worker; errors that a user can mend are sent back as they are."""
     try:
-        _be_like(asker)
+        _check_versions(asker)
         return Outcome(number, result_of(_function(function.tobytes()), piece))
     except HalfseenError as error:
         return Outcome(number, None, error)
@@ -79,19 +66,17 @@ def made(asker: Home, function: UInt8[np.ndarray, " bytes"], number: int, piece:
 
 def result_of(function: Callable[[Any], Any], piece: Any) -> Any:
     """Make a piece as every worker does: it tells nothing, and matrices use one thread, as sums depend on that."""
-    with telling(Telling.NOTHING), one_thread(), warnings.catch_warnings():
-        # Workers share what they compiled: one may find what another is just writing, and compiles it itself.
-        warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation cache")
+    with telling(Telling.NOTHING), one_thread():
         return function(piece)
 
 
-def _be_like(asker: Home) -> None:
-    """Take over the settings that numbers depend on.
+def _check_versions(asker: Home) -> None:
+    """Refuse to work with other versions than those of the process that asks.
 
     Raises
     ------
     WorkerError
-        Other versions are installed here, or the compiler was set otherwise and has begun.
+        Other versions are installed here.
     """
     here = versions()
     other = [name for name, wanted in asker.versions.items() if here.get(name) != wanted]
@@ -100,15 +85,6 @@ def _be_like(asker: Home) -> None:
         raise WorkerError(
             f"a worker has other versions than the machine that asks: {told}; install the same on all machines"
         )
-    flags = "XLA_FLAGS"
-    if "jax" in sys.modules and os.environ.get(flags) != asker.settings.get(flags):
-        raise WorkerError(
-            f"a worker has compiled with {flags}={os.environ.get(flags, '')!r} already, and is asked for "
-            f"{asker.settings.get(flags, '')!r}; start the workers anew"
-        )
-    for name in _settings().keys() - asker.settings.keys():
-        del os.environ[name]
-    os.environ.update(asker.settings)
 
 
 @lru_cache(maxsize=1)

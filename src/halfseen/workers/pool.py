@@ -5,10 +5,8 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, TypeVar
 
-import cloudpickle
 import numpy as np
 from jaxtyping import UInt8
-from joblib import Parallel, delayed, parallel_config
 
 from halfseen.errors import WorkerError
 from halfseen.workers.engine import Engine
@@ -93,6 +91,9 @@ class Pool:
         self, engine: Engine, function: Callable[[Piece], Result], left: dict[int, Piece]
     ) -> Iterator[tuple[int, Result]]:
         """Have workers make what is left."""
+        # It loads what a process that is alone need not wait for.
+        import cloudpickle
+
         num_lost, lost = 0, None
         # As an array, so that joblib hands processes of this machine a large one by its memory, and not by their pipes.
         packed = np.frombuffer(cloudpickle.dumps(function), dtype=np.uint8)
@@ -124,6 +125,8 @@ class Pool:
 
 def _round(engine: Engine, function: UInt8[np.ndarray, " bytes"], left: Mapping[int, Any]) -> Iterator[tuple[int, Any]]:
     """Make what is left, until all is made or a worker is lost."""
+    from joblib import Parallel, delayed, parallel_config
+
     # With one job joblib would make the pieces in this process, which a piece then could end.
     with parallel_config(engine.backend, n_jobs=max(engine.num_workers, 2), **engine.told):
         parallel: Any = Parallel(return_as="generator_unordered", **_STREAMED)

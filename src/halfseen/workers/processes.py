@@ -24,9 +24,9 @@ def processes(num: int) -> Iterator[Engine]:
 
 
 def _begin(asker: int) -> None:
-    """Begin as a worker: it ends with the process that asks, however that ended, and keeps what it has compiled."""
+    """Begin as a worker: it ends with the process that asks, however that ended, and keeps what it has loaded."""
     Thread(target=_end_with, args=(asker,), daemon=True).start()
-    # loky takes what compiled code needs for a leak, and would compile anew every few seconds.
+    # loky takes what a piece keeps for the next one for a leak, and would begin anew.
     process_executor._MAX_MEMORY_LEAK_SIZE = MOST_GROWN_BYTES
 
 

@@ -4,32 +4,29 @@ The paper prints none of them. Whoever compares results must compare them under 
 prints it.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
+from typing import Any
 
-import jax
-from jax import Array
-
+from halfseen.arrays import STATIC, record
+from halfseen.errors import ArgumentError
 from halfseen.world.grasping import AssumedGrasping, GraspLaw
 from halfseen.world.grasping_by_robot import GraspingByRobot
-from halfseen.world.number import Number
+from halfseen.world.number import Number, is_wrong
 from halfseen.world.seeing import AssumedSeeing, SeeingLaw
 
 HORIZON = 10
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@record
 class WorldConfig:
-    """Parameters of the table world (a pytree whose leaves may be traced; only `horizon` is static).
+    """Parameters of the table world, and what sets the robots at it apart; only `horizon` is static under JAX.
 
     Parameters
     ----------
-    horizon
-        Steps after which a path ends by itself.
     dirty_share
         Prior probability that an object is DIRTY.
     grasping
-        How an attempt goes.
+        How an attempt goes; a `GraspingByRobot` where robots have laws of their own.
     seeing
         What a look tells.
     transport_s
@@ -40,6 +37,20 @@ class WorldConfig:
         Reward of LIFT for each second of the attempt, transport included [1/s].
     reward_dirty_left
         Reward for each dirty object on the table when the path ends.
+    horizon
+        Actions of each robot after which a path ends by itself.
+    speed
+        How fast each of the K robots works: what takes the world so many seconds takes it that, divided by its speed.
+    reward_per_s
+        Price of each second of the table's clock; 0 or below [1/s].
+    drop_out_rate
+        Hazard that each robot drops out (battery, e-stop), by the table's clock; None where nobody does [1/s].
+
+    Raises
+    ------
+    ArgumentError
+        There is no robot; a speed is not above 0, a price above 0, or a hazard below it; or there is not one hazard, or
+        not one law of grasping, a robot.
     """
 
     dirty_share: Number = 0.6
@@ -51,15 +62,65 @@ class WorldConfig:
     reward_wash_failed: Number = -1.0
     reward_lift_per_s: Number = -0.1
     reward_dirty_left: Number = -5.0
-    horizon: int = field(default=HORIZON, metadata={"static": True})
+    horizon: int = field(default=HORIZON, metadata=STATIC)
+    speed: tuple[Number, ...] = (1.0,)
+    reward_per_s: Number = 0.0
+    drop_out_rate: tuple[Number, ...] | None = None
+
+    def __post_init__(self) -> None:
+        if len(self.speed) < 1:
+            raise ArgumentError("speed is (): give the speed of each robot, at least one")
+        for robot, speed in enumerate(self.speed):
+            if is_wrong(speed, lambda value: value > 0):
+                raise ArgumentError(f"speed of robot {robot} is {speed!r}; give a finite number above 0")
+        if is_wrong(self.reward_per_s, lambda value: value <= 0):
+            raise ArgumentError(f"reward_per_s is {self.reward_per_s!r}; give a finite price, 0 or below [1/s]")
+        self._check_rates()
+        law = self.grasping
+        if self.num_robots > 1 and isinstance(law, GraspingByRobot) and len(law.laws) != self.num_robots:
+            raise ArgumentError(
+                f"grasping of the world has laws for {len(law.laws)} robots, and the team has {self.num_robots}; "
+                "give each its own, or all one"
+            )
+
+    def _check_rates(self) -> None:
+        rates = self.drop_out_rate
+        if rates is None:
+            return
+        if len(rates) != self.num_robots:
+            raise ArgumentError(
+                f"drop_out_rate has {len(rates)} entries for {self.num_robots} robots; give each its own, 0 for one "
+                "that never drops out"
+            )
+        for robot, rate in enumerate(rates):
+            if is_wrong(rate, lambda value: value >= 0):
+                raise ArgumentError(
+                    f"drop_out_rate of robot {robot} is {rate!r}; give a finite hazard, 0 or above [1/s]"
+                )
+
+    @property
+    def num_robots(self) -> int:
+        """K."""
+        return len(self.speed)
 
     @property
     def num_stages(self) -> int:
-        """Decisions that a path may have."""
-        return self.horizon
+        """Decisions that a path may have, of all robots together."""
+        return self.num_robots * self.horizon
 
-    def as_robot(self, robot: int | Array) -> "WorldConfig":
-        """Give the world as one robot of a team finds it: attempts go by its law, where each has its own."""
+    @property
+    def has_own_laws(self) -> bool:
+        """Whether each robot has a law of grasping of its own."""
+        return isinstance(self.grasping, GraspingByRobot)
+
+    def as_robot(self, robot: Any) -> "WorldConfig":
+        """Give the world as a robot finds it: attempts go by its law, where each has its own.
+
+        Parameters
+        ----------
+        robot
+            Its number, or one for each member of a batch, whose axes are the first of what is asked of the law.
+        """
         if not isinstance(self.grasping, GraspingByRobot):
             return self
         return replace(self, grasping=replace(self.grasping, robot=robot))

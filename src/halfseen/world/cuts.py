@@ -15,14 +15,11 @@ The rate is calibrated so that the wanted share of the paths that a policy makes
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
-from scipy.optimize import root_scalar
+from jaxtyping import Bool, Float
 
 from halfseen.errors import ArgumentError
-from halfseen.world.episodes import Episodes
+from halfseen.world.rollout import Episodes
 from halfseen.world.state import TableState, occlusion
 
 CutKind = Literal["independent", "occlusion", "attempt"]
@@ -63,13 +60,10 @@ def unit_hazards(episodes: Episodes, kind: CutKind | str) -> Float[np.ndarray, "
     return np.where(np.asarray(episodes.is_taken), hazard, 0.0)
 
 
-@jax.jit
-def _occlusion_intensity(states: TableState) -> Float[Array, "B T"]:
-    def intensity(state: TableState):
-        num_left = jnp.maximum(jnp.sum(state.is_on_table), 1)
-        return jnp.exp(_OCCLUSION_GAIN * jnp.sum(jnp.where(state.is_on_table, occlusion(state), 0.0)) / num_left)
-
-    return jax.vmap(jax.vmap(intensity))(states)
+def _occlusion_intensity(states: TableState) -> Float[np.ndarray, "n T"]:
+    num_left = np.maximum(states.is_on_table.sum(axis=-1), 1)
+    hidden = np.where(states.is_on_table, occlusion(states), np.float32(0.0)).sum(axis=-1)
+    return np.exp(np.float32(_OCCLUSION_GAIN) * hidden / num_left.astype(np.float32))
 
 
 _LOWEST_LOG_RATE = -40.0
@@ -92,6 +86,8 @@ def cut_rate(pilot: Episodes, cut_share: float | int, kind: CutKind | str) -> fl
     check_share(cut_share)
     if cut_share == 0.0:
         return 0.0
+    from scipy.optimize import root_scalar
+
     total = unit_hazards(pilot, kind).sum(axis=1)
 
     def excess(log_rate: float) -> float:

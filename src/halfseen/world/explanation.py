@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from halfseen.errors import ArgumentError
-from halfseen.world.action_space import FINISH, TARGETED, ActionSpace, Verb
+from halfseen.world.actions import FINISH, TARGETED, ActionSpace, Verb
 from halfseen.world.state import TableState
 
 SAME_VALUE = 1e-6
@@ -28,7 +28,7 @@ class Explanation:
     Attributes
     ----------
     actions
-        Their names, as in `halfseen.world.action_space`.
+        Their names, as in `halfseen.world.actions`.
     values
         Q of each action [reward]; −∞ where it is impossible, as in all that follows but the probabilities, which are 0.
     low, high

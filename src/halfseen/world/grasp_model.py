@@ -2,15 +2,16 @@
 
 from typing import Protocol, runtime_checkable
 
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
+from halfseen.arrays import Array
 from halfseen.world.state import TableState
 
 
 @runtime_checkable
 class GraspModel(Protocol):
-    """Tells how likely an attempt on each object is to succeed now; a pytree, so that it runs inside a policy."""
+    """Tells how likely an attempt on each object is to succeed now."""
 
-    def probability(self, state: TableState) -> Float[Array, " N"]:
-        """P(an attempt succeeds) for each object of one table, given its occlusion and its past attempts."""
+    def probability(self, state: TableState) -> Float[Array, "*B N"]:
+        """P(an attempt succeeds) for each object, given its occlusion and its past attempts."""
         ...

@@ -1,20 +1,19 @@
 """A law of grasping for each robot of a team, and which of them is at it now."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
-import jax
-import jax.numpy as jnp
-from jaxtyping import Array, Int
+import numpy as np
+from jaxtyping import Int
 
+from halfseen.arrays import Array, chosen, library_of, mapped, record
 from halfseen.errors import ArgumentError
 from halfseen.world.grasping import Arrangement, Attempt, GraspLaw
 from halfseen.world.number import Number
+from halfseen.world.random import Key
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@record
 class GraspingByRobot:
     """Attempts go as the law of the robot has it that makes them (a `GraspLaw`, and known where all of its laws are).
 
@@ -27,7 +26,7 @@ class GraspingByRobot:
     laws
         Law of each robot, robot 0 first; they may be of different kinds.
     robot
-        Number of the robot that tries.
+        Number of the robot that tries, or of each; its axes are the first of what the law is asked for.
 
     Raises
     ------
@@ -36,7 +35,7 @@ class GraspingByRobot:
     """
 
     laws: tuple[GraspLaw, ...]
-    robot: int | Array = 0
+    robot: int | Int[Array, "*R"] = 0
 
     def __post_init__(self) -> None:
         if not self.laws:
@@ -59,17 +58,17 @@ class GraspingByRobot:
         """The laws, of which whoever asks knows that their probabilities are known."""
         return self.laws
 
-    def draw_trait(self, num_objects: int, key: Array) -> tuple[Any, ...]:
+    def draw_trait(self, num_objects: int, key: Key) -> tuple[Any, ...]:
         """Draw the hidden trait of each law, all from the same key."""
         return tuple(law.draw_trait(num_objects, key) for law in self.laws)
 
     def attempt(
-        self, table: Arrangement, trait: tuple[Any, ...], verb: Int[Array, ""], target: Int[Array, ""], key: Array
+        self, table: Arrangement, trait: tuple[Any, ...], verb: Int[Array, "*B"], target: Int[Array, "*B"], key: Key
     ) -> Attempt:
         """Attempt as the robot does; the traits of the other laws stay as they are."""
         each = [law.attempt(table, own, verb, target, key) for law, own in zip(self.laws, trait, strict=True)]
         traits = tuple(
-            jax.tree.map(lambda new, old, k=k: jnp.where(self.robot == k, new, old), tried.trait, own)
+            chosen(library_of(self.robot).asarray(self.robot == k), tried.trait, own)
             for k, (tried, own) in enumerate(zip(each, trait, strict=True))
         )
         return self._chosen([tried._replace(trait=None) for tried in each])._replace(trait=traits)
@@ -83,9 +82,18 @@ class GraspingByRobot:
         return self._chosen([law.expected_s(occluded, offset) for law in self._known])
 
     def _chosen(self, each: Sequence[Any]) -> Any:
-        if isinstance(self.robot, int):
-            return each[self.robot]
-        return jax.tree.map(lambda *leaves: jnp.stack(jnp.broadcast_arrays(*leaves))[self.robot], *each)
+        if isinstance(self.robot, int | np.integer):
+            return each[int(self.robot)]
+        found = each[0]
+        for robot, other in enumerate(each[1:], start=1):
+            found = mapped(lambda new, old, robot=robot: _where(self.robot == robot, new, old), other, found)
+        return found
+
+
+def _where(is_new: Any, new: Any, old: Any) -> Any:
+    xp = library_of(is_new)
+    num_axes = max(xp.ndim(new), xp.ndim(old))
+    return xp.where(is_new.reshape(is_new.shape + (1,) * max(num_axes - is_new.ndim, 0)), new, old)
 
 
 def check_law(law: object, where: str) -> None:

@@ -1,21 +1,13 @@
-"""What a parameter of the world may be, and which library computes with it."""
+"""What a parameter of the world may be."""
 
 from collections.abc import Callable
 from math import isfinite
-from types import ModuleType
 from typing import Any, TypeAlias, TypeGuard
 
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
 
-Number: TypeAlias = float | int | Array
+Number: TypeAlias = float | int | Any
 """A plain number, or what JAX makes of it inside a compiled call."""
-
-
-def namespace(*values: Any) -> ModuleType:
-    """JAX's NumPy where one of the values is an array of JAX, else NumPy."""
-    return jnp if any(isinstance(value, Array) for value in values) else np
 
 
 def is_number(value: object) -> TypeGuard[int | float]:
@@ -26,6 +18,6 @@ def is_number(value: object) -> TypeGuard[int | float]:
 def is_wrong(value: object, is_right: Callable[[float], bool]) -> bool:
     """Whether a parameter is text, or a plain number that is not finite or not right.
 
-    What else a pytree may hold, such as what JAX makes of a number inside a compiled call, is not looked at.
+    What JAX makes of a number inside a compiled call is not looked at.
     """
     return isinstance(value, str) or (is_number(value) and not (isfinite(value) and is_right(value)))

@@ -11,16 +11,16 @@ and likewise by fp for a clean object. So labels are consistent without any hidd
 was seen before finds nothing. Once something was found, no look is news.
 """
 
-from dataclasses import dataclass
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
+from halfseen.arrays import Array, library_of, record
 from halfseen.errors import ArgumentError
-from halfseen.world.number import Number, namespace
+from halfseen.world import random
+from halfseen.world.number import Number
+from halfseen.world.random import Key
 from halfseen.world.seeing import Glimpse, Told, label_evidence
 
 SAME_VIEW = 1e-6
@@ -30,8 +30,7 @@ LEAST_DOUBT = 1e-6
 """What is new is found, and missed, with at least this probability, so that no label makes the truth certain."""
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@record
 class PersistentSeeing:
     """A look finds what it shows for the first time, with a share of errors that grows with what was seen.
 
@@ -70,23 +69,24 @@ class PersistentSeeing:
         if isinstance(self.facing, (int, float)) and not 0.0 < self.facing <= 1.0:
             raise ArgumentError(f"facing is {self.facing}; the share that an object shows lies in (0, 1]")
 
-    def draw_trait(self, num_objects: int, key: Array) -> None:
+    def draw_trait(self, num_objects: int, key: Key) -> None:
         """No trait: what was seen so far is known."""
         return
 
     def look(
-        self, glimpse: Glimpse, log_odds: Float[Array, " N"], is_dirty: Bool[Array, " N"], trait: None, key: Array
+        self, glimpse: Glimpse, log_odds: Float[Array, "*B N"], is_dirty: Bool[Array, "*B N"], trait: None, key: Key
     ) -> Told:
         """Look for what is shown for the first time."""
         view = glimpse.occluded, glimpse.seen
         if_dirty, if_clean = self.positive(*view, glimpse.is_held)
-        says_dirty = jax.random.uniform(key, if_dirty.shape) < jnp.where(is_dirty, if_dirty, if_clean)
+        positive = library_of(is_dirty).where(is_dirty, if_dirty, if_clean)
+        says_dirty = random.uniform(key, positive.shape[-1]) < positive
         seen = self.after(*view, says_dirty, glimpse.is_held)
         return Told(log_odds + label_evidence(if_dirty, if_clean, says_dirty), seen, trait)
 
     def in_view(self, occluded: Any, is_held: Any = False) -> Any:
         """Share of the surface that a look shows: of what nothing hides on the table `facing`, of what is held all."""
-        return namespace(occluded, is_held).where(is_held, 1.0, self.facing * (1.0 - occluded))
+        return library_of(occluded, is_held).where(is_held, 1.0, self.facing * (1.0 - occluded))
 
     def positive(self, occluded: Any, seen: Any, is_held: Any = False) -> tuple[Any, Any]:
         """Probabilities that a look says DIRTY of a dirty object, and of a clean one; 0 where it shows nothing new."""
@@ -96,18 +96,18 @@ class PersistentSeeing:
     def after(self, occluded: Any, seen: Any, says_dirty: Any, is_held: Any = False) -> Any:
         """Share of the surface that has been in view; all of it counts once something was found."""
         shown = self.in_view(occluded, is_held)
-        xp = namespace(shown, seen, says_dirty)
+        xp = library_of(shown, seen, says_dirty)
         return xp.where(says_dirty, 1.0, xp.maximum(seen, shown))
 
     def _found_now(self, curve: tuple[Number, ...], shown: Any, seen: Any) -> Any:
-        xp = namespace(shown, seen)
+        xp = library_of(shown, seen)
         before, now = (self._found_by(curve, share) for share in (seen, shown))
         found = (now - before) / xp.maximum(1.0 - before, LEAST_DOUBT)
         return xp.where(shown > seen + SAME_VIEW, xp.clip(found, LEAST_DOUBT, 1.0 - LEAST_DOUBT), 0.0)
 
     def _found_by(self, curve: tuple[Number, ...], share: Any) -> Any:
         """A curve at a share of the surface: each piece adds its rise, as far as the share covers it."""
-        clip, knots, heights = namespace(share).clip, (0.0, *self.views), (0.0, *curve)
+        clip, knots, heights = library_of(share).clip, (0.0, *self.views), (0.0, *curve)
         pieces = zip(knots[:-1], knots[1:], heights[:-1], heights[1:], strict=True)
         return sum((high - low) * clip((share - begin) / (end - begin), 0.0, 1.0) for begin, end, low, high in pieces)
 

@@ -1,15 +1,17 @@
 """What decides: one interface for heuristics, planners and what was learned."""
 
-from dataclasses import dataclass
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
-import jax
-import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+import numpy as np
+from jaxtyping import Bool, Float, Int
 
-from halfseen.errors import ArgumentError
-from halfseen.world.action_space import possible_actions
+from halfseen.arrays import Array, library_of, record
+from halfseen.errors import ArgumentError, PolicyError
+from halfseen.world import random
+from halfseen.world.actions import possible_actions
+from halfseen.world.config import WorldConfig
 from halfseen.world.number import Number, is_wrong
+from halfseen.world.random import Key
 from halfseen.world.state import TableState
 
 
@@ -22,40 +24,35 @@ class Decision(NamedTuple):
 
 @runtime_checkable
 class Policy(Protocol):
-    """Decides for one table from what is seen of it.
+    """Decides for each table of a batch from what is seen of it, for the robot that is free where there are several."""
 
-    A policy is a pytree (its parameters are leaves), so that one compiled simulation serves all policies of a kind and
-    `jax.vmap` runs many at once.
-    """
-
-    def decide(self, state: TableState, key: Array) -> Decision:
-        """Choose a possible action for one table; `key` is the only source of randomness."""
+    def decide(self, state: TableState, key: Key) -> Decision:
+        """Choose a possible action for each table; its key is the only source of randomness."""
         ...
 
 
-def surely(action: Int[Array, ""]) -> Decision:
+def surely(action: Int[Array, "*B"]) -> Decision:
     """A deterministic decision."""
-    return Decision(action, jnp.ones((), dtype=jnp.float32))
+    action = action.astype(np.int32)
+    return Decision(action, library_of(action).ones(action.shape, dtype=np.float32))
 
 
-def uniformly(is_possible: Bool[Array, " A"], key: Array) -> Decision:
+def uniformly(is_possible: Bool[Array, "*B A"], key: Key) -> Decision:
     """Each possible action with the same probability."""
-    action = jax.random.categorical(key, jnp.where(is_possible, 0.0, -jnp.inf))
-    return Decision(action.astype(jnp.int32), 1.0 / jnp.sum(is_possible))
+    num_possible = library_of(is_possible).sum(is_possible, axis=-1).astype(np.float32)
+    return Decision(random.one_of(key, is_possible), 1.0 / num_possible)
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@record
 class UniformPolicy:
     """Takes each possible action with the same probability."""
 
-    def decide(self, state: TableState, key: Array) -> Decision:
+    def decide(self, state: TableState, key: Key) -> Decision:
         """Choose uniformly at random."""
         return uniformly(possible_actions(state), key)
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@record
 class ExploringPolicy:
     """Follows a policy, but in a proportion of the steps takes an action uniformly at random: what fills the logs.
 
@@ -78,11 +75,11 @@ class ExploringPolicy:
     def __post_init__(self) -> None:
         check_random_share(self.random_share)
 
-    def decide(self, state: TableState, key: Array) -> Decision:
+    def decide(self, state: TableState, key: Key) -> Decision:
         """Choose, and report the probability of that choice under the mixture."""
-        base_key, coin_key, uniform_key = jax.random.split(key, 3)
+        base_key, coin_key, uniform_key = random.split(key, 3)
         base, uniform = self.base.decide(state, base_key), UniformPolicy().decide(state, uniform_key)
-        return mixed(base, uniform, self.random_share, coin_key)
+        return _mixed(base, uniform, self.random_share, coin_key)
 
 
 def check_random_share(random_share: Number) -> None:
@@ -91,9 +88,60 @@ def check_random_share(random_share: Number) -> None:
         raise ArgumentError(f"random_share is {random_share!r}; give the share of decisions made at random, in [0, 1]")
 
 
-def mixed(base: Decision, uniform: Decision, random_share: Number, key: Array) -> Decision:
+def _mixed(base: Decision, uniform: Decision, random_share: Number, key: Key) -> Decision:
     """Toss for one of two decisions, with the probability that the mixture of both gives to what comes out."""
-    is_random = jax.random.uniform(key) < random_share
-    action = jnp.where(is_random, uniform.action, base.action)
-    by_base = jnp.where(action == base.action, base.probability, 0.0)
+    xp = library_of(base.action)
+    is_random = random.uniform(key) < random_share
+    action = xp.where(is_random, uniform.action, base.action)
+    by_base = xp.where(action == base.action, base.probability, np.float32(0.0))
     return Decision(action, random_share * uniform.probability + (1.0 - random_share) * by_base)
+
+
+def check_fits(policy: Any, config: WorldConfig) -> None:
+    """Refuse a policy that is not for a team, in itself or in what it builds upon.
+
+    Parameters
+    ----------
+    policy
+        What is to decide. By `num_robots` it tells for how many robots, unless it is for any number; by `num_stages`
+        for how many of their decisions, if it was learned for so many.
+    config
+        The team's.
+
+    Raises
+    ------
+    PolicyError
+        It is for another number of robots, for another number of their decisions, or for a robot alone.
+    """
+    check_decides_for(policy, config.num_robots)
+    base = getattr(policy, "base", None)
+    if base is not None:
+        check_fits(base, config)
+    known = getattr(policy, "num_stages", None)
+    if known is not None and known != config.num_stages:
+        raise PolicyError(
+            f"the policy was learned for {known} decisions of all robots together, and this team "
+            f"makes up to {config.num_stages} ({config.num_robots} robots, {config.horizon} each); learn it from "
+            "logs of such a team"
+        )
+
+
+def check_decides_for(policy: Any, num_robots: int) -> None:
+    """Refuse a policy for another number of robots, or for one that works alone.
+
+    Raises
+    ------
+    PolicyError
+        As above.
+    """
+    # An attribute of the class: what several robots decide by has the number of each instance.
+    if getattr(type(policy), "num_robots", None) == 1:
+        raise PolicyError(
+            f"{type(policy).__name__} decides for one robot, and a team's policy knows what the others are at; give "
+            "IndependentPolicies, with such a policy for each robot, or ReservingPolicy, with a rule of thumb"
+        )
+    known = getattr(policy, "num_robots", None)
+    if known is not None and known != num_robots:
+        raise PolicyError(
+            f"the policy is for {known} robots, and the team has {num_robots}; give one for as many, or another team"
+        )

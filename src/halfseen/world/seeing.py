@@ -1,37 +1,39 @@
 """What a look tells: the law of labels that the world takes, and the one that it assumes by default.
 
 A law is drawn from (`SeeingLaw`); who computes ahead needs its probabilities as well (`KnownSeeing`). A law is a frozen
-pytree, so that it runs inside compiled calls.
+record of numbers, and answers for whole batches of tables.
 """
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
-import jax
-from jaxtyping import Array, Bool, Float
+import numpy as np
+from jaxtyping import Bool, Float
 
-from halfseen.world.number import Number, namespace
+from halfseen.arrays import Array, library_of, record
+from halfseen.world import random
+from halfseen.world.number import Number
+from halfseen.world.random import Key
 
 
 class Glimpse(NamedTuple):
-    """What one look at one table reaches; N objects, padding included."""
+    """What one look at a table reaches; N objects, padding included."""
 
-    is_seen: Bool[Array, " N"]
+    is_seen: Bool[Array, "*B N"]
     """False for what has left the table, and for padding."""
-    occluded: Float[Array, " N"]
+    occluded: Float[Array, "*B N"]
     """Hidden share of each object in this look; an object that is held up is seen whole and hides nothing."""
-    is_held: Bool[Array, " N"]
+    is_held: Bool[Array, "*B N"]
     """Whether it is held up before the camera, which then sees it from all sides."""
-    seen: Float[Array, " N"]
+    seen: Float[Array, "*B N"]
     """Share of its surface that has been in view before, as the law counts it; see `Told.seen`."""
 
 
 class Told(NamedTuple):
     """What one look told; of what was not seen it may hold anything."""
 
-    log_odds: Float[Array, " N"]
+    log_odds: Float[Array, "*B N"]
     """Log-odds of DIRTY given all looks so far."""
-    seen: Float[Array, " N"]
+    seen: Float[Array, "*B N"]
     """Share of the surface in [0, 1] that looks have told of; 0 for a law to which every look is news."""
     trait: Any
     """The hidden trait afterwards."""
@@ -39,20 +41,20 @@ class Told(NamedTuple):
 
 @runtime_checkable
 class SeeingLaw(Protocol):
-    """What looks at one table tell; `jax.vmap` makes it many.
+    """What looks tell, of as many tables as a batch has.
 
     It is the law that decides what is news: evidence that a former look already gave must not be added again. What it
     needs for that and anyone may know is `Told.seen`. What makes errors persist and nobody sees (a stain that always
-    misleads) is the law's hidden trait: any pytree, or None. The law draws it when the table is set, is handed it at
-    every look, and hands back what has become of it.
+    misleads) is the law's hidden trait: a record or array with an axis for the batch, or None. The law draws it when
+    the table is set, is handed it at every look, and hands back what has become of it.
     """
 
-    def draw_trait(self, num_objects: int, key: Array) -> Any:
+    def draw_trait(self, num_objects: int, key: Key) -> Any:
         """Draw the hidden trait of a table that is being set, as `GraspLaw.draw_trait` does."""
         ...
 
     def look(
-        self, glimpse: Glimpse, log_odds: Float[Array, " N"], is_dirty: Bool[Array, " N"], trait: Any, key: Array
+        self, glimpse: Glimpse, log_odds: Float[Array, "*B N"], is_dirty: Bool[Array, "*B N"], trait: Any, key: Key
     ) -> Told:
         """Look once at every object on the table.
 
@@ -112,15 +114,14 @@ def is_independent(law: KnownSeeing) -> bool:
 
 def label_evidence(if_dirty: Any, if_clean: Any, says_dirty: Any) -> Any:
     """What a label adds to the log-odds of DIRTY, by the probabilities of `KnownSeeing.positive`; 0 without news."""
-    xp = namespace(if_dirty, if_clean, says_dirty)
+    xp = library_of(if_dirty, if_clean, says_dirty)
     if_dirty, if_clean = (xp.where(says_dirty, positive, 1.0 - positive) for positive in (if_dirty, if_clean))
     # A look that shows nothing new may still err: what cannot be said by the law tells nothing.
     is_news = if_dirty + if_clean > 0.0
-    return xp.log(xp.where(is_news, if_dirty, 1.0)) - xp.log(xp.where(is_news, if_clean, 1.0))
+    return xp.log(xp.where(is_news, if_dirty, np.float32(1.0))) - xp.log(xp.where(is_news, if_clean, np.float32(1.0)))
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@record
 class AssumedSeeing:
     """A label is right with probability floor + gain·(1 − occ)^power, independently at every look.
 
@@ -140,18 +141,19 @@ class AssumedSeeing:
     gain: Number = 0.3
     power: Number = 1.5
 
-    def draw_trait(self, num_objects: int, key: Array) -> None:
+    def draw_trait(self, num_objects: int, key: Key) -> None:
         """No trait: errors do not persist."""
         return
 
     def look(
-        self, glimpse: Glimpse, log_odds: Float[Array, " N"], is_dirty: Bool[Array, " N"], trait: None, key: Array
+        self, glimpse: Glimpse, log_odds: Float[Array, "*B N"], is_dirty: Bool[Array, "*B N"], trait: None, key: Key
     ) -> Told:
         """Label each object once; every label is news."""
         accuracy = self.accuracy(glimpse.occluded)
-        is_right = jax.random.uniform(key, accuracy.shape) < accuracy
-        evidence = label_evidence(accuracy, 1.0 - accuracy, is_dirty == is_right)
-        return Told(log_odds + evidence, glimpse.seen, trait)
+        is_right = random.uniform(key, accuracy.shape[-1]) < accuracy
+        xp = library_of(accuracy)
+        evidence = xp.log(accuracy) - xp.log(1.0 - accuracy)
+        return Told(log_odds + xp.where(is_dirty == is_right, evidence, -evidence), glimpse.seen, trait)
 
     def accuracy(self, occluded: Any) -> Any:
         """Probability that a label is right."""

@@ -1,28 +1,77 @@
-"""What the policy sees of a table, and what it does not."""
+"""What is seen of a table and of the robots at it, and what is not."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
-from halfseen.arrays import on_device
+from halfseen.arrays import Array, library_of, record
 from halfseen.errors import ArgumentError, SceneError
 from halfseen.world.config import WorldConfig
 from halfseen.world.scene import Scene
 
 NO_ATTEMPT = -1
+_IN_CACHE = 65536
+"""Numbers of an array that a core has near; of larger ones, columns are taken one by one."""
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@record
+class Robots:
+    """What each of K robots is at, as all of them know."""
+
+    is_busy: Bool[Array, "*B K"]
+    """Whether it carries something out, waiting included."""
+    is_parked: Bool[Array, "*B K"]
+    """Whether it will do nothing more."""
+    verb: Int[Array, "*B K"]
+    """Of what it carries out; of no meaning where it is not busy."""
+    target: Int[Array, "*B K"]
+    """Object of that verb; 0 where it has none."""
+    since_s: Float[Array, "*B K"]
+    """For how long it has been at it [s]."""
+    decisions_to_go: Int[Array, "*B K"]
+    """Decisions that it may still make."""
+    is_out: Bool[Array, "*B K"] | None = None
+    """Whether it has dropped out (battery, e-stop), for good; None where nobody can."""
+
+    @property
+    def num_robots(self) -> int:
+        """K."""
+        return self.is_busy.shape[-1]
+
+    @property
+    def is_gone(self) -> Bool[Array, "*B K"]:
+        """Which do nothing more: parked, or dropped out."""
+        return self.is_parked if self.is_out is None else self.is_parked | self.is_out
+
+    @property
+    def is_undecided(self) -> Bool[Array, "*B K"]:
+        """Which are free to decide."""
+        return ~self.is_busy & ~self.is_gone & (self.decisions_to_go > 0)
+
+    @property
+    def is_done(self) -> Bool[Array, "*B K"]:
+        """Which have come to their end: parked, dropped out, or out of decisions with nothing left to carry out."""
+        return ~self.is_busy & (self.is_gone | (self.decisions_to_go == 0))
+
+
+@record
+class Workspace:
+    """Where robots can work on a table; padding is in nobody's reach and near nothing."""
+
+    is_in_reach: Bool[Array, "*B K N"]
+    """Which objects each robot reaches."""
+    is_near: Bool[Array, "*B N N"]
+    """Pairs of objects at which two robots cannot be at once; True on the diagonal."""
+
+
+@record
 class TableState:
-    """S_t: all that a policy may look at (a pytree; `jax.vmap` adds batch axes).
+    """S_t: all that a policy may look at.
 
-    Objects are padded to N with `is_object` False; their other entries mean nothing.
+    Objects are padded to N with `is_object` False; their other entries mean nothing. Where one robot works alone and
+    reaches everything, there are no `robots`; else the lowest of those that are free decides.
     """
 
     hides: Float[Array, "*B N N"]
@@ -40,15 +89,19 @@ class TableState:
     lifts: Int[Array, "*B N"]
     """Number of LIFT attempts that succeeded."""
     attempt_object: Int[Array, "*B T"]
-    """Object that the k-th step tried to grasp, or -1 if none (yet)."""
+    """Object of the k-th attempt that ended, or −1 if none (yet)."""
     attempt_occlusion: Float[Array, "*B T"]
     """Its occlusion at that time."""
     attempt_succeeded: Bool[Array, "*B T"]
     """Whether it was grasped."""
     steps_to_go: Int[Array, "*B"]
-    """Actions left, this one included."""
+    """Actions that may still end, of all robots together, one that is decided now included."""
     attempt_robot: Int[Array, "*B T"] | None = None
     """Number of the robot that made it; None where that does not matter, as all have one law, or is not known."""
+    robots: Robots | None = None
+    workspace: Workspace | None = None
+    decider: Int[Array, "*B"] | None = None
+    """Number of the robot that decides."""
 
     @property
     def num_objects(self) -> int:
@@ -57,30 +110,56 @@ class TableState:
 
     @property
     def horizon(self) -> int:
-        """T, the number of steps that a path may have."""
+        """T, the number of decisions that a path may have."""
         return self.attempt_object.shape[-1]
 
+    @property
+    def num_robots(self) -> int:
+        """K."""
+        return 1 if self.robots is None else self.robots.num_robots
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+
+@record
+class Pending:
+    """How what each robot carries out will end, which nobody knows before."""
+
+    left_s: Float[Array, "*B K"]
+    """Until it is done; infinite for WAIT [s]."""
+    duration_s: Float[Array, "*B K"]
+    """From begin to end [s]."""
+    is_held: Bool[Array, "*B K"]
+    """Whether the object is grasped."""
+    occlusion: Float[Array, "*B K"]
+    """Of the object when the attempt began."""
+    hides: Float[Array, "*B K N N"]
+    """Who will hide whom, where `is_moved`."""
+    is_moved: Bool[Array, "*B K N N"]
+
+
+@record
 class HiddenState:
-    """What no policy sees: the attribute of each object, and what the laws of the world keep to themselves."""
+    """What no policy sees: the attribute of each object, what laws keep to themselves, and what robots are about."""
 
     is_dirty: Bool[Array, "*B N"]
     grasp_trait: Any
     """Of `WorldConfig.grasping`; u of each object, axes (B, N), of the assumed one."""
     seeing_trait: Any = None
     """Of `WorldConfig.seeing`; none of the assumed one."""
+    pending: Pending | None = None
+    """None where one robot works alone."""
+    until_out_s: Float[Array, "*B K"] | None = None
+    """Until each robot drops out, infinite where it never does; None where nobody can [s]."""
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@record
 class Layout:
     """Scenes padded to a common number of objects."""
 
     hides: Float[Array, "*B N N"]
     is_object: Bool[Array, "*B N"]
     grip: Float[Array, "*B N"]
+    workspace: Workspace | None = None
+    """None where one robot works alone."""
 
 
 def pad_scenes(scenes: Sequence[Scene], num_objects: int | None = None) -> Layout:
@@ -106,27 +185,81 @@ def pad_scenes(scenes: Sequence[Scene], num_objects: int | None = None) -> Layou
         hides[k, : scene.num_objects, : scene.num_objects] = scene.hides
         grip[k, : scene.num_objects] = scene.grip
     is_object = np.arange(size) < np.array([[scene.num_objects] for scene in scenes])
-    return Layout(*on_device((hides, is_object, grip)))
+    return Layout(hides, is_object, grip)
 
 
 def initial_state(config: WorldConfig, layout: Layout) -> TableState:
-    """State before anything was seen: all objects on the table, all labels at the prior; one table."""
-    num_objects = layout.is_object.shape[-1]
-    is_pair = layout.is_object[:, None] & layout.is_object[None, :]
-    prior = jnp.log(config.dirty_share) - jnp.log1p(-config.dirty_share)
+    """State before anything was seen: all objects on the table, all labels at the prior, all robots free."""
+    is_object, num_stages = batch_last(layout.is_object), config.num_stages
+    xp = library_of(is_object, config.dirty_share)
+    batch = is_object.shape[:-1]
+    none = xp.zeros_like(is_object, dtype=np.float32)
+    prior = xp.log(config.dirty_share) - xp.log1p(-config.dirty_share)
+    has_laws = config.has_own_laws and layout.workspace is not None
     return TableState(
-        hides=jnp.where(is_pair, layout.hides, 0.0),
-        is_object=layout.is_object,
-        is_on_table=layout.is_object,
-        grip=jnp.where(layout.is_object, layout.grip, 0.0),
-        log_odds=jnp.full(num_objects, prior, dtype=jnp.float32),
-        seen=jnp.zeros(num_objects, dtype=jnp.float32),
-        lifts=jnp.zeros(num_objects, dtype=jnp.int32),
-        attempt_object=jnp.full(config.horizon, NO_ATTEMPT, dtype=jnp.int32),
-        attempt_occlusion=jnp.zeros(config.horizon, dtype=jnp.float32),
-        attempt_succeeded=jnp.zeros(config.horizon, dtype=bool),
-        steps_to_go=jnp.asarray(config.horizon, dtype=jnp.int32),
+        hides=xp.where(is_object[..., :, None] & is_object[..., None, :], batch_last(layout.hides, 2), np.float32(0.0)),
+        is_object=is_object,
+        is_on_table=is_object,
+        grip=xp.where(is_object, batch_last(layout.grip), np.float32(0.0)),
+        log_odds=none + xp.asarray(prior, dtype=np.float32),
+        seen=none,
+        lifts=xp.zeros_like(is_object, dtype=np.int32),
+        attempt_object=batch_last(xp.full((*batch, num_stages), NO_ATTEMPT, dtype=np.int32)),
+        attempt_occlusion=batch_last(xp.zeros((*batch, num_stages), dtype=np.float32)),
+        attempt_succeeded=batch_last(xp.zeros((*batch, num_stages), dtype=bool)),
+        steps_to_go=xp.full(batch, num_stages, dtype=np.int32),
+        attempt_robot=xp.zeros((*batch, num_stages), dtype=np.int32) if has_laws else None,
+        robots=None if layout.workspace is None else _free_robots(config, batch, xp),
+        workspace=layout.workspace,
+        decider=None if layout.workspace is None else xp.zeros(batch, dtype=np.int32),
     )
+
+
+def _free_robots(config: WorldConfig, batch: tuple[int, ...], xp: Any) -> Robots:
+    shape = (*batch, config.num_robots)
+    false = xp.zeros(shape, dtype=bool)
+    return Robots(
+        is_busy=false,
+        is_parked=false,
+        verb=xp.zeros(shape, dtype=np.int32),
+        target=xp.zeros(shape, dtype=np.int32),
+        since_s=xp.zeros(shape, dtype=np.float32),
+        decisions_to_go=xp.full(shape, config.horizon, dtype=np.int32),
+        is_out=None if config.drop_out_rate is None else false,
+    )
+
+
+def nothing_pending(num_robots: int, is_object: Bool[Array, "*B N"]) -> Pending:
+    """Nothing that robots carry out."""
+    xp, (*batch, num_objects) = library_of(is_object), is_object.shape
+    none = xp.zeros((*batch, num_robots), dtype=np.float32)
+    pairs = (*batch, num_robots, num_objects, num_objects)
+    return Pending(
+        left_s=none + np.float32(np.inf),
+        duration_s=none,
+        is_held=none > 0,
+        occlusion=none,
+        hides=xp.zeros(pairs, dtype=np.float32),
+        is_moved=xp.zeros(pairs, dtype=bool),
+    )
+
+
+def batch_last(values: Array, num_axes: int = 1) -> Array:
+    """The same, laid out in memory with the axes of the batch last, which are long, where the others are short.
+
+    What NumPy computes of such arrays is laid out alike, and its loops are as long as the batch.
+    """
+    if library_of(values) is not np or values.ndim == num_axes:
+        return values
+    own, last = tuple(range(-num_axes, 0)), tuple(range(num_axes))
+    return np.moveaxis(np.ascontiguousarray(np.moveaxis(values, own, last)), last, own)
+
+
+def numbered(number: Int[Array, "*B"], num: int) -> Bool[Array, "*B k"]:
+    """Which of 0 to num − 1 each number is."""
+    xp = library_of(number)
+    number = xp.asarray(number)
+    return xp.moveaxis(xp.arange(num).reshape((num,) + (1,) * number.ndim) == number, 0, -1)
 
 
 def check_goes_on(state: TableState) -> None:
@@ -141,30 +274,28 @@ def check_goes_on(state: TableState) -> None:
         raise ArgumentError("the path is over: no step to go or no object left; give a state before its end")
 
 
-def draw_hidden(config: WorldConfig, num_objects: int, key: Array) -> HiddenState:
-    """Draw attributes of one table from the prior, and the traits of the laws."""
-    dirty_key, grasp_key = jax.random.split(key)
-    return HiddenState(
-        is_dirty=jax.random.uniform(dirty_key, (num_objects,)) < config.dirty_share,
-        grasp_trait=config.grasping.draw_trait(num_objects, grasp_key),
-        seeing_trait=config.seeing.draw_trait(num_objects, jax.random.fold_in(key, 2)),
-    )
+def occlusion(state: TableState) -> Float[Array, "*B N"]:
+    """Hidden share of each object now: 1 − Π_j (1 − hides[i, j]·present_j)."""
+    return occlusion_by(state.hides, state.is_on_table)
 
 
-def occlusion(state: TableState) -> Float[Array, " N"]:
-    """Hidden share of each object now: 1 − Π_j (1 − hides[i, j]·present_j); one table."""
-    return occlusion_without(state, jnp.zeros_like(state.is_on_table))
+def occlusion_by(hides: Float[Array, "*#B N N"], is_hiding: Bool[Array, "*#B N"]) -> Float[Array, "*B N"]:
+    """Hidden share of each object where some objects alone hide anything."""
+    xp = library_of(hides, is_hiding)
+    # What hides nothing hides a share of 0, also where its share is padding (NaN).
+    is_idle = (~is_hiding).astype(np.float32)
+    if xp is np and hides.size > _IN_CACHE:
+        visible = np.float32(1.0)
+        for j in range(hides.shape[-1]):
+            visible = visible * np.fmax(np.float32(1.0) - hides[..., j], is_idle[..., j, None])
+        return np.float32(1.0) - visible
+    return np.float32(1.0) - xp.prod(xp.fmax(np.float32(1.0) - hides, is_idle[..., None, :]), axis=-1)
 
 
-def occlusion_without(state: TableState, is_taken: Bool[Array, " N"]) -> Float[Array, " N"]:
-    """Occlusion if the objects in `is_taken` were not there to hide anything; one table."""
-    is_hiding = state.is_on_table & ~is_taken
-    return 1.0 - jnp.prod(jnp.where(is_hiding[None, :], 1.0 - state.hides, 1.0), axis=1)
-
-
-def attempt_counts(state: TableState) -> tuple[Float[Array, " N"], Float[Array, " N"]]:
-    """Past grasp successes and failures of each object; one table."""
-    is_mine = state.attempt_object[None, :] == jnp.arange(state.num_objects)[:, None]
-    successes = jnp.sum(is_mine & state.attempt_succeeded[None, :], axis=1)
-    failures = jnp.sum(is_mine & ~state.attempt_succeeded[None, :], axis=1)
-    return successes.astype(jnp.float32), failures.astype(jnp.float32)
+def attempt_counts(state: TableState) -> tuple[Float[Array, "*B N"], Float[Array, "*B N"]]:
+    """Past grasp successes and failures of each object."""
+    xp = library_of(state.attempt_object)
+    is_mine = state.attempt_object[..., None, :] == xp.arange(state.num_objects)[:, None]
+    succeeded = state.attempt_succeeded[..., None, :]
+    each = (xp.sum(is_mine & succeeded, axis=-1), xp.sum(is_mine & ~succeeded, axis=-1))
+    return each[0].astype(np.float32), each[1].astype(np.float32)

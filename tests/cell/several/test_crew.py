@@ -40,8 +40,8 @@ def over(cell, arm, x_m, y_m=0.0, z_m=0.98):
     return found
 
 
-def to_the_end(crew):
-    while crew.work():
+def to_the_end(crew, most_ticks=6000):
+    while crew.work(most_ticks):
         pass
 
 
@@ -55,6 +55,36 @@ def there_and_back(place, home, told=None, seconds=0.2):
     if told is not None:
         told.append("home")
     return answers
+
+
+def parked(place):
+    """Go to a place without asking, and be idle there."""
+    yield Move(place[None])
+
+
+def asking(place, **options):
+    return (yield Reserve(place[None], **options))
+
+
+def wanting(near, way, back):
+    """Go to a place, then want a way; who gives way goes back."""
+    assert (yield Reserve(near[None]))
+    yield Move(near[None])
+    yield Rest(0.5)
+    if not (yield Reserve(way, back)):
+        yield Move(back)
+        return "gave way"
+    for place in way:
+        yield Move(place[None])
+    return "went on"
+
+
+def begun(cell, *activities, patience_s=60.0):
+    """A crew whose arms have begun their activities."""
+    crew = Crew(cell, ROBOTS, patience_s=patience_s)
+    for arm, activity in enumerate(activities):
+        crew.begin(arm, activity)
+    return crew
 
 
 def resting(seconds):
@@ -79,17 +109,6 @@ def test_an_arm_loses_no_time_where_another_ends_again_and_again(cell):
     assert alone_s == pytest.approx(cell.time_s - begun_s, abs=1.5 * cell.tick_s)
 
 
-def test_between_two_ends_time_passes(cell):
-    crew = Crew(cell, ROBOTS)
-    crew.begin(0, resting(10 * cell.tick_s))
-    crew.begin(1, resting(11 * cell.tick_s))
-    assert [ended.arm for ended in crew.work()] == [0]
-    first_s = cell.time_s
-    crew.begin(0, resting(10 * cell.tick_s))
-    assert [ended.arm for ended in crew.work()] == [1]
-    assert cell.time_s > first_s
-
-
 def test_one_arm_of_a_crew_goes_to_the_last_bit_as_one_that_is_alone():
     def work(home):
         yield Grip(0.05, 0.3)
@@ -108,200 +127,113 @@ def test_one_arm_of_a_crew_goes_to_the_last_bit_as_one_that_is_alone():
 
 
 def test_arms_with_room_for_both_move_at_once(cell, touches):
-    crew, own = Crew(cell, ROBOTS), [over(cell, 0, -0.30), over(cell, 1, 0.30)]
-    for arm in (0, 1):
-        crew.begin(arm, there_and_back(own[arm], HOMES[arm]))
+    crew = begun(cell, *(there_and_back(over(cell, arm, x_m), HOMES[arm]) for arm, x_m in enumerate((-0.30, 0.30))))
     first = crew.work()
     both_s = cell.time_s
     ended = first + crew.work()
-    assert sorted(done.arm for done in ended) == [0, 1]
-    assert all(done.result == [True] for done in ended)
-    assert crew.tally.num_waits == 0
-    assert touches.num_collisions == 0
+    assert sorted((done.arm, done.result) for done in ended) == [(0, [True]), (1, [True])]
+    assert (crew.tally.num_waits, touches.num_collisions) == (0, 0)
     assert cell.time_s < 1.5 * both_s
 
 
 def test_an_arm_waits_until_the_space_that_it_wants_is_free(cell, touches):
-    crew, same = Crew(cell, ROBOTS, patience_s=60.0), [over(cell, arm, 0.0) for arm in (0, 1)]
     told = [[], []]
-    for arm in (0, 1):
-        crew.begin(arm, there_and_back(same[arm], HOMES[arm], told[arm]))
+    crew = begun(cell, *(there_and_back(over(cell, arm, 0.0), HOMES[arm], told[arm]) for arm in (0, 1)))
     (first,) = crew.work()
-    assert first.arm == 0
     alone_s = cell.time_s
-    assert told == [["home"], []]
+    assert (first.arm, told) == (0, [["home"], []])
     (second,) = crew.work()
     assert (second.arm, second.result) == (1, [True])
-    assert crew.tally.num_waits == 1
     # It set out when the other had left, not when that was home.
     assert 0.3 * alone_s < crew.tally.waited_s < 0.95 * alone_s
-    assert crew.tally.num_deadlocks == 0
-    assert touches.num_collisions == 0
+    assert (crew.tally.num_waits, crew.tally.num_deadlocks, touches.num_collisions) == (1, 0, 0)
 
 
 def test_arms_that_do_not_wait_for_space_collide_and_that_is_counted(cell, touches):
-    def recklessly(place):
-        yield Move(place[None])
-
-    crew = Crew(cell, ROBOTS)
-    for arm in (0, 1):
-        crew.begin(arm, recklessly(over(cell, arm, 0.0)))
+    crew = begun(cell, *(parked(over(cell, arm, 0.0)) for arm in (0, 1)))
     to_the_end(crew)
     assert touches.num_collisions >= 1
     assert touches.begun_s[0] > 0.5
 
 
 def test_what_one_arm_presses_on_another_is_a_force_that_stops_the_cell(cell):
-    def recklessly(place):
-        yield Move(place[None])
-
-    crew = Crew(cell, ROBOTS)
+    crew = begun(cell, *(parked(over(cell, arm, 0.0)) for arm in (0, 1)))
     cell.watches.append(Guard(Stops(limit_s=1e9, force_n=5.0, camera_lost_per_s=0.0), 0.0, np.random.default_rng(0)))
-    for arm in (0, 1):
-        crew.begin(arm, recklessly(over(cell, arm, 0.0)))
     with pytest.raises(StoppedError, match=EMERGENCY_STOP):
         to_the_end(crew)
     assert largest_force_n(cell) > 5.0
 
 
 def crossing(cell, arm, near_m, far_m):
-    """Go to a place, then want one behind the other arm; who gives way comes home the way it came."""
-    near, far, home = over(cell, arm, near_m), over(cell, arm, far_m), HOMES[arm]
-    assert (yield Reserve(near[None]))
-    yield Move(near[None])
-    yield Rest(0.5)
-    if not (yield Reserve(np.stack([far, home]), np.stack([home]))):
-        yield Move(home[None])
-        return "gave way"
-    yield Move(far[None])
-    yield Move(home[None])
-    return "went on"
+    """Go to a place, then want one behind the other arm, and home."""
+    return wanting(over(cell, arm, near_m), np.stack([over(cell, arm, far_m), HOMES[arm]]), HOMES[arm][None])
 
 
 def test_in_a_deadlock_one_arm_goes_home_and_the_other_goes_on(cell, touches):
-    crew = Crew(cell, ROBOTS, patience_s=60.0)
-    crew.begin(0, crossing(cell, 0, -0.14, 0.08))
-    crew.begin(1, crossing(cell, 1, 0.14, -0.08))
-    results = {done.arm: done.result for _ in range(2) for done in crew.work()}
-    assert sorted(results.values()) == ["gave way", "went on"]
-    assert crew.tally.num_deadlocks == 1
-    assert crew.tally.num_gave_way == 1
-    assert touches.num_collisions == 0
+    crew = begun(cell, crossing(cell, 0, -0.14, 0.08), crossing(cell, 1, 0.14, -0.08))
+    results = [done.result for _ in range(2) for done in crew.work()]
+    assert sorted(results) == ["gave way", "went on"]
+    assert (crew.tally.num_deadlocks, crew.tally.num_gave_way, touches.num_collisions) == (1, 1, 0)
     # Noticed at once, not after the patience is over.
     assert cell.time_s < 30.0
 
 
-def test_an_arm_that_waits_too_long_at_home_gives_up(cell, touches):
-    def stay(place, home):
-        yield Reserve(np.stack([place, home]))
-        yield Move(place[None])
-        yield Rest(12.0)
-        yield Move(home[None])
-
-    crew = Crew(cell, ROBOTS, patience_s=4.0)
-    crew.begin(0, stay(over(cell, 0, 0.0), HOMES[0]))
-    crew.begin(1, there_and_back(over(cell, 1, 0.0), HOMES[1]))
+def test_an_arm_that_waits_too_long_at_home_gives_up(cell):
+    stays, wants = (there_and_back(over(cell, arm, 0.0), HOMES[arm], seconds=12.0) for arm in (0, 1))
+    crew = begun(cell, stays, wants, patience_s=4.0)
     (ended,) = crew.work()
     assert (ended.arm, ended.result) == (1, [False])
     assert cell.time_s == pytest.approx(4.0, abs=0.3)
-    assert crew.tally.num_deadlocks == 1
-    assert crew.tally.num_gave_way == 0
+    assert (crew.tally.num_deadlocks, crew.tally.num_gave_way) == (1, 0)
     np.testing.assert_allclose(cell.angles_rad(RIGHT), HOMES[1], atol=0.02)
 
 
-def test_an_arm_that_waits_too_long_with_no_free_way_home_waits_on_while_the_other_is_at_work(cell, touches):
-    def stay(place, home):
-        yield Reserve(np.stack([place, home]))
-        yield Move(place[None])
-        yield Rest(8.0)
-        yield Move(home[None])
-
-    def insist(place):
-        return (yield Reserve(place[None], place[None]))
-
-    crew = Crew(cell, ROBOTS, patience_s=2.0)
-    crew.begin(0, stay(over(cell, 0, 0.0), HOMES[0]))
-    crew.begin(1, insist(over(cell, 1, 0.0)))
-    results = {done.arm: done.result for _ in range(2) for done in crew.work()}
-    assert results == {0: None, 1: True}
+def test_an_arm_that_waits_too_long_with_no_free_way_home_waits_on_while_the_other_is_at_work(cell):
+    same = over(cell, 1, 0.0)
+    stays = there_and_back(over(cell, 0, 0.0), HOMES[0], seconds=8.0)
+    crew = begun(cell, stays, asking(same, back=same[None]), patience_s=2.0)
+    assert {done.arm: done.result for _ in range(2) for done in crew.work()} == {0: [True], 1: True}
     assert crew.tally.num_deadlocks == 0
 
 
 def test_who_only_tries_is_answered_at_once(cell):
-    def trying(place):
-        return (yield Reserve(place[None], is_patient=False))
-
-    crew, same = Crew(cell, ROBOTS), [over(cell, arm, 0.0) for arm in (0, 1)]
-    crew.begin(0, there_and_back(same[0], HOMES[0]))
+    crew = begun(cell, there_and_back(over(cell, 0, 0.0), HOMES[0]))
     crew.work(50)
     begun_s = cell.time_s
-    crew.begin(1, trying(same[1]))
+    crew.begin(1, asking(over(cell, 1, 0.0), is_patient=False))
     (ended,) = crew.work()
     assert ended.result is False
     assert cell.time_s == begun_s
 
 
-def test_a_deadlock_without_a_way_home_stops_the_cell(cell):
-    def cornered(arm, near_m, far_m):
-        near, far = over(cell, arm, near_m), over(cell, arm, far_m)
-        yield Reserve(near[None])
-        yield Move(near[None])
-        yield Rest(0.5)
-        yield Reserve(far[None], far[None])
-
-    crew = Crew(cell, ROBOTS)
-    crew.begin(0, cornered(0, -0.14, 0.08))
-    crew.begin(1, cornered(1, 0.14, -0.08))
-    with pytest.raises(StoppedError, match=DEADLOCK):
-        crew.work()
-
-
-def parked(place):
-    """Go to a place, and be idle there."""
-    yield Move(place[None])
-
-
-def wanting(near, far, back):
-    """Go to a place, then want another; who gives way goes back."""
-    assert (yield Reserve(near[None]))
-    yield Move(near[None])
-    if not (yield Reserve(far[None], back)):
-        yield Move(back)
-        return "gave way"
-    return "went on"
-
-
-def test_an_arm_whose_way_an_idle_one_blocks_goes_home_at_once(cell, touches):
-    crew = Crew(cell, ROBOTS, patience_s=60.0)
-    crew.begin(0, parked(over(cell, 0, 0.0)))
+@pytest.mark.parametrize(
+    ("is_away", "result", "within_s", "num_gave_way"), [(True, "gave way", 10.0, 1), (False, [False], 1.0, 0)]
+)
+def test_an_arm_whose_way_an_idle_one_blocks_goes_home_at_once(cell, touches, is_away, result, within_s, num_gave_way):
+    crew = begun(cell, parked(over(cell, 0, 0.0)))
     crew.work()
-    begun_s = cell.time_s
-    crew.begin(1, wanting(over(cell, 1, 0.35), over(cell, 1, 0.0), HOMES[1][None]))
+    begun_s, same = cell.time_s, over(cell, 1, 0.0)
+    away = wanting(over(cell, 1, 0.35), same[None], HOMES[1][None])
+    crew.begin(1, away if is_away else there_and_back(same, HOMES[1]))
     (ended,) = crew.work(3000)
-    assert (ended.arm, ended.result) == (1, "gave way")
-    assert cell.time_s - begun_s < 10.0
-    assert (crew.tally.num_deadlocks, crew.tally.num_gave_way, touches.num_collisions) == (1, 1, 0)
+    assert (ended.arm, ended.result) == (1, result)
+    assert cell.time_s - begun_s < within_s
+    assert (crew.tally.num_deadlocks, crew.tally.num_gave_way, touches.num_collisions) == (1, num_gave_way, 0)
 
 
-def test_an_arm_at_home_whose_way_an_idle_one_blocks_gives_up_at_once(cell):
-    crew = Crew(cell, ROBOTS, patience_s=60.0)
-    crew.begin(0, parked(over(cell, 0, 0.0)))
-    crew.work()
-    begun_s = cell.time_s
-    crew.begin(1, there_and_back(over(cell, 1, 0.0), HOMES[1]))
-    (ended,) = crew.work(3000)
-    assert ended.result == [False]
-    assert cell.time_s - begun_s < 1.0
+def cornered(cell, arm, near_m, far_m):
+    """Go to a place, then want another, and nothing else in its stead."""
+    far = over(cell, arm, far_m)[None]
+    return wanting(over(cell, arm, near_m), far, far)
 
 
-def test_an_arm_with_an_idle_one_in_its_way_and_its_way_home_stops_the_cell(cell):
-    crew = Crew(cell, ROBOTS)
-    crew.begin(0, parked(over(cell, 0, 0.0)))
-    crew.work()
-    same = over(cell, 1, 0.0)
-    crew.begin(1, wanting(over(cell, 1, 0.35), same, same[None]))
+@pytest.mark.parametrize("is_idle", [True, False])
+def test_a_deadlock_without_a_way_home_stops_the_cell(cell, is_idle):
+    first = parked(over(cell, 0, 0.0)) if is_idle else cornered(cell, 0, -0.14, 0.08)
+    wanted_m = (0.35, 0.0) if is_idle else (0.14, -0.08)
+    crew = begun(cell, first, cornered(cell, 1, *wanted_m))
     with pytest.raises(StoppedError, match=DEADLOCK):
-        crew.work(3000)
+        to_the_end(crew)
 
 
 @pytest.mark.parametrize("phase", [1, 4, 7])

@@ -65,69 +65,6 @@ def told(cell, activity, refused):
             return ended.value, asked
 
 
-def assert_all_is_as_it_was(cell):
-    assert cell.in_hand == {}
-    np.testing.assert_allclose(cell.cell.angles_rad(LEFT), LEFT.home_rad, atol=0.02)
-    cup = cell.cell.cup(0)
-    np.testing.assert_allclose(cup.position_m, STOOD_M, atol=0.02)
-    assert cup.rotation[2, 2] > 0.99
-    assert not cell.memory.objects[0].is_racked
-
-
-@pytest.mark.parametrize("work", [Workcell.washing, Workcell.lifting])
-def test_before_it_has_left_home_it_has_tried_nothing(cell, work):
-    attempt, asked = told(cell, work(cell, 0, 0), {0})
-    assert (attempt.is_held, attempt.kind, attempt.duration_s) == (False, None, 0.0)
-    assert "another arm was in the way" in attempt.reason
-    assert len(asked) == 1
-    known = cell.memory.objects[0]
-    assert (known.trials, known.failed, known.lifts) == ([], [], 0)
-    assert_all_is_as_it_was(cell)
-
-
-def test_on_its_way_to_the_rack_it_puts_back_what_it_holds(cell):
-    attempt, asked = told(cell, cell.washing(0, 0), {1})
-    # The way back was granted with the answer: nothing more is asked for.
-    assert len(asked) == 2
-    assert not attempt.is_held
-    assert "gave way" in attempt.reason
-    # The grasp held: that is what a law of grasping is to learn.
-    assert [trial.is_held for trial in cell.memory.objects[0].trials] == [True]
-    assert_all_is_as_it_was(cell)
-    again, _ = told(cell, cell.washing(0, 0), set())
-    assert again.is_held
-    assert cell.memory.objects[0].is_racked
-
-
-def test_before_anything_is_shown_it_has_lifted_nothing_to_see_it(cell):
-    known, looks = cell.memory.objects[0], len(cell.memory.objects[0].glances)
-    attempt, asked = told(cell, cell.lifting(0, 0), {1})
-    assert len(asked) == 2
-    assert attempt.is_held
-    assert known.lifts == 0
-    assert len(known.glances) == looks
-    assert_all_is_as_it_was(cell)
-
-
-def test_between_two_sides_what_was_shown_counts(cell):
-    known = cell.memory.objects[0]
-    attempt, asked = told(cell, cell.lifting(0, 0), {2})
-    assert len(asked) == 3
-    assert attempt.is_held
-    assert known.lifts == 1
-    assert_all_is_as_it_was(cell)
-
-
-def test_after_both_sides_it_goes_back_all_the_same(cell):
-    attempt, asked = told(cell, cell.lifting(0, 0), {3})
-    assert len(asked) == 4
-    # Its way back is its way home: no answer leads elsewhere.
-    np.testing.assert_array_equal(asked[3].command.way, asked[3].command.back)
-    assert attempt.is_held
-    assert cell.memory.objects[0].lifts == 1
-    assert_all_is_as_it_was(cell)
-
-
 def test_whose_hand_closed_on_nothing_goes_home_all_the_same(cell, monkeypatch):
     monkeypatch.setattr("halfseen.cell.workcell.feels", lambda *_: False)
     attempt, asked = told(cell, cell.washing(0, 0), {1})
@@ -163,3 +100,50 @@ def test_what_is_put_back_is_the_same_object_to_whoever_looks_meanwhile(cell):
     assert cell.memory.objects == [known]
     assert known.seen is not None
     assert not known.is_lost
+
+
+def assert_all_is_as_it_was(cell):
+    assert cell.in_hand == {}
+    np.testing.assert_allclose(cell.cell.angles_rad(LEFT), LEFT.home_rad, atol=0.02)
+    cup = cell.cell.cup(0)
+    np.testing.assert_allclose(cup.position_m, STOOD_M, atol=0.02)
+    assert cup.rotation[2, 2] > 0.99
+    assert not cell.memory.objects[0].is_racked
+
+
+@pytest.mark.parametrize(
+    ("work", "phase", "is_held", "lifts", "num_glances", "why"),
+    [
+        ("washing", 0, False, 0, 1, "another arm was in the way"),
+        ("lifting", 0, False, 0, 1, "another arm was in the way"),
+        ("washing", 1, False, 0, 1, "gave way"),
+        ("lifting", 1, True, 0, 1, ""),
+        ("lifting", 2, True, 1, 2, ""),
+        ("lifting", 3, True, 1, 3, ""),
+    ],
+)
+def test_who_gives_way_puts_back_what_it_holds_and_what_was_shown_counts(
+    cell, work, phase, is_held, lifts, num_glances, why
+):
+    known = cell.memory.objects[0]
+    attempt, asked = told(cell, getattr(cell, work)(0, 0), {phase})
+    # The way back was granted with the answer: nothing more is asked for.
+    assert len(asked) == phase + 1
+    assert (attempt.is_held, known.lifts) == (is_held, lifts)
+    assert why in attempt.reason
+    # Where the grasp held, that is what a law of grasping is to learn.
+    assert [trial.is_held for trial in known.trials] == [True] * (phase > 0)
+    assert len(known.glances) <= num_glances
+    if phase == 0:
+        assert (attempt.kind, attempt.duration_s, known.failed) == (None, 0.0, [])
+    if phase == 3:
+        # Its way back is its way home: no answer leads elsewhere.
+        np.testing.assert_array_equal(asked[3].command.way, asked[3].command.back)
+    assert_all_is_as_it_was(cell)
+
+
+def test_a_wash_that_gave_way_is_tried_again(cell):
+    told(cell, cell.washing(0, 0), {1})
+    again, _ = told(cell, cell.washing(0, 0), set())
+    assert again.is_held
+    assert cell.memory.objects[0].is_racked

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from halfseen.cell.contacts import ROBOT
 from halfseen.cell.kinematics import Kinematics
 from halfseen.cell.model import cell_model
 from halfseen.cell.motion import line
@@ -38,13 +37,6 @@ def test_parts_of_an_arm_meet_those_of_the_other_and_none_of_their_own(model):
     assert (meet(model, left, right) != 0).all()
     for own in (left, right):
         assert (meet(model, own, own) == 0).all()
-
-
-def test_an_arm_that_is_alone_meets_what_it_always_met():
-    model = cell_model([], [], ROBOTS[:1], None)
-    own = parts(model, ROBOTS[0])
-    assert set(model.geom_contype[own]) == {ROBOT["contype"]}
-    assert set(model.geom_conaffinity[own]) == {ROBOT["conaffinity"]}
 
 
 def test_the_arms_wait_as_mirror_images_free_of_furniture_and_of_one_another(model):

@@ -254,14 +254,6 @@ def test_a_wrong_checksum_is_told(tmp_path):
     refused(file, mapping(tmp_path, as_json), r"a\.mcap: it is no whole bag \(crc validation failed in Chunk")
 
 
-@pytest.mark.parametrize("share", [0.0, 0.05, 0.3, 0.6, 0.9, 0.999])
-def test_a_file_that_breaks_off_is_told(tmp_path, share):
-    file = write_mcap(tmp_path / "a.mcap", two_paths() * 3, mixed)
-    content = file.read_bytes()
-    file.write_bytes(content[: int(share * len(content))])
-    refused(file, mapping(tmp_path, mixed))
-
-
 @pytest.mark.parametrize(
     ("encoding", "schema", "content", "told"),
     [

@@ -3,7 +3,7 @@ import pytest
 from bags import cloud, joints, number, pose, text, two_paths, whole, write_bag
 
 from halfseen.errors import ArgumentError, HalfseenWarning, LogError
-from halfseen.logs.formats import MAPPING_TEMPLATE, extras, read_bag
+from halfseen.logs.formats import MAPPING_TEMPLATE, read_bag
 
 WITHOUT_CLOUD = MAPPING_TEMPLATE[: MAPPING_TEMPLATE.index("# sensor_msgs/PointCloud2")]
 SMALL = """
@@ -246,19 +246,6 @@ def test_bags_without_a_path_are_refused(bag, mapping):
         read_bag(bags, mapping())
 
 
-@pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
-@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 0.99])
-def test_a_truncated_bag_is_told(bag, mapping, storage, share):
-    folder = bag(two_paths() * 5, storage=storage)
-    (file,) = (file for file in folder.iterdir() if file.suffix != ".yaml")
-    content = file.read_bytes()
-    file.write_bytes(content[: int(share * len(content))])
-    for source in (file, folder):
-        with pytest.raises(LogError, match=r"it is no whole bag .*ros2 bag reindex") as told:
-            read_bag(source, mapping())
-        assert "\n" not in str(told.value)
-
-
 def test_what_is_no_bag_is_told(tmp_path, mapping):
     with pytest.raises(LogError, match="there is no such bag"):
         read_bag(tmp_path / "nowhere", mapping())
@@ -268,18 +255,6 @@ def test_what_is_no_bag_is_told(tmp_path, mapping):
     (tmp_path / "empty" / "metadata.yaml").write_text("nonsense: [")
     with pytest.raises(LogError, match="it is no whole bag"):
         read_bag(tmp_path / "empty", mapping())
-
-
-@pytest.mark.parametrize(("storage", "name"), [("sqlite3", "ros"), ("mcap", "mcap")])
-def test_without_a_library_the_remedy_is_named(bag, mapping, monkeypatch, storage, name):
-    folder, file = bag(two_paths(), storage=storage), mapping()
-
-    def missing(module):
-        raise ModuleNotFoundError(f"No module named {module!r}")
-
-    monkeypatch.setattr(extras, "import_module", missing)
-    with pytest.raises(ArgumentError, match=rf"run: .*pip install .*\[{name}\]'"):
-        read_bag(folder, file)
 
 
 # Clouds.

@@ -222,18 +222,6 @@ def test_what_is_wrong_is_told_in_one_line(tmp_path, rows, told):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("kind", ["parquet", "csv", "feather", "arrow"])
-def test_a_file_that_breaks_off_is_refused_or_a_log(tmp_path, kind):
-    file = write(tmp_path / "steps", rows_of(episodes(), [True] * 3), kind=kind)
-    content = file.read_bytes()
-    for share in (0.0, 0.3, 0.7, 0.95):
-        file.write_bytes(content[: int(share * len(content))])
-        with pytest.raises(HalfseenError) as caught:
-            read_steps(file, StepRules(step_s=1.0))
-        assert "\n" not in str(caught.value)
-        assert "steps" in str(caught.value)
-
-
 @pytest.mark.parametrize("compression", ["zstd", "lz4"])
 @pytest.mark.parametrize("kind", ["feather", "parquet"])
 def test_a_table_of_few_bytes_and_many_values_is_refused_before_it_is_read(tmp_path, monkeypatch, kind, compression):

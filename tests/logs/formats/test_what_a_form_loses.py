@@ -1,13 +1,14 @@
 """What is not named as lost comes back equal; what is refused is refused by the writer, too."""
 
 import datetime
+import os
 from decimal import Decimal
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pytest
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from valid_logs import small_tables, valid_tables
 
@@ -68,24 +69,43 @@ def log_of(tables):
         assume(False)
 
 
-def assert_told(logs, form, write, read):
-    lost = losses(logs, form)
-    refused = [loss for loss in lost if loss.is_refused]
-    if refused:
-        with pytest.raises(LogError) as caught:
-            write()
-        assert all(str(loss) in str(caught.value) for loss in refused)
-        return
-    write()
-    back = read()
+FORMS = {
+    "parquet": (lambda logs, folder: logs.write(folder / "a"), lambda folder: read_logs(folder / "a")),
+    "csv": (lambda logs, folder: write_csv(logs, folder / "a"), lambda folder: read_csv(folder / "a")),
+    "minari": (lambda logs, folder: write_minari(logs, "a-v0"), lambda folder: read_minari("a-v0")),
+}
+
+
+@pytest.mark.parametrize(("form", "most"), [("parquet", 40), ("csv", 40), ("minari", 15)])
+def test_what_is_not_lost_comes_back_and_what_is_refused_is_refused_by_the_writer(tmp_path_factory, form, most):
+    write, read = FORMS[form]
+
+    @given(any_tables(), st.sampled_from([None, "Körbe"]))
+    @settings(max_examples=most)
+    def check(tables, unit):
+        logs, folder = log_of(tables).in_unit(unit), tmp_path_factory.mktemp("logs")
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv("MINARI_DATASETS_PATH", str(folder))
+            refused = [loss for loss in losses(logs, form) if loss.is_refused]
+            if refused:
+                with pytest.raises(LogError) as caught:
+                    write(logs, folder)
+                assert all(str(loss) in str(caught.value) for loss in refused)
+            else:
+                write(logs, folder)
+                assert_back(logs, read(folder), {(loss.table, loss.column) for loss in losses(logs, form)})
+
+    check()
+
+
+def assert_back(logs, back, lost):
     assert back.reward_unit == logs.reward_unit
     assert back.tables.keys() == logs.tables.keys()
-    named = {(loss.table, loss.column) for loss in lost}
     for name, table in logs.tables.items():
         assert list(back.tables[name]) == list(table)
         for column in table:
             ours, theirs = table[column], back.tables[name][column]
-            if (name, column) in named:
+            if (name, column) in lost:
                 with pytest.raises(AssertionError):
                     pd.testing.assert_series_equal(ours, theirs)
                 assert [str(each) for each in ours] == [str(each) for each in theirs]
@@ -93,32 +113,31 @@ def assert_told(logs, form, write, read):
                 pd.testing.assert_series_equal(ours, theirs)
 
 
-FOLDER = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@pytest.mark.parametrize(
+    ("form", "at"),
+    [
+        ("parquet", "halfseen.logs.folder.pq.write_table"),
+        ("csv", "halfseen.logs.formats.csv_folder.arrow_csv.write_csv"),
+        ("minari", "minari.dataset._storages.hdf5_storage.HDF5Storage.update_episode_metadata"),
+    ],
+)
+def test_a_write_that_fails_leaves_nothing_and_what_is_there_is_never_replaced(tmp_path, monkeypatch, form, at):
+    def full_disk(*args, **kwargs):
+        raise OSError(28, "No space left on device")
 
-
-@given(any_tables())
-@settings(FOLDER, max_examples=40)
-def test_what_is_not_lost_in_parquet_comes_back(tmp_path_factory, tables):
-    logs = log_of(tables)
-    folder = tmp_path_factory.mktemp("logs") / "a"
-    assert_told(logs, "parquet", lambda: logs.write(folder), lambda: read_logs(folder))
-
-
-@given(any_tables())
-@settings(FOLDER, max_examples=40)
-def test_what_is_not_lost_in_csv_comes_back(tmp_path_factory, tables):
-    logs = log_of(tables)
-    folder = tmp_path_factory.mktemp("logs") / "a"
-    assert_told(logs, "csv", lambda: write_csv(logs, folder), lambda: read_csv(folder))
-
-
-@given(any_tables())
-@settings(FOLDER, max_examples=15)
-def test_what_is_not_lost_in_minari_comes_back(tmp_path_factory, tables):
-    logs = log_of(tables)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("MINARI_DATASETS_PATH", str(tmp_path_factory.mktemp("datasets")))
-        assert_told(logs, "minari", lambda: write_minari(logs, "a-v0"), lambda: read_minari("a-v0"))
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    logs, (write, _) = Logs(**small_tables()), FORMS[form]
+    with monkeypatch.context() as patch:
+        patch.setattr(at, full_disk)
+        with pytest.raises(ArgumentError, match="No space left on device"):
+            write(logs, tmp_path)
+    assert os.listdir(tmp_path) == []
+    write(logs, tmp_path)
+    before = {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
+    with pytest.raises(ArgumentError, match="it is there already"):
+        write(logs.select([1]), tmp_path)
+    assert {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()} == before
+    assert os.environ["MINARI_DATASETS_PATH"] == str(tmp_path)
 
 
 def test_each_loss_is_named_with_its_column():

@@ -2,14 +2,14 @@
 
 import json
 import os
-import signal
 import time
-from itertools import cycle
+from itertools import chain, repeat
 
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given
+from hypothesis import example, given
+from recordings import begin, record_path, step
 from test_logs import assert_same
 from valid_logs import small_tables, valid_tables
 
@@ -20,22 +20,7 @@ from halfseen.logs.journal.parts import JOURNAL
 # JAX warns of forks where other tests have loaded it; the children here do not touch it.
 pytestmark = pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning")
 
-
-class HandClock:
-    """Stands in for `time.monotonic`, and moves when told."""
-
-    def __init__(self):
-        self.now_s = 1000.0
-
-    def __call__(self):
-        return self.now_s
-
-
-@pytest.fixture
-def clock(monkeypatch):
-    clock = HandClock()
-    monkeypatch.setattr("halfseen.logs.journal.clock.time.monotonic", clock)
-    return clock
+OF_THE_END = ["path", "end_s", "ending", "cause"]
 
 
 @pytest.fixture
@@ -44,26 +29,24 @@ def recorder(tmp_path):
         yield recorder
 
 
-def record(path, num_stages, clocks=None):
-    """Complete some stages, with the number of the stage for a covariate and ten times that for a reward."""
-    for stage in range(1, num_stages + 1):
-        path.begin_stage({"x": float(stage)}, action="PICK")
-        path.complete_stage(10.0 * stage, elapsed_s=None if clocks is None else clocks[stage - 1])
+@pytest.fixture
+def wait(monkeypatch):
+    """Moves the recorder's own clock."""
+    now_s = [1000.0]
+    monkeypatch.setattr("halfseen.logs.journal.clock.time.monotonic", lambda: now_s[0])
+    return lambda seconds: now_s.append(now_s.pop() + seconds)
 
 
 def record_tables(folder, stages, paths, objects):
     """Record what tables say, on their clocks."""
     stages = stages.astype({"object": object if stages["object"].dtype == object else "Int64"})
     with LogRecorder(folder) as recorder:
-        for end in paths.itertuples():
-            known = {
-                name: getattr(end, name) for name in paths.columns.difference(["path", "end_s", "ending", "cause"])
-            }
-            path = recorder.begin_path(end.path, **known)
-            for row in stages[stages["path"] == end.path].sort_values("stage").to_dict("records"):
+        for end in paths.to_dict("records"):
+            path = recorder.begin_path(end["path"], **{name: end[name] for name in end.keys() - set(OF_THE_END)})
+            for row in stages[stages["path"] == end["path"]].sort_values("stage").to_dict("records"):
                 there = None
                 if objects is not None:
-                    is_there = (objects["path"] == end.path) & (objects["stage"] == row["stage"])
+                    is_there = (objects["path"] == end["path"]) & (objects["stage"] == row["stage"])
                     there = objects[is_there].drop(columns=["path", "stage"]).to_dict("records")
                 choice = {name: row.pop(name) for name in ("action", "object", "probability") if name in row}
                 choice = {name: value for name, value in choice.items() if not pd.isna(value)}
@@ -71,74 +54,64 @@ def record_tables(folder, stages, paths, objects):
                 path.begin_stage(row, there, **choice)
                 if not pd.isna(elapsed_s):
                     path.complete_stage(reward, elapsed_s=elapsed_s)
-            if end.ending == "finished":
-                path.finish(elapsed_s=end.end_s)
+            if end["ending"] == "finished":
+                path.finish(elapsed_s=end["end_s"])
             else:
-                path.cut(end.cause, elapsed_s=end.end_s)
-
-
-def assert_recorded(folder, tables):
-    """Compare the logs of a recorder with those of the tables, whose narrower types it does not keep."""
-    back, logs = read_logs(folder), Logs(**tables)
-    for name in ("stages", "paths", "objects"):
-        there, wanted = getattr(back, name), getattr(logs, name)
-        if wanted is not None:
-            pd.testing.assert_frame_equal(there[wanted.columns], wanted, check_dtype=False)
-    return back
-
-
-def test_any_table_comes_back_as_logs_would_hold_it(tmp_path):
-    record_tables(tmp_path / "logs", **small_tables())
-    back = assert_recorded(tmp_path / "logs", small_tables())
-    back.write(tmp_path / "parquet")
-    assert_same(read_logs(tmp_path / "parquet"), back)
+                path.cut(end["cause"], elapsed_s=end["end_s"])
 
 
 @given(valid_tables())
+@example(small_tables())
 def test_whatever_logs_take_a_recorder_takes(tmp_path_factory, tables):
     folder = tmp_path_factory.mktemp("logs")
-    record_tables(folder, **tables)
-    assert_recorded(folder, tables)
+    record_tables(folder / "logs", **tables)
+    back, logs = read_logs(folder / "logs"), Logs(**tables)
+    for name, wanted in logs.tables.items():  # whose narrower types a recorder does not keep
+        pd.testing.assert_frame_equal(back.tables[name][wanted.columns], wanted, check_dtype=False)
+    back.write(folder / "parquet")
+    assert_same(read_logs(folder / "parquet"), back)
 
 
-def test_on_its_own_clock_a_stage_lasts_until_the_next_begins(recorder, clock, tmp_path):
-    path = recorder.begin_path()
-    clock.now_s += 50.0
-    path.begin_stage({"x": 0.0}, action="A")
-    clock.now_s += 2.0
+def own_clock(path, wait):
+    wait(50.0)
+    begin(path)
+    wait(2.0)
     path.complete_stage(1.0)
-    clock.now_s += 0.5
-    path.begin_stage({"x": 1.0}, action="A")
-    clock.now_s += 3.0
+    wait(0.5)
+    begin(path)
+    wait(3.0)
     path.complete_stage(2.0)
-    clock.now_s += 0.25
+    wait(0.25)
     path.finish()
-    logs = read_logs(tmp_path / "logs")
-    assert logs.elapsed_s().tolist() == [[2.5, 5.75]]
-    assert logs.end_s.tolist() == [5.75]
 
 
-def test_a_cut_between_stages_falls_into_the_stage_before(recorder, clock, tmp_path):
-    path = recorder.begin_path()
-    path.begin_stage({"x": 0.0}, action="A")
-    clock.now_s += 2.0
+def cut_between_stages(path, wait):
+    begin(path)
+    wait(2.0)
     path.complete_stage(1.0)
-    clock.now_s += 0.5
+    wait(0.5)
     path.cut("emergency-stop")
-    logs = read_logs(tmp_path / "logs")
-    assert logs.end_s.tolist() == [2.5]
-    assert logs.stages["elapsed_s"].isna().tolist() == [True]
-    assert logs.paths["cause"].tolist() == ["emergency-stop"]
 
 
-def test_on_a_given_clock_a_cut_between_stages_stands_just_before_the_completion_that_it_takes_back(recorder, tmp_path):
-    path = recorder.begin_path()
-    record(path, 2, [1.0, 2.0])
+def cut_on_a_given_clock(path, wait):
+    step(path, 1.0)
+    step(path, 2.0)
     path.cut("battery", elapsed_s=2.5)
+
+
+@pytest.mark.parametrize(
+    ("happens", "elapsed_s", "end_s", "cause"),
+    [
+        (own_clock, [2.5, 5.75], 5.75, None),  # a stage lasts until the next begins
+        (cut_between_stages, [np.nan], 2.5, "emergency-stop"),  # a cut falls into the stage before
+        (cut_on_a_given_clock, [1.0, np.nan], np.nextafter(2.0, 0.0), "battery"),  # and takes its completion back
+    ],
+)
+def test_stages_last_until_the_next_begins_or_the_path_ends(recorder, wait, tmp_path, happens, elapsed_s, end_s, cause):
+    happens(recorder.begin_path(), wait)
     logs = read_logs(tmp_path / "logs")
-    assert logs.elapsed_s()[0, 0] == 1.0
-    assert np.isnan(logs.elapsed_s()[0, 1])
-    assert logs.end_s[0] == np.nextafter(2.0, 0.0)
+    np.testing.assert_array_equal(logs.elapsed_s(), [elapsed_s])
+    assert (logs.end_s.tolist(), logs.paths["cause"].tolist()) == ([end_s], [cause])
 
 
 def test_weights_of_tied_clocks_add_up_although_paths_end_between_stages(tmp_path):
@@ -149,8 +122,7 @@ def test_weights_of_tied_clocks_add_up_although_paths_end_between_stages(tmp_pat
         for _ in range(300):
             path = recorder.begin_path()
             for stage in (1, 2, 3):
-                path.begin_stage({"x": 1.0}, action="A")
-                path.complete_stage(1.0, elapsed_s=float(stage))
+                step(path, float(stage))
                 if rng.random() < 0.2:
                     path.cut("operator")
                     break
@@ -162,13 +134,13 @@ def test_weights_of_tied_clocks_add_up_although_paths_end_between_stages(tmp_pat
     np.testing.assert_allclose(weights.mean(axis=0), 1.0, rtol=1e-12)
 
 
-def test_a_path_in_progress_is_still_running_and_a_torn_one_crashed(recorder, clock, tmp_path):
+def test_a_path_in_progress_is_still_running_and_a_torn_one_crashed(recorder, wait, tmp_path):
     path = recorder.begin_path()
-    record(path, 1)
-    clock.now_s += 4.0
-    path.begin_stage({"x": 2.0}, action="PICK")
+    step(path)
+    wait(4.0)
+    begin(path)
     assert read_logs(tmp_path / "logs").paths["cause"].tolist() == ["still-running"]
-    clock.now_s += 3.0
+    wait(3.0)
     path.still_running()
     path.still_running()
     recorder._journal.close()
@@ -179,56 +151,83 @@ def test_a_path_in_progress_is_still_running_and_a_torn_one_crashed(recorder, cl
 
 
 def test_a_path_torn_before_its_clock_moved_has_an_end(recorder, tmp_path):
-    recorder.begin_path().begin_stage({"x": 2.0}, action="PICK")
+    begin(recorder.begin_path())
     recorder._journal.close()
-    logs = read_logs(tmp_path / "logs")
-    assert logs.end_s.tolist() == [1e-9]
+    assert read_logs(tmp_path / "logs").end_s.tolist() == [1e-9]
+
+
+class JumpingClock:
+    """Stands in for `time`: each reading is the next of a list and then its last."""
+
+    def __init__(self, readings_s):
+        self._readings_s = chain(readings_s, repeat(readings_s[-1]))
+
+    def __getattr__(self, name):
+        return {"time": self.fail, "time_ns": self.fail}.get(name) or getattr(time, name)
+
+    def fail(self):
+        pytest.fail("the time of day was read")
+
+    def monotonic(self):
+        return next(self._readings_s)
+
+
+@pytest.mark.parametrize("readings_s", [[100.5, 101.0, 101.5, 102.0, 102.5, 103.0], [100.5, 101.0, 90.0, 90.0, 95.0]])
+def test_a_clock_that_falls_back_leaves_stages_in_order_and_no_time_of_day_is_read(tmp_path, monkeypatch, readings_s):
+    monkeypatch.setattr("halfseen.logs.journal.clock.time", JumpingClock([100.0, *readings_s]))
+    with LogRecorder(tmp_path) as recorder:
+        path = recorder.begin_path()
+        for _ in range(3):
+            step(path)
+        path.finish()
+    logs = read_logs(tmp_path)
+    falls = 90.0 in readings_s
+    np.testing.assert_allclose(logs.end_s, 1.0 if falls else 3.0, atol=1e-6 if falls else 0.0)
+    assert logs.stages["elapsed_s"].diff().dropna().gt(0.0).all()
+    assert falls or logs.stages["elapsed_s"].tolist() == [1.0, 2.0, 3.0]
 
 
 def test_a_folder_is_gone_on_with_after_a_crash(tmp_path):
     first = LogRecorder(tmp_path)
-    record(first.begin_path(scene="a"), 3, [1.0, 2.0, 3.0])
+    path = first.begin_path(scene="a")
+    for stage in (1.0, 2.0, 3.0):
+        step(path, stage)
     first._journal.close()
     with (tmp_path / JOURNAL).open("ab") as journal:
         journal.write(b'["0badf00d",{"event":"sta')
     with LogRecorder(tmp_path) as second:
         path = second.begin_path(weather="wet")
         assert path.name == 2
-        record(path, 1, [1.5])
+        step(path, 1.5)
         path.finish()
         with pytest.raises(LogError, match="path 1: it is in the folder already"):
             second.begin_path(1)
         with pytest.raises(LogError, match="covariate x is missing"):
-            second.begin_path().begin_stage({"y": 1.0}, action="PICK")
-    logs = read_logs(tmp_path)
-    assert logs.paths[["path", "ending"]].values.tolist() == [[1, "cut"], [2, "finished"]]
-    assert logs.paths["cause"].iloc[0] == "crash"
-    assert logs.paths["weather"].tolist() == [None, "wet"]
+            begin(second.begin_path(), covariates={"y": 1.0})
+    paths = read_logs(tmp_path).paths
+    assert paths[["path", "ending"]].values.tolist() == [[1, "cut"], [2, "finished"]]
+    assert paths["cause"].tolist() == ["crash", None]
+    assert paths["weather"].tolist() == [None, "wet"]
 
 
-def test_two_recorders_of_one_process_are_refused(recorder, tmp_path):
-    with pytest.raises(ArgumentError, match=r"another recorder.*there is nothing to remove after a crash"):
-        LogRecorder(tmp_path / "logs")
-    recorder.close()
-    LogRecorder(tmp_path / "logs").close()
-
-
-def test_a_fork_neither_records_nor_lets_the_lock_go(recorder, tmp_path):
+def test_one_recorder_at_a_time_and_a_fork_neither_records_nor_lets_the_lock_go(recorder, tmp_path):
     path = recorder.begin_path()
     child = os.fork()
     if child == 0:
         status = 1
         try:
-            path.begin_stage({"x": 1.0}, action="A")
+            begin(path)
         except LogError as error:
             recorder.close()
             status = 0 if "is its fork" in str(error) else 2
         finally:
             os._exit(status)
     assert os.waitpid(child, 0)[1] == 0
-    with pytest.raises(ArgumentError, match="another recorder"):
+    with pytest.raises(ArgumentError, match=r"another recorder.*there is nothing to remove after a crash"):
         LogRecorder(tmp_path / "logs")
-    record(path, 1)
+    step(path)
+    recorder.close()
+    LogRecorder(tmp_path / "logs").close()
 
 
 def test_finished_logs_are_not_recorded_over(tmp_path):
@@ -244,7 +243,7 @@ def test_finished_logs_are_not_recorded_over(tmp_path):
 def test_leaving_by_an_error_cuts_the_path(tmp_path, error, cause):
     def fail():
         with LogRecorder(tmp_path) as recorder:
-            recorder.begin_path().begin_stage({"x": 1.0}, action="A")
+            begin(recorder.begin_path())
             raise error
 
     with pytest.raises(error):
@@ -259,103 +258,6 @@ def test_a_path_that_ends_before_its_first_stage_leaves_no_trace(recorder, tmp_p
     assert recorder.begin_path().name == 1
 
 
-def begin(path, **seen):
-    path.begin_stage(**({"covariates": {"x": 1.0}, "action": "A"} | seen))
-
-
-STEPS = {
-    "reward is nan": lambda path: (begin(path), path.complete_stage(float("nan"))),
-    "reward is 'one'": lambda path: (begin(path), path.complete_stage("one")),
-    "reward is None": lambda path: (begin(path), path.complete_stage(None)),
-    "elapsed_s 0.5 is before the 1.0": lambda path: (begin(path), path.complete_stage(0.0, elapsed_s=0.5)),
-    "elapsed_s 1.0 is still the 1.0": lambda path: (begin(path), path.complete_stage(0.0, elapsed_s=1.0)),
-    "elapsed_s is inf": lambda path: (begin(path), path.complete_stage(0.0, elapsed_s=np.inf)),
-    "elapsed_s is missing": lambda path: (begin(path), path.complete_stage(0.0)),
-    "stage 1 is completed already": lambda path: path.complete_stage(0.0, elapsed_s=2.0),
-    "stage 2: it is in progress": lambda path: (begin(path), begin(path)),
-    "stage 2 is in progress; complete it before finish": lambda path: (begin(path), path.finish()),
-    "it began without an action": lambda path: (begin(path, action=None), path.complete_stage(0.0, elapsed_s=2.0)),
-    "object or probability is given without action": lambda path: begin(path, action=None, probability=0.5),
-    "probability is given, unlike": lambda path: begin(path, probability=0.5),
-    "covariate x is nan": lambda path: begin(path, covariates={"x": np.float32("nan")}),
-    "covariate x is inf": lambda path: begin(path, covariates={"x": np.inf}),
-    "covariate x is None": lambda path: begin(path, covariates={"x": None}),
-    "covariate x is a text": lambda path: begin(path, covariates={"x": "far"}),
-    "covariate x is no flat list": lambda path: begin(path, covariates={"x": np.zeros((2, 2))}),
-    "covariate x is missing": lambda path: begin(path, covariates={}),
-    "covariate y was not there": lambda path: begin(path, covariates={"x": 1.0, "y": 1.0}),
-    "'reward' is a name of the log's own": lambda path: begin(path, covariates={"x": 1.0, "reward": 1.0}),
-    "' Cause' is a name of the log's own": lambda path: begin(path, covariates={"x": 1.0, " Cause": 1.0}),
-    "is a date or no seconds": lambda path: (begin(path), path.complete_stage(0.0, elapsed_s=1.7e9)),
-    "covariates are a list": lambda path: begin(path, covariates=[1.0]),
-    "it has objects, though": lambda path: begin(path, objects=[{"object": 1}]),
-    "objects is empty": lambda path: begin(path, objects=[]),
-    "action 1 is a number": lambda path: begin(path, action=1),
-    "action True is no name": lambda path: begin(path, action=True),
-    "as if units were mixed": lambda path: path.finish(elapsed_s=1000.0),
-    "cause '' is no cause": lambda path: path.cut(""),
-    "is no Unicode": lambda path: begin(path, action="\ud800"),
-}
-
-
-@pytest.mark.parametrize("trouble", STEPS)
-def test_what_no_log_takes_is_refused_in_one_line_and_harms_nothing(recorder, tmp_path, trouble):
-    path = recorder.begin_path()
-    record(path, 1, [1.0])
-    with pytest.raises(LogError, match=trouble) as told:
-        STEPS[trouble](path)
-    assert str(told.value).startswith("path 1")
-    assert len(str(told.value).splitlines()) == 1
-    if not path.is_in_stage:
-        begin(path)
-    path.cut("operator", elapsed_s=3.0)
-    assert read_logs(tmp_path / "logs").elapsed_s()[0, 0] == 1.0
-
-
-def test_objects_that_no_log_takes_are_refused(recorder, tmp_path):
-    path = recorder.begin_path()
-    cup = {"object": "cup", "occlusion": np.float32(0.5), "hidden_by": np.array([])}
-    begin(path, objects=[cup], object="cup")
-    path.complete_stage(1.0)
-    for trouble, objects in {
-        "object 'cup': it is there twice": [cup, cup],
-        "has no name": [{"occlusion": 0.5}],
-        "object 1 is a number, those before are text": [cup | {"object": 1}],
-        "object 'cup': covariate occlusion is missing": [{"object": "cup"}],
-        "it has no objects, though": None,
-        "object 'cup' of the action is not among the objects of the stage": [cup | {"object": "mug"}],
-        "hidden_by is a text": [cup | {"hidden_by": "mug"}],
-    }.items():
-        with pytest.raises(LogError, match=trouble):
-            begin(path, objects=objects, object="cup")
-    begin(path, objects=[cup | {"hidden_by": [0.5, 1]}], object="cup")
-    path.complete_stage(1.0)
-    with pytest.raises(LogError, match="hidden_by is a list of texts, before it was a list of numbers"):
-        begin(path, objects=[cup | {"hidden_by": ["mug"]}], object="cup")
-    path.finish()
-    assert [entry.tolist() for entry in read_logs(tmp_path / "logs").objects["hidden_by"]] == [[], [0.5, 1.0]]
-
-
-def test_paths_that_no_log_takes_are_refused(recorder):
-    with pytest.raises(LogError, match="'Object' is a name of the log's own"):
-        recorder.begin_path(Object="cup")
-    path = recorder.begin_path("a")
-    with pytest.raises(LogError, match="it has no stage"):
-        path.finish()
-    with pytest.raises(LogError, match="path 'a': it is in progress"):
-        recorder.begin_path()
-    record(path, 1)
-    path.finish()
-    with pytest.raises(LogError, match="path 'a': it has ended"):
-        path.cut("operator")
-    with pytest.raises(LogError, match="path 7 is a number, those before are text"):
-        recorder.begin_path(7)
-    assert recorder.begin_path().name == "2"
-    recorder.close()
-    with pytest.raises(LogError, match="the recorder is closed"):
-        record(recorder.begin_path(), 1)
-
-
 def test_a_journal_of_another_version_is_refused(tmp_path):
     from halfseen.logs.journal.lines import HEADER, journal_line
 
@@ -364,89 +266,22 @@ def test_a_journal_of_another_version_is_refused(tmp_path):
         read_logs(tmp_path)
 
 
-def test_every_torn_end_is_read(tmp_path):
-    with LogRecorder(tmp_path / "whole") as recorder:
+def test_lines_are_json_that_other_programs_read_and_every_torn_end_is_read(tmp_path):
+    with LogRecorder(tmp_path) as recorder:
         for _ in range(2):
-            path = recorder.begin_path()
-            record(path, 2)
-            path.finish()
-    whole = (tmp_path / "whole" / JOURNAL).read_bytes()
-    (tmp_path / "torn").mkdir()
-    first = len(b"".join(whole.splitlines(keepends=True)[:3]))
+            record_path(recorder, num_stages=2)
+    whole = (tmp_path / JOURNAL).read_bytes()
+    lines = whole.splitlines(keepends=True)
+    events = [json.loads(line)[1]["event"] for line in lines]
+    assert events == ["journal", "session", *(["stage", "done"] * 2 + ["finished"]) * 2]
     num_stages = []
-    for size in range(first, len(whole), 7):
-        (tmp_path / "torn" / JOURNAL).write_bytes(whole[:size])
-        logs = read_logs(tmp_path / "torn")
+    for size in range(sum(map(len, lines[:3])), len(whole), 7):
+        (tmp_path / JOURNAL).write_bytes(whole[:size])
+        logs = read_logs(tmp_path)
         num_stages.append(logs.num_stages)
         assert set(logs.paths["cause"].dropna()) <= {"crash"}
     assert sorted(num_stages) == num_stages
     assert set(num_stages) == {1, 2, 3, 4}
-
-
-def test_lines_are_json_that_other_programs_read(recorder, tmp_path):
-    record(recorder.begin_path(), 1)
-    events = [json.loads(line)[1]["event"] for line in (tmp_path / "logs" / JOURNAL).read_text().splitlines()]
-    assert events == ["journal", "session", "stage", "done"]
-
-
-def test_a_full_disk_is_told_and_loses_only_the_event(tmp_path):
-    child = os.fork()
-    if child == 0:
-        import resource
-
-        status = 1
-        try:
-            path = LogRecorder(tmp_path, fsync=True).begin_path()
-            record(path, 1, [1.0])
-            size = (tmp_path / JOURNAL).stat().st_size
-            resource.setrlimit(resource.RLIMIT_FSIZE, (size + 40, resource.RLIM_INFINITY))
-            try:
-                begin(path)
-            except LogError as error:
-                status = 0 if "make room and give it again" in str(error) else 2
-            resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
-            begin(path)
-        except BaseException:
-            status = 3
-        finally:
-            os._exit(status)
-    assert os.waitpid(child, 0)[1] == 0
-    assert read_logs(tmp_path).stages["elapsed_s"].notna().tolist() == [True, False]
-
-
-def test_ctrl_c_at_any_moment_leaves_a_journal_that_reads(tmp_path):
-    class Pressed(BaseException):
-        pass
-
-    def press(*_):
-        raise Pressed
-
-    # However slow the machine is, some delays are shorter than a stage takes, and some longer.
-    delays_s = cycle(np.geomspace(0.0005, 0.02, 23).tolist())
-    interrupted, deadline = 0, time.monotonic() + 30.0
-    before = signal.signal(signal.SIGALRM, press)
-    try:
-        with LogRecorder(tmp_path) as recorder:
-            path = recorder.begin_path()
-            while interrupted < 120 and time.monotonic() < deadline:
-                try:
-                    signal.setitimer(signal.ITIMER_REAL, next(delays_s))
-                    # What presses while a callback runs goes nowhere.
-                    while time.monotonic() < deadline:
-                        if not path.is_in_stage:
-                            begin(path)
-                        path.complete_stage(1.0)
-                except Pressed:
-                    interrupted += 1
-            signal.setitimer(signal.ITIMER_REAL, 0)
-            path.cut("operator")
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
-    logs = read_logs(tmp_path)
-    assert interrupted > 50
-    assert logs.paths["cause"].tolist() == ["operator"]
-    assert logs.num_stages > 50
 
 
 def test_whole_numbers_and_fractions_may_mix_across_chunks(tmp_path, monkeypatch):
@@ -454,8 +289,7 @@ def test_whole_numbers_and_fractions_may_mix_across_chunks(tmp_path, monkeypatch
     with LogRecorder(tmp_path) as recorder:
         for x in [1, 2, 2.5, 3]:
             path = recorder.begin_path(speed=x)
-            path.begin_stage({"x": x, "seen": []} if x == 1 else {"x": x, "seen": [x]}, action=7)
-            path.complete_stage(np.array(1))
+            step(path, reward=np.array(1), covariates={"x": x, "seen": [] if x == 1 else [x]}, action=7)
             path.finish()
     logs = read_logs(tmp_path)
     assert logs.stages["x"].tolist() == logs.paths["speed"].tolist() == [1.0, 2.0, 2.5, 3.0]
@@ -463,16 +297,16 @@ def test_whole_numbers_and_fractions_may_mix_across_chunks(tmp_path, monkeypatch
 
 
 def test_what_each_robot_brought_is_read_back_and_is_null_where_a_stage_was_cut(tmp_path):
-    with LogRecorder(tmp_path / "logs") as recorder:
+    with LogRecorder(tmp_path) as recorder:
         path = recorder.begin_path()
         for stage in (1, 2):
-            path.begin_stage({"x": 0.0}, action="PICK")
+            begin(path)
             path.complete_stage(3.0, elapsed_s=float(stage), own_rewards=[1.0, 2.0 * stage])
-        path.begin_stage({"x": 0.0}, action="PICK")
+        begin(path)
         path.cut("operator", elapsed_s=2.5)
-    with LogRecorder(tmp_path / "logs") as recorder:
+    with LogRecorder(tmp_path) as recorder:
         path = recorder.begin_path()
-        path.begin_stage({"x": 0.0}, action="PICK")
+        begin(path)
         # It is told when it is given, and the stage may still be completed.
         with pytest.raises(LogError, match="own_rewards has 0 numbers, and the stages before it have 2"):
             path.complete_stage(3.0, elapsed_s=1.0)
@@ -480,6 +314,6 @@ def test_what_each_robot_brought_is_read_back_and_is_null_where_a_stage_was_cut(
             path.complete_stage(3.0, elapsed_s=1.0, own_rewards=[1.0, float("nan")])
         path.complete_stage(3.0, elapsed_s=1.0, own_rewards=[1.0, 5.0])
         path.finish(elapsed_s=1.0)
-    stages = read_logs(tmp_path / "logs").stages
+    stages = read_logs(tmp_path).stages
     np.testing.assert_array_equal(stages["0_reward"], [1.0, 1.0, np.nan, 1.0])
     np.testing.assert_array_equal(stages["1_reward"], [2.0, 4.0, np.nan, 5.0])

@@ -9,10 +9,10 @@ import sys
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
+from recordings import as_recorded, covariates_of, logs_or_none, reward_of
 
-from halfseen.errors import ArgumentError, LogError
+from halfseen.errors import ArgumentError
 from halfseen.logs import LogRecorder, read_logs
 
 # JAX warns of forks where other tests have loaded it; the children here do not touch it.
@@ -35,14 +35,6 @@ def record_at_full_speed(folder, pipe):
             os.write(pipe, REPORT.pack(COMPLETED, path.name, stage))
         path.finish()
         os.write(pipe, REPORT.pack(FINISHED, path.name, STAGES_A_PATH))
-
-
-def covariates_of(path, stage):
-    return {"x": path + stage / 10}
-
-
-def reward_of(path, stage):
-    return float(path * stage)
 
 
 def recording_child(folder):
@@ -96,22 +88,8 @@ def expected(reports):
 
 
 def recovered(folder):
-    try:
-        logs = read_logs(folder)
-    except LogError as error:
-        # Nothing was recorded: the folder, the journal or its first stage is missing.
-        told = ("there is no such folder", "holds no logs", "no stage is recorded yet")
-        assert any(words in str(error) for words in told)  # noqa: PT017
-        return {}
-    cut = ~logs.is_finished
-    assert logs.paths["cause"][cut].tolist() == ["crash"] * cut.sum()
-    completed = logs.stages[logs.stages["elapsed_s"].notna()]
-    np.testing.assert_array_equal(logs.stages["x"], logs.stages["path"] + logs.stages["stage"] / 10)
-    np.testing.assert_array_equal(completed["reward"], completed["path"] * completed["stage"])
-    count = completed.groupby("path").size()
-    return {
-        path: (int(count.get(path, 0)), bool(done)) for path, done in zip(logs.path_ids, logs.is_finished, strict=True)
-    }
+    logs = logs_or_none(folder, "there is no such folder", "holds no logs")
+    return {} if logs is None else as_recorded(logs)
 
 
 def check_kills(folder, num_kills, longest_s, seed):
@@ -127,21 +105,16 @@ def check_kills(folder, num_kills, longest_s, seed):
     return num_torn
 
 
-def kills_in_a_process_of_their_own(folder, num_kills, longest_s, seed):
-    """A process with no more loaded than the recorder forks fast, whatever other tests have loaded here."""
-    command = [sys.executable, __file__, str(folder), str(num_kills), str(longest_s), str(seed)]
+@pytest.mark.parametrize(
+    ("num_kills", "longest_s", "seed", "fewest_torn"),
+    [(40, 0.02, 1, 5), pytest.param(1000, 0.01, 2, 500, marks=pytest.mark.slow)],
+)
+def test_kills_lose_at_most_the_stage_in_progress(tmp_path, num_kills, longest_s, seed, fewest_torn):
+    """In a process with no more loaded than the recorder, which forks fast, whatever other tests have loaded here."""
+    command = [sys.executable, __file__, str(tmp_path), str(num_kills), str(longest_s), str(seed)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    return int(done.stdout)
-
-
-def test_kills_lose_at_most_the_stage_in_progress(tmp_path):
-    assert kills_in_a_process_of_their_own(tmp_path, 40, 0.02, 1) > 5
-
-
-@pytest.mark.slow
-def test_a_thousand_kills_lose_at_most_the_stage_in_progress(tmp_path):
-    assert kills_in_a_process_of_their_own(tmp_path, 1000, 0.01, 2) > 500
+    assert int(done.stdout) > fewest_torn
 
 
 @pytest.mark.slow

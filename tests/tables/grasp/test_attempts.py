@@ -1,6 +1,5 @@
 """Attempts read from logs, against the episodes that the logs were made from, and against a log written by hand."""
 
-import jax
 import numpy as np
 import pandas as pd
 import pytest
@@ -8,10 +7,10 @@ import pytest
 from halfseen.errors import LogError
 from halfseen.logs import Logs
 from halfseen.tables import attempts
-from halfseen.world import Scene, UniformPolicy, WorldConfig
+from halfseen.world import Scene, UniformPolicy, WorldConfig, random
 from halfseen.world.cuts import cut, cut_rate
-from halfseen.world.episodes import play
-from halfseen.world.recording import to_logs
+from halfseen.world.logs import to_logs
+from halfseen.world.rollout import play
 from halfseen.world.state import attempt_counts, occlusion, pad_scenes
 
 CONFIG = WorldConfig()
@@ -28,7 +27,7 @@ def scene():
 
 @pytest.fixture(scope="module")
 def cuts(scene):
-    episodes = play(CONFIG, pad_scenes([scene]), UniformPolicy(), jax.random.key(0), 200)
+    episodes = play(CONFIG, pad_scenes([scene]), UniformPolicy(), random.key_of(0), 200)
     return cut(episodes, cut_rate(episodes, 0.5, "independent"), "independent", np.random.default_rng(0))
 
 
@@ -40,7 +39,7 @@ def table(cuts, scene):
 def expected_rows(cuts):
     """Each attempt as the episodes have it: nothing here looks at a log."""
     states, rows = cuts.episodes.states, []
-    seen = jax.jit(jax.vmap(jax.vmap(lambda state: (occlusion(state), *attempt_counts(state)))))(states)
+    seen = (occlusion(states), *attempt_counts(states))
     occluded, successes, failures = (np.asarray(leaf) for leaf in seen)
     last_state = np.asarray(states.attempt_succeeded)[:, -1]
     for path, stage in np.argwhere(cuts.is_begun & (np.asarray(cuts.episodes.action) > 0)):

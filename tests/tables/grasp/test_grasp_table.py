@@ -2,8 +2,6 @@
 
 from dataclasses import replace
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from sklearn.base import clone
@@ -12,12 +10,11 @@ from tried import beta_attempts
 from halfseen.errors import ArgumentError
 from halfseen.learning import CensoredQLearner
 from halfseen.tables import BetaGrasp, LinearTablePolicy, SVMGrasp, attempts
-from halfseen.tables.encoding import encode_states
 from halfseen.tables.features import NUM_FEATURES, table_features
 from halfseen.tables.grasp.grasp_table import GraspTable, tabulate
-from halfseen.world import Scene, TableWorld, UniformPolicy, WorldConfig
-from halfseen.world.episodes import play
+from halfseen.world import Scene, TableWorld, UniformPolicy, WorldConfig, random
 from halfseen.world.grasp_model import GraspModel
+from halfseen.world.rollout import play
 from halfseen.world.state import attempt_counts, occlusion, pad_scenes
 from picked import picked
 
@@ -33,7 +30,7 @@ def scene():
 
 @pytest.fixture(scope="module")
 def states(scene):
-    episodes = play(WorldConfig(), pad_scenes([scene]), UniformPolicy(), jax.random.key(1), 40)
+    episodes = play(WorldConfig(), pad_scenes([scene]), UniformPolicy(), random.key_of(1), 40)
     path, stage = np.nonzero(np.asarray(episodes.is_taken))
     return picked(episodes.states, (path, stage))
 
@@ -49,11 +46,11 @@ def beta():
 
 
 def probabilities(model, states):
-    return np.asarray(jax.jit(jax.vmap(lambda state: model.probability(state)))(states))
+    return model.probability(states)
 
 
 def test_a_table_says_what_the_model_says(beta, states):
-    seen = jax.jit(jax.vmap(lambda state: (occlusion(state), *attempt_counts(state))))(states)
+    seen = (occlusion(states), *attempt_counts(states))
     asked = dict(
         zip(
             ("occlusion", "successes", "failures"),
@@ -69,16 +66,16 @@ def test_a_table_says_what_the_model_says(beta, states):
 
 
 def test_it_is_exact_at_its_occlusions_and_linear_between(states):
-    table = GraspTable(jnp.asarray(np.random.default_rng(0).random((3, 5, 5)), dtype=jnp.float32))
+    table = GraspTable(np.random.default_rng(0).random((3, 5, 5)).astype(np.float32))
     for hidden, levels in ((0.0, [1, 0, 0]), (0.5, [0, 1, 0]), (1.0, [0, 0, 1]), (0.125, [0.75, 0.25, 0])):
         hides = np.zeros((4, 4), dtype=np.float32)
         hides[0, 1] = hidden
         state = replace(
             picked(states, 0),
-            hides=jnp.asarray(hides),
-            is_on_table=jnp.ones(4, dtype=bool),
-            attempt_object=jnp.asarray([0, 0, 0, 1, *[-1] * 6]),
-            attempt_succeeded=jnp.asarray([True, False, True, *[False] * 7]),
+            hides=hides,
+            is_on_table=np.ones(4, dtype=bool),
+            attempt_object=np.array([0, 0, 0, 1, *[-1] * 6]),
+            attempt_succeeded=np.array([True, False, True, *[False] * 7]),
         )
         assert float(table.probability(state)[0]) == pytest.approx(
             levels @ np.asarray(table.probabilities)[:, 2, 1], abs=1e-6
@@ -88,21 +85,18 @@ def test_it_is_exact_at_its_occlusions_and_linear_between(states):
 def test_more_attempts_than_the_table_holds_count_as_the_most(beta, states):
     state = replace(
         picked(states, 0),
-        attempt_object=jnp.zeros(10, dtype=jnp.int32),
-        attempt_succeeded=jnp.zeros(10, dtype=bool),
+        attempt_object=np.zeros(10, dtype=np.int32),
+        attempt_succeeded=np.zeros(10, dtype=bool),
     )
     small, large = tabulate(beta, 3), tabulate(beta, 10)
     assert float(small.probability(state)[0]) == pytest.approx(float(small.probabilities[0, 0, 3]))
     assert float(large.probability(state)[0]) == pytest.approx(float(large.probabilities[0, 0, 10]))
 
 
-def test_a_batch_of_tables_is_each_of_them(beta, states):
-    other = GraspTable(1.0 - tabulate(beta, HORIZON).probabilities)
-    batch = jax.tree.map(lambda *leaves: jnp.stack(leaves), tabulate(beta, HORIZON), other)
-    state = picked(states, 7)
-    together = jax.vmap(lambda table: table.probability(state))(batch)
-    np.testing.assert_array_equal(together[0], tabulate(beta, HORIZON).probability(state))
-    np.testing.assert_array_equal(together[1], other.probability(state))
+def test_a_batch_of_states_is_each_of_them(beta, states):
+    table = tabulate(beta, HORIZON)
+    each = [table.probability(picked(states, k)) for k in range(len(states.lifts))]
+    np.testing.assert_array_equal(table.probability(states), each)
 
 
 def test_features_take_the_probability_in_place_of_laplaces_guess(states):
@@ -112,7 +106,7 @@ def test_features_take_the_probability_in_place_of_laplaces_guess(states):
             return (1.0 - occlusion(state)) * (1.0 + successes) / (1.0 + successes + failures)
 
     def features(grasp):
-        return np.asarray(jax.jit(jax.vmap(lambda state: table_features(state, grasp)))(states))
+        return table_features(states, grasp)
 
     np.testing.assert_allclose(features(Laplace()), features(None), atol=1e-6)
     assert np.abs(features(tabulate(BetaGrasp().fit(beta_attempts(50)), HORIZON)) - features(None)).max() > 0.1
@@ -121,14 +115,14 @@ def test_features_take_the_probability_in_place_of_laplaces_guess(states):
 def test_a_policy_decides_with_its_own_table(beta, states):
     coefficients = np.random.default_rng(3).normal(size=(HORIZON, 3, NUM_FEATURES + 1))
     table = tabulate(beta, HORIZON)
-    policy = LinearTablePolicy(jnp.asarray(coefficients, dtype=jnp.float32), table)
-    q = np.asarray(jax.jit(jax.vmap(policy.q_values))(states))
-    plain = np.asarray(jax.jit(jax.vmap(replace(policy, grasp=None).q_values))(states))
+    policy = LinearTablePolicy(coefficients.astype(np.float32), table)
+    q = policy.q_values(states)
+    plain = replace(policy, grasp=None).q_values(states)
     is_possible = np.isfinite(q)
     assert np.abs(q[is_possible] - plain[is_possible]).max() > 0.1
-    features, _ = encode_states(states, table)
+    features = table_features(states, table)
     wash = policy.coefficients[states.steps_to_go - 1, 1]
-    expected = wash[:, 0] + jnp.sum(features[:, 1] * wash[:, 1:], axis=-1)
+    expected = wash[:, 0] + np.sum(features[:, 1] * wash[:, 1:], axis=-1)
     np.testing.assert_allclose(np.where(np.isfinite(q[:, 1]), q[:, 1], expected), expected, rtol=1e-3, atol=1e-3)
 
 

@@ -5,7 +5,7 @@ import numpy as np
 from halfseen.planners import GreedyPolicy
 from halfseen.tables.fitted_world import evidence_of
 from halfseen.world import ExploringPolicy, FittedGrasping, PersistentSeeing, Scene, TableWorld, WorldConfig
-from halfseen.world.recording import to_logs
+from halfseen.world.logs import to_logs
 
 GRASPING = FittedGrasping(
     log_odds=2.0,

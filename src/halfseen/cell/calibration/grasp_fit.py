@@ -9,14 +9,13 @@ for by those that were seen. Standard errors are robust, tables being the cluste
 """
 
 from dataclasses import dataclass
-from functools import partial
+from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pandas as pd
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 from scipy.optimize import minimize
+from scipy.special import expit, log_expit, logsumexp
 
 from halfseen.cell.calibration.trials import FACTS
 from halfseen.errors import LogError
@@ -99,66 +98,81 @@ def fit_grasping(trials: pd.DataFrame, censoring: str = "kaplan-meier") -> Grasp
     # Rows of one object follow one another's number; an integral is taken over each.
     objects = pd.factorize(decided.group)[0].astype(np.int64)
     clusters = pd.factorize(trials["path"][kept])[0].astype(np.int64)
-    with jax.enable_x64(True):
-        # Of mean 1: within the integral over an object's offset, attempts that weigh more would seem to be more.
-        weight = decided.weight / decided.weight.mean()
-        data = (design(trials)[kept], np.where(decided.succeeded, 1.0, -1.0), weight, objects)
-        return _fitted(data, clusters, len(trials) - int(kept.sum()), decided.diagnostics.effective_sample_size)
+    # Of mean 1: within the integral over an object's offset, attempts that weigh more would seem to be more.
+    weight = decided.weight / decided.weight.mean()
+    data = _Data(design(trials)[kept], np.where(decided.succeeded, 1.0, -1.0), weight, objects)
+    return _fitted(data, clusters, len(trials) - int(kept.sum()), decided.diagnostics.effective_sample_size)
 
 
-def _fitted(data: tuple, clusters: Int[np.ndarray, " n"], num_cut: int, size: float) -> GraspFit:
-    num_objects = int(data[3].max()) + 1
+class _Data(NamedTuple):
+    """Attempts that were decided."""
+
+    covariates: Float[np.ndarray, "n k"]
+    sign: Float[np.ndarray, " n"]
+    weight: Float[np.ndarray, " n"]
+    objects: Int[np.ndarray, " n"]
+
+
+def _fitted(data: _Data, clusters: Int[np.ndarray, " n"], num_cut: int, size: float) -> GraspFit:
+    num_objects = int(data.objects.max()) + 1
     of_object = np.zeros(num_objects, dtype=np.int64)
-    of_object[data[3]] = clusters
-    padded, num_padded = _padded(data, num_objects)
+    of_object[data.objects] = clusters
 
-    def objective(theta: np.ndarray) -> tuple[np.ndarray, ...]:
-        return tuple(map(np.asarray, _value_and_gradient(theta, padded, num_padded)))
+    def objective(theta: np.ndarray) -> tuple[float, np.ndarray]:
+        value, gradient, _, _ = _posterior(theta, data)
+        return value, gradient
 
-    found = minimize(objective, _PRIOR_MEAN, jac=True)
-    estimate = found.x
+    estimate = minimize(objective, _PRIOR_MEAN, jac=True).x
     for _ in range(_NUM_NEWTON_STEPS):
         # To the last digits, so that every machine finds the same.
-        curvature, _ = _curvature_and_scores(estimate, padded, num_padded)
-        estimate = estimate - np.linalg.solve(np.asarray(curvature), objective(estimate)[1])
-    curvature, scores = _curvature_and_scores(estimate, padded, num_padded)
-    bread = np.linalg.inv(np.asarray(curvature))
+        _, gradient, curvature, _ = _posterior(estimate, data)
+        estimate = estimate - np.linalg.solve(curvature, gradient)
+    _, _, curvature, scores = _posterior(estimate, data)
+    bread = np.linalg.inv(curvature)
     by_table = np.zeros((int(clusters.max()) + 1, len(estimate)))
-    np.add.at(by_table, of_object, np.asarray(scores)[:num_objects])
+    np.add.at(by_table, of_object, scores)
     covariance = bread @ (by_table.T @ by_table) @ bread
     if not (np.isfinite(estimate).all() and np.isfinite(covariance).all()):
         raise LogError("no finite numbers fit these attempts; look for facts of objects that are out of all proportion")
     return GraspFit(estimate, covariance, len(clusters), num_cut, size)
 
 
-def _padded(data: tuple, num_objects: int) -> tuple[tuple, int]:
-    """Rows and objects up to a power of two, so that fits of similar size are compiled once; rows added weigh 0."""
-    num_rows, num_padded = (1 << int(num).bit_length() for num in (len(data[0]), num_objects))
-    missing = num_rows - len(data[0])
-    covariates, *rest = (np.pad(each, [(0, missing), *[(0, 0)] * (each.ndim - 1)]) for each in data)
-    return (covariates, *rest), num_padded
+def _posterior(
+    theta: Float[np.ndarray, " p"], data: _Data
+) -> tuple[float, Float[np.ndarray, " p"], Float[np.ndarray, "p p"], Float[np.ndarray, "objects p"]]:
+    """Negative log-posterior, its gradient and Hessian, and the gradient of each object's log-likelihood.
 
+    With l_q the log-likelihood of an object at node q of its offset, and π_q its posterior there, the gradient of
+    log Σ_q e^{l_q} is Σ π l', and its Hessian Σ π (l'' + l' l'ᵀ) − (Σ π l')(Σ π l')ᵀ.
+    """
+    num_objects, std = int(data.objects.max()) + 1, np.exp(theta[-1])
+    logits = data.sign[:, None] * ((data.covariates @ theta[:-1])[:, None] + std * _NODES)
+    slope = data.weight[:, None] * data.sign[:, None] * expit(-logits)
+    bend = -data.weight[:, None] * expit(logits) * expit(-logits)
+    # How each logit moves with each parameter, by node.
+    moves = np.concatenate(
+        [
+            np.broadcast_to(data.covariates[:, None], (*logits.shape, len(theta) - 1)),
+            np.broadcast_to((std * _NODES)[:, None], (*logits.shape, 1)),
+        ],
+        axis=2,
+    )
 
-def _negative(theta: Array, data: tuple, num_objects: int) -> Array:
+    def by_object(values: np.ndarray) -> np.ndarray:
+        total = np.zeros((num_objects, *values.shape[1:]))
+        np.add.at(total, data.objects, values)
+        return total
+
+    each = by_object(data.weight[:, None] * log_expit(logits)) + np.log(_WEIGHTS / _WEIGHTS.sum())
+    found = np.asarray(logsumexp(each, axis=1))
+    chance = np.exp(each - found[:, None])
+    gradients = by_object(slope[..., None] * moves)
+    hessians = by_object(bend[..., None, None] * moves[..., :, None] * moves[..., None, :])
+    # The last parameter is a logarithm: its logit bends, too.
+    hessians[..., -1, -1] += by_object(slope * std * _NODES)
+    scores = np.einsum("oq,oqp->op", chance, gradients)
+    curved = np.einsum("oq,oqpr->pr", chance, hessians + gradients[..., :, None] * gradients[..., None, :])
     shift = (theta - _PRIOR_MEAN) / _PRIOR_STD
-    return 0.5 * jnp.sum(shift**2) - jnp.sum(_log_likelihoods(theta, data, num_objects))
-
-
-@partial(jax.jit, static_argnums=2)
-def _value_and_gradient(theta: Array, data: tuple, num_objects: int) -> tuple[Array, Array]:
-    return jax.value_and_grad(_negative)(theta, data, num_objects)
-
-
-@partial(jax.jit, static_argnums=2)
-def _curvature_and_scores(theta: Array, data: tuple, num_objects: int) -> tuple[Array, Array]:
-    curvature = jax.hessian(_negative)(theta, data, num_objects)
-    return curvature, jax.jacfwd(_log_likelihoods)(theta, data, num_objects)
-
-
-def _log_likelihoods(theta: Array, data: tuple, num_objects: int) -> Float[Array, " objects"]:
-    """Of each object: its offset integrated out."""
-    covariates, sign, weight, objects = data
-    logits = (covariates @ theta[:-1])[:, None] + jnp.exp(theta[-1]) * _NODES
-    each = weight[:, None] * jax.nn.log_sigmoid(sign[:, None] * logits)
-    of_object = jax.ops.segment_sum(each, objects, num_segments=num_objects)
-    return jax.scipy.special.logsumexp(of_object + np.log(_WEIGHTS / _WEIGHTS.sum()), axis=1)
+    value = 0.5 * float(shift @ shift) - float(found.sum())
+    gradient = shift / _PRIOR_STD - scores.sum(axis=0)
+    return value, gradient, np.diag(_PRIOR_STD**-2) - (curved - scores.T @ scores), scores

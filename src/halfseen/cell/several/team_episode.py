@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Bool
+from jaxtyping import Bool
 
 from halfseen.cell.account import Account, Run
 from halfseen.cell.clearing import PAUSE_S, Chosen, Moment, Row, Shift, Told, chances_of, cleared
@@ -16,10 +16,10 @@ from halfseen.cell.several.touches import Touches
 from halfseen.cell.table_state import Belief, rows_of
 from halfseen.cell.workcell import Attempt, Workcell
 from halfseen.logs.recording.path_recorder import PathRecorder
-from halfseen.team.actions import WAIT
-from halfseen.team.policy import TeamPolicy
-from halfseen.team.state import TeamState
-from halfseen.world.action_space import Verb
+from halfseen.world.actions import WAIT, Verb
+from halfseen.world.policy import Policy
+from halfseen.world.random import Key
+from halfseen.world.state import TableState
 
 
 @dataclass
@@ -47,10 +47,10 @@ class TeamRun(Run):
 def play_team(
     cell: Workcell,
     is_dirty: Bool[np.ndarray, " N"],
-    policy: TeamPolicy,
+    policy: Policy,
     belief: Belief,
     path: PathRecorder,
-    key: Array,
+    key: Key,
     *,
     tells_truth: bool = False,
     on_decision: Callable[[Moment], None] = lambda _: None,
@@ -109,7 +109,7 @@ class _Arms(Shift):
             self.cell.cell.wait(PAUSE_S)
         self.cell.look()
 
-    def known(self, step: int) -> tuple[TeamState, list[Row]]:
+    def known(self, step: int) -> tuple[TableState, list[Row]]:
         rows = rows_of(self.cell.memory, self.table.belief)
         self.table.add_to(rows)
         return self.table.state(self.decider, self.num_decisions - step), rows

@@ -1,22 +1,20 @@
 """From what is known in a cell of several arms to the state that a team decides in, and to what its log adds."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool
 
-from halfseen.arrays import on_device
 from halfseen.cell.memory import Known
 from halfseen.cell.table_state import Belief, state_of
 from halfseen.cell.workcell import Attempt, Workcell
 from halfseen.perception.clouds import Vector
-from halfseen.team.log_checks import ATTEMPT_BY
-from halfseen.team.recording import FREE, PARKED, TEAM_VERBS
-from halfseen.team.robots import CLEARANCE_M
-from halfseen.team.state import Robots, TeamState, Workspace
-from halfseen.world.action_space import TARGETED
+from halfseen.world.actions import TARGETED, VERB_NAMES
+from halfseen.world.robot_checks import ATTEMPT_BY
+from halfseen.world.robot_logs import FREE, PARKED
+from halfseen.world.robots import CLEARANCE_M
+from halfseen.world.state import Robots, TableState, Workspace
 
 _MOVED_M = 0.03
 
@@ -61,7 +59,7 @@ class Doing:
         """What it is at, as a log has it."""
         if self.verb is None:
             return PARKED if self.is_parked else FREE
-        return TEAM_VERBS[self.verb] + (f" {self.target}" if self.verb in TARGETED else "")
+        return VERB_NAMES[self.verb] + (f" {self.target}" if self.verb in TARGETED else "")
 
 
 @dataclass
@@ -113,7 +111,7 @@ class TeamTable:
     def _objects(self) -> list[Known]:
         return self.cell.memory.objects
 
-    def state(self, decider: int, decisions_to_go: int) -> TeamState:
+    def state(self, decider: int, decisions_to_go: int) -> TableState:
         """Give what an arm decides in.
 
         Parameters
@@ -127,8 +125,7 @@ class TeamTable:
         size, num = table.num_objects, len(self._objects)
         reached, near = np.zeros((len(self.doing), size), dtype=bool), np.zeros((size, size), dtype=bool)
         reached[:, :num], near[:num, :num] = self.is_in_reach(), self.is_near()
-        workspace = Workspace(*on_device((reached, near)))
-        return TeamState(table, self._robots(), workspace, jnp.asarray(np.int32(decider)))
+        return replace(table, robots=self._robots(), workspace=Workspace(reached, near), decider=np.int32(decider))
 
     def is_in_reach(self) -> Bool[np.ndarray, "K N"]:
         """Which objects each arm reaches."""
@@ -150,7 +147,7 @@ class TeamTable:
 
     def _robots(self) -> Robots:
         def each(values: list[Any], kind: Any) -> Any:
-            return jnp.asarray(np.array(values, dtype=kind))
+            return np.array(values, dtype=kind)
 
         doing = self.doing
         return Robots(
@@ -166,7 +163,7 @@ class TeamTable:
         return 0.0 if one.verb is None else self.cell.cell.time_s - one.begun_s
 
     def columns(self) -> dict[str, Any]:
-        """What a stage of the log holds of the arms, as `halfseen.team.recording` has it."""
+        """What a stage of the log holds of the arms, as `halfseen.world.logs` has it."""
         told: dict[str, Any] = {}
         for arm, one in enumerate(self.doing):
             told |= {f"{arm}_does": one.words, f"{arm}_since_s": self._since_s(one)}

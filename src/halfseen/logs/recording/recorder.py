@@ -58,9 +58,9 @@ class LogRecorder:
         What rewards are counted in, such as "parts": a short text, for people; None for what was said before, if
         anything was.
     check
-        What a path must hold beyond what every log must, such as `halfseen.team.check_log` for a team at a table:
-        called with the path so far, cut just now, when a stage begins or a robot drops out, and raises `LogError`
-        where that is to be refused. It reads all of the path each time: meant for stages of a second or more.
+        What a path must hold beyond what every log must, such as `halfseen.world.check_log` for robots at a table:
+        called with the path so far, cut just now, when a stage begins or a robot drops out, and raises `LogError` where
+        that is to be refused. It reads all of the path each time: meant for stages of a second or more.
     part_bytes
         Size of the journal from which on a path begins in another file of the folder [B].
 

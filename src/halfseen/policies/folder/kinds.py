@@ -50,7 +50,7 @@ _PLACES = {"flat": ("named_kind", "NamedKind"), "table": ("table_kind", "TableKi
 
 @cache
 def kind_named(name: str) -> PolicyKind:
-    """Load a kind; that of tables brings JAX, which takes longer than what the other is asked for."""
+    """Load a kind; that of tables brings the world, which takes longer than what the other is asked for."""
     module, kind = _PLACES[name]
     return getattr(import_module(f"{__package__}.{module}"), kind)()
 

@@ -6,7 +6,7 @@ import pandas as pd
 
 from halfseen.logs import Logs
 from halfseen.policies.folder.seen import entry, ranges
-from halfseen.world.table_checks import TABLE
+from halfseen.world.log_checks import TABLE
 
 TABLE_RANGES = ("num_objects", "occlusion", "log_odds", "num_attempts")
 """Of a table: objects on it; and of each, its occlusion, its log-odds of DIRTY and its past attempts."""

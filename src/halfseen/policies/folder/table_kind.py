@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from halfseen.arrays import on_device
 from halfseen.errors import PolicyError
 from halfseen.logs import Logs
 from halfseen.policies.folder.arrays import (
@@ -23,9 +22,9 @@ from halfseen.policies.folder.json_values import horizon_of, typed
 from halfseen.policies.folder.seen_tables import TABLE_RANGES, seen_tables
 from halfseen.policies.folder.table_parts import grasp_arrays, grasp_of, is_seen_of, seen_verbs
 from halfseen.tables.features import FEATURES_VERSION, NUM_FEATURES
+from halfseen.tables.policy import LinearTablePolicy
 from halfseen.tables.prior import PriorFacts, dirty_share, prior_facts
-from halfseen.tables.table_policy import LinearTablePolicy
-from halfseen.world.action_space import Verb
+from halfseen.world.actions import Verb
 
 _VERBS = [verb.name for verb in Verb]
 _FEATURES = {"of": "table", "version": FEATURES_VERSION, "number": NUM_FEATURES}
@@ -99,7 +98,7 @@ def policy_in(record: Mapping[str, Any], arrays: Arrays) -> LinearTablePolicy:
     """
     _check_features(record)
     check_arrays(arrays, Shape(horizon_of(record), len(Verb), NUM_FEATURES, np.float32), may_grasp=True)
-    single: Any = on_device(dict(arrays))
+    single: Any = dict(arrays)
     grasp, kernel_map, margin = grasp_of(single), kernel_map_of(single), single.get(MARGIN)
     is_seen, behaviour = is_seen_of(_VERBS, record), single.get(BEHAVIOUR)
     return LinearTablePolicy(single[COEFFICIENTS], grasp, kernel_map, is_seen, margin, behaviour)

@@ -4,9 +4,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Array, Bool
+from jaxtyping import Bool
 
-from halfseen.arrays import on_device
 from halfseen.errors import ArgumentError, PolicyError
 from halfseen.policies.folder.arrays import GRASP, PER_GRIP
 from halfseen.policies.folder.json_values import horizon_of, typed
@@ -14,7 +13,7 @@ from halfseen.tables.grasp.grasp_table import GraspTable
 from halfseen.world.grasp_model import GraspModel
 
 
-def seen_verbs(verbs: Sequence[str], is_seen: Bool[Array, "T V"] | None, horizon: int) -> list[list[str]]:
+def seen_verbs(verbs: Sequence[str], is_seen: Bool[np.ndarray, "T V"] | None, horizon: int) -> list[list[str]]:
     """Verbs that have a value, by steps to go; where none has, as in a stage that no path reached, all may be taken."""
     every = list(verbs)
     if is_seen is None:
@@ -38,7 +37,7 @@ def is_seen_of(verbs: Sequence[str], record: Mapping[str, Any]) -> Any:
     if not is_right or not all(verb in verbs for row in seen for verb in row):
         raise PolicyError(f"seen is {seen}; it lists verbs for each number of steps to go: learn the policy anew")
     rows = np.array([[verb in row for verb in verbs] for row in seen])
-    return None if rows.all() else on_device(rows)
+    return None if rows.all() else rows
 
 
 def grasp_arrays(grasp: GraspModel | None) -> dict[str, np.ndarray]:

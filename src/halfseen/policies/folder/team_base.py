@@ -8,15 +8,15 @@ import numpy as np
 from halfseen.errors import ArgumentError, PolicyError
 from halfseen.policies.folder.arrays import Arrays
 from halfseen.policies.folder.table_kind import TableKind, policy_in, schema_of
-from halfseen.tables.table_policy import LinearTablePolicy
-from halfseen.team.each_alone import EachAlone
-from halfseen.team.policy import TeamPolicy
+from halfseen.tables.independent import IndependentPolicies
+from halfseen.tables.policy import LinearTablePolicy
+from halfseen.world.policy import Policy
 
 ALONE = "alone"
 """In the schema, a list of what each robot's policy needs there; in names of arrays, what stands before the robot."""
 
 
-def base_arrays(base: TeamPolicy | None) -> dict[str, np.ndarray]:
+def base_arrays(base: Policy | None) -> dict[str, np.ndarray]:
     """Name the arrays of each robot's policy by its number; none where nothing is improved upon.
 
     Raises
@@ -30,7 +30,7 @@ def base_arrays(base: TeamPolicy | None) -> dict[str, np.ndarray]:
     return named
 
 
-def base_schema(base: TeamPolicy | None) -> dict[str, Any]:
+def base_schema(base: Policy | None) -> dict[str, Any]:
     """What the schema tells of each robot's policy."""
     schemas = [schema_of(policy) for policy in _policies(base)]
     return {ALONE: schemas} if schemas else {}
@@ -42,7 +42,7 @@ def split_arrays(arrays: Arrays) -> tuple[dict[str, np.ndarray], dict[str, np.nd
     return {name: array for name, array in arrays.items() if name not in of_base}, {n: arrays[n] for n in of_base}
 
 
-def base_of(record: Mapping[str, Any], arrays: Arrays) -> EachAlone | None:
+def base_of(record: Mapping[str, Any], arrays: Arrays) -> IndependentPolicies | None:
     """Put each robot's policy together again; None where there is none.
 
     Raises
@@ -62,13 +62,13 @@ def base_of(record: Mapping[str, Any], arrays: Arrays) -> EachAlone | None:
     for schema, prefix in zip(schemas, prefixes, strict=True):
         own = {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
         each.append(policy_in({**record, "schema": schema}, own))
-    return EachAlone(tuple(each)) if each else None
+    return IndependentPolicies(tuple(each)) if each else None
 
 
-def _policies(base: TeamPolicy | None) -> tuple[LinearTablePolicy, ...]:
+def _policies(base: Policy | None) -> tuple[LinearTablePolicy, ...]:
     if base is None:
         return ()
-    if isinstance(base, EachAlone) and all(isinstance(policy, LinearTablePolicy) for policy in base.policies):
+    if isinstance(base, IndependentPolicies) and all(isinstance(policy, LinearTablePolicy) for policy in base.policies):
         return base.policies  # pyright: ignore[reportReturnType]
     raise ArgumentError(
         f"base is a {type(base).__name__}, whose code a folder cannot hold; learn with base='auto' or None"

@@ -5,12 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from halfseen.arrays import on_device
 from halfseen.errors import PolicyError
 from halfseen.policies.folder.arrays import GRASP, PER_GRIP, Arrays
 from halfseen.policies.folder.table_parts import grasp_arrays, grasp_of
+from halfseen.tables.grasp.by_robot import GraspByRobot
 from halfseen.tables.grasp.grasp_table import GraspTable
-from halfseen.team.grasp_by_robot import GraspByRobot
 from halfseen.world.grasp_model import GraspModel
 
 _OWN = "own."
@@ -63,4 +62,4 @@ def team_grasp_of(arrays: Mapping[str, Any], own: Mapping[str, np.ndarray]) -> G
     shared = grasp_of(arrays)
     if shared is None or not own:
         return shared
-    return GraspByRobot(shared, GraspTable(*on_device((own[GRASP], own[PER_GRIP]))))
+    return GraspByRobot(shared, GraspTable(own[GRASP], own[PER_GRIP]))

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from halfseen.arrays import on_device
 from halfseen.errors import ArgumentError, PolicyError
 from halfseen.logs import Logs
 from halfseen.policies.folder.arrays import Arrays, Shape, check_arrays, kernel_map_of, policy_arrays
@@ -16,14 +15,14 @@ from halfseen.policies.folder.table_parts import is_seen_of, seen_verbs
 from halfseen.policies.folder.team_base import base_arrays, base_of, base_schema, split_arrays
 from halfseen.policies.folder.team_grasp import split_grasp, team_grasp_arrays, team_grasp_of
 from halfseen.tables.features import FEATURES_VERSION as TABLE_FEATURES_VERSION
-from halfseen.team.features import NUM_FEATURES
-from halfseen.team.learned_policy import LinearTeamPolicy
-from halfseen.team.recording import TEAM_VERBS
+from halfseen.tables.team_features import NUM_FEATURES
+from halfseen.tables.team_policy import LinearTeamPolicy
+from halfseen.world.actions import VERB_NAMES
 
 FEATURES_VERSION = 1
 """Of `team_features`; a policy that looked at others cannot be read."""
 
-_VERBS = list(TEAM_VERBS)
+_VERBS = list(VERB_NAMES)
 _FEATURES = {
     "of": "team",
     "version": FEATURES_VERSION,
@@ -104,7 +103,6 @@ class TeamKind:
         check_arrays(arrays, shape, may_grasp=True, others=_ARRAYS)
         _check_caution(arrays.get("caution"))
         base = base_of(record, of_base)
-        arrays = on_device(dict(arrays))
         given: dict[str, Any] = {name: arrays[name] for name in _ARRAYS if name in arrays}
         given |= {name: record["schema"][name] for name in _STATIC if name in record["schema"]}
         kernel_map = kernel_map_of(arrays)

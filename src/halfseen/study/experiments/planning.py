@@ -38,9 +38,9 @@ from halfseen.study.frames import records, row_of
 from halfseen.study.pipeline import Played, Source, episodes_in_turn
 from halfseen.study.policies import HEURISTICS, LEARNED, Contender, Kind, by_name, horizon_planner, planner
 from halfseen.study.statistics import estimate_in, mean_columns
-from halfseen.study.timing import compile_decisions, measured_times, seconds
+from halfseen.study.timing import measured_times, seconds
 from halfseen.study.wording import REWARD_AXIS, estimated_in, learned_from
-from halfseen.tables.table_policy import LinearTablePolicy
+from halfseen.tables.policy import LinearTablePolicy
 from halfseen.world.cuts import CutKind
 
 CUT_KIND: CutKind = "independent"
@@ -94,8 +94,7 @@ class Planning:
         return horizon_planner(horizon, self.horizon_simulations)
 
     def prepare(self, setting: Setting) -> PieceOf:
-        """Calibrate the cuts, and compile what is timed."""
-        compile_decisions(setting, self.contenders.values())
+        """Calibrate the cuts."""
         return {"rate": Source.of(setting).cut_rate(self.cut_share, CUT_KIND)}
 
     def measure(self, setting: Setting) -> PieceOf:

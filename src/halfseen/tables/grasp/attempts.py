@@ -8,7 +8,7 @@ from halfseen.errors import LogError
 from halfseen.logs import Logs
 from halfseen.logs.columns import require_columns
 from halfseen.logs.refusal import refuse, shown
-from halfseen.world.action_space import TARGETED, Verb
+from halfseen.world.actions import TARGETED, Verb
 
 ATTEMPT_VERBS = tuple(verb.name for verb in TARGETED)
 COLUMNS = (

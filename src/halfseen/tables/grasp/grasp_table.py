@@ -1,14 +1,11 @@
-"""A fitted grasp model as a table of probabilities, so that it runs inside compiled decisions."""
+"""A fitted grasp model as a table of probabilities: what a policy carries of it."""
 
-from dataclasses import dataclass
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from halfseen.arrays import Rows, on_device
+from halfseen.arrays import Array, Rows, library_of, record
 from halfseen.censoring import is_fitted
 from halfseen.errors import ArgumentError
 from halfseen.logs import Logs
@@ -22,10 +19,9 @@ from halfseen.world.state import TableState, attempt_counts, occlusion
 NUM_OCCLUSIONS = 33
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@record
 class GraspTable:
-    """P(success) by occlusion, past successes and past failures (a pytree; `jax.vmap` adds batch axes).
+    """P(success) by occlusion, past successes and past failures.
 
     Between occlusions it interpolates; more successes or failures than the table holds count as the most that it holds.
     What shows of an object's grip is added to the log-odds, as far as it counts (`halfseen.tables.grasp.grip_effect`).
@@ -41,15 +37,18 @@ class GraspTable:
     probabilities: Float[Array, "*B O K K"]
     per_grip: Float[Array, "*B"] | float = 1.0
 
-    def probability(self, state: TableState) -> Float[Array, " N"]:
-        """P(an attempt succeeds) for each object of one table."""
+    def probability(self, state: TableState) -> Float[Array, "*B N"]:
+        """P(an attempt succeeds) for each object, by a table without axes in front."""
+        xp = library_of(state.log_odds, self.probabilities)
         num_cells, most = self.probabilities.shape[-3] - 1, self.probabilities.shape[-1] - 1
-        successes, failures = (jnp.clip(counts, 0, most).astype(jnp.int32) for counts in attempt_counts(state))
-        place = jnp.clip(occlusion(state), 0.0, 1.0) * num_cells
-        below = jnp.clip(jnp.floor(place), 0, num_cells - 1).astype(jnp.int32)
-        low, high = (self.probabilities[below + step, successes, failures] for step in (0, 1))
+        successes, failures = (xp.clip(counts, 0, most).astype(np.int32) for counts in attempt_counts(state))
+        place = xp.clip(occlusion(state), 0.0, 1.0) * num_cells
+        below = xp.clip(xp.floor(place), 0, num_cells - 1)
+        cell = below.astype(np.int32)
+        table = xp.asarray(self.probabilities)
+        low, high = (table[cell + step, successes, failures] for step in (0, 1))
         probability = low + (place - below) * (high - low)
-        return probability / (1.0 + (1.0 - probability) * jnp.expm1(-self.per_grip * state.grip))
+        return probability / (1.0 + (1.0 - probability) * xp.expm1(-self.per_grip * state.grip))
 
 
 def tabulate(model: GraspEstimator, horizon: int, effect: GripEffect = IN_FULL) -> GraspTable:
@@ -92,7 +91,7 @@ def table_of(probabilities: Rows, horizon: int, effect: GripEffect) -> GraspTabl
     """Make a table of the probabilities of `every_history`."""
     moved = effect.moved(probabilities, 0.0) if effect.shift else probabilities
     table, per_grip = moved.reshape(_shape(horizon)).astype(np.float32), np.float32(effect.per_grip)
-    return GraspTable(*on_device((table, per_grip)))
+    return GraspTable(table, per_grip)
 
 
 def _shape(horizon: int) -> tuple[int, int, int]:
@@ -100,7 +99,7 @@ def _shape(horizon: int) -> tuple[int, int, int]:
 
 
 def grasp_model_of(grasp: Any, logs: Logs, horizon: int) -> GraspModel | None:
-    """Make a grasp model that runs inside a policy.
+    """Make a grasp model that a policy can carry.
 
     Parameters
     ----------

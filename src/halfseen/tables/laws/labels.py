@@ -11,11 +11,11 @@ from jaxtyping import Bool, Float
 from halfseen.arrays import RowIds, RowMask, Rows
 from halfseen.logs import Logs
 from halfseen.tables.grasp.attempts import attempts
-from halfseen.world.action_space import Verb
+from halfseen.world.actions import Verb
 from halfseen.world.config import WorldConfig
+from halfseen.world.log_checks import object_numbers
+from halfseen.world.logs import states_of
 from halfseen.world.persistent_seeing import SAME_VIEW
-from halfseen.world.recording import states_of
-from halfseen.world.table_checks import object_numbers
 
 NO_NEWS = 1e-4
 """Log-odds that move by less did not: what is left is rounding."""

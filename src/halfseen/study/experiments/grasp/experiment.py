@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
-import jax
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
@@ -38,12 +37,11 @@ from halfseen.tables.grasp.protocol import GraspEstimator
 from halfseen.tables.grasp.splits import can_hold_out
 from halfseen.tables.grasp.svm_grasp import SVMGrasp
 from halfseen.workers.threads import one_thread
-from halfseen.world.action_space import ActionSpace
+from halfseen.world.actions import ActionSpace
 from halfseen.world.cuts import CutKind, cut
 from halfseen.world.grasp_model import GraspModel
+from halfseen.world.logs import to_logs
 from halfseen.world.policy import Policy
-from halfseen.world.recording import to_logs
-from halfseen.world.state import TableState
 
 CUT_KIND: CutKind = "independent"
 
@@ -104,14 +102,12 @@ class Grasp(GraspDesign):
 
     def _held_out(self, setting: Setting, source: Source) -> tuple[pd.DataFrame, Float[np.ndarray, " m"]]:
         """Attempts of fresh paths that nothing cut, and the true probability of each given the object's history."""
-        # Played at the size of the log, for which the call is compiled already.
-        played = source.play(max(self.num_paths), HELD_OUT)
-        episodes = jax.tree.map(lambda leaf: leaf[: self.most_held_out], played)
+        episodes = source.play(min(max(self.num_paths), self.most_held_out), HELD_OUT)
         uncut = cut(episodes, 0.0, CUT_KIND, np.random.default_rng(0))
         table = attempts(to_logs(uncut, CUT_KIND, setting.scenes), setting.world.horizon)
         at = table["path"].to_numpy(), table["stage"].to_numpy() - 1
         target = ActionSpace(episodes.states.num_objects).target(np.asarray(episodes.action)[at])
-        said = np.asarray(_true_probabilities(TrueGrasp(setting.world), episodes.states), dtype=np.float64)
+        said = TrueGrasp(setting.world).probability(episodes.states).astype(np.float64)
         return table, said[*at, target]
 
 
@@ -148,8 +144,3 @@ def _inside(setting: Setting, estimators: Mapping[str, GraspEstimator], name: st
         if name == ORACLE
         else tabulate(model := estimators[name], horizon, fit_grip_effect(model, tried))
     )
-
-
-@jax.jit
-def _true_probabilities(grasp: TrueGrasp, states: TableState) -> jax.Array:
-    return jax.vmap(jax.vmap(grasp.probability))(states)

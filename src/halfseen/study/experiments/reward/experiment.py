@@ -14,7 +14,7 @@ from halfseen.study.experiments.reward.section import section_of
 from halfseen.study.experiments.reward.tables import tables_of
 from halfseen.study.pipeline import SELECTION, Played, Source, episodes_in_turn
 from halfseen.study.policies import HEURISTICS, LEARNED, planner
-from halfseen.study.timing import compile_decisions, measured_times
+from halfseen.study.timing import measured_times
 from halfseen.tables.fitted_world import Evidence
 from halfseen.world.cuts import CutKind
 
@@ -31,7 +31,7 @@ class Reward(RewardDesign):
     section = section_of
 
     def prepare(self, setting: Setting) -> PieceOf:
-        """Calibrate the cuts, choose the strongest baselines on episodes of their own, and compile what is timed."""
+        """Calibrate the cuts, and choose the strongest baselines on episodes of their own."""
         source, num_all = Source.of(setting), self.episodes_per_scene * len(setting.scenes)
         blocks = [Source.of(setting, k) for k in range(self.selection_blocks)]
         earned: dict[str, float] = {}
@@ -43,7 +43,6 @@ class Reward(RewardDesign):
             played = source.evaluate_some(each.policy(setting.world), some, SELECTION)
             earned[each.name] = played.means()["reward"]
         rates = [source.cut_rate(share, CUT_KIND) for share in self.cut_shares]
-        compile_decisions(setting, self.contenders.values())
         return {"rates": rates, "selection": earned}
 
     def measure(self, setting: Setting) -> PieceOf:

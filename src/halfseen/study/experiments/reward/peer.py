@@ -22,7 +22,7 @@ from halfseen.study.experiments.reward.design import RewardDesign
 from halfseen.study.pipeline import Played, Source, episodes_in_turn
 from halfseen.tables.fitted_world import Evidence, evidence_of, fitted_to
 from halfseen.world.cuts import CutEpisodes, CutKind
-from halfseen.world.recording import to_logs
+from halfseen.world.logs import to_logs
 
 Place = tuple[int, float]
 """Size of a log, and the proportion of its paths that is cut."""

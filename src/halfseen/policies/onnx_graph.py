@@ -1,0 +1,91 @@
+"""What ONNX graphs of policies are written with, and the parts that all of them have.
+
+Each function is the line of `KernelMap`, or of `halfseen.learning.choice`, that it is named after.
+"""
+
+from typing import Any
+
+import numpy as np
+from onnx import TensorProto, helper, numpy_helper
+
+from halfseen.learning.kernel_map import KernelMap
+
+OPSET, IR_VERSION = 18, 9
+SCORES, ACTION = "scores", "action"
+_OF = {np.float64: TensorProto.DOUBLE, np.float32: TensorProto.FLOAT}
+
+
+class Graph:
+    """Nodes and constants, written down as they are asked for.
+
+    Parameters
+    ----------
+    precision
+        ``np.float32`` or ``np.float64``, of all its numbers.
+    """
+
+    def __init__(self, precision: type) -> None:
+        self.precision = precision
+        self.nodes: list[Any] = []
+        self.constants: list[Any] = []
+
+    @property
+    def number(self) -> int:
+        """Type of its numbers, as ONNX counts them."""
+        return _OF[self.precision]
+
+    def constant(self, value: Any) -> str:
+        """Name an array; numbers are of the precision of the graph, and counts of 64 bits."""
+        array = np.asarray(value)
+        kinds = {"f": self.precision, "i": np.int64}
+        array = array.astype(kinds.get(array.dtype.kind, array.dtype))
+        name = f"c{len(self.constants)}"
+        self.constants.append(numpy_helper.from_array(np.ascontiguousarray(array).reshape(array.shape), name))
+        return name
+
+    def __call__(self, operator: str, *inputs: Any, to: str | None = None, **attributes: Any) -> str:
+        """Write down an operator, and give the name of what comes out."""
+        names = [one if isinstance(one, str) else self.constant(one) for one in inputs]
+        name = to or f"n{len(self.nodes)}"
+        self.nodes.append(helper.make_node(operator, names, [name], **attributes))
+        return name
+
+    def as_number(self, value: str) -> str:
+        """Truths, or counts, as numbers."""
+        name = f"n{len(self.nodes)}"
+        self.nodes.append(helper.make_node("Cast", [value], [name], to=self.number))
+        return name
+
+    def total(self, value: str, axis: int, *, keeps: bool = False) -> str:
+        """Sum over an axis."""
+        return self("ReduceSum", value, np.array([axis]), keepdims=int(keeps))
+
+    def model(self, inputs: list[Any], outputs: list[Any]) -> Any:
+        """Make a model of the graph."""
+        made = helper.make_graph(self.nodes, "policy", inputs, outputs, self.constants)
+        return helper.make_model(made, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION)
+
+
+def kernel_features(graph: Graph, features: str, psi: KernelMap) -> str:
+    """ψ(x) of each row."""
+    scaled = graph("Div", graph("Sub", features, np.asarray(psi.centre)), np.asarray(psi.scale))
+    landmarks = np.asarray(psi.landmarks, dtype=np.float64)
+    square = graph.total(graph("Mul", scaled, scaled), 1, keeps=True)
+    far = graph("Add", square, np.sum(landmarks**2, axis=1))
+    distance = graph("Max", graph("Sub", far, graph("MatMul", scaled, 2.0 * landmarks.T)), np.float64(0.0))
+    smooth = graph("MatMul", graph("Exp", graph("Mul", distance, -np.float64(psi.gamma))), np.asarray(psi.projection))
+    if psi.trend is None:
+        return smooth
+    one, other = np.triu_indices(landmarks.shape[1])
+    products = graph("Mul", graph("Gather", scaled, one, axis=1), graph("Gather", scaled, other, axis=1))
+    trend = graph("Mul", graph("Concat", scaled, products, axis=1), np.asarray(psi.trend))
+    return graph("Concat", trend, smooth, axis=1)
+
+
+def leaning(graph: Graph, utility: str, possible: str) -> str:
+    """How far the log's own choice is from chance towards each action; actions are the last axis."""
+    odds = graph("Softmax", graph("Where", possible, utility, np.float64(-np.inf)), axis=-1)
+    num_possible = graph.total(graph.as_number(possible), -1, keeps=True)
+    chance = graph("Div", np.float64(1.0), graph("Max", num_possible, np.float64(2.0)))
+    far = graph("Div", graph("Sub", odds, chance), graph("Sub", np.float64(1.0), chance))
+    return graph("Clip", far, np.float64(0.0), np.float64(1.0))

@@ -1,0 +1,100 @@
+"""One attempt, what it pays, and the look that follows: what every transition of a table is made of."""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from halfseen.arrays import Array, at, chosen, library_of
+from halfseen.world.actions import Verb
+from halfseen.world.config import WorldConfig
+from halfseen.world.grasping import Arrangement, Attempt
+from halfseen.world.random import Key
+from halfseen.world.seeing import Glimpse
+from halfseen.world.state import NO_ATTEMPT, HiddenState, TableState, numbered, occlusion_by
+
+
+def is_target(state: TableState, target: Int[Array, "*B"]) -> Bool[Array, "*B N"]:
+    """Which object an action is done to."""
+    return numbered(target, state.num_objects)
+
+
+def attempted(
+    config: WorldConfig,
+    state: TableState,
+    hidden: HiddenState,
+    verb: Int[Array, "*B"],
+    target: Int[Array, "*B"],
+    key: Key,
+    occluded: Float[Array, "*B N"],
+) -> Attempt:
+    """How the attempt went; it changes nothing where there is none, or none is possible."""
+    xp, law = library_of(verb), config.grasping
+    is_attempt, is_there = verb != Verb.FINISH, at(state.is_on_table, target)
+    tried = law.attempt(
+        Arrangement(state.hides, state.is_on_table, occluded, state.grip), hidden.grasp_trait, verb, target, key
+    )
+    is_real = is_attempt & is_there
+    duration_s = xp.where(is_attempt, xp.where(is_there, tried.duration_s, law.limit_s), 0.0)
+    return Attempt(
+        is_held=is_real & tried.is_held,
+        duration_s=duration_s.astype(np.float32),
+        hides=chosen(is_real, tried.hides, state.hides),
+        trait=chosen(is_real, tried.trait, hidden.grasp_trait),
+    )
+
+
+def action_reward(
+    config: WorldConfig,
+    verb: Int[Array, "*B"],
+    is_grasped: Bool[Array, "*B"],
+    is_dirty: Bool[Array, "*B"],
+    duration_s: Float[Array, "*B"],
+) -> Float[Array, "*B"]:
+    """What an action pays by itself, without what is left when the path ends."""
+    xp = library_of(verb)
+    washed = xp.where(is_dirty, config.reward_wash_dirty, config.reward_wash_clean)
+    wash = xp.where(is_grasped, washed, config.reward_wash_failed)
+    lift = xp.where(verb == Verb.LIFT, config.reward_lift_per_s * duration_s, np.float32(0.0))
+    return xp.where(verb == Verb.WASH, wash, lift).astype(np.float32)
+
+
+def after_attempt(
+    state: TableState,
+    verb: Int[Array, "*B"],
+    target: Int[Array, "*B"],
+    tried: Attempt,
+    occlusion_then: Float[Array, "*B"],
+) -> TableState:
+    """What is seen of the table once an attempt is over, before the camera looks; its object was hidden so far then."""
+    xp = library_of(verb)
+    is_now = numbered(state.horizon - state.steps_to_go, state.horizon)
+    is_grasped = is_target(state, target) & tried.is_held[..., None]
+    was_object = xp.where(verb == Verb.FINISH, NO_ATTEMPT, target)[..., None]
+    return replace(
+        state,
+        hides=tried.hides,
+        is_on_table=state.is_on_table & ~(is_grasped & (verb == Verb.WASH)[..., None]),
+        lifts=(state.lifts + (is_grasped & (verb == Verb.LIFT)[..., None])).astype(np.int32),
+        attempt_object=xp.where(is_now, was_object, state.attempt_object).astype(np.int32),
+        attempt_occlusion=xp.where(is_now, occlusion_then[..., None], state.attempt_occlusion),
+        attempt_succeeded=xp.where(is_now, tried.is_held[..., None], state.attempt_succeeded),
+        steps_to_go=state.steps_to_go - np.int32(1),
+    )
+
+
+def look(
+    config: WorldConfig, state: TableState, hidden: HiddenState, held: Bool[Array, "*B N"], key: Key
+) -> tuple[TableState, HiddenState]:
+    """Look at every object on the table once, as the law of seeing has it.
+
+    An object in `held` is seen unoccluded and hides nothing.
+    """
+    xp, is_seen = library_of(held), state.is_on_table
+    occluded = xp.where(held, np.float32(0.0), occlusion_by(state.hides, is_seen & ~held))
+    told = config.seeing.look(
+        Glimpse(is_seen, occluded, held, state.seen), state.log_odds, hidden.is_dirty, hidden.seeing_trait, key
+    )
+    log_odds = xp.where(is_seen, told.log_odds, state.log_odds).astype(np.float32)
+    seen = xp.where(is_seen, told.seen, state.seen).astype(np.float32)
+    return replace(state, log_odds=log_odds, seen=seen), replace(hidden, seeing_trait=told.trait)

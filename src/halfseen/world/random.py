@@ -1,0 +1,153 @@
+"""Draws as a function of (seed, episode, step): the counter-based generator Threefry-2×32 [Salmon2011]_.
+
+A key is two words of 32 bits, the last axis of an array, with any axes in front; each member of a batch draws from its
+own. Nothing is kept from one draw to the next, so batch, backend and number of workers change no draw. NumPy and JAX
+compute the same bits, and they are those of `jax.random` with its default generator.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt32
+
+from halfseen.arrays import library_of
+
+Key = UInt32[Any, "*B 2"]
+
+_ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
+_PARITY = 0x1BD11BDA
+_AT_ONCE = 65536
+"""Words that stay in the nearest caches of a core while they are turned."""
+_CENTRAL = (2.81022636e-08, 3.43273939e-07, -3.5233877e-06, -4.39150654e-06, 0.00021858087, -0.00125372503)
+_CENTRAL += (-0.00417768164, 0.246640727, 1.50140941)
+_TAIL = (-0.000200214257, 0.000100950558, 0.00134934322, -0.00367342844, 0.00573950773, -0.0076224613)
+_TAIL += (0.00943887047, 1.00167406, 2.83297682)
+_TINY = float(np.finfo(np.float32).tiny)
+_ABOVE_MINUS_1 = float(np.nextafter(np.float32(-1.0), np.float32(0.0)))
+
+
+def key_of(seed: int) -> UInt32[np.ndarray, "2"]:
+    """Key of a seed: its two words of 32 bits."""
+    return np.array([(int(seed) >> 32) & 0xFFFFFFFF, int(seed) & 0xFFFFFFFF], dtype=np.uint32)
+
+
+def fold_in(key: UInt32[Any, "*#B 2"], number: Int[Any, "*#B"] | int) -> UInt32[Any, "*S 2"]:
+    """Key of a numbered part of what a key is for: an episode, a step, an object."""
+    xp = library_of(key, number)
+    word, one, other = xp.asarray(number).astype(np.uint32), key[..., 0], key[..., 1]
+    word = word.reshape((1,) * (max(one.ndim - word.ndim, 0) + 1) + word.shape)
+    words = xp.stack(_threefry(one, other, xp.zeros_like(word), word))[:, 0]
+    return xp.moveaxis(words, 0, -1)
+
+
+def split(key: Key, num: int = 2) -> tuple[Key, ...]:
+    """So many keys, for independent draws."""
+    numbers = library_of(key).arange(num).reshape((num,) + (1,) * (key.ndim - 1))
+    return tuple(fold_in(key[None], numbers))
+
+
+def keys_of(key: Key, num: int) -> UInt32[Any, "*B S 2"]:
+    """So many keys, along an axis of their own."""
+    return fold_in(key[..., None, :], library_of(key).arange(num))
+
+
+def uniform(key: Key, *shape: int) -> Float[Any, "*S"]:
+    """Draw from [0, 1), for each key as many as the shape says; float32."""
+    words = _words(key, shape)
+    # Of 32 bits a float32 in [1, 2) holds 23.
+    return (words >> np.uint32(9)).astype(np.float32) * np.float32(2.0**-23)
+
+
+def _between(key: Key, shape: tuple[int, ...], low: float) -> Any:
+    """Draw from [low, 1)."""
+    least = np.float32(low)
+    found = uniform(key, *shape) * (np.float32(1.0) - least) + least
+    return library_of(found).maximum(found, least)
+
+
+def exponential(key: Key, *shape: int) -> Float[Any, "*S"]:
+    """Draw from Exp(1)."""
+    drawn = uniform(key, *shape)
+    return -library_of(drawn).log1p(-drawn)
+
+
+def log_uniform(key: Key, *shape: int) -> Float[Any, "*S"]:
+    """Logarithm of a draw from [0, 1), which may be −∞."""
+    drawn = uniform(key, *shape)
+    xp = library_of(drawn)
+    return xp.where(drawn > 0.0, xp.log(xp.where(drawn > 0.0, drawn, np.float32(1.0))), np.float32(-np.inf))
+
+
+def normal(key: Key, *shape: int) -> Float[Any, "*S"]:
+    """Draw from N(0, 1), by the inverse of the error function [Giles2012]_."""
+    drawn = _between(key, shape, _ABOVE_MINUS_1)
+    xp = library_of(drawn)
+    width = -xp.log1p(-drawn * drawn)
+    is_central = width < 5.0
+    near, far = width - np.float32(2.5), xp.sqrt(xp.maximum(width, np.float32(5.0))) - np.float32(3.0)
+    inverse = xp.where(is_central, _polynomial(_CENTRAL, near), _polynomial(_TAIL, far)) * drawn
+    return np.float32(math.sqrt(2.0)) * inverse
+
+
+def _polynomial(coefficients: tuple[float, ...], at: Any) -> Any:
+    total = np.float32(coefficients[0])
+    for coefficient in coefficients[1:]:
+        total = np.float32(coefficient) + total * at
+    return total
+
+
+def categorical(key: Key, logits: Float[Any, "*S A"]) -> Int[Any, "*S"]:
+    """Draw a number with probabilities proportional to exp(logits), by the largest of perturbed logits.
+
+    Of logits with more axes than keys have in front, each row has a draw of its own.
+    """
+    xp = library_of(key, logits)
+    drawn = _between(key, logits.shape[key.ndim - 1 :], _TINY)
+    return xp.argmax(logits - xp.log(-xp.log(drawn)), axis=-1).astype(np.int32)
+
+
+def one_of(key: Key, is_possible: Bool[Any, "*B A"]) -> Int[Any, "*B"]:
+    """Draw one of what is possible, each with the same probability."""
+    xp = library_of(key, is_possible)
+    # As `categorical` has it for equal logits: of what is drawn neither scale nor logarithm changes the order.
+    drawn = (_words(key, is_possible.shape[-1:]) >> np.uint32(9)).astype(np.int32)
+    drawn = xp.where(is_possible, drawn, np.int32(-1))
+    # Of truth values NumPy finds the first without a copy of numbers.
+    return xp.argmax(drawn == xp.max(drawn, axis=-1, keepdims=True), axis=-1).astype(np.int32)
+
+
+def _words(key: Key, shape: tuple[int, ...]) -> UInt32[Any, "*S"]:
+    xp, num = library_of(key), math.prod(shape)
+    one, other = key[..., 0], key[..., 1]
+    count = xp.arange(num, dtype=np.uint32).reshape((num,) + (1,) * one.ndim)
+    first, second = _threefry(one, other, xp.zeros_like(count), count)
+    # Laid out as `state.batch_last` has it.
+    return xp.moveaxis(first ^ second, 0, -1).reshape(key.shape[:-1] + shape)
+
+
+def _threefry(one: Any, other: Any, first: Any, second: Any) -> tuple[Any, Any]:
+    """Threefry-2×32 with 20 rounds: the counter (first, second) under a key of two words; one axis at least."""
+    shape = np.broadcast_shapes(one.shape, second.shape)
+    if library_of(one, second) is not np or math.prod(shape) <= _AT_ONCE:
+        return _rounds(one, other, first, second)
+    words, width = np.broadcast_arrays(one, other, first, second), max(_AT_ONCE * shape[-1] // math.prod(shape), 1)
+    parts = [_rounds(*(each[..., k : k + width] for each in words)) for k in range(0, shape[-1], width)]
+    return np.concatenate([part[0] for part in parts], axis=-1), np.concatenate([part[1] for part in parts], axis=-1)
+
+
+def _rounds(one: Any, other: Any, first: Any, second: Any) -> tuple[Any, Any]:
+    schedule = (one, other, one ^ other ^ np.uint32(_PARITY))
+    first, second = first + one, second + other
+    spare = np.empty_like(second) if isinstance(second, np.ndarray) else None
+    # What is written into was made here; JAX's arrays are made anew.
+    for group in range(5):
+        for turn in _ROTATIONS[group % 2]:
+            first += second
+            turned = second << np.uint32(turn) if spare is None else np.left_shift(second, np.uint32(turn), out=spare)
+            second >>= np.uint32(32 - turn)
+            second |= turned
+            second ^= first
+        first += schedule[(group + 1) % 3]
+        second += schedule[(group + 2) % 3] + np.uint32(group + 1)
+    return first, second

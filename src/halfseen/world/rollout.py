@@ -1,0 +1,145 @@
+"""Many tables played to their end."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from halfseen.arrays import Array, chosen, library_of, mapped, record, stacked
+from halfseen.world import random
+from halfseen.world.config import WorldConfig
+from halfseen.world.policy import Decision, Policy
+from halfseen.world.random import Key
+from halfseen.world.state import HiddenState, Layout, TableState
+from halfseen.world.transition import Outcome, start, step
+
+BATCH = 512
+"""Tables that are played at once: their arrays stay in the cache of a core. It changes nothing of what comes out."""
+
+
+@record
+class Episodes:
+    """Trajectories that nothing cut, stage by stage; `is_taken` is False after the trajectory's own end."""
+
+    states: TableState
+    """S_t, axes (B, T)."""
+    action: Int[Array, "*B T"]
+    probability: Float[Array, "*B T"]
+    """Of the logged action, under the policy that took it."""
+    reward: Float[Array, "*B T"]
+    duration_s: Float[Array, "*B T"]
+    is_taken: Bool[Array, "*B T"]
+    hidden: HiddenState
+    """As the table was set; for tests and oracles, it never reaches a log."""
+    paid_alone: Float[Array, "*B T K"] | None = None
+    out_s: Float[Array, "*B T K"] | None = None
+    """As in `Outcome`."""
+
+    @property
+    def elapsed_s(self) -> Float[Array, "*B T"]:
+        """U_t, the clock at the end of each stage [s]."""
+        xp = library_of(self.is_taken)
+        return xp.cumsum(xp.where(self.is_taken, self.duration_s, np.float32(0.0)), axis=-1)
+
+
+@record
+class Totals:
+    """What a policy earned on each of B tables."""
+
+    reward: Float[Array, "*B"]
+    robot_s: Float[Array, "*B"]
+    """The table's clock at the trajectory's own end [s]."""
+    num_steps: Int[Array, "*B"]
+
+
+class Stage(NamedTuple):
+    """What happened in a stage, whether or not the trajectory was already over."""
+
+    state: TableState
+    decision: Decision
+    outcome: Outcome
+    is_taken: Bool[Array, "*B"]
+
+
+def play(config: WorldConfig, layouts: Layout, policy: Policy, key: Key, num_episodes: int) -> Episodes:
+    """Play tables and record every stage; episode k uses layout k modulo their number."""
+    batches = [
+        _recorded(config, layouts, policy, key, np.arange(first, min(first + BATCH, num_episodes)))
+        for first in range(0, max(num_episodes, 1), BATCH)
+    ]
+    return mapped(lambda *leaves: library_of(*leaves).concatenate(leaves), *batches)
+
+
+def evaluate(config: WorldConfig, layouts: Layout, policy: Policy, key: Key, num_episodes: int) -> Totals:
+    """Play the tables that `play` would and keep only the totals."""
+    return evaluate_some(config, layouts, policy, key, np.arange(num_episodes))
+
+
+def evaluate_some(config: WorldConfig, layouts: Layout, policy: Policy, key: Key, episode: Int[Array, " B"]) -> Totals:
+    """Play some of the tables that `play` would, by number, and keep only the totals."""
+    parts = [_totals(config, layouts, policy, key, episode[k : k + BATCH]) for k in range(0, len(episode), BATCH)]
+    return mapped(lambda *leaves: library_of(*leaves).concatenate(leaves), *parts)
+
+
+def stages_of_play(
+    config: WorldConfig, layouts: Layout, policy: Policy, key: Key, episode: Int[Array, " B"]
+) -> tuple[HiddenState, Iterator[Stage]]:
+    """Set some tables, by number, and play them stage by stage, to the last one of all.
+
+    World and policy draw from separate keys, so that policies meet the same world.
+    """
+    layout, keys = mapped(lambda leaf: leaf[episode % len(leaf)], layouts), random.fold_in(key, episode)
+    start_key, world_key, policy_key = random.split(keys, 3)
+    state, hidden = start(config, layout, start_key)
+    return hidden, _played(config, state, hidden, policy, world_key, policy_key)
+
+
+def _played(
+    config: WorldConfig, state: TableState, hidden: HiddenState, policy: Policy, world_key: Key, policy_key: Key
+) -> Iterator[Stage]:
+    xp = library_of(state.is_on_table, world_key)
+    is_active = xp.ones(state.steps_to_go.shape, dtype=bool)
+    for t in range(config.num_stages):
+        if xp is np and not is_active.any():
+            return
+        decision = policy.decide(state, random.fold_in(policy_key, t))
+        after, of_hidden, outcome = step(config, state, hidden, decision.action, random.fold_in(world_key, t))
+        yield Stage(state, decision, outcome, is_active)
+        state, hidden = chosen(is_active, (after, of_hidden), (state, hidden))
+        is_active = is_active & ~outcome.is_over
+
+
+def _recorded(
+    config: WorldConfig, layouts: Layout, policy: Policy, key: Key, episode: Int[np.ndarray, " B"]
+) -> Episodes:
+    hidden, played = stages_of_play(config, layouts, policy, key, episode)
+    stages = list(played)
+    # Where all are over, the rest of the horizon is as the last stage was.
+    over = stages[-1]._replace(is_taken=library_of(stages[-1].is_taken).zeros_like(stages[-1].is_taken))
+    stages += [over] * (config.num_stages - len(stages))
+    all_stages = stacked(stages, axis=1)
+    outcome = all_stages.outcome
+    return Episodes(
+        states=all_stages.state,
+        action=all_stages.decision.action,
+        probability=all_stages.decision.probability,
+        reward=outcome.reward,
+        duration_s=outcome.duration_s,
+        is_taken=all_stages.is_taken,
+        hidden=hidden,
+        paid_alone=outcome.paid_alone,
+        out_s=outcome.out_s,
+    )
+
+
+def _totals(config: WorldConfig, layouts: Layout, policy: Policy, key: Key, episode: Int[Array, " B"]) -> Totals:
+    _, stages = stages_of_play(config, layouts, policy, key, episode)
+    xp, zero = library_of(layouts.is_object, key), np.float32(0.0)
+    none = xp.zeros(episode.shape, dtype=np.float32)
+    reward, robot_s, num_steps = none, none, xp.zeros(episode.shape, dtype=np.int32)
+    for stage in stages:
+        reward = reward + xp.where(stage.is_taken, stage.outcome.reward, zero)
+        robot_s = robot_s + xp.where(stage.is_taken, stage.outcome.duration_s, zero)
+        num_steps = num_steps + stage.is_taken.astype(np.int32)
+    return Totals(reward, robot_s, num_steps)

@@ -1,0 +1,181 @@
+"""Logs of every form as small valid inputs, made by the project's own writers."""
+
+import json
+import os
+import shutil
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from fuzz.policy_inputs import NUM_COLUMNS, NUM_ROWS, table_cloud
+from halfseen.logs import LogRecorder, Logs
+from small_logs import flat_log
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "logs" / "formats"))
+
+
+BAG_OF_ROS_1 = {"action": "action", "reward": "reward", "ending": "end"}
+
+
+def parquet(log: Callable[..., Logs], *given: int) -> Callable[[Path], object]:
+    return lambda folder: log(*given).write(folder / "logs")
+
+
+def csv(log: Callable[..., Logs], *given: int) -> Callable[[Path], object]:
+    def make(folder: Path) -> None:
+        from halfseen.logs.formats import write_csv
+
+        write_csv(log(*given), folder / "logs")
+
+    return make
+
+
+def journal(folder: Path) -> None:
+    rng = np.random.default_rng(0)
+    with LogRecorder(folder / "logs") as recorder:
+        for number in range(6):
+            path = recorder.begin_path(number)
+            for stage in range(1, 3):
+                path.begin_stage({"x1": rng.normal(), "x2": stage}, action="AB"[rng.integers(2)], probability=0.5)
+                path.complete_stage(rng.normal(), elapsed_s=1.5 * stage)
+            path.finish() if number % 2 else path.cut("battery")
+        recorder.begin_path(6).begin_stage({"x1": 0.5, "x2": 1}, action="A", probability=0.5)
+        shutil.copytree(folder / "logs", folder / "torn")
+    (folder / "logs").rename(folder / "more")
+    (folder / "torn").rename(folder / "logs")
+
+
+@contextmanager
+def datasets_in(folder: Path) -> Iterator[None]:
+    """Minari's datasets are in this folder."""
+    was = os.environ.get("MINARI_DATASETS_PATH")
+    os.environ["MINARI_DATASETS_PATH"] = str(folder)
+    try:
+        yield
+    finally:
+        del os.environ["MINARI_DATASETS_PATH"]
+        os.environ.update({} if was is None else {"MINARI_DATASETS_PATH": was})
+
+
+def minari(folder: Path) -> None:
+    from halfseen.logs.formats import write_minari
+
+    with datasets_in(folder):
+        write_minari(flat_log(6), "logs/flat-v0")
+
+
+def minari_foreign(folder: Path) -> None:
+    import minari as library
+    from gymnasium import spaces
+    from minari.data_collector import EpisodeBuffer
+
+    endings = [([False, False, True], [False] * 3), ([False] * 3, [False, False, True])]
+    buffers = [
+        EpisodeBuffer(
+            observations=np.arange(8.0).reshape(4, 2),
+            actions=np.array([0, 1, 0]),
+            rewards=[1.0, 2.0, 3.0],
+            terminations=terminated,
+            truncations=truncated,
+            infos={"t": np.array([5.0, 5.5, 7.0, 9.0])},
+        )
+        for terminated, truncated in endings
+    ]
+    box = spaces.Box(-9, 9, (2,), np.float64)
+    with datasets_in(folder):
+        library.create_dataset_from_buffers("hand-v0", buffers, action_space=spaces.Discrete(2), observation_space=box)
+
+
+def bag(folder: Path, storage: str, with_cloud: bool = False) -> None:
+    from bags import cloud, two_paths, write_bag
+
+    from halfseen.logs.formats import MAPPING_TEMPLATE
+
+    messages = two_paths()
+    if with_cloud:
+        points = table_cloud(False).points_m
+        messages += [cloud(at, "/camera/points", points, (NUM_ROWS, NUM_COLUMNS)) for at in (1.2, 3.2, 11.3, 13.6)]
+    mapping = MAPPING_TEMPLATE
+    (folder / "cell.toml").write_text(mapping if with_cloud else mapping[: mapping.index("# sensor_msgs/PointCloud2")])
+    write_bag(folder / "bag", sorted(messages, key=lambda one: one[0]), storage)
+
+
+def bag_of_ros_1(folder: Path) -> None:
+    from bags import number, text
+    from rosbags.rosbag1 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC)
+    messages = [text(1.0, "/action", "A"), number(2.0, "/reward", 1.0), text(2.5, "/end", "finished")]
+    with Writer(folder / "old.bag") as writer:
+        for seconds, topic, kind, message in messages:
+            connection = writer.add_connection(topic, kind, typestore=store)
+            writer.write(connection, int(seconds * 1e9), store.serialize_ros1(message, kind))
+    tables = (f'[{key}]\ntopic = "/{topic}"\nfield = "data"\n' for key, topic in BAG_OF_ROS_1.items())
+    (folder / "cell.toml").write_text("".join(tables))
+
+
+def lerobot(folder: Path) -> None:
+    from foreign import episodes, last_of, write_lerobot
+
+    found = episodes()
+    write_lerobot(folder / "robot", found, extra={"next.done": last_of(found, [True, False, True])}, tasks=["pick"])
+
+
+def steps(folder: Path, kind: str) -> None:
+    import test_step_tables
+
+    found = test_step_tables.episodes()
+    test_step_tables.write(folder / f"steps.{kind}", test_step_tables.rows_of(found, [True, False, True]), kind=kind)
+
+
+def step_arrays(folder: Path) -> None:
+    import test_step_arrays
+
+    found = test_step_arrays.episodes()
+    test_step_arrays.write(folder / "steps.hdf5", test_step_arrays.arrays(found, terminated=[0], timed_out=[1]))
+
+
+def sqlite(folder: Path) -> None:
+    import sqlite3
+    from contextlib import closing
+
+    logs = flat_log(8)
+    with closing(sqlite3.connect(folder / "logs.db")) as database:
+        for name in ("stages", "paths"):
+            logs.tables[name].to_sql(name, database, index=False)
+
+
+def mcap_of_other_encodings(folder: Path, encoding: str) -> None:
+    import test_mcap_files
+    from bags import two_paths
+
+    encode = getattr(test_mcap_files, f"as_{encoding}")
+    test_mcap_files.write_mcap(folder / "cell.mcap", two_paths(), encode)
+    test_mcap_files.mapping(folder, encode)
+
+
+def journal_of_objects(folder: Path) -> None:
+    seen = [{"object": name, "occlusion": 0.2 * k, "hidden_by": [0.0, 0.0]} for k, name in enumerate(("cup", "mug"))]
+    with LogRecorder(folder / "logs", reward_unit="cups") as recorder:
+        for number in range(4):
+            path = recorder.begin_path(f"table-{number}", cell="left")
+            for stage in range(1, 3):
+                path.begin_stage({"light": 0.5}, objects=seen, action="WASH", object="cup", probability=0.5)
+                path.complete_stage(1.0, elapsed_s=2.0 * stage)
+            path.finish()
+
+
+def calls(folder: Path) -> None:
+    lines = [
+        {"call": "begin_path", "name": 1, "columns": {"cell": "left"}},
+        {"call": "begin_stage", "covariates": {"x": 0.3}, "action": "PICK", "probability": 0.5},
+        {"call": "complete_stage", "reward": 1.0, "elapsed_s": 2.5},
+        {"call": "begin_stage", "covariates": {"x": 0.4}, "action": "FINISH", "probability": 0.5},
+        {"call": "complete_stage", "reward": 1.0, "elapsed_s": 3.5},
+        {"call": "finish"},
+    ]
+    (folder / "calls.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))

@@ -1,0 +1,194 @@
+"""Clouds, policies, laws and teams as small valid inputs, made by the project's own writers."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+
+from halfseen.logs import Logs
+from small_logs import flat_log, table_log
+
+NUM_ROWS, NUM_COLUMNS = 120, 160
+K = np.array([[145.0, 0.0, 79.5], [0.0, 145.0, 59.5], [0.0, 0.0, 1.0]])
+STATE = {"x1": 0.4, "x2": 1, "stage": 1}
+TEAM = """clearance_m = 0.12
+reward_per_s = -0.05
+
+[[robot]]
+name = "left"
+base_m = [-0.45, 0.8]
+reach_m = 0.55
+speed = 1.0
+
+[[robot]]
+name = "right"
+base_m = [0.45, 0.8]
+reach_m = 0.55
+drop_out_rate = 0.001
+law = "assumed"
+"""
+RULE = '[[rule]]\nwhen = { x1 = "> 0.5" }\naction = "A"\n\n[[rule]]\naction = "A"\n'
+
+
+def depth_image() -> np.ndarray:
+    """Depth of two upright cards on a table, the one before the other [m]."""
+    row, column = np.mgrid[:NUM_ROWS, :NUM_COLUMNS]
+    down, across = (row - K[1, 2]) / K[1, 1], (column - K[0, 2]) / K[0, 0]
+    down = np.tan(np.arctan(down) + 0.6)
+    scale = np.cos(0.6) - np.sin(0.6) * (row - K[1, 2]) / K[1, 1]
+    forward = np.where(down > 0.01, 0.6 / np.maximum(down, 0.01), np.inf)
+    forward[(forward > 1.6) | (forward < 0.3)] = np.nan
+    for left, right, ahead in ((-0.05, 0.06, 0.8), (0.0, 0.12, 0.95)):
+        aside, drop = across / scale * ahead, down * ahead
+        is_card = (aside > left) & (aside < right) & (drop > 0.48) & (drop < 0.6)
+        forward = np.where(is_card & ~(forward < ahead), ahead, forward)
+    return np.where(np.isfinite(forward), forward / scale, np.nan)
+
+
+def colours() -> np.ndarray:
+    picture = np.full((NUM_ROWS, NUM_COLUMNS, 3), (238, 236, 230), dtype=np.uint8)
+    picture[56:68, 76:88] = (98, 62, 30)
+    return picture
+
+
+def table_cloud(is_coloured: bool = True):
+    from halfseen.perception import Cloud
+
+    return Cloud.from_depth(depth_image(), K, "table", colours() if is_coloured else None)
+
+
+def npz(folder: Path) -> None:
+    np.savez_compressed(folder / "table.npz", depth_m=depth_image(), K=K, rgb=colours())
+
+
+def pcd(folder: Path) -> None:
+    from halfseen.perception import write_pcd
+
+    write_pcd(table_cloud(), folder / "table.pcd")
+
+
+def pcd_text(folder: Path) -> None:
+    points = table_cloud(False).points_m
+    head = (
+        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
+        f"WIDTH {NUM_COLUMNS}\nHEIGHT {NUM_ROWS}\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(points)}\nDATA ascii\n"
+    )
+    rows = "\n".join(" ".join(f"{value:.4f}" for value in point) for point in points)
+    (folder / "table.pcd").write_text(f"{head}{rows}\n")
+
+
+def ply(folder: Path, is_text: bool) -> None:
+    from plyfile import PlyData, PlyElement
+
+    cloud = table_cloud()
+    kinds = [("x", "f4"), ("y", "f4"), ("z", "f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")]
+    vertices = np.zeros(len(cloud.points_m), dtype=kinds)
+    for k, name in enumerate("xyz"):
+        vertices[name] = cloud.points_m[:, k]
+    for k, name in enumerate(("red", "green", "blue")):
+        vertices[name] = cloud.colours[:, k]
+    vertices = vertices[np.isfinite(vertices["x"])]
+    PlyData([PlyElement.describe(vertices, "vertex")], text=is_text).write(folder / "table.ply")
+
+
+def labelled(folder: Path) -> None:
+    npz(folder)
+    (folder / "labels.csv").write_text("object,label,share_in_view\n0,dirty,0.4\n1,clean,0.2\n")
+    labels = [{"object": 0, "label": "dirty", "share_in_view": 0.4}, {"object": 1, "label": "unknown"}]
+    (folder / "labels.json").write_text(json.dumps(labels))
+
+
+def several(folder: Path) -> None:
+    npz(folder)
+    pcd(folder)
+    ply(folder, is_text=False)
+
+
+def flat_policy(folder: Path) -> None:
+    from halfseen.learning import CensoredQLearner
+    from halfseen.policies.folder import write_policy
+
+    logs = flat_log()
+    learner = CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=0.1)
+    write_policy(learner.fit(logs), logs, folder / "policy")
+    (folder / "state.json").write_text(json.dumps(STATE))
+    (folder / "state.csv").write_text("x1,x2,stage\n0.4,1,1\n")
+
+
+def judged(folder: Path) -> None:
+    flat_policy(folder)
+    flat_log(seed=1).write(folder / "logs")
+    (folder / "rule.toml").write_text(RULE)
+    (folder / "rule.csv").write_text("x1,action\n> 0.5,A\n,A\n")
+
+
+def table_policy(folder: Path) -> None:
+    from halfseen.learning import CensoredQLearner
+    from halfseen.policies.folder import write_policy
+
+    logs = table_log()
+    write_policy(CensoredQLearner.for_table(3, reg=0.1).fit(logs), logs, folder / "policy")
+    npz(folder)
+
+
+def begun(folder: Path) -> None:
+    """A policy, a table, and logs whose last path is what was seen and done there so far."""
+    from halfseen.perception import perceive, read_cloud
+
+    table_policy(folder)
+    scene = perceive(read_cloud(folder / "table.npz")).scene()
+    logs = table_log(num_paths=4, num_objects=scene.num_objects, hides=scene.hides, seed=1)
+    stages, objects, paths = (frame.copy() for frame in (logs.stages, logs.objects, logs.paths))
+    stages, objects = (rows[(rows["path"] < 3) | (rows["stage"] == 1)] for rows in (stages, objects))
+    is_now = stages["path"] == 3
+    stages.loc[is_now, ["elapsed_s", "reward"]] = np.nan
+    stages.loc[is_now, ["action", "object"]] = None
+    paths.loc[paths["path"] == 3, ["end_s", "ending", "cause"]] = [1.0, "cut", "crash"]
+    Logs(stages, paths, objects).write(folder / "history")
+
+
+def attempts(folder: Path) -> None:
+    """Attempts of a cell, fewer than its law needs to be sure."""
+    from halfseen.cell.calibration.shipped import shipped_law
+    from halfseen.logs import read_logs
+
+    logs = read_logs(shipped_law() / "attempts")
+    first = set(logs.paths["path"][:200])
+    kept = (frame[frame["path"].isin(first)] for frame in (logs.stages, logs.paths, logs.objects))
+    Logs(*kept).write(folder / "attempts")
+
+
+def law(folder: Path) -> None:
+    from halfseen.cell.calibration.shipped import shipped_law
+
+    (folder / "law").mkdir()
+    for name in ("law.json", "law.safetensors", "law.sha256"):
+        shutil.copy(shipped_law() / name, folder / "law")
+    npz(folder)
+
+
+def team(folder: Path) -> None:
+    npz(folder)
+    (folder / "team.toml").write_text(TEAM)
+    robots = [{"base_m": [-0.45, 0.8], "reach_m": 0.55}, {"name": "right", "base_m": [0.45, 0.8], "reach_m": 0.55}]
+    (folder / "team.json").write_text(json.dumps({"robot": robots}))
+
+
+def halfseen(*words: object) -> None:
+    """Run a verb whose output is an input of others."""
+    from halfseen.cli import halfseen as verbs
+
+    verbs([str(word) for word in words], standalone_mode=False)
+
+
+def team_logs(folder: Path) -> None:
+    team(folder)
+    halfseen(
+        *("simulate", folder / "table.npz", "--team", folder / "team.toml", "--episodes", 12, "--horizon", 2),
+        *("--out", folder / "logs", "--json"),
+    )
+
+
+def nothing(folder: Path) -> None:
+    """No input: the command line is what is broken."""

@@ -1,0 +1,330 @@
+from dataclasses import replace
+from functools import partial
+
+import naive_planner
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from naive_optimum import BruteForce, hermite
+from naive_planner import CONFIG, Cup
+
+from halfseen.arrays import record
+from halfseen.errors import ArgumentError
+from halfseen.planners import GreedyPolicy, POMDPPolicy, information_relaxation_bound, relaxation, solve_table
+from halfseen.world import AssumedGrasping, AssumedSeeing, Scene, UniformPolicy, WorldConfig, random
+from halfseen.world.policy import surely
+from halfseen.world.rollout import evaluate, play
+from halfseen.world.state import pad_scenes
+from picked import picked
+from tables import state_of
+
+TWO = np.array([[0.0, 0.6], [0.1, 0.0]])
+ALIKE = np.array([[0.0, 0.3], [0.3, 0.0]])
+THREE = np.array([[0.0, 0.6, 0.3], [0.1, 0.0, 0.2], [0.4, 0.05, 0.0]])
+OTHER_WORLD = WorldConfig(
+    dirty_share=0.4, reward_wash_clean=-4.0, grasping=AssumedGrasping(offset_std=0.7), reward_lift_per_s=-0.02
+)
+GREEDY = [GreedyPolicy(CONFIG, uses_history=h, counts_penalty=p) for h in (False, True) for p in (False, True)]
+
+
+@pytest.mark.parametrize("config", [CONFIG, OTHER_WORLD], ids=["this world", "another"])
+@pytest.mark.parametrize("hides", [TWO, ALIKE], ids=["two", "two alike"])
+@pytest.mark.parametrize("horizon", [1, 2])
+def test_two_cups_are_worth_what_brute_force_finds(config, hides, horizon):
+    expected = BruteForce(config, hides, 7).value(horizon)
+
+    assert solve_table(hides, config, horizon).value == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("hides", "horizon", "num_nodes"), [(TWO, 3, 3), (THREE, 2, 2)], ids=["3 steps", "3 cups"])
+def test_more_steps_and_more_cups_are_worth_what_brute_force_finds(hides, horizon, num_nodes):
+    expected = BruteForce(OTHER_WORLD, hides, num_nodes).value(horizon)
+
+    assert solve_table(hides, OTHER_WORLD, horizon, num_nodes).value == pytest.approx(expected, abs=1e-9)
+
+
+def test_one_cup_in_full_view_and_one_step():
+    """The label is right in 4 of 5 cases; only a cup that is said to be dirty is worth washing."""
+    missed = sum(weight * np.exp(-6.0 / np.exp(0.6 - offset)) for offset, weight in hermite(CONFIG, 7))
+    caught = 1.0 - missed
+    said_dirty, said_clean = 0.6 * 0.8 + 0.4 * 0.2, 0.6 * 0.2 + 0.4 * 0.8
+    is_dirty, is_dirty_after_all = 0.6 * 0.8 / said_dirty, 0.6 * 0.2 / said_clean
+    washed = caught * (5 * is_dirty - 10 * (1 - is_dirty)) + missed * (-1 - 5 * is_dirty)
+
+    expected = said_dirty * washed + said_clean * -5 * is_dirty_after_all
+    assert solve_table([[0.0]], CONFIG, 1).value == pytest.approx(expected, abs=1e-12)
+
+
+@st.composite
+def tables(draw, num_objects=3):
+    shares = st.one_of(st.just(0.0), st.just(1.0), st.just(0.5), st.floats(0.0, 1.0))
+    hides = draw(arrays(np.float64, (num_objects, num_objects), elements=shares))
+    return hides * ~np.eye(num_objects, dtype=bool)
+
+
+@settings(max_examples=20, deadline=None, derandomize=True)
+@given(hides=tables(), order=st.permutations(range(3)))
+def test_the_order_of_the_cups_changes_nothing_and_nobody_beats_the_bound(hides, order):
+    value = solve_table(hides, CONFIG, 2).value
+    bound = information_relaxation_bound(hides, CONFIG, 2, num_grip_nodes=7)
+
+    assert solve_table(hides[np.ix_(order, order)], CONFIG, 2).value == pytest.approx(value, abs=1e-9)
+    assert value <= bound.value + 1e-9
+    assert bound.standard_error == 0.0
+
+
+def test_cups_apart_have_fewer_states_and_are_worth_more():
+    """Each is seen at one occlusion only, so there is less to count."""
+    apart, close = solve_table(np.zeros((3, 3)), CONFIG, 4), solve_table(THREE, CONFIG, 4)
+
+    assert apart.num_states < close.num_states / 2
+    assert apart.value > close.value
+
+
+def test_a_step_more_is_never_a_loss():
+    values = [solve_table(TWO, CONFIG, horizon).value for horizon in range(1, 8)]
+
+    assert np.all(np.diff(values) > 0.0)
+
+
+def test_a_scene_is_as_good_as_its_hides_and_the_horizon_is_the_worlds():
+    config = WorldConfig(horizon=3)
+
+    assert solve_table(Scene(TWO), config).value == solve_table(TWO, config, 3).value
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"horizon": 0}, "horizon is 0"),
+        ({"horizon": 2, "num_grip_nodes": 0}, "num_grip_nodes is 0"),
+        ({"config": WorldConfig(dirty_share=1.0)}, "dirty_share is 1; it lies between"),
+        (
+            {"config": WorldConfig(seeing=AssumedSeeing(floor=0.7))},
+            "a label's probability of object 0 is 1; it lies between",
+        ),
+        ({"horizon": 10, "max_states": 1000}, "2 objects over 10 steps have more than 1,000 states .* shorten"),
+    ],
+)
+def test_what_cannot_be_solved_is_refused(arguments, message):
+    with pytest.raises(ArgumentError, match=message):
+        solve_table(**{"scene": TWO, "config": CONFIG} | arguments)
+
+
+@pytest.fixture(scope="module")
+def played():
+    """States along the way of somebody who acts by lot, on two cups over four steps."""
+    config = WorldConfig(horizon=4)
+    episodes = play(config, pad_scenes([Scene(TWO)]), UniformPolicy(), random.key_of(0), 16)
+    states = picked(episodes.states, np.asarray(episodes.is_taken))
+    return [picked(states, k) for k in range(len(states.steps_to_go))]
+
+
+def cups_of(state):
+    tried = zip(*map(np.asarray, (state.attempt_object, state.attempt_occlusion, state.attempt_succeeded)), strict=True)
+    attempts = [(int(i), float(occluded), bool(is_grasped)) for i, occluded, is_grasped in tried]
+    return [
+        Cup(float(1 / (1 + np.exp(-log_odds))), tuple(one[1:] for one in attempts if one[0] == i), bool(is_there))
+        for i, (log_odds, is_there) in enumerate(
+            zip(np.asarray(state.log_odds), np.asarray(state.is_on_table), strict=True)
+        )
+    ]
+
+
+def test_in_every_state_of_the_world_q_is_what_all_futures_say(played):
+    optimum = solve_table(TWO, CONFIG, 4)
+    states = [state for state in played if state.steps_to_go <= 2]
+
+    assert len(states) > 10
+    assert any(state.lifts.any() for state in states)
+    assert any(not state.is_on_table.all() for state in states)
+    for state in states:
+        steps = int(state.steps_to_go)
+        expected = naive_planner.q_values(cups_of(state), TWO, steps, depth=steps)
+        np.testing.assert_allclose(optimum.q_values(state), expected, atol=2e-5)
+        assert optimum.action(state) == np.argmax(optimum.q_values(state))
+
+
+def test_a_state_of_another_table_or_another_horizon_is_refused(played):
+    optimum = solve_table(TWO, CONFIG, 4)
+
+    with pytest.raises(ArgumentError, match="5 steps to go; give one of 2 objects with 1 to 4 steps"):
+        optimum.q_values(replace(played[0], steps_to_go=np.asarray(5)))
+    with pytest.raises(ArgumentError, match="attempt 1, on object -1, is not possible"):
+        optimum.q_values(replace(played[0], steps_to_go=np.asarray(3)))
+    with pytest.raises(ArgumentError, match=r"log-odds of object 0 are 0\.5, with 0 of it seen; .* away"):
+        optimum.q_values(replace(played[0], log_odds=np.full(2, 0.5)))
+
+
+@pytest.mark.parametrize("policy", GREEDY, ids=lambda policy: f"history {policy.uses_history}")
+def test_the_value_of_a_rule_is_what_brute_force_finds(policy):
+    def choose(is_dirty, there, attempts, steps):
+        cups = [Cup(p, tuple(one[1:] for one in attempts if one[0] == i), i in there) for i, p in enumerate(is_dirty)]
+        return int(policy.decide(state_of(cups, TWO, steps), random.key_of(0)).action)
+
+    expected = BruteForce(CONFIG, TWO, 3, choose).value(3)
+
+    assert solve_table(TWO, CONFIG, 3, num_grip_nodes=3).policy_value(policy) == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize("hides", [TWO, THREE], ids=["two", "three"])
+@pytest.mark.slow
+def test_rules_and_planners_are_below_the_optimum_and_that_below_every_bound(hides):
+    optimum = solve_table(hides, CONFIG, 4)
+    earned = [optimum.policy_value(policy) for policy in (*GREEDY, POMDPPolicy(CONFIG, 1))]
+    bound = partial(information_relaxation_bound, hides, CONFIG, 4, num_grip_nodes=3)
+    by_looks, by_hidden = bound().value, bound(reveals="hidden").value
+
+    assert max(earned) < optimum.value < by_looks < by_hidden
+    assert optimum.regret(GREEDY[0]) == pytest.approx(optimum.value - earned[0], abs=1e-12)
+    assert earned[-1] > max(earned[:-1])
+
+
+def test_who_draws_by_lot_is_valued_for_the_draws_of_the_key():
+    optimum = solve_table(TWO, CONFIG, 3)
+    values = [optimum.policy_value(UniformPolicy(), random.key_of(seed)) for seed in (0, 0, 1)]
+
+    assert values[0] == values[1] != values[2]
+    assert max(values) < optimum.value
+
+
+@record
+class AlwaysWashTheFirst:
+    def decide(self, state, key):
+        return surely(np.ones(state.is_on_table.shape[:-1], dtype=np.int32))
+
+
+@pytest.mark.parametrize("max_states", [None, 3])
+def test_several_policies_are_worth_what_each_is_by_itself(max_states):
+    optimum, key = solve_table(TWO, CONFIG, 3, num_grip_nodes=3), random.key_of(4)
+    policies = (*GREEDY[:2], UniformPolicy(), GREEDY[3])
+    alone = [optimum.policy_value(each, key, max_states) for each in policies]
+    np.testing.assert_allclose(optimum.policy_values(policies, key, max_states), alone, rtol=1e-12)
+    assert len(set(alone)) > 2
+
+
+def test_no_policy_has_no_value():
+    with pytest.raises(ArgumentError, match="policies is empty; give at least one"):
+        solve_table(TWO, CONFIG, 2).policy_values([])
+
+
+def test_a_policy_that_does_the_impossible_is_refused():
+    with pytest.raises(ArgumentError, match=r"policy chose action 1 with objects \[1\] on the table"):
+        solve_table(TWO, CONFIG, 2).policy_value(AlwaysWashTheFirst())
+
+
+def enumerated_hidden_bound(hides, horizon, num_nodes):
+    """Mean over everything hidden of what one who knows it earns, by plain recursion."""
+    brute = BruteForce(CONFIG, hides, num_nodes)
+
+    def value(dirty, grip, there, steps):
+        left = sum(CONFIG.reward_dirty_left for i in there if dirty[i])
+        if steps == 0:
+            return left
+        q = [left]
+        for i in there:
+            caught = 1 - naive_planner.failure(brute.occlusion(there, i), grip[i])
+            won = (5 if dirty[i] else -10) + value(dirty, grip, there - {i}, steps - 1)
+            q.append(caught * won + (1 - caught) * (-1 + value(dirty, grip, there, steps - 1)))
+        return max(q)
+
+    everyone = frozenset(range(len(hides)))
+    return sum(
+        weight * value(dirty, grip, everyone, horizon)
+        for (dirty, grip), weight in zip(brute.every, brute.prior, strict=True)
+    )
+
+
+@pytest.mark.parametrize(("hides", "horizon"), [(TWO, 4), (THREE, 3)], ids=["two", "three"])
+def test_who_knows_what_is_hidden_earns_what_plain_recursion_finds(hides, horizon):
+    bound = information_relaxation_bound(hides, CONFIG, horizon, num_grip_nodes=3, reveals="hidden")
+
+    assert bound == (pytest.approx(enumerated_hidden_bound(hides, horizon, 3), abs=1e-9), 0.0)
+
+
+@pytest.mark.parametrize("reveals", ["looks", "hidden"])
+def test_a_bound_from_draws_agrees_with_the_exact_one(monkeypatch, reveals):
+    bound = partial(information_relaxation_bound, TWO, CONFIG, 4, num_grip_nodes=3, reveals=reveals)
+    exact = bound()
+    monkeypatch.setattr(relaxation, "MAX_ENUMERATED", 0)
+    drawn = bound(num_samples=40_000)
+
+    assert exact.standard_error == 0.0
+    assert 0.0 < drawn.standard_error < 0.03
+    assert drawn.value == pytest.approx(exact.value, abs=4 * drawn.standard_error)
+
+
+def test_who_knows_the_times_of_grasps_too_earns_more():
+    bound = partial(information_relaxation_bound, TWO, CONFIG, 4, num_samples=40_000)
+    by_looks, by_hidden, by_everything = (bound(reveals=reveals) for reveals in ("looks", "hidden", "everything"))
+
+    assert by_looks.value < by_hidden.value < by_everything.value
+    assert bound() == by_looks != bound(seed=1)
+
+
+def test_who_knows_that_a_grasp_will_fail_lifts_to_wait_where_that_is_free():
+    config = WorldConfig(grasping=AssumedGrasping(limit_s=1.0), reward_lift_per_s=0.0)
+    bound = information_relaxation_bound([[0.0]], config, 2, 40_000, num_grip_nodes=1, reveals="everything")
+    both_fail = np.exp(-2.0 / np.exp(0.6))
+
+    assert bound.value == pytest.approx(0.6 * (5 - 10 * both_fail), abs=4 * bound.standard_error)
+    assert bound.standard_error < 0.025
+
+
+def test_with_one_label_that_is_all_there_is_and_a_sure_grasp_the_bound_by_looks_is_the_optimum():
+    """In full view, with one step, the look that is told is the look that is taken."""
+    config, table = WorldConfig(grasping=AssumedGrasping(offset_std=0.0)), np.zeros((2, 2))
+
+    bound = information_relaxation_bound(table, config, 1, num_grip_nodes=1)
+    assert bound.value == pytest.approx(solve_table(table, config, 1, num_grip_nodes=1).value, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"horizon": 0}, "horizon is 0"),
+        ({"num_samples": 1}, "num_samples is 1; at least 2"),
+        ({"num_grip_nodes": 0}, "num_grip_nodes is 0"),
+        ({"reveals": "nothing"}, "reveals is 'nothing'; it is one of looks, hidden, everything"),
+        ({"scene": np.zeros((13, 13))}, "13 objects; the bound takes 1 to 12"),
+    ],
+)
+def test_what_cannot_be_bounded_is_refused(arguments, message):
+    with pytest.raises(ArgumentError, match=message):
+        information_relaxation_bound(**{"scene": TWO, "config": CONFIG} | arguments)
+
+
+def test_the_more_grip_offsets_the_nearer_is_the_world_whose_offsets_are_normal():
+    values = [solve_table(TWO, CONFIG, 5, num_nodes).value for num_nodes in (3, 7, 15, 31, 63)]
+
+    assert values[2:4] == pytest.approx([values[4]] * 2, abs=1e-4)
+    assert 0.02 > abs(values[1] - values[4]) > 1e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "policy", [GREEDY[1], GREEDY[3], POMDPPolicy(CONFIG, 1), UniformPolicy()], ids=["greedy", "history", "pomdp", "lot"]
+)
+def test_a_policy_earns_in_the_world_what_it_is_worth(policy):
+    config, layouts = WorldConfig(horizon=4), pad_scenes([Scene(THREE)])
+    rewards = np.asarray(evaluate(config, layouts, policy, random.key_of(0), 400_000).reward, dtype=np.float64)
+    optimum = solve_table(THREE, CONFIG, 4, num_grip_nodes=31)
+    by_lot = isinstance(policy, UniformPolicy)
+    worth = [optimum.policy_value(policy, random.key_of(seed)) for seed in range(80 if by_lot else 1)]
+
+    error = np.hypot(rewards.std() / np.sqrt(len(rewards)), np.std(worth) / np.sqrt(len(worth)))
+    assert rewards.mean() == pytest.approx(np.mean(worth), abs=4 * error)
+    assert error < (0.08 if by_lot else 0.03)
+
+
+@pytest.mark.slow
+def test_three_cups_over_seven_steps_fit_and_no_planner_is_better_on_five():
+    longest, five = solve_table(THREE, CONFIG, 7), solve_table(THREE, CONFIG, 5)
+    planned = [five.policy_value(POMDPPolicy(CONFIG, horizon, 32)) for horizon in (1, 2)]
+
+    assert longest.num_states < 30_000_000
+    assert planned[0] < planned[1] < five.value < longest.value
+    assert five.value < information_relaxation_bound(THREE, CONFIG, 5, num_grip_nodes=7).value

@@ -1,0 +1,123 @@
+"""The optimum of a team is what brute force finds, of one robot what `solve_table` finds; values are exact."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from naive_optimum import hermite
+from naive_team_optimum import BruteForceTeam
+
+from halfseen.arrays import mapped
+from halfseen.errors import ArgumentError
+from halfseen.planners.exact_table import solve_table
+from halfseen.planners.exact_team import solve_team
+from halfseen.planners.grid_grasping import GridGrasping
+from halfseen.planners.heuristics import GreedyPolicy
+from halfseen.planners.myopic import MyopicPolicy
+from halfseen.planners.pomdp import POMDPPolicy
+from halfseen.planners.rules import ReservingPolicy
+from halfseen.world import Scene, WorldConfig, random
+from halfseen.world.policy import UniformPolicy
+from halfseen.world.rollout import evaluate
+from halfseen.world.state import Workspace, pad_scenes
+
+TWO = np.array([[0.0, 0.4], [0.1, 0.0]])
+THREE = np.array([[0.0, 0.4, 0.0], [0.0, 0.0, 0.3], [0.2, 0.0, 0.0]])
+
+
+def team_of(horizon, num_robots=2, grasping=None, **others):
+    grasping = GridGrasping() if grasping is None else grasping
+    return WorldConfig(**{"horizon": horizon, "grasping": grasping, "speed": (1.0,) * num_robots} | others)
+
+
+def workspace(num_robots, num_objects, out_of_reach=(), near=()):
+    reach, is_near = np.ones((num_robots, num_objects), dtype=bool), np.eye(num_objects, dtype=bool)
+    for robot, cup in out_of_reach:
+        reach[robot, cup] = False
+    for i, j in near:
+        is_near[i, j] = is_near[j, i] = True
+    return Workspace(reach, is_near)
+
+
+# An attempt of 1 s and one of 3 s end at once with others, and are in the air when others look.
+FEW = GridGrasping(held_s=(1.0, 3.0), held_share=(0.25, 0.75), limit_s=3.0)
+ONE_TIME = GridGrasping(held_s=(1.0,), held_share=(1.0,), limit_s=3.0)
+
+
+@pytest.mark.parametrize(
+    ("config", "hides", "space"),
+    [
+        (team_of(1, grasping=FEW), TWO, workspace(2, 2)),
+        (team_of(1, grasping=FEW, reward_per_s=-0.3), TWO, workspace(2, 2)),
+        (team_of(1, grasping=FEW, speed=(1.0, 2.0), reward_per_s=-0.2), TWO, workspace(2, 2)),
+        (team_of(1, grasping=FEW, reward_per_s=-0.1), THREE, workspace(2, 3, out_of_reach=[(0, 2)], near=[(0, 1)])),
+        pytest.param(
+            team_of(2, grasping=ONE_TIME, reward_per_s=-0.3),
+            TWO,
+            workspace(2, 2, out_of_reach=[(1, 0)]),
+            marks=pytest.mark.slow,
+        ),
+    ],
+    ids=["at no price", "at a price", "of two speeds", "three objects", "two decisions of each"],
+)
+def test_two_robots_are_worth_what_brute_force_finds(config, hides, space):
+    brute = BruteForceTeam(config, hides, space.is_in_reach, space.is_near, hermite(config, 2))
+
+    assert solve_team(hides, config, space, num_grip_nodes=2).value == pytest.approx(brute.value(), abs=1e-9)
+
+
+def test_one_robot_is_the_optimum_of_one_robot():
+    config = team_of(3, num_robots=1)
+    of_team, of_one = solve_team(TWO, config, workspace(1, 2)), solve_table(TWO, config)
+    np.testing.assert_allclose(of_team.value, of_one.value, atol=1e-9, rtol=0)
+    rule = GreedyPolicy(config, uses_history=True, counts_penalty=True)
+    pairs = [(ReservingPolicy(config, rule), rule), (MyopicPolicy(config), POMDPPolicy(config, 1))]
+    for team, alone in pairs:
+        np.testing.assert_allclose(of_team.policy_value(team), of_one.policy_value(alone), atol=1e-9, rtol=0)
+
+
+@pytest.mark.slow
+def test_no_policy_beats_the_optimum_and_a_second_robot_is_worth_something():
+    config, space = team_of(2), workspace(2, 3)
+    optimum = solve_team(THREE, config, space)
+    rule = GreedyPolicy(config, uses_history=True, counts_penalty=True)
+    for policy in (ReservingPolicy(config, rule), MyopicPolicy(config), UniformPolicy()):
+        assert optimum.regret(policy) > 0.01
+    one = solve_team(THREE, team_of(2, num_robots=1), workspace(1, 3))
+    assert optimum.value > one.value + 0.1
+
+
+@pytest.mark.slow
+def test_the_value_of_a_policy_is_what_it_earns():
+    config = team_of(3, reward_per_s=-0.2)
+    space = workspace(2, 3, out_of_reach=[(0, 2), (1, 0)], near=[(0, 1)])
+    optimum = solve_team(THREE, config, space)
+    layouts = replace(pad_scenes([Scene(THREE)]), workspace=mapped(lambda leaf: leaf[None], space))
+    rule = GreedyPolicy(config, uses_history=True, counts_penalty=True)
+    for policy in (ReservingPolicy(config, rule), MyopicPolicy(config)):
+        earned = np.asarray(evaluate(config, layouts, policy, random.key_of(11), 40_000).reward, dtype=np.float64)
+        error = earned.std() / np.sqrt(len(earned))
+        assert abs(earned.mean() - optimum.policy_value(policy)) < 4 * error
+
+
+def test_what_cannot_be_solved_is_refused():
+    space = workspace(2, 2)
+    with pytest.raises(ArgumentError, match="AssumedGrasping, whose attempts may take any time"):
+        solve_team(TWO, WorldConfig(horizon=1, speed=(1.0, 1.0)), space)
+    with pytest.raises(ArgumentError, match="have more than 100 states; shorten the horizon"):
+        solve_team(TWO, team_of(2), space, max_states=100)
+    with pytest.raises(ArgumentError, match="drop_out_rate is given"):
+        solve_team(TWO, team_of(1, drop_out_rate=(0.1, 0.1)), space)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "told"),
+    [
+        ({"held_share": (0.5, 0.6)}, "held_share is"),
+        ({"held_s": (2.0, 7.0)}, "held_s is"),
+        ({"held_s": (2.0,)}, "one share"),
+    ],
+)
+def test_a_grid_that_is_none_is_refused(numbers, told):
+    with pytest.raises(ArgumentError, match=told):
+        GridGrasping(**numbers)

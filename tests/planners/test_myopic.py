@@ -1,0 +1,125 @@
+"""One robot looks ahead as `one_step` does; of a team, each takes what is possible, pays for it, leaves the rest."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from halfseen.planners.belief import belief_of, expected_attempt_s, grip_posterior
+from halfseen.planners.heuristics import GreedyPolicy
+from halfseen.planners.myopic import MyopicPolicy
+from halfseen.planners.one_step import one_step_q
+from halfseen.planners.rules import TeamOfRules
+from halfseen.world import ExploringPolicy, Scene, Workspace, WorldConfig, random
+from halfseen.world.actions import FINISH, possible_actions, wait_of
+from halfseen.world.rollout import play
+from halfseen.world.state import pad_scenes
+from halfseen.world.transition import start, step
+from picked import picked
+
+NUM_OBJECTS = 5
+WORLD = WorldConfig(horizon=6)
+RULE = GreedyPolicy(WORLD, uses_history=True, counts_penalty=True)
+KEY = random.key_of(0)
+WAIT = wait_of(NUM_OBJECTS)
+
+
+def team_of(num_robots, **others):
+    return replace(WORLD, speed=(1.0,) * num_robots, **others)
+
+
+def layouts_of(num_robots):
+    """Objects 0 and 4 are each in reach of all robots but one; 1 and 2 stand near one another."""
+    reach = np.ones((1, num_robots, NUM_OBJECTS), dtype=bool)
+    if num_robots > 1:
+        reach[0, 0, 4] = reach[0, 1, 0] = False
+    near = np.eye(NUM_OBJECTS, dtype=bool)
+    near[1, 2] = near[2, 1] = True
+    scene = Scene(np.triu(np.full((NUM_OBJECTS, NUM_OBJECTS), 0.25), 1))
+    return replace(pad_scenes([scene]), workspace=Workspace(reach, near[None]))
+
+
+def states_of(team, num_paths=40):
+    """States that a team meets, half by chance; axis B."""
+    behaviour = ExploringPolicy(TeamOfRules(RULE))
+    paths = play(team, layouts_of(team.num_robots), behaviour, random.key_of(3), num_paths)
+    return picked(paths.states, paths.is_taken)
+
+
+def while_the_other_washes(team):
+    """A state in which robot 1 decides while robot 0 washes object 0."""
+    layout = picked(layouts_of(team.num_robots), 0)
+    state, hidden = start(team, layout, KEY)
+    return step(team, state, hidden, np.asarray(1), KEY)[0]
+
+
+def q_of(team, state):
+    return MyopicPolicy(team).q_values(state)
+
+
+def chosen_by(team, states):
+    return MyopicPolicy(team).decide(states, KEY).action
+
+
+@pytest.mark.parametrize("num_robots", [1, 2, 3])
+@pytest.mark.parametrize("price", [0.0, -0.2])
+def test_what_is_chosen_is_possible(num_robots, price):
+    team = team_of(num_robots, reward_per_s=price)
+    states = states_of(team)
+    chosen = chosen_by(team, states)
+    assert np.take_along_axis(possible_actions(states), chosen[:, None], axis=-1).all()
+
+
+def test_one_robot_looks_ahead_as_it_does_without_a_team():
+    team = team_of(1)
+    states = states_of(team)
+    known = one_step_q(WORLD, belief_of(WORLD, states))
+    np.testing.assert_allclose(q_of(team, states)[:, :-1], known - known[:, [FINISH]], atol=1e-4)
+
+
+def test_a_price_is_paid_for_every_try_and_once_by_one_robot():
+    # All surely dirty and surely grasped: whoever is alone pays the seconds of each object, now or later.
+    price = -0.01
+    free, dear = (team_of(1, reward_per_s=each) for each in (0.0, price))
+    layout = picked(layouts_of(1), 0)
+    state, _ = start(team_of(1), layout, KEY)
+    state = replace(state, log_odds=np.full(NUM_OBJECTS, 9.0, dtype=np.float32), hides=np.zeros_like(state.hides))
+    paid = np.subtract(*(q_of(team, state)[1 : 1 + NUM_OBJECTS] for team in (dear, free)))
+    nothing_hides = np.zeros(NUM_OBJECTS, dtype=np.float32)
+    all_s = float(np.sum(expected_attempt_s(WORLD, nothing_hides, grip_posterior(WORLD, state))))
+    # What is missed now is tried once more.
+    assert (paid <= price * all_s + 1e-4).all()
+    assert (paid >= 2 * price * all_s).all()
+
+
+def test_at_no_price_it_waits_for_a_label_and_at_a_high_one_it_leaves():
+    free, dear = (q_of(team, while_the_other_washes(team)) for team in (team_of(2), team_of(2, reward_per_s=-5.0)))
+    assert free[WAIT] >= free[FINISH]
+    assert np.argmax(dear) == FINISH
+
+
+def test_what_another_washes_is_nobody_elses():
+    team = team_of(2)
+    state = while_the_other_washes(team)
+    q = q_of(team, state)
+    is_washed = np.arange(NUM_OBJECTS) == 0
+    sure = replace(state, log_odds=np.where(is_washed, np.float32(9.0), state.log_odds))
+    np.testing.assert_allclose(q_of(team, sure), q, atol=1e-5)
+
+
+def test_who_has_no_decision_left_tries_nothing_more():
+    team = team_of(2)
+    state = while_the_other_washes(team)
+    spent = replace(state, robots=replace(state.robots, decisions_to_go=np.array([0, 3], dtype=np.int32)))
+    before, after = (q_of(team, each) for each in (state, spent))
+    assert before[FINISH] > 0.0
+    assert after[FINISH] == 0.0
+
+
+def test_a_slow_robot_leaves_to_a_fast_one_what_that_reaches():
+    state = while_the_other_washes(team_of(2))
+    only = np.where(np.arange(NUM_OBJECTS) == 3, np.float32(3.0), np.float32(-9.0))
+    state = replace(state, log_odds=only)
+    even, slow = (replace(WORLD, speed=speed, reward_per_s=-0.1) for speed in ((1.0, 1.0), (1.0, 0.02)))
+    assert int(chosen_by(even, state)) == 1 + 3
+    assert int(chosen_by(slow, state)) in (FINISH, WAIT)

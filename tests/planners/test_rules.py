@@ -1,0 +1,124 @@
+"""Rules of a team: what is worth its time, what is left to others, and what one robot does alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from halfseen.arrays import at
+from halfseen.planners.belief import expected_attempt_s, grip_posterior
+from halfseen.planners.heuristics import GreedyPolicy
+from halfseen.planners.rules import OneAtATime, ReservingPolicy, RoundRobin, TeamOfRules
+from halfseen.world import Scene, UniformPolicy, Workspace, WorldConfig, actions, random
+from halfseen.world.actions import Verb, possible_actions, wait_of
+from halfseen.world.rollout import play
+from halfseen.world.state import occlusion, pad_scenes
+from halfseen.world.transition import start
+from picked import picked
+
+NUM_OBJECTS = 4
+HIDES = np.triu(np.full((NUM_OBJECTS, NUM_OBJECTS), 0.2), 1)
+REACH = np.array([[True, True, True, False], [False, True, True, True]])
+RULE = GreedyPolicy(WorldConfig(horizon=5), uses_history=True, counts_penalty=True)
+KEY = random.key_of(3)
+WAIT = wait_of(NUM_OBJECTS)
+
+
+def layouts_of(reach):
+    near = np.eye(NUM_OBJECTS, dtype=bool)[None]
+    return replace(pad_scenes([Scene(HIDES)]), workspace=Workspace(reach[None], near))
+
+
+def config_of(price=0.0, num_robots=2):
+    return replace(RULE.config, speed=(1.0,) * num_robots, reward_per_s=price)
+
+
+def states_of(config, num_paths=60):
+    """States that two robots meet by chance; axis B."""
+    paths = play(config, layouts_of(REACH), UniformPolicy(), KEY, num_paths)
+    return picked(paths.states, paths.is_taken)
+
+
+def chosen(policy, states):
+    return policy.decide(states, KEY).action
+
+
+def gone(robots):
+    """Who is done for good, or goes home."""
+    return robots.is_done | (robots.is_busy & (robots.verb == Verb.FINISH))
+
+
+def attempt_s_of(state):
+    return expected_attempt_s(RULE.config, occlusion(state), grip_posterior(RULE.config, state))
+
+
+def naive_choice(price_per_s, me, is_gone, is_on_table, worth, attempt_s, is_possible):
+    """By plain loops: what a robot that knows the price of time begins."""
+    others = [r for r in range(2) if r != me and not is_gone[r]]
+    best, best_at, is_hope = None, 0, False
+    for i in range(NUM_OBJECTS):
+        price = price_per_s * attempt_s[i]
+        gain = worth[i] - price / (1 + len(others))
+        if not REACH[me][i] or not is_on_table[i] or gain <= 0.0:
+            continue
+        is_hope = True
+        gain -= price if any(REACH[r][i] for r in others) else 0.0
+        if is_possible[1 + i] and (best is None or gain > best):
+            best, best_at = gain, i
+    if best is not None:
+        return 1 + best_at
+    return WAIT if is_hope and is_possible[WAIT] else 0
+
+
+@pytest.mark.parametrize("price_per_s", [0.0, 0.3])
+def test_a_team_with_reservation_washes_what_is_worth_its_time(price_per_s):
+    config = config_of(-price_per_s)
+    states = states_of(config)
+    worth, attempt_s, is_possible = RULE.worth(states), attempt_s_of(states), possible_actions(states)
+    columns = (states.decider, gone(states.robots), states.is_on_table, worth, attempt_s, is_possible)
+    naive = [naive_choice(price_per_s, *row) for row in zip(*columns, strict=True)]
+    assert {0, WAIT} < set(naive)
+    np.testing.assert_array_equal(chosen(ReservingPolicy(config, RULE), states), naive)
+
+
+def test_without_a_price_of_time_it_is_the_team_of_rules():
+    states = states_of(config_of())
+    np.testing.assert_array_equal(chosen(ReservingPolicy(config_of(), RULE), states), chosen(TeamOfRules(RULE), states))
+
+
+@pytest.mark.parametrize("policy", [ReservingPolicy(config_of(num_robots=1), RULE), RoundRobin(RULE), OneAtATime(RULE)])
+def test_one_robot_does_as_its_rule(policy):
+    config, layouts = config_of(num_robots=1), layouts_of(np.ones((1, NUM_OBJECTS), dtype=bool))
+    alone = play(config, replace(layouts, workspace=None), RULE, KEY, 60)
+    team = play(config, layouts, policy, KEY, 60)
+    np.testing.assert_array_equal(alone.action, team.action)
+
+
+def test_what_is_dealt_to_another_is_left_alone_until_that_one_goes():
+    # Everyone reaches everything: the even numbers fall to robot 0, the odd ones to robot 1.
+    config, layouts = config_of(), layouts_of(np.ones((2, NUM_OBJECTS), dtype=bool))
+    paths = play(config, layouts, RoundRobin(RULE), KEY, 60)
+    is_wash = paths.is_taken & (paths.action >= 1) & (paths.action <= NUM_OBJECTS)
+    decider = paths.states.decider
+    other_goes_on = ~at(gone(paths.states.robots), 1 - decider)
+    is_dealt = (paths.action - 1) % 2 == decider
+    assert is_dealt[is_wash & other_goes_on].all()
+    assert not is_dealt[is_wash & ~other_goes_on].all()
+
+
+def test_one_at_a_time_never_has_two_at_work():
+    paths = play(config_of(), layouts_of(REACH), OneAtATime(RULE), KEY, 60)
+    robots = paths.states.robots
+    num_at_work = np.sum(robots.is_busy & (robots.verb != actions.WAIT), axis=-1)
+    begins = paths.is_taken & (paths.action != WAIT)
+    assert (num_at_work[begins] == 0).all()
+
+
+def test_a_second_costs_a_slow_robot_more():
+    layout = picked(layouts_of(REACH), 0)
+    config = config_of(-0.6)
+    state, _ = start(config, layout, random.key_of(1))
+    state = replace(state, log_odds=np.full(NUM_OBJECTS, 2.0, dtype=np.float32))
+    slow = replace(config, speed=(0.1, 1.0))
+    assert int(chosen(ReservingPolicy(config, RULE), state)) != 0
+    assert int(chosen(ReservingPolicy(slow, RULE), state)) == 0

@@ -1,0 +1,195 @@
+"""A team learns: better than what logged it, only what is possible, the same again, and nothing that it never saw."""
+
+import numpy as np
+import pytest
+from jaxtyping import TypeCheckError
+
+from halfseen.errors import ArgumentError, LogError, PolicyError
+from halfseen.learning import CensoredQLearner
+from halfseen.logs import Logs
+from halfseen.planners.heuristics import GreedyPolicy
+from halfseen.planners.rules import ReservingPolicy, TeamOfRules
+from halfseen.tables import IndependentPolicies
+from halfseen.tables.target_probabilities import decisions
+from halfseen.tables.team_task import CAUTION
+from halfseen.world import ExploringPolicy, UniformPolicy, WorldConfig, random
+from halfseen.world.actions import ActionSpace, Verb, possible_actions
+from halfseen.world.logs import states_of
+from halfseen.world.policy import check_fits
+from halfseen.world.rollout import evaluate, play
+from halfseen.world.state import pad_scenes
+from picked import leaves_of, picked
+from played_teams import NUM_OBJECTS, SCENE, layout_of, logged, played, team_of
+
+REACH = np.array([[1, 1, 1, 0], [0, 1, 1, 1]], dtype=bool)
+LAYOUT = layout_of(2, REACH)
+TEAM = team_of(2)
+RULE = GreedyPolicy(WorldConfig(horizon=5), uses_history=True, counts_penalty=True)
+
+
+@pytest.fixture(scope="module")
+def logs():
+    return logged(played(TEAM, 200, seed=2, reach=REACH), 0.5)
+
+
+@pytest.fixture(scope="module")
+def learned(logs):
+    return CensoredQLearner.for_team(2, horizon=5, reg=0.1).fit(logs)
+
+
+def earned(policy, num_episodes=1000):
+    return evaluate(TEAM, LAYOUT, policy, random.key_of(11), num_episodes).reward
+
+
+@pytest.mark.slow
+def test_it_earns_more_than_what_logged_it(learned):
+    gain = earned(learned.policy_) - earned(ExploringPolicy(TeamOfRules(RULE)))
+    assert gain.mean() > 4.0 * gain.std(ddof=1) / np.sqrt(len(gain))
+
+
+def test_the_same_log_gives_the_same_policy(logs, learned):
+    again = CensoredQLearner.for_team(2, horizon=5, reg=0.1).fit(logs).policy_
+    for ours, theirs in zip(leaves_of(learned.policy_), leaves_of(again), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_it_takes_what_is_possible(logs, learned):
+    states = states_of(logs, 10)
+    some = picked(states, np.nonzero(states.is_on_table.any(axis=-1)))
+    action = learned.policy_.decide(some, random.keys_of(random.key_of(0), len(some.decider))).action
+    assert np.take_along_axis(possible_actions(some), action[:, None], axis=1).all()
+
+
+def test_each_alone_is_left_where_q_promises_more_by_the_caution(logs, learned):
+    states, policy = states_of(logs, 10), learned.policy_
+    of_base, of_team = decisions(policy.base, states), decisions(policy, states)
+    q = policy.q_values(states)
+    best = q.argmax(axis=-1)
+    better = np.take_along_axis(q, best[..., None], -1)[..., 0] - np.take_along_axis(q, of_base[..., None], -1)[..., 0]
+    np.testing.assert_array_equal(of_team, np.where(better > policy.caution, best, of_base))
+    assert 0 < (of_team != of_base).mean() < 0.2
+
+
+def test_caution_is_in_units_of_reward(logs, learned):
+    assert learned.policy_.caution == pytest.approx(CAUTION * logs.stages["reward"].std(ddof=0), rel=1e-6)
+
+
+def test_q_of_a_policy_is_not_lowered(logs):
+    with pytest.raises(ArgumentError, match=r"pessimism is 1\.0, but Q is that of a given policy"):
+        CensoredQLearner.for_team(2, horizon=5, pessimism=1.0).fit(logs)
+    best = CensoredQLearner.for_team(2, horizon=5, pessimism=1.0, base=None, reg=0.1).fit(logs)
+    assert best.policy_.base is None
+    assert best.policy_.margin is not None
+
+
+def test_a_base_that_is_given_is_improved_upon(logs):
+    policy = CensoredQLearner.for_team(2, horizon=5, base=TeamOfRules(RULE), reg=0.1).fit(logs).policy_
+    assert policy.base == TeamOfRules(RULE)
+
+
+@pytest.mark.parametrize(
+    ("base", "error", "told"),
+    [
+        ("each", ArgumentError, "base is 'each'; it is None, 'auto', or a policy of a team"),
+        (RULE, PolicyError, "GreedyPolicy decides for one robot"),
+        (IndependentPolicies((RULE,) * 3), PolicyError, "the policy is for 3 robots, and the team has 2"),
+        (ExploringPolicy(TeamOfRules(RULE)), ArgumentError, "ExploringPolicy draws its actions"),
+    ],
+)
+def test_a_base_that_is_none_of_this_team_is_refused(logs, base, error, told):
+    with pytest.raises(error, match=told):
+        CensoredQLearner.for_team(2, horizon=5, base=base).fit(logs)
+
+
+def test_q_is_of_the_best_policy_where_the_log_does_not_tell_each_robots_reward(logs):
+    some = Logs(logs.stages.drop(columns="1_reward"), logs.paths, logs.objects)
+    learner = CensoredQLearner.for_team(2, horizon=5, reg=0.1).fit(some)
+    assert learner.policy_.base is None
+    assert any("what each robot does alone cannot be learned: stages: there is no" in told for told in learner.chosen_)
+
+
+@pytest.mark.slow
+def test_what_was_never_seen_completed_has_no_value():
+    never_lifts = played(TEAM, 120, seed=8, reach=REACH)
+    logs = logged(never_lifts, 0.3)
+    kept = logs.stages.groupby("path")["action"].transform(lambda actions: not (actions == Verb.LIFT.name).any())
+    some = logs.select(logs.stages.loc[kept, "path"].unique())
+    learner = CensoredQLearner.for_team(2, horizon=5, reg=0.1).fit(some)
+    assert [told.split(" was ")[0] for told in learner.unseen_] == ["LIFT"]
+    played_anew = play(TEAM, LAYOUT, learner.policy_, random.key_of(1), 100)
+    verbs = ActionSpace(NUM_OBJECTS).verb(played_anew.action)[played_anew.is_taken]
+    assert not (verbs == Verb.LIFT).any()
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ((0,), "num_robots is 0; a team has a whole number of robots, at least 1"),
+        ((2.5,), "num_robots is 2.5; a team has a whole number"),
+        (("2",), "num_robots is '2'"),
+        ((True,), "num_robots is True"),
+        ((2, "3"), "horizon is '3'; give the decisions of each robot, a whole number, at least 1"),
+        ((2, 2.5), "horizon is 2.5"),
+        ((2, 0), "horizon is 0"),
+    ],
+)
+def test_a_team_has_a_whole_number_of_robots_and_of_their_decisions(given, told):
+    with pytest.raises((ArgumentError, TypeCheckError), match=f"{told}|Type-check error"):
+        CensoredQLearner.for_team(*given)
+
+
+def test_one_robot_alone_does_what_it_does_as_a_team_of_one():
+    one, key = team_of(1), random.key_of(3)
+    alone = evaluate(one, layout_of(1), IndependentPolicies((RULE,)), key, 200)
+    single = evaluate(one, pad_scenes([SCENE]), RULE, key, 200)
+    np.testing.assert_allclose(alone.reward, single.reward, atol=1e-4)
+
+
+def test_each_for_itself_does_what_is_possible_and_keeps_its_own_policy():
+    each = IndependentPolicies((RULE, UniformPolicy()))
+    paths = play(TEAM, LAYOUT, each, random.key_of(5), 60)
+    taken, possible = paths.is_taken, possible_actions(paths.states)
+    assert np.take_along_axis(possible, paths.action[..., None], axis=2)[..., 0][taken].all()
+    by = paths.probability[taken], paths.states.decider[taken]
+    assert (by[0][by[1] == 0] == 1.0).all()
+    assert (by[0][by[1] == 1] < 1.0).any()
+    with pytest.raises(ArgumentError, match="policies is"):
+        IndependentPolicies(())
+
+
+@pytest.mark.slow
+def test_it_is_beyond_a_team_that_draws_its_actions(learned):
+    gain = earned(learned.policy_, 4000) - earned(UniformPolicy(), 4000)
+    assert gain.mean() > 8.0 * gain.std(ddof=1) / np.sqrt(len(gain))
+
+
+def test_a_log_of_another_number_of_robots_is_refused(logs):
+    with pytest.raises(LogError, match="of 2 robots, and it is to be learned for 3"):
+        CensoredQLearner.for_team(3, horizon=5).fit(logs)
+
+
+def test_a_policy_of_another_number_of_robots_does_not_play(learned):
+    with pytest.raises(PolicyError, match="is for 2 robots, and the team has 3"):
+        check_fits(learned.policy_, team_of(3))
+    with pytest.raises(PolicyError, match="is for 3 robots, and the team has 2"):
+        check_fits(ReservingPolicy(team_of(3), RULE), TEAM)
+
+
+def test_a_team_is_no_robot(logs):
+    with pytest.raises(LogError, match="of 2 robots, and one table's policy decides for one; learn it with"):
+        CensoredQLearner.for_table(10).fit(logs)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"action": "PUSH"}, {"object": None}],
+    ids=["a verb that nobody knows", "a verb without its object"],
+)
+def test_what_a_team_does_not_know_is_refused(logs, change):
+    stages = logs.stages.copy()
+    row = int(np.flatnonzero(stages["action"] == "LIFT")[0])
+    for column, value in change.items():
+        stages.loc[row, column] = value
+    broken = Logs(stages, logs.paths, logs.objects)
+    with pytest.raises(LogError, match="is none that a team knows; give WASH or LIFT with an object"):
+        CensoredQLearner.for_team(2, horizon=5).fit(broken)
