@@ -13,7 +13,12 @@ def picked(tree, at):
 def leaves_of(tree):
     """All arrays and numbers of a record, in order."""
     found = []
-    mapped(found.append, tree)
+
+    def keep(leaf):
+        found.append(leaf)
+        return leaf
+
+    mapped(keep, tree)
     return found
 
 

@@ -90,7 +90,19 @@ def _register(cls: Any) -> None:
     import jax
 
     static = [each.name for each in fields(cls) if each.metadata.get("static")]
-    jax.tree_util.register_dataclass(cls, [each.name for each in fields(cls) if each.name not in static], static)
+    names = [each.name for each in fields(cls) if each.name not in static]
+
+    def parts_of(one: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+        return tuple(getattr(one, name) for name in names), tuple(getattr(one, name) for name in static)
+
+    def remade(of_static: tuple[Any, ...], parts: Any) -> Any:
+        # Not by calling it: what JAX puts in place of arrays, None among it, is nothing to be checked.
+        one = object.__new__(cls)
+        for name, value in zip((*names, *static), (*parts, *of_static), strict=True):
+            object.__setattr__(one, name, value)
+        return one
+
+    jax.tree_util.register_pytree_node(cls, parts_of, remade)
 
 
 def mapped(change: Callable[..., Any], tree: Tree, *others: Any) -> Tree:

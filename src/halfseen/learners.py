@@ -1,5 +1,9 @@
 """The names of `halfseen.learning`, where other programs look for them."""
 
-from halfseen.learning import __all__
+from typing import Any
 
-__all__ = [*__all__]
+from halfseen import learning
+
+
+def __getattr__(name: str) -> Any:
+    return getattr(learning, name)

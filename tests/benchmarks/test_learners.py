@@ -67,6 +67,13 @@ def test_the_summary_pairs_logs():
     assert any(line.startswith("missed") and learners.ONE_FIT in line for line in learners.bars(rows))
 
 
+def test_what_is_done_is_not_done_again():
+    case = learners.Case("cell", 1000, 0.33)
+    rows = [{**row, "seed": learners.FIRST_SEED + row["seed"]} for row in rows_of([0.9], "default")]
+    left = list(learners.wanted([case], 2, ["default"], rows))
+    assert left == [(case, learners.FIRST_SEED + 1, ["default"])]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("world", [Cell(), Trial(), Haze(), Wide()], ids=["cell", "trial", "haze", "wide"])
 def test_null_policies_are_worth_what_the_logging_policy_is(world):

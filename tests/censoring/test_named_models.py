@@ -158,10 +158,10 @@ def test_a_question_is_of_a_fitted_model_and_of_a_time(model):
 @pytest.mark.parametrize(
     ("model", "message"),
     [
-        (Cox("exact"), "ties is 'exact'; it is 'efron' or 'breslow'"),
+        (Cox().set_params(ties="exact"), "ties is 'exact'; it is 'efron' or 'breslow'"),
         (Cox(ridge=-1.0), "ridge is -1.0; it is a finite number ≥ 0"),
         (Cox(ridge=np.nan), "ridge is nan"),
-        (KernelKaplanMeier(kernel="tricube"), "kernel is 'tricube'; it is 'gaussian' or 'epanechnikov'"),
+        (KernelKaplanMeier().set_params(kernel="tricube"), "kernel is 'tricube'; it is 'gaussian' or 'epanechnikov'"),
         (KernelKaplanMeier(num_folds=1), "num_folds is 1; cross-validation needs at least 2"),
         *(
             (

@@ -23,7 +23,7 @@ class Norms(NamedTuple):
     """‖Rᵀ (1, φ)‖ of all that is possible, by block."""
 
     root: Float[np.ndarray, "K F F"]
-    of_block: tuple[Float[np.ndarray, " k"], ...]
+    of_block: tuple[Float[np.ndarray, " _"], ...]
 
 
 def values_of(
@@ -60,7 +60,7 @@ def _has_policy(rows: Rows) -> bool:
     return rows.policy is not None or (rows.choices is not None and rows.choices.policy is not None)
 
 
-def _matrices(rows: Rows, states: slice, num_blocks: int) -> list[Float[np.ndarray, "k F"]]:
+def _matrices(rows: Rows, states: slice, num_blocks: int) -> list[Float[np.ndarray, "_ F"]]:
     """1 and φ of what is possible, for each block."""
     if rows.choices is None:
         return [rows.features[states]] * num_blocks
@@ -68,7 +68,7 @@ def _matrices(rows: Rows, states: slice, num_blocks: int) -> list[Float[np.ndarr
     return [rows.choices.matrix[first:end] for first, end in pairwise(begin)]
 
 
-def _norms(matrices: list[Float[np.ndarray, "k F"]], root: Float[np.ndarray, "K F F"], known: Norms | None) -> Norms:
+def _norms(matrices: list[Float[np.ndarray, "_ F"]], root: Float[np.ndarray, "K F F"], known: Norms | None) -> Norms:
     found = []
     for block, (matrix, of_block) in enumerate(zip(matrices, root, strict=True)):
         if known is not None and np.array_equal(known.root[block], of_block):

@@ -104,10 +104,15 @@ def _pending(config: WorldConfig, state: TableState, robot: int, key: Key) -> tu
     is_busy, is_wait = robots.is_busy[..., robot], verb == WAIT
     wide = mapped(lambda leaf: leaf[(slice(None),) * verb.ndim + (None,)], replace(state, robots=None, workspace=None))
     grip_key, attempt_key = random.split(random.keys_of(key, NUM_PROPOSALS))
-    drawn = _imagined_table(world, _repeated(wide, NUM_PROPOSALS, verb.ndim, xp), grip_key)
-    occluded, own = occlusion(state), target[..., None]
-    verb_of_table = xp.where(is_wait, Verb.FINISH, verb)[..., None]
-    tried = attempted(world, wide, drawn, verb_of_table, own, attempt_key, occluded[..., None, :])
+    wide = _repeated(wide, NUM_PROPOSALS, verb.ndim, xp)
+    drawn = _imagined_table(world, wide, grip_key)
+    occluded, shape = occlusion(state), wide.is_on_table.shape
+    own, verb_of_table = (
+        xp.broadcast_to(each[..., None], shape[:-1]) for each in (target, xp.where(is_wait, Verb.FINISH, verb))
+    )
+    tried = attempted(
+        world, wide, drawn, verb_of_table, own, attempt_key, xp.broadcast_to(occluded[..., None, :], shape)
+    )
     duration_s = (world.transport_s + tried.duration_s) / speed
     # Of two that end at once the lower robot ends first, so that a higher one may be at its end.
     is_later = (robot > state.decider)[..., None]
@@ -116,8 +121,7 @@ def _pending(config: WorldConfig, state: TableState, robot: int, key: Key) -> tu
     first = xp.where(xp.any(goes_on, axis=-1), xp.argmax(goes_on, axis=-1), xp.argmax(duration_s, axis=-1))
     chosen_s = at(duration_s, first)
     left_s = xp.where(is_wait, never, xp.maximum(chosen_s - since_s, np.float32(0.0)))
-    hides = xp.broadcast_to(tried.hides, (*duration_s.shape, *tried.hides.shape[-2:]))
-    hides = xp.take_along_axis(hides, first[..., None, None, None], axis=-3)[..., 0, :, :]
+    hides = xp.take_along_axis(tried.hides, first[..., None, None, None], axis=-3)[..., 0, :, :]
     pending = Pending(
         left_s=xp.where(is_busy, left_s, never),
         duration_s=chosen_s,

@@ -193,7 +193,7 @@ def _crew(config: WorldConfig, state: TableState, table: _Table, goes_on: Bool[A
     )
 
 
-def _tries(table: _Table, crew: _Crew, label: Label, probability: list[Float[Array, "*B 2 W N"]]) -> Tries:
+def _tries(table: _Table, crew: _Crew, label: Label, probability: list[Float[Array, "*B #2 W N"]]) -> Tries:
     """One more try of each object, by whom it is worth the most."""
     each = [
         tries_after_label(
@@ -213,7 +213,7 @@ def _tries(table: _Table, crew: _Crew, label: Label, probability: list[Float[Arr
     return best
 
 
-def _value(crew: _Crew, tries: Tries) -> Float[Array, "*B 3 N"]:
+def _value(crew: _Crew, tries: Tries) -> Float[Array, "*S N"]:
     """Gains of as many tries as there are decisions (their mean stands for the best)."""
     return left_or_tried(_ZERO, tries, crew.num_decisions[..., None, None])
 

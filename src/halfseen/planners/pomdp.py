@@ -46,7 +46,7 @@ class POMDPPolicy:
     """
 
     config: WorldConfig
-    planning_horizon: int = field(default=2, metadata=STATIC)
+    planning_horizon: int | float = field(default=2, metadata=STATIC)
     num_simulations: int = field(default=NUM_SIMULATIONS, metadata=STATIC)
 
     num_robots: ClassVar[int] = 1

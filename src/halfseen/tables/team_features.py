@@ -126,7 +126,7 @@ def _of_team(
     return xp.concatenate([_sum(each, among), idle[..., None], *by_reach, at_work], axis=-1)
 
 
-def _rows(state: TableState, width: int, **of_verb: Float[Array, "*B #N f"]) -> Float[Array, "*B A f"]:
+def _rows(state: TableState, width: int, **of_verb: Float[Array, "*S {width}"]) -> Float[Array, "*B A {width}"]:
     """What some verbs have, one row for all of its objects or one for each; the others have zeros."""
     xp, batch = library_of(state.log_odds), state.is_object.shape[:-1]
     sizes = {"finish": 1, "wash": state.num_objects, "lift": state.num_objects, "wait": 1}

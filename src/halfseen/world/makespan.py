@@ -56,8 +56,11 @@ def makespans(state: TableState, others: Others) -> Float[Array, "*B A"]:
 
 
 def _bound(
-    reach: Bool[Array, "*B K N"], goes_on: Bool[Array, "*B K"], begun: Float[Array, "*B K"], work: Float[Array, "*B N"]
-) -> Float[Array, "*B"]:
+    reach: Bool[Array, "*#L K N"],
+    goes_on: Bool[Array, "*#L K"],
+    begun: Float[Array, "*#L K"],
+    work: Float[Array, "*L N"],
+) -> Float[Array, "*L"]:
     xp, zero = library_of(work), np.float32(0.0)
     num_reaching = xp.sum(reach, axis=-2)
     alone = xp.sum(xp.where(reach & (num_reaching == 1)[..., None, :], work[..., None, :], zero), axis=-1)
