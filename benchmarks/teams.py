@@ -91,7 +91,7 @@ def totals(world, layouts, policy, num_episodes):
     """Reward and seconds of each table, and the seconds that its robots were at work, shared evenly."""
     paths = play(world.played_config, layouts, policy, random.key_of(SEED), num_episodes)
     taken, seconds = np.asarray(paths.is_taken), np.asarray(paths.duration_s, dtype=float)
-    wait, robots = wait_of(paths.states.table.num_objects), paths.states.robots
+    wait, robots = wait_of(paths.states.num_objects), paths.states.robots
     is_at_work = np.asarray(robots.is_busy & (robots.verb != WAIT)).sum(axis=-1) + (np.asarray(paths.action) != wait)
     reward = np.where(taken, np.asarray(paths.reward, dtype=float), 0.0).sum(axis=-1)
     shared = np.where(taken, seconds * is_at_work, 0.0).sum(axis=-1) / len(world.robots)

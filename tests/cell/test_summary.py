@@ -68,9 +68,9 @@ def test_where_nearly_all_was_cut_nothing_is_said(num_finished):
 def test_a_planner_which_is_slow_foretells_from_few_episodes(policy, per_table, monkeypatch):
     played = []
 
-    def counted(config, layouts, policy, key, num_episodes, size):
+    def counted(config, layouts, policy, key, num_episodes):
         played.append(num_episodes)
-        return evaluate(config, layouts, policy, key, num_episodes, size)
+        return evaluate(config, layouts, policy, key, num_episodes)
 
     monkeypatch.setattr(summary, "evaluate", counted)
     runs = [Run(verbs=DECIDED, reward=reward, seconds=1.0) for reward in (1.0, 3.0)]

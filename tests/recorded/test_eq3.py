@@ -1,7 +1,8 @@
 """Eq. 3 is what it was when `record_eq3.py` ran: within 1e-9 of the size of each array.
 
-Where features are made in float32, other compilers round them otherwise, and the fit tells: there within `ROUNDED`. The
-same tables with the features of the recording (`GivenTables`) are held to 1e-9.
+Where features are made in float32, other compilers round them otherwise, and the fit tells; where a regression of a
+late stage rests on few rows, the order in which a processor adds tells: there within `ROUNDED`. The same tables with the
+features of the recording (`GivenTables`) are held to 1e-9.
 """
 
 import json
@@ -17,8 +18,8 @@ from halfseen.logs import read_logs
 from recorded.eq3_cases import CASES, FOLDERS, HERE, fitted, numbers_of, q_of_cell
 
 CLOSE = 1e-9
-ROUNDED = {"tables": 1e-6, "team": 1e-5}
-"""Of the size of each array, by log."""
+ROUNDED = {"tables": 1e-4, "team": 1e-4, "cell/separate-imputed": 2e-8}
+"""Of the size of each array, by log or case."""
 
 
 @cache
@@ -47,8 +48,9 @@ def test_a_fit_is_what_was_recorded(name):
     expected = {key.rsplit("/", 1)[1]: value for key, value in recorded().items() if key.startswith(f"{name}/")}
     assert found.keys() == expected.keys()
     np.testing.assert_array_equal(found.pop("reg"), expected.pop("reg"))
+    close = ROUNDED.get(name, ROUNDED.get(CASES[name][0], CLOSE))
     for what, value in expected.items():
-        assert_close(found[what], value, what, ROUNDED.get(CASES[name][0], CLOSE))
+        assert_close(found[what], value, what, close)
     assert list(map(numbers_in, learner.chosen_)) == list(map(numbers_in, told()[name]["chosen"]))
     for what in ("largest_weight", "effective_sample_size"):
         np.testing.assert_allclose(getattr(learner.diagnostics_, what), told()[name][what], rtol=CLOSE)

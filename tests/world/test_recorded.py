@@ -10,6 +10,7 @@ from recorded_worlds import TEAMS, scenes, world_of
 from halfseen.arrays import known_to_jax, mapped
 from halfseen.world import UniformPolicy, random, rollout
 from halfseen.world.transition import start, step
+from picked import leaves_of
 
 RECORDED = np.load(Path(__file__).parents[1] / "recorded" / "world.npz")
 NAMES = sorted(
@@ -89,7 +90,8 @@ def test_a_rollout_draws_what_was_recorded(name):
 
 
 def _equal(one, other):
-    mapped(lambda a, b: np.testing.assert_array_equal(a, b), one, other)
+    for pair in zip(leaves_of(one), leaves_of(other), strict=True):
+        np.testing.assert_array_equal(*pair)
 
 
 @pytest.mark.parametrize("team", TEAMS)

@@ -86,8 +86,8 @@ def test_the_log_gives_back_the_states_that_the_team_decided_in(cleared):
     states = states_of(logs, 2 * CONFIG.horizon)
     for stage, moment in enumerate(moments):
         state = picked(states, (0, stage))
-        num_objects = state.table.num_objects
-        np.testing.assert_allclose(state.table.hides, moment.state.hides[:num_objects, :num_objects], atol=1e-6)
+        num_objects = state.num_objects
+        np.testing.assert_allclose(state.hides, moment.state.hides[:num_objects, :num_objects], atol=1e-6)
         assert int(state.decider) == moment.arm
         verb = int(ActionSpace(moment.state.num_objects).verb(moment.action))
         target = int(ActionSpace(moment.state.num_objects).target(moment.action))
@@ -116,7 +116,7 @@ class Parking:
     is_to_lift: bool = False
 
     def decide(self, state, key):
-        actions, is_new = ActionSpace(state.table.num_objects), state.table.attempt_object[0] < 0
+        actions, is_new = ActionSpace(state.num_objects), state.attempt_object[0] < 0
         is_lift = self.is_to_lift & is_new & (state.decider == 0)
         return surely(np.where(is_lift, actions.encode(Verb.LIFT, 0), FINISH).astype(np.int32))
 
