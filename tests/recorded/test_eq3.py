@@ -1,8 +1,8 @@
 """Eq. 3 is what it was when `record_eq3.py` ran: within 1e-9 of the size of each array.
 
 Where features are made in float32, other compilers round them otherwise, and the fit tells; where a regression of a
-late stage rests on few rows, the order in which a processor adds tells: there within `ROUNDED`. The same tables with the
-features of the recording (`GivenTables`) are held to 1e-9.
+late stage rests on few rows, the order in which a processor adds tells: there within `ROUNDED`. The same tables with
+the features of the recording (`GivenTables`) are held to 1e-9.
 """
 
 import json
