@@ -5,7 +5,6 @@ else here, so where it is not loaded yet, it is told once it is.
 """
 
 import sys
-from importlib.abc import MetaPathFinder
 from importlib.util import find_spec
 from typing import Any
 
@@ -29,8 +28,8 @@ def register() -> None:
             registration.register(id=name, entry_point=entry_point)
 
 
-class _RegisterAfterImport(MetaPathFinder):
-    """Lets Gymnasium be found as ever, and registers once its module has run."""
+class _RegisterAfterImport:
+    """A finder on `sys.meta_path`: lets Gymnasium be found as ever, and registers once its module has run."""
 
     def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> Any:
         if fullname != "gymnasium":

@@ -1,7 +1,5 @@
 """Which of halfseen's extras brings a library that is not there."""
 
-from halfseen.installation import command_for
-
 EXTRAS = {
     "perception": ("matplotlib", "plyfile", "pypcd4", "skimage"),
     "scene": ("mujoco",),
@@ -42,6 +40,8 @@ def remedy(error: ModuleNotFoundError, verb: str | None = None) -> str | None:
     extra = next((name for name, libraries in EXTRAS.items() if library in libraries), None)
     if extra is None:
         return None
+    from halfseen.installation import command_for
+
     whole = OF_VERB.get(verb or "")
     told = whole if whole is not None and extra in HELD.get(whole, ()) else extra
     return f"{library} is not installed, and this command needs it; run: {command_for(told)}"

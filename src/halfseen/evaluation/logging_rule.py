@@ -13,14 +13,14 @@ a*(S) = argmax_a b(a | S).
 Each path is judged by a model that was fitted without it; one that knew a path's own actions would follow it too often.
 """
 
-import warnings
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from pandas.api.types import is_numeric_dtype
 
+from halfseen.evaluation.rule_models import Shares, forest_shares, logit_shares
 from halfseen.learning.behaviour import conditional_logit
 from halfseen.learning.covariates import Covariates
 from halfseen.learning.named_task import NamedActions
@@ -28,18 +28,12 @@ from halfseen.learning.path_arrays import PathArrays, stage_places
 from halfseen.learning.task import Task
 from halfseen.logs import Logs
 
-if TYPE_CHECKING:
-    # It takes longer to load than most rules to be found.
-    from sklearn.ensemble import RandomForestClassifier
-    from sklearn.pipeline import Pipeline
-
 NAME = "the logging policy without its exploration"
 POWER = 4
 """Of the logged probability, in the weights."""
 NUM_FOLDS = 5
 LEAST_WEIGHT = 1e-3
 """Rows that weigh less than this share of the heaviest are left out: they have no say, and take as long."""
-NUM_TREES, LEAF_SIZE = 20, 3
 
 Choice = Callable[[Float[np.ndarray, " rows"]], Int[np.ndarray, " rows"]]
 """Weights of the rows to fit to → the most probable action of every row."""
@@ -164,7 +158,8 @@ def _choices(logs: Logs, paths: PathArrays, task: Task) -> list[Choice]:
     was_taken[stage[paths.has_action[begun]], taken[paths.has_action[begun]]] = True
     possible = was_taken[stage]
     return [
-        lambda weight, each=each: _likeliest(each(), states, taken, weight, possible) for each in (_forest, _quadratic)
+        lambda weight, each=each: _likeliest(each, states, taken, weight, possible)
+        for each in (forest_shares, logit_shares)
     ]
 
 
@@ -179,42 +174,17 @@ def _states(logs: Logs, paths: PathArrays, task: NamedActions) -> Float[np.ndarr
     return spread[paths.is_begun]
 
 
-def _forest() -> "RandomForestClassifier":
-    from sklearn.ensemble import RandomForestClassifier
-
-    every: Any = None
-    return RandomForestClassifier(NUM_TREES, min_samples_leaf=LEAF_SIZE, max_features=every, random_state=0)
-
-
-def _quadratic() -> "Pipeline":
-    from sklearn.linear_model import LogisticRegression
-    from sklearn.pipeline import Pipeline
-    from sklearn.preprocessing import PolynomialFeatures, StandardScaler
-
-    logit = LogisticRegression(C=10.0, tol=1e-3, max_iter=200)
-    return Pipeline([("scale", StandardScaler()), ("square", PolynomialFeatures(2)), ("logit", logit)])
-
-
 def _likeliest(
-    model: Any,
+    shares_of: Shares,
     states: Float[np.ndarray, "rows F"],
     taken: Int[np.ndarray, " rows"],
     weight: Float[np.ndarray, " rows"],
     possible: Bool[np.ndarray, "rows A"],
 ) -> Int[np.ndarray, " rows"]:
-    """Fit a classifier, and take the action that it thinks most probable of those that are possible."""
-    from sklearn.exceptions import ConvergenceWarning
-
-    rows = weight > 0
-    kinds = np.unique(taken[rows])
+    """Fit a model of the actions, and take the action that it thinks most probable of those that are possible."""
+    fitted = np.flatnonzero(weight > 0)
+    kinds, kind = np.unique(taken[fitted], return_inverse=True)
+    votes = weight[fitted, None] * (kind[:, None] == np.arange(len(kinds)))
     chances = np.zeros(possible.shape)
-    if len(kinds) == 1:
-        chances[:, kinds] = 1.0
-    else:
-        last = f"{model.steps[-1][0]}__" if hasattr(model, "steps") else ""
-        with warnings.catch_warnings():
-            # A rule without noise has a border that can be ever steeper; where it lies is found long before that ends.
-            warnings.simplefilter("ignore", ConvergenceWarning)
-            fitted = model.fit(states[rows], taken[rows], **{f"{last}sample_weight": weight[rows]})
-        chances[:, kinds] = fitted.predict_proba(states)
+    chances[:, kinds] = shares_of(states, votes, fitted)
     return np.where(possible, chances, -1.0).argmax(axis=1)

@@ -9,13 +9,18 @@ recorder wrote) → `place`, `folder` (on disk) → `logs` (the record) → `rea
 What `halfseen inspect` tells: `inspection`. From and to other forms: `formats`.
 """
 
-from halfseen.logs.compaction import Compacted, compact
-from halfseen.logs.logs import Logs
-from halfseen.logs.reading import read_logs
-from halfseen.logs.recording.path_recorder import CAUSES, PathRecorder
-from halfseen.logs.recording.recorder import LogRecorder
-from halfseen.logs.stream import LogStream, write_stream
-from halfseen.logs.summary import LogsSummary
+from typing import TYPE_CHECKING
+
+from halfseen.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from halfseen.logs.compaction import Compacted, compact
+    from halfseen.logs.logs import Logs
+    from halfseen.logs.reading import read_logs
+    from halfseen.logs.recording.path_recorder import CAUSES, PathRecorder
+    from halfseen.logs.recording.recorder import LogRecorder
+    from halfseen.logs.stream import LogStream, write_stream
+    from halfseen.logs.summary import LogsSummary
 
 __all__ = [
     "CAUSES",
@@ -29,3 +34,19 @@ __all__ = [
     "read_logs",
     "write_stream",
 ]
+
+__getattr__ = lazy_names(
+    __name__,
+    {
+        "CAUSES": "recording.path_recorder",
+        "Compacted": "compaction",
+        "LogRecorder": "recording.recorder",
+        "LogStream": "stream",
+        "Logs": "logs",
+        "LogsSummary": "summary",
+        "PathRecorder": "recording.path_recorder",
+        "compact": "compaction",
+        "read_logs": "reading",
+        "write_stream": "stream",
+    },
+)
