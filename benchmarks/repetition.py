@@ -2,8 +2,7 @@
 
 python benchmarks/repetition.py [--out runs/benchmarks/repetition.json] [--repetitions 8]
 
-Every repetition is made twice, and the second time is told: programs of all shapes are compiled by then, as they soon
-are in a long study. Bar: 0.48 s of CPU for all, so that 10,000 repetitions take 40 minutes on two cores.
+Bar: 0.45 s of CPU for all, so that 10,000 repetitions take 40 minutes on two cores.
 """
 
 import argparse
@@ -12,7 +11,6 @@ from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
-from halfseen.cli.compiler import set_compiler
 from timings import Row, write
 
 from halfseen.cell.calibration.law_folder import read_law
@@ -25,7 +23,7 @@ from halfseen.study.laws import under
 from halfseen.study.pipeline import Source
 from halfseen.study.scenes import look_at
 
-BAR_S = 0.48
+BAR_S = 0.45
 
 
 class Clock:
@@ -62,12 +60,11 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/benchmarks/repetition.json"))
     parser.add_argument("--repetitions", type=int, default=8)
     args = parser.parse_args()
-    set_compiler()
     scenes, _ = look_at(table_paths(), read_law(shipped_law()).law)
     setting, _ = under(Setting(scenes), shipped_law())
     design = Reward()
     rates = [Source.of(setting).cut_rate(share, CUT_KIND) for share in design.cut_shares]
-    times = [[repeat(setting, design, rates, index) for index in range(args.repetitions)] for _ in range(2)][1]
+    times = [repeat(setting, design, rates, index) for index in range(args.repetitions)]
     medians_s = {part: float(np.median([each[part] for each in times])) for part in times[0]}
     for part, median_s in medians_s.items():
         print(f"{part:<22} {median_s:6.3f} s of CPU")
