@@ -12,8 +12,9 @@ from jaxtyping import Float, Int
 
 from halfseen.arrays import softmax
 
-NUM_TREES, LEAF_SIZE, MOST_LEAVES = 12, 3, 256
-"""Rows of a leaf are at least `LEAF_SIZE`, and so many that there are no more than `MOST_LEAVES`."""
+NUM_TREES, LEAF_SIZE, MOST_LEAVES, PURE = 12, 3, 256, 0.99
+"""Rows of a leaf are at least `LEAF_SIZE`, and so many that there are no more than `MOST_LEAVES`; where one action has
+this share of the votes, nothing is split."""
 RIDGE, MOST_STEPS, TOLERANCE = 0.1, 200, 1e-3
 """Penalty ½·RIDGE·‖β‖² beside a log-likelihood that is summed over rows; steps at most, and the change of the
 coefficients, as a share of the largest, that ends them."""
@@ -68,7 +69,9 @@ def _tree_shares(
     while nodes:
         rows, sent = nodes.pop()
         total = votes[rows].sum(axis=0)
-        split = _best_split(states[rows], votes[rows], least) if len(sent) and np.count_nonzero(total) > 1 else None
+        split = (
+            _best_split(states[rows], votes[rows], least) if len(sent) and total.max() < PURE * total.sum() else None
+        )
         if split is None:
             shares[sent] = total / total.sum()
             continue
