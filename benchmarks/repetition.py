@@ -49,8 +49,7 @@ def repeat(setting: Setting, design: Reward, rates: list[float], index: int) -> 
     logs = [(source.cut(episodes, rate, CUT_KIND), "weighted") for rate in rates]
     learned = source.logged(episodes).learn(logs, design.num_paths)
     clock.passed(f"{len(learned)} fits")
-    for policy, _ in learned:
-        source.evaluate(policy, num_episodes)
+    source.evaluate_each([policy for policy, _ in learned], num_episodes)
     clock.passed(f"{len(learned)} evaluations")
     return clock.parts
 

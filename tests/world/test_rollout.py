@@ -8,7 +8,7 @@ from halfseen.errors import ArgumentError
 from halfseen.world import ExploringPolicy, UniformPolicy, WorldConfig, random, rollout
 from halfseen.world.actions import ActionSpace
 from halfseen.world.number import is_wrong
-from halfseen.world.rollout import evaluate, evaluate_some, play
+from halfseen.world.rollout import evaluate, evaluate_each, evaluate_some, play
 from halfseen.world.state import pad_scenes
 from halfseen.world.transition import start, step
 from picked import leaves_of, picked, repeated
@@ -124,6 +124,15 @@ def test_some_episodes_are_those_of_all(scenes, in_turn):
     totals = evaluate(CONFIG, pad_scenes(scenes[2:]), InTurn(), random.key_of(1), 64)
     assert np.asarray(some.reward) == pytest.approx(np.asarray(totals.reward)[[40, 3]], rel=1e-5, abs=1e-4)
     assert np.asarray(some.num_steps).tolist() == np.asarray(totals.num_steps)[[40, 3]].tolist()
+
+
+@pytest.mark.parametrize("at_once", [1, 64, 1000])
+def test_side_by_side_policies_earn_what_each_does_alone(scenes, at_once, monkeypatch):
+    monkeypatch.setattr(rollout, "SIDE_BY_SIDE", at_once)
+    args, policies = (CONFIG, pad_scenes(scenes[2:])), [InTurn(), Suspicious(), UniformPolicy()]
+    side_by_side = evaluate_each(*args, policies, random.key_of(1), 30)
+    alone = [evaluate(*args, policy, random.key_of(1), 30) for policy in policies]
+    assert all(same(*pair) for pair in zip(side_by_side, alone, strict=True))
 
 
 def test_policies_meet_the_same_world(played, scenes):

@@ -50,7 +50,7 @@ from halfseen.world.grasp_model import GraspModel
 from halfseen.world.logs import elapsed_s
 from halfseen.world.policy import Policy
 from halfseen.world.random import Key
-from halfseen.world.rollout import Episodes, evaluate_some, play
+from halfseen.world.rollout import Episodes, Totals, evaluate_each, evaluate_some, play
 from halfseen.world.state import Layout
 from halfseen.world.table_world import NUM_PILOT_PATHS
 
@@ -120,11 +120,19 @@ class Source:
         """Play a policy on the episodes of a purpose that all policies share."""
         return self.evaluate_some(policy, range(num_episodes), purpose)
 
+    def evaluate_each(self, policies: Sequence[Policy], num_episodes: int) -> list[Played]:
+        """Play each policy on the episodes that all share."""
+        key = random_key(self.seed, EVALUATION, self.index)
+        return [_played(each) for each in evaluate_each(self.world, self.layouts, policies, key, num_episodes)]
+
     def evaluate_some(self, policy: Policy, episodes: Sequence[int], purpose: int = EVALUATION) -> Played:
         """Play a policy on some of them, by number."""
         key = random_key(self.seed, purpose, self.index)
-        totals = evaluate_some(self.world, self.layouts, policy, key, np.array(episodes))
-        return Played(*(np.asarray(of_episode, dtype=np.float64) for of_episode in (totals.reward, totals.robot_s)))
+        return _played(evaluate_some(self.world, self.layouts, policy, key, np.array(episodes)))
+
+
+def _played(totals: Totals) -> Played:
+    return Played(*(np.asarray(of_episode, dtype=np.float64) for of_episode in (totals.reward, totals.robot_s)))
 
 
 @dataclass(frozen=True)
@@ -172,7 +180,8 @@ class LoggedPaths:
     ) -> list[tuple[dict[str, float], Played]]:
         """Learn from logs, at each size from all, and play on the same episodes: weights and what was earned."""
         learned = self.learn(logs, sizes)
-        return [(weights, self.source.evaluate(policy, num_episodes)) for policy, weights in learned]
+        played = self.source.evaluate_each([policy for policy, _ in learned], num_episodes)
+        return [(weights, each) for (_, weights), each in zip(learned, played, strict=True)]
 
     def _learn_from(
         self, paths: PathArrays, treatment: str, own: "_OwnGrasp | None"

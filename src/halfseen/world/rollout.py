@@ -1,6 +1,6 @@
 """Many tables played to their end."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +16,8 @@ from halfseen.world.transition import Outcome, start, step
 
 BATCH = 512
 """Tables that are played at once: their arrays stay in the cache of a core. It changes nothing of what comes out."""
+SIDE_BY_SIDE = 2048
+"""Tables of several policies that are played at once, about; nor does this."""
 
 
 @record
@@ -80,6 +82,35 @@ def evaluate_some(config: WorldConfig, layouts: Layout, policy: Policy, key: Key
     """Play some of the tables that `play` would, by number, and keep only the totals."""
     parts = [_totals(config, layouts, policy, key, episode[k : k + BATCH]) for k in range(0, len(episode), BATCH)]
     return mapped(lambda *leaves: library_of(*leaves).concatenate(leaves), *parts)
+
+
+def evaluate_each(
+    config: WorldConfig, layouts: Layout, policies: Sequence[Policy], key: Key, num_episodes: int
+) -> list[Totals]:
+    """What `evaluate` says of each policy; they play side by side, which takes less time than one after the other."""
+    size, found = max(1, SIDE_BY_SIDE // num_episodes), []
+    for first in range(0, len(policies), size):
+        some = policies[first : first + size]
+        totals = _totals(config, layouts, _SideBySide(some), key, np.tile(np.arange(num_episodes), len(some)))
+        parts = (slice(k * num_episodes, (k + 1) * num_episodes) for k in range(len(some)))
+        found += [mapped(lambda leaf, at=at: leaf[at], totals) for at in parts]
+    return found
+
+
+class _SideBySide:
+    """Each policy decides for its own part of a batch; all parts are of the same size."""
+
+    def __init__(self, policies: Sequence[Policy]) -> None:
+        self._policies = policies
+
+    def decide(self, state: TableState, key: Key) -> Decision:
+        size = len(key) // len(self._policies)
+        parts = [slice(k * size, (k + 1) * size) for k in range(len(self._policies))]
+        each = [
+            policy.decide(mapped(lambda leaf, at=at: leaf[at], state), key[at])
+            for policy, at in zip(self._policies, parts, strict=True)
+        ]
+        return mapped(lambda *leaves: library_of(*leaves).concatenate(leaves), *each)
 
 
 def stages_of_play(

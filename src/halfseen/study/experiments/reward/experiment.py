@@ -75,8 +75,10 @@ class Reward(RewardDesign):
     def _ruled(self, source: Source, headline: Played) -> dict[str, Any]:
         """What each heuristic earned, and the policy of Table 1 on the same episodes."""
         num_all = len(headline.reward)
-        each = {one.name: source.evaluate(one.policy(source.world), num_all) for one in HEURISTICS}
-        return {name: _beside(headline, range(num_all), played) for name, played in each.items()}
+        each = source.evaluate_each([one.policy(source.world) for one in HEURISTICS], num_all)
+        return {
+            one.name: _beside(headline, range(num_all), played) for one, played in zip(HEURISTICS, each, strict=True)
+        }
 
     def _planned(self, source: Source, headline: Played, told: Evidence) -> dict[str, Any]:
         """What each planner earned, and the policy of Table 1 on the same episodes."""
