@@ -1,8 +1,16 @@
-"""Public names that load their module on first use, so that importing a package stays instant."""
+"""Names that load their module on first use, so that importing a package stays instant."""
 
 from collections.abc import Callable, Mapping
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    Frame: TypeAlias = pd.DataFrame
+else:
+    Frame = Any
+    """A data frame of pandas, which takes longer to load than most verbs to answer: readers of types know it."""
 
 
 def lazy_names(package: str, module_of: Mapping[str, str]) -> Callable[[str], Any]:

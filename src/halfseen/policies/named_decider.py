@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
+from halfseen.lazy import Frame
 from halfseen.learning.flat_policy import FlatPolicy, Valued
 from halfseen.policies.certainty import QError, certainty
 from halfseen.policies.decision import Decision
@@ -22,12 +22,12 @@ class NamedObservation:
     Parameters
     ----------
     row
-        One row, with the covariates of the policy among its columns.
+        One row, with the covariates of the policy among its columns; or their values by name.
     stage
         The stage to decide, from 1.
     """
 
-    row: pd.DataFrame
+    row: Frame | Mapping[str, Any]
     stage: int
 
 
@@ -65,6 +65,8 @@ class NamedDecider:
             A covariate lies far outside what the logs showed, and it is not to be extrapolated.
         """
         policy, row = self.policy, observation.row
+        if isinstance(row, Mapping):
+            return self.decide_known(row, observation.stage)
         policy.looks_at.encode(row)
         texts = policy.categories
         values = {name: (str if name in texts else float)(row[name].iloc[0]) for name in policy.covariates}

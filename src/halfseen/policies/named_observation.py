@@ -5,9 +5,8 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
-
 from halfseen.errors import ArgumentError, LogError, PolicyError
+from halfseen.lazy import Frame
 from halfseen.learning.flat_policy import FlatPolicy
 from halfseen.policies.folder.stored import StoredPolicy
 from halfseen.policies.named_decider import NamedObservation
@@ -37,14 +36,13 @@ def read_covariates(stored: StoredPolicy, file: Path, stage: int | None = None) 
             f"{file}: the policy is of named actions and looks at {_looks_at(policy)}, not at clouds; give them as "
             ".json or .csv"
         )
-    row = _read_states(file, policy.categories)
-    if len(row) != 1:
-        raise PolicyError(f"{file}: it holds {len(row)} states; give one: a JSON object, or a header and one row")
-    _check_row(row, policy, str(file))
-    said = row["stage"].iloc[0] if "stage" in row.columns else None
+    states = _read_states(file, policy.categories)
+    if len(states) != 1:
+        raise PolicyError(f"{file}: it holds {len(states)} states; give one: a JSON object, or a header and one row")
+    values, said = known_covariates(policy, states[0], str(file)), states[0].get("stage")
     if said is not None and stage not in (None, said):
         raise ArgumentError(f"--stage is {stage}, but {file} says {said}; leave one of them out")
-    return NamedObservation(row, checked_stage(said if said is not None else stage or 1, stored.horizon, str(file)))
+    return NamedObservation(values, checked_stage(said if said is not None else stage or 1, stored.horizon, str(file)))
 
 
 def known_covariates(policy: FlatPolicy, state: Mapping[str, Any], where: str) -> dict[str, float | str]:
@@ -90,7 +88,7 @@ def _looks_at(policy: FlatPolicy) -> str:
     return ", ".join(policy.covariates) or "no covariates"
 
 
-def _check_row(row: pd.DataFrame, policy: FlatPolicy, where: str) -> None:
+def _check_row(row: Frame, policy: FlatPolicy, where: str) -> None:
     """Refuse a row without what the policy looks at."""
     missing = [name for name in policy.covariates if name not in row.columns]
     if missing:
@@ -104,18 +102,22 @@ def _check_row(row: pd.DataFrame, policy: FlatPolicy, where: str) -> None:
         raise PolicyError(f"{where}: {error}") from error
 
 
-def _read_states(file: Path, texts: Iterable[str]) -> pd.DataFrame:
+def _read_states(file: Path, texts: Iterable[str]) -> list[dict[str, Any]]:
     try:
         if file.suffix == ".json":
             state = json_of(read_text(file))
-            return _row(state, str(file)) if isinstance(state, dict) else pd.DataFrame()
+            return [state] if isinstance(state, dict) else []
+        import pandas as pd
+
         exact: Any = {"float_precision": "round_trip", "converters": dict.fromkeys(texts, str)}
-        return pd.read_csv(BytesIO(read_bytes(file)), **exact)
+        return pd.read_csv(BytesIO(read_bytes(file)), **exact).to_dict("records")
     except (OSError, ValueError) as error:
         raise PolicyError(f"{file}: it cannot be read ({reason_of(error)}); give one state as .json or .csv") from error
 
 
-def _row(state: Mapping[str, Any], where: str) -> pd.DataFrame:
+def _row(state: Mapping[str, Any], where: str) -> Frame:
+    import pandas as pd
+
     try:
         return pd.DataFrame([dict(state)])
     except OverflowError as error:

@@ -4,9 +4,8 @@ from itertools import zip_longest
 from operator import index
 from typing import Any
 
-import pandas as pd
-
 from halfseen.errors import PolicyError
+from halfseen.lazy import Frame
 from halfseen.learning.covariates import Covariates
 from halfseen.logs import Logs
 
@@ -89,7 +88,7 @@ def entry(first: int, last: int, num_states: int, ranges: dict[str, Any]) -> dic
     return {"stages": [first, last], "num_states": num_states, "ranges": ranges}
 
 
-def _shown(frame: pd.DataFrame, covariates: Covariates) -> dict[str, Any]:
+def _shown(frame: Frame, covariates: Covariates) -> dict[str, Any]:
     """Range of each column of numbers, and counts of each of text, in the order of columns."""
     counts = {name: frame[name].astype(str).value_counts() for name in covariates.categories}
     return {
@@ -100,6 +99,6 @@ def _shown(frame: pd.DataFrame, covariates: Covariates) -> dict[str, Any]:
     }
 
 
-def ranges(frame: pd.DataFrame, names: tuple[str, ...]) -> dict[str, list[float]]:
+def ranges(frame: Frame, names: tuple[str, ...]) -> dict[str, list[float]]:
     """Give the least and the largest value of some columns."""
     return {name: [float(frame[name].min()), float(frame[name].max())] for name in names}
