@@ -6,30 +6,21 @@ fitted to them; every function class and every model looks at the same columns. 
 """
 
 import sys
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from jaxtyping import Float
-from pandas.api.types import infer_dtype, is_numeric_dtype
 
 from halfseen.errors import LogError
-from halfseen.logs import Logs
-from halfseen.logs.refusal import place, value_at
+from halfseen.lazy import Frame
 from halfseen.suggestions import did_you_mean
 
 Categories = Mapping[str, tuple[str, ...]]
 """Of each column of text, its categories in sorted order."""
 
-MOST_CATEGORIES = 20
-"""A column with more tells one stage from another rather than what they have in common; so many still fit a smooth Q,
-which looks at the product of each two indicators."""
-
 _MOST_NAMED = 12
-_TEXT = ("string", "categorical", "boolean", "empty")
 
 
 @dataclass(frozen=True)
@@ -48,6 +39,7 @@ class Covariates:
     >>> looks_at = Covariates(("x", "colour"), {"colour": ("blue", "green", "red")})
     >>> looks_at.names
     ('x', 'colour=green', 'colour=red')
+    >>> import pandas as pd
     >>> looks_at.encode(pd.DataFrame({"x": [0.5, 2], "colour": ["red", "blue"]}))
     array([[0.5, 0. , 1. ],
            [2. , 0. , 0. ]])
@@ -72,7 +64,7 @@ class Covariates:
         """Number F of features."""
         return len(self.sources)
 
-    def encode(self, frame: pd.DataFrame) -> Float[np.ndarray, "m F"]:
+    def encode(self, frame: Frame) -> Float[np.ndarray, "m F"]:
         """Turn each row into numbers.
 
         Raises
@@ -123,7 +115,11 @@ class Covariates:
         """For each column the categories that have an indicator; None for a column of numbers."""
         return [self.categories[name][1:] if name in self.categories else (None,) for name in self.columns]
 
-    def _codes(self, frame: pd.DataFrame, column: str) -> np.ndarray:
+    def _codes(self, frame: Frame, column: str) -> np.ndarray:
+        import pandas as pd
+
+        from halfseen.logs.refusal import value_at
+
         _refuse_null(frame, column)
         values: Any = frame[column]
         known = self.categories[column]
@@ -138,99 +134,9 @@ class Covariates:
         return codes
 
 
-def learned_categories(parts: Iterable[Logs], wanted: Sequence[str], known: Categories) -> dict[str, tuple[str, ...]]:
-    """Find the categories of all columns of text that can be looked at.
-
-    Parameters
-    ----------
-    parts
-        A log, in parts of whole paths.
-    wanted
-        Columns that must be among them, if they hold text.
-    known
-        Categories that are given; they stay as they are.
-
-    Raises
-    ------
-    LogError
-        A wanted column cannot be looked at: it has nulls, one value, too many, or one of its own for every path.
-    """
-    found = _surveyed(parts, known)
-    for name in wanted:
-        trouble = _trouble(found[name]) if name in found else None
-        if trouble is not None:
-            raise LogError(f"covariate {name!r} {trouble}")
-    learned = {
-        name: tuple(sorted(seen)) for name, seen in found.items() if isinstance(seen, Counter) and not _trouble(seen)
-    }
-    return {**known, **learned}
-
-
-def unfit_covariates(parts: Iterable[Logs]) -> dict[str, str]:
-    """Tell which covariates of the stages of a log, whole or in parts, cannot be looked at, and why."""
-    troubles = {name: _trouble(seen) for name, seen in _surveyed(parts, {}).items()}
-    return {name: trouble for name, trouble in troubles.items() if trouble is not None}
-
-
-def fit_covariates(logs: Logs) -> list[str]:
-    """Name the covariates of the stages that can be looked at: numbers, and text of few categories."""
-    unfit = unfit_covariates([logs])
-    return [name for name in logs.stage_covariates if name not in unfit]
-
-
-_Seen = Counter[str] | str
-"""In how many paths each category occurs, or why a column has none."""
-
-
-def _surveyed(parts: Iterable[Logs], known: Categories) -> dict[str, _Seen]:
-    """Look at all columns that hold no numbers."""
-    found: dict[str, _Seen] = {}
-    for part in parts:
-        texts = [name for name in part.stage_covariates if name not in known and not _is_numeric(part.stages, name)]
-        if not texts:
-            # What one part holds as numbers, all do.
-            break
-        for name in texts:
-            found[name] = _joined(found.get(name, Counter()), _look(part, name))
-    return found
-
-
-def _look(logs: Logs, column: str) -> _Seen:
-    values: Any = logs.stages[column]
-    kind = infer_dtype(values, skipna=True)
-    if kind not in _TEXT:
-        return f"holds {kind}, neither numbers nor text; give one of these, or leave it out"
-    is_null = values.isna().to_numpy()
-    if is_null.any():
-        where = place(logs.stages, int(np.argmax(is_null)))
-        return f"is null at {where}; fill it in, with a word such as 'unknown' where nothing is known, or leave it out"
-    pairs = pd.DataFrame({"path": logs.stages["path"], "value": values.astype(object)}).drop_duplicates()
-    return Counter(pairs["value"].map(str))
-
-
-def _joined(before: _Seen, now: _Seen) -> _Seen:
-    if isinstance(before, str) or isinstance(now, str):
-        return before if isinstance(before, str) else now
-    both = before + now
-    if len(both) > MOST_CATEGORIES:
-        return f"has more than {MOST_CATEGORIES} categories; group them into fewer, or leave it out"
-    return both
-
-
-def _trouble(seen: _Seen) -> str | None:
-    """Why a column cannot be looked at."""
-    if isinstance(seen, str):
-        return seen
-    if len(seen) == 1:
-        return f"is {next(iter(seen))!r} in every stage, so it tells nothing apart; leave it out"
-    if max(seen.values()) == 1:
-        return "has no category that two paths share, so it names the path; leave it out"
-    return None
-
-
-def _numbers(frame: pd.DataFrame, columns: list[str]) -> Float[np.ndarray, "m F"]:
+def _numbers(frame: Frame, columns: list[str]) -> Float[np.ndarray, "m F"]:
     for name in columns:
-        if not _is_numeric(frame, name):
+        if not is_numeric(frame, name):
             raise LogError(f"covariate {name!r} holds no numbers, and no categories of it are known; give numbers")
     values = frame[columns].to_numpy(dtype=np.float64, na_value=np.nan)
     wrong = np.argwhere(~np.isfinite(values))
@@ -241,19 +147,24 @@ def _numbers(frame: pd.DataFrame, columns: list[str]) -> Float[np.ndarray, "m F"
     return values
 
 
-def _is_numeric(frame: pd.DataFrame, column: str) -> bool:
+def is_numeric(frame: Frame, column: str) -> bool:
+    """Whether a column holds numbers."""
+    from pandas.api.types import is_numeric_dtype
+
     return is_numeric_dtype(frame[column].dtype)
 
 
-def _refuse_null(frame: pd.DataFrame, column: str) -> None:
+def _refuse_null(frame: Frame, column: str) -> None:
     is_null = frame[column].isna().to_numpy()
     if is_null.any():
         where = _place(frame, int(np.argmax(is_null)))
         raise LogError(f"{where}: covariate {column!r} is null; fill it in")
 
 
-def _place(frame: pd.DataFrame, row: int) -> str:
+def _place(frame: Frame, row: int) -> str:
     """Path and stage of a row, where the frame has them."""
+    from halfseen.logs.refusal import place
+
     named = tuple(name for name in ("path", "stage") if name in frame.columns)
     return place(frame, row, named) if named else f"row {row}"
 

@@ -5,10 +5,10 @@ from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-import pandas as pd
 from jaxtyping import Bool, Float
 
 from halfseen.errors import ArgumentError
+from halfseen.lazy import Frame
 from halfseen.learning.choice import leaning
 from halfseen.learning.covariates import Categories, Covariates
 from halfseen.learning.kernel_map import KernelMap
@@ -25,7 +25,7 @@ class NamedActionPolicy(Protocol):
         """Number T of stages."""
         ...
 
-    def probabilities(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
+    def probabilities(self, frame: Frame, stage: int) -> Float[np.ndarray, "m A"]:
         """π(a | S) in a stage (from 1), for each row of covariates."""
         ...
 
@@ -90,7 +90,7 @@ class FlatPolicy:
         rows = enumerate(self.is_possible, start=1)
         return {stage: [name for name, is_it in zip(self.actions, row, strict=True) if is_it] for stage, row in rows}
 
-    def q_values(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
+    def q_values(self, frame: Frame, stage: int) -> Float[np.ndarray, "m A"]:
         """Q̂ of every action in a stage (from 1), for each row of covariates; of impossible ones, too.
 
         Raises
@@ -102,12 +102,12 @@ class FlatPolicy:
         """
         return self._valued(frame, stage).q
 
-    def lower_bounds(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
+    def lower_bounds(self, frame: Frame, stage: int) -> Float[np.ndarray, "m A"]:
         """Lower confidence bound of every Q̂; Q̂ itself without pessimism."""
         valued = self._valued(frame, stage)
         return valued.q - valued.margins
 
-    def scores(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
+    def scores(self, frame: Frame, stage: int) -> Float[np.ndarray, "m A"]:
         """What the policy goes by: Q̂ less its margin, which counts less, the more the log takes the action anyway."""
         return self._valued(frame, stage).scores
 
@@ -129,22 +129,22 @@ class FlatPolicy:
         utility = self.behaviour[:, 0] + encoded @ self.behaviour[:, 1:].T
         return Valued(q, margins, q - (1.0 - leaning(utility, self.is_possible[stage - 1])) * margins)
 
-    def decide(self, frame: pd.DataFrame, stage: int) -> np.ndarray:
+    def decide(self, frame: Frame, stage: int) -> np.ndarray:
         """Name the possible action with the largest score, for each row of covariates; shape (m,)."""
         names = np.empty(len(self.actions), dtype=object)
         names[:] = self.actions
         return names[self._best(frame, stage)]
 
-    def probabilities(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
+    def probabilities(self, frame: Frame, stage: int) -> Float[np.ndarray, "m A"]:
         """π(a | S): 1 for the action that it takes."""
         best = self._best(frame, stage)
         return (best[:, None] == np.arange(len(self.actions))).astype(np.float64)
 
-    def _best(self, frame: pd.DataFrame, stage: int) -> np.ndarray:
+    def _best(self, frame: Frame, stage: int) -> np.ndarray:
         scores = self.scores(frame, stage)
         return np.argmax(np.where(self.is_possible[stage - 1], scores, -np.inf), axis=1)
 
-    def _valued(self, frame: pd.DataFrame, stage: int) -> Valued:
+    def _valued(self, frame: Frame, stage: int) -> Valued:
         self._check_stage(stage)
         return self.valued(self.looks_at.encode(frame), stage)
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from halfseen.errors import ArgumentError
 from halfseen.learning.automatic import AUTO
-from halfseen.learning.covariates import unfit_covariates
+from halfseen.learning.categories import unfit_covariates
 from halfseen.learning.q_learner import CensoredQLearner
 from halfseen.logs import Logs, LogStream
 from halfseen.logs.stream import parts_of
