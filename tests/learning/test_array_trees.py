@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from halfseen.censoring import StageClocks
-from halfseen.learning.array_trees import num_bytes_of, read_tree, write_tree
-from halfseen.learning.path_arrays import PathArrays
-from halfseen.learning.state_values import Norms
+from halfseen.learning.kept_parts import num_bytes_of, read_tree, write_tree
+from halfseen.learning.recursion import Norms
+from halfseen.learning.rows import PathArrays
 from halfseen.learning.task import Encoded
 
 

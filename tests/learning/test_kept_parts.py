@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from halfseen.learning import kept_parts
-from halfseen.learning.array_trees import num_bytes_of
-from halfseen.learning.kept_parts import KeptParts
+from halfseen.learning.kept_parts import KeptParts, num_bytes_of
 from halfseen.learning.rows import Rows
 
 

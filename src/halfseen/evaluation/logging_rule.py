@@ -24,7 +24,7 @@ from pandas.api.types import is_numeric_dtype
 from halfseen.learning.behaviour import conditional_logit
 from halfseen.learning.covariates import Covariates
 from halfseen.learning.named_task import NamedActions
-from halfseen.learning.path_arrays import PathArrays, stage_places
+from halfseen.learning.rows import PathArrays, stage_places
 from halfseen.learning.task import Task
 from halfseen.logs import Logs
 

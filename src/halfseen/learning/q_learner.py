@@ -1,4 +1,10 @@
-"""Censored Q-learning behind scikit-learn's habits: parameters in, `fit`, fitted names that end in ``_``."""
+"""Censored Q-learning behind scikit-learn's habits: parameters in, `fit`, fitted names that end in ``_``.
+
+Where nothing is said there is one strong recipe, and a choice only where logs can tell: imputed targets, for weights
+make noise and completed stages alone mislead; a quadratic with a smooth remainder, or what a task's own features are
+made for, a linear Q; and Q at its lower confidence bound. `benchmarks/learners.py` compares the recipe with others, on
+logs that it was not chosen on.
+"""
 
 from collections.abc import Hashable, Mapping, Sequence
 from typing import Any, Literal
@@ -10,33 +16,48 @@ from jaxtyping import Float
 from halfseen.censoring import CensoringModel, CutModel, WeightDiagnostics, weight_diagnostics
 from halfseen.errors import ArgumentError
 from halfseen.estimator import Estimator, check_fitted
-from halfseen.learning.automatic import (
-    AUTO,
-    Source,
-    automatic_pessimism,
-    automatic_space,
-    automatic_targets,
-)
-from halfseen.learning.kernel_map import KernelMap
+from halfseen.learning.judging import with_stages
 from halfseen.learning.named_task import NamedActions
-from halfseen.learning.q_model import QModel, is_count
+from halfseen.learning.q_model import QModel, is_count, unseen_in_words
 from halfseen.learning.q_space import (
+    SMOOTH,
     CrossValidation,
+    KernelMap,
+    LinearQ,
     QSpace,
+    StageMode,
     pessimism_of,
     q_space_of,
     reg_of,
     stage_mode_of,
 )
-from halfseen.learning.stage_choice import with_stages
+from halfseen.learning.rows import QFunctions
 from halfseen.learning.streaming import fit_stream
-from halfseen.learning.support import unseen_in_words
-from halfseen.learning.targets import Targets, targets_of
-from halfseen.learning.task import Task, named_task
-from halfseen.learning.transitions import QFunctions, StageMode
+from halfseen.learning.targets import BuckleyJames, Targets, Weighted, targets_of
+from halfseen.learning.task import AUTO, Task, named_task
 from halfseen.logs import Logs, LogStream
 from halfseen.workers import Workers
 from halfseen.workers.threads import in_one_thread
+
+PESSIMISM = 2.0
+"""Standard errors by which the value of a whole path is lowered, were the errors of its stages independent."""
+
+Source = Logs | LogStream | None
+
+
+def automatic_targets(logs: Source) -> Targets:
+    """Impute what cuts took away; weights where the action of a stage in which a path was cut is not known."""
+    return BuckleyJames() if logs is None or logs.has_all_actions else Weighted()
+
+
+def automatic_space(task: Task) -> QSpace:
+    """Smooth in plain covariates; linear in the features that a task makes for each action."""
+    return SMOOTH if task.is_shared else LinearQ()
+
+
+def automatic_pessimism(is_fixed: bool, horizon: int) -> float:
+    """2/√T for each of T stages, whose margins add up; 0, eq. 3 as it is, where targets are fixed."""
+    return 0.0 if is_fixed else PESSIMISM / horizon**0.5
 
 
 class CensoredQLearner(Estimator):
