@@ -99,8 +99,8 @@ def fit_kernel_map(
         Root mean squares, over rows, of the part of c · q(z) that is linear and of that of the products, beside a
         Gaussian kernel of 1; None for no trend. So the more products there are, the less each counts.
     """
+    from halfseen.learning.svm.kernels import RbfKernel
     from halfseen.learning.svm.nystrom import fit_nystrom
-    from halfseen.learning.svm.vector_kernels import RbfKernel
 
     centre, spread = rows.mean(axis=0), rows.std(axis=0)
     scale = np.where(spread > 1e-9 * np.maximum(np.abs(centre), 1e-9), spread, np.inf)

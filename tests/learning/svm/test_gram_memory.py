@@ -3,8 +3,8 @@ from types import SimpleNamespace
 import pytest
 
 from halfseen.errors import ArgumentError
-from halfseen.learning.svm import memory
-from halfseen.learning.svm.memory import advised_landmarks, check_gram_fits, free_bytes
+from halfseen.learning.svm import spaces
+from halfseen.learning.svm.spaces import advised_landmarks, check_gram_fits, free_bytes
 
 GB = 10**9
 
@@ -44,8 +44,8 @@ def test_advised_landmarks_fit_and_twice_as_many_are_too_many(num_rows, availabl
 def test_reads_what_the_machine_and_its_container_have(tmp_path, monkeypatch):
     assert free_bytes() > 10**6
     limit, machine = tmp_path / "memory.max", SimpleNamespace(available=32 * 1024)
-    monkeypatch.setattr(memory.psutil, "virtual_memory", lambda: machine)
-    monkeypatch.setattr(memory, "CONTAINER_LIMIT", limit)
+    monkeypatch.setattr(spaces.psutil, "virtual_memory", lambda: machine)
+    monkeypatch.setattr(spaces, "CONTAINER_LIMIT", limit)
     assert free_bytes() == 32 * 1024
     limit.write_text("max\n")
     assert free_bytes() == 32 * 1024

@@ -10,14 +10,16 @@ from sklearn.metrics import pairwise
 
 from halfseen.errors import ArgumentError
 from halfseen.learning.svm.kernels import (
+    BLOCK_ENTRIES,
     KERNEL_NAMES,
+    VECTOR_KERNELS,
     candidate_gammas,
     checked_gram,
     kernel_diagonal,
     named_kernel,
+    row_blocks,
     scale_gamma,
 )
-from halfseen.learning.svm.vector_kernels import BLOCK_ENTRIES, VECTOR_KERNELS, row_blocks
 
 REFERENCES = {
     "linear": lambda x, z: pairwise.linear_kernel(x, z),

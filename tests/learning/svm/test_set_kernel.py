@@ -4,10 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from halfseen.errors import ArgumentError
-from halfseen.learning.svm import set_kernel
-from halfseen.learning.svm.kernels import kernel_diagonal, named_kernel
-from halfseen.learning.svm.set_kernel import SetKernel, all_objects, as_sets
-from halfseen.learning.svm.vector_kernels import vector_kernel
+from halfseen.learning.svm import kernels
+from halfseen.learning.svm.kernels import SetKernel, all_objects, as_sets, kernel_diagonal, named_kernel, vector_kernel
 
 NUMBERS = st.lists(st.integers(0, 5), min_size=1, max_size=7)
 
@@ -29,7 +27,7 @@ def naive(base, first, second, pooling="mean"):
 @pytest.fixture
 def small_blocks(monkeypatch):
     """Blocks smaller than sets, so that sets lie across their edges."""
-    monkeypatch.setattr(set_kernel, "OBJECTS_AT_ONCE", 3)
+    monkeypatch.setattr(kernels, "OBJECTS_AT_ONCE", 3)
 
 
 @pytest.mark.parametrize("blocks", ["one", "small"])
@@ -37,7 +35,7 @@ def small_blocks(monkeypatch):
 @pytest.mark.parametrize("base", ["rbf", "laplacian", "linear", lambda x, z: 1.0 + x @ z.T])
 def test_equals_the_double_loop(base, pooling, blocks, monkeypatch):
     if blocks == "small":
-        monkeypatch.setattr(set_kernel, "OBJECTS_AT_ONCE", 3)
+        monkeypatch.setattr(kernels, "OBJECTS_AT_ONCE", 3)
     first, second = sets_of([3, 0, 1, 8, 2, 0, 1]), sets_of([0, 4, 7, 1], seed=1)
     kernel = SetKernel(base, gamma=0.4, pooling=pooling)
     one = vector_kernel(base, 0.4)

@@ -9,7 +9,7 @@ from convex_oracle import cut_log
 
 from halfseen.errors import ArgumentError, HalfseenError, HalfseenWarning, PositivityError
 from halfseen.learning import CensoredSVC, CensoredSVR, survival_array
-from halfseen.learning.svm import memory
+from halfseen.learning.svm import spaces
 
 X, TIME, IS_FINISHED = cut_log()
 Y = survival_array(TIME, IS_FINISHED)
@@ -149,7 +149,7 @@ def test_a_constant_covariate_is_no_trouble_but_for_cox():
 
 
 def test_a_kernel_matrix_that_does_not_fit_names_the_landmarks_that_would(monkeypatch):
-    monkeypatch.setattr(memory, "free_bytes", lambda: 60_000)
+    monkeypatch.setattr(spaces, "free_bytes", lambda: 60_000)
     message = refusal(lambda: CensoredSVR(reg=1e-2).fit(X, Y), ArgumentError)
     assert "num_landmarks=" in message
     landmarks = int(message.split("num_landmarks=")[1].split()[0])

@@ -6,7 +6,7 @@ from scipy.optimize import minimize
 from scipy.special import expit
 
 from halfseen.learning import CensoredSVC, survival_array
-from halfseen.learning.svm.calibration import fit_sigmoid
+from halfseen.learning.svm.cross_validation import fit_sigmoid
 
 TAU = 1.5
 

@@ -5,10 +5,10 @@ from sklearn.model_selection import KFold, RepeatedKFold
 from halfseen.errors import ArgumentError
 from halfseen.learning import CensoredSVR, survival_array
 from halfseen.learning.svm import cross_validation
+from halfseen.learning.svm.kernels import RbfKernel
 from halfseen.learning.svm.losses import named_loss
 from halfseen.learning.svm.solver import Problem, solve
 from halfseen.learning.svm.spaces import GramSpace
-from halfseen.learning.svm.vector_kernels import RbfKernel
 
 GAMMA = 2.0
 

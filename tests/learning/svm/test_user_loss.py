@@ -9,8 +9,7 @@ from sklearn.metrics.pairwise import rbf_kernel
 
 from halfseen.errors import ArgumentError
 from halfseen.learning import CensoredSVC, CensoredSVR
-from halfseen.learning.svm.losses import Huber, named_loss
-from halfseen.learning.svm.user_loss import UserLoss, own_loss
+from halfseen.learning.svm.losses import Huber, UserLoss, named_loss, own_loss
 
 ROWS, Y, LABELS, _ = tied_rows()
 GRAM, MASS = rbf_kernel(ROWS, gamma=0.3), np.full(len(Y), 1 / len(Y))
