@@ -88,14 +88,14 @@ class CensoredQLearner(Estimator):
         action of a cut stage is not known.
     stages
         ``"separate"``: one Q a stage; ``"pooled"``: one Q for each number of steps to go, on the rows of all stages;
-        ``"auto"``: pooled, unless separate ones clearly predict better (`stage_choice`).
+        ``"auto"``: pooled, unless separate ones clearly predict better (`judging`).
     reg
         λ; ``"cv"`` or ``CrossValidation(…)`` to choose it for each regression and block by weighted cross-validation
         over paths.
     pessimism
         Standard errors by which Q is lowered wherever the largest is sought, in eq. 3 and by the policy, so that what
-        few stages speak for is not taken on their word (`spread`); by the policy less, the more the log takes an action
-        anyway (`behaviour`); 0 for eq. 3 as it stands. ``"auto"``: 2/√T, but 0 where `censoring` is given.
+        few stages speak for is not taken on their word (`regression`); by the policy less, the more the log takes an
+        action anyway (`behaviour`); 0 for eq. 3 as it stands. ``"auto"``: 2/√T, but 0 where `censoring` is given.
     random_state
         Seed that deals paths into folds and draws the landmarks of a kernel.
 

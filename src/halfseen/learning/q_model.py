@@ -204,7 +204,7 @@ class QModel:
         return replace(self, task=fitted)
 
     def sample_of(self, paths: PathArrays) -> PathArrays:
-        """Paths that decide on what is no sum (see `sample`)."""
+        """Paths that decide on what is no sum (see above)."""
         rows = sampled(paths.num_paths, self.random_state)
         return paths if len(rows) == paths.num_paths else paths.take(rows)
 

@@ -80,7 +80,7 @@ class Regression(NamedTuple):
     is_scaled: bool = True
     """Whether λ weighs features as if each had unit variance; False for features of a kernel."""
     pessimism: float = 0.0
-    """Standard errors (see `spread`) by which Q is lowered wherever the largest is sought; 0 for eq. 3 as it is."""
+    """Standard errors (`regression`) by which Q is lowered wherever the largest is sought; 0 for eq. 3 as it is."""
 
     @property
     def shape(self) -> Shape:

@@ -33,7 +33,7 @@ from halfseen.learning.rows import QFunctions, Rows
 
 
 class Bound(NamedTuple):
-    """How far Q is lowered (see `spread`): by ‖Rᵀ (1, φ)‖ of each block, times `margin`."""
+    """How far Q is lowered: by ‖Rᵀ (1, φ)‖ of each block, times `margin`."""
 
     root: Float[np.ndarray, "K F F"]
     margin: Float[np.ndarray, " K"]
@@ -79,22 +79,12 @@ class OutcomeGrams(NamedTuple):
     """Σ w x expectedᵀ, for those of the terms."""
 
 
-class WeightSums(NamedTuple):
-    """Sums over the completed stages of each block; those of parts of a log add up."""
-
-    mass: Float[np.ndarray, " K"]
-    """Σw."""
-    squares: Float[np.ndarray, " K"]
-    """Σw²: heavy weights make of many stages few."""
-    count: Float[np.ndarray, " K"]
-    """Stages with a weight."""
-
-
 class SeenGrams(NamedTuple):
     """Of the completed stages, for pessimism."""
 
     gram: Float[np.ndarray, "K F F"]
-    weights: WeightSums
+    weights: Float[np.ndarray, "3 K"]
+    """Σw; Σw², as heavy weights make of many stages few; and the number of stages with a weight."""
 
 
 class Grams(NamedTuple):
@@ -121,21 +111,13 @@ class Crosses(NamedTuple):
     seen: SeenCrosses | None
 
 
-class _Weights(NamedTuple):
-    """What rows weigh in each sum."""
-
-    main: Float[np.ndarray, " R"]
-    of_state: Float[np.ndarray, " R"]
-    seen: Float[np.ndarray, " R"]
-    outcome: Float[np.ndarray, " R"]
-
-
-def _weights(rows: Rows) -> _Weights:
+def _weights(rows: Rows) -> Float[np.ndarray, "4 R"]:
+    """What rows weigh in the main sums, in those of what the state tells of Y, of completed stages, and of X."""
     weight = rows.weight
     if rows.share is None or rows.outcome_weight is None:
-        return _Weights(weight, weight, weight, weight)
+        return np.broadcast_to(weight, (4, len(weight)))
     of_outcome = np.where(weight > 0, rows.outcome_weight, 0.0)
-    return _Weights(weight, weight * (1.0 - rows.share), weight * rows.outcome_weight, of_outcome)
+    return np.stack([weight, weight * (1.0 - rows.share), weight * rows.outcome_weight, of_outcome])
 
 
 def grams_of(rows: Rows, slices: tuple[int, ...], shape: Shape) -> Grams:
@@ -155,16 +137,16 @@ def grams_of(rows: Rows, slices: tuple[int, ...], shape: Shape) -> Grams:
     sums = np.zeros((3, shape.num_blocks))
     for which, fold, block, begin, end in rows.groups:
         if which in slices:
-            for each, found in _moments(rows.matrix[begin:end], [weight[begin:end] for weight in weights]):
+            for each, found in _moments(rows.matrix[begin:end], weights[:, begin:end]):
                 moments[each, fold, block] += found
-            seen = weights.seen[begin:end]
+            seen = weights[2, begin:end]
             sums[:, block] += seen.sum(), seen @ seen, np.count_nonzero(seen)
     num_features, num_variates, num_terms, _ = rows.widths
     num_design = num_features + num_variates
     terms = slice(num_design, num_design + num_terms)
     main, seen = moments[0, :, :, :num_design, :num_design], None
     if shape.is_pessimistic:
-        seen = SeenGrams(moments[2, :, :, :num_design, :num_design].sum(axis=0), WeightSums(*sums))
+        seen = SeenGrams(moments[2, :, :, :num_design, :num_design].sum(axis=0), sums)
     if rows.is_used is None:
         return Grams(main, None, seen)
     is_outcome = np.r_[:num_features, terms]
@@ -178,7 +160,7 @@ def grams_of(rows: Rows, slices: tuple[int, ...], shape: Shape) -> Grams:
 
 
 def _moments(
-    matrix: Float[np.ndarray, "r M"], weights: list[Float[np.ndarray, " r"]]
+    matrix: Float[np.ndarray, "r M"], weights: Float[np.ndarray, "4 r"]
 ) -> Iterator[tuple[list[int], Float[np.ndarray, "M M"]]]:
     """Σ w z zᵀ for several weights: those that are the same are summed once, and those that are 0 not at all."""
     left = [number for number, weight in enumerate(weights) if weight.any()]
@@ -216,8 +198,8 @@ def crosses_of(rows: Rows, step: Step, values: Float[np.ndarray, " R1"], shape: 
         of_share = target if rows.share is None else rows.share[group] * target
         if step.centre is not None:
             of_share = of_share - rows.design[group] @ step.centre[block]
-        of_seen = weights.seen[group] * target
-        each = np.array([weights.main[group] * of_share, weights.outcome[group] * target, of_seen]).T
+        of_seen = weights[2, group] * target
+        each = np.array([weights[0, group] * of_share, weights[3, group] * target, of_seen]).T
         sums[fold, block] += rows.matrix[group, :width].T @ each
         squares[block] += of_seen @ target
     seen = SeenCrosses(sums[:, :, :num_design, 2].sum(axis=0), squares) if shape.is_pessimistic else None
@@ -346,56 +328,50 @@ def _squared_error(
     return np.sum(coefficients * (of_gram - 2.0 * cross), axis=(1, 3))
 
 
-class Spread(NamedTuple):
-    """What of s no target changes, by block; of the completed stages alone."""
+def _unit_roots(factor: Factor, penalty: Float[np.ndarray, " K"]) -> Float[np.ndarray, "K F F"]:
+    """R of every block, s(x) = ‖Rᵀ (1, φ(x))‖, for targets of which one effective stage varies by 1 about Q̂.
 
-    factor: Factor
-    """Without folds."""
-    weights: WeightSums
+    Parameters
+    ----------
+    factor
+        Of the completed stages, without folds.
+    penalty
+        nλ of each block.
+    """
+    gram, mass = factor.gram[0], _mass(factor)
+    slopes = factor.eigenvectors[0] / factor.scale[..., None] / np.sqrt(_penalised(factor, penalty))[:, None, :]
+    found = np.zeros_like(gram)
+    found[:, 0, 0] = 1.0 / np.sqrt(mass)
+    found[:, 0, 1:] = -np.einsum("kf,kfe->ke", gram[:, 0, 1:] / mass[:, None], slopes)
+    found[:, 1:, 1:] = slopes
+    return found
 
-    def unit_roots(self, penalty: Float[np.ndarray, " K"]) -> Float[np.ndarray, "K F F"]:
-        """R of every block, s(x) = ‖Rᵀ (1, φ(x))‖, for targets of which one effective stage varies by 1 about Q̂.
 
-        Parameters
-        ----------
-        penalty
-            nλ of each block.
-        """
-        factor, gram, mass = self.factor, self.factor.gram[0], self._mass
-        penalised = self._penalised(penalty)
-        slopes = factor.eigenvectors[0] / factor.scale[..., None] / np.sqrt(penalised)[:, None, :]
-        found = np.zeros_like(gram)
-        found[:, 0, 0] = 1.0 / np.sqrt(mass)
-        found[:, 0, 1:] = -np.einsum("kf,kfe->ke", gram[:, 0, 1:] / mass[:, None], slopes)
-        found[:, 1:, 1:] = slopes
-        return found
+def _deviations(
+    factor: Factor,
+    weights: Float[np.ndarray, "3 K"],
+    penalty: Float[np.ndarray, " K"],
+    squares: Float[np.ndarray, " K"],
+) -> Float[np.ndarray, " K"]:
+    """What R is times its `_unit_roots`, for each block; `squares` are Σ w (X − Q̂)² of the completed stages.
 
-    def deviations(self, penalty: Float[np.ndarray, " K"], squares: Float[np.ndarray, " K"]) -> Float[np.ndarray, " K"]:
-        """What R is times its `unit_roots`, for each block.
+    As many stages as there are coefficients that λ leaves are used up by the fit.
+    """
+    mass, of_squares, count = weights
+    fitted = 1.0 + np.sum(np.maximum(factor.eigenvalues[0], 0.0) / _penalised(factor, penalty), axis=-1)
+    left = count / np.maximum(count - fitted, 0.1 * count + 0.5)
+    variance = left * squares / np.where(mass > 0, mass, 1.0)
+    return np.sqrt(variance * of_squares / _mass(factor))
 
-        As many stages as there are coefficients that λ leaves are used up by the fit.
 
-        Parameters
-        ----------
-        penalty
-            nλ of each block.
-        squares
-            Σ w (X − Q̂)² of the completed stages.
-        """
-        eigenvalues, (mass, of_squares, count) = self.factor.eigenvalues[0], self.weights
-        fitted = 1.0 + np.sum(np.maximum(eigenvalues, 0.0) / self._penalised(penalty), axis=-1)
-        left = count / np.maximum(count - fitted, 0.1 * count + 0.5)
-        variance = left * squares / np.where(mass > 0, mass, 1.0)
-        return np.sqrt(variance * of_squares / self._mass)
+def _penalised(factor: Factor, penalty: Float[np.ndarray, " K"]) -> Float[np.ndarray, "K F1"]:
+    eigenvalues = factor.eigenvalues[0]
+    largest = eigenvalues.max(axis=-1, keepdims=True, initial=0.0)
+    return np.maximum(eigenvalues + penalty[:, None], 1e-8 * largest + np.finfo(float).tiny)
 
-    def _penalised(self, penalty: Float[np.ndarray, " K"]) -> Float[np.ndarray, "K F1"]:
-        eigenvalues = self.factor.eigenvalues[0]
-        largest = eigenvalues.max(axis=-1, keepdims=True, initial=0.0)
-        return np.maximum(eigenvalues + penalty[:, None], 1e-8 * largest + np.finfo(float).tiny)
 
-    @property
-    def _mass(self) -> Float[np.ndarray, " K"]:
-        return np.maximum(self.factor.gram[0, :, 0, 0], np.finfo(float).tiny)
+def _mass(factor: Factor) -> Float[np.ndarray, " K"]:
+    return np.maximum(factor.gram[0, :, 0, 0], np.finfo(float).tiny)
 
 
 class StepFit(NamedTuple):
@@ -414,7 +390,8 @@ class Equations(NamedTuple):
     grams: Grams
     main: Factor
     outcome: Factor | None
-    seen: Spread | None
+    seen: Factor | None
+    """Of the completed stages, without folds."""
     num_features: int
     """Of Q, the offset among them; what comes after it are control variates."""
 
@@ -427,7 +404,7 @@ class Equations(NamedTuple):
             outcome = factorise(gram, is_scaled)
         if grams.seen is not None:
             gram = grams.seen.gram[None, :, :num_features, :num_features]
-            seen = Spread(factorise(gram, is_scaled), grams.seen.weights)
+            seen = factorise(gram, is_scaled)
         return cls(grams, factorise(grams.main, is_scaled), outcome, seen, num_features)
 
 
@@ -465,8 +442,9 @@ def fit_step(
     if equations.seen is None or grams.seen is None or crosses.seen is None:
         return StepFit(found, coefficients)
     penalty = fit.reg * num_paths
-    unit_root = equations.seen.unit_roots(penalty)
-    deviation = equations.seen.deviations(penalty, _squared_residuals(grams.seen, crosses.seen, coefficients))
+    unit_root = _unit_roots(equations.seen, penalty)
+    squares = _squared_residuals(grams.seen, crosses.seen, coefficients)
+    deviation = _deviations(equations.seen, grams.seen.weights, penalty, squares)
     root = unit_root * deviation[:, None, None]
     return StepFit(found._replace(root=root), coefficients, Bound(unit_root, deviation))
 

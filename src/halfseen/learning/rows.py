@@ -192,7 +192,7 @@ class QFunctions(NamedTuple):
     outcome: Float[np.ndarray, "*B T K M"] | None = None
     """Where targets are imputed, the regression of X on the features that it uses and the terms, the offset first."""
     root: Float[np.ndarray, "*B T K F F"] | None = None
-    """With pessimism, R of `spread`: the standard error of Q is ‖Rᵀ (1, φ)‖."""
+    """With pessimism, R of `regression`: the standard error of Q is ‖Rᵀ (1, φ)‖."""
 
 
 def stack_q(each: list[QFunctions]) -> QFunctions:
@@ -294,7 +294,7 @@ class Rows(NamedTuple):
     share: Float[np.ndarray, " R"] | None
     outcome_weight: Float[np.ndarray, " R"] | None
     is_used: Float[np.ndarray, " F1"] | None
-    """As in `transitions.Imputation`."""
+    """As in `Imputation`."""
     is_possible: Bool[np.ndarray, "R A"] | None
     """Where all actions share their features; None where all are possible everywhere."""
     block_of_action: Int[np.ndarray, " A"]

@@ -9,12 +9,12 @@ same bytes; so it does not matter which worker sums a shard, nor how often one i
 
 import ctypes
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from itertools import chain
 from tempfile import TemporaryFile
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -49,36 +49,6 @@ def give_back() -> None:
             trim(0)
 
 
-class StoredRows:
-    """Float64 rows on disk, written in a ``with`` block; the file is gone with the last array that shows it.
-
-    Parameters
-    ----------
-    shape
-        Of all rows together.
-    """
-
-    def __init__(self, shape: tuple[int, int]) -> None:
-        self._shape, self._file = shape, TemporaryFile(prefix="halfseen-")  # noqa: SIM115 - closed by __exit__
-
-    def __enter__(self) -> "StoredRows":
-        """Begin."""
-        return self
-
-    def __exit__(self, *told: Any) -> None:
-        """Close the file; what shows it goes on to do so."""
-        self._file.close()
-
-    def add(self, rows: Float[np.ndarray, "k T"]) -> None:
-        """Write the next rows."""
-        self._file.write(np.ascontiguousarray(rows, dtype=np.float64).tobytes())
-
-    def read(self) -> Float[np.ndarray, "n T"]:
-        """Show all rows; only those that are looked at take memory."""
-        self._file.flush()
-        return np.memmap(self._file, dtype=np.float64, mode="r", shape=self._shape)
-
-
 @dataclass(frozen=True)
 class ShardWork:
     """What all workers are told once a pass.
@@ -100,59 +70,46 @@ class ShardWork:
     num_paths: int
     kept: KeptParts
 
-    def paths_of(self, shard: Shard) -> Iterator[tuple[Part, PathArrays]]:
+    def paths_of(self, shard: Shard) -> Iterator[PathArrays]:
         """Lay out the parts of a shard as arrays."""
-        reader = _Lazily(self.folder)
+        reader = self._reader()
         for part in shard.parts:
-            yield part, self.kept.found("paths", part.number, partial(self._laid_out, reader, part))
+            yield self.kept.found("paths", part.number, partial(self._laid_out, reader, part))
 
-    def rows_of(self, shard: Shard, fold: Int[np.ndarray, " n"]) -> Iterator[tuple[Part, Rows, None]]:
-        """Pack the parts of a shard."""
-        reader, begin = _Lazily(self.folder), shard.paths.start
+    def rows_of(
+        self, shard: Shard, fold: Int[np.ndarray, " n"], is_first: bool
+    ) -> Iterator[tuple[Part, Rows, Float[np.ndarray, "n T"] | None]]:
+        """Pack the parts of a shard; for the first time with the weight of every stage."""
+        reader, begin = self._reader(), shard.paths.start
         for part in shard.parts:
-            of_part = fold[part.paths[0] - begin : part.paths[1] - begin]
-            anew = partial(self._packed, reader, part, of_part)
-            yield part, self.kept.found("rows", part.number, lambda anew=anew: anew()[0]), None
-
-    def packed(
-        self, shard: Shard, fold: Int[np.ndarray, " n"]
-    ) -> Iterator[tuple[Part, Rows, Float[np.ndarray, "n T"]]]:
-        """Pack the parts of a shard for the first time, with the weight of every stage."""
-        reader, begin = _Lazily(self.folder), shard.paths.start
-        for part in shard.parts:
-            rows, weight = self._packed(reader, part, fold[part.paths[0] - begin : part.paths[1] - begin])
-            self.kept.forget("paths", part.number)
-            self.kept.keep("rows", part.number, rows)
-            yield part, rows, weight
+            rows, weight = None if is_first else self.kept.read("rows", part.number), None
+            if rows is None:
+                rows, weight = self._packed(reader, part, fold[part.paths[0] - begin : part.paths[1] - begin])
+                self.kept.forget("paths", part.number)
+                self.kept.keep("rows", part.number, rows)
+            yield part, rows, weight if is_first else None
 
     @property
     def shape(self) -> Shape:
         """Of the sums."""
         return Shape(self.model.reg.folds_of(self.num_paths), self.model.num_blocks, self.model.pessimism > 0)
 
-    def _laid_out(self, reader: "_Lazily", part: Part) -> PathArrays:
-        logs = reader.read(part)
+    def _reader(self) -> Callable[[], ShardReader]:
+        """The log, opened where a part of it is to be read."""
+        return cache(partial(ShardReader, self.folder))
+
+    def _laid_out(self, reader: Callable[[], ShardReader], part: Part) -> PathArrays:
+        logs = reader().read(part)
         self.model.check_horizon(logs)
         return self.model.lay_out(logs)
 
     def _packed(
-        self, reader: "_Lazily", part: Part, fold: Int[np.ndarray, " n"]
+        self, reader: Callable[[], ShardReader], part: Part, fold: Int[np.ndarray, " n"]
     ) -> tuple[Rows, Float[np.ndarray, "n T"]]:
         paths = self.kept.read("paths", part.number) or self._laid_out(reader, part)
         weight, imputed = self.model.weights_and_imputation(paths)
         log = self.model.weighted(paths, weight, imputed, fold)
         return rows_of(log, self.model.regression(self.num_paths, log.is_possible.shape[-1])), weight
-
-
-class _Lazily:
-    """Opens the log where a part of it is to be read."""
-
-    def __init__(self, folder: Folder) -> None:
-        self._folder, self._reader = folder, None
-
-    def read(self, part: Part) -> Logs:
-        self._reader = self._reader or ShardReader(self._folder)
-        return self._reader.read(part)
 
 
 class Wanted(NamedTuple):
@@ -185,7 +142,7 @@ class Look(NamedTuple):
 def look_at(work: ShardWork, shard: Shard) -> Look:
     """Read, check and lay out a shard for the first time."""
     support, clocks, num_actions = None, [], 0
-    for _, paths in work.paths_of(shard):
+    for paths in work.paths_of(shard):
         here = work.model.support_in(paths)
         support, num_actions = here if support is None else support.plus(here), paths.is_possible.shape[-1]
         found = work.model.targets.looks_at(paths.clocks)
@@ -228,7 +185,7 @@ class Ask(NamedTuple):
 def sums_of(work: ShardWork, ask: Ask, dealt: Dealt) -> Sums:
     """Sum a shard up for one backward step."""
     total, weights, rows = None, [], None
-    for part, rows, weight in work.packed(*dealt) if ask.is_first else work.rows_of(*dealt):
+    for part, rows, weight in work.rows_of(*dealt, ask.is_first):
         weights.append(weight)
         known = work.kept.read("norms", part.number) if ask.keeps_norms else None
         values, norms = values_of(rows, ask.step.successor, known)
@@ -243,28 +200,16 @@ def sums_of(work: ShardWork, ask: Ask, dealt: Dealt) -> Sums:
     return Sums(grams, crosses, int(rows.widths[0]), weight)
 
 
-@dataclass(frozen=True)
-class Streamed:
-    """What was learned in passes.
-
-    Parameters
-    ----------
-    model
-        With what was fitted before Q.
-    q_functions
-        Q.
-    chosen
-        What was chosen by itself.
-    weights
-        Of every stage in eq. 3, on disk.
-    diagnostics
-        Of these.
-    """
+class Streamed(NamedTuple):
+    """What was learned in passes."""
 
     model: QModel
+    """With what was fitted before Q."""
     q_functions: QFunctions
     chosen: tuple[str, ...]
+    """What was chosen by itself."""
     weights: Float[np.ndarray, "n T"]
+    """Of every stage in eq. 3, on disk."""
     diagnostics: WeightDiagnostics
 
 
@@ -278,7 +223,7 @@ def fit_stream(model: QModel, stream: LogStream, has_choice: bool = False, worke
     stream
         The log.
     has_choice
-        Whether stages are to be pooled is for the log to say (see `stage_choice`).
+        Whether stages are to be pooled is for the log to say (`judging`).
     workers
         Who sums; None for this process alone.
 
@@ -348,7 +293,7 @@ class _Log:
     def rewarded(self, model: QModel) -> Iterator[RewardedStages]:
         """What the stages of a log paid; nothing is read unless it is asked for."""
         for shard in self._shards:
-            for _, paths in self._work(model).paths_of(shard):
+            for paths in self._work(model).paths_of(shard):
                 yield model.rewarded(paths, model.targets.weights(paths, model.cut_model))
 
     def fit(self, model: QModel, chosen: tuple[str, ...]) -> Streamed:
@@ -361,7 +306,7 @@ class _Log:
         tally = WeightTally(bound)
         with (
             one_thread(),
-            StoredRows((num_paths, model.horizon)) as weights,
+            TemporaryFile(prefix="halfseen-") as weights,
             Progress(num_passes, "learn", "passes") as bar,
         ):
             is_first = True
@@ -372,7 +317,7 @@ class _Log:
                 asked = Ask(step, wanted, is_first, keeps_norms=is_pooled)
                 for sums in self._pool.in_order(partial(sums_of, work, asked), dealt):
                     if sums.weight is not None:
-                        weights.add(sums.weight)
+                        weights.write(np.ascontiguousarray(sums.weight).tobytes())
                         tally.add(sums.weight)
                     total, num_features = plus(total, (sums.grams, sums.crosses)), sums.num_features
                 assert total is not None
@@ -383,7 +328,10 @@ class _Log:
             q = backward(ask, (num_paths, model.horizon), model.regression(num_paths, self.num_actions))
             if isinstance(model.reg, CrossValidation):
                 refuse_too_few(tally.num_rows_seen, num_paths)
-            return Streamed(model, q, chosen, weights.read(), tally.told())
+            weights.flush()
+            # The file has no name; it is gone with the last array that shows it.
+            shown = np.memmap(weights, dtype=np.float64, mode="r", shape=(num_paths, model.horizon))
+            return Streamed(model, q, chosen, shown, tally.told())
 
     def _work(self, model: QModel) -> ShardWork:
         return ShardWork(self._stream.as_folder, model, self._stream.num_paths, self._kept)

@@ -10,11 +10,9 @@ from halfseen.errors import ArgumentError
 from halfseen.learning.svm.losses import (
     CLASSIFICATION,
     REGRESSION,
-    Absolute,
     ProximalLoss,
     SmoothLoss,
     named_loss,
-    pinball,
 )
 from halfseen.learning.svm.solver import best_constant
 
@@ -130,9 +128,9 @@ def test_the_best_constant_of_pinball_is_the_weighted_quantile(quantile):
     y, weight = rng.normal(size=101), rng.exponential(size=101)
     order = np.argsort(y)
     at = np.searchsorted(np.cumsum(weight[order]), quantile * weight.sum())
-    assert best_constant(y, weight, pinball(quantile)) == pytest.approx(y[order][at], abs=1e-7)
+    assert best_constant(y, weight, named_loss("pinball", quantile=quantile)) == pytest.approx(y[order][at], abs=1e-7)
     assert best_constant(y, weight, named_loss("squared")) == pytest.approx(np.average(y, weights=weight), abs=1e-12)
-    assert best_constant(y + 1e6, np.ones(101), Absolute()) == pytest.approx(1e6 + np.median(y), abs=1e-6)
+    assert best_constant(y + 1e6, np.ones(101), named_loss("absolute")) == pytest.approx(1e6 + np.median(y), abs=1e-6)
 
 
 @pytest.mark.parametrize(

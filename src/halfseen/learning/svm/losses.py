@@ -40,7 +40,7 @@ _ON_THE_EDGE = 1e-9
 """Subgradients that leave the domain of a conjugate by less than this are taken to lie on its edge."""
 
 
-class ConvexLoss(ABC):
+class _ConvexLoss(ABC):
     """A convex loss, row by row."""
 
     is_of_difference: ClassVar[bool] = False
@@ -55,7 +55,7 @@ class ConvexLoss(ABC):
         """L*(y, t)."""
 
 
-class SmoothLoss(ConvexLoss):
+class SmoothLoss(_ConvexLoss):
     """A loss with a continuous derivative in s."""
 
     @abstractmethod
@@ -67,7 +67,7 @@ class SmoothLoss(ConvexLoss):
         """∂²L/∂s², one of its one-sided values where the derivative has a kink."""
 
 
-class ProximalLoss(ConvexLoss):
+class ProximalLoss(_ConvexLoss):
     """A loss with a proximal step."""
 
     @abstractmethod
@@ -197,26 +197,12 @@ class DeadZone(ProximalLoss):
 
 
 @dataclass(frozen=True)
-class Absolute(DeadZone):
-    """|y − s|."""
+class DeadZoneAroundTarget(DeadZone):
+    """Nothing within ε of y: |y − s|, the ``pinball``, and ``epsilon-insensitive``."""
 
     is_of_difference = True
 
-
-@dataclass(frozen=True)
-class Pinball(DeadZone):
-    """max(q (y − s), (1 − q) (s − y)): its minimiser is the q-quantile. Make it with `pinball(q)`."""
-
-    is_of_difference = True
-
-
-@dataclass(frozen=True)
-class EpsilonInsensitive(DeadZone):
-    """max(|y − s| − ε, 0)."""
-
-    is_of_difference = True
-
-    epsilon: float | int = 0.1
+    epsilon: float | int = 0.0
 
     def edges(self, y: Rows) -> tuple[Rows, Rows]:
         return y - self.epsilon, y + self.epsilon
@@ -228,11 +214,6 @@ class Hinge(DeadZone):
 
     def edges(self, y: Rows) -> tuple[Rows, Rows]:
         return np.where(y > 0, 1.0, -np.inf), np.where(y > 0, np.inf, -1.0)
-
-
-def pinball(quantile: float) -> Pinball:
-    """The loss whose minimiser is the `quantile`, in (0, 1)."""
-    return Pinball(up=1.0 - quantile, down=quantile)
 
 
 def named_loss(
@@ -253,9 +234,9 @@ def named_loss(
         raise ArgumentError(f"delta is {delta}; it is a distance > 0 in the target's units")
     losses: dict[str, SmoothLoss | ProximalLoss] = {
         "squared": Squared(),
-        "absolute": Absolute(),
-        "pinball": pinball(quantile),
-        "epsilon-insensitive": EpsilonInsensitive(epsilon=epsilon),
+        "absolute": DeadZoneAroundTarget(),
+        "pinball": DeadZoneAroundTarget(up=1.0 - quantile, down=quantile),
+        "epsilon-insensitive": DeadZoneAroundTarget(epsilon=epsilon),
         "huber": Huber(delta),
         "hinge": Hinge(),
         "squared-hinge": SquaredHinge(),
