@@ -7,6 +7,7 @@ logs that it was not chosen on.
 """
 
 from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -60,6 +61,7 @@ def automatic_pessimism(is_fixed: bool, horizon: int) -> float:
     return 0.0 if is_fixed else PESSIMISM / horizon**0.5
 
 
+@dataclass(eq=False, repr=False)
 class CensoredQLearner(Estimator):
     """Learns a policy from paths of which some were right-censored (paper, eq. 3) [GoldbergKosorok2012]_.
 
@@ -132,35 +134,23 @@ class CensoredQLearner(Estimator):
     array(['B'], dtype=object)
     """
 
-    model_: QModel
-    q_functions_: QFunctions
-    weights_: Float[np.ndarray, "n T"]
-    diagnostics_: WeightDiagnostics
-    chosen_: tuple[str, ...]
-    policy_: Any
+    horizon: int
+    actions: Sequence[Hashable] | Mapping[int, Sequence[Hashable]] | Task
+    covariates: Sequence[str] = ()
+    _: KW_ONLY
+    q_function: QSpace | Literal["auto", "linear", "quadratic", "kernel", "smooth"] | str = AUTO
+    censoring: Targets | CensoringModel | str = AUTO
+    stages: StageMode | str = AUTO
+    reg: CrossValidation | float | int | Literal["cv"] | str = "cv"
+    pessimism: float | int | Literal["auto"] | str = AUTO
+    random_state: int = 0
 
-    def __init__(
-        self,
-        horizon: int,
-        actions: Sequence[Hashable] | Mapping[int, Sequence[Hashable]] | Task,
-        covariates: Sequence[str] = (),
-        *,
-        q_function: QSpace | Literal["auto", "linear", "quadratic", "kernel", "smooth"] | str = AUTO,
-        censoring: Targets | CensoringModel | str = AUTO,
-        stages: StageMode | str = AUTO,
-        reg: CrossValidation | float | int | Literal["cv"] | str = "cv",
-        pessimism: float | int | Literal["auto"] | str = AUTO,
-        random_state: int = 0,
-    ) -> None:
-        self.horizon = horizon
-        self.actions = actions
-        self.covariates = covariates
-        self.q_function = q_function
-        self.censoring = censoring
-        self.stages = stages
-        self.reg = reg
-        self.pessimism = pessimism
-        self.random_state = random_state
+    model_: QModel = field(init=False)
+    q_functions_: QFunctions = field(init=False)
+    weights_: Float[np.ndarray, "n T"] = field(init=False)
+    diagnostics_: WeightDiagnostics = field(init=False)
+    chosen_: tuple[str, ...] = field(init=False)
+    policy_: Any = field(init=False)
 
     @classmethod
     def for_table(

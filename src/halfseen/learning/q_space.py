@@ -99,9 +99,6 @@ def fit_kernel_map(
         Root mean squares, over rows, of the part of c · q(z) that is linear and of that of the products, beside a
         Gaussian kernel of 1; None for no trend. So the more products there are, the less each counts.
     """
-    from halfseen.learning.svm.kernels import RbfKernel
-    from halfseen.learning.svm.nystrom import fit_nystrom
-
     centre, spread = rows.mean(axis=0), rows.std(axis=0)
     scale = np.where(spread > 1e-9 * np.maximum(np.abs(centre), 1e-9), spread, np.inf)
     num_varied = max(int(np.isfinite(scale).sum()), 1)
@@ -110,6 +107,10 @@ def fit_kernel_map(
     weight = None if trend is None else _trend_weights(scaled, trend)
     if num_landmarks == 0:
         return KernelMap(centre, scale, scaled[:0], np.zeros((0, 0)), np.asarray(width), weight)
+    # What it takes to choose landmarks loads SciPy.
+    from halfseen.learning.svm.kernels import RbfKernel
+    from halfseen.learning.svm.nystrom import fit_nystrom
+
     found = fit_nystrom(RbfKernel(width), scaled, num_landmarks, rng)
     return KernelMap(centre, scale, found.landmarks, found.projection, np.asarray(width), weight)
 

@@ -160,15 +160,13 @@ def vector_kernel(
     """
     if callable(kernel):
         return kernel
-    if kernel == "linear":
-        return LinearKernel()
-    if kernel == "rbf":
-        return RbfKernel(gamma)
-    if kernel == "laplacian":
-        return LaplacianKernel(gamma)
+    if kernel not in VECTOR_KERNELS:
+        raise ArgumentError(f"kernel {kernel!r} is unknown; give one of {', '.join(VECTOR_KERNELS)}, or a callable")
     if kernel == "polynomial":
         return PolynomialKernel(gamma, degree, coef0)
-    raise ArgumentError(f"kernel {kernel!r} is unknown; give one of {', '.join(VECTOR_KERNELS)}, or a callable")
+    if kernel == "linear":
+        return LinearKernel()
+    return RbfKernel(gamma) if kernel == "rbf" else LaplacianKernel(gamma)
 
 
 def row_blocks(num_rows: int, num_columns: int, block_entries: int = BLOCK_ENTRIES) -> Iterator[slice]:
@@ -179,7 +177,10 @@ def row_blocks(num_rows: int, num_columns: int, block_entries: int = BLOCK_ENTRI
 
 
 def _decay(
-    first: Float[np.ndarray, "n F"], second: Float[np.ndarray, "m F"], metric: str, gamma: float | int
+    first: Float[np.ndarray, "n F"],
+    second: Float[np.ndarray, "m F"],
+    metric: Literal["sqeuclidean", "cityblock"],
+    gamma: float | int,
 ) -> Float[np.ndarray, "n m"]:
     """exp(−γ·distance)."""
     # SciPy's distances take a quarter of a second to load.
