@@ -21,7 +21,7 @@ import pandas as pd
 from halfseen.evaluation import Opponent, evaluate
 from halfseen.evaluation.logging_rule import logging_rule
 from halfseen.learning import DoublyRobust, NamedActions
-from halfseen.learning.path_arrays import path_arrays
+from halfseen.learning.rows import path_arrays
 from halfseen.policies import Rule
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "examples" / "pick_cell"))

@@ -18,7 +18,7 @@ from timings import Row, write
 
 from halfseen.learning.q_space import REGS
 from halfseen.learning.recursion import Regression, fit_q
-from halfseen.learning.transitions import Transitions
+from halfseen.learning.rows import Transitions
 
 NUM_PATHS, HORIZON, NUM_ACTIONS, NUM_COVARIATES = 200, 10, 2, 4
 NUM_FOLDS, REG = 5, 0.1

@@ -15,6 +15,9 @@
 Every message says what is wrong, where, the value, and the remedy. Warnings are `HalfseenWarning`.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class HalfseenError(Exception):
     """Base of all errors that a user of halfseen can cause and mend."""
@@ -54,3 +57,12 @@ class ArgumentError(HalfseenError, ValueError):
 
 class HalfseenWarning(UserWarning):
     """Something is legal and probably not meant."""
+
+
+@contextmanager
+def within(source: object) -> Iterator[None]:
+    """Put the folder or file that something comes from before what is wrong with it."""
+    try:
+        yield
+    except HalfseenError as error:
+        raise type(error)(f"{source}: {error}") from error

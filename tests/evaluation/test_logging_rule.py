@@ -7,7 +7,7 @@ import pytest
 from halfseen.evaluation import Opponent, evaluate
 from halfseen.evaluation.logging_rule import logging_rule
 from halfseen.learning import NamedActions
-from halfseen.learning.path_arrays import path_arrays
+from halfseen.learning.rows import path_arrays
 from halfseen.logs import Logs
 from halfseen.policies import Rule
 from halfseen.tables import TableTask

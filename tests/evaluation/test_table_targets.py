@@ -5,7 +5,7 @@ import pytest
 
 from halfseen.evaluation.simulation import compare_in_world, evaluate_in_world
 from halfseen.evaluation.targets import target_probabilities
-from halfseen.learning.path_arrays import path_arrays
+from halfseen.learning.rows import path_arrays
 from halfseen.planners import GreedyPolicy
 from halfseen.tables import TableTask
 from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, WorldConfig

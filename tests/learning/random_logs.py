@@ -2,7 +2,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from halfseen.learning.transitions import Transitions
+from halfseen.learning.rows import Transitions
 
 
 @dataclass(frozen=True)

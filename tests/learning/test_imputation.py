@@ -6,8 +6,7 @@ from trials import ACTIONS, FULL, two_stage_trial
 from halfseen.censoring import Cox
 from halfseen.errors import ArgumentError
 from halfseen.learning import BuckleyJames, CensoredQLearner, DoublyRobust, Weighted
-from halfseen.learning.durations import fit_duration_model, fit_durations
-from halfseen.learning.imputation import imputation
+from halfseen.learning.imputation import fit_duration_model, fit_durations, imputation
 from halfseen.logs import Logs
 
 NUM_PATIENTS, NUM_LOGS = 600, 24

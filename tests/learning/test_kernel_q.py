@@ -5,7 +5,7 @@ from sklearn.kernel_ridge import KernelRidge
 
 from halfseen.errors import ArgumentError
 from halfseen.learning import CensoredQLearner, KernelQ
-from halfseen.learning.landmarks import fit_kernel_map
+from halfseen.learning.q_space import fit_kernel_map
 from halfseen.logs import Logs
 from halfseen.world import Scene, TableWorld, UniformPolicy
 

@@ -9,7 +9,7 @@ import pytest
 from halfseen.errors import ArgumentError
 from halfseen.evaluation import QSpec, evaluate
 from halfseen.learning import CensoredQLearner, Task, bootstrap
-from halfseen.learning.path_arrays import stage_places
+from halfseen.learning.rows import stage_places
 from halfseen.learning.task import Encoded
 from halfseen.logs import Logs, LogStream
 

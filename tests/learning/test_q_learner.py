@@ -1,3 +1,6 @@
+import subprocess
+import sys
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -262,3 +265,20 @@ def test_learning_runs_in_one_thread(logs, monkeypatch):
     with threadpool_limits(2):
         CensoredQLearner(2, ACTIONS, FULL).fit(logs)
     assert set(threads) == {1}
+
+
+def test_a_fit_of_named_actions_loads_what_it_needs():
+    code = """
+import sys
+from halfseen.learning import CensoredQLearner
+from halfseen.logs import Logs
+path = list(range(8))
+stages = {"path": path, "stage": [1] * 8, "elapsed_s": [1.0] * 8, "action": [*"AB"] * 4, "reward": path, "x": path}
+logs = Logs(stages, {"path": path, "end_s": [1.0] * 8, "ending": ["finished"] * 8})
+CensoredQLearner.of_paper(1, ["A", "B"], ["x"], reg=0.1).fit(logs)
+print(*[name for name in ("jax", "scipy", "sklearn") if name in sys.modules])
+CensoredQLearner(1, ["A", "B"], ["x"]).fit(logs)
+print(*[name for name in ("jax", "scipy.special", "scipy.spatial", "scipy.stats", "sklearn") if name in sys.modules])
+"""
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout == "\n\n"

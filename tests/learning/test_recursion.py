@@ -6,7 +6,7 @@ from random_logs import Blocks, random_log
 from halfseen.errors import ArgumentError
 from halfseen.learning.judging import judged
 from halfseen.learning.recursion import Regression, fit_q
-from halfseen.learning.transitions import Transitions, q_values
+from halfseen.learning.rows import Transitions, q_values
 
 BLOCKS = (0, 1, 1, 2)
 FLAT, ENDING = Blocks(BLOCKS), Blocks(BLOCKS, end_action=0)

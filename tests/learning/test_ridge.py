@@ -3,7 +3,7 @@ import pytest
 from naive_q_learning import naive_choice
 from sklearn.linear_model import Ridge
 
-from halfseen.learning.ridge import factorise, solve, with_prior
+from halfseen.learning.regression import factorise, solve, with_prior
 
 NUM_PATHS, NUM_FOLDS = 50, 5
 REGS = np.logspace(-3, 2, 11)

@@ -12,7 +12,7 @@ from trials import ACTIONS, FULL, two_stage_trial
 from halfseen.censoring import KaplanMeier
 from halfseen.errors import ArgumentError, LogError, PositivityError
 from halfseen.learning import CensoredQLearner, DoublyRobust, Weighted, kept_parts
-from halfseen.learning.sample import sampled
+from halfseen.learning.q_model import sampled
 from halfseen.learning.streaming import sample_of
 from halfseen.logs import Logs, LogStream, shards
 from halfseen.tables import BetaGrasp
@@ -95,7 +95,7 @@ OF_PAPER = {"q_function": "linear", "censoring": "kaplan-meier", "stages": "sepa
     ids=str,
 )
 def test_passes_learn_what_memory_does(known, tmp_path, options, most, monkeypatch):
-    monkeypatch.setattr("halfseen.learning.sample.MOST_PATHS", most)
+    monkeypatch.setattr("halfseen.learning.q_model.MOST_PATHS", most)
     options = {"actions": ACTIONS, "covariates": FULL, **options}
     whole = CensoredQLearner(2, **options).fit(known)
     parts = CensoredQLearner(2, **options).fit(streamed(known, tmp_path / "logs", 90))
@@ -108,7 +108,7 @@ def test_weights_serve_where_actions_of_cuts_are_not_known(trial, tmp_path):
 
 
 def test_the_sample_is_one_of_the_log(trial, tmp_path, monkeypatch):
-    monkeypatch.setattr("halfseen.learning.sample.MOST_PATHS", 50)
+    monkeypatch.setattr("halfseen.learning.q_model.MOST_PATHS", 50)
     found = sample_of(streamed(trial, tmp_path / "logs", 90), seed=3)
     np.testing.assert_array_equal(found.path_ids, trial.path_ids[sampled(trial.num_paths, 3)])
     assert found.num_paths == 50
@@ -124,7 +124,7 @@ def test_the_sample_is_one_of_the_log(trial, tmp_path, monkeypatch):
 )
 def test_tables_too(tables, tmp_path, options, most, monkeypatch):
     """Their features are in single precision, the sums are not."""
-    monkeypatch.setattr("halfseen.learning.sample.MOST_PATHS", most)
+    monkeypatch.setattr("halfseen.learning.q_model.MOST_PATHS", most)
     whole = CensoredQLearner.for_table(10, **options).fit(tables)
     parts = CensoredQLearner.for_table(10, **options).fit(streamed(tables, tmp_path / "t", 25))
     assert_the_same(parts, whole, rtol=1e-7, atol=1e-7)

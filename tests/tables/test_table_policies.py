@@ -9,7 +9,7 @@ from halfseen.arrays import record
 from halfseen.censoring import Cox, stage_weights
 from halfseen.errors import ArgumentError, LogError
 from halfseen.learning import CensoredQLearner, Weighted
-from halfseen.learning.transitions import q_values
+from halfseen.learning.rows import q_values
 from halfseen.logs import Logs
 from halfseen.policies.folder import read_policy, write_policy
 from halfseen.tables import LinearTablePolicy, TableTask

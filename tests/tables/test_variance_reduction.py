@@ -6,7 +6,7 @@ import pytest
 from halfseen.arrays import mapped
 from halfseen.censoring import stage_weights
 from halfseen.learning import CensoredQLearner, NamedActions
-from halfseen.learning.path_arrays import path_arrays
+from halfseen.learning.rows import path_arrays
 from halfseen.learning.task import Encoded, RewardedStages
 from halfseen.planners import GreedyPolicy
 from halfseen.tables.encoding import encoded_states

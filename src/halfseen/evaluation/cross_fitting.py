@@ -17,9 +17,8 @@ from jaxtyping import Bool, Float, Int
 
 from halfseen.censoring import CensoringSpec
 from halfseen.errors import HalfseenError
-from halfseen.learning.path_arrays import PathArrays
 from halfseen.learning.q_model import QModel
-from halfseen.learning.transitions import Imputation
+from halfseen.learning.rows import Imputation, PathArrays
 
 
 class Nuisances(NamedTuple):

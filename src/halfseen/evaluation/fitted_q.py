@@ -16,7 +16,7 @@ from halfseen.evaluation.estimate import jackknife_error
 from halfseen.learning.judging import Judged, judged
 from halfseen.learning.q_model import QModel
 from halfseen.learning.recursion import fit_q
-from halfseen.learning.transitions import Transitions
+from halfseen.learning.rows import Transitions
 from halfseen.workers import Pool
 from halfseen.workers.threads import one_thread
 

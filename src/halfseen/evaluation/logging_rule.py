@@ -24,7 +24,7 @@ from halfseen.evaluation.rule_models import Shares, forest_shares, logit_shares
 from halfseen.learning.behaviour import conditional_logit
 from halfseen.learning.covariates import Covariates
 from halfseen.learning.named_task import NamedActions
-from halfseen.learning.path_arrays import PathArrays, stage_places
+from halfseen.learning.rows import PathArrays, stage_places
 from halfseen.learning.task import Task
 from halfseen.logs import Logs
 

@@ -31,10 +31,9 @@ from halfseen.evaluation.verdict import why_unknown
 from halfseen.learning.judging import Judged
 from halfseen.learning.named_task import NamedActions
 from halfseen.learning.q_model import QModel
-from halfseen.learning.q_space import CrossValidation, QSpace, q_space_of, reg_of, stage_mode_of
+from halfseen.learning.q_space import CrossValidation, QSpace, StageMode, q_space_of, reg_of, stage_mode_of
 from halfseen.learning.targets import DoublyRobust, Targets, Weighted, targets_of
 from halfseen.learning.task import Task
-from halfseen.learning.transitions import StageMode
 from halfseen.logs import Logs
 from halfseen.workers import ALONE, Workers
 from halfseen.workers.threads import in_one_thread

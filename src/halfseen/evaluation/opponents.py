@@ -13,7 +13,7 @@ from halfseen.evaluation.logging_rule import NAME as LOGGING_RULE_NAME
 from halfseen.evaluation.targets import FixedSequence, horizon_of, target_probabilities
 from halfseen.learning.flat_policy import NamedActionPolicy
 from halfseen.learning.named_task import NamedActions
-from halfseen.learning.path_arrays import PathArrays
+from halfseen.learning.rows import PathArrays
 from halfseen.learning.task import Task
 from halfseen.logs import Logs
 from halfseen.policies.folder import read_policy

@@ -13,7 +13,7 @@ from halfseen.evaluation.comparison import Contender
 from halfseen.evaluation.estimate import Estimate
 from halfseen.evaluation.problem import Problem, logging_contribution
 from halfseen.evaluation.quotient import rate_of
-from halfseen.learning.path_arrays import PathArrays
+from halfseen.learning.rows import PathArrays
 
 SECONDS = 3600.0
 STILL_S = 1e-6

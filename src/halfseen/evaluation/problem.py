@@ -20,9 +20,8 @@ from halfseen.evaluation.ratios import (
 )
 from halfseen.evaluation.targets import is_alike, target_probabilities
 from halfseen.learning.judging import Judged
-from halfseen.learning.path_arrays import PathArrays
 from halfseen.learning.q_model import QModel
-from halfseen.learning.transitions import Transitions
+from halfseen.learning.rows import PathArrays, Transitions
 from halfseen.logs import Logs
 from halfseen.workers import Pool
 

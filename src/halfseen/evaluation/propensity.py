@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 from halfseen.errors import ArgumentError, LogError
 from halfseen.learning.behaviour import conditional_logit
-from halfseen.learning.path_arrays import PathArrays
+from halfseen.learning.rows import PathArrays
 
 Propensity = Literal["logged", "estimated"]
 

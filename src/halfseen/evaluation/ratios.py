@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from halfseen.learning.path_arrays import PathArrays
+from halfseen.learning.rows import PathArrays
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from halfseen.errors import ArgumentError
 from halfseen.learning.categories import fit_covariates
 from halfseen.learning.flat_policy import NamedActionPolicy
 from halfseen.learning.named_task import NamedActions
-from halfseen.learning.path_arrays import PathArrays
+from halfseen.learning.rows import PathArrays
 from halfseen.learning.task import Task, named_task
 from halfseen.logs import Logs
 

@@ -14,9 +14,8 @@ if TYPE_CHECKING:
     from halfseen.learning.q_learner import CensoredQLearner
     from halfseen.learning.q_space import CrossValidation, KernelQ, LinearQ, QuadraticQ
     from halfseen.learning.resampling import QBootstrap, bootstrap
-    from halfseen.learning.svm.classifier import CensoredSVC
-    from halfseen.learning.svm.regressor import CensoredSVR
-    from halfseen.learning.svm.set_kernel import SetKernel
+    from halfseen.learning.svm.estimators import CensoredSVC, CensoredSVR
+    from halfseen.learning.svm.kernels import SetKernel
     from halfseen.learning.svm.targets import survival_array
     from halfseen.learning.targets import BuckleyJames, DoublyRobust, Unweighted, Weighted
     from halfseen.learning.task import Task
@@ -47,8 +46,8 @@ __getattr__ = lazy_names(
     {
         "BuckleyJames": "targets",
         "CensoredQLearner": "q_learner",
-        "CensoredSVC": "svm.classifier",
-        "CensoredSVR": "svm.regressor",
+        "CensoredSVC": "svm.estimators",
+        "CensoredSVR": "svm.estimators",
         "CrossValidation": "q_space",
         "DoublyRobust": "targets",
         "FlatPolicy": "flat_policy",
@@ -57,7 +56,7 @@ __getattr__ = lazy_names(
         "NamedActions": "named_task",
         "QBootstrap": "resampling",
         "QuadraticQ": "q_space",
-        "SetKernel": "svm.set_kernel",
+        "SetKernel": "svm.kernels",
         "Task": "task",
         "Unweighted": "targets",
         "Weighted": "targets",

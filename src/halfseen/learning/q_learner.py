@@ -1,6 +1,13 @@
-"""Censored Q-learning behind scikit-learn's habits: parameters in, `fit`, fitted names that end in ``_``."""
+"""Censored Q-learning behind scikit-learn's habits: parameters in, `fit`, fitted names that end in ``_``.
+
+Where nothing is said there is one strong recipe, and a choice only where logs can tell: imputed targets, for weights
+make noise and completed stages alone mislead; a quadratic with a smooth remainder, or what a task's own features are
+made for, a linear Q; and Q at its lower confidence bound. `benchmarks/learners.py` compares the recipe with others, on
+logs that it was not chosen on.
+"""
 
 from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -10,35 +17,51 @@ from jaxtyping import Float
 from halfseen.censoring import CensoringModel, CutModel, WeightDiagnostics, weight_diagnostics
 from halfseen.errors import ArgumentError
 from halfseen.estimator import Estimator, check_fitted
-from halfseen.learning.automatic import (
-    AUTO,
-    Source,
-    automatic_pessimism,
-    automatic_space,
-    automatic_targets,
-)
-from halfseen.learning.kernel_map import KernelMap
+from halfseen.learning.judging import with_stages
 from halfseen.learning.named_task import NamedActions
-from halfseen.learning.q_model import QModel, is_count
+from halfseen.learning.q_model import QModel, is_count, unseen_in_words
 from halfseen.learning.q_space import (
+    SMOOTH,
     CrossValidation,
+    KernelMap,
+    LinearQ,
     QSpace,
+    StageMode,
     pessimism_of,
     q_space_of,
     reg_of,
     stage_mode_of,
 )
-from halfseen.learning.stage_choice import with_stages
+from halfseen.learning.rows import QFunctions
 from halfseen.learning.streaming import fit_stream
-from halfseen.learning.support import unseen_in_words
-from halfseen.learning.targets import Targets, targets_of
-from halfseen.learning.task import Task, named_task
-from halfseen.learning.transitions import QFunctions, StageMode
+from halfseen.learning.targets import BuckleyJames, Targets, Weighted, targets_of
+from halfseen.learning.task import AUTO, Task, named_task
 from halfseen.logs import Logs, LogStream
 from halfseen.workers import Workers
 from halfseen.workers.threads import in_one_thread
 
+PESSIMISM = 2.0
+"""Standard errors by which the value of a whole path is lowered, were the errors of its stages independent."""
 
+Source = Logs | LogStream | None
+
+
+def automatic_targets(logs: Source) -> Targets:
+    """Impute what cuts took away; weights where the action of a stage in which a path was cut is not known."""
+    return BuckleyJames() if logs is None or logs.has_all_actions else Weighted()
+
+
+def automatic_space(task: Task) -> QSpace:
+    """Smooth in plain covariates; linear in the features that a task makes for each action."""
+    return SMOOTH if task.is_shared else LinearQ()
+
+
+def automatic_pessimism(is_fixed: bool, horizon: int) -> float:
+    """2/√T for each of T stages, whose margins add up; 0, eq. 3 as it is, where targets are fixed."""
+    return 0.0 if is_fixed else PESSIMISM / horizon**0.5
+
+
+@dataclass(eq=False, repr=False)
 class CensoredQLearner(Estimator):
     """Learns a policy from paths of which some were right-censored (paper, eq. 3) [GoldbergKosorok2012]_.
 
@@ -67,14 +90,14 @@ class CensoredQLearner(Estimator):
         action of a cut stage is not known.
     stages
         ``"separate"``: one Q a stage; ``"pooled"``: one Q for each number of steps to go, on the rows of all stages;
-        ``"auto"``: pooled, unless separate ones clearly predict better (`stage_choice`).
+        ``"auto"``: pooled, unless separate ones clearly predict better (`judging`).
     reg
         λ; ``"cv"`` or ``CrossValidation(…)`` to choose it for each regression and block by weighted cross-validation
         over paths.
     pessimism
         Standard errors by which Q is lowered wherever the largest is sought, in eq. 3 and by the policy, so that what
-        few stages speak for is not taken on their word (`spread`); by the policy less, the more the log takes an action
-        anyway (`behaviour`); 0 for eq. 3 as it stands. ``"auto"``: 2/√T, but 0 where `censoring` is given.
+        few stages speak for is not taken on their word (`regression`); by the policy less, the more the log takes an
+        action anyway (`behaviour`); 0 for eq. 3 as it stands. ``"auto"``: 2/√T, but 0 where `censoring` is given.
     random_state
         Seed that deals paths into folds and draws the landmarks of a kernel.
 
@@ -111,35 +134,23 @@ class CensoredQLearner(Estimator):
     array(['B'], dtype=object)
     """
 
-    model_: QModel
-    q_functions_: QFunctions
-    weights_: Float[np.ndarray, "n T"]
-    diagnostics_: WeightDiagnostics
-    chosen_: tuple[str, ...]
-    policy_: Any
+    horizon: int
+    actions: Sequence[Hashable] | Mapping[int, Sequence[Hashable]] | Task
+    covariates: Sequence[str] = ()
+    _: KW_ONLY
+    q_function: QSpace | Literal["auto", "linear", "quadratic", "kernel", "smooth"] | str = AUTO
+    censoring: Targets | CensoringModel | str = AUTO
+    stages: StageMode | str = AUTO
+    reg: CrossValidation | float | int | Literal["cv"] | str = "cv"
+    pessimism: float | int | Literal["auto"] | str = AUTO
+    random_state: int = 0
 
-    def __init__(
-        self,
-        horizon: int,
-        actions: Sequence[Hashable] | Mapping[int, Sequence[Hashable]] | Task,
-        covariates: Sequence[str] = (),
-        *,
-        q_function: QSpace | Literal["auto", "linear", "quadratic", "kernel", "smooth"] | str = AUTO,
-        censoring: Targets | CensoringModel | str = AUTO,
-        stages: StageMode | str = AUTO,
-        reg: CrossValidation | float | int | Literal["cv"] | str = "cv",
-        pessimism: float | int | Literal["auto"] | str = AUTO,
-        random_state: int = 0,
-    ) -> None:
-        self.horizon = horizon
-        self.actions = actions
-        self.covariates = covariates
-        self.q_function = q_function
-        self.censoring = censoring
-        self.stages = stages
-        self.reg = reg
-        self.pessimism = pessimism
-        self.random_state = random_state
+    model_: QModel = field(init=False)
+    q_functions_: QFunctions = field(init=False)
+    weights_: Float[np.ndarray, "n T"] = field(init=False)
+    diagnostics_: WeightDiagnostics = field(init=False)
+    chosen_: tuple[str, ...] = field(init=False)
+    policy_: Any = field(init=False)
 
     @classmethod
     def for_table(

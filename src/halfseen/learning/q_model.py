@@ -1,33 +1,119 @@
 """All that turns a log into the rows of eq. 3 and these into Q: composed once, used by whoever fits a Q.
 
 The learner, the bootstrap, streams and off-policy evaluation all start from a `QModel`.
+
+*Support.* An action of a block without completed stages has no value, which is not the value 0. It is impossible for
+the maximum in eq. 3 and for the policy. Only where a state allows nothing that was seen do all actions stay that it
+allows.
+
+*Sample.* Eq. 3 itself runs on sums, to which every path adds. But landmarks of a kernel, durations of stages, the
+behaviour policy, the grasp model of a table and the choice of stages are fitted by methods that hold what they look at.
+Of a log of many paths, so many of them tell these as well as all would, in memory and in passes alike.
 """
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from halfseen.censoring import CensoringSpec, CutModel
 from halfseen.errors import ArgumentError, PositivityError
-from halfseen.learning.behaviour import behaviour_of
-from halfseen.learning.choice import seen_among
-from halfseen.learning.durations import DurationModel, fit_duration_model
-from halfseen.learning.imputation import imputation
-from halfseen.learning.kernel_map import KernelMap
+from halfseen.learning.behaviour import behaviour_of, seen_among
+from halfseen.learning.imputation import DurationModel, fit_duration_model, imputation
 from halfseen.learning.named_task import NamedActions
-from halfseen.learning.path_arrays import PathArrays, path_arrays
-from halfseen.learning.q_space import CrossValidation, LinearQ, QSpace, Reg
+from halfseen.learning.q_space import CrossValidation, KernelMap, LinearQ, QSpace, Reg, StageMode
 from halfseen.learning.recursion import Regression, fit_q
-from halfseen.learning.sample import sampled
-from halfseen.learning.support import Support, support_of
+from halfseen.learning.rows import Imputation, PathArrays, QFunctions, Transitions, path_arrays
 from halfseen.learning.targets import Targets, Weighted
 from halfseen.learning.task import LearnedQ, RewardedStages, Task
-from halfseen.learning.transitions import Imputation, QFunctions, StageMode, Transitions
 from halfseen.logs import Logs
 from halfseen.workers.threads import one_thread
+
+MOST_PATHS = 2_000
+"""Paths of the sample; of a log that has no more, it is the log."""
+
+
+def sampled(num_paths: int, seed: int, most: int | None = None) -> Int[np.ndarray, " k"]:
+    """Draw rows of paths, increasing and without replacement.
+
+    Parameters
+    ----------
+    num_paths
+        n.
+    seed
+        Of the draw.
+    most
+        Paths to draw, if there are as many; None for `MOST_PATHS`.
+
+    Examples
+    --------
+    >>> sampled(3, seed=0)
+    array([0, 1, 2])
+    """
+    size = MOST_PATHS if most is None else most
+    if num_paths <= size:
+        return np.arange(num_paths)
+    return np.sort(np.random.default_rng([seed, 4]).choice(num_paths, size, replace=False))
+
+
+class Support(NamedTuple):
+    """How often each block was begun and completed in each stage; support of parts of a log adds up."""
+
+    num_begun: Int[np.ndarray, "T K"]
+    num_completed: Int[np.ndarray, "T K"]
+    is_allowed: Bool[np.ndarray, "T K"]
+    """Blocks that some state of the stage allowed."""
+
+    def plus(self, other: "Support") -> "Support":
+        """Join what another part of the log has seen."""
+        begun, completed = self.num_begun + other.num_begun, self.num_completed + other.num_completed
+        return Support(begun, completed, self.is_allowed | other.is_allowed)
+
+    def is_seen(self, stages: StageMode) -> Bool[np.ndarray, "T K"]:
+        """Blocks that have a value: seen completed in the stage, or anywhere where stages are pooled."""
+        seen = self.num_completed > 0
+        return np.broadcast_to(seen.any(axis=0), seen.shape) if stages == "pooled" else seen
+
+
+def support_of(paths: PathArrays, blocks: Int[np.ndarray, " A"], num_blocks: int) -> Support:
+    """Count what a log has seen.
+
+    Parameters
+    ----------
+    paths
+        The log.
+    blocks
+        Block of each action.
+    num_blocks
+        K.
+    """
+    known = paths.is_begun & paths.has_action
+    is_block = blocks[paths.action][..., None] == np.arange(num_blocks)
+    of_block = blocks[:, None] == np.arange(num_blocks)
+    return Support(
+        num_begun=(is_block & known[..., None]).sum(axis=0),
+        num_completed=(is_block & (known & paths.is_completed)[..., None]).sum(axis=0),
+        is_allowed=(paths.is_possible & paths.is_begun[..., None]).any(axis=0) @ of_block,
+    )
+
+
+def unseen_in_words(support: Support, names: tuple[str, ...], stages: StageMode) -> list[str]:
+    """Say of each block that was allowed and never seen completed where that was, and how often it was begun."""
+    reached: Bool[np.ndarray, "T 1"] = np.any(support.num_completed > 0, axis=1, keepdims=True)
+    lacking = support.is_allowed & ~support.is_seen(stages) & reached
+    told = []
+    for block in np.flatnonzero(lacking.any(axis=0)):
+        rows = np.flatnonzero(lacking[:, block])
+        begun = int(support.num_begun[rows, block].sum())
+        where = "" if stages == "pooled" else f" in stage {', '.join(str(row + 1) for row in rows)}"
+        cut = f"begun {begun} times and cut each time" if begun else "never taken"
+        told.append(
+            f"{names[block]} was never seen completed{where} ({cut}), so its value is not known and the policy never "
+            "takes it there; to learn it, log it uniformly at random now and then"
+        )
+    return told
 
 
 def is_count(value: object) -> bool:
@@ -118,7 +204,7 @@ class QModel:
         return replace(self, task=fitted)
 
     def sample_of(self, paths: PathArrays) -> PathArrays:
-        """Paths that decide on what is no sum (see `sample`)."""
+        """Paths that decide on what is no sum (see above)."""
         rows = sampled(paths.num_paths, self.random_state)
         return paths if len(rows) == paths.num_paths else paths.take(rows)
 
@@ -171,7 +257,7 @@ class QModel:
 
     def with_kernel(self, paths: PathArrays) -> "QModel":
         """Choose the features of the kernel, if there is one."""
-        return replace(self, kernel_map=self.space.features(paths.encoded, paths.is_completed, self.random_state))
+        return replace(self, kernel_map=self.space.features(paths.encoded.taken[paths.is_completed], self.random_state))
 
     def transitions(self, paths: PathArrays) -> Transitions:
         """Make the rows of eq. 3 of a log."""

@@ -1,23 +1,136 @@
-"""Where Q is sought, 𝒬: linear or quadratic in its features, or in an RKHS, by stage or pooled; how λ is chosen."""
+"""Where Q is sought, 𝒬: linear or quadratic in its features, or in an RKHS; by stage or pooled; how λ is chosen.
+
+A Q in an RKHS is linear in features ψ with ψ(x)·ψ(z) = k(x, z) on the landmarks' span. k is Gaussian on features that
+are scaled to unit variance. With as many landmarks as there are different rows this is the whole RKHS that the data can
+use (the representer theorem); with fewer it is its low-rank form [WilliamsSeeger2000]_. A *trend* adds the features
+themselves and all their products of two, so that k is the sum of two kernels and Q that of a quadratic and of a smooth
+remainder.
+"""
 
 from dataclasses import dataclass
+from functools import cache
 from numbers import Real
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from halfseen.arrays import library_of
 from halfseen.errors import ArgumentError
-from halfseen.learning.kernel_map import KernelMap
-from halfseen.learning.landmarks import fit_kernel_map
-from halfseen.learning.task import Encoded
-from halfseen.learning.transitions import StageMode
+
+
+class KernelMap(NamedTuple):
+    """ψ(x) = (c · q(z), Rᵀ k(landmarks, z)) with z = (x − centre)/scale and q(z) all z_i and z_i z_j.
+
+    Parameters
+    ----------
+    centre, scale
+        Mean and standard deviation of each feature; a feature that never varied has an infinite scale.
+    landmarks
+        m rows, scaled.
+    projection
+        R.
+    gamma
+        γ of the Gaussian kernel exp(−γ‖x − z‖²), on scaled features.
+    trend
+        c, of each z_i and z_i z_j; None without the quadratic trend.
+    """
+
+    centre: Float[Any, " F"]
+    scale: Float[Any, " F"]
+    landmarks: Float[Any, "m F"]
+    projection: Float[Any, "m r"]
+    gamma: Float[Any, ""]
+    trend: Float[Any, " Q"] | None = None
+
+    @property
+    def num_features(self) -> int:
+        """Length of ψ(x)."""
+        return (0 if self.trend is None else len(self.trend)) + self.projection.shape[1]
+
+    def __call__(self, features: Float[Any, "*S F"]) -> Float[Any, "*S r"]:
+        """Map features of states and actions, in the library of their array."""
+        xp = library_of(features)
+        scaled = (features - self.centre) / self.scale
+        if self.trend is None:
+            return self._smooth(scaled)
+        return xp.concatenate([self.trend * quadratic(scaled), self._smooth(scaled)], axis=-1)
+
+    def _smooth(self, scaled: Float[Any, "*S F"]) -> Float[Any, "*S r"]:
+        xp = library_of(scaled)
+        far = xp.sum(scaled**2, axis=-1, keepdims=True) + xp.sum(self.landmarks**2, axis=-1)
+        distance = xp.maximum(far - 2.0 * scaled @ self.landmarks.T, 0.0)
+        return xp.exp(-self.gamma * distance) @ self.projection
+
+
+def quadratic(scaled: Float[Any, "*S F"]) -> Float[Any, "*S Q"]:
+    """Features, and the product of each two of them, squares among them."""
+    xp = library_of(scaled)
+    one, other = _pairs(scaled.shape[-1])
+    return xp.concatenate([scaled, scaled[..., one] * scaled[..., other]], axis=-1)
+
+
+@cache
+def _pairs(num_features: int) -> tuple[np.ndarray, np.ndarray]:
+    """Each two of so many features; to find them takes longer than to multiply those of one state."""
+    return np.triu_indices(num_features)
+
+
+def fit_kernel_map(
+    rows: Float[np.ndarray, "k F"],
+    num_landmarks: int,
+    gamma: float | None,
+    rng: np.random.Generator,
+    trend: tuple[float, float] | None = None,
+) -> KernelMap:
+    """Choose landmarks among rows of features.
+
+    Parameters
+    ----------
+    rows
+        Features of the stages and actions that were logged.
+    num_landmarks
+        m, at most; fewer serve where they explain all rows.
+    gamma
+        γ on scaled features; None for 1/F.
+    rng
+        Draws the landmarks.
+    trend
+        Root mean squares, over rows, of the part of c · q(z) that is linear and of that of the products, beside a
+        Gaussian kernel of 1; None for no trend. So the more products there are, the less each counts.
+    """
+    centre, spread = rows.mean(axis=0), rows.std(axis=0)
+    scale = np.where(spread > 1e-9 * np.maximum(np.abs(centre), 1e-9), spread, np.inf)
+    num_varied = max(int(np.isfinite(scale).sum()), 1)
+    width = 1.0 / num_varied if gamma is None else float(gamma)
+    scaled = (rows - centre) / scale
+    weight = None if trend is None else _trend_weights(scaled, trend)
+    if num_landmarks == 0:
+        return KernelMap(centre, scale, scaled[:0], np.zeros((0, 0)), np.asarray(width), weight)
+    # What it takes to choose landmarks loads SciPy.
+    from halfseen.learning.svm.kernels import RbfKernel
+    from halfseen.learning.svm.nystrom import fit_nystrom
+
+    found = fit_nystrom(RbfKernel(width), scaled, num_landmarks, rng)
+    return KernelMap(centre, scale, found.landmarks, found.projection, np.asarray(width), weight)
+
+
+def _trend_weights(scaled: Float[np.ndarray, "k F"], sizes: tuple[float, float]) -> Float[np.ndarray, " Q"]:
+    """Bring the linear part of q and its products to root mean squares of their own."""
+    parts = np.split(np.asarray(quadratic(scaled)), [scaled.shape[1]], axis=1)
+    means = [float(np.sqrt(np.sum(part**2, axis=-1).mean())) for part in parts]
+    each = [size / mean if mean > 0 else 0.0 for size, mean in zip(sizes, means, strict=True)]
+    return np.repeat(each, [part.shape[1] for part in parts])
+
 
 REGS = np.logspace(-3, 2, 11)
 """The λ that ``reg="cv"`` chooses from; features are scaled to unit variance, so they need no other unit."""
 
 KERNEL_REGS = np.logspace(-6, 1, 15)
 """The same for the norm of an RKHS."""
+
+
+StageMode = Literal["separate", "pooled"]
 
 
 def _is_number(value: Any) -> bool:
@@ -31,7 +144,7 @@ class LinearQ:
     regs = REGS
     is_scaled = True
 
-    def features(self, encoded: Encoded, is_seen: Any, random_state: int) -> None:
+    def features(self, rows: Float[np.ndarray, "k F"], random_state: int) -> None:
         """Features stay as they are."""
 
 
@@ -42,9 +155,9 @@ class QuadraticQ:
     regs = REGS
     is_scaled = True
 
-    def features(self, encoded: Encoded, is_seen: Any, random_state: int) -> KernelMap:
+    def features(self, rows: Float[np.ndarray, "k F"], random_state: int) -> KernelMap:
         """Find mean and variance of the completed stages; nothing is drawn."""
-        return fit_kernel_map(encoded.taken[is_seen], 0, None, np.random.default_rng(random_state), trend=(1.0, 1.0))
+        return fit_kernel_map(rows, 0, None, np.random.default_rng(random_state), trend=(1.0, 1.0))
 
 
 @dataclass(frozen=True)
@@ -85,10 +198,10 @@ class KernelQ:
         if self.trend is not None and not (len(self.trend) == 2 and all(_is_number(c) and c > 0 for c in self.trend)):
             raise ArgumentError(f"trend is {self.trend!r}; it is two finite numbers > 0, or None for no trend")
 
-    def features(self, encoded: Encoded, is_seen: Any, random_state: int) -> KernelMap:
+    def features(self, rows: Float[np.ndarray, "k F"], random_state: int) -> KernelMap:
         """Choose landmarks among the completed stages."""
         rng = np.random.default_rng(random_state)
-        return fit_kernel_map(encoded.taken[is_seen], self.num_landmarks, self.gamma, rng, self.trend)
+        return fit_kernel_map(rows, self.num_landmarks, self.gamma, rng, self.trend)
 
 
 QSpace = LinearQ | QuadraticQ | KernelQ

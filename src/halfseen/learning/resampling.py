@@ -14,11 +14,10 @@ from jaxtyping import Float, Int
 
 from halfseen.errors import ArgumentError
 from halfseen.learning.flat_policy import FlatPolicy
-from halfseen.learning.path_arrays import PathArrays
 from halfseen.learning.q_learner import CensoredQLearner
 from halfseen.learning.q_model import QModel
 from halfseen.learning.recursion import fit_q
-from halfseen.learning.transitions import QFunctions, Transitions, stack_q
+from halfseen.learning.rows import PathArrays, QFunctions, Transitions, stack_q
 from halfseen.logs import Logs
 from halfseen.progress import Progress, Telling, telling
 from halfseen.workers import ALONE, Workers

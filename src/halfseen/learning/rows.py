@@ -1,4 +1,7 @@
-"""Rows of eq. 3 as sums need them: packed, in groups that lie one after another, as plain arrays that a disk can keep.
+"""From a log to the rows of eq. 3: dense arrays of paths → transitions → packed rows, which a backward step sums over.
+
+`PathArrays` hold a log as it is, one row a path, padded to T stages. `Transitions` add what each stage weighs and what
+its target is. `Rows` pack these in groups that lie one after another, as plain arrays that a disk can keep.
 
 A group is the rows of one *slice*, fold and block, completed or cut. So a sum over a group is a product of two narrow
 matrices without masks, and what a backward step looks at are whole slices. Slices of separate stages are the stages.
@@ -9,12 +12,251 @@ another one, so that V̂ is sought in its state: `LATER` and `LATER_ENDED` do, `
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Bool, Float, Int
 
-from halfseen.learning.transitions import Transitions
+from halfseen.arrays import library_of
+from halfseen.censoring import StageClocks
+from halfseen.learning.task import Encoded
+from halfseen.logs import Logs
 
 if TYPE_CHECKING:
     from halfseen.learning.recursion import Regression
+
+
+class PathArrays(NamedTuple):
+    """Paths and their stages; what a path has no stage for holds 0, False or NaN."""
+
+    clocks: StageClocks
+    """When each stage began and ended, who was cut, and what cuts may depend on."""
+    encoded: Encoded
+    has_action: Bool[np.ndarray, "n T"]
+    """Stages whose action is known; that of the stage in which a path was cut need not be."""
+    probability: Float[np.ndarray, "n T"]
+    """Of the logged action under the logging policy; NaN where it was not logged."""
+    reward: Float[np.ndarray, "n T"]
+    """0 where not completed."""
+
+    @property
+    def num_paths(self) -> int:
+        """Number n of paths."""
+        return self.clocks.num_paths
+
+    @property
+    def path_ids(self) -> np.ndarray:
+        """Names of the paths."""
+        return self.clocks.path_ids
+
+    @property
+    def features(self) -> Float[np.ndarray, "n T A F"]:
+        """φ(S_t, a)."""
+        return self.encoded.features
+
+    @property
+    def is_possible(self) -> Bool[np.ndarray, "n T A"]:
+        """Which actions each state allows."""
+        return self.encoded.is_possible
+
+    @property
+    def action(self) -> Int[np.ndarray, "n T"]:
+        """A_t."""
+        return self.encoded.action
+
+    @property
+    def is_begun(self) -> Bool[np.ndarray, "n T"]:
+        """Stages whose S_t was seen."""
+        return self.clocks.is_begun
+
+    @property
+    def is_completed(self) -> Bool[np.ndarray, "n T"]:
+        """δ_t."""
+        return self.clocks.is_completed
+
+    @property
+    def is_last(self) -> Bool[np.ndarray, "n T"]:
+        """Completed stages after which a path had come to its own end."""
+        return self.clocks.is_last
+
+    def take(self, rows: Int[np.ndarray, " k"] | slice) -> "PathArrays":
+        """Keep these paths, which may repeat, in this order; a slice of them copies nothing."""
+        leaves: list[Any] = [None if leaf is None else leaf[rows] for leaf in self.encoded]
+        encoded = Encoded(*leaves)
+        return PathArrays(self.clocks.take(rows), encoded, *(leaf[rows] for leaf in self[2:]))
+
+
+def path_arrays(logs: Logs, encoded: Encoded, covariates: pd.DataFrame | None) -> PathArrays:
+    """Lay out a log.
+
+    Parameters
+    ----------
+    logs
+        The log.
+    encoded
+        Its features and actions, padded to T.
+    covariates
+        What cuts may depend on, a row for each stage of the log; None for nothing.
+    """
+    horizon = encoded.action.shape[1]
+    at = stage_places(logs)
+
+    def spread(values: np.ndarray, empty: float | bool) -> np.ndarray:
+        filled = np.full((logs.num_paths, horizon, *values.shape[1:]), empty, dtype=values.dtype)
+        filled[at] = values
+        return filled
+
+    def numbers(column: str) -> Float[np.ndarray, " rows"]:
+        given = logs.stages[column] if column in logs.stages.columns else pd.Series(np.nan, index=logs.stages.index)
+        return given.to_numpy(dtype=np.float64, na_value=np.nan)
+
+    known = np.zeros((logs.num_stages, 0)) if covariates is None else covariates.to_numpy(dtype=np.float64)
+    clocks = StageClocks(
+        path_ids=logs.path_ids,
+        elapsed_s=spread(numbers("elapsed_s"), np.nan),
+        end_s=logs.end_s,
+        is_finished=logs.is_finished,
+        is_begun=spread(np.ones(logs.num_stages, dtype=bool), False),
+        covariates=spread(known, 0.0),
+        covariate_names=() if covariates is None else tuple(map(str, covariates.columns)),
+    )
+    return PathArrays(
+        clocks=clocks,
+        encoded=encoded,
+        has_action=spread(logs.stages["action"].notna().to_numpy(), False),
+        probability=spread(numbers("probability"), np.nan),
+        reward=np.nan_to_num(spread(numbers("reward"), 0.0)),
+    )
+
+
+def stage_places(logs: Logs) -> tuple[Int[np.ndarray, " rows"], Int[np.ndarray, " rows"]]:
+    """Row of each stage's path in dense arrays, and its column."""
+    return pd.Index(logs.path_ids).get_indexer(logs.stages["path"]), logs.stages["stage"].to_numpy() - 1
+
+
+class Imputation(NamedTuple):
+    """How a begun stage gets a target Y whether or not its end was seen (see the module `imputation`).
+
+    With X = R_t + V̂(S_{t+1}) and its regression α + βᵀφ + γᵀg on the completed stages, g terms of the duration,
+
+        Y = share·X + (1 − share)·(α + βᵀφ) + γᵀexpected.
+    """
+
+    share: Float[np.ndarray, "n T"]
+    """Of X; 0 where the stage was not completed."""
+    terms: Float[np.ndarray, "n T G"]
+    """g of each completed stage."""
+    expected: Float[np.ndarray, "n T G"]
+    """What stands for g·(1 − share)."""
+    outcome_weight: Float[np.ndarray, "n T"]
+    """Weight of each stage in the regression of X: 0 where cut; where completed δ/K̂, truncated, or 1 without K̂."""
+    is_used: Float[np.ndarray, " F"]
+    """1 for each feature that this regression looks at, 0 for the others."""
+
+
+class Transitions(NamedTuple):
+    """One log as dense arrays, padded to T stages."""
+
+    features: Float[np.ndarray, "n T E F"]
+    """φ(S_t, a) of every action, without the constant; zeros where S_t was not seen. E is A, or 1 where all actions
+    have the same features."""
+    is_possible: Bool[np.ndarray, "n T A"]
+    action: Int[np.ndarray, "n T"]
+    reward: Float[np.ndarray, "n T"]
+    """0 where not completed."""
+    weight: Float[np.ndarray, "n T"]
+    """δ_t / Ĝ(U_t⁻): 0 where the stage was not completed. Where targets are imputed, that of a begun stage."""
+    is_last: Bool[np.ndarray, "n T"]
+    """Completed stages after which the path had come to its own end."""
+    fold: Int[np.ndarray, " n"]
+    """Fold of each path for cross-validation, from 0, below the number of folds."""
+    control_variates: Float[np.ndarray, "n T Z"] | None = None
+    """Of mean 0 given (S_t, A_t), if any are known; what they hold at a path's end does not count."""
+    policy: Float[np.ndarray, "n T A"] | None = None
+    """π(a | S_t), where Q of a given policy is wanted and not that of the best one."""
+    imputation: Imputation | None = None
+
+    def counted(self, counts: Float[np.ndarray, " n"]) -> "Transitions":
+        """Let each path count so often."""
+        imputed = self.imputation
+        if imputed is not None:
+            imputed = imputed._replace(outcome_weight=imputed.outcome_weight * counts[:, None])
+        return self._replace(weight=self.weight * counts[:, None], imputation=imputed)
+
+
+class QFunctions(NamedTuple):
+    """Q of every stage (separate) or of every number of steps to go (pooled); index 0 is stage 1, or one step to go."""
+
+    coefficients: Float[np.ndarray, "*B T K F"]
+    """The offset first."""
+    reg: Float[np.ndarray, "*B T K"]
+    """The λ that was used."""
+    outcome: Float[np.ndarray, "*B T K M"] | None = None
+    """Where targets are imputed, the regression of X on the features that it uses and the terms, the offset first."""
+    root: Float[np.ndarray, "*B T K F F"] | None = None
+    """With pessimism, R of `regression`: the standard error of Q is ‖Rᵀ (1, φ)‖."""
+
+
+def stack_q(each: list[QFunctions]) -> QFunctions:
+    """Stack Q-functions along a new first axis."""
+    columns: list[Any] = list(zip(*each, strict=True))
+    stacked: list[Any] = [None if leaves[0] is None else np.stack(leaves) for leaves in columns]
+    return QFunctions(*stacked)
+
+
+def q_values(
+    coefficients: Float[Any, "*#S K F"], features: Float[Any, "*S E F1"], block_of_action: Int[np.ndarray, " A"]
+) -> Float[Any, "*S A"]:
+    """Q of every action: the offset of its block plus βᵀφ, of features of its own or of those that all share."""
+    each = coefficients[..., block_of_action, :]
+    if features.shape[-2] == 1:
+        # A product of matrices, where there are many rows.
+        xp = library_of(features, coefficients)
+        return each[..., 0] + (features @ xp.swapaxes(each[..., 1:], -1, -2))[..., 0, :]
+    return each[..., 0] + library_of(features, coefficients).sum(features * each[..., 1:], axis=-1)
+
+
+def target_of(log: Transitions, successor: Float[np.ndarray, "n T"]) -> Float[np.ndarray, "n T"]:
+    """X_t = R_t + V̂(S_{t+1}); after a path's own end V̂ is 0."""
+    return log.reward + np.where(log.is_last, 0.0, successor)
+
+
+def imputed_target(
+    log: Transitions,
+    outcome: Float[np.ndarray, "T K M"],
+    target: Float[np.ndarray, "n T"],
+    block_of_action: Int[np.ndarray, " A"],
+) -> Float[np.ndarray, "n T"]:
+    """Y_t of every begun stage (see `Imputation`): X is `target`, and `outcome` its regression in each stage."""
+    given = log.imputation
+    assert given is not None
+    num_terms = given.terms.shape[-1]
+    each = outcome[np.arange(log.action.shape[1]), block_of_action[log.action]]
+    at_state = each[..., 0] + np.sum(taken_of(log) * given.is_used * each[..., 1:-num_terms], axis=-1)
+    of_time = np.sum(given.expected * each[..., -num_terms:], axis=-1)
+    return given.share * target + (1.0 - given.share) * at_state + of_time
+
+
+def taken_of(log: Transitions) -> Float[np.ndarray, "n T F"]:
+    """Features of the action that was taken."""
+    if log.features.shape[2] == 1:
+        return log.features[:, :, 0]
+    return np.take_along_axis(log.features, log.action[..., None, None], axis=2)[:, :, 0]
+
+
+def values_of(q: Float[np.ndarray, "n T A"], log: Transitions) -> Float[np.ndarray, "n T"]:
+    """V̂ of every state: max_a Q over the possible actions, or Σ_a π(a) Q of the policy that is given.
+
+    Where no action is possible it is 0: such a row is padding, and must stay finite.
+    """
+    if log.policy is not None:
+        return np.sum(np.where(log.policy > 0, log.policy * q, 0.0), axis=-1)
+    largest = np.max(np.where(log.is_possible, q, -np.inf), axis=-1)
+    return np.where(np.isneginf(largest), 0.0, largest)
+
+
+def of_successor(value: Float[np.ndarray, "n T"]) -> Float[np.ndarray, "n T"]:
+    """V̂(S_{t+1}) of each stage, 0 for the last."""
+    return np.concatenate([value[:, 1:], np.zeros_like(value[:, :1])], axis=1)
+
 
 LATER, LATER_ENDED, FIRST, FIRST_ENDED = range(4)
 GOING_ON, ENDED = (LATER, FIRST), (LATER_ENDED, FIRST_ENDED)
@@ -52,7 +294,7 @@ class Rows(NamedTuple):
     share: Float[np.ndarray, " R"] | None
     outcome_weight: Float[np.ndarray, " R"] | None
     is_used: Float[np.ndarray, " F1"] | None
-    """As in `transitions.Imputation`."""
+    """As in `Imputation`."""
     is_possible: Bool[np.ndarray, "R A"] | None
     """Where all actions share their features; None where all are possible everywhere."""
     block_of_action: Int[np.ndarray, " A"]

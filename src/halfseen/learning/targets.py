@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from halfseen.censoring import CENSORING_NAMES, CensoringModel, CensoringSpec, CutModel, StageClocks
 from halfseen.errors import ArgumentError
-from halfseen.learning.path_arrays import PathArrays
+from halfseen.learning.rows import PathArrays
 
 
 @dataclass(frozen=True)

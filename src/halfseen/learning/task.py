@@ -6,15 +6,17 @@ task of one's own needs the names below and nothing else.
 
 from collections.abc import Iterable, Sequence
 from importlib import import_module
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float, Int
 
 from halfseen.errors import ArgumentError
-from halfseen.learning.kernel_map import KernelMap
+from halfseen.learning.q_space import KernelMap
 from halfseen.logs import Logs
+
+AUTO: Literal["auto"] = "auto"
 
 ACTION = "action"
 """Among the names of censoring covariates, this one stands for the action that was taken."""

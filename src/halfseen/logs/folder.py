@@ -18,12 +18,11 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from halfseen.errors import HalfseenError, LogError
+from halfseen.errors import HalfseenError, LogError, within
 from halfseen.logs.journal.parts import is_journal
 from halfseen.logs.journal.tables import journal_log
 from halfseen.logs.parquet.size import check_unpacked_table
 from halfseen.logs.place import Place, asking
-from halfseen.logs.refusal import within
 from halfseen.logs.reward_unit import checked_unit
 from halfseen.reading import TABLE, check_file, json_of, read_text, reason_of
 from halfseen.writing import placed

@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
+from halfseen.errors import within
 from halfseen.logs.folder import MANIFEST, read_folder
 from halfseen.logs.logs import Logs
 from halfseen.logs.place import Place, place_of
-from halfseen.logs.refusal import within
 
 
 def read_logs(folder: str | Place) -> Logs:

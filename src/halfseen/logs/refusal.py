@@ -1,13 +1,12 @@
 """How a broken log is refused: where, what, the value, the remedy."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from halfseen.errors import HalfseenError, LogError
+from halfseen.errors import LogError
 
 MOST_SHOWN = 200
 """Characters of a value that are told."""
@@ -41,12 +40,3 @@ def refuse(
     if wrong.any():
         row = int(np.argmax(wrong))
         raise LogError(f"{place(frame, row, columns)}: {trouble if isinstance(trouble, str) else trouble(row)}")
-
-
-@contextmanager
-def within(source: object) -> Iterator[None]:
-    """Put the folder or file that something comes from before what is wrong with it."""
-    try:
-        yield
-    except HalfseenError as error:
-        raise type(error)(f"{source}: {error}") from error

@@ -7,11 +7,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute
 
-from halfseen.errors import LogError
+from halfseen.errors import LogError, within
 from halfseen.logs.folder import ROWS_IN_GROUP, broken_table, opened_table
 from halfseen.logs.logs import Logs
 from halfseen.logs.place import Place
-from halfseen.logs.refusal import within
 
 MOST_PARTS = 64
 """Of a shard; a worker that is lost takes with it what it was to read."""

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from halfseen.errors import ArgumentError
-from halfseen.learning.automatic import AUTO
 from halfseen.learning.categories import unfit_covariates
 from halfseen.learning.q_learner import CensoredQLearner
+from halfseen.learning.task import AUTO
 from halfseen.logs import Logs, LogStream
 from halfseen.logs.stream import parts_of
 from halfseen.suggestions import did_you_mean

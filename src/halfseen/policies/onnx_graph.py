@@ -1,6 +1,6 @@
 """What ONNX graphs of policies are written with, and the parts that all of them have.
 
-Each function is the line of `KernelMap`, or of `halfseen.learning.choice`, that it is named after.
+Each function is the line of `KernelMap`, or of `halfseen.learning.behaviour`, that it is named after.
 """
 
 from typing import Any
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from onnx import TensorProto, helper, numpy_helper
 
-from halfseen.learning.kernel_map import KernelMap
+from halfseen.learning.q_space import KernelMap
 
 OPSET, IR_VERSION = 18, 9
 SCORES, ACTION = "scores", "action"

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from halfseen.learning.path_arrays import stage_places
+from halfseen.learning.rows import stage_places
 from halfseen.learning.task import Task
 from halfseen.logs import Logs
 

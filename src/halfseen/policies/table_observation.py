@@ -8,9 +8,8 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from halfseen.errors import ArgumentError, CloudError, PolicyError
+from halfseen.errors import ArgumentError, CloudError, PolicyError, within
 from halfseen.logs import Logs, read_logs
-from halfseen.logs.refusal import within
 from halfseen.perception import Label, View, perceive, read_cloud
 from halfseen.perception.kind import other_things_in_words
 from halfseen.perception.label_files import labels_of

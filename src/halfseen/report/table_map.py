@@ -11,7 +11,7 @@ import pandas as pd
 from jaxtyping import Float, Int
 from scipy.special import expit
 
-from halfseen.learning.path_arrays import stage_places
+from halfseen.learning.rows import stage_places
 from halfseen.learning.task import Task
 from halfseen.logs import Logs
 from halfseen.policies.shares import horizon_of

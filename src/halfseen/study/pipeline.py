@@ -32,10 +32,9 @@ from jaxtyping import Float
 from halfseen.censoring import StageClocks, weight_diagnostics
 from halfseen.errors import ArgumentError
 from halfseen.learning import CensoredQLearner
-from halfseen.learning.automatic import AUTO
-from halfseen.learning.path_arrays import PathArrays
 from halfseen.learning.q_model import QModel
-from halfseen.learning.task import Encoded
+from halfseen.learning.rows import PathArrays
+from halfseen.learning.task import AUTO, Encoded
 from halfseen.study.experiment import Setting
 from halfseen.study.policies import logging_policy
 from halfseen.study.tried import tried_in

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Int
 
 from halfseen.arrays import mapped
 from halfseen.errors import LogError
-from halfseen.learning.path_arrays import stage_places
+from halfseen.learning.rows import stage_places
 from halfseen.learning.task import Encoded
 from halfseen.logs import Logs
 from halfseen.logs.refusal import refuse, shown, value_at

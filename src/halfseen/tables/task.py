@@ -10,8 +10,7 @@ from jaxtyping import Float, Int
 
 from halfseen.arrays import mapped
 from halfseen.errors import ArgumentError
-from halfseen.learning.automatic import AUTO
-from halfseen.learning.task import Encoded, LearnedQ, RewardedStages
+from halfseen.learning.task import AUTO, Encoded, LearnedQ, RewardedStages
 from halfseen.logs import Logs
 from halfseen.tables.censoring_covariates import NUM_AT_BEGIN, TABLE_COVARIATES, table_covariates
 from halfseen.tables.encoding import encode_tables, table_states

@@ -17,9 +17,8 @@ from jaxtyping import Float, Int
 
 from halfseen.arrays import mapped
 from halfseen.errors import ArgumentError, LogError, PositivityError
-from halfseen.learning.automatic import AUTO
-from halfseen.learning.path_arrays import stage_places
-from halfseen.learning.task import Encoded, LearnedQ, RewardedStages
+from halfseen.learning.rows import stage_places
+from halfseen.learning.task import AUTO, Encoded, LearnedQ, RewardedStages
 from halfseen.logs import Logs
 from halfseen.tables.censoring_covariates import TABLE_COVARIATES, table_covariates
 from halfseen.tables.encoding import logged_actions, team_states

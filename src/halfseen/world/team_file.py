@@ -19,8 +19,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from halfseen.errors import ArgumentError
-from halfseen.logs.refusal import within
+from halfseen.errors import ArgumentError, within
 from halfseen.reading import json_of, read_text, toml_of
 from halfseen.suggestions import did_you_mean
 from halfseen.world.grasping import GraspLaw

@@ -1,6 +1,7 @@
 """Each mistake gets one line that names it and the remedy."""
 
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -9,7 +10,8 @@ from convex_oracle import cut_log
 
 from halfseen.errors import ArgumentError, HalfseenError, HalfseenWarning, PositivityError
 from halfseen.learning import CensoredSVC, CensoredSVR, survival_array
-from halfseen.learning.svm import memory
+from halfseen.learning.svm import spaces
+from halfseen.learning.svm.spaces import advised_landmarks, check_gram_fits, free_bytes
 
 X, TIME, IS_FINISHED = cut_log()
 Y = survival_array(TIME, IS_FINISHED)
@@ -149,7 +151,7 @@ def test_a_constant_covariate_is_no_trouble_but_for_cox():
 
 
 def test_a_kernel_matrix_that_does_not_fit_names_the_landmarks_that_would(monkeypatch):
-    monkeypatch.setattr(memory, "free_bytes", lambda: 60_000)
+    monkeypatch.setattr(spaces, "free_bytes", lambda: 60_000)
     message = refusal(lambda: CensoredSVR(reg=1e-2).fit(X, Y), ArgumentError)
     assert "num_landmarks=" in message
     landmarks = int(message.split("num_landmarks=")[1].split()[0])
@@ -202,3 +204,52 @@ def test_dependent_columns_without_a_penalty_are_refused():
     with pytest.raises(ArgumentError, match="many functions fit alike; leave columns out, or give reg > 0"):
         CensoredSVR("absolute", kernel="linear", reg=0).fit(constant, Y)
     CensoredSVR("squared", kernel="linear", reg=0, fit_intercept=False).fit(constant, Y)
+
+
+GB = 10**9
+
+
+def test_message_says_what_is_needed_what_is_free_and_what_would_fit():
+    with pytest.raises(ArgumentError) as refusal:
+        check_gram_fits(200_000, available_bytes=20 * GB)
+    assert str(refusal.value) == (
+        "the kernel matrix of 200,000 rows takes 960 GB and 20 GB are free; "
+        "give num_landmarks=1000 (a low-rank kernel, 1.6 GB), or kernel='linear'"
+    )
+
+
+@pytest.mark.parametrize("num_buffers", [1, 3])
+def test_exactly_what_fits_is_accepted(num_buffers):
+    needed = 8 * num_buffers * 1000**2
+    check_gram_fits(1000, num_buffers, needed)
+    with pytest.raises(ArgumentError, match="1,000 rows"):
+        check_gram_fits(1000, num_buffers, needed - 1)
+
+
+def test_without_memory_for_landmarks_only_the_linear_kernel_is_advised():
+    with pytest.raises(ArgumentError, match=r"free; give kernel='linear'$"):
+        check_gram_fits(10**9, available_bytes=GB)
+
+
+@pytest.mark.parametrize("num_rows", [1, 30, 1234, 200_000, 10**7])
+@pytest.mark.parametrize("available", [10**4, 10**7, 20 * GB])
+def test_advised_landmarks_fit_and_twice_as_many_are_too_many(num_rows, available):
+    landmarks = advised_landmarks(num_rows, available)
+    assert 8 * num_rows * landmarks <= available / 2
+    too_many = 2 * landmarks if landmarks else 1
+    assert landmarks <= min(1000, num_rows)
+    assert too_many > min(1000, num_rows) or 8 * num_rows * too_many > available / 2
+
+
+def test_reads_what_the_machine_and_its_container_have(tmp_path, monkeypatch):
+    assert free_bytes() > 10**6
+    limit, machine = tmp_path / "memory.max", SimpleNamespace(available=32 * 1024)
+    monkeypatch.setattr(spaces.psutil, "virtual_memory", lambda: machine)
+    monkeypatch.setattr(spaces, "CONTAINER_LIMIT", limit)
+    assert free_bytes() == 32 * 1024
+    limit.write_text("max\n")
+    assert free_bytes() == 32 * 1024
+    limit.write_text("1000\n")
+    assert free_bytes() == 1000
+    with pytest.raises(ArgumentError, match="1 kB are free"):
+        check_gram_fits(1000)

@@ -1,14 +1,19 @@
+"""Rows held out: they choose λ as a naive loop does, and make chances of values."""
+
 import numpy as np
 import pytest
+from scipy.optimize import minimize
+from scipy.special import expit
 from sklearn.model_selection import KFold, RepeatedKFold
 
 from halfseen.errors import ArgumentError
-from halfseen.learning import CensoredSVR, survival_array
+from halfseen.learning import CensoredSVC, CensoredSVR, survival_array
 from halfseen.learning.svm import cross_validation
+from halfseen.learning.svm.cross_validation import fit_sigmoid
+from halfseen.learning.svm.kernels import RbfKernel
 from halfseen.learning.svm.losses import named_loss
 from halfseen.learning.svm.solver import Problem, solve
 from halfseen.learning.svm.spaces import GramSpace
-from halfseen.learning.svm.vector_kernels import RbfKernel
 
 GAMMA = 2.0
 
@@ -90,3 +95,92 @@ def test_splits_without_rows_that_were_seen(log):
         CensoredSVR("squared", gamma=GAMMA, cv=[*telling, (cut, seen)]).fit(rows, y)
     with pytest.raises(ArgumentError, match="cv: no split holds out a row that was seen"):
         CensoredSVR("squared", gamma=GAMMA, cv=[(seen, cut)]).fit(rows, y)
+
+
+TAU = 1.5
+
+
+def truth(rows):
+    """P(T ≤ τ | z) of the simulated logs."""
+    return 1.0 - np.exp(-TAU * np.exp(1.2 * rows[:, 0]))
+
+
+def simulated(num_rows, seed, mean_cut=1.5):
+    rng = np.random.default_rng(seed)
+    rows = rng.uniform(-1.5, 1.5, size=(num_rows, 2))
+    time = rng.exponential(np.exp(-1.2 * rows[:, 0]))
+    cut = rng.exponential(mean_cut, size=num_rows)
+    return rows, survival_array(np.minimum(time, cut), time <= cut)
+
+
+def test_sigmoid_is_the_weighted_maximum_likelihood_with_platts_targets():
+    rng = np.random.default_rng(0)
+    f = rng.normal(size=300)
+    y = np.where(rng.uniform(size=300) < expit(2 * f - 0.5), 1.0, -1.0)
+    positive, negative = (y > 0).sum(), (y < 0).sum()
+    sure = np.where(y > 0, (positive + 1) / (positive + 2), 1 / (negative + 2))
+
+    def loss(theta):
+        z = theta[0] * f + theta[1]
+        return np.mean(np.logaddexp(0, z) - sure * z)
+
+    best = minimize(loss, [1.0, 0.0], tol=1e-12).x
+    found = fit_sigmoid(f, y, np.ones(300))
+    assert found.slope == pytest.approx(best[0], abs=1e-3)
+    assert found.offset == pytest.approx(best[1], abs=1e-3)
+    again = fit_sigmoid(np.append(f, np.nan), np.append(y, 1.0), np.full(301, 7.0))
+    assert again.slope == pytest.approx(found.slope, rel=1e-6)
+
+
+def test_values_that_speak_for_the_wrong_class_give_the_share():
+    y = np.array([1.0, 1.0, 1.0, -1.0] * 10)
+    sigmoid = fit_sigmoid(-y, y, np.ones(40))
+    assert sigmoid.slope == 0.0
+    np.testing.assert_allclose(sigmoid.probability(np.array([-5.0, 5.0])), 0.75)
+
+
+def test_values_that_split_the_classes_give_no_certainty():
+    y = np.repeat([1.0, -1.0], 10)
+    chance = fit_sigmoid(y, y, np.ones(20)).probability(np.array([1.0, -1.0]))
+    assert 0.85 < chance[0] < 0.95
+    assert 0.05 < chance[1] < 0.15
+
+
+def test_chances_do_not_come_from_the_fit_to_the_same_rows():
+    # Labels that no covariate tells: a fit that has seen them separates them, held-out rows do not.
+    rng = np.random.default_rng(0)
+    rows, labels = rng.normal(size=(80, 5)), rng.uniform(size=80) < 0.5
+    model = CensoredSVC(reg=1e-6, gamma=5.0).fit(rows, labels)
+    assert (model.predict(rows) == labels).mean() > 0.95
+    assert np.abs(model.predict_proba(rows)[:, 1] - 0.5).max() < 0.25
+
+
+@pytest.mark.slow
+def test_chances_are_reliable_in_spite_of_cuts():
+    rows, y = simulated(3000, 0)
+    assert 0.4 < 1 - y["is_finished"].mean() < 0.6
+    model = CensoredSVC("logistic", tau=TAU, reg=1e-4, gamma=0.5).fit(rows, y)
+    fresh = np.random.default_rng(1).uniform(-1.5, 1.5, size=(20_000, 2))
+    chance, true = model.predict_proba(fresh)[:, 1], truth(fresh)
+    for low in np.arange(0.2, 1.0, 0.1):
+        in_bin = (chance >= low) & (chance < low + 0.1)
+        if in_bin.sum() > 200:
+            assert chance[in_bin].mean() == pytest.approx(true[in_bin].mean(), abs=0.07)
+
+
+@pytest.mark.slow
+def test_weights_recover_chances_that_ignoring_cuts_does_not():
+    fresh = np.random.default_rng(1).uniform(-1.5, 1.5, size=(5000, 2))
+    errors = {}
+    for censoring in ("kaplan-meier", "none"):
+        found = [
+            CensoredSVC("logistic", tau=TAU, reg=1e-3, gamma=0.5, censoring=censoring)
+            .fit(*simulated(1000, seed))
+            .predict_proba(fresh)[:, 1]
+            for seed in range(5)
+        ]
+        errors[censoring] = np.mean([np.abs(chance - truth(fresh)).mean() for chance in found])
+        bias = np.mean(found, axis=0).mean() - truth(fresh).mean()
+        errors[censoring, "bias"] = abs(bias)
+    assert errors["kaplan-meier"] < 0.6 * errors["none"]
+    assert errors["kaplan-meier", "bias"] < 0.02 < errors["none", "bias"]

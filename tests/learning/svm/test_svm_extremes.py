@@ -7,9 +7,10 @@ from sklearn.metrics.pairwise import rbf_kernel
 
 from halfseen.errors import HalfseenWarning
 from halfseen.learning import CensoredSVC, CensoredSVR
-from halfseen.learning.svm.losses import SquaredHinge, named_loss
+from halfseen.learning.svm import interior_point, solver
+from halfseen.learning.svm.losses import DeadZone, SquaredHinge, named_loss
 from halfseen.learning.svm.newton import Point
-from halfseen.learning.svm.solver import Problem, certify
+from halfseen.learning.svm.solver import Problem, certify, solve
 from halfseen.learning.svm.spaces import FeatureSpace, GramSpace
 
 ROWS, Y, LABELS, _ = tied_rows(60)
@@ -122,3 +123,86 @@ def test_above_the_tolerance_it_warns_and_names_the_remedy():
     with pytest.warns(HalfseenWarning, match=r"duality gap is .* raise reg from 1e-12.*larger tol") as caught:
         CensoredSVR("squared", kernel="polynomial", reg=1e-12).fit(ROWS, Y)
     assert "\n" not in str(caught[0].message)
+
+
+LOSSES = ("absolute", "pinball", "epsilon-insensitive")
+EXACT = -1.0
+"""No solution in single precision misses so little."""
+
+
+def problem(loss, reg, has_offset=True, num_rows=60, mass=None):
+    rows, y, _, _ = tied_rows(num_rows, seed=3)
+    mass = np.full(num_rows, 1 / num_rows) if mass is None else mass
+    return Problem(GramSpace(rbf_kernel(rows, gamma=0.3)), y, mass, named_loss(loss, quantile=0.3), reg, has_offset)
+
+
+@pytest.fixture
+def no_rounds(monkeypatch):
+    def refuse(*_):
+        raise AssertionError("it went on by rounds")
+
+    monkeypatch.setattr(solver, "_solve_by_rounds", refuse)
+
+
+@pytest.mark.usefixtures("no_rounds")
+@pytest.mark.parametrize("single_misses", [interior_point.SINGLE_MISSES, EXACT])
+@pytest.mark.parametrize("has_offset", [True, False])
+@pytest.mark.parametrize("loss", LOSSES)
+def test_the_optimum_is_the_one_that_cvxpy_finds(loss, has_offset, single_misses, monkeypatch):
+    monkeypatch.setattr(interior_point, "SINGLE_MISSES", single_misses)
+    given = problem(loss, 1e-4, has_offset)
+    found = solve(given)
+    best, f = optimum(given.space.gram, given.y, given.mass, loss, 1e-4, has_offset)
+    assert found.objective == pytest.approx(best, rel=3e-8)
+    assert found.relative_gap <= 1e-8
+    np.testing.assert_allclose(given.space.values(found.coefficients) + found.offset, f, atol=1e-4)
+
+
+@pytest.mark.parametrize("loss", LOSSES)
+@pytest.mark.parametrize("reg", [1e-4, 1e-6, 1e-8])
+def test_it_agrees_with_the_rounds(loss, reg, monkeypatch):
+    given = problem(loss, reg, num_rows=150, mass=np.random.default_rng(1).exponential(size=150) / 150)
+    inside = solve(given)
+    monkeypatch.setattr(solver, "_solve_from_inside", lambda *_: None)
+    by_rounds = solve(given)
+    assert inside.relative_gap <= 1e-8
+    # Pulls that cancel but for 1e-11 of their sum count as cancelling, so a gap is no more exact than that.
+    slack = 1e-10 * by_rounds.objective
+    assert inside.objective - by_rounds.objective <= inside.gap + slack
+    assert by_rounds.objective - inside.objective <= by_rounds.gap + slack
+
+
+def test_what_it_leaves_is_mended_by_rounds(monkeypatch):
+    given = problem("epsilon-insensitive", 1e-4)
+    monkeypatch.setattr(interior_point, "MAX_STEPS", 3)
+    found = solve(given)
+    best, _ = optimum(given.space.gram, given.y, given.mass, "epsilon-insensitive", 1e-4, True)
+    assert found.objective == pytest.approx(best, rel=3e-8)
+    assert found.relative_gap <= 1e-8
+
+
+@pytest.mark.parametrize(
+    ("loss", "reg"), [("absolute", 1e-1), ("hinge", 1e-6), ("huber", 1e-6), ("squared", 1e-6)], ids=lambda value: value
+)
+def test_where_few_rows_lie_on_a_kink_it_is_not_asked(loss, reg, monkeypatch):
+    def refuse(*_):
+        raise AssertionError("it began inside")
+
+    monkeypatch.setattr(solver, "interior_points", refuse)
+    given = problem(loss, reg)
+    labelled = Problem(given.space, np.sign(given.y - 0.05), given.mass, given.loss, reg, True)
+    assert solve(labelled if loss == "hinge" else given).relative_gap <= 1e-8
+
+
+def test_a_side_that_costs_nothing_is_left_to_the_rounds():
+    given = problem("absolute", 1e-4)
+    found = solve(Problem(given.space, given.y, given.mass, DeadZone(up=1.0, down=0.0), 1e-4, True))
+    assert found.objective == pytest.approx(0.0, abs=1e-12)
+
+
+def test_single_precision_serves_where_it_can(monkeypatch):
+    monkeypatch.setattr(interior_point, "_solver_in_double", lambda *_: pytest.fail("double precision was asked for"))
+    gram = rbf_kernel(np.random.default_rng(0).normal(size=(80, 3)), gamma=0.3)
+    right = np.ones((80, 1))
+    solved = interior_point._solver(gram, np.full(80, 0.1))(right)
+    np.testing.assert_allclose((gram + 0.1 * np.eye(80)) @ solved, right, atol=1e-9)

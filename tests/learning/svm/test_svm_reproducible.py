@@ -60,11 +60,3 @@ def test_cut_rows_count_in_n_only():
     assert np.abs(more - alone).max() > 1e-6
     scaled = CensoredSVR("squared", reg=1e-3 * 75 / 60, gamma=model.gamma, censoring="none").fit(X, Y)
     np.testing.assert_allclose(scaled.predict(X), more, atol=1e-9)
-
-
-def test_a_row_of_weight_2_is_a_row_twice():
-    counts = np.random.default_rng(0).integers(0, 3, size=60)
-    again = np.repeat(np.arange(60), counts)
-    weighted = CensoredSVR("absolute", reg=1e-3, censoring="none").fit(X, Y, sample_weight=counts)
-    repeated = CensoredSVR("absolute", reg=1e-3, censoring="none").fit(X[again], Y[again])
-    assert weighted.objective_ == pytest.approx(repeated.objective_, rel=1e-7)

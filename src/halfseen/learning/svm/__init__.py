@@ -2,10 +2,8 @@
 
 The times T_i may be right-censored; w_i are the inverse-probability-of-censoring weights.
 
-Read down, in the order of the work. What is minimised: `targets` (Y, from times that may be cut) → `weighting` (w) →
-`losses`, `user_loss` (L) → `vector_kernels`, `set_kernel`, `kernels` (‖f‖), `nystrom` and `memory` (when there are many
-rows) → `designs` (rows as the solver sees them). How: `edited_factor` (linear systems near one another) → `spaces` (f
-by a Gram matrix or by features) → `newton` (smooth losses) → `interior_point` (losses with kinks, where most rows lie
-on one) → `solver` (all losses, and the duality gap). The estimators: `folds`, `cross_validation` (λ and γ) →
-`censored_svm` (what both share) → `regressor`, `calibration`, `classifier`.
+Read down, in the order of the work. What is minimised: `targets` (Y, of times that may be cut, and w) → `losses` (L) →
+`kernels` (‖f‖), `nystrom` (when there are many rows) → `spaces` (rows as the solver sees them). How: `newton` (smooth
+losses) → `interior_point` (losses with kinks, where most rows lie on one) → `solver` (all losses, and the duality gap).
+The estimators: `cross_validation` (λ, γ, and probabilities) → `estimators`.
 """

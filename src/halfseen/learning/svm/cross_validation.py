@@ -1,17 +1,64 @@
-"""Choose λ and the kernel's width by the weighted loss on rows that were held out."""
+"""Rows that are held out: they choose λ and the kernel's width, and turn values f into probabilities [Platt1999]_."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.special import expit, logit
+from sklearn.model_selection import KFold, StratifiedKFold, check_cv
 
 from halfseen.arrays import RowIds, Rows
 from halfseen.errors import ArgumentError
-from halfseen.learning.svm.designs import Design
-from halfseen.learning.svm.losses import ProximalLoss, SmoothLoss
+from halfseen.learning.svm.losses import Logistic, ProximalLoss, SmoothLoss
 from halfseen.learning.svm.solver import Problem, Solution, solve
+from halfseen.learning.svm.spaces import Design, FeatureSpace
 from halfseen.progress import Progress
+
+Fold = tuple[Int[np.ndarray, " _"], Int[np.ndarray, " _"]]
+"""Rows fitted to, rows held out."""
+
+
+def dealt(cv: Any, seen: RowIds, num_rows: int, rng: np.random.Generator, classes: Rows | None = None) -> list[Fold]:
+    """Rows fitted to and rows held out, among all rows.
+
+    Parameters
+    ----------
+    cv
+        A number of folds, into which the rows seen are dealt; or a splitter or splits of all rows.
+    seen
+        Rows of positive weight.
+    num_rows
+        n.
+    rng
+        Deals.
+    classes
+        Class of each row seen, so that each fold gets its share of both.
+
+    Raises
+    ------
+    ArgumentError
+        There are fewer than two folds or rows.
+    """
+    if not isinstance(cv, (int, np.integer)):
+        splitter: Any = check_cv(cv)
+        return list(splitter.split(np.zeros(num_rows)))
+    if cv < 2:
+        raise ArgumentError(f"cv is {cv}; cross-validation needs at least 2 folds")
+    if len(seen) < 2:
+        raise ArgumentError(
+            f"rows are to be held out, and {len(seen)} sample was seen (n_samples = {len(seen)}); give numbers for reg "
+            "and gamma, or more rows"
+        )
+    seed = int(rng.integers(2**31))
+    rarest = 0 if classes is None else int(np.unique(classes, return_counts=True)[1].min())
+    if rarest >= 2:
+        splitter = StratifiedKFold(min(int(cv), rarest), shuffle=True, random_state=seed)
+    else:
+        splitter = KFold(min(int(cv), len(seen)), shuffle=True, random_state=seed)
+    return [(seen[fitted], seen[held]) for fitted, held in splitter.split(seen, classes)]
+
 
 _TOLERANCE = 1e-4
 _LEAST_OBJECTIVE = 1e-2
@@ -20,9 +67,6 @@ _LEAST_OBJECTIVE = 1e-2
 _TELLING = 30
 _HOPELESS = 1.2
 """Held-out rows whose loss tells something, and the share of the least loss above which a fold gives up."""
-
-Fold = tuple[Int[np.ndarray, " _"], Int[np.ndarray, " _"]]
-"""Rows fitted to, rows held out."""
 
 
 @dataclass(frozen=True)
@@ -155,3 +199,47 @@ def _loss(task: Task, f: Float[np.ndarray, " h"], rows: Int[np.ndarray, " h"]) -
     if np.isnan(f).any():
         return np.nan
     return float(task.weight[rows] @ task.loss.value(task.y[rows], f))
+
+
+_REG = 1e-6
+
+
+@dataclass(frozen=True)
+class Sigmoid:
+    """P(second class | f) = 1 / (1 + exp(−(slope · f + offset)))."""
+
+    slope: float
+    offset: float
+
+    def probability(self, f: Rows) -> Rows:
+        """P(second class) at values of f."""
+        return expit(self.slope * f + self.offset)
+
+
+def fit_sigmoid(f: Rows, y: Rows, weight: Rows) -> Sigmoid:
+    """Fit by weighted maximum likelihood, with Platt's targets in place of certainty.
+
+    Parameters
+    ----------
+    f
+        Values by fits that did not see the row; NaN rows are left out.
+    y
+        ±1.
+    weight
+        w > 0.
+    """
+    held = ~np.isnan(f)
+    f, y, weight = f[held], y[held], weight[held]
+    spread = float(np.sqrt(weight @ np.square(f) / weight.sum())) or 1.0
+    # A row of class ±1 counts as that class with the probability by the rule of succession, else as the other.
+    sample_size = weight.sum() ** 2 / np.square(weight).sum()
+    proportion_second = weight[y > 0].sum() / weight.sum()
+    num_of = sample_size * np.where(y > 0, proportion_second, 1.0 - proportion_second)
+    sure = (num_of + 1.0) / (num_of + 2.0)
+    twice = np.concatenate([f, f])[:, None] / spread
+    mass = np.concatenate([weight * sure, weight * (1.0 - sure)]) / weight.sum()
+    problem = Problem(FeatureSpace(twice), np.concatenate([y, -y]), mass, Logistic(), _REG, True)
+    solution = solve(problem)
+    slope = float(solution.coefficients[0]) / spread
+    # Held-out values that speak for the wrong class tell nothing but how common the classes are.
+    return Sigmoid(slope, solution.offset) if slope > 0.0 else Sigmoid(0.0, float(logit(proportion_second)))

@@ -18,8 +18,8 @@ import scipy.linalg
 from jaxtyping import Float
 
 from halfseen.arrays import Rows
-from halfseen.learning.svm.edited_factor import factored
 from halfseen.learning.svm.newton import Point
+from halfseen.learning.svm.spaces import factored
 
 Sides = Float[np.ndarray, "2 n"]
 """A number for the high and for the low side of each row."""
@@ -184,5 +184,5 @@ def _solver_in_single(gram: Float[np.ndarray, "n n"], ridge: Rows) -> Solve | No
 def _solver_in_double(gram: Float[np.ndarray, "n n"], ridge: Rows) -> Solve:
     system = gram.copy()
     system[np.diag_indices_from(system)] += ridge
-    factor = factored(system)[0]
-    return lambda right: scipy.linalg.cho_solve((factor, True), right, check_finite=False)
+    factor = factored(system)
+    return lambda right: scipy.linalg.cho_solve(factor, right, check_finite=False)

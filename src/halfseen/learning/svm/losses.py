@@ -13,11 +13,19 @@
 
 A loss is either *smooth*, with a derivative and a curvature in s, or it has a proximal step. All functions work row by
 row. The conjugate is L*(y, t) = sup_s (t s − L(y, s)), and ∞ where t is no subgradient of the loss.
+
+Of a loss of the user's own the rest is worked out from its value, and a proximal step or a derivative::
+
+    class LogCosh:                                   # any object will do
+        def value(self, y, s): ...                   # L(y, s), convex in s, row by row
+        def derivative(self, y, s): ...              # ∂L/∂s, a subgradient where there is a kink
+        # or, instead of the derivative:
+        def proximal(self, y, v, step): ...          # argmin_s L(y, s) + (s − v)² / (2 step)
 """
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.special import expit, xlogy
@@ -32,7 +40,7 @@ _ON_THE_EDGE = 1e-9
 """Subgradients that leave the domain of a conjugate by less than this are taken to lie on its edge."""
 
 
-class ConvexLoss(ABC):
+class _ConvexLoss(ABC):
     """A convex loss, row by row."""
 
     is_of_difference: ClassVar[bool] = False
@@ -47,7 +55,7 @@ class ConvexLoss(ABC):
         """L*(y, t)."""
 
 
-class SmoothLoss(ConvexLoss):
+class SmoothLoss(_ConvexLoss):
     """A loss with a continuous derivative in s."""
 
     @abstractmethod
@@ -59,7 +67,7 @@ class SmoothLoss(ConvexLoss):
         """∂²L/∂s², one of its one-sided values where the derivative has a kink."""
 
 
-class ProximalLoss(ConvexLoss):
+class ProximalLoss(_ConvexLoss):
     """A loss with a proximal step."""
 
     @abstractmethod
@@ -189,26 +197,12 @@ class DeadZone(ProximalLoss):
 
 
 @dataclass(frozen=True)
-class Absolute(DeadZone):
-    """|y − s|."""
+class DeadZoneAroundTarget(DeadZone):
+    """Nothing within ε of y: |y − s|, the ``pinball``, and ``epsilon-insensitive``."""
 
     is_of_difference = True
 
-
-@dataclass(frozen=True)
-class Pinball(DeadZone):
-    """max(q (y − s), (1 − q) (s − y)): its minimiser is the q-quantile. Make it with `pinball(q)`."""
-
-    is_of_difference = True
-
-
-@dataclass(frozen=True)
-class EpsilonInsensitive(DeadZone):
-    """max(|y − s| − ε, 0)."""
-
-    is_of_difference = True
-
-    epsilon: float | int = 0.1
+    epsilon: float | int = 0.0
 
     def edges(self, y: Rows) -> tuple[Rows, Rows]:
         return y - self.epsilon, y + self.epsilon
@@ -220,11 +214,6 @@ class Hinge(DeadZone):
 
     def edges(self, y: Rows) -> tuple[Rows, Rows]:
         return np.where(y > 0, 1.0, -np.inf), np.where(y > 0, np.inf, -1.0)
-
-
-def pinball(quantile: float) -> Pinball:
-    """The loss whose minimiser is the `quantile`, in (0, 1)."""
-    return Pinball(up=1.0 - quantile, down=quantile)
 
 
 def named_loss(
@@ -245,9 +234,9 @@ def named_loss(
         raise ArgumentError(f"delta is {delta}; it is a distance > 0 in the target's units")
     losses: dict[str, SmoothLoss | ProximalLoss] = {
         "squared": Squared(),
-        "absolute": Absolute(),
-        "pinball": pinball(quantile),
-        "epsilon-insensitive": EpsilonInsensitive(epsilon=epsilon),
+        "absolute": DeadZoneAroundTarget(),
+        "pinball": DeadZoneAroundTarget(up=1.0 - quantile, down=quantile),
+        "epsilon-insensitive": DeadZoneAroundTarget(epsilon=epsilon),
         "huber": Huber(delta),
         "hinge": Hinge(),
         "squared-hinge": SquaredHinge(),
@@ -261,3 +250,98 @@ def named_loss(
 def _within(values: Rows, t: Rows, low: Rows | float, high: Rows | float) -> Rows:
     """`values` where low ≤ t ≤ high, ∞ elsewhere."""
     return np.where((t >= low - _ON_THE_EDGE) & (t <= high + _ON_THE_EDGE), values, np.inf)
+
+
+_BISECTIONS = 80
+_ASCENTS = 60
+_SLOPE_STEP = 1e-6
+
+
+@dataclass(frozen=True)
+class UserLoss(ProximalLoss):
+    """A user's loss with all that the solver and its certificate need.
+
+    Parameters
+    ----------
+    own
+        An object with ``value(y, s)`` and ``proximal(y, v, step)`` or ``derivative(y, s)``.
+    """
+
+    own: Any
+
+    def value(self, y: Rows, s: Rows) -> Rows:
+        return np.asarray(self.own.value(y, s), dtype=np.float64)
+
+    def proximal(self, y: Rows, v: Rows, step: float) -> Rows:
+        if hasattr(self.own, "proximal"):
+            return np.asarray(self.own.proximal(y, v, step), dtype=np.float64)
+        return self._proximal_by_bisection(y, v, step)
+
+    def proximal_slope(self, y: Rows, v: Rows, step: float) -> Rows:
+        nudge = _SLOPE_STEP * (1.0 + np.abs(v))
+        rise = self.proximal(y, v + nudge, step) - self.proximal(y, v - nudge, step)
+        return np.clip(rise / (2.0 * nudge), 0.0, 1.0)
+
+    def conjugate(self, y: Rows, t: Rows) -> Rows:
+        # sup_s t s − L(y, s), by proximal steps that double: they run off where there is no finite one.
+        s, step = np.zeros_like(t), 1.0
+        # Out there a user's exponentials may overflow.
+        with np.errstate(over="ignore", invalid="ignore"):
+            for _ in range(_ASCENTS):
+                s, step = self.proximal(y, s + step * t, step), min(2.0 * step, 1e8)
+            gain = t * s - self.value(y, s)
+        return np.where(np.abs(s) < 1e6 * (1.0 + np.abs(y)), gain, np.inf)
+
+    def _proximal_by_bisection(self, y: Rows, v: Rows, step: float) -> Rows:
+        """Solve s + step · L'(y, s) = v: the left side rises, and s lies between v and v − step · L'(y, v)."""
+        reach = v - step * np.asarray(self.own.derivative(y, v), dtype=np.float64)
+        low, high = np.minimum(v, reach), np.maximum(v, reach)
+        for _ in range(_BISECTIONS):
+            middle = 0.5 * (low + high)
+            is_low = middle + step * np.asarray(self.own.derivative(y, middle), dtype=np.float64) < v
+            low, high = np.where(is_low, middle, low), np.where(is_low, high, middle)
+        return 0.5 * (low + high)
+
+
+def own_loss(own: Any, y: Rows) -> SmoothLoss | ProximalLoss:
+    """Take a loss of the library as it is, and a user's after a trial on the targets.
+
+    Raises
+    ------
+    ArgumentError
+        The object lacks a method, returns something else than one finite number a row, or is not convex.
+    """
+    if isinstance(own, SmoothLoss | ProximalLoss):
+        return own
+    if not hasattr(own, "value") or not (hasattr(own, "proximal") or hasattr(own, "derivative")):
+        raise ArgumentError(
+            f"loss is {own!r}, without value(y, s) and proximal(y, v, step) or derivative(y, s); give an object that "
+            "has them, or the name of a loss"
+        )
+    loss = UserLoss(own)
+    _check_convex(loss, y)
+    return loss
+
+
+def _check_convex(loss: UserLoss, y: Rows) -> None:
+    spread = float(np.std(y)) or 1.0
+    shifts = spread * np.linspace(-3.0, 3.0, 13)
+    values = np.array([_checked(loss, y, y + shift) for shift in shifts])
+    bend = values[:-2] + values[2:] - 2.0 * values[1:-1]
+    wrong = np.argwhere(bend < -1e-9 * (1.0 + np.abs(values[1:-1])))
+    if len(wrong):
+        k, row = wrong[0]
+        raise ArgumentError(
+            f"loss is {loss.own!r}, which bends down at y = {y[row]:g}, s = {y[row] + shifts[k + 1]:g}; give one "
+            "that is convex in s"
+        )
+
+
+def _checked(loss: UserLoss, y: Rows, s: Rows) -> Rows:
+    values = np.asarray(loss.own.value(y, s), dtype=np.float64)
+    if values.shape != y.shape or not np.isfinite(values).all():
+        raise ArgumentError(
+            f"loss is {loss.own!r}, whose value(y, s) gives shape {values.shape} for {len(y)} rows, or numbers that "
+            "are not finite; return one finite number a row"
+        )
+    return values

@@ -6,7 +6,7 @@ times has the shapes of the step, and is not checked again.
 """
 
 from dataclasses import dataclass, replace
-from typing import Protocol, no_type_check, runtime_checkable
+from typing import Any, no_type_check
 
 import numpy as np
 
@@ -17,19 +17,6 @@ MAX_STEPS = 200
 _FORESEEN = 1e-12
 PATIENCE = 20
 """Steps without a smaller promise after which rounding is taken to have the last word."""
-
-
-@runtime_checkable
-class SmoothSum(Protocol):
-    """Σ_i φ_i(f_i)."""
-
-    def pull(self, f: Rows) -> Rows:
-        """−∂φ_i/∂f_i, minus the gradient: how hard each row pulls its value up."""
-        ...
-
-    def curvature(self, f: Rows) -> Rows:
-        """∂²φ_i/∂f_i²."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -47,9 +34,11 @@ class Point:
 
 
 def minimise(
-    space: Space, total: SmoothSum, reg: float, has_offset: bool, start: Point, tolerance: float
+    space: Space, total: Any, reg: float, has_offset: bool, start: Point, tolerance: float
 ) -> tuple[Point, int]:
     """Minimise from `start`; stop when a Newton step promises less than `tolerance`.
+
+    `total` tells of Σ_i φ_i(f_i) its `pull`, −∂φ_i/∂f_i: how hard each row pulls its value up, and its `curvature`.
 
     Returns
     -------
@@ -82,7 +71,7 @@ def _was_foreseen(before: Rows, after: Rows, curvature: Rows, move: Point) -> bo
     return bool(error <= _FORESEEN * np.abs(before).max(initial=0.0))
 
 
-def balanced_offset(total: SmoothSum, point: Point) -> float:
+def balanced_offset(total: Any, point: Point) -> float:
     """Find the offset at which the rows' pulls cancel, the other coefficients held."""
 
     def excess(offset: float) -> float:
@@ -101,7 +90,7 @@ def balanced_offset(total: SmoothSum, point: Point) -> float:
 class _Line:
     """The objective along a move; its derivative only rises, since it is convex."""
 
-    def __init__(self, space: Space, total: SmoothSum, reg: float, point: Point, move: Point) -> None:
+    def __init__(self, space: Space, total: Any, reg: float, point: Point, move: Point) -> None:
         self.total, self.point, self.move, self.f, self.way = total, point, move, point.f, move.f
         self.linear = 2.0 * reg * space.inner(point.coefficients, move.coefficients, move.values)
         self.quadratic = 2.0 * reg * space.inner(move.coefficients, move.coefficients, move.values)

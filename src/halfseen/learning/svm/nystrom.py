@@ -25,9 +25,7 @@ from scipy.linalg import eigh, solve_triangular
 
 from halfseen.arrays import Rows
 from halfseen.errors import ArgumentError
-from halfseen.learning.svm.kernels import checked_gram, kernel_diagonal
-from halfseen.learning.svm.set_kernel import as_sets
-from halfseen.learning.svm.vector_kernels import Kernel, row_blocks
+from halfseen.learning.svm.kernels import Kernel, as_sets, checked_gram, kernel_diagonal, row_blocks
 
 MOST_CANDIDATES = 20_000
 """Rows among which landmarks are sought, where the landmarks are not many; a random sample of larger logs."""

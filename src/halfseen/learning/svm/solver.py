@@ -146,7 +146,7 @@ def _centre(problem: Problem) -> float:
 
 def _first_point(problem: Problem, start: "Solution | None") -> Point:
     if start is None:
-        size = problem.space.num_coefficients()
+        size = problem.space.num_coefficients
         return Point(np.zeros(size), np.zeros(len(problem.y)), 0.0)
     return Point(start.coefficients, problem.space.values(start.coefficients), start.offset)
 

@@ -15,10 +15,10 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float, Shaped
 
-from halfseen.errors import ArgumentError, HalfseenWarning, LogError
+from halfseen.errors import ArgumentError, HalfseenWarning, LogError, within
 from halfseen.logs.columns import CUT, FINISHED
 from halfseen.logs.logs import Logs
-from halfseen.logs.refusal import shown, within
+from halfseen.logs.refusal import shown
 
 TRUNCATED = "truncated"
 MOST_NUMBERS = 1000

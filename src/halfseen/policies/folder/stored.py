@@ -8,8 +8,7 @@ from typing import Any
 import safetensors
 import safetensors.numpy
 
-from halfseen.errors import PolicyError
-from halfseen.logs.refusal import within
+from halfseen.errors import PolicyError, within
 from halfseen.policies.certainty import LASTING_ERROR, QError
 from halfseen.policies.folder.arrays import laid_out
 from halfseen.policies.folder.files import ARRAYS, RECORD, read_files

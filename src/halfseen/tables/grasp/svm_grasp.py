@@ -11,7 +11,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from halfseen.censoring import CensoringModel, WeightDiagnostics
 from halfseen.errors import ArgumentError
-from halfseen.learning.svm.classifier import CensoredSVC
+from halfseen.learning.svm.estimators import CensoredSVC
 from halfseen.logs.frames import FrameLike
 from halfseen.tables.grasp.inputs import Decided, History, checked_attempts, checked_covariates, checked_history
 from halfseen.tables.grasp.splits import splits_of

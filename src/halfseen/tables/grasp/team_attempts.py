@@ -5,7 +5,7 @@ import pandas as pd
 from jaxtyping import Int
 
 from halfseen.arrays import at
-from halfseen.learning.path_arrays import stage_places
+from halfseen.learning.rows import stage_places
 from halfseen.logs import Logs
 from halfseen.tables.grasp.attempts import COLUMNS
 from halfseen.world.actions import TARGETED, Verb
