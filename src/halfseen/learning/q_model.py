@@ -20,7 +20,8 @@ from jaxtyping import Bool, Float, Int
 
 from halfseen.censoring import CensoringSpec, CutModel
 from halfseen.errors import ArgumentError, PositivityError
-from halfseen.learning.behaviour import behaviour_of, seen_among
+from halfseen.learning.behaviour import behaviour_of
+from halfseen.learning.choice import seen_among
 from halfseen.learning.imputation import DurationModel, fit_duration_model, imputation
 from halfseen.learning.named_task import NamedActions
 from halfseen.learning.q_space import CrossValidation, KernelMap, LinearQ, QSpace, Reg, StageMode

@@ -1,10 +1,15 @@
 """Where the policy or the log of one robot is needed, and one of a team is given."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from halfseen.errors import PolicyError
-from halfseen.logs import Logs
 from halfseen.policies.folder.stored import StoredPolicy
+
+if TYPE_CHECKING:
+    from halfseen.logs import Logs
+else:
+    Logs = Any  # Who refuses a policy loads no log.
 
 UNDECIDED = (
     "which looks at what each robot is at, and that is not given here; ask read_policy(FOLDER).policy.decide of a "

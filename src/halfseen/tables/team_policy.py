@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from halfseen.arrays import STATIC, Array, at, library_of, record
-from halfseen.learning.behaviour import leaning, seen_among
+from halfseen.learning.choice import leaning, seen_among
 from halfseen.learning.rows import q_values
 from halfseen.tables.margins import margins
 from halfseen.tables.team_features import team_features

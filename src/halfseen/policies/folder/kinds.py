@@ -3,11 +3,13 @@
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib import import_module
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from halfseen.errors import ArgumentError, PolicyError
-from halfseen.logs import Logs
 from halfseen.policies.folder.arrays import Arrays
+
+if TYPE_CHECKING:
+    from halfseen.logs import Logs
 
 
 @runtime_checkable
@@ -17,7 +19,7 @@ class PolicyKind(Protocol):
     policy_type: type
     """Class of the policies."""
 
-    def facts(self, logs: Logs) -> Any:
+    def facts(self, logs: "Logs") -> Any:
         """What the schema needs of a log, or of a part of it."""
         ...
 
@@ -28,7 +30,7 @@ class PolicyKind(Protocol):
         """
         ...
 
-    def seen(self, logs: Logs, policy: Any, is_by_stage: bool) -> list[dict[str, Any]]:
+    def seen(self, logs: "Logs", policy: Any, is_by_stage: bool) -> list[dict[str, Any]]:
         """Ranges of what the policy looks at, in the log that it was learned from."""
         ...
 

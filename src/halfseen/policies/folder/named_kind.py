@@ -2,14 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from halfseen.errors import ArgumentError, PolicyError
+from halfseen.lazy import Frame
 from halfseen.learning.covariates import Categories, Covariates
 from halfseen.learning.flat_policy import FlatPolicy
-from halfseen.logs import Logs
 from halfseen.policies.folder.arrays import (
     BEHAVIOUR,
     COEFFICIENTS,
@@ -21,7 +21,12 @@ from halfseen.policies.folder.arrays import (
     policy_arrays,
 )
 from halfseen.policies.folder.json_values import horizon_of, names_in, typed
-from halfseen.policies.folder.seen import seen_covariates
+from halfseen.policies.folder.seen import entry, ranges
+
+if TYPE_CHECKING:
+    from halfseen.logs import Logs
+else:
+    Logs = Any  # What is decided by a policy of this kind loads no log.
 
 
 @dataclass(frozen=True)
@@ -53,7 +58,7 @@ class NamedKind:
 
     def seen(self, logs: Logs, policy: FlatPolicy, is_by_stage: bool) -> list[dict[str, Any]]:
         """Ranges of the covariates."""
-        return seen_covariates(logs, policy.looks_at, is_by_stage)
+        return _seen(logs, policy.looks_at, is_by_stage)
 
     def range_names(self, policy: FlatPolicy) -> tuple[str, ...]:
         """Names of the covariates."""
@@ -107,3 +112,40 @@ def _action_name(name: Any) -> int | str:
     if isinstance(value, bool) or not isinstance(value, (int, str)):
         raise ArgumentError(f"action {name!r} is neither a whole number nor text; a folder cannot hold other names")
     return value
+
+
+def _seen(logs: Logs, covariates: Covariates, is_by_stage: bool) -> list[dict[str, Any]]:
+    """Give the least and the largest value of each covariate of named actions, by stage or over all stages.
+
+    Of text, give how many states showed each category that was seen.
+
+    Parameters
+    ----------
+    logs
+        The log.
+    covariates
+        Columns of its stages.
+    is_by_stage
+        One entry a stage; else one for all.
+
+    Returns
+    -------
+    list
+        For each entry the ``stages`` that it is for, from and to; how many states there were; and their ``ranges``.
+    """
+    frame: Any = logs.stages
+    if not is_by_stage:
+        return [entry(1, logs.horizon, len(frame), _shown(frame, covariates))]
+    parts = [(stage, frame[frame["stage"] == stage]) for stage in range(1, logs.horizon + 1)]
+    return [entry(stage, stage, len(part), _shown(part, covariates)) for stage, part in parts]
+
+
+def _shown(frame: Frame, covariates: Covariates) -> dict[str, Any]:
+    """Range of each column of numbers, and counts of each of text, in the order of columns."""
+    counts = {name: frame[name].astype(str).value_counts() for name in covariates.categories}
+    return {
+        name: {one: int(counts[name][one]) for one in covariates.categories[name] if one in counts[name]}
+        if name in counts
+        else ranges(frame, (name,))[name]
+        for name in covariates.columns
+    }

@@ -6,34 +6,6 @@ from typing import Any
 
 from halfseen.errors import PolicyError
 from halfseen.lazy import Frame
-from halfseen.learning.covariates import Covariates
-from halfseen.logs import Logs
-
-
-def seen_covariates(logs: Logs, covariates: Covariates, is_by_stage: bool) -> list[dict[str, Any]]:
-    """Give the least and the largest value of each covariate of named actions, by stage or over all stages.
-
-    Of text, give how many states showed each category that was seen.
-
-    Parameters
-    ----------
-    logs
-        The log.
-    covariates
-        Columns of its stages.
-    is_by_stage
-        One entry a stage; else one for all.
-
-    Returns
-    -------
-    list
-        For each entry the ``stages`` that it is for, from and to; how many states there were; and their ``ranges``.
-    """
-    frame: Any = logs.stages
-    if not is_by_stage:
-        return [entry(1, logs.horizon, len(frame), _shown(frame, covariates))]
-    parts = [(stage, frame[frame["stage"] == stage]) for stage in range(1, logs.horizon + 1)]
-    return [entry(stage, stage, len(part), _shown(part, covariates)) for stage, part in parts]
 
 
 def joined_seen(one: list[dict[str, Any]], other: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -86,17 +58,6 @@ def _is_range(seen: Any) -> bool:
 def entry(first: int, last: int, num_states: int, ranges: dict[str, Any]) -> dict[str, Any]:
     """What so many states of some stages looked like."""
     return {"stages": [first, last], "num_states": num_states, "ranges": ranges}
-
-
-def _shown(frame: Frame, covariates: Covariates) -> dict[str, Any]:
-    """Range of each column of numbers, and counts of each of text, in the order of columns."""
-    counts = {name: frame[name].astype(str).value_counts() for name in covariates.categories}
-    return {
-        name: {one: int(counts[name][one]) for one in covariates.categories[name] if one in counts[name]}
-        if name in counts
-        else ranges(frame, (name,))[name]
-        for name in covariates.columns
-    }
 
 
 def ranges(frame: Frame, names: tuple[str, ...]) -> dict[str, list[float]]:
