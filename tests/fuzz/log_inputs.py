@@ -17,9 +17,6 @@ from small_logs import flat_log
 sys.path.insert(0, str(Path(__file__).parents[1] / "logs" / "formats"))
 
 
-BAG_OF_ROS_1 = {"action": "action", "reward": "reward", "ending": "end"}
-
-
 def parquet(log: Callable[..., Logs], *given: int) -> Callable[[Path], object]:
     return lambda folder: log(*given).write(folder / "logs")
 
@@ -104,18 +101,10 @@ def bag(folder: Path, storage: str, with_cloud: bool = False) -> None:
 
 
 def bag_of_ros_1(folder: Path) -> None:
-    from bags import number, text
-    from rosbags.rosbag1 import Writer
-    from rosbags.typesys import Stores, get_typestore
+    from bags import SMALL, one_path, tables_of, write_bag_of_ros_1
 
-    store = get_typestore(Stores.ROS1_NOETIC)
-    messages = [text(1.0, "/action", "A"), number(2.0, "/reward", 1.0), text(2.5, "/end", "finished")]
-    with Writer(folder / "old.bag") as writer:
-        for seconds, topic, kind, message in messages:
-            connection = writer.add_connection(topic, kind, typestore=store)
-            writer.write(connection, int(seconds * 1e9), store.serialize_ros1(message, kind))
-    tables = (f'[{key}]\ntopic = "/{topic}"\nfield = "data"\n' for key, topic in BAG_OF_ROS_1.items())
-    (folder / "cell.toml").write_text("".join(tables))
+    write_bag_of_ros_1(folder / "old.bag", one_path())
+    (folder / "cell.toml").write_text(tables_of(SMALL))
 
 
 def lerobot(folder: Path) -> None:
@@ -126,17 +115,15 @@ def lerobot(folder: Path) -> None:
 
 
 def steps(folder: Path, kind: str) -> None:
-    import test_step_tables
+    from foreign import episodes, rows_of, write_rows
 
-    found = test_step_tables.episodes()
-    test_step_tables.write(folder / f"steps.{kind}", test_step_tables.rows_of(found, [True, False, True]), kind=kind)
+    write_rows(folder / f"steps.{kind}", rows_of(episodes(), [True, False, True]), kind)
 
 
 def step_arrays(folder: Path) -> None:
-    import test_step_arrays
+    from foreign import arrays, episodes, write_arrays
 
-    found = test_step_arrays.episodes()
-    test_step_arrays.write(folder / "steps.hdf5", test_step_arrays.arrays(found, terminated=[0], timed_out=[1]))
+    write_arrays(folder / "steps.hdf5", arrays(episodes(), terminated=[0], timed_out=[1]))
 
 
 def sqlite(folder: Path) -> None:
@@ -150,12 +137,11 @@ def sqlite(folder: Path) -> None:
 
 
 def mcap_of_other_encodings(folder: Path, encoding: str) -> None:
-    import test_mcap_files
-    from bags import two_paths
+    import bags
 
-    encode = getattr(test_mcap_files, f"as_{encoding}")
-    test_mcap_files.write_mcap(folder / "cell.mcap", two_paths(), encode)
-    test_mcap_files.mapping(folder, encode)
+    encode = getattr(bags, f"as_{encoding}")
+    bags.write_mcap(folder / "cell.mcap", bags.two_paths(), encode)
+    bags.mapping(folder, encode)
 
 
 def journal_of_objects(folder: Path) -> None:

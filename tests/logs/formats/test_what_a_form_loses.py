@@ -37,6 +37,11 @@ KINDS = {
     "Int64": lambda rng, n: pd.array(rng.integers(-(2**62), 2**62, n), dtype="Int64"),
     "string": lambda rng, n: pd.array([str(k) for k in rng.integers(0, 9, n)], dtype="string"),
     "bool": lambda rng, n: rng.random(n) < 0.5,
+    "boolean": lambda rng, n: pd.array([[True, False, None][k] for k in rng.integers(0, 3, n)], dtype="boolean"),
+    "bool or null": lambda rng, n: [[True, False, None][k] for k in rng.integers(0, 3, n)],
+    "date or null": lambda rng, n: [None if rng.random() < 0.4 else datetime.date(2024, 2, 29) for _ in range(n)],
+    "float64 at its ends": lambda rng, n: rng.choice([5e-324, -0.0, 1e308, 0.1], n),
+    "zoned": lambda rng, n: pd.to_datetime(rng.integers(0, 2**60, n), utc=True).tz_convert("Europe/Berlin"),
     "arrow": lambda rng, n: pd.array(rng.integers(0, 9, n), dtype=pd.ArrowDtype(pa.int32())),
     "categories": lambda rng, n: pd.Categorical(rng.choice(["a", "b"], n), ["z", "b", "a"]),
     "categories in order": lambda rng, n: pd.Categorical(rng.choice(["a", "b"], n), ["z", "b", "a"], ordered=True),
@@ -111,6 +116,8 @@ def assert_back(logs, back, lost):
                 assert [str(each) for each in ours] == [str(each) for each in theirs]
             else:
                 pd.testing.assert_series_equal(ours, theirs)
+                if ours.dtype == np.float64:
+                    np.testing.assert_array_equal(np.signbit(ours), np.signbit(theirs))
 
 
 @pytest.mark.parametrize(
