@@ -27,21 +27,7 @@ LOAD_S = 300.0
 
 @dataclass(frozen=True)
 class Result:
-    """What came of a case.
-
-    Parameters
-    ----------
-    name
-        Its number, or its file.
-    case
-        The case; None where not even its input could be made.
-    label
-        ``refused``, ``right``, or a fault.
-    why
-        What speaks for that.
-    seconds
-        How long it took [s].
-    """
+    """What came of a case."""
 
     name: str
     case: Case | None
@@ -125,21 +111,7 @@ def run(
     limit_s: float = 30.0,
     on_each: Callable[[Result], object] = lambda result: None,
 ) -> list[Result]:
-    """Run cases.
-
-    Parameters
-    ----------
-    orders
-        Each the seed and the number of a case, or the file of one that was kept.
-    place
-        Folder to work in; the valid inputs stay there.
-    num_workers
-        Processes.
-    limit_s
-        How long a case may take [s].
-    on_each
-        Told of each result as it comes.
-    """
+    """Run cases."""
     corpus = place / "corpus"
     corpus.mkdir(parents=True, exist_ok=True)
     waiting: queue.SimpleQueue[Any] = queue.SimpleQueue()

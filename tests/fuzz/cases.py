@@ -28,20 +28,7 @@ MOST_TEXT = 8000
 
 @dataclass(frozen=True)
 class Case:
-    """What is run, and what was done to its input.
-
-    Parameters
-    ----------
-    seed
-        Name of the valid input.
-    words
-        Of the command line.
-    told
-        What was broken.
-    line
-        Number of the command line of the seed that answers the same if nothing that matters was broken; None if the
-        answer may be another.
-    """
+    """What is run, and what was done to its input."""
 
     seed: str
     words: tuple[str, ...]

@@ -11,39 +11,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from fuzz.log_inputs import (
-    bag,
-    bag_of_ros_1,
-    calls,
-    csv,
-    journal,
-    journal_of_objects,
-    lerobot,
-    mcap_of_other_encodings,
-    minari,
-    minari_foreign,
-    parquet,
-    sqlite,
-    step_arrays,
-    steps,
-)
-from fuzz.policy_inputs import (
-    attempts,
-    begun,
-    flat_policy,
-    judged,
-    labelled,
-    law,
-    nothing,
-    npz,
-    pcd,
-    pcd_text,
-    ply,
-    several,
-    table_policy,
-    team,
-    team_logs,
-)
+from fuzz import log_inputs as logs
+from fuzz import policy_inputs as policies
 from small_logs import flat_log, table_log
 from text_logs import text_log
 
@@ -52,19 +21,7 @@ OF_SQL = "--stages 'SELECT * FROM stages' --paths 'SELECT * FROM paths'"
 
 @dataclass(frozen=True)
 class Seed:
-    """A valid input and what is done with it.
-
-    Parameters
-    ----------
-    name
-        Of the input.
-    make
-        Writes the input into a folder.
-    lines
-        Command lines that read it.
-    is_heavy
-        Whether making or reading it compiles.
-    """
+    """A valid input and what is done with it."""
 
     name: str
     make: Callable[[Path], object]
@@ -98,103 +55,120 @@ INSPECTED = ("inspect in/logs --json", "inspect in/logs", "convert in/logs --out
 MAPPED = "--mapping in/cell.toml --out out"
 CLOUDS = seeds(
     {
-        "npz": (npz, "look in/table.npz --json", "look in/table.npz", "look in/table.npz --json --picture out.png"),
-        "pcd": (pcd, "look in/table.pcd --json", "look in/table.pcd"),
-        "pcd-text": (pcd_text, "look in/table.pcd --json"),
-        "ply": (partial(ply, is_text=False), "look in/table.ply --json"),
-        "ply-text": (partial(ply, is_text=True), "look in/table.ply --json"),
-        "labels": (labelled, *(f"look in/table.npz --labels in/labels.{kind} --json" for kind in ("csv", "json"))),
-        "several": (several, "look in --json --workers 1", "look in/table.npz in/table.ply --workers 1"),
+        "npz": (
+            policies.npz,
+            "look in/table.npz --json",
+            "look in/table.npz",
+            "look in/table.npz --json --picture out.png",
+        ),
+        "pcd": (policies.pcd, "look in/table.pcd --json", "look in/table.pcd"),
+        "pcd-text": (policies.pcd_text, "look in/table.pcd --json"),
+        "ply": (partial(policies.ply, is_text=False), "look in/table.ply --json"),
+        "ply-text": (partial(policies.ply, is_text=True), "look in/table.ply --json"),
+        "labels": (
+            policies.labelled,
+            *(f"look in/table.npz --labels in/labels.{kind} --json" for kind in ("csv", "json")),
+        ),
+        "several": (policies.several, "look in --json --workers 1", "look in/table.npz in/table.ply --workers 1"),
     }
 )
 LOGS = seeds(
     {
-        "flat": (parquet(flat_log), *INSPECTED),
-        "tables": (parquet(table_log), *INSPECTED),
-        "text": (parquet(text_log, 20), "inspect in/logs --json"),
-        "csv": (csv(flat_log, 8), f"convert in/logs {ONE}"),
-        "csv-tables": (csv(table_log, 6), f"convert in/logs {ONE}"),
-        "journal": (journal, "inspect in/logs --json", f"convert in/logs {ONE}", "convert in/logs in/more --out out"),
-        "minari": (minari, f"convert in/logs/flat-v0 {ONE}"),
+        "flat": (logs.parquet(flat_log), *INSPECTED),
+        "tables": (logs.parquet(table_log), *INSPECTED),
+        "text": (logs.parquet(text_log, 20), "inspect in/logs --json"),
+        "csv": (logs.csv(flat_log, 8), f"convert in/logs {ONE}"),
+        "csv-tables": (logs.csv(table_log, 6), f"convert in/logs {ONE}"),
+        "journal": (
+            logs.journal,
+            "inspect in/logs --json",
+            f"convert in/logs {ONE}",
+            "convert in/logs in/more --out out",
+        ),
+        "minari": (logs.minari, f"convert in/logs/flat-v0 {ONE}"),
         "minari-foreign": (
-            minari_foreign,
+            logs.minari_foreign,
             f"convert in/hand-v0 {ONE}",
             f"convert in/hand-v0 --clock t {ONE}",
         ),
-        "mcap": (partial(bag, storage="mcap"), f"convert in/bag {MAPPED} --json"),
-        "db3": (partial(bag, storage="sqlite3"), f"convert in/bag {MAPPED} --json"),
+        "mcap": (partial(logs.bag, storage="mcap"), f"convert in/bag {MAPPED} --json"),
+        "db3": (partial(logs.bag, storage="sqlite3"), f"convert in/bag {MAPPED} --json"),
         "bag-of-clouds": (
-            partial(bag, storage="mcap", with_cloud=True),
+            partial(logs.bag, storage="mcap", with_cloud=True),
             f"convert in/bag {MAPPED} --clouds out-clouds --json",
         ),
-        "lerobot": (lerobot, f"convert in/robot {ONE}", "convert in/robot --out csv:out --step-s 0.5 --json"),
+        "lerobot": (logs.lerobot, f"convert in/robot {ONE}", "convert in/robot --out csv:out --step-s 0.5 --json"),
         **{
-            f"steps-{kind}": (partial(steps, kind=kind), f"convert in/steps.{kind} {ONE}")
+            f"steps-{kind}": (partial(logs.steps, kind=kind), f"convert in/steps.{kind} {ONE}")
             for kind in ("parquet", "csv", "arrow")
         },
         "steps-hdf5": (
-            step_arrays,
+            logs.step_arrays,
             f"convert in/steps.hdf5 {ONE}",
             "convert in/steps.hdf5 --out out --check --truncated finished",
         ),
         **{
             f"mcap-{encoding}": (
-                partial(mcap_of_other_encodings, encoding=encoding),
+                partial(logs.mcap_of_other_encodings, encoding=encoding),
                 f"convert in/cell.mcap {MAPPED} --json",
             )
             for encoding in ("json", "protobuf")
         },
-        "sqlite": (sqlite, f"convert sql:sqlite:///in/logs.db {OF_SQL} {ONE}"),
-        "bag-of-ros-1": (bag_of_ros_1, f"convert in/old.bag {MAPPED} --json"),
-        "journal-of-objects": (journal_of_objects, "inspect in/logs --json", "convert in/logs --out csv:out --json"),
-        "calls": (calls, "record in/calls.jsonl --out out"),
+        "sqlite": (logs.sqlite, f"convert sql:sqlite:///in/logs.db {OF_SQL} {ONE}"),
+        "bag-of-ros-1": (logs.bag_of_ros_1, f"convert in/old.bag {MAPPED} --json"),
+        "journal-of-objects": (
+            logs.journal_of_objects,
+            "inspect in/logs --json",
+            "convert in/logs --out csv:out --json",
+        ),
+        "calls": (logs.calls, "record in/calls.jsonl --out out"),
     }
 )
 HEAVY = seeds(
     {
         "flat-learned": (
-            parquet(flat_log),
+            logs.parquet(flat_log),
             f"{LEARN} --json",
             f"{LEARN} --in-passes --json",
             f"{LEARN} --censoring cox --q-function kernel --reg 0.1",
         ),
-        "text-learned": (parquet(text_log, 20), f"{LEARN} --json"),
-        "tables-learned": (parquet(table_log), f"{LEARN} --json"),
+        "text-learned": (logs.parquet(text_log, 20), f"{LEARN} --json"),
+        "tables-learned": (logs.parquet(table_log), f"{LEARN} --json"),
         "flat-policy": (
-            flat_policy,
+            policies.flat_policy,
             "act in/policy in/state.json --json",
             "act in/policy in/state.csv --json",
             "act in/policy in/state.json",
             "export in/policy --onnx out.onnx",
         ),
         "judged": (
-            judged,
+            policies.judged,
             f"{EVALUATE} --workers 1 --json",
             f"{EVALUATE} --against in/rule.toml --workers 1 --json",
             f"{EVALUATE} --against in/rule.csv --workers 1",
             "report in/logs --out out.html --json --workers 1",
         ),
         "table-policy": (
-            table_policy,
+            policies.table_policy,
             "act in/policy in/table.npz --json",
             "act in/policy in/table.npz --picture out.png",
         ),
         "begun": (
-            begun,
+            policies.begun,
             "act in/policy in/table.npz --history in/history --json",
             "watch in/table.npz --policy in/policy --export out.html",
             "evaluate in/policy in/table.npz --world --episodes 8 --json",
         ),
-        "attempts": (attempts, f"cell calibrate --from in/attempts --workers 1 {ONE}"),
-        "law": (law, f"{SIMULATE} --law in/law"),
-        "team": (team, *(f"{SIMULATE} --team in/team.{kind} --horizon 2" for kind in ("toml", "json"))),
-        "team-logs": (team_logs, "inspect in/logs --json", LEARN),
+        "attempts": (policies.attempts, f"cell calibrate --from in/attempts --workers 1 {ONE}"),
+        "law": (policies.law, f"{SIMULATE} --law in/law"),
+        "team": (policies.team, *(f"{SIMULATE} --team in/team.{kind} --horizon 2" for kind in ("toml", "json"))),
+        "team-logs": (policies.team_logs, "inspect in/logs --json", LEARN),
     },
     is_heavy=True,
 )
 COMMAND_LINES = Seed(
     "command-line",
-    nothing,
+    policies.nothing,
     (
         *(f"{verb} --help" for verb in ("look", "inspect", "cell run")),
         "study in/none.pcd --out out --only reward --repetitions 2 --seed 1",

@@ -28,15 +28,11 @@ SHAPED = (
 def of_json(rng: Rng, file: Path) -> str:
     """Another value, key or order somewhere in a JSON document, or in one line of several."""
     text = file.read_text(errors="replace")
-    if file.suffix == ".jsonl":
-        lines = text.splitlines() or [""]
-        k = int(rng.integers(len(lines)))
-        lines[k], told = _changed_json(rng, lines[k])
-        file.write_text("\n".join(lines) + "\n", errors="surrogatepass")
-        return f"{file.name}: line {k + 1}: {told}"
-    new, told = _changed_json(rng, text)
-    file.write_text(new, errors="surrogatepass")
-    return f"{file.name}: {told}"
+    lines = (text.splitlines() or [""]) if file.suffix == ".jsonl" else [text]
+    k = int(rng.integers(len(lines)))
+    lines[k], told = _changed_json(rng, lines[k])
+    file.write_text("\n".join(lines) + "\n", errors="surrogatepass")
+    return f"{file.name}: line {k + 1}: {told}"
 
 
 def _changed_json(rng: Rng, text: str) -> tuple[str, str]:
@@ -44,11 +40,9 @@ def _changed_json(rng: Rng, text: str) -> tuple[str, str]:
         value = json.loads(text)
     except (ValueError, RecursionError):
         return text + "]", "bracket added"
-    if not rng.integers(12):
-        return _dumped(any_value(rng)), "another document"
     parents = list(_parents(value))
-    if not parents:
-        return _dumped(any_value(rng)), "another document"
+    if not rng.integers(12) or not parents:
+        return json.dumps(any_value(rng)), "another document"
     parent = pick(rng, parents)
     key = pick(rng, list(parent) if isinstance(parent, dict) else range(len(parent)))
     kind = pick(rng, ("value", "value", "value", "elsewhere", "elsewhere", "scaled", "scaled", "dropped", "renamed"))
@@ -65,7 +59,7 @@ def _changed_json(rng: Rng, text: str) -> tuple[str, str]:
         parent[pick(rng, WORDS)] = parent.pop(key)
     else:
         parent.insert(key, any_value(rng))
-    return _dumped(value), f"{str(key)[:40]}: {kind}"
+    return json.dumps(value), f"{str(key)[:40]}: {kind}"
 
 
 def _scaled(rng: Rng, value: Any) -> Any:
@@ -86,10 +80,6 @@ def _parents(value: Any) -> Any:
         yield value
         for child in value.values() if isinstance(value, dict) else value[:200]:
             yield from _parents(child)
-
-
-def _dumped(value: Any) -> str:
-    return json.dumps(value, ensure_ascii=True)
 
 
 def of_toml(rng: Rng, file: Path) -> str:
@@ -177,14 +167,23 @@ def _hostile_cells(rng: Rng, array: np.ndarray) -> np.ndarray:
 def _lie_in_header(rng: Rng, file: Path, name: str) -> None:
     shapes = ((10**9,), (10**6, 10**6), (-1,), (2**62, 2**62), (0,), (), (1,) * 70)
     descr = pick(rng, ("<f8", "|O", "<f4", "|S1000000000", "|V8", [("a", "<f8")], "<U1000000", "nonsense"))
-    with zipfile.ZipFile(file) as archive:
-        members = {info.filename: archive.read(info) for info in archive.infolist()}
+    members = members_of(file)
     head = repr({"descr": descr, "fortran_order": False, "shape": pick(rng, shapes)}).encode() + b"\n"
-    body = members[f"{name}.npy"]
-    members[f"{name}.npy"] = b"\x93NUMPY\x01\x00" + len(head).to_bytes(2, "little") + head + body[128:]
-    with zipfile.ZipFile(file, "w") as archive:
-        for member, content in members.items():
-            archive.writestr(member, content)
+    members[f"{name}.npy"] = (
+        b"\x93NUMPY\x01\x00" + len(head).to_bytes(2, "little") + head + members[f"{name}.npy"][128:]
+    )
+    zip_members(file, members)
+
+
+def members_of(file: Path) -> dict[str, bytes]:
+    with zipfile.ZipFile(file) as archive:
+        return {info.filename: archive.read(info) for info in archive.infolist()}
+
+
+def zip_members(file: Path, members: dict[str, bytes], packed: int = zipfile.ZIP_STORED) -> None:
+    with zipfile.ZipFile(file, "w", packed) as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
 
 
 def of_safetensors(rng: Rng, file: Path) -> str:

@@ -14,20 +14,7 @@ import pyarrow.parquet as pq
 from fuzz.hostile import IN_TEXT, NUMBERS, WORDS, pick
 
 Rng = np.random.Generator
-KINDS = (
-    "cell",
-    "cell",
-    "type",
-    "type",
-    "name",
-    "rows",
-    "dropped",
-    "added",
-    "turned",
-    "turned",
-    "elsewhere",
-    "elsewhere",
-)
+KINDS = ("name", "rows", "dropped", "added", *["cell", "type", "turned", "elsewhere"] * 2)
 ADDED = (*WORDS[5:8], "x9", "reward", "robot", "Reward", "probability")
 CELLS = (*NUMBERS, *WORDS, None, [], [None], [float("nan")], [1e308] * 3, True)
 UNTRUE = (b"{", b"\xff", b"[" * 10_000, b'{"columns": 1}', b'{"index_columns": [{}]}', b'{"index_columns": ["x"]}')

@@ -3,7 +3,6 @@ import json
 import gymnasium
 import minari
 import numpy as np
-import pandas as pd
 import pytest
 from gymnasium import spaces
 from minari.data_collector import EpisodeBuffer
