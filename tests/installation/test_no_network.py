@@ -43,6 +43,12 @@ def asked_for(folder):
     return file.read_text(encoding="utf-8") if file.exists() else ""
 
 
+def run(folder, *words, **more):
+    """Run a Python to which the network is forbidden."""
+    command, told = [sys.executable, *words], environment(folder, **more)
+    return subprocess.run(command, env=told, cwd=folder, capture_output=True, text=True, check=False)
+
+
 def test_no_verb_is_left_out():
     assert {line.split()[0] for line in LINES} | set(SERVERS) == set(VERBS)
 
@@ -68,10 +74,8 @@ def test_what_forbids_the_network_does(tmp_path, asking, allowed, this_machine):
     with socket.create_server(("127.0.0.1", 0)) as server:
         code = f"import socket; {asking.replace('PORT', str(server.getsockname()[1]))}"
         # A process that is started by one that is watched.
-        command = [sys.executable, "-c", f"import subprocess, sys; subprocess.run([sys.executable, '-c', {code!r}])"]
-        done = subprocess.run(
-            command, env=environment(tmp_path, THIS_MACHINE=this_machine), cwd=tmp_path, capture_output=True, text=True
-        )
+        started = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {code!r}])"
+        done = run(tmp_path, "-c", started, THIS_MACHINE=this_machine)
     is_forbidden = this_machine not in allowed
     assert ("no network is used here" in done.stderr) == bool(asked_for(tmp_path)) == is_forbidden, done.stderr
 
@@ -81,9 +85,7 @@ def walked(tmp_path_factory):
     """A folder in which each verb that ends by itself has run, without a network, and what each ended with."""
     folder = tmp_path_factory.mktemp("no_network")
     prepare(folder)
-    done = subprocess.run(
-        [sys.executable, "-c", TINY_STUDY], env=environment(folder), cwd=folder, capture_output=True, text=True
-    )
+    done = run(folder, "-c", TINY_STUDY)
     assert done.returncode == 0, done.stderr
     return folder, [Ended(*told) for told in json.loads(done.stdout)]
 
@@ -136,10 +138,7 @@ def test_a_recorder_listens_to_this_machine_alone(walked):
 def test_workers_talk_on_this_machine_alone(walked, engine):
     folder, _ = walked
     shutil.copy(folder / "table.pcd", folder / f"{engine}.pcd")
-    command = [sys.executable, "-m", "halfseen.cli", "look", "table.pcd", f"{engine}.pcd", "--workers", "2"]
-    told = {"THIS_MACHINE": "0" if engine == "processes" else "1"}
-    done = subprocess.run(
-        [*command, "--engine", engine], env=environment(folder, **told), cwd=folder, capture_output=True, text=True
-    )
+    words = ("-m", "halfseen.cli", "look", "table.pcd", f"{engine}.pcd", "--workers", "2", "--engine", engine)
+    done = run(folder, *words, THIS_MACHINE="0" if engine == "processes" else "1")
     assert done.returncode == 0, done.stderr
     assert asked_for(folder) == ""

@@ -5,7 +5,7 @@ import pytest
 from halfseen.errors import LogError
 from halfseen.evaluation.second_order import with_second_order
 from halfseen.learning.named_task import NamedActions
-from halfseen.logs import LogRecorder, Logs, LogStream, read_logs, write_stream
+from halfseen.logs import Logs, LogStream, read_logs, write_stream
 from halfseen.logs.formats import read_csv, write_csv
 from halfseen.logs.joining import joined
 from small_logs import flat_log
@@ -57,12 +57,10 @@ TEXTS = ["", "  ", "two\nlines", "x" * 25]
 
 
 @pytest.mark.parametrize("unit", TEXTS)
-def test_what_is_no_short_text_is_refused_in_one_line(unit, tmp_path):
+def test_what_is_no_short_text_is_refused_in_one_line(unit):
     with pytest.raises(LogError, match=r"reward_unit is .*; give a text of one line") as told:
         flat_log(num_paths=4).in_unit(unit)
     assert "\n" not in str(told.value)
-    with pytest.raises(LogError, match="reward_unit is"):
-        LogRecorder(tmp_path / "recorded", reward_unit=unit)
 
 
 @pytest.mark.parametrize("unit", [*TEXTS, 3, ["parts"]])
@@ -81,24 +79,3 @@ def test_two_units_do_not_join(logs, tmp_path):
     with pytest.raises(LogError, match="rewards are in"):
         write_stream([logs, other], tmp_path / "stream")
     assert joined([logs, other.in_unit(None)]).reward_unit == "Körbe"
-
-
-def record_one(recorder):
-    path = recorder.begin_path()
-    path.begin_stage({"x": 0.5}, action="A")
-    path.complete_stage(1.0, elapsed_s=2.0)
-    path.finish()
-
-
-def test_a_recorder_says_the_unit_once(tmp_path):
-    with LogRecorder(tmp_path, reward_unit="parts") as recorder:
-        record_one(recorder)
-    with LogRecorder(tmp_path) as recorder:
-        record_one(recorder)
-    assert read_logs(tmp_path).reward_unit == "parts"
-    assert read_logs(tmp_path).num_paths == 2
-    with pytest.raises(LogError, match="rewards are in 'parts' and in 'euros'"):
-        LogRecorder(tmp_path, reward_unit="euros")
-    with LogRecorder(tmp_path, reward_unit="parts") as recorder:
-        record_one(recorder)
-    assert read_logs(tmp_path).num_paths == 3
