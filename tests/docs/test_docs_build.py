@@ -90,14 +90,11 @@ def test_prose_of_a_notebook_tells_no_numbers(notebook):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_is_a_page_with_what_it_shows_and_can_be_taken_along(built, notebook):
+def test_a_notebook_is_a_page_with_what_it_shows(built, notebook):
     page = (built / "notebooks" / f"{notebook.stem}.html").read_text(encoding="utf-8")
-    num_shown = notebook.read_text(encoding="utf-8").count("SVG(")
-    assert num_shown >= 3
-    assert len(re.findall(r'<img alt="[^"]{20,}" src="\.\./_images/\w+\.svg"', page)) == num_shown
+    shown = re.findall(r'<img alt="[^"]{20,}" src="\.\./_images/\w+\.svg"', page)
+    assert len(shown) == notebook.read_text(encoding="utf-8").count("SVG(") >= 3
     assert "Traceback" not in page
-    (taken,) = re.findall(r'href="\.\./(_downloads/[^"]+\.md)"', page)
-    assert (built / taken).read_bytes() == notebook.read_bytes()
 
 
 @pytest.mark.slow
@@ -115,15 +112,6 @@ def test_every_page_tells_its_pictures_in_words_leaves_no_heading_out_and_loads_
         assert 'role="heading"><' not in text
         assert not loads.search(text), page
         assert "reference" not in page.parts or "\\n" not in text, page
-
-
-@pytest.mark.slow
-def test_a_citation_is_a_link_to_its_entry(built):
-    citing = (built / "reference" / "censoring.html").read_text(encoding="utf-8")
-    page = (built / "references.html").read_text(encoding="utf-8")
-    anchor = re.findall(r'references\.html#([^"]+)"[^>]*><span>\[Cox1972\]', citing)[0]
-    entry = page.split(f'id="{anchor}"')[1].split("</div>")[0]
-    assert "D. R. Cox (1972). Regression models and life-tables." in entry
 
 
 @pytest.mark.slow

@@ -111,24 +111,6 @@ def test_a_page_of_the_guide_can_be_followed(page, tmp_path, monkeypatch):
         follow(str(page), text)
 
 
-VERB_PAGE = GUIDE / "another-verb.md"
-
-
-@pytest.mark.slow
-def test_another_verb_earns_what_the_page_says_it_adds(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    text = VERB_PAGE.read_text(encoding="utf-8")
-    first = next(block[3] for block in BLOCK.finditer(text) if block[2] == "python")
-    without = follow("page.md", f"```python\n{first}```\n")["earned"].value
-    assert f"Without the patch the same lines print {without:.0f}." in text
-
-
-def test_a_patch_that_no_longer_applies_is_told(tmp_path):
-    stale = patch_in(VERB_PAGE.read_text(encoding="utf-8")).replace("LIFT = 2", "LIFT = 7")
-    with pytest.raises(AssertionError, match=r"page\.md: its diff blocks no longer apply[\s\S]*world/actions"):
-        apply_to_copy(stale, "page.md", tmp_path)
-
-
 PAGE = """
 ```python
 x = 1

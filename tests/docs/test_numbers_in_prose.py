@@ -4,8 +4,6 @@ import importlib
 import json
 import re
 import runpy
-import sys
-from dataclasses import asdict
 
 import pandas as pd
 import pytest
@@ -195,47 +193,7 @@ def test_the_table_of_biases_is_what_the_benchmark_prints(situation):
         assert 100 * row["coverage"] == pytest.approx(covers, abs=0.51)
 
 
-@pytest.fixture
-def module_of(monkeypatch):
-    """Import what stands outside of packages."""
-    for folder in ("benchmarks", "docs/extensions"):
-        monkeypatch.syspath_prepend(str(ROOT / folder))
-    yield importlib.import_module
-    for name in ("fleet", "timings", "timings_table"):
-        sys.modules.pop(name, None)
-
-
-def test_the_guide_says_what_was_measured_of_a_fleet(module_of):
-    fleet, text = module_of("fleet"), prose("docs/guide/any-multistage-problem.md")
+def test_the_guide_says_what_was_measured_of_a_fleet(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    fleet, text = importlib.import_module("fleet"), prose("docs/guide/any-multistage-problem.md")
     assert [each for each in fleet.sentences(json.loads(fleet.KEPT.read_text())) if each not in text] == []
-
-    def told(recipe, k, cpu_s, peak_gb, is_kept):
-        sizes = {"num_stages": 10**6 * k, "cpu_s": 2.0 + cpu_s * k, "peak_gb": 0.5 + peak_gb * k}
-        return {"recipe": recipe, "is_kept": is_kept, **sizes}
-
-    results = [told(recipe, k, 7.2, 0.002, True) for recipe in fleet.NAMES for k in (1, 5, 2)]
-    results += [told(recipe, k, 72.0, 0.0, False) for recipe in fleet.NAMES for k in (1, 2)]
-    # 10 billion stages of 7.2 µs are 72,000 s of a core, which 200 cores have in 360 s.
-    assert fleet.sentences(results)[:2] == [
-        "A stage more takes 2 bytes of the machine that asks: 20 GB.",
-        "By eq. 3 of the paper it takes 7.2 µs of a core: 0.1 hours. "
-        "Where nothing is kept between passes it is 72.0 µs, and 1.0 hours.",
-    ]
-
-
-def test_the_newest_timing_comes_first_and_what_was_before_stands_below(module_of):
-    timings, table = module_of("timings"), module_of("timings_table")
-    rows = [
-        timings.Row("a fit", 0.5, "s", "a peer", 2.0),
-        timings.Row("steps", 3e6, "steps/s", "a peer", 1e6, bar=1e6),
-        timings.Row("a fit", 0.25, "s", "a peer", 2.0, bar=0.4),
-        timings.Row("slow", 0.5, "s", bar=0.4),
-    ]
-    assert [row.ratio for row in rows] == [4.0, 3.0, 8.0, None]
-    assert [row.holds for row in rows] == [None, True, True, False]
-    told = [asdict(row) | {"date": f"2026-11-0{day}", "machine": "2 cores"} for day, row in enumerate(rows[:3], 1)]
-    assert [each["ours"] for each in timings.newest(told)] == [0.25, 3e6]
-    now, before = table.markdown(told).split("Before:")
-    assert "| a fit | 0.25 s | 0.4 s holds | a peer | 2 s | 8 | 2026-11-03 |" in now
-    assert "| steps | 3,000,000 steps/s | 1,000,000 steps/s holds |" in now
-    assert "| a fit | 0.5 s |  | a peer | 2 s | 4 | 2026-11-01 |" in before

@@ -4,7 +4,6 @@ Workers of a Dask cluster that is asked for talk over ports of this machine. Wha
 affair: its programs listen at the machine's address, and ask whether they run in a cloud.
 """
 
-import http.client
 import json
 import os
 import re
@@ -112,24 +111,20 @@ def serving(folder, *words):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("words", "page"), [(["serve", "policy"], "/health"), (["watch", "table.pcd"], "/")])
-def test_what_is_served_is_served_to_this_machine_alone(walked, words, page):
+@pytest.mark.parametrize(
+    ("words", "asking", "answer"),
+    [
+        (["serve", "policy", "--port", "0"], b"GET /health HTTP/1.0\r\nHost: 127.0.0.1\r\n\r\n", b" 200 "),
+        (["watch", "table.pcd", "--port", "0"], b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n", b" 200 "),
+        (["record", "--listen", "0", "--out", "heard"], None, b'"ok": true'),
+    ],
+    ids=["serve", "watch", "record"],
+)
+def test_what_is_served_is_served_to_this_machine_alone(walked, words, asking, answer):
     folder, _ = walked
-    with serving(folder, *words, "--port", "0") as port:
-        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=60)
-        connection.request("GET", page)
-        assert connection.getresponse().status == 200
-        connection.close()
-    assert asked_for(folder) == ""
-
-
-@pytest.mark.slow
-def test_a_recorder_listens_to_this_machine_alone(walked):
-    folder, _ = walked
-    listening = serving(folder, "record", "--listen", "0", "--out", "heard")
-    with listening as port, socket.create_connection(("127.0.0.1", port), timeout=60) as client:
-        client.sendall((folder / "lines.jsonl").read_bytes())
-        assert b'"ok": true' in client.makefile("rb").readline()
+    with serving(folder, *words) as port, socket.create_connection(("127.0.0.1", port), timeout=60) as client:
+        client.sendall(asking or (folder / "lines.jsonl").read_bytes())
+        assert answer in client.makefile("rb").readline()
     assert asked_for(folder) == ""
 
 
