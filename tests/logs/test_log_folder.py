@@ -122,6 +122,10 @@ OURS = '{"format": "halfseen-logs", %s}'
         ("logs.json", "{", "it cannot be read"),
         ("logs.json", b"\xff\xfe", "it cannot be read"),
         ("logs.json", OURS % '"version": 1', "rows None does not count stages and paths"),
+        *(
+            ("logs.json", OURS % f'"version": 1, "rows": {rows}', "rows .* does not count")
+            for rows in ('{"stages": "5", "paths": 3}', '{"stages": -1, "paths": 3}', '{"stages": 5e9, "paths": []}')
+        ),
         ("logs.json", OURS % '"version": 1, "rows": {"stages": 5, "paths": 3, "../x": 1}', "rows .* does not count"),
     ],
 )
