@@ -86,3 +86,19 @@ def on_file(change):
 
 OF_BYTES = tuple(map(on_file, (flipped, cut_short, overwritten, spliced, inflated)))
 OF_TEXT = tuple(map(on_file, (*[with_another_word] * 3, with_other_lines)))
+
+
+def or_flipped(change):
+    """A mutator of whole files; what cannot be read, or written as that, has a bit of its footer flipped."""
+
+    def changed(rng: Rng, file: Path) -> str:
+        whole = file.read_bytes()
+        try:
+            return f"{file.name}: {change(rng, file)}"
+        except Exception:  # what an earlier mutation broke, or a format does not allow
+            data = bytearray(whole or b" ")
+            data[-1 - int(rng.integers(min(len(data), 2000)))] ^= 1 << int(rng.integers(8))
+            file.write_bytes(bytes(data))
+            return f"{file.name}: a bit of the footer flipped"
+
+    return changed
