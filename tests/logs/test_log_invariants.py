@@ -32,6 +32,8 @@ def taken(table, rows):
 
 
 BREAKS = [
+    (stages("action", slice(None), [{"a": 1}] * 5), "stages: column 'action' holds mixed, not names; give whole"),
+    (stages("action", slice(None), [b"x"] * 5), "stages: column 'action' holds bytes, not names; give whole"),
     (taken("objects", []), "path 1, stage 1: it has no row in objects"),
     (taken("stages", [0, 1, 2, 3]), "path 3: it has no stage; even a path cut in its first"),
     (taken("paths", [0, 1]), "path 3, stage 1: paths has no such path; add its row"),

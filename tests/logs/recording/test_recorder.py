@@ -124,6 +124,7 @@ def test_weights_of_tied_clocks_add_up_although_paths_end_between_stages(tmp_pat
 
 def test_a_path_in_progress_is_still_running_and_a_torn_one_crashed(recorder, wait, tmp_path):
     path = recorder.begin_path()
+    path.still_running()
     begin(path)
     assert read_logs(tmp_path / "logs").paths["cause"].tolist() == ["still-running"]
     path.complete_stage(1.0)
@@ -300,6 +301,7 @@ def test_a_torn_or_missing_part_is_told_and_parts_moved_away_are_not_missed(tmp_
         part.unlink()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
+        assert read_logs(tmp_path).path_ids.tolist() == [3, 4]
         with LogRecorder(tmp_path) as recorder:
             assert recorder.begin_path().name not in (3, 4)
         assert (tmp_path / JOURNAL).stat().st_size == 0
