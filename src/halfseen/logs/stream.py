@@ -308,7 +308,7 @@ def write_stream(
             if last is not None and not part.path_ids[0] > last:
                 raise LogError(f"path {shown(part.path_ids[0])}: it comes after path {shown(last)}; sort the parts")
             if writers and part.tables.keys() != writers.keys():
-                raise LogError("only some of the parts have objects; write those that have and those that have none apart")
+                raise LogError("only some of the parts have objects; write those with and those without apart")
             last, unit = part.path_ids[-1], common_unit([unit, part.reward_unit])
             for name, table in part.tables.items():
                 if name not in writers:
