@@ -2,7 +2,7 @@
 
 python benchmarks/fleet.py
 
-It prints the sentences of the guide, which tests/docs/test_fleet.py compares.
+It prints the sentences of the guide, which tests/docs/test_numbers_in_prose.py compares.
 """
 
 import json

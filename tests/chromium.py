@@ -85,15 +85,6 @@ class Tab:
         shot = self._call("Page.captureScreenshot", format="png")
         return np.array(Image.open(io.BytesIO(base64.b64decode(shot["data"]))).convert("RGB"))
 
-    def drag(self, begin, end):
-        (x0, y0), (x1, y1) = begin, end
-        mouse = {"button": "left", "clickCount": 1}
-        self._call("Input.dispatchMouseEvent", type="mousePressed", x=x0, y=y0, **mouse)
-        for share in np.linspace(0.1, 1.0, 10):
-            x, y = x0 + share * (x1 - x0), y0 + share * (y1 - y0)
-            self._call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y, **mouse)
-        self._call("Input.dispatchMouseEvent", type="mouseReleased", x=x1, y=y1, **mouse)
-
     def press(self, key, code):
         for kind in ("rawKeyDown", "keyUp"):
             self._call("Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=code)

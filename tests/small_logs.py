@@ -8,12 +8,12 @@ from halfseen.logs import Logs
 HIDES = np.array([[0.0, 0.4], [0.1, 0.0]])
 
 
-def flat_log(num_paths=40, horizon=2, seed=0):
+def flat_log(num_paths=40, horizon=2, seed=0, cut_after_s=6.0):
     """Actions A and B at stage 1, A and C at stage 2; one covariate in words."""
     rng = np.random.default_rng(seed)
     stages, paths = [], []
     for path in range(num_paths):
-        clock, cut_s = 0.0, rng.exponential(6.0) + 0.1
+        clock, cut_s = 0.0, rng.exponential(cut_after_s) + 0.1
         for stage in range(1, horizon + 1):
             x1, x2 = rng.normal(), rng.integers(0, 3)
             action = rng.choice(["A", "B" if stage == 1 else "C"])
@@ -43,40 +43,25 @@ def _table_path(path, horizon, num_objects, hides, rng):
     clock, cut_s = 0.0, rng.exponential(25.0) + 0.1
     for stage in range(1, horizon + 1):
         occluded = 1.0 - np.prod(np.where(there, 1.0 - hides, 1.0), axis=1)
-        objects += [
-            {
-                "path": path,
-                "stage": stage,
-                "object": k,
-                "location": "TABLE" if there[k] else "DISHWASHER",
-                "occlusion": occluded[k],
-                "log_odds": log_odds[k],
-                "successes": sum(held for _, held in tried[k]),
-                "failures": sum(not held for _, held in tried[k]),
-                "lifts": lifts[k],
-                "hidden_by": hides[k].tolist(),
-                "attempt_occlusions": [at for at, _ in tried[k]],
-                "attempt_succeeded": [held for _, held in tried[k]],
-            }
-            for k in range(num_objects)
-        ]
+        for k in range(num_objects):
+            where, (shares, outcomes) = (
+                "TABLE" if there[k] else "DISHWASHER",
+                zip(*tried[k], strict=True) if tried[k] else ((), ()),
+            )
+            seen = {"location": where, "occlusion": occluded[k], "log_odds": log_odds[k]}
+            counts = {"successes": sum(outcomes), "failures": len(outcomes) - sum(outcomes), "lifts": lifts[k]}
+            past = {"attempt_occlusions": list(shares), "attempt_succeeded": list(outcomes)}
+            row = {"path": path, "stage": stage, "object": k, **seen, **counts, "hidden_by": hides[k].tolist(), **past}
+            objects.append(row)
         verb = rng.choice(["WASH", "LIFT", "FINISH"], p=[0.55, 0.35, 0.1])
         target = int(rng.choice(np.flatnonzero(there)))
         clock += rng.uniform(1.0, 6.0)
         is_seen = clock <= cut_s
         held = bool(rng.random() < 0.7 * (1.0 - occluded[target]))
         reward = {"WASH": 2.0 * log_odds[target] if held else -1.0, "LIFT": -0.4, "FINISH": -2.0 * there.sum()}[verb]
-        stages.append(
-            {
-                "path": path,
-                "stage": stage,
-                "elapsed_s": clock if is_seen else None,
-                "action": verb,
-                "object": None if verb == "FINISH" else target,
-                "reward": reward if is_seen else None,
-                "probability": 0.25,
-            }
-        )
+        done = {"action": verb, "object": None if verb == "FINISH" else target, "probability": 0.25}
+        came = {"elapsed_s": clock if is_seen else None, "reward": reward if is_seen else None}
+        stages.append({"path": path, "stage": stage, **done, **came})
         if verb != "FINISH":
             tried[target].append((occluded[target], held))
             lifts[target] += verb == "LIFT" and held

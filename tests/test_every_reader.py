@@ -3,7 +3,6 @@
 import json
 import os
 import sys
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from halfseen.cell.calibration.law_folder import read_law
-from halfseen.errors import HalfseenError, LogError
+from halfseen.errors import HalfseenError
 from halfseen.logs import LogStream, read_logs
 from halfseen.logs.formats import (
     MAPPING_TEMPLATE,
@@ -151,21 +150,6 @@ def test_what_is_too_deep_or_no_text_is_refused(place, name):
         refused(READERS[name], place / name)
 
 
-def test_a_byte_of_what_pandas_says_in_parquet_is_refused_in_one_line(place):
-    file = place / "logs" / "stages.parquet"
-    table = pq.read_table(file)
-    whole = json.loads(table.schema.metadata[b"pandas"])
-    for broken in (
-        b"{",
-        b"\xff",
-        json.dumps({**whole, "columns": 1}).encode(),
-        b'{"index_columns": [{}]}',
-        DEEP.encode(),
-    ):
-        pq.write_table(table.replace_schema_metadata({b"pandas": broken}), file)
-        refused(read_logs, place / "logs")
-
-
 def test_a_table_of_few_bytes_and_many_values_is_refused_before_it_is_read(place, monkeypatch):
     monkeypatch.setattr("halfseen.reading.ALWAYS_UNPACKED", 10**5)
     file = place / "logs" / "stages.parquet"
@@ -192,37 +176,6 @@ def test_part_by_part_a_missing_column_is_refused_too(place, column):
     file = place / "logs" / "stages.parquet"
     pq.write_table(pq.read_table(file).drop_columns([column]), file)
     assert f"there is no column '{column}'" in refused(LogStream, place / "logs")
-
-
-@pytest.mark.parametrize(
-    "rows", [{"stages": "2", "paths": 1}, {"stages": -1, "paths": 1}, {"stages": 1e9, "paths": []}]
-)
-def test_counts_that_are_none_are_refused(place, rows):
-    manifest = json.loads((place / "logs" / "logs.json").read_text())
-    (place / "logs" / "logs.json").write_text(json.dumps({**manifest, "rows": rows}))
-    assert "does not count stages and paths" in refused(read_logs, place / "logs")
-
-
-CELLS = {
-    "struct": [{"a": 1}],
-    "list": [[1.0]],
-    "list of structs": [[{"a": 1}]],
-    "bytes": [b"x"],
-    "category": None,
-}
-
-
-@pytest.mark.parametrize("column", ["path", "stage", "elapsed_s", "action", "reward", "probability"])
-@pytest.mark.parametrize("kind", CELLS)
-def test_cells_of_another_kind_are_refused_or_read_as_they_are(place, column, kind):
-    file = place / "logs" / "stages.parquet"
-    table = pq.read_table(file)
-    values = table[column].to_pylist() if column in table.column_names else [0.5] * len(table)
-    cells = pa.array(values).dictionary_encode() if CELLS[kind] is None else pa.array(CELLS[kind] * len(table))
-    table = table.drop_columns([column]) if column in table.column_names else table
-    pq.write_table(table.append_column(column, cells).replace_schema_metadata(None), file)
-    with suppress(LogError):
-        read_logs(place / "logs")
 
 
 def test_a_type_that_is_nested_too_deeply_is_refused(place):

@@ -2,13 +2,10 @@
 
 import io
 import re
-import subprocess
-import sys
 import tomllib
-from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from PIL import Image, ImageSequence
 
@@ -20,7 +17,7 @@ from pictures import way_of_the_data
 from pictures.films import FILMS
 from pictures.likeness import are_alike
 from pictures.page_figures import ASKS_FOR
-from pictures.picture import NUMBERS, ROOT, Picture, plot
+from pictures.picture import NUMBERS, ROOT
 from pictures.registry import PICTURES
 from pictures.study_figure import FIGURE1_NUMBERS
 from pictures.style import panel
@@ -40,39 +37,30 @@ def shown_in(page):
 
 
 def test_every_picture_that_is_shown_has_an_entry_and_every_entry_is_shown():
-    shown = {file for page in PAGES for _, file in shown_in(page)}
     entries = {picture.path for picture in PICTURES}
-    assert shown == entries
+    assert {file for page in PAGES for _, file in shown_in(page)} == entries
     assert len({picture.name for picture in PICTURES}) == len(PICTURES)
+    assert [picture.name for picture in PICTURES if picture.path.stem != picture.name] == []
     assert {file.name for file in (DOCS / "static" / "guide").iterdir()} <= {file.name for file in entries}
-
-
-def test_all_numbers_that_are_kept_are_drawn():
+    assert [p.file for p in PICTURES if "guide" in p.file and p.path.stat().st_size > MOST_BYTES] == []
     drawn_from = {picture.numbers.file for picture in PICTURES if picture.numbers is not None}
-    kept = {file.name for file in NUMBERS.iterdir()}
-    assert {name for name in kept if not name.startswith("study-")} == drawn_from
+    assert {file.name for file in NUMBERS.iterdir() if not file.name.startswith("study-")} == drawn_from
 
 
 def test_every_page_of_the_guide_shows_a_picture_and_says_in_words_what_is_seen():
-    for page in (DOCS / "guide").glob("*.md"):
-        assert shown_in(page), page
-    for page in PAGES:
-        assert [alt for alt, _ in shown_in(page) if len(alt) < 20] == [], page
+    assert [page for page in (DOCS / "guide").glob("*.md") if not shown_in(page)] == []
+    assert [(page, alt) for page in PAGES for alt, _ in shown_in(page) if len(alt) < 20] == []
 
 
-def test_pictures_of_the_guide_are_small():
-    assert [p.file for p in PICTURES if "guide" in p.file and p.path.stat().st_size > MOST_BYTES] == []
+# A film needs OpenGL and minutes: what it shows is held against its numbers below.
+DRAWN = [
+    pytest.param(each, id=each.name, marks=[pytest.mark.slow] if each.seconds > LONG_S else [])
+    for each in PICTURES
+    if each not in FILMS
+]
 
 
-@pytest.mark.parametrize(
-    "picture",
-    [
-        pytest.param(each, id=each.name, marks=[pytest.mark.slow] if each.seconds > LONG_S else [])
-        for each in PICTURES
-        # A film needs OpenGL and minutes: what it shows is held against its numbers below.
-        if each not in FILMS
-    ],
-)
+@pytest.mark.parametrize("picture", DRAWN)
 def test_a_picture_is_what_its_entry_draws(picture):
     assert are_alike(picture.path.read_bytes(), picture.draw()), picture.remedy
 
@@ -100,14 +88,12 @@ def apart(sentence):
 
 
 def test_figure_1_has_the_means_of_its_repetitions():
-    import pandas as pd
-
-    each = pd.DataFrame(FIGURE1_NUMBERS.read())
-    drawn_from = pd.read_csv(NUMBERS / "study-figure1.csv")
-    means = each[each["policy"] == "censored_q"].groupby(["num_paths", "cut_share"])["reward"].mean()
-    rows = drawn_from[drawn_from["policy"] == "censored_q"].set_index(["num_paths", "cut_share"])
+    each, drawn_from = pd.DataFrame(FIGURE1_NUMBERS.read()), pd.read_csv(NUMBERS / "study-figure1.csv")
+    of_each, of_all = (rows[rows["policy"] == "censored_q"] for rows in (each, drawn_from))
+    means = of_each.groupby(["num_paths", "cut_share"])["reward"].mean()
+    rows = of_all.set_index(["num_paths", "cut_share"])["mean_reward"].sort_index()
     assert len(means) == len(rows) == 24
-    np.testing.assert_allclose(means, rows["mean_reward"].sort_index(), rtol=1e-12)
+    np.testing.assert_allclose(means, rows, rtol=1e-12)
 
 
 def captions(gif):
@@ -132,57 +118,27 @@ def test_below_a_film_stand_the_decisions_that_its_numbers_tell(picture):
     assert max(np.abs(strip - written[k]).max() for strip, k in zip(strips, seen, strict=True)) < 64, picture.remedy
 
 
-def a_line(height=1.0, words="a line"):
-    def figure_of():
-        made, axes = panel(2.0, words)
-        axes.plot([0.0, 1.0], [0.0, height])
-        axes.set_ylim(0.0, 2.0)
-        return made
+def test_pictures_are_alike_where_nobody_sees_a_difference():
+    def a_line(height=1.0, words="a line"):
+        def figure_of():
+            made, axes = panel(2.0, words)
+            axes.plot([0.0, 1.0], [0.0, height])
+            axes.set_ylim(0.0, 2.0)
+            return made
 
-    return figure_of
+        return figure_of
 
-
-@pytest.mark.parametrize("kind", ["svg", "png"])
-def test_pictures_are_alike_where_nobody_sees_a_difference(kind):
-    kept = drawn(a_line(), kind)
-    assert are_alike(kept, drawn(a_line(), kind))
-    assert are_alike(kept, drawn(a_line(1.0 + 1e-6), kind))
-    assert not are_alike(kept, drawn(a_line(1.3), kind))
-    assert not are_alike(kept, drawn(a_line(words="another line"), kind))
+    for kind in ("svg", "png"):
+        kept = drawn(a_line(), kind)
+        assert are_alike(kept, drawn(a_line(1.0 + 1e-6), kind))
+        assert not are_alike(kept, drawn(a_line(1.3), kind))
+        assert not are_alike(kept, drawn(a_line(words="another line"), kind))
 
 
-def test_a_stale_picture_is_told_with_its_remedy(tmp_path):
-    picture = plot("line", a_line())
-    assert picture.remedy == "docs/static/guide/line.svg is stale: run make pictures ONLY=line"
-    moved = replace(picture, file=str(tmp_path / "line.svg"))
-    moved.make()
-    assert are_alike(moved.path.read_bytes(), moved.draw())
-
-
-def test_the_boxes_are_the_folders_of_the_package(monkeypatch):
+def test_boxes_are_folders_of_the_package_and_commands_ask_for_extras_that_there_are():
     assert all((ROOT / "src" / "halfseen" / name).is_dir() for name in way_of_the_data.folders())
-    monkeypatch.setattr(way_of_the_data, "BOXES", way_of_the_data.BOXES[1:])
-    with pytest.raises(AssertionError, match="cell"):
-        way_of_the_data.draw()
-
-
-def test_commands_ask_for_extras_that_there_are():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    assert set(ASKS_FOR) <= set(VERBS)
     asked = {name for names in ASKS_FOR.values() for name in names}
+    assert set(ASKS_FOR) <= set(VERBS)
     assert asked | {"gym", "jax", "pettingzoo"} == set(EXTRAS)
     assert set(EXTRAS) | {"all", "docs", "dev", "release"} == set(project["optional-dependencies"])
-
-
-def test_a_picture_that_is_not_there_is_refused_by_name():
-    env = {"PYTHONPATH": f"{DOCS}:{ROOT / 'src'}"}
-    done = subprocess.run(
-        [sys.executable, "-m", "pictures", "figure9"], capture_output=True, text=True, env=env, check=False
-    )
-    assert done.returncode == 2
-    assert "figure9: there is no such picture; there are opening, figure1, " in done.stderr
-
-
-def test_every_picture_is_listed():
-    assert all(isinstance(picture, Picture) for picture in PICTURES)
-    assert {Path(picture.file).stem for picture in PICTURES} == {picture.name for picture in PICTURES}

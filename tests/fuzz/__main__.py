@@ -3,28 +3,28 @@
 import argparse
 import sys
 import time
-from collections import Counter
 from pathlib import Path
 
+import pandas as pd
 from tqdm import tqdm
 
 from fuzz.campaign import TESTS, Result, numbered, run, saved
 
 LONG_S = 10.0
-SLOWEST = "slowest [s]"
 
 
 def main() -> int:
     """Run a campaign, or cases that were kept; the status says whether something is to be mended."""
     asked = argparse.ArgumentParser(prog="python -m fuzz", description=main.__doc__)
-    asked.add_argument("--cases", type=int, default=2000, help="how many")
-    asked.add_argument("--seed", type=int, default=0, help="the same seed draws the same cases")
-    asked.add_argument("--first", type=int, default=0, help="number of the first case")
-    asked.add_argument("--workers", type=int, default=2, help="processes")
-    asked.add_argument("--limit-s", type=float, default=30.0, help="how long a case may take [s]")
-    asked.add_argument(
-        "--place", type=Path, default=TESTS.parent / "runs" / "fuzz", help="where inputs and failures go"
-    )
+    for name, default, told in (
+        ("--cases", 2000, "how many"),
+        ("--seed", 0, "the same seed draws the same cases"),
+        ("--first", 0, "number of the first case"),
+        ("--workers", 2, "processes"),
+        ("--limit-s", 30.0, "how long a case may take [s]"),
+        ("--place", TESTS.parent / "runs" / "fuzz", "where inputs and failures go"),
+    ):
+        asked.add_argument(name, type=type(default), default=default, help=told)
     asked.add_argument("--light", action="store_true", help="leave out what compiles")
     asked.add_argument("--replay", type=Path, nargs="+", help="run these kept cases instead")
     chosen = asked.parse_args()
@@ -58,20 +58,10 @@ def main() -> int:
 
 def table(results: list[Result]) -> str:
     """Inputs by what came of them."""
-    counts = Counter((result.of, result.label) for result in results)
-    inputs, labels = (sorted({key[k] for key in counts}) for k in (0, 1))
-    width = max(map(len, inputs), default=0) + 2
-    labels = [*labels, SLOWEST]
-    rows = [" " * width + "  ".join(labels)]
-    for name in (*inputs, "all"):
-        cells = [
-            sum(n for (of, told), n in counts.items() if told == label and name in (of, "all")) for label in labels
-        ]
-        cells[-1] = f"{max((each.seconds for each in results if name in (each.of, 'all')), default=0.0):.1f}"
-        rows.append(
-            f"{name:<{width}}" + "  ".join(f"{n:>{len(label)}}" for n, label in zip(cells, labels, strict=True))
-        )
-    return "\n".join(rows)
+    rows = pd.DataFrame({"of": [r.of for r in results], "label": [r.label for r in results]})
+    counts = pd.crosstab(rows["of"], rows["label"], margins=True, margins_name="all")
+    counts["slowest [s]"] = [max(r.seconds for r in results if name in (r.of, "all")) for name in counts.index]
+    return counts.rename_axis(index=None, columns=None).to_string(float_format="{:.1f}".format)
 
 
 if __name__ == "__main__":

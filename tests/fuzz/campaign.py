@@ -1,47 +1,32 @@
 """Many cases, by worker processes that are replaced when they hang, die or grow."""
 
-import json
 import os
 import queue
 import signal
-import subprocess
-import sys
 import tempfile
-import threading
 from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+from fuzz import worker
 from fuzz.cases import Case, drawn, kept
 from fuzz.oracle import Outcome, judged
-from fuzz.worker import last_words
 
 TESTS = Path(__file__).parents[1]
 KEPT = Path(__file__).parent / "kept"
 MOST_CASES = 500
-"""That one process runs: what JAX compiled is kept by a process for ever."""
+"""That one process runs: what libraries keep is kept by a process for ever."""
 LOAD_S = 300.0
+SPAWN = get_context("spawn")
 
 
 @dataclass(frozen=True)
 class Result:
-    """What came of a case.
-
-    Parameters
-    ----------
-    name
-        Its number, or its file.
-    case
-        The case; None where not even its input could be made.
-    label
-        ``refused``, ``right``, or a fault.
-    why
-        What speaks for that.
-    seconds
-        How long it took [s].
-    """
+    """What came of a case: ``refused``, ``right``, or a fault; None for one whose input could not even be made."""
 
     name: str
     case: Case | None
@@ -66,56 +51,40 @@ class Worker:
     def __init__(self, place: Path) -> None:
         cache = TESTS.parent / "runs" / "fuzz" / "cache"
         cache.mkdir(parents=True, exist_ok=True)
-        known = {name: value for name, value in os.environ.items() if not name.startswith(("JAX_", "XLA_"))}
-        paths = os.pathsep.join([str(TESTS), str(TESTS.parent / "src"), *filter(None, [known.get("PYTHONPATH")])])
-        self._log = tempfile.TemporaryFile()  # noqa: SIM115
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "fuzz.worker"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._log,
-            # MuJoCo asks once a process for its way to draw, and here verbs that draw come after others that do not.
-            env={**known, "PYTHONPATH": paths, "XDG_CACHE_HOME": str(cache), "MUJOCO_GL": "egl"},
-            cwd=place,
-            start_new_session=True,
-        )
-        self._lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
-        self._hears = threading.Thread(target=self._hear, daemon=True)
-        self._hears.start()
+        descriptor, self._log = tempfile.mkstemp(dir=place)
+        os.close(descriptor)
+        self._talk, theirs = SPAWN.Pipe()
+        self._process = SPAWN.Process(target=worker.main, args=(theirs, place, cache, self._log))
+        self._process.start()
+        theirs.close()
         self.num_cases = 0
         self.said(LOAD_S)
 
     def ask(self, order: Mapping[str, Any]) -> None:
         self.num_cases += 1
-        self._process.stdin.write(json.dumps(order).encode() + b"\n")
-        self._process.stdin.flush()
+        with suppress(OSError):
+            self._talk.send(order)
 
-    def said(self, limit_s: float) -> dict[str, Any] | None:
-        """The next line; nothing where the process died, None where the time is up."""
-        try:
-            line = self._lines.get(timeout=limit_s)
-        except queue.Empty:
+    def said(self, limit_s: float) -> Any:
+        """What it says next; nothing where the process died, None where the time is up."""
+        if not self._talk.poll(limit_s):
             return None
-        return json.loads(line) if line else {}
+        try:
+            return self._talk.recv()
+        except (EOFError, OSError):
+            return ()
 
     def end(self) -> str:
         """End the process, whatever it does; how it ended, if it did, and the last of what it said to nobody."""
-        status = self._process.poll()
+        self._process.join(0.1)
+        status = self._process.exitcode
         with suppress(ProcessLookupError):
             os.killpg(self._process.pid, signal.SIGKILL)
-        self._process.wait()
-        self._hears.join()
-        for stream in (self._process.stdin, self._process.stdout):
-            with suppress(BrokenPipeError):
-                stream.close()
-        self._log.seek(0)
-        with self._log as log:
-            return f"exit status {status}: {log.read().decode(errors='replace')[-3000:]}"
-
-    def _hear(self) -> None:
-        for line in self._process.stdout:
-            self._lines.put(line)
-        self._lines.put(b"")
+        self._process.join()
+        self._talk.close()
+        said = Path(self._log).read_text(errors="replace")[-3000:]
+        os.unlink(self._log)
+        return f"exit status {status}: {said}"
 
 
 def run(
@@ -125,58 +94,37 @@ def run(
     limit_s: float = 30.0,
     on_each: Callable[[Result], object] = lambda result: None,
 ) -> list[Result]:
-    """Run cases.
+    """Run cases in a folder, where the valid inputs stay, each for so many seconds at most.
 
-    Parameters
-    ----------
-    orders
-        Each the seed and the number of a case, or the file of one that was kept.
-    place
-        Folder to work in; the valid inputs stay there.
-    num_workers
-        Processes.
-    limit_s
-        How long a case may take [s].
-    on_each
-        Told of each result as it comes.
+    An order is the seed and the number of a case, or the file of one that was kept.
     """
     corpus = place / "corpus"
     corpus.mkdir(parents=True, exist_ok=True)
     waiting: queue.SimpleQueue[Any] = queue.SimpleQueue()
     results: list[Result] = []
-    lock = threading.Lock()
     for order in orders:
         waiting.put(order)
 
     def work(number: int) -> None:
-        worker = None
-        while True:
-            try:
+        asked, folder = None, place / f"case-{number}"
+        while not waiting.empty():
+            with suppress(queue.Empty):
                 order = waiting.get_nowait()
-            except queue.Empty:
-                break
-            if worker is None:
-                worker = Worker(place)
-            folder = place / f"case-{number}"
-            worker.ask({**order, "folder": str(folder), "corpus": str(corpus)})
-            result, is_over = _result_of(worker, order, limit_s)
-            if is_over or worker.num_cases >= MOST_CASES:
-                said = worker.end()
-                if result.label == "fault: crash":
-                    said += last_words(folder).read_text(errors="replace")[-3000:] if result.case else ""
-                    result = Result(result.name, result.case, result.label, said, result.seconds)
-                worker = None
-            with lock:
+                asked = asked or Worker(place)
+                asked.ask({**order, "folder": folder, "corpus": corpus})
+                result, is_over = _result_of(asked, order, limit_s)
+                if is_over or asked.num_cases >= MOST_CASES:
+                    said, asked = asked.end(), None
+                    if result.label == "fault: crash":
+                        last = worker.last_words(folder).read_text(errors="replace")[-3000:] if result.case else ""
+                        result = replace(result, why=said + last)
                 results.append(result)
                 on_each(result)
-        if worker is not None:
-            worker.end()
+        if asked is not None:
+            asked.end()
 
-    threads = [threading.Thread(target=work, args=(number,)) for number in range(num_workers)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    with ThreadPoolExecutor(num_workers) as threads:
+        list(threads.map(work, range(num_workers)))
     return sorted(results, key=lambda result: (len(result.name), result.name))
 
 
@@ -192,19 +140,14 @@ def saved(seed: int, number: int, place: Path, has_heavy: bool = True) -> str:
         return kept(case, Path(folder), place / "corpus")
 
 
-def _result_of(worker: Worker, order: Mapping[str, Any], limit_s: float) -> tuple[Result, bool]:
+def _result_of(asked: Worker, order: Mapping[str, Any], limit_s: float) -> tuple[Result, bool]:
     """What came of an order, and whether the worker is done for."""
     name = str(order.get("number", Path(order.get("file", "")).name))
-    told = worker.said(LOAD_S)
-    if not told:
+    case = asked.said(LOAD_S)
+    if not case:
         return Result(name, None, "fault: crash", "in the making", LOAD_S), True
-    case = Case(**{key: tuple(value) if isinstance(value, list) else value for key, value in told["case"].items()})
-    told = worker.said(limit_s)
-    if not told:
-        outcome, answer = Outcome(None, seconds=limit_s, death="hang" if told is None else "crash"), None
-    else:
-        told_of = told["outcome"]
-        outcome = Outcome(**{key: tuple(value) if isinstance(value, list) else value for key, value in told_of.items()})
-        answer = told["answer"]
+    told = asked.said(limit_s)
+    lost = Outcome(None, seconds=limit_s, death="hang" if told is None else "crash")
+    outcome, answer, is_spent = told or (lost, None, True)
     label, why = judged(case, outcome, answer)
-    return Result(name, case, label, why, outcome.seconds), not told or told["is_spent"]
+    return Result(name, case, label, why, outcome.seconds), is_spent

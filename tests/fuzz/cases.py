@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from fuzz.corpus import CLOUDS, COMMAND_LINES, HEAVY, LOGS, SEEDS, made
+from fuzz import log_inputs, policy_inputs  # noqa: F401
+from fuzz.corpus import CLOUDS, HEAVY, LOGS, SEEDS, made, of_kind
 from fuzz.hostile import pick
 from fuzz.in_bytes import OF_BYTES, OF_TEXT, TEXT
 from fuzz.in_places import another_file, another_kind, sealed
@@ -28,20 +29,7 @@ MOST_TEXT = 8000
 
 @dataclass(frozen=True)
 class Case:
-    """What is run, and what was done to its input.
-
-    Parameters
-    ----------
-    seed
-        Name of the valid input.
-    words
-        Of the command line.
-    told
-        What was broken.
-    line
-        Number of the command line of the seed that answers the same if nothing that matters was broken; None if the
-        answer may be another.
-    """
+    """What is run, and what was done to its input."""
 
     seed: str
     words: tuple[str, ...]
@@ -53,8 +41,9 @@ def drawn(seed: int, number: int, corpus: Path, folder: Path, has_heavy: bool = 
     """Draw a case, and make its input in a fresh folder; the same seed and number draw the same."""
     rng = np.random.default_rng([seed, number])
     kind = pick(rng, ("words", "neutral", *["broken"] * 6))
-    groups = ((*CLOUDS, *LOGS), (*CLOUDS, *LOGS), LOGS, HEAVY) if has_heavy else (CLOUDS, LOGS)
-    chosen = COMMAND_LINES if kind == "words" and not rng.integers(4) else pick(rng, pick(rng, groups))
+    groups = ((CLOUDS, LOGS), (CLOUDS, LOGS), (LOGS,), (HEAVY,)) if has_heavy else ((CLOUDS,), (LOGS,))
+    is_of_none = kind == "words" and not rng.integers(4)
+    chosen = SEEDS["command-line"] if is_of_none else pick(rng, of_kind(*pick(rng, groups)))
     k = int(rng.integers(len(chosen.lines)))
     case = Case(chosen.name, tuple(shlex.split(chosen.lines[k])), ())
     shutil.copytree(made(chosen, corpus), folder / INPUT)

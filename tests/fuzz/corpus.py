@@ -1,75 +1,52 @@
-"""Small valid inputs, made by the project's own writers, each with a command line that reads it.
+"""Valid inputs by name, each with command lines that read it; the project's own writers make them.
 
 A command line names its input ``in/…`` and what it writes ``out…``, below the folder in which it runs.
 """
 
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import Any
 
-from fuzz.log_inputs import (
-    bag,
-    bag_of_ros_1,
-    calls,
-    csv,
-    journal,
-    journal_of_objects,
-    lerobot,
-    mcap_of_other_encodings,
-    minari,
-    minari_foreign,
-    parquet,
-    sqlite,
-    step_arrays,
-    steps,
-)
-from fuzz.policy_inputs import (
-    attempts,
-    begun,
-    flat_policy,
-    judged,
-    labelled,
-    law,
-    nothing,
-    npz,
-    pcd,
-    pcd_text,
-    ply,
-    several,
-    table_policy,
-    team,
-    team_logs,
-)
-from small_logs import flat_log, table_log
-from text_logs import text_log
-
-OF_SQL = "--stages 'SELECT * FROM stages' --paths 'SELECT * FROM paths'"
+CLOUDS, LOGS, HEAVY, OTHERS = "clouds", "logs", "heavy", "others"
+ONE = "--out out --json"
+INSPECTED = ("inspect in/logs --json", "inspect in/logs", "convert in/logs --out csv:out --json")
+MAPPED = "--mapping in/cell.toml --out out"
+LEARN = "learn in/logs --out out --no-verdict --workers 1"
 
 
 @dataclass(frozen=True)
 class Seed:
-    """A valid input and what is done with it.
-
-    Parameters
-    ----------
-    name
-        Of the input.
-    make
-        Writes the input into a folder.
-    lines
-        Command lines that read it.
-    is_heavy
-        Whether making or reading it compiles.
-    """
+    """A valid input and what is done with it."""
 
     name: str
+    kind: str
     make: Callable[[Path], object]
     lines: tuple[str, ...]
-    is_heavy: bool = False
+
+    @property
+    def is_heavy(self) -> bool:
+        """Whether making or reading it learns."""
+        return self.kind == HEAVY
+
+
+SEEDS: dict[str, Seed] = {}
+
+
+def seed(kind: str, *lines: str, name: str = "") -> Callable[[Callable[[Path], object]], Callable[[Path], object]]:
+    """Name what makes an input, and the command lines that read it."""
+
+    def noted(make: Callable[[Path], object]) -> Callable[[Path], object]:
+        called = name or getattr(make, "__name__", "").replace("_", "-")
+        SEEDS[called] = Seed(called, kind, make, lines)
+        return make
+
+    return noted
+
+
+def of_kind(*kinds: str) -> tuple[Seed, ...]:
+    return tuple(each for each in SEEDS.values() if each.kind in kinds)
 
 
 def made(seed: Seed, corpus: Path) -> Path:
@@ -83,126 +60,3 @@ def made(seed: Seed, corpus: Path) -> Path:
         except OSError:  # another process was faster
             shutil.rmtree(fresh)
     return folder
-
-
-def seeds(table: Mapping[str, tuple[Any, ...]], is_heavy: bool = False) -> tuple[Seed, ...]:
-    """Seeds by name: what makes each, and the command lines that read it."""
-    return tuple(Seed(name, make, tuple(lines), is_heavy) for name, (make, *lines) in table.items())
-
-
-ONE = "--out out --json"
-LEARN = "learn in/logs --out out --no-verdict --workers 1"
-EVALUATE = "evaluate in/policy --logs in/logs --propensity estimated"
-SIMULATE = "simulate in/table.npz --episodes 4 --out out --json"
-INSPECTED = ("inspect in/logs --json", "inspect in/logs", "convert in/logs --out csv:out --json")
-MAPPED = "--mapping in/cell.toml --out out"
-CLOUDS = seeds(
-    {
-        "npz": (npz, "look in/table.npz --json", "look in/table.npz", "look in/table.npz --json --picture out.png"),
-        "pcd": (pcd, "look in/table.pcd --json", "look in/table.pcd"),
-        "pcd-text": (pcd_text, "look in/table.pcd --json"),
-        "ply": (partial(ply, is_text=False), "look in/table.ply --json"),
-        "ply-text": (partial(ply, is_text=True), "look in/table.ply --json"),
-        "labels": (labelled, *(f"look in/table.npz --labels in/labels.{kind} --json" for kind in ("csv", "json"))),
-        "several": (several, "look in --json --workers 1", "look in/table.npz in/table.ply --workers 1"),
-    }
-)
-LOGS = seeds(
-    {
-        "flat": (parquet(flat_log), *INSPECTED),
-        "tables": (parquet(table_log), *INSPECTED),
-        "text": (parquet(text_log, 20), "inspect in/logs --json"),
-        "csv": (csv(flat_log, 8), f"convert in/logs {ONE}"),
-        "csv-tables": (csv(table_log, 6), f"convert in/logs {ONE}"),
-        "journal": (journal, "inspect in/logs --json", f"convert in/logs {ONE}", "convert in/logs in/more --out out"),
-        "minari": (minari, f"convert in/logs/flat-v0 {ONE}"),
-        "minari-foreign": (
-            minari_foreign,
-            f"convert in/hand-v0 {ONE}",
-            f"convert in/hand-v0 --clock t {ONE}",
-        ),
-        "mcap": (partial(bag, storage="mcap"), f"convert in/bag {MAPPED} --json"),
-        "db3": (partial(bag, storage="sqlite3"), f"convert in/bag {MAPPED} --json"),
-        "bag-of-clouds": (
-            partial(bag, storage="mcap", with_cloud=True),
-            f"convert in/bag {MAPPED} --clouds out-clouds --json",
-        ),
-        "lerobot": (lerobot, f"convert in/robot {ONE}", "convert in/robot --out csv:out --step-s 0.5 --json"),
-        **{
-            f"steps-{kind}": (partial(steps, kind=kind), f"convert in/steps.{kind} {ONE}")
-            for kind in ("parquet", "csv", "arrow")
-        },
-        "steps-hdf5": (
-            step_arrays,
-            f"convert in/steps.hdf5 {ONE}",
-            "convert in/steps.hdf5 --out out --check --truncated finished",
-        ),
-        **{
-            f"mcap-{encoding}": (
-                partial(mcap_of_other_encodings, encoding=encoding),
-                f"convert in/cell.mcap {MAPPED} --json",
-            )
-            for encoding in ("json", "protobuf")
-        },
-        "sqlite": (sqlite, f"convert sql:sqlite:///in/logs.db {OF_SQL} {ONE}"),
-        "bag-of-ros-1": (bag_of_ros_1, f"convert in/old.bag {MAPPED} --json"),
-        "journal-of-objects": (journal_of_objects, "inspect in/logs --json", "convert in/logs --out csv:out --json"),
-        "calls": (calls, "record in/calls.jsonl --out out"),
-    }
-)
-HEAVY = seeds(
-    {
-        "flat-learned": (
-            parquet(flat_log),
-            f"{LEARN} --json",
-            f"{LEARN} --in-passes --json",
-            f"{LEARN} --censoring cox --q-function kernel --reg 0.1",
-        ),
-        "text-learned": (parquet(text_log, 20), f"{LEARN} --json"),
-        "tables-learned": (parquet(table_log), f"{LEARN} --json"),
-        "flat-policy": (
-            flat_policy,
-            "act in/policy in/state.json --json",
-            "act in/policy in/state.csv --json",
-            "act in/policy in/state.json",
-            "export in/policy --onnx out.onnx",
-        ),
-        "judged": (
-            judged,
-            f"{EVALUATE} --workers 1 --json",
-            f"{EVALUATE} --against in/rule.toml --workers 1 --json",
-            f"{EVALUATE} --against in/rule.csv --workers 1",
-            "report in/logs --out out.html --json --workers 1",
-        ),
-        "table-policy": (
-            table_policy,
-            "act in/policy in/table.npz --json",
-            "act in/policy in/table.npz --picture out.png",
-        ),
-        "begun": (
-            begun,
-            "act in/policy in/table.npz --history in/history --json",
-            "watch in/table.npz --policy in/policy --export out.html",
-            "evaluate in/policy in/table.npz --world --episodes 8 --json",
-        ),
-        "attempts": (attempts, f"cell calibrate --from in/attempts --workers 1 {ONE}"),
-        "law": (law, f"{SIMULATE} --law in/law"),
-        "team": (team, *(f"{SIMULATE} --team in/team.{kind} --horizon 2" for kind in ("toml", "json"))),
-        "team-logs": (team_logs, "inspect in/logs --json", LEARN),
-    },
-    is_heavy=True,
-)
-COMMAND_LINES = Seed(
-    "command-line",
-    nothing,
-    (
-        *(f"{verb} --help" for verb in ("look", "inspect", "cell run")),
-        "study in/none.pcd --out out --only reward --repetitions 2 --seed 1",
-        "cell run --policy nobody --out out",
-        "cell calibrate --out out --attempts 50 --arm in/none.xml",
-        "cell film --policy nobody --out out.gif",
-        "watch in/none --export out.html",
-        "serve in/none",
-    ),
-)
-SEEDS = {seed.name: seed for seed in (*CLOUDS, *LOGS, *HEAVY, COMMAND_LINES)}

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from fuzz.hostile import LONG, NUMBERS, WORDS, any_value, pick
-from fuzz.in_tables import bomb, flip_tail, of_csv, of_parquet, of_sqlite
+from fuzz.in_bytes import or_flipped
+from fuzz.in_tables import bomb, of_csv, of_parquet, of_sqlite
 
 Rng = np.random.Generator
 IN_TOML = (
@@ -28,15 +29,11 @@ SHAPED = (
 def of_json(rng: Rng, file: Path) -> str:
     """Another value, key or order somewhere in a JSON document, or in one line of several."""
     text = file.read_text(errors="replace")
-    if file.suffix == ".jsonl":
-        lines = text.splitlines() or [""]
-        k = int(rng.integers(len(lines)))
-        lines[k], told = _changed_json(rng, lines[k])
-        file.write_text("\n".join(lines) + "\n", errors="surrogatepass")
-        return f"{file.name}: line {k + 1}: {told}"
-    new, told = _changed_json(rng, text)
-    file.write_text(new, errors="surrogatepass")
-    return f"{file.name}: {told}"
+    lines = (text.splitlines() or [""]) if file.suffix == ".jsonl" else [text]
+    k = int(rng.integers(len(lines)))
+    lines[k], told = _changed_json(rng, lines[k])
+    file.write_text("\n".join(lines) + "\n", errors="surrogatepass")
+    return f"line {k + 1}: {told}"
 
 
 def _changed_json(rng: Rng, text: str) -> tuple[str, str]:
@@ -44,11 +41,9 @@ def _changed_json(rng: Rng, text: str) -> tuple[str, str]:
         value = json.loads(text)
     except (ValueError, RecursionError):
         return text + "]", "bracket added"
-    if not rng.integers(12):
-        return _dumped(any_value(rng)), "another document"
     parents = list(_parents(value))
-    if not parents:
-        return _dumped(any_value(rng)), "another document"
+    if not rng.integers(12) or not parents:
+        return json.dumps(any_value(rng)), "another document"
     parent = pick(rng, parents)
     key = pick(rng, list(parent) if isinstance(parent, dict) else range(len(parent)))
     kind = pick(rng, ("value", "value", "value", "elsewhere", "elsewhere", "scaled", "scaled", "dropped", "renamed"))
@@ -65,7 +60,7 @@ def _changed_json(rng: Rng, text: str) -> tuple[str, str]:
         parent[pick(rng, WORDS)] = parent.pop(key)
     else:
         parent.insert(key, any_value(rng))
-    return _dumped(value), f"{str(key)[:40]}: {kind}"
+    return json.dumps(value), f"{str(key)[:40]}: {kind}"
 
 
 def _scaled(rng: Rng, value: Any) -> Any:
@@ -88,10 +83,6 @@ def _parents(value: Any) -> Any:
             yield from _parents(child)
 
 
-def _dumped(value: Any) -> str:
-    return json.dumps(value, ensure_ascii=True)
-
-
 def of_toml(rng: Rng, file: Path) -> str:
     """Another value, key or table."""
     lines = file.read_text(errors="replace").splitlines()
@@ -105,39 +96,24 @@ def of_toml(rng: Rng, file: Path) -> str:
         added = ("[[robot]]", "[rule]", "x = 1", lines[pick(rng, places)])
         lines.insert(int(rng.integers(len(lines))), pick(rng, added))
     file.write_text("\n".join(lines) + "\n")
-    return f"{file.name}: another value"
+    return "another value"
 
 
 def of_npz(rng: Rng, file: Path) -> str:
     """Arrays of other values, kinds and shapes, pictures that no camera takes, and headers that lie."""
-    try:
-        with np.load(io.BytesIO(file.read_bytes()), allow_pickle=False) as stored:
-            arrays = {name: stored[name] for name in stored.files}
-    except Exception:  # what an earlier mutation broke
-        return f"{file.name}: as it is"
-    name = pick(rng, list(arrays))
-    array = np.atleast_1d(arrays[name])
-    kind = pick(rng, ("cell", "type", "shape", "dropped", "header", "picture", "picture"))
-    if kind == "cell":
-        arrays[name] = _hostile_cells(rng, array)
-    elif kind == "type":
-        types = (np.float16, np.float32, np.int64, np.uint8, np.complex128, bool, "S8", "U8", "M8[s]", object)
-        with np.errstate(all="ignore"), suppress(ValueError):  # text that is no time stays text
-            arrays[name] = np.nan_to_num(array).astype(pick(rng, types))
-    elif kind == "shape":
-        arrays[name] = np.asarray(pick(rng, SHAPED)(array))
+    with np.load(io.BytesIO(file.read_bytes()), allow_pickle=False) as stored:
+        arrays = {name: stored[name] for name in stored.files}
+    name, kind = pick(rng, list(arrays)), pick(rng, (*OF_ARRAY, "dropped", "header", "picture", "picture"))
+    if kind in OF_ARRAY:
+        arrays[name] = OF_ARRAY[kind](rng, np.atleast_1d(arrays[name]))
     elif kind == "dropped":
         del arrays[name]
-    elif kind == "picture" and _is_image(arrays.get("depth_m")):
+    elif kind == "picture" and np.ndim(arrays.get("depth_m")) == 2:
         arrays["depth_m"] = strange_depth(rng, arrays["depth_m"])
     np.savez_compressed(file, allow_pickle=True, **arrays)
     if kind == "header":
         _lie_in_header(rng, file, name)
-    return f"{file.name}: {name}: {kind}"
-
-
-def _is_image(array: np.ndarray | None) -> bool:
-    return array is not None and array.ndim == 2 and array.dtype.kind == "f"
+    return f"{name}: {kind}"
 
 
 def strange_depth(rng: Rng, depth: np.ndarray) -> np.ndarray:
@@ -174,17 +150,40 @@ def _hostile_cells(rng: Rng, array: np.ndarray) -> np.ndarray:
     return changed.reshape(array.shape)
 
 
+def _of_another_type(rng: Rng, array: np.ndarray) -> np.ndarray:
+    types = (np.float16, np.float32, np.int64, np.uint8, np.complex128, bool, "S8", "U8", "M8[s]", object)
+    with np.errstate(all="ignore"), suppress(ValueError, TypeError):  # text that is no time stays text
+        array = np.nan_to_num(array).astype(pick(rng, types))
+    return array
+
+
+OF_ARRAY = {
+    "cell": _hostile_cells,
+    "type": _of_another_type,
+    "shape": lambda rng, array: np.asarray(pick(rng, SHAPED)(array)),
+}
+
+
 def _lie_in_header(rng: Rng, file: Path, name: str) -> None:
     shapes = ((10**9,), (10**6, 10**6), (-1,), (2**62, 2**62), (0,), (), (1,) * 70)
     descr = pick(rng, ("<f8", "|O", "<f4", "|S1000000000", "|V8", [("a", "<f8")], "<U1000000", "nonsense"))
-    with zipfile.ZipFile(file) as archive:
-        members = {info.filename: archive.read(info) for info in archive.infolist()}
+    members = members_of(file)
     head = repr({"descr": descr, "fortran_order": False, "shape": pick(rng, shapes)}).encode() + b"\n"
-    body = members[f"{name}.npy"]
-    members[f"{name}.npy"] = b"\x93NUMPY\x01\x00" + len(head).to_bytes(2, "little") + head + body[128:]
-    with zipfile.ZipFile(file, "w") as archive:
-        for member, content in members.items():
-            archive.writestr(member, content)
+    members[f"{name}.npy"] = (
+        b"\x93NUMPY\x01\x00" + len(head).to_bytes(2, "little") + head + members[f"{name}.npy"][128:]
+    )
+    zip_members(file, members)
+
+
+def members_of(file: Path) -> dict[str, bytes]:
+    with zipfile.ZipFile(file) as archive:
+        return {info.filename: archive.read(info) for info in archive.infolist()}
+
+
+def zip_members(file: Path, members: dict[str, bytes], packed: int = zipfile.ZIP_STORED) -> None:
+    with zipfile.ZipFile(file, "w", packed) as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
 
 
 def of_safetensors(rng: Rng, file: Path) -> str:
@@ -200,58 +199,50 @@ def of_safetensors(rng: Rng, file: Path) -> str:
         text, told = _changed_json(rng, head.decode(errors="replace"))
         head = text.encode("utf-8", "surrogatepass")
     file.write_bytes(len(head).to_bytes(8, "little") + head + bytes(body))
-    return f"{file.name}: {told}"
+    return told
 
 
 def of_hdf5(rng: Rng, file: Path) -> str:
     """Another dataset or attribute, or one less."""
     import h5py
 
-    try:
-        with h5py.File(file, "r+") as opened:
-            places: list[str] = []
-            opened.visit(places.append)
-            place = pick(rng, places) if places else "/"
-            node, kind = opened[place], pick(rng, ("attribute", "dataset", "dataset", "dropped", "link"))
-            if kind == "attribute":
-                key = pick(rng, list(node.attrs) or ["new"])
-                node.attrs[key] = pick(rng, (*NUMBERS[:16], "word", LONG, np.zeros(3), np.zeros(0)))
-            elif kind == "dropped":
-                del opened[place]
-            elif kind == "link":
-                del opened[place]
-                links = (h5py.SoftLink("/none"), h5py.SoftLink(f"/{place}"), h5py.ExternalLink("/dev/zero", "/"))
-                opened[place] = pick(rng, links)
-            else:
-                shape = node.shape if isinstance(node, h5py.Dataset) else (3,)
-                del opened[place]
-                opened[place] = _dataset(rng, max(0, (shape[0] if shape else 1) + int(rng.integers(-1, 2))))
-    except Exception:  # what an earlier mutation broke, or HDF5 does not allow
-        return flip_tail(rng, file)
-    return f"{file.name}: {place}: {kind}"
+    with h5py.File(file, "r+") as opened:
+        places: list[str] = []
+        opened.visit(places.append)
+        place = pick(rng, places) if places else "/"
+        node, kind = opened[place], pick(rng, ("attribute", "dataset", "dataset", "dropped", "link"))
+        if kind == "attribute":
+            key = pick(rng, list(node.attrs) or ["new"])
+            node.attrs[key] = pick(rng, (*NUMBERS[:16], "word", LONG, np.zeros(3), np.zeros(0)))
+            return f"{place}: {kind}"
+        num_rows = node.shape[0] if isinstance(node, h5py.Dataset) and node.shape else 1
+        del opened[place]
+        if kind == "link":
+            links = (h5py.SoftLink("/none"), h5py.SoftLink(f"/{place}"), h5py.ExternalLink("/dev/zero", "/"))
+            opened[place] = pick(rng, links)
+        elif kind == "dataset":
+            opened[place] = _dataset(rng, max(0, num_rows + int(rng.integers(-1, 2))))
+    return f"{place}: {kind}"
 
 
 def _dataset(rng: Rng, size: int) -> np.ndarray:
-    values = (
-        np.full(size, pick(rng, NUMBERS[:15]), float),
-        np.arange(size),
-        np.array([b"a"] * size),
-        np.array(3.0),
-        *(np.zeros(shape) for shape in ((size, 0), (size, 2, 2))),
-        *(np.zeros(size, kind) for kind in (bool, complex)),
-    )
-    return pick(rng, values)
+    of_size = (np.full(size, pick(rng, NUMBERS[:15]), float), np.arange(size), np.array([b"a"] * size), np.array(3.0))
+    others = (np.zeros((size, 0)), np.zeros((size, 2, 2)), np.zeros(size, bool), np.zeros(size, complex))
+    return pick(rng, (*of_size, *others))
 
 
 OF_FORMAT = {
-    ".json": (of_json,),
-    ".jsonl": (of_json,),
-    ".csv": (of_csv,),
-    ".toml": (of_toml,),
-    ".parquet": (*[of_parquet] * 6, bomb),
-    ".npz": (of_npz,),
-    ".safetensors": (of_safetensors,),
-    ".hdf5": (of_hdf5,),
-    ".db3": (of_sqlite,),
-    ".db": (of_sqlite,),
+    suffix: tuple(map(or_flipped, changes))
+    for suffix, changes in {
+        ".json": [of_json],
+        ".jsonl": [of_json],
+        ".csv": [of_csv],
+        ".toml": [of_toml],
+        ".parquet": [*[of_parquet] * 6, bomb],
+        ".npz": [of_npz],
+        ".safetensors": [of_safetensors],
+        ".hdf5": [of_hdf5],
+        ".db3": [of_sqlite],
+        ".db": [of_sqlite],
+    }.items()
 }

@@ -6,33 +6,49 @@ import shutil
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
+from fuzz.corpus import HEAVY, INSPECTED, LEARN, LOGS, MAPPED, ONE, seed
 from fuzz.policy_inputs import NUM_COLUMNS, NUM_ROWS, table_cloud
 from halfseen.logs import LogRecorder, Logs
-from small_logs import flat_log
+from small_logs import flat_log, table_log
+from text_logs import text_log
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "logs" / "formats"))
 
 
-BAG_OF_ROS_1 = {"action": "action", "reward": "reward", "ending": "end"}
+OF_LEARNING = ("--json", "--in-passes --json", "--censoring cox --q-function kernel --reg 0.1")
+OF_SQL = "--stages 'SELECT * FROM stages' --paths 'SELECT * FROM paths'"
 
 
-def parquet(log: Callable[..., Logs], *given: int) -> Callable[[Path], object]:
-    return lambda folder: log(*given).write(folder / "logs")
+def parquet(folder: Path, log: Callable[[], Logs]) -> None:
+    log().write(folder / "logs")
 
 
-def csv(log: Callable[..., Logs], *given: int) -> Callable[[Path], object]:
-    def make(folder: Path) -> None:
-        from halfseen.logs.formats import write_csv
+def csv(folder: Path, log: Callable[[], Logs]) -> None:
+    from halfseen.logs.formats import write_csv
 
-        write_csv(log(*given), folder / "logs")
-
-    return make
+    write_csv(log(), folder / "logs")
 
 
+few_words = partial(text_log, 20)
+for _name, _kind, _make, _log, _lines in (
+    ("flat", LOGS, parquet, flat_log, INSPECTED),
+    ("tables", LOGS, parquet, table_log, INSPECTED),
+    ("text", LOGS, parquet, few_words, INSPECTED[:1]),
+    ("csv", LOGS, csv, partial(flat_log, 8), [f"convert in/logs {ONE}"]),
+    ("csv-tables", LOGS, csv, partial(table_log, 6), [f"convert in/logs {ONE}"]),
+    ("flat-learned", HEAVY, parquet, flat_log, [f"{LEARN} {more}" for more in OF_LEARNING]),
+    ("text-learned", HEAVY, parquet, few_words, [f"{LEARN} --json"]),
+    ("tables-learned", HEAVY, parquet, table_log, [f"{LEARN} --json"]),
+):
+    seed(_kind, *_lines, name=_name)(partial(_make, log=_log))
+
+
+@seed(LOGS, "inspect in/logs --json", f"convert in/logs {ONE}", "convert in/logs in/more --out out")
 def journal(folder: Path) -> None:
     rng = np.random.default_rng(0)
     with LogRecorder(folder / "logs") as recorder:
@@ -60,6 +76,7 @@ def datasets_in(folder: Path) -> Iterator[None]:
         os.environ.update({} if was is None else {"MINARI_DATASETS_PATH": was})
 
 
+@seed(LOGS, f"convert in/logs/flat-v0 {ONE}")
 def minari(folder: Path) -> None:
     from halfseen.logs.formats import write_minari
 
@@ -67,6 +84,7 @@ def minari(folder: Path) -> None:
         write_minari(flat_log(6), "logs/flat-v0")
 
 
+@seed(LOGS, f"convert in/hand-v0 {ONE}", f"convert in/hand-v0 --clock t {ONE}")
 def minari_foreign(folder: Path) -> None:
     import minari as library
     from gymnasium import spaces
@@ -103,21 +121,24 @@ def bag(folder: Path, storage: str, with_cloud: bool = False) -> None:
     write_bag(folder / "bag", sorted(messages, key=lambda one: one[0]), storage)
 
 
+for _name, _storage, _with_cloud in (
+    ("mcap", "mcap", False),
+    ("db3", "sqlite3", False),
+    ("bag-of-clouds", "mcap", True),
+):
+    _line = f"convert in/bag {MAPPED}{' --clouds out-clouds' if _with_cloud else ''} --json"
+    seed(LOGS, _line, name=_name)(partial(bag, storage=_storage, with_cloud=_with_cloud))
+
+
+@seed(LOGS, f"convert in/old.bag {MAPPED} --json")
 def bag_of_ros_1(folder: Path) -> None:
-    from bags import number, text
-    from rosbags.rosbag1 import Writer
-    from rosbags.typesys import Stores, get_typestore
+    from bags import SMALL, one_path, tables_of, write_bag_of_ros_1
 
-    store = get_typestore(Stores.ROS1_NOETIC)
-    messages = [text(1.0, "/action", "A"), number(2.0, "/reward", 1.0), text(2.5, "/end", "finished")]
-    with Writer(folder / "old.bag") as writer:
-        for seconds, topic, kind, message in messages:
-            connection = writer.add_connection(topic, kind, typestore=store)
-            writer.write(connection, int(seconds * 1e9), store.serialize_ros1(message, kind))
-    tables = (f'[{key}]\ntopic = "/{topic}"\nfield = "data"\n' for key, topic in BAG_OF_ROS_1.items())
-    (folder / "cell.toml").write_text("".join(tables))
+    write_bag_of_ros_1(folder / "old.bag", one_path())
+    (folder / "cell.toml").write_text(tables_of(SMALL))
 
 
+@seed(LOGS, f"convert in/robot {ONE}", "convert in/robot --out csv:out --step-s 0.5 --json")
 def lerobot(folder: Path) -> None:
     from foreign import episodes, last_of, write_lerobot
 
@@ -126,19 +147,28 @@ def lerobot(folder: Path) -> None:
 
 
 def steps(folder: Path, kind: str) -> None:
-    import test_step_tables
+    from foreign import episodes, rows_of, write_rows
 
-    found = test_step_tables.episodes()
-    test_step_tables.write(folder / f"steps.{kind}", test_step_tables.rows_of(found, [True, False, True]), kind=kind)
+    write_rows(folder / f"steps.{kind}", rows_of(episodes(), [True, False, True]), kind)
 
 
+for _kind in ("parquet", "csv", "arrow"):
+    seed(LOGS, f"convert in/steps.{_kind} {ONE}", name=f"steps-{_kind}")(partial(steps, kind=_kind))
+
+
+@seed(
+    LOGS,
+    f"convert in/steps.hdf5 {ONE}",
+    "convert in/steps.hdf5 --out out --check --truncated finished",
+    name="steps-hdf5",
+)
 def step_arrays(folder: Path) -> None:
-    import test_step_arrays
+    from foreign import arrays, episodes, write_arrays
 
-    found = test_step_arrays.episodes()
-    test_step_arrays.write(folder / "steps.hdf5", test_step_arrays.arrays(found, terminated=[0], timed_out=[1]))
+    write_arrays(folder / "steps.hdf5", arrays(episodes(), terminated=[0], timed_out=[1]))
 
 
+@seed(LOGS, f"convert sql:sqlite:///in/logs.db {OF_SQL} {ONE}")
 def sqlite(folder: Path) -> None:
     import sqlite3
     from contextlib import closing
@@ -150,14 +180,19 @@ def sqlite(folder: Path) -> None:
 
 
 def mcap_of_other_encodings(folder: Path, encoding: str) -> None:
-    import test_mcap_files
-    from bags import two_paths
+    import bags
 
-    encode = getattr(test_mcap_files, f"as_{encoding}")
-    test_mcap_files.write_mcap(folder / "cell.mcap", two_paths(), encode)
-    test_mcap_files.mapping(folder, encode)
+    encode = getattr(bags, f"as_{encoding}")
+    bags.write_mcap(folder / "cell.mcap", bags.two_paths(), encode)
+    bags.mapping(folder, encode)
 
 
+for _encoding in ("json", "protobuf"):
+    _make = partial(mcap_of_other_encodings, encoding=_encoding)
+    seed(LOGS, f"convert in/cell.mcap {MAPPED} --json", name=f"mcap-{_encoding}")(_make)
+
+
+@seed(LOGS, "inspect in/logs --json", "convert in/logs --out csv:out --json")
 def journal_of_objects(folder: Path) -> None:
     seen = [{"object": name, "occlusion": 0.2 * k, "hidden_by": [0.0, 0.0]} for k, name in enumerate(("cup", "mug"))]
     with LogRecorder(folder / "logs", reward_unit="cups") as recorder:
@@ -169,6 +204,7 @@ def journal_of_objects(folder: Path) -> None:
             path.finish()
 
 
+@seed(LOGS, "record in/calls.jsonl --out out")
 def calls(folder: Path) -> None:
     lines = [
         {"call": "begin_path", "name": 1, "columns": {"cell": "left"}},

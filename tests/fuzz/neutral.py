@@ -11,32 +11,23 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from fuzz.hostile import pick
+from fuzz.in_structure import members_of, zip_members
 
 Rng = np.random.Generator
 
 
 def parquet_packed_otherwise(rng: Rng, file: Path) -> None:
     table = pq.ParquetFile(io.BytesIO(file.read_bytes())).read()
-    packed = pick(rng, ("snappy", "zstd", "gzip", "none", "lz4"))
-    pq.write_table(
-        table,
-        file,
-        compression=packed,
-        row_group_size=int(rng.integers(1, 100)),
-        use_dictionary=bool(rng.integers(2)),
-        write_statistics=bool(rng.integers(2)),
-        data_page_version=pick(rng, ("1.0", "2.0")),
-    )
-
-
-def parquet_with_metadata(rng: Rng, file: Path) -> None:
-    table = pq.ParquetFile(io.BytesIO(file.read_bytes())).read()
-    pq.write_table(table.replace_schema_metadata({**(table.schema.metadata or {}), b"note": b"of no matter"}), file)
+    table = table.replace_schema_metadata({**(table.schema.metadata or {}), b"note": b"of no matter"})
+    options = {"row_group_size": int(rng.integers(1, 100)), "data_page_version": pick(rng, ("1.0", "2.0"))}
+    options |= {name: bool(rng.integers(2)) for name in ("use_dictionary", "write_statistics")}
+    pq.write_table(table, file, compression=pick(rng, ("snappy", "zstd", "gzip", "none", "lz4")), **options)
 
 
 def json_in_other_order(rng: Rng, file: Path) -> None:
     read = json.loads(file.read_text())
-    file.write_text(json.dumps(_reversed(read), indent=int(rng.integers(5))) + "\n")
+    turned = dict(reversed(read.items())) if isinstance(read, dict) else read
+    file.write_text(json.dumps(turned, indent=int(rng.integers(5))) + "\n")
 
 
 def csv_quoted(rng: Rng, file: Path) -> None:
@@ -54,15 +45,10 @@ def toml_commented(rng: Rng, file: Path) -> None:
 
 
 def npz_packed_otherwise(rng: Rng, file: Path) -> None:
-    with zipfile.ZipFile(file) as archive:
-        members = {info.filename: archive.read(info) for info in archive.infolist()}
-    packed = pick(rng, (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2))
     extra = io.BytesIO()
     np.save(extra, np.arange(3))
-    with zipfile.ZipFile(file, "w", packed) as archive:
-        for name in reversed(members):
-            archive.writestr(name, members[name])
-        archive.writestr("of_no_matter.npy", extra.getvalue())
+    members = dict(reversed(members_of(file).items())) | {"of_no_matter.npy": extra.getvalue()}
+    zip_members(file, members, pick(rng, (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_LZMA)))
 
 
 def pcd_commented(rng: Rng, file: Path) -> None:
@@ -84,7 +70,7 @@ def torn_tail(rng: Rng, file: Path) -> None:
 
 
 NEUTRAL: dict[str, tuple[Any, ...]] = {
-    ".parquet": (parquet_packed_otherwise, parquet_with_metadata),
+    ".parquet": (parquet_packed_otherwise,),
     ".json": (json_in_other_order,),
     ".csv": (csv_quoted,),
     ".toml": (toml_commented,),
@@ -93,7 +79,3 @@ NEUTRAL: dict[str, tuple[Any, ...]] = {
     ".ply": (ply_commented,),
     ".jsonl": (torn_tail,),
 }
-
-
-def _reversed(value: Any) -> Any:
-    return dict(reversed(value.items())) if isinstance(value, dict) else value

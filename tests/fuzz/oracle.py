@@ -26,25 +26,7 @@ FROM_INSIDE = re.compile(
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a command line did.
-
-    Parameters
-    ----------
-    status
-        Its exit status; None where it never came to an end.
-    out, err
-        What it said.
-    seconds, grown_mb
-        How long it took [s], and by how much its memory grew at most [MB].
-    changed
-        What was changed of its input.
-    left
-        Names of what it left behind.
-    death
-        ``hang``, ``crash``, or nothing.
-    traceback, netted
-        What was raised to the end; what the last net of the command line caught.
-    """
+    """What a command line did."""
 
     status: int | None
     out: str = ""
@@ -59,17 +41,7 @@ class Outcome:
 
 
 def judged(case: Case, outcome: Outcome, answer: str | None) -> tuple[str, str]:
-    """Say what came of a case, and what speaks for that.
-
-    Parameters
-    ----------
-    case
-        The case.
-    outcome
-        What was seen.
-    answer
-        What is said of the unbroken input, where that must be the same.
-    """
+    """Say what came of a case, and what speaks for that."""
     lines = outcome.err.splitlines()
     faults = {
         outcome.death: bool(outcome.death),

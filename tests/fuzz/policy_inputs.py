@@ -2,13 +2,17 @@
 
 import json
 import shutil
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
+from fuzz.corpus import CLOUDS, HEAVY, LEARN, ONE, OTHERS, seed
 from halfseen.logs import Logs
 from small_logs import flat_log, table_log
 
+EVALUATE = "evaluate in/policy --logs in/logs --propensity estimated"
+SIMULATE = "simulate in/table.npz --episodes 4 --out out --json"
 NUM_ROWS, NUM_COLUMNS = 120, 160
 K = np.array([[145.0, 0.0, 79.5], [0.0, 145.0, 59.5], [0.0, 0.0, 1.0]])
 STATE = {"x1": 0.4, "x2": 1, "stage": 1}
@@ -58,16 +62,19 @@ def table_cloud(is_coloured: bool = True):
     return Cloud.from_depth(depth_image(), K, "table", colours() if is_coloured else None)
 
 
+@seed(CLOUDS, "look in/table.npz --json", "look in/table.npz", "look in/table.npz --json --picture out.png")
 def npz(folder: Path) -> None:
     np.savez_compressed(folder / "table.npz", depth_m=depth_image(), K=K, rgb=colours())
 
 
+@seed(CLOUDS, "look in/table.pcd --json", "look in/table.pcd")
 def pcd(folder: Path) -> None:
     from halfseen.perception import write_pcd
 
     write_pcd(table_cloud(), folder / "table.pcd")
 
 
+@seed(CLOUDS, "look in/table.pcd --json")
 def pcd_text(folder: Path) -> None:
     points = table_cloud(False).points_m
     head = (
@@ -92,6 +99,11 @@ def ply(folder: Path, is_text: bool) -> None:
     PlyData([PlyElement.describe(vertices, "vertex")], text=is_text).write(folder / "table.ply")
 
 
+for _name, _is_text in (("ply", False), ("ply-text", True)):
+    seed(CLOUDS, "look in/table.ply --json", name=_name)(partial(ply, is_text=_is_text))
+
+
+@seed(CLOUDS, *(f"look in/table.npz --labels in/labels.{kind} --json" for kind in ("csv", "json")), name="labels")
 def labelled(folder: Path) -> None:
     npz(folder)
     (folder / "labels.csv").write_text("object,label,share_in_view\n0,dirty,0.4\n1,clean,0.2\n")
@@ -99,12 +111,20 @@ def labelled(folder: Path) -> None:
     (folder / "labels.json").write_text(json.dumps(labels))
 
 
+@seed(CLOUDS, "look in --json --workers 1", "look in/table.npz in/table.ply --workers 1")
 def several(folder: Path) -> None:
     npz(folder)
     pcd(folder)
     ply(folder, is_text=False)
 
 
+@seed(
+    HEAVY,
+    "act in/policy in/state.json --json",
+    "act in/policy in/state.csv --json",
+    "act in/policy in/state.json",
+    "export in/policy --onnx out.onnx",
+)
 def flat_policy(folder: Path) -> None:
     from halfseen.learning import CensoredQLearner
     from halfseen.policies.folder import write_policy
@@ -116,6 +136,13 @@ def flat_policy(folder: Path) -> None:
     (folder / "state.csv").write_text("x1,x2,stage\n0.4,1,1\n")
 
 
+@seed(
+    HEAVY,
+    f"{EVALUATE} --workers 1 --json",
+    f"{EVALUATE} --against in/rule.toml --workers 1 --json",
+    f"{EVALUATE} --against in/rule.csv --workers 1",
+    "report in/logs --out out.html --json --workers 1",
+)
 def judged(folder: Path) -> None:
     flat_policy(folder)
     flat_log(seed=1).write(folder / "logs")
@@ -123,6 +150,7 @@ def judged(folder: Path) -> None:
     (folder / "rule.csv").write_text("x1,action\n> 0.5,A\n,A\n")
 
 
+@seed(HEAVY, "act in/policy in/table.npz --json", "act in/policy in/table.npz --picture out.png")
 def table_policy(folder: Path) -> None:
     from halfseen.learning import CensoredQLearner
     from halfseen.policies.folder import write_policy
@@ -132,6 +160,12 @@ def table_policy(folder: Path) -> None:
     npz(folder)
 
 
+@seed(
+    HEAVY,
+    "act in/policy in/table.npz --history in/history --json",
+    "watch in/table.npz --policy in/policy --export out.html",
+    "evaluate in/policy in/table.npz --world --episodes 8 --json",
+)
 def begun(folder: Path) -> None:
     """A policy, a table, and logs whose last path is what was seen and done there so far."""
     from halfseen.perception import perceive, read_cloud
@@ -148,6 +182,7 @@ def begun(folder: Path) -> None:
     Logs(stages, paths, objects).write(folder / "history")
 
 
+@seed(HEAVY, f"cell calibrate --from in/attempts --workers 1 {ONE}")
 def attempts(folder: Path) -> None:
     """Attempts of a cell, fewer than its law needs to be sure."""
     from halfseen.cell.calibration.shipped import shipped_law
@@ -159,6 +194,7 @@ def attempts(folder: Path) -> None:
     Logs(*kept).write(folder / "attempts")
 
 
+@seed(HEAVY, f"{SIMULATE} --law in/law")
 def law(folder: Path) -> None:
     from halfseen.cell.calibration.shipped import shipped_law
 
@@ -168,6 +204,7 @@ def law(folder: Path) -> None:
     npz(folder)
 
 
+@seed(HEAVY, *(f"{SIMULATE} --team in/team.{kind} --horizon 2" for kind in ("toml", "json")))
 def team(folder: Path) -> None:
     npz(folder)
     (folder / "team.toml").write_text(TEAM)
@@ -182,6 +219,7 @@ def halfseen(*words: object) -> None:
     verbs([str(word) for word in words], standalone_mode=False)
 
 
+@seed(HEAVY, "inspect in/logs --json", LEARN)
 def team_logs(folder: Path) -> None:
     team(folder)
     halfseen(
@@ -190,5 +228,15 @@ def team_logs(folder: Path) -> None:
     )
 
 
-def nothing(folder: Path) -> None:
+@seed(
+    OTHERS,
+    *(f"{verb} --help" for verb in ("look", "inspect", "cell run")),
+    "study in/none.pcd --out out --only reward --repetitions 2 --seed 1",
+    "cell run --policy nobody --out out",
+    "cell calibrate --out out --attempts 50 --arm in/none.xml",
+    "cell film --policy nobody --out out.gif",
+    "watch in/none --export out.html",
+    "serve in/none",
+)
+def command_line(folder: Path) -> None:
     """No input: the command line is what is broken."""

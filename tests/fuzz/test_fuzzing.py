@@ -6,7 +6,6 @@ import pytest
 
 from fuzz.campaign import KEPT, numbered, run
 from fuzz.cases import Case, drawn, kept, remade
-from fuzz.corpus import CLOUDS, LOGS, SEEDS
 from fuzz.oracle import Outcome, judged
 
 KEPT_FILES = sorted(KEPT.glob("*.json"))
@@ -110,10 +109,3 @@ def test_faults_are_told_apart(outcome, label):
 def test_another_answer_to_the_same_input_is_a_fault():
     assert judged(RIGHT, Outcome(0, "{}"), "{}")[0] == "right"
     assert judged(RIGHT, Outcome(0, "[]"), "{}")[0] == "fault: another answer"
-
-
-def test_each_readable_format_has_its_seed():
-    assert {"npz", "pcd", "ply", "flat", "csv", "journal", "minari", "mcap", "db3"} <= {
-        seed.name for seed in (*CLOUDS, *LOGS)
-    }
-    assert len(SEEDS) > 20

@@ -1,6 +1,5 @@
-"""A process that makes and runs one case after another; ``python -m fuzz.worker``, spoken to in JSON lines."""
+"""A process that makes and runs one case after another, spoken to through a pipe."""
 
-import json
 import os
 import resource
 import shlex
@@ -12,7 +11,6 @@ import traceback
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -22,22 +20,29 @@ from fuzz.oracle import Outcome
 
 MOST_MORE = 8 * 10**9
 """Bytes of private memory that a case may ask for beyond what the process has: the machine is spared."""
-
 MOST_KEPT_MB = 3500.0
 """Memory that a process may keep of its cases; then another one takes its place."""
 
 
-def main() -> None:
-    """Take orders from stdin until it ends: each names a case; said is when it was made, and what came of it."""
-    told, orders = os.fdopen(os.dup(1), "w", buffering=1), os.fdopen(os.dup(0))
-    for descriptor in (0, 1):  # what makes an input may talk, and a verb may listen
-        os.dup2(os.open(os.devnull, os.O_RDWR), descriptor)
-    _load()
+def main(orders: Any, place: Path, cache: Path, log: str) -> None:
+    """Take orders until they end: each names a case; said is when it was made, and what came of it."""
+    os.setsid()
+    os.chdir(place)
+    # MuJoCo asks once a process for its way to draw, and here verbs that draw come after others that do not.
+    os.environ.update(XDG_CACHE_HOME=str(cache), MUJOCO_GL="egl")
+    for descriptor, file in ((0, os.devnull), (1, os.devnull), (2, log)):  # what makes an input may talk
+        os.dup2(os.open(file, os.O_RDWR), descriptor)
+    # What a process of its own would have; what verbs import stays from case to case.
+    warnings.simplefilter("default")
     rest_mb = _memory_mb("VmData")
-    print(json.dumps({"ready": True}), file=told)
-    for line in orders:
-        order = json.loads(line)
-        folder, corpus = Path(order["folder"]), Path(order["corpus"])
+    resource.setrlimit(resource.RLIMIT_DATA, (int(rest_mb * 1e6) + MOST_MORE, resource.RLIM_INFINITY))
+    orders.send("ready")
+    while True:
+        try:
+            order = orders.recv()
+        except EOFError:
+            return
+        folder, corpus = order["folder"], order["corpus"]
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
         if "file" in order:
@@ -45,13 +50,11 @@ def main() -> None:
         else:
             case = drawn(order["seed"], order["number"], corpus, folder, order["has_heavy"])
         answer = None if case.line is None else answer_to(case, corpus)
-        print(json.dumps({"case": asdict(case)}), file=told)
+        orders.send(case)
         outcome = ran(case.words, folder)
-        is_spent = _memory_mb("VmData") > rest_mb + MOST_KEPT_MB
-        print(json.dumps({"outcome": asdict(outcome), "answer": answer, "is_spent": is_spent}), file=told)
-        if not order.get("stays"):
-            os.chdir("/")
-            shutil.rmtree(folder, ignore_errors=True)
+        orders.send((outcome, answer, _memory_mb("VmData") > rest_mb + MOST_KEPT_MB))
+        os.chdir("/")
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def answer_to(case: Case, corpus: Path) -> str:
@@ -86,23 +89,20 @@ def ran(words: Any, folder: Path) -> Outcome:
         return told_of(error)
 
     before, rest_mb = _seen(folder), _memory_mb("VmRSS")
-    _forget_peak()
+    Path("/proc/self/clear_refs").write_text("5")  # the peak is forgotten
     sys.argv = ["halfseen", *words]
     os.chdir(folder)
     status: Any = 0
     raised, began = "", time.monotonic()
     # Where the process dies, what it said last is read by who asked.
     with tempfile.TemporaryFile() as out, last_words(folder).open("w+b") as err:
-        with _into(1, out), _into(2, err), _temporary_files_in(folder):
-            cli.unforeseen = noted
+        with _into(1, out), _into(2, err), _set(tempfile, "tempdir", str(folder)), _set(cli, "unforeseen", noted):
             try:
                 cli.main()
             except SystemExit as stop:
                 status = stop.code or 0
             except BaseException:
                 status, raised = 1, traceback.format_exc()
-            finally:
-                cli.unforeseen = told_of
         seconds, grown_mb = time.monotonic() - began, _memory_mb("VmHWM") - rest_mb
         said = [_read(file) for file in (out, err)]
     after = _seen(folder)
@@ -119,11 +119,14 @@ def ran(words: Any, folder: Path) -> Outcome:
     )
 
 
-def _load() -> None:
-    """Set what a process of its own would have; what verbs import stays from case to case."""
-    warnings.simplefilter("default")
-    has_bytes = int(_memory_mb("VmData") * 1e6)
-    resource.setrlimit(resource.RLIMIT_DATA, (has_bytes + MOST_MORE, resource.RLIM_INFINITY))
+@contextmanager
+def _set(module: Any, name: str, value: Any) -> Iterator[None]:
+    was = getattr(module, name)
+    setattr(module, name, value)
+    try:
+        yield
+    finally:
+        setattr(module, name, was)
 
 
 @contextmanager
@@ -143,16 +146,6 @@ def _into(descriptor: int, file: Any) -> Iterator[None]:
             os.close(was)
 
 
-@contextmanager
-def _temporary_files_in(folder: Path) -> Iterator[None]:
-    was = tempfile.tempdir
-    tempfile.tempdir = str(folder)
-    try:
-        yield
-    finally:
-        tempfile.tempdir = was
-
-
 def _read(file: Any) -> str:
     file.seek(0)
     return file.read(10**6).decode("utf-8", "backslashreplace")
@@ -164,22 +157,11 @@ def _seen(folder: Path) -> dict[str, tuple[Any, ...]]:
     for place in folder.rglob("*"):
         found = place.lstat()
         is_folder = place.is_dir() and not place.is_symlink()
-        seen[str(place.relative_to(folder))] = (
-            found.st_mode,
-            found.st_ino,
-            *(() if is_folder else (found.st_size, found.st_mtime_ns)),
-        )
+        size = () if is_folder else (found.st_size, found.st_mtime_ns)
+        seen[str(place.relative_to(folder))] = (found.st_mode, found.st_ino, *size)
     return seen
 
 
 def _memory_mb(key: str) -> float:
     lines = Path("/proc/self/status").read_text().splitlines()
     return next(int(line.split()[1]) for line in lines if line.startswith(f"{key}:")) / 1e3
-
-
-def _forget_peak() -> None:
-    Path("/proc/self/clear_refs").write_text("5")
-
-
-if __name__ == "__main__":
-    main()

@@ -24,15 +24,10 @@ def named(lines):
     return {Requirement(line).name: Requirement(line).specifier for line in lines}
 
 
-def test_the_recipe_asks_for_what_the_wheel_asks_for():
-    run = named(RECIPE["requirements"]["run"])
-    assert str(run.pop("python")) == PROJECT["requires-python"]
+def test_the_recipe_asks_for_what_the_wheel_asks_for_and_builds_as_pip_does():
+    run, host = (named(RECIPE["requirements"][part]) for part in ("run", "host"))
+    assert str(run.pop("python")) == str(host.pop("python")) == PROJECT["requires-python"]
     assert run == named(PROJECT["dependencies"])
-
-
-def test_the_recipe_builds_as_pip_does():
-    host = named(RECIPE["requirements"]["host"])
-    assert str(host.pop("python")) == PROJECT["requires-python"]
     assert {name: told for name, told in host.items() if name != "pip"} == named(TOLD["build-system"]["requires"])
 
 
@@ -41,34 +36,23 @@ def test_the_recipe_describes_the_package():
     assert (RECIPE["package"]["name"], about["summary"]) == (PROJECT["name"], PROJECT["description"])
     assert (about["license"], [about["license_file"]]) == (PROJECT["license"], PROJECT["license-files"])
     assert dict([entry_point.split(" = ")]) == PROJECT["scripts"]
+    # That the builder reads the version by this name shows where the tests of a release build the sdist.
+    assert RECIPE["build"]["script"]["env"] == {"SETUPTOOLS_SCM_PRETEND_VERSION": "${{ version }}"}
+    assert "SETUPTOOLS_SCM_PRETEND_VERSION=$VERSION" in DOCKERFILE
 
 
-def test_the_image_is_of_a_python_that_is_told_of():
-    assert {told.split(":")[1] for told in re.findall(r"^FROM (\S+)", DOCKERFILE, re.MULTILINE)} == {
-        f"{PYTHONS[-1]}-slim"
-    }
+def test_the_image_has_a_python_and_extras_that_there_are_and_runs_halfseen_as_nobody_special():
+    assert set(re.findall(r"^FROM [^:]+:(\S+)", DOCKERFILE, re.MULTILINE)) == {f"{PYTHONS[-1]}-slim"}
     assert PROJECT["requires-python"] == f">={PYTHONS[0]}"
-
-
-def test_the_image_has_extras_that_there_are_and_what_the_wheel_is_built_from():
     (extras,) = re.findall(r"^ARG EXTRAS=(\S+)", DOCKERFILE, re.MULTILINE)
     assert set(extras.split(",")) <= set(PROJECT["optional-dependencies"])
     copied = set(re.search(r"^COPY (.*) \./\nCOPY src src$", DOCKERFILE, re.MULTILINE)[1].split())
     assert copied >= {PROJECT["readme"], *PROJECT["license-files"], "pyproject.toml", "constraints.txt"}
     let_in = {line[1:] for line in (CLONE / ".dockerignore").read_text().splitlines() if line.startswith("!")}
     assert let_in == copied | {"src"}
-
-
-def test_the_image_runs_halfseen_as_nobody_special():
     last = DOCKERFILE.split("FROM ")[-1]
     assert int(re.search(r"^USER (\d+)$", last, re.MULTILINE)[1]) > 0
     assert json.loads(re.search(r"^ENTRYPOINT (.*)$", last, re.MULTILINE)[1]) == list(PROJECT["scripts"])
-
-
-def test_both_are_told_the_version_as_the_builder_reads_it():
-    # That the builder reads it by this name shows where the tests of a release build the sdist.
-    assert "SETUPTOOLS_SCM_PRETEND_VERSION=$VERSION" in DOCKERFILE
-    assert RECIPE["build"]["script"]["env"] == {"SETUPTOOLS_SCM_PRETEND_VERSION": "${{ version }}"}
 
 
 HADOLINT = Path(sys.executable).parent / "hadolint"

@@ -76,37 +76,29 @@ def caused(tables, cause, rows=slice(None), end_s=None):
 
 
 def in_milliseconds(tables):
-    tables["stages"].loc[tables["stages"]["path"] < 10, "elapsed_s"] *= 1000
-    tables["paths"].loc[tables["paths"]["path"] < 10, "end_s"] *= 1000
+    for name, column in (("stages", "elapsed_s"), ("paths", "end_s")):
+        tables[name].loc[tables[name]["path"] < 10, column] *= 1000
 
 
-def put(column, value, of=lambda stages: slice(None)):
+def stages(column, value, of=lambda stages: slice(None)):
+    """Put a value, or what is made of the values that are there, into some stages."""
+
     def change(tables):
-        tables["stages"].loc[of(tables["stages"]), column] = value
+        rows = tables["stages"]
+        rows[column] = rows[column].astype(object) if not callable(value) else rows[column]
+        at = of(rows)
+        rows.loc[at, column] = value(rows.loc[at, column]) if callable(value) else value
+        tables["stages"] = rows.infer_objects()
 
     return change
 
 
-def constant(column, value):
-    def change(tables):
-        tables["stages"] = tables["stages"].assign(**{column: value})
-
-    return change
-
-
-def scaled(column):
-    def change(tables):
-        tables["stages"].loc[tables["stages"]["path"] >= 60, column] *= 1e6
-
-    return change
+def late(rows):
+    return rows["path"] >= 60
 
 
 def without_probability(tables):
     tables["stages"] = tables["stages"].drop(columns="probability")
-
-
-def equally_rewarded(tables):
-    tables["stages"]["reward"] = tables["stages"]["reward"] * 0 + 1
 
 
 @pytest.mark.parametrize(
@@ -122,15 +114,18 @@ def equally_rewarded(tables):
         (lambda tables: caused(tables, "time-out", end_s=tables["paths"]["end_s"].max() + 1), "horizon-as-cut",
          "{cuts} of {cuts} cuts by time-out fall at"),
         (in_milliseconds, "mixed-clock-units", r"in (10|9) .*are some clocks in milliseconds\?"),
-        (scaled("distance"), "mixed-covariate-units", "^covariate distance is around"),
-        (scaled("offset"), "mixed-covariate-units", "^covariate offset is around"),
-        (put("action", "WASH", lambda stages: 0), "rare-action",
-         r"^action WASH \(1\) was taken in less than 1 % of {completed} stages: too few to learn from$"),
-        (put("action", "WASH", lambda stages: stages["elapsed_s"].isna()), "rare-action",
-         "^action WASH was begun and never completed: nothing can be learned from that$"),
-        (equally_rewarded, "equal-rewards", "^all {completed} rewards are 1: no action is better than another$"),
         *(
-            (constant(name, value),
+            (stages(name, lambda values: values * 1e6, late), "mixed-covariate-units", f"^covariate {name} is around")
+            for name in ("distance", "offset")
+        ),
+        (stages("action", "WASH", lambda rows: 0), "rare-action",
+         r"^action WASH \(1\) was taken in less than 1 % of {completed} stages: too few to learn from$"),
+        (stages("action", "WASH", lambda rows: rows["elapsed_s"].isna()), "rare-action",
+         "^action WASH was begun and never completed: nothing can be learned from that$"),
+        (stages("reward", lambda values: values * 0 + 1), "equal-rewards",
+         "^all {completed} rewards are 1: no action is better than another$"),
+        *(
+            (stages(name, value),
              "constant-covariate", f"^covariate {name} is {value!r} in all {{stages}} rows")
             for name, value in (("distance", 0.0), ("offset", 7), ("is_wet", True))
         ),

@@ -1,10 +1,10 @@
 """A small log whose names try to break a page, the policy that was learned from it, and a value of the mind."""
 
 import numpy as np
-import pandas as pd
 
 from halfseen.evaluation import Estimate, Evaluation
 from halfseen.logs import Logs
+from small_logs import flat_log
 
 ACTIONS = ["<b>grip</b>", "$push$ 抓取"]
 COVARIATES = ["x<1>", "y_$2$"]
@@ -12,34 +12,13 @@ CAUSE = '<script>alert("cut")</script> $\\frac{$'
 
 
 def hostile_log(num_paths=40, seed=0, cut_after_s=6.0):
-    rng = np.random.default_rng(seed)
-    stages, paths = [], []
-    for path in range(num_paths):
-        clock, cut_s = 0.0, rng.exponential(cut_after_s) + 0.1
-        for stage in (1, 2):
-            x, y = rng.normal(), rng.uniform()
-            action = ACTIONS[rng.integers(2)]
-            clock += rng.uniform(0.5, 2.0)
-            is_seen = clock <= cut_s
-            reward = (x if action == ACTIONS[0] else -x) + 0.1 * rng.normal()
-            stages.append(
-                {
-                    "path": f"path <{path}> $^$",
-                    "stage": stage,
-                    "elapsed_s": clock if is_seen else None,
-                    "action": action,
-                    "reward": reward if is_seen else None,
-                    "probability": 0.5,
-                    COVARIATES[0]: x,
-                    COVARIATES[1]: y,
-                }
-            )
-            if not is_seen:
-                break
-        cause = None if is_seen else CAUSE
-        ending = "finished" if is_seen else "cut"
-        paths.append({"path": f"path <{path}> $^$", "end_s": min(clock, cut_s), "ending": ending, "cause": cause})
-    return Logs(pd.DataFrame(stages), pd.DataFrame(paths))
+    logs = flat_log(num_paths, seed=seed, cut_after_s=cut_after_s)
+    named = {"x1": COVARIATES[0], "x2": COVARIATES[1]}
+    actions = dict(zip("ABC", [*ACTIONS, ACTIONS[1]], strict=True))
+    stages = logs.stages.drop(columns="colour").rename(columns=named).replace({"action": actions})
+    paths = logs.paths.assign(cause=np.where(logs.is_finished, None, CAUSE))
+    labels = [rows["path"].map("path <{}> $^$".format) for rows in (stages, paths)]
+    return Logs(stages.assign(probability=0.5, path=labels[0]), paths.assign(path=labels[1]))
 
 
 def estimate(value, reach, size=40.0):

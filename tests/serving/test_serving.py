@@ -7,18 +7,16 @@ from collections import Counter
 import httpx2
 import numpy as np
 import pytest
+from asking import client_of, refused
 from click.testing import CliRunner
-from starlette.testclient import TestClient
 
 from halfseen.cli.act import act
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import read_logs
 from halfseen.policies.folder import write_policy
 from halfseen.scene import table_paths
-from halfseen.serving.answering import Answering
 from halfseen.serving.app import Served, app_of
 from halfseen.serving.bounds import Bounded
-from halfseen.serving.paths import RecordedPaths
 from small_logs import HIDES, flat_log, table_log
 
 SEEN = {"x1": 0.4, "x2": 1, "colour": "red"}
@@ -36,11 +34,6 @@ def flat(tmp_path_factory):
     return folder
 
 
-def client_of(folder, token=None, largest_bytes=None, **answering):
-    app = app_of(Served(folder, Answering(**answering)), token, largest_bytes=largest_bytes)
-    return TestClient(app, base_url="http://127.0.0.1")
-
-
 @pytest.fixture
 def asked(flat):
     with client_of(flat) as client:
@@ -53,14 +46,6 @@ def acted(folder, tmp_path, *words, **state):
     file.write_text(json.dumps(state))
     done = CliRunner().invoke(act, [str(folder), str(file), "--json", *words], catch_exceptions=False)
     return {name: told for name, told in json.loads(done.output).items() if name not in ("policy", "input")}
-
-
-def refused(response, status):
-    assert response.status_code == status, response.text
-    (line,) = response.json().values()
-    assert line
-    assert "\n" not in line
-    return line
 
 
 def test_it_says_what_act_says(asked, flat, tmp_path):
@@ -140,7 +125,7 @@ def test_what_is_too_large_is_refused_whether_it_says_so_or_not(flat):
 
 def test_what_is_decided_becomes_a_log_with_probabilities(flat, tmp_path):
     folder, rewards, taken = tmp_path / "logs", [], []
-    with RecordedPaths(folder) as paths, client_of(flat, epsilon=0.4, paths=paths) as client:
+    with client_of(flat, folder, epsilon=0.4) as client:
         rng = np.random.default_rng(3)
         for path in range(40):
             for stage in (1, 2):
@@ -168,7 +153,7 @@ def test_what_is_decided_becomes_a_log_with_probabilities(flat, tmp_path):
 
 
 def test_a_path_in_progress_is_told_and_cut_when_the_server_stops(flat, tmp_path):
-    with RecordedPaths(tmp_path / "logs") as paths, client_of(flat, paths=paths) as client:
+    with client_of(flat, tmp_path / "logs") as client:
         assert client.get("/health").json()["recording"] == {"path": None, "stage": 0, "waits_for": "decision"}
         told = client.post("/decide", json=SEEN).json()
         where = {"path": 1, "stage": 1, "waits_for": "reward", "action": told["action"]}
@@ -184,14 +169,14 @@ def test_a_path_in_progress_is_told_and_cut_when_the_server_stops(flat, tmp_path
     [{}, {"ending": "done"}, {"ending": "cut"}, {"ending": "finished", "cause": "x"}, {"ending": "cut", "why": 1}],
 )
 def test_an_end_says_which(flat, tmp_path, end):
-    with RecordedPaths(tmp_path / "logs") as paths, client_of(flat, paths=paths) as client:
+    with client_of(flat, tmp_path / "logs") as client:
         client.post("/decide", json=SEEN)
         refused(client.post("/end", json=end), 422)
         assert client.get("/health").json()["recording"]["path"] == 1
 
 
 def test_what_cannot_be_recorded_is_not_decided(flat, tmp_path):
-    with RecordedPaths(tmp_path / "logs") as paths, client_of(flat, paths=paths) as client:
+    with client_of(flat, tmp_path / "logs") as client:
         assert "could not be recorded" in refused(client.post("/decide", json=SEEN | {"reward": 1.0}), 422)
         assert client.get("/health").json()["recording"]["path"] is None
         assert client.post("/decide", json=SEEN).json()["path"] == 1
@@ -240,42 +225,36 @@ def test_no_request_is_lost_while_policies_are_reloaded(flat):
     assert {answer.status_code for answer in asyncio.run(ask())} == {200}
 
 
-def test_the_description_and_the_page_tell_what_can_be_asked(asked, flat, tmp_path):
-    api = asked.get("/openapi.json").json()
-    decide = api["paths"]["/decide"]["post"]
-    taken = decide["requestBody"]["content"]["application/json"]
+def test_the_description_tells_what_can_be_asked(asked):
+    api = asked.get("/openapi.json").json()["paths"]
+    taken, answer = api["/decide"]["post"]["requestBody"]["content"]["application/json"], api["/decide"]["post"]
     assert set(taken["schema"]["required"]) == {"x1", "x2"}
     assert taken["schema"]["properties"]["stage"]["maximum"] == 2
     told = asked.post("/decide", json=taken["example"]).json()
-    answer = decide["responses"]["200"]["content"]["application/json"]["schema"]
-    assert set(answer["required"]) <= set(told)
-    assert "/reward" not in api["paths"]
-    page = asked.get("/")
-    assert "POST /decide" in page.text
+    assert set(answer["responses"]["200"]["content"]["application/json"]["schema"]["required"]) <= set(told)
+    assert list(api) == ["/decide", "/reload", "/health"]
+
+
+def test_description_and_page_tell_in_words_whatever_is_asked_for_in_the_order_of_a_path(tables, tmp_path):
+    with client_of(tables, tmp_path / "logs", of_tables=True) as client:
+        api, page = client.get("/openapi.json").json()["paths"], client.get("/")
+    assert list(api) == ["/decide", "/reward", "/end", "/reload", "/health"]
+    places = [page.text.index(address) for address in api]
+    assert places == sorted(places)
+    assert "file. What the camera sees" in page.text
     assert "http" not in page.text.replace("HTTP", "").replace("<!doctype html>", "")
     assert "default-src 'none'" in page.headers["content-security-policy"]
-    with RecordedPaths(tmp_path / "logs") as paths, client_of(flat, paths=paths) as client:
-        assert {"/reward", "/end"} <= set(client.get("/openapi.json").json()["paths"])
-
-
-def test_whatever_is_asked_for_is_told_in_words_in_the_order_of_a_path(tables, tmp_path):
-    with RecordedPaths(tmp_path / "logs", is_of_tables=True) as paths, client_of(tables, paths=paths) as client:
-        api, page = client.get("/openapi.json").json()["paths"], client.get("/").text
-    assert list(api) == ["/decide", "/reward", "/end", "/reload", "/health"]
-    assert sorted(map(page.index, api)) == list(map(page.index, api))
-    asked = [each.get("post", {}).get("requestBody", {}).get("content", {}) for each in api.values()]
-    for name, told in [
-        item for kinds in asked for kind in kinds.values() for item in kind["schema"]["properties"].items()
-    ]:
-        assert told["description"].endswith("."), name
-    assert "file. What the camera sees" in page
+    for each in api.values():
+        for kind in each.get("post", {}).get("requestBody", {}).get("content", {}).values():
+            for name, told in kind["schema"]["properties"].items():
+                assert told["description"].endswith("."), name
 
 
 def test_a_table_is_decided_from_a_cloud_as_act_does(tables):
     table = table_paths()[7]
     done = CliRunner().invoke(act, [str(tables), str(table), "--json", "--stage", "2", "--extrapolate"])
     said = {name: told for name, told in json.loads(done.output).items() if name not in ("policy", "input")}
-    with TestClient(app_of(Served(tables, extrapolates=True)), base_url="http://127.0.0.1") as client:
+    with client_of(tables, of_tables=True) as client:
         told = client.post("/decide", files={"cloud": (table.name, table.read_bytes())}, data={"stage": "2"}).json()
         assert {name: told[name] for name in said} == said
         broken = client.post("/decide", files={"cloud": ("../../x.pcd", b"VERSION .7\n")})
@@ -291,7 +270,7 @@ def test_a_table_as_a_log_has_it_is_decided_and_recorded(tables, tmp_path):
     columns = [name for name in logs.objects.columns if name not in ("path", "stage")]
     rows = logs.objects[(logs.objects["path"] == 0) & (logs.objects["stage"] == 1)][columns]
     objects = json.loads(rows.to_json(orient="records"))
-    with RecordedPaths(tmp_path / "logs") as paths, client_of(tables, paths=paths) as client:
+    with client_of(tables, tmp_path / "logs") as client:
         told = client.post("/decide", json={"objects": objects}).json()
         assert told["action"] == " ".join(str(one) for one in (told["verb"], told["object"]) if one is not None)
         client.post("/reward", json={"reward": 1.0})

@@ -5,7 +5,6 @@ import json
 import shlex
 import shutil
 import threading
-from contextlib import contextmanager
 from dataclasses import asdict
 from functools import cache
 from itertools import count, pairwise
@@ -14,8 +13,8 @@ from pathlib import Path
 import httpx2
 import numpy as np
 import pytest
+from asking import client_of, refused
 from click.testing import CliRunner
-from starlette.testclient import TestClient
 
 from drawn_tables import EYE_M, Can, draw
 from halfseen.arrays import mapped
@@ -69,18 +68,9 @@ def shows(tmp_path):
     return cloud
 
 
-@contextmanager
-def client_of(policy, folder, *exploring, law=None):
-    """Who asks a server that records."""
-    with RecordedPaths(folder, is_of_tables=True) as paths:
-        app = app_of(Served(policy, Answering(*exploring, paths=paths), extrapolates=True, law=law))
-        with TestClient(app, base_url="http://127.0.0.1") as client:
-            yield client
-
-
 @pytest.fixture
 def recorded(tables, tmp_path):
-    with client_of(tables, tmp_path / "logs") as client:
+    with client_of(tables, tmp_path / "logs", of_tables=True) as client:
         yield client
 
 
@@ -93,13 +83,6 @@ def decided(client, cloud, labels="", **fields):
     answer = post(client, cloud, labels, **fields)
     assert answer.status_code == 200, answer.text
     return answer.json()
-
-
-def refused(answer, status):
-    assert answer.status_code == status, answer.text
-    (line,) = answer.json().values()
-    assert "\n" not in line
-    return line
 
 
 def rewarded(client, **told):
@@ -149,7 +132,7 @@ def test_what_is_recorded_is_what_was_decided_in(tables, shows, tmp_path, seed):
     stored, rng, folder, file = read_policy(tables), np.random.default_rng(seed), tmp_path / "logs", tmp_path / "t.pcd"
     decider, labels = decider_of(stored, extrapolates=True), tmp_path / "l.csv"
     table, held, tried, lifted = list(CANS), None, {can: [] for can in CANS}, dict.fromkeys(CANS, 0)
-    with client_of(tables, folder, 0.9, rng) as client:
+    with client_of(tables, folder, of_tables=True, epsilon=0.9, rng=rng) as client:
         for stage in range(1, HORIZON + 1):
             file.write_bytes(shows(*table))
             labels.write_text(labels_of(rng, len(table)))
@@ -209,7 +192,7 @@ def test_what_a_law_tells_of_looks_is_recorded(tables, shows, tmp_path):
     folder, law, labels = tmp_path / "logs", law_of("shipped"), "object,label\n0,dirty\n1,clean\n2,dirty\n"
     (tmp_path / "t.pcd").write_bytes(shows(*CANS))
     (tmp_path / "l.csv").write_text(labels)
-    with client_of(tables, folder, law=law) as client:
+    with client_of(tables, folder, of_tables=True, law=law) as client:
         for stage in (1, 2):
             past = None if stage == 1 else Past(read_logs(folder), held=False)
             seen = see_table(read_policy(tables), tmp_path / "t.pcd", past, labels=tmp_path / "l.csv", law=law)
@@ -351,7 +334,7 @@ def test_nothing_is_decided_for_a_client_that_has_gone(tables, shows, tmp_path, 
 def test_what_was_served_from_clouds_makes_the_next_log(tables, shows, tmp_path):
     rng, folder = np.random.default_rng(2), tmp_path / "logs"
     clouds, cans = {k: shows(*CANS[:k]) for k in (2, 3)}, None
-    with client_of(tables, folder, 0.5, rng) as client:
+    with client_of(tables, folder, of_tables=True, epsilon=0.5, rng=rng) as client:
         for path in range(30):
             num_left = len(CANS)
             for _ in range(2):

@@ -297,7 +297,7 @@ def write_stream(
     ArgumentError
         The folder exists or cannot be written, or there is no part.
     LogError
-        A path comes before one of an earlier part, or rewards are in two units.
+        A path comes before one of an earlier part, only some parts have objects, or rewards are in two units.
     """
     with placed(Path(folder), overwrite=overwrite, marker=MANIFEST) as fresh, ExitStack() as stack:
         writers: dict[str, pq.ParquetWriter] = {}
@@ -307,6 +307,8 @@ def write_stream(
         for part in parts:
             if last is not None and not part.path_ids[0] > last:
                 raise LogError(f"path {shown(part.path_ids[0])}: it comes after path {shown(last)}; sort the parts")
+            if writers and part.tables.keys() != writers.keys():
+                raise LogError("only some of the parts have objects; write those with and those without apart")
             last, unit = part.path_ids[-1], common_unit([unit, part.reward_unit])
             for name, table in part.tables.items():
                 if name not in writers:

@@ -1,17 +1,25 @@
-"""Episodes as plain lists, and the log that they are: by a loop over rows, which shares nothing with the readers."""
+"""Episodes as plain lists, as files of several forms, and as the log that they are.
 
+The log is made by a loop over rows, which shares nothing with the readers.
+"""
+
+import csv
 import json
 
+import h5py
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+import pyarrow.feather
 import pyarrow.parquet as pq
+
+FINISHED, CUT = ("finished", None), ("cut", "truncated")
 
 
 def episodes(seed=0, lengths=(3, 1, 4), *, is_text=False):
     """Of each episode: rows of what was observed (one more than there are steps), actions and rewards."""
     rng = np.random.default_rng(seed)
-    names = ["look", "pick", "stop"]
+    names = ["NA", "pick", "null"]
     return [
         {
             "observed": rng.normal(size=(length + 1, 2)).tolist(),
@@ -56,6 +64,11 @@ def assert_is(logs, wanted, rtol=0.0):
                     assert ours == theirs, column
 
 
+def times_of(found, step_s=1.0):
+    """Ends of the steps of each episode [s]."""
+    return [[step_s * (k + 1) for k in range(len(each["actions"]))] for each in found]
+
+
 def last_of(found, flags):
     """A column that is true in the last frame of some episodes."""
     lengths = [len(each["actions"]) for each in found]
@@ -93,3 +106,68 @@ def write_lerobot(
     if tasks is not None:
         pd.DataFrame({"task_index": range(len(tasks))}, index=tasks).to_parquet(folder / "meta" / "tasks.parquet")
     return folder
+
+
+def rows_of(found, terminal, *, last=None, clocks=None):
+    """Steps of RLDS: one more row than there are steps, in which nothing was done any more."""
+    rows = []
+    for number, each in enumerate(found):
+        num_steps = len(each["actions"])
+        for k in range(num_steps + 1):
+            is_over = k == num_steps
+            row = {
+                "episode_id": f"e{number}",
+                "is_first": k == 0,
+                "is_last": is_over if last is None else is_over and last[number],
+                "is_terminal": is_over and terminal[number],
+                "observation": each["observed"][k],
+                "action": each["actions"][0 if is_over else k],
+                "reward": 0.0 if is_over else each["rewards"][k],
+            }
+            rows.append(row if clocks is None else {**row, "t": clocks[number][k]})
+    return rows
+
+
+def write_rows(path, rows, kind="parquet"):
+    path = path.with_suffix(f".{kind}")
+    names = list(rows[0])
+    if kind == "csv":
+        with path.open("w", newline="") as file:
+            writer = csv.writer(file)
+            writer.writerow(names)
+            for row in rows:
+                cells = (row[name] for name in names)
+                writer.writerow([json.dumps(cell) if isinstance(cell, list | bool) else cell for cell in cells])
+        return path
+    table = pa.Table.from_pylist(rows)
+    if kind == "parquet":
+        pq.write_table(table, path)
+    elif kind == "feather":
+        pyarrow.feather.write_feather(table, path)
+    else:
+        with pa.OSFile(str(path), "wb") as sink, pa.ipc.new_stream(sink, table.schema) as stream:
+            stream.write_table(table)
+    return path
+
+
+def arrays(found, terminated=(), timed_out=(), *, has_next=True):
+    """Steps as of D4RL: the episodes one below the other."""
+    ends = np.cumsum([len(each["actions"]) for each in found]) - 1
+    rows = {
+        "observations": [row for each in found for row in each["observed"][:-1]],
+        "actions": [action for each in found for action in each["actions"]],
+        "rewards": [reward for each in found for reward in each["rewards"]],
+        "terminals": np.isin(np.arange(ends[-1] + 1), ends[list(terminated)]),
+        "timeouts": np.isin(np.arange(ends[-1] + 1), ends[list(timed_out)]),
+    }
+    if has_next:
+        rows["next_observations"] = [row for each in found for row in each["observed"][1:]]
+    return rows
+
+
+def write_arrays(file, rows):
+    with h5py.File(file, "w") as root:
+        for name, values in rows.items():
+            if values is not None:
+                root.create_dataset(name, data=values)
+    return file

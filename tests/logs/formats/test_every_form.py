@@ -1,17 +1,11 @@
-"""What holds of every form that is read: the same log, torn files refused in one line, missing libraries named."""
+"""What holds of every form that is read: torn files are refused in one line, missing libraries named."""
 
 import sqlite3
 from contextlib import closing
 
-import numpy as np
 import pytest
-import test_mcap_files as in_mcap
-import test_step_arrays as in_hdf5
-import test_step_tables as in_rows
-from bags import two_paths, write_bag
-from foreign import assert_is, episodes, expected, last_of, write_lerobot
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from bags import WITHOUT_CLOUD, mapping, mixed, two_paths, write_bag, write_mcap
+from foreign import arrays, episodes, rows_of, write_arrays, write_rows
 
 from halfseen.errors import HalfseenError
 from halfseen.logs.formats import (
@@ -19,7 +13,6 @@ from halfseen.logs.formats import (
     StepRules,
     extras,
     read_bag,
-    read_lerobot,
     read_minari,
     read_sql,
     read_step_arrays,
@@ -28,53 +21,23 @@ from halfseen.logs.formats import (
 )
 from small_logs import flat_log
 
-FINISHED, CUT = ("finished", None), ("cut", "truncated")
-ENDED = st.lists(st.tuples(st.integers(1, 5), st.booleans()), min_size=1, max_size=5)
-
-
-def times(found, step_s):
-    return [step_s * np.arange(1.0, len(each["actions"]) + 1) for each in found]
-
-
-@given(ENDED, st.integers(0, 2**32 - 1), st.booleans(), st.sampled_from(["parquet", "csv", "feather"]))
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=15)
-def test_each_form_is_the_same_log(tmp_path_factory, ended, seed, is_text, kind):
-    folder = tmp_path_factory.mktemp("steps")
-    found = episodes(seed, [length for length, _ in ended], is_text=is_text)
-    terminal = [is_terminal for _, is_terminal in ended]
-    endings = [FINISHED if is_terminal else CUT for is_terminal in terminal]
-    rules = StepRules(step_s=0.25)
-
-    file = in_rows.write(folder / "rows", in_rows.rows_of(found, terminal), kind=kind)
-    names = [f"e{number}" for number in range(len(found))]
-    assert_is(read_steps(file, rules), expected(found, endings, times(found, 0.25), in_rows.SEEN, names=names))
-
-    ends = [[number for number, is_over in enumerate(terminal) if is_over is wanted] for wanted in (True, False)]
-    file = in_hdf5.write(folder / "steps.hdf5", in_hdf5.arrays(found, *ends))
-    assert_is(read_step_arrays(file, rules), expected(found, endings, times(found, 0.25), in_hdf5.SEEN))
-
-    write_lerobot(folder, found, fps=29.97, extra={"next.done": last_of(found, terminal)})
-    logs = read_lerobot(folder)
-    columns = ["observation.state_0", "observation.state_1"]
-    assert_is(logs, expected(found, endings, times(found, 1 / 29.97), columns, has_last=False), rtol=1e-12)
-
 
 def rows(kind):
     def make(folder):
-        file = in_rows.write(folder / "steps", in_rows.rows_of(episodes(), [True] * 3), kind=kind)
+        file = write_rows(folder / "steps", rows_of(episodes(), [True] * 3), kind)
         return file, lambda: read_steps(file, StepRules(step_s=1.0))
 
     return make
 
 
-def arrays(folder):
-    file = in_hdf5.write(folder / "steps.hdf5", in_hdf5.arrays(episodes(), terminated=[0, 1, 2]))
+def hdf5(folder):
+    file = write_arrays(folder / "steps.hdf5", arrays(episodes(), terminated=[0, 1, 2]))
     return file, lambda: read_step_arrays(file)
 
 
 def bag(storage, is_folder=False):
     def make(folder):
-        (folder / "cell.toml").write_text(in_mcap.WITHOUT_CLOUD)
+        (folder / "cell.toml").write_text(WITHOUT_CLOUD)
         write_bag(folder / "bag", two_paths() * 5, storage)
         (file,) = (file for file in (folder / "bag").iterdir() if file.suffix != ".yaml")
         return file, lambda: read_bag(folder / "bag" if is_folder else file, folder / "cell.toml")
@@ -83,9 +46,8 @@ def bag(storage, is_folder=False):
 
 
 def mcap(folder):
-    file = in_mcap.write_mcap(folder / "cell.mcap", two_paths() * 3, in_mcap.mixed)
-    mapping = in_mcap.mapping(folder, in_mcap.mixed)
-    return file, lambda: read_bag(file, mapping)
+    file, cell = write_mcap(folder / "cell.mcap", two_paths() * 3, mixed), mapping(folder, mixed)
+    return file, lambda: read_bag(file, cell)
 
 
 def minari(folder):
@@ -104,7 +66,7 @@ def sqlite(folder):
 NO_BAG = "it is no whole bag .*ros2 bag reindex"
 FORMS = {
     **{kind: (rows(kind), "steps") for kind in ("parquet", "csv", "feather", "arrow")},
-    "hdf5": (arrays, r"steps\.hdf5: it is no whole HDF5 file of steps"),
+    "hdf5": (hdf5, r"steps\.hdf5: it is no whole HDF5 file of steps"),
     "db3": (bag("sqlite3"), NO_BAG),
     "db3-folder": (bag("sqlite3", True), NO_BAG),
     "bag-of-mcap": (bag("mcap"), NO_BAG),
@@ -131,6 +93,10 @@ def test_a_file_that_breaks_off_is_refused_in_one_line(tmp_path, monkeypatch, fo
         with pytest.raises(HalfseenError, match=told) as caught:
             read()
         assert "\n" not in str(caught.value)
+    file.unlink()
+    with pytest.raises(HalfseenError) as caught:
+        read()
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning:minari.utils")

@@ -3,14 +3,13 @@ import json
 import gymnasium
 import minari
 import numpy as np
-import pandas as pd
 import pytest
 from gymnasium import spaces
 from minari.data_collector import EpisodeBuffer
 from test_logs import assert_same
 from valid_logs import small_tables
 
-from halfseen.errors import ArgumentError, HalfseenWarning, LogError
+from halfseen.errors import ArgumentError, HalfseenError, HalfseenWarning, LogError
 from halfseen.logs import Logs
 from halfseen.logs.formats import read_minari, write_minari
 
@@ -35,17 +34,16 @@ def flat():
     return Logs(tables["stages"], tables["paths"])
 
 
-def episodes_of(dataset_id):
-    return list(minari.load_dataset(dataset_id))
-
-
 # Written by halfseen.
 
 
 def test_steps_are_completed_stages_and_the_cut_stage_is_the_last_observation(flat):
     write_minari(flat, "cell/pick-v0")
-    finished, cut = episodes_of("cell/pick-v0")
-    names = json.loads(minari.load_dataset("cell/pick-v0").storage.metadata["halfseen"])["actions"]
+    assert list(minari.list_local_datasets()) == ["cell/pick-v0"]
+    dataset = minari.load_dataset("cell/pick-v0")
+    assert (dataset.total_steps, len(dataset.sample_episodes(1))) == (3, 1)
+    finished, cut = dataset
+    names = json.loads(dataset.storage.metadata["halfseen"])["actions"]
     assert names == ["FINISH", "LIFT", "WASH"]
     assert finished.actions.tolist() == [1, 0]
     assert finished.rewards.tolist() == [-0.1, -5.0]
@@ -57,36 +55,13 @@ def test_steps_are_completed_stages_and_the_cut_stage_is_the_last_observation(fl
     assert cut.observations.tolist() == [[10.0, np.float32(0.3)], [9.0, np.float32(0.4)]]
 
 
-def test_minari_knows_the_dataset_and_its_namespaces(flat):
-    write_minari(flat, "cell/arm/pick-v0")
-    assert list(minari.list_local_datasets()) == ["cell/arm/pick-v0"]
-    assert minari.load_dataset("cell/arm/pick-v0").total_steps == 3
-    samples = minari.load_dataset("cell/arm/pick-v0").sample_episodes(1)
-    assert len(samples) == 1
-
-
-def test_types_that_float64_does_not_carry_come_back(root):
-    tables = small_tables()
-    stages, paths = tables["stages"], tables["paths"]
-    stages["action"] = [0, 7, 2, 2, None]
-    stages["serial"] = [2**60 + 1, -(2**63), 3, 4, 5]
-    stages["is_held"] = [True, False, True, False, True]
-    stages["count"] = pd.array([1, 2, 3, 4, 5], dtype="Int32")
-    stages["kind"] = pd.Categorical(["a", "b", "a", "b", "a"], ["z", "b", "a"])
-    stages["note"] = ["ä", "", None, '"', "{}"]
-    paths["recorded"] = pd.Timestamp("2024-05-01", tz="UTC")
-    logs = Logs(**tables)
-    write_minari(logs, "pick-v0")
-    assert_same(logs, read_minari("pick-v0"))
-    assert_same(logs, read_minari(root / "pick-v0"))
-
-
 def test_a_log_without_numeric_covariates_shows_the_stage(root):
     tables = small_tables()
     logs = Logs(tables["stages"].drop(columns="steps_to_go"), tables["paths"], tables["objects"])
     write_minari(logs, "pick-v0")
-    assert episodes_of("pick-v0")[0].observations.tolist() == [[1.0], [2.0], [3.0]]
+    assert next(iter(minari.load_dataset("pick-v0"))).observations.tolist() == [[1.0], [2.0], [3.0]]
     assert_same(logs, read_minari("pick-v0"))
+    assert_same(logs, read_minari(root / "pick-v0"))
 
 
 def test_some_episodes_alone_are_read_without_those_that_have_no_step(flat):
@@ -138,39 +113,17 @@ def cartpole(seeds, max_steps=12):
     return dataset
 
 
-@pytest.fixture
-def by_hand():
+OF = {"observations": np.arange(8.0).reshape(4, 2), "actions": np.array([0, 1, 0]), "rewards": [1.0, 2.0, 3.0]}
+OF |= {"infos": {"t": np.array([5.0, 5.5, 7.0, 9.0]), "note": ["a", "b", "c", "d"]}}
+SPACES = {"action_space": spaces.Discrete(2), "observation_space": spaces.Box(-9, 9, (2,), np.float64)}
+
+
+def by_hand(endings, name="hand-v0", **other):
     """Make a dataset of one episode for each ending, with its own clock."""
-
-    def make(
-        endings,
-        *,
-        action_space=None,
-        observation_space=None,
-        actions=None,
-        observations=None,
-        infos=None,
-        name="hand-v0",
-    ):
-        buffers = [
-            EpisodeBuffer(
-                observations=np.arange(8.0).reshape(4, 2) if observations is None else observations,
-                actions=np.array([0, 1, 0]) if actions is None else actions,
-                rewards=[1.0, 2.0, 3.0],
-                terminations=terminated,
-                truncations=truncated,
-                infos=infos or {"t": np.array([5.0, 5.5, 7.0, 9.0]), "note": ["a", "b", "c", "d"]},
-            )
-            for terminated, truncated in endings
-        ]
-        return minari.create_dataset_from_buffers(
-            name,
-            buffers,
-            action_space=action_space or spaces.Discrete(2),
-            observation_space=observation_space or spaces.Box(-9, 9, (2,), np.float64),
-        )
-
-    return make
+    parts = {key: other.get(key, value) for key, value in OF.items()}
+    buffers = [EpisodeBuffer(terminations=last, truncations=cut, **parts) for last, cut in endings]
+    chosen = {key: other.get(key, value) for key, value in SPACES.items()}
+    return minari.create_dataset_from_buffers(name, buffers, **chosen)
 
 
 NO, LAST = [False, False, False], [False, False, True]
@@ -196,40 +149,24 @@ def test_episodes_of_a_data_collector_are_read_with_steps_as_seconds():
         assert len(stages) == num_steps + (0 if episode.terminations[-1] else 1)
 
 
-def test_each_ending_has_its_meaning(by_hand):
-    logs = read_minari(by_hand([(LAST, NO), (NO, LAST), (LAST, LAST), (NO, NO)]), step_s=0.5)
-    assert logs.paths["ending"].tolist() == ["finished", "cut", "finished", "cut"]
-    assert logs.paths["cause"].tolist() == [None, "truncated", None, "unknown"]
+@pytest.mark.parametrize(("truncated", "ending"), [("cut", "truncated"), ("finished", None)])
+def test_each_ending_has_its_meaning(truncated, ending):
+    dataset = by_hand([(LAST, NO), (NO, LAST), (LAST, LAST), (NO, NO)])
+    logs = read_minari(dataset, step_s=0.5, truncated=truncated)
+    assert logs.paths["cause"].tolist() == [None, ending, None, "unknown"]
+    assert logs.is_finished.tolist() == [True, ending is None, True, False]
     assert logs.end_s.tolist() == [1.5] * 4
-    assert logs.stages.groupby("path").size().tolist() == [3, 4, 3, 4]
+    assert logs.stages.groupby("path").size().tolist() == [3, 4 - (ending is None), 3, 4]
 
 
-def test_what_was_truncated_may_be_a_horizon_and_what_just_stops_is_none(by_hand):
-    logs = read_minari(by_hand([(NO, LAST), (NO, NO)]), step_s=0.5, truncated="finished")
-    assert logs.paths["ending"].tolist() == ["finished", "cut"]
-    assert logs.stages.groupby("path").size().tolist() == [3, 4]
-
-
-def test_a_named_info_is_the_clock(by_hand):
+def test_a_named_info_is_the_clock():
     dataset = by_hand([(LAST, NO)])
     assert read_minari(dataset, clock="t").elapsed_s().tolist() == [[0.5, 2.0, 4.0]]
     ends = by_hand([(LAST, NO)], infos={"t": np.array([1.0, 2.5, 4.0])}, name="ends-v0")
     assert read_minari(ends, clock="t").elapsed_s().tolist() == [[1.0, 2.5, 4.0]]
-    with pytest.raises(LogError, match=r"dataset hand-v0, episode 0: there is no info 'time' among note, t"):
-        read_minari(dataset, clock="time")
-    with pytest.raises(LogError, match="info 'note' is object"):
-        read_minari(dataset, clock="note")
-    with pytest.raises(ArgumentError, match=r"step_s -1\.0"):
-        read_minari(dataset, step_s=-1.0)
 
 
-def test_a_clock_that_stands_is_told_with_the_dataset(by_hand):
-    still = by_hand([(LAST, NO)], infos={"t": np.array([1.0, 1.0, 4.0])})
-    with pytest.raises(LogError, match=r"dataset hand-v0: path 0, stage 2: elapsed_s 1\.0 is also the 1\.0"):
-        read_minari(still, clock="t")
-
-
-def test_parts_of_an_observation_become_columns(by_hand):
+def test_parts_of_an_observation_become_columns():
     space = spaces.Dict({"pose": spaces.Box(-9, 9, (1, 2), np.float64), "mode": spaces.Discrete(3)})
     seen = {"pose": np.arange(8.0).reshape(4, 1, 2), "mode": np.array([0, 1, 2, 0])}
     logs = read_minari(by_hand([(NO, LAST)], observation_space=space, observations=seen), step_s=1.0)
@@ -237,29 +174,32 @@ def test_parts_of_an_observation_become_columns(by_hand):
     assert logs.stages["mode_0"].tolist() == [0, 1, 2, 0]
 
 
-def test_actions_without_number_are_refused(by_hand):
-    torque = spaces.Box(-1, 1, (1,), np.float64)
-    dataset = by_hand([(LAST, NO)], action_space=torque, actions=np.zeros((3, 1)))
-    with pytest.raises(ArgumentError, match=r"hand-v0: actions are Box.*discretise them"):
-        read_minari(dataset, step_s=1.0)
+STANDS = {"t": np.array([1.0, 1.0, 4.0])}
+TORQUE = {"action_space": spaces.Box(-1, 1, (1,), np.float64), "actions": np.zeros((3, 1))}
+IN_WORDS = {"observation_space": spaces.Text(4), "observations": ["a", "b", "c", "d"]}
 
 
-def test_observations_that_are_no_numbers_are_refused(by_hand):
-    space = spaces.Text(4)
-    dataset = by_hand([(LAST, NO)], observation_space=space, observations=["a", "b", "c", "d"])
-    with pytest.raises(ArgumentError, match=r"hand-v0: observations are Text.*flatten them"):
-        read_minari(dataset, step_s=1.0)
+@pytest.mark.parametrize(
+    ("other", "options", "told"),
+    [
+        ({}, {"clock": "time"}, r"dataset hand-v0, episode 0: there is no info 'time' among note, t"),
+        ({}, {"clock": "note"}, "info 'note' is object"),
+        ({}, {"step_s": -1.0}, r"step_s -1\.0"),
+        ({"infos": STANDS}, {"clock": "t"}, r"dataset hand-v0: path 0, stage 2: elapsed_s 1\.0 is also the 1\.0"),
+        (TORQUE, {"step_s": 1.0}, r"hand-v0: actions are Box.*discretise them"),
+        (IN_WORDS, {"step_s": 1.0}, r"hand-v0: observations are Text.*flatten them"),
+        ({"observations": np.zeros((3, 2))}, {"step_s": 1.0}, "3 observations for 3 steps"),
+    ],
+)
+def test_what_is_wrong_is_told(other, options, told):
+    dataset = by_hand([(LAST, NO)], **other)
+    with pytest.raises(HalfseenError, match=told):
+        read_minari(dataset, **options)
 
 
-def test_an_episode_that_goes_on_after_its_end_is_refused(by_hand):
+def test_an_episode_that_goes_on_after_its_end_is_refused():
     with pytest.raises(LogError, match=r"hand-v0, episode 0: step 2 of 3 ends it; make two episodes of it"):
         read_minari(by_hand([([False, True, False], LAST)]), step_s=1.0)
-
-
-def test_a_missing_observation_is_refused(by_hand):
-    dataset = by_hand([(LAST, NO)], observations=np.zeros((3, 2)))
-    with pytest.raises(LogError, match="3 observations for 3 steps"):
-        read_minari(dataset, step_s=1.0)
 
 
 def test_what_is_not_there_is_told(root):

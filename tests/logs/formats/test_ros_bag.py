@@ -1,28 +1,35 @@
+"""Bags of ROS as logs, by a mapping that says which topics carry what."""
+
+import inspect
+
 import numpy as np
 import pytest
-from bags import cloud, joints, number, pose, text, two_paths, whole, write_bag
+from bags import (
+    SMALL,
+    WITHOUT_CLOUD,
+    cloud,
+    joints,
+    number,
+    one_path,
+    pose,
+    tables_of,
+    text,
+    two_paths,
+    whole,
+    write_bag,
+    write_bag_of_ros_1,
+)
 
 from halfseen.errors import ArgumentError, HalfseenWarning, LogError
-from halfseen.logs.formats import MAPPING_TEMPLATE, read_bag
+from halfseen.logs.formats import MAPPING_TEMPLATE, read_bag, read_mapping
 
-WITHOUT_CLOUD = MAPPING_TEMPLATE[: MAPPING_TEMPLATE.index("# sensor_msgs/PointCloud2")]
-SMALL = """
-[action]
-topic = "/action"
-field = "data"
-[reward]
-topic = "/reward"
-field = "data"
-[ending]
-topic = "/end"
-field = "data"
-"""
+in_each_storage = pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
 
 
 @pytest.fixture
 def mapping(tmp_path):
-    def write(content=WITHOUT_CLOUD):
-        (tmp_path / "cell.toml").write_text(content)
+    def write(told=WITHOUT_CLOUD):
+        (tmp_path / "cell.toml").write_text(told if isinstance(told, str) else tables_of(told))
         return tmp_path / "cell.toml"
 
     return write
@@ -36,28 +43,100 @@ def bag(tmp_path):
     return write
 
 
-def one_path(*messages, ending="finished"):
-    stage = [text(1.0, "/action", "A"), number(2.0, "/reward", 1.0)]
-    return [*messages, *stage, text(2.5, "/end", ending)]
+# Mappings.
 
 
-@pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
+def test_the_template_is_a_whole_mapping_and_the_example_of_the_documentation_is_the_template(mapping):
+    told = read_mapping(mapping(MAPPING_TEMPLATE))
+    assert [source.key for source in told.sources] == [
+        *("path", "covariates.occlusion", "cloud", "action", "object", "probability", "reward", "ending")
+    ]
+    assert (told.action.topic, told.action.field) == ("/pick/action", "data")
+    assert told.finished == ("finished",)
+    example = inspect.cleandoc(read_mapping.__doc__ or "").partition("are needed::")[2]
+    assert read_mapping(mapping(example)) == told
+    small = read_mapping(mapping(SMALL))
+    assert [source.topic for source in small.sources] == ["/action", "/reward", "/end"]
+    assert small.clock == "log"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("[reward]", "[rewards]", r"rewards: it is unknown; there are clock, path, .*reward"),
+        ('[reward]\ntopic = "/reward"\nfield = "data"\n', "", r"reward: it is missing; say which topic"),
+        ('topic = "/reward"\n', "", r"reward\.topic: it is missing"),
+        ('topic = "/reward"', "topic = 3", r"reward\.topic: 3 is no text"),
+        ('topic = "/reward"', 'topic = ""', r"reward\.topic: '' is no text"),
+        ('topic = "/reward"', 'topic = "/r"\ntype = "x"', r"reward\.type: it is unknown; there are topic, field"),
+        ("[action]", 'clock = "sim"\n[action]', r"clock: 'sim' is none of 'log', 'publish', 'header'"),
+        ("[action]", "covariates = 1\n[action]", r"covariates: 1 is no table"),
+        ("[action]", "path = 1\n[action]", r"path: 1 is no table"),
+        ("[action]", "[covariates.reward]\ntopic='/x'\nfield='data'\n[action]", "covariates.reward: stages have such"),
+        ("[action]", "[covariates.x]\ntopic='/x'\n[action]", r"covariates\.x\.field: it is missing"),
+        ('topic = "/end"', 'topic = "/end"\nfinished = []', r"ending\.finished: \[\] is no list of values"),
+        ('topic = "/end"', 'topic = "/end"\nfinished = "done"', r"ending\.finished: 'done' is no list of values"),
+        ("[action]", "[action", r".*it is no TOML .*line 1"),
+        # Those that do not fit the bag.
+        ("/reward", "/rewrd", r"reward\.topic: there is no topic '/rewrd' in .*; there are /action, /end, /rew"),
+        ('reward"\nfield = "data"', 'reward"\nfield = "value"', r"reward\.field: .*no field 'value'; name data"),
+        ('reward"\nfield = "data"', 'reward"\nfield = "data.x"', r"reward\.field: .* has no field 'data\.x'"),
+        ('"/reward"', '"/action"', r"reward\.field: /action .*field 'data' is 'A', no number"),
+        ('"/action"', '"/reward"', r"action\.field: /reward .*field 'data' is 1\.0, neither text nor a whole number"),
+        ("[action]", 'clock = "header"\n[action]', r"clock: /action \(std_msgs/msg/String\) has no header\.stamp"),
+    ],
+)
+def test_a_mapping_that_is_broken_or_does_not_fit_is_told_with_file_and_key(bag, mapping, old, new, message):
+    content = tables_of(SMALL)
+    assert old in content
+    with pytest.raises(ArgumentError, match=rf"cell\.toml(, |:){message}") as told:
+        read_bag(bag(one_path()), mapping(content.replace(old, new, 1)))
+    assert "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize(
+    ("field", "message"),
+    [
+        ("position", r"field 'position' is no single value; name one of its 2 entries, position\.0 to position\.1"),
+        ("position.7", r"field 'position\.7': there are 2 entries, counted from 0"),
+        ("header", r"field 'header' is no single value; name header\.stamp, header\.frame_id"),
+        ("effort.0", r"field 'effort\.0': there are 0 entries"),
+        ("__class__", r"has no field '__class__'"),
+    ],
+)
+def test_what_is_no_single_value_is_told(bag, mapping, field, message):
+    with pytest.raises(ArgumentError, match=r"cell\.toml, covariates\.x\.field: /joints .*" + message):
+        read_bag(
+            bag(one_path(joints(0.0, "/joints", [0.5, 0.75]))), mapping(SMALL | {"covariates.x": f"/joints {field}"})
+        )
+
+
+def test_a_missing_mapping_names_the_template(tmp_path):
+    with pytest.raises(ArgumentError, match=r"none\.toml: it cannot be read .*--mapping-template"):
+        read_mapping(tmp_path / "none.toml")
+
+
+# Paths.
+
+
+@in_each_storage
 def test_two_paths_of_one_bag(bag, mapping, storage):
     logs = read_bag(bag(two_paths(), storage=storage), mapping())
-    assert logs.path_ids.tolist() == ["monday-1", "monday-2"]
-    assert logs.paths["ending"].tolist() == ["finished", "cut"]
-    assert logs.paths["cause"].tolist() == [None, "crash"]
-    assert logs.end_s.tolist() == [2.75, 2.5]
-    assert logs.paths["bag"].tolist() == ["bag", "bag"]
-    np.testing.assert_array_equal(logs.elapsed_s(), [[2.0, 2.75], [2.0, np.nan]])
+    paths = logs.paths[["path", "ending", "cause", "end_s", "bag"]].values.tolist()
+    assert paths == [["monday-1", "finished", None, 2.75, "bag"], ["monday-2", "cut", "crash", 2.5, "bag"]]
     assert logs.stages["action"].tolist() == ["WASH", "FINISH", "LIFT", None]
     assert logs.stages["object"].tolist() == ["cup", None, None, None]
-    assert logs.stages["occlusion"].tolist() == [0.3, 0.2, 0.4, 0.1]
-    np.testing.assert_array_equal(logs.stages["probability"], [0.5, 1.0, 0.25, np.nan])
-    np.testing.assert_array_equal(logs.stages["reward"], [5.0, -5.0, -0.1, np.nan])
+    wanted = {
+        "elapsed_s": [2.0, 2.75, 2.0, np.nan],
+        "occlusion": [0.3, 0.2, 0.4, 0.1],
+        "probability": [0.5, 1.0, 0.25, np.nan],
+        "reward": [5.0, -5.0, -0.1, np.nan],
+    }
+    for name, values in wanted.items():
+        np.testing.assert_array_equal(logs.stages[name], values)
 
 
-@pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
+@in_each_storage
 def test_a_bag_whose_recorder_died_is_read_from_its_storage(bag, mapping, storage):
     folder = bag(two_paths(), storage=storage)
     whole_logs = read_bag(folder, mapping())
@@ -68,19 +147,8 @@ def test_a_bag_whose_recorder_died_is_read_from_its_storage(bag, mapping, storag
 
 
 def test_bags_of_ros_1_are_read_too(tmp_path, mapping):
-    from rosbags.rosbag1 import Writer
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.ROS1_NOETIC)
-    with Writer(tmp_path / "old.bag") as writer:
-        connections = {}
-        for seconds, topic, kind, message in one_path():
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, kind, typestore=store)
-            writer.write(connections[topic], int(seconds * 1e9), store.serialize_ros1(message, kind))
-    logs = read_bag(tmp_path / "old.bag", mapping(SMALL))
-    assert logs.elapsed_s().tolist() == [[1.0]]
-    assert logs.stages["action"].tolist() == ["A"]
+    logs = read_bag(write_bag_of_ros_1(tmp_path / "old.bag", one_path()), mapping(SMALL))
+    assert logs.stages[["elapsed_s", "action"]].values.tolist() == [[1.0, "A"]]
 
 
 def test_messages_recorded_out_of_order_are_put_in_order(bag, mapping):
@@ -103,112 +171,55 @@ def test_without_a_beginning_a_bag_is_one_path_and_bags_are_numbered(bag, mappin
 
 
 def test_a_path_cut_during_an_attempt_keeps_what_was_seen_and_tried(bag, mapping):
-    table = '[covariates.x]\ntopic = "/x"\nfield = "data"\n'
+    told = SMALL | {"covariates.x": "/x data"}
     crashed = bag([number(0, "/x", 1.0), text(1, "/action", "A"), number(2, "/x", 2.0)], "crashed")
-    logs = read_bag([crashed, bag(one_path(number(0, "/x", 3.0)))], mapping(SMALL + table))
+    logs = read_bag([crashed, bag(one_path(number(0, "/x", 3.0)))], mapping(told))
     assert logs.stages[["action", "x"]].to_numpy().tolist() == [["A", 1.0], ["A", 3.0]]
     assert logs.paths["cause"].tolist() == ["crash", None]
     assert logs.end_s.tolist() == [2.0, 2.5]
     with pytest.raises(ArgumentError, match=r"no topic '/reward' in .*together with others"):
-        read_bag(crashed, mapping(SMALL + table))
+        read_bag(crashed, mapping(told))
 
 
 def test_fields_are_paths_into_messages(bag, mapping):
-    tables = """
-    [covariates.x_m]
-    topic = "/pose"
-    field = "pose.position.x"
-    [covariates.elbow_rad]
-    topic = "/joints"
-    field = "position.1"
-    [covariates.joint]
-    topic = "/joints"
-    field = "name.0"
-    """
+    seen = {"x_m": "/pose pose.position.x", "elbow_rad": "/joints position.1", "joint": "/joints name.0"}
     messages = [pose(0.0, "/pose", 0.25), joints(0.1, "/joints", [0.5, 0.75])]
-    logs = read_bag(bag(one_path(*messages)), mapping(SMALL + tables))
+    logs = read_bag(
+        bag(one_path(*messages)), mapping(SMALL | {f"covariates.{name}": source for name, source in seen.items()})
+    )
     assert logs.stages[["x_m", "elbow_rad", "joint"]].to_numpy().tolist() == [[0.25, 0.75, "a"]]
 
 
 def test_actions_may_be_whole_numbers_and_endings_too(bag, mapping):
     messages = [whole(1.0, "/action", 3), number(2.0, "/reward", 1.0), whole(2.0, "/end", 1)]
-    content = SMALL.replace('topic = "/end"', 'topic = "/end"\nfinished = [0]')
-    logs = read_bag(bag(messages), mapping(content))
+    logs = read_bag(bag(messages), mapping(tables_of(SMALL) + "finished = [0]"))
     assert logs.stages["action"].tolist()[0] == 3
     assert logs.paths["cause"].tolist() == ["1"]
 
 
 def test_the_header_may_be_the_clock(bag, mapping):
-    content = 'clock = "header"\n' + "".join(
-        f'[{key}]\ntopic = "/{key}"\nfield = "{field}"\n'
-        for key, field in (("action", "header.frame_id"), ("reward", "pose.position.x"), ("ending", "header.frame_id"))
-    )
-    content = content.replace("[ending]", '[ending]\nfinished = ["camera"]')
+    told = {"action": "/action header.frame_id", "reward": "/reward pose.position.x", "ending": "/end header.frame_id"}
     messages = [
         pose(5.0, "/reward", 2.0, stamp_s=101.5),  # recorded first, yet stamped after the action
         pose(6.0, "/action", 0.0, stamp_s=100.0),
-        pose(7.0, "/ending", 0.0, stamp_s=102.0),
+        pose(7.0, "/end", 0.0, stamp_s=102.0),
     ]
+    content = 'clock = "header"\n' + tables_of(told) + 'finished = ["camera"]'
     logs = read_bag(bag(messages), mapping(content))
     assert logs.elapsed_s().tolist() == [[1.5]]
     assert logs.end_s.tolist() == [2.0]
-    with pytest.raises(ArgumentError, match=r"cell\.toml, clock: /action \(std_msgs/msg/String\) has no header\.stamp"):
-        read_bag(bag(one_path(), "plain"), mapping('clock = "header"\n' + SMALL))
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        (
-            "/reward",
-            "/rewrd",
-            r"cell\.toml, reward\.topic: there is no topic '/rewrd' in .*; there are /action, /end, /rew",
-        ),
-        (
-            'reward"\nfield = "data"',
-            'reward"\nfield = "value"',
-            r"cell\.toml, reward\.field: .*no field 'value'; name data",
-        ),
-        ('reward"\nfield = "data"', 'reward"\nfield = "data.x"', r"reward\.field: .* has no field 'data\.x'"),
-        ('"/reward"', '"/action"', r"reward\.field: /action .*field 'data' is 'A', no number"),
-        ('"/action"', '"/reward"', r"action\.field: /reward .*field 'data' is 1\.0, neither text nor a whole number"),
-    ],
-)
-def test_a_mapping_that_does_not_fit_is_told(bag, mapping, old, new, message):
-    assert old in SMALL
-    with pytest.raises(ArgumentError, match=message) as told:
-        read_bag(bag(one_path()), mapping(SMALL.replace(old, new, 1)))
-    assert "\n" not in str(told.value)
-
-
-@pytest.mark.parametrize(
-    ("field", "message"),
-    [
-        ("position", r"field 'position' is no single value; name one of its 2 entries, position\.0 to position\.1"),
-        ("position.7", r"field 'position\.7': there are 2 entries, counted from 0"),
-        ("header", r"field 'header' is no single value; name header\.stamp, header\.frame_id"),
-        ("effort.0", r"field 'effort\.0': there are 0 entries"),
-        ("__class__", r"has no field '__class__'"),
-    ],
-)
-def test_what_is_no_single_value_is_told(bag, mapping, field, message):
-    table = f'[covariates.x]\ntopic = "/joints"\nfield = "{field}"\n'
-    with pytest.raises(ArgumentError, match=r"cell\.toml, covariates\.x\.field: /joints .*" + message):
-        read_bag(bag(one_path(joints(0.0, "/joints", [0.5, 0.75]))), mapping(SMALL + table))
 
 
 A, R, E = text(1.0, "/action", "A"), number(2.0, "/reward", 1.0), text(9.0, "/end", "finished")
+B = text(3.0, "/action", "B")
 
 
 @pytest.mark.parametrize(
     ("messages", "message"),
     [
         ([number(0.5, "/reward", 1.0), A, E], r"path 1, stage 1: reward 1\.0 comes at 0 s with no action before it"),
-        (
-            [A, text(1.5, "/action", "B"), R, E],
-            r"path 1, stage 1: action 'B' comes at 0\.5 s, yet 'A' before it has no",
-        ),
-        ([A, R, text(3.0, "/action", "B"), E], r"path 1, stage 2: the path finished, yet the stage has no reward"),
+        ([A, text(1.5, "/action", "B"), R, E], r"stage 1: action 'B' comes at 0\.5 s, yet 'A' before it has no"),
+        ([A, R, B, E], r"path 1, stage 2: the path finished, yet the stage has no reward"),
         (
             [A, R, text(3.0, "/end", "finished"), E],
             r"path 1: ending comes at 8 s, after its ending at 2 s; map \[path\]",
@@ -239,27 +250,26 @@ def test_a_path_cut_before_anything_was_seen_is_left_out_with_a_warning(bag, map
 def test_bags_without_a_path_are_refused(bag, mapping):
     messages = [message for message in two_paths() if message[1] != "/episode/begin"]
     bags = [bag(messages, "without"), bag([text(0.0, "/episode/begin", "late")], "late")]
-    with (
-        pytest.warns(HalfseenWarning, match="'late' was cut"),
-        pytest.raises(LogError, match=r"no path with a stage was found; look at \[path\] in .*cell\.toml"),
-    ):
+    told = r"no path with a stage was found; look at \[path\] in .*cell\.toml"
+    with pytest.warns(HalfseenWarning, match="'late' was cut"), pytest.raises(LogError, match=told):
         read_bag(bags, mapping())
 
 
-def test_what_is_no_bag_is_told(tmp_path, mapping):
-    with pytest.raises(LogError, match="there is no such bag"):
-        read_bag(tmp_path / "nowhere", mapping())
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(LogError, match="it holds no bag"):
-        read_bag(tmp_path / "empty", mapping())
-    (tmp_path / "empty" / "metadata.yaml").write_text("nonsense: [")
-    with pytest.raises(LogError, match="it is no whole bag"):
-        read_bag(tmp_path / "empty", mapping())
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [("none", "there is no such bag"), ("empty", "it holds no bag"), ("broken", "it is no whole bag")],
+)
+def test_what_is_no_bag_is_told(tmp_path, mapping, name, told):
+    for folder in ("empty", "broken"):
+        (tmp_path / folder).mkdir()
+    (tmp_path / "broken" / "metadata.yaml").write_text("nonsense: [")
+    with pytest.raises(LogError, match=told):
+        read_bag(tmp_path / name, mapping())
 
 
 # Clouds.
 
-CLOUD = SMALL + '[cloud]\ntopic = "/points"\n'
+CLOUD = tables_of(SMALL) + '[cloud]\ntopic = "/points"\n'
 POINTS = np.arange(18.0).reshape(6, 3) / 7
 
 
@@ -318,12 +328,13 @@ def test_broken_clouds_are_told(bag, mapping, options, message):
         read_bag(folder, mapping(CLOUD), keep=lambda *_: "file")
 
 
-def test_seeing_without_a_topic_of_clouds_is_refused(bag, mapping):
-    with pytest.raises(ArgumentError, match=r"cell\.toml, cloud: it is missing, so that no cloud is seen"):
-        read_bag(bag(one_path()), mapping(SMALL), see=lambda *_: {})
-
-
-def test_a_topic_without_clouds_is_told(bag, mapping):
-    content = CLOUD.replace("/points", "/reward")
-    with pytest.raises(ArgumentError, match=r"cloud\.topic: /reward carries std_msgs/msg/Float64, not sensor_msgs"):
-        read_bag(bag(one_path()), mapping(content))
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (tables_of(SMALL), r"cell\.toml, cloud: it is missing, so that no cloud is seen"),
+        (CLOUD.replace("/points", "/reward"), r"cloud\.topic: /reward carries std_msgs/msg/Float64, not sensor_msgs"),
+    ],
+)
+def test_seeing_without_a_topic_of_clouds_is_refused(bag, mapping, content, message):
+    with pytest.raises(ArgumentError, match=message):
+        read_bag(bag(one_path()), mapping(content), see=lambda *_: {})

@@ -23,12 +23,13 @@ def reward_of(path, stage):
     return float(path * stage)
 
 
-def record_path(recorder, name=None, num_stages=3, **known):
-    """A finished path of which each number says where it stands."""
+def record_path(recorder, name=None, num_stages=3, cause=None, given=None, **known):
+    """A path of which each number says where it stands; finished, unless a cause cuts it."""
     path = recorder.begin_path(name, **known)
     for stage in range(1, num_stages + 1):
-        step(path, float(stage), reward_of(path.name, stage), covariates=covariates_of(path.name, stage))
-    path.finish()
+        seen = covariates_of(path.name, stage)
+        step(path, float(stage), reward_of(path.name, stage), covariates=seen, **given or {})
+    path.finish() if cause is None else path.cut(cause)
 
 
 def as_recorded(logs):

@@ -7,26 +7,21 @@ import socket
 import threading
 from contextlib import suppress
 
-import pandas as pd
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from recordings import logs_or_none
+from test_logs import assert_same
 
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs import LogRecorder, read_logs
-from halfseen.logs.recording.line_protocol import CALLS, MOST_BYTES, call_of, record_lines
+from halfseen.logs.recording.line_protocol import CALLS, MOST_BYTES, record_lines
 from halfseen.logs.recording.line_socket import listening, record_clients
 
+STAGE = {"covariates": {"x": 0.5, "seen": [1, 2]}, "objects": [{"object": 1, "y": 2}]}
 PATH = [
     {"call": "begin_path", "columns": {"cell": "left"}},
-    {
-        "call": "begin_stage",
-        "covariates": {"x": 0.5, "seen": [1, 2]},
-        "objects": [{"object": 1, "y": 2}],
-        "action": "PICK",
-        "object": 1,
-        "probability": 0.5,
-    },
+    {"call": "begin_stage", **STAGE, "action": "PICK", "object": 1, "probability": 0.5},
     {"call": "still_running", "elapsed_s": 1.0},
     {"call": "complete_stage", "reward": 1.0, "elapsed_s": 2.5},
     {"call": "finish"},
@@ -47,29 +42,19 @@ def test_lines_record_what_the_calls_would(tmp_path):
     assert answers == [{"ok": True, "path": 1}] * len(PATH)
     with LogRecorder(tmp_path / "calls") as recorder:
         path = recorder.begin_path(cell="left")
-        path.begin_stage({"x": 0.5, "seen": [1, 2]}, [{"object": 1, "y": 2}], "PICK", 1, 0.5)
+        path.begin_stage(**STAGE, action="PICK", object=1, probability=0.5)
         path.still_running(elapsed_s=1.0)
         path.complete_stage(1.0, elapsed_s=2.5)
         path.finish()
-    lines, calls = read_logs(tmp_path / "lines"), read_logs(tmp_path / "calls")
-    for name, table in calls.tables.items():
-        pd.testing.assert_frame_equal(lines.tables[name], table)
+    assert_same(read_logs(tmp_path / "lines"), read_logs(tmp_path / "calls"))
 
 
 def test_lines_record_a_team(tmp_path):
     stage = {"call": "begin_stage", "covariates": {"x": 1}, "action": "WAIT", "robot": 0}
-    answers = recorded(
-        tmp_path,
-        [
-            {"call": "begin_path"},
-            stage,
-            {"call": "drop_out", "robot": 1, "cause": "battery", "elapsed_s": 1.0},
-            {"call": "complete_stage", "reward": 3, "elapsed_s": 2.0, "own_rewards": [3, 0]},
-            stage,
-            {"call": "cut", "cause": "operator", "elapsed_s": 3.0},
-        ],
-    )
-    assert all(answer["ok"] for answer in answers)
+    out = {"call": "drop_out", "robot": 1, "cause": "battery", "elapsed_s": 1.0}
+    done = {"call": "complete_stage", "reward": 3, "elapsed_s": 2.0, "own_rewards": [3, 0]}
+    cut = {"call": "cut", "cause": "operator", "elapsed_s": 3.0}
+    assert all(each["ok"] for each in recorded(tmp_path, [{"call": "begin_path"}, stage, out, done, stage, cut]))
     logs = read_logs(tmp_path)
     assert logs.paths["1_out_cause"].tolist() == ["battery"]
     assert logs.stages["0_reward"].tolist()[:1] == [3.0]
@@ -81,6 +66,7 @@ def test_where_lines_end_the_path_in_progress_is_cut(tmp_path):
 
 
 BAD = {
+    "finish: no path has begun; begin_path first": b'{"call": "finish"}\n',
     "is no JSON": b"nonsense\n",
     "it is nested too deep|no JSON": b"[" * 100_000 + b"\n",
     "names no call": b"[1]\n",
@@ -102,18 +88,12 @@ BAD = {
 
 @pytest.mark.parametrize("trouble", BAD)
 def test_a_bad_line_is_told_in_one_and_harms_none_after_it(tmp_path, trouble):
-    number = 4 if trouble.startswith("objects") else 2
+    number = {"objects is 5": 4, "finish: no path has begun; begin_path first": 0}.get(trouble, 2)
     answers = recorded(tmp_path, [*PATH[:number], BAD[trouble], b"\n", *PATH[number:]])
     assert [answer["ok"] for answer in answers] == [True] * number + [False] + [True] * (len(PATH) - number)
     assert re.search(trouble, answers[number]["error"])
     assert len(answers[number]["error"]) < 400
     assert read_logs(tmp_path).is_finished.tolist() == [True]
-
-
-def test_a_call_before_the_first_path_is_refused(tmp_path):
-    answers = recorded(tmp_path, [{"call": "finish"}, *PATH])
-    assert answers[0] == {"ok": False, "error": "finish: no path has begun; begin_path first"}
-    assert all(answer["ok"] for answer in answers[1:])
 
 
 JSON = st.recursive(
@@ -132,14 +112,7 @@ def test_whatever_lines_say_a_whole_path_can_follow(tmp_path_factory, lines):
     folder = tmp_path_factory.mktemp("logs") / "logs"
     answers = recorded(folder, [PATH[0], *lines, {"call": "cut", "cause": "operator"}])
     assert all(set(answer) in ({"ok", "path"}, {"ok", "error"}) for answer in answers)
-    try:
-        read_logs(folder)
-    except LogError as error:
-        assert "no stage is recorded yet" in str(error)  # noqa: PT017
-
-
-def test_a_call_is_taken_apart():
-    assert call_of(b'{"call": "cut", "cause": "operator", "elapsed_s": null}') == ("cut", {"cause": "operator"})
+    logs_or_none(folder)
 
 
 @pytest.fixture(params=["port", "file"])

@@ -1,9 +1,8 @@
-"""What a recorder writes is what is read, whatever happens in between."""
+"""What a recorder writes is what is read, in one file or several, of one robot or several."""
 
 import json
 import os
-import time
-from itertools import chain, repeat
+import warnings
 
 import numpy as np
 import pandas as pd
@@ -13,28 +12,17 @@ from recordings import begin, record_path, step
 from test_logs import assert_same
 from valid_logs import small_tables, valid_tables
 
-from halfseen.errors import ArgumentError, LogError
+from halfseen.censoring import stage_weights
+from halfseen.errors import ArgumentError, HalfseenWarning, LogError
 from halfseen.logs import LogRecorder, Logs, read_logs
-from halfseen.logs.journal.parts import JOURNAL
+from halfseen.logs.journal.parts import JOURNAL, PART_BYTES, journal_parts, part_after
 
 # JAX warns of forks where other tests have loaded it; the children here do not touch it.
 pytestmark = pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning")
 
+ROBOT = {"objects": [{"object": k} for k in range(3)], "object": 0, "robot": 0}
 OF_THE_END = ["path", "end_s", "ending", "cause"]
-
-
-@pytest.fixture
-def recorder(tmp_path):
-    with LogRecorder(tmp_path / "logs") as recorder:
-        yield recorder
-
-
-@pytest.fixture
-def wait(monkeypatch):
-    """Moves the recorder's own clock."""
-    now_s = [1000.0]
-    monkeypatch.setattr("halfseen.logs.journal.clock.time.monotonic", lambda: now_s[0])
-    return lambda seconds: now_s.append(now_s.pop() + seconds)
+in_parts = pytest.mark.parametrize("part_bytes", [1, PART_BYTES], ids=["parts", "one file"])
 
 
 def record_tables(folder, stages, paths, objects):
@@ -72,51 +60,51 @@ def test_whatever_logs_take_a_recorder_takes(tmp_path_factory, tables):
     assert_same(read_logs(folder / "parquet"), back)
 
 
-def own_clock(path, wait):
-    wait(50.0)
-    begin(path)
-    wait(2.0)
+# Clocks.
+
+
+def done(path):
     path.complete_stage(1.0)
-    wait(0.5)
-    begin(path)
-    wait(3.0)
-    path.complete_stage(2.0)
-    wait(0.25)
+
+
+def finish(path):
     path.finish()
 
 
-def cut_between_stages(path, wait):
-    begin(path)
-    wait(2.0)
-    path.complete_stage(1.0)
-    wait(0.5)
-    path.cut("emergency-stop")
-
-
-def cut_on_a_given_clock(path, wait):
-    step(path, 1.0)
-    step(path, 2.0)
-    path.cut("battery", elapsed_s=2.5)
-
-
 @pytest.mark.parametrize(
-    ("happens", "elapsed_s", "end_s", "cause"),
+    ("events", "elapsed_s", "end_s", "cause"),
     [
-        (own_clock, [2.5, 5.75], 5.75, None),  # a stage lasts until the next begins
-        (cut_between_stages, [np.nan], 2.5, "emergency-stop"),  # a cut falls into the stage before
-        (cut_on_a_given_clock, [1.0, np.nan], np.nextafter(2.0, 0.0), "battery"),  # and takes its completion back
+        # A stage lasts until the next begins,
+        ([50.0, begin, 2.0, done, 0.5, begin, 3.0, done, 0.25, finish], [2.5, 5.75], 5.75, None),
+        # and a clock that falls back stands.
+        ([begin, 0.5, done, 0.5, begin, -11.0, done, begin, 5.0, done, finish], [1.0, 1.0, 1.0], 1.0, None),
+        # A cut falls into the stage before,
+        ([begin, 2.0, done, 0.5, lambda path: path.cut("e-stop")], [np.nan], 2.5, "e-stop"),
+        # and takes its completion back.
+        (
+            [
+                lambda path: step(path, 1.0),
+                lambda path: step(path, 2.0),
+                lambda path: path.cut("battery", elapsed_s=2.5),
+            ],
+            [1.0, np.nan],
+            np.nextafter(2.0, 0.0),
+            "battery",
+        ),
     ],
 )
-def test_stages_last_until_the_next_begins_or_the_path_ends(recorder, wait, tmp_path, happens, elapsed_s, end_s, cause):
-    happens(recorder.begin_path(), wait)
+def test_stages_last_until_the_next_begins_or_the_path_ends(recorder, wait, tmp_path, events, elapsed_s, end_s, cause):
+    path = recorder.begin_path()
+    for event in events:
+        event(path) if callable(event) else wait(event)
     logs = read_logs(tmp_path / "logs")
-    np.testing.assert_array_equal(logs.elapsed_s(), [elapsed_s])
-    assert (logs.end_s.tolist(), logs.paths["cause"].tolist()) == ([end_s], [cause])
+    assert logs.elapsed_s()[0] == pytest.approx(elapsed_s, rel=0.0, abs=1e-7, nan_ok=True)
+    assert logs.stages["elapsed_s"].diff().dropna().gt(0.0).all()
+    assert logs.end_s[0] == (end_s if cause else pytest.approx(end_s, abs=1e-7))
+    assert logs.paths["cause"].tolist() == [cause]
 
 
 def test_weights_of_tied_clocks_add_up_although_paths_end_between_stages(tmp_path):
-    from halfseen.censoring import stage_weights
-
     rng = np.random.default_rng(3)
     with LogRecorder(tmp_path / "logs") as recorder:
         for _ in range(300):
@@ -136,10 +124,12 @@ def test_weights_of_tied_clocks_add_up_although_paths_end_between_stages(tmp_pat
 
 def test_a_path_in_progress_is_still_running_and_a_torn_one_crashed(recorder, wait, tmp_path):
     path = recorder.begin_path()
-    step(path)
-    wait(4.0)
+    path.still_running()
     begin(path)
     assert read_logs(tmp_path / "logs").paths["cause"].tolist() == ["still-running"]
+    path.complete_stage(1.0)
+    wait(4.0)
+    begin(path)
     wait(3.0)
     path.still_running()
     path.still_running()
@@ -156,144 +146,12 @@ def test_a_path_torn_before_its_clock_moved_has_an_end(recorder, tmp_path):
     assert read_logs(tmp_path / "logs").end_s.tolist() == [1e-9]
 
 
-class JumpingClock:
-    """Stands in for `time`: each reading is the next of a list and then its last."""
-
-    def __init__(self, readings_s):
-        self._readings_s = chain(readings_s, repeat(readings_s[-1]))
-
-    def __getattr__(self, name):
-        return {"time": self.fail, "time_ns": self.fail}.get(name) or getattr(time, name)
-
-    def fail(self):
-        pytest.fail("the time of day was read")
-
-    def monotonic(self):
-        return next(self._readings_s)
-
-
-@pytest.mark.parametrize("readings_s", [[100.5, 101.0, 101.5, 102.0, 102.5, 103.0], [100.5, 101.0, 90.0, 90.0, 95.0]])
-def test_a_clock_that_falls_back_leaves_stages_in_order_and_no_time_of_day_is_read(tmp_path, monkeypatch, readings_s):
-    monkeypatch.setattr("halfseen.logs.journal.clock.time", JumpingClock([100.0, *readings_s]))
-    with LogRecorder(tmp_path) as recorder:
-        path = recorder.begin_path()
-        for _ in range(3):
-            step(path)
-        path.finish()
-    logs = read_logs(tmp_path)
-    falls = 90.0 in readings_s
-    np.testing.assert_allclose(logs.end_s, 1.0 if falls else 3.0, atol=1e-6 if falls else 0.0)
-    assert logs.stages["elapsed_s"].diff().dropna().gt(0.0).all()
-    assert falls or logs.stages["elapsed_s"].tolist() == [1.0, 2.0, 3.0]
-
-
-def test_a_folder_is_gone_on_with_after_a_crash(tmp_path):
-    first = LogRecorder(tmp_path)
-    path = first.begin_path(scene="a")
-    for stage in (1.0, 2.0, 3.0):
-        step(path, stage)
-    first._journal.close()
-    with (tmp_path / JOURNAL).open("ab") as journal:
-        journal.write(b'["0badf00d",{"event":"sta')
-    with LogRecorder(tmp_path) as second:
-        path = second.begin_path(weather="wet")
-        assert path.name == 2
-        step(path, 1.5)
-        path.finish()
-        with pytest.raises(LogError, match="path 1: it is in the folder already"):
-            second.begin_path(1)
-        with pytest.raises(LogError, match="covariate x is missing"):
-            begin(second.begin_path(), covariates={"y": 1.0})
-    paths = read_logs(tmp_path).paths
-    assert paths[["path", "ending"]].values.tolist() == [[1, "cut"], [2, "finished"]]
-    assert paths["cause"].tolist() == ["crash", None]
-    assert paths["weather"].tolist() == [None, "wet"]
-
-
-def test_one_recorder_at_a_time_and_a_fork_neither_records_nor_lets_the_lock_go(recorder, tmp_path):
-    path = recorder.begin_path()
-    child = os.fork()
-    if child == 0:
-        status = 1
-        try:
-            begin(path)
-        except LogError as error:
-            recorder.close()
-            status = 0 if "is its fork" in str(error) else 2
-        finally:
-            os._exit(status)
-    assert os.waitpid(child, 0)[1] == 0
-    with pytest.raises(ArgumentError, match=r"another recorder.*there is nothing to remove after a crash"):
-        LogRecorder(tmp_path / "logs")
-    step(path)
-    recorder.close()
-    LogRecorder(tmp_path / "logs").close()
-
-
-def test_finished_logs_are_not_recorded_over(tmp_path):
-    Logs(**small_tables()).write(tmp_path / "logs")
-    with pytest.raises(ArgumentError, match="record into another folder"):
-        LogRecorder(tmp_path / "logs")
-    (tmp_path / "file").touch()
-    with pytest.raises(ArgumentError, match="cannot be written"):
-        LogRecorder(tmp_path / "file")
-
-
 @pytest.mark.parametrize(("error", "cause"), [(KeyboardInterrupt, "operator"), (ZeroDivisionError, "crash")])
 def test_leaving_by_an_error_cuts_the_path(tmp_path, error, cause):
-    def fail():
-        with LogRecorder(tmp_path) as recorder:
-            begin(recorder.begin_path())
-            raise error
-
-    with pytest.raises(error):
-        fail()
+    with pytest.raises(error), LogRecorder(tmp_path) as recorder:  # noqa: PT012
+        begin(recorder.begin_path())
+        raise error
     assert read_logs(tmp_path).paths["cause"].tolist() == [cause]
-
-
-def test_a_path_that_ends_before_its_first_stage_leaves_no_trace(recorder, tmp_path):
-    recorder.begin_path().cut("operator")
-    with pytest.raises(LogError, match="no stage is recorded yet"):
-        read_logs(tmp_path / "logs")
-    assert recorder.begin_path().name == 1
-
-
-def test_a_journal_of_another_version_is_refused(tmp_path):
-    from halfseen.logs.journal.lines import HEADER, journal_line
-
-    (tmp_path / JOURNAL).write_bytes(journal_line(HEADER | {"version": 9}, 0)[0])
-    with pytest.raises(LogError, match=r"line 1:.*read it with the halfseen that wrote it"):
-        read_logs(tmp_path)
-
-
-def test_lines_are_json_that_other_programs_read_and_every_torn_end_is_read(tmp_path):
-    with LogRecorder(tmp_path) as recorder:
-        for _ in range(2):
-            record_path(recorder, num_stages=2)
-    whole = (tmp_path / JOURNAL).read_bytes()
-    lines = whole.splitlines(keepends=True)
-    events = [json.loads(line)[1]["event"] for line in lines]
-    assert events == ["journal", "session", *(["stage", "done"] * 2 + ["finished"]) * 2]
-    num_stages = []
-    for size in range(sum(map(len, lines[:3])), len(whole), 7):
-        (tmp_path / JOURNAL).write_bytes(whole[:size])
-        logs = read_logs(tmp_path)
-        num_stages.append(logs.num_stages)
-        assert set(logs.paths["cause"].dropna()) <= {"crash"}
-    assert sorted(num_stages) == num_stages
-    assert set(num_stages) == {1, 2, 3, 4}
-
-
-def test_whole_numbers_and_fractions_may_mix_across_chunks(tmp_path, monkeypatch):
-    monkeypatch.setattr("halfseen.logs.journal.tables.ROWS_A_CHUNK", 2)
-    with LogRecorder(tmp_path) as recorder:
-        for x in [1, 2, 2.5, 3]:
-            path = recorder.begin_path(speed=x)
-            step(path, reward=np.array(1), covariates={"x": x, "seen": [] if x == 1 else [x]}, action=7)
-            path.finish()
-    logs = read_logs(tmp_path)
-    assert logs.stages["x"].tolist() == logs.paths["speed"].tolist() == [1.0, 2.0, 2.5, 3.0]
-    assert [len(seen) for seen in logs.stages["seen"]] == [0, 1, 1, 1]
 
 
 def test_what_each_robot_brought_is_read_back_and_is_null_where_a_stage_was_cut(tmp_path):
@@ -317,3 +175,199 @@ def test_what_each_robot_brought_is_read_back_and_is_null_where_a_stage_was_cut(
     stages = read_logs(tmp_path).stages
     np.testing.assert_array_equal(stages["0_reward"], [1.0, 1.0, np.nan, 1.0])
     np.testing.assert_array_equal(stages["1_reward"], [2.0, 4.0, np.nan, 5.0])
+
+
+# One recorder after the other.
+
+
+@in_parts
+@pytest.mark.parametrize("given", [{}, ROBOT], ids=["one robot", "robots"])
+def test_a_folder_is_gone_on_with_after_a_crash(tmp_path, part_bytes, given):
+    first = LogRecorder(tmp_path, part_bytes=part_bytes, reward_unit="parts")
+    record_path(first, given=given, scene="a")
+    path = first.begin_path(scene="a")
+    for stage in (1.0, 2.0, 3.0):
+        step(path, stage, **given)
+    first._journal.close()
+    with journal_parts(tmp_path)[-1].open("ab") as journal:
+        journal.write(b'["0badf00d",{"event":"sta')
+    with LogRecorder(tmp_path, part_bytes=part_bytes) as second:
+        path = second.begin_path(weather="wet")
+        assert path.name == 3
+        if given:
+            with pytest.raises(LogError, match="path 3, stage 1: robot is missing, unlike in stages before"):
+                begin(path, **given | {"robot": None})
+        step(path, 1.5, **given)
+        path.finish()
+        for name in (1, 2, 3):
+            with pytest.raises(LogError, match=f"path {name}: it is in the folder already"):
+                second.begin_path(name)
+        with pytest.raises(LogError, match="covariate x is missing"):
+            begin(second.begin_path(), covariates={"y": 1.0}, **given)
+    logs = read_logs(tmp_path)
+    assert logs.paths[["path", "cause"]].values.tolist() == [[1, None], [2, "crash"], [3, None]]
+    assert logs.paths["weather"].tolist() == [None, None, "wet"]
+    assert logs.reward_unit == "parts"
+    assert [part for part in journal_parts(tmp_path) if '"reward_unit":"parts"' not in part.read_text()] == []
+    with pytest.raises(LogError, match="rewards are in 'parts' and in 'cups'"):
+        LogRecorder(tmp_path, reward_unit="cups")
+
+
+@in_parts
+def test_one_recorder_at_a_time_and_a_fork_neither_records_nor_lets_the_lock_go(tmp_path, part_bytes):
+    recorder = LogRecorder(tmp_path, part_bytes=part_bytes)
+    for _ in range(2):
+        record_path(recorder)
+    path = recorder.begin_path()
+    child = os.fork()
+    if child == 0:
+        status = 1
+        try:
+            begin(path)
+        except LogError as error:
+            recorder.close()
+            status = 0 if "is its fork" in str(error) else 2
+        finally:
+            os._exit(status)
+    assert os.waitpid(child, 0)[1] == 0
+    with pytest.raises(ArgumentError, match=r"another recorder.*there is nothing to remove after a crash"):
+        LogRecorder(tmp_path)
+    step(path)
+    recorder.close()
+    LogRecorder(tmp_path).close()
+
+
+def test_lines_are_json_that_other_programs_read_and_every_torn_end_is_read(tmp_path):
+    with LogRecorder(tmp_path) as recorder:
+        for _ in range(2):
+            record_path(recorder, num_stages=2)
+    whole = (tmp_path / JOURNAL).read_bytes()
+    lines = whole.splitlines(keepends=True)
+    events = [json.loads(line)[1]["event"] for line in lines]
+    assert events == ["journal", "session", *(["stage", "done"] * 2 + ["finished"]) * 2]
+    num_stages = []
+    for size in range(sum(map(len, lines[:3])), len(whole), 7):
+        (tmp_path / JOURNAL).write_bytes(whole[:size])
+        logs = read_logs(tmp_path)
+        num_stages.append(logs.num_stages)
+        assert set(logs.paths["cause"].dropna()) <= {"crash"}
+    assert sorted(num_stages) == num_stages
+    assert set(num_stages) == {1, 2, 3, 4}
+
+
+# A journal that goes on in another file.
+
+NUM_PATHS = 12
+
+
+def recorded(folder, part_bytes, num_paths=NUM_PATHS):
+    with LogRecorder(folder, part_bytes=part_bytes) as recorder:
+        for number in range(num_paths):
+            cause = None if number % 3 else "operator"
+            record_path(recorder, num_stages=2, cause=cause, given={"objects": [{"object": 1, "y": 0.5}]}, scene=number)
+    return folder
+
+
+@pytest.mark.parametrize(("part_bytes", "num_parts"), [(1, NUM_PATHS + 1), (1500, 4), (10**6, 1)])
+def test_the_log_of_several_files_is_that_of_one(tmp_path, part_bytes, num_parts):
+    parts = journal_parts(recorded(tmp_path / "parts", part_bytes))
+    assert len(parts) == num_parts
+    assert_same(read_logs(tmp_path / "parts"), read_logs(recorded(tmp_path / "one", 10**9)))
+    # A path stays in the part in which it began.
+    assert sum(part.read_text().count('"event":"stage"') % 2 for part in parts) == 0
+
+
+def test_parts_come_in_the_order_of_their_numbers(tmp_path):
+    names = ["journal.jsonl", "journal-2.jsonl", "journal-9.jsonl", "journal-10.jsonl"]
+    for name in (*names, "journal-0.jsonl", "journal-1a.jsonl", "ajournal.jsonl"):
+        (tmp_path / name).touch()
+    (tmp_path / "journal-3.jsonl").mkdir()
+    parts = journal_parts(tmp_path)
+    assert [part.name for part in parts] == names
+    assert [part_after(part).name for part in parts[:2]] == ["journal-2.jsonl", "journal-3.jsonl"]
+    assert journal_parts(tmp_path / "none") == []
+
+
+def test_a_torn_or_missing_part_is_told_and_parts_moved_away_are_not_missed(tmp_path):
+    parts = journal_parts(recorded(tmp_path, 1, 4))
+    parts[1].write_bytes(b"".join(parts[1].read_bytes().splitlines(keepends=True)[:4]))
+    with LogRecorder(tmp_path):
+        assert read_logs(tmp_path).paths["cause"].tolist() == ["crash", None, None, "operator"]
+    parts[2].unlink()
+    for take in (read_logs, lambda folder: LogRecorder(folder).close()):
+        with pytest.warns(HalfseenWarning, match="the journal has no journal-3.jsonl"):
+            take(tmp_path)
+    for part in parts[:2]:
+        part.unlink()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert read_logs(tmp_path).path_ids.tolist() == [3, 4]
+        with LogRecorder(tmp_path) as recorder:
+            assert recorder.begin_path().name not in (3, 4)
+        assert (tmp_path / JOURNAL).stat().st_size == 0
+        assert read_logs(tmp_path).path_ids.tolist() == [3, 4]
+
+
+def test_a_part_begins_whole_where_another_was_left_behind_in_its_place(tmp_path):
+    with LogRecorder(tmp_path, part_bytes=1) as recorder:
+        (tmp_path / "journal-2.jsonl").write_text("what Ctrl-C left")
+        record_path(recorder)
+    assert read_logs(tmp_path).num_paths == 1
+
+
+# Several robots.
+
+
+def do(path, robot, target, elapsed_s, reward=0.0):
+    step(path, elapsed_s, reward, **ROBOT | {"robot": robot, "object": target})
+
+
+def decide(path, robot, target=None):
+    begin(path, **ROBOT | {"robot": robot, "object": target})
+
+
+def test_who_drops_out_is_gone_and_the_others_take_what_it_was_at(recorder, tmp_path):
+    path = recorder.begin_path()
+    do(path, 0, 0, 1.0)
+    decide(path, 1, 1)
+    path.drop_out(np.int64(0), "battery", elapsed_s=1.5)
+    path.complete_stage(0.0, elapsed_s=2.0)
+    do(path, 1, 0, 3.0)
+    path.finish()
+    path = recorder.begin_path()
+    decide(path, 0, 0)
+    with pytest.raises(LogError, match=r"0_out_s 0\.0 lies outside the path"):
+        path.drop_out(0, "battery", elapsed_s=0.0)
+    path.complete_stage(0.0, elapsed_s=1.0)
+    path.finish()
+    ends = read_logs(tmp_path / "logs").paths
+    assert ends[["0_out_s", "0_out_cause"]].values.tolist()[0] == [1.5, "battery"]
+    assert ends["0_out_s"].isna().tolist() == [False, True]
+
+
+def test_a_cut_between_stages_takes_back_all_that_was_completed_just_then(recorder, tmp_path):
+    path = recorder.begin_path()
+    do(path, 0, 0, 1.0, reward=5.0)
+    do(path, 1, 1, 2.0)
+    do(path, 0, 2, 2.0)
+    decide(path, 1)
+    path.drop_out(0, "battery", elapsed_s=2.0)
+    path.complete_stage(0.0, elapsed_s=2.0)
+    path.cut("operator", elapsed_s=2.5)
+    logs = read_logs(tmp_path / "logs")
+    assert logs.end_s.tolist() == [np.nextafter(2.0, 0.0)]
+    assert logs.stages["reward"].tolist()[:1] == [5.0]
+    assert logs.stages["elapsed_s"].isna().tolist() == [False, True]
+    assert logs.objects["stage"].max() == 2
+    assert "0_out_s" not in logs.paths
+
+
+def test_on_its_own_clock_a_drop_out_has_its_time(recorder, wait, tmp_path):
+    path = recorder.begin_path()
+    decide(path, 0, 0)
+    wait(2.0)
+    path.drop_out(1, "e-stop")
+    wait(1.0)
+    path.complete_stage(1.0)
+    path.finish()
+    assert read_logs(tmp_path / "logs").paths[["1_out_s", "end_s"]].values.tolist() == [[2.0, pytest.approx(3.0)]]

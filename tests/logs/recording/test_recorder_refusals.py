@@ -1,22 +1,25 @@
-"""What no log takes is refused at the call, in one line, and harms nothing before or after it."""
+"""What no log takes is refused at the call, in one line, and harms nothing; whatever is taken is read back."""
+
+import math
+import re
 
 import numpy as np
+import pandas as pd
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from recordings import begin, step
+from valid_logs import small_tables
 
-from halfseen.errors import LogError
-from halfseen.logs import LogRecorder, read_logs
+from halfseen.errors import ArgumentError, HalfseenError, LogError
+from halfseen.logs import LogRecorder, Logs, read_logs
+from halfseen.logs.journal.lines import HEADER, journal_line
+from halfseen.logs.journal.parts import JOURNAL
 
 NAN, INF = float("nan"), float("inf")
 CUP = {"object": "cup", "occlusion": np.float32(0.5), "hidden_by": np.array([])}
 TEXTS = {"NUL": "a\0", "is no Unicode text": "\ud800"}
 """Texts that files do not tell apart."""
-
-
-@pytest.fixture
-def recorder(tmp_path):
-    with LogRecorder(tmp_path / "logs") as recorder:
-        yield recorder
 
 
 def cups(path, *, objects, acted_on="cup", **given):
@@ -25,7 +28,7 @@ def cups(path, *, objects, acted_on="cup", **given):
 
 def of_robot(path, robot, target=None, **given):
     objects = [{"object": k} for k in range(3)]
-    begin(path, **{"objects": objects, "action": "A", "object": target, "robot": robot} | given)
+    begin(path, **{"objects": objects, "object": target, "robot": robot} | given)
 
 
 ALONE = {
@@ -109,34 +112,24 @@ ROBOTS = {
         path.complete_stage(0.0, elapsed_s=2.0),
         of_robot(path, 0, 2),
     ),
-    "robot -1 is no number of one": lambda path: path.drop_out(-1, "battery", elapsed_s=2.0),
-    "robot True is no number of one": lambda path: path.drop_out(True, "battery", elapsed_s=2.0),
-    "robot 'left' is no number of one": lambda path: path.drop_out("left", "battery", elapsed_s=2.0),
-    "robot 0.5 is no number of one": lambda path: path.drop_out(0.5, "battery", elapsed_s=2.0),
+    **{
+        f"robot {robot!r} is no number of one": lambda path, robot=robot: path.drop_out(robot, "battery", elapsed_s=2.0)
+        for robot in (-1, True, "left", 0.5)
+    },
     "is no cause": lambda path: path.drop_out(1, "", elapsed_s=2.0),
 }
 """Of a path whose robot 0 is at object 0 and decided that by 1 s."""
 
+ALL = {
+    **{trouble: (call, {}) for trouble, call in ALONE.items()},
+    **{trouble: (call, {"objects": [CUP], "object": "cup"}) for trouble, call in OBJECTS.items()},
+    **{trouble: (call, {"objects": [{"object": k} for k in range(3)], "robot": 0}) for trouble, call in ROBOTS.items()},
+}
 
-def go_on(path, **given):
-    """Begin a stage, unless the refused call left one, so that a cut takes nothing back."""
-    if not path.is_in_stage:
-        begin(path, **given)
 
-
-@pytest.mark.parametrize(
-    ("trouble", "call", "given"),
-    [
-        *((trouble, call, {}) for trouble, call in ALONE.items()),
-        *((trouble, call, {"objects": [CUP], "object": "cup"}) for trouble, call in OBJECTS.items()),
-        *(
-            (trouble, call, {"objects": [{"object": k} for k in range(3)], "robot": 0})
-            for trouble, call in ROBOTS.items()
-        ),
-    ],
-    ids=[*ALONE, *OBJECTS, *ROBOTS],
-)
-def test_what_no_log_takes_is_refused_in_one_line_and_harms_nothing(recorder, tmp_path, trouble, call, given):
+@pytest.mark.parametrize("trouble", ALL)
+def test_what_no_log_takes_is_refused_in_one_line_and_harms_nothing(recorder, tmp_path, trouble):
+    call, given = ALL[trouble]
     path = recorder.begin_path()
     step(path, 1.0, **given, **({"object": 0} if "robot" in given else {}))
     with pytest.raises(LogError, match=trouble) as told:
@@ -144,7 +137,8 @@ def test_what_no_log_takes_is_refused_in_one_line_and_harms_nothing(recorder, tm
     assert str(told.value).startswith("path 1")
     assert len(str(told.value).splitlines()) == 1
     assert len(str(told.value)) < 250
-    go_on(path, **given | ({"robot": 1} if "robot" in given else {}))
+    if not path.is_in_stage:  # so that a cut takes nothing back
+        begin(path, **given | ({"robot": 1} if "robot" in given else {}))
     path.cut("operator", elapsed_s=3.0)
     logs = read_logs(tmp_path / "logs")
     assert logs.elapsed_s()[0, 0] == 1.0
@@ -153,17 +147,21 @@ def test_what_no_log_takes_is_refused_in_one_line_and_harms_nothing(recorder, tm
         assert [entry.tolist() for entry in logs.objects["hidden_by"]][:1] == [[]]
 
 
-def test_paths_that_no_log_takes_are_refused(recorder):
+def test_paths_that_no_log_takes_are_refused(recorder, tmp_path):
+    recorder.begin_path().cut("operator")
+    with pytest.raises(LogError, match="no stage is recorded yet"):
+        read_logs(tmp_path / "logs")
     for name in ("Object", "0_out_s", "1_out_cause"):
         with pytest.raises(LogError, match=f"'{name}' is a name of the log's own"):
             recorder.begin_path(**{name: 1.0})
     path = recorder.begin_path("a")
-    with pytest.raises(LogError, match="it has no stage"):
-        path.finish()
-    with pytest.raises(LogError, match="no robot has decided yet"):
-        path.drop_out(0, "battery")
-    with pytest.raises(LogError, match="path 'a': it is in progress"):
-        recorder.begin_path()
+    for call, told in (
+        (path.finish, "it has no stage"),
+        (lambda: path.drop_out(0, "battery"), "no robot has decided yet"),
+        (recorder.begin_path, "path 'a': it is in progress"),
+    ):
+        with pytest.raises(LogError, match=told):
+            call()
     step(path)
     path.finish()
     with pytest.raises(LogError, match="path 'a': it has ended"):
@@ -201,7 +199,7 @@ def test_text_that_files_do_not_tell_apart_is_refused_wherever_it_is_given(recor
         with pytest.raises(LogError, match=trouble):
             recorder.begin_path(name, **columns)
     path = recorder.begin_path()
-    for given in (
+    for seen in (
         {"covariates": {text: 1}},
         {"covariates": {"x": text}},
         {"covariates": {"x": [text]}},
@@ -211,7 +209,7 @@ def test_text_that_files_do_not_tell_apart_is_refused_wherever_it_is_given(recor
         {"objects": [{"object": "a"}], "object": text},
     ):
         with pytest.raises(LogError, match=trouble):
-            begin(path, **given)
+            begin(path, **seen)
     begin(path, covariates={"": 1}, action="")
     with pytest.raises(LogError, match=trouble):
         path.cut(text)
@@ -254,3 +252,201 @@ def test_what_else_is_wrong_is_told_by_whoever_asked_to_be_asked(tmp_path):
     assert [len(each.stages) for each in seen] == [1, 2, 2]
     assert seen[-1].stages.equals(read_logs(tmp_path / "logs").stages)
     assert seen[-1].paths["speed"].tolist() == [2.0]
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"part_bytes": 0}, "part_bytes is 0; give a whole number of bytes"),
+        ({"part_bytes": -1}, "part_bytes is -1; give a whole number of bytes"),
+        ({"fsync": "often"}, "fsync is 'often'; give one of 'never', 'path', 'stage', 'event'"),
+        *(({"reward_unit": unit}, "reward_unit is") for unit in ("", "two\nlines", "x" * 25)),
+    ],
+)
+def test_options_that_there_are_not_are_refused(tmp_path, options, told):
+    with pytest.raises(HalfseenError, match=told):
+        LogRecorder(tmp_path / "logs", **options)
+    assert not (tmp_path / "logs").exists()
+
+
+OTHER_VERSION = journal_line(HEADER | {"version": 9}, 0)[0]
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (b"milk\neggs\n", "none of its lines checks"),
+        (OTHER_VERSION, r"line 1:.*read it with the halfseen that wrote it"),
+    ],
+)
+def test_what_is_no_journal_is_left_alone(tmp_path, content, told):
+    (tmp_path / JOURNAL).write_bytes(content)
+    for take in (read_logs, LogRecorder):
+        with pytest.raises(LogError, match=told):
+            take(tmp_path)
+    assert (tmp_path / JOURNAL).read_bytes() == content
+
+
+def test_finished_logs_are_not_recorded_over(tmp_path):
+    Logs(**small_tables()).write(tmp_path / "logs")
+    (tmp_path / "file").touch()
+    for name, told in (("logs", "record into another folder"), ("file", "cannot be written")):
+        with pytest.raises(ArgumentError, match=told):
+            LogRecorder(tmp_path / name)
+
+
+# Whatever is taken is read back.
+
+WILD_TEXT = st.text(st.characters(exclude_categories=()), max_size=3) | st.sampled_from(
+    ["", "\0", "a\0", "\ud800", "0_reward", "1_out_s", "0_out_cause", " Path", "x", "y", "NaN", "null"]
+)
+WHOLE = st.integers(-(2**65), 2**65) | st.sampled_from(
+    [2**53, 2**53 + 1, -(2**53) - 1, 2**63 - 1, -(2**63), 10**400, 0]
+)
+WILD_NUMBER = WHOLE | st.floats() | st.booleans()
+WILD_VALUE = WILD_NUMBER | WILD_TEXT | st.none() | st.lists(WILD_NUMBER | WILD_TEXT, max_size=3)
+TAME = st.sampled_from([0.5, 1, 2**53 + 1])
+VALUE = TAME | TAME | TAME | WILD_VALUE
+NAME = st.just("A") | st.just("A") | st.just("A") | WHOLE | WILD_TEXT
+AT_S = st.fixed_dictionaries(
+    {"elapsed_s": st.none() | st.sampled_from([0.0, 1e-12, 1e-9, 1e-6, 1e-3, 1.0, 1e3, 1e9]) | st.floats(0.0, 10.0)}
+)
+X = st.fixed_dictionaries({"x": VALUE})
+COVARIATES = X | X | X | st.dictionaries(WILD_TEXT, WILD_VALUE)
+OBJECT = st.fixed_dictionaries({"object": NAME, "z": VALUE})
+CHANCES = st.fixed_dictionaries({}, optional={"probability": st.floats(0.0, 1.0), "robot": st.integers(0, 2)})
+SHARES = st.fixed_dictionaries({}, optional={"own_rewards": st.lists(st.floats(), max_size=2)})
+
+
+def call(names, *given, **named):
+    """Calls of some names with what is given by position and by name."""
+    words = st.tuples(*named.values()).map(lambda parts: {key: value for part in parts for key, value in part.items()})
+    return st.tuples(st.sampled_from(names.split()), st.tuples(*given), words)
+
+
+BEGIN_PLAINLY = call("begin_stage", X, st.none(), NAME, st.none())
+CALLS = st.one_of(
+    *[BEGIN_PLAINLY] * 3,
+    call("begin_path", st.none() | NAME, columns=st.dictionaries(WILD_TEXT, VALUE, max_size=2)),
+    call("begin_stage", COVARIATES, st.none() | st.lists(OBJECT, max_size=2), NAME, st.none() | NAME, chances=CHANCES),
+    call("complete_stage", st.floats(-9, 9) | WILD_NUMBER, at=AT_S, shares=SHARES),
+    call("drop_out", st.integers(0, 2), WILD_TEXT, at=AT_S),
+    call("still_running finish", at=AT_S),
+    call("cut", WILD_TEXT, at=AT_S),
+)
+"""One call of any kind with arguments of any kind: few of them are taken."""
+
+
+def same(back, given):
+    """Whether a value came back: whole numbers exactly, and lists as arrays."""
+    if isinstance(given, list):
+        return len(back) == len(given) and all(same(b, g) for b, g in zip(back, given, strict=True))
+    return bool(back == given) and isinstance(back, bool | np.bool_) == isinstance(given, bool)
+
+
+def check_row(row, values):
+    assert all(value is None or same(row[column], value) for column, value in values.items())
+
+
+def check_calls(folder, calls):
+    """Make calls, and read back what was taken: of paths, of stages and of objects."""
+    columns, stages = {}, {}
+    with LogRecorder(folder) as recorder:
+        for name, given, named in calls:
+            path = recorder.path
+            try:
+                if name == "begin_path":
+                    columns[recorder.begin_path(*given, **named).name] = named
+                elif path is not None:
+                    getattr(path, name)(*given, **named)
+                    if name == "begin_stage":
+                        stages.setdefault(path.name, []).append((given, named))
+            except LogError as error:
+                assert len(str(error).splitlines()) == 1  # noqa: PT017
+    if not stages:
+        return
+    tables = {name: rows.astype(object).to_dict("records") for name, rows in read_logs(folder).tables.items()}
+    for end in tables["paths"]:
+        name = end["path"]
+        check_row(end, columns[name])
+        rows = [row for row in tables["stages"] if row["path"] == name]
+        assert len(stages[name]) - len(rows) in (0, 1)  # a cut may take the last one back
+        for row, ((covariates, objects, action, acted_on), named) in zip(rows, stages[name], strict=False):
+            check_row(row, covariates | {"action": action, "object": acted_on})
+            assert named.get("probability") is None or math.isclose(row["probability"], named["probability"])
+            for each in objects or ():
+                (found,) = (
+                    one
+                    for one in tables["objects"]
+                    if (one["path"], one["stage"], one["object"]) == (name, row["stage"], each["object"])
+                )
+                check_row(found, each)
+
+
+@pytest.mark.parametrize("most", [60, pytest.param(1500, marks=pytest.mark.slow)])
+def test_whatever_is_taken_is_read_back(tmp_path_factory, monkeypatch, most):
+    monkeypatch.setattr("halfseen.logs.journal.tables.ROWS_A_CHUNK", 2)
+
+    @settings(max_examples=most, deadline=None, suppress_health_check=list(HealthCheck))
+    @given(calls=st.lists(CALLS, min_size=4, max_size=12 if most == 60 else 20))
+    def check(calls):
+        check_calls(tmp_path_factory.mktemp("logs") / "logs", [("begin_path", (None,), {}), *calls])
+
+    check()
+
+
+PLAIN = st.sampled_from([1, 2.5, 2**53 + 1, [1], [2.5], [2**60], [], "a", True])
+
+
+@settings(max_examples=60, suppress_health_check=list(HealthCheck))
+@given(values=st.lists(st.tuples(PLAIN, PLAIN, PLAIN | st.none()), min_size=2, max_size=5))
+def test_columns_of_numbers_of_all_sizes_are_read_back_or_refused(tmp_path_factory, values):
+    calls = []
+    for x, y, scene in values:
+        stage = ({"x": x}, [{"object": 1, "y": y}], "A", 1)
+        calls += [("begin_path", (), {} if scene is None else {"scene": scene}), ("begin_stage", stage, {})]
+        calls += [("complete_stage", (0.0,), {"elapsed_s": 1.0}), ("finish", (), {}), ("cut", ("operator",), {})]
+    check_calls(tmp_path_factory.mktemp("logs") / "logs", calls)
+
+
+DECISIONS = st.lists(
+    st.tuples(st.integers(0, 2), st.sampled_from([None, 0, 1, 2]), st.sampled_from([0.0, 1.0, 2.0])), max_size=9
+)
+
+
+def logs_of(decisions, ending):
+    """As `Logs` takes them; the last stage of a path that is cut is not completed."""
+    num, clock = len(decisions), np.cumsum([length for *_, length in decisions]).tolist()
+    elapsed_s = [*clock[:-1], None] if ending == "cut" else clock
+    stages = {"path": [1] * num, "stage": np.arange(1, num + 1), "x": [1.0] * num, "robot": [r for r, *_ in decisions]}
+    stages |= {"elapsed_s": elapsed_s, "reward": [None if each is None else 0.0 for each in elapsed_s]}
+    stages |= {"action": ["A"] * num, "object": [target for _, target, _ in decisions]}
+    rows = [(1, stage + 1, k) for stage in range(num) for k in range(3)]
+    objects = dict(zip(("path", "stage", "object"), zip(*rows, strict=True), strict=True))
+    return Logs(stages, {"path": [1], "end_s": [clock[-1] + 1.0], "ending": [ending]}, objects)
+
+
+@settings(max_examples=20)
+@given(DECISIONS)
+def test_a_stage_of_robots_is_refused_where_the_log_with_it_would_not_be_read(tmp_path_factory, decisions):
+    folder, taken = tmp_path_factory.mktemp("robots") / "logs", []
+    with LogRecorder(folder) as recorder:
+        path = recorder.begin_path(1)
+        for robot, target, length in decisions:
+            try:
+                logs_of([*taken, (robot, target, length)], "cut")
+            except LogError as told:
+                with pytest.raises(LogError, match=re.escape(str(told))):
+                    of_robot(path, robot, target)
+                continue
+            taken.append((robot, target, length))
+            of_robot(path, robot, target)
+            path.complete_stage(0.0, elapsed_s=sum(each for *_, each in taken))
+        if not taken:
+            path.cut("operator")
+            return
+        path.finish(elapsed_s=sum(each for *_, each in taken) + 1.0)
+    found, wanted = read_logs(folder), logs_of(taken, "finished")
+    for name in ("robot", "elapsed_s", "action", "object"):
+        pd.testing.assert_series_equal(found.stages[name], wanted.stages[name], check_dtype=False)
+    assert found.end_s.tolist() == wanted.end_s.tolist()

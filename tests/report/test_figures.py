@@ -1,3 +1,5 @@
+"""Paths along time, and what is chosen in each stage."""
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -5,6 +7,7 @@ import pytest
 from halfseen.logs import Logs
 from halfseen.pages.drawing import inline_svg
 from halfseen.report.action_colours import OTHERS, action_colours
+from halfseen.report.choices_figure import FEW_STATES, draw_choices
 from halfseen.report.endings import endings
 from halfseen.report.timeline import MOST_ROWS, UNKNOWN_ACTION, timeline
 from halfseen.report.timeline_figure import draw_timeline
@@ -31,29 +34,12 @@ def many(num_paths, num_stages=2, seed=0):
     return log_of([(clock.tolist(), None, None, None) for clock in clocks])
 
 
-def drawn(logs):
-    told = timeline(logs)
-    colours = action_colours(sorted(set(told.action) - {UNKNOWN_ACTION}))
-    return told, inline_svg(lambda: draw_timeline(told, colours), "f", "t")
-
-
 def test_rows_are_paths_by_how_they_ended_and_then_by_length():
-    told = timeline(
-        log_of(
-            [
-                ([1.0, 4.0], None, None, None),
-                ([1.0], 2.0, "operator", "b"),
-                ([3.0], None, None, None),
-                ([], 0.5, "operator", None),
-                ([1.0], 5.0, "battery", "b"),
-            ]
-        )
-    )
-    assert [(group.name, group.num_paths) for group in told.endings] == [
-        ("finished", 2),
-        ("cut: operator", 2),
-        ("cut: battery", 1),
-    ]
+    finished, cut = [([1.0, 4.0], *[None] * 3), ([3.0], *[None] * 3)], [([1.0], 2.0, "operator", "b")]
+    others = [([], 0.5, "operator", None), ([1.0], 5.0, "battery", "b")]
+    told = timeline(log_of([finished[0], *cut, finished[1], *others]))
+    groups = [(group.name, group.num_paths) for group in told.endings]
+    assert groups == [("finished", 2), ("cut: operator", 2), ("cut: battery", 1)]
     assert told.end_s.tolist() == [3.0, 4.0, 0.5, 2.0, 5.0]
     pieces = set(zip(told.row, told.begin_s, told.until_s, told.action, told.is_completed, strict=True))
     assert pieces == {
@@ -76,9 +62,7 @@ def test_every_way_to_end_has_its_paths():
 
 
 def test_many_paths_are_evenly_spaced_ones_of_each_way_to_end():
-    rare = ([1.0], 1.5, "battery", "b")
-    logs = many(2000)
-    rarely = log_of([rare])
+    logs, rarely = many(2000), log_of([([1.0], 1.5, "battery", "b")])
     both = Logs(
         pd.concat([logs.stages, rarely.stages.assign(path=2000)]),
         pd.concat([logs.paths, rarely.paths.assign(path=2000)]),
@@ -91,8 +75,37 @@ def test_many_paths_are_evenly_spaced_ones_of_each_way_to_end():
 
 
 def test_a_log_of_many_long_paths_is_a_small_drawing_without_names_of_paths():
-    logs = many(3000, num_stages=30)
-    told, svg = drawn(logs)
+    told = timeline(many(3000, num_stages=30))
+    colours = action_colours(sorted(set(told.action)))
+    svg = inline_svg(lambda: draw_timeline(told, colours), "f", "t")
     assert told.num_rows == MOST_ROWS
     assert len(svg) < 500_000
     assert OTHERS in svg
+
+
+def choices(num_actions, counts=(800, 40, 3)):
+    share = 1.0 / num_actions
+    every = {f"action {k}": share for k in range(num_actions)}
+    told = {"as_logged": 0.5, "policy": every | {"never": 0.0}, "logged": every | {"never": 0.0}}
+    return [{"stage": stage, "num_states": count, **told} for stage, count in enumerate(counts, start=1)]
+
+
+@pytest.mark.parametrize("num_actions", range(1, 13))
+def test_every_cell_has_an_action_or_the_legend(num_actions):
+    figure = draw_choices(choices(num_actions))
+    titled = [axes for axes in figure.axes if axes.get_title(loc="left")]
+    blank = [axes for axes in figure.axes if axes not in titled]
+    assert len(titled) == min(num_actions, 9)
+    assert len(blank) <= 1
+    assert all(axes.get_legend() is not None for axes in blank)
+    assert bool(figure.legends) != bool(blank)
+
+
+def test_few_states_are_small_and_hollow_and_their_number_is_told():
+    figure = draw_choices(choices(1))
+    marks = figure.axes[0].collections[0]
+    area = marks.get_sizes()
+    assert area[0] / area[1] > 10 > 1
+    hollow = [tuple(face[:3]) == (1.0, 1.0, 1.0) for face in np.asarray(marks.get_facecolors())]
+    assert hollow == [count < FEW_STATES for count in (800, 40, 3)]
+    assert [label.get_text() for label in figure.axes[0].get_xticklabels()] == ["1\n(800)", "2\n(40)", "3\n(3)"]

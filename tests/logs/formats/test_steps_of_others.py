@@ -1,0 +1,447 @@
+"""Episodes of steps in the forms of others: tables of RLDS, arrays of D4RL, datasets of LeRobot."""
+
+import json
+import warnings
+from functools import partial
+
+import h5py
+import numpy as np
+import pyarrow as pa
+import pyarrow.feather
+import pyarrow.parquet as pq
+import pytest
+from foreign import (
+    CUT,
+    FINISHED,
+    arrays,
+    assert_is,
+    episodes,
+    expected,
+    last_of,
+    rows_of,
+    times_of,
+    write_arrays,
+    write_lerobot,
+    write_rows,
+)
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from halfseen.errors import ArgumentError, HalfseenError, HalfseenWarning
+from halfseen.logs.formats import StepRules, read_lerobot, read_step_arrays, read_steps
+
+IN_ROWS = ["observation_0", "observation_1"]
+IN_ARRAYS = ["observations_0", "observations_1"]
+STATE = ["observation.state_0", "observation.state_1"]
+SECONDS = StepRules(step_s=1.0)
+YES, NO, NAN = True, False, float("nan")
+
+
+@given(
+    st.lists(st.tuples(st.integers(1, 5), st.booleans()), min_size=1, max_size=5),
+    st.integers(0, 2**32 - 1),
+    st.booleans(),
+    st.sampled_from(["parquet", "csv", "feather", "arrow"]),
+    st.sampled_from([10, 29.97, 0.5]),
+)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=15)
+def test_each_form_is_the_same_log(tmp_path_factory, ended, seed, is_text, kind, fps):
+    folder = tmp_path_factory.mktemp("steps")
+    found = episodes(seed, [length for length, _ in ended], is_text=is_text)
+    terminal = [is_terminal for _, is_terminal in ended]
+    endings, rules = [FINISHED if is_terminal else CUT for is_terminal in terminal], StepRules(step_s=0.25)
+
+    file = write_rows(folder / "rows", rows_of(found, terminal), kind)
+    names = [f"e{number}" for number in range(len(found))]
+    assert_is(read_steps(file, rules), expected(found, endings, times_of(found, 0.25), IN_ROWS, names=names))
+
+    ends = [[number for number, is_over in enumerate(terminal) if is_over is wanted] for wanted in (True, False)]
+    file = write_arrays(folder / "steps.hdf5", arrays(found, *ends))
+    assert_is(read_step_arrays(file, rules), expected(found, endings, times_of(found, 0.25), IN_ARRAYS))
+
+    write_lerobot(folder, found, fps=fps, extra={"next.done": last_of(found, terminal)})
+    wanted = expected(found, endings, times_of(found, 1 / fps), STATE, has_last=False)
+    assert_is(read_lerobot(folder), wanted, rtol=1e-12)
+
+
+# Tables of RLDS.
+
+
+def test_several_files_follow_one_another_and_must_be_of_one_table(tmp_path):
+    found = episodes()
+    rows = rows_of(found, [True, False, True])
+    files = [write_rows(tmp_path / "a", rows[:5]), write_rows(tmp_path / "b", rows[5:])]
+    with pytest.warns(HalfseenWarning, match="every step counts as 1 s"):
+        logs = read_steps(files)
+    names = ["e0", "e1", "e2"]
+    assert_is(logs, expected(found, [FINISHED, CUT, FINISHED], times_of(found), IN_ROWS, names=names))
+    other = write_rows(tmp_path / "c", [{**row, "note": 1} for row in rows])
+    with pytest.raises(HalfseenError, match=r"c\.parquet: its columns are not those of .*a\.parquet \(note\)"):
+        read_steps([files[0], other])
+
+
+def test_without_names_episodes_begin_where_is_first_says_so(tmp_path):
+    found = episodes()
+    rows = [{key: value for key, value in row.items() if key != "episode_id"} for row in rows_of(found, [True] * 3)]
+    logs = read_steps(write_rows(tmp_path / "steps", rows), SECONDS)
+    assert_is(logs, expected(found, [FINISHED] * 3, times_of(found), IN_ROWS))
+
+
+@pytest.mark.parametrize(("truncated", "ending"), [("cut", CUT), ("finished", FINISHED)])
+def test_a_last_row_that_is_no_last_one_broke_off(tmp_path, truncated, ending):
+    found = episodes(lengths=(2, 3))
+    file = write_rows(tmp_path / "steps", rows_of(found, [False, False], last=[True, False]))
+    logs = read_steps(file, StepRules(step_s=1.0, truncated=truncated))
+    assert logs.paths[["ending", "cause"]].to_numpy().tolist() == [list(ending), ["cut", "unknown"]]
+    # Of what broke off the last row is a step that began: its action is known, and its reward is not.
+    torn = logs.stages[logs.stages["path"] == "e1"]
+    np.testing.assert_array_equal(torn["elapsed_s"], [1.0, 2.0, 3.0, np.nan])
+    assert torn["action"].tolist() == [*found[1]["actions"], found[1]["actions"][0]]
+    assert logs.end_s.tolist()[1] == 4.0
+
+
+def test_a_named_column_is_the_clock(tmp_path):
+    found = episodes(lengths=(2, 2))
+    clocks = [[10.0, 10.5, 12.0], [3.0, 4.0, 4.25]]
+    file = write_rows(tmp_path / "steps", rows_of(found, [True, False], last=[True, False], clocks=clocks))
+    logs = read_steps(file, StepRules(clock="t"))
+    np.testing.assert_array_equal(logs.elapsed_s(), [[0.5, 2.0, np.nan], [1.0, 1.25, np.nan]])
+    assert logs.end_s.tolist() == [2.0, 1.25]
+
+
+def test_structs_are_taken_apart_and_the_rest_is_left_out_and_told(tmp_path):
+    found = episodes(lengths=(2,))
+    rows = rows_of(found, [False])
+    for k, row in enumerate(rows):
+        x, y = row.pop("observation")
+        row |= {"observation": {"arm": {"x": x, "q": [y, [2.0, 3.0][k % 2]]}, "lit": k == 1, "lamp": "on"}}
+        row |= {"discount": 1.0, "reward": 5.0, "observation.image": [0] * 1001}
+    with pytest.warns(HalfseenWarning) as told:
+        logs = read_steps(write_rows(tmp_path / "steps", rows), SECONDS)
+    said = " ".join(str(each.message) for each in told)
+    for words in (
+        "left out are discount: nobody saw them before the action",
+        "1 rewards other than 0 stand in rows that are is_last, in which nothing was done any more: they are not read",
+        "observation.image (int64 of shape (1001,)): no columns",
+    ):
+        assert words in said
+    seen = {f"observation.{name}" for name in ("arm.q_0", "arm.q_1", "arm.x", "lamp", "lit")}
+    assert set(logs.stage_covariates) == seen
+    assert logs.stages["observation.arm.x"].tolist() == [row[0] for row in found[0]["observed"]]
+    assert logs.stages["observation.arm.q_1"].tolist() == [2.0, 3.0, 2.0]
+    assert logs.stages["observation.lit"].tolist() == [False, True, False]
+
+
+@pytest.mark.parametrize("kind", [pa.list_(pa.float32(), 2), pa.large_list(pa.float64())], ids=["fixed", "large"])
+def test_lists_of_any_kind_are_columns(tmp_path, kind):
+    found = episodes(lengths=(2,))
+    rows = rows_of(found, [False])
+    lists = pa.array([row["observation"] for row in rows], kind)
+    table = pa.Table.from_pylist(rows).drop_columns(["observation"]).append_column("observation", lists)
+    pq.write_table(table, tmp_path / "steps.parquet")
+    logs = read_steps(tmp_path / "steps.parquet", SECONDS)
+    assert_is(logs, expected(found, [CUT], times_of(found), IN_ROWS, names=["e0"]), rtol=1e-6)
+
+
+@pytest.mark.parametrize(("kind", "compression"), [("feather", "zstd"), ("feather", "lz4"), ("parquet", "zstd")])
+def test_a_table_of_few_bytes_and_many_values_is_refused_before_it_is_read(tmp_path, monkeypatch, kind, compression):
+    monkeypatch.setattr("halfseen.reading.ALWAYS_UNPACKED", 10**5)
+    file = tmp_path / f"steps.{kind}"
+    table = pa.table({"observation": np.zeros(10**6)})
+    if kind == "parquet":
+        pq.write_table(table, file, compression=compression)
+    else:
+        pyarrow.feather.write_feather(table, file, compression=compression, chunksize=10**6)
+    monkeypatch.setattr("pyarrow.ipc.open_file", None)
+    with pytest.raises(HalfseenError, match="unpacked, it has 8 MB"):
+        read_steps(file)
+
+
+# Arrays of D4RL.
+
+
+@pytest.mark.parametrize("has_next", [True, False])
+@pytest.mark.parametrize(("truncated", "ending"), [("cut", CUT), ("finished", FINISHED)])
+def test_each_ending_of_arrays_has_its_meaning(tmp_path, has_next, truncated, ending):
+    found = episodes(lengths=(3, 1, 2, 4))
+    # The third both terminates and times out, and the last does neither.
+    file = write_arrays(tmp_path / "a.hdf5", arrays(found, terminated=[0, 2], timed_out=[1, 2], has_next=has_next))
+    logs = read_step_arrays(file, StepRules(step_s=0.5, truncated=truncated))
+    endings = [FINISHED, ending, FINISHED, ("cut", "end-of-data")]
+    assert_is(logs, expected(found, endings, times_of(found, 0.5), IN_ARRAYS, has_last=has_next))
+
+
+def test_without_timeouts_that_is_told(tmp_path):
+    found = episodes()
+    file = write_arrays(tmp_path / "a.hdf5", arrays(found, terminated=[0, 1, 2]) | {"timeouts": None})
+    with pytest.warns(HalfseenWarning, match="no timeouts"), pytest.warns(HalfseenWarning, match="counts as 1 s"):
+        logs = read_step_arrays(file)
+    assert_is(logs, expected(found, [FINISHED] * 3, times_of(found), IN_ARRAYS))
+
+
+def test_groups_of_observations_and_named_arrays_are_read(tmp_path):
+    rows = arrays(episodes(lengths=(2,)), terminated=[0], has_next=False)
+    rows |= {"observations": None, "actions": np.zeros((2, 3)), "infos/qpos": np.zeros((2, 9))}
+    rows |= {"observations/arm/q": np.arange(4.0).reshape(2, 2), "observations/lit": [True, False]}
+    rows |= {"infos/verb": ["pick", "stop"], "infos/t": [0.5, 2.0], "infos/gain": [3, 4]}
+    file = write_arrays(tmp_path / "a.hdf5", rows)
+    with pytest.warns(HalfseenWarning, match=r"left out are actions, rewards, infos/qpos: nobody saw them"):
+        logs = read_step_arrays(file, StepRules(action="infos/verb", clock="infos/t", reward="infos/gain"))
+    assert logs.stages[["action", "reward", "elapsed_s"]].values.tolist() == [["pick", 3.0, 0.5], ["stop", 4.0, 2.0]]
+    assert logs.stages["observations/arm/q_1"].tolist() == [1.0, 3.0]
+    assert sorted(logs.stage_covariates) == ["observations/arm/q_0", "observations/arm/q_1", "observations/lit"]
+
+
+def raw(root, other):
+    root.create_dataset("rewards", (8,), "f8", external=[("raw.bin", 0, 64)])
+
+
+def virtual(root, other):
+    layout = h5py.VirtualLayout((8,), "f8")
+    layout[:] = h5py.VirtualSource(str(other), "rewards", (8,))
+    root.create_virtual_dataset("rewards", layout)
+
+
+def linked(link):
+    return lambda root, other: root.__setitem__("rewards", link(other))
+
+
+def circular(root, other):
+    group = root.create_group("infos")
+    group["a"], group["b"] = group, group
+
+
+def large(root, other):
+    root.create_dataset("rewards", (8, 10**9), "f8", chunks=(1, 10**6), compression="gzip")
+
+
+@pytest.mark.parametrize(
+    ("put", "told"),
+    [
+        (linked(lambda _: h5py.SoftLink("/actions")), "rewards is a link"),
+        (linked(lambda other: h5py.ExternalLink(str(other), "/actions")), "rewards is a link"),
+        (raw, "rewards stands in another file"),
+        (virtual, "rewards stands in another file"),
+        (circular, "its groups are too many"),
+        (large, "unpacked, it has 64,000 MB"),
+    ],
+)
+def test_nothing_outside_the_file_or_without_end_is_read(tmp_path, put, told):
+    rows = arrays(episodes(), terminated=[0, 1, 2])
+    other = write_arrays(tmp_path / "other.hdf5", rows)
+    file = write_arrays(tmp_path / "a.hdf5", rows | {"rewards": None})
+    with h5py.File(file, "a") as root:
+        put(root, other)
+    with pytest.raises(HalfseenError, match=told):
+        read_step_arrays(file)
+
+
+# Datasets of LeRobot.
+
+
+def read_quietly(folder, rules=None):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", HalfseenWarning)
+        return read_lerobot(folder, rules)
+
+
+@pytest.mark.parametrize(
+    ("columns", "rules", "endings"),
+    [
+        (["next.success"], StepRules(), [FINISHED, CUT, CUT]),
+        (["next.done"], StepRules(), [CUT, FINISHED, CUT]),
+        (["next.success", "next.done"], StepRules(), [FINISHED, FINISHED, CUT]),
+        (["next.success", "next.done"], StepRules(done="next.success"), [FINISHED, CUT, CUT]),
+        (["next.done"], StepRules(truncated="finished"), [FINISHED, FINISHED, FINISHED]),
+        (["ok"], StepRules(done="ok"), [CUT, CUT, FINISHED]),
+    ],
+)
+def test_each_ending_is_told_by_a_feature(tmp_path, columns, rules, endings):
+    found = episodes()
+    flags = {"next.success": [YES, NO, NO], "next.done": [NO, YES, NO], "ok": [NO, NO, YES]}
+    write_lerobot(tmp_path, found, extra={name: last_of(found, flags[name]) for name in columns})
+    assert_is(
+        read_lerobot(tmp_path, rules), expected(found, endings, times_of(found, 0.1), STATE, has_last=False), 1e-12
+    )
+
+
+@pytest.mark.parametrize(
+    ("rules", "ending", "told"),
+    [(StepRules(), CUT, r"each was cut \(truncated\)"), (StepRules(truncated="finished"), FINISHED, "each finished")],
+)
+def test_what_nobody_says_of_endings_is_told(tmp_path, rules, ending, told):
+    found = episodes()
+    write_lerobot(tmp_path, found)
+    with pytest.warns(HalfseenWarning, match=rf"neither next\.done nor next\.success says .*{told}"):
+        logs = read_lerobot(tmp_path, rules)
+    assert_is(logs, expected(found, [ending] * 3, times_of(found, 0.1), STATE, has_last=False), 1e-12)
+
+
+def test_pictures_and_what_came_of_a_step_are_passed_over_and_told_and_tasks_are_words(tmp_path):
+    found = episodes()
+    extra = {"next.done": last_of(found, [True] * 3), "task_index": [1, 1, 1, 0, 1, 1, 1, 1]}
+    extra |= {"observation.image": [b"png"] * 8, "effort": list(range(8)), "observation.lit": [True, False] * 4}
+    pictures = {"observation.image": {"dtype": "image"}, "observation.video": {"dtype": "video"}}
+    write_lerobot(tmp_path, found, extra=extra, features=pictures, tasks=["grasp", "place"])
+    told = r"left out are observation\.image \(pictures\), effort, observation\.video"
+    with pytest.warns(HalfseenWarning, match=told):
+        logs = read_lerobot(tmp_path)
+    assert sorted(logs.stage_covariates) == ["observation.lit", *STATE, "task"]
+    assert logs.stages["task"].tolist() == ["place"] * 3 + ["grasp"] + ["place"] * 4
+    assert logs.stages["observation.lit"].tolist() == [True, False] * 4
+
+
+def test_other_columns_are_named_and_a_clock_goes_its_own_way(tmp_path):
+    found = episodes(lengths=(3, 2))
+    extra = {"next.done": last_of(found, [True, False]), "next.success": [NO, NO, YES, NO, NO]}
+    extra |= {"subtask": ["a", "b", "a", "b", "b"], "t": [5.0, 5.5, 7.0, 1.0, 1.25]}
+    write_lerobot(tmp_path, found, extra=extra)
+    with pytest.warns(HalfseenWarning, match="left out are action, next.reward"):
+        logs = read_lerobot(tmp_path, StepRules(action="subtask", reward="next.success", clock="t"))
+    assert logs.stages["action"].tolist() == extra["subtask"]
+    assert logs.stages["reward"].tolist()[:4] == [0.0, 0.0, 1.0, 0.0]
+    np.testing.assert_allclose(logs.elapsed_s(), [[0.5, 2.0, 2.1], [0.25, np.nan, np.nan]])
+    np.testing.assert_allclose(logs.end_s, [2.1, 0.35])
+    assert read_quietly(tmp_path, StepRules(step_s=2.0)).end_s.tolist() == [6.0, 4.0]
+
+
+# What is wrong.
+
+
+def rows_with(folder, **columns):
+    """Rows of two episodes, of one step and of two, with other values in some columns; None drops one."""
+    rows = rows_of(episodes(lengths=(1, 2)), [True, False])
+    for name, values in columns.items():
+        for k, row in enumerate(rows):
+            row[name] = values and values[k]
+            if values is None:
+                del row[name]
+    file = write_rows(folder / "steps", rows)
+    return lambda rules: read_steps(file, rules)
+
+
+def arrays_with(folder, **other):
+    file = write_arrays(folder / "a.hdf5", arrays(episodes(), terminated=[0, 1, 2]) | other)
+    return lambda rules: read_step_arrays(file, rules)
+
+
+def lerobot_with(folder, **other):
+    return partial(read_quietly, write_lerobot(folder, episodes(), **other))
+
+
+def with_columns(folder, **columns):
+    return lerobot_with(folder, extra={name.replace("__", "."): values for name, values in columns.items()})
+
+
+NOTHING = {name: np.zeros(0) for name in ("terminals", "actions", "rewards", "timeouts")}
+WRONG = {
+    rows_with: [
+        ({"is_last": None}, r"no 'is_last' for the end of an episode among .*; add it"),
+        ({"is_terminal": None}, r"no 'is_terminal' for the done"),
+        ({"action": None}, r"no 'action' for the action among episode_id"),
+        ({"is_first": None, "episode_id": None}, r"no 'is_first' for the beginning of an episode"),
+        ({"action": [[0.1, 0.2]] * 5}, r"action holds float64 of shape \(2,\).*discretise"),
+        ({"action": [0.5] * 5}, r"action holds float64"),
+        ({"action": [None, 1, 1, 1, 1]}, r"path 'e0', stage 1: the stage is completed, yet its action is null"),
+        ({"reward": [None, 1.0, 1.0, 1.0, 1.0]}, r"path 'e0', stage 1: .*reward is nan"),
+        ({"reward": [NAN] * 5}, r"path 'e0', stage 1: .*reward is nan"),
+        ({"is_last": [NO, YES, YES, NO, YES]}, r"episode 'e1': step 1 of 3 ends it; make two"),
+        ({"is_terminal": [YES, YES, NO, NO, NO]}, r"episode 'e0': step 1 of 2 ends it"),
+        ({"is_last": [NO] * 5}, r"episode 'e0': its last row terminates it and is not is_last"),
+        ({"is_last": [NO, YES, None, NO, YES]}, r"is_last"),
+        ({"is_first": [YES, NO, NO, NO, NO]}, r"row 2: is_first is False, yet episode_id is 'e1'"),
+        ({"episode_id": None, "is_first": [NO, NO, YES, NO, NO]}, r"row 0: is_first is false"),
+        ({"episode_id": [*"abaaa"], "is_first": [YES, YES, YES, NO, NO]}, r"'a' do not stand"),
+        ({"episode_id": [None, *"bbbb"]}, r"episode_id holds object, or null, and not names"),
+        ({"episode_id": [0.5] * 5, "is_first": [YES, NO, NO, NO, NO]}, r"episode_id holds float64"),
+        ({"observation": [[1.0], [2.0], [3.0], [4.0], [5.0, 6.0]]}, r"row 4: observation has 2 values"),
+        ({"observation": [[NAN, 1.0]] * 5}, r"path 'e0', stage 1: covariate observation_0 is null"),
+        ({"observation": [[1.0, np.inf]] * 5}, r"covariate observation_1 is inf"),
+        ({"observation": [{"a": 1.0}] * 5, "observation.a": [2.0] * 5}, r"two columns 'observation\.a'; drop or"),
+        ({"episode_id": [*"abccc"], "is_first": [YES, YES, YES, NO, NO], "is_last": [YES, YES, NO, NO, YES],
+          "is_terminal": [YES, YES, NO, NO, NO]}, r"'a': it has no step"),
+    ],
+    arrays_with: [
+        ({"rewards": None}, r"no 'rewards' for the reward among actions, next_observations"),
+        ({"observations": None}, r"no 'observations' for the observations"),
+        ({"rewards": [1.0] * 7}, r"rewards has the shape \(7,\), and terminals \(8,\); every array has one row a step"),
+        ({"observations": np.zeros((7, 2))}, r"observations has the shape \(7, 2\)"),
+        ({"terminals": 1.0}, r"every array has one row a step"),
+        ({"terminals": [0.5] * 8}, r"row 0: terminals is 0\.5, neither true nor false"),
+        ({"timeouts": [NAN] * 8}, r"timeouts is null, neither true nor false"),
+        ({"actions": np.zeros((8, 3))}, r"actions holds float64 of shape \(3,\).*discretise"),
+        ({"rewards": [NAN] * 8}, r"path 0, stage 1: .*reward is nan"),
+        ({"observations": np.full((8, 2), np.inf)}, r"covariate observations_0 is inf"),
+        ({"next_observations": np.zeros((8, 3))}, r"next_observations and observations differ in observations_2"),
+        ({"rewards": np.array([(1, 2)] * 8, dtype="i4,i4")}, r"rewards holds"),
+        (NOTHING | {"observations": np.zeros((0, 2)), "next_observations": np.zeros((0, 2))}, r"it has no episodes"),
+    ],
+    with_columns: [
+        ({"action": [[0.5, 0.1]] * 8}, r"action holds .* discretise it"),
+        ({"action": [0.5] * 8}, r"action holds float64 .* finitely many"),
+        ({"next__reward": ["a"] * 8}, r"next\.reward holds object .* not a number"),
+        ({"next__reward": [[0.0, 1.0]] * 8}, r"next\.reward holds .* not a number"),
+        ({"next__reward": [NAN] * 8}, r"path 0, stage 1: .*its reward is nan"),
+        ({"observation__state": [[0.1]] * 7 + [[0.1, 0.2]]}, r"row 7: observation\.state has 2 values"),
+        ({"observation__state": [[0.1]] * 7 + [None]}, r"row 7: observation\.state has null"),
+        ({"observation__state": [0.1] * 7 + [None]}, r"stage 4: covariate observation\.state is null"),
+        ({"next__done": [2] * 8}, r"row 0: next\.done is 2, neither true nor false"),
+        ({"ok": [True] * 8}, r"episode 0: step 1 of 3 ends it", StepRules(done="ok")),
+        ({"episode_index": [0, 0, 1, 0, 2, 2, 2, 2]}, r"frames of episode 0 do not stand together"),
+    ],
+    lerobot_with: [
+        ({}, r"no 'push' for the action among observation\.state", StepRules(action="push")),
+        ({}, r"no 't' for the clock", StepRules(clock="t")),
+        ({"lengths": [3, 1, 5]}, r"episode 2: meta/episodes counts 5 frames, and data has 4"),
+        ({"lengths": [3, 1, 4, 2]}, r"episode 3: meta/episodes counts 2 frames, and data has 0"),
+        ({"info": {"total_frames": 9}}, r"total_frames is 9, and data has 8"),
+        ({"info": {"codebase_version": "v2.1"}}, r"codebase_version is 'v2\.1', and v3 is read"),
+        ({"info": {"fps": 0}}, r"fps is 0, no number of frames"),
+        ({"info": {"features": [1]}}, r"features does not describe"),
+        ({"stamps": [0.0, 0.1, 0.9] + [0.0] * 5}, r"frame 2 has the timestamp 0\.9 s, .* it is 0\.2 s"),
+        ({"extra": {"task_index": [7] * 8}, "tasks": ["a"]}, r"there is no task 7"),
+    ],
+}  # fmt: skip
+"""By what writes and reads: what is other, what is said of it, and rules that say more than how long a step is."""
+
+
+@pytest.mark.filterwarnings("ignore:.*nothing was done any more:halfseen.errors.HalfseenWarning")
+@pytest.mark.parametrize(("make", "case"), [(make, case) for make, cases in WRONG.items() for case in cases])
+def test_what_is_wrong_is_told_in_one_line(tmp_path, make, case):
+    other, told, *rules = case
+    read = make(tmp_path, **other)
+    with pytest.raises(HalfseenError, match=told) as caught:
+        read(*rules or [None if make in (with_columns, lerobot_with) else SECONDS])
+    assert "\n" not in str(caught.value)
+
+
+def test_a_table_without_rows_is_told(tmp_path):
+    (tmp_path / "steps.csv").write_text("is_first,is_last,is_terminal,observation.x,action,reward\n")
+    with pytest.raises(HalfseenError, match=r"steps\.csv: there is no row; give a table"):
+        read_steps(tmp_path / "steps.csv")
+
+
+def test_a_dataset_that_was_copied_in_part_is_told(tmp_path):
+    write_lerobot(tmp_path, episodes())
+    file, info = tmp_path / "data" / "chunk-000" / "file-001.parquet", tmp_path / "meta" / "info.json"
+    content, counted = file.read_bytes(), tmp_path / "meta" / "episodes" / "chunk-000" / "file-000.parquet"
+    for harm, told in (
+        (lambda: file.write_bytes(content[: len(content) // 2]), r"file-001\.parquet: it is no whole table"),
+        (lambda: pq.write_table(pa.table({"other": [1]}), file), r"file-001\.parquet"),
+        (file.unlink, "episode 2: meta/episodes counts 4 frames, and data has 0"),
+        (counted.unlink, r"there is no chunk-\*/file-\*\.parquet"),
+        (lambda: info.write_text(json.dumps([])), "codebase_version is null"),
+        (info.unlink, "info.json: it cannot be read"),
+    ):
+        harm()
+        with pytest.raises(HalfseenError, match=told) as caught:
+            read_quietly(tmp_path)
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"step_s": 0.0}, {"step_s": NAN}, {"step_s": 1.0, "clock": "t"}, {"truncated": "maybe"}]
+)
+def test_rules_that_contradict_one_another_are_refused(wrong):
+    with pytest.raises(ArgumentError):
+        StepRules(**wrong)

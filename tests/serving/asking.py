@@ -1,0 +1,28 @@
+"""Who asks a server, and what is said of a refusal."""
+
+from contextlib import contextmanager, nullcontext
+
+from starlette.testclient import TestClient
+
+from halfseen.serving.answering import Answering
+from halfseen.serving.app import Served, app_of
+from halfseen.serving.paths import RecordedPaths
+
+
+@contextmanager
+def client_of(policy, folder=None, *, of_tables=False, token=None, largest_bytes=None, law=None, **answering):
+    """Ask a server that records into a folder, if one is given."""
+    recorded = nullcontext() if folder is None else RecordedPaths(folder, is_of_tables=of_tables)
+    with recorded as paths:
+        served = Served(policy, Answering(**answering, paths=paths), extrapolates=of_tables, law=law)
+        app = app_of(served, token, largest_bytes=largest_bytes)
+        with TestClient(app, base_url="http://127.0.0.1") as client:
+            yield client
+
+
+def refused(response, status):
+    assert response.status_code == status, response.text
+    (line,) = response.json().values()
+    assert line
+    assert "\n" not in line
+    return line
