@@ -99,6 +99,11 @@ def test_csv_and_json_say_the_same_and_people_get_the_reason_first(flat, tmp_pat
     assert lines[5].split()[0] == lines[0][0]
 
 
+def test_what_lies_far_outside_is_extrapolated_with_a_warning_where_that_is_asked_for(flat, tmp_path):
+    far = state(tmp_path, text='{"x1": 800, "x2": 1}')
+    assert "warning: x1 is 800, outside the logs (" in run(flat, far, "--extrapolate").output
+
+
 def test_that_nothing_speaks_for_the_policy_is_told_at_each_decision(tmp_path):
     verdict = {"verdict": "not better", "reason": "it earns 2 less a path than b, between -3 and -1 more"}
     logs = flat_log()

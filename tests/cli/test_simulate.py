@@ -33,3 +33,5 @@ def test_one_seed_same_logs_and_json_for_programs(recorded, tmp_path):
     assert (report["num_paths"], report["policy"], report["seed"]) == (12, "uniform", 3)
     assert report["scenes"] == {"table_05.pcd": 5, "table_07.pcd": 5}
     assert read_logs(tmp_path / "again").stages.equals(read_logs(recorded[0]).stages)
+    CliRunner().invoke(simulate, [*arguments, "--overwrite"], catch_exceptions=False)
+    assert read_logs(tmp_path / "again").stages.equals(read_logs(recorded[0]).stages)
