@@ -4,7 +4,6 @@ import pyarrow as pa
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from lifelines import KaplanMeierFitter
 from oracles import naive_survival, tied_ends
 from sksurv.nonparametric import CensoringDistributionEstimator
 
@@ -32,14 +31,6 @@ def test_equals_scikit_survival_on_untied_ends(untied):
     reference = CensoringDistributionEstimator().fit(_structured(time, is_finished))
     ours = KaplanMeier().fit(time, is_finished).survival(time[is_finished])
     np.testing.assert_allclose(ours, reference.predict_proba(time[is_finished]), rtol=0, atol=1e-12)
-
-
-def test_equals_lifelines_on_untied_ends(untied):
-    time, is_finished = untied
-    reference = KaplanMeierFitter().fit(time, event_observed=~is_finished)
-    ours = KaplanMeier().fit(time, is_finished).survival(time[is_finished])
-    theirs = reference.survival_function_at_times(time[is_finished]).to_numpy()
-    np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-12)
 
 
 def test_is_the_left_limit_and_falls_only_after_a_cut():

@@ -1,12 +1,18 @@
-"""The command line as it is typed, without the start of a process."""
+"""The command line as it is typed, without the start of a process, and a folder of what its verbs take."""
 
 import sys
 import threading
 from typing import NamedTuple
 
+import numpy as np
 import pytest
+import shell
+from shell import BEHIND, LEFT, RIGHT, TABLE
 
 from halfseen import cli, progress
+from halfseen.learning import CensoredQLearner
+from halfseen.policies.folder import write_policy
+from small_logs import HIDES, flat_log, table_log
 
 
 class Typed(NamedTuple):
@@ -51,3 +57,29 @@ def refused(typed):
         return err
 
     return run
+
+
+@pytest.fixture(scope="session")
+def house(tmp_path_factory):
+    """Logs and policies of named actions, of tables and of a team of two."""
+    folder, flat, tables = (
+        tmp_path_factory.mktemp("house"),
+        flat_log(),
+        table_log(num_objects=3, hides=np.pad(HIDES, (0, 1))),
+    )
+    flat.write(folder / "logs")
+    tables.write(folder / "table-logs")
+    learner = CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=0.1)
+    write_policy(learner.fit(flat), flat, folder / "policy")
+    write_policy(CensoredQLearner.for_table(3, reg=0.1).fit(tables), tables, folder / "table-policy")
+    (folder / "two.toml").write_text("reward_per_s = -0.05\n" + LEFT + RIGHT)
+    (folder / "three.toml").write_text(LEFT + RIGHT + BEHIND)
+    few = ["--episodes", 40, "--horizon", 3, "--cut-share", 0.4, "--seed", 3]
+    shell.run("simulate", TABLE, "--team", folder / "two.toml", "--out", folder / "team-logs", *few)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def learned(house):
+    """What `learn` says of the logs of the team; its policy is in the house."""
+    return shell.run("learn", house / "team-logs", "--out", house / "team-policy", "--reg", "0.1")

@@ -1,20 +1,15 @@
-"""A command line in this process: what it said, or why it was refused."""
+"""A command line in this process, which raises what is wrong."""
 
 from click.testing import CliRunner
 
 from halfseen.cli import halfseen
-from halfseen.errors import HalfseenError
+from halfseen.scene import table_paths
+
+TABLE = str(table_paths()[5])
+ROBOT = '[[robot]]\nname = "{}"\nbase_m = [{}, 0.8]\nreach_m = 0.6\n'
+LEFT, RIGHT, BEHIND = ROBOT.format("left", -0.4), ROBOT.format("right", 0.4), ROBOT.format("behind", 0.0)
 
 
 def run(*words):
     """Run ``halfseen`` with words that it takes."""
     return CliRunner().invoke(halfseen, [str(word) for word in words], catch_exceptions=False)
-
-
-def refusal(*words):
-    """Run ``halfseen`` with words that it refuses: an error of one line, and nothing is said."""
-    result = CliRunner().invoke(halfseen, [str(word) for word in words])
-    assert isinstance(result.exception, HalfseenError), result.output
-    assert "\n" not in str(result.exception)
-    assert result.output == ""
-    return result.exception

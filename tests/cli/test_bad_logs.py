@@ -293,22 +293,16 @@ TASKS = {
 
 
 @pytest.fixture
-def told(monkeypatch, capsys):
+def told(monkeypatch, typed):
     """Run the command line on a folder; give its exit status, standard output and standard error."""
 
     def run(folder, rule):
-        verb = "encode" if rule[0] in TASKS else "inspect"
-        if verb == "encode":
-            monkeypatch.setitem(cli.VERBS, verb, "Encode a log.")
-            module = SimpleNamespace(encode=reading_verb(TASKS[rule[0]]))
-            monkeypatch.setitem(sys.modules, "halfseen.cli.encode", module)
-        monkeypatch.setattr(sys, "argv", ["halfseen", verb, str(folder)])
-        try:
-            cli.main()
-            status = 0
-        except SystemExit as stop:
-            status = stop.code
-        return status, *capsys.readouterr()
+        if rule[0] not in TASKS:
+            return typed("inspect", folder)
+        monkeypatch.setitem(cli.VERBS, "encode", "Encode a log.")
+        module = SimpleNamespace(encode=reading_verb(TASKS[rule[0]]))
+        monkeypatch.setitem(sys.modules, "halfseen.cli.encode", module)
+        return typed("encode", folder)
 
     return run
 

@@ -1,5 +1,6 @@
 """`halfseen cell`: bad input is told in one line before anything moves."""
 
+import json
 import os
 import subprocess
 import sys
@@ -7,52 +8,19 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 from halfseen.cell.calibration.law_folder import read_law, write_law
 from halfseen.cell.calibration.shipped import shipped_law
 from halfseen.cell.campaign import WHAT_FILE
-from halfseen.learning import CensoredQLearner
-from halfseen.logs import Logs
-from halfseen.policies import write_policy
+from halfseen.cli.arms import robot_for
+from halfseen.cli.cell_run import run
+from halfseen.logs import read_logs
+from text_arms import SIX
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 RUN = ["run", "--policy", "greedy", "--tables", "2"]
-
-
-def test_a_policy_or_a_law_that_is_not_there(refused, tmp_path):
-    out = ["--out", tmp_path / "logs"]
-    assert "halfseen learn" in refused("cell", "run", "--policy", tmp_path / "none", *out)
-    assert "cell calibrate" in refused("cell", *RUN, "--law", tmp_path / "none", *out)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_two_arms_are_of_the_usual_kind(refused, tmp_path):
-    out = ["--out", tmp_path / "logs"]
-    line = refused("cell", "run", "--policy", "planer", "--arms", 2, *out)
-    assert "--policy planer: there is no such folder" in line
-    assert "did you mean 'planner'?" in line
-    arm = tmp_path / "arm.xml"
-    arm.write_text("<mujoco/>")
-    assert "--arm" in refused("cell", *RUN, "--arms", 2, "--arm", arm, *out)
-    assert "--arms" in refused("cell", *RUN, "--arms", 3, *out)
-    assert list(tmp_path.iterdir()) == [arm]
-
-
-def test_what_is_there_is_replaced_only_if_it_is_of_the_kind(refused, tmp_path):
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "thesis.txt").touch()
-    for words in (RUN, ["calibrate"]):
-        assert "--overwrite" in refused("cell", *words, "--out", tmp_path / "mine")
-        assert "not replaced" in refused("cell", *words, "--out", tmp_path / "mine", "--overwrite")
-    assert [path.name for path in (tmp_path / "mine").iterdir()] == ["thesis.txt"]
-
-
-def test_logs_that_are_of_no_cell(refused, tmp_path):
-    line = refused("cell", "calibrate", "--from", EXAMPLES / "pick_cell" / "logs", "--out", tmp_path / "law")
-    assert "no objects" in line or "has none" in line
-    refused("cell", "calibrate", "--from", tmp_path, "--out", tmp_path / "law")
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_attempts_of_a_law_are_fitted_again_as_they_were_made(typed, tmp_path):
@@ -91,14 +59,27 @@ def test_a_film_without_opengl(tmp_path, gl):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_policy_of_other_things_than_tables(refused, tmp_path):
-    number = list(range(20))
-    stages = {"path": number, "stage": [1] * 20, "elapsed_s": [1.0] * 20, "action": ["A", "B"] * 10}
-    stages |= {"reward": [float(k % 5) for k in number], "x": [float(k % 3) for k in number]}
-    logs = Logs(stages, {"path": number, "end_s": [1.0] * 20, "ending": ["finished"] * 20})
-    fixed = {"q_function": "linear", "censoring": "kaplan-meier", "stages": "separate", "reg": 0.1, "pessimism": 0.0}
-    learner = CensoredQLearner(horizon=1, actions=["A", "B"], covariates=["x"], **fixed).fit(logs)
-    write_policy(learner, logs, tmp_path / "policy")
-    words = ["cell", "run", "--policy", tmp_path / "policy", "--out", tmp_path / "logs"]
-    assert "no policy of tables" in refused(*words)
-    assert "it decides for no table, and 2 arms clear the table; learn one from" in refused(*words, "--arms", 2)
+@pytest.fixture
+def six(tmp_path):
+    (tmp_path / "six.xml").write_text(SIX)
+    return tmp_path / "six.xml"
+
+
+def test_an_arm_is_known_by_what_it_is_not_by_where_its_file_lies(six, tmp_path):
+    (tmp_path / "else").mkdir()
+    (tmp_path / "else" / "six.xml").write_text(SIX)
+    (tmp_path / "longer.xml").write_text(SIX.replace('pos="0 -0.13 0.42"', 'pos="0 -0.13 0.44"'))
+    robot, name = robot_for(six, None, None)
+    assert robot.arm.num_joints == 6
+    assert name.startswith("six.xml (")
+    assert robot_for(tmp_path / "else" / "six.xml", "attachment_site", None)[1] == name
+    assert robot_for(tmp_path / "longer.xml", None, None)[1].split("(")[1] != name.split("(")[1]
+
+
+@pytest.mark.slow
+def test_another_arm_clears_tables(six, tmp_path):
+    words = ["--policy", "greedy", "--tables", "2", "--workers", "1", "--no-stops", "--out", str(tmp_path / "logs")]
+    report = json.loads(CliRunner().invoke(run, [*words, "--arm", str(six), "--json"], catch_exceptions=False).stdout)
+    assert report["arm"].startswith("six.xml (")
+    assert report["counts"]["num_racked"] > 0
+    assert read_logs(tmp_path / "logs").num_paths == 2

@@ -37,42 +37,6 @@ def flat(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        (["lern"], "lern: there is no such command; there are inspect, learn"),
-        (["lern"], "; did you mean 'learn'?"),
-        (["cell", "clibrate"], "clibrate: there is no such command of cell; there are calibrate, run, film; did you "),
-        (["learn", "--covariats", "x"], "there is no option --covariats; did you mean '--covariates'?"),
-        (["evaluate", "p", "--simpel"], "there is no option --simpel; did you mean '--simple'?"),
-        (["--quite", "learn"], "there is no option --quite; did you mean '--quiet'?"),
-        (["inspect", "--zzz"], "there is no option --zzz; --help lists those that there are"),
-        (["simulate", "--out", "x", "--policy", "histry"], "; did you mean 'history'?"),
-        (["learn", "x", "--out", "p", "--q-function", "smoth"], "; did you mean 'smooth'?"),
-        (
-            ["simulate", "--out", "x", "--law", "shiped"],
-            "--law shiped: there is no such folder; let",
-        ),
-        (["simulate", "--out", "x", "--law", "shiped"], "; did you mean 'shipped'?"),
-        (["study", "--only", "rewards"], "; did you mean 'reward'?"),
-    ],
-)
-def test_a_mistyped_word_gets_the_one_that_was_meant(refused, tmp_path, monkeypatch, arguments, told):
-    monkeypatch.chdir(tmp_path)
-    assert told in refused(*arguments)
-    assert not any(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
-    ("option", "names", "meant"),
-    [("--covariates", "X1,x2", "x1"), ("--covariates", "coluor", "colour"), ("--censoring-covariates", "xx1", "x1")],
-)
-def test_a_mistyped_column_gets_the_one_that_was_meant(refused, flat, tmp_path, option, names, meant):
-    told = refused("learn", flat, "--out", tmp_path / "policy", "--no-verdict", "--censoring", "cox", option, names)
-    assert f"; did you mean '{meant}'?" in told
-    assert not any(tmp_path.iterdir())
-
-
 @pytest.mark.parametrize("path", VERB_PATHS, ids=" ".join)
 def test_every_verb_takes_quiet_and_shows_an_example(path):
     command = command_of(path)
@@ -219,25 +183,6 @@ def test_names_and_values_of_a_log_command_no_terminal(typed, tmp_path):
     assert "\\x1b[2J\\u202ecrash\\x9b" in out
     assert not set(out) & {"\x1b", "\u202e", "\x9b"}
     assert "\x1b" not in typed("inspect", f"{tmp_path}/\x1b[31m").err
-
-
-@pytest.mark.parametrize("seed", [-1, 2**32, 2**63])
-@pytest.mark.parametrize("verb", [["study"], ["simulate", "--out", "x"]])
-def test_a_seed_that_is_none_is_refused_at_once(refused, verb, seed):
-    assert f"{seed} is not in the range" in refused(*verb, "--seed", seed)
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        ["simulate", "--out", "x", "--episodes", 10**12],
-        ["simulate", "--out", "x", "--horizon", 10**6],
-        ["evaluate", "x", "--world", "--episodes", 10**12],
-        ["learn", "x", "--out", "y", "--horizon", 10**6],
-    ],
-)
-def test_more_than_any_machine_can_play_is_refused_at_once(refused, line):
-    assert f"{line[-1]} is not in the range" in refused(*line)
 
 
 @pytest.mark.filterwarnings("always")

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 import shell
 
-from halfseen.errors import ArgumentError, HalfseenWarning, LogError
+from halfseen.errors import ArgumentError, HalfseenError, HalfseenWarning, LogError
 from halfseen.logs import Logs, read_logs
 from halfseen.logs.formats import MAPPING_TEMPLATE, read_csv
 from halfseen.perception import read_cloud
@@ -47,9 +47,11 @@ run = partial(shell.run, "convert")
 
 def refused(*arguments):
     before = sorted(str(file) for file in Path().rglob("*"))
-    error = shell.refusal("convert", *arguments)
+    with pytest.raises(HalfseenError) as error:
+        run(*arguments)
     assert sorted(str(file) for file in Path().rglob("*")) == before
-    return str(error)
+    assert "\n" not in str(error.value)
+    return str(error.value)
 
 
 def same(left, right):

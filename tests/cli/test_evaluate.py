@@ -1,14 +1,12 @@
 """``halfseen evaluate``: through the door of the command line, with policies that were learned and stored."""
 
 import json
-import sys
 from functools import partial
 
 import numpy as np
 import pytest
 import shell
 
-from halfseen import cli
 from halfseen.evaluation import evaluate as evaluated
 from halfseen.evaluation.stored_model import specification_of
 from halfseen.learning import CensoredQLearner
@@ -99,33 +97,3 @@ def test_options_reach_the_model(folders):
 
 def test_the_logs_that_it_was_learned_from_are_told_apart(folders):
     assert "note: it was learned from these very logs" in told(folders / "policy", "--logs", folders / "learned").output
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["policy"], "give either --logs"),
-        (["policy", "--logs", "aside", "--world"], "give either --logs"),
-        (["policy", "cloud.ply", "--logs", "aside"], "clouds are tables to play with --world"),
-        (["policy", "--logs", "aside", "--law", "shipped"], "a law of the world that --world plays"),
-        (["policy", "--world"], "takes named actions"),
-        (["nowhere", "--logs", "aside"], "nowhere"),
-        (["policy", "--logs", "nowhere"], "nowhere"),
-        (["policy", "--logs", "aside", "--level", "2"], "--level"),
-        (["policy", "--logs", "aside", "--against", "nobody"], "against is 'nobody'; it is logging, logging-rule"),
-        (["policy", "--logs", "aside", "--against", "nowhere.csv"], "nowhere.csv: it cannot be read as a rule"),
-        (["policy", "--logs", "aside", "--against", "sequence:"], "name an action for each stage"),
-        (["policy", "--logs", "aside", "--against", "aside"], "aside"),
-        (["policy", "--world", "--against", "logging"], "--against compares by logs"),
-    ],
-)
-def test_bad_input_is_told_in_one_line_with_status_two(folders, arguments, message, monkeypatch, capsys):
-    monkeypatch.chdir(folders)
-    monkeypatch.setattr(sys, "argv", ["halfseen", "evaluate", *arguments])
-    with pytest.raises(SystemExit) as stop:
-        cli.main()
-    assert stop.value.code == 2
-    streams = capsys.readouterr()
-    assert streams.out == ""
-    assert message in streams.err
-    assert len(streams.err.splitlines()) == 1

@@ -1,5 +1,4 @@
 import json
-from functools import partial
 from operator import itemgetter
 
 import numpy as np
@@ -7,10 +6,8 @@ import pytest
 import shell
 
 from halfseen.arrays import mapped
-from halfseen.errors import ArgumentError, LogError, PositivityError
 from halfseen.evaluation import HeldOutVerdict, held_out
 from halfseen.learning import CensoredQLearner
-from halfseen.logs import Logs
 from halfseen.policies.folder import read_policy
 from halfseen.world.logs import states_of
 from small_logs import flat_log, table_log
@@ -26,9 +23,6 @@ def folder(tmp_path_factory):
 
 def run(*arguments, has_verdict=False):
     return shell.run("learn", *arguments, *([] if has_verdict else ["--no-verdict"]))
-
-
-refused = partial(shell.refusal, "learn")
 
 
 def shares_by_hand(learner, logs, stage):
@@ -122,30 +116,5 @@ def test_one_seed_same_policy_and_what_is_there_stays(folder, tmp_path):
     ]
     run(*arguments)
     before = {file.name: file.read_bytes() for file in (tmp_path / "policy").iterdir()}
-    assert "it is there already" in str(refused(*arguments))
     run(*arguments, "--overwrite")
     assert {file.name: file.read_bytes() for file in (tmp_path / "policy").iterdir()} == before
-
-
-def test_bad_input_leaves_nothing_behind(folder, tmp_path):
-    out = tmp_path / "policy"
-    everyone_cut = Logs(
-        {"path": [0, 1], "stage": [1, 1], "elapsed_s": [None, None], "action": ["A", "B"], "reward": [None, None]},
-        {"path": [0, 1], "end_s": [1.0, 2.0], "ending": ["cut", "cut"]},
-    )
-    everyone_cut.write(tmp_path / "cut")
-    cases = [
-        ((tmp_path / "none", "--out", out), LogError, "there is no such folder"),
-        ((tmp_path / "cut", "--out", out), PositivityError, "all 2 paths were cut"),
-        ((folder / "flat", "--out", out, "--covariates", "x1,x9"), ArgumentError, "names 'x9'"),
-        ((folder / "flat", "--out", out, "--covariates", "colour"), LogError, "is 'red' in every stage"),
-        ((folder / "flat", "--out", out, "--horizon", 1), ArgumentError, "horizon is 1"),
-        ((folder / "flat", "--out", out, "--reg", -1), ArgumentError, "reg is -1"),
-        ((folder / "flat", "--out", out, "--grasp", "beta"), ArgumentError, "--grasp is for logs of tables"),
-        ((folder / "flat", "--out", folder / "flat", "--overwrite"), ArgumentError, "it holds no policy"),
-    ]
-    for arguments, kind, message in cases:
-        error = refused(*arguments)
-        assert isinstance(error, kind)
-        assert message in str(error)
-    assert [path.name for path in tmp_path.iterdir()] == ["cut"]

@@ -1,5 +1,6 @@
 import json
 import os
+import shutil
 from functools import partial
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import pytest
 import shell
 
 from halfseen.perception import Cloud, write_pcd
+from halfseen.scene import table_paths
 
 run = partial(shell.run, "look")
 
@@ -109,13 +111,9 @@ def test_the_picture_is_a_png_and_nothing_else_is_left(table, tmp_path):
     assert [path.name for path in folder.iterdir()] == ["table.png"]
 
 
-def test_a_picture_takes_no_place_of_a_file_unless_that_is_said(refused, table, tmp_path):
-    picture, cloud = tmp_path / "a.png", tmp_path / "cloud.png"
+def test_a_picture_takes_the_place_of_a_file_where_that_is_said_and_of_no_pipe(refused, table, tmp_path):
+    picture = tmp_path / "a.png"
     picture.write_bytes(b"mine")
-    assert "there already; choose another file, or pass --overwrite" in refused("look", table, "--picture", picture)
-    assert picture.read_bytes() == b"mine"
-    cloud.symlink_to(table)
-    assert "is what is to be looked at" in refused("look", table, "--picture", cloud, "--overwrite")
     os.mkfifo(tmp_path / "pipe.png")
     assert "a device, a pipe" in refused("look", table, "--picture", tmp_path / "pipe.png", "--overwrite")
     assert run(table, "--picture", picture, "--overwrite").exit_code == 0
@@ -127,11 +125,51 @@ def test_an_empty_table_is_refused_with_status_2(refused, tmp_path):
     assert "no objects on the table" in refused("look", tmp_path / "empty.pcd", "--json")
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "message"),
-    [("cloud.xyz", b"", "not read"), ("cloud.npz", b"nonsense", "cloud.npz"), ("missing.pcd", None, "no such file")],
-)
-def test_bad_input_is_one_line_and_status_2(refused, tmp_path, name, content, message):
-    if content is not None:
-        (tmp_path / name).write_bytes(content)
-    assert message in refused("look", tmp_path / name)
+@pytest.fixture
+def folder(tmp_path):
+    for path in table_paths()[:3]:
+        shutil.copy(path, tmp_path / path.name)
+    (tmp_path / "notes.txt").write_text("no cloud")
+    return tmp_path
+
+
+def test_a_folder_has_a_line_a_cloud_in_the_order_of_their_names(typed, folder):
+    status, out, err = typed("look", folder, "--workers", 1)
+    assert (status, err) == (0, "")
+    head, *rows = [line.split() for line in out.splitlines()]
+    assert " ".join(head) == "cloud objects upright lying cut half hidden most hidden"
+    assert [row[0] for row in rows] == [str(folder / f"table_0{k}.pcd") for k in range(3)]
+    for row in rows:
+        alone = json.loads(typed("look", row[0], "--json").out)["objects"]
+        hidden = [each["occlusion"] for each in alone]
+        upright = sum(each["is_upright"] for each in alone)
+        assert [int(cell) for cell in row[1:4]] == [len(alone), upright, len(alone) - upright]
+        assert int(row[5]) == sum(each >= 0.5 for each in hidden)
+        assert float(row[6]) == pytest.approx(max(hidden), abs=0.005)
+
+
+def test_json_is_that_of_each_cloud(typed, folder):
+    told = json.loads(typed("look", folder, "--json", "--workers", 1).out)
+    for each in told:
+        assert each == {"cloud": each["cloud"], **json.loads(typed("look", each["cloud"], "--json").out)}
+
+
+@pytest.mark.slow
+def test_any_number_of_processes_prints_the_same(typed, folder):
+    assert typed("look", folder, "--json", "--workers", 2) == typed("look", folder, "--json", "--workers", 1)
+
+
+def test_a_bad_cloud_stops_no_other_and_each_is_named(typed, folder):
+    (folder / "bad.ply").write_bytes(b"nonsense")
+    status, out, err = typed("look", folder, folder / "missing.pcd", "--workers", 1)
+    assert status == 2
+    assert len(out.splitlines()) == 4
+    first, second = err.splitlines()
+    assert "bad.ply" in first
+    assert second == f"halfseen: {folder / 'missing.pcd'}: no such file"
+
+
+def test_where_no_cloud_can_be_looked_at_only_that_is_said(typed, tmp_path):
+    (tmp_path / "bad.ply").write_bytes(b"nonsense")
+    status, out, err = typed("look", tmp_path, "--workers", 1)
+    assert (status, out, len(err.splitlines())) == (2, "", 1)

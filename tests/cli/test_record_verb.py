@@ -11,7 +11,7 @@ from subprocess import PIPE
 
 import pytest
 
-from halfseen.logs import LogRecorder, read_logs
+from halfseen.logs import read_logs
 
 LINES = [
     {"call": "begin_path"},
@@ -88,15 +88,3 @@ def test_lines_of_a_file_are_recorded(typed, tmp_path):
     status, out, err = typed("record", tmp_path / "calls.jsonl", "--out", tmp_path / "logs")
     assert (status, out.count('"ok": true'), err) == (0, len(LINES), "")
     assert read_logs(tmp_path / "logs").num_paths == 1
-
-
-def test_what_cannot_be_recorded_from_or_into_is_refused(refused, tmp_path):
-    assert "No such file" in refused("record", tmp_path / "none", "--out", tmp_path / "logs")
-    assert "are both given" in refused("record", tmp_path / "none", "--listen", 0, "--out", tmp_path / "logs")
-    assert not (tmp_path / "logs").exists()
-    with LogRecorder(tmp_path / "logs"):
-        assert "another recorder" in refused("record", "--listen", 0, "--out", tmp_path / "logs")
-    (tmp_path / "taken").write_text("")
-    assert "nobody can listen there" in refused("record", "--listen", tmp_path / "taken", "--out", tmp_path / "logs")
-    assert "nobody can listen there" in refused("record", "--listen", 99999, "--out", tmp_path / "not")
-    assert not (tmp_path / "not").exists()

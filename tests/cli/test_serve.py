@@ -92,16 +92,3 @@ def test_a_token_may_come_from_the_environment(policy):
         assert client.get("/health").status_code == 401
         known = {"authorization": "Bearer a-token-that-is-long"}
         assert json.loads(client.get("/health", headers=known).text)["status"] == "ok"
-
-
-def test_it_is_not_open_to_others_by_mistake(policy, refused):
-    assert "--host is 0.0.0.0" in refused("serve", policy, "--host", "0.0.0.0")
-    assert "--token has 5 characters" in refused("serve", policy, "--token", "short")
-
-
-def test_a_port_that_is_taken_and_a_policy_that_is_none_are_refused(policy, refused, tmp_path):
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        assert f"--port {port}: nobody can serve there" in refused("serve", policy, "--port", port)
-    assert "no such folder" in refused("serve", tmp_path / "nothing", "--port", 0)
-    assert "--explore" in refused("serve", policy, "--explore", 1)

@@ -1,10 +1,8 @@
 import json
-import sys
 
 import pytest
 from click.testing import CliRunner
 
-from halfseen import cli
 from halfseen.cli.simulate import simulate
 from halfseen.logs import read_logs
 from halfseen.scene import table_paths
@@ -18,11 +16,6 @@ def recorded(tmp_path_factory):
     folder = tmp_path_factory.mktemp("simulate") / "logs"
     result = CliRunner().invoke(simulate, ["--out", str(folder), *TABLES, *FEW], catch_exceptions=False)
     return folder, result
-
-
-def run(arguments, monkeypatch):
-    monkeypatch.setattr(sys, "argv", ["halfseen", "simulate", *arguments])
-    cli.main()
 
 
 def test_the_logs_are_there_and_whole(recorded):
@@ -40,40 +33,5 @@ def test_one_seed_same_logs_and_json_for_programs(recorded, tmp_path):
     assert (report["num_paths"], report["policy"], report["seed"]) == (12, "uniform", 3)
     assert report["scenes"] == {"table_05.pcd": 5, "table_07.pcd": 5}
     assert read_logs(tmp_path / "again").stages.equals(read_logs(recorded[0]).stages)
-
-
-def test_what_is_there_is_only_replaced_when_asked(recorded, monkeypatch, capsys):
-    folder, _ = recorded
-    before = read_logs(folder).stages
-    with pytest.raises(SystemExit) as stop:
-        run(["--out", str(folder), *TABLES, *FEW], monkeypatch)
-    assert stop.value.code == 2
-    assert "pass --overwrite to replace it" in capsys.readouterr().err
-    assert read_logs(folder).stages.equals(before)
-    run(["--out", str(folder), *TABLES, *FEW, "--overwrite"], monkeypatch)
-    assert read_logs(folder).stages.equals(before)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--episodes", "0"], "--episodes"),
-        (["--cut-share", "1"], "--cut-share"),
-        (["--random-share", "2"], "--random-share"),
-        (["--policy", "lazy"], "--policy"),
-        (["--horizon", "0"], "--horizon"),
-        (["nowhere.pcd"], "nowhere.pcd"),
-        (["broken.pcd"], "broken.pcd"),
-    ],
-)
-def test_bad_input_is_told_in_one_line_with_status_two(arguments, message, monkeypatch, capsys, tmp_path):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "broken.pcd").write_text("no cloud at all")
-    with pytest.raises(SystemExit) as stop:
-        run(["--out", "logs", *arguments], monkeypatch)
-    assert stop.value.code == 2
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert len(told.err.splitlines()) == 1
-    assert message in told.err
-    assert not (tmp_path / "logs").exists()
+    CliRunner().invoke(simulate, [*arguments, "--overwrite"], catch_exceptions=False)
+    assert read_logs(tmp_path / "again").stages.equals(read_logs(recorded[0]).stages)

@@ -7,60 +7,34 @@ import numpy as np
 import pytest
 from shell import run
 
+from conftest import BEHIND, LEFT, RIGHT, TABLE
 from halfseen.cell.calibration.law_folder import read_law, write_law
 from halfseen.cell.calibration.shipped import shipped_law
 from halfseen.cli.cell_policies import team_policy_of
 from halfseen.cli.team import read_robots
 from halfseen.errors import PolicyError
 from halfseen.learning import CensoredQLearner
-from halfseen.logs import Logs, read_logs
+from halfseen.logs import read_logs
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.planners.rules import ReservingPolicy
-from halfseen.policies.folder import read_policy, write_policy
-from halfseen.scene import table_paths
+from halfseen.policies.folder import read_policy
 from halfseen.world import AssumedGrasping, ExploringPolicy, TableWorld, WorldConfig, random, read_team
 from halfseen.world.actions import VERB_NAMES, WAIT
 from halfseen.world.logs import states_of
 from halfseen.world.robot_checks import most_decisions, robots_in
 from picked import leaves_of, picked
-from small_logs import flat_log, table_log
 
-TABLE = str(table_paths()[5])
-ROBOT = '[[robot]]\nname = "{}"\nbase_m = [{}, 0.8]\nreach_m = 0.6\n'
-LEFT, RIGHT, BEHIND = ROBOT.format("left", -0.4), ROBOT.format("right", 0.4), ROBOT.format("behind", 0.0)
-FEW = ["--episodes", "40", "--horizon", "3", "--cut-share", "0.4", "--seed", "3"]
+FEW = ["--episodes", 40, "--horizon", 3, "--cut-share", 0.4, "--seed", 3]
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("team")
-    (folder / "two.toml").write_text("reward_per_s = -0.05\n" + LEFT + RIGHT)
-    (folder / "three.toml").write_text(LEFT + RIGHT + BEHIND)
-    flat_log().write(folder / "flat-logs")
-    tables = table_log()
-    tables.write(folder / "table-logs")
-    write_policy(CensoredQLearner.for_table(3, reg=0.1).fit(tables), tables, folder / "table-policy")
-    return folder
-
-
-@pytest.fixture(scope="module")
-def recorded(folder):
-    return run("simulate", TABLE, "--team", folder / "two.toml", "--out", folder / "logs", *FEW)
-
-
-@pytest.fixture(scope="module")
-def learned(folder, recorded):
-    return run("learn", folder / "logs", "--out", folder / "policy", "--reg", "0.1")
-
-
-def test_simulate_records_what_the_library_does(folder, recorded):
-    world = TableWorld.of(read_team(folder / "two.toml"), WorldConfig(horizon=3))
-    logs = read_logs(folder / "logs")
+def test_simulate_records_what_the_library_does(house, tmp_path):
+    world = TableWorld.of(read_team(house / "two.toml"), WorldConfig(horizon=3))
+    logs = read_logs(house / "team-logs")
     report = json.loads(
-        run("simulate", TABLE, "--team", folder / "two.toml", "--out", folder / "again", *FEW, "--json").stdout
+        run("simulate", TABLE, "--team", house / "two.toml", "--out", tmp_path / "again", *FEW, "--json").stdout
     )
-    assert read_logs(folder / "again").stages.equals(logs.stages)
-    assert (report["team"], report["robots"]) == (str(folder / "two.toml"), ["left", "right"])
+    assert read_logs(tmp_path / "again").stages.equals(logs.stages)
+    assert (report["team"], report["robots"]) == (str(house / "two.toml"), ["left", "right"])
     assert (robots_in(logs), most_decisions(logs, 2)) == (2, 3)
     assert 0.0 < logs.cut_share < 1.0
     from halfseen.perception import perceive, read_cloud
@@ -74,8 +48,8 @@ def test_simulate_records_what_the_library_does(folder, recorded):
     )
 
 
-def test_a_cell_takes_the_policy_of_as_many_arms(folder, learned):
-    config, name = WorldConfig(horizon=3), str(folder / "policy")
+def test_a_cell_takes_the_policy_of_as_many_arms(house, learned):
+    config, name = WorldConfig(horizon=3), str(house / "team-policy")
     stored = read_policy(name).policy
     for ours, theirs in zip(*map(leaves_of, (team_policy_of(name, 0.0, config, 2), stored)), strict=True):
         np.testing.assert_array_equal(ours, theirs)
@@ -86,37 +60,39 @@ def test_a_cell_takes_the_policy_of_as_many_arms(folder, learned):
         team_policy_of(name, 0.0, config, 3)
 
 
-def test_a_robot_has_the_law_that_its_file_names(folder, refused):
+def test_a_robot_has_the_law_that_its_file_names(refused, tmp_path):
     law = read_law(shipped_law()).law
-    write_law(replace(law, limit_s=11.0), folder / "slow-law", {})
-    (folder / "laws.toml").write_text(LEFT + 'law = "slow-law"\n' + RIGHT + 'law = "assumed"\n' + BEHIND)
-    team = read_robots(folder / "laws.toml")
+    write_law(replace(law, limit_s=11.0), tmp_path / "slow-law", {})
+    (tmp_path / "laws.toml").write_text(LEFT + 'law = "slow-law"\n' + RIGHT + 'law = "assumed"\n' + BEHIND)
+    team = read_robots(tmp_path / "laws.toml")
     assert team is not None
     own, *others = team.robots
     assert own.grasping == replace(law.grasping, limit_s=11.0)
     assert [each.grasping for each in others] == [AssumedGrasping(), None]
     few = ["--episodes", "4", "--horizon", "2", "--json"]
-    told = run("simulate", TABLE, "--team", folder / "laws.toml", "--out", folder / "by-law", "--law", "shipped", *few)
+    told = run(
+        "simulate", TABLE, "--team", tmp_path / "laws.toml", "--out", tmp_path / "by-law", "--law", "shipped", *few
+    )
     assert json.loads(told.stdout)["robots"] == ["left", "right", "behind"]
-    (folder / "no-law.toml").write_text(LEFT + 'law = "asumed"\n')
-    told = refused("simulate", TABLE, "--team", folder / "no-law.toml", "--out", folder / "none")
-    assert f"{folder / 'no-law.toml'}: robot 0: law: asumed: there is no such folder" in told
+    (tmp_path / "no-law.toml").write_text(LEFT + 'law = "asumed"\n')
+    told = refused("simulate", TABLE, "--team", tmp_path / "no-law.toml", "--out", tmp_path / "none")
+    assert f"{tmp_path / 'no-law.toml'}: robot 0: law: asumed: there is no such folder" in told
     assert "did you mean 'assumed'?" in told
 
 
-def test_learn_says_for_how_many_robots_and_keeps_it(folder, learned):
+def test_learn_says_for_how_many_robots_and_keeps_it(house, learned):
     lines = learned.stdout.splitlines()
     assert "looks at    tables of 2 robots, and what each is at; it decides for whichever is free" in lines
     assert "Q           linear, stages pooled, horizon 6, 3 decisions of each robot" in lines
-    assert lines[-1] == f"Next: halfseen evaluate {folder / 'policy'} --world --team ROBOTS"
+    assert lines[-1] == f"Next: halfseen evaluate {house / 'team-policy'} --world --team ROBOTS"
     assert learned.stderr == ""
-    stored = read_policy(folder / "policy")
+    stored = read_policy(house / "team-policy")
     assert (stored.num_robots, stored.horizon, stored.is_table) == (2, 6, False)
     assert stored.verdict["sentence"] in lines
 
 
-def test_learn_learns_what_the_library_does_and_counts_what_it_takes(folder, learned):
-    logs, stored = read_logs(folder / "logs"), read_policy(folder / "policy")
+def test_learn_learns_what_the_library_does_and_counts_what_it_takes(house, learned, tmp_path):
+    logs, stored = read_logs(house / "team-logs"), read_policy(house / "team-policy")
     by_hand = CensoredQLearner.for_team(2, 3, reg=0.1).fit(logs).policy_
     # A folder says nothing of verbs where all were seen.
     assert np.asarray(by_hand.is_seen).all()
@@ -124,7 +100,7 @@ def test_learn_learns_what_the_library_does_and_counts_what_it_takes(folder, lea
     for ours, theirs in zip(leaves_of(stored.policy), leaves_of(by_hand), strict=True):
         np.testing.assert_array_equal(ours, theirs)
     report = json.loads(
-        run("learn", folder / "logs", "--out", folder / "again-policy", "--reg", "0.1", "--json").stdout
+        run("learn", house / "team-logs", "--out", tmp_path / "again-policy", "--reg", "0.1", "--json").stdout
     )
     states, stages = states_of(logs, 6), logs.stages
     for row in report["actions"]:
@@ -140,18 +116,18 @@ def test_learn_learns_what_the_library_does_and_counts_what_it_takes(folder, lea
         assert row["num_states"] == len(at)
 
 
-def test_evaluate_plays_the_team_beside_the_rules(folder, learned):
-    options = ["--team", folder / "two.toml", "--episodes", "30", "--seed", "1"]
-    lines = run("evaluate", folder / "policy", TABLE, "--world", *options).stdout.splitlines()
+def test_evaluate_plays_the_team_beside_the_rules(house, learned):
+    options = ["--team", house / "two.toml", "--episodes", "30", "--seed", "1"]
+    lines = run("evaluate", house / "team-policy", TABLE, "--world", *options).stdout.splitlines()
     assert lines[0].startswith("It earns ")
     assert lines[2].startswith("30 episodes on 1 tables of the simulated world, by 2 robots (left, right); ")
     assert len(lines) == 9
-    report = json.loads(run("evaluate", folder / "policy", TABLE, "--world", *options, "--json").stdout)
+    report = json.loads(run("evaluate", house / "team-policy", TABLE, "--world", *options, "--json").stdout)
     assert report["robots"] == ["left", "right"]
     from halfseen.perception import perceive, read_cloud
 
-    world = TableWorld.of(read_team(folder / "two.toml"), WorldConfig(horizon=3))
-    scene, policy = perceive(read_cloud(TABLE)).scene(), read_policy(folder / "policy").policy
+    world = TableWorld.of(read_team(house / "two.toml"), WorldConfig(horizon=3))
+    scene, policy = perceive(read_cloud(TABLE)).scene(), read_policy(house / "team-policy").policy
     layouts = world.team.layouts([scene])
     from halfseen.world.rollout import evaluate
 
@@ -159,48 +135,3 @@ def test_evaluate_plays_the_team_beside_the_rules(folder, learned):
     totals = evaluate(world.played_config, layouts, policy, key, 30)
     assert report["value"]["value"] == pytest.approx(float(np.mean(totals.reward)), rel=1e-5)
     assert report["robot_s"]["value"] == pytest.approx(float(np.mean(totals.robot_s)), rel=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["simulate", "--out", "new", "--team", "none.toml"], "none.toml: cannot be read"),
-        (["simulate", "--out", "new", "--team", "broken.toml"], "broken.toml: there is no robot"),
-        (["learn", "logs", "--out", "new", "--horizon", "2"], "--horizon is 2, and a robot of the log has 3 decisions"),
-        (["learn", "logs", "--out", "new", "--grasp", "beta"], "--grasp is beta, and the log is of a team"),
-        (["learn", "no-counts", "--out", "new"], "there is no column '1_decisions_to_go'"),
-        (["learn", "spent", "--out", "new"], "are 0 at most, yet robots decide"),
-        (["act", "policy", TABLE], "policy: it decides for a team of 2 robots, which looks at what each robot is at"),
-        (["act", "table-policy", TABLE, "--history", "logs"], "logs: the log is of a team of 2, and the policy"),
-        (["evaluate", "policy", "--logs", "table-logs"], "the log is of one robot, and the policy decides for a team"),
-        (["evaluate", "table-policy", "--logs", "logs"], "the log is of a team of 2, and the policy decides for one"),
-        (["evaluate", "table-policy", "--logs", "table-logs", "--against", "policy"], "policy is for 2 robots"),
-        (["evaluate", "policy", "--logs", "logs", "--team", "two.toml"], "--team is two.toml, robots of the world"),
-        (["evaluate", "policy", "--world"], "policy: it decides for a team of 2, and nobody says which"),
-        (["evaluate", "policy", "--world", "--team", "three.toml"], "decides for a team of 2, and three.toml has one"),
-        (["evaluate", "table-policy", "--world", "--team", "two.toml"], "for one robot by itself, and two.toml has a"),
-        (["cell", "run", "--policy", "policy", "--out", "new"], "policy: it decides for a team of 2 robots, and one"),
-        (
-            ["cell", "run", "--policy", "policy", "--arms", "2", "--out", "new"],
-            "policy: it was learned for 3 decisions of each robot, and each arm here has 10; learn it with a horizon",
-        ),
-        (
-            ["cell", "run", "--policy", "table-policy", "--arms", "2", "--out", "new"],
-            "table-policy: it decides for one robot by itself, and 2 arms clear the table; learn one from logs of 2",
-        ),
-        (["report", "logs", "table-policy", "--out", "new.html"], "the log is of a team of 2, and the policy decides"),
-    ],
-)
-def test_what_does_not_fit_is_told_in_one_line_with_status_two(
-    folder, learned, refused, arguments, message, monkeypatch
-):
-    monkeypatch.chdir(folder)
-    logs = read_logs("logs")
-    (folder / "broken.toml").write_text("")
-    if "no-counts" in arguments:
-        Logs(logs.stages.drop(columns="1_decisions_to_go"), logs.paths, logs.objects).write("no-counts")
-    if "spent" in arguments:
-        none_left = {f"{r}_decisions_to_go": 0 for r in (0, 1)}
-        Logs(logs.stages.assign(**none_left), logs.paths, logs.objects).write("spent")
-    assert message in refused(*arguments)
-    assert not (folder / "new").exists()

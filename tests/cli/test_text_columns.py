@@ -42,9 +42,10 @@ def run(*words):
 
 
 def refused(kind, *words):
-    error = shell.refusal(*words)
-    assert isinstance(error, kind)
-    return str(error)
+    with pytest.raises(kind) as error:
+        run(*words)
+    assert "\n" not in str(error.value)
+    return str(error.value)
 
 
 def state(folder, name, text):

@@ -1,84 +1,19 @@
 """`halfseen watch`: bad input is told in one line; what is shown can be written to a file."""
 
-import socket
-import sys
-
 import numpy as np
 import pytest
 
-from halfseen.learning import CensoredQLearner
 from halfseen.logs import read_logs
 from halfseen.perception import perceive, read_cloud
-from halfseen.policies import write_policy
 from halfseen.scene import table_paths
 from halfseen.watch import read_recording
-from small_logs import flat_log, table_log
 
 TABLE = table_paths()[7]
 
 
-@pytest.fixture(scope="module")
-def policies(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("watch")
-    tables, flat = table_log(), flat_log()
-    write_policy(CensoredQLearner.for_table(3, reg=0.1).fit(tables), tables, folder / "tables")
-    learner = CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=0.1)
-    write_policy(learner.fit(flat), flat, folder / "flat")
-    flat.write(folder / "logs")
-    return folder
-
-
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        (["none.pcd"], "none.pcd: no such file or folder"),
-        ([TABLE, "--export", "film.mp4"], "film.mp4: an exported run ends in .html or .gif"),
-        ([TABLE, "--clouds", "somewhere"], "--clouds is of logs"),
-        ([TABLE, "--history", "logs"], "give a --policy"),
-        ([TABLE, "--policy", "nowhere"], "nowhere"),
-        ([TABLE, "--stages", "3-2"], "no span of stages"),
-        ([TABLE, "--stages", "1-2"], "--stages is 1-2, and there are 1"),
-    ],
-)
-def test_bad_input(refused, tmp_path, monkeypatch, words, told):
-    monkeypatch.chdir(tmp_path)
-    export = [] if "--export" in words else ["--export", "out.html"]
-    assert told in refused("watch", *words, *export)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_policy_of_other_things(refused, policies, tmp_path):
-    line = refused("watch", TABLE, "--policy", policies / "flat", "--export", tmp_path / "out.html")
-    assert "it is no policy of tables" in line
-
-
-def test_logs_without_clouds(refused, policies, tmp_path):
-    export = ["--export", tmp_path / "out.html"]
-    assert "logs hold no clouds" in refused("watch", policies / "logs", *export)
-    assert "no column 'cloud'" in refused("watch", policies / "logs", "--clouds", tmp_path, *export)
-    assert "has" in refused("watch", policies / "logs", "--clouds", tmp_path, "--path", 10_000, *export)
-
-
-def test_a_port_that_is_taken(typed):
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        port = taken.getsockname()[1]
-        status, out, err = typed("watch", TABLE, "--port", port)
-    assert (status, out, err.count("\n")) == (2, "", 1)
-    assert f"--port is {port}" in err
-
-
-def test_a_viewer_that_is_not_there(refused, monkeypatch, tmp_path):
-    monkeypatch.setitem(sys.modules, "viser", None)
-    assert "[watch]" in refused("watch", TABLE)
-    assert "[watch]" in refused("watch", TABLE, "--export", tmp_path / "out.html")
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_cloud_with_a_policy_is_written_as_a_page_and_a_picture(typed, policies, tmp_path):
+def test_a_cloud_with_a_policy_is_written_as_a_page_and_a_picture(typed, house, tmp_path):
     html, gif = tmp_path / "out.html", tmp_path / "out.gif"
-    done = typed("watch", TABLE, "--policy", policies / "tables", "--export", html, "--export", gif)
+    done = typed("watch", TABLE, "--policy", house / "table-policy", "--export", html, "--export", gif)
     assert (done.status, done.err) == (0, "")
     num_objects = len(perceive(read_cloud(TABLE)).objects)
     text = html.read_text(encoding="utf-8")

@@ -4,11 +4,14 @@ import struct
 import lzf
 import numpy as np
 import pytest
+from PIL import Image
 from plyfile import PlyData, PlyElement
 
-from drawn_tables import K
+from drawn_tables import Can, K, draw
 from halfseen.errors import CloudError
-from halfseen.perception import Cloud, read_cloud, write_pcd
+from halfseen.perception import XTION, Cloud, DepthSensor, perceive, read_cloud, write_pcd
+from halfseen.perception.picture import COLOURS, DOTS_PER_INCH, THUMBNAIL_INCHES, thumbnail
+from halfseen.perception.range_image import VIRTUAL_PIXEL_SCALE, range_image
 
 ROWS, COLUMNS = 4, 5
 
@@ -230,3 +233,61 @@ def test_a_missing_file_is_refused_and_what_is_no_file_is_named(tmp_path):
     (tmp_path / "link.npz").symlink_to("/dev/zero")
     with pytest.raises(CloudError, match="it is a device and no file, where the link leads"):
         read_cloud(tmp_path / "link.npz")
+
+
+def cloud_of(rng, num_points=1500):
+    """Points of few coordinates, so that rays and depths are shared by some."""
+    across = rng.integers(-20, 20, (num_points, 2)) / 32
+    depth = rng.integers(4, 7, num_points) / 4
+    return np.column_stack([across * depth[:, None], depth])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_pixel_has_the_nearest_of_its_points(seed):
+    rng = np.random.default_rng(seed)
+    points = cloud_of(rng)
+    image = range_image(Cloud(points))
+    pixels = image.points_m.reshape(-1, 3)
+    for pixel in range(len(pixels)):
+        its = points[image.pixel_of_point == pixel]
+        nearest = min(its[:, [2, 0, 1]].tolist(), default=[np.nan] * 3)
+        np.testing.assert_array_equal(pixels[pixel, [2, 0, 1]], nearest)
+    assert max(np.bincount(image.pixel_of_point[image.pixel_of_point >= 0])) > 1
+    again = range_image(Cloud(rng.permutation(points)))
+    np.testing.assert_array_equal(again.points_m, image.points_m)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_pixel_is_as_wide_as_rays_are_apart(seed):
+    points = cloud_of(np.random.default_rng(seed), 600)
+    rays = np.unique(points[:, :2] / points[:, 2:], axis=0)
+    apart = np.linalg.norm(rays[:, None] - rays, axis=2) + np.diag(np.full(len(rays), np.inf))
+    pitch = VIRTUAL_PIXEL_SCALE * np.median(apart.min(axis=1))
+    assert 1 / range_image(Cloud(points)).intrinsics[0, 0] == pytest.approx(pitch, rel=1e-12)
+
+
+def test_noise_grows_with_the_square_of_the_distance_from_a_floor_on():
+    assert isinstance(XTION, DepthSensor)
+    np.testing.assert_allclose(XTION.noise_m(np.array([0.1, 1.0, 2.0])), [0.001, 0.003, 0.012])
+
+
+def pixels_of(view):
+    with Image.open(io.BytesIO(thumbnail(view))) as image:
+        return np.asarray(image.convert("RGB"), dtype=float) / 255.0
+
+
+def is_colour(pixels, place):
+    wanted = np.array([int(COLOURS[place][k : k + 2], 16) for k in (1, 3, 5)]) / 255.0
+    return np.abs(pixels - wanted).max(axis=-1) < 0.02
+
+
+@pytest.mark.parametrize("places_m", [[(0.0, 0.0)], [(-0.2, 0.0), (0.2, 0.1)], [(0.0, -0.15), (0.02, 0.2)]])
+def test_all_objects_are_within_the_frame_and_fill_it(places_m):
+    view = perceive(draw(*(Can(*place) for place in places_m)).cloud)
+    pixels = pixels_of(view)
+    assert pixels.shape[:2] == (THUMBNAIL_INCHES[1] * DOTS_PER_INCH, THUMBNAIL_INCHES[0] * DOTS_PER_INCH)
+    outlines = np.logical_or.reduce([is_colour(pixels, place) for place in range(len(places_m))])
+    inner = outlines[1:-1, 1:-1]
+    assert inner.sum() == outlines.sum()
+    extents = [np.ptp(each) / size for each, size in zip(np.nonzero(outlines), outlines.shape, strict=True)]
+    assert max(extents) > 0.75

@@ -1,5 +1,6 @@
 """Labels by counting stained pixels, beside what was drawn on the cups."""
 
+import json
 from dataclasses import replace
 from functools import cache
 
@@ -7,9 +8,14 @@ import numpy as np
 import pytest
 from scores import matched
 
-from halfseen.errors import CloudError
-from halfseen.perception import Cloud, StainCounter, perceive
-from halfseen.scene import Stain, Surface, capture, draw_surface, random_table, read_table
+from drawn_boxes import boxes_cloud
+from drawn_tables import Can, draw
+from halfseen.errors import ArgumentError, CloudError
+from halfseen.perception import Cloud, Label, LabelFile, Labeller, StainCounter, perceive, read_cloud, read_labels
+from halfseen.perception.kind import HIGHEST_M, LOWEST_M, other_things, other_things_in_words
+from halfseen.perception.labels import share_in_view
+from halfseen.perception.solids import Hull
+from halfseen.scene import Stain, Surface, capture, draw_surface, random_table, read_table, table_paths
 from halfseen.scene.colours import is_within
 from halfseen.scene.stains import SURFACES
 from halfseen.scene.view import table_view
@@ -218,3 +224,100 @@ def test_one_colour_in_any_light_has_no_stain():
     light = np.linspace(0.3, 1.0, 500)[:, None]
     for glaze in (*SURFACES.glazes, *SURFACES.stain_colours):
         assert not StainCounter().is_stained(np.rint(light * glaze).astype(np.uint8)).any()
+
+
+ROWS = [{"object": 2, "label": "unknown"}, {"object": 0, "label": "dirty", "share_in_view": 0.25}]
+ROWS += [{"object": 1, "label": "clean"}]
+TOLD = (Label(True, 0.25), Label(False), Label(None))
+
+
+def test_csv_and_json_say_the_same(tmp_path):
+    (tmp_path / "a.csv").write_text("\ufefflabel, object, share_in_view\nunknown,2,\ndirty,0,0.25\n\nclean,1,\n")
+    (tmp_path / "a.json").write_text(json.dumps(ROWS))
+    assert read_labels(tmp_path / "a.csv", 3) == read_labels(tmp_path / "a.json", 3) == TOLD
+
+
+def test_the_share_in_view_is_that_of_the_view_unless_the_file_says(tmp_path):
+    drawn = draw(Can(-0.15, 0.0), Can(0.15, 0.0), Can(0.0, 0.1))
+    view = perceive(drawn.cloud)
+    assert len(view.objects) == 3
+    (tmp_path / "a.json").write_text(json.dumps(ROWS))
+    labeller = LabelFile(tmp_path / "a.json")
+    assert isinstance(labeller, Labeller)
+    labels = labeller(view, drawn.cloud)
+    assert [label.word for label in labels] == ["dirty", "clean", "unknown"]
+    assert [label.share_in_view for label in labels] == [0.25, *(share_in_view(seen) for seen in view.objects[1:])]
+
+
+BAD = {
+    "word": ("a.csv", "object,label\n0,filthy\n1,clean\n", "row 1: label is 'filthy'; give dirty, clean, unknown"),
+    "empty word": ("a.csv", "object,label\n0,\n1,clean\n", "row 1: label is ''"),
+    "word of another kind": ("a.json", '[{"object": 0, "label": ["dirty"]}]', r"row 1: label is \['dirty'\]"),
+    "missing": ("a.csv", "object,label\n0,dirty\n", "object 1 of 2 has no label"),
+    "twice": ("a.csv", "object,label\n0,dirty\n0,clean\n", "row 2: object 0 is labelled before"),
+    "too many": ("a.csv", "object,label\n0,dirty\n1,clean\n2,clean\n", "row 3: object is '2', and the view has"),
+    "negative": ("a.json", '[{"object": -1, "label": "dirty"}]', "row 1: object is -1"),
+    "no number": ("a.csv", "object,label\nmug,dirty\n", "row 1: object is 'mug'"),
+    "true": ("a.json", '[{"object": true, "label": "dirty"}]', "row 1: object is True"),
+    "share": ("a.csv", "object,label,share_in_view\n0,dirty,1.5\n", "row 1: share_in_view is '1.5'"),
+    "share as text": ("a.json", '[{"object": 0, "label": "dirty", "share_in_view": "all"}]', "share_in_view is 'all'"),
+    "share of another kind": ("a.json", '[{"object": 0, "label": "dirty", "share_in_view": []}]', "share_in_view is"),
+    "no head": ("a.csv", "0,dirty\n1,clean\n", "row 1 has 0, dirty; it has object, label"),
+    "no label": ("a.csv", "object\n0\n", "row 1 has object; it has object, label"),
+    "more columns": ("a.csv", "object,label,colour\n0,dirty,red\n", "row 1 has object, label, colour"),
+    "ragged": ("a.csv", "object,label\n0,dirty,1\n", "row 1 has 3 cells, and the first line 2"),
+    "empty": ("a.csv", "", "object 0 of 2 has no label"),
+    "no list": ("a.json", '{"object": 0, "label": "dirty"}', "it is no list of objects"),
+    "no JSON": ("a.json", "{", "it cannot be read as labels"),
+    "binary": ("a.csv", b"\xff\xfe\x00", "it cannot be read as labels"),
+    "suffix": ("a.txt", "object,label\n0,dirty\n", r"ends in \.csv or \.json"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_files_are_refused_in_one_line(tmp_path, case):
+    name, content, message = BAD[case]
+    (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(ArgumentError, match=message) as caught:
+        read_labels(tmp_path / name, 2)
+    assert name in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.fixture(scope="module")
+def cups():
+    return perceive(read_cloud(table_paths()[7]))
+
+
+def changed(view, **of):
+    """The view with some objects of another kind, by number: a Hull, or a height [m]."""
+    objects = [
+        replace(seen, solid=Hull(np.eye(3))) if of.get(f"o{seen.id}") == "hull" else seen for seen in view.objects
+    ]
+    heights = {k: h for k, h in ((seen.id, of.get(f"o{seen.id}")) for seen in objects) if isinstance(h, float)}
+    return replace(view, objects=tuple(replace(one, height_m=heights.get(one.id, one.height_m)) for one in objects))
+
+
+def test_boxes_are_no_cups():
+    view = perceive(boxes_cloud())
+    assert len(view.objects) == 2
+    assert other_things(view) == (0, 1)
+    assert other_things_in_words(view) == (
+        "this is no table of cups, and of other things nothing was learned: 0 is no vessel by its shape; 1 is no "
+        "vessel by its shape"
+    )
+
+
+def test_a_height_that_no_cup_has_is_enough(cups):
+    assert other_things(changed(cups, o2=HIGHEST_M + 0.01)) == (2,)
+    view = changed(cups, o0=LOWEST_M - 0.01)
+    assert other_things_in_words(view) == (
+        "not all on this table are cups, and of other things nothing was learned: 0 is 0.035 m high (a cup 0.045 to "
+        "0.17)"
+    )
+
+
+def test_one_shape_among_cups_may_be_two_cups_that_were_taken_for_one(cups):
+    assert other_things(changed(cups, o3="hull")) == ()
+    assert other_things(changed(cups, o3="hull", o4="hull")) == (3, 4)
+    assert other_things(changed(cups, o3="hull", o4=0.3)) == (3, 4)

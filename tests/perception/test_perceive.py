@@ -1,14 +1,22 @@
 import subprocess
 import sys
 from contextlib import suppress
+from itertools import permutations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial import ConvexHull
+from scores import Scores
+from skimage.draw import polygon2mask
 
 from drawn_tables import DOWN_RAD, EYE_M, TABLE_FROM_CAMERA, Can, Drawn, camera_point, draw
 from halfseen.errors import CloudError
 from halfseen.perception import Cloud, View, perceive, read_cloud
-from halfseen.scene import table_paths
+from halfseen.perception.polygons import convex_pixels
+from halfseen.perception.tracking import FARTHEST_M, matched
+from halfseen.scene import capture, random_table, read_truth, table_paths
 from halfseen.world.scene import Scene
 
 
@@ -258,3 +266,99 @@ def no_table(kind):
 def test_what_shows_no_table_is_refused(kind, message):
     with pytest.raises(CloudError, match=message):
         perceive(no_table(kind))
+
+
+SHAPE = (50, 60)
+
+
+@pytest.mark.parametrize("err_px", [None, 0.0, 1e-13, 1e-7], ids=["anywhere", "on pixels", "nearly", "about"])
+@given(seed=st.integers(0, 2**32 - 1))
+def test_the_same_pixels_as_asking_each(err_px, seed):
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-10, 70, (rng.integers(4, 30), 2))
+    if err_px is not None:
+        points = np.round(points) + err_px * rng.normal(size=points.shape)
+    corners = points[ConvexHull(points).vertices]
+    np.testing.assert_array_equal(convex_pixels(corners, SHAPE), np.flatnonzero(polygon2mask(SHAPE, corners[:, ::-1])))
+
+
+@pytest.mark.parametrize("shift_px", [(-200.0, 0.0), (200.0, 0.0), (0.0, -200.0), (0.0, 200.0)])
+def test_a_polygon_beside_the_image_has_none(shift_px):
+    corners = np.array([[10.0, 10.0], [20.0, 10.0], [20.0, 20.0]])
+    assert len(convex_pixels(corners, SHAPE))
+    assert not len(convex_pixels(corners + shift_px, SHAPE))
+
+
+PLACES = st.lists(st.tuples(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3)), min_size=0, max_size=4, unique=True).map(
+    lambda places: np.array([[*place, 0.05] for place in places]).reshape(-1, 3)
+)
+
+
+def best_by_hand(before_m, now_m):
+    """Least total price over all ways to match or lose each object."""
+    slots = [*range(len(now_m)), *[-1] * len(before_m)]
+    prices = [
+        sum(FARTHEST_M if which < 0 else np.linalg.norm(before_m[k] - now_m[which]) for k, which in enumerate(order))
+        for order in permutations(slots, len(before_m))
+    ]
+    return min(prices)
+
+
+@given(PLACES, PLACES)
+def test_the_match_is_the_cheapest_of_all(before_m, now_m):
+    found = matched(before_m, now_m)
+    used = [which for which in found.now.tolist() if which >= 0]
+    assert len(set(used)) == len(used)
+    price = sum(
+        FARTHEST_M if which < 0 else np.linalg.norm(before_m[k] - now_m[which]) for k, which in enumerate(found.now)
+    )
+    assert price <= best_by_hand(before_m, now_m) + 1e-9
+    assert sorted([*used, *found.new(len(now_m))]) == list(range(len(now_m)))
+
+
+def test_order_does_not_matter_lost_objects_are_lost_and_new_ones_new():
+    before_m = np.array([[0.0, 0.0, 0.05], [0.1, 0.0, 0.05], [-0.2, 0.1, 0.05]])
+    now_m = np.array([[0.102, 0.001, 0.05], [0.25, -0.2, 0.05], [0.001, 0.0, 0.05]])
+    found = matched(before_m, now_m)
+    assert found.now.tolist() == [2, 0, -1]
+    assert found.new(3) == [1]
+    assert not found.is_doubtful.any()
+
+
+def test_one_that_was_knocked_is_found_again_and_two_that_may_be_swapped_are_doubtful():
+    before_m = np.array([[0.0, 0.0, 0.05], [0.3, 0.0, 0.05]])
+    assert matched(before_m, np.array([[0.3, 0.0, 0.05], [0.1, 0.1, 0.03]])).now.tolist() == [1, 0]
+    near_m = np.array([[0.0, 0.0, 0.05], [0.06, 0.0, 0.05]])
+    moved = matched(near_m, np.array([[0.025, 0.0, 0.05], [0.045, 0.0, 0.05]]))
+    assert moved.now.tolist() == [0, 1]
+    assert moved.is_doubtful.all()
+
+
+# Tables that no threshold was chosen on.
+FRESH_SEEDS = range(60_000, 60_020)
+
+
+@pytest.mark.slow
+def test_shipped_tables_are_seen_as_they_are():
+    scores = Scores()
+    for number, path in enumerate(table_paths()):
+        scores.add(perceive(read_cloud(path)), read_truth(number))
+    assert scores.num_found == scores.num_cups
+    assert scores.num_false == 0
+    assert scores.mean_error < 0.04
+    assert scores.rank_correlation > 0.95
+    assert np.mean(scores.is_pose_right) > 0.97
+
+
+@pytest.mark.slow
+def test_fresh_tables_are_seen_as_they_are(capsys):
+    scores = Scores()
+    for seed in FRESH_SEEDS:
+        seen = capture(random_table(seed), seed)
+        scores.add(perceive(seen.cloud), seen.truth)
+    with capsys.disabled():
+        print(f"\n20 random tables: {scores}")
+    assert scores.num_found >= 0.98 * scores.num_cups
+    assert scores.num_false <= 0.01 * scores.num_cups
+    assert scores.mean_error < 0.03
+    assert scores.rank_correlation > 0.96

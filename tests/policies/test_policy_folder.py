@@ -1,5 +1,4 @@
 import contextlib
-import hashlib
 import json
 from copy import copy
 from dataclasses import replace
@@ -8,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-import safetensors.numpy
+from policy_folders import edit, edit_arrays, sign, told
 
 from halfseen.arrays import mapped
 from halfseen.errors import ArgumentError, PolicyError
@@ -64,34 +63,6 @@ def written(flat, flat_fitted, tmp_path):
 def of_tables(tables, tables_fitted, tmp_path):
     write_policy(tables_fitted, tables, tmp_path / "tables")
     return tmp_path / "tables"
-
-
-def told(folder):
-    """The refusal of a folder, which is one line."""
-    with pytest.raises(PolicyError) as refused:
-        read_policy(folder)
-    assert "\n" not in str(refused.value)
-    return str(refused.value)
-
-
-def sign(folder):
-    lines = [f"{hashlib.sha256((folder / name).read_bytes()).hexdigest()}  {name}\n" for name in (RECORD, ARRAYS)]
-    (folder / DIGESTS).write_text("".join(lines))
-
-
-def edit(folder, change):
-    """Change policy.json and sign it anew, as another program might."""
-    record = json.loads((folder / RECORD).read_text())
-    change(record)
-    (folder / RECORD).write_text(json.dumps(record))
-    sign(folder)
-
-
-def edit_arrays(folder, change):
-    arrays = {name: array.copy() for name, array in safetensors.numpy.load((folder / ARRAYS).read_bytes()).items()}
-    change(arrays)
-    (folder / ARRAYS).write_bytes(safetensors.numpy.save(arrays))
-    sign(folder)
 
 
 @pytest.mark.parametrize(

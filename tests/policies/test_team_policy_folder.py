@@ -1,12 +1,11 @@
 """Policies of teams in folders: back to the last bit, checked, and refused where one robot's is needed."""
 
-import hashlib
 import json
 from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-import safetensors.numpy
+from policy_folders import edit, edit_arrays, told
 
 from halfseen.errors import ArgumentError, PolicyError
 from halfseen.learning import CensoredQLearner
@@ -41,36 +40,6 @@ def learner(logs):
 def written(logs, learner, tmp_path):
     write_policy(learner, logs, tmp_path / "policy")
     return tmp_path / "policy"
-
-
-def edit_alone(folder, change):
-    edit(folder, lambda record: change(record["schema"]["alone"]))
-
-
-def told(folder):
-    with pytest.raises(PolicyError) as refused:
-        read_policy(folder)
-    assert "\n" not in str(refused.value)
-    return str(refused.value)
-
-
-def sign(folder):
-    lines = [f"{hashlib.sha256((folder / name).read_bytes()).hexdigest()}  {name}\n" for name in (RECORD, ARRAYS)]
-    (folder / DIGESTS).write_text("".join(lines))
-
-
-def edit(folder, change):
-    record = json.loads((folder / RECORD).read_text())
-    change(record)
-    (folder / RECORD).write_text(json.dumps(record))
-    sign(folder)
-
-
-def edit_arrays(folder, change):
-    arrays = {name: array.copy() for name, array in safetensors.numpy.load((folder / ARRAYS).read_bytes()).items()}
-    change(arrays)
-    (folder / ARRAYS).write_bytes(safetensors.numpy.save(arrays))
-    sign(folder)
 
 
 def q_values(policy, logs):
@@ -141,6 +110,9 @@ def test_who_does_not_say_for_how_many_robots_is_not_written(learner):
         (lambda r: r["schema"]["seen"][0].append("PUSH"), "seen is"),
         (lambda r: r.update(seen=[{}]), "seen does not give the range of num_objects"),
         (lambda r: r.update(kind="table"), "the policy looks at features"),
+        (lambda r: r["schema"]["alone"].pop(), "it tells of each of 2 robots"),
+        (lambda r: r["schema"]["alone"][0].update(horizon=4), "asks for float32 of shape [4, "),
+        (lambda r: r["schema"]["alone"][1].update(features={}), "the policy looks at features {}"),
     ],
 )
 def test_a_record_that_does_not_fit_is_refused(written, change, message):
@@ -162,6 +134,10 @@ def test_a_record_that_does_not_fit_is_refused(written, change, message):
             "array 'behaviour' is float32 of shape",
         ),
         (lambda a: a.update(more=np.zeros(2, dtype=np.float32)), "'more' is none that a policy has"),
+        (lambda a: a.pop("alone.1.coefficients"), "array 'coefficients' is missing"),
+        (lambda a: a.update({"alone.2.coefficients": a["coefficients"]}), "belongs to no robot"),
+        (lambda a: a.update(caution=np.float32([1.0, 2.0])), "caution is [1.0, 2.0]"),
+        (lambda a: a.update(caution=np.array(-1.0, np.float32)), "caution is -1.0"),
     ],
 )
 def test_arrays_that_do_not_fit_are_refused(written, change, message):
@@ -210,33 +186,6 @@ def test_what_is_improved_upon_comes_back(written, logs, learner):
     assert (len(again.base.policies), float(again.caution)) == (2, float(learner.policy_.caution))
     np.testing.assert_array_equal(decisions(again, states), decisions(learner.policy_, states))
     np.testing.assert_array_equal(decisions(again.base, states), decisions(learner.policy_.base, states))
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda alone: alone.pop(), "it tells of each of 2 robots"),
-        (lambda alone: alone[0].update(horizon=4), "asks for float32 of shape [4, "),
-        (lambda alone: alone[1].update(features={}), "the policy looks at features {}"),
-    ],
-)
-def test_a_record_of_what_is_improved_upon_that_does_not_fit_is_refused(written, change, message):
-    edit_alone(written, change)
-    assert message in told(written)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda arrays: arrays.pop("alone.1.coefficients"), "array 'coefficients' is missing"),
-        (lambda arrays: arrays.update({"alone.2.coefficients": arrays["coefficients"]}), "belongs to no robot"),
-        (lambda arrays: arrays.update(caution=np.float32([1.0, 2.0])), "caution is [1.0, 2.0]"),
-        (lambda arrays: arrays.update(caution=np.array(-1.0, np.float32)), "caution is -1.0"),
-    ],
-)
-def test_arrays_of_what_is_improved_upon_that_do_not_fit_are_refused(written, change, message):
-    edit_arrays(written, change)
-    assert message in told(written)
 
 
 def test_a_base_of_code_is_not_written(logs, learner, tmp_path):

@@ -3,13 +3,18 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from tiny import SETTING
 
 from halfseen.errors import ArgumentError
 from halfseen.learning import CensoredQLearner
+from halfseen.planners import POMDPPolicy
 from halfseen.study.pipeline import TREATMENTS, Source, episodes_in_turn
-from halfseen.study.policies import HEURISTICS, horizon_planner
+from halfseen.study.policies import COLOURS, HEURISTICS, Kind, horizon_planner, planner
+from halfseen.study.runner import MOST_AT_ONCE, in_rows
+from halfseen.study.tried import tried_in
+from halfseen.tables import attempts
 from halfseen.world import Scene, UniformPolicy, WorldConfig, random
 from halfseen.world.cuts import CutEpisodes
 from halfseen.world.logs import to_logs
@@ -139,3 +144,33 @@ def test_what_is_played_of_some_episodes_is_what_is_played_of_all():
         together, some = source.evaluate(policy, 6), source.evaluate_some(policy, [1, 4, 5])
         for ours, other in zip(some, together.on([1, 4, 5]), strict=True):
             np.testing.assert_allclose(ours, other, atol=1e-4)
+
+
+def test_planners_are_planners_and_drawn_as_such():
+    for who in (planner(128), horizon_planner(3, 128)):
+        assert who.kind == Kind.PLANNER
+        assert who.colour == COLOURS[Kind.PLANNER] != COLOURS[Kind.HEURISTIC]
+        assert isinstance(who.policy(SETTING.world), POMDPPolicy)
+    to_the_end = planner(128).policy(SETTING.world)
+    assert (to_the_end.planning_horizon, to_the_end.num_simulations) == (SETTING.world.horizon, 128)
+
+
+@pytest.mark.parametrize(("num", "num_workers"), [(0, 2), (1, 2), (40, 2), (41, 3), (10_000, 2), (10_000, 1000)])
+def test_rows_of_repetitions_hold_each_of_them_once_and_are_enough_for_all_workers(num, num_workers):
+    rows = in_rows(list(range(num)), num_workers)
+    assert [index for row in rows for index in row] == list(range(num))
+    assert all(1 <= len(row) <= MOST_AT_ONCE for row in rows)
+    assert len(rows) >= min(num, 8 * num_workers)
+
+
+@pytest.mark.parametrize("kind", ["independent", "attempt"])
+def test_they_are_what_is_read_from_the_log(kind):
+    source = Source(SETTING.world, SETTING.layouts, 0, 3)
+    cuts = source.cut(source.play(40), source.cut_rate(0.5, kind), kind)
+    tried = tried_in(cuts)
+    read = attempts(to_logs(cuts, kind, SETTING.scenes), SETTING.world.horizon)
+    assert len(tried) > 40
+    assert 0 < (~tried["is_finished"]).sum() < len(tried)
+    pd.testing.assert_frame_equal(tried.drop(columns="object"), read.drop(columns="object"), check_dtype=False)
+    same = (np.equal.outer(each["object"].to_numpy(), each["object"].to_numpy()) for each in (tried, read))
+    np.testing.assert_array_equal(*same)
