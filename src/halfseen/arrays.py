@@ -143,6 +143,8 @@ def _up_to(values: Any, num_axes: int) -> Any:
 def at(values: Any, index: Any) -> Any:
     """``values[..., index]`` for each member of a batch, an index each."""
     xp = library_of(values, index)
+    if values.ndim == 2 and np.ndim(index) == 1:
+        return values[np.arange(len(values)), index]
     index = xp.broadcast_to(index, values.shape[:-1])
     return xp.take_along_axis(values, index[..., None], axis=-1)[..., 0]
 

@@ -153,7 +153,8 @@ class AssumedSeeing:
         is_right = random.uniform(key, accuracy.shape[-1]) < accuracy
         xp = library_of(accuracy)
         evidence = xp.log(accuracy) - xp.log(1.0 - accuracy)
-        return Told(log_odds + xp.where(is_dirty == is_right, evidence, -evidence), glimpse.seen, trait)
+        sign = np.float32(2.0) * (is_dirty == is_right) - np.float32(1.0)
+        return Told(log_odds + sign * evidence, glimpse.seen, trait)
 
     def accuracy(self, occluded: Any) -> Any:
         """Probability that a label is right."""
