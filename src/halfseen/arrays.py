@@ -149,6 +149,11 @@ def at(values: Any, index: Any) -> Any:
     return xp.take_along_axis(values, index[..., None], axis=-1)[..., 0]
 
 
+def first_last(values: Any) -> Any:
+    """The first axis behind all others; no number is moved in memory."""
+    return values.transpose(*range(1, values.ndim), 0)
+
+
 def stacked(trees: list[Tree], axis: int = 0) -> Tree:
     """Stack records of one kind."""
     return mapped(lambda *leaves: library_of(*leaves).stack(leaves, axis=axis), *trees)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt32
 
-from halfseen.arrays import library_of
+from halfseen.arrays import first_last, library_of
 
 Key = UInt32[Any, "*B 2"]
 
@@ -39,8 +39,7 @@ def fold_in(key: UInt32[Any, "*#B 2"], number: Int[Any, "*#B"] | int) -> UInt32[
     xp = library_of(key, number)
     word, one, other = xp.asarray(number).astype(np.uint32), key[..., 0], key[..., 1]
     word = word.reshape((1,) * (max(one.ndim - word.ndim, 0) + 1) + word.shape)
-    words = xp.stack(_threefry(one, other, word))[:, 0]
-    return xp.moveaxis(words, 0, -1)
+    return first_last(xp.stack(_threefry(one, other, word))[:, 0])
 
 
 def split(key: Key, num: int = 2) -> tuple[Key, ...]:
@@ -125,7 +124,7 @@ def _words(key: Key, shape: tuple[int, ...]) -> UInt32[Any, "*S"]:
     count = xp.arange(num, dtype=np.uint32).reshape((num,) + (1,) * one.ndim)
     first, second = _threefry(one, other, count)
     # Laid out as `state.batch_last` has it.
-    return xp.moveaxis(first ^ second, 0, -1).reshape(key.shape[:-1] + shape)
+    return first_last(first ^ second).reshape(key.shape[:-1] + shape)
 
 
 def _threefry(one: Any, other: Any, second: Any) -> tuple[Any, Any]:

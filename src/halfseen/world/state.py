@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from halfseen.arrays import Array, library_of, record
+from halfseen.arrays import Array, first_last, library_of, record
 from halfseen.errors import ArgumentError, SceneError
 from halfseen.world.config import WorldConfig
 from halfseen.world.scene import Scene
@@ -259,7 +259,7 @@ def numbered(number: Int[Array, "*B"], num: int) -> Bool[Array, "*B k"]:
     """Which of 0 to num − 1 each number is."""
     xp = library_of(number)
     number = xp.asarray(number)
-    return xp.moveaxis(xp.arange(num).reshape((num,) + (1,) * number.ndim) == number, 0, -1)
+    return first_last(xp.arange(num).reshape((num,) + (1,) * number.ndim) == number)
 
 
 def check_goes_on(state: TableState) -> None:
