@@ -13,7 +13,7 @@ from halfseen.cell.calibration.labels_figure import Count, counted
 from halfseen.cell.calibration.law_folder import read_law, write_law
 from halfseen.cell.calibration.trials import trials
 from halfseen.perception.labels import FACING_SHARE
-from halfseen.world.persistent_seeing import PersistentSeeing
+from halfseen.world.seeing import PersistentSeeing
 
 PICTURES = {"held.svg", "held.png", "labels.svg", "labels.png"}
 

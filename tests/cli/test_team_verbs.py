@@ -20,8 +20,8 @@ from halfseen.policies.folder import read_policy, write_policy
 from halfseen.scene import table_paths
 from halfseen.world import AssumedGrasping, ExploringPolicy, TableWorld, WorldConfig, random, read_team
 from halfseen.world.actions import VERB_NAMES, WAIT
+from halfseen.world.log_checks import most_decisions, robots_in
 from halfseen.world.logs import states_of
-from halfseen.world.robot_checks import most_decisions, robots_in
 from picked import leaves_of, picked
 from small_logs import flat_log, table_log
 

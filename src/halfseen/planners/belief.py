@@ -14,8 +14,7 @@ from jaxtyping import Bool, Float, Int
 from halfseen.arrays import Array, first_last, library_of, record, softmax
 from halfseen.errors import ArgumentError
 from halfseen.world.config import WorldConfig
-from halfseen.world.grasping import KnownGrasping
-from halfseen.world.grasping_by_robot import GraspingByRobot
+from halfseen.world.grasping import GraspingByRobot, KnownGrasping
 from halfseen.world.seeing import KnownSeeing
 from halfseen.world.state import TableState, occlusion_by
 

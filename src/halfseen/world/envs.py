@@ -237,10 +237,10 @@ def _robot_spaces(table: TableInPlay) -> dict[str, Any]:
 
 
 def _longest_s(config: WorldConfig) -> float:
-    """Bound on what a robot may be at: the longest attempt of one, or a wait for it [s]."""
+    """Bound on what a robot may be at: the longest attempt of one, or a wait for it, added up with rounding [s]."""
     worlds = (config.as_robot(robot) for robot in range(config.num_robots))
     longest_s = (float(world.grasping.limit_s + world.transport_s) for world in worlds)
-    return float(np.ceil(max(each / float(speed) for each, speed in zip(longest_s, config.speed, strict=True))))
+    return float(np.floor(max(each / float(speed) for each, speed in zip(longest_s, config.speed, strict=True))) + 1.0)
 
 
 def _largest_log_odds(config: WorldConfig, num_looks: int) -> float:
