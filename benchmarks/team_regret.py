@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from halfseen.planners.exact_team import TeamOptimum, solve_team
+from halfseen.planners.futures import RolloutPolicy
 from halfseen.planners.grid_grasping import GridGrasping
 from halfseen.planners.heuristics import GreedyPolicy
-from halfseen.planners.multi_agent_rollout import RolloutPolicy
 from halfseen.planners.myopic import MyopicPolicy
 from halfseen.planners.rules import OneAtATime, ReservingPolicy, RoundRobin, TeamOfRules
 from halfseen.tables.independent import IndependentPolicies

@@ -143,8 +143,15 @@ def _up_to(values: Any, num_axes: int) -> Any:
 def at(values: Any, index: Any) -> Any:
     """``values[..., index]`` for each member of a batch, an index each."""
     xp = library_of(values, index)
+    if values.ndim == 2 and np.ndim(index) == 1:
+        return values[np.arange(len(values)), index]
     index = xp.broadcast_to(index, values.shape[:-1])
     return xp.take_along_axis(values, index[..., None], axis=-1)[..., 0]
+
+
+def first_last(values: Any) -> Any:
+    """The first axis behind all others; no number is moved in memory."""
+    return values.transpose(*range(1, values.ndim), 0)
 
 
 def stacked(trees: list[Tree], axis: int = 0) -> Tree:

@@ -29,8 +29,8 @@ from halfseen.scene.xtion import xtion_at
 from halfseen.workers import Workers
 from halfseen.world import ActionSpace, Scene, Verb, WorldConfig, random
 from halfseen.world.logs import states_of
-from halfseen.world.persistent_seeing import PersistentSeeing
 from halfseen.world.policy import surely
+from halfseen.world.seeing import PersistentSeeing
 from halfseen.world.state import attempt_counts
 
 CAMERA = xtion_at(look_at(np.array([0.0, -0.78, 1.24]), np.array([0.0, 0.0, TABLE_TOP_M])))

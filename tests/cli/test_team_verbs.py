@@ -20,8 +20,8 @@ from halfseen.planners.rules import ReservingPolicy
 from halfseen.policies.folder import read_policy
 from halfseen.world import AssumedGrasping, ExploringPolicy, TableWorld, WorldConfig, random, read_team
 from halfseen.world.actions import VERB_NAMES, WAIT
+from halfseen.world.log_checks import most_decisions, robots_in
 from halfseen.world.logs import states_of
-from halfseen.world.robot_checks import most_decisions, robots_in
 from picked import leaves_of, picked
 
 FEW = ["--episodes", 40, "--horizon", 3, "--cut-share", 0.4, "--seed", 3]

@@ -7,10 +7,10 @@ import pytest
 from naive_planner import CONFIG, Cup
 
 from halfseen.errors import ArgumentError
-from halfseen.planners import POMDPPolicy, anytime, plan
-from halfseen.planners.anytime import BATCH, LOOKS_PER_STEP
+from halfseen.planners import POMDPPolicy, plan, pomdp
 from halfseen.planners.belief import belief_of
 from halfseen.planners.one_step import one_step_q
+from halfseen.planners.pomdp import BATCH, LOOKS_PER_STEP
 from halfseen.world import random
 from halfseen.world.actions import FINISH
 from tables import state_of
@@ -36,10 +36,10 @@ class Clock:
 
     def __init__(self, monkeypatch, slower=1.0):
         self.now_s, self.chunks, self.slower = 100.0, [], slower
-        monkeypatch.setattr(anytime.time, "perf_counter", lambda: self.now_s)
-        self.opened, self.grown = anytime.opened, anytime._grown
-        monkeypatch.setattr(anytime, "opened", self.open)
-        monkeypatch.setattr(anytime, "_grown", self.grow)
+        monkeypatch.setattr(pomdp.time, "perf_counter", lambda: self.now_s)
+        self.opened, self.grown = pomdp.opened, pomdp._grown
+        monkeypatch.setattr(pomdp, "opened", self.open)
+        monkeypatch.setattr(pomdp, "_grown", self.grow)
 
     def open(self, *args):
         self.now_s += LOOK_S

@@ -8,10 +8,9 @@ import pytest
 from halfseen.errors import ArgumentError
 from halfseen.planners import futures
 from halfseen.planners.exact_team import solve_team
-from halfseen.planners.futures import future_rewards, imagined
+from halfseen.planners.futures import RolloutPolicy, future_rewards, imagined
 from halfseen.planners.grid_grasping import GridGrasping
 from halfseen.planners.heuristics import GreedyPolicy
-from halfseen.planners.multi_agent_rollout import RolloutPolicy
 from halfseen.planners.pomdp import POMDPPolicy
 from halfseen.planners.rollout import sampled_values
 from halfseen.planners.rules import ReservingPolicy

@@ -10,9 +10,8 @@ from scipy.stats import norm
 from halfseen.arrays import softmax, stacked
 from halfseen.errors import ArgumentError
 from halfseen.planners.belief import expected_attempt_s, grip_posterior
-from halfseen.planners.futures import future_rewards, imagined
+from halfseen.planners.futures import RolloutPolicy, future_rewards, imagined
 from halfseen.planners.heuristics import GreedyPolicy
-from halfseen.planners.multi_agent_rollout import RolloutPolicy
 from halfseen.planners.myopic import MyopicPolicy
 from halfseen.planners.named import named_policy
 from halfseen.planners.rules import ReservingPolicy, RoundRobin, TeamOfRules

@@ -3,8 +3,8 @@
 import pytest
 
 from halfseen.cli import cell_policies
+from halfseen.planners.futures import RolloutPolicy
 from halfseen.planners.heuristics import GreedyPolicy
-from halfseen.planners.multi_agent_rollout import RolloutPolicy
 from halfseen.planners.myopic import MyopicPolicy
 from halfseen.planners.named import HEURISTICS, PLANNER, UNIFORM, named_policy
 from halfseen.planners.pomdp import POMDPPolicy

@@ -12,8 +12,7 @@ from halfseen.planners.belief import grip_posterior
 from halfseen.world import AssumedGrasping, GraspingByRobot, Robot, Team, UniformPolicy
 from halfseen.world.actions import WAIT
 from halfseen.world.envs import TeamCupsEnv
-from halfseen.world.grasping import Arrangement, Attempt
-from halfseen.world.grasping_by_robot import check_law
+from halfseen.world.grasping import Arrangement, Attempt, check_law
 from halfseen.world.logs import states_of, to_logs
 from halfseen.world.robot_logs import attempted_by
 from halfseen.world.robots import check_robot

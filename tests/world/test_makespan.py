@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from halfseen.world.actions import WAIT
-from halfseen.world.makespan import FADES_PER_S, WAITS, makespans
-from halfseen.world.others import others_of
+from halfseen.world.others import FADES_PER_S, WAITS, makespans, others_of
 from picked import picked
 from played_teams import played, team_of
 

@@ -36,6 +36,19 @@ def test_gymnasium_finds_no_fault(options):
     check_env(gymnasium.make(gym_registration.TEAM_ENV_ID, **options).unwrapped)
 
 
+def test_seconds_that_rounding_makes_too_many_are_in_the_space():
+    """There a robot that fails is at it for 7.0000005 of 7 s, as its time was added up over another's drop-out."""
+    frail = Team((*FRAIL.robots, Robot((0.0, -0.5), 0.8)))
+    env, rng, seed = TeamCupsEnv(team=frail, cut_rate=0.02), np.random.default_rng(1120), 1120
+    seen, info = env.reset(seed=seed)
+    is_over, longest_s = False, 0.0
+    while not is_over:
+        seen, _, is_ended, is_cut, info = env.step(possible(rng, info))
+        is_over, longest_s = is_ended or is_cut, max(longest_s, float(seen["since_s"].max()))
+        assert env.observation_space.contains(seen)
+    assert longest_s > 7.0
+
+
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("cut_rate", [0.0, 0.03])
 def test_a_team_of_one_is_the_table_of_one_robot(seed, cut_rate):

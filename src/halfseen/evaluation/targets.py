@@ -112,7 +112,7 @@ def task_of(policy: Any, logs: Logs) -> Task:
 def robots_of(logs: Logs) -> int | None:
     """K of a log that tells what several robots did; None for any other."""
     # Policies of named actions do without the world.
-    from halfseen.world.robot_checks import robots_in
+    from halfseen.world.log_checks import robots_in
 
     return robots_in(logs) or None
 

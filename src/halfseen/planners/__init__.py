@@ -2,12 +2,11 @@
 
 Read down: `belief` (what can be known) → `heuristics` (greedy, with and without history, with and without the penalty
 that a WASH avoids) → `one_step` (the myopic look-ahead) → `trajectories` (what follows under it) → `rollout` (what
-actions are worth then, those looked at most that promise most) → `pomdp` (looking h steps ahead, as a policy),
-`anytime` (the same until the time is up), `explanation` (what each action is worth, and how sure that is). Of several
-robots: `rules` (of thumb), `myopic` (the look one step ahead), `futures` → `multi_agent_rollout` (rollouts, one robot
-at a time). `named` makes those that go by a name. What they are measured by: `exact_table` and `exact_team` (the best
-there is, on small tables), `relaxation` (what nobody can beat, on any). `discrete` stands apart: any POMDP given as
-arrays, solved exactly.
+actions are worth then, those looked at most that promise most) → `pomdp` (looking h steps ahead, as a policy, or until
+the time is up), `explanation` (what each action is worth, and how sure that is). Of several robots: `rules` (of thumb),
+`myopic` (the look one step ahead), `futures` (rollouts, one robot at a time). `named` makes those that go by a name.
+What they are measured by: `exact_table` and `exact_team` (the best there is, on small tables), `relaxation` (what
+nobody can beat, on any). `discrete` stands apart: any POMDP given as arrays, solved exactly.
 """
 
 from typing import TYPE_CHECKING
@@ -15,16 +14,15 @@ from typing import TYPE_CHECKING
 from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from halfseen.planners.anytime import Plan, plan
     from halfseen.planners.discrete import DiscreteSolution, solve_discrete
     from halfseen.planners.exact_table import TableOptimum, solve_table
     from halfseen.planners.exact_team import TeamOptimum, solve_team
     from halfseen.planners.explanation import explain
+    from halfseen.planners.futures import RolloutPolicy
     from halfseen.planners.heuristics import GreedyPolicy
-    from halfseen.planners.multi_agent_rollout import RolloutPolicy
     from halfseen.planners.myopic import MyopicPolicy
     from halfseen.planners.named import named_policy
-    from halfseen.planners.pomdp import POMDPPolicy
+    from halfseen.planners.pomdp import Plan, POMDPPolicy, plan
     from halfseen.planners.relaxation import RelaxationBound, information_relaxation_bound
     from halfseen.planners.rules import OneAtATime, ReservingPolicy, RoundRobin, TeamOfRules
 
@@ -59,10 +57,10 @@ __getattr__ = lazy_names(
         "MyopicPolicy": "myopic",
         "OneAtATime": "rules",
         "POMDPPolicy": "pomdp",
-        "Plan": "anytime",
+        "Plan": "pomdp",
         "RelaxationBound": "relaxation",
         "ReservingPolicy": "rules",
-        "RolloutPolicy": "multi_agent_rollout",
+        "RolloutPolicy": "futures",
         "RoundRobin": "rules",
         "TableOptimum": "exact_table",
         "TeamOfRules": "rules",
@@ -70,7 +68,7 @@ __getattr__ = lazy_names(
         "explain": "explanation",
         "information_relaxation_bound": "relaxation",
         "named_policy": "named",
-        "plan": "anytime",
+        "plan": "pomdp",
         "solve_discrete": "discrete",
         "solve_table": "exact_table",
         "solve_team": "exact_team",

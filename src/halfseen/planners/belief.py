@@ -11,11 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from halfseen.arrays import Array, library_of, record, softmax
+from halfseen.arrays import Array, first_last, library_of, record, softmax
 from halfseen.errors import ArgumentError
 from halfseen.world.config import WorldConfig
-from halfseen.world.grasping import KnownGrasping
-from halfseen.world.grasping_by_robot import GraspingByRobot
+from halfseen.world.grasping import GraspingByRobot, KnownGrasping
 from halfseen.world.seeing import KnownSeeing
 from halfseen.world.state import TableState, occlusion_by
 
@@ -124,13 +123,13 @@ def prior_grip(mean: Float[Array, "*S"]) -> Grip:
 
 def grip_offsets(config: WorldConfig, mean: Float[Array, "*S"]) -> Float[Array, "*S G"]:
     """Grip offsets at each of `offset_nodes`."""
-    xp, nodes = library_of(mean), offset_nodes(config)
+    nodes = offset_nodes(config)
     if nodes.ndim > 1:
         # Nodes of many robots have their axes first.
         between = (1,) * max(mean.ndim + 1 - nodes.ndim, 0)
         return mean[..., None] + nodes.reshape(nodes.shape[:-1] + between + nodes.shape[-1:])
     # The nodes first, so that in memory their axis does not come between those of objects and tables.
-    return xp.moveaxis(nodes.reshape(-1, *(1,) * mean.ndim) + mean, 0, -1)
+    return first_last(nodes.reshape(-1, *(1,) * mean.ndim) + mean)
 
 
 def failure_log_probability(

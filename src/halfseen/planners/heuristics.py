@@ -11,8 +11,7 @@ from halfseen.errors import ArgumentError
 from halfseen.planners.belief import grasp_probability, grip_posterior, prior_grip
 from halfseen.world.actions import FINISH, ActionSpace, Verb
 from halfseen.world.config import WorldConfig
-from halfseen.world.grasp_model import GraspModel
-from halfseen.world.policy import Decision, surely
+from halfseen.world.policy import Decision, GraspModel, surely
 from halfseen.world.random import Key
 from halfseen.world.state import TableState, occlusion
 

@@ -40,7 +40,7 @@ from halfseen.planners.one_step import (
 )
 from halfseen.world.actions import ActionSpace, Verb, of_robot, possible_actions
 from halfseen.world.config import WorldConfig
-from halfseen.world.grasping_by_robot import GraspingByRobot
+from halfseen.world.grasping import GraspingByRobot
 from halfseen.world.others import Others, is_decider, others_of
 from halfseen.world.policy import Decision, surely
 from halfseen.world.random import Key

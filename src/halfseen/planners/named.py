@@ -58,7 +58,7 @@ def _planner(config: "WorldConfig", is_team: bool) -> "Policy":
         from halfseen.planners.pomdp import POMDPPolicy
 
         return POMDPPolicy(config, planning_horizon=config.horizon)
-    from halfseen.planners.multi_agent_rollout import RolloutPolicy
+    from halfseen.planners.futures import RolloutPolicy
     from halfseen.planners.myopic import MyopicPolicy
 
     return RolloutPolicy(config, MyopicPolicy(config))

@@ -158,6 +158,35 @@ def summed_tries(tries: Tries, is_wanted: Bool[Array, "*B N"]) -> Tries:
     return Tries(found[0], found[1])
 
 
+class Setting(NamedTuple):
+    """How objects stand, and what follows of that for attempts and labels: the same for the same set of them."""
+
+    occluded: Float[Array, "*B M N"]
+    """As `occlusions_of_each` has it."""
+    if_dirty: Float[Array, "*B M N"]
+    if_clean: Float[Array, "*B M N"]
+    """As `label_in_each` has them."""
+    failed: Float[Array, "*B N G"]
+    """Log P(an attempt fails) now at each node of the grip offset."""
+    missing: Float[Array, "*B V N G"]
+    """P(an attempt fails) at each node, in each of the ways but that in the hand."""
+    attempt_s: Float[Array, "*B N G"]
+    """Expected duration of an attempt now at each node, without transport [s]."""
+
+
+def setting_of(config: WorldConfig, belief: Belief) -> Setting:
+    """What the objects on a table make of attempts and labels."""
+    law, occluded, offset = known_grasping(config), occlusions_of_each(belief), grip_offsets(config, belief.grip.mean)
+    failed = law.log_failure(occluded[..., :-1, :, None], offset[..., None, :, :])
+    return Setting(
+        occluded,
+        *label_in_each(config, belief.seen, occluded),
+        failed=failed[..., 0, :, :],
+        missing=library_of(failed).exp(failed),
+        attempt_s=law.expected_s(occluded[..., 0, :, None], offset),
+    )
+
+
 class Chances(NamedTuple):
     """How an attempt now may go, and what is seen then: what a future is drawn by."""
 
@@ -186,27 +215,23 @@ class Outlook(NamedTuple):
     """As `summed_tries` has them."""
 
 
-def outlook_of(config: WorldConfig, belief: Belief) -> Outlook:
-    """Look one attempt ahead, at each object."""
-    xp, law = library_of(belief.hides), known_grasping(config)
+def outlook_of(config: WorldConfig, belief: Belief, setting: Setting | None = None) -> Outlook:
+    """Look one attempt ahead, at each object; by how they stand, where that is known."""
+    setting = setting_of(config, belief) if setting is None else setting
     is_dirty, weights = expit(belief.log_odds), softmax(belief.grip.log_weights)
-    occluded, offset = occlusions_of_each(belief), grip_offsets(config, belief.grip.mean)
-    failed = law.log_failure(occluded[..., :-1, :, None], offset[..., None, :, :])
-    missing = xp.exp(failed)
-    by_way = _ONE - (weights[..., None, :, :] * missing).sum(axis=-1)
-    failed, probability = failed[..., 0, :, :], by_way[..., 0, :]
-    label = label_in_each(config, belief.seen, occluded)
+    label = setting.if_dirty, setting.if_clean
+    by_way = _ONE - (weights[..., None, :, :] * setting.missing).sum(axis=-1)
+    probability = by_way[..., 0, :]
     tries = tries_after_label(
         config,
         is_dirty[..., None, None, :],
         label_of_tries(is_dirty, *label),
-        probabilities_of_tries(by_way, *once_more(weights, _ONE - missing[..., 0, :, :])[1:]),
+        probabilities_of_tries(by_way, *once_more(weights, _ONE - setting.missing[..., 0, :, :])[1:]),
     )
-    attempt_s = (weights * law.expected_s(occluded[..., 0, :, None], offset)).sum(axis=-1)
     return Outlook(
-        chances=Chances(is_dirty, occluded, (label[0], label[1]), failed, probability),
+        chances=Chances(is_dirty, setting.occluded, label, setting.failed, probability),
         worth=wash_worth(config, is_dirty, probability, counts_penalty=True),
-        attempt_s=config.transport_s + attempt_s,
+        attempt_s=config.transport_s + (weights * setting.attempt_s).sum(axis=-1),
         left=_all_left(config, is_dirty, belief.is_on_table),
         tries=summed_tries(tries, belief.is_on_table),
     )

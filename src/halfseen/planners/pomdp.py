@@ -4,24 +4,48 @@ Q_1 is the myopic look-ahead of `one_step`. Further ahead, Q_h(b, a) is the wort
 by that look-ahead, the last of them worth Q_1, which stands for all that comes after; by rollouts (`rollout`). With h
 as long as the path, the number of rollouts is all that bounds it.
 
-Its budget is a number of rollouts; `anytime.plan` is the same planner against a clock.
+Its budget is a number of rollouts; `plan` is the same planner against a clock.
+
+One decision at one table within a budget: a number of rollouts, or seconds.
+
+A number of rollouts is spent as `POMDPPolicy` spends it. Seconds are spent on the same rounds of sequential halving
+(`rollout.searched`), each of which ends by the clock. No more is begun than is expected to end in time, by the pace so
+far; so a plan is late by less than the chunk of rollouts that was slower than those before it. Where not even the first
+batch fits, the myopic look-ahead decides, and the plan says so.
+
+Nothing is compiled, so that the first call is as fast as the others, but for what Python loads.
 """
 
-from dataclasses import field
+import math
+import time
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from halfseen.arrays import STATIC, Array, library_of, record
+from halfseen.arrays import STATIC, Array, library_of, mapped, record
 from halfseen.errors import ArgumentError
 from halfseen.planners.belief import belief_of
 from halfseen.planners.one_step import one_step_q
-from halfseen.planners.rollout import searched_values
+from halfseen.planners.rollout import (
+    Search,
+    drawn,
+    halved,
+    most_promising,
+    num_left,
+    num_steps,
+    opened,
+    searched,
+    searched_values,
+    values,
+)
+from halfseen.planners.trajectories import draws_of
+from halfseen.world import random
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Decision
 from halfseen.world.random import Key
-from halfseen.world.state import TableState
+from halfseen.world.state import TableState, check_goes_on
 
 NUM_SIMULATIONS = 256
 
@@ -72,3 +96,161 @@ class POMDPPolicy:
         if self.num_simulations == 0:
             return one_step_q(self.config, belief_of(self.config, state))
         return searched_values(self.config, state, key, self.num_simulations, self.planning_horizon)
+
+
+BATCH = 24
+"""Rollouts that are begun at once, at least, as fewer take as long; more advance side by side as there is time."""
+LOOKS_PER_STEP = 1.2
+"""How many times as long as to open a search a step of a batch takes, about, before one was timed."""
+SHARE_OF_TIME_LEFT = 0.5
+"""What a chunk of batches is expected to take of what is left to its round."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A decision, what it is worth, and what it took.
+
+    Attributes
+    ----------
+    action
+        The best action.
+    values
+        Q of each action [reward]; −∞ where it is impossible.
+    num_rollouts
+        Of each action; none of FINISH, whose worth is known.
+    elapsed_s
+        Time from call to answer [s].
+    """
+
+    action: int
+    values: Float[np.ndarray, " A"]
+    num_rollouts: Int[np.ndarray, " A"]
+    elapsed_s: float
+
+    @property
+    def was_searched(self) -> bool:
+        """Whether there was a rollout; if not, `values` are those of the myopic look-ahead, exact at the last step."""
+        return bool(self.num_rollouts.any())
+
+
+def plan(
+    config: WorldConfig,
+    state: TableState,
+    key: Key,
+    *,
+    num_simulations: int | None = None,
+    seconds: float | None = None,
+    planning_horizon: int | None = None,
+) -> Plan:
+    """Search for the best action of one table until rollouts or time are used up.
+
+    Parameters
+    ----------
+    config
+        The world that is believed in.
+    state
+        One table, with a step to go and an object on it.
+    key
+        What is drawn from: the same key and number of rollouts give the same values.
+    num_simulations
+        Rollouts of all actions together, about, ≥ 1. Give this or `seconds`.
+    seconds
+        Wall-clock time, above 0 [s].
+    planning_horizon
+        Actions of a rollout, ≥ 1, the last of which is valued by the myopic look-ahead; 1 draws nothing. By default,
+        to the end of the path.
+
+    Raises
+    ------
+    ArgumentError
+        Neither or both budgets are given, a number is out of range, or the path is over.
+
+    Examples
+    --------
+    >>> from halfseen.world import Scene, WorldConfig
+    >>> from halfseen.world.state import initial_state, pad_scenes
+    >>> config = WorldConfig()
+    >>> from halfseen.world.random import key_of
+    >>> layout = mapped(lambda leaf: leaf[0], pad_scenes([Scene(np.zeros((1, 1)))]))
+    >>> found = plan(config, initial_state(config, layout), key_of(0), num_simulations=64)
+    >>> found.action, found.was_searched
+    (2, True)
+    """
+    begin_s = time.perf_counter()
+    horizon = config.horizon if planning_horizon is None else planning_horizon
+    _check(state, num_simulations, seconds, horizon)
+    search = opened(config, mapped(lambda leaf: np.asarray(leaf)[None], state))
+    steps_to_go = int(state.steps_to_go)
+    if horizon > 1 and steps_to_go > 1:
+        if seconds is None:
+            search = searched(search, key[None], num_simulations or 1, horizon, steps_to_go)
+        else:
+            search = _timed(search, key, horizon, begin_s, begin_s + seconds)
+    return _read(search, begin_s)
+
+
+def _grown(
+    search: Search,
+    round_key: Key,
+    promising: Int[np.ndarray, "1 k"],
+    size: int,
+    batches: tuple[int, int],
+    planning_horizon: int,
+) -> Search:
+    """The search after some batches of a round, in which so many of the actions that promise most are left."""
+    left, lane = num_left(search, size), np.arange(BATCH * batches[0], BATCH * batches[1])
+    number = np.arange(lane[0] // left[0], lane[-1] // left[0] + 1)
+    keys = random.fold_in(round_key, number)[None]
+    steps = num_steps(planning_horizon, int(search.belief.steps_to_go[0]))
+    draws = draws_of(keys, steps, search.belief.is_on_table.shape[-1])
+    return drawn(search, promising, left, lane, draws, planning_horizon)
+
+
+def _timed(search: Search, key: Key, planning_horizon: int, begin_s: float, end_s: float) -> Search:
+    """Halve by the clock: a first batch for the pace, then as many rounds as that leaves time for."""
+    opened_s = time.perf_counter()
+    steps = num_steps(planning_horizon, int(search.belief.steps_to_go[0]))
+    pace_s = LOOKS_PER_STEP * steps * (opened_s - begin_s)
+    if opened_s + pace_s > end_s:
+        return search
+    search = _grown(search, random.fold_in(key, 0), most_promising(search), 2, (0, 1), planning_horizon)
+    start_s = time.perf_counter()
+    pace_s = start_s - opened_s
+    sizes = halved(BATCH * max(0, int((end_s - start_s) / pace_s)), search.rule.shape[-1])
+    for stage, size in enumerate(sizes, start=1):
+        round_end_s = start_s + (end_s - start_s) * stage / len(sizes)
+        search, pace_s = _round(search, random.fold_in(key, stage), size, planning_horizon, round_end_s, pace_s)
+    return search
+
+
+def _round(
+    search: Search, round_key: Key, size: int, planning_horizon: int, end_s: float, pace_s: float
+) -> tuple[Search, float]:
+    """Draw from the actions that are left until no batch fits; the time that one takes."""
+    promising, num_done = most_promising(search), 0
+    begin_s = time.perf_counter()
+    while begin_s + pace_s <= end_s:
+        num_next = num_done + max(1, int(SHARE_OF_TIME_LEFT * (end_s - begin_s) / pace_s))
+        search = _grown(search, round_key, promising, size, (num_done, num_next), planning_horizon)
+        now_s = time.perf_counter()
+        pace_s, begin_s, num_done = (now_s - begin_s) / (num_next - num_done), now_s, num_next
+    return search, pace_s
+
+
+def _read(search: Search, begin_s: float) -> Plan:
+    """The plan: Q of each action, and its number of rollouts; Q_1 where there was none at all."""
+    count = search.count[0]
+    found = values(search)[0] if count.any() else search.rule[0]
+    elapsed_s = time.perf_counter() - begin_s
+    return Plan(int(np.argmax(found)), found.astype(np.float64), count.astype(np.int64), elapsed_s)
+
+
+def _check(state: TableState, num_simulations: int | None, seconds: float | None, planning_horizon: int) -> None:
+    if (seconds is None) == (num_simulations is None):
+        raise ArgumentError(f"seconds is {seconds} and num_simulations is {num_simulations}; give one of the two")
+    if seconds is not None and not 0.0 < seconds < math.inf:
+        raise ArgumentError(f"seconds is {seconds}; it is a positive number of seconds")
+    for name, number in (("num_simulations", num_simulations), ("planning_horizon", planning_horizon)):
+        if number is not None and number < 1:
+            raise ArgumentError(f"{name} is {number}; it is at least 1")
+    check_goes_on(state)

@@ -22,7 +22,7 @@ from jaxtyping import Float, Int
 from halfseen.arrays import Array, library_of, mapped, record
 from halfseen.planners.belief import Belief, belief_of
 from halfseen.planners.one_step import Chances, outlook_of, rule_and_control
-from halfseen.planners.trajectories import UNLIMITED, Draws, advantages, draws_of, picked
+from halfseen.planners.trajectories import UNLIMITED, Draws, Settings, advantages, draws_of, picked, settings_of
 from halfseen.world import random
 from halfseen.world.actions import FINISH
 from halfseen.world.config import WorldConfig
@@ -51,15 +51,18 @@ class Search:
     """Sum of the advantages over the rollouts of each action."""
     count: Float[Array, "B A"]
     """Number of rollouts of each action."""
+    settings: Settings | None = None
+    """Of a table alone."""
 
 
 def opened(config: WorldConfig, state: TableState) -> Search:
     """A search of tables (one axis of them) before its first rollout."""
     belief = belief_of(config, state)
-    outlook = outlook_of(config, belief)
+    settings = settings_of(config, belief)
+    outlook = outlook_of(config, belief, None if settings is None else settings.of(config, belief))
     rule, control = rule_and_control(config, belief, outlook)
     none = library_of(rule).zeros_like(rule)
-    return Search(config, belief, outlook.chances, rule, control, none, none)
+    return Search(config, belief, outlook.chances, rule, control, none, none, settings)
 
 
 def sampled_values(config: WorldConfig, state: TableState, key: Key, num_rollouts: int) -> Float[Array, "S A"]:
@@ -105,7 +108,7 @@ def _of_each(search: Search, actions: Int[np.ndarray, " k"], keys: Key, horizon:
     draws = draws_of(keys, horizon - 1, search.belief.is_on_table.shape[-1])
     belief, chances = picked((search.belief, search.chances), np.zeros_like(which))
     action = xp.asarray(np.tile(actions, len(keys)))
-    return advantages(search.config, belief, chances, action, draws, which, UNLIMITED).reshape(shape)
+    return advantages(search.config, belief, chances, action, draws, which, UNLIMITED, search.settings).reshape(shape)
 
 
 def searched(search: Search, key: Key, num_rollouts: int, planning_horizon: Number, horizon: int) -> Search:
@@ -195,7 +198,7 @@ def drawn(
     if xp is np:
         rows = np.flatnonzero(_is_searched(search)[table])
     belief, chances = picked((search.belief, search.chances), table[rows])
-    found = advantages(search.config, belief, chances, own[rows], flat, which[rows], planning_horizon)
+    found = advantages(search.config, belief, chances, own[rows], flat, which[rows], planning_horizon, search.settings)
     is_own = own[rows, None] == xp.arange(num_actions)
     added = [xp.where(is_own, found[:, None], np.float32(0.0)), is_own.astype(np.float32)]
     total, count = (_by_table(each, table[rows], num_tables, len(lane)) for each in added)

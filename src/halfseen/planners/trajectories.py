@@ -3,21 +3,31 @@
 Each lane is one trajectory. All advance together, a step at a time; with NumPy those that are over are left out.
 """
 
+from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from halfseen.arrays import Array, library_of, mapped
+from halfseen.arrays import Array, library_of, mapped, record
 from halfseen.planners.belief import Belief, Grip, known_seeing
-from halfseen.planners.one_step import Chances, control_value, outlook_of, rule_and_control
+from halfseen.planners.one_step import (
+    Chances,
+    Setting,
+    control_value,
+    label_in_each,
+    outlook_of,
+    rule_and_control,
+    setting_of,
+)
 from halfseen.world import random
 from halfseen.world.actions import FINISH, ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.number import Number
 from halfseen.world.random import Key
 from halfseen.world.seeing import AssumedSeeing, label_evidence
+from halfseen.world.state import numbered
 
 UNLIMITED = 1_000_000
 """Steps to go that never run out."""
@@ -35,25 +45,23 @@ class Draws(NamedTuple):
 
 def draws_of(key: Key, num_steps: int, num_objects: int) -> Draws:
     """Draws of so many steps from each key, the steps along the first axis."""
-    steps = []
-    for _ in range(num_steps):
-        both = random.keys_of(key, 2)
-        key = both[..., 0, :]
-        steps.append(both[..., 1, :])
-    both = random.keys_of(library_of(key).stack(steps), 2)
+    before = [key]
+    for _ in range(num_steps - 1):
+        before.append(random.fold_in(before[-1], 0))
+    both = random.keys_of(random.fold_in(library_of(key).stack(before), 1), 2)
     return Draws(random.uniform(both[..., 0, :]), random.uniform(both[..., 1, :], num_objects))
 
 
 def picked(tree: Tree, rows: Int[Array, " R"]) -> Tree:
     """Some rows of records, laid out as `rows_last` has it."""
+    return mapped(lambda leaf: _rows_of(leaf, rows), tree)
 
-    def pick(leaf):
-        if leaf.ndim == 1:
-            return leaf[rows]
-        last, first = _axes(leaf.ndim)
-        return library_of(leaf).take(leaf.transpose(last), rows, axis=-1).transpose(first)
 
-    return mapped(pick, tree)
+def _rows_of(values: Array, rows: Int[Array, " R"]) -> Array:
+    if values.ndim == 1:
+        return values[rows]
+    last, first = _axes(values.ndim)
+    return values.transpose(last).take(rows, axis=-1).transpose(first)
 
 
 def rows_last(values: Array) -> Array:
@@ -68,6 +76,44 @@ def rows_last(values: Array) -> Array:
 def _axes(num_axes: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Orders of axes that put the first one last, and back."""
     return (*range(1, num_axes), 0), (num_axes - 1, *range(num_axes - 1))
+
+
+MOST_SETS = 64
+"""Sets of objects of one table for which it pays to find at once what each makes of attempts."""
+
+
+@record
+class Settings:
+    """What each set of the objects that stand on one table now would make of attempts and labels."""
+
+    bit: Int[Array, " N"]
+    """What each object adds to the number of a set; 0 for what is not there."""
+    each: Setting
+    """Of each set, by its number."""
+
+    def of(self, config: WorldConfig, belief: Belief) -> Setting:
+        """Those of some beliefs of that table, from now on."""
+        number = belief.is_on_table @ self.bit
+        if type(config.seeing) is AssumedSeeing:
+            return Setting(*(_rows_of(leaf, number) for leaf in self.each))
+        occluded, _, _, *others = self.each
+        occluded = _rows_of(occluded, number)
+        label = label_in_each(config, belief.seen, occluded)
+        return Setting(occluded, *label, *(_rows_of(leaf, number) for leaf in others))
+
+
+def settings_of(config: WorldConfig, belief: Belief) -> Settings | None:
+    """Settings of all sets of the objects of one table; None of several tables, of too many objects, and under JAX."""
+    if library_of(belief.hides) is not np or len(belief.is_on_table) != 1:
+        return None
+    is_there = belief.is_on_table[0]
+    bit = np.where(is_there, 1 << np.maximum(np.cumsum(is_there) - 1, 0), 0)
+    num_sets = int(bit.sum()) + 1
+    if num_sets > MOST_SETS:
+        return None
+    sets = (np.arange(num_sets)[:, None] & bit) > 0
+    every = replace(picked(belief, np.zeros(num_sets, dtype=np.int64)), is_on_table=rows_last(sets))
+    return Settings(bit, setting_of(config, every))
 
 
 def successor(config: WorldConfig, belief: Belief, chances: Chances, action: Int[Array, " R"], draws: Draws) -> Belief:
@@ -87,7 +133,7 @@ def successor(config: WorldConfig, belief: Belief, chances: Chances, action: Int
     xp, num_objects = library_of(belief.hides), belief.is_on_table.shape[-1]
     actions, rows = ActionSpace(num_objects), np.arange(len(action))
     verb, target = actions.verb(action), actions.target(action)
-    is_target = rows_last(xp.arange(num_objects) == target[..., None])
+    is_target = numbered(target, num_objects)
     is_grasped = draws.grasp < chances.probability[rows, target]
     is_moved = is_target & is_grasped[..., None]
     is_held = is_moved & (verb == Verb.LIFT)[..., None]
@@ -132,6 +178,7 @@ def advantages(
     draws: Draws,
     which: Int[Array, " R"],
     planning_horizon: Number,
+    settings: Settings | None = None,
 ) -> Float[Array, " R"]:
     """Sum of the advantages of each trajectory, its worth less Q° of its first action.
 
@@ -149,6 +196,8 @@ def advantages(
         Number of its draws.
     planning_horizon
         Actions, ≥ 2, the last of which is worth Q_1.
+    settings
+        Of the table, if all begin on one.
     """
     xp = library_of(belief.hides, draws.grasp)
     last_step = belief.steps_to_go - planning_horizon + 1
@@ -159,7 +208,7 @@ def advantages(
         if xp is np and not goes_on.any():
             break
         belief = successor(config, belief, chances, action, Draws(grasp[which], label[which]))
-        action, gained, is_end, chances = _followed(config, belief, last_step)
+        action, gained, is_end, chances = _followed(config, belief, last_step, settings)
         total = total + xp.where(goes_on, gained, _ZERO)
         goes_on = goes_on & ~is_end
         if xp is np and np.count_nonzero(goes_on) < min(len(goes_on) / 2, len(goes_on) - SPARED):
@@ -180,10 +229,11 @@ SPARED = 24
 
 
 def _followed(
-    config: WorldConfig, belief: Belief, last_step: Int[Array, " R"]
+    config: WorldConfig, belief: Belief, last_step: Int[Array, " R"], settings: Settings | None
 ) -> tuple[Int[Array, " R"], Float[Array, " R"], Bool[Array, " R"], Chances]:
     """What the rule does next, its advantage, and whether the trajectory ends with it."""
-    xp, outlook = library_of(belief.hides), outlook_of(config, belief)
+    setting = None if settings is None else settings.of(config, belief)
+    xp, outlook = library_of(belief.hides), outlook_of(config, belief, setting)
     rule, control = rule_and_control(config, belief, outlook)
     is_last = (belief.steps_to_go == 1) | (belief.steps_to_go == last_step)
     action, rows = xp.argmax(rule, axis=-1), np.arange(len(last_step))

@@ -12,7 +12,7 @@ from halfseen.logs import Logs, LogStream
 from halfseen.logs.stream import parts_of
 from halfseen.suggestions import did_you_mean
 from halfseen.tables.grasp.beta_grasp import BetaGrasp
-from halfseen.world.robot_checks import most_decisions, robots_in
+from halfseen.world.log_checks import most_decisions, robots_in
 
 TABLE_HORIZON = 10
 """Stages that a path on a table may have, unless the log has longer ones."""

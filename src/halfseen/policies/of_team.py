@@ -53,7 +53,7 @@ def refuse_log_of_team(stored: StoredPolicy, logs: Logs) -> None:
     if not stored.is_table and stored.num_robots is None:
         return
     # Policies of named actions do without the world.
-    from halfseen.world.robot_checks import robots_in
+    from halfseen.world.log_checks import robots_in
 
     if stored.num_robots is not None and not robots_in(logs):
         raise PolicyError(

@@ -45,9 +45,8 @@ from halfseen.world import random
 from halfseen.world.actions import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.cuts import CutEpisodes, CutKind, cut, cut_rate
-from halfseen.world.grasp_model import GraspModel
 from halfseen.world.logs import elapsed_s
-from halfseen.world.policy import Policy
+from halfseen.world.policy import GraspModel, Policy
 from halfseen.world.random import Key
 from halfseen.world.rollout import Episodes, Totals, evaluate_each, evaluate_some, play
 from halfseen.world.state import Layout

@@ -33,8 +33,7 @@ from halfseen.logs.checks.robots import robots_that_may_drop_out
 from halfseen.logs.columns import CUT, FINISHED, require_columns
 from halfseen.logs.refusal import refuse
 from halfseen.world.actions import TARGETED, VERB_NAMES, Verb
-from halfseen.world.log_checks import LOST, TABLE, checked_objects
-from halfseen.world.robot_checks import ATTEMPT_BY
+from halfseen.world.log_checks import ATTEMPT_BY, LOST, TABLE, checked_objects
 from halfseen.world.robot_logs import FREE, OUT, PARKED, told_by
 
 SPENT = "decisions-spent"

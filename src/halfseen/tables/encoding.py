@@ -14,9 +14,9 @@ from halfseen.logs import Logs
 from halfseen.logs.refusal import refuse, shown, value_at
 from halfseen.tables.features import table_features
 from halfseen.world.actions import FINISH, TARGETED, VERB_NAMES, WAIT, ActionSpace, possible_actions, wait_of
-from halfseen.world.grasp_model import GraspModel
+from halfseen.world.log_checks import begun_objects, robots_in
 from halfseen.world.logs import states_of
-from halfseen.world.robot_checks import begun_objects, robots_in
+from halfseen.world.policy import GraspModel
 from halfseen.world.robot_logs import told_by
 from halfseen.world.state import TableState
 

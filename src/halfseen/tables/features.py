@@ -42,7 +42,7 @@ from jaxtyping import Bool, Float
 
 from halfseen.arrays import Array, expit, library_of
 from halfseen.world.actions import ActionSpace, Verb
-from halfseen.world.grasp_model import GraspModel
+from halfseen.world.policy import GraspModel
 from halfseen.world.state import TableState, attempt_counts
 
 FEATURES_VERSION = 1

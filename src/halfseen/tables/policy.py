@@ -13,8 +13,7 @@ from halfseen.learning.rows import q_values
 from halfseen.tables.features import table_features, table_q
 from halfseen.tables.margins import deviations, margins
 from halfseen.world.actions import ActionSpace, possible_actions
-from halfseen.world.grasp_model import GraspModel
-from halfseen.world.policy import Decision, surely
+from halfseen.world.policy import Decision, GraspModel, surely
 from halfseen.world.random import Key
 from halfseen.world.state import TableState
 

@@ -20,7 +20,7 @@ from halfseen.tables.policy import LinearTablePolicy
 from halfseen.tables.target_probabilities import table_probabilities
 from halfseen.tables.variance_reduction import expected_rewards, label_control_variates, wash_pay
 from halfseen.world.actions import FINISH, ActionSpace, Verb
-from halfseen.world.grasp_model import GraspModel
+from halfseen.world.policy import GraspModel
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ of WASH, and of LIFT                   win·ease and soon of the target, where a
 of WAIT                                1; what the others are at; the largest win·ease and soon of what it could begin
                                        with now, and of what it reaches but others are in the way of
 of FINISH                              1 where another goes on, and how many are at work
-how long it will take                  the bound of `halfseen.world.makespan`
+how long it will take                  the bound of `halfseen.world.others`
 =====================================  ================================================================================
 
 Where robots differ in how they grasp (`grasp.by_robot`), what is about one object goes by the robot that is at it, or
@@ -35,9 +35,8 @@ from halfseen.arrays import Array, library_of
 from halfseen.tables.features import Columns, table_columns
 from halfseen.tables.grasp.by_robot import GraspByRobot
 from halfseen.world.actions import TARGETED, ActionSpace, Verb, of_robot, possible_actions
-from halfseen.world.grasp_model import GraspModel
-from halfseen.world.makespan import makespans
-from halfseen.world.others import Others, others_of, reached_by_decider
+from halfseen.world.others import Others, makespans, others_of, reached_by_decider
+from halfseen.world.policy import GraspModel
 from halfseen.world.state import TableState
 
 NUM_WASH, NUM_LIFT, NUM_TEAM, NUM_WAIT, NUM_FINISH = 12, 6, 18, 8, 2

@@ -11,8 +11,7 @@ from halfseen.learning.rows import q_values
 from halfseen.tables.margins import margins
 from halfseen.tables.team_features import team_features
 from halfseen.world.actions import WAIT, ActionSpace, worthwhile_actions
-from halfseen.world.grasp_model import GraspModel
-from halfseen.world.policy import Decision, Policy, surely
+from halfseen.world.policy import Decision, GraspModel, Policy, surely
 from halfseen.world.random import Key
 from halfseen.world.state import TableState
 

@@ -33,9 +33,8 @@ from halfseen.tables.team_policy import LinearTeamPolicy
 from halfseen.tables.team_rewards import Pays, control_variates_of, expected, outcomes_of, pays_of, shaped
 from halfseen.tables.variance_reduction import label_moves
 from halfseen.world.actions import TARGETED, VERB_NAMES, WAIT, ActionSpace, Verb, possible_actions, worthwhile_actions
-from halfseen.world.grasp_model import GraspModel
-from halfseen.world.policy import Policy, check_decides_for
-from halfseen.world.robot_checks import robots_in
+from halfseen.world.log_checks import robots_in
+from halfseen.world.policy import GraspModel, Policy, check_decides_for
 from halfseen.world.state import TableState
 
 CAUTION = 0.4

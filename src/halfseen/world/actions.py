@@ -111,8 +111,10 @@ class ActionSpace:
         A verb that is left out is worth −∞: whoever does not know it never takes it.
         """
         xp = library_of(finish, *of_verb.values())
-        unknown = xp.full((*finish.shape, self.num_objects), -xp.inf, dtype=finish.dtype)
-        return xp.concatenate([finish[..., None], *(of_verb.get(verb, unknown) for verb in TARGETED)], axis=-1)
+        if len(of_verb) < len(TARGETED):
+            unknown = xp.full((*finish.shape, self.num_objects), -xp.inf, dtype=finish.dtype)
+            of_verb = dict.fromkeys(TARGETED, unknown) | dict(of_verb)
+        return xp.concatenate([finish[..., None], *(of_verb[verb] for verb in TARGETED)], axis=-1)
 
 
 @runtime_checkable

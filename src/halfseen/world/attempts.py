@@ -95,6 +95,8 @@ def look(
     told = config.seeing.look(
         Glimpse(is_seen, occluded, held, state.seen), state.log_odds, hidden.is_dirty, hidden.seeing_trait, key
     )
-    log_odds = xp.where(is_seen, told.log_odds, state.log_odds).astype(np.float32)
-    seen = xp.where(is_seen, told.seen, state.seen).astype(np.float32)
+    log_odds = xp.asarray(xp.where(is_seen, told.log_odds, state.log_odds), dtype=np.float32)
+    seen = state.seen
+    if told.seen is not seen:
+        seen = xp.asarray(xp.where(is_seen, told.seen, seen), dtype=np.float32)
     return replace(state, log_odds=log_odds, seen=seen), replace(hidden, seeing_trait=told.trait)

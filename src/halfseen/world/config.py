@@ -9,8 +9,7 @@ from typing import Any
 
 from halfseen.arrays import STATIC, record
 from halfseen.errors import ArgumentError
-from halfseen.world.grasping import AssumedGrasping, GraspLaw
-from halfseen.world.grasping_by_robot import GraspingByRobot
+from halfseen.world.grasping import AssumedGrasping, GraspingByRobot, GraspLaw
 from halfseen.world.number import Number, is_wrong
 from halfseen.world.seeing import AssumedSeeing, SeeingLaw
 

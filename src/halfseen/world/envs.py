@@ -17,6 +17,8 @@ from halfseen.world.scene import Scene
 from halfseen.world.seeing import KnownSeeing, is_independent, label_evidence
 from halfseen.world.table_in_play import Observation, TableInPlay, default_team
 
+_ROUNDED = 1e-5
+
 
 class CupsEnv(gymnasium.Env[Observation, np.int64]):
     """A table of half-hidden cups (design, §3), as ``gymnasium.make("halfseen/Cups-v0")`` makes it.
@@ -240,7 +242,9 @@ def _longest_s(config: WorldConfig) -> float:
     """Bound on what a robot may be at: the longest attempt of one, or a wait for it [s]."""
     worlds = (config.as_robot(robot) for robot in range(config.num_robots))
     longest_s = (float(world.grasping.limit_s + world.transport_s) for world in worlds)
-    return float(np.ceil(max(each / float(speed) for each, speed in zip(longest_s, config.speed, strict=True))))
+    bound_s = np.ceil(max(each / float(speed) for each, speed in zip(longest_s, config.speed, strict=True)))
+    # Seconds are added up event by event, and rounded.
+    return float(bound_s * (1.0 + _ROUNDED))
 
 
 def _largest_log_odds(config: WorldConfig, num_looks: int) -> float:

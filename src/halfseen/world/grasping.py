@@ -3,13 +3,21 @@
 A law is drawn from (`GraspLaw`); the world, its logs and its Gymnasium face need no more. Who computes ahead instead of
 drawing (the planners' beliefs, the exact optimum) needs its probabilities as well (`KnownGrasping`). A law is a frozen
 record of numbers, and answers for whole batches of tables.
+
+A law of grasping whose numbers are fitted to attempts: logistic in the occlusion, with lognormal durations.
+
+A law of grasping for each robot of a team, and which of them is at it now.
 """
 
+import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
+import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from halfseen.arrays import Array, at, library_of, record
+from halfseen.arrays import Array, at, chosen, library_of, mapped, record
+from halfseen.errors import ArgumentError
 from halfseen.world import random
 from halfseen.world.number import Number
 from halfseen.world.random import Key
@@ -165,3 +173,184 @@ class AssumedGrasping:
         """E min(T, τ) = scale·(1 − P(T > τ)) [s]."""
         log_failure = self.log_failure(occluded, offset)
         return -self.scale_s(occluded, offset) * library_of(log_failure).expm1(log_failure)
+
+
+@record
+class FittedGrasping:
+    """An attempt holds with probability expit(a + b·occ + grip + u), where u ~ N(0, σ²) of each object is hidden.
+
+    The logarithm of its duration is normal, with one mean where it holds and another where it misses; none takes longer
+    than the limit. Nothing else moves. The numbers are for attempts to tell, so none has a default.
+
+    Parameters
+    ----------
+    log_odds
+        a, log-odds that an attempt at an object in full view holds, its grip offset 0.
+    log_odds_per_occlusion
+        b, what is added to it for an object that is wholly hidden.
+    offset_std
+        σ, standard deviation of u.
+    log_held_s, log_missed_s
+        Mean logarithm of the duration of an attempt that holds, and of one that misses [log s].
+    log_std
+        Standard deviation of both, above 0.
+    limit_s
+        Longest duration of an attempt [s].
+    """
+
+    log_odds: Number
+    log_odds_per_occlusion: Number
+    offset_std: Number
+    log_held_s: Number
+    log_missed_s: Number
+    log_std: Number
+    limit_s: Number
+
+    def draw_trait(self, num_objects: int, key: Key) -> Float[Array, "*B N"]:
+        """Draw u of each object."""
+        return self.offset_std * random.normal(key, num_objects)
+
+    def attempt(
+        self,
+        table: Arrangement,
+        trait: Float[Array, "*B N"],
+        verb: Int[Array, "*B"],
+        target: Int[Array, "*B"],
+        key: Key,
+    ) -> Attempt:
+        """Draw whether it holds, and then how long it took; whatever is to be done with the object."""
+        held_key, time_key = random.split(key)
+        log_failure = self.log_failure(at(table.occlusion, target), at(table.grip, target) + at(trait, target))
+        is_held, xp = random.log_uniform(held_key) >= log_failure, library_of(log_failure)
+        noise = self.log_std * random.normal(time_key)
+        log_s = noise + xp.where(is_held, self.log_held_s, self.log_missed_s).astype(noise.dtype)
+        return Attempt(is_held, xp.minimum(xp.exp(log_s), self.limit_s), table.hides, trait)
+
+    def log_failure(self, occluded: Any, offset: Any) -> Any:
+        """Log P(an attempt misses | occ, offset) = −log(1 + exp(a + b·occ + offset))."""
+        log_odds = self.log_odds + self.log_odds_per_occlusion * occluded
+        xp = library_of(log_odds, offset)
+        # A product, so that there is no exponential for every pair of occlusion and offset.
+        return -xp.log1p(xp.exp(log_odds) * xp.exp(offset))
+
+    def expected_s(self, occluded: Any, offset: Any) -> Any:
+        """Mean duration over both results, each a lognormal time that is cut at the limit [s]."""
+        log_failure = self.log_failure(occluded, offset)
+        held_s, missed_s = (self._mean_s(log_s) for log_s in (self.log_held_s, self.log_missed_s))
+        return held_s + library_of(log_failure).exp(log_failure) * (missed_s - held_s)
+
+    def _mean_s(self, log_s: Number) -> Any:
+        """E min(exp(log_s + log_std·Z), limit_s), with Z ~ N(0, 1) [s]."""
+        xp = library_of(log_s, self.log_std, self.limit_s)
+        limit = (xp.log(self.limit_s) - log_s) / self.log_std
+        within_s = xp.exp(log_s + self.log_std**2 / 2.0) * _below(limit - self.log_std)
+        mean_s = within_s + self.limit_s * _below(-limit)
+        # A number of NumPy's would make float64 of all float32 that it meets.
+        return float(mean_s) if xp is np else mean_s
+
+
+def _below(limit: Any) -> Any:
+    """P(Z < limit), Z ~ N(0, 1)."""
+    if library_of(limit) is np:
+        return math.erfc(-limit / math.sqrt(2.0)) / 2.0
+    from jax.scipy.special import ndtr
+
+    return ndtr(limit)
+
+
+@record
+class GraspingByRobot:
+    """Attempts go as the law of the robot has it that makes them (a `GraspLaw`, and known where all of its laws are).
+
+    The hidden trait is a tuple, one of each law, all drawn from one key: an object that is hard to grip is so for all
+    robots. Planners take u / offset_std of an object to be one number, whoever tries it. So it is where laws draw u
+    alike, as `AssumedGrasping` and `FittedGrasping` do, and grids among themselves.
+
+    Parameters
+    ----------
+    laws
+        Law of each robot, robot 0 first; they may be of different kinds.
+    robot
+        Number of the robot that tries, or of each; its axes are the first of what the law is asked for.
+
+    Raises
+    ------
+    ArgumentError
+        There is no law, or what is among them is no law of one robot.
+    """
+
+    laws: tuple[GraspLaw, ...]
+    robot: int | Int[Array, "*R"] = 0
+
+    def __post_init__(self) -> None:
+        if not self.laws:
+            raise ArgumentError("laws is (): give the law of grasping of each robot, at least one")
+        for k, law in enumerate(self.laws):
+            check_law(law, f"laws[{k}]")
+
+    @property
+    def limit_s(self) -> Number:
+        """Longest duration of an attempt of the robot [s]."""
+        return self._chosen([law.limit_s for law in self.laws])
+
+    @property
+    def offset_std(self) -> Number:
+        """Standard deviation of u under the law of the robot."""
+        return self._chosen([law.offset_std for law in self._known])
+
+    @property
+    def _known(self) -> tuple[Any, ...]:
+        """The laws, of which whoever asks knows that their probabilities are known."""
+        return self.laws
+
+    def draw_trait(self, num_objects: int, key: Key) -> tuple[Any, ...]:
+        """Draw the hidden trait of each law, all from the same key."""
+        return tuple(law.draw_trait(num_objects, key) for law in self.laws)
+
+    def attempt(
+        self, table: Arrangement, trait: tuple[Any, ...], verb: Int[Array, "*B"], target: Int[Array, "*B"], key: Key
+    ) -> Attempt:
+        """Attempt as the robot does; the traits of the other laws stay as they are."""
+        each = [law.attempt(table, own, verb, target, key) for law, own in zip(self.laws, trait, strict=True)]
+        traits = tuple(
+            chosen(library_of(self.robot).asarray(self.robot == k), tried.trait, own)
+            for k, (tried, own) in enumerate(zip(each, trait, strict=True))
+        )
+        return self._chosen([tried._replace(trait=None) for tried in each])._replace(trait=traits)
+
+    def log_failure(self, occluded: Any, offset: Any) -> Any:
+        """Log probability that an attempt of the robot fails."""
+        return self._chosen([law.log_failure(occluded, offset) for law in self._known])
+
+    def expected_s(self, occluded: Any, offset: Any) -> Any:
+        """Expected duration of an attempt of the robot [s]."""
+        return self._chosen([law.expected_s(occluded, offset) for law in self._known])
+
+    def _chosen(self, each: Sequence[Any]) -> Any:
+        if isinstance(self.robot, int | np.integer):
+            return each[int(self.robot)]
+        found = each[0]
+        for robot, other in enumerate(each[1:], start=1):
+            found = mapped(lambda new, old, robot=robot: _where(self.robot == robot, new, old), other, found)
+        return found
+
+
+def _where(is_new: Any, new: Any, old: Any) -> Any:
+    xp = library_of(is_new)
+    num_axes = max(xp.ndim(new), xp.ndim(old))
+    return xp.where(is_new.reshape(is_new.shape + (1,) * max(num_axes - is_new.ndim, 0)), new, old)
+
+
+def check_law(law: object, where: str) -> None:
+    """Refuse what is no law of grasping of one robot.
+
+    Raises
+    ------
+    ArgumentError
+        As above.
+    """
+    if isinstance(law, type | GraspingByRobot) or not isinstance(law, GraspLaw):
+        raise ArgumentError(
+            f"{where} is {law!r}, no law of grasping of one robot; give one, such as AssumedGrasping() or the grasping "
+            "of a calibrated Law"
+        )

@@ -22,9 +22,8 @@ from halfseen.errors import LogError
 from halfseen.logs import Logs
 from halfseen.world.actions import TARGETED, ActionSpace
 from halfseen.world.cuts import CAUSES, CutEpisodes, CutKind
-from halfseen.world.log_checks import DISHWASHER, TABLE, Lists, checked_objects, object_numbers
+from halfseen.world.log_checks import DISHWASHER, TABLE, Lists, checked_objects, object_numbers, robots_in
 from halfseen.world.number import Number
-from halfseen.world.robot_checks import robots_in
 from halfseen.world.robot_logs import (
     DROP_OUT_CAUSE,
     VERB_NAMES,
@@ -168,7 +167,7 @@ def states_of(logs: Logs, horizon: int) -> TableState:
     Raises
     ------
     LogError
-        The log breaks a rule of tables or of robots; see `log_checks` and `robot_checks`.
+        The log breaks a rule of tables or of robots; see `log_checks`.
     """
     states = _table_states(logs, horizon)
     return replace(states, **robots_by(logs, told_by(logs, horizon), states)) if robots_in(logs) else states
@@ -185,7 +184,7 @@ def check_log(logs: Logs) -> None:
     Raises
     ------
     LogError
-        It breaks a rule of tables or of robots; see `log_checks` and `robot_checks`.
+        It breaks a rule of tables or of robots; see `log_checks`.
     """
     checked_objects(logs, logs.horizon)
     told_by(logs)

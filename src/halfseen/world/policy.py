@@ -1,4 +1,7 @@
-"""What decides: one interface for heuristics, planners and what was learned."""
+"""What decides: one interface for heuristics, planners and what was learned.
+
+What the probability of a grasp may be taken from: one interface for what was learned and what is known.
+"""
 
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -145,3 +148,12 @@ def check_decides_for(policy: Any, num_robots: int) -> None:
         raise PolicyError(
             f"the policy is for {known} robots, and the team has {num_robots}; give one for as many, or another team"
         )
+
+
+@runtime_checkable
+class GraspModel(Protocol):
+    """Tells how likely an attempt on each object is to succeed now."""
+
+    def probability(self, state: TableState) -> Float[Array, "*B N"]:
+        """P(an attempt succeeds) for each object, given its occlusion and its past attempts."""
+        ...

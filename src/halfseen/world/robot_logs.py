@@ -8,6 +8,8 @@ Where robots may drop out, a path holds r_out_s and r_out_cause, null where robo
 Per object it holds three lists more: reached_by (numbers of the robots that reach it), near (the objects of the stage
 that are too near to it for two robots at once, by their place among these, itself included) and attempt_by (which robot
 made each of its past attempts, oldest first), which a log may leave out.
+
+The log of a team as if every drop-out of one robot had ended the table: for the value as if nobody dropped out.
 """
 
 from collections.abc import Mapping
@@ -20,19 +22,21 @@ from jaxtyping import Bool, Int
 
 from halfseen.logs import Logs
 from halfseen.logs.checks.robots import robots_that_may_drop_out
-from halfseen.logs.columns import require_columns
+from halfseen.logs.columns import CUT, is_own_reward, require_columns
 from halfseen.logs.refusal import refuse, shown, value_at
 from halfseen.world.actions import TARGETED, VERB_NAMES, ActionSpace
 from halfseen.world.cuts import CutEpisodes
-from halfseen.world.log_checks import Lists, lists_in, object_numbers
-from halfseen.world.robot_checks import (
+from halfseen.world.log_checks import (
     ATTEMPT_BY,
+    Lists,
     check_attempts,
     check_doings,
     check_drop_outs,
     check_lists,
     check_numbers,
     check_reached,
+    lists_in,
+    object_numbers,
     robots_in,
 )
 from halfseen.world.state import NO_ATTEMPT, Robots, TableState, Workspace
@@ -159,7 +163,7 @@ def told_by(logs: Logs, horizon: int | None = None) -> Told:
     Raises
     ------
     LogError
-        A rule of robots is broken (`robot_checks`), a column of a robot is missing, or a robot is none of them.
+        A rule of robots is broken (`log_checks`), a column of a robot is missing, or a robot is none of them.
     """
     stages, objects, num_robots = logs.stages, logs.objects, robots_in(logs)
     each = range(max(num_robots, 1))
@@ -277,3 +281,52 @@ def _workspaces(logs: Logs, states: TableState, told: Told) -> Workspace:
     other = number[begin[near.row] + near.values.astype(np.int64)]
     is_near[path[near.row], stage[near.row], target[near.row], other] = True
     return Workspace(is_in_reach, is_near)
+
+
+def cut_at_drop_outs(logs: Logs) -> Logs:
+    """Cut each path where its first robot dropped out, with the cause of that.
+
+    The stage in which it fell is not completed, also where it ended there since robots that waited were free: without
+    the drop-out it would have gone on.
+
+    Parameters
+    ----------
+    logs
+        The log of a team.
+    """
+    robots = robots_that_may_drop_out(logs.paths)
+    if not robots:
+        return logs
+    out_s = logs.paths[[f"{r}_out_s" for r in robots]].to_numpy(dtype=np.float64)
+    first = np.argmin(np.where(np.isnan(out_s), np.inf, out_s), axis=1)
+    rows = np.arange(len(out_s))
+    first_s, is_out = out_s[rows, first], ~np.isnan(out_s).all(axis=1)
+    causes = np.stack([_causes(logs.paths, r) for r in robots], axis=1)[rows, first]
+    paths = logs.paths.drop(columns=[f"{r}_{what}" for r in robots for what in ("out_s", "out_cause")], errors="ignore")
+    paths = paths.assign(
+        end_s=np.where(is_out, first_s, paths["end_s"]),
+        ending=np.where(is_out, CUT, paths["ending"]),
+        cause=np.where(is_out, causes, paths["cause"].astype(object)),
+    )
+    return Logs(*_stages_before(logs, paths, first_s), reward_unit=logs.reward_unit)
+
+
+def _causes(paths: pd.DataFrame, robot: int) -> np.ndarray:
+    name = f"{robot}_out_cause"
+    return paths[name].to_numpy(dtype=object) if name in paths.columns else np.full(len(paths), None, dtype=object)
+
+
+def _stages_before(logs: Logs, paths: pd.DataFrame, first_s: np.ndarray) -> Any:
+    """Stages, paths and objects, up to the stage in which the first drop-out of each path fell."""
+    stages = logs.stages
+    path_row = pd.Index(logs.path_ids).get_indexer(stages["path"])
+    at_s = first_s[path_row]
+    begin_s = stages["elapsed_s"].groupby(path_row).shift(fill_value=0.0).to_numpy()
+    is_after = begin_s >= at_s
+    is_in = ~is_after & ~(stages["elapsed_s"].to_numpy() < at_s) & ~np.isnan(at_s)
+    outcomes = ["elapsed_s", "reward", *filter(is_own_reward, stages.columns)]
+    stages = stages.assign(**{name: stages[name].mask(pd.Series(is_in)) for name in outcomes})[~is_after]
+    if logs.objects is None:
+        return stages, paths
+    kept = pd.DataFrame(stages[["path", "stage"]])
+    return stages, paths, logs.objects.merge(kept, on=["path", "stage"])

@@ -10,8 +10,7 @@ from jaxtyping import Float
 
 from halfseen.errors import ArgumentError, HalfseenWarning, SceneError
 from halfseen.world.config import WorldConfig
-from halfseen.world.grasping import GraspLaw
-from halfseen.world.grasping_by_robot import GraspingByRobot, check_law
+from halfseen.world.grasping import GraspingByRobot, GraspLaw, check_law
 from halfseen.world.number import is_number, is_wrong
 from halfseen.world.scene import Scene
 from halfseen.world.state import Layout, Workspace, pad_scenes

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from halfseen.arrays import Array, library_of, record
+from halfseen.arrays import Array, first_last, library_of, record
 from halfseen.errors import ArgumentError, SceneError
 from halfseen.world.config import WorldConfig
 from halfseen.world.scene import Scene
@@ -259,7 +259,7 @@ def numbered(number: Int[Array, "*B"], num: int) -> Bool[Array, "*B k"]:
     """Which of 0 to num − 1 each number is."""
     xp = library_of(number)
     number = xp.asarray(number)
-    return xp.moveaxis(xp.arange(num).reshape((num,) + (1,) * number.ndim) == number, 0, -1)
+    return first_last(xp.arange(num).reshape((num,) + (1,) * number.ndim) == number)
 
 
 def check_goes_on(state: TableState) -> None:
@@ -285,10 +285,11 @@ def occlusion_by(hides: Float[Array, "*#B N N"], is_hiding: Bool[Array, "*#B N"]
     # What hides nothing hides a share of 0, also where its share is padding (NaN).
     is_idle = (~is_hiding).astype(np.float32)
     if xp is np and hides.size > _IN_CACHE:
-        visible = np.float32(1.0)
-        for j in range(hides.shape[-1]):
-            visible = visible * np.fmax(np.float32(1.0) - hides[..., j], is_idle[..., j, None])
-        return np.float32(1.0) - visible
+        visible = np.fmax(np.float32(1.0) - hides[..., 0], is_idle[..., 0, None])
+        for j in range(1, hides.shape[-1]):
+            of_one = np.float32(1.0) - hides[..., j]
+            visible *= np.fmax(of_one, is_idle[..., j, None], of_one)
+        return np.subtract(np.float32(1.0), visible, visible)
     return np.float32(1.0) - xp.prod(xp.fmax(np.float32(1.0) - hides, is_idle[..., None, :]), axis=-1)
 
 

@@ -13,7 +13,7 @@ from halfseen.tables import BetaGrasp, LinearTablePolicy, SVMGrasp, attempts
 from halfseen.tables.features import NUM_FEATURES, table_features
 from halfseen.tables.grasp.grasp_table import GraspTable, tabulate
 from halfseen.world import Scene, TableWorld, UniformPolicy, WorldConfig, random
-from halfseen.world.grasp_model import GraspModel
+from halfseen.world.policy import GraspModel
 from halfseen.world.rollout import play
 from halfseen.world.state import attempt_counts, occlusion, pad_scenes
 from picked import picked

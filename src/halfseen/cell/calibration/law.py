@@ -16,9 +16,9 @@ from halfseen.cell.facts import Facts, facts_of
 from halfseen.logs import Logs
 from halfseen.perception.view import View
 from halfseen.world.config import WorldConfig
-from halfseen.world.fitted_grasping import FittedGrasping
-from halfseen.world.persistent_seeing import PersistentSeeing
+from halfseen.world.grasping import FittedGrasping
 from halfseen.world.scene import Scene
+from halfseen.world.seeing import PersistentSeeing
 
 _NUM_GRIPS, _DIGITS = 100, 6
 _CURVES = ("sensitivity", "false_alarms")

@@ -30,7 +30,7 @@ from halfseen.logs import Logs
 from halfseen.policies.folder.files import Kind, read_files, write_files
 from halfseen.policies.folder.json_values import plain
 from halfseen.reading import json_of
-from halfseen.world.persistent_seeing import PersistentSeeing
+from halfseen.world.seeing import PersistentSeeing
 
 ATTEMPTS, VISIBLE_ONLY = "attempts", "attempts-visible-only"
 LAW = Kind("law", "halfseen cell calibrate")

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from halfseen.errors import LogError
 from halfseen.perception.labels import FACING_SHARE
-from halfseen.world.persistent_seeing import SAME_VIEW, PersistentSeeing
+from halfseen.world.seeing import SAME_VIEW, PersistentSeeing
 
 VIEWS = (0.25 * FACING_SHARE, 0.5 * FACING_SHARE, 0.75 * FACING_SHARE, FACING_SHARE, 1.0)
 """Shares of the surface at which curves are fitted: quarters of what a look on the table shows, and all."""

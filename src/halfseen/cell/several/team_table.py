@@ -11,7 +11,7 @@ from halfseen.cell.table_state import Belief, state_of
 from halfseen.cell.workcell import Attempt, Workcell
 from halfseen.perception.clouds import Vector
 from halfseen.world.actions import TARGETED, VERB_NAMES
-from halfseen.world.robot_checks import ATTEMPT_BY
+from halfseen.world.log_checks import ATTEMPT_BY
 from halfseen.world.robot_logs import FREE, PARKED
 from halfseen.world.robots import CLEARANCE_M
 from halfseen.world.state import Robots, TableState, Workspace

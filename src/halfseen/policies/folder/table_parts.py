@@ -10,7 +10,7 @@ from halfseen.errors import ArgumentError, PolicyError
 from halfseen.policies.folder.arrays import GRASP, PER_GRIP
 from halfseen.policies.folder.json_values import horizon_of, typed
 from halfseen.tables.grasp.grasp_table import GraspTable
-from halfseen.world.grasp_model import GraspModel
+from halfseen.world.policy import GraspModel
 
 
 def seen_verbs(verbs: Sequence[str], is_seen: Bool[np.ndarray, "T V"] | None, horizon: int) -> list[list[str]]:

@@ -10,7 +10,7 @@ from halfseen.policies.folder.arrays import GRASP, PER_GRIP, Arrays
 from halfseen.policies.folder.table_parts import grasp_arrays, grasp_of
 from halfseen.tables.grasp.by_robot import GraspByRobot
 from halfseen.tables.grasp.grasp_table import GraspTable
-from halfseen.world.grasp_model import GraspModel
+from halfseen.world.policy import GraspModel
 
 _OWN = "own."
 """What stands before the names of the arrays of all robots, axis K first."""

@@ -13,7 +13,7 @@ from halfseen.tables.grasp.attempts import attempts
 from halfseen.tables.grasp.grip_effect import IN_FULL, GripEffect, fit_grip_effect
 from halfseen.tables.grasp.inputs import History
 from halfseen.tables.grasp.protocol import GraspEstimator
-from halfseen.world.grasp_model import GraspModel
+from halfseen.world.policy import GraspModel
 from halfseen.world.state import TableState, attempt_counts, occlusion
 
 NUM_OCCLUSIONS = 33

@@ -28,10 +28,8 @@ from halfseen.tables.laws.labels import Labels
 from halfseen.tables.laws.persistent_fit import fit_persistent
 from halfseen.tables.laws.seeing_fit import fit_seeing
 from halfseen.tables.laws.watched import AT_LIMIT, Watched
-from halfseen.world.fitted_grasping import FittedGrasping
-from halfseen.world.grasping import AssumedGrasping
-from halfseen.world.persistent_seeing import PersistentSeeing
-from halfseen.world.seeing import AssumedSeeing
+from halfseen.world.grasping import AssumedGrasping, FittedGrasping
+from halfseen.world.seeing import AssumedSeeing, PersistentSeeing
 
 
 def choose_grasping(tried: Watched, limit_s: float) -> AssumedGrasping | FittedGrasping:

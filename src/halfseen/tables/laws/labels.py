@@ -15,7 +15,7 @@ from halfseen.world.actions import Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.log_checks import object_numbers
 from halfseen.world.logs import states_of
-from halfseen.world.persistent_seeing import SAME_VIEW
+from halfseen.world.seeing import SAME_VIEW
 
 NO_NEWS = 1e-4
 """Log-odds that move by less did not: what is left is rounding."""

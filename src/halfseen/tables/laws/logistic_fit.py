@@ -34,7 +34,7 @@ from scipy.special import log_ndtr
 
 from halfseen.arrays import RowIds, RowMask, Rows
 from halfseen.tables.laws.watched import AT_LIMIT, Watched
-from halfseen.world.fitted_grasping import FittedGrasping
+from halfseen.world.grasping import FittedGrasping
 
 Theta = Float[np.ndarray, "6"]
 """a, b, log σ, mean log duration of an attempt that holds, what is added for one that misses, and log s."""

@@ -38,7 +38,7 @@ from scipy.special import expit, log_expit
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.tables.laws.labels import Labels
-from halfseen.world.persistent_seeing import SAME_VIEW, PersistentSeeing
+from halfseen.world.seeing import SAME_VIEW, PersistentSeeing
 
 Theta = Float[np.ndarray, "2 pieces"]
 """Logits of h: of dirty objects, and of clean ones."""

@@ -39,9 +39,8 @@ from halfseen.tables.grasp.svm_grasp import SVMGrasp
 from halfseen.workers.threads import one_thread
 from halfseen.world.actions import ActionSpace
 from halfseen.world.cuts import CutKind, cut
-from halfseen.world.grasp_model import GraspModel
 from halfseen.world.logs import to_logs
-from halfseen.world.policy import Policy
+from halfseen.world.policy import GraspModel, Policy
 
 CUT_KIND: CutKind = "independent"
 
