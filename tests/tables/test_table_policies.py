@@ -13,7 +13,7 @@ from halfseen.learning.transitions import q_values
 from halfseen.logs import Logs
 from halfseen.policies.folder import read_policy, write_policy
 from halfseen.tables import LinearTablePolicy, TableTask
-from halfseen.tables.censoring_covariates import table_covariates
+from halfseen.tables.encoding import table_covariates
 from halfseen.tables.features import (
     NUM_FEATURES,
     NUM_TABLE_FEATURES,

@@ -6,7 +6,7 @@ import pytest
 from halfseen.arrays import mapped
 from halfseen.learning import CensoredQLearner
 from halfseen.tables import TeamTask
-from halfseen.tables.team_rewards import expected, outcomes_of, pays_of, shaped
+from halfseen.tables.rewards import expected, outcomes_of, pays_of, shaped
 from halfseen.world.actions import ActionSpace, Verb
 from played_teams import SCENE, logged, played, team_of
 

@@ -10,7 +10,7 @@ from halfseen.learning.path_arrays import path_arrays
 from halfseen.learning.task import Encoded, RewardedStages
 from halfseen.planners import GreedyPolicy
 from halfseen.tables.encoding import encoded_states
-from halfseen.tables.variance_reduction import expected_rewards, label_control_variates, wash_pay
+from halfseen.tables.rewards import expected_rewards, label_control_variates, wash_pay
 from halfseen.world import ExploringPolicy, Scene, TableWorld, WorldConfig, random
 from halfseen.world.actions import ActionSpace, Verb
 from halfseen.world.cuts import cut, cut_rate

@@ -19,7 +19,7 @@ from halfseen.logs import Logs
 ACTION = "action"
 """Among the names of censoring covariates, this one stands for the action that was taken."""
 
-TASKS = {"table": "halfseen.tables.task:TableTask", "team": "halfseen.tables.team_task:TeamTask"}
+TASKS = {"table": "halfseen.tables.task:TableTask", "team": "halfseen.tables.task:TeamTask"}
 """Tasks that have a name; they load where they are asked for."""
 
 

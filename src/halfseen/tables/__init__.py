@@ -22,10 +22,8 @@ if TYPE_CHECKING:
     from halfseen.tables.grasp.svm_grasp import SVMGrasp
     from halfseen.tables.independent import IndependentPolicies
     from halfseen.tables.learned_explanation import LearnedExplainer
-    from halfseen.tables.policy import LinearTablePolicy
-    from halfseen.tables.task import TableTask
-    from halfseen.tables.team_policy import LinearTeamPolicy
-    from halfseen.tables.team_task import TeamTask
+    from halfseen.tables.policy import LinearTablePolicy, LinearTeamPolicy
+    from halfseen.tables.task import TableTask, TeamTask
 
 __all__ = [
     "BetaGrasp",
@@ -48,10 +46,10 @@ __getattr__ = lazy_names(
         "IndependentPolicies": "independent",
         "LearnedExplainer": "learned_explanation",
         "LinearTablePolicy": "policy",
-        "LinearTeamPolicy": "team_policy",
+        "LinearTeamPolicy": "policy",
         "SVMGrasp": "grasp.svm_grasp",
         "TableTask": "task",
-        "TeamTask": "team_task",
+        "TeamTask": "task",
         "agent_view": "agent_logs",
         "attempts": "grasp.attempts",
         "fit_world": "fitted_world",

@@ -33,7 +33,7 @@ from jaxtyping import Bool, Float
 
 from halfseen.arrays import Array, library_of
 from halfseen.tables.features import Columns, table_columns
-from halfseen.tables.grasp.by_robot import GraspByRobot
+from halfseen.tables.grasp.grasp_table import GraspByRobot
 from halfseen.world.actions import TARGETED, ActionSpace, Verb, of_robot, possible_actions
 from halfseen.world.grasp_model import GraspModel
 from halfseen.world.makespan import makespans

@@ -10,8 +10,7 @@ from halfseen.errors import PolicyError
 from halfseen.policies.folder.team_grasp import split_grasp, team_grasp_arrays, team_grasp_of
 from halfseen.tables import TeamTask
 from halfseen.tables.features import table_columns
-from halfseen.tables.grasp.by_robot import GraspByRobot
-from halfseen.tables.grasp.grasp_table import GraspTable
+from halfseen.tables.grasp.grasp_table import GraspByRobot, GraspTable
 from halfseen.tables.team_features import NUM_LIFT, NUM_WASH, team_features
 from halfseen.world import FittedGrasping, Robot, Scene, TableWorld, UniformPolicy, Verb, WorldConfig, random
 from halfseen.world.transition import start, step

@@ -9,9 +9,8 @@ from halfseen.censoring import censoring_weights
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.tables import BetaGrasp
-from halfseen.tables.grasp.choice import FEWEST_ATTEMPTS, NUM_FOLDS, choose_by, choose_grasp
+from halfseen.tables.grasp.choice import FEWEST_ATTEMPTS, NUM_FOLDS, choose_by, choose_grasp, fit_grip_effect
 from halfseen.tables.grasp.grasp_table import GraspTable, tabulate
-from halfseen.tables.grasp.grip_effect import fit_grip_effect
 from halfseen.world import Scene, TableWorld, UniformPolicy
 
 HORIZON = 10

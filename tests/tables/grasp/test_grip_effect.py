@@ -9,7 +9,9 @@ from tried import beta_attempts, cut_some
 from halfseen.censoring import censoring_weights
 from halfseen.errors import ArgumentError
 from halfseen.tables import BetaGrasp
-from halfseen.tables.grasp.grip_effect import SPREAD, GripEffect, fit_grip_effect
+from halfseen.tables.grasp.choice import GRIP_SPREAD as SPREAD
+from halfseen.tables.grasp.choice import fit_grip_effect
+from halfseen.tables.grasp.grasp_table import GripEffect
 
 
 class Even:

@@ -4,8 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from halfseen.tables.grasp.attempts import attempts
-from halfseen.tables.grasp.team_attempts import team_attempts
+from halfseen.tables.grasp.attempts import attempts, team_attempts
 from halfseen.world import ExploringPolicy, TableWorld, WorldConfig
 from halfseen.world.actions import ActionSpace
 from halfseen.world.logs import states_of
