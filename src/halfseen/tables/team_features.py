@@ -19,10 +19,10 @@ of FINISH                              1 where another goes on, and how many are
 how long it will take                  the bound of `halfseen.world.makespan`
 =====================================  ================================================================================
 
-Where robots differ in how they grasp (`grasp.by_robot`), what is about one object goes by the robot that is at it, or
+Where robots differ in how they grasp (`grasp.grasp_table.GraspByRobot`), what is about one object goes by the robot that is at it, or
 decides; what the team can clear is the same, whoever decides.
 
-Where no other robot goes on, all that FINISH looks at is 0, and Q is measured from leaving the table (`team_rewards`).
+Where no other robot goes on, all that FINISH looks at is 0, and Q is measured from leaving the table (`rewards`).
 """
 
 from collections.abc import Sequence
