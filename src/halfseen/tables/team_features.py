@@ -19,7 +19,7 @@ of FINISH                              1 where another goes on, and how many are
 how long it will take                  the bound of `halfseen.world.makespan`
 =====================================  ================================================================================
 
-Where robots differ in how they grasp (`grasp.grasp_table.GraspByRobot`), what is about one object goes by the robot that is at it, or
+Where robots differ in how they grasp (`GraspByRobot`), what is about one object goes by the robot that is at it, or
 decides; what the team can clear is the same, whoever decides.
 
 Where no other robot goes on, all that FINISH looks at is 0, and Q is measured from leaving the table (`rewards`).
