@@ -22,7 +22,7 @@ from halfseen.logs import read_logs
 from halfseen.perception.labels import FACING_SHARE
 from halfseen.scene import table_paths
 from halfseen.tables.grasp.inputs import checked_attempts
-from halfseen.world.persistent_seeing import PersistentSeeing
+from halfseen.world.seeing import PersistentSeeing
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "physical_cell" / "logs"
 """Logs of 700 tables."""

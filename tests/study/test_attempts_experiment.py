@@ -22,8 +22,7 @@ from halfseen.study.experiments.attempts.sources import fit_of, frame_of
 from halfseen.study.experiments.attempts.splits import sizes_of, split_of
 from halfseen.study.statistics import holm
 from halfseen.study.store import as_json
-from halfseen.tables.grasp.inputs import checked_attempts
-from halfseen.tables.grasp.splits import can_hold_out
+from halfseen.tables.grasp.inputs import can_hold_out, checked_attempts
 
 TINY = Attempts(num_tables=(8, 16), num_folds=2)
 

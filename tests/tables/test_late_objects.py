@@ -9,7 +9,7 @@ from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.tables.encoding import logged_actions
 from halfseen.tables.features import table_features
-from halfseen.tables.laws.labels import labels
+from halfseen.tables.laws.evidence import labels
 from halfseen.world import ActionSpace, WorldConfig
 from halfseen.world.actions import possible_actions
 from halfseen.world.logs import states_of

@@ -3,17 +3,19 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
+from scipy.special import expit
 
 from halfseen.arrays import record
 from halfseen.censoring import Cox, stage_weights
 from halfseen.errors import ArgumentError, LogError
-from halfseen.learning import CensoredQLearner, Weighted
+from halfseen.learning import CensoredQLearner, Task, Weighted
 from halfseen.learning.rows import q_values
 from halfseen.logs import Logs
 from halfseen.policies.folder import read_policy, write_policy
 from halfseen.tables import LinearTablePolicy, TableTask
-from halfseen.tables.censoring_covariates import table_covariates
+from halfseen.tables.encoding import table_covariates
 from halfseen.tables.features import (
     NUM_FEATURES,
     NUM_TABLE_FEATURES,
@@ -21,6 +23,7 @@ from halfseen.tables.features import (
     WASH_EASE,
     table_features,
 )
+from halfseen.tables.prior import logged_dirty_share
 from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, WorldConfig, random
 from halfseen.world.actions import ActionSpace, Verb, possible_actions
 from halfseen.world.cuts import cut, cut_rate
@@ -273,3 +276,46 @@ def test_a_verb_that_was_never_completed_is_never_taken(scene, tmp_path):
         verbs = ActionSpace(NUM_OBJECTS).verb(again.action)[again.is_taken]
         assert Verb.LIFT not in set(verbs)
         assert Verb.WASH in set(verbs)
+
+
+def log_of(log_odds=(0.4, -0.2, 1.0), **columns):
+    """Two paths of two stages; the last object is of a second stage."""
+    stages = pd.DataFrame({"path": [0, 0, 1], "stage": [1, 2, 1], "elapsed_s": [1.0, 2.0, 1.0]})
+    stages = stages.assign(action=["LIFT", "FINISH", "FINISH"], object=["a", None, None], reward=0.0)
+    paths = pd.DataFrame({"path": [0, 1], "end_s": [2.0, 1.0], "ending": "finished"} | columns)
+    objects = pd.DataFrame({"path": [0, 1, 0], "stage": [1, 1, 2], "object": "a", "location": "TABLE"})
+    return Logs(stages, paths, objects.assign(log_odds=log_odds, occlusion=0.0))
+
+
+def test_the_prior_is_the_column_where_there_is_one():
+    assert logged_dirty_share(log_of(dirty_share=[0.3, 0.3])) == 0.3
+
+
+@pytest.mark.parametrize("columns", [{}, {"dirty_share": [0.3, None]}], ids=["no column", "a column with gaps"])
+def test_the_prior_is_the_mean_of_the_first_stages_where_there_is_none(columns):
+    assert logged_dirty_share(log_of(**columns)) == pytest.approx(expit([0.4, -0.2]).mean())
+
+
+@pytest.mark.parametrize("shares", [[0.3, 0.5], [1.0, 1.0]])
+def test_priors_that_differ_or_are_none_are_refused(shares):
+    with pytest.raises(LogError, match=r"paths: dirty_share goes from \S+ to \S+; one policy has one prior"):
+        logged_dirty_share(log_of(dirty_share=shares))
+
+
+def test_a_log_without_objects_is_no_tables():
+    logs = log_of()
+    with pytest.raises(LogError, match="objects: the log has none"):
+        logged_dirty_share(Logs(logs.stages.drop(columns="object"), logs.paths))
+
+
+def test_it_is_a_task():
+    assert isinstance(TableTask(), Task)
+
+
+def test_features_of_a_table_have_no_names_to_choose_by():
+    with pytest.raises(ArgumentError, match="on a table the outcome regression uses all features"):
+        TableTask().outcome_features(["occlusion"])
+
+
+def test_blocks_are_verbs():
+    np.testing.assert_array_equal(TableTask().block_of_action(5), [0, 1, 1, 2, 2])

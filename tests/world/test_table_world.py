@@ -9,7 +9,7 @@ from halfseen.errors import ArgumentError, HalfseenWarning, PolicyError, SceneEr
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.planners.rules import ReservingPolicy, TeamOfRules
 from halfseen.tables.independent import IndependentPolicies
-from halfseen.tables.team_policy import LinearTeamPolicy
+from halfseen.tables.policy import LinearTeamPolicy
 from halfseen.world import ExploringPolicy, Robot, Scene, TableWorld, UniformPolicy, WorldConfig, random
 from halfseen.world.robots import workspace_of
 from halfseen.world.rollout import play

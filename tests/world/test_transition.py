@@ -7,8 +7,9 @@ from naive_world import accuracy, hidden_share, mean_grasp_s, naive_step
 
 from halfseen.world import AssumedGrasping, Scene, WorldConfig, random
 from halfseen.world.actions import ActionSpace, Verb, possible_actions
+from halfseen.world.attempts import look
 from halfseen.world.state import HiddenState, Layout, TableState, attempt_counts, occlusion, pad_scenes
-from halfseen.world.transition import look, start, step
+from halfseen.world.transition import start, step
 from picked import leaves_of, picked, repeated
 
 CONFIG = WorldConfig()

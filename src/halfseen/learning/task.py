@@ -21,7 +21,7 @@ AUTO: Literal["auto"] = "auto"
 ACTION = "action"
 """Among the names of censoring covariates, this one stands for the action that was taken."""
 
-TASKS = {"table": "halfseen.tables.task:TableTask", "team": "halfseen.tables.team_task:TeamTask"}
+TASKS = {"table": "halfseen.tables.task:TableTask", "team": "halfseen.tables.task:TeamTask"}
 """Tasks that have a name; they load where they are asked for."""
 
 

@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 
 from halfseen.errors import LogError
 from halfseen.logs import Logs
-from halfseen.logs.recording.recorder import LogRecorder, PathRecorder
+from halfseen.logs.recording.path_recorder import PathRecorder
+from halfseen.logs.recording.recorder import LogRecorder
 from halfseen.serving.refusal import Refusal
 
 STOPPED = "server stopped"

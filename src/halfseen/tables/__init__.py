@@ -1,13 +1,12 @@
 """The task of tables: where the learners meet the world.
 
-Read down: `features` (what Q looks at) → `grasp` (how likely a grasp is to succeed, learned from attempts) → `encoding`
-(logs → features) → `censoring_covariates` → `prior` → `variance_reduction` (less noise in the targets) → `margins`,
-`policy` (what was learned) → `target_probabilities` → `task` (all of it behind one seam) → `learned_explanation` (how
-sure it may be) → `present` (what is seen now, and what was logged of the path so far → the state to decide in).
+Read down: `features` and `team_features` (what Q looks at) → `grasp` (how likely a grasp is to succeed, learned from
+attempts) → `encoding` (logs → features, and what cuts may depend on) → `prior` → `rewards` (less noise in the targets)
+→ `policy` (what was learned) → `target_probabilities` → `task` (all of it behind one seam, for one robot and for
+several) → `learned_explanation` (how sure it may be) → `present` (what is seen now, and what was logged of the path so
+far → the state to decide in). Of several robots: `agent_logs`, `independent` (each for itself).
 
-Of several robots: `agent_logs`, `independent` (each for itself) → `team_features` → `team_rewards` → `team_policy` →
-`team_task`. Beside them, `laws` → `fitted_world`: a world whose laws were fitted to the same log, for planners that
-know no law.
+Beside them, `laws` → `fitted_world`: a world whose laws were fitted to the same log, for planners that know no law.
 """
 
 from typing import TYPE_CHECKING
@@ -22,10 +21,8 @@ if TYPE_CHECKING:
     from halfseen.tables.grasp.svm_grasp import SVMGrasp
     from halfseen.tables.independent import IndependentPolicies
     from halfseen.tables.learned_explanation import LearnedExplainer
-    from halfseen.tables.policy import LinearTablePolicy
-    from halfseen.tables.task import TableTask
-    from halfseen.tables.team_policy import LinearTeamPolicy
-    from halfseen.tables.team_task import TeamTask
+    from halfseen.tables.policy import LinearTablePolicy, LinearTeamPolicy
+    from halfseen.tables.task import TableTask, TeamTask
 
 __all__ = [
     "BetaGrasp",
@@ -48,10 +45,10 @@ __getattr__ = lazy_names(
         "IndependentPolicies": "independent",
         "LearnedExplainer": "learned_explanation",
         "LinearTablePolicy": "policy",
-        "LinearTeamPolicy": "team_policy",
+        "LinearTeamPolicy": "policy",
         "SVMGrasp": "grasp.svm_grasp",
         "TableTask": "task",
-        "TeamTask": "team_task",
+        "TeamTask": "task",
         "agent_view": "agent_logs",
         "attempts": "grasp.attempts",
         "fit_world": "fitted_world",

@@ -1,24 +1,35 @@
-"""From logs of tables to the dense arrays that the learner runs on."""
+"""From logs of tables to the dense arrays that the learner runs on, and to what their cuts may depend on."""
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Int
 
 from halfseen.arrays import mapped
-from halfseen.errors import LogError
+from halfseen.errors import ArgumentError, LogError
+from halfseen.learning.named_task import action_indicators
 from halfseen.learning.rows import stage_places
-from halfseen.learning.task import Encoded
+from halfseen.learning.task import ACTION, Encoded
 from halfseen.logs import Logs
 from halfseen.logs.refusal import refuse, shown, value_at
+from halfseen.suggestions import did_you_mean
 from halfseen.tables.features import table_features
-from halfseen.world.actions import FINISH, TARGETED, VERB_NAMES, WAIT, ActionSpace, possible_actions, wait_of
-from halfseen.world.log_checks import begun_objects, robots_in
+from halfseen.world.actions import FINISH, TARGETED, VERB_NAMES, WAIT, ActionSpace, Verb, possible_actions, wait_of
+from halfseen.world.log_checks import TABLE, begun_objects, robots_in
 from halfseen.world.logs import states_of
 from halfseen.world.policy import GraspModel
 from halfseen.world.robot_logs import told_by
 from halfseen.world.state import TableState
+
+TABLE_COVARIATES = ("num_objects", "mean_occlusion", ACTION, "target_occlusion")
+"""All of them; the first two are known as a path begins."""
+
+NUM_AT_BEGIN = 2
+
+_VERBS = tuple(verb.name for verb in Verb)
 
 
 def encoded_states(
@@ -42,12 +53,17 @@ def encoded_states(
     """
     num_paths, at = len(is_state), np.nonzero(is_state)
     there = mapped(lambda leaf: leaf[:num_paths][at], states)
-    features, is_possible = table_features(there, grasp), possible_actions(there)
-    all_features = np.zeros((*is_state.shape, *features.shape[1:]))
-    all_possible = np.zeros((*is_state.shape, is_possible.shape[1]), dtype=bool)
-    all_possible[..., FINISH] = True
-    all_features[at], all_possible[at] = features, is_possible
-    return Encoded(all_features, all_possible, action)
+    features = spread(table_features(there, grasp).astype(np.float64), at, is_state.shape)
+    is_possible = spread(possible_actions(there), at, is_state.shape)
+    is_possible[~is_state, FINISH] = True
+    return Encoded(features, is_possible, action)
+
+
+def spread(values: np.ndarray, at: tuple[np.ndarray, ...], shape: tuple[int, ...]) -> np.ndarray:
+    """Put the values of some stages at their places, and zeros elsewhere."""
+    found = np.zeros((*shape, *values.shape[1:]), dtype=values.dtype)
+    found[at] = values
+    return found
 
 
 def encode_tables(logs: Logs, horizon: int, grasp: GraspModel | None = None) -> Encoded:
@@ -158,3 +174,37 @@ def logged_actions(logs: Logs, horizon: int, num_objects: int, *, is_team: bool 
 def _in_words(is_team: bool) -> str:
     *first, last = [verb.name for verb in TARGETED]
     return f"{', '.join(first)} or {last} with an object, {'WAIT or FINISH without one' if is_team else 'or FINISH'}"
+
+
+def table_covariates(logs: Logs, columns: Sequence[str]) -> pd.DataFrame:
+    """What cuts may depend on at a table; one row a stage.
+
+    Parameters
+    ----------
+    logs
+        A log of tables.
+    columns
+        Among `TABLE_COVARIATES`: ``num_objects`` and ``mean_occlusion`` are of what stands on the table, ``action`` is
+        the verb, and ``target_occlusion`` the occlusion of the object that it is applied to, 0 if none.
+
+    Raises
+    ------
+    ArgumentError
+        A column is none of these.
+    """
+    unknown = [name for name in columns if name not in TABLE_COVARIATES]
+    if unknown:
+        known = ", ".join(TABLE_COVARIATES) + did_you_mean(unknown[0], TABLE_COVARIATES)
+        raise ArgumentError(f"censoring covariate {unknown[0]!r} is none of a table's: {known}")
+    assert logs.objects is not None
+    keys = ["path", "stage"]
+    there = logs.objects[logs.objects["location"] == TABLE]
+    each = there.groupby(keys)["occlusion"]
+    of_table = pd.DataFrame({"num_objects": each.size().astype(float), "mean_occlusion": each.mean()}).reset_index()
+    stages = logs.stages[[*keys, "object"]]
+    known = stages.merge(of_table, on=keys, how="left")
+    objects: Any = logs.objects
+    targets = objects[[*keys, "object", "occlusion"]].rename(columns={"occlusion": "target_occlusion"})
+    known = known.merge(targets, on=[*keys, "object"], how="left").drop(columns=[*keys, "object"]).fillna(0.0)
+    parts = [action_indicators(logs.stages[ACTION], _VERBS) if name == ACTION else known[[name]] for name in columns]
+    return pd.concat([known[[]], *parts], axis=1)

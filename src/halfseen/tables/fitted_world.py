@@ -9,9 +9,9 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from halfseen.logs import Logs
-from halfseen.tables.laws.families import choose_grasping, choose_seeing
-from halfseen.tables.laws.labels import Labels, labels
-from halfseen.tables.laws.watched import Watched, watched
+from halfseen.tables.laws.evidence import Labels, Watched, labels, of_first, watched
+from halfseen.tables.laws.grasping import choose_grasping
+from halfseen.tables.laws.seeing import choose_seeing
 from halfseen.tables.prior import logged_dirty_share
 from halfseen.world.config import WorldConfig
 
@@ -26,13 +26,13 @@ class Evidence(NamedTuple):
 
     def first(self, num_paths: int) -> "Evidence":
         """Keep what the first paths tell; the share of dirty objects is the recorder's."""
-        return self._replace(tried=self.tried.first(num_paths), told=self.told.first(num_paths))
+        return self._replace(tried=of_first(self.tried, num_paths), told=of_first(self.told, num_paths))
 
 
 def fit_world(logs: Logs, known: WorldConfig) -> WorldConfig:
     """Fit laws of grasping and seeing to a log, under censoring, each by maximum likelihood.
 
-    Of each there are two families, and the log chooses, as `halfseen.tables.laws.families` has it: `AssumedGrasping` or
+    Of each there are two families, and the log chooses (`halfseen.tables.laws`): `AssumedGrasping` or
     `FittedGrasping`, `AssumedSeeing` or `PersistentSeeing`.
 
     Parameters

@@ -19,10 +19,10 @@ of FINISH                              1 where another goes on, and how many are
 how long it will take                  the bound of `halfseen.world.others`
 =====================================  ================================================================================
 
-Where robots differ in how they grasp (`grasp.by_robot`), what is about one object goes by the robot that is at it, or
+Where robots differ in how they grasp (`GraspByRobot`), what is about one object goes by the robot that is at it, or
 decides; what the team can clear is the same, whoever decides.
 
-Where no other robot goes on, all that FINISH looks at is 0, and Q is measured from leaving the table (`team_rewards`).
+Where no other robot goes on, all that FINISH looks at is 0, and Q is measured from leaving the table (`rewards`).
 """
 
 from collections.abc import Sequence
@@ -33,7 +33,7 @@ from jaxtyping import Bool, Float
 
 from halfseen.arrays import Array, library_of
 from halfseen.tables.features import Columns, table_columns
-from halfseen.tables.grasp.by_robot import GraspByRobot
+from halfseen.tables.grasp.grasp_table import GraspByRobot
 from halfseen.world.actions import TARGETED, ActionSpace, Verb, of_robot, possible_actions
 from halfseen.world.others import Others, makespans, others_of, reached_by_decider
 from halfseen.world.policy import GraspModel

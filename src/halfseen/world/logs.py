@@ -20,13 +20,12 @@ from jaxtyping import Bool, Float, Int
 from halfseen.arrays import mapped
 from halfseen.errors import LogError
 from halfseen.logs import Logs
-from halfseen.world.actions import TARGETED, ActionSpace
+from halfseen.world.actions import TARGETED, VERB_NAMES, ActionSpace
 from halfseen.world.cuts import CAUSES, CutEpisodes, CutKind
 from halfseen.world.log_checks import DISHWASHER, TABLE, Lists, checked_objects, object_numbers, robots_in
 from halfseen.world.number import Number
 from halfseen.world.robot_logs import (
     DROP_OUT_CAUSE,
-    VERB_NAMES,
     attempt_slots,
     drop_out_columns,
     lists_of,

@@ -10,8 +10,8 @@ from test_team_episode import CONFIG, played, workcell
 from halfseen.logs import read_logs
 from halfseen.planners.myopic import MyopicPolicy
 from halfseen.planners.named import PLANNER, named_policy
+from halfseen.tables.policy import LinearTeamPolicy
 from halfseen.tables.team_features import NUM_FEATURES
-from halfseen.tables.team_policy import LinearTeamPolicy
 from halfseen.world import random
 from halfseen.world.actions import VERB_NAMES, ActionSpace
 from halfseen.world.logs import states_of

@@ -1,18 +1,29 @@
-"""What tells grasps where nothing is said: held-out attempts decide, against naive sums; what cannot decide keeps."""
+"""What tells grasps: what held-out attempts choose, of all or of each robot, and what a grip counts beside it."""
+
+from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.optimize import minimize
+from scipy.special import expit, logit
 from tried import beta_attempts, cut_some
 
+from halfseen.arrays import stacked
 from halfseen.censoring import censoring_weights
+from halfseen.errors import ArgumentError, PolicyError
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
-from halfseen.tables import BetaGrasp
-from halfseen.tables.grasp.choice import FEWEST_ATTEMPTS, NUM_FOLDS, choose_by, choose_grasp
-from halfseen.tables.grasp.grasp_table import GraspTable, tabulate
-from halfseen.tables.grasp.grip_effect import fit_grip_effect
-from halfseen.world import Scene, TableWorld, UniformPolicy
+from halfseen.policies.folder.team_grasp import split_grasp, team_grasp_arrays, team_grasp_of
+from halfseen.tables import BetaGrasp, TeamTask
+from halfseen.tables.features import table_columns
+from halfseen.tables.grasp.choice import FEWEST_ATTEMPTS, NUM_FOLDS, choose_by, choose_grasp, fit_grip_effect
+from halfseen.tables.grasp.choice import GRIP_SPREAD as SPREAD
+from halfseen.tables.grasp.grasp_table import GraspByRobot, GraspTable, GripEffect, tabulate
+from halfseen.tables.team_features import NUM_LIFT, NUM_WASH, team_features
+from halfseen.world import FittedGrasping, Robot, Scene, TableWorld, UniformPolicy, Verb, WorldConfig, random
+from halfseen.world.transition import start, step
+from picked import leaves_of, picked
 
 HORIZON = 10
 
@@ -116,3 +127,181 @@ def test_a_log_that_does_not_tell_its_outcomes_keeps_the_rule(logs):
     chosen = choose_grasp(silent, HORIZON)
     assert chosen.grasp is None
     assert "mend the counts" in chosen.sentence
+
+
+class Even:
+    """Says the same of every attempt."""
+
+    def fit(self, frame):
+        return self
+
+    def predict_proba(self, frame):
+        return np.full((len(frame), 2), 0.5)
+
+
+def gripped(num_attempts, shift, per_grip, seed=0):
+    """Attempts that hold with log-odds shift + per_grip · grip."""
+    rng = np.random.default_rng(seed)
+    tried = beta_attempts(num_attempts, num_tries=1, seed=seed)
+    grip = rng.normal(0.0, 2.0, num_attempts)
+    succeeded = rng.random(num_attempts) < expit(shift + per_grip * grip)
+    return tried.assign(grip=grip, succeeded=succeeded)
+
+
+def test_it_is_a_ridge_regression_whose_offset_is_the_model():
+    """scikit-learn's penalty is the same for all coefficients, so the columns are scaled by their spreads."""
+    from sklearn.linear_model import LogisticRegression
+
+    tried = cut_some(gripped(300, 0.4, 0.7))
+    weight = censoring_weights(tried["time_s"], tried["is_finished"])
+    seen = tried["is_finished"].to_numpy()
+    columns = np.column_stack([np.ones(len(tried)), tried["grip"]]) * SPREAD
+    peer = LogisticRegression(C=1.0, fit_intercept=False, tol=1e-10, max_iter=1000)
+    peer.fit(columns[seen], tried["succeeded"][seen].astype(bool), sample_weight=weight[seen])
+    np.testing.assert_allclose(fit_grip_effect(Even(), tried), peer.coef_[0] * SPREAD, atol=1e-5)
+
+
+def test_many_attempts_tell_what_is_true():
+    effect = fit_grip_effect(Even(), gripped(20_000, -0.5, 0.4))
+    np.testing.assert_allclose(effect, (-0.5, 0.4), atol=0.05)
+
+
+def test_attempts_that_a_grip_tells_apart_do_not_run_away():
+    few = gripped(12, 0.0, 1.0)
+    assert 0.0 < fit_grip_effect(Even(), few.assign(succeeded=few["grip"] > 0)).per_grip < 3 * SPREAD[1]
+
+
+def test_where_no_grip_was_seen_there_is_no_effect():
+    tried = gripped(100, 1.0, 0.5).assign(grip=0.0)
+    assert fit_grip_effect(Even(), tried) == GripEffect(0.0, 0.0)
+
+
+def test_a_spread_about_the_mean_pulls_it_together():
+    rng, spread = np.random.default_rng(1), 3.6
+    tried = gripped(40_000, 0.0, 1.0, seed=1)
+    succeeded = rng.random(len(tried)) < expit(tried["grip"] + rng.normal(0.0, spread, len(tried)))
+    per_grip = fit_grip_effect(Even(), tried.assign(succeeded=succeeded)).per_grip
+    assert per_grip == pytest.approx(1.0 / np.sqrt(1.0 + 0.346 * spread**2), abs=0.03)
+
+
+def test_it_moves_log_odds():
+    effect = GripEffect(0.3, 0.5)
+    np.testing.assert_allclose(logit(effect.moved(np.array([0.2, 0.9]), np.array([1.0, -2.0]))), [
+        logit(0.2) + 0.8, logit(0.9) - 0.7,
+    ])  # fmt: skip
+    assert np.isfinite(effect.moved(np.array([0.0, 1.0]), 0.0)).all()
+
+
+def test_a_model_that_knows_the_grip_on_average_is_improved_by_it():
+    train, fresh = gripped(2_000, 1.0, 0.8), gripped(2_000, 1.0, 0.8, seed=9)
+    beta = BetaGrasp().fit(train)
+    said = beta.predict_proba(fresh)[:, 1]
+    moved = fit_grip_effect(beta, train).moved(said, fresh["grip"].to_numpy())
+
+    def loss(probability):
+        return -np.mean(np.log(np.where(fresh["succeeded"], probability, 1.0 - probability)))
+
+    assert loss(moved) < loss(said) - 0.05
+
+
+def test_a_grip_that_is_no_number_is_refused():
+    tried = pd.DataFrame(gripped(50, 0.0, 0.5))
+    tried.loc[3, "grip"] = np.nan
+    with pytest.raises(ArgumentError, match=r"row 3: grip is nan; give a finite number"):
+        fit_grip_effect(Even(), tried)
+
+
+HIDES = np.triu(np.full((4, 4), 0.25), 1)
+SCENE = Scene(HIDES, places_m=np.array([[-0.3, 0.0], [-0.1, 0.0], [0.1, 0.0], [0.3, 0.0]]))
+WORLD = WorldConfig(horizon=5)
+LOGISTIC = FittedGrasping(
+    log_odds=0.4,
+    log_odds_per_occlusion=-2.0,
+    offset_std=1.5,
+    log_held_s=float(np.log(2.0)),
+    log_missed_s=float(np.log(4.0)),
+    log_std=1e-3,
+    limit_s=9.0,
+)
+
+SURE, CLUMSY = replace(LOGISTIC, log_odds=3.0), replace(LOGISTIC, log_odds=-2.0)
+KEY = random.key_of(2)
+
+
+def world_of(*laws):
+    robots = [Robot((x, 0.05), 2.0, grasping=law) for x, law in zip((-0.5, 0.5), laws, strict=True)]
+    return TableWorld(WORLD, robots=robots, clearance_m=0.05)
+
+
+def begun(world):
+    """The first decision at the table."""
+    return start(world.played_config, picked(world.layouts([SCENE]), 0), KEY)
+
+
+def fitted(*laws, num_paths=300):
+    logs = world_of(*laws).simulate([SCENE], UniformPolicy(), num_paths, seed=1, cut_share=0.2)
+    return TeamTask(base=None).fitted(logs, 2 * WORLD.horizon)
+
+
+@pytest.mark.slow
+def test_robots_that_differ_are_told_apart_and_those_that_do_not_are_not():
+    told = fitted(SURE, CLUMSY)
+    assert isinstance(told.grasp, GraspByRobot)
+    assert "own attempts" in told.chosen[-1]
+    state, _ = begun(world_of(SURE, CLUMSY))
+    # Of the object in full view before any attempt: the law, its hidden grip integrated out.
+    offsets = LOGISTIC.offset_std * np.random.default_rng(0).standard_normal(100_000)
+    for robot, law in enumerate((SURE, CLUMSY)):
+        known = np.mean(1.0 / (1.0 + np.exp(-law.log_odds - offsets)))
+        assert float(told.grasp.of(robot).probability(state)[-1]) == pytest.approx(known, abs=0.1)
+    assert not isinstance(fitted(SURE, SURE).grasp, GraspByRobot)
+    # Too few attempts tell nothing.
+    assert not isinstance(fitted(SURE, CLUMSY, num_paths=5).grasp, GraspByRobot)
+
+
+def by_robot():
+    shared, *own = (
+        GraspTable(np.full((3, 2, 2), chance, dtype=np.float32), np.float32(1.0)) for chance in (0.5, 0.9, 0.2)
+    )
+    return GraspByRobot(shared, stacked(own)), shared, own
+
+
+def test_what_is_about_an_object_goes_by_who_is_at_it():
+    model, shared, own = by_robot()
+    world = world_of(None, None)
+    state, hidden = begun(world)
+    state, hidden, _ = step(world.played_config, state, hidden, np.int32(2), KEY)  # robot 0 washes 1, robot 1 decides
+    assert int(state.decider) == 1
+    of_0, of_1 = (table_columns(state, each).of_verb[Verb.WASH] for each in own)
+    found, plain = (team_features(state, each) for each in (model, shared))
+    # After WASH of 2 two are under way, each as its robot grasps; after FINISH that of robot 0.
+    of_wash = slice(1, NUM_WASH)
+    both = [one[1] + other[2] for one, other in zip(of_0, of_1, strict=True)]
+    for action, known in ((1 + 2, both), (0, [each[1] for each in of_0])):
+        np.testing.assert_allclose(found[action, of_wash], known, rtol=1e-5)
+    # What the team can clear is the same, whoever decides.
+    team = slice(NUM_WASH + NUM_LIFT, NUM_WASH + NUM_LIFT + 18)
+    np.testing.assert_array_equal(found[:, team], plain[:, team])
+    assert np.abs(found[:, of_wash] - plain[:, of_wash]).max() > 0.1
+    # Where all grasp alike, nothing changes.
+    alike = GraspByRobot(shared, stacked([shared, shared]))
+    np.testing.assert_allclose(team_features(state, alike), plain, rtol=1e-6)
+
+
+def test_it_comes_back_from_a_folder_and_what_does_not_fit_is_refused():
+    model, _, _ = by_robot()
+    arrays = team_grasp_arrays(model)
+    shared, own = split_grasp(arrays, 2)
+    again = team_grasp_of(shared, own)
+    assert isinstance(again, GraspByRobot)
+    for one, other in zip(leaves_of(again), leaves_of(model), strict=True):
+        np.testing.assert_array_equal(one, other)
+    without = {name: each for name, each in arrays.items() if name != "own.grasp.per_grip"}
+    twos = {**arrays, "own.grasp.chances": arrays["own.grasp.chances"] * 0.0 + 2.0}
+    for given, num_robots, told in (
+        (arrays, 3, "asks for float32 of shape"),
+        (without, 2, "'own.grasp.per_grip' or 'grasp.per_grip' is missing"),
+        (twos, 2, "'own.grasp.chances' holds 2.0"),
+    ):
+        with pytest.raises(PolicyError, match=told):
+            split_grasp(given, num_robots)

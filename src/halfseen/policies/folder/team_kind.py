@@ -15,8 +15,8 @@ from halfseen.policies.folder.table_parts import is_seen_of, seen_verbs
 from halfseen.policies.folder.team_base import base_arrays, base_of, base_schema, split_arrays
 from halfseen.policies.folder.team_grasp import split_grasp, team_grasp_arrays, team_grasp_of
 from halfseen.tables.features import FEATURES_VERSION as TABLE_FEATURES_VERSION
+from halfseen.tables.policy import LinearTeamPolicy
 from halfseen.tables.team_features import NUM_FEATURES
-from halfseen.tables.team_policy import LinearTeamPolicy
 from halfseen.world.actions import VERB_NAMES
 
 FEATURES_VERSION = 1

@@ -1,30 +1,22 @@
-"""From the log of a table to the attempts to grasp that it holds, the cut ones included."""
+"""From the log of a table, or of a team, to the attempts to grasp that it holds, the cut ones included."""
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Bool
+from jaxtyping import Bool, Int
 
+from halfseen.arrays import at
 from halfseen.errors import LogError
+from halfseen.learning.rows import stage_places
 from halfseen.logs import Logs
 from halfseen.logs.columns import require_columns
 from halfseen.logs.refusal import refuse, shown
 from halfseen.world.actions import TARGETED, Verb
+from halfseen.world.state import TableState, attempt_counts, occlusion
 
 ATTEMPT_VERBS = tuple(verb.name for verb in TARGETED)
-COLUMNS = (
-    "path",
-    "stage",
-    "object",
-    "occlusion",
-    "grip",
-    "successes",
-    "failures",
-    "succeeded",
-    "time_s",
-    "is_finished",
-)
 _KEY = ["path", "stage", "object"]
 _HISTORY = ["occlusion", "successes", "failures"]
+_COLUMNS = [*_KEY, "occlusion", "grip", "successes", "failures", "succeeded", "time_s", "is_finished"]
 
 
 def attempts(logs: Logs, horizon: int | None = None) -> pd.DataFrame:
@@ -64,7 +56,7 @@ def attempts(logs: Logs, horizon: int | None = None) -> pd.DataFrame:
     is_finished = ~np.isnan(rows["elapsed_s"].to_numpy())
     codes = rows.groupby(["path", "object"], sort=False).ngroup()
     table = rows.assign(succeeded=_outcomes(logs, rows, objects), is_finished=is_finished, object=codes)
-    return pd.DataFrame(table[list(COLUMNS)])
+    return pd.DataFrame(table[_COLUMNS])
 
 
 def _checked_objects(logs: Logs) -> pd.DataFrame:
@@ -107,3 +99,68 @@ def _ends_its_path(logs: Logs, rows: pd.DataFrame) -> Bool[np.ndarray, " rows"]:
 def _refuse(rows: pd.DataFrame, wrong: Bool[np.ndarray, " rows"], trouble: str) -> None:
     action, target = rows["action"], rows["object"]
     refuse(rows, wrong, lambda row: f"{action.iloc[row]} of object {shown(target.iloc[row])}: {trouble}")
+
+
+def team_attempts(
+    logs: Logs, states: TableState, verb: Int[np.ndarray, "n T"], target: Int[np.ndarray, "n T"]
+) -> pd.DataFrame:
+    """List every attempt to WASH or LIFT whose end, or cut, was seen, and the robot that made it.
+
+    The rest is as `attempts` has it. An attempt of a robot lasts until that robot is free. Those
+    of a robot's last decision are left out, as nobody wrote down what became of most of them; that depends on the
+    number of the decision alone.
+
+    Parameters
+    ----------
+    logs
+        Of a team.
+    states
+        S_t of its stages.
+    verb, target
+        What was begun in each.
+    """
+    robots, decider = states.robots, states.decider
+    assert robots is not None
+    assert decider is not None
+    hidden_share, (successes, failures) = occlusion(states), attempt_counts(states)
+    is_stage, elapsed_s = np.zeros(verb.shape, dtype=bool), np.zeros(verb.shape)
+    is_stage[stage_places(logs)] = True
+    elapsed_s[stage_places(logs)] = logs.stages["elapsed_s"].to_numpy(dtype=np.float64, na_value=np.nan)
+    begun_s = np.pad(elapsed_s[:, :-1], ((0, 0), (1, 0)))
+    is_last_of_robot = at(robots.decisions_to_go, decider) <= 1
+    path, stage = np.nonzero(is_stage & np.isin(verb, TARGETED) & ~is_last_of_robot)
+    robot, tried_at = decider[path, stage], target[path, stage]
+    # The first later stage in which this robot is free.
+    is_free = (np.arange(verb.shape[1]) > stage[:, None]) & is_stage[path] & ~robots.is_busy[path, :, robot]
+    has_ended, end = is_free.any(axis=1), is_free.argmax(axis=1)
+    gained = successes[path, end, tried_at] - successes[path, stage, tried_at]
+    # A robot that drops out abandons what it is at: that attempt was cut.
+    was_dropped = has_ended & (False if robots.is_out is None else robots.is_out[path, end, robot])
+    was_seen = has_ended & ~was_dropped
+    # A table that is clear ends a path while a WASH is under way, and no other end does.
+    is_clear = ~has_ended & logs.is_finished[path] & (verb[path, stage] == Verb.WASH)
+    end_s = np.where(was_seen, begun_s[path, end], logs.end_s[path])
+    end_s = np.where(was_dropped, _out_s(logs, robots.num_robots)[path, robot], end_s)
+    tried = pd.DataFrame(
+        {
+            "path": logs.path_ids[path],
+            "stage": stage + 1,
+            "object": pd.factorize(path * states.num_objects + tried_at)[0],
+            "occlusion": hidden_share[path, stage, tried_at].astype(np.float64),
+            "grip": states.grip[path, stage, tried_at].astype(np.float64),
+            "successes": successes[path, stage, tried_at],
+            "failures": failures[path, stage, tried_at],
+            "succeeded": pd.Series(np.where(was_seen, gained > 0, is_clear), dtype="boolean"),
+            "time_s": end_s - begun_s[path, stage],
+            "is_finished": was_seen | is_clear,
+            "robot": robot,
+        }
+    )
+    tried["succeeded"] = tried["succeeded"].mask(~tried["is_finished"])
+    return pd.DataFrame(tried[tried["time_s"] > 0]).reset_index(drop=True)
+
+
+def _out_s(logs: Logs, num_robots: int) -> np.ndarray:
+    """When each robot dropped out of each path; NaN where it did not [s]."""
+    found = logs.paths.reindex(columns=[f"{robot}_out_s" for robot in range(num_robots)])
+    return found.to_numpy(dtype=np.float64, na_value=np.nan)

@@ -14,14 +14,14 @@ Prior: p ~ Beta(s·m, s·(1 − m)). Predictive: P(success | occ, k, l) = (s·m(
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.special import expit
 
 from halfseen.arrays import Rows
 from halfseen.censoring import CensoringModel, WeightDiagnostics
 from halfseen.estimator import Estimator, check_fitted
 from halfseen.learning.newton_each import Derivatives, minimise_each
 from halfseen.logs.frames import FrameLike
-from halfseen.tables.grasp.inputs import Decided, History, checked_attempts, checked_history, kinds
+from halfseen.tables.grasp.grasp_table import History
+from halfseen.tables.grasp.inputs import Decided, checked_attempts, checked_history, kinds
 
 CENTRE = np.array([0.0, 0.0, np.log(2.0)])
 """Mode of the weak normal prior on intercept, slope and log s: half succeed; strength of the rule of succession."""
@@ -131,6 +131,8 @@ class BetaGrasp(Estimator):
 
 def predictive(theta: Theta, history: History) -> Rows:
     """P(success) of each attempt, (s·m + k) / (s + k + l); `theta` is intercept, slope, log s."""
+    from scipy.special import expit
+
     strength, tries = np.exp(theta[2]), history.successes + history.failures
     mean = expit(theta[0] + theta[1] * history.occlusion)
     return (strength * mean + history.successes) / (strength + tries)
@@ -142,6 +144,8 @@ def negative_log_posteriors(theta: Float[np.ndarray, "K 3"], decided: Decided, w
     With η the logit of m, μ = m of the outcome that was seen (m or 1 − m) and c its count (k or l), an attempt has
     probability q = (s·μ + c) / (s + k + l); what is summed is −log q.
     """
+    from scipy.special import expit
+
     history, sign = decided.history, np.where(decided.succeeded, 1.0, -1.0)
     tries, count = history.successes + history.failures, np.where(decided.succeeded, *history[1:])
     strength = np.exp(theta[:, 2:])

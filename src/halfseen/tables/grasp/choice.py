@@ -1,32 +1,45 @@
-"""What tells the probability of a grasp where nothing is said: the rule of succession, unless a Beta foretells better.
+"""What tells the probability of a grasp: what is given, or what a log's own attempts speak for.
 
-A table's features take a grasp to succeed with the share in sight times the rule of succession
+*Where nothing is said.* A table's features take a grasp to succeed with the share in sight times the rule of succession
 (`halfseen.tables.features`). That needs no data, and is right where what is hidden is hard to grip. A cell in which it
 is not so shows it in its own attempts. So paths are dealt into folds; `BetaGrasp` learns from all but one and foretells
 the attempts of that one, and it is taken only where that at least halves the squared error, beyond noise. To foretell
 a little better is not enough. The share in sight also says how much a look shows and how long an attempt takes, and
 under the assumed laws features with the true probability of a grasp in its place earn less, though their error is a
 fourth smaller; under the law of the cell, where the Beta leaves a fifth of it, they earn more.
+
+*Where the robots of a team differ.* A Beta of each robot's own attempts is taken (`GraspByRobot`) only where it
+foretells held-out attempts better than one of all, beyond noise.
 """
 
 import warnings
-from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from halfseen.arrays import RowIds, Rows
-from halfseen.errors import HalfseenError, HalfseenWarning
+from halfseen.arrays import RowIds, RowMask, Rows, stacked
+from halfseen.censoring import is_fitted
+from halfseen.errors import ArgumentError, HalfseenError, HalfseenWarning
+from halfseen.learning.newton_each import Derivatives, Thetas, minimise_each
 from halfseen.logs import Logs
 from halfseen.tables.features import succession
 from halfseen.tables.grasp.attempts import attempts
-from halfseen.tables.grasp.beta_grasp import fitted_thetas, predictive
-from halfseen.tables.grasp.grasp_table import GraspTable, every_history, table_of
-from halfseen.tables.grasp.grip_effect import fitted_effect
-from halfseen.tables.grasp.inputs import Decided, History, checked_attempts
+from halfseen.tables.grasp.beta_grasp import Theta, fitted_thetas, predictive
+from halfseen.tables.grasp.grasp_table import (
+    SURE,
+    GraspByRobot,
+    GraspEstimator,
+    GraspTable,
+    GripEffect,
+    every_history,
+    table_of,
+    tabulate,
+)
+from halfseen.tables.grasp.inputs import Decided, checked_attempts, checked_covariates, kinds
 from halfseen.workers.threads import one_thread
+from halfseen.world.policy import GraspModel
 
 NUM_FOLDS = 5
 
@@ -39,7 +52,14 @@ CLEARLY = 2.0
 FEWEST_ATTEMPTS = 30
 """Decided attempts below which there is nothing to choose by."""
 
+GRIP_SPREAD = np.array([1.0, 0.5])
+"""Standard deviations of the normal prior on shift and per_grip, about 0: few attempts say little of either."""
+
 KEPT = "the probability of a grasp is the rule of succession’s"
+BY_ROBOT = (
+    "the probability of a grasp is learned from each robot’s own attempts: held out, these foretell them better than "
+    "those of all"
+)
 
 
 class GraspChoice(NamedTuple):
@@ -53,35 +73,29 @@ class GraspChoice(NamedTuple):
         What was chosen and why.
     """
 
-    grasp: GraspTable | None
+    grasp: GraspTable | GraspByRobot | None
     sentence: str
 
 
 def choose_grasp(logs: Logs, horizon: int) -> GraspChoice:
-    """Choose by a log; the rule of succession where the log does not tell what became of its attempts.
-
-    Parameters
-    ----------
-    logs
-        Of tables.
-    horizon
-        T.
-    """
+    """Choose by a log of one robot; the rule of succession where it does not tell what became of its attempts."""
     try:
         return choose_by(attempts(logs, horizon), horizon)
     except HalfseenError as error:
         return GraspChoice(None, f"{KEPT}: {error}")
 
 
-def choose_by(tried: pd.DataFrame, horizon: int) -> GraspChoice:
+def choose_by(tried: pd.DataFrame, horizon: int, num_robots: int = 1) -> GraspChoice:
     """Choose by attempts.
 
     Parameters
     ----------
     tried
-        As `halfseen.tables.grasp.attempts.attempts` gives them.
+        As `halfseen.tables.grasp.attempts` gives them, with the robot of each if there are several.
     horizon
         T.
+    num_robots
+        K.
 
     Raises
     ------
@@ -94,43 +108,162 @@ def choose_by(tried: pd.DataFrame, horizon: int) -> GraspChoice:
     with warnings.catch_warnings(), one_thread():
         # Nobody asked for these weights, and the standard error tells how much they are worth.
         warnings.simplefilter("ignore", HalfseenWarning)
+        held = _HeldOut.of(tried)
+        by_robot = _choose_by_robot(held, tried, num_robots, horizon) if num_robots > 1 else None
+        if by_robot is not None:
+            return GraspChoice(by_robot, BY_ROBOT)
+        everyone = np.ones((1, len(held.path)), dtype=bool)
+        ((*folds, whole),) = held.fitted(everyone)
+        rule, beta = held.errors(_by_succession(held)), held.errors(held.said(np.array(folds)))
+    left = f"{beta.sum() / rule.sum():.0%} of its squared error"
+    if not _is_clear((1.0 - WORTH) * rule - beta):
+        told = f"{KEPT}: held out, a Beta regression does not clearly halve its error (it leaves {left})"
+        return GraspChoice(None, told)
+    return GraspChoice(
+        held.table(whole, everyone[0], horizon),
+        "the probability of a grasp is learned from the log’s attempts: held out, a Beta regression foretells them "
+        f"better than the rule of succession, with {left}",
+    )
+
+
+def _choose_by_robot(held: "_HeldOut", tried: pd.DataFrame, num_robots: int, horizon: int) -> GraspByRobot | None:
+    """None where robots do not clearly differ, or one made too few attempts."""
+    robot = tried["robot"].to_numpy()[held.decided.row]
+    if np.bincount(robot, minlength=num_robots).min() < FEWEST_ATTEMPTS:
+        return None
+    is_of = np.vstack([np.ones(len(robot), dtype=bool), robot == np.arange(num_robots)[:, None]])
+    thetas = held.fitted(is_of)
+    said = np.stack([held.said(folds) for folds in thetas[:, :-1]])
+    if not _is_clear(held.errors(said[0]) - held.errors(said[1 + robot, np.arange(len(robot))])):
+        return None
+    shared, *own = (held.table(theta, mine, horizon) for theta, mine in zip(thetas[:, -1], is_of, strict=True))
+    return GraspByRobot(shared, stacked(own))
+
+
+def _is_clear(lead: Float[np.ndarray, " paths"]) -> bool:
+    return bool(lead.mean() > CLEARLY * lead.std(ddof=1) / np.sqrt(len(lead)))
+
+
+class _HeldOut(NamedTuple):
+    """Decided attempts, whose paths are dealt into folds."""
+
+    decided: Decided
+    path: RowIds
+    """Rank of each attempt's path."""
+    grip: Rows
+
+    @classmethod
+    def of(cls, tried: pd.DataFrame) -> "_HeldOut":
         decided = checked_attempts(tried)
-        grip = tried["grip"].to_numpy(dtype=np.float64)[decided.row]
         path = np.unique(tried["path"].to_numpy(), return_inverse=True)[1][decided.row]
-        *held_out, whole = fitted_thetas(decided, _weightings(decided, path))
-        errors = _errors(decided, grip, path, held_out)
-    lead = (1.0 - WORTH) * errors.rule - errors.beta
-    left = f"{errors.beta.sum() / errors.rule.sum():.0%} of its squared error"
-    if lead.mean() > CLEARLY * lead.std(ddof=1) / np.sqrt(len(lead)):
-        effect = fitted_effect(predictive(whole, decided.history), decided, grip)
-        return GraspChoice(
-            table_of(predictive(whole, every_history(horizon)), horizon, effect),
-            "the probability of a grasp is learned from the log’s attempts: held out, a Beta regression foretells them "
-            f"better than the rule of succession, with {left}",
-        )
-    return GraspChoice(None, f"{KEPT}: held out, a Beta regression does not clearly halve its error (it leaves {left})")
+        return cls(decided, path, tried["grip"].to_numpy(dtype=np.float64)[decided.row])
+
+    def fitted(self, is_of: Bool[np.ndarray, "G n"]) -> Float[np.ndarray, "G V 3"]:
+        """Fit to each of some groups of attempts: without the paths of each fold, and, last, to all."""
+        is_kept = np.vstack([self.path % NUM_FOLDS != np.arange(NUM_FOLDS)[:, None], np.ones_like(is_of[:1])])
+        weight = (is_of[:, None] & is_kept) * self.decided.weight
+        return fitted_thetas(self.decided, weight.reshape(-1, len(self.path))).reshape(*weight.shape[:2], -1)
+
+    def said(self, folds: Float[np.ndarray, "V 3"]) -> Rows:
+        """What is foretold of each attempt by the fit without its fold."""
+        said = np.stack([predictive(theta, self.decided.history) for theta in folds])
+        return said[self.path % NUM_FOLDS, np.arange(len(self.path))]
+
+    def errors(self, said: Rows) -> Float[np.ndarray, " paths"]:
+        """Squared errors, weighted and summed over the attempts of each path."""
+        squared = self.decided.weight * np.square(said - self.decided.succeeded)
+        return np.bincount(self.path, squared, self.path.max() + 1)
+
+    def table(self, theta: Theta, mine: RowMask, horizon: int) -> GraspTable:
+        """Tabulate a fit to some attempts, with what their grips count beside it."""
+        own = self.decided.among(mine)
+        effect = _fitted_effect(predictive(theta, own.history), own, self.grip[mine])
+        return table_of(predictive(theta, every_history(horizon)), horizon, effect)
 
 
-def _weightings(decided: Decided, path: RowIds) -> Float[np.ndarray, "V n"]:
-    """Weights without the paths of each fold, and those of all."""
-    return np.vstack([(path % NUM_FOLDS != np.arange(NUM_FOLDS)[:, None]) * decided.weight, decided.weight])
-
-
-class _Errors(NamedTuple):
-    """Squared errors of what is foretold, weighted and summed over the attempts of each path."""
-
-    rule: Rows
-    beta: Rows
-
-
-def _errors(decided: Decided, grip: Rows, path: RowIds, held_out: Sequence[Float[np.ndarray, "3"]]) -> _Errors:
-    """Errors of the rule, and of a Beta that was fitted to other paths; both as far as they go by history alone."""
-    said = np.stack([predictive(theta, decided.history) for theta in held_out])
-    beta, rule = said[path % NUM_FOLDS, np.arange(len(path))], _by_succession(decided.history, grip)
-    squared = (decided.weight * np.square(each - decided.succeeded) for each in (rule, beta))
-    return _Errors(*(np.bincount(path, each, path.max() + 1) for each in squared))
-
-
-def _by_succession(history: History, grip: Rows) -> Rows:
+def _by_succession(held: _HeldOut) -> Rows:
     """What the features say: they take what shows of a grip in full."""
-    return (1.0 - history.occlusion) * succession(history.successes, history.failures, grip)
+    history = held.decided.history
+    return (1.0 - history.occlusion) * succession(history.successes, history.failures, held.grip)
+
+
+def grasp_model_of(grasp: Any, logs: Logs, horizon: int) -> GraspModel | None:
+    """Make a grasp model that a policy can carry.
+
+    Parameters
+    ----------
+    grasp
+        None; a `GraspModel`, which is taken as it is; or a grasp estimator, which is tabulated, and first fitted to the
+        attempts of the log (as a copy) if it is not fitted.
+    logs
+        The log.
+    horizon
+        T.
+
+    Raises
+    ------
+    ArgumentError
+        `grasp` is none of these, or the attempts do not suffice to fit it.
+    LogError
+        The log does not tell what became of its attempts.
+    """
+    if grasp is None or (isinstance(grasp, GraspModel) and not isinstance(grasp, type)):
+        return grasp
+    if isinstance(grasp, type) or not isinstance(grasp, GraspEstimator):
+        raise ArgumentError(
+            f"grasp is {grasp!r}; it is None, BetaGrasp(), SVMGrasp(), either of them fitted, or a GraspTable"
+        )
+    if is_fitted(grasp):
+        return tabulate(grasp, horizon)
+    # It takes longer to import than a decision, which does not come here.
+    from sklearn.base import clone
+
+    estimator: Any = clone(grasp)
+    tried = attempts(logs, horizon)
+    model = estimator.fit(tried)
+    return tabulate(model, horizon, fit_grip_effect(model, tried))
+
+
+def fit_grip_effect(model: GraspEstimator, tried: pd.DataFrame) -> GripEffect:
+    """Fit by maximum a posteriori to decided attempts, weighted by 1/Ĝ; no effect where no grip was ever seen.
+
+    Parameters
+    ----------
+    model
+        Fitted.
+    tried
+        As `halfseen.tables.grasp.attempts.attempts` gives them.
+
+    Raises
+    ------
+    ArgumentError
+        A grip is no finite number.
+    PositivityError
+        A weight is not identified.
+    """
+    decided = checked_attempts(tried)
+    rows = tried.iloc[decided.row]
+    return _fitted_effect(model.predict_proba(rows)[:, 1], decided, checked_covariates(rows, ["grip"])[:, 0])
+
+
+def _fitted_effect(said: Rows, decided: Decided, grip: Rows) -> GripEffect:
+    """Fit to what a model says of decided attempts without their grips."""
+    from scipy.special import expit, logit
+
+    if not grip.any():
+        return GripEffect()
+    first, kind = kinds(said, grip, decided.succeeded)
+    weight = np.bincount(kind, decided.weight, len(first))
+    logits, sign = logit(np.clip(said[first], SURE, 1.0 - SURE)), np.where(decided.succeeded[first], 1.0, -1.0)
+    design = np.column_stack([np.ones(len(first)), grip[first]])
+
+    def derivatives(theta: Thetas) -> Derivatives:
+        margin, scaled = sign * (logits + theta @ design.T), theta / GRIP_SPREAD
+        loss = np.logaddexp(0.0, -margin) @ weight + (scaled**2).sum(axis=1) / 2.0
+        wrong = expit(-margin)
+        bend = (weight * wrong * (1.0 - wrong))[:, :, None, None] * design[:, :, None] * design[:, None, :]
+        gradient = scaled / GRIP_SPREAD - (weight * sign * wrong) @ design
+        return loss, gradient, np.diag(GRIP_SPREAD**-2.0) + bend.sum(axis=1)
+
+    shift, per_grip = minimise_each(derivatives, np.zeros((1, 2)))[0].tolist()
+    return GripEffect(shift, per_grip)

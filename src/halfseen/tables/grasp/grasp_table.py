@@ -1,22 +1,30 @@
-"""A fitted grasp model as a table of probabilities: what a policy carries of it."""
+"""A fitted grasp model as a table of probabilities: what a policy carries of it.
 
-from typing import Any
+What shows of a grip stands beside a model of grasps that does not look at it. A cell sees more of an object than how
+much of it is hidden: that it lies, that it is wide, that there is no room. Its law makes of that the mean of the
+object's grip offset (`halfseen.world.state`). How much of the mean counts beside occlusion and past attempts is learned
+from the attempts themselves (`halfseen.tables.grasp.choice.fit_grip_effect`):
+
+    P(held | p, grip) = expit(logit p + shift + per_grip · grip),
+
+with p what the model says without it. The offset itself varies about its mean, and that pulls log-odds together: under
+a spread σ by about √(1 + 0.35 σ²) [ZegerLiangAlbert1988]_. So `per_grip` lies between 0 and 1.
+"""
+
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
-from halfseen.arrays import Array, Rows, library_of, record
-from halfseen.censoring import is_fitted
+from halfseen.arrays import Array, Rows, library_of, mapped, record
 from halfseen.errors import ArgumentError
-from halfseen.logs import Logs
-from halfseen.tables.grasp.attempts import attempts
-from halfseen.tables.grasp.grip_effect import IN_FULL, GripEffect, fit_grip_effect
-from halfseen.tables.grasp.inputs import History
-from halfseen.tables.grasp.protocol import GraspEstimator
-from halfseen.world.policy import GraspModel
+from halfseen.logs.frames import FrameLike
 from halfseen.world.state import TableState, attempt_counts, occlusion
 
 NUM_OCCLUSIONS = 33
+
+SURE = 1e-9
+"""A probability is taken to be no nearer than this to 0 or 1."""
 
 
 @record
@@ -24,7 +32,7 @@ class GraspTable:
     """P(success) by occlusion, past successes and past failures.
 
     Between occlusions it interpolates; more successes or failures than the table holds count as the most that it holds.
-    What shows of an object's grip is added to the log-odds, as far as it counts (`halfseen.tables.grasp.grip_effect`).
+    What shows of an object's grip is added to the log-odds, as far as it counts.
 
     Parameters
     ----------
@@ -49,6 +57,82 @@ class GraspTable:
         low, high = (table[cell + step, successes, failures] for step in (0, 1))
         probability = low + (place - below) * (high - low)
         return probability / (1.0 + (1.0 - probability) * xp.expm1(-self.per_grip * state.grip))
+
+
+@record
+class GraspByRobot:
+    """P(an attempt succeeds) by whoever makes it, and by each robot of a team (a `GraspModel`).
+
+    What the team can do with a table is worth the same, whoever decides, and goes by one model of all attempts. What is
+    about one object goes by the robot that is at it.
+
+    Parameters
+    ----------
+    shared
+        Learned from the attempts of all.
+    own
+        Learned from those of each robot; axis K first.
+    """
+
+    shared: GraspTable
+    own: GraspTable
+
+    def probability(self, state: TableState) -> Float[Array, "*B N"]:
+        """P(an attempt succeeds) for each object, whoever makes it."""
+        return self.shared.probability(state)
+
+    def of(self, robot: int) -> GraspTable:
+        """Give what tells the probability of one robot."""
+        return mapped(lambda leaf: leaf[robot], self.own)
+
+
+@runtime_checkable
+class GraspEstimator(Protocol):
+    """What `BetaGrasp` and `SVMGrasp` are: fitted to attempts, it tells their probabilities."""
+
+    def fit(self, frame: FrameLike) -> "GraspEstimator":
+        """Learn from attempts."""
+        ...
+
+    def predict_proba(self, frame: FrameLike) -> Float[np.ndarray, "m 2"]:
+        """Probability that an attempt fails, and that it succeeds."""
+        ...
+
+
+class History(NamedTuple):
+    """What is known of an object before an attempt."""
+
+    occlusion: Rows
+    """Hidden share in [0, 1]."""
+    successes: Rows
+    """Past attempts that succeeded."""
+    failures: Rows
+    """Past attempts that failed."""
+
+
+class GripEffect(NamedTuple):
+    """How the mean grip offset of an object moves the log-odds of a grasp.
+
+    Parameters
+    ----------
+    shift
+        Added whatever the grip: it stands for the mean grip of the attempts that the model was fitted to.
+    per_grip
+        Added for each unit of the grip.
+    """
+
+    shift: float = 0.0
+    per_grip: float = 0.0
+
+    def moved(self, probability: Rows, grip: Rows | float) -> Rows:
+        """P(held) given the grip, from what a model says without it."""
+        from scipy.special import expit, logit
+
+        return expit(logit(np.clip(probability, SURE, 1.0 - SURE)) + self.shift + self.per_grip * grip)
+
+
+IN_FULL = GripEffect(per_grip=1.0)
+"""A grip counts as it is."""
 
 
 def tabulate(model: GraspEstimator, horizon: int, effect: GripEffect = IN_FULL) -> GraspTable:
@@ -90,46 +174,8 @@ def every_history(horizon: int) -> History:
 def table_of(probabilities: Rows, horizon: int, effect: GripEffect) -> GraspTable:
     """Make a table of the probabilities of `every_history`."""
     moved = effect.moved(probabilities, 0.0) if effect.shift else probabilities
-    table, per_grip = moved.reshape(_shape(horizon)).astype(np.float32), np.float32(effect.per_grip)
-    return GraspTable(table, per_grip)
+    return GraspTable(moved.reshape(_shape(horizon)).astype(np.float32), np.float32(effect.per_grip))
 
 
 def _shape(horizon: int) -> tuple[int, int, int]:
     return NUM_OCCLUSIONS, horizon + 1, horizon + 1
-
-
-def grasp_model_of(grasp: Any, logs: Logs, horizon: int) -> GraspModel | None:
-    """Make a grasp model that a policy can carry.
-
-    Parameters
-    ----------
-    grasp
-        None; a `GraspModel`, which is taken as it is; or a grasp estimator, which is tabulated, and first fitted to the
-        attempts of the log (as a copy) if it is not fitted.
-    logs
-        The log.
-    horizon
-        T.
-
-    Raises
-    ------
-    ArgumentError
-        `grasp` is none of these, or the attempts do not suffice to fit it.
-    LogError
-        The log does not tell what became of its attempts.
-    """
-    if grasp is None or (isinstance(grasp, GraspModel) and not isinstance(grasp, type)):
-        return grasp
-    if isinstance(grasp, type) or not isinstance(grasp, GraspEstimator):
-        raise ArgumentError(
-            f"grasp is {grasp!r}; it is None, BetaGrasp(), SVMGrasp(), either of them fitted, or a GraspTable"
-        )
-    if is_fitted(grasp):
-        return tabulate(grasp, horizon)
-    # It takes longer to import than a decision, which does not come here.
-    from sklearn.base import clone
-
-    estimator: Any = clone(grasp)
-    tried = attempts(logs, horizon)
-    model = estimator.fit(tried)
-    return tabulate(model, horizon, fit_grip_effect(model, tried))

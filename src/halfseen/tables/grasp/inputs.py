@@ -1,4 +1,4 @@
-"""What a fit to attempts accepts: tables in, checked float64 and bool out, bad values named."""
+"""What a fit to attempts accepts: tables in, checked float64 and bool out, bad values named; and folds of them."""
 
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
@@ -20,19 +20,9 @@ from halfseen.censoring import (
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs.columns import require_columns
 from halfseen.logs.frames import FrameLike, as_frame
+from halfseen.tables.grasp.grasp_table import History
 
 NAME = "attempts"
-
-
-class History(NamedTuple):
-    """What is known of an object before an attempt."""
-
-    occlusion: Rows
-    """Hidden share in [0, 1]."""
-    successes: Rows
-    """Past attempts that succeeded."""
-    failures: Rows
-    """Past attempts that failed."""
 
 
 class Decided(NamedTuple):
@@ -50,13 +40,9 @@ class Decided(NamedTuple):
 
     def among(self, kept: RowMask | Int[np.ndarray, " k"]) -> "Decided":
         """Keep some, by mask or by number, with the weights and the diagnostics that they had among all."""
-        return self._replace(
-            history=History(*(values[kept] for values in self.history)),
-            succeeded=self.succeeded[kept],
-            weight=self.weight[kept],
-            group=self.group[kept],
-            row=self.row[kept],
-        )
+        history = History(*(values[kept] for values in self.history))
+        succeeded, weight, group, row = (each[kept] for each in (self.succeeded, self.weight, self.group, self.row))
+        return Decided(history, succeeded, weight, group, self.diagnostics, row)
 
 
 def kinds(*columns: Float[np.ndarray, " n"] | Bool[np.ndarray, " n"]) -> tuple[Int[np.ndarray, " k"], RowIds]:
@@ -128,9 +114,8 @@ def checked_attempts(
     diagnostics = weight_diagnostics(weight, truncate_at)
     warn_if_few(diagnostics, stacklevel=4)
     group = pd.factorize(frame["object"])[0] if "object" in frame.columns else np.arange(len(frame))
-    kept = np.flatnonzero(is_decided)
-    history = History(*(values[kept] for values in history))
-    return Decided(history, succeeded[kept], weight[kept], group[kept].astype(np.int64), diagnostics, kept)
+    all_of_them = Decided(history, succeeded, weight, group.astype(np.int64), diagnostics, np.arange(len(frame)))
+    return all_of_them.among(is_decided)
 
 
 def _frame(data: FrameLike, needed: Iterable[str] = History._fields) -> pd.DataFrame:
@@ -178,13 +163,7 @@ def _weights(
 
 
 def _flags(frame: pd.DataFrame, column: str, is_read: RowMask) -> RowMask:
-    values = frame[column]
-    if values.dtype == np.bool_:
-        return values.to_numpy()
-    if isinstance(values.dtype, pd.BooleanDtype):
-        _refuse(frame, column, is_read & values.isna().to_numpy(), "give True or False")
-        return values.to_numpy(dtype=bool, na_value=False)
-    is_true, is_false = (values.isin([flag]).to_numpy(dtype=bool) for flag in (True, False))
+    is_true, is_false = (frame[column].isin([flag]).to_numpy(dtype=bool) for flag in (True, False))
     _refuse(frame, column, is_read & ~is_true & ~is_false, "give True or False")
     return is_true
 
@@ -202,3 +181,61 @@ def _refuse(frame: pd.DataFrame, column: str, wrong: Bool[np.ndarray, " rows"], 
     if wrong.any():
         row = int(np.argmax(wrong))
         raise ArgumentError(f"{NAME}, row {row}: {column} is {frame[column].iloc[row]}; {remedy}")
+
+
+Splits = list[tuple[np.ndarray, np.ndarray]]
+"""Numbers of the attempts that are fitted to, and of those that are held out."""
+
+
+FEWEST_OBJECTS = 2
+"""Objects that failed, and that succeeded, without which none can be held out."""
+
+
+def can_hold_out(attempts: pd.DataFrame) -> bool:
+    """Say whether either outcome was seen of enough objects to hold some out, as whoever chooses λ must.
+
+    `attempts` are as `halfseen.tables.grasp.attempts.attempts` gives them.
+    """
+    decided = attempts[attempts["is_finished"].astype(bool)]
+    succeeded = decided["succeeded"].astype(bool)
+    return all(decided.loc[rows, "object"].nunique() >= FEWEST_OBJECTS for rows in (succeeded, ~succeeded))
+
+
+def splits_of(decided: Decided, num_folds: int, random_state: int) -> Splits:
+    """Deal attempts into folds, each of which is held out once; an object's attempts stay together.
+
+    Parameters
+    ----------
+    decided
+        The attempts.
+    num_folds
+        Folds, if so many objects failed and so many succeeded; else as many as did.
+    random_state
+        Seed.
+
+    Raises
+    ------
+    ArgumentError
+        There are fewer than 2 folds, or one outcome was seen of one object alone.
+    """
+    if num_folds < 2:
+        raise ArgumentError(f"num_folds is {num_folds}; cross-validation needs at least 2")
+    num_objects = [len(np.unique(decided.group[decided.succeeded == outcome])) for outcome in (False, True)]
+    if min(num_objects) < FEWEST_OBJECTS:
+        word = "failures" if num_objects[0] < FEWEST_OBJECTS else "successes"
+        raise ArgumentError(f"{word} were seen of one object alone, so none can be held out; record more objects")
+    fold = _dealt(decided, min(num_folds, *num_objects), np.random.default_rng(random_state))
+    return [(np.flatnonzero(fold != k), np.flatnonzero(fold == k)) for k in range(int(fold.max()) + 1)]
+
+
+def _dealt(decided: Decided, num_folds: int, rng: np.random.Generator) -> Int[np.ndarray, " n"]:
+    """Fold of each attempt. Objects are dealt in the order of their success, so that both outcomes are in every fold.
+
+    That holds because at least `num_folds` objects have either outcome, and in this order they are neighbours.
+    """
+    objects, place = np.unique(decided.group, return_inverse=True)
+    share = np.bincount(place, decided.succeeded) / np.bincount(place)
+    order = np.lexsort((rng.permutation(len(objects)), share))
+    fold = np.empty(len(objects), dtype=np.int64)
+    fold[order] = np.arange(len(objects)) % num_folds
+    return fold[place]

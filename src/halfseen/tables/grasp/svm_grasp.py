@@ -5,23 +5,27 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.spatial.distance import cdist
-from sklearn.base import BaseEstimator
-from sklearn.utils.validation import check_is_fitted
 
 from halfseen.censoring import CensoringModel, WeightDiagnostics
 from halfseen.errors import ArgumentError
+from halfseen.estimator import Estimator, check_fitted
 from halfseen.learning.svm.estimators import CensoredSVC
 from halfseen.logs.frames import FrameLike
-from halfseen.tables.grasp.inputs import Decided, History, checked_attempts, checked_covariates, checked_history
-from halfseen.tables.grasp.splits import splits_of
+from halfseen.tables.grasp.grasp_table import History
+from halfseen.tables.grasp.inputs import (
+    Decided,
+    checked_attempts,
+    checked_covariates,
+    checked_history,
+    splits_of,
+)
 
 LINEAR_AND_GAUSSIAN = "linear+gaussian"
 SLACK = 0.01
 """Held-out losses that differ by less than this share of the least are taken as equal."""
 
 
-class SVMGrasp(BaseEstimator):
+class SVMGrasp(Estimator):
     """Probability of a grasp by the censored SVM (paper, eqs. 1 and 2), with logistic loss, calibrated.
 
     It looks at the occlusion and at log(1 + successes) and log(1 + failures), each scaled to unit weighted variance:
@@ -149,7 +153,7 @@ class SVMGrasp(BaseEstimator):
 
         It is asked as `BetaGrasp.predict_proba` is, and told `covariates`.
         """
-        check_is_fitted(self, "svc_")
+        check_fitted(self, "svc_")
         features = self._features(checked_history(frame), checked_covariates(frame, self.covariates))
         probabilities = self.svc_.predict_proba((features - self.centre_) / self.scale_)
         surest = 1.0 / (2.0 + self.diagnostics_.effective_sample_size)
@@ -168,6 +172,8 @@ def smoothest(svc: CensoredSVC) -> float:
 
 def linear_and_gaussian(X: Float[np.ndarray, "n d"], Z: Float[np.ndarray, "m d"]) -> Float[np.ndarray, "n m"]:
     """x·z + exp(−‖x − z‖² / d) of scaled features."""
+    from scipy.spatial.distance import cdist
+
     return X @ Z.T + np.exp(-cdist(X, Z, "sqeuclidean") / X.shape[1])
 
 

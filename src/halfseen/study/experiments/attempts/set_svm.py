@@ -17,8 +17,7 @@ from halfseen.arrays import Rows
 from halfseen.cell.calibration.trials import FACTS
 from halfseen.learning.svm.estimators import CensoredSVC
 from halfseen.learning.svm.kernels import SetKernel
-from halfseen.tables.grasp.inputs import checked_attempts
-from halfseen.tables.grasp.splits import splits_of
+from halfseen.tables.grasp.inputs import checked_attempts, splits_of
 from halfseen.tables.grasp.svm_grasp import linear_and_gaussian, smoothest
 
 SEEN = ("occlusion", *FACTS)

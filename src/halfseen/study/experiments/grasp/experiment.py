@@ -31,10 +31,9 @@ from halfseen.study.pipeline import HELD_OUT, Source
 from halfseen.study.policies import STRONGEST_RULE
 from halfseen.tables.grasp.attempts import attempts
 from halfseen.tables.grasp.beta_grasp import BetaGrasp
-from halfseen.tables.grasp.grasp_table import tabulate
-from halfseen.tables.grasp.grip_effect import fit_grip_effect
-from halfseen.tables.grasp.protocol import GraspEstimator
-from halfseen.tables.grasp.splits import can_hold_out
+from halfseen.tables.grasp.choice import fit_grip_effect
+from halfseen.tables.grasp.grasp_table import GraspEstimator, tabulate
+from halfseen.tables.grasp.inputs import can_hold_out
 from halfseen.tables.grasp.svm_grasp import SVMGrasp
 from halfseen.workers.threads import one_thread
 from halfseen.world.actions import ActionSpace

@@ -1,0 +1,177 @@
+"""Fits of both laws of seeing: against a loop over looks, and against the laws that made the labels."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from scipy.optimize import approx_fprime
+from scipy.stats import norm
+from simulated_tables import CALIBRATED, SEEING, evidence
+
+from fitted_laws import FITTED
+from halfseen.tables.laws.evidence import Labels, of_first
+from halfseen.tables.laws.seeing import (
+    INDEPENDENT_PRIOR,
+    facing_of,
+    fit_independent,
+    fit_persistent,
+    independent_law,
+    independent_loss,
+    intervals_of,
+    masses,
+    persistent_loss,
+    persistent_prior,
+    views_of,
+)
+from halfseen.world import PersistentSeeing, WorldConfig
+
+SHARE, FACING = 0.6, 0.3
+RNG = np.random.default_rng(3)
+CUTS = [(0.0, "independent"), (0.5, "attempt"), (0.5, "occlusion")]
+
+
+def some_labels(num=80, num_objects=15, seed=0):
+    """Labels of a recorder to whom each look is news."""
+    rng = np.random.default_rng(seed)
+    target = np.append(np.arange(num_objects), rng.integers(0, num_objects, num - num_objects))
+    occlusion = np.where(rng.random(num) < 0.1, 1.0, rng.random(num))
+    shown = rng.choice(3, num_objects)[target]
+    no_views = np.zeros(num, dtype=bool), np.zeros(num), np.zeros(num)
+    return Labels(target // 3, target, occlusion, *no_views, rng.random(num) < 0.6, shown == 1, shown == 2)
+
+
+def looks(num_objects, law, seed=0, num_looks=4):
+    """Looks at objects one by one, as a law has them; those that show nothing new leave no label."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for target in range(num_objects):
+        is_dirty, seen, shown = rng.random() < SHARE, 0.0, rng.integers(3)
+        for _ in range(num_looks):
+            is_held = rng.random() < 0.15
+            occlusion = 0.0 if is_held or rng.random() < 0.2 else rng.random()
+            chance = law.positive(np.float64(occlusion), seen, is_held)[0 if is_dirty else 1]
+            says_dirty = bool(rng.random() < chance)
+            after = float(law.after(np.float64(occlusion), seen, says_dirty, is_held))
+            if chance > 0.0:
+                truth = shown == 1 and is_dirty, shown == 1 and not is_dirty
+                rows.append((target // 3, target, occlusion, is_held, seen, after, says_dirty, *truth))
+            seen = after
+    return Labels(*(np.array(column) for column in zip(*rows, strict=True)))
+
+
+def persistent_law(theta):
+    curves = np.cumsum(masses(theta)[:, :-1], axis=1)
+    return PersistentSeeing(FACING, tuple(views_of(FACING)), *(tuple(curve) for curve in curves))
+
+
+LABELS = looks(60, SEEING)
+KNOWN, PRIOR = intervals_of(LABELS, FACING), persistent_prior(FACING)
+
+
+class Family(NamedTuple):
+    told: Labels
+    law: Any
+    loss: Any
+    prior: Any
+    thetas: list
+    finds: Any
+    """P(DIRTY is said) of a label, if it is dirty and if it is clean."""
+
+
+INDEPENDENT = Family(
+    some_labels(),
+    independent_law,
+    lambda theta: independent_loss(theta, some_labels(), SHARE),
+    INDEPENDENT_PRIOR,
+    [INDEPENDENT_PRIOR.mode, np.array([0.4, -1.0, 0.4]), np.array([-1.0, -4.0, -0.6])],
+    lambda law, occlusion, seen, is_held: (law.accuracy(occlusion), 1.0 - law.accuracy(occlusion)),
+)
+PERSISTENT = Family(
+    LABELS,
+    persistent_law,
+    lambda theta: persistent_loss(theta.reshape(2, 5), KNOWN, PRIOR, SHARE),
+    PRIOR,
+    [PRIOR.mode, PRIOR.mode + RNG.normal(size=(2, 5)), 2.0 * RNG.normal(size=(2, 5))],
+    lambda law, occlusion, seen, is_held: law.positive(occlusion, seen, is_held),
+)
+BOTH = pytest.mark.parametrize("family", [INDEPENDENT, PERSISTENT], ids=["independent", "persistent"])
+
+
+@pytest.mark.parametrize("k", range(3))
+@BOTH
+def test_posterior_is_what_a_loop_over_looks_gives(family, k):
+    theta, told, prior = family.thetas[k], family.told, family.prior
+    total, law = norm.logpdf(theta, *prior).sum() - norm.logpdf(prior.mode, *prior).sum(), family.law(theta)
+    for target in np.unique(told.object):
+        likelihood = np.array([SHARE, 1.0 - SHARE])
+        for row in np.flatnonzero(told.object == target):
+            finds = np.array(family.finds(law, told.occlusion[row], told.seen[row], told.is_held[row]))
+            likelihood *= finds if told.says_dirty[row] else 1.0 - finds
+        total += np.log((likelihood * [not told.was_clean[row], not told.was_dirty[row]]).sum())
+    assert family.loss(theta)[0] == pytest.approx(-total, abs=1e-9 if family is INDEPENDENT else 1e-4)
+
+
+@pytest.mark.parametrize("k", range(3))
+@BOTH
+def test_gradient_is_that_of_the_posterior(family, k):
+    theta = family.thetas[k]
+    numeric = approx_fprime(theta.ravel(), lambda at: family.loss(at)[0], 1e-7)
+    np.testing.assert_allclose(family.loss(theta)[1].ravel(), numeric, atol=1e-4)
+
+
+def test_without_labels_the_laws_are_the_priors():
+    law = fit_independent(of_first(some_labels(), 0), SHARE)
+    assert (law.accuracy(0.0), law.power) == pytest.approx((0.75, 1.0))
+    assert fit_persistent(of_first(LABELS, 0), SHARE).positive(0.0, 0.0) == pytest.approx((0.5, 0.1))
+
+
+@pytest.mark.parametrize("scale", [1.0, 5.0, 12.0])
+def test_curves_rise_whatever_the_parameters(scale):
+    curves = np.cumsum(masses(scale * np.sign(RNG.normal(size=(2, 5)))), axis=1)
+    assert (np.diff(curves) >= 0.0).all()
+    np.testing.assert_allclose(curves[:, -1], 1.0)
+
+
+@pytest.mark.parametrize("law", [SEEING, FITTED.seeing])
+def test_how_much_an_object_shows_is_what_the_recorder_counted(law):
+    assert facing_of(looks(20, law)) == law.facing
+
+
+def test_in_a_cell_that_sees_all_sides_lifting_shows_no_more():
+    law = PersistentSeeing(1.0, (0.5, 1.0), (0.5, 0.8), (0.05, 0.1))
+    fitted = fit_persistent(looks(200, law), SHARE)
+    assert (fitted.facing, fitted.views) == (1.0, (0.25, 0.5, 0.75, 1.0))
+
+
+def curves_of(law):
+    return np.array([law.sensitivity, law.false_alarms])
+
+
+def test_the_persistent_law_that_was_drawn_from_is_found():
+    fitted = fit_persistent(looks(4000, SEEING), SHARE)
+    np.testing.assert_allclose(curves_of(fitted), curves_of(SEEING), atol=0.06)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("cut_share", "cut_kind"), CUTS)
+def test_the_laws_that_made_the_labels_are_found_although_labels_choose_what_is_washed(cut_share, cut_kind):
+    def found(fit, reads, config):
+        told = [evidence(2000, cut_share, cut_kind, config=config, seed=seed).told for seed in range(4)]
+        return np.mean([reads(fit(each, SHARE)) for each in told], axis=0)
+
+    shares = np.array([0.0, 0.2, 0.5, 0.8])
+    accuracy = found(fit_independent, lambda law: law.accuracy(shares), WorldConfig())
+    np.testing.assert_allclose(accuracy, WorldConfig().seeing.accuracy(shares), atol=0.012)
+    curves = found(fit_persistent, curves_of, CALIBRATED)
+    np.testing.assert_allclose(curves[:, :-1], curves_of(SEEING)[:, :-1], atol=0.02)
+    np.testing.assert_allclose(curves[:, -1], curves_of(SEEING)[:, -1], atol=0.05)
+
+
+@pytest.mark.slow
+def test_what_is_washed_is_chosen_by_its_labels_which_the_fit_takes_in():
+    told, right = evidence(2000).told, WorldConfig().seeing.accuracy(0.0)
+    in_view = told.occlusion == 0.0
+    # Of washed objects labels say DIRTY more often than of others, be they dirty or clean.
+    assert np.mean(told.says_dirty[in_view & told.was_dirty]) > right + 0.02
+    assert np.mean(~told.says_dirty[in_view & told.was_clean]) < right - 0.02
+    assert abs(fit_independent(told, SHARE).accuracy(0.0) - right) < 0.012

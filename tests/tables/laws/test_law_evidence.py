@@ -1,0 +1,174 @@
+"""What attempts, looks and washing told, against the episodes that a log was made from."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated_tables import CALIBRATED, recorded, scene
+
+from fitted_laws import FITTED
+from halfseen.logs import Logs
+from halfseen.tables.fitted_world import evidence_of
+from halfseen.tables.laws.evidence import labels, of_first, watched
+from halfseen.tables.laws.grasping import choose_grasping
+from halfseen.tables.laws.seeing import choose_seeing
+from halfseen.world import AssumedGrasping, AssumedSeeing, FittedGrasping, PersistentSeeing, WorldConfig
+
+GRIP = [0.5, -0.5, 0.0, 1.0, -1.0]
+
+
+@pytest.mark.parametrize("cut_share", [0.0, 0.6])
+def test_attempts_are_watched_until_they_held_or_were_cut_and_misses_until_the_limit(cut_share):
+    cuts, logs = recorded(60, cut_share, table=scene(GRIP))
+    tried, config = watched(logs, WorldConfig()), WorldConfig()
+    expected = []
+    for path, stage in np.argwhere(cuts.is_begun & (np.asarray(cuts.episodes.action) > 0)):
+        target = (int(cuts.episodes.action[path, stage]) - 1) % 5
+        begun_s = float(np.sum(np.asarray(cuts.episodes.duration_s, dtype=float)[path, :stage]))
+        is_completed = cuts.is_completed[path, stage]
+        lasted_s = float(cuts.episodes.duration_s[path, stage]) if is_completed else cuts.end_s[path] - begun_s
+        if stage + 1 < config.horizon and lasted_s > 0.0:
+            attempt_s = max(0.0, lasted_s - 1.0)
+            expected.append((path, attempt_s, is_completed and attempt_s < 6.0 - 1e-4, GRIP[target]))
+    path, attempt_s, is_held, grip = (np.array(column) for column in zip(*expected, strict=True))
+    np.testing.assert_array_equal(tried.path, path)
+    np.testing.assert_array_equal(tried.is_held, is_held)
+    np.testing.assert_allclose(tried.watched_s, attempt_s, atol=1e-4)
+    np.testing.assert_allclose(tried.grip, grip, atol=1e-6)
+    assert (tried.watched_s[~tried.is_held] == 6.0).any()
+    assert tried.is_held.any()
+
+
+@pytest.mark.parametrize("cut_share", [0.0, 0.6])
+def test_misses_are_watched_until_they_end_where_they_end_before_the_limit(cut_share):
+    cuts, logs = recorded(60, cut_share, config=FITTED)
+    tried = watched(logs, FITTED)
+    assert not (tried.is_held & tried.is_missed).any()
+    seen = tried.path[tried.is_missed], tried.watched_s[tried.is_missed]
+    states, action = cuts.episodes.states, np.asarray(cuts.episodes.action)
+    succeeded = np.asarray(states.attempt_succeeded)
+    path, stage = np.nonzero(cuts.is_completed[:, :-1] & (action[:, :-1] > 0))
+    # Whether the attempt of a stage held stands in the state after it, which a path keeps after its own end.
+    is_miss = ~succeeded[path, stage + 1, stage]
+    duration_s = np.asarray(cuts.episodes.duration_s, dtype=float)[path, stage] - FITTED.transport_s
+    np.testing.assert_array_equal(seen[0], path[is_miss])
+    np.testing.assert_allclose(seen[1], duration_s[is_miss], atol=1e-4)
+    assert (seen[1] < 0.9 * FITTED.grasping.limit_s).any()
+
+
+def test_a_miss_that_ends_next_to_the_limit_is_at_the_limit():
+    _, logs = recorded(60)
+    stages = logs.stages.assign(elapsed_s=logs.stages["elapsed_s"] * 0.995)
+    rounded = watched(Logs(stages, logs.paths, logs.objects), WorldConfig())
+    assert rounded.is_missed.any()
+    assert (rounded.watched_s[rounded.is_missed] == 6.0).all()
+
+
+@pytest.mark.parametrize("tells", [watched, lambda logs, config: labels(logs, config, 0.6)], ids=["watched", "labels"])
+def test_the_first_paths_tell_what_a_log_of_them_tells(tells):
+    _, logs = recorded(40, 0.5)
+    some, alone = of_first(tells(logs, WorldConfig()), 15), tells(logs.select(logs.path_ids[:15]), WorldConfig())
+    for one, other in zip(some, alone, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_a_log_without_grips_has_grips_of_0():
+    _, logs = recorded(5)
+    assert "grip" not in logs.objects.columns
+    assert not watched(logs, WorldConfig()).grip.any()
+
+
+@pytest.mark.parametrize("cut_share", [0.0, 0.6])
+def test_labels_move_the_log_odds_as_the_law_says_at_the_occlusion_of_the_look(cut_share):
+    cuts, logs = recorded(60, cut_share)
+    told, config = labels(logs, WorldConfig(), 0.6), WorldConfig()
+    states = cuts.episodes.states
+    is_on_table, log_odds = np.asarray(states.is_on_table), np.asarray(states.log_odds, dtype=float)
+    moved = np.diff(log_odds, axis=1, prepend=np.log(1.5))
+    path, stage, target = np.nonzero(is_on_table & cuts.is_begun[:, :, None] & (np.abs(moved) > 1e-4))
+    np.testing.assert_array_equal(told.path, path)
+    np.testing.assert_array_equal(told.object, 5 * path + target)
+    accuracy = config.seeing.accuracy(told.occlusion)
+    expected = np.where(told.says_dirty, 1.0, -1.0) * (np.log(accuracy) - np.log1p(-accuracy))
+    np.testing.assert_allclose(moved[path, stage, target], expected, atol=1e-4)
+    assert (told.occlusion == 0.0).any()
+
+
+def test_washing_shows_what_an_object_was():
+    cuts, logs = recorded(200, 0.3)
+    told = labels(logs, WorldConfig(), 0.6)
+    is_dirty = np.asarray(cuts.episodes.hidden.is_dirty)[told.path, told.object % 5]
+    assert told.was_dirty.any()
+    assert told.was_clean.any()
+    assert not (told.was_dirty & told.was_clean).any()
+    assert is_dirty[told.was_dirty].all()
+    assert not is_dirty[told.was_clean].any()
+    washed = np.unique(told.object[told.was_dirty | told.was_clean])
+    assert len(washed) == num_washed(cuts)
+
+
+def num_washed(cuts):
+    """Objects that a completed WASH before the last step of the horizon put into the dishwasher."""
+    is_on_table = np.asarray(cuts.episodes.states.is_on_table)
+    # The state after the path's own end is a copy of its last one, so a table that was cleared shows it there.
+    last = np.where(cuts.is_completed[:, :-1, None], is_on_table[:, :-1] & ~is_on_table[:, 1:], False)
+    return int(last.sum())
+
+
+def test_a_look_that_shows_nothing_new_is_no_label():
+    cuts, logs = recorded(60, config=FITTED)
+    told = labels(logs, FITTED, 0.6)
+    num_looks = int((np.asarray(cuts.episodes.states.is_on_table) & cuts.is_begun[:, :, None]).sum())
+    assert 0 < len(told.path) < 0.7 * num_looks
+
+
+@pytest.mark.parametrize("cut_share", [0.0, 0.6])
+def test_labels_of_a_recorder_who_counts_views_say_what_the_law_says_of_them(cut_share):
+    cuts, logs = recorded(60, cut_share, config=FITTED)
+    told, law = labels(logs, FITTED, 0.6), FITTED.seeing
+    assert told.is_persistent
+    np.testing.assert_allclose(
+        told.seen_after, law.after(told.occlusion, told.seen, told.says_dirty, told.is_held), atol=1e-6
+    )
+    assert told.is_held.any()
+    assert not told.occlusion[told.is_held].any()
+    # What washing showed to be clean had its false alarms, and no more.
+    if_dirty, if_clean = law.positive(told.occlusion, told.seen, told.is_held)
+    assert (if_dirty > 0.0).all()
+    expected = np.where(np.asarray(cuts.episodes.hidden.is_dirty)[told.path, told.object % 5], if_dirty, if_clean)
+    excess = told.says_dirty - expected
+    assert abs(excess.sum()) < 3.0 * np.sqrt((expected * (1.0 - expected)).sum())
+
+
+def test_a_recorder_to_whom_each_look_is_news_counts_no_views():
+    _, logs = recorded(20)
+    told = labels(logs, WorldConfig(), 0.6)
+    assert not told.is_persistent
+    assert not told.seen.any()
+
+
+def test_a_look_that_finds_nothing_counts_though_the_recorder_learns_nothing_from_it():
+    seeing = replace(FITTED.seeing, sensitivity=(0.0, 0.55, 0.6, 0.95), false_alarms=(0.0, 0.06, 0.1, 0.2))
+    flat = replace(FITTED, seeing=seeing)
+    _, logs = recorded(60, config=flat)
+    told = labels(logs, flat, 0.6)
+    is_flat = told.seen_after <= seeing.views[0]
+    assert is_flat.any()
+    assert not told.says_dirty[is_flat].any()
+
+
+@pytest.mark.parametrize("cut_share", [0.0, 0.5])
+@pytest.mark.parametrize(
+    ("config", "families"),
+    [
+        (WorldConfig(), (AssumedGrasping, AssumedSeeing)),
+        (CALIBRATED, (FittedGrasping, PersistentSeeing)),
+        (FITTED, (FittedGrasping, PersistentSeeing)),
+    ],
+)
+def test_a_log_speaks_for_the_laws_that_made_it(config, families, cut_share):
+    _, logs = recorded(200, cut_share, config=config)
+    for begin in range(0, 200, 50):
+        told = evidence_of(logs.select(logs.path_ids[begin : begin + 50]), config)
+        assert isinstance(choose_grasping(told.tried, config.grasping.limit_s), families[0])
+        assert isinstance(choose_seeing(told.told, told.dirty_share), families[1])
