@@ -69,8 +69,14 @@ def test_bootstrap_draws_are_what_was_recorded(cell):
 
 
 def test_an_evaluation_is_what_was_recorded(cell):
-    found = evaluate(cell.policy_, read_logs(FOLDERS["later"])).as_dict()
-    assert_same(json.loads(json.dumps(found)), told()["cell/evaluation"])
+    """The rule behind the log is found by other models now: what it enters is close, all else is the same."""
+    found = json.loads(json.dumps(evaluate(cell.policy_, read_logs(FOLDERS["later"])).as_dict()))
+    expected = json.loads(json.dumps(told()["cell/evaluation"]))
+    of_rule, recorded_of_rule = ((each.pop("difference"), each["comparisons"].pop(1)) for each in (found, expected))
+    for now, then in zip(of_rule, recorded_of_rule, strict=True):
+        assert_same(now, then, close=2e-3)
+    assert len(found.pop("notes")) == len(expected.pop("notes")) == 1
+    assert_same(found, expected)
 
 
 def numbers_in(text):
@@ -78,18 +84,18 @@ def numbers_in(text):
     return re.findall(r"-?[0-9]+[.]?[0-9]*", text)
 
 
-def assert_same(found, expected):
+def assert_same(found, expected, close=CLOSE):
     """Numbers are close, those in sentences are the same."""
     if isinstance(expected, dict):
         assert found.keys() == expected.keys()
         for key in expected:
-            assert_same(found[key], expected[key])
+            assert_same(found[key], expected[key], close)
     elif isinstance(expected, list):
         assert len(found) == len(expected)
         for pair in zip(found, expected, strict=True):
-            assert_same(*pair)
+            assert_same(*pair, close)
     elif isinstance(expected, float):
-        np.testing.assert_allclose(found, expected, rtol=CLOSE, atol=CLOSE)
+        np.testing.assert_allclose(found, expected, rtol=close, atol=close)
     elif isinstance(expected, str):
         assert numbers_in(found) == numbers_in(expected)
     else:

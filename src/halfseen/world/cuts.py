@@ -86,8 +86,6 @@ def cut_rate(pilot: Episodes, cut_share: float | int, kind: CutKind | str) -> fl
     check_share(cut_share)
     if cut_share == 0.0:
         return 0.0
-    from scipy.optimize import root_scalar
-
     total = unit_hazards(pilot, kind).sum(axis=1)
 
     def excess(log_rate: float) -> float:
@@ -95,7 +93,10 @@ def cut_rate(pilot: Episodes, cut_share: float | int, kind: CutKind | str) -> fl
 
     if excess(_LOWEST_LOG_RATE) > 0:  # so rare that no path is cut twice: the share is the rate times the hazard
         return float(cut_share / np.mean(total))
-    return float(np.exp(root_scalar(excess, bracket=(_LOWEST_LOG_RATE, 40.0), method="brentq").root))
+    low, high = _LOWEST_LOG_RATE, -_LOWEST_LOG_RATE
+    while low < (middle := (low + high) / 2.0) < high:  # down to the last bit: the share grows with the rate
+        low, high = (low, middle) if excess(middle) > 0 else (middle, high)
+    return float(np.exp(high))
 
 
 def cut(episodes: Episodes, rate: float, kind: CutKind | str, rng: np.random.Generator) -> CutEpisodes:
