@@ -41,7 +41,6 @@ class Bare:
         self._for_pip = self._env | {"PIP_CONSTRAINT": str(CLONE / "constraints.txt")}
         self._for_halfseen = self._env | {
             "XDG_CACHE_HOME": str(folder / "cache"),
-            "XLA_FLAGS": "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false",
             "MINARI_DATASETS_PATH": str(folder / "minari"),
         }
         self.begin("own")
