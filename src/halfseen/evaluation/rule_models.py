@@ -105,8 +105,8 @@ def logit_shares(
 ) -> Float[np.ndarray, "rows A"]:
     """Multinomial logit on features and their products.
 
-    By steps with a bound of the curvature [BohningLindsay1988]_, accelerated. Parameters are those of `forest_shares`. A
-    rule without noise has a border that can be ever steeper; where it lies is found long before that ends.
+    By steps with a bound of the curvature [BohningLindsay1988]_, accelerated. Parameters are those of `forest_shares`.
+    A rule without noise has a border that can be ever steeper; where it lies is found long before that ends.
     """
     spread = states[fitted].std(axis=0)
     scaled = (states - states[fitted].mean(axis=0)) / np.where(spread > 0.0, spread, 1.0)
