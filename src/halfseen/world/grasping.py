@@ -2,11 +2,8 @@
 
 A law is drawn from (`GraspLaw`); the world, its logs and its Gymnasium face need no more. Who computes ahead instead of
 drawing (the planners' beliefs, the exact optimum) needs its probabilities as well (`KnownGrasping`). A law is a frozen
-record of numbers, and answers for whole batches of tables.
-
-A law of grasping whose numbers are fitted to attempts: logistic in the occlusion, with lognormal durations.
-
-A law of grasping for each robot of a team, and which of them is at it now.
+record of numbers, and answers for whole batches of tables. Other laws here: one whose numbers are fitted to attempts,
+and one for each robot of a team.
 """
 
 import math
