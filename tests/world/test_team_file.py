@@ -44,6 +44,8 @@ def test_a_team_comes_from_toml_or_json(tmp_path):
         ("robot = 3", "there is no robot"),
         ("[[robot]", "is no TOML or JSON"),
         ("[[robot]]\nreach_m = 1.0", "robot 0: base_m is missing"),
+        (f"[[robot]]\nbase_m = [1{'0' * 400}, 0]\nreach_m = 1.0", "base_m is .*; give two finite numbers"),
+        (f"[[robot]]\nbase_m = [0, 0]\nreach_m = 1{'0' * 400}", "reach_m is .*; give"),
         ("[[robot]]\nbase_m = [0, 0]", "robot 0: reach_m is missing"),
         ("[[robot]]\nbase_m = [0]\nreach_m = 1", r"robot 0: base_m is \[0\]; give two finite numbers"),
         ("[[robot]]\nbase_m = [0, true]\nreach_m = 1", r"robot 0: base_m is \[0, True\]"),

@@ -20,4 +20,12 @@ def is_wrong(value: object, is_right: Callable[[float], bool]) -> bool:
 
     What JAX makes of a number inside a compiled call is not looked at.
     """
-    return isinstance(value, str) or (is_number(value) and not (isfinite(value) and is_right(value)))
+    return isinstance(value, str) or (is_number(value) and not (is_finite(value) and is_right(value)))
+
+
+def is_finite(value: int | float) -> bool:
+    """Whether a number is one in double precision, too: an integer may be larger than any."""
+    try:
+        return isfinite(value)
+    except OverflowError:
+        return False

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from halfseen.errors import ArgumentError, HalfseenWarning, SceneError
 from halfseen.world.config import WorldConfig
 from halfseen.world.grasping import GraspingByRobot, GraspLaw, check_law
-from halfseen.world.number import is_number, is_wrong
+from halfseen.world.number import is_finite, is_number, is_wrong
 from halfseen.world.scene import Scene
 from halfseen.world.state import Layout, Workspace, pad_scenes
 
@@ -84,7 +84,7 @@ def check_robot(told: Mapping[str, Any]) -> None:
     if not (isinstance(name, str) and name.strip()):
         raise ArgumentError(f"the robot at {base!r}: name is {name!r}; give a text")
     is_pair = isinstance(base, list | tuple | np.ndarray) and len(base) == 2
-    if not (is_pair and all(is_number(each) and np.isfinite(each) for each in base)):
+    if not (is_pair and all(is_number(each) and is_finite(each) for each in base)):
         raise ArgumentError(f"{name}: base_m is {base!r}; give two finite numbers, x and y [m]")
     check_numbers(told, f"{name}: ")
     if told.get("grasping") is not None:
