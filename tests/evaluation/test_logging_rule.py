@@ -201,3 +201,11 @@ def test_cuts_widen_the_interval():
     found = evaluate(TARGET, logs, **specified(BY_COX))
     light = evaluate(TARGET, trial(1, num_paths=300), **specified(BY_COX))
     assert found.doubly_robust.standard_error > 1.5 * light.doubly_robust.standard_error
+
+
+def test_where_one_path_alone_has_a_say_there_is_still_an_answer():
+    """Its fold is held out once, and nothing is left to fit to."""
+    logs = logged(thresholds, num_paths=60)
+    stages = logs.stages.assign(probability=np.where(logs.stages["path"] == 0, 0.9, 0.01))
+    found, _ = found_in(Logs(stages, logs.paths))
+    assert isinstance(found, str) or np.array_equal(found.probabilities.sum(axis=2), np.ones((60, 2)))
