@@ -7,7 +7,7 @@ from typing import Any
 from halfseen.censoring.cut_model import CENSORING_BY, CensoringBy, CutModel, fit_cut_model
 from halfseen.censoring.inputs import checked_truncation
 from halfseen.censoring.model import CensoringModel, uses_covariates
-from halfseen.censoring.named import CENSORING_NAMES, named_model
+from halfseen.censoring.named import named_model
 from halfseen.censoring.stage_clocks import StageClocks
 from halfseen.errors import ArgumentError
 
@@ -59,11 +59,6 @@ class CensoringSpec:
     def name(self) -> str:
         """Name of the model, or what an object prints."""
         return self.model if isinstance(self.model, str) else repr(self.model)
-
-    @property
-    def is_named(self) -> bool:
-        """Whether the model has a name."""
-        return isinstance(self.model, str) and self.model in CENSORING_NAMES
 
     @property
     def uses_covariates(self) -> bool:

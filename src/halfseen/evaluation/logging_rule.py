@@ -113,7 +113,7 @@ def _is_above(is_right: Bool[np.ndarray, " rows"], chance: float) -> bool:
 def _revealed_note(is_right: Bool[np.ndarray, " rows"]) -> str:
     return (
         "where it was followed the log says, by probabilities above one half; what it would do elsewhere a model of "
-        f"the actions says, which was right in {is_right.mean():.0%} of {len(is_right)} stages where that can be "
+        f"the actions says, which was right in {is_right.sum()} of {len(is_right)} stages where that can be "
         "checked"
     )
 
