@@ -1,6 +1,7 @@
 """The command line: one file a command, and heavy imports only inside a command."""
 
 import gc
+import os
 import sys
 import warnings
 from typing import Any
@@ -54,6 +55,8 @@ def main() -> None:
     """Run the command line; bad input is told in one line and ends with exit status 2."""
     # A verb loads much that it keeps: looking for garbage as often as Python does takes a tenth of its time.
     gc.set_threshold(100_000, 50, 100)
+    # BLAS reads it once, as it loads. What a verb computes is in one thread anyway; others would be begun, and wait.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         with warnings.catch_warnings():
             _say_in_one_line()
