@@ -6,8 +6,6 @@ import shutil
 import sys
 from importlib import metadata
 from pathlib import Path
-from urllib.parse import urlsplit
-from urllib.request import url2pathname
 
 UNKNOWN = "0.0.0.dev0"
 """Version where nobody knows it: a source folder that runs without having been installed."""
@@ -57,4 +55,8 @@ def _clone() -> Path | None:
     origin = json.loads(told or "{}")
     if not origin.get("dir_info", {}).get("editable"):
         return None
+    # It loads all of HTTP, which nobody who is not told what to install need wait for.
+    from urllib.parse import urlsplit
+    from urllib.request import url2pathname
+
     return Path(url2pathname(urlsplit(origin["url"]).path))

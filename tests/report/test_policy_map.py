@@ -39,17 +39,18 @@ def test_a_map_is_what_the_policy_decides_with_the_rest_in_the_middle(policy, lo
     assert first.middle == {}
 
 
-def test_support_is_enough_states_nearby_by_a_loop():
+@pytest.mark.parametrize("num_covariates", [1, 2])
+def test_support_is_enough_states_nearby_by_a_loop(num_covariates):
     rng = np.random.default_rng(0)
-    states, places = rng.normal(size=(60, 2)) * [1.0, 100.0], rng.normal(size=(40, 2)) * [1.5, 150.0]
-    scaled = states / states.std(axis=0)
-    by_loop = [
-        sum(np.linalg.norm(place / states.std(axis=0) - one) <= NEAR for one in scaled) >= FEWEST_NEAR
-        for place in places
-    ]
-    assert supported(places, states).tolist() == by_loop
+    states = (rng.normal(size=(60, 2)) * [1.0, 100.0])[:, :num_covariates]
+    across, up = np.linspace(-3.0, 3.0, 12), np.linspace(-300.0, 300.0, 9)
+    places = [[x, y][:num_covariates] for y in (up if num_covariates == 2 else [0.0]) for x in across]
+    scaled, near = states / states.std(axis=0), np.array(places) / states.std(axis=0)
+    by_loop = [sum(np.linalg.norm(place - one) <= NEAR for one in scaled) >= FEWEST_NEAR for place in near]
+    asked = across, up if num_covariates == 2 else None
+    assert supported(*asked, states).ravel().tolist() == by_loop
     assert 0 < sum(by_loop) < len(places)
-    assert not supported(places, states[: FEWEST_NEAR - 1]).any()
+    assert not supported(*asked, states[: FEWEST_NEAR - 1]).any()
 
 
 def test_one_covariate_is_a_strip_and_none_is_nothing(logs):

@@ -147,6 +147,8 @@ def _table_values(table: pd.DataFrame, names: list[str] | None) -> Float[np.ndar
             wrong = f"lacks {sorted(missing)[0]!r}" if missing else f"has {sorted(unknown)[0]!r}, unknown to the fit"
             raise ArgumentError(f"covariates {wrong}; give the columns of the fit: {', '.join(names)}")
         table = table.loc[:, names]
+    if all(isinstance(kind, np.dtype) and kind.kind in "biuf" for kind in table.dtypes):
+        return np.ascontiguousarray(table.to_numpy(dtype=np.float64))
     columns = []
     for name in table.columns:
         try:

@@ -1,13 +1,12 @@
 """A number with its interval, from what each path adds to it."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import stdtr, stdtrit
 
 from halfseen.errors import ArgumentError
+from halfseen.evaluation.student_t import crossing, upper_tail
 
 LARGEST_LEVEL = 0.999999
 """Beyond it an interval speaks of tails that no log shows, and 1 − level of rounding."""
@@ -111,19 +110,15 @@ def around(
 
 def _beyond(x: float, shift: float, freedom: float) -> float:
     """P(|T + shift| > x)."""
-    return float(stdtr(freedom, shift - x) + stdtr(freedom, -shift - x))
+    return upper_tail(x - shift, freedom) + upper_tail(x + shift, freedom)
 
 
 def _quantile(level: float, shift: float, freedom: float) -> float:
     """The x that |T + shift| does not exceed with probability `level`."""
-    centred = float(stdtrit(freedom, (1.0 + level) / 2.0))
-    if shift == 0.0:
-        return centred
-    # Most intervals allow for no bias, and need no search.
-    from scipy.optimize import brentq
-
-    root: Any = brentq(lambda x: _beyond(x, shift, freedom) - (1.0 - level), 0.0, centred + shift)
-    return float(root)
+    high = 1.0 + shift
+    while _beyond(high, shift, freedom) > 1.0 - level:
+        high *= 2.0
+    return crossing(lambda x: 1.0 - level - _beyond(x, shift, freedom), 0.0, high)
 
 
 def check_level(level: float) -> None:

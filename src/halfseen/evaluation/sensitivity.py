@@ -16,12 +16,13 @@ would be another under other weights is left out. Γ of 1 trusts the model, and
 2 is a cause which doubles or halves the odds.
 """
 
-from typing import Any
+from math import exp, log
 
 import numpy as np
 from jaxtyping import Float
 
 from halfseen.evaluation.estimate import Estimate
+from halfseen.evaluation.student_t import crossing
 
 STRONGEST = 100.0
 """Γ beyond which nothing is looked for."""
@@ -66,10 +67,8 @@ def undone_at(difference: Estimate, excess: Float[np.ndarray, "n T"], error: Flo
     signed = error if is_above else -error
     if lead + shift(excess, signed, STRONGEST) > 0:
         return STRONGEST
-    from scipy.optimize import brentq
-
-    root: Any = brentq(lambda log_gamma: lead + shift(excess, signed, np.exp(log_gamma)), 0.0, np.log(STRONGEST))
-    return float(np.exp(root))
+    log_gamma = crossing(lambda each: lead + shift(excess, signed, exp(each)), 0.0, log(STRONGEST))
+    return exp(log_gamma)
 
 
 def in_words(gamma: float) -> str:

@@ -10,7 +10,6 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
-from scipy.optimize import isotonic_regression
 
 from halfseen.pages.palette import BAND_OPACITY, FAINT, INK
 
@@ -122,7 +121,21 @@ def spread(heights: Sequence[float], gap: float, low: float, high: float) -> lis
     """Move heights at least `gap` apart, in their order, with the least squared moves, and within [low, high]."""
     order = np.argsort(heights, kind="stable")
     steps = gap * np.arange(len(heights))
-    lowered = isotonic_regression(np.asarray(heights, dtype=float)[order] - steps).x
+    lowered = isotonic(np.asarray(heights, dtype=float)[order] - steps)
     placed: Float[np.ndarray, " k"] = np.empty(len(heights))
     placed[order] = np.clip(lowered, low, max(low, high - gap * (len(heights) - 1))) + steps
     return placed.tolist()
+
+
+def isotonic(values: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+    """The nearest values, by least squares, that nowhere fall: pool adjacent violators [BarlowEtAl1972]_."""
+    means: list[float] = []
+    sizes: list[int] = []
+    for value in values:
+        mean, size = float(value), 1
+        while means and means[-1] >= mean:
+            size += sizes[-1]
+            mean += (means.pop() - mean) * sizes.pop() / size
+        means.append(mean)
+        sizes.append(size)
+    return np.repeat(means, sizes)

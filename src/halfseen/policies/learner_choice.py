@@ -1,6 +1,6 @@
 """Which learner suits a log: of a team or a table where it has objects, else of the actions seen at each stage."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,15 +11,9 @@ from halfseen.learning.task import AUTO
 from halfseen.logs import Logs, LogStream
 from halfseen.logs.stream import parts_of
 from halfseen.suggestions import did_you_mean
-from halfseen.tables.grasp.beta_grasp import BetaGrasp
-from halfseen.world.log_checks import most_decisions, robots_in
 
 TABLE_HORIZON = 10
 """Stages that a path on a table may have, unless the log has longer ones."""
-
-GRASPS: dict[str, Callable[[], Any]] = {"auto": lambda: AUTO, "laplace": lambda: None, "beta": BetaGrasp}
-"""What tells the probability of a grasp, by name: by the log; the rule of succession; a Beta regression."""
-
 
 @dataclass(frozen=True)
 class LearnerChoice:
@@ -51,7 +45,8 @@ def learner_for(
         Stages after which a path ends by itself; None for those of the longest path, on a table at least 10. Of a team,
         decisions of each robot; None for what the log says.
     grasp
-        On a table, one of `GRASPS`.
+        What tells the probability of a grasp on a table: ``"auto"``, by the log (as None does); ``"laplace"``, the rule of
+        succession; ``"beta"``, a Beta regression.
     parameters
         The others of `CensoredQLearner`.
 
@@ -62,12 +57,14 @@ def learner_for(
     """
     longest = logs.horizon
     if logs.has_objects and covariates is None:
+        # Named actions need nothing of the world, which takes longer to load than to learn from some hundred paths.
+        from halfseen.world.log_checks import robots_in
+
         num_robots = robots_in(logs)
         if num_robots:
             return _of_team(logs, num_robots, horizon, grasp, parameters)
         length = max(TABLE_HORIZON, longest) if horizon is None else horizon
-        estimator = GRASPS[grasp or AUTO]()
-        learner = CensoredQLearner.for_table(length, grasp=estimator, **parameters)
+        learner = CensoredQLearner.for_table(length, grasp=_grasp_named(grasp), **parameters)
         return LearnerChoice(learner, _horizon_notes(longest, horizon, length))
     if grasp is not None:
         raise ArgumentError("--grasp is for logs of tables; these have named actions: leave it out")
@@ -83,12 +80,22 @@ def _of_team(
     """Learn one Q for all robots, for as many decisions of each as the log says that it had."""
     if grasp == "beta":
         raise ArgumentError("--grasp is beta, and the log is of a team, which takes auto or laplace; name one of them")
+    from halfseen.world.log_checks import most_decisions
+
     had = most_decisions(logs, num_robots)
     if horizon is not None and horizon < had:
         raise ArgumentError(f"--horizon is {horizon}, and a robot of the log has {had} decisions to go; give {had}")
     length = had if horizon is None else horizon
-    learner = CensoredQLearner.for_team(num_robots, length, grasp=GRASPS[grasp or AUTO](), **parameters)
+    learner = CensoredQLearner.for_team(num_robots, length, grasp=_grasp_named(grasp), **parameters)
     return LearnerChoice(learner, num_robots=num_robots)
+
+
+def _grasp_named(name: str | None) -> Any:
+    if name == "beta":
+        from halfseen.tables.grasp.beta_grasp import BetaGrasp
+
+        return BetaGrasp()
+    return None if name == "laplace" else AUTO
 
 
 def actions_by_stage(logs: Logs | LogStream, horizon: int) -> dict[int, list[Any]]:

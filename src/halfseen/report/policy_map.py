@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float
-from scipy.spatial import KDTree
 
 from halfseen.learning.flat_policy import FlatPolicy
 from halfseen.logs import Logs
@@ -106,21 +105,27 @@ def _map_of(policy: FlatPolicy, states: pd.DataFrame, stage: int, telling: list[
         across=across,
         up=up,
         taken=policy.decide(at, stage).astype(str).reshape(shape),
-        is_supported=supported(grid, values).reshape(shape),
+        is_supported=supported(across, up, values),
         dots=dots[list(names)].to_numpy(dtype=np.float64),
         done=dots["action"].astype(str).to_numpy(dtype=object),
         middle={name: _written(value) for name, value in middle.items() if name not in names},
     )
 
 
-def supported(places: Float[np.ndarray, "m d"], states: Float[np.ndarray, "n d"]) -> Bool[np.ndarray, " m"]:
-    """Whether enough logged states lie near each place, each covariate by its standard deviation."""
-    spread = states.std(axis=0)
-    if len(states) < FEWEST_NEAR:
-        return np.zeros(len(places), dtype=bool)
-    tree: Any = KDTree(states / spread)
-    farthest, _ = tree.query(places / spread, k=[FEWEST_NEAR])
-    return farthest[:, 0] <= NEAR
+def supported(
+    across: Float[np.ndarray, " k"], up: Float[np.ndarray, " j"] | None, states: Float[np.ndarray, "n d"]
+) -> Bool[np.ndarray, "j k"]:
+    """Whether enough logged states lie near each place of a grid, each covariate by its standard deviation."""
+    x, y = (states / states.std(axis=0)).T if up is not None else (states[:, 0] / states.std(), np.zeros(len(states)))
+    heights = np.zeros(1) if up is None else up / states[:, 1].std()
+    num_near = np.zeros((len(heights), len(across)), dtype=np.int64)
+    for column, place in enumerate(across / states[:, 0].std()):
+        # In a column of places those near a state are the ones between two heights.
+        squared = NEAR**2 - (x - place) ** 2
+        reach, middle = np.sqrt(squared[squared >= 0.0]), y[squared >= 0.0]
+        begun = np.searchsorted(np.sort(middle - reach), heights, side="right")
+        num_near[:, column] = begun - np.searchsorted(np.sort(middle + reach), heights, side="left")
+    return num_near >= FEWEST_NEAR
 
 
 def _few_of(states: pd.DataFrame) -> pd.DataFrame:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from jaxtyping import Float, Int
-from scipy.special import expit
 
+from halfseen.arrays import expit
 from halfseen.learning.rows import stage_places
 from halfseen.learning.task import Task
 from halfseen.logs import Logs

@@ -65,11 +65,10 @@ def kind_name_of(policy: Any) -> str:
     ArgumentError
         It is of none.
     """
-    kinds = {name: kind_named(name) for name in _PLACES}
-    for name, kind in kinds.items():
-        if isinstance(policy, kind.policy_type):
+    for name in _PLACES:
+        if isinstance(policy, kind_named(name).policy_type):
             return name
-    types = ", ".join(kind.policy_type.__name__ for kind in kinds.values())
+    types = ", ".join(kind_named(name).policy_type.__name__ for name in _PLACES)
     raise ArgumentError(f"a {type(policy).__name__} cannot be written to a folder; these can: {types}")
 
 
