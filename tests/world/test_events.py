@@ -39,7 +39,8 @@ def test_a_team_of_one_is_the_world_of_one_robot_to_the_last_bit(seed):
         action, at = rng.choice(possible), random.fold_in(key, t)
         state, hidden, outcome = step(config, state, hidden, action, at)
         of_team, secrets, same = step(config, of_team, secrets, action, at)
-        alone = replace(of_team, robots=None, workspace=None, decider=None), replace(secrets, pending=None)
+        alone = {"robots": None, "workspace": None, "decider": None, "attempt_robot": None}
+        alone = replace(of_team, **alone), replace(secrets, pending=None)
         same_alone = same._replace(paid_alone=None)
         for one, other in zip(leaves_of((state, hidden, outcome)), leaves_of((*alone, same_alone)), strict=True):
             np.testing.assert_array_equal(one, other)

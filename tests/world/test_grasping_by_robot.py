@@ -14,7 +14,6 @@ from halfseen.world.actions import WAIT
 from halfseen.world.envs import TeamCupsEnv
 from halfseen.world.grasping import Arrangement, Attempt, check_law
 from halfseen.world.logs import states_of, to_logs
-from halfseen.world.robot_logs import attempted_by
 from halfseen.world.robots import check_robot
 from halfseen.world.state import NO_ATTEMPT, occlusion
 from halfseen.world.transition import start
@@ -93,11 +92,6 @@ def test_a_log_tells_who_tried_and_from_it_come_the_same_states():
         softmax(grip_posterior(world.played_config, picked(each, at)).log_weights) for each in (told, paths.states)
     )
     np.testing.assert_allclose(found, known, rtol=1e-3, atol=1e-6)
-    # Who made each attempt shows in what each robot was at, too.
-    by, tried = attempted_by(paths.states, np.asarray(paths.action)), np.asarray(paths.states.attempt_object)
-    is_there = (tried != NO_ATTEMPT) & np.asarray(paths.is_taken)[..., None]
-    known = np.broadcast_to(by[:, None], tried.shape)
-    np.testing.assert_array_equal(np.asarray(paths.states.attempt_robot)[is_there], known[is_there])
 
 
 def test_the_face_of_gymnasium_tells_who_tried_and_how_long_that_may_take():

@@ -80,7 +80,7 @@ def test_a_drop_out_of_a_robot_that_there_is_none_of_is_refused(logs, read):
     ("by", "told"),
     [
         ([], r"object \d: attempt_by and attempt_occlusions differ in length; give the robot of each past attempt"),
-        ([2], r"object \d: attempt_by is .*2.*, names a robot that there is none of; .* robots 0 to 1"),
+        ([2], r"object \d: attempt_by names a robot that there is none of; .* robots 0 to 1 .*2"),
     ],
 )
 def test_attempts_of_nobody_are_refused(logs, by, told, read):
@@ -101,9 +101,9 @@ def test_two_robots_at_one_object_are_refused():
 @pytest.mark.parametrize(
     ("column", "value", "told"),
     [
-        ("reached_by", [0, 2], r"stage 1, object 0: reached_by is .*, names a robot that there is none of; .* 0 to 1"),
+        ("reached_by", [0, 2], r"stage 1, object 0: reached_by names a robot that there is none of; .* 0 to 1 .*0, 2"),
         ("reached_by", [0.5], "names a robot that there is none of"),
-        ("near", [0, 4], r"object 0: near is .*, names an object that the stage has not"),
+        ("near", [0, 4], r"object 0: near names an object that the stage has not"),
         ("near", [-1], "names an object that the stage has not"),
     ],
 )  # fmt: skip

@@ -116,7 +116,7 @@ def learned(num_decisions):
         (lambda: WORLD.simulate(SCENES, learned(12), 1, 0), PolicyError, "learned for 12 decisions .* up to 8"),
         (lambda: WORLD.evaluate(SCENES, ExploringPolicy(learned(12)), 1, 0), PolicyError, "learned for 12 decisions"),
         (lambda: ExploringPolicy(UniformPolicy(), 2.0), ArgumentError, r"random_share is 2.0; give .* in \[0, 1\]"),
-        (lambda: Scene(np.zeros((1, 1)), places_m=np.array([[0.0, np.nan]])), SceneError, r"places_m\[0\] is"),
+        (lambda: Scene(np.zeros((1, 1)), places_m=np.array([[0.0, np.nan]])), SceneError, r"places_m\[0, 1\] is nan"),
     ],
 )
 def test_what_cannot_be_is_refused(make, error, told):
