@@ -8,7 +8,7 @@ from halfseen.censoring.weights import stage_weights
 from halfseen.errors import LogError
 from halfseen.logs import Logs, read_logs
 from halfseen.world.actions import Verb
-from halfseen.world.drop_outs import cut_at_drop_outs
+from halfseen.world.cuts import cut_at_drop_outs
 from halfseen.world.logs import states_of
 from halfseen.world.others import others_of
 from picked import picked

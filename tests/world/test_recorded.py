@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded_worlds import TEAMS, scenes, world_of
+from worlds import TEAMS, recorded_scenes, world_of
 
 from halfseen.arrays import known_to_jax, mapped
 from halfseen.world import UniformPolicy, random, rollout
@@ -45,7 +45,7 @@ def _fields(name):
 def _replayed(name):
     """Episodes in which the recorded actions were taken: state, action and outcome of each stage."""
     world, is_taken, actions = _world(name), RECORDED[f"{name}/is_taken"], RECORDED[f"{name}/action"]
-    config, tables = world.played_config, world.layouts(scenes())
+    config, tables = world.played_config, world.layouts(recorded_scenes())
     keys = random.fold_in(KEY, np.arange(EPISODES))
     start_key, world_key, _ = random.split(keys, 3)
     layout = mapped(lambda leaf: leaf[np.arange(EPISODES) % len(leaf)], tables)
@@ -80,7 +80,7 @@ def test_steps_do_what_was_recorded_of_them(name):
 @pytest.mark.parametrize("name", [name for name in NAMES if name.endswith("uniform")])
 def test_a_rollout_draws_what_was_recorded(name):
     world = _world(name)
-    played = rollout.play(world.played_config, world.layouts(scenes()), UniformPolicy(), KEY, EPISODES)
+    played = rollout.play(world.played_config, world.layouts(recorded_scenes()), UniformPolicy(), KEY, EPISODES)
     is_taken = played.is_taken
     assert np.array_equal(is_taken, RECORDED[f"{name}/is_taken"])
     assert np.array_equal(played.action[is_taken], RECORDED[f"{name}/action"][is_taken])
@@ -97,7 +97,7 @@ def _equal(one, other):
 @pytest.mark.parametrize("team", TEAMS)
 def test_the_size_of_a_batch_changes_nothing(team, monkeypatch):
     world = world_of(team, "calibrated")
-    args = world.played_config, world.layouts(scenes()), UniformPolicy(), KEY, 9
+    args = world.played_config, world.layouts(recorded_scenes()), UniformPolicy(), KEY, 9
     whole = rollout.play(*args)
     monkeypatch.setattr(rollout, "BATCH", 2)
     parts = rollout.play(*args)
@@ -114,7 +114,7 @@ def test_the_size_of_a_batch_changes_nothing(team, monkeypatch):
 @pytest.mark.parametrize("team", TEAMS)
 def test_one_table_goes_as_it_does_in_a_batch(team):
     world = world_of(team)
-    config, tables = world.played_config, world.layouts(scenes())
+    config, tables = world.played_config, world.layouts(recorded_scenes())
     keys = random.split(KEY, 3)
     state, hidden = start(config, tables, np.stack(keys))
     action = UniformPolicy().decide(state, np.stack(keys)).action
@@ -132,7 +132,7 @@ def test_under_jax_jit_the_same_comes_out(team):
     pytest.importorskip("jax")
     jax = known_to_jax()
     world = world_of(team, "calibrated")
-    config, tables = world.played_config, world.layouts(scenes())
+    config, tables = world.played_config, world.layouts(recorded_scenes())
     keys = np.stack(random.split(KEY, 3))
     begin, advance = start, step
     ours, theirs = start(config, tables, keys), begin(config, tables, keys)

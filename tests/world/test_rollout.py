@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
-from random_scenes import random_scene
-from rule_policies import InTurn, Suspicious
+from worlds import InTurn, Suspicious, random_scene
 
 from halfseen.arrays import mapped
 from halfseen.errors import ArgumentError

@@ -4,7 +4,7 @@ Read down: `random` (draws), `grasping`, `seeing` (the laws; another robot or gr
 `config` (they and the numbers) → `scene` (where an episode starts) → `state` (what is seen, what is hidden) → `robots`
 (who works at the table) → `actions` (the verbs) → `events`, `transition` (one step) → `policy` (what decides),
 `explanation` (how sure that is), `others` (what a robot knows of the others) → `rollout` (many tables to their end) →
-`cuts`, `drop_outs` → `logs` with `log_rows`, `log_checks` (to and from logs) → `table_world`, `envs`, `pettingzoo_env`
+`cuts` → `logs` with `log_rows`, `log_checks` (to and from logs) → `table_world`, `envs`, `pettingzoo_env`
 (the faces).
 """
 
@@ -15,7 +15,7 @@ from halfseen.lazy import lazy_names
 if TYPE_CHECKING:
     from halfseen.world.actions import ActionSpace, Verb
     from halfseen.world.config import WorldConfig
-    from halfseen.world.drop_outs import cut_at_drop_outs
+    from halfseen.world.cuts import cut_at_drop_outs
     from halfseen.world.explanation import Explanation
     from halfseen.world.grasping import (
         Arrangement,
@@ -71,7 +71,7 @@ __all__ = [
 _NAMES = {
     "actions": "ActionSpace Verb",
     "config": "WorldConfig",
-    "drop_outs": "cut_at_drop_outs",
+    "cuts": "cut_at_drop_outs",
     "explanation": "Explanation",
     "grasping": "Arrangement AssumedGrasping Attempt FittedGrasping GraspLaw GraspingByRobot KnownGrasping",
     "log_checks": "check_log",

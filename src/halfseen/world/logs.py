@@ -31,8 +31,7 @@ from halfseen.errors import LogError
 from halfseen.logs import Logs
 from halfseen.logs.checks.robots import robots_that_may_drop_out
 from halfseen.world.actions import TARGETED, VERB_NAMES, ActionSpace
-from halfseen.world.cuts import CAUSES, CutEpisodes, CutKind
-from halfseen.world.drop_outs import DROP_OUT_CAUSE, drop_out_columns
+from halfseen.world.cuts import CAUSES, DROP_OUT_CAUSE, CutEpisodes, CutKind, drop_out_columns
 from halfseen.world.log_checks import ATTEMPT_BY, DISHWASHER, TABLE, checked_tables
 from halfseen.world.log_rows import FREE, IDLE, OUT, PARKED, TableLog
 from halfseen.world.number import Number

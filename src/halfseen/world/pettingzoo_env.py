@@ -10,8 +10,7 @@ from pettingzoo import AECEnv
 
 from halfseen.errors import ArgumentError
 from halfseen.world.config import WorldConfig
-from halfseen.world.cuts import CAUSES
-from halfseen.world.drop_outs import DROP_OUT_CAUSE
+from halfseen.world.cuts import CAUSES, DROP_OUT_CAUSE
 from halfseen.world.robots import Team
 from halfseen.world.scene import Scene
 from halfseen.world.table_in_play import Observation, TableInPlay, default_team
