@@ -37,15 +37,6 @@ def test_its_mean_time_is_that_of_both_results_cut_at_the_limit():
     np.testing.assert_allclose(GRASPING.expected_s(OCCLUDED, OFFSET), expected, rtol=1e-9)
 
 
-def test_formulas_are_the_same_in_single_precision():
-    for name in ("log_failure", "expected_s"):
-        ours = getattr(GRASPING, name)(OCCLUDED, OFFSET)
-        assert ours.dtype == np.float64
-        single = getattr(GRASPING, name)(OCCLUDED.astype(np.float32), OFFSET.astype(np.float32))
-        assert single.dtype == np.float32
-        np.testing.assert_allclose(single, ours, rtol=1e-5)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("occluded", "grip", "u"), [(0.0, 0.0, 0.0), (0.6, -1.5, 0.4)])
 def test_drawn_attempts_hold_as_often_and_take_as_long(occluded, grip, u):

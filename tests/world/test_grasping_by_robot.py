@@ -4,21 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from gymnasium import spaces
 
-from halfseen.arrays import record, softmax
+from halfseen.arrays import record
 from halfseen.errors import ArgumentError
-from halfseen.planners.belief import grip_posterior
-from halfseen.world import AssumedGrasping, GraspingByRobot, Robot, Team, UniformPolicy
+from halfseen.world import AssumedGrasping, GraspingByRobot, Robot, UniformPolicy
 from halfseen.world.actions import WAIT
-from halfseen.world.envs import TeamCupsEnv
 from halfseen.world.grasping import Arrangement, Attempt, check_law
-from halfseen.world.logs import states_of, to_logs
 from halfseen.world.robots import check_robot
 from halfseen.world.state import NO_ATTEMPT, occlusion
 from halfseen.world.transition import start
-from own_laws import KEY, LOGISTIC, NUM_OBJECTS, SCENE, WORLD, first_layout, met, played, robots, world_of
-from picked import picked
+from own_laws import KEY, LOGISTIC, NUM_OBJECTS, WORLD, first_layout, met, played, world_of
 
 
 @record
@@ -80,38 +75,6 @@ def test_an_object_that_is_hard_to_grip_is_so_for_all():
     law = GraspingByRobot((AssumedGrasping(), LOGISTIC))
     one, other = law.draw_trait(50, KEY)
     np.testing.assert_allclose(other, 1.5 * one, rtol=1e-6)
-
-
-def test_a_log_tells_who_tried_and_from_it_come_the_same_states():
-    world = world_of(None, LOGISTIC)
-    cuts = world.record([SCENE], UniformPolicy(), 60, seed=0)
-    paths, logs = cuts.episodes, to_logs(cuts, "independent", [SCENE])
-    told = states_of(logs, paths.action.shape[1])
-    at = logs.stages["path"].to_numpy(), logs.stages["stage"].to_numpy() - 1
-    found, known = (
-        softmax(grip_posterior(world.played_config, picked(each, at)).log_weights) for each in (told, paths.states)
-    )
-    np.testing.assert_allclose(found, known, rtol=1e-3, atol=1e-6)
-
-
-def test_the_face_of_gymnasium_tells_who_tried_and_how_long_that_may_take():
-    team = Team(tuple(robots(None, LOGISTIC)))
-    env, shared = TeamCupsEnv(SCENE, team), TeamCupsEnv(SCENE)
-    space, plain = env.observation_space, shared.observation_space
-    assert isinstance(space, spaces.Dict)
-    assert isinstance(plain, spaces.Dict)
-    assert space["since_s"].contains(np.full(2, 10.0, dtype=np.float32))  # 9 s of the slower law, and transport
-    assert not space["since_s"].contains(np.full(2, 10.1, dtype=np.float32))
-    assert "attempt_robot" not in plain.spaces
-    seen, info = env.reset(seed=0)
-    for action in (1, 2):
-        seen, _, _, _, info = env.step(action)
-    for _ in range(3):
-        seen, _, is_over, _, info = env.step(int(np.flatnonzero(info["action_mask"])[-1]))
-        if is_over:
-            break
-    assert space.contains(seen)
-    assert set(seen["attempt_robot"].tolist()) <= {0, 1}
 
 
 BARE = {"base_m": (0.0, 0.0), "reach_m": 1.0, "name": "robot"}

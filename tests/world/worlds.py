@@ -13,6 +13,7 @@ from halfseen.world.policy import surely
 
 LEFT, RIGHT = (-0.5, 0.05), (0.5, 0.05)
 SLOW = replace(WorldConfig().grasping, log_time=1.2)
+THREE = Scene(np.array([[0.0, 0.5, 0.2], [0.0, 0.0, 0.3], [0.1, 0.0, 0.0]]))
 FITTED_SCENES = [
     Scene(np.array([[0.0, 0.6, 0.0], [0.1, 0.0, 0.0], [0.0, 0.4, 0.0]]), grip=np.array([-1.25, 0.5, 2.0])),
     Scene(np.zeros((2, 2)), grip=np.array([0.75, 0.0])),
