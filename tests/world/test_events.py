@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from naive_team import NaiveTeam
 
-from halfseen.errors import ArgumentError
 from halfseen.world import Scene, Workspace, WorldConfig, random
 from halfseen.world.actions import WAIT, ActionSpace, Verb, possible_actions, wait_of
 from halfseen.world.state import pad_scenes
@@ -243,21 +242,3 @@ def test_a_robot_drops_out_at_its_hazard():
     rate = 1.0 / np.mean(until_s, axis=0)
     np.testing.assert_allclose(rate, [0.1, 0.02], rtol=4.0 / np.sqrt(4000))
     assert abs(np.corrcoef(until_s.T)[0, 1]) < 4.0 / np.sqrt(4000)
-
-
-@pytest.mark.parametrize(
-    ("change", "told"),
-    [
-        ({"speed": ()}, "speed is \\(\\)"),
-        ({"speed": (1.0, np.nan)}, "speed of robot 1 is nan; give a finite number above 0"),
-        ({"speed": (0.0,)}, "speed of robot 0 is 0.0"),
-        ({"reward_per_s": 1.0}, "reward_per_s is 1.0; give a finite price, 0 or below"),
-        ({"reward_per_s": -np.inf}, "reward_per_s is -inf"),
-        ({"drop_out_rate": (0.1, 0.1)}, "drop_out_rate has 2 entries for 1 robots"),
-        ({"drop_out_rate": (-0.1,)}, "drop_out_rate of robot 0 is -0.1; give a finite hazard"),
-        ({"drop_out_rate": (np.inf,)}, "drop_out_rate of robot 0 is inf"),
-    ],
-)
-def test_numbers_that_no_team_has_are_refused(change, told):
-    with pytest.raises(ArgumentError, match=told):
-        WorldConfig(**change)

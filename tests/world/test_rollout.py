@@ -6,7 +6,6 @@ from halfseen.arrays import mapped
 from halfseen.errors import ArgumentError
 from halfseen.world import ExploringPolicy, UniformPolicy, WorldConfig, random, rollout
 from halfseen.world.actions import ActionSpace
-from halfseen.world.number import check_number
 from halfseen.world.rollout import evaluate, evaluate_each, evaluate_some, play
 from halfseen.world.state import pad_scenes
 from halfseen.world.transition import start, step
@@ -193,14 +192,6 @@ def test_the_logged_probability_is_that_of_the_action(scenes):
 def test_a_share_of_random_decisions_lies_between_0_and_1(share):
     with pytest.raises(ArgumentError, match=rf"random_share is {share}; give the share .*, in \[0, 1\]"):
         ExploringPolicy(Suspicious(), share)
-
-
-def test_a_parameter_is_looked_at_where_it_is_a_plain_number():
-    for value in (1, 0.5, np.float32(2.0), np.int64(3), np.zeros(2)):
-        check_number("speed", value)
-    for value in (0, -0.5, np.float32(-2.0), np.int64(0), np.inf, "1", True, None):
-        with pytest.raises(ArgumentError, match=r"speed is .*; give a finite number above 0"):
-            check_number("speed", value)
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0])
