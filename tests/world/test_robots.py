@@ -9,16 +9,15 @@ from jaxtyping import TypeCheckError
 from halfseen.errors import ArgumentError, HalfseenWarning, SceneError
 from halfseen.world import AssumedGrasping, GraspingByRobot, Robot, Scene, TableWorld, Team, WorldConfig, read_team
 from halfseen.world.number import check_number
-from halfseen.world.robots import workspace_of
 from halfseen.world.state import initial_state, pad_scenes
 
-PLACES = np.array([[-0.3, 0.0], [0.0, 0.0], [0.05, 0.0], [0.3, 0.0]])
+TABLE = Scene(np.zeros((4, 4)), places_m=np.array([[-0.3, 0.0], [0.0, 0.0], [0.05, 0.0], [0.3, 0.0]]))
 TEAM = (Robot((-0.6, 0.0), 0.62, name="left"), Robot((0.6, 0.0), 0.62, name="right"))
 HIDES = np.array([[0.0, 0.5], [0.0, 0.0]])
 
 
 def test_each_reaches_its_side_and_what_is_nearer_than_the_clearance_is_near():
-    space = workspace_of(TEAM, PLACES, clearance_m=0.1)
+    space = Team(TEAM, clearance_m=0.1).workspace(TABLE)
     assert space.is_in_reach.tolist() == [[True, True, False, False], [False, True, True, True]]
     assert np.argwhere(np.triu(space.is_near, 1)).tolist() == [[1, 2]]
     assert space.is_near.diagonal().all()
@@ -27,7 +26,7 @@ def test_each_reaches_its_side_and_what_is_nearer_than_the_clearance_is_near():
 
 def test_what_nobody_reaches_is_told():
     with pytest.warns(HalfseenWarning, match=r"object 1 at \(0, 2\) m is in no robot's reach, so it counts as left"):
-        workspace_of(TEAM, np.array([[0.0, 0.0], [0.0, 2.0]]))
+        Team(TEAM).workspace(Scene(HIDES, places_m=np.array([[0.0, 0.0], [0.0, 2.0]])))
 
 
 def test_what_shows_of_grips_reaches_the_state_and_padding_holds_none():
@@ -83,9 +82,8 @@ def test_a_parameter_is_looked_at_where_it_is_no_array():
         (lambda: Team(TEAM, reward_per_s=np.float32(1.0)), r"reward_per_s is np.float32\(1.0\)"),
         (lambda: TableWorld(robots=TEAM, clearance_m=np.nan), "clearance_m is nan"),
         (lambda: TableWorld(robots=TEAM, reward_per_s=0.1), "reward_per_s is 0.1"),
-        (lambda: workspace_of((), PLACES), "robots is empty"),
-        (lambda: workspace_of(TEAM, np.array([[0.0, np.inf]])), "object 0 stands at"),
-        (lambda: workspace_of(TEAM, PLACES, clearance_m=-0.1), "clearance_m is -0.1"),
+        (lambda: Team(()), "robots is empty"),
+        (lambda: Team(TEAM, clearance_m=-0.1), "clearance_m is -0.1"),
         (lambda: WorldConfig(speed=()), r"speed is \(\)"),
         (lambda: WorldConfig(speed=(1.0, np.nan)), "speed of robot 1 is nan; give a finite number above 0"),
         (lambda: WorldConfig(speed=(0.0,)), "speed of robot 0 is 0.0"),

@@ -9,8 +9,7 @@ from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.planners.rules import ReservingPolicy, TeamOfRules
 from halfseen.tables.independent import IndependentPolicies
 from halfseen.tables.policy import LinearTeamPolicy
-from halfseen.world import ExploringPolicy, Robot, Scene, TableWorld, UniformPolicy, WorldConfig, random
-from halfseen.world.robots import workspace_of
+from halfseen.world import ExploringPolicy, Robot, Scene, TableWorld, Team, UniformPolicy, WorldConfig, random
 from halfseen.world.rollout import play
 
 PLACES = np.array([[-0.3, 0.0], [0.0, 0.0], [0.05, 0.0], [0.3, 0.0]])
@@ -47,7 +46,7 @@ def test_the_wanted_share_is_cut_and_one_cut_ends_the_table_for_all(kind):
 def test_each_robot_touches_what_it_reaches_and_padding_is_nobodys():
     logs = WORLD.simulate(SCENES, UniformPolicy(), 40, seed=0)
     did = logs.stages.dropna(subset=["object"])
-    truth = [workspace_of(TEAM, scene.places_m).is_in_reach for scene in SCENES]
+    truth = [Team(TEAM).workspace(scene).is_in_reach for scene in SCENES]
     assert all(truth[path % 2][robot, target] for path, robot, target in did[["path", "robot", "object"]].values)
     layouts = WORLD.layouts(SCENES)
     assert not np.asarray(layouts.workspace.is_in_reach)[1, :, 2:].any()

@@ -95,14 +95,16 @@ def _nothing(config: WorldConfig, state: TableState) -> Outcome:
 
 def _added(total: Outcome, later: Outcome) -> Outcome:
     """What two stretches of time brought, one after the other."""
-    out_s = total.out_s
+    out_s, alone = total.out_s, total.paid_alone
+    if alone is not None and later.paid_alone is not None:
+        alone = alone + later.paid_alone
     if out_s is not None and later.out_s is not None:
         out_s = library_of(out_s).minimum(out_s, total.duration_s[..., None] + later.out_s)
     return Outcome(
         reward=total.reward + later.reward,
         duration_s=total.duration_s + later.duration_s,
         is_over=total.is_over,
-        paid_alone=total.paid_alone + later.paid_alone,
+        paid_alone=alone,
         out_s=out_s,
     )
 

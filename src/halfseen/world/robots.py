@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.errors import ArgumentError, HalfseenWarning, SceneError, within
 from halfseen.reading import json_of, read_text, toml_of
@@ -99,49 +98,6 @@ def check_robot(given: Mapping[str, Any]) -> None:
         check_law(given["grasping"], f"{name}: grasping")
 
 
-def workspace_of(
-    robots: Sequence[Robot],
-    places_m: Float[np.ndarray, "N 2"],
-    clearance_m: float | int = CLEARANCE_M,
-    name: str = "table",
-) -> Workspace:
-    """Tell what each robot reaches, and which objects are too near one another for two robots at once.
-
-    An object that nobody reaches is warned of: it will be left.
-
-    Parameters
-    ----------
-    robots
-        The team, robot 0 first.
-    places_m
-        Where each object stands, (x, y) in the frame of the table [m].
-    clearance_m
-        Objects nearer than that are too near [m].
-    name
-        Of the table, for messages.
-
-    Raises
-    ------
-    ArgumentError
-        There is no robot, a place is not finite, or the clearance is below 0.
-    """
-    if not robots:
-        raise ArgumentError("robots is empty: give at least one Robot")
-    if not np.isfinite(places_m).all():
-        k = int(np.argmin(np.isfinite(places_m).all(axis=1)))
-        raise ArgumentError(f"{name}: object {k} stands at {places_m[k]}; give a finite place [m]")
-    check_number("clearance_m", clearance_m)
-    bases_m = np.array([robot.base_m for robot in robots], dtype=np.float64)
-    reach_m = np.array([[robot.reach_m] for robot in robots], dtype=np.float64)
-    is_in_reach = np.linalg.norm(places_m - bases_m[:, None], axis=-1) <= reach_m
-    for k in np.flatnonzero(~is_in_reach.any(axis=0)):
-        x, y = places_m[k]
-        message = f"{name}: object {k} at ({x:.3g}, {y:.3g}) m is in no robot's reach, so it counts as left"
-        warnings.warn(f"{message}; move a base, or leave it out", HalfseenWarning, stacklevel=2)
-    apart_m = np.linalg.norm(places_m[:, None] - places_m, axis=-1)
-    return Workspace(is_in_reach, (apart_m < clearance_m) | np.eye(len(places_m), dtype=bool))
-
-
 @dataclass(frozen=True)
 class Team:
     """One robot or several at one table.
@@ -188,6 +144,28 @@ class Team:
             drop_out_rate=rates if any(rates) else None,
         )
 
+    def workspace(self, scene: Scene) -> Workspace:
+        """Tell what each robot reaches, and which objects are too near one another for two robots at once.
+
+        An object that nobody reaches is warned of: it will be left.
+
+        Raises
+        ------
+        SceneError
+            The scene does not tell where its objects stand.
+        """
+        if scene.places_m is None:
+            raise SceneError(f"{scene.name}: places_m is None, so nobody knows who reaches what; give each a place")
+        bases_m = np.array([robot.base_m for robot in self.robots], dtype=np.float64)
+        reach_m = np.array([[robot.reach_m] for robot in self.robots], dtype=np.float64)
+        is_in_reach = np.linalg.norm(scene.places_m - bases_m[:, None], axis=-1) <= reach_m
+        for k in np.flatnonzero(~is_in_reach.any(axis=0)):
+            x, y = scene.places_m[k]
+            message = f"{scene.name}: object {k} at ({x:.3g}, {y:.3g}) m is in no robot's reach, so it counts as left"
+            warnings.warn(f"{message}; move a base, or leave it out", HalfseenWarning, stacklevel=2)
+        apart_m = np.linalg.norm(scene.places_m[:, None] - scene.places_m, axis=-1)
+        return Workspace(is_in_reach, (apart_m < self.clearance_m) | np.eye(scene.num_objects, dtype=bool))
+
     def layouts(self, scenes: Sequence[Scene], num_objects: int | None = None) -> Layout:
         """Set scenes before the team, padded to a common number of objects.
 
@@ -196,11 +174,7 @@ class Team:
         SceneError
             There is no scene, one has no object, or more than `num_objects`, or does not tell where they stand.
         """
-        tables, spaces = pad_scenes(scenes, num_objects), []
-        for scene in scenes:
-            if scene.places_m is None:
-                raise SceneError(f"{scene.name}: places_m is None, so nobody knows who reaches what; give each a place")
-            spaces.append(workspace_of(self.robots, scene.places_m, self.clearance_m, scene.name))
+        tables, spaces = pad_scenes(scenes, num_objects), [self.workspace(scene) for scene in scenes]
         size = tables.is_object.shape[-1]
         is_in_reach = padded([space.is_in_reach for space in spaces], (len(self.robots), size), False)
         is_near = padded([space.is_near for space in spaces], (size, size), False)

@@ -22,6 +22,8 @@ from halfseen.world.transition import start, step_any
 Observation = dict[str, Any]
 """Arrays by name; see `envs.CupsEnv`."""
 _PLACES_M = ((-0.2, 0.0), (0.0, 0.0), (0.2, 0.0), (-0.1, 0.15), (0.1, 0.15), (0.3, 0.15))
+_OF_TABLE = ("is_object", "is_on_table", "grip", "seen", "lifts", "hides")
+_OF_TABLE += ("attempt_object", "attempt_occlusion", "attempt_succeeded")
 _ROUNDED = 1e-5
 
 
@@ -226,40 +228,29 @@ def _does(seen: Observation, robot: int) -> str:
 def observed(config: WorldConfig, state: TableState, robot: int | None = None) -> Observation:
     """S_t of one table as arrays, as the robot that decides sees it, or another; padding, and who is idle, read 0."""
     successes, failures = attempt_counts(state)
-    seen = {
-        "is_object": state.is_object.astype(np.int8),
-        "is_on_table": state.is_on_table.astype(np.int8),
+    seen = {name: getattr(state, name) for name in _OF_TABLE}
+    seen |= {
         "occlusion": occlusion(state),
-        "grip": state.grip,
         "log_odds": np.where(state.is_object, state.log_odds, np.float32(0.0)),
-        "seen": state.seen,
         "successes": successes.astype(np.int32),
         "failures": failures.astype(np.int32),
-        "lifts": state.lifts,
-        "hides": state.hides,
-        "attempt_object": state.attempt_object,
-        "attempt_occlusion": state.attempt_occlusion,
-        "attempt_succeeded": state.attempt_succeeded.astype(np.int8),
         "steps_to_go": np.asarray(state.steps_to_go)[None],
     }
     robots, space, decider = state.robots, state.workspace, state.decider
-    if robots is None or space is None or decider is None:
-        return seen
-    is_out = np.zeros_like(robots.is_busy) if robots.is_out is None else robots.is_out
-    return {
-        "decider": np.array([decider if robot is None else robot], dtype=np.int32),
-        **seen,
-        "is_busy": robots.is_busy.astype(np.int8),
-        "is_parked": robots.is_parked.astype(np.int8),
-        "is_out": is_out.astype(np.int8),
-        "verb": np.where(robots.is_busy, robots.verb, 0).astype(np.int32),
-        "target": np.where(robots.is_busy, robots.target, 0).astype(np.int32),
-        "since_s": np.where(robots.is_busy, robots.since_s, np.float32(0.0)),
-        "decisions_to_go": robots.decisions_to_go,
-        "is_in_reach": space.is_in_reach.astype(np.int8),
-        "is_near": space.is_near.astype(np.int8),
-        **({"attempt_robot": state.attempt_robot} if config.has_own_laws else {}),
-    }
+    if robots is not None and space is not None and decider is not None:
+        at_work = {name: getattr(robots, name) for name in ("verb", "target", "since_s")}
+        seen |= {name: np.where(robots.is_busy, each, 0).astype(each.dtype) for name, each in at_work.items()}
+        seen |= {
+            "decider": np.array([decider if robot is None else robot], dtype=np.int32),
+            "is_busy": robots.is_busy,
+            "is_parked": robots.is_parked,
+            "is_out": np.zeros_like(robots.is_busy) if robots.is_out is None else robots.is_out,
+            "decisions_to_go": robots.decisions_to_go,
+            "is_in_reach": space.is_in_reach,
+            "is_near": space.is_near,
+            **({"attempt_robot": state.attempt_robot} if config.has_own_laws else {}),
+        }
+    return {name: each.astype(np.int8) if each.dtype == bool else each for name, each in seen.items()}
 
 
 def _longest_s(config: WorldConfig) -> float:
