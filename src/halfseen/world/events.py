@@ -42,7 +42,7 @@ def step_of_several(
     hidden: HiddenState,
     action: Int[Array, "*B"],
     key: Key,
-    is_possible: Bool[Array, "*#B"],
+    is_possible: Bool[Array, "*B"] | None,
 ) -> tuple[TableState, HiddenState, Outcome]:
     """Let the robot that decides begin an action, and what is pending end until somebody is to decide.
 
@@ -51,7 +51,7 @@ def step_of_several(
     config, state, hidden, action, key
         As in `transition.step`.
     is_possible
-        Whether the action is; an attempt that is not closes on nothing.
+        Whether the action is, None where all are; an attempt that is not closes on nothing.
     """
     xp = library_of(action)
     grasp_key, see_key = random.split(key)
@@ -120,15 +120,18 @@ def _begun(
     hidden: HiddenState,
     action: Int[Array, "*B"],
     key: Key,
-    is_possible: Bool[Array, "*#B"],
+    is_possible: Bool[Array, "*B"] | None,
 ) -> tuple[TableState, HiddenState]:
     """Draw how the action of the robot that decides will go."""
     xp, actions, robots, pending = library_of(action), ActionSpace(state.num_objects), _robots(state), _pending(hidden)
     assert state.decider is not None
     verb, target, robot = actions.verb(action), actions.target(action), state.decider
-    is_there = state.is_on_table & (is_possible[..., None] | ~is_target(state, target))
-    there, occluded = replace(state, is_on_table=is_there), occlusion(state)
-    at_there = occlusion(there)
+    occluded, is_wait, there = occlusion(state), verb == WAIT, state
+    at_there = occluded
+    if is_possible is not None:
+        is_there, is_wait = is_possible[..., None] | ~is_target(state, target), is_wait & is_possible
+        there = replace(state, is_on_table=state.is_on_table & is_there)
+        at_there = occlusion(there)
     tried = attempted(config.as_robot(robot), there, hidden, _to_the_table(verb), target, key, at_there)
     duration_s = (config.transport_s + tried.duration_s) / xp.asarray(config.speed, dtype=np.float32)[robot]
     is_mine = _is_one(robots, robot)
@@ -136,7 +139,7 @@ def _begun(
     def mine(values: Any, others: Any) -> Any:
         return chosen(is_mine, xp.expand_dims(values, robot.ndim), others)
 
-    never_s = xp.where((verb == WAIT) & is_possible, np.float32(np.inf), duration_s)
+    never_s = xp.where(is_wait, np.float32(np.inf), duration_s)
     robots = replace(
         robots,
         is_busy=robots.is_busy | is_mine,

@@ -1,6 +1,6 @@
 """The rows of a log of tables as arrays, as they are read off it; whether they can be so, `log_checks` tells."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -55,6 +55,7 @@ class TableLog:
     objects: pd.DataFrame
     num_robots: int
     """0 for a log of one robot that works alone."""
+    _lists: dict[str, Lists] = field(default_factory=dict)
 
     @cached_property
     def target(self) -> Int[np.ndarray, " rows"]:
@@ -109,6 +110,11 @@ class TableLog:
 
     def lists(self, column: str) -> Lists:
         """Entries of a column of lists of numbers; null is refused."""
+        if column not in self._lists:
+            self._lists[column] = self._parsed(column)
+        return self._lists[column]
+
+    def _parsed(self, column: str) -> Lists:
         lists = pa.array(self.objects[column], from_pandas=True)
         if not (pa.types.is_list(lists.type) and _holds_numbers(lists.type.value_type)):
             raise LogError(

@@ -173,7 +173,7 @@ class TableInPlay:
         mask = possible_actions(self.state).astype(np.int8)
         return mask if robot is None or (robot == self.decider and not self.is_ended) else np.zeros_like(mask)
 
-    def observation_space(self) -> spaces.Dict:
+    def observation_space(self) -> spaces.Space[Observation]:
         """Space of the observations: their shapes and types, and how far their numbers reach."""
         config, num_robots = self.config, self.config.num_robots
         example = observed(config, initial_state(config, mapped(lambda leaf: leaf[0], self.layouts)))

@@ -80,7 +80,7 @@ def step(
     """
     if state.robots is None:
         return _step_of_one(config, state, hidden, action, key)
-    return step_of_several(config, state, hidden, action, key, library_of(action).asarray(True))
+    return step_of_several(config, state, hidden, action, key, None)
 
 
 def step_any(
