@@ -220,7 +220,7 @@ def _stage_places(logs: Logs, frame: pd.DataFrame) -> tuple[Int[np.ndarray, " ro
     return pd.Index(logs.path_ids).get_indexer(frame["path"]), frame["stage"].to_numpy() - 1
 
 
-def _spread(values: np.ndarray, at: tuple[np.ndarray, ...], shape: tuple[int, ...], fill: float = 0) -> np.ndarray:
+def _spread(values: np.ndarray, at: tuple[np.ndarray, ...], shape: tuple[int, ...], fill: int = 0) -> np.ndarray:
     """Put values at their places, and what fills it elsewhere."""
     found = np.full(shape, fill, dtype=values.dtype)
     found[at] = values

@@ -17,7 +17,7 @@ from halfseen.world.scene import Scene
 from halfseen.world.seeing import KnownSeeing, is_independent, label_evidence
 from halfseen.world.state import TableState, attempt_counts, initial_state, occlusion
 from halfseen.world.table_world import TableWorld
-from halfseen.world.transition import start, step_any
+from halfseen.world.transition import start, step
 
 Observation = dict[str, Any]
 """Arrays by name; see `envs.CupsEnv`."""
@@ -150,7 +150,8 @@ class TableInPlay:
         if not (np.issubdtype(np.asarray(action).dtype, np.integer) and 0 <= action < self.num_actions):
             raise ArgumentError(f"action is {action}; it lies in 0 to {self.num_actions - 1}")
         key = random.fold_in(self._world_key, self._num_decisions)
-        after, hidden, outcome = step_any(self.config, state, self._hidden, np.asarray(action, dtype=np.int32), key)
+        taken = np.asarray(action, dtype=np.int32)
+        after, hidden, outcome = step(self.config, state, self._hidden, taken, key, any_action=True)
         end_s = self.elapsed_s + float(outcome.duration_s)
         if end_s > self._cut_s:
             self.is_cut, self.elapsed_s = True, self._cut_s

@@ -62,12 +62,30 @@ def until_out_s(config: WorldConfig, key: Key) -> Float[Array, "*B K"] | None:
 
 
 def step(
-    config: WorldConfig, state: TableState, hidden: HiddenState, action: Int[Array, "*B"], key: Key
+    config: WorldConfig,
+    state: TableState,
+    hidden: HiddenState,
+    action: Int[Array, "*B"],
+    key: Key,
+    *,
+    any_action: bool = False,
 ) -> tuple[TableState, HiddenState, Outcome]:
     """Let the robot that decides begin an action, and wait for the next decision.
 
     An attempt of one robot alone on what is not on the table closes on nothing: it fails, and takes as long as an
     attempt may.
+
+    Parameters
+    ----------
+    config, state, hidden
+        The world, and what is seen and hidden in it.
+    action
+        Of the robot that decides.
+    key
+        The only source of randomness.
+    any_action
+        Whether it may be one that is not possible for one of several robots: an attempt then closes on nothing, too,
+        and a WAIT for nothing lasts as long as going home.
 
     Returns
     -------
@@ -80,20 +98,8 @@ def step(
     """
     if state.robots is None:
         return _step_of_one(config, state, hidden, action, key)
-    return step_of_several(config, state, hidden, action, key, None)
-
-
-def step_any(
-    config: WorldConfig, state: TableState, hidden: HiddenState, action: Int[Array, "*B"], key: Key
-) -> tuple[TableState, HiddenState, Outcome]:
-    """As `step`, also where the action is not possible for the robot that decides.
-
-    An attempt that is not possible closes on nothing: it fails, and takes as long as an attempt may. A WAIT for nothing
-    lasts as long as going home.
-    """
-    if state.robots is None:
-        return _step_of_one(config, state, hidden, action, key)
-    return step_of_several(config, state, hidden, action, key, at(possible_actions(state), action))
+    is_possible = at(possible_actions(state), action) if any_action else None
+    return step_of_several(config, state, hidden, action, key, is_possible)
 
 
 def _step_of_one(
