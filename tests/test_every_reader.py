@@ -35,7 +35,7 @@ from halfseen.policies import read_policy
 from halfseen.policies.rule_table import read_rule_table
 from halfseen.study.store import Store
 from halfseen.watch.recording import read_recording
-from halfseen.world.team_file import read_team
+from halfseen.world import read_team
 from small_logs import flat_log
 
 sys.path.insert(0, str(Path(__file__).parent / "logs" / "formats"))

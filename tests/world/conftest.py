@@ -1,5 +1,5 @@
 import pytest
-from random_scenes import random_scene
+from worlds import random_scene
 
 from halfseen.world import UniformPolicy, WorldConfig, random
 from halfseen.world.rollout import play

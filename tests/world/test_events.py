@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from naive_team import NaiveTeam
 
-from halfseen.errors import ArgumentError
 from halfseen.world import Scene, Workspace, WorldConfig, random
 from halfseen.world.actions import WAIT, ActionSpace, Verb, possible_actions, wait_of
 from halfseen.world.state import pad_scenes
@@ -39,7 +38,8 @@ def test_a_team_of_one_is_the_world_of_one_robot_to_the_last_bit(seed):
         action, at = rng.choice(possible), random.fold_in(key, t)
         state, hidden, outcome = step(config, state, hidden, action, at)
         of_team, secrets, same = step(config, of_team, secrets, action, at)
-        alone = replace(of_team, robots=None, workspace=None, decider=None), replace(secrets, pending=None)
+        alone = {"robots": None, "workspace": None, "decider": None, "attempt_robot": None}
+        alone = replace(of_team, **alone), replace(secrets, pending=None)
         same_alone = same._replace(paid_alone=None)
         for one, other in zip(leaves_of((state, hidden, outcome)), leaves_of((*alone, same_alone)), strict=True):
             np.testing.assert_array_equal(one, other)
@@ -81,56 +81,52 @@ def team_of(num_robots=2, **others):
     return WorldConfig(grasping=SureGrasping(), dirty_share=1.0 - 1e-6, **others)
 
 
-def test_robots_work_side_by_side_and_each_decides_when_it_is_free():
-    rows, states = played(team_of(), [(Verb.WASH, 0), (Verb.WASH, 1), (Verb.WASH, 2)])
-    # Robot 0 takes 2 s for object 0, robot 1 takes 4 s for object 1; then robot 0 takes 6 s for object 2.
-    assert [row[:3] for row in rows] == [(0, 0.0, 0.0), (1, 2.0, 5.0), (0, 2.0, 5.0)]
-    assert int(states[-1].decider) == 1
-    np.testing.assert_allclose(states[-1].robots.since_s[0], 2.0)
-    assert np.flatnonzero(states[-1].is_on_table).tolist() == [2]
+WASHES = [(Verb.WASH, 0), (Verb.WASH, 1), (Verb.WASH, 2)]
+"""Robot 0 takes 2 s for object 0, robot 1 takes 4 s for object 1; then robot 0 takes 6 s for object 2."""
 
 
-def test_a_clear_table_ends_the_path_whoever_is_free():
-    rows, _ = played(team_of(), [(Verb.WASH, 0), (Verb.WASH, 1), (Verb.WASH, 2), (WAIT, 0)])
-    assert rows[-1] == (1, 4.0, 5.0, True)
-    assert sum(row[1] for row in rows) == pytest.approx(8.0)
+BESIDE = [(0, 0.0, 0.0), (1, 2.0, 5.0), (0, 2.0, 5.0)]
 
 
-def test_nobody_touches_what_another_is_at_or_what_is_near_it():
+@pytest.mark.parametrize(
+    ("changes", "actions_taken", "rows", "is_over"),
+    [
+        ({}, WASHES, BESIDE, False),
+        ({}, [*WASHES, (WAIT, 0)], [*BESIDE, (1, 4.0, 5.0)], True),
+        ({"reward_per_s": -0.5}, WASHES, [(0, 0.0, 0.0), (1, 2.0, 4.0), (0, 2.0, 4.0)], False),
+        ({"speed": (1.0, 4.0)}, WASHES[:2], [(0, 0.0, 0.0), (1, 1.0, 5.0)], False),
+        # Going home takes 1 s, the wash 4 s: nobody is asked in between.
+        ({}, [(Verb.FINISH, 0), WASHES[1], (Verb.FINISH, 0)], [(0, 0.0, 0.0), (1, 4.0, 5.0), (1, 1.0, -10.0)], True),
+        ({"horizon": 1}, [(Verb.LIFT, 0), (Verb.LIFT, 1)], [(0, 0.0, 0.0), (1, 4.0, -15.6)], True),
+    ],
+    ids=[
+        "side by side",
+        "a clear table ends the path",
+        "seconds cost",
+        "a fast robot",
+        "all park",
+        "decisions are spent",
+    ],
+)
+def test_each_decides_when_it_is_free(changes, actions_taken, rows, is_over):
+    found, states = played(team_of(**changes), actions_taken)
+    np.testing.assert_allclose([row[:3] for row in found], rows, atol=1e-5)
+    assert [row[3] for row in found] == [False] * (len(rows) - 1) + [is_over]
+    robots, spent = states[-1].robots, np.bincount([row[0] for row in rows], minlength=2)
+    assert robots.decisions_to_go.tolist() == (changes.get("horizon", 5) - spent).tolist()
+    assert robots.is_parked.tolist() == [actions_taken[-1][0] == Verb.FINISH] * 2
+    if rows == BESIDE:
+        assert int(states[-1].decider) == 1
+        np.testing.assert_allclose(robots.since_s[0], 2.0)
+        assert np.flatnonzero(states[-1].is_on_table).tolist() == [2]
+
+
+def test_nobody_touches_what_another_is_at_or_what_is_near_it_and_waits_for_nobody():
     _, states = played(team_of(), [(Verb.WASH, 1)], space=workspace(2, 3, near=[(1, 2)]))
-    assert np.flatnonzero(possible_actions(states[-1])).tolist() == [0, 1, 4, 7]  # FINISH, 0 twice, WAIT
-
-
-def test_nobody_waits_where_nothing_is_to_come():
-    _, states = played(team_of(), [])
     assert not bool(possible_actions(states[0])[wait_of(3)])
+    assert np.flatnonzero(possible_actions(states[-1])).tolist() == [0, 1, 4, 7]  # FINISH, 0 twice, WAIT
     _, states = played(team_of(3), [(Verb.WASH, 0), (WAIT, 0)])
     assert bool(possible_actions(states[-1])[wait_of(3)])
-
-
-def test_who_parks_does_nothing_more_and_the_path_ends_when_all_have():
-    rows, states = played(team_of(), [(Verb.FINISH, 0), (Verb.WASH, 1), (Verb.FINISH, 0)])
-    # Going home takes 1 s, the wash 4 s: nobody is asked in between.
-    assert [(row[0], row[1], row[3]) for row in rows] == [(0, 0.0, False), (1, 4.0, False), (1, 1.0, True)]
-    assert rows[-1][2] == pytest.approx(-10.0)
-    assert states[-1].robots.is_parked.tolist() == [True, True]
-
-
-def test_each_second_of_the_table_has_its_price():
-    dear, _ = played(team_of(reward_per_s=-0.5), [(Verb.WASH, 0), (Verb.WASH, 1), (Verb.WASH, 2)])
-    assert [row[2] for row in dear] == [0.0, 4.0, 4.0]
-
-
-def test_a_fast_robot_takes_less():
-    rows, _ = played(team_of(speed=(1.0, 4.0)), [(Verb.WASH, 0), (Verb.WASH, 1)])
-    assert rows[-1][:2] == (1, 1.0)
-
-
-def test_decisions_are_counted_for_each_robot():
-    rows, states = played(team_of(horizon=1), [(Verb.LIFT, 0), (Verb.LIFT, 1)])
-    assert rows[-1][3]
-    assert states[-1].robots.decisions_to_go.tolist() == [0, 0]
-    assert rows[-1][1] == pytest.approx(4.0)
 
 
 def test_what_another_holds_up_hides_nothing():
@@ -242,21 +238,3 @@ def test_a_robot_drops_out_at_its_hazard():
     rate = 1.0 / np.mean(until_s, axis=0)
     np.testing.assert_allclose(rate, [0.1, 0.02], rtol=4.0 / np.sqrt(4000))
     assert abs(np.corrcoef(until_s.T)[0, 1]) < 4.0 / np.sqrt(4000)
-
-
-@pytest.mark.parametrize(
-    ("change", "told"),
-    [
-        ({"speed": ()}, "speed is \\(\\)"),
-        ({"speed": (1.0, np.nan)}, "speed of robot 1 is nan; give a finite number above 0"),
-        ({"speed": (0.0,)}, "speed of robot 0 is 0.0"),
-        ({"reward_per_s": 1.0}, "reward_per_s is 1.0; give a finite price, 0 or below"),
-        ({"reward_per_s": -np.inf}, "reward_per_s is -inf"),
-        ({"drop_out_rate": (0.1, 0.1)}, "drop_out_rate has 2 entries for 1 robots"),
-        ({"drop_out_rate": (-0.1,)}, "drop_out_rate of robot 0 is -0.1; give a finite hazard"),
-        ({"drop_out_rate": (np.inf,)}, "drop_out_rate of robot 0 is inf"),
-    ],
-)
-def test_numbers_that_no_team_has_are_refused(change, told):
-    with pytest.raises(ArgumentError, match=told):
-        WorldConfig(**change)

@@ -6,7 +6,6 @@ import pytest
 
 from halfseen.errors import ArgumentError
 from halfseen.world import Scene, WorldConfig
-from halfseen.world.actions import ActionSpace
 from halfseen.world.explanation import alike, explained
 from halfseen.world.state import initial_state, pad_scenes
 from picked import picked
@@ -25,7 +24,6 @@ def test_chances_and_intervals_of_normal_draws_are_those_of_the_formula():
     two = [0, 2]
     draws = normal_draws()[:, [0, 1, 3]]
     told = explained(VALUES[[0, 1, 3]], draws, ALL[:3], level=0.8)
-
     # LIFT leads WASH by 0.5 with standard deviation 0.5 √2; FINISH hardly ever wins.
     assert told.probability_best[2] == pytest.approx(0.76, abs=0.015)
     assert told.probability_best.sum() == pytest.approx(1.0)
@@ -38,7 +36,6 @@ def test_chances_and_intervals_of_normal_draws_are_those_of_the_formula():
 def test_what_is_common_to_all_actions_is_no_doubt_of_which_is_best():
     common = 10.0 * np.random.default_rng(0).standard_normal((500, 1))
     told = explained(VALUES, VALUES + common, ALL)
-
     np.testing.assert_array_equal(told.probability_best, [0, 0, 0, 1, 0])
     np.testing.assert_allclose(told.lift_high - told.lift_low, 0.0, atol=1e-9)
     assert (told.high - told.low > 20.0).all()
@@ -47,7 +44,6 @@ def test_what_is_common_to_all_actions_is_no_doubt_of_which_is_best():
 def test_actions_that_tie_are_all_best():
     draws = np.array([[0.0, 1.0, 1.0 + 1e-9, 0.2, 1.0], [2.0, 1.0, 1.0, 0.2, 1.0]])
     told = explained(VALUES, draws, ALL)
-
     np.testing.assert_array_equal(told.probability_best, [0.5, 0.5, 0.5, 0.0, 0.5])
     assert told.probability_stop_is_right == 0.5
 
@@ -56,25 +52,28 @@ def test_what_is_impossible_is_never_best_and_says_nothing():
     draws = normal_draws(100)
     draws[:, ~ONE_IS_GONE] = np.nan
     told = explained(np.where(ONE_IS_GONE, VALUES, np.nan), draws, ONE_IS_GONE)
-
     for numbers in (told.values, told.low, told.high):
         assert np.isneginf(numbers[~ONE_IS_GONE]).all()
         assert np.isfinite(numbers[ONE_IS_GONE]).all()
     np.testing.assert_array_equal(told.probability_best[~ONE_IS_GONE], 0.0)
     assert np.isneginf([told.lift_worth[1], told.lift_low[1], told.lift_high[1]]).all()
     assert "LIFT 1" not in str(told)
-
-
-def test_all_of_it_goes_into_json_and_back():
-    told = explained(np.where(ONE_IS_GONE, VALUES, -np.inf), normal_draws(50), ONE_IS_GONE)
+    # And all of it goes into JSON.
     read = json.loads(json.dumps(told.as_dict(), allow_nan=False))
-
     assert read["actions"] == ["FINISH", "WASH 0", "WASH 1", "LIFT 0", "LIFT 1"]
     assert read["values"] == [0.0, 1.0, None, 1.5, None]
     assert read["lift_worth"] == [0.5, None]
-    assert read["best"] == "LIFT 0"
+    assert (read["best"], read["level"]) == ("LIFT 0", 0.9)
     assert read["probability_stop_is_right"] == told.probability_stop_is_right
-    assert read["level"] == 0.9
+    only = explained(VALUES, normal_draws(10), np.array([True, False, False, False, False]))
+    assert str(only).endswith("FINISH: best with probability 1.00; stopping now is right with probability 1.00.")
+
+
+def test_a_large_table_is_told_in_few_lines():
+    values = np.linspace(0.0, 1.0, 41)
+    told = str(explained(values, values[None], np.ones(41, dtype=bool)))
+    assert len(told.splitlines()) == 11
+    assert "and 33 that are worth less" in told
 
 
 @pytest.mark.parametrize(
@@ -91,27 +90,11 @@ def test_all_of_it_goes_into_json_and_back():
 def test_the_sentence_names_the_best_and_what_a_look_is_worth(values, sentence):
     values = np.array(values, dtype=float)
     told = str(explained(values, np.tile(values, (3, 1)), ALL))
-
     assert told.splitlines()[-1].startswith(sentence)
     assert told.endswith(f"stopping now is right with probability {float(values[0] == 3):.2f}.")
     best_first = [line.split()[0] for line in told.splitlines()[1:-1]]
     assert sentence.startswith(best_first[0])
     assert len(best_first) == 5
-
-
-def test_a_large_table_is_told_in_few_lines():
-    values = np.linspace(0.0, 1.0, 41)
-    told = str(explained(values, values[None], np.ones(41, dtype=bool)))
-
-    assert len(told.splitlines()) == 11
-    assert "and 33 that are worth less" in told
-
-
-def test_when_all_is_washed_only_finish_is_left():
-    told = explained(VALUES, normal_draws(10), np.array([True, False, False, False, False]))
-
-    assert told.probability_stop_is_right == 1.0
-    assert str(told).endswith("FINISH: best with probability 1.00; stopping now is right with probability 1.00.")
 
 
 @pytest.mark.parametrize(
@@ -161,7 +144,3 @@ PAIR = [[0, 0.5, 0.2], [0.5, 0, 0.2], [0, 0, 0]]
 def test_objects_are_alike_if_they_can_trade_places(hides, changes, first):
     first = np.array(first)
     np.testing.assert_array_equal(alike(state_of(hides, **changes)), [0, *(1 + first), *(4 + first)])
-
-
-def test_actions_are_named_in_their_order():
-    assert ActionSpace(2).names == ("FINISH", "WASH 0", "WASH 1", "LIFT 0", "LIFT 1")

@@ -2,9 +2,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from worlds import THREE
 
+from fitted_laws import GRASPING, SEEING
 from halfseen.errors import ArgumentError
-from halfseen.logs import read_logs
 from halfseen.planners import GreedyPolicy, information_relaxation_bound, solve_table
 from halfseen.planners.belief import belief_of
 from halfseen.world import (
@@ -16,14 +17,11 @@ from halfseen.world import (
     KnownSeeing,
     Scene,
     SeeingLaw,
-    TableWorld,
     UniformPolicy,
     Verb,
     WorldConfig,
     random,
 )
-from halfseen.world.envs import CupsEnv
-from halfseen.world.logs import states_of
 from halfseen.world.rollout import play
 from halfseen.world.seeing import label_evidence
 from halfseen.world.state import pad_scenes
@@ -31,7 +29,6 @@ from halfseen.world.transition import start, step
 from other_laws import Nudging, Persisting
 from picked import picked
 
-SCENE = Scene(np.array([[0.0, 0.5, 0.2], [0.0, 0.0, 0.3], [0.1, 0.0, 0.0]]))
 OTHER = WorldConfig(grasping=Nudging(), seeing=Persisting(), horizon=6)
 LIFT = ActionSpace(3).of(Verb.LIFT).start
 
@@ -43,12 +40,7 @@ class EvenChance:
 
 @pytest.fixture(scope="module")
 def episodes():
-    return play(OTHER, pad_scenes([SCENE]), UniformPolicy(), random.key_of(0), 60)
-
-
-@pytest.fixture(scope="module")
-def logs():
-    return TableWorld(OTHER).simulate(SCENE, UniformPolicy(), episodes=60, seed=1)
+    return play(OTHER, pad_scenes([THREE]), UniformPolicy(), random.key_of(0), 60)
 
 
 def test_the_laws_are_what_the_world_takes():
@@ -70,7 +62,7 @@ GOLDEN_LOG_ODDS = [0.5303280353546143, 0.40546512603759766, 0.40546518564224243,
 
 @pytest.mark.slow
 def test_the_assumed_laws_draw_what_the_world_always_drew():
-    layouts = pad_scenes([SCENE, Scene(np.zeros((2, 2)))])
+    layouts = pad_scenes([THREE, Scene(np.zeros((2, 2)))])
     played = play(WorldConfig(), layouts, UniformPolicy(), random.key_of(5), 4)
     earned = np.where(played.is_taken, played.reward, 0.0)
     assert np.asarray(played.action)[:, :4].tolist() == GOLDEN_ACTION
@@ -79,19 +71,10 @@ def test_the_assumed_laws_draw_what_the_world_always_drew():
     assert np.asarray(played.states.log_odds)[:, 1, 0] == pytest.approx(GOLDEN_LOG_ODDS, rel=1e-5)
 
 
-def test_formulas_are_the_same_in_single_precision():
-    occluded, offset = np.linspace(0.0, 1.0, 5)[:, None], np.array([-1.0, 0.0, 2.0])
-    for of in (AssumedGrasping().log_failure, AssumedGrasping().expected_s, AssumedGrasping().scale_s):
-        ours, single = of(occluded, offset), of(occluded.astype(np.float32), offset.astype(np.float32))
-        assert (ours.dtype, single.dtype) == (np.float64, np.float32)
-        assert single == pytest.approx(ours, rel=1e-5)
-    assert AssumedSeeing().accuracy(occluded.astype(np.float32)) == pytest.approx(AssumedSeeing().accuracy(occluded))
-
-
 def test_an_attempt_may_move_what_it_lifts():
-    state, hidden = start(OTHER, picked(pad_scenes([SCENE]), 0), random.key_of(0))
+    state, hidden = start(OTHER, picked(pad_scenes([THREE]), 0), random.key_of(0))
     after, hidden, outcome = step(OTHER, state, hidden, np.asarray(LIFT + 1), random.key_of(1))
-    expected = SCENE.hides.copy()
+    expected = THREE.hides.copy()
     expected[1], expected[:, 1] = 0.0, 0.0
     assert np.asarray(after.hides) == pytest.approx(expected)
     assert hidden.grasp_trait["count"].tolist() == [0, 1, 0]
@@ -99,16 +82,6 @@ def test_an_attempt_may_move_what_it_lifts():
     then, hidden, _ = step(OTHER, after, hidden, np.asarray(0), random.key_of(2))
     assert np.array_equal(then.hides, after.hides)
     assert hidden.grasp_trait["count"].tolist() == [0, 1, 0]
-
-
-def test_the_same_view_tells_nothing_new():
-    config = replace(OTHER, seeing=Persisting())
-    state, hidden = start(config, picked(pad_scenes([SCENE]), 0), random.key_of(3))
-    after, hidden, _ = step(config, state, hidden, np.asarray(LIFT), random.key_of(4))
-    # Object 0 was held up and seen whole, and no longer hid object 2; object 1 was seen as before.
-    assert (np.asarray(after.log_odds) != np.asarray(state.log_odds)).tolist() == [True, False, True]
-    again, _, _ = step(config, after, hidden, np.asarray(LIFT), random.key_of(5))
-    assert np.array_equal(again.log_odds, after.log_odds)
 
 
 def test_the_path_keeps_what_the_laws_did(episodes):
@@ -121,42 +94,9 @@ def test_the_path_keeps_what_the_laws_did(episodes):
     assert (hides[path, stage + 1, :, target] == 0.0).all()
 
 
-def test_logs_tell_who_hides_whom_at_every_stage(logs, tmp_path):
-    episodes = TableWorld(OTHER).record([SCENE], UniformPolicy(), episodes=60, seed=1)
-    begun = episodes.is_begun
-    hides = np.asarray(episodes.episodes.states.hides)[begun]
-    assert (hides != hides[0]).any()
-    logs.write(tmp_path / "logs")
-    for told in (logs, read_logs(tmp_path / "logs")):
-        states = states_of(told, OTHER.horizon)
-        assert np.array_equal(np.asarray(states.hides)[begun], hides)
-        assert np.array_equal(np.asarray(states.log_odds)[begun], np.asarray(episodes.episodes.states.log_odds)[begun])
-
-
-def test_logs_tell_the_prior(logs):
-    assert logs.paths["dirty_share"].tolist() == [0.6] * logs.num_paths
-
-
-@pytest.mark.slow
-def test_gymnasium_plays_by_the_same_laws(episodes):
-    env = CupsEnv(SCENE, config=OTHER)
-    observation, info = env.reset(seed=0)
-    key = random.key_of(info["episode_seed"])
-    played = play(OTHER, pad_scenes([SCENE]), UniformPolicy(), key, 1)
-    for t in range(OTHER.horizon):
-        assert np.array_equal(observation["hides"], played.states.hides[0, t])
-        assert np.array_equal(observation["log_odds"], played.states.log_odds[0, t])
-        observation, reward, terminated, _, _ = env.step(int(played.action[0, t]))
-        assert reward == pytest.approx(float(played.reward[0, t]), rel=1e-5)
-        assert env.observation_space.contains(observation)
-        if terminated:
-            break
-    assert t == int(played.is_taken.sum()) - 1
-
-
 def test_what_is_not_there_cannot_be_held():
     config = replace(OTHER, seeing=AssumedSeeing())
-    state, hidden = start(config, picked(pad_scenes([SCENE]), 0), random.key_of(3))
+    state, hidden = start(config, picked(pad_scenes([THREE]), 0), random.key_of(3))
     gone = replace(state, is_on_table=np.array([False, True, True]))
     after, hidden, outcome = step(config, gone, hidden, np.asarray(LIFT), random.key_of(4))
     assert not after.attempt_succeeded[0]
@@ -174,7 +114,7 @@ def test_what_is_not_there_cannot_be_held():
 )
 def test_planners_say_which_law_they_do_not_know(config, message):
     with pytest.raises(ArgumentError, match=message):
-        solve_table(SCENE, config, horizon=2)
+        solve_table(THREE, config, horizon=2)
 
 
 def test_a_policy_that_needs_no_law_decides_under_any(episodes):
@@ -189,10 +129,41 @@ def test_a_policy_that_needs_no_law_decides_under_any(episodes):
 
 def test_times_are_told_only_of_a_law_that_has_them():
     with pytest.raises(ArgumentError, match="grasping is Nudging, whose times are not known: use 'hidden'"):
-        information_relaxation_bound(SCENE, WorldConfig(grasping=Nudging()), horizon=2, reveals="everything")
+        information_relaxation_bound(THREE, WorldConfig(grasping=Nudging()), horizon=2, reveals="everything")
 
 
-def test_a_label_that_the_law_does_not_expect_is_no_evidence():
-    zero = np.zeros(2)
-    np.testing.assert_array_equal(label_evidence(zero, zero, np.array([True, False])), [0.0, 0.0])
-    assert float(label_evidence(np.zeros(()), np.zeros(()), np.asarray(True))) == 0.0
+OCCLUDED, OFFSET, SEEN = np.linspace(1.0, 0.0, 21)[:, None], np.array([-2.0, 0.0, 0.7]), np.linspace(0.0, 1.0, 11)
+
+
+@pytest.mark.parametrize(
+    "of",
+    [
+        *[law.log_failure for law in (AssumedGrasping(), GRASPING)],
+        *[law.expected_s for law in (AssumedGrasping(), GRASPING)],
+        AssumedGrasping().scale_s,
+        lambda occluded, _: AssumedSeeing().accuracy(occluded),
+        *[lambda *at, which=which: SEEING.positive(*at)[which] for which in (0, 1)],
+        *[lambda *at, says=says: SEEING.after(*at, says) for says in (True, False)],
+    ],
+)
+@pytest.mark.parametrize("other", [OFFSET, SEEN], ids=["offset", "seen"])
+def test_formulas_are_the_same_in_single_precision(of, other):
+    ours, single = of(OCCLUDED, other), of(OCCLUDED.astype(np.float32), other.astype(np.float32))
+    assert (ours.dtype, single.dtype) == (np.float64, np.float32)
+    np.testing.assert_allclose(single, ours, rtol=1e-5, atol=2e-6)
+
+
+def test_the_same_view_tells_nothing_new():
+    config = replace(OTHER, seeing=Persisting())
+    state, hidden = start(config, picked(pad_scenes([THREE]), 0), random.key_of(3))
+    after, hidden, _ = step(config, state, hidden, np.asarray(LIFT), random.key_of(4))
+    # Object 0 was held up and seen whole, and no longer hid object 2; object 1 was seen as before.
+    assert (after.log_odds != state.log_odds).tolist() == [True, False, True]
+    again, _, _ = step(config, after, hidden, np.asarray(LIFT), random.key_of(5))
+    assert np.array_equal(again.log_odds, after.log_odds)
+
+
+@pytest.mark.parametrize("says_dirty", [np.asarray(True), np.array([True, False])])
+def test_a_label_that_the_law_does_not_expect_is_no_evidence(says_dirty):
+    zero = np.zeros(says_dirty.shape)
+    np.testing.assert_array_equal(label_evidence(zero, zero, says_dirty), zero)

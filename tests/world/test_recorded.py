@@ -5,18 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded_worlds import TEAMS, scenes, world_of
+from worlds import TEAMS, recorded_scenes, world_of
 
 from halfseen.arrays import known_to_jax, mapped
 from halfseen.world import UniformPolicy, random, rollout
 from halfseen.world.transition import start, step
-from picked import leaves_of
+from picked import leaves_of, picked
 
 RECORDED = np.load(Path(__file__).parents[1] / "recorded" / "world.npz")
-NAMES = sorted(
-    {name.rsplit("/", 1)[0] for name in RECORDED if name.count("/") > 1}
-    | {name.rsplit("/", 1)[0] for name in RECORDED if "/is_taken" in name}
-)
+NAMES = sorted({name.rsplit("/", 1)[0] for name in RECORDED if name.count("/") > 1 or "/is_taken" in name})
 EPISODES, KEY = 40, random.key_of(7)
 RENAMED = {"states.table.": "states.", "hidden.table.": "hidden.", "of_robots.reward": "paid_alone"}
 RENAMED |= {"of_robots.out_s": "out_s"}
@@ -25,7 +22,8 @@ pytestmark = pytest.mark.filterwarnings("ignore:.*in no robot's reach")
 
 def _world(name):
     team, law = name.split("/")[-3:-1] if name.count("/") == 2 else ("alone", name.split("/")[0])
-    return world_of(team, law)
+    world = world_of(team, law)
+    return world.played_config, world.layouts(recorded_scenes())
 
 
 def _leaf(record, field):
@@ -42,34 +40,30 @@ def _fields(name):
             yield field, bool(still), RECORDED[key]
 
 
-def _replayed(name):
-    """Episodes in which the recorded actions were taken: state, action and outcome of each stage."""
-    world, is_taken, actions = _world(name), RECORDED[f"{name}/is_taken"], RECORDED[f"{name}/action"]
-    config, tables = world.played_config, world.layouts(scenes())
-    keys = random.fold_in(KEY, np.arange(EPISODES))
-    start_key, world_key, _ = random.split(keys, 3)
-    layout = mapped(lambda leaf: leaf[np.arange(EPISODES) % len(leaf)], tables)
-    state, hidden = start(config, layout, start_key)
+def _replayed(config, tables, actions):
+    """Episodes in which the recorded actions were taken: what was hidden, and state and outcome of each stage."""
+    start_key, world_key, _ = random.split(random.fold_in(KEY, np.arange(EPISODES)), 3)
+    state, hidden = start(config, picked(tables, np.arange(EPISODES) % len(tables.is_object)), start_key)
     first, stages = hidden, []
-    for t in range(config.num_stages):
-        action = np.where(is_taken[:, t], actions[:, t], 0)
+    for t, action in enumerate(actions.T):
         before = state
         state, hidden, outcome = step(config, state, hidden, action, random.fold_in(world_key, t))
         stages.append((before, outcome))
-    return is_taken, first, stages
+    return first, stages
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_steps_do_what_was_recorded_of_them(name):
-    is_taken, hidden, stages = _replayed(name)
+    is_taken = RECORDED[f"{name}/is_taken"]
+    hidden, stages = _replayed(*_world(name), np.where(is_taken, RECORDED[f"{name}/action"], 0))
     num_checked = 0
     for field, is_still, expected in _fields(name):
         of, _, rest = field.partition(".")
         if of == "hidden":
             np.testing.assert_allclose(_leaf(hidden, rest), expected, rtol=2e-5, atol=2e-5, err_msg=field)
         elif field not in ("action", "probability", "is_taken"):
-            for t in range(is_taken.shape[1]):
-                now, then = is_taken[:, t], expected if is_still else expected[:, t]
+            for t, now in enumerate(is_taken.T):
+                then = expected if is_still else expected[:, t]
                 got = _leaf(stages[t][0], rest) if of == "states" else _leaf(stages[t][1], field)
                 assert got.dtype == then.dtype, field
                 np.testing.assert_allclose(got[now], then[now], rtol=2e-5, atol=3e-5, err_msg=f"{field}, stage {t}")
@@ -79,8 +73,7 @@ def test_steps_do_what_was_recorded_of_them(name):
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name.endswith("uniform")])
 def test_a_rollout_draws_what_was_recorded(name):
-    world = _world(name)
-    played = rollout.play(world.played_config, world.layouts(scenes()), UniformPolicy(), KEY, EPISODES)
+    played = rollout.play(*_world(name), UniformPolicy(), KEY, EPISODES)
     is_taken = played.is_taken
     assert np.array_equal(is_taken, RECORDED[f"{name}/is_taken"])
     assert np.array_equal(played.action[is_taken], RECORDED[f"{name}/action"][is_taken])
@@ -96,34 +89,28 @@ def _equal(one, other):
 
 @pytest.mark.parametrize("team", TEAMS)
 def test_the_size_of_a_batch_changes_nothing(team, monkeypatch):
-    world = world_of(team, "calibrated")
-    args = world.played_config, world.layouts(scenes()), UniformPolicy(), KEY, 9
+    args = *_world(f"{team}/calibrated/uniform"), UniformPolicy(), KEY, 9
     whole = rollout.play(*args)
     monkeypatch.setattr(rollout, "BATCH", 2)
     parts = rollout.play(*args)
     assert np.array_equal(whole.is_taken, parts.is_taken)
-    for one, other in (
-        (whole.action, parts.action),
-        (whole.reward, parts.reward),
-        (whole.duration_s, parts.duration_s),
-    ):
-        assert np.array_equal(one[whole.is_taken], other[whole.is_taken])
+    for name in ("action", "reward", "duration_s"):
+        assert np.array_equal(getattr(whole, name)[whole.is_taken], getattr(parts, name)[whole.is_taken])
     _equal(whole.hidden, parts.hidden)
 
 
 @pytest.mark.parametrize("team", TEAMS)
 def test_one_table_goes_as_it_does_in_a_batch(team):
-    world = world_of(team)
-    config, tables = world.played_config, world.layouts(scenes())
-    keys = random.split(KEY, 3)
-    state, hidden = start(config, tables, np.stack(keys))
-    action = UniformPolicy().decide(state, np.stack(keys)).action
-    after = step(config, state, hidden, action, np.stack(keys))
+    config, tables = _world(f"{team}/assumed/uniform")
+    keys = np.stack(random.split(KEY, 3))
+    state, hidden = start(config, tables, keys)
+    action = UniformPolicy().decide(state, keys).action
+    after = step(config, state, hidden, action, keys)
     for k, key in enumerate(keys):
-        one = start(config, mapped(lambda leaf, k=k: leaf[k], tables), key)
-        _equal(one, mapped(lambda leaf, k=k: leaf[k], (state, hidden)))
+        one = start(config, picked(tables, k), key)
+        _equal(one, picked((state, hidden), k))
         assert UniformPolicy().decide(one[0], key).action == action[k]
-        _equal(step(config, *one, action[k], key), mapped(lambda leaf, k=k: leaf[k], after))
+        _equal(step(config, *one, action[k], key), picked(after, k))
 
 
 @pytest.mark.slow
@@ -131,10 +118,9 @@ def test_one_table_goes_as_it_does_in_a_batch(team):
 def test_under_jax_jit_the_same_comes_out(team):
     pytest.importorskip("jax")
     jax = known_to_jax()
-    world = world_of(team, "calibrated")
-    config, tables = world.played_config, world.layouts(scenes())
+    config, tables = _world(f"{team}/calibrated/uniform")
     keys = np.stack(random.split(KEY, 3))
-    begin, advance = start, step
+    begin, advance = jax.jit(start), jax.jit(step)
     ours, theirs = start(config, tables, keys), begin(config, tables, keys)
     for t in range(6):
         step_keys = random.fold_in(keys, t)

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from jaxtyping import TypeCheckError
 
 from halfseen.cell.tables_seen import tables_seen
 from halfseen.errors import ArgumentError, HalfseenWarning, PolicyError, SceneError
@@ -10,8 +9,7 @@ from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.planners.rules import ReservingPolicy, TeamOfRules
 from halfseen.tables.independent import IndependentPolicies
 from halfseen.tables.policy import LinearTeamPolicy
-from halfseen.world import ExploringPolicy, Robot, Scene, TableWorld, UniformPolicy, WorldConfig, random
-from halfseen.world.robots import workspace_of
+from halfseen.world import ExploringPolicy, Robot, Scene, TableWorld, Team, UniformPolicy, WorldConfig, random
 from halfseen.world.rollout import play
 
 PLACES = np.array([[-0.3, 0.0], [0.0, 0.0], [0.05, 0.0], [0.3, 0.0]])
@@ -22,6 +20,7 @@ SCENES = [
 EMPTY = Scene(np.zeros((0, 0)), "empty", places_m=np.zeros((0, 2)))
 TEAM = (Robot((-0.6, 0.0), 0.7, name="left"), Robot((0.6, 0.0), 0.7, speed=1.5, name="right"))
 WORLD = TableWorld(WorldConfig(horizon=4), TEAM)
+ALONE = TableWorld()
 RULE = GreedyPolicy(WORLD.config, uses_history=True, counts_penalty=True)
 
 
@@ -47,18 +46,27 @@ def test_the_wanted_share_is_cut_and_one_cut_ends_the_table_for_all(kind):
 def test_each_robot_touches_what_it_reaches_and_padding_is_nobodys():
     logs = WORLD.simulate(SCENES, UniformPolicy(), 40, seed=0)
     did = logs.stages.dropna(subset=["object"])
-    truth = [workspace_of(TEAM, scene.places_m).is_in_reach for scene in SCENES]
+    truth = [Team(TEAM).workspace(scene).is_in_reach for scene in SCENES]
     assert all(truth[path % 2][robot, target] for path, robot, target in did[["path", "robot", "object"]].values)
     layouts = WORLD.layouts(SCENES)
     assert not np.asarray(layouts.workspace.is_in_reach)[1, :, 2:].any()
     assert not np.asarray(layouts.workspace.is_near)[1, 2:].any()
 
 
-def test_same_seed_same_logs_and_evaluate_plays_the_same_tables():
-    first, again = (WORLD.simulate(SCENES, UniformPolicy(), 40, seed=5, cut_share=0.5) for _ in range(2))
+@pytest.mark.parametrize(
+    ("world", "kind", "cause"), [(WORLD, "occlusion", "sensor-lost"), (ALONE, "attempt", "operator")]
+)
+def test_same_seed_same_logs_and_evaluate_plays_the_same_tables(world, kind, cause):
+    first, again, other = (
+        world.simulate(SCENES, UniformPolicy(), 40, seed=seed, cut_share=0.5, cut_kind=kind) for seed in (5, 5, 6)
+    )
     assert first.stages.equals(again.stages)
-    totals = WORLD.evaluate(SCENES, UniformPolicy(), 40, seed=5)
-    played = play(WORLD.played_config, WORLD.layouts(SCENES), UniformPolicy(), random.key_of(5), 40)
+    assert first.paths.equals(again.paths)
+    assert not first.paths.equals(other.paths)
+    assert 0.2 < first.cut_share < 0.8
+    assert set(first.paths["cause"].dropna()) == {cause}
+    totals = world.evaluate(SCENES, UniformPolicy(), 40, seed=5)
+    played = play(world.played_config, world.layouts(SCENES), UniformPolicy(), random.key_of(5), 40)
     np.testing.assert_allclose(totals.reward, np.sum(np.where(played.is_taken, played.reward, 0.0), axis=1), rtol=1e-5)
 
 
@@ -95,38 +103,21 @@ def learned(num_decisions):
 @pytest.mark.parametrize(
     ("make", "error", "told"),
     [
-        (lambda: TableWorld(robots=TEAM, clearance_m=np.nan), ArgumentError, "clearance_m is nan"),
-        (lambda: TableWorld(robots=TEAM, reward_per_s=0.1), ArgumentError, "reward_per_s is 0.1"),
-        (lambda: Robot((0.0, 0.0), 1.0, drop_out_rate=-1.0), ArgumentError, "robot: drop_out_rate is -1.0"),
-        (lambda: Robot((0.0, 0.0), np.inf), ArgumentError, "robot: reach_m is inf"),
         (lambda: WORLD.simulate(Scene(np.zeros((1, 1))), UniformPolicy(), 1, 0), SceneError, "scene: places_m is None"),
-        (
-            lambda: WORLD.simulate(EMPTY, UniformPolicy(), 1, 0),
-            SceneError,
-            "empty: no object is on the table, .* leave it out",
-        ),
-        (
-            lambda: WORLD.evaluate([*SCENES, EMPTY], UniformPolicy(), 1, 0),
-            SceneError,
-            "empty: no object is on the table",
-        ),
+        (lambda: WORLD.simulate(EMPTY, UniformPolicy(), 1, 0), SceneError, "empty: no object is .* leave it out"),
+        (lambda: WORLD.evaluate([*SCENES, EMPTY], UniformPolicy(), 1, 0), SceneError, "empty: no object is on"),
         (lambda: TableWorld().simulate(EMPTY, UniformPolicy(), 1, 0), SceneError, "empty: no object is on the table"),
         (lambda: WORLD.simulate(SCENES, UniformPolicy(), 0, 0), ArgumentError, "episodes is 0"),
         (lambda: WORLD.simulate(SCENES, UniformPolicy(), 1, 0, cut_share=1.0), ArgumentError, "cut share is 1.0"),
+        (lambda: TableWorld().simulate(SCENES, UniformPolicy(), 5, 0, cut_share=-0.5), ArgumentError, "cut share is"),
         (lambda: WORLD.simulate(SCENES, learned(12), 1, 0), PolicyError, "learned for 12 decisions .* up to 8"),
         (lambda: WORLD.evaluate(SCENES, ExploringPolicy(learned(12)), 1, 0), PolicyError, "learned for 12 decisions"),
         (lambda: ExploringPolicy(UniformPolicy(), 2.0), ArgumentError, r"random_share is 2.0; give .* in \[0, 1\]"),
-        (lambda: Scene(np.zeros((1, 1)), places_m=np.array([[0.0, np.nan]])), SceneError, r"places_m\[0\] is"),
     ],
 )
 def test_what_cannot_be_is_refused(make, error, told):
     with pytest.raises(error, match=told):
         make()
-
-
-def test_each_object_has_one_place():
-    with pytest.raises((SceneError, TypeCheckError), match=r"places_m has shape \(1, 2\)|f64\[1,2\]"):
-        Scene(np.zeros((2, 2)), places_m=np.zeros((1, 2)))
 
 
 @pytest.mark.parametrize(

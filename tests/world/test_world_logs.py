@@ -1,14 +1,29 @@
-import numpy as np
-import pytest
+"""What a recorder keeps of tables, of one robot and of several: the log tells it, and from it the states come back."""
 
-from halfseen.errors import LogError
+import numpy as np
+import pandas as pd
+import pytest
+from worlds import FITTED_SCENES, THREE
+
+import played_teams
+from fitted_laws import FITTED
+from halfseen.arrays import softmax
+from halfseen.censoring.weights import stage_weights
 from halfseen.logs import Logs, read_logs
+from halfseen.planners.belief import grip_posterior
 from halfseen.tables.features import table_features
-from halfseen.world import TableWorld, UniformPolicy, table_world
-from halfseen.world.actions import possible_actions
-from halfseen.world.cuts import cut, cut_rate
+from halfseen.world import TableWorld, UniformPolicy, WorldConfig
+from halfseen.world.actions import TARGETED, ActionSpace, Verb, possible_actions
+from halfseen.world.cuts import cut, cut_at_drop_outs, cut_rate
 from halfseen.world.logs import states_of, to_logs
+from halfseen.world.others import others_of
+from other_laws import Nudging, Persisting
+from own_laws import LOGISTIC, SCENE, world_of
 from picked import leaves_of, picked
+from played_teams import NUM_OBJECTS, logged, team_of
+
+OTHER = WorldConfig(grasping=Nudging(), seeing=Persisting(), horizon=6)
+RATES = (0.03, 0.01, 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -26,15 +41,14 @@ def test_the_log_says_what_happened(recorded):
     assert set(logs.paths["cause"].dropna()) == {"sensor-lost"}
     assert logs.paths["scene"].tolist()[:4] == ["random-1", "random-3", "random-5", "random-1"]
     assert logs.num_stages == cuts.is_begun.sum()
-    expected = np.where(cuts.is_completed, np.asarray(cuts.episodes.elapsed_s), np.nan)[:, : logs.horizon]
+    expected = np.where(cuts.is_completed, cuts.episodes.elapsed_s, np.nan)[:, : logs.horizon]
     np.testing.assert_allclose(logs.elapsed_s(), expected, rtol=1e-5)
-    reward = np.where(cuts.is_completed, np.asarray(cuts.episodes.reward), np.nan)[:, : logs.horizon]
+    reward = np.where(cuts.is_completed, cuts.episodes.reward, np.nan)[:, : logs.horizon]
     np.testing.assert_array_equal(logs.stage_values("reward"), reward)
 
 
 def test_the_log_holds_nothing_hidden(recorded):
     _, logs = recorded
-    assert logs.objects is not None
     assert set(logs.objects.columns) == {
         *("path", "stage", "object", "location", "occlusion", "log_odds"),
         *("successes", "failures", "lifts", "hidden_by", "attempt_occlusions", "attempt_succeeded"),
@@ -43,113 +57,228 @@ def test_the_log_holds_nothing_hidden(recorded):
     assert logs.path_columns == ["scene"]
 
 
-def test_the_states_come_back_from_the_log(recorded):
+def test_states_and_features_come_back_from_the_log_and_from_disk(recorded, tmp_path):
     cuts, logs = recorded
-    states = states_of(logs, 10)
-    begun = cuts.is_begun
-    truth = cuts.episodes.states
+    states, truth, begun = states_of(logs, 10), cuts.episodes.states, cuts.is_begun
     for name in ("hides", "is_object", "is_on_table", "lifts", "steps_to_go"):
-        assert np.array_equal(np.asarray(getattr(states, name))[begun], np.asarray(getattr(truth, name))[begun]), name
-    is_object = np.asarray(truth.is_object)[begun]
-    log_odds = (np.asarray(leaf.log_odds)[begun][is_object] for leaf in (states, truth))
-    assert np.array_equal(*log_odds)
-
-
-def test_features_come_back_to_the_last_bit(recorded):
-    cuts, logs = recorded
-    states, truth = states_of(logs, 10), cuts.episodes.states
+        assert np.array_equal(getattr(states, name)[begun], getattr(truth, name)[begun]), name
+    is_object = truth.is_object[begun]
+    assert np.array_equal(states.log_odds[begun][is_object], truth.log_odds[begun][is_object])
     is_possible, was_possible = possible_actions(states), possible_actions(truth)
-    assert np.array_equal(is_possible[cuts.is_begun], was_possible[cuts.is_begun])
-    seen = cuts.is_begun[..., None] & was_possible
+    assert np.array_equal(is_possible[begun], was_possible[begun])
+    seen = begun[..., None] & was_possible
     assert np.array_equal(table_features(states)[seen], table_features(truth)[seen])
-
-
-def test_what_was_not_begun_is_an_empty_table(recorded):
-    cuts, logs = recorded
-    states = states_of(logs, 10)
-    assert not states.is_object[~cuts.is_begun].any()
-    assert not possible_actions(states)[~cuts.is_begun][:, 1:].any()
-
-
-def test_a_log_survives_the_disk(recorded, tmp_path):
-    _, logs = recorded
+    # What was not begun is an empty table.
+    assert not states.is_object[~begun].any()
+    assert not is_possible[~begun][:, 1:].any()
     logs.write(tmp_path / "logs")
-    back = states_of(read_logs(tmp_path / "logs"), 10)
-    for left, right in zip(leaves_of(back), leaves_of(states_of(logs, 10)), strict=True):
+    for left, right in zip(leaves_of(states_of(read_logs(tmp_path / "logs"), 10)), leaves_of(states), strict=True):
         assert np.array_equal(left, right)
 
 
-def spoilt(logs, **columns):
-    objects = logs.objects.copy()
-    for name, values in columns.items():
-        objects[name] = values(objects)
-    return Logs(logs.stages, logs.paths, objects)
-
-
-def first_replaced(name, value):
-    def replaced(objects):
-        values = objects[name].tolist()
-        values[0] = value
-        return values
-
-    return replaced
-
-
 @pytest.mark.parametrize(
-    ("column", "value", "message"),
-    [
-        ("location", "SINK", "location is none of"),
-        ("hidden_by", [0.0] * 9, "hidden_by does not give one share"),
-        ("attempt_occlusions", [0.5], "attempt_occlusions and attempt_succeeded differ"),
-    ],
+    ("config", "scenes", "names"),
+    [(OTHER, [THREE], ("hides", "log_odds")), (FITTED, FITTED_SCENES, ("grip", "seen"))],
+    ids=["what attempts moved", "what shows"],
 )
-def test_a_broken_object_is_named(recorded, column, value, message):
-    _, logs = recorded
-    with pytest.raises(LogError, match=f"path 0, stage 1, object 0: {message}"):
-        states_of(spoilt(logs, **{column: first_replaced(column, value)}), 10)
+def test_what_laws_make_of_a_table_comes_back(config, scenes, names, tmp_path):
+    cuts = TableWorld(config).record(scenes, UniformPolicy(), episodes=60, seed=1)
+    logs = TableWorld(config).simulate(scenes, UniformPolicy(), episodes=60, seed=1)
+    assert logs.paths["dirty_share"].tolist() == [config.dirty_share] * logs.num_paths
+    logs.write(tmp_path / "logs")
+    for told in (logs, read_logs(tmp_path / "logs")):
+        states = states_of(told, config.horizon)
+        for name in names:
+            expected = getattr(cuts.episodes.states, name)[cuts.is_begun]
+            assert np.array_equal(getattr(states, name)[cuts.is_begun], expected), name
+            assert np.unique(expected).size > 3
+            assert (expected != expected[0]).any()
 
 
-def test_an_object_that_vanishes_is_named(recorded):
-    _, logs = recorded
-    objects = logs.objects
+def test_a_log_without_what_shows_is_read_as_if_it_were_0():
+    logs = TableWorld(FITTED).simulate(FITTED_SCENES, UniformPolicy(), episodes=20, seed=1)
+    plain = states_of(Logs(logs.stages, logs.paths, logs.objects.drop(columns=["grip", "seen"])), 10)
+    zeros = states_of(Logs(logs.stages, logs.paths, logs.objects.assign(grip=0.0, seen=0.0)), 10)
+    assert not plain.grip.any()
+    for left, right in zip(leaves_of(plain), leaves_of(zeros), strict=True):
+        assert np.array_equal(left, right)
+
+
+@pytest.fixture(scope="module", params=[1, 2, 3])
+def team(request):
+    """What a team played, and its log."""
+    paths = played_teams.played(team_of(request.param), 60)
+    return paths, logged(paths, 0.5)
+
+
+def test_a_log_of_a_team_tells_who_decided_by_one_clock_that_never_falls(team, tmp_path):
+    paths, logs = team
+    assert 0.2 < (logs.paths["ending"] == "cut").mean() < 0.8
+    logs.write(tmp_path / "log")
+    assert read_logs(tmp_path / "log").stages["robot"].tolist() == logs.stages["robot"].tolist()
+    assert (np.diff(paths.elapsed_s, axis=1) >= 0).all()
+    first = logs.stages[logs.stages["path"] == 0].dropna(subset=["elapsed_s"])
+    np.testing.assert_allclose(first["elapsed_s"], paths.elapsed_s[0, : len(first)], rtol=1e-5)
+    assert ((logs.stages["probability"] > 0) & (logs.stages["probability"] <= 1)).all()
+
+
+def test_who_decides_is_free_and_nobody_is_at_what_another_is_at(team):
+    _, logs = team
     stages = logs.stages
-    path = int(stages.loc[(stages["stage"] == 2) & (stages["path"] % 3 == 2), "path"].iloc[0])
-    acted = stages.loc[(stages["path"] == path) & (stages["stage"] == 2), "object"].iloc[0]
-    gone = next(k for k in range(5) if k != acted)
-    kept = ~((objects["path"] == path) & (objects["stage"] == 2) & (objects["object"] == gone))
-    with pytest.raises(LogError, match=f"path {path}, stage 1, object {gone}: stage 2 lists it no more"):
-        states_of(Logs(stages, logs.paths, objects[kept]), 10)
+    for r in range(stages["robot"].max() + 1):
+        is_mine = stages["robot"] == r
+        assert stages.loc[is_mine, f"{r}_does"].eq("FREE").all()
+        spent = stages[f"{r}_decisions_to_go"].groupby(stages["path"]).diff().dropna()
+        np.testing.assert_array_equal(-spent, is_mine.groupby(stages["path"]).shift(fill_value=False)[spent.index])
+        others = stages[~is_mine].dropna(subset=["object"])
+        at = others[f"{r}_does"].str.extract(r"(\d+)$")[0].astype("Int64")
+        assert not (at == others["object"]).fillna(False).any()
 
 
-def test_a_log_without_objects_or_with_too_many_stages_is_refused(recorded):
-    _, logs = recorded
-    stages = logs.stages.drop(columns="object")
-    with pytest.raises(LogError, match="the log has none"):
-        states_of(Logs(stages, logs.paths), 10)
-    with pytest.raises(LogError, match="there is no column 'lifts' among"):
-        states_of(Logs(logs.stages, logs.paths, logs.objects.drop(columns="lifts")), 10)
-    with pytest.raises(LogError, match="more than horizon=2"):
-        states_of(logs, 2)
+def test_the_log_tells_who_made_each_attempt(team):
+    """By plain loops: who is at an object as its number of attempts grows has tried it."""
+    paths, logs = team
+    found = logs.objects.set_index(["path", "stage", "object"])["attempt_by"]
+    actions, robots, tried = ActionSpace(NUM_OBJECTS), paths.states.robots, paths.states.attempt_object
+    for path, rows in logs.stages.groupby("path"):
+        by = {target: [] for target in range(NUM_OBJECTS)}
+        for t, target in np.ndindex(len(rows), NUM_OBJECTS):
+            if (tried[path, t] == target).sum() > len(by[target]):
+                was = path, t - 1
+                verb, at = np.where(robots.is_busy[was], robots.verb[was], 0), robots.target[was].copy()
+                decider, action = paths.states.decider[was], paths.action[was]
+                verb[decider], at[decider] = actions.verb(action), actions.target(action)
+                by[target] += [r for r in range(robots.num_robots) if verb[r] in TARGETED and at[r] == target]
+            assert list(found[path, t + 1, target]) == by[target]
+    assert {robot for each in found for robot in each} == set(range(robots.num_robots))
 
 
-def test_the_door_gives_the_same_logs_for_the_same_seed(scenes, monkeypatch):
-    monkeypatch.setattr(table_world, "NUM_PILOT_PATHS", 40)
-    world = TableWorld()
-    first, again = (
-        world.simulate(scenes, UniformPolicy(), episodes=40, seed=3, cut_share=0.5, cut_kind="attempt")
-        for _ in range(2)
+def test_from_a_log_come_the_states_that_the_team_saw(team):
+    paths, logs = team
+    states, seen = states_of(logs, paths.action.shape[1]), paths.states
+    at = logs.stages["path"].to_numpy(), logs.stages["stage"].to_numpy() - 1
+    for name in ("is_busy", "is_parked", "decisions_to_go"):
+        np.testing.assert_array_equal(getattr(states.robots, name)[at], getattr(seen.robots, name)[at])
+    is_busy = seen.robots.is_busy[at]
+    for name in ("verb", "target", "since_s"):
+        found, truth = (np.where(is_busy, getattr(each.robots, name)[at], 0) for each in (states, seen))
+        np.testing.assert_allclose(found, truth, rtol=1e-6)
+    np.testing.assert_array_equal(states.decider[at], seen.decider[at])
+    np.testing.assert_array_equal(possible_actions(states)[at], possible_actions(seen)[at])
+
+
+def test_by_who_tried_the_grips_are_believed_as_where_they_were_seen():
+    world = world_of(None, LOGISTIC)
+    cuts = world.record([SCENE], UniformPolicy(), 60, seed=0)
+    paths, logs = cuts.episodes, to_logs(cuts, "independent", [SCENE])
+    at = logs.stages["path"].to_numpy(), logs.stages["stage"].to_numpy() - 1
+    found, known = (
+        softmax(grip_posterior(world.played_config, picked(each, at)).log_weights)
+        for each in (states_of(logs, paths.action.shape[1]), paths.states)
     )
-    other = world.simulate(scenes, UniformPolicy(), episodes=40, seed=4, cut_share=0.5, cut_kind="attempt")
-    assert first.stages.equals(again.stages)
-    assert first.paths.equals(again.paths)
-    assert not first.paths.equals(other.paths)
-    assert 0.2 < first.cut_share < 0.8
-    assert set(first.paths["cause"].dropna()) == {"operator"}
+    np.testing.assert_allclose(found, known, rtol=1e-3, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("episodes", "share", "message"), [(0, 0.0, "simulate at least 1"), (5, 1.0, r"in \[0, 1\)"), (5, -0.5, "share")]
-)
-def test_the_door_refuses_nonsense(scenes, episodes, share, message):
-    with pytest.raises(ValueError, match=message):
-        TableWorld().simulate(scenes, UniformPolicy(), episodes=episodes, seed=0, cut_share=share)
+@pytest.fixture(scope="module")
+def frail():
+    """What a team played whose robots drop out, and its log."""
+    paths = played_teams.played(team_of(3, drop_out_rate=RATES), 80)
+    return paths, logged(paths, 0.3)
+
+
+def test_paths_tell_when_and_why_each_robot_dropped_out(frail, tmp_path):
+    paths, logs = frail
+    until_s = paths.hidden.until_out_s
+    for r in range(3):
+        out_s = logs.paths[f"{r}_out_s"].to_numpy()
+        seen = ~np.isnan(out_s)
+        np.testing.assert_allclose(out_s[seen], until_s[seen, r], rtol=1e-5)
+        assert (out_s[seen] <= logs.end_s[seen]).all()
+        assert logs.paths[f"{r}_out_cause"].eq("battery").to_numpy(dtype=bool).tolist() == seen.tolist()
+    share = [logs.paths[f"{r}_out_s"].notna().mean() for r in range(3)]
+    assert share[0] > share[1] > share[2] == 0.0
+    logs.write(tmp_path / "log")
+    pd.testing.assert_frame_equal(read_logs(tmp_path / "log").paths, logs.paths)
+
+
+def test_who_drew_a_drop_out_before_the_end_and_did_not_drop_out_had_come_to_its_end(frail):
+    paths, logs = frail
+    until_s, states = paths.hidden.until_out_s, paths.states.robots
+    last = logs.stages.groupby("path")["stage"].max().to_numpy() - 1
+    out_s = logs.paths[[f"{r}_out_s" for r in range(3)]].to_numpy()
+    for k, r in np.argwhere((until_s < logs.end_s[:, None]) & np.isnan(out_s)):
+        is_going_home = states.is_busy[k, last[k], r] and states.verb[k, last[k], r] == 0
+        is_spent = states.decisions_to_go[k, last[k], r] <= 1
+        assert states.is_parked[k, last[k], r] or is_going_home or is_spent
+
+
+def test_from_then_on_stages_say_out_and_the_robot_decides_no_more(frail):
+    _, logs = frail
+    stages = logs.stages.merge(logs.paths, on="path")
+    begin_s = stages["elapsed_s"].groupby(stages["path"]).shift(fill_value=0.0)
+    for r in range(3):
+        is_out = begin_s >= stages[f"{r}_out_s"]
+        np.testing.assert_array_equal(stages[f"{r}_does"] == "OUT", is_out)
+        assert not (is_out & (stages["robot"] == r)).any()
+
+
+def test_states_come_back_and_who_is_out_does_not_go_on(frail):
+    paths, logs = frail
+    states = states_of(logs, paths.action.shape[1])
+    at = logs.stages["path"].to_numpy(), logs.stages["stage"].to_numpy() - 1
+    robots, others = picked(states.robots, at), np.arange(3) != states.decider[at][:, None]
+    np.testing.assert_array_equal(robots.is_out, paths.states.robots.is_out[at])
+    assert robots.is_out.any()
+    is_at_it = robots.is_busy & (robots.verb != Verb.FINISH)
+    truth = others & ~robots.is_parked & ~robots.is_out & (is_at_it | (~robots.is_busy & (robots.decisions_to_go > 0)))
+    np.testing.assert_array_equal(others_of(picked(states, at)).goes_on, truth)
+
+
+def test_without_a_hazard_nothing_of_it_is_in_the_log():
+    logs = logged(played_teams.played(team_of(2), 20), 0.0)
+    assert not [name for name in logs.paths.columns if "out" in name]
+    assert states_of(logs, 10).robots.is_out is None
+    assert cut_at_drop_outs(logs) is logs
+
+
+def test_a_log_cut_at_drop_outs_is_that_of_a_table_that_ended_there(frail):
+    _, logs = frail
+    ended = cut_at_drop_outs(logs)
+    out_s = np.fmin.reduce(logs.paths[[f"{r}_out_s" for r in range(3)]].to_numpy(), axis=1)
+    is_out = ~np.isnan(out_s)
+    assert 10 < is_out.sum() < 70
+    np.testing.assert_array_equal(ended.end_s, np.where(is_out, out_s, logs.end_s))
+    assert ended.paths["cause"][is_out].eq("battery").all()
+    assert ended.paths["ending"][~is_out].tolist() == logs.paths["ending"][~is_out].tolist()
+    assert not ended.stages.filter(like="_does").eq("OUT").any(axis=None)
+    for path, stages in ended.stages.groupby("path"):
+        whole = logs.stages[logs.stages["path"] == path]
+        completed = stages[stages["elapsed_s"].notna()]
+        if is_out[path]:
+            assert completed["elapsed_s"].tolist() == whole["elapsed_s"][whole["elapsed_s"] < out_s[path]].tolist()
+            assert len(stages) == len(completed) + 1
+        else:
+            pd.testing.assert_frame_equal(stages.reset_index(drop=True), whole.reset_index(drop=True))
+
+
+@pytest.mark.slow
+def test_weights_take_out_of_a_log_cut_at_drop_outs_what_the_drop_outs_did_to_it():
+    def total(logs):
+        return logs.stages.groupby("path")["reward"].sum().to_numpy()
+
+    num_paths = 6000
+    truth = total(logged(played_teams.played(team_of(2, horizon=6), num_paths, seed=3), 0.0))
+    frail_team = team_of(2, horizon=6, drop_out_rate=(0.04, 0.04))
+    with_drop_outs = logged(played_teams.played(frail_team, num_paths, seed=4), 0.0)
+    ended = cut_at_drop_outs(with_drop_outs)
+    assert ended.cut_share > 0.5
+    weights = stage_weights(ended.elapsed_s(), ended.end_s, ended.is_finished)
+    weighted = (weights * np.nan_to_num(ended.stage_values("reward"))).sum(axis=1)
+
+    def apart(values):
+        """Difference from the truth, in standard errors."""
+        return abs(np.mean(values) - np.mean(truth)) / (np.hypot(np.std(values), np.std(truth)) / np.sqrt(num_paths))
+
+    assert apart(weighted) < 4.0
+    assert apart(total(with_drop_outs)) > 5.0
+    assert apart(total(ended)) > 5.0

@@ -7,7 +7,8 @@ import pytest
 from halfseen.errors import LogError
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import LogRecorder, read_logs
-from halfseen.world.logs import check_log, states_of
+from halfseen.world.log_checks import check_log
+from halfseen.world.logs import states_of
 from picked import leaves_of
 from played_teams import logged, played, team_of
 

@@ -164,9 +164,9 @@ class RecordedPaths:
         return path.name
 
     def _check_table(self, logs: Logs) -> None:
-        from halfseen.world.log_checks import checked_objects
+        from halfseen.world.log_checks import checked_tables
 
-        checked_objects(logs, logs.horizon)
+        checked_tables(logs, is_team=False)
         self._checked = logs
 
     def rewarded(self, reward: Any, elapsed_s: Any = None, held: Any = None) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 Its stages are its own decisions, but for WAIT, which a robot alone does not have: while it waits, its clock stands and
 nothing is paid. A stage lasts from its decision to its next one, or to its end; it pays what r_reward tells for the
-time between (`halfseen.world.robot_logs`). Its table holds what it has reached so far, with its own attempts; what
+time between (`halfseen.world.logs`). Its table holds what it has reached so far, with its own attempts; what
 others take from there is in the dishwasher, what it no longer reaches is lost to it as long as that lasts, and what
 hides something from outside its reach is not in its table.
 
@@ -33,8 +33,8 @@ from halfseen.logs.checks.robots import robots_that_may_drop_out
 from halfseen.logs.columns import CUT, FINISHED, require_columns
 from halfseen.logs.refusal import refuse
 from halfseen.world.actions import TARGETED, VERB_NAMES, Verb
-from halfseen.world.log_checks import ATTEMPT_BY, LOST, TABLE, checked_objects
-from halfseen.world.robot_logs import FREE, OUT, PARKED, told_by
+from halfseen.world.log_checks import ATTEMPT_BY, LOST, TABLE, checked_tables
+from halfseen.world.log_rows import FREE, OUT, PARKED
 
 SPENT = "decisions-spent"
 """Cause of a cut: waiting had cost the robot decisions that it would have had alone."""
@@ -65,8 +65,8 @@ def agent_view(logs: Logs, robot: int) -> Logs:
     if robot not in set(logs.stages["robot"] if "robot" in logs.stages.columns else ()):
         raise ArgumentError(f"robot is {robot}, and it decides in no stage of the log; choose among its column robot")
     require_columns("stages", logs.stages, (f"{robot}_reward",))
-    objects, _ = checked_objects(logs, logs.horizon)
-    mine = _objects_in_reach(_own_history(logs, objects, robot), told_by(logs).is_reached[:, robot])
+    log = checked_tables(logs, is_team=True)
+    mine = _objects_in_reach(_own_history(logs, log.objects, robot), log.is_reached[:, robot])
     has_left = set(mine.loc[mine["location"] == TABLE, ["path", "stage"]].itertuples(index=False, name=None))
     paths = [_path(each, has_left) for each in _paths(logs, robot)]
     kept = [path for path in paths if path is not None]

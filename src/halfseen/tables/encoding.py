@@ -18,10 +18,10 @@ from halfseen.logs.refusal import refuse, shown, value_at
 from halfseen.suggestions import did_you_mean
 from halfseen.tables.features import table_features
 from halfseen.world.actions import FINISH, TARGETED, VERB_NAMES, WAIT, ActionSpace, Verb, possible_actions, wait_of
-from halfseen.world.log_checks import TABLE, begun_objects, robots_in
+from halfseen.world.log_checks import TABLE, checked_tables, robots_in
+from halfseen.world.log_rows import begun_objects
 from halfseen.world.logs import states_of
 from halfseen.world.policy import GraspModel
-from halfseen.world.robot_logs import told_by
 from halfseen.world.state import TableState
 
 TABLE_COVARIATES = ("num_objects", "mean_occlusion", ACTION, "target_occlusion")
@@ -124,7 +124,7 @@ def team_states(logs: Logs, horizon: int, num_robots: int | None = None) -> Tabl
     """
     if not robots_in(logs):
         # It says which of the columns of robots are missing.
-        told_by(logs, horizon)
+        checked_tables(logs, horizon, is_team=True)
     states = states_of(logs, horizon)
     if num_robots not in (None, states.num_robots):
         raise LogError(

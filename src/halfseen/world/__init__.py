@@ -1,11 +1,11 @@
 """The decision process: state, actions, transition, seeing, reward → trajectories; for one robot, or several.
 
 Read down: `random` (draws), `grasping`, `seeing` (the laws; another robot or gripper is another law of grasping) →
-`config` (they and the numbers) → `scene` (where an episode starts) → `state` (what is seen, what is hidden) → `robots`,
-`team_file` (who works at the table) → `actions` (the verbs) → `attempts`, `events`, `transition` (one step) → `policy`
-(what decides), `explanation` (how sure that is), `others` (what a robot knows of the others) → `rollout` (many tables
-to their end) → `cuts` → `logs`, `robot_logs` with `log_checks` (to and from logs) → `table_world`, `envs`,
-`pettingzoo_env` (the faces).
+`config` (they and the numbers) → `scene` (where an episode starts) → `state` (what is seen, what is hidden) → `robots`
+(who works at the table) → `actions` (the verbs) → `events`, `transition` (one step) → `policy` (what decides),
+`explanation` (how sure that is), `others` (what a robot knows of the others) → `rollout` (many tables to their end) →
+`cuts` → `logs` with `log_rows`, `log_checks` (to and from logs) → `table_world`, `envs`, `pettingzoo_env`
+(the faces).
 """
 
 from typing import TYPE_CHECKING
@@ -15,6 +15,7 @@ from halfseen.lazy import lazy_names
 if TYPE_CHECKING:
     from halfseen.world.actions import ActionSpace, Verb
     from halfseen.world.config import WorldConfig
+    from halfseen.world.cuts import cut_at_drop_outs
     from halfseen.world.explanation import Explanation
     from halfseen.world.grasping import (
         Arrangement,
@@ -25,15 +26,13 @@ if TYPE_CHECKING:
         GraspLaw,
         KnownGrasping,
     )
-    from halfseen.world.logs import check_log
+    from halfseen.world.log_checks import check_log
     from halfseen.world.policy import Decision, ExploringPolicy, Policy, UniformPolicy
-    from halfseen.world.robot_logs import cut_at_drop_outs
-    from halfseen.world.robots import Robot, Team
+    from halfseen.world.robots import Robot, Team, read_team
     from halfseen.world.scene import Scene
     from halfseen.world.seeing import AssumedSeeing, Glimpse, KnownSeeing, PersistentSeeing, SeeingLaw, Told
     from halfseen.world.state import Robots, TableState, Workspace
     from halfseen.world.table_world import TableWorld
-    from halfseen.world.team_file import read_team
 
 __all__ = [
     "ActionSpace",
@@ -69,39 +68,18 @@ __all__ = [
     "read_team",
 ]
 
-__getattr__ = lazy_names(
-    __name__,
-    {
-        "ActionSpace": "actions",
-        "Arrangement": "grasping",
-        "AssumedGrasping": "grasping",
-        "AssumedSeeing": "seeing",
-        "Attempt": "grasping",
-        "Decision": "policy",
-        "Explanation": "explanation",
-        "ExploringPolicy": "policy",
-        "FittedGrasping": "grasping",
-        "Glimpse": "seeing",
-        "GraspLaw": "grasping",
-        "GraspingByRobot": "grasping",
-        "KnownGrasping": "grasping",
-        "KnownSeeing": "seeing",
-        "PersistentSeeing": "seeing",
-        "Policy": "policy",
-        "Robot": "robots",
-        "Robots": "state",
-        "Scene": "scene",
-        "SeeingLaw": "seeing",
-        "TableState": "state",
-        "TableWorld": "table_world",
-        "Team": "robots",
-        "Told": "seeing",
-        "UniformPolicy": "policy",
-        "Verb": "actions",
-        "Workspace": "state",
-        "WorldConfig": "config",
-        "check_log": "logs",
-        "cut_at_drop_outs": "robot_logs",
-        "read_team": "team_file",
-    },
-)
+_NAMES = {
+    "actions": "ActionSpace Verb",
+    "config": "WorldConfig",
+    "cuts": "cut_at_drop_outs",
+    "explanation": "Explanation",
+    "grasping": "Arrangement AssumedGrasping Attempt FittedGrasping GraspLaw GraspingByRobot KnownGrasping",
+    "log_checks": "check_log",
+    "policy": "Decision ExploringPolicy Policy UniformPolicy",
+    "robots": "Robot Team read_team",
+    "scene": "Scene",
+    "seeing": "AssumedSeeing Glimpse KnownSeeing PersistentSeeing SeeingLaw Told",
+    "state": "Robots TableState Workspace",
+    "table_world": "TableWorld",
+}
+__getattr__ = lazy_names(__name__, {name: module for module, names in _NAMES.items() for name in names.split()})

@@ -8,7 +8,7 @@ verb adds it to `Verb`; no other file computes with these numbers.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -117,34 +117,28 @@ class ActionSpace:
         return xp.concatenate([finish[..., None], *(of_verb[verb] for verb in TARGETED)], axis=-1)
 
 
-@runtime_checkable
-class Table(Protocol):
-    """What tells of tables which objects stand on them: a state, a belief."""
-
-    @property
-    def is_on_table(self) -> Bool[Array, "*B N"]:
-        """False in the dishwasher, and for padding."""
-        ...
-
-
-def possible_actions(state: Table) -> Bool[Array, "*B A"]:
+def possible_actions(state: Any) -> Bool[Array, "*B A"]:
     """Which actions there are.
 
     FINISH always, and every other verb on what stands on the table. Of several robots, the one that decides may do what
     is in its reach, in nobody's hand and not near what another robot is at; and WAIT where another is busy with
     something that ends by itself.
+
+    Parameters
+    ----------
+    state
+        A `TableState`, or what else tells by is_on_table, axes (B, N), which objects stand on tables, as a belief.
     """
     robots, is_free = getattr(state, "robots", None), state.is_on_table
     xp = library_of(is_free)
     always = xp.ones_like(is_free[..., :1])
     if robots is None:
         return xp.concatenate([always, *[is_free] * len(TARGETED)], axis=-1)
-    decider: Any = getattr(state, "decider")  # noqa: B009 - a table has one where it has robots
-    is_at_work = robots.is_busy & (xp.arange(robots.num_robots) != decider[..., None]) & (robots.verb != WAIT)
-    workspace: Any = getattr(state, "workspace")  # noqa: B009
-    near = xp.take_along_axis(workspace.is_near, robots.target[..., None], axis=-2)
+    is_other = xp.arange(robots.num_robots) != state.decider[..., None]
+    is_at_work = robots.is_busy & is_other & (robots.verb != WAIT)
+    near = xp.take_along_axis(state.workspace.is_near, robots.target[..., None], axis=-2)
     is_taken = xp.any((is_at_work & (robots.verb > 0))[..., None] & near, axis=-2)
-    is_free = is_free & of_robot(workspace.is_in_reach, decider) & ~is_taken
+    is_free = is_free & of_robot(state.workspace.is_in_reach, state.decider) & ~is_taken
     return xp.concatenate([always, *[is_free] * len(TARGETED), xp.any(is_at_work, axis=-1)[..., None]], axis=-1)
 
 

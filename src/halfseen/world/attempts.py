@@ -59,18 +59,30 @@ def action_reward(
     return xp.where(verb == Verb.WASH, wash, lift).astype(np.float32)
 
 
+def price_of_left(
+    config: WorldConfig, state: TableState, hidden: HiddenState, ends: Bool[Array, "*B"]
+) -> Float[Array, "*B"]:
+    """What is paid for what is left dirty where the path ends."""
+    xp = library_of(ends)
+    dirty_left = xp.sum(state.is_on_table & hidden.is_dirty, axis=-1).astype(np.float32)
+    return xp.where(ends, config.reward_dirty_left * dirty_left, np.float32(0.0))
+
+
 def after_attempt(
     state: TableState,
     verb: Int[Array, "*B"],
     target: Int[Array, "*B"],
     tried: Attempt,
     occlusion_then: Float[Array, "*B"],
+    robot: Int[Array, "*B"] | None = None,
 ) -> TableState:
     """What is seen of the table once an attempt is over, before the camera looks; its object was hidden so far then."""
-    xp = library_of(verb)
+    xp, by = library_of(verb), state.attempt_robot
     is_now = numbered(state.horizon - state.steps_to_go, state.horizon)
     is_grasped = is_target(state, target) & tried.is_held[..., None]
     was_object = xp.where(verb == Verb.FINISH, NO_ATTEMPT, target)[..., None]
+    if by is not None and robot is not None:
+        by = xp.where(is_now, robot[..., None], by).astype(np.int32)
     return replace(
         state,
         hides=tried.hides,
@@ -79,6 +91,7 @@ def after_attempt(
         attempt_object=xp.where(is_now, was_object, state.attempt_object).astype(np.int32),
         attempt_occlusion=xp.where(is_now, occlusion_then[..., None], state.attempt_occlusion),
         attempt_succeeded=xp.where(is_now, tried.is_held[..., None], state.attempt_succeeded),
+        attempt_robot=by,
         steps_to_go=state.steps_to_go - np.int32(1),
     )
 

@@ -10,7 +10,7 @@ from typing import Any
 from halfseen.arrays import STATIC, record
 from halfseen.errors import ArgumentError
 from halfseen.world.grasping import AssumedGrasping, GraspingByRobot, GraspLaw
-from halfseen.world.number import Number, is_wrong
+from halfseen.world.number import Number, check_number
 from halfseen.world.seeing import AssumedSeeing, SeeingLaw
 
 HORIZON = 10
@@ -67,35 +67,23 @@ class WorldConfig:
     drop_out_rate: tuple[Number, ...] | None = None
 
     def __post_init__(self) -> None:
-        if len(self.speed) < 1:
+        if not self.speed:
             raise ArgumentError("speed is (): give the speed of each robot, at least one")
-        for robot, speed in enumerate(self.speed):
-            if is_wrong(speed, lambda value: value > 0):
-                raise ArgumentError(f"speed of robot {robot} is {speed!r}; give a finite number above 0")
-        if is_wrong(self.reward_per_s, lambda value: value <= 0):
-            raise ArgumentError(f"reward_per_s is {self.reward_per_s!r}; give a finite price, 0 or below [1/s]")
-        self._check_rates()
+        if self.drop_out_rate is not None and len(self.drop_out_rate) != self.num_robots:
+            raise ArgumentError(
+                f"drop_out_rate has {len(self.drop_out_rate)} entries for {self.num_robots} robots; give each its own, "
+                "0 for one that never drops out"
+            )
+        check_number("reward_per_s", self.reward_per_s)
+        for name, each in (("speed", self.speed), ("drop_out_rate", self.drop_out_rate or ())):
+            for robot, value in enumerate(each):
+                check_number(name, value, f"{name} of robot {robot}")
         law = self.grasping
         if self.num_robots > 1 and isinstance(law, GraspingByRobot) and len(law.laws) != self.num_robots:
             raise ArgumentError(
                 f"grasping of the world has laws for {len(law.laws)} robots, and the team has {self.num_robots}; "
                 "give each its own, or all one"
             )
-
-    def _check_rates(self) -> None:
-        rates = self.drop_out_rate
-        if rates is None:
-            return
-        if len(rates) != self.num_robots:
-            raise ArgumentError(
-                f"drop_out_rate has {len(rates)} entries for {self.num_robots} robots; give each its own, 0 for one "
-                "that never drops out"
-            )
-        for robot, rate in enumerate(rates):
-            if is_wrong(rate, lambda value: value >= 0):
-                raise ArgumentError(
-                    f"drop_out_rate of robot {robot} is {rate!r}; give a finite hazard, 0 or above [1/s]"
-                )
 
     @property
     def num_robots(self) -> int:

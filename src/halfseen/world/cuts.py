@@ -10,22 +10,30 @@ The hazard of a cut is ``rate · intensity``. Three intensities are known, all i
     the age of the action in progress [s]: the operator's hand comes when an attempt drags on.
 
 The rate is calibrated so that the wanted share of the paths that a policy makes is cut, in expectation.
+
+A robot of a team that drops out alone cuts nothing: the log tells of it, and may be read as if it had.
 """
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Bool, Float
 
 from halfseen.errors import ArgumentError
+from halfseen.logs import Logs
+from halfseen.logs.checks.robots import robots_that_may_drop_out
+from halfseen.logs.columns import CUT, is_own_reward
 from halfseen.world.rollout import Episodes
-from halfseen.world.state import TableState, occlusion
+from halfseen.world.state import occlusion
 
 CutKind = Literal["independent", "occlusion", "attempt"]
 CUT_KINDS: tuple[str, ...] = get_args(CutKind)
 CAUSES = {"independent": "operator", "occlusion": "sensor-lost", "attempt": "operator"}
+DROP_OUT_CAUSE = "battery"
 _OCCLUSION_GAIN = 3.0
+_LOWEST_LOG_RATE = -40.0
 
 
 @dataclass(frozen=True)
@@ -56,17 +64,11 @@ def unit_hazards(episodes: Episodes, kind: CutKind | str) -> Float[np.ndarray, "
     elif kind == "attempt":
         hazard = duration_s**2 / 2.0
     else:
-        hazard = duration_s * np.asarray(_occlusion_intensity(episodes.states), dtype=np.float64)
+        is_left = episodes.states.is_on_table
+        hidden = np.where(is_left, occlusion(episodes.states), np.float32(0.0)).sum(axis=-1)
+        num_left = np.maximum(is_left.sum(axis=-1), 1).astype(np.float32)
+        hazard = duration_s * np.exp(np.float32(_OCCLUSION_GAIN) * hidden / num_left).astype(np.float64)
     return np.where(np.asarray(episodes.is_taken), hazard, 0.0)
-
-
-def _occlusion_intensity(states: TableState) -> Float[np.ndarray, "n T"]:
-    num_left = np.maximum(states.is_on_table.sum(axis=-1), 1)
-    hidden = np.where(states.is_on_table, occlusion(states), np.float32(0.0)).sum(axis=-1)
-    return np.exp(np.float32(_OCCLUSION_GAIN) * hidden / num_left.astype(np.float32))
-
-
-_LOWEST_LOG_RATE = -40.0
 
 
 def check_share(cut_share: float | int) -> None:
@@ -120,3 +122,53 @@ def cut(episodes: Episodes, rate: float, kind: CutKind | str, rng: np.random.Gen
     end_s = begun_s + np.where(is_finished, 0.0, age_share * duration_s[rows, stage])
     is_cut_stage = (np.arange(hazard.shape[1]) == stage[:, None]) & ~is_finished[:, None]
     return CutEpisodes(episodes, end_s, is_finished, is_completed, is_completed | is_cut_stage)
+
+
+def drop_out_columns(cuts: CutEpisodes, cause: str) -> dict[str, Any]:
+    """When each robot dropped out, and why; null where it did not before the path's end, nothing where nobody can."""
+    if cuts.episodes.out_s is None:
+        return {}
+    duration_s = np.where(cuts.is_completed, np.asarray(cuts.episodes.duration_s, dtype=np.float64), 0.0)
+    at_s = (np.cumsum(duration_s, axis=1) - duration_s)[..., None] + np.asarray(cuts.episodes.out_s, dtype=np.float64)
+    out_s = np.where(cuts.is_begun[..., None], at_s, np.inf).min(axis=1)
+    is_seen = np.isfinite(out_s) & (out_s <= cuts.end_s[:, None])
+    found: dict[str, Any] = {}
+    for r in range(is_seen.shape[1]):
+        found[f"{r}_out_s"] = np.where(is_seen[:, r], out_s[:, r], np.nan)
+        found[f"{r}_out_cause"] = np.where(is_seen[:, r], cause, np.array(None))
+    return found
+
+
+def cut_at_drop_outs(logs: Logs) -> Logs:
+    """Cut each path where its first robot dropped out, with the cause of that: for the value as if nobody dropped out.
+
+    The stage in which it fell is not completed, also where it ended there since robots that waited were free: without
+    the drop-out it would have gone on.
+
+    Parameters
+    ----------
+    logs
+        The log of a team.
+    """
+    robots = robots_that_may_drop_out(logs.paths)
+    if not robots:
+        return logs
+    out_s = logs.paths[[f"{r}_out_s" for r in robots]].to_numpy(dtype=np.float64)
+    named = logs.paths.reindex(columns=[f"{r}_out_cause" for r in robots]).to_numpy(dtype=object)
+    rows, first = np.arange(len(out_s)), np.argmin(np.where(np.isnan(out_s), np.inf, out_s), axis=1)
+    first_s, cause = out_s[rows, first], named[rows, first]
+    is_out = ~np.isnan(first_s)
+    paths = logs.paths.drop(columns=[f"{r}_{what}" for r in robots for what in ("out_s", "out_cause")], errors="ignore")
+    paths = paths.assign(
+        end_s=np.where(is_out, first_s, paths["end_s"]),
+        ending=np.where(is_out, CUT, paths["ending"]),
+        cause=np.where(is_out, cause, paths["cause"].astype(object)),
+    )
+    path_row, stages = pd.Index(logs.path_ids).get_indexer(logs.stages["path"]), logs.stages
+    begin_s, at_s = stages["elapsed_s"].groupby(path_row).shift(fill_value=0.0).to_numpy(), first_s[path_row]
+    is_after = begin_s >= at_s
+    is_in = ~is_after & ~(stages["elapsed_s"].to_numpy() < at_s) & ~np.isnan(at_s)
+    outcomes = ["elapsed_s", "reward", *filter(is_own_reward, stages.columns)]
+    kept: Any = stages.assign(**{name: stages[name].mask(pd.Series(is_in)) for name in outcomes})[~is_after]
+    objects = None if logs.objects is None else logs.objects.merge(kept[["path", "stage"]], on=["path", "stage"])
+    return Logs(kept, paths, objects, reward_unit=logs.reward_unit)

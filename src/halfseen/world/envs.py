@@ -1,23 +1,17 @@
 """The table world behind Gymnasium's interface, for agents that learn while they act; one robot or several."""
 
 from collections.abc import Sequence
-from functools import partial
 from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
 
-from halfseen.errors import ArgumentError
-from halfseen.world.actions import WAIT
 from halfseen.world.config import WorldConfig
 from halfseen.world.cuts import CAUSES
 from halfseen.world.robots import Team
 from halfseen.world.scene import Scene
-from halfseen.world.seeing import KnownSeeing, is_independent, label_evidence
 from halfseen.world.table_in_play import Observation, TableInPlay, default_team
-
-_ROUNDED = 1e-5
 
 
 class CupsEnv(gymnasium.Env[Observation, np.int64]):
@@ -77,13 +71,12 @@ class CupsEnv(gymnasium.Env[Observation, np.int64]):
         cut_rate: float | int = 0.0,
         render_mode: str | None = None,
     ) -> None:
-        self._set_up(TableInPlay(scenes, None, num_objects, config, cut_rate), render_mode)
+        self._play(TableInPlay(scenes, None, num_objects, config, cut_rate, render_mode))
 
-    def _set_up(self, table: TableInPlay, render_mode: str | None) -> None:
-        check_render_mode(render_mode)
-        self.table, self.render_mode = table, render_mode
+    def _play(self, table: TableInPlay) -> None:
+        self.table, self.render_mode = table, table.render_mode
         self.action_space = spaces.Discrete(table.num_actions)
-        self.observation_space: spaces.Space[Observation] = observation_space(table)
+        self.observation_space: spaces.Space[Observation] = table.observation_space()
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -105,16 +98,16 @@ class CupsEnv(gymnasium.Env[Observation, np.int64]):
         ArgumentError
             The path is over or not begun, or there is no such action.
         """
-        end = self.table.step(action)
-        info = {**self._info(), "cause": CAUSES["independent"]} if end.is_cut else self._info()
-        return self.table.observation(), end.reward, end.is_over, end.is_cut, info
+        table, reward = self.table, self.table.step(action)
+        info = {**self._info(), "cause": CAUSES["independent"]} if table.is_cut else self._info()
+        return table.observation(), reward, table.is_over, table.is_cut, info
 
     def render(self) -> str | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Write the table as text, a line a robot and one an object; None unless the mode is ``"ansi"``."""
-        return None if self.render_mode is None else self.table.as_text()
+        return self.table.as_text()
 
     def _info(self) -> dict[str, Any]:
-        return {"elapsed_s": self.table.elapsed_s, "action_mask": self.table.action_mask()}
+        return self.table.info()
 
 
 class TeamCupsEnv(CupsEnv):
@@ -178,83 +171,8 @@ class TeamCupsEnv(CupsEnv):
         cut_rate: float | int = 0.0,
         render_mode: str | None = None,
     ) -> None:
-        self._set_up(
-            TableInPlay(scenes, default_team() if team is None else team, num_objects, config, cut_rate), render_mode
-        )
+        robots = default_team() if team is None else team
+        self._play(TableInPlay(scenes, robots, num_objects, config, cut_rate, render_mode))
 
     def _info(self) -> dict[str, Any]:
-        return {**super()._info(), "robot": self.table.decider}
-
-
-def check_render_mode(render_mode: str | None) -> None:
-    """Refuse a way to render that there is not."""
-    if render_mode not in (None, "ansi"):
-        raise ArgumentError(f"render_mode is {render_mode!r}; it is None or 'ansi'")
-
-
-def observation_space(table: TableInPlay) -> spaces.Space[Observation]:
-    """Space of `TableInPlay.observation`."""
-    return spaces.Dict(_table_spaces(table) | ({} if table.team is None else _robot_spaces(table)))
-
-
-def _table_spaces(table: TableInPlay) -> dict[str, Any]:
-    num_objects, horizon, config = table.num_objects, table.config.num_stages, table.config
-    share = partial(spaces.Box, 0.0, 1.0, dtype=np.float32)
-    count = partial(spaces.Box, 0, horizon, dtype=np.int32)
-    bound, firmest = _largest_log_odds(config, horizon), float(np.nanmax(np.abs(table.layouts.grip), initial=1.0))
-    return {
-        "is_object": spaces.MultiBinary(num_objects),
-        "is_on_table": spaces.MultiBinary(num_objects),
-        "occlusion": share((num_objects,)),
-        "grip": spaces.Box(-firmest, firmest, (num_objects,), dtype=np.float32),
-        "log_odds": spaces.Box(-bound, bound, (num_objects,), dtype=np.float32),
-        "seen": share((num_objects,)),
-        "successes": count((num_objects,)),
-        "failures": count((num_objects,)),
-        "lifts": count((num_objects,)),
-        "hides": share((num_objects, num_objects)),
-        "attempt_object": spaces.Box(-1, num_objects - 1, (horizon,), dtype=np.int32),
-        "attempt_occlusion": share((horizon,)),
-        "attempt_succeeded": spaces.MultiBinary(horizon),
-        "steps_to_go": count((1,)),
-    }
-
-
-def _robot_spaces(table: TableInPlay) -> dict[str, Any]:
-    config, num_robots, num_objects = table.config, table.config.num_robots, table.num_objects
-    by_robot = {"attempt_robot": spaces.Box(0, num_robots - 1, (config.num_stages,), dtype=np.int32)}
-    return {
-        "decider": spaces.Box(0, num_robots - 1, (1,), dtype=np.int32),
-        "is_busy": spaces.MultiBinary(num_robots),
-        "is_parked": spaces.MultiBinary(num_robots),
-        "is_out": spaces.MultiBinary(num_robots),
-        "verb": spaces.Box(0, WAIT, (num_robots,), dtype=np.int32),
-        "target": spaces.Box(0, num_objects - 1, (num_robots,), dtype=np.int32),
-        "since_s": spaces.Box(0.0, _longest_s(config), (num_robots,), dtype=np.float32),
-        "decisions_to_go": spaces.Box(0, config.horizon, (num_robots,), dtype=np.int32),
-        "is_in_reach": spaces.MultiBinary((num_robots, num_objects)),
-        "is_near": spaces.MultiBinary((num_objects, num_objects)),
-        **(by_robot if config.has_own_laws else {}),
-    }
-
-
-def _longest_s(config: WorldConfig) -> float:
-    """Bound on what a robot may be at: the longest attempt of one, or a wait for it [s]."""
-    worlds = (config.as_robot(robot) for robot in range(config.num_robots))
-    longest_s = (float(world.grasping.limit_s + world.transport_s) for world in worlds)
-    bound_s = np.ceil(max(each / float(speed) for each, speed in zip(longest_s, config.speed, strict=True)))
-    # Seconds are added up event by event, and rounded.
-    return float(bound_s * (1.0 + _ROUNDED))
-
-
-def _largest_log_odds(config: WorldConfig, num_looks: int) -> float:
-    """Bound on |log-odds|: the prior's, and as many labels as there are, each the surest that a label can be.
-
-    There is none where it is not known how sure a label can be, or labels are not independent.
-    """
-    if not (isinstance(config.seeing, KnownSeeing) and is_independent(config.seeing)):
-        return np.inf
-    in_full_view = config.seeing.positive(0.0, 0.0)
-    surest = max(abs(label_evidence(*in_full_view, says_dirty)) for says_dirty in (False, True))
-    prior = np.abs(np.log(config.dirty_share) - np.log1p(-config.dirty_share))
-    return float(np.ceil(prior + (num_looks + 1) * surest))
+        return {**self.table.info(), "robot": self.table.decider}

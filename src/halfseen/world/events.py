@@ -13,47 +13,37 @@ from jaxtyping import Bool, Float, Int
 from halfseen.arrays import Array, at, chosen, library_of
 from halfseen.world import random
 from halfseen.world.actions import WAIT, ActionSpace, Verb
-from halfseen.world.attempts import action_reward, after_attempt, attempted, is_target, look
+from halfseen.world.attempts import action_reward, after_attempt, attempted, is_target, look, price_of_left
 from halfseen.world.config import WorldConfig
 from halfseen.world.grasping import Attempt
 from halfseen.world.random import Key
 from halfseen.world.state import HiddenState, Pending, Robots, TableState, occlusion
 
 
-class Passed(NamedTuple):
-    """What came of some time."""
+class Outcome(NamedTuple):
+    """What one stage brought."""
 
-    paid: Float[Array, "*B"]
-    """Of what ended, to all robots."""
+    reward: Float[Array, "*B"]
+    """Price of its seconds included and, where the path ends, that of what is left dirty."""
     duration_s: Float[Array, "*B"]
-    paid_alone: Float[Array, "*B K"]
-    """What it would have paid each robot had it been alone: its own attempts that ended, the price of its seconds until
-    its own end, and there that of what is left dirty in its reach."""
-    out_s: Float[Array, "*B K"] | None
+    """Positive, but where several robots are free at once [s]."""
+    is_over: Bool[Array, "*B"]
+    """Whether the path has come to its own end."""
+    paid_alone: Float[Array, "*B K"] | None = None
+    """What the stage would have paid each of several robots had it been alone: its own attempts that ended, the price
+    of its seconds until its own end, and there that of what is left dirty in its reach; None where one is."""
+    out_s: Float[Array, "*B K"] | None = None
     """How far into it each robot dropped out, infinite where it did not; None where nobody can [s]."""
 
-    def and_then(self, later: "Passed", is_so: Bool[Array, "*B"]) -> "Passed":
-        """Add what came after it, where it is so."""
-        xp, zero, out_s = library_of(is_so), np.float32(0.0), None
-        if self.out_s is not None and later.out_s is not None:
-            within_s = xp.minimum(self.out_s, self.duration_s[..., None] + later.out_s)
-            out_s = xp.where(is_so[..., None], within_s, self.out_s)
-        return Passed(
-            paid=self.paid + xp.where(is_so, later.paid, zero),
-            duration_s=self.duration_s + xp.where(is_so, later.duration_s, zero),
-            paid_alone=self.paid_alone + xp.where(is_so[..., None], later.paid_alone, zero),
-            out_s=out_s,
-        )
 
-
-def until_next_decision(
+def step_of_several(
     config: WorldConfig,
     state: TableState,
     hidden: HiddenState,
     action: Int[Array, "*B"],
     key: Key,
-    is_possible: Bool[Array, "*#B"],
-) -> tuple[TableState, HiddenState, Passed]:
+    is_possible: Bool[Array, "*B"] | None,
+) -> tuple[TableState, HiddenState, Outcome]:
     """Let the robot that decides begin an action, and what is pending end until somebody is to decide.
 
     Parameters
@@ -61,7 +51,7 @@ def until_next_decision(
     config, state, hidden, action, key
         As in `transition.step`.
     is_possible
-        Whether the action is; an attempt that is not closes on nothing.
+        Whether the action is, None where all are; an attempt that is not closes on nothing.
     """
     xp = library_of(action)
     grasp_key, see_key = random.split(key)
@@ -69,34 +59,59 @@ def until_next_decision(
     total = _nothing(config, state)
     for k in range(config.num_robots):
         # What frees nobody ends a robot for good, parked or dropped out: up to K such events before anybody decides.
-        is_idle = ~xp.any(robots_of(state).is_undecided, axis=-1) & ~is_over(state)
+        is_idle = ~xp.any(_robots(state).is_undecided, axis=-1) & ~_is_over(state)
         if xp is np and not is_idle.any():
             break
         of_event = see_key if k == 0 else random.fold_in(see_key, k)
-        after, of_hidden, passed = _next_event(config, state, hidden, of_event)
+        after, of_hidden, brought = _next_event(config, state, hidden, of_event)
         state, hidden = chosen(is_idle, (after, of_hidden), (state, hidden))
-        total = total.and_then(passed, is_idle)
-    decider = xp.argmax(robots_of(state).is_undecided, axis=-1).astype(np.int32)
-    return replace(state, decider=decider), hidden, total
+        total = chosen(is_idle, _added(total, brought), total)
+    decider, is_over = xp.argmax(_robots(state).is_undecided, axis=-1).astype(np.int32), _is_over(state)
+    reward = total.reward + price_of_left(config, state, hidden, is_over) + config.reward_per_s * total.duration_s
+    return replace(state, decider=decider), hidden, total._replace(reward=reward, is_over=is_over)
 
 
-def robots_of(state: TableState) -> Robots:
-    """The robots of a state that has several."""
+def _robots(state: TableState) -> Robots:
     assert state.robots is not None
     return state.robots
 
 
-def _nothing(config: WorldConfig, state: TableState) -> Passed:
-    xp = library_of(state.is_on_table)
-    each = xp.zeros(robots_of(state).is_busy.shape, dtype=np.float32)
-    out_s = None if config.drop_out_rate is None else each + np.float32(np.inf)
-    return Passed(each[..., 0], each[..., 0], each, out_s)
+def _pending(hidden: HiddenState) -> Pending:
+    assert hidden.pending is not None
+    return hidden.pending
 
 
-def is_over(state: TableState) -> Bool[Array, "*B"]:
+def _is_over(state: TableState) -> Bool[Array, "*B"]:
     """Whether all robots are done for good, or the table is clear."""
     xp = library_of(state.is_on_table)
-    return xp.all(robots_of(state).is_done, axis=-1) | ~xp.any(state.is_on_table, axis=-1)
+    return xp.all(_robots(state).is_done, axis=-1) | ~xp.any(state.is_on_table, axis=-1)
+
+
+def _nothing(config: WorldConfig, state: TableState) -> Outcome:
+    each = library_of(state.is_on_table).zeros(_robots(state).is_busy.shape, dtype=np.float32)
+    out_s = None if config.drop_out_rate is None else each + np.float32(np.inf)
+    return Outcome(each[..., 0], each[..., 0], each[..., 0] > 0, each, out_s)
+
+
+def _added(total: Outcome, later: Outcome) -> Outcome:
+    """What two stretches of time brought, one after the other."""
+    out_s, alone = total.out_s, total.paid_alone
+    if alone is not None and later.paid_alone is not None:
+        alone = alone + later.paid_alone
+    if out_s is not None and later.out_s is not None:
+        out_s = library_of(out_s).minimum(out_s, total.duration_s[..., None] + later.out_s)
+    return Outcome(
+        reward=total.reward + later.reward,
+        duration_s=total.duration_s + later.duration_s,
+        is_over=total.is_over,
+        paid_alone=alone,
+        out_s=out_s,
+    )
+
+
+def _is_one(robots: Robots, robot: Int[Array, "*B"]) -> Bool[Array, "*B K"]:
+    """Which of the robots has that number."""
+    return library_of(robot).arange(robots.num_robots) == robot[..., None]
 
 
 def _begun(
@@ -105,26 +120,26 @@ def _begun(
     hidden: HiddenState,
     action: Int[Array, "*B"],
     key: Key,
-    is_possible: Bool[Array, "*#B"],
+    is_possible: Bool[Array, "*B"] | None,
 ) -> tuple[TableState, HiddenState]:
     """Draw how the action of the robot that decides will go."""
-    xp, actions, robots, pending = library_of(action), ActionSpace(state.num_objects), state.robots, hidden.pending
-    assert robots is not None
-    assert pending is not None
+    xp, actions, robots, pending = library_of(action), ActionSpace(state.num_objects), _robots(state), _pending(hidden)
     assert state.decider is not None
     verb, target, robot = actions.verb(action), actions.target(action), state.decider
-    is_there = state.is_on_table & (is_possible[..., None] | ~is_target(state, target))
-    there, occluded = replace(state, is_on_table=is_there), occlusion(state)
-    at_there = occlusion(there)
+    occluded, is_wait, there = occlusion(state), verb == WAIT, state
+    at_there = occluded
+    if is_possible is not None:
+        is_there, is_wait = is_possible[..., None] | ~is_target(state, target), is_wait & is_possible
+        there = replace(state, is_on_table=state.is_on_table & is_there)
+        at_there = occlusion(there)
     tried = attempted(config.as_robot(robot), there, hidden, _to_the_table(verb), target, key, at_there)
-    speed = xp.asarray(config.speed, dtype=np.float32)[robot]
-    duration_s = (config.transport_s + tried.duration_s) / speed
-    is_mine = xp.arange(robots.num_robots) == robot[..., None]
+    duration_s = (config.transport_s + tried.duration_s) / xp.asarray(config.speed, dtype=np.float32)[robot]
+    is_mine = _is_one(robots, robot)
 
     def mine(values: Any, others: Any) -> Any:
         return chosen(is_mine, xp.expand_dims(values, robot.ndim), others)
 
-    never_s = xp.where((verb == WAIT) & is_possible, np.float32(np.inf), duration_s)
+    never_s = xp.where(is_wait, np.float32(np.inf), duration_s)
     robots = replace(
         robots,
         is_busy=robots.is_busy | is_mine,
@@ -151,31 +166,27 @@ def _to_the_table(verb: Int[Array, "*B"]) -> Int[Array, "*B"]:
 
 def _next_event(
     config: WorldConfig, state: TableState, hidden: HiddenState, key: Key
-) -> tuple[TableState, HiddenState, Passed]:
-    """Let the first thing that ends end, or a robot drop out before: what is seen and hidden then."""
-    robots, pending, until_out = robots_of(state), hidden.pending, hidden.until_out_s
-    assert pending is not None
-    xp, zero, never = library_of(robots.is_busy), np.float32(0.0), np.float32(np.inf)
-    left_s = xp.where(robots.is_busy, pending.left_s, never)
+) -> tuple[TableState, HiddenState, Outcome]:
+    """Let the first thing that ends end, or a robot drop out before: what is seen and hidden then, and what it paid."""
+    robots, until_out = _robots(state), hidden.until_out_s
+    xp, zero, never, out_s = library_of(robots.is_busy), np.float32(0.0), np.float32(np.inf), None
+    left_s = xp.where(robots.is_busy, _pending(hidden).left_s, never)
     robot, first_s = xp.argmin(left_s, axis=-1), xp.min(left_s, axis=-1)
     # Nothing is to end where a path is over: what comes of that is thrown away, and is to be finite.
     passed_s = xp.where(xp.isfinite(first_s), first_s, zero)
-    *ended, paid = _at_end(config, state, hidden, robot, passed_s, key)
-    after: Any = tuple(ended)
-    out_s = None
+    after, of_hidden, paid = _at_end(config, state, hidden, robot, passed_s, key)
     if until_out is not None:
         until_s = xp.where(robots.is_busy, until_out, never)
         leaver, leaves_s = xp.argmin(until_s, axis=-1), xp.min(until_s, axis=-1)
         is_first = leaves_s < first_s
         passed_s, paid = xp.where(is_first, leaves_s, passed_s), xp.where(is_first, zero, paid)
-        after = chosen(is_first, _at_drop_out(state, hidden, leaver, passed_s), after)
-        after = after[0], replace(after[1], until_out_s=until_out - passed_s[..., None])
-        is_out = is_first[..., None] & (xp.arange(robots.num_robots) == leaver[..., None])
-        out_s = xp.where(is_out, passed_s[..., None], never)
-    is_mine = xp.arange(robots.num_robots) == robot[..., None]
-    state, hidden = after
-    alone = xp.where(is_mine, paid[..., None], zero) + _own_price(config, robots.is_done, state, hidden, passed_s)
-    return state, hidden, Passed(paid, passed_s, alone, out_s)
+        at_drop_out = _at_drop_out(state, hidden, leaver, passed_s)
+        after, of_hidden = chosen(is_first, at_drop_out, (after, of_hidden))
+        of_hidden = replace(of_hidden, until_out_s=until_out - passed_s[..., None])
+        out_s = xp.where(is_first[..., None] & _is_one(robots, leaver), passed_s[..., None], never)
+    own = xp.where(_is_one(robots, robot), paid[..., None], zero)
+    alone = own + _own_price(config, robots.is_done, after, of_hidden, passed_s)
+    return after, of_hidden, Outcome(paid, passed_s, xp.asarray(False), alone, out_s)
 
 
 def _own_price(
@@ -186,7 +197,7 @@ def _own_price(
     passed_s: Float[Array, "*B"],
 ) -> Float[Array, "*B K"]:
     """Price of the seconds of each robot that goes on, and of what is left in its reach where it came to its end."""
-    xp, robots = library_of(was_done), robots_of(state)
+    xp, robots = library_of(was_done), _robots(state)
     is_at_end = robots.is_done & ~was_done
     if robots.is_out is not None:
         is_at_end = is_at_end & ~robots.is_out
@@ -206,41 +217,31 @@ def _at_end(
     key: Key,
 ) -> tuple[TableState, HiddenState, Float[Array, "*B"]]:
     """What is seen and hidden once a robot has ended what it was at, and what that pays."""
-    robots, pending, xp = robots_of(state), hidden.pending, library_of(robot)
-    assert pending is not None
+    robots, pending, xp = _robots(state), _pending(hidden), library_of(robot)
     verb, target, is_held = (at(values, robot) for values in (robots.verb, robots.target, pending.is_held))
-    duration_s = at(pending.duration_s, robot)
-    hides = xp.where(_matrix_of(pending.is_moved, robot), _matrix_of(pending.hides, robot), state.hides)
-    tried = Attempt(is_held, duration_s, hides, None)
-    now = state.horizon - state.steps_to_go
-    state = after_attempt(state, _to_the_table(verb), target, tried, at(pending.occlusion, robot))
-    if state.attempt_robot is not None:
-        is_now = xp.arange(state.horizon) == now[..., None]
-        state = replace(state, attempt_robot=xp.where(is_now, robot[..., None], state.attempt_robot).astype(np.int32))
+    duration_s, was_hidden = at(pending.duration_s, robot), at(pending.occlusion, robot)
+    of_robot = robot[..., None, None, None]
+    is_moved, moved = (
+        xp.take_along_axis(each, of_robot, axis=-3)[..., 0, :, :] for each in (pending.is_moved, pending.hides)
+    )
+    tried = Attempt(is_held, duration_s, xp.where(is_moved, moved, state.hides), None)
+    state = after_attempt(state, _to_the_table(verb), target, tried, was_hidden, robot)
     robots, pending = _freed(robots, pending, robot, passed_s)
-    is_mine = xp.arange(robots.num_robots) == robot[..., None]
-    robots = replace(robots, is_parked=xp.where(is_mine, (verb == Verb.FINISH)[..., None], robots.is_parked))
+    is_parked = xp.where(_is_one(robots, robot), (verb == Verb.FINISH)[..., None], robots.is_parked)
     is_lifted = is_target(state, target) & (is_held & (verb == Verb.LIFT))[..., None]
     held = is_lifted | _in_the_air(config, robots, pending, state)
     state, hidden = look(config, state, hidden, held, key)
     paid = action_reward(config, verb, is_held, at(hidden.is_dirty, target), duration_s)
-    return replace(state, robots=robots), replace(hidden, pending=pending), paid
-
-
-def _matrix_of(values: Array, robot: Int[Array, "*B"]) -> Array:
-    xp = library_of(robot)
-    return xp.take_along_axis(values, robot[..., None, None, None], axis=-3)[..., 0, :, :]
+    return replace(state, robots=replace(robots, is_parked=is_parked)), replace(hidden, pending=pending), paid
 
 
 def _at_drop_out(
     state: TableState, hidden: HiddenState, robot: Int[Array, "*B"], passed_s: Float[Array, "*B"]
 ) -> tuple[TableState, HiddenState]:
     """What is seen and hidden once a robot has dropped out: the table is as it was."""
-    assert hidden.pending is not None
-    robots, pending = _freed(robots_of(state), hidden.pending, robot, passed_s)
-    is_mine = library_of(robot).arange(robots.num_robots) == robot[..., None]
+    robots, pending = _freed(_robots(state), _pending(hidden), robot, passed_s)
     assert robots.is_out is not None
-    robots = replace(robots, is_out=robots.is_out | is_mine)
+    robots = replace(robots, is_out=robots.is_out | _is_one(robots, robot))
     return replace(state, robots=robots), replace(hidden, pending=pending)
 
 
@@ -249,8 +250,7 @@ def _freed(
 ) -> tuple[Robots, Pending]:
     """A robot after so many seconds is at nothing any more, and neither is who waited."""
     xp, never = library_of(robot), np.float32(np.inf)
-    is_mine = xp.arange(robots.num_robots) == robot[..., None]
-    is_free = is_mine | (robots.is_busy & (robots.verb == WAIT))
+    is_free = _is_one(robots, robot) | (robots.is_busy & (robots.verb == WAIT))
     left_s = xp.where(robots.is_busy, pending.left_s, never)
     freed = replace(robots, is_busy=robots.is_busy & ~is_free, since_s=robots.since_s + passed_s[..., None])
     return freed, replace(pending, left_s=xp.where(freed.is_busy, left_s - passed_s[..., None], never))

@@ -6,6 +6,7 @@ this is the part that they share.
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -66,31 +67,24 @@ class Explanation:
 
     def as_dict(self) -> dict:
         """Plain numbers for JSON; None where an action is impossible."""
-        return {
-            name: [float(number) if np.isfinite(number) else None for number in value]
-            if isinstance(value, np.ndarray)
-            else value
-            for name, value in asdict(self).items()
-        } | {
-            "actions": list(self.actions),
-            "best": self.actions[self.best],
-            "probability_stop_is_right": self.probability_stop_is_right,
-        }
+        told: dict[str, Any] = asdict(self)
+        for name, values in told.items():
+            if isinstance(values, np.ndarray):
+                told[name] = [float(number) if np.isfinite(number) else None for number in values]
+        best, stop = self.actions[self.best], self.probability_stop_is_right
+        return told | {"actions": list(self.actions), "best": best, "probability_stop_is_right": stop}
 
     def __str__(self) -> str:
         possible = np.flatnonzero(np.isfinite(self.values))
         order = possible[np.argsort(-self.values[possible], kind="stable")]
         lines = [f"{'action':10}{'value':>8}  {f'{100.0 * self.level:g}% interval':>16}{'best':>7}"]
-        lines += [self._row(action) for action in order[:_NUM_SHOWN].tolist()]
+        for k in order[:_NUM_SHOWN]:
+            interval = f"{self.low[k]:+.2f} to {self.high[k]:+.2f}"
+            row = f"{self.actions[k]:10}{self.values[k]:+8.2f}  {interval:>16}{self.probability_best[k]:7.2f}"
+            lines.append(row)
         if len(order) > _NUM_SHOWN:
             lines.append(f"and {len(order) - _NUM_SHOWN} that are worth less")
         return "\n".join([*lines, self._sentence()])
-
-    def _row(self, action: int) -> str:
-        interval = f"{self.low[action]:+.2f} to {self.high[action]:+.2f}"
-        return (
-            f"{self.actions[action]:10}{self.values[action]:+8.2f}  {interval:>16}{self.probability_best[action]:7.2f}"
-        )
 
     def _sentence(self) -> str:
         actions, best = ActionSpace(len(self.lift_worth)), self.best

@@ -7,7 +7,7 @@ and one for each robot of a team.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -288,17 +288,12 @@ class GraspingByRobot:
     @property
     def limit_s(self) -> Number:
         """Longest duration of an attempt of the robot [s]."""
-        return self._chosen([law.limit_s for law in self.laws])
+        return self._of(lambda law: law.limit_s)
 
     @property
     def offset_std(self) -> Number:
         """Standard deviation of u under the law of the robot."""
-        return self._chosen([law.offset_std for law in self._known])
-
-    @property
-    def _known(self) -> tuple[Any, ...]:
-        """The laws, of which whoever asks knows that their probabilities are known."""
-        return self.laws
+        return self._of(lambda law: law.offset_std)
 
     def draw_trait(self, num_objects: int, key: Key) -> tuple[Any, ...]:
         """Draw the hidden trait of each law, all from the same key."""
@@ -317,11 +312,15 @@ class GraspingByRobot:
 
     def log_failure(self, occluded: Any, offset: Any) -> Any:
         """Log probability that an attempt of the robot fails."""
-        return self._chosen([law.log_failure(occluded, offset) for law in self._known])
+        return self._of(lambda law: law.log_failure(occluded, offset))
 
     def expected_s(self, occluded: Any, offset: Any) -> Any:
         """Expected duration of an attempt of the robot [s]."""
-        return self._chosen([law.expected_s(occluded, offset) for law in self._known])
+        return self._of(lambda law: law.expected_s(occluded, offset))
+
+    def _of(self, ask: Callable[[Any], Any]) -> Any:
+        """What the law of the robot answers to what it knows how to."""
+        return self._chosen([ask(law) for law in self.laws])
 
     def _chosen(self, each: Sequence[Any]) -> Any:
         if isinstance(self.robot, int | np.integer):
@@ -339,13 +338,7 @@ def _where(is_new: Any, new: Any, old: Any) -> Any:
 
 
 def check_law(law: object, where: str) -> None:
-    """Refuse what is no law of grasping of one robot.
-
-    Raises
-    ------
-    ArgumentError
-        As above.
-    """
+    """Refuse what is no law of grasping of one robot, by an `ArgumentError` that says where it stands."""
     if isinstance(law, type | GraspingByRobot) or not isinstance(law, GraspLaw):
         raise ArgumentError(
             f"{where} is {law!r}, no law of grasping of one robot; give one, such as AssumedGrasping() or the grasping "

@@ -6,11 +6,20 @@ of), successes and failures (of past grasps), lifts, and three lists: hidden_by 
 scene hides alone, in the order of the objects), attempt_occlusions and attempt_succeeded (its past attempts, oldest
 first). Where grip or seen are 0 throughout, they are not written, and a log without them is read so.
 Per path it holds the scene's name, and dirty_share: P(DIRTY) of an object before any label, which log_odds start from.
-Where several robots work, it holds what `robot_logs` says, besides.
+
+Where several robots work, a stage holds, too, `robot` (which decided, from 0) and, for each robot r, what it was at
+when that stage began: r_does ("WASH 3", "WAIT", "FREE", "PARKED", "OUT"), r_since_s (for how long, 0 where it is free)
+and r_decisions_to_go; and r_reward, what the stage would have paid it had it been alone (its own attempts that ended in
+it, the price of its seconds, and at its own end that of what was left dirty in its reach).
+Where robots may drop out, a path holds r_out_s and r_out_cause, null where robot r did not.
+Per object there are three lists more: reached_by (numbers of the robots that reach it), near (the objects of the stage
+that are too near to it for two robots at once, by their place among these, itself included) and attempt_by (which robot
+made each of its past attempts, oldest first), which a log may leave out.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -20,23 +29,14 @@ from jaxtyping import Bool, Float, Int
 from halfseen.arrays import mapped
 from halfseen.errors import LogError
 from halfseen.logs import Logs
+from halfseen.logs.checks.robots import robots_that_may_drop_out
 from halfseen.world.actions import TARGETED, VERB_NAMES, ActionSpace
-from halfseen.world.cuts import CAUSES, CutEpisodes, CutKind
-from halfseen.world.log_checks import DISHWASHER, TABLE, Lists, checked_objects, object_numbers, robots_in
+from halfseen.world.cuts import CAUSES, DROP_OUT_CAUSE, CutEpisodes, CutKind, drop_out_columns
+from halfseen.world.log_checks import ATTEMPT_BY, DISHWASHER, TABLE, checked_tables
+from halfseen.world.log_rows import FREE, IDLE, OUT, PARKED, TableLog
 from halfseen.world.number import Number
-from halfseen.world.robot_logs import (
-    DROP_OUT_CAUSE,
-    attempt_slots,
-    drop_out_columns,
-    lists_of,
-    own_rewards,
-    robot_columns,
-    robots_by,
-    told_by,
-    with_robot_lists,
-)
 from halfseen.world.scene import Scene
-from halfseen.world.state import NO_ATTEMPT, TableState, attempt_counts, occlusion
+from halfseen.world.state import NO_ATTEMPT, Robots, TableState, Workspace, attempt_counts, occlusion
 
 
 def to_logs(
@@ -61,14 +61,20 @@ def to_logs(
     drop_out_cause
         What it is called when one of several robots drops out alone.
     """
-    states, begun = cuts.episodes.states, np.argwhere(cuts.is_begun)
-    stages, paths = _stages(cuts, begun), _paths(cuts, kind, scenes, dirty_share)
-    objects = objects_of(states, begun)
-    if states.robots is not None:
-        stages = stages.assign(**robot_columns(states, begun), **own_rewards(cuts, begun))
-        paths = paths.assign(**drop_out_columns(cuts, drop_out_cause))
-        objects = with_robot_lists(objects, states, cuts.episodes.action)
-    return Logs(stages, paths, objects)
+    begun, num_paths = np.argwhere(cuts.is_begun), len(cuts.end_s)
+    cause = np.full(num_paths, CAUSES[kind], dtype=object)
+    cause[cuts.is_finished] = None
+    paths = {
+        "path": np.arange(num_paths),
+        "end_s": cuts.end_s,
+        "ending": np.where(cuts.is_finished, "finished", "cut"),
+        "cause": cause,
+        "scene": [scenes[k % len(scenes)].name for k in range(num_paths)],
+        **({} if dirty_share is None else {"dirty_share": float(dirty_share)}),
+        **drop_out_columns(cuts, drop_out_cause),
+    }
+    stages = {**_stage_columns(cuts, begun), **_robot_columns(cuts, begun)}
+    return Logs(pd.DataFrame(stages), pd.DataFrame(paths), objects_of(cuts.episodes.states, begun))
 
 
 def elapsed_s(cuts: CutEpisodes) -> Float[np.ndarray, "n T"]:
@@ -77,44 +83,46 @@ def elapsed_s(cuts: CutEpisodes) -> Float[np.ndarray, "n T"]:
     return np.where(cuts.is_completed, np.cumsum(np.where(cuts.is_completed, duration_s, 0.0), axis=1), np.nan)
 
 
-def _paths(
-    cuts: CutEpisodes, kind: CutKind | str, scenes: Sequence[Scene], dirty_share: Number | None = None
-) -> pd.DataFrame:
-    """How each path ended, and where it began."""
-    num_paths = len(cuts.end_s)
-    cause = np.full(num_paths, CAUSES[kind], dtype=object)
-    cause[cuts.is_finished] = None
-    return pd.DataFrame(
-        {
-            "path": np.arange(num_paths),
-            "end_s": cuts.end_s,
-            "ending": np.where(cuts.is_finished, "finished", "cut"),
-            "cause": cause,
-            "scene": [scenes[k % len(scenes)].name for k in range(num_paths)],
-            **({} if dirty_share is None else {"dirty_share": float(dirty_share)}),
-        }
-    )
-
-
-def _stages(cuts: CutEpisodes, begun: Int[np.ndarray, "rows 2"]) -> pd.DataFrame:
+def _stage_columns(cuts: CutEpisodes, begun: Int[np.ndarray, "rows 2"]) -> dict[str, Any]:
     """What was done in the stages that were begun, (path, stage) from 0."""
     path, stage = begun.T
     episodes, actions = cuts.episodes, ActionSpace(cuts.episodes.states.num_objects)
-    action = np.asarray(episodes.action)[path, stage]
-    verb = actions.verb(action)
-    is_completed = cuts.is_completed[path, stage]
-    reward = np.asarray(episodes.reward, dtype=np.float64)[path, stage]
-    return pd.DataFrame(
-        {
-            "path": path,
-            "stage": stage + 1,
-            "elapsed_s": elapsed_s(cuts)[path, stage],
-            "action": np.array(VERB_NAMES)[verb],
-            "object": pd.Series(actions.target(action), dtype="Int64").mask(~np.isin(verb, TARGETED)),
-            "reward": np.where(is_completed, reward, np.nan),
-            "probability": np.asarray(episodes.probability, dtype=np.float64)[path, stage],
-        }
-    )
+    action = episodes.action[path, stage]
+    verb, reward = actions.verb(action), episodes.reward[path, stage].astype(np.float64)
+    return {
+        "path": path,
+        "stage": stage + 1,
+        "elapsed_s": elapsed_s(cuts)[path, stage],
+        "action": np.array(VERB_NAMES)[verb],
+        "object": pd.Series(actions.target(action), dtype="Int64").mask(~np.isin(verb, TARGETED)),
+        "reward": np.where(cuts.is_completed[path, stage], reward, np.nan),
+        "probability": episodes.probability[path, stage].astype(np.float64),
+    }
+
+
+def _robot_columns(cuts: CutEpisodes, begun: Int[np.ndarray, "rows 2"]) -> dict[str, Any]:
+    """Who of several robots decided, what each was at, and what it would have been paid alone."""
+    episodes, at = cuts.episodes, (*begun.T,)
+    states, paid_alone = episodes.states, episodes.paid_alone
+    if states.robots is None or states.decider is None or paid_alone is None:
+        return {}
+    robots = mapped(lambda leaf: leaf[at], states.robots)
+    objects = np.char.add(" ", robots.target.astype(str))
+    words = np.char.add(np.array(VERB_NAMES)[robots.verb], np.where(np.isin(robots.verb, TARGETED), objects, ""))
+    idle = np.where(robots.is_parked, PARKED, FREE)
+    idle = idle if robots.is_out is None else np.where(robots.is_out, OUT, idle)
+    was_at = {
+        "does": np.where(robots.is_busy, words, idle),
+        "since_s": np.where(robots.is_busy, robots.since_s.astype(np.float64), 0.0),
+        "decisions_to_go": robots.decisions_to_go.astype(np.int64),
+    }
+    reward = np.where(cuts.is_completed[at][:, None], paid_alone[at].astype(np.float64), np.nan)
+    each = range(robots.num_robots)
+    return {
+        "robot": states.decider[at].astype(np.int64),
+        **{f"{r}_{what}": values[:, r] for r in each for what, values in was_at.items()},
+        **{f"{r}_reward": reward[:, r] for r in each},
+    }
 
 
 def history_of(states: TableState) -> tuple[Float[np.ndarray, "*B N"], ...]:
@@ -131,6 +139,17 @@ def objects_of(states: TableState, begun: Int[np.ndarray, "rows 2"]) -> pa.Table
     occluded, successes, failures = (values[row, target] for values in history_of(seen))
     is_attempt = seen.attempt_object[row] == target[:, None]
     shown = {"grip": seen.grip[row, target], "seen": seen.seen[row, target]}
+    lists = {
+        "hidden_by": (seen.hides[row, target].astype(np.float64), is_object[row]),
+        "attempt_occlusions": (seen.attempt_occlusion[row].astype(np.float64), is_attempt),
+        "attempt_succeeded": (seen.attempt_succeeded[row], is_attempt),
+    }
+    if states.workspace is not None:
+        is_reached, near = states.workspace.is_in_reach[path, stage, :, target], states.workspace.is_near
+        lists["reached_by"] = np.arange(is_reached.shape[1]), is_reached
+        lists["near"] = np.arange(states.num_objects), near[path, stage, target] & is_object[row]
+    if seen.attempt_robot is not None:
+        lists[ATTEMPT_BY] = seen.attempt_robot[row].astype(np.int64), is_attempt
     return pa.table(
         {
             "path": path,
@@ -143,11 +162,15 @@ def objects_of(states: TableState, begun: Int[np.ndarray, "rows 2"]) -> pa.Table
             "successes": successes.astype(np.int64),
             "failures": failures.astype(np.int64),
             "lifts": seen.lifts[row, target].astype(np.int64),
-            "hidden_by": lists_of(seen.hides[row, target].astype(np.float64), is_object[row]),
-            "attempt_occlusions": lists_of(seen.attempt_occlusion[row].astype(np.float64), is_attempt),
-            "attempt_succeeded": lists_of(seen.attempt_succeeded[row], is_attempt),
+            **{name: _lists(*each) for name, each in lists.items()},
         }
     )
+
+
+def _lists(values: np.ndarray, is_kept: Bool[np.ndarray, "rows k"]) -> pa.ListArray:
+    """A list a row, of the values that are kept."""
+    offsets = np.concatenate([[0], np.cumsum(is_kept.sum(axis=1))]).astype(np.int32)
+    return pa.ListArray.from_arrays(pa.array(offsets), pa.array(np.broadcast_to(values, is_kept.shape)[is_kept]))
 
 
 def states_of(logs: Logs, horizon: int) -> TableState:
@@ -168,85 +191,84 @@ def states_of(logs: Logs, horizon: int) -> TableState:
     LogError
         The log breaks a rule of tables or of robots; see `log_checks`.
     """
-    states = _table_states(logs, horizon)
-    return replace(states, **robots_by(logs, told_by(logs, horizon), states)) if robots_in(logs) else states
+    log = checked_tables(logs, horizon)
+    frame, shape = log.objects, (logs.num_paths, horizon, log.num_objects)
+    at = (*_stage_places(logs, frame), log.target)
 
+    def spread(values: Any, dtype: Any) -> np.ndarray:
+        return _spread(np.asarray(values, dtype=dtype), at, shape)
 
-def check_log(logs: Logs) -> None:
-    """Refuse what is no log of several robots, as a learner would; a `LogRecorder` asks it at each stage, as `check`.
-
-    Parameters
-    ----------
-    logs
-        The log.
-
-    Raises
-    ------
-    LogError
-        It breaks a rule of tables or of robots; see `log_checks`.
-    """
-    checked_objects(logs, logs.horizon)
-    told_by(logs)
-
-
-def _table_states(logs: Logs, horizon: int) -> TableState:
-    frame, lists = checked_objects(logs, horizon)
-    path = pd.Index(logs.path_ids).get_indexer(frame["path"])
-    stage = frame["stage"].to_numpy() - 1
-    target = object_numbers(frame)
-    num_objects = int(target.max()) + 1
-    shape = (logs.num_paths, horizon, num_objects)
-    at = path, stage, target
-    is_object, is_on_table = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
-    is_object[at] = True
-    is_on_table[at] = frame["location"].to_numpy() == TABLE
     types = {"grip": np.float32, "log_odds": np.float32, "seen": np.float32, "lifts": np.int32}
-    numbers = {name: np.zeros(shape, dtype=dtype) for name, dtype in types.items()}
-    for name in numbers.keys() & set(frame.columns):
-        numbers[name][at] = frame[name]
-    tried, tried_at, succeeded = _attempts(frame, lists, at, shape[:2], horizon)
-    leaves = {
-        "hides": _hides(lists["hidden_by"], frame, at, shape),
-        "is_object": is_object,
-        "is_on_table": is_on_table,
+    numbers = {name: spread(frame.get(name, 0), dtype) for name, dtype in types.items()}
+    # Lists go by the objects of their stage; states by those of the path.
+    hidden_by = log.lists("hidden_by")
+    hider = log.target[log.first[hidden_by.row] + hidden_by.place]
+    hides = (*(index[hidden_by.row] for index in at), hider)
+    return TableState(
+        hides=_spread(hidden_by.values.astype(np.float32), hides, (*shape, shape[-1])),
+        is_object=spread(True, bool),
+        is_on_table=spread(frame["location"] == TABLE, bool),
         **numbers,
-        "attempt_object": tried,
-        "attempt_occlusion": tried_at,
-        "attempt_succeeded": succeeded,
-        "steps_to_go": np.broadcast_to(horizon - np.arange(horizon, dtype=np.int32), shape[:2]),
-    }
-    return TableState(**leaves)
+        **_attempts(log, at, (*shape[:2], horizon)),
+        steps_to_go=np.broadcast_to(horizon - np.arange(horizon, dtype=np.int32), shape[:2]),
+        **(_of_robots(log, at, shape) if log.num_robots else {}),
+    )
 
 
-def _hides(
-    hidden_by: Lists, frame: pd.DataFrame, at: tuple, shape: tuple[int, int, int]
-) -> Float[np.ndarray, "n T N N"]:
-    """Lists go by the objects of their stage; states by those of the path."""
-    rank = frame.groupby(["path", "stage"]).cumcount().to_numpy()
-    begin = np.arange(len(rank)) - rank
-    hides = np.zeros((*shape, shape[-1]), dtype=np.float32)
-    hider = at[2][begin[hidden_by.row] + hidden_by.place]
-    hides[(*(index[hidden_by.row] for index in at), hider)] = hidden_by.values
-    return hides
+def _stage_places(logs: Logs, frame: pd.DataFrame) -> tuple[Int[np.ndarray, " rows"], Int[np.ndarray, " rows"]]:
+    """Path and stage of each row, from 0."""
+    return pd.Index(logs.path_ids).get_indexer(frame["path"]), frame["stage"].to_numpy() - 1
 
 
-def _attempts(
-    frame: pd.DataFrame, lists: Mapping[str, Lists], at: tuple, shape: tuple[int, int], horizon: int
-) -> tuple[Int[np.ndarray, "n T T"], Float[np.ndarray, "n T T"], Bool[np.ndarray, "n T T"]]:
+def _spread(values: np.ndarray, at: tuple[np.ndarray, ...], shape: tuple[int, ...], fill: int = 0) -> np.ndarray:
+    """Put values at their places, and what fills it elsewhere."""
+    found = np.full(shape, fill, dtype=values.dtype)
+    found[at] = values
+    return found
+
+
+def _attempts(log: TableLog, at: tuple[np.ndarray, ...], shape: tuple[int, ...]) -> dict[str, Any]:
     """Attempts of each stage's history, gathered from the objects; their order across objects carries nothing."""
-    tried = np.full((*shape, horizon), NO_ATTEMPT, dtype=np.int32)
-    occluded = np.zeros(tried.shape, dtype=np.float32)
-    succeeded = np.zeros(tried.shape, dtype=bool)
-    row = lists["attempt_occlusions"].row
-    slot = attempt_slots(at[0][row], at[1][row])
-    if len(slot) and slot.max() >= horizon:
-        where = frame.iloc[row[np.argmax(slot)]]
+    occluded, succeeded = log.lists("attempt_occlusions"), log.lists("attempt_succeeded")
+    path, stage, target = (index[occluded.row] for index in at)
+    slot = pd.Series(path).groupby([path, stage]).cumcount().to_numpy()
+    if len(slot) and slot.max() >= shape[-1]:
+        where = log.objects.iloc[occluded.row[np.argmax(slot)]]
         raise LogError(
             f"path {where['path']}, stage {where['stage']}: {slot.max() + 1} past attempts, more than the horizon of "
-            f"{horizon} stages allows; raise horizon or mend attempt_occlusions"
+            f"{shape[-1]} stages allows; raise horizon or mend attempt_occlusions"
         )
-    cell = at[0][row], at[1][row], slot
-    tried[cell] = at[2][row]
-    occluded[cell] = lists["attempt_occlusions"].values
-    succeeded[cell] = lists["attempt_succeeded"].values.astype(bool)
-    return tried, occluded, succeeded
+    place = path, stage, slot
+    found = {
+        "attempt_object": _spread(target.astype(np.int32), place, shape, NO_ATTEMPT),
+        "attempt_occlusion": _spread(occluded.values.astype(np.float32), place, shape),
+        "attempt_succeeded": _spread(succeeded.values.astype(bool), place, shape),
+    }
+    if log.num_robots and ATTEMPT_BY in log.objects.columns:
+        found["attempt_robot"] = _spread(log.lists(ATTEMPT_BY).values.astype(np.int32), place, shape)
+    return found
+
+
+def _of_robots(log: TableLog, at: tuple[np.ndarray, ...], shape: tuple[int, int, int]) -> dict[str, Any]:
+    """Who decides, what each robot is at, and who can work where."""
+    of_stage, (verb, target) = _stage_places(log.logs, log.logs.stages), np.moveaxis(log.does, -1, 0)
+
+    def spread(values: np.ndarray, dtype: Any) -> np.ndarray:
+        return _spread(values.astype(dtype), of_stage, (*shape[:2], *values.shape[1:]))
+
+    is_out, near = verb == IDLE[OUT], log.lists("near")
+    may_drop_out = is_out.any() or len(robots_that_may_drop_out(log.logs.paths)) > 0
+    robots = Robots(
+        is_busy=spread(verb >= 0, bool),
+        is_parked=spread(verb == IDLE[PARKED], bool),
+        verb=spread(np.maximum(verb, 0), np.int32),
+        target=spread(target, np.int32),
+        since_s=spread(log.of_robots("since_s"), np.float32),
+        decisions_to_go=spread(log.of_robots("decisions_to_go"), np.int32),
+        is_out=spread(is_out, bool) if may_drop_out else None,
+    )
+    other = log.target[log.first[near.row] + near.values.astype(np.int64)]
+    is_near = _spread(np.ones(len(other), dtype=bool), (*(index[near.row] for index in at), other), (*shape, shape[-1]))
+    is_in_reach = np.moveaxis(_spread(log.is_reached, at, (*shape, log.num_robots)), -1, -2)
+    workspace = Workspace(np.ascontiguousarray(is_in_reach), is_near)
+    return {"robots": robots, "workspace": workspace, "decider": spread(log.decider, np.int32)}

@@ -85,24 +85,19 @@ def makespans(state: TableState, others: Others) -> Float[Array, "*B A"]:
     """
     robots: Any = state.robots
     workspace: Any = state.workspace
-    xp, is_me, zero = library_of(state.log_odds), is_decider(state), np.float32(0.0)
+    xp, is_me, zero, num = library_of(state.log_odds), is_decider(state), np.float32(0.0), state.num_objects
     work = xp.clip(4.0 * (expit(state.log_odds) - 0.5), zero, np.float32(1.0))
     work = xp.where(state.is_on_table & ~others.taken, work, zero)
     begun = xp.where(others.is_at_object, xp.exp(-FADES_PER_S * robots.since_s), zero)
-    everyone = others.goes_on | is_me
-
-    def bound(goes_on: Bool[Array, "*B K"], mine: float, left: Float[Array, "*L N"]) -> Float[Array, "*L"]:
-        each, among = begun + mine * is_me.astype(np.float32), goes_on
-        if left.ndim > work.ndim:
-            each, among = each[..., None, :], goes_on[..., None, :]
-        is_in_reach = workspace.is_in_reach[(..., *(None,) * (left.ndim - work.ndim), slice(None), slice(None))]
-        return _bound(among[..., None] & is_in_reach, among, each, left)
-
-    is_kept = ~xp.eye(state.num_objects, dtype=bool)
-    of_wash = bound(everyone, 1.0, xp.where(is_kept, work[..., None, :], zero))
-    of_lift = xp.broadcast_to(bound(everyone, 1.0, work)[..., None], work.shape)
-    finish, wait = bound(others.goes_on, 0.0, work), bound(everyone, WAITS, work)
-    return xp.concatenate([finish[..., None], of_wash, of_lift, wait[..., None]], axis=-1)
+    # Rows: FINISH, WASH of each object, any LIFT, WAIT.
+    is_kept = xp.asarray(np.concatenate([np.ones((1, num)), 1 - np.eye(num), np.ones((2, num))]) > 0)
+    begins = xp.asarray([0.0, *[1.0] * (num + 1), WAITS], dtype=np.float32)[:, None]
+    goes_on = others.goes_on[..., None, :] | (is_me[..., None, :] & (begins > 0.0))
+    each = begun[..., None, :] + begins * is_me[..., None, :].astype(np.float32)
+    left = xp.where(is_kept, work[..., None, :], zero)
+    bound = _bound(goes_on[..., None] & workspace.is_in_reach[..., None, :, :], goes_on, each, left)
+    of_lift = xp.broadcast_to(bound[..., -2:-1], work.shape)
+    return xp.concatenate([bound[..., : num + 1], of_lift, bound[..., -1:]], axis=-1)
 
 
 def _bound(

@@ -10,12 +10,10 @@ from pettingzoo import AECEnv
 
 from halfseen.errors import ArgumentError
 from halfseen.world.config import WorldConfig
-from halfseen.world.cuts import CAUSES
-from halfseen.world.envs import check_render_mode, observation_space
-from halfseen.world.robot_logs import DROP_OUT_CAUSE
+from halfseen.world.cuts import CAUSES, DROP_OUT_CAUSE
 from halfseen.world.robots import Team
 from halfseen.world.scene import Scene
-from halfseen.world.table_in_play import Observation, StageEnd, TableInPlay, default_team
+from halfseen.world.table_in_play import Observation, TableInPlay, default_team
 
 
 class TeamCupsAEC(AECEnv[str, Observation, np.integer | int | None]):
@@ -62,20 +60,19 @@ class TeamCupsAEC(AECEnv[str, Observation, np.integer | int | None]):
         render_mode: str | None = None,
     ) -> None:
         super().__init__()
-        check_render_mode(render_mode)
-        self.table = TableInPlay(scenes, default_team() if team is None else team, num_objects, config, cut_rate)
-        self.render_mode = render_mode
+        robots = default_team() if team is None else team
+        self.table = TableInPlay(scenes, robots, num_objects, config, cut_rate, render_mode)
+        self.render_mode, self.agents = render_mode, []
         self.possible_agents = [f"robot_{r}" for r in range(self.table.config.num_robots)]
-        self.agents = []
         mask = spaces.MultiBinary(self.table.num_actions)
-        self._observation_spaces: dict[str, spaces.Space[Observation]] = {
-            agent: spaces.Dict({"observation": observation_space(self.table), "action_mask": mask})
+        self._observation_spaces = {
+            agent: spaces.Dict({"observation": self.table.observation_space(), "action_mask": mask})
             for agent in self.possible_agents
         }
         self._action_spaces = {agent: spaces.Discrete(self.table.num_actions) for agent in self.possible_agents}
         self._rng: np.random.Generator | None = None
 
-    def observation_space(self, agent: str) -> spaces.Space[Observation]:
+    def observation_space(self, agent: str) -> spaces.Space[Any]:
         """Space of an agent's observations."""
         return self._observation_spaces[agent]
 
@@ -95,7 +92,7 @@ class TeamCupsAEC(AECEnv[str, Observation, np.integer | int | None]):
         self.truncations = dict.fromkeys(self.agents, False)
         self._skip_agent_selection = None
         self.agent_selection = self.possible_agents[self.table.decider]
-        self.infos = {agent: {**self._info(agent), "episode_seed": episode_seed} for agent in self.agents}
+        self.infos = {agent: {**self.table.info(r), "episode_seed": episode_seed} for r, agent in self._all()}
 
     def observe(self, agent: str) -> Observation:
         """Give what an agent sees now."""
@@ -112,37 +109,33 @@ class TeamCupsAEC(AECEnv[str, Observation, np.integer | int | None]):
         """
         if not self.agents:
             raise ArgumentError("the path is over or has not begun; call reset")
-        if self.terminations[self.agent_selection] or self.truncations[self.agent_selection]:
+        agent = self.agent_selection
+        if self.terminations[agent] or self.truncations[agent]:
             self._was_dead_step(action)
             return
         if action is None:
-            raise ArgumentError(f"action of {self.agent_selection} is None, and it goes on; give one in its mask")
-        self._cumulative_rewards[self.agent_selection] = 0.0
-        end = self.table.step(action)
-        self.rewards = dict.fromkeys(self.agents, end.reward)
-        self.infos = {agent: self._info(agent) for agent in self.agents}
-        self._end_agents(end)
+            raise ArgumentError(f"action of {agent} is None, and it goes on; give one in its mask")
+        self._cumulative_rewards[agent] = 0.0
+        self.rewards = dict.fromkeys(self.agents, self.table.step(action))
+        is_out = self.table.observation()["is_out"]
+        for robot, each in self._all():
+            self.infos[each] = self.table.info(robot)
+            self.truncations[each] = self.table.is_cut or bool(is_out[robot])
+            self.terminations[each] = self.table.is_over and not is_out[robot]
+            if self.truncations[each]:
+                self.infos[each]["cause"] = DROP_OUT_CAUSE if is_out[robot] else CAUSES["independent"]
         if not self.table.is_ended:
             self.agent_selection = self.possible_agents[self.table.decider]
         self._accumulate_rewards()
         self._deads_step_first()
 
-    def _end_agents(self, end: StageEnd) -> None:
-        is_out = self.table.observation()["is_out"]
-        for agent in self.agents:
-            dropped_out = bool(is_out[self.possible_agents.index(agent)])
-            self.truncations[agent] = end.is_cut or dropped_out
-            self.terminations[agent] = end.is_over and not dropped_out
-            if self.truncations[agent]:
-                self.infos[agent]["cause"] = DROP_OUT_CAUSE if dropped_out else CAUSES["independent"]
-
     def render(self) -> str | None:
         """Write the table as text, a line a robot and one an object; None unless the mode is ``"ansi"``."""
-        return None if self.render_mode is None else self.table.as_text()
+        return self.table.as_text()
 
     def close(self) -> None:
         """There is nothing to close."""
 
-    def _info(self, agent: str) -> dict[str, Any]:
-        robot = self.possible_agents.index(agent)
-        return {"elapsed_s": self.table.elapsed_s, "action_mask": self.table.action_mask(robot)}
+    def _all(self) -> list[tuple[int, str]]:
+        """The agents that are there, with the numbers of their robots."""
+        return [(r, agent) for r, agent in enumerate(self.possible_agents) if agent in self.agents]

@@ -9,11 +9,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from halfseen.arrays import Array, library_of, record
-from halfseen.errors import ArgumentError, PolicyError
+from halfseen.errors import PolicyError
 from halfseen.world import random
 from halfseen.world.actions import possible_actions
 from halfseen.world.config import WorldConfig
-from halfseen.world.number import Number, is_wrong
+from halfseen.world.number import Number, check_number
 from halfseen.world.random import Key
 from halfseen.world.state import TableState
 
@@ -76,28 +76,16 @@ class ExploringPolicy:
     random_share: Number = 0.5
 
     def __post_init__(self) -> None:
-        check_random_share(self.random_share)
+        check_number("random_share", self.random_share)
 
     def decide(self, state: TableState, key: Key) -> Decision:
-        """Choose, and report the probability of that choice under the mixture."""
+        """Toss for one of two decisions, with the probability that the mixture gives to what comes out."""
         base_key, coin_key, uniform_key = random.split(key, 3)
         base, uniform = self.base.decide(state, base_key), UniformPolicy().decide(state, uniform_key)
-        return _mixed(base, uniform, self.random_share, coin_key)
-
-
-def check_random_share(random_share: Number) -> None:
-    """Refuse a share of random decisions outside [0, 1]."""
-    if is_wrong(random_share, lambda value: 0 <= value <= 1):
-        raise ArgumentError(f"random_share is {random_share!r}; give the share of decisions made at random, in [0, 1]")
-
-
-def _mixed(base: Decision, uniform: Decision, random_share: Number, key: Key) -> Decision:
-    """Toss for one of two decisions, with the probability that the mixture of both gives to what comes out."""
-    xp = library_of(base.action)
-    is_random = random.uniform(key) < random_share
-    action = xp.where(is_random, uniform.action, base.action)
-    by_base = xp.where(action == base.action, base.probability, np.float32(0.0))
-    return Decision(action, random_share * uniform.probability + (1.0 - random_share) * by_base)
+        xp, share = library_of(base.action), self.random_share
+        action = xp.where(random.uniform(coin_key) < share, uniform.action, base.action)
+        by_base = xp.where(action == base.action, base.probability, np.float32(0.0))
+        return Decision(action, share * uniform.probability + (1.0 - share) * by_base)
 
 
 def check_fits(policy: Any, config: WorldConfig) -> None:

@@ -1,19 +1,35 @@
-"""The robots at a table: where each stands, how far it reaches, how fast it works; and how scenes stand before them."""
+"""The robots at a table: where each stands, how far it reaches, how fast it works; and how scenes stand before them.
+
+A team may come from a file, TOML or JSON::
+
+    clearance_m = 0.12          # may be left out, as may what follows but base_m and reach_m
+    reward_per_s = -0.05
+
+    [[robot]]
+    name = "left"
+    base_m = [-0.5, 0.0]
+    reach_m = 0.7
+    speed = 1.0
+    drop_out_rate = 0.001
+    law = "assumed"             # of grasping, by a name that whoever reads the file knows; the world's if left out
+"""
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
-from halfseen.errors import ArgumentError, HalfseenWarning, SceneError
+from halfseen.errors import ArgumentError, HalfseenWarning, SceneError, within
+from halfseen.reading import json_of, read_text, toml_of
+from halfseen.suggestions import did_you_mean
 from halfseen.world.config import WorldConfig
 from halfseen.world.grasping import GraspingByRobot, GraspLaw, check_law
-from halfseen.world.number import is_finite, is_number, is_wrong
+from halfseen.world.number import check_number, is_finite, is_number
 from halfseen.world.scene import Scene
-from halfseen.world.state import Layout, Workspace, pad_scenes
+from halfseen.world.state import Layout, Workspace, pad_scenes, padded
 
 CLEARANCE_M = 0.12
 """Distance below which two objects are too near for two robots at once [m]: two open grippers side by side."""
@@ -57,22 +73,12 @@ class Robot:
         object.__setattr__(self, "base_m", tuple(map(float, self.base_m)))
 
 
-_NUMBERS: Mapping[str, tuple[Callable[[float], bool], str]] = {
-    "reach_m": (lambda value: value > 0, "a finite number above 0 [m]"),
-    "speed": (lambda value: value > 0, "a finite number above 0"),
-    "drop_out_rate": (lambda value: value >= 0, "a finite hazard, 0 or above [1/s]"),
-    "clearance_m": (lambda value: value >= 0, "a finite distance, 0 or above [m]"),
-    "reward_per_s": (lambda value: value <= 0, "a finite price, 0 or below [1/s]"),
-}
-"""What the numbers of a robot and of a team can be, and what to give where they are not."""
-
-
-def check_robot(told: Mapping[str, Any]) -> None:
+def check_robot(given: Mapping[str, Any]) -> None:
     """Refuse what no robot is: see `Robot`.
 
     Parameters
     ----------
-    told
+    given
         Its parameters; those that have a default may be left out, but for the name.
 
     Raises
@@ -80,80 +86,16 @@ def check_robot(told: Mapping[str, Any]) -> None:
     ArgumentError
         As above.
     """
-    base, name = told["base_m"], told["name"]
+    base, name = given["base_m"], given["name"]
     if not (isinstance(name, str) and name.strip()):
         raise ArgumentError(f"the robot at {base!r}: name is {name!r}; give a text")
     is_pair = isinstance(base, list | tuple | np.ndarray) and len(base) == 2
     if not (is_pair and all(is_number(each) and is_finite(each) for each in base)):
         raise ArgumentError(f"{name}: base_m is {base!r}; give two finite numbers, x and y [m]")
-    check_numbers(told, f"{name}: ")
-    if told.get("grasping") is not None:
-        check_law(told["grasping"], f"{name}: grasping")
-
-
-def check_numbers(told: Mapping[str, Any], where: str = "") -> None:
-    """Refuse numbers of a robot or a team that are none that they can be.
-
-    Parameters
-    ----------
-    told
-        Them, by name; what is no such number is not looked at.
-    where
-        What to put before the name in the message.
-
-    Raises
-    ------
-    ArgumentError
-        As above.
-    """
-    for what, value in told.items():
-        is_right, wanted = _NUMBERS.get(what, (None, ""))
-        if is_right is not None and (not is_number(value) or is_wrong(value, is_right)):
-            raise ArgumentError(f"{where}{what} is {value!r}; give {wanted}")
-
-
-def workspace_of(
-    robots: Sequence[Robot],
-    places_m: Float[np.ndarray, "N 2"],
-    clearance_m: float | int = CLEARANCE_M,
-    name: str = "table",
-) -> Workspace:
-    """Tell what each robot reaches, and which objects are too near one another for two robots at once.
-
-    An object that nobody reaches is warned of: it will be left.
-
-    Parameters
-    ----------
-    robots
-        The team, robot 0 first.
-    places_m
-        Where each object stands, (x, y) in the frame of the table [m].
-    clearance_m
-        Objects nearer than that are too near [m].
-    name
-        Of the table, for messages.
-
-    Raises
-    ------
-    ArgumentError
-        There is no robot, a place is not finite, or the clearance is below 0.
-    """
-    if not robots:
-        raise ArgumentError("robots is empty: give at least one Robot")
-    if not np.isfinite(places_m).all():
-        k = int(np.argmin(np.isfinite(places_m).all(axis=1)))
-        raise ArgumentError(f"{name}: object {k} stands at {places_m[k]}; give a finite place [m]")
-    check_numbers({"clearance_m": clearance_m})
-    bases = np.array([robot.base_m for robot in robots], dtype=np.float64)
-    reaches = np.array([robot.reach_m for robot in robots], dtype=np.float64)
-    is_in_reach = np.linalg.norm(places_m[None] - bases[:, None], axis=-1) <= reaches[:, None]
-    for k in np.flatnonzero(~is_in_reach.any(axis=0)):
-        x, y = places_m[k]
-        message = f"{name}: object {k} at ({x:.3g}, {y:.3g}) m is in no robot's reach, so it counts as left"
-        warnings.warn(f"{message}; move a base, or leave it out", HalfseenWarning, stacklevel=2)
-    apart_m = np.linalg.norm(places_m[:, None] - places_m[None], axis=-1)
-    is_near = (apart_m < clearance_m) | np.eye(len(places_m), dtype=bool)
-    return Workspace(is_in_reach, is_near)
+    for parameter, value in given.items():
+        check_number(parameter, value, f"{name}: {parameter}")
+    if given.get("grasping") is not None:
+        check_law(given["grasping"], f"{name}: grasping")
 
 
 @dataclass(frozen=True)
@@ -186,17 +128,43 @@ class Team:
         for k, robot in enumerate(self.robots):
             if not isinstance(robot, Robot):
                 raise ArgumentError(f"robots[{k}] is {robot!r}; give a Robot")
-        check_numbers(vars(self))
+        check_number("clearance_m", self.clearance_m)
+        check_number("reward_per_s", self.reward_per_s)
 
     def config(self, world: WorldConfig) -> WorldConfig:
         """Give the numbers of this team in a world, and there the law of grasping of each robot, if one has its own."""
         rates = tuple(robot.drop_out_rate for robot in self.robots)
-        speed = tuple(robot.speed for robot in self.robots)
-        laws = [robot.grasping for robot in self.robots]
-        if any(law is not None for law in laws):
-            own = tuple(world.grasping if law is None else law for law in laws)
-            world = replace(world, grasping=GraspingByRobot(own))
-        return replace(world, speed=speed, reward_per_s=self.reward_per_s, drop_out_rate=rates if any(rates) else None)
+        laws = tuple(world.grasping if robot.grasping is None else robot.grasping for robot in self.robots)
+        has_own = any(robot.grasping is not None for robot in self.robots)
+        return replace(
+            world,
+            grasping=GraspingByRobot(laws) if has_own else world.grasping,
+            speed=tuple(robot.speed for robot in self.robots),
+            reward_per_s=self.reward_per_s,
+            drop_out_rate=rates if any(rates) else None,
+        )
+
+    def workspace(self, scene: Scene) -> Workspace:
+        """Tell what each robot reaches, and which objects are too near one another for two robots at once.
+
+        An object that nobody reaches is warned of: it will be left.
+
+        Raises
+        ------
+        SceneError
+            The scene does not tell where its objects stand.
+        """
+        if scene.places_m is None:
+            raise SceneError(f"{scene.name}: places_m is None, so nobody knows who reaches what; give each a place")
+        bases_m = np.array([robot.base_m for robot in self.robots], dtype=np.float64)
+        reach_m = np.array([[robot.reach_m] for robot in self.robots], dtype=np.float64)
+        is_in_reach = np.linalg.norm(scene.places_m - bases_m[:, None], axis=-1) <= reach_m
+        for k in np.flatnonzero(~is_in_reach.any(axis=0)):
+            x, y = scene.places_m[k]
+            message = f"{scene.name}: object {k} at ({x:.3g}, {y:.3g}) m is in no robot's reach, so it counts as left"
+            warnings.warn(f"{message}; move a base, or leave it out", HalfseenWarning, stacklevel=2)
+        apart_m = np.linalg.norm(scene.places_m[:, None] - scene.places_m, axis=-1)
+        return Workspace(is_in_reach, (apart_m < self.clearance_m) | np.eye(scene.num_objects, dtype=bool))
 
     def layouts(self, scenes: Sequence[Scene], num_objects: int | None = None) -> Layout:
         """Set scenes before the team, padded to a common number of objects.
@@ -206,14 +174,82 @@ class Team:
         SceneError
             There is no scene, one has no object, or more than `num_objects`, or does not tell where they stand.
         """
-        tables = pad_scenes(scenes, num_objects)
+        tables, spaces = pad_scenes(scenes, num_objects), [self.workspace(scene) for scene in scenes]
         size = tables.is_object.shape[-1]
-        is_in_reach = np.zeros((len(scenes), len(self.robots), size), dtype=bool)
-        is_near = np.zeros((len(scenes), size, size), dtype=bool)
-        for k, scene in enumerate(scenes):
-            if scene.places_m is None:
-                raise SceneError(f"{scene.name}: places_m is None, so nobody knows who reaches what; give each a place")
-            found = workspace_of(self.robots, scene.places_m, self.clearance_m, scene.name)
-            is_in_reach[k, :, : scene.num_objects] = found.is_in_reach
-            is_near[k, : scene.num_objects, : scene.num_objects] = found.is_near
+        is_in_reach = padded([space.is_in_reach for space in spaces], (len(self.robots), size), False)
+        is_near = padded([space.is_near for space in spaces], (size, size), False)
         return replace(tables, workspace=Workspace(is_in_reach, is_near))
+
+
+_OF_ROBOT = (*(field.name for field in fields(Robot) if field.name != "grasping"), "law")
+_OF_TEAM = ("clearance_m", "reward_per_s")
+
+
+def read_team(path: str | Path, law_of: Callable[[str], GraspLaw] | None = None) -> Team:
+    """Read the robots of a team.
+
+    Parameters
+    ----------
+    path
+        A TOML file, or a JSON file of the same keys with the ending .json.
+    law_of
+        Gives the law of grasping of a name, for robots with a `law`; None where none has one. On the command line a
+        name is what `--law` takes, a folder being looked for beside the file.
+
+    Raises
+    ------
+    ArgumentError
+        The file cannot be read, a key is unknown or missing, a value is none that it can be, or two robots have one
+        name.
+    """
+    with within(path):
+        given = _parsed(Path(path))
+        _check_keys("", given, ("robot", *_OF_TEAM))
+        each = given.get("robot")
+        if not (isinstance(each, list) and each and all(isinstance(one, Mapping) for one in each)):
+            raise ArgumentError("there is no robot; give each a table of its own, [[robot]] with base_m and reach_m")
+        of_team = {name: given[name] for name in _OF_TEAM if name in given}
+        for name, value in of_team.items():
+            check_number(name, value)
+        robots = tuple(_robot(f"robot {k}", one, law_of) for k, one in enumerate(each))
+        names = [robot.name for robot in robots]
+        for name in names:
+            if names.count(name) > 1:
+                raise ArgumentError(f"two robots are called {name!r}; give each a name of its own")
+        return Team(robots, **of_team)
+
+
+def _parsed(path: Path) -> Mapping[str, Any]:
+    try:
+        given = (json_of if path.suffix.lower() == ".json" else toml_of)(read_text(path))
+    except OSError as error:
+        raise ArgumentError(f"cannot be read ({error.strerror}); give a TOML or JSON file of robots") from error
+    except ValueError as error:
+        raise ArgumentError(f"is no TOML or JSON ({error}); mend it there") from error
+    if not isinstance(given, Mapping):
+        raise ArgumentError(f"holds {type(given).__name__}, not keys; write it as `halfseen.world.robots` has it")
+    return given
+
+
+def _check_keys(where: str, given: Mapping[str, Any], known: tuple[str, ...]) -> None:
+    for key in given:
+        if key not in known:
+            raise ArgumentError(f"{where}there is no key {key!r} among {', '.join(known)}{did_you_mean(key, known)}")
+
+
+def _robot(where: str, given: Mapping[str, Any], law_of: Callable[[str], GraspLaw] | None) -> Robot:
+    _check_keys(f"{where}: ", given, _OF_ROBOT)
+    for key in ("base_m", "reach_m"):
+        if key not in given:
+            raise ArgumentError(f"{where}: {key} is missing; give it [m]")
+    parameters = {"name": where, **given}
+    law = parameters.pop("law", None)
+    check_robot(parameters)
+    if law is None:
+        return Robot(**parameters)
+    if not isinstance(law, str):
+        raise ArgumentError(f"{where}: law is {law!r}; give the name of a law of grasping")
+    if law_of is None:
+        raise ArgumentError(f"{where}: law is {law!r}, and nobody says which that is; give a law_of that does")
+    with within(f"{where}: law"):
+        return Robot(**parameters, grasping=law_of(law))

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from halfseen.arrays import Array, chosen, library_of, mapped, record, stacked
+from halfseen.arrays import Array, Tree, chosen, library_of, mapped, record, stacked
 from halfseen.world import random
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Decision, Policy
@@ -66,11 +66,9 @@ class Stage(NamedTuple):
 
 def play(config: WorldConfig, layouts: Layout, policy: Policy, key: Key, num_episodes: int) -> Episodes:
     """Play tables and record every stage; episode k uses layout k modulo their number."""
-    batches = [
-        _recorded(config, layouts, policy, key, np.arange(first, min(first + BATCH, num_episodes)))
-        for first in range(0, max(num_episodes, 1), BATCH)
-    ]
-    return mapped(lambda *leaves: library_of(*leaves).concatenate(leaves), *batches)
+    episode = np.arange(num_episodes)
+    starts = range(0, max(num_episodes, 1), BATCH)
+    return _joined([_recorded(config, layouts, policy, key, episode[k : k + BATCH]) for k in starts])
 
 
 def evaluate(config: WorldConfig, layouts: Layout, policy: Policy, key: Key, num_episodes: int) -> Totals:
@@ -80,7 +78,11 @@ def evaluate(config: WorldConfig, layouts: Layout, policy: Policy, key: Key, num
 
 def evaluate_some(config: WorldConfig, layouts: Layout, policy: Policy, key: Key, episode: Int[Array, " B"]) -> Totals:
     """Play some of the tables that `play` would, by number, and keep only the totals."""
-    parts = [_totals(config, layouts, policy, key, episode[k : k + BATCH]) for k in range(0, len(episode), BATCH)]
+    starts = range(0, len(episode), BATCH)
+    return _joined([_totals(config, layouts, policy, key, episode[k : k + BATCH]) for k in starts])
+
+
+def _joined(parts: list[Tree]) -> Tree:
     return mapped(lambda *leaves: library_of(*leaves).concatenate(leaves), *parts)
 
 
@@ -110,7 +112,7 @@ class _SideBySide:
             policy.decide(mapped(lambda leaf, at=at: leaf[at], state), key[at])
             for policy, at in zip(self._policies, parts, strict=True)
         ]
-        return mapped(lambda *leaves: library_of(*leaves).concatenate(leaves), *each)
+        return _joined(each)
 
 
 def stages_of_play(
@@ -166,11 +168,8 @@ def _recorded(
 
 def _totals(config: WorldConfig, layouts: Layout, policy: Policy, key: Key, episode: Int[Array, " B"]) -> Totals:
     _, stages = stages_of_play(config, layouts, policy, key, episode)
-    xp, zero = library_of(layouts.is_object, key), np.float32(0.0)
-    none = xp.zeros(episode.shape, dtype=np.float32)
-    reward, robot_s, num_steps = none, none, xp.zeros(episode.shape, dtype=np.int32)
+    xp, zero, taken = library_of(layouts.is_object, key), np.float32(0.0), []
     for stage in stages:
-        reward = reward + xp.where(stage.is_taken, stage.outcome.reward, zero)
-        robot_s = robot_s + xp.where(stage.is_taken, stage.outcome.duration_s, zero)
-        num_steps = num_steps + stage.is_taken.astype(np.int32)
-    return Totals(reward, robot_s, num_steps)
+        reward, duration_s = (xp.where(stage.is_taken, each, zero) for each in stage.outcome[:2])
+        taken.append((reward, duration_s, stage.is_taken.astype(np.int32)))
+    return Totals(*(sum(each) for each in zip(*taken, strict=True)))

@@ -4,13 +4,25 @@ A `Scene` is what perception hands over and what an episode starts from. It hold
 whether an object is dirty, and what nobody sees of its grip, are drawn when an episode begins.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from halfseen.arrays import Hides, PerObject
 from halfseen.errors import SceneError
+
+_SHAPES = {
+    "hides": "it must be square",
+    "grip": "give one number for each of the objects",
+    "places_m": "give x and y an object",
+}
+
+
+def _is_share(values: np.ndarray) -> np.ndarray:
+    return (values >= 0) & (values <= 1)
 
 
 @dataclass(frozen=True)
@@ -44,49 +56,32 @@ class Scene:
     places_m: Float[np.ndarray, "N 2"] | None = None
 
     def __post_init__(self) -> None:
-        hides = self._checked_hides()
-        hides.setflags(write=False)
-        object.__setattr__(self, "hides", hides)
-        grip = self._checked_grip()
-        grip.setflags(write=False)
-        object.__setattr__(self, "grip", grip)
-        if self.places_m is not None:
-            places_m = self._checked_places(np.array(self.places_m, dtype=np.float64))
-            places_m.setflags(write=False)
-            object.__setattr__(self, "places_m", places_m)
-
-    def _checked_hides(self) -> Hides:
         hides = np.array(self.hides, dtype=np.float64)
-        if hides.ndim != 2 or hides.shape[0] != hides.shape[1]:
-            raise SceneError(f"{self.name}: hides has shape {hides.shape}; it must be square, (N, N)")
-        wrong = np.argwhere(~((hides >= 0) & (hides <= 1)))
-        if len(wrong):
-            i, j = wrong[0]
-            raise SceneError(f"{self.name}: hides[{i}, {j}] is {hides[i, j]}; a hidden share lies in [0, 1]")
-        if np.any(np.diag(hides) != 0):
-            i = int(np.argmax(np.diag(hides) != 0))
+        num = len(hides) if hides.ndim else 0
+        self._keep("hides", hides, (num, num), _is_share, "a hidden share lies in [0, 1]")
+        i = int(np.argmax(np.append(np.diag(hides) != 0, True)))
+        if i < num:
             raise SceneError(
                 f"{self.name}: hides[{i}, {i}] is {hides[i, i]}; an object does not hide itself: set it to 0"
             )
-        return hides
+        grip = np.zeros(num) if self.grip is None else self.grip
+        self._keep("grip", grip, (num,), np.isfinite, "give a finite offset, 0 where nothing is known")
+        if self.places_m is not None:
+            self._keep("places_m", self.places_m, (num, 2), np.isfinite, "give a finite place [m]")
 
-    def _checked_grip(self) -> PerObject:
-        grip = np.zeros(self.num_objects) if self.grip is None else np.array(self.grip, dtype=np.float64)
-        if grip.shape != (self.num_objects,):
-            raise SceneError(f"{self.name}: grip has shape {grip.shape}; give one number for each of the objects")
-        if not np.isfinite(grip).all():
-            i = int(np.argmin(np.isfinite(grip)))
-            raise SceneError(f"{self.name}: grip[{i}] is {grip[i]}; give a finite offset, 0 where nothing is known")
-        return grip
-
-    def _checked_places(self, places_m: np.ndarray) -> np.ndarray:
-        if places_m.shape != (self.num_objects, 2):
-            shape = self.num_objects, 2
-            raise SceneError(f"{self.name}: places_m has shape {places_m.shape}; give x and y an object, {shape}")
-        if not np.isfinite(places_m).all():
-            i = int(np.argmin(np.isfinite(places_m).all(axis=1)))
-            raise SceneError(f"{self.name}: places_m[{i}] is {places_m[i]}; give a finite place [m]")
-        return places_m
+    def _keep(
+        self, name: str, given: Any, shape: tuple[int, ...], is_right: Callable[[np.ndarray], np.ndarray], remedy: str
+    ) -> None:
+        """Keep a copy that nobody can write into, if its numbers are right and as many as there are objects."""
+        values = np.array(given, dtype=np.float64)
+        if values.shape != shape:
+            raise SceneError(f"{self.name}: {name} has shape {values.shape}; {_SHAPES[name]}, {shape}")
+        wrong = np.argwhere(~is_right(values))
+        if len(wrong):
+            where = ", ".join(map(str, wrong[0]))
+            raise SceneError(f"{self.name}: {name}[{where}] is {values[tuple(wrong[0])]}; {remedy}")
+        values.setflags(write=False)
+        object.__setattr__(self, name, values)
 
     @property
     def num_objects(self) -> int:

@@ -97,7 +97,7 @@ class TableState:
     steps_to_go: Int[Array, "*B"]
     """Actions that may still end, of all robots together, one that is decided now included."""
     attempt_robot: Int[Array, "*B T"] | None = None
-    """Number of the robot that made it; None where that does not matter, as all have one law, or is not known."""
+    """Number of the robot that made it; None where one robot works alone, or that is not known."""
     robots: Robots | None = None
     workspace: Workspace | None = None
     decider: Int[Array, "*B"] | None = None
@@ -179,13 +179,18 @@ def pad_scenes(scenes: Sequence[Scene], num_objects: int | None = None) -> Layou
     size = largest if num_objects is None else num_objects
     if size < largest:
         raise SceneError(f"a scene has {largest} objects, more than num_objects={size}; raise num_objects")
-    hides = np.full((len(scenes), size, size), np.nan, dtype=np.float32)
-    grip = np.full((len(scenes), size), np.nan, dtype=np.float32)
-    for k, scene in enumerate(scenes):
-        hides[k, : scene.num_objects, : scene.num_objects] = scene.hides
-        grip[k, : scene.num_objects] = scene.grip
+    hides = padded([scene.hides for scene in scenes], (size, size), np.float32(np.nan))
+    grip = padded([scene.grip for scene in scenes], (size,), np.float32(np.nan))
     is_object = np.arange(size) < np.array([[scene.num_objects] for scene in scenes])
     return Layout(hides, is_object, grip)
+
+
+def padded(arrays: Sequence[Any], shape: tuple[int, ...], fill: Any) -> np.ndarray:
+    """Stack arrays in front of what fills each up to a shape."""
+    found = np.full((len(arrays), *shape), fill)
+    for k, values in enumerate(arrays):
+        found[(k, *map(slice, values.shape))] = values
+    return found
 
 
 def initial_state(config: WorldConfig, layout: Layout) -> TableState:
@@ -195,7 +200,7 @@ def initial_state(config: WorldConfig, layout: Layout) -> TableState:
     batch = is_object.shape[:-1]
     none = xp.zeros_like(is_object, dtype=np.float32)
     prior = xp.log(config.dirty_share) - xp.log1p(-config.dirty_share)
-    has_laws = config.has_own_laws and layout.workspace is not None
+    is_team = layout.workspace is not None
     return TableState(
         hides=xp.where(is_object[..., :, None] & is_object[..., None, :], batch_last(layout.hides, 2), np.float32(0.0)),
         is_object=is_object,
@@ -208,10 +213,10 @@ def initial_state(config: WorldConfig, layout: Layout) -> TableState:
         attempt_occlusion=batch_last(xp.zeros((*batch, num_stages), dtype=np.float32)),
         attempt_succeeded=batch_last(xp.zeros((*batch, num_stages), dtype=bool)),
         steps_to_go=xp.full(batch, num_stages, dtype=np.int32),
-        attempt_robot=xp.zeros((*batch, num_stages), dtype=np.int32) if has_laws else None,
-        robots=None if layout.workspace is None else _free_robots(config, batch, xp),
+        attempt_robot=xp.zeros((*batch, num_stages), dtype=np.int32) if is_team else None,
+        robots=_free_robots(config, batch, xp) if is_team else None,
         workspace=layout.workspace,
-        decider=None if layout.workspace is None else xp.zeros(batch, dtype=np.int32),
+        decider=xp.zeros(batch, dtype=np.int32) if is_team else None,
     )
 
 

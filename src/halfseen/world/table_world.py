@@ -9,10 +9,9 @@ from halfseen.errors import ArgumentError
 from halfseen.logs import Logs
 from halfseen.world import random
 from halfseen.world.config import WorldConfig
-from halfseen.world.cuts import CutEpisodes, CutKind, check_share, cut, cut_rate
+from halfseen.world.cuts import DROP_OUT_CAUSE, CutEpisodes, CutKind, check_share, cut, cut_rate
 from halfseen.world.logs import to_logs
 from halfseen.world.policy import Policy, check_fits
-from halfseen.world.robot_logs import DROP_OUT_CAUSE
 from halfseen.world.robots import CLEARANCE_M, Robot, Team
 from halfseen.world.rollout import Totals, evaluate, play
 from halfseen.world.scene import Scene

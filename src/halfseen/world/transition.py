@@ -12,44 +12,21 @@ table stays as it was seen. What ends at the very moment of a drop-out ends befo
 """
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from halfseen.arrays import Array, at, library_of
 from halfseen.world import random
 from halfseen.world.actions import ActionSpace, Verb, possible_actions
-from halfseen.world.attempts import action_reward, after_attempt, attempted, is_target, look
+from halfseen.world.attempts import action_reward, after_attempt, attempted, is_target, look, price_of_left
 from halfseen.world.config import WorldConfig
-from halfseen.world.events import is_over, until_next_decision
+from halfseen.world.events import Outcome, step_of_several
 from halfseen.world.random import Key
-from halfseen.world.state import (
-    HiddenState,
-    Layout,
-    TableState,
-    initial_state,
-    nothing_pending,
-    occlusion,
-)
+from halfseen.world.state import HiddenState, Layout, TableState, initial_state, nothing_pending, occlusion
 
 _DROP_OUT_KEY = 29
 """Folded into the key of the start for the times of drop-outs, so that no other draw changes."""
-
-
-class Outcome(NamedTuple):
-    """What one stage brought."""
-
-    reward: Float[Array, "*B"]
-    """Price of its seconds included and, where the path ends, that of what is left dirty."""
-    duration_s: Float[Array, "*B"]
-    """Positive, but where several robots are free at once [s]."""
-    is_over: Bool[Array, "*B"]
-    """Whether the path has come to its own end."""
-    paid_alone: Float[Array, "*B K"] | None = None
-    """What the stage would have paid each of several robots had it been alone; None where one is."""
-    out_s: Float[Array, "*B K"] | None = None
-    """How far into it each robot dropped out, infinite where it did not; None where nobody can [s]."""
 
 
 def start(config: WorldConfig, layout: Layout, key: Key) -> tuple[TableState, HiddenState]:
@@ -85,12 +62,30 @@ def until_out_s(config: WorldConfig, key: Key) -> Float[Array, "*B K"] | None:
 
 
 def step(
-    config: WorldConfig, state: TableState, hidden: HiddenState, action: Int[Array, "*B"], key: Key
+    config: WorldConfig,
+    state: TableState,
+    hidden: HiddenState,
+    action: Int[Array, "*B"],
+    key: Key,
+    *,
+    any_action: bool = False,
 ) -> tuple[TableState, HiddenState, Outcome]:
     """Let the robot that decides begin an action, and wait for the next decision.
 
     An attempt of one robot alone on what is not on the table closes on nothing: it fails, and takes as long as an
     attempt may.
+
+    Parameters
+    ----------
+    config, state, hidden
+        The world, and what is seen and hidden in it.
+    action
+        Of the robot that decides.
+    key
+        The only source of randomness.
+    any_action
+        Whether it may be one that is not possible for one of several robots: an attempt then closes on nothing, too,
+        and a WAIT for nothing lasts as long as going home.
 
     Returns
     -------
@@ -103,20 +98,8 @@ def step(
     """
     if state.robots is None:
         return _step_of_one(config, state, hidden, action, key)
-    return _step_of_several(config, state, hidden, action, key, library_of(action).asarray(True))
-
-
-def step_any(
-    config: WorldConfig, state: TableState, hidden: HiddenState, action: Int[Array, "*B"], key: Key
-) -> tuple[TableState, HiddenState, Outcome]:
-    """As `step`, also where the action is not possible for the robot that decides.
-
-    An attempt that is not possible closes on nothing: it fails, and takes as long as an attempt may. A WAIT for nothing
-    lasts as long as going home.
-    """
-    if state.robots is None:
-        return _step_of_one(config, state, hidden, action, key)
-    return _step_of_several(config, state, hidden, action, key, at(possible_actions(state), action))
+    is_possible = at(possible_actions(state), action) if any_action else None
+    return step_of_several(config, state, hidden, action, key, is_possible)
 
 
 def _step_of_one(
@@ -134,27 +117,5 @@ def _step_of_one(
     ends = (verb == Verb.FINISH) | (after.steps_to_go == 0) | ~xp.any(after.is_on_table, axis=-1)
     duration_s = config.transport_s + tried.duration_s
     reward = action_reward(config, verb, tried.is_held, at(hidden.is_dirty, target), duration_s)
-    reward = reward + _price_of_left(config, after, hidden, ends)
+    reward = reward + price_of_left(config, after, hidden, ends)
     return after, hidden, Outcome(reward, duration_s, ends)
-
-
-def _price_of_left(
-    config: WorldConfig, state: TableState, hidden: HiddenState, ends: Bool[Array, "*B"]
-) -> Float[Array, "*B"]:
-    xp = library_of(ends)
-    dirty_left = xp.sum(state.is_on_table & hidden.is_dirty, axis=-1).astype(np.float32)
-    return xp.where(ends, config.reward_dirty_left * dirty_left, np.float32(0.0))
-
-
-def _step_of_several(
-    config: WorldConfig,
-    state: TableState,
-    hidden: HiddenState,
-    action: Int[Array, "*B"],
-    key: Key,
-    is_possible: Bool[Array, "*#B"],
-) -> tuple[TableState, HiddenState, Outcome]:
-    state, hidden, passed = until_next_decision(config, state, hidden, action, key, is_possible)
-    ends = is_over(state)
-    reward = passed.paid + _price_of_left(config, state, hidden, ends) + config.reward_per_s * passed.duration_s
-    return state, hidden, Outcome(reward, passed.duration_s, ends, passed.paid_alone, passed.out_s)

@@ -12,7 +12,7 @@ from halfseen.cell.workcell import Attempt, Workcell
 from halfseen.perception.clouds import Vector
 from halfseen.world.actions import TARGETED, VERB_NAMES
 from halfseen.world.log_checks import ATTEMPT_BY
-from halfseen.world.robot_logs import FREE, PARKED
+from halfseen.world.log_rows import FREE, PARKED
 from halfseen.world.robots import CLEARANCE_M
 from halfseen.world.state import Robots, TableState, Workspace
 

@@ -11,7 +11,7 @@ from halfseen.logs import Logs
 from halfseen.tables.grasp.attempts import attempts
 from halfseen.world.actions import Verb
 from halfseen.world.config import WorldConfig
-from halfseen.world.log_checks import object_numbers
+from halfseen.world.log_rows import object_numbers
 from halfseen.world.logs import states_of
 from halfseen.world.seeing import SAME_VIEW
 from halfseen.world.state import TableState

@@ -1,0 +1,184 @@
+"""The rows of a log of tables as arrays, as they are read off it; whether they can be so, `log_checks` tells."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+from jaxtyping import Bool, Float, Int
+
+from halfseen.errors import LogError
+from halfseen.logs import Logs
+from halfseen.logs.checks.robots import ROBOT
+from halfseen.logs.columns import as_floats
+from halfseen.logs.refusal import refuse, shown, value_at
+from halfseen.world.actions import TARGETED, VERB_NAMES
+
+FREE, PARKED, OUT = "FREE", "PARKED", "OUT"
+"""What a robot does that is at nothing."""
+NOTHING = -1
+"""Object of who is at none."""
+IDLE = {FREE: -1, PARKED: -2, OUT: -3}
+"""Verbs of who is at nothing, below those of `Verb`."""
+
+OF_OBJECT = ("path", "stage", "object")
+"""Columns that name a row of the objects."""
+
+_UNKNOWN = -4
+
+
+@dataclass(frozen=True)
+class Lists:
+    """The entries of a list column one after the other, the row of each, and the length of each row's list."""
+
+    row: Int[np.ndarray, " entries"]
+    values: Float[np.ndarray, " entries"]
+    lengths: Int[np.ndarray, " rows"]
+
+    @property
+    def place(self) -> Int[np.ndarray, " entries"]:
+        """Of each entry in the list of its row, from 0."""
+        return np.arange(len(self.row)) - np.repeat(np.cumsum(self.lengths) - self.lengths, self.lengths)
+
+    def rows_with(self, wrong: Bool[np.ndarray, " entries"]) -> Bool[np.ndarray, " rows"]:
+        """Rows that have a wrong entry."""
+        return np.bincount(self.row[wrong], minlength=len(self.lengths)) > 0
+
+
+@dataclass(frozen=True)
+class TableLog:
+    """The rows of a log of tables, stage by stage; every stage lists its objects."""
+
+    logs: Logs
+    objects: pd.DataFrame
+    num_robots: int
+    """0 for a log of one robot that works alone."""
+    _lists: dict[str, Lists] = field(default_factory=dict)
+
+    @cached_property
+    def target(self) -> Int[np.ndarray, " rows"]:
+        """Number of each row's object; see `object_numbers`."""
+        return object_numbers(self.objects)
+
+    @property
+    def num_objects(self) -> int:
+        """Most that a path lists."""
+        return int(self.target.max(initial=0)) + 1
+
+    @cached_property
+    def first(self) -> Int[np.ndarray, " rows"]:
+        """First row of the stage that each row is of."""
+        return np.arange(len(self.objects)) - self.objects.groupby(["path", "stage"]).cumcount().to_numpy()
+
+    @cached_property
+    def of_stage(self) -> Int[np.ndarray, " rows"]:
+        """Number of the stage, among all stages, that each row is of."""
+        return np.cumsum(self.first == np.arange(len(self.first))) - 1
+
+    @cached_property
+    def begun(self) -> Int[np.ndarray, " stages"]:
+        """Row of the object that each stage's action is done to; −1 where it has none."""
+        acted_on = self.logs.stages["object"].to_numpy(dtype=object, na_value=None)[self.of_stage]
+        is_it = np.asarray(self.objects["object"].to_numpy(dtype=object) == acted_on, dtype=bool)
+        row = np.full(len(self.logs.stages), NOTHING)
+        row[self.of_stage[is_it]] = np.flatnonzero(is_it)
+        return row
+
+    @cached_property
+    def decider(self) -> Int[np.ndarray, " stages"]:
+        """Robot that decides in each stage; −1 where it is none of them."""
+        return pd.Index(range(self.num_robots)).get_indexer(self.logs.stages[ROBOT]).astype(np.int32)
+
+    @cached_property
+    def does(self) -> Int[np.ndarray, "stages K 2"]:
+        """Verb, or one of `IDLE`, and object of what each robot is at."""
+        return np.stack([_doing(self.logs.stages, r) for r in range(self.num_robots)], axis=1)
+
+    def of_robots(self, what: str) -> Float[np.ndarray, "stages K"]:
+        """Number that the stages tell of each robot, such as since_s."""
+        columns = (as_floats("stages", self.logs.stages, f"{r}_{what}") for r in range(self.num_robots))
+        return np.stack([column.to_numpy() for column in columns], axis=1)
+
+    @cached_property
+    def is_reached(self) -> Bool[np.ndarray, "rows K"]:
+        """By whom each object is reached."""
+        found, lists = np.zeros((len(self.objects), self.num_robots), dtype=bool), self.lists("reached_by")
+        found[lists.row, lists.values.astype(np.int64)] = True
+        return found
+
+    def lists(self, column: str) -> Lists:
+        """Entries of a column of lists of numbers; null is refused."""
+        if column not in self._lists:
+            self._lists[column] = self._parsed(column)
+        return self._lists[column]
+
+    def _parsed(self, column: str) -> Lists:
+        lists = pa.array(self.objects[column], from_pandas=True)
+        if not (pa.types.is_list(lists.type) and _holds_numbers(lists.type.value_type)):
+            raise LogError(
+                f"objects: column {column!r} holds {lists.type}, not lists of numbers; give each object a list"
+            )
+        row, flat = np.array(lists.value_parent_indices(), dtype=np.int64), lists.flatten()
+        missing = np.array(lists.is_null(), dtype=bool)
+        missing[row[np.array(flat.is_null(), dtype=bool)]] = True
+        self.refuse_objects(
+            column, missing, "is null or holds one; give each object a list, empty where there is nothing"
+        )
+        return Lists(row, np.array(flat, dtype=np.float64), np.bincount(row, minlength=len(self.objects)))
+
+    def refuse_objects(self, column: str, wrong: Any, trouble: str) -> None:
+        """Refuse the first object's row that is wrong, and show what its column holds."""
+        frame, wrong = self.objects, np.asarray(wrong, dtype=bool)
+        refuse(frame, wrong, lambda row: f"{column} {trouble} (it is {shown(value_at(frame, column, row))})", OF_OBJECT)
+
+    def refuse_stages(self, column: str, wrong: Any, trouble: str) -> None:
+        """Refuse the first stage that is wrong, likewise."""
+        stages, wrong = self.logs.stages, np.asarray(wrong, dtype=bool)
+        refuse(stages, wrong, lambda row: f"{column} is {shown(value_at(stages, column, row))}, {trouble}")
+
+
+def _holds_numbers(kind: pa.DataType) -> bool:
+    tests = (pa.types.is_floating, pa.types.is_integer, pa.types.is_boolean, pa.types.is_null)
+    return any(test(kind) for test in tests)
+
+
+def _doing(stages: pd.DataFrame, robot: int) -> Int[np.ndarray, "stages 2"]:
+    code, words = pd.factorize(stages[f"{robot}_does"], use_na_sentinel=False)
+    known = np.array([_parsed(str(each)) for each in words], dtype=np.int64).reshape(-1, 2)
+    remedy = f"it is {', '.join((*IDLE, *VERB_NAMES))}, the verbs of an object with its number"
+    wrong = known[code, 0] == _UNKNOWN
+    refuse(stages, wrong, lambda row: f"{robot}_does is {shown(words[code[row]])}; {remedy}")
+    return known[code]
+
+
+def _parsed(words: str) -> tuple[int, int]:
+    verb, _, target = words.partition(" ")
+    if words in IDLE:
+        return IDLE[words], 0
+    if verb not in VERB_NAMES or (target.isdecimal() != (VERB_NAMES.index(verb) in TARGETED)):
+        return _UNKNOWN, 0
+    return VERB_NAMES.index(verb), int(target or 0)
+
+
+def object_numbers(objects: pd.DataFrame) -> Int[np.ndarray, " rows"]:
+    """Number of each row's object among all that its path ever lists, from 0, in the order of their names.
+
+    A path lists what came into view so far, so that the same object may be another row of a later stage.
+
+    Parameters
+    ----------
+    objects
+        Columns path and object.
+    """
+    path, name = (pd.factorize(objects[column], sort=True)[0].astype(np.int64) for column in ("path", "object"))
+    each, place = np.unique(path * (name.max(initial=0) + 1) + name, return_inverse=True)
+    return place - np.searchsorted(each, path * (name.max(initial=0) + 1))
+
+
+def begun_objects(logs: Logs) -> Int[np.ndarray, " stages"]:
+    """Number of the object that each stage's action is done to, −1 where it has none."""
+    assert logs.objects is not None
+    log = TableLog(logs, logs.objects, 0)
+    return np.where(log.begun >= 0, log.target[log.begun], NOTHING)
