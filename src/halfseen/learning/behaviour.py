@@ -10,11 +10,12 @@ was. So the margin of an action is waived as far as the behaviour policy leans t
 leaves the behaviour policy must be better beyond doubt, as in safe policy improvement [LarocheTrichelairTachet2019]_.
 """
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from halfseen.learning.choice import choice_probabilities
-from halfseen.learning.rows import PathArrays
+from halfseen.arrays import library_of
 
 RIDGE = 1.0
 """Penalty ½·RIDGE·‖β‖² on features of unit variance, beside a log-likelihood that is summed over rows."""
@@ -24,18 +25,28 @@ _MOST_STEPS, _LEAST_SHARE, _TOLERANCE, _FLAT = 100, 1e-6, 1e-12, 1e-10
 curvature that is added where the loss may be flat."""
 
 
-def behaviour_of(paths: PathArrays, blocks: Int[np.ndarray, " A"]) -> Float[np.ndarray, "K F"]:
-    """Fit the behaviour policy to all stages of a log whose action is known: coefficients, the offset first.
+def choice_probabilities(utility: Float[Any, "*S A"], is_possible: Bool[Any, "*#S A"]) -> Float[Any, "*S A"]:
+    """How likely each action is; 0 where it is not possible."""
+    xp = library_of(utility)
+    among = xp.where(is_possible, utility, -xp.inf)
+    odds = xp.exp(among - among.max(axis=-1, keepdims=True))
+    return odds / odds.sum(axis=-1, keepdims=True)
 
-    Parameters
-    ----------
-    paths
-        The log.
-    blocks
-        Block of coefficients of each action.
+
+def leaning(utility: Float[Any, "*S A"], is_possible: Bool[Any, "*#S A"]) -> Float[Any, "*S A"]:
+    """How far the choice is from chance towards each action: 0 at one time in k or less, 1 at always.
+
+    k counts the actions that there are to choose from.
     """
-    known = paths.is_begun & paths.has_action
-    return fit_choice(paths.features[known], paths.is_possible[known], paths.action[known], blocks)
+    xp = library_of(utility)
+    chance = 1.0 / xp.maximum(is_possible.sum(axis=-1, keepdims=True), 2)
+    return xp.clip((choice_probabilities(utility, is_possible) - chance) / (1.0 - chance), 0.0, 1.0)
+
+
+def seen_among(allowed: Bool[Any, "*S A"], seen: Bool[Any, "*T A"]) -> Bool[Any, "*S A"]:
+    """Keep the actions that were seen; all that are allowed where none was."""
+    both = allowed & seen
+    return both | (allowed & ~both.any(axis=-1, keepdims=True))
 
 
 def fit_choice(

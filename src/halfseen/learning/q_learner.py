@@ -14,12 +14,11 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from halfseen.censoring import CensoringModel, CutModel, WeightDiagnostics, weight_diagnostics
+from halfseen.censoring import CensoringModel, CutModel, WeightDiagnostics
 from halfseen.errors import ArgumentError
 from halfseen.estimator import Estimator, check_fitted
-from halfseen.learning.judging import with_stages
 from halfseen.learning.named_task import NamedActions
-from halfseen.learning.q_model import QModel, is_count, unseen_in_words
+from halfseen.learning.q_model import QModel, is_count
 from halfseen.learning.q_space import (
     SMOOTH,
     CrossValidation,
@@ -32,8 +31,9 @@ from halfseen.learning.q_space import (
     reg_of,
     stage_mode_of,
 )
-from halfseen.learning.rows import QFunctions
-from halfseen.learning.streaming import fit_stream
+from halfseen.learning.recursion import QFunctions
+from halfseen.learning.streaming import learned_from
+from halfseen.learning.support import unseen_in_words
 from halfseen.learning.targets import BuckleyJames, Targets, Weighted, targets_of
 from halfseen.learning.task import AUTO, Task, named_task
 from halfseen.logs import Logs, LogStream
@@ -234,19 +234,9 @@ class CensoredQLearner(Estimator):
         PositivityError
             All paths were cut, or a weight is not identified.
         """
-        model = self.compose(logs)
-        is_open = _is_auto(self.stages)
-        if isinstance(logs, LogStream):
-            found = fit_stream(model, logs, is_open, workers)
-            self.model_, self.q_functions_, self.chosen_ = found.model, found.q_functions, found.chosen
-            self.weights_, self.diagnostics_ = found.weights, found.diagnostics
-        else:
-            model, paths = model.fitted(logs)
-            self.model_, self.chosen_ = with_stages(model, model.sample_of(paths)) if is_open else (model, model.chosen)
-            log = self.model_.transitions(paths)
-            self.weights_ = np.asarray(log.weight)
-            self.q_functions_ = self.model_.fit(log)
-            self.diagnostics_ = weight_diagnostics(self.weights_, self.cut_model_ and self.cut_model_.truncate_at)
+        found = learned_from(logs, self.compose(logs), _is_auto(self.stages), workers)
+        self.model_, self.q_functions_, self.chosen_ = found.model, found.q_functions, found.chosen
+        self.weights_, self.diagnostics_ = found.weights, found.diagnostics
         self.policy_ = self.model_.policy(self.q_functions_)
         return self
 

@@ -16,8 +16,8 @@ from halfseen.errors import ArgumentError
 from halfseen.learning.flat_policy import FlatPolicy
 from halfseen.learning.q_learner import CensoredQLearner
 from halfseen.learning.q_model import QModel
-from halfseen.learning.recursion import fit_q
-from halfseen.learning.rows import PathArrays, QFunctions, Transitions, stack_q
+from halfseen.learning.recursion import QFunctions, fit_q, stack_q
+from halfseen.learning.rows import PathArrays, Transitions
 from halfseen.logs import Logs
 from halfseen.progress import Progress, Telling, telling
 from halfseen.workers import ALONE, Workers
