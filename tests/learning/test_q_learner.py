@@ -12,7 +12,7 @@ from trials import ACTIONS, FULL, REDUCED, cell_means, indicators, two_stage_tri
 from halfseen.censoring import KaplanMeier, stage_weights
 from halfseen.errors import ArgumentError, LogError, PositivityError
 from halfseen.learning import CensoredQLearner, CrossValidation, DoublyRobust, KernelQ, NamedActions, Weighted, q_model
-from halfseen.learning.behaviour import behaviour_of
+from halfseen.learning.behaviour import fit_choice
 from halfseen.logs import Logs
 
 
@@ -259,9 +259,9 @@ def test_learning_runs_in_one_thread(logs, monkeypatch):
 
     def spied(*given):
         threads.extend(each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas")
-        return behaviour_of(*given)
+        return fit_choice(*given)
 
-    monkeypatch.setattr(q_model, "behaviour_of", spied)
+    monkeypatch.setattr(q_model, "fit_choice", spied)
     with threadpool_limits(2):
         CensoredQLearner(2, ACTIONS, FULL).fit(logs)
     assert set(threads) == {1}
