@@ -93,10 +93,15 @@ class Rows(NamedTuple):
     policy: Float[np.ndarray, "R A"] | None
     """π(a | S_t), if Q of a given policy is wanted."""
 
+    def groups_of(self, slices: tuple[int, ...]) -> Int[np.ndarray, "N1 5"]:
+        """Groups of slices that lie one after another."""
+        first, last = np.searchsorted(self.groups[:, 0], [slices[0], slices[-1] + 1])
+        return self.groups[first:last]
+
     def span(self, slices: tuple[int, ...]) -> slice:
         """Rows of slices that lie one after another."""
-        of_slices = self.groups[np.isin(self.groups[:, 0], slices)]
-        return slice(int(of_slices[0, 3]), int(of_slices[-1, 4])) if len(of_slices) else slice(0, 0)
+        groups = self.groups_of(slices)
+        return slice(int(groups[0, 3]), int(groups[-1, 4])) if len(groups) else slice(0, 0)
 
 
 def packed(log: Transitions, regression: Regression) -> Rows:
@@ -175,11 +180,11 @@ def _choices(
     row, action = np.nonzero(is_choice & is_state[:, None])
     by_block = np.argsort(blocks[action], kind="stable")
     row, action = row[by_block], action[by_block]
-    path, stage = at[0][row], at[1][row]
+    number = np.ravel_multi_index((at[0][row], at[1][row], action), log.is_possible.shape)
     matrix = np.ones((len(row), 1 + log.features.shape[-1]))
-    matrix[:, 1:] = log.features[path, stage, action]
+    matrix[:, 1:] = log.features.reshape(-1, log.features.shape[-1])[number]
     begin = np.searchsorted(blocks[action], np.arange(regression.num_blocks + 1))
-    policy = None if log.policy is None else log.policy[path, stage, action]
+    policy = None if log.policy is None else log.policy.ravel()[number]
     return StateChoices(matrix, begin, row.astype(np.int32), action.astype(np.int32), policy)
 
 
@@ -205,12 +210,11 @@ def moments_of(rows: Rows, which: int, regression: Regression) -> Moments:
     """Sum up what no target changes over the rows of a slice."""
     width, num_folds, num_blocks = rows.matrix.shape[1], regression.num_folds, regression.num_blocks
     found = Moments(np.zeros((4, num_folds, num_blocks, width, width)), np.zeros((3, num_blocks)))
-    for slice_, fold, block, begin, end in rows.groups:
-        if slice_ == which:
-            weights = rows.weights[:, begin:end]
-            _add_moments(found.of_matrix[:, fold, block], rows.matrix[begin:end], weights)
-            seen = weights[SEEN]
-            found.counts[:, block] += seen.sum(), seen @ seen, np.count_nonzero(seen)
+    for _, fold, block, begin, end in rows.groups_of((which,)).tolist():
+        weights = rows.weights[:, begin:end]
+        _add_moments(found.of_matrix[:, fold, block], rows.matrix[begin:end], weights)
+        seen = weights[SEEN]
+        found.counts[:, block] += seen.sum(), seen @ seen, np.count_nonzero(seen)
     return found
 
 
@@ -235,9 +239,8 @@ def crosses_of(
     weighted = (rows.weights[SHARE:, span] * target).T.copy()
     sums = np.zeros((regression.num_folds, regression.num_blocks, rows.matrix.shape[1], 3))
     squares = np.zeros(regression.num_blocks)
-    for slice_, fold, block, begin, end in rows.groups:
-        if slice_ in slices:
-            here = slice(begin - span.start, end - span.start)
-            sums[fold, block] += rows.matrix[begin:end].T @ weighted[here]
-            squares[block] += weighted[here, -1] @ target[here]
+    for _, fold, block, begin, end in rows.groups_of(slices).tolist():
+        here = slice(begin - span.start, end - span.start)
+        sums[fold, block] += rows.matrix[begin:end].T @ weighted[here]
+        squares[block] += weighted[here, -1] @ target[here]
     return Crosses(np.moveaxis(sums, -1, 0), squares)
