@@ -64,7 +64,7 @@ def test_a_prior_of_one_row_is_a_penalty_of_one(num_folds):
     x[:2, 1] = 1e-3
     y = 3.0 * x[:, 0] + 1e3 * x[:, 1] + 0.1 * rng.normal(size=200)
     gram, cross = sums(x, np.zeros(200, int), np.ones(200), np.arange(200) % num_folds, y, 1, num_folds)
-    found = solve(ridge_of(with_prior(gram, 1), np.zeros(1), 200), cross).coefficients[0]
+    found = solve(ridge_of(with_prior(gram, 1), np.zeros(1), 200), cross)[0][0]
     given = np.column_stack([np.ones(200), x])
     expected = np.linalg.solve(given.T @ given + np.diag([0.0, 0.0, 1.0]), given.T @ y)
     np.testing.assert_allclose(found, expected, rtol=1e-9)

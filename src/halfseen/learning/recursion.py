@@ -32,7 +32,7 @@ import numpy as np
 from jaxtyping import Float
 
 from halfseen.errors import ArgumentError
-from halfseen.learning.ridge import Axes, Errors, Ridge, axes_of, ridge_of, solve, standard_errors, with_prior
+from halfseen.learning.ridge import Errors, Ridge, ridge_of, solve, standard_errors, with_prior
 from halfseen.learning.rows import Transitions
 from halfseen.learning.sums import (
     ENDED,
@@ -212,7 +212,7 @@ class _Equations(NamedTuple):
     main: Ridge
     outcome: Ridge | None
     """Of X, where targets are imputed."""
-    seen: Axes | None
+    seen: Ridge | None
     """Of the completed stages, without folds, for pessimism."""
 
 
@@ -247,7 +247,7 @@ class _Steps:
             outcome = ridge_of(with_prior(gram, columns.num_terms), regs, num_paths, is_scaled)
         if self.regression.pessimism > 0:
             gram = moments.of_matrix[SEEN, :, :, :num_features, :num_features]
-            seen = axes_of(gram.sum(axis=0, keepdims=True), is_scaled)
+            seen = ridge_of(gram.sum(axis=0, keepdims=True), regs, num_paths, is_scaled)
         return _Equations(moments, ridge_of(main, regs, num_paths, is_scaled), outcome, seen)
 
     def _solved(
@@ -258,19 +258,20 @@ class _Steps:
         cross = crosses[SHARE - 1][..., design]
         if equations.outcome is not None:
             kept, used = _of_outcome(columns)
-            outcome = solve(equations.outcome, crosses[OUTCOME - 1][..., kept] * used).coefficients
+            outcome, _ = solve(equations.outcome, crosses[OUTCOME - 1][..., kept] * used)
             cross = cross + _of_imputed(moments, columns, outcome)
         if centre is not None:
             cross = cross - np.einsum("vkfg,kg->vkf", moments[WHOLE][..., design, design], centre)
-        fit = solve(equations.main, cross)
-        coefficients = fit.coefficients if centre is None else fit.coefficients + centre
-        q = QFunctions(coefficients[:, : columns.num_features], fit.reg, outcome)
+        coefficients, reg = solve(equations.main, cross)
+        coefficients = coefficients if centre is None else coefficients + centre
+        q = QFunctions(coefficients[:, : columns.num_features], reg, outcome)
         if equations.seen is None:
             return q, coefficients, None
         gram = moments[SEEN][..., design, design].sum(axis=0)
-        squares = _squared_residuals(gram, crosses[SEEN - 1][..., design].sum(axis=0), coefficients)
-        squares = np.maximum(squares + found.crosses.squares, 0.0)
-        errors = standard_errors(equations.seen, fit.reg * self._num_paths, squares, equations.moments.counts)
+        # Σ w (X − βᵀx)² of the completed stages.
+        explained = 2.0 * crosses[SEEN - 1][..., design].sum(axis=0) - np.einsum("kfg,kg->kf", gram, coefficients)
+        squares = np.maximum(found.crosses.squares - np.sum(coefficients * explained, axis=-1), 0.0)
+        errors = standard_errors(equations.seen, reg * self._num_paths, squares, equations.moments.counts)
         root = errors.root * errors.deviation[:, None, None]
         lowered = errors._replace(deviation=self.regression.pessimism * errors.deviation)
         return q._replace(root=root), coefficients, lowered
@@ -292,13 +293,6 @@ def _of_imputed(
     of_time = moments[WHOLE][..., design, columns.num_design + columns.num_terms :]
     by_state = np.einsum("vkfm,km->vkf", of_state, outcome[:, :num_features] * columns.is_used)
     return by_state + np.einsum("vkfg,kg->vkf", of_time, outcome[:, num_features:])
-
-
-def _squared_residuals(
-    gram: Float[np.ndarray, "K F F"], cross: Float[np.ndarray, "K F"], coefficients: Float[np.ndarray, "K F"]
-) -> Float[np.ndarray, " K"]:
-    """Σ w (X − βᵀx)² − Σ w X² of the completed stages."""
-    return np.einsum("kf,kfg,kg->k", coefficients, gram, coefficients) - 2.0 * np.sum(coefficients * cross, axis=-1)
 
 
 def _values_of(

@@ -36,52 +36,18 @@ TIE_TOLERANCE = 1e-9
 _TINY = np.finfo(np.float64).tiny
 
 
-class Axes(NamedTuple):
-    """The basis B of each block, without each fold (if there are several) and, last, with all of them."""
-
-    basis: Float[np.ndarray, "V1 K F F"]
-    values: Float[np.ndarray, "V1 K F"]
-    """N, and e."""
-
-
 class Ridge(NamedTuple):
     """Normal equations by block: they depend on the Gram matrices alone, so they serve every target."""
 
-    axes: Axes
-    held_out: Float[np.ndarray, "V K F F"]
-    """Bᵀ (Σ w x xᵀ) B of the rows of each fold, B being without it; none without folds."""
+    regs: Float[np.ndarray, " L"]
+    basis: Float[np.ndarray, "V1 K F F"]
+    """B, without each fold (if there are several) and, last, with all of them."""
+    values: Float[np.ndarray, "V1 K F"]
+    """N, and e."""
     shrink: Float[np.ndarray, "L V1 K F"]
     """1/N and 1/(e + nλ) by each λ; 0 along what was never seen."""
-    regs: Float[np.ndarray, " L"]
-
-
-class Fit(NamedTuple):
-    """Coefficients of each block."""
-
-    coefficients: Float[np.ndarray, "K F"]
-    """On the features as given, the offset first."""
-    reg: Float[np.ndarray, " K"]
-    """The λ that was used."""
-
-
-def axes_of(gram: Float[np.ndarray, "V K F F"], is_scaled: bool) -> Axes:
-    """Find the bases; `is_scaled` brings the features of each block to unit weighted variance."""
-    train, total = _leave_one_out(gram), gram.sum(axis=0)
-    mass = train[..., 0, 0]
-    mean = train[..., 0, 1:] / np.where(mass > 0, mass, 1.0)[..., None]
-    centred = train[..., 1:, 1:] - mass[..., None, None] * mean[..., :, None] * mean[..., None, :]
-    variance = np.diagonal(centred[-1], axis1=-2, axis2=-1)
-    is_varied = variance > RANK_TOLERANCE * np.diagonal(total, axis1=-2, axis2=-1)[:, 1:]
-    of_all = np.maximum(total[:, :1, 0], _TINY)
-    scale = np.sqrt(np.where(is_varied, variance / of_all if is_scaled else 1.0, np.inf))
-    scaled = centred / (scale[:, :, None] * scale[:, None, :])
-    # LAPACK takes no empty matrix, and a Q without covariates has one.
-    spread, vectors = np.linalg.eigh(scaled) if scaled.size else (scaled.sum(axis=-1), scaled)
-    basis = np.zeros_like(train)
-    basis[..., 0, 0] = 1.0
-    basis[..., 1:, 1:] = vectors / scale[:, :, None]
-    basis[..., 0, 1:] = -np.matmul(mean[..., None, :], basis[..., 1:, 1:])[..., 0, :]
-    return Axes(basis, np.concatenate([mass[..., None], spread], axis=-1))
+    held_out: Float[np.ndarray, "V K F F"]
+    """Bᵀ (Σ w x xᵀ) B of the rows of each fold, B being without it; none without folds."""
 
 
 def ridge_of(
@@ -100,18 +66,38 @@ def ridge_of(
     is_scaled
         Whether λ weighs features as if each had unit variance.
     """
-    axes, num_folds = axes_of(gram, is_scaled), len(gram)
-    num_held_out = len(axes.values) - 1
-    paths = num_paths * np.append(np.full(num_held_out, (num_folds - 1) / num_folds), 1.0)
-    spread = axes.values[..., 1:]
-    is_seen = np.ones(axes.values.shape, dtype=bool)
-    is_seen[..., 0] = axes.values[..., 0] > 0
-    is_seen[..., 1:] = spread > RANK_TOLERANCE * spread.max(axis=-1, keepdims=True, initial=0.0)
-    penalty = np.zeros((len(regs), len(paths), 1, axes.values.shape[-1]))
+    basis, values = _diagonalised(gram, is_scaled)
+    num_held_out = len(basis) - 1
+    paths = num_paths * np.append(np.full(num_held_out, (len(gram) - 1) / len(gram)), 1.0)
+    penalty = np.zeros((len(regs), len(paths), 1, values.shape[-1]))
     penalty[..., 1:] = (regs[:, None] * paths)[:, :, None, None]
-    shrink = np.where(is_seen, 1.0 / np.where(is_seen, axes.values + penalty, 1.0), 0.0)
-    basis = axes.basis[:num_held_out]
-    return Ridge(axes, np.swapaxes(basis, -1, -2) @ gram[:num_held_out] @ basis, shrink, regs)
+    is_seen = values > RANK_TOLERANCE * values[..., 1:].max(axis=-1, keepdims=True, initial=0.0)
+    is_seen[..., 0] = values[..., 0] > 0
+    shrink = np.where(is_seen, 1.0 / np.where(is_seen, values + penalty, 1.0), 0.0)
+    without = basis[:num_held_out]
+    return Ridge(regs, basis, values, shrink, np.swapaxes(without, -1, -2) @ gram[:num_held_out] @ without)
+
+
+def _diagonalised(
+    gram: Float[np.ndarray, "V K F F"], is_scaled: bool
+) -> tuple[Float[np.ndarray, "V1 K F F"], Float[np.ndarray, "V1 K F"]]:
+    """B, and N and e."""
+    train, total = _leave_one_out(gram), gram.sum(axis=0)
+    mass = train[..., 0, 0]
+    mean = train[..., 0, 1:] / np.where(mass > 0, mass, 1.0)[..., None]
+    centred = train[..., 1:, 1:] - mass[..., None, None] * mean[..., :, None] * mean[..., None, :]
+    variance = np.diagonal(centred[-1], axis1=-2, axis2=-1)
+    is_varied = variance > RANK_TOLERANCE * np.diagonal(total, axis1=-2, axis2=-1)[:, 1:]
+    of_all = np.maximum(total[:, :1, 0], _TINY)
+    scale = np.sqrt(np.where(is_varied, variance / of_all if is_scaled else 1.0, np.inf))
+    scaled = centred / (scale[:, :, None] * scale[:, None, :])
+    # LAPACK takes no empty matrix, and a Q without covariates has one.
+    spread, vectors = np.linalg.eigh(scaled) if scaled.size else (scaled.sum(axis=-1), scaled)
+    basis = np.zeros_like(train)
+    basis[..., 0, 0] = 1.0
+    basis[..., 1:, 1:] = vectors / scale[:, :, None]
+    basis[..., 0, 1:] = -np.matmul(mean[..., None, :], basis[..., 1:, 1:])[..., 0, :]
+    return basis, np.concatenate([mass[..., None], spread], axis=-1)
 
 
 def with_prior(gram: Float[np.ndarray, "V K F F"], num_last: int) -> Float[np.ndarray, "V K F F"]:
@@ -125,29 +111,24 @@ def with_prior(gram: Float[np.ndarray, "V K F F"], num_last: int) -> Float[np.nd
     return gram + np.diag(np.where(is_last, 1.0 / num_folds, 0.0))
 
 
-def solve(ridge: Ridge, cross: Float[np.ndarray, "V K F"]) -> Fit:
-    """Regress on the rows of the normal equations, given Σ w x y; the best held-out λ serves each block.
+def solve(
+    ridge: Ridge, cross: Float[np.ndarray, "V K F"]
+) -> tuple[Float[np.ndarray, "K F"], Float[np.ndarray, " K"]]:
+    """Regress on the rows of the normal equations, given Σ w x y: coefficients, the offset first, and the λ of each.
 
-    Where several serve equally well, as in a block too small to tell, it is the last of them.
+    The best held-out λ serves each block; where several serve equally well, as in a block too small to tell, the last.
     """
-    basis, num_blocks, best = ridge.axes.basis, cross.shape[1], 0
-    train = _leave_one_out(cross)
-    along = ridge.shrink * np.matmul(np.swapaxes(basis, -1, -2), train[..., None])[..., 0]
+    num_blocks, num_held_out, best = cross.shape[1], len(ridge.held_out), 0
+    transposed, train = np.swapaxes(ridge.basis, -1, -2), _leave_one_out(cross)
+    along = ridge.shrink * np.matmul(transposed, train[..., None])[..., 0]
     if len(ridge.regs) > 1:
-        best = _last_smallest(_held_out_errors(ridge, along, cross))
+        # Σ w (y − xᵀβ)² − Σ w y², which no λ changes, over all folds.
+        tried = np.ascontiguousarray(along[:, :num_held_out].transpose(1, 2, 3, 0))
+        of_cross = np.matmul(transposed[:num_held_out], cross[:num_held_out, ..., None])
+        best = _last_smallest((tried * (ridge.held_out @ tried - 2.0 * of_cross)).sum(axis=(0, 2)).T)
     chosen = along[best, -1, np.arange(num_blocks)]
-    coefficients = np.matmul(basis[-1], chosen[..., None])[..., 0]
-    return Fit(coefficients, np.broadcast_to(ridge.regs[best], num_blocks).copy())
-
-
-def _held_out_errors(
-    ridge: Ridge, along: Float[np.ndarray, "L V1 K F"], cross: Float[np.ndarray, "V K F"]
-) -> Float[np.ndarray, "L K"]:
-    """Σ w (y − xᵀβ)² − Σ w y² over all folds, which no λ changes."""
-    num_held_out = len(ridge.held_out)
-    tried = np.ascontiguousarray(along[:, :num_held_out].transpose(1, 2, 3, 0))
-    of_cross = np.matmul(np.swapaxes(ridge.axes.basis[:num_held_out], -1, -2), cross[:num_held_out, ..., None])
-    return (tried * (ridge.held_out @ tried - 2.0 * of_cross)).sum(axis=(0, 2)).T
+    coefficients = np.matmul(ridge.basis[-1], chosen[..., None])[..., 0]
+    return coefficients, np.broadcast_to(ridge.regs[best], num_blocks).copy()
 
 
 def _last_smallest(errors: Float[np.ndarray, "L K"]) -> Int[np.ndarray, " K"]:
@@ -170,7 +151,7 @@ class Errors(NamedTuple):
 
 
 def standard_errors(
-    axes: Axes,
+    ridge: Ridge,
     penalty: Float[np.ndarray, " K"],
     squares: Float[np.ndarray, " K"],
     counts: Float[np.ndarray, "3 K"],
@@ -181,7 +162,7 @@ def standard_errors(
 
     Parameters
     ----------
-    axes
+    ridge
         Of the rows that were seen, without folds.
     penalty
         nλ of each block.
@@ -190,11 +171,11 @@ def standard_errors(
     counts
         Σw; Σw², as heavy weights make of many rows few; and the number of rows with a weight.
     """
-    values, (weight, of_squares, count) = axes.values[0], counts
+    values, (weight, of_squares, count) = ridge.values[0], counts
     mass, spread = np.maximum(values[:, 0], _TINY), values[:, 1:]
     least = 1e-8 * spread.max(axis=-1, keepdims=True, initial=0.0) + _TINY
     penalised = np.maximum(spread + penalty[:, None], least)
-    root = axes.basis[0] / np.sqrt(np.column_stack([mass, penalised]))[:, None, :]
+    root = ridge.basis[0] / np.sqrt(np.column_stack([mass, penalised]))[:, None, :]
     fitted = 1.0 + np.sum(np.maximum(spread, 0.0) / penalised, axis=-1)
     left = count / np.maximum(count - fitted, 0.1 * count + 0.5)
     variance = left * squares / np.where(weight > 0, weight, 1.0)
