@@ -111,9 +111,7 @@ def with_prior(gram: Float[np.ndarray, "V K F F"], num_last: int) -> Float[np.nd
     return gram + np.diag(np.where(is_last, 1.0 / num_folds, 0.0))
 
 
-def solve(
-    ridge: Ridge, cross: Float[np.ndarray, "V K F"]
-) -> tuple[Float[np.ndarray, "K F"], Float[np.ndarray, " K"]]:
+def solve(ridge: Ridge, cross: Float[np.ndarray, "V K F"]) -> tuple[Float[np.ndarray, "K F"], Float[np.ndarray, " K"]]:
     """Regress on the rows of the normal equations, given Σ w x y: coefficients, the offset first, and the λ of each.
 
     The best held-out λ serves each block; where several serve equally well, as in a block too small to tell, the last.
