@@ -7,7 +7,7 @@ logs that it was not chosen on.
 """
 
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -42,23 +42,6 @@ from halfseen.workers.threads import in_one_thread
 
 PESSIMISM = 2.0
 """Standard errors by which the value of a whole path is lowered, were the errors of its stages independent."""
-
-Source = Logs | LogStream | None
-
-
-def automatic_targets(logs: Source) -> Targets:
-    """Impute what cuts took away; weights where the action of a stage in which a path was cut is not known."""
-    return BuckleyJames() if logs is None or logs.has_all_actions else Weighted()
-
-
-def automatic_space(task: Task) -> QSpace:
-    """Smooth in plain covariates; linear in the features that a task makes for each action."""
-    return SMOOTH if task.is_shared else LinearQ()
-
-
-def automatic_pessimism(is_fixed: bool, horizon: int) -> float:
-    """2/√T for each of T stages, whose margins add up; 0, eq. 3 as it is, where targets are fixed."""
-    return 0.0 if is_fixed else PESSIMISM / horizon**0.5
 
 
 @dataclass(eq=False, repr=False)
@@ -240,8 +223,12 @@ class CensoredQLearner(Estimator):
         self.policy_ = self.model_.policy(self.q_functions_)
         return self
 
-    def compose(self, logs: Source = None) -> QModel:
+    def compose(self, logs: Logs | LogStream | None = None) -> QModel:
         """Check the parameters and compose what they say; nothing is fitted.
+
+        Targets are imputed by themselves, but weighted where the action of a stage in which a path was cut is not
+        known; 𝒬 is smooth in plain covariates, and linear in the features that a task makes for each action; pessimism
+        is 2/√T for each of T stages, whose margins add up, and 0, eq. 3 as it is, where targets are fixed.
 
         Parameters
         ----------
@@ -254,22 +241,29 @@ class CensoredQLearner(Estimator):
             A parameter has a value that it cannot take.
         """
         task, is_fixed = self._task(), not _is_auto(self.censoring)
-        by_itself = 0.0 if _is_of_policy(task) else automatic_pessimism(is_fixed, self.horizon)
-        if _is_of_policy(task) and not _is_auto(self.pessimism) and pessimism_of(self.pessimism) > 0:
+        is_of_policy = bool(getattr(task, "is_of_policy", False))
+        model = QModel(
+            horizon=self.horizon,
+            task=task,
+            targets=targets_of(self.censoring) if is_fixed else BuckleyJames(),
+            space=(SMOOTH if task.is_shared else LinearQ())
+            if _is_auto(self.q_function)
+            else q_space_of(self.q_function),
+            reg=reg_of(self.reg),
+            stages="pooled" if _is_auto(self.stages) else stage_mode_of(self.stages),
+            pessimism=0.0 if _is_auto(self.pessimism) else pessimism_of(self.pessimism),
+            random_state=self.random_state,
+        )
+        if is_of_policy and model.pessimism > 0:
             raise ArgumentError(
                 f"pessimism is {self.pessimism}, but Q is that of a given policy, where no largest is sought; leave it "
                 "out, or learn Q of the best one (base=None)"
             )
-        return QModel(
-            horizon=self.horizon,
-            task=task,
-            targets=targets_of(self.censoring) if is_fixed else automatic_targets(logs),
-            space=automatic_space(task) if _is_auto(self.q_function) else q_space_of(self.q_function),
-            reg=reg_of(self.reg),
-            stages="pooled" if _is_auto(self.stages) else stage_mode_of(self.stages),
-            pessimism=by_itself if _is_auto(self.pessimism) else pessimism_of(self.pessimism),
-            random_state=self.random_state,
-        )
+        if _is_auto(self.pessimism) and not (is_fixed or is_of_policy):
+            model = replace(model, pessimism=PESSIMISM / self.horizon**0.5)
+        if not is_fixed and logs is not None and not logs.has_all_actions:
+            model = replace(model, targets=Weighted())
+        return model
 
     def q_values(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
         """Q̂ of every action in a stage (from 1), for each row of covariates; named actions only."""
@@ -316,10 +310,6 @@ class CensoredQLearner(Estimator):
             raise ArgumentError(f"{type(self.actions).__name__}'s own policy decides: ask policy_; or name the actions")
         check_fitted(self, "policy_")
         return self.policy_
-
-
-def _is_of_policy(task: Task) -> bool:
-    return bool(getattr(task, "is_of_policy", False))
 
 
 def _is_auto(value: Any) -> bool:

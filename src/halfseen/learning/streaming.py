@@ -85,23 +85,60 @@ def learned_from(logs: Logs | LogStream, model: QModel, has_choice: bool, worker
 
 
 def _in_passes(stream: LogStream, model: QModel, has_choice: bool, workers: Workers) -> Learned:
-    """The first pass gathers what Ĝ needs, and a sample of the paths."""
+    """The first pass gathers what Ĝ needs, and a sample of the paths; each backward step is a pass."""
     refuse_all_cut(stream.is_finished)
-    shards = stream.shards()
+    shards, num_paths = stream.shards(), stream.num_paths
     with (
         (workers if len(shards) > 1 else ALONE).ready() as pool,
         kept_parts(shards[-1].parts[-1].number + 1, pool.is_here) as kept,
     ):
-        passes = _Passes(stream, shards, pool, kept)
-        sample = passes.sample(model.random_state)
-        model = passes.looked_at(model.with_task(stream, sample))
+        work = partial(_Work, stream.as_folder, num_paths, kept)
+        sample = _read(stream, shards, sampled(num_paths, model.random_state), pool)
+        model = model.with_task(stream, sample)
+        look = _joined(list(pool.in_order(partial(_look_at, work(model)), shards)))
+        ends = look.clocks or [StageClocks.of_ends(stream.end_s, stream.is_finished)]
+        model = model.with_clocks(ends[0], look.support)
         paths = model.lay_out(sample)
         give_back()
         model = model.with_sample(paths).with_durations(paths)
         model, chosen = with_stages(model, paths) if has_choice else (model, model.chosen)
         give_back()
-        model = replace(model, task=model.task.fitted_to_rewards(passes.rewarded(model)))
-        return passes.learned(model, chosen)
+        rewarded = chain.from_iterable(work(model).rewarded(shard) for shard in shards)
+        model = replace(model, task=model.task.fitted_to_rewards(rewarded))
+        return _backward_in_passes(work(model), shards, pool, look.num_actions, chosen)
+
+
+def _backward_in_passes(
+    work: "_Work", shards: list[Shard], pool: Pool, num_actions: int, chosen: tuple[str, ...]
+) -> Learned:
+    model, num_paths = work.model, work.num_paths
+    regression = model.regression(num_paths, num_actions)
+    fold = model.folds(num_paths).astype(np.min_scalar_type(-regression.num_folds))
+    dealt = [(shard, fold[shard.paths]) for shard in shards]
+    tally = WeightTally(model.cut_model and model.cut_model.truncate_at)
+    num_passes, is_first = model.horizon + (regression.end_action is not None), True
+    # The file has no name; it is gone with the last array that shows it.
+    with one_thread(), TemporaryFile(prefix="halfseen-") as file, Progress(num_passes, "learn", "passes") as bar:
+
+        def ask(step: Step) -> Found:
+            nonlocal is_first
+            total = None
+            for found, weight in pool.in_order(partial(_sums_of, work, step, is_first), dealt):
+                if weight is not None:
+                    file.write(np.ascontiguousarray(weight).tobytes())
+                    tally.add(weight)
+                total = _plus(total, found)
+            assert total is not None
+            is_first = False
+            bar.update()
+            return total
+
+        q = backward(ask, (num_paths, model.horizon), regression)
+        if isinstance(model.reg, CrossValidation):
+            refuse_too_few(tally.num_rows_seen, num_paths)
+        file.flush()
+        weights = np.memmap(file, dtype=np.float64, mode="r", shape=(num_paths, model.horizon))
+    return Learned(model, q, chosen, weights, tally.told())
 
 
 def sample_of(stream: LogStream, seed: int, most: int | None = None) -> Logs:
@@ -142,9 +179,9 @@ class _Work:
     """What all workers are told once a pass: the log, the model as far as it is fitted, and where parts are kept."""
 
     folder: Folder
-    model: QModel
     num_paths: int
     kept: KeptParts
+    model: QModel
 
     def paths_of(self, shard: Shard) -> Iterator[PathArrays]:
         """Lay out the parts of a shard as arrays."""
@@ -155,6 +192,11 @@ class _Work:
                 paths = self._laid_out(reader, part)
                 self.kept.keep("paths", part.number, paths)
             yield paths
+
+    def rewarded(self, shard: Shard) -> Iterator[RewardedStages]:
+        """What the stages of a shard paid; nothing is read unless it is asked for."""
+        for paths in self.paths_of(shard):
+            yield self.model.rewarded(paths, self.model.targets.weights(paths, self.model.cut_model))
 
     def rows_of(
         self, shard: Shard, fold: Int[np.ndarray, " n"], is_first: bool
@@ -232,62 +274,3 @@ def _plus(total: Found | None, found: Found) -> Found:
         return found
     moments, crosses = mapped(np.add, (total.moments, total.crosses), (found.moments, found.crosses))
     return total._replace(moments=moments, crosses=crosses)
-
-
-class _Passes:
-    """A log in shards, and who reads them."""
-
-    def __init__(self, stream: LogStream, shards: list[Shard], pool: Pool, kept: KeptParts) -> None:
-        self._stream, self._shards, self._pool, self._kept = stream, shards, pool, kept
-        self._num_actions = 0
-
-    def sample(self, seed: int) -> Logs:
-        """Read the paths that decide on what is no sum."""
-        return _read(self._stream, self._shards, sampled(self._stream.num_paths, seed), self._pool)
-
-    def looked_at(self, model: QModel) -> QModel:
-        """Look at all shards for the first time; fit Ĝ, and see what was completed."""
-        look = _joined(list(self._pool.in_order(partial(_look_at, self._work(model)), self._shards)))
-        self._num_actions = look.num_actions
-        of_ends = StageClocks.of_ends(self._stream.end_s, self._stream.is_finished)
-        return model.with_clocks(look.clocks[0] if look.clocks else of_ends, look.support)
-
-    def rewarded(self, model: QModel) -> Iterator[RewardedStages]:
-        """What the stages of a log paid; nothing is read unless it is asked for."""
-        for shard in self._shards:
-            for paths in self._work(model).paths_of(shard):
-                yield model.rewarded(paths, model.targets.weights(paths, model.cut_model))
-
-    def learned(self, model: QModel, chosen: tuple[str, ...]) -> Learned:
-        """Run eq. 3, a pass for each backward step."""
-        num_paths, work = self._stream.num_paths, self._work(model)
-        regression = model.regression(num_paths, self._num_actions)
-        fold = model.folds(num_paths).astype(np.min_scalar_type(-regression.num_folds))
-        dealt = [(shard, fold[shard.paths]) for shard in self._shards]
-        tally = WeightTally(model.cut_model and model.cut_model.truncate_at)
-        num_passes, is_first = model.horizon + (regression.end_action is not None), True
-        # The file has no name; it is gone with the last array that shows it.
-        with one_thread(), TemporaryFile(prefix="halfseen-") as file, Progress(num_passes, "learn", "passes") as bar:
-
-            def ask(step: Step) -> Found:
-                nonlocal is_first
-                total = None
-                for found, weight in self._pool.in_order(partial(_sums_of, work, step, is_first), dealt):
-                    if weight is not None:
-                        file.write(np.ascontiguousarray(weight).tobytes())
-                        tally.add(weight)
-                    total = _plus(total, found)
-                assert total is not None
-                is_first = False
-                bar.update()
-                return total
-
-            q = backward(ask, (num_paths, model.horizon), regression)
-            if isinstance(model.reg, CrossValidation):
-                refuse_too_few(tally.num_rows_seen, num_paths)
-            file.flush()
-            weights = np.memmap(file, dtype=np.float64, mode="r", shape=(num_paths, model.horizon))
-        return Learned(model, q, chosen, weights, tally.told())
-
-    def _work(self, model: QModel) -> _Work:
-        return _Work(self._stream.as_folder, model, self._stream.num_paths, self._kept)
