@@ -144,16 +144,18 @@ def test_a_path_in_no_fold_is_refused():
         fit_q(log_for(FLAT), Regression(np.array(BLOCKS), 3, np.ones(1), 2, "separate"))
 
 
-def test_the_weights_matter():
+@pytest.mark.parametrize(
+    "changed",
+    [
+        lambda log: log._replace(weight=(log.weight > 0).astype(float)),
+        lambda log: log._replace(is_possible=np.ones_like(log.is_possible)),
+    ],
+    ids=["weights", "what is possible"],
+)
+def test_it_matters(changed):
     log = log_for(FLAT)
-    flat = log._replace(weight=(log.weight > 0).astype(float))
-    assert np.abs(fit(log, FLAT, "separate").coefficients - fit(flat, FLAT, "separate").coefficients).max() > 0.01
-
-
-def test_the_maximum_runs_over_possible_actions_only():
-    log = log_for(FLAT)
-    everything = log._replace(is_possible=np.ones_like(log.is_possible))
-    assert np.abs(fit(log, FLAT, "separate").coefficients - fit(everything, FLAT, "separate").coefficients).max() > 0.01
+    before, after = (fit(each, FLAT, "separate").coefficients for each in (log, changed(log)))
+    assert np.abs(before - after).max() > 0.01
 
 
 @pytest.mark.parametrize(("stages", "task"), MODES)

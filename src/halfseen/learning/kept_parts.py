@@ -9,7 +9,6 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -69,7 +68,7 @@ class KeptParts:
         self._file(kind, number).unlink(missing_ok=True)
 
     def _file(self, kind: str, number: int) -> Path:
-        folder = self.name if self.is_shared else _own_folder(self.name).name
+        folder = self.name if self.is_shared else _own_folder(self.name)
         return Path(folder) / f"{kind}-{number}"
 
 
@@ -94,6 +93,13 @@ def kept_parts(num_parts: int, is_shared: bool = True) -> Iterator[KeptParts]:
         yield KeptParts(name if is_shared else uuid4().hex, is_shared, most)
 
 
-@lru_cache(maxsize=1)
-def _own_folder(name: str) -> TemporaryDirectory:
-    return TemporaryDirectory(prefix="halfseen-")
+_OWN: dict[str, TemporaryDirectory] = {}
+
+
+def _own_folder(name: str) -> str:
+    """Folder of this process for one log; that of the log before goes."""
+    if name not in _OWN:
+        while _OWN:
+            _OWN.popitem()[1].cleanup()
+        _OWN[name] = TemporaryDirectory(prefix="halfseen-")
+    return _OWN[name].name
